@@ -1,0 +1,25 @@
+//! The FLED-GS pipeline: from dark, noisy, shaken photographs of a static scene to a bright,
+//! sharp 3D Gaussian splatting scene.
+//!
+//! Data flows one way: [`pipeline`] drives [`colmap`], [`enhance`], [`deblur`], [`reconstruct`]
+//! (which drives [`splat`] and [`noise`]), [`metrics`] and [`render`]. Siblings never import each
+//! other; all may use [`image`], [`camera`], [`gaussians`], [`event`] and [`cancel`].
+//! The crate knows no HTTP, no SQL, no async runtime and no environment variables.
+
+pub mod camera;
+pub mod cancel;
+pub mod capture;
+pub mod colmap;
+pub mod dataset;
+pub mod deblur;
+pub mod enhance;
+pub mod event;
+pub mod gaussians;
+pub mod image;
+pub mod metrics;
+pub mod noise;
+pub mod pipeline;
+pub mod reconstruct;
+pub mod render;
+pub mod splat;
+pub mod synthetic;

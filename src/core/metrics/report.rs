@@ -1,0 +1,143 @@
+//! The shape of `metrics.json` and of the service's `/rounds`.
+
+use std::collections::BTreeMap;
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::camera::Split;
+
+/// Which image was judged.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum ImageKind {
+    /// A render of the scene: our result.
+    Render,
+    /// The deblurred view.
+    Deblurred,
+    /// The brightened view: what a user has without fled.
+    Enhanced,
+}
+
+/// Against what it was judged.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Reference {
+    /// Sharp, bright ground truth.
+    Gt,
+    /// The deblurred view: self-consistency, not quality.
+    Deblurred,
+    /// The brightened view: self-consistency, not quality.
+    Enhanced,
+}
+
+/// At which brightness both were compared.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Brightness {
+    /// The round's own.
+    Native,
+    /// The target's.
+    Final,
+}
+
+/// Mean scores of one set of views.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Record {
+    /// Train or held-out.
+    pub split: Split,
+    /// Which image.
+    pub image: ImageKind,
+    /// Against what.
+    pub reference: Reference,
+    /// At which brightness.
+    pub brightness: Brightness,
+    /// Number of views in the mean.
+    pub views: u32,
+    /// Mean PSNR, dB.
+    pub psnr_db: f64,
+    /// Mean PSNR after a per-channel affine colour fit, dB.
+    pub psnr_cc_db: f64,
+    /// Mean SSIM of the valid region.
+    pub ssim: f64,
+    /// LPIPS (SqueezeNet) where the user supplies the network.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub lpips_squeeze: Option<f64>,
+}
+
+/// One round.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct RoundMetrics {
+    /// 1-based.
+    pub round: u32,
+    /// Wall seconds of the whole round.
+    pub seconds: f64,
+    /// Gaussians in the round's scene.
+    pub gaussians: u64,
+    /// Optimiser steps made.
+    pub steps: u64,
+    /// Training steps per second.
+    pub steps_per_second: f64,
+    /// Scores.
+    pub records: Vec<Record>,
+    /// Mean noise sigma of the enhanced and the deblurred views and of the renders (Immerkaer, luma, 0..=1).
+    pub noise_sigma: BTreeMap<String, f64>,
+    /// Mean noise-corrected sharpness of the same images.
+    pub sharpness: BTreeMap<String, f64>,
+    /// Mean of V of the enhanced views.
+    pub mean_brightness: f64,
+    /// Share of clipped pixels of the enhanced views.
+    pub clipped: f64,
+    /// Noise ceiling of self-consistency against the enhanced views: -20 log10(sigma), dB.
+    pub noise_ceiling_db: f64,
+    /// Mean over the views of the noise map's mean and of its spread; absent when the noise field was off.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub noise_map: Option<NoiseMapStatistics>,
+    /// Gradients that were not finite and were dropped.
+    pub non_finite_gradients: u64,
+    /// alpha and gamma of the round's anchor.
+    pub anchor: [f64; 2],
+    /// alpha and gamma fitted to map this round's renders to the next anchor, one a view or one in all.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub matched: Vec<[f64; 2]>,
+    /// Whether the round was judged worse than the one before it.
+    pub worse_than_previous: bool,
+}
+
+/// What the noise field learnt.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct NoiseMapStatistics {
+    /// Mean value.
+    pub mean: f64,
+    /// Standard deviation over pixels.
+    pub spread: f64,
+    /// Largest |correlation| with the render over the round's checks.
+    pub correlation: f64,
+}
+
+/// The whole of `metrics.json`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Report {
+    /// Every round, in order.
+    pub rounds: Vec<RoundMetrics>,
+    /// The delivered round, 1-based.
+    pub best_round: u32,
+    /// Views with a pose.
+    pub registered: u32,
+    /// Views in the capture.
+    pub views: u32,
+    /// Wall seconds by stage.
+    pub stages: BTreeMap<String, f64>,
+    /// The GPU adapter and its driver.
+    pub adapter: String,
+    /// Networks used: role to `id sha256 provider`.
+    pub models: BTreeMap<String, String>,
+    /// What was used in place of what was asked for, and why.
+    pub fallbacks: Vec<String>,
+    /// Facts of the poses: source, rung, points, reprojection error, mean track.
+    pub poses: BTreeMap<String, serde_json::Value>,
+    /// Seed of the run.
+    pub seed: u64,
+    /// Options as run.
+    pub config: serde_json::Value,
+}

@@ -1,0 +1,4 @@
+//! The job: Algorithm 1, its options, its workspace and its errors.
+
+pub mod config;
+pub mod error;

@@ -1,0 +1,296 @@
+//! The options of a run: flat keys, the same in `--set`, in a job's JSON and in `config.json`.
+
+use std::fmt;
+use std::str::FromStr;
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// How a run is configured. Defaults are those of the `standard` preset.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct Options {
+    /// Rounds of brighten, deblur, reconstruct.
+    #[schemars(range(min = 1, max = 8))]
+    pub rounds: u32,
+    /// Optimiser steps a round.
+    #[schemars(range(min = 1, max = 200_000))]
+    pub steps: u32,
+    /// Longest side of the working images, px; never above the original.
+    #[schemars(range(min = 64, max = 4096))]
+    pub size: u32,
+    /// Target brightness: `auto`, `alpha,gamma`, or the name of a LuSh scene.
+    pub target: String,
+    /// One tone table for the scene or one a view.
+    pub lut_scope: LutScope,
+    /// `default`, a manifest id, a path to an ONNX file, or `identity`.
+    pub deblur: String,
+    /// What guides the deblurring of rounds after the first.
+    pub guide: Guide,
+    /// The noise field.
+    pub noise: NoiseMode,
+    /// How rounds after the first start.
+    pub start: Start,
+    /// Densification.
+    pub densify: Densify,
+    /// Most Gaussians.
+    #[schemars(range(min = 100, max = 5_000_000))]
+    pub cap: u32,
+    /// Degree of the spherical harmonics.
+    #[schemars(range(min = 0, max = 3))]
+    pub sh_degree: u32,
+    /// Train at 1/4, then 1/2, then full size.
+    pub resolution_schedule: bool,
+    /// `auto` (every 8th of at least 12 views), `none`, every n-th, or names separated by commas.
+    pub held_out: String,
+    /// `auto` (poses of the capture when it has them, else COLMAP), `colmap`, or `given`.
+    pub pose_source: PoseSource,
+    /// Seed of everything random.
+    pub seed: u64,
+    /// Part of an adapter's name, or `auto`.
+    pub adapter: String,
+}
+
+/// The scope of a tone table.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum LutScope {
+    /// One histogram pooled over all views: the same tone in every view.
+    Scene,
+    /// One table a view: the paper's reading.
+    Image,
+}
+
+/// The guide of rounds after the first.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Guide {
+    /// Clean renders of the round before, through a guided network.
+    Render,
+    /// The network on a mix of the view and the render.
+    Blend,
+    /// No guide.
+    None,
+}
+
+/// The noise field of a round.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum NoiseMode {
+    /// On a grid of 1/8 resolution, signed, zero mean.
+    Grid,
+    /// At every pixel, positive: the paper's.
+    Paper,
+    /// None.
+    Off,
+}
+
+/// How rounds after the first start.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Start {
+    /// From the scene of the round before, its colours mapped to the new brightness.
+    Warm,
+    /// From the sparse points.
+    Scratch,
+}
+
+/// The densification strategy.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Densify {
+    /// MCMC: relocation and growth up to the cap.
+    Mcmc,
+    /// No change of the number of Gaussians.
+    Off,
+}
+
+/// Where poses come from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum PoseSource {
+    /// Given poses when the capture has them, else COLMAP.
+    Auto,
+    /// COLMAP, whatever the capture brings.
+    Colmap,
+    /// The capture's own poses; an error without them.
+    Given,
+}
+
+/// A named set of options.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Preset {
+    /// A quick look at a quarter of the pixels; hides half of blur and noise.
+    Preview,
+    /// The default.
+    Standard,
+    /// The paper to the letter: a GPU's work.
+    Paper,
+}
+
+impl Preset {
+    /// Every preset.
+    pub const ALL: [Self; 3] = [Self::Preview, Self::Standard, Self::Paper];
+
+    /// Its name.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Preview => "preview",
+            Self::Standard => "standard",
+            Self::Paper => "paper",
+        }
+    }
+
+    /// What it stands for.
+    pub fn options(self) -> Options {
+        let standard = Options {
+            rounds: 2,
+            steps: 2_000,
+            size: 560,
+            target: "auto".to_owned(),
+            lut_scope: LutScope::Scene,
+            deblur: "default".to_owned(),
+            guide: Guide::Render,
+            noise: NoiseMode::Grid,
+            start: Start::Warm,
+            densify: Densify::Mcmc,
+            cap: 30_000,
+            sh_degree: 2,
+            resolution_schedule: true,
+            held_out: "auto".to_owned(),
+            pose_source: PoseSource::Auto,
+            seed: 0,
+            adapter: "auto".to_owned(),
+        };
+        match self {
+            Self::Preview => Options { steps: 1_000, size: 280, cap: 10_000, ..standard },
+            Self::Standard => standard,
+            Self::Paper => Options {
+                steps: 10_000,
+                size: 1120,
+                cap: 200_000,
+                start: Start::Scratch,
+                noise: NoiseMode::Paper,
+                lut_scope: LutScope::Image,
+                sh_degree: 3,
+                ..standard
+            },
+        }
+    }
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Preset::Standard.options()
+    }
+}
+
+impl FromStr for Preset {
+    type Err = OptionsError;
+
+    fn from_str(name: &str) -> Result<Self, OptionsError> {
+        Self::ALL.into_iter().find(|preset| preset.name() == name).ok_or_else(|| OptionsError {
+            key: "preset".to_owned(),
+            message: format!("`{name}` is none of preview, standard, paper"),
+        })
+    }
+}
+
+/// An option that does not exist or a value that does not fit.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub struct OptionsError {
+    /// The flat key at fault.
+    pub key: String,
+    /// What is wrong with it.
+    pub message: String,
+}
+
+impl fmt::Display for OptionsError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "option `{}`: {}", self.key, self.message)
+    }
+}
+
+impl Options {
+    /// The options with `overrides` (a JSON object of flat keys) laid over them, each checked.
+    ///
+    /// # Errors
+    /// [`OptionsError`] naming the first key that is unknown or out of range.
+    pub fn with_overrides(
+        &self,
+        overrides: &serde_json::Map<String, serde_json::Value>,
+    ) -> Result<Self, OptionsError> {
+        let mut current = self.clone();
+        for (key, value) in overrides {
+            let mut object = serde_json::to_value(&current).map_err(|e| fault(key, &e))?;
+            let fields = object.as_object_mut().ok_or_else(|| fault(key, &"not an object"))?;
+            if !fields.contains_key(key) {
+                let known = fields.keys().cloned().collect::<Vec<_>>().join(", ");
+                return Err(fault(key, &format!("unknown; known are {known}")));
+            }
+            fields.insert(key.clone(), value.clone());
+            current = serde_json::from_value(object).map_err(|e| fault(key, &e))?;
+        }
+        current.check()?;
+        Ok(current)
+    }
+
+    /// The options with one `key=value` of the command line laid over them. Values are read as
+    /// JSON where they are JSON of the field's type, else as a string.
+    ///
+    /// # Errors
+    /// [`OptionsError`] naming the key.
+    pub fn with_assignment(&self, assignment: &str) -> Result<Self, OptionsError> {
+        let (key, text) =
+            assignment.split_once('=').ok_or_else(|| fault(assignment, &"expected key=value"))?;
+        let attempt = |value| self.with_overrides(&serde_json::Map::from_iter([(key.to_owned(), value)]));
+        let as_string = attempt(serde_json::Value::String(text.to_owned()));
+        match (as_string, serde_json::from_str(text)) {
+            (Err(_), Ok(value)) => attempt(value),
+            (outcome, _) => outcome,
+        }
+    }
+
+    fn check(&self) -> Result<(), OptionsError> {
+        within("rounds", self.rounds, 1, 8)?;
+        within("steps", self.steps, 1, 200_000)?;
+        within("size", self.size, 64, 4096)?;
+        within("cap", self.cap, 100, 5_000_000)?;
+        within("sh_degree", self.sh_degree, 0, 3)
+    }
+}
+
+fn within(key: &str, value: u32, low: u32, high: u32) -> Result<(), OptionsError> {
+    if (low..=high).contains(&value) {
+        return Ok(());
+    }
+    Err(fault(key, &format!("{value} is not in {low}..={high}")))
+}
+
+fn fault(key: &str, message: &dyn fmt::Display) -> OptionsError {
+    OptionsError { key: key.to_owned(), message: message.to_string() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn assignments_take_numbers_words_and_booleans() {
+        let options = Options::default();
+        assert_eq!(options.with_assignment("rounds=3").expect("valid").rounds, 3);
+        assert_eq!(options.with_assignment("held_out=5").expect("valid").held_out, "5");
+        assert_eq!(options.with_assignment("noise=off").expect("valid").noise, NoiseMode::Off);
+        assert!(!options.with_assignment("resolution_schedule=false").expect("valid").resolution_schedule);
+        assert_eq!(options.with_assignment("target=10,0.8").expect("valid").target, "10,0.8");
+    }
+
+    #[test]
+    fn an_unknown_key_or_bad_value_names_the_key() {
+        let options = Options::default();
+        assert_eq!(options.with_assignment("round=3").expect_err("unknown").key, "round");
+        assert_eq!(options.with_assignment("rounds=0").expect_err("range").key, "rounds");
+        assert_eq!(options.with_assignment("noise=loud").expect_err("enum").key, "noise");
+    }
+}

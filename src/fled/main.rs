@@ -1,0 +1,2 @@
+//! fled
+fn main() {}

@@ -1,0 +1,47 @@
+"""An endless, seeded stream of training patches."""
+
+import numpy as np
+import torch
+from torch.utils.data import IterableDataset
+
+import degrade
+import sources
+
+# Four patches of 128 px tile the inner 256 px of a scene, which shares one blur, exposure and tone curve.
+PATCH = 128
+SCENE = 2 * PATCH
+BUFFER = 160
+
+
+class Patches(IterableDataset):
+    """Yields (input [6, P, P], clean [3, P, P]); `seed` and `start` fix the stream."""
+
+    def __init__(self, seed, start=0):
+        self.seed = [seed, start]
+
+    def __iter__(self):
+        worker = torch.utils.data.get_worker_info()
+        torch.set_num_threads(1)
+        rng = np.random.default_rng([*self.seed, worker.id if worker else 0])
+        supply = sources.Sources(rng)
+        buffer = []
+        while True:
+            buffer.extend(scene_patches(rng, supply))
+            while len(buffer) > BUFFER:
+                place = rng.integers(len(buffer))
+                buffer[place], buffer[-1] = buffer[-1], buffer[place]
+                stacked = torch.from_numpy(buffer.pop().astype(np.float32))
+                yield stacked[:6], stacked[6:]
+
+
+def scene_patches(rng, supply):
+    """The four patches of one degraded scene, f16 [9, P, P]: blurry, guide, clean."""
+    sharp = supply.draw(rng, SCENE + 2 * degrade.MARGIN)
+    blur = degrade.random_blur(rng, sharp.shape[:2])
+    exposure = degrade.random_exposure(rng)
+    target = degrade.random_target(rng) if rng.random() < 0.95 else None
+    guide = degrade.random_guide(rng) if rng.random() < 0.5 else None
+    highlights = 1.25 if rng.random() < 0.7 else 1.0
+    stacked = np.concatenate(degrade.pair(rng, sharp, blur, exposure, target, guide, highlights), 2)
+    planes = np.moveaxis(stacked, 2, 0).astype(np.float16)
+    return [planes[:, y : y + PATCH, x : x + PATCH].copy() for y in (0, PATCH) for x in (0, PATCH)]

@@ -1,0 +1,92 @@
+"""The guided deblurring network "u2": a NAFNet in folded form behind a stride-2 front.
+
+Folded: the layer norm carries no affine part, the gate is two branches, and the blocks' output scales are part of
+their last convolutions. What is trained is exactly what is exported.
+"""
+
+import torch
+import torch.nn.functional as F
+from torch import nn
+
+EPSILON = 1e-6
+
+
+def normalise(x):
+    """Layer norm over the channels at each pixel, without affine part."""
+    return F.layer_norm(x.permute(0, 2, 3, 1), x.shape[1:2], eps=EPSILON).permute(0, 3, 1, 2)
+
+
+class Block(nn.Module):
+    """Gated depthwise convolution with channel attention, then a gated pixel-wise one; both residual."""
+
+    def __init__(self, width):
+        super().__init__()
+        self.a1, self.b1 = nn.Conv2d(width, width, 1), nn.Conv2d(width, width, 1)
+        self.a2 = nn.Conv2d(width, width, 3, padding=1, groups=width)
+        self.b2 = nn.Conv2d(width, width, 3, padding=1, groups=width)
+        self.attention = nn.Conv2d(width, width, 1)
+        self.c3 = nn.Conv2d(width, width, 1)
+        self.a4, self.b4 = nn.Conv2d(width, width, 1), nn.Conv2d(width, width, 1)
+        self.c5 = nn.Conv2d(width, width, 1)
+        nn.init.ones_(self.attention.bias)
+        for last in (self.c3, self.c5):
+            # A small start instead of NAFNet's zero scales: each block begins as nearly the identity.
+            nn.init.normal_(last.weight, std=0.02)
+            nn.init.zeros_(last.bias)
+
+    def forward(self, x):
+        y = normalise(x)
+        y = self.a2(self.a1(y)) * self.b2(self.b1(y))
+        y = y * self.attention(y.mean((2, 3), keepdim=True))
+        x = x + self.c3(y)
+        y = normalise(x)
+        return x + self.c5(self.a4(y) * self.b4(y))
+
+
+class Network(nn.Module):
+    """[N, 6, H, W] = blurry RGB, guide RGB (a copy of blurry where there is none) to [N, 3, H, W].
+
+    sRGB 0..1, sides multiples of 16, output not clipped.
+    """
+
+    def __init__(self, width=16, encoder=(1, 1, 2), middle=2, decoder=(1, 1, 1)):
+        super().__init__()
+        self.shape = dict(width=width, encoder=list(encoder), middle=middle, decoder=list(decoder))
+        self.stem = nn.Conv2d(6, width, 6, stride=2, padding=2)
+        self.encoders, self.downs = nn.ModuleList(), nn.ModuleList()
+        for blocks in encoder:
+            self.encoders.append(nn.Sequential(*[Block(width) for _ in range(blocks)]))
+            self.downs.append(nn.Conv2d(width, 2 * width, 2, stride=2))
+            width *= 2
+        self.middle = nn.Sequential(*[Block(width) for _ in range(middle)])
+        self.ups, self.decoders = nn.ModuleList(), nn.ModuleList()
+        for blocks in decoder:
+            self.ups.append(nn.Conv2d(width, 2 * width, 1, bias=False))
+            width //= 2
+            self.decoders.append(nn.Sequential(*[Block(width) for _ in range(blocks)]))
+        self.ending = nn.Conv2d(width, 12, 3, padding=1)
+        nn.init.normal_(self.ending.weight, std=0.005)
+        nn.init.zeros_(self.ending.bias)
+
+    def forward(self, pair):
+        x = self.stem(pair)
+        skips = []
+        for encoder, down in zip(self.encoders, self.downs):
+            x = encoder(x)
+            skips.append(x)
+            x = down(x)
+        x = self.middle(x)
+        for up, decoder in zip(self.ups, self.decoders):
+            x = decoder(F.pixel_shuffle(up(x), 2) + skips.pop())
+        return F.pixel_shuffle(self.ending(x), 2) + pair[:, :3]
+
+
+def charbonnier(output, clean):
+    """Mean of sqrt(d^2 + 1e-6)."""
+    return torch.sqrt((output - clean) ** 2 + 1e-6).mean()
+
+
+def frequency_loss(output, clean):
+    """Mean absolute difference of the spectra, normalised to the images' scale."""
+    difference = torch.fft.rfft2(output - clean, norm="ortho")
+    return torch.view_as_real(difference.contiguous()).abs().mean()

@@ -1,0 +1,140 @@
+"""Train the guided deblurring network on the CPU within a time budget.
+
+    python train.py --minutes 60 --run run/small-u2w16
+
+Started again with the same --run it goes on from the last checkpoint.
+"""
+
+import argparse
+import copy
+import math
+import os
+import time
+from pathlib import Path
+
+import torch
+from torch.utils.data import DataLoader
+
+from dataset import Patches
+from network import Network, charbonnier, frequency_loss
+
+WARM_UP = 0.02
+FLOOR = 0.01
+
+
+def arguments():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--run", type=Path, default=Path("run/small-u2w16"), help="folder of checkpoint and log")
+    parser.add_argument("--minutes", type=float, default=60, help="wall-clock budget over all restarts")
+    parser.add_argument("--batch", type=int, default=8, help="patches of 128 px a step")
+    parser.add_argument("--rate", type=float, default=1.5e-3, help="peak learning rate")
+    parser.add_argument("--width", type=int, default=16)
+    parser.add_argument("--middle", type=int, default=2)
+    parser.add_argument("--frequency", type=float, default=0.03, help="weight of the FFT loss")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--workers", type=int, default=1, help="processes that make patches")
+    parser.add_argument("--threads", type=int, default=1)
+    parser.add_argument("--save-every", type=int, default=500, help="steps between checkpoints")
+    return parser.parse_args()
+
+
+def rate_at(progress, peak):
+    """Linear warm-up, then cosine to FLOOR of the peak; `progress` is the share of the budget that is used up."""
+    if progress < WARM_UP:
+        return peak * max(progress / WARM_UP, 0.02)
+    share = min((progress - WARM_UP) / (1 - WARM_UP), 1.0)
+    return peak * (FLOOR + (1 - FLOOR) * 0.5 * (1 + math.cos(math.pi * share)))
+
+
+class Trainer:
+    """The network, its moving average and optimiser, with the time and steps spent so far."""
+
+    def __init__(self, options):
+        self.options = options
+        torch.manual_seed(options.seed)
+        self.network = Network(options.width, middle=options.middle).to(memory_format=torch.channels_last)
+        self.average = copy.deepcopy(self.network).requires_grad_(False)
+        self.optimiser = torch.optim.AdamW(
+            self.network.parameters(), lr=options.rate, betas=(0.9, 0.95), weight_decay=1e-4, fused=True
+        )
+        self.step, self.seconds, self.clipped = 0, 0.0, 0
+        self.path = options.run / "checkpoint.pt"
+        if self.path.exists():
+            self.restore()
+
+    def restore(self):
+        state = torch.load(self.path, weights_only=True)
+        self.network.load_state_dict(state["network"])
+        self.average.load_state_dict(state["average"])
+        self.optimiser.load_state_dict(state["optimiser"])
+        self.step, self.seconds = state["step"], state["seconds"]
+
+    def save(self):
+        state = dict(
+            network=self.network.state_dict(), average=self.average.state_dict(),
+            optimiser=self.optimiser.state_dict(), step=self.step, seconds=self.seconds, shape=self.network.shape,
+            batch=self.options.batch, seed=self.options.seed,
+        )
+        temporary = self.path.with_suffix(".new")
+        torch.save(state, temporary)
+        os.replace(temporary, self.path)
+
+    def update(self, pair, clean):
+        """One step; returns the loss."""
+        for group in self.optimiser.param_groups:
+            group["lr"] = rate_at(self.seconds / (60 * self.options.minutes), self.options.rate)
+        output = self.network(pair.contiguous(memory_format=torch.channels_last))
+        loss = charbonnier(output, clean) + self.options.frequency * frequency_loss(output, clean)
+        self.optimiser.zero_grad()
+        loss.backward()
+        norm = torch.nn.utils.clip_grad_norm_(self.network.parameters(), 0.5)
+        # A broken batch must not reach the weights.
+        if torch.isfinite(norm):
+            self.optimiser.step()
+        self.clipped += int(not norm <= 0.5)
+        self.step += 1
+        keep = min(0.999, (1 + self.step) / (10 + self.step))
+        with torch.no_grad():
+            torch._foreach_lerp_(list(self.average.parameters()), list(self.network.parameters()), 1 - keep)
+        return loss.item()
+
+
+def mean_psnr(images, clean):
+    """Mean over the batch, dB."""
+    errors = ((images.clamp(0, 1) - clean) ** 2).mean((1, 2, 3)).clamp_min(1e-9)
+    return float((-10 * torch.log10(errors)).mean())
+
+
+def main():
+    options = arguments()
+    options.run.mkdir(parents=True, exist_ok=True)
+    torch.set_num_threads(options.threads)
+    trainer = Trainer(options)
+    stream = DataLoader(
+        Patches(options.seed, trainer.step), options.batch, num_workers=options.workers,
+        prefetch_factor=8 if options.workers else None,
+    )
+    log = open(options.run / "log.txt", "a", buffering=1)
+    mark, total, before, after = time.monotonic(), 0.0, 0.0, 0.0
+    for pair, clean in stream:
+        total += trainer.update(pair, clean)
+        now = time.monotonic()
+        trainer.seconds += now - mark
+        mark = now
+        if trainer.step % 100 == 0:
+            with torch.no_grad():
+                before, after = mean_psnr(pair[:, :3], clean), mean_psnr(trainer.average(pair), clean)
+            print(
+                f"step {trainer.step} seconds {trainer.seconds:.0f} loss {total / 100:.5f} "
+                f"input {before:.2f} average {after:.2f} clipped {trainer.clipped}", file=log,
+            )
+            total, trainer.clipped = 0.0, 0
+        finished = trainer.seconds >= 60 * options.minutes
+        if finished or trainer.step % options.save_every == 0:
+            trainer.save()
+        if finished:
+            break
+
+
+if __name__ == "__main__":
+    main()
