@@ -53,9 +53,15 @@ def fractal(rng, height, width, channels=1):
     return np.stack(planes, -1).astype(np.float32)
 
 
+def paint_colour(rng):
+    """A random colour, most often a muted one, [3]."""
+    level, chroma = rng.random() ** rng.uniform(0.6, 2), rng.random() ** 1.5
+    return np.clip(level + (rng.random(3) - 0.5) * chroma, 0, 1)
+
+
 def texture(rng, height, width, photos):
     """One surface: flat, shaded, fractal, striped, chequered, or a piece of a photograph; f32 [H, W, 3]."""
-    first, second = rng.random(3) ** rng.uniform(0.6, 2), rng.random(3) ** rng.uniform(0.6, 2)
+    first, second = paint_colour(rng), paint_colour(rng)
     y, x = np.mgrid[:height, :width].astype(np.float32)
     angle, period = rng.uniform(0, np.pi), np.exp(rng.uniform(np.log(3), np.log(40)))
     along = x * np.cos(angle) + y * np.sin(angle)
@@ -118,8 +124,8 @@ def outline(rng, size):
 def procedural(rng, size, photos):
     """Surfaces occluding one another, sizes by a power law, with shading and small lights, u8 [size, size, 3]."""
     scene = texture(rng, size, size, photos)
-    for _ in range(int(rng.integers(25, 140))):
-        extent = int(min(8 / max(rng.random(), 0.03), size * 0.7) + 6)
+    for _ in range(int(rng.integers(40, 200))):
+        extent = int(min(10 / max(rng.random(), 0.03), size * 0.6) + 6)
         top, left = rng.integers(-extent // 2, size - extent // 2, 2)
         mask = outline(rng, extent)[..., None]
         if rng.random() < 0.25:
@@ -194,7 +200,7 @@ def augment(rng, image):
     if rng.random() < 0.5:
         image = image[:, ::-1]
     image = np.rot90(image, rng.integers(4))
-    if rng.random() < 0.5:
+    if rng.random() < 0.3:
         image = image[..., rng.permutation(3)]
     if rng.random() < 0.7:
         image = image ** np.float32(np.exp(rng.normal() * 0.25)) * (1 - 0.4 * rng.random(3, np.float32) ** 2)

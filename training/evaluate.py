@@ -1,0 +1,153 @@
+"""PSNR tables of ONNX deblurring networks, on held-out photographs and on captures with ground truth.
+
+    python evaluate.py ../models/small-u2w16.onnx other.onnx --captures DIR --crops crops
+"""
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+import onnxruntime
+from PIL import Image
+
+import degrade
+import sources
+import tone_curve
+from degrade import Blur, Exposure, Guide, MARGIN
+
+ISO = 800
+# The guide of every case: what a first round's renders look like, by the same simulation that training uses.
+GUIDE = dict(sigma=0.7, drift=0.015, warp=0.5, grain=0.01)
+
+
+def case(name, extent, light=1.0, noise=True, target="auto"):
+    return dict(name=name, extent=extent, light=light, noise=noise, target=target)
+
+
+CASES = [
+    case("blur 8 px, clean", 8, noise=False, target=None),
+    case("blur 14 px, clean", 14, noise=False, target=None),
+    case("noise only, brightened x10", 0, 0.1),
+    case("paper-like: blur 8, dark x10, noise", 8, 0.1),
+    case("blur 14, dark x10, noise", 14, 0.1),
+    case("round-1 level, blur 8, noise", 8, 0.1, target=(1.0, 0.894)),
+]
+
+
+class Model:
+    """An ONNX network of 6 or 3 channels; pads by reflection to multiples of 16 and crops back."""
+
+    def __init__(self, path):
+        options = onnxruntime.SessionOptions()
+        options.intra_op_num_threads = 1
+        options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+        self.session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
+        self.input = self.session.get_inputs()[0]
+
+    def __call__(self, blurry, guide=None):
+        height, width = blurry.shape[:2]
+        planes = [blurry] if self.input.shape[1] == 3 else [blurry, blurry if guide is None else guide]
+        pad = ((0, -height % 16), (0, -width % 16), (0, 0))
+        pair = np.pad(np.concatenate(planes, 2), pad, "reflect").transpose(2, 0, 1)[None]
+        output = self.session.run(None, {self.input.name: np.ascontiguousarray(pair, np.float32)})[0][0]
+        return np.clip(output.transpose(1, 2, 0)[:height, :width], 0, 1)
+
+
+def psnr(image, clean):
+    return float(-10 * np.log10(max(np.mean((np.clip(image, 0, 1) - clean) ** 2), 1e-10)))
+
+
+def colour_fitted(image, truth):
+    """The image under the affine map a channel that brings it nearest to the truth."""
+    fitted = np.empty_like(image)
+    for channel in range(3):
+        basis = np.stack([image[..., channel].ravel(), np.ones(image[..., 0].size)], 1)
+        fit = np.linalg.lstsq(basis, truth[..., channel].ravel(), rcond=None)[0]
+        fitted[..., channel] = image[..., channel] * fit[0] + fit[1]
+    return fitted
+
+
+def example(path, description, seed):
+    """Blurry, guide and clean of one held-out photograph in one case."""
+    rng = np.random.default_rng(seed)
+    photo = sources.load(path).astype(np.float32) / 255
+    sharp = np.pad(photo, ((MARGIN, MARGIN), (MARGIN, MARGIN), (0, 0)), "reflect")
+    extent = description["extent"]
+    blur = Blur([degrade.shake_kernel(rng, extent * rng.uniform(0.8, 1.2))] if extent else [])
+    shot, read = degrade.sensor(ISO) if description["noise"] else (0.0, 0.0)
+    exposure = Exposure(description["light"], shot, read)
+    target = description["target"]
+    if target == "auto":
+        dark = degrade.expose(rng, degrade.decode(photo), exposure)
+        target = tone_curve.automatic_target([dark])
+    guide = Guide(extent=max(extent * 0.5, 2), **GUIDE)
+    return degrade.pair(rng, sharp, blur, exposure, target, guide, highlights=1.0)
+
+
+def held_out_table(models, repeats, crops):
+    """Rows of (case, input, guide alone, then single and guided of every model), dB."""
+    rows = []
+    for number, description in enumerate(CASES):
+        values = []
+        for index, path in enumerate(sources.HELD_OUT):
+            for repeat in range(repeats):
+                blurry, guide, clean = example(path, description, [number, index, repeat])
+                outputs = [blurry, guide]
+                for model in models:
+                    outputs += [model(blurry), model(blurry, guide)]
+                values.append([psnr(output, clean) for output in outputs])
+                if crops and repeat == 0:
+                    save_crop(crops / f"{path.stem}-{number}.png", [*outputs, clean])
+        rows.append((description["name"], *np.mean(values, 0)))
+    return rows
+
+
+def save_crop(path, images, side=192):
+    """The middles of the images side by side."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    top, left = (images[0].shape[0] - side) // 2, (images[0].shape[1] - side) // 2
+    strip = np.concatenate([np.clip(image[top : top + side, left : left + side], 0, 1) for image in images], 1)
+    Image.fromarray(np.rint(strip * 255).astype(np.uint8)).save(path)
+
+
+def capture_rows(models, folder, crops):
+    """Rows of (capture, view count, input, then single of every model), dB after the colour fit."""
+    names = sorted(path.name for path in (folder / "images").iterdir())
+    dark = [sources.load(folder / "images" / name).astype(np.float32) / 255 for name in names]
+    truth = [sources.load(folder / "gt" / name).astype(np.float32) / 255 for name in names]
+    bright = tone_curve.enhance(dark, *tone_curve.automatic_target(dark))
+    values = []
+    for view, (blurry, sharp) in enumerate(zip(bright, truth)):
+        outputs = [colour_fitted(image, sharp) for image in [blurry, *[model(blurry) for model in models]]]
+        values.append([psnr(output, sharp) for output in outputs])
+        if crops and view in (0, len(names) // 2):
+            save_crop(crops / f"{folder.name}-{view}.png", [*outputs, sharp])
+    return (folder.name, len(names), *np.mean(values, 0))
+
+
+def table(header, rows):
+    """A Markdown table; numbers that are not whole with two decimals."""
+    lines = ["| " + " | ".join(header) + " |", "|" + "---|" * len(header)]
+    for row in rows:
+        lines.append("| " + " | ".join(f"{cell:.2f}" if isinstance(cell, float) else str(cell) for cell in row) + " |")
+    return "\n".join(lines)
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("models", type=Path, nargs="+")
+    parser.add_argument("--captures", type=Path, help="folder of captures with images/ and gt/")
+    parser.add_argument("--repeats", type=int, default=3, help="kernels and noise per photograph and case")
+    parser.add_argument("--crops", type=Path, help="write crops of the results here")
+    options = parser.parse_args()
+    models = [Model(path) for path in options.models]
+    names = [path.stem for path in options.models]
+    header = ["case", "input", "guide alone"] + [f"{name} {kind}" for name in names for kind in ("single", "guided")]
+    print(table(header, held_out_table(models, options.repeats, options.crops)), flush=True)
+    if options.captures:
+        folders = sorted(path for path in options.captures.iterdir() if (path / "gt").is_dir())
+        print("\n" + table(["capture", "views", "input", *names], [capture_rows(models, f, options.crops) for f in folders]))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,160 @@
+"""Write a checkpoint as ONNX, check it against PyTorch, and enter its checksum in the manifest.
+
+    python export.py run/small-u2w16/checkpoint.pt ../models/small-u2w16.onnx --manifest ../models/manifest.json
+"""
+
+import argparse
+import hashlib
+import json
+from pathlib import Path
+
+import numpy as np
+import onnx
+import onnxruntime
+import torch
+from onnx import TensorProto, helper, numpy_helper
+
+from network import EPSILON, Network
+
+# Opset 17 and IR 8 are read by every ONNX Runtime since 1.13.
+OPSET, IR = 17, 8
+TOLERANCE = 1e-5
+
+
+class Graph:
+    """Collects nodes and weights; each method adds one operation and returns its output's name."""
+
+    def __init__(self):
+        self.nodes, self.weights = [], []
+        self.constant("epsilon", np.array(EPSILON, np.float32))
+
+    def constant(self, name, array):
+        self.weights.append(numpy_helper.from_array(np.ascontiguousarray(array), name))
+        return name
+
+    def op(self, kind, inputs, output=None, **attributes):
+        output = output or f"{kind.lower()}_{len(self.nodes)}"
+        self.nodes.append(helper.make_node(kind, inputs, [output], name=output, **attributes))
+        return output
+
+    def convolution(self, x, name, layer):
+        inputs = [x, self.constant(f"{name}.weight", layer.weight.detach().numpy())]
+        if layer.bias is not None:
+            inputs.append(self.constant(f"{name}.bias", layer.bias.detach().numpy()))
+        return self.op(
+            "Conv", inputs, kernel_shape=list(layer.kernel_size), strides=list(layer.stride),
+            pads=list(layer.padding) * 2, group=layer.groups,
+        )
+
+    def normalise(self, x):
+        centred = self.op("Sub", [x, self.op("ReduceMean", [x], axes=[1], keepdims=1)])
+        variance = self.op("ReduceMean", [self.op("Mul", [centred, centred])], axes=[1], keepdims=1)
+        deviation = self.op("Sqrt", [self.op("Add", [variance, "epsilon"])])
+        return self.op("Div", [centred, deviation])
+
+    def block(self, x, name, block):
+        def conv(y, part):
+            return self.convolution(y, f"{name}.{part}", getattr(block, part))
+
+        y = self.normalise(x)
+        y = self.op("Mul", [conv(conv(y, "a1"), "a2"), conv(conv(y, "b1"), "b2")])
+        y = self.op("Mul", [y, conv(self.op("GlobalAveragePool", [y]), "attention")])
+        x = self.op("Add", [x, conv(y, "c3")])
+        y = self.normalise(x)
+        return self.op("Add", [x, conv(self.op("Mul", [conv(y, "a4"), conv(y, "b4")]), "c5")])
+
+    def blocks(self, x, name, sequence):
+        for number, block in enumerate(sequence):
+            x = self.block(x, f"{name}.{number}", block)
+        return x
+
+    def shuffle(self, x):
+        return self.op("DepthToSpace", [x], blocksize=2, mode="CRD")
+
+
+def build(network):
+    """The network as an ONNX model with dynamic N, H and W."""
+    graph = Graph()
+    x = graph.convolution("input", "stem", network.stem)
+    skips = []
+    for number, (encoder, down) in enumerate(zip(network.encoders, network.downs)):
+        skips.append(graph.blocks(x, f"encoder.{number}", encoder))
+        x = graph.convolution(skips[-1], f"down.{number}", down)
+    x = graph.blocks(x, "middle", network.middle)
+    for number, (up, decoder) in enumerate(zip(network.ups, network.decoders)):
+        x = graph.op("Add", [graph.shuffle(graph.convolution(x, f"up.{number}", up)), skips.pop()])
+        x = graph.blocks(x, f"decoder.{number}", decoder)
+    residual = graph.shuffle(graph.convolution(x, "ending", network.ending))
+    bounds = [graph.constant(name, np.array([at], np.int64)) for name, at in (("from", 0), ("to", 3), ("channels", 1))]
+    graph.op("Add", [residual, graph.op("Slice", ["input", *bounds])], "output")
+    model = helper.make_model(
+        helper.make_graph(
+            graph.nodes, "u2",
+            [helper.make_tensor_value_info("input", TensorProto.FLOAT, ["n", 6, "h", "w"])],
+            [helper.make_tensor_value_info("output", TensorProto.FLOAT, ["n", 3, "h", "w"])],
+            graph.weights,
+        ),
+        opset_imports=[helper.make_opsetid("", OPSET)], ir_version=IR, producer_name="fled training",
+    )
+    onnx.checker.check_model(model)
+    return model
+
+
+def load(checkpoint, raw=False):
+    """The network of a checkpoint: its moving average, or the raw weights; and the checkpoint."""
+    state = torch.load(checkpoint, weights_only=True)
+    network = Network(**state["shape"])
+    network.load_state_dict(state["network" if raw else "average"])
+    return network.eval(), state
+
+
+def largest_difference(model, network):
+    """Largest absolute difference between ONNX Runtime and PyTorch over three sizes."""
+    session = onnxruntime.InferenceSession(model.SerializeToString(), providers=["CPUExecutionProvider"])
+    generator = torch.Generator().manual_seed(0)
+    worst = 0.0
+    for shape in ((1, 6, 64, 64), (2, 6, 48, 176), (1, 6, 320, 560)):
+        pair = torch.rand(shape, generator=generator)
+        with torch.no_grad():
+            expected = network(pair).numpy()
+        worst = max(worst, float(np.abs(session.run(None, {"input": pair.numpy()})[0] - expected).max()))
+    return worst
+
+
+def enter(manifest, path):
+    """Write the file's size and checksum into the manifest entry that names it."""
+    content = path.read_bytes()
+    listing = manifest.read_text()
+    entries = json.loads(listing)
+    for entry in entries["models"]:
+        if entry["file"] == path.name:
+            for key, value in (("sha256", hashlib.sha256(content).hexdigest()), ("bytes", len(content))):
+                # Textual, so that the manifest keeps its layout.
+                start = listing.index(f'"{key}": ', listing.index(f'"file": "{path.name}"'))
+                end = listing.index(",", start)
+                listing = listing[:start] + f'"{key}": {json.dumps(value)}' + listing[end:]
+    json.loads(listing)
+    manifest.write_text(listing)
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("checkpoint", type=Path)
+    parser.add_argument("output", type=Path)
+    parser.add_argument("--raw", action="store_true", help="the raw weights instead of their moving average")
+    parser.add_argument("--manifest", type=Path)
+    options = parser.parse_args()
+    torch.set_num_threads(1)
+    network, state = load(options.checkpoint, options.raw)
+    model = build(network)
+    worst = largest_difference(model, network)
+    print(f"step {state['step']}, {state['seconds']:.0f} s; ONNX against PyTorch: {worst:.2e}")
+    if not worst <= TOLERANCE:
+        raise SystemExit("the exported network differs from the trained one")
+    options.output.write_bytes(model.SerializeToString())
+    if options.manifest:
+        enter(options.manifest, options.output)
+
+
+if __name__ == "__main__":
+    main()
