@@ -1,1 +1,95 @@
-//! deblur
+//! Deblurring one view at a time, with or without a clean render as a guide (method.md, 3).
+//!
+//! A [`Deblurrer`] is a network in ONNX Runtime, or [`Identity`] where none is wanted. What they
+//! are given and what they return are sRGB-encoded images in 0..=1 of the same size.
+
+mod blend;
+mod error;
+
+pub use blend::Blend;
+pub use error::DeblurError;
+
+use crate::image::Image;
+
+/// Removes blur and noise from one view.
+pub trait Deblurrer: Send {
+    /// The restored view, of the size of `blurry`, every value finite and in 0..=1.
+    ///
+    /// `guide` is the clean render of the same view at the same size and brightness; without one
+    /// a guided network is fed `blurry` twice.
+    ///
+    /// # Errors
+    /// [`DeblurError::GuideSize`] when the sizes differ, [`DeblurError::GuideUnsupported`] when the
+    /// network has no channels for a guide, [`DeblurError::Inference`] when it cannot be run.
+    fn deblur(&mut self, blurry: &Image, guide: Option<&Image>) -> Result<Image, DeblurError>;
+
+    /// What it is, for the report of the run.
+    fn describe(&self) -> DeblurInfo;
+
+    /// Sentences about what went wrong without ending the run, since the last call.
+    fn take_warnings(&mut self) -> Vec<String> {
+        Vec::new()
+    }
+}
+
+/// The facts of a deblurrer.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct DeblurInfo {
+    /// Manifest id, file name, or `identity`.
+    pub id: String,
+    /// Of the model file, lower-case hexadecimal; empty without a file.
+    pub sha256: String,
+    /// The execution provider really in use: `cpu`, or `none` without a network.
+    pub provider: String,
+    /// Input channels: 6 takes a guide, 3 does not, 0 is no network.
+    pub channels: u32,
+}
+
+/// Returns what it is given. A run without a network: the views are only brightened.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Identity;
+
+impl Deblurrer for Identity {
+    fn deblur(&mut self, blurry: &Image, guide: Option<&Image>) -> Result<Image, DeblurError> {
+        same_size(blurry, guide)?;
+        Ok(blurry.clone())
+    }
+
+    fn describe(&self) -> DeblurInfo {
+        DeblurInfo {
+            id: "identity".to_owned(),
+            sha256: String::new(),
+            provider: "none".to_owned(),
+            channels: 0,
+        }
+    }
+}
+
+fn same_size(blurry: &Image, guide: Option<&Image>) -> Result<(), DeblurError> {
+    let size = |image: &Image| (image.width(), image.height());
+    match guide {
+        Some(guide) if size(guide) != size(blurry) => {
+            Err(DeblurError::GuideSize { blurry: size(blurry), guide: size(guide) })
+        }
+        _ => Ok(()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn identity_returns_the_view_and_ignores_the_guide() {
+        let view = Image::from_planar(2, 1, vec![0.1, 0.2, 0.3, 0.4, 0.5, 0.6]);
+        assert_eq!(Identity.deblur(&view, None).expect("no guide"), view);
+        assert_eq!(Identity.deblur(&view, Some(&Image::new(2, 1))).expect("a guide"), view);
+        assert_eq!(Identity.describe().channels, 0);
+    }
+
+    #[test]
+    fn a_guide_of_another_size_is_refused() {
+        let refused = Identity.deblur(&Image::new(4, 2), Some(&Image::new(2, 4))).expect_err("sizes differ");
+        assert!(matches!(refused, DeblurError::GuideSize { blurry: (4, 2), guide: (2, 4) }), "{refused}");
+    }
+}
