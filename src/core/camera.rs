@@ -28,8 +28,8 @@ impl Intrinsics {
     }
 }
 
-/// A calibrated, posed pinhole camera.
-#[derive(Clone, Copy, Debug, PartialEq)]
+/// A calibrated, posed pinhole camera. As JSON its matrix is 16 numbers, column-major.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Camera {
     /// Pixels.
     pub intrinsics: Intrinsics,

@@ -1,1 +1,1 @@
-//! colmap
+//! Structure from motion by COLMAP, driven as a subprocess.

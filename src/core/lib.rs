@@ -3,7 +3,7 @@
 //!
 //! Data flows one way: [`pipeline`] drives [`colmap`], [`enhance`], [`deblur`], [`reconstruct`]
 //! (which drives [`splat`] and [`noise`]), [`metrics`] and [`render`]. Siblings never import each
-//! other; all may use [`image`], [`camera`], [`gaussians`], [`event`] and [`cancel`].
+//! other; all may use [`image`], [`camera`], [`poses`], [`gaussians`], [`event`] and [`cancel`].
 //! The crate knows no HTTP, no SQL, no async runtime and no environment variables.
 
 pub mod camera;
@@ -19,6 +19,7 @@ pub mod image;
 pub mod metrics;
 pub mod noise;
 pub mod pipeline;
+pub mod poses;
 pub mod reconstruct;
 pub mod render;
 pub mod splat;

@@ -1,0 +1,186 @@
+//! What structure from motion is asked and what it answers, whoever answers: COLMAP or poses
+//! that came with the capture.
+
+pub mod lens;
+
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+
+use crate::camera::Camera;
+use crate::cancel::{CancelToken, Cancelled};
+use crate::event::ProgressSink;
+use crate::image::Image;
+pub use lens::{Distortion, Lens};
+
+/// Finds where each photograph was taken from. Two implementations: COLMAP by subprocess, and
+/// poses given with the capture.
+pub trait Sfm {
+    /// Poses of as many of the request's views as can be found, and sparse points.
+    ///
+    /// # Errors
+    /// [`PosesError`]; [`PosesError::TooFew`] is expected data about a capture, not a fault.
+    fn poses(
+        &self,
+        request: &PoseRequest<'_>,
+        sink: &mut dyn ProgressSink,
+        cancel: &CancelToken,
+    ) -> Result<Poses, PosesError>;
+
+    /// What answers, in words that change when its answers may: part of the stage's fingerprint.
+    fn describe(&self) -> String;
+}
+
+/// What is asked of an [`Sfm`].
+#[derive(Clone, Copy, Debug)]
+pub struct PoseRequest<'a> {
+    /// The photographs, in the capture's order (sequential matching relies on it).
+    pub views: &'a [PoseView],
+    /// A directory of its own; created, filled, and left with `colmap.log` in it.
+    pub work_dir: &'a Path,
+    /// Seed of what is random, where the tool has one.
+    pub seed: u64,
+}
+
+/// One photograph to be posed.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PoseView {
+    /// The view's own safe name (a stem without extension).
+    pub name: String,
+    /// The original photograph.
+    pub file: PathBuf,
+    /// Focal length in px of the original photograph, where its metadata tell.
+    pub focal_px: Option<f64>,
+}
+
+/// The answer. As JSON it is the stage's stored result.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Poses {
+    /// Registered views, in the request's order.
+    pub views: Vec<PosedView>,
+    /// Sparse points.
+    pub points: Vec<SparsePoint>,
+    /// Number of registered views.
+    pub registered: usize,
+    /// Number of views asked for.
+    pub total: usize,
+    /// Who answered: `colmap 3.8`, or which file.
+    pub source: String,
+    /// The rung of the ladder that was accepted, `A`..=`E`; `None` for given poses.
+    pub rung: Option<char>,
+    /// Mean reprojection error, px of the pose copies; `None` where nobody measured one.
+    pub mean_reprojection_error: Option<f64>,
+    /// Mean number of views a point was seen in; `None` without points.
+    pub mean_track: Option<f64>,
+    /// Whether no rung met the acceptance rule and the best of them was taken.
+    pub low_confidence: bool,
+    /// Wall seconds.
+    pub seconds: f64,
+}
+
+/// A view with its pose.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct PosedView {
+    /// The view's name.
+    pub name: String,
+    /// The pinhole camera of the *undistorted* photograph, at the original photograph's size.
+    pub camera: Camera,
+    /// The lens of the photograph as taken.
+    pub lens: Lens,
+}
+
+impl PosedView {
+    /// The photograph (or its ground truth), at any size of the same aspect, as [`Self::camera`]
+    /// sees it. Size and encoding stay; without distortion it is a plain copy.
+    pub fn undistort<E>(&self, image: &Image<E>) -> Image<E> {
+        lens::undistort(image, &self.lens, &self.camera.intrinsics)
+    }
+}
+
+/// A point that was triangulated, or guessed where poses came without points.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SparsePoint {
+    /// World units.
+    pub position: [f64; 3],
+    /// sRGB, as bright as the pose copies.
+    pub colour: [u8; 3],
+    /// Mean reprojection error, px of the pose copies; 0 where unknown.
+    pub error: f64,
+    /// Number of views that see it; 0 for a guessed point.
+    pub track: u32,
+}
+
+/// Why there are no poses.
+#[derive(Debug, thiserror::Error)]
+pub enum PosesError {
+    /// Structure from motion worked, but the photographs do not allow it. Expected data.
+    #[error("only {registered} of {total} photographs could be placed in one scene; {advice}")]
+    TooFew {
+        /// Photographs in the largest model.
+        registered: usize,
+        /// Photographs asked for.
+        total: usize,
+        /// What the user can do.
+        advice: String,
+    },
+    /// The program is not there.
+    #[error("cannot start `{program}`: {reason}")]
+    Missing {
+        /// The program that was tried.
+        program: String,
+        /// What the system said.
+        reason: String,
+    },
+    /// The program did not end, or said nothing for too long, and was killed.
+    #[error("`colmap {command}` was stopped after {seconds} s {why}")]
+    Timeout {
+        /// COLMAP's subcommand.
+        command: String,
+        /// Seconds it was given.
+        seconds: u64,
+        /// `in all` or `without output`.
+        why: &'static str,
+    },
+    /// The program ended with a failure that is not about the photographs.
+    #[error("`colmap {command}` failed ({status}): {tail}")]
+    Tool {
+        /// COLMAP's subcommand.
+        command: String,
+        /// Exit code or signal.
+        status: String,
+        /// Its last lines.
+        tail: String,
+    },
+    /// Given poses that cannot be used, or a model that cannot be read.
+    #[error("{}: {reason}", file.display())]
+    BadFile {
+        /// The file at fault.
+        file: PathBuf,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// Reading or writing failed.
+    #[error("{}: {source}", path.display())]
+    Io {
+        /// Where.
+        path: PathBuf,
+        /// The system's error.
+        source: std::io::Error,
+    },
+    /// Asked to stop.
+    #[error(transparent)]
+    Cancelled(#[from] Cancelled),
+}
+
+impl PosesError {
+    /// An adapter for `map_err` that remembers the path.
+    pub fn io(path: &Path) -> impl FnOnce(std::io::Error) -> Self {
+        let path = path.to_owned();
+        move |source| Self::Io { path, source }
+    }
+
+    /// A [`PosesError::BadFile`].
+    pub fn bad_file(file: &Path, reason: impl Into<String>) -> Self {
+        Self::BadFile { file: file.to_owned(), reason: reason.into() }
+    }
+}

@@ -1,0 +1,258 @@
+//! Lens distortion, in COLMAP's and OpenCV's parameters, and its removal.
+//!
+//! Differs from captures.md: COLMAP's `image_undistorter` reads and writes 8-bit files and may
+//! change the size by a pixel. Ours remaps `f32` images in memory, keeps the size, and serves the
+//! ground truth and every working size alike.
+
+use glam::DVec2;
+use serde::{Deserialize, Serialize};
+
+use crate::camera::Intrinsics;
+use crate::image::Image;
+
+/// How the lens bends the normalised image plane (x/z, y/z).
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "model", rename_all = "snake_case")]
+pub enum Distortion {
+    /// A perfect pinhole.
+    None,
+    /// OpenCV's rational model; COLMAP's SIMPLE_RADIAL, RADIAL, OPENCV and FULL_OPENCV are it with zeros.
+    Perspective {
+        /// k1..k6 in OpenCV's order of meaning: numerator k1, k2, k3, denominator k4, k5, k6.
+        radial: [f64; 6],
+        /// p1, p2.
+        tangential: [f64; 2],
+    },
+    /// Equidistant fisheye; COLMAP's OPENCV_FISHEYE, RADIAL_FISHEYE and SIMPLE_RADIAL_FISHEYE.
+    Fisheye {
+        /// k1..k4.
+        radial: [f64; 4],
+    },
+}
+
+/// A lens with its sensor.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Lens {
+    /// Pixels of the photograph as taken.
+    pub intrinsics: Intrinsics,
+    /// Its distortion.
+    pub distortion: Distortion,
+}
+
+impl Distortion {
+    /// Where a point of the undistorted normalised plane lands on the distorted one.
+    pub fn distort(&self, p: DVec2) -> DVec2 {
+        let r2 = p.length_squared();
+        match *self {
+            Self::None => p,
+            Self::Perspective { radial: [k1, k2, k3, k4, k5, k6], tangential: [p1, p2] } => {
+                let scale = (1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1.0 + r2 * (k4 + r2 * (k5 + r2 * k6)));
+                let cross = 2.0 * p.x * p.y;
+                p * scale
+                    + DVec2::new(
+                        p1 * cross + p2 * (r2 + 2.0 * p.x * p.x),
+                        p2 * cross + p1 * (r2 + 2.0 * p.y * p.y),
+                    )
+            }
+            Self::Fisheye { radial: [k1, k2, k3, k4] } => {
+                let r = r2.sqrt();
+                if r < 1e-12 {
+                    return p;
+                }
+                let theta = r.atan();
+                let t2 = theta * theta;
+                let bent = theta * (1.0 + t2 * (k1 + t2 * (k2 + t2 * (k3 + t2 * k4))));
+                p * (bent / r)
+            }
+        }
+    }
+
+    /// Whether it bends nothing.
+    pub fn is_none(&self) -> bool {
+        match *self {
+            Self::None => true,
+            Self::Perspective { radial, tangential } => radial.iter().chain(&tangential).all(|&k| k == 0.0),
+            Self::Fisheye { .. } => false,
+        }
+    }
+}
+
+impl Lens {
+    /// The photograph's pixel (0 is the left edge) of a point of the undistorted normalised plane.
+    pub fn pixel(&self, p: DVec2) -> DVec2 {
+        let d = self.distortion.distort(p);
+        let k = &self.intrinsics;
+        DVec2::new(k.fx * d.x + k.cx, k.fy * d.y + k.cy)
+    }
+
+    /// The pinhole of the same size and principal point with the smallest focal length for which
+    /// every pixel has a source in the photograph: no black borders that training would learn.
+    pub fn pinhole(&self) -> Intrinsics {
+        if self.distortion.is_none() {
+            return self.intrinsics;
+        }
+        let covered = |zoom: f64| self.covers(&self.zoomed(zoom));
+        let (mut low, mut high) = (0.5, 4.0);
+        if covered(low) || !covered(high) {
+            return self.intrinsics;
+        }
+        for _ in 0..40 {
+            let middle = 0.5 * (low + high);
+            if covered(middle) { high = middle } else { low = middle }
+        }
+        self.zoomed(high)
+    }
+
+    fn zoomed(&self, zoom: f64) -> Intrinsics {
+        Intrinsics { fx: self.intrinsics.fx * zoom, fy: self.intrinsics.fy * zoom, ..self.intrinsics }
+    }
+
+    /// Whether the border of `pinhole`'s image falls inside the photograph.
+    fn covers(&self, pinhole: &Intrinsics) -> bool {
+        let (w, h) = (pinhole.width as f64, pinhole.height as f64);
+        let inside = |u: f64, v: f64| {
+            let p = self.pixel(DVec2::new((u - pinhole.cx) / pinhole.fx, (v - pinhole.cy) / pinhole.fy));
+            p.x >= 0.0 && p.y >= 0.0 && p.x <= w && p.y <= h
+        };
+        let steps = 32;
+        (0..=steps)
+            .map(|i| f64::from(i) / f64::from(steps))
+            .all(|t| inside(t * w, 0.0) && inside(t * w, h) && inside(0.0, t * h) && inside(w, t * h))
+    }
+}
+
+/// `image` as `pinhole` sees it: bilinear, border repeated, size kept. `lens` and `pinhole` are
+/// given for one common size and scaled to the image's, so every working size is served.
+pub fn undistort<E>(image: &Image<E>, lens: &Lens, pinhole: &Intrinsics) -> Image<E> {
+    let (width, height) = (image.width(), image.height());
+    if lens.distortion.is_none() && lens.intrinsics == *pinhole {
+        return Image::from_planar(width, height, image.data().to_vec());
+    }
+    let lens = Lens { intrinsics: lens.intrinsics.resized(width, height), ..*lens };
+    let k = pinhole.resized(width, height);
+    let mut out = Image::new(width, height);
+    for y in 0..height {
+        for x in 0..width {
+            let p = DVec2::new((x as f64 + 0.5 - k.cx) / k.fx, (y as f64 + 0.5 - k.cy) / k.fy);
+            let source = lens.pixel(p) - 0.5;
+            out.set(x, y, sample(image, source.x, source.y));
+        }
+    }
+    out
+}
+
+/// Bilinear value at a position where pixel centres are whole numbers, the border repeated.
+fn sample<E>(image: &Image<E>, x: f64, y: f64) -> [f32; 3] {
+    let x = x.clamp(0.0, (image.width() - 1) as f64);
+    let y = y.clamp(0.0, (image.height() - 1) as f64);
+    let (x0, y0) = (x as usize, y as usize);
+    let (x1, y1) = ((x0 + 1).min(image.width() - 1), (y0 + 1).min(image.height() - 1));
+    let (fx, fy) = ((x - x0 as f64) as f32, (y - y0 as f64) as f32);
+    let (a, b) = (image.get(x0, y0), image.get(x1, y0));
+    let (c, d) = (image.get(x0, y1), image.get(x1, y1));
+    std::array::from_fn(|i| {
+        let top = a[i] + (b[i] - a[i]) * fx;
+        let bottom = c[i] + (d[i] - c[i]) * fx;
+        top + (bottom - top) * fy
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::image::Srgb;
+
+    fn lens(k1: f64) -> Lens {
+        let intrinsics = Intrinsics { width: 160, height: 120, fx: 150.0, fy: 150.0, cx: 80.0, cy: 60.0 };
+        Lens {
+            intrinsics,
+            distortion: Distortion::Perspective {
+                radial: [k1, 0.0, 0.0, 0.0, 0.0, 0.0],
+                tangential: [0.0; 2],
+            },
+        }
+    }
+
+    /// A smooth scene on the undistorted normalised plane.
+    fn scene(p: DVec2) -> [f32; 3] {
+        let v = |a: f64, b: f64| (0.5 + 0.4 * (a * p.x + b * p.y).sin()) as f32;
+        [v(9.0, 2.0), v(-3.0, 8.0), v(6.0, 6.0)]
+    }
+
+    fn image_of(k: &Intrinsics, f: impl Fn(DVec2) -> [f32; 3]) -> Image<Srgb> {
+        let mut image = Image::new(k.width, k.height);
+        for y in 0..k.height {
+            for x in 0..k.width {
+                image.set(
+                    x,
+                    y,
+                    f(DVec2::new((x as f64 + 0.5 - k.cx) / k.fx, (y as f64 + 0.5 - k.cy) / k.fy)),
+                );
+            }
+        }
+        image
+    }
+
+    /// Inverse of `distort` by fixed-point iteration: independent of the code under test's remap.
+    fn straighten(distortion: &Distortion, d: DVec2) -> DVec2 {
+        (0..100).fold(d, |p, _| p + (d - distortion.distort(p)))
+    }
+
+    fn worst(a: &Image<Srgb>, b: &Image<Srgb>) -> f32 {
+        a.data().iter().zip(b.data()).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max)
+    }
+
+    #[test]
+    fn an_undistorted_photograph_is_what_the_pinhole_would_have_taken() {
+        for k1 in [-0.15, 0.12] {
+            let lens = lens(k1);
+            let taken = image_of(&lens.intrinsics, |d| scene(straighten(&lens.distortion, d)));
+            let pinhole = lens.pinhole();
+            let expected = image_of(&pinhole, scene);
+            let got = undistort(&taken, &lens, &pinhole);
+            assert!(worst(&got, &expected) < 4e-3, "k1 {k1}: {}", worst(&got, &expected));
+            assert!(worst(&taken, &expected) > 0.05, "the test would not see a missing remap");
+        }
+    }
+
+    #[test]
+    fn the_pinhole_covers_the_whole_frame_and_wastes_nothing() {
+        for k1 in [-0.15, 0.12] {
+            let lens = lens(k1);
+            let pinhole = lens.pinhole();
+            assert!(lens.covers(&pinhole));
+            assert!(!lens.covers(&Intrinsics { fx: pinhole.fx * 0.99, fy: pinhole.fy * 0.99, ..pinhole }));
+        }
+    }
+
+    #[test]
+    fn a_working_size_is_undistorted_as_the_original_is() {
+        let lens = lens(0.12);
+        let half = Lens { intrinsics: lens.intrinsics.resized(80, 60), ..lens };
+        let taken = image_of(&half.intrinsics, |d| scene(straighten(&lens.distortion, d)));
+        let expected = image_of(&lens.pinhole().resized(80, 60), scene);
+        assert!(worst(&undistort(&taken, &lens, &lens.pinhole()), &expected) < 1.5e-2);
+    }
+
+    #[test]
+    fn no_distortion_is_a_copy() {
+        let lens = Lens { distortion: Distortion::None, ..lens(0.0) };
+        let image = image_of(&lens.intrinsics, scene);
+        assert_eq!(undistort(&image, &lens, &lens.pinhole()), image);
+    }
+
+    #[test]
+    fn opencv_tangential_terms_bend_the_right_way() {
+        // cv::projectPoints for (0.3, -0.2), k = (0.1, -0.05), p = (0.01, -0.02) by hand from OpenCV's formula.
+        let d =
+            Distortion::Perspective { radial: [0.1, -0.05, 0.0, 0.0, 0.0, 0.0], tangential: [0.01, -0.02] };
+        let got = d.distort(DVec2::new(0.3, -0.2));
+        let r2: f64 = 0.13;
+        let s = 1.0 + 0.1 * r2 - 0.05 * r2 * r2;
+        let expected = DVec2::new(
+            0.3 * s + 2.0 * 0.01 * 0.3 * -0.2 - 0.02 * (r2 + 2.0 * 0.09),
+            -0.2 * s + 0.01 * (r2 + 2.0 * 0.04) + 2.0 * -0.02 * 0.3 * -0.2,
+        );
+        assert!((got - expected).length() < 1e-15);
+    }
+}
