@@ -10,7 +10,9 @@ import sources
 # Four patches of 128 px tile the inner 256 px of a scene, which shares one blur, exposure and tone curve.
 PATCH = 128
 SCENE = 2 * PATCH
-BUFFER = 160
+BUFFER = 240
+# Making a patch costs as much as training on it: each is shown several times, far apart and turned differently.
+USES = 3
 
 
 class Patches(IterableDataset):
@@ -26,22 +28,41 @@ class Patches(IterableDataset):
         supply = sources.Sources(rng)
         buffer = []
         while True:
-            buffer.extend(scene_patches(rng, supply))
+            buffer.extend((planes, USES) for planes in scene_patches(rng, supply))
             while len(buffer) > BUFFER:
                 place = rng.integers(len(buffer))
-                buffer[place], buffer[-1] = buffer[-1], buffer[place]
-                stacked = torch.from_numpy(buffer.pop().astype(np.float32))
+                planes, uses = buffer[place]
+                if uses > 1:
+                    buffer[place] = (turned(rng, planes), uses - 1)
+                else:
+                    buffer[place] = buffer[-1]
+                    buffer.pop()
+                stacked = torch.from_numpy(planes.astype(np.float32))
                 yield stacked[:6], stacked[6:]
+
+
+def turned(rng, planes):
+    """A flip, transposition or both of [C, P, P], never the patch itself."""
+    kind = rng.integers(1, 8)
+    if kind & 1:
+        planes = planes[:, ::-1]
+    if kind & 2:
+        planes = planes[:, :, ::-1]
+    if kind & 4:
+        planes = planes.swapaxes(1, 2)
+    return planes
 
 
 def scene_patches(rng, supply):
     """The four patches of one degraded scene, f16 [9, P, P]: blurry, guide, clean."""
-    sharp = supply.draw(rng, SCENE + 2 * degrade.MARGIN)
-    blur = degrade.random_blur(rng, sharp.shape[:2])
+    light = degrade.decode(supply.draw(rng, SCENE + 2 * degrade.MARGIN))
+    if rng.random() < 0.7:
+        # Highlights beyond what the sensor holds: blur spreads them before it clips them.
+        light *= 1.25
+    blur = degrade.random_blur(rng, light.shape[:2])
     exposure = degrade.random_exposure(rng)
     target = degrade.random_target(rng) if rng.random() < 0.95 else None
     guide = degrade.random_guide(rng) if rng.random() < 0.5 else None
-    highlights = 1.25 if rng.random() < 0.7 else 1.0
-    stacked = np.concatenate(degrade.pair(rng, sharp, blur, exposure, target, guide, highlights), 2)
+    stacked = np.concatenate(degrade.pair(rng, light, blur, exposure, target, guide), 2)
     planes = np.moveaxis(stacked, 2, 0).astype(np.float16)
     return [planes[:, y : y + PATCH, x : x + PATCH].copy() for y in (0, PATCH) for x in (0, PATCH)]

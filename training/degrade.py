@@ -162,7 +162,7 @@ def demosaic(samples):
 
 @dataclass
 class Blur:
-    """A blur and the weaker one that a render of several such views still has. `mask` mixes two kernels."""
+    """No kernel, one, or two that `mask` [H, W, 1] mixes over the image."""
 
     kernels: list
     mask: np.ndarray | None = None
@@ -240,14 +240,13 @@ def spoil_render(rng, image, guide):
     return np.clip(image * gain + offset + patchy + grain * guide.grain, 0, 1).astype(np.float32)
 
 
-def pair(rng, sharp, blur, exposure, target, guide, highlights=1.25):
-    """One example from a sharp sRGB image with MARGIN round it.
+def pair(rng, light, blur, exposure, target, guide):
+    """One example from sharp linear light with MARGIN round it; light above 1 saturates after the blur.
 
     `target` is (alpha, gamma) of the brightening or None for none; `guide` a Guide or None for a copy.
     Returns blurry, guide, clean, each f32 [H - 2 MARGIN, W - 2 MARGIN, 3].
     """
-    shape = sharp.shape[:2]
-    light = decode(sharp) * np.float32(highlights)
+    shape = light.shape[:2]
     frequencies = spectrum(light)
     inner = slice(MARGIN, -MARGIN)
     blurred = blur_image(light, frequencies, blur)[inner, inner]

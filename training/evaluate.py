@@ -81,7 +81,7 @@ def example(path, description, seed):
         dark = degrade.expose(rng, degrade.decode(photo), exposure)
         target = tone_curve.automatic_target([dark])
     guide = Guide(extent=max(extent * 0.5, 2), **GUIDE)
-    return degrade.pair(rng, sharp, blur, exposure, target, guide, highlights=1.0)
+    return degrade.pair(rng, degrade.decode(sharp), blur, exposure, target, guide)
 
 
 def held_out_table(models, repeats, crops):

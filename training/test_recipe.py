@@ -1,0 +1,108 @@
+"""Checks of the recipe's parts: python -m unittest"""
+
+import tempfile
+import unittest
+from pathlib import Path
+
+import numpy as np
+import torch
+
+import dataset
+import degrade
+import export
+import sources
+import tone_curve
+from network import Network
+
+
+def ramp():
+    """A dark photograph with every level of 0..0.2."""
+    level = np.linspace(0, 0.2, 128 * 128, dtype=np.float32).reshape(128, 128, 1)
+    return level * np.array([1, 0.8, 0.6], np.float32)
+
+
+class ToneCurve(unittest.TestCase):
+    def test_the_histogram_keeps_every_pixel(self):
+        self.assertAlmostEqual(tone_curve.histogram([ramp(), ramp()]).sum(), 2 * 128 * 128, places=6)
+
+    def test_the_table_rises_to_one(self):
+        for alpha in (0.1, 1, 3, 10):
+            lut = tone_curve.table(tone_curve.histogram([ramp()]), alpha)
+            self.assertTrue((np.diff(lut) >= 0).all())
+            self.assertAlmostEqual(lut[-1], 1, places=9)
+
+    def test_alpha_zero_and_gamma_one_change_nothing(self):
+        np.testing.assert_allclose(tone_curve.enhance([ramp()], 0, 1)[0], ramp(), atol=1e-6)
+
+    def test_hue_and_saturation_stay(self):
+        bright = tone_curve.enhance([ramp()], 10, 1)[0][64]
+        np.testing.assert_allclose(bright[:, 1] / bright[:, 0], 0.8, atol=1e-3)
+
+    def test_the_automatic_target_reaches_its_mean(self):
+        bright = tone_curve.enhance([ramp()], *tone_curve.automatic_target([ramp()]))[0]
+        self.assertAlmostEqual(float(tone_curve.value(bright).mean()), 0.45, places=3)
+
+
+class Degradation(unittest.TestCase):
+    def test_a_shake_kernel_keeps_light_and_place(self):
+        rng = np.random.default_rng(0)
+        middle = degrade.MARGIN - 1
+        places = np.arange(degrade.KERNEL) - middle
+        for extent in (0, 3, 25):
+            kernel = degrade.shake_kernel(rng, extent)
+            self.assertAlmostEqual(kernel.sum(), 1, places=6)
+            self.assertAlmostEqual((kernel.sum(0) * places).sum(), 0, places=5)
+            self.assertAlmostEqual((kernel.sum(1) * places).sum(), 0, places=5)
+
+    def test_a_point_kernel_moves_nothing(self):
+        image = np.random.default_rng(1).random((96, 80, 3), np.float32)
+        point = degrade.deposit(np.zeros((2, 1)))
+        again = degrade.convolve(degrade.spectrum(image), point, image.shape[:2])
+        np.testing.assert_allclose(again, image, atol=1e-5)
+
+    def test_a_blurred_image_is_not_the_sharp_one(self):
+        image = np.random.default_rng(1).random((96, 96, 3), np.float32)
+        kernel = degrade.shake_kernel(np.random.default_rng(2), 9)
+        again = degrade.convolve(degrade.spectrum(image), kernel, image.shape[:2])
+        self.assertGreater(float(np.abs(again - image).mean()), 0.05)
+
+    def test_srgb_comes_back(self):
+        levels = np.linspace(0, 1, 256, dtype=np.float32)
+        np.testing.assert_allclose(degrade.encode(degrade.decode(levels)), levels, atol=1e-5)
+
+
+class Data(unittest.TestCase):
+    def test_held_out_photographs_are_never_trained_on(self):
+        self.assertFalse({path.name for path in sources.TRAINING} & {path.name for path in sources.HELD_OUT})
+
+    def test_one_seed_gives_one_stream(self):
+        first, second = (next(iter(dataset.Patches(3))) for _ in range(2))
+        torch.testing.assert_close(first, second)
+        self.assertEqual(tuple(first[0].shape), (6, dataset.PATCH, dataset.PATCH))
+
+
+class Export(unittest.TestCase):
+    def test_onnx_equals_pytorch(self):
+        torch.manual_seed(0)
+        network = Network().eval()
+        self.assertLess(export.largest_difference(export.build(network), network), export.TOLERANCE)
+
+    def test_the_comparison_notices_a_changed_weight(self):
+        network = Network().eval()
+        model = export.build(network)
+        with torch.no_grad():
+            network.ending.bias += 1e-3
+        self.assertGreater(export.largest_difference(model, network), export.TOLERANCE)
+
+    def test_the_manifest_gets_size_and_checksum(self):
+        with tempfile.TemporaryDirectory() as folder:
+            model, manifest = Path(folder) / "a.onnx", Path(folder) / "manifest.json"
+            model.write_bytes(b"abc")
+            manifest.write_text('{"models": [{"file": "a.onnx", "sha256": null, "bytes": null, "id": 1}]}')
+            export.enter(manifest, model)
+            self.assertIn('"bytes": 3,', manifest.read_text())
+            self.assertIn("ba7816bf", manifest.read_text())
+
+
+if __name__ == "__main__":
+    unittest.main()
