@@ -1,1 +1,4 @@
-//! splat
+//! Splatting: from Gaussians and a camera to an image, and the gradients back.
+
+pub mod reference;
+pub mod uniform;

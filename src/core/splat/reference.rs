@@ -1,0 +1,101 @@
+//! The renderer in scalar f64: specification and oracle of the kernels. Nothing here is fast.
+//!
+//! Conventions: OpenCV camera axes, pixel centres at +0.5, quaternions w x y z, opacity through a
+//! sigmoid, scales through an exponential, colour `max(0.5 + sh . Y(direction), 0)`.
+
+pub mod blend;
+pub mod harmonics;
+pub mod projection;
+
+use crate::camera::Camera;
+use crate::gaussians::Gaussians;
+pub use blend::{Blended, blend, blend_backward};
+pub use projection::{Projected, ProjectedGradient, project, project_backward};
+
+/// One Gaussian in f64, in the trained parameterisation. The same struct holds its gradient.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Splat {
+    /// World units.
+    pub mean: [f64; 3],
+    /// Natural logarithm of world units.
+    pub log_scale: [f64; 3],
+    /// w, x, y, z; not necessarily normalised.
+    pub quat: [f64; 4],
+    /// Before the sigmoid.
+    pub opacity_logit: f64,
+    /// Coefficients, [(degree + 1)^2, 3].
+    pub sh: Vec<[f64; 3]>,
+}
+
+impl Splat {
+    /// The `index`-th of `gaussians`.
+    pub fn from_gaussians(gaussians: &Gaussians, index: usize) -> Self {
+        let k = gaussians.coefficients();
+        let sh = &gaussians.sh[index * k * 3..(index + 1) * k * 3];
+        Self {
+            mean: gaussians.means[index].map(f64::from),
+            log_scale: gaussians.log_scales[index].map(f64::from),
+            quat: gaussians.quats[index].map(f64::from),
+            opacity_logit: f64::from(gaussians.opacity_logits[index]),
+            sh: sh.chunks_exact(3).map(|c| [c[0], c[1], c[2]].map(f64::from)).collect(),
+        }
+    }
+
+    /// A gradient of zero for `coefficients` coefficients.
+    pub fn zero(coefficients: usize) -> Self {
+        Self {
+            mean: [0.0; 3],
+            log_scale: [0.0; 3],
+            quat: [0.0; 4],
+            opacity_logit: 0.0,
+            sh: vec![[0.0; 3]; coefficients],
+        }
+    }
+
+    /// Every number in a row: mean, log-scale, quaternion, opacity, harmonics.
+    pub fn flatten(&self) -> Vec<f64> {
+        let head = self.mean.iter().chain(&self.log_scale).chain(&self.quat).chain([&self.opacity_logit]);
+        head.chain(self.sh.iter().flatten()).copied().collect()
+    }
+
+    /// The inverse of [`Splat::flatten`].
+    pub fn unflatten(row: &[f64]) -> Self {
+        let take3 = |at: usize| [row[at], row[at + 1], row[at + 2]];
+        Self {
+            mean: take3(0),
+            log_scale: take3(3),
+            quat: [row[6], row[7], row[8], row[9]],
+            opacity_logit: row[10],
+            sh: row[11..].chunks_exact(3).map(|c| [c[0], c[1], c[2]]).collect(),
+        }
+    }
+}
+
+/// What is rendered with: camera, active degree and near plane.
+#[derive(Clone, Copy, Debug)]
+pub struct Viewpoint {
+    /// The camera.
+    pub camera: Camera,
+    /// Active degree of the harmonics.
+    pub sh_degree: u32,
+    /// Near plane, world units.
+    pub near: f64,
+}
+
+/// Projects and blends every splat. The projections are in the order of `splats`; `None` is culled.
+pub fn render(splats: &[Splat], view: &Viewpoint) -> (Vec<Option<Projected>>, Blended) {
+    let projected: Vec<_> = splats.iter().map(|s| project(s, view)).collect();
+    let k = &view.camera.intrinsics;
+    let blended = blend(&projected, k.width, k.height);
+    (projected, blended)
+}
+
+/// Gradients of every splat for `image_gradient`, planar [3, H, W].
+pub fn render_backward(splats: &[Splat], view: &Viewpoint, image_gradient: &[f64]) -> Vec<Splat> {
+    let (projected, blended) = render(splats, view);
+    let gradients = blend_backward(&projected, &blended, image_gradient);
+    splats.iter().zip(&gradients).map(|(splat, gradient)| project_backward(splat, view, gradient)).collect()
+}
+
+#[cfg(test)]
+mod tests;
