@@ -252,8 +252,8 @@ fn covariance_backward(i: &Intermediate, by_covariance: DMat3, out: &mut Splat) 
             - 4.0 * z * (r(0, 0) + r(1, 1)),
     ];
     let radial: f64 = by_unit.iter().zip(i.unit_quat).map(|(g, q)| g * q).sum();
-    for n in 0..4 {
-        out.quat[n] = (by_unit[n] - i.unit_quat[n] * radial) / i.quat_norm;
+    for (n, by_component) in by_unit.into_iter().enumerate() {
+        out.quat[n] = (by_component - i.unit_quat[n] * radial) / i.quat_norm;
     }
 }
 
@@ -265,8 +265,9 @@ fn colour_backward(splat: &Splat, view: &Viewpoint, gradient: &ProjectedGradient
     let slopes = basis_gradient(direction.to_array());
     let mut by_direction = DVec3::ZERO;
     for n in 0..splat.sh.len().min(coefficients(view.sh_degree)) {
-        for c in 0..3 {
-            if colour[c] > 0.0 {
+        for (c, unclamped) in colour.into_iter().enumerate() {
+            // The clamp at 0 gates the gradient.
+            if unclamped > 0.0 {
                 out.sh[n][c] = gradient.colour[c] * values[n];
                 by_direction += DVec3::from(slopes[n]) * (gradient.colour[c] * splat.sh[n][c]);
             }

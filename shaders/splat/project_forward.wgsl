@@ -1,0 +1,89 @@
+// Projects one Gaussian an invocation: mean and inverse covariance on the image, colour from its
+// harmonics, depth key, and the exact number of tiles it touches (0 when culled).
+// Reads geometry [count, 12], sh [count, coefficients, 3]. Writes projected [count, 3],
+// tile_counts [count], depth_keys [count]. Dispatch: count.
+// Sigma' = J W Sigma W^T J^T + 0.3 I, colour = max(0.5 + sum sh Y(d), 0).
+#import shared/grid.wgsl
+#import shared/harmonics.wgsl
+#import shared/projection.wgsl
+#import shared/tiles.wgsl
+
+const WIDTH: u32 = 64;
+
+@group(0) @binding(0) var<uniform> camera: CameraUniform;
+@group(0) @binding(1) var<storage, read> geometry: array<f32>;
+@group(0) @binding(2) var<storage, read> sh: array<f32>;
+@group(0) @binding(3) var<storage, read_write> projected: array<vec4<f32>>;
+@group(0) @binding(4) var<storage, read_write> tile_counts: array<u32>;
+@group(0) @binding(5) var<storage, read_write> depth_keys: array<u32>;
+
+fn load_geometry(i: u32) -> Geometry {
+    let at = i * 12u;
+    return Geometry(
+        vec3<f32>(geometry[at], geometry[at + 1u], geometry[at + 2u]),
+        vec3<f32>(geometry[at + 3u], geometry[at + 4u], geometry[at + 5u]),
+        vec4<f32>(geometry[at + 6u], geometry[at + 7u], geometry[at + 8u], geometry[at + 9u]),
+        geometry[at + 10u],
+    );
+}
+
+fn colour_of(i: u32, mean: vec3<f32>) -> vec3<f32> {
+    let offset = mean - camera.position.xyz;
+    var basis = sh_basis(offset / max(length(offset), 1e-12));
+    var colour = vec3<f32>(0.5);
+    let active = min(sh_count(camera.sh_degree), camera.coefficients);
+    var at = i * camera.coefficients * 3u;
+    for (var k = 0u; k < active; k++) {
+        colour += basis[k] * vec3<f32>(sh[at], sh[at + 1u], sh[at + 2u]);
+        at += 3u;
+    }
+    return max(colour, vec3<f32>(0.0));
+}
+
+// Tiles touched by a splat that is not culled.
+fn count_tiles(mean: vec2<f32>, conic: vec3<f32>, extent: vec2<f32>, limit: f32) -> u32 {
+    let box = tile_box(mean, extent, camera.tiles);
+    var count = 0u;
+    for (var y = box.y; y < box.w; y++) {
+        for (var x = box.x; x < box.z; x++) {
+            count += u32(tile_touched(mean, conic, limit, vec2<u32>(x, y)));
+        }
+    }
+    return count;
+}
+
+@compute @workgroup_size(WIDTH)
+fn main(
+    @builtin(workgroup_id) workgroup: vec3<u32>,
+    @builtin(num_workgroups) workgroups: vec3<u32>,
+    @builtin(local_invocation_index) lane: u32,
+) {
+    let i = flat_workgroup(workgroup, workgroups) * WIDTH + lane;
+    if (i >= camera.count) {
+        return;
+    }
+    tile_counts[i] = 0u;
+    depth_keys[i] = 0xffffffffu;
+    let g = load_geometry(i);
+    let p = project_geometry(g, camera);
+    let limit = exponent_limit(p.opacity);
+    if (!p.usable || limit < 0.0) {
+        return;
+    }
+    let mean = camera.focal * p.point.xy / p.point.z + camera.centre;
+    let conic = vec3<f32>(p.flat.z, -p.flat.y, p.flat.x) / p.determinant;
+    let extent = splat_extent(p.flat.xz, p.opacity);
+    let colour = colour_of(i, g.mean);
+    if (!is_finite3(colour) || !is_finite3(conic) || !is_finite(mean.x + mean.y + extent.x + extent.y)) {
+        return;
+    }
+    let count = count_tiles(mean, conic, extent, limit);
+    if (count == 0u) {
+        return;
+    }
+    projected[3u * i] = vec4<f32>(mean, conic.xy);
+    projected[3u * i + 1u] = vec4<f32>(conic.z, p.opacity, colour.xy);
+    projected[3u * i + 2u] = vec4<f32>(colour.z, p.point.z, extent);
+    tile_counts[i] = count;
+    depth_keys[i] = bitcast<u32>(p.point.z);
+}
