@@ -1,5 +1,25 @@
 //! What is measured, per round: method.md section 7.
+//!
+//! [`psnr`], [`psnr_colour_corrected`] and [`ssim`] judge an image (first argument, clipped to
+//! 0..=1) against a reference of the same size (second, taken as it is). [`noise_sigma`],
+//! [`sharpness`], [`mean_v`] and [`clipped_share`] describe one image by itself.
 
+mod noise;
+mod psnr;
 pub mod report;
+mod ssim;
 
+#[cfg(test)]
+mod golden;
+
+pub use noise::{clipped_share, mean_v, noise_sigma, sharpness};
+pub use psnr::{noise_ceiling, psnr, psnr_colour_corrected};
 pub use report::{Brightness, ImageKind, Record, Reference, Report, RoundMetrics};
+pub use ssim::ssim;
+
+use crate::image::Image;
+
+fn assert_same_size(image: &Image, reference: &Image) {
+    let (a, b) = ((image.width(), image.height()), (reference.width(), reference.height()));
+    assert_eq!(a, b, "image and reference: sizes differ");
+}

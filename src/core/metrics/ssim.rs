@@ -1,0 +1,135 @@
+//! Structural similarity as published tables report it.
+
+use rayon::prelude::*;
+
+use crate::image::Image;
+
+/// Taps on either side of the window's centre: 11 x 11 px in all.
+const RADIUS: usize = 5;
+const TAPS: usize = 2 * RADIUS + 1;
+const SIGMA: f64 = 1.5;
+/// `(0.01 L)^2` and `(0.03 L)^2` with L = 1, from Wang et al. 2004.
+const C1: f64 = 1e-4;
+const C2: f64 = 9e-4;
+
+/// Mean structural similarity over the three channels and the valid region (no padding): Gaussian
+/// window of 11 x 11 px, sigma 1.5, population covariance, data range 1. Equals scikit-image's
+/// `structural_similarity(gaussian_weights=True, sigma=1.5, use_sample_covariance=False,
+/// data_range=1)` on that region. The image is clipped to 0..=1 first, the reference is not.
+///
+/// # Panics
+/// When the sizes differ or an image is smaller than the window: a fault of the caller.
+pub fn ssim(image: &Image, reference: &Image) -> f64 {
+    super::assert_same_size(image, reference);
+    let (width, height) = (image.width(), image.height());
+    assert!(width >= TAPS && height >= TAPS, "SSIM needs at least {TAPS} x {TAPS} px, not {width}x{height}");
+    let sums: Vec<f64> =
+        (0..3).into_par_iter().map(|c| plane_ssim(image.plane(c), reference.plane(c), width)).collect();
+    sums.iter().sum::<f64>() / 3.0
+}
+
+/// Mean over the valid region of one channel.
+fn plane_ssim(image: &[f32], reference: &[f32], width: usize) -> f64 {
+    let height = image.len() / width;
+    let valid_width = width - TAPS + 1;
+    let weights = window();
+    let rows: Vec<Vec<[f64; 5]>> = (0..height)
+        .into_par_iter()
+        .map(|y| {
+            let row = y * width..(y + 1) * width;
+            row_moments(&image[row.clone()], &reference[row], &weights)
+        })
+        .collect();
+    let valid_rows = height - TAPS + 1;
+    let sums: Vec<f64> = (0..valid_rows)
+        .into_par_iter()
+        .map(|y| {
+            (0..valid_width).map(|x| similarity(column_moments(&rows[y..y + TAPS], x, &weights))).sum::<f64>()
+        })
+        .collect();
+    sums.iter().sum::<f64>() / (valid_width * valid_rows) as f64
+}
+
+/// Horizontally filtered x, y, x^2, y^2 and x y of one row's valid part.
+fn row_moments(image: &[f32], reference: &[f32], weights: &[f64; TAPS]) -> Vec<[f64; 5]> {
+    (0..=image.len() - TAPS)
+        .map(|start| {
+            let mut moments = [0.0; 5];
+            for (tap, weight) in weights.iter().enumerate() {
+                let x = f64::from(image[start + tap]).clamp(0.0, 1.0);
+                let y = f64::from(reference[start + tap]);
+                for (moment, value) in moments.iter_mut().zip([x, y, x * x, y * y, x * y]) {
+                    *moment += weight * value;
+                }
+            }
+            moments
+        })
+        .collect()
+}
+
+fn column_moments(rows: &[Vec<[f64; 5]>], x: usize, weights: &[f64; TAPS]) -> [f64; 5] {
+    let mut moments = [0.0; 5];
+    for (row, weight) in rows.iter().zip(weights) {
+        for (moment, value) in moments.iter_mut().zip(row[x]) {
+            *moment += weight * value;
+        }
+    }
+    moments
+}
+
+fn similarity([x, y, xx, yy, xy]: [f64; 5]) -> f64 {
+    let luminance = (2.0 * x * y + C1) / (x * x + y * y + C1);
+    let structure = (2.0 * (xy - x * y) + C2) / ((xx - x * x) + (yy - y * y) + C2);
+    luminance * structure
+}
+
+/// The normalised Gaussian taps.
+fn window() -> [f64; TAPS] {
+    let mut weights = [0.0; TAPS];
+    for (tap, weight) in weights.iter_mut().enumerate() {
+        let offset = tap as f64 - RADIUS as f64;
+        *weight = (-offset * offset / (2.0 * SIGMA * SIGMA)).exp();
+    }
+    let sum: f64 = weights.iter().sum();
+    weights.map(|weight| weight / sum)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn texture(phase: f32) -> Image {
+        let (width, height) = (23, 17);
+        let values = (0..3 * width * height).map(|i| 0.5 + 0.4 * (i as f32 * 0.7 + phase).sin()).collect();
+        Image::from_planar(width, height, values)
+    }
+
+    #[test]
+    fn an_image_resembles_itself_fully_and_another_less() {
+        assert!((ssim(&texture(0.0), &texture(0.0)) - 1.0).abs() < 1e-12);
+        assert!(ssim(&texture(0.0), &texture(1.5)) < 0.5);
+    }
+
+    #[test]
+    fn a_change_of_a_border_pixel_counts_little_and_of_a_middle_one_more() {
+        let reference = texture(0.0);
+        let (mut corner, mut middle) = (reference.clone(), reference.clone());
+        corner.set(0, 0, [0.0; 3]);
+        middle.set(11, 8, [0.0; 3]);
+        let (corner, middle) = (ssim(&corner, &reference), ssim(&middle, &reference));
+        assert!(middle < corner && corner < 1.0, "{middle} {corner}");
+    }
+
+    #[test]
+    #[should_panic(expected = "at least 11 x 11")]
+    fn an_image_smaller_than_the_window_is_refused() {
+        let small = Image::new(10, 40);
+        ssim(&small, &small);
+    }
+
+    #[test]
+    #[should_panic(expected = "sizes differ")]
+    fn images_of_different_sizes_are_refused() {
+        ssim(&Image::new(20, 30), &Image::new(30, 20));
+    }
+}
