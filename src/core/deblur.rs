@@ -5,9 +5,16 @@
 
 mod blend;
 mod error;
+pub mod manifest;
+mod onnx;
+mod open;
+pub mod runtime;
+mod tiling;
 
 pub use blend::Blend;
 pub use error::DeblurError;
+pub use onnx::Onnx;
+pub use open::{OpenOptions, Opened, open};
 
 use crate::image::Image;
 

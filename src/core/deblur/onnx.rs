@@ -1,0 +1,213 @@
+//! A network in ONNX Runtime, on the CPU.
+
+use ort::ep;
+use ort::session::Session;
+use ort::value::{TensorElementType, TensorRef, ValueType};
+
+use crate::deblur::manifest::Model;
+use crate::deblur::runtime::Runtime;
+use crate::deblur::tiling::{self, Join, Tile};
+use crate::deblur::{DeblurError, DeblurInfo, Deblurrer, same_size};
+use crate::image::Image;
+
+/// Side of the self-test's image, px.
+const TEST_SIDE: usize = 64;
+
+/// A deblurring network with three or six input channels and images of any size.
+pub struct Onnx {
+    session: Session,
+    model: Model,
+    channels: u32,
+    warnings: Vec<String>,
+}
+
+impl Onnx {
+    /// Loads a network and tests it on a small image. `threads` is how many work on one view; 0
+    /// leaves it to the library.
+    ///
+    /// # Errors
+    /// [`DeblurError::ModelUnusable`] when the library refuses the file or its input and output are
+    /// not images of dynamic size, [`DeblurError::SelfTest`] when its values make no sense.
+    pub fn load(runtime: &Runtime, mut model: Model, threads: usize) -> Result<Self, DeblurError> {
+        let bytes = std::mem::take(&mut model.bytes);
+        let unusable = |detail: String| DeblurError::ModelUnusable { id: model.id.clone(), detail };
+        let session = session(runtime, &bytes, threads).map_err(&unusable)?;
+        let channels = input_channels(&session, model.channels).map_err(&unusable)?;
+        let mut network = Self { session, model, channels, warnings: Vec::new() };
+        network.self_test()?;
+        Ok(network)
+    }
+
+    /// Runs a fixed pattern twice: the values must be finite, in range, and the same both times.
+    fn self_test(&mut self) -> Result<(), DeblurError> {
+        let pattern = test_pattern();
+        let tile = Tile { x: 0, y: 0, width: TEST_SIDE, height: TEST_SIDE };
+        let first = self.run(&pattern, None, tile)?;
+        let [low, high] = self.model.range;
+        let failed = |detail: String| DeblurError::SelfTest { id: self.model.id.clone(), detail };
+        if let Some(wrong) = first.values.iter().find(|value| !(low..=high).contains(*value)) {
+            return Err(failed(format!("a value of {wrong} is not in {low}..={high}")));
+        }
+        let second = self.run(&pattern, None, tile)?;
+        if first.values != second.values {
+            let detail = "two runs on the same image differ".to_owned();
+            return Err(DeblurError::SelfTest { id: self.model.id.clone(), detail });
+        }
+        Ok(())
+    }
+
+    /// One tile through the network.
+    fn run(&mut self, blurry: &Image, guide: Option<&Image>, tile: Tile) -> Result<Output, DeblurError> {
+        let width = tiling::padded(tile.width, self.model.multiple, self.model.minimum_side);
+        let height = tiling::padded(tile.height, self.model.multiple, self.model.minimum_side);
+        let images = match (self.channels, guide) {
+            (6, guide) => vec![blurry, guide.unwrap_or(blurry)],
+            (_, None) => vec![blurry],
+            (_, Some(_)) => return Err(DeblurError::GuideUnsupported { id: self.model.id.clone() }),
+        };
+        let input = tiling::cut(&images, tile, width, height);
+        let values = self.infer(&input, width, height).map_err(|detail| DeblurError::Inference {
+            id: self.model.id.clone(),
+            width,
+            height,
+            detail,
+        })?;
+        Ok(Output { values, width, height })
+    }
+
+    fn infer(&mut self, input: &[f32], width: usize, height: usize) -> Result<Vec<f32>, String> {
+        let shape = [1, self.channels as usize, height, width];
+        let tensor = TensorRef::from_array_view((shape, input)).map_err(|e| e.to_string())?;
+        let outputs = self.session.run(ort::inputs![tensor]).map_err(|e| e.to_string())?;
+        let (shape, values) = outputs[0].try_extract_tensor::<f32>().map_err(|e| e.to_string())?;
+        if shape[..] != [1, 3, height as i64, width as i64] {
+            return Err(format!("it returned {:?} instead of [1, 3, {height}, {width}]", &shape[..]));
+        }
+        Ok(values.to_vec())
+    }
+
+    /// Whether every value of the tile's own part is sane; a sentence if not.
+    fn judge(&self, output: &Output, tile: Tile) -> Result<(), String> {
+        let [low, high] = self.model.range;
+        let rows = (0..3).flat_map(|channel| (0..tile.height).map(move |y| (channel, y)));
+        for (channel, y) in rows {
+            let row = &output.values[(channel * output.height + y) * output.width..][..tile.width];
+            if let Some(value) = row.iter().find(|value| !(low..=high).contains(*value)) {
+                return Err(format!(
+                    "network {} returned {value} for a tile of {}x{} px at ({}, {}), outside {low}..={high}: \
+                     the tile stays as it was",
+                    self.model.id, tile.width, tile.height, tile.x, tile.y
+                ));
+            }
+        }
+        Ok(())
+    }
+}
+
+impl Deblurrer for Onnx {
+    fn deblur(&mut self, blurry: &Image, guide: Option<&Image>) -> Result<Image, DeblurError> {
+        same_size(blurry, guide)?;
+        let (width, height) = (blurry.width(), blurry.height());
+        let mut join = Join::new(width, height);
+        for tile in tiling::plan(width, height, self.model.tile) {
+            let output = self.run(blurry, guide, tile)?;
+            match self.judge(&output, tile) {
+                Ok(()) => join.add(tile, &output.values, output.width, output.height),
+                Err(warning) => {
+                    self.warnings.push(warning);
+                    let input = tiling::cut(&[blurry], tile, tile.width, tile.height);
+                    join.add(tile, &input, tile.width, tile.height);
+                }
+            }
+        }
+        Ok(join.finish())
+    }
+
+    fn describe(&self) -> DeblurInfo {
+        DeblurInfo {
+            id: self.model.id.clone(),
+            sha256: self.model.sha256.clone(),
+            provider: "cpu".to_owned(),
+            channels: self.channels,
+        }
+    }
+
+    fn take_warnings(&mut self) -> Vec<String> {
+        std::mem::take(&mut self.warnings)
+    }
+}
+
+/// Padded values of a tile, [3, height, width].
+struct Output {
+    values: Vec<f32>,
+    width: usize,
+    height: usize,
+}
+
+fn session(runtime: &Runtime, bytes: &[u8], threads: usize) -> Result<Session, String> {
+    #[expect(clippy::needless_pass_by_value, reason = "the form that `map_err` calls")]
+    fn text<R>(error: ort::Error<R>) -> String {
+        error.to_string()
+    }
+    let builder = Session::builder(runtime.environment()).map_err(text)?;
+    // Spinning threads cost 280 instead of 163 ms of CPU a view and starve the GPU's software
+    // driver, which shares the cores.
+    let builder = builder.with_intra_op_spinning(false).map_err(text)?;
+    let builder = builder.with_intra_threads(threads).map_err(text)?;
+    let mut builder = builder.with_execution_providers([ep::CPU::default().build()]).map_err(text)?;
+    builder.commit_from_memory(bytes).map_err(text)
+}
+
+/// Input channels by the file, checked against the manifest's, with everything else about the
+/// input and output that must hold.
+fn input_channels(session: &Session, expected: Option<u32>) -> Result<u32, String> {
+    let ([input], [output, ..]) = (session.inputs(), session.outputs()) else {
+        let (inputs, outputs) = (session.inputs().len(), session.outputs().len());
+        return Err(format!("it has {inputs} inputs and {outputs} outputs; one image each is expected"));
+    };
+    let input_shape = image_shape(input.dtype()).map_err(|detail| format!("its input {detail}"))?;
+    let output_shape = image_shape(output.dtype()).map_err(|detail| format!("its output {detail}"))?;
+    if !matches!(output_shape[1], 3 | -1) {
+        return Err(format!("it returns {} channels instead of 3", output_shape[1]));
+    }
+    if input_shape[2..] != [-1, -1] {
+        return Err(format!("it takes only images of {}x{} px", input_shape[3], input_shape[2]));
+    }
+    match (input_shape[1], expected) {
+        (-1, Some(expected)) => Ok(expected),
+        (-1, None) => Err("the file does not say how many channels it takes".to_owned()),
+        (found @ (3 | 6), expected) if expected.is_none_or(|expected| i64::from(expected) == found) => {
+            Ok(found as u32)
+        }
+        (found, Some(expected)) => Err(format!("it takes {found} channels, the manifest says {expected}")),
+        (found, None) => {
+            Err(format!("it takes {found} channels; 3 (a view) or 6 (view and guide) are usable"))
+        }
+    }
+}
+
+/// Batch, channels, height, width; -1 is dynamic.
+fn image_shape(value: &ValueType) -> Result<[i64; 4], String> {
+    match value {
+        ValueType::Tensor { ty: TensorElementType::Float32, shape, .. } => {
+            shape[..].try_into().map_err(|_| format!("has {} dimensions instead of 4", shape.len()))
+        }
+        other => Err(format!("is {other} instead of a tensor of 32-bit floats")),
+    }
+}
+
+/// Smooth colours with an edge: what networks are made for.
+fn test_pattern() -> Image {
+    let mut image = Image::new(TEST_SIDE, TEST_SIDE);
+    for y in 0..TEST_SIDE {
+        for x in 0..TEST_SIDE {
+            let (u, v) = (x as f32 / TEST_SIDE as f32, y as f32 / TEST_SIDE as f32);
+            let edge = if x / 16 % 2 == y / 16 % 2 { 0.2 } else { 0.0 };
+            image.set(x, y, [0.2 + 0.5 * u + edge, 0.2 + 0.5 * v + edge, 0.7 - 0.5 * u * v]);
+        }
+    }
+    image
+}
+
+#[cfg(test)]
+mod tests;

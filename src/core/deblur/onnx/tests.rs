@@ -1,0 +1,147 @@
+use std::path::{Path, PathBuf};
+
+use super::*;
+use crate::deblur::manifest::Manifest;
+use crate::deblur::{OpenOptions, open, runtime};
+
+fn file(name: &str) -> String {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/golden/onnx").join(name);
+    path.display().to_string()
+}
+
+fn network(choice: &str) -> Result<Onnx, DeblurError> {
+    let model = Manifest::embedded().resolve(choice, &[]).expect("present");
+    Onnx::load(&runtime::for_tests(), model, 1)
+}
+
+/// Waves, different in every channel, between 0.1 and 0.9.
+fn waves(width: usize, height: usize, phase: f32) -> Image {
+    let mut image = Image::new(width, height);
+    for y in 0..height {
+        for x in 0..width {
+            let wave = |k: f32| 0.5 + 0.4 * (0.11 * x as f32 + k * 0.07 * y as f32 + k + phase).sin();
+            image.set(x, y, [wave(1.0), wave(2.0), wave(3.0)]);
+        }
+    }
+    image
+}
+
+fn worst(a: &Image, b: &Image) -> f32 {
+    a.data().iter().zip(b.data()).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max)
+}
+
+#[test]
+fn the_identity_network_returns_the_view_at_any_size() {
+    let mut network = network(&file("identity3.onnx")).expect("loads");
+    assert_eq!(network.describe().channels, 3);
+    for (width, height) in [(64, 64), (37, 50), (1, 3)] {
+        let view = waves(width, height, 0.0);
+        assert!(worst(&network.deblur(&view, None).expect("runs"), &view) < 1e-6, "{width}x{height}");
+    }
+}
+
+#[test]
+fn the_view_comes_before_the_guide_and_is_its_own_guide_without_one() {
+    let mut network = network(&file("mix6.onnx")).expect("loads");
+    let (view, guide) = (waves(48, 32, 0.0), waves(48, 32, 2.0));
+    let guided = network.deblur(&view, Some(&guide)).expect("runs");
+    let values = view.data().iter().zip(guide.data()).map(|(v, g)| 0.75 * v + 0.25 * g).collect();
+    let expected = Image::from_planar(48, 32, values);
+    assert!(worst(&guided, &expected) < 1e-6);
+    assert!(worst(&guided, &network.deblur(&guide, Some(&view)).expect("runs")) > 0.1, "order matters");
+    assert!(worst(&network.deblur(&view, None).expect("runs"), &view) < 1e-6);
+}
+
+#[test]
+fn sides_are_padded_to_a_multiple_and_cropped_back() {
+    let mut network = network(&file("blocks16.onnx")).expect("loads");
+    let view = waves(50, 37, 0.0);
+    assert!(worst(&network.deblur(&view, None).expect("padded"), &view) < 1e-6);
+    network.model.multiple = 1;
+    let refused = network.deblur(&view, None).expect_err("the network needs multiples of 16");
+    assert!(matches!(refused, DeblurError::Inference { width: 50, height: 37, .. }), "{refused}");
+}
+
+#[test]
+fn a_view_in_tiles_shows_no_seams() {
+    let mut network = network(&file("box3.onnx")).expect("loads");
+    let view = waves(1696, 896, 0.0);
+    assert!(tiling::plan(1696, 896, network.model.tile).len() > 1);
+    let tiled = network.deblur(&view, None).expect("runs");
+    let whole = Tile { x: 0, y: 0, width: 1696, height: 896 };
+    let output = network.run(&view, None, whole).expect("runs");
+    let mut seamless = Join::new(1696, 896);
+    seamless.add(whole, &output.values, output.width, output.height);
+    // A hard seam would differ by a third of the value, some 0.3.
+    assert!(worst(&tiled, &seamless.finish()) < 0.003);
+}
+
+#[test]
+fn a_tile_that_leaves_the_range_keeps_its_input_and_warns() {
+    let mut network = network(&file("loud3.onnx")).expect("the self-test's pattern is not that bright");
+    let mut view = waves(1696, 896, 0.0);
+    assert!(worst(&network.deblur(&view, None).expect("runs"), &view) < 1e-6);
+    assert!(network.take_warnings().is_empty());
+    view.set(3, 3, [1.0, 0.5, 0.5]);
+    assert!(worst(&network.deblur(&view, None).expect("runs"), &view) < 1e-6);
+    let warnings = network.take_warnings();
+    assert_eq!(warnings.len(), 1, "{warnings:?}");
+    assert!(warnings[0].contains("at (0, 0)"), "{warnings:?}");
+}
+
+#[test]
+fn networks_that_are_not_ours_are_refused_with_the_reason() {
+    for (name, reason) in [
+        ("fixed_size.onnx", "48x32"),
+        ("four_channels.onnx", "4 channels"),
+        ("half_precision.onnx", "32-bit floats"),
+        ("unknown_channels.onnx", "how many channels"),
+    ] {
+        let refused = network(&file(name)).err().expect("refused").to_string();
+        assert!(refused.contains(name) && refused.contains(reason), "{refused}");
+    }
+    let text = concat!(env!("CARGO_MANIFEST_DIR"), "/Cargo.toml");
+    let refused = network(text).err().expect("no network");
+    assert!(matches!(refused, DeblurError::ModelUnusable { .. }), "{refused}");
+}
+
+#[test]
+fn the_self_test_catches_infinite_and_random_values() {
+    for (name, reason) in [("infinite3.onnx", "not in"), ("random3.onnx", "differ")] {
+        let refused = network(&file(name)).err().expect("refused");
+        assert!(matches!(refused, DeblurError::SelfTest { .. }), "{refused}");
+        assert!(refused.to_string().contains(reason), "{refused}");
+    }
+}
+
+#[test]
+fn the_default_network_is_deterministic_and_stays_near_a_clean_view() {
+    let mut first = network("default").expect("loads");
+    let mut second = network("default").expect("loads");
+    let view = waves(90, 70, 0.0);
+    let restored = first.deblur(&view, None).expect("runs");
+    assert_eq!(restored, second.deblur(&view, None).expect("runs"));
+    assert!(restored.data().iter().all(|value| (0.0..=1.0).contains(value)));
+    let mean = restored.data().iter().zip(view.data()).map(|(a, b)| (a - b).abs()).sum::<f32>()
+        / view.data().len() as f32;
+    assert!(mean < 0.05, "a sharp, clean view came back {mean} away in the mean");
+}
+
+#[test]
+fn a_network_without_a_guide_is_blended_and_says_so() {
+    let search = [PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../.onnxruntime"))];
+    let options = OpenOptions { search: &search, threads: 1, ..OpenOptions::default() };
+    let mut opened = open(&file("identity3.onnx"), &options).expect("opens");
+    assert_eq!(opened.fallbacks.len(), 1, "{:?}", opened.fallbacks);
+    let (view, guide) = (waves(20, 20, 0.0), waves(20, 20, 1.0));
+    let mean = view.data().iter().zip(guide.data()).map(|(v, g)| 0.5 * (v + g)).collect();
+    let blended = opened.deblurrer.deblur(&view, Some(&guide)).expect("runs");
+    assert!(worst(&blended, &Image::from_planar(20, 20, mean)) < 1e-6);
+
+    let refused = network(&file("identity3.onnx")).expect("loads").deblur(&view, Some(&guide));
+    assert!(matches!(refused, Err(DeblurError::GuideUnsupported { .. })));
+    let guided = open(&file("mix6.onnx"), &options).expect("opens");
+    assert!(guided.fallbacks.is_empty());
+    let identity = open("identity", &OpenOptions::default()).expect("needs no library");
+    assert_eq!(identity.deblurrer.describe().id, "identity");
+}

@@ -1,0 +1,55 @@
+//! From the option `deblur` to something that deblurs.
+
+use std::path::{Path, PathBuf};
+
+use crate::deblur::manifest::Manifest;
+use crate::deblur::{Blend, DeblurError, Deblurrer, Identity, Onnx, runtime};
+
+/// Where to look and how to run.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct OpenOptions<'a> {
+    /// The ONNX Runtime library; the only one tried when given.
+    pub runtime: Option<&'a Path>,
+    /// Files and directories to look for the library in, best first, before the system's loader.
+    pub search: &'a [PathBuf],
+    /// Directories that hold files of known networks.
+    pub models: &'a [PathBuf],
+    /// Threads that work on one view; 0 leaves it to the library.
+    pub threads: usize,
+    /// Feed the mean of view and guide instead of both.
+    pub blend: bool,
+}
+
+/// A deblurrer, and what is not as it was asked for.
+pub struct Opened {
+    /// Takes a guide in every case.
+    pub deblurrer: Box<dyn Deblurrer>,
+    /// One sentence for each thing used in place of another; belongs into the report.
+    pub fallbacks: Vec<String>,
+}
+
+/// Opens what the option `deblur` means: `identity`, `default`, a manifest id, or the path of an
+/// ONNX file. A network that takes no guide is wrapped in [`Blend`], and says so.
+///
+/// # Errors
+/// Any [`DeblurError`] of finding the library, finding the file, or loading it. Never falls back
+/// to [`Identity`] by itself.
+pub fn open(choice: &str, options: &OpenOptions<'_>) -> Result<Opened, DeblurError> {
+    if choice == "identity" {
+        return Ok(Opened { deblurrer: Box::new(Identity), fallbacks: Vec::new() });
+    }
+    let model = Manifest::embedded().resolve(choice, options.models)?;
+    let runtime = runtime::load(options.runtime, options.search)?;
+    let network: Box<dyn Deblurrer> = Box::new(Onnx::load(&runtime, model, options.threads)?);
+    let info = network.describe();
+    let takes_guide = info.channels == 6;
+    let mut fallbacks = Vec::new();
+    if !takes_guide && !options.blend {
+        fallbacks.push(format!(
+            "network {} takes no guide: rounds after the first feed it the mean of view and render",
+            info.id
+        ));
+    }
+    let deblurrer = if takes_guide && !options.blend { network } else { Box::new(Blend::new(network)) };
+    Ok(Opened { deblurrer, fallbacks })
+}

@@ -1,0 +1,165 @@
+//! Finding and starting ONNX Runtime.
+//!
+//! The library is opened at run time, so that the build needs no download and no C++. It is
+//! always looked for explicitly: a library that is missing when `ort` looks for it by itself
+//! panics in the middle of a run.
+
+use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
+
+use ort::environment::Environment;
+use ort::logging::LogLevel;
+
+use crate::deblur::DeblurError;
+
+/// The library's file name on this system; also what the system's loader is asked for.
+pub const LIBRARY: &str = if cfg!(windows) {
+    "onnxruntime.dll"
+} else if cfg!(target_os = "macos") {
+    "libonnxruntime.dylib"
+} else {
+    "libonnxruntime.so"
+};
+
+/// ONNX Runtime, started.
+#[derive(Clone, Debug)]
+pub struct Runtime {
+    environment: Environment,
+    info: RuntimeInfo,
+}
+
+/// Which library is in use.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct RuntimeInfo {
+    /// Where it was found; just a file name when the system's loader found it.
+    pub path: PathBuf,
+    /// `1.x`.
+    pub version: String,
+}
+
+impl Runtime {
+    /// The facts for `doctor` and the report.
+    pub fn info(&self) -> &RuntimeInfo {
+        &self.info
+    }
+
+    pub(crate) fn environment(&self) -> &Environment {
+        &self.environment
+    }
+}
+
+/// A process can hold only one ONNX Runtime: `ort` keeps the first library for good. So does
+/// this, and never releases it, as the library's own clean-up at exit has crashed before.
+static STARTED: Mutex<Option<Runtime>> = Mutex::new(None);
+
+/// Finds the library and starts it. An `explicit` path is the only one tried; else each entry of
+/// `search` (a file, or a directory that holds [`LIBRARY`]) in order, then the system's loader.
+/// Later calls return the runtime of the first.
+///
+/// # Errors
+/// [`DeblurError::RuntimeMissing`] with what was wrong at every place, or
+/// [`DeblurError::RuntimeUnusable`].
+pub fn load(explicit: Option<&Path>, search: &[PathBuf]) -> Result<Runtime, DeblurError> {
+    let found = find(explicit, search)?;
+    let mut started = STARTED.lock().unwrap_or_else(PoisonError::into_inner);
+    if let Some(runtime) = started.as_ref() {
+        return Ok(runtime.clone());
+    }
+    let runtime = start(found)?;
+    *started = Some(runtime.clone());
+    Ok(runtime)
+}
+
+/// Finds the library without starting it.
+///
+/// # Errors
+/// [`DeblurError::RuntimeMissing`] with what was wrong at every place.
+pub fn find(explicit: Option<&Path>, search: &[PathBuf]) -> Result<RuntimeInfo, DeblurError> {
+    let candidates = match explicit {
+        Some(path) => vec![path.to_path_buf()],
+        None => search.iter().cloned().chain([PathBuf::from(LIBRARY)]).collect(),
+    };
+    let mut tried = Vec::new();
+    for candidate in candidates {
+        match probe(candidate) {
+            Ok(info) => return Ok(info),
+            Err(reason) => tried.push(reason),
+        }
+    }
+    Err(DeblurError::RuntimeMissing { tried })
+}
+
+fn probe(candidate: PathBuf) -> Result<RuntimeInfo, String> {
+    let path = if candidate.is_dir() { candidate.join(LIBRARY) } else { candidate };
+    let by_loader = path.as_os_str() == LIBRARY;
+    if !by_loader && !path.is_file() {
+        return Err(format!("{}: no such file", path.display()));
+    }
+    // An absolute path: `ort` reads a relative one as relative to the executable.
+    let path = if by_loader { path } else { path.canonicalize().unwrap_or(path) };
+    match ort::util::probe(&path) {
+        Some(minor) if minor >= ort::MINOR_VERSION => Ok(RuntimeInfo { path, version: format!("1.{minor}") }),
+        Some(minor) => {
+            Err(format!("{}: version 1.{minor}, at least 1.{} is needed", path.display(), ort::MINOR_VERSION))
+        }
+        None if by_loader => Err("the system's loader: not found".to_owned()),
+        None => Err(format!("{}: not an ONNX Runtime library for this machine", path.display())),
+    }
+}
+
+fn start(info: RuntimeInfo) -> Result<Runtime, DeblurError> {
+    let unusable = |detail: String| DeblurError::RuntimeUnusable { path: info.path.clone(), detail };
+    let environment = ort::init_from(&info.path)
+        .map_err(|e| unusable(e.to_string()))?
+        .with_name("fled")
+        .with_telemetry(false)
+        .build()
+        .map_err(|e| unusable(e.to_string()))?;
+    environment.set_log_level(LogLevel::Warning);
+    Ok(Runtime { environment, info })
+}
+
+/// The library that `make onnxruntime` fetched, for the tests of this crate.
+#[cfg(test)]
+pub(crate) fn for_tests() -> Runtime {
+    let local = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../.onnxruntime");
+    match load(None, &[local]) {
+        Ok(runtime) => runtime,
+        Err(error) => panic!("{error}"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_missing_library_is_an_error_that_says_what_to_run() {
+        let error = load(Some(Path::new("/nowhere/libonnxruntime.so")), &[]).expect_err("not there");
+        let text = error.to_string();
+        assert!(text.contains("make onnxruntime") && text.contains("/nowhere/"), "{text}");
+    }
+
+    #[test]
+    fn a_file_that_is_no_library_is_named_with_the_reason() {
+        let directory = tempfile::tempdir().expect("temporary directory");
+        std::fs::write(directory.path().join(LIBRARY), "not a library").expect("write");
+        let error = find(Some(directory.path()), &[]).expect_err("not a library");
+        assert!(error.to_string().contains("not an ONNX Runtime library"), "{error}");
+    }
+
+    #[test]
+    fn the_search_goes_on_past_places_without_a_library() {
+        let empty = tempfile::tempdir().expect("temporary directory");
+        let local = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../.onnxruntime");
+        let found = find(None, &[empty.path().to_path_buf(), local.clone()]);
+        let found = found.unwrap_or_else(|error| panic!("{error}"));
+        assert_eq!(found.path, local.join(LIBRARY).canonicalize().expect("fetched"));
+    }
+
+    #[test]
+    fn the_first_runtime_of_a_process_stays() {
+        let first = for_tests();
+        assert_eq!(for_tests().info(), first.info());
+    }
+}
