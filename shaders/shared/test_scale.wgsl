@@ -1,0 +1,7 @@
+// Used by the tests of the crate `fled-gpu` alone: an import within an import.
+#import shared/grid.wgsl
+
+struct TestScale {
+    factor: f32,
+    count: u32,
+}

@@ -1,0 +1,212 @@
+//! The one device of a process.
+
+use std::collections::HashMap;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+use crate::GpuError;
+use crate::kernel::{Kernel, Pipeline};
+use crate::profile::Profile;
+
+/// Longest wait for the device: far above any step, far below a person's patience with a hung driver.
+const TIMEOUT: Duration = Duration::from_secs(300);
+
+/// A handle of the device. Cloning is cheap and shares everything.
+#[derive(Clone)]
+pub struct Gpu {
+    pub(crate) inner: Arc<Inner>,
+}
+
+pub(crate) struct Inner {
+    pub(crate) device: wgpu::Device,
+    pub(crate) queue: wgpu::Queue,
+    info: AdapterInfo,
+    /// The first fault that no call could return at once.
+    fault: Arc<Mutex<Option<GpuError>>>,
+    pub(crate) pipelines: Mutex<HashMap<Kernel, Arc<Pipeline>>>,
+    pub(crate) profile: Mutex<Option<Profile>>,
+}
+
+/// What the device is and what it offers.
+#[derive(Clone, Debug, PartialEq)]
+pub struct AdapterInfo {
+    /// Name of the device.
+    pub name: String,
+    /// Driver and its version.
+    pub driver: String,
+    /// `vulkan`.
+    pub backend: String,
+    /// Kind of hardware.
+    pub device_type: DeviceType,
+    /// Smallest and largest number of invocations in a subgroup; `None` when subgroups are not offered.
+    pub subgroup: Option<(u32, u32)>,
+    /// Largest storage binding, bytes.
+    pub max_binding: u64,
+    /// Whether kernels can be timed.
+    pub timestamps: bool,
+}
+
+/// Kind of hardware, best first.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum DeviceType {
+    /// A graphics card with its own memory.
+    Discrete,
+    /// A GPU that shares the memory of the processor.
+    Integrated,
+    /// A GPU behind a virtual machine.
+    Virtual,
+    /// Unknown.
+    Other,
+    /// Software Vulkan.
+    Cpu,
+}
+
+impl Gpu {
+    /// Opens an adapter: `"auto"` takes the best kind of hardware, anything else the first adapter whose
+    /// name contains it, letter case aside.
+    ///
+    /// # Errors
+    /// [`GpuError::NoAdapter`] when none fits or the device cannot be opened.
+    pub fn new(adapter: &str) -> Result<Self, GpuError> {
+        let mut descriptor = wgpu::InstanceDescriptor::new_without_display_handle();
+        descriptor.backends = wgpu::Backends::VULKAN;
+        // Checking every indirect dispatch costs a dispatch more each; the kernels that write the
+        // arguments fold them below 65,535 a dimension (shared/grid.wgsl).
+        descriptor.flags.remove(wgpu::InstanceFlags::VALIDATION_INDIRECT_CALL);
+        let instance = wgpu::Instance::new(descriptor);
+        let adapters = pollster::block_on(instance.enumerate_adapters(wgpu::Backends::VULKAN));
+        let adapter = choose(adapters, adapter)?;
+        open(&adapter)
+    }
+
+    /// What the device is.
+    pub fn describe(&self) -> &AdapterInfo {
+        &self.inner.info
+    }
+
+    /// The first fault that the device reported out of band; it stays.
+    ///
+    /// # Errors
+    /// [`GpuError::DeviceLost`], [`GpuError::OutOfMemory`] or [`GpuError::Validation`].
+    pub fn check(&self) -> Result<(), GpuError> {
+        let fault = self.inner.fault.lock().unwrap_or_else(PoisonError::into_inner);
+        fault.clone().map_or(Ok(()), Err)
+    }
+
+    /// Waits until everything submitted is done.
+    ///
+    /// # Errors
+    /// [`GpuError::Timeout`] or a device error.
+    pub fn wait(&self) -> Result<(), GpuError> {
+        self.poll(None)
+    }
+
+    /// Waits until one submission is done.
+    ///
+    /// # Errors
+    /// As [`Gpu::wait`].
+    pub fn wait_for(&self, submission: &Submission) -> Result<(), GpuError> {
+        self.poll(Some(submission.0.clone()))
+    }
+
+    fn poll(&self, submission_index: Option<wgpu::SubmissionIndex>) -> Result<(), GpuError> {
+        self.check()?;
+        let wait = wgpu::PollType::Wait { submission_index, timeout: Some(TIMEOUT) };
+        // wgpu panics inside `poll` when the device is lost; that is an error like any other here.
+        let polled = catch_unwind(AssertUnwindSafe(|| self.inner.device.poll(wait)));
+        self.check()?;
+        match polled {
+            Ok(Ok(_)) => Ok(()),
+            Ok(Err(_)) => Err(GpuError::Timeout { seconds: TIMEOUT.as_secs() }),
+            Err(_) => Err(GpuError::DeviceLost("waiting for the device failed".to_owned())),
+        }
+    }
+
+    /// Gives the device up, as a driver crash would: everything afterwards is [`GpuError::DeviceLost`].
+    pub fn lose(&self) {
+        self.inner.device.destroy();
+        note(&self.inner.fault, GpuError::DeviceLost("given up".to_owned()));
+    }
+}
+
+/// Work handed to the device.
+#[derive(Clone, Debug)]
+pub struct Submission(pub(crate) wgpu::SubmissionIndex);
+
+fn choose(adapters: Vec<wgpu::Adapter>, wanted: &str) -> Result<wgpu::Adapter, GpuError> {
+    let found: Vec<_> = adapters.iter().map(|a| a.get_info().name).collect();
+    let name = wanted.to_lowercase();
+    let fits = |a: &wgpu::Adapter| wanted == "auto" || a.get_info().name.to_lowercase().contains(&name);
+    adapters.into_iter().filter(fits).min_by_key(|a| device_type(a.get_info().device_type)).ok_or_else(|| {
+        let reason = if wanted == "auto" {
+            "no Vulkan driver".to_owned()
+        } else {
+            format!("none is named `{wanted}`")
+        };
+        GpuError::NoAdapter { reason, found }
+    })
+}
+
+fn device_type(raw: wgpu::DeviceType) -> DeviceType {
+    match raw {
+        wgpu::DeviceType::DiscreteGpu => DeviceType::Discrete,
+        wgpu::DeviceType::IntegratedGpu => DeviceType::Integrated,
+        wgpu::DeviceType::VirtualGpu => DeviceType::Virtual,
+        wgpu::DeviceType::Cpu => DeviceType::Cpu,
+        wgpu::DeviceType::Other => DeviceType::Other,
+    }
+}
+
+fn open(adapter: &wgpu::Adapter) -> Result<Gpu, GpuError> {
+    let raw = adapter.get_info();
+    let wanted =
+        wgpu::Features::SUBGROUP | wgpu::Features::SUBGROUP_BARRIER | wgpu::Features::TIMESTAMP_QUERY;
+    let features = adapter.features() & wanted;
+    let limits = adapter.limits();
+    let info = AdapterInfo {
+        name: raw.name.clone(),
+        driver: format!("{} {}", raw.driver, raw.driver_info).trim().to_owned(),
+        backend: raw.backend.to_string(),
+        device_type: device_type(raw.device_type),
+        subgroup: features
+            .contains(wgpu::Features::SUBGROUP)
+            .then_some((raw.subgroup_min_size, raw.subgroup_max_size)),
+        max_binding: limits.max_storage_buffer_binding_size.min(limits.max_buffer_size),
+        timestamps: features.contains(wgpu::Features::TIMESTAMP_QUERY),
+    };
+    let descriptor = wgpu::DeviceDescriptor {
+        label: Some("fled"),
+        required_features: features,
+        required_limits: limits,
+        memory_hints: wgpu::MemoryHints::MemoryUsage,
+        ..Default::default()
+    };
+    let (device, queue) = pollster::block_on(adapter.request_device(&descriptor))
+        .map_err(|e| GpuError::NoAdapter { reason: e.to_string(), found: vec![raw.name] })?;
+    let fault = Arc::new(Mutex::new(None));
+    let (uncaptured, lost) = (fault.clone(), fault.clone());
+    device.on_uncaptured_error(Arc::new(move |error| note(&uncaptured, translate(error))));
+    device.set_device_lost_callback(move |reason, message| {
+        if reason != wgpu::DeviceLostReason::Destroyed {
+            note(&lost, GpuError::DeviceLost(message));
+        }
+    });
+    let (pipelines, profile) = (Mutex::default(), Mutex::default());
+    Ok(Gpu { inner: Arc::new(Inner { device, queue, info, fault, pipelines, profile }) })
+}
+
+/// Keeps the first fault: the later ones follow from it.
+fn note(slot: &Mutex<Option<GpuError>>, error: GpuError) {
+    tracing::error!(%error, "GPU fault");
+    slot.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(error);
+}
+
+fn translate(error: wgpu::Error) -> GpuError {
+    match error {
+        wgpu::Error::OutOfMemory { .. } => GpuError::OutOfMemory { label: "a command".to_owned(), bytes: 0 },
+        wgpu::Error::Validation { description, .. } | wgpu::Error::Internal { description, .. } => {
+            GpuError::Validation(description)
+        }
+    }
+}

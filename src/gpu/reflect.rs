@@ -1,0 +1,160 @@
+//! What a shader declares, read from its text by naga, so that a test can compare it with Rust.
+
+use naga::valid::{Capabilities, ValidationFlags, Validator};
+use naga::{AddressSpace, StorageAccess, TypeInner};
+
+use crate::GpuError;
+use crate::kernel::Access;
+
+/// The declarations of one shader.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Reflection {
+    /// Bindings of group 0, by number.
+    pub bindings: Vec<ReflectedBinding>,
+    /// Invocations a workgroup of the entry point `main`; zeros when the file has none.
+    pub workgroup: [u32; 3],
+    /// Every struct that is declared.
+    pub structs: Vec<ReflectedStruct>,
+    /// Every scalar module constant, as f64.
+    pub constants: Vec<(String, f64)>,
+}
+
+/// One binding of a shader.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ReflectedBinding {
+    /// `@binding(number)`.
+    pub number: u32,
+    /// Name of the variable.
+    pub name: String,
+    /// How it is bound.
+    pub access: Access,
+    /// Bytes of an element of a run-time sized array, or of the whole type.
+    pub stride: u32,
+}
+
+/// The memory layout of one struct.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ReflectedStruct {
+    /// Name of the type.
+    pub name: String,
+    /// Bytes, padding included.
+    pub size: u32,
+    /// Name and byte offset of each member.
+    pub members: Vec<(String, u32)>,
+}
+
+impl Reflection {
+    /// The struct of this name.
+    pub fn structure(&self, name: &str) -> Option<&ReflectedStruct> {
+        self.structs.iter().find(|s| s.name == name)
+    }
+
+    /// The value of this constant.
+    pub fn constant(&self, name: &str) -> Option<f64> {
+        self.constants.iter().find(|(other, _)| other == name).map(|(_, value)| *value)
+    }
+}
+
+/// Parses and validates a shader with every capability this crate may ask of a device.
+///
+/// # Errors
+/// [`GpuError::Shader`] with naga's words.
+pub fn validate(name: &str, text: &str) -> Result<naga::Module, GpuError> {
+    let fault = |message: String| GpuError::Shader { name: name.to_owned(), message };
+    let module =
+        naga::front::wgsl::parse_str(text).map_err(|e| fault(e.emit_to_string_with_path(text, name)))?;
+    let capabilities = Capabilities::SUBGROUP | Capabilities::SUBGROUP_BARRIER;
+    Validator::new(ValidationFlags::all(), capabilities)
+        .validate(&module)
+        .map_err(|e| fault(e.emit_to_string_with_path(text, name)))?;
+    Ok(module)
+}
+
+/// The declarations of a shader text whose imports are expanded.
+///
+/// # Errors
+/// [`GpuError::Shader`] when the text is not valid.
+pub fn reflect(name: &str, text: &str) -> Result<Reflection, GpuError> {
+    let module = validate(name, text)?;
+    let workgroup =
+        module.entry_points.iter().find(|e| e.name == "main").map_or([0; 3], |e| e.workgroup_size);
+    Ok(Reflection {
+        bindings: bindings(name, &module)?,
+        workgroup,
+        structs: structures(&module),
+        constants: constants(&module),
+    })
+}
+
+fn bindings(name: &str, module: &naga::Module) -> Result<Vec<ReflectedBinding>, GpuError> {
+    let mut found = Vec::new();
+    for (_, variable) in module.global_variables.iter() {
+        let Some(binding) = &variable.binding else { continue };
+        let access = match variable.space {
+            AddressSpace::Uniform => Access::Uniform,
+            AddressSpace::Storage { access } if access.contains(StorageAccess::STORE) => Access::ReadWrite,
+            AddressSpace::Storage { .. } => Access::Read,
+            _ => continue,
+        };
+        if binding.group != 0 {
+            return Err(GpuError::Shader {
+                name: name.to_owned(),
+                message: format!("a binding in group {}; only group 0 is used", binding.group),
+            });
+        }
+        let inner = &module.types[variable.ty].inner;
+        let stride = match inner {
+            TypeInner::Array { stride, size: naga::ArraySize::Dynamic, .. } => *stride,
+            _ => inner.size(module.to_ctx()),
+        };
+        let name = variable.name.clone().unwrap_or_default();
+        found.push(ReflectedBinding { number: binding.binding, name, access, stride });
+    }
+    found.sort_by_key(|b| b.number);
+    Ok(found)
+}
+
+fn structures(module: &naga::Module) -> Vec<ReflectedStruct> {
+    let member = |m: &naga::StructMember| (m.name.clone().unwrap_or_default(), m.offset);
+    let structure = |ty: &naga::Type| match &ty.inner {
+        TypeInner::Struct { members, span } => Some(ReflectedStruct {
+            name: ty.name.clone().unwrap_or_default(),
+            size: *span,
+            members: members.iter().map(member).collect(),
+        }),
+        _ => None,
+    };
+    module.types.iter().filter_map(|(_, ty)| structure(ty)).collect()
+}
+
+fn constants(module: &naga::Module) -> Vec<(String, f64)> {
+    let value = |expression: &naga::Expression| match expression {
+        naga::Expression::Literal(naga::Literal::F32(v)) => Some(f64::from(*v)),
+        naga::Expression::Literal(naga::Literal::U32(v)) => Some(f64::from(*v)),
+        naga::Expression::Literal(naga::Literal::I32(v)) => Some(f64::from(*v)),
+        _ => None,
+    };
+    let constant = |c: &naga::Constant| Some((c.name.clone()?, value(&module.global_expressions[c.init])?));
+    module.constants.iter().filter_map(|(_, c)| constant(c)).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::shader;
+
+    #[test]
+    fn the_layout_bindings_and_constants_of_a_shader_are_read() {
+        let text = shader::expand("shared/test_axpy", &[("WIDTH", 32)]).expect("expands");
+        let found = reflect("shared/test_axpy", &text).expect("valid");
+        assert_eq!(found.workgroup, [32, 1, 1]);
+        assert_eq!(found.constant("WIDTH"), Some(32.0));
+        let scale = found.structure("TestScale").expect("declared");
+        assert_eq!((scale.size, &scale.members[1]), (8, &("count".to_owned(), 4)));
+        let names: Vec<_> = found.bindings.iter().map(|b| (b.name.as_str(), b.access, b.stride)).collect();
+        assert_eq!(
+            names,
+            [("scale", Access::Uniform, 8), ("x", Access::Read, 4), ("out", Access::ReadWrite, 4)]
+        );
+    }
+}

@@ -1,0 +1,120 @@
+//! The embedded shaders and their only preprocessor: `#import family/name.wgsl` and constants.
+
+use std::collections::HashSet;
+
+use crate::GpuError;
+
+include!(concat!(env!("OUT_DIR"), "/shaders.rs"));
+
+/// Names of all embedded shaders, `family/verb`, sorted.
+pub fn names() -> impl Iterator<Item = &'static str> {
+    SOURCES.iter().map(|(name, _)| *name)
+}
+
+/// The text of one shader file as it stands in `shaders/`.
+///
+/// # Errors
+/// [`GpuError::Shader`] when there is no such file.
+pub fn source(name: &str) -> Result<&'static str, GpuError> {
+    SOURCES.binary_search_by(|(other, _)| (*other).cmp(name)).map(|index| SOURCES[index].1).map_err(|_| {
+        GpuError::Shader { name: name.to_owned(), message: "no such file in shaders/".to_owned() }
+    })
+}
+
+/// The text of a shader with every `#import` replaced, each file once, and the given constants set.
+///
+/// A constant `("PIXELS", 8)` replaces the value in the line `const PIXELS: u32 = 4;`. Differs from the
+/// page "architecture" (WGSL `override`): the size of a private array must be textual, and one mechanism
+/// for both is simpler.
+///
+/// # Errors
+/// [`GpuError::Shader`] for an unknown file or a constant that the text does not declare.
+pub fn expand(name: &str, constants: &[(&str, u32)]) -> Result<String, GpuError> {
+    let mut text = String::new();
+    import(name, &mut HashSet::new(), &mut text)?;
+    for (constant, value) in constants {
+        text = set_constant(&text, constant, *value).ok_or_else(|| GpuError::Shader {
+            name: name.to_owned(),
+            message: format!("no line `const {constant}: ... = ...;`"),
+        })?;
+    }
+    Ok(text)
+}
+
+/// Appends the file `name` and, before each of its lines that imports, the imported file.
+fn import<'a>(name: &'a str, seen: &mut HashSet<&'a str>, text: &mut String) -> Result<(), GpuError>
+where
+    'static: 'a,
+{
+    if !seen.insert(name) {
+        return Ok(());
+    }
+    for line in source(name)?.lines() {
+        match line.strip_prefix("#import ") {
+            Some(file) => import(file.trim().trim_end_matches(".wgsl"), seen, text)?,
+            None => {
+                text.push_str(line);
+                text.push('\n');
+            }
+        }
+    }
+    Ok(())
+}
+
+/// The text with the value of one constant replaced; `None` when it is not declared.
+fn set_constant(text: &str, constant: &str, value: u32) -> Option<String> {
+    let mut found = false;
+    let lines = text.lines().map(|line| match declaration(line, constant) {
+        Some(head) => {
+            found = true;
+            format!("{head}= {value};")
+        }
+        None => line.to_owned(),
+    });
+    let text = lines.collect::<Vec<_>>().join("\n") + "\n";
+    found.then_some(text)
+}
+
+/// What stands before the `=` when the line declares this constant.
+fn declaration<'a>(line: &'a str, constant: &str) -> Option<&'a str> {
+    let rest = line.strip_prefix("const ")?.strip_prefix(constant)?;
+    rest.starts_with([':', ' ']).then(|| line.split('=').next())?
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::reflect;
+
+    #[test]
+    fn every_embedded_shader_parses_and_validates() {
+        let mut checked = 0;
+        for name in names() {
+            let text = expand(name, &[]).expect("imports resolve");
+            reflect::validate(name, &text).unwrap_or_else(|error| panic!("{error}"));
+            checked += 1;
+        }
+        assert!(checked >= 3, "the table is empty");
+    }
+
+    #[test]
+    fn a_shader_with_a_type_error_fails_validation() {
+        let error = reflect::validate("bad", "fn f() -> f32 { return 1u; }").expect_err("a u32 is no f32");
+        assert!(matches!(error, GpuError::Shader { name, .. } if name == "bad"));
+    }
+
+    #[test]
+    fn an_import_reached_twice_is_inserted_once() {
+        let text = expand("shared/test_axpy", &[]).expect("expands");
+        assert_eq!(text.matches("fn flat_workgroup").count(), 1);
+        assert!(!text.contains("#import"));
+    }
+
+    #[test]
+    fn a_constant_is_replaced_and_an_unknown_one_is_refused() {
+        let text = expand("shared/test_axpy", &[("ADD", 7)]).expect("expands");
+        assert!(text.contains("const ADD: u32 = 7;"));
+        assert!(matches!(expand("shared/test_axpy", &[("AD", 7)]), Err(GpuError::Shader { .. })));
+        assert!(matches!(expand("shared/nothing", &[]), Err(GpuError::Shader { .. })));
+    }
+}

@@ -1,0 +1,122 @@
+//! The crate on a real device. There is no skipping: without an adapter these tests fail.
+
+use super::*;
+
+const AXPY: Kernel = Kernel::new("shared/test_axpy", &[uniform("scale"), read("x"), read_write("out")]);
+
+#[repr(C)]
+#[derive(Clone, Copy, bytemuck::Pod, bytemuck::Zeroable)]
+struct Scale {
+    factor: f32,
+    count: u32,
+}
+
+fn gpu() -> Gpu {
+    Gpu::new("auto").expect("an adapter")
+}
+
+#[test]
+fn a_recording_can_be_submitted_again_and_sees_new_uniforms() {
+    let gpu = gpu();
+    let n = 70_000;
+    let scale = gpu.upload("scale", &[Scale { factor: 2.0, count: n as u32 }]).unwrap();
+    let x = gpu.upload("x", &(0..n).map(|i| i as f32).collect::<Vec<_>>()).unwrap();
+    let out = gpu.create::<f32>("out", n).unwrap();
+    let mut recorder = gpu.recorder();
+    recorder.dispatch_items(&AXPY, &[&scale, &x, &out], n).unwrap();
+    let recording = recorder.finish();
+    recording.submit().unwrap();
+    scale.write(&[Scale { factor: 1.0, count: 10 }]).unwrap();
+    recording.submit().unwrap();
+    let values = out.read().unwrap();
+    assert_eq!((values[9], values[10], values[n - 1]), (27.0, 20.0, 2.0 * (n - 1) as f32));
+    out.clear().unwrap();
+    assert_eq!(out.start_read(2).unwrap().wait().unwrap(), [0.0, 0.0]);
+}
+
+#[test]
+fn dispatches_of_one_recorder_see_each_other_and_an_indirect_one_takes_its_count_from_a_buffer() {
+    let gpu = gpu();
+    let scale = gpu.upload("scale", &[Scale { factor: 1.0, count: 128 }]).unwrap();
+    let x = gpu.upload("x", &[1.0_f32; 128]).unwrap();
+    let out = gpu.create::<f32>("out", 128).unwrap();
+    let twice = gpu.create::<f32>("twice", 128).unwrap();
+    let arguments = gpu.upload("arguments", &[7, 1, 1, 1_u32]).unwrap();
+    let mut recorder = gpu.recorder();
+    recorder.dispatch(&AXPY.with(&[("ADD", 5)]), &[&scale, &x, &out], [2, 1, 1]).unwrap();
+    recorder.dispatch_indirect(&AXPY, &[&scale, &out, &twice], &arguments, 1).unwrap();
+    recorder.submit().unwrap();
+    let values = twice.read().unwrap();
+    assert_eq!((values[0], values[63], values[64]), (5.0, 5.0, 0.0));
+}
+
+#[test]
+fn a_dispatch_refuses_missing_wrong_and_aliased_buffers() {
+    let gpu = gpu();
+    let scale = gpu.upload("scale", &[Scale { factor: 1.0, count: 1 }]).unwrap();
+    let x = gpu.upload("x", &[1.0_f32]).unwrap();
+    let odd = gpu.upload("odd", &[[1_u8; 3]; 4]).unwrap();
+    let mut recorder = gpu.recorder();
+    let mut refused = |buffers: &[&dyn Bind]| {
+        let result = recorder.dispatch(&AXPY, buffers, [1, 1, 1]);
+        assert!(matches!(result, Err(GpuError::Binding { .. })), "{result:?}");
+    };
+    refused(&[&scale, &x]);
+    refused(&[&scale, &x, &x]);
+    refused(&[&scale, &odd, &x]);
+    refused(&[&x, &odd, &x]);
+    assert!(recorder.dispatch(&AXPY, &[&scale, &x, &x], [70_000, 1, 1]).is_err());
+    gpu.check().unwrap();
+}
+
+#[test]
+fn an_unknown_adapter_is_refused_with_the_names_that_exist() {
+    match Gpu::new("no such adapter") {
+        Err(GpuError::NoAdapter { found, .. }) => assert!(!found.is_empty()),
+        Err(other) => panic!("{other}"),
+        Ok(_) => panic!("an adapter of that name exists"),
+    }
+}
+
+#[test]
+fn a_buffer_above_the_limit_and_a_write_past_the_end_are_errors() {
+    let gpu = gpu();
+    let limit = gpu.describe().max_binding as usize;
+    assert!(matches!(gpu.create::<u8>("huge", limit + 1), Err(GpuError::TooLarge { .. })));
+    let small = gpu.create::<u32>("small", 2).unwrap();
+    assert!(matches!(small.write_at(1, &[1, 2]), Err(GpuError::Validation(_))));
+    assert!(gpu.create::<u32>("empty", 0).unwrap().read().unwrap().is_empty());
+}
+
+#[test]
+fn a_lost_device_is_an_error_everywhere_and_never_a_panic() {
+    let gpu = gpu();
+    let x = gpu.upload("x", &[1.0_f32]).unwrap();
+    gpu.lose();
+    assert!(matches!(x.read(), Err(GpuError::DeviceLost(_))));
+    assert!(matches!(gpu.create::<f32>("y", 1).map(|_| ()), Err(GpuError::DeviceLost(_))));
+    assert!(matches!(gpu.wait(), Err(GpuError::DeviceLost(_))));
+    assert!(gpu.recorder().submit().is_err());
+}
+
+#[test]
+fn profiled_kernels_have_a_count_and_a_time() {
+    let gpu = gpu();
+    let n = 1 << 20;
+    let scale = gpu.upload("scale", &[Scale { factor: 2.0, count: n as u32 }]).unwrap();
+    let x = gpu.create::<f32>("x", n).unwrap();
+    let out = gpu.create::<f32>("out", n).unwrap();
+    gpu.profile(true);
+    for _ in 0..2 {
+        let mut recorder = gpu.recorder();
+        recorder.dispatch_items(&AXPY, &[&scale, &x, &out], n).unwrap();
+        recorder.submit().unwrap();
+    }
+    let times = gpu.profiled();
+    if gpu.describe().timestamps {
+        assert_eq!((times.len(), times[0].0, times[0].1.dispatches), (1, "shared/test_axpy", 2));
+        assert!(times[0].1.total >= 2 * times[0].1.shortest && !times[0].1.shortest.is_zero());
+    }
+    gpu.profile(false);
+    assert!(gpu.profiled().is_empty());
+}
