@@ -1,6 +1,22 @@
 //! Images as planar `f32`, with their transfer function in the type.
+//!
+//! Reading takes JPEG, PNG, WebP and TIFF of 8 and 16 bit, turned upright ([`decode`]); writing
+//! gives PNG and JPEG, whole or not at all ([`encode`]). Everything between stays `f32`.
+
+mod decode;
+mod encode;
+mod exif;
+mod resize;
+mod signature;
+mod transfer;
 
 use std::marker::PhantomData;
+
+pub use decode::{Header, ImageError, MAX_FILE_BYTES, MAX_PIXELS, read_header};
+pub use encode::{EncodeFormat, write_atomic};
+#[expect(unused_imports, reason = "the capture uses it next")]
+pub(crate) use signature::named_like_a_photograph;
+pub use transfer::{linear_to_srgb, srgb_to_linear};
 
 /// sRGB-encoded values, 0..=1.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -88,5 +104,11 @@ impl<E> Image<E> {
     /// Every value mapped.
     pub fn map(&self, f: impl Fn(f32) -> f32) -> Self {
         Self::from_planar(self.width, self.height, self.data.iter().map(|&v| f(v)).collect())
+    }
+
+    /// Rec. 709 luma of the values as they are encoded, [height, width].
+    pub fn luma(&self) -> Vec<f32> {
+        let (red, green, blue) = (self.plane(0), self.plane(1), self.plane(2));
+        red.iter().zip(green).zip(blue).map(|((r, g), b)| 0.2126 * r + 0.7152 * g + 0.0722 * b).collect()
     }
 }

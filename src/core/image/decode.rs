@@ -1,0 +1,383 @@
+//! Reading: any photograph to upright planar RGB, never more than the header allows.
+//!
+//! What each input becomes: grey is repeated in all three channels; palettes are looked up; alpha
+//! is composited over black, in the values as encoded; CMYK is converted without a profile; 16
+//! bits stay 16 bits deep (`v / 65535`); embedded colour profiles are ignored, values are taken
+//! as sRGB; EXIF orientation is applied once, here and nowhere else. Floating-point TIFF is
+//! refused, as its range and encoding are unknown.
+
+use std::fs::File;
+use std::io::{BufRead, BufReader, Read, Seek};
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::{Path, PathBuf};
+
+use image::metadata::Orientation;
+use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader, Limits};
+
+use super::resize::{AreaAverage, at_most};
+use super::signature::{Kind, kind};
+use super::transfer::{linear_to_srgb, srgb_to_linear};
+use super::{Image, Srgb, exif};
+
+/// Most pixels of a photograph that is decoded. The largest cameras in use give 100 MP; decoding
+/// one takes 300 MB.
+pub const MAX_PIXELS: u64 = 100_000_000;
+
+/// Most bytes of a photograph's file: an uncompressed 16-bit TIFF of [`MAX_PIXELS`] fits.
+pub const MAX_FILE_BYTES: u64 = 640 << 20;
+
+/// Most bytes that a decoder may allocate: 16-bit RGBA of [`MAX_PIXELS`] fits.
+const MAX_DECODE_BYTES: u64 = 1 << 30;
+
+/// Why a file could not be read or written as a picture.
+#[derive(Debug, thiserror::Error)]
+pub enum ImageError {
+    /// The file system failed.
+    #[error("{}: {source}", path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// What it said.
+        source: std::io::Error,
+    },
+    /// The file has no bytes.
+    #[error("the file is empty")]
+    Empty,
+    /// A phone's HEIC, HEIF or AVIF.
+    #[error(
+        "HEIC and AVIF photographs are not read: export them as JPEG or PNG (on an iPhone: Settings, Camera, Formats, Most Compatible)"
+    )]
+    Heic,
+    /// A camera's raw file.
+    #[error(
+        "camera raw files are not read: develop them to 16-bit TIFF or PNG, or to JPEG, with one setting for all"
+    )]
+    Raw,
+    /// The bytes are no picture that is known.
+    #[error("not a JPEG, PNG, WebP or TIFF picture")]
+    UnknownFormat,
+    /// The header promises more than is accepted.
+    #[error("{width} x {height} px is more than the {} megapixels that are accepted", MAX_PIXELS / 1_000_000)]
+    TooManyPixels {
+        /// Width in the header.
+        width: u32,
+        /// Height in the header.
+        height: u32,
+    },
+    /// The file is longer than is accepted.
+    #[error("{bytes} bytes are more than the {MAX_FILE_BYTES} that are accepted")]
+    TooManyBytes {
+        /// The file's length.
+        bytes: u64,
+    },
+    /// A known format in a variant that is not read, such as floating-point TIFF.
+    #[error("a variant that is not read: {message}")]
+    Unsupported {
+        /// Which.
+        message: String,
+    },
+    /// A known format, but broken or cut short.
+    #[error("damaged or cut short: {message}")]
+    Damaged {
+        /// What the decoder said.
+        message: String,
+    },
+    /// The picture does not fit the format that it should be written in.
+    #[error("cannot be encoded: {message}")]
+    Encode {
+        /// What the encoder said.
+        message: String,
+    },
+}
+
+impl ImageError {
+    /// Whether the format is known but not accepted (HTTP 415), as against a broken file.
+    pub fn is_unsupported_format(&self) -> bool {
+        matches!(self, Self::Heic | Self::Raw | Self::Unsupported { .. })
+    }
+}
+
+/// What a file's header says, without decoding it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Header {
+    /// Width of the upright picture, px.
+    pub width: usize,
+    /// Height of the upright picture, px.
+    pub height: usize,
+    /// Focal length in px of the picture as it is, from EXIF.
+    pub focal_px: Option<f64>,
+}
+
+/// Reads a file's header and holds it against [`MAX_PIXELS`] and [`MAX_FILE_BYTES`].
+///
+/// # Errors
+/// [`ImageError`]; a good header does not promise that the picture behind it is whole.
+pub fn read_header(path: &Path) -> Result<Header, ImageError> {
+    guarded(|| Ok(Opened::open(path)?.header))
+}
+
+impl Image<Srgb> {
+    /// Reads a photograph at its own size.
+    ///
+    /// # Errors
+    /// [`ImageError`]; nothing is decoded that the header says is too large.
+    pub fn load(path: &Path) -> Result<Self, ImageError> {
+        let samples = Samples::decode(path)?;
+        let table = samples.table(|v| v);
+        let mut image = Self::new(samples.width, samples.height);
+        let width = samples.width;
+        for channel in 0..3 {
+            for (y, row) in image.plane_mut(channel).chunks_exact_mut(width).enumerate() {
+                samples.row(channel, y, &table, row);
+            }
+        }
+        Ok(image)
+    }
+
+    /// Reads a photograph with its long side brought down to at most `long_side` px, by area
+    /// average in linear light, as a sensor with larger pixels would have seen it. Never enlarges.
+    /// The full-size picture never exists as floats.
+    ///
+    /// # Errors
+    /// As [`Image::load`].
+    pub fn load_at_most(path: &Path, long_side: usize) -> Result<Self, ImageError> {
+        let samples = Samples::decode(path)?;
+        let from = (samples.width, samples.height);
+        let (width, height) = at_most(from.0, from.1, long_side.max(1));
+        let shrinks = (width, height) != from;
+        let table = if shrinks { samples.table(srgb_to_linear) } else { samples.table(|v| v) };
+        let average = AreaAverage::new(from, (width, height));
+        let mut image = Self::new(width, height);
+        for channel in 0..3 {
+            let row = |y: usize, buffer: &mut [f32]| samples.row(channel, y, &table, buffer);
+            average.plane(from.0, row, image.plane_mut(channel));
+        }
+        if shrinks {
+            image.data_mut().iter_mut().for_each(|v| *v = linear_to_srgb(*v));
+        }
+        Ok(image)
+    }
+}
+
+/// A file whose header has been read and found acceptable.
+struct Opened {
+    decoder: Box<dyn ImageDecoder>,
+    orientation: Orientation,
+    header: Header,
+}
+
+impl Opened {
+    fn open(path: &Path) -> Result<Self, ImageError> {
+        let io = |source| ImageError::Io { path: path.to_owned(), source };
+        let file = File::open(path).map_err(io)?;
+        let metadata = file.metadata().map_err(io)?;
+        if !metadata.is_file() {
+            return Err(ImageError::UnknownFormat);
+        }
+        match metadata.len() {
+            0 => return Err(ImageError::Empty),
+            bytes if bytes > MAX_FILE_BYTES => return Err(ImageError::TooManyBytes { bytes }),
+            _ => (),
+        }
+        let mut file = BufReader::new(file);
+        let mut head = Vec::with_capacity(32);
+        Read::by_ref(&mut file).take(32).read_to_end(&mut head).map_err(io)?;
+        let format = match kind(&head, path) {
+            Kind::Readable(format) => format,
+            Kind::Heic => return Err(ImageError::Heic),
+            Kind::Raw => return Err(ImageError::Raw),
+            Kind::Unknown => return Err(ImageError::UnknownFormat),
+        };
+        file.rewind().map_err(io)?;
+        if format == ImageFormat::Jpeg {
+            if !jpeg_has_its_end(&mut file).map_err(io)? {
+                return Err(ImageError::Damaged { message: "the end of the JPEG is missing".to_owned() });
+            }
+            file.rewind().map_err(io)?;
+        }
+        Self::with_reader(file, format)
+    }
+
+    fn with_reader(file: BufReader<File>, format: ImageFormat) -> Result<Self, ImageError> {
+        let mut reader = ImageReader::with_format(file, format);
+        let mut limits = Limits::default();
+        limits.max_alloc = Some(MAX_DECODE_BYTES);
+        reader.limits(limits);
+        let mut decoder: Box<dyn ImageDecoder> =
+            Box::new(reader.into_decoder().map_err(|error| told(&error))?);
+        let (width, height) = decoder.dimensions();
+        if u64::from(width) * u64::from(height) > MAX_PIXELS {
+            return Err(ImageError::TooManyPixels { width, height });
+        }
+        let orientation = decoder.orientation().unwrap_or(Orientation::NoTransforms);
+        let (width, height) = match orientation.to_exif() {
+            5..=8 => (height as usize, width as usize),
+            _ => (width as usize, height as usize),
+        };
+        let focal_px = match decoder.exif_metadata() {
+            Ok(Some(block)) => exif::focal_px(block, width, height),
+            _ => None,
+        };
+        Ok(Self { decoder, orientation, header: Header { width, height, focal_px } })
+    }
+}
+
+/// Whether a JPEG's end marker follows its first scan. The decoder fills what is missing with
+/// grey and says nothing. Inside a scan the marker's bytes cannot occur by chance; a thumbnail's
+/// end lies in a segment before, which is skipped whole.
+fn jpeg_has_its_end(file: &mut (impl BufRead + Seek)) -> std::io::Result<bool> {
+    let outcome = skip_to_scan(file).and_then(|()| contains_end_marker(file));
+    match outcome {
+        Err(error) if error.kind() == std::io::ErrorKind::UnexpectedEof => Ok(false),
+        outcome => outcome,
+    }
+}
+
+/// Skips the segments before the first scan's data.
+fn skip_to_scan(file: &mut (impl BufRead + Seek)) -> std::io::Result<()> {
+    let mut byte = [0; 1];
+    let mut length = [0; 2];
+    file.seek_relative(2)?;
+    loop {
+        while byte[0] != 0xff {
+            file.read_exact(&mut byte)?;
+        }
+        while byte[0] == 0xff {
+            file.read_exact(&mut byte)?;
+        }
+        let marker = byte[0];
+        if matches!(marker, 0x01 | 0xd0..=0xd8) {
+            continue;
+        }
+        file.read_exact(&mut length)?;
+        let rest = i64::from(u16::from_be_bytes(length)) - 2;
+        file.seek_relative(rest.max(0))?;
+        if marker == 0xda {
+            return Ok(());
+        }
+    }
+}
+
+fn contains_end_marker(file: &mut impl BufRead) -> std::io::Result<bool> {
+    let mut before = 0;
+    loop {
+        let chunk = file.fill_buf()?;
+        if chunk.is_empty() {
+            return Ok(false);
+        }
+        for &byte in chunk {
+            if before == 0xff && byte == 0xd9 {
+                return Ok(true);
+            }
+            before = byte;
+        }
+        let used = chunk.len();
+        file.consume(used);
+    }
+}
+
+/// Upright interleaved samples, one channel (grey) or three, without alpha.
+struct Samples {
+    width: usize,
+    height: usize,
+    channels: usize,
+    values: Values,
+}
+
+/// Samples as deep as the file has them.
+enum Values {
+    Eight(Vec<u8>),
+    Sixteen(Vec<u16>),
+}
+
+impl Samples {
+    fn decode(path: &Path) -> Result<Self, ImageError> {
+        guarded(|| {
+            let opened = Opened::open(path)?;
+            let mut picture = DynamicImage::from_decoder(opened.decoder).map_err(|error| told(&error))?;
+            picture.apply_orientation(opened.orientation);
+            let (width, height) = (opened.header.width, opened.header.height);
+            let (channels, values) = interleaved(picture)?;
+            Ok(Self { width, height, channels, values })
+        })
+    }
+
+    /// What every sample value stands for, after `f`.
+    fn table(&self, f: impl Fn(f32) -> f32) -> Vec<f32> {
+        let top = match self.values {
+            Values::Eight(_) => 255_u32,
+            Values::Sixteen(_) => 65_535,
+        };
+        (0..=top).map(|v| f(v as f32 / top as f32)).collect()
+    }
+
+    /// One row of one channel, looked up in a table of [`Samples::table`].
+    fn row(&self, channel: usize, y: usize, table: &[f32], out: &mut [f32]) {
+        let stride = self.width * self.channels;
+        let (range, offset) = (y * stride..(y + 1) * stride, channel % self.channels);
+        match &self.values {
+            Values::Eight(values) => look_up(&values[range], offset, self.channels, table, out),
+            Values::Sixteen(values) => look_up(&values[range], offset, self.channels, table, out),
+        }
+    }
+}
+
+fn look_up<T: Copy + Into<usize>>(row: &[T], offset: usize, stride: usize, table: &[f32], out: &mut [f32]) {
+    out.iter_mut()
+        .zip(row[offset..].iter().step_by(stride))
+        .for_each(|(v, &sample)| *v = table[sample.into()]);
+}
+
+/// Channels (1 or 3) and samples of a decoded picture; alpha is composited over black.
+fn interleaved(picture: DynamicImage) -> Result<(usize, Values), ImageError> {
+    use DynamicImage as D;
+    use Values::{Eight, Sixteen};
+    Ok(match picture {
+        D::ImageLuma8(buffer) => (1, Eight(buffer.into_raw())),
+        D::ImageRgb8(buffer) => (3, Eight(buffer.into_raw())),
+        D::ImageLuma16(buffer) => (1, Sixteen(buffer.into_raw())),
+        D::ImageRgb16(buffer) => (3, Sixteen(buffer.into_raw())),
+        D::ImageLumaA8(buffer) => (1, Eight(over_black(&buffer, 2))),
+        D::ImageRgba8(buffer) => (3, Eight(over_black(&buffer, 4))),
+        D::ImageLumaA16(buffer) => (1, Sixteen(over_black(&buffer, 2))),
+        D::ImageRgba16(buffer) => (3, Sixteen(over_black(&buffer, 4))),
+        other => {
+            let message = format!("samples of type {:?}", other.color());
+            return Err(ImageError::Unsupported { message });
+        }
+    })
+}
+
+/// The colour of straight-alpha pixels over black, rounded to the samples' own steps.
+fn over_black<T: image::Primitive>(samples: &[T], stride: usize) -> Vec<T> {
+    let top = T::DEFAULT_MAX_VALUE.to_u64().expect("an integer sample");
+    let composited = |value: T, alpha: u64| {
+        let product = value.to_u64().expect("an integer sample") * alpha;
+        T::from((product + top / 2) / top).expect("not above the sample it came from")
+    };
+    samples
+        .chunks_exact(stride)
+        .flat_map(|pixel| {
+            let alpha = pixel[stride - 1].to_u64().expect("an integer sample");
+            pixel[..stride - 1].iter().map(move |&value| composited(value, alpha))
+        })
+        .collect()
+}
+
+/// A decoder's error in our words.
+fn told(error: &image::ImageError) -> ImageError {
+    let message = error.to_string();
+    match error {
+        image::ImageError::Unsupported(_) => ImageError::Unsupported { message },
+        _ => ImageError::Damaged { message },
+    }
+}
+
+/// Runs a decoder; where a hostile file makes it panic, the file is at fault, not the run.
+fn guarded<T>(decode: impl FnOnce() -> Result<T, ImageError>) -> Result<T, ImageError> {
+    catch_unwind(AssertUnwindSafe(decode))
+        .unwrap_or_else(|_| Err(ImageError::Damaged { message: "the decoder gave up".to_owned() }))
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,45 @@
+#!/usr/bin/env python3
+"""Makes the small photographs that the reader's golden tests look at.
+
+Run once, with the result committed: `pip install pillow tifffile imagecodecs numpy`, then
+`python tests/golden/photographs.py`. Each is 2 x 2 blocks of 16 px in the colours below.
+"""
+
+from pathlib import Path
+
+import numpy
+import tifffile
+from PIL import Image
+
+COLOURS = [(200, 40, 40), (40, 200, 40), (40, 40, 200), (230, 230, 60)]
+OUT = Path(__file__).parent / "photographs"
+ORIENTATION = 0x0112
+
+
+def blocks() -> numpy.ndarray:
+    picture = numpy.zeros((32, 32, 3), numpy.uint8)
+    for index, colour in enumerate(COLOURS):
+        y, x = 16 * (index // 2), 16 * (index % 2)
+        picture[y : y + 16, x : x + 16] = colour
+    return picture
+
+
+def main() -> None:
+    OUT.mkdir(exist_ok=True)
+    rgb = blocks()
+    picture = Image.fromarray(rgb)
+    picture.quantize(4).save(OUT / "palette.png")
+    picture.save(OUT / "progressive.jpg", quality=95, progressive=True, subsampling=0)
+    # Pillow writes CMYK JPEG as Adobe does: inverted, with its APP14 segment.
+    picture.convert("CMYK").save(OUT / "cmyk.jpg", quality=95)
+    picture.save(OUT / "lossless.webp", lossless=True)
+    picture.convert("CMYK").save(OUT / "cmyk.tif")
+    tifffile.imwrite(OUT / "deep.tif", rgb.astype(numpy.uint16) * 257, photometric="rgb", compression="zlib")
+    # Stored a quarter turn to the left, with the orientation (6) that turns it back.
+    exif = Image.Exif()
+    exif[ORIENTATION] = 6
+    picture.rotate(90, expand=True).save(OUT / "turned.jpg", quality=95, subsampling=0, exif=exif)
+
+
+if __name__ == "__main__":
+    main()
