@@ -1,0 +1,37 @@
+# Every command that this repository needs. `make help` lists them.
+# Only the release profile is used, so that the dependencies are built once for the demo, the tests and the product.
+
+SHELL := /bin/bash
+CARGO ?= cargo
+PYTHON ?= python3
+
+.DEFAULT_GOAL := help
+.PHONY: help setup onnxruntime build test tidy check lint demo
+
+help: ## this list
+	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## (.*)/  make \1\t\2/' | expand -t 22
+
+setup: ## Debian packages: COLMAP, a software Vulkan driver, pip (as root; else it says what to run)
+	@tools/setup.sh
+
+onnxruntime: ## the ONNX Runtime library, from its PyPI wheel, into .onnxruntime/
+	@$(PYTHON) tools/fetch_onnxruntime.py
+
+build: ## the program: target/release/fled
+	$(CARGO) build --release --locked -p fled
+
+test: setup onnxruntime ## every test
+	$(CARGO) test --release --locked --workspace
+
+tidy: ## the rules of the house alone: fast, needs no GPU and no library
+	$(CARGO) test --release --locked -p fled-tests --test tidy
+
+check: ## types only, the fastest answer
+	$(CARGO) check --release --locked --workspace --all-targets
+
+lint: ## format and clippy, as strict as CI
+	$(CARGO) fmt --all --check
+	$(CARGO) clippy --release --locked --workspace --all-targets -- -D warnings
+
+demo: setup onnxruntime build ## a dark capture, reconstructed by the service, with a before/after picture under demo/
+	$(PYTHON) tools/demo.py

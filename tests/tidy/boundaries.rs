@@ -1,0 +1,104 @@
+//! What may be named where: the one-way flow between the crates.
+
+use crate::sources::{Source, expect_none, files};
+
+/// A word that may not stand in some files.
+struct Boundary {
+    /// Folders or files that the rule is about.
+    within: &'static [&'static str],
+    /// Those inside that are free.
+    except: &'static [&'static str],
+    /// What may not be named, as whole words.
+    words: &'static [&'static str],
+    /// Why.
+    reason: &'static str,
+}
+
+const BOUNDARIES: [Boundary; 5] = [
+    Boundary {
+        within: &["src/", "tests/"],
+        except: &["src/gpu/", "tests/tidy/"],
+        words: &["wgpu"],
+        reason: "only fled-gpu knows wgpu",
+    },
+    Boundary {
+        within: &["src/core/", "src/gpu/"],
+        except: &[],
+        words: &["axum", "sqlx", "tokio", "hyper", "tower", "clap", "reqwest", "ureq", "rusqlite"],
+        reason: "the core has no HTTP, no SQL, no async runtime and no command line",
+    },
+    Boundary {
+        within: &["src/core/"],
+        except: &[],
+        words: &["env::var", "env::var_os", "env::vars", "env::set_var"],
+        reason: "the core takes what it needs as arguments",
+    },
+    Boundary {
+        within: &["src/core/"],
+        except: &["src/core/deblur/", "src/core/Cargo.toml"],
+        words: &["ort"],
+        reason: "one module knows ONNX Runtime",
+    },
+    Boundary {
+        within: &["src/gpu/"],
+        except: &[],
+        words: &["Gaussian", "Gaussians", "Splat", "fled_core"],
+        reason: "fled-gpu knows buffers and kernels, not splats",
+    },
+];
+
+fn faults(sources: &[Source]) -> Vec<String> {
+    let mut faults = Vec::new();
+    for boundary in &BOUNDARIES {
+        let concerns = |path: &str| {
+            boundary.within.iter().any(|start| path.starts_with(start))
+                && !boundary.except.iter().any(|start| path.starts_with(start))
+        };
+        for source in sources.iter().filter(|source| concerns(&source.path)) {
+            for (number, line) in source.code() {
+                let named = boundary.words.iter().filter(|word| names(line, word));
+                faults.extend(
+                    named.map(|word| format!("{}:{number}: `{word}`: {}", source.path, boundary.reason)),
+                );
+            }
+        }
+    }
+    faults
+}
+
+/// Whether a line of code names a word: not as a part of a longer one, not in a string.
+fn names(line: &str, word: &str) -> bool {
+    let code: String = line.split('"').step_by(2).collect::<Vec<_>>().join("\"\"");
+    let part = |c: char| c.is_alphanumeric() || c == '_';
+    code.match_indices(word)
+        .any(|(at, _)| !code[..at].ends_with(part) && !code[at + word.len()..].starts_with(part))
+}
+
+#[test]
+fn every_crate_keeps_to_its_own_words() {
+    let mut sources = files("src", "rs");
+    sources.extend(files("tests", "rs"));
+    sources.extend(files("src", "toml"));
+    sources.extend(files("tests", "toml"));
+    expect_none(&faults(&sources));
+}
+
+#[test]
+fn a_word_on_the_wrong_side_is_found() {
+    for (path, line) in [
+        ("src/core/splat.rs", "use wgpu::Buffer;"),
+        ("src/core/Cargo.toml", "wgpu.workspace = true"),
+        ("src/core/colmap.rs", "let home = std::env::var(\"HOME\");"),
+        ("src/core/Cargo.toml", "tokio = \"1\""),
+        ("src/core/enhance.rs", "use ort::session::Session;"),
+        ("src/gpu/buffer.rs", "fn upload(scene: &Gaussians) {}"),
+    ] {
+        assert_eq!(faults(&[Source::made_up(path, line)]).len(), 1, "{path}: {line}");
+    }
+}
+
+#[test]
+fn comments_strings_and_longer_words_are_free() {
+    let text = "// wgpu is elsewhere\nlet sort = export(\"wgpu\");\nlet wgpu_free = 1;\n";
+    expect_none(&faults(&[Source::made_up("src/core/splat.rs", text)]));
+}

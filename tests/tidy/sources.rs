@@ -1,0 +1,75 @@
+//! The files of the repository, and what their lines say.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// A text file.
+pub struct Source {
+    /// Below the top of the repository, with `/`.
+    pub path: String,
+    /// What it holds.
+    pub text: String,
+}
+
+impl Source {
+    /// A file that exists only in a test.
+    pub fn made_up(path: &str, text: &str) -> Self {
+        Self { path: path.to_owned(), text: text.to_owned() }
+    }
+
+    /// Number, from 1, and text of every line that is not a comment, up to the unit tests.
+    pub fn code(&self) -> impl Iterator<Item = (usize, &str)> {
+        let lines = (1..).zip(self.text.lines());
+        lines
+            .take_while(|(_, line)| line.trim_end() != "#[cfg(test)]")
+            .filter(|(_, line)| !line.trim_start().starts_with("//"))
+    }
+}
+
+/// Every file below `folder` whose name ends in `extension`, sorted by path.
+pub fn files(folder: &str, extension: &str) -> Vec<Source> {
+    let top = top();
+    let mut found = Vec::new();
+    collect(&top.join(folder), extension, &mut found);
+    found.sort();
+    let read = |path: PathBuf| Source {
+        path: path.strip_prefix(&top).expect("below the top").display().to_string().replace('\\', "/"),
+        text: fs::read_to_string(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display())),
+    };
+    found.into_iter().map(read).collect()
+}
+
+/// The top of the repository.
+pub fn top() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("tests/ has a parent").to_path_buf()
+}
+
+/// Fails with one line a fault.
+pub fn expect_none(faults: &[String]) {
+    assert!(faults.is_empty(), "{} faults:\n{}", faults.len(), faults.join("\n"));
+}
+
+fn collect(folder: &Path, extension: &str, found: &mut Vec<PathBuf>) {
+    let Ok(entries) = fs::read_dir(folder) else { return };
+    for entry in entries {
+        let path = entry.expect("a directory entry").path();
+        if path.is_dir() && !path.ends_with("node_modules") {
+            collect(&path, extension, found);
+        } else if path.extension().is_some_and(|e| e == extension) {
+            found.push(path);
+        }
+    }
+}
+
+#[test]
+fn the_walk_finds_this_file_and_code_leaves_out_comments_and_tests() {
+    assert!(files("tests/tidy", "rs").iter().any(|file| file.path == "tests/tidy/sources.rs"));
+    let file = Source::made_up("a.rs", "use a;\n// use b;\n#[cfg(test)]\nuse c;\n");
+    assert_eq!(file.code().collect::<Vec<_>>(), [(1, "use a;")]);
+}
+
+#[test]
+#[should_panic(expected = "1 faults")]
+fn a_fault_fails_the_test() {
+    expect_none(&["something".to_owned()]);
+}

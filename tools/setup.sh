@@ -1,0 +1,22 @@
+#!/usr/bin/env bash
+# Installs what fled needs from Debian: COLMAP, the Vulkan loader, a software Vulkan driver, and pip to fetch the
+# ONNX Runtime library. Installs only what is missing; without root it prints the one line to run instead.
+set -euo pipefail
+
+missing=()
+command -v colmap >/dev/null || missing+=(colmap)
+compgen -G '/usr/share/vulkan/icd.d/*.json' >/dev/null || compgen -G '/etc/vulkan/icd.d/*.json' >/dev/null ||
+    missing+=(mesa-vulkan-drivers)
+ldconfig -p 2>/dev/null | grep -q 'libvulkan\.so\.1' || missing+=(libvulkan1)
+python3 -m pip --version >/dev/null 2>&1 || missing+=(python3-pip)
+((${#missing[@]})) || exit 0
+
+install=(apt-get install -y --no-install-recommends "${missing[@]}")
+if ((EUID != 0)); then
+    echo "Missing: ${missing[*]}. Run this as root, then the same make command again:" >&2
+    echo "  apt-get update && ${install[*]}" >&2
+    exit 1
+fi
+export DEBIAN_FRONTEND=noninteractive
+apt-get update -qq
+"${install[@]}" -qq >/dev/null
