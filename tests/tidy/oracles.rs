@@ -11,7 +11,7 @@ fn faults(source: &Source) -> Vec<String> {
         .skip(1)
         .map(|rest| rest.split("\n    }\n").next().unwrap_or(rest).split("\n}\n").next().unwrap_or(rest))
         .collect();
-    let unit_tests = source.text.find("\n#[cfg(test)]").unwrap_or(source.text.len());
+    let unit_tests = source.text.find("\n#[cfg(test)]\nmod tests {").unwrap_or(source.text.len());
     let only_tests = source.path.starts_with("tests/") || source.path.ends_with("tests.rs");
     let tests = if only_tests { &source.text[..] } else { &source.text[unit_tests..] };
     let helpers = tests.lines().filter_map(|line| {
