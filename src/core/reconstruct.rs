@@ -1,1 +1,4 @@
-//! reconstruct
+//! Training the splats of one round.
+
+pub mod densify;
+pub mod schedule;
