@@ -31,9 +31,9 @@ fn colour_of(i: u32, mean: vec3<f32>) -> vec3<f32> {
     let offset = mean - camera.position.xyz;
     var basis = sh_basis(offset / max(length(offset), 1e-12));
     var colour = vec3<f32>(0.5);
-    let active = min(sh_count(camera.sh_degree), camera.coefficients);
+    let used = min(sh_count(camera.sh_degree), camera.coefficients);
     var at = i * camera.coefficients * 3u;
-    for (var k = 0u; k < active; k++) {
+    for (var k = 0u; k < used; k++) {
         colour += basis[k] * vec3<f32>(sh[at], sh[at + 1u], sh[at + 2u]);
         at += 3u;
     }

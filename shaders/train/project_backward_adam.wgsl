@@ -132,11 +132,11 @@ fn colour_backward(i: u32, mean: vec3<f32>, by_colour: vec3<f32>) -> ColourGradi
     let direction = offset / distance;
     var basis = sh_basis(direction);
     var slopes = sh_slopes(direction);
-    let active = min(sh_count(camera.sh_degree), camera.coefficients);
+    let used = min(sh_count(camera.sh_degree), camera.coefficients);
     var colour = vec3<f32>(0.5);
     var jacobian = mat3x3<f32>();
     var at = i * camera.coefficients * 3u;
-    for (var k = 0u; k < active; k++) {
+    for (var k = 0u; k < used; k++) {
         let value = vec3<f32>(sh[at], sh[at + 1u], sh[at + 2u]);
         colour += basis[k] * value;
         jacobian += mat3x3<f32>(slopes[k] * value.x, slopes[k] * value.y, slopes[k] * value.z);
@@ -189,8 +189,8 @@ fn update_geometry(i: u32, g: Geometry) {
 fn update_sh(i: u32, mean: vec3<f32>, gated: vec3<f32>) {
     let offset = mean - camera.position.xyz;
     var basis = sh_basis(offset / max(length(offset), 1e-12));
-    let active = min(sh_count(camera.sh_degree), camera.coefficients);
-    for (var k = 0u; k < active; k++) {
+    let used = min(sh_count(camera.sh_degree), camera.coefficients);
+    for (var k = 0u; k < used; k++) {
         let rate = select(train.rate_sh, train.rate_sh0, k == 0u);
         for (var c = 0u; c < 3u; c++) {
             adam_sh(i, 3u * k + c, gated[c] * basis[k], rate);
@@ -240,8 +240,8 @@ fn main(
     }
     by.logit += train.opacity_weight * shape.opacity * (1.0 - shape.opacity);
     by.log_scale += train.scale_weight * shape.scale;
-    let inside = g.log_scale >= vec3<f32>(LOG_SCALE_LOW) && g.log_scale <= vec3<f32>(LOG_SCALE_HIGH);
-    by.log_scale = select(vec3<f32>(0.0), by.log_scale, inside);
+    let held = clamp(g.log_scale, vec3<f32>(LOG_SCALE_LOW), vec3<f32>(LOG_SCALE_HIGH));
+    by.log_scale = select(vec3<f32>(0.0), by.log_scale, g.log_scale == held);
     update_geometry(i, by);
     update_sh(i, g.mean, gated);
     if (WRITE_GRADIENTS == 0u && train.noise > 0.0) {

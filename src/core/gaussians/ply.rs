@@ -241,7 +241,9 @@ mod tests {
         let mut bytes = Vec::new();
         write_to(&scene(3, 2), &mut bytes).expect("written");
         std::fs::write(&path, &bytes[..bytes.len() - 1]).expect("written");
-        assert!(matches!(read(&path), Err(PlyError::Format { message, .. }) if message.contains("announced")));
+        assert!(
+            matches!(read(&path), Err(PlyError::Format { message, .. }) if message.contains("announced"))
+        );
         std::fs::write(&path, b"P6 3 3").expect("written");
         assert!(matches!(read(&path), Err(PlyError::Format { message, .. }) if message == "not a PLY file"));
     }

@@ -6,8 +6,8 @@ use rand_pcg::Pcg64;
 
 /// Share of the steps at a quarter of the resolution.
 const QUARTER_SHARE: f64 = 0.1;
-/// Share of the steps at half the resolution, after the quarter.
-const HALF_SHARE: f64 = 0.2;
+/// Share of the steps after which the resolution is full.
+const FULL_FROM: f64 = 0.3;
 /// Smaller images are not reduced: SSIM's window of 11 px would see nothing of them.
 const SMALLEST_SIDE: usize = 32;
 /// Rate of the means at the start and the end of a round, world units a step at extent 1.
@@ -45,7 +45,7 @@ impl Schedule {
         match share {
             _ if !self.resolution => 1,
             s if s < QUARTER_SHARE => 4,
-            s if s < QUARTER_SHARE + HALF_SHARE => 2,
+            s if s < FULL_FROM => 2,
             _ => 1,
         }
     }
@@ -78,12 +78,13 @@ impl Schedule {
     /// Whether Gaussians are relocated before `step`.
     pub fn densifies(&self, step: u32) -> bool {
         let share = self.share(step);
-        step % self.densify_interval() == 0 && share >= DENSIFY.0 && share < DENSIFY.1
+        step.is_multiple_of(self.densify_interval()) && share >= DENSIFY.0 && share < DENSIFY.1
     }
 
     /// Densifications of the whole round.
     pub fn densifications(&self) -> u32 {
-        (0..self.steps).step_by(self.densify_interval() as usize).filter(|&s| self.densifies(s)).count() as u32
+        (0..self.steps).step_by(self.densify_interval() as usize).filter(|&s| self.densifies(s)).count()
+            as u32
     }
 
     /// The view of `step` among `views`: every view once an epoch, in an order drawn for that epoch.
@@ -104,7 +105,8 @@ impl Schedule {
 /// The size of an image of `width` x `height` reduced by `divisor`, rounded up.
 pub fn reduced_size(width: usize, height: usize, divisor: usize) -> (usize, usize) {
     let side = width.min(height);
-    let fitting = (1..=divisor).rev().find(|d| divisor % d == 0 && side / d >= SMALLEST_SIDE).unwrap_or(1);
+    let fitting =
+        (1..=divisor).rev().find(|d| divisor.is_multiple_of(*d) && side / d >= SMALLEST_SIDE).unwrap_or(1);
     (width.div_ceil(fitting), height.div_ceil(fitting))
 }
 
