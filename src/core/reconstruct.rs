@@ -1,4 +1,1 @@
-//! Training the splats of one round.
-
-pub mod densify;
-pub mod schedule;
+//! reconstruct

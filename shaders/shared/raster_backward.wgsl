@@ -1,0 +1,130 @@
+// The backward of blending for one tile, without its reduction: `store_partial` and PARTIALS come from
+// shared/partial_subgroup.wgsl or shared/partial_workgroup.wgsl. Replays the forward order, so both take the
+// same decisions: behind a splat lies (final colour - colour so far), T is never divided by.
+// Reads image, image_gradient [3, height, width], last [tiles]; writes slot_gradients [slots, 9], every row
+// of the tile once: mean x y, conic a b c, colour r g b, opacity.
+#import shared/raster.wgsl
+
+@group(0) @binding(0) var<uniform> camera: CameraUniform;
+@group(0) @binding(1) var<storage, read> tile_ranges: array<vec2<u32>>;
+@group(0) @binding(2) var<storage, read> slots: array<u32>;
+@group(0) @binding(3) var<storage, read> slot_gaussian: array<u32>;
+@group(0) @binding(4) var<storage, read> projected: array<vec4<f32>>;
+@group(0) @binding(5) var<storage, read> image: array<f32>;
+@group(0) @binding(6) var<storage, read> image_gradient: array<f32>;
+@group(0) @binding(7) var<storage, read> last: array<u32>;
+@group(0) @binding(8) var<storage, read_write> slot_gradients: array<f32>;
+
+// Splats between two reductions; at most WIDTH.
+const GROUP: u32 = 16;
+const SUMS: u32 = 9;
+
+var<workgroup> partials: array<f32, SUMS * GROUP * PARTIALS>;
+
+fn store_row(slot: u32, row: array<f32, SUMS>) {
+    for (var i = 0u; i < SUMS; i++) {
+        slot_gradients[SUMS * slot + i] = row[i];
+    }
+}
+
+// Adds what the invocations found for splat `j` of the batch, always in the same order, and writes its row.
+// Sums: colour r g b, then v, v dx, v dy, v dx^2, v dx dy, v dy^2, where v = dL/dsigma.
+fn finish_splat(j: u32, slot: u32) {
+    var s: array<f32, SUMS>;
+    for (var i = 0u; i < SUMS; i++) {
+        var sum = 0.0;
+        for (var k = 0u; k < PARTIALS; k++) {
+            sum += partials[(i * PARTIALS + k) * GROUP + j];
+        }
+        s[i] = sum;
+    }
+    let c = batch[j].conic;
+    store_row(slot, array<f32, SUMS>(
+        -(c.x * s[4] + c.y * s[5]),
+        -(c.y * s[4] + c.z * s[5]),
+        0.5 * s[6],
+        s[7],
+        0.5 * s[8],
+        s[0],
+        s[1],
+        s[2],
+        -s[3] / batch[j].place.z,
+    ));
+}
+
+fn backward(tile: u32, lane: u32, lane_in_subgroup: u32) {
+    if (tile >= camera.tiles.x * camera.tiles.y) {
+        return;
+    }
+    let pixel = first_pixel(tile, lane, camera.tiles.x);
+    let centre = vec2<f32>(pixel) + vec2<f32>(0.5);
+    let range = tile_ranges[tile];
+    let end = last[tile];
+    let plane = camera.size.x * camera.size.y;
+    // T (negative once stopped), the gradient by the colour, and that gradient times the colour still behind.
+    var t: array<f32, PIXELS>;
+    var upstream: array<vec3<f32>, PIXELS>;
+    var behind: array<f32, PIXELS>;
+    for (var k = 0u; k < PIXELS; k++) {
+        let inside = pixel.x + k < camera.size.x && pixel.y < camera.size.y;
+        let i = select(0u, pixel.y * camera.size.x + pixel.x + k, inside);
+        let g = vec3<f32>(image_gradient[i], image_gradient[plane + i], image_gradient[2u * plane + i]);
+        let colour = vec3<f32>(image[i], image[plane + i], image[2u * plane + i]);
+        t[k] = select(-1.0, 1.0, inside);
+        upstream[k] = select(vec3<f32>(0.0), g, inside);
+        behind[k] = dot(upstream[k], colour);
+    }
+    for (var at = range.x; at < end; at += GROUP) {
+        let slot = slots[min(at + lane, range.y - 1u)];
+        if (lane < GROUP) {
+            let row = 3u * slot_gaussian[slot];
+            load_splat(lane, projected[row], projected[row + 1u], projected[row + 2u]);
+        }
+        // The batch is loaded before it is read.
+        workgroupBarrier();
+        let n = min(end - at, GROUP);
+        for (var j = 0u; j < n; j++) {
+            let splat = batch[j];
+            let offset = centre - splat.place.xy;
+            let half_a = 0.5 * splat.conic.x;
+            let slope = splat.conic.y * offset.y;
+            let base = 0.5 * splat.conic.z * offset.y * offset.y;
+            var by_colour = vec3<f32>(0.0);
+            var v0 = 0.0;
+            var v1 = 0.0;
+            var v2 = 0.0;
+            for (var k = 0u; k < PIXELS; k++) {
+                let dx = offset.x + f32(k);
+                let raw = raw_alpha(dx, half_a, slope, base, splat.place.z);
+                let alpha = min(raw, ALPHA_MAX);
+                let before = t[k];
+                let after = before * (1.0 - alpha);
+                let stop = after < TRANSMITTANCE_STOP;
+                let weight = select(alpha * before, 0.0, stop);
+                let along = dot(upstream[k], splat.colour.xyz);
+                behind[k] -= weight * along;
+                let by_alpha = before * along - behind[k] / (1.0 - alpha);
+                let v = select(-by_alpha * alpha, 0.0, stop || raw >= ALPHA_MAX);
+                by_colour += weight * upstream[k];
+                v0 += v;
+                v1 += v * dx;
+                v2 += v * dx * dx;
+                t[k] = select(after, -abs(before), stop);
+            }
+            let dy = offset.y;
+            store_partial(j, lane, lane_in_subgroup, array<f32, SUMS>(
+                by_colour.x, by_colour.y, by_colour.z, v0, v1, v0 * dy, v2, v1 * dy, v0 * dy * dy,
+            ));
+        }
+        // All partial sums of the batch are stored.
+        workgroupBarrier();
+        if (lane < n) {
+            finish_splat(lane, slot);
+        }
+        // Nobody still reads the batch.
+        workgroupBarrier();
+    }
+    for (var at = max(end, range.x) + lane; at < range.y; at += WIDTH) {
+        store_row(slots[at], array<f32, SUMS>());
+    }
+}

@@ -1,0 +1,277 @@
+//! Stable radix sort of u32 pairs on the GPU, 4 bits a pass; the number of pairs stands in a GPU buffer.
+
+use bytemuck::{Pod, Zeroable};
+use fled_gpu::{Buffer, Gpu, GpuError, Kernel, Recorder, read, read_write, uniform};
+
+/// Elements of a block: BLOCK of shaders/shared/sort.wgsl.
+pub const BLOCK: usize = 1024;
+/// Values of a digit.
+const DIGITS: usize = 16;
+/// `source` of [`SortParameters`] when the number of elements is `capacity` itself.
+pub const FIXED: u32 = u32::MAX;
+
+/// Exclusive prefix sum of a short array by one workgroup; writes a counter and indirect arguments.
+pub const SCAN: Kernel = Kernel::new(
+    "sort/scan",
+    &[uniform("parameters"), read_write("counters"), read_write("values"), read_write("arguments")],
+);
+/// Digit counts of a block.
+pub const RADIX_COUNT: Kernel = Kernel::new(
+    "sort/radix_count",
+    &[uniform("parameters"), read("counters"), read("keys"), read_write("histogram")],
+);
+/// Moves the pairs of a block.
+pub const RADIX_SCATTER: Kernel = Kernel::new(
+    "sort/radix_scatter",
+    &[
+        uniform("parameters"),
+        read("counters"),
+        read("histogram"),
+        read("keys"),
+        read("payloads"),
+        read_write("keys_out"),
+        read_write("payloads_out"),
+    ],
+);
+
+/// `SortParameters` of shaders/shared/sort.wgsl.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+pub struct SortParameters {
+    /// First bit of the digit.
+    pub shift: u32,
+    /// Which counter holds the number of elements; [`FIXED`]: `capacity` is the number.
+    pub source: u32,
+    /// No more elements than this are touched.
+    pub capacity: u32,
+    /// Which counter takes the total of a scan.
+    pub result: u32,
+    /// The total is cut to this for the indirect arguments.
+    pub result_capacity: u32,
+    /// Values a block in the array that is scanned.
+    pub per_block: u32,
+}
+
+/// Numbers that only the GPU knows, and the workgroups of the dispatches that depend on them.
+///
+/// Counter `i` has six arguments from `6 i` on: workgroups for a block each, then for 64 elements each.
+#[derive(Clone)]
+pub struct Counters {
+    /// The numbers.
+    pub values: Buffer<u32>,
+    /// Indirect arguments, six a counter.
+    pub arguments: Buffer<u32>,
+}
+
+impl Counters {
+    /// `count` counters and one more that takes totals nobody asks for.
+    ///
+    /// # Errors
+    /// Out of memory.
+    pub fn new(gpu: &Gpu, count: usize) -> Result<Self, GpuError> {
+        Ok(Self {
+            values: gpu.create("counters", count + 1)?,
+            arguments: gpu.create("arguments", 6 * (count + 1))?,
+        })
+    }
+
+    /// Where the arguments for a workgroup a block of counter `index` begin.
+    pub fn blocks(index: u32) -> usize {
+        6 * index as usize
+    }
+
+    /// Where the arguments for an invocation an element of counter `index` begin.
+    pub fn elements(index: u32) -> usize {
+        6 * index as usize + 3
+    }
+
+    fn spare(&self) -> u32 {
+        self.values.len() as u32 - 1
+    }
+}
+
+/// Buffers of a sort of at most `capacity` pairs.
+///
+/// Pairs are put into [`RadixSort::keys`] and [`RadixSort::payloads`]; the sorted ones stand in
+/// [`RadixSort::sorted_keys`] and [`RadixSort::sorted_payloads`].
+pub struct RadixSort {
+    keys: [Buffer<u32>; 2],
+    payloads: [Buffer<u32>; 2],
+    histogram: Buffer<u32>,
+    passes: Vec<Buffer<SortParameters>>,
+    scan: Buffer<SortParameters>,
+    source: u32,
+}
+
+impl RadixSort {
+    /// A sort by the lowest `bits` bits of `counters[source]` pairs, at most `capacity`.
+    ///
+    /// # Errors
+    /// Out of memory.
+    pub fn new(
+        gpu: &Gpu,
+        capacity: usize,
+        bits: u32,
+        counters: &Counters,
+        source: u32,
+    ) -> Result<Self, GpuError> {
+        let parameters = SortParameters {
+            shift: 0,
+            source,
+            capacity: capacity as u32,
+            result: counters.spare(),
+            result_capacity: 0,
+            per_block: DIGITS as u32,
+        };
+        let pass = |digit| gpu.upload("sort pass", &[SortParameters { shift: 4 * digit, ..parameters }]);
+        Ok(Self {
+            keys: [gpu.create("sort keys", capacity)?, gpu.create("sort keys", capacity)?],
+            payloads: [gpu.create("sort payloads", capacity)?, gpu.create("sort payloads", capacity)?],
+            histogram: gpu.create("sort histogram", DIGITS * capacity.div_ceil(BLOCK))?,
+            passes: (0..bits.div_ceil(4)).map(pass).collect::<Result<_, _>>()?,
+            scan: gpu.upload("sort scan", &[parameters])?,
+            source,
+        })
+    }
+
+    /// Keys to be sorted.
+    pub fn keys(&self) -> &Buffer<u32> {
+        &self.keys[0]
+    }
+
+    /// What travels with the keys.
+    pub fn payloads(&self) -> &Buffer<u32> {
+        &self.payloads[0]
+    }
+
+    /// Keys in order.
+    pub fn sorted_keys(&self) -> &Buffer<u32> {
+        &self.keys[self.passes.len() % 2]
+    }
+
+    /// Payloads in the order of their keys; equal keys as they came.
+    pub fn sorted_payloads(&self) -> &Buffer<u32> {
+        &self.payloads[self.passes.len() % 2]
+    }
+
+    /// Adds the sort to a recording. The arguments of the counter must have been written (by [`SCAN`]).
+    ///
+    /// # Errors
+    /// A fault of a kernel.
+    pub fn record(&self, recorder: &mut Recorder, counters: &Counters) -> Result<(), GpuError> {
+        let blocks = Counters::blocks(self.source);
+        for (i, parameters) in self.passes.iter().enumerate() {
+            let (from, to) = (i % 2, (i + 1) % 2);
+            recorder.dispatch_indirect(
+                &RADIX_COUNT,
+                &[parameters, &counters.values, &self.keys[from], &self.histogram],
+                &counters.arguments,
+                blocks,
+            )?;
+            recorder.dispatch(
+                &SCAN,
+                &[&self.scan, &counters.values, &self.histogram, &counters.arguments],
+                [1, 1, 1],
+            )?;
+            recorder.dispatch_indirect(
+                &RADIX_SCATTER,
+                &[
+                    parameters,
+                    &counters.values,
+                    &self.histogram,
+                    &self.keys[from],
+                    &self.payloads[from],
+                    &self.keys[to],
+                    &self.payloads[to],
+                ],
+                &counters.arguments,
+                blocks,
+            )?;
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::{RngExt, SeedableRng};
+
+    /// Sorts on the GPU. The number of keys is made there, by a scan, as in a training step.
+    fn sorted(keys: &[u32], bits: u32) -> (Vec<u32>, Vec<u32>) {
+        let gpu = Gpu::new("auto").unwrap();
+        let n = keys.len();
+        let counters = Counters::new(&gpu, 1).unwrap();
+        let sort = RadixSort::new(&gpu, n, bits, &counters, 0).unwrap();
+        sort.keys().write(keys).unwrap();
+        sort.payloads().write(&(0..n as u32).collect::<Vec<_>>()).unwrap();
+        let total = gpu.upload("total", &[n as u32]).unwrap();
+        let parameters = SortParameters {
+            shift: 0,
+            source: FIXED,
+            capacity: 1,
+            result: 0,
+            result_capacity: n as u32,
+            per_block: 1,
+        };
+        let parameters = gpu.upload("parameters", &[parameters]).unwrap();
+        let mut recorder = gpu.recorder();
+        recorder
+            .dispatch(&SCAN, &[&parameters, &counters.values, &total, &counters.arguments], [1, 1, 1])
+            .unwrap();
+        sort.record(&mut recorder, &counters).unwrap();
+        recorder.submit().unwrap();
+        (sort.sorted_keys().read().unwrap(), sort.sorted_payloads().read().unwrap())
+    }
+
+    fn assert_sorted(keys: &[u32], bits: u32) {
+        let mut expected: Vec<_> = (0..keys.len() as u32).collect();
+        expected.sort_by_key(|&i| keys[i as usize]);
+        let (found, payloads) = sorted(keys, bits);
+        assert!(payloads == expected, "payloads of {} keys", keys.len());
+        assert!(found.iter().zip(&expected).all(|(&k, &i)| k == keys[i as usize]));
+    }
+
+    #[test]
+    fn random_keys_are_sorted_stably_at_sizes_around_a_block() {
+        let mut random = rand_pcg::Pcg64::seed_from_u64(1);
+        for n in [2, 63, 1023, 1024, 1025, 5000, 70_001] {
+            let keys: Vec<u32> = (0..n).map(|_| random.random()).collect();
+            assert_sorted(&keys, 32);
+        }
+    }
+
+    #[test]
+    fn equal_keys_keep_their_order_and_few_bits_suffice_for_small_keys() {
+        assert_sorted(&[7; 3000], 32);
+        let mut random = rand_pcg::Pcg64::seed_from_u64(2);
+        let keys: Vec<u32> = (0..30_000).map(|_| random.random_range(0..180)).collect();
+        assert_sorted(&keys, 8);
+        assert_sorted(&keys, 12);
+    }
+
+    #[test]
+    fn descending_keys_none_and_one_are_sorted() {
+        assert_sorted(&(0..2500).rev().map(|i| i * 1_000_003).collect::<Vec<_>>(), 32);
+        assert_sorted(&[u32::MAX], 32);
+        assert_sorted(&[], 32);
+    }
+
+    #[test]
+    #[should_panic(expected = "payloads")]
+    fn the_comparison_fails_when_too_few_bits_are_sorted() {
+        assert_sorted(&[256, 3, 512, 1], 8);
+    }
+
+    #[test]
+    fn parameters_and_block_agree_with_the_shader() {
+        let (_, found) = SCAN.reflect().unwrap();
+        let structure = found.structure("SortParameters").unwrap();
+        assert_eq!(structure.size as usize, size_of::<SortParameters>());
+        assert_eq!(structure.members[5], ("per_block".to_owned(), 20));
+        assert_eq!(found.constant("BLOCK"), Some(BLOCK as f64));
+        assert_eq!(found.constant("DIGITS"), Some(DIGITS as f64));
+        RADIX_COUNT.reflect().unwrap();
+        RADIX_SCATTER.reflect().unwrap();
+    }
+}
