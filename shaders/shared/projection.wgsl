@@ -17,6 +17,16 @@ struct Geometry {
     logit: f32,
 }
 
+// What does not depend on the camera.
+struct Shape {
+    unit_quat: vec4<f32>,
+    quat_norm: f32,
+    scale: vec3<f32>,
+    rotation: mat3x3<f32>,
+    covariance: mat3x3<f32>,
+    opacity: f32,
+}
+
 struct Projection {
     usable: bool,
     point: vec3<f32>,
@@ -25,15 +35,9 @@ struct Projection {
     to_camera: mat3x3<f32>,
     // J W with a third row of zeros.
     linear: mat3x3<f32>,
-    unit_quat: vec4<f32>,
-    quat_norm: f32,
-    scale: vec3<f32>,
-    rotation: mat3x3<f32>,
-    covariance: mat3x3<f32>,
     // 2-D covariance a, b, c with the low-pass, and its determinant.
     flat: vec3<f32>,
     determinant: f32,
-    opacity: f32,
 }
 
 // By bits: WGSL promises nothing about comparisons with NaN.
@@ -74,12 +78,29 @@ fn world_rotation(camera: CameraUniform) -> mat3x3<f32> {
     return transpose(mat3x3<f32>(camera.row_x.xyz, camera.row_y.xyz, camera.row_z.xyz));
 }
 
-fn project_geometry(g: Geometry, camera: CameraUniform) -> Projection {
+// Only for a usable geometry.
+fn shape_of(g: Geometry) -> Shape {
+    var s: Shape;
+    s.quat_norm = length(g.quat);
+    s.unit_quat = g.quat / s.quat_norm;
+    s.rotation = quat_to_rotation(s.unit_quat);
+    s.scale = exp(clamp(g.log_scale, vec3<f32>(LOG_SCALE_LOW), vec3<f32>(LOG_SCALE_HIGH)));
+    let rotated = scaled_columns(s.rotation, s.scale);
+    s.covariance = rotated * transpose(rotated);
+    s.opacity = sigmoid(g.logit);
+    return s;
+}
+
+fn scaled_columns(m: mat3x3<f32>, s: vec3<f32>) -> mat3x3<f32> {
+    return mat3x3<f32>(m[0] * s.x, m[1] * s.y, m[2] * s.z);
+}
+
+fn project_shape(mean: vec3<f32>, shape: Shape, camera: CameraUniform) -> Projection {
     var p: Projection;
     p.usable = false;
     p.to_camera = world_rotation(camera);
-    p.point = p.to_camera * g.mean + vec3<f32>(camera.row_x.w, camera.row_y.w, camera.row_z.w);
-    if (!geometry_usable(g) || p.point.z < camera.near) {
+    p.point = p.to_camera * mean + vec3<f32>(camera.row_x.w, camera.row_y.w, camera.row_z.w);
+    if (p.point.z < camera.near) {
         return p;
     }
     let inverse = 1.0 / p.point.z;
@@ -94,16 +115,9 @@ fn project_geometry(g: Geometry, camera: CameraUniform) -> Projection {
         vec3<f32>(-camera.focal * p.slope * inverse, 0.0),
     );
     p.linear = jacobian * p.to_camera;
-    p.quat_norm = length(g.quat);
-    p.unit_quat = g.quat / p.quat_norm;
-    p.rotation = quat_to_rotation(p.unit_quat);
-    p.scale = exp(clamp(g.log_scale, vec3<f32>(LOG_SCALE_LOW), vec3<f32>(LOG_SCALE_HIGH)));
-    let rotated = mat3x3<f32>(p.rotation[0] * p.scale.x, p.rotation[1] * p.scale.y, p.rotation[2] * p.scale.z);
-    p.covariance = rotated * transpose(rotated);
-    let projected = p.linear * p.covariance * transpose(p.linear);
+    let projected = p.linear * shape.covariance * transpose(p.linear);
     p.flat = vec3<f32>(projected[0].x + LOW_PASS, projected[0].y, projected[1].y + LOW_PASS);
     p.determinant = p.flat.x * p.flat.z - p.flat.y * p.flat.y;
-    p.opacity = sigmoid(g.logit);
     p.usable = is_finite(p.determinant) && p.determinant > DETERMINANT_GUARD && is_finite3(p.flat);
     return p;
 }

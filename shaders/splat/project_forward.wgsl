@@ -31,9 +31,9 @@ fn colour_of(i: u32, mean: vec3<f32>) -> vec3<f32> {
     let offset = mean - camera.position.xyz;
     var basis = sh_basis(offset / max(length(offset), 1e-12));
     var colour = vec3<f32>(0.5);
-    let active = min(sh_count(camera.sh_degree), camera.coefficients);
+    let used = min(sh_count(camera.sh_degree), camera.coefficients);
     var at = i * camera.coefficients * 3u;
-    for (var k = 0u; k < active; k++) {
+    for (var k = 0u; k < used; k++) {
         colour += basis[k] * vec3<f32>(sh[at], sh[at + 1u], sh[at + 2u]);
         at += 3u;
     }
@@ -65,14 +65,18 @@ fn main(
     tile_counts[i] = 0u;
     depth_keys[i] = 0xffffffffu;
     let g = load_geometry(i);
-    let p = project_geometry(g, camera);
-    let limit = exponent_limit(p.opacity);
+    if (!geometry_usable(g)) {
+        return;
+    }
+    let shape = shape_of(g);
+    let p = project_shape(g.mean, shape, camera);
+    let limit = exponent_limit(shape.opacity);
     if (!p.usable || limit < 0.0) {
         return;
     }
     let mean = camera.focal * p.point.xy / p.point.z + camera.centre;
     let conic = vec3<f32>(p.flat.z, -p.flat.y, p.flat.x) / p.determinant;
-    let extent = splat_extent(p.flat.xz, p.opacity);
+    let extent = splat_extent(p.flat.xz, shape.opacity);
     let colour = colour_of(i, g.mean);
     if (!is_finite3(colour) || !is_finite3(conic) || !is_finite(mean.x + mean.y + extent.x + extent.y)) {
         return;
@@ -82,7 +86,7 @@ fn main(
         return;
     }
     projected[3u * i] = vec4<f32>(mean, conic.xy);
-    projected[3u * i + 1u] = vec4<f32>(conic.z, p.opacity, colour.xy);
+    projected[3u * i + 1u] = vec4<f32>(conic.z, shape.opacity, colour.xy);
     projected[3u * i + 2u] = vec4<f32>(colour.z, p.point.z, extent);
     tile_counts[i] = count;
     depth_keys[i] = bitcast<u32>(p.point.z);

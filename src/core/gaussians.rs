@@ -1,5 +1,7 @@
 //! The scene: 3D Gaussians as a structure of arrays, in the parameterisation that is trained.
 
+pub mod ply;
+
 /// N Gaussians. Every array holds N rows, row-major.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Gaussians {
@@ -32,5 +34,47 @@ impl Gaussians {
     /// Coefficients per colour channel: (degree + 1)^2.
     pub fn coefficients(&self) -> usize {
         ((self.sh_degree + 1) * (self.sh_degree + 1)) as usize
+    }
+
+    /// Whether every number of the `index`-th is finite and its quaternion has a direction.
+    pub fn is_usable(&self, index: usize) -> bool {
+        let row = 3 * self.coefficients();
+        let quat = self.quats[index];
+        let head = self.means[index].iter().chain(&self.log_scales[index]).chain(&quat);
+        let finite = head.chain([&self.opacity_logits[index]]).all(|v| v.is_finite());
+        let sh = &self.sh[index * row..(index + 1) * row];
+        finite && sh.iter().all(|v| v.is_finite()) && quat.iter().map(|v| v * v).sum::<f32>() >= 1e-8
+    }
+
+    /// The Gaussians at `indices`, in that order.
+    pub fn select(&self, indices: &[usize]) -> Self {
+        let row = 3 * self.coefficients();
+        Self {
+            means: indices.iter().map(|&i| self.means[i]).collect(),
+            quats: indices.iter().map(|&i| self.quats[i]).collect(),
+            log_scales: indices.iter().map(|&i| self.log_scales[i]).collect(),
+            opacity_logits: indices.iter().map(|&i| self.opacity_logits[i]).collect(),
+            sh: indices.iter().flat_map(|&i| &self.sh[i * row..(i + 1) * row]).copied().collect(),
+            sh_degree: self.sh_degree,
+        }
+    }
+
+    /// The same Gaussians without those that are not [usable](Self::is_usable).
+    #[must_use]
+    pub fn without_unusable(&self) -> Self {
+        let kept: Vec<_> = (0..self.len()).filter(|&i| self.is_usable(i)).collect();
+        self.select(&kept)
+    }
+
+    /// The same Gaussians with harmonics of `degree`: cut off, or filled up with zeros.
+    #[must_use]
+    pub fn with_sh_degree(&self, degree: u32) -> Self {
+        let (from, to) = (3 * self.coefficients(), 3 * ((degree + 1) * (degree + 1)) as usize);
+        let mut sh = vec![0.0; self.len() * to];
+        for (source, target) in self.sh.chunks_exact(from).zip(sh.chunks_exact_mut(to)) {
+            let shared = from.min(to);
+            target[..shared].copy_from_slice(&source[..shared]);
+        }
+        Self { sh, sh_degree: degree, ..self.clone() }
     }
 }

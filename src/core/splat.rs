@@ -1,5 +1,8 @@
 //! Splatting: from Gaussians and a camera to an image, and the gradients back.
 
+#[cfg(test)]
+pub(crate) mod fixtures;
+pub mod project;
 pub mod reference;
 pub mod sort;
 pub mod uniform;

@@ -1,0 +1,185 @@
+//! A training round, frozen: what is needed to go on as if nothing had happened.
+
+use bytemuck::{Pod, Zeroable};
+
+/// First bytes of a checkpoint.
+const MAGIC: [u8; 8] = *b"fledckpt";
+/// Raised whenever the layout or the meaning changes.
+const VERSION: u32 = 1;
+
+/// Bytes that are no checkpoint of this version.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("checkpoint: {0}")]
+pub struct CheckpointError(pub String);
+
+/// The state of a round before the step `step`. Random numbers are functions of seed and step, so
+/// there is no generator to keep.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Checkpoint {
+    /// Identifies the plan: seed, steps and the options of the round.
+    pub fingerprint: u64,
+    /// Next step, 0-based.
+    pub step: u32,
+    /// Gaussians at the start of the round.
+    pub start_count: u32,
+    /// Degree of the harmonics that is allocated.
+    pub sh_degree: u32,
+    /// Slots of the intersection buffers.
+    pub intersections: u32,
+    /// Non-finite gradients dropped so far.
+    pub non_finite: u32,
+    /// Rows of geometry, [count, 12].
+    pub geometry: Vec<f32>,
+    /// Adam's moments of the geometry, [count, 2, 12].
+    pub geometry_moments: Vec<f32>,
+    /// Harmonics, [count, coefficients, 3].
+    pub sh: Vec<f32>,
+    /// Adam's moments of the harmonics.
+    pub sh_moments: Vec<f32>,
+    /// The noise field's parameters and moments as it serialises them; empty without one.
+    pub noise: Vec<f32>,
+}
+
+#[repr(C)]
+#[derive(Clone, Copy, Pod, Zeroable)]
+struct Header {
+    magic: [u8; 8],
+    fingerprint: u64,
+    version: u32,
+    step: u32,
+    start_count: u32,
+    sh_degree: u32,
+    intersections: u32,
+    non_finite: u32,
+    lengths: [u64; 5],
+}
+
+impl Checkpoint {
+    /// Number of Gaussians.
+    pub fn count(&self) -> usize {
+        self.geometry.len() / crate::splat::project::GEOMETRY_ROW
+    }
+
+    /// The checkpoint as bytes: a header, then the arrays, little endian.
+    pub fn to_bytes(&self) -> Vec<u8> {
+        let arrays = self.arrays();
+        let header = Header {
+            magic: MAGIC,
+            fingerprint: self.fingerprint,
+            version: VERSION,
+            step: self.step,
+            start_count: self.start_count,
+            sh_degree: self.sh_degree,
+            intersections: self.intersections,
+            non_finite: self.non_finite,
+            lengths: arrays.map(|a| a.len() as u64),
+        };
+        let mut bytes = bytemuck::bytes_of(&header).to_vec();
+        for array in arrays {
+            bytes.extend_from_slice(bytemuck::cast_slice(array));
+        }
+        let hash = blake3::hash(&bytes);
+        bytes.extend_from_slice(hash.as_bytes());
+        bytes
+    }
+
+    fn arrays(&self) -> [&[f32]; 5] {
+        [&self.geometry, &self.geometry_moments, &self.sh, &self.sh_moments, &self.noise]
+    }
+
+    /// The inverse of [`Checkpoint::to_bytes`].
+    ///
+    /// # Errors
+    /// [`CheckpointError`] for bytes that are truncated, changed, or of another version.
+    pub fn from_bytes(bytes: &[u8]) -> Result<Self, CheckpointError> {
+        let fault = |message: &str| CheckpointError(message.to_owned());
+        let size = size_of::<Header>();
+        let body = bytes.len().checked_sub(32).filter(|n| *n >= size).ok_or_else(|| fault("too short"))?;
+        let (content, hash) = bytes.split_at(body);
+        let header: Header = bytemuck::pod_read_unaligned(&content[..size]);
+        if header.magic != MAGIC {
+            return Err(fault("not a checkpoint"));
+        }
+        if header.version != VERSION {
+            return Err(CheckpointError(format!("version {}, this program reads {VERSION}", header.version)));
+        }
+        if blake3::hash(content).as_bytes() != hash {
+            return Err(fault("damaged"));
+        }
+        let mut rest = &content[size..];
+        let mut arrays = [const { Vec::new() }; 5];
+        for (array, length) in arrays.iter_mut().zip(header.lengths) {
+            let length = usize::try_from(length).ok().and_then(|n| n.checked_mul(4)).unwrap_or(usize::MAX);
+            let (values, tail) = rest.split_at_checked(length).ok_or_else(|| fault("truncated"))?;
+            *array = bytemuck::pod_collect_to_vec(values);
+            rest = tail;
+        }
+        let [geometry, geometry_moments, sh, sh_moments, noise] = arrays;
+        let out = Self {
+            fingerprint: header.fingerprint,
+            step: header.step,
+            start_count: header.start_count,
+            sh_degree: header.sh_degree,
+            intersections: header.intersections,
+            non_finite: header.non_finite,
+            geometry,
+            geometry_moments,
+            sh,
+            sh_moments,
+            noise,
+        };
+        if out.consistent() { Ok(out) } else { Err(fault("its arrays do not fit together")) }
+    }
+
+    fn consistent(&self) -> bool {
+        let coefficients = (self.sh_degree.min(3) + 1).pow(2) as usize;
+        let n = self.count();
+        let expected = [12 * n, 24 * n, 3 * coefficients * n, 6 * coefficients * n];
+        let found = [&self.geometry, &self.geometry_moments, &self.sh, &self.sh_moments].map(Vec::len);
+        self.sh_degree <= 3 && expected == found
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn checkpoint() -> Checkpoint {
+        let ramp = |n: usize| (0..n).map(|i| i as f32 * 0.5 - 3.0).collect::<Vec<_>>();
+        Checkpoint {
+            fingerprint: 77,
+            step: 120,
+            start_count: 2,
+            sh_degree: 1,
+            intersections: 4_000,
+            non_finite: 1,
+            geometry: ramp(36),
+            geometry_moments: ramp(72),
+            sh: ramp(36),
+            sh_moments: ramp(72),
+            noise: ramp(5),
+        }
+    }
+
+    #[test]
+    fn a_checkpoint_round_trips_bit_for_bit() {
+        assert_eq!(Checkpoint::from_bytes(&checkpoint().to_bytes()), Ok(checkpoint()));
+    }
+
+    #[test]
+    fn a_truncated_damaged_or_foreign_checkpoint_is_refused() {
+        let bytes = checkpoint().to_bytes();
+        let refused = |bytes: &[u8]| Checkpoint::from_bytes(bytes).expect_err("refused").0;
+        assert_eq!(refused(&bytes[..20]), "too short");
+        assert_eq!(refused(&bytes[..bytes.len() - 4]), "damaged");
+        let mut changed = bytes.clone();
+        changed[200] ^= 1;
+        assert_eq!(refused(&changed), "damaged");
+        let mut newer = bytes.clone();
+        newer[16] += 1;
+        assert!(refused(&newer).starts_with("version 2"));
+        assert_eq!(refused(&[0; 200]), "not a checkpoint");
+        let odd = Checkpoint { sh_degree: 2, ..checkpoint() };
+        assert_eq!(refused(&odd.to_bytes()), "its arrays do not fit together");
+    }
+}

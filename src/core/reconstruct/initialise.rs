@@ -1,0 +1,217 @@
+//! The scene before the first step: Gaussians from the sparse points, and random ones where there are few.
+
+use glam::{DVec2, DVec3};
+use rand::seq::SliceRandom;
+use rand::{Rng, RngExt};
+use rayon::prelude::*;
+
+use super::schedule::Schedule;
+use crate::camera::Camera;
+use crate::gaussians::Gaussians;
+
+/// A sparse point: position in world units, sRGB colour.
+pub type Point = ([f32; 3], [u8; 3]);
+
+/// With fewer points than this, random ones are added.
+const ENOUGH_POINTS: usize = 20_000;
+/// Opacity at the start: a logit of 0.
+const OPACITY_LOGIT: f32 = 0.0;
+/// Scales are at least this share of the extent.
+const SCALE_FLOOR: f64 = 1e-7;
+/// And at most this: a point far from all others must not cover the scene.
+const SCALE_CEILING: f64 = 0.1;
+/// Constant harmonic.
+const SH0: f32 = 0.282_094_8;
+
+/// Length that rates and noise are measured in: max(1.1 x radius of the cameras, 0.25 x median depth
+/// of the points), world units. 1 when there is nothing to measure.
+pub fn scene_extent(cameras: &[Camera], points: &[Point]) -> f64 {
+    let radius = camera_radius(cameras);
+    let depths = visible_depths(cameras, points);
+    let median = depths.get(depths.len() / 2).copied().unwrap_or(0.0);
+    let extent = (1.1 * radius).max(0.25 * median);
+    if extent > 0.0 { extent } else { 1.0 }
+}
+
+fn camera_radius(cameras: &[Camera]) -> f64 {
+    let centres: Vec<_> = cameras.iter().map(Camera::centre).collect();
+    let mean = centres.iter().sum::<DVec3>() / centres.len().max(1) as f64;
+    centres.iter().map(|c| c.distance(mean)).fold(0.0, f64::max)
+}
+
+/// Depths of the points in the images that show them, sorted.
+fn visible_depths(cameras: &[Camera], points: &[Point]) -> Vec<f64> {
+    let mut depths = Vec::new();
+    for camera in cameras {
+        let size = DVec2::new(camera.intrinsics.width as f64, camera.intrinsics.height as f64);
+        let inside = |pixel: DVec2| pixel.cmpge(DVec2::ZERO).all() && pixel.cmplt(size).all();
+        let seen = points.iter().filter_map(|(p, _)| camera.project(DVec3::from(p.map(f64::from))));
+        depths.extend(seen.filter(|(pixel, _)| inside(*pixel)).map(|(_, depth)| depth));
+    }
+    depths.sort_by(f64::total_cmp);
+    depths
+}
+
+/// Gaussians of degree `schedule.sh_degree` at `points`: scale from the three nearest neighbours, opacity 0.5, the
+/// point's colour. Below 20,000 points, random ones are added in the cameras' frusta between the 5th and 95th
+/// percentile of depth; never more than `cap` in all. Points that are not finite are left out.
+pub fn initialise(points: &[Point], cameras: &[Camera], cap: usize, schedule: &Schedule) -> Gaussians {
+    let mut random = schedule.generator(3, 0);
+    let finite = |p: &&Point| p.0.iter().all(|v| v.is_finite());
+    let mut all: Vec<Point> = points.iter().filter(finite).copied().collect();
+    all.shuffle(&mut random);
+    all.truncate(cap);
+    let extent = scene_extent(cameras, &all);
+    // Half of the cap is left for growth to where the error is.
+    let wanted = ENOUGH_POINTS.min((cap / 2).max(all.len()));
+    let missing = wanted.saturating_sub(all.len());
+    all.extend(random_points(&all, cameras, missing, &mut random));
+    let (low, high) = (SCALE_FLOOR * extent, SCALE_CEILING * extent);
+    let log_scales = neighbour_distances(&all).into_iter().map(|d| [d.clamp(low, high).ln() as f32; 3]);
+    let flat = Gaussians {
+        means: all.iter().map(|(p, _)| *p).collect(),
+        quats: vec![[1.0, 0.0, 0.0, 0.0]; all.len()],
+        log_scales: log_scales.collect(),
+        opacity_logits: vec![OPACITY_LOGIT; all.len()],
+        sh: all.iter().flat_map(|(_, c)| c.map(|v| (f32::from(v) / 255.0 - 0.5) / SH0)).collect(),
+        sh_degree: 0,
+    };
+    flat.with_sh_degree(schedule.sh_degree)
+}
+
+/// Points uniform over the images and in inverse depth, coloured like their nearest sparse point.
+fn random_points(known: &[Point], cameras: &[Camera], count: usize, random: &mut impl Rng) -> Vec<Point> {
+    if cameras.is_empty() {
+        return Vec::new();
+    }
+    let (near, far) = depth_range(known, cameras);
+    let places: Vec<_> = (0..count)
+        .map(|_| {
+            let camera = &cameras[random.random_range(0..cameras.len())];
+            let k = &camera.intrinsics;
+            let pixel = [random.random::<f64>() * k.width as f64, random.random::<f64>() * k.height as f64];
+            let share: f64 = random.random();
+            let depth = 1.0 / (share / near + (1.0 - share) / far);
+            let ray = DVec3::new((pixel[0] - k.cx) / k.fx, (pixel[1] - k.cy) / k.fy, 1.0);
+            (camera.rotation().transpose() * (ray * depth - camera.translation())).as_vec3().to_array()
+        })
+        .collect();
+    let colour = |p: &[f32; 3]| {
+        let nearest = known.iter().min_by(|a, b| squared(&a.0, p).total_cmp(&squared(&b.0, p)));
+        nearest.map_or([128; 3], |(_, colour)| *colour)
+    };
+    places.par_iter().map(|p| (*p, colour(p))).collect()
+}
+
+fn depth_range(known: &[Point], cameras: &[Camera]) -> (f64, f64) {
+    let depths = visible_depths(cameras, known);
+    if depths.is_empty() {
+        // Nothing is known but the cameras: they usually stand about as far apart as from the scene.
+        let radius = camera_radius(cameras).max(1e-3);
+        return (0.5 * radius, 5.0 * radius);
+    }
+    let at = |share: f64| depths[((depths.len() - 1) as f64 * share) as usize];
+    (at(0.05), at(0.95).max(at(0.05) * 1.01))
+}
+
+fn squared(a: &[f32; 3], b: &[f32; 3]) -> f32 {
+    (0..3).map(|n| (a[n] - b[n]) * (a[n] - b[n])).sum()
+}
+
+/// Mean distance of every point to its three nearest neighbours; infinite for a lone point.
+fn neighbour_distances(points: &[Point]) -> Vec<f64> {
+    let mut order: Vec<_> = (0..points.len()).collect();
+    order.sort_by(|&a, &b| points[a].0[0].total_cmp(&points[b].0[0]).then(a.cmp(&b)));
+    let by_rank: Vec<_> =
+        (0..order.len()).into_par_iter().map(|rank| nearest_three(points, &order, rank)).collect();
+    let mut out = vec![0.0; points.len()];
+    for (&index, distance) in order.iter().zip(by_rank) {
+        out[index] = distance;
+    }
+    out
+}
+
+/// Walks away from `rank` along x until no nearer point can come.
+fn nearest_three(points: &[Point], order: &[usize], rank: usize) -> f64 {
+    let here = &points[order[rank]].0;
+    let mut best = [f32::INFINITY; 3];
+    let mut visit = |index: usize| {
+        let place = &points[index].0;
+        let along = place[0] - here[0];
+        if along * along > best[2] {
+            return false;
+        }
+        let distance = squared(place, here);
+        if distance < best[2] {
+            best[2] = distance;
+            best.sort_by(f32::total_cmp);
+        }
+        true
+    };
+    for &index in &order[rank + 1..] {
+        if !visit(index) {
+            break;
+        }
+    }
+    for &index in order[..rank].iter().rev() {
+        if !visit(index) {
+            break;
+        }
+    }
+    let found: Vec<_> = best.into_iter().filter(|d| d.is_finite()).map(|d| f64::from(d).sqrt()).collect();
+    if found.is_empty() { f64::INFINITY } else { found.iter().sum::<f64>() / found.len() as f64 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::splat::fixtures::{Random, viewpoint};
+
+    const PLAN: Schedule = Schedule { steps: 100, sh_degree: 2, resolution: false, warm: false, seed: 1 };
+
+    fn points(count: usize) -> Vec<Point> {
+        let mut random = Random::new(4);
+        (0..count).map(|n| ([0; 3].map(|_| random.signed() as f32), [n as u8, 2, 3])).collect()
+    }
+
+    #[test]
+    fn neighbour_distances_equal_brute_force() {
+        let points = points(300);
+        for (i, found) in neighbour_distances(&points).into_iter().enumerate() {
+            let others = points.iter().enumerate().filter(|(j, _)| *j != i);
+            let mut all: Vec<_> =
+                others.map(|(_, p)| f64::from(squared(&p.0, &points[i].0)).sqrt()).collect();
+            all.sort_by(f64::total_cmp);
+            assert!((found - all[..3].iter().sum::<f64>() / 3.0).abs() < 1e-6);
+        }
+    }
+
+    #[test]
+    fn few_points_are_filled_up_in_front_of_the_cameras_and_many_are_cut_to_the_cap() {
+        let camera = viewpoint(80, 60).camera;
+        let few = initialise(&points(50), &[camera], 400, &PLAN);
+        assert_eq!((few.len(), few.sh_degree, few.sh.len()), (200, 2, 200 * 27));
+        let seen = |mean: &[f32; 3]| camera.project(DVec3::from(mean.map(f64::from))).is_some();
+        assert!(few.means[50..].iter().all(seen));
+        assert_eq!(initialise(&points(500), &[camera], 400, &PLAN).len(), 400);
+        assert!((0..200).all(|i| few.is_usable(i)));
+        assert_eq!(few, initialise(&points(50), &[camera], 400, &PLAN));
+    }
+
+    #[test]
+    fn without_points_the_cameras_alone_decide() {
+        let camera = viewpoint(80, 60).camera;
+        assert_eq!(initialise(&[], &[camera], 40, &PLAN).len(), 20);
+        assert!(initialise(&[], &[], 40, &PLAN).is_empty());
+        assert_eq!(scene_extent(&[camera], &[]), 1.0);
+        let poisoned = [([f32::NAN, 0.0, 0.0], [0; 3])];
+        assert!((0..20).all(|i| initialise(&poisoned, &[camera], 40, &PLAN).is_usable(i)));
+    }
+
+    #[test]
+    fn colours_come_back_from_the_constant_harmonic() {
+        let scene = initialise(&[([0.0; 3], [255, 51, 0])], &[], 10, &PLAN);
+        let colour = [0, 1, 2].map(|c| 0.5 + SH0 * scene.sh[c]);
+        assert!(colour.iter().zip([1.0, 0.2, 0.0]).all(|(a, b)| (a - b).abs() < 1e-6));
+    }
+}

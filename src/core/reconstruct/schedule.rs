@@ -1,0 +1,152 @@
+//! What changes over a round: resolution, degree, rates, densification, and the order of the views.
+
+use rand::SeedableRng;
+use rand::seq::SliceRandom;
+use rand_pcg::Pcg64;
+
+/// Share of the steps at a quarter of the resolution.
+const QUARTER_SHARE: f64 = 0.1;
+/// Share of the steps after which the resolution is full.
+const FULL_FROM: f64 = 0.3;
+/// Smaller images are not reduced: SSIM's window of 11 px would see nothing of them.
+const SMALLEST_SIDE: usize = 32;
+/// Rate of the means at the start and the end of a round, world units a step at extent 1.
+const MEANS_RATES: (f64, f64) = (1.6e-4, 1.6e-6);
+/// Warm rounds move the means by this share of the usual rate.
+const WARM_MEANS: f64 = 0.3;
+/// Densification runs between these shares of the round.
+const DENSIFY: (f64, f64) = (0.05, 0.8);
+/// Exploration noise stops at this share of the round.
+const NOISE_END: f64 = 0.9;
+
+/// The plan of one round: pure functions of the step, so a resumed round goes on as if undisturbed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Schedule {
+    /// Steps of the round.
+    pub steps: u32,
+    /// Degree of the harmonics at the end.
+    pub sh_degree: u32,
+    /// Whether the resolution grows.
+    pub resolution: bool,
+    /// Whether the round starts from a trained scene.
+    pub warm: bool,
+    /// Seed of everything random.
+    pub seed: u64,
+}
+
+impl Schedule {
+    fn share(&self, step: u32) -> f64 {
+        f64::from(step) / f64::from(self.steps.max(1))
+    }
+
+    /// By how much the images are reduced at `step` (0-based): 4, 2 or 1.
+    pub fn divisor(&self, step: u32) -> usize {
+        let share = self.share(step);
+        match share {
+            _ if !self.resolution => 1,
+            s if s < QUARTER_SHARE => 4,
+            s if s < FULL_FROM => 2,
+            _ => 1,
+        }
+    }
+
+    /// Active degree at `step`: one more every tenth of the round; all of them in a warm round.
+    pub fn degree(&self, step: u32) -> u32 {
+        if self.warm {
+            return self.sh_degree;
+        }
+        self.sh_degree.min((self.share(step) * 10.0) as u32)
+    }
+
+    /// Rate of the means at `step` for a scene of extent 1: exponential decay over the round.
+    pub fn means_rate(&self, step: u32) -> f64 {
+        let (start, end) = MEANS_RATES;
+        let rate = start * (end / start).powf(self.share(step));
+        if self.warm { rate * WARM_MEANS } else { rate }
+    }
+
+    /// Whether the means explore at `step`.
+    pub fn explores(&self, step: u32) -> bool {
+        self.share(step) < NOISE_END
+    }
+
+    /// Steps between densifications. Differs from splat.md (100): a round of few steps would see too few.
+    pub fn densify_interval(&self) -> u32 {
+        (self.steps / 20).clamp(10, 100)
+    }
+
+    /// Whether Gaussians are relocated before `step`.
+    pub fn densifies(&self, step: u32) -> bool {
+        let share = self.share(step);
+        step.is_multiple_of(self.densify_interval()) && share >= DENSIFY.0 && share < DENSIFY.1
+    }
+
+    /// Densifications of the whole round.
+    pub fn densifications(&self) -> u32 {
+        (0..self.steps).step_by(self.densify_interval() as usize).filter(|&s| self.densifies(s)).count()
+            as u32
+    }
+
+    /// The view of `step` among `views`: every view once an epoch, in an order drawn for that epoch.
+    pub fn view(&self, step: u32, views: usize) -> usize {
+        let (epoch, place) = (step as usize / views, step as usize % views);
+        let mut order: Vec<_> = (0..views).collect();
+        order.shuffle(&mut self.generator(1, epoch as u64));
+        order[place]
+    }
+
+    /// A generator for one purpose and moment, independent of all others.
+    pub fn generator(&self, purpose: u64, moment: u64) -> Pcg64 {
+        let mixed = self.seed ^ purpose.wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ moment.rotate_left(32);
+        Pcg64::seed_from_u64(mixed)
+    }
+}
+
+/// The size of an image of `width` x `height` reduced by `divisor`, rounded up.
+pub fn reduced_size(width: usize, height: usize, divisor: usize) -> (usize, usize) {
+    let side = width.min(height);
+    let fitting =
+        (1..=divisor).rev().find(|d| divisor.is_multiple_of(*d) && side / d >= SMALLEST_SIDE).unwrap_or(1);
+    (width.div_ceil(fitting), height.div_ceil(fitting))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const PLAN: Schedule = Schedule { steps: 1_000, sh_degree: 3, resolution: true, warm: false, seed: 7 };
+
+    #[test]
+    fn resolution_and_degree_grow_at_the_stated_shares() {
+        let divisors = [0, 99, 100, 299, 300, 999].map(|step| PLAN.divisor(step));
+        assert_eq!(divisors, [4, 4, 2, 2, 1, 1]);
+        assert_eq!([0, 99, 100, 200, 300, 999].map(|step| PLAN.degree(step)), [0, 0, 1, 2, 3, 3]);
+        assert_eq!(Schedule { warm: true, ..PLAN }.degree(0), 3);
+        assert_eq!(reduced_size(281, 161, 4), (71, 41));
+        assert_eq!(reduced_size(80, 70, 4), (40, 35));
+    }
+
+    #[test]
+    fn the_rate_of_the_means_falls_a_hundredfold_over_the_rounds_own_length() {
+        assert!((PLAN.means_rate(0) - 1.6e-4).abs() < 1e-12);
+        assert!((PLAN.means_rate(1_000) - 1.6e-6).abs() < 1e-12);
+        assert!((Schedule { warm: true, ..PLAN }.means_rate(0) - 0.48e-4).abs() < 1e-12);
+    }
+
+    #[test]
+    fn an_epoch_shows_every_view_once_and_epochs_differ() {
+        let epoch = |n: u32| (0..9).map(|i| PLAN.view(9 * n + i, 9)).collect::<Vec<_>>();
+        let mut sorted = epoch(0);
+        sorted.sort_unstable();
+        assert_eq!(sorted, (0..9).collect::<Vec<_>>());
+        assert_ne!(epoch(0), epoch(1));
+        assert_eq!(epoch(4), epoch(4));
+    }
+
+    #[test]
+    fn densification_keeps_to_its_window() {
+        assert_eq!(PLAN.densify_interval(), 50);
+        assert!(!PLAN.densifies(0) && PLAN.densifies(50) && !PLAN.densifies(51) && !PLAN.densifies(800));
+        assert_eq!(PLAN.densifications(), 15);
+    }
+}

@@ -1,0 +1,258 @@
+//! The Gaussians on the device and their projection.
+
+use fled_gpu::{Buffer, Gpu, GpuError, Kernel, Recorder, read, read_write, uniform};
+
+use super::uniform::CameraUniform;
+use crate::gaussians::Gaussians;
+
+/// Floats of a row of `geometry`: mean, log-scale, quaternion w x y z, opacity logit, padding.
+pub const GEOMETRY_ROW: usize = 12;
+
+/// Projects every Gaussian and counts its tiles.
+pub const PROJECT_FORWARD: Kernel = Kernel::new(
+    "splat/project_forward",
+    &[
+        uniform("camera"),
+        read("geometry"),
+        read("sh"),
+        read_write("projected"),
+        read_write("tile_counts"),
+        read_write("depth_keys"),
+    ],
+);
+
+/// Gaussians on the device with room for more.
+#[derive(Clone)]
+pub struct DeviceGaussians {
+    /// [capacity, 12].
+    pub geometry: Buffer<f32>,
+    /// [capacity, coefficients, 3].
+    pub sh: Buffer<f32>,
+    /// Rows that the buffers hold.
+    pub capacity: usize,
+    /// Rows in use.
+    pub count: usize,
+    /// Allocated degree of the harmonics.
+    pub sh_degree: u32,
+}
+
+impl DeviceGaussians {
+    /// Uploads `gaussians` into buffers for `capacity` rows, at least as many as there are.
+    ///
+    /// # Errors
+    /// Out of memory, or above what the adapter binds.
+    pub fn upload(gpu: &Gpu, gaussians: &Gaussians, capacity: usize) -> Result<Self, GpuError> {
+        let capacity = capacity.max(gaussians.len());
+        let row = 3 * gaussians.coefficients();
+        let out = Self {
+            geometry: gpu.create("geometry", capacity * GEOMETRY_ROW)?,
+            sh: gpu.create("sh", capacity * row)?,
+            capacity,
+            count: gaussians.len(),
+            sh_degree: gaussians.sh_degree,
+        };
+        out.geometry.write(pack_geometry(gaussians).as_flattened())?;
+        out.sh.write(&gaussians.sh)?;
+        Ok(out)
+    }
+
+    /// Reads the Gaussians in use back.
+    ///
+    /// # Errors
+    /// A device error.
+    pub fn download(&self) -> Result<Gaussians, GpuError> {
+        let coefficients = ((self.sh_degree + 1) * (self.sh_degree + 1)) as usize;
+        let geometry = self.geometry.start_read(self.count * GEOMETRY_ROW)?.wait()?;
+        let sh = self.sh.start_read(self.count * coefficients * 3)?.wait()?;
+        let (rows, _) = geometry.as_chunks::<GEOMETRY_ROW>();
+        Ok(unpack_geometry(rows, sh, self.sh_degree))
+    }
+}
+
+/// Rows of `geometry`.
+pub fn pack_geometry(gaussians: &Gaussians) -> Vec<[f32; GEOMETRY_ROW]> {
+    let row = |i: usize| {
+        let ([x, y, z], [a, b, c]) = (gaussians.means[i], gaussians.log_scales[i]);
+        let [qw, qx, qy, qz] = gaussians.quats[i];
+        [x, y, z, a, b, c, qw, qx, qy, qz, gaussians.opacity_logits[i], 0.0]
+    };
+    (0..gaussians.len()).map(row).collect()
+}
+
+/// The inverse of [`pack_geometry`].
+pub fn unpack_geometry(rows: &[[f32; GEOMETRY_ROW]], sh: Vec<f32>, sh_degree: u32) -> Gaussians {
+    Gaussians {
+        means: rows.iter().map(|r| [r[0], r[1], r[2]]).collect(),
+        log_scales: rows.iter().map(|r| [r[3], r[4], r[5]]).collect(),
+        quats: rows.iter().map(|r| [r[6], r[7], r[8], r[9]]).collect(),
+        opacity_logits: rows.iter().map(|r| r[10]).collect(),
+        sh,
+        sh_degree,
+    }
+}
+
+/// What the projection writes, by Gaussian.
+#[derive(Clone)]
+pub struct Projection {
+    /// The camera; written before each use.
+    pub camera: Buffer<CameraUniform>,
+    /// [capacity, 3]: mean xy, conic ab | conic c, opacity, red, green | blue, depth, extent xy. Stale where
+    /// `tile_counts` is 0.
+    pub projected: Buffer<[f32; 4]>,
+    /// Tiles touched; 0 is culled, [capacity].
+    pub tile_counts: Buffer<u32>,
+    /// Bits of the depth; all ones when culled, [capacity].
+    pub depth_keys: Buffer<u32>,
+}
+
+impl Projection {
+    /// Buffers for `capacity` Gaussians.
+    ///
+    /// # Errors
+    /// Out of memory, or above what the adapter binds.
+    pub fn new(gpu: &Gpu, capacity: usize) -> Result<Self, GpuError> {
+        Ok(Self {
+            camera: gpu.create("camera", 1)?,
+            projected: gpu.create("projected", 3 * capacity)?,
+            tile_counts: gpu.create("tile counts", capacity)?,
+            depth_keys: gpu.create("depth keys", capacity)?,
+        })
+    }
+
+    /// Adds the projection of every row of `gaussians`; the kernel stops at the camera's count.
+    ///
+    /// # Errors
+    /// A shader or binding error.
+    pub fn record(&self, recorder: &mut Recorder, gaussians: &DeviceGaussians) -> Result<(), GpuError> {
+        recorder.dispatch_items(
+            &PROJECT_FORWARD,
+            &[
+                &self.camera,
+                &gaussians.geometry,
+                &gaussians.sh,
+                &self.projected,
+                &self.tile_counts,
+                &self.depth_keys,
+            ],
+            gaussians.capacity,
+        )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::splat::fixtures::{self, relative_l2};
+    use crate::splat::reference::{Projected, Splat, project};
+
+    fn run(gaussians: &Gaussians, camera: &CameraUniform) -> (Vec<[f32; 4]>, Vec<u32>, Vec<u32>) {
+        let gpu = fixtures::gpu();
+        let device = DeviceGaussians::upload(gpu, gaussians, 0).expect("uploaded");
+        let projection = Projection::new(gpu, gaussians.len()).expect("created");
+        projection.camera.write(&[*camera]).expect("written");
+        let mut recorder = gpu.recorder();
+        projection.record(&mut recorder, &device).expect("recorded");
+        recorder.submit().expect("submitted");
+        let read = (projection.projected.read(), projection.tile_counts.read(), projection.depth_keys.read());
+        (read.0.expect("read"), read.1.expect("read"), read.2.expect("read"))
+    }
+
+    fn flat(p: &Projected) -> [f64; 12] {
+        let ([x, y], [a, b, c], [red, green, blue]) = (p.mean, p.conic, p.colour);
+        [x, y, a, b, c, p.opacity, red, green, blue, p.depth, p.extent[0], p.extent[1]]
+    }
+
+    /// Tiles that hold a pixel which blending would touch, by looking at every pixel.
+    fn tiles_by_brute_force(p: &Projected, width: usize, height: usize) -> usize {
+        let mut tiles = std::collections::HashSet::new();
+        for pixel in 0..width * height {
+            let (x, y) = (pixel % width, pixel / width);
+            let (dx, dy) = (x as f64 + 0.5 - p.mean[0], y as f64 + 0.5 - p.mean[1]);
+            let [a, b, c] = p.conic;
+            let exponent = 0.5 * (a * dx * dx + c * dy * dy) + b * dx * dy;
+            if p.opacity * (-exponent).exp() >= 1.0 / 255.0 {
+                tiles.insert((x / 16, y / 16));
+            }
+        }
+        tiles.len()
+    }
+
+    #[test]
+    fn the_projection_equals_the_reference_and_loses_no_tile() {
+        let view = fixtures::viewpoint(144, 96);
+        let gaussians = fixtures::gaussians(400, 3, 17);
+        let camera = CameraUniform::new(&view.camera, 400, 3, 3, view.near as f32);
+        let (projected, counts, keys) = run(&gaussians, &camera);
+        let (mut visible, mut counted, mut needed) = (0, 0, 0);
+        for i in 0..gaussians.len() {
+            let Some(expected) = project(&Splat::from_gaussians(&gaussians, i), &view) else {
+                assert_eq!((counts[i], keys[i]), (0, u32::MAX), "{i} is culled");
+                continue;
+            };
+            let brute = tiles_by_brute_force(&expected, 144, 96);
+            assert!(counts[i] as usize >= brute, "{i} lost {brute} - {}", counts[i]);
+            (counted, needed) = (counted + counts[i] as usize, needed + brute);
+            if counts[i] == 0 {
+                continue;
+            }
+            visible += 1;
+            let row: Vec<_> = projected[3 * i..3 * i + 3].iter().flatten().map(|v| f64::from(*v)).collect();
+            assert_eq!(keys[i], (row[9] as f32).to_bits());
+            for (value, expected) in row.iter().zip(flat(&expected)) {
+                assert!((value - expected).abs() <= 2e-4 * (1.0 + expected.abs()), "{i}: {row:?} {expected}");
+            }
+        }
+        assert!(visible > 150, "{visible} visible");
+        // A tile may be counted for a position between its pixel centres: the test is over the box of centres.
+        assert!(counted as f64 <= 1.1 * needed as f64, "{counted} counted, {needed} needed");
+        assert!(relative_l2(&[1.0, 2.0], &[1.0, 2.5]) > 0.1);
+    }
+
+    #[test]
+    fn poisoned_gaussians_are_culled_on_the_device() {
+        let mut gaussians = fixtures::gaussians(7, 1, 3);
+        gaussians.means.fill([0.0; 3]);
+        gaussians.log_scales.fill([-2.0; 3]);
+        gaussians.opacity_logits.fill(2.0);
+        gaussians.means[0][1] = f32::NAN;
+        gaussians.quats[1] = [0.0; 4];
+        gaussians.log_scales[2] = [3e38; 3];
+        gaussians.sh[3 * 12 + 1] = f32::INFINITY;
+        gaussians.opacity_logits[4] = f32::NAN;
+        gaussians.means[5] = [0.0, 0.0, -50.0];
+        let view = fixtures::viewpoint(64, 48);
+        let (_, counts, keys) = run(&gaussians, &CameraUniform::new(&view.camera, 7, 1, 1, view.near as f32));
+        assert_eq!(counts[..6], [0; 6]);
+        assert_eq!(keys[..6], [u32::MAX; 6]);
+        assert!(counts[6] > 0);
+    }
+
+    #[test]
+    fn gaussians_survive_the_device_bit_for_bit() {
+        let gaussians = fixtures::gaussians(33, 2, 8);
+        let device = DeviceGaussians::upload(fixtures::gpu(), &gaussians, 50).expect("uploaded");
+        assert_eq!(device.download().expect("read"), gaussians);
+    }
+
+    #[test]
+    fn the_camera_has_the_layout_of_the_shader() {
+        let (_, found) = PROJECT_FORWARD.reflect().expect("valid");
+        let camera = found.structs.iter().find(|s| s.name == "CameraUniform").expect("declared");
+        let offsets: Vec<_> = camera.members.iter().map(|(name, at)| (name.as_str(), *at as usize)).collect();
+        let expected = [
+            ("row_x", std::mem::offset_of!(CameraUniform, row_x)),
+            ("row_y", std::mem::offset_of!(CameraUniform, row_y)),
+            ("row_z", std::mem::offset_of!(CameraUniform, row_z)),
+            ("focal", std::mem::offset_of!(CameraUniform, focal)),
+            ("centre", std::mem::offset_of!(CameraUniform, centre)),
+            ("size", std::mem::offset_of!(CameraUniform, size)),
+            ("tiles", std::mem::offset_of!(CameraUniform, tiles)),
+            ("position", std::mem::offset_of!(CameraUniform, position)),
+            ("sh_degree", std::mem::offset_of!(CameraUniform, sh_degree)),
+            ("count", std::mem::offset_of!(CameraUniform, count)),
+            ("near", std::mem::offset_of!(CameraUniform, near)),
+            ("coefficients", std::mem::offset_of!(CameraUniform, coefficients)),
+        ];
+        assert_eq!(offsets, expected);
+    }
+}
