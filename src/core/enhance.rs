@@ -1,1 +1,15 @@
-//! enhance
+//! Brightening: the tone curve E(I; alpha, gamma), the brightness of each round, and the search
+//! that maps a render to the next round's brightness.
+//!
+//! alpha is the clip limit of contrast-limited histogram equalisation with one tile on HSV's V,
+//! gamma an exponent on all channels: together one monotone table of 256 entries ([`ToneCurve`]).
+//! Always applied to the original dark images or to renders, in `f32`, never step upon step.
+
+mod anchors;
+mod curve;
+mod evolution;
+mod matching;
+
+pub use anchors::{AUTO_MEAN_V, Anchor, MAX_ALPHA, MIN_GAMMA, TargetError, anchors, resolve_target};
+pub use curve::{BINS, Histogram, ToneCurve};
+pub use matching::{Match, match_anchor, spread_indices};

@@ -1,0 +1,194 @@
+//! The brightness of each round: geometric steps to the target.
+
+use std::str::FromStr;
+
+use super::{Histogram, ToneCurve};
+
+/// Above this clip limit nothing changes any more; the paper's bound.
+pub const MAX_ALPHA: f64 = 15.0;
+
+/// The paper's lower bound of gamma.
+pub const MIN_GAMMA: f64 = 0.3;
+
+/// Mean of V that the `auto` target aims at, pooled over all views.
+pub const AUTO_MEAN_V: f64 = 0.45;
+
+/// P_0: nearly the identity, gain 1.12. 0.1 because 0 has no logarithm.
+const FIRST: Anchor = Anchor { alpha: 0.1, gamma: 1.0 };
+
+/// alpha of the `auto` target where gamma can do the rest.
+const AUTO_ALPHA: f64 = 10.0;
+
+/// Published (gamma, alpha) of the LuSh-NeRF scenes.
+const PRESETS: [(&str, f64, f64); 10] = [
+    ("plane", 0.8, 30.0),
+    ("poster", 1.0, 10.0),
+    ("sakura", 0.8, 15.0),
+    ("hall", 0.4, 3.0),
+    ("dorm", 0.8, 20.0),
+    ("campus", 0.4, 5.0),
+    ("car", 0.25, 0.0),
+    ("highway", 0.5, 10.0),
+    ("neighborhood", 0.5, 10.0),
+    ("signboard", 0.5, 10.0),
+];
+
+/// One brightness P = (alpha, gamma).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Anchor {
+    /// Clip limit of the equalisation; 0: no equalisation.
+    pub alpha: f64,
+    /// Exponent on all channels; below 1 brightens.
+    pub gamma: f64,
+}
+
+/// A target that cannot be read.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("target `{text}`: {reason}")]
+pub struct TargetError {
+    text: String,
+    reason: String,
+}
+
+/// P_1..P_N: `alpha_i = 0.1^(1-i/N) alpha_N^(i/N)`, `gamma_i = gamma_N^(i/N)`. Geometric, as that
+/// gives even steps of brightness. An alpha_N of 0 stays 0 in every round.
+///
+/// # Panics
+/// When `rounds` is 0: a fault of the caller.
+pub fn anchors(rounds: u32, target: Anchor) -> Vec<Anchor> {
+    assert!(rounds > 0, "at least one round");
+    (1..=rounds)
+        .map(|i| match i {
+            i if i == rounds => target,
+            i => {
+                let share = f64::from(i) / f64::from(rounds);
+                let alpha = FIRST.alpha.powf(1.0 - share) * target.alpha.powf(share);
+                Anchor { alpha, gamma: target.gamma.powf(share) }
+            }
+        })
+        .collect()
+}
+
+/// The target P_N of the option `target`: `auto`, `alpha,gamma`, or the name of a LuSh scene.
+/// `dark` is the pooled histogram of the dark originals.
+///
+/// # Errors
+/// [`TargetError`] when the text is none of these or out of range.
+pub fn resolve_target(target: &str, dark: &Histogram) -> Result<Anchor, TargetError> {
+    let text = target.trim();
+    if text.eq_ignore_ascii_case("auto") {
+        return Ok(automatic(dark));
+    }
+    text.parse()
+}
+
+impl FromStr for Anchor {
+    type Err = TargetError;
+
+    /// Reads `alpha,gamma` or a LuSh scene's name.
+    fn from_str(text: &str) -> Result<Self, TargetError> {
+        let fault = |reason: &str| TargetError { text: text.to_owned(), reason: reason.to_owned() };
+        if let Some(&(_, gamma, alpha)) = PRESETS.iter().find(|preset| preset.0.eq_ignore_ascii_case(text)) {
+            return Ok(Self { alpha, gamma });
+        }
+        let unreadable = || {
+            let names: Vec<_> = PRESETS.iter().map(|preset| preset.0).collect();
+            fault(&format!("expected `auto`, `alpha,gamma` such as `10,0.8`, or one of {}", names.join(", ")))
+        };
+        let (alpha, gamma) = text.split_once(',').ok_or_else(unreadable)?;
+        let number = |text: &str| text.trim().parse::<f64>().map_err(|_| unreadable());
+        let anchor = Self { alpha: number(alpha)?, gamma: number(gamma)? };
+        if !(0.0..=100.0).contains(&anchor.alpha) {
+            return Err(fault("alpha must be in 0..=100 (above 15 nothing changes)"));
+        }
+        if !(0.05..=4.0).contains(&anchor.gamma) {
+            return Err(fault("gamma must be in 0.05..=4"));
+        }
+        Ok(anchor)
+    }
+}
+
+/// alpha 10 and the gamma that brings the mean of V to [`AUTO_MEAN_V`]; where it lies above that
+/// at gamma 1 already, the alpha that brings it down, found on a geometric scale.
+fn automatic(dark: &Histogram) -> Anchor {
+    let mean = |anchor: Anchor| dark.mean_through(&ToneCurve::new(dark, anchor));
+    if mean(Anchor { alpha: AUTO_ALPHA, gamma: 1.0 }) <= AUTO_MEAN_V {
+        let at = |gamma| Anchor { alpha: AUTO_ALPHA, gamma };
+        return at(bisect(1.0, MIN_GAMMA, |gamma| mean(at(gamma)) <= AUTO_MEAN_V));
+    }
+    let at = |exponent: f64| Anchor { alpha: exponent.exp(), gamma: 1.0 };
+    at(bisect(FIRST.alpha.ln(), AUTO_ALPHA.ln(), |exponent| mean(at(exponent)) <= AUTO_MEAN_V))
+}
+
+/// The point between `holds` and `fails` where a condition that holds on the side of `holds`
+/// stops to hold; `fails` when it holds everywhere.
+fn bisect(mut holds: f64, mut fails: f64, condition: impl Fn(f64) -> bool) -> f64 {
+    if condition(fails) {
+        return fails;
+    }
+    for _ in 0..40 {
+        let middle = 0.5 * (holds + fails);
+        if condition(middle) {
+            holds = middle;
+        } else {
+            fails = middle;
+        }
+    }
+    holds
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::image::Image;
+
+    fn dark(level: f32) -> Histogram {
+        let data = (0..3 * 4096).map(|i| level * (((i * 7919) % 4099) as f32 / 4099.0).powi(2)).collect();
+        Histogram::of(&Image::from_planar(64, 64, data))
+    }
+
+    #[test]
+    fn two_rounds_to_ten_and_point_eight_pass_one_and_its_root() {
+        let steps = anchors(2, Anchor { alpha: 10.0, gamma: 0.8 });
+        assert!((steps[0].alpha - 1.0).abs() < 1e-12 && (steps[0].gamma - 0.8_f64.sqrt()).abs() < 1e-12);
+        assert_eq!(steps[1], Anchor { alpha: 10.0, gamma: 0.8 });
+    }
+
+    #[test]
+    fn a_target_without_equalisation_has_none_in_any_round() {
+        let steps = anchors(3, Anchor { alpha: 0.0, gamma: 0.25 });
+        assert!(steps.iter().all(|anchor| anchor.alpha == 0.0));
+        assert!((steps[0].gamma - 0.25_f64.powf(1.0 / 3.0)).abs() < 1e-12);
+    }
+
+    #[test]
+    fn the_automatic_target_brings_the_mean_to_its_aim() {
+        for level in [0.02, 0.05, 0.2, 0.6, 1.0] {
+            let histogram = dark(level);
+            let target = resolve_target("auto", &histogram).expect("auto");
+            let mean = histogram.mean_through(&ToneCurve::new(&histogram, target));
+            let bound = target.gamma == MIN_GAMMA || target.alpha < 0.101;
+            assert!(bound || (mean - AUTO_MEAN_V).abs() < 1e-3, "{level}: {target:?} gives {mean}");
+            assert!((MIN_GAMMA..=1.0).contains(&target.gamma) && target.alpha <= 10.0);
+        }
+    }
+
+    #[test]
+    fn pictures_that_are_bright_already_are_left_nearly_alone() {
+        let data = vec![0.8; 3 * 64];
+        let histogram = Histogram::of(&Image::from_planar(8, 8, data));
+        let target = resolve_target("auto", &histogram).expect("auto");
+        assert!(target.gamma == 1.0 && (target.alpha - 0.1).abs() < 1e-9, "{target:?}");
+    }
+
+    #[test]
+    fn targets_are_read_as_pairs_and_names_and_refused_with_the_known_ones() {
+        let histogram = dark(0.1);
+        assert_eq!(resolve_target("10, 0.8", &histogram), Ok(Anchor { alpha: 10.0, gamma: 0.8 }));
+        assert_eq!(resolve_target("Car", &histogram), Ok(Anchor { alpha: 0.0, gamma: 0.25 }));
+        for wrong in ["", "bright", "10", "10,0", "-1,0.5", "nan,1", "10,0.8,3"] {
+            assert!(resolve_target(wrong, &histogram).is_err(), "{wrong}");
+        }
+        assert!(resolve_target("bright", &histogram).expect_err("unknown").to_string().contains("sakura"));
+    }
+}
