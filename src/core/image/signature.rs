@@ -56,7 +56,6 @@ fn foreign(head: &[u8]) -> Option<Kind> {
 
 /// Whether a file of this name claims to be a picture: used to tell a broken photograph from a
 /// file that merely lies beside the photographs.
-#[expect(dead_code, reason = "the capture uses it next")]
 pub(crate) fn named_like_a_photograph(path: &Path) -> bool {
     let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default().to_ascii_lowercase();
     matches!(

@@ -1,0 +1,269 @@
+//! Unpacking a zip that may be hostile.
+//!
+//! Everything is checked on the central directory before a byte is written; then only what plays
+//! a role is unpacked, photographs under names of our own, so that no name of the archive ever
+//! becomes a path.
+
+use std::fs::{self, File};
+use std::io::{self, Read, Seek, SeekFrom};
+use std::path::{Path, PathBuf};
+
+use zip::CompressionMethod;
+use zip::read::{ZipArchive, ZipFile};
+use zip::result::ZipError;
+
+use crate::image::{MAX_FILE_BYTES, named_like_a_photograph};
+
+use super::CaptureError;
+use super::entries::{Entry, MAX_FILES, is_hidden};
+
+/// Most bytes of all files of an archive together, unpacked.
+pub const MAX_ARCHIVE_BYTES: u64 = 8 << 30;
+
+/// Most that a file may shrink by packing, where it is large: photographs do not shrink, even an
+/// uncompressed dark TIFF stays under 20; a bomb shrinks 1000 times.
+const MAX_RATIO: u64 = 100;
+
+/// Files up to this size may shrink by any factor: 1 MiB of zeros harms nobody.
+const RATIO_FREE_BYTES: u64 = 1 << 20;
+
+/// Files other than photographs that are unpacked, with the ends of their paths.
+const POSE_FILES: [&str; 8] = [
+    "cameras.txt",
+    "images.txt",
+    "points3d.txt",
+    "cameras.bin",
+    "images.bin",
+    "points3d.bin",
+    "transforms.json",
+    "poses_bounds.npy",
+];
+
+/// Why an archive is refused, and the entry at fault where there is one.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{}{reason}", entry.as_ref().map(|name| format!("{name:?}: ")).unwrap_or_default())]
+pub struct ArchiveFault {
+    /// The entry's name as packed.
+    pub entry: Option<String>,
+    /// What is wrong.
+    pub reason: String,
+}
+
+impl ArchiveFault {
+    fn whole(reason: impl Into<String>) -> Self {
+        Self { entry: None, reason: reason.into() }
+    }
+
+    fn of(entry: &str, reason: impl Into<String>) -> Self {
+        Self { entry: Some(entry.to_owned()), reason: reason.into() }
+    }
+}
+
+/// Whether a file starts as a zip does.
+pub(super) fn is_zip(path: &Path) -> io::Result<bool> {
+    let mut head = Vec::new();
+    File::open(path)?.take(4).read_to_end(&mut head)?;
+    Ok(head.starts_with(b"PK\x03\x04") || head.starts_with(b"PK\x05\x06"))
+}
+
+/// Unpacks what plays a role into `target`, which is made anew, and gives its files by their
+/// names in the archive. On failure `target` is removed.
+pub(super) fn unpack(path: &Path, target: &Path) -> Result<Vec<Entry>, CaptureError> {
+    let mut file = File::open(path).map_err(CaptureError::io(path))?;
+    refuse_absurd_counts(&mut file)?;
+    let mut archive = ZipArchive::new(file).map_err(|error| ArchiveFault::whole(told(&error)))?;
+    let wanted = check(&mut archive)?;
+    match fs::remove_dir_all(target) {
+        Err(error) if error.kind() != io::ErrorKind::NotFound => {
+            return Err(CaptureError::io(target)(error));
+        }
+        _ => (),
+    }
+    let outcome = unpack_all(&mut archive, wanted, target);
+    if outcome.is_err() {
+        // The first error is the one worth telling.
+        let _ = fs::remove_dir_all(target);
+    }
+    outcome
+}
+
+/// Reads the number of entries from the archive's end before the directory is read into memory.
+fn refuse_absurd_counts(file: &mut File) -> Result<(), ArchiveFault> {
+    const RECORD: usize = 22;
+    let broken = |_| ArchiveFault::whole("cannot be read");
+    let length = file.seek(SeekFrom::End(0)).map_err(broken)?;
+    let tail = length.min((RECORD + usize::from(u16::MAX)) as u64);
+    file.seek(SeekFrom::Start(length - tail)).map_err(broken)?;
+    let mut bytes = Vec::with_capacity(tail as usize);
+    file.take(tail).read_to_end(&mut bytes).map_err(broken)?;
+    file.rewind().map_err(broken)?;
+    let at = bytes.windows(4).rposition(|window| window == b"PK\x05\x06");
+    let record = at.and_then(|at| bytes.get(at..at + RECORD));
+    let record = record.ok_or_else(|| ArchiveFault::whole("cut short: its directory is missing"))?;
+    // 65,535 stands for "see the zip64 record": more than are accepted in any case.
+    let count = usize::from(u16::from_le_bytes([record[10], record[11]]));
+    if count > MAX_FILES {
+        return Err(ArchiveFault::whole(format!("more than {MAX_FILES} entries")));
+    }
+    Ok(())
+}
+
+/// An entry that is unpacked.
+struct Wanted {
+    index: usize,
+    name: String,
+    size: u64,
+}
+
+/// Holds every entry against the rules and gives those that play a role.
+fn check(archive: &mut ZipArchive<File>) -> Result<Vec<Wanted>, ArchiveFault> {
+    let whole = |error: ZipError| ArchiveFault::whole(told(&error));
+    if archive.len() > MAX_FILES {
+        return Err(ArchiveFault::whole(format!("more than {MAX_FILES} entries")));
+    }
+    if archive.has_duplicate_names() {
+        return Err(ArchiveFault::whole("two entries have the same name"));
+    }
+    if archive.has_overlapping_entries().map_err(whole)? {
+        return Err(ArchiveFault::whole("entries overlap"));
+    }
+    let (mut wanted, mut total) = (Vec::new(), 0_u64);
+    for index in 0..archive.len() {
+        let entry = archive.by_index_raw(index).map_err(whole)?;
+        // Old Windows packers write backslashes between folders.
+        let name = String::from_utf8_lossy(entry.name_raw()).replace('\\', "/");
+        check_name(&name)?;
+        check_entry(&name, &entry)?;
+        total = total.saturating_add(entry.size());
+        if total > MAX_ARCHIVE_BYTES {
+            return Err(ArchiveFault::of(&name, "unpacked, the archive is larger than 8 GiB"));
+        }
+        if entry.is_file() && plays_a_role(&name) {
+            wanted.push(Wanted { index, name, size: entry.size() });
+        }
+    }
+    Ok(wanted)
+}
+
+fn check_name(name: &str) -> Result<(), ArchiveFault> {
+    let refuse = |reason| Err(ArchiveFault::of(name, reason));
+    let bytes = name.as_bytes();
+    if name.is_empty() || name.contains('\0') {
+        return refuse("an empty name or one with a zero byte");
+    }
+    if name.starts_with('/') || (bytes.len() > 1 && bytes[1] == b':' && bytes[0].is_ascii_alphabetic()) {
+        return refuse("an absolute path");
+    }
+    if name.split('/').any(|part| part == "..") {
+        return refuse("a path that leads out of the archive");
+    }
+    Ok(())
+}
+
+fn check_entry<R: Read>(name: &str, entry: &ZipFile<'_, R>) -> Result<(), ArchiveFault> {
+    let refuse = |reason: &str| Err(ArchiveFault::of(name, reason));
+    // The upper bits of a Unix mode are the kind: 0 where the packer did not say.
+    let kind = entry.unix_mode().unwrap_or(0) & 0o170_000;
+    if entry.is_symlink() || !matches!(kind, 0 | 0o100_000 | 0o040_000) {
+        return refuse("a link or special file");
+    }
+    if entry.encrypted() {
+        return refuse("encrypted");
+    }
+    if !matches!(entry.compression(), CompressionMethod::Stored | CompressionMethod::Deflated) {
+        return refuse("packed by a method that is not read; use plain zip");
+    }
+    if entry.size() > MAX_FILE_BYTES {
+        return refuse("larger than a photograph can be");
+    }
+    if entry.size() > RATIO_FREE_BYTES && entry.size() / MAX_RATIO > entry.compressed_size() {
+        return refuse("shrunk more than a photograph can be");
+    }
+    if Path::new(name).extension().is_some_and(|extension| extension.eq_ignore_ascii_case("zip")) {
+        return refuse("an archive inside the archive");
+    }
+    Ok(())
+}
+
+fn plays_a_role(name: &str) -> bool {
+    let last = name.rsplit('/').next().unwrap_or(name);
+    !name.split('/').any(is_hidden)
+        && (named_like_a_photograph(Path::new(last))
+            || POSE_FILES.contains(&last.to_ascii_lowercase().as_str()))
+}
+
+fn unpack_all(
+    archive: &mut ZipArchive<File>,
+    wanted: Vec<Wanted>,
+    target: &Path,
+) -> Result<Vec<Entry>, CaptureError> {
+    fs::create_dir_all(target).map_err(CaptureError::io(target))?;
+    let mut folders: Vec<String> = Vec::new();
+    let mut entries = Vec::with_capacity(wanted.len());
+    for (number, item) in wanted.into_iter().enumerate() {
+        let file = own_file(target, &item.name, number, &mut folders)?;
+        let mut source =
+            archive.by_index(item.index).map_err(|error| ArchiveFault::of(&item.name, told(&error)))?;
+        unpack_one(&mut source, &item, &file)?;
+        entries.push(Entry { path: item.name, file });
+    }
+    Ok(entries)
+}
+
+/// Where an entry is put: a number and its known extension, or a pose file's known name in a
+/// folder that is numbered after its own.
+fn own_file(
+    target: &Path,
+    name: &str,
+    number: usize,
+    folders: &mut Vec<String>,
+) -> Result<PathBuf, CaptureError> {
+    let (folder, last) = name.rsplit_once('/').unwrap_or(("", name));
+    let last = last.to_ascii_lowercase();
+    if !POSE_FILES.contains(&last.as_str()) {
+        // Known from the list of photograph extensions: short, letters and digits.
+        let extension = last.rsplit_once('.').map_or("", |(_, extension)| extension);
+        return Ok(target.join(format!("{number:05}.{extension}")));
+    }
+    let position = folders.iter().position(|known| known == folder).unwrap_or_else(|| {
+        folders.push(folder.to_owned());
+        folders.len() - 1
+    });
+    let own_folder = target.join(format!("poses{position}"));
+    fs::create_dir_all(&own_folder).map_err(CaptureError::io(&own_folder))?;
+    // COLMAP wants its points under exactly this name.
+    Ok(own_folder.join(last.replace("points3d", "points3D")))
+}
+
+/// Unpacks one entry, no more than its directory promised.
+fn unpack_one(source: &mut impl Read, item: &Wanted, file: &Path) -> Result<(), CaptureError> {
+    let mut out = File::create_new(file).map_err(CaptureError::io(file))?;
+    let mut buffer = vec![0; 64 << 10];
+    let mut written = 0;
+    loop {
+        let read = source.read(&mut buffer).map_err(|error| ArchiveFault::of(&item.name, damaged(&error)))?;
+        if read == 0 {
+            break;
+        }
+        written += read as u64;
+        if written > item.size {
+            return Err(ArchiveFault::of(&item.name, "longer than the archive's directory says").into());
+        }
+        io::Write::write_all(&mut out, &buffer[..read]).map_err(CaptureError::io(file))?;
+    }
+    if written != item.size {
+        return Err(ArchiveFault::of(&item.name, "shorter than the archive's directory says").into());
+    }
+    Ok(())
+}
+
+fn damaged(error: &io::Error) -> String {
+    format!("damaged or cut short: {error}")
+}
+
+fn told(error: &ZipError) -> String {
+    match error {
+        ZipError::Io(error) => damaged(error),
+        error => error.to_string(),
+    }
+}

@@ -1,0 +1,126 @@
+//! The files of a capture, by the path that the user knows them under.
+
+use std::cmp::Ordering;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use super::CaptureError;
+
+/// Most files of a capture that are looked at.
+pub const MAX_FILES: usize = 20_000;
+
+/// Folders within folders that are looked through: `wrapper/sparse/0` and one to spare.
+const MAX_DEPTH: usize = 4;
+
+/// One file.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Entry {
+    /// The path inside the capture as uploaded, `/` between its parts; only shown and compared.
+    pub(super) path: String,
+    /// Where it lies.
+    pub(super) file: PathBuf,
+}
+
+impl Entry {
+    /// The folder part of the path, without a slash at its end.
+    pub(super) fn folder(&self) -> &str {
+        self.path.rsplit_once('/').map_or("", |(folder, _)| folder)
+    }
+
+    /// The last part of the path.
+    pub(super) fn name(&self) -> &str {
+        self.path.rsplit_once('/').map_or(self.path.as_str(), |(_, name)| name)
+    }
+
+    /// The name without its extension.
+    pub(super) fn stem(&self) -> &str {
+        self.name().rsplit_once('.').map_or(self.name(), |(stem, _)| stem)
+    }
+}
+
+/// The files of a folder, hidden ones left out.
+pub(super) fn of_folder(root: &Path) -> Result<Vec<Entry>, CaptureError> {
+    let mut entries = Vec::new();
+    walk(root, "", 0, &mut entries)?;
+    Ok(entries)
+}
+
+fn walk(folder: &Path, prefix: &str, depth: usize, entries: &mut Vec<Entry>) -> Result<(), CaptureError> {
+    for item in fs::read_dir(folder).map_err(CaptureError::io(folder))? {
+        let item = item.map_err(CaptureError::io(folder))?;
+        let name = item.file_name().to_string_lossy().into_owned();
+        if is_hidden(&name) {
+            continue;
+        }
+        let (path, file) = (format!("{prefix}{name}"), item.path());
+        // Links are followed: the folder is the operator's own. What leads nowhere is not there.
+        let Ok(metadata) = file.metadata() else { continue };
+        if metadata.is_dir() && depth < MAX_DEPTH {
+            walk(&file, &format!("{path}/"), depth + 1, entries)?;
+        } else if metadata.is_file() {
+            entries.push(Entry { path, file });
+        }
+        if entries.len() > MAX_FILES {
+            return Err(CaptureError::TooManyFiles);
+        }
+    }
+    Ok(())
+}
+
+/// Whether a name is hidden or a trace of the system that packed it.
+pub(super) fn is_hidden(name: &str) -> bool {
+    name.starts_with('.') || name == "__MACOSX" || name.eq_ignore_ascii_case("thumbs.db")
+}
+
+/// Names in the order that people expect: `img2` before `img10`, case ignored. Total: names that
+/// compare equal so are ordered by their bytes.
+pub(super) fn natural(a: &str, b: &str) -> Ordering {
+    let (mut left, mut right) = (a, b);
+    while !left.is_empty() && !right.is_empty() {
+        let (number_a, number_b) = (digits(left), digits(right));
+        let order = if !number_a.is_empty() && !number_b.is_empty() {
+            (left, right) = (&left[number_a.len()..], &right[number_b.len()..]);
+            let (value_a, value_b) = (number_a.trim_start_matches('0'), number_b.trim_start_matches('0'));
+            value_a.len().cmp(&value_b.len()).then_with(|| value_a.cmp(value_b))
+        } else {
+            let mut chars = (left.chars(), right.chars());
+            let (x, y) = (chars.0.next(), chars.1.next());
+            (left, right) = (chars.0.as_str(), chars.1.as_str());
+            let fold = |c: Option<char>| c.map(|c| c.to_ascii_lowercase());
+            fold(x).cmp(&fold(y))
+        };
+        if order.is_ne() {
+            return order;
+        }
+    }
+    left.len().cmp(&right.len()).then_with(|| a.cmp(b))
+}
+
+fn digits(text: &str) -> &str {
+    let end = text.find(|c: char| !c.is_ascii_digit()).unwrap_or(text.len());
+    &text[..end]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    #[test]
+    fn numbers_are_ordered_by_value_and_letters_without_case() {
+        let mut names = ["img10.jpg", "IMG2.jpg", "img1.jpg", "img02b.jpg", "a.jpg", "img.jpg"];
+        names.sort_by(|a, b| natural(a, b));
+        assert_eq!(names, ["a.jpg", "img.jpg", "img1.jpg", "IMG2.jpg", "img02b.jpg", "img10.jpg"]);
+    }
+
+    proptest! {
+        #[test]
+        fn the_order_is_total(a in "[aA0-9.é]{0,8}", b in "[aA0-9.é]{0,8}", c in "[aA0-9.é]{0,8}") {
+            prop_assert_eq!(natural(&a, &b), natural(&b, &a).reverse());
+            prop_assert_eq!(natural(&a, &b).is_eq(), a == b);
+            if natural(&a, &b).is_le() && natural(&b, &c).is_le() {
+                prop_assert!(natural(&a, &c).is_le());
+            }
+        }
+    }
+}
