@@ -7,20 +7,32 @@ use crate::sources::{Source, expect_none, files};
 /// What the header of a kernel must name.
 const HEADER: [&str; 3] = ["reads", "writes", "dispatch"];
 
-/// What is wrong with the comment at the top of a shader.
-fn faults(shader: &Source) -> Vec<String> {
-    let comment: Vec<&str> = shader.text.lines().take_while(|line| line.starts_with("//")).collect();
+/// The comment at the top of a shader, in lower case.
+fn header(shader: &Source) -> String {
+    let lines = shader.text.lines().take_while(|line| line.starts_with("//"));
+    lines.collect::<Vec<_>>().join(" ").to_lowercase()
+}
+
+/// What is wrong with a shader. A kernel whose header says `see shared/x.wgsl` speaks with that
+/// file's header too.
+fn faults(shader: &Source, all: &[Source]) -> Vec<String> {
+    let mut text = header(shader);
     let mut faults = Vec::new();
-    if comment.is_empty() {
+    if text.is_empty() {
         faults.push(format!("{}: no comment at the top", shader.path));
     }
-    if shader.text.contains("@compute") {
-        let text = comment.join(" ").to_lowercase();
+    for other in all {
+        if text.contains(&format!("see {}", other.path.trim_start_matches("shaders/"))) {
+            text += &header(other);
+        }
+    }
+    let entries = shader.text.matches("@compute").count();
+    if entries > 0 {
         let missing = HEADER.iter().filter(|word| !text.contains(*word));
         faults.extend(missing.map(|word| format!("{}: the header does not say `{word}`", shader.path)));
-        if shader.text.matches("@compute").count() > 1 {
-            faults.push(format!("{}: more than one entry point", shader.path));
-        }
+    }
+    if entries > 1 {
+        faults.push(format!("{}: more than one entry point", shader.path));
     }
     for (number, line) in (1..).zip(shader.text.lines()) {
         if line.contains("storage") && line.contains("vec3") {
@@ -37,26 +49,39 @@ fn faults(shader: &Source) -> Vec<String> {
 fn shaders_say_what_they_read_write_and_how_they_are_dispatched() {
     let shaders = files("shaders", "wgsl");
     assert!(shaders.len() > 5, "the walk found only {} shaders", shaders.len());
-    expect_none(&shaders.iter().flat_map(faults).collect::<Vec<_>>());
+    expect_none(&shaders.iter().flat_map(|shader| faults(shader, &shaders)).collect::<Vec<_>>());
 }
 
 #[test]
 fn a_shader_without_a_header_is_found() {
     let bare = Source::made_up("shaders/a.wgsl", "@compute @workgroup_size(1)\nfn main() {}\n");
-    assert_eq!(faults(&bare).len(), 4);
+    assert_eq!(faults(&bare, &[]).len(), 4);
     let hole = "// A list.\n@group(0) @binding(0) var<storage> a: array<vec3<f32>>;\n#define X\n";
-    assert_eq!(faults(&Source::made_up("shaders/b.wgsl", hole)).len(), 2);
+    assert_eq!(faults(&Source::made_up("shaders/b.wgsl", hole), &[]).len(), 2);
+    let seen = Source::made_up(
+        "shaders/c.wgsl",
+        "// See shared/d.wgsl. Dispatch: one.\n@compute @workgroup_size(1)\n",
+    );
+    let half = Source::made_up("shaders/shared/d.wgsl", "// Reads a.\n");
+    assert_eq!(faults(&seen, &[half]), ["shaders/c.wgsl: the header does not say `writes`"]);
 }
 
 #[test]
-fn every_shader_is_embedded_and_valid() {
+fn every_shader_is_embedded_and_every_kernel_is_valid() {
     let embedded: BTreeSet<String> = fled_gpu::shader::names().map(str::to_owned).collect();
-    let name =
-        |source: Source| source.path.trim_start_matches("shaders/").trim_end_matches(".wgsl").to_owned();
-    let present: BTreeSet<String> = files("shaders", "wgsl").into_iter().map(name).collect();
-    assert_eq!(embedded, present);
-    for name in &embedded {
-        let text = fled_gpu::shader::expand(name, &[]).unwrap_or_else(|error| panic!("{error}"));
-        fled_gpu::reflect::validate(name, &text).unwrap_or_else(|error| panic!("{error}"));
+    let name = |path: &str| path.trim_start_matches("shaders/").trim_end_matches(".wgsl").to_owned();
+    let shaders = files("shaders", "wgsl");
+    assert_eq!(embedded, shaders.iter().map(|shader| name(&shader.path)).collect());
+    // A file without an entry point is a fragment, valid where it is imported.
+    for kernel in shaders.iter().filter(|shader| shader.text.contains("@compute")) {
+        let name = name(&kernel.path);
+        let text = fled_gpu::shader::expand(&name, &[]).unwrap_or_else(|error| panic!("{error}"));
+        fled_gpu::reflect::validate(&name, &text).unwrap_or_else(|error| panic!("{error}"));
     }
+}
+
+#[test]
+fn an_invalid_shader_is_found() {
+    let text = "fn f() -> f32 { return undeclared; }";
+    assert!(fled_gpu::reflect::validate("bad", text).is_err());
 }
