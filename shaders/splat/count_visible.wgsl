@@ -22,7 +22,8 @@ fn main(
         sum += u32(tile_counts[i] != 0u);
     }
     let scanned = workgroup_scan(sum, lane);
-    if (lane == 0u && block * BLOCK < camera.count) {
+    // Blocks past the count have the sum 0: the scan reads every block there is room for.
+    if (lane == 0u && block < arrayLength(&block_sums)) {
         block_sums[block] = scanned.total;
     }
 }
