@@ -24,7 +24,7 @@ test: setup onnxruntime ## every test
 	$(CARGO) test --release --locked --workspace
 
 tidy: ## the rules of the house alone: fast, needs no GPU and no library
-	$(CARGO) test --release --locked -p fled-tests --test tidy
+	$(CARGO) test --release --locked -p fled-tidy
 
 check: ## types only, the fastest answer
 	$(CARGO) check --release --locked --workspace --all-targets

@@ -41,7 +41,7 @@ pub fn files(folder: &str, extension: &str) -> Vec<Source> {
 
 /// The top of the repository.
 pub fn top() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("tests/ has a parent").to_path_buf()
+    Path::new(env!("CARGO_MANIFEST_DIR")).ancestors().nth(2).expect("tests/tidy is two down").to_path_buf()
 }
 
 /// Fails with one line a fault.
