@@ -8,11 +8,20 @@ const RUST: usize = 500;
 /// Lines of a shader.
 const SHADER: usize = 200;
 
+/// Longer ones, each with its own limit and reason.
+const LONGER: [(&str, usize, &str); 1] = [(
+    "shaders/train/project_backward_adam.wgsl",
+    260,
+    "projection backward and Adam in one kernel, so that gradients never reach memory",
+)];
+
 fn faults(sources: &[Source], limit: usize) -> Vec<String> {
-    let long = sources.iter().map(|source| (source, source.text.lines().count()));
-    long.filter(|(_, lines)| *lines > limit)
-        .map(|(source, lines)| format!("{}: {lines} lines, at most {limit}", source.path))
-        .collect()
+    let fault = |source: &Source| {
+        let own = LONGER.iter().find(|(path, _, _)| *path == source.path).map(|(_, own, _)| *own);
+        let (lines, limit) = (source.text.lines().count(), own.unwrap_or(limit));
+        (lines > limit).then(|| format!("{}: {lines} lines, at most {limit}", source.path))
+    };
+    sources.iter().filter_map(fault).collect()
 }
 
 #[test]
