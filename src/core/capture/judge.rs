@@ -71,12 +71,15 @@ pub(super) fn judge(layout: &Layout) -> Judged {
 }
 
 fn look_at_all(photographs: &[Entry]) -> Vec<Result<Seen, Fault>> {
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(DECODED_AT_ONCE).build();
-    let look = || photographs.par_iter().map(look_at).collect();
-    match pool {
-        Ok(pool) => pool.install(look),
-        // No threads to be had: the caller's own does it alone.
-        Err(_) => photographs.iter().map(look_at).collect(),
+    on_few_threads(|| photographs.par_iter().map(look_at).collect())
+}
+
+/// Runs parallel work on so few threads that decoded photographs stay within bounds.
+fn on_few_threads<T: Send>(work: impl FnOnce() -> T + Send) -> T {
+    match rayon::ThreadPoolBuilder::new().num_threads(DECODED_AT_ONCE).build() {
+        Ok(pool) => pool.install(work),
+        // No threads of its own to be had: the shared ones do it.
+        Err(_) => work(),
     }
 }
 
@@ -218,15 +221,18 @@ impl Judged {
         if ground_truth.is_empty() {
             return;
         }
+        let find = |view: &CaptureView| {
+            let name = &*view.original_name;
+            let stem = name.rsplit_once('.').map_or(name, |(stem, _)| stem);
+            ground_truth.get(&stem.to_lowercase()).map(|entry| (entry, is_truth_of(view, entry)))
+        };
+        let found: Vec<_> = on_few_threads(|| self.views.par_iter().map(find).collect());
         let (mut missing, mut unusable) = (Vec::new(), Vec::new());
-        for view in &mut self.views {
-            let stem = view.original_name.rsplit_once('.').map_or(&*view.original_name, |(stem, _)| stem);
-            match ground_truth.get(&stem.to_lowercase()) {
+        for (view, found) in self.views.iter_mut().zip(found) {
+            match found {
+                Some((entry, true)) => view.gt = Some(entry.file.clone()),
+                Some((_, false)) => unusable.push(&*view.original_name),
                 None => missing.push(&*view.original_name),
-                Some(entry) => match same_shape(view, entry) {
-                    true => view.gt = Some(entry.file.clone()),
-                    false => unusable.push(&*view.original_name),
-                },
             }
         }
         let mut warn = |code: &str, what: &str, names: &[&str]| {
@@ -264,12 +270,14 @@ impl Judged {
     }
 }
 
-/// Whether ground truth has a view's proportions, within 1 %.
-fn same_shape(view: &CaptureView, entry: &Entry) -> bool {
-    read_header(&entry.file).is_ok_and(|header| {
+/// Whether ground truth has a view's proportions, within 1 %, and is whole: a broken one must
+/// show now, not when the scene is measured.
+fn is_truth_of(view: &CaptureView, entry: &Entry) -> bool {
+    let fits = read_header(&entry.file).is_ok_and(|header| {
         let ratio = (header.width * view.height) as f64 / (header.height * view.width) as f64;
         (ratio - 1.0).abs() < 0.01
-    })
+    });
+    fits && Image::load_at_most(&entry.file, JUDGED_SIDE).is_ok()
 }
 
 /// Our own name for a view: the stem with everything else than letters, digits, `-` and `_`

@@ -78,19 +78,21 @@ fn photographs_lie_in_the_folder_itself_or_in_images_also_inside_a_wrapper() {
 }
 
 #[test]
-fn ground_truth_is_found_by_stem_under_gt_and_hl_and_checked_for_its_shape() {
+fn ground_truth_is_found_by_stem_and_left_out_when_broken_or_of_another_shape() {
     for truth in ["gt", "HL"] {
         let sharp = |width| picture(9, width, 64).encode(EncodeFormat::Png).expect("encoded");
         let capture = open_folder(&[
             ("images/a.jpg", jpeg(1)),
             ("images/b.jpg", jpeg(2)),
             ("images/c.jpg", jpeg(3)),
+            ("images/d.jpg", jpeg(4)),
             (&format!("{truth}/A.png"), sharp(96)),
             (&format!("{truth}/b.png"), sharp(64)),
+            (&format!("{truth}/d.png"), sharp(96)[..2000].to_vec()),
         ])
         .expect("a capture");
         let has: Vec<bool> = capture.views.iter().map(|view| view.gt.is_some()).collect();
-        assert_eq!(has, [true, false, false], "{truth}");
+        assert_eq!(has, [true, false, false, false], "{truth}");
         let codes: Vec<_> = capture.warnings.iter().map(|warning| warning.code.as_str()).collect();
         assert!(codes.contains(&"gt_missing") && codes.contains(&"gt_size"), "{codes:?}");
     }
