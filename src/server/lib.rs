@@ -1,1 +1,22 @@
-//! fled-server
+//! The service: HTTP API, jobs, their store and the dashboard.
+//!
+//! The API never computes: a job runs in a child process of its own, renders come from another
+//! child, so that a crash of a driver or of a tool leaves the API standing.
+
+mod app;
+mod config;
+pub mod data;
+pub mod error;
+mod http;
+pub mod jobs;
+mod judge;
+mod readiness;
+pub mod render;
+mod serve;
+pub mod store;
+
+pub use config::{Limits, ServeConfig};
+pub use error::{Result, ServerError};
+pub use http::document as openapi_document;
+pub use jobs::process::die_with_parent;
+pub use serve::{Server, serve};

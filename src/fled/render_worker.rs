@@ -1,0 +1,99 @@
+//! `fled render-worker`: renders what the service asks for, one JSON line a picture, until its
+//! standard input ends. A fault of the graphics driver ends this process and not the service.
+
+use std::fmt::Display;
+use std::fs;
+use std::io::{self, BufRead, Write};
+use std::path::{Path, PathBuf};
+use std::time::SystemTime;
+
+use fled_core::gaussians::ply;
+use fled_core::image::{EncodeFormat, write_atomic};
+use fled_core::pipeline::error::ErrorKind;
+use fled_core::render::{Renderer, Scene};
+use fled_gpu::Gpu;
+use fled_server::render::{Format, RenderReply, RenderRequest};
+
+use crate::failure::Failure;
+
+/// Quality of a JPEG: small enough to turn a view live, good enough to judge it.
+const JPEG_QUALITY: u8 = 90;
+
+/// Answers requests.
+///
+/// # Errors
+/// [`Failure`] when there is no adapter, or the service is gone.
+pub fn main() -> Result<(), Failure> {
+    let gone = |error: io::Error| Failure::new(ErrorKind::Io, error);
+    let mut worker: Option<Worker> = None;
+    for line in io::stdin().lock().lines() {
+        let reply = match answer(&mut worker, &line.map_err(gone)?) {
+            Ok(()) => RenderReply::Ok(true),
+            Err(why) => RenderReply::Error(why),
+        };
+        let text = serde_json::to_string(&reply).map_err(|e| Failure::new(ErrorKind::Internal, e))?;
+        let mut out = io::stdout().lock();
+        writeln!(out, "{text}").and_then(|()| out.flush()).map_err(gone)?;
+    }
+    Ok(())
+}
+
+fn answer(worker: &mut Option<Worker>, line: &str) -> Result<(), String> {
+    let request: RenderRequest = serde_json::from_str(line).map_err(words)?;
+    let worker = match worker {
+        Some(worker) => worker,
+        // Opened by the first request, so that a missing driver is told to whoever asks.
+        None => worker.insert(Worker::open()?),
+    };
+    worker.render(&request)
+}
+
+fn words(error: impl Display) -> String {
+    error.to_string()
+}
+
+/// Which version of a scene file is on the device.
+#[derive(PartialEq, Eq)]
+struct Stamp {
+    path: PathBuf,
+    bytes: u64,
+    modified: Option<SystemTime>,
+}
+
+impl Stamp {
+    fn of(path: &Path) -> io::Result<Self> {
+        let metadata = fs::metadata(path)?;
+        Ok(Self { path: path.to_owned(), bytes: metadata.len(), modified: metadata.modified().ok() })
+    }
+}
+
+/// The device, and the scene rendered last: turning a view asks for the same one again and again.
+struct Worker {
+    renderer: Renderer,
+    scene: Option<(Stamp, Scene)>,
+}
+
+impl Worker {
+    fn open() -> Result<Self, String> {
+        let gpu = Gpu::new("auto").map_err(words)?;
+        Ok(Self { renderer: Renderer::new(&gpu), scene: None })
+    }
+
+    fn render(&mut self, request: &RenderRequest) -> Result<(), String> {
+        let stamp = Stamp::of(&request.scene).map_err(words)?;
+        let known = self.scene.take().filter(|(known, _)| *known == stamp);
+        let (_, scene) = self.scene.insert(match known {
+            Some(known) => known,
+            None => {
+                let gaussians = ply::read(&request.scene).map_err(words)?;
+                (stamp, self.renderer.upload(&gaussians).map_err(words)?)
+            }
+        });
+        let image = self.renderer.render_scene(scene, &request.camera.camera()).map_err(words)?;
+        let format = match request.format {
+            Format::Jpeg => EncodeFormat::Jpeg(JPEG_QUALITY),
+            Format::Png => EncodeFormat::Png,
+        };
+        write_atomic(&request.out, &image.encode(format).map_err(words)?).map_err(words)
+    }
+}

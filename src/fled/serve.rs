@@ -1,0 +1,36 @@
+//! `fled serve`: the API, the dashboard and the workers.
+
+use std::net::SocketAddr;
+use std::path::PathBuf;
+
+use fled_core::pipeline::error::ErrorKind;
+use fled_server::ServeConfig;
+use tracing_subscriber::EnvFilter;
+
+use crate::failure::{Failure, io};
+
+/// Arguments of `fled serve`.
+#[derive(clap::Args)]
+pub struct Args {
+    /// Where captures, jobs and the database are kept.
+    #[arg(long, value_name = "DIR", default_value = "data")]
+    data: PathBuf,
+    /// Address to listen on. There are no accounts yet: whoever reaches it may use it.
+    #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:8080")]
+    listen: SocketAddr,
+    /// Jobs run at once.
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    workers: usize,
+}
+
+/// Serves until SIGINT or SIGTERM; running jobs go on at the next start.
+///
+/// # Errors
+/// [`Failure`] when the data directory or the address cannot be used.
+pub fn main(args: &Args) -> Result<(), Failure> {
+    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("info"));
+    tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).init();
+    let config = ServeConfig::new(args.data.clone(), args.listen, args.workers).map_err(io(&args.data))?;
+    let runtime = tokio::runtime::Runtime::new().map_err(|e| Failure::new(ErrorKind::Internal, e))?;
+    runtime.block_on(fled_server::serve(config)).map_err(|e| Failure::new(ErrorKind::Io, e))
+}

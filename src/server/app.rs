@@ -1,0 +1,84 @@
+//! What handlers and workers share.
+
+use std::collections::HashMap;
+use std::sync::{Arc, Mutex, PoisonError};
+
+use tokio::sync::{Notify, watch};
+use tokio_util::sync::CancellationToken;
+
+use crate::config::{Limits, ServeConfig};
+use crate::data::DataDir;
+use crate::render::Renderers;
+use crate::store::Store;
+
+/// The state of a server.
+#[derive(Debug)]
+pub struct App {
+    /// The set-up.
+    pub config: ServeConfig,
+    /// Times and sizes.
+    pub limits: Limits,
+    /// The files.
+    pub data: DataDir,
+    /// The database.
+    pub store: Store,
+    /// The render process.
+    pub renderers: Renderers,
+    /// The last judgement of the machine.
+    pub readiness: tokio::sync::Mutex<Option<crate::readiness::Remembered>>,
+    /// Rung when a job may be waiting.
+    pub wake: Notify,
+    /// Raised when the server stops.
+    pub shutdown: CancellationToken,
+    versions: watch::Sender<u64>,
+    running: Mutex<HashMap<String, Arc<Notify>>>,
+}
+
+impl App {
+    /// Puts a server's parts together.
+    pub fn new(config: ServeConfig, data: DataDir, store: Store) -> Self {
+        let limits = config.limits;
+        Self {
+            renderers: Renderers::new(config.render_command.clone(), limits.render, limits.grace),
+            config,
+            limits,
+            data,
+            store,
+            readiness: tokio::sync::Mutex::default(),
+            wake: Notify::new(),
+            shutdown: CancellationToken::new(),
+            versions: watch::Sender::new(0),
+            running: Mutex::default(),
+        }
+    }
+
+    /// Tells every open event stream to look into the database.
+    pub fn changed(&self) {
+        self.versions.send_modify(|version| *version += 1);
+    }
+
+    /// Sees every [`App::changed`] from now on.
+    pub fn watch(&self) -> watch::Receiver<u64> {
+        self.versions.subscribe()
+    }
+
+    /// Remembers that a worker of this server runs the job; what rings to stop it.
+    pub fn register(&self, job: &str) -> Arc<Notify> {
+        let bell = Arc::new(Notify::new());
+        self.running.lock().unwrap_or_else(PoisonError::into_inner).insert(job.to_owned(), bell.clone());
+        bell
+    }
+
+    /// Forgets a job that no longer runs.
+    pub fn unregister(&self, job: &str) {
+        self.running.lock().unwrap_or_else(PoisonError::into_inner).remove(job);
+    }
+
+    /// Stops the job's process, when a worker of this server runs it.
+    pub fn stop(&self, job: &str) {
+        if let Some(bell) = self.running.lock().unwrap_or_else(PoisonError::into_inner).get(job) {
+            // Remembered until it is awaited, so that no order of events loses it.
+            bell.notify_one();
+        }
+    }
+}

@@ -1,0 +1,102 @@
+//! How a server is set up.
+
+use std::ffi::OsString;
+use std::io;
+use std::net::SocketAddr;
+use std::path::PathBuf;
+use std::time::Duration;
+
+/// What `fled serve` is told.
+#[derive(Clone, Debug)]
+pub struct ServeConfig {
+    /// Everything the server keeps: database, captures, jobs.
+    pub data: PathBuf,
+    /// Where it listens; port 0 takes a free one.
+    pub listen: SocketAddr,
+    /// Jobs run at once.
+    pub workers: usize,
+    /// Program and first arguments of a job's process; the capture and the options of `fled run` follow.
+    pub job_command: Vec<OsString>,
+    /// Program and arguments of the process that renders novel views.
+    pub render_command: Vec<OsString>,
+    /// Program and arguments of a process that judges the machine and prints JSON, see `/readyz`.
+    pub doctor_command: Vec<OsString>,
+    /// Times and sizes.
+    pub limits: Limits,
+}
+
+impl ServeConfig {
+    /// A server whose jobs are run by the program that runs now.
+    ///
+    /// # Errors
+    /// When the path of the running program is unknown.
+    pub fn new(data: PathBuf, listen: SocketAddr, workers: usize) -> io::Result<Self> {
+        let program = std::env::current_exe()?;
+        let command = |arguments: &[&str]| {
+            std::iter::once(program.clone().into_os_string())
+                .chain(arguments.iter().map(OsString::from))
+                .collect::<Vec<_>>()
+        };
+        Ok(Self {
+            data,
+            listen,
+            workers,
+            job_command: command(&["run"]),
+            render_command: command(&["render-worker"]),
+            doctor_command: command(&["doctor", "--json"]),
+            limits: Limits::default(),
+        })
+    }
+}
+
+/// Times and sizes of a server. The defaults suit production; tests shorten them.
+#[derive(Clone, Copy, Debug)]
+pub struct Limits {
+    /// A worker that has not been heard of for so long has lost its job.
+    pub lease: Duration,
+    /// How often a worker extends its lease.
+    pub heartbeat: Duration,
+    /// A job's process that says nothing for so long is stopped. COLMAP's exhaustive matching of
+    /// large captures is the longest silence known, some minutes.
+    pub silence: Duration,
+    /// A job's process is stopped after so long.
+    pub wall: Duration,
+    /// Between SIGTERM and SIGKILL. Cancelling promises two seconds in all.
+    pub grace: Duration,
+    /// Least time between two stored progress reports of a job.
+    pub progress_interval: Duration,
+    /// Wait before the first retry; each further one is four times as long.
+    pub retry_base: Duration,
+    /// Attempts in a row without progress before a job fails.
+    pub attempts_without_progress: u32,
+    /// Uploads are refused when they would leave less free space than this, bytes.
+    pub min_free_bytes: u64,
+    /// Largest upload, bytes.
+    pub max_upload_bytes: u64,
+    /// Largest log of a job, bytes.
+    pub max_log_bytes: u64,
+    /// Longest wait for one render.
+    pub render: Duration,
+    /// Renders kept for a job.
+    pub kept_renders: usize,
+}
+
+impl Default for Limits {
+    fn default() -> Self {
+        Self {
+            lease: Duration::from_secs(30),
+            heartbeat: Duration::from_secs(10),
+            silence: Duration::from_secs(20 * 60),
+            wall: Duration::from_secs(48 * 3600),
+            grace: Duration::from_millis(1000),
+            progress_interval: Duration::from_secs(1),
+            retry_base: Duration::from_secs(2),
+            attempts_without_progress: 3,
+            min_free_bytes: 1 << 30,
+            max_upload_bytes: 8 << 30,
+            max_log_bytes: 32 << 20,
+            render: Duration::from_secs(90),
+            kept_renders: 400,
+        }
+    }
+}

@@ -1,0 +1,149 @@
+//! The data directory: who may use it, and where things lie.
+//!
+//! ```text
+//! fled.db  server.lock  incoming/<upload>/  captures/<id>/
+//! jobs/<id>/{options.json, process, log.txt, output/, renders/}
+//! ```
+//! Differs from service.md: files are named by capture and job, not by content; the sweeper and
+//! content addressing come with shared storage.
+
+use std::fs::{self, File};
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+
+use rustix::fs::{FlockOperation, flock, statvfs};
+
+use crate::error::{Result, ServerError};
+
+/// The locked data directory of a server.
+#[derive(Debug)]
+pub struct DataDir {
+    root: PathBuf,
+    /// Held for the life of the server: the kernel frees it even after kill -9.
+    _lock: File,
+}
+
+impl DataDir {
+    /// Creates what is missing, takes the lock and removes unfinished uploads.
+    ///
+    /// # Errors
+    /// [`ServerError::DataInUse`] while another server lives on it; [`ServerError::Io`] otherwise.
+    pub fn open(root: &Path) -> Result<Self> {
+        fs::create_dir_all(root).map_err(ServerError::io(root))?;
+        let root = root.canonicalize().map_err(ServerError::io(root))?;
+        let path = root.join("server.lock");
+        let lock = File::options()
+            .create(true)
+            .truncate(false)
+            .write(true)
+            .open(&path)
+            .map_err(ServerError::io(&path))?;
+        if flock(&lock, FlockOperation::NonBlockingLockExclusive).is_err() {
+            return Err(ServerError::DataInUse(root));
+        }
+        let data = Self { root, _lock: lock };
+        let incoming = data.incoming();
+        if incoming.exists() {
+            fs::remove_dir_all(&incoming).map_err(ServerError::io(&incoming))?;
+        }
+        for dir in [incoming, data.root.join("captures"), data.root.join("jobs")] {
+            fs::create_dir_all(&dir).map_err(ServerError::io(&dir))?;
+        }
+        Ok(data)
+    }
+
+    /// The database file.
+    pub fn database(&self) -> PathBuf {
+        self.root.join("fled.db")
+    }
+
+    /// Where uploads grow until they are complete.
+    pub fn incoming(&self) -> PathBuf {
+        self.root.join("incoming")
+    }
+
+    /// The files of a capture.
+    pub fn capture(&self, id: &str) -> PathBuf {
+        self.root.join("captures").join(id)
+    }
+
+    /// Everything of all jobs.
+    pub fn jobs(&self) -> PathBuf {
+        self.root.join("jobs")
+    }
+
+    /// Everything of a job.
+    pub fn job(&self, id: &str) -> PathBuf {
+        self.jobs().join(id)
+    }
+
+    /// What the job's process writes: the artifacts.
+    pub fn output(&self, id: &str) -> PathBuf {
+        self.job(id).join("output")
+    }
+
+    /// The job's log.
+    pub fn log(&self, id: &str) -> PathBuf {
+        self.job(id).join("log.txt")
+    }
+
+    /// Rendered novel views.
+    pub fn renders(&self, id: &str) -> PathBuf {
+        self.job(id).join("renders")
+    }
+
+    /// Free bytes of the file system.
+    ///
+    /// # Errors
+    /// When the file system does not say.
+    pub fn free_bytes(&self) -> io::Result<u64> {
+        let stat = statvfs(&self.root)?;
+        Ok(stat.f_bavail * stat.f_frsize)
+    }
+}
+
+/// Writes a whole file so that after a crash either the old or the new one is there.
+///
+/// # Errors
+/// When writing fails.
+pub fn write_atomically(path: &Path, bytes: &[u8]) -> io::Result<()> {
+    let temporary = path.with_extension("tmp");
+    let mut file = File::create(&temporary)?;
+    file.write_all(bytes)?;
+    file.sync_all()?;
+    fs::rename(&temporary, path)?;
+    sync_directory(path.parent().unwrap_or(Path::new(".")))
+}
+
+/// Makes the names in a directory survive a power cut.
+///
+/// # Errors
+/// When the directory cannot be opened or synchronised.
+pub fn sync_directory(dir: &Path) -> io::Result<()> {
+    File::open(dir)?.sync_all()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_second_server_on_the_same_directory_is_refused_until_the_first_is_gone() {
+        let dir = tempfile::tempdir().expect("temporary directory");
+        let first = DataDir::open(dir.path()).expect("free");
+        assert!(matches!(DataDir::open(dir.path()), Err(ServerError::DataInUse(_))));
+        drop(first);
+        DataDir::open(dir.path()).expect("free again");
+    }
+
+    #[test]
+    fn an_unfinished_upload_is_gone_after_a_restart() {
+        let dir = tempfile::tempdir().expect("temporary directory");
+        let data = DataDir::open(dir.path()).expect("free");
+        let upload = data.incoming().join("u");
+        fs::create_dir(&upload).expect("create");
+        drop(data);
+        DataDir::open(dir.path()).expect("free");
+        assert!(!upload.exists());
+    }
+}

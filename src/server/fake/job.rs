@@ -1,0 +1,231 @@
+//! A played job: the events and the files of `fled run`, and failures as planned.
+
+use std::collections::BTreeMap;
+use std::error::Error;
+use std::ffi::OsString;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::thread::sleep;
+use std::time::{Duration, Instant};
+
+use fled_core::camera::{Camera, Intrinsics, NamedCamera, Split};
+use fled_core::event::{Event, Stage};
+use fled_core::image::Image;
+use fled_core::metrics::{Brightness, ImageKind, Record, Reference, RoundMetrics};
+use fled_core::pipeline::config::Options;
+use glam::DVec3;
+
+use super::say;
+
+/// Ticks of a stage, each a `StageAdvanced`.
+const TICKS: u64 = 10;
+
+type Outcome = Result<(), Box<dyn Error>>;
+
+struct Job {
+    capture: PathBuf,
+    output: PathBuf,
+    options: Options,
+    /// `word` or `word:milliseconds a tick`.
+    plan: String,
+    tick: Duration,
+    started: Instant,
+}
+
+pub fn run(arguments: &[OsString]) -> Outcome {
+    let after = |name: &str| {
+        let at = arguments.iter().position(|argument| argument == name);
+        at.and_then(|at| arguments.get(at + 1)).map(PathBuf::from).ok_or(format!("{name} is missing"))
+    };
+    let options: Options = serde_json::from_slice(&fs::read(after("--options")?)?)?;
+    let (plan, tick) = match options.adapter.split_once(':') {
+        Some((plan, tick)) => (plan.to_owned(), tick.parse()?),
+        None => (options.adapter.clone(), 2),
+    };
+    let job = Job {
+        capture: PathBuf::from(&arguments[0]),
+        output: after("--out")?,
+        options,
+        plan,
+        tick: Duration::from_millis(tick),
+        started: Instant::now(),
+    };
+    job.play()
+}
+
+impl Job {
+    fn play(&self) -> Outcome {
+        eprintln!("a line on standard error <script>alert(1)</script>");
+        say("a line that is no event");
+        let names = self.names()?;
+        tell(&Event::Planned { rounds: self.options.rounds, views: names.len() as u32 });
+        match self.plan.as_str() {
+            "few_poses" => return fail("few_poses", "3 of 20 photographs could be placed", "Take more."),
+            "bad_word" => return fail("no_such_kind", "an unknown kind", "None."),
+            "silent" => sleep(Duration::from_secs(600)),
+            "crash" => std::process::abort(),
+            "crash-once" if self.first("crashed")? => std::process::abort(),
+            _ => {}
+        }
+        self.stage(Stage::Poses, 0)?;
+        self.write_cameras(&names)?;
+        let code = "low_confidence".to_owned();
+        tell(&Event::Warning { code, message: "poses <b>may</b> be wrong".to_owned() });
+        for round in 1..=self.options.rounds {
+            for stage in &Stage::ALL[1..] {
+                self.stage(*stage, round)?;
+            }
+            self.write_round(round, &names)?;
+            tell(&Event::RoundFinished { metrics: Box::new(metrics(round)) });
+            if self.plan == "crash-late" && self.first("crashed")? {
+                std::process::abort();
+            }
+        }
+        let scene = format!("ply of round {}", self.options.rounds);
+        fs::write(self.output.join("scene.ply"), scene)?;
+        tell(&Event::Finished {
+            best_round: self.options.rounds,
+            seconds: self.started.elapsed().as_secs_f64(),
+        });
+        Ok(())
+    }
+
+    /// One stage; found done when an earlier attempt had finished it.
+    fn stage(&self, stage: Stage, round: u32) -> Outcome {
+        tell(&Event::StageStarted { stage, round });
+        let mark = self.output.join(format!(".done-{}-{round}", stage.name()));
+        let skipped = mark.exists();
+        let start = Instant::now();
+        if !skipped {
+            for done in 1..=TICKS {
+                sleep(self.tick);
+                let steps_per_second = (stage == Stage::Reconstruct).then_some(25.0);
+                tell(&Event::StageAdvanced { stage, round, done, total: TICKS, steps_per_second });
+            }
+            fs::write(mark, "")?;
+        }
+        tell(&Event::StageFinished { stage, round, seconds: start.elapsed().as_secs_f64(), skipped });
+        let index = Stage::ALL.iter().position(|&s| s == stage).unwrap_or(0) as f64;
+        let progress = (f64::from(round.max(1) - 1) + (index + 1.0) / 7.0) / f64::from(self.options.rounds);
+        tell(&Event::Progress { progress, eta_seconds: Some(10.0 * (1.0 - progress)) });
+        Ok(())
+    }
+
+    /// Whether this is the first time, over all attempts.
+    fn first(&self, what: &str) -> Result<bool, Box<dyn Error>> {
+        let mark = self.output.join(format!(".{what}"));
+        let first = !mark.exists();
+        fs::write(mark, "")?;
+        Ok(first)
+    }
+
+    fn names(&self) -> Result<Vec<String>, Box<dyn Error>> {
+        let folder = self.capture.join("images");
+        let mut names: Vec<String> = fs::read_dir(folder)?
+            .flatten()
+            .filter_map(|entry| Some(entry.path().file_stem()?.to_str()?.to_owned()))
+            .collect();
+        names.sort();
+        Ok(names)
+    }
+
+    fn write_cameras(&self, names: &[String]) -> Outcome {
+        let k = Intrinsics { width: 160, height: 90, fx: 120.0, fy: 120.0, cx: 80.0, cy: 45.0 };
+        let cameras: Vec<NamedCamera> = names
+            .iter()
+            .enumerate()
+            .map(|(i, name)| {
+                let eye = DVec3::new(i as f64 - 1.0, -0.5, -4.0);
+                let split = if i % 8 == 0 { Split::HeldOut } else { Split::Train };
+                NamedCamera::new(name, &Camera::look_at(k, eye, DVec3::ZERO, DVec3::Y), split)
+            })
+            .collect();
+        fs::write(self.output.join("cameras.json"), serde_json::to_vec(&cameras)?)?;
+        for name in names {
+            self.picture(&format!("inputs/{name}.jpg"), name, 0.15)?;
+            self.picture(&format!("gt/{name}.jpg"), name, 1.0)?;
+        }
+        Ok(())
+    }
+
+    fn write_round(&self, round: u32, names: &[String]) -> Outcome {
+        for name in names {
+            let gain = 0.6 + 0.15 * round as f32;
+            for kind in ["enhanced", "deblurred", "renders"] {
+                self.picture(&format!("rounds/{round}/{kind}/{name}.jpg"), name, gain)?;
+            }
+        }
+        let scene = if self.plan == "bad_scene" { "crash" } else { "ply" };
+        fs::write(self.output.join(format!("rounds/{round}/scene.ply")), scene)?;
+        let report = serde_json::json!({ "adapter": "played <i>adapter</i>", "seed": self.options.seed, "views": names.len() });
+        fs::write(self.output.join("metrics.json"), serde_json::to_vec(&report)?)?;
+        Ok(())
+    }
+
+    /// The photograph with a gain, from where the capture has it.
+    fn picture(&self, to: &str, name: &str, gain: f32) -> Outcome {
+        let path = self.output.join(to);
+        fs::create_dir_all(path.parent().unwrap_or(Path::new(".")))?;
+        let source = fs::read_dir(self.capture.join("images"))?
+            .flatten()
+            .find(|entry| entry.path().file_stem().is_some_and(|stem| stem == name))
+            .ok_or("no photograph")?;
+        let image: Image = Image::load_at_most(&source.path(), 280)?;
+        image.map(|v| (v * gain).min(1.0)).save(&path)?;
+        Ok(())
+    }
+}
+
+fn fail(kind: &str, detail: &str, hint: &str) -> Outcome {
+    tell(&Event::Failed { kind: kind.to_owned(), detail: detail.to_owned(), hint: hint.to_owned() });
+    std::process::exit(3);
+}
+
+fn tell(event: &Event) {
+    say(&serde_json::to_string(event).expect("events are plain data"));
+}
+
+fn metrics(round: u32) -> RoundMetrics {
+    let gain = f64::from(round);
+    let record = |split, image, psnr: f64, reference| Record {
+        split,
+        image,
+        reference,
+        brightness: Brightness::Final,
+        views: 3,
+        psnr_db: psnr,
+        psnr_cc_db: psnr + 1.0,
+        ssim: psnr / 40.0,
+        lpips_squeeze: None,
+    };
+    let records = [Split::Train, Split::HeldOut]
+        .into_iter()
+        .flat_map(|split| {
+            let less = if split == Split::HeldOut { 1.5 } else { 0.0 };
+            [
+                record(split, ImageKind::Enhanced, 16.0 - less, Reference::Gt),
+                record(split, ImageKind::Deblurred, 18.0 + gain - less, Reference::Gt),
+                record(split, ImageKind::Render, 19.0 + gain - less, Reference::Gt),
+                record(split, ImageKind::Render, 26.0 + gain - less, Reference::Deblurred),
+            ]
+        })
+        .collect();
+    RoundMetrics {
+        round,
+        seconds: 1.0,
+        gaussians: 10_000,
+        steps: 1_000,
+        steps_per_second: 25.0,
+        records,
+        noise_sigma: BTreeMap::from([("render".to_owned(), 0.01)]),
+        sharpness: BTreeMap::from([("render".to_owned(), 0.2)]),
+        mean_brightness: 0.4,
+        clipped: 0.01,
+        noise_ceiling_db: 30.0,
+        noise_map: None,
+        non_finite_gradients: 0,
+        anchor: [8.0, 0.8],
+        matched: Vec::new(),
+        worse_than_previous: false,
+    }
+}

@@ -1,0 +1,92 @@
+//! A server whose children are played, for the tests of the service.
+//!
+//! `serve DATA ADDRESS_FILE` starts it; the other arguments are what it starts itself. What a job
+//! does is planned by its option `adapter`, the only free word that no part of the service reads.
+
+mod job;
+
+use std::ffi::OsString;
+use std::io::{self, BufRead, Write};
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use fled_core::image::Image;
+use fled_server::render::RenderRequest;
+use fled_server::{Limits, ServeConfig};
+
+fn main() -> Result<(), Box<dyn std::error::Error>> {
+    fled_server::die_with_parent()?;
+    let arguments: Vec<OsString> = std::env::args_os().skip(1).collect();
+    match arguments.first().and_then(|verb| verb.to_str()) {
+        Some("serve") => serve(Path::new(&arguments[1]), Path::new(&arguments[2])),
+        Some("run") => job::run(&arguments[1..]),
+        Some("render-worker") => render_worker(),
+        Some("doctor") => {
+            say(
+                r#"{"checks":[{"name":"adapter","ok":true,"detail":"played"},{"name":"colmap","ok":false,"detail":"missing","hint":"apt-get install colmap"}]}"#,
+            );
+            Ok(())
+        }
+        _ => Err("one of serve, run, render-worker, doctor".into()),
+    }
+}
+
+fn serve(data: &Path, address_file: &Path) -> Result<(), Box<dyn std::error::Error>> {
+    let program = std::env::current_exe()?;
+    let command = |verb: &str| vec![program.clone().into_os_string(), verb.into()];
+    let config = ServeConfig {
+        data: data.to_owned(),
+        listen: std::env::var("FLED_FAKE_LISTEN").unwrap_or_else(|_| "127.0.0.1:0".to_owned()).parse()?,
+        workers: 2,
+        job_command: command("run"),
+        render_command: command("render-worker"),
+        doctor_command: command("doctor"),
+        limits: Limits {
+            lease: Duration::from_secs(5),
+            heartbeat: Duration::from_millis(500),
+            silence: Duration::from_secs(3),
+            progress_interval: Duration::from_millis(100),
+            retry_base: Duration::from_millis(50),
+            render: Duration::from_secs(3),
+            min_free_bytes: 1 << 20,
+            max_upload_bytes: 1 << 30,
+            ..Limits::default()
+        },
+    };
+    tokio::runtime::Runtime::new()?.block_on(async {
+        let server = fled_server::Server::start(config).await?;
+        std::fs::write(address_file, server.address().to_string())?;
+        tokio::signal::ctrl_c().await?;
+        server.stop().await;
+        Ok(())
+    })
+}
+
+/// Draws the camera's azimuth as a shade. A scene that holds the word `crash` ends the process.
+fn render_worker() -> Result<(), Box<dyn std::error::Error>> {
+    for line in io::stdin().lock().lines() {
+        let request: RenderRequest = serde_json::from_str(&line?)?;
+        let scene = std::fs::read_to_string(&request.scene)?;
+        if scene.contains("crash") {
+            std::process::exit(139);
+        }
+        let k = request.camera.intrinsics;
+        let turn = request.camera.world_to_camera[0][0] as f32;
+        let picture: Image = Image::new(k.width, k.height).map(|_| 0.3 + 0.3 * turn);
+        let out = PathBuf::from(&request.out);
+        let format = match request.format {
+            fled_server::render::Format::Png => fled_core::image::EncodeFormat::Png,
+            fled_server::render::Format::Jpeg => fled_core::image::EncodeFormat::Jpeg(90),
+        };
+        std::fs::write(out, picture.encode(format)?)?;
+        say(r#"{"ok":true}"#);
+    }
+    Ok(())
+}
+
+/// One line of the protocol, at once.
+fn say(line: &str) {
+    let mut out = io::stdout().lock();
+    // Nobody listens any more: the server is gone, and so will be this process.
+    let _ = writeln!(out, "{line}").and_then(|()| out.flush());
+}

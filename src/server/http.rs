@@ -1,0 +1,103 @@
+//! The HTTP API, version 1, and the dashboard.
+
+#![allow(unused_qualifications, reason = "the code that utoipa's attributes write has them")]
+
+mod artifacts;
+mod captures;
+mod dashboard;
+mod events;
+mod extract;
+mod health;
+mod jobs;
+mod log;
+mod openapi;
+mod options;
+mod problem;
+mod range;
+mod render;
+mod rounds;
+mod shapes;
+mod upload;
+
+use std::any::Any;
+use std::sync::Arc;
+
+use axum::Router;
+use axum::extract::DefaultBodyLimit;
+use axum::http::{HeaderName, HeaderValue, StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use axum::routing::{get, post};
+use tower_http::catch_panic::CatchPanicLayer;
+use tower_http::csrf::CsrfLayer;
+use tower_http::set_header::SetResponseHeaderLayer;
+use tower_http::trace::TraceLayer;
+
+use crate::app::App;
+
+pub use openapi::document;
+pub use problem::Problem;
+pub use shapes::{CaptureReport, Verdict, Warning};
+
+/// Only what the server itself sends may run or be shown; nobody may frame it.
+const CONTENT_SECURITY_POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; \
+    img-src 'self' blob:; connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
+
+/// Small bodies: everything but uploads.
+const SMALL: usize = 1 << 20;
+
+/// Every route.
+pub fn router(app: Arc<App>) -> Router {
+    // The largest upload is checked while it streams; no handler buffers it.
+    let uploads = Router::new()
+        .route("/v1/captures", get(captures::list).post(captures::create))
+        .route("/v1/jobs", get(jobs::list).post(jobs::create))
+        .layer(DefaultBodyLimit::disable());
+    let small = Router::new()
+        .route("/v1/captures/{id}", get(captures::show).delete(captures::delete))
+        .route("/v1/jobs/{id}", get(jobs::show).delete(jobs::delete))
+        .route("/v1/jobs/{id}/cancel", post(jobs::cancel))
+        .route("/v1/jobs/{id}/retry", post(jobs::retry))
+        .route("/v1/jobs/{id}/events", get(events::stream))
+        .route("/v1/jobs/{id}/rounds", get(rounds::show))
+        .route("/v1/jobs/{id}/log", get(log::show))
+        .route("/v1/jobs/{id}/render", get(render::get).post(render::post))
+        .route("/v1/jobs/{id}/artifacts", get(artifacts::list))
+        .route("/v1/jobs/{id}/artifacts/{*name}", get(artifacts::download))
+        .route("/v1/options", get(options::show))
+        .route("/livez", get(health::live))
+        .route("/readyz", get(health::ready))
+        .route("/openapi.yaml", get(openapi::show))
+        .route("/", get(dashboard::index))
+        .route("/assets/{*name}", get(dashboard::asset))
+        .layer(DefaultBodyLimit::max(SMALL));
+    let header = |name: HeaderName, value: &'static str| {
+        SetResponseHeaderLayer::if_not_present(name, HeaderValue::from_static(value))
+    };
+    uploads
+        .merge(small)
+        .fallback(async || Problem::not_found("page"))
+        .method_not_allowed_fallback(async || {
+            Problem::new(
+                StatusCode::METHOD_NOT_ALLOWED,
+                "method_not_allowed",
+                "This address does not do that.",
+            )
+        })
+        // Another site's page must not start or delete jobs with a visitor's browser.
+        .layer(CsrfLayer::new())
+        .layer(CatchPanicLayer::custom(panicked))
+        .layer(header(header::CONTENT_SECURITY_POLICY, CONTENT_SECURITY_POLICY))
+        .layer(header(header::X_CONTENT_TYPE_OPTIONS, "nosniff"))
+        .layer(header(header::REFERRER_POLICY, "no-referrer"))
+        .layer(header(header::CACHE_CONTROL, "no-cache"))
+        .layer(TraceLayer::new_for_http())
+        .with_state(app)
+}
+
+#[expect(clippy::needless_pass_by_value, reason = "the layer hands it over so")]
+fn panicked(fault: Box<dyn Any + Send + 'static>) -> Response {
+    let text = fault.downcast_ref::<String>().map(String::as_str);
+    let text = text.or_else(|| fault.downcast_ref::<&str>().copied()).unwrap_or("no message");
+    tracing::error!(text, "a handler panicked");
+    Problem::internal().into_response()
+}

@@ -1,0 +1,245 @@
+//! `/v1/jobs/{id}/artifacts`: what a job has written, whole or in ranges, each with its digest.
+
+use std::fs;
+use std::io::{self, SeekFrom};
+use std::path::{Path as FilePath, PathBuf};
+use std::sync::Arc;
+use std::time::UNIX_EPOCH;
+
+use axum::body::Body;
+use axum::extract::{Path, State};
+use axum::http::{HeaderMap, StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use serde::Serialize;
+use sha2::{Digest, Sha256};
+use tokio::io::{AsyncReadExt, AsyncSeekExt};
+use tokio_util::io::ReaderStream;
+use utoipa::ToSchema;
+
+use super::jobs::find;
+use super::problem::Problem;
+use super::range::{Wanted, wanted};
+use crate::app::App;
+use crate::error::ServerError;
+
+/// A file of a job.
+#[derive(Debug, Serialize, ToSchema)]
+pub struct Artifact {
+    /// Its path below the job's output, with `/`.
+    name: String,
+    /// Its size.
+    bytes: u64,
+    /// Hexadecimal.
+    sha256: String,
+    /// Its media type.
+    media_type: &'static str,
+}
+
+/// Every file of a job.
+#[derive(Debug, Serialize, ToSchema)]
+pub struct Artifacts {
+    /// By name.
+    artifacts: Vec<Artifact>,
+}
+
+/// Lists the files that the job has written so far.
+#[utoipa::path(get, path = "/v1/jobs/{id}/artifacts", tag = "results", params(("id" = String, Path)),
+    responses(
+        (status = 200, description = "The files", body = Artifacts),
+        (status = 404, description = "Unknown", body = Problem, content_type = "application/problem+json")))]
+pub async fn list(
+    State(app): State<Arc<App>>,
+    Path(id): Path<String>,
+) -> Result<axum::Json<Artifacts>, Problem> {
+    find(&app, &id).await?;
+    let output = app.data.output(&id);
+    let names = tokio::task::spawn_blocking({
+        let output = output.clone();
+        move || {
+            let mut names = Vec::new();
+            collect(&output, "", &mut names).map(|()| names)
+        }
+    });
+    let mut names = names.await.map_err(|_| Problem::internal())?.map_err(ServerError::io(&output))?;
+    names.sort();
+    let mut artifacts = Vec::with_capacity(names.len());
+    for name in names {
+        // A file may go between listing and reading: the job is at work.
+        if let Some(file) = Stored::open(&app, &id, &name).await? {
+            artifacts.push(Artifact {
+                bytes: file.bytes,
+                sha256: file.sha256,
+                media_type: media_type(&name),
+                name,
+            });
+        }
+    }
+    Ok(axum::Json(Artifacts { artifacts }))
+}
+
+/// Sends a file of the job, whole or the range asked for.
+#[utoipa::path(get, path = "/v1/jobs/{id}/artifacts/{name}", tag = "results",
+    params(("id" = String, Path), ("name" = String, Path, description = "As listed; may contain `/`"),
+        ("Range" = Option<String>, Header, description = "One range of bytes")),
+    responses(
+        (status = 200, description = "The file", body = Vec<u8>, content_type = "application/octet-stream"),
+        (status = 206, description = "The range", body = Vec<u8>, content_type = "application/octet-stream"),
+        (status = 304, description = "As you have it"),
+        (status = 404, description = "Unknown", body = Problem, content_type = "application/problem+json"),
+        (status = 416, description = "Beyond the end", body = Problem, content_type = "application/problem+json")))]
+pub async fn download(
+    State(app): State<Arc<App>>,
+    Path((id, name)): Path<(String, String)>,
+    headers: HeaderMap,
+) -> Result<Response, Problem> {
+    find(&app, &id).await?;
+    let file = Stored::open(&app, &id, &name).await?.ok_or_else(|| Problem::not_found("artifact"))?;
+    let etag = format!("\"{}\"", file.sha256);
+    let common = [
+        (header::ETAG, etag.clone()),
+        (header::ACCEPT_RANGES, "bytes".to_owned()),
+        (header::CONTENT_TYPE, media_type(&name).to_owned()),
+        // A file of a job must not become a page of this site.
+        (header::CONTENT_SECURITY_POLICY, "default-src 'none'; sandbox".to_owned()),
+    ];
+    if is_known(&headers, &etag) {
+        return Ok((StatusCode::NOT_MODIFIED, common).into_response());
+    }
+    let (start, length) = match wanted(&headers, file.bytes, &etag) {
+        Wanted::All => (0, file.bytes),
+        Wanted::Part { start, length } => (start, length),
+        Wanted::Impossible => {
+            let problem =
+                Problem::new(StatusCode::RANGE_NOT_SATISFIABLE, "bad_range", "The range is beyond the end.");
+            return Ok(
+                ([(header::CONTENT_RANGE, format!("bytes */{}", file.bytes))], problem).into_response()
+            );
+        }
+    };
+    let mut source = tokio::fs::File::open(&file.path).await.map_err(ServerError::io(&file.path))?;
+    source.seek(SeekFrom::Start(start)).await.map_err(ServerError::io(&file.path))?;
+    let body = Body::from_stream(ReaderStream::with_capacity(source.take(length), 1 << 16));
+    let whole = length == file.bytes;
+    let status = if whole { StatusCode::OK } else { StatusCode::PARTIAL_CONTENT };
+    let mut response = (status, common, [(header::CONTENT_LENGTH, length.to_string())], body).into_response();
+    if !whole {
+        let range = format!("bytes {start}-{}/{}", start + length - 1, file.bytes);
+        response.headers_mut().insert(header::CONTENT_RANGE, range.parse().map_err(|_| Problem::internal())?);
+    }
+    Ok(response)
+}
+
+/// Whether the client has this very content already.
+pub(super) fn is_known(headers: &HeaderMap, etag: &str) -> bool {
+    headers.get(header::IF_NONE_MATCH).and_then(|value| value.to_str().ok()).is_some_and(|tags| {
+        tags.split(',').any(|tag| matches!(tag.trim().trim_start_matches("W/"), t if t == etag || t == "*"))
+    })
+}
+
+/// A file with its digest.
+struct Stored {
+    path: PathBuf,
+    bytes: u64,
+    sha256: String,
+}
+
+impl Stored {
+    /// `None` when there is no such file below the job's output.
+    async fn open(app: &App, id: &str, name: &str) -> Result<Option<Self>, Problem> {
+        let output = app.data.output(id);
+        let Some(path) = inside(&output, name) else { return Ok(None) };
+        let Ok(metadata) = tokio::fs::metadata(&path).await else { return Ok(None) };
+        if !metadata.is_file() {
+            return Ok(None);
+        }
+        let bytes = metadata.len();
+        let modified = metadata.modified().ok().and_then(|time| time.duration_since(UNIX_EPOCH).ok());
+        let modified_ns = i64::try_from(modified.unwrap_or_default().as_nanos()).unwrap_or(0);
+        let size = i64::try_from(bytes).unwrap_or(i64::MAX);
+        let sha256 = match app.store.digest(id, name, size, modified_ns).await? {
+            Some(known) => known,
+            None => {
+                let source = path.clone();
+                let digest = tokio::task::spawn_blocking(move || sha256(&source)).await;
+                let digest = digest.map_err(|_| Problem::internal())?.map_err(ServerError::io(&path))?;
+                app.store.remember_digest(id, (name, size, modified_ns), &digest).await?;
+                digest
+            }
+        };
+        Ok(Some(Self { path, bytes, sha256 }))
+    }
+}
+
+fn sha256(path: &FilePath) -> io::Result<String> {
+    let mut hasher = Sha256::new();
+    io::copy(&mut fs::File::open(path)?, &mut hasher)?;
+    Ok(hasher.finalize().iter().map(|byte| format!("{byte:02x}")).collect())
+}
+
+/// The file of this name, when it really lies below `output` and is no private one.
+fn inside(output: &FilePath, name: &str) -> Option<PathBuf> {
+    if name.split('/').any(|part| part.is_empty() || part.starts_with('.') || part.contains(['\\', '\0'])) {
+        return None;
+    }
+    // Resolved: a link inside must not lead out.
+    let (root, path) = (output.canonicalize().ok()?, output.join(name).canonicalize().ok()?);
+    path.starts_with(&root).then_some(path)
+}
+
+/// Every public file below `dir`. What begins with a dot is the pipeline's own: unfinished or temporary.
+fn collect(dir: &FilePath, prefix: &str, names: &mut Vec<String>) -> io::Result<()> {
+    let entries = match fs::read_dir(dir) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(()),
+        entries => entries?,
+    };
+    for entry in entries {
+        let entry = entry?;
+        let Ok(name) = entry.file_name().into_string() else { continue };
+        if name.starts_with('.') {
+            continue;
+        }
+        let kind = entry.file_type()?;
+        if kind.is_dir() {
+            collect(&entry.path(), &format!("{prefix}{name}/"), names)?;
+        } else if kind.is_file() {
+            names.push(format!("{prefix}{name}"));
+        }
+    }
+    Ok(())
+}
+
+fn media_type(name: &str) -> &'static str {
+    match name.rsplit_once('.').map(|(_, extension)| extension) {
+        Some("json") => "application/json",
+        Some("jpg" | "jpeg") => "image/jpeg",
+        Some("png") => "image/png",
+        Some("txt") => "text/plain; charset=utf-8",
+        Some("csv") => "text/csv; charset=utf-8",
+        _ => "application/octet-stream",
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn no_name_leads_out_of_the_output() {
+        let dir = tempfile::tempdir().expect("temporary directory");
+        let output = dir.path().join("output");
+        fs::create_dir_all(output.join("rounds")).expect("create");
+        fs::write(output.join("scene.ply"), "ply").expect("write");
+        fs::write(output.join(".lock"), "x").expect("write");
+        fs::write(dir.path().join("secret"), "x").expect("write");
+        std::os::unix::fs::symlink(dir.path().join("secret"), output.join("link")).expect("link");
+        assert!(inside(&output, "scene.ply").is_some());
+        for name in
+            ["../secret", "rounds/../../secret", "/etc/passwd", "link", ".lock", "", "rounds//x", "a\0b"]
+        {
+            assert!(inside(&output, name).is_none(), "{name:?}");
+        }
+        let mut names = Vec::new();
+        collect(&output, "", &mut names).expect("list");
+        assert_eq!(names, ["scene.ply"]);
+    }
+}

@@ -1,0 +1,117 @@
+//! `/v1/captures`.
+
+use std::sync::Arc;
+
+use axum::extract::{Multipart, Path, State};
+use axum::http::{StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use serde::Deserialize;
+use utoipa::IntoParams;
+
+use super::extract::Query;
+use super::problem::Problem;
+use super::shapes::{Capture, Captures};
+use super::upload;
+use crate::app::App;
+
+/// How to take an upload.
+#[derive(Debug, Deserialize, IntoParams)]
+#[serde(deny_unknown_fields)]
+pub struct CreateQuery {
+    /// Judge only; keep nothing. Present and empty, or `true`.
+    dry_run: Option<String>,
+}
+
+/// Which captures to list.
+#[derive(Debug, Deserialize, IntoParams)]
+#[serde(deny_unknown_fields)]
+pub struct ListQuery {
+    /// At most so many, 1..=200.
+    limit: Option<u32>,
+    /// `next_cursor` of the page before.
+    cursor: Option<String>,
+}
+
+/// Uploads photographs: parts named `images`, or one zip; optionally `gt`, poses and `name`.
+#[utoipa::path(post, path = "/v1/captures", tag = "captures", params(CreateQuery),
+    request_body(content_type = "multipart/form-data", content = String,
+        description = "`images`: photographs or one zip; `gt`: ground truth with the same names; `poses`: transforms.json, poses_bounds.npy or a COLMAP model; `name`"),
+    responses(
+        (status = 200, description = "The verdicts of a dry run", body = Capture),
+        (status = 201, description = "Stored, on disk", body = Capture),
+        (status = 422, description = "Too few usable photographs", body = Problem, content_type = "application/problem+json"),
+        (status = 507, description = "The disk is full", body = Problem, content_type = "application/problem+json")))]
+pub async fn create(
+    State(app): State<Arc<App>>,
+    Query(query): Query<CreateQuery>,
+    body: Result<Multipart, axum::extract::multipart::MultipartRejection>,
+) -> Result<Response, Problem> {
+    let body = body.map_err(|rejection| {
+        Problem::new(rejection.status(), "unsupported_media_type", rejection.body_text())
+            .hint("Send multipart/form-data with parts named `images`.")
+    })?;
+    let upload = upload::receive(&app, body).await?;
+    let report = upload.judge().await?;
+    if query.dry_run.is_some_and(|value| value != "false") {
+        let name = upload.fields.get("name").cloned().unwrap_or_default();
+        return Ok(axum::Json(Capture { id: None, name, created_at: None, report }).into_response());
+    }
+    let row = upload.keep(&app, &report).await?;
+    let location = format!("/v1/captures/{}", row.id);
+    let body = axum::Json(Capture::from_row(row));
+    Ok((StatusCode::CREATED, [(header::LOCATION, location)], body).into_response())
+}
+
+/// Lists captures, newest first.
+#[utoipa::path(get, path = "/v1/captures", tag = "captures", params(ListQuery),
+    responses((status = 200, description = "A page", body = Captures)))]
+pub async fn list(
+    State(app): State<Arc<App>>,
+    Query(query): Query<ListQuery>,
+) -> Result<axum::Json<Captures>, Problem> {
+    let limit = query.limit.unwrap_or(50).clamp(1, 200);
+    let rows = app.store.captures(limit + 1, query.cursor.as_deref()).await?;
+    let more = rows.len() > limit as usize;
+    let captures: Vec<Capture> = rows.into_iter().take(limit as usize).map(Capture::from_row).collect();
+    let next_cursor = captures.last().filter(|_| more).and_then(|last| last.id.clone());
+    Ok(axum::Json(Captures { captures, next_cursor }))
+}
+
+/// Shows a capture and its verdicts.
+#[utoipa::path(get, path = "/v1/captures/{id}", tag = "captures", params(("id" = String, Path)),
+    responses(
+        (status = 200, description = "The capture", body = Capture),
+        (status = 404, description = "Unknown", body = Problem, content_type = "application/problem+json")))]
+pub async fn show(
+    State(app): State<Arc<App>>,
+    Path(id): Path<String>,
+) -> Result<axum::Json<Capture>, Problem> {
+    let row = app.store.capture(&id).await?.ok_or_else(|| Problem::not_found("capture"))?;
+    Ok(axum::Json(Capture::from_row(row)))
+}
+
+/// Deletes a capture that no job uses.
+#[utoipa::path(delete, path = "/v1/captures/{id}", tag = "captures", params(("id" = String, Path)),
+    responses(
+        (status = 204, description = "Deleted"),
+        (status = 404, description = "Unknown", body = Problem, content_type = "application/problem+json"),
+        (status = 409, description = "A job uses it", body = Problem, content_type = "application/problem+json")))]
+pub async fn delete(State(app): State<Arc<App>>, Path(id): Path<String>) -> Result<StatusCode, Problem> {
+    let row = app.store.capture(&id).await?.ok_or_else(|| Problem::not_found("capture"))?;
+    if !app.store.delete_capture(&row.id).await? {
+        return Err(Problem::conflict("in_use", "A job uses this capture.").hint("Delete its jobs first."));
+    }
+    remove(&app.data.capture(&row.id)).await;
+    Ok(StatusCode::NO_CONTENT)
+}
+
+/// Removes the files of something that is no longer in the database. Their loss of name is what
+/// counts; what cannot be removed is told to the operator.
+pub(super) async fn remove(dir: &std::path::Path) {
+    match tokio::fs::remove_dir_all(dir).await {
+        Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
+            tracing::warn!(%error, dir = %dir.display(), "cannot remove");
+        }
+        _ => {}
+    }
+}

@@ -1,0 +1,106 @@
+//! `/v1/jobs/{id}/events`: server-sent events out of the database.
+//!
+//! The stream never carries a payload from memory: it is told that something changed and reads
+//! what follows the last number sent. So nothing is lost, doubled or out of order, whether the
+//! client reconnects, the server restarts or both.
+
+use std::convert::Infallible;
+use std::sync::Arc;
+use std::time::Duration;
+
+use axum::extract::{Path, State};
+use axum::http::{HeaderMap, StatusCode};
+use axum::response::sse::{Event, KeepAlive};
+use axum::response::{IntoResponse, Response, Sse};
+use futures::Stream;
+use serde::Deserialize;
+use tokio::sync::watch;
+use utoipa::IntoParams;
+
+use super::extract::Query;
+use super::jobs::find;
+use super::problem::Problem;
+use crate::app::App;
+use crate::store::EventRow;
+
+/// Rows read at once.
+const BATCH: u32 = 200;
+
+/// From where to stream.
+#[derive(Debug, Deserialize, IntoParams)]
+#[serde(deny_unknown_fields)]
+pub struct StreamQuery {
+    /// Like the header `Last-Event-ID`, for clients that cannot set it.
+    after: Option<i64>,
+}
+
+/// Streams what happens to a job: `state`, `planned`, `stage_started`, `stage_finished`, `progress`,
+/// `round_finished`, `warning`. Ends with the job; 204 when there is nothing more to come.
+#[utoipa::path(get, path = "/v1/jobs/{id}/events", tag = "jobs",
+    params(("id" = String, Path), StreamQuery,
+        ("Last-Event-ID" = Option<i64>, Header, description = "Number of the last event received; what follows it is sent")),
+    responses(
+        (status = 200, description = "Events, each with its number as `id`", body = String, content_type = "text/event-stream"),
+        (status = 204, description = "The job is over and everything was sent"),
+        (status = 404, description = "Unknown", body = Problem, content_type = "application/problem+json")))]
+pub async fn stream(
+    State(app): State<Arc<App>>,
+    Path(id): Path<String>,
+    Query(query): Query<StreamQuery>,
+    headers: HeaderMap,
+) -> Result<Response, Problem> {
+    // Watching begins before the first look, or a change between the two would be missed.
+    let versions = app.watch();
+    let job = find(&app, &id).await?;
+    let header = headers.get("last-event-id").and_then(|value| value.to_str().ok()?.parse().ok());
+    let last = header.or(query.after).unwrap_or(0);
+    if job.state.is_terminal() && app.store.events_after(&id, last, 1).await?.is_empty() {
+        // The only answer after which a browser does not connect again.
+        return Ok(StatusCode::NO_CONTENT.into_response());
+    }
+    let cursor = Cursor { app, id, last, versions, batch: Vec::new().into_iter() };
+    let keep_alive = KeepAlive::new().interval(Duration::from_secs(15));
+    Ok(Sse::new(cursor.into_stream()).keep_alive(keep_alive).into_response())
+}
+
+struct Cursor {
+    app: Arc<App>,
+    id: String,
+    last: i64,
+    versions: watch::Receiver<u64>,
+    batch: std::vec::IntoIter<EventRow>,
+}
+
+impl Cursor {
+    fn into_stream(self) -> impl Stream<Item = Result<Event, Infallible>> {
+        futures::stream::unfold(self, async |mut cursor| {
+            let row = cursor.next().await?;
+            let event = Event::default().id(row.seq.to_string()).event(row.kind).data(row.data.to_string());
+            Some((Ok(event), cursor))
+        })
+    }
+
+    /// The next event; `None` when the job is over, is gone, or the server stops.
+    async fn next(&mut self) -> Option<EventRow> {
+        loop {
+            if let Some(row) = self.batch.next() {
+                self.last = row.seq;
+                return Some(row);
+            }
+            self.versions.mark_unchanged();
+            // The state is read before the events: an end that comes in between has its event read.
+            let job = self.app.store.job(&self.id).await.ok()??;
+            let rows = self.app.store.events_after(&self.id, self.last, BATCH).await.ok()?;
+            if rows.is_empty() {
+                if job.state.is_terminal() {
+                    return None;
+                }
+                tokio::select! {
+                    changed = self.versions.changed() => changed.ok()?,
+                    () = self.app.shutdown.cancelled() => return None,
+                }
+            }
+            self.batch = rows.into_iter();
+        }
+    }
+}

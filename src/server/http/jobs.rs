@@ -1,0 +1,293 @@
+//! `/v1/jobs`.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use axum::extract::{DefaultBodyLimit, FromRequest, Multipart, Path, Request, State};
+use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use fled_core::pipeline::config::{OptionsError, Preset};
+use serde::Deserialize;
+use serde_json::{Map, Value};
+use utoipa::{IntoParams, ToSchema};
+use uuid::Uuid;
+
+use super::SMALL;
+use super::captures::remove;
+use super::extract::{Json, Query};
+use super::problem::Problem;
+use super::shapes::{Job, Jobs};
+use super::upload;
+use crate::app::App;
+use crate::jobs::state::JobState;
+use crate::store::{Creation, JobRow, NewJob};
+
+/// Cancelling answers when the job is over, but not later than this.
+const CANCEL_PATIENCE: Duration = Duration::from_millis(2500);
+
+/// A job to be made.
+#[derive(Clone, Debug, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct CreateJob {
+    /// An existing capture.
+    capture_id: String,
+    /// `preview`, `standard` (default) or `paper`.
+    preset: Option<String>,
+    /// Options over the preset's; see `/v1/options`.
+    #[serde(default)]
+    #[schema(value_type = Object)]
+    options: Map<String, Value>,
+    /// The user's name for it; the capture's when absent.
+    name: Option<String>,
+}
+
+/// Which jobs to list.
+#[derive(Debug, Deserialize, IntoParams)]
+#[serde(deny_unknown_fields)]
+pub struct ListQuery {
+    /// Of this state only.
+    state: Option<JobState>,
+    /// At most so many, 1..=200.
+    limit: Option<u32>,
+    /// `next_cursor` of the page before.
+    cursor: Option<String>,
+}
+
+/// Creates a job: JSON for an existing capture, or multipart for capture and job in one call.
+#[utoipa::path(post, path = "/v1/jobs", tag = "jobs",
+    params(("Idempotency-Key" = Option<String>, Header, description = "The same key and request give the same job")),
+    request_body(content(
+        (CreateJob = "application/json"),
+        (String = "multipart/form-data"))),
+    responses(
+        (status = 202, description = "Accepted, on disk", body = Job, headers(("Location" = String))),
+        (status = 404, description = "Unknown capture", body = Problem, content_type = "application/problem+json"),
+        (status = 422, description = "Unknown option, bad value, or too few usable photographs", body = Problem, content_type = "application/problem+json")))]
+pub async fn create(State(app): State<Arc<App>>, mut request: Request) -> Result<Response, Problem> {
+    let key = idempotency_key(request.headers())?;
+    let is_multipart = request
+        .headers()
+        .get(header::CONTENT_TYPE)
+        .and_then(|value| value.to_str().ok())
+        .is_some_and(|value| value.starts_with("multipart/form-data"));
+    let creation = if is_multipart {
+        from_upload(&app, request, key.as_deref()).await?
+    } else {
+        // Uploads stream and are counted elsewhere; JSON is read into memory.
+        DefaultBodyLimit::max(SMALL).apply(&mut request);
+        let Json(body) = Json::<CreateJob>::from_request(request, &app).await?;
+        from_json(&app, &body, key.as_deref()).await?
+    };
+    let (row, replayed) = match creation {
+        Creation::Created(row) => (row, false),
+        Creation::Replayed(row) => (row, true),
+        Creation::KeyReused => {
+            return Err(Problem::unprocessable(
+                "key_reused",
+                "This Idempotency-Key belongs to another request.",
+            )
+            .hint("Use a new key for a new job."));
+        }
+    };
+    app.wake.notify_one();
+    app.changed();
+    let location = format!("/v1/jobs/{}", row.id);
+    let job = Job::load(&app.store, row).await?;
+    let mut response =
+        (StatusCode::ACCEPTED, [(header::LOCATION, location)], axum::Json(job)).into_response();
+    if replayed {
+        response.headers_mut().insert("idempotent-replayed", HeaderValue::from_static("true"));
+    }
+    Ok(response)
+}
+
+async fn from_json(app: &App, body: &CreateJob, key: Option<&str>) -> Result<Creation, Problem> {
+    let capture = app.store.capture(&body.capture_id).await?;
+    let capture = capture.ok_or_else(|| Problem::not_found("capture").pointer("/capture_id"))?;
+    let options = Value::Object(body.options.clone()).to_string();
+    let parts = [
+        &body.capture_id,
+        body.preset.as_deref().unwrap_or_default(),
+        &options,
+        body.name.as_deref().unwrap_or_default(),
+    ];
+    let fingerprint = blake3::hash(parts.join("\n").as_bytes()).to_hex().to_string();
+    let job = new_job(
+        &capture.id,
+        body.name.as_deref().unwrap_or(&capture.name),
+        body.preset.as_deref(),
+        &body.options,
+    )?;
+    Ok(app.store.create_job(&job, key, &fingerprint).await?)
+}
+
+async fn from_upload(app: &Arc<App>, request: Request, key: Option<&str>) -> Result<Creation, Problem> {
+    let body = Multipart::from_request(request, app)
+        .await
+        .map_err(|rejection| Problem::new(rejection.status(), "bad_request", rejection.body_text()))?;
+    let upload = upload::receive(app, body).await?;
+    let options =
+        match upload.fields.get("options").map(String::as_str).filter(|text| !text.trim().is_empty()) {
+            None => Map::new(),
+            Some(text) => serde_json::from_str(text).map_err(|error| {
+                Problem::unprocessable("bad_input", format!("`options` is no JSON object: {error}"))
+                    .pointer("/options")
+            })?,
+        };
+    let preset = upload.fields.get("preset").cloned().filter(|preset| !preset.is_empty());
+    let fingerprint = upload.fingerprint.clone();
+    // Options are judged before the photographs: a typo is told at once.
+    new_job("", "", preset.as_deref(), &options)?;
+    let report = upload.judge().await?;
+    let capture = upload.keep(app, &report).await?;
+    let job = new_job(&capture.id, &capture.name, preset.as_deref(), &options)?;
+    let creation = app.store.create_job(&job, key, &fingerprint).await?;
+    if !matches!(creation, Creation::Created(_)) && app.store.delete_capture(&capture.id).await? {
+        // The job of the first request has its own capture; this copy was for nothing.
+        remove(&app.data.capture(&capture.id)).await;
+    }
+    Ok(creation)
+}
+
+fn new_job(
+    capture: &str,
+    name: &str,
+    preset: Option<&str>,
+    options: &Map<String, Value>,
+) -> Result<NewJob, Problem> {
+    let preset: Preset = preset
+        .unwrap_or(Preset::Standard.name())
+        .parse()
+        .map_err(|error: OptionsError| bad_option(&error).pointer("/preset"))?;
+    let options = preset.options().with_overrides(options).map_err(|error| bad_option(&error))?;
+    Ok(NewJob {
+        id: Uuid::now_v7().to_string(),
+        name: name.chars().take(200).collect(),
+        capture_id: capture.to_owned(),
+        preset: preset.name().to_owned(),
+        rounds: options.rounds,
+        options: serde_json::to_value(&options).map_err(|_| Problem::internal())?,
+    })
+}
+
+fn bad_option(error: &OptionsError) -> Problem {
+    // RFC 6901: the two characters that a pointer gives a meaning.
+    let key = error.key.replace('~', "~0").replace('/', "~1");
+    Problem::unprocessable("bad_option", error.to_string())
+        .pointer(format!("/options/{key}"))
+        .hint("See /v1/options for the options, their ranges and presets.")
+}
+
+fn idempotency_key(headers: &HeaderMap) -> Result<Option<String>, Problem> {
+    let Some(value) = headers.get("idempotency-key") else { return Ok(None) };
+    match value.to_str() {
+        Ok(key) if !key.is_empty() && key.len() <= 255 => Ok(Some(key.to_owned())),
+        _ => Err(Problem::new(
+            StatusCode::BAD_REQUEST,
+            "bad_request",
+            "Idempotency-Key has 1 to 255 ASCII characters.",
+        )),
+    }
+}
+
+/// Lists jobs, newest first.
+#[utoipa::path(get, path = "/v1/jobs", tag = "jobs", params(ListQuery),
+    responses((status = 200, description = "A page", body = Jobs)))]
+pub async fn list(
+    State(app): State<Arc<App>>,
+    Query(query): Query<ListQuery>,
+) -> Result<axum::Json<Jobs>, Problem> {
+    let limit = query.limit.unwrap_or(50).clamp(1, 200);
+    let mut rows = app.store.jobs(query.state, limit + 1, query.cursor.as_deref()).await?;
+    let more = rows.len() > limit as usize;
+    rows.truncate(limit as usize);
+    let next_cursor = rows.last().filter(|_| more).map(|row| row.id.clone());
+    let mut jobs = Vec::with_capacity(rows.len());
+    for row in rows {
+        jobs.push(Job::load(&app.store, row).await?);
+    }
+    Ok(axum::Json(Jobs { jobs, next_cursor }))
+}
+
+/// Shows a job: state, progress, warnings, error.
+#[utoipa::path(get, path = "/v1/jobs/{id}", tag = "jobs", params(("id" = String, Path)),
+    responses(
+        (status = 200, description = "The job", body = Job),
+        (status = 404, description = "Unknown", body = Problem, content_type = "application/problem+json")))]
+pub async fn show(State(app): State<Arc<App>>, Path(id): Path<String>) -> Result<axum::Json<Job>, Problem> {
+    let row = find(&app, &id).await?;
+    Ok(axum::Json(Job::load(&app.store, row).await?))
+}
+
+/// Stops a job and every process of it, within two seconds.
+#[utoipa::path(post, path = "/v1/jobs/{id}/cancel", tag = "jobs", params(("id" = String, Path)),
+    responses(
+        (status = 202, description = "Cancelled, or about to be", body = Job),
+        (status = 404, description = "Unknown", body = Problem, content_type = "application/problem+json"),
+        (status = 409, description = "It is over already", body = Problem, content_type = "application/problem+json")))]
+pub async fn cancel(State(app): State<Arc<App>>, Path(id): Path<String>) -> Result<Response, Problem> {
+    let row = find(&app, &id).await?;
+    if app.store.request_cancel(&id).await?.is_none() {
+        return Err(over(&row));
+    }
+    app.stop(&id);
+    app.changed();
+    let mut versions = app.watch();
+    let ended = async {
+        while !find(&app, &id).await?.state.is_terminal() {
+            if versions.changed().await.is_err() {
+                break;
+            }
+        }
+        Ok::<(), Problem>(())
+    };
+    // Not ended in time: the job says that it is to be cancelled, and will be.
+    if let Ok(outcome) = tokio::time::timeout(CANCEL_PATIENCE, ended).await {
+        outcome?;
+    }
+    let job = Job::load(&app.store, find(&app, &id).await?).await?;
+    Ok((StatusCode::ACCEPTED, axum::Json(job)).into_response())
+}
+
+/// Queues a failed or cancelled job again; it goes on from what is done.
+#[utoipa::path(post, path = "/v1/jobs/{id}/retry", tag = "jobs", params(("id" = String, Path)),
+    responses(
+        (status = 202, description = "Queued", body = Job),
+        (status = 404, description = "Unknown", body = Problem, content_type = "application/problem+json"),
+        (status = 409, description = "It neither failed nor was cancelled", body = Problem, content_type = "application/problem+json")))]
+pub async fn retry(State(app): State<Arc<App>>, Path(id): Path<String>) -> Result<Response, Problem> {
+    let row = find(&app, &id).await?;
+    if app.store.retry(&id).await?.is_none() {
+        return Err(over(&row));
+    }
+    app.wake.notify_one();
+    app.changed();
+    let job = Job::load(&app.store, find(&app, &id).await?).await?;
+    Ok((StatusCode::ACCEPTED, axum::Json(job)).into_response())
+}
+
+/// Deletes a job that does not run, with its files.
+#[utoipa::path(delete, path = "/v1/jobs/{id}", tag = "jobs", params(("id" = String, Path)),
+    responses(
+        (status = 204, description = "Deleted"),
+        (status = 404, description = "Unknown", body = Problem, content_type = "application/problem+json"),
+        (status = 409, description = "It runs", body = Problem, content_type = "application/problem+json")))]
+pub async fn delete(State(app): State<Arc<App>>, Path(id): Path<String>) -> Result<StatusCode, Problem> {
+    find(&app, &id).await?;
+    if !app.store.delete_job(&id).await? {
+        return Err(Problem::conflict("running", "The job runs.").hint("Cancel it first."));
+    }
+    remove(&app.data.job(&id)).await;
+    app.changed();
+    Ok(StatusCode::NO_CONTENT)
+}
+
+fn over(row: &JobRow) -> Problem {
+    Problem::conflict("wrong_state", format!("The job is {}.", row.state.name()))
+        .hint("Queued and running jobs can be cancelled; failed and cancelled ones retried.")
+}
+
+/// The job, or 404.
+pub(super) async fn find(app: &App, id: &str) -> Result<JobRow, Problem> {
+    app.store.job(id).await?.ok_or_else(|| Problem::not_found("job"))
+}

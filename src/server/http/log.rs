@@ -1,0 +1,56 @@
+//! `/v1/jobs/{id}/log`.
+
+use std::sync::Arc;
+
+use axum::extract::{Path, State};
+use serde::{Deserialize, Serialize};
+use utoipa::{IntoParams, ToSchema};
+
+use super::extract::Query;
+use super::jobs::find;
+use super::problem::Problem;
+use crate::app::App;
+use crate::error::ServerError;
+use crate::jobs::log::read_page;
+
+/// Which part of the log.
+#[derive(Debug, Deserialize, IntoParams)]
+#[serde(deny_unknown_fields)]
+pub struct LogQuery {
+    /// `next_offset` of the page before.
+    offset: Option<u64>,
+    /// At most so many lines, 1..=5000.
+    limit: Option<usize>,
+}
+
+/// A page of a job's log.
+#[derive(Debug, Serialize, ToSchema)]
+pub struct LogPage {
+    /// Lines, oldest first.
+    lines: Vec<String>,
+    /// `offset` of the next page.
+    next_offset: u64,
+    /// Whether there is nothing more for now.
+    end: bool,
+}
+
+/// Shows a page of the job's log: what its process and its tools have said, over all attempts.
+#[utoipa::path(get, path = "/v1/jobs/{id}/log", tag = "results", params(("id" = String, Path), LogQuery),
+    responses(
+        (status = 200, description = "A page", body = LogPage),
+        (status = 404, description = "Unknown", body = Problem, content_type = "application/problem+json")))]
+pub async fn show(
+    State(app): State<Arc<App>>,
+    Path(id): Path<String>,
+    Query(query): Query<LogQuery>,
+) -> Result<axum::Json<LogPage>, Problem> {
+    find(&app, &id).await?;
+    let path = app.data.log(&id);
+    let (offset, limit) = (query.offset.unwrap_or(0), query.limit.unwrap_or(1000).clamp(1, 5000));
+    let read = {
+        let path = path.clone();
+        tokio::task::spawn_blocking(move || read_page(&path, offset, limit)).await
+    };
+    let page = read.map_err(|_| Problem::internal())?.map_err(ServerError::io(&path))?;
+    Ok(axum::Json(LogPage { lines: page.lines, next_offset: page.next_offset, end: page.end }))
+}

@@ -1,0 +1,120 @@
+//! Errors as RFC 9457 problem documents with a stable code and a hint.
+
+use axum::Json;
+use axum::http::{HeaderValue, StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use serde::Serialize;
+use serde_json::Value;
+use utoipa::ToSchema;
+
+use crate::error::ServerError;
+
+/// Why a request was not done. Boxed where it can be: it is the error of every handler.
+#[derive(Clone, Debug, Serialize, ToSchema)]
+pub struct Problem {
+    /// Always `about:blank`: the code says more.
+    #[serde(rename = "type")]
+    kind: &'static str,
+    /// The status in words.
+    title: &'static str,
+    /// The HTTP status.
+    status: u16,
+    /// Stable snake_case name of what went wrong.
+    code: &'static str,
+    /// What happened, in one sentence.
+    #[schema(value_type = String)]
+    detail: Box<str>,
+    /// What to do about it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(value_type = Option<String>)]
+    hint: Option<Box<str>>,
+    /// JSON pointer to the part of the request at fault.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(value_type = Option<String>)]
+    pointer: Option<Box<str>>,
+    /// Verdicts on the uploaded files, where an upload was refused.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(value_type = Option<Object>)]
+    capture: Option<Box<Value>>,
+}
+
+impl Problem {
+    /// A problem with this status, code and detail.
+    pub fn new(status: StatusCode, code: &'static str, detail: impl Into<String>) -> Self {
+        Self {
+            kind: "about:blank",
+            title: status.canonical_reason().unwrap_or("Error"),
+            status: status.as_u16(),
+            code,
+            detail: detail.into().into(),
+            hint: None,
+            pointer: None,
+            capture: None,
+        }
+    }
+
+    /// What the client may do about it.
+    #[must_use]
+    pub fn hint(mut self, hint: impl Into<String>) -> Self {
+        self.hint = Some(hint.into().into());
+        self
+    }
+
+    /// Where in the request the fault is.
+    #[must_use]
+    pub fn pointer(mut self, pointer: impl Into<String>) -> Self {
+        self.pointer = Some(pointer.into().into());
+        self
+    }
+
+    /// The verdicts on an upload.
+    #[must_use]
+    pub fn capture(mut self, capture: Value) -> Self {
+        self.capture = Some(Box::new(capture));
+        self
+    }
+
+    /// 404: there is no such thing.
+    pub fn not_found(what: &str) -> Self {
+        Self::new(StatusCode::NOT_FOUND, "not_found", format!("There is no such {what}."))
+    }
+
+    /// 409: not in this state.
+    pub fn conflict(code: &'static str, detail: impl Into<String>) -> Self {
+        Self::new(StatusCode::CONFLICT, code, detail)
+    }
+
+    /// 422: understood, but not usable.
+    pub fn unprocessable(code: &'static str, detail: impl Into<String>) -> Self {
+        Self::new(StatusCode::UNPROCESSABLE_ENTITY, code, detail)
+    }
+
+    /// 500: our fault; the log says more than the client may know.
+    pub fn internal() -> Self {
+        Self::new(StatusCode::INTERNAL_SERVER_ERROR, "internal", "The server failed; its log says why.")
+    }
+}
+
+impl IntoResponse for Problem {
+    fn into_response(self) -> Response {
+        let status = StatusCode::from_u16(self.status).unwrap_or(StatusCode::INTERNAL_SERVER_ERROR);
+        let mut response = (status, Json(self)).into_response();
+        let media_type = HeaderValue::from_static("application/problem+json");
+        response.headers_mut().insert(header::CONTENT_TYPE, media_type);
+        response
+    }
+}
+
+impl From<ServerError> for Problem {
+    fn from(error: ServerError) -> Self {
+        tracing::error!(%error, "a request failed");
+        let full = matches!(&error, ServerError::Io { source, .. } if source.kind() == std::io::ErrorKind::StorageFull);
+        if full { disk_full() } else { Self::internal() }
+    }
+}
+
+/// 507: the disk is (nearly) full.
+pub fn disk_full() -> Problem {
+    Problem::new(StatusCode::INSUFFICIENT_STORAGE, "disk_full", "The server's disk is full.")
+        .hint("Delete captures and jobs that are no longer needed, or give the data directory more space.")
+}

@@ -1,0 +1,290 @@
+//! `/v1/jobs/{id}/render`: novel views, also while the job trains.
+
+use std::path::Path as FilePath;
+use std::sync::Arc;
+
+use axum::body::Body;
+use axum::extract::{Path, State};
+use axum::http::{HeaderMap, StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use fled_core::camera::orbit::Orbit;
+use fled_core::camera::{Intrinsics, NamedCamera, Split};
+use serde::Deserialize;
+use utoipa::{IntoParams, ToSchema};
+use uuid::Uuid;
+
+use super::artifacts::is_known;
+use super::extract::{Json, Query};
+use super::jobs::find;
+use super::problem::Problem;
+use crate::app::App;
+use crate::error::ServerError;
+use crate::jobs::state::JobState;
+use crate::render::{Format, RenderError, RenderRequest, scene_file};
+
+/// Longest side of a render, px.
+const LONGEST_SIDE: usize = 2048;
+
+/// What to see: a photograph's view, or a place on the orbit around the scene.
+#[derive(Debug, Default, Deserialize, IntoParams)]
+#[serde(deny_unknown_fields)]
+pub struct RenderQuery {
+    /// Name of a photograph's view.
+    view: Option<String>,
+    /// Degrees to the right of the middle of the photographers; default 0.
+    azimuth: Option<f64>,
+    /// Degrees above them; default 0.
+    elevation: Option<f64>,
+    /// Times their median distance from the centre; default 1.
+    distance: Option<f64>,
+    /// px; default: the view's, or in proportion to `height`.
+    width: Option<usize>,
+    /// px; default: the view's, or in proportion to `width`.
+    height: Option<usize>,
+    /// Of which round; default: the delivered one, or the last that is finished.
+    round: Option<u32>,
+    /// `jpeg` (default) or `png`.
+    format: Option<Format>,
+}
+
+/// A camera of the client's own.
+#[derive(Debug, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct RenderBody {
+    /// Rigid, row-major, 4x4; OpenCV axes: x right, y down, z forward.
+    world_to_camera: [[f64; 4]; 4],
+    /// Pinhole, pixels.
+    intrinsics: Pinhole,
+    /// Of which round; default: the delivered one, or the last that is finished.
+    round: Option<u32>,
+    /// `jpeg` (default) or `png`.
+    format: Option<Format>,
+}
+
+/// Intrinsics in pixels.
+#[derive(Debug, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Pinhole {
+    width: usize,
+    height: usize,
+    fx: f64,
+    fy: f64,
+    cx: f64,
+    cy: f64,
+}
+
+/// Renders a photograph's view, or one from an orbit around the scene.
+#[utoipa::path(get, path = "/v1/jobs/{id}/render", tag = "results", params(("id" = String, Path), RenderQuery),
+    responses(
+        (status = 200, description = "The picture", body = Vec<u8>, content_type = "image/jpeg"),
+        (status = 304, description = "As you have it"),
+        (status = 404, description = "Unknown job, view or round", body = Problem, content_type = "application/problem+json"),
+        (status = 409, description = "No round is finished yet", body = Problem, content_type = "application/problem+json"),
+        (status = 503, description = "Too many renders wait, or the render process failed", body = Problem, content_type = "application/problem+json")))]
+pub async fn get(
+    State(app): State<Arc<App>>,
+    Path(id): Path<String>,
+    Query(query): Query<RenderQuery>,
+    headers: HeaderMap,
+) -> Result<Response, Problem> {
+    let round = round(&app, &id, query.round).await?;
+    let camera = camera(&app.data.output(&id), &query).await?;
+    picture(&app, &id, round, camera, query.format.unwrap_or(Format::Jpeg), &headers).await
+}
+
+/// Renders with a camera of the client's own.
+#[utoipa::path(post, path = "/v1/jobs/{id}/render", tag = "results", params(("id" = String, Path)),
+    request_body = RenderBody,
+    responses(
+        (status = 200, description = "The picture", body = Vec<u8>, content_type = "image/jpeg"),
+        (status = 404, description = "Unknown job or round", body = Problem, content_type = "application/problem+json"),
+        (status = 409, description = "No round is finished yet", body = Problem, content_type = "application/problem+json"),
+        (status = 422, description = "Not a camera", body = Problem, content_type = "application/problem+json")))]
+pub async fn post(
+    State(app): State<Arc<App>>,
+    Path(id): Path<String>,
+    headers: HeaderMap,
+    Json(body): Json<RenderBody>,
+) -> Result<Response, Problem> {
+    let round = round(&app, &id, body.round).await?;
+    let k = body.intrinsics;
+    let intrinsics = Intrinsics { width: k.width, height: k.height, fx: k.fx, fy: k.fy, cx: k.cx, cy: k.cy };
+    let camera = NamedCamera {
+        name: String::new(),
+        intrinsics,
+        world_to_camera: body.world_to_camera,
+        split: Split::Train,
+    };
+    picture(&app, &id, round, camera, body.format.unwrap_or(Format::Jpeg), &headers).await
+}
+
+/// Of which round the scene is taken; `None`: the delivered scene of a finished job.
+async fn round(app: &App, id: &str, asked: Option<u32>) -> Result<Option<u32>, Problem> {
+    let job = find(app, id).await?;
+    let output = app.data.output(id);
+    if let Some(round) = asked {
+        if scene_file(&output, Some(round)).is_file() {
+            return Ok(Some(round));
+        }
+        return Err(Problem::not_found("round, or it is not finished"));
+    }
+    if job.state == JobState::Succeeded && scene_file(&output, None).is_file() {
+        return Ok(None);
+    }
+    let finished = app.store.rounds(id).await?;
+    let rounds = finished.iter().rev().filter_map(|metrics| u32::try_from(metrics["round"].as_u64()?).ok());
+    rounds.map(Some).find(|&round| scene_file(&output, round).is_file()).ok_or_else(|| {
+        Problem::conflict("no_scene_yet", "No round of this job is finished yet.")
+            .hint("Ask again after the first `round_finished` event.")
+    })
+}
+
+async fn camera(output: &FilePath, query: &RenderQuery) -> Result<NamedCamera, Problem> {
+    let path = output.join("cameras.json");
+    let text = tokio::fs::read(&path).await.map_err(ServerError::io(&path))?;
+    let cameras: Vec<NamedCamera> = serde_json::from_slice(&text)
+        .map_err(|error| ServerError::Damaged { what: "cameras.json", detail: error.to_string() })?;
+    if let Some(view) = &query.view {
+        if query.azimuth.or(query.elevation).or(query.distance).is_some() {
+            return Err(Problem::unprocessable(
+                "bad_input",
+                "Either a view or a place on the orbit, not both.",
+            ));
+        }
+        let named =
+            cameras.iter().find(|camera| camera.name == *view).ok_or_else(|| Problem::not_found("view"))?;
+        let (width, height) = size(query, &named.intrinsics)?;
+        let camera = named.camera().resized(width, height);
+        return Ok(NamedCamera::new(named.name.clone(), &camera, named.split));
+    }
+    let orbit = Orbit::from_cameras(&cameras)
+        .ok_or_else(|| Problem::unprocessable("bad_input", "The cameras of this job span no orbit."))?;
+    let first = cameras.first().ok_or_else(Problem::internal)?;
+    let number = |name: &str, value: Option<f64>, default: f64| match value.unwrap_or(default) {
+        value if value.is_finite() => Ok(value),
+        _ => Err(Problem::unprocessable("bad_input", format!("`{name}` is no finite number."))),
+    };
+    let distance = number("distance", query.distance, 1.0)?;
+    if !(0.01..=100.0).contains(&distance) {
+        return Err(Problem::unprocessable("bad_input", "`distance` is not in 0.01..=100."));
+    }
+    let (azimuth, elevation) =
+        (number("azimuth", query.azimuth, 0.0)?, number("elevation", query.elevation, 0.0)?);
+    let camera = orbit.camera(azimuth, elevation, distance, size(query, &first.intrinsics)?);
+    Ok(NamedCamera::new("", &camera, Split::Train))
+}
+
+/// The size asked for; a side that is not follows the photograph's proportions.
+fn size(query: &RenderQuery, original: &Intrinsics) -> Result<(usize, usize), Problem> {
+    let scaled = |side: usize, this: usize, other: usize| {
+        ((side as f64 * other as f64 / this as f64).round() as usize).max(1)
+    };
+    let size = match (query.width, query.height) {
+        (Some(width), Some(height)) => (width, height),
+        (Some(width), None) => (width, scaled(width, original.width, original.height)),
+        (None, Some(height)) => (scaled(height, original.height, original.width), height),
+        (None, None) => (original.width, original.height),
+    };
+    check_size(size)?;
+    Ok(size)
+}
+
+fn check_size((width, height): (usize, usize)) -> Result<(), Problem> {
+    let allowed = 16..=LONGEST_SIDE;
+    if allowed.contains(&width) && allowed.contains(&height) {
+        return Ok(());
+    }
+    Err(Problem::unprocessable(
+        "bad_input",
+        format!("{width}x{height} is not within 16 and {LONGEST_SIDE} px."),
+    ))
+}
+
+/// Whether numbers make a camera: finite, positive focal lengths, a rotation.
+fn check_camera(camera: &NamedCamera) -> Result<(), Problem> {
+    let k = &camera.intrinsics;
+    check_size((k.width, k.height))?;
+    let rows = &camera.world_to_camera;
+    let finite = rows.iter().flatten().chain([&k.fx, &k.fy, &k.cx, &k.cy]).all(|value| value.is_finite());
+    let rotation = camera.camera().rotation();
+    let deviation = (rotation * rotation.transpose() - glam::DMat3::IDENTITY).to_cols_array();
+    let is_rigid = deviation.iter().all(|d| d.abs() < 1e-3)
+        && rotation.determinant() > 0.0
+        && rows[3] == [0.0, 0.0, 0.0, 1.0];
+    if finite && k.fx > 0.0 && k.fy > 0.0 && is_rigid {
+        return Ok(());
+    }
+    Err(Problem::unprocessable("bad_camera", "This is no pinhole camera with a rigid pose.")
+        .hint("world_to_camera is row-major 4x4: a rotation, a translation, and 0 0 0 1 below."))
+}
+
+async fn picture(
+    app: &App,
+    id: &str,
+    round: Option<u32>,
+    camera: NamedCamera,
+    format: Format,
+    headers: &HeaderMap,
+) -> Result<Response, Problem> {
+    check_camera(&camera)?;
+    let scene = scene_file(&app.data.output(id), round);
+    let key = key(&scene, &camera, format).map_err(ServerError::io(&scene))?;
+    let etag = format!("\"{key}\"");
+    let common = [(header::ETAG, etag.clone()), (header::CONTENT_TYPE, format.media_type().to_owned())];
+    if is_known(headers, &etag) {
+        return Ok((StatusCode::NOT_MODIFIED, common).into_response());
+    }
+    let cache = app.data.renders(id);
+    let cached = cache.join(format!("{key}.{}", format.extension()));
+    if let Ok(bytes) = tokio::fs::read(&cached).await {
+        return Ok((common, Body::from(bytes)).into_response());
+    }
+    tokio::fs::create_dir_all(&cache).await.map_err(ServerError::io(&cache))?;
+    let out = cache.join(format!("{}.tmp", Uuid::now_v7()));
+    let request = RenderRequest { scene, camera, format, out: out.clone() };
+    if let Err(error) = app.renderers.render(&request).await {
+        drop(tokio::fs::remove_file(&out).await);
+        return Err(failed(&error));
+    }
+    let bytes = tokio::fs::read(&out).await.map_err(ServerError::io(&out))?;
+    tokio::fs::rename(&out, &cached).await.map_err(ServerError::io(&cached))?;
+    let kept = app.limits.kept_renders;
+    drop(tokio::task::spawn_blocking(move || trim(&cache, kept)));
+    Ok((common, Body::from(bytes)).into_response())
+}
+
+fn failed(error: &RenderError) -> Problem {
+    let code = match error {
+        RenderError::Busy => "busy",
+        RenderError::Refused(_) | RenderError::Process(_) => "render_failed",
+    };
+    Problem::new(StatusCode::SERVICE_UNAVAILABLE, code, error.to_string())
+        .hint("Try again; /readyz says whether the graphics adapter works.")
+}
+
+/// What a picture depends on: the scene's very file, the camera, the size and the format.
+fn key(scene: &FilePath, camera: &NamedCamera, format: Format) -> std::io::Result<String> {
+    let metadata = std::fs::metadata(scene)?;
+    let mut hasher = blake3::Hasher::new();
+    hasher.update(scene.as_os_str().as_encoded_bytes());
+    hasher.update(format!("{:?}{}", metadata.modified()?, metadata.len()).as_bytes());
+    hasher.update(format!("{:?}{:?}{format:?}", camera.intrinsics, camera.world_to_camera).as_bytes());
+    Ok(hasher.finalize().to_hex()[..32].to_owned())
+}
+
+/// Removes the oldest pictures beyond `kept`.
+fn trim(cache: &FilePath, kept: usize) {
+    let Ok(entries) = std::fs::read_dir(cache) else { return };
+    let mut files: Vec<_> = entries
+        .flatten()
+        .filter_map(|entry| Some((entry.metadata().ok()?.modified().ok()?, entry.path())))
+        .collect();
+    if files.len() <= kept {
+        return;
+    }
+    files.sort();
+    for (_, path) in &files[..files.len() - kept] {
+        // Another request may have removed it meanwhile.
+        let _ = std::fs::remove_file(path);
+    }
+}

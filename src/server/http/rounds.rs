@@ -1,0 +1,143 @@
+//! `/v1/jobs/{id}/rounds`: metrics as they come.
+
+use std::fmt::Write;
+use std::sync::Arc;
+
+use axum::extract::{Path, State};
+use axum::http::header;
+use axum::response::{IntoResponse, Response};
+use serde::{Deserialize, Serialize};
+use serde_json::{Map, Value, json};
+use utoipa::{IntoParams, ToSchema};
+
+use super::extract::Query;
+use super::jobs::find;
+use super::problem::Problem;
+use crate::app::App;
+use crate::store::StageSeconds;
+
+/// In which form.
+#[derive(Debug, Deserialize, IntoParams)]
+#[serde(deny_unknown_fields)]
+pub struct RoundsQuery {
+    /// `json` (default) or `csv`.
+    format: Option<Form>,
+}
+
+/// The forms of a table.
+#[derive(Clone, Copy, Debug, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Form {
+    /// As `metrics.json`.
+    Json,
+    /// One row a record.
+    Csv,
+}
+
+/// The metrics of every round that is done, in the shape of `metrics.json`.
+#[derive(Debug, Serialize, ToSchema)]
+pub struct Rounds {
+    /// One entry a finished round, with `records` by split, image, reference and brightness.
+    #[schema(value_type = Vec<Object>)]
+    rounds: Vec<Value>,
+    /// The delivered round, once the job is done.
+    best_round: Option<u32>,
+    /// The rest of `metrics.json` once it is there: registered, views, adapter, models, fallbacks, poses, seed, config.
+    #[serde(flatten)]
+    #[schema(value_type = Object)]
+    facts: Map<String, Value>,
+}
+
+/// Shows the metrics of every finished round.
+#[utoipa::path(get, path = "/v1/jobs/{id}/rounds", tag = "results", params(("id" = String, Path), RoundsQuery),
+    responses(
+        (status = 200, description = "Finished rounds", content((Rounds = "application/json"), (String = "text/csv"))),
+        (status = 404, description = "Unknown", body = Problem, content_type = "application/problem+json")))]
+pub async fn show(
+    State(app): State<Arc<App>>,
+    Path(id): Path<String>,
+    Query(query): Query<RoundsQuery>,
+) -> Result<Response, Problem> {
+    let job = find(&app, &id).await?;
+    let rounds = app.store.rounds(&id).await?;
+    if matches!(query.format, Some(Form::Csv)) {
+        let csv = csv(&rounds);
+        return Ok(([(header::CONTENT_TYPE, "text/csv; charset=utf-8")], csv).into_response());
+    }
+    let mut facts = facts(&app, &id).await;
+    facts.insert("stages".to_owned(), stages(&app.store.stages(&id).await?));
+    Ok(axum::Json(Rounds { rounds, best_round: job.best_round, facts }).into_response())
+}
+
+/// What `metrics.json` says besides the rounds. The file is written after every round; before
+/// the first there is none.
+async fn facts(app: &App, id: &str) -> Map<String, Value> {
+    let text = tokio::fs::read(app.data.output(id).join("metrics.json")).await.unwrap_or_default();
+    let Ok(Value::Object(mut report)) = serde_json::from_slice(&text) else { return Map::new() };
+    for ours in ["rounds", "best_round", "stages"] {
+        report.remove(ours);
+    }
+    report
+}
+
+/// Seconds by stage, summed over rounds, as in `metrics.json`.
+fn stages(stages: &[StageSeconds]) -> Value {
+    let mut sums = Map::new();
+    for stage in stages {
+        let before = sums.get(&stage.stage).and_then(Value::as_f64).unwrap_or(0.0);
+        sums.insert(stage.stage.clone(), json!(before + stage.seconds));
+    }
+    Value::Object(sums)
+}
+
+const COLUMNS: [&str; 10] = [
+    "round",
+    "split",
+    "image",
+    "reference",
+    "brightness",
+    "views",
+    "psnr_db",
+    "psnr_cc_db",
+    "ssim",
+    "lpips_squeeze",
+];
+
+/// One row a record. Every value is a number or one of our own words: nothing needs quoting.
+fn csv(rounds: &[Value]) -> String {
+    let mut text = COLUMNS.join(",") + "\n";
+    for round in rounds {
+        for record in round["records"].as_array().into_iter().flatten() {
+            let cells = COLUMNS.map(|column| match column {
+                "round" => round["round"].to_string(),
+                _ => match &record[column] {
+                    Value::Null => String::new(),
+                    Value::String(word) => word.clone(),
+                    number => number.to_string(),
+                },
+            });
+            // Writing to a string cannot fail.
+            let _ = writeln!(text, "{}", cells.join(","));
+        }
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_table_has_a_row_for_every_record_and_gaps_stay_empty() {
+        let rounds = [json!({ "round": 1, "records": [
+            { "split": "train", "image": "render", "reference": "gt", "brightness": "final", "views": 17,
+              "psnr_db": 21.5, "psnr_cc_db": 22.0, "ssim": 0.7 },
+            { "split": "held_out", "image": "render", "reference": "gt", "brightness": "final", "views": 3,
+              "psnr_db": 20.5, "psnr_cc_db": 21.0, "ssim": 0.6, "lpips_squeeze": 0.3 } ] })];
+        let text = csv(&rounds);
+        let lines: Vec<&str> = text.lines().collect();
+        assert_eq!(lines[1], "1,train,render,gt,final,17,21.5,22.0,0.7,");
+        assert_eq!(lines[2], "1,held_out,render,gt,final,3,20.5,21.0,0.6,0.3");
+        assert_eq!(lines.len(), 3);
+    }
+}

@@ -1,0 +1,217 @@
+//! The JSON that outside programs rely on.
+
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+use utoipa::ToSchema;
+
+use crate::error::Result;
+use crate::jobs::state::JobState;
+use crate::store::{CaptureRow, JobRow, Store};
+
+/// A capture as answered: its verdicts and how many photographs can be used.
+#[derive(Clone, Debug, Serialize, ToSchema)]
+pub struct Capture {
+    /// UUID v7; absent on a dry run.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub id: Option<String>,
+    /// The user's name for it.
+    pub name: String,
+    /// When it was stored.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub created_at: Option<String>,
+    /// What became of each file, and what is worth knowing of all.
+    #[serde(flatten)]
+    pub report: CaptureReport,
+}
+
+/// Verdicts on an upload.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct CaptureReport {
+    /// Number of usable photographs.
+    pub accepted: u32,
+    /// One verdict a file.
+    pub images: Vec<Verdict>,
+    /// What is worth knowing of the capture as a whole.
+    pub warnings: Vec<Warning>,
+}
+
+/// What became of one photograph.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct Verdict {
+    /// Its file name as stored.
+    pub name: String,
+    /// Whether it is used.
+    pub accepted: bool,
+    /// Why not.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub reason: Option<String>,
+    /// Pixels, upright; 0 where it cannot be read.
+    pub width: usize,
+    /// Pixels, upright; 0 where it cannot be read.
+    pub height: usize,
+    /// Focal length from EXIF, px.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub focal_px: Option<f64>,
+    /// Dark, blurred, a duplicate ...
+    pub warnings: Vec<Warning>,
+}
+
+/// A page of captures.
+#[derive(Debug, Serialize, ToSchema)]
+pub struct Captures {
+    /// Newest first.
+    pub captures: Vec<Capture>,
+    /// `cursor` of the next page, where there is one.
+    pub next_cursor: Option<String>,
+}
+
+impl Capture {
+    /// From its row.
+    pub fn from_row(row: CaptureRow) -> Self {
+        let report = serde_json::from_value(row.report).unwrap_or_else(|error| {
+            tracing::error!(%error, capture = row.id, "its verdicts are damaged");
+            CaptureReport { accepted: row.accepted, ..CaptureReport::default() }
+        });
+        Self { id: Some(row.id), name: row.name, created_at: Some(time(row.created_at)), report }
+    }
+}
+
+/// A job as answered.
+#[derive(Debug, Serialize, ToSchema)]
+pub struct Job {
+    /// UUID v7.
+    pub id: String,
+    /// The user's name for it.
+    pub name: String,
+    /// Its capture.
+    pub capture_id: String,
+    /// Where it stands.
+    pub state: JobState,
+    /// The stage that runs: poses, enhance, deblur, reconstruct, render, match or evaluate.
+    pub stage: Option<String>,
+    /// The round that runs or ran last, 1-based; 0 before the first.
+    pub round: u32,
+    /// Rounds planned.
+    pub rounds: u32,
+    /// Share of the expected work that is done, 0..=1.
+    pub progress: f64,
+    /// Training speed, while it trains.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub steps_per_second: Option<f64>,
+    /// Estimated seconds left, while it runs.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub eta_seconds: Option<f64>,
+    /// Why it failed.
+    pub error: Option<JobError>,
+    /// What the user should know.
+    pub warnings: Vec<Warning>,
+    /// The delivered round of a finished job.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub best_round: Option<u32>,
+    /// Whether somebody asked to stop it.
+    pub cancel_requested: bool,
+    /// Attempts begun.
+    pub attempts: u32,
+    /// Name of its preset.
+    pub preset: String,
+    /// Its options, complete.
+    #[schema(value_type = Object)]
+    pub options: Value,
+    /// Wall seconds of every finished stage.
+    pub stages: Vec<StageTime>,
+    /// RFC 3339.
+    pub created_at: String,
+    /// RFC 3339; first attempt.
+    pub started_at: Option<String>,
+    /// RFC 3339.
+    pub finished_at: Option<String>,
+}
+
+/// Why a job failed.
+#[derive(Debug, Serialize, ToSchema)]
+pub struct JobError {
+    /// bad_input, few_poses, oom_host, oom_gpu, device_lost, io, timeout, environment or internal.
+    pub code: String,
+    /// What happened.
+    pub detail: String,
+    /// What to do about it.
+    pub hint: String,
+}
+
+/// Something the user should know; the work goes on.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+pub struct Warning {
+    /// Stable code.
+    pub code: String,
+    /// One sentence.
+    pub message: String,
+}
+
+/// The time of a stage.
+#[derive(Debug, Serialize, ToSchema)]
+pub struct StageTime {
+    /// Its name.
+    pub stage: String,
+    /// 1-based; 0 for the poses.
+    pub round: u32,
+    /// Wall seconds.
+    pub seconds: f64,
+}
+
+/// A page of jobs.
+#[derive(Debug, Serialize, ToSchema)]
+pub struct Jobs {
+    /// Newest first.
+    pub jobs: Vec<Job>,
+    /// `cursor` of the next page, where there is one.
+    pub next_cursor: Option<String>,
+}
+
+impl Job {
+    /// From its row and what the store holds besides.
+    ///
+    /// # Errors
+    /// When the database refuses.
+    pub async fn load(store: &Store, row: JobRow) -> Result<Self> {
+        let warnings = store.warnings(&row.id).await?;
+        let stages = store.stages(&row.id).await?;
+        Ok(Self {
+            warnings: warnings
+                .into_iter()
+                .map(|warning| Warning { code: warning.code, message: warning.message })
+                .collect(),
+            stages: stages
+                .into_iter()
+                .map(|stage| StageTime { stage: stage.stage, round: stage.round, seconds: stage.seconds })
+                .collect(),
+            id: row.id,
+            name: row.name,
+            capture_id: row.capture_id,
+            state: row.state,
+            stage: row.stage,
+            round: row.round,
+            rounds: row.rounds,
+            progress: row.progress,
+            steps_per_second: row.steps_per_second,
+            eta_seconds: row.eta_seconds,
+            error: row.error.map(|error| JobError {
+                code: error.code,
+                detail: error.detail,
+                hint: error.hint,
+            }),
+            best_round: row.best_round,
+            cancel_requested: row.cancel_requested,
+            attempts: row.attempts,
+            preset: row.preset,
+            options: row.options,
+            created_at: time(row.created_at),
+            started_at: row.started_at.map(time),
+            finished_at: row.finished_at.map(time),
+        })
+    }
+}
+
+/// RFC 3339 in UTC.
+fn time(milliseconds: i64) -> String {
+    jiff::Timestamp::from_millisecond(milliseconds).unwrap_or_default().to_string()
+}

@@ -1,0 +1,266 @@
+//! One attempt at a job: its process from start to settlement.
+
+use std::ffi::OsString;
+use std::process::ExitStatus;
+use std::sync::Arc;
+use std::time::Duration;
+
+use fled_core::event::Event;
+use fled_core::pipeline::error::ErrorKind;
+use tokio::sync::Notify;
+use tokio::time::{Instant, Interval, MissedTickBehavior, interval, sleep_until};
+
+use super::log::LogWriter;
+use super::process::{Group, Happening, JOB_VARIABLE, Line};
+use crate::app::App;
+use crate::data::write_atomically;
+use crate::error::{Result, ServerError};
+use crate::store::{Claim, JobError, Lease, Progress, Settlement};
+
+/// After its process has ended, what others of the group still write is awaited so long.
+const DRAIN: Duration = Duration::from_secs(2);
+
+/// Why the attempt leaves its loop.
+enum End {
+    /// The process ended by itself.
+    Exited(ExitStatus),
+    /// It has to be stopped.
+    Stop(Settlement),
+}
+
+/// What a job's process has told about its end.
+enum Verdict {
+    Finished { best_round: u32 },
+    Failed { kind: String, detail: String, hint: String },
+}
+
+pub(super) struct Attempt<'a> {
+    app: &'a App,
+    lease: Lease,
+    log: LogWriter,
+    pending: Option<Progress>,
+    verdict: Option<Verdict>,
+}
+
+/// Runs the job's process to its end and says how to settle the job. Does not settle it.
+///
+/// # Errors
+/// [`ServerError::LeaseLost`] when another worker has taken the job over; the process is ended.
+pub(super) async fn run(app: &App, claim: &Claim, cancel: Arc<Notify>) -> Result<Settlement> {
+    let id = &claim.job.id;
+    let output = app.data.output(id);
+    tokio::fs::create_dir_all(&output).await.map_err(ServerError::io(&output))?;
+    let options = app.data.job(id).join("options.json");
+    write_atomically(&options, claim.job.options.to_string().as_bytes())
+        .map_err(ServerError::io(&options))?;
+    let path = app.data.log(id);
+    let log = LogWriter::open(&path, app.limits.max_log_bytes).map_err(ServerError::io(&path))?;
+    let mut attempt = Attempt { app, lease: claim.lease.clone(), log, pending: None, verdict: None };
+    attempt.log.line(&format!("attempt {} begins", claim.job.attempts));
+    let arguments: Vec<OsString> = vec![
+        app.data.capture(&claim.job.capture_id).into(),
+        "--out".into(),
+        output.into(),
+        "--options".into(),
+        options.into(),
+        "--resume".into(),
+        "--json".into(),
+    ];
+    let mut group = match Group::spawn(&app.config.job_command, &arguments, &[(JOB_VARIABLE, id)]) {
+        Ok(group) => group,
+        Err(error) => return attempt.not_started(&error).await,
+    };
+    // The job's process reads nothing; an open pipe would only hold a descriptor.
+    drop(group.stdin.take());
+    let outcome = attempt.watch(&mut group, &cancel).await;
+    group.stop(app.limits.grace).await;
+    let settlement = match outcome? {
+        End::Exited(status) => attempt.judge(status).await?,
+        End::Stop(settlement) => settlement,
+    };
+    attempt.log.line(&closing_line(&settlement));
+    Ok(settlement)
+}
+
+impl Attempt<'_> {
+    /// Takes the process's lines and keeps the lease until the process ends or has to.
+    async fn watch(&mut self, group: &mut Group, cancel: &Notify) -> Result<End> {
+        let limits = self.app.limits;
+        let wall = Instant::now() + limits.wall;
+        let mut silence = Instant::now() + limits.silence;
+        let mut heartbeat = ticks(limits.heartbeat);
+        let mut flush = ticks(limits.progress_interval);
+        let mut exited: Option<(ExitStatus, Instant)> = None;
+        loop {
+            let drained = exited.map_or(wall, |(_, at)| at + DRAIN);
+            tokio::select! {
+                happening = group.next() => match happening.map_err(|source| ServerError::Io { path: "job".into(), source })? {
+                    Happening::Line(line) => {
+                        silence = Instant::now() + limits.silence;
+                        self.take(line).await?;
+                    }
+                    Happening::Ended(status) => exited = Some((status, Instant::now())),
+                    // Nothing can be told any more.
+                    Happening::Closed => match exited {
+                        Some((status, _)) => return Ok(End::Exited(status)),
+                        None => return self.exit(group).await,
+                    },
+                },
+                _ = heartbeat.tick() => {
+                    let lease_ms = i64::try_from(limits.lease.as_millis()).unwrap_or(i64::MAX);
+                    if self.app.store.heartbeat(&self.lease, lease_ms).await? {
+                        return Ok(End::Stop(Settlement::Stopped));
+                    }
+                }
+                _ = flush.tick() => self.write_pending().await?,
+                () = cancel.notified() => return Ok(End::Stop(Settlement::Stopped)),
+                () = self.app.shutdown.cancelled() => return Ok(End::Stop(Settlement::Released)),
+                () = sleep_until(silence) => return self.timed_out("said nothing", limits.silence).await,
+                () = sleep_until(drained) => match exited {
+                    Some((status, _)) => return Ok(End::Exited(status)),
+                    None => return self.timed_out("ran", limits.wall).await,
+                },
+            }
+        }
+    }
+
+    async fn exit(&self, group: &mut Group) -> Result<End> {
+        match tokio::time::timeout(DRAIN, group.wait()).await {
+            Ok(Ok(status)) => Ok(End::Exited(status)),
+            Ok(Err(source)) => Err(ServerError::Io { path: "job".into(), source }),
+            Err(_) => self.timed_out("closed its outputs, but went on", DRAIN).await,
+        }
+    }
+
+    async fn timed_out(&self, what: &str, limit: Duration) -> Result<End> {
+        let detail = format!("the job's process {what} for {} s and was stopped", limit.as_secs());
+        let hint = "The log shows what it did last; a smaller preset needs less time.";
+        Ok(End::Stop(self.failure(ErrorKind::Timeout, detail, hint.to_owned()).await?))
+    }
+
+    async fn take(&mut self, line: Line) -> Result<()> {
+        let text = match line {
+            Line::Error(text) => {
+                self.log.line(&text);
+                return Ok(());
+            }
+            Line::Output(text) => text,
+        };
+        match serde_json::from_str::<Event>(&text) {
+            Ok(event) => self.event(event).await,
+            // Tools that print where they should not; worth keeping, not worth failing.
+            Err(_) => {
+                self.log.line(&text);
+                Ok(())
+            }
+        }
+    }
+
+    async fn event(&mut self, event: Event) -> Result<()> {
+        match event {
+            Event::Log { message } => self.log.line(&message),
+            Event::StageAdvanced { stage, round, done, total, steps_per_second } => {
+                let pending = self.pending.get_or_insert_default();
+                pending.stage = Some((stage, round, done, total));
+                pending.steps_per_second = steps_per_second;
+            }
+            Event::Progress { progress, eta_seconds } => {
+                let pending = self.pending.get_or_insert_default();
+                pending.progress = progress.is_finite().then(|| progress.clamp(0.0, 1.0));
+                pending.eta_seconds = eta_seconds.filter(|eta| eta.is_finite());
+            }
+            Event::Finished { best_round, .. } => self.verdict = Some(Verdict::Finished { best_round }),
+            Event::Failed { kind, detail, hint } => {
+                self.verdict = Some(Verdict::Failed { kind, detail, hint });
+            }
+            told => {
+                // In the order in which they were said.
+                self.write_pending().await?;
+                self.log.line(&readable(&told));
+                self.app.store.record(&self.lease, &told).await?;
+                self.app.changed();
+            }
+        }
+        Ok(())
+    }
+
+    async fn write_pending(&mut self) -> Result<()> {
+        if let Some(progress) = self.pending.take() {
+            self.app.store.advance(&self.lease, &progress).await?;
+            self.app.changed();
+        }
+        Ok(())
+    }
+
+    /// How a process that ended by itself is settled.
+    async fn judge(&mut self, status: ExitStatus) -> Result<Settlement> {
+        self.write_pending().await?;
+        match self.verdict.take() {
+            Some(Verdict::Finished { best_round }) if status.success() => {
+                Ok(Settlement::Finished { best_round })
+            }
+            Some(Verdict::Failed { kind, detail, hint }) => {
+                // Nobody asked through us: some other hand stopped the process.
+                let kind = ErrorKind::from_name(&kind).filter(|&kind| kind != ErrorKind::Cancelled);
+                self.failure(kind.unwrap_or(ErrorKind::Internal), detail, hint).await
+            }
+            _ => {
+                let detail = format!("the job's process ended without a result ({status})");
+                let hint = "The log shows what it did last. Signal 9 may mean that memory ran out.";
+                self.failure(ErrorKind::Internal, detail, hint.to_owned()).await
+            }
+        }
+    }
+
+    async fn not_started(&self, error: &std::io::Error) -> Result<Settlement> {
+        let detail = format!("the job's process could not be started: {error}");
+        self.failure(ErrorKind::Environment, detail, "Check the installation with `fled doctor`.".into())
+            .await
+    }
+
+    /// Decides between another attempt and the end.
+    async fn failure(&self, kind: ErrorKind, detail: String, hint: String) -> Result<Settlement> {
+        let failures = self.app.store.count_failure(&self.lease).await?;
+        let retry = kind.retryable() && failures < self.app.limits.attempts_without_progress;
+        let base = i64::try_from(self.app.limits.retry_base.as_millis()).unwrap_or(i64::MAX);
+        let wait = base.saturating_mul(4_i64.saturating_pow(failures.saturating_sub(1)));
+        let error = JobError { code: kind.name().to_owned(), detail, hint };
+        Ok(Settlement::Failed { error, retry_in_ms: retry.then_some(wait), failures })
+    }
+}
+
+fn ticks(period: Duration) -> Interval {
+    let mut ticks = interval(period);
+    ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    ticks
+}
+
+fn readable(event: &Event) -> String {
+    match event {
+        Event::Planned { rounds, views } => format!("planned {rounds} rounds of {views} views"),
+        Event::StageStarted { stage, round } => format!("round {round}: {} begins", stage.name()),
+        Event::StageFinished { stage, round, seconds, skipped } => {
+            let how = if *skipped { "found done" } else { "done" };
+            format!("round {round}: {} {how}, {seconds:.1} s", stage.name())
+        }
+        Event::RoundFinished { metrics } => {
+            format!("round {} done, {:.1} s, {} Gaussians", metrics.round, metrics.seconds, metrics.gaussians)
+        }
+        Event::Warning { code, message } => format!("warning {code}: {message}"),
+        other => format!("{other:?}"),
+    }
+}
+
+fn closing_line(settlement: &Settlement) -> String {
+    match settlement {
+        Settlement::Finished { best_round } => format!("finished; round {best_round} is delivered"),
+        Settlement::Stopped => "cancelled".to_owned(),
+        Settlement::Released => "interrupted: the server stops; the job goes on after its restart".to_owned(),
+        Settlement::Failed { error, retry_in_ms: Some(wait), .. } => {
+            format!("failed ({}): {}; again in {wait} ms", error.code, error.detail)
+        }
+        Settlement::Failed { error, .. } => {
+            format!("failed ({}): {} {}", error.code, error.detail, error.hint)
+        }
+    }
+}

@@ -1,0 +1,223 @@
+//! Child processes in groups of their own, read line by line.
+
+use std::ffi::OsString;
+use std::io;
+use std::process::{ExitStatus, Stdio};
+use std::time::Duration;
+
+use rustix::process::{Pid, Signal, getppid, kill_process_group, set_parent_process_death_signal};
+use tokio::io::{AsyncBufReadExt, AsyncRead, AsyncReadExt, BufReader};
+use tokio::process::{Child, ChildStdin, Command};
+use tokio::sync::mpsc;
+
+/// Longer lines are cut: a runaway tool must not fill memory.
+const LONGEST_LINE: u64 = 4 << 20;
+/// Lines waiting to be taken; a full queue slows the child down.
+const QUEUE: usize = 256;
+/// The variable that marks every process of a job, also those it starts.
+pub const JOB_VARIABLE: &str = "FLED_JOB_ID";
+/// The variable that tells a child who started it, so that it can end when that one is gone.
+pub const PARENT_VARIABLE: &str = "FLED_PARENT_PID";
+
+/// A line of output.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Line {
+    /// From standard output.
+    Output(String),
+    /// From standard error.
+    Error(String),
+}
+
+/// What a child has done.
+#[derive(Debug)]
+pub enum Happening {
+    /// It wrote a line.
+    Line(Line),
+    /// Both outputs are closed.
+    Closed,
+    /// It ended; others of its group may still write. Told once.
+    Ended(ExitStatus),
+}
+
+/// A running child and everything it has started.
+#[derive(Debug)]
+pub struct Group {
+    child: Child,
+    ended: bool,
+    pid: Pid,
+    /// Its standard input.
+    pub stdin: Option<ChildStdin>,
+    lines: mpsc::Receiver<Line>,
+}
+
+impl Group {
+    /// Starts `command` in a new process group.
+    ///
+    /// Must be called on a runtime thread: the kernel ends children that asked for it when the
+    /// *thread* that started them ends, and runtime threads live as long as the server.
+    ///
+    /// # Errors
+    /// When the program cannot be started.
+    pub fn spawn(
+        command: &[OsString],
+        arguments: &[OsString],
+        variables: &[(&str, &str)],
+    ) -> io::Result<Self> {
+        let (program, first) = command
+            .split_first()
+            .ok_or_else(|| io::Error::new(io::ErrorKind::InvalidInput, "empty command"))?;
+        let mut child = Command::new(program)
+            .args(first)
+            .args(arguments)
+            .envs(variables.iter().copied())
+            .env(PARENT_VARIABLE, std::process::id().to_string())
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .process_group(0)
+            .kill_on_drop(true)
+            .spawn()?;
+        let pid = child.id().and_then(|id| Pid::from_raw(id.cast_signed()));
+        let pid = pid.ok_or_else(|| io::Error::other("the process has no id"))?;
+        let (sender, lines) = mpsc::channel(QUEUE);
+        let (stdin, stdout, stderr) = (child.stdin.take(), child.stdout.take(), child.stderr.take());
+        if let Some(stdout) = stdout {
+            tokio::spawn(read_lines(stdout, Line::Output, sender.clone()));
+        }
+        if let Some(stderr) = stderr {
+            tokio::spawn(read_lines(stderr, Line::Error, sender));
+        }
+        Ok(Self { child, ended: false, pid, stdin, lines })
+    }
+
+    /// The id of the process and of its group.
+    pub fn pid(&self) -> i32 {
+        self.pid.as_raw_nonzero().get()
+    }
+
+    /// The next line, `None` once both outputs are closed. Loses nothing when dropped.
+    pub async fn next_line(&mut self) -> Option<Line> {
+        self.lines.recv().await
+    }
+
+    /// The next thing that happens. Loses nothing when dropped.
+    ///
+    /// # Errors
+    /// When the operating system does not tell the exit status.
+    pub async fn next(&mut self) -> io::Result<Happening> {
+        tokio::select! {
+            biased;
+            line = self.lines.recv() => Ok(line.map_or(Happening::Closed, Happening::Line)),
+            status = self.child.wait(), if !self.ended => {
+                self.ended = true;
+                status.map(Happening::Ended)
+            }
+        }
+    }
+
+    /// The exit status, once the process (not the group) has ended. Loses nothing when dropped.
+    ///
+    /// # Errors
+    /// When the operating system does not say.
+    pub async fn wait(&mut self) -> io::Result<ExitStatus> {
+        self.child.wait().await
+    }
+
+    /// Asks the group to end, and ends it after `grace`. Returns once the process is gone.
+    pub async fn stop(&mut self, grace: Duration) {
+        self.signal(Signal::TERM);
+        if tokio::time::timeout(grace, self.child.wait()).await.is_err() {
+            self.signal(Signal::KILL);
+            if let Err(error) = self.child.wait().await {
+                tracing::warn!(%error, pid = self.pid(), "cannot wait for a stopped process");
+            }
+        }
+        // What the process has started and left behind.
+        self.signal(Signal::KILL);
+    }
+
+    fn signal(&self, signal: Signal) {
+        // An empty group is no fault: everything in it has ended already.
+        let _ = kill_process_group(self.pid, signal);
+    }
+}
+
+impl Drop for Group {
+    fn drop(&mut self) {
+        self.signal(Signal::KILL);
+    }
+}
+
+async fn read_lines(source: impl AsyncRead + Unpin, wrap: fn(String) -> Line, sender: mpsc::Sender<Line>) {
+    let mut reader = BufReader::new(source);
+    let mut bytes = Vec::new();
+    let mut cut = false;
+    loop {
+        bytes.clear();
+        match (&mut reader).take(LONGEST_LINE).read_until(b'\n', &mut bytes).await {
+            Ok(0) | Err(_) => return,
+            Ok(_) => {}
+        }
+        let whole = bytes.last() == Some(&b'\n');
+        // The rest of a line that was cut is dropped.
+        let rest = std::mem::replace(&mut cut, !whole);
+        if rest {
+            continue;
+        }
+        let text = String::from_utf8_lossy(&bytes);
+        if sender.send(wrap(text.trim_end_matches(['\n', '\r']).to_owned())).await.is_err() {
+            return;
+        }
+    }
+}
+
+/// Asks the kernel to end this process when the server that started it ends, however it ends.
+/// Does nothing in a process that no server has started.
+///
+/// # Errors
+/// When that server is gone already, or the kernel refuses.
+pub fn die_with_parent() -> io::Result<()> {
+    let Some(parent) = std::env::var_os(PARENT_VARIABLE) else { return Ok(()) };
+    set_parent_process_death_signal(Some(Signal::KILL))?;
+    // The server may have ended before the kernel was asked.
+    let now = getppid().map(|pid| pid.as_raw_nonzero().get().to_string());
+    if now.is_some_and(|now| *parent == *now) {
+        return Ok(());
+    }
+    Err(io::Error::other("the server that started this process is gone"))
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::Instant;
+
+    use super::*;
+
+    fn shell(script: &str) -> Vec<OsString> {
+        ["/bin/sh", "-c", script].into_iter().map(OsString::from).collect()
+    }
+
+    #[tokio::test]
+    async fn both_outputs_are_read_and_the_status_is_told() {
+        let mut group = Group::spawn(&shell("echo a; echo b >&2; exit 3"), &[], &[]).expect("start");
+        let mut lines = Vec::new();
+        while let Some(line) = group.next_line().await {
+            lines.push(line);
+        }
+        assert!(lines.contains(&Line::Output("a".into())) && lines.contains(&Line::Error("b".into())));
+        assert_eq!(group.wait().await.expect("status").code(), Some(3));
+    }
+
+    #[tokio::test]
+    async fn stopping_ends_grandchildren_and_those_who_ignore_the_polite_signal() {
+        let script = "trap '' TERM; sleep 60 & echo $!; wait; wait";
+        let mut group = Group::spawn(&shell(script), &[], &[]).expect("start");
+        let Some(Line::Output(grandchild)) = group.next_line().await else { panic!("no pid") };
+        let start = Instant::now();
+        group.stop(Duration::from_millis(200)).await;
+        assert!(start.elapsed() < Duration::from_secs(2));
+        tokio::time::sleep(Duration::from_millis(100)).await;
+        let state = std::fs::read_to_string(format!("/proc/{grandchild}/stat")).unwrap_or_default();
+        assert!(state.is_empty() || state.contains(") Z "), "the grandchild lives: {state}");
+    }
+}

@@ -1,0 +1,86 @@
+//! Workers: each takes one job after the other.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use super::attempt;
+use crate::app::App;
+use crate::error::{Result, ServerError};
+use crate::store::{Claim, JobError, Settlement};
+
+/// How often an idle worker looks for retries that have become due and for leases that ran out.
+const IDLE: Duration = Duration::from_millis(500);
+/// After a fault of the database or the disk.
+const RECOVERY: Duration = Duration::from_secs(2);
+
+/// Runs jobs until the server stops. Never gives up: a fault of the database or the disk is
+/// logged and tried again.
+pub async fn work(app: Arc<App>, index: usize) {
+    let owner = format!("{}-{index}", std::process::id());
+    while !app.shutdown.is_cancelled() {
+        let lease_ms = i64::try_from(app.limits.lease.as_millis()).unwrap_or(i64::MAX);
+        match app.store.claim(&owner, lease_ms).await {
+            Ok(Some(claim)) => {
+                app.changed();
+                if let Err(error) = run(&app, &claim).await {
+                    tracing::error!(%error, job = claim.job.id, "an attempt was dropped");
+                    pause(&app, RECOVERY).await;
+                }
+            }
+            Ok(None) => {
+                tokio::select! {
+                    () = app.wake.notified() => {}
+                    () = tokio::time::sleep(IDLE) => {}
+                    () = app.shutdown.cancelled() => {}
+                }
+            }
+            Err(error) => {
+                tracing::error!(%error, "cannot look for work");
+                pause(&app, RECOVERY).await;
+            }
+        }
+    }
+}
+
+async fn pause(app: &App, time: Duration) {
+    tokio::select! {
+        () = tokio::time::sleep(time) => {}
+        () = app.shutdown.cancelled() => {}
+    }
+}
+
+async fn run(app: &App, claim: &Claim) -> Result<()> {
+    let id = &claim.job.id;
+    tracing::info!(job = id, attempt = claim.job.attempts, "job begins");
+    let cancel = app.register(id);
+    let outcome = attempt::run(app, claim, cancel).await;
+    app.unregister(id);
+    let settlement = match outcome {
+        Ok(settlement) => settlement,
+        Err(ServerError::LeaseLost(job)) => return Err(ServerError::LeaseLost(job)),
+        Err(error) => io_failure(app, claim, &error).await?,
+    };
+    // A cancel that came while the process was ending by itself is honoured all the same.
+    let cancelled = app.store.job(id).await?.is_some_and(|job| job.cancel_requested);
+    let settlement = match settlement {
+        Settlement::Failed { .. } | Settlement::Released if cancelled => Settlement::Stopped,
+        other => other,
+    };
+    let state = app.store.settle(&claim.lease, &settlement).await?;
+    tracing::info!(job = id, state = state.name(), "attempt settled");
+    app.changed();
+    Ok(())
+}
+
+/// The settlement of an attempt that the disk or the database ended.
+async fn io_failure(app: &App, claim: &Claim, error: &ServerError) -> Result<Settlement> {
+    let failures = app.store.count_failure(&claim.lease).await?;
+    let retry = failures < app.limits.attempts_without_progress;
+    let wait = i64::try_from(app.limits.retry_base.as_millis()).unwrap_or(i64::MAX);
+    let error = JobError {
+        code: "io".to_owned(),
+        detail: error.to_string(),
+        hint: "Check the free space and the permissions of the data directory.".to_owned(),
+    };
+    Ok(Settlement::Failed { error, retry_in_ms: retry.then_some(wait), failures })
+}

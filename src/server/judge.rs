@@ -1,0 +1,98 @@
+//! Judges an upload with the eyes of the pipeline.
+
+use std::fs;
+use std::path::Path;
+
+use fled_core::capture::{self, Capture, CaptureError, CaptureWarning};
+use fled_core::pipeline::error::ErrorKind;
+
+use crate::http::{CaptureReport, Verdict, Warning};
+
+/// The name under which an uploaded zip is stored.
+pub const ARCHIVE: &str = "upload.zip";
+
+/// Why an upload is no capture.
+#[derive(Debug)]
+pub struct Refusal {
+    /// What is wrong.
+    pub detail: String,
+    /// What to do about it.
+    pub hint: String,
+    /// Whether photographs of a format that is not read are the reason.
+    pub unsupported_format: bool,
+    /// Whether the machine is at fault and not the upload.
+    pub is_ours: bool,
+    /// The verdicts, as far as they go.
+    pub report: CaptureReport,
+}
+
+/// Unpacks and judges what lies in `dir`. Afterwards `dir` is a capture folder.
+///
+/// # Errors
+/// [`Refusal`] when it is no usable capture.
+pub fn judge(dir: &Path) -> Result<CaptureReport, Box<Refusal>> {
+    let archive = dir.join(ARCHIVE);
+    let opened = if archive.is_file() {
+        if dir.read_dir().is_ok_and(|entries| entries.count() > 1) {
+            return Err(mixed());
+        }
+        let opened = Capture::open(&archive, dir);
+        // The unpacked files are the capture; twice the space would be for nothing.
+        fs::remove_file(&archive).map_err(|source| refuse(CaptureError::Io { path: archive, source }))?;
+        opened
+    } else {
+        Capture::open(dir, dir)
+    };
+    let capture = opened.map_err(refuse)?;
+    Ok(CaptureReport {
+        accepted: u32::try_from(capture.views.len()).unwrap_or(u32::MAX),
+        images: capture.verdicts.into_iter().map(verdict).collect(),
+        warnings: capture.warnings.into_iter().map(warning).collect(),
+    })
+}
+
+fn mixed() -> Box<Refusal> {
+    Box::new(Refusal {
+        detail: "The upload holds a zip and other files.".to_owned(),
+        hint: "Send either one zip or photographs.".to_owned(),
+        unsupported_format: false,
+        is_ours: false,
+        report: CaptureReport::default(),
+    })
+}
+
+fn refuse(error: CaptureError) -> Box<Refusal> {
+    let (detail, hint) = (error.to_string(), error.hint().to_owned());
+    let is_ours = error.kind() == ErrorKind::Io;
+    let (accepted, verdicts) = match error {
+        CaptureError::TooFew { accepted, verdicts } => (accepted, verdicts),
+        _ => (0, Vec::new()),
+    };
+    Box::new(Refusal {
+        detail,
+        hint,
+        unsupported_format: verdicts.iter().any(|verdict| verdict.unsupported_format),
+        is_ours,
+        report: CaptureReport {
+            accepted: u32::try_from(accepted).unwrap_or(u32::MAX),
+            images: verdicts.into_iter().map(verdict).collect(),
+            warnings: Vec::new(),
+        },
+    })
+}
+
+fn verdict(of: capture::Verdict) -> Verdict {
+    Verdict {
+        name: of.name,
+        accepted: of.accepted,
+        reason: of.reason,
+        width: of.width,
+        height: of.height,
+        focal_px: of.focal_px,
+        warnings: of.warnings.into_iter().map(warning).collect(),
+    }
+}
+
+fn warning(of: CaptureWarning) -> Warning {
+    Warning { code: of.code, message: of.message }
+}

@@ -1,0 +1,110 @@
+//! Whether the machine can do the work: database, disk, and what a child process finds out about
+//! the adapter, COLMAP, ONNX Runtime and the models.
+
+use std::time::{Duration, Instant};
+
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+use crate::app::App;
+use crate::jobs::process::{Group, Line};
+
+/// How long a judgement of the machine is believed.
+const BELIEVED: Duration = Duration::from_secs(60);
+/// The judging process may take so long.
+const PATIENCE: Duration = Duration::from_secs(60);
+
+/// One thing that has to be in order.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+pub struct Check {
+    /// `database`, `disk`, `adapter`, `colmap`, `onnxruntime`, `models` ...
+    pub name: String,
+    /// Whether it is in order.
+    pub ok: bool,
+    /// What was found.
+    pub detail: String,
+    /// What to do, when it is not in order.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub hint: String,
+}
+
+/// What the judging process prints, as one line of JSON.
+#[derive(Clone, Debug, Deserialize)]
+struct Doctor {
+    checks: Vec<Check>,
+}
+
+/// A judgement and its time.
+#[derive(Clone, Debug)]
+pub struct Remembered {
+    at: Instant,
+    checks: Vec<Check>,
+}
+
+/// Judges everything.
+pub async fn checks(app: &App) -> Vec<Check> {
+    let mut checks = vec![database(app).await, disk(app)];
+    // Concurrent callers wait for one judgement instead of starting several.
+    let mut remembered = app.readiness.lock().await;
+    if remembered.as_ref().is_none_or(|known| known.at.elapsed() > BELIEVED) {
+        *remembered = Some(Remembered { at: Instant::now(), checks: doctor(app).await });
+    }
+    if let Some(known) = remembered.as_ref() {
+        checks.extend(known.checks.iter().filter(|check| check.name != "disk").cloned());
+    }
+    checks
+}
+
+async fn database(app: &App) -> Check {
+    let outcome = app.store.check().await;
+    Check {
+        name: "database".to_owned(),
+        ok: outcome.is_ok(),
+        detail: outcome
+            .as_ref()
+            .map_or_else(ToString::to_string, |()| "answers and can be written".to_owned()),
+        hint: outcome.map_or("Check the data directory's permissions and space.", |()| "").to_owned(),
+    }
+}
+
+fn disk(app: &App) -> Check {
+    let needed = app.limits.min_free_bytes;
+    let (ok, detail) = match app.data.free_bytes() {
+        Ok(free) => (free >= needed, format!("{:.1} GiB free", free as f64 / f64::from(1 << 30))),
+        Err(error) => (false, error.to_string()),
+    };
+    let hint = if ok { String::new() } else { format!("Free at least {} MiB.", needed >> 20) };
+    Check { name: "disk".to_owned(), ok, detail, hint }
+}
+
+async fn doctor(app: &App) -> Vec<Check> {
+    match tokio::time::timeout(PATIENCE, ask_doctor(app)).await {
+        Ok(Ok(checks)) => checks,
+        Ok(Err(detail)) => vec![unknown(detail)],
+        Err(_) => vec![unknown(format!("no answer within {} s", PATIENCE.as_secs()))],
+    }
+}
+
+fn unknown(detail: String) -> Check {
+    let hint = "Run `fled doctor` by hand.".to_owned();
+    Check { name: "environment".to_owned(), ok: false, detail, hint }
+}
+
+async fn ask_doctor(app: &App) -> Result<Vec<Check>, String> {
+    let mut group = Group::spawn(&app.config.doctor_command, &[], &[]).map_err(|error| error.to_string())?;
+    drop(group.stdin.take());
+    let mut said = String::new();
+    while let Some(line) = group.next_line().await {
+        match line {
+            Line::Output(text) => match serde_json::from_str::<Doctor>(&text) {
+                Ok(doctor) => return Ok(doctor.checks),
+                Err(_) => said.push_str(&text),
+            },
+            Line::Error(text) => tracing::info!(text, "doctor"),
+        }
+    }
+    // Printed over several lines.
+    serde_json::from_str::<Doctor>(&said)
+        .map(|doctor| doctor.checks)
+        .map_err(|_| "the doctor's answer cannot be read".to_owned())
+}

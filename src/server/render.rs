@@ -1,0 +1,188 @@
+//! The process that renders novel views: one, kept alive, replaced when it dies.
+//!
+//! Rendering needs the GPU's driver; in a process of its own a fault of the driver costs one
+//! picture and not the service.
+
+use std::ffi::OsString;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::Duration;
+
+use fled_core::camera::NamedCamera;
+use serde::{Deserialize, Serialize};
+use tokio::io::AsyncWriteExt;
+use tokio::sync::{Mutex, Semaphore};
+
+use crate::jobs::process::{Group, Line};
+
+/// Requests that wait at most; more are refused.
+const QUEUE: usize = 32;
+
+/// The file format of a render.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize, utoipa::ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Format {
+    /// Small, lossy.
+    Jpeg,
+    /// Lossless.
+    Png,
+}
+
+impl Format {
+    /// The file name's extension.
+    pub fn extension(self) -> &'static str {
+        match self {
+            Self::Jpeg => "jpg",
+            Self::Png => "png",
+        }
+    }
+
+    /// The media type.
+    pub fn media_type(self) -> &'static str {
+        match self {
+            Self::Jpeg => "image/jpeg",
+            Self::Png => "image/png",
+        }
+    }
+}
+
+/// A line to the render process.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct RenderRequest {
+    /// The scene's PLY file.
+    pub scene: PathBuf,
+    /// Pose, intrinsics and size; the name and the split mean nothing here.
+    pub camera: NamedCamera,
+    /// Format of the picture.
+    pub format: Format,
+    /// Where to write it.
+    pub out: PathBuf,
+}
+
+/// A line from the render process.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum RenderReply {
+    /// The picture is written.
+    Ok(bool),
+    /// Why it is not.
+    Error(String),
+}
+
+/// Why there is no picture.
+#[derive(Debug, thiserror::Error)]
+pub enum RenderError {
+    /// Too many requests wait.
+    #[error("too many renders are waiting")]
+    Busy,
+    /// The process says so.
+    #[error("{0}")]
+    Refused(String),
+    /// The process died, could not be started, or did not answer.
+    #[error("the render process {0}")]
+    Process(String),
+}
+
+/// The render process and its queue.
+#[derive(Debug)]
+pub struct Renderers {
+    command: Vec<OsString>,
+    timeout: Duration,
+    grace: Duration,
+    process: Arc<Mutex<Option<Group>>>,
+    queue: Arc<Semaphore>,
+}
+
+impl Renderers {
+    /// Nothing is started before the first request.
+    pub fn new(command: Vec<OsString>, timeout: Duration, grace: Duration) -> Self {
+        let queue = Arc::new(Semaphore::new(QUEUE));
+        Self { command, timeout, grace, process: Arc::default(), queue }
+    }
+
+    /// Renders one picture to `request.out`, after those asked for before.
+    ///
+    /// # Errors
+    /// [`RenderError`]; the next request starts a new process where this one lost it.
+    pub async fn render(&self, request: &RenderRequest) -> Result<(), RenderError> {
+        let permit = self.queue.clone().try_acquire_owned().map_err(|_| RenderError::Busy)?;
+        let line = serde_json::to_string(request).map_err(|error| RenderError::Refused(error.to_string()))?;
+        let (command, timeout, grace) = (self.command.clone(), self.timeout, self.grace);
+        let process = self.process.clone();
+        // In a task of its own: a client that hangs up must not leave half a conversation behind,
+        // whose answer the next request would take for its own.
+        let task = tokio::spawn(async move {
+            let _permit = permit;
+            let mut slot = process.lock().await;
+            exchange(&mut slot, &command, &line, (timeout, grace)).await
+        });
+        task.await.unwrap_or_else(|error| Err(RenderError::Process(error.to_string())))
+    }
+
+    /// Ends the process.
+    pub async fn stop(&self) {
+        if let Some(mut group) = self.process.lock().await.take() {
+            group.stop(self.grace).await;
+        }
+    }
+}
+
+async fn exchange(
+    slot: &mut Option<Group>,
+    command: &[OsString],
+    line: &str,
+    (timeout, grace): (Duration, Duration),
+) -> Result<(), RenderError> {
+    // A process that was alive before may have died meanwhile: then one new one is tried.
+    let mut fresh = slot.is_none();
+    loop {
+        let group = match slot {
+            Some(group) => group,
+            None => slot.insert(start(command)?),
+        };
+        match tokio::time::timeout(timeout, ask(group, line)).await {
+            Ok(Some(RenderReply::Ok(_))) => return Ok(()),
+            Ok(Some(RenderReply::Error(why))) => return Err(RenderError::Refused(why)),
+            Ok(None) => *slot = None,
+            Err(_) => {
+                group.stop(grace).await;
+                *slot = None;
+                return Err(RenderError::Process(format!("did not answer within {} s", timeout.as_secs())));
+            }
+        }
+        if fresh {
+            return Err(RenderError::Process("died over this picture".to_owned()));
+        }
+        fresh = true;
+    }
+}
+
+fn start(command: &[OsString]) -> Result<Group, RenderError> {
+    Group::spawn(command, &[], &[])
+        .map_err(|error| RenderError::Process(format!("could not be started: {error}")))
+}
+
+/// Sends a request and waits for the answer; `None` when the process is gone.
+async fn ask(group: &mut Group, line: &str) -> Option<RenderReply> {
+    let stdin = group.stdin.as_mut()?;
+    stdin.write_all(line.as_bytes()).await.ok()?;
+    stdin.write_all(b"\n").await.ok()?;
+    stdin.flush().await.ok()?;
+    loop {
+        match group.next_line().await? {
+            Line::Output(text) => match serde_json::from_str(&text) {
+                Ok(reply) => return Some(reply),
+                Err(_) => tracing::info!(text, "render process"),
+            },
+            Line::Error(text) => tracing::info!(text, "render process"),
+        }
+    }
+}
+
+/// The files of a scene: of one round, or of the delivered one.
+pub fn scene_file(output: &Path, round: Option<u32>) -> PathBuf {
+    match round {
+        Some(round) => output.join("rounds").join(round.to_string()).join("scene.ply"),
+        None => output.join("scene.ply"),
+    }
+}

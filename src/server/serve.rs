@@ -1,0 +1,100 @@
+//! The life of a server: open, recover, serve, stop.
+
+use std::net::SocketAddr;
+use std::path::Path;
+use std::sync::Arc;
+use std::time::Duration;
+
+use tokio::net::TcpListener;
+use tokio::signal::unix::{SignalKind, signal};
+use tokio::task::JoinSet;
+
+use crate::app::App;
+use crate::config::ServeConfig;
+use crate::data::DataDir;
+use crate::error::{Result, ServerError};
+use crate::http::router;
+use crate::jobs::{kill_orphans, worker};
+use crate::store::Store;
+
+/// Open requests get so long to end once the server stops.
+const FAREWELL: Duration = Duration::from_secs(5);
+
+/// A running server.
+#[derive(Debug)]
+pub struct Server {
+    address: SocketAddr,
+    app: Arc<App>,
+    tasks: JoinSet<()>,
+}
+
+impl Server {
+    /// Opens the data directory, takes up what an earlier server has left, listens and works.
+    ///
+    /// # Errors
+    /// When the directory is in use or unusable, or the address is taken.
+    pub async fn start(config: ServeConfig) -> Result<Self> {
+        let data = DataDir::open(&config.data)?;
+        let store = Store::open(&data.database()).await?;
+        let left = store.release_all().await?;
+        if !left.is_empty() {
+            let orphans = kill_orphans(&left);
+            tracing::info!(jobs = left.len(), orphans, "jobs of an earlier server go on");
+        }
+        let name = config.listen.to_string();
+        let listener = TcpListener::bind(config.listen).await.map_err(ServerError::io(Path::new(&name)))?;
+        let address = listener.local_addr().map_err(ServerError::io(Path::new(&name)))?;
+        let workers = config.workers;
+        let app = Arc::new(App::new(config, data, store));
+        let mut tasks = JoinSet::new();
+        for index in 0..workers {
+            tasks.spawn(worker::work(app.clone(), index));
+        }
+        tasks.spawn(listen(app.clone(), listener));
+        Ok(Self { address, app, tasks })
+    }
+
+    /// Where it listens.
+    pub fn address(&self) -> SocketAddr {
+        self.address
+    }
+
+    /// Stops: running jobs are interrupted and go back to the queue, open requests may end.
+    pub async fn stop(mut self) {
+        self.app.shutdown.cancel();
+        let ended = async { while self.tasks.join_next().await.is_some() {} };
+        if tokio::time::timeout(FAREWELL, ended).await.is_err() {
+            tracing::warn!("requests were still open");
+        }
+        self.tasks.shutdown().await;
+        self.app.renderers.stop().await;
+        self.app.store.close().await;
+    }
+}
+
+async fn listen(app: Arc<App>, listener: TcpListener) {
+    let shutdown = app.shutdown.clone();
+    let service = axum::serve(listener, router(app)).with_graceful_shutdown(shutdown.cancelled_owned());
+    if let Err(error) = service.await {
+        tracing::error!(%error, "the listener failed");
+    }
+}
+
+/// Serves until SIGINT or SIGTERM.
+///
+/// # Errors
+/// When the server cannot start.
+pub async fn serve(config: ServeConfig) -> Result<()> {
+    let server = Server::start(config).await?;
+    tracing::info!("listening on http://{}", server.address());
+    let io = |source| ServerError::Io { path: "signals".into(), source };
+    let mut interrupt = signal(SignalKind::interrupt()).map_err(io)?;
+    let mut terminate = signal(SignalKind::terminate()).map_err(io)?;
+    tokio::select! {
+        _ = interrupt.recv() => {}
+        _ = terminate.recv() => {}
+    }
+    tracing::info!("stopping");
+    server.stop().await;
+    Ok(())
+}

