@@ -21,6 +21,7 @@ build: ## the program: target/release/fled
 	$(CARGO) build --release --locked -p fled
 
 test: setup onnxruntime ## every test
+	$(PYTHON) -m unittest discover --start-directory tools
 	$(CARGO) test --release --locked --workspace
 
 tidy: ## the rules of the house alone: fast, needs no GPU and no library

@@ -3,11 +3,14 @@
 # ONNX Runtime library. Installs only what is missing; without root it prints the one line to run instead.
 set -euo pipefail
 
+# Ordinary users do not have /sbin in their path.
+libraries=$(PATH=$PATH:/sbin:/usr/sbin ldconfig -p)
+
 missing=()
 command -v colmap >/dev/null || missing+=(colmap)
 compgen -G '/usr/share/vulkan/icd.d/*.json' >/dev/null || compgen -G '/etc/vulkan/icd.d/*.json' >/dev/null ||
     missing+=(mesa-vulkan-drivers)
-ldconfig -p 2>/dev/null | grep -q 'libvulkan\.so\.1' || missing+=(libvulkan1)
+[[ $libraries == *libvulkan.so.1* ]] || missing+=(libvulkan1)
 python3 -m pip --version >/dev/null 2>&1 || missing+=(python3-pip)
 ((${#missing[@]})) || exit 0
 
