@@ -3,5 +3,6 @@
 pub mod checkpoint;
 pub mod densify;
 pub mod initialise;
+pub mod loss;
 pub mod optimizer;
 pub mod schedule;
