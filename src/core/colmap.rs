@@ -1,1 +1,98 @@
-//! Structure from motion by COLMAP, driven as a subprocess.
+//! Structure from motion by COLMAP, driven as a subprocess: 3.8 of Debian to 4.x.
+//!
+//! COLMAP gets private copies of the dark originals, brightened by one gain a photograph
+//! ([`copies`]), and is led up a [`ladder`] of settings until a model is good enough. It is random
+//! even with a seed and on one thread, so two runs differ in the last digits and, on hard
+//! captures, in how many photographs register.
+
+mod copies;
+mod ladder;
+mod options;
+mod process;
+
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use crate::cancel::CancelToken;
+use crate::event::ProgressSink;
+use crate::poses::{PoseRequest, Poses, PosesError, Sfm};
+pub use ladder::Acceptance;
+pub use process::Limits;
+
+/// COLMAP's command line as an [`Sfm`].
+#[derive(Clone, Debug)]
+pub struct ColmapCli {
+    program: PathBuf,
+    limits: Limits,
+    acceptance: Acceptance,
+}
+
+impl Default for ColmapCli {
+    fn default() -> Self {
+        Self::new("colmap")
+    }
+}
+
+impl ColmapCli {
+    /// Drives `program`: a path, or a name looked up by the system.
+    pub fn new(program: impl Into<PathBuf>) -> Self {
+        Self { program: program.into(), limits: Limits::default(), acceptance: Acceptance::default() }
+    }
+
+    /// With other time limits.
+    #[must_use]
+    pub fn with_limits(self, limits: Limits) -> Self {
+        Self { limits, ..self }
+    }
+
+    /// COLMAP's version, as in `3.8`: what `fled doctor` shows.
+    ///
+    /// # Errors
+    /// [`PosesError::Missing`] when there is no such program, [`PosesError::Tool`] when it is not COLMAP.
+    pub fn version(&self) -> Result<String, PosesError> {
+        let limits = Limits { wall: Duration::from_secs(30), ..self.limits };
+        let runner = process::Runner::new(&self.program, limits, None)?;
+        version(&runner, &CancelToken::new())
+    }
+}
+
+impl Sfm for ColmapCli {
+    fn poses(
+        &self,
+        request: &PoseRequest<'_>,
+        sink: &mut dyn ProgressSink,
+        cancel: &CancelToken,
+    ) -> Result<Poses, PosesError> {
+        let start = Instant::now();
+        let total = request.views.len();
+        if total < ladder::MIN_VIEWS {
+            let advice = format!("a scene needs at least {}, better 20 to 60", ladder::MIN_VIEWS);
+            return Err(PosesError::TooFew { registered: 0, total, advice });
+        }
+        std::fs::create_dir_all(request.work_dir).map_err(PosesError::io(request.work_dir))?;
+        let runner =
+            process::Runner::new(&self.program, self.limits, Some(&request.work_dir.join("colmap.log")))?;
+        let version = version(&runner, cancel)?;
+        sink.log(format!("poses: COLMAP {version} on {total} photographs"));
+        let climb = ladder::Climb::new(&runner, request, self.acceptance);
+        let poses = climb.run(sink, cancel)?;
+        Ok(Poses { source: format!("colmap {version}"), seconds: start.elapsed().as_secs_f64(), ..poses })
+    }
+
+    fn describe(&self) -> String {
+        format!("colmap {}", Path::new(&self.program).display())
+    }
+}
+
+/// The version from the first line of `colmap help`, as every release prints it.
+fn version(runner: &process::Runner, cancel: &CancelToken) -> Result<String, PosesError> {
+    let finished = runner.run("help", &[], cancel)?;
+    let text = finished.text();
+    text.split_once("COLMAP ")
+        .and_then(|(_, rest)| rest.split_ascii_whitespace().next())
+        .map(str::to_owned)
+        .ok_or_else(|| finished.failure("help"))
+}
+
+#[cfg(test)]
+mod tests;

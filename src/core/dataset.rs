@@ -1,1 +1,204 @@
-//! dataset
+//! Poses that come with a capture: a COLMAP model, NeRF's `transforms.json`, or LLFF's
+//! `poses_bounds.npy`.
+
+mod frusta;
+mod transforms;
+
+use std::collections::HashMap;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use crate::camera::Camera;
+use crate::cancel::CancelToken;
+use crate::event::ProgressSink;
+use crate::image::read_header;
+use crate::poses::bounds::read_poses_bounds;
+use crate::poses::model::SparseModel;
+use crate::poses::{Distortion, Lens, PoseRequest, PoseView, PosedView, Poses, PosesError, Sfm, SparsePoint};
+
+/// Points that are guessed where poses came without points: as many as the smallest preset's cap.
+const GUESSED_POINTS: usize = 10_000;
+
+/// Poses from a file or directory, as an [`Sfm`].
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct GivenPoses {
+    path: PathBuf,
+    format: Format,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Format {
+    Model,
+    Transforms,
+    PosesBounds,
+}
+
+/// A pose with the lens it was given with.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct GivenView {
+    lens: Lens,
+    world_to_camera: glam::DMat4,
+    /// Nearest and farthest depth, where the format tells.
+    bounds: Option<(f64, f64)>,
+}
+
+/// What a format holds.
+struct Given {
+    views: Assignment,
+    points: Vec<SparsePoint>,
+    mean_error: Option<f64>,
+    mean_track: Option<f64>,
+}
+
+/// How poses find their photographs.
+enum Assignment {
+    /// By the stem of the file's name.
+    ByStem(HashMap<String, GivenView>),
+    /// By the order of the photographs.
+    ByOrder(Vec<GivenView>),
+}
+
+impl GivenPoses {
+    /// `path`: a directory with a COLMAP model (text or binary), a `.json` or a `.npy` file.
+    ///
+    /// # Errors
+    /// [`PosesError::BadFile`] when it is none of them. The content is read by [`Sfm::poses`].
+    pub fn open(path: &Path) -> Result<Self, PosesError> {
+        let format = match path.extension().and_then(|extension| extension.to_str()) {
+            _ if SparseModel::stands_in(path) => Format::Model,
+            Some("json") => Format::Transforms,
+            Some("npy") => Format::PosesBounds,
+            _ => {
+                let reason = "neither a COLMAP model, a transforms.json nor a poses_bounds.npy";
+                return Err(PosesError::bad_file(path, reason));
+            }
+        };
+        Ok(Self { path: path.to_owned(), format })
+    }
+
+    fn read(&self) -> Result<Given, PosesError> {
+        match self.format {
+            Format::Model => SparseModel::read(&self.path).map(|model| from_model(&model)),
+            Format::Transforms => Ok(Given {
+                views: Assignment::ByStem(transforms::read(&self.path)?),
+                points: Vec::new(),
+                mean_error: None,
+                mean_track: None,
+            }),
+            Format::PosesBounds => {
+                let rows = read_poses_bounds(&self.path)?;
+                let view = |row: &crate::poses::bounds::BoundedCamera| GivenView {
+                    lens: Lens { intrinsics: row.camera.intrinsics, distortion: Distortion::None },
+                    world_to_camera: row.camera.world_to_camera,
+                    bounds: Some((row.near, row.far)),
+                };
+                let views = Assignment::ByOrder(rows.iter().map(view).collect());
+                Ok(Given { views, points: Vec::new(), mean_error: None, mean_track: None })
+            }
+        }
+    }
+
+    fn assign(&self, views: &[PoseView], given: &Assignment) -> Result<Vec<Option<GivenView>>, PosesError> {
+        match given {
+            Assignment::ByStem(by_stem) => {
+                let of = |view: &PoseView| by_stem.get(&view.name).or_else(|| by_stem.get(&stem(&view.file)));
+                Ok(views.iter().map(|view| of(view).copied()).collect())
+            }
+            Assignment::ByOrder(rows) if rows.len() == views.len() => Ok(rows.iter().copied().map(Some).collect()),
+            Assignment::ByOrder(rows) => {
+                let reason = format!("{} poses for {} photographs, and only their order tells which is whose", rows.len(), views.len());
+                Err(PosesError::bad_file(&self.path, reason))
+            }
+        }
+    }
+}
+
+impl Sfm for GivenPoses {
+    fn poses(
+        &self,
+        request: &PoseRequest<'_>,
+        sink: &mut dyn ProgressSink,
+        cancel: &CancelToken,
+    ) -> Result<Poses, PosesError> {
+        let start = Instant::now();
+        let given = self.read()?;
+        cancel.check()?;
+        let assigned = self.assign(request.views, &given.views)?;
+        let total = request.views.len();
+        let mut views = Vec::new();
+        let mut bounds = Vec::new();
+        for (view, given) in request.views.iter().zip(&assigned) {
+            if let Some(given) = given {
+                views.push(posed(view, given)?);
+                bounds.push(given.bounds);
+            }
+        }
+        let registered = views.len();
+        if registered < 3 {
+            let advice = format!("the names in {} must be those of the photographs", self.path.display());
+            return Err(PosesError::TooFew { registered, total, advice });
+        }
+        if registered < total {
+            sink.warn("views_unregistered", format!("{} of {total} photographs have no given pose", total - registered));
+        }
+        let mut points = given.points;
+        if points.is_empty() {
+            let cameras: Vec<Camera> = views.iter().map(|view: &PosedView| view.camera).collect();
+            points = frusta::guess(&cameras, &bounds, GUESSED_POINTS, request.seed);
+            sink.warn("points_guessed", format!("the poses came without points: {} random ones take their place", points.len()));
+        }
+        Ok(Poses {
+            views,
+            points,
+            registered,
+            total,
+            source: self.describe(),
+            rung: None,
+            mean_reprojection_error: given.mean_error,
+            mean_track: given.mean_track,
+            low_confidence: false,
+            seconds: start.elapsed().as_secs_f64(),
+        })
+    }
+
+    fn describe(&self) -> String {
+        let what = match self.format {
+            Format::Model => "COLMAP model",
+            Format::Transforms => "transforms.json",
+            Format::PosesBounds => "poses_bounds.npy",
+        };
+        format!("given {what}")
+    }
+}
+
+/// A given pose at the photograph's own size, which may differ from the one it was computed at.
+fn posed(view: &PoseView, given: &GivenView) -> Result<PosedView, PosesError> {
+    let header = read_header(&view.file).map_err(|e| PosesError::bad_file(&view.file, e.to_string()))?;
+    let intrinsics = given.lens.intrinsics.resized(header.width, header.height);
+    let lens = Lens { intrinsics, ..given.lens };
+    let camera = Camera { intrinsics: lens.pinhole(), world_to_camera: given.world_to_camera };
+    Ok(PosedView { name: view.name.clone(), camera, lens })
+}
+
+fn from_model(model: &SparseModel) -> Given {
+    let view = |image| GivenView {
+        lens: model.camera_of(image).lens(),
+        world_to_camera: image.world_to_camera(),
+        bounds: None,
+    };
+    let by_stem = model.images.iter().map(|image| (stem(Path::new(&image.name)), view(image))).collect();
+    Given {
+        views: Assignment::ByStem(by_stem),
+        points: model.sparse_points(),
+        mean_error: model.mean_error(),
+        mean_track: model.mean_track(),
+    }
+}
+
+/// A file's name without folder and extension.
+fn stem(file: &Path) -> String {
+    file.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default()
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,7 +1,10 @@
 //! What structure from motion is asked and what it answers, whoever answers: COLMAP or poses
 //! that came with the capture.
 
+pub mod align;
+pub mod bounds;
 pub mod lens;
+pub mod model;
 
 use std::path::{Path, PathBuf};
 

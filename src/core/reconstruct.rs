@@ -3,6 +3,5 @@
 pub mod checkpoint;
 pub mod densify;
 pub mod initialise;
-pub mod loss;
 pub mod optimizer;
 pub mod schedule;

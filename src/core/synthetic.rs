@@ -1,1 +1,178 @@
-//! synthetic
+//! `fled synth`: a capture that nobody photographed, with everything known about it.
+//!
+//! A room of textured boxes, spheres and walls is ray-cast in linear light along the path of a
+//! shaking camera; the mean over the exposure is cut to darkness, given the noise of a sensor and
+//! stored in 8 bits, in LuSh-NeRF's layout: `images/` (dark, blurred), `HL/` (sharp, bright) and
+//! `poses_bounds.npy`.
+
+mod path;
+mod scene;
+mod sensor;
+mod texture;
+
+use std::path::{Path, PathBuf};
+
+use glam::DVec3;
+use rand::SeedableRng;
+use rand_pcg::Pcg64Mcg;
+use rayon::prelude::*;
+
+use crate::camera::{Camera, Intrinsics};
+use crate::image::{Image, ImageError, Linear};
+use crate::poses::bounds::{BoundedCamera, write_poses_bounds};
+use crate::poses::PosesError;
+
+/// Sub-frames of an exposure: the blur path of ~10 px is then sampled about every pixel.
+const SUBFRAMES: usize = 11;
+
+/// Rays a pixel and sub-frame, per axis, of the shaken images; the mean over sub-frames does the rest.
+const SHAKEN_RAYS: usize = 1;
+
+/// Rays a pixel, per axis, of the ground truth.
+const SHARP_RAYS: usize = 3;
+
+/// What to make. Defaults are `fled synth`'s.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SynthOptions {
+    /// Number of views.
+    pub views: usize,
+    /// Width, px.
+    pub width: usize,
+    /// Height, px.
+    pub height: usize,
+    /// Seed of path, shake and noise. The scene itself is always the same.
+    pub seed: u64,
+    /// Share of the light that the dark exposure catches: linear values are multiplied by it.
+    pub exposure: f64,
+    /// Longest blur path in the middle of the image, px; a view's is 0.4 to 1 of it.
+    pub blur: f64,
+    /// Standard deviation of the noise at white, as a share of the dark exposure's white: shot
+    /// noise falls with the square root of the signal, and a tenth of it remains in the black.
+    pub noise: f64,
+}
+
+impl Default for SynthOptions {
+    fn default() -> Self {
+        Self { views: 24, width: 320, height: 180, seed: 0, exposure: 0.05, blur: 9.0, noise: 0.02 }
+    }
+}
+
+/// Why nothing was made.
+#[derive(Debug, thiserror::Error)]
+pub enum SynthError {
+    /// An option does not fit.
+    #[error("{0}")]
+    Options(String),
+    /// An image could not be written.
+    #[error(transparent)]
+    Image(#[from] ImageError),
+    /// The poses could not be written.
+    #[error(transparent)]
+    Poses(#[from] PosesError),
+    /// A directory could not be made.
+    #[error("{}: {source}", path.display())]
+    Io {
+        /// Where.
+        path: PathBuf,
+        /// The system's error.
+        source: std::io::Error,
+    },
+}
+
+/// What was made.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SynthSummary {
+    /// Names and cameras of the views, as at the middle of each exposure.
+    pub cameras: Vec<(String, Camera)>,
+}
+
+impl SynthOptions {
+    fn check(&self) -> Result<(), SynthError> {
+        let fault = |reason: String| Err(SynthError::Options(reason));
+        if !(1..=1000).contains(&self.views) {
+            return fault(format!("views: {} is not in 1..=1000", self.views));
+        }
+        if !(32..=8192).contains(&self.width) || !(32..=8192).contains(&self.height) {
+            return fault(format!("size: {}x{} is not in 32..=8192", self.width, self.height));
+        }
+        if !(self.exposure > 0.0 && self.exposure <= 1.0) {
+            return fault(format!("exposure: {} is not above 0 and at most 1", self.exposure));
+        }
+        if !(0.0..=200.0).contains(&self.blur) {
+            return fault(format!("blur: {} px is not in 0..=200", self.blur));
+        }
+        if !(0.0..=1.0).contains(&self.noise) {
+            return fault(format!("noise: {} is not in 0..=1", self.noise));
+        }
+        Ok(())
+    }
+
+    /// A lens of 60 degrees across.
+    fn intrinsics(&self) -> Intrinsics {
+        let (width, height) = (self.width as f64, self.height as f64);
+        let focal = 0.5 * width / 30f64.to_radians().tan();
+        Intrinsics {
+            width: self.width,
+            height: self.height,
+            fx: focal,
+            fy: focal,
+            cx: 0.5 * width,
+            cy: 0.5 * height,
+        }
+    }
+}
+
+/// Writes a capture into `out`, which is created. Existing files of the same names are replaced.
+/// The same options give the same bytes.
+///
+/// # Errors
+/// [`SynthError`].
+pub fn generate(options: &SynthOptions, out: &Path) -> Result<SynthSummary, SynthError> {
+    options.check()?;
+    for folder in ["images", "HL"] {
+        let path = out.join(folder);
+        std::fs::create_dir_all(&path).map_err(|source| SynthError::Io { path, source })?;
+    }
+    let scene = scene::Scene::room();
+    let cameras = path::cameras(options.views, options.intrinsics(), options.seed);
+    let named: Vec<(String, Camera)> =
+        cameras.iter().enumerate().map(|(index, camera)| (format!("{index:03}"), *camera)).collect();
+    named.par_iter().enumerate().try_for_each(|(index, (name, camera))| {
+        write_view(options, &scene, out, (index, name, camera))
+    })?;
+    let bounded = |camera: &Camera| {
+        let (near, far) = scene.depth_range(camera);
+        BoundedCamera { camera: *camera, near, far }
+    };
+    let rows: Vec<BoundedCamera> = cameras.iter().map(bounded).collect();
+    write_poses_bounds(&out.join("poses_bounds.npy"), &rows)?;
+    Ok(SynthSummary { cameras: named })
+}
+
+fn write_view(
+    options: &SynthOptions,
+    scene: &scene::Scene,
+    out: &Path,
+    (index, name, camera): (usize, &str, &Camera),
+) -> Result<(), SynthError> {
+    let mut rng = Pcg64Mcg::seed_from_u64(options.seed.wrapping_mul(1_000_003).wrapping_add(index as u64));
+    let shake = path::shake(camera, scene.focus_distance(camera), options.blur, SUBFRAMES, &mut rng);
+    let mut light = Image::<Linear>::new(options.width, options.height);
+    for moment in &shake {
+        let frame = scene.render(moment, SHAKEN_RAYS);
+        for (sum, value) in light.data_mut().iter_mut().zip(frame.data()) {
+            *sum += value / shake.len() as f32;
+        }
+    }
+    let dark = sensor::expose(&light, options.exposure, options.noise, &mut rng);
+    let file = format!("{name}.png");
+    dark.to_srgb().save(&out.join("images").join(&file))?;
+    scene.render(camera, SHARP_RAYS).to_srgb().save(&out.join("HL").join(&file))?;
+    Ok(())
+}
+
+/// The world direction that points down in level images.
+const DOWN: DVec3 = DVec3::Y;
+
+#[cfg(test)]
+mod tests;

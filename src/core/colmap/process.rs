@@ -1,0 +1,258 @@
+//! One COLMAP command: its own process group, bounded in time and log, killed on cancel and when
+//! we die.
+
+use std::collections::VecDeque;
+use std::fs::File;
+use std::io::{Read, Write};
+use std::path::{Path, PathBuf};
+use std::process::{Command, ExitStatus, Stdio};
+use std::sync::Mutex;
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
+use std::time::{Duration, Instant};
+
+use process_wrap::std::{ChildWrapper, CommandWrap, ProcessGroup};
+
+use crate::cancel::CancelToken;
+use crate::poses::PosesError;
+
+/// How often a running command is looked at: a cancel is obeyed within two of these.
+const POLL: Duration = Duration::from_millis(25);
+
+/// Most bytes of `colmap.log`. COLMAP writes ~100 bytes a photograph and step; a broken one may
+/// write without end.
+const LOG_BYTES: u64 = 8 << 20;
+
+/// Bytes of a command's output that are kept in memory: `-h` of the longest command is 6 KB.
+const TAIL_BYTES: usize = 64 << 10;
+
+/// How long one COLMAP command may take.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Limits {
+    /// In all.
+    pub wall: Duration,
+    /// Without a byte of output. Matching a block of 50 photographs on a slow machine is silent
+    /// for minutes.
+    pub silence: Duration,
+}
+
+impl Default for Limits {
+    fn default() -> Self {
+        Self { wall: Duration::from_secs(4 * 3600), silence: Duration::from_secs(20 * 60) }
+    }
+}
+
+/// Runs one program's subcommands.
+#[derive(Debug)]
+pub(super) struct Runner {
+    program: PathBuf,
+    limits: Limits,
+    log: Option<Mutex<Log>>,
+    /// Whether `setpriv` is there to tie the child's life to ours.
+    setpriv: bool,
+}
+
+/// A file that stops growing at [`LOG_BYTES`] and says so.
+#[derive(Debug)]
+struct Log {
+    file: File,
+    left: u64,
+}
+
+impl Log {
+    /// The log is a help for reading afterwards: a full disk must not change the outcome here,
+    /// the artifacts' own writes report it.
+    fn write(&mut self, bytes: &[u8]) {
+        if self.left == 0 {
+            return;
+        }
+        let fits = bytes.len().min(usize::try_from(self.left).unwrap_or(usize::MAX));
+        let _ = self.file.write_all(&bytes[..fits]);
+        self.left -= fits as u64;
+        if self.left == 0 {
+            let _ = self.file.write_all(b"\n[log cut here]\n");
+        }
+    }
+}
+
+/// A command that ended by itself.
+#[derive(Debug)]
+pub(super) struct Finished {
+    pub status: ExitStatus,
+    tail: VecDeque<u8>,
+}
+
+impl Finished {
+    /// What it wrote, standard output and error as they came, at most the last 64 KiB.
+    pub fn text(&self) -> String {
+        String::from_utf8_lossy(&self.tail.iter().copied().collect::<Vec<_>>()).into_owned()
+    }
+
+    /// The error that this end amounts to.
+    pub fn failure(&self, command: &str) -> PosesError {
+        let text = self.text();
+        let lines: Vec<&str> = text.lines().map(str::trim).filter(|line| !line.is_empty()).collect();
+        let tail = lines[lines.len().saturating_sub(5)..].join(" | ");
+        let tail = if tail.is_empty() { "it said nothing".to_owned() } else { tail };
+        PosesError::Tool { command: command.to_owned(), status: self.status.to_string(), tail }
+    }
+}
+
+impl Runner {
+    /// For `program`, with its output appended to `log`.
+    pub fn new(program: &Path, limits: Limits, log: Option<&Path>) -> Result<Self, PosesError> {
+        let open = |path: &Path| {
+            let file = File::create(path).map_err(PosesError::io(path))?;
+            Ok::<_, PosesError>(Mutex::new(Log { file, left: LOG_BYTES }))
+        };
+        let setpriv = Command::new("setpriv")
+            .args(["--pdeathsig", "KILL", "true"])
+            .stdin(Stdio::null())
+            .stdout(Stdio::null())
+            .stderr(Stdio::null())
+            .status();
+        Ok(Self {
+            program: program.to_owned(),
+            limits,
+            log: log.map(open).transpose()?,
+            setpriv: setpriv.is_ok_and(|status| status.success()),
+        })
+    }
+
+    /// A line of ours in the log.
+    pub fn note(&self, line: &str) {
+        self.log_bytes(format!("{line}\n").as_bytes());
+    }
+
+    fn log_bytes(&self, bytes: &[u8]) {
+        if let Some(log) = &self.log {
+            log.lock().unwrap_or_else(std::sync::PoisonError::into_inner).write(bytes);
+        }
+    }
+
+    /// Runs `program command arguments` to its end, however it ends.
+    ///
+    /// # Errors
+    /// [`PosesError::Missing`], [`PosesError::Timeout`], [`PosesError::Cancelled`]. In the last two
+    /// the whole process group has been killed and reaped.
+    pub fn run(
+        &self,
+        command: &str,
+        arguments: &[String],
+        cancel: &CancelToken,
+    ) -> Result<Finished, PosesError> {
+        cancel.check()?;
+        self.note(&format!("$ colmap {command} {}", arguments.join(" ")));
+        let mut child = self.spawn(command, arguments)?;
+        let output = read_output(child.as_mut());
+        let outcome = self.watch(command, child.as_mut(), &output, cancel);
+        if outcome.is_err() {
+            // The group may be gone already; what counts is that nothing of it is left.
+            let _ = child.kill();
+        }
+        outcome
+    }
+
+    fn spawn(&self, command: &str, arguments: &[String]) -> Result<Box<dyn ChildWrapper>, PosesError> {
+        let missing = |source: std::io::Error| PosesError::Missing {
+            program: self.program.display().to_string(),
+            reason: source.to_string(),
+        };
+        // `help` is asked first and runs bare, so that a missing program is the system's own error.
+        let mut process = if self.setpriv && command != "help" {
+            let mut process = Command::new("setpriv");
+            process.args(["--pdeathsig", "KILL", "--"]).arg(&self.program);
+            process
+        } else {
+            Command::new(&self.program)
+        };
+        process.arg(command).args(arguments).env("QT_QPA_PLATFORM", "offscreen");
+        process.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
+        CommandWrap::from(process).wrap(ProcessGroup::leader()).spawn().map_err(missing)
+    }
+
+    /// Follows the child until it ends.
+    fn watch(
+        &self,
+        command: &str,
+        child: &mut dyn ChildWrapper,
+        output: &Receiver<Vec<u8>>,
+        cancel: &CancelToken,
+    ) -> Result<Finished, PosesError> {
+        let start = Instant::now();
+        let mut heard = start;
+        let mut tail = VecDeque::new();
+        let timeout = |limit: Duration, why| PosesError::Timeout {
+            command: command.to_owned(),
+            seconds: limit.as_secs(),
+            why,
+        };
+        let failed = PosesError::io(&self.program);
+        loop {
+            cancel.check()?;
+            match output.recv_timeout(POLL) {
+                Ok(bytes) => {
+                    heard = Instant::now();
+                    self.log_bytes(&bytes);
+                    keep(&mut tail, &bytes);
+                }
+                Err(RecvTimeoutError::Timeout) => {}
+                Err(RecvTimeoutError::Disconnected) => std::thread::sleep(POLL),
+            }
+            if start.elapsed() > self.limits.wall {
+                return Err(timeout(self.limits.wall, "in all"));
+            }
+            if heard.elapsed() > self.limits.silence {
+                return Err(timeout(self.limits.silence, "without output"));
+            }
+            match child.try_wait() {
+                Ok(Some(status)) => {
+                    self.drain(output, &mut tail);
+                    return Ok(Finished { status, tail });
+                }
+                Ok(None) => {}
+                Err(source) => return Err(failed(source)),
+            }
+        }
+    }
+
+    /// What was written before the end and not yet read. Bounded in time, because a grandchild
+    /// that left the group could hold the pipe open.
+    fn drain(&self, output: &Receiver<Vec<u8>>, tail: &mut VecDeque<u8>) {
+        let start = Instant::now();
+        while start.elapsed() < Duration::from_secs(1) {
+            match output.recv_timeout(POLL) {
+                Ok(bytes) => {
+                    self.log_bytes(&bytes);
+                    keep(tail, &bytes);
+                }
+                Err(RecvTimeoutError::Timeout) => {}
+                Err(RecvTimeoutError::Disconnected) => return,
+            }
+        }
+    }
+}
+
+fn keep(tail: &mut VecDeque<u8>, bytes: &[u8]) {
+    tail.extend(bytes);
+    let excess = tail.len().saturating_sub(TAIL_BYTES);
+    tail.drain(..excess);
+}
+
+/// Both streams through one bounded channel. The readers end with the pipes.
+fn read_output(child: &mut dyn ChildWrapper) -> Receiver<Vec<u8>> {
+    fn forward(stream: Option<impl Read + Send + 'static>, sender: SyncSender<Vec<u8>>) {
+        let Some(mut stream) = stream else { return };
+        std::thread::spawn(move || {
+            let mut buffer = [0; 8192];
+            while let Ok(count @ 1..) = stream.read(&mut buffer) {
+                if sender.send(buffer[..count].to_vec()).is_err() {
+                    return;
+                }
+            }
+        });
+    }
+    let (sender, receiver) = sync_channel(16);
+    forward(child.stdout().take(), sender.clone());
+    forward(child.stderr().take(), sender);
+    receiver
+}

@@ -1,0 +1,336 @@
+//! COLMAP that is missing, broken, slow, wrong or newer: shell scripts stand in for it. What the
+//! real one reaches is judged on captures, where they are there.
+
+use std::os::unix::fs::PermissionsExt;
+use std::path::Path;
+
+use super::*;
+use crate::event::{Event, Silent};
+use crate::image::{Image, Srgb};
+use crate::poses::PoseView;
+
+/// A stand-in for COLMAP: `help` and `-h` are answered, all else is up to `body`, a shell
+/// fragment that sees the command as `$1` and the value of `--output_path` as `$out`.
+const PRELUDE: &str = r#"#!/bin/sh
+case "$1" in help) echo "COLMAP 3.8 -- Structure-from-Motion"; exit 0;; esac
+if [ "$2" = "-h" ]; then
+  printf '  -h [ --help ]\n  --database_path arg\n  --image_path arg\n  --output_path arg\n  --random_seed arg (=0)\n'
+  [ "$1" = feature_extractor ] && printf '  --SiftExtraction.use_gpu arg (=1)\n'
+  [ "$1" = exhaustive_matcher ] && printf '  --SiftMatching.use_gpu arg (=1)\n'
+  exit 0
+fi
+command="$1"; all="$*"; out=
+while [ $# -gt 0 ]; do [ "$1" = --output_path ] && out="$2"; shift; done
+"#;
+
+/// Shell: a model of `$2` images and three points each seen by `$3` of them into `$1`.
+const MODEL: &str = r#"
+model() {
+  mkdir -p "$1"
+  echo '1 SIMPLE_RADIAL 48 32 50 24 16 0.01' > "$1/cameras.txt"; : > "$1/images.txt"; : > "$1/points3D.txt"
+  i=0; while [ $i -lt $2 ]; do
+    printf '%d 1 0 0 0 %d 0 0 1 v%05d.png\n\n' $((i+1)) $i $i >> "$1/images.txt"; i=$((i+1)); done
+  p=0; while [ $p -lt 100 ]; do
+    track=; j=0; while [ $j -lt $3 ]; do track="$track $((j+1)) $p"; j=$((j+1)); done
+    echo "$p 0 0 $((p+1)) 9 9 9 0.5$track" >> "$1/points3D.txt"; p=$((p+1)); done
+}
+"#;
+
+struct Scene {
+    dir: tempfile::TempDir,
+    views: Vec<PoseView>,
+}
+
+impl Scene {
+    fn new(count: usize, body: &str) -> Self {
+        let dir = tempfile::tempdir().unwrap();
+        let mut image: Image<Srgb> = Image::new(48, 32);
+        image.data_mut().fill(0.1);
+        let file = dir.path().join("photograph.png");
+        image.save(&file).unwrap();
+        let view = |i| PoseView { name: format!("view{i}"), file: file.clone(), focal_px: None };
+        let script = dir.path().join("colmap");
+        std::fs::write(&script, format!("{PRELUDE}{MODEL}{body}")).unwrap();
+        std::fs::set_permissions(&script, std::fs::Permissions::from_mode(0o755)).unwrap();
+        Self { views: (0..count).map(view).collect(), dir }
+    }
+
+    fn tool(&self) -> ColmapCli {
+        ColmapCli::new(self.dir.path().join("colmap"))
+    }
+
+    fn work_dir(&self) -> PathBuf {
+        self.dir.path().join("work")
+    }
+
+    fn log(&self) -> String {
+        std::fs::read_to_string(self.work_dir().join("colmap.log")).unwrap()
+    }
+
+    fn run(
+        &self,
+        tool: &ColmapCli,
+        sink: &mut dyn ProgressSink,
+        cancel: &CancelToken,
+    ) -> Result<Poses, PosesError> {
+        tool.poses(&PoseRequest { views: &self.views, work_dir: &self.work_dir(), seed: 1 }, sink, cancel)
+    }
+
+    fn poses(&self) -> Result<Poses, PosesError> {
+        self.run(&self.tool(), &mut Silent, &CancelToken::new())
+    }
+}
+
+#[test]
+fn a_good_model_is_taken_on_rung_a_at_the_originals_size() {
+    let scene = Scene::new(10, r#"[ $command = mapper ] && model "$out/0" 10 10; exit 0"#);
+    let mut stages = Vec::new();
+    let mut sink = |event: &Event| {
+        if let Event::StageAdvanced { done, total, .. } = event {
+            stages.push((*done, *total));
+        }
+    };
+    let poses = scene.run(&scene.tool(), &mut sink, &CancelToken::new()).unwrap();
+    assert_eq!((poses.registered, poses.total, poses.rung), (10, 10, Some('A')));
+    assert_eq!(stages, [(0, 3), (1, 3), (2, 3), (3, 3)]);
+    assert!(!poses.low_confidence);
+    assert_eq!(poses.source, "colmap 3.8");
+    let view = &poses.views[3];
+    assert_eq!((view.name.as_str(), view.camera.translation().x), ("view3", 3.0));
+    assert_eq!((view.lens.intrinsics.width, view.lens.intrinsics.fx), (48, 50.0));
+    let json = serde_json::to_string(&poses).unwrap();
+    assert_eq!(serde_json::from_str::<Poses>(&json).unwrap(), poses);
+}
+
+#[test]
+fn the_gpu_is_never_asked_for() {
+    let scene = Scene::new(10, r#"[ $command = mapper ] && model "$out/0" 10 10; exit 0"#);
+    scene.poses().unwrap();
+    let log = scene.log();
+    assert!(log.contains("--SiftExtraction.use_gpu 0") && log.contains("--SiftMatching.use_gpu 0"), "{log}");
+}
+
+#[test]
+fn newer_option_names_are_used_where_the_help_lists_them() {
+    let body = r#"[ $command = mapper ] && model "$out/0" 10 10; exit 0"#;
+    let scene = Scene::new(10, body);
+    let newer = PRELUDE
+        .replace("SiftExtraction", "FeatureExtraction")
+        .replace("SiftMatching", "FeatureMatching")
+        .replace("--random_seed", "--default_random_seed");
+    std::fs::write(scene.dir.path().join("colmap"), format!("{newer}{MODEL}{body}")).unwrap();
+    scene.poses().unwrap();
+    let log = scene.log();
+    assert!(log.contains("--FeatureExtraction.use_gpu 0"), "{log}");
+    assert!(log.contains("--default_random_seed") && !log.contains("--SiftExtraction.use_gpu"), "{log}");
+    assert!(log.contains("has no option ImageReader.single_camera"), "what is not sent is noted");
+}
+
+#[test]
+fn the_largest_model_is_taken_and_never_the_first_blindly() {
+    let body = r#"[ $command = mapper ] && { model "$out/0" 4 4; model "$out/1" 10 10; }; exit 0"#;
+    assert_eq!(Scene::new(10, body).poses().unwrap().registered, 10);
+}
+
+#[test]
+fn a_poor_first_rung_leads_to_the_next() {
+    let body = r#"
+if [ $command = mapper ]; then
+  case "$all" in *init_min_tri_angle*) model "$out/0" 10 10;; *) model "$out/0" 4 4;; esac
+fi; exit 0"#;
+    // The option must be listed in the help to be sent.
+    let scene = Scene::new(10, body);
+    let script = PRELUDE.replace(
+        "--random_seed arg (=0)\\n",
+        "--random_seed arg (=0)\\n  --Mapper.init_min_tri_angle arg\\n",
+    );
+    std::fs::write(scene.dir.path().join("colmap"), format!("{script}{MODEL}{body}")).unwrap();
+    let poses = scene.poses().unwrap();
+    assert_eq!((poses.rung, poses.registered), (Some('B'), 10));
+}
+
+#[test]
+fn few_registered_photographs_are_named_with_advice() {
+    let scene = Scene::new(10, r#"[ $command = mapper ] && model "$out/0" 4 4; exit 0"#);
+    match scene.poses() {
+        Err(PosesError::TooFew { registered: 4, total: 10, advice }) => assert!(advice.contains("overlap")),
+        other => panic!("{other:?}"),
+    }
+}
+
+#[test]
+fn a_doubtful_model_is_delivered_with_a_warning() {
+    let scene = Scene::new(10, r#"[ $command = mapper ] && model "$out/0" 7 2; exit 0"#);
+    let mut codes = Vec::new();
+    let mut sink = |event: &Event| {
+        if let Event::Warning { code, .. } = event {
+            codes.push(code.clone());
+        }
+    };
+    let poses = scene.run(&scene.tool(), &mut sink, &CancelToken::new()).unwrap();
+    assert!(poses.low_confidence && poses.registered == 7);
+    assert_eq!(codes, ["views_unregistered", "low_confidence_poses"]);
+}
+
+#[test]
+fn a_mapper_that_finds_no_start_is_data_and_not_a_fault() {
+    let scene = Scene::new(
+        5,
+        "[ $command = mapper ] && { echo 'ERROR: failed to create sparse model' >&2; exit 1; }; exit 0",
+    );
+    assert!(matches!(scene.poses(), Err(PosesError::TooFew { registered: 0, total: 5, .. })));
+}
+
+#[test]
+fn a_crash_is_told_with_its_signal_and_last_words() {
+    let scene =
+        Scene::new(5, "[ $command = exhaustive_matcher ] && { echo last words; kill -SEGV $$; }; exit 0");
+    match scene.poses() {
+        Err(PosesError::Tool { command, status, tail }) => {
+            assert_eq!(command, "exhaustive_matcher");
+            assert!(status.contains("signal: 11") && tail.contains("last words"), "{status} {tail}");
+        }
+        other => panic!("{other:?}"),
+    }
+}
+
+#[test]
+fn a_program_that_is_not_there_is_missing() {
+    let scene = Scene::new(5, "");
+    let tool = ColmapCli::new("/nowhere/colmap");
+    let outcome = scene.run(&tool, &mut Silent, &CancelToken::new());
+    assert!(matches!(outcome, Err(PosesError::Missing { .. })), "{outcome:?}");
+    assert!(matches!(tool.version(), Err(PosesError::Missing { .. })));
+}
+
+#[test]
+fn two_photographs_are_too_few_before_anything_is_run() {
+    let scene = Scene::new(2, "");
+    let tool = ColmapCli::new("/nowhere/colmap");
+    let outcome = scene.run(&tool, &mut Silent, &CancelToken::new());
+    assert!(matches!(outcome, Err(PosesError::TooFew { registered: 0, total: 2, .. })));
+}
+
+/// A child and a grandchild that both sleep, their process ids in files.
+const HANG: &str = r#"
+if [ $command = feature_extractor ]; then
+  here=$(dirname "$0"); sleep 600 & echo $! > "$here/grandchild"; echo $$ > "$here/child"; wait
+fi; exit 0"#;
+
+fn alive(pid_file: &Path) -> bool {
+    let pid = std::fs::read_to_string(pid_file).unwrap();
+    let stat = std::fs::read_to_string(format!("/proc/{}/stat", pid.trim())).unwrap_or_default();
+    // A zombie that its new parent has not reaped yet is dead.
+    !stat.is_empty() && !stat.contains(") Z ")
+}
+
+fn assert_nothing_left(scene: &Scene) {
+    for name in ["child", "grandchild"] {
+        let file = scene.dir.path().join(name);
+        let gone = (0..100).any(|_| {
+            std::thread::sleep(Duration::from_millis(20));
+            !alive(&file)
+        });
+        assert!(gone, "the {name} lives on");
+    }
+}
+
+#[test]
+fn a_hang_ends_in_a_timeout_that_leaves_no_process_behind() {
+    let scene = Scene::new(5, HANG);
+    let limits = Limits { wall: Duration::from_secs(60), silence: Duration::from_secs(1) };
+    let outcome = scene.run(&scene.tool().with_limits(limits), &mut Silent, &CancelToken::new());
+    assert!(matches!(outcome, Err(PosesError::Timeout { why: "without output", .. })), "{outcome:?}");
+    assert_nothing_left(&scene);
+}
+
+#[test]
+fn endless_output_meets_the_wall_limit_and_a_bounded_log() {
+    let scene =
+        Scene::new(5, "[ $command = feature_extractor ] && exec yes 'a line that says nothing'; exit 0");
+    let limits = Limits { wall: Duration::from_secs(3), silence: Duration::from_secs(60) };
+    let outcome = scene.run(&scene.tool().with_limits(limits), &mut Silent, &CancelToken::new());
+    assert!(matches!(outcome, Err(PosesError::Timeout { why: "in all", .. })), "{outcome:?}");
+    assert!(scene.log().len() < 9 << 20);
+}
+
+#[test]
+fn a_cancel_is_obeyed_within_a_second_and_leaves_no_process_behind() {
+    let scene = Scene::new(5, HANG);
+    let cancel = CancelToken::new();
+    let token = cancel.clone();
+    let child = scene.dir.path().join("child");
+    let canceller = std::thread::spawn(move || {
+        while !child.exists() {
+            std::thread::sleep(Duration::from_millis(10));
+        }
+        token.cancel();
+        Instant::now()
+    });
+    let outcome = scene.run(&scene.tool(), &mut Silent, &cancel);
+    let ended = Instant::now();
+    assert!(matches!(outcome, Err(PosesError::Cancelled(_))), "{outcome:?}");
+    assert!(ended - canceller.join().unwrap() < Duration::from_secs(1));
+    assert_nothing_left(&scene);
+}
+
+mod captures {
+    //! The real COLMAP on real photographs, where both are there.
+
+    use super::*;
+    use crate::poses::align;
+    use crate::poses::model::SparseModel;
+
+    fn judge(name: &str) {
+        let capture = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/captures").join(name);
+        if !capture.is_dir() {
+            return;
+        }
+        let mut files: Vec<PathBuf> =
+            std::fs::read_dir(capture.join("images")).unwrap().map(|entry| entry.unwrap().path()).collect();
+        files.sort();
+        let stem = |file: &Path| file.file_stem().unwrap().to_str().unwrap().to_owned();
+        let views: Vec<PoseView> = files
+            .iter()
+            .map(|file| PoseView { name: stem(file), file: file.clone(), focal_px: None })
+            .collect();
+        let work = tempfile::tempdir().unwrap();
+        let request = PoseRequest { views: &views, work_dir: work.path(), seed: 0 };
+        let poses = ColmapCli::default().poses(&request, &mut Silent, &CancelToken::new()).unwrap();
+        let truth = SparseModel::read(&capture.join("sparse_gt")).unwrap();
+        let (mut estimated, mut expected) = (Vec::new(), Vec::new());
+        for view in &poses.views {
+            let image = truth.images.iter().find(|image| stem(Path::new(&image.name)) == view.name).unwrap();
+            estimated.push(view.camera);
+            expected.push(crate::camera::Camera {
+                intrinsics: truth.camera_of(image).lens().intrinsics,
+                world_to_camera: image.world_to_camera(),
+            });
+        }
+        let errors = align::compare(&estimated, &expected).unwrap();
+        let focal = poses.views[0].lens.intrinsics.fx / expected[0].intrinsics.fx - 1.0;
+        eprintln!(
+            "{name}: {} of {}, rung {:?}, {:.1} s, {errors:?}, focal {:+.2} %, points {}, track {:?}",
+            poses.registered,
+            poses.total,
+            poses.rung,
+            poses.seconds,
+            100.0 * focal,
+            poses.points.len(),
+            poses.mean_track
+        );
+        assert_eq!(poses.registered, views.len());
+        assert!(matches!(poses.rung, Some('A' | 'B')));
+        assert!(errors.position_rms < 0.01, "{errors:?}");
+    }
+
+    #[test]
+    fn fox_registers_every_photograph_where_the_sharp_set_has_it() {
+        judge("fox");
+    }
+
+    #[test]
+    fn sceaux_registers_every_photograph_where_the_sharp_set_has_it() {
+        judge("sceaux");
+    }
+}

@@ -1,0 +1,77 @@
+//! Random points where the cameras look, for poses that came without points.
+
+use glam::{DMat3, DVec2, DVec3};
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64Mcg;
+
+use crate::camera::Camera;
+use crate::poses::SparsePoint;
+
+/// How often a point is drawn again until two cameras see it.
+const DRAWS: usize = 20;
+
+/// `count` points in the union of the frusta, uniform in inverse depth and over each image, that
+/// at least two cameras see where that can be had. Mid-grey: nobody has looked at the photographs.
+pub(super) fn guess(
+    cameras: &[Camera],
+    bounds: &[Option<(f64, f64)>],
+    count: usize,
+    seed: u64,
+) -> Vec<SparsePoint> {
+    let mut rng = Pcg64Mcg::seed_from_u64(seed);
+    let fallback = depth_range(cameras);
+    let mut draw = |index: usize| {
+        let camera = &cameras[index];
+        let (near, far) = bounds[index].unwrap_or(fallback);
+        let k = &camera.intrinsics;
+        let pixel = DVec2::new(rng.random::<f64>() * k.width as f64, rng.random::<f64>() * k.height as f64);
+        let inverse = 1.0 / far + rng.random::<f64>() * (1.0 / near - 1.0 / far);
+        let ray = DVec3::new((pixel.x - k.cx) / k.fx, (pixel.y - k.cy) / k.fy, 1.0);
+        camera.rotation().transpose() * (ray / inverse - camera.translation())
+    };
+    let mut point = |index: usize| {
+        let mut position = draw(index);
+        for _ in 1..DRAWS {
+            if cameras.iter().filter(|camera| sees(camera, position)).take(2).count() == 2 {
+                break;
+            }
+            position = draw(index);
+        }
+        SparsePoint { position: position.to_array(), colour: [128; 3], error: 0.0, track: 0 }
+    };
+    (0..count).map(|i| point(i % cameras.len())).collect()
+}
+
+fn sees(camera: &Camera, point: DVec3) -> bool {
+    let k = &camera.intrinsics;
+    let inside = |p: DVec2| p.x >= 0.0 && p.y >= 0.0 && p.x < k.width as f64 && p.y < k.height as f64;
+    camera.project(point).is_some_and(|(pixel, _)| inside(pixel))
+}
+
+/// Depths around the point that all cameras look at, or, where they look in parallel, around
+/// twice the extent of the cameras.
+fn depth_range(cameras: &[Camera]) -> (f64, f64) {
+    let centres: Vec<DVec3> = cameras.iter().map(Camera::centre).collect();
+    let extent = crate::poses::align::extent(&centres).max(1e-6);
+    // Least squares: sum over cameras of (I - f f^T)(x - c) = 0.
+    let mut matrix = DMat3::ZERO;
+    let mut vector = DVec3::ZERO;
+    for (camera, centre) in cameras.iter().zip(&centres) {
+        let f = camera.forward();
+        let across = DMat3::IDENTITY - DMat3::from_cols(f * f.x, f * f.y, f * f.z);
+        matrix += across;
+        vector += across * *centre;
+    }
+    let conditioned = matrix.determinant() > 1e-4 * (cameras.len() as f64).powi(3);
+    let middle = if conditioned {
+        let focus = matrix.inverse() * vector;
+        let mut depths: Vec<f64> = cameras.iter().zip(&centres).map(|(a, c)| a.forward().dot(focus - *c)).collect();
+        depths.sort_by(f64::total_cmp);
+        depths[depths.len() / 2]
+    } else {
+        2.0 * extent
+    };
+    // A focus behind the cameras means that they look outwards.
+    let middle = if middle > 0.0 { middle } else { 2.0 * extent };
+    (0.3 * middle, 4.0 * middle)
+}

@@ -1,0 +1,159 @@
+use glam::{DMat4, DVec3};
+
+use super::*;
+use crate::camera::Intrinsics;
+use crate::event::{Event, Silent};
+use crate::image::{Image, Srgb};
+use crate::poses::bounds::{BoundedCamera, write_poses_bounds};
+use crate::poses::model::{ModelCamera, ModelImage};
+
+struct Capture {
+    dir: tempfile::TempDir,
+    views: Vec<PoseView>,
+    cameras: Vec<Camera>,
+}
+
+/// Four photographs of 40x30 whose poses are given for 80x60.
+fn capture() -> Capture {
+    let dir = tempfile::tempdir().unwrap();
+    let image: Image<Srgb> = Image::new(40, 30);
+    let k = Intrinsics { width: 80, height: 60, fx: 70.0, fy: 70.0, cx: 40.0, cy: 30.0 };
+    let name = |i: usize| format!("photo{i}");
+    let views = (0..4).map(|i| {
+        let file = dir.path().join(format!("{}.png", name(i)));
+        image.save(&file).unwrap();
+        PoseView { name: name(i), file, focal_px: None }
+    });
+    let views = views.collect();
+    let eye = |i: usize| DVec3::new(i as f64 - 1.5, 0.1 * i as f64, -4.0);
+    let cameras = (0..4).map(|i| Camera::look_at(k, eye(i), DVec3::new(0.0, 0.0, 0.5), DVec3::Y)).collect();
+    Capture { dir, views, cameras }
+}
+
+impl Capture {
+    fn poses(&self, path: &str) -> Result<Poses, PosesError> {
+        let request = PoseRequest { views: &self.views, work_dir: self.dir.path(), seed: 3 };
+        GivenPoses::open(&self.dir.path().join(path))?.poses(&request, &mut Silent, &CancelToken::new())
+    }
+
+    fn assert_right(&self, poses: &Poses) {
+        assert_eq!((poses.registered, poses.total), (4, 4));
+        for (view, camera) in poses.views.iter().zip(&self.cameras) {
+            assert!(view.camera.world_to_camera.abs_diff_eq(camera.world_to_camera, 1e-9));
+            assert_eq!(view.camera.intrinsics, camera.intrinsics.resized(40, 30));
+        }
+    }
+}
+
+#[test]
+fn a_colmap_model_gives_its_poses_and_points_by_name() {
+    let capture = capture();
+    let image = |(i, camera): (usize, &Camera)| ModelImage::posed(i as u32, 1, format!("sub/photo{i}.jpg"), camera);
+    let model = SparseModel {
+        cameras: vec![ModelCamera::pinhole(1, &capture.cameras[0].intrinsics)],
+        // Out of order on purpose.
+        images: capture.cameras.iter().enumerate().map(image).rev().collect(),
+        points: vec![crate::poses::model::ModelPoint {
+            id: 1,
+            position: [1.0, 2.0, 3.0],
+            colour: [4, 5, 6],
+            error: 0.5,
+            track: vec![(1, 0), (2, 0)],
+        }],
+    };
+    model.write_text(&capture.dir.path().join("sparse")).unwrap();
+    let poses = capture.poses("sparse").unwrap();
+    capture.assert_right(&poses);
+    assert_eq!((poses.points.len(), poses.points[0].track, poses.mean_track), (1, 2, Some(2.0)));
+}
+
+#[test]
+fn transforms_json_has_opengl_axes() {
+    let capture = capture();
+    let flip = DMat4::from_scale(DVec3::new(1.0, -1.0, -1.0));
+    let frame = |(i, camera): (usize, &Camera)| {
+        let matrix = (camera.world_to_camera.inverse() * flip).transpose().to_cols_array_2d();
+        serde_json::json!({ "file_path": format!("./images/photo{i}"), "transform_matrix": matrix })
+    };
+    let frames: Vec<_> = capture.cameras.iter().enumerate().map(frame).collect();
+    let angle = 2.0 * (40.0f64 / 70.0).atan();
+    let json = serde_json::json!({ "camera_angle_x": angle, "w": 80, "h": 60, "frames": frames });
+    std::fs::write(capture.dir.path().join("transforms.json"), json.to_string()).unwrap();
+    let poses = capture.poses("transforms.json").unwrap();
+    assert_eq!(poses.registered, 4);
+    for (view, camera) in poses.views.iter().zip(&capture.cameras) {
+        assert!(view.camera.world_to_camera.abs_diff_eq(camera.world_to_camera, 1e-9));
+        assert!((view.camera.intrinsics.fx - 35.0).abs() < 1e-9);
+    }
+}
+
+#[test]
+fn a_frames_own_intrinsics_win_and_distortion_is_kept() {
+    let capture = capture();
+    let matrix = DMat4::IDENTITY.to_cols_array_2d();
+    let frames: Vec<_> = (0..4)
+        .map(|i| match i {
+            0 => serde_json::json!({ "file_path": "photo0.png", "transform_matrix": matrix, "fl_x": 90.0 }),
+            _ => serde_json::json!({ "file_path": format!("photo{i}.png"), "transform_matrix": matrix }),
+        })
+        .collect();
+    let json = serde_json::json!({ "fl_x": 70.0, "w": 80, "h": 60, "k1": -0.1, "frames": frames });
+    std::fs::write(capture.dir.path().join("transforms.json"), json.to_string()).unwrap();
+    let poses = capture.poses("transforms.json").unwrap();
+    assert!((poses.views[0].lens.intrinsics.fx - 45.0).abs() < 1e-9);
+    assert!((poses.views[1].lens.intrinsics.fx - 35.0).abs() < 1e-9);
+    assert!(!poses.views[1].lens.distortion.is_none());
+    assert!(poses.views[1].camera.intrinsics.fx < 35.0, "a barrel's pinhole sees as much as it may");
+}
+
+#[test]
+fn poses_bounds_go_by_order_and_points_are_guessed_where_two_cameras_look() {
+    let capture = capture();
+    let rows: Vec<_> =
+        capture.cameras.iter().map(|camera| BoundedCamera { camera: *camera, near: 2.0, far: 8.0 }).collect();
+    write_poses_bounds(&capture.dir.path().join("poses_bounds.npy"), &rows).unwrap();
+    let mut codes = Vec::new();
+    let mut sink = |event: &Event| {
+        if let Event::Warning { code, .. } = event {
+            codes.push(code.clone());
+        }
+    };
+    let request = PoseRequest { views: &capture.views, work_dir: capture.dir.path(), seed: 3 };
+    let given = GivenPoses::open(&capture.dir.path().join("poses_bounds.npy")).unwrap();
+    let poses = given.poses(&request, &mut sink, &CancelToken::new()).unwrap();
+    capture.assert_right(&poses);
+    assert_eq!(codes, ["points_guessed"]);
+    assert_eq!(poses.points.len(), GUESSED_POINTS);
+    let seen_by = |point: &SparsePoint| {
+        let sees = |camera: &&Camera| {
+            camera.project(DVec3::from(point.position)).is_some_and(|(p, depth)| {
+                p.x >= 0.0 && p.y >= 0.0 && p.x <= 80.0 && p.y <= 60.0 && depth > 1.5
+            })
+        };
+        capture.cameras.iter().filter(sees).count()
+    };
+    let shared = poses.points.iter().filter(|point| seen_by(point) >= 2).count();
+    assert!(shared as f64 > 0.95 * GUESSED_POINTS as f64, "{shared}");
+    let again = given.poses(&request, &mut Silent, &CancelToken::new()).unwrap();
+    assert_eq!(again.points, poses.points);
+}
+
+#[test]
+fn a_count_that_does_not_fit_the_photographs_is_refused() {
+    let capture = capture();
+    let row = BoundedCamera { camera: capture.cameras[0], near: 2.0, far: 8.0 };
+    write_poses_bounds(&capture.dir.path().join("poses_bounds.npy"), &[row; 3]).unwrap();
+    let error = capture.poses("poses_bounds.npy").unwrap_err().to_string();
+    assert!(error.contains("3 poses for 4 photographs"), "{error}");
+}
+
+#[test]
+fn names_that_fit_no_photograph_are_too_few_poses() {
+    let capture = capture();
+    let json = serde_json::json!({ "fl_x": 70.0, "w": 80, "h": 60, "frames": [] });
+    std::fs::write(capture.dir.path().join("transforms.json"), json.to_string()).unwrap();
+    assert!(matches!(capture.poses("transforms.json"), Err(PosesError::TooFew { registered: 0, total: 4, .. })));
+    std::fs::write(capture.dir.path().join("transforms.json"), "{").unwrap();
+    assert!(matches!(capture.poses("transforms.json"), Err(PosesError::BadFile { .. })));
+    assert!(GivenPoses::open(capture.dir.path()).is_err());
+}

@@ -1,0 +1,136 @@
+//! LLFF's `poses_bounds.npy`: f64 [B, 17]; a row is the 3x5 matrix [R | t | (height, width,
+//! focal)] row-major, then near and far depth. R and t go from camera to world; R's columns are
+//! the camera's down, right and backward axes.
+
+use std::path::Path;
+
+use glam::{DMat3, DMat4, DVec3};
+use ndarray::Array2;
+
+use super::PosesError;
+use crate::camera::{Camera, Intrinsics};
+
+/// Columns of the file.
+const COLUMNS: usize = 17;
+
+/// A camera with the depths between which its scene lies.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct BoundedCamera {
+    /// The camera; one focal length, the principal point in the middle.
+    pub camera: Camera,
+    /// Nearest depth, world units.
+    pub near: f64,
+    /// Farthest depth, world units.
+    pub far: f64,
+}
+
+/// Reads the rows, which belong to the photographs in the order of their file names.
+///
+/// # Errors
+/// [`PosesError::BadFile`] when it is no such array or a row is no camera.
+pub fn read_poses_bounds(file: &Path) -> Result<Vec<BoundedCamera>, PosesError> {
+    let array: Array2<f64> =
+        ndarray_npy::read_npy(file).map_err(|e| PosesError::bad_file(file, e.to_string()))?;
+    if array.ncols() != COLUMNS {
+        return Err(PosesError::bad_file(file, format!("rows of {} numbers instead of 17", array.ncols())));
+    }
+    let bad = |row: usize| PosesError::bad_file(file, format!("row {row} is not a camera"));
+    let rows = array.rows().into_iter().map(|row| row.to_vec());
+    rows.enumerate().map(|(index, row)| camera(&row).ok_or_else(|| bad(index))).collect()
+}
+
+fn camera(row: &[f64]) -> Option<BoundedCamera> {
+    let column = |c: usize| DVec3::new(row[c], row[5 + c], row[10 + c]);
+    let (down, right, backward) = (column(0), column(1), column(2));
+    let (height, width, focal) = (row[4], row[9], row[14]);
+    let camera_to_world = DMat3::from_cols(right, down, -backward);
+    let rigid = (camera_to_world.determinant() - 1.0).abs() < 1e-3;
+    let sized = (1.0..1e6).contains(&width) && (1.0..1e6).contains(&height) && focal > 0.0;
+    let (near, far) = (row[15], row[16]);
+    let bounded = near > 0.0 && far > near && far.is_finite();
+    if !(rigid && sized && bounded && row.iter().all(|v| v.is_finite())) {
+        return None;
+    }
+    let rotation = camera_to_world.transpose();
+    let mut world_to_camera = DMat4::from_mat3(rotation);
+    world_to_camera.w_axis = (-(rotation * column(3))).extend(1.0);
+    let intrinsics = Intrinsics {
+        width: width.round() as usize,
+        height: height.round() as usize,
+        fx: focal,
+        fy: focal,
+        cx: 0.5 * width,
+        cy: 0.5 * height,
+    };
+    Some(BoundedCamera { camera: Camera { intrinsics, world_to_camera }, near, far })
+}
+
+/// Writes the rows.
+///
+/// # Errors
+/// [`PosesError::BadFile`] when the file cannot be written.
+pub fn write_poses_bounds(file: &Path, rows: &[BoundedCamera]) -> Result<(), PosesError> {
+    let mut array = Array2::zeros((rows.len(), COLUMNS));
+    for (mut row, BoundedCamera { camera, near, far }) in array.rows_mut().into_iter().zip(rows) {
+        let axes = camera.rotation().transpose();
+        let k = &camera.intrinsics;
+        let size = DVec3::new(k.height as f64, k.width as f64, k.fx);
+        for (column, value) in [axes.y_axis, axes.x_axis, -axes.z_axis, camera.centre(), size].into_iter().enumerate() {
+            for line in 0..3 {
+                row[5 * line + column] = value[line];
+            }
+        }
+        (row[15], row[16]) = (*near, *far);
+    }
+    ndarray_npy::write_npy(file, &array).map_err(|e| PosesError::bad_file(file, e.to_string()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn row() -> BoundedCamera {
+        let k = Intrinsics { width: 320, height: 180, fx: 277.0, fy: 277.0, cx: 160.0, cy: 90.0 };
+        let camera = Camera::look_at(k, DVec3::new(1.0, -2.0, -5.0), DVec3::new(0.2, 0.0, 1.0), DVec3::Y);
+        BoundedCamera { camera, near: 1.5, far: 9.0 }
+    }
+
+    #[test]
+    fn cameras_come_back_as_written() {
+        let dir = tempfile::tempdir().unwrap();
+        let file = dir.path().join("poses_bounds.npy");
+        write_poses_bounds(&file, &[row(), row()]).unwrap();
+        let read = read_poses_bounds(&file).unwrap();
+        assert_eq!(read.len(), 2);
+        assert_eq!(read[1].camera.intrinsics, row().camera.intrinsics);
+        assert!(read[1].camera.world_to_camera.abs_diff_eq(row().camera.world_to_camera, 1e-12));
+    }
+
+    #[test]
+    fn the_columns_are_down_right_and_backward() {
+        let dir = tempfile::tempdir().unwrap();
+        let file = dir.path().join("poses_bounds.npy");
+        write_poses_bounds(&file, &[row()]).unwrap();
+        let array: Array2<f64> = ndarray_npy::read_npy(&file).unwrap();
+        let down = DVec3::new(array[[0, 0]], array[[0, 5]], array[[0, 10]]);
+        let backward = DVec3::new(array[[0, 2]], array[[0, 7]], array[[0, 12]]);
+        assert!((down - row().camera.down()).length() < 1e-12);
+        assert!((backward + row().camera.forward()).length() < 1e-12);
+        assert_eq!((array[[0, 4]], array[[0, 9]], array[[0, 14]]), (180.0, 320.0, 277.0));
+    }
+
+    #[test]
+    fn a_mirrored_rotation_and_a_wrong_shape_are_refused() {
+        let dir = tempfile::tempdir().unwrap();
+        let file = dir.path().join("poses_bounds.npy");
+        write_poses_bounds(&file, &[row()]).unwrap();
+        let mut array: Array2<f64> = ndarray_npy::read_npy(&file).unwrap();
+        for line in 0..3 {
+            array[[0, 5 * line]] *= -1.0;
+        }
+        ndarray_npy::write_npy(&file, &array).unwrap();
+        assert!(read_poses_bounds(&file).unwrap_err().to_string().contains("row 0"));
+        ndarray_npy::write_npy(&file, &Array2::<f64>::zeros((2, 15))).unwrap();
+        assert!(read_poses_bounds(&file).unwrap_err().to_string().contains("15"));
+    }
+}

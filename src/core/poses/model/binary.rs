@@ -1,0 +1,159 @@
+//! `cameras.bin`, `images.bin`, `points3D.bin`: little-endian, counts first.
+
+use std::path::Path;
+
+use super::{CameraModel, ModelCamera, ModelImage, ModelPoint, SparseModel};
+use crate::poses::PosesError;
+
+/// What COLMAP writes where a keypoint belongs to no point.
+const NO_POINT: u64 = u64::MAX;
+
+pub(super) fn read(dir: &Path) -> Result<SparseModel, PosesError> {
+    Ok(SparseModel {
+        cameras: rows(&dir.join("cameras.bin"), camera)?,
+        images: rows(&dir.join("images.bin"), image)?,
+        points: rows(&dir.join("points3D.bin"), point)?,
+    })
+}
+
+/// Bytes that are being taken apart. Counts in the file are never trusted for allocation: the
+/// bytes run out first.
+struct Bytes<'a> {
+    left: &'a [u8],
+    file: &'a Path,
+}
+
+impl<'a> Bytes<'a> {
+    fn take<const N: usize>(&mut self) -> Result<[u8; N], PosesError> {
+        let (head, tail) = self
+            .left
+            .split_first_chunk::<N>()
+            .ok_or_else(|| PosesError::bad_file(self.file, "the file is cut short"))?;
+        self.left = tail;
+        Ok(*head)
+    }
+
+    fn u32(&mut self) -> Result<u32, PosesError> {
+        self.take().map(u32::from_le_bytes)
+    }
+
+    fn u64(&mut self) -> Result<u64, PosesError> {
+        self.take().map(u64::from_le_bytes)
+    }
+
+    fn f64(&mut self) -> Result<f64, PosesError> {
+        self.take().map(f64::from_le_bytes)
+    }
+
+    fn f64s<const N: usize>(&mut self) -> Result<[f64; N], PosesError> {
+        let mut values = [0.0; N];
+        for value in &mut values {
+            *value = self.f64()?;
+        }
+        Ok(values)
+    }
+
+    fn many<T>(
+        &mut self,
+        count: u64,
+        row: impl Fn(&mut Self) -> Result<T, PosesError>,
+    ) -> Result<Vec<T>, PosesError> {
+        (0..count).map(|_| row(self)).collect()
+    }
+
+    fn text(&mut self) -> Result<String, PosesError> {
+        let end = self.left.iter().position(|&byte| byte == 0);
+        let end = end.ok_or_else(|| PosesError::bad_file(self.file, "a name without an end"))?;
+        let name = String::from_utf8_lossy(&self.left[..end]).into_owned();
+        self.left = &self.left[end + 1..];
+        Ok(name)
+    }
+}
+
+fn rows<T>(
+    file: &Path,
+    row: impl Fn(&mut Bytes<'_>) -> Result<T, PosesError>,
+) -> Result<Vec<T>, PosesError> {
+    let content = std::fs::read(file).map_err(PosesError::io(file))?;
+    let mut bytes = Bytes { left: &content, file };
+    let count = bytes.u64()?;
+    bytes.many(count, row)
+}
+
+fn camera(bytes: &mut Bytes<'_>) -> Result<ModelCamera, PosesError> {
+    let id = bytes.u32()?;
+    let number = i32::from_le_bytes(bytes.take()?);
+    let model = CameraModel::from_number(number)
+        .ok_or_else(|| PosesError::bad_file(bytes.file, format!("camera model {number} is not supported")))?;
+    let (width, height) = (bytes.u64()? as usize, bytes.u64()? as usize);
+    let params = bytes.many(model.parameters() as u64, Bytes::f64)?;
+    Ok(ModelCamera { id, model, width, height, params })
+}
+
+fn image(bytes: &mut Bytes<'_>) -> Result<ModelImage, PosesError> {
+    let id = bytes.u32()?;
+    let (rotation, translation) = (bytes.f64s()?, bytes.f64s()?);
+    let camera_id = bytes.u32()?;
+    let name = bytes.text()?;
+    let count = bytes.u64()?;
+    let keypoints = bytes.many(count, |bytes| {
+        let (x, y, point) = (bytes.f64()?, bytes.f64()?, bytes.u64()?);
+        Ok((x, y, (point != NO_POINT).then_some(point)))
+    })?;
+    Ok(ModelImage { id, rotation, translation, camera_id, name, keypoints })
+}
+
+fn point(bytes: &mut Bytes<'_>) -> Result<ModelPoint, PosesError> {
+    let id = bytes.u64()?;
+    let position = bytes.f64s()?;
+    let colour = bytes.take()?;
+    let error = bytes.f64()?;
+    let count = bytes.u64()?;
+    let track = bytes.many(count, |bytes| Ok((bytes.u32()?, bytes.u32()?)))?;
+    Ok(ModelPoint { id, position, colour, error, track })
+}
+
+pub(super) fn write(model: &SparseModel, dir: &Path) -> Result<(), PosesError> {
+    std::fs::create_dir_all(dir).map_err(PosesError::io(dir))?;
+    save(&dir.join("cameras.bin"), &model.cameras, |out, c| {
+        out.extend(c.id.to_le_bytes());
+        out.extend(c.model.number().to_le_bytes());
+        out.extend((c.width as u64).to_le_bytes());
+        out.extend((c.height as u64).to_le_bytes());
+        extend(out, &c.params);
+    })?;
+    save(&dir.join("images.bin"), &model.images, |out, i| {
+        out.extend(i.id.to_le_bytes());
+        extend(out, &i.rotation);
+        extend(out, &i.translation);
+        out.extend(i.camera_id.to_le_bytes());
+        out.extend(i.name.as_bytes());
+        out.push(0);
+        out.extend((i.keypoints.len() as u64).to_le_bytes());
+        for (x, y, point) in &i.keypoints {
+            extend(out, &[*x, *y]);
+            out.extend(point.unwrap_or(NO_POINT).to_le_bytes());
+        }
+    })?;
+    save(&dir.join("points3D.bin"), &model.points, |out, p| {
+        out.extend(p.id.to_le_bytes());
+        extend(out, &p.position);
+        out.extend(p.colour);
+        out.extend(p.error.to_le_bytes());
+        out.extend((p.track.len() as u64).to_le_bytes());
+        for (image, index) in &p.track {
+            out.extend(image.to_le_bytes());
+            out.extend(index.to_le_bytes());
+        }
+    })
+}
+
+fn extend(out: &mut Vec<u8>, values: &[f64]) {
+    values.iter().for_each(|value| out.extend(value.to_le_bytes()));
+}
+
+fn save<T>(file: &Path, rows: &[T], row: impl Fn(&mut Vec<u8>, &T)) -> Result<(), PosesError> {
+    let mut out = (rows.len() as u64).to_le_bytes().to_vec();
+    rows.iter().for_each(|item| row(&mut out, item));
+    std::fs::write(file, out).map_err(PosesError::io(file))
+}

@@ -1,0 +1,129 @@
+use proptest::prelude::*;
+
+use super::*;
+
+fn number() -> impl Strategy<Value = f64> {
+    prop_oneof![-1e6..1e6f64, -1e-6..1e-6f64]
+}
+
+fn camera(id: u32) -> impl Strategy<Value = ModelCamera> {
+    let model = (0..CameraModel::NAMES.len()).prop_map(|i| CameraModel::NAMES[i].0);
+    (model, 1..5000usize, 1..5000usize, prop::collection::vec(1e-3..1e4f64, 12)).prop_map(
+        move |(model, width, height, mut params)| {
+            params.truncate(model.parameters());
+            ModelCamera { id, model, width, height, params }
+        },
+    )
+}
+
+fn image(cameras: u32) -> impl Strategy<Value = ModelImage> {
+    let keypoint = (number(), number(), prop::option::of(0..1u64 << 40));
+    (
+        any::<u32>(),
+        prop::array::uniform4(0.1..1.0f64),
+        prop::array::uniform3(number()),
+        0..cameras,
+        "[a-z0-9é]([a-z0-9 _.é-]{0,12}[a-z0-9])?",
+        prop::collection::vec(keypoint, 0..4),
+    )
+        .prop_map(|(id, rotation, translation, camera_id, name, keypoints)| ModelImage {
+            id,
+            rotation,
+            translation,
+            camera_id,
+            name,
+            keypoints,
+        })
+}
+
+fn point() -> impl Strategy<Value = ModelPoint> {
+    (
+        0..u64::MAX,
+        prop::array::uniform3(number()),
+        any::<[u8; 3]>(),
+        0.0..10.0f64,
+        prop::collection::vec(any::<(u32, u32)>(), 0..5),
+    )
+        .prop_map(|(id, position, colour, error, track)| ModelPoint {
+            id,
+            position,
+            colour,
+            error,
+            track,
+        })
+}
+
+fn model() -> impl Strategy<Value = SparseModel> {
+    ([camera(0), camera(1)], prop::collection::vec(image(2), 0..5), prop::collection::vec(point(), 0..5))
+        .prop_map(|(cameras, images, points)| SparseModel { cameras: cameras.to_vec(), images, points })
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(64))]
+
+    #[test]
+    fn text_and_binary_models_read_back_as_written(model in model()) {
+        let dir = tempfile::tempdir().unwrap();
+        model.write_text(dir.path()).unwrap();
+        prop_assert_eq!(&SparseModel::read(dir.path()).unwrap(), &model);
+        model.write_binary(dir.path()).unwrap();
+        prop_assert_eq!(&SparseModel::read(dir.path()).unwrap(), &model);
+    }
+
+    #[test]
+    fn a_binary_file_cut_anywhere_is_an_error_and_never_a_panic(model in model(), cut in 0.0..1.0f64, which in 0..3usize) {
+        let dir = tempfile::tempdir().unwrap();
+        model.write_binary(dir.path()).unwrap();
+        let file = dir.path().join(["cameras.bin", "images.bin", "points3D.bin"][which]);
+        let bytes = std::fs::read(&file).unwrap();
+        std::fs::write(&file, &bytes[..(bytes.len() as f64 * cut) as usize]).unwrap();
+        prop_assert!(SparseModel::read(dir.path()).is_err());
+    }
+}
+
+#[test]
+fn a_text_model_as_colmap_writes_it_is_understood() {
+    let dir = tempfile::tempdir().unwrap();
+    let save = |name: &str, text: &str| std::fs::write(dir.path().join(name), text).unwrap();
+    save(
+        "cameras.txt",
+        "# Camera list\n# Number of cameras: 1\n7 SIMPLE_RADIAL 640 480 500.5 320 240 -0.01\n",
+    );
+    save(
+        "images.txt",
+        "# Image list\n3 1 0 0 0 0.5 -1 2 7 a b.png\n10.5 20.25 -1 11 21 4\n4 0 1 0 0 0 0 0 7 c.png\n\n",
+    );
+    save("points3D.txt", "# points\n4 1 2 3 10 20 30 0.75 3 1\n");
+    let model = SparseModel::read(dir.path()).unwrap();
+    assert_eq!(model.images.len(), 2);
+    assert_eq!(model.images[0].name, "a b.png");
+    assert_eq!(model.images[0].keypoints, [(10.5, 20.25, None), (11.0, 21.0, Some(4))]);
+    assert!(model.images[1].keypoints.is_empty());
+    let lens = model.camera_of(&model.images[0]).lens();
+    assert_eq!((lens.intrinsics.fx, lens.intrinsics.fy), (500.5, 500.5));
+    assert_eq!(model.points[0].track, [(3, 1)]);
+    assert_eq!(model.mean_track(), Some(1.0));
+}
+
+#[test]
+fn a_bad_line_is_named() {
+    let dir = tempfile::tempdir().unwrap();
+    std::fs::write(dir.path().join("cameras.txt"), "# x\n1 PINHOLE 640 480 500 500 320\n").unwrap();
+    let error = SparseModel::read(dir.path()).unwrap_err().to_string();
+    assert!(error.contains("line 2") && error.contains("4 parameters"), "{error}");
+    std::fs::write(dir.path().join("cameras.txt"), "1 FOV 640 480 500 500 320 240 1\n").unwrap();
+    assert!(SparseModel::read(dir.path()).unwrap_err().to_string().contains("FOV"));
+}
+
+#[test]
+fn an_image_without_its_camera_is_refused() {
+    let dir = tempfile::tempdir().unwrap();
+    let camera = Camera::from_pose(
+        Intrinsics { width: 4, height: 4, fx: 1.0, fy: 1.0, cx: 2.0, cy: 2.0 },
+        DQuat::IDENTITY,
+        DVec3::ZERO,
+    );
+    let images = vec![ModelImage::posed(1, 9, "a", &camera)];
+    SparseModel { images, ..SparseModel::default() }.write_binary(dir.path()).unwrap();
+    assert!(SparseModel::read(dir.path()).unwrap_err().to_string().contains("camera 9"));
+}

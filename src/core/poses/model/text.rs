@@ -1,0 +1,193 @@
+//! `cameras.txt`, `images.txt`, `points3D.txt`.
+
+use std::fmt::Write as _;
+use std::path::Path;
+use std::str::{FromStr, SplitAsciiWhitespace};
+
+use super::{CameraModel, ModelCamera, ModelImage, ModelPoint, SparseModel};
+use crate::poses::PosesError;
+
+pub(super) fn read(dir: &Path) -> Result<SparseModel, PosesError> {
+    Ok(SparseModel {
+        cameras: rows(&dir.join("cameras.txt"), camera)?,
+        images: images(&dir.join("images.txt"))?,
+        points: rows(&dir.join("points3D.txt"), point)?,
+    })
+}
+
+/// A line that is being taken apart, and where it stands for the error's sake.
+struct Fields<'a> {
+    fields: SplitAsciiWhitespace<'a>,
+    text: &'a str,
+    file: &'a Path,
+    line: usize,
+}
+
+impl<'a> Fields<'a> {
+    fn new(text: &'a str, file: &'a Path, line: usize) -> Self {
+        Self { fields: text.split_ascii_whitespace(), text, file, line }
+    }
+
+    fn fault(&self, what: &str) -> PosesError {
+        PosesError::bad_file(self.file, format!("line {}: {what}", self.line))
+    }
+
+    fn word(&mut self) -> Result<&'a str, PosesError> {
+        self.fields.next().ok_or_else(|| self.fault("too few fields"))
+    }
+
+    fn next<T: FromStr>(&mut self) -> Result<T, PosesError> {
+        let word = self.word()?;
+        word.parse().map_err(|_| self.fault(&format!("`{word}` is not a number that fits")))
+    }
+
+    fn array<T: FromStr + Copy + Default, const N: usize>(&mut self) -> Result<[T; N], PosesError> {
+        let mut values = [T::default(); N];
+        for value in &mut values {
+            *value = self.next()?;
+        }
+        Ok(values)
+    }
+
+    /// All that is left of the line as it stands: a name may hold blanks.
+    fn remainder(&self) -> &'a str {
+        match self.fields.clone().next() {
+            // `SplitAsciiWhitespace::remainder` is not stable yet.
+            Some(word) => self.text[word.as_ptr() as usize - self.text.as_ptr() as usize..].trim_ascii_end(),
+            None => "",
+        }
+    }
+
+    /// What is left, several values a row.
+    fn rest<T>(&mut self, row: impl Fn(&mut Self) -> Result<T, PosesError>) -> Result<Vec<T>, PosesError> {
+        let mut rows = Vec::new();
+        while self.fields.clone().next().is_some() {
+            rows.push(row(self)?);
+        }
+        Ok(rows)
+    }
+}
+
+fn load(file: &Path) -> Result<String, PosesError> {
+    let bytes = std::fs::read(file).map_err(PosesError::io(file))?;
+    // Names of photographs may be in any encoding; the numbers beside them still count.
+    Ok(String::from_utf8_lossy(&bytes).into_owned())
+}
+
+fn is_comment(line: &str) -> bool {
+    line.trim_ascii_start().starts_with('#')
+}
+
+fn rows<T>(
+    file: &Path,
+    row: impl Fn(&mut Fields<'_>) -> Result<T, PosesError>,
+) -> Result<Vec<T>, PosesError> {
+    let text = load(file)?;
+    let lines = text.lines().enumerate().filter(|(_, l)| !is_comment(l) && !l.trim_ascii().is_empty());
+    lines.map(|(index, line)| row(&mut Fields::new(line, file, index + 1))).collect()
+}
+
+fn camera(fields: &mut Fields<'_>) -> Result<ModelCamera, PosesError> {
+    let id = fields.next()?;
+    let name = fields.word()?;
+    let model = CameraModel::from_name(name)
+        .ok_or_else(|| fields.fault(&format!("camera model {name} is not supported")))?;
+    let (width, height) = (fields.next()?, fields.next()?);
+    let params = fields.rest(Fields::next)?;
+    if params.len() != model.parameters() {
+        return Err(fields.fault(&format!(
+            "{name} has {} parameters, not {}",
+            model.parameters(),
+            params.len()
+        )));
+    }
+    Ok(ModelCamera { id, model, width, height, params })
+}
+
+/// Two lines an image; the second, its keypoints, may be empty.
+fn images(file: &Path) -> Result<Vec<ModelImage>, PosesError> {
+    let text = load(file)?;
+    let mut lines = text.lines().enumerate();
+    let mut images = Vec::new();
+    while let Some((index, line)) = lines.next() {
+        if is_comment(line) || line.trim_ascii().is_empty() {
+            continue;
+        }
+        let mut fields = Fields::new(line, file, index + 1);
+        let id = fields.next()?;
+        let (rotation, translation) = (fields.array()?, fields.array()?);
+        let camera_id = fields.next()?;
+        let name = fields.remainder().to_owned();
+        if name.is_empty() {
+            return Err(fields.fault("an image without a name"));
+        }
+        let (index, line) = lines.next().unwrap_or((index + 1, ""));
+        let keypoints = Fields::new(line, file, index + 1).rest(|fields| {
+            let (x, y, point): (f64, f64, i64) = (fields.next()?, fields.next()?, fields.next()?);
+            Ok((x, y, u64::try_from(point).ok()))
+        })?;
+        images.push(ModelImage { id, rotation, translation, camera_id, name, keypoints });
+    }
+    Ok(images)
+}
+
+fn point(fields: &mut Fields<'_>) -> Result<ModelPoint, PosesError> {
+    Ok(ModelPoint {
+        id: fields.next()?,
+        position: fields.array()?,
+        colour: fields.array()?,
+        error: fields.next()?,
+        track: fields.rest(|fields| Ok((fields.next()?, fields.next()?)))?,
+    })
+}
+
+pub(super) fn write(model: &SparseModel, dir: &Path) -> Result<(), PosesError> {
+    let save = |name: &str, text: String| {
+        let file = dir.join(name);
+        std::fs::write(&file, text).map_err(PosesError::io(&file))
+    };
+    std::fs::create_dir_all(dir).map_err(PosesError::io(dir))?;
+    save(
+        "cameras.txt",
+        format_rows("# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]", &model.cameras, |out, c| {
+            let _ = write!(out, "{} {} {} {}", c.id, c.model.name(), c.width, c.height);
+            for p in &c.params {
+                let _ = write!(out, " {p}");
+            }
+        }),
+    )?;
+    let header =
+        "# IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME\n# POINTS2D[] as (X, Y, POINT3D_ID)";
+    save(
+        "images.txt",
+        format_rows(header, &model.images, |out, i| {
+            let ([w, x, y, z], [a, b, c]) = (i.rotation, i.translation);
+            let _ = writeln!(out, "{} {w} {x} {y} {z} {a} {b} {c} {} {}", i.id, i.camera_id, i.name);
+            let keypoint = |(x, y, point): &(f64, f64, Option<u64>)| match point {
+                Some(point) => format!("{x} {y} {point}"),
+                None => format!("{x} {y} -1"),
+            };
+            out.push_str(&i.keypoints.iter().map(keypoint).collect::<Vec<_>>().join(" "));
+        }),
+    )?;
+    let header = "# POINT3D_ID, X, Y, Z, R, G, B, ERROR, TRACK[] as (IMAGE_ID, POINT2D_IDX)";
+    save(
+        "points3D.txt",
+        format_rows(header, &model.points, |out, p| {
+            let ([x, y, z], [r, g, b]) = (p.position, p.colour);
+            let _ = write!(out, "{} {x} {y} {z} {r} {g} {b} {}", p.id, p.error);
+            for (image, index) in &p.track {
+                let _ = write!(out, " {image} {index}");
+            }
+        }),
+    )
+}
+
+fn format_rows<T>(header: &str, rows: &[T], row: impl Fn(&mut String, &T)) -> String {
+    let mut out = format!("{header}\n");
+    for item in rows {
+        row(&mut out, item);
+        out.push('\n');
+    }
+    out
+}

@@ -1,0 +1,69 @@
+//! Where the photographs are taken from, and how the hand shakes.
+
+use glam::{DQuat, DVec2, DVec3};
+use rand::{Rng, RngExt, SeedableRng};
+use rand_pcg::Pcg64Mcg;
+
+use super::DOWN;
+use crate::camera::{Camera, Intrinsics};
+
+/// Views along a wavy arc before the scene, all looking near its middle: neighbours overlap
+/// widely and no two cameras see the same things from one place.
+pub(super) fn cameras(count: usize, intrinsics: Intrinsics, seed: u64) -> Vec<Camera> {
+    let mut rng = Pcg64Mcg::seed_from_u64(seed ^ 0x5eed);
+    (0..count)
+        .map(|index| {
+            let t = if count > 1 { index as f64 / (count - 1) as f64 - 0.5 } else { 0.0 };
+            let angle = 1.15 * t;
+            let wave = (t * 19.0).sin();
+            let mut jitter = |size: f64| size * (2.0 * rng.random::<f64>() - 1.0);
+            let radius = 3.3 + 0.25 * (t * 11.0).cos() + jitter(0.06);
+            let eye = DVec3::new(radius * angle.sin() + jitter(0.05), -0.35 + 0.45 * wave + jitter(0.05), -radius * angle.cos());
+            let target = DVec3::new(jitter(0.12), 0.35 + jitter(0.1), 0.6);
+            Camera::look_at(intrinsics, eye, target, DOWN)
+        })
+        .collect()
+}
+
+/// `count` moments of one exposure: rotation and translation follow a smooth random curve whose
+/// image in the middle of the frame, at `distance`, is a path of 0.4 to 1 times `blur` px, centred on the
+/// camera's pose (so the poses are those of the middle of the blur).
+pub(super) fn shake(camera: &Camera, distance: f64, blur: f64, count: usize, rng: &mut impl Rng) -> Vec<Camera> {
+    let length = blur * (0.4 + 0.6 * rng.random::<f64>());
+    let curve = curve(count, rng);
+    let travelled: f64 = curve.windows(2).map(|pair| pair[0].distance(pair[1])).sum();
+    // A third of a hand's motion is translation: it blurs what is near more than what is far.
+    let turning = 0.67;
+    let roll = 0.004 * (2.0 * rng.random::<f64>() - 1.0) * blur / 9.0;
+    let focal = camera.intrinsics.fx;
+    curve
+        .iter()
+        .enumerate()
+        .map(|(index, at)| {
+            let pixels = if travelled > 0.0 { *at * (length / travelled) } else { DVec2::ZERO };
+            let angle = turning * pixels / focal;
+            let along = index as f64 / (count.max(2) - 1) as f64 - 0.5;
+            let turn = DQuat::from_rotation_y(angle.x) * DQuat::from_rotation_x(-angle.y) * DQuat::from_rotation_z(roll * along);
+            let shift = (1.0 - turning) * pixels / focal * distance;
+            let rotation = turn * DQuat::from_mat3(&camera.rotation());
+            let centre = camera.centre() - camera.rotation().transpose() * shift.extend(0.0);
+            Camera::from_pose(camera.intrinsics, rotation, -(rotation * centre))
+        })
+        .collect()
+}
+
+/// A smooth plane curve with zero mean: a random direction that drifts, as tremor does.
+fn curve(count: usize, rng: &mut impl Rng) -> Vec<DVec2> {
+    let mut heading = std::f64::consts::TAU * rng.random::<f64>();
+    let mut bend = 0.0;
+    let mut at = DVec2::ZERO;
+    let mut points = vec![at];
+    for _ in 1..count.max(1) {
+        bend = 0.7 * bend + 0.35 * (2.0 * rng.random::<f64>() - 1.0);
+        heading += bend;
+        at += DVec2::from_angle(heading) * (0.6 + 0.8 * rng.random::<f64>());
+        points.push(at);
+    }
+    let mean = points.iter().sum::<DVec2>() / points.len() as f64;
+    points.iter().map(|p| *p - mean).collect()
+}

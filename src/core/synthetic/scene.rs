@@ -1,0 +1,197 @@
+//! The room: what stands in it, and casting rays at it.
+
+use glam::{DMat3, DVec2, DVec3};
+
+use super::texture::albedo;
+use crate::camera::Camera;
+use crate::image::{Image, Linear};
+
+/// Towards the lamp, not normalised. y points down.
+const LAMP: DVec3 = DVec3::new(0.4, -1.0, -0.7);
+
+/// Light that reaches every surface; the rest depends on the angle to the lamp.
+const AMBIENT: f64 = 0.55;
+
+/// A solid.
+#[derive(Clone, Copy, Debug)]
+enum Shape {
+    /// An axis-aligned box in its own frame, turned about the vertical.
+    Block { centre: DVec3, half: DVec3, turn: f64 },
+    /// A ball.
+    Ball { centre: DVec3, radius: f64 },
+    /// The inside of a box: the room's walls.
+    Walls { centre: DVec3, half: DVec3 },
+}
+
+/// A solid with its paint.
+#[derive(Clone, Copy, Debug)]
+struct Solid {
+    shape: Shape,
+    base: [f64; 3],
+    salt: u32,
+}
+
+/// Where a ray meets a surface.
+struct Hit {
+    distance: f64,
+    normal: DVec3,
+    /// Surface coordinates, world units.
+    surface: DVec2,
+    /// Tells faces of one solid apart.
+    face: u32,
+}
+
+/// Solids in the order in which they were put up.
+pub(super) struct Scene {
+    solids: Vec<Solid>,
+}
+
+impl Scene {
+    /// The one scene: walls, floor, and things at many depths around the origin.
+    pub fn room() -> Self {
+        let mut solids = vec![Solid {
+            shape: Shape::Walls { centre: DVec3::new(0.0, -1.0, 0.0), half: DVec3::new(4.6, 2.4, 4.2) },
+            base: [0.32, 0.29, 0.25],
+            salt: 1,
+        }];
+        let blocks = [
+            ([-1.1, 0.8, 0.3], [0.5, 0.6, 0.4], 0.5, [0.5, 0.2, 0.15]),
+            ([0.9, 0.95, 0.9], [0.45, 0.45, 0.5], -0.7, [0.15, 0.3, 0.5]),
+            ([0.1, 1.1, -0.7], [0.35, 0.3, 0.3], 0.2, [0.4, 0.42, 0.15]),
+            ([2.1, 0.6, 1.9], [0.4, 0.8, 0.4], 0.9, [0.2, 0.4, 0.25]),
+            ([-2.3, 0.4, 1.8], [0.5, 1.0, 0.35], -0.3, [0.45, 0.35, 0.3]),
+            ([-0.2, 0.2, 2.4], [0.7, 1.2, 0.3], 0.1, [0.3, 0.2, 0.4]),
+        ];
+        for (index, (centre, half, turn, base)) in blocks.into_iter().enumerate() {
+            let shape = Shape::Block { centre: DVec3::from(centre), half: DVec3::from(half), turn };
+            solids.push(Solid { shape, base, salt: 11 + 7 * index as u32 });
+        }
+        let balls = [
+            ([-1.1, -0.12, 0.3], 0.32, [0.5, 0.45, 0.1]),
+            ([0.95, 0.2, 0.95], 0.3, [0.5, 0.15, 0.3]),
+            ([1.5, 1.1, -0.5], 0.3, [0.15, 0.4, 0.4]),
+        ];
+        for (index, (centre, radius, base)) in balls.into_iter().enumerate() {
+            let shape = Shape::Ball { centre: DVec3::from(centre), radius };
+            solids.push(Solid { shape, base, salt: 101 + 7 * index as u32 });
+        }
+        Self { solids }
+    }
+
+    /// The picture through `camera`, `rays` x `rays` rays a pixel, linear light 0..1.
+    pub fn render(&self, camera: &Camera, rays: usize) -> Image<Linear> {
+        let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
+        let mut image = Image::new(width, height);
+        let share = 1.0 / (rays * rays) as f64;
+        for y in 0..height {
+            for x in 0..width {
+                let mut sum = DVec3::ZERO;
+                for sub in 0..rays * rays {
+                    let offset = DVec2::new((sub % rays) as f64 + 0.5, (sub / rays) as f64 + 0.5) / rays as f64;
+                    sum += self.trace(camera, DVec2::new(x as f64, y as f64) + offset).1 * share;
+                }
+                image.set(x, y, sum.to_array().map(|v| v as f32));
+            }
+        }
+        image
+    }
+
+    /// Distance along the ray through a pixel (in multiples of a ray of depth 1) and colour.
+    fn trace(&self, camera: &Camera, pixel: DVec2) -> (f64, DVec3) {
+        let k = &camera.intrinsics;
+        let to_world: DMat3 = camera.rotation().transpose();
+        let ray = to_world * DVec3::new((pixel.x - k.cx) / k.fx, (pixel.y - k.cy) / k.fy, 1.0);
+        let origin = camera.centre();
+        let nearest = self
+            .solids
+            .iter()
+            .filter_map(|solid| solid.shape.meet(origin, ray).map(|hit| (solid, hit)))
+            .min_by(|a, b| a.1.distance.total_cmp(&b.1.distance));
+        let Some((solid, hit)) = nearest else { return (f64::INFINITY, DVec3::ZERO) };
+        let facing = hit.normal.dot(LAMP.normalize()).max(0.0);
+        let paint = DVec3::from(albedo(hit.surface, solid.base, solid.salt + hit.face));
+        (hit.distance, paint * (AMBIENT + (1.0 - AMBIENT) * facing))
+    }
+
+    /// Nearest and farthest depth that a camera sees, on a coarse grid.
+    pub fn depth_range(&self, camera: &Camera) -> (f64, f64) {
+        let depths = self.depths(camera);
+        (depths.iter().copied().fold(f64::INFINITY, f64::min), depths.iter().copied().fold(0.0, f64::max))
+    }
+
+    /// Median depth that a camera sees.
+    pub fn focus_distance(&self, camera: &Camera) -> f64 {
+        let mut depths = self.depths(camera);
+        depths.sort_by(f64::total_cmp);
+        depths[depths.len() / 2]
+    }
+
+    fn depths(&self, camera: &Camera) -> Vec<f64> {
+        let size = DVec2::new(camera.intrinsics.width as f64, camera.intrinsics.height as f64);
+        let pixel = |i: usize| DVec2::new((i % 24) as f64 + 0.5, (i / 24) as f64 + 0.5) / 24.0 * size;
+        (0..24 * 24).map(|i| self.trace(camera, pixel(i)).0).collect()
+    }
+}
+
+impl Shape {
+    /// The first meeting in front of the origin.
+    fn meet(&self, origin: DVec3, ray: DVec3) -> Option<Hit> {
+        match *self {
+            Self::Ball { centre, radius } => meet_ball(origin - centre, ray, radius),
+            Self::Walls { centre, half } => {
+                let (_, (far, axis)) = slabs(origin - centre, ray, half)?;
+                let mut hit = face(origin - centre, ray, far, axis);
+                hit.normal = -hit.normal;
+                Some(hit)
+            }
+            Self::Block { centre, half, turn } => {
+                let frame = DMat3::from_rotation_y(turn);
+                let (origin, ray) = (frame.transpose() * (origin - centre), frame.transpose() * ray);
+                let ((near, axis), (far, _)) = slabs(origin, ray, half)?;
+                if near <= 1e-6 || near > far {
+                    return None;
+                }
+                let hit = face(origin, ray, near, axis);
+                Some(Hit { normal: frame * hit.normal, ..hit })
+            }
+        }
+    }
+}
+
+/// Entry and exit of a box around the origin: distance and axis; `None` when it lies behind.
+fn slabs(origin: DVec3, ray: DVec3, half: DVec3) -> Option<((f64, usize), (f64, usize))> {
+    let (mut near, mut far) = ((f64::NEG_INFINITY, 0), (f64::INFINITY, 0));
+    for axis in 0..3 {
+        let inverse = 1.0 / ray[axis];
+        let a = (-half[axis] - origin[axis]) * inverse;
+        let b = (half[axis] - origin[axis]) * inverse;
+        if a.min(b) > near.0 {
+            near = (a.min(b), axis);
+        }
+        if a.max(b) < far.0 {
+            far = (a.max(b), axis);
+        }
+    }
+    (far.0 > 1e-6).then_some((near, far))
+}
+
+/// The outside of a box's face at a distance along the ray.
+fn face(origin: DVec3, ray: DVec3, distance: f64, axis: usize) -> Hit {
+    let point = origin + ray * distance;
+    let mut normal = DVec3::ZERO;
+    normal[axis] = point[axis].signum();
+    let surface = DVec2::new(point[(axis + 1) % 3], point[(axis + 2) % 3]);
+    Hit { distance, normal, surface, face: 2 * axis as u32 + u32::from(point[axis] > 0.0) }
+}
+
+fn meet_ball(origin: DVec3, ray: DVec3, radius: f64) -> Option<Hit> {
+    let (a, b) = (ray.length_squared(), origin.dot(ray));
+    let discriminant = b * b - a * (origin.length_squared() - radius * radius);
+    if discriminant <= 0.0 {
+        return None;
+    }
+    let distance = (-b - discriminant.sqrt()) / a;
+    let normal = (origin + ray * distance) / radius;
+    let surface = DVec2::new(normal.z.atan2(normal.x), normal.y.clamp(-1.0, 1.0).asin()) * radius;
+    (distance > 1e-6).then_some(Hit { distance, normal, surface, face: 0 })
+}

@@ -1,0 +1,69 @@
+use super::*;
+use crate::image::Srgb;
+use crate::metrics::psnr;
+use crate::poses::bounds::read_poses_bounds;
+
+fn small(seed: u64) -> SynthOptions {
+    SynthOptions { views: 3, width: 64, height: 36, seed, ..SynthOptions::default() }
+}
+
+fn load(dir: &Path, file: &str) -> Image<Srgb> {
+    Image::load(&dir.join(file)).unwrap()
+}
+
+#[test]
+fn the_same_seed_gives_the_same_bytes_and_another_does_not() {
+    let dirs: Vec<_> = (0..3).map(|_| tempfile::tempdir().unwrap()).collect();
+    for (dir, seed) in dirs.iter().zip([1, 1, 2]) {
+        generate(&small(seed), dir.path()).unwrap();
+    }
+    for file in ["images/001.png", "HL/001.png", "poses_bounds.npy"] {
+        let bytes: Vec<_> = dirs.iter().map(|dir| std::fs::read(dir.path().join(file)).unwrap()).collect();
+        assert!(bytes[0] == bytes[1], "{file}");
+        assert!(bytes[0] != bytes[2], "{file}");
+    }
+}
+
+#[test]
+fn the_layout_is_lush_nerfs_and_the_poses_are_the_cameras() {
+    let dir = tempfile::tempdir().unwrap();
+    let summary = generate(&small(4), dir.path()).unwrap();
+    let rows = read_poses_bounds(&dir.path().join("poses_bounds.npy")).unwrap();
+    assert_eq!(rows.len(), 3);
+    for ((name, camera), row) in summary.cameras.iter().zip(&rows) {
+        assert!(dir.path().join(format!("images/{name}.png")).is_file());
+        assert!(row.camera.world_to_camera.abs_diff_eq(camera.world_to_camera, 1e-9));
+        assert!(row.near > 0.1 && row.far < 20.0 && row.near < row.far);
+    }
+}
+
+#[test]
+fn without_blur_and_noise_the_dark_image_is_the_truth_under_the_exposure() {
+    let dir = tempfile::tempdir().unwrap();
+    let options = SynthOptions { blur: 0.0, noise: 0.0, exposure: 0.25, ..small(5) };
+    generate(&options, dir.path()).unwrap();
+    let truth = load(dir.path(), "HL/001.png");
+    let cut = truth.to_linear().map(|v| 0.25 * v).to_srgb();
+    let dark = load(dir.path(), "images/001.png");
+    // What is left is the sampling: one ray a pixel against nine.
+    let unexposed = psnr(&dark, &truth);
+    assert!(psnr(&dark, &cut) > unexposed + 8.0, "{} {unexposed}", psnr(&dark, &cut));
+}
+
+#[test]
+fn blur_and_noise_each_take_the_image_away_from_the_truth() {
+    let dir = tempfile::tempdir().unwrap();
+    let distance = |blur, noise| {
+        generate(&SynthOptions { blur, noise, exposure: 1.0, ..small(6) }, dir.path()).unwrap();
+        psnr(&load(dir.path(), "images/001.png"), &load(dir.path(), "HL/001.png"))
+    };
+    let (plain, blurred, noisy) = (distance(0.0, 0.0), distance(6.0, 0.0), distance(0.0, 0.2));
+    assert!(blurred < plain - 1.0 && noisy < plain - 1.0, "{plain} {blurred} {noisy}");
+}
+
+#[test]
+fn options_out_of_range_are_refused_by_name() {
+    let dir = tempfile::tempdir().unwrap();
+    let error = generate(&SynthOptions { exposure: 0.0, ..small(0) }, dir.path()).unwrap_err();
+    assert!(error.to_string().contains("exposure"));
+}

@@ -1,0 +1,62 @@
+//! Procedural albedo: corners and blobs at every scale, so that features are found near and far,
+//! sharp and blurred.
+
+use glam::{DVec2, IVec2};
+
+/// A reproducible number in 0..1 of a cell and a salt.
+fn hash(cell: IVec2, salt: u32) -> f64 {
+    let mut h = (cell.x as u32).wrapping_mul(0x9e37_79b1)
+        ^ (cell.y as u32).wrapping_mul(0x85eb_ca77).rotate_left(13)
+        ^ salt.wrapping_mul(0xc2b2_ae3d);
+    for _ in 0..2 {
+        h ^= h >> 15;
+        h = h.wrapping_mul(0x2c1b_3c6d);
+        h ^= h >> 12;
+        h = h.wrapping_mul(0x297a_2d39);
+    }
+    h ^= h >> 15;
+    f64::from(h) / f64::from(u32::MAX)
+}
+
+/// The cell of `p` in a grid of `size`, and the position in it, 0..1.
+fn cell(p: DVec2, size: f64) -> (IVec2, DVec2) {
+    let scaled = p / size;
+    let floor = scaled.floor();
+    (floor.as_ivec2(), scaled - floor)
+}
+
+/// One layer: in each cell a disc or a turned square of random place, size and tone, or nothing.
+fn shapes(p: DVec2, size: f64, salt: u32) -> Option<[f64; 3]> {
+    let (cell, inside) = cell(p, size);
+    let random = |k: u32| hash(cell, salt.wrapping_mul(31).wrapping_add(k));
+    if random(0) < 0.25 {
+        return None;
+    }
+    let centre = DVec2::new(0.35 + 0.3 * random(1), 0.35 + 0.3 * random(2));
+    let radius = 0.15 + 0.18 * random(3);
+    let offset = DVec2::from_angle(random(4) * std::f64::consts::TAU).rotate(inside - centre);
+    let within = match random(5) < 0.5 {
+        true => offset.length() < radius,
+        false => offset.abs().max_element() < 0.8 * radius,
+    };
+    within.then(|| {
+        let tone = if random(6) < 0.5 { 0.03 + 0.12 * random(7) } else { 0.55 + 0.4 * random(7) };
+        [random(8), random(9), random(10)].map(|tint| tone * (0.6 + 0.4 * tint))
+    })
+}
+
+/// Albedo, linear light, at `p` in world units of a surface. The finest layer on top.
+///
+/// Cell sizes are factors of about 2.4 apart, from a wall's quarter to the few centimetres that a
+/// close camera resolves.
+pub(super) fn albedo(p: DVec2, base: [f64; 3], salt: u32) -> [f64; 3] {
+    let layers = [1.9, 0.8, 0.34, 0.145];
+    let mut colour = base;
+    for (index, size) in layers.into_iter().enumerate() {
+        let turned = DVec2::from_angle(0.5 * index as f64 + f64::from(salt)).rotate(p);
+        if let Some(shape) = shapes(turned, size, salt.wrapping_add(17 * index as u32)) {
+            colour = shape;
+        }
+    }
+    colour
+}
