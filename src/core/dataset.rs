@@ -104,9 +104,15 @@ impl GivenPoses {
                 let of = |view: &PoseView| by_stem.get(&view.name).or_else(|| by_stem.get(&stem(&view.file)));
                 Ok(views.iter().map(|view| of(view).copied()).collect())
             }
-            Assignment::ByOrder(rows) if rows.len() == views.len() => Ok(rows.iter().copied().map(Some).collect()),
+            Assignment::ByOrder(rows) if rows.len() == views.len() => {
+                Ok(rows.iter().copied().map(Some).collect())
+            }
             Assignment::ByOrder(rows) => {
-                let reason = format!("{} poses for {} photographs, and only their order tells which is whose", rows.len(), views.len());
+                let reason = format!(
+                    "{} poses for {} photographs, and only their order tells which is whose",
+                    rows.len(),
+                    views.len()
+                );
                 Err(PosesError::bad_file(&self.path, reason))
             }
         }
@@ -139,13 +145,19 @@ impl Sfm for GivenPoses {
             return Err(PosesError::TooFew { registered, total, advice });
         }
         if registered < total {
-            sink.warn("views_unregistered", format!("{} of {total} photographs have no given pose", total - registered));
+            sink.warn(
+                "views_unregistered",
+                format!("{} of {total} photographs have no given pose", total - registered),
+            );
         }
         let mut points = given.points;
         if points.is_empty() {
             let cameras: Vec<Camera> = views.iter().map(|view: &PosedView| view.camera).collect();
             points = frusta::guess(&cameras, &bounds, GUESSED_POINTS, request.seed);
-            sink.warn("points_guessed", format!("the poses came without points: {} random ones take their place", points.len()));
+            sink.warn(
+                "points_guessed",
+                format!("the poses came without points: {} random ones take their place", points.len()),
+            );
         }
         Ok(Poses {
             views,

@@ -19,8 +19,8 @@ use rayon::prelude::*;
 
 use crate::camera::{Camera, Intrinsics};
 use crate::image::{Image, ImageError, Linear};
-use crate::poses::bounds::{BoundedCamera, write_poses_bounds};
 use crate::poses::PosesError;
+use crate::poses::bounds::{BoundedCamera, write_poses_bounds};
 
 /// Sub-frames of an exposure: the blur path of ~10 px is then sampled about every pixel.
 const SUBFRAMES: usize = 11;
@@ -137,9 +137,10 @@ pub fn generate(options: &SynthOptions, out: &Path) -> Result<SynthSummary, Synt
     let cameras = path::cameras(options.views, options.intrinsics(), options.seed);
     let named: Vec<(String, Camera)> =
         cameras.iter().enumerate().map(|(index, camera)| (format!("{index:03}"), *camera)).collect();
-    named.par_iter().enumerate().try_for_each(|(index, (name, camera))| {
-        write_view(options, &scene, out, (index, name, camera))
-    })?;
+    named
+        .par_iter()
+        .enumerate()
+        .try_for_each(|(index, (name, camera))| write_view(options, &scene, out, (index, name, camera)))?;
     let bounded = |camera: &Camera| {
         let (near, far) = scene.depth_range(camera);
         BoundedCamera { camera: *camera, near, far }

@@ -65,7 +65,8 @@ fn depth_range(cameras: &[Camera]) -> (f64, f64) {
     let conditioned = matrix.determinant() > 1e-4 * (cameras.len() as f64).powi(3);
     let middle = if conditioned {
         let focus = matrix.inverse() * vector;
-        let mut depths: Vec<f64> = cameras.iter().zip(&centres).map(|(a, c)| a.forward().dot(focus - *c)).collect();
+        let mut depths: Vec<f64> =
+            cameras.iter().zip(&centres).map(|(a, c)| a.forward().dot(focus - *c)).collect();
         depths.sort_by(f64::total_cmp);
         depths[depths.len() / 2]
     } else {

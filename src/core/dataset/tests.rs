@@ -48,7 +48,8 @@ impl Capture {
 #[test]
 fn a_colmap_model_gives_its_poses_and_points_by_name() {
     let capture = capture();
-    let image = |(i, camera): (usize, &Camera)| ModelImage::posed(i as u32, 1, format!("sub/photo{i}.jpg"), camera);
+    let image =
+        |(i, camera): (usize, &Camera)| ModelImage::posed(i as u32, 1, format!("sub/photo{i}.jpg"), camera);
     let model = SparseModel {
         cameras: vec![ModelCamera::pinhole(1, &capture.cameras[0].intrinsics)],
         // Out of order on purpose.
@@ -152,7 +153,10 @@ fn names_that_fit_no_photograph_are_too_few_poses() {
     let capture = capture();
     let json = serde_json::json!({ "fl_x": 70.0, "w": 80, "h": 60, "frames": [] });
     std::fs::write(capture.dir.path().join("transforms.json"), json.to_string()).unwrap();
-    assert!(matches!(capture.poses("transforms.json"), Err(PosesError::TooFew { registered: 0, total: 4, .. })));
+    assert!(matches!(
+        capture.poses("transforms.json"),
+        Err(PosesError::TooFew { registered: 0, total: 4, .. })
+    ));
     std::fs::write(capture.dir.path().join("transforms.json"), "{").unwrap();
     assert!(matches!(capture.poses("transforms.json"), Err(PosesError::BadFile { .. })));
     assert!(GivenPoses::open(capture.dir.path()).is_err());

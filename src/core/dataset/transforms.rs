@@ -55,8 +55,10 @@ pub(super) fn read(file: &Path) -> Result<HashMap<String, GivenView>, PosesError
     let fisheye = transforms.is_fisheye || transforms.camera_model.as_deref() == Some("OPENCV_FISHEYE");
     let view = |frame: &Frame| {
         let bad = |what| PosesError::bad_file(file, format!("frame {}: {what}", frame.file_path));
-        let lens = frame.optics.or(&transforms.optics).lens(fisheye).ok_or_else(|| bad("no usable intrinsics"))?;
-        let world_to_camera = world_to_camera(&frame.transform_matrix).ok_or_else(|| bad("no rigid transform"))?;
+        let lens =
+            frame.optics.or(&transforms.optics).lens(fisheye).ok_or_else(|| bad("no usable intrinsics"))?;
+        let world_to_camera =
+            world_to_camera(&frame.transform_matrix).ok_or_else(|| bad("no rigid transform"))?;
         Ok((stem(Path::new(&frame.file_path)), GivenView { lens, world_to_camera, bounds: None }))
     };
     transforms.frames.iter().map(view).collect()

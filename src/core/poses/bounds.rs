@@ -75,7 +75,9 @@ pub fn write_poses_bounds(file: &Path, rows: &[BoundedCamera]) -> Result<(), Pos
         let axes = camera.rotation().transpose();
         let k = &camera.intrinsics;
         let size = DVec3::new(k.height as f64, k.width as f64, k.fx);
-        for (column, value) in [axes.y_axis, axes.x_axis, -axes.z_axis, camera.centre(), size].into_iter().enumerate() {
+        for (column, value) in
+            [axes.y_axis, axes.x_axis, -axes.z_axis, camera.centre(), size].into_iter().enumerate()
+        {
             for line in 0..3 {
                 row[5 * line + column] = value[line];
             }

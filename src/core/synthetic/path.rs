@@ -18,7 +18,11 @@ pub(super) fn cameras(count: usize, intrinsics: Intrinsics, seed: u64) -> Vec<Ca
             let wave = (t * 19.0).sin();
             let mut jitter = |size: f64| size * (2.0 * rng.random::<f64>() - 1.0);
             let radius = 3.3 + 0.25 * (t * 11.0).cos() + jitter(0.06);
-            let eye = DVec3::new(radius * angle.sin() + jitter(0.05), -0.35 + 0.45 * wave + jitter(0.05), -radius * angle.cos());
+            let eye = DVec3::new(
+                radius * angle.sin() + jitter(0.05),
+                -0.35 + 0.45 * wave + jitter(0.05),
+                -radius * angle.cos(),
+            );
             let target = DVec3::new(jitter(0.12), 0.35 + jitter(0.1), 0.6);
             Camera::look_at(intrinsics, eye, target, DOWN)
         })
@@ -28,7 +32,13 @@ pub(super) fn cameras(count: usize, intrinsics: Intrinsics, seed: u64) -> Vec<Ca
 /// `count` moments of one exposure: rotation and translation follow a smooth random curve whose
 /// image in the middle of the frame, at `distance`, is a path of 0.4 to 1 times `blur` px, centred on the
 /// camera's pose (so the poses are those of the middle of the blur).
-pub(super) fn shake(camera: &Camera, distance: f64, blur: f64, count: usize, rng: &mut impl Rng) -> Vec<Camera> {
+pub(super) fn shake(
+    camera: &Camera,
+    distance: f64,
+    blur: f64,
+    count: usize,
+    rng: &mut impl Rng,
+) -> Vec<Camera> {
     let length = blur * (0.4 + 0.6 * rng.random::<f64>());
     let curve = curve(count, rng);
     let travelled: f64 = curve.windows(2).map(|pair| pair[0].distance(pair[1])).sum();
@@ -43,7 +53,9 @@ pub(super) fn shake(camera: &Camera, distance: f64, blur: f64, count: usize, rng
             let pixels = if travelled > 0.0 { *at * (length / travelled) } else { DVec2::ZERO };
             let angle = turning * pixels / focal;
             let along = index as f64 / (count.max(2) - 1) as f64 - 0.5;
-            let turn = DQuat::from_rotation_y(angle.x) * DQuat::from_rotation_x(-angle.y) * DQuat::from_rotation_z(roll * along);
+            let turn = DQuat::from_rotation_y(angle.x)
+                * DQuat::from_rotation_x(-angle.y)
+                * DQuat::from_rotation_z(roll * along);
             let shift = (1.0 - turning) * pixels / focal * distance;
             let rotation = turn * DQuat::from_mat3(&camera.rotation());
             let centre = camera.centre() - camera.rotation().transpose() * shift.extend(0.0);

@@ -87,7 +87,8 @@ impl Scene {
             for x in 0..width {
                 let mut sum = DVec3::ZERO;
                 for sub in 0..rays * rays {
-                    let offset = DVec2::new((sub % rays) as f64 + 0.5, (sub / rays) as f64 + 0.5) / rays as f64;
+                    let offset =
+                        DVec2::new((sub % rays) as f64 + 0.5, (sub / rays) as f64 + 0.5) / rays as f64;
                     sum += self.trace(camera, DVec2::new(x as f64, y as f64) + offset).1 * share;
                 }
                 image.set(x, y, sum.to_array().map(|v| v as f32));

@@ -70,10 +70,7 @@ impl<'a> Bytes<'a> {
     }
 }
 
-fn rows<T>(
-    file: &Path,
-    row: impl Fn(&mut Bytes<'_>) -> Result<T, PosesError>,
-) -> Result<Vec<T>, PosesError> {
+fn rows<T>(file: &Path, row: impl Fn(&mut Bytes<'_>) -> Result<T, PosesError>) -> Result<Vec<T>, PosesError> {
     let content = std::fs::read(file).map_err(PosesError::io(file))?;
     let mut bytes = Bytes { left: &content, file };
     let count = bytes.u64()?;
