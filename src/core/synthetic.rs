@@ -12,7 +12,7 @@ mod texture;
 
 use std::path::{Path, PathBuf};
 
-use glam::DVec3;
+use glam::{DVec2, DVec3};
 use rand::SeedableRng;
 use rand_pcg::Pcg64Mcg;
 use rayon::prelude::*;
@@ -24,9 +24,6 @@ use crate::poses::bounds::{BoundedCamera, write_poses_bounds};
 
 /// Sub-frames of an exposure: the blur path of ~10 px is then sampled about every pixel.
 const SUBFRAMES: usize = 11;
-
-/// Rays a pixel and sub-frame, per axis, of the shaken images; the mean over sub-frames does the rest.
-const SHAKEN_RAYS: usize = 1;
 
 /// Rays a pixel, per axis, of the ground truth.
 const SHARP_RAYS: usize = 3;
@@ -159,8 +156,8 @@ fn write_view(
     let mut rng = Pcg64Mcg::seed_from_u64(options.seed.wrapping_mul(1_000_003).wrapping_add(index as u64));
     let shake = path::shake(camera, scene.focus_distance(camera), options.blur, SUBFRAMES, &mut rng);
     let mut light = Image::<Linear>::new(options.width, options.height);
-    for moment in &shake {
-        let frame = scene.render(moment, SHAKEN_RAYS);
+    for (moment, offset) in shake.iter().zip(spread_offsets(shake.len())) {
+        let frame = scene.render_at(moment, &[offset]);
         for (sum, value) in light.data_mut().iter_mut().zip(frame.data()) {
             *sum += value / shake.len() as f32;
         }
@@ -168,8 +165,23 @@ fn write_view(
     let dark = sensor::expose(&light, options.exposure, options.noise, &mut rng);
     let file = format!("{name}.png");
     dark.to_srgb().save(&out.join("images").join(&file))?;
-    scene.render(camera, SHARP_RAYS).to_srgb().save(&out.join("HL").join(&file))?;
+    scene.render_at(camera, &grid_offsets(SHARP_RAYS)).to_srgb().save(&out.join("HL").join(&file))?;
     Ok(())
+}
+
+/// Places of `rays` x `rays` rays in a pixel.
+fn grid_offsets(rays: usize) -> Vec<DVec2> {
+    let place = |i: usize| DVec2::new((i % rays) as f64 + 0.5, (i / rays) as f64 + 0.5) / rays as f64;
+    (0..rays * rays).map(place).collect()
+}
+
+/// One place a sub-frame, spread over the pixel (Roberts' R2 sequence) around its centre: their
+/// mean samples the pixel's area although each frame costs a single ray.
+fn spread_offsets(count: usize) -> Vec<DVec2> {
+    let place = |i: usize| (DVec2::new(0.754_877_666, 0.569_840_291) * (i + 1) as f64).fract();
+    let places: Vec<DVec2> = (0..count).map(place).collect();
+    let mean = places.iter().sum::<DVec2>() / count.max(1) as f64;
+    places.iter().map(|p| *p - mean + 0.5).collect()
 }
 
 /// The world direction that points down in level images.

@@ -211,7 +211,11 @@ mod tests {
             let expected = image_of(&pinhole, scene);
             let got = undistort(&taken, &lens, &pinhole);
             assert!(worst(&got, &expected) < 4e-3, "k1 {k1}: {}", worst(&got, &expected));
-            assert!(worst(&taken, &expected) > 0.05, "the test would not see a missing remap");
+            let wrong = Lens { distortion: self::lens(-k1).distortion, ..lens };
+            assert!(
+                worst(&undistort(&taken, &wrong, &pinhole), &expected) > 0.05,
+                "a wrong sign goes unseen"
+            );
         }
     }
 

@@ -78,20 +78,15 @@ impl Scene {
         Self { solids }
     }
 
-    /// The picture through `camera`, `rays` x `rays` rays a pixel, linear light 0..1.
-    pub fn render(&self, camera: &Camera, rays: usize) -> Image<Linear> {
+    /// The picture through `camera`, linear light 0..1: the mean of rays at `offsets` in each pixel.
+    pub fn render_at(&self, camera: &Camera, offsets: &[DVec2]) -> Image<Linear> {
         let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
         let mut image = Image::new(width, height);
-        let share = 1.0 / (rays * rays) as f64;
         for y in 0..height {
             for x in 0..width {
-                let mut sum = DVec3::ZERO;
-                for sub in 0..rays * rays {
-                    let offset =
-                        DVec2::new((sub % rays) as f64 + 0.5, (sub / rays) as f64 + 0.5) / rays as f64;
-                    sum += self.trace(camera, DVec2::new(x as f64, y as f64) + offset).1 * share;
-                }
-                image.set(x, y, sum.to_array().map(|v| v as f32));
+                let corner = DVec2::new(x as f64, y as f64);
+                let sum: DVec3 = offsets.iter().map(|offset| self.trace(camera, corner + *offset).1).sum();
+                image.set(x, y, (sum / offsets.len() as f64).to_array().map(|v| v as f32));
             }
         }
         image

@@ -45,7 +45,7 @@ fn without_blur_and_noise_the_dark_image_is_the_truth_under_the_exposure() {
     let truth = load(dir.path(), "HL/001.png");
     let cut = truth.to_linear().map(|v| 0.25 * v).to_srgb();
     let dark = load(dir.path(), "images/001.png");
-    // What is left is the sampling: one ray a pixel against nine.
+    // What is left is the sampling and the dark image's 8 bits.
     let unexposed = psnr(&dark, &truth);
     assert!(psnr(&dark, &cut) > unexposed + 8.0, "{} {unexposed}", psnr(&dark, &cut));
 }
