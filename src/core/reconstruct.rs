@@ -1,7 +1,169 @@
-//! Training the splats of one round.
+//! Training the splats of one round: from posed views to a scene.
+//!
+//! A step is one submission: project, sort, blend, noise, loss, and all the way back into Adam. The host
+//! waits for nothing but the count of intersections of the step before last.
 
 pub mod checkpoint;
 pub mod densify;
 pub mod initialise;
+mod level;
+pub mod loss;
 pub mod optimizer;
 pub mod schedule;
+mod trainer;
+
+use fled_gpu::{Gpu, GpuError};
+
+use crate::camera::Camera;
+use crate::cancel::{CancelToken, Cancelled};
+use crate::gaussians::Gaussians;
+use crate::image::Image;
+use crate::metrics::report::NoiseMapStatistics;
+use crate::noise::NoiseMode;
+pub use checkpoint::{Checkpoint, CheckpointError};
+pub use initialise::{Point, initialise, scene_extent};
+pub use schedule::Schedule;
+
+/// One image to train on.
+#[derive(Clone, Debug)]
+pub struct TrainingView {
+    /// For messages.
+    pub name: String,
+    /// Its camera, at the size of the image.
+    pub camera: Camera,
+    /// sRGB-encoded.
+    pub image: Image,
+    /// Its measured noise, 0..=1; bounds the noise field.
+    pub noise_sigma: f32,
+}
+
+/// Where a round begins.
+#[derive(Clone, Debug)]
+pub enum TrainStart {
+    /// From these Gaussians: [`initialise`]d, or those of the round before.
+    Fresh(Gaussians),
+    /// From the middle of the same round.
+    Resume(Checkpoint),
+}
+
+/// What a round is trained with.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TrainConfig {
+    /// Optimiser steps.
+    pub steps: u32,
+    /// Most Gaussians.
+    pub cap: usize,
+    /// Degree of the harmonics.
+    pub sh_degree: u32,
+    /// The noise field.
+    pub noise: NoiseMode,
+    /// Train at 1/4, 1/2, then full resolution.
+    pub resolution_schedule: bool,
+    /// Whether the round starts from a trained scene.
+    pub warm: bool,
+    /// Whether MCMC relocates and grows.
+    pub densify: bool,
+    /// Seed of everything random.
+    pub seed: u64,
+    /// [`scene_extent`], world units.
+    pub extent: f64,
+}
+
+impl TrainConfig {
+    /// What changes over the round.
+    pub fn schedule(&self) -> Schedule {
+        Schedule {
+            steps: self.steps,
+            sh_degree: self.sh_degree,
+            resolution: self.resolution_schedule,
+            warm: self.warm,
+            seed: self.seed,
+        }
+    }
+}
+
+/// Takes done steps, all steps and steps per second.
+pub type ProgressHook<'a> = &'a mut dyn FnMut(u64, u64, f64);
+/// Takes a checkpoint, at least once a minute.
+pub type CheckpointHook<'a> = &'a mut dyn FnMut(&Checkpoint);
+
+/// Whom a round tells, and who may stop it.
+pub struct TrainHooks<'a> {
+    /// Checked between submissions.
+    pub cancel: &'a CancelToken,
+    /// About four times a second.
+    pub progress: ProgressHook<'a>,
+    /// `None`: no checkpoints are made.
+    pub checkpoint: Option<CheckpointHook<'a>>,
+}
+
+/// A trained round.
+#[derive(Clone, Debug)]
+pub struct Trained {
+    /// The scene. Gaussians that are not finite are left out.
+    pub gaussians: Gaussians,
+    /// Optimiser steps of the round.
+    pub steps: u64,
+    /// Wall seconds of this process.
+    pub seconds: f64,
+    /// Gradients that were not finite and were dropped.
+    pub non_finite_gradients: u64,
+    /// What the noise field learnt; `None` when it was off.
+    pub noise: Option<NoiseMapStatistics>,
+    /// What the user should know.
+    pub warnings: Vec<String>,
+    /// Loss of the last step.
+    pub final_loss: f64,
+}
+
+/// A round that could not be trained.
+#[derive(Debug, thiserror::Error)]
+pub enum ReconstructError {
+    /// The device.
+    #[error(transparent)]
+    Gpu(#[from] GpuError),
+    /// Asked to stop.
+    #[error(transparent)]
+    Cancelled(#[from] Cancelled),
+    /// Nothing to train on or from.
+    #[error("nothing to train: {views} views, {gaussians} Gaussians")]
+    Empty {
+        /// Training views.
+        views: usize,
+        /// Gaussians at the start.
+        gaussians: usize,
+    },
+    /// The checkpoint is another round's.
+    #[error("the checkpoint belongs to another round or other options")]
+    OtherRound,
+    /// The noise field refused its part of the checkpoint.
+    #[error("noise field: {0}")]
+    Noise(String),
+    /// The optimisation diverged.
+    #[error("{dropped} gradients were not finite by step {step}")]
+    NotFinite {
+        /// How many were dropped.
+        dropped: u64,
+        /// Up to which step.
+        step: u32,
+    },
+}
+
+/// Trains one round.
+///
+/// Same seed, same device: the same bits, with or without interruption.
+///
+/// # Errors
+/// [`ReconstructError`].
+pub fn train(
+    gpu: &Gpu,
+    views: &[TrainingView],
+    start: TrainStart,
+    config: &TrainConfig,
+    hooks: &mut TrainHooks<'_>,
+) -> Result<Trained, ReconstructError> {
+    trainer::Trainer::new(gpu, views, start, config)?.run(hooks)
+}
+
+#[cfg(test)]
+mod tests;

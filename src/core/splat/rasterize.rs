@@ -257,6 +257,11 @@ impl SplatBuffers {
         self.sizes
     }
 
+    /// The buffer that holds the exact number of intersections, and where in it.
+    pub fn totals(&self) -> (&Buffer<u32>, u32) {
+        (&self.counters.values, INTERSECTIONS)
+    }
+
     /// Starts to read the counts of the last submission back.
     ///
     /// # Errors

@@ -1,0 +1,260 @@
+use glam::DVec3;
+
+use super::*;
+use crate::camera::Intrinsics;
+use crate::gaussians::ply;
+use crate::metrics::psnr;
+use crate::splat::fixtures::{self, Random};
+use crate::splat::project::{DeviceGaussians, Projection};
+use crate::splat::rasterize::{Forward, Specialisation, SplatBuffers, SplatSizes};
+use crate::splat::uniform::CameraUniform;
+
+const NEAR: f32 = 0.02;
+
+/// The image of a scene, by the kernels that train it.
+fn render(gaussians: &Gaussians, camera: &Camera) -> Image {
+    let gpu = fixtures::gpu();
+    let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
+    let device = DeviceGaussians::upload(gpu, gaussians, 0).expect("uploaded");
+    let projection = Projection::new(gpu, gaussians.len()).expect("created");
+    let sizes = SplatSizes { gaussians: gaussians.len(), width, height, intersections: 200_000 };
+    let buffers = SplatBuffers::new(gpu, sizes, false).expect("created");
+    let degree = gaussians.sh_degree;
+    let uniform = CameraUniform::new(camera, gaussians.len(), degree, degree, NEAR);
+    projection.camera.write(&[uniform]).expect("written");
+    let mut recorder = gpu.recorder();
+    projection.record(&mut recorder, &device).expect("recorded");
+    let forward = Forward::new(Specialisation::for_adapter(gpu.describe()));
+    forward.record(&mut recorder, &projection, &buffers).expect("recorded");
+    recorder.submit().expect("submitted");
+    Image::from_planar(width, height, buffers.image.read().expect("read"))
+}
+
+/// Opaque coloured blobs: a scene that images determine.
+fn truth(count: usize, seed: u64) -> Gaussians {
+    let mut random = Random::new(seed);
+    let mut scene = fixtures::gaussians(count, 1, seed);
+    for i in 0..count {
+        scene.means[i] = [0; 3].map(|_| 0.8 * random.signed() as f32);
+        scene.log_scales[i] = [0; 3].map(|_| (-2.1 + 0.4 * random.signed()) as f32);
+        scene.opacity_logits[i] = 2.0 + random.signed() as f32;
+        for (n, value) in scene.sh[12 * i..12 * i + 12].iter_mut().enumerate() {
+            *value = (if n < 3 { 1.5 } else { 0.15 } * random.signed()) as f32;
+        }
+    }
+    scene
+}
+
+fn camera_at(angle: f64, width: usize, height: usize) -> Camera {
+    let focal = 1.1 * width as f64;
+    let (cx, cy) = (width as f64 / 2.0, height as f64 / 2.0);
+    let intrinsics = Intrinsics { width, height, fx: focal, fy: focal, cx, cy };
+    let eye = DVec3::new(3.0 * angle.sin(), -0.6 * (2.0 * angle).cos(), -3.0 * angle.cos());
+    Camera::look_at(intrinsics, eye, DVec3::ZERO, DVec3::Y)
+}
+
+fn views_of(scene: &Gaussians, angles: &[f64], size: [usize; 2]) -> Vec<TrainingView> {
+    let view = |(n, &angle): (usize, &f64)| {
+        let camera = camera_at(angle, size[0], size[1]);
+        TrainingView { name: format!("{n}"), camera, image: render(scene, &camera), noise_sigma: 0.01 }
+    };
+    angles.iter().enumerate().map(view).collect()
+}
+
+fn config(steps: u32, cap: usize) -> TrainConfig {
+    TrainConfig {
+        steps,
+        cap,
+        sh_degree: 1,
+        noise: NoiseMode::Off,
+        resolution_schedule: false,
+        warm: false,
+        densify: true,
+        seed: 3,
+        extent: 1.0,
+    }
+}
+
+/// What a structure from motion would give: noisy means with the right colours.
+fn points_of(scene: &Gaussians) -> Vec<Point> {
+    let mut random = Random::new(99);
+    let colour = |v: f32| ((0.5 + 0.282 * v).clamp(0.0, 1.0) * 255.0) as u8;
+    (0..scene.len())
+        .map(|i| {
+            let place = scene.means[i].map(|v| v + 0.02 * random.signed() as f32);
+            (place, [0, 1, 2].map(|c| colour(scene.sh[12 * i + c])))
+        })
+        .collect()
+}
+
+fn start(views: &[TrainingView], scene: &Gaussians, config: &TrainConfig) -> TrainStart {
+    let cameras: Vec<_> = views.iter().map(|v| v.camera).collect();
+    TrainStart::Fresh(initialise(&points_of(scene), &cameras, config.cap, &config.schedule()))
+}
+
+fn trained(views: &[TrainingView], start: TrainStart, config: &TrainConfig) -> Trained {
+    let mut hooks = TrainHooks { cancel: &CancelToken::new(), progress: &mut |_, _, _| {}, checkpoint: None };
+    train(fixtures::gpu(), views, start, config, &mut hooks).expect("trains")
+}
+
+fn bytes(scene: &Gaussians) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    ply::write_to(scene, &mut bytes).expect("written");
+    bytes
+}
+
+#[test]
+fn two_thousand_gaussians_learn_one_image_by_heart() {
+    let scene = truth(300, 5);
+    let views = views_of(&scene, &[0.2], [96, 64]);
+    let config = config(300, 2_000);
+    let result = trained(&views, start(&views, &scene, &config), &config);
+    let quality = psnr(&render(&result.gaussians, &views[0].camera), &views[0].image);
+    assert!(quality > 33.0, "{quality:.2} dB");
+    assert!(result.gaussians.len() <= 2_000 && result.non_finite_gradients == 0);
+    assert!(result.final_loss < 0.03, "{}", result.final_loss);
+}
+
+#[test]
+fn eight_views_of_a_synthetic_scene_predict_views_held_out() {
+    let scene = truth(150, 8);
+    let angles: Vec<_> = (0..8).map(|n| -0.6 + 0.17 * f64::from(n)).collect();
+    let views = views_of(&scene, &angles, [96, 64]);
+    let config = TrainConfig { resolution_schedule: true, ..config(800, 1_000) };
+    let result = trained(&views, start(&views, &scene, &config), &config);
+    let held_out = views_of(&scene, &[-0.35, 0.0, 0.33], [96, 64]);
+    let scores: Vec<_> =
+        held_out.iter().map(|v| psnr(&render(&result.gaussians, &v.camera), &v.image)).collect();
+    let mean = scores.iter().sum::<f64>() / scores.len() as f64;
+    assert!(mean >= 30.0, "{mean:.2} dB of {scores:?}, {} Gaussians", result.gaussians.len());
+}
+
+#[test]
+fn the_same_seed_gives_the_same_bytes_and_another_seed_others() {
+    let scene = truth(120, 2);
+    let views = views_of(&scene, &[-0.3, 0.0, 0.3], [64, 48]);
+    let config = TrainConfig { resolution_schedule: true, ..config(120, 400) };
+    let run = |config: &TrainConfig| bytes(&trained(&views, start(&views, &scene, config), config).gaussians);
+    let (first, second) = (run(&config), run(&config));
+    assert!(first == second, "two runs of one seed differ");
+    assert!(first != run(&TrainConfig { seed: 4, ..config.clone() }), "the seed changes nothing");
+}
+
+#[test]
+fn a_round_resumed_from_a_checkpoint_ends_in_the_same_bytes() {
+    let scene = truth(120, 2);
+    let views = views_of(&scene, &[-0.3, 0.0, 0.3], [64, 48]);
+    let config = TrainConfig { resolution_schedule: true, noise: NoiseMode::Grid, ..config(150, 400) };
+    let gpu = fixtures::gpu();
+    let undisturbed = trained(&views, start(&views, &scene, &config), &config);
+    for stop in [25, 60, 125] {
+        let begin = start(&views, &scene, &config);
+        let checkpoint = trainer::Trainer::new(gpu, &views, begin, &config).expect("made").frozen_at(stop);
+        let thawed = Checkpoint::from_bytes(&checkpoint.to_bytes()).expect("a checkpoint");
+        let resumed = trained(&views, TrainStart::Resume(thawed), &config);
+        assert!(bytes(&resumed.gaussians) == bytes(&undisturbed.gaussians), "stopped at {stop}");
+    }
+}
+
+#[test]
+fn an_overflow_of_the_intersections_is_repeated_in_larger_buffers() {
+    let scene = truth(120, 2);
+    let views = views_of(&scene, &[-0.3, 0.3], [64, 48]);
+    let config = TrainConfig { densify: false, ..config(60, 400) };
+    let begin = || start(&views, &scene, &config);
+    let small = trainer::Trainer::new(fixtures::gpu(), &views, begin(), &config).expect("made");
+    let small = small.with_intersections(50);
+    let cancel = CancelToken::new();
+    let mut hooks = TrainHooks { cancel: &cancel, progress: &mut |_, _, _| {}, checkpoint: None };
+    let grown = small.run(&mut hooks).expect("trains");
+    let roomy = trained(&views, begin(), &config);
+    let quality = |t: &Trained| psnr(&render(&t.gaussians, &views[0].camera), &views[0].image);
+    assert!((quality(&grown) - quality(&roomy)).abs() < 1.0, "{} {}", quality(&grown), quality(&roomy));
+}
+
+#[test]
+fn a_poisoned_start_neither_spreads_nor_reaches_the_result() {
+    let scene = truth(120, 2);
+    let views = views_of(&scene, &[-0.3, 0.3], [64, 48]);
+    let config = config(60, 400);
+    let TrainStart::Fresh(mut gaussians) = start(&views, &scene, &config) else { panic!("fresh") };
+    gaussians.means[0][1] = f32::NAN;
+    gaussians.quats[1] = [0.0; 4];
+    gaussians.log_scales[2] = [3e38; 3];
+    gaussians.sh[3 * 12] = f32::INFINITY;
+    gaussians.opacity_logits[4] = f32::NAN;
+    let result = trained(&views, TrainStart::Fresh(gaussians), &config);
+    assert!((0..result.gaussians.len()).all(|i| result.gaussians.is_usable(i)));
+    let image = render(&result.gaussians, &views[0].camera);
+    assert!(image.data().iter().all(|v| v.is_finite()));
+    assert!(psnr(&image, &views[0].image) > 18.0);
+}
+
+#[test]
+fn a_scene_that_no_view_sees_trains_to_its_end() {
+    let scene = truth(60, 2);
+    let mut views = views_of(&scene, &[0.0], [64, 48]);
+    let config = config(30, 100);
+    let begin = start(&views, &scene, &config);
+    views[0].camera = Camera::look_at(
+        views[0].camera.intrinsics,
+        DVec3::new(0.0, 0.0, -3.0),
+        DVec3::new(0.0, 0.0, -9.0),
+        DVec3::Y,
+    );
+    let result = trained(&views, begin, &config);
+    assert_eq!(result.non_finite_gradients, 0);
+    assert!(!result.gaussians.is_empty());
+}
+
+#[test]
+fn relocation_keeps_the_image_of_an_isolated_splat() {
+    let mut scene = truth(2, 2);
+    scene.means = vec![[0.0; 3], [0.0, 0.0, 500.0]];
+    scene.log_scales = vec![[-1.5, -1.5, -1.5]; 2];
+    scene.opacity_logits = vec![0.8, -9.0];
+    let camera = camera_at(0.0, 96, 64);
+    let before = render(&scene, &camera);
+    let rows = crate::splat::project::pack_geometry(&scene);
+    let plan = densify::plan(&rows, 2, &mut config(1, 2).schedule().generator(2, 0));
+    let device = DeviceGaussians::upload(fixtures::gpu(), &scene, 0).expect("uploaded");
+    let optimizer = optimizer::Optimizer::new(fixtures::gpu(), &device).expect("created");
+    optimizer.relocate(fixtures::gpu(), &device, &plan).expect("relocated");
+    let after = render(&device.download().expect("read"), &camera);
+    let difference: f32 = before.data().iter().zip(after.data()).map(|(a, b)| (a - b).abs()).sum();
+    let mass: f32 = before.data().iter().sum();
+    assert!(mass > 1.0 && difference <= 0.02 * mass * 3.0, "{difference} of {mass}");
+}
+
+#[test]
+fn cancelling_stops_a_round_between_two_steps() {
+    let scene = truth(60, 2);
+    let views = views_of(&scene, &[0.0], [64, 48]);
+    let config = config(1_000_000, 100);
+    let cancel = CancelToken::new();
+    let stop = cancel.clone();
+    let mut progress = |_: u64, _: u64, _: f64| stop.cancel();
+    let mut hooks = TrainHooks { cancel: &cancel, progress: &mut progress, checkpoint: None };
+    let begin = start(&views, &scene, &config);
+    let outcome = train(fixtures::gpu(), &views, begin, &config, &mut hooks);
+    assert!(matches!(outcome, Err(ReconstructError::Cancelled(_))));
+}
+
+#[test]
+fn no_views_no_gaussians_and_a_foreign_checkpoint_are_refused() {
+    let scene = truth(60, 2);
+    let views = views_of(&scene, &[0.0], [64, 48]);
+    let plain = config(30, 100);
+    let cancel = CancelToken::new();
+    let mut hooks = TrainHooks { cancel: &cancel, progress: &mut |_, _, _| {}, checkpoint: None };
+    let begin = start(&views, &scene, &plain);
+    let mut refused = |views: &[TrainingView], start| {
+        train(fixtures::gpu(), views, start, &plain, &mut hooks).expect_err("refused")
+    };
+    assert!(matches!(refused(&[], begin.clone()), ReconstructError::Empty { views: 0, .. }));
+    let nothing = TrainStart::Fresh(Gaussians { sh_degree: 1, ..Gaussians::default() });
+    assert!(matches!(refused(&views, nothing), ReconstructError::Empty { gaussians: 0, .. }));
+    let other = TrainConfig { seed: 99, ..plain.clone() };
+    let foreign = trainer::Trainer::new(fixtures::gpu(), &views, begin, &other).expect("made").frozen_at(25);
+    assert!(matches!(refused(&views, TrainStart::Resume(foreign)), ReconstructError::OtherRound));
+}

@@ -1,0 +1,443 @@
+//! The loop over the steps of a round.
+
+use std::collections::VecDeque;
+use std::time::{Duration, Instant};
+
+use fled_gpu::{Buffer, Gpu, GpuError, Recording};
+
+use super::checkpoint::Checkpoint;
+use super::level::Level;
+use super::optimizer::{Optimizer, SlotGradients, StepUniform};
+use super::{
+    ReconstructError, Schedule, TrainConfig, TrainHooks, TrainStart, Trained, TrainingView, densify,
+};
+use crate::gaussians::Gaussians;
+use crate::metrics::report::NoiseMapStatistics;
+use crate::noise::{NoiseField, NoiseMode, OFF_SHARE};
+use crate::splat::project::{DeviceGaussians, GEOMETRY_ROW, Projection, unpack_geometry};
+use crate::splat::rasterize::{Backward, Forward, PendingCounts, Specialisation, SplatBuffers, SplatSizes};
+use crate::splat::uniform::{CameraUniform, NEAR_SHARE};
+
+/// Every so many steps the device is left to finish. What depends on finished steps (growing buffers,
+/// checkpoints) happens there alone, so that an interruption changes nothing.
+const SYNC: u32 = 25;
+/// Steps in flight.
+const IN_FLIGHT: usize = 2;
+/// Time between checkpoints.
+const CHECKPOINT_EVERY: Duration = Duration::from_secs(30);
+/// Time between reports of progress.
+const PROGRESS_EVERY: Duration = Duration::from_millis(250);
+/// Steps between looks at the noise map.
+const INSPECT: u32 = 100;
+/// A warm round does not grow before this share of its steps.
+const WARM_GROWTH: f64 = 0.05;
+/// A round fails when more than this share of all Gaussians' updates was not finite.
+const NON_FINITE_LIMIT: f64 = 1e-3;
+
+/// Steps whose count of intersections is not known yet, and those that must be repeated.
+#[derive(Default)]
+struct Flight {
+    pending: VecDeque<(u32, PendingCounts)>,
+    redo: VecDeque<u32>,
+}
+
+/// Everything a round holds.
+pub(super) struct Trainer<'a> {
+    gpu: &'a Gpu,
+    views: &'a [TrainingView],
+    config: &'a TrainConfig,
+    schedule: Schedule,
+    gaussians: DeviceGaussians,
+    projection: Projection,
+    optimizer: Optimizer,
+    raster: SplatBuffers,
+    specialisation: Specialisation,
+    prediction: Buffer<f32>,
+    gradient: Buffer<f32>,
+    level: Level,
+    /// A step of each view without the noise field, kept while buffers and level stay.
+    recordings: Vec<Option<Recording>>,
+    noise: Option<NoiseField>,
+    noise_seen: Vec<NoiseMapStatistics>,
+    warnings: Vec<String>,
+    next: u32,
+    start_count: usize,
+    last_view: usize,
+    checkpoint_every: Duration,
+}
+
+impl<'a> Trainer<'a> {
+    pub(super) fn new(
+        gpu: &'a Gpu,
+        views: &'a [TrainingView],
+        start: TrainStart,
+        config: &'a TrainConfig,
+    ) -> Result<Self, ReconstructError> {
+        let (gaussians, checkpoint) = match start {
+            TrainStart::Fresh(gaussians) => (gaussians.with_sh_degree(config.sh_degree), None),
+            TrainStart::Resume(checkpoint) => (scene_of(&checkpoint), Some(checkpoint)),
+        };
+        if views.is_empty() || gaussians.is_empty() {
+            return Err(ReconstructError::Empty { views: views.len(), gaussians: gaussians.len() });
+        }
+        let capacity = if config.densify { config.cap } else { 0 }.max(gaussians.len());
+        let device = DeviceGaussians::upload(gpu, &gaussians, capacity)?;
+        let size = largest(views);
+        let sizes = SplatSizes {
+            gaussians: capacity,
+            width: size[0],
+            height: size[1],
+            intersections: 4 * capacity + 16 * 1024,
+        };
+        let schedule = config.schedule();
+        let mut trainer = Self {
+            optimizer: Optimizer::new(gpu, &device)?,
+            projection: Projection::new(gpu, capacity)?,
+            raster: SplatBuffers::new(gpu, sizes, true)?,
+            specialisation: Specialisation::for_adapter(gpu.describe()),
+            prediction: gpu.create("prediction", 3 * size[0] * size[1])?,
+            gradient: gpu.create("image gradient", 3 * size[0] * size[1])?,
+            level: Level::new(gpu, views, schedule.divisor(0))?,
+            recordings: Vec::new(),
+            noise: NoiseField::new(gpu, config.noise, config.seed, size)?,
+            noise_seen: Vec::new(),
+            warnings: Vec::new(),
+            next: 0,
+            start_count: gaussians.len(),
+            last_view: 0,
+            checkpoint_every: CHECKPOINT_EVERY,
+            gaussians: device,
+            gpu,
+            views,
+            config,
+            schedule,
+        };
+        if let Some(checkpoint) = checkpoint {
+            trainer.restore(&checkpoint)?;
+        }
+        trainer.forget_recordings();
+        Ok(trainer)
+    }
+
+    /// Trains to the last step.
+    pub(super) fn run(mut self, hooks: &mut TrainHooks<'_>) -> Result<Trained, ReconstructError> {
+        let begin = Instant::now();
+        let first = self.next;
+        let (mut told, mut saved) = (begin, begin);
+        let mut flight = Flight::default();
+        let mut prepared = false;
+        loop {
+            hooks.cancel.check()?;
+            let end = self.next == self.config.steps;
+            if end || (!prepared && self.is_sync(self.next)) {
+                self.settle(&mut flight, 0)?;
+                if flight.redo.is_empty() {
+                    self.check_finite()?;
+                    if end {
+                        break;
+                    }
+                    if self.next > first && self.next.is_multiple_of(INSPECT) {
+                        self.inspect_noise()?;
+                    }
+                    self.offer_checkpoint(hooks, &mut saved)?;
+                    self.prepare(self.next)?;
+                    prepared = true;
+                }
+            }
+            let step = flight.redo.pop_front().unwrap_or_else(|| {
+                prepared = false;
+                self.next += 1;
+                self.next - 1
+            });
+            self.submit(step)?;
+            flight.pending.push_back((step, self.raster.counts()?));
+            self.settle(&mut flight, IN_FLIGHT - 1)?;
+            if told.elapsed() >= PROGRESS_EVERY {
+                told = Instant::now();
+                let rate = f64::from(self.next - first) / begin.elapsed().as_secs_f64();
+                (hooks.progress)(u64::from(self.next), u64::from(self.config.steps), rate);
+            }
+        }
+        self.finish(begin)
+    }
+
+    fn finish(self, begin: Instant) -> Result<Trained, ReconstructError> {
+        let final_loss = self.level.loss(self.last_view).value()?.total;
+        Ok(Trained {
+            gaussians: self.gaussians.download()?.without_unusable(),
+            steps: u64::from(self.config.steps),
+            seconds: begin.elapsed().as_secs_f64(),
+            non_finite_gradients: u64::from(self.optimizer.counters.read()?[0]),
+            noise: mean_statistics(&self.noise_seen),
+            warnings: self.warnings,
+            final_loss,
+        })
+    }
+
+    fn is_sync(&self, step: u32) -> bool {
+        let divisor = self.schedule.divisor(step);
+        step.is_multiple_of(SYNC) || self.densifies(step) || divisor != self.level.divisor
+    }
+
+    fn densifies(&self, step: u32) -> bool {
+        self.config.densify && self.schedule.densifies(step)
+    }
+
+    /// What happens between steps: another resolution, densification.
+    fn prepare(&mut self, step: u32) -> Result<(), ReconstructError> {
+        let divisor = self.schedule.divisor(step);
+        if divisor != self.level.divisor {
+            self.level = Level::new(self.gpu, self.views, divisor)?;
+            self.forget_recordings();
+        }
+        if self.densifies(step) {
+            self.densify(step)?;
+        }
+        Ok(())
+    }
+
+    fn densify(&mut self, step: u32) -> Result<(), GpuError> {
+        let count = self.gaussians.count;
+        let flat = self.gaussians.geometry.start_read(count * GEOMETRY_ROW)?.wait()?;
+        let (rows, _) = flat.as_chunks::<GEOMETRY_ROW>();
+        let share = f64::from(step) / f64::from(self.config.steps);
+        let target = if self.config.warm && share < WARM_GROWTH {
+            count
+        } else {
+            densify::grown(count, self.start_count, self.config.cap, self.schedule.densifications())
+        };
+        let plan = densify::plan(rows, target, &mut self.schedule.generator(2, u64::from(step)));
+        self.optimizer.relocate(self.gpu, &self.gaussians, &plan)?;
+        self.gaussians.count = plan.count;
+        Ok(())
+    }
+
+    /// Hands one step to the device.
+    fn submit(&mut self, step: u32) -> Result<(), GpuError> {
+        let index = self.schedule.view(step, self.views.len());
+        let (schedule, extent) = (&self.schedule, self.config.extent);
+        let view = &self.level.views[index];
+        let count = self.gaussians.count;
+        let near = (NEAR_SHARE * extent) as f32;
+        let camera =
+            CameraUniform::new(&view.camera, count, schedule.degree(step), self.gaussians.sh_degree, near);
+        let mut numbers = StepUniform::new(schedule, step, count, extent, self.config.densify);
+        let (_, total_at) = self.raster.totals();
+        numbers.capacity = self.raster.sizes().intersections as u32;
+        numbers.total_at = total_at;
+        self.projection.camera.write(&[camera])?;
+        self.optimizer.step.write(&[numbers])?;
+        self.last_view = index;
+        if self.noise_acts(step) {
+            return self.record(index, true)?.submit().map(|_| ());
+        }
+        if self.recordings[index].is_none() {
+            self.recordings[index] = Some(self.record(index, false)?);
+        }
+        match &self.recordings[index] {
+            Some(recording) => recording.submit().map(|_| ()),
+            None => Ok(()),
+        }
+    }
+
+    fn noise_acts(&self, step: u32) -> bool {
+        let share = f64::from(step) / f64::from(self.config.steps);
+        self.noise.is_some() && (self.config.noise == NoiseMode::Paper || share >= OFF_SHARE)
+    }
+
+    fn record(&mut self, index: usize, noisy: bool) -> Result<Recording, GpuError> {
+        let mut recorder = self.gpu.recorder();
+        let view = &self.level.views[index];
+        self.projection.record(&mut recorder, &self.gaussians)?;
+        Forward::new(self.specialisation).record(&mut recorder, &self.projection, &self.raster)?;
+        let loss = self.level.loss(index);
+        match &mut self.noise {
+            Some(noise) if noisy => {
+                noise.begin_step(&view.camera, self.views[index].noise_sigma)?;
+                noise.record_forward(&mut recorder, &self.raster.image, &self.prediction)?;
+                loss.record(&mut recorder, &self.prediction, &view.target, &self.gradient)?;
+                noise.record_backward(&mut recorder, &self.gradient)?;
+            }
+            _ => loss.record(&mut recorder, &self.raster.image, &view.target, &self.gradient)?,
+        }
+        let backward = Backward::new(self.specialisation);
+        backward.record(&mut recorder, &self.projection, &self.raster, &self.gradient)?;
+        let slots = SlotGradients {
+            slot_offsets: &self.raster.slot_offsets,
+            rows: &self.raster.slot_gradients,
+            totals: self.raster.totals().0,
+        };
+        self.optimizer.record(&mut recorder, &self.gaussians, &self.projection, &slots)?;
+        Ok(recorder.finish())
+    }
+
+    /// Waits until at most `left` steps are in flight. A step whose intersections did not fit has changed
+    /// nothing: it is repeated in larger buffers.
+    fn settle(&mut self, flight: &mut Flight, left: usize) -> Result<(), GpuError> {
+        while flight.pending.len() > left {
+            let Some((step, counts)) = flight.pending.pop_front() else { break };
+            let counts = counts.wait()?;
+            if counts.overflowed() {
+                flight.redo.push_back(step);
+                self.grow_raster(counts.intersections)?;
+            }
+        }
+        Ok(())
+    }
+
+    fn grow_raster(&mut self, needed: usize) -> Result<(), GpuError> {
+        let sizes = self.raster.sizes();
+        if needed <= sizes.intersections {
+            return Ok(());
+        }
+        let intersections = (sizes.intersections * 3 / 2).max(needed + needed / 10);
+        self.raster = SplatBuffers::new(self.gpu, SplatSizes { intersections, ..sizes }, true)?;
+        self.forget_recordings();
+        Ok(())
+    }
+
+    fn forget_recordings(&mut self) {
+        self.recordings = self.views.iter().map(|_| None).collect();
+    }
+
+    fn check_finite(&self) -> Result<(), ReconstructError> {
+        let dropped = u64::from(self.optimizer.counters.read()?[0]);
+        let updates = f64::from(self.config.steps) * self.gaussians.count as f64;
+        if dropped as f64 > NON_FINITE_LIMIT * updates {
+            return Err(ReconstructError::NotFinite { dropped, step: self.next });
+        }
+        Ok(())
+    }
+
+    /// Looks at the noise map of the last step, before the checkpoint: the guard's verdict belongs to it.
+    fn inspect_noise(&mut self) -> Result<(), GpuError> {
+        let acts = self.noise_acts(self.next - 1);
+        let Some(noise) = self.noise.as_mut().filter(|_| acts) else { return Ok(()) };
+        let seen = noise.inspect(&self.raster.image, &self.prediction)?;
+        if seen.halved {
+            let correlation = seen.correlation;
+            self.warnings.push(format!("noise map follows the scene ({correlation:.2}): bound halved"));
+        }
+        self.noise_seen.push(NoiseMapStatistics {
+            mean: seen.mean,
+            spread: seen.spread,
+            correlation: seen.correlation.abs(),
+        });
+        Ok(())
+    }
+
+    fn offer_checkpoint(
+        &self,
+        hooks: &mut TrainHooks<'_>,
+        saved: &mut Instant,
+    ) -> Result<(), ReconstructError> {
+        if let Some(hook) = &mut hooks.checkpoint
+            && saved.elapsed() >= self.checkpoint_every
+        {
+            hook(&self.checkpoint()?);
+            *saved = Instant::now();
+        }
+        Ok(())
+    }
+
+    /// The state before the step `next`, with nothing in flight.
+    fn checkpoint(&self) -> Result<Checkpoint, ReconstructError> {
+        let count = self.gaussians.count;
+        let sh = self.gaussians.sh.len() / self.gaussians.capacity * count;
+        let read = |buffer: &Buffer<f32>, n: usize| buffer.start_read(n)?.wait();
+        Ok(Checkpoint {
+            fingerprint: self.fingerprint(),
+            step: self.next,
+            start_count: self.start_count as u32,
+            sh_degree: self.gaussians.sh_degree,
+            intersections: self.raster.sizes().intersections as u32,
+            non_finite: self.optimizer.counters.read()?[0],
+            geometry: read(&self.gaussians.geometry, count * GEOMETRY_ROW)?,
+            geometry_moments: read(&self.optimizer.geometry_moments, 2 * count * GEOMETRY_ROW)?,
+            sh: read(&self.gaussians.sh, sh)?,
+            sh_moments: read(&self.optimizer.sh_moments, 2 * sh)?,
+            noise: self.noise.as_ref().map_or(Ok(Vec::new()), NoiseField::save)?,
+        })
+    }
+
+    fn restore(&mut self, checkpoint: &Checkpoint) -> Result<(), ReconstructError> {
+        if checkpoint.fingerprint != self.fingerprint() || checkpoint.step > self.config.steps {
+            return Err(ReconstructError::OtherRound);
+        }
+        self.optimizer.geometry_moments.write(&checkpoint.geometry_moments)?;
+        self.optimizer.sh_moments.write(&checkpoint.sh_moments)?;
+        self.optimizer.counters.write(&[checkpoint.non_finite])?;
+        if let Some(noise) = &mut self.noise {
+            noise.restore(&checkpoint.noise).map_err(|error| ReconstructError::Noise(error.to_string()))?;
+        }
+        self.start_count = checkpoint.start_count as usize;
+        self.next = checkpoint.step;
+        // The level in use before this step: `prepare` changes it where the undisturbed round does.
+        let divisor = self.schedule.divisor(self.next.saturating_sub(1));
+        self.level = Level::new(self.gpu, self.views, divisor)?;
+        let sizes = self.raster.sizes();
+        let intersections = checkpoint.intersections as usize;
+        self.raster = SplatBuffers::new(self.gpu, SplatSizes { intersections, ..sizes }, true)?;
+        Ok(())
+    }
+
+    /// Identifies config and views.
+    fn fingerprint(&self) -> u64 {
+        let mut hasher = blake3::Hasher::new();
+        hasher.update(format!("{:?}", self.config).as_bytes());
+        for view in self.views {
+            hasher.update(format!("{} {:?}", view.name, view.camera).as_bytes());
+        }
+        let hash = hasher.finalize();
+        u64::from_le_bytes(*hash.as_bytes().first_chunk().expect("a hash has 32 bytes"))
+    }
+}
+
+#[cfg(test)]
+impl Trainer<'_> {
+    /// Trains to the first synchronisation at or after `step` and returns its checkpoint.
+    pub(super) fn frozen_at(mut self, step: u32) -> Checkpoint {
+        let mut frozen = None;
+        let cancel = crate::cancel::CancelToken::new();
+        self.checkpoint_every = Duration::ZERO;
+        let mut keep = |checkpoint: &Checkpoint| {
+            if checkpoint.step >= step {
+                frozen.get_or_insert_with(|| checkpoint.clone());
+            }
+        };
+        let mut hooks =
+            TrainHooks { cancel: &cancel, progress: &mut |_, _, _| {}, checkpoint: Some(&mut keep) };
+        self.run(&mut hooks).expect("trains");
+        frozen.expect("a checkpoint after the step")
+    }
+
+    /// The same with room for so many intersections.
+    pub(super) fn with_intersections(mut self, intersections: usize) -> Self {
+        let sizes = self.raster.sizes();
+        self.raster = SplatBuffers::new(self.gpu, SplatSizes { intersections, ..sizes }, true).expect("made");
+        self.forget_recordings();
+        self
+    }
+}
+
+fn scene_of(checkpoint: &Checkpoint) -> Gaussians {
+    let (rows, _) = checkpoint.geometry.as_chunks::<GEOMETRY_ROW>();
+    unpack_geometry(rows, checkpoint.sh.clone(), checkpoint.sh_degree)
+}
+
+/// Largest width and height.
+fn largest(views: &[TrainingView]) -> [usize; 2] {
+    let most = |side: fn(&TrainingView) -> usize| views.iter().map(side).max().unwrap_or(0);
+    [most(|v| v.image.width()), most(|v| v.image.height())]
+}
+
+fn mean_statistics(seen: &[NoiseMapStatistics]) -> Option<NoiseMapStatistics> {
+    let mean =
+        |value: fn(&NoiseMapStatistics) -> f64| seen.iter().map(value).sum::<f64>() / seen.len() as f64;
+    let correlation = seen.iter().map(|s| s.correlation).fold(0.0, f64::max);
+    (!seen.is_empty()).then(|| NoiseMapStatistics {
+        mean: mean(|s| s.mean),
+        spread: mean(|s| s.spread),
+        correlation,
+    })
+}
