@@ -7,9 +7,7 @@ use crate::metrics::psnr;
 use crate::splat::fixtures::{self, Random};
 use crate::splat::project::{DeviceGaussians, Projection};
 use crate::splat::rasterize::{Forward, Specialisation, SplatBuffers, SplatSizes};
-use crate::splat::uniform::CameraUniform;
-
-const NEAR: f32 = 0.02;
+use crate::splat::uniform::{CameraUniform, NEAR};
 
 /// The image of a scene, by the kernels that train it.
 fn render(gaussians: &Gaussians, camera: &Camera) -> Image {

@@ -16,7 +16,7 @@ use crate::metrics::report::NoiseMapStatistics;
 use crate::noise::{NoiseField, NoiseMode, OFF_SHARE};
 use crate::splat::project::{DeviceGaussians, GEOMETRY_ROW, Projection, unpack_geometry};
 use crate::splat::rasterize::{Backward, Forward, PendingCounts, Specialisation, SplatBuffers, SplatSizes};
-use crate::splat::uniform::{CameraUniform, NEAR_SHARE};
+use crate::splat::uniform::{CameraUniform, NEAR};
 
 /// Every so many steps the device is left to finish. What depends on finished steps (growing buffers,
 /// checkpoints) happens there alone, so that an interruption changes nothing.
@@ -218,9 +218,9 @@ impl<'a> Trainer<'a> {
         let (schedule, extent) = (&self.schedule, self.config.extent);
         let view = &self.level.views[index];
         let count = self.gaussians.count;
-        let near = (NEAR_SHARE * extent) as f32;
-        let camera =
-            CameraUniform::new(&view.camera, count, schedule.degree(step), self.gaussians.sh_degree, near);
+        let (degree, allocated) = (schedule.degree(step), self.gaussians.sh_degree);
+        // The near plane of the renderer: a splat that training culls would be a floater in the views.
+        let camera = CameraUniform::new(&view.camera, count, degree, allocated, NEAR);
         let mut numbers = StepUniform::new(schedule, step, count, extent, self.config.densify);
         let (_, total_at) = self.raster.totals();
         numbers.capacity = self.raster.sizes().intersections as u32;

@@ -7,11 +7,8 @@ use crate::camera::Camera;
 /// Side of a tile, px.
 pub const TILE: u32 = 16;
 
-/// Splats nearer to the camera than this share of the scene's extent are culled. splat.md asks
-/// for "0.2 x scene unit"; a tenth of that keeps what stands close to a hand-held camera.
-pub const NEAR_SHARE: f64 = 0.02;
-
-/// The near plane where nothing is known of the scene's extent, world units.
+/// Splats nearer to the camera than this are culled, world units; the same when training and rendering.
+/// Differs from splat.md (0.2 x scene unit): hand-held cameras come close, and a scene does not carry its unit.
 pub const NEAR: f32 = 0.01;
 
 /// `CameraUniform` of shaders/shared/camera.wgsl.
