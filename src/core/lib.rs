@@ -6,6 +6,8 @@
 //! other; all may use [`image`], [`camera`], [`poses`], [`gaussians`], [`event`] and [`cancel`].
 //! The crate knows no HTTP, no SQL, no async runtime and no environment variables.
 
+#[cfg(test)]
+mod agreement;
 pub mod camera;
 pub mod cancel;
 pub mod capture;

@@ -6,6 +6,8 @@ use std::str::FromStr;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+pub use crate::noise::NoiseMode;
+
 /// How a run is configured. Defaults are those of the `standard` preset.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
@@ -71,18 +73,6 @@ pub enum Guide {
     Blend,
     /// No guide.
     None,
-}
-
-/// The noise field of a round.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum NoiseMode {
-    /// On a grid of 1/8 resolution, signed, zero mean.
-    Grid,
-    /// At every pixel, positive: the paper's.
-    Paper,
-    /// None.
-    Off,
 }
 
 /// How rounds after the first start.

@@ -1,0 +1,140 @@
+//! The shape of the network, where its parameters lie, and how they begin.
+
+use rand::{RngExt, SeedableRng};
+
+/// Fully connected layers: four of 128, one to the features, one of 64, one to RGB.
+pub(super) const LAYERS: usize = 7;
+/// The layer whose output is joined by the direction's encoding.
+pub(super) const FEATURE_LAYER: usize = 4;
+/// Width of the hidden layers.
+pub(super) const HIDDEN: usize = 128;
+/// Octaves of the direction's encoding.
+pub(super) const DIRECTION_OCTAVES: usize = 4;
+
+/// One layer. Sizes and offsets that end in 4 count vec4s; weights lie [input][output], both filled
+/// up to a multiple of 4 with zeros that stay zeros.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Layer {
+    pub(super) inputs: usize,
+    pub(super) outputs: usize,
+    pub(super) inputs4: usize,
+    pub(super) outputs4: usize,
+    pub(super) input_stride4: usize,
+    pub(super) output_stride4: usize,
+    pub(super) weights4: usize,
+    pub(super) biases4: usize,
+    pub(super) relu: bool,
+    pub(super) input_relu: bool,
+    /// Whether its output is kept for all cells, not only for a chunk.
+    pub(super) whole: bool,
+}
+
+impl Layer {
+    /// Index of a weight among all parameters, in floats.
+    pub(super) fn weight(&self, input: usize, output: usize) -> usize {
+        4 * (self.weights4 + input * self.outputs4) + output
+    }
+
+    /// Index of a bias among all parameters, in floats.
+    pub(super) fn bias(&self, output: usize) -> usize {
+        4 * self.biases4 + output
+    }
+}
+
+/// All layers.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Network {
+    pub(super) octaves: usize,
+    pub(super) layers: Vec<Layer>,
+}
+
+/// Numbers of an encoded 3-vector.
+pub(super) fn encoding(octaves: usize) -> usize {
+    3 + 6 * octaves
+}
+
+/// Floats a row of the encoded positions: a multiple of 4.
+pub(super) fn encoded_width(octaves: usize) -> usize {
+    encoding(octaves).next_multiple_of(4)
+}
+
+impl Network {
+    pub(super) fn new(octaves: usize) -> Self {
+        let features = HIDDEN + encoding(DIRECTION_OCTAVES);
+        let shapes = [
+            (encoding(octaves), HIDDEN),
+            (HIDDEN, HIDDEN),
+            (HIDDEN, HIDDEN),
+            (HIDDEN, HIDDEN),
+            (HIDDEN, HIDDEN),
+            (features, 64),
+            (64, 3),
+        ];
+        let mut end = 0;
+        let layers = shapes.iter().enumerate().map(|(i, &(inputs, outputs))| {
+            let (inputs4, outputs4) = (inputs.div_ceil(4), outputs.div_ceil(4));
+            let weights4 = end;
+            let biases4 = weights4 + 4 * inputs4 * outputs4;
+            end = biases4 + outputs4;
+            Layer {
+                inputs,
+                outputs,
+                inputs4,
+                outputs4,
+                input_stride4: inputs4,
+                output_stride4: if i == FEATURE_LAYER { features.div_ceil(4) } else { outputs4 },
+                weights4,
+                biases4,
+                relu: i != FEATURE_LAYER && i != LAYERS - 1,
+                input_relu: i != 0 && i != FEATURE_LAYER + 1,
+                whole: i == LAYERS - 1,
+            }
+        });
+        Self { octaves, layers: layers.collect() }
+    }
+
+    /// vec4s of all parameters.
+    pub(super) fn parameters(&self) -> usize {
+        self.layers.last().map_or(0, |last| last.biases4 + last.outputs4)
+    }
+
+    /// Weights and biases uniform in +-1/sqrt(inputs), [4 parameters]; the last layer is zero unless asked
+    /// for, so that the noise starts at nothing.
+    pub(super) fn initial(&self, seed: u64, last_layer: bool) -> Vec<f32> {
+        let mut random = rand_pcg::Pcg64Mcg::seed_from_u64(seed ^ 0x006e_6f69_7365);
+        let mut parameters = vec![0.0; 4 * self.parameters()];
+        let count = if last_layer { LAYERS } else { LAYERS - 1 };
+        for layer in &self.layers[..count] {
+            let bound = 1.0 / (layer.inputs as f32).sqrt();
+            for output in 0..layer.outputs {
+                for input in 0..layer.inputs {
+                    parameters[layer.weight(input, output)] = random.random_range(-bound..bound);
+                }
+                parameters[layer.bias(output)] = random.random_range(-bound..bound);
+            }
+        }
+        parameters
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_paper_s_network_has_84_419_parameters_and_none_share_a_place() {
+        let network = Network::new(10);
+        assert_eq!(network.layers.iter().map(|l| (l.inputs + 1) * l.outputs).sum::<usize>(), 84_419);
+        let filled = network.initial(3, true).iter().filter(|&&p| p != 0.0).count();
+        assert!((84_410..=84_419).contains(&filled), "{filled}");
+    }
+
+    #[test]
+    fn the_same_seed_gives_the_same_start_and_another_seed_another() {
+        let network = Network::new(8);
+        assert_eq!(network.initial(1, false), network.initial(1, false));
+        assert_ne!(network.initial(1, false), network.initial(2, false));
+        let last = &network.layers[LAYERS - 1];
+        assert!(network.initial(1, false)[4 * last.weights4..].iter().all(|&p| p == 0.0));
+    }
+}

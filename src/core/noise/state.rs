@@ -1,0 +1,63 @@
+//! The field as numbers, for checkpoints.
+
+use fled_gpu::GpuError;
+
+use super::{NoiseField, NoiseMode};
+
+/// First number of a state: the version of its layout.
+const VERSION: f32 = 1.0;
+/// Numbers before the parameters: version, mode, step, restraint.
+const HEADER: usize = 4;
+
+/// A state that cannot be taken up.
+#[derive(Debug, thiserror::Error)]
+pub enum StateError {
+    /// The numbers are no state of this version, mode and network.
+    #[error("not the state of such a noise field: {0}")]
+    Format(&'static str),
+    /// The device failed.
+    #[error(transparent)]
+    Gpu(#[from] GpuError),
+}
+
+impl NoiseField {
+    /// Step, guard, parameters and moments: what [`NoiseField::restore`] goes on from. Waits for the device.
+    ///
+    /// # Errors
+    /// A device error.
+    pub fn save(&self) -> Result<Vec<f32>, GpuError> {
+        // Steps are far below 2^24, up to which f32 counts exactly.
+        let mut state = vec![VERSION, self.mode_number(), self.step as f32, self.restraint];
+        for buffer in [&self.buffers.parameters, &self.buffers.moments] {
+            state.extend(buffer.read()?.as_flattened());
+        }
+        Ok(state)
+    }
+
+    /// Takes up a state of [`NoiseField::save`] of the same mode.
+    ///
+    /// # Errors
+    /// [`StateError::Format`] for other numbers, of which nothing is taken; a device error.
+    pub fn restore(&mut self, state: &[f32]) -> Result<(), StateError> {
+        let parameters = 4 * self.network.parameters();
+        if state.len() != HEADER + 3 * parameters {
+            return Err(StateError::Format("the length differs"));
+        }
+        if state[0] != VERSION {
+            return Err(StateError::Format("another version"));
+        }
+        if state[1] != self.mode_number() {
+            return Err(StateError::Format("another mode"));
+        }
+        let (values, moments) = state[HEADER..].split_at(parameters);
+        self.buffers.parameters.write(bytemuck::cast_slice(values))?;
+        self.buffers.moments.write(bytemuck::cast_slice(moments))?;
+        self.step = state[2] as u64;
+        self.restraint = state[3];
+        Ok(())
+    }
+
+    fn mode_number(&self) -> f32 {
+        if self.mode == NoiseMode::Paper { 1.0 } else { 0.0 }
+    }
+}

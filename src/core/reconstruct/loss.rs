@@ -1,0 +1,208 @@
+//! The loss of a training step, `0.8 mean|p - t| + 0.2 (1 - mean SSIM(p, t))`, and its gradient.
+//!
+//! SSIM has an 11 x 11 Gaussian window of sigma 1.5 and is zero-padded, as published trainers have it
+//! (the metrics use the valid region only: the two numbers differ). The gradient is written directly; the
+//! value stays on the device until somebody asks.
+//!
+//! ```no_run
+//! # use fled_core::{image::Image, reconstruct::loss::{Loss, upload_target}};
+//! # fn main() -> Result<(), fled_gpu::GpuError> {
+//! # let (gpu, image) = (fled_gpu::Gpu::new("auto")?, Image::new(280, 160));
+//! let target = upload_target(&gpu, &image)?;                        // once a view and size
+//! let loss = Loss::new(&gpu, 280, 160)?;                            // once a size
+//! let prediction = gpu.create::<f32>("prediction", 3 * 280 * 160)?; // planar [3, H, W]
+//! let gradient = gpu.create::<f32>("gradient", 3 * 280 * 160)?;     // the same; overwritten
+//! let mut recorder = gpu.recorder();
+//! loss.record(&mut recorder, &prediction, &target, &gradient)?;     // two dispatches
+//! recorder.submit()?;
+//! println!("{:?}", loss.value()?);                                  // of the last step; waits
+//! # Ok(())
+//! # }
+//! ```
+
+pub mod reference;
+
+use bytemuck::{Pod, Zeroable};
+use fled_gpu::{Buffer, DeviceType, Gpu, GpuError, Kernel, Recorder, read, read_write, uniform};
+
+use crate::image::Image;
+
+/// Weight of the mean absolute error; method.md 5.
+pub const L1_SHARE: f64 = 0.8;
+
+/// Weight of `1 - SSIM`; method.md 5.
+pub const SSIM_SHARE: f64 = 0.2;
+
+/// `COLUMNS` of shaders/shared/loss.wgsl.
+const COLUMNS: u32 = 4;
+
+/// Rows an invocation walks down. Ten rows more are read, so a long run wastes less; a GPU needs the
+/// invocations that short runs make.
+const RUN_ON_CPU: u32 = 32;
+const RUN_ON_GPU: u32 = 8;
+
+const SIMILARITY: Kernel = Kernel::new(
+    "train/loss_similarity",
+    &[
+        uniform("size"),
+        read("prediction"),
+        read("truth"),
+        read_write("derivatives"),
+        read_write("similarity_sums"),
+    ],
+);
+
+const GRADIENT: Kernel = Kernel::new(
+    "train/loss_gradient",
+    &[
+        uniform("size"),
+        read("prediction"),
+        read("truth"),
+        read("derivatives"),
+        read_write("gradient"),
+        read_write("error_sums"),
+    ],
+);
+
+/// `LossUniform` of shaders/shared/loss.wgsl.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+struct LossUniform {
+    width: u32,
+    height: u32,
+    run: u32,
+    blocks_x: u32,
+    blocks_y: u32,
+    l1_weight: f32,
+    ssim_weight: f32,
+    values: u32,
+}
+
+impl LossUniform {
+    fn new(width: usize, height: usize, run: u32) -> Self {
+        let values = 3 * width * height;
+        Self {
+            width: width as u32,
+            height: height as u32,
+            run,
+            blocks_x: (width as u32).div_ceil(COLUMNS),
+            blocks_y: (height as u32).div_ceil(run),
+            l1_weight: (L1_SHARE / values as f64) as f32,
+            ssim_weight: (SSIM_SHARE / values as f64) as f32,
+            values: values as u32,
+        }
+    }
+
+    fn invocations(&self) -> usize {
+        3 * (self.blocks_x * self.blocks_y) as usize
+    }
+}
+
+/// The value of the loss and of its parts.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LossValue {
+    /// `0.8 l1 + 0.2 (1 - ssim)`.
+    pub total: f64,
+    /// Mean absolute error.
+    pub l1: f64,
+    /// Mean structural similarity, zero-padded.
+    pub ssim: f64,
+    /// Mean squared error of the unclipped prediction.
+    pub squared: f64,
+}
+
+/// The loss of images of one size, with the buffers between its two kernels.
+pub struct Loss {
+    layout: LossUniform,
+    size: Buffer<LossUniform>,
+    derivatives: Buffer<f32>,
+    similarity_sums: Buffer<f32>,
+    error_sums: Buffer<[f32; 2]>,
+}
+
+impl Loss {
+    /// For images of `width` x `height` px.
+    ///
+    /// # Errors
+    /// A device error, out of memory above all.
+    pub fn new(gpu: &Gpu, width: usize, height: usize) -> Result<Self, GpuError> {
+        let on_cpu = gpu.describe().device_type == DeviceType::Cpu;
+        Self::with_run(gpu, width, height, if on_cpu { RUN_ON_CPU } else { RUN_ON_GPU })
+    }
+
+    fn with_run(gpu: &Gpu, width: usize, height: usize, run: u32) -> Result<Self, GpuError> {
+        let layout = LossUniform::new(width, height, run);
+        let values = layout.values as usize;
+        Ok(Self {
+            layout,
+            size: gpu.upload("loss size", &[layout])?,
+            derivatives: gpu.create("similarity derivatives", 3 * values)?,
+            similarity_sums: gpu.create("similarity sums", layout.invocations())?,
+            error_sums: gpu.create("error sums", layout.invocations())?,
+        })
+    }
+
+    /// Records the loss of `prediction` (planar [3, H, W]) against `target` (from [`upload_target`]);
+    /// overwrites `gradient` ([3, H, W]) with the derivative of the loss by the prediction. Buffers may be
+    /// longer than the image.
+    ///
+    /// # Errors
+    /// [`GpuError::Validation`] when a buffer is shorter than the image; a device error.
+    pub fn record(
+        &self,
+        recorder: &mut Recorder,
+        prediction: &Buffer<f32>,
+        target: &Buffer<u32>,
+        gradient: &Buffer<f32>,
+    ) -> Result<(), GpuError> {
+        let values = self.layout.values as usize;
+        let lengths = [prediction.len(), 2 * target.len(), gradient.len()];
+        if lengths.iter().any(|&length| length < values) {
+            return Err(GpuError::Validation(format!("a loss of {values} values on buffers of {lengths:?}")));
+        }
+        let invocations = self.layout.invocations();
+        recorder.dispatch_items(
+            &SIMILARITY,
+            &[&self.size, prediction, target, &self.derivatives, &self.similarity_sums],
+            invocations,
+        )?;
+        recorder.dispatch_items(
+            &GRADIENT,
+            &[&self.size, prediction, target, &self.derivatives, gradient, &self.error_sums],
+            invocations,
+        )
+    }
+
+    /// The value of the loss that was submitted last. Waits for the device. The partial sums are added up
+    /// in one order, so the same images give the same bits.
+    ///
+    /// # Errors
+    /// A device error.
+    pub fn value(&self) -> Result<LossValue, GpuError> {
+        let n = f64::from(self.layout.values);
+        let ssim = self.similarity_sums.read()?.into_iter().map(f64::from).sum::<f64>() / n;
+        let errors = self.error_sums.read()?;
+        let l1 = errors.iter().map(|e| f64::from(e[0])).sum::<f64>() / n;
+        let squared = errors.iter().map(|e| f64::from(e[1])).sum::<f64>() / n;
+        Ok(LossValue { total: L1_SHARE * l1 + SSIM_SHARE * (1.0 - ssim), l1, ssim, squared })
+    }
+}
+
+/// An image as the loss reads it: planar, clipped to 0..=1, 16 bits a value, two values a word, the
+/// first in the lower half. Eight bits would show as bands after a tone curve.
+pub fn pack_target(image: &Image) -> Vec<u32> {
+    let quantised = |value: f32| (value.clamp(0.0, 1.0) * 65535.0 + 0.5) as u32;
+    let pairs = image.data().chunks(2);
+    pairs.map(|pair| quantised(pair[0]) | pair.get(1).map_or(0, |&second| quantised(second) << 16)).collect()
+}
+
+/// [`pack_target`] into a buffer.
+///
+/// # Errors
+/// A device error.
+pub fn upload_target(gpu: &Gpu, image: &Image) -> Result<Buffer<u32>, GpuError> {
+    gpu.upload("target", &pack_target(image))
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,137 @@
+//! The training loss in `f64`, as plainly as it can be said: what the kernels mean.
+
+use super::{L1_SHARE, SSIM_SHARE};
+
+const RADIUS: isize = 5;
+const SIGMA: f64 = 1.5;
+const C1: f64 = 1e-4;
+const C2: f64 = 9e-4;
+
+/// Loss of a planar image [3, height, width], its parts, and its gradient by the prediction.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Reference {
+    /// Mean absolute error.
+    pub l1: f64,
+    /// Mean squared error.
+    pub squared: f64,
+    /// Mean structural similarity, zero-padded.
+    pub ssim: f64,
+    /// Derivative of the loss by every value of the prediction, [3, height, width].
+    pub gradient: Vec<f64>,
+}
+
+impl Reference {
+    /// `0.8 l1 + 0.2 (1 - ssim)`.
+    pub fn total(&self) -> f64 {
+        L1_SHARE * self.l1 + SSIM_SHARE * (1.0 - self.ssim)
+    }
+}
+
+/// The loss of a prediction against a target, both planar [3, height, width].
+pub fn loss(prediction: &[f64], target: &[f64], width: usize) -> Reference {
+    let plane = prediction.len() / 3;
+    let mut result = Reference { l1: 0.0, squared: 0.0, ssim: 0.0, gradient: Vec::new() };
+    for channel in 0..3 {
+        let range = channel * plane..(channel + 1) * plane;
+        add_plane(&mut result, &prediction[range.clone()], &target[range], width);
+    }
+    let n = prediction.len() as f64;
+    result.l1 /= n;
+    result.squared /= n;
+    result.ssim /= n;
+    for gradient in &mut result.gradient {
+        *gradient /= n;
+    }
+    result
+}
+
+/// Adds the sums and appends the gradient of one channel, not yet divided by the number of values.
+fn add_plane(result: &mut Reference, x: &[f64], y: &[f64], width: usize) {
+    let product = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).collect::<Vec<_>>();
+    let means =
+        [x.to_vec(), y.to_vec(), product(x, x), product(y, y), product(x, y)].map(|f| blur(&f, width));
+    let mut derivatives = [vec![0.0; x.len()], vec![0.0; x.len()], vec![0.0; x.len()]];
+    for i in 0..x.len() {
+        let (similarity, by) = similarity([0, 1, 2, 3, 4].map(|k: usize| means[k][i]));
+        result.ssim += similarity;
+        for (derivative, value) in derivatives.iter_mut().zip(by) {
+            derivative[i] = value;
+        }
+    }
+    // The window is symmetric, so its transpose is the window itself.
+    let [by_mean, by_square, by_product] = derivatives.map(|d| blur(&d, width));
+    for i in 0..x.len() {
+        let error = x[i] - y[i];
+        result.l1 += error.abs();
+        result.squared += error * error;
+        let sign = if error == 0.0 { 0.0 } else { error.signum() };
+        let similarity = by_mean[i] + 2.0 * x[i] * by_square[i] + y[i] * by_product[i];
+        result.gradient.push(L1_SHARE * sign - SSIM_SHARE * similarity);
+    }
+}
+
+/// SSIM from the window's means of x, y, x^2, y^2 and x y, and its derivatives by those of x, x^2
+/// and x y.
+fn similarity([mx, my, mxx, myy, mxy]: [f64; 5]) -> (f64, [f64; 3]) {
+    let (a1, a2) = (2.0 * mx * my + C1, 2.0 * (mxy - mx * my) + C2);
+    let (b1, b2) = (mx * mx + my * my + C1, mxx - mx * mx + myy - my * my + C2);
+    let s = a1 * a2 / (b1 * b2);
+    let by_mean = 2.0 * my * (a2 - a1) / (b1 * b2) + 2.0 * mx * s * (1.0 / b2 - 1.0 / b1);
+    (s, [by_mean, -s / b2, 2.0 * a1 / (b1 * b2)])
+}
+
+/// Convolution with the normalised Gaussian of 11 x 11 px; outside of the image everything is 0.
+fn blur(plane: &[f64], width: usize) -> Vec<f64> {
+    let height = plane.len() / width;
+    let weight = |offset: isize| (-(offset * offset) as f64 / (2.0 * SIGMA * SIGMA)).exp();
+    let total: f64 = (-RADIUS..=RADIUS).map(weight).sum();
+    let along = |input: &[f64], step: (isize, isize)| -> Vec<f64> {
+        let at = |x: isize, y: isize| {
+            let inside = (0..width as isize).contains(&x) && (0..height as isize).contains(&y);
+            if inside { input[y as usize * width + x as usize] } else { 0.0 }
+        };
+        let value = |i: usize| {
+            let (x, y) = ((i % width) as isize, (i / width) as isize);
+            (-RADIUS..=RADIUS).map(|k| weight(k) / total * at(x + k * step.0, y + k * step.1)).sum()
+        };
+        (0..input.len()).map(value).collect()
+    };
+    along(&along(plane, (1, 0)), (0, 1))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::agreement::assert_derivative;
+
+    const WIDTH: usize = 13;
+    const HEIGHT: usize = 9;
+
+    fn waves(frequency: f64) -> Vec<f64> {
+        (0..3 * WIDTH * HEIGHT).map(|i| 0.5 + 0.45 * (frequency * (i as f64 + 1.0)).sin()).collect()
+    }
+
+    #[test]
+    fn the_gradient_equals_central_differences() {
+        let (mut prediction, target) = (waves(0.71), waves(0.53));
+        let gradient = loss(&prediction, &target, WIDTH).gradient;
+        for i in (0..prediction.len()).step_by(7) {
+            let at = prediction[i];
+            // The kink of |p - t| has no derivative.
+            assert!((at - target[i]).abs() > 1e-4);
+            assert_derivative(&format!("value {i}"), gradient[i], at, |value| {
+                prediction[i] = value;
+                loss(&prediction, &target, WIDTH).total()
+            });
+            prediction[i] = at;
+        }
+    }
+
+    #[test]
+    fn the_target_itself_has_no_loss() {
+        let target = waves(0.53);
+        let result = loss(&target, &target, WIDTH);
+        assert!(result.total().abs() < 1e-12);
+        assert!(result.gradient.iter().all(|g| g.abs() < 1e-9));
+    }
+}

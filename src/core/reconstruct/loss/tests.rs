@@ -1,0 +1,108 @@
+use super::*;
+use crate::agreement::assert_agrees;
+
+fn gpu() -> Gpu {
+    Gpu::new("auto").expect("the tests need a Vulkan adapter")
+}
+
+fn pictures(width: usize, height: usize) -> (Image, Image) {
+    let values = |f: f32, g: f32| -> Vec<f32> {
+        (0..3 * width * height)
+            .map(|i| (i as f32, (i / width) as f32))
+            .map(|(x, y)| 0.5 + 0.2 * (x * f).sin() + 0.2 * (y * g).cos() + 0.05 * (x * x * f).sin())
+            .collect()
+    };
+    let target = Image::from_planar(width, height, values(0.31, 0.17));
+    (Image::from_planar(width, height, values(0.29, 0.19)), target)
+}
+
+/// Gradient and value of the kernels.
+fn on_device(prediction: &Image, target: &Image, run: u32) -> (Vec<f32>, LossValue) {
+    let gpu = gpu();
+    let loss = Loss::with_run(&gpu, target.width(), target.height(), run).expect("buffers");
+    let packed = upload_target(&gpu, target).expect("upload");
+    let input = gpu.upload("prediction", prediction.data()).expect("upload");
+    let gradient = gpu.create::<f32>("gradient", prediction.data().len()).expect("buffer");
+    let mut recorder = gpu.recorder();
+    loss.record(&mut recorder, &input, &packed, &gradient).expect("recorded");
+    recorder.submit().expect("submitted");
+    (gradient.read().expect("read"), loss.value().expect("read"))
+}
+
+/// The reference on the target as it is packed.
+fn expected(prediction: &Image, target: &Image) -> reference::Reference {
+    let p: Vec<f64> = prediction.data().iter().map(|&v| f64::from(v)).collect();
+    let words = pack_target(target);
+    let t: Vec<f64> =
+        (0..p.len()).map(|i| f64::from(words[i / 2] >> (16 * (i % 2)) & 0xffff) / 65535.0).collect();
+    reference::loss(&p, &t, target.width())
+}
+
+#[test]
+fn the_kernels_equal_the_reference_on_sizes_that_fit_no_block() {
+    for (width, height, run) in [(281, 161, 32), (281, 161, 8), (13, 7, 32), (3, 50, 8)] {
+        let (prediction, target) = pictures(width, height);
+        let (gradient, value) = on_device(&prediction, &target, run);
+        let expected = expected(&prediction, &target);
+        assert_agrees(&format!("gradient at {width}x{height}"), &gradient, &expected.gradient, 1e-3);
+        for (ours, theirs) in [
+            (value.l1, expected.l1),
+            (value.ssim, expected.ssim),
+            (value.squared, expected.squared),
+            (value.total, expected.total()),
+        ] {
+            assert!((ours - theirs).abs() < 1e-5, "{width}x{height}: {value:?}, {}", expected.total());
+        }
+    }
+}
+
+#[test]
+fn the_comparison_sees_a_loss_with_other_weights() {
+    let (prediction, target) = pictures(33, 21);
+    let (gradient, _) = on_device(&prediction, &target, 8);
+    let expected = expected(&prediction, &target);
+    let wrong: Vec<f64> = expected.gradient.iter().map(|g| g * 0.998).collect();
+    assert!(!crate::agreement::agreement(&gradient, &wrong).within(1e-3));
+}
+
+#[test]
+fn the_same_images_give_the_same_bits() {
+    let (prediction, target) = pictures(75, 41);
+    let (first, second) = (on_device(&prediction, &target, 8), on_device(&prediction, &target, 8));
+    assert_eq!(first.0, second.0);
+    assert_eq!(first.1, second.1);
+}
+
+#[test]
+fn packing_keeps_sixteen_bits_and_an_odd_last_value() {
+    let mut image = Image::new(1, 1);
+    image.set(0, 0, [1.0, 0.5, -3.0]);
+    assert_eq!(pack_target(&image), [0xffff | (32768 << 16), 0]);
+}
+
+#[test]
+fn a_buffer_that_is_too_short_is_refused() {
+    let gpu = gpu();
+    let loss = Loss::new(&gpu, 20, 10).expect("buffers");
+    let target = upload_target(&gpu, &Image::new(20, 10)).expect("upload");
+    let (long, short) = (gpu.create("long", 600).expect("buffer"), gpu.create("short", 599).expect("buffer"));
+    let mut recorder = gpu.recorder();
+    assert!(matches!(loss.record(&mut recorder, &short, &target, &long), Err(GpuError::Validation(_))));
+}
+
+#[test]
+fn the_uniform_and_the_columns_equal_the_shaders() {
+    let (_, found) = SIMILARITY.reflect().expect("the row agrees with the shader");
+    let (_, gradient) = GRADIENT.reflect().expect("the row agrees with the shader");
+    let layout = found.structure("LossUniform").expect("declared");
+    assert_eq!(layout.size as usize, size_of::<LossUniform>());
+    let offset = |name: &str| {
+        let member = layout.members.iter().find(|(other, _)| other == name);
+        member.unwrap_or_else(|| panic!("no {name}")).1 as usize
+    };
+    assert_eq!(offset("run"), std::mem::offset_of!(LossUniform, run));
+    assert_eq!(offset("l1_weight"), std::mem::offset_of!(LossUniform, l1_weight));
+    assert_eq!(offset("values"), std::mem::offset_of!(LossUniform, values));
+    assert_eq!(gradient.structure("LossUniform"), Some(layout));
+    assert_eq!(found.constant("COLUMNS"), Some(f64::from(COLUMNS)));
+}
