@@ -33,7 +33,7 @@ export function chart(title, series, digits) {
     const path = one.points.map(([round, value], i) => `${i ? "L" : "M"}${x(round)} ${y(value)}`).join("");
     svg.append(s("path", { class: `line ${style}`, d: path }));
     for (const [round, value] of one.points) {
-      svg.append(s("circle", { class: `dot c${one.colour}`, cx: x(round), cy: y(value), r: 3.5 },
+      svg.append(s("circle", { class: `dot c${one.colour}${one.dashed ? "" : " full"}`, cx: x(round), cy: y(value), r: 3.5 },
         s("title", {}, `${one.label}, round ${round}: ${value.toFixed(digits + 1)}`)));
     }
   }

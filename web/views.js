@@ -2,6 +2,9 @@
 
 import { address, h } from "./dom.js";
 
+/** Of the comparison, px. */
+const LARGEST_HEIGHT = 560;
+
 /** Keeps the comparison up to date: `update(names, rounds, hasTruth)`. */
 export function comparison(job) {
   const choice = h("select", { "aria-label": "view" });
@@ -82,6 +85,10 @@ function split() {
   root.addEventListener("keydown", (event) => {
     const step = { ArrowLeft: -0.05, ArrowRight: 0.05 }[event.key];
     if (step) { place(share + step); event.preventDefault(); }
+  });
+  // Small pictures are enlarged, tall ones kept on the screen.
+  below.addEventListener("load", () => {
+    root.style.maxWidth = `${Math.min(720, (LARGEST_HEIGHT * below.naturalWidth) / below.naturalHeight)}px`;
   });
   place(0.5);
   return {

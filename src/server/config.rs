@@ -15,7 +15,8 @@ pub struct ServeConfig {
     pub listen: SocketAddr,
     /// Jobs run at once.
     pub workers: usize,
-    /// Program and first arguments of a job's process; the capture and the options of `fled run` follow.
+    /// Program and first arguments of a job's process; the capture and the options of `fled run`
+    /// follow. It is the same command for every attempt, and goes on from what is done.
     pub job_command: Vec<OsString>,
     /// Program and arguments of the process that renders novel views.
     pub render_command: Vec<OsString>,

@@ -1,7 +1,7 @@
 //! Judges an upload with the eyes of the pipeline.
 
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use fled_core::capture::{self, Capture, CaptureError, CaptureWarning};
 use fled_core::pipeline::error::ErrorKind;
@@ -26,7 +26,8 @@ pub struct Refusal {
     pub report: CaptureReport,
 }
 
-/// Unpacks and judges what lies in `dir`. Afterwards `dir` is a capture folder.
+/// Judges what lies in `dir`: an archive alone, or the files of a capture folder. A zip stays a
+/// zip: only inside it do its files have their names.
 ///
 /// # Errors
 /// [`Refusal`] when it is no usable capture.
@@ -36,19 +37,29 @@ pub fn judge(dir: &Path) -> Result<CaptureReport, Box<Refusal>> {
         if dir.read_dir().is_ok_and(|entries| entries.count() > 1) {
             return Err(mixed());
         }
-        let opened = Capture::open(&archive, dir);
-        // The unpacked files are the capture; twice the space would be for nothing.
-        fs::remove_file(&archive).map_err(|source| refuse(CaptureError::Io { path: archive, source }))?;
-        opened
+        let scratch = dir.join(".judged");
+        let opened = Capture::open(&archive, &scratch);
+        match fs::remove_dir_all(&scratch) {
+            Err(source) if source.kind() != std::io::ErrorKind::NotFound => {
+                return Err(refuse(dir, CaptureError::Io { path: scratch, source }));
+            }
+            _ => opened,
+        }
     } else {
         Capture::open(dir, dir)
     };
-    let capture = opened.map_err(refuse)?;
+    let capture = opened.map_err(|error| refuse(dir, error))?;
     Ok(CaptureReport {
         accepted: u32::try_from(capture.views.len()).unwrap_or(u32::MAX),
         images: capture.verdicts.into_iter().map(verdict).collect(),
         warnings: capture.warnings.into_iter().map(warning).collect(),
     })
+}
+
+/// What the pipeline is given of a stored capture: its zip, or its folder.
+pub fn source(dir: PathBuf) -> PathBuf {
+    let archive = dir.join(ARCHIVE);
+    if archive.is_file() { archive } else { dir }
 }
 
 fn mixed() -> Box<Refusal> {
@@ -61,8 +72,12 @@ fn mixed() -> Box<Refusal> {
     })
 }
 
-fn refuse(error: CaptureError) -> Box<Refusal> {
-    let (detail, hint) = (error.to_string(), error.hint().to_owned());
+fn refuse(dir: &Path, error: CaptureError) -> Box<Refusal> {
+    // Where the server keeps its files is nobody's business.
+    let archive = dir.join(ARCHIVE).display().to_string();
+    let detail =
+        error.to_string().replace(&archive, "the upload").replace(&dir.display().to_string(), "the upload");
+    let hint = error.hint().to_owned();
     let is_ours = error.kind() == ErrorKind::Io;
     let (accepted, verdicts) = match error {
         CaptureError::TooFew { accepted, verdicts } => (accepted, verdicts),

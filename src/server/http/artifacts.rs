@@ -176,8 +176,14 @@ fn sha256(path: &FilePath) -> io::Result<String> {
     Ok(hasher.finalize().iter().map(|byte| format!("{byte:02x}")).collect())
 }
 
+/// Where the pipeline keeps what only a resumed run reads.
+const WORK: &str = "work";
+
 /// The file of this name, when it really lies below `output` and is no private one.
 fn inside(output: &FilePath, name: &str) -> Option<PathBuf> {
+    if name.split('/').next() == Some(WORK) {
+        return None;
+    }
     if name.split('/').any(|part| part.is_empty() || part.starts_with('.') || part.contains(['\\', '\0'])) {
         return None;
     }
@@ -195,7 +201,7 @@ fn collect(dir: &FilePath, prefix: &str, names: &mut Vec<String>) -> io::Result<
     for entry in entries {
         let entry = entry?;
         let Ok(name) = entry.file_name().into_string() else { continue };
-        if name.starts_with('.') {
+        if name.starts_with('.') || (prefix.is_empty() && name == WORK) {
             continue;
         }
         let kind = entry.file_type()?;
@@ -228,14 +234,24 @@ mod tests {
         let dir = tempfile::tempdir().expect("temporary directory");
         let output = dir.path().join("output");
         fs::create_dir_all(output.join("rounds")).expect("create");
+        fs::create_dir_all(output.join("work")).expect("create");
+        fs::write(output.join("work/checkpoint"), "x").expect("write");
         fs::write(output.join("scene.ply"), "ply").expect("write");
         fs::write(output.join(".lock"), "x").expect("write");
         fs::write(dir.path().join("secret"), "x").expect("write");
         std::os::unix::fs::symlink(dir.path().join("secret"), output.join("link")).expect("link");
         assert!(inside(&output, "scene.ply").is_some());
-        for name in
-            ["../secret", "rounds/../../secret", "/etc/passwd", "link", ".lock", "", "rounds//x", "a\0b"]
-        {
+        for name in [
+            "../secret",
+            "rounds/../../secret",
+            "/etc/passwd",
+            "link",
+            ".lock",
+            "",
+            "rounds//x",
+            "a\0b",
+            "work/checkpoint",
+        ] {
             assert!(inside(&output, name).is_none(), "{name:?}");
         }
         let mut names = Vec::new();

@@ -15,6 +15,7 @@ use super::process::{Group, Happening, JOB_VARIABLE, Line};
 use crate::app::App;
 use crate::data::write_atomically;
 use crate::error::{Result, ServerError};
+use crate::judge;
 use crate::store::{Claim, JobError, Lease, Progress, Settlement};
 
 /// After its process has ended, what others of the group still write is awaited so long.
@@ -58,12 +59,11 @@ pub(super) async fn run(app: &App, claim: &Claim, cancel: Arc<Notify>) -> Result
     let mut attempt = Attempt { app, lease: claim.lease.clone(), log, pending: None, verdict: None };
     attempt.log.line(&format!("attempt {} begins", claim.job.attempts));
     let arguments: Vec<OsString> = vec![
-        app.data.capture(&claim.job.capture_id).into(),
+        judge::source(app.data.capture(&claim.job.capture_id)).into(),
         "--out".into(),
         output.into(),
         "--options".into(),
         options.into(),
-        "--resume".into(),
         "--json".into(),
     ];
     let mut group = match Group::spawn(&app.config.job_command, &arguments, &[(JOB_VARIABLE, id)]) {

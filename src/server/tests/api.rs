@@ -3,7 +3,7 @@
 mod support;
 
 use serde_json::json;
-use support::{Server, file, photograph, photographs, text};
+use support::{Server, file, photograph, photographs, text, zip};
 
 #[test]
 fn bad_files_are_listed_and_the_rest_goes_on_until_too_few_remain() {
@@ -29,6 +29,26 @@ fn bad_files_are_listed_and_the_rest_goes_on_until_too_few_remain() {
     assert_eq!(list["captures"].as_array().map(Vec::len), Some(1), "only what was accepted is kept");
     let left = std::fs::read_dir(server.data.path().join("data/incoming")).expect("folder").count();
     assert_eq!(left, 0, "refused uploads leave files");
+}
+
+#[test]
+fn a_zip_is_judged_by_its_own_names_and_kept_as_it_is() {
+    let server = Server::start();
+    let names = ["walk/images/a.png", "walk/images/b.png", "walk/images/c.png", "walk/gt/a.png"];
+    let content: Vec<(&str, Vec<u8>)> = (0..).zip(names).map(|(i, name)| (name, photograph(i))).collect();
+    let reply = server.upload("/v1/captures", &[file("walk.zip", &zip(&content))], &[]).expect(201).json();
+    assert_eq!(reply["accepted"], 3, "ground truth is no photograph: {reply:#}");
+    assert_eq!(reply["images"][0]["name"], "a.png");
+    let capture = server.data.path().join("data/captures").join(reply["id"].as_str().expect("id"));
+    let kept: Vec<_> = std::fs::read_dir(capture).expect("folder").flatten().map(|e| e.file_name()).collect();
+    assert_eq!(kept, ["upload.zip"]);
+    let bad = server.upload("/v1/captures", &[file("a.zip", b"no zip at all")], &[]).expect(422).json();
+    assert!(
+        !bad["detail"].as_str().expect("detail").contains("incoming"),
+        "a path of the server is told: {bad}"
+    );
+    let parts = [file("walk.zip", &zip(&content)), file("a.png", &photograph(1))];
+    server.upload("/v1/captures", &parts, &[]).expect(422);
 }
 
 #[test]
@@ -71,7 +91,8 @@ fn an_unknown_option_is_refused_with_a_pointer_to_it() {
 fn another_sites_page_cannot_start_jobs() {
     let server = Server::start();
     let evil = [("origin", "https://evil.example"), ("sec-fetch-site", "cross-site")];
-    server.upload("/v1/jobs", &photographs(3), &evil).expect(403);
+    // A small body: the refusal comes before it is read.
+    server.upload("/v1/jobs", &[text("name", "evil")], &evil).expect(403);
     let own = [("origin", server.base.as_str())];
     server.upload("/v1/captures", &photographs(3), &own).expect(201);
 }

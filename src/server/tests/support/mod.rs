@@ -217,6 +217,18 @@ pub fn photograph(seed: usize) -> Vec<u8> {
     image.encode(EncodeFormat::Png).expect("encode")
 }
 
+/// A zip without compression.
+pub fn zip(files: &[(&str, Vec<u8>)]) -> Vec<u8> {
+    let mut writer = zip::ZipWriter::new(std::io::Cursor::new(Vec::new()));
+    for (name, content) in files {
+        let options =
+            zip::write::SimpleFileOptions::default().compression_method(zip::CompressionMethod::Stored);
+        writer.start_file(*name, options).expect("entry");
+        std::io::Write::write_all(&mut writer, content).expect("content");
+    }
+    writer.finish().expect("zip").into_inner()
+}
+
 fn multipart(parts: &[Part]) -> Vec<u8> {
     let mut body = Vec::new();
     for (name, file, content) in parts {
