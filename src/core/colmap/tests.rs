@@ -236,6 +236,14 @@ fn assert_nothing_left(scene: &Scene) {
 }
 
 #[test]
+#[should_panic(expected = "the child lives on")]
+fn a_process_that_lives_on_is_noticed() {
+    let scene = Scene::new(5, "");
+    std::fs::write(scene.dir.path().join("child"), std::process::id().to_string()).unwrap();
+    assert_nothing_left(&scene);
+}
+
+#[test]
 fn a_hang_ends_in_a_timeout_that_leaves_no_process_behind() {
     let scene = Scene::new(5, HANG);
     let limits = Limits { wall: Duration::from_secs(60), silence: Duration::from_secs(1) };

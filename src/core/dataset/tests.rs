@@ -69,6 +69,23 @@ fn a_colmap_model_gives_its_poses_and_points_by_name() {
 }
 
 #[test]
+#[should_panic(expected = "abs_diff_eq")]
+fn a_pose_that_is_off_by_a_millionth_is_not_right() {
+    let capture = capture();
+    let image =
+        |(i, camera): (usize, &Camera)| ModelImage::posed(i as u32, 1, format!("photo{i}.jpg"), camera);
+    let model = SparseModel {
+        cameras: vec![ModelCamera::pinhole(1, &capture.cameras[0].intrinsics)],
+        images: capture.cameras.iter().enumerate().map(image).collect(),
+        points: Vec::new(),
+    };
+    model.write_text(&capture.dir.path().join("sparse")).unwrap();
+    let mut poses = capture.poses("sparse").unwrap();
+    poses.views[2].camera.world_to_camera.w_axis.x += 1e-6;
+    capture.assert_right(&poses);
+}
+
+#[test]
 fn transforms_json_has_opengl_axes() {
     let capture = capture();
     let flip = DMat4::from_scale(DVec3::new(1.0, -1.0, -1.0));
