@@ -10,8 +10,8 @@ const SHARED: [&str; 7] = ["agreement", "camera", "cancel", "event", "gaussians"
 const ALLOWED: [(&str, &[&str]); 7] = [
     // The pipeline drives all others.
     ("pipeline", &["*"]),
-    // Training is made of rasterisation and the noise field.
-    ("reconstruct", &["splat", "noise"]),
+    // Training is made of rasterisation and the noise field, and reports what the field learnt.
+    ("reconstruct", &["splat", "noise", "metrics"]),
     // Rendering is the forward half of rasterisation.
     ("render", &["splat"]),
     // The row of a round is an event.
