@@ -5,6 +5,8 @@
 // Consecutive pixels of a row that one invocation owns, and invocations of a tile's workgroup.
 const PIXELS: u32 = 16;
 const WIDTH: u32 = TILE * TILE / PIXELS;
+// Four pixels are one vector: a quarter of the loop and of its bounds checks.
+const QUADS: u32 = PIXELS / 4;
 
 const ALPHA_MAX: f32 = 0.99;
 const TRANSMITTANCE_STOP: f32 = 1e-4;
@@ -28,17 +30,28 @@ fn load_splat(lane: u32, first: vec4<f32>, second: vec4<f32>, third: vec4<f32>) 
     );
 }
 
+// Index of a Gaussian's row among `length` vectors; never past the end, because the kernels are unchecked.
+fn splat_row(gaussian: u32, length: u32) -> u32 {
+    return min(gaussian, max(length, 3u) / 3u - 1u) * 3u;
+}
+
 // First pixel of an invocation, px.
 fn first_pixel(tile: u32, lane: u32, tiles_x: u32) -> vec2<u32> {
     let in_tile = lane * PIXELS;
     return vec2<u32>(tile % tiles_x, tile / tiles_x) * TILE + vec2<u32>(in_tile % TILE, in_tile / TILE);
 }
 
-// Opacity before the clamp, exp(-sigma) * opacity; 0 where the splat does not count at this pixel.
-// `offset`: pixel centre minus mean; `slope` and `base` are the parts of sigma that a row shares:
-// sigma = offset * (0.5 a * offset + slope) + base, slope = b dy, base = 0.5 c dy^2.
-fn raw_alpha(offset: f32, half_a: f32, slope: f32, base: f32, opacity: f32) -> f32 {
-    let sigma = offset * (half_a * offset + slope) + base;
+// Opacity before the clamp, exp(-sigma) * opacity, at four pixels; 0 where the splat does not count.
+// `dx`: pixel centres minus mean; `slope` and `base` are the parts of sigma that a row shares:
+// sigma = dx * (0.5 a * dx + slope) + base, slope = b dy, base = 0.5 c dy^2.
+fn raw_alpha(dx: vec4<f32>, half_a: f32, slope: f32, base: f32, opacity: f32) -> vec4<f32> {
+    let sigma = dx * (half_a * dx + slope) + base;
     let raw = opacity * exp(-sigma);
-    return select(0.0, raw, sigma >= 0.0 && raw >= ALPHA_CUT);
+    return select(vec4<f32>(0.0), raw, (sigma >= vec4<f32>(0.0)) & (raw >= vec4<f32>(ALPHA_CUT)));
+}
+
+// Which of four pixels lie inside the image.
+fn inside_image(pixel: vec2<u32>, size: vec2<u32>) -> vec4<bool> {
+    let x = vec4<u32>(pixel.x) + vec4<u32>(0u, 1u, 2u, 3u);
+    return (x < vec4<u32>(size.x)) & vec4<bool>(pixel.y < size.y);
 }

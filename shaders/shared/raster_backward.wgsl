@@ -22,6 +22,9 @@ const SUMS: u32 = 9;
 var<workgroup> partials: array<f32, SUMS * GROUP * PARTIALS>;
 
 fn store_row(slot: u32, row: array<f32, SUMS>) {
+    if (slot >= arrayLength(&slot_gradients) / SUMS) {
+        return;
+    }
     for (var i = 0u; i < SUMS; i++) {
         slot_gradients[SUMS * slot + i] = row[i];
     }
@@ -53,31 +56,42 @@ fn finish_splat(j: u32, slot: u32) {
 }
 
 fn backward(tile: u32, lane: u32, lane_in_subgroup: u32) {
-    if (tile >= camera.tiles.x * camera.tiles.y) {
+    let plane = camera.size.x * camera.size.y;
+    let tiles = camera.tiles.x * camera.tiles.y;
+    // The kernel is unchecked: a camera larger than the buffers gives no gradient.
+    let fits = 3u * plane <= min(arrayLength(&image), arrayLength(&image_gradient));
+    if (!fits || tile > tiles || tile >= min(arrayLength(&last), arrayLength(&tile_ranges))) {
         return;
     }
     let pixel = first_pixel(tile, lane, camera.tiles.x);
     let centre = vec2<f32>(pixel) + vec2<f32>(0.5);
-    let range = tile_ranges[tile];
-    let end = last[tile];
-    let plane = camera.size.x * camera.size.y;
+    let range = min(tile_ranges[tile], vec2<u32>(arrayLength(&slots)));
+    // The slots past the last tile were never blended: their rows are zero.
+    let end = select(min(last[tile], range.y), range.x, tile == tiles);
     // T (negative once stopped), the gradient by the colour, and that gradient times the colour still behind.
-    var t: array<f32, PIXELS>;
-    var upstream: array<vec3<f32>, PIXELS>;
-    var behind: array<f32, PIXELS>;
-    for (var k = 0u; k < PIXELS; k++) {
-        let inside = pixel.x + k < camera.size.x && pixel.y < camera.size.y;
-        let i = select(0u, pixel.y * camera.size.x + pixel.x + k, inside);
-        let g = vec3<f32>(image_gradient[i], image_gradient[plane + i], image_gradient[2u * plane + i]);
-        let colour = vec3<f32>(image[i], image[plane + i], image[2u * plane + i]);
-        t[k] = select(-1.0, 1.0, inside);
-        upstream[k] = select(vec3<f32>(0.0), g, inside);
-        behind[k] = dot(upstream[k], colour);
+    var t: array<vec4<f32>, QUADS>;
+    var red: array<vec4<f32>, QUADS>;
+    var green: array<vec4<f32>, QUADS>;
+    var blue: array<vec4<f32>, QUADS>;
+    var behind: array<vec4<f32>, QUADS>;
+    for (var q = 0u; q < QUADS; q++) {
+        let inside = inside_image(pixel + vec2<u32>(4u * q, 0u), camera.size);
+        t[q] = select(vec4<f32>(-1.0), vec4<f32>(1.0), inside);
+        for (var k = 0u; k < 4u; k++) {
+            let i = select(0u, pixel.y * camera.size.x + pixel.x + 4u * q + k, inside[k]);
+            let g = vec3<f32>(image_gradient[i], image_gradient[plane + i], image_gradient[2u * plane + i]);
+            let upstream = select(vec3<f32>(0.0), g, inside[k]);
+            red[q][k] = upstream.x;
+            green[q][k] = upstream.y;
+            blue[q][k] = upstream.z;
+            behind[q][k] = dot(upstream, vec3<f32>(image[i], image[plane + i], image[2u * plane + i]));
+        }
     }
     for (var at = range.x; at < end; at += GROUP) {
         let slot = slots[min(at + lane, range.y - 1u)];
         if (lane < GROUP) {
-            let row = 3u * slot_gaussian[slot];
+            let gaussian = slot_gaussian[min(slot, arrayLength(&slot_gaussian) - 1u)];
+            let row = splat_row(gaussian, arrayLength(&projected));
             load_splat(lane, projected[row], projected[row + 1u], projected[row + 2u]);
         }
         // The batch is loaded before it is read.
@@ -93,23 +107,24 @@ fn backward(tile: u32, lane: u32, lane_in_subgroup: u32) {
             var v0 = 0.0;
             var v1 = 0.0;
             var v2 = 0.0;
-            for (var k = 0u; k < PIXELS; k++) {
-                let dx = offset.x + f32(k);
+            for (var q = 0u; q < QUADS; q++) {
+                let dx = offset.x + f32(4u * q) + vec4<f32>(0.0, 1.0, 2.0, 3.0);
                 let raw = raw_alpha(dx, half_a, slope, base, splat.place.z);
-                let alpha = min(raw, ALPHA_MAX);
-                let before = t[k];
+                let alpha = min(raw, vec4<f32>(ALPHA_MAX));
+                let before = t[q];
                 let after = before * (1.0 - alpha);
-                let stop = after < TRANSMITTANCE_STOP;
-                let weight = select(alpha * before, 0.0, stop);
-                let along = dot(upstream[k], splat.colour.xyz);
-                behind[k] -= weight * along;
-                let by_alpha = before * along - behind[k] / (1.0 - alpha);
-                let v = select(-by_alpha * alpha, 0.0, stop || raw >= ALPHA_MAX);
-                by_colour += weight * upstream[k];
-                v0 += v;
-                v1 += v * dx;
-                v2 += v * dx * dx;
-                t[k] = select(after, -abs(before), stop);
+                let stop = after < vec4<f32>(TRANSMITTANCE_STOP);
+                let weight = select(alpha * before, vec4<f32>(0.0), stop);
+                let along = red[q] * splat.colour.x + green[q] * splat.colour.y + blue[q] * splat.colour.z;
+                let rest = behind[q] - weight * along;
+                let by_alpha = before * along - rest / (1.0 - alpha);
+                let v = select(-by_alpha * alpha, vec4<f32>(0.0), stop | (raw >= vec4<f32>(ALPHA_MAX)));
+                behind[q] = rest;
+                by_colour += vec3<f32>(dot(weight, red[q]), dot(weight, green[q]), dot(weight, blue[q]));
+                v0 += dot(v, vec4<f32>(1.0));
+                v1 += dot(v, dx);
+                v2 += dot(v, dx * dx);
+                t[q] = select(after, -abs(before), stop);
             }
             let dy = offset.y;
             store_partial(j, lane, lane_in_subgroup, array<f32, SUMS>(

@@ -46,4 +46,10 @@ fn main(
             }
         }
     }
+    // Two kernels may round differently: a tile that was counted and is not touched goes past the last tile.
+    for (; slot < end; slot++) {
+        keys[slot] = camera.tiles.x * camera.tiles.y;
+        payloads[slot] = slot;
+        slot_gaussian[slot] = gaussian;
+    }
 }

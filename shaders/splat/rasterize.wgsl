@@ -24,18 +24,23 @@ fn main(
     @builtin(local_invocation_index) lane: u32,
 ) {
     let tile = flat_workgroup(workgroup, workgroups);
-    if (tile >= camera.tiles.x * camera.tiles.y) {
+    let plane = camera.size.x * camera.size.y;
+    // The kernel is unchecked: a camera larger than the buffers draws nothing.
+    let fits = 3u * plane <= arrayLength(&image) && plane <= arrayLength(&transmittance);
+    if (!fits || tile >= min(camera.tiles.x * camera.tiles.y, min(arrayLength(&last), arrayLength(&tile_ranges)))) {
         return;
     }
     let pixel = first_pixel(tile, lane, camera.tiles.x);
     let centre = vec2<f32>(pixel) + vec2<f32>(0.5);
-    let range = tile_ranges[tile];
+    let range = min(tile_ranges[tile], vec2<u32>(arrayLength(&slots)));
     // A negative T marks a pixel that has stopped, or lies outside the image; its magnitude stays.
-    var t: array<f32, PIXELS>;
-    var colour: array<vec3<f32>, PIXELS>;
-    for (var k = 0u; k < PIXELS; k++) {
-        t[k] = select(-1.0, 1.0, pixel.x + k < camera.size.x && pixel.y < camera.size.y);
-        colour[k] = vec3<f32>(0.0);
+    var t: array<vec4<f32>, QUADS>;
+    var red: array<vec4<f32>, QUADS>;
+    var green: array<vec4<f32>, QUADS>;
+    var blue: array<vec4<f32>, QUADS>;
+    for (var q = 0u; q < QUADS; q++) {
+        let inside = inside_image(pixel + vec2<u32>(4u * q, 0u), camera.size);
+        t[q] = select(vec4<f32>(-1.0), vec4<f32>(1.0), inside);
     }
     var at = range.x;
     loop {
@@ -43,7 +48,8 @@ fn main(
             break;
         }
         let slot = slots[min(at + lane, range.y - 1u)];
-        let row = 3u * slot_gaussian[slot];
+        let gaussian = slot_gaussian[min(slot, arrayLength(&slot_gaussian) - 1u)];
+        let row = splat_row(gaussian, arrayLength(&projected));
         load_splat(lane, projected[row], projected[row + 1u], projected[row + 2u]);
         if (lane == 0u) {
             atomicStore(&live, 0u);
@@ -57,22 +63,25 @@ fn main(
             let half_a = 0.5 * splat.conic.x;
             let slope = splat.conic.y * offset.y;
             let base = 0.5 * splat.conic.z * offset.y * offset.y;
-            for (var k = 0u; k < PIXELS; k++) {
-                let raw = raw_alpha(offset.x + f32(k), half_a, slope, base, splat.place.z);
-                let alpha = min(raw, ALPHA_MAX);
-                let before = t[k];
+            for (var q = 0u; q < QUADS; q++) {
+                let dx = offset.x + f32(4u * q) + vec4<f32>(0.0, 1.0, 2.0, 3.0);
+                let alpha = min(raw_alpha(dx, half_a, slope, base, splat.place.z), vec4<f32>(ALPHA_MAX));
+                let before = t[q];
                 let after = before * (1.0 - alpha);
-                let stop = after < TRANSMITTANCE_STOP;
-                colour[k] += select(alpha * before, 0.0, stop) * splat.colour.xyz;
-                t[k] = select(after, -abs(before), stop);
+                let stop = after < vec4<f32>(TRANSMITTANCE_STOP);
+                let weight = select(alpha * before, vec4<f32>(0.0), stop);
+                red[q] += weight * splat.colour.x;
+                green[q] += weight * splat.colour.y;
+                blue[q] += weight * splat.colour.z;
+                t[q] = select(after, -abs(before), stop);
             }
         }
         at += n;
         var most = t[0];
-        for (var k = 1u; k < PIXELS; k++) {
-            most = max(most, t[k]);
+        for (var q = 1u; q < QUADS; q++) {
+            most = max(most, t[q]);
         }
-        if (most > 0.0) {
+        if (any(most > vec4<f32>(0.0))) {
             atomicStore(&live, 1u);
         }
         // All have said whether they live, and nobody still reads the batch.
@@ -87,14 +96,13 @@ fn main(
     if (lane == 0u) {
         last[tile] = at;
     }
-    let plane = camera.size.x * camera.size.y;
     for (var k = 0u; k < PIXELS; k++) {
         if (pixel.x + k < camera.size.x && pixel.y < camera.size.y) {
             let i = pixel.y * camera.size.x + pixel.x + k;
-            image[i] = colour[k].x;
-            image[plane + i] = colour[k].y;
-            image[2u * plane + i] = colour[k].z;
-            transmittance[i] = abs(t[k]);
+            image[i] = red[k / 4u][k % 4u];
+            image[plane + i] = green[k / 4u][k % 4u];
+            image[2u * plane + i] = blue[k / 4u][k % 4u];
+            transmittance[i] = abs(t[k / 4u][k % 4u]);
         }
     }
 }

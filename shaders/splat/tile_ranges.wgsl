@@ -1,5 +1,6 @@
 // First and one past the last intersection of a tile, by binary search in the sorted tile ids.
-// Reads camera, parameters, counters, keys [slots] sorted. Writes tile_ranges [tiles]. Dispatch: tiles.
+// Reads camera, parameters, counters, keys [slots] sorted. Writes tile_ranges
+// [tiles + 1]; the last is of the slots that belong to no tile. Dispatch: tiles + 1.
 #import shared/grid.wgsl
 #import shared/sort.wgsl
 #import shared/camera.wgsl
@@ -32,7 +33,7 @@ fn main(
     @builtin(local_invocation_index) lane: u32,
 ) {
     let tile = flat_workgroup(workgroup, workgroups) * WIDTH + lane;
-    if (tile >= camera.tiles.x * camera.tiles.y) {
+    if (tile > camera.tiles.x * camera.tiles.y) {
         return;
     }
     let n = min(counters[parameters.source], parameters.capacity);

@@ -50,12 +50,22 @@ pub struct Kernel {
     pub bindings: &'static [Binding],
     /// Values of `const` lines of the shader that differ from its text.
     pub constants: Cow<'static, [(&'static str, u32)]>,
+    /// Whether the shader is compiled without naga's bounds and loop checks, see [`Kernel::unchecked`].
+    pub unchecked: bool,
 }
 
 impl Kernel {
     /// A row with the constants of the shader's text.
     pub const fn new(name: &'static str, bindings: &'static [Binding]) -> Self {
-        Self { name, bindings, constants: Cow::Borrowed(&[]) }
+        Self { name, bindings, constants: Cow::Borrowed(&[]), unchecked: false }
+    }
+
+    /// The same kernel without naga's run-time checks. Only for a kernel whose every index is below its
+    /// array's length and whose every loop ends, whatever the buffers hold, and where it is measured to
+    /// matter: a checked index into a private array keeps the driver from unrolling the loop around it.
+    pub const fn unchecked(mut self) -> Self {
+        self.unchecked = true;
+        self
     }
 
     /// The same kernel with other constants.
@@ -129,10 +139,7 @@ impl Gpu {
             bind_group_layouts: &[Some(&layout)],
             immediate_size: 0,
         });
-        let module = device.create_shader_module(wgpu::ShaderModuleDescriptor {
-            label: Some(kernel.name),
-            source: wgpu::ShaderSource::Wgsl(text.into()),
-        });
+        let module = create_module(device, kernel, text);
         let raw = device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
             label: Some(kernel.name),
             layout: Some(&pipeline_layout),
@@ -146,6 +153,19 @@ impl Gpu {
             None => Ok(Pipeline { kernel: kernel.clone(), raw, layout, reflection }),
         }
     }
+}
+
+#[allow(unsafe_code)]
+fn create_module(device: &wgpu::Device, kernel: &Kernel, text: String) -> wgpu::ShaderModule {
+    let source = wgpu::ShaderSource::Wgsl(text.into());
+    let descriptor = wgpu::ShaderModuleDescriptor { label: Some(kernel.name), source };
+    if !kernel.unchecked {
+        return device.create_shader_module(descriptor);
+    }
+    // SAFETY: `Kernel::unchecked` asks for bounded indexes and loops. Its users are the two blending kernels,
+    // which index private and workgroup arrays by loop counters and lanes, and storage below `arrayLength`.
+    // Measured on lavapipe, 280x160, 32,000 intersections: 1.6 instead of 2.3 CPU-s for 41 steps.
+    unsafe { device.create_shader_module_trusted(descriptor, wgpu::ShaderRuntimeChecks::unchecked()) }
 }
 
 fn layout_entry(binding: u32, access: Access) -> wgpu::BindGroupLayoutEntry {

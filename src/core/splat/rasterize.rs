@@ -78,7 +78,8 @@ const RASTERIZE: Kernel = Kernel::new(
         read_write("transmittance"),
         read_write("last"),
     ],
-);
+)
+.unchecked();
 const BACKWARD_BINDINGS: &[fled_gpu::Binding] = &[
     uniform("camera"),
     read("tile_ranges"),
@@ -90,8 +91,9 @@ const BACKWARD_BINDINGS: &[fled_gpu::Binding] = &[
     read("last"),
     read_write("slot_gradients"),
 ];
-const RASTERIZE_BACKWARD: Kernel = Kernel::new("splat/rasterize_backward", BACKWARD_BINDINGS);
-const RASTERIZE_BACKWARD_GENERIC: Kernel = Kernel::new("splat/rasterize_backward_generic", BACKWARD_BINDINGS);
+const RASTERIZE_BACKWARD: Kernel = Kernel::new("splat/rasterize_backward", BACKWARD_BINDINGS).unchecked();
+const RASTERIZE_BACKWARD_GENERIC: Kernel =
+    Kernel::new("splat/rasterize_backward_generic", BACKWARD_BINDINGS).unchecked();
 
 /// Which specialisation of the blending kernels runs. All give the same image to 1e-5.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -242,8 +244,8 @@ impl SplatBuffers {
             depth: RadixSort::new(gpu, gaussians, 32, &counters, VISIBLE)?,
             tile: RadixSort::new(gpu, slots, tile_bits, &counters, INTERSECTIONS)?,
             slot_gaussian: gpu.create("slot gaussian", slots)?,
-            tile_ranges: gpu.create("tile ranges", sizes.tiles())?,
-            last: gpu.create("last", sizes.tiles())?,
+            tile_ranges: gpu.create("tile ranges", sizes.tiles() + 1)?,
+            last: gpu.create("last", sizes.tiles() + 1)?,
             scan_visible: parameters(FIXED, gaussians, VISIBLE, gaussians)?,
             scan_slots: parameters(VISIBLE, gaussians, INTERSECTIONS, slots)?,
             visible: parameters(VISIBLE, gaussians, VISIBLE, slots)?,
@@ -349,7 +351,8 @@ impl Backward {
                 &buffers.last,
                 &buffers.slot_gradients,
             ],
-            buffers.sizes.tiles(),
+            // One more: the slots that belong to no tile.
+            buffers.sizes.tiles() + 1,
         )
     }
 }
@@ -452,7 +455,7 @@ fn sort_by_tile(
             buffers.tile.sorted_keys(),
             &buffers.tile_ranges,
         ],
-        buffers.sizes.tiles(),
+        buffers.sizes.tiles() + 1,
     )
 }
 

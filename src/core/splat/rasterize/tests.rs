@@ -271,3 +271,61 @@ fn blending_times() {
         gpu.profile(false);
     }
 }
+
+#[test]
+fn a_tile_counted_but_not_emitted_changes_no_pixel_and_has_zero_gradients() {
+    let gpu = fixtures::gpu();
+    let gaussians = fixtures::gaussians(400, 0, 3);
+    let (n, width, height) = (gaussians.len(), 96, 64);
+    let device = DeviceGaussians::upload(gpu, &gaussians, n).unwrap();
+    let projection = Projection::new(gpu, n).unwrap();
+    let view = fixtures::viewpoint(width, height);
+    projection.camera.write(&[CameraUniform::new(&view.camera, n, 0, 0, 0.1)]).unwrap();
+    let sizes = SplatSizes { gaussians: n, width, height, intersections: 20_000 };
+    let buffers = SplatBuffers::new(gpu, sizes, true).unwrap();
+    // Rows that nobody writes keep this.
+    buffers.slot_gradients.write(&vec![7.0; SLOT_ROW * 20_000]).unwrap();
+    let gradient = gpu.upload("image gradient", &vec![1.0_f32; 3 * width * height]).unwrap();
+    let mut recorder = gpu.recorder();
+    projection.record(&mut recorder, &device).unwrap();
+    recorder.submit().unwrap();
+    let mut recorder = gpu.recorder();
+    Forward::new(chosen()).record(&mut recorder, &projection, &buffers).unwrap();
+    Backward::new(chosen()).record(&mut recorder, &projection, &buffers, &gradient).unwrap();
+    let recording = recorder.finish();
+    recording.submit().unwrap();
+    let image = buffers.image.read().unwrap();
+    let mut counts = projection.tile_counts.read().unwrap();
+    let changed = (0..n).find(|&g| counts[g] > 0).unwrap();
+    counts[changed] += 1;
+    projection.tile_counts.write(&counts).unwrap();
+    recording.submit().unwrap();
+    assert!(buffers.image.read().unwrap() == image);
+    let slot = (buffers.slot_offsets.read().unwrap()[changed] + counts[changed] - 1) as usize;
+    let rows = buffers.slot_gradients.read().unwrap();
+    assert_eq!(rows[SLOT_ROW * slot..SLOT_ROW * (slot + 1)], [0.0; SLOT_ROW]);
+}
+
+#[test]
+fn a_camera_larger_than_the_buffers_draws_nothing() {
+    let gpu = fixtures::gpu();
+    let gaussians = fixtures::gaussians(200, 0, 3);
+    let device = DeviceGaussians::upload(gpu, &gaussians, 200).unwrap();
+    let projection = Projection::new(gpu, 200).unwrap();
+    let sizes = SplatSizes { gaussians: 200, width: 64, height: 48, intersections: 20_000 };
+    let buffers = SplatBuffers::new(gpu, sizes, true).unwrap();
+    let mut recorder = gpu.recorder();
+    projection.record(&mut recorder, &device).unwrap();
+    Forward::new(chosen()).record(&mut recorder, &projection, &buffers).unwrap();
+    let gradient = gpu.create::<f32>("image gradient", 3 * 64 * 48).unwrap();
+    Backward::new(chosen()).record(&mut recorder, &projection, &buffers, &gradient).unwrap();
+    let recording = recorder.finish();
+    let draw = |width, height| {
+        let camera = fixtures::viewpoint(width, height).camera;
+        projection.camera.write(&[CameraUniform::new(&camera, 200, 0, 0, 0.1)]).unwrap();
+        recording.submit().unwrap();
+        buffers.image.read().unwrap()
+    };
+    assert!(draw(640, 480).iter().all(|&v| v == 0.0));
+    assert!(draw(64, 48).iter().any(|&v| v > 0.0));
+}
