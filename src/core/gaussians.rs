@@ -31,6 +31,25 @@ impl Gaussians {
         self.means.is_empty()
     }
 
+    /// Puts every base colour through `colour` and scales how it changes with direction by
+    /// `slope`, the derivative of `colour` per channel: a tone curve, to first order.
+    pub fn map_colours(
+        &mut self,
+        colour: impl Fn([f32; 3]) -> [f32; 3],
+        slope: impl Fn([f32; 3]) -> [f32; 3],
+    ) {
+        /// Y_0^0, the constant harmonic.
+        const Y00: f32 = 0.282_094_8;
+        let row = 3 * self.coefficients();
+        for sh in self.sh.chunks_exact_mut(row) {
+            let base: [f32; 3] = std::array::from_fn(|c| 0.5 + Y00 * sh[c]).map(|v: f32| v.clamp(0.0, 1.0));
+            let (mapped, slope) = (colour(base), slope(base));
+            for (i, value) in sh.iter_mut().enumerate() {
+                *value = if i < 3 { (mapped[i] - 0.5) / Y00 } else { *value * slope[i % 3] };
+            }
+        }
+    }
+
     /// Coefficients per colour channel: (degree + 1)^2.
     pub fn coefficients(&self) -> usize {
         ((self.sh_degree + 1) * (self.sh_degree + 1)) as usize

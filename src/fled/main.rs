@@ -1,2 +1,66 @@
-//! fled
-fn main() {}
+//! `fled`: dark, noisy, shaken photographs of a place to a 3D scene that one can walk around in.
+
+mod doctor;
+mod failure;
+mod progress;
+mod render;
+mod render_worker;
+mod run;
+mod serve;
+mod synth;
+mod tools;
+
+use std::process::ExitCode;
+
+use clap::{Parser, Subcommand};
+
+use failure::Failure;
+use fled_core::pipeline::error::ErrorKind;
+
+/// Dark, noisy, shaken photographs of a place to a bright, sharp 3D scene.
+#[derive(Parser)]
+#[command(
+    version,
+    about,
+    after_help = "Exit codes: 0 done, 2 wrong use, 3 bad capture, 4 environment, 1 anything else."
+)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Reconstructs one capture. The same command goes on where an earlier one was stopped.
+    Run(run::Args),
+    /// Renders a view of a finished run.
+    Render(render::Args),
+    /// Makes a dark, shaken capture with ground truth.
+    Synth(synth::Args),
+    /// The HTTP service with its dashboard and workers.
+    Serve(serve::Args),
+    /// Says what this machine has and lacks, and what to do about it.
+    Doctor(doctor::Args),
+    /// Renders what the service asks for on standard input.
+    #[command(hide = true)]
+    RenderWorker,
+}
+
+fn main() -> ExitCode {
+    let cli = Cli::parse();
+    if let Err(error) = fled_server::die_with_parent() {
+        return Failure::new(ErrorKind::Internal, error).report();
+    }
+    let outcome = match cli.command {
+        Command::Run(args) => run::main(&args),
+        Command::Render(args) => render::main(&args),
+        Command::Synth(args) => synth::main(&args),
+        Command::Serve(args) => serve::main(&args),
+        Command::Doctor(args) => doctor::main(&args),
+        Command::RenderWorker => render_worker::main(),
+    };
+    match outcome {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(failure) => failure.report(),
+    }
+}

@@ -72,6 +72,11 @@ impl DataDir {
         self.root.join("jobs")
     }
 
+    /// What jobs of one capture share: its poses.
+    pub fn cache(&self) -> PathBuf {
+        self.root.join("cache")
+    }
+
     /// Everything of a job.
     pub fn job(&self, id: &str) -> PathBuf {
         self.jobs().join(id)

@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use crate::image::named_like_a_photograph;
 
@@ -21,6 +21,15 @@ pub enum GivenPosesFile {
     Transforms(PathBuf),
     /// LLFF's `poses_bounds.npy`.
     PosesBounds(PathBuf),
+}
+
+impl GivenPosesFile {
+    /// The folder or file.
+    pub fn path(&self) -> &Path {
+        match self {
+            Self::ColmapModel(path) | Self::Transforms(path) | Self::PosesBounds(path) => path,
+        }
+    }
 }
 
 /// A capture's files by their role.
@@ -73,7 +82,7 @@ impl Layout {
 /// Whether a file should be listed, accepted or not, among the photographs: by its extension, or
 /// without one where its bytes are a picture's.
 fn claims_to_be_a_photograph(entry: &Entry) -> bool {
-    let path = std::path::Path::new(entry.name());
+    let path = Path::new(entry.name());
     named_like_a_photograph(path)
         || (path.extension().is_none() && crate::image::read_header(&entry.file).is_ok())
 }

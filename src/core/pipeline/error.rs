@@ -1,6 +1,19 @@
 //! Everything that can end a run, sorted by what the caller should do.
 
+use std::path::{Path, PathBuf};
+
 use serde::{Deserialize, Serialize};
+
+use super::config::OptionsError;
+use crate::cancel::Cancelled;
+use crate::capture::CaptureError;
+use crate::deblur::DeblurError;
+use crate::gaussians::ply::PlyError;
+use crate::image::ImageError;
+use crate::poses::PosesError;
+use crate::reconstruct::ReconstructError;
+use crate::render::SplatError;
+use fled_gpu::GpuError;
 
 /// The kind of a failure decides exit code, HTTP status and retry in one place.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
@@ -72,8 +85,176 @@ impl ErrorKind {
         }
     }
 
+    /// Advice that fits every failure of this kind.
+    pub fn hint(self) -> &'static str {
+        match self {
+            Self::BadInput => "Correct the capture or the options and send it again.",
+            Self::FewPoses => {
+                "Take 20 to 60 photographs that overlap by two thirds, hold the camera stiller, and avoid blank walls."
+            }
+            Self::OomHost => "Close other programs or choose a smaller `size`.",
+            Self::OomGpu => "Choose a smaller `size` or `cap`, or another `adapter`.",
+            Self::DeviceLost => "The GPU driver reset; run the same command again, it resumes.",
+            Self::Io => {
+                "Check the disk's space and the folder's permissions, then run the same command again."
+            }
+            Self::Timeout => "The machine may be overloaded; run the same command again, it resumes.",
+            Self::Environment => "Run `fled doctor`: it says what is missing and how to get it.",
+            Self::Cancelled => "Run the same command again: it resumes where it stopped.",
+            Self::Internal => "Please report this with log.txt; running the same command again resumes.",
+        }
+    }
+
     /// Whether trying again without a change could help.
     pub fn retryable(self) -> bool {
         !matches!(self, Self::BadInput | Self::FewPoses | Self::Environment | Self::Cancelled)
+    }
+}
+
+/// Why a run ended without a result.
+#[derive(Debug, thiserror::Error)]
+pub enum PipelineError {
+    /// An option is unknown or does not fit the capture.
+    #[error(transparent)]
+    Options(#[from] OptionsError),
+    /// The capture cannot be used.
+    #[error(transparent)]
+    Capture(#[from] CaptureError),
+    /// A photograph could not be read again.
+    #[error("{name}: {source}")]
+    Photograph {
+        /// The view.
+        name: String,
+        /// What went wrong.
+        source: ImageError,
+    },
+    /// No poses.
+    #[error(transparent)]
+    Poses(#[from] PosesError),
+    /// Fewer views with a pose than a scene needs.
+    #[error("{registered} of {views} photographs have a pose, {needed} are needed")]
+    TooFewViews {
+        /// Views with a pose that can train.
+        registered: usize,
+        /// Views of the capture.
+        views: usize,
+        /// The least.
+        needed: usize,
+    },
+    /// The deblurring network.
+    #[error(transparent)]
+    Deblur(#[from] DeblurError),
+    /// Training.
+    #[error(transparent)]
+    Reconstruct(#[from] ReconstructError),
+    /// Rendering.
+    #[error(transparent)]
+    Render(#[from] SplatError),
+    /// A scene file that cannot be read or written.
+    #[error(transparent)]
+    Ply(#[from] PlyError),
+    /// Reading or writing the workspace failed.
+    #[error("{}: {source}", path.display())]
+    Io {
+        /// Which file.
+        path: PathBuf,
+        /// The system's error.
+        source: std::io::Error,
+    },
+    /// Asked to stop.
+    #[error(transparent)]
+    Cancelled(#[from] Cancelled),
+}
+
+impl PipelineError {
+    /// A failed read or write of `path`.
+    pub fn io(path: &Path, source: std::io::Error) -> Self {
+        Self::Io { path: path.to_owned(), source }
+    }
+
+    /// What sort of failure it is.
+    pub fn kind(&self) -> ErrorKind {
+        match self {
+            Self::Options(_) | Self::Photograph { .. } => ErrorKind::BadInput,
+            Self::Capture(error) => error.kind(),
+            Self::TooFewViews { .. } => ErrorKind::FewPoses,
+            Self::Poses(error) => poses_kind(error),
+            Self::Deblur(error) => deblur_kind(error),
+            Self::Reconstruct(error) => reconstruct_kind(error),
+            Self::Render(error) => splat_kind(error),
+            Self::Ply(_) | Self::Io { .. } => ErrorKind::Io,
+            Self::Cancelled(_) => ErrorKind::Cancelled,
+        }
+    }
+
+    /// What the user can do about it.
+    pub fn hint(&self) -> String {
+        match self {
+            Self::Options(_) => {
+                "See `fled run --help` or GET /v1/options for the options and their ranges.".to_owned()
+            }
+            Self::Poses(PosesError::TooFew { advice, .. }) => advice.clone(),
+            Self::Capture(error) => error.hint().to_owned(),
+            Self::Io { .. } => {
+                "Check that the disk is not full and that the folder may be written; the same \
+                                command then goes on where it stopped."
+                    .to_owned()
+            }
+            other => other.kind().hint().to_owned(),
+        }
+    }
+}
+
+fn deblur_kind(error: &DeblurError) -> ErrorKind {
+    match error {
+        DeblurError::UnknownModel { .. } | DeblurError::GuideUnsupported { .. } => ErrorKind::BadInput,
+        DeblurError::RuntimeMissing { .. }
+        | DeblurError::RuntimeUnusable { .. }
+        | DeblurError::ModelFileMissing { .. }
+        | DeblurError::ModelUnreadable { .. }
+        | DeblurError::ModelChecksum { .. }
+        | DeblurError::ModelUnusable { .. }
+        | DeblurError::SelfTest { .. } => ErrorKind::Environment,
+        DeblurError::GuideSize { .. } | DeblurError::Inference { .. } => ErrorKind::Internal,
+    }
+}
+
+fn poses_kind(error: &PosesError) -> ErrorKind {
+    match error {
+        PosesError::TooFew { .. } => ErrorKind::FewPoses,
+        PosesError::Missing { .. } => ErrorKind::Environment,
+        PosesError::Timeout { .. } => ErrorKind::Timeout,
+        PosesError::Tool { .. } => ErrorKind::Internal,
+        PosesError::BadFile { .. } => ErrorKind::BadInput,
+        PosesError::Io { .. } => ErrorKind::Io,
+        PosesError::Cancelled(_) => ErrorKind::Cancelled,
+    }
+}
+
+fn gpu_kind(error: &GpuError) -> ErrorKind {
+    match error {
+        GpuError::NoAdapter { .. } => ErrorKind::Environment,
+        GpuError::OutOfMemory { .. } | GpuError::TooLarge { .. } => ErrorKind::OomGpu,
+        GpuError::DeviceLost(_) => ErrorKind::DeviceLost,
+        GpuError::Timeout { .. } => ErrorKind::Timeout,
+        GpuError::Shader { .. } | GpuError::Binding { .. } | GpuError::Validation(_) => ErrorKind::Internal,
+    }
+}
+
+fn reconstruct_kind(error: &ReconstructError) -> ErrorKind {
+    match error {
+        ReconstructError::Gpu(error) => gpu_kind(error),
+        ReconstructError::Cancelled(_) => ErrorKind::Cancelled,
+        ReconstructError::Empty { .. } => ErrorKind::BadInput,
+        ReconstructError::OtherRound | ReconstructError::Noise(_) | ReconstructError::NotFinite { .. } => {
+            ErrorKind::Internal
+        }
+    }
+}
+
+fn splat_kind(error: &SplatError) -> ErrorKind {
+    match error {
+        SplatError::Gpu(error) => gpu_kind(error),
+        _ => ErrorKind::Internal,
     }
 }

@@ -64,6 +64,8 @@ pub(super) async fn run(app: &App, claim: &Claim, cancel: Arc<Notify>) -> Result
         output.into(),
         "--options".into(),
         options.into(),
+        "--cache".into(),
+        app.data.cache().into(),
         "--json".into(),
     ];
     let mut group = match Group::spawn(&app.config.job_command, &arguments, &[(JOB_VARIABLE, id)]) {

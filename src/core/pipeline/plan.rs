@@ -1,0 +1,121 @@
+//! Progress and the time that is left: weights from costs measured on two cores, corrected by
+//! what the run itself has taken so far.
+
+use std::time::Instant;
+
+use super::config::{NoiseMode, Options};
+use crate::event::{Event, ProgressSink, Stage};
+
+/// Expected seconds of each stage; only their ratios matter once the run is under way.
+#[derive(Clone, Debug)]
+pub struct Plan {
+    poses: f64,
+    round: Vec<(Stage, f64)>,
+    rounds: u32,
+    done: f64,
+    current: f64,
+    skipped: f64,
+    started: Instant,
+}
+
+impl Plan {
+    /// For `views` working images of `pixels` each.
+    pub fn new(options: &Options, views: usize, pixels: usize) -> Self {
+        let (views, megapixels) = (views as f64, pixels as f64 / 1e6);
+        let noise = match options.noise {
+            NoiseMode::Off => 1.0,
+            NoiseMode::Grid => 1.2,
+            NoiseMode::Paper => 30.0,
+        };
+        let splats = f64::from(options.cap) / 1e5;
+        let step = (0.02 + 0.8 * megapixels + 0.15 * splats) * noise;
+        let round = vec![
+            (Stage::Enhance, 0.05 * views * megapixels.max(0.05)),
+            (Stage::Deblur, 0.6 * views * megapixels),
+            (Stage::Reconstruct, step * f64::from(options.steps)),
+            (Stage::Render, 0.6 * views * megapixels),
+            (Stage::Evaluate, 1.5 * views * megapixels),
+            (Stage::Match, 1.0),
+        ];
+        Self {
+            poses: 1.2 * views,
+            round,
+            rounds: options.rounds,
+            done: 0.0,
+            current: 0.0,
+            skipped: 0.0,
+            started: Instant::now(),
+        }
+    }
+
+    fn weight(&self, stage: Stage) -> f64 {
+        if stage == Stage::Poses {
+            return self.poses;
+        }
+        self.round.iter().find(|(other, _)| *other == stage).map_or(0.0, |(_, weight)| *weight)
+    }
+
+    fn total(&self) -> f64 {
+        self.poses + f64::from(self.rounds) * self.round.iter().map(|(_, weight)| weight).sum::<f64>()
+    }
+
+    /// Notes that `share` (0..=1) of a stage is done, and tells the sink.
+    pub fn advance(&mut self, stage: Stage, share: f64, sink: &mut dyn ProgressSink) {
+        self.current = self.weight(stage) * share.clamp(0.0, 1.0);
+        self.tell(sink);
+    }
+
+    /// Notes that a stage is over; `skipped` work says nothing about this run's speed.
+    pub fn finish(&mut self, stage: Stage, skipped: bool, sink: &mut dyn ProgressSink) {
+        let weight = self.weight(stage);
+        self.done += weight;
+        self.current = 0.0;
+        if skipped {
+            self.skipped += weight;
+        }
+        self.tell(sink);
+    }
+
+    fn tell(&self, sink: &mut dyn ProgressSink) {
+        let reached = self.done + self.current;
+        let progress = (reached / self.total()).clamp(0.0, 1.0);
+        let worked = reached - self.skipped;
+        let elapsed = self.started.elapsed().as_secs_f64();
+        let eta_seconds =
+            (worked > 0.0 && elapsed > 2.0).then(|| (self.total() - reached).max(0.0) * elapsed / worked);
+        sink.event(&Event::Progress { progress, eta_seconds });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn progress_never_falls_and_ends_at_one() {
+        let options = Options { rounds: 2, ..Options::default() };
+        let mut plan = Plan::new(&options, 20, 45_000);
+        let mut seen = Vec::new();
+        let mut sink = |event: &Event| {
+            if let Event::Progress { progress, .. } = event {
+                seen.push(*progress);
+            }
+        };
+        plan.finish(Stage::Poses, false, &mut sink);
+        for _ in 0..2 {
+            for stage in [
+                Stage::Enhance,
+                Stage::Deblur,
+                Stage::Reconstruct,
+                Stage::Render,
+                Stage::Evaluate,
+                Stage::Match,
+            ] {
+                plan.advance(stage, 0.5, &mut sink);
+                plan.finish(stage, false, &mut sink);
+            }
+        }
+        assert!(seen.windows(2).all(|pair| pair[0] <= pair[1]), "{seen:?}");
+        assert!((seen.last().expect("some") - 1.0).abs() < 1e-9);
+    }
+}

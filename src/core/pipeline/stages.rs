@@ -1,0 +1,221 @@
+//! The stages up to D_i as methods of the job, in the order of Algorithm 1.
+
+use std::path::Path;
+use std::time::Instant;
+
+use super::config::{Guide, OptionsError};
+use super::error::PipelineError;
+use super::job::Job;
+use super::tone::Tone;
+use super::views::{self, View};
+use super::workspace::fingerprint;
+use crate::camera::NamedCamera;
+use crate::enhance::{self, Anchor};
+use crate::event::Stage;
+use crate::image::{EncodeFormat, Image};
+use crate::poses::{PoseRequest, PoseView, Poses};
+
+/// JPEG quality of the pictures that people look at; metrics never read them.
+const PREVIEW_QUALITY: u8 = 90;
+
+impl Job<'_, '_> {
+    /// Structure from motion, once a job, or what an earlier run of the same capture found.
+    pub fn poses(&mut self) -> Result<Poses, PipelineError> {
+        let source = self.tools.sfm.describe();
+        let key = fingerprint(&[&self.capture.fingerprint, &source, &self.options.seed.to_string()]);
+        let path = self.workspace.path("poses.json");
+        let cached = self.tools.pose_cache.as_ref().map(|folder| folder.join(format!("{key}.json")));
+        let known = self.workspace.finished("poses", &key).and_then(|_| self.workspace.read_json(&path));
+        let reused: Option<Poses> = known.or_else(|| {
+            let poses = self.workspace.read_json(cached.as_deref()?)?;
+            self.sink.log(format!("poses: those of an earlier run of this capture ({source})"));
+            Some(poses)
+        });
+        let poses = match reused {
+            Some(poses) => {
+                self.skip_stage(Stage::Poses, 0, poses.seconds);
+                poses
+            }
+            None => self.stage(Stage::Poses, 0, Self::find_poses)?,
+        };
+        if poses.low_confidence {
+            self.sink.warn("poses_low_confidence", low_confidence(&poses));
+        }
+        if poses.registered < poses.total {
+            let message = format!(
+                "{} of {} photographs have a pose; the others are left out",
+                poses.registered, poses.total
+            );
+            self.sink.warn("poses_missing", message);
+        }
+        self.workspace.write_json(&path, &poses)?;
+        if let Some(cached) = cached.filter(|cached| !cached.exists()) {
+            self.workspace.write_json(&cached, &poses)?;
+        }
+        self.workspace.stamp("poses", &key, poses.seconds)?;
+        self.inputs = self.rounds_fingerprint(&poses);
+        self.note_poses(&poses);
+        Ok(poses)
+    }
+
+    fn find_poses(&mut self) -> Result<Poses, PipelineError> {
+        let views: Vec<PoseView> = self
+            .capture
+            .views
+            .iter()
+            .map(|view| PoseView {
+                name: view.name.clone(),
+                file: view.file.clone(),
+                focal_px: view.focal_px,
+            })
+            .collect();
+        let work_dir = self.workspace.work().join("poses");
+        let request = PoseRequest { views: &views, work_dir: &work_dir, seed: self.options.seed };
+        Ok(self.tools.sfm.poses(&request, self.sink, self.cancel)?)
+    }
+
+    fn rounds_fingerprint(&self, poses: &Poses) -> String {
+        let options = serde_json::to_string(self.options).unwrap_or_default();
+        let poses = serde_json::to_string(poses).unwrap_or_default();
+        let deblurrer = self.tools.deblurrer.describe();
+        fingerprint(&[
+            &self.capture.fingerprint,
+            &poses,
+            &options,
+            &deblurrer.id,
+            &deblurrer.sha256,
+            &self.tools.gpu.describe().to_string(),
+        ])
+    }
+
+    /// L_j: the registered photographs, undistorted, at working size; cameras and pictures of
+    /// the input are written for whoever looks at the run.
+    pub fn views(&mut self, poses: &Poses) -> Result<Vec<View>, PipelineError> {
+        let views = views::load(self.capture, poses, self.options, self.cancel)?;
+        let cameras: Vec<NamedCamera> =
+            views.iter().map(|view| NamedCamera::new(&view.name, &view.camera, view.split)).collect();
+        self.workspace.write_json(&self.workspace.path("cameras.json"), &cameras)?;
+        for view in &views {
+            self.preview(&self.workspace.path("inputs"), &view.name, &view.dark)?;
+            if let Some(gt) = &view.gt {
+                self.preview(&self.workspace.path("gt"), &view.name, gt)?;
+            }
+        }
+        Ok(views)
+    }
+
+    /// P_1..P_N.
+    pub fn anchors(&mut self, views: &[View]) -> Result<Vec<Anchor>, PipelineError> {
+        let pooled = enhance::Histogram::pooled(views.iter().map(|view| &view.dark));
+        let target = enhance::resolve_target(&self.options.target, &pooled)
+            .map_err(|e| OptionsError { key: "target".to_owned(), message: e.to_string() })?;
+        self.sink.log(format!("target brightness: alpha {:.3}, gamma {:.3}", target.alpha, target.gamma));
+        Ok(enhance::anchors(self.options.rounds, target))
+    }
+
+    /// E(L; P) of every view, without a stage of its own.
+    pub fn enhanced(&self, views: &[View], anchor: Anchor) -> Vec<Image> {
+        let dark: Vec<Image> = views.iter().map(|view| view.dark.clone()).collect();
+        Tone::fit(self.options.lut_scope, &dark, &[anchor]).apply(&dark)
+    }
+
+    /// H_i = E(L; P_i), always from the original dark views.
+    pub fn enhance(
+        &mut self,
+        round: u32,
+        views: &[View],
+        anchor: Anchor,
+    ) -> Result<Vec<Image>, PipelineError> {
+        self.round_seconds = 0.0;
+        self.stage(Stage::Enhance, round, |job| {
+            let enhanced = job.enhanced(views, anchor);
+            job.previews(round, "enhanced", views, &enhanced)?;
+            Ok(enhanced)
+        })
+    }
+
+    /// D_i: every view through the network, from round 2 on guided by HR.
+    pub fn deblur(
+        &mut self,
+        round: u32,
+        views: &[View],
+        enhanced: &[Image],
+        guides: Option<&[Image]>,
+    ) -> Result<Vec<Image>, PipelineError> {
+        let guides = guides.filter(|_| self.options.guide != Guide::None);
+        let key = self.stage_fingerprint(Stage::Deblur, round);
+        let name = format!("deblur-{round}");
+        let folder = self.workspace.work().join("deblurred").join(round.to_string());
+        let file = |view: &View| folder.join(format!("{}.f32", view.name));
+        if let Some(seconds) = self.workspace.finished(&name, &key) {
+            let stored: Option<Vec<Image>> =
+                views.iter().map(|view| read_planar(&file(view), view)).collect();
+            if let Some(stored) = stored {
+                self.skip_stage(Stage::Deblur, round, seconds);
+                return Ok(stored);
+            }
+        }
+        let started = Instant::now();
+        let deblurred = self.stage(Stage::Deblur, round, |job| {
+            let mut deblurred = Vec::with_capacity(views.len());
+            for (i, view) in views.iter().enumerate() {
+                job.cancel.check()?;
+                let image = job.tools.deblurrer.deblur(&enhanced[i], guides.map(|guides| &guides[i]))?;
+                for warning in job.tools.deblurrer.take_warnings() {
+                    job.sink.warn("deblur", format!("{}: {warning}", view.name));
+                }
+                job.workspace.write(&file(view), bytemuck::cast_slice(image.data()))?;
+                deblurred.push(image);
+                job.advance(Stage::Deblur, round, i + 1, views.len());
+            }
+            job.previews(round, "deblurred", views, &deblurred)?;
+            Ok(deblurred)
+        })?;
+        self.workspace.stamp(&name, &key, started.elapsed().as_secs_f64())?;
+        Ok(deblurred)
+    }
+
+    pub(super) fn previews(
+        &self,
+        round: u32,
+        kind: &str,
+        views: &[View],
+        images: &[Image],
+    ) -> Result<(), PipelineError> {
+        let folder = self.workspace.round(round).join(kind);
+        views.iter().zip(images).try_for_each(|(view, image)| self.preview(&folder, &view.name, image))
+    }
+
+    pub(super) fn preview(&self, folder: &Path, name: &str, image: &Image) -> Result<(), PipelineError> {
+        self.picture(&folder.join(format!("{name}.jpg")), image, EncodeFormat::Jpeg(PREVIEW_QUALITY))
+    }
+
+    /// Writes a picture whole or not at all.
+    pub(super) fn picture(
+        &self,
+        path: &Path,
+        image: &Image,
+        format: EncodeFormat,
+    ) -> Result<(), PipelineError> {
+        let bytes = image
+            .encode(format)
+            .map_err(|source| PipelineError::Photograph { name: path.display().to_string(), source })?;
+        self.workspace.write(path, &bytes)
+    }
+}
+
+fn low_confidence(poses: &Poses) -> String {
+    format!(
+        "the poses met no acceptance rule ({} of {} views, {} points): look at the result before you rely on it",
+        poses.registered,
+        poses.total,
+        poses.points.len()
+    )
+}
+
+fn read_planar(path: &Path, view: &View) -> Option<Image> {
+    let bytes = std::fs::read(path).ok()?;
+    let (width, height) = (view.dark.width(), view.dark.height());
+    let values: Vec<f32> = bytemuck::pod_collect_to_vec(&bytes);
+    (bytes.len() == 12 * width * height).then(|| Image::from_planar(width, height, values))
+}

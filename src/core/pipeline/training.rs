@@ -1,0 +1,206 @@
+//! V_i: training, from a checkpoint, the scene before, or the points.
+
+use std::cell::RefCell;
+use std::path::PathBuf;
+use std::time::Instant;
+
+use serde::{Deserialize, Serialize};
+
+use super::config::{Densify, NoiseMode, Start};
+use super::error::PipelineError;
+use super::job::Job;
+use super::tone::Tone;
+use super::views::View;
+use crate::camera::{Camera, Split};
+use crate::event::{Event, Stage};
+use crate::gaussians::{Gaussians, ply};
+use crate::image::Image;
+use crate::metrics;
+use crate::metrics::report::NoiseMapStatistics;
+use crate::poses::Poses;
+use crate::reconstruct::{self, Checkpoint, TrainConfig, TrainHooks, TrainStart, Trained, TrainingView};
+
+/// V_i with the facts of its training, as stored beside its `scene.ply`.
+#[derive(Clone, Debug)]
+pub struct Scene {
+    /// The Gaussians.
+    pub gaussians: Gaussians,
+    /// How they were trained.
+    pub training: Training,
+}
+
+/// Facts of one training.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Training {
+    pub(super) steps: u64,
+    pub(super) steps_per_second: f64,
+    pub(super) non_finite_gradients: u64,
+    pub(super) noise: Option<NoiseMapStatistics>,
+}
+
+impl Job<'_, '_> {
+    /// V_i: noise-aware splats on the training views of D_i.
+    pub fn reconstruct(
+        &mut self,
+        round: u32,
+        views: &[View],
+        deblurred: &[Image],
+        poses: &Poses,
+        previous: Option<(Scene, Option<Tone>)>,
+    ) -> Result<Scene, PipelineError> {
+        let key = self.stage_fingerprint(Stage::Reconstruct, round);
+        let name = format!("reconstruct-{round}");
+        let (scene_file, facts) = (
+            self.workspace.round(round).join("scene.ply"),
+            self.workspace.round(round).join("training.json"),
+        );
+        if let (Some(seconds), Some(training)) =
+            (self.workspace.finished(&name, &key), self.workspace.read_json::<Training>(&facts))
+        {
+            let gaussians = ply::read(&scene_file)?;
+            self.skip_stage(Stage::Reconstruct, round, seconds);
+            return Ok(Scene { gaussians, training });
+        }
+        let started = Instant::now();
+        let scene = self.stage(Stage::Reconstruct, round, |job| {
+            let start = job.train_start(round, &key, views, poses, previous)?;
+            let scene = job.train(round, &key, views, deblurred, poses, start)?;
+            job.workspace.make_folder(&job.workspace.round(round))?;
+            ply::write(&scene.gaussians, &scene_file)?;
+            job.workspace.write_json(&facts, &scene.training)?;
+            Ok(scene)
+        })?;
+        self.workspace.stamp(&name, &key, started.elapsed().as_secs_f64())?;
+        Ok(scene)
+    }
+
+    /// From the checkpoint of an interrupted training, the scene of the round before, or the points.
+    fn train_start(
+        &mut self,
+        round: u32,
+        key: &str,
+        views: &[View],
+        poses: &Poses,
+        previous: Option<(Scene, Option<Tone>)>,
+    ) -> Result<TrainStart, PipelineError> {
+        if self.workspace.finished("checkpoint", key).is_some() {
+            match std::fs::read(self.checkpoint_path()).map(|bytes| Checkpoint::from_bytes(&bytes)) {
+                Ok(Ok(checkpoint)) => {
+                    self.sink.log(format!("round {round}: resumed at step {}", checkpoint.step));
+                    return Ok(TrainStart::Resume(checkpoint));
+                }
+                _ => self
+                    .sink
+                    .warn("checkpoint", "the checkpoint cannot be read; the round starts again".to_owned()),
+            }
+        }
+        if let (Start::Warm, Some((scene, Some(tone)))) = (self.options.start, previous) {
+            let mut gaussians = scene.gaussians;
+            let curve = tone.curve(0);
+            gaussians.map_colours(|rgb| curve.apply_colour(rgb), |rgb| curve.slope(rgb));
+            return Ok(TrainStart::Fresh(gaussians));
+        }
+        let cameras: Vec<Camera> = views.iter().map(|view| view.camera).collect();
+        let config = self.train_config(round, views, poses);
+        Ok(TrainStart::Fresh(reconstruct::initialise(
+            &points(poses),
+            &cameras,
+            config.cap,
+            &config.schedule(),
+        )))
+    }
+
+    fn checkpoint_path(&self) -> PathBuf {
+        self.workspace.work().join("training.checkpoint")
+    }
+
+    fn train_config(&self, round: u32, views: &[View], poses: &Poses) -> TrainConfig {
+        let cameras: Vec<Camera> = views.iter().map(|view| view.camera).collect();
+        TrainConfig {
+            steps: self.options.steps,
+            cap: self.options.cap as usize,
+            sh_degree: self.options.sh_degree,
+            noise: self.options.noise,
+            resolution_schedule: self.options.resolution_schedule,
+            warm: round > 1 && self.options.start == Start::Warm,
+            densify: self.options.densify == Densify::Mcmc,
+            seed: self.options.seed.wrapping_add(u64::from(round) << 32),
+            extent: reconstruct::scene_extent(&cameras, &points(poses)),
+        }
+    }
+
+    fn train(
+        &mut self,
+        round: u32,
+        key: &str,
+        views: &[View],
+        deblurred: &[Image],
+        poses: &Poses,
+        start: TrainStart,
+    ) -> Result<Scene, PipelineError> {
+        let config = self.train_config(round, views, poses);
+        let training: Vec<TrainingView> = views
+            .iter()
+            .zip(deblurred)
+            .filter(|(view, _)| view.split == Split::Train)
+            .map(|(view, image)| TrainingView {
+                name: view.name.clone(),
+                camera: view.camera,
+                image: image.clone(),
+                noise_sigma: metrics::noise_sigma(image) as f32,
+            })
+            .collect();
+        let trained = self.train_with_hooks(round, key, &training, start, &config)?;
+        for warning in &trained.warnings {
+            self.sink.warn("training", format!("round {round}: {warning}"));
+        }
+        let seconds = trained.seconds.max(1e-9);
+        Ok(Scene {
+            gaussians: trained.gaussians,
+            training: Training {
+                steps: trained.steps,
+                steps_per_second: trained.steps as f64 / seconds,
+                non_finite_gradients: trained.non_finite_gradients,
+                noise: trained.noise.filter(|_| self.options.noise != NoiseMode::Off),
+            },
+        })
+    }
+
+    /// Trains with progress, cancellation and checkpoints wired to the job.
+    fn train_with_hooks(
+        &mut self,
+        round: u32,
+        key: &str,
+        views: &[TrainingView],
+        start: TrainStart,
+        config: &TrainConfig,
+    ) -> Result<Trained, PipelineError> {
+        let path = self.checkpoint_path();
+        let (gpu, cancel) = (self.tools.gpu, self.cancel);
+        let job = RefCell::new(self);
+        let mut progress = |done: u64, total: u64, rate: f64| {
+            let job = &mut **job.borrow_mut();
+            let stage = Stage::Reconstruct;
+            job.sink.event(&Event::StageAdvanced { stage, round, done, total, steps_per_second: Some(rate) });
+            job.plan.advance(stage, done as f64 / total.max(1) as f64, job.sink);
+        };
+        let mut checkpoint = |checkpoint: &Checkpoint| {
+            let job = &mut **job.borrow_mut();
+            let saved = job
+                .workspace
+                .write(&path, &checkpoint.to_bytes())
+                .and_then(|()| job.workspace.stamp("checkpoint", key, 0.0));
+            // A checkpoint that cannot be written costs time after a crash, not this run.
+            if let Err(error) = saved {
+                job.sink.warn("checkpoint", format!("round {round}: {error}"));
+            }
+        };
+        let mut hooks = TrainHooks { cancel, progress: &mut progress, checkpoint: Some(&mut checkpoint) };
+        Ok(reconstruct::train(gpu, views, start, config, &mut hooks)?)
+    }
+}
+
+/// Positions and colours of the sparse points, as the trainer takes them.
+fn points(poses: &Poses) -> Vec<reconstruct::Point> {
+    poses.points.iter().map(|point| (point.position.map(|x| x as f32), point.colour)).collect()
+}

@@ -1,0 +1,167 @@
+//! The registered photographs at their working size.
+
+use rayon::prelude::*;
+
+use super::config::{Options, OptionsError};
+use super::error::PipelineError;
+use crate::camera::{Camera, Split};
+use crate::cancel::CancelToken;
+use crate::capture::{Capture, CaptureView};
+use crate::image::Image;
+use crate::poses::{PosedView, Poses};
+
+/// Below this many training views a scene is not worth training.
+pub const LEAST_VIEWS: usize = 3;
+
+/// Views from which every 8th is held out by default; the published split.
+const HELD_OUT_FROM: usize = 12;
+
+/// One registered view at working size, undistorted.
+#[derive(Clone, Debug)]
+pub struct View {
+    /// Its name.
+    pub name: String,
+    /// The pinhole camera at working size.
+    pub camera: Camera,
+    /// The photograph as taken, sRGB.
+    pub dark: Image,
+    /// Sharp and bright, where the capture brings it.
+    pub gt: Option<Image>,
+    /// Whether it trains.
+    pub split: Split,
+}
+
+/// Loads, undistorts and resamples every registered view.
+///
+/// # Errors
+/// [`PipelineError::Photograph`], [`PipelineError::TooFewViews`], [`PipelineError::Options`]
+/// when `held_out` names a view that does not exist.
+pub fn load(
+    capture: &Capture,
+    poses: &Poses,
+    options: &Options,
+    cancel: &CancelToken,
+) -> Result<Vec<View>, PipelineError> {
+    let names: Vec<&str> = poses.views.iter().map(|view| view.name.as_str()).collect();
+    let splits = splits(&options.held_out, &names)?;
+    let training = splits.iter().filter(|split| **split == Split::Train).count();
+    if training < LEAST_VIEWS {
+        return Err(PipelineError::TooFewViews {
+            registered: training,
+            views: capture.views.len(),
+            needed: LEAST_VIEWS,
+        });
+    }
+    poses
+        .views
+        .par_iter()
+        .zip(splits)
+        .map(|(posed, split)| {
+            cancel.check()?;
+            let photograph = capture.views.iter().find(|view| view.name == posed.name).ok_or_else(|| {
+                let message = format!("the poses name a view `{}` that the capture lacks", posed.name);
+                OptionsError { key: "pose_source".to_owned(), message }
+            })?;
+            view(photograph, posed, split, options.size as usize)
+        })
+        .collect()
+}
+
+fn view(
+    photograph: &CaptureView,
+    posed: &PosedView,
+    split: Split,
+    size: usize,
+) -> Result<View, PipelineError> {
+    let load = |path: &std::path::Path| {
+        Image::load(path).map_err(|source| PipelineError::Photograph { name: posed.name.clone(), source })
+    };
+    let original = load(&photograph.file)?;
+    let (width, height) = working_size(original.width(), original.height(), size);
+    let dark = resample(&posed.undistort(&original), width, height);
+    let gt = match &photograph.gt {
+        Some(path) => Some(resample(&posed.undistort(&load(path)?), width, height)),
+        None => None,
+    };
+    Ok(View { name: posed.name.clone(), camera: posed.camera.resized(width, height), dark, gt, split })
+}
+
+/// Working size for a photograph: long side at most `size`, never above the original.
+pub fn working_size(width: usize, height: usize, size: usize) -> (usize, usize) {
+    let long = width.max(height);
+    if long <= size {
+        return (width, height);
+    }
+    let scale = size as f64 / long as f64;
+    let side = |pixels: usize| ((pixels as f64 * scale).round() as usize).max(1);
+    (side(width), side(height))
+}
+
+/// Light adds up in linear space, so that is where pixels are averaged.
+fn resample(image: &Image, width: usize, height: usize) -> Image {
+    if (image.width(), image.height()) == (width, height) {
+        return image.clone();
+    }
+    image.to_linear().resize_area(width, height).to_srgb()
+}
+
+/// The split of each view by the option `held_out`: `auto`, `none`, every n-th, or names.
+///
+/// # Errors
+/// [`OptionsError`] for a number below 2 and for names that are no view's.
+pub fn splits(held_out: &str, names: &[&str]) -> Result<Vec<Split>, OptionsError> {
+    let every = |n: usize| -> Vec<Split> {
+        (0..names.len()).map(|i| if i % n == 0 { Split::HeldOut } else { Split::Train }).collect()
+    };
+    let fault = |message: String| OptionsError { key: "held_out".to_owned(), message };
+    match held_out {
+        "auto" if names.len() >= HELD_OUT_FROM => return Ok(every(8)),
+        "auto" | "none" => return Ok(vec![Split::Train; names.len()]),
+        _ => {}
+    }
+    if let Ok(n) = held_out.parse::<usize>() {
+        return if n >= 2 {
+            Ok(every(n))
+        } else {
+            Err(fault(format!("every {n}-th leaves nothing to train on")))
+        };
+    }
+    let wanted: Vec<&str> = held_out.split(',').map(str::trim).filter(|name| !name.is_empty()).collect();
+    if let Some(unknown) = wanted.iter().find(|name| !names.contains(name)) {
+        return Err(fault(format!("`{unknown}` is no registered view")));
+    }
+    Ok(names.iter().map(|name| if wanted.contains(name) { Split::HeldOut } else { Split::Train }).collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn auto_holds_out_every_eighth_of_at_least_twelve() {
+        let names: Vec<String> = (0..20).map(|i| format!("v{i}")).collect();
+        let names: Vec<&str> = names.iter().map(String::as_str).collect();
+        let held = |option: &str, names: &[&str]| -> Vec<usize> {
+            let splits = splits(option, names).expect("valid");
+            (0..names.len()).filter(|&i| splits[i] == Split::HeldOut).collect()
+        };
+        assert_eq!(held("auto", &names), [0, 8, 16]);
+        assert_eq!(held("auto", &names[..11]), Vec::<usize>::new());
+        assert_eq!(held("5", &names[..11]), [0, 5, 10]);
+        assert_eq!(held("v3, v4", &names), [3, 4]);
+        assert_eq!(held("none", &names), Vec::<usize>::new());
+    }
+
+    #[test]
+    fn a_held_out_option_that_cannot_be_is_refused() {
+        assert!(splits("1", &["a", "b"]).is_err());
+        assert!(splits("c", &["a", "b"]).is_err());
+    }
+
+    #[test]
+    fn the_working_size_keeps_the_aspect_and_never_enlarges() {
+        assert_eq!(working_size(1120, 640, 560), (560, 320));
+        assert_eq!(working_size(315, 559, 560), (315, 559));
+        assert_eq!(working_size(581, 427, 280), (280, 206));
+    }
+}

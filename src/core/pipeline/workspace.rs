@@ -1,0 +1,143 @@
+//! The output folder of a run: where every artifact lies, written whole or not at all.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+
+use super::error::PipelineError;
+use crate::image::write_atomic;
+
+/// Version of the code that makes artifacts. Raise it when a stage's result changes for equal
+/// inputs: a rerun then redoes the stage instead of trusting what lies on disk.
+pub const CODE_VERSION: u32 = 1;
+
+/// The output folder of one run. Cheap to clone; holds paths only.
+#[derive(Clone, Debug)]
+pub struct Workspace {
+    root: PathBuf,
+}
+
+/// What a finished stage leaves beside its artifacts: they are valid for these inputs only.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+struct Stamp {
+    fingerprint: String,
+    seconds: f64,
+}
+
+impl Workspace {
+    /// Opens a folder, making it when it does not exist.
+    ///
+    /// # Errors
+    /// [`PipelineError::Io`] when it cannot be made.
+    pub fn open(root: &Path) -> Result<Self, PipelineError> {
+        fs::create_dir_all(root).map_err(|e| PipelineError::io(root, e))?;
+        Ok(Self { root: root.to_owned() })
+    }
+
+    /// The folder itself.
+    pub fn root(&self) -> &Path {
+        &self.root
+    }
+
+    /// A path inside the folder.
+    pub fn path(&self, relative: impl AsRef<Path>) -> PathBuf {
+        self.root.join(relative)
+    }
+
+    /// Folder of a round's artifacts; rounds are 1-based.
+    pub fn round(&self, round: u32) -> PathBuf {
+        self.path("rounds").join(round.to_string())
+    }
+
+    /// Folder of what only a resumed run reads; removed when the run has ended well.
+    pub fn work(&self) -> PathBuf {
+        self.path("work")
+    }
+
+    /// Makes a folder and those above it.
+    ///
+    /// # Errors
+    /// [`PipelineError::Io`].
+    pub fn make_folder(&self, path: &Path) -> Result<(), PipelineError> {
+        fs::create_dir_all(path).map_err(|e| PipelineError::io(path, e))
+    }
+
+    /// Writes a file under a temporary name, syncs it and renames it.
+    ///
+    /// # Errors
+    /// [`PipelineError::Io`].
+    pub fn write(&self, path: &Path, bytes: &[u8]) -> Result<(), PipelineError> {
+        if let Some(parent) = path.parent() {
+            fs::create_dir_all(parent).map_err(|e| PipelineError::io(parent, e))?;
+        }
+        write_atomic(path, bytes).map_err(|e| PipelineError::io(path, e))
+    }
+
+    /// Writes a value as indented JSON, atomically.
+    ///
+    /// # Errors
+    /// [`PipelineError::Io`].
+    pub fn write_json(&self, path: &Path, value: &impl Serialize) -> Result<(), PipelineError> {
+        let mut bytes = serde_json::to_vec_pretty(value).map_err(|e| PipelineError::io(path, e.into()))?;
+        bytes.push(b'\n');
+        self.write(path, &bytes)
+    }
+
+    /// Reads a JSON file; `None` when it is absent or from another version.
+    pub fn read_json<T: DeserializeOwned>(&self, path: &Path) -> Option<T> {
+        serde_json::from_slice(&fs::read(path).ok()?).ok()
+    }
+
+    /// Marks the stage `name` as finished for inputs of this fingerprint.
+    ///
+    /// # Errors
+    /// [`PipelineError::Io`].
+    pub fn stamp(&self, name: &str, fingerprint: &str, seconds: f64) -> Result<(), PipelineError> {
+        let stamp = Stamp { fingerprint: fingerprint.to_owned(), seconds };
+        self.write_json(&self.stamp_path(name), &stamp)
+    }
+
+    /// Seconds that the stage took, when it was finished for inputs of this fingerprint.
+    pub fn finished(&self, name: &str, fingerprint: &str) -> Option<f64> {
+        let stamp: Stamp = self.read_json(&self.stamp_path(name))?;
+        (stamp.fingerprint == fingerprint).then_some(stamp.seconds)
+    }
+
+    fn stamp_path(&self, name: &str) -> PathBuf {
+        self.work().join("stamps").join(format!("{name}.json"))
+    }
+}
+
+/// Hash of the parts that a stage's result depends on, the code's version among them.
+pub fn fingerprint(parts: &[&str]) -> String {
+    let mut hasher = blake3::Hasher::new();
+    hasher.update(&CODE_VERSION.to_le_bytes());
+    for part in parts {
+        hasher.update(&(part.len() as u64).to_le_bytes());
+        hasher.update(part.as_bytes());
+    }
+    hasher.finalize().to_hex().to_string()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_stamp_holds_for_its_own_inputs_only() {
+        let folder = tempfile::tempdir().expect("temporary folder");
+        let workspace = Workspace::open(folder.path()).expect("open");
+        assert_eq!(workspace.finished("poses", "a"), None);
+        workspace.stamp("poses", "a", 2.5).expect("stamp");
+        assert_eq!(workspace.finished("poses", "a"), Some(2.5));
+        assert_eq!(workspace.finished("poses", "b"), None);
+    }
+
+    #[test]
+    fn parts_cannot_run_together_in_a_fingerprint() {
+        assert_ne!(fingerprint(&["ab", "c"]), fingerprint(&["a", "bc"]));
+        assert_eq!(fingerprint(&["ab", "c"]), fingerprint(&["ab", "c"]));
+    }
+}

@@ -1,0 +1,111 @@
+//! `fled doctor`: what this machine has and lacks.
+
+use std::io::Write;
+use std::path::PathBuf;
+
+use fled_core::colmap::ColmapCli;
+use fled_core::deblur;
+use fled_core::pipeline::error::ErrorKind;
+use fled_gpu::Gpu;
+use serde::Serialize;
+
+use crate::failure::Failure;
+use crate::tools;
+
+/// Free space below which a run of 60 photographs may not finish, bytes.
+const LEAST_SPACE: u64 = 2 << 30;
+
+/// Arguments of `fled doctor`.
+#[derive(clap::Args)]
+pub struct Args {
+    /// Folder whose disk is checked.
+    #[arg(long, value_name = "DIR", default_value = ".")]
+    data: PathBuf,
+    /// Part of an adapter's name, or auto.
+    #[arg(long, default_value = "auto")]
+    adapter: String,
+    /// One line of JSON instead of a table.
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    tools: tools::Args,
+}
+
+/// One thing that has to be in order.
+#[derive(Serialize)]
+struct Check {
+    name: &'static str,
+    ok: bool,
+    /// What was found, or what is wrong.
+    detail: String,
+    /// What to do, when it is not in order.
+    hint: &'static str,
+}
+
+impl Check {
+    fn new(name: &'static str, found: Result<String, impl std::fmt::Display>, hint: &'static str) -> Self {
+        match found {
+            Ok(detail) => Self { name, ok: true, detail, hint: "" },
+            Err(error) => Self { name, ok: false, detail: error.to_string(), hint },
+        }
+    }
+}
+
+/// Prints every check.
+///
+/// # Errors
+/// [`Failure`] of kind `environment` when anything is missing.
+pub fn main(args: &Args) -> Result<(), Failure> {
+    let checks = checks(args);
+    let mut out = std::io::stdout().lock();
+    let written = if args.json {
+        writeln!(out, "{}", serde_json::json!({ "checks": checks }))
+    } else {
+        checks.iter().try_for_each(|check| {
+            let state = if check.ok { "ok" } else { "MISSING" };
+            writeln!(out, "{state:8} {:12} {} {}", check.name, check.detail, check.hint)
+        })
+    };
+    written.map_err(|e| Failure::new(ErrorKind::Io, e))?;
+    let missing = checks.iter().filter(|check| !check.ok).count();
+    if missing > 0 {
+        let detail = format!("{missing} of {} checks failed", checks.len());
+        return Err(Failure { hint: String::new(), ..Failure::new(ErrorKind::Environment, detail) });
+    }
+    Ok(())
+}
+
+fn checks(args: &Args) -> Vec<Check> {
+    let search = tools::Args::library_folders();
+    let runtime = deblur::runtime::find(args.tools.onnxruntime.as_deref(), &search)
+        .map(|found| format!("{} at {}", found.version, found.path.display()));
+    let open = deblur::OpenOptions {
+        runtime: args.tools.onnxruntime.as_deref(),
+        search: &search,
+        models: &args.tools.model_folders(),
+        ..deblur::OpenOptions::default()
+    };
+    let model = deblur::open("default", &open).map(|opened| {
+        let info = opened.deblurrer.describe();
+        format!("{} on {}, sha256 {}", info.id, info.provider, info.sha256)
+    });
+    let adapter = Gpu::new(&args.adapter).map(|gpu| gpu.describe().to_string());
+    vec![
+        Check::new(
+            "adapter",
+            adapter,
+            "Install a Vulkan driver; without a GPU: apt-get install mesa-vulkan-drivers libvulkan1",
+        ),
+        Check::new("colmap", ColmapCli::new(&args.tools.colmap).version(), "apt-get install colmap"),
+        Check::new("onnxruntime", runtime, "make onnxruntime, or set ORT_DYLIB_PATH"),
+        Check::new("models", model, "Set ORT_DYLIB_PATH, or choose another network with --set deblur=PATH"),
+        Check::new("disk", disk(args), "Free some space: a run may need 2 GiB"),
+    ]
+}
+
+fn disk(args: &Args) -> Result<String, String> {
+    let stat = rustix::fs::statvfs(&args.data).map_err(|e| format!("{}: {e}", args.data.display()))?;
+    let free = stat.f_bavail * stat.f_frsize;
+    let text = format!("{:.1} GiB free at {}", free as f64 / f64::from(1 << 30), args.data.display());
+    if free < LEAST_SPACE { Err(text) } else { Ok(text) }
+}

@@ -1,0 +1,64 @@
+//! A failure on its way out of the process: words, advice, exit code.
+
+use std::fmt;
+use std::process::ExitCode;
+
+use fled_core::pipeline::config::OptionsError;
+use fled_core::pipeline::error::{ErrorKind, PipelineError};
+
+/// What the user is told, and the exit code.
+#[derive(Debug)]
+pub struct Failure {
+    /// What sort of failure it is; decides the exit code.
+    pub kind: ErrorKind,
+    /// What happened.
+    pub detail: String,
+    /// What to do.
+    pub hint: String,
+    /// Whether the command line itself was wrong.
+    pub wrong_use: bool,
+}
+
+impl Failure {
+    /// With the advice that fits the kind.
+    pub fn new(kind: ErrorKind, detail: impl fmt::Display) -> Self {
+        Self { kind, detail: detail.to_string(), hint: kind.hint().to_owned(), wrong_use: false }
+    }
+
+    /// A value on the command line that cannot be.
+    pub fn usage(detail: impl fmt::Display) -> Self {
+        Self {
+            kind: ErrorKind::BadInput,
+            detail: detail.to_string(),
+            hint: "See `fled help`.".to_owned(),
+            wrong_use: true,
+        }
+    }
+
+    /// Prints the failure and gives the exit code.
+    pub fn report(&self) -> ExitCode {
+        eprintln!("fled: {}", self.detail);
+        if !self.hint.is_empty() && !self.detail.contains(&self.hint) {
+            eprintln!("      {}", self.hint);
+        }
+        if self.wrong_use { ExitCode::from(2) } else { ExitCode::from(self.kind.exit_code()) }
+    }
+}
+
+impl From<PipelineError> for Failure {
+    fn from(error: PipelineError) -> Self {
+        Self { kind: error.kind(), hint: error.hint(), detail: error.to_string(), wrong_use: false }
+    }
+}
+
+impl From<OptionsError> for Failure {
+    fn from(error: OptionsError) -> Self {
+        Self::usage(error)
+    }
+}
+
+/// Reading or writing `path` failed.
+pub fn io(path: &std::path::Path) -> impl FnOnce(std::io::Error) -> Failure {
+    let path = path.to_owned();
+    move |error| Failure::new(ErrorKind::Io, format!("{}: {error}", path.display()))
+}

@@ -1,0 +1,126 @@
+//! Progress of a run: a bar for people, JSON lines for programs, and `log.txt` for both.
+
+use std::fs::File;
+use std::io::Write;
+use std::time::Instant;
+
+use fled_core::event::{Event, ProgressSink};
+use indicatif::{ProgressBar, ProgressStyle};
+
+/// Writes every event to `log.txt`, and to the terminal or as JSON lines to standard output.
+pub struct Reporter {
+    log: File,
+    started: Instant,
+    bar: Option<ProgressBar>,
+    json: bool,
+}
+
+impl Reporter {
+    /// `log` is appended to: a resumed run's log holds its whole history.
+    pub fn new(log: File, json: bool) -> Self {
+        let bar = (!json).then(|| {
+            let bar = ProgressBar::new(1000);
+            let style = ProgressStyle::with_template("{bar:30} {percent:>3}% {msg}");
+            bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()));
+            bar
+        });
+        Self { log, started: Instant::now(), bar, json }
+    }
+
+    fn line(&mut self, text: &str) {
+        let seconds = self.started.elapsed().as_secs_f64();
+        // A full disk must not end a run that could still deliver: the log is the least of it.
+        let _ = writeln!(self.log, "{seconds:9.1} {text}");
+        if let Some(bar) = &self.bar {
+            if bar.is_hidden() {
+                eprintln!("{seconds:9.1} {text}");
+            } else {
+                bar.println(text);
+            }
+        }
+    }
+
+    fn show(&mut self, event: &Event) {
+        match event {
+            Event::Planned { rounds, views } => self.line(&format!("{views} views, {rounds} rounds")),
+            Event::StageStarted { stage, round } => {
+                if let Some(bar) = &self.bar {
+                    bar.set_message(name(stage.name(), *round));
+                }
+            }
+            Event::StageAdvanced { stage, round, done, total, steps_per_second } => {
+                if let Some(bar) = &self.bar {
+                    let rate = steps_per_second.map_or(String::new(), |rate| format!(", {rate:.1} steps/s"));
+                    bar.set_message(format!("{} {done}/{total}{rate}", name(stage.name(), *round)));
+                }
+            }
+            Event::StageFinished { stage, round, seconds, skipped } => {
+                let how = if *skipped { "already done, took" } else { "done in" };
+                self.line(&format!("{} {how} {seconds:.1} s", name(stage.name(), *round)));
+            }
+            Event::RoundFinished { metrics } => {
+                for line in round_lines(metrics) {
+                    self.line(&line);
+                }
+            }
+            Event::Progress { progress, .. } => {
+                if let Some(bar) = &self.bar {
+                    bar.set_position((progress * 1000.0) as u64);
+                }
+            }
+            Event::Warning { code, message } => self.line(&format!("warning ({code}): {message}")),
+            Event::Log { message } => self.line(message),
+            Event::Finished { best_round, seconds } => {
+                self.line(&format!("finished in {seconds:.1} s; round {best_round} is delivered"));
+                if let Some(bar) = &self.bar {
+                    bar.finish_and_clear();
+                }
+            }
+            Event::Failed { kind, detail, hint } => self.line(&format!("failed ({kind}): {detail} {hint}")),
+        }
+    }
+}
+
+impl ProgressSink for Reporter {
+    fn event(&mut self, event: &Event) {
+        self.show(event);
+        if self.json
+            && let Ok(line) = serde_json::to_string(event)
+        {
+            let mut out = std::io::stdout().lock();
+            // Nobody reads any more: the run is worth more than its reader.
+            let _ = writeln!(out, "{line}").and_then(|()| out.flush());
+        }
+    }
+}
+
+fn name(stage: &str, round: u32) -> String {
+    if round == 0 { stage.to_owned() } else { format!("round {round} {stage}") }
+}
+
+/// A round's scores as lines of text.
+pub fn round_lines(metrics: &fled_core::metrics::RoundMetrics) -> Vec<String> {
+    let mut lines = vec![format!(
+        "round {}: {} Gaussians, {} steps at {:.1}/s, {:.1} s",
+        metrics.round, metrics.gaussians, metrics.steps, metrics.steps_per_second, metrics.seconds
+    )];
+    for r in &metrics.records {
+        lines.push(format!(
+            "  {:8} {:9} against {:9} {:6} {:2} views  PSNR {:5.2} dB  (colour-fitted {:5.2})  SSIM {:.4}",
+            word(&r.split),
+            word(&r.image),
+            word(&r.reference),
+            word(&r.brightness),
+            r.views,
+            r.psnr_db,
+            r.psnr_cc_db,
+            r.ssim
+        ));
+    }
+    lines
+}
+
+/// The word that a value of an enum is in JSON.
+fn word(value: &impl serde::Serialize) -> String {
+    serde_json::to_string(value).unwrap_or_default().trim_matches('"').to_owned()
+}

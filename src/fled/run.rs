@@ -1,0 +1,96 @@
+//! `fled run`: one capture, no server.
+
+use std::fs::OpenOptions;
+use std::path::PathBuf;
+
+use fled_core::cancel::CancelToken;
+use fled_core::capture::Capture;
+use fled_core::event::{Event, ProgressSink};
+use fled_core::pipeline::config::{Options, Preset};
+use fled_core::pipeline::workspace::Workspace;
+use fled_core::pipeline::{self, error::ErrorKind};
+
+use crate::failure::{Failure, io};
+use crate::progress::Reporter;
+use crate::tools;
+
+/// Arguments of `fled run`.
+#[derive(clap::Args)]
+pub struct Args {
+    /// A folder or zip of photographs.
+    capture: PathBuf,
+    /// Where the result goes.
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// preview, standard or paper.
+    #[arg(long, default_value = "standard")]
+    preset: Preset,
+    /// One option over the preset's; may be repeated.
+    #[arg(long = "set", value_name = "KEY=VALUE")]
+    assignments: Vec<String>,
+    /// A JSON object of options over the preset's, before any `--set`.
+    #[arg(long, value_name = "FILE")]
+    options: Option<PathBuf>,
+    /// Events as JSON lines on standard output.
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    tools: tools::Args,
+}
+
+/// Runs the pipeline.
+///
+/// # Errors
+/// [`Failure`], with the exit code of its kind.
+pub fn main(args: &Args) -> Result<(), Failure> {
+    let options = options(args)?;
+    let workspace = Workspace::open(&args.out)?;
+    let path = workspace.path("log.txt");
+    let log = OpenOptions::new().create(true).append(true).open(&path).map_err(io(&path))?;
+    let mut reporter = Reporter::new(log, args.json);
+    let cancel = tools::cancel_on_signals()?;
+    let outcome = run(args, &options, &workspace, &mut reporter, &cancel);
+    if let Err(failure) = &outcome {
+        reporter.event(&Event::Failed {
+            kind: failure.kind.name().to_owned(),
+            detail: failure.detail.clone(),
+            hint: failure.hint.clone(),
+        });
+    }
+    outcome
+}
+
+fn run(
+    args: &Args,
+    options: &Options,
+    workspace: &Workspace,
+    reporter: &mut Reporter,
+    cancel: &CancelToken,
+) -> Result<(), Failure> {
+    let capture = Capture::open(&args.capture, &workspace.work().join("capture"))
+        .map_err(pipeline::error::PipelineError::from)?;
+    for warning in &capture.warnings {
+        reporter.warn(&warning.code, warning.message.clone());
+    }
+    let mut kit = tools::Kit::new(&args.tools, options, &capture)?;
+    let mut tools = kit.tools();
+    pipeline::run(&capture, options, &mut tools, workspace, reporter, cancel)?;
+    Ok(())
+}
+
+fn options(args: &Args) -> Result<Options, Failure> {
+    let mut options = args.preset.options();
+    if let Some(path) = &args.options {
+        let bytes = std::fs::read(path).map_err(io(path))?;
+        let overrides =
+            serde_json::from_slice(&bytes).map_err(|e| Failure::usage(format!("{}: {e}", path.display())))?;
+        options = options.with_overrides(&overrides)?;
+    }
+    for assignment in &args.assignments {
+        options = options.with_assignment(assignment)?;
+    }
+    if options.deblur.is_empty() {
+        return Err(Failure::new(ErrorKind::BadInput, "option `deblur` is empty"));
+    }
+    Ok(options)
+}

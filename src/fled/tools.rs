@@ -1,0 +1,160 @@
+//! What a run needs from the machine: device, COLMAP, ONNX Runtime, networks, signals.
+
+use std::path::{Path, PathBuf};
+
+use fled_core::cancel::CancelToken;
+use fled_core::capture::Capture;
+use fled_core::colmap::ColmapCli;
+use fled_core::dataset::GivenPoses;
+use fled_core::deblur::{self, Deblurrer};
+use fled_core::pipeline::config::{Guide, Options, PoseSource};
+use fled_core::pipeline::error::{ErrorKind, PipelineError};
+use fled_core::pipeline::{self};
+use fled_core::poses::Sfm;
+use fled_gpu::Gpu;
+
+use crate::failure::Failure;
+
+/// Where tools lie.
+#[derive(clap::Args, Clone, Debug)]
+pub struct Args {
+    /// The COLMAP program.
+    #[arg(long, value_name = "PROGRAM", default_value = "colmap", env = "FLED_COLMAP")]
+    pub colmap: PathBuf,
+    /// ONNX Runtime's library, when it is not where `fled doctor` looks.
+    #[arg(long, value_name = "FILE", env = "ORT_DYLIB_PATH")]
+    pub onnxruntime: Option<PathBuf>,
+    /// Folder in which poses are kept from run to run; `none` keeps none.
+    #[arg(long, value_name = "DIR")]
+    pub cache: Option<PathBuf>,
+}
+
+impl Args {
+    /// Places where ONNX Runtime's library is looked for, first hit wins.
+    pub fn library_folders() -> Vec<PathBuf> {
+        let mut folders = Vec::new();
+        if let Ok(program) = std::env::current_exe()
+            && let Some(folder) = program.parent()
+        {
+            folders.push(folder.to_owned());
+            // A binary in target/release of a checkout finds what `make onnxruntime` fetched.
+            folders.extend(folder.ancestors().skip(1).take(2).map(|up| up.join(".onnxruntime")));
+        }
+        if let Ok(here) = std::env::current_dir() {
+            folders.push(here.join(".onnxruntime"));
+        }
+        folders.extend(data_home().map(|home| home.join("fled")));
+        folders
+    }
+
+    /// Folders that hold files of known networks.
+    pub fn model_folders(&self) -> Vec<PathBuf> {
+        data_home().map(|home| home.join("fled/models")).into_iter().collect()
+    }
+
+    fn pose_cache(&self) -> Option<PathBuf> {
+        match &self.cache {
+            Some(path) if path == Path::new("none") => None,
+            Some(path) => Some(path.join("poses")),
+            None => home(".cache", "XDG_CACHE_HOME").map(|home| home.join("fled/poses")),
+        }
+    }
+}
+
+fn data_home() -> Option<PathBuf> {
+    home(".local/share", "XDG_DATA_HOME")
+}
+
+fn home(below: &str, variable: &str) -> Option<PathBuf> {
+    std::env::var_os(variable)
+        .map(PathBuf::from)
+        .or_else(|| std::env::var_os("HOME").map(|home| PathBuf::from(home).join(below)))
+}
+
+/// Everything a run uses, owned.
+pub struct Kit {
+    gpu: Gpu,
+    sfm: Box<dyn Sfm>,
+    deblurrer: Box<dyn Deblurrer>,
+    fallbacks: Vec<String>,
+    pose_cache: Option<PathBuf>,
+}
+
+impl Kit {
+    /// Opens the device, the network and the source of poses that `options` ask for.
+    ///
+    /// # Errors
+    /// [`Failure`] of kind `environment` with what to do, or `bad_input` when poses are asked
+    /// for that the capture does not bring.
+    pub fn new(args: &Args, options: &Options, capture: &Capture) -> Result<Self, Failure> {
+        let gpu = Gpu::new(&options.adapter).map_err(|e| Failure::new(ErrorKind::Environment, e))?;
+        let deblur::Opened { deblurrer, fallbacks } = open_deblurrer(args, options)?;
+        let sfm = sfm(args, options, capture)?;
+        Ok(Self { gpu, sfm, deblurrer, fallbacks, pose_cache: args.pose_cache() })
+    }
+
+    /// Borrowed for a run.
+    pub fn tools(&mut self) -> pipeline::Tools<'_> {
+        pipeline::Tools {
+            gpu: &self.gpu,
+            sfm: self.sfm.as_ref(),
+            deblurrer: self.deblurrer.as_mut(),
+            fallbacks: self.fallbacks.clone(),
+            pose_cache: self.pose_cache.clone(),
+        }
+    }
+}
+
+fn sfm(args: &Args, options: &Options, capture: &Capture) -> Result<Box<dyn Sfm>, Failure> {
+    match (options.pose_source, &capture.poses) {
+        (PoseSource::Colmap, _) | (PoseSource::Auto, None) => Ok(Box::new(ColmapCli::new(&args.colmap))),
+        (PoseSource::Auto | PoseSource::Given, Some(given)) => {
+            let given = GivenPoses::open(given.path()).map_err(PipelineError::from)?;
+            Ok(Box::new(given))
+        }
+        (PoseSource::Given, None) => Err(Failure::new(
+            ErrorKind::BadInput,
+            "pose_source is `given`, but the capture brings no sparse/, transforms.json or poses_bounds.npy",
+        )),
+    }
+}
+
+fn open_deblurrer(args: &Args, options: &Options) -> Result<deblur::Opened, Failure> {
+    let search = Args::library_folders();
+    let open = deblur::OpenOptions {
+        runtime: args.onnxruntime.as_deref(),
+        search: &search,
+        models: &args.model_folders(),
+        threads: 0,
+        blend: options.guide == Guide::Blend,
+    };
+    deblur::open(&options.deblur, &open).map_err(|e| PipelineError::from(e).into())
+}
+
+/// A token that SIGINT and SIGTERM raise. A second signal ends the process at once.
+///
+/// # Errors
+/// [`Failure`] when the handlers cannot be installed.
+pub fn cancel_on_signals() -> Result<CancelToken, Failure> {
+    use tokio::signal::unix::{SignalKind, signal};
+    let internal = |e: std::io::Error| Failure::new(ErrorKind::Internal, e);
+    let token = CancelToken::new();
+    let raised = token.clone();
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_io().build().map_err(internal)?;
+    let (mut interrupt, mut terminate) = runtime
+        .block_on(async {
+            Ok::<_, std::io::Error>((signal(SignalKind::interrupt())?, signal(SignalKind::terminate())?))
+        })
+        .map_err(internal)?;
+    std::thread::spawn(move || {
+        runtime.block_on(async {
+            let wait = async || tokio::select! { _ = interrupt.recv() => {}, _ = terminate.recv() => {} };
+            let mut wait = wait;
+            wait().await;
+            raised.cancel();
+            wait().await;
+            std::process::exit(1);
+        });
+    });
+    Ok(token)
+}

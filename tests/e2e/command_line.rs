@@ -1,0 +1,74 @@
+//! Exit codes and words of the command line.
+
+use std::fs;
+use std::process::{Command, Output};
+
+use crate::support::{FLED, small_capture, small_run};
+
+fn fled(arguments: &[&str]) -> Output {
+    Command::new(FLED).args(arguments).output().expect("the binary starts")
+}
+
+fn code(output: &Output) -> i32 {
+    output.status.code().expect("not killed")
+}
+
+#[test]
+fn wrong_use_exits_with_two_and_names_the_option() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let out = folder.path().join("out").display().to_string();
+    assert_eq!(code(&fled(&["run"])), 2);
+    let unknown = fled(&["run", "nowhere", "--out", &out, "--set", "round=3"]);
+    assert_eq!(code(&unknown), 2);
+    assert!(String::from_utf8_lossy(&unknown.stderr).contains("`round`"));
+}
+
+#[test]
+fn a_capture_that_is_none_exits_with_three_and_advice() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let out = folder.path().join("out").display().to_string();
+    let empty = folder.path().join("empty");
+    fs::create_dir(&empty).expect("folder");
+    for capture in ["/nowhere/at/all", &empty.display().to_string()] {
+        let output = fled(&["run", capture, "--out", &out]);
+        assert_eq!(code(&output), 3, "{capture}: {}", String::from_utf8_lossy(&output.stderr));
+    }
+}
+
+#[test]
+fn an_adapter_that_is_not_there_exits_with_four_and_the_failure_is_an_event() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let capture = small_capture(folder.path());
+    let mut run = small_run(&capture, &folder.path().join("out"), 1);
+    let output =
+        run.args(["--json", "--set", "adapter=no-such-adapter"]).output().expect("the binary starts");
+    assert_eq!(code(&output), 4, "{}", String::from_utf8_lossy(&output.stderr));
+    let last = String::from_utf8_lossy(&output.stdout).lines().last().map(str::to_owned).expect("events");
+    let event: serde_json::Value = serde_json::from_str(&last).expect("a JSON line");
+    assert_eq!(event["event"], "failed");
+    assert_eq!(event["kind"], "environment");
+    assert!(event["hint"].as_str().is_some_and(|hint| hint.contains("fled doctor")), "{event}");
+}
+
+#[test]
+fn a_missing_model_exits_with_three_and_says_which_are_known() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let capture = small_capture(folder.path());
+    let mut run = small_run(&capture, &folder.path().join("out"), 1);
+    let output = run.args(["--set", "deblur=no-such-network"]).output().expect("the binary starts");
+    assert_eq!(code(&output), 3);
+    assert!(String::from_utf8_lossy(&output.stderr).contains("small-u2w16"));
+}
+
+#[test]
+fn the_doctor_finds_everything_that_the_tests_need() {
+    let output = fled(&["doctor"]);
+    let text = String::from_utf8_lossy(&output.stdout).into_owned();
+    assert_eq!(code(&output), 0, "{text}");
+    for what in ["adapter", "colmap", "onnxruntime", "models", "disk"] {
+        assert!(text.lines().any(|line| line.starts_with("ok") && line.contains(what)), "{what} in\n{text}");
+    }
+    let without = fled(&["doctor", "--colmap", "/nowhere/colmap"]);
+    assert_eq!(code(&without), 4);
+    assert!(String::from_utf8_lossy(&without.stdout).contains("apt-get install colmap"));
+}

@@ -1,0 +1,134 @@
+//! A job from photographs to scene, and what interrupts it.
+
+use std::fs;
+use std::io::{BufRead, BufReader};
+use std::path::Path;
+use std::process::Stdio;
+
+use fled_core::gaussians::ply;
+use fled_core::image::Image;
+
+use crate::support::{json, small_capture, small_run, succeed};
+
+#[test]
+fn a_dark_capture_becomes_a_scene_with_metrics_of_every_round() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let capture = small_capture(folder.path());
+    let out = folder.path().join("out");
+    succeed(&mut small_run(&capture, &out, 2));
+
+    let report = json(&out.join("metrics.json"));
+    assert_eq!(report["rounds"].as_array().expect("rounds").len(), 2);
+    assert_eq!(report["registered"], 12);
+    let fitted = |round: usize, image: &str| {
+        let records = report["rounds"][round]["records"].as_array().expect("records");
+        let of = |r: &&serde_json::Value| {
+            r["split"] == "held_out" && r["image"] == image && r["reference"] == "gt"
+        };
+        records.iter().find(of).expect("a held-out record against ground truth")["psnr_cc_db"]
+            .as_f64()
+            .expect("dB")
+    };
+    assert!(
+        fitted(1, "render") > fitted(1, "enhanced") + 1.0,
+        "the scene ({:.2} dB) must be better than the brightened photographs ({:.2} dB)",
+        fitted(1, "render"),
+        fitted(1, "enhanced")
+    );
+    let scene = ply::read(&out.join("scene.ply")).expect("a scene");
+    assert!(!scene.is_empty());
+    assert_eq!(json(&out.join("cameras.json")).as_array().expect("cameras").len(), 12);
+    let restored = fs::read_dir(out.join("restored")).expect("restored views").count();
+    assert_eq!(restored, 12);
+    assert_eq!(json(&out.join("config.json"))["rounds"], 2);
+}
+
+#[test]
+fn the_same_seed_gives_the_same_scene_and_another_seed_another() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let capture = small_capture(folder.path());
+    let scene = |name: &str, seed: &str| {
+        let out = folder.path().join(name);
+        succeed(small_run(&capture, &out, 1).args(["--set", seed]));
+        fs::read(out.join("scene.ply")).expect("scene.ply")
+    };
+    let first = scene("a", "seed=1");
+    assert!(first == scene("b", "seed=1"), "equal runs differ");
+    assert!(first != scene("c", "seed=2"), "the seed changes nothing");
+}
+
+#[test]
+fn a_run_killed_at_any_stage_goes_on_and_ends_with_the_same_scene() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let capture = small_capture(folder.path());
+    let whole = folder.path().join("whole");
+    succeed(&mut small_run(&capture, &whole, 2));
+    let expected = fs::read(whole.join("scene.ply")).expect("scene.ply");
+
+    let out = folder.path().join("killed");
+    let moments = [
+        r#""stage_started","stage":"deblur","round":1"#,
+        r#""stage_advanced","stage":"reconstruct","round":1"#,
+        r#""stage_started","stage":"match","round":1"#,
+        r#""stage_advanced","stage":"deblur","round":2"#,
+        r#""stage_started","stage":"evaluate","round":2"#,
+    ];
+    for moment in moments {
+        kill_at(&capture, &out, moment);
+    }
+    succeed(&mut small_run(&capture, &out, 2));
+    let resumed = fs::read(out.join("scene.ply")).expect("scene.ply");
+    assert!(resumed == expected, "a resumed run must deliver what an undisturbed one does");
+    let log = fs::read_to_string(out.join("log.txt")).expect("log.txt");
+    assert!(log.contains("already done"), "the rerun must have skipped finished stages:\n{log}");
+}
+
+/// Starts the run and kills it, without a chance to clean up, at the first event that holds `moment`.
+fn kill_at(capture: &Path, out: &Path, moment: &str) {
+    let mut child = small_run(capture, out, 2)
+        .arg("--json")
+        .stdout(Stdio::piped())
+        .stderr(Stdio::null())
+        .spawn()
+        .expect("the binary starts");
+    let mut lines = BufReader::new(child.stdout.take().expect("piped")).lines();
+    let seen = lines.any(|line| line.expect("UTF-8").contains(moment));
+    child.kill().expect("kill");
+    child.wait().expect("wait");
+    assert!(seen, "the run ended before {moment}");
+}
+
+#[test]
+fn a_finished_run_is_not_done_again() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let capture = small_capture(folder.path());
+    let out = folder.path().join("out");
+    succeed(&mut small_run(&capture, &out, 1));
+    let written = fs::metadata(out.join("rounds/1/scene.ply")).expect("scene").modified().expect("time");
+    succeed(&mut small_run(&capture, &out, 1));
+    let again = fs::metadata(out.join("rounds/1/scene.ply")).expect("scene").modified().expect("time");
+    assert_eq!(written, again);
+}
+
+#[test]
+fn a_finished_run_is_rendered_from_a_view_and_from_an_orbit() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let capture = small_capture(folder.path());
+    let out = folder.path().join("out");
+    succeed(&mut small_run(&capture, &out, 1));
+    let name = json(&out.join("cameras.json"))[1]["name"].as_str().expect("name").to_owned();
+    let picture = |arguments: &[&str]| {
+        let path = folder.path().join("picture.png");
+        let mut command = std::process::Command::new(crate::support::FLED);
+        succeed(command.arg("render").arg(&out).args(arguments).arg("-o").arg(&path));
+        Image::load(&path).expect("a picture")
+    };
+    let view = picture(&["--view", &name]);
+    assert_eq!((view.width(), view.height()), (128, 80));
+    let restored = Image::load(&out.join("restored").join(format!("{name}.png"))).expect("restored");
+    let psnr = fled_core::metrics::psnr(&view, &restored);
+    assert!(psnr > 45.0, "`fled render` and the pipeline disagree: {psnr:.1} dB");
+    let orbit = picture(&["--azimuth", "10", "--elevation", "-3", "--size", "96x64"]);
+    assert_eq!((orbit.width(), orbit.height()), (96, 64));
+    assert!(fled_core::metrics::mean_v(&orbit) > 0.02, "the orbit looks at nothing");
+}

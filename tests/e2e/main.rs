@@ -1,0 +1,5 @@
+//! The whole product through its binary: captures made here, real stages, real processes.
+
+mod command_line;
+mod job;
+mod support;

@@ -1,0 +1,41 @@
+//! Small captures and the binary.
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+use fled_core::synthetic::{SynthOptions, generate};
+
+/// The binary under test.
+pub const FLED: &str = env!("CARGO_BIN_EXE_fled");
+
+/// A capture of 12 small views with true poses, made once a test.
+pub fn small_capture(folder: &Path) -> PathBuf {
+    let capture = folder.join("capture");
+    let options =
+        SynthOptions { views: 12, width: 128, height: 80, seed: 3, blur: 3.0, ..SynthOptions::default() };
+    generate(&options, &capture).expect("a synthetic capture");
+    capture
+}
+
+/// `fled run` at a size that takes seconds.
+pub fn small_run(capture: &Path, out: &Path, rounds: u32) -> Command {
+    let mut command = Command::new(FLED);
+    command.arg("run").arg(capture).arg("--out").arg(out).args(["--preset", "preview", "--cache", "none"]);
+    for set in ["size=128", "steps=120", "cap=1500", "pose_source=given", &format!("rounds={rounds}")] {
+        command.args(["--set", set]);
+    }
+    command
+}
+
+/// Runs to the end and fails the test with the program's own words when it fails.
+pub fn succeed(command: &mut Command) -> Output {
+    let output = command.output().expect("the binary starts");
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    output
+}
+
+/// A JSON file.
+pub fn json(path: &Path) -> serde_json::Value {
+    let bytes = std::fs::read(path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
+    serde_json::from_slice(&bytes).expect("valid JSON")
+}
