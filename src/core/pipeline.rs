@@ -8,6 +8,7 @@
 pub mod config;
 pub mod error;
 mod evaluate;
+mod guide;
 mod job;
 mod judge;
 mod plan;
@@ -85,7 +86,7 @@ pub fn run(
         let scene = job.reconstruct(i, &views, &deblurred, &poses, previous.take())?; // V_i
         let renders = job.render(i, &views, &scene)?; // R_i
         let next = job.match_next(i, &renders, &views, &anchors, &target)?; // P_R
-        job.evaluate(i, anchor, &views, [&enhanced, &deblurred, &renders, &target], &next, &scene)?;
+        job.evaluate(i, &views, [&enhanced, &deblurred, &renders, &target], &next, &scene)?;
         guides = Some(next.guides); // HR = E(R_i; P_R)
         previous = Some((scene, next.to_next));
     }

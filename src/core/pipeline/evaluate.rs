@@ -91,14 +91,13 @@ fn mean_record(what: What, pairs: &[(&Image, &Image)]) -> Option<Record> {
 pub fn means(images: &RoundImages<'_>, measure: impl Fn(&Image) -> f64 + Sync) -> BTreeMap<String, f64> {
     [("enhanced", images.enhanced), ("deblurred", images.deblurred), ("render", images.renders)]
         .into_iter()
-        .map(|(name, set)| (name.to_owned(), mean(set, &measure)))
+        .map(|(name, set)| (name.to_owned(), mean(set, measure)))
         .collect()
 }
 
 /// Mean of a measure over images.
-pub fn mean(images: &[Image], measure: impl Fn(&Image) -> f64 + Sync) -> f64 {
-    images.par_iter().map(|image| measure(image)).collect::<Vec<_>>().iter().sum::<f64>()
-        / images.len() as f64
+pub fn mean(images: &[Image], measure: impl Fn(&Image) -> f64 + Sync + Send) -> f64 {
+    images.par_iter().map(measure).collect::<Vec<_>>().iter().sum::<f64>() / images.len() as f64
 }
 
 /// The score by which rounds are compared: SSIM of the renders at the target brightness, of

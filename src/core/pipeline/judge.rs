@@ -5,6 +5,7 @@ use rayon::prelude::*;
 use super::config::LutScope;
 use super::error::PipelineError;
 use super::evaluate::{self, RoundImages};
+use super::guide;
 use super::job::Job;
 use super::tone::Tone;
 use super::training::Scene;
@@ -21,6 +22,8 @@ const MATCHED_VIEWS: usize = 6;
 /// What a round hands to the next.
 #[derive(Clone, Debug)]
 pub struct Next {
+    /// P_i, which this round was brightened to.
+    anchor: Anchor,
     /// HR, at the next round's brightness; the last round's renders themselves.
     pub guides: Vec<Image>,
     /// From this round's brightness to the next one's; `None` after the last round.
@@ -58,8 +61,15 @@ impl Job<'_, '_> {
         anchors: &[Anchor],
         target: &[Image],
     ) -> Result<Next, PipelineError> {
+        let anchor = anchors[round as usize - 1];
         if round as usize == anchors.len() {
-            return Ok(Next { guides: renders.to_vec(), to_next: None, to_final: None, matched: Vec::new() });
+            return Ok(Next {
+                anchor,
+                guides: renders.to_vec(),
+                to_next: None,
+                to_final: None,
+                matched: Vec::new(),
+            });
         }
         self.stage(Stage::Match, round, |job| {
             let next = job.enhanced(views, anchors[round as usize]);
@@ -72,7 +82,8 @@ impl Job<'_, '_> {
                 Tone::fit(scope, renders, &job.fit(renders, target))
             };
             Ok(Next {
-                guides: to_next.apply(renders),
+                anchor,
+                guides: guide::trusted(&next, &to_next.apply(renders)),
                 to_next: Some(to_next),
                 to_final: Some(to_final),
                 matched,
@@ -105,7 +116,6 @@ impl Job<'_, '_> {
     pub fn evaluate(
         &mut self,
         round: u32,
-        anchor: Anchor,
         views: &[View],
         images: [&[Image]; 4],
         next: &Next,
@@ -126,7 +136,7 @@ impl Job<'_, '_> {
                 final_deblurred: &final_deblurred,
                 final_renders: &final_renders,
             };
-            let metrics = job.measure(round, anchor, views, &images, next, scene);
+            let metrics = job.measure(round, views, &images, next, scene);
             if !metrics.worse_than_previous {
                 job.restored(views, &final_renders)?;
             }
@@ -150,7 +160,6 @@ impl Job<'_, '_> {
     fn measure(
         &self,
         round: u32,
-        anchor: Anchor,
         views: &[View],
         images: &RoundImages<'_>,
         next: &Next,
@@ -175,7 +184,7 @@ impl Job<'_, '_> {
             records,
             noise_map: scene.training.noise,
             non_finite_gradients: scene.training.non_finite_gradients,
-            anchor: [anchor.alpha, anchor.gamma],
+            anchor: [next.anchor.alpha, next.anchor.gamma],
             matched: next.matched.iter().map(|anchor| [anchor.alpha, anchor.gamma]).collect(),
             worse_than_previous: matches!((before, now), (Some(before), Some(now)) if now < before - 0.01),
         }

@@ -64,7 +64,7 @@ impl Job<'_, '_> {
         let started = Instant::now();
         let scene = self.stage(Stage::Reconstruct, round, |job| {
             let start = job.train_start(round, &key, views, poses, previous)?;
-            let scene = job.train(round, &key, views, deblurred, poses, start)?;
+            let scene = job.train(round, views, deblurred, poses, start)?;
             job.workspace.make_folder(&job.workspace.round(round))?;
             ply::write(&scene.gaussians, &scene_file)?;
             job.workspace.write_json(&facts, &scene.training)?;
@@ -132,7 +132,6 @@ impl Job<'_, '_> {
     fn train(
         &mut self,
         round: u32,
-        key: &str,
         views: &[View],
         deblurred: &[Image],
         poses: &Poses,
@@ -150,7 +149,7 @@ impl Job<'_, '_> {
                 noise_sigma: metrics::noise_sigma(image) as f32,
             })
             .collect();
-        let trained = self.train_with_hooks(round, key, &training, start, &config)?;
+        let trained = self.train_with_hooks(round, &training, start, &config)?;
         for warning in &trained.warnings {
             self.sink.warn("training", format!("round {round}: {warning}"));
         }
@@ -170,12 +169,11 @@ impl Job<'_, '_> {
     fn train_with_hooks(
         &mut self,
         round: u32,
-        key: &str,
         views: &[TrainingView],
         start: TrainStart,
         config: &TrainConfig,
     ) -> Result<Trained, PipelineError> {
-        let path = self.checkpoint_path();
+        let (path, key) = (self.checkpoint_path(), self.stage_fingerprint(Stage::Reconstruct, round));
         let (gpu, cancel) = (self.tools.gpu, self.cancel);
         let job = RefCell::new(self);
         let mut progress = |done: u64, total: u64, rate: f64| {
@@ -189,7 +187,7 @@ impl Job<'_, '_> {
             let saved = job
                 .workspace
                 .write(&path, &checkpoint.to_bytes())
-                .and_then(|()| job.workspace.stamp("checkpoint", key, 0.0));
+                .and_then(|()| job.workspace.stamp("checkpoint", &key, 0.0));
             // A checkpoint that cannot be written costs time after a crash, not this run.
             if let Err(error) = saved {
                 job.sink.warn("checkpoint", format!("round {round}: {error}"));
