@@ -88,7 +88,10 @@ fn mean_record(what: What, pairs: &[(&Image, &Image)]) -> Option<Record> {
 }
 
 /// Means of a measure over the enhanced views, the deblurred views and the renders.
-pub fn means(images: &RoundImages<'_>, measure: impl Fn(&Image) -> f64 + Sync) -> BTreeMap<String, f64> {
+pub fn means(
+    images: &RoundImages<'_>,
+    measure: impl Fn(&Image) -> f64 + Sync + Send + Copy,
+) -> BTreeMap<String, f64> {
     [("enhanced", images.enhanced), ("deblurred", images.deblurred), ("render", images.renders)]
         .into_iter()
         .map(|(name, set)| (name.to_owned(), mean(set, measure)))
