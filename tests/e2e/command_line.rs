@@ -1,12 +1,12 @@
 //! Exit codes and words of the command line.
 
 use std::fs;
-use std::process::{Command, Output};
+use std::process::Output;
 
-use crate::support::{FLED, small_capture, small_run};
+use crate::support::{self, small_capture, small_run};
 
 fn fled(arguments: &[&str]) -> Output {
-    Command::new(FLED).args(arguments).output().expect("the binary starts")
+    support::fled().args(arguments).output().expect("the binary starts")
 }
 
 fn code(output: &Output) -> i32 {

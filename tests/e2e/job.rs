@@ -8,7 +8,7 @@ use std::process::Stdio;
 use fled_core::gaussians::ply;
 use fled_core::image::Image;
 
-use crate::support::{json, small_capture, small_run, succeed};
+use crate::support::{fled, json, small_capture, small_run, succeed};
 
 #[test]
 fn a_dark_capture_becomes_a_scene_with_metrics_of_every_round() {
@@ -119,7 +119,7 @@ fn a_finished_run_is_rendered_from_a_view_and_from_an_orbit() {
     let name = json(&out.join("cameras.json"))[1]["name"].as_str().expect("name").to_owned();
     let picture = |arguments: &[&str]| {
         let path = folder.path().join("picture.png");
-        let mut command = std::process::Command::new(crate::support::FLED);
+        let mut command = fled();
         succeed(command.arg("render").arg(&out).args(arguments).arg("-o").arg(&path));
         Image::load(&path).expect("a picture")
     };

@@ -6,7 +6,7 @@ use std::process::{Command, Output};
 use fled_core::synthetic::{SynthOptions, generate};
 
 /// The binary under test.
-pub const FLED: &str = env!("CARGO_BIN_EXE_fled");
+const FLED: &str = env!("CARGO_BIN_EXE_fled");
 
 /// A capture of 12 small views with true poses, made once a test.
 pub fn small_capture(folder: &Path) -> PathBuf {
@@ -17,9 +17,17 @@ pub fn small_capture(folder: &Path) -> PathBuf {
     capture
 }
 
+/// The binary, which finds ONNX Runtime where `make onnxruntime` puts it, wherever the build folder is.
+pub fn fled() -> Command {
+    let library = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../.onnxruntime/libonnxruntime.so");
+    let mut command = Command::new(FLED);
+    command.env("ORT_DYLIB_PATH", library);
+    command
+}
+
 /// `fled run` at a size that takes seconds.
 pub fn small_run(capture: &Path, out: &Path, rounds: u32) -> Command {
-    let mut command = Command::new(FLED);
+    let mut command = fled();
     command.arg("run").arg(capture).arg("--out").arg(out).args(["--preset", "preview", "--cache", "none"]);
     for set in ["size=128", "steps=120", "cap=1500", "pose_source=given", &format!("rounds={rounds}")] {
         command.args(["--set", set]);

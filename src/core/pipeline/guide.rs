@@ -10,11 +10,11 @@ use rayon::prelude::*;
 use crate::image::Image;
 
 /// Side of the cells in which view and render are compared, px: above the shake, below the objects.
-const CELL: usize = 8;
+const CELL: usize = 4;
 
 /// Difference of two cells, RMS over the channels, at which a render has lost most of its say. Shake
 /// moves edges over cell borders: well-trained views differ by 0.01 to 0.03.
-const DISAGREEMENT: f32 = 0.06;
+const DISAGREEMENT: f32 = 0.04;
 
 /// The guides of all views: each render where it agrees with its view, the view elsewhere.
 pub fn trusted(views: &[Image], renders: &[Image]) -> Vec<Image> {
