@@ -61,6 +61,9 @@ pub const OFF_SHARE: f64 = 0.1;
 
 /// Above this |correlation| of map and render the field explains the scene rather than the noise.
 pub const CORRELATION_LIMIT: f64 = 0.3;
+/// Maps flatter than this, standard deviation 0..=1, are not guarded: half an 8-bit step of whatever
+/// shape cannot take the scene's place, and in real rounds of 8 views such maps correlated by 0.4.
+pub const LEAST_GUARDED_SPREAD: f64 = 0.5 / 255.0;
 
 /// Side of a cell of mode `Grid`, px.
 const CELL: u32 = 8;
@@ -408,8 +411,9 @@ fn compare(render: &[f32], prediction: &[f32]) -> Inspection {
     // Below a hundredth of an 8-bit step the map is nothing, and its correlation is that of rounding.
     let something = variance > 1e-9 && variance_render > 1e-12;
     let correlation = if something { covariance / (variance * variance_render).sqrt() } else { 0.0 };
-    let halved = correlation.abs() > CORRELATION_LIMIT;
-    Inspection { mean, spread: variance.sqrt(), correlation, halved }
+    let spread = variance.sqrt();
+    let halved = correlation.abs() > CORRELATION_LIMIT && spread > LEAST_GUARDED_SPREAD;
+    Inspection { mean, spread, correlation, halved }
 }
 
 #[cfg(test)]

