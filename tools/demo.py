@@ -101,6 +101,13 @@ def zipped(folder):
     return content.getvalue()
 
 
+def drop_leftovers(service):
+    """Ends what an interrupted demo has left: the one worker would go on with it first."""
+    for state in ("running", "queued"):
+        for job in service.json(f"/v1/jobs?state={state}&limit=200")["jobs"]:
+            service.call(urllib.request.Request(f"http://{service.address}/v1/jobs/{job['id']}/cancel", b""))
+
+
 def follow(service, job):
     """Prints where the job stands until it ends."""
     deadline, said, said_at = time.monotonic() + PATIENCE, None, 0.0
@@ -189,6 +196,7 @@ def main():
     subprocess.run([arguments.fled, "synth", CAPTURE], check=True)
     with Service(arguments.fled) as service:
         print(f"The service listens on http://{service.address}", flush=True)
+        drop_leftovers(service)
         fields = {"name": "demo", "preset": arguments.preset, "options": json.dumps(options)}
         job = service.post("/v1/jobs", fields, "capture.zip", zipped(CAPTURE))["id"]
         state = follow(service, job)

@@ -1,5 +1,6 @@
 //! `fled serve`: the API, the dashboard and the workers.
 
+use std::io::IsTerminal;
 use std::net::SocketAddr;
 use std::path::PathBuf;
 
@@ -29,7 +30,8 @@ pub struct Args {
 /// [`Failure`] when the data directory or the address cannot be used.
 pub fn main(args: &Args) -> Result<(), Failure> {
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("info"));
-    tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).init();
+    let colours = std::io::stderr().is_terminal();
+    tracing_subscriber::fmt().with_env_filter(filter).with_ansi(colours).with_writer(std::io::stderr).init();
     let config = ServeConfig::new(args.data.clone(), args.listen, args.workers).map_err(io(&args.data))?;
     let runtime = tokio::runtime::Runtime::new().map_err(|e| Failure::new(ErrorKind::Internal, e))?;
     runtime.block_on(fled_server::serve(config)).map_err(|e| Failure::new(ErrorKind::Io, e))

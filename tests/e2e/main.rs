@@ -2,4 +2,5 @@
 
 mod command_line;
 mod job;
+mod service;
 mod support;

@@ -252,7 +252,7 @@ impl Judged {
                 "few",
                 format!(
                     "{count} photographs are few: 20 to 60 give a much better scene, and below \
-                         {FEW_VIEWS} none is held out for the measurements"
+                         {FEW_VIEWS} none is held out for the measurements unless `held_out` asks for it"
                 ),
             ));
         }

@@ -44,6 +44,8 @@ pub struct Options {
     /// Train at 1/4, then 1/2, then full size.
     pub resolution_schedule: bool,
     /// `auto` (every 8th of at least 12 views), `none`, every n-th, or names separated by commas.
+    #[serde(deserialize_with = "held_out")]
+    #[schemars(with = "HeldOut")]
     pub held_out: String,
     /// `auto` (poses of the capture when it has them, else COLMAP), `colmap`, or `given`.
     pub pose_source: PoseSource,
@@ -51,6 +53,23 @@ pub struct Options {
     pub seed: u64,
     /// Part of an adapter's name, or `auto`.
     pub adapter: String,
+}
+
+/// How `held_out` may be written in JSON.
+#[derive(Deserialize, JsonSchema)]
+#[serde(untagged, expecting = "expected a number or a string")]
+enum HeldOut {
+    /// Every n-th view.
+    Every(u32),
+    /// `auto`, `none`, a number, or names separated by commas.
+    Words(String),
+}
+
+fn held_out<'de, D: serde::Deserializer<'de>>(value: D) -> Result<String, D::Error> {
+    Ok(match HeldOut::deserialize(value)? {
+        HeldOut::Every(nth) => nth.to_string(),
+        HeldOut::Words(words) => words,
+    })
 }
 
 /// The scope of a tone table.
@@ -274,6 +293,19 @@ mod tests {
         assert_eq!(options.with_assignment("noise=off").expect("valid").noise, NoiseMode::Off);
         assert!(!options.with_assignment("resolution_schedule=false").expect("valid").resolution_schedule);
         assert_eq!(options.with_assignment("target=10,0.8").expect("valid").target, "10,0.8");
+    }
+
+    #[test]
+    fn every_nth_view_may_be_a_number_or_a_string_in_json() {
+        let read = |value: serde_json::Value| {
+            let overrides = serde_json::Map::from_iter([("held_out".to_owned(), value)]);
+            Options::default().with_overrides(&overrides).map(|options| options.held_out)
+        };
+        assert_eq!(read(5.into()).expect("valid"), "5");
+        assert_eq!(read("a,b".into()).expect("valid"), "a,b");
+        assert!(
+            read(true.into()).expect_err("no list").to_string().contains("expected a number or a string")
+        );
     }
 
     #[test]

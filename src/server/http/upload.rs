@@ -247,7 +247,7 @@ impl Receiver<'_> {
         if lower.ends_with(".zip") && part != "gt" {
             return self.unique(Path::new(""), judge::ARCHIVE);
         }
-        let is_truth = part == "gt" || folder == "gt";
+        let is_truth = part == "gt" || ["gt", "hl"].iter().any(|truth| folder.eq_ignore_ascii_case(truth));
         let stored = match self.names.get(file) {
             // The second of a pair takes the name of the first.
             Some(stored) if !self.taken.contains(&folder_of(is_truth).join(stored)) => stored.clone(),

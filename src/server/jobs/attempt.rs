@@ -5,7 +5,7 @@ use std::process::ExitStatus;
 use std::sync::Arc;
 use std::time::Duration;
 
-use fled_core::event::Event;
+use fled_core::event::{Event, Stage};
 use fled_core::pipeline::error::ErrorKind;
 use tokio::sync::Notify;
 use tokio::time::{Instant, Interval, MissedTickBehavior, interval, sleep_until};
@@ -240,10 +240,10 @@ fn ticks(period: Duration) -> Interval {
 fn readable(event: &Event) -> String {
     match event {
         Event::Planned { rounds, views } => format!("planned {rounds} rounds of {views} views"),
-        Event::StageStarted { stage, round } => format!("round {round}: {} begins", stage.name()),
+        Event::StageStarted { stage, round } => format!("{} begins", place(*stage, *round)),
         Event::StageFinished { stage, round, seconds, skipped } => {
             let how = if *skipped { "found done" } else { "done" };
-            format!("round {round}: {} {how}, {seconds:.1} s", stage.name())
+            format!("{} {how}, {seconds:.1} s", place(*stage, *round))
         }
         Event::RoundFinished { metrics } => {
             format!("round {} done, {:.1} s, {} Gaussians", metrics.round, metrics.seconds, metrics.gaussians)
@@ -251,6 +251,11 @@ fn readable(event: &Event) -> String {
         Event::Warning { code, message } => format!("warning {code}: {message}"),
         other => format!("{other:?}"),
     }
+}
+
+/// A stage in the log; the poses belong to no round.
+fn place(stage: Stage, round: u32) -> String {
+    if round == 0 { stage.name().to_owned() } else { format!("round {round}: {}", stage.name()) }
 }
 
 fn closing_line(settlement: &Settlement) -> String {

@@ -66,7 +66,12 @@ impl Group {
         let (program, first) = command
             .split_first()
             .ok_or_else(|| io::Error::new(io::ErrorKind::InvalidInput, "empty command"))?;
-        let mut child = Command::new(program)
+        let mut command = Command::new(program);
+        if std::env::var_os("XDG_RUNTIME_DIR").is_none() {
+            // Vulkan loaders look for a desktop there and call its absence an error, in the log of every job.
+            command.env("XDG_RUNTIME_DIR", std::env::temp_dir());
+        }
+        let mut child = command
             .args(first)
             .args(arguments)
             .envs(variables.iter().copied())

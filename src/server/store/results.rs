@@ -1,5 +1,6 @@
 //! What a job has shown: rounds, stage times, warnings, digests.
 
+use fled_core::event::Stage;
 use serde_json::Value;
 use sqlx::Row;
 
@@ -44,7 +45,7 @@ impl Store {
             .collect()
     }
 
-    /// The time of every finished stage, by round and then by order of finishing.
+    /// The time of every finished stage, by round and then in the order of the stages.
     ///
     /// # Errors
     /// When the database refuses.
@@ -54,7 +55,8 @@ impl Store {
                 .bind(job)
                 .fetch_all(&self.pool)
                 .await?;
-        rows.iter()
+        let mut stages = rows
+            .iter()
             .map(|row| {
                 Ok(StageSeconds {
                     stage: row.try_get("stage")?,
@@ -62,7 +64,9 @@ impl Store {
                     seconds: row.try_get("seconds")?,
                 })
             })
-            .collect()
+            .collect::<Result<Vec<_>>>()?;
+        stages.sort_by_key(|one| (one.round, Stage::ALL.iter().position(|stage| stage.name() == one.stage)));
+        Ok(stages)
     }
 
     /// The warnings of a job, oldest first.

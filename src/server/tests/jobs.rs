@@ -4,7 +4,7 @@ mod support;
 
 use std::time::{Duration, Instant};
 
-use support::{Server, photographs, text};
+use support::{Server, gone, photographs, processes_of, text};
 
 #[test]
 fn a_job_goes_from_upload_to_results() {
@@ -166,26 +166,4 @@ fn the_same_key_and_request_give_the_same_job() {
     assert_eq!(again["id"], first["id"]);
     let captures = server.get("/v1/captures", &[]).expect(200).json();
     assert_eq!(captures["captures"].as_array().map(Vec::len), Some(2), "a copy of the capture stayed");
-}
-
-/// Processes that carry the job's mark.
-fn processes_of(job: &str) -> usize {
-    let mark = format!("FLED_JOB_ID={job}");
-    let processes = std::fs::read_dir("/proc").expect("Linux");
-    let marked = |path: std::path::PathBuf| {
-        std::fs::read(path.join("environ"))
-            .is_ok_and(|text| text.split(|&b| b == 0).any(|v| v == mark.as_bytes()))
-    };
-    processes.flatten().filter(|entry| marked(entry.path())).count()
-}
-
-fn gone(job: &str) -> bool {
-    let start = Instant::now();
-    while start.elapsed() < Duration::from_secs(2) {
-        if processes_of(job) == 0 {
-            return true;
-        }
-        std::thread::sleep(Duration::from_millis(20));
-    }
-    false
 }
