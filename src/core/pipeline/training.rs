@@ -4,6 +4,7 @@ use std::cell::RefCell;
 use std::path::PathBuf;
 use std::time::Instant;
 
+use glam::DVec2;
 use serde::{Deserialize, Serialize};
 
 use super::config::{Densify, NoiseMode, Start};
@@ -17,7 +18,7 @@ use crate::gaussians::{Gaussians, ply};
 use crate::image::Image;
 use crate::metrics;
 use crate::metrics::report::NoiseMapStatistics;
-use crate::poses::Poses;
+use crate::poses::{Poses, SparsePoint};
 use crate::reconstruct::{self, Checkpoint, TrainConfig, TrainHooks, TrainStart, Trained, TrainingView};
 
 /// V_i with the facts of its training, as stored beside its `scene.ply`.
@@ -63,7 +64,7 @@ impl Job<'_, '_> {
         }
         let started = Instant::now();
         let scene = self.stage(Stage::Reconstruct, round, |job| {
-            let start = job.train_start(round, &key, views, poses, previous)?;
+            let start = job.train_start(round, views, deblurred, poses, previous)?;
             let scene = job.train(round, views, deblurred, poses, start)?;
             job.workspace.make_folder(&job.workspace.round(round))?;
             ply::write(&scene.gaussians, &scene_file)?;
@@ -78,12 +79,13 @@ impl Job<'_, '_> {
     fn train_start(
         &mut self,
         round: u32,
-        key: &str,
         views: &[View],
+        deblurred: &[Image],
         poses: &Poses,
         previous: Option<(Scene, Option<Tone>)>,
     ) -> Result<TrainStart, PipelineError> {
-        if self.workspace.finished("checkpoint", key).is_some() {
+        let key = self.stage_fingerprint(Stage::Reconstruct, round);
+        if self.workspace.finished("checkpoint", &key).is_some() {
             match std::fs::read(self.checkpoint_path()).map(|bytes| Checkpoint::from_bytes(&bytes)) {
                 Ok(Ok(checkpoint)) => {
                     self.sink.log(format!("round {round}: resumed at step {}", checkpoint.step));
@@ -103,7 +105,7 @@ impl Job<'_, '_> {
         let cameras: Vec<Camera> = views.iter().map(|view| view.camera).collect();
         let config = self.train_config(round, views, poses);
         Ok(TrainStart::Fresh(reconstruct::initialise(
-            &points(poses),
+            &coloured_points(poses, views, deblurred),
             &cameras,
             config.cap,
             &config.schedule(),
@@ -196,6 +198,38 @@ impl Job<'_, '_> {
         let mut hooks = TrainHooks { cancel, progress: &mut progress, checkpoint: Some(&mut checkpoint) };
         Ok(reconstruct::train(gpu, views, start, config, &mut hooks)?)
     }
+}
+
+/// The sparse points in the colours that the round trains on: the median over the training views
+/// that a point falls into. COLMAP's own colours are those of its brightened copies; splats that
+/// start much too bright turn transparent before they turn dark, and holes stay.
+fn coloured_points(poses: &Poses, views: &[View], deblurred: &[Image]) -> Vec<reconstruct::Point> {
+    let seen = |position: [f64; 3]| -> Vec<[f32; 3]> {
+        views
+            .iter()
+            .zip(deblurred)
+            .filter(|(view, _)| view.split == Split::Train)
+            .filter_map(|(view, image)| {
+                let (pixel, _) = view.camera.project(position.into())?;
+                let inside = pixel.cmpge(DVec2::ZERO).all()
+                    && pixel.x < image.width() as f64
+                    && pixel.y < image.height() as f64;
+                inside.then(|| image.get(pixel.x as usize, pixel.y as usize))
+            })
+            .collect()
+    };
+    let colour = |point: &SparsePoint| {
+        let seen = seen(point.position);
+        if seen.is_empty() {
+            return point.colour;
+        }
+        std::array::from_fn(|channel| {
+            let mut values: Vec<f32> = seen.iter().map(|rgb| rgb[channel]).collect();
+            values.sort_by(f32::total_cmp);
+            (values[values.len() / 2].clamp(0.0, 1.0) * 255.0).round() as u8
+        })
+    };
+    poses.points.iter().map(|point| (point.position.map(|x| x as f32), colour(point))).collect()
 }
 
 /// Positions and colours of the sparse points, as the trainer takes them.
