@@ -97,3 +97,26 @@ impl Gaussians {
         Self { sh, sh_degree: degree, ..self.clone() }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_curve_moves_the_base_colour_and_scales_what_varies_with_direction() {
+        let one = Gaussians {
+            means: vec![[0.0; 3]],
+            quats: vec![[1.0, 0.0, 0.0, 0.0]],
+            log_scales: vec![[0.0; 3]],
+            opacity_logits: vec![0.0],
+            sh: vec![0.0; 3],
+            sh_degree: 0,
+        };
+        let mut mapped = one.with_sh_degree(1);
+        mapped.sh[3] = 0.2;
+        mapped.map_colours(|rgb| rgb.map(|v| v / 2.0), |_| [0.5; 3]);
+        let base = 0.5 + 0.282_094_8 * mapped.sh[0];
+        assert!((base - 0.25).abs() < 1e-6, "{base}");
+        assert!((mapped.sh[3] - 0.1).abs() < 1e-7, "{}", mapped.sh[3]);
+    }
+}

@@ -12,9 +12,13 @@ use super::training::Scene;
 use super::views::View;
 use crate::enhance::{self, Anchor, Histogram};
 use crate::event::{Event, Stage};
+use crate::gaussians::ply;
 use crate::image::{EncodeFormat, Image};
 use crate::metrics::{self, RoundMetrics};
 use crate::render::Renderer;
+
+/// File of a round's scene at the target brightness, where the round itself was darker.
+pub const BRIGHTENED: &str = "scene_at_target.ply";
 
 /// Views that share one search for the next brightness.
 const MATCHED_VIEWS: usize = 6;
@@ -140,6 +144,7 @@ impl Job<'_, '_> {
             if !metrics.worse_than_previous {
                 job.restored(views, &final_renders)?;
             }
+            job.brighten_scene(round, next.to_final.as_ref(), scene)?;
             Ok(metrics)
         })?;
         let metrics = RoundMetrics { seconds: self.round_seconds, ..metrics };
@@ -147,6 +152,17 @@ impl Job<'_, '_> {
         self.write_report()?;
         self.sink.event(&Event::RoundFinished { metrics: Box::new(metrics) });
         Ok(())
+    }
+
+    /// The round's scene at the target brightness: what is delivered should no later round be better.
+    /// The last round is at that brightness itself, and leaves no file of an earlier plan behind.
+    fn brighten_scene(&self, round: u32, tone: Option<&Tone>, scene: &Scene) -> Result<(), PipelineError> {
+        let path = self.workspace.round(round).join(BRIGHTENED);
+        let Some(tone) = tone else { return self.workspace.remove(&path) };
+        let mut gaussians = scene.gaussians.clone();
+        let curve = tone.curve(0);
+        gaussians.map_colours(|rgb| curve.apply_colour(rgb), |rgb| curve.slope(rgb));
+        Ok(ply::write(&gaussians, &path)?)
     }
 
     /// The scene's renders at the views' cameras and the target brightness: of the best round so far.

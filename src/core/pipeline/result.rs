@@ -8,6 +8,7 @@ use serde_json::json;
 use super::Outcome;
 use super::error::PipelineError;
 use super::job::Job;
+use super::judge::BRIGHTENED;
 use crate::event::Event;
 use crate::metrics::Report;
 use crate::poses::Poses;
@@ -91,7 +92,8 @@ impl Job<'_, '_> {
             );
             self.sink.warn("round_worse", message);
         }
-        let scene = best.join("scene.ply");
+        let brightened = best.join(BRIGHTENED);
+        let scene = if brightened.exists() { brightened } else { best.join("scene.ply") };
         let bytes = fs::read(&scene).map_err(|e| PipelineError::io(&scene, e))?;
         self.workspace.write(&self.workspace.path("scene.ply"), &bytes)?;
         let seconds = self.started.elapsed().as_secs_f64();

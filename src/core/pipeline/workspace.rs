@@ -64,6 +64,17 @@ impl Workspace {
         fs::create_dir_all(path).map_err(|e| PipelineError::io(path, e))
     }
 
+    /// Removes a file, if it is there.
+    ///
+    /// # Errors
+    /// [`PipelineError::Io`].
+    pub fn remove(&self, path: &Path) -> Result<(), PipelineError> {
+        match fs::remove_file(path) {
+            Err(e) if e.kind() != std::io::ErrorKind::NotFound => Err(PipelineError::io(path, e)),
+            _ => Ok(()),
+        }
+    }
+
     /// Writes a file under a temporary name, syncs it and renames it.
     ///
     /// # Errors
