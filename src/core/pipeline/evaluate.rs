@@ -103,20 +103,17 @@ pub fn mean(images: &[Image], measure: impl Fn(&Image) -> f64 + Sync + Send) -> 
     images.par_iter().map(measure).collect::<Vec<_>>().iter().sum::<f64>() / images.len() as f64
 }
 
-/// The score by which rounds are compared: SSIM of the renders at the target brightness, of
-/// held-out views where there are any, against ground truth where there is any.
+/// The score by which rounds are compared: SSIM of the renders at the target brightness against the
+/// enhanced views, of held-out views where there are any. Never ground truth: a capture that brings
+/// it must be delivered the same scene as one that does not.
 pub fn score(records: &[Record]) -> Option<f64> {
-    let find = |split: Split, reference: Reference| {
+    let find = |split: Split| {
         records.iter().find(|r| {
             r.split == split
-                && r.reference == reference
+                && r.reference == Reference::Enhanced
                 && r.image == ImageKind::Render
                 && r.brightness == Brightness::Final
         })
     };
-    // Ground truth judges only when it is there; delivery must not depend on it otherwise, so
-    // self-consistency against the target's enhanced views is the common measure.
-    find(Split::HeldOut, Reference::Enhanced)
-        .or_else(|| find(Split::Train, Reference::Enhanced))
-        .map(|r| r.ssim)
+    find(Split::HeldOut).or_else(|| find(Split::Train)).map(|r| r.ssim)
 }

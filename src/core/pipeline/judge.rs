@@ -160,7 +160,7 @@ impl Job<'_, '_> {
         let path = self.workspace.round(round).join(BRIGHTENED);
         let Some(tone) = tone else { return self.workspace.remove(&path) };
         let mut gaussians = scene.gaussians.clone();
-        let curve = tone.curve(0);
+        let curve = tone.scene();
         gaussians.map_colours(|rgb| curve.apply_colour(rgb), |rgb| curve.slope(rgb));
         Ok(ply::write(&gaussians, &path)?)
     }

@@ -8,6 +8,7 @@ use crate::image::Image;
 #[derive(Clone, Debug)]
 pub struct Tone {
     curves: Vec<ToneCurve>,
+    scene: ToneCurve,
 }
 
 impl Tone {
@@ -22,12 +23,20 @@ impl Tone {
                 .map(|(view, image)| ToneCurve::new(&Histogram::of(image), anchor(view)))
                 .collect(),
         };
-        Self { curves }
+        let mean = |of: fn(&Anchor) -> f64| anchors.iter().map(of).sum::<f64>() / anchors.len() as f64;
+        let middle = Anchor { alpha: mean(|a| a.alpha), gamma: mean(|a| a.gamma) };
+        Self { curves, scene: ToneCurve::new(&Histogram::pooled(images), middle) }
     }
 
     /// The curve of a view.
-    pub fn curve(&self, view: usize) -> &ToneCurve {
+    fn curve(&self, view: usize) -> &ToneCurve {
         &self.curves[view.min(self.curves.len() - 1)]
+    }
+
+    /// The one curve for what no view owns: the colours of the scene. In the scope of an image it is
+    /// the curve of the pooled views at the mean of their anchors.
+    pub fn scene(&self) -> &ToneCurve {
+        &self.scene
     }
 
     /// Every image through its curve.

@@ -98,7 +98,7 @@ impl Job<'_, '_> {
         }
         if let (Start::Warm, Some((scene, Some(tone)))) = (self.options.start, previous) {
             let mut gaussians = scene.gaussians;
-            let curve = tone.curve(0);
+            let curve = tone.scene();
             gaussians.map_colours(|rgb| curve.apply_colour(rgb), |rgb| curve.slope(rgb));
             return Ok(TrainStart::Fresh(gaussians));
         }
