@@ -41,7 +41,7 @@ const RELOCATE: Kernel = Kernel::new(
 
 const BETA_M: f64 = 0.9;
 const BETA_V: f64 = 0.999;
-/// Rates of splat.md, "Defaults".
+/// Rates of splat.md, "Defaults", for a round of 30,000 steps.
 const RATE_LOG_SCALE: f64 = 5e-3;
 const RATE_QUAT: f64 = 1e-3;
 const RATE_OPACITY: f64 = 0.05;
@@ -88,16 +88,17 @@ impl StepUniform {
     /// The numbers of `step` of a round with `count` Gaussians in a scene of `extent` world units. `densify`: whether MCMC
     /// runs; without it there is neither regulariser nor noise.
     pub fn new(schedule: &Schedule, step: u32, count: usize, extent: f64, densify: bool) -> Self {
-        let relative = schedule.means_rate(step);
+        let (relative, haste) = (schedule.means_rate(step), schedule.haste());
         let t = step as i32 + 1;
         let weight = if densify { REGULARISER / count.max(1) as f64 } else { 0.0 };
         // Scales have a length: in units of the extent the same scene gets the same step at any scale.
         let explores = densify && schedule.explores(step);
         let noise = if explores { NOISE * relative / extent } else { 0.0 };
         Self {
-            rates: [relative * extent, RATE_LOG_SCALE, RATE_QUAT, RATE_OPACITY].map(|v| v as f32),
-            rate_sh0: RATE_SH0 as f32,
-            rate_sh: RATE_SH as f32,
+            rates: [relative * extent, haste * RATE_LOG_SCALE, haste * RATE_QUAT, RATE_OPACITY]
+                .map(|v| v as f32),
+            rate_sh0: (haste * RATE_SH0) as f32,
+            rate_sh: (haste * RATE_SH) as f32,
             bias_m: (1.0 / (1.0 - BETA_M.powi(t))) as f32,
             bias_v: (1.0 / (1.0 - BETA_V.powi(t))) as f32,
             opacity_weight: weight as f32,

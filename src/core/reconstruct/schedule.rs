@@ -10,7 +10,14 @@ const QUARTER_SHARE: f64 = 0.1;
 const FULL_FROM: f64 = 0.3;
 /// Smaller images are not reduced: SSIM's window of 11 px would see nothing of them.
 const SMALLEST_SIDE: usize = 32;
-/// Rate of the means at the start and the end of a round, world units a step at extent 1.
+/// Steps of the published trainers whose rates these are. Differs from splat.md: a round is much shorter, so
+/// its steps are larger; with the published rates, splats of 1,000 steps hardly leave their points.
+const PUBLISHED_STEPS: f64 = 30_000.0;
+/// Means may go this many times as far in a step, so that they go as far in a round of 1,500.
+const MOST_MEANS_HASTE: f64 = 20.0;
+/// All else but opacities changes at most so many times as fast, and by the square root of what is missing.
+const MOST_HASTE: f64 = 5.0;
+/// Rate of the means at the start and the end of a round of [`PUBLISHED_STEPS`], world units a step at extent 1.
 const MEANS_RATES: (f64, f64) = (1.6e-4, 1.6e-6);
 /// Warm rounds move the means by this share of the usual rate.
 const WARM_MEANS: f64 = 0.3;
@@ -58,10 +65,16 @@ impl Schedule {
         self.sh_degree.min((self.share(step) * 10.0) as u32)
     }
 
+    /// Factor of the rates of scales, quaternions and colours in a round as short as this.
+    pub fn haste(&self) -> f64 {
+        (PUBLISHED_STEPS / f64::from(self.steps.max(1))).sqrt().clamp(1.0, MOST_HASTE)
+    }
+
     /// Rate of the means at `step` for a scene of extent 1: exponential decay over the round.
     pub fn means_rate(&self, step: u32) -> f64 {
         let (start, end) = MEANS_RATES;
-        let rate = start * (end / start).powf(self.share(step));
+        let haste = (PUBLISHED_STEPS / f64::from(self.steps.max(1))).clamp(1.0, MOST_MEANS_HASTE);
+        let rate = haste * start * (end / start).powf(self.share(step));
         if self.warm { rate * WARM_MEANS } else { rate }
     }
 
@@ -128,9 +141,21 @@ mod tests {
 
     #[test]
     fn the_rate_of_the_means_falls_a_hundredfold_over_the_rounds_own_length() {
-        assert!((PLAN.means_rate(0) - 1.6e-4).abs() < 1e-12);
-        assert!((PLAN.means_rate(1_000) - 1.6e-6).abs() < 1e-12);
-        assert!((Schedule { warm: true, ..PLAN }.means_rate(0) - 0.48e-4).abs() < 1e-12);
+        let long = Schedule { steps: 30_000, ..PLAN };
+        assert!((long.means_rate(0) - 1.6e-4).abs() < 1e-12);
+        assert!((long.means_rate(30_000) - 1.6e-6).abs() < 1e-12);
+        assert!((Schedule { warm: true, ..long }.means_rate(0) - 0.48e-4).abs() < 1e-12);
+    }
+
+    #[test]
+    fn short_rounds_take_larger_steps_up_to_a_limit() {
+        let of = |steps| Schedule { steps, ..PLAN };
+        assert_eq!(
+            [of(100_000).haste(), of(30_000).haste(), of(7_500).haste(), of(10).haste()],
+            [1.0, 1.0, 2.0, 5.0]
+        );
+        assert!((of(3_000).means_rate(0) - 1.6e-3).abs() < 1e-12);
+        assert!((of(10).means_rate(0) - 3.2e-3).abs() < 1e-12);
     }
 
     #[test]
