@@ -16,7 +16,7 @@ use crate::failure::{Failure, io};
 pub struct Args {
     /// Output folder of `fled run`.
     run: PathBuf,
-    /// Where the picture goes: .png or .jpg.
+    /// Where the picture goes: .png, .webp (both lossless) or .jpg.
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
     #[command(flatten)]

@@ -93,6 +93,7 @@ impl Worker {
         let format = match request.format {
             Format::Jpeg => EncodeFormat::Jpeg(JPEG_QUALITY),
             Format::Png => EncodeFormat::Png,
+            Format::Webp => EncodeFormat::Webp,
         };
         write_atomic(&request.out, &image.encode(format).map_err(words)?).map_err(words)
     }

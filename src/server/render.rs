@@ -26,6 +26,8 @@ pub enum Format {
     Jpeg,
     /// Lossless.
     Png,
+    /// Lossless, smaller than PNG.
+    Webp,
 }
 
 impl Format {
@@ -34,6 +36,7 @@ impl Format {
         match self {
             Self::Jpeg => "jpg",
             Self::Png => "png",
+            Self::Webp => "webp",
         }
     }
 
@@ -42,6 +45,7 @@ impl Format {
         match self {
             Self::Jpeg => "image/jpeg",
             Self::Png => "image/png",
+            Self::Webp => "image/webp",
         }
     }
 }

@@ -144,6 +144,8 @@ fn a_posted_capture_becomes_a_succeeded_job_with_rounds_artifacts_and_a_render()
     let view = |query: &str| server.get(&format!("/v1/jobs/{job}/render?{query}"), &[]);
     let early = server.picture(view("azimuth=5&format=png"));
     assert!(fled_core::metrics::mean_v(&early) > 0.01, "round 1, seen while round 2 trains, is black");
+    let webp = view("azimuth=5&format=webp").expect(200);
+    assert_eq!((webp.header("content-type"), &webp.body[8..12]), ("image/webp", b"WEBP".as_slice()));
 
     let done = server.wait(&job, "over", |shown| shown["finished_at"].is_string());
     assert_eq!((&done["state"], &done["error"]), (&"succeeded".into(), &Value::Null), "{}", server.log(&job));

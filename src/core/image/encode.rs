@@ -7,6 +7,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use image::codecs::jpeg::JpegEncoder;
 use image::codecs::png::PngEncoder;
+use image::codecs::webp::WebPEncoder;
 use image::{ExtendedColorType, ImageEncoder};
 
 use super::{Image, ImageError, Srgb};
@@ -20,19 +21,21 @@ pub enum EncodeFormat {
     Png16,
     /// JPEG of this quality, 1..=100.
     Jpeg(u8),
+    /// Lossless WebP, 8 bit a channel.
+    Webp,
 }
 
 /// The quality of a JPEG where only a file name says the format: no visible loss in renders.
 const DEFAULT_JPEG_QUALITY: u8 = 92;
 
 impl EncodeFormat {
-    /// By extension: `.jpg` and `.jpeg` give JPEG of quality 92, anything else 8-bit PNG.
+    /// By extension: `.jpg` and `.jpeg` give JPEG of quality 92, `.webp` lossless WebP, anything else 8-bit PNG.
     pub fn of(path: &Path) -> Self {
         let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default();
         if extension.eq_ignore_ascii_case("jpg") || extension.eq_ignore_ascii_case("jpeg") {
             return Self::Jpeg(DEFAULT_JPEG_QUALITY);
         }
-        Self::Png
+        if extension.eq_ignore_ascii_case("webp") { Self::Webp } else { Self::Png }
     }
 }
 
@@ -86,6 +89,12 @@ impl Image<Srgb> {
             }
             EncodeFormat::Jpeg(quality) => JpegEncoder::new_with_quality(&mut bytes, quality.clamp(1, 100))
                 .write_image(&self.to_rgb8(), width, height, ExtendedColorType::Rgb8),
+            EncodeFormat::Webp => WebPEncoder::new_lossless(&mut bytes).write_image(
+                &self.to_rgb8(),
+                width,
+                height,
+                ExtendedColorType::Rgb8,
+            ),
         };
         outcome.map_err(|error| ImageError::Encode { message: error.to_string() })?;
         Ok(bytes.into_inner())
@@ -150,12 +159,14 @@ mod tests {
     }
 
     #[test]
-    fn png_brings_back_what_was_written_to_half_a_step() {
+    fn lossless_formats_bring_back_what_was_written_to_half_a_step() {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let image = picture();
-        for (name, format, step) in
-            [("a.png", EncodeFormat::Png, 255.0), ("b.png", EncodeFormat::Png16, 65_535.0)]
-        {
+        for (name, format, step) in [
+            ("a.png", EncodeFormat::Png, 255.0),
+            ("b.png", EncodeFormat::Png16, 65_535.0),
+            ("c.webp", EncodeFormat::Webp, 255.0),
+        ] {
             let path = folder.path().join(name);
             image.save_as(&path, format).expect("written");
             let back = Image::load(&path).expect("read");

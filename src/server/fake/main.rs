@@ -77,6 +77,7 @@ fn render_worker() -> Result<(), Box<dyn std::error::Error>> {
         let format = match request.format {
             fled_server::render::Format::Png => fled_core::image::EncodeFormat::Png,
             fled_server::render::Format::Jpeg => fled_core::image::EncodeFormat::Jpeg(90),
+            fled_server::render::Format::Webp => fled_core::image::EncodeFormat::Webp,
         };
         std::fs::write(out, picture.encode(format)?)?;
         say(r#"{"ok":true}"#);

@@ -43,7 +43,7 @@ pub struct RenderQuery {
     height: Option<usize>,
     /// Of which round; default: the delivered one, or the last that is finished.
     round: Option<u32>,
-    /// `jpeg` (default) or `png`.
+    /// `jpeg` (default), `png` or `webp` (lossless).
     format: Option<Format>,
 }
 
@@ -57,7 +57,7 @@ pub struct RenderBody {
     intrinsics: Pinhole,
     /// Of which round; default: the delivered one, or the last that is finished.
     round: Option<u32>,
-    /// `jpeg` (default) or `png`.
+    /// `jpeg` (default), `png` or `webp` (lossless).
     format: Option<Format>,
 }
 
