@@ -15,11 +15,11 @@ import sys
 
 # Name and options of each variant; the first is plain 3DGS on the brightened photographs.
 VARIANTS = [
-    ("plain 3DGS on the brightened photographs", ["rounds=1", "deblur=identity", "noise=off"]),
-    ("+ noise field", ["rounds=1", "deblur=identity", "noise=grid"]),
-    ("+ deblurring", ["rounds=1", "noise=off"]),
-    ("+ deblurring, noise field", ["rounds=1", "noise=grid"]),
-    ("2 rounds, no guide", ["rounds=2", "guide=none"]),
+    ("plain 3DGS on the brightened photographs", ["rounds=1", "deblur=identity", "noise=off", "shake=off"]),
+    ("+ noise field", ["rounds=1", "deblur=identity", "noise=grid", "shake=off"]),
+    ("+ deblurring network", ["rounds=1", "noise=off", "shake=off"]),
+    ("+ shake kernels", ["rounds=1", "deblur=identity", "noise=off", "shake=kernel"]),
+    ("+ all three", ["rounds=1"]),
     ("2 rounds, guided (fled)", ["rounds=2"]),
 ]
 

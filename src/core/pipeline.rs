@@ -32,6 +32,7 @@ use config::Options;
 use error::PipelineError;
 use fled_gpu::Gpu;
 use job::Job;
+use training::Material;
 use workspace::Workspace;
 
 /// What a run may use.
@@ -83,7 +84,9 @@ pub fn run(
     for (i, &anchor) in (1..).zip(&anchors) {
         let enhanced = job.enhance(i, &views, anchor)?; // H_i = E(L; P_i)
         let deblurred = job.deblur(i, &views, &enhanced, guides.as_deref())?; // D_i
-        let scene = job.reconstruct(i, &views, &deblurred, &poses, previous.take())?; // V_i
+        let response = job.response(&views, anchor); // f: light -> values of H_i
+        let material = Material { round: i, views: &views, deblurred: &deblurred, response };
+        let scene = job.reconstruct(&material, &poses, previous.take())?; // V_i
         let renders = job.render(i, &views, &scene)?; // R_i
         let next = job.match_next(i, &renders, &views, &anchors, &target)?; // P_R
         job.evaluate(i, &views, [&enhanced, &deblurred, &renders, &target], &next, &scene)?;

@@ -20,6 +20,7 @@ use crate::gaussians::Gaussians;
 use crate::image::Image;
 use crate::metrics::report::NoiseMapStatistics;
 use crate::noise::NoiseMode;
+pub use crate::shake::Response;
 pub use checkpoint::{Checkpoint, CheckpointError};
 pub use initialise::{Point, initialise, scene_extent};
 pub use schedule::Schedule;
@@ -51,6 +52,8 @@ pub enum TrainStart {
 pub struct TrainConfig {
     /// Optimiser steps.
     pub steps: u32,
+    /// Explain the shake of the views, whose values come from light like this; `None`: they are not shaken.
+    pub shake: Option<Response>,
     /// Most Gaussians.
     pub cap: usize,
     /// Degree of the harmonics.
@@ -110,6 +113,8 @@ pub struct Trained {
     pub non_finite_gradients: u64,
     /// What the noise field learnt; `None` when it was off.
     pub noise: Option<NoiseMapStatistics>,
+    /// Mean [`ShakeKernel::spread`](crate::shake::ShakeKernel::spread) over the views, px; `None` when shake was off.
+    pub shake_px: Option<f64>,
     /// What the user should know.
     pub warnings: Vec<String>,
     /// Loss of the last step.

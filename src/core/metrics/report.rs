@@ -93,6 +93,9 @@ pub struct RoundMetrics {
     /// Mean over the views of the noise map's mean and of its spread; absent when the noise field was off.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub noise_map: Option<NoiseMapStatistics>,
+    /// Root mean square distance that the shake found in a training view moves its light, mean over the views, px of the
+    /// working size; `None` when it was not looked for.
+    pub shake_px: Option<f64>,
     /// Gradients that were not finite and were dropped.
     pub non_finite_gradients: u64,
     /// alpha and gamma of the round's anchor.

@@ -31,6 +31,8 @@ pub struct Options {
     pub guide: Guide,
     /// The noise field.
     pub noise: NoiseMode,
+    /// Whether the shake that deblurring leaves is explained in training.
+    pub shake: ShakeModel,
     /// How rounds after the first start.
     pub start: Start,
     /// Densification.
@@ -92,6 +94,16 @@ pub enum Guide {
     Blend,
     /// No guide.
     None,
+}
+
+/// What explains the shake that deblurring leaves in the views.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum ShakeModel {
+    /// A kernel a view, found from the renders, so that the scene itself stays sharp.
+    Kernel,
+    /// Nothing: the scene is as blurred as the views, as in the paper.
+    Off,
 }
 
 /// How rounds after the first start.
@@ -162,6 +174,7 @@ impl Preset {
             deblur: "default".to_owned(),
             guide: Guide::Render,
             noise: NoiseMode::Grid,
+            shake: ShakeModel::Kernel,
             start: Start::Warm,
             densify: Densify::Mcmc,
             cap: 30_000,
@@ -181,6 +194,7 @@ impl Preset {
                 cap: 200_000,
                 start: Start::Scratch,
                 noise: NoiseMode::Paper,
+                shake: ShakeModel::Off,
                 lut_scope: LutScope::Image,
                 sh_degree: 3,
                 ..standard

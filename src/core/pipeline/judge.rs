@@ -199,6 +199,7 @@ impl Job<'_, '_> {
             noise_sigma,
             records,
             noise_map: scene.training.noise,
+            shake_px: scene.training.shake_px,
             non_finite_gradients: scene.training.non_finite_gradients,
             anchor: [next.anchor.alpha, next.anchor.gamma],
             matched: next.matched.iter().map(|anchor| [anchor.alpha, anchor.gamma]).collect(),

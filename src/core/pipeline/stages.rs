@@ -14,6 +14,7 @@ use crate::enhance::{self, Anchor};
 use crate::event::Stage;
 use crate::image::{EncodeFormat, Image};
 use crate::poses::{PoseRequest, PoseView, Poses};
+use crate::reconstruct::Response;
 
 /// JPEG quality of the pictures that people look at; metrics never read them.
 const PREVIEW_QUALITY: u8 = 90;
@@ -117,6 +118,13 @@ impl Job<'_, '_> {
     pub fn enhanced(&self, views: &[View], anchor: Anchor) -> Vec<Image> {
         let dark: Vec<Image> = views.iter().map(|view| view.dark.clone()).collect();
         Tone::fit(self.options.lut_scope, &dark, &[anchor]).apply(&dark)
+    }
+
+    /// How light becomes the values of H_i: the camera's sRGB, then the round's curve.
+    pub fn response(&self, views: &[View], anchor: Anchor) -> Response {
+        let dark: Vec<Image> = views.iter().map(|view| view.dark.clone()).collect();
+        let tone = Tone::fit(self.options.lut_scope, &dark, &[anchor]);
+        Response::through(|v| tone.scene().apply_colour([v; 3])[0])
     }
 
     /// H_i = E(L; P_i), always from the original dark views.

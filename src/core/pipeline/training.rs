@@ -7,7 +7,7 @@ use std::time::Instant;
 use glam::DVec2;
 use serde::{Deserialize, Serialize};
 
-use super::config::{Densify, NoiseMode, Start};
+use super::config::{Densify, NoiseMode, ShakeModel, Start};
 use super::error::PipelineError;
 use super::job::Job;
 use super::tone::Tone;
@@ -19,7 +19,9 @@ use crate::image::Image;
 use crate::metrics;
 use crate::metrics::report::NoiseMapStatistics;
 use crate::poses::{Poses, SparsePoint};
-use crate::reconstruct::{self, Checkpoint, TrainConfig, TrainHooks, TrainStart, Trained, TrainingView};
+use crate::reconstruct::{
+    self, Checkpoint, Response, TrainConfig, TrainHooks, TrainStart, Trained, TrainingView,
+};
 
 /// V_i with the facts of its training, as stored beside its `scene.ply`.
 #[derive(Clone, Debug)]
@@ -37,18 +39,30 @@ pub struct Training {
     pub(super) steps_per_second: f64,
     pub(super) non_finite_gradients: u64,
     pub(super) noise: Option<NoiseMapStatistics>,
+    pub(super) shake_px: Option<f64>,
+}
+
+/// What a round is trained on.
+pub struct Material<'a> {
+    /// i, 1-based.
+    pub round: u32,
+    /// All views, with their cameras and splits.
+    pub views: &'a [View],
+    /// D_i, in the order of the views.
+    pub deblurred: &'a [Image],
+    /// How light became the values of D_i.
+    pub response: Response,
 }
 
 impl Job<'_, '_> {
     /// V_i: noise-aware splats on the training views of D_i.
     pub fn reconstruct(
         &mut self,
-        round: u32,
-        views: &[View],
-        deblurred: &[Image],
+        material: &Material<'_>,
         poses: &Poses,
         previous: Option<(Scene, Option<Tone>)>,
     ) -> Result<Scene, PipelineError> {
+        let round = material.round;
         let key = self.stage_fingerprint(Stage::Reconstruct, round);
         let name = format!("reconstruct-{round}");
         let (scene_file, facts) = (
@@ -64,8 +78,9 @@ impl Job<'_, '_> {
         }
         let started = Instant::now();
         let scene = self.stage(Stage::Reconstruct, round, |job| {
-            let start = job.train_start(round, views, deblurred, poses, previous)?;
-            let scene = job.train(round, views, deblurred, poses, start)?;
+            let config = job.train_config(material, poses);
+            let start = job.train_start(material, poses, previous, &config)?;
+            let scene = job.train(material, start, &config)?;
             job.workspace.make_folder(&job.workspace.round(round))?;
             ply::write(&scene.gaussians, &scene_file)?;
             job.workspace.write_json(&facts, &scene.training)?;
@@ -78,12 +93,12 @@ impl Job<'_, '_> {
     /// From the checkpoint of an interrupted training, the scene of the round before, or the points.
     fn train_start(
         &mut self,
-        round: u32,
-        views: &[View],
-        deblurred: &[Image],
+        material: &Material<'_>,
         poses: &Poses,
         previous: Option<(Scene, Option<Tone>)>,
+        config: &TrainConfig,
     ) -> Result<TrainStart, PipelineError> {
+        let round = material.round;
         let key = self.stage_fingerprint(Stage::Reconstruct, round);
         if self.workspace.finished("checkpoint", &key).is_some() {
             match std::fs::read(self.checkpoint_path()).map(|bytes| Checkpoint::from_bytes(&bytes)) {
@@ -102,10 +117,9 @@ impl Job<'_, '_> {
             gaussians.map_colours(|rgb| curve.apply_colour(rgb), |rgb| curve.slope(rgb));
             return Ok(TrainStart::Fresh(gaussians));
         }
-        let cameras: Vec<Camera> = views.iter().map(|view| view.camera).collect();
-        let config = self.train_config(round, views, poses);
+        let cameras: Vec<Camera> = material.views.iter().map(|view| view.camera).collect();
         Ok(TrainStart::Fresh(reconstruct::initialise(
-            &coloured_points(poses, views, deblurred),
+            &coloured_points(poses, material.views, material.deblurred),
             &cameras,
             config.cap,
             &config.schedule(),
@@ -116,33 +130,33 @@ impl Job<'_, '_> {
         self.workspace.work().join("training.checkpoint")
     }
 
-    fn train_config(&self, round: u32, views: &[View], poses: &Poses) -> TrainConfig {
-        let cameras: Vec<Camera> = views.iter().map(|view| view.camera).collect();
+    fn train_config(&self, material: &Material<'_>, poses: &Poses) -> TrainConfig {
+        let cameras: Vec<Camera> = material.views.iter().map(|view| view.camera).collect();
         TrainConfig {
             steps: self.options.steps,
             cap: self.options.cap as usize,
             sh_degree: self.options.sh_degree,
             noise: self.options.noise,
+            shake: (self.options.shake == ShakeModel::Kernel).then(|| material.response.clone()),
             resolution_schedule: self.options.resolution_schedule,
-            warm: round > 1 && self.options.start == Start::Warm,
+            warm: material.round > 1 && self.options.start == Start::Warm,
             densify: self.options.densify == Densify::Mcmc,
-            seed: self.options.seed.wrapping_add(u64::from(round) << 32),
+            seed: self.options.seed.wrapping_add(u64::from(material.round) << 32),
             extent: reconstruct::scene_extent(&cameras, &points(poses)),
         }
     }
 
     fn train(
         &mut self,
-        round: u32,
-        views: &[View],
-        deblurred: &[Image],
-        poses: &Poses,
+        material: &Material<'_>,
         start: TrainStart,
+        config: &TrainConfig,
     ) -> Result<Scene, PipelineError> {
-        let config = self.train_config(round, views, poses);
-        let training: Vec<TrainingView> = views
+        let round = material.round;
+        let training: Vec<TrainingView> = material
+            .views
             .iter()
-            .zip(deblurred)
+            .zip(material.deblurred)
             .filter(|(view, _)| view.split == Split::Train)
             .map(|(view, image)| TrainingView {
                 name: view.name.clone(),
@@ -151,7 +165,7 @@ impl Job<'_, '_> {
                 noise_sigma: metrics::noise_sigma(image) as f32,
             })
             .collect();
-        let trained = self.train_with_hooks(round, &training, start, &config)?;
+        let trained = self.train_with_hooks(round, &training, start, config)?;
         for warning in &trained.warnings {
             self.sink.warn("training", format!("round {round}: {warning}"));
         }
@@ -162,6 +176,7 @@ impl Job<'_, '_> {
                 steps: trained.steps,
                 steps_per_second: trained.steps as f64 / seconds,
                 non_finite_gradients: trained.non_finite_gradients,
+                shake_px: trained.shake_px,
                 noise: trained.noise.filter(|_| self.options.noise != NoiseMode::Off),
             },
         })

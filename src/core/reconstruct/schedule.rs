@@ -23,6 +23,8 @@ const MEANS_RATES: (f64, f64) = (1.6e-4, 1.6e-6);
 const WARM_MEANS: f64 = 0.3;
 /// Densification runs between these shares of the round.
 const DENSIFY: (f64, f64) = (0.05, 0.8);
+/// The shake is estimated from this share of the round on.
+const SHAKE_FROM: f64 = 0.3;
 /// Exploration noise stops at this share of the round.
 const NOISE_END: f64 = 0.9;
 
@@ -92,6 +94,12 @@ impl Schedule {
     pub fn densifies(&self, step: u32) -> bool {
         let share = self.share(step);
         step.is_multiple_of(self.densify_interval()) && share >= DENSIFY.0 && share < DENSIFY.1
+    }
+
+    /// Whether the shake of the views is estimated before `step`: never on coarse images of a first round,
+    /// whose pixels are as large as the shake.
+    pub fn estimates_shake(&self, step: u32) -> bool {
+        step > 0 && step.is_multiple_of(self.densify_interval()) && self.share(step) >= SHAKE_FROM
     }
 
     /// Densifications of the whole round.

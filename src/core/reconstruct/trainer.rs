@@ -1,5 +1,7 @@
 //! The loop over the steps of a round.
 
+mod shaken;
+
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
@@ -14,6 +16,7 @@ use super::{
 use crate::gaussians::Gaussians;
 use crate::metrics::report::NoiseMapStatistics;
 use crate::noise::{NoiseField, NoiseMode, OFF_SHARE};
+use crate::shake::Shake;
 use crate::splat::project::{DeviceGaussians, GEOMETRY_ROW, Projection, unpack_geometry};
 use crate::splat::rasterize::{Backward, Forward, PendingCounts, Specialisation, SplatBuffers, SplatSizes};
 use crate::splat::uniform::{CameraUniform, NEAR};
@@ -59,6 +62,7 @@ pub(super) struct Trainer<'a> {
     recordings: Vec<Option<Recording>>,
     noise: Option<NoiseField>,
     noise_seen: Vec<NoiseMapStatistics>,
+    shake: Option<Shake>,
     warnings: Vec<String>,
     next: u32,
     start_count: usize,
@@ -101,6 +105,7 @@ impl<'a> Trainer<'a> {
             recordings: Vec::new(),
             noise: NoiseField::new(gpu, config.noise, config.seed, size)?,
             noise_seen: Vec::new(),
+            shake: config.shake.as_ref().map(|r| Shake::new(gpu, views.len(), size, r)).transpose()?,
             warnings: Vec::new(),
             next: 0,
             start_count: gaussians.len(),
@@ -112,6 +117,7 @@ impl<'a> Trainer<'a> {
             config,
             schedule,
         };
+        trainer.still_views()?;
         if let Some(checkpoint) = checkpoint {
             trainer.restore(&checkpoint)?;
         }
@@ -169,6 +175,7 @@ impl<'a> Trainer<'a> {
             seconds: begin.elapsed().as_secs_f64(),
             non_finite_gradients: u64::from(self.optimizer.counters.read()?[0]),
             noise: mean_statistics(&self.noise_seen),
+            shake_px: self.shake.as_ref().map(Shake::mean_spread),
             warnings: self.warnings,
             final_loss,
         })
@@ -176,7 +183,10 @@ impl<'a> Trainer<'a> {
 
     fn is_sync(&self, step: u32) -> bool {
         let divisor = self.schedule.divisor(step);
-        step.is_multiple_of(SYNC) || self.densifies(step) || divisor != self.level.divisor
+        step.is_multiple_of(SYNC)
+            || self.densifies(step)
+            || self.estimates_shake(step)
+            || divisor != self.level.divisor
     }
 
     fn densifies(&self, step: u32) -> bool {
@@ -188,7 +198,11 @@ impl<'a> Trainer<'a> {
         let divisor = self.schedule.divisor(step);
         if divisor != self.level.divisor {
             self.level = Level::new(self.gpu, self.views, divisor)?;
+            self.still_views()?;
             self.forget_recordings();
+        }
+        if self.estimates_shake(step) {
+            self.estimate_shake(step)?;
         }
         if self.densifies(step) {
             self.densify(step)?;
@@ -251,17 +265,27 @@ impl<'a> Trainer<'a> {
         self.projection.record(&mut recorder, &self.gaussians)?;
         Forward::new(self.specialisation).record(&mut recorder, &self.projection, &self.raster)?;
         let loss = self.level.loss(index);
+        let mut clean = &self.raster.image;
+        if let Some(shake) = &self.shake {
+            shake.record_forward(&mut recorder, index, &self.raster.image)?;
+            clean = shake.blurred();
+        }
         match &mut self.noise {
             Some(noise) if noisy => {
                 noise.begin_step(&view.camera, self.views[index].noise_sigma)?;
-                noise.record_forward(&mut recorder, &self.raster.image, &self.prediction)?;
+                noise.record_forward(&mut recorder, clean, &self.prediction)?;
                 loss.record(&mut recorder, &self.prediction, &view.target, &self.gradient)?;
                 noise.record_backward(&mut recorder, &self.gradient)?;
             }
-            _ => loss.record(&mut recorder, &self.raster.image, &view.target, &self.gradient)?,
+            _ => loss.record(&mut recorder, clean, &view.target, &self.gradient)?,
+        }
+        let mut by_render = &self.gradient;
+        if let Some(shake) = &self.shake {
+            shake.record_backward(&mut recorder, index, &self.raster.image, &self.gradient)?;
+            by_render = shake.render_gradient();
         }
         let backward = Backward::new(self.specialisation);
-        backward.record(&mut recorder, &self.projection, &self.raster, &self.gradient)?;
+        backward.record(&mut recorder, &self.projection, &self.raster, by_render)?;
         let slots = SlotGradients {
             slot_offsets: &self.raster.slot_offsets,
             rows: &self.raster.slot_gradients,
@@ -313,7 +337,8 @@ impl<'a> Trainer<'a> {
     fn inspect_noise(&mut self) -> Result<(), GpuError> {
         let acts = self.noise_acts(self.next - 1);
         let Some(noise) = self.noise.as_mut().filter(|_| acts) else { return Ok(()) };
-        let seen = noise.inspect(&self.raster.image, &self.prediction)?;
+        let clean = self.shake.as_ref().map_or(&self.raster.image, Shake::blurred);
+        let seen = noise.inspect(clean, &self.prediction)?;
         if seen.halved {
             let correlation = seen.correlation;
             self.warnings.push(format!("noise map follows the scene ({correlation:.2}): bound halved"));
@@ -357,6 +382,7 @@ impl<'a> Trainer<'a> {
             sh: read(&self.gaussians.sh, sh)?,
             sh_moments: read(&self.optimizer.sh_moments, 2 * sh)?,
             noise: self.noise.as_ref().map_or(Ok(Vec::new()), NoiseField::save)?,
+            shake: self.shake.as_ref().map_or(Vec::new(), Shake::save),
         })
     }
 
@@ -375,6 +401,7 @@ impl<'a> Trainer<'a> {
         // The level in use before this step: `prepare` changes it where the undisturbed round does.
         let divisor = self.schedule.divisor(self.next.saturating_sub(1));
         self.level = Level::new(self.gpu, self.views, divisor)?;
+        self.restore_shake(&checkpoint.shake)?;
         let sizes = self.raster.sizes();
         let intersections = checkpoint.intersections as usize;
         self.raster = SplatBuffers::new(self.gpu, SplatSizes { intersections, ..sizes }, true)?;

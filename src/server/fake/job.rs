@@ -223,6 +223,7 @@ fn metrics(round: u32) -> RoundMetrics {
         clipped: 0.01,
         noise_ceiling_db: 30.0,
         noise_map: None,
+        shake_px: Some(0.4),
         non_finite_gradients: 0,
         anchor: [8.0, 0.8],
         matched: Vec::new(),

@@ -1,0 +1,249 @@
+//! The shake of each training view: a small kernel that the sharp render is blurred with before it is
+//! compared with the photograph, so that the scene need not be as blurred as what it is trained on.
+//!
+//! Differs from the paper, which leaves all of the blur to the network: what the network leaves in D_j is
+//! explained here, `I_pred = f(k_j * f^-1(I_r)) + n`, f the [`Response`]. The kernels differ from view to view and
+//! the scene does not, so what is common to all views is the sharp scene. `k_j` is not learnt by the
+//! optimiser but solved for ([`estimate`]) from the renders, every so many steps.
+
+mod estimate;
+mod kernels;
+pub mod reference;
+mod response;
+
+use fled_gpu::{Buffer, Gpu, GpuError, Recorder};
+
+pub use estimate::{estimate, reach};
+use kernels::ShakeUniform;
+pub use response::Response;
+
+/// Most taps of a kernel on the device; of more, the smallest are dropped.
+pub const MOST_TAPS: usize = 96;
+
+/// Weight of the total variation of the sharp render, beside 0.8 of the mean absolute error. What the shake
+/// hides from every view is otherwise free: it grows into needles, and the kernels with it.
+const SMOOTH_WEIGHT: f64 = 0.05;
+/// Differences well below this count by their square: smooth shading is free. `BEND` of the shader.
+const SMOOTH_BEND: f64 = 0.02;
+
+/// One tap: the light of the pixel `offset` to the upper left arrives here.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Tap {
+    /// Offset, px.
+    pub offset: [i32; 2],
+    /// Share of the light; positive, all taps sum to 1.
+    pub weight: f32,
+}
+
+/// How one photograph was shaken: a blur of the light, the same over the whole image.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ShakeKernel {
+    taps: Vec<Tap>,
+}
+
+impl ShakeKernel {
+    /// No shake.
+    pub fn still() -> Self {
+        Self { taps: vec![Tap { offset: [0, 0], weight: 1.0 }] }
+    }
+
+    /// The largest [`MOST_TAPS`] positive taps, normalised; [`ShakeKernel::still`] when there is none.
+    pub fn new(mut taps: Vec<Tap>) -> Self {
+        taps.retain(|tap| tap.weight.is_finite() && tap.weight > 0.0);
+        taps.sort_by(|a, b| b.weight.total_cmp(&a.weight).then(a.offset.cmp(&b.offset)));
+        taps.truncate(MOST_TAPS);
+        let sum: f32 = taps.iter().map(|tap| tap.weight).sum();
+        if !(sum.is_finite() && sum > 0.0) {
+            return Self::still();
+        }
+        taps.iter_mut().for_each(|tap| tap.weight /= sum);
+        Self { taps }
+    }
+
+    /// The taps, the largest first.
+    pub fn taps(&self) -> &[Tap] {
+        &self.taps
+    }
+
+    /// Where the light arrives on average, px.
+    pub fn centroid(&self) -> [f64; 2] {
+        [0, 1]
+            .map(|axis| self.taps.iter().map(|tap| f64::from(tap.weight) * f64::from(tap.offset[axis])).sum())
+    }
+
+    /// Root mean square distance of the light from its centroid, px.
+    pub fn spread(&self) -> f64 {
+        let centre = self.centroid();
+        let squared =
+            |tap: &Tap| (0..2).map(|axis| (f64::from(tap.offset[axis]) - centre[axis]).powi(2)).sum::<f64>();
+        self.taps.iter().map(|tap| f64::from(tap.weight) * squared(tap)).sum::<f64>().sqrt()
+    }
+
+    fn rows(&self) -> Vec<[f32; 4]> {
+        let row = |tap: &Tap| [tap.offset[0] as f32, tap.offset[1] as f32, tap.weight, 0.0];
+        self.taps.iter().map(row).collect()
+    }
+}
+
+/// The kernels of all training views on the device, and what lies between forward and backward.
+pub struct Shake {
+    views: Vec<OnDevice>,
+    response: Buffer<f32>,
+    light: Buffer<f32>,
+    factor: Buffer<f32>,
+    blurred: Buffer<f32>,
+    render_gradient: Buffer<f32>,
+}
+
+struct OnDevice {
+    kernel: ShakeKernel,
+    uniform: Buffer<ShakeUniform>,
+    taps: Buffer<[f32; 4]>,
+    values: usize,
+}
+
+impl Shake {
+    /// Still views of one `response`, for images of at most `size` = [width, height] px.
+    ///
+    /// # Errors
+    /// A device error, out of memory above all.
+    pub fn new(gpu: &Gpu, views: usize, size: [usize; 2], response: &Response) -> Result<Self, GpuError> {
+        let values = 3 * size[0] * size[1];
+        let view = || -> Result<OnDevice, GpuError> {
+            Ok(OnDevice {
+                kernel: ShakeKernel::still(),
+                uniform: gpu.create("shake", 1)?,
+                taps: gpu.create("shake taps", MOST_TAPS)?,
+                values: 0,
+            })
+        };
+        Ok(Self {
+            views: (0..views).map(|_| view()).collect::<Result<_, _>>()?,
+            response: gpu.upload("shake response", response.knots())?,
+            light: gpu.create("shake light", values)?,
+            factor: gpu.create("shake factor", values)?,
+            blurred: gpu.create("shaken render", values)?,
+            render_gradient: gpu.create("render gradient", values)?,
+        })
+    }
+
+    /// Sets how `view` is shaken from the next submission on, at its image's size in px. Recordings stay
+    /// valid as long as the size does.
+    ///
+    /// # Errors
+    /// [`GpuError::Validation`] for an image larger than those of [`Shake::new`]; a device error.
+    pub fn set(&mut self, view: usize, size: [usize; 2], kernel: ShakeKernel) -> Result<(), GpuError> {
+        let values = 3 * size[0] * size[1];
+        if values > self.light.len() {
+            return Err(GpuError::Validation(format!("shake made too small for {}x{}", size[0], size[1])));
+        }
+        let on_device = &mut self.views[view];
+        on_device.uniform.write(&[ShakeUniform {
+            width: size[0] as u32,
+            height: size[1] as u32,
+            taps: kernel.taps.len() as u32,
+            values: values as u32,
+            smooth_weight: (SMOOTH_WEIGHT / values as f64) as f32,
+            pad: [0; 3],
+        }])?;
+        on_device.taps.write_at(0, &kernel.rows())?;
+        (on_device.kernel, on_device.values) = (kernel, values);
+        Ok(())
+    }
+
+    /// How each view is shaken.
+    pub fn kernels(&self) -> impl Iterator<Item = &ShakeKernel> {
+        self.views.iter().map(|view| &view.kernel)
+    }
+
+    /// Mean [`ShakeKernel::spread`] over the views, px.
+    pub fn mean_spread(&self) -> f64 {
+        self.kernels().map(ShakeKernel::spread).sum::<f64>() / self.views.len().max(1) as f64
+    }
+
+    /// The render as shaken, planar [3, H, W], after [`Shake::record_forward`].
+    pub fn blurred(&self) -> &Buffer<f32> {
+        &self.blurred
+    }
+
+    /// The derivative of the loss by the render, planar [3, H, W], after [`Shake::record_backward`].
+    pub fn render_gradient(&self) -> &Buffer<f32> {
+        &self.render_gradient
+    }
+
+    /// Records the shaking of `render`, planar [3, H, W].
+    ///
+    /// # Errors
+    /// A device error.
+    pub fn record_forward(
+        &self,
+        recorder: &mut Recorder,
+        view: usize,
+        render: &Buffer<f32>,
+    ) -> Result<(), GpuError> {
+        let OnDevice { uniform, taps, values, .. } = &self.views[view];
+        recorder.dispatch_items(
+            &kernels::LINEARISE,
+            &[uniform, &self.response, render, &self.light],
+            *values,
+        )?;
+        recorder.dispatch_items(
+            &kernels::BLUR,
+            &[uniform, taps, &self.response, &self.light, &self.blurred, &self.factor],
+            values / 3,
+        )
+    }
+
+    /// Records the way back: from `gradient`, the derivative by [`Shake::blurred`], to
+    /// [`Shake::render_gradient`]. Needs the forward of the same view before it, and uses it up.
+    ///
+    /// # Errors
+    /// A device error.
+    pub fn record_backward(
+        &self,
+        recorder: &mut Recorder,
+        view: usize,
+        render: &Buffer<f32>,
+        gradient: &Buffer<f32>,
+    ) -> Result<(), GpuError> {
+        let OnDevice { uniform, taps, values, .. } = &self.views[view];
+        recorder.dispatch_items(&kernels::SCALE, &[uniform, gradient, &self.factor], *values)?;
+        recorder.dispatch_items(
+            &kernels::BLUR_BACKWARD,
+            &[uniform, taps, &self.response, &self.factor, render, &self.render_gradient],
+            values / 3,
+        )
+    }
+
+    /// The kernels as numbers, for checkpoints: for each view its count of taps, then x, y and weight.
+    pub fn save(&self) -> Vec<f32> {
+        let mut state = Vec::new();
+        for kernel in self.kernels() {
+            state.push(kernel.taps.len() as f32);
+            state.extend(kernel.rows().iter().flat_map(|row| [row[0], row[1], row[2]]));
+        }
+        state
+    }
+
+    /// The kernels of [`Shake::save`], one a view; `None` for other numbers.
+    pub fn parse(state: &[f32], views: usize) -> Option<Vec<ShakeKernel>> {
+        let mut rest = state;
+        let mut kernels = Vec::with_capacity(views);
+        for _ in 0..views {
+            let (&count, tail) = rest.split_first()?;
+            let count = count as usize;
+            let (numbers, tail) = tail.split_at_checked(3 * count)?;
+            if count == 0 || count > MOST_TAPS {
+                return None;
+            }
+            // As they stood: normalising again would change the last bit.
+            let tap = |row: &[f32]| Tap { offset: [row[0] as i32, row[1] as i32], weight: row[2] };
+            kernels.push(ShakeKernel { taps: numbers.chunks_exact(3).map(tap).collect() });
+            rest = tail;
+        }
+        rest.is_empty().then_some(kernels)
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,187 @@
+//! The shake of a photograph from the photograph and a render of the same view: least squares over the
+//! derivatives of the light, non-negative, as blind deconvolution estimates kernels (Cho and Lee, "Fast
+//! Motion Deblurring", 2009), with the render in the place of a guessed sharp image.
+
+use crate::image::Image;
+
+use super::{Response, ShakeKernel, Tap};
+
+/// Half of the kernel's side, as a share of the image's longer side: 11 px at 560, beyond which COLMAP
+/// does not follow either.
+const REACH_SHARE: f64 = 0.02;
+/// Bounds of the same, px.
+const REACH_BOUNDS: (usize, usize) = (2, 16);
+/// Pixels that a kernel is judged by, about: of larger images, every n-th row.
+const PIXELS: usize = 60_000;
+/// Weight of the squared taps, in units of the mean squared derivative: keeps noise from being a kernel.
+const RIDGE: f64 = 0.01;
+/// Weight of the squared centroid, in the same units and per px^2. The poses stand where the shake is on average; a
+/// kernel that moves its image would only hide the error of a pose, and all of them could drift together.
+const CENTRED: f64 = 0.3;
+/// Cost of a tap at the end of the reach, in the same units; it grows with the square of the distance. What is
+/// wrong in the render acts as noise of the regressor and widens every kernel; the render that is then
+/// trained through it is sharper than the scene, and more wrong.
+const FAR: f64 = 0.2;
+/// Taps below this share of the largest are such widening.
+const SMALLEST_TAP: f32 = 0.1;
+/// Iterations of the solver; the residual no longer changes in the third digit after half of them.
+const ITERATIONS: usize = 200;
+
+/// How far from its centre a kernel reaches, px, for images of such a longer side.
+pub fn reach(longer_side: usize) -> usize {
+    let reach = (REACH_SHARE * longer_side as f64).round() as usize;
+    reach.clamp(REACH_BOUNDS.0, REACH_BOUNDS.1)
+}
+
+/// The kernel that turns `render` into `photograph`, both encoded by `response` and of one size, with taps up to
+/// [`reach`]. Still where the images are too small or too flat to tell.
+pub fn estimate(render: &Image, photograph: &Image, response: &Response) -> ShakeKernel {
+    let reach = reach(render.width().max(render.height()));
+    if render.width().min(render.height()) <= 4 * reach + 2 {
+        return ShakeKernel::still();
+    }
+    let (from, to) = (Derivatives::of(render, response), Derivatives::of(photograph, response));
+    let square = 2 * reach + 1;
+    let own = Correlation::new(&from, &from, 2 * reach);
+    let wanted = Correlation::new(&to, &from, reach);
+    let scale = own.at(0, 0);
+    if !(scale.is_finite() && scale > 1e-12) {
+        return ShakeKernel::still();
+    }
+    let offset = |tap: usize| {
+        let (x, y) = (tap % square, tap / square);
+        [x as i32 - reach as i32, y as i32 - reach as i32]
+    };
+    let count = square * square;
+    let mut matrix = vec![0.0_f32; count * count];
+    for (row, values) in matrix.chunks_exact_mut(count).enumerate() {
+        let u = offset(row);
+        for (column, value) in values.iter_mut().enumerate() {
+            let v = offset(column);
+            let centred = CENTRED * f64::from(u[0] * v[0] + u[1] * v[1]);
+            let ridge = if row == column { RIDGE } else { 0.0 };
+            *value = (own.at(u[0] - v[0], u[1] - v[1]) / scale + centred + ridge) as f32;
+        }
+    }
+    let right: Vec<f32> = (0..count)
+        .map(|tap| {
+            let [x, y] = offset(tap);
+            let far = FAR * f64::from(x * x + y * y) / (reach * reach) as f64;
+            (wanted.at(x, y) / scale - far) as f32
+        })
+        .collect();
+    let weights = non_negative_least_squares(&matrix, &right);
+    let most = weights.iter().copied().fold(0.0, f32::max);
+    let taps = weights.iter().enumerate().filter(|(_, weight)| **weight >= SMALLEST_TAP * most);
+    ShakeKernel::new(taps.map(|(tap, &weight)| Tap { offset: offset(tap), weight }).collect())
+}
+
+/// Horizontal and vertical differences of the mean light.
+struct Derivatives {
+    width: usize,
+    height: usize,
+    planes: [Vec<f32>; 2],
+}
+
+impl Derivatives {
+    fn of(image: &Image, response: &Response) -> Self {
+        let (width, height) = (image.width(), image.height());
+        let pixels = width * height;
+        let data = image.data();
+        let light: Vec<f32> = (0..pixels)
+            .map(|i| {
+                (0..3).map(|c| response.light(f64::from(data[c * pixels + i])) as f32).sum::<f32>() / 3.0
+            })
+            .collect();
+        let difference = |step: usize| -> Vec<f32> {
+            (0..pixels).map(|i| light[(i + step).min(pixels - 1)] - light[i]).collect()
+        };
+        Self { width, height, planes: [difference(1), difference(width)] }
+    }
+}
+
+/// `mean over p of a(p) b(p - u)` for every |u| <= reach, over the pixels for which all of them exist.
+struct Correlation {
+    reach: i32,
+    values: Vec<f64>,
+}
+
+impl Correlation {
+    fn new(a: &Derivatives, b: &Derivatives, reach: usize) -> Self {
+        // The last row and column have no difference of their own.
+        let (left, right, bottom) = (reach, a.width - 1 - reach, a.height - 1 - reach);
+        let square = 2 * reach + 1;
+        let mut values = vec![0.0; square * square];
+        let stride = (a.width * a.height).div_ceil(PIXELS);
+        let pixels = 2 * (right - left) * (bottom - reach).div_ceil(stride);
+        // A correlation with itself is symmetric: half of it is enough.
+        let alike = std::ptr::eq(a, b);
+        let needed = if alike { square * square / 2 + 1 } else { square * square };
+        for (at, value) in values.iter_mut().enumerate().take(needed) {
+            // u = at - reach, so p - u = p + reach - at.
+            let (ux, uy) = (at % square, at / square);
+            for (one, other) in a.planes.iter().zip(&b.planes) {
+                for y in (reach..bottom).step_by(stride) {
+                    let row = &one[y * a.width + left..y * a.width + right];
+                    let from = (y + reach - uy) * a.width + left + reach - ux;
+                    *value += f64::from(dot(row, &other[from..from + row.len()]));
+                }
+            }
+            *value /= pixels as f64;
+        }
+        for at in needed..square * square {
+            values[at] = values[square * square - 1 - at];
+        }
+        Self { reach: reach as i32, values }
+    }
+
+    fn at(&self, x: i32, y: i32) -> f64 {
+        let square = 2 * self.reach + 1;
+        self.values[((y + self.reach) * square + x + self.reach) as usize]
+    }
+}
+
+/// Eight sums side by side: the compiler may not reorder a sum of floats itself.
+fn dot(a: &[f32], b: &[f32]) -> f32 {
+    let (a8, a_rest) = a.as_chunks::<8>();
+    let (b8, b_rest) = b.as_chunks::<8>();
+    let mut sums = [0.0_f32; 8];
+    for (a, b) in a8.iter().zip(b8) {
+        for lane in 0..8 {
+            sums[lane] += a[lane] * b[lane];
+        }
+    }
+    sums.iter().sum::<f32>() + a_rest.iter().zip(b_rest).map(|(a, b)| a * b).sum::<f32>()
+}
+
+/// `argmin over x >= 0 of x'Ax / 2 - b'x` by accelerated projected gradients (Beck and Teboulle 2009).
+fn non_negative_least_squares(matrix: &[f32], right: &[f32]) -> Vec<f32> {
+    let count = right.len();
+    let product = |x: &[f32]| -> Vec<f32> { matrix.chunks_exact(count).map(|row| dot(row, x)).collect() };
+    let step = 1.0 / largest_eigenvalue(&product, count);
+    let mut x = vec![0.0_f32; count];
+    let mut ahead = x.clone();
+    let mut momentum = 1.0_f32;
+    for _ in 0..ITERATIONS {
+        let gradient = product(&ahead);
+        let next: Vec<f32> =
+            (0..count).map(|i| (ahead[i] - step * (gradient[i] - right[i])).max(0.0)).collect();
+        let following = (1.0 + (1.0 + 4.0 * momentum * momentum).sqrt()) / 2.0;
+        let push = (momentum - 1.0) / following;
+        ahead = next.iter().zip(&x).map(|(new, old)| new + push * (new - old)).collect();
+        (x, momentum) = (next, following);
+    }
+    x
+}
+
+fn largest_eigenvalue(product: &impl Fn(&[f32]) -> Vec<f32>, count: usize) -> f32 {
+    let mut x: Vec<f32> = (0..count).map(|i| 1.0 + 0.1 * (i as f32).sin()).collect();
+    let mut length = 1.0;
+    for _ in 0..20 {
+        x = product(&x);
+        length = x.iter().map(|v| v * v).sum::<f32>().sqrt().max(1e-20);
+        x.iter_mut().for_each(|v| *v /= length);
+    }
+    // Power iteration comes from below.
+    1.05 * length
+}
