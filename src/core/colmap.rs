@@ -9,13 +9,14 @@ mod copies;
 mod ladder;
 mod options;
 mod process;
+mod triangulate;
 
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use crate::cancel::CancelToken;
 use crate::event::ProgressSink;
-use crate::poses::{PoseRequest, Poses, PosesError, Sfm};
+use crate::poses::{PoseRequest, PosedView, Poses, PosesError, Sfm, SparsePoint};
 pub use ladder::Acceptance;
 pub use process::Limits;
 
@@ -53,6 +54,31 @@ impl ColmapCli {
         let limits = Limits { wall: Duration::from_secs(30), ..self.limits };
         let runner = process::Runner::new(&self.program, limits, None)?;
         version(&runner, &CancelToken::new())
+    }
+}
+
+impl ColmapCli {
+    /// Sparse points for views of the request whose poses are known.
+    ///
+    /// # Errors
+    /// [`PosesError`]: COLMAP is missing or failed, a photograph cannot be read, or the caller cancelled.
+    pub fn triangulate(
+        &self,
+        request: &PoseRequest<'_>,
+        posed: &[PosedView],
+        sink: &mut dyn ProgressSink,
+        cancel: &CancelToken,
+    ) -> Result<Vec<SparsePoint>, PosesError> {
+        std::fs::create_dir_all(request.work_dir).map_err(PosesError::io(request.work_dir))?;
+        let log = request.work_dir.join("colmap.log");
+        let runner = process::Runner::new(&self.program, self.limits, Some(&log))?;
+        let version = version(&runner, cancel)?;
+        let points = ladder::Climb::new(&runner, request, self.acceptance).triangulate(posed, cancel)?;
+        let (points_found, views) = (points.len(), posed.len());
+        sink.log(format!(
+            "poses: COLMAP {version} triangulated {points_found} points in {views} given views"
+        ));
+        Ok(points)
     }
 }
 

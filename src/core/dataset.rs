@@ -19,11 +19,24 @@ use crate::poses::{Distortion, Lens, PoseRequest, PoseView, PosedView, Poses, Po
 /// Points that are guessed where poses came without points: as many as the smallest preset's cap.
 const GUESSED_POINTS: usize = 10_000;
 
+/// Fewer triangulated points than this are no scene.
+const LEAST_POINTS: usize = 100;
+
+/// Finds points for views whose poses are known, as `ColmapCli::triangulate` does.
+pub type Triangulate = Box<
+    dyn Fn(
+        &PoseRequest<'_>,
+        &[PosedView],
+        &mut dyn ProgressSink,
+        &CancelToken,
+    ) -> Result<Vec<SparsePoint>, PosesError>,
+>;
+
 /// Poses from a file or directory, as an [`Sfm`].
-#[derive(Clone, Debug, PartialEq, Eq)]
 pub struct GivenPoses {
     path: PathBuf,
     format: Format,
+    triangulate: Option<Triangulate>,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -73,7 +86,32 @@ impl GivenPoses {
                 return Err(PosesError::bad_file(path, reason));
             }
         };
-        Ok(Self { path: path.to_owned(), format })
+        Ok(Self { path: path.to_owned(), format, triangulate: None })
+    }
+
+    /// With somebody who finds points where the poses come without.
+    #[must_use]
+    pub fn triangulated_by(self, triangulate: Triangulate) -> Self {
+        Self { triangulate: Some(triangulate), ..self }
+    }
+
+    /// Triangulated points, or why there are none.
+    fn triangulated(
+        &self,
+        request: &PoseRequest<'_>,
+        views: &[PosedView],
+        sink: &mut dyn ProgressSink,
+        cancel: &CancelToken,
+    ) -> Result<Result<Vec<SparsePoint>, String>, PosesError> {
+        let Some(triangulate) = &self.triangulate else {
+            return Ok(Err("and nothing here can triangulate them".to_owned()));
+        };
+        match triangulate(request, views, sink, cancel) {
+            Ok(points) if points.len() >= LEAST_POINTS => Ok(Ok(points)),
+            Ok(points) => Ok(Err(format!("and only {} could be triangulated", points.len()))),
+            Err(PosesError::Cancelled(cancelled)) => Err(cancelled.into()),
+            Err(error) => Ok(Err(format!("and triangulation failed ({error})"))),
+        }
     }
 
     fn read(&self) -> Result<Given, PosesError> {
@@ -153,11 +191,20 @@ impl Sfm for GivenPoses {
         let mut points = given.points;
         if points.is_empty() {
             let cameras: Vec<Camera> = views.iter().map(|view: &PosedView| view.camera).collect();
-            points = frusta::guess(&cameras, &bounds, GUESSED_POINTS, request.seed);
-            sink.warn(
-                "points_guessed",
-                format!("the poses came without points: {} random ones take their place", points.len()),
-            );
+            points = match self.triangulated(request, &views, sink, cancel)? {
+                Ok(points) => points,
+                Err(reason) => {
+                    let points = frusta::guess(&cameras, &bounds, GUESSED_POINTS, request.seed);
+                    let count = points.len();
+                    sink.warn(
+                        "points_guessed",
+                        format!(
+                            "the poses came without points, {reason}: {count} random ones take their place"
+                        ),
+                    );
+                    points
+                }
+            };
         }
         Ok(Poses {
             views,

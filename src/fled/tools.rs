@@ -110,7 +110,10 @@ fn sfm(args: &Args, options: &Options, capture: &Capture) -> Result<Box<dyn Sfm>
         (PoseSource::Colmap, _) | (PoseSource::Auto, None) => Ok(Box::new(ColmapCli::new(&args.colmap))),
         (PoseSource::Auto | PoseSource::Given, Some(given)) => {
             let given = GivenPoses::open(given.path()).map_err(PipelineError::from)?;
-            Ok(Box::new(given))
+            let colmap = ColmapCli::new(&args.colmap);
+            Ok(Box::new(given.triangulated_by(Box::new(move |request, views, sink, cancel| {
+                colmap.triangulate(request, views, sink, cancel)
+            }))))
         }
         (PoseSource::Given, None) => Err(Failure::new(
             ErrorKind::BadInput,

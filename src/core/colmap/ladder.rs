@@ -76,7 +76,7 @@ impl Candidate {
 pub(super) struct Climb<'a> {
     runner: &'a Runner,
     prober: Prober<'a>,
-    request: &'a PoseRequest<'a>,
+    pub(super) request: &'a PoseRequest<'a>,
     acceptance: Acceptance,
 }
 
@@ -201,6 +201,11 @@ impl<'a> Climb<'a> {
         self.succeed("feature_extractor", &settings, cancel)
     }
 
+    /// Matches of rung A.
+    pub(super) fn match_features(&self, database: &Path, cancel: &CancelToken) -> Result<(), PosesError> {
+        self.match_pairs(&LADDER[0], database, cancel)
+    }
+
     fn match_pairs(&self, rung: &Rung, database: &Path, cancel: &CancelToken) -> Result<(), PosesError> {
         let mut settings = vec![
             set(&["database_path"], &database.display()),
@@ -252,7 +257,12 @@ impl<'a> Climb<'a> {
         largest_model(&output)
     }
 
-    fn succeed(&self, command: &str, settings: &[Setting], cancel: &CancelToken) -> Result<(), PosesError> {
+    pub(super) fn succeed(
+        &self,
+        command: &str,
+        settings: &[Setting],
+        cancel: &CancelToken,
+    ) -> Result<(), PosesError> {
         let finished = self.prober.run(command, settings, cancel)?;
         if finished.status.success() { Ok(()) } else { Err(finished.failure(command)) }
     }
@@ -343,7 +353,7 @@ fn largest_model(output: &Path) -> Result<Option<SparseModel>, PosesError> {
     Ok(ranked.max_by_key(|model| (model.images.len(), model.points.len())))
 }
 
-fn remove_if_there(file: &Path) -> Result<(), PosesError> {
+pub(super) fn remove_if_there(file: &Path) -> Result<(), PosesError> {
     for suffix in ["", "-wal", "-shm", "-journal"] {
         let path = PathBuf::from(format!("{}{suffix}", file.display()));
         match std::fs::remove_file(&path) {

@@ -24,7 +24,9 @@ pub(super) fn set(names: &'static [&'static str], value: &dyn std::fmt::Display)
 pub(super) const RANDOM_SEED: &[&str] = &["random_seed", "default_random_seed"];
 /// Default 1 aborts in a build without CUDA.
 pub(super) const EXTRACT_USE_GPU: &[&str] = &["SiftExtraction.use_gpu", "FeatureExtraction.use_gpu"];
-/// As above.
+/// Moved in 3.13.
+pub(super) const EXTRACT_THREADS: &[&str] = &["SiftExtraction.num_threads", "FeatureExtraction.num_threads"];
+/// Default 1 aborts in a build without CUDA.
 pub(super) const MATCH_USE_GPU: &[&str] = &["SiftMatching.use_gpu", "FeatureMatching.use_gpu"];
 /// Moved in 3.13.
 pub(super) const GUIDED_MATCHING: &[&str] =

@@ -16,6 +16,7 @@ case "$1" in help) echo "COLMAP 3.8 -- Structure-from-Motion"; exit 0;; esac
 if [ "$2" = "-h" ]; then
   printf '  -h [ --help ]\n  --database_path arg\n  --image_path arg\n  --output_path arg\n  --random_seed arg (=0)\n'
   [ "$1" = feature_extractor ] && printf '  --SiftExtraction.use_gpu arg (=1)\n'
+  [ "$1" = point_triangulator ] && printf "  --input_path arg\n"
   [ "$1" = exhaustive_matcher ] && printf '  --SiftMatching.use_gpu arg (=1)\n'
   exit 0
 fi
@@ -100,6 +101,31 @@ fn a_good_model_is_taken_on_rung_a_at_the_originals_size() {
     assert_eq!((view.lens.intrinsics.width, view.lens.intrinsics.fx), (48, 50.0));
     let json = serde_json::to_string(&poses).unwrap();
     assert_eq!(serde_json::from_str::<Poses>(&json).unwrap(), poses);
+}
+
+#[test]
+fn known_poses_are_triangulated_at_the_copies_size() {
+    let body = r#"[ $command = point_triangulator ] && model "$out" 10 10; exit 0"#;
+    let scene = Scene::new(10, body);
+    let request = PoseRequest { views: &scene.views, work_dir: &scene.work_dir(), seed: 1 };
+    let k = crate::camera::Intrinsics { width: 48, height: 32, fx: 50.0, fy: 51.0, cx: 24.0, cy: 16.0 };
+    let posed: Vec<PosedView> = (0..9)
+        .map(|n| {
+            let at = glam::DVec3::new(f64::from(n), 0.0, 0.0);
+            let camera = crate::camera::Camera::look_at(k, at, at + glam::DVec3::Z, glam::DVec3::Y);
+            let lens = crate::poses::Lens { intrinsics: k, distortion: crate::poses::Distortion::None };
+            PosedView { name: format!("view{n}"), camera, lens }
+        })
+        .collect();
+    let points = scene.tool().triangulate(&request, &posed, &mut Silent, &CancelToken::new()).unwrap();
+    assert_eq!((points.len(), points[0].track), (100, 10));
+    let known = crate::poses::model::SparseModel::read(&scene.work_dir().join("known")).unwrap();
+    assert_eq!((known.images.len(), known.images[3].name.as_str()), (9, "v00003.png"));
+    assert_eq!(known.images[3].world_to_camera(), posed[3].camera.world_to_camera);
+    assert_eq!(known.cameras[3].params, [50.0, 51.0, 24.0, 16.0]);
+    let failing = Scene::new(10, "exit 1");
+    let request = PoseRequest { views: &failing.views, work_dir: &failing.work_dir(), seed: 1 };
+    assert!(failing.tool().triangulate(&request, &posed, &mut Silent, &CancelToken::new()).is_err());
 }
 
 #[test]

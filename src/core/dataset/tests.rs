@@ -142,6 +142,20 @@ fn poses_bounds_go_by_order_and_points_are_guessed_where_two_cameras_look() {
     capture.assert_right(&poses);
     assert_eq!(codes, ["points_guessed"]);
     assert_eq!(poses.points.len(), GUESSED_POINTS);
+    let point = SparsePoint { position: [0.0; 3], colour: [9; 3], error: 0.5, track: 3 };
+    for (found, warned) in [(LEAST_POINTS, false), (LEAST_POINTS - 1, true)] {
+        codes.clear();
+        let mut sink = |event: &Event| {
+            if let Event::Warning { code, .. } = event {
+                codes.push(code.clone());
+            }
+        };
+        let given = GivenPoses::open(&capture.dir.path().join("poses_bounds.npy")).unwrap();
+        let given = given
+            .triangulated_by(Box::new(move |_, views, _, _| Ok(vec![point; found * views.len().min(1)])));
+        let points = given.poses(&request, &mut sink, &CancelToken::new()).unwrap().points;
+        assert_eq!((points.iter().all(|p| *p == point), codes.len()), (!warned, usize::from(warned)));
+    }
     let seen_by = |point: &SparsePoint| {
         let sees = |camera: &&Camera| {
             camera.project(DVec3::from(point.position)).is_some_and(|(p, depth)| {

@@ -159,6 +159,20 @@ impl ModelCamera {
         Lens { intrinsics, distortion }
     }
 
+    /// A camera with the lens: PINHOLE, FULL_OPENCV or OPENCV_FISHEYE.
+    pub fn of_lens(id: u32, lens: &Lens) -> Self {
+        let k = &lens.intrinsics;
+        let (model, distortion) = match lens.distortion {
+            Distortion::None => return Self::pinhole(id, k),
+            Distortion::Perspective { radial: [k1, k2, k3, k4, k5, k6], tangential: [p1, p2] } => {
+                (CameraModel::FullOpenCv, vec![k1, k2, p1, p2, k3, k4, k5, k6])
+            }
+            Distortion::Fisheye { radial } => (CameraModel::OpenCvFisheye, radial.to_vec()),
+        };
+        let params = [vec![k.fx, k.fy, k.cx, k.cy], distortion].concat();
+        Self { id, model, width: k.width, height: k.height, params }
+    }
+
     /// A PINHOLE camera.
     pub fn pinhole(id: u32, k: &Intrinsics) -> Self {
         let params = vec![k.fx, k.fy, k.cx, k.cy];
