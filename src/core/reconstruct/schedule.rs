@@ -48,11 +48,12 @@ impl Schedule {
         f64::from(step) / f64::from(self.steps.max(1))
     }
 
-    /// By how much the images are reduced at `step` (0-based): 4, 2 or 1.
+    /// By how much the images are reduced at `step` (0-based): 4, 2 or 1. A warm round has its coarse shapes already;
+    /// reduced images would only blur them.
     pub fn divisor(&self, step: u32) -> usize {
         let share = self.share(step);
         match share {
-            _ if !self.resolution => 1,
+            _ if !self.resolution || self.warm => 1,
             s if s < QUARTER_SHARE => 4,
             s if s < FULL_FROM => 2,
             _ => 1,
@@ -96,10 +97,10 @@ impl Schedule {
         step.is_multiple_of(self.densify_interval()) && share >= DENSIFY.0 && share < DENSIFY.1
     }
 
-    /// Whether the shake of the views is estimated before `step`: never on coarse images of a first round,
-    /// whose pixels are as large as the shake.
+    /// Whether the shake of the views is estimated before `step`: never on the coarse images of a cold round,
+    /// whose pixels are as large as the shake, and from the first step on of a warm one.
     pub fn estimates_shake(&self, step: u32) -> bool {
-        step > 0 && step.is_multiple_of(self.densify_interval()) && self.share(step) >= SHAKE_FROM
+        step.is_multiple_of(self.densify_interval()) && (self.warm || self.share(step) >= SHAKE_FROM)
     }
 
     /// Densifications of the whole round.
@@ -142,7 +143,8 @@ mod tests {
         let divisors = [0, 99, 100, 299, 300, 999].map(|step| PLAN.divisor(step));
         assert_eq!(divisors, [4, 4, 2, 2, 1, 1]);
         assert_eq!([0, 99, 100, 200, 300, 999].map(|step| PLAN.degree(step)), [0, 0, 1, 2, 3, 3]);
-        assert_eq!(Schedule { warm: true, ..PLAN }.degree(0), 3);
+        let warm = Schedule { warm: true, ..PLAN };
+        assert_eq!((warm.degree(0), warm.divisor(0)), (3, 1));
         assert_eq!(reduced_size(281, 161, 4), (71, 41));
         assert_eq!(reduced_size(80, 70, 4), (40, 35));
     }
@@ -174,6 +176,15 @@ mod tests {
         assert_eq!(sorted, (0..9).collect::<Vec<_>>());
         assert_ne!(epoch(0), epoch(1));
         assert_eq!(epoch(4), epoch(4));
+    }
+
+    #[test]
+    fn shake_is_estimated_at_full_resolution() {
+        let steps = |plan: Schedule| (0..1_000).filter(move |&s| plan.estimates_shake(s)).collect::<Vec<_>>();
+        assert_eq!((steps(PLAN)[0], steps(PLAN).len()), (300, 14));
+        let warm = steps(Schedule { warm: true, ..PLAN });
+        assert_eq!((warm[0], warm.len()), (0, 20));
+        assert!(steps(PLAN).iter().all(|&s| PLAN.divisor(s) == 1));
     }
 
     #[test]
