@@ -226,7 +226,8 @@ impl Sfm for GivenPoses {
             Format::Transforms => "transforms.json",
             Format::PosesBounds => "poses_bounds.npy",
         };
-        format!("given {what}")
+        let points = if self.triangulate.is_some() { ", points triangulated where it has none" } else { "" };
+        format!("given {what}{points}")
     }
 }
 

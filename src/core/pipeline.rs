@@ -8,6 +8,7 @@
 pub mod config;
 pub mod error;
 mod evaluate;
+mod find_poses;
 mod guide;
 mod job;
 mod judge;

@@ -69,7 +69,7 @@ pub struct Poses {
     pub total: usize,
     /// Who answered: `colmap 3.8`, or which file.
     pub source: String,
-    /// The rung of the ladder that was accepted, `A`..=`E`; `None` for given poses.
+    /// The rung of the ladder that was accepted, `A`..=`F`; `None` for given poses.
     pub rung: Option<char>,
     /// Mean reprojection error, px of the pose copies; `None` where nobody measured one.
     pub mean_reprojection_error: Option<f64>,

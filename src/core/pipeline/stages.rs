@@ -13,7 +13,7 @@ use crate::camera::NamedCamera;
 use crate::enhance::{self, Anchor};
 use crate::event::Stage;
 use crate::image::{EncodeFormat, Image};
-use crate::poses::{PoseRequest, PoseView, Poses};
+use crate::poses::Poses;
 use crate::reconstruct::Response;
 
 /// JPEG quality of the pictures that people look at; metrics never read them.
@@ -57,22 +57,6 @@ impl Job<'_, '_> {
         self.inputs = self.rounds_fingerprint(&poses);
         self.note_poses(&poses);
         Ok(poses)
-    }
-
-    fn find_poses(&mut self) -> Result<Poses, PipelineError> {
-        let views: Vec<PoseView> = self
-            .capture
-            .views
-            .iter()
-            .map(|view| PoseView {
-                name: view.name.clone(),
-                file: view.file.clone(),
-                focal_px: view.focal_px,
-            })
-            .collect();
-        let work_dir = self.workspace.work().join("poses");
-        let request = PoseRequest { views: &views, work_dir: &work_dir, seed: self.options.seed };
-        Ok(self.tools.sfm.poses(&request, self.sink, self.cancel)?)
     }
 
     fn rounds_fingerprint(&self, poses: &Poses) -> String {
