@@ -27,7 +27,7 @@ fn a_dark_capture_becomes_a_scene_with_metrics_of_every_round() {
         };
         records.iter().find(of).expect("a record")["psnr_cc_db"].as_f64().expect("dB")
     };
-    // 120 steps from random points make no good scene, but a render of nothing fits at 13 dB here.
+    // 120 steps make no good scene, but a render of nothing fits at 13 dB here.
     assert!(psnr("render", "train", "gt") > 17.0, "training views: {report:#}");
     assert!(psnr("render", "held_out", "gt") > 16.5, "held-out views: {report:#}");
     assert!(psnr("enhanced", "held_out", "gt") > 20.0, "the brightened views: {report:#}");

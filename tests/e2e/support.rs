@@ -25,10 +25,11 @@ pub fn fled() -> Command {
     command
 }
 
-/// `fled run` at a size that takes seconds.
+/// `fled run` at a size that takes seconds. Points are kept beside the capture: COLMAP draws others each time.
 pub fn small_run(capture: &Path, out: &Path, rounds: u32) -> Command {
     let mut command = fled();
-    command.arg("run").arg(capture).arg("--out").arg(out).args(["--preset", "preview", "--cache", "none"]);
+    command.arg("run").arg(capture).arg("--out").arg(out).args(["--preset", "preview"]);
+    command.arg("--cache").arg(capture.with_file_name("cache"));
     for set in ["size=128", "steps=120", "cap=1500", "pose_source=given", &format!("rounds={rounds}")] {
         command.args(["--set", set]);
     }
