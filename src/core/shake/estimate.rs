@@ -18,10 +18,12 @@ const RIDGE: f64 = 0.01;
 /// Weight of the squared centroid, in the same units and per px^2. The poses stand where the shake is on average; a
 /// kernel that moves its image would only hide the error of a pose, and all of them could drift together.
 const CENTRED: f64 = 0.3;
-/// Cost of a tap at the end of the reach, in the same units; it grows with the square of the distance. What is
-/// wrong in the render acts as noise of the regressor and widens every kernel; the render that is then
-/// trained through it is sharper than the scene, and more wrong.
-const FAR: f64 = 0.2;
+/// Cost of a tap, in the same units and per px^2 of its distance, for images up to [`FAR_SIDE`]; larger ones are
+/// shaken by more pixels. What is wrong in the render acts as noise of the regressor and widens every kernel; the render
+/// that is then trained through it is sharper than the scene, with halos, and more wrong.
+const FAR: f64 = 0.008;
+/// Longer side at which [`FAR`] was chosen, px.
+const FAR_SIDE: f64 = 560.0;
 /// Taps below this share of the largest are such widening.
 const SMALLEST_TAP: f32 = 0.1;
 /// Iterations of the solver; the residual no longer changes in the third digit after half of them.
@@ -48,6 +50,8 @@ pub fn estimate(render: &Image, photograph: &Image, response: &Response) -> Shak
     if !(scale.is_finite() && scale > 1e-12) {
         return ShakeKernel::still();
     }
+    let longer = render.width().max(render.height()) as f64;
+    let price = FAR * (FAR_SIDE / longer).min(1.0).powi(2);
     let offset = |tap: usize| {
         let (x, y) = (tap % square, tap / square);
         [x as i32 - reach as i32, y as i32 - reach as i32]
@@ -66,7 +70,7 @@ pub fn estimate(render: &Image, photograph: &Image, response: &Response) -> Shak
     let right: Vec<f32> = (0..count)
         .map(|tap| {
             let [x, y] = offset(tap);
-            let far = FAR * f64::from(x * x + y * y) / (reach * reach) as f64;
+            let far = price * f64::from(x * x + y * y);
             (wanted.at(x, y) / scale - far) as f32
         })
         .collect();

@@ -133,12 +133,12 @@ fn the_shake_is_found_again_in_a_noisy_photograph() {
     let found = estimate(&sharp, &noisy(&shaken(&sharp, &kernel, &response)), &response);
     // Far taps are dear, so a kernel comes out somewhat too small, and never too large.
     let wide = found.spread() / kernel.spread();
-    assert!((0.7..1.02).contains(&wide), "{wide} of the true spread");
+    assert!((0.65..1.02).contains(&wide), "{wide} of the true spread");
     assert!(found.centroid().iter().all(|c| c.abs() < 0.3), "{:?}", found.centroid());
     let weight =
         |of: &ShakeKernel, offset| of.taps().iter().find(|t| t.offset == offset).map_or(0.0, |t| t.weight);
     let apart: f32 = kernel.taps().iter().map(|t| (weight(&found, t.offset) - t.weight).abs()).sum();
-    assert!(apart < 0.9, "{apart} of 2 apart: {found:?}");
+    assert!(apart < 1.0, "{apart} of 2 apart: {found:?}");
     let still = estimate(&sharp, &noisy(&sharp), &response);
     assert!(still.spread() < 0.3, "a still photograph: {still:?}");
 }

@@ -35,6 +35,8 @@ fn marked(process: &Path, jobs: &[String]) -> bool {
 #[cfg(test)]
 mod tests {
     use std::process::Command;
+    use std::thread;
+    use std::time::{Duration, Instant};
 
     use super::*;
 
@@ -43,6 +45,14 @@ mod tests {
         let sleeper =
             |job: &str| Command::new("sleep").arg("60").env(JOB_VARIABLE, job).spawn().expect("sleep starts");
         let (mut ours, mut other) = (sleeper("orphan-test-a"), sleeper("orphan-test-b"));
+        // `spawn` returns a moment before the kernel shows the new program's environment.
+        for child in [&ours, &other] {
+            let environment = format!("/proc/{}/environ", child.id());
+            let deadline = Instant::now() + Duration::from_secs(10);
+            while fs::read(&environment).is_ok_and(|bytes| bytes.is_empty()) && Instant::now() < deadline {
+                thread::sleep(Duration::from_millis(5));
+            }
+        }
         assert_eq!(kill_orphans(&["orphan-test-a".to_owned()]), 1);
         assert!(!ours.wait().expect("ended").success());
         assert!(other.try_wait().expect("known").is_none(), "another job's process was killed");
