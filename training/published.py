@@ -1,0 +1,222 @@
+"""The published forward pass of 3D Gaussian splatting, written from the formulas alone.
+
+Kerbl, Kopanas, Leimkuehler and Drettakis, "3D Gaussian Splatting for Real-Time Radiance Field Rendering", 2023:
+Sigma = R S S^T R^T (eq. 6), Sigma' = J W Sigma W^T J^T (eq. 5) with the J of Zwicker et al., "EWA Splatting", 2002,
+C = sum c_i alpha_i prod_{j<i} (1 - alpha_j) (eq. 3), and the constants that every viewer shares. No line comes from
+another renderer or from the product. There are no tiles and no extents: every Gaussian before the near plane meets every
+pixel of a row, in f64. Slow, and hard to get wrong; made to judge the product's renders with.
+"""
+
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+
+# Added to the diagonal of every 2-D covariance, px^2.
+LOW_PASS = 0.3
+# Below it a splat is not blended at a pixel; above the other it is taken for the other.
+ALPHA_LEAST, ALPHA_MOST = 1 / 255, 0.99
+# Blending stops before the splat that would leave less light than this.
+TRANSMITTANCE_LEAST = 1e-4
+# J is taken at most this many half fields of view off the axis: the linear model runs away outside.
+SLOPE_LIMIT = 1.3
+# World units; what published viewers use.
+NEAR = 0.2
+
+PLY_TYPES = {
+    "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4",
+    "double": "f8", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4",
+    "float32": "f4", "float64": "f8",
+}
+
+
+@dataclass
+class Scene:
+    """What a PLY file says of its Gaussians: rotations w x y z, harmonics [n, coefficients, 3]."""
+
+    means: torch.Tensor
+    rotations: torch.Tensor
+    log_scales: torch.Tensor
+    opacity_logits: torch.Tensor
+    harmonics: torch.Tensor
+
+
+@dataclass
+class Camera:
+    """A pinhole; x right, y down, z forward, px."""
+
+    width: int
+    height: int
+    focal: tuple
+    centre: tuple
+    world_to_camera: torch.Tensor
+
+
+@dataclass
+class Splats:
+    """Gaussians on the image plane, nearest first: conics are the inverse covariances' a, b, c."""
+
+    means: torch.Tensor
+    conics: torch.Tensor
+    opacities: torch.Tensor
+    colours: torch.Tensor
+
+
+def read_vertices(path):
+    """The vertices of a PLY file as a structured array, by what its header says."""
+    data = Path(path).read_bytes()
+    head, mark, body = data.partition(b"end_header\n")
+    lines = [line.split() for line in head.decode("ascii", "replace").splitlines()]
+    if not mark or lines[0] != ["ply"]:
+        raise ValueError(f"{path}: not a PLY file")
+    order = {"binary_little_endian": "<", "binary_big_endian": ">"}
+    formats = [order.get(line[1]) for line in lines if line[0] == "format"]
+    elements = [line[1:] for line in lines if line[0] == "element"]
+    if len(formats) != 1 or formats[0] is None or len(elements) != 1 or elements[0][0] != "vertex":
+        raise ValueError(f"{path}: not one binary list of vertices: {formats} {elements}")
+    fields = [(line[2], formats[0] + PLY_TYPES[line[1]]) for line in lines if line[0] == "property"]
+    kind, count = np.dtype(fields), int(elements[0][1])
+    if len(body) != count * kind.itemsize:
+        raise ValueError(f"{path}: {len(body)} bytes of vertices, {count * kind.itemsize} announced")
+    return np.frombuffer(body, kind)
+
+
+def read_scene(path):
+    """The Gaussians of a PLY file in the layout that the paper's authors introduced."""
+    vertices = read_vertices(path)
+
+    def columns(*names):
+        missing = [name for name in names if name not in vertices.dtype.names]
+        if missing:
+            raise ValueError(f"{path}: no property {', '.join(missing)}")
+        return torch.tensor(np.stack([vertices[name].astype(np.float64) for name in names], -1))
+
+    base = columns("f_dc_0", "f_dc_1", "f_dc_2")[:, None]
+    rest = sum(name.startswith("f_rest_") for name in vertices.dtype.names)
+    if math.isqrt(1 + rest // 3) ** 2 != 1 + rest // 3 or rest % 3:
+        raise ValueError(f"{path}: {rest} higher harmonics fit no degree")
+    if rest:
+        # All of red, then all of green, then all of blue.
+        higher = columns(*(f"f_rest_{n}" for n in range(rest))).reshape(len(vertices), 3, rest // 3)
+        base = torch.cat([base, higher.transpose(1, 2)], 1)
+    return Scene(
+        means=columns("x", "y", "z"),
+        rotations=columns("rot_0", "rot_1", "rot_2", "rot_3"),
+        log_scales=columns("scale_0", "scale_1", "scale_2"),
+        opacity_logits=columns("opacity")[:, 0],
+        harmonics=base,
+    )
+
+
+def read_cameras(path):
+    """The cameras of a `cameras.json`, by name, in its order."""
+    return {entry["name"]: camera(entry) for entry in json.loads(Path(path).read_text())}
+
+
+def camera(entry):
+    """A camera of one JSON object."""
+    return Camera(
+        width=entry["width"],
+        height=entry["height"],
+        focal=(entry["fx"], entry["fy"]),
+        centre=(entry["cx"], entry["cy"]),
+        world_to_camera=torch.tensor(entry["world_to_camera"], dtype=torch.float64),
+    )
+
+
+def rotation_matrices(rotations):
+    """[n, 3, 3] of quaternions w x y z of any length: R v = q v q*."""
+    w, x, y, z = torch.nn.functional.normalize(rotations, dim=1).unbind(1)
+    rows = [
+        [w * w + x * x - y * y - z * z, 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), w * w - x * x + y * y - z * z, 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), w * w - x * x - y * y + z * z],
+    ]
+    return torch.stack([torch.stack(row, -1) for row in rows], -2)
+
+
+def harmonic_basis(degree, directions):
+    """Real spherical harmonics [n, (degree + 1)^2] with the Condon-Shortley phase, orders from -l to l.
+
+    From the definition, K d^m P_l(z)/dz^m Re or Im (x + i y)^m, rather than from a table of polynomials.
+    """
+    x, y, z = directions.unbind(1)
+    columns = []
+    for level in range(degree + 1):
+        for order in range(-level, level + 1):
+            m = abs(order)
+            norm = math.sqrt((2 * level + 1) / (4 * math.pi) * math.factorial(level - m) / math.factorial(level + m))
+            along = torch.tensor(np.polynomial.Legendre.basis(level).deriv(m)(z.numpy()))
+            around = torch.complex(x, y) ** m
+            around = around.imag if order < 0 else around.real
+            columns.append((-1) ** m * norm * (math.sqrt(2) if m else 1) * along * around)
+    return torch.stack(columns, 1)
+
+
+def colours(scene, camera):
+    """RGB of every Gaussian from where the camera stands: its harmonics, 0.5 more, at least 0."""
+    rotation, translation = camera.world_to_camera[:3, :3], camera.world_to_camera[:3, 3]
+    directions = torch.nn.functional.normalize(scene.means + rotation.T @ translation, dim=1)
+    basis = harmonic_basis(math.isqrt(scene.harmonics.shape[1]) - 1, directions)
+    return ((basis[:, :, None] * scene.harmonics).sum(1) + 0.5).clamp(min=0)
+
+
+def flat_covariances(scene, camera, points):
+    """[n, 2, 2] px^2: eq. 6, then eq. 5 with the Jacobian of the projection at the clamped point, then the low-pass."""
+    spread = rotation_matrices(scene.rotations) * scene.log_scales.exp()[:, None]
+    z = points[:, 2]
+    jacobian = torch.zeros(len(points), 2, 3, dtype=torch.float64)
+    for axis, size in enumerate((camera.width, camera.height)):
+        focal = camera.focal[axis]
+        limit = SLOPE_LIMIT * size / (2 * focal)
+        jacobian[:, axis, axis] = focal / z
+        jacobian[:, axis, 2] = -focal * (points[:, axis] / z).clamp(-limit, limit) / z
+    spread = jacobian @ camera.world_to_camera[:3, :3] @ spread
+    return spread @ spread.transpose(1, 2) + LOW_PASS * torch.eye(2, dtype=torch.float64)
+
+
+def project(scene, camera, near=NEAR):
+    """The splats in front of the near plane."""
+    points = scene.means @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
+    order = torch.argsort(points[:, 2], stable=True)
+    order = order[points[order, 2] > near]
+    scene = Scene(*(value[order] for value in vars(scene).values()))
+    points = points[order]
+    flat = flat_covariances(scene, camera, points)
+    a, b, c = flat[:, 0, 0], flat[:, 0, 1], flat[:, 1, 1]
+    inverse = torch.stack([c, -b, a], 1) / (a * c - b * b)[:, None]
+    place = points[:, :2] / points[:, 2:] * torch.tensor(camera.focal) + torch.tensor(camera.centre)
+    return Splats(place, inverse, torch.sigmoid(scene.opacity_logits), colours(scene, camera))
+
+
+def reaching(splats, y):
+    """The splats that may be blended in a row: of the others even the greatest alpha on its line is below the cut."""
+    a, b, c = splats.conics.unbind(1)
+    greatest = splats.opacities * (-0.5 * (c - b * b / a) * (y - splats.means[:, 1]) ** 2).exp()
+    kept = greatest >= 0.999 * ALPHA_LEAST
+    return Splats(*(value[kept] for value in vars(splats).values()))
+
+
+def blend_row(splats, y, width):
+    """RGB [width, 3] of the row of pixels whose centres are at height `y`."""
+    splats = reaching(splats, y)
+    dx = torch.arange(width, dtype=torch.float64)[:, None] + 0.5 - splats.means[:, 0]
+    dy = y - splats.means[:, 1]
+    a, b, c = splats.conics.unbind(1)
+    power = -0.5 * (a * dx * dx + c * dy * dy) - b * dx * dy
+    alpha = (splats.opacities * power.exp()).clamp(max=ALPHA_MOST)
+    alpha = torch.where(alpha < ALPHA_LEAST, 0.0, alpha)
+    left = torch.cumprod(1 - alpha, 1)
+    # What is left only falls, so the first splat that leaves too little also ends all behind it.
+    alpha = torch.where(left < TRANSMITTANCE_LEAST, 0.0, alpha)
+    before = torch.cat([torch.ones(width, 1, dtype=torch.float64), left[:, :-1]], 1)
+    return (alpha * before) @ splats.colours
+
+
+def render(scene, camera, near=NEAR):
+    """RGB [height, width, 3] over black; not clamped above."""
+    splats = project(scene, camera, near)
+    return torch.stack([blend_row(splats, y + 0.5, camera.width) for y in range(camera.height)])
