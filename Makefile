@@ -6,10 +6,10 @@ CARGO ?= cargo
 PYTHON ?= python3
 
 .DEFAULT_GOAL := help
-.PHONY: help setup onnxruntime build test tidy check lint demo
+.PHONY: help setup onnxruntime build test test-peers tidy check lint demo
 
 help: ## this list
-	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## (.*)/  make \1\t\2/' | expand -t 22
+	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1\t\2/' | expand -t 22
 
 setup: ## Debian packages: COLMAP, a software Vulkan driver, pip (as root; else it says what to run)
 	@tools/setup.sh
@@ -23,6 +23,10 @@ build: ## the program: target/release/fled
 test: setup onnxruntime ## every test
 	$(PYTHON) -m unittest discover --start-directory tools
 	$(CARGO) test --release --locked --workspace
+
+# FLED=PROGRAM judges that one and builds none; TORCH=PYTHON has PyTorch already and saves its installation.
+test-peers: setup onnxruntime $(if $(FLED),,build) ## scene.ply judged by software that is not ours; 5 GB under .peers/
+	$(PYTHON) tools/peers.py $(if $(FLED),--fled $(FLED)) $(if $(TORCH),--python $(TORCH))
 
 tidy: ## the rules of the house alone: fast, needs no GPU and no library
 	$(CARGO) test --release --locked -p fled-tidy

@@ -1,0 +1,201 @@
+#!/usr/bin/env python3
+"""scene.ply before judges that are not ours: splat-transform reads it, and the published formulas render it.
+
+    make test-peers
+
+Installs both judges under .peers/ (about 5 GB, most of it PyTorch's), makes a small capture, trains it for 200 steps,
+and has two scenes judged: the trained one, and a made-up one that asks more (training/strange.py). Exits with 1 and says
+why when a judge disagrees. Python's standard library only; training/judge.py runs in the environment made here.
+"""
+
+import argparse
+import array
+import json
+import math
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+TOP = Path(__file__).resolve().parent.parent
+FOLDER, TRAINING = TOP / ".peers", TOP / "training"
+REQUIREMENTS = TRAINING / "requirements-peers.txt"
+LIBRARY = TOP / ".onnxruntime" / "libonnxruntime.so"
+# The newest that runs on Node 18, which is Debian 12's.
+SPLAT_TRANSFORM = "@playcanvas/splat-transform@2.7.1"
+SYNTH = ["--views", "12", "--size", "256x144", "--seed", "3", "--exposure", "0.5", "--blur", "2", "--noise", "0.005"]
+OPTIONS = ["steps=200", "rounds=1", "deblur=identity", "noise=off", "shake=off", "pose_source=given"]
+# The summary has six digits, or six decimals: half of the last one, as a share and as a number.
+ROUNDING = 5.1e-6, 5.1e-7
+
+
+def run(command, log=None, **options):
+    """Runs a command to its end; when it fails, so do we, with its last words."""
+    command = [str(word) for word in command]
+    done = subprocess.run(command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, **options)
+    text = done.stdout.decode(errors="replace")
+    if log:
+        log.write_text(text)
+    if done.returncode != 0:
+        last = "\n".join(text.splitlines()[-20:])
+        raise SystemExit(f"{' '.join(command)}\nfailed with {done.returncode}:\n{last}")
+    return text
+
+
+def said(*words):
+    print(*words, flush=True)
+
+
+def install_python(given):
+    """A Python that has what judge.py needs: the one given, or one made here from PyPI."""
+    if given:
+        return given
+    folder, wanted = FOLDER / "venv", REQUIREMENTS.read_text()
+    stamp, python = folder / "installed", folder / "bin" / "python"
+    if not (stamp.is_file() and stamp.read_text() == wanted):
+        said("installing PyTorch from PyPI into .peers/venv")
+        shutil.rmtree(folder, ignore_errors=True)
+        try:
+            run([sys.executable, "-m", "venv", folder])
+        except SystemExit as error:
+            raise SystemExit(f"{error}\nOn Debian: apt-get install python3-venv") from error
+        run([python, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "-r", REQUIREMENTS])
+        stamp.write_text(wanted)
+    return python
+
+
+def install_splat_transform():
+    """The command, from npm. Its install scripts are not run: they fetch a WebGPU library that reading does not need."""
+    folder = FOLDER / "npm"
+    stamp, program = folder / "installed", folder / "node_modules" / ".bin" / "splat-transform"
+    if not (stamp.is_file() and stamp.read_text() == SPLAT_TRANSFORM):
+        if not shutil.which("npm"):
+            raise SystemExit("npm is missing: run `apt-get install nodejs npm` as root, then again")
+        said(f"installing {SPLAT_TRANSFORM} from npm into .peers/npm")
+        shutil.rmtree(folder, ignore_errors=True)
+        folder.mkdir(parents=True)
+        run(["npm", "install", "--prefix", folder, "--ignore-scripts", "--no-audit", "--no-fund", SPLAT_TRANSFORM])
+        stamp.write_text(SPLAT_TRANSFORM)
+    return program
+
+
+def train(fled):
+    """A run's folder with a scene of a few thousand Gaussians, made anew each time; and what the run says of it."""
+    capture, out = FOLDER / "capture", FOLDER / "trained"
+    for folder in (capture, out):
+        shutil.rmtree(folder, ignore_errors=True)
+    run([fled, "synth", capture, *SYNTH])
+    sets = [word for option in OPTIONS for word in ("--set", option)]
+    run([fled, "run", capture, "--out", out, "--preset", "preview", "--cache", "none", *sets], FOLDER / "train.log")
+    metrics = json.loads((out / "metrics.json").read_text())
+    (delivered,) = [r for r in metrics["rounds"] if r["round"] == metrics["best_round"]]
+    return out, delivered["gaussians"]
+
+
+def render(fled, folder):
+    """Pictures by `fled render` at three cameras: the first, the middle, the last."""
+    pictures = folder.with_name(folder.name + "-pictures")
+    shutil.rmtree(pictures, ignore_errors=True)
+    pictures.mkdir()
+    names = [camera["name"] for camera in json.loads((folder / "cameras.json").read_text())]
+    for name in (names[0], names[len(names) // 2], names[-1]):
+        run([fled, "render", folder, "--view", name, "-o", pictures / f"{name}.png"])
+    return pictures
+
+
+def own_bounds(path):
+    """How many vertices our PLY has, and the least and greatest of each property, as splat-transform shows them."""
+    head, _, body = path.read_bytes().partition(b"end_header\n")
+    names = re.findall(rb"property float (\w+)\n", head)
+    values = array.array("f", body)
+    if sys.byteorder == "big":
+        values.byteswap()
+    bounds = {}
+    for column, name in enumerate(name.decode() for name in names):
+        own = values[column::len(names)]
+        bounds[name] = tuple(sorted(shown(name, value) for value in (min(own), max(own))))
+    return len(values) // len(names), bounds
+
+
+def shown(name, value):
+    """A stored value as what it means: opacities are logits, scales logarithms, colours harmonics of degree 0."""
+    if name == "opacity":
+        return 1 / (1 + math.exp(-value))
+    if name.startswith("scale_"):
+        return math.exp(value)
+    if name.startswith("f_dc_"):
+        return 0.5 + value / math.sqrt(4 * math.pi)
+    return value
+
+
+def read_summary(text):
+    """Count, and (least, greatest, NaNs and infinities) of each column, from splat-transform's summary."""
+    count = re.search(r"\*\*Row Count:\*\* (\d+)", text)
+    if not count:
+        raise SystemExit(f"splat-transform says nothing of a count:\n{text}")
+    table = [[cell.strip() for cell in line.split("|")[1:-1]] for line in text.splitlines() if line.startswith("| ")]
+    titles = table[0]
+    rows = [dict(zip(titles, row)) for row in table[1:]]
+    columns = {r["Column"]: (float(r["min"]), float(r["max"]), int(r["nans"]) + int(r["infs"])) for r in rows}
+    return int(count[1]), columns
+
+
+def objections(theirs, count, bounds):
+    """Where a summary differs from a count and bounds, a line each."""
+    their_count, columns = theirs
+    lines = [] if their_count == count else [f"{their_count} Gaussians, we count {count}"]
+    if list(columns) != list(bounds):
+        lines.append(f"the properties {list(columns)}, ours are {list(bounds)}")
+    for name in filter(bounds.get, columns):
+        *pair, poisoned = columns[name]
+        if poisoned:
+            lines.append(f"{name}: {poisoned} values are no numbers")
+        share, number = ROUNDING
+        if any(abs(a - b) > share * abs(b) + number for a, b in zip(pair, bounds[name])):
+            lines.append(f"{name}: from {pair[0]} to {pair[1]}, ours from {bounds[name][0]} to {bounds[name][1]}")
+    return lines
+
+
+def judge_by_splat_transform(program, folder, count):
+    """Count and bounds as splat-transform reads them, against the run's count and the file's own numbers."""
+    scene = folder / "scene.ply"
+    in_file, bounds = own_bounds(scene)
+    if in_file != count:
+        raise SystemExit(f"{scene} has {in_file} Gaussians, the run says {count}")
+    theirs = read_summary(run([program, scene, "--summary", "null"]))
+    wrong = objections(theirs, count, bounds)
+    if wrong:
+        raise SystemExit(f"splat-transform reads {scene} otherwise:\n  " + "\n  ".join(wrong))
+    corners = ", ".join(f"{axis} {theirs[1][axis][0]:.3f} to {theirs[1][axis][1]:.3f}" for axis in "xyz")
+    said(f"splat-transform: {theirs[0]} Gaussians, {len(bounds)} properties agree; {corners}")
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--fled", type=Path, default=TOP / "target" / "release" / "fled")
+    parser.add_argument("--python", type=Path, help="a Python that has PyTorch, NumPy and Pillow, in place of a new one")
+    options = parser.parse_args()
+    fled = options.fled.resolve()
+    if not fled.is_file():
+        raise SystemExit(f"{fled} is missing: make build")
+    os.environ.setdefault("ORT_DYLIB_PATH", str(LIBRARY))
+    FOLDER.mkdir(exist_ok=True)
+    program = install_splat_transform()
+    python = install_python(options.python)
+    said("the judge's own tests")
+    run([python, "-m", "unittest", "test_judge"], cwd=TRAINING)
+    said("a scene of 200 steps")
+    trained, count = train(fled)
+    strange = FOLDER / "strange"
+    made = int(run([python, TRAINING / "strange.py", strange]))
+    for folder, expected in ((trained, count), (strange, made)):
+        said(f"\n{folder.name}")
+        pictures = render(fled, folder)
+        judge_by_splat_transform(program, folder, expected)
+        said(run([python, TRAINING / "judge.py", folder, pictures]).rstrip())
+
+
+if __name__ == "__main__":
+    main()

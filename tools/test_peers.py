@@ -1,0 +1,70 @@
+"""python3 -m unittest discover --start-directory tools"""
+
+import math
+import struct
+import sys
+import tempfile
+import unittest
+from pathlib import Path
+
+import peers
+
+SUMMARY = """# Summary
+
+**Row Count:** 2
+
+| Column  | min      | max      | median | mean | stdDev | nans | infs | histogram |
+|---------|----------|----------|--------|------|--------|------|------|-----------|
+| x       | -1.5     | 2.25     | 0      | 0    | 1      | 0    | 0    | ▁ ▁       |
+| opacity | 0.119203 | 0.880797 | 0.5    | 0.5  | 1      | 0    | 0    | ▁ ▁       |
+| scale_0 | 0.135335 | 1        | 0.5    | 0.5  | 1      | 0    | 0    | ▁ ▁       |
+"""
+
+
+class SplatTransform(unittest.TestCase):
+    def setUp(self):
+        head = "ply\nformat binary_little_endian 1.0\nelement vertex 2\n"
+        head += "".join(f"property float {name}\n" for name in ("x", "opacity", "scale_0")) + "end_header\n"
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "scene.ply"
+            path.write_bytes(head.encode() + struct.pack("<6f", -1.5, 2.0, 0.0, 2.25, -2.0, -2.0))
+            self.ours = peers.own_bounds(path)
+
+    def objections(self, old="", new=""):
+        return peers.objections(peers.read_summary(SUMMARY.replace(old, new) if old else SUMMARY), *self.ours)
+
+    def test_bounds_are_of_what_the_values_mean(self):
+        count, bounds = self.ours
+        self.assertEqual((count, bounds["x"]), (2, (-1.5, 2.25)))
+        self.assertAlmostEqual(bounds["scale_0"][0], math.exp(-2))
+        self.assertAlmostEqual(bounds["opacity"][1], 1 / (1 + math.exp(-2)))
+
+    def test_what_agrees_meets_no_objection(self):
+        self.assertEqual(self.objections(), [])
+
+    def test_another_count_is_condemned(self):
+        self.assertEqual(self.objections("Count:** 2", "Count:** 3"), ["3 Gaussians, we count 2"])
+
+    def test_another_bound_is_condemned(self):
+        self.assertEqual(len(self.objections("2.25", "2.2501")), 1)
+        self.assertEqual(len(self.objections("0.880797", "2")), 1)
+
+    def test_what_is_no_number_is_condemned(self):
+        self.assertEqual(len(self.objections("| 1      | 0    | 0    |", "| 1      | 1    | 0    |")), 3)
+
+    def test_another_property_is_condemned(self):
+        self.assertEqual(len(self.objections("scale_0", "scale_1")), 1)
+
+    def test_no_summary_at_all_is_condemned(self):
+        with self.assertRaisesRegex(SystemExit, "nothing of a count"):
+            peers.read_summary("")
+
+
+class Commands(unittest.TestCase):
+    def test_a_command_that_fails_ends_all_with_its_last_words(self):
+        with self.assertRaisesRegex(SystemExit, "(?s)failed with 3:.*enough"):
+            peers.run([sys.executable, "-c", "print('enough'); raise SystemExit(3)"])
+
+
+if __name__ == "__main__":
+    unittest.main()
