@@ -5,6 +5,7 @@ use std::sync::mpsc;
 
 use bytemuck::Pod;
 
+use crate::groups::Identity;
 use crate::{Gpu, GpuError, Submission};
 
 /// `len` elements of `T` on the device. Cloning shares the storage.
@@ -32,6 +33,7 @@ pub struct RawBuffer {
     pub(crate) stride: u64,
     /// Bytes in use; the allocation is never smaller than 16.
     pub(crate) bytes: u64,
+    pub(crate) identity: Identity,
 }
 
 /// Anything that a dispatch can bind: every [`Buffer`].
@@ -181,7 +183,8 @@ impl Gpu {
             | wgpu::BufferUsages::UNIFORM
             | wgpu::BufferUsages::INDIRECT
             | wgpu::BufferUsages::COPY_SRC;
-        let raw = RawBuffer { raw: self.create_raw(label, bytes, usage)?, label, stride, bytes };
+        let raw = self.create_raw(label, bytes, usage)?;
+        let raw = RawBuffer { raw, label, stride, bytes, identity: Identity::new(self) };
         Ok(Buffer { raw, len, gpu: self.clone(), element: PhantomData })
     }
 

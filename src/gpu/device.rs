@@ -6,6 +6,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use crate::GpuError;
+use crate::groups::Groups;
 use crate::kernel::{Kernel, Pipeline};
 use crate::profile::Profile;
 
@@ -25,6 +26,7 @@ pub(crate) struct Inner {
     /// The first fault that no call could return at once.
     fault: Arc<Mutex<Option<GpuError>>>,
     pub(crate) pipelines: Mutex<HashMap<Kernel, Arc<Pipeline>>>,
+    pub(crate) groups: Groups,
     pub(crate) profile: Mutex<Option<Profile>>,
 }
 
@@ -199,7 +201,9 @@ fn open(adapter: &wgpu::Adapter) -> Result<Gpu, GpuError> {
         }
     });
     let (pipelines, profile) = (Mutex::default(), Mutex::default());
-    Ok(Gpu { inner: Arc::new(Inner { device, queue, info, fault, pipelines, profile }) })
+    Ok(Gpu {
+        inner: Arc::new(Inner { device, queue, info, fault, pipelines, groups: Groups::default(), profile }),
+    })
 }
 
 /// Keeps the first fault: the later ones follow from it.

@@ -48,6 +48,7 @@
 mod buffer;
 mod device;
 mod error;
+mod groups;
 mod kernel;
 mod profile;
 mod recorder;

@@ -155,16 +155,7 @@ impl Recorder {
         let pipeline = self.gpu.pipeline(kernel)?;
         let raws: Vec<_> = buffers.iter().map(|b| b.raw()).collect();
         check(&pipeline, &raws)?;
-        let entries: Vec<_> = raws
-            .iter()
-            .zip(0..)
-            .map(|(b, binding)| wgpu::BindGroupEntry { binding, resource: b.raw.as_entire_binding() })
-            .collect();
-        let group = self.gpu.inner.device.create_bind_group(&wgpu::BindGroupDescriptor {
-            label: Some(kernel.name),
-            layout: &pipeline.layout,
-            entries: &entries,
-        });
+        let group = self.gpu.group(&pipeline, &raws);
         self.commands.push(Command::Dispatch { pipeline, group, workgroups });
         self.gpu.check()
     }

@@ -51,6 +51,31 @@ fn dispatches_of_one_recorder_see_each_other_and_an_indirect_one_takes_its_count
 }
 
 #[test]
+fn what_is_recorded_anew_binds_the_same_group_until_a_buffer_of_it_goes() {
+    let gpu = gpu();
+    let scale = gpu.upload("scale", &[Scale { factor: 3.0, count: 2 }]).unwrap();
+    let x = gpu.upload("x", &[1.0_f32, 2.0]).unwrap();
+    let record = |out: &Buffer<f32>| {
+        let mut recorder = gpu.recorder();
+        recorder.dispatch_items(&AXPY, &[&scale, &x, out], 2).unwrap();
+        recorder.submit().unwrap();
+        out.read().unwrap()
+    };
+    let (first, second) = (gpu.create::<f32>("out", 2).unwrap(), gpu.create::<f32>("out", 2).unwrap());
+    let clone = first.clone();
+    // The kernel adds to what is there.
+    let sums = [&first, &first, &clone, &second, &second].map(record);
+    assert_eq!(sums.map(|s| s[1]), [6.0, 12.0, 18.0, 6.0, 12.0]);
+    assert_eq!(gpu.kept_groups(), 2);
+    drop(first);
+    assert_eq!(gpu.kept_groups(), 2, "a clone is left");
+    drop(clone);
+    assert_eq!(gpu.kept_groups(), 1);
+    drop(second);
+    assert_eq!(gpu.kept_groups(), 0);
+}
+
+#[test]
 fn a_dispatch_refuses_missing_wrong_and_aliased_buffers() {
     let gpu = gpu();
     let scale = gpu.upload("scale", &[Scale { factor: 1.0, count: 1 }]).unwrap();
