@@ -14,8 +14,10 @@ import subprocess
 import sys
 
 # Name and options of each variant; the first is plain 3DGS on the brightened photographs.
+PLAIN = ["rounds=1", "deblur=identity", "noise=off", "shake=off", "refine_poses=false"]
 VARIANTS = [
-    ("plain 3DGS on the brightened photographs", ["rounds=1", "deblur=identity", "noise=off", "shake=off"]),
+    ("plain 3DGS on the brightened photographs", PLAIN),
+    ("+ corrected cameras", PLAIN[:-1] + ["refine_poses=true"]),
     ("+ noise field", ["rounds=1", "deblur=identity", "noise=grid", "shake=off"]),
     ("+ deblurring network", ["rounds=1", "noise=off", "shake=off"]),
     ("+ shake kernels", ["rounds=1", "deblur=identity", "noise=off", "shake=kernel"]),

@@ -2,7 +2,7 @@
 //! sharp 3D Gaussian splatting scene.
 //!
 //! Data flows one way: [`pipeline`] drives [`colmap`], [`enhance`], [`deblur`], [`reconstruct`]
-//! (which drives [`splat`], [`noise`] and [`shake`]), [`metrics`] and [`render`]. Siblings never import each
+//! (which drives [`splat`], [`noise`], [`shake`] and [`register`]), [`metrics`] and [`render`]. Siblings never import each
 //! other; all may use [`image`], [`camera`], [`poses`], [`gaussians`], [`event`] and [`cancel`].
 //! The crate knows no HTTP, no SQL, no async runtime and no environment variables.
 
@@ -23,6 +23,7 @@ pub mod noise;
 pub mod pipeline;
 pub mod poses;
 pub mod reconstruct;
+pub mod register;
 pub mod render;
 pub mod shake;
 pub mod splat;

@@ -77,7 +77,7 @@ pub fn run(
     if let Some(outcome) = job.delivered() {
         return Ok(outcome);
     }
-    let views = job.views(&poses)?; // L
+    let mut views = job.views(&poses)?; // L
     let anchors = job.anchors(&views)?; // P_1..P_N
     let target = job.enhanced(&views, anchors[anchors.len() - 1]); // H_N
     let mut guides = None; // HR
@@ -88,6 +88,7 @@ pub fn run(
         let response = job.response(&views, anchor); // f: light -> values of H_i
         let material = Material { round: i, views: &views, deblurred: &deblurred, response };
         let scene = job.reconstruct(&material, &poses, previous.take())?; // V_i
+        job.place(&mut views, &scene)?;
         let renders = job.render(i, &views, &scene)?; // R_i
         let next = job.match_next(i, &renders, &views, &anchors, &target)?; // P_R
         job.evaluate(i, &views, [&enhanced, &deblurred, &renders, &target], &next, &scene)?;

@@ -22,7 +22,7 @@ use crate::metrics::report::NoiseMapStatistics;
 use crate::noise::NoiseMode;
 pub use crate::shake::Response;
 pub use checkpoint::{Checkpoint, CheckpointError};
-pub use initialise::{Point, initialise, scene_extent};
+pub use initialise::{Point, initialise, scene_depth, scene_extent};
 pub use schedule::Schedule;
 
 /// One image to train on.
@@ -54,6 +54,9 @@ pub struct TrainConfig {
     pub steps: u32,
     /// Explain the shake of the views, whose values come from light like this; `None`: they are not shaken.
     pub shake: Option<Response>,
+    /// Correct the cameras by the renders. The number is about how far away the scene is, world units;
+    /// `None`: they stand where the poses say.
+    pub refine_poses: Option<f64>,
     /// Most Gaussians.
     pub cap: usize,
     /// Degree of the harmonics.
@@ -115,6 +118,8 @@ pub struct Trained {
     pub noise: Option<NoiseMapStatistics>,
     /// Mean [`ShakeKernel::spread`](crate::shake::ShakeKernel::spread) over the views, px; `None` when shake was off.
     pub shake_px: Option<f64>,
+    /// The views' cameras, in their order, corrected or as given.
+    pub cameras: Vec<Camera>,
     /// What the user should know.
     pub warnings: Vec<String>,
     /// Loss of the last step.
@@ -168,6 +173,31 @@ pub fn train(
     hooks: &mut TrainHooks<'_>,
 ) -> Result<Trained, ReconstructError> {
     trainer::Trainer::new(gpu, views, start, config)?.run(hooks)
+}
+
+/// Corrections of a view that did not train.
+const REGISTRATIONS: u32 = 4;
+
+/// The cameras of `views` corrected by the scene as it is, which does not change: for photographs that were kept out
+/// of training, whose poses would otherwise be less exact than those of the others.
+///
+/// # Errors
+/// [`ReconstructError`].
+pub fn register(
+    gpu: &Gpu,
+    views: &[TrainingView],
+    scene: &Gaussians,
+    config: &TrainConfig,
+) -> Result<Vec<Camera>, ReconstructError> {
+    let still = TrainConfig {
+        resolution_schedule: false,
+        densify: false,
+        noise: NoiseMode::Off,
+        cap: scene.len(),
+        ..config.clone()
+    };
+    let start = TrainStart::Fresh(scene.clone());
+    trainer::Trainer::new(gpu, views, start, &still)?.register(REGISTRATIONS)
 }
 
 #[cfg(test)]

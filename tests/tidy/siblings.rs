@@ -10,8 +10,8 @@ const SHARED: [&str; 7] = ["agreement", "camera", "cancel", "event", "gaussians"
 const ALLOWED: [(&str, &[&str]); 7] = [
     // The pipeline drives all others.
     ("pipeline", &["*"]),
-    // Training is made of rasterisation, the noise field and the shake, and reports what the field learnt.
-    ("reconstruct", &["splat", "noise", "shake", "metrics"]),
+    // Training is made of rasterisation, noise field, shake and registration, and reports what the field learnt.
+    ("reconstruct", &["splat", "noise", "shake", "register", "metrics"]),
     // Rendering is the forward half of rasterisation.
     ("render", &["splat"]),
     // The row of a round is an event.

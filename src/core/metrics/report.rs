@@ -96,6 +96,9 @@ pub struct RoundMetrics {
     /// Root mean square distance that the shake found in a training view moves its light, mean over the views, px of the
     /// working size; `None` when it was not looked for.
     pub shake_px: Option<f64>,
+    /// Mean way that the correction of the cameras moved the middle of the images in this round, px; `null` when they
+    /// stand where the poses say.
+    pub pose_correction_px: Option<f64>,
     /// Gradients that were not finite and were dropped.
     pub non_finite_gradients: u64,
     /// alpha and gamma of the round's anchor.

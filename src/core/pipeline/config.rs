@@ -33,6 +33,8 @@ pub struct Options {
     pub noise: NoiseMode,
     /// Whether the shake that deblurring leaves is explained in training.
     pub shake: ShakeModel,
+    /// Whether the cameras are corrected by the renders; those of held-out views too, which train nothing.
+    pub refine_poses: bool,
     /// How rounds after the first start.
     pub start: Start,
     /// Densification.
@@ -175,6 +177,7 @@ impl Preset {
             guide: Guide::Render,
             noise: NoiseMode::Grid,
             shake: ShakeModel::Kernel,
+            refine_poses: true,
             start: Start::Warm,
             densify: Densify::Mcmc,
             cap: 30_000,
@@ -195,6 +198,7 @@ impl Preset {
                 start: Start::Scratch,
                 noise: NoiseMode::Paper,
                 shake: ShakeModel::Off,
+                refine_poses: false,
                 lut_scope: LutScope::Image,
                 sh_degree: 3,
                 ..standard

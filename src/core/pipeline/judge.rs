@@ -200,6 +200,7 @@ impl Job<'_, '_> {
             records,
             noise_map: scene.training.noise,
             shake_px: scene.training.shake_px,
+            pose_correction_px: scene.training.pose_correction_px,
             non_finite_gradients: scene.training.non_finite_gradients,
             anchor: [next.anchor.alpha, next.anchor.gamma],
             matched: next.matched.iter().map(|anchor| [anchor.alpha, anchor.gamma]).collect(),

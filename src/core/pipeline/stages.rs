@@ -7,6 +7,7 @@ use super::config::{Guide, OptionsError};
 use super::error::PipelineError;
 use super::job::Job;
 use super::tone::Tone;
+use super::training::Scene;
 use super::views::{self, View};
 use super::workspace::fingerprint;
 use crate::camera::NamedCamera;
@@ -77,9 +78,7 @@ impl Job<'_, '_> {
     /// the input are written for whoever looks at the run.
     pub fn views(&mut self, poses: &Poses) -> Result<Vec<View>, PipelineError> {
         let views = views::load(self.capture, poses, self.options, self.cancel)?;
-        let cameras: Vec<NamedCamera> =
-            views.iter().map(|view| NamedCamera::new(&view.name, &view.camera, view.split)).collect();
-        self.workspace.write_json(&self.workspace.path("cameras.json"), &cameras)?;
+        self.write_cameras(&views)?;
         for view in &views {
             self.preview(&self.workspace.path("inputs"), &view.name, &view.dark)?;
             if let Some(gt) = &view.gt {
@@ -87,6 +86,20 @@ impl Job<'_, '_> {
             }
         }
         Ok(views)
+    }
+
+    /// Moves the views to where the training of `scene` found them.
+    pub fn place(&mut self, views: &mut [View], scene: &Scene) -> Result<(), PipelineError> {
+        for (view, camera) in views.iter_mut().zip(&scene.training.cameras) {
+            view.camera = *camera;
+        }
+        self.write_cameras(views)
+    }
+
+    fn write_cameras(&self, views: &[View]) -> Result<(), PipelineError> {
+        let cameras: Vec<NamedCamera> =
+            views.iter().map(|view| NamedCamera::new(&view.name, &view.camera, view.split)).collect();
+        self.workspace.write_json(&self.workspace.path("cameras.json"), &cameras)
     }
 
     /// P_1..P_N.

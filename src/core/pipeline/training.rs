@@ -40,6 +40,10 @@ pub struct Training {
     pub(super) non_finite_gradients: u64,
     pub(super) noise: Option<NoiseMapStatistics>,
     pub(super) shake_px: Option<f64>,
+    /// Of all views, in their order.
+    pub(super) cameras: Vec<Camera>,
+    /// Mean way that the corrections of the cameras moved the middle of the images, px.
+    pub(super) pose_correction_px: Option<f64>,
 }
 
 /// What a round is trained on.
@@ -138,6 +142,10 @@ impl Job<'_, '_> {
             sh_degree: self.options.sh_degree,
             noise: self.options.noise,
             shake: (self.options.shake == ShakeModel::Kernel).then(|| material.response.clone()),
+            refine_poses: self
+                .options
+                .refine_poses
+                .then(|| reconstruct::scene_depth(&cameras, &points(poses))),
             resolution_schedule: self.options.resolution_schedule,
             warm: material.round > 1 && self.options.start == Start::Warm,
             densify: self.options.densify == Densify::Mcmc,
@@ -153,23 +161,14 @@ impl Job<'_, '_> {
         config: &TrainConfig,
     ) -> Result<Scene, PipelineError> {
         let round = material.round;
-        let training: Vec<TrainingView> = material
-            .views
-            .iter()
-            .zip(material.deblurred)
-            .filter(|(view, _)| view.split == Split::Train)
-            .map(|(view, image)| TrainingView {
-                name: view.name.clone(),
-                camera: view.camera,
-                image: image.clone(),
-                noise_sigma: metrics::noise_sigma(image) as f32,
-            })
-            .collect();
+        let training = training_views(material, Split::Train);
         let trained = self.train_with_hooks(round, &training, start, config)?;
         for warning in &trained.warnings {
             self.sink.warn("training", format!("round {round}: {warning}"));
         }
         let seconds = trained.seconds.max(1e-9);
+        let cameras = self.cameras_after(material, &trained, config)?;
+        let correction = correction_px(material.views, &cameras, config.refine_poses);
         Ok(Scene {
             gaussians: trained.gaussians,
             training: Training {
@@ -177,9 +176,34 @@ impl Job<'_, '_> {
                 steps_per_second: trained.steps as f64 / seconds,
                 non_finite_gradients: trained.non_finite_gradients,
                 shake_px: trained.shake_px,
+                cameras,
+                pose_correction_px: correction,
                 noise: trained.noise.filter(|_| self.options.noise != NoiseMode::Off),
             },
         })
+    }
+
+    /// The cameras of all views: those that trained as the training left them, the others found in its scene.
+    fn cameras_after(
+        &self,
+        material: &Material<'_>,
+        trained: &Trained,
+        config: &TrainConfig,
+    ) -> Result<Vec<Camera>, PipelineError> {
+        let held_out = training_views(material, Split::HeldOut);
+        let registered = match config.refine_poses {
+            Some(_) if !held_out.is_empty() => {
+                reconstruct::register(self.tools.gpu, &held_out, &trained.gaussians, config)?
+            }
+            _ => held_out.iter().map(|view| view.camera).collect(),
+        };
+        let (mut trained, mut registered) = (trained.cameras.iter(), registered.iter());
+        let of = |view: &View| match view.split {
+            Split::Train => trained.next(),
+            Split::HeldOut => registered.next(),
+        };
+        let given = material.views.iter().map(|view| view.camera);
+        Ok(material.views.iter().map(of).zip(given).map(|(found, given)| *found.unwrap_or(&given)).collect())
     }
 
     /// Trains with progress, cancellation and checkpoints wired to the job.
@@ -213,6 +237,34 @@ impl Job<'_, '_> {
         let mut hooks = TrainHooks { cancel, progress: &mut progress, checkpoint: Some(&mut checkpoint) };
         Ok(reconstruct::train(gpu, views, start, config, &mut hooks)?)
     }
+}
+
+/// The views of one split with their images of this round.
+fn training_views(material: &Material<'_>, split: Split) -> Vec<TrainingView> {
+    material
+        .views
+        .iter()
+        .zip(material.deblurred)
+        .filter(|(view, _)| view.split == split)
+        .map(|(view, image)| TrainingView {
+            name: view.name.clone(),
+            camera: view.camera,
+            image: image.clone(),
+            noise_sigma: metrics::noise_sigma(image) as f32,
+        })
+        .collect()
+}
+
+/// How far what lies at `depth` in the middle of the views was moved, mean, px.
+fn correction_px(views: &[View], cameras: &[Camera], depth: Option<f64>) -> Option<f64> {
+    let depth = depth?;
+    let moved = views.iter().zip(cameras).filter_map(|(view, after)| {
+        let before = view.camera;
+        let point = before.centre() + depth * before.forward();
+        Some((after.project(point)?.0 - before.project(point)?.0).length())
+    });
+    let moved: Vec<f64> = moved.collect();
+    (!moved.is_empty()).then(|| moved.iter().sum::<f64>() / moved.len() as f64)
 }
 
 /// The sparse points in the colours that the round trains on: the median over the training views

@@ -5,7 +5,7 @@ use bytemuck::{Pod, Zeroable};
 /// First bytes of a checkpoint.
 const MAGIC: [u8; 8] = *b"fledckpt";
 /// Raised whenever the layout or the meaning changes.
-const VERSION: u32 = 2;
+const VERSION: u32 = 3;
 
 /// Bytes that are no checkpoint of this version.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -40,6 +40,8 @@ pub struct Checkpoint {
     pub noise: Vec<f32>,
     /// The views' kernels as the shake serialises them; empty without one.
     pub shake: Vec<f32>,
+    /// The views' motions, [views, 6].
+    pub motions: Vec<f32>,
 }
 
 #[repr(C)]
@@ -53,7 +55,7 @@ struct Header {
     sh_degree: u32,
     intersections: u32,
     non_finite: u32,
-    lengths: [u64; 6],
+    lengths: [u64; 7],
 }
 
 impl Checkpoint {
@@ -85,8 +87,16 @@ impl Checkpoint {
         bytes
     }
 
-    fn arrays(&self) -> [&[f32]; 6] {
-        [&self.geometry, &self.geometry_moments, &self.sh, &self.sh_moments, &self.noise, &self.shake]
+    fn arrays(&self) -> [&[f32]; 7] {
+        [
+            &self.geometry,
+            &self.geometry_moments,
+            &self.sh,
+            &self.sh_moments,
+            &self.noise,
+            &self.shake,
+            &self.motions,
+        ]
     }
 
     /// The inverse of [`Checkpoint::to_bytes`].
@@ -109,14 +119,14 @@ impl Checkpoint {
             return Err(fault("damaged"));
         }
         let mut rest = &content[size..];
-        let mut arrays = [const { Vec::new() }; 6];
+        let mut arrays = [const { Vec::new() }; 7];
         for (array, length) in arrays.iter_mut().zip(header.lengths) {
             let length = usize::try_from(length).ok().and_then(|n| n.checked_mul(4)).unwrap_or(usize::MAX);
             let (values, tail) = rest.split_at_checked(length).ok_or_else(|| fault("truncated"))?;
             *array = bytemuck::pod_collect_to_vec(values);
             rest = tail;
         }
-        let [geometry, geometry_moments, sh, sh_moments, noise, shake] = arrays;
+        let [geometry, geometry_moments, sh, sh_moments, noise, shake, motions] = arrays;
         let out = Self {
             fingerprint: header.fingerprint,
             step: header.step,
@@ -130,6 +140,7 @@ impl Checkpoint {
             sh_moments,
             noise,
             shake,
+            motions,
         };
         if out.consistent() { Ok(out) } else { Err(fault("its arrays do not fit together")) }
     }
@@ -162,6 +173,7 @@ mod tests {
             sh_moments: ramp(72),
             noise: ramp(5),
             shake: ramp(4),
+            motions: ramp(12),
         }
     }
 
@@ -181,7 +193,7 @@ mod tests {
         assert_eq!(refused(&changed), "damaged");
         let mut newer = bytes.clone();
         newer[16] += 1;
-        assert!(refused(&newer).starts_with("version 3"));
+        assert!(refused(&newer).starts_with("version 4"));
         assert_eq!(refused(&[0; 200]), "not a checkpoint");
         let odd = Checkpoint { sh_degree: 2, ..checkpoint() };
         assert_eq!(refused(&odd.to_bytes()), "its arrays do not fit together");

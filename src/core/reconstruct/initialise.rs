@@ -33,6 +33,12 @@ pub fn scene_extent(cameras: &[Camera], points: &[Point]) -> f64 {
     if extent > 0.0 { extent } else { 1.0 }
 }
 
+/// Median depth of the points in the images that show them, world units. 1 when there is nothing to measure.
+pub fn scene_depth(cameras: &[Camera], points: &[Point]) -> f64 {
+    let depths = visible_depths(cameras, points);
+    depths.get(depths.len() / 2).copied().unwrap_or(1.0)
+}
+
 fn camera_radius(cameras: &[Camera]) -> f64 {
     let centres: Vec<_> = cameras.iter().map(Camera::centre).collect();
     let mean = centres.iter().sum::<DVec3>() / centres.len().max(1) as f64;

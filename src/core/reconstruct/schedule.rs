@@ -25,6 +25,11 @@ const WARM_MEANS: f64 = 0.3;
 const DENSIFY: (f64, f64) = (0.05, 0.8);
 /// The shake is estimated from this share of the round on.
 const SHAKE_FROM: f64 = 0.3;
+/// The cameras are corrected so many times a round, less those that fall before [`POSES_FROM`].
+const POSE_CORRECTIONS: u32 = 5;
+/// They are corrected from this share of the round on, in a warm round from the second.
+const POSES_FROM: f64 = 0.39;
+const WARM_POSES_FROM: f64 = 0.19;
 /// Exploration noise stops at this share of the round.
 const NOISE_END: f64 = 0.9;
 
@@ -101,6 +106,13 @@ impl Schedule {
     /// whose pixels are as large as the shake, and from the first step on of a warm one.
     pub fn estimates_shake(&self, step: u32) -> bool {
         step.is_multiple_of(self.densify_interval()) && (self.warm || self.share(step) >= SHAKE_FROM)
+    }
+
+    /// Whether the cameras are corrected before `step`: not before there are edges to judge them by.
+    pub fn refines_poses(&self, step: u32) -> bool {
+        let interval = (self.steps / POSE_CORRECTIONS).max(1);
+        let from = if self.warm { WARM_POSES_FROM } else { POSES_FROM };
+        step.is_multiple_of(interval) && self.share(step) >= from
     }
 
     /// Densifications of the whole round.

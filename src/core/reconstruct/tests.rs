@@ -4,6 +4,7 @@ use super::*;
 use crate::camera::Intrinsics;
 use crate::gaussians::ply;
 use crate::metrics::psnr;
+use crate::register::Motion;
 use crate::shake::reference::Reference;
 use crate::shake::{ShakeKernel, Tap};
 use crate::splat::fixtures::{self, Random};
@@ -64,6 +65,7 @@ fn views_of(scene: &Gaussians, angles: &[f64], size: [usize; 2]) -> Vec<Training
 fn config(steps: u32, cap: usize) -> TrainConfig {
     TrainConfig {
         shake: None,
+        refine_poses: None,
         steps,
         cap,
         sh_degree: 1,
@@ -152,6 +154,41 @@ fn a_scene_learnt_from_shaken_views_is_sharper_when_the_shake_is_explained() {
     assert!(with > without + 0.5, "{without:.2} dB without, {with:.2} dB with");
 }
 
+/// Mean way of what stands in the middle of the scene between two cameras of each pair, px.
+fn apart(cameras: &[Camera], others: &[Camera]) -> f64 {
+    let seen = |camera: &Camera| camera.project(glam::DVec3::ZERO).expect("before the camera").0;
+    let ways = cameras.iter().zip(others).map(|(a, b)| (seen(a) - seen(b)).length());
+    ways.sum::<f64>() / cameras.len() as f64
+}
+
+#[test]
+fn cameras_that_stand_wrong_are_corrected_in_training_and_held_out_ones_after_it() {
+    let scene = truth(300, 8);
+    let angles: Vec<_> = (0..9).map(|n| -0.6 + 0.15 * f64::from(n)).collect();
+    let views = views_of(&scene, &angles, [160, 112]);
+    let wrong = |n: usize, view: &TrainingView| {
+        let off = |k: f64| 0.012 * (2.3 * n as f64 + k).sin();
+        let twist = [off(0.0), off(1.7), 0.0, 0.0, 0.0, 0.0].map(|x| x as f32);
+        TrainingView { camera: Motion { twist }.moved(&view.camera), ..view.clone() }
+    };
+    let given: Vec<TrainingView> = views.iter().enumerate().map(|(n, view)| wrong(n, view)).collect();
+    let (held_out, given) = given.split_first().expect("nine");
+    let config = TrainConfig { refine_poses: Some(3.0), ..config(500, 1_000) };
+    let fixed = TrainConfig { refine_poses: None, ..config.clone() };
+    let truth: Vec<Camera> = views[1..].iter().map(|view| view.camera).collect();
+    let as_given: Vec<Camera> = given.iter().map(|view| view.camera).collect();
+    let refined = trained(given, start(given, &scene, &config), &config);
+    let unrefined = trained(given, start(given, &scene, &fixed), &fixed);
+    assert_eq!(unrefined.cameras, as_given);
+    let (before, after) = (apart(&as_given, &truth), apart(&refined.cameras, &truth));
+    assert!(before > 1.0 && after < 0.6 * before, "{before:.2} px off before, {after:.2} after");
+    assert!(refined.final_loss < unrefined.final_loss);
+    let found = register(fixtures::gpu(), &[held_out.clone()], &refined.gaussians, &config).expect("found");
+    let quality = |camera: &Camera| psnr(&render(&refined.gaussians, camera), &held_out.image);
+    let (before, after) = (quality(&held_out.camera), quality(&found[0]));
+    assert!(after > before + 1.0, "{before:.2} dB where it was given, {after:.2} where it was found");
+}
+
 /// The image moved to and fro along `angle`, 7 px in all.
 fn shaken(image: &Image, angle: f64, response: &Response) -> Image {
     let tap = |n: i32| {
@@ -181,7 +218,13 @@ fn a_round_resumed_from_a_checkpoint_ends_in_the_same_bytes() {
     let scene = truth(120, 2);
     let views = views_of(&scene, &[-0.3, 0.0, 0.3], [64, 48]);
     let shake = Some(Response::srgb());
-    let config = TrainConfig { resolution_schedule: true, noise: NoiseMode::Grid, shake, ..config(150, 400) };
+    let config = TrainConfig {
+        resolution_schedule: true,
+        noise: NoiseMode::Grid,
+        shake,
+        refine_poses: Some(3.0),
+        ..config(150, 400)
+    };
     let gpu = fixtures::gpu();
     let undisturbed = trained(&views, start(&views, &scene, &config), &config);
     for stop in [25, 60, 125] {
@@ -190,6 +233,7 @@ fn a_round_resumed_from_a_checkpoint_ends_in_the_same_bytes() {
         let thawed = Checkpoint::from_bytes(&checkpoint.to_bytes()).expect("a checkpoint");
         let resumed = trained(&views, TrainStart::Resume(thawed), &config);
         assert!(bytes(&resumed.gaussians) == bytes(&undisturbed.gaussians), "stopped at {stop}");
+        assert_eq!(resumed.cameras, undisturbed.cameras, "stopped at {stop}");
     }
 }
 

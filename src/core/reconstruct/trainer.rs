@@ -1,5 +1,6 @@
 //! The loop over the steps of a round.
 
+mod poses;
 mod shaken;
 
 use std::collections::VecDeque;
@@ -16,6 +17,7 @@ use super::{
 use crate::gaussians::Gaussians;
 use crate::metrics::report::NoiseMapStatistics;
 use crate::noise::{NoiseField, NoiseMode, OFF_SHARE};
+use crate::register::Motion;
 use crate::shake::Shake;
 use crate::splat::project::{DeviceGaussians, GEOMETRY_ROW, Projection, unpack_geometry};
 use crate::splat::rasterize::{Backward, Forward, PendingCounts, Specialisation, SplatBuffers, SplatSizes};
@@ -63,6 +65,8 @@ pub(super) struct Trainer<'a> {
     noise: Option<NoiseField>,
     noise_seen: Vec<NoiseMapStatistics>,
     shake: Option<Shake>,
+    /// Where each view was taken from, relative to the pose it came with.
+    motions: Vec<Motion>,
     warnings: Vec<String>,
     next: u32,
     start_count: usize,
@@ -106,6 +110,7 @@ impl<'a> Trainer<'a> {
             noise: NoiseField::new(gpu, config.noise, config.seed, size)?,
             noise_seen: Vec::new(),
             shake: config.shake.as_ref().map(|r| Shake::new(gpu, views.len(), size, r)).transpose()?,
+            motions: vec![Motion::default(); views.len()],
             warnings: Vec::new(),
             next: 0,
             start_count: gaussians.len(),
@@ -176,6 +181,7 @@ impl<'a> Trainer<'a> {
             non_finite_gradients: u64::from(self.optimizer.counters.read()?[0]),
             noise: mean_statistics(&self.noise_seen),
             shake_px: self.shake.as_ref().map(Shake::mean_spread),
+            cameras: self.cameras(),
             warnings: self.warnings,
             final_loss,
         })
@@ -186,6 +192,7 @@ impl<'a> Trainer<'a> {
         step.is_multiple_of(SYNC)
             || self.densifies(step)
             || self.estimates_shake(step)
+            || self.refines_poses(step)
             || divisor != self.level.divisor
     }
 
@@ -198,11 +205,15 @@ impl<'a> Trainer<'a> {
         let divisor = self.schedule.divisor(step);
         if divisor != self.level.divisor {
             self.level = Level::new(self.gpu, self.views, divisor)?;
+            self.place_cameras();
             self.still_views()?;
             self.forget_recordings();
         }
         if self.estimates_shake(step) {
             self.estimate_shake(step)?;
+        }
+        if self.refines_poses(step) {
+            self.refine_poses(step)?;
         }
         if self.densifies(step) {
             self.densify(step)?;
@@ -383,6 +394,7 @@ impl<'a> Trainer<'a> {
             sh_moments: read(&self.optimizer.sh_moments, 2 * sh)?,
             noise: self.noise.as_ref().map_or(Ok(Vec::new()), NoiseField::save)?,
             shake: self.shake.as_ref().map_or(Vec::new(), Shake::save),
+            motions: self.motions.iter().flat_map(|motion| motion.twist).collect(),
         })
     }
 
@@ -402,6 +414,7 @@ impl<'a> Trainer<'a> {
         let divisor = self.schedule.divisor(self.next.saturating_sub(1));
         self.level = Level::new(self.gpu, self.views, divisor)?;
         self.restore_shake(&checkpoint.shake)?;
+        self.restore_motions(&checkpoint.motions)?;
         let sizes = self.raster.sizes();
         let intersections = checkpoint.intersections as usize;
         self.raster = SplatBuffers::new(self.gpu, SplatSizes { intersections, ..sizes }, true)?;

@@ -224,6 +224,7 @@ fn metrics(round: u32) -> RoundMetrics {
         noise_ceiling_db: 30.0,
         noise_map: None,
         shake_px: Some(0.4),
+        pose_correction_px: Some(0.1),
         non_finite_gradients: 0,
         anchor: [8.0, 0.8],
         matched: Vec::new(),

@@ -4,6 +4,7 @@ use fled_gpu::GpuError;
 use rayon::prelude::*;
 
 use super::Trainer;
+use crate::camera::Camera;
 use crate::image::Image;
 use crate::reconstruct::ReconstructError;
 use crate::shake::{self, Shake, ShakeKernel};
@@ -45,10 +46,15 @@ impl Trainer<'_> {
     /// The scene from a training view, as `step` would see it.
     fn render_view(&mut self, view: usize, step: u32) -> Result<Image, GpuError> {
         let camera = self.level.views[view].camera;
+        self.render_from(&camera, step)
+    }
+
+    /// The scene through `camera`, no larger than the views, as `step` would see it.
+    pub(super) fn render_from(&mut self, camera: &Camera, step: u32) -> Result<Image, GpuError> {
         let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
         let (degree, allocated) = (self.schedule.degree(step), self.gaussians.sh_degree);
         loop {
-            let uniform = CameraUniform::new(&camera, self.gaussians.count, degree, allocated, NEAR);
+            let uniform = CameraUniform::new(camera, self.gaussians.count, degree, allocated, NEAR);
             self.projection.camera.write(&[uniform])?;
             let mut recorder = self.gpu.recorder();
             self.projection.record(&mut recorder, &self.gaussians)?;
