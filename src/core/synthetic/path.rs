@@ -1,5 +1,7 @@
 //! Where the photographs are taken from, and how the hand shakes.
 
+use std::f64::consts::TAU;
+
 use glam::{DQuat, DVec2, DVec3};
 use rand::{Rng, RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
@@ -7,20 +9,21 @@ use rand_pcg::Pcg64Mcg;
 use super::DOWN;
 use crate::camera::{Camera, Intrinsics};
 
-/// Views along a wavy arc before the scene, all looking near its middle: neighbours overlap
-/// widely and no two cameras see the same things from one place.
+/// Views along one closed, wavy loop before the scene, all looking near its middle: neighbours overlap
+/// widely, no two cameras see the same things from one place, and every view has neighbours on both
+/// sides, so that a held-out one asks for what its neighbours have seen.
 pub(super) fn cameras(count: usize, intrinsics: Intrinsics, seed: u64) -> Vec<Camera> {
     let mut rng = Pcg64Mcg::seed_from_u64(seed ^ 0x5eed);
     (0..count)
         .map(|index| {
-            let t = if count > 1 { index as f64 / (count - 1) as f64 - 0.5 } else { 0.0 };
-            let angle = 1.15 * t;
-            let wave = (t * 19.0).sin();
+            let turn = TAU * index as f64 / count as f64;
+            let angle = 0.55 * turn.sin();
             let mut jitter = |size: f64| size * (2.0 * rng.random::<f64>() - 1.0);
-            let radius = 3.3 + 0.25 * (t * 11.0).cos() + jitter(0.06);
+            let radius = 3.3 + 0.25 * (2.0 * turn).cos() + jitter(0.06);
+            let height = 0.42 * turn.cos() + 0.1 * (3.0 * turn).sin();
             let eye = DVec3::new(
                 radius * angle.sin() + jitter(0.05),
-                -0.35 + 0.45 * wave + jitter(0.05),
+                -0.35 - height + jitter(0.05),
                 -radius * angle.cos(),
             );
             let target = DVec3::new(jitter(0.12), 0.35 + jitter(0.1), 0.6);
@@ -66,7 +69,7 @@ pub(super) fn shake(
 
 /// A smooth plane curve with zero mean: a random direction that drifts, as tremor does.
 fn curve(count: usize, rng: &mut impl Rng) -> Vec<DVec2> {
-    let mut heading = std::f64::consts::TAU * rng.random::<f64>();
+    let mut heading = TAU * rng.random::<f64>();
     let mut bend = 0.0;
     let mut at = DVec2::ZERO;
     let mut points = vec![at];

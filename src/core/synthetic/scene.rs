@@ -6,11 +6,14 @@ use super::texture::albedo;
 use crate::camera::Camera;
 use crate::image::{Image, Linear};
 
-/// Towards the lamp, not normalised. y points down.
-const LAMP: DVec3 = DVec3::new(0.4, -1.0, -0.7);
+/// The one lamp, above and before the things. y points down.
+const LAMP: DVec3 = DVec3::new(0.7, -2.2, -1.6);
 
-/// Light that reaches every surface; the rest depends on the angle to the lamp.
-const AMBIENT: f64 = 0.55;
+/// Distance from the lamp at which a white surface that faces it is white in the ground truth.
+const WHITE_AT: f64 = 2.6;
+
+/// Light that reaches every surface, lit or not, as a share of the white.
+const AMBIENT: f64 = 0.1;
 
 /// A solid.
 #[derive(Clone, Copy, Debug)]
@@ -98,15 +101,29 @@ impl Scene {
         let to_world: DMat3 = camera.rotation().transpose();
         let ray = to_world * DVec3::new((pixel.x - k.cx) / k.fx, (pixel.y - k.cy) / k.fy, 1.0);
         let origin = camera.centre();
-        let nearest = self
-            .solids
+        let Some((solid, hit)) = self.nearest(origin, ray) else { return (f64::INFINITY, DVec3::ZERO) };
+        let paint = DVec3::from(albedo(hit.surface, solid.base, solid.salt + hit.face));
+        (hit.distance, paint * (AMBIENT + self.lamp_light(origin + ray * hit.distance, hit.normal)))
+    }
+
+    /// What a ray meets first.
+    fn nearest(&self, origin: DVec3, ray: DVec3) -> Option<(&Solid, Hit)> {
+        self.solids
             .iter()
             .filter_map(|solid| solid.shape.meet(origin, ray).map(|hit| (solid, hit)))
-            .min_by(|a, b| a.1.distance.total_cmp(&b.1.distance));
-        let Some((solid, hit)) = nearest else { return (f64::INFINITY, DVec3::ZERO) };
-        let facing = hit.normal.dot(LAMP.normalize()).max(0.0);
-        let paint = DVec3::from(albedo(hit.surface, solid.base, solid.salt + hit.face));
-        (hit.distance, paint * (AMBIENT + (1.0 - AMBIENT) * facing))
+            .min_by(|a, b| a.1.distance.total_cmp(&b.1.distance))
+    }
+
+    /// Light of the lamp on a surface: it falls with the square of the distance, and things throw
+    /// shadows.
+    fn lamp_light(&self, point: DVec3, normal: DVec3) -> f64 {
+        let way = LAMP - point;
+        let facing = normal.dot(way.normalize());
+        if facing <= 0.0 {
+            return 0.0;
+        }
+        let lit = self.nearest(point + normal * 1e-6, way).is_none_or(|(_, hit)| hit.distance >= 1.0);
+        if lit { facing * WHITE_AT * WHITE_AT / way.length_squared() } else { 0.0 }
     }
 
     /// Nearest and farthest depth that a camera sees, on a coarse grid.
