@@ -7,6 +7,7 @@ use std::time::Duration;
 
 use crate::GpuError;
 use crate::kernel::{Kernel, Pipeline};
+use crate::memory::Tally;
 use crate::profile::Profile;
 
 /// Longest wait for the device: far above any step, far below a person's patience with a hung driver.
@@ -26,6 +27,7 @@ pub(crate) struct Inner {
     fault: Arc<Mutex<Option<GpuError>>>,
     pub(crate) pipelines: Mutex<HashMap<Kernel, Arc<Pipeline>>>,
     pub(crate) profile: Mutex<Option<Profile>>,
+    pub(crate) tally: Arc<Tally>,
 }
 
 /// What the device is and what it offers.
@@ -198,8 +200,8 @@ fn open(adapter: &wgpu::Adapter) -> Result<Gpu, GpuError> {
             note(&lost, GpuError::DeviceLost(message));
         }
     });
-    let (pipelines, profile) = (Mutex::default(), Mutex::default());
-    Ok(Gpu { inner: Arc::new(Inner { device, queue, info, fault, pipelines, profile }) })
+    let (pipelines, profile, tally) = (Mutex::default(), Mutex::default(), Arc::default());
+    Ok(Gpu { inner: Arc::new(Inner { device, queue, info, fault, pipelines, profile, tally }) })
 }
 
 /// Keeps the first fault: the later ones follow from it.
