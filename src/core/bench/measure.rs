@@ -13,10 +13,11 @@ use crate::cancel::CancelToken;
 
 /// Steps before anything counts: kernels are compiled and buffers grown in them.
 const WARM_UP: u32 = 3;
-/// Fewer steps have no median worth the name.
+/// Fewer steps have no median worth the name. A step that alone is longer than the budget is made once.
 const LEAST: u32 = 3;
 
-/// How long a case takes, twice: once without timestamps, once with them. What comes first ends it, after three steps.
+/// How long a case takes, twice: once without timestamps, once with them. What comes first ends it, after three
+/// steps, or after one that is longer than the seconds.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Budget {
     /// Seconds.
@@ -55,34 +56,42 @@ pub(super) fn measure(
     budget: Budget,
     cancel: &CancelToken,
 ) -> Result<Measured, BenchError> {
-    subject.repeat(WARM_UP)?;
-    cancel.check()?;
-    let (steps, seconds) = timed(subject, budget)?;
+    let one = warm_up(subject, budget, cancel)?;
+    let least = if one > budget.seconds { 1 } else { LEAST };
+    let steps = ((budget.seconds / one.max(1e-9)) as u32).min(budget.steps).max(least);
+    let begin = Instant::now();
+    subject.repeat(steps)?;
+    let seconds = begin.elapsed().as_secs_f64();
     let mut works = vec![subject.work()?];
     let mut profiled = None;
     if gpu.describe().timestamps {
-        let outcome = profile(gpu, subject, budget, cancel, &mut works);
+        let outcome = profile(gpu, subject, (budget, least), cancel, &mut works);
         gpu.profile(false);
         profiled = Some(outcome?);
     }
     Ok(Measured { steps, seconds, profiled, work: middle(works) })
 }
 
-/// Steps, and the seconds they took together.
-fn timed(subject: &mut impl Subject, budget: Budget) -> Result<(u32, f64), BenchError> {
-    let begin = Instant::now();
-    subject.repeat(1)?;
-    let one = begin.elapsed().as_secs_f64();
-    let steps = ((budget.seconds / one.max(1e-9)) as u32).min(budget.steps).max(LEAST);
-    let begin = Instant::now();
-    subject.repeat(steps)?;
-    Ok((steps, begin.elapsed().as_secs_f64()))
+/// The first steps, two at least: the first compiles the kernels. Returns the seconds of the last of them.
+fn warm_up(subject: &mut impl Subject, budget: Budget, cancel: &CancelToken) -> Result<f64, BenchError> {
+    let all = Instant::now();
+    let mut one = 0.0;
+    for step in 0..=WARM_UP {
+        cancel.check()?;
+        if step > 1 && all.elapsed().as_secs_f64() > budget.seconds {
+            break;
+        }
+        let begin = Instant::now();
+        subject.repeat(1)?;
+        one = begin.elapsed().as_secs_f64();
+    }
+    Ok(one)
 }
 
 fn profile(
     gpu: &Gpu,
     subject: &mut impl Subject,
-    budget: Budget,
+    (budget, least): (Budget, u32),
     cancel: &CancelToken,
     works: &mut Vec<Work>,
 ) -> Result<Profiled, BenchError> {
@@ -90,7 +99,7 @@ fn profile(
     let (mut walls, mut sums) = (Vec::new(), Vec::new());
     let mut kernels = BTreeMap::<&'static str, Vec<(f64, u64)>>::new();
     let mut steps = 0;
-    while steps < LEAST || (steps < budget.steps && begin.elapsed().as_secs_f64() < budget.seconds) {
+    while steps < least || (steps < budget.steps && begin.elapsed().as_secs_f64() < budget.seconds) {
         cancel.check()?;
         gpu.profile(true);
         let step = Instant::now();

@@ -196,6 +196,12 @@ impl Work {
             "layer_backward" => {
                 Cost::both(activations(1, |i, o| 2 * i + o) + chunks * parameters, products(1))
             }
+            // The position's encoding, and the direction's beside the features.
+            "encode" => {
+                let width = |layer: usize, side: usize| noise.layers.get(layer).map_or(0, |l| l[side] as u64);
+                let direction = width(5, 0).saturating_sub(width(4, 1));
+                Cost::bytes(forwards * cells * WORD * (width(0, 0) + direction))
+            }
             "activate" => Cost::bytes(cells * 2 * four),
             "compose" => Cost::bytes(pixels * 6 * WORD + cells * four),
             "gather" => Cost::bytes(pixels * 3 * WORD + cells * 2 * four),
