@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use fled_core::bench::report::{JobTimes, Report};
+use fled_core::bench::report::JobTimes;
 use fled_core::bench::{self, BenchError, BenchOptions, Budget, Workload};
 use fled_core::cancel::CancelToken;
 use fled_core::capture::Capture;
@@ -28,7 +28,7 @@ pub struct Args {
     #[arg(long, value_delimiter = ',', value_name = "N", value_parser = count)]
     gaussians: Vec<usize>,
     /// Most steps of a case, once without timestamps and once with them.
-    #[arg(long)]
+    #[arg(long, value_parser = clap::value_parser!(u32).range(1..))]
     steps: Option<u32>,
     /// Most seconds of a case, twice; three steps are always made.
     #[arg(long)]
@@ -93,10 +93,13 @@ pub fn main(args: &Args) -> Result<(), Failure> {
     let options = args.options()?;
     let cancel = tools::cancel_on_signals()?;
     let gpu = Gpu::new(&args.adapter).map_err(|e| Failure::new(ErrorKind::Environment, e))?;
+    // The job comes first: what is wrong with a capture should not show after minutes.
+    let job = args.capture.as_deref().map(|capture| run_job(args, capture, &cancel)).transpose()?;
     eprintln!("measuring on {}", gpu.describe());
     let mut report = bench::run(&gpu, &options, &mut progress, &cancel)?;
-    if let Some(capture) = &args.capture {
-        run_capture(args, capture, &gpu, &mut report, &cancel)?;
+    if let Some((times, scene)) = job {
+        bench::run_scene(&gpu, &scene, &mut report, &mut progress, &cancel)?;
+        report.job = Some(times);
     }
     print(&report.table())?;
     if let Some(path) = &args.json {
@@ -115,36 +118,25 @@ fn print(table: &str) -> Result<(), Failure> {
     std::io::stdout().lock().write_all(table.as_bytes()).map_err(|e| Failure::new(ErrorKind::Io, e))
 }
 
-/// The whole job in a folder that is removed afterwards, then the cases of its scene.
-fn run_capture(
-    args: &Args,
-    capture: &Path,
-    gpu: &Gpu,
-    report: &mut Report,
-    cancel: &CancelToken,
-) -> Result<(), Failure> {
-    let folder = tempfile::tempdir().map_err(|e| Failure::new(ErrorKind::Io, e))?;
-    eprintln!("running {} with preset {}", capture.display(), args.preset.name());
-    report.job = Some(run_job(args, capture, folder.path(), cancel)?);
-    let workload = Workload::of_run(folder.path())?;
-    Ok(bench::run_scene(gpu, &workload, report, &mut progress, cancel)?)
-}
-
-/// `fled run`, with poses found anew: they are a stage like any other.
-fn run_job(args: &Args, capture: &Path, out: &Path, cancel: &CancelToken) -> Result<JobTimes, Failure> {
+/// `fled run` in a folder that is removed afterwards: its times, and the scene it left. Poses are found anew, for
+/// they are a stage like any other.
+fn run_job(args: &Args, capture: &Path, cancel: &CancelToken) -> Result<(JobTimes, Workload), Failure> {
     let mut options = args.preset.options();
     for assignment in &args.assignments {
         options = options.with_assignment(assignment)?;
     }
     options.adapter.clone_from(&args.adapter);
-    let workspace = Workspace::open(out)?;
+    let folder = tempfile::tempdir().map_err(|e| Failure::new(ErrorKind::Io, e))?;
+    let workspace = Workspace::open(folder.path())?;
+    eprintln!("running {} with preset {}", capture.display(), args.preset.name());
     let begin = Instant::now();
     let capture = Capture::open(capture, &workspace.work().join("capture")).map_err(PipelineError::from)?;
     let places = tools::Args { cache: Some("none".into()), ..args.tools.clone() };
     let mut kit = tools::Kit::new(&places, &options, &capture)?;
     let outcome = pipeline::run(&capture, &options, &mut kit.tools(), &workspace, &mut tell_stage, cancel)?;
     let seconds = begin.elapsed().as_secs_f64();
-    Ok(JobTimes::new(args.preset.name(), &outcome.report, seconds, kit.gpu().memory().peak))
+    let times = JobTimes::new(args.preset.name(), &outcome.report, seconds, kit.gpu().memory().peak);
+    Ok((times, Workload::of_run(folder.path())?))
 }
 
 /// Tells each stage as it begins.
