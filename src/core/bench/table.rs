@@ -3,6 +3,7 @@
 use std::fmt::Write;
 
 use super::report::{Case, JobTimes, KernelRow, Report};
+use crate::event::Stage;
 
 /// The columns, with their widths in `row`.
 const HEAD: [&str; 8] =
@@ -99,7 +100,7 @@ fn job_lines(job: &JobTimes) -> String {
             megabytes(job.gpu_peak_bytes)
         ),
     );
-    for (stage, seconds) in &job.stages {
+    for (stage, seconds) in Stage::ALL.iter().filter_map(|stage| job.stages.get_key_value(stage.name())) {
         line(
             &mut out,
             format_args!("  {stage:<34}{seconds:>10.2} s{:>8.1} %", 100.0 * seconds / job.seconds),

@@ -41,6 +41,12 @@ impl<'a> Stepper<'a> {
         self.0.train_to(last, &mut hooks)
     }
 
+    /// The scene as it stands.
+    #[cfg(test)]
+    pub(in crate::reconstruct) fn gaussians(&self) -> Gaussians {
+        self.0.gaussians.download().expect("read")
+    }
+
     /// How much the last step had to sort and blend; reads it back from the device.
     ///
     /// # Errors
