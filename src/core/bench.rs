@@ -23,7 +23,7 @@ use crate::cancel::{CancelToken, Cancelled};
 use crate::gaussians::ply::PlyError;
 use crate::image::ImageError;
 use crate::noise::NoiseMode;
-use crate::reconstruct::{ReconstructError, Stepper, TrainConfig};
+use crate::reconstruct::{ReconstructError, Response, Stepper, TrainConfig};
 use crate::render::SplatError;
 pub use measure::Budget;
 use report::{Case, Machine, Report};
@@ -33,9 +33,10 @@ pub use workload::Workload;
 /// Degree of the harmonics in synthetic scenes: the paper's.
 const SH_DEGREE: u32 = 3;
 /// Steps of the round that the measured steps belong to, and the first of them. In the middle of a round all
-/// harmonics are active, the noise field acts, and relocation runs every hundred steps.
+/// harmonics are active and the noise field acts; relocation, and the estimate of the shake, come before the first step
+/// and every hundredth after it.
 const ROUND: u32 = 10_000;
-const FIRST: u32 = ROUND / 2 + 1;
+const FIRST: u32 = ROUND / 2;
 
 /// What to measure.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -106,31 +107,53 @@ pub enum BenchError {
     Empty(&'static str),
 }
 
+/// What a step explains beside the scene.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Extras {
+    noise: NoiseMode,
+    shake: bool,
+}
+
+impl Extras {
+    /// Nothing, each mode of the noise field, and what the presets `preview` and `standard` train with.
+    const ALL: [Self; 4] = [
+        Self { noise: NoiseMode::Off, shake: false },
+        Self { noise: NoiseMode::Grid, shake: false },
+        Self { noise: NoiseMode::Grid, shake: true },
+        Self { noise: NoiseMode::Paper, shake: false },
+    ];
+
+    fn name(self) -> String {
+        let noise = match self.noise {
+            NoiseMode::Off => "off",
+            NoiseMode::Grid => "grid",
+            NoiseMode::Paper => "paper",
+        };
+        format!("noise {noise}{}", if self.shake { " and shake" } else { "" })
+    }
+}
+
 /// One thing to measure.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Plan {
-    Train { size: (usize, usize), gaussians: usize, noise: NoiseMode },
+    Train { size: (usize, usize), gaussians: usize, extras: Extras },
     Render { size: (usize, usize), gaussians: usize },
     Ssim { size: (usize, usize) },
     Sort { keys: usize },
 }
 
 impl Plan {
-    /// Every case of the options. The noise field and SSIM cost by the pixel, so the noise field's modes run with the
-    /// first number of Gaussians alone.
+    /// Every case of the options. Noise field, shake and SSIM cost by the pixel, so all extras run with the first
+    /// number of Gaussians alone.
     fn all(options: &BenchOptions) -> Vec<Self> {
         let mut plans = Vec::new();
         for &size in &options.sizes {
             for &gaussians in &options.gaussians {
-                plans.push(Self::Train { size, gaussians, noise: NoiseMode::Off });
+                plans.push(Self::Train { size, gaussians, extras: Extras::ALL[0] });
                 plans.push(Self::Render { size, gaussians });
             }
-            for noise in [NoiseMode::Grid, NoiseMode::Paper] {
-                plans.extend(options.gaussians.first().map(|&gaussians| Self::Train {
-                    size,
-                    gaussians,
-                    noise,
-                }));
+            if let Some(&gaussians) = options.gaussians.first() {
+                plans.extend(Extras::ALL[1..].iter().map(|&extras| Self::Train { size, gaussians, extras }));
             }
             plans.push(Self::Ssim { size });
         }
@@ -140,8 +163,8 @@ impl Plan {
 
     fn name(&self) -> String {
         match *self {
-            Self::Train { size: (w, h), gaussians, noise } => {
-                format!("train {w}x{h}, {} Gaussians, noise {}", short(gaussians), noise_name(noise))
+            Self::Train { size: (w, h), gaussians, extras } => {
+                format!("train {w}x{h}, {} Gaussians, {}", short(gaussians), extras.name())
             }
             Self::Render { size: (w, h), gaussians } => {
                 format!("render {w}x{h}, {} Gaussians", short(gaussians))
@@ -154,9 +177,12 @@ impl Plan {
     fn measure(&self, bench: &Bench<'_>) -> Result<Case, BenchError> {
         let name = self.name();
         match *self {
-            Self::Train { size, gaussians, noise } => {
-                let workload = Workload::synthetic(bench.gpu, size, gaussians, bench.options.seed)?;
-                bench.train(name, &workload, noise)
+            Self::Train { size, gaussians, extras } => {
+                let mut workload = Workload::synthetic(bench.gpu, size, gaussians, bench.options.seed)?;
+                if extras.shake {
+                    workload.shake();
+                }
+                bench.train(name, &workload, extras)
             }
             Self::Render { size, gaussians } => {
                 let workload = Workload::synthetic(bench.gpu, size, gaussians, bench.options.seed)?;
@@ -178,14 +204,14 @@ struct Bench<'a> {
 }
 
 impl Bench<'_> {
-    fn train(&self, name: String, workload: &Workload, noise: NoiseMode) -> Result<Case, BenchError> {
-        let config = config(workload, noise);
+    fn train(&self, name: String, workload: &Workload, extras: Extras) -> Result<Case, BenchError> {
+        let config = config(workload, extras);
         let gaussians = workload.gaussians.clone();
         let case = self.case(name, "train", || {
             let stepper = Stepper::new(self.gpu, &workload.views, gaussians, &config, FIRST)?;
             Ok(Training::new(stepper, workload, self.cancel))
         })?;
-        Ok(Case { noise: Some(noise), ..case })
+        Ok(Case { noise: Some(extras.noise), shake: Some(extras.shake), ..case })
     }
 
     fn render(&self, name: String, workload: &Workload) -> Result<Case, BenchError> {
@@ -210,13 +236,13 @@ impl Bench<'_> {
 }
 
 /// Training as in the middle of a round of the paper's length, with all Gaussians there may be.
-fn config(workload: &Workload, noise: NoiseMode) -> TrainConfig {
+fn config(workload: &Workload, extras: Extras) -> TrainConfig {
     TrainConfig {
         steps: ROUND,
-        shake: None,
+        shake: extras.shake.then(Response::srgb),
         cap: workload.gaussians.len(),
         sh_degree: workload.gaussians.sh_degree,
-        noise,
+        noise: extras.noise,
         resolution_schedule: false,
         warm: true,
         densify: true,
@@ -256,8 +282,8 @@ pub fn run(
     Ok(report)
 }
 
-/// Adds the cases of a real scene, that of a finished run: training with each mode of the noise field, and
-/// rendering.
+/// Adds the cases of a real scene, that of a finished run: training with and without what is explained beside the
+/// scene, and rendering.
 ///
 /// # Errors
 /// [`BenchError`], above all when `workload` has no views.
@@ -270,15 +296,15 @@ pub fn run_scene(
 ) -> Result<(), BenchError> {
     let options = report.options.clone();
     let bench = Bench { gpu, options: &options, cancel };
-    let modes = [NoiseMode::Off, NoiseMode::Grid, NoiseMode::Paper];
-    for (done, noise) in modes.into_iter().enumerate() {
+    let total = Extras::ALL.len() + 1;
+    for (done, extras) in Extras::ALL.into_iter().enumerate() {
         cancel.check()?;
-        let name = format!("train {}, noise {}", workload.name, noise_name(noise));
-        progress(done, modes.len() + 1, &name);
-        report.cases.push(bench.train(name, workload, noise)?);
+        let name = format!("train {}, {}", workload.name, extras.name());
+        progress(done, total, &name);
+        report.cases.push(bench.train(name, workload, extras)?);
     }
     let name = format!("render {}", workload.name);
-    progress(modes.len(), modes.len() + 1, &name);
+    progress(total - 1, total, &name);
     report.cases.push(bench.render(name, workload)?);
     report.yardsticks.add(yardstick::measure(gpu)?);
     report.relate();
@@ -288,14 +314,6 @@ pub fn run_scene(
 /// `10k` for 10,000.
 fn short(count: usize) -> String {
     if count >= 1000 && count.is_multiple_of(1000) { format!("{}k", count / 1000) } else { count.to_string() }
-}
-
-fn noise_name(mode: NoiseMode) -> &'static str {
-    match mode {
-        NoiseMode::Off => "off",
-        NoiseMode::Grid => "grid",
-        NoiseMode::Paper => "paper",
-    }
 }
 
 #[cfg(test)]

@@ -82,13 +82,13 @@ fn a_bench_prints_its_table_and_writes_the_same_cases_as_json() {
     assert_eq!(code(&output), 0, "{}", String::from_utf8_lossy(&output.stderr));
     let (report, table) = (support::json(&json), String::from_utf8_lossy(&output.stdout));
     let cases = report["cases"].as_array().expect("cases");
-    assert_eq!(cases.len(), 6);
+    assert_eq!(cases.len(), 7);
     for case in cases {
         let name = case["name"].as_str().expect("a name");
         assert!(table.contains(name), "{name} in\n{table}");
         assert!(case["steps_per_second"].as_f64().is_some_and(|rate| rate > 0.0), "{case}");
     }
-    assert!(String::from_utf8_lossy(&output.stderr).contains("[6/6] sort 200 keys"));
+    assert!(String::from_utf8_lossy(&output.stderr).contains("[7/7] sort 200 keys"));
 }
 
 #[test]

@@ -11,7 +11,7 @@
 //!   so kernels that only sort have 0. What neighbouring invocations compute twice (the rims of a window)
 //!   counts once: a kernel that repeats work has a smaller share of the device for it.
 //! - **Nothing is guessed**: `None` where the number depends on what nobody counts, such as the tiles of a
-//!   splat's box that are tested and not touched, or the taps of a kernel of shake.
+//!   splat's box that are tested and not touched.
 
 use crate::noise::NoiseWork;
 use crate::splat::project::GEOMETRY_ROW;
@@ -38,6 +38,11 @@ const WINDOW: u64 = 32;
 const SIMILARITY: u64 = 4 + 4 * WINDOW + 30;
 /// In shaders/train/loss_gradient.wgsl: three windows, 12 for the gradient and the sums of errors.
 const GRADIENT: u64 = 3 * WINDOW + 12;
+/// Operations in shaders/shake: a value and a tap of a pixel of blur.wgsl, the same of blur_backward.wgsl (four neighbours of
+/// 6 operations each among them), a value of linearise.wgsl.
+const BLUR: [u64; 2] = [9, 7];
+const BLUR_BACK: [u64; 2] = [32, 6];
+const LINEARISE: u64 = 6;
 /// Operations a number in shaders/noise/adam.wgsl beside the sum over segments: m 3, v 4, update 6.
 const NOISE_ADAM: u64 = 13;
 
@@ -58,6 +63,8 @@ pub struct Work {
     pub splat: Option<SplatWork>,
     /// What the noise field saw.
     pub noise: Option<NoiseWork>,
+    /// Taps of the kernel by which the view is shaken.
+    pub taps: Option<usize>,
 }
 
 /// What one kernel has to do in a step, all its dispatches together.
@@ -95,6 +102,7 @@ impl Work {
             }
             ("train", _, _) => self.loss(verb),
             ("noise", _, Some(noise)) => self.noise(verb, noise),
+            ("shake", _, _) => self.taps.map_or(Cost::default(), |taps| self.shake(verb, taps as u64)),
             _ => Cost::default(),
         }
     }
@@ -167,6 +175,19 @@ impl Work {
         match verb {
             "loss_similarity" => Cost::both(values * (WORD + 2 + 3 * WORD), values * SIMILARITY),
             "loss_gradient" => Cost::both(values * (WORD + 2 + 3 * WORD + WORD), values * GRADIENT),
+            _ => Cost::default(),
+        }
+    }
+
+    fn shake(&self, verb: &str, taps: u64) -> Cost {
+        let (pixels, values) = (self.pixels as u64, 3 * self.pixels as u64);
+        let operations = |[value, tap]: [u64; 2]| values * value + pixels * taps * tap;
+        match verb {
+            "linearise" => Cost::both(values * 2 * WORD, values * LINEARISE),
+            // Light in, the blurred value and its slope out.
+            "blur" => Cost::both(values * 3 * WORD, operations(BLUR)),
+            "scale" => Cost::both(values * 3 * WORD, values),
+            "blur_backward" => Cost::both(values * 3 * WORD, operations(BLUR_BACK)),
             _ => Cost::default(),
         }
     }
@@ -281,10 +302,17 @@ mod tests {
     }
 
     #[test]
+    fn a_shaken_view_costs_by_the_tap() {
+        let of = |taps| Work { pixels: 100, taps, ..Work::default() }.cost("shake/blur");
+        // 300 values of 12 bytes and 9 operations; 100 pixels of 5 taps of 7 operations.
+        assert_eq!(of(Some(5)), Cost::both(3_600, 6_200));
+        assert_eq!(of(None), Cost::default());
+    }
+
+    #[test]
     fn what_nobody_counts_is_not_known() {
         assert_eq!(work().cost("splat/emit").operations, None);
         assert_eq!(work().cost("train/relocate"), Cost::default());
-        assert_eq!(work().cost("shake/blur"), Cost::default());
         assert_eq!(Work::default().cost("splat/rasterize"), Cost::default());
     }
 }

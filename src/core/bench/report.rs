@@ -74,6 +74,10 @@ pub struct Case {
     pub task: &'static str,
     /// The noise field, when something is trained.
     pub noise: Option<NoiseMode>,
+    /// Whether the shake of the views is explained, when something is trained.
+    pub shake: Option<bool>,
+    /// Taps of the kernel by which the view of the middle step is shaken.
+    pub taps: Option<usize>,
     /// Gaussians of the scene.
     pub gaussians: Option<usize>,
     /// Pixels of the image.
@@ -215,6 +219,8 @@ impl Case {
             name,
             task,
             noise: None,
+            shake: None,
+            taps: work.taps,
             gaussians: some(work.gaussians),
             pixels: some(work.pixels),
             keys: some(work.keys),

@@ -45,7 +45,8 @@ impl Subject for Training<'_> {
 
     fn work(&self) -> Result<Work, BenchError> {
         let splat = Some(self.stepper.splat_work()?);
-        Ok(Work { splat, noise: self.stepper.noise_work(), ..self.workload.work() })
+        let (noise, taps) = (self.stepper.noise_work(), self.stepper.taps());
+        Ok(Work { splat, noise, taps, ..self.workload.work() })
     }
 }
 

@@ -51,6 +51,7 @@ fn case_lines(case: &Case) -> String {
         ("visible", case.visible),
         ("intersections", case.intersections),
         ("blended pairs", case.blended_pairs),
+        ("taps", case.taps),
     ];
     let counts: String =
         counts.iter().filter_map(|(name, count)| count.map(|count| format!(", {count} {name}"))).collect();

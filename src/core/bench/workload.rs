@@ -11,7 +11,7 @@ use super::model::Work;
 use super::{BenchError, SH_DEGREE};
 use crate::camera::{Camera, Intrinsics, NamedCamera, Split};
 use crate::gaussians::{Gaussians, ply};
-use crate::image::Image;
+use crate::image::{Image, Linear};
 use crate::reconstruct::{Point, TrainingView, scene_extent};
 use crate::render::Renderer;
 
@@ -22,6 +22,8 @@ const BOX: [f64; 3] = [1.6, 0.95, 1.0];
 /// Median scale of a Gaussian when there are 10,000, world units. Chosen so that they touch 3.5 tiles each at
 /// 280x160, as in trained scenes (31,000 to 46,000 intersections of 10,000 Gaussians).
 const SCALE: f64 = 0.024;
+/// Length of the shake of a shaken view, as a share of its width: 5 px at 280.
+const SHAKEN: f64 = 0.018;
 /// Standard deviation of the noise that the training views are said to have; it bounds the noise field.
 const NOISE_SIGMA: f32 = 0.01;
 
@@ -91,6 +93,14 @@ impl Workload {
         Ok(Self::new(format!("the capture's scene, {} Gaussians", gaussians.len()), views, gaussians))
     }
 
+    /// Shakes every view along a line of its own, so that there is a shake to be found.
+    pub fn shake(&mut self) {
+        for (index, view) in self.views.iter_mut().enumerate() {
+            let angle = 1.0 + 2.0 * index as f64;
+            view.image = shaken(&view.image, angle);
+        }
+    }
+
     fn new(name: String, views: Vec<TrainingView>, gaussians: Gaussians) -> Self {
         let cameras: Vec<Camera> = views.iter().map(|view| view.camera).collect();
         let points: Vec<Point> = gaussians.means.iter().map(|&mean| (mean, [0; 3])).collect();
@@ -109,6 +119,27 @@ impl Workload {
         let (gaussians, coefficients) = (self.gaussians.len(), self.gaussians.coefficients());
         Work { gaussians, coefficients, pixels, ..Work::default() }
     }
+}
+
+/// The mean of the light along a line, as long as [`SHAKEN`] of the width.
+fn shaken(image: &Image, angle: f64) -> Image {
+    let (width, height) = (image.width(), image.height());
+    let light = image.to_linear();
+    let half = (0.5 * SHAKEN * width as f64).ceil() as i32;
+    let taps = 2 * half + 1;
+    let mut sum = Image::<Linear>::new(width, height);
+    for tap in -half..=half {
+        let [dx, dy] = [angle.cos(), angle.sin()].map(|part| (f64::from(tap) * part).round() as isize);
+        for y in 0..height {
+            let from_y = y.saturating_add_signed(dy).min(height - 1);
+            for x in 0..width {
+                let from = light.get(x.saturating_add_signed(dx).min(width - 1), from_y);
+                let here = sum.get(x, y);
+                sum.set(x, y, std::array::from_fn(|c| here[c] + from[c] / taps as f32));
+            }
+        }
+    }
+    sum.to_srgb()
 }
 
 /// Cameras on an arc, a sixth of a radian apart, with a lens as wide as the image is far.

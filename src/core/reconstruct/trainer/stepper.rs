@@ -55,6 +55,11 @@ impl<'a> Stepper<'a> {
         self.0.raster.work()
     }
 
+    /// Taps of the kernel by which the last step's view is shaken; `None` when shake is off.
+    pub fn taps(&self) -> Option<usize> {
+        self.0.shake.as_ref()?.kernels().nth(self.0.last_view).map(|kernel| kernel.taps().len())
+    }
+
     /// How much the noise field works in a step; `None` when it is off.
     pub fn noise_work(&self) -> Option<NoiseWork> {
         self.0.noise.as_ref().map(crate::noise::NoiseField::work)
