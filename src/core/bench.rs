@@ -37,6 +37,8 @@ const SH_DEGREE: u32 = 3;
 /// and every hundredth after it.
 const ROUND: u32 = 10_000;
 const FIRST: u32 = ROUND / 2;
+/// Most steps of a case, so that warm-up and both halves of a case lie inside the round.
+pub const MOST_STEPS: u32 = 2_000;
 
 /// What to measure.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -102,6 +104,9 @@ pub enum BenchError {
     /// The folder does not hold a finished run.
     #[error("{0}")]
     Run(String),
+    /// A budget beyond [`MOST_STEPS`].
+    #[error("{0} steps a case; at most {MOST_STEPS} are possible")]
+    Steps(u32),
     /// There is nothing to measure.
     #[error("nothing to measure: no {0}")]
     Empty(&'static str),
@@ -267,6 +272,9 @@ pub fn run(
     }
     if options.gaussians.is_empty() {
         return Err(BenchError::Empty("number of Gaussians"));
+    }
+    if options.budget.steps > MOST_STEPS {
+        return Err(BenchError::Steps(options.budget.steps));
     }
     let bench = Bench { gpu, options, cancel };
     let plans = Plan::all(options);

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use fled_core::bench::report::JobTimes;
-use fled_core::bench::{self, BenchError, BenchOptions, Budget, Workload};
+use fled_core::bench::{self, BenchError, BenchOptions, Budget, MOST_STEPS, Workload};
 use fled_core::cancel::CancelToken;
 use fled_core::capture::Capture;
 use fled_core::event::Event;
@@ -28,7 +28,7 @@ pub struct Args {
     #[arg(long, value_delimiter = ',', value_name = "N", value_parser = count)]
     gaussians: Vec<usize>,
     /// Most steps of a case, once without timestamps and once with them.
-    #[arg(long, value_parser = clap::value_parser!(u32).range(1..))]
+    #[arg(long, value_parser = clap::value_parser!(u32).range(1..=i64::from(MOST_STEPS)))]
     steps: Option<u32>,
     /// Most seconds of a case, twice; three steps are always made.
     #[arg(long)]
@@ -154,7 +154,7 @@ impl From<BenchError> for Failure {
             BenchError::Render(error) => PipelineError::from(error).into(),
             BenchError::Scene(error) => PipelineError::from(error).into(),
             BenchError::Cancelled(error) => PipelineError::from(error).into(),
-            BenchError::Empty(_) => Self::usage(error),
+            BenchError::Empty(_) | BenchError::Steps(_) => Self::usage(error),
             BenchError::Image(_) | BenchError::Run(_) => Self::new(ErrorKind::Io, error),
         }
     }

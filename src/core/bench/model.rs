@@ -28,8 +28,9 @@ const DIGITS: u64 = 16;
 /// Operations a pair of pixel and splat, counted in shaders/splat/rasterize.wgsl: offset 1, exponent 4, alpha 3,
 /// transmittance 2, weight 1, colour 6.
 const BLEND: u64 = 17;
-/// The same of shaders/shared/raster_backward.wgsl: offset 1, exponent 4, alpha 3, transmittance 2, weight 1, gradient along
-/// the colour 5, rest 2, by alpha 3, v 1, sums of colour 6, v 1, v dx 2, v dx^2 3. Reductions do not count.
+/// The same of shaders/shared/raster_backward.wgsl: offset 1, exponent 4, alpha 3, transmittance 2, weight 1,
+/// gradient along the colour 5, rest 2, by alpha 3, v 1, sums of colour 6, v 1, v dx 2, v dx^2 3. Reductions do not
+/// count.
 const BLEND_BACKWARD: u64 = 34;
 /// Operations a value of a separable window of 11, one plane: 6 products and 10 sums, twice.
 const WINDOW: u64 = 32;
@@ -38,8 +39,8 @@ const WINDOW: u64 = 32;
 const SIMILARITY: u64 = 4 + 4 * WINDOW + 30;
 /// In shaders/train/loss_gradient.wgsl: three windows, 12 for the gradient and the sums of errors.
 const GRADIENT: u64 = 3 * WINDOW + 12;
-/// Operations in shaders/shake: a value and a tap of a pixel of blur.wgsl, the same of blur_backward.wgsl (four neighbours of
-/// 6 operations each among them), a value of linearise.wgsl.
+/// Operations in shaders/shake: a value and a tap of a pixel of blur.wgsl, the same of blur_backward.wgsl (four
+/// neighbours of 6 operations each among them), a value of linearise.wgsl.
 const BLUR: [u64; 2] = [9, 7];
 const BLUR_BACK: [u64; 2] = [32, 6];
 const LINEARISE: u64 = 6;

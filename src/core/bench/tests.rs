@@ -105,6 +105,9 @@ fn nothing_to_measure_and_a_raised_token_are_errors() {
     let none = BenchOptions { sizes: Vec::new(), ..tiny() };
     let outcome = run(gpu, &none, &mut |_, _, _| {}, &CancelToken::new());
     assert!(matches!(outcome, Err(BenchError::Empty("size"))));
+    let long = BenchOptions { budget: Budget { seconds: 1.0, steps: MOST_STEPS + 1 }, ..tiny() };
+    let outcome = run(gpu, &long, &mut |_, _, _| {}, &CancelToken::new());
+    assert!(matches!(outcome, Err(BenchError::Steps(2_001))));
     let cancel = CancelToken::new();
     cancel.cancel();
     assert!(matches!(run(gpu, &tiny(), &mut |_, _, _| {}, &cancel), Err(BenchError::Cancelled(_))));
