@@ -6,7 +6,7 @@ CARGO ?= cargo
 PYTHON ?= python3
 
 .DEFAULT_GOAL := help
-.PHONY: help setup onnxruntime build test test-peers tidy check lint demo
+.PHONY: help setup onnxruntime build test test-peers tidy check lint demo bench gpu-pack gpu-check
 
 help: ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1\t\2/' | expand -t 22
@@ -40,3 +40,12 @@ lint: ## format and clippy, as strict as CI
 
 demo: setup onnxruntime build ## a dark capture, reconstructed by the service, with a before/after picture under demo/
 	$(PYTHON) tools/demo.py
+
+bench: build ## what training and rendering cost here, kernel by kernel; BENCH="--quick" and other arguments of fled bench
+	$${CARGO_TARGET_DIR:-target}/release/fled bench $(BENCH)
+
+gpu-pack: onnxruntime ## gpu-check/: all that a machine with a Vulkan driver and no Rust needs to be checked
+	$(PYTHON) tools/gpu_pack.py
+
+gpu-check: gpu-pack ## kernels, their cost and a whole job on this machine's adapter; GPU_CHECK="--quick" is short
+	gpu-check/gpu_check.sh $(GPU_CHECK)

@@ -2,7 +2,7 @@
 """What each part of the method brings: runs `fled run` on captures with ground truth in several variants and
 prints Markdown tables of held-out scores at the target brightness, colour-fitted. Python's standard library only.
 
-    python3 tools/compare.py --fled target/release/fled --out /tmp/compare CAPTURE[:key=value,...] ...
+    python3 tools/compare.py --fled target/release/fled --out /tmp/compare CAPTURE[:key=value;...] ...
 
 Finished runs are not done again, so an interrupted comparison goes on.
 """
@@ -63,7 +63,7 @@ def main():
         capture = pathlib.Path(folder)
         names.append(capture.name)
         for variant, options in variants:
-            report = run(arguments, capture, [o for o in extra.split(",") if o], variant, options)
+            report = run(arguments, capture, [o for o in extra.split(";") if o], variant, options)
             enhanced, render = held_out(report, "enhanced"), held_out(report, "render")
             rows.setdefault("brightened photographs, no 3D", {})[capture.name] = enhanced
             rows.setdefault(variant, {})[capture.name] = {

@@ -8,6 +8,7 @@
 
 #[cfg(test)]
 mod agreement;
+pub mod bench;
 pub mod camera;
 pub mod cancel;
 pub mod capture;

@@ -32,6 +32,7 @@ mod kernels;
 mod network;
 pub mod reference;
 mod state;
+mod work;
 
 use std::ops::Range;
 
@@ -43,6 +44,7 @@ use crate::camera::Camera;
 use kernels::{AdamUniform, ChunkUniform, LayerUniform, NoiseUniform};
 use network::{LAYERS, Network};
 pub use state::StateError;
+pub use work::NoiseWork;
 
 /// The noise field of a round.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]

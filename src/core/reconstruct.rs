@@ -24,6 +24,7 @@ pub use crate::shake::Response;
 pub use checkpoint::{Checkpoint, CheckpointError};
 pub use initialise::{Point, initialise, scene_depth, scene_extent};
 pub use schedule::Schedule;
+pub use trainer::Stepper;
 
 /// One image to train on.
 #[derive(Clone, Debug)]

@@ -8,7 +8,7 @@ use crate::camera::Camera;
 use crate::gaussians::Gaussians;
 use crate::image::Image;
 use crate::splat::project::{DeviceGaussians, Projection};
-use crate::splat::rasterize::{Forward, Specialisation, SplatBuffers, SplatSizes};
+use crate::splat::rasterize::{Forward, Specialisation, SplatBuffers, SplatSizes, SplatWork};
 use crate::splat::uniform::{CameraUniform, NEAR};
 
 /// Rendering failed.
@@ -44,6 +44,17 @@ pub struct Scene {
 struct Target {
     buffers: SplatBuffers,
     recording: Recording,
+}
+
+impl Scene {
+    /// How much the last image had to sort and blend; `None` before the first. Waits for the device.
+    ///
+    /// # Errors
+    /// A device error.
+    pub fn work(&self) -> Result<Option<SplatWork>, SplatError> {
+        let kept = self.target.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+        Ok(kept.as_ref().map(|target| target.buffers.work()).transpose()?)
+    }
 }
 
 impl Renderer {

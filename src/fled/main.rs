@@ -1,5 +1,6 @@
 //! `fled`: dark, noisy, shaken photographs of a place to a 3D scene that one can walk around in.
 
+mod bench;
 mod doctor;
 mod failure;
 mod progress;
@@ -39,6 +40,8 @@ enum Command {
     Synth(synth::Args),
     /// The HTTP service with its dashboard and workers.
     Serve(serve::Args),
+    /// Measures what training and rendering cost on this machine, kernel by kernel.
+    Bench(bench::Args),
     /// Says what this machine has and lacks, and what to do about it.
     Doctor(doctor::Args),
     /// Renders what the service asks for on standard input.
@@ -56,6 +59,7 @@ fn main() -> ExitCode {
         Command::Render(args) => render::main(&args),
         Command::Synth(args) => synth::main(&args),
         Command::Serve(args) => serve::main(&args),
+        Command::Bench(args) => bench::main(&args),
         Command::Doctor(args) => doctor::main(&args),
         Command::RenderWorker => render_worker::main(),
     };

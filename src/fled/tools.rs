@@ -93,6 +93,11 @@ impl Kit {
         Ok(Self { gpu, sfm, deblurrer, fallbacks, pose_cache: args.pose_cache() })
     }
 
+    /// The device.
+    pub fn gpu(&self) -> &Gpu {
+        &self.gpu
+    }
+
     /// Borrowed for a run.
     pub fn tools(&mut self) -> pipeline::Tools<'_> {
         pipeline::Tools {

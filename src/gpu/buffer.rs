@@ -1,11 +1,12 @@
 //! Storage on the device, counted in elements.
 
 use std::marker::PhantomData;
-use std::sync::mpsc;
+use std::sync::{Arc, mpsc};
 
 use bytemuck::Pod;
 
 use crate::groups::Identity;
+use crate::memory::Reservation;
 use crate::{Gpu, GpuError, Submission};
 
 /// `len` elements of `T` on the device. Cloning shares the storage.
@@ -34,6 +35,7 @@ pub struct RawBuffer {
     /// Bytes in use; the allocation is never smaller than 16.
     pub(crate) bytes: u64,
     pub(crate) identity: Identity,
+    _counted: Arc<Reservation>,
 }
 
 /// Anything that a dispatch can bind: every [`Buffer`].
@@ -119,7 +121,7 @@ impl<T: Pod> Buffer<T> {
         }
         let bytes = (count as u64 * self.raw.stride).next_multiple_of(4);
         let device = &self.gpu.inner.device;
-        let staging = self.gpu.create_raw("read back", bytes, wgpu::BufferUsages::MAP_READ)?;
+        let (staging, counted) = self.gpu.create_raw("read back", bytes, wgpu::BufferUsages::MAP_READ)?;
         let mut encoder = device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label: None });
         encoder.copy_buffer_to_buffer(&self.raw.raw, 0, &staging, 0, bytes);
         let submission = Submission(self.gpu.inner.queue.submit([encoder.finish()]));
@@ -129,7 +131,15 @@ impl<T: Pod> Buffer<T> {
             let _ = sender.send(result.is_ok());
         });
         self.gpu.check()?;
-        Ok(ReadBack { gpu: self.gpu.clone(), staging, submission, mapped, count, element: PhantomData })
+        Ok(ReadBack {
+            gpu: self.gpu.clone(),
+            staging,
+            submission,
+            mapped,
+            count,
+            element: PhantomData,
+            _counted: counted,
+        })
     }
 }
 
@@ -141,6 +151,7 @@ pub struct ReadBack<T> {
     mapped: mpsc::Receiver<bool>,
     count: usize,
     element: PhantomData<T>,
+    _counted: Reservation,
 }
 
 impl<T: Pod> ReadBack<T> {
@@ -183,8 +194,9 @@ impl Gpu {
             | wgpu::BufferUsages::UNIFORM
             | wgpu::BufferUsages::INDIRECT
             | wgpu::BufferUsages::COPY_SRC;
-        let raw = self.create_raw(label, bytes, usage)?;
-        let raw = RawBuffer { raw, label, stride, bytes, identity: Identity::new(self) };
+        let (raw, counted) = self.create_raw(label, bytes, usage)?;
+        let identity = Identity::new(self);
+        let raw = RawBuffer { raw, label, stride, bytes, identity, _counted: Arc::new(counted) };
         Ok(Buffer { raw, len, gpu: self.clone(), element: PhantomData })
     }
 
@@ -203,7 +215,7 @@ impl Gpu {
         label: &str,
         bytes: u64,
         usage: wgpu::BufferUsages,
-    ) -> Result<wgpu::Buffer, GpuError> {
+    ) -> Result<(wgpu::Buffer, Reservation), GpuError> {
         self.check()?;
         // A binding must not be empty; uniform structs are multiples of 16.
         let size = bytes.next_multiple_of(16).max(16);
@@ -222,7 +234,7 @@ impl Gpu {
         }
         match validation {
             Some(error) => Err(GpuError::Validation(format!("buffer `{label}`: {error}"))),
-            None => Ok(buffer),
+            None => Ok((buffer, self.inner.tally.reserve(size))),
         }
     }
 }

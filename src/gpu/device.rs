@@ -8,6 +8,7 @@ use std::time::Duration;
 use crate::GpuError;
 use crate::groups::Groups;
 use crate::kernel::{Kernel, Pipeline};
+use crate::memory::Tally;
 use crate::profile::Profile;
 
 /// Longest wait for the device: far above any step, far below a person's patience with a hung driver.
@@ -28,6 +29,7 @@ pub(crate) struct Inner {
     pub(crate) pipelines: Mutex<HashMap<Kernel, Arc<Pipeline>>>,
     pub(crate) groups: Groups,
     pub(crate) profile: Mutex<Option<Profile>>,
+    pub(crate) tally: Arc<Tally>,
 }
 
 /// What the device is and what it offers.
@@ -200,10 +202,9 @@ fn open(adapter: &wgpu::Adapter) -> Result<Gpu, GpuError> {
             note(&lost, GpuError::DeviceLost(message));
         }
     });
-    let (pipelines, profile) = (Mutex::default(), Mutex::default());
-    Ok(Gpu {
-        inner: Arc::new(Inner { device, queue, info, fault, pipelines, groups: Groups::default(), profile }),
-    })
+    let (pipelines, groups, profile) = (Mutex::default(), Mutex::default(), Mutex::default());
+    let inner = Inner { device, queue, info, fault, pipelines, groups, profile, tally: Arc::default() };
+    Ok(Gpu { inner: Arc::new(inner) })
 }
 
 /// Keeps the first fault: the later ones follow from it.

@@ -43,13 +43,14 @@
 //! - [`Kernel::reflect`] gives struct layouts, bindings and constants to compare with Rust in a test.
 //! - Subgroup operations are there when [`AdapterInfo::subgroup`] is `Some`; a kernel that uses them needs a
 //!   second file without. `@builtin(subgroup_invocation_id)` needs a one-dimensional workgroup.
-//! - `gpu.profile(true)` ... `gpu.profiled()` times each kernel.
+//! - `gpu.profile(true)` ... `gpu.profiled()` times each kernel; `gpu.memory()` counts the bytes in buffers.
 
 mod buffer;
 mod device;
 mod error;
 mod groups;
 mod kernel;
+mod memory;
 mod profile;
 mod recorder;
 pub mod reflect;
@@ -59,6 +60,7 @@ pub use buffer::{Bind, Buffer, ReadBack};
 pub use device::{AdapterInfo, DeviceType, Gpu, Submission};
 pub use error::GpuError;
 pub use kernel::{Access, Binding, Kernel, read, read_write, uniform};
+pub use memory::MemoryUse;
 pub use profile::KernelTime;
 pub use recorder::{MAX_WORKGROUPS, Recorder, Recording};
 

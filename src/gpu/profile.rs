@@ -22,16 +22,17 @@ pub struct KernelTime {
     pub shortest: Duration,
 }
 
-/// The timestamps of one submission.
+/// The timestamps of one submission, two a dispatch.
 pub(crate) struct Timer {
-    queries: wgpu::QuerySet,
+    /// Each but the last is full.
+    queries: Vec<wgpu::QuerySet>,
     resolved: wgpu::Buffer,
     staging: wgpu::Buffer,
     names: RefCell<Vec<&'static str>>,
 }
 
 /// A query set holds at most this many timestamps.
-const MAX_QUERIES: usize = 4096;
+const MAX_QUERIES: u32 = 4096;
 
 impl Timer {
     pub(crate) fn next(&self, name: &'static str) -> wgpu::ComputePassTimestampWrites<'_> {
@@ -39,15 +40,18 @@ impl Timer {
         let first = 2 * names.len() as u32;
         names.push(name);
         wgpu::ComputePassTimestampWrites {
-            query_set: &self.queries,
-            beginning_of_pass_write_index: Some(first),
-            end_of_pass_write_index: Some(first + 1),
+            query_set: &self.queries[(first / MAX_QUERIES) as usize],
+            beginning_of_pass_write_index: Some(first % MAX_QUERIES),
+            end_of_pass_write_index: Some(first % MAX_QUERIES + 1),
         }
     }
 
     pub(crate) fn resolve(&self, encoder: &mut wgpu::CommandEncoder) {
         let count = 2 * self.names.borrow().len() as u32;
-        encoder.resolve_query_set(&self.queries, 0..count, &self.resolved, 0);
+        for (set, first) in self.queries.iter().zip((0..count).step_by(MAX_QUERIES as usize)) {
+            let inside = (count - first).min(MAX_QUERIES);
+            encoder.resolve_query_set(set, 0..inside, &self.resolved, 8 * u64::from(first));
+        }
         encoder.copy_buffer_to_buffer(&self.resolved, 0, &self.staging, 0, 8 * u64::from(count));
     }
 }
@@ -72,7 +76,7 @@ impl Gpu {
     /// A timer for a submission of so many dispatches while profiling is on.
     pub(crate) fn timer(&self, dispatches: usize) -> Option<Timer> {
         let on = self.inner.profile.lock().unwrap_or_else(PoisonError::into_inner).is_some();
-        if !on || dispatches == 0 || 2 * dispatches > MAX_QUERIES {
+        if !on || dispatches == 0 {
             return None;
         }
         let device = &self.inner.device;
@@ -86,12 +90,16 @@ impl Gpu {
                 mapped_at_creation: false,
             })
         };
-        Some(Timer {
-            queries: device.create_query_set(&wgpu::QuerySetDescriptor {
+        let total = 2 * dispatches as u32;
+        let set = |first: u32| {
+            device.create_query_set(&wgpu::QuerySetDescriptor {
                 label: None,
                 ty: wgpu::QueryType::Timestamp,
-                count: 2 * dispatches as u32,
-            }),
+                count: (total - first).min(MAX_QUERIES),
+            })
+        };
+        Some(Timer {
+            queries: (0..total).step_by(MAX_QUERIES as usize).map(set).collect(),
             resolved: buffer(wgpu::BufferUsages::QUERY_RESOLVE | wgpu::BufferUsages::COPY_SRC),
             staging: buffer(wgpu::BufferUsages::MAP_READ),
             names: RefCell::default(),

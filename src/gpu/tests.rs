@@ -145,3 +145,33 @@ fn profiled_kernels_have_a_count_and_a_time() {
     gpu.profile(false);
     assert!(gpu.profiled().is_empty());
 }
+
+#[test]
+fn a_submission_of_more_dispatches_than_a_query_set_holds_is_timed_whole() {
+    let gpu = gpu();
+    let scale = gpu.upload("scale", &[Scale { factor: 2.0, count: 1 }]).unwrap();
+    let x = gpu.upload("x", &[1.0_f32]).unwrap();
+    let out = gpu.create::<f32>("out", 1).unwrap();
+    let mut recorder = gpu.recorder();
+    for _ in 0..2_100 {
+        recorder.dispatch_items(&AXPY, &[&scale, &x, &out], 1).unwrap();
+    }
+    gpu.profile(true);
+    recorder.submit().unwrap();
+    assert_eq!(gpu.profiled()[0].1.dispatches, 2_100);
+}
+
+#[test]
+fn memory_counts_the_buffers_that_live_and_the_most_there_were() {
+    let gpu = gpu();
+    let before = gpu.memory().now;
+    let kept = gpu.create::<f32>("kept", 1_000).unwrap();
+    let copy = kept.clone();
+    drop(gpu.create::<f32>("dropped", 500).unwrap());
+    drop(kept);
+    assert_eq!(gpu.memory().now - before, 4_000);
+    assert_eq!(gpu.memory().peak - before, 6_000);
+    gpu.forget_peak();
+    drop(copy);
+    assert_eq!((gpu.memory().now, gpu.memory().peak - before), (before, 4_000));
+}

@@ -72,3 +72,31 @@ fn the_doctor_finds_everything_that_the_tests_need() {
     assert_eq!(code(&without), 4);
     assert!(String::from_utf8_lossy(&without.stdout).contains("apt-get install colmap"));
 }
+
+#[test]
+fn a_bench_prints_its_table_and_writes_the_same_cases_as_json() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let json = folder.path().join("bench.json");
+    let tiny = ["--sizes", "64x48", "--gaussians", "200", "--steps", "3", "--seconds", "0.01"];
+    let output = fled(&[&["bench"][..], &tiny, &["--json", &json.display().to_string()]].concat());
+    assert_eq!(code(&output), 0, "{}", String::from_utf8_lossy(&output.stderr));
+    let (report, table) = (support::json(&json), String::from_utf8_lossy(&output.stdout));
+    let cases = report["cases"].as_array().expect("cases");
+    assert_eq!(cases.len(), 7);
+    for case in cases {
+        let name = case["name"].as_str().expect("a name");
+        assert!(table.contains(name), "{name} in\n{table}");
+        assert!(case["steps_per_second"].as_f64().is_some_and(|rate| rate > 0.0), "{case}");
+    }
+    assert!(String::from_utf8_lossy(&output.stderr).contains("[7/7] sort 200 keys"));
+}
+
+#[test]
+fn a_bench_of_nonsense_is_wrong_use_and_one_of_no_capture_fails_before_it_measures() {
+    assert_eq!(code(&fled(&["bench", "--gaussians", "ten"])), 2);
+    assert_eq!(code(&fled(&["bench", "--seconds", "0"])), 2);
+    assert_eq!(code(&fled(&["bench", "--steps", "0"])), 2);
+    let nowhere = fled(&["bench", "--quick", "--capture", "/nowhere/at/all"]);
+    assert_eq!(code(&nowhere), 3);
+    assert!(!String::from_utf8_lossy(&nowhere.stderr).contains("[1/"));
+}

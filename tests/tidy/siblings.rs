@@ -7,9 +7,11 @@ use crate::sources::{Source, expect_none, files};
 const SHARED: [&str; 7] = ["agreement", "camera", "cancel", "event", "gaussians", "image", "pipeline::error"];
 
 /// Every other import that is allowed, with its reason beside it.
-const ALLOWED: [(&str, &[&str]); 7] = [
+const ALLOWED: [(&str, &[&str]); 8] = [
     // The pipeline drives all others.
     ("pipeline", &["*"]),
+    // The bench measures what the others do.
+    ("bench", &["*"]),
     // Training is made of rasterisation, noise field, shake and registration, and reports what the field learnt.
     ("reconstruct", &["splat", "noise", "shake", "register", "metrics"]),
     // Rendering is the forward half of rasterisation.

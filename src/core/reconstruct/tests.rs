@@ -156,7 +156,7 @@ fn a_scene_learnt_from_shaken_views_is_sharper_when_the_shake_is_explained() {
 
 /// Mean way of what stands in the middle of the scene between two cameras of each pair, px.
 fn apart(cameras: &[Camera], others: &[Camera]) -> f64 {
-    let seen = |camera: &Camera| camera.project(glam::DVec3::ZERO).expect("before the camera").0;
+    let seen = |camera: &Camera| camera.project(DVec3::ZERO).expect("before the camera").0;
     let ways = cameras.iter().zip(others).map(|(a, b)| (seen(a) - seen(b)).length());
     ways.sum::<f64>() / cameras.len() as f64
 }
@@ -338,4 +338,24 @@ fn no_views_no_gaussians_and_a_foreign_checkpoint_are_refused() {
     let other = TrainConfig { seed: 99, ..plain.clone() };
     let foreign = trainer::Trainer::new(fixtures::gpu(), &views, begin, &other).expect("made").frozen_at(25);
     assert!(matches!(refused(&views, TrainStart::Resume(foreign)), ReconstructError::OtherRound));
+}
+
+#[test]
+fn a_round_in_parts_is_the_same_round_and_ends_where_it_should() {
+    let scene = truth(200, 11);
+    let views = views_of(&scene, &[-0.3, 0.0, 0.3], [64, 48]);
+    let config = TrainConfig { noise: NoiseMode::Grid, ..config(60, 300) };
+    let TrainStart::Fresh(first) = start(&views, &scene, &config) else { panic!("fresh") };
+    let whole = trained(&views, TrainStart::Fresh(first.clone()), &config);
+    let mut stepper = Stepper::new(fixtures::gpu(), &views, first.clone(), &config, 0).expect("made");
+    let cancel = CancelToken::new();
+    for part in [1, 24, 30, 2] {
+        stepper.advance(part, &cancel).expect("trains");
+    }
+    assert_ne!(bytes(&stepper.gaussians()), bytes(&whole.gaussians), "three steps are missing");
+    stepper.advance(1_000, &cancel).expect("trains");
+    assert_eq!(bytes(&stepper.gaussians()), bytes(&whole.gaussians));
+    assert!(stepper.splat_work().expect("read").walked > 0 && stepper.noise_work().is_some());
+    cancel.cancel();
+    assert!(matches!(stepper.advance(1, &cancel), Err(ReconstructError::Cancelled(_))));
 }

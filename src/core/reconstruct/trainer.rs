@@ -2,6 +2,7 @@
 
 mod poses;
 mod shaken;
+mod stepper;
 
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
@@ -22,6 +23,7 @@ use crate::shake::Shake;
 use crate::splat::project::{DeviceGaussians, GEOMETRY_ROW, Projection, unpack_geometry};
 use crate::splat::rasterize::{Backward, Forward, PendingCounts, Specialisation, SplatBuffers, SplatSizes};
 use crate::splat::uniform::{CameraUniform, NEAR};
+pub use stepper::Stepper;
 
 /// Every so many steps the device is left to finish. What depends on finished steps (growing buffers,
 /// checkpoints) happens there alone, so that an interruption changes nothing.
@@ -133,19 +135,26 @@ impl<'a> Trainer<'a> {
     /// Trains to the last step.
     pub(super) fn run(mut self, hooks: &mut TrainHooks<'_>) -> Result<Trained, ReconstructError> {
         let begin = Instant::now();
+        self.train_to(self.config.steps, hooks)?;
+        self.finish(begin)
+    }
+
+    /// Trains up to the step `last`, at most the round's number, and leaves nothing in flight.
+    fn train_to(&mut self, last: u32, hooks: &mut TrainHooks<'_>) -> Result<(), ReconstructError> {
+        let begin = Instant::now();
         let first = self.next;
         let (mut told, mut saved) = (begin, begin);
         let mut flight = Flight::default();
         let mut prepared = false;
         loop {
             hooks.cancel.check()?;
-            let end = self.next == self.config.steps;
+            let end = self.next == last;
             if end || (!prepared && self.is_sync(self.next)) {
                 self.settle(&mut flight, 0)?;
                 if flight.redo.is_empty() {
                     self.check_finite()?;
                     if end {
-                        break;
+                        return Ok(());
                     }
                     if self.next > first && self.next.is_multiple_of(INSPECT) {
                         self.inspect_noise()?;
@@ -169,7 +178,6 @@ impl<'a> Trainer<'a> {
                 (hooks.progress)(u64::from(self.next), u64::from(self.config.steps), rate);
             }
         }
-        self.finish(begin)
     }
 
     fn finish(self, begin: Instant) -> Result<Trained, ReconstructError> {

@@ -5,11 +5,14 @@
 //! intersection, which the projection's backward sums. There are no atomics on floats anywhere: the same
 //! input gives the same bits.
 
+mod work;
+
 use fled_gpu::{AdapterInfo, Buffer, DeviceType, Gpu, GpuError, Kernel, Recorder, read, read_write, uniform};
 
 use super::project::Projection;
 use super::sort::{BLOCK, Counters, FIXED, RadixSort, SCAN, SortParameters};
 use super::uniform::TILE;
+pub use work::SplatWork;
 
 /// Floats of a row of `slot_gradients`: mean xy, conic abc, rgb, opacity after the sigmoid.
 pub const SLOT_ROW: usize = 9;

@@ -1,0 +1,329 @@
+//! What fled's work costs on a device: training and rendering of scenes that are the same everywhere, the
+//! two heaviest parts of a step by themselves, and every kernel by the device's own clock.
+//!
+//! A case is the product's own code, not a copy of it: training is [`Stepper`], the loop of
+//! [`train`](crate::reconstruct::train); rendering is [`Renderer`](crate::render::Renderer). Steps a second are
+//! measured without timestamps; afterwards some steps more are made with a timestamp around every dispatch.
+//! Two small kernels measure what the device can do at all, in the same minutes, so that a kernel's share of
+//! it means the same on a machine that is shared with others. What a kernel has to move and to compute
+//! follows from counts ([`model`]).
+
+mod measure;
+pub mod model;
+pub mod report;
+mod subject;
+mod table;
+mod workload;
+mod yardstick;
+
+use fled_gpu::{Gpu, GpuError};
+use serde::Serialize;
+
+use crate::cancel::{CancelToken, Cancelled};
+use crate::gaussians::ply::PlyError;
+use crate::image::ImageError;
+use crate::noise::NoiseMode;
+use crate::reconstruct::{ReconstructError, Response, Stepper, TrainConfig};
+use crate::render::SplatError;
+pub use measure::Budget;
+use report::{Case, Machine, Report};
+use subject::{Rendering, Similarity, Sorting, Subject, Training};
+pub use workload::Workload;
+
+/// Degree of the harmonics in synthetic scenes: the paper's.
+const SH_DEGREE: u32 = 3;
+/// Steps of the round that the measured steps belong to, and the first of them. In the middle of a round all
+/// harmonics are active and the noise field acts; relocation, and the estimate of the shake, come before the first step
+/// and every hundredth after it.
+const ROUND: u32 = 10_000;
+const FIRST: u32 = ROUND / 2;
+/// Most steps of a case, so that warm-up and both halves of a case lie inside the round.
+pub const MOST_STEPS: u32 = 2_000;
+
+/// What to measure.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct BenchOptions {
+    /// Widths and heights of the images, px.
+    pub sizes: Vec<(usize, usize)>,
+    /// Numbers of Gaussians, and of keys to sort.
+    pub gaussians: Vec<usize>,
+    /// How long a case takes.
+    pub budget: Budget,
+    /// Seed of the synthetic scenes.
+    pub seed: u64,
+}
+
+impl Default for BenchOptions {
+    /// The sizes and numbers of the presets.
+    fn default() -> Self {
+        Self {
+            sizes: vec![(280, 160), (560, 320), (1120, 640)],
+            gaussians: vec![10_000, 50_000, 200_000],
+            budget: Budget { seconds: 5.0, steps: 100 },
+            seed: 0,
+        }
+    }
+}
+
+impl BenchOptions {
+    /// One small size and a few steps: shows that everything runs, and measures little.
+    pub fn quick() -> Self {
+        Self {
+            sizes: vec![(280, 160)],
+            gaussians: vec![10_000],
+            budget: Budget { seconds: 0.5, steps: 10 },
+            seed: 0,
+        }
+    }
+}
+
+/// Takes the number of finished cases, of all cases, and the name of the next.
+pub type Progress<'a> = &'a mut dyn FnMut(usize, usize, &str);
+
+/// Why nothing was measured.
+#[derive(Debug, thiserror::Error)]
+pub enum BenchError {
+    /// The device.
+    #[error(transparent)]
+    Gpu(#[from] GpuError),
+    /// Training.
+    #[error(transparent)]
+    Reconstruct(#[from] ReconstructError),
+    /// Rendering.
+    #[error(transparent)]
+    Render(#[from] SplatError),
+    /// Asked to stop.
+    #[error(transparent)]
+    Cancelled(#[from] Cancelled),
+    /// The scene of a finished run cannot be read.
+    #[error(transparent)]
+    Scene(#[from] PlyError),
+    /// An image of a finished run cannot be read.
+    #[error(transparent)]
+    Image(#[from] ImageError),
+    /// The folder does not hold a finished run.
+    #[error("{0}")]
+    Run(String),
+    /// A budget beyond [`MOST_STEPS`].
+    #[error("{0} steps a case; at most {MOST_STEPS} are possible")]
+    Steps(u32),
+    /// There is nothing to measure.
+    #[error("nothing to measure: no {0}")]
+    Empty(&'static str),
+}
+
+/// What a step explains beside the scene.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Extras {
+    noise: NoiseMode,
+    shake: bool,
+}
+
+impl Extras {
+    /// Nothing, each mode of the noise field, and what the presets `preview` and `standard` train with.
+    const ALL: [Self; 4] = [
+        Self { noise: NoiseMode::Off, shake: false },
+        Self { noise: NoiseMode::Grid, shake: false },
+        Self { noise: NoiseMode::Grid, shake: true },
+        Self { noise: NoiseMode::Paper, shake: false },
+    ];
+
+    fn name(self) -> String {
+        let noise = match self.noise {
+            NoiseMode::Off => "off",
+            NoiseMode::Grid => "grid",
+            NoiseMode::Paper => "paper",
+        };
+        format!("noise {noise}{}", if self.shake { " and shake" } else { "" })
+    }
+}
+
+/// One thing to measure.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Plan {
+    Train { size: (usize, usize), gaussians: usize, extras: Extras },
+    Render { size: (usize, usize), gaussians: usize },
+    Ssim { size: (usize, usize) },
+    Sort { keys: usize },
+}
+
+impl Plan {
+    /// Every case of the options. Noise field, shake and SSIM cost by the pixel, so all extras run with the first
+    /// number of Gaussians alone.
+    fn all(options: &BenchOptions) -> Vec<Self> {
+        let mut plans = Vec::new();
+        for &size in &options.sizes {
+            for &gaussians in &options.gaussians {
+                plans.push(Self::Train { size, gaussians, extras: Extras::ALL[0] });
+                plans.push(Self::Render { size, gaussians });
+            }
+            if let Some(&gaussians) = options.gaussians.first() {
+                plans.extend(Extras::ALL[1..].iter().map(|&extras| Self::Train { size, gaussians, extras }));
+            }
+            plans.push(Self::Ssim { size });
+        }
+        plans.extend(options.gaussians.iter().map(|&keys| Self::Sort { keys }));
+        plans
+    }
+
+    fn name(&self) -> String {
+        match *self {
+            Self::Train { size: (w, h), gaussians, extras } => {
+                format!("train {w}x{h}, {} Gaussians, {}", short(gaussians), extras.name())
+            }
+            Self::Render { size: (w, h), gaussians } => {
+                format!("render {w}x{h}, {} Gaussians", short(gaussians))
+            }
+            Self::Ssim { size: (w, h) } => format!("ssim {w}x{h}"),
+            Self::Sort { keys } => format!("sort {} keys", short(keys)),
+        }
+    }
+
+    fn measure(&self, bench: &Bench<'_>) -> Result<Case, BenchError> {
+        let name = self.name();
+        match *self {
+            Self::Train { size, gaussians, extras } => {
+                let mut workload = Workload::synthetic(bench.gpu, size, gaussians, bench.options.seed)?;
+                if extras.shake {
+                    workload.shake();
+                }
+                bench.train(name, &workload, extras)
+            }
+            Self::Render { size, gaussians } => {
+                let workload = Workload::synthetic(bench.gpu, size, gaussians, bench.options.seed)?;
+                bench.render(name, &workload)
+            }
+            Self::Ssim { size } => bench.case(name, "ssim", || Similarity::new(bench.gpu, size)),
+            Self::Sort { keys } => {
+                bench.case(name, "sort", || Sorting::new(bench.gpu, keys, bench.options.seed))
+            }
+        }
+    }
+}
+
+/// Whom all cases share.
+struct Bench<'a> {
+    gpu: &'a Gpu,
+    options: &'a BenchOptions,
+    cancel: &'a CancelToken,
+}
+
+impl Bench<'_> {
+    fn train(&self, name: String, workload: &Workload, extras: Extras) -> Result<Case, BenchError> {
+        let config = config(workload, extras);
+        let gaussians = workload.gaussians.clone();
+        let case = self.case(name, "train", || {
+            let stepper = Stepper::new(self.gpu, &workload.views, gaussians, &config, FIRST)?;
+            Ok(Training::new(stepper, workload, self.cancel))
+        })?;
+        Ok(Case { noise: Some(extras.noise), shake: Some(extras.shake), ..case })
+    }
+
+    fn render(&self, name: String, workload: &Workload) -> Result<Case, BenchError> {
+        self.case(name, "render", || Rendering::new(self.gpu, workload))
+    }
+
+    /// Measures what `make` makes; its buffers are the case's memory.
+    fn case<S: Subject>(
+        &self,
+        name: String,
+        task: &'static str,
+        make: impl FnOnce() -> Result<S, BenchError>,
+    ) -> Result<Case, BenchError> {
+        self.gpu.wait()?;
+        let before = self.gpu.memory().now;
+        self.gpu.forget_peak();
+        let mut subject = make()?;
+        let measured = measure::measure(self.gpu, &mut subject, self.options.budget, self.cancel)?;
+        let peak = self.gpu.memory().peak.saturating_sub(before);
+        Ok(Case::new(name, task, &measured, peak))
+    }
+}
+
+/// Training as in the middle of a round of the paper's length, with all Gaussians there may be.
+fn config(workload: &Workload, extras: Extras) -> TrainConfig {
+    TrainConfig {
+        steps: ROUND,
+        refine_poses: None,
+        shake: extras.shake.then(Response::srgb),
+        cap: workload.gaussians.len(),
+        sh_degree: workload.gaussians.sh_degree,
+        noise: extras.noise,
+        resolution_schedule: false,
+        warm: true,
+        densify: true,
+        seed: 0,
+        extent: workload.extent,
+    }
+}
+
+/// Measures everything that `options` ask for on synthetic scenes. A device is profiled and its memory counted
+/// as a whole: nothing else may use it meanwhile.
+///
+/// # Errors
+/// [`BenchError`].
+pub fn run(
+    gpu: &Gpu,
+    options: &BenchOptions,
+    progress: Progress<'_>,
+    cancel: &CancelToken,
+) -> Result<Report, BenchError> {
+    if options.sizes.is_empty() {
+        return Err(BenchError::Empty("size"));
+    }
+    if options.gaussians.is_empty() {
+        return Err(BenchError::Empty("number of Gaussians"));
+    }
+    if options.budget.steps > MOST_STEPS {
+        return Err(BenchError::Steps(options.budget.steps));
+    }
+    let bench = Bench { gpu, options, cancel };
+    let plans = Plan::all(options);
+    let mut report = Report::new(Machine::of(gpu), options);
+    report.yardsticks.add(yardstick::measure(gpu)?);
+    for (done, plan) in plans.iter().enumerate() {
+        cancel.check()?;
+        progress(done, plans.len(), &plan.name());
+        report.cases.push(plan.measure(&bench)?);
+    }
+    report.yardsticks.add(yardstick::measure(gpu)?);
+    report.relate();
+    Ok(report)
+}
+
+/// Adds the cases of a real scene, that of a finished run: training with and without what is explained beside the
+/// scene, and rendering.
+///
+/// # Errors
+/// [`BenchError`], above all when `workload` has no views.
+pub fn run_scene(
+    gpu: &Gpu,
+    workload: &Workload,
+    report: &mut Report,
+    progress: Progress<'_>,
+    cancel: &CancelToken,
+) -> Result<(), BenchError> {
+    let options = report.options.clone();
+    let bench = Bench { gpu, options: &options, cancel };
+    let total = Extras::ALL.len() + 1;
+    for (done, extras) in Extras::ALL.into_iter().enumerate() {
+        cancel.check()?;
+        let name = format!("train {}, {}", workload.name, extras.name());
+        progress(done, total, &name);
+        report.cases.push(bench.train(name, workload, extras)?);
+    }
+    let name = format!("render {}", workload.name);
+    progress(total - 1, total, &name);
+    report.cases.push(bench.render(name, workload)?);
+    report.yardsticks.add(yardstick::measure(gpu)?);
+    report.relate();
+    Ok(())
+}
+
+/// `10k` for 10,000.
+fn short(count: usize) -> String {
+    if count >= 1000 && count.is_multiple_of(1000) { format!("{}k", count / 1000) } else { count.to_string() }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,162 @@
+//! Steps a second without timestamps, then the time of every kernel with them.
+
+use std::collections::BTreeMap;
+use std::time::Instant;
+
+use fled_gpu::Gpu;
+use serde::Serialize;
+
+use super::BenchError;
+use super::model::Work;
+use super::subject::Subject;
+use crate::cancel::CancelToken;
+
+/// Steps before anything counts: kernels are compiled and buffers grown in them.
+const WARM_UP: u32 = 3;
+/// Fewer steps have no median worth the name. A step that alone is longer than the budget is made once.
+const LEAST: u32 = 3;
+
+/// How long a case takes, twice: once without timestamps, once with them. What comes first ends it, after three
+/// steps, or after one that is longer than the seconds.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Budget {
+    /// Seconds.
+    pub seconds: f64,
+    /// Steps.
+    pub steps: u32,
+}
+
+/// What was found out about one case.
+#[derive(Clone, Debug)]
+pub(super) struct Measured {
+    /// Steps without timestamps.
+    pub(super) steps: u32,
+    /// Seconds they took together.
+    pub(super) seconds: f64,
+    /// `None` where the device has no timestamps.
+    pub(super) profiled: Option<Profiled>,
+    pub(super) work: Work,
+}
+
+/// Medians over the steps with timestamps.
+#[derive(Clone, Debug)]
+pub(super) struct Profiled {
+    pub(super) steps: u32,
+    /// Seconds of a step on the host's clock.
+    pub(super) wall: f64,
+    /// Seconds of all kernels of a step.
+    pub(super) kernels: f64,
+    /// Name, seconds and dispatches of a step; the longest first.
+    pub(super) rows: Vec<(&'static str, f64, u64)>,
+}
+
+pub(super) fn measure(
+    gpu: &Gpu,
+    subject: &mut impl Subject,
+    budget: Budget,
+    cancel: &CancelToken,
+) -> Result<Measured, BenchError> {
+    let one = warm_up(subject, budget, cancel)?;
+    let least = if one > budget.seconds { 1 } else { LEAST };
+    let steps = ((budget.seconds / one.max(1e-9)) as u32).min(budget.steps).max(least);
+    let begin = Instant::now();
+    subject.repeat(steps)?;
+    let seconds = begin.elapsed().as_secs_f64();
+    let mut works = vec![subject.work()?];
+    let mut profiled = None;
+    if gpu.describe().timestamps {
+        let outcome = profile(gpu, subject, (budget, least), cancel, &mut works);
+        gpu.profile(false);
+        profiled = Some(outcome?);
+    }
+    Ok(Measured { steps, seconds, profiled, work: middle(works) })
+}
+
+/// The first steps, two at least: the first compiles the kernels. Returns the seconds of the last of them.
+fn warm_up(subject: &mut impl Subject, budget: Budget, cancel: &CancelToken) -> Result<f64, BenchError> {
+    let all = Instant::now();
+    let mut one = 0.0;
+    for step in 0..=WARM_UP {
+        cancel.check()?;
+        if step > 1 && all.elapsed().as_secs_f64() > budget.seconds {
+            break;
+        }
+        let begin = Instant::now();
+        subject.repeat(1)?;
+        one = begin.elapsed().as_secs_f64();
+    }
+    Ok(one)
+}
+
+fn profile(
+    gpu: &Gpu,
+    subject: &mut impl Subject,
+    (budget, least): (Budget, u32),
+    cancel: &CancelToken,
+    works: &mut Vec<Work>,
+) -> Result<Profiled, BenchError> {
+    let begin = Instant::now();
+    let (mut walls, mut sums) = (Vec::new(), Vec::new());
+    let mut kernels = BTreeMap::<&'static str, Vec<(f64, u64)>>::new();
+    let mut steps = 0;
+    while steps < least || (steps < budget.steps && begin.elapsed().as_secs_f64() < budget.seconds) {
+        cancel.check()?;
+        gpu.profile(true);
+        let step = Instant::now();
+        subject.repeat(1)?;
+        walls.push(step.elapsed().as_secs_f64());
+        let times = gpu.profiled();
+        sums.push(times.iter().map(|(_, time)| time.total.as_secs_f64()).sum());
+        for (name, time) in times {
+            kernels.entry(name).or_default().push((time.total.as_secs_f64(), time.dispatches));
+        }
+        gpu.profile(false);
+        works.push(subject.work()?);
+        steps += 1;
+    }
+    Ok(Profiled { steps, wall: median(walls), kernels: median(sums), rows: rows(kernels, steps) })
+}
+
+/// The medians of every kernel, the longest first. A kernel that does not run in a step took nothing in it.
+fn rows(kernels: BTreeMap<&'static str, Vec<(f64, u64)>>, steps: u32) -> Vec<(&'static str, f64, u64)> {
+    let mut rows: Vec<_> = kernels
+        .into_iter()
+        .map(|(name, mut times)| {
+            times.resize(times.len().max(steps as usize), (0.0, 0));
+            let dispatches = median(times.iter().map(|time| time.1 as f64).collect());
+            (name, median(times.into_iter().map(|time| time.0).collect()), dispatches as u64)
+        })
+        .collect();
+    rows.sort_by(|a, b| b.1.total_cmp(&a.1));
+    rows
+}
+
+/// The middle of the values, the upper one of two; 0 of none.
+pub(super) fn median(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied().unwrap_or_default()
+}
+
+/// The step whose number of intersections is the middle one: views differ a little.
+fn middle(mut works: Vec<Work>) -> Work {
+    works.sort_by_key(|work| work.splat.map_or(0, |splat| splat.intersections));
+    let at = works.len() / 2;
+    works.swap_remove(at)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_kernel_that_runs_in_one_step_of_four_has_a_median_of_nothing() {
+        let kernels = BTreeMap::from([("always", vec![(1.0, 2); 4]), ("once", vec![(9.0, 1)])]);
+        assert_eq!(rows(kernels, 4), [("always", 1.0, 2), ("once", 0.0, 0)]);
+    }
+
+    #[test]
+    fn the_median_is_not_moved_by_one_long_step() {
+        assert_eq!(median(vec![1.0, 500.0, 2.0]), 2.0);
+        assert_eq!(median(Vec::new()), 0.0);
+    }
+}

@@ -1,0 +1,170 @@
+//! What is measured: things that can be done again and again.
+
+use fled_gpu::{Buffer, Gpu, GpuError, Recording};
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64;
+
+use super::model::Work;
+use super::{BenchError, Workload};
+use crate::cancel::CancelToken;
+use crate::image::Image;
+use crate::reconstruct::Stepper;
+use crate::reconstruct::loss::{Loss, upload_target};
+use crate::render::{Renderer, Scene};
+use crate::splat::sort::{Counters, FIXED, RadixSort, SCAN, SortParameters};
+
+/// Bits of the keys that are sorted by themselves, as of depths.
+const KEY_BITS: u32 = 32;
+
+/// Work that can be repeated.
+pub(super) trait Subject {
+    /// Does it `times` times and waits for the last.
+    fn repeat(&mut self, times: u32) -> Result<(), BenchError>;
+
+    /// What the last time had to do.
+    fn work(&self) -> Result<Work, BenchError>;
+}
+
+/// Steps of training.
+pub(super) struct Training<'a> {
+    stepper: Stepper<'a>,
+    workload: &'a Workload,
+    cancel: &'a CancelToken,
+}
+
+impl<'a> Training<'a> {
+    pub(super) fn new(stepper: Stepper<'a>, workload: &'a Workload, cancel: &'a CancelToken) -> Self {
+        Self { stepper, workload, cancel }
+    }
+}
+
+impl Subject for Training<'_> {
+    fn repeat(&mut self, times: u32) -> Result<(), BenchError> {
+        Ok(self.stepper.advance(times, self.cancel)?)
+    }
+
+    fn work(&self) -> Result<Work, BenchError> {
+        let splat = Some(self.stepper.splat_work()?);
+        let (noise, taps) = (self.stepper.noise_work(), self.stepper.taps());
+        Ok(Work { splat, noise, taps, ..self.workload.work() })
+    }
+}
+
+/// Images of a scene, read back.
+pub(super) struct Rendering<'a> {
+    renderer: Renderer,
+    scene: Scene,
+    workload: &'a Workload,
+}
+
+impl<'a> Rendering<'a> {
+    pub(super) fn new(gpu: &Gpu, workload: &'a Workload) -> Result<Self, BenchError> {
+        let renderer = Renderer::new(gpu);
+        let scene = renderer.upload(&workload.gaussians)?;
+        Ok(Self { renderer, scene, workload })
+    }
+}
+
+impl Subject for Rendering<'_> {
+    fn repeat(&mut self, times: u32) -> Result<(), BenchError> {
+        for _ in 0..times {
+            self.renderer.render_scene(&self.scene, &self.workload.camera()?)?;
+        }
+        Ok(())
+    }
+
+    fn work(&self) -> Result<Work, BenchError> {
+        Ok(Work { splat: self.scene.work()?, ..self.workload.work() })
+    }
+}
+
+/// The loss and its gradient.
+pub(super) struct Similarity {
+    gpu: Gpu,
+    recording: Recording,
+    pixels: usize,
+}
+
+impl Similarity {
+    pub(super) fn new(gpu: &Gpu, (width, height): (usize, usize)) -> Result<Self, BenchError> {
+        let mut image = Image::new(width, height);
+        for (value, i) in image.data_mut().iter_mut().zip(0_u32..) {
+            *value = (i.wrapping_mul(2_654_435_761) >> 8) as f32 / (1 << 24) as f32;
+        }
+        let prediction = gpu.upload("prediction", image.data())?;
+        let gradient = gpu.create("image gradient", prediction.len())?;
+        let mut recorder = gpu.recorder();
+        let loss = Loss::new(gpu, width, height)?;
+        loss.record(&mut recorder, &prediction, &upload_target(gpu, &image)?, &gradient)?;
+        Ok(Self { gpu: gpu.clone(), recording: recorder.finish(), pixels: width * height })
+    }
+}
+
+impl Subject for Similarity {
+    fn repeat(&mut self, times: u32) -> Result<(), BenchError> {
+        again(&self.gpu, &self.recording, times)
+    }
+
+    fn work(&self) -> Result<Work, BenchError> {
+        Ok(Work { pixels: self.pixels, ..Work::default() })
+    }
+}
+
+/// The radix sort of random keys.
+pub(super) struct Sorting {
+    gpu: Gpu,
+    recording: Recording,
+    keys: usize,
+    passes: usize,
+}
+
+impl Sorting {
+    pub(super) fn new(gpu: &Gpu, keys: usize, seed: u64) -> Result<Self, BenchError> {
+        let counters = Counters::new(gpu, 1)?;
+        let sort = RadixSort::new(gpu, keys, KEY_BITS, &counters, 0)?;
+        count(gpu, &counters, keys)?;
+        let mut random = Pcg64::seed_from_u64(seed);
+        let unsorted: Vec<u32> = (0..keys).map(|_| random.random()).collect();
+        let unsorted: Buffer<u32> = gpu.upload("unsorted keys", &unsorted)?;
+        let mut recorder = gpu.recorder();
+        // Each time the same keys: what is sorted already is read in another pattern.
+        recorder.copy(&unsorted, sort.keys(), keys)?;
+        sort.record(&mut recorder, &counters)?;
+        Ok(Self { gpu: gpu.clone(), recording: recorder.finish(), keys, passes: sort.passes() })
+    }
+}
+
+impl Subject for Sorting {
+    fn repeat(&mut self, times: u32) -> Result<(), BenchError> {
+        again(&self.gpu, &self.recording, times)
+    }
+
+    fn work(&self) -> Result<Work, BenchError> {
+        Ok(Work { keys: self.keys, key_passes: self.passes, ..Work::default() })
+    }
+}
+
+/// Writes the number of keys where the sort looks for it.
+fn count(gpu: &Gpu, counters: &Counters, keys: usize) -> Result<(), GpuError> {
+    let total = gpu.upload("total", &[keys as u32])?;
+    let (shift, per_block) = (0, 1);
+    let row = SortParameters {
+        shift,
+        source: FIXED,
+        capacity: 1,
+        result: 0,
+        result_capacity: keys as u32,
+        per_block,
+    };
+    let row = gpu.upload("parameters", &[row])?;
+    let mut recorder = gpu.recorder();
+    recorder.dispatch(&SCAN, &[&row, &counters.values, &total, &counters.arguments], [1, 1, 1])?;
+    recorder.submit().map(|_| ())
+}
+
+fn again(gpu: &Gpu, recording: &Recording, times: u32) -> Result<(), BenchError> {
+    for _ in 0..times {
+        recording.submit()?;
+    }
+    Ok(gpu.wait()?)
+}

@@ -1,0 +1,132 @@
+//! The report as one table: a line a case, and below it one a kernel.
+
+use std::fmt::Write;
+
+use super::report::{Case, JobTimes, KernelRow, Report};
+use crate::event::Stage;
+
+/// The columns, with their widths in `row`.
+const HEAD: [&str; 8] =
+    ["", "ms a step", "share", "dispatches", "MB", "Mop", "of the bandwidth", "of the arithmetic"];
+
+pub(super) fn table(report: &Report) -> String {
+    let mut out = head(report);
+    out += &row(&HEAD.map(str::to_owned));
+    for case in &report.cases {
+        out += &case_lines(case);
+    }
+    if let Some(job) = &report.job {
+        out += &job_lines(job);
+    }
+    if let Some(bytes) = report.peak_resident_bytes {
+        line(&mut out, format_args!("\nThe process had at most {} MB resident.", megabytes(bytes)));
+    }
+    out
+}
+
+fn head(report: &Report) -> String {
+    let (machine, yardsticks) = (&report.machine, &report.yardsticks);
+    let subgroup = match machine.subgroup {
+        Some((least, most)) if least == most => format!("subgroups of {least}"),
+        Some((least, most)) => format!("subgroups of {least} to {most}"),
+        None => "no subgroups".to_owned(),
+    };
+    let clock = if machine.timestamps { "" } else { ", no timestamps: kernels are not timed" };
+    let mut out = String::new();
+    line(&mut out, format_args!("fled {} on {} ({})", report.fled, machine.adapter, machine.driver));
+    line(&mut out, format_args!("{subgroup}, {} host threads{clock}", machine.threads));
+    line(
+        &mut out,
+        format_args!(
+            "yardsticks: {:.1} GFLOP/s, {:.2} GB/s\n",
+            yardsticks.fma_gflops, yardsticks.copy_gb_per_second
+        ),
+    );
+    out
+}
+
+fn case_lines(case: &Case) -> String {
+    let mut out = String::new();
+    let counts = [
+        ("visible", case.visible),
+        ("intersections", case.intersections),
+        ("blended pairs", case.blended_pairs),
+        ("taps", case.taps),
+    ];
+    let counts: String =
+        counts.iter().filter_map(|(name, count)| count.map(|count| format!(", {count} {name}"))).collect();
+    let sum = case.kernel_milliseconds.map_or(String::new(), |ms| format!(", kernels {ms:.3} ms"));
+    line(
+        &mut out,
+        format_args!(
+            "\n{}: {:.2}/s, {:.3} ms{sum}, {} MB on the device{counts}",
+            case.name,
+            case.steps_per_second,
+            case.milliseconds,
+            megabytes(case.gpu_peak_bytes)
+        ),
+    );
+    out + &case.kernels.iter().map(kernel_line).collect::<String>()
+}
+
+fn kernel_line(kernel: &KernelRow) -> String {
+    let amount = |value: Option<u64>| value.map_or(unknown(), |value| format!("{:.2}", value as f64 / 1e6));
+    let share = |value: Option<f64>| value.map_or(unknown(), |value| format!("{:.1} %", 100.0 * value));
+    row(&[
+        format!("  {}", kernel.kernel),
+        format!("{:.3}", kernel.milliseconds),
+        share(Some(kernel.share)),
+        kernel.dispatches.to_string(),
+        amount(kernel.bytes),
+        amount(kernel.operations),
+        share(kernel.bandwidth_share),
+        share(kernel.arithmetic_share),
+    ])
+}
+
+fn job_lines(job: &JobTimes) -> String {
+    let mut out = String::new();
+    line(
+        &mut out,
+        format_args!(
+            "\nthe whole job, preset {}: {:.1} s, {} views, {} rounds, {} steps ({:.1}/s in the last round), \
+             {} Gaussians, {} MB on the device",
+            job.preset,
+            job.seconds,
+            job.views,
+            job.rounds,
+            job.steps,
+            job.steps_per_second,
+            job.gaussians,
+            megabytes(job.gpu_peak_bytes)
+        ),
+    );
+    for (stage, seconds) in Stage::ALL.iter().filter_map(|stage| job.stages.get_key_value(stage.name())) {
+        line(
+            &mut out,
+            format_args!("  {stage:<34}{seconds:>10.2} s{:>8.1} %", 100.0 * seconds / job.seconds),
+        );
+    }
+    out
+}
+
+fn row(cells: &[String; 8]) -> String {
+    let [name, rest @ ..] = cells;
+    let widths = [10, 9, 12, 10, 11, 18, 19];
+    let rest: String = rest.iter().zip(widths).map(|(cell, width)| format!("{cell:>width$}")).collect();
+    format!("{name:<34}{rest}\n")
+}
+
+fn unknown() -> String {
+    "-".to_owned()
+}
+
+fn megabytes(bytes: u64) -> String {
+    format!("{:.1}", bytes as f64 / 1e6)
+}
+
+/// Appends a line; a string takes everything.
+fn line(out: &mut String, text: std::fmt::Arguments<'_>) {
+    let written = writeln!(out, "{text}");
+    debug_assert!(written.is_ok());
+}

@@ -1,0 +1,138 @@
+//! What the device can do at all: the most arithmetic and the most bandwidth that a plain kernel gets.
+
+use std::time::Instant;
+
+use bytemuck::{Pod, Zeroable};
+use fled_gpu::{Buffer, Gpu, GpuError, Kernel, Recording, read, read_write, uniform};
+
+use super::measure::median;
+
+const FMA: Kernel = Kernel::new("bench/fma", &[uniform("size"), read_write("sums")]);
+const COPY: Kernel = Kernel::new("bench/copy", &[uniform("size"), read("source"), read_write("copied")]);
+
+/// `FMAS` of shaders/bench/fma.wgsl.
+const FMAS: u64 = 24;
+/// Invocations of the kernel of arithmetic: they fill the largest devices.
+const INVOCATIONS: usize = 1 << 18;
+/// Rounds are added until the kernel takes so many seconds: far above the cost of a dispatch.
+const LONG_ENOUGH: f64 = 4e-3;
+const MOST_ROUNDS: u32 = 1 << 16;
+/// Bytes that are copied: more than the caches of large devices hold.
+const COPIED: u64 = 128 << 20;
+/// Times of each, of which the median counts.
+const REPEATS: usize = 7;
+
+/// Operations and bytes a second.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Yardstick {
+    /// Operations a second; a fused multiply-add is two.
+    pub(super) operations: f64,
+    /// Bytes read and written a second.
+    pub(super) bytes: f64,
+}
+
+/// `YardstickUniform` of shaders/bench.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Pod, Zeroable)]
+struct YardstickUniform {
+    count: u32,
+    rounds: u32,
+    factor: f32,
+    offset: f32,
+}
+
+impl YardstickUniform {
+    fn new(count: usize, rounds: u32) -> Self {
+        // Chains run towards 500: neither overflow nor numbers that are slow for being small.
+        Self { count: count as u32, rounds, factor: 0.999, offset: 0.5 }
+    }
+}
+
+pub(super) fn measure(gpu: &Gpu) -> Result<Yardstick, GpuError> {
+    Ok(Yardstick { operations: arithmetic(gpu)?, bytes: bandwidth(gpu)? })
+}
+
+fn arithmetic(gpu: &Gpu) -> Result<f64, GpuError> {
+    let sums: Buffer<[f32; 4]> = gpu.create("yardstick", INVOCATIONS)?;
+    let mut rounds = 16;
+    let size = gpu.upload("yardstick size", &[YardstickUniform::new(INVOCATIONS, rounds)])?;
+    let mut recorder = gpu.recorder();
+    recorder.dispatch_items(&FMA, &[&size, &sums], INVOCATIONS)?;
+    let recording = recorder.finish();
+    seconds(gpu, &recording)?;
+    while rounds < MOST_ROUNDS && seconds(gpu, &recording)? < LONG_ENOUGH {
+        rounds *= 2;
+        size.write(&[YardstickUniform::new(INVOCATIONS, rounds)])?;
+    }
+    let operations = 2 * 4 * FMAS * u64::from(rounds) * INVOCATIONS as u64;
+    Ok(operations as f64 / typical(gpu, &recording)?)
+}
+
+fn bandwidth(gpu: &Gpu) -> Result<f64, GpuError> {
+    let count = (COPIED.min(gpu.describe().max_binding) / 16) as usize;
+    let source: Buffer<[f32; 4]> = gpu.create("yardstick source", count)?;
+    let copied: Buffer<[f32; 4]> = gpu.create("yardstick copy", count)?;
+    let size = gpu.upload("yardstick size", &[YardstickUniform::new(count, 0)])?;
+    let mut recorder = gpu.recorder();
+    recorder.dispatch_items(&COPY, &[&size, &source, &copied], count)?;
+    let recording = recorder.finish();
+    seconds(gpu, &recording)?;
+    Ok((2 * 16 * count) as f64 / typical(gpu, &recording)?)
+}
+
+fn typical(gpu: &Gpu, recording: &Recording) -> Result<f64, GpuError> {
+    let times = (0..REPEATS).map(|_| seconds(gpu, recording)).collect::<Result<_, _>>()?;
+    Ok(median(times).max(1e-9))
+}
+
+/// Seconds of one submission: of the device's clock, or of the host's where the device has none.
+fn seconds(gpu: &Gpu, recording: &Recording) -> Result<f64, GpuError> {
+    gpu.profile(true);
+    let begin = Instant::now();
+    let submitted = recording.submit().and_then(|_| gpu.wait());
+    let wall = begin.elapsed().as_secs_f64();
+    let timed = gpu.profiled();
+    gpu.profile(false);
+    submitted?;
+    Ok(timed.first().map_or(wall, |(_, time)| time.total.as_secs_f64()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Not the device of other tests: a device is profiled as a whole.
+    fn gpu() -> Gpu {
+        Gpu::new("auto").expect("GPU tests need a Vulkan adapter; lavapipe will do")
+    }
+
+    #[test]
+    fn the_yardsticks_have_the_layout_and_the_length_of_their_shaders() {
+        let (_, fma) = FMA.reflect().expect("valid");
+        let (_, copy) = COPY.reflect().expect("valid");
+        assert_eq!(fma.constant("FMAS"), Some(FMAS as f64));
+        for found in [fma, copy] {
+            let size = found.structure("YardstickUniform").expect("declared").size as usize;
+            assert_eq!(size, size_of::<YardstickUniform>());
+        }
+    }
+
+    #[test]
+    fn the_device_computes_and_copies_something() {
+        let found = measure(&gpu()).expect("measured");
+        assert!(found.operations > 1e6 && found.bytes > 1e6, "{found:?}");
+    }
+
+    #[test]
+    fn a_copy_copies() {
+        let gpu = gpu();
+        let source = gpu.upload("source", &[[1.0_f32, 2.0, 3.0, 4.0]; 5]).expect("uploaded");
+        let copied: Buffer<[f32; 4]> = gpu.create("copied", 5).expect("created");
+        let size = gpu.upload("size", &[YardstickUniform::new(4, 0)]).expect("uploaded");
+        let mut recorder = gpu.recorder();
+        recorder.dispatch_items(&COPY, &[&size, &source, &copied], 4).expect("recorded");
+        recorder.submit().expect("submitted");
+        let values = copied.read().expect("read");
+        assert_eq!((values[3], values[4]), ([1.0, 2.0, 3.0, 4.0], [0.0; 4]));
+    }
+}

@@ -1,0 +1,67 @@
+//! A round a few steps at a time, for whoever measures training.
+
+use fled_gpu::{Gpu, GpuError};
+
+use super::Trainer;
+use crate::cancel::CancelToken;
+use crate::gaussians::Gaussians;
+use crate::noise::NoiseWork;
+use crate::reconstruct::{ReconstructError, TrainConfig, TrainHooks, TrainStart, TrainingView};
+use crate::splat::rasterize::SplatWork;
+
+/// The loop of [`train`](crate::reconstruct::train) itself, stopped and gone on with: what is measured is
+/// what runs. Makes no checkpoints.
+pub struct Stepper<'a>(Trainer<'a>);
+
+impl<'a> Stepper<'a> {
+    /// A round that begins with `gaussians` at the step `first`, as if those before it had been trained:
+    /// what a step does depends on where in the round it lies. Adam's moments are zero.
+    ///
+    /// # Errors
+    /// As [`train`](crate::reconstruct::train).
+    pub fn new(
+        gpu: &'a Gpu,
+        views: &'a [TrainingView],
+        gaussians: Gaussians,
+        config: &'a TrainConfig,
+        first: u32,
+    ) -> Result<Self, ReconstructError> {
+        let mut trainer = Trainer::new(gpu, views, TrainStart::Fresh(gaussians), config)?;
+        trainer.next = first.min(config.steps);
+        Ok(Self(trainer))
+    }
+
+    /// Trains `steps` steps, fewer at the end of the round, and waits for the last of them.
+    ///
+    /// # Errors
+    /// As [`train`](crate::reconstruct::train).
+    pub fn advance(&mut self, steps: u32, cancel: &CancelToken) -> Result<(), ReconstructError> {
+        let last = self.0.next.saturating_add(steps).min(self.0.config.steps);
+        let mut hooks = TrainHooks { cancel, progress: &mut |_, _, _| {}, checkpoint: None };
+        self.0.train_to(last, &mut hooks)
+    }
+
+    /// The scene as it stands.
+    #[cfg(test)]
+    pub(in crate::reconstruct) fn gaussians(&self) -> Gaussians {
+        self.0.gaussians.download().expect("read")
+    }
+
+    /// How much the last step had to sort and blend; reads it back from the device.
+    ///
+    /// # Errors
+    /// A device error.
+    pub fn splat_work(&self) -> Result<SplatWork, GpuError> {
+        self.0.raster.work()
+    }
+
+    /// Taps of the kernel by which the last step's view is shaken; `None` when shake is off.
+    pub fn taps(&self) -> Option<usize> {
+        self.0.shake.as_ref()?.kernels().nth(self.0.last_view).map(|kernel| kernel.taps().len())
+    }
+
+    /// How much the noise field works in a step; `None` when it is off.
+    pub fn noise_work(&self) -> Option<NoiseWork> {
+        self.0.noise.as_ref().map(crate::noise::NoiseField::work)
+    }
+}

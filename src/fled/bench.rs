@@ -1,0 +1,174 @@
+//! `fled bench`: what fled's work costs on this machine.
+
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use fled_core::bench::report::JobTimes;
+use fled_core::bench::{self, BenchError, BenchOptions, Budget, MOST_STEPS, Workload};
+use fled_core::cancel::CancelToken;
+use fled_core::capture::Capture;
+use fled_core::event::Event;
+use fled_core::pipeline::config::Preset;
+use fled_core::pipeline::error::{ErrorKind, PipelineError};
+use fled_core::pipeline::workspace::Workspace;
+use fled_core::pipeline::{self};
+use fled_core::reconstruct::ReconstructError;
+use fled_gpu::Gpu;
+
+use crate::failure::{Failure, io};
+use crate::{synth, tools};
+
+/// Arguments of `fled bench`.
+#[derive(clap::Args)]
+pub struct Args {
+    /// Sizes of the images in px, separated by commas.
+    #[arg(long, value_delimiter = ',', value_name = "WxH", value_parser = synth::size)]
+    sizes: Vec<(usize, usize)>,
+    /// Numbers of Gaussians, separated by commas; `10k` is 10,000.
+    #[arg(long, value_delimiter = ',', value_name = "N", value_parser = count)]
+    gaussians: Vec<usize>,
+    /// Most steps of a case, once without timestamps and once with them.
+    #[arg(long, value_parser = clap::value_parser!(u32).range(1..=i64::from(MOST_STEPS)))]
+    steps: Option<u32>,
+    /// Most seconds of a case, twice; three steps are always made.
+    #[arg(long)]
+    seconds: Option<f64>,
+    /// One small size and a few steps: shows that everything runs.
+    #[arg(long)]
+    quick: bool,
+    /// Run this capture too, whole, and measure its scene.
+    #[arg(long, value_name = "DIR")]
+    capture: Option<PathBuf>,
+    /// Preset of the capture's run.
+    #[arg(long, default_value = "preview", requires = "capture")]
+    preset: Preset,
+    /// One option over the preset's, for the capture's run; may be repeated.
+    #[arg(long = "set", value_name = "KEY=VALUE", requires = "capture")]
+    assignments: Vec<String>,
+    /// Where the JSON goes.
+    #[arg(long, value_name = "FILE")]
+    json: Option<PathBuf>,
+    /// Part of an adapter's name, or auto.
+    #[arg(long, default_value = "auto")]
+    adapter: String,
+    #[command(flatten)]
+    tools: tools::Args,
+}
+
+impl Args {
+    fn options(&self) -> Result<BenchOptions, Failure> {
+        let mut options = if self.quick { BenchOptions::quick() } else { BenchOptions::default() };
+        if !self.sizes.is_empty() {
+            options.sizes.clone_from(&self.sizes);
+        }
+        if !self.gaussians.is_empty() {
+            options.gaussians.clone_from(&self.gaussians);
+        }
+        let seconds = self.seconds.unwrap_or(options.budget.seconds);
+        if !(seconds.is_finite() && seconds > 0.0) {
+            return Err(Failure::usage(format!("--seconds {seconds} is not above 0")));
+        }
+        options.budget = Budget { seconds, steps: self.steps.unwrap_or(options.budget.steps) };
+        Ok(options)
+    }
+}
+
+/// Parses a number of Gaussians.
+fn count(text: &str) -> Result<usize, String> {
+    let (digits, unit) = match text.strip_suffix(['k', 'K']) {
+        Some(digits) => (digits, 1000),
+        None => (text, 1),
+    };
+    let parsed = digits.parse::<usize>().ok().and_then(|n| n.checked_mul(unit));
+    parsed
+        .filter(|n| (1..=5_000_000).contains(n))
+        .ok_or_else(|| format!("`{text}` is no number of Gaussians up to 5000k"))
+}
+
+/// Measures, prints the table and writes the JSON.
+///
+/// # Errors
+/// [`Failure`], of kind `environment` without an adapter.
+pub fn main(args: &Args) -> Result<(), Failure> {
+    let options = args.options()?;
+    let cancel = tools::cancel_on_signals()?;
+    let gpu = Gpu::new(&args.adapter).map_err(|e| Failure::new(ErrorKind::Environment, e))?;
+    // The job comes first: what is wrong with a capture should not show after minutes.
+    let job = args.capture.as_deref().map(|capture| run_job(args, capture, &cancel)).transpose()?;
+    eprintln!("measuring on {}", gpu.describe());
+    let mut report = bench::run(&gpu, &options, &mut progress, &cancel)?;
+    if let Some((times, scene)) = job {
+        bench::run_scene(&gpu, &scene, &mut report, &mut progress, &cancel)?;
+        report.job = Some(times);
+    }
+    print(&report.table())?;
+    if let Some(path) = &args.json {
+        let json = serde_json::to_string_pretty(&report).map_err(|e| Failure::new(ErrorKind::Internal, e))?;
+        std::fs::write(path, json + "\n").map_err(io(path))?;
+    }
+    Ok(())
+}
+
+fn progress(done: usize, total: usize, name: &str) {
+    eprintln!("[{}/{total}] {name}", done + 1);
+}
+
+fn print(table: &str) -> Result<(), Failure> {
+    use std::io::Write;
+    std::io::stdout().lock().write_all(table.as_bytes()).map_err(|e| Failure::new(ErrorKind::Io, e))
+}
+
+/// `fled run` in a folder that is removed afterwards: its times, and the scene it left. Poses are found anew, for
+/// they are a stage like any other.
+fn run_job(args: &Args, capture: &Path, cancel: &CancelToken) -> Result<(JobTimes, Workload), Failure> {
+    let mut options = args.preset.options();
+    for assignment in &args.assignments {
+        options = options.with_assignment(assignment)?;
+    }
+    options.adapter.clone_from(&args.adapter);
+    let folder = tempfile::tempdir().map_err(|e| Failure::new(ErrorKind::Io, e))?;
+    let workspace = Workspace::open(folder.path())?;
+    eprintln!("running {} with preset {}", capture.display(), args.preset.name());
+    let begin = Instant::now();
+    let capture = Capture::open(capture, &workspace.work().join("capture")).map_err(PipelineError::from)?;
+    let places = tools::Args { cache: Some("none".into()), ..args.tools.clone() };
+    let mut kit = tools::Kit::new(&places, &options, &capture)?;
+    let outcome = pipeline::run(&capture, &options, &mut kit.tools(), &workspace, &mut tell_stage, cancel)?;
+    let seconds = begin.elapsed().as_secs_f64();
+    let times = JobTimes::new(args.preset.name(), &outcome.report, seconds, kit.gpu().memory().peak);
+    Ok((times, Workload::of_run(folder.path())?))
+}
+
+/// Tells each stage as it begins.
+fn tell_stage(event: &Event) {
+    if let Event::StageStarted { stage, round } = event {
+        eprintln!("  {} (round {round})", stage.name());
+    }
+}
+
+impl From<BenchError> for Failure {
+    fn from(error: BenchError) -> Self {
+        match error {
+            BenchError::Gpu(error) => PipelineError::from(ReconstructError::Gpu(error)).into(),
+            BenchError::Reconstruct(error) => PipelineError::from(error).into(),
+            BenchError::Render(error) => PipelineError::from(error).into(),
+            BenchError::Scene(error) => PipelineError::from(error).into(),
+            BenchError::Cancelled(error) => PipelineError::from(error).into(),
+            BenchError::Empty(_) | BenchError::Steps(_) => Self::usage(error),
+            BenchError::Image(_) | BenchError::Run(_) => Self::new(ErrorKind::Io, error),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_k_stands_for_a_thousand_and_nonsense_is_refused() {
+        assert_eq!((count("10k"), count("2500")), (Ok(10_000), Ok(2_500)));
+        for wrong in ["", "k", "0", "ten", "-3", "9999999k", "99999999999999999999"] {
+            assert!(count(wrong).is_err(), "{wrong}");
+        }
+    }
+}
