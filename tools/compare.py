@@ -22,6 +22,7 @@ VARIANTS = [
     ("+ deblurring network", ["rounds=1", "noise=off", "shake=off"]),
     ("+ shake kernels", ["rounds=1", "deblur=identity", "noise=off", "shake=kernel"]),
     ("+ all three", ["rounds=1"]),
+    ("2 rounds, no network", ["rounds=2", "deblur=identity"]),
     ("2 rounds, guided (fled)", ["rounds=2"]),
 ]
 
