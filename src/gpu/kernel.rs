@@ -4,7 +4,7 @@ use std::borrow::Cow;
 use std::sync::Arc;
 
 use crate::reflect::{self, Reflection};
-use crate::{Gpu, GpuError, shader};
+use crate::{DeviceType, Gpu, GpuError, shader};
 
 /// How a kernel uses a binding.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -125,11 +125,18 @@ impl Gpu {
     }
 
     fn compile(&self, kernel: &Kernel) -> Result<Pipeline, GpuError> {
-        let (text, reflection) = kernel.reflect()?;
+        let (mut text, reflection) = kernel.reflect()?;
+        // Mesa's software driver specialises a kernel for the uniforms it meets, and beyond some thousand of them
+        // compiles at every dispatch. Storage it leaves alone. Measured with 22.3 on fox, `preview`, noise field on:
+        // 10.8 steps/s with storage, 3.8 after 265 steps and falling with uniforms.
+        let stored = self.describe().device_type == DeviceType::Cpu;
+        if stored {
+            text = text.replace("var<uniform>", "var<storage, read>");
+        }
         let device = &self.inner.device;
         let scope = device.push_error_scope(wgpu::ErrorFilter::Validation);
         let entries: Vec<_> =
-            kernel.bindings.iter().zip(0..).map(|(b, i)| layout_entry(i, b.access)).collect();
+            kernel.bindings.iter().zip(0..).map(|(b, i)| layout_entry(i, b.access, stored)).collect();
         let layout = device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
             label: Some(kernel.name),
             entries: &entries,
@@ -168,10 +175,10 @@ fn create_module(device: &wgpu::Device, kernel: &Kernel, text: String) -> wgpu::
     unsafe { device.create_shader_module_trusted(descriptor, wgpu::ShaderRuntimeChecks::unchecked()) }
 }
 
-fn layout_entry(binding: u32, access: Access) -> wgpu::BindGroupLayoutEntry {
+fn layout_entry(binding: u32, access: Access, stored: bool) -> wgpu::BindGroupLayoutEntry {
     let ty = match access {
-        Access::Uniform => wgpu::BufferBindingType::Uniform,
-        Access::Read => wgpu::BufferBindingType::Storage { read_only: true },
+        Access::Uniform if !stored => wgpu::BufferBindingType::Uniform,
+        Access::Uniform | Access::Read => wgpu::BufferBindingType::Storage { read_only: true },
         Access::ReadWrite => wgpu::BufferBindingType::Storage { read_only: false },
     };
     wgpu::BindGroupLayoutEntry {
