@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::fs;
+use std::path::Path;
 
 use serde_json::json;
 
@@ -9,6 +10,8 @@ use super::Outcome;
 use super::error::PipelineError;
 use super::job::Job;
 use super::judge::BRIGHTENED;
+use super::training::Training;
+use crate::camera::NamedCamera;
 use crate::event::Event;
 use crate::metrics::Report;
 use crate::poses::Poses;
@@ -96,6 +99,7 @@ impl Job<'_, '_> {
         let scene = if brightened.exists() { brightened } else { best.join("scene.ply") };
         let bytes = fs::read(&scene).map_err(|e| PipelineError::io(&scene, e))?;
         self.workspace.write(&self.workspace.path("scene.ply"), &bytes)?;
+        self.deliver_cameras(&best)?;
         let seconds = self.started.elapsed().as_secs_f64();
         self.workspace.stamp("run", &self.inputs, seconds)?;
         let work = self.workspace.work();
@@ -112,5 +116,19 @@ impl Job<'_, '_> {
         self.sink.event(&Event::Progress { progress: 1.0, eta_seconds: Some(0.0) });
         self.sink.event(&Event::Finished { best_round: report.best_round, seconds });
         Ok(Outcome { report })
+    }
+
+    /// The cameras as the delivered round found them; a later round has moved them a little.
+    fn deliver_cameras(&self, best: &Path) -> Result<(), PipelineError> {
+        let path = self.workspace.path("cameras.json");
+        let training: Option<Training> = self.workspace.read_json(&best.join("training.json"));
+        let named: Option<Vec<NamedCamera>> = self.workspace.read_json(&path);
+        let (Some(training), Some(named)) = (training, named) else { return Ok(()) };
+        let placed: Vec<NamedCamera> = named
+            .into_iter()
+            .zip(&training.cameras)
+            .map(|(named, camera)| NamedCamera::new(named.name, camera, named.split))
+            .collect();
+        self.workspace.write_json(&path, &placed)
     }
 }

@@ -200,6 +200,14 @@ mod tests {
     }
 
     #[test]
+    fn cameras_are_corrected_once_there_are_edges() {
+        let steps = |plan: Schedule| (0..1_000).filter(move |&s| plan.refines_poses(s)).collect::<Vec<_>>();
+        assert_eq!(steps(PLAN), [400, 600, 800]);
+        assert_eq!(steps(Schedule { warm: true, ..PLAN }), [200, 400, 600, 800]);
+        assert!(steps(PLAN).iter().all(|&s| PLAN.divisor(s) == 1));
+    }
+
+    #[test]
     fn densification_keeps_to_its_window() {
         assert_eq!(PLAN.densify_interval(), 50);
         assert!(!PLAN.densifies(0) && PLAN.densifies(50) && !PLAN.densifies(51) && !PLAN.densifies(800));

@@ -38,6 +38,16 @@ fn the_layout_is_lush_nerfs_and_the_poses_are_the_cameras() {
 }
 
 #[test]
+fn every_view_has_near_neighbours_on_both_sides() {
+    let options = SynthOptions::default();
+    let cameras = path::cameras(options.views, options.intrinsics(), 7);
+    let gap = |i: usize| cameras[i].centre().distance(cameras[(i + 1) % cameras.len()].centre());
+    let gaps: Vec<f64> = (0..cameras.len()).map(gap).collect();
+    let mean = gaps.iter().sum::<f64>() / gaps.len() as f64;
+    assert!(gaps.iter().all(|&gap| gap < 2.0 * mean), "the loop is open: {gaps:?}");
+}
+
+#[test]
 fn without_blur_and_noise_the_dark_image_is_the_truth_under_the_exposure() {
     let dir = tempfile::tempdir().unwrap();
     let options = SynthOptions { blur: 0.0, noise: 0.0, exposure: 0.25, ..small(5) };
