@@ -58,21 +58,30 @@ def enhance(images, alpha, gamma):
 
 
 def automatic_target(images, mean=0.45):
-    """(alpha_N, gamma_N) such that the pooled mean of V is `mean`: alpha 10, gamma in 0.3..1."""
+    """(alpha_N, gamma_N) whose curve brings the pooled V to `mean` and is closest to a longer exposure that does."""
     counts = histogram(images)
+    weights, v = counts / counts.sum(), np.arange(BINS) / (BINS - 1)
+    light = np.where(v <= 0.04045, v / 12.92, ((v + 0.055) / 1.055) ** 2.4)
 
-    def pooled(alpha, gamma):
+    def exposed(gain):
+        x = gain * light
+        return np.minimum(np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055), 1.0)
+
+    def bisect(low, high, brightness):
+        for _ in range(40):
+            middle = 0.5 * (low + high)
+            low, high = (middle, high) if brightness(middle) <= mean else (low, middle)
+        return low
+
+    if weights @ v >= mean:
+        return 0.1, 1.0
+    wanted = exposed(np.exp(bisect(0.0, np.log(4096.0), lambda exponent: weights @ exposed(np.exp(exponent)))))
+    best = None
+    for alpha in np.geomspace(0.1, 15.0, 61):
         lut = table(counts, alpha)
-        return float(np.mean([value(apply(image, lut, gamma)).mean() for image in images]))
-
-    alpha = 10.0
-    while pooled(alpha, 1.0) > mean and alpha > 0.1:
-        alpha *= 0.8
-    low, high = 0.3, 1.0
-    for _ in range(20):
-        gamma = 0.5 * (low + high)
-        if pooled(alpha, gamma) > mean:
-            low = gamma
-        else:
-            high = gamma
-    return alpha, 0.5 * (low + high)
+        gamma = -bisect(-1.0, -0.3, lambda minus: weights @ lut ** -minus)
+        missed = abs(weights @ lut**gamma - mean)
+        score = (missed if missed >= 1e-3 else 0.0, weights @ (lut**gamma - wanted) ** 2)
+        if best is None or score < best[0]:
+            best = score, (float(alpha), float(gamma))
+    return best[1]

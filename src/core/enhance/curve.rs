@@ -65,7 +65,12 @@ impl Histogram {
 
     /// The mean of V after a curve; 0 when nothing was counted.
     pub fn mean_through(&self, curve: &ToneCurve) -> f64 {
-        let mapped = |(k, count): (usize, &f64)| count * curve.map_v(k as f32 / (BINS - 1) as f32) as f64;
+        self.mean_of(|v| f64::from(curve.map_v(v as f32)))
+    }
+
+    /// The mean of a function of V; 0 when nothing was counted.
+    pub fn mean_of(&self, function: impl Fn(f64) -> f64) -> f64 {
+        let mapped = |(k, count): (usize, &f64)| count * function(k as f64 / (BINS - 1) as f64);
         let total = self.total();
         if total > 0.0 { self.bins.iter().enumerate().map(mapped).sum::<f64>() / total } else { 0.0 }
     }
