@@ -208,3 +208,31 @@ fn meet_ball(origin: DVec3, ray: DVec3, radius: f64) -> Option<Hit> {
     let surface = DVec2::new(normal.z.atan2(normal.x), normal.y.clamp(-1.0, 1.0).asin()) * radius;
     (distance > 1e-6).then_some(Hit { distance, normal, surface, face: 0 })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const UP: DVec3 = DVec3::new(0.0, -1.0, 0.0);
+    const BELOW_THE_LAMP: DVec3 = DVec3::new(0.7, 1.4, -1.6);
+    const BEHIND_A_BLOCK: DVec3 = DVec3::new(-0.01, 1.4, -0.3);
+
+    #[test]
+    fn the_lamp_falls_off_with_the_square_of_the_distance_and_the_cosine() {
+        let room = Scene::room();
+        let (below, height) = (room.lamp_light(BELOW_THE_LAMP, UP), 3.6);
+        assert!((below - (WHITE_AT / height).powi(2)).abs() < 1e-9, "{below}");
+        let aside = BELOW_THE_LAMP - DVec3::new(0.0, 0.0, 1.8);
+        let expected = WHITE_AT.powi(2) * height / (height * height + 1.8 * 1.8).powf(1.5);
+        assert!((room.lamp_light(aside, UP) - expected).abs() < 1e-9);
+        assert_eq!(room.lamp_light(BELOW_THE_LAMP, -UP), 0.0);
+    }
+
+    #[test]
+    fn what_a_block_hides_from_the_lamp_is_in_its_shadow() {
+        let mut room = Scene::room();
+        assert_eq!(room.lamp_light(BEHIND_A_BLOCK, UP), 0.0);
+        room.solids.truncate(1);
+        assert!(room.lamp_light(BEHIND_A_BLOCK, UP) > 0.3);
+    }
+}
