@@ -21,9 +21,10 @@ VARIANTS = [
     ("+ noise field", ["rounds=1", "deblur=identity", "noise=grid", "shake=off"]),
     ("+ deblurring network", ["rounds=1", "noise=off", "shake=off"]),
     ("+ shake kernels", ["rounds=1", "deblur=identity", "noise=off", "shake=kernel"]),
-    ("+ all three", ["rounds=1"]),
-    ("2 rounds, no network", ["rounds=2", "deblur=identity"]),
-    ("2 rounds, guided (fled)", ["rounds=2"]),
+    ("+ all three", ["rounds=1", "train_on=deblurred"]),
+    ("2 rounds, trained on deblurred views", ["rounds=2", "train_on=deblurred"]),
+    ("2 rounds, trained on deblurred views, no shake kernels", ["rounds=2", "shake=off"]),
+    ("2 rounds (fled)", ["rounds=2"]),
 ]
 
 

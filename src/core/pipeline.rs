@@ -14,6 +14,7 @@ mod job;
 mod judge;
 mod plan;
 mod result;
+mod score;
 mod stages;
 mod tone;
 mod training;
@@ -86,7 +87,8 @@ pub fn run(
         let enhanced = job.enhance(i, &views, anchor)?; // H_i = E(L; P_i)
         let deblurred = job.deblur(i, &views, &enhanced, guides.as_deref())?; // D_i
         let response = job.response(&views, anchor); // f: light -> values of H_i
-        let material = Material { round: i, views: &views, deblurred: &deblurred, response };
+        let images = if options.trains_on_enhanced() { &enhanced } else { &deblurred };
+        let material = Material { round: i, views: &views, images, response };
         let scene = job.reconstruct(&material, &poses, previous.take())?; // V_i
         job.place(&mut views, &scene)?;
         let renders = job.render(i, &views, &scene)?; // R_i

@@ -102,18 +102,3 @@ pub fn means(
 pub fn mean(images: &[Image], measure: impl Fn(&Image) -> f64 + Sync + Send) -> f64 {
     images.par_iter().map(measure).collect::<Vec<_>>().iter().sum::<f64>() / images.len() as f64
 }
-
-/// The score by which rounds are compared: SSIM of the renders at the target brightness against the
-/// enhanced views, of held-out views where there are any. Never ground truth: a capture that brings
-/// it must be delivered the same scene as one that does not.
-pub fn score(records: &[Record]) -> Option<f64> {
-    let find = |split: Split| {
-        records.iter().find(|r| {
-            r.split == split
-                && r.reference == Reference::Enhanced
-                && r.image == ImageKind::Render
-                && r.brightness == Brightness::Final
-        })
-    };
-    find(Split::HeldOut).or_else(|| find(Split::Train)).map(|r| r.ssim)
-}

@@ -55,6 +55,8 @@ impl<'a, 't> Job<'a, 't> {
         let adapter = tools.gpu.describe();
         sink.log(format!("adapter: {adapter}"));
         sink.log(format!("deblur: {} on {}", deblurrer.id, deblurrer.provider));
+        let trained_on = if options.trains_on_enhanced() { "enhanced" } else { "deblurred" };
+        sink.log(format!("the scene is trained on the {trained_on} views"));
         for fallback in &tools.fallbacks {
             sink.warn("fallback", fallback.clone());
         }

@@ -2,11 +2,12 @@
 
 use rayon::prelude::*;
 
-use super::config::LutScope;
+use super::config::{LutScope, ShakeModel};
 use super::error::PipelineError;
 use super::evaluate::{self, RoundImages};
 use super::guide;
 use super::job::Job;
+use super::score;
 use super::tone::Tone;
 use super::training::Scene;
 use super::views::View;
@@ -28,6 +29,8 @@ const MATCHED_VIEWS: usize = 6;
 pub struct Next {
     /// P_i, which this round was brightened to.
     anchor: Anchor,
+    /// P_N.
+    target: Anchor,
     /// HR, at the next round's brightness; the last round's renders themselves.
     pub guides: Vec<Image>,
     /// From this round's brightness to the next one's; `None` after the last round.
@@ -65,10 +68,11 @@ impl Job<'_, '_> {
         anchors: &[Anchor],
         target: &[Image],
     ) -> Result<Next, PipelineError> {
-        let anchor = anchors[round as usize - 1];
+        let (anchor, target_anchor) = (anchors[round as usize - 1], anchors[anchors.len() - 1]);
         if round as usize == anchors.len() {
             return Ok(Next {
                 anchor,
+                target: target_anchor,
                 guides: renders.to_vec(),
                 to_next: None,
                 to_final: None,
@@ -87,6 +91,7 @@ impl Job<'_, '_> {
             };
             Ok(Next {
                 anchor,
+                target: target_anchor,
                 guides: guide::trusted(&next, &to_next.apply(renders)),
                 to_next: Some(to_next),
                 to_final: Some(to_final),
@@ -184,8 +189,9 @@ impl Job<'_, '_> {
         let records = evaluate::records(views, images);
         let noise_sigma = evaluate::means(images, metrics::noise_sigma);
         let sigma = noise_sigma.get("enhanced").copied().unwrap_or_default();
-        let before = self.rounds.last().and_then(|previous| evaluate::score(&previous.records));
-        let now = evaluate::score(&records);
+        let response = (self.options.shake == ShakeModel::Kernel).then(|| self.response(views, next.target));
+        let score = score::score(views, images.final_renders, images.final_enhanced, response.as_ref());
+        let before = self.rounds.last().map_or(0.0, |previous| previous.score);
         RoundMetrics {
             round,
             seconds: 0.0,
@@ -204,7 +210,8 @@ impl Job<'_, '_> {
             non_finite_gradients: scene.training.non_finite_gradients,
             anchor: [next.anchor.alpha, next.anchor.gamma],
             matched: next.matched.iter().map(|anchor| [anchor.alpha, anchor.gamma]).collect(),
-            worse_than_previous: matches!((before, now), (Some(before), Some(now)) if now < before - 0.01),
+            score,
+            worse_than_previous: score < before - 0.01,
         }
     }
 }

@@ -52,9 +52,9 @@ pub struct Material<'a> {
     pub round: u32,
     /// All views, with their cameras and splits.
     pub views: &'a [View],
-    /// D_i, in the order of the views.
-    pub deblurred: &'a [Image],
-    /// How light became the values of D_i.
+    /// D_i, or H_i where the shake explains it (`train_on`), in the order of the views.
+    pub images: &'a [Image],
+    /// How light became the values of the images.
     pub response: Response,
 }
 
@@ -123,7 +123,7 @@ impl Job<'_, '_> {
         }
         let cameras: Vec<Camera> = material.views.iter().map(|view| view.camera).collect();
         Ok(TrainStart::Fresh(reconstruct::initialise(
-            &coloured_points(poses, material.views, material.deblurred),
+            &coloured_points(poses, material.views, material.images),
             &cameras,
             config.cap,
             &config.schedule(),
@@ -244,7 +244,7 @@ fn training_views(material: &Material<'_>, split: Split) -> Vec<TrainingView> {
     material
         .views
         .iter()
-        .zip(material.deblurred)
+        .zip(material.images)
         .filter(|(view, _)| view.split == split)
         .map(|(view, image)| TrainingView {
             name: view.name.clone(),
@@ -270,11 +270,11 @@ fn correction_px(views: &[View], cameras: &[Camera], depth: Option<f64>) -> Opti
 /// The sparse points in the colours that the round trains on: the median over the training views
 /// that a point falls into. COLMAP's own colours are those of its brightened copies; splats that
 /// start much too bright turn transparent before they turn dark, and holes stay.
-fn coloured_points(poses: &Poses, views: &[View], deblurred: &[Image]) -> Vec<reconstruct::Point> {
+fn coloured_points(poses: &Poses, views: &[View], images: &[Image]) -> Vec<reconstruct::Point> {
     let seen = |position: [f64; 3]| -> Vec<[f32; 3]> {
         views
             .iter()
-            .zip(deblurred)
+            .zip(images)
             .filter(|(view, _)| view.split == Split::Train)
             .filter_map(|(view, image)| {
                 let (pixel, _) = view.camera.project(position.into())?;
