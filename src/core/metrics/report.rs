@@ -107,8 +107,10 @@ pub struct RoundMetrics {
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub matched: Vec<[f64; 2]>,
     /// What rounds are compared by: SSIM of the renders at the target brightness, as shaken as their views where shake
-    /// was looked for, against the views at that brightness; of held-out views where there are any.
-    pub score: f64,
+    /// was looked for, against the views at that brightness; of held-out views where there are any. `None` in reports
+    /// of earlier versions.
+    #[serde(default)]
+    pub score: Option<f64>,
     /// Whether the round was judged worse than the one before it.
     pub worse_than_previous: bool,
 }

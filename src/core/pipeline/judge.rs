@@ -191,7 +191,7 @@ impl Job<'_, '_> {
         let sigma = noise_sigma.get("enhanced").copied().unwrap_or_default();
         let response = (self.options.shake == ShakeModel::Kernel).then(|| self.response(views, next.target));
         let score = score::score(views, images.final_renders, images.final_enhanced, response.as_ref());
-        let before = self.rounds.last().map_or(0.0, |previous| previous.score);
+        let before = self.rounds.last().and_then(|previous| previous.score);
         RoundMetrics {
             round,
             seconds: 0.0,
@@ -210,8 +210,8 @@ impl Job<'_, '_> {
             non_finite_gradients: scene.training.non_finite_gradients,
             anchor: [next.anchor.alpha, next.anchor.gamma],
             matched: next.matched.iter().map(|anchor| [anchor.alpha, anchor.gamma]).collect(),
-            score,
-            worse_than_previous: score < before - 0.01,
+            score: Some(score),
+            worse_than_previous: before.is_some_and(|before| score < before - 0.01),
         }
     }
 }

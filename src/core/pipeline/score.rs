@@ -12,7 +12,7 @@ use crate::shake::{self, Response};
 /// Mean SSIM of a round's renders at the target brightness against the views at that brightness, over held-out views
 /// where there are any. Never against ground truth: a capture that brings it must be delivered the same scene as one
 /// that does not. Differs from method.md 7 where `response` is given: each render is first shaken as its view is,
-/// else the sharper of two scenes would always be the worse one.
+/// else the sharper of two scenes looks like the worse one.
 pub fn score(views: &[View], renders: &[Image], target: &[Image], response: Option<&Response>) -> f64 {
     let of = |split: Split| (0..views.len()).filter(|&i| views[i].split == split).collect::<Vec<_>>();
     let held_out = of(Split::HeldOut);

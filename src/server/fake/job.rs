@@ -228,7 +228,7 @@ fn metrics(round: u32) -> RoundMetrics {
         non_finite_gradients: 0,
         anchor: [8.0, 0.8],
         matched: Vec::new(),
-        score: 0.7,
+        score: Some(0.7),
         worse_than_previous: false,
     }
 }
