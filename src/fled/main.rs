@@ -50,6 +50,7 @@ enum Command {
 }
 
 fn main() -> ExitCode {
+    silence_device_select();
     let cli = Cli::parse();
     if let Err(error) = fled_server::die_with_parent() {
         return Failure::new(ErrorKind::Internal, error).report();
@@ -66,5 +67,15 @@ fn main() -> ExitCode {
     match outcome {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => failure.report(),
+    }
+}
+
+/// Without a desktop session, the layer by which Mesa lets desktops choose a device calls that an error on standard
+/// error at every start. fled chooses its device itself.
+#[allow(unsafe_code)]
+fn silence_device_select() {
+    if std::env::var_os("XDG_RUNTIME_DIR").is_none() {
+        // SAFETY: called first in `main`, while there is no other thread that could read the environment.
+        unsafe { std::env::set_var("NODEVICE_SELECT", "1") };
     }
 }
