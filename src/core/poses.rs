@@ -155,7 +155,7 @@ pub enum PosesError {
         tail: String,
     },
     /// Given poses that cannot be used, or a model that cannot be read.
-    #[error("{}: {reason}", file.display())]
+    #[error("{}: {reason}", name_of(file))]
     BadFile {
         /// The file at fault.
         file: PathBuf,
@@ -173,6 +173,11 @@ pub enum PosesError {
     /// Asked to stop.
     #[error(transparent)]
     Cancelled(#[from] Cancelled),
+}
+
+/// Whoever gave the file knows where it lies; a client of the service need not learn where it was put.
+fn name_of(file: &Path) -> std::borrow::Cow<'_, str> {
+    file.file_name().unwrap_or(file.as_os_str()).to_string_lossy()
 }
 
 impl PosesError {

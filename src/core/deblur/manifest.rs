@@ -115,6 +115,12 @@ impl Manifest {
         serde_json::from_str(MANIFEST).expect("a test reads the embedded manifest")
     }
 
+    /// What may be chosen without naming a file: `default`, `identity` and the ids.
+    pub fn choices(&self) -> Vec<&str> {
+        let ids = self.models.iter().map(|entry| entry.id.as_str());
+        ["default", "identity"].into_iter().chain(ids).collect()
+    }
+
     /// The network that `choice` means: `default`, an id, or the path of an ONNX file. Files of
     /// known networks that are not built in are looked for in `directories`.
     ///

@@ -6,6 +6,7 @@ use std::time::Duration;
 use axum::extract::{DefaultBodyLimit, FromRequest, Multipart, Path, Request, State};
 use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
+use fled_core::deblur::manifest::Manifest;
 use fled_core::pipeline::config::{OptionsError, Preset};
 use serde::Deserialize;
 use serde_json::{Map, Value};
@@ -160,6 +161,7 @@ fn new_job(
         .parse()
         .map_err(|error: OptionsError| bad_option(&error).pointer("/preset"))?;
     let options = preset.options().with_overrides(options).map_err(|error| bad_option(&error))?;
+    check_network(&options.deblur)?;
     Ok(NewJob {
         id: Uuid::now_v7().to_string(),
         name: name.chars().take(200).collect(),
@@ -168,6 +170,19 @@ fn new_job(
         rounds: options.rounds,
         options: serde_json::to_value(&options).map_err(|_| Problem::internal())?,
     })
+}
+
+/// Networks are chosen by name: a path would let a client probe the files of the server.
+fn check_network(choice: &str) -> Result<(), Problem> {
+    let manifest = Manifest::embedded();
+    let known = manifest.choices();
+    if known.contains(&choice) {
+        return Ok(());
+    }
+    let message = format!("`{choice}` is none of {}", known.join(", "));
+    Err(bad_option(&OptionsError { key: "deblur".to_owned(), message }).hint(
+        "A file of your own can be named on the command line only: fled run CAPTURE --set deblur=FILE.",
+    ))
 }
 
 fn bad_option(error: &OptionsError) -> Problem {

@@ -77,6 +77,9 @@ fn an_unknown_option_is_refused_with_a_pointer_to_it() {
     };
     assert_eq!(post(json!({ "turbo": true }))["pointer"], "/options/turbo");
     assert_eq!(post(json!({ "rounds": 99 }))["pointer"], "/options/rounds");
+    let networks = post(json!({ "deblur": "/etc/hostname" }));
+    assert_eq!(networks["pointer"], "/options/deblur");
+    assert!(networks["detail"].as_str().is_some_and(|text| text.contains("identity")), "{networks:#}");
     let reply =
         server.post_json("/v1/jobs", &json!({ "capture_id": capture, "preset": "fast" }), &[]).expect(422);
     assert_eq!(reply.json()["pointer"], "/preset");
