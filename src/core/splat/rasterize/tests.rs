@@ -204,6 +204,26 @@ fn a_splat_over_all_tiles_covers_the_image() {
 }
 
 #[test]
+fn a_camera_inside_a_splat_sees_it_and_those_at_and_behind_its_centre_are_left_out() {
+    let mut gaussians = fixtures::gaussians(60, 0, 3);
+    let camera = fixtures::viewpoint(90, 70).camera;
+    let at = |depth: f64| (camera.centre() + depth * camera.forward()).to_array().map(|x| x as f32);
+    gaussians.means[..3].copy_from_slice(&[at(0.15), at(0.0), at(-0.5)]);
+    gaussians.log_scales[..3].fill([0.0; 3]);
+    gaussians.opacity_logits[..3].fill(0.0);
+    let scene = Scene::new(gaussians, 90, 70);
+    let run = scene.run(chosen());
+    assert_eq!(run.tile_counts[..3], [30, 0, 0]);
+    let expected = scene.reference(&run);
+    mostly_within(&run.image, &expected.image, 1e-4, 1e-3).unwrap();
+    assert!(run.transmittance.iter().all(|&t| t < 0.7));
+    let upstream: Vec<_> = scene.image_gradient.iter().map(|&v| f64::from(v)).collect();
+    let by_splat = blend_backward(&run.projected, &expected, &upstream);
+    let (found, expected) = (run.gradients()[0], flat(&by_splat[0]));
+    gradients_agree(&found, &expected).unwrap();
+}
+
+#[test]
 fn an_overflow_is_counted_exactly_and_enough_room_repairs_it() {
     let mut scene = Scene::new(fixtures::gaussians(500, 0, 9), 96, 64);
     let enough = scene.run(chosen());
