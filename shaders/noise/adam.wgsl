@@ -16,15 +16,17 @@ struct AdamUniform {
     // Parts of the gradient, and vec4s of parameters.
     segments: u32,
     parameters: u32,
-    padding_0: u32,
-    padding_1: u32,
-    padding_2: u32,
+    // Where the number of intersections stands, and the most that fit.
+    total_at: u32,
+    capacity: u32,
+    padding: u32,
 }
 
 @group(0) @binding(0) var<uniform> adam: AdamUniform;
-@group(0) @binding(1) var<storage, read> gradients: array<vec4<f32>>;
-@group(0) @binding(2) var<storage, read_write> parameters: array<vec4<f32>>;
-@group(0) @binding(3) var<storage, read_write> moments: array<vec4<f32>>;
+@group(0) @binding(1) var<storage, read> intersections: array<u32>;
+@group(0) @binding(2) var<storage, read> gradients: array<vec4<f32>>;
+@group(0) @binding(3) var<storage, read_write> parameters: array<vec4<f32>>;
+@group(0) @binding(4) var<storage, read_write> moments: array<vec4<f32>>;
 
 // Infinities and NaN have all bits of the exponent set; they count as no gradient.
 fn finite(v: vec4<f32>) -> vec4<f32> {
@@ -39,7 +41,8 @@ fn main(
     @builtin(local_invocation_index) local: u32,
 ) {
     let index = flat_workgroup(workgroup, workgroups) * WIDTH + local;
-    if index >= adam.parameters {
+    // A render of a part of the intersections teaches nothing; the step is repeated.
+    if index >= adam.parameters || intersections[adam.total_at] > adam.capacity {
         return;
     }
     var gradient = vec4<f32>(0.0);

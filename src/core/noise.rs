@@ -3,7 +3,8 @@
 //!
 //! ```no_run
 //! # use fled_core::{camera::Camera, noise::{NoiseField, NoiseMode}};
-//! # fn step(gpu: &fled_gpu::Gpu, camera: &Camera, sigma: f32) -> Result<(), fled_gpu::GpuError> {
+//! # use fled_core::noise::Room;
+//! # fn step(gpu: &fled_gpu::Gpu, camera: &Camera, sigma: f32, room: &Room<'_>) -> Result<(), fled_gpu::GpuError> {
 //! # let buffer = || gpu.create::<f32>("image", 3 * 280 * 160);
 //! # let (render, prediction, gradient) = (buffer()?, buffer()?, buffer()?);
 //! // Once a round; sizes up to this one. `None` when the mode is `Off`.
@@ -13,7 +14,7 @@
 //! let mut recorder = gpu.recorder();
 //! field.record_forward(&mut recorder, &render, &prediction)?;  // prediction = render + n
 //! // ... the loss of `prediction` writes `gradient`; the splats' backward takes it too ...
-//! field.record_backward(&mut recorder, &gradient)?;            // and one step of Adam
+//! field.record_backward(&mut recorder, &gradient, room)?;      // and one step of Adam
 //! recorder.submit()?;
 //! // Every hundred steps or so; waits. Warn when it says `halved`.
 //! let inspection = field.inspect(&render, &prediction)?;
@@ -91,6 +92,17 @@ pub fn amplitude(sigma: f32) -> f32 {
     (3.0 * sigma).clamp(LEAST, MOST)
 }
 
+/// Where the step's count of intersections lies, and how many fit: a step that was blended from a part of them
+/// teaches the field nothing.
+pub struct Room<'a> {
+    /// Counters of the step.
+    pub intersections: &'a Buffer<u32>,
+    /// Where among them their number stands.
+    pub total_at: u32,
+    /// Most that fit.
+    pub capacity: u32,
+}
+
 /// What the field's map of one view looked like.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Inspection {
@@ -161,7 +173,7 @@ impl NoiseField {
         Ok(Some(Self { mode, network, restraint, step, segments, chunk_cells, most_cells, current, buffers }))
     }
 
-    /// Sets the view and its noise for what is submitted next, and the rate of the step.
+    /// Sets the view and its noise for what is submitted next, and counts the step.
     ///
     /// # Errors
     /// [`GpuError::Validation`] when the image is larger than the field was made for; a device error.
@@ -178,13 +190,12 @@ impl NoiseField {
             chunk.write(&[ChunkUniform::new(&cells)])?;
         }
         self.step += 1;
-        let decay = DECAY.powi(((self.step - 1) / DECAY_STEPS) as i32);
-        self.buffers.adam.write(&[AdamUniform::new(
-            RATE * decay,
-            self.step,
-            self.segments,
-            self.network.parameters(),
-        )])
+        Ok(())
+    }
+
+    /// Forgets the last [`NoiseField::begin_step`], whose intersections did not fit [`Room`]: it will be repeated.
+    pub fn take_back_step(&mut self) {
+        self.step = self.step.saturating_sub(1);
     }
 
     /// Records `prediction = render + n`; both planar [3, H, W] of the size of [`NoiseField::begin_step`].
@@ -222,13 +233,20 @@ impl NoiseField {
     ///
     /// # Errors
     /// As [`NoiseField::record_forward`].
-    pub fn record_backward(&self, recorder: &mut Recorder, gradient: &Buffer<f32>) -> Result<(), GpuError> {
+    pub fn record_backward(
+        &self,
+        recorder: &mut Recorder,
+        gradient: &Buffer<f32>,
+        room: &Room<'_>,
+    ) -> Result<(), GpuError> {
         self.record_gradients(recorder, gradient)?;
         let b = &self.buffers;
         let parameters = self.network.parameters();
+        let rate = RATE * DECAY.powi((self.step.saturating_sub(1) / DECAY_STEPS) as i32);
+        b.adam.write(&[AdamUniform::new(rate, self.step, self.segments, parameters, room)])?;
         recorder.dispatch_items(
             &kernels::ADAM,
-            &[&b.adam, &b.gradients, &b.parameters, &b.moments],
+            &[&b.adam, room.intersections, &b.gradients, &b.parameters, &b.moments],
             parameters,
         )
     }

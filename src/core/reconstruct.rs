@@ -189,6 +189,7 @@ pub fn register(
     views: &[TrainingView],
     scene: &Gaussians,
     config: &TrainConfig,
+    cancel: &CancelToken,
 ) -> Result<Vec<Camera>, ReconstructError> {
     let still = TrainConfig {
         resolution_schedule: false,
@@ -198,7 +199,7 @@ pub fn register(
         ..config.clone()
     };
     let start = TrainStart::Fresh(scene.clone());
-    trainer::Trainer::new(gpu, views, start, &still)?.register(REGISTRATIONS)
+    trainer::Trainer::new(gpu, views, start, &still)?.register(REGISTRATIONS, cancel)
 }
 
 #[cfg(test)]

@@ -6,7 +6,7 @@ use bytemuck::{Pod, Zeroable};
 use fled_gpu::{Kernel, read, read_write, uniform};
 
 use super::network::Layer;
-use super::{NoiseMode, PENALTY, cell_side};
+use super::{NoiseMode, PENALTY, Room, cell_side};
 use crate::camera::Camera;
 
 pub(super) const ENCODE: Kernel = Kernel::new(
@@ -66,7 +66,13 @@ pub(super) const LAYER_WEIGHTS: Kernel = Kernel::new(
 
 pub(super) const ADAM: Kernel = Kernel::new(
     "noise/adam",
-    &[uniform("adam"), read("gradients"), read_write("parameters"), read_write("moments")],
+    &[
+        uniform("adam"),
+        read("intersections"),
+        read("gradients"),
+        read_write("parameters"),
+        read_write("moments"),
+    ],
 );
 
 /// `NoiseUniform` of shaders/shared/noise.wgsl.
@@ -191,11 +197,13 @@ pub(super) struct AdamUniform {
     pub(super) correction_2: f32,
     pub(super) segments: u32,
     pub(super) parameters: u32,
-    pub(super) padding: [u32; 3],
+    pub(super) total_at: u32,
+    pub(super) capacity: u32,
+    pub(super) padding: u32,
 }
 
 impl AdamUniform {
-    pub(super) fn new(rate: f64, step: u64, segments: u32, parameters: usize) -> Self {
+    pub(super) fn new(rate: f64, step: u64, segments: u32, parameters: usize, room: &Room<'_>) -> Self {
         let correction = |beta: f64| (1.0 - beta.powf(step as f64)) as f32;
         Self {
             rate: rate as f32,
@@ -203,7 +211,9 @@ impl AdamUniform {
             correction_2: correction(0.999),
             segments,
             parameters: parameters as u32,
-            padding: [0; 3],
+            total_at: room.total_at,
+            capacity: room.capacity,
+            padding: 0,
         }
     }
 }

@@ -23,6 +23,7 @@ struct Fixture {
     render: Buffer<f32>,
     prediction: Buffer<f32>,
     gradient: Buffer<f32>,
+    intersections: Buffer<u32>,
 }
 
 const SIGMA: f32 = 0.02;
@@ -41,16 +42,22 @@ impl Fixture {
             prediction: gpu.create("prediction", 3 * width * height).expect("buffer"),
             gradient: gpu.upload("gradient", &values(0.37, 1e-3)).expect("upload"),
             camera: camera(width, height, 0.3),
+            intersections: gpu.upload("intersections", &[0, 100]).expect("upload"),
             gpu,
             field,
         }
     }
 
     fn step(&mut self) {
+        self.step_with_room_for(100);
+    }
+
+    fn step_with_room_for(&mut self, capacity: u32) {
         self.field.begin_step(&self.camera, SIGMA).expect("fits");
         let mut recorder = self.gpu.recorder();
         self.field.record_forward(&mut recorder, &self.render, &self.prediction).expect("recorded");
-        self.field.record_backward(&mut recorder, &self.gradient).expect("recorded");
+        let room = Room { intersections: &self.intersections, total_at: 1, capacity };
+        self.field.record_backward(&mut recorder, &self.gradient, &room).expect("recorded");
         recorder.submit().expect("submitted");
     }
 
@@ -193,6 +200,18 @@ fn gradients_that_are_not_finite_change_nothing() {
 }
 
 #[test]
+fn a_step_whose_intersections_did_not_fit_leaves_no_trace() {
+    let mut fixture = Fixture::new(NoiseMode::Grid, 24, 16);
+    fixture.step();
+    let before = fixture.field.save().expect("read");
+    fixture.step_with_room_for(99);
+    fixture.field.take_back_step();
+    assert_eq!(fixture.field.save().expect("read"), before);
+    fixture.step();
+    assert_ne!(fixture.field.save().expect("read"), before);
+}
+
+#[test]
 fn the_amplitude_follows_the_noise_between_its_bounds() {
     assert_eq!(amplitude(0.0), 0.02);
     assert!((amplitude(0.02) - 0.06).abs() < 1e-7);
@@ -203,7 +222,8 @@ fn the_amplitude_follows_the_noise_between_its_bounds() {
 fn wrong_sizes_are_refused_and_off_has_no_field() {
     let mut fixture = Fixture::new(NoiseMode::Grid, 24, 16);
     assert!(fixture.field.begin_step(&camera(48, 32, 0.0), SIGMA).is_err());
-    assert!(fixture.field.record_backward(&mut fixture.gpu.recorder(), &fixture.gradient).is_err());
+    let room = Room { intersections: &fixture.intersections, total_at: 1, capacity: 100 };
+    assert!(fixture.field.record_backward(&mut fixture.gpu.recorder(), &fixture.gradient, &room).is_err());
     assert!(NoiseField::new(&fixture.gpu, NoiseMode::Off, 0, [24, 16]).expect("no device needed").is_none());
 }
 

@@ -193,7 +193,7 @@ impl Job<'_, '_> {
         let held_out = training_views(material, Split::HeldOut);
         let registered = match config.refine_poses {
             Some(_) if !held_out.is_empty() => {
-                reconstruct::register(self.tools.gpu, &held_out, &trained.gaussians, config)?
+                reconstruct::register(self.tools.gpu, &held_out, &trained.gaussians, config, self.cancel)?
             }
             _ => held_out.iter().map(|view| view.camera).collect(),
         };

@@ -183,8 +183,13 @@ fn cameras_that_stand_wrong_are_corrected_in_training_and_held_out_ones_after_it
     let (before, after) = (apart(&as_given, &truth), apart(&refined.cameras, &truth));
     assert!(before > 1.0 && after < 0.6 * before, "{before:.2} px off before, {after:.2} after");
     assert!(refined.final_loss < unrefined.final_loss);
-    let found = register(fixtures::gpu(), std::slice::from_ref(held_out), &refined.gaussians, &config)
-        .expect("found");
+    let registered = |cancel: &CancelToken| {
+        register(fixtures::gpu(), std::slice::from_ref(held_out), &refined.gaussians, &config, cancel)
+    };
+    let cancel = CancelToken::new();
+    let found = registered(&cancel).expect("found");
+    cancel.cancel();
+    assert!(matches!(registered(&cancel), Err(ReconstructError::Cancelled(_))));
     let quality = |camera: &Camera| psnr(&render(&refined.gaussians, camera), &held_out.image);
     let (before, after) = (quality(&held_out.camera), quality(&found[0]));
     assert!(after > before + 1.0, "{before:.2} dB where it was given, {after:.2} where it was found");

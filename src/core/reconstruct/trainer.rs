@@ -15,9 +15,10 @@ use super::optimizer::{Optimizer, SlotGradients, StepUniform};
 use super::{
     ReconstructError, Schedule, TrainConfig, TrainHooks, TrainStart, Trained, TrainingView, densify,
 };
+use crate::cancel::CancelToken;
 use crate::gaussians::Gaussians;
 use crate::metrics::report::NoiseMapStatistics;
-use crate::noise::{NoiseField, NoiseMode, OFF_SHARE};
+use crate::noise::{NoiseField, NoiseMode, OFF_SHARE, Room};
 use crate::register::Motion;
 use crate::shake::Shake;
 use crate::splat::project::{DeviceGaussians, GEOMETRY_ROW, Projection, unpack_geometry};
@@ -160,7 +161,7 @@ impl<'a> Trainer<'a> {
                         self.inspect_noise()?;
                     }
                     self.offer_checkpoint(hooks, &mut saved)?;
-                    self.prepare(self.next)?;
+                    self.prepare(self.next, hooks.cancel)?;
                     prepared = true;
                 }
             }
@@ -209,7 +210,7 @@ impl<'a> Trainer<'a> {
     }
 
     /// What happens between steps: another resolution, densification.
-    fn prepare(&mut self, step: u32) -> Result<(), ReconstructError> {
+    fn prepare(&mut self, step: u32, cancel: &CancelToken) -> Result<(), ReconstructError> {
         let divisor = self.schedule.divisor(step);
         if divisor != self.level.divisor {
             self.level = Level::new(self.gpu, self.views, divisor)?;
@@ -218,10 +219,10 @@ impl<'a> Trainer<'a> {
             self.forget_recordings();
         }
         if self.estimates_shake(step) {
-            self.estimate_shake(step)?;
+            self.estimate_shake(step, cancel)?;
         }
         if self.refines_poses(step) {
-            self.refine_poses(step)?;
+            self.refine_poses(step, cancel)?;
         }
         if self.densifies(step) {
             self.densify(step)?;
@@ -294,7 +295,13 @@ impl<'a> Trainer<'a> {
                 noise.begin_step(&view.camera, self.views[index].noise_sigma)?;
                 noise.record_forward(&mut recorder, clean, &self.prediction)?;
                 loss.record(&mut recorder, &self.prediction, &view.target, &self.gradient)?;
-                noise.record_backward(&mut recorder, &self.gradient)?;
+                let (intersections, total_at) = self.raster.totals();
+                let capacity = self.raster.sizes().intersections as u32;
+                noise.record_backward(
+                    &mut recorder,
+                    &self.gradient,
+                    &Room { intersections, total_at, capacity },
+                )?;
             }
             _ => loss.record(&mut recorder, clean, &view.target, &self.gradient)?,
         }
@@ -322,6 +329,11 @@ impl<'a> Trainer<'a> {
             let counts = counts.wait()?;
             if counts.overflowed() {
                 flight.redo.push_back(step);
+                if self.noise_acts(step)
+                    && let Some(noise) = &mut self.noise
+                {
+                    noise.take_back_step();
+                }
                 self.grow_raster(counts.intersections)?;
             }
         }
@@ -446,7 +458,7 @@ impl Trainer<'_> {
     /// Trains to the first synchronisation at or after `step` and returns its checkpoint.
     pub(super) fn frozen_at(mut self, step: u32) -> Checkpoint {
         let mut frozen = None;
-        let cancel = crate::cancel::CancelToken::new();
+        let cancel = CancelToken::new();
         self.checkpoint_every = Duration::ZERO;
         let mut keep = |checkpoint: &Checkpoint| {
             if checkpoint.step >= step {

@@ -5,6 +5,7 @@ use rayon::prelude::*;
 
 use super::Trainer;
 use crate::camera::Camera;
+use crate::cancel::CancelToken;
 use crate::image::Image;
 use crate::reconstruct::ReconstructError;
 use crate::register::{self, Motion};
@@ -26,8 +27,8 @@ impl Trainer<'_> {
     }
 
     /// One Gauss-Newton step of every camera.
-    pub(super) fn refine_poses(&mut self, step: u32) -> Result<(), GpuError> {
-        self.correct_cameras(step)?;
+    pub(super) fn refine_poses(&mut self, step: u32, cancel: &CancelToken) -> Result<(), ReconstructError> {
+        self.correct_cameras(step, cancel)?;
         let given: Vec<Camera> = self.views.iter().map(|view| view.camera).collect();
         register::hold_gauge(&given, &mut self.motions);
         self.place_cameras();
@@ -35,10 +36,11 @@ impl Trainer<'_> {
     }
 
     /// A camera stays where it is if the images agree less well after its step.
-    fn correct_cameras(&mut self, step: u32) -> Result<(), GpuError> {
+    fn correct_cameras(&mut self, step: u32, cancel: &CancelToken) -> Result<(), ReconstructError> {
         let Some(depth) = self.config.refine_poses else { return Ok(()) };
         let all: Vec<usize> = (0..self.views.len()).collect();
         for some in all.chunks(AT_ONCE) {
+            cancel.check()?;
             let seen =
                 some.iter().map(|&view| self.probe(view, step, depth)).collect::<Result<Vec<_>, _>>()?;
             let corrections: Vec<Option<[f64; 6]>> = seen
@@ -111,11 +113,15 @@ impl Trainer<'_> {
     }
 
     /// Kernels and cameras of the views with the scene as it is: rounds of both, at full resolution.
-    pub(in crate::reconstruct) fn register(mut self, rounds: u32) -> Result<Vec<Camera>, ReconstructError> {
+    pub(in crate::reconstruct) fn register(
+        mut self,
+        rounds: u32,
+        cancel: &CancelToken,
+    ) -> Result<Vec<Camera>, ReconstructError> {
         let last = self.config.steps;
         for _ in 0..rounds {
-            self.estimate_shake(last)?;
-            self.correct_cameras(last)?;
+            self.estimate_shake(last, cancel)?;
+            self.correct_cameras(last, cancel)?;
         }
         Ok(self.cameras())
     }

@@ -5,6 +5,7 @@ use rayon::prelude::*;
 
 use super::Trainer;
 use crate::camera::Camera;
+use crate::cancel::CancelToken;
 use crate::image::Image;
 use crate::reconstruct::ReconstructError;
 use crate::shake::{self, Shake, ShakeKernel};
@@ -20,10 +21,11 @@ impl Trainer<'_> {
     }
 
     /// Solves for the kernels of all views anew.
-    pub(super) fn estimate_shake(&mut self, step: u32) -> Result<(), GpuError> {
+    pub(super) fn estimate_shake(&mut self, step: u32, cancel: &CancelToken) -> Result<(), ReconstructError> {
         let Some(response) = &self.config.shake else { return Ok(()) };
         let all: Vec<usize> = (0..self.views.len()).collect();
         for some in all.chunks(AT_ONCE) {
+            cancel.check()?;
             let renders =
                 some.iter().map(|&view| self.render_view(view, step)).collect::<Result<Vec<_>, _>>()?;
             let kernels: Vec<ShakeKernel> = some
