@@ -1,5 +1,5 @@
 // The camera of one view, as every kernel that projects or tiles sees it.
-// 112 bytes; the Rust side is `CameraUniform` in src/core/splat/uniform.rs.
+// 128 bytes; the Rust side is `CameraUniform` in src/core/splat/uniform.rs.
 
 const TILE: u32 = 16u;
 
@@ -23,4 +23,6 @@ struct CameraUniform {
     near: f32,
     // Coefficients a channel that are allocated: (allocated degree + 1)^2.
     coefficients: u32,
+    // What shines through where the splats leave room; w unused.
+    background: vec4<f32>,
 }

@@ -1,7 +1,7 @@
 // Blends the splats of a tile front to back. A workgroup a tile, PIXELS consecutive pixels of a row an invocation.
 // Reads camera, tile_ranges [tiles], slots [n] sorted, slot_gaussian [n], projected [count, 3]. Writes image
 // [3, height, width], transmittance [height, width], last [tiles]: one past the last intersection that counted.
-// Dispatch: a workgroup a tile. C = sum c alpha T, T <- T (1 - alpha), stop before T would pass below 1e-4.
+// Dispatch: a workgroup a tile. C = sum c alpha T, T <- T (1 - alpha), stop before T would pass below 1e-4; T background is added.
 #import shared/grid.wgsl
 #import shared/raster.wgsl
 
@@ -99,10 +99,11 @@ fn main(
     for (var k = 0u; k < PIXELS; k++) {
         if (pixel.x + k < camera.size.x && pixel.y < camera.size.y) {
             let i = pixel.y * camera.size.x + pixel.x + k;
-            image[i] = red[k / 4u][k % 4u];
-            image[plane + i] = green[k / 4u][k % 4u];
-            image[2u * plane + i] = blue[k / 4u][k % 4u];
-            transmittance[i] = abs(t[k / 4u][k % 4u]);
+            let left = abs(t[k / 4u][k % 4u]);
+            image[i] = red[k / 4u][k % 4u] + left * camera.background.x;
+            image[plane + i] = green[k / 4u][k % 4u] + left * camera.background.y;
+            image[2u * plane + i] = blue[k / 4u][k % 4u] + left * camera.background.z;
+            transmittance[i] = left;
         }
     }
 }

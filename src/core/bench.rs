@@ -23,7 +23,7 @@ use crate::cancel::{CancelToken, Cancelled};
 use crate::gaussians::ply::PlyError;
 use crate::image::ImageError;
 use crate::noise::NoiseMode;
-use crate::reconstruct::{ReconstructError, Response, Stepper, TrainConfig};
+use crate::reconstruct::{Background, ReconstructError, Response, Stepper, TrainConfig};
 use crate::render::SplatError;
 pub use measure::Budget;
 use report::{Case, Machine, Report};
@@ -251,6 +251,7 @@ fn config(workload: &Workload, extras: Extras) -> TrainConfig {
         noise: extras.noise,
         resolution_schedule: false,
         warm: true,
+        background: Background::Black,
         densify: true,
         seed: 0,
         extent: workload.extent,

@@ -13,6 +13,8 @@ pub mod schedule;
 mod trainer;
 
 use fled_gpu::{Gpu, GpuError};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
 
 use crate::camera::Camera;
 use crate::cancel::{CancelToken, Cancelled};
@@ -37,6 +39,16 @@ pub struct TrainingView {
     pub image: Image,
     /// Its measured noise, 0..=1; bounds the noise field.
     pub noise_sigma: f32,
+}
+
+/// What training renders the splats before. Delivered views have a black background.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Background {
+    /// Black: what is dark in every view may turn transparent.
+    Black,
+    /// Another colour at every step, so that only what is opaque looks right.
+    Random,
 }
 
 /// Where a round begins.
@@ -68,6 +80,8 @@ pub struct TrainConfig {
     pub resolution_schedule: bool,
     /// Whether the round starts from a trained scene.
     pub warm: bool,
+    /// What lies behind the splats.
+    pub background: Background,
     /// Whether MCMC relocates and grows.
     pub densify: bool,
     /// Seed of everything random.
@@ -195,6 +209,7 @@ pub fn register(
         resolution_schedule: false,
         densify: false,
         noise: NoiseMode::Off,
+        background: Background::Black,
         cap: scene.len(),
         ..config.clone()
     };

@@ -7,6 +7,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 pub use crate::noise::NoiseMode;
+pub use crate::reconstruct::Background;
 
 /// How a run is configured. Defaults are those of the `standard` preset.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -47,6 +48,8 @@ pub struct Options {
     /// Degree of the spherical harmonics.
     #[schemars(range(min = 0, max = 3))]
     pub sh_degree: u32,
+    /// What training renders the splats before; views are delivered before black.
+    pub background: Background,
     /// Train at 1/4, then 1/2, then full size.
     pub resolution_schedule: bool,
     /// `auto` (every 8th of at least 12 views), `none`, every n-th, or names separated by commas.
@@ -197,6 +200,7 @@ impl Preset {
             densify: Densify::Mcmc,
             cap: 30_000,
             sh_degree: 2,
+            background: Background::Black,
             resolution_schedule: true,
             held_out: "auto".to_owned(),
             pose_source: PoseSource::Auto,

@@ -14,6 +14,10 @@ use crate::splat::uniform::{CameraUniform, NEAR};
 
 /// The image of a scene, by the kernels that train it.
 fn render(gaussians: &Gaussians, camera: &Camera) -> Image {
+    render_before(gaussians, camera, [0.0; 3])
+}
+
+fn render_before(gaussians: &Gaussians, camera: &Camera, background: [f32; 3]) -> Image {
     let gpu = fixtures::gpu();
     let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
     let device = DeviceGaussians::upload(gpu, gaussians, 0).expect("uploaded");
@@ -21,7 +25,7 @@ fn render(gaussians: &Gaussians, camera: &Camera) -> Image {
     let sizes = SplatSizes { gaussians: gaussians.len(), width, height, intersections: 200_000 };
     let buffers = SplatBuffers::new(gpu, sizes, false).expect("created");
     let degree = gaussians.sh_degree;
-    let uniform = CameraUniform::new(camera, gaussians.len(), degree, degree, NEAR);
+    let uniform = CameraUniform::new(camera, gaussians.len(), degree, degree, NEAR).before(background);
     projection.camera.write(&[uniform]).expect("written");
     let mut recorder = gpu.recorder();
     projection.record(&mut recorder, &device).expect("recorded");
@@ -72,6 +76,7 @@ fn config(steps: u32, cap: usize) -> TrainConfig {
         noise: NoiseMode::Off,
         resolution_schedule: false,
         warm: false,
+        background: Background::Black,
         densify: true,
         seed: 3,
         extent: 1.0,
@@ -130,6 +135,28 @@ fn eight_views_of_a_synthetic_scene_predict_views_held_out() {
         held_out.iter().map(|v| psnr(&render(&result.gaussians, &v.camera), &v.image)).collect();
     let mean = scores.iter().sum::<f64>() / scores.len() as f64;
     assert!(mean >= 30.0, "{mean:.2} dB of {scores:?}, {} Gaussians", result.gaussians.len());
+}
+
+#[test]
+fn a_dark_surface_is_opaque_when_the_background_changes() {
+    let mut scene = truth(300, 8);
+    let angles: Vec<_> = (0..6).map(|n| -0.5 + 0.2 * f64::from(n)).collect();
+    // Black blobs before a grey wall that ends before the edges of the views: black on black.
+    scene.sh.iter_mut().for_each(|value| *value = -1.7);
+    scene.log_scales.fill([-1.2; 3]);
+    scene.opacity_logits.fill(6.0);
+    let views = views_of(&scene, &angles, [96, 64]);
+    let share_seen_through = |background: Background| {
+        let config = TrainConfig { background, ..config(300, 1_000) };
+        let result = trained(&views, start(&views, &scene, &config), &config);
+        let camera = &views[2].camera;
+        let lit = render_before(&result.gaussians, camera, [1.0; 3]);
+        let covered = render_before(&scene, camera, [1.0; 3]);
+        let pixels: Vec<usize> = (0..96 * 64).filter(|&i| covered.data()[i] < 0.02).collect();
+        pixels.iter().map(|&i| f64::from(lit.data()[i])).sum::<f64>() / pixels.len() as f64
+    };
+    let (black, random) = (share_seen_through(Background::Black), share_seen_through(Background::Random));
+    assert!(black > 3.0 * random && random < 0.1, "{black:.3} before black, {random:.3} before random");
 }
 
 #[test]

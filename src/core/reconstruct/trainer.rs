@@ -8,12 +8,14 @@ use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
 use fled_gpu::{Buffer, Gpu, GpuError, Recording};
+use rand::RngExt;
 
 use super::checkpoint::Checkpoint;
 use super::level::Level;
 use super::optimizer::{Optimizer, SlotGradients, StepUniform};
 use super::{
-    ReconstructError, Schedule, TrainConfig, TrainHooks, TrainStart, Trained, TrainingView, densify,
+    Background, ReconstructError, Schedule, TrainConfig, TrainHooks, TrainStart, Trained, TrainingView,
+    densify,
 };
 use crate::cancel::CancelToken;
 use crate::gaussians::Gaussians;
@@ -254,7 +256,8 @@ impl<'a> Trainer<'a> {
         let count = self.gaussians.count;
         let (degree, allocated) = (schedule.degree(step), self.gaussians.sh_degree);
         // The near plane of the renderer: a splat that training culls would be a floater in the views.
-        let camera = CameraUniform::new(&view.camera, count, degree, allocated, NEAR);
+        let camera =
+            CameraUniform::new(&view.camera, count, degree, allocated, NEAR).before(self.background(step));
         let mut numbers = StepUniform::new(schedule, step, count, extent, self.config.densify);
         let (_, total_at) = self.raster.totals();
         numbers.capacity = self.raster.sizes().intersections as u32;
@@ -271,6 +274,13 @@ impl<'a> Trainer<'a> {
         match &self.recordings[index] {
             Some(recording) => recording.submit().map(|_| ()),
             None => Ok(()),
+        }
+    }
+
+    fn background(&self, step: u32) -> [f32; 3] {
+        match self.config.background {
+            Background::Black => [0.0; 3],
+            Background::Random => self.schedule.generator(3, u64::from(step)).random(),
         }
     }
 

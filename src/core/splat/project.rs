@@ -252,6 +252,7 @@ mod tests {
             ("count", std::mem::offset_of!(CameraUniform, count)),
             ("near", std::mem::offset_of!(CameraUniform, near)),
             ("coefficients", std::mem::offset_of!(CameraUniform, coefficients)),
+            ("background", std::mem::offset_of!(CameraUniform, background)),
         ];
         assert_eq!(offsets, expected);
     }

@@ -39,6 +39,8 @@ pub struct CameraUniform {
     pub near: f32,
     /// Allocated coefficients a channel.
     pub coefficients: u32,
+    /// What shines through where the splats leave room, RGB as in the image; w unused.
+    pub background: [f32; 4],
 }
 
 impl CameraUniform {
@@ -63,6 +65,13 @@ impl CameraUniform {
             count: count as u32,
             near,
             coefficients: (allocated + 1) * (allocated + 1),
+            background: [0.0; 4],
         }
+    }
+
+    /// The same before another background than black.
+    #[must_use]
+    pub fn before(self, [red, green, blue]: [f32; 3]) -> Self {
+        Self { background: [red, green, blue, 0.0], ..self }
     }
 }

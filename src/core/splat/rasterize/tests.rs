@@ -24,6 +24,7 @@ struct Scene {
     width: usize,
     height: usize,
     intersections: usize,
+    background: [f32; 3],
     image_gradient: Vec<f32>,
 }
 
@@ -31,7 +32,7 @@ impl Scene {
     fn new(gaussians: Gaussians, width: usize, height: usize) -> Self {
         let mut random = Random::new(5);
         let image_gradient = (0..3 * width * height).map(|_| random.signed() as f32).collect();
-        Self { gaussians, width, height, intersections: 40_000, image_gradient }
+        Self { gaussians, width, height, intersections: 40_000, background: [0.0; 3], image_gradient }
     }
 
     fn run(&self, specialisation: Specialisation) -> Run {
@@ -41,7 +42,8 @@ impl Scene {
         let device = DeviceGaussians::upload(gpu, &self.gaussians, n + 700).unwrap();
         let projection = Projection::new(gpu, n + 700).unwrap();
         let degree = self.gaussians.sh_degree;
-        let camera = CameraUniform::new(&view.camera, n, degree, degree, view.near as f32);
+        let camera =
+            CameraUniform::new(&view.camera, n, degree, degree, view.near as f32).before(self.background);
         projection.camera.write(&[camera]).unwrap();
         let sizes = SplatSizes {
             gaussians: n + 700,
@@ -73,7 +75,7 @@ impl Scene {
     }
 
     fn reference(&self, run: &Run) -> Blended {
-        blend(&run.projected, self.width, self.height)
+        blend(&run.projected, self.width, self.height).before(self.background.map(f64::from))
     }
 }
 
@@ -148,6 +150,21 @@ fn gradients_equal_the_reference_in_every_column() {
         let of = |rows: &[[f64; SLOT_ROW]]| rows.iter().map(|r| r[column]).collect::<Vec<_>>();
         gradients_agree(&of(&found), &of(&expected)).unwrap_or_else(|why| panic!("column {column}: {why}"));
     }
+}
+
+#[test]
+fn before_a_background_image_and_gradients_equal_the_reference() {
+    let black = Scene::new(fixtures::gaussians(60, 0, 3), 96, 64);
+    let scene = Scene { background: [0.9, 0.2, 0.6], ..Scene::new(fixtures::gaussians(60, 0, 3), 96, 64) };
+    let run = scene.run(chosen());
+    let expected = scene.reference(&run);
+    mostly_within(&run.image, &expected.image, 1e-4, 1e-3).unwrap();
+    mostly_within(&run.image, &black.reference(&run).image, 1e-2, 0.1).expect_err("it shines through");
+    let upstream: Vec<_> = scene.image_gradient.iter().map(|&v| f64::from(v)).collect();
+    let expected = blend_backward(&run.projected, &expected, &upstream);
+    let opacity = |of: &dyn Fn(usize) -> f64| (0..run.tile_counts.len()).map(of).collect::<Vec<_>>();
+    let found = run.gradients();
+    gradients_agree(&opacity(&|i| found[i][8]), &opacity(&|i| expected[i].opacity)).unwrap();
 }
 
 #[test]

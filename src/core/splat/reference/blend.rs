@@ -79,6 +79,20 @@ pub fn blend(projected: &[Option<Projected>], width: usize, height: usize) -> Bl
     out
 }
 
+impl Blended {
+    /// The same before another background than black.
+    #[must_use]
+    pub fn before(mut self, background: [f64; 3]) -> Self {
+        let pixels = self.transmittance.len();
+        for (channel, value) in background.into_iter().enumerate() {
+            for (pixel, left) in self.transmittance.iter().enumerate() {
+                self.image[channel * pixels + pixel] += left * value;
+            }
+        }
+        self
+    }
+}
+
 /// Gradients by every projected splat for `image_gradient`, planar [3, H, W].
 pub fn blend_backward(
     projected: &[Option<Projected>],
