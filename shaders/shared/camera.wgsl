@@ -15,7 +15,9 @@ struct CameraUniform {
     size: vec2<u32>,
     tiles: vec2<u32>,
     // Centre of projection, world units.
-    position: vec4<f32>,
+    position: vec3<f32>,
+    // Which Gaussians are dropped is drawn from this.
+    draw: u32,
     // Active degree of the spherical harmonics and the number of Gaussians.
     sh_degree: u32,
     count: u32,
@@ -23,6 +25,8 @@ struct CameraUniform {
     near: f32,
     // Coefficients a channel that are allocated: (allocated degree + 1)^2.
     coefficients: u32,
-    // What shines through where the splats leave room; w unused.
-    background: vec4<f32>,
+    // What shines through where the splats leave room.
+    background: vec3<f32>,
+    // Share of the Gaussians that are dropped; the opacity of the others is divided by what is left.
+    dropout: f32,
 }

@@ -2,10 +2,11 @@
 // harmonics, depth key, and the exact number of tiles it touches (0 when culled).
 // Reads geometry [count, 12], sh [count, coefficients, 3]. Writes projected [count, 3],
 // tile_counts [count], depth_keys [count]. Dispatch: count.
-// Sigma' = J W Sigma W^T J^T + 0.3 I, colour = max(0.5 + sum sh Y(d), 0).
+// Sigma' = J W Sigma W^T J^T + 0.3 I, opacity = sigmoid(logit) / (1 - dropout), colour = max(0.5 + sum sh Y(d), 0).
 #import shared/grid.wgsl
 #import shared/harmonics.wgsl
 #import shared/projection.wgsl
+#import shared/random.wgsl
 #import shared/tiles.wgsl
 
 const WIDTH: u32 = 64;
@@ -28,7 +29,7 @@ fn load_geometry(i: u32) -> Geometry {
 }
 
 fn colour_of(i: u32, mean: vec3<f32>) -> vec3<f32> {
-    let offset = mean - camera.position.xyz;
+    let offset = mean - camera.position;
     var basis = sh_basis(offset / max(length(offset), 1e-12));
     var colour = vec3<f32>(0.5);
     let used = min(sh_count(camera.sh_degree), camera.coefficients);
@@ -65,18 +66,19 @@ fn main(
     tile_counts[i] = 0u;
     depth_keys[i] = 0xffffffffu;
     let g = load_geometry(i);
-    if (!geometry_usable(g)) {
+    if (!geometry_usable(g) || uniform4(camera.draw, 0u, i).x < camera.dropout) {
         return;
     }
     let shape = shape_of(g);
+    let opacity = shape.opacity / (1.0 - camera.dropout);
     let p = project_shape(g.mean, shape, camera);
-    let limit = exponent_limit(shape.opacity);
+    let limit = exponent_limit(opacity);
     if (!p.usable || limit < 0.0) {
         return;
     }
     let mean = camera.focal * p.point.xy / p.point.z + camera.centre;
     let conic = vec3<f32>(p.flat.z, -p.flat.y, p.flat.x) / p.determinant;
-    let extent = splat_extent(p.flat.xz, shape.opacity);
+    let extent = splat_extent(p.flat.xz, opacity);
     let colour = colour_of(i, g.mean);
     if (!is_finite3(colour) || !is_finite3(conic) || !is_finite(mean.x + mean.y + extent.x + extent.y)) {
         return;
@@ -86,7 +88,7 @@ fn main(
         return;
     }
     projected[3u * i] = vec4<f32>(mean, conic.xy);
-    projected[3u * i + 1u] = vec4<f32>(conic.z, shape.opacity, colour.xy);
+    projected[3u * i + 1u] = vec4<f32>(conic.z, opacity, colour.xy);
     projected[3u * i + 2u] = vec4<f32>(colour.z, p.point.z, extent);
     tile_counts[i] = count;
     depth_keys[i] = bitcast<u32>(p.point.z);

@@ -116,7 +116,7 @@ fn geometry_backward(p: Projection, s: Shape, sum: SlotSum, by_direction: vec3<f
         dot(by_factor[2], s.rotation[2]),
     );
     let by_rotation = scaled_columns(by_factor, s.scale);
-    let by_logit = sum.opacity * s.opacity * (1.0 - s.opacity);
+    let by_logit = sum.opacity * s.opacity * (1.0 - s.opacity) / (1.0 - camera.dropout);
     return Geometry(by_mean, by_scale * s.scale, quat_backward(s, by_rotation), by_logit);
 }
 
@@ -127,7 +127,7 @@ struct ColourGradient {
 }
 
 fn colour_backward(i: u32, mean: vec3<f32>, by_colour: vec3<f32>) -> ColourGradient {
-    let offset = mean - camera.position.xyz;
+    let offset = mean - camera.position;
     let distance = max(length(offset), 1e-12);
     let direction = offset / distance;
     var basis = sh_basis(direction);
@@ -187,7 +187,7 @@ fn update_geometry(i: u32, g: Geometry) {
 
 // Inactive coefficients have no gradient and no moments, so they are left alone.
 fn update_sh(i: u32, mean: vec3<f32>, gated: vec3<f32>) {
-    let offset = mean - camera.position.xyz;
+    let offset = mean - camera.position;
     var basis = sh_basis(offset / max(length(offset), 1e-12));
     let used = min(sh_count(camera.sh_degree), camera.coefficients);
     for (var k = 0u; k < used; k++) {

@@ -252,6 +252,7 @@ fn config(workload: &Workload, extras: Extras) -> TrainConfig {
         resolution_schedule: false,
         warm: true,
         background: Background::Black,
+        dropout: 0.0,
         densify: true,
         seed: 0,
         extent: workload.extent,

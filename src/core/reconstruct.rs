@@ -82,6 +82,9 @@ pub struct TrainConfig {
     pub warm: bool,
     /// What lies behind the splats.
     pub background: Background,
+    /// Share of the Gaussians that a step at the end of the round goes without; it grows from nothing. Against
+    /// floaters that only few views see.
+    pub dropout: f64,
     /// Whether MCMC relocates and grows.
     pub densify: bool,
     /// Seed of everything random.
@@ -210,6 +213,7 @@ pub fn register(
         densify: false,
         noise: NoiseMode::Off,
         background: Background::Black,
+        dropout: 0.0,
         cap: scene.len(),
         ..config.clone()
     };

@@ -50,6 +50,9 @@ pub struct Options {
     pub sh_degree: u32,
     /// What training renders the splats before; views are delivered before black.
     pub background: Background,
+    /// Share of the Gaussians that steps at the end of a round go without.
+    #[schemars(range(min = 0.0, max = 0.5))]
+    pub dropout: f64,
     /// Train at 1/4, then 1/2, then full size.
     pub resolution_schedule: bool,
     /// `auto` (every 8th of at least 12 views), `none`, every n-th, or names separated by commas.
@@ -201,6 +204,7 @@ impl Preset {
             cap: 30_000,
             sh_degree: 2,
             background: Background::Black,
+            dropout: 0.0,
             resolution_schedule: true,
             held_out: "auto".to_owned(),
             pose_source: PoseSource::Auto,
@@ -315,6 +319,9 @@ impl Options {
         within("rounds", self.rounds, 1, 8)?;
         within("steps", self.steps, 1, 200_000)?;
         within("size", self.size, 64, 4096)?;
+        if !(0.0..=0.5).contains(&self.dropout) {
+            return Err(fault("dropout", &format!("{} is not in 0..=0.5", self.dropout)));
+        }
         within("cap", self.cap, 100, 5_000_000)?;
         within("sh_degree", self.sh_degree, 0, 3)
     }

@@ -149,6 +149,7 @@ impl Job<'_, '_> {
             resolution_schedule: self.options.resolution_schedule,
             warm: material.round > 1 && self.options.start == Start::Warm,
             background: self.options.background,
+            dropout: self.options.dropout,
             densify: self.options.densify == Densify::Mcmc,
             seed: self.options.seed.wrapping_add(u64::from(material.round) << 32),
             extent: reconstruct::scene_extent(&cameras, &points(poses)),

@@ -49,7 +49,8 @@ pub struct Schedule {
 }
 
 impl Schedule {
-    fn share(&self, step: u32) -> f64 {
+    /// How much of the round lies before `step`, 0..=1.
+    pub fn share(&self, step: u32) -> f64 {
         f64::from(step) / f64::from(self.steps.max(1))
     }
 

@@ -77,6 +77,7 @@ fn config(steps: u32, cap: usize) -> TrainConfig {
         resolution_schedule: false,
         warm: false,
         background: Background::Black,
+        dropout: 0.0,
         densify: true,
         seed: 3,
         extent: 1.0,

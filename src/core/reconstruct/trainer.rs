@@ -256,8 +256,12 @@ impl<'a> Trainer<'a> {
         let count = self.gaussians.count;
         let (degree, allocated) = (schedule.degree(step), self.gaussians.sh_degree);
         // The near plane of the renderer: a splat that training culls would be a floater in the views.
-        let camera =
-            CameraUniform::new(&view.camera, count, degree, allocated, NEAR).before(self.background(step));
+        let camera = CameraUniform::new(&view.camera, count, degree, allocated, NEAR)
+            .before(self.background(step))
+            .dropping(
+                self.schedule.share(step) as f32 * self.config.dropout as f32,
+                self.schedule.generator(4, u64::from(step)).random(),
+            );
         let mut numbers = StepUniform::new(schedule, step, count, extent, self.config.densify);
         let (_, total_at) = self.raster.totals();
         numbers.capacity = self.raster.sizes().intersections as u32;

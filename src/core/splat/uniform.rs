@@ -29,8 +29,10 @@ pub struct CameraUniform {
     pub size: [u32; 2],
     /// Image size in tiles, rounded up.
     pub tiles: [u32; 2],
-    /// Centre of projection, world units; w unused.
-    pub position: [f32; 4],
+    /// Centre of projection, world units.
+    pub position: [f32; 3],
+    /// Which Gaussians are dropped is drawn from this.
+    pub draw: u32,
     /// Active degree of the spherical harmonics.
     pub sh_degree: u32,
     /// Number of Gaussians.
@@ -39,8 +41,10 @@ pub struct CameraUniform {
     pub near: f32,
     /// Allocated coefficients a channel.
     pub coefficients: u32,
-    /// What shines through where the splats leave room, RGB as in the image; w unused.
-    pub background: [f32; 4],
+    /// What shines through where the splats leave room, RGB as in the image.
+    pub background: [f32; 3],
+    /// Share of the Gaussians that are dropped; the opacity of the others makes up for them.
+    pub dropout: f32,
 }
 
 impl CameraUniform {
@@ -60,18 +64,26 @@ impl CameraUniform {
             centre: [k.cx as f32, k.cy as f32],
             size: [k.width as u32, k.height as u32],
             tiles: [tiles(k.width), tiles(k.height)],
-            position: row(centre.extend(1.0)),
+            position: centre.to_array().map(|x| x as f32),
+            draw: 0,
             sh_degree: active.min(allocated),
             count: count as u32,
             near,
             coefficients: (allocated + 1) * (allocated + 1),
-            background: [0.0; 4],
+            background: [0.0; 3],
+            dropout: 0.0,
         }
     }
 
     /// The same before another background than black.
     #[must_use]
-    pub fn before(self, [red, green, blue]: [f32; 3]) -> Self {
-        Self { background: [red, green, blue, 0.0], ..self }
+    pub fn before(self, background: [f32; 3]) -> Self {
+        Self { background, ..self }
+    }
+
+    /// The same without a `share` of the Gaussians, below 1, drawn from `draw`.
+    #[must_use]
+    pub fn dropping(self, share: f32, draw: u32) -> Self {
+        Self { dropout: share, draw, ..self }
     }
 }
