@@ -13,10 +13,11 @@ import pathlib
 import subprocess
 import sys
 
-# Name and options of each variant; the first is plain 3DGS on the brightened photographs.
+# Name and options of each variant; the first is plain 3DGS on the brightened photographs, as published.
 PLAIN = ["rounds=1", "deblur=identity", "noise=off", "shake=off", "refine_poses=false"]
 VARIANTS = [
-    ("plain 3DGS on the brightened photographs", PLAIN),
+    ("plain 3DGS on the brightened photographs", PLAIN + ["background=black"]),
+    ("+ changing background", PLAIN),
     ("+ corrected cameras", PLAIN[:-1] + ["refine_poses=true"]),
     ("+ noise field", ["rounds=1", "deblur=identity", "noise=grid", "shake=off"]),
     ("+ deblurring network", ["rounds=1", "noise=off", "shake=off"]),

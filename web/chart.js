@@ -6,12 +6,12 @@ const WIDTH = 420;
 const HEIGHT = 210;
 const MARGIN = { left: 42, right: 12, top: 8, bottom: 24 };
 
-/** A chart of `series`: [{ label, colour: 0..2, dashed, points: [[round, value], ...] }]. */
-export function chart(title, series, digits) {
+/** A chart of `series`: [{ label, colour: 0..2, dashed, points: [[round, value], ...] }]; no value is above `most`. */
+export function chart(title, series, digits, most = Infinity) {
   const points = series.flatMap((one) => one.points);
   if (points.length === 0) return null;
   const rounds = [...new Set(points.map(([round]) => round))].sort((a, b) => a - b);
-  const [low, high] = range(points.map(([, value]) => value));
+  const [low, high] = range(points.map(([, value]) => value), most);
   const x = (round) => {
     const [first, last] = [rounds[0], rounds.at(-1)];
     const share = last === first ? 0.5 : (round - first) / (last - first);
@@ -41,8 +41,8 @@ export function chart(title, series, digits) {
   return h("div", { class: "chart" }, h("h3", {}, title), svg, h("div", { class: "legend" }, legend));
 }
 
-function range(values) {
+function range(values, most) {
   const [low, high] = [Math.min(...values), Math.max(...values)];
   const room = (high - low) * 0.12 || Math.abs(high) * 0.05 || 1;
-  return [low - room, high + room];
+  return [low - room, Math.min(high + room, Math.max(most, high))];
 }

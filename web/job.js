@@ -160,7 +160,7 @@ function metricCharts(rounds) {
       .filter((one) => one.points.length > 0);
     const psnr = references[0] === "gt" ? "psnr_cc_db" : "psnr_db";
     const title = psnr === "psnr_cc_db" ? "PSNR after colour fit, dB" : "PSNR, dB";
-    nodes.push(h("h3", {}, label), h("div", { class: "charts" }, chart(title, values(psnr), 1), chart("SSIM", values("ssim"), 2)));
+    nodes.push(h("h3", {}, label), h("div", { class: "charts" }, chart(title, values(psnr), 1), chart("SSIM", values("ssim"), 2, 1)));
   }
   if (!nodes.some((node) => node.textContent.includes("ground truth"))) {
     nodes.push(h("p", { class: "hint" }, "The capture has no ground truth: what is shown says how well the scene agrees with its own training images."));

@@ -47,7 +47,8 @@ pub struct TrainingView {
 pub enum Background {
     /// Black: what is dark in every view may turn transparent.
     Black,
-    /// Another colour at every step, so that only what is opaque looks right.
+    /// Another colour at every step, so that only what is opaque looks right. Differs from the paper: its views
+    /// fill their frames too, and what is seen through from elsewhere is a hole.
     Random,
 }
 

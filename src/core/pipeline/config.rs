@@ -203,7 +203,7 @@ impl Preset {
             densify: Densify::Mcmc,
             cap: 30_000,
             sh_degree: 2,
-            background: Background::Black,
+            background: Background::Random,
             dropout: 0.0,
             resolution_schedule: true,
             held_out: "auto".to_owned(),
@@ -223,6 +223,7 @@ impl Preset {
                 shake: ShakeModel::Off,
                 train_on: TrainOn::Deblurred,
                 refine_poses: false,
+                background: Background::Black,
                 lut_scope: LutScope::Image,
                 sh_degree: 3,
                 ..standard
