@@ -1,6 +1,7 @@
 //! The loop over the steps of a round.
 
 mod poses;
+mod saved;
 mod shaken;
 mod stepper;
 
@@ -10,6 +11,7 @@ use std::time::{Duration, Instant};
 use fled_gpu::{Buffer, Gpu, GpuError, Recording};
 use rand::RngExt;
 
+#[cfg(test)]
 use super::checkpoint::Checkpoint;
 use super::level::Level;
 use super::optimizer::{Optimizer, SlotGradients, StepUniform};
@@ -18,12 +20,11 @@ use super::{
     densify,
 };
 use crate::cancel::CancelToken;
-use crate::gaussians::Gaussians;
 use crate::metrics::report::NoiseMapStatistics;
 use crate::noise::{NoiseField, NoiseMode, OFF_SHARE, Room};
 use crate::register::Motion;
 use crate::shake::Shake;
-use crate::splat::project::{DeviceGaussians, GEOMETRY_ROW, Projection, unpack_geometry};
+use crate::splat::project::{DeviceGaussians, GEOMETRY_ROW, Projection};
 use crate::splat::rasterize::{Backward, Forward, PendingCounts, Specialisation, SplatBuffers, SplatSizes};
 use crate::splat::uniform::{CameraUniform, NEAR};
 pub use stepper::Stepper;
@@ -88,7 +89,7 @@ impl<'a> Trainer<'a> {
     ) -> Result<Self, ReconstructError> {
         let (gaussians, checkpoint) = match start {
             TrainStart::Fresh(gaussians) => (gaussians.with_sh_degree(config.sh_degree), None),
-            TrainStart::Resume(checkpoint) => (scene_of(&checkpoint), Some(checkpoint)),
+            TrainStart::Resume(checkpoint) => (saved::scene_of(&checkpoint), Some(checkpoint)),
         };
         if views.is_empty() || gaussians.is_empty() {
             return Err(ReconstructError::Empty { views: views.len(), gaussians: gaussians.len() });
@@ -409,62 +410,6 @@ impl<'a> Trainer<'a> {
         }
         Ok(())
     }
-
-    /// The state before the step `next`, with nothing in flight.
-    fn checkpoint(&self) -> Result<Checkpoint, ReconstructError> {
-        let count = self.gaussians.count;
-        let sh = self.gaussians.sh.len() / self.gaussians.capacity * count;
-        let read = |buffer: &Buffer<f32>, n: usize| buffer.start_read(n)?.wait();
-        Ok(Checkpoint {
-            fingerprint: self.fingerprint(),
-            step: self.next,
-            start_count: self.start_count as u32,
-            sh_degree: self.gaussians.sh_degree,
-            intersections: self.raster.sizes().intersections as u32,
-            non_finite: self.optimizer.counters.read()?[0],
-            geometry: read(&self.gaussians.geometry, count * GEOMETRY_ROW)?,
-            geometry_moments: read(&self.optimizer.geometry_moments, 2 * count * GEOMETRY_ROW)?,
-            sh: read(&self.gaussians.sh, sh)?,
-            sh_moments: read(&self.optimizer.sh_moments, 2 * sh)?,
-            noise: self.noise.as_ref().map_or(Ok(Vec::new()), NoiseField::save)?,
-            shake: self.shake.as_ref().map_or(Vec::new(), Shake::save),
-            motions: self.motions.iter().flat_map(|motion| motion.twist).collect(),
-        })
-    }
-
-    fn restore(&mut self, checkpoint: &Checkpoint) -> Result<(), ReconstructError> {
-        if checkpoint.fingerprint != self.fingerprint() || checkpoint.step > self.config.steps {
-            return Err(ReconstructError::OtherRound);
-        }
-        self.optimizer.geometry_moments.write(&checkpoint.geometry_moments)?;
-        self.optimizer.sh_moments.write(&checkpoint.sh_moments)?;
-        self.optimizer.counters.write(&[checkpoint.non_finite])?;
-        if let Some(noise) = &mut self.noise {
-            noise.restore(&checkpoint.noise).map_err(|error| ReconstructError::Noise(error.to_string()))?;
-        }
-        self.start_count = checkpoint.start_count as usize;
-        self.next = checkpoint.step;
-        // The level in use before this step: `prepare` changes it where the undisturbed round does.
-        let divisor = self.schedule.divisor(self.next.saturating_sub(1));
-        self.level = Level::new(self.gpu, self.views, divisor)?;
-        self.restore_shake(&checkpoint.shake)?;
-        self.restore_motions(&checkpoint.motions)?;
-        let sizes = self.raster.sizes();
-        let intersections = checkpoint.intersections as usize;
-        self.raster = SplatBuffers::new(self.gpu, SplatSizes { intersections, ..sizes }, true)?;
-        Ok(())
-    }
-
-    /// Identifies config and views.
-    fn fingerprint(&self) -> u64 {
-        let mut hasher = blake3::Hasher::new();
-        hasher.update(format!("{:?}", self.config).as_bytes());
-        for view in self.views {
-            hasher.update(format!("{} {:?}", view.name, view.camera).as_bytes());
-        }
-        let hash = hasher.finalize();
-        u64::from_le_bytes(*hash.as_bytes().first_chunk().expect("a hash has 32 bytes"))
-    }
 }
 
 #[cfg(test)]
@@ -492,11 +437,6 @@ impl Trainer<'_> {
         self.forget_recordings();
         self
     }
-}
-
-fn scene_of(checkpoint: &Checkpoint) -> Gaussians {
-    let (rows, _) = checkpoint.geometry.as_chunks::<GEOMETRY_ROW>();
-    unpack_geometry(rows, checkpoint.sh.clone(), checkpoint.sh_degree)
 }
 
 /// Largest width and height.
