@@ -5,7 +5,9 @@ SHELL := /bin/bash
 CARGO ?= cargo
 PYTHON ?= python3
 # Else a layer of Mesa calls a missing desktop session an error, on every start.
+ifndef XDG_RUNTIME_DIR
 export NODEVICE_SELECT := 1
+endif
 
 .DEFAULT_GOAL := help
 .PHONY: help setup onnxruntime build test test-peers tidy check lint demo bench gpu-pack gpu-check

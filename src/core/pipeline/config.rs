@@ -26,7 +26,7 @@ pub struct Options {
     pub target: String,
     /// One tone table for the scene or one a view.
     pub lut_scope: LutScope,
-    /// `default`, a manifest id, a path to an ONNX file, or `identity`.
+    /// `default`, a manifest id, `identity`, or, on the command line only, a path to an ONNX file.
     pub deblur: String,
     /// What guides the deblurring of rounds after the first.
     pub guide: Guide,
@@ -381,6 +381,7 @@ mod tests {
         let options = Options::default();
         assert_eq!(options.with_assignment("round=3").expect_err("unknown").key, "round");
         assert_eq!(options.with_assignment("rounds=0").expect_err("range").key, "rounds");
+        assert_eq!(options.with_assignment("dropout=0.6").expect_err("range").key, "dropout");
         assert_eq!(options.with_assignment("noise=loud").expect_err("enum").key, "noise");
     }
 }

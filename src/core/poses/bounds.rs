@@ -133,6 +133,7 @@ mod tests {
         ndarray_npy::write_npy(&file, &array).unwrap();
         assert!(read_poses_bounds(&file).unwrap_err().to_string().contains("row 0"));
         ndarray_npy::write_npy(&file, &Array2::<f64>::zeros((2, 15))).unwrap();
-        assert!(read_poses_bounds(&file).unwrap_err().to_string().contains("15"));
+        let message = read_poses_bounds(&file).unwrap_err().to_string();
+        assert!(message.contains("15") && message.starts_with("poses_bounds.npy:"), "{message}");
     }
 }

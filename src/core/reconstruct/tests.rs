@@ -142,8 +142,8 @@ fn eight_views_of_a_synthetic_scene_predict_views_held_out() {
 fn a_dark_surface_is_opaque_when_the_background_changes() {
     let mut scene = truth(300, 8);
     let angles: Vec<_> = (0..6).map(|n| -0.5 + 0.2 * f64::from(n)).collect();
-    // Black blobs before a grey wall that ends before the edges of the views: black on black.
-    scene.sh.iter_mut().for_each(|value| *value = -1.7);
+    // Black from everywhere.
+    scene.sh.iter_mut().enumerate().for_each(|(n, value)| *value = if n % 12 < 3 { -1.8 } else { 0.0 });
     scene.log_scales.fill([-1.2; 3]);
     scene.opacity_logits.fill(6.0);
     let views = views_of(&scene, &angles, [96, 64]);

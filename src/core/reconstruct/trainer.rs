@@ -11,8 +11,6 @@ use std::time::{Duration, Instant};
 use fled_gpu::{Buffer, Gpu, GpuError, Recording};
 use rand::RngExt;
 
-#[cfg(test)]
-use super::checkpoint::Checkpoint;
 use super::level::Level;
 use super::optimizer::{Optimizer, SlotGradients, StepUniform};
 use super::{
@@ -237,8 +235,7 @@ impl<'a> Trainer<'a> {
         let count = self.gaussians.count;
         let flat = self.gaussians.geometry.start_read(count * GEOMETRY_ROW)?.wait()?;
         let (rows, _) = flat.as_chunks::<GEOMETRY_ROW>();
-        let share = f64::from(step) / f64::from(self.config.steps);
-        let target = if self.config.warm && share < WARM_GROWTH {
+        let target = if self.config.warm && self.schedule.share(step) < WARM_GROWTH {
             count
         } else {
             densify::grown(count, self.start_count, self.config.cap, self.schedule.densifications())
@@ -290,8 +287,8 @@ impl<'a> Trainer<'a> {
     }
 
     fn noise_acts(&self, step: u32) -> bool {
-        let share = f64::from(step) / f64::from(self.config.steps);
-        self.noise.is_some() && (self.config.noise == NoiseMode::Paper || share >= OFF_SHARE)
+        let late = self.schedule.share(step) >= OFF_SHARE;
+        self.noise.is_some() && (self.config.noise == NoiseMode::Paper || late)
     }
 
     fn record(&mut self, index: usize, noisy: bool) -> Result<Recording, GpuError> {
@@ -415,11 +412,11 @@ impl<'a> Trainer<'a> {
 #[cfg(test)]
 impl Trainer<'_> {
     /// Trains to the first synchronisation at or after `step` and returns its checkpoint.
-    pub(super) fn frozen_at(mut self, step: u32) -> Checkpoint {
+    pub(super) fn frozen_at(mut self, step: u32) -> super::Checkpoint {
         let mut frozen = None;
         let cancel = CancelToken::new();
         self.checkpoint_every = Duration::ZERO;
-        let mut keep = |checkpoint: &Checkpoint| {
+        let mut keep = |checkpoint: &super::Checkpoint| {
             if checkpoint.step >= step {
                 frozen.get_or_insert_with(|| checkpoint.clone());
             }
