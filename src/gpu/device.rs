@@ -79,6 +79,15 @@ impl Gpu {
     /// # Errors
     /// [`GpuError::NoAdapter`] when none fits or the device cannot be opened.
     pub fn new(adapter: &str) -> Result<Self, GpuError> {
+        Self::binding_at_most(adapter, u64::MAX)
+    }
+
+    /// The same as if the adapter could bind `most` bytes at most: what happens beyond a binding is seen with
+    /// little memory.
+    ///
+    /// # Errors
+    /// As [`Gpu::new`].
+    pub fn binding_at_most(adapter: &str, most: u64) -> Result<Self, GpuError> {
         let mut descriptor = wgpu::InstanceDescriptor::new_without_display_handle();
         descriptor.backends = wgpu::Backends::VULKAN;
         // Checking every indirect dispatch costs a dispatch more each; the kernels that write the
@@ -87,7 +96,7 @@ impl Gpu {
         let instance = wgpu::Instance::new(descriptor);
         let adapters = pollster::block_on(instance.enumerate_adapters(wgpu::Backends::VULKAN));
         let adapter = choose(adapters, adapter)?;
-        open(&adapter)
+        open(&adapter, most)
     }
 
     /// What the device is.
@@ -168,12 +177,13 @@ fn device_type(raw: wgpu::DeviceType) -> DeviceType {
     }
 }
 
-fn open(adapter: &wgpu::Adapter) -> Result<Gpu, GpuError> {
+fn open(adapter: &wgpu::Adapter, most: u64) -> Result<Gpu, GpuError> {
     let raw = adapter.get_info();
     let wanted =
         wgpu::Features::SUBGROUP | wgpu::Features::SUBGROUP_BARRIER | wgpu::Features::TIMESTAMP_QUERY;
     let features = adapter.features() & wanted;
-    let limits = adapter.limits();
+    let mut limits = adapter.limits();
+    limits.max_storage_buffer_binding_size = limits.max_storage_buffer_binding_size.min(most);
     let info = AdapterInfo {
         name: raw.name.clone(),
         driver: format!("{} {}", raw.driver, raw.driver_info).trim().to_owned(),

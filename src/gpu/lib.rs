@@ -39,6 +39,7 @@
 //! - A command sees what the commands before it wrote. `Buffer::write` comes before everything that is
 //!   submitted later. `Buffer::read` waits; `start_read(n)?` ... `.wait()?` does not hold up the device.
 //! - A [`Recording`] is submitted once a step; what changes (camera, step number) is written into buffers.
+//! - [`Rows`] are an array that is split into buffers where the adapter binds less than all of it.
 //! - An empty buffer has room for 16 bytes: take counts from a uniform, not from `arrayLength`.
 //! - [`Kernel::reflect`] gives struct layouts, bindings and constants to compare with Rust in a test.
 //! - Subgroup operations are there when [`AdapterInfo::subgroup`] is `Some`; a kernel that uses them needs a
@@ -54,6 +55,7 @@ mod memory;
 mod profile;
 mod recorder;
 pub mod reflect;
+mod rows;
 pub mod shader;
 
 pub use buffer::{Bind, Buffer, ReadBack};
@@ -63,6 +65,7 @@ pub use kernel::{Access, Binding, Kernel, read, read_write, uniform};
 pub use memory::MemoryUse;
 pub use profile::KernelTime;
 pub use recorder::{MAX_WORKGROUPS, Recorder, Recording};
+pub use rows::{Rows, part_sizes};
 
 #[cfg(test)]
 mod tests;
