@@ -1,8 +1,8 @@
 // The backward of blending for one tile, without its reduction: `store_partial` and PARTIALS come from
 // shared/partial_subgroup.wgsl or shared/partial_workgroup.wgsl. Replays the forward order, so both take the
 // same decisions: behind a splat lies (final colour - colour so far), T is never divided by.
-// Reads image, image_gradient [3, height, width], last [tiles]; writes slot_gradients [slots, 9], every row
-// of the tile once: mean x y, conic a b c, colour r g b, opacity.
+// Reads image, image_gradient [3, height, width], last [tiles]; writes every row of the tile once: slot_means (x y,
+// opacity), slot_conics (a b c), slot_colours (r g b), all [slots, 3].
 #import shared/raster.wgsl
 
 @group(0) @binding(0) var<uniform> camera: CameraUniform;
@@ -13,7 +13,9 @@
 @group(0) @binding(5) var<storage, read> image: array<f32>;
 @group(0) @binding(6) var<storage, read> image_gradient: array<f32>;
 @group(0) @binding(7) var<storage, read> last: array<u32>;
-@group(0) @binding(8) var<storage, read_write> slot_gradients: array<f32>;
+@group(0) @binding(8) var<storage, read_write> slot_means: array<f32>;
+@group(0) @binding(9) var<storage, read_write> slot_conics: array<f32>;
+@group(0) @binding(10) var<storage, read_write> slot_colours: array<f32>;
 
 // Splats between two reductions; at most WIDTH.
 const GROUP: u32 = 16;
@@ -21,12 +23,15 @@ const SUMS: u32 = 9;
 
 var<workgroup> partials: array<f32, SUMS * GROUP * PARTIALS>;
 
-fn store_row(slot: u32, row: array<f32, SUMS>) {
-    if (slot >= arrayLength(&slot_gradients) / SUMS) {
+fn store_row(slot: u32, mean: vec3<f32>, conic: vec3<f32>, colour: vec3<f32>) {
+    let at = 3u * slot;
+    if (at + 3u > min(arrayLength(&slot_means), min(arrayLength(&slot_conics), arrayLength(&slot_colours)))) {
         return;
     }
-    for (var i = 0u; i < SUMS; i++) {
-        slot_gradients[SUMS * slot + i] = row[i];
+    for (var i = 0u; i < 3u; i++) {
+        slot_means[at + i] = mean[i];
+        slot_conics[at + i] = conic[i];
+        slot_colours[at + i] = colour[i];
     }
 }
 
@@ -42,17 +47,13 @@ fn finish_splat(j: u32, slot: u32) {
         s[i] = sum;
     }
     let c = batch[j].conic;
-    store_row(slot, array<f32, SUMS>(
-        -(c.x * s[4] + c.y * s[5]),
-        -(c.y * s[4] + c.z * s[5]),
-        0.5 * s[6],
-        s[7],
-        0.5 * s[8],
-        s[0],
-        s[1],
-        s[2],
-        -s[3] / batch[j].place.z,
-    ));
+    let by_mean = vec2<f32>(-(c.x * s[4] + c.y * s[5]), -(c.y * s[4] + c.z * s[5]));
+    store_row(
+        slot,
+        vec3<f32>(by_mean, -s[3] / batch[j].place.z),
+        vec3<f32>(0.5 * s[6], s[7], 0.5 * s[8]),
+        vec3<f32>(s[0], s[1], s[2]),
+    );
 }
 
 fn backward(tile: u32, lane: u32, lane_in_subgroup: u32) {
@@ -140,6 +141,6 @@ fn backward(tile: u32, lane: u32, lane_in_subgroup: u32) {
         workgroupBarrier();
     }
     for (var at = max(end, range.x) + lane; at < range.y; at += WIDTH) {
-        store_row(slots[at], array<f32, SUMS>());
+        store_row(slots[at], vec3<f32>(0.0), vec3<f32>(0.0), vec3<f32>(0.0));
     }
 }

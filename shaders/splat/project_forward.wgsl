@@ -1,10 +1,11 @@
 // Projects one Gaussian an invocation: mean and inverse covariance on the image, colour from its
 // harmonics, depth key, and the exact number of tiles it touches (0 when culled).
-// Reads geometry [count, 12], sh [count, coefficients, 3]. Writes projected [count, 3],
-// tile_counts [count], depth_keys [count]. Dispatch: count.
+// Reads geometry [part, 12], sh [part, coefficients, 3]. Writes projected [count, 3],
+// tile_counts [count], depth_keys [count]. Dispatch: the part's rows.
 // Sigma' = J W Sigma W^T J^T + 0.3 I, opacity = sigmoid(logit) / (1 - dropout), colour = max(0.5 + sum sh Y(d), 0).
 #import shared/grid.wgsl
 #import shared/harmonics.wgsl
+#import shared/part.wgsl
 #import shared/projection.wgsl
 #import shared/random.wgsl
 #import shared/tiles.wgsl
@@ -12,14 +13,15 @@
 const WIDTH: u32 = 64;
 
 @group(0) @binding(0) var<uniform> camera: CameraUniform;
-@group(0) @binding(1) var<storage, read> geometry: array<f32>;
-@group(0) @binding(2) var<storage, read> sh: array<f32>;
-@group(0) @binding(3) var<storage, read_write> projected: array<vec4<f32>>;
-@group(0) @binding(4) var<storage, read_write> tile_counts: array<u32>;
-@group(0) @binding(5) var<storage, read_write> depth_keys: array<u32>;
+@group(0) @binding(1) var<uniform> part: PartUniform;
+@group(0) @binding(2) var<storage, read> geometry: array<f32>;
+@group(0) @binding(3) var<storage, read> sh: array<f32>;
+@group(0) @binding(4) var<storage, read_write> projected: array<vec4<f32>>;
+@group(0) @binding(5) var<storage, read_write> tile_counts: array<u32>;
+@group(0) @binding(6) var<storage, read_write> depth_keys: array<u32>;
 
-fn load_geometry(i: u32) -> Geometry {
-    let at = i * 12u;
+fn load_geometry(row: u32) -> Geometry {
+    let at = row * 12u;
     return Geometry(
         vec3<f32>(geometry[at], geometry[at + 1u], geometry[at + 2u]),
         vec3<f32>(geometry[at + 3u], geometry[at + 4u], geometry[at + 5u]),
@@ -28,12 +30,12 @@ fn load_geometry(i: u32) -> Geometry {
     );
 }
 
-fn colour_of(i: u32, mean: vec3<f32>) -> vec3<f32> {
+fn colour_of(row: u32, mean: vec3<f32>) -> vec3<f32> {
     let offset = mean - camera.position;
     var basis = sh_basis(offset / max(length(offset), 1e-12));
     var colour = vec3<f32>(0.5);
     let used = min(sh_count(camera.sh_degree), camera.coefficients);
-    var at = i * camera.coefficients * 3u;
+    var at = row * camera.coefficients * 3u;
     for (var k = 0u; k < used; k++) {
         colour += basis[k] * vec3<f32>(sh[at], sh[at + 1u], sh[at + 2u]);
         at += 3u;
@@ -59,13 +61,14 @@ fn main(
     @builtin(num_workgroups) workgroups: vec3<u32>,
     @builtin(local_invocation_index) lane: u32,
 ) {
-    let i = flat_workgroup(workgroup, workgroups) * WIDTH + lane;
-    if (i >= camera.count) {
+    let row = flat_workgroup(workgroup, workgroups) * WIDTH + lane;
+    let i = part.first + row;
+    if (row >= part.rows || i >= camera.count) {
         return;
     }
     tile_counts[i] = 0u;
     depth_keys[i] = 0xffffffffu;
-    let g = load_geometry(i);
+    let g = load_geometry(row);
     if (!geometry_usable(g) || uniform4(camera.draw, 0u, i).x < camera.dropout) {
         return;
     }
@@ -79,7 +82,7 @@ fn main(
     let mean = camera.focal * p.point.xy / p.point.z + camera.centre;
     let conic = vec3<f32>(p.flat.z, -p.flat.y, p.flat.x) / p.determinant;
     let extent = splat_extent(p.flat.xz, opacity);
-    let colour = colour_of(i, g.mean);
+    let colour = colour_of(row, g.mean);
     if (!is_finite3(colour) || !is_finite3(conic) || !is_finite(mean.x + mean.y + extent.x + extent.y)) {
         return;
     }

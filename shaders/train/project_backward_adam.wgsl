@@ -1,34 +1,40 @@
 // The gradient of one Gaussian an invocation, from its slots to its parameters, and its Adam update in
 // place. Sums the Gaussian's contiguous rows of slot_gradients, goes back through conic, covariance,
 // projection, harmonics and activations, adds the MCMC regularisers, updates, adds exploration noise.
-// Reads tile_counts, slot_offsets [count], slot_gradients [slots, 9] (mean2d xy, conic abc, rgb,
-// opacity), intersections (their exact total). Reads and writes geometry [count, 12],
-// geometry_moments [count, 2, 12], sh [count, coefficients, 3], sh_moments [count, 2, coefficients, 3],
-// counters [0] (non-finite gradients dropped). Dispatch: count. Void when the slots overflowed.
-// WRITE_GRADIENTS = 1 leaves the parameters and writes the gradient in place of the first moments.
+// Reads tile_counts, slot_offsets [count], slot_means (mean2d xy, opacity), slot_conics (abc), slot_colours (rgb), all
+// [slots, 3], intersections (their exact total). Reads and writes geometry [part, 12], geometry_moments [part, 2, 12],
+// sh [part, coefficients, 3], sh_moments [part, 2, coefficients, 3], counters [0] (non-finite gradients dropped).
+// Dispatch: the part's rows. Void when the slots overflowed.
+// WRITE_GRADIENTS = 1 leaves the parameters and writes the gradient in place of the first moments. COUNT_PULLS = 1 adds
+// the length of the gradient by the position, in normalised device coordinates, and a view to the moments' free floats.
 #import shared/grid.wgsl
 #import shared/harmonics.wgsl
-#import shared/projection.wgsl
+#import shared/part.wgsl
+#import shared/projection_backward.wgsl
 #import shared/random.wgsl
 #import shared/train.wgsl
 
 const WIDTH: u32 = 64;
 const WRITE_GRADIENTS: u32 = 0;
+const COUNT_PULLS: u32 = 0;
 const BETA_M: f32 = 0.9;
 const BETA_V: f32 = 0.999;
 const EPSILON: f32 = 1e-15;
 
 @group(0) @binding(0) var<uniform> camera: CameraUniform;
 @group(0) @binding(1) var<uniform> train: StepUniform;
-@group(0) @binding(2) var<storage, read> tile_counts: array<u32>;
-@group(0) @binding(3) var<storage, read> slot_offsets: array<u32>;
-@group(0) @binding(4) var<storage, read> slot_gradients: array<f32>;
-@group(0) @binding(5) var<storage, read> intersections: array<u32>;
-@group(0) @binding(6) var<storage, read_write> geometry: array<f32>;
-@group(0) @binding(7) var<storage, read_write> geometry_moments: array<f32>;
-@group(0) @binding(8) var<storage, read_write> sh: array<f32>;
-@group(0) @binding(9) var<storage, read_write> sh_moments: array<f32>;
-@group(0) @binding(10) var<storage, read_write> counters: array<atomic<u32>>;
+@group(0) @binding(2) var<uniform> part: PartUniform;
+@group(0) @binding(3) var<storage, read> tile_counts: array<u32>;
+@group(0) @binding(4) var<storage, read> slot_offsets: array<u32>;
+@group(0) @binding(5) var<storage, read> slot_means: array<f32>;
+@group(0) @binding(6) var<storage, read> slot_conics: array<f32>;
+@group(0) @binding(7) var<storage, read> slot_colours: array<f32>;
+@group(0) @binding(8) var<storage, read> intersections: array<u32>;
+@group(0) @binding(9) var<storage, read_write> geometry: array<f32>;
+@group(0) @binding(10) var<storage, read_write> geometry_moments: array<f32>;
+@group(0) @binding(11) var<storage, read_write> sh: array<f32>;
+@group(0) @binding(12) var<storage, read_write> sh_moments: array<f32>;
+@group(0) @binding(13) var<storage, read_write> counters: array<atomic<u32>>;
 
 // Finite, and so small that its square is finite too: by bits, for NaN has no order in WGSL.
 fn fits3(v: vec3<f32>) -> bool {
@@ -44,8 +50,8 @@ struct SlotSum {
     opacity: f32,
 }
 
-fn load_geometry(i: u32) -> Geometry {
-    let at = i * 12u;
+fn load_geometry(row: u32) -> Geometry {
+    let at = row * 12u;
     return Geometry(
         vec3<f32>(geometry[at], geometry[at + 1u], geometry[at + 2u]),
         vec3<f32>(geometry[at + 3u], geometry[at + 4u], geometry[at + 5u]),
@@ -58,49 +64,13 @@ fn sum_slots(i: u32) -> SlotSum {
     var sum = SlotSum(vec2<f32>(0.0), vec3<f32>(0.0), vec3<f32>(0.0), 0.0);
     let first = slot_offsets[i];
     for (var slot = first; slot < first + tile_counts[i]; slot++) {
-        let at = slot * 9u;
-        sum.mean += vec2<f32>(slot_gradients[at], slot_gradients[at + 1u]);
-        sum.conic += vec3<f32>(slot_gradients[at + 2u], slot_gradients[at + 3u], slot_gradients[at + 4u]);
-        sum.colour += vec3<f32>(slot_gradients[at + 5u], slot_gradients[at + 6u], slot_gradients[at + 7u]);
-        sum.opacity += slot_gradients[at + 8u];
+        let at = slot * 3u;
+        sum.mean += vec2<f32>(slot_means[at], slot_means[at + 1u]);
+        sum.conic += vec3<f32>(slot_conics[at], slot_conics[at + 1u], slot_conics[at + 2u]);
+        sum.colour += vec3<f32>(slot_colours[at], slot_colours[at + 1u], slot_colours[at + 2u]);
+        sum.opacity += slot_means[at + 2u];
     }
     return sum;
-}
-
-// -conic G conic, embedded in 3 x 3.
-fn conic_backward(p: Projection, by_conic: vec3<f32>) -> mat3x3<f32> {
-    let inverse = 1.0 / p.determinant;
-    let conic = mat2x2<f32>(p.flat.z * inverse, -p.flat.y * inverse, -p.flat.y * inverse, p.flat.x * inverse);
-    let upstream = mat2x2<f32>(by_conic.x, 0.5 * by_conic.y, 0.5 * by_conic.y, by_conic.z);
-    let flat = conic * upstream * conic;
-    return mat3x3<f32>(vec3<f32>(-flat[0], 0.0), vec3<f32>(-flat[1], 0.0), vec3<f32>(0.0));
-}
-
-fn point_backward(p: Projection, by_mean: vec2<f32>, by_jacobian: mat3x3<f32>) -> vec3<f32> {
-    let z = p.point.z;
-    let by_ratio = camera.focal / (z * z);
-    let by_third = by_jacobian[2].xy;
-    // J[axis][2] = -f slope / z, and the slope moves with the point unless it is clamped.
-    let moves = select(vec2<f32>(1.0), vec2<f32>(0.0), p.clamped);
-    let by_xy = by_mean * camera.focal / z - by_third * by_ratio * moves;
-    let by_z = -by_mean * by_ratio * p.point.xy - vec2<f32>(by_jacobian[0].x, by_jacobian[1].y) * by_ratio
-        + by_third * by_ratio * p.slope * (1.0 + moves);
-    return vec3<f32>(by_xy, by_z.x + by_z.y);
-}
-
-fn quat_backward(s: Shape, g: mat3x3<f32>) -> vec4<f32> {
-    let w = s.unit_quat.x;
-    let x = s.unit_quat.y;
-    let y = s.unit_quat.z;
-    let z = s.unit_quat.w;
-    // g[column][row]
-    let by_unit = 2.0 * vec4<f32>(
-        x * (g[1].z - g[2].y) + y * (g[2].x - g[0].z) + z * (g[0].y - g[1].x),
-        y * (g[1].x + g[0].y) + z * (g[2].x + g[0].z) + w * (g[1].z - g[2].y) - 2.0 * x * (g[1].y + g[2].z),
-        x * (g[1].x + g[0].y) + z * (g[2].y + g[1].z) + w * (g[2].x - g[0].z) - 2.0 * y * (g[0].x + g[2].z),
-        x * (g[2].x + g[0].z) + y * (g[2].y + g[1].z) + w * (g[0].y - g[1].x) - 2.0 * z * (g[0].x + g[1].y),
-    );
-    return (by_unit - s.unit_quat * dot(by_unit, s.unit_quat)) / s.quat_norm;
 }
 
 fn geometry_backward(p: Projection, s: Shape, sum: SlotSum, by_direction: vec3<f32>) -> Geometry {
@@ -126,7 +96,7 @@ struct ColourGradient {
     by_mean: vec3<f32>,
 }
 
-fn colour_backward(i: u32, mean: vec3<f32>, by_colour: vec3<f32>) -> ColourGradient {
+fn colour_backward(row: u32, mean: vec3<f32>, by_colour: vec3<f32>) -> ColourGradient {
     let offset = mean - camera.position;
     let distance = max(length(offset), 1e-12);
     let direction = offset / distance;
@@ -135,7 +105,7 @@ fn colour_backward(i: u32, mean: vec3<f32>, by_colour: vec3<f32>) -> ColourGradi
     let used = min(sh_count(camera.sh_degree), camera.coefficients);
     var colour = vec3<f32>(0.5);
     var jacobian = mat3x3<f32>();
-    var at = i * camera.coefficients * 3u;
+    var at = row * camera.coefficients * 3u;
     for (var k = 0u; k < used; k++) {
         let value = vec3<f32>(sh[at], sh[at + 1u], sh[at + 2u]);
         colour += basis[k] * value;
@@ -147,8 +117,8 @@ fn colour_backward(i: u32, mean: vec3<f32>, by_colour: vec3<f32>) -> ColourGradi
     return ColourGradient(gated, (by_direction - direction * dot(direction, by_direction)) / distance);
 }
 
-fn adam_geometry(i: u32, slot: u32, gradient: f32, rate: f32) {
-    let at = i * 24u + slot;
+fn adam_geometry(row: u32, slot: u32, gradient: f32, rate: f32) {
+    let at = row * 24u + slot;
     if (WRITE_GRADIENTS == 1u) {
         geometry_moments[at] = gradient;
         return;
@@ -157,54 +127,60 @@ fn adam_geometry(i: u32, slot: u32, gradient: f32, rate: f32) {
     let v = BETA_V * geometry_moments[at + 12u] + (1.0 - BETA_V) * gradient * gradient;
     geometry_moments[at] = m;
     geometry_moments[at + 12u] = v;
-    geometry[i * 12u + slot] -= rate * m * train.bias_m / (sqrt(v * train.bias_v) + EPSILON);
+    geometry[row * 12u + slot] -= rate * m * train.bias_m / (sqrt(v * train.bias_v) + EPSILON);
 }
 
-fn adam_sh(i: u32, slot: u32, gradient: f32, rate: f32) {
-    let row = camera.coefficients * 3u;
-    let at = i * 2u * row + slot;
+fn adam_sh(row: u32, slot: u32, gradient: f32, rate: f32) {
+    let length = camera.coefficients * 3u;
+    let at = row * 2u * length + slot;
     if (WRITE_GRADIENTS == 1u) {
         sh_moments[at] = gradient;
         return;
     }
     let m = BETA_M * sh_moments[at] + (1.0 - BETA_M) * gradient;
-    let v = BETA_V * sh_moments[at + row] + (1.0 - BETA_V) * gradient * gradient;
+    let v = BETA_V * sh_moments[at + length] + (1.0 - BETA_V) * gradient * gradient;
     sh_moments[at] = m;
-    sh_moments[at + row] = v;
-    sh[i * row + slot] -= rate * m * train.bias_m / (sqrt(v * train.bias_v) + EPSILON);
+    sh_moments[at + length] = v;
+    sh[row * length + slot] -= rate * m * train.bias_m / (sqrt(v * train.bias_v) + EPSILON);
 }
 
-fn update_geometry(i: u32, g: Geometry) {
+fn update_geometry(row: u32, g: Geometry) {
     for (var axis = 0u; axis < 3u; axis++) {
-        adam_geometry(i, axis, g.mean[axis], train.rates.x);
-        adam_geometry(i, 3u + axis, g.log_scale[axis], train.rates.y);
+        adam_geometry(row, axis, g.mean[axis], train.rates.x);
+        adam_geometry(row, 3u + axis, g.log_scale[axis], train.rates.y);
     }
     for (var axis = 0u; axis < 4u; axis++) {
-        adam_geometry(i, 6u + axis, g.quat[axis], train.rates.z);
+        adam_geometry(row, 6u + axis, g.quat[axis], train.rates.z);
     }
-    adam_geometry(i, 10u, g.logit, train.rates.w);
+    adam_geometry(row, 10u, g.logit, train.rates.w);
+}
+
+fn count_pull(row: u32, by_mean: vec2<f32>) {
+    let pull = length(0.5 * vec2<f32>(camera.size) * by_mean);
+    geometry_moments[row * 24u + 11u] += pull;
+    geometry_moments[row * 24u + 23u] += 1.0;
 }
 
 // Inactive coefficients have no gradient and no moments, so they are left alone.
-fn update_sh(i: u32, mean: vec3<f32>, gated: vec3<f32>) {
+fn update_sh(row: u32, mean: vec3<f32>, gated: vec3<f32>) {
     let offset = mean - camera.position;
     var basis = sh_basis(offset / max(length(offset), 1e-12));
     let used = min(sh_count(camera.sh_degree), camera.coefficients);
     for (var k = 0u; k < used; k++) {
         let rate = select(train.rate_sh, train.rate_sh0, k == 0u);
         for (var c = 0u; c < 3u; c++) {
-            adam_sh(i, 3u * k + c, gated[c] * basis[k], rate);
+            adam_sh(row, 3u * k + c, gated[c] * basis[k], rate);
         }
     }
 }
 
 // Exploration of MCMC: a normal step shaped by the covariance, large where the opacity is small.
-fn explore(i: u32, s: Shape) {
+fn explore(row: u32, s: Shape) {
     let gate = sigmoid(-100.0 * (s.opacity - 0.005));
-    let move_by = s.covariance * normal3(train.seed, train.step, i) * (gate * train.noise);
+    let move_by = s.covariance * normal3(train.seed, train.step, part.first + row) * (gate * train.noise);
     if (is_finite3(move_by)) {
         for (var axis = 0u; axis < 3u; axis++) {
-            geometry[i * 12u + axis] += move_by[axis];
+            geometry[row * 12u + axis] += move_by[axis];
         }
     }
 }
@@ -215,11 +191,12 @@ fn main(
     @builtin(num_workgroups) workgroups: vec3<u32>,
     @builtin(local_invocation_index) lane: u32,
 ) {
-    let i = flat_workgroup(workgroup, workgroups) * WIDTH + lane;
-    if (i >= camera.count || intersections[train.total_at] > train.capacity) {
+    let row = flat_workgroup(workgroup, workgroups) * WIDTH + lane;
+    let i = part.first + row;
+    if (row >= part.rows || i >= camera.count || intersections[train.total_at] > train.capacity) {
         return;
     }
-    let g = load_geometry(i);
+    let g = load_geometry(row);
     if (!geometry_usable(g)) {
         return;
     }
@@ -227,11 +204,13 @@ fn main(
     let p = project_shape(g.mean, shape, camera);
     var by = Geometry(vec3<f32>(0.0), vec3<f32>(0.0), vec4<f32>(0.0), 0.0);
     var gated = vec3<f32>(0.0);
+    var pull = vec2<f32>(0.0);
     if (tile_counts[i] > 0u && p.usable) {
         let sum = sum_slots(i);
-        let colour = colour_backward(i, g.mean, sum.colour);
+        let colour = colour_backward(row, g.mean, sum.colour);
         by = geometry_backward(p, shape, sum, colour.by_mean);
         gated = colour.gated;
+        pull = sum.mean;
     }
     if (!(fits3(by.mean) && fits3(by.log_scale) && fits3(by.quat.xyz) && fits3(gated)
         && fits3(vec3<f32>(by.quat.w, by.logit, 0.0)))) {
@@ -242,9 +221,12 @@ fn main(
     by.log_scale += train.scale_weight * shape.scale;
     let held = clamp(g.log_scale, vec3<f32>(LOG_SCALE_LOW), vec3<f32>(LOG_SCALE_HIGH));
     by.log_scale = select(vec3<f32>(0.0), by.log_scale, g.log_scale == held);
-    update_geometry(i, by);
-    update_sh(i, g.mean, gated);
+    update_geometry(row, by);
+    update_sh(row, g.mean, gated);
+    if (COUNT_PULLS == 1u && tile_counts[i] > 0u) {
+        count_pull(row, pull);
+    }
     if (WRITE_GRADIENTS == 0u && train.noise > 0.0) {
-        explore(i, shape);
+        explore(row, shape);
     }
 }

@@ -23,7 +23,7 @@ use crate::cancel::{CancelToken, Cancelled};
 use crate::gaussians::ply::PlyError;
 use crate::image::ImageError;
 use crate::noise::NoiseMode;
-use crate::reconstruct::{Background, ReconstructError, Response, Stepper, TrainConfig};
+use crate::reconstruct::{Background, Densify, ReconstructError, Response, Stepper, TrainConfig};
 use crate::render::SplatError;
 pub use measure::Budget;
 use report::{Case, Machine, Report};
@@ -253,7 +253,8 @@ fn config(workload: &Workload, extras: Extras) -> TrainConfig {
         warm: true,
         background: Background::Black,
         dropout: 0.0,
-        densify: true,
+        densify: Densify::Mcmc,
+        view_colour: false,
         seed: 0,
         extent: workload.extent,
     }

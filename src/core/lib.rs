@@ -23,6 +23,7 @@ pub mod metrics;
 pub mod noise;
 pub mod pipeline;
 pub mod poses;
+mod random;
 pub mod reconstruct;
 pub mod register;
 pub mod render;

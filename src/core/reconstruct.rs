@@ -4,6 +4,7 @@
 //! waits for nothing but the count of intersections of the step before last.
 
 pub mod checkpoint;
+mod colour;
 pub mod densify;
 pub mod initialise;
 mod level;
@@ -24,7 +25,7 @@ use crate::metrics::report::NoiseMapStatistics;
 use crate::noise::NoiseMode;
 pub use crate::shake::Response;
 pub use checkpoint::{Checkpoint, CheckpointError};
-pub use initialise::{Point, initialise, scene_depth, scene_extent};
+pub use initialise::{Beginning, Point, initialise, scene_depth, scene_extent};
 pub use schedule::Schedule;
 pub use trainer::Stepper;
 
@@ -50,6 +51,29 @@ pub enum Background {
     /// Another colour at every step, so that only what is opaque looks right. Differs from the paper: its views
     /// fill their frames too, and what is seen through from elsewhere is a hole.
     Random,
+}
+
+/// How Gaussians come and go.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Densify {
+    /// MCMC: relocation and growth up to the cap.
+    Mcmc,
+    /// Clone, split and prune by gradients, as first published; at most the cap.
+    Classic,
+    /// No change of the number of Gaussians.
+    Off,
+}
+
+/// The length that rates and noise are measured in.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum ExtentRule {
+    /// The larger of the cameras' own and a quarter of the points' median depth: cameras that face forward stand
+    /// close together.
+    Scene,
+    /// 1.1 times the radius of the cameras, as first published.
+    Cameras,
 }
 
 /// Where a round begins.
@@ -86,8 +110,10 @@ pub struct TrainConfig {
     /// Share of the Gaussians that a step at the end of the round goes without; it grows from nothing. Against
     /// floaters that only few views see.
     pub dropout: f64,
-    /// Whether MCMC relocates and grows.
-    pub densify: bool,
+    /// How Gaussians come and go.
+    pub densify: Densify,
+    /// Take differences of exposure and cast between the views out of their images.
+    pub view_colour: bool,
     /// Seed of everything random.
     pub seed: u64,
     /// [`scene_extent`], world units.
@@ -211,7 +237,8 @@ pub fn register(
 ) -> Result<Vec<Camera>, ReconstructError> {
     let still = TrainConfig {
         resolution_schedule: false,
-        densify: false,
+        densify: Densify::Off,
+        view_colour: false,
         noise: NoiseMode::Off,
         background: Background::Black,
         dropout: 0.0,

@@ -4,7 +4,8 @@ use crate::sources::{Source, expect_none, files};
 
 /// Words that every module shares. `agreement` compares a kernel with its reference, in tests;
 /// the kind of an error decides exit code, HTTP status and retry for all of them alike.
-const SHARED: [&str; 7] = ["agreement", "camera", "cancel", "event", "gaussians", "image", "pipeline::error"];
+const SHARED: [&str; 8] =
+    ["agreement", "camera", "cancel", "event", "gaussians", "image", "pipeline::error", "random"];
 
 /// Every other import that is allowed, with its reason beside it.
 const ALLOWED: [(&str, &[&str]); 8] = [

@@ -12,7 +12,7 @@ use super::{BenchError, SH_DEGREE};
 use crate::camera::{Camera, Intrinsics, NamedCamera, Split};
 use crate::gaussians::{Gaussians, ply};
 use crate::image::{Image, Linear};
-use crate::reconstruct::{Point, TrainingView, scene_extent};
+use crate::reconstruct::{ExtentRule, Point, TrainingView, scene_extent};
 use crate::render::Renderer;
 
 /// Views of a made-up scene: more cost memory and change nothing.
@@ -104,7 +104,7 @@ impl Workload {
     fn new(name: String, views: Vec<TrainingView>, gaussians: Gaussians) -> Self {
         let cameras: Vec<Camera> = views.iter().map(|view| view.camera).collect();
         let points: Vec<Point> = gaussians.means.iter().map(|&mean| (mean, [0; 3])).collect();
-        let extent = scene_extent(&cameras, &points);
+        let extent = scene_extent(&cameras, &points, ExtentRule::Scene);
         Self { name, views, gaussians, extent }
     }
 

@@ -7,7 +7,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 pub use crate::noise::NoiseMode;
-pub use crate::reconstruct::Background;
+pub use crate::reconstruct::{Background, Densify, ExtentRule};
 
 /// How a run is configured. Defaults are those of the `standard` preset.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -40,8 +40,14 @@ pub struct Options {
     pub refine_poses: bool,
     /// How rounds after the first start.
     pub start: Start,
-    /// Densification.
+    /// How Gaussians come and go.
     pub densify: Densify,
+    /// Whether random points are added where there are few sparse ones.
+    pub fill_up: bool,
+    /// The length that rates of the means are measured in.
+    pub extent: ExtentRule,
+    /// Whether differences of exposure and cast between the views are taken out before the scene explains them.
+    pub view_colour: bool,
     /// Most Gaussians.
     #[schemars(range(min = 100, max = 5_000_000))]
     pub cap: u32,
@@ -138,16 +144,6 @@ pub enum Start {
     Scratch,
 }
 
-/// The densification strategy.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum Densify {
-    /// MCMC: relocation and growth up to the cap.
-    Mcmc,
-    /// No change of the number of Gaussians.
-    Off,
-}
-
 /// Where poses come from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
@@ -201,6 +197,9 @@ impl Preset {
             refine_poses: true,
             start: Start::Warm,
             densify: Densify::Mcmc,
+            fill_up: true,
+            extent: ExtentRule::Scene,
+            view_colour: false,
             cap: 30_000,
             sh_degree: 2,
             background: Background::Random,

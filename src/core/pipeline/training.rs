@@ -7,7 +7,7 @@ use std::time::Instant;
 use glam::DVec2;
 use serde::{Deserialize, Serialize};
 
-use super::config::{Densify, NoiseMode, ShakeModel, Start};
+use super::config::{NoiseMode, ShakeModel, Start};
 use super::error::PipelineError;
 use super::job::Job;
 use super::tone::Tone;
@@ -20,7 +20,7 @@ use crate::metrics;
 use crate::metrics::report::NoiseMapStatistics;
 use crate::poses::{Poses, SparsePoint};
 use crate::reconstruct::{
-    self, Checkpoint, Response, TrainConfig, TrainHooks, TrainStart, Trained, TrainingView,
+    self, Beginning, Checkpoint, Response, TrainConfig, TrainHooks, TrainStart, Trained, TrainingView,
 };
 
 /// V_i with the facts of its training, as stored beside its `scene.ply`.
@@ -125,7 +125,7 @@ impl Job<'_, '_> {
         Ok(TrainStart::Fresh(reconstruct::initialise(
             &coloured_points(poses, material.views, material.images),
             &cameras,
-            config.cap,
+            Beginning { cap: config.cap, fill_up: self.options.fill_up },
             &config.schedule(),
         )))
     }
@@ -150,9 +150,10 @@ impl Job<'_, '_> {
             warm: material.round > 1 && self.options.start == Start::Warm,
             background: self.options.background,
             dropout: self.options.dropout,
-            densify: self.options.densify == Densify::Mcmc,
+            densify: self.options.densify,
+            view_colour: self.options.view_colour,
             seed: self.options.seed.wrapping_add(u64::from(material.round) << 32),
-            extent: reconstruct::scene_extent(&cameras, &points(poses)),
+            extent: reconstruct::scene_extent(&cameras, &points(poses), self.options.extent),
         }
     }
 

@@ -5,7 +5,7 @@ use bytemuck::{Pod, Zeroable};
 /// First bytes of a checkpoint.
 const MAGIC: [u8; 8] = *b"fledckpt";
 /// Raised whenever the layout or the meaning changes.
-const VERSION: u32 = 3;
+const VERSION: u32 = 4;
 
 /// Bytes that are no checkpoint of this version.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -42,6 +42,8 @@ pub struct Checkpoint {
     pub shake: Vec<f32>,
     /// The views' motions, [views, 6].
     pub motions: Vec<f32>,
+    /// Exposure and cast of the views, [views, 6].
+    pub colours: Vec<f32>,
 }
 
 #[repr(C)]
@@ -55,7 +57,7 @@ struct Header {
     sh_degree: u32,
     intersections: u32,
     non_finite: u32,
-    lengths: [u64; 7],
+    lengths: [u64; 8],
 }
 
 impl Checkpoint {
@@ -87,7 +89,7 @@ impl Checkpoint {
         bytes
     }
 
-    fn arrays(&self) -> [&[f32]; 7] {
+    fn arrays(&self) -> [&[f32]; 8] {
         [
             &self.geometry,
             &self.geometry_moments,
@@ -96,6 +98,7 @@ impl Checkpoint {
             &self.noise,
             &self.shake,
             &self.motions,
+            &self.colours,
         ]
     }
 
@@ -119,14 +122,14 @@ impl Checkpoint {
             return Err(fault("damaged"));
         }
         let mut rest = &content[size..];
-        let mut arrays = [const { Vec::new() }; 7];
+        let mut arrays = [const { Vec::new() }; 8];
         for (array, length) in arrays.iter_mut().zip(header.lengths) {
             let length = usize::try_from(length).ok().and_then(|n| n.checked_mul(4)).unwrap_or(usize::MAX);
             let (values, tail) = rest.split_at_checked(length).ok_or_else(|| fault("truncated"))?;
             *array = bytemuck::pod_collect_to_vec(values);
             rest = tail;
         }
-        let [geometry, geometry_moments, sh, sh_moments, noise, shake, motions] = arrays;
+        let [geometry, geometry_moments, sh, sh_moments, noise, shake, motions, colours] = arrays;
         let out = Self {
             fingerprint: header.fingerprint,
             step: header.step,
@@ -141,6 +144,7 @@ impl Checkpoint {
             noise,
             shake,
             motions,
+            colours,
         };
         if out.consistent() { Ok(out) } else { Err(fault("its arrays do not fit together")) }
     }
@@ -174,6 +178,7 @@ mod tests {
             noise: ramp(5),
             shake: ramp(4),
             motions: ramp(12),
+            colours: ramp(12),
         }
     }
 
@@ -193,7 +198,7 @@ mod tests {
         assert_eq!(refused(&changed), "damaged");
         let mut newer = bytes.clone();
         newer[16] += 1;
-        assert!(refused(&newer).starts_with("version 4"));
+        assert!(refused(&newer).starts_with("version 5"));
         assert_eq!(refused(&[0; 200]), "not a checkpoint");
         let odd = Checkpoint { sh_degree: 2, ..checkpoint() };
         assert_eq!(refused(&odd.to_bytes()), "its arrays do not fit together");

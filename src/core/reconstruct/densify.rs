@@ -1,6 +1,8 @@
 //! Densification as MCMC: Gaussians without opacity move onto others, and the scene grows to its cap.
 //! Kheradmand et al., "3D Gaussian Splatting as Markov Chain Monte Carlo", 2024, equation 9.
 
+pub mod classic;
+
 use rand::{Rng, RngExt};
 
 /// At most this opacity counts as dead.

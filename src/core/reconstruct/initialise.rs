@@ -5,6 +5,7 @@ use rand::seq::SliceRandom;
 use rand::{Rng, RngExt};
 use rayon::prelude::*;
 
+use super::ExtentRule;
 use super::schedule::Schedule;
 use crate::camera::Camera;
 use crate::gaussians::Gaussians;
@@ -23,13 +24,26 @@ const SCALE_CEILING: f64 = 0.1;
 /// Constant harmonic.
 const SH0: f32 = 0.282_094_8;
 
-/// Length that rates and noise are measured in: max(1.1 x radius of the cameras, 0.25 x median depth
-/// of the points), world units. 1 when there is nothing to measure.
-pub fn scene_extent(cameras: &[Camera], points: &[Point]) -> f64 {
-    let radius = camera_radius(cameras);
-    let depths = visible_depths(cameras, points);
-    let median = depths.get(depths.len() / 2).copied().unwrap_or(0.0);
-    let extent = (1.1 * radius).max(0.25 * median);
+/// How many Gaussians a scene begins with.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Beginning {
+    /// Most in all.
+    pub cap: usize,
+    /// Whether random ones are added below 20,000 points, in the cameras' frusta between the 5th and 95th
+    /// percentile of depth, up to half of the cap.
+    pub fill_up: bool,
+}
+
+/// Length that rates and noise are measured in, world units. 1 when there is nothing to measure.
+pub fn scene_extent(cameras: &[Camera], points: &[Point], rule: ExtentRule) -> f64 {
+    let of_cameras = 1.1 * camera_radius(cameras);
+    let extent = match rule {
+        ExtentRule::Cameras => of_cameras,
+        ExtentRule::Scene => {
+            let depths = visible_depths(cameras, points);
+            of_cameras.max(0.25 * depths.get(depths.len() / 2).copied().unwrap_or(0.0))
+        }
+    };
     if extent > 0.0 { extent } else { 1.0 }
 }
 
@@ -59,18 +73,19 @@ fn visible_depths(cameras: &[Camera], points: &[Point]) -> Vec<f64> {
 }
 
 /// Gaussians of degree `schedule.sh_degree` at `points`: scale from the three nearest neighbours, opacity 0.5, the
-/// point's colour. Below 20,000 points, random ones are added in the cameras' frusta between the 5th and 95th
-/// percentile of depth; never more than `cap` in all. Points that are not finite are left out.
-pub fn initialise(points: &[Point], cameras: &[Camera], cap: usize, schedule: &Schedule) -> Gaussians {
+/// point's colour; at most `room.cap`. Points that are not finite are left out.
+pub fn initialise(points: &[Point], cameras: &[Camera], room: Beginning, schedule: &Schedule) -> Gaussians {
+    let Beginning { cap, fill_up } = room;
     let mut random = schedule.generator(3, 0);
     let finite = |p: &&Point| p.0.iter().all(|v| v.is_finite());
     let mut all: Vec<Point> = points.iter().filter(finite).copied().collect();
     all.shuffle(&mut random);
     all.truncate(cap);
-    let extent = scene_extent(cameras, &all);
+    let extent = scene_extent(cameras, &all, ExtentRule::Scene);
     // Half of the cap is left for growth to where the error is.
     let wanted = ENOUGH_POINTS.min((cap / 2).max(all.len()));
-    let missing = wanted.saturating_sub(all.len());
+    // Without any point there would be nothing to train.
+    let missing = if fill_up || all.is_empty() { wanted.saturating_sub(all.len()) } else { 0 };
     all.extend(random_points(&all, cameras, missing, &mut random));
     let (low, high) = (SCALE_FLOOR * extent, SCALE_CEILING * extent);
     let log_scales = neighbour_distances(&all).into_iter().map(|d| [d.clamp(low, high).ln() as f32; 3]);
@@ -175,6 +190,10 @@ mod tests {
 
     const PLAN: Schedule = Schedule { steps: 100, sh_degree: 2, resolution: false, warm: false, seed: 1 };
 
+    fn filled(cap: usize) -> Beginning {
+        Beginning { cap, fill_up: true }
+    }
+
     fn points(count: usize) -> Vec<Point> {
         let mut random = Random::new(4);
         (0..count).map(|n| ([0; 3].map(|_| random.signed() as f32), [n as u8, 2, 3])).collect()
@@ -195,28 +214,41 @@ mod tests {
     #[test]
     fn few_points_are_filled_up_in_front_of_the_cameras_and_many_are_cut_to_the_cap() {
         let camera = viewpoint(80, 60).camera;
-        let few = initialise(&points(50), &[camera], 400, &PLAN);
+        let few = initialise(&points(50), &[camera], filled(400), &PLAN);
         assert_eq!((few.len(), few.sh_degree, few.sh.len()), (200, 2, 200 * 27));
         let seen = |mean: &[f32; 3]| camera.project(DVec3::from(mean.map(f64::from))).is_some();
         assert!(few.means[50..].iter().all(seen));
-        assert_eq!(initialise(&points(500), &[camera], 400, &PLAN).len(), 400);
+        assert_eq!(initialise(&points(500), &[camera], filled(400), &PLAN).len(), 400);
         assert!((0..200).all(|i| few.is_usable(i)));
-        assert_eq!(few, initialise(&points(50), &[camera], 400, &PLAN));
+        let sparse = Beginning { cap: 400, fill_up: false };
+        assert_eq!(initialise(&points(50), &[camera], sparse, &PLAN).means, few.means[..50]);
+        assert_eq!(initialise(&[], &[camera], sparse, &PLAN).len(), 200, "a scene needs something");
+        assert_eq!(few, initialise(&points(50), &[camera], filled(400), &PLAN));
+    }
+
+    #[test]
+    fn cameras_close_together_understate_the_scene() {
+        let mut other = viewpoint(80, 60).camera;
+        other.intrinsics.cx += 1.0;
+        let cameras = [viewpoint(80, 60).camera, other];
+        let by = |rule| scene_extent(&cameras, &points(200), rule);
+        assert!(by(ExtentRule::Scene) > 0.1, "{}", by(ExtentRule::Scene));
+        assert_eq!(by(ExtentRule::Cameras), 1.0, "cameras at one place measure nothing");
     }
 
     #[test]
     fn without_points_the_cameras_alone_decide() {
         let camera = viewpoint(80, 60).camera;
-        assert_eq!(initialise(&[], &[camera], 40, &PLAN).len(), 20);
-        assert!(initialise(&[], &[], 40, &PLAN).is_empty());
-        assert_eq!(scene_extent(&[camera], &[]), 1.0);
+        assert_eq!(initialise(&[], &[camera], filled(40), &PLAN).len(), 20);
+        assert!(initialise(&[], &[], filled(40), &PLAN).is_empty());
+        assert_eq!(scene_extent(&[camera], &[], ExtentRule::Scene), 1.0);
         let poisoned = [([f32::NAN, 0.0, 0.0], [0; 3])];
-        assert!((0..20).all(|i| initialise(&poisoned, &[camera], 40, &PLAN).is_usable(i)));
+        assert!((0..20).all(|i| initialise(&poisoned, &[camera], filled(40), &PLAN).is_usable(i)));
     }
 
     #[test]
     fn colours_come_back_from_the_constant_harmonic() {
-        let scene = initialise(&[([0.0; 3], [255, 51, 0])], &[], 10, &PLAN);
+        let scene = initialise(&[([0.0; 3], [255, 51, 0])], &[], filled(10), &PLAN);
         let colour = [0, 1, 2].map(|c| 0.5 + SH0 * scene.sh[c]);
         assert!(colour.iter().zip([1.0, 0.2, 0.0]).all(|(a, b)| (a - b).abs() < 1e-6));
     }

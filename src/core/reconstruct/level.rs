@@ -5,9 +5,10 @@ use std::collections::BTreeMap;
 use fled_gpu::{Buffer, Gpu, GpuError};
 
 use super::TrainingView;
-use super::loss::{Loss, upload_target};
+use super::loss::{Loss, pack_target, upload_target};
 use super::schedule::reduced_size;
 use crate::camera::Camera;
+use crate::image::Image;
 
 /// One view at the level's resolution.
 pub(super) struct LevelView {
@@ -41,6 +42,11 @@ impl Level {
             }
         }
         Ok(Self { divisor, views: reduced, losses })
+    }
+
+    /// Trains `view` on another image of its size.
+    pub(super) fn show(&self, view: usize, image: &Image) -> Result<(), GpuError> {
+        self.views[view].target.write(&pack_target(image))
     }
 
     /// The loss that fits a view.

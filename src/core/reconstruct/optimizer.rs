@@ -1,11 +1,12 @@
 //! The gradients of the Gaussians and their Adam update, in one kernel.
 
 use bytemuck::{Pod, Zeroable};
-use fled_gpu::{Buffer, Gpu, GpuError, Kernel, Recorder, read, read_write, uniform};
+use fled_gpu::{Buffer, Gpu, GpuError, Kernel, Recorder, Rows, read, read_write, uniform};
 
 use super::densify::Plan;
 use super::schedule::Schedule;
 use crate::splat::project::{DeviceGaussians, GEOMETRY_ROW, Projection};
+use crate::splat::rasterize::SlotRows;
 
 /// From slot gradients to updated parameters.
 pub const PROJECT_BACKWARD_ADAM: Kernel = Kernel::new(
@@ -13,9 +14,12 @@ pub const PROJECT_BACKWARD_ADAM: Kernel = Kernel::new(
     &[
         uniform("camera"),
         uniform("train"),
+        uniform("part"),
         read("tile_counts"),
         read("slot_offsets"),
-        read("slot_gradients"),
+        read("slot_means"),
+        read("slot_conics"),
+        read("slot_colours"),
         read("intersections"),
         read_write("geometry"),
         read_write("geometry_moments"),
@@ -25,13 +29,28 @@ pub const PROJECT_BACKWARD_ADAM: Kernel = Kernel::new(
     ],
 );
 
-/// Moves Gaussians.
-const RELOCATE: Kernel = Kernel::new(
-    "train/relocate",
+/// Copies the Gaussians that others are to become.
+const RELOCATE_TAKE: Kernel = Kernel::new(
+    "train/relocate_take",
     &[
         uniform("relocation"),
+        uniform("part"),
+        read("moves"),
+        read("geometry"),
+        read("sh"),
+        read_write("taken"),
+    ],
+);
+
+/// Puts the copies in their places.
+const RELOCATE_PUT: Kernel = Kernel::new(
+    "train/relocate_put",
+    &[
+        uniform("relocation"),
+        uniform("part"),
         read("moves"),
         read("shape"),
+        read("taken"),
         read_write("geometry"),
         read_write("geometry_moments"),
         read_write("sh"),
@@ -85,14 +104,14 @@ pub struct StepUniform {
 }
 
 impl StepUniform {
-    /// The numbers of `step` of a round with `count` Gaussians in a scene of `extent` world units. `densify`: whether MCMC
-    /// runs; without it there is neither regulariser nor noise.
-    pub fn new(schedule: &Schedule, step: u32, count: usize, extent: f64, densify: bool) -> Self {
+    /// The numbers of `step` of a round with `count` Gaussians in a scene of `extent` world units. `mcmc`: whether MCMC
+    /// densifies; without it there is neither regulariser nor noise.
+    pub fn new(schedule: &Schedule, step: u32, count: usize, extent: f64, mcmc: bool) -> Self {
         let (relative, haste) = (schedule.means_rate(step), schedule.haste());
         let t = step as i32 + 1;
-        let weight = if densify { REGULARISER / count.max(1) as f64 } else { 0.0 };
+        let weight = if mcmc { REGULARISER / count.max(1) as f64 } else { 0.0 };
         // Scales have a length: in units of the extent the same scene gets the same step at any scale.
-        let explores = densify && schedule.explores(step);
+        let explores = mcmc && schedule.explores(step);
         let noise = if explores { NOISE * relative / extent } else { 0.0 };
         Self {
             rates: [relative * extent, haste * RATE_LOG_SCALE, haste * RATE_QUAT, RATE_OPACITY]
@@ -116,20 +135,26 @@ impl StepUniform {
 pub struct SlotGradients<'a> {
     /// First slot of every visible Gaussian, [capacity].
     pub slot_offsets: &'a Buffer<u32>,
-    /// [slots, 9]: mean xy, conic abc, rgb, opacity.
-    pub rows: &'a Buffer<f32>,
+    /// What they hold.
+    pub rows: &'a SlotRows,
     /// Holds the exact number of intersections at `StepUniform::total_at`.
     pub totals: &'a Buffer<u32>,
 }
 
+/// Where the free floats of a row of geometry moments are: the sum of the lengths of the gradients by position, and the
+/// number of views in it. Classic densification alone counts them.
+pub const PULL_AT: [usize; 2] = [11, 23];
+
 /// Adam's state on the device.
 pub struct Optimizer {
+    /// [`PROJECT_BACKWARD_ADAM`], counting pulls or not.
+    update: Kernel,
     /// The numbers of the step; written before each use.
     pub step: Buffer<StepUniform>,
     /// [capacity, 2, 12].
-    pub geometry_moments: Buffer<f32>,
+    pub geometry_moments: Rows<f32>,
     /// [capacity, 2, coefficients, 3].
-    pub sh_moments: Buffer<f32>,
+    pub sh_moments: Rows<f32>,
     /// [0]: non-finite gradients dropped.
     pub counters: Buffer<u32>,
 }
@@ -143,15 +168,18 @@ struct RelocateUniform {
 }
 
 impl Optimizer {
-    /// Moments of zero for `gaussians`.
+    /// Moments of zero for `gaussians`. `pulls`: whether [`PULL_AT`] is counted.
     ///
     /// # Errors
     /// Out of memory, or above what the adapter binds.
-    pub fn new(gpu: &Gpu, gaussians: &DeviceGaussians) -> Result<Self, GpuError> {
+    pub fn new(gpu: &Gpu, gaussians: &DeviceGaussians, pulls: bool) -> Result<Self, GpuError> {
+        let (rows, per_part) = (gaussians.capacity, gaussians.sh.per_part());
+        let counting = PROJECT_BACKWARD_ADAM.with(&[("COUNT_PULLS", 1)]);
         Ok(Self {
+            update: if pulls { counting } else { PROJECT_BACKWARD_ADAM },
             step: gpu.create("step", 1)?,
-            geometry_moments: gpu.create("geometry moments", 2 * GEOMETRY_ROW * gaussians.capacity)?,
-            sh_moments: gpu.create("sh moments", 2 * gaussians.sh.len())?,
+            geometry_moments: gpu.create_rows("geometry moments", rows, 2 * GEOMETRY_ROW, per_part)?,
+            sh_moments: gpu.create_rows("sh moments", rows, 2 * gaussians.sh.length(), per_part)?,
             counters: gpu.create("optimizer counters", 4)?,
         })
     }
@@ -167,7 +195,7 @@ impl Optimizer {
         projection: &Projection,
         slots: &SlotGradients<'_>,
     ) -> Result<(), GpuError> {
-        self.record_as(&PROJECT_BACKWARD_ADAM, recorder, gaussians, projection, slots)
+        self.record_as(&self.update, recorder, gaussians, projection, slots)
     }
 
     fn record_as(
@@ -178,23 +206,29 @@ impl Optimizer {
         projection: &Projection,
         slots: &SlotGradients<'_>,
     ) -> Result<(), GpuError> {
-        recorder.dispatch_items(
-            kernel,
-            &[
-                &projection.camera,
-                &self.step,
-                &projection.tile_counts,
-                slots.slot_offsets,
-                slots.rows,
-                slots.totals,
-                &gaussians.geometry,
-                &self.geometry_moments,
-                &gaussians.sh,
-                &self.sh_moments,
-                &self.counters,
-            ],
-            gaussians.capacity,
-        )
+        for (n, part) in gaussians.parts.iter().enumerate() {
+            recorder.dispatch_items(
+                kernel,
+                &[
+                    &projection.camera,
+                    &self.step,
+                    &part.uniform,
+                    &projection.tile_counts,
+                    slots.slot_offsets,
+                    &slots.rows.means,
+                    &slots.rows.conics,
+                    &slots.rows.colours,
+                    slots.totals,
+                    &gaussians.geometry.parts()[n],
+                    &self.geometry_moments.parts()[n],
+                    &gaussians.sh.parts()[n],
+                    &self.sh_moments.parts()[n],
+                    &self.counters,
+                ],
+                part.rows,
+            )?;
+        }
+        Ok(())
     }
 
     /// Carries out a densification: copies, shapes, cleared moments.
@@ -202,27 +236,44 @@ impl Optimizer {
     /// # Errors
     /// A device error.
     pub fn relocate(&self, gpu: &Gpu, gaussians: &DeviceGaussians, plan: &Plan) -> Result<(), GpuError> {
-        if plan.moves.is_empty() {
-            return Ok(());
+        let sh_row = gaussians.sh.length();
+        let taken_row = GEOMETRY_ROW + sh_row;
+        let most = gpu.rows_per_part(taken_row * size_of::<f32>());
+        // What is taken never changes: a source keeps its place, rotation and colour.
+        for (moves, shapes) in plan.moves.chunks(most).zip(plan.shapes.chunks(most)) {
+            let uniform = RelocateUniform { rows: moves.len() as u32, sh_row: sh_row as u32, pad: [0; 2] };
+            let uniform = gpu.upload("relocation", &[uniform])?;
+            let (moves, shapes) = (gpu.upload("moves", moves)?, gpu.upload("shapes", shapes)?);
+            let taken = gpu.create::<f32>("taken", moves.len() * taken_row)?;
+            let mut recorder = gpu.recorder();
+            for (n, part) in gaussians.parts.iter().enumerate() {
+                let (geometry, sh) = (&gaussians.geometry.parts()[n], &gaussians.sh.parts()[n]);
+                recorder.dispatch_items(
+                    &RELOCATE_TAKE,
+                    &[&uniform, &part.uniform, &moves, geometry, sh, &taken],
+                    moves.len(),
+                )?;
+            }
+            for (n, part) in gaussians.parts.iter().enumerate() {
+                recorder.dispatch_items(
+                    &RELOCATE_PUT,
+                    &[
+                        &uniform,
+                        &part.uniform,
+                        &moves,
+                        &shapes,
+                        &taken,
+                        &gaussians.geometry.parts()[n],
+                        &self.geometry_moments.parts()[n],
+                        &gaussians.sh.parts()[n],
+                        &self.sh_moments.parts()[n],
+                    ],
+                    moves.len(),
+                )?;
+            }
+            recorder.submit()?;
         }
-        let mut recorder = gpu.recorder();
-        let coefficients = (gaussians.sh_degree + 1) * (gaussians.sh_degree + 1);
-        let uniform =
-            RelocateUniform { rows: plan.moves.len() as u32, sh_row: 3 * coefficients, pad: [0; 2] };
-        recorder.dispatch_items(
-            &RELOCATE,
-            &[
-                &gpu.upload("relocation", &[uniform])?,
-                &gpu.upload("moves", &plan.moves)?,
-                &gpu.upload("shapes", &plan.shapes)?,
-                &gaussians.geometry,
-                &self.geometry_moments,
-                &gaussians.sh,
-                &self.sh_moments,
-            ],
-            plan.moves.len(),
-        )?;
-        recorder.submit().map(|_| ())
+        Ok(())
     }
 }
 

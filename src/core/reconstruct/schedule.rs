@@ -4,6 +4,8 @@ use rand::SeedableRng;
 use rand::seq::SliceRandom;
 use rand_pcg::Pcg64;
 
+use super::densify::classic::RESET_EVERY;
+
 /// Share of the steps at a quarter of the resolution.
 const QUARTER_SHARE: f64 = 0.1;
 /// Share of the steps after which the resolution is full.
@@ -30,6 +32,8 @@ const POSE_CORRECTIONS: u32 = 5;
 /// They are corrected from this share of the round on, in a warm round from the second.
 const POSES_FROM: f64 = 0.39;
 const WARM_POSES_FROM: f64 = 0.19;
+/// The colours of the views are matched so many times a round, less one.
+const COLOUR_MATCHES: u32 = 10;
 /// Exploration noise stops at this share of the round.
 const NOISE_END: f64 = 0.9;
 
@@ -114,6 +118,16 @@ impl Schedule {
         let interval = (self.steps / POSE_CORRECTIONS).max(1);
         let from = if self.warm { WARM_POSES_FROM } else { POSES_FROM };
         step.is_multiple_of(interval) && self.share(step) >= from
+    }
+
+    /// Whether the colours of the views are matched before `step`: every tenth of the round.
+    pub fn matches_colours(&self, step: u32) -> bool {
+        step > 0 && step.is_multiple_of((self.steps / COLOUR_MATCHES).max(1))
+    }
+
+    /// Whether opacities are reset before `step` in classic densification: never in its last half.
+    pub fn resets_opacities(&self, step: u32) -> bool {
+        step > 0 && step.is_multiple_of(RESET_EVERY) && self.share(step) <= 0.5
     }
 
     /// Densifications of the whole round.

@@ -1,5 +1,7 @@
 //! The loop over the steps of a round.
 
+mod colours;
+mod population;
 mod poses;
 mod saved;
 mod shaken;
@@ -11,19 +13,22 @@ use std::time::{Duration, Instant};
 use fled_gpu::{Buffer, Gpu, GpuError, Recording};
 use rand::RngExt;
 
+use super::colour::ViewColour;
 use super::level::Level;
 use super::optimizer::{Optimizer, SlotGradients, StepUniform};
 use super::{
-    Background, ReconstructError, Schedule, TrainConfig, TrainHooks, TrainStart, Trained, TrainingView,
-    densify,
+    Background, Densify, ReconstructError, Schedule, TrainConfig, TrainHooks, TrainStart, Trained,
+    TrainingView,
 };
 use crate::cancel::CancelToken;
 use crate::metrics::report::NoiseMapStatistics;
 use crate::noise::{NoiseField, NoiseMode, OFF_SHARE, Room};
 use crate::register::Motion;
 use crate::shake::Shake;
-use crate::splat::project::{DeviceGaussians, GEOMETRY_ROW, Projection};
-use crate::splat::rasterize::{Backward, Forward, PendingCounts, Specialisation, SplatBuffers, SplatSizes};
+use crate::splat::project::{DeviceGaussians, Projection};
+use crate::splat::rasterize::{
+    Backward, Forward, PendingCounts, SlotRows, Specialisation, SplatBuffers, SplatSizes,
+};
 use crate::splat::uniform::{CameraUniform, NEAR};
 pub use stepper::Stepper;
 
@@ -71,6 +76,8 @@ pub(super) struct Trainer<'a> {
     shake: Option<Shake>,
     /// Where each view was taken from, relative to the pose it came with.
     motions: Vec<Motion>,
+    /// Exposure and cast of each view.
+    colours: Vec<ViewColour>,
     warnings: Vec<String>,
     next: u32,
     start_count: usize,
@@ -92,24 +99,26 @@ impl<'a> Trainer<'a> {
         if views.is_empty() || gaussians.is_empty() {
             return Err(ReconstructError::Empty { views: views.len(), gaussians: gaussians.len() });
         }
-        let capacity = if config.densify { config.cap } else { 0 }.max(gaussians.len());
+        let grows = config.densify != Densify::Off;
+        let capacity = if grows { config.cap } else { 0 }.max(gaussians.len());
         let device = DeviceGaussians::upload(gpu, &gaussians, capacity)?;
         let size = largest(views);
         let sizes = SplatSizes {
             gaussians: capacity,
             width: size[0],
             height: size[1],
-            intersections: 4 * capacity + 16 * 1024,
+            intersections: (4 * capacity + 16 * 1024).min(SlotRows::most(gpu)),
         };
         let schedule = config.schedule();
         let mut trainer = Self {
-            optimizer: Optimizer::new(gpu, &device)?,
+            optimizer: Optimizer::new(gpu, &device, config.densify == Densify::Classic)?,
             projection: Projection::new(gpu, capacity)?,
             raster: SplatBuffers::new(gpu, sizes, true)?,
             specialisation: Specialisation::for_adapter(gpu.describe()),
             prediction: gpu.create("prediction", 3 * size[0] * size[1])?,
             gradient: gpu.create("image gradient", 3 * size[0] * size[1])?,
             level: Level::new(gpu, views, schedule.divisor(0))?,
+            colours: vec![ViewColour::default(); views.len()],
             recordings: Vec::new(),
             noise: NoiseField::new(gpu, config.noise, config.seed, size)?,
             noise_seen: Vec::new(),
@@ -203,11 +212,8 @@ impl<'a> Trainer<'a> {
             || self.densifies(step)
             || self.estimates_shake(step)
             || self.refines_poses(step)
+            || self.matches_colours(step)
             || divisor != self.level.divisor
-    }
-
-    fn densifies(&self, step: u32) -> bool {
-        self.config.densify && self.schedule.densifies(step)
     }
 
     /// What happens between steps: another resolution, densification.
@@ -216,8 +222,12 @@ impl<'a> Trainer<'a> {
         if divisor != self.level.divisor {
             self.level = Level::new(self.gpu, self.views, divisor)?;
             self.place_cameras();
+            self.show_colours()?;
             self.still_views()?;
             self.forget_recordings();
+        }
+        if self.matches_colours(step) {
+            self.match_colours(step, cancel)?;
         }
         if self.estimates_shake(step) {
             self.estimate_shake(step, cancel)?;
@@ -228,21 +238,6 @@ impl<'a> Trainer<'a> {
         if self.densifies(step) {
             self.densify(step)?;
         }
-        Ok(())
-    }
-
-    fn densify(&mut self, step: u32) -> Result<(), GpuError> {
-        let count = self.gaussians.count;
-        let flat = self.gaussians.geometry.start_read(count * GEOMETRY_ROW)?.wait()?;
-        let (rows, _) = flat.as_chunks::<GEOMETRY_ROW>();
-        let target = if self.config.warm && self.schedule.share(step) < WARM_GROWTH {
-            count
-        } else {
-            densify::grown(count, self.start_count, self.config.cap, self.schedule.densifications())
-        };
-        let plan = densify::plan(rows, target, &mut self.schedule.generator(2, u64::from(step)));
-        self.optimizer.relocate(self.gpu, &self.gaussians, &plan)?;
-        self.gaussians.count = plan.count;
         Ok(())
     }
 
@@ -260,7 +255,8 @@ impl<'a> Trainer<'a> {
                 self.schedule.share(step) as f32 * self.config.dropout as f32,
                 self.schedule.generator(4, u64::from(step)).random(),
             );
-        let mut numbers = StepUniform::new(schedule, step, count, extent, self.config.densify);
+        let mut numbers =
+            StepUniform::new(schedule, step, count, extent, self.config.densify == Densify::Mcmc);
         let (_, total_at) = self.raster.totals();
         numbers.capacity = self.raster.sizes().intersections as u32;
         numbers.total_at = total_at;
@@ -326,7 +322,7 @@ impl<'a> Trainer<'a> {
         backward.record(&mut recorder, &self.projection, &self.raster, by_render)?;
         let slots = SlotGradients {
             slot_offsets: &self.raster.slot_offsets,
-            rows: &self.raster.slot_gradients,
+            rows: &self.raster.slots,
             totals: self.raster.totals().0,
         };
         self.optimizer.record(&mut recorder, &self.gaussians, &self.projection, &slots)?;
@@ -357,7 +353,8 @@ impl<'a> Trainer<'a> {
         if needed <= sizes.intersections {
             return Ok(());
         }
-        let intersections = (sizes.intersections * 3 / 2).max(needed + needed / 10);
+        let wanted = (sizes.intersections * 3 / 2).max(needed + needed / 10);
+        let intersections = wanted.min(SlotRows::most(self.gpu)).max(needed);
         self.raster = SplatBuffers::new(self.gpu, SplatSizes { intersections, ..sizes }, true)?;
         self.forget_recordings();
         Ok(())

@@ -1,6 +1,7 @@
 //! The Gaussians on the device and their projection.
 
-use fled_gpu::{Buffer, Gpu, GpuError, Kernel, Recorder, read, read_write, uniform};
+use bytemuck::{Pod, Zeroable};
+use fled_gpu::{Buffer, Gpu, GpuError, Kernel, Recorder, Rows, part_sizes, read, read_write, uniform};
 
 use super::uniform::CameraUniform;
 use crate::gaussians::Gaussians;
@@ -13,6 +14,7 @@ pub const PROJECT_FORWARD: Kernel = Kernel::new(
     "splat/project_forward",
     &[
         uniform("camera"),
+        uniform("part"),
         read("geometry"),
         read("sh"),
         read_write("projected"),
@@ -21,13 +23,36 @@ pub const PROJECT_FORWARD: Kernel = Kernel::new(
     ],
 );
 
+/// `PartUniform` of shaders/shared/part.wgsl.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Pod, Zeroable)]
+pub struct PartUniform {
+    /// First Gaussian of the part.
+    pub first: u32,
+    /// Gaussians of the part.
+    pub rows: u32,
+    /// Unused.
+    pub pad: [u32; 2],
+}
+
+/// Some of the Gaussians: as many as the adapter binds at once.
+#[derive(Clone)]
+pub struct Part {
+    /// Which.
+    pub uniform: Buffer<PartUniform>,
+    /// How many.
+    pub rows: usize,
+}
+
 /// Gaussians on the device with room for more.
 #[derive(Clone)]
 pub struct DeviceGaussians {
     /// [capacity, 12].
-    pub geometry: Buffer<f32>,
+    pub geometry: Rows<f32>,
     /// [capacity, coefficients, 3].
-    pub sh: Buffer<f32>,
+    pub sh: Rows<f32>,
+    /// What a kernel is dispatched for, one after the other.
+    pub parts: Vec<Part>,
     /// Rows that the buffers hold.
     pub capacity: usize,
     /// Rows in use.
@@ -44,9 +69,18 @@ impl DeviceGaussians {
     pub fn upload(gpu: &Gpu, gaussians: &Gaussians, capacity: usize) -> Result<Self, GpuError> {
         let capacity = capacity.max(gaussians.len());
         let row = 3 * gaussians.coefficients();
+        // The longest rows of a Gaussian are Adam's two moments of its harmonics, or of its geometry.
+        let per_part = gpu.rows_per_part(2 * size_of::<f32>() * row.max(GEOMETRY_ROW));
+        let mut parts = Vec::new();
+        for rows in part_sizes(capacity, per_part) {
+            let uniform =
+                PartUniform { first: (parts.len() * per_part) as u32, rows: rows as u32, pad: [0; 2] };
+            parts.push(Part { uniform: gpu.upload("part", &[uniform])?, rows });
+        }
         let out = Self {
-            geometry: gpu.create("geometry", capacity * GEOMETRY_ROW)?,
-            sh: gpu.create("sh", capacity * row)?,
+            geometry: gpu.create_rows("geometry", capacity, GEOMETRY_ROW, per_part)?,
+            sh: gpu.create_rows("sh", capacity, row, per_part)?,
+            parts,
             capacity,
             count: gaussians.len(),
             sh_degree: gaussians.sh_degree,
@@ -61,9 +95,7 @@ impl DeviceGaussians {
     /// # Errors
     /// A device error.
     pub fn download(&self) -> Result<Gaussians, GpuError> {
-        let coefficients = ((self.sh_degree + 1) * (self.sh_degree + 1)) as usize;
-        let geometry = self.geometry.start_read(self.count * GEOMETRY_ROW)?.wait()?;
-        let sh = self.sh.start_read(self.count * coefficients * 3)?.wait()?;
+        let (geometry, sh) = (self.geometry.read(self.count)?, self.sh.read(self.count)?);
         let (rows, _) = geometry.as_chunks::<GEOMETRY_ROW>();
         Ok(unpack_geometry(rows, sh, self.sh_degree))
     }
@@ -124,18 +156,24 @@ impl Projection {
     /// # Errors
     /// A shader or binding error.
     pub fn record(&self, recorder: &mut Recorder, gaussians: &DeviceGaussians) -> Result<(), GpuError> {
-        recorder.dispatch_items(
-            &PROJECT_FORWARD,
-            &[
-                &self.camera,
-                &gaussians.geometry,
-                &gaussians.sh,
-                &self.projected,
-                &self.tile_counts,
-                &self.depth_keys,
-            ],
-            gaussians.capacity,
-        )
+        for ((part, geometry), sh) in
+            gaussians.parts.iter().zip(gaussians.geometry.parts()).zip(gaussians.sh.parts())
+        {
+            recorder.dispatch_items(
+                &PROJECT_FORWARD,
+                &[
+                    &self.camera,
+                    &part.uniform,
+                    geometry,
+                    sh,
+                    &self.projected,
+                    &self.tile_counts,
+                    &self.depth_keys,
+                ],
+                part.rows,
+            )?;
+        }
+        Ok(())
     }
 }
 
@@ -253,6 +291,16 @@ mod tests {
         let gaussians = fixtures::gaussians(33, 2, 8);
         let device = DeviceGaussians::upload(fixtures::gpu(), &gaussians, 50).expect("uploaded");
         assert_eq!(device.download().expect("read"), gaussians);
+    }
+
+    #[test]
+    fn the_part_has_the_layout_of_the_shader() {
+        let (_, found) = PROJECT_FORWARD.reflect().expect("valid");
+        let part = found.structure("PartUniform").expect("declared");
+        let offset = |name: &str| part.members.iter().find(|m| m.0 == name).map(|m| m.1 as usize);
+        assert_eq!(part.size as usize, size_of::<PartUniform>());
+        assert_eq!(offset("first"), Some(std::mem::offset_of!(PartUniform, first)));
+        assert_eq!(offset("rows"), Some(std::mem::offset_of!(PartUniform, rows)));
     }
 
     #[test]

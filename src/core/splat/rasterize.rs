@@ -5,6 +5,7 @@
 //! intersection, which the projection's backward sums. There are no atomics on floats anywhere: the same
 //! input gives the same bits.
 
+mod slots;
 mod work;
 
 use fled_gpu::{AdapterInfo, Buffer, DeviceType, Gpu, GpuError, Kernel, Recorder, read, read_write, uniform};
@@ -12,9 +13,10 @@ use fled_gpu::{AdapterInfo, Buffer, DeviceType, Gpu, GpuError, Kernel, Recorder,
 use super::project::Projection;
 use super::sort::{BLOCK, Counters, FIXED, RadixSort, SCAN, SortParameters};
 use super::uniform::TILE;
+pub use slots::SlotRows;
 pub use work::SplatWork;
 
-/// Floats of a row of `slot_gradients`: mean xy, conic abc, rgb, opacity after the sigmoid.
+/// Gradients of an intersection.
 pub const SLOT_ROW: usize = 9;
 
 /// Counter of visible splats.
@@ -92,7 +94,9 @@ const BACKWARD_BINDINGS: &[fled_gpu::Binding] = &[
     read("image"),
     read("image_gradient"),
     read("last"),
-    read_write("slot_gradients"),
+    read_write("slot_means"),
+    read_write("slot_conics"),
+    read_write("slot_colours"),
 ];
 const RASTERIZE_BACKWARD: Kernel = Kernel::new("splat/rasterize_backward", BACKWARD_BINDINGS).unchecked();
 const RASTERIZE_BACKWARD_GENERIC: Kernel =
@@ -204,9 +208,9 @@ pub struct SplatBuffers {
     pub image: Buffer<f32>,
     /// What is left of the background, [height, width].
     pub transmittance: Buffer<f32>,
-    /// Gradients of an intersection, [intersections, 9]. A Gaussian's rows are `slot_offsets[g]` and the
-    /// `tile_counts[g] - 1` that follow, as far as they lie below the capacity.
-    pub slot_gradients: Buffer<f32>,
+    /// A Gaussian's rows are `slot_offsets[g]` and the `tile_counts[g] - 1` that follow, as far as they lie below
+    /// the capacity.
+    pub slots: SlotRows,
     counters: Counters,
     block_sums: Buffer<u32>,
     slot_sums: Buffer<u32>,
@@ -241,7 +245,7 @@ impl SplatBuffers {
             slot_offsets: gpu.create("slot offsets", gaussians)?,
             image: gpu.create("image", 3 * pixels)?,
             transmittance: gpu.create("transmittance", pixels)?,
-            slot_gradients: gpu.create("slot gradients", if gradients { SLOT_ROW * slots } else { 0 })?,
+            slots: SlotRows::new(gpu, if gradients { slots } else { 0 })?,
             block_sums: gpu.create("block sums", gaussians.div_ceil(BLOCK))?,
             slot_sums: gpu.create("slot sums", gaussians.div_ceil(BLOCK))?,
             depth: RadixSort::new(gpu, gaussians, 32, &counters, VISIBLE)?,
@@ -352,7 +356,9 @@ impl Backward {
                 &buffers.image,
                 image_gradient,
                 &buffers.last,
-                &buffers.slot_gradients,
+                &buffers.slots.means,
+                &buffers.slots.conics,
+                &buffers.slots.colours,
             ],
             // One more: the slots that belong to no tile.
             buffers.sizes.tiles() + 1,

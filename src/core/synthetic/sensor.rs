@@ -1,8 +1,9 @@
 //! The dark exposure: less light, the noise of photons and electronics, the cut at black and white.
 
-use rand::{Rng, RngExt};
+use rand::Rng;
 
 use crate::image::{Image, Linear};
+use crate::random::normal;
 
 /// The part of the noise at white that is there in the black too (read noise).
 const READ_SHARE: f64 = 0.1;
@@ -18,10 +19,4 @@ pub(super) fn expose(light: &Image<Linear>, exposure: f64, noise: f64, rng: &mut
         *out = (exposure * (signal + deviation * normal(rng))).clamp(0.0, 1.0) as f32;
     }
     dark
-}
-
-/// A standard normal number (Box and Muller).
-fn normal(rng: &mut impl Rng) -> f64 {
-    let radius = (-2.0 * (1.0 - rng.random::<f64>()).ln()).sqrt();
-    radius * (std::f64::consts::TAU * rng.random::<f64>()).cos()
 }

@@ -18,7 +18,7 @@ struct Bench {
     projection: Projection,
     optimizer: Optimizer,
     offsets: Buffer<u32>,
-    rows: Buffer<f32>,
+    rows: SlotRows,
     totals: Buffer<u32>,
     upstream: Vec<ProjectedGradient>,
     slots: u32,
@@ -55,11 +55,13 @@ impl Bench {
             });
         }
         let slots = rows.len() as u32 / 9;
+        let uploaded = SlotRows::new(gpu, slots as usize).expect("created");
+        uploaded.write(&rows).expect("written");
         Self {
-            optimizer: Optimizer::new(gpu, &device).expect("created"),
+            optimizer: Optimizer::new(gpu, &device, false).expect("created"),
             offsets: gpu.upload("offsets", &offsets).expect("uploaded"),
             totals: gpu.upload("totals", &[0, slots]).expect("uploaded"),
-            rows: gpu.upload("rows", &rows).expect("uploaded"),
+            rows: uploaded,
             gaussians,
             view,
             device,
@@ -82,8 +84,9 @@ impl Bench {
     /// The kernel's gradients: mean, log-scale, quaternion, logit, harmonics, by Gaussian.
     fn gradients(&self) -> Vec<Vec<f64>> {
         self.step(&PROJECT_BACKWARD_ADAM.with(&[("WRITE_GRADIENTS", 1)]), StepUniform::default());
-        let geometry = self.optimizer.geometry_moments.read().expect("read");
-        let sh = self.optimizer.sh_moments.read().expect("read");
+        let count = self.gaussians.len();
+        let geometry = self.optimizer.geometry_moments.read(count).expect("read");
+        let sh = self.optimizer.sh_moments.read(count).expect("read");
         let row = 3 * self.gaussians.coefficients();
         (0..self.gaussians.len())
             .map(|i| {
@@ -172,7 +175,7 @@ fn the_first_update_and_its_moments_equal_scalar_adam() {
             );
         }
     }
-    let moments = bench.optimizer.geometry_moments.read().expect("read");
+    let moments = bench.optimizer.geometry_moments.read(bench.gaussians.len()).expect("read");
     for (i, row) in gradients.iter().enumerate() {
         for (n, g) in row[..11].iter().enumerate() {
             assert!((f64::from(moments[24 * i + n]) - 0.1 * g).abs() <= 1e-6 + 1e-5 * g.abs());
@@ -187,11 +190,10 @@ fn non_finite_gradients_are_dropped_and_counted() {
     let counts = bench.projection.tile_counts.read().expect("read");
     let visible: Vec<_> = (0..50).filter(|&i| counts[i] > 0).collect();
     let offsets = bench.offsets.read().expect("read");
-    let mut rows = bench.rows.read().expect("read");
-    rows[offsets[visible[0]] as usize * 9] = f32::NAN;
-    rows[offsets[visible[3]] as usize * 9 + 7] = f32::INFINITY;
-    rows[offsets[visible[5]] as usize * 9 + 8] = 1e30;
-    bench.rows.write(&rows).expect("written");
+    let first = |n: usize| 3 * offsets[visible[n]] as usize;
+    bench.rows.means.write_at(first(0), &[f32::NAN]).expect("written");
+    bench.rows.colours.write_at(first(3) + 2, &[f32::INFINITY]).expect("written");
+    bench.rows.means.write_at(first(5) + 2, &[1e30]).expect("written");
     let before = bench.device.download().expect("read");
     bench.step(&PROJECT_BACKWARD_ADAM, StepUniform::new(&SCHEDULE, 0, 50, 1.0, true));
     let after = bench.device.download().expect("read");
@@ -200,8 +202,13 @@ fn non_finite_gradients_are_dropped_and_counted() {
         assert_eq!(before.means[i], after.means[i]);
     }
     assert_ne!(before.means[visible[1]], after.means[visible[1]]);
-    let moments = bench.optimizer.geometry_moments.read().expect("read");
-    assert!(moments.iter().chain(&bench.optimizer.sh_moments.read().expect("read")).all(|v| v.is_finite()));
+    let moments = bench.optimizer.geometry_moments.read(bench.gaussians.len()).expect("read");
+    assert!(
+        moments
+            .iter()
+            .chain(&bench.optimizer.sh_moments.read(bench.gaussians.len()).expect("read"))
+            .all(|v| v.is_finite())
+    );
 }
 
 #[test]
@@ -210,7 +217,9 @@ fn a_step_whose_slots_overflowed_changes_nothing() {
     bench.totals.write(&[0, bench.slots + 1]).expect("written");
     bench.step(&PROJECT_BACKWARD_ADAM, StepUniform::new(&SCHEDULE, 0, 50, 1.0, true));
     assert_eq!(bench.device.download().expect("read"), bench.gaussians);
-    assert!(bench.optimizer.geometry_moments.read().expect("read").iter().all(|v| *v == 0.0));
+    assert!(
+        bench.optimizer.geometry_moments.read(bench.gaussians.len()).expect("read").iter().all(|v| *v == 0.0)
+    );
 }
 
 #[test]
@@ -237,11 +246,17 @@ fn exploration_moves_faint_gaussians_and_leaves_opaque_ones() {
 
 #[test]
 fn relocation_copies_splits_and_clears_on_the_device() {
+    relocates(fixtures::gpu(), 1);
+    // Six parts of four, and moves in chunks of six: from part to part.
+    relocates(&Gpu::binding_at_most("auto", 1_024).expect("an adapter"), 6);
+}
+
+fn relocates(gpu: &Gpu, parts: usize) {
     let mut gaussians = fixtures::gaussians(20, 2, 9);
     gaussians.opacity_logits[4] = -8.0;
-    let gpu = fixtures::gpu();
     let mut device = DeviceGaussians::upload(gpu, &gaussians, 24).expect("uploaded");
-    let optimizer = Optimizer::new(gpu, &device).expect("created");
+    assert_eq!(device.parts.len(), parts);
+    let optimizer = Optimizer::new(gpu, &device, false).expect("created");
     optimizer.geometry_moments.write(&vec![1.0; 24 * 24]).expect("written");
     optimizer.sh_moments.write(&vec![1.0; 24 * 54]).expect("written");
     let rows = crate::splat::project::pack_geometry(&gaussians);
@@ -249,7 +264,7 @@ fn relocation_copies_splits_and_clears_on_the_device() {
     optimizer.relocate(gpu, &device, &plan).expect("relocated");
     device.count = plan.count;
     let after = device.download().expect("read");
-    let (geometry, sh) = (optimizer.geometry_moments.read(), optimizer.sh_moments.read());
+    let (geometry, sh) = (optimizer.geometry_moments.read(24), optimizer.sh_moments.read(24));
     let (geometry, sh) = (geometry.expect("read"), sh.expect("read"));
     assert_eq!(after.len(), 22);
     let touched: Vec<_> = plan.moves.iter().map(|m| m[0] as usize).collect();

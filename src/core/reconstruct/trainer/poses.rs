@@ -72,7 +72,7 @@ impl Trainer<'_> {
             probed.push(self.shaken_render(view, &moved, step)?);
         }
         let probed = probed.try_into().map_err(|_| GpuError::Validation("six probes".to_owned()))?;
-        let photograph = self.views[view].image.resize_area(render.width(), render.height());
+        let photograph = self.photograph(view, render.width(), render.height());
         Ok(Probed { photograph, render, probed, probes })
     }
 
@@ -83,7 +83,12 @@ impl Trainer<'_> {
     }
 
     /// The scene through `camera`, shaken as `view` is.
-    fn shaken_render(&mut self, view: usize, camera: &Camera, step: u32) -> Result<Image, GpuError> {
+    pub(super) fn shaken_render(
+        &mut self,
+        view: usize,
+        camera: &Camera,
+        step: u32,
+    ) -> Result<Image, GpuError> {
         let render = self.render_from(camera, step)?;
         let Some(shake) = &self.shake else { return Ok(render) };
         // The render still lies on the device.
@@ -112,7 +117,7 @@ impl Trainer<'_> {
         Ok(())
     }
 
-    /// Kernels and cameras of the views with the scene as it is: rounds of both, at full resolution.
+    /// Kernels, colours and cameras of the views with the scene as it is: rounds of both, at full resolution.
     pub(in crate::reconstruct) fn register(
         mut self,
         rounds: u32,
@@ -120,6 +125,9 @@ impl Trainer<'_> {
     ) -> Result<Vec<Camera>, ReconstructError> {
         let last = self.config.steps;
         for _ in 0..rounds {
+            if self.config.view_colour {
+                self.fit_colours(last, cancel)?;
+            }
             self.estimate_shake(last, cancel)?;
             self.correct_cameras(last, cancel)?;
         }

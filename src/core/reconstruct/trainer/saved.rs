@@ -1,7 +1,5 @@
 //! The state of a round as numbers, and back.
 
-use fled_gpu::Buffer;
-
 use super::Trainer;
 use crate::gaussians::Gaussians;
 use crate::noise::NoiseField;
@@ -16,8 +14,6 @@ impl Trainer<'_> {
     /// The state before the step `next`, with nothing in flight.
     pub(super) fn checkpoint(&self) -> Result<Checkpoint, ReconstructError> {
         let count = self.gaussians.count;
-        let sh = self.gaussians.sh.len() / self.gaussians.capacity * count;
-        let read = |buffer: &Buffer<f32>, n: usize| buffer.start_read(n)?.wait();
         Ok(Checkpoint {
             fingerprint: self.fingerprint(),
             step: self.next,
@@ -25,13 +21,14 @@ impl Trainer<'_> {
             sh_degree: self.gaussians.sh_degree,
             intersections: self.raster.sizes().intersections as u32,
             non_finite: self.optimizer.counters.read()?[0],
-            geometry: read(&self.gaussians.geometry, count * GEOMETRY_ROW)?,
-            geometry_moments: read(&self.optimizer.geometry_moments, 2 * count * GEOMETRY_ROW)?,
-            sh: read(&self.gaussians.sh, sh)?,
-            sh_moments: read(&self.optimizer.sh_moments, 2 * sh)?,
+            geometry: self.gaussians.geometry.read(count)?,
+            geometry_moments: self.optimizer.geometry_moments.read(count)?,
+            sh: self.gaussians.sh.read(count)?,
+            sh_moments: self.optimizer.sh_moments.read(count)?,
             noise: self.noise.as_ref().map_or(Ok(Vec::new()), NoiseField::save)?,
             shake: self.shake.as_ref().map_or(Vec::new(), Shake::save),
             motions: self.motions.iter().flat_map(|motion| motion.twist).collect(),
+            colours: self.colours.iter().flat_map(|colour| colour.to_row()).collect(),
         })
     }
 
@@ -52,6 +49,7 @@ impl Trainer<'_> {
         self.level = Level::new(self.gpu, self.views, divisor)?;
         self.restore_shake(&checkpoint.shake)?;
         self.restore_motions(&checkpoint.motions)?;
+        self.restore_colours(&checkpoint.colours)?;
         let sizes = self.raster.sizes();
         let intersections = checkpoint.intersections as usize;
         self.raster = SplatBuffers::new(self.gpu, SplatSizes { intersections, ..sizes }, true)?;

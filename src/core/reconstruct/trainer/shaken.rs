@@ -32,7 +32,7 @@ impl Trainer<'_> {
                 .par_iter()
                 .zip(&renders)
                 .map(|(&view, render)| {
-                    let photograph = self.views[view].image.resize_area(render.width(), render.height());
+                    let photograph = self.photograph(view, render.width(), render.height());
                     shake::estimate(render, &photograph, response)
                 })
                 .collect();

@@ -69,7 +69,7 @@ impl Scene {
             transmittance: buffers.transmittance.read().unwrap(),
             counts: buffers.counts().unwrap().wait().unwrap(),
             slot_offsets: buffers.slot_offsets.read().unwrap(),
-            rows: buffers.slot_gradients.read().unwrap(),
+            rows: buffers.slots.read().unwrap(),
             tile_counts,
         }
     }
@@ -321,7 +321,7 @@ fn a_tile_counted_but_not_emitted_changes_no_pixel_and_has_zero_gradients() {
     let sizes = SplatSizes { gaussians: n, width, height, intersections: 20_000 };
     let buffers = SplatBuffers::new(gpu, sizes, true).unwrap();
     // Rows that nobody writes keep this.
-    buffers.slot_gradients.write(&vec![7.0; SLOT_ROW * 20_000]).unwrap();
+    buffers.slots.write(&vec![7.0; SLOT_ROW * 20_000]).unwrap();
     let gradient = gpu.upload("image gradient", &vec![1.0_f32; 3 * width * height]).unwrap();
     let mut recorder = gpu.recorder();
     projection.record(&mut recorder, &device).unwrap();
@@ -339,7 +339,7 @@ fn a_tile_counted_but_not_emitted_changes_no_pixel_and_has_zero_gradients() {
     recording.submit().unwrap();
     assert!(buffers.image.read().unwrap() == image);
     let slot = (buffers.slot_offsets.read().unwrap()[changed] + counts[changed] - 1) as usize;
-    let rows = buffers.slot_gradients.read().unwrap();
+    let rows = buffers.slots.read().unwrap();
     assert_eq!(rows[SLOT_ROW * slot..SLOT_ROW * (slot + 1)], [0.0; SLOT_ROW]);
 }
 

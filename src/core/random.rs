@@ -1,0 +1,9 @@
+//! Random numbers that the generators do not offer.
+
+use rand::{Rng, RngExt};
+
+/// A standard normal number (Box and Muller).
+pub(crate) fn normal(rng: &mut impl Rng) -> f64 {
+    let radius = (-2.0 * (1.0 - rng.random::<f64>()).ln()).sqrt();
+    radius * (std::f64::consts::TAU * rng.random::<f64>()).cos()
+}

@@ -1,0 +1,65 @@
+//! What an intersection passes back to its Gaussian.
+
+use fled_gpu::{Buffer, Gpu, GpuError};
+
+#[cfg(test)]
+use super::SLOT_ROW;
+
+/// Gradients of the intersections by what was projected. Three buffers, because one would be the first to reach what an
+/// adapter binds.
+#[derive(Clone)]
+pub struct SlotRows {
+    /// By the mean x y, px, and the opacity after the sigmoid, [intersections, 3].
+    pub means: Buffer<f32>,
+    /// By the inverse covariance a b c, [intersections, 3].
+    pub conics: Buffer<f32>,
+    /// By the colour, [intersections, 3].
+    pub colours: Buffer<f32>,
+}
+
+impl SlotRows {
+    /// Zeroed rows.
+    ///
+    /// # Errors
+    /// Out of memory, or above what the adapter binds.
+    pub fn new(gpu: &Gpu, slots: usize) -> Result<Self, GpuError> {
+        Ok(Self {
+            means: gpu.create("slot means", 3 * slots)?,
+            conics: gpu.create("slot conics", 3 * slots)?,
+            colours: gpu.create("slot colours", 3 * slots)?,
+        })
+    }
+
+    /// Rows of mean xy, conic abc, rgb, opacity.
+    ///
+    /// # Errors
+    /// A device error.
+    #[cfg(test)]
+    pub(crate) fn read(&self) -> Result<Vec<f32>, GpuError> {
+        let (means, conics, colours) = (self.means.read()?, self.conics.read()?, self.colours.read()?);
+        let row = |at: usize| {
+            let (m, conic, colour) = (&means[at..at + 3], &conics[at..at + 3], &colours[at..at + 3]);
+            [&m[..2], conic, colour, &m[2..]].concat()
+        };
+        Ok((0..means.len()).step_by(3).flat_map(row).collect())
+    }
+
+    /// The inverse of [`SlotRows::read`].
+    ///
+    /// # Errors
+    /// A device error.
+    #[cfg(test)]
+    pub(crate) fn write(&self, rows: &[f32]) -> Result<(), GpuError> {
+        let pick = |places: [usize; 3]| -> Vec<f32> {
+            rows.chunks_exact(SLOT_ROW).flat_map(|row| places.map(|at| row[at])).collect()
+        };
+        self.means.write(&pick([0, 1, 8]))?;
+        self.conics.write(&pick([2, 3, 4]))?;
+        self.colours.write(&pick([5, 6, 7]))
+    }
+
+    /// The most that the adapter binds.
+    pub fn most(gpu: &Gpu) -> usize {
+        gpu.rows_per_part(3 * size_of::<f32>())
+    }
+}
