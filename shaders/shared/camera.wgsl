@@ -23,8 +23,8 @@ struct CameraUniform {
     count: u32,
     // Splats nearer than this are culled, world units.
     near: f32,
-    // Coefficients a channel that are allocated: (allocated degree + 1)^2.
-    coefficients: u32,
+    // Vectors in a row of harmonics of the allocated degree.
+    sh_row: u32,
     // What shines through where the splats leave room.
     background: vec3<f32>,
     // Share of the Gaussians that are dropped; the opacity of the others is divided by what is left.

@@ -6,56 +6,68 @@ const SH1: f32 = 0.48860251;
 const SH2 = vec3<f32>(1.09254843, 0.31539157, 0.54627422);
 const SH3 = array<f32, 5>(0.59004359, 2.89061144, 0.45704580, 0.37317633, 1.44530572);
 
-// Coefficients of a degree.
-fn sh_count(degree: u32) -> u32 {
-    return (degree + 1u) * (degree + 1u);
+// One or zero for the bands 1, 2 and 3.
+fn sh_bands(degree: u32) -> vec3<f32> {
+    return vec3<f32>(f32(degree >= 1u), f32(degree >= 2u), f32(degree >= 3u));
 }
 
-// The 16 functions at the unit direction d.
-fn sh_basis(d: vec3<f32>) -> array<f32, 16> {
+// The 16 functions at the unit direction d; zero above the degree.
+fn sh_basis(d: vec3<f32>, degree: u32) -> array<f32, 16> {
+    let bands = sh_bands(degree);
+    let first = SH1 * bands.x;
+    let a = SH2.x * bands.y;
+    let b = SH2.y * bands.y;
+    let c = SH2.z * bands.y;
+    let e = SH3[0] * bands.z;
+    let f = SH3[1] * bands.z;
+    let g = SH3[2] * bands.z;
+    let h = SH3[3] * bands.z;
+    let i = SH3[4] * bands.z;
     let x = d.x;
     let y = d.y;
     let z = d.z;
     let s = d * d;
     return array<f32, 16>(
         SH0,
-        -SH1 * y,
-        SH1 * z,
-        -SH1 * x,
-        SH2.x * x * y,
-        -SH2.x * y * z,
-        SH2.y * (2.0 * s.z - s.x - s.y),
-        -SH2.x * x * z,
-        SH2.z * (s.x - s.y),
-        -SH3[0] * y * (3.0 * s.x - s.y),
-        SH3[1] * x * y * z,
-        -SH3[2] * y * (4.0 * s.z - s.x - s.y),
-        SH3[3] * z * (2.0 * s.z - 3.0 * s.x - 3.0 * s.y),
-        -SH3[2] * x * (4.0 * s.z - s.x - s.y),
-        SH3[4] * z * (s.x - s.y),
-        -SH3[0] * x * (s.x - 3.0 * s.y),
+        -first * y,
+        first * z,
+        -first * x,
+        a * x * y,
+        -a * y * z,
+        b * (2.0 * s.z - s.x - s.y),
+        -a * x * z,
+        c * (s.x - s.y),
+        -e * y * (3.0 * s.x - s.y),
+        f * x * y * z,
+        -g * y * (4.0 * s.z - s.x - s.y),
+        h * z * (2.0 * s.z - 3.0 * s.x - 3.0 * s.y),
+        -g * x * (4.0 * s.z - s.x - s.y),
+        i * z * (s.x - s.y),
+        -e * x * (s.x - 3.0 * s.y),
     );
 }
 
-// Derivatives of the polynomials by x, y, z as free variables.
-fn sh_slopes(d: vec3<f32>) -> array<vec3<f32>, 16> {
+// Derivatives of the polynomials by x, y, z as free variables; zero above the degree.
+fn sh_slopes(d: vec3<f32>, degree: u32) -> array<vec3<f32>, 16> {
     let x = d.x;
     let y = d.y;
     let z = d.z;
     let s = d * d;
-    let a = SH2.x;
-    let b = SH2.y;
-    let c = SH2.z;
-    let e = SH3[0];
-    let f = SH3[1];
-    let g = SH3[2];
-    let h = SH3[3];
-    let i = SH3[4];
+    let bands = sh_bands(degree);
+    let first = SH1 * bands.x;
+    let a = SH2.x * bands.y;
+    let b = SH2.y * bands.y;
+    let c = SH2.z * bands.y;
+    let e = SH3[0] * bands.z;
+    let f = SH3[1] * bands.z;
+    let g = SH3[2] * bands.z;
+    let h = SH3[3] * bands.z;
+    let i = SH3[4] * bands.z;
     return array<vec3<f32>, 16>(
         vec3<f32>(0.0),
-        vec3<f32>(0.0, -SH1, 0.0),
-        vec3<f32>(0.0, 0.0, SH1),
-        vec3<f32>(-SH1, 0.0, 0.0),
+        vec3<f32>(0.0, -first, 0.0),
+        vec3<f32>(0.0, 0.0, first),
+        vec3<f32>(-first, 0.0, 0.0),
         vec3<f32>(a * y, a * x, 0.0),
         vec3<f32>(0.0, -a * z, -a * y),
         vec3<f32>(-2.0 * b * x, -2.0 * b * y, 4.0 * b * z),

@@ -2,7 +2,7 @@
 // shared/partial_subgroup.wgsl or shared/partial_workgroup.wgsl. Replays the forward order, so both take the
 // same decisions: behind a splat lies (final colour - colour so far), T is never divided by.
 // Reads image, image_gradient [3, height, width], last [tiles]; writes every row of the tile once: slot_means (x y,
-// opacity), slot_conics (a b c), slot_colours (r g b), all [slots, 3].
+// opacity), slot_conics (a b c), slot_colours (r g b), all [slots, 4].
 #import shared/raster.wgsl
 
 @group(0) @binding(0) var<uniform> camera: CameraUniform;
@@ -13,9 +13,9 @@
 @group(0) @binding(5) var<storage, read> image: array<f32>;
 @group(0) @binding(6) var<storage, read> image_gradient: array<f32>;
 @group(0) @binding(7) var<storage, read> last: array<u32>;
-@group(0) @binding(8) var<storage, read_write> slot_means: array<f32>;
-@group(0) @binding(9) var<storage, read_write> slot_conics: array<f32>;
-@group(0) @binding(10) var<storage, read_write> slot_colours: array<f32>;
+@group(0) @binding(8) var<storage, read_write> slot_means: array<vec4<f32>>;
+@group(0) @binding(9) var<storage, read_write> slot_conics: array<vec4<f32>>;
+@group(0) @binding(10) var<storage, read_write> slot_colours: array<vec4<f32>>;
 
 // Splats between two reductions; at most WIDTH.
 const GROUP: u32 = 16;
@@ -24,15 +24,12 @@ const SUMS: u32 = 9;
 var<workgroup> partials: array<f32, SUMS * GROUP * PARTIALS>;
 
 fn store_row(slot: u32, mean: vec3<f32>, conic: vec3<f32>, colour: vec3<f32>) {
-    let at = 3u * slot;
-    if (at + 3u > min(arrayLength(&slot_means), min(arrayLength(&slot_conics), arrayLength(&slot_colours)))) {
+    if (slot >= min(arrayLength(&slot_means), min(arrayLength(&slot_conics), arrayLength(&slot_colours)))) {
         return;
     }
-    for (var i = 0u; i < 3u; i++) {
-        slot_means[at + i] = mean[i];
-        slot_conics[at + i] = conic[i];
-        slot_colours[at + i] = colour[i];
-    }
+    slot_means[slot] = vec4<f32>(mean, 0.0);
+    slot_conics[slot] = vec4<f32>(conic, 0.0);
+    slot_colours[slot] = vec4<f32>(colour, 0.0);
 }
 
 // Adds what the invocations found for splat `j` of the batch, always in the same order, and writes its row.

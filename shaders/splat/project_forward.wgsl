@@ -1,12 +1,11 @@
 // Projects one Gaussian an invocation: mean and inverse covariance on the image, colour from its
 // harmonics, depth key, and the exact number of tiles it touches (0 when culled).
-// Reads geometry [part, 12], sh [part, coefficients, 3]. Writes projected [count, 3],
+// Reads geometry [part, 12], sh [part, sh_row]. Writes projected [count, 3],
 // tile_counts [count], depth_keys [count]. Dispatch: the part's rows.
 // Sigma' = J W Sigma W^T J^T + 0.3 I, opacity = sigmoid(logit) / (1 - dropout), colour = max(0.5 + sum sh Y(d), 0).
+#import shared/gaussian_rows.wgsl
 #import shared/grid.wgsl
-#import shared/harmonics.wgsl
 #import shared/part.wgsl
-#import shared/projection.wgsl
 #import shared/random.wgsl
 #import shared/tiles.wgsl
 
@@ -14,33 +13,16 @@ const WIDTH: u32 = 64;
 
 @group(0) @binding(0) var<uniform> camera: CameraUniform;
 @group(0) @binding(1) var<uniform> part: PartUniform;
-@group(0) @binding(2) var<storage, read> geometry: array<f32>;
-@group(0) @binding(3) var<storage, read> sh: array<f32>;
+@group(0) @binding(2) var<storage, read> geometry: array<vec4<f32>>;
+@group(0) @binding(3) var<storage, read> sh: array<vec4<f32>>;
 @group(0) @binding(4) var<storage, read_write> projected: array<vec4<f32>>;
 @group(0) @binding(5) var<storage, read_write> tile_counts: array<u32>;
 @group(0) @binding(6) var<storage, read_write> depth_keys: array<u32>;
 
-fn load_geometry(row: u32) -> Geometry {
-    let at = row * 12u;
-    return Geometry(
-        vec3<f32>(geometry[at], geometry[at + 1u], geometry[at + 2u]),
-        vec3<f32>(geometry[at + 3u], geometry[at + 4u], geometry[at + 5u]),
-        vec4<f32>(geometry[at + 6u], geometry[at + 7u], geometry[at + 8u], geometry[at + 9u]),
-        geometry[at + 10u],
-    );
-}
-
 fn colour_of(row: u32, mean: vec3<f32>) -> vec3<f32> {
     let offset = mean - camera.position;
-    var basis = sh_basis(offset / max(length(offset), 1e-12));
-    var colour = vec3<f32>(0.5);
-    let used = min(sh_count(camera.sh_degree), camera.coefficients);
-    var at = row * camera.coefficients * 3u;
-    for (var k = 0u; k < used; k++) {
-        colour += basis[k] * vec3<f32>(sh[at], sh[at + 1u], sh[at + 2u]);
-        at += 3u;
-    }
-    return max(colour, vec3<f32>(0.0));
+    let basis = sh_basis(offset / max(length(offset), 1e-12), camera.sh_degree);
+    return max(harmonics_colour(load_harmonics(row), basis), vec3<f32>(0.0));
 }
 
 // Tiles touched by a splat that is not culled.

@@ -2,13 +2,13 @@
 // place. Sums the Gaussian's contiguous rows of slot_gradients, goes back through conic, covariance,
 // projection, harmonics and activations, adds the MCMC regularisers, updates, adds exploration noise.
 // Reads tile_counts, slot_offsets [count], slot_means (mean2d xy, opacity), slot_conics (abc), slot_colours (rgb), all
-// [slots, 3], intersections (their exact total). Reads and writes geometry [part, 12], geometry_moments [part, 2, 12],
-// sh [part, coefficients, 3], sh_moments [part, 2, coefficients, 3], counters [0] (non-finite gradients dropped).
+// [slots, 4], intersections (their exact total). Reads and writes geometry [part, 12], geometry_moments [part, 2, 12],
+// sh [part, sh_row], sh_moments [part, 2, sh_row], counters [0] (non-finite gradients dropped).
 // Dispatch: the part's rows. Void when the slots overflowed.
 // WRITE_GRADIENTS = 1 leaves the parameters and writes the gradient in place of the first moments. COUNT_PULLS = 1 adds
 // the length of the gradient by the position, in normalised device coordinates, and a view to the moments' free floats.
+#import shared/gaussian_rows.wgsl
 #import shared/grid.wgsl
-#import shared/harmonics.wgsl
 #import shared/part.wgsl
 #import shared/projection_backward.wgsl
 #import shared/random.wgsl
@@ -26,14 +26,14 @@ const EPSILON: f32 = 1e-15;
 @group(0) @binding(2) var<uniform> part: PartUniform;
 @group(0) @binding(3) var<storage, read> tile_counts: array<u32>;
 @group(0) @binding(4) var<storage, read> slot_offsets: array<u32>;
-@group(0) @binding(5) var<storage, read> slot_means: array<f32>;
-@group(0) @binding(6) var<storage, read> slot_conics: array<f32>;
-@group(0) @binding(7) var<storage, read> slot_colours: array<f32>;
+@group(0) @binding(5) var<storage, read> slot_means: array<vec4<f32>>;
+@group(0) @binding(6) var<storage, read> slot_conics: array<vec4<f32>>;
+@group(0) @binding(7) var<storage, read> slot_colours: array<vec4<f32>>;
 @group(0) @binding(8) var<storage, read> intersections: array<u32>;
-@group(0) @binding(9) var<storage, read_write> geometry: array<f32>;
-@group(0) @binding(10) var<storage, read_write> geometry_moments: array<f32>;
-@group(0) @binding(11) var<storage, read_write> sh: array<f32>;
-@group(0) @binding(12) var<storage, read_write> sh_moments: array<f32>;
+@group(0) @binding(9) var<storage, read_write> geometry: array<vec4<f32>>;
+@group(0) @binding(10) var<storage, read_write> geometry_moments: array<vec4<f32>>;
+@group(0) @binding(11) var<storage, read_write> sh: array<vec4<f32>>;
+@group(0) @binding(12) var<storage, read_write> sh_moments: array<vec4<f32>>;
 @group(0) @binding(13) var<storage, read_write> counters: array<atomic<u32>>;
 
 // Finite, and so small that its square is finite too: by bits, for NaN has no order in WGSL.
@@ -50,27 +50,17 @@ struct SlotSum {
     opacity: f32,
 }
 
-fn load_geometry(row: u32) -> Geometry {
-    let at = row * 12u;
-    return Geometry(
-        vec3<f32>(geometry[at], geometry[at + 1u], geometry[at + 2u]),
-        vec3<f32>(geometry[at + 3u], geometry[at + 4u], geometry[at + 5u]),
-        vec4<f32>(geometry[at + 6u], geometry[at + 7u], geometry[at + 8u], geometry[at + 9u]),
-        geometry[at + 10u],
-    );
-}
-
 fn sum_slots(i: u32) -> SlotSum {
-    var sum = SlotSum(vec2<f32>(0.0), vec3<f32>(0.0), vec3<f32>(0.0), 0.0);
+    var mean = vec4<f32>(0.0);
+    var conic = vec4<f32>(0.0);
+    var colour = vec4<f32>(0.0);
     let first = slot_offsets[i];
     for (var slot = first; slot < first + tile_counts[i]; slot++) {
-        let at = slot * 3u;
-        sum.mean += vec2<f32>(slot_means[at], slot_means[at + 1u]);
-        sum.conic += vec3<f32>(slot_conics[at], slot_conics[at + 1u], slot_conics[at + 2u]);
-        sum.colour += vec3<f32>(slot_colours[at], slot_colours[at + 1u], slot_colours[at + 2u]);
-        sum.opacity += slot_means[at + 2u];
+        mean += slot_means[slot];
+        conic += slot_conics[slot];
+        colour += slot_colours[slot];
     }
-    return sum;
+    return SlotSum(mean.xy, conic.xyz, colour.xyz, mean.z);
 }
 
 fn geometry_backward(p: Projection, s: Shape, sum: SlotSum, by_direction: vec3<f32>) -> Geometry {
@@ -96,93 +86,115 @@ struct ColourGradient {
     by_mean: vec3<f32>,
 }
 
-fn colour_backward(row: u32, mean: vec3<f32>, by_colour: vec3<f32>) -> ColourGradient {
-    let offset = mean - camera.position;
+// Four slopes, weighed by how four coefficients go along the gradient.
+fn along(
+    gradient: vec3<f32>,
+    m: mat4x3<f32>,
+    s0: vec3<f32>,
+    s1: vec3<f32>,
+    s2: vec3<f32>,
+    s3: vec3<f32>,
+) -> vec3<f32> {
+    let w = gradient * m;
+    return w.x * s0 + w.y * s1 + w.z * s2 + w.w * s3;
+}
+
+fn colour_backward(
+    v: array<vec4<f32>, 12>,
+    basis: array<f32, 16>,
+    offset: vec3<f32>,
+    by_colour: vec3<f32>,
+) -> ColourGradient {
     let distance = max(length(offset), 1e-12);
     let direction = offset / distance;
-    var basis = sh_basis(direction);
-    var slopes = sh_slopes(direction);
-    let used = min(sh_count(camera.sh_degree), camera.coefficients);
-    var colour = vec3<f32>(0.5);
-    var jacobian = mat3x3<f32>();
-    var at = row * camera.coefficients * 3u;
-    for (var k = 0u; k < used; k++) {
-        let value = vec3<f32>(sh[at], sh[at + 1u], sh[at + 2u]);
-        colour += basis[k] * value;
-        jacobian += mat3x3<f32>(slopes[k] * value.x, slopes[k] * value.y, slopes[k] * value.z);
-        at += 3u;
-    }
-    let gated = select(vec3<f32>(0.0), by_colour, colour > vec3<f32>(0.0));
-    let by_direction = jacobian * gated;
+    let s = sh_slopes(direction, camera.sh_degree);
+    let gated = select(vec3<f32>(0.0), by_colour, harmonics_colour(v, basis) > vec3<f32>(0.0));
+    let by_direction = along(gated, coefficients(v[0], v[1], v[2]), s[0], s[1], s[2], s[3])
+        + along(gated, coefficients(v[3], v[4], v[5]), s[4], s[5], s[6], s[7])
+        + along(gated, coefficients(v[6], v[7], v[8]), s[8], s[9], s[10], s[11])
+        + along(gated, coefficients(v[9], v[10], v[11]), s[12], s[13], s[14], s[15]);
     return ColourGradient(gated, (by_direction - direction * dot(direction, by_direction)) / distance);
 }
 
-fn adam_geometry(row: u32, slot: u32, gradient: f32, rate: f32) {
-    let at = row * 24u + slot;
+// What Adam takes off the parameters.
+fn adam_step(m: vec4<f32>, v: vec4<f32>, rate: vec4<f32>) -> vec4<f32> {
+    return rate * m * train.bias_m / (sqrt(v * train.bias_v) + EPSILON);
+}
+
+fn update_geometry(row: u32, q: u32, value: vec4<f32>, gradient: vec4<f32>, rate: vec4<f32>) {
+    let at = 6u * row + q;
     if (WRITE_GRADIENTS == 1u) {
         geometry_moments[at] = gradient;
         return;
     }
     let m = BETA_M * geometry_moments[at] + (1.0 - BETA_M) * gradient;
-    let v = BETA_V * geometry_moments[at + 12u] + (1.0 - BETA_V) * gradient * gradient;
+    let v = BETA_V * geometry_moments[at + 3u] + (1.0 - BETA_V) * gradient * gradient;
     geometry_moments[at] = m;
-    geometry_moments[at + 12u] = v;
-    geometry[row * 12u + slot] -= rate * m * train.bias_m / (sqrt(v * train.bias_v) + EPSILON);
+    geometry_moments[at + 3u] = v;
+    geometry[3u * row + q] = value - adam_step(m, v, rate);
 }
 
-fn adam_sh(row: u32, slot: u32, gradient: f32, rate: f32) {
-    let length = camera.coefficients * 3u;
-    let at = row * 2u * length + slot;
+// The vector with the logit: its last floats are no parameter's and count pulls.
+fn update_logit(row: u32, value: vec4<f32>, gradient: vec4<f32>, rate: vec4<f32>, pull: vec2<f32>) {
+    let at = 6u * row + 2u;
+    let before = vec2<f32>(geometry_moments[at].w, geometry_moments[at + 3u].w);
+    update_geometry(row, 2u, value, gradient, rate);
+    if (COUNT_PULLS == 1u) {
+        geometry_moments[at].w = before.x + pull.x;
+        geometry_moments[at + 3u].w = before.y + pull.y;
+    }
+}
+
+fn update_harmonics(row: u32, q: u32, value: vec4<f32>, gradient: vec4<f32>, rate: vec4<f32>) {
+    let at = 2u * row * camera.sh_row + q;
     if (WRITE_GRADIENTS == 1u) {
         sh_moments[at] = gradient;
         return;
     }
     let m = BETA_M * sh_moments[at] + (1.0 - BETA_M) * gradient;
-    let v = BETA_V * sh_moments[at + length] + (1.0 - BETA_V) * gradient * gradient;
+    let v = BETA_V * sh_moments[at + camera.sh_row] + (1.0 - BETA_V) * gradient * gradient;
     sh_moments[at] = m;
-    sh_moments[at + length] = v;
-    sh[row * length + slot] -= rate * m * train.bias_m / (sqrt(v * train.bias_v) + EPSILON);
+    sh_moments[at + camera.sh_row] = v;
+    sh[row * camera.sh_row + q] = value - adam_step(m, v, rate);
 }
 
-fn update_geometry(row: u32, g: Geometry) {
-    for (var axis = 0u; axis < 3u; axis++) {
-        adam_geometry(row, axis, g.mean[axis], train.rates.x);
-        adam_geometry(row, 3u + axis, g.log_scale[axis], train.rates.y);
+// Three vectors of four coefficients.
+fn update_block(row: u32, q: u32, a: vec4<f32>, b: vec4<f32>, c: vec4<f32>, g: mat4x3<f32>) {
+    let rate = vec4<f32>(train.rate_sh);
+    let base = select(rate, vec4<f32>(vec3<f32>(train.rate_sh0), train.rate_sh), q == 0u);
+    update_harmonics(row, q, a, vec4<f32>(g[0], g[1].x), base);
+    update_harmonics(row, q + 1u, b, vec4<f32>(g[1].yz, g[2].xy), rate);
+    update_harmonics(row, q + 2u, c, vec4<f32>(g[2].z, g[3]), rate);
+}
+
+// Inactive coefficients have no gradient and no moments, so they stay.
+fn update_colour(row: u32, v: array<vec4<f32>, 12>, b: array<f32, 16>, gated: vec3<f32>) {
+    let first = mat4x3<f32>(gated * b[0], gated * b[1], gated * b[2], gated * b[3]);
+    if (camera.sh_degree == 0u) {
+        let rate = vec4<f32>(vec3<f32>(train.rate_sh0), 0.0);
+        update_harmonics(row, 0u, v[0], vec4<f32>(first[0], 0.0), rate);
+        return;
     }
-    for (var axis = 0u; axis < 4u; axis++) {
-        adam_geometry(row, 6u + axis, g.quat[axis], train.rates.z);
+    update_block(row, 0u, v[0], v[1], v[2], first);
+    if (camera.sh_degree >= 2u) {
+        update_block(row, 3u, v[3], v[4], v[5], mat4x3<f32>(gated * b[4], gated * b[5], gated * b[6], gated * b[7]));
     }
-    adam_geometry(row, 10u, g.logit, train.rates.w);
-}
-
-fn count_pull(row: u32, by_mean: vec2<f32>) {
-    let pull = length(0.5 * vec2<f32>(camera.size) * by_mean);
-    geometry_moments[row * 24u + 11u] += pull;
-    geometry_moments[row * 24u + 23u] += 1.0;
-}
-
-// Inactive coefficients have no gradient and no moments, so they are left alone.
-fn update_sh(row: u32, mean: vec3<f32>, gated: vec3<f32>) {
-    let offset = mean - camera.position;
-    var basis = sh_basis(offset / max(length(offset), 1e-12));
-    let used = min(sh_count(camera.sh_degree), camera.coefficients);
-    for (var k = 0u; k < used; k++) {
-        let rate = select(train.rate_sh, train.rate_sh0, k == 0u);
-        for (var c = 0u; c < 3u; c++) {
-            adam_sh(row, 3u * k + c, gated[c] * basis[k], rate);
-        }
+    if (camera.sh_degree == 2u) {
+        update_harmonics(row, 6u, v[6], vec4<f32>(gated * b[8], 0.0), vec4<f32>(train.rate_sh));
+    }
+    if (camera.sh_degree >= 3u) {
+        let third = mat4x3<f32>(gated * b[8], gated * b[9], gated * b[10], gated * b[11]);
+        update_block(row, 6u, v[6], v[7], v[8], third);
+        let last = mat4x3<f32>(gated * b[12], gated * b[13], gated * b[14], gated * b[15]);
+        update_block(row, 9u, v[9], v[10], v[11], last);
     }
 }
 
 // Exploration of MCMC: a normal step shaped by the covariance, large where the opacity is small.
-fn explore(row: u32, s: Shape) {
+fn exploration(i: u32, s: Shape) -> vec3<f32> {
     let gate = sigmoid(-100.0 * (s.opacity - 0.005));
-    let move_by = s.covariance * normal3(train.seed, train.step, part.first + row) * (gate * train.noise);
-    if (is_finite3(move_by)) {
-        for (var axis = 0u; axis < 3u; axis++) {
-            geometry[row * 12u + axis] += move_by[axis];
-        }
-    }
+    let move_by = s.covariance * normal3(train.seed, train.step, i) * (gate * train.noise);
+    return select(vec3<f32>(0.0), move_by, is_finite3(move_by));
 }
 
 @compute @workgroup_size(WIDTH)
@@ -202,15 +214,18 @@ fn main(
     }
     let shape = shape_of(g);
     let p = project_shape(g.mean, shape, camera);
+    let offset = g.mean - camera.position;
+    let harmonics = load_harmonics(row);
+    let basis = sh_basis(offset / max(length(offset), 1e-12), camera.sh_degree);
     var by = Geometry(vec3<f32>(0.0), vec3<f32>(0.0), vec4<f32>(0.0), 0.0);
     var gated = vec3<f32>(0.0);
     var pull = vec2<f32>(0.0);
     if (tile_counts[i] > 0u && p.usable) {
         let sum = sum_slots(i);
-        let colour = colour_backward(row, g.mean, sum.colour);
+        let colour = colour_backward(harmonics, basis, offset, sum.colour);
         by = geometry_backward(p, shape, sum, colour.by_mean);
         gated = colour.gated;
-        pull = sum.mean;
+        pull = vec2<f32>(length(0.5 * vec2<f32>(camera.size) * sum.mean), 1.0);
     }
     if (!(fits3(by.mean) && fits3(by.log_scale) && fits3(by.quat.xyz) && fits3(gated)
         && fits3(vec3<f32>(by.quat.w, by.logit, 0.0)))) {
@@ -221,12 +236,16 @@ fn main(
     by.log_scale += train.scale_weight * shape.scale;
     let held = clamp(g.log_scale, vec3<f32>(LOG_SCALE_LOW), vec3<f32>(LOG_SCALE_HIGH));
     by.log_scale = select(vec3<f32>(0.0), by.log_scale, g.log_scale == held);
-    update_geometry(row, by);
-    update_sh(row, g.mean, gated);
-    if (COUNT_PULLS == 1u && tile_counts[i] > 0u) {
-        count_pull(row, pull);
-    }
+    var mean = g.mean;
     if (WRITE_GRADIENTS == 0u && train.noise > 0.0) {
-        explore(row, shape);
+        mean += exploration(i, shape);
     }
+    let rates = train.rates;
+    let s = g.log_scale;
+    update_geometry(row, 0u, vec4<f32>(mean, s.x), vec4<f32>(by.mean, by.log_scale.x), rates.xxxy);
+    update_geometry(row, 1u, vec4<f32>(s.yz, g.quat.xy), vec4<f32>(by.log_scale.yz, by.quat.xy), rates.yyzz);
+    let last = vec4<f32>(g.quat.zw, g.logit, 0.0);
+    let by_last = vec4<f32>(by.quat.zw, by.logit, 0.0);
+    update_logit(row, last, by_last, vec4<f32>(rates.zzw, 0.0), pull);
+    update_colour(row, harmonics, basis, gated);
 }

@@ -2,10 +2,12 @@
 
 use bytemuck::{Pod, Zeroable};
 
+use crate::splat::project::sh_row;
+
 /// First bytes of a checkpoint.
 const MAGIC: [u8; 8] = *b"fledckpt";
 /// Raised whenever the layout or the meaning changes.
-const VERSION: u32 = 4;
+const VERSION: u32 = 5;
 
 /// Bytes that are no checkpoint of this version.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -32,7 +34,7 @@ pub struct Checkpoint {
     pub geometry: Vec<f32>,
     /// Adam's moments of the geometry, [count, 2, 12].
     pub geometry_moments: Vec<f32>,
-    /// Harmonics, [count, coefficients, 3].
+    /// Rows of harmonics, [count, `sh_row`].
     pub sh: Vec<f32>,
     /// Adam's moments of the harmonics.
     pub sh_moments: Vec<f32>,
@@ -150,9 +152,9 @@ impl Checkpoint {
     }
 
     fn consistent(&self) -> bool {
-        let coefficients = (self.sh_degree.min(3) + 1).pow(2) as usize;
+        let sh = sh_row(self.sh_degree.min(3)) * self.count();
         let n = self.count();
-        let expected = [12 * n, 24 * n, 3 * coefficients * n, 6 * coefficients * n];
+        let expected = [12 * n, 24 * n, sh, 2 * sh];
         let found = [&self.geometry, &self.geometry_moments, &self.sh, &self.sh_moments].map(Vec::len);
         self.sh_degree <= 3 && expected == found
     }
@@ -198,7 +200,7 @@ mod tests {
         assert_eq!(refused(&changed), "damaged");
         let mut newer = bytes.clone();
         newer[16] += 1;
-        assert!(refused(&newer).starts_with("version 5"));
+        assert!(refused(&newer).starts_with("version 6"));
         assert_eq!(refused(&[0; 200]), "not a checkpoint");
         let odd = Checkpoint { sh_degree: 2, ..checkpoint() };
         assert_eq!(refused(&odd.to_bytes()), "its arrays do not fit together");

@@ -153,7 +153,7 @@ pub struct Optimizer {
     pub step: Buffer<StepUniform>,
     /// [capacity, 2, 12].
     pub geometry_moments: Rows<f32>,
-    /// [capacity, 2, coefficients, 3].
+    /// [capacity, 2, `sh_row`].
     pub sh_moments: Rows<f32>,
     /// [0]: non-finite gradients dropped.
     pub counters: Buffer<u32>,

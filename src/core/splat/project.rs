@@ -49,7 +49,7 @@ pub struct Part {
 pub struct DeviceGaussians {
     /// [capacity, 12].
     pub geometry: Rows<f32>,
-    /// [capacity, coefficients, 3].
+    /// [capacity, [`sh_row`]].
     pub sh: Rows<f32>,
     /// What a kernel is dispatched for, one after the other.
     pub parts: Vec<Part>,
@@ -68,7 +68,7 @@ impl DeviceGaussians {
     /// Out of memory, or above what the adapter binds.
     pub fn upload(gpu: &Gpu, gaussians: &Gaussians, capacity: usize) -> Result<Self, GpuError> {
         let capacity = capacity.max(gaussians.len());
-        let row = 3 * gaussians.coefficients();
+        let row = sh_row(gaussians.sh_degree);
         // The longest rows of a Gaussian are Adam's two moments of its harmonics, or of its geometry.
         let per_part = gpu.rows_per_part(2 * size_of::<f32>() * row.max(GEOMETRY_ROW));
         let mut parts = Vec::new();
@@ -86,7 +86,7 @@ impl DeviceGaussians {
             sh_degree: gaussians.sh_degree,
         };
         out.geometry.write(pack_geometry(gaussians).as_flattened())?;
-        out.sh.write(&gaussians.sh)?;
+        out.sh.write(&pack_harmonics(gaussians))?;
         Ok(out)
     }
 
@@ -97,8 +97,24 @@ impl DeviceGaussians {
     pub fn download(&self) -> Result<Gaussians, GpuError> {
         let (geometry, sh) = (self.geometry.read(self.count)?, self.sh.read(self.count)?);
         let (rows, _) = geometry.as_chunks::<GEOMETRY_ROW>();
-        Ok(unpack_geometry(rows, sh, self.sh_degree))
+        Ok(unpack_gaussians(rows, &sh, self.sh_degree))
     }
+}
+
+/// Floats of a row of harmonics: all coefficients of three channels, filled up to whole vectors of four.
+pub const fn sh_row(degree: u32) -> usize {
+    (3 * (degree + 1) * (degree + 1)).next_multiple_of(4) as usize
+}
+
+/// Rows of `sh`.
+fn pack_harmonics(gaussians: &Gaussians) -> Vec<f32> {
+    let mut rows = vec![0.0; gaussians.len() * sh_row(gaussians.sh_degree)];
+    let used = 3 * gaussians.coefficients();
+    let sources = gaussians.sh.chunks_exact(used);
+    for (row, source) in rows.chunks_exact_mut(sh_row(gaussians.sh_degree)).zip(sources) {
+        row[..used].copy_from_slice(source);
+    }
+    rows
 }
 
 /// Rows of `geometry`.
@@ -111,8 +127,10 @@ pub fn pack_geometry(gaussians: &Gaussians) -> Vec<[f32; GEOMETRY_ROW]> {
     (0..gaussians.len()).map(row).collect()
 }
 
-/// The inverse of [`pack_geometry`].
-pub fn unpack_geometry(rows: &[[f32; GEOMETRY_ROW]], sh: Vec<f32>, sh_degree: u32) -> Gaussians {
+/// Gaussians from rows of geometry and of harmonics.
+pub fn unpack_gaussians(rows: &[[f32; GEOMETRY_ROW]], sh: &[f32], sh_degree: u32) -> Gaussians {
+    let used = 3 * ((sh_degree + 1) * (sh_degree + 1)) as usize;
+    let sh = sh.chunks_exact(sh_row(sh_degree)).flat_map(|row| &row[..used]).copied().collect();
     Gaussians {
         means: rows.iter().map(|r| [r[0], r[1], r[2]]).collect(),
         log_scales: rows.iter().map(|r| [r[3], r[4], r[5]]).collect(),
@@ -321,7 +339,7 @@ mod tests {
             ("sh_degree", std::mem::offset_of!(CameraUniform, sh_degree)),
             ("count", std::mem::offset_of!(CameraUniform, count)),
             ("near", std::mem::offset_of!(CameraUniform, near)),
-            ("coefficients", std::mem::offset_of!(CameraUniform, coefficients)),
+            ("sh_row", std::mem::offset_of!(CameraUniform, sh_row)),
             ("background", std::mem::offset_of!(CameraUniform, background)),
             ("dropout", std::mem::offset_of!(CameraUniform, dropout)),
         ];

@@ -39,8 +39,8 @@ pub struct CameraUniform {
     pub count: u32,
     /// Near plane, world units.
     pub near: f32,
-    /// Allocated coefficients a channel.
-    pub coefficients: u32,
+    /// Vectors of four in a row of harmonics.
+    pub sh_row: u32,
     /// What shines through where the splats leave room, RGB as in the image.
     pub background: [f32; 3],
     /// Share of the Gaussians that are dropped; the opacity of the others makes up for them.
@@ -69,7 +69,7 @@ impl CameraUniform {
             sh_degree: active.min(allocated),
             count: count as u32,
             near,
-            coefficients: (allocated + 1) * (allocated + 1),
+            sh_row: (3 * (allocated + 1) * (allocated + 1)).div_ceil(4),
             background: [0.0; 3],
             dropout: 0.0,
         }

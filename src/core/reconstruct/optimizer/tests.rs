@@ -5,6 +5,7 @@ use super::*;
 use crate::gaussians::Gaussians;
 use crate::reconstruct::densify;
 use crate::splat::fixtures::{self, Random, cosine, relative_l2};
+use crate::splat::project::sh_row;
 use crate::splat::reference::{ProjectedGradient, Splat, Viewpoint, project_backward};
 use crate::splat::uniform::CameraUniform;
 
@@ -87,11 +88,11 @@ impl Bench {
         let count = self.gaussians.len();
         let geometry = self.optimizer.geometry_moments.read(count).expect("read");
         let sh = self.optimizer.sh_moments.read(count).expect("read");
-        let row = 3 * self.gaussians.coefficients();
+        let (row, stride) = (3 * self.gaussians.coefficients(), 2 * sh_row(self.gaussians.sh_degree));
         (0..self.gaussians.len())
             .map(|i| {
                 let head = geometry[24 * i..24 * i + 11].iter();
-                head.chain(&sh[2 * row * i..2 * row * i + row]).map(|v| f64::from(*v)).collect()
+                head.chain(&sh[stride * i..stride * i + row]).map(|v| f64::from(*v)).collect()
             })
             .collect()
     }
@@ -190,10 +191,10 @@ fn non_finite_gradients_are_dropped_and_counted() {
     let counts = bench.projection.tile_counts.read().expect("read");
     let visible: Vec<_> = (0..50).filter(|&i| counts[i] > 0).collect();
     let offsets = bench.offsets.read().expect("read");
-    let first = |n: usize| 3 * offsets[visible[n]] as usize;
-    bench.rows.means.write_at(first(0), &[f32::NAN]).expect("written");
-    bench.rows.colours.write_at(first(3) + 2, &[f32::INFINITY]).expect("written");
-    bench.rows.means.write_at(first(5) + 2, &[1e30]).expect("written");
+    let first = |n: usize| offsets[visible[n]] as usize;
+    bench.rows.means.write_at(first(0), &[[f32::NAN, 0.0, 0.0, 0.0]]).expect("written");
+    bench.rows.colours.write_at(first(3), &[[0.0, 0.0, f32::INFINITY, 0.0]]).expect("written");
+    bench.rows.means.write_at(first(5), &[[0.0, 0.0, 1e30, 0.0]]).expect("written");
     let before = bench.device.download().expect("read");
     bench.step(&PROJECT_BACKWARD_ADAM, StepUniform::new(&SCHEDULE, 0, 50, 1.0, true));
     let after = bench.device.download().expect("read");
@@ -258,7 +259,7 @@ fn relocates(gpu: &Gpu, parts: usize) {
     assert_eq!(device.parts.len(), parts);
     let optimizer = Optimizer::new(gpu, &device, false).expect("created");
     optimizer.geometry_moments.write(&vec![1.0; 24 * 24]).expect("written");
-    optimizer.sh_moments.write(&vec![1.0; 24 * 54]).expect("written");
+    optimizer.sh_moments.write(&vec![1.0; 24 * 56]).expect("written");
     let rows = crate::splat::project::pack_geometry(&gaussians);
     let plan = densify::plan(&rows, 22, &mut Pcg64::seed_from_u64(3));
     optimizer.relocate(gpu, &device, &plan).expect("relocated");
@@ -280,7 +281,7 @@ fn relocates(gpu: &Gpu, parts: usize) {
     for i in 0..20 {
         let expected = if touched.contains(&i) { 0.0 } else { 1.0 };
         assert!(geometry[24 * i..24 * i + 24].iter().all(|v| *v == expected), "{i}");
-        assert!(sh[54 * i..54 * i + 54].iter().all(|v| *v == expected), "{i}");
+        assert!(sh[56 * i..56 * i + 56].iter().all(|v| *v == expected), "{i}");
     }
 }
 

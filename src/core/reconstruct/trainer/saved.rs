@@ -7,7 +7,7 @@ use crate::reconstruct::ReconstructError;
 use crate::reconstruct::checkpoint::Checkpoint;
 use crate::reconstruct::level::Level;
 use crate::shake::Shake;
-use crate::splat::project::{GEOMETRY_ROW, unpack_geometry};
+use crate::splat::project::{GEOMETRY_ROW, unpack_gaussians};
 use crate::splat::rasterize::{SplatBuffers, SplatSizes};
 
 impl Trainer<'_> {
@@ -71,5 +71,5 @@ impl Trainer<'_> {
 /// The Gaussians of a checkpoint.
 pub(super) fn scene_of(checkpoint: &Checkpoint) -> Gaussians {
     let (rows, _) = checkpoint.geometry.as_chunks::<GEOMETRY_ROW>();
-    unpack_geometry(rows, checkpoint.sh.clone(), checkpoint.sh_degree)
+    unpack_gaussians(rows, &checkpoint.sh, checkpoint.sh_degree)
 }

@@ -9,12 +9,12 @@ use super::SLOT_ROW;
 /// adapter binds.
 #[derive(Clone)]
 pub struct SlotRows {
-    /// By the mean x y, px, and the opacity after the sigmoid, [intersections, 3].
-    pub means: Buffer<f32>,
-    /// By the inverse covariance a b c, [intersections, 3].
-    pub conics: Buffer<f32>,
-    /// By the colour, [intersections, 3].
-    pub colours: Buffer<f32>,
+    /// By the mean x y, px, and the opacity after the sigmoid, [intersections, 4].
+    pub means: Buffer<[f32; 4]>,
+    /// By the inverse covariance a b c, [intersections, 4].
+    pub conics: Buffer<[f32; 4]>,
+    /// By the colour, [intersections, 4].
+    pub colours: Buffer<[f32; 4]>,
 }
 
 impl SlotRows {
@@ -24,9 +24,9 @@ impl SlotRows {
     /// Out of memory, or above what the adapter binds.
     pub fn new(gpu: &Gpu, slots: usize) -> Result<Self, GpuError> {
         Ok(Self {
-            means: gpu.create("slot means", 3 * slots)?,
-            conics: gpu.create("slot conics", 3 * slots)?,
-            colours: gpu.create("slot colours", 3 * slots)?,
+            means: gpu.create("slot means", slots)?,
+            conics: gpu.create("slot conics", slots)?,
+            colours: gpu.create("slot colours", slots)?,
         })
     }
 
@@ -37,11 +37,11 @@ impl SlotRows {
     #[cfg(test)]
     pub(crate) fn read(&self) -> Result<Vec<f32>, GpuError> {
         let (means, conics, colours) = (self.means.read()?, self.conics.read()?, self.colours.read()?);
-        let row = |at: usize| {
-            let (m, conic, colour) = (&means[at..at + 3], &conics[at..at + 3], &colours[at..at + 3]);
-            [&m[..2], conic, colour, &m[2..]].concat()
+        let rows = means.iter().zip(&conics).zip(&colours);
+        let row = |((m, conic), colour): ((&[f32; 4], &[f32; 4]), &[f32; 4])| {
+            [&m[..2], &conic[..3], &colour[..3], &m[2..3]].concat()
         };
-        Ok((0..means.len()).step_by(3).flat_map(row).collect())
+        Ok(rows.flat_map(row).collect())
     }
 
     /// The inverse of [`SlotRows::read`].
@@ -50,8 +50,8 @@ impl SlotRows {
     /// A device error.
     #[cfg(test)]
     pub(crate) fn write(&self, rows: &[f32]) -> Result<(), GpuError> {
-        let pick = |places: [usize; 3]| -> Vec<f32> {
-            rows.chunks_exact(SLOT_ROW).flat_map(|row| places.map(|at| row[at])).collect()
+        let pick = |[a, b, c]: [usize; 3]| -> Vec<[f32; 4]> {
+            rows.chunks_exact(SLOT_ROW).map(|row| [row[a], row[b], row[c], 0.0]).collect()
         };
         self.means.write(&pick([0, 1, 8]))?;
         self.conics.write(&pick([2, 3, 4]))?;
@@ -60,6 +60,6 @@ impl SlotRows {
 
     /// The most that the adapter binds.
     pub fn most(gpu: &Gpu) -> usize {
-        gpu.rows_per_part(3 * size_of::<f32>())
+        gpu.rows_per_part(size_of::<[f32; 4]>())
     }
 }
