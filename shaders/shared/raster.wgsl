@@ -11,10 +11,12 @@ const QUADS: u32 = PIXELS / 4;
 const ALPHA_MAX: f32 = 0.99;
 const TRANSMITTANCE_STOP: f32 = 1e-4;
 
+const LOG2_E: f32 = 1.4426950408889634;
+
 struct Batch {
-    // Mean x y, opacity, unused.
+    // Mean x y, opacity, its logarithm to base 2.
     place: vec4<f32>,
-    // Conic a, b, c, unused.
+    // Conic a, b, c, the most that alpha may be.
     conic: vec4<f32>,
     colour: vec4<f32>,
 }
@@ -23,9 +25,11 @@ var<workgroup> batch: array<Batch, WIDTH>;
 
 // Copies one row of `projected` to the batch.
 fn load_splat(lane: u32, first: vec4<f32>, second: vec4<f32>, third: vec4<f32>) {
+    let opacity = second.y;
     batch[lane] = Batch(
-        vec4<f32>(first.xy, second.y, 0.0),
-        vec4<f32>(first.zw, second.x, 0.0),
+        vec4<f32>(first.xy, opacity, log2(opacity)),
+        // A needle's exponent may round to beyond its peak.
+        vec4<f32>(first.zw, second.x, min(ALPHA_MAX, opacity)),
         vec4<f32>(second.zw, third.x, 0.0),
     );
 }
@@ -41,13 +45,20 @@ fn first_pixel(tile: u32, lane: u32, tiles_x: u32) -> vec2<u32> {
     return vec2<u32>(tile % tiles_x, tile / tiles_x) * TILE + vec2<u32>(in_tile % TILE, in_tile / TILE);
 }
 
-// Opacity before the clamp, exp(-sigma) * opacity, at four pixels; 0 where the splat does not count.
-// `dx`: pixel centres minus mean; `slope` and `base` are the parts of sigma that a row shares:
-// sigma = dx * (0.5 a * dx + slope) + base, slope = b dy, base = 0.5 c dy^2.
-fn raw_alpha(dx: vec4<f32>, half_a: f32, slope: f32, base: f32, opacity: f32) -> vec4<f32> {
-    let sigma = dx * (half_a * dx + slope) + base;
-    let raw = opacity * exp(-sigma);
-    return select(vec4<f32>(0.0), raw, (sigma >= vec4<f32>(0.0)) & (raw >= vec4<f32>(ALPHA_CUT)));
+// What a row of pixels shares of log2(opacity exp(-sigma)), a polynomial in dx: the factors of dx^2, dx and 1.
+// sigma = 0.5 a dx^2 + b dx dy + 0.5 c dy^2.
+fn row_exponent(splat: Batch, dy: f32) -> vec3<f32> {
+    return vec3<f32>(
+        -0.5 * LOG2_E * splat.conic.x,
+        -LOG2_E * splat.conic.y * dy,
+        splat.place.w - 0.5 * LOG2_E * splat.conic.z * dy * dy,
+    );
+}
+
+// Opacity before the clamp, at four pixels; 0 where the splat does not count. `dx`: pixel centres minus mean.
+fn raw_alpha(dx: vec4<f32>, row: vec3<f32>) -> vec4<f32> {
+    let raw = exp2(dx * (row.x * dx + row.y) + row.z);
+    return select(vec4<f32>(0.0), raw, raw >= vec4<f32>(ALPHA_CUT));
 }
 
 // Which of four pixels lie inside the image.

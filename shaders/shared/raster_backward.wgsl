@@ -89,8 +89,8 @@ fn backward(tile: u32, lane: u32, lane_in_subgroup: u32) {
         let slot = slots[min(at + lane, range.y - 1u)];
         if (lane < GROUP) {
             let gaussian = slot_gaussian[min(slot, arrayLength(&slot_gaussian) - 1u)];
-            let row = splat_row(gaussian, arrayLength(&projected));
-            load_splat(lane, projected[row], projected[row + 1u], projected[row + 2u]);
+            let place = splat_row(gaussian, arrayLength(&projected));
+            load_splat(lane, projected[place], projected[place + 1u], projected[place + 2u]);
         }
         // The batch is loaded before it is read.
         workgroupBarrier();
@@ -98,17 +98,15 @@ fn backward(tile: u32, lane: u32, lane_in_subgroup: u32) {
         for (var j = 0u; j < n; j++) {
             let splat = batch[j];
             let offset = centre - splat.place.xy;
-            let half_a = 0.5 * splat.conic.x;
-            let slope = splat.conic.y * offset.y;
-            let base = 0.5 * splat.conic.z * offset.y * offset.y;
+            let row = row_exponent(splat, offset.y);
             var by_colour = vec3<f32>(0.0);
             var v0 = 0.0;
             var v1 = 0.0;
             var v2 = 0.0;
             for (var q = 0u; q < QUADS; q++) {
                 let dx = offset.x + f32(4u * q) + vec4<f32>(0.0, 1.0, 2.0, 3.0);
-                let raw = raw_alpha(dx, half_a, slope, base, splat.place.z);
-                let alpha = min(raw, vec4<f32>(ALPHA_MAX));
+                let raw = raw_alpha(dx, row);
+                let alpha = min(raw, vec4<f32>(splat.conic.w));
                 let before = t[q];
                 let after = before * (1.0 - alpha);
                 let stop = after < vec4<f32>(TRANSMITTANCE_STOP);
