@@ -1,5 +1,5 @@
-// What blending and its backward share, so that both take identical decisions: the pixels of an invocation,
-// the splats of a batch in workgroup memory, and alpha.
+// What blending and its backward share, so that both take identical decisions: the pixels of an invocation, what they need
+// of a splat, and alpha.
 #import shared/tiles.wgsl
 
 // Consecutive pixels of a row that one invocation owns, and invocations of a tile's workgroup.
@@ -13,25 +13,23 @@ const TRANSMITTANCE_STOP: f32 = 1e-4;
 
 const LOG2_E: f32 = 1.4426950408889634;
 
-struct Batch {
-    // Mean x y, opacity, its logarithm to base 2.
+// What blending needs of a splat.
+struct Splat {
+    // Mean x y, logarithm of the opacity to base 2, the most that alpha may be.
     place: vec4<f32>,
-    // Conic a, b, c, the most that alpha may be.
-    conic: vec4<f32>,
-    colour: vec4<f32>,
+    // Factors of dx^2, dx dy and dy^2 in the logarithm of alpha to base 2.
+    curve: vec3<f32>,
+    colour: vec3<f32>,
 }
 
-var<workgroup> batch: array<Batch, WIDTH>;
-
-// Copies one row of `projected` to the batch.
-fn load_splat(lane: u32, first: vec4<f32>, second: vec4<f32>, third: vec4<f32>) {
+// One row of `projected`.
+fn splat_of(first: vec4<f32>, second: vec4<f32>, third: vec4<f32>) -> Splat {
     let opacity = second.y;
-    batch[lane] = Batch(
-        vec4<f32>(first.xy, opacity, log2(opacity)),
-        // A needle's exponent may round to beyond its peak.
-        vec4<f32>(first.zw, second.x, min(ALPHA_MAX, opacity)),
-        vec4<f32>(second.zw, third.x, 0.0),
-    );
+    // A needle's exponent may round to beyond its peak.
+    let most = min(ALPHA_MAX, opacity);
+    // sigma = 0.5 a dx^2 + b dx dy + 0.5 c dy^2.
+    let curve = -LOG2_E * vec3<f32>(0.5 * first.z, first.w, 0.5 * second.x);
+    return Splat(vec4<f32>(first.xy, log2(opacity), most), curve, vec3<f32>(second.zw, third.x));
 }
 
 // Index of a Gaussian's row among `length` vectors; never past the end, because the kernels are unchecked.
@@ -46,13 +44,8 @@ fn first_pixel(tile: u32, lane: u32, tiles_x: u32) -> vec2<u32> {
 }
 
 // What a row of pixels shares of log2(opacity exp(-sigma)), a polynomial in dx: the factors of dx^2, dx and 1.
-// sigma = 0.5 a dx^2 + b dx dy + 0.5 c dy^2.
-fn row_exponent(splat: Batch, dy: f32) -> vec3<f32> {
-    return vec3<f32>(
-        -0.5 * LOG2_E * splat.conic.x,
-        -LOG2_E * splat.conic.y * dy,
-        splat.place.w - 0.5 * LOG2_E * splat.conic.z * dy * dy,
-    );
+fn row_exponent(splat: Splat, dy: f32) -> vec3<f32> {
+    return vec3<f32>(splat.curve.x, splat.curve.y * dy, splat.place.z + splat.curve.z * dy * dy);
 }
 
 // Opacity before the clamp, at four pixels; 0 where the splat does not count. `dx`: pixel centres minus mean.

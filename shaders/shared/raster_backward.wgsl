@@ -1,9 +1,10 @@
 // The backward of blending for one tile, without its reduction: `store_partial` and PARTIALS come from
 // shared/partial_subgroup.wgsl or shared/partial_workgroup.wgsl. Replays the forward order, so both take the
 // same decisions: behind a splat lies (final colour - colour so far), T is never divided by.
-// Reads image, image_gradient [3, height, width], last [tiles]; writes every row of the tile once: slot_means (x y,
-// opacity), slot_conics (a b c), slot_colours (r g b), all [slots, 4].
-#import shared/raster.wgsl
+// Reads image, image_gradient [3, height, width], last [tiles, 2]; writes every row of the tile once. With
+// v = dL/dsigma: slot_colours (by r g b, sum v), slot_moments (sums of v dx, v dy, v dx^2, v dx dy), slot_tails (v dy^2),
+// all [slots].
+#import shared/raster_batch.wgsl
 
 @group(0) @binding(0) var<uniform> camera: CameraUniform;
 @group(0) @binding(1) var<storage, read> tile_ranges: array<vec2<u32>>;
@@ -13,9 +14,9 @@
 @group(0) @binding(5) var<storage, read> image: array<f32>;
 @group(0) @binding(6) var<storage, read> image_gradient: array<f32>;
 @group(0) @binding(7) var<storage, read> last: array<u32>;
-@group(0) @binding(8) var<storage, read_write> slot_means: array<vec4<f32>>;
-@group(0) @binding(9) var<storage, read_write> slot_conics: array<vec4<f32>>;
-@group(0) @binding(10) var<storage, read_write> slot_colours: array<vec4<f32>>;
+@group(0) @binding(8) var<storage, read_write> slot_colours: array<vec4<f32>>;
+@group(0) @binding(9) var<storage, read_write> slot_moments: array<vec4<f32>>;
+@group(0) @binding(10) var<storage, read_write> slot_tails: array<f32>;
 
 // Splats between two reductions; at most WIDTH.
 const GROUP: u32 = 16;
@@ -23,34 +24,26 @@ const SUMS: u32 = 9;
 
 var<workgroup> partials: array<f32, SUMS * GROUP * PARTIALS>;
 
-fn store_row(slot: u32, mean: vec3<f32>, conic: vec3<f32>, colour: vec3<f32>) {
-    if (slot >= min(arrayLength(&slot_means), min(arrayLength(&slot_conics), arrayLength(&slot_colours)))) {
+fn store_row(slot: u32, row: array<f32, SUMS>) {
+    if (slot >= min(arrayLength(&slot_colours), min(arrayLength(&slot_moments), arrayLength(&slot_tails)))) {
         return;
     }
-    slot_means[slot] = vec4<f32>(mean, 0.0);
-    slot_conics[slot] = vec4<f32>(conic, 0.0);
-    slot_colours[slot] = vec4<f32>(colour, 0.0);
+    slot_colours[slot] = vec4<f32>(row[0], row[1], row[2], row[3]);
+    slot_moments[slot] = vec4<f32>(row[4], row[5], row[6], row[7]);
+    slot_tails[slot] = row[8];
 }
 
 // Adds what the invocations found for splat `j` of the batch, always in the same order, and writes its row.
-// Sums: colour r g b, then v, v dx, v dy, v dx^2, v dx dy, v dy^2, where v = dL/dsigma.
 fn finish_splat(j: u32, slot: u32) {
-    var s: array<f32, SUMS>;
+    var row: array<f32, SUMS>;
     for (var i = 0u; i < SUMS; i++) {
         var sum = 0.0;
         for (var k = 0u; k < PARTIALS; k++) {
             sum += partials[(i * PARTIALS + k) * GROUP + j];
         }
-        s[i] = sum;
+        row[i] = sum;
     }
-    let c = batch[j].conic;
-    let by_mean = vec2<f32>(-(c.x * s[4] + c.y * s[5]), -(c.y * s[4] + c.z * s[5]));
-    store_row(
-        slot,
-        vec3<f32>(by_mean, -s[3] / batch[j].place.z),
-        vec3<f32>(0.5 * s[6], s[7], 0.5 * s[8]),
-        vec3<f32>(s[0], s[1], s[2]),
-    );
+    store_row(slot, row);
 }
 
 fn backward(tile: u32, lane: u32, lane_in_subgroup: u32) {
@@ -58,14 +51,14 @@ fn backward(tile: u32, lane: u32, lane_in_subgroup: u32) {
     let tiles = camera.tiles.x * camera.tiles.y;
     // The kernel is unchecked: a camera larger than the buffers gives no gradient.
     let fits = 3u * plane <= min(arrayLength(&image), arrayLength(&image_gradient));
-    if (!fits || tile > tiles || tile >= min(arrayLength(&last), arrayLength(&tile_ranges))) {
+    if (!fits || tile > tiles || tile >= min(arrayLength(&last) / 2u, arrayLength(&tile_ranges))) {
         return;
     }
     let pixel = first_pixel(tile, lane, camera.tiles.x);
     let centre = vec2<f32>(pixel) + vec2<f32>(0.5);
     let range = min(tile_ranges[tile], vec2<u32>(arrayLength(&slots)));
     // The slots past the last tile were never blended: their rows are zero.
-    let end = select(min(last[tile], range.y), range.x, tile == tiles);
+    let end = select(min(last[2u * tile], range.y), range.x, tile == tiles);
     // T (negative once stopped), the gradient by the colour, and that gradient times the colour still behind.
     var t: array<vec4<f32>, QUADS>;
     var red: array<vec4<f32>, QUADS>;
@@ -90,7 +83,7 @@ fn backward(tile: u32, lane: u32, lane_in_subgroup: u32) {
         if (lane < GROUP) {
             let gaussian = slot_gaussian[min(slot, arrayLength(&slot_gaussian) - 1u)];
             let place = splat_row(gaussian, arrayLength(&projected));
-            load_splat(lane, projected[place], projected[place + 1u], projected[place + 2u]);
+            batch[lane] = splat_of(projected[place], projected[place + 1u], projected[place + 2u]);
         }
         // The batch is loaded before it is read.
         workgroupBarrier();
@@ -106,7 +99,7 @@ fn backward(tile: u32, lane: u32, lane_in_subgroup: u32) {
             for (var q = 0u; q < QUADS; q++) {
                 let dx = offset.x + f32(4u * q) + vec4<f32>(0.0, 1.0, 2.0, 3.0);
                 let raw = raw_alpha(dx, row);
-                let alpha = min(raw, vec4<f32>(splat.conic.w));
+                let alpha = min(raw, vec4<f32>(splat.place.w));
                 let before = t[q];
                 let after = before * (1.0 - alpha);
                 let stop = after < vec4<f32>(TRANSMITTANCE_STOP);
@@ -136,6 +129,6 @@ fn backward(tile: u32, lane: u32, lane_in_subgroup: u32) {
         workgroupBarrier();
     }
     for (var at = max(end, range.x) + lane; at < range.y; at += WIDTH) {
-        store_row(slots[at], vec3<f32>(0.0), vec3<f32>(0.0), vec3<f32>(0.0));
+        store_row(slots[at], array<f32, SUMS>());
     }
 }

@@ -1,9 +1,10 @@
 // Blends the splats of a tile front to back. A workgroup a tile, PIXELS consecutive pixels of a row an invocation.
 // Reads camera, tile_ranges [tiles], slots [n] sorted, slot_gaussian [n], projected [count, 3]. Writes image
-// [3, height, width], transmittance [height, width], last [tiles]: one past the last intersection that counted.
+// [3, height, width], transmittance [height, width], last [tiles, 2]: one past the last intersection that counted, for
+// both halves of the tile.
 // Dispatch: a workgroup a tile. C = sum c alpha T, T <- T (1 - alpha), stop before T would pass below 1e-4; T background is added.
 #import shared/grid.wgsl
-#import shared/raster.wgsl
+#import shared/raster_batch.wgsl
 
 @group(0) @binding(0) var<uniform> camera: CameraUniform;
 @group(0) @binding(1) var<storage, read> tile_ranges: array<vec2<u32>>;
@@ -27,7 +28,7 @@ fn main(
     let plane = camera.size.x * camera.size.y;
     // The kernel is unchecked: a camera larger than the buffers draws nothing.
     let fits = 3u * plane <= arrayLength(&image) && plane <= arrayLength(&transmittance);
-    if (!fits || tile >= min(camera.tiles.x * camera.tiles.y, min(arrayLength(&last), arrayLength(&tile_ranges)))) {
+    if (!fits || tile >= min(camera.tiles.x * camera.tiles.y, min(arrayLength(&last) / 2u, arrayLength(&tile_ranges)))) {
         return;
     }
     let pixel = first_pixel(tile, lane, camera.tiles.x);
@@ -50,7 +51,7 @@ fn main(
         let slot = slots[min(at + lane, range.y - 1u)];
         let gaussian = slot_gaussian[min(slot, arrayLength(&slot_gaussian) - 1u)];
         let place = splat_row(gaussian, arrayLength(&projected));
-        load_splat(lane, projected[place], projected[place + 1u], projected[place + 2u]);
+        batch[lane] = splat_of(projected[place], projected[place + 1u], projected[place + 2u]);
         if (lane == 0u) {
             atomicStore(&live, 0u);
         }
@@ -63,7 +64,7 @@ fn main(
             let row = row_exponent(splat, offset.y);
             for (var q = 0u; q < QUADS; q++) {
                 let dx = offset.x + f32(4u * q) + vec4<f32>(0.0, 1.0, 2.0, 3.0);
-                let alpha = min(raw_alpha(dx, row), vec4<f32>(splat.conic.w));
+                let alpha = min(raw_alpha(dx, row), vec4<f32>(splat.place.w));
                 let before = t[q];
                 let after = before * (1.0 - alpha);
                 let stop = after < vec4<f32>(TRANSMITTANCE_STOP);
@@ -91,8 +92,8 @@ fn main(
             break;
         }
     }
-    if (lane == 0u) {
-        last[tile] = at;
+    if (lane < 2u) {
+        last[2u * tile + lane] = at;
     }
     for (var k = 0u; k < PIXELS; k++) {
         if (pixel.x + k < camera.size.x && pixel.y < camera.size.y) {

@@ -1,8 +1,8 @@
 // The gradient of one Gaussian an invocation, from its slots to its parameters, and its Adam update in
 // place. Sums the Gaussian's contiguous rows of slot_gradients, goes back through conic, covariance,
 // projection, harmonics and activations, adds the MCMC regularisers, updates, adds exploration noise.
-// Reads tile_counts, slot_offsets [count], slot_means (mean2d xy, opacity), slot_conics (abc), slot_colours (rgb), all
-// [slots, 4], intersections (their exact total). Reads and writes geometry [part, 12], geometry_moments [part, 2, 12],
+// Reads tile_counts, slot_offsets [count], slot_colours, slot_moments and slot_tails [slots] (see
+// shared/raster_backward.wgsl), intersections (their exact total). Reads and writes geometry [part, 12], geometry_moments [part, 2, 12],
 // sh [part, sh_row], sh_moments [part, 2, sh_row], counters [0] (non-finite gradients dropped).
 // Dispatch: the part's rows. Void when the slots overflowed.
 // WRITE_GRADIENTS = 1 leaves the parameters and writes the gradient in place of the first moments. COUNT_PULLS = 1 adds
@@ -26,9 +26,9 @@ const EPSILON: f32 = 1e-15;
 @group(0) @binding(2) var<uniform> part: PartUniform;
 @group(0) @binding(3) var<storage, read> tile_counts: array<u32>;
 @group(0) @binding(4) var<storage, read> slot_offsets: array<u32>;
-@group(0) @binding(5) var<storage, read> slot_means: array<vec4<f32>>;
-@group(0) @binding(6) var<storage, read> slot_conics: array<vec4<f32>>;
-@group(0) @binding(7) var<storage, read> slot_colours: array<vec4<f32>>;
+@group(0) @binding(5) var<storage, read> slot_colours: array<vec4<f32>>;
+@group(0) @binding(6) var<storage, read> slot_moments: array<vec4<f32>>;
+@group(0) @binding(7) var<storage, read> slot_tails: array<f32>;
 @group(0) @binding(8) var<storage, read> intersections: array<u32>;
 @group(0) @binding(9) var<storage, read_write> geometry: array<vec4<f32>>;
 @group(0) @binding(10) var<storage, read_write> geometry_moments: array<vec4<f32>>;
@@ -43,24 +43,29 @@ fn fits3(v: vec3<f32>) -> bool {
     return all(bits < vec3<u32>(0x5d5e0b6bu));
 }
 
+// Gradients by what was projected.
 struct SlotSum {
     mean: vec2<f32>,
     conic: vec3<f32>,
     colour: vec3<f32>,
-    opacity: f32,
+    // By the logit of the opacity, dropout and all.
+    logit: f32,
 }
 
-fn sum_slots(i: u32) -> SlotSum {
-    var mean = vec4<f32>(0.0);
-    var conic = vec4<f32>(0.0);
+fn sum_slots(i: u32, p: Projection, opacity: f32) -> SlotSum {
     var colour = vec4<f32>(0.0);
+    var moments = vec4<f32>(0.0);
+    var tail = 0.0;
     let first = slot_offsets[i];
     for (var slot = first; slot < first + tile_counts[i]; slot++) {
-        mean += slot_means[slot];
-        conic += slot_conics[slot];
         colour += slot_colours[slot];
+        moments += slot_moments[slot];
+        tail += slot_tails[slot];
     }
-    return SlotSum(mean.xy, conic.xyz, colour.xyz, mean.z);
+    // sigma = 0.5 (a dx^2 + c dy^2) + b dx dy, alpha = opacity exp(-sigma): what all slots of a Gaussian share is put in here.
+    let conic = vec3<f32>(p.flat.z, -p.flat.y, p.flat.x) / p.determinant;
+    let mean = -vec2<f32>(dot(conic.xy, moments.xy), dot(conic.yz, moments.xy));
+    return SlotSum(mean, vec3<f32>(0.5 * moments.z, moments.w, 0.5 * tail), colour.xyz, -colour.w * (1.0 - opacity));
 }
 
 fn geometry_backward(p: Projection, s: Shape, sum: SlotSum, by_direction: vec3<f32>) -> Geometry {
@@ -76,8 +81,7 @@ fn geometry_backward(p: Projection, s: Shape, sum: SlotSum, by_direction: vec3<f
         dot(by_factor[2], s.rotation[2]),
     );
     let by_rotation = scaled_columns(by_factor, s.scale);
-    let by_logit = sum.opacity * s.opacity * (1.0 - s.opacity) / (1.0 - camera.dropout);
-    return Geometry(by_mean, by_scale * s.scale, quat_backward(s, by_rotation), by_logit);
+    return Geometry(by_mean, by_scale * s.scale, quat_backward(s, by_rotation), sum.logit);
 }
 
 // The colour's gradient behind the clamp at 0, and the mean's share of it through the direction.
@@ -221,7 +225,7 @@ fn main(
     var gated = vec3<f32>(0.0);
     var pull = vec2<f32>(0.0);
     if (tile_counts[i] > 0u && p.usable) {
-        let sum = sum_slots(i);
+        let sum = sum_slots(i, p, shape.opacity);
         let colour = colour_backward(harmonics, basis, offset, sum.colour);
         by = geometry_backward(p, shape, sum, colour.by_mean);
         gated = colour.gated;

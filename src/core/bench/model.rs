@@ -135,7 +135,7 @@ impl Work {
     fn splat(&self, verb: &str, splat: &SplatWork) -> Cost {
         let n = self.gaussians as u64;
         let [visible, slots] = [splat.visible as u64, splat.intersections as u64];
-        let [walked, pairs] = [splat.walked as u64, splat.pairs() as u64];
+        let [walked, pairs] = [splat.walked as u64 / 2, splat.pairs() as u64];
         let (pixels, tiles) = (self.pixels as u64, splat.tiles as u64);
         let row = WORD * GEOMETRY_ROW as u64;
         let sh = WORD * 3 * self.coefficients as u64;
@@ -155,9 +155,11 @@ impl Work {
                 Cost::integers((tiles + 1) * (2 * WORD * steps + 2 * WORD))
             }
             // Colour and transmittance a pixel.
-            "rasterize" => Cost::both(list + pixels * 4 * WORD + tiles * WORD, pairs * BLEND),
+            "rasterize" | "rasterize_walk" => {
+                Cost::both(list + pixels * 4 * WORD + tiles * WORD, pairs * BLEND)
+            }
             // Colour and gradient a pixel; a row of nine a slot, whether it is looked at or not.
-            "rasterize_backward" | "rasterize_backward_generic" => {
+            "rasterize_backward" | "rasterize_backward_walk" | "rasterize_backward_generic" => {
                 let rows = slots * WORD * SLOT_ROW as u64 + (slots - walked.min(slots)) * WORD;
                 Cost::both(list + pixels * 6 * WORD + tiles * WORD + rows, pairs * BLEND_BACKWARD)
             }
@@ -249,7 +251,7 @@ mod tests {
     use super::*;
 
     const SPLAT: SplatWork =
-        SplatWork { visible: 1_500, intersections: 5_000, tiles: 20, walked: 4_000, passes: [8, 2] };
+        SplatWork { visible: 1_500, intersections: 5_000, tiles: 20, walked: 8_000, passes: [8, 2] };
 
     fn work() -> Work {
         let (gaussians, coefficients, pixels) = (2_000, 16, 5_120);

@@ -14,9 +14,11 @@ use super::project::Projection;
 use super::sort::{BLOCK, Counters, FIXED, RadixSort, SCAN, SortParameters};
 use super::uniform::TILE;
 pub use slots::SlotRows;
+#[cfg(test)]
+pub(crate) use slots::gradient;
 pub use work::SplatWork;
 
-/// Gradients of an intersection.
+/// Sums of an intersection.
 pub const SLOT_ROW: usize = 9;
 
 /// Counter of visible splats.
@@ -71,20 +73,18 @@ const TILE_RANGES: Kernel = Kernel::new(
     "splat/tile_ranges",
     &[uniform("camera"), uniform("parameters"), read("counters"), read("keys"), read_write("tile_ranges")],
 );
-const RASTERIZE: Kernel = Kernel::new(
-    "splat/rasterize",
-    &[
-        uniform("camera"),
-        read("tile_ranges"),
-        read("slots"),
-        read("slot_gaussian"),
-        read("projected"),
-        read_write("image"),
-        read_write("transmittance"),
-        read_write("last"),
-    ],
-)
-.unchecked();
+const FORWARD_BINDINGS: &[fled_gpu::Binding] = &[
+    uniform("camera"),
+    read("tile_ranges"),
+    read("slots"),
+    read("slot_gaussian"),
+    read("projected"),
+    read_write("image"),
+    read_write("transmittance"),
+    read_write("last"),
+];
+const RASTERIZE: Kernel = Kernel::new("splat/rasterize", FORWARD_BINDINGS).unchecked();
+const RASTERIZE_WALK: Kernel = Kernel::new("splat/rasterize_walk", FORWARD_BINDINGS).unchecked();
 const BACKWARD_BINDINGS: &[fled_gpu::Binding] = &[
     uniform("camera"),
     read("tile_ranges"),
@@ -94,11 +94,13 @@ const BACKWARD_BINDINGS: &[fled_gpu::Binding] = &[
     read("image"),
     read("image_gradient"),
     read("last"),
-    read_write("slot_means"),
-    read_write("slot_conics"),
     read_write("slot_colours"),
+    read_write("slot_moments"),
+    read_write("slot_tails"),
 ];
 const RASTERIZE_BACKWARD: Kernel = Kernel::new("splat/rasterize_backward", BACKWARD_BINDINGS).unchecked();
+const RASTERIZE_BACKWARD_WALK: Kernel =
+    Kernel::new("splat/rasterize_backward_walk", BACKWARD_BINDINGS).unchecked();
 const RASTERIZE_BACKWARD_GENERIC: Kernel =
     Kernel::new("splat/rasterize_backward_generic", BACKWARD_BINDINGS).unchecked();
 
@@ -109,6 +111,9 @@ pub struct Specialisation {
     pub pixels: u32,
     /// Lanes of a subgroup when the backward reduces over it: 8, 16, 32 or 64; `None`: workgroup memory.
     pub subgroup: Option<u32>,
+    /// Whether a subgroup blends half a tile by itself, with the splats in its registers, instead of a workgroup a
+    /// tile with the splats in its memory. Needs a subgroup of 128 / `pixels`.
+    pub walks: bool,
 }
 
 impl Specialisation {
@@ -122,7 +127,8 @@ impl Specialisation {
             .subgroup
             .filter(|(least, most)| least == most && *least >= 8 && *least <= width)
             .map(|(size, _)| size);
-        Self { pixels, subgroup }
+        let walks = info.device_type == DeviceType::Cpu && subgroup.is_some_and(|size| 2 * size == width);
+        Self { pixels, subgroup, walks }
     }
 
     /// Splats between two reductions: as many as fit 32 KiB of workgroup memory, and at most one an invocation.
@@ -132,12 +138,19 @@ impl Specialisation {
     }
 
     fn forward(self) -> Kernel {
-        RASTERIZE.with(&[("PIXELS", self.pixels)])
+        let pixels = ("PIXELS", self.pixels);
+        match self.subgroup.filter(|_| self.walks) {
+            Some(size) => RASTERIZE_WALK.with(&[pixels, ("SUBGROUP", size)]),
+            None => RASTERIZE.with(&[pixels]),
+        }
     }
 
     fn backward(self) -> Kernel {
         let constants = [("PIXELS", self.pixels), ("GROUP", self.group())];
         match self.subgroup {
+            Some(size) if self.walks => {
+                RASTERIZE_BACKWARD_WALK.with(&[("PIXELS", self.pixels), ("SUBGROUP", size)])
+            }
             Some(size) => RASTERIZE_BACKWARD.with(&constants).with(&[("SUBGROUP", size)]),
             None => RASTERIZE_BACKWARD_GENERIC.with(&constants),
         }
@@ -252,7 +265,7 @@ impl SplatBuffers {
             tile: RadixSort::new(gpu, slots, tile_bits, &counters, INTERSECTIONS)?,
             slot_gaussian: gpu.create("slot gaussian", slots)?,
             tile_ranges: gpu.create("tile ranges", sizes.tiles() + 1)?,
-            last: gpu.create("last", sizes.tiles() + 1)?,
+            last: gpu.create("last", 2 * (sizes.tiles() + 1))?,
             scan_visible: parameters(FIXED, gaussians, VISIBLE, gaussians)?,
             scan_slots: parameters(VISIBLE, gaussians, INTERSECTIONS, slots)?,
             visible: parameters(VISIBLE, gaussians, VISIBLE, slots)?,
@@ -356,9 +369,9 @@ impl Backward {
                 &buffers.image,
                 image_gradient,
                 &buffers.last,
-                &buffers.slots.means,
-                &buffers.slots.conics,
                 &buffers.slots.colours,
+                &buffers.slots.moments,
+                &buffers.slots.tails,
             ],
             // One more: the slots that belong to no tile.
             buffers.sizes.tiles() + 1,

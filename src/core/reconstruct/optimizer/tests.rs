@@ -6,7 +6,8 @@ use crate::gaussians::Gaussians;
 use crate::reconstruct::densify;
 use crate::splat::fixtures::{self, Random, cosine, relative_l2};
 use crate::splat::project::sh_row;
-use crate::splat::reference::{ProjectedGradient, Splat, Viewpoint, project_backward};
+use crate::splat::rasterize::{SLOT_ROW, gradient};
+use crate::splat::reference::{ProjectedGradient, Splat, Viewpoint, project, project_backward};
 use crate::splat::uniform::CameraUniform;
 
 const SCHEDULE: Schedule = Schedule { steps: 1_000, sh_degree: 3, resolution: false, warm: false, seed: 5 };
@@ -41,21 +42,18 @@ impl Bench {
         let (mut offsets, mut rows, mut upstream) = (Vec::new(), Vec::new(), Vec::new());
         let mut random = Random::new(77);
         for &count in &counts {
-            offsets.push(rows.len() as u32 / 9);
-            let mut sum = [0.0; 9];
+            offsets.push(rows.len() as u32);
+            let mut sum = [0.0; SLOT_ROW];
             for _ in 0..count {
-                let row = [0; 9].map(|_| random.signed() as f32);
+                let row = [0; SLOT_ROW].map(|_| random.signed() as f32);
                 sum.iter_mut().zip(row).for_each(|(s, v)| *s += f64::from(v));
-                rows.extend(row);
+                rows.push(row);
             }
-            upstream.push(ProjectedGradient {
-                mean: [sum[0], sum[1]],
-                conic: [sum[2], sum[3], sum[4]],
-                colour: [sum[5], sum[6], sum[7]],
-                opacity: sum[8],
-            });
+            let splat = project(&Splat::from_gaussians(&gaussians, upstream.len()), &view);
+            upstream
+                .push(splat.map_or_else(ProjectedGradient::default, |p| gradient(&sum, p.conic, p.opacity)));
         }
-        let slots = rows.len() as u32 / 9;
+        let slots = rows.len() as u32;
         let uploaded = SlotRows::new(gpu, slots as usize).expect("created");
         uploaded.write(&rows).expect("written");
         Self {
@@ -136,6 +134,10 @@ fn opacities_that_make_up_for_dropped_gaussians_have_the_gradient_of_that() {
     let whole = bench.gradients();
     let camera = bench.projection.camera.read().expect("read")[0];
     bench.projection.camera.write(&[camera.dropping(0.2, 7)]).expect("written");
+    // The same gradient by an opacity that is a quarter larger: v is that opacity times the gradient by it.
+    let mut colours = bench.rows.colours.read().expect("read");
+    colours.iter_mut().for_each(|row| row[3] *= 1.25);
+    bench.rows.colours.write(&colours).expect("written");
     for (dropping, whole) in bench.gradients().iter().zip(&whole) {
         for (n, (a, b)) in dropping.iter().zip(whole).enumerate() {
             let factor = if n == 10 { 1.25 } else { 1.0 };
@@ -192,9 +194,9 @@ fn non_finite_gradients_are_dropped_and_counted() {
     let visible: Vec<_> = (0..50).filter(|&i| counts[i] > 0).collect();
     let offsets = bench.offsets.read().expect("read");
     let first = |n: usize| offsets[visible[n]] as usize;
-    bench.rows.means.write_at(first(0), &[[f32::NAN, 0.0, 0.0, 0.0]]).expect("written");
+    bench.rows.moments.write_at(first(0), &[[f32::NAN, 0.0, 0.0, 0.0]]).expect("written");
     bench.rows.colours.write_at(first(3), &[[0.0, 0.0, f32::INFINITY, 0.0]]).expect("written");
-    bench.rows.means.write_at(first(5), &[[0.0, 0.0, 1e30, 0.0]]).expect("written");
+    bench.rows.colours.write_at(first(5), &[[0.0, 0.0, 0.0, 1e30]]).expect("written");
     let before = bench.device.download().expect("read");
     bench.step(&PROJECT_BACKWARD_ADAM, StepUniform::new(&SCHEDULE, 0, 50, 1.0, true));
     let after = bench.device.download().expect("read");

@@ -5,16 +5,17 @@ use fled_gpu::{Buffer, Gpu, GpuError};
 #[cfg(test)]
 use super::SLOT_ROW;
 
-/// Gradients of the intersections by what was projected. Three buffers, because one would be the first to reach what an
-/// adapter binds.
+/// Sums over the pixels that an intersection covers, v being the derivative of the loss by the exponent sigma; what they
+/// mean for the projected Gaussian follows from its conic and opacity, which all of its intersections share. Three
+/// buffers, because one would be the first to reach what an adapter binds.
 #[derive(Clone)]
 pub struct SlotRows {
-    /// By the mean x y, px, and the opacity after the sigmoid, [intersections, 4].
-    pub means: Buffer<[f32; 4]>,
-    /// By the inverse covariance a b c, [intersections, 4].
-    pub conics: Buffer<[f32; 4]>,
-    /// By the colour, [intersections, 4].
+    /// By the colour r g b; sum of v, [intersections].
     pub colours: Buffer<[f32; 4]>,
+    /// Sums of v dx, v dy, v dx^2, v dx dy, [intersections].
+    pub moments: Buffer<[f32; 4]>,
+    /// Sum of v dy^2, [intersections].
+    pub tails: Buffer<f32>,
 }
 
 impl SlotRows {
@@ -24,24 +25,24 @@ impl SlotRows {
     /// Out of memory, or above what the adapter binds.
     pub fn new(gpu: &Gpu, slots: usize) -> Result<Self, GpuError> {
         Ok(Self {
-            means: gpu.create("slot means", slots)?,
-            conics: gpu.create("slot conics", slots)?,
             colours: gpu.create("slot colours", slots)?,
+            moments: gpu.create("slot moments", slots)?,
+            tails: gpu.create("slot tails", slots)?,
         })
     }
 
-    /// Rows of mean xy, conic abc, rgb, opacity.
+    /// Rows of nine.
     ///
     /// # Errors
     /// A device error.
     #[cfg(test)]
-    pub(crate) fn read(&self) -> Result<Vec<f32>, GpuError> {
-        let (means, conics, colours) = (self.means.read()?, self.conics.read()?, self.colours.read()?);
-        let rows = means.iter().zip(&conics).zip(&colours);
-        let row = |((m, conic), colour): ((&[f32; 4], &[f32; 4]), &[f32; 4])| {
-            [&m[..2], &conic[..3], &colour[..3], &m[2..3]].concat()
+    pub(crate) fn read(&self) -> Result<Vec<[f32; SLOT_ROW]>, GpuError> {
+        let (colours, moments, tails) = (self.colours.read()?, self.moments.read()?, self.tails.read()?);
+        let row = |i: usize| {
+            let ([a, b, c, d], [e, f, g, h]) = (colours[i], moments[i]);
+            [a, b, c, d, e, f, g, h, tails[i]]
         };
-        Ok(rows.flat_map(row).collect())
+        Ok((0..tails.len()).map(row).collect())
     }
 
     /// The inverse of [`SlotRows::read`].
@@ -49,17 +50,32 @@ impl SlotRows {
     /// # Errors
     /// A device error.
     #[cfg(test)]
-    pub(crate) fn write(&self, rows: &[f32]) -> Result<(), GpuError> {
-        let pick = |[a, b, c]: [usize; 3]| -> Vec<[f32; 4]> {
-            rows.chunks_exact(SLOT_ROW).map(|row| [row[a], row[b], row[c], 0.0]).collect()
-        };
-        self.means.write(&pick([0, 1, 8]))?;
-        self.conics.write(&pick([2, 3, 4]))?;
-        self.colours.write(&pick([5, 6, 7]))
+    pub(crate) fn write(&self, rows: &[[f32; SLOT_ROW]]) -> Result<(), GpuError> {
+        let four = |row: &[f32; SLOT_ROW], at: usize| [row[at], row[at + 1], row[at + 2], row[at + 3]];
+        self.colours.write(&rows.iter().map(|row| four(row, 0)).collect::<Vec<_>>())?;
+        self.moments.write(&rows.iter().map(|row| four(row, 4)).collect::<Vec<_>>())?;
+        self.tails.write(&rows.iter().map(|row| row[8]).collect::<Vec<_>>())
     }
 
     /// The most that the adapter binds.
     pub fn most(gpu: &Gpu) -> usize {
         gpu.rows_per_part(size_of::<[f32; 4]>())
+    }
+}
+
+/// What the summed rows of a Gaussian are to its projection.
+#[cfg(test)]
+pub(crate) fn gradient(
+    sum: &[f64; SLOT_ROW],
+    conic: [f64; 3],
+    opacity: f64,
+) -> crate::splat::reference::ProjectedGradient {
+    let [red, green, blue, v, vx, vy, vxx, vxy, vyy] = *sum;
+    let [a, b, c] = conic;
+    crate::splat::reference::ProjectedGradient {
+        mean: [-(a * vx + b * vy), -(b * vx + c * vy)],
+        conic: [0.5 * vxx, vxy, 0.5 * vyy],
+        colour: [red, green, blue],
+        opacity: -v / opacity,
     }
 }

@@ -13,16 +13,18 @@ pub struct SplatWork {
     pub intersections: usize,
     /// Tiles that the buffers hold.
     pub tiles: usize,
-    /// Intersections that blending looked at before every pixel of their tile had stopped.
+    /// Pairs of an intersection and a half of its tile that blending came to before every pixel had stopped: of
+    /// that half, or of the tile, as the kernel has it.
     pub walked: usize,
     /// Passes of the sort by depth and of the sort by tile.
     pub passes: [usize; 2],
 }
 
 impl SplatWork {
-    /// Pairs of a pixel and a splat that blending evaluated; pixels outside of the image are evaluated too.
+    /// Pairs of a pixel and a splat that blending came to, pixels outside of the image among them. A kernel that passes
+    /// over halves that a splat does not touch evaluates fewer.
     pub fn pairs(&self) -> usize {
-        self.walked * (TILE * TILE) as usize
+        self.walked * (TILE * TILE / 2) as usize
     }
 }
 
@@ -34,10 +36,13 @@ impl SplatBuffers {
     pub fn work(&self) -> Result<SplatWork, GpuError> {
         let tiles = self.sizes.tiles();
         let (counts, ranges) = (self.counts()?, self.tile_ranges.start_read(tiles)?);
-        let last = self.last.start_read(tiles)?.wait()?;
+        let last = self.last.start_read(2 * tiles)?.wait()?;
         let (counts, ranges) = (counts.wait()?, ranges.wait()?);
         // A tile that nothing touches keeps where its range begins.
-        let walked = ranges.iter().zip(last).map(|(range, last)| last.saturating_sub(range[0]) as usize);
+        let walked = ranges
+            .iter()
+            .zip(last.chunks(2))
+            .flat_map(|(range, ends)| ends.iter().map(|end| end.saturating_sub(range[0]) as usize));
         Ok(SplatWork {
             visible: counts.visible,
             intersections: counts.intersections.min(counts.capacity),
@@ -77,7 +82,7 @@ mod tests {
         recorder.submit().unwrap();
         let work = buffers.work().unwrap();
         assert_eq!((work.visible, work.intersections, work.tiles), (1, 1, 12));
-        assert_eq!((work.walked, work.pairs()), (1, 256));
+        assert_eq!((work.walked, work.pairs()), (2, 256));
         // 12 tiles and the one of what belongs to none: 4 bits.
         assert_eq!(work.passes, [8, 1]);
     }
