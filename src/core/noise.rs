@@ -87,6 +87,9 @@ const CHUNK_PAPER: usize = 4_096;
 const SEGMENTS_ON_CPU: u32 = 1;
 const SEGMENTS_ON_GPU: u32 = 16;
 
+/// Lanes of a subgroup of the kernels that exchange what they load: lavapipe's.
+const LANES: usize = 8;
+
 /// `clamp(3 sigma, 0.02, 0.1)`: the bound of the noise of a view whose measured noise is `sigma`.
 pub fn amplitude(sigma: f32) -> f32 {
     (3.0 * sigma).clamp(LEAST, MOST)
@@ -124,6 +127,8 @@ pub struct NoiseField {
     restraint: f32,
     step: u64,
     segments: u32,
+    /// Whether the layers' kernels exchange what they load over a subgroup.
+    exchanges: bool,
     chunk_cells: usize,
     most_cells: usize,
     current: NoiseUniform,
@@ -165,12 +170,24 @@ impl NoiseField {
         let most_cells = size[0].div_ceil(cell) * size[1].div_ceil(cell);
         let chunk_cells = most_cells.min(if mode == NoiseMode::Grid { CHUNK_GRID } else { CHUNK_PAPER });
         let on_cpu = gpu.describe().device_type == DeviceType::Cpu;
+        let exchanges = on_cpu && gpu.describe().subgroup == Some((LANES as u32, LANES as u32));
         let segments = if on_cpu { SEGMENTS_ON_CPU } else { SEGMENTS_ON_GPU };
         let buffers = Buffers::new(gpu, &network, most_cells, chunk_cells, segments)?;
         buffers.parameters.write(bytemuck::cast_slice(&network.initial(seed, mode == NoiseMode::Paper)))?;
         let current = NoiseUniform::default();
         let (restraint, step) = (1.0, 0);
-        Ok(Some(Self { mode, network, restraint, step, segments, chunk_cells, most_cells, current, buffers }))
+        Ok(Some(Self {
+            mode,
+            network,
+            restraint,
+            step,
+            segments,
+            exchanges,
+            chunk_cells,
+            most_cells,
+            current,
+            buffers,
+        }))
     }
 
     /// Sets the view and its noise for what is submitted next, and counts the step.
@@ -292,8 +309,13 @@ impl NoiseField {
         for (layer, shape) in self.network.layers.iter().enumerate() {
             let buffers: [&dyn fled_gpu::Bind; 5] =
                 [&b.layers[layer], &b.chunks[chunk], b.input(layer), &b.parameters, &b.outputs[layer]];
-            let items = count.div_ceil(8) * shape.outputs4.div_ceil(2);
-            recorder.dispatch_items(&kernels::LAYER_FORWARD, &buffers, items)?;
+            if self.exchanges {
+                let groups = count.div_ceil(16) * shape.outputs4.div_ceil(LANES);
+                recorder.dispatch_groups(&kernels::LAYER_FORWARD_SUBGROUP, &buffers, groups)?;
+            } else {
+                let items = count.div_ceil(8) * shape.outputs4.div_ceil(2);
+                recorder.dispatch_items(&kernels::LAYER_FORWARD, &buffers, items)?;
+            }
         }
         Ok(())
     }
@@ -308,19 +330,25 @@ impl NoiseField {
         let chunk = &b.chunks[chunk];
         for (layer, shape) in self.network.layers.iter().enumerate().rev() {
             let (uniform, input, delta) = (&b.layers[layer], b.input(layer), &b.deltas[layer]);
-            let tiles = self.segments as usize * shape.inputs4.div_ceil(2) * shape.outputs4.div_ceil(2);
-            recorder.dispatch_items(
-                &kernels::LAYER_WEIGHTS,
-                &[uniform, chunk, delta, input, &b.gradients],
-                tiles,
-            )?;
-            if layer > 0 {
+            let weights: [&dyn fled_gpu::Bind; 5] = [uniform, chunk, delta, input, &b.gradients];
+            if self.exchanges {
+                let groups = shape.inputs4.div_ceil(4) * shape.outputs4.div_ceil(LANES);
+                recorder.dispatch_groups(&kernels::LAYER_WEIGHTS_SUBGROUP, &weights, groups)?;
+            } else {
+                let tiles = self.segments as usize * shape.inputs4.div_ceil(2) * shape.outputs4.div_ceil(2);
+                recorder.dispatch_items(&kernels::LAYER_WEIGHTS, &weights, tiles)?;
+            }
+            if layer == 0 {
+                continue;
+            }
+            let back: [&dyn fled_gpu::Bind; 6] =
+                [uniform, chunk, delta, &b.parameters, input, &b.deltas[layer - 1]];
+            if self.exchanges {
+                let groups = count.div_ceil(16) * shape.inputs4.div_ceil(LANES);
+                recorder.dispatch_groups(&kernels::LAYER_BACKWARD_SUBGROUP, &back, groups)?;
+            } else {
                 let items = count.div_ceil(8) * shape.inputs4.div_ceil(2);
-                recorder.dispatch_items(
-                    &kernels::LAYER_BACKWARD,
-                    &[uniform, chunk, delta, &b.parameters, input, &b.deltas[layer - 1]],
-                    items,
-                )?;
+                recorder.dispatch_items(&kernels::LAYER_BACKWARD, &back, items)?;
             }
         }
         Ok(())
@@ -377,8 +405,8 @@ impl Buffers {
         chunk: usize,
         segments: u32,
     ) -> Result<Self, GpuError> {
-        // Layers work on 8 cells at once and write rows past the last; a chunk ends at a multiple of 8.
-        let (rows, all_rows) = (chunk.next_multiple_of(8), cells.next_multiple_of(8));
+        // Layers work on 8 or 16 cells at once and write rows past the last; a chunk ends at a multiple of 16.
+        let (rows, all_rows) = (chunk.next_multiple_of(16), cells.next_multiple_of(16));
         let last = LAYERS - 1;
         let output = |layer: usize, rows: usize, all_rows: usize| {
             let rows = if layer == last { all_rows } else { rows };

@@ -207,17 +207,17 @@ impl Work {
         let activations = |first, each| cells * WORD * layers(first, each);
         let four = 4 * WORD;
         match verb {
-            "layer_forward" => Cost::both(
+            "layer_forward" | "layer_forward_subgroup" => Cost::both(
                 forwards * (activations(0, |i, o| i + o) + chunks * parameters),
                 forwards * products(0),
             ),
             // The first chunk writes the gradients, the others add to them.
-            "layer_weights" => Cost::both(
+            "layer_weights" | "layer_weights_subgroup" => Cost::both(
                 activations(0, |i, o| i + o) + parameters * segments * (2 * chunks).saturating_sub(1),
                 products(0),
             ),
             // The first layer's inputs need no derivative; the others are read for their ReLU and written.
-            "layer_backward" => {
+            "layer_backward" | "layer_backward_subgroup" => {
                 Cost::both(activations(1, |i, o| 2 * i + o) + chunks * parameters, products(1))
             }
             // The position's encoding, and the direction's beside the features.

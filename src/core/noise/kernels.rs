@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use bytemuck::{Pod, Zeroable};
-use fled_gpu::{Kernel, read, read_write, uniform};
+use fled_gpu::{Binding, Kernel, read, read_write, uniform};
 
 use super::network::Layer;
 use super::{NoiseMode, PENALTY, Room, cell_side};
@@ -14,10 +14,11 @@ pub(super) const ENCODE: Kernel = Kernel::new(
     &[uniform("field"), uniform("chunk"), read_write("encoded"), read_write("features")],
 );
 
-pub(super) const LAYER_FORWARD: Kernel = Kernel::new(
-    "noise/layer_forward",
-    &[uniform("layer"), uniform("chunk"), read("input"), read("parameters"), read_write("output")],
-);
+const LAYER_FORWARD_BINDINGS: &[Binding] =
+    &[uniform("layer"), uniform("chunk"), read("input"), read("parameters"), read_write("output")];
+pub(super) const LAYER_FORWARD: Kernel = Kernel::new("noise/layer_forward", LAYER_FORWARD_BINDINGS);
+pub(super) const LAYER_FORWARD_SUBGROUP: Kernel =
+    Kernel::new("noise/layer_forward_subgroup", LAYER_FORWARD_BINDINGS);
 
 pub(super) const ACTIVATE: Kernel =
     Kernel::new("noise/activate", &[uniform("field"), read("raw"), read_write("values")]);
@@ -47,22 +48,23 @@ pub(super) const OUTPUT_DELTA: Kernel = Kernel::new(
     ],
 );
 
-pub(super) const LAYER_BACKWARD: Kernel = Kernel::new(
-    "noise/layer_backward",
-    &[
-        uniform("layer"),
-        uniform("chunk"),
-        read("delta"),
-        read("parameters"),
-        read("input"),
-        read_write("input_delta"),
-    ],
-);
+const LAYER_BACKWARD_BINDINGS: &[Binding] = &[
+    uniform("layer"),
+    uniform("chunk"),
+    read("delta"),
+    read("parameters"),
+    read("input"),
+    read_write("input_delta"),
+];
+pub(super) const LAYER_BACKWARD: Kernel = Kernel::new("noise/layer_backward", LAYER_BACKWARD_BINDINGS);
+pub(super) const LAYER_BACKWARD_SUBGROUP: Kernel =
+    Kernel::new("noise/layer_backward_subgroup", LAYER_BACKWARD_BINDINGS);
 
-pub(super) const LAYER_WEIGHTS: Kernel = Kernel::new(
-    "noise/layer_weights",
-    &[uniform("layer"), uniform("chunk"), read("delta"), read("input"), read_write("gradients")],
-);
+const LAYER_WEIGHTS_BINDINGS: &[Binding] =
+    &[uniform("layer"), uniform("chunk"), read("delta"), read("input"), read_write("gradients")];
+pub(super) const LAYER_WEIGHTS: Kernel = Kernel::new("noise/layer_weights", LAYER_WEIGHTS_BINDINGS);
+pub(super) const LAYER_WEIGHTS_SUBGROUP: Kernel =
+    Kernel::new("noise/layer_weights_subgroup", LAYER_WEIGHTS_BINDINGS);
 
 pub(super) const ADAM: Kernel = Kernel::new(
     "noise/adam",
