@@ -1,6 +1,6 @@
 // One shaken pixel, all channels, an invocation.
-// Reads taps [taps] (dx, dy, weight, unused), response [256], light [3, H, W]. Writes blurred [3, H, W] and
-// factor [3, H, W] (derivative of blurred by the weighted sum of light). Dispatch: H W.
+// Reads taps [taps] (dx, dy, weight, unused), response [256], light [H, W]. Writes blurred [3, H, W] and
+// factor [H, W] (derivative of blurred by the weighted sum of light). Dispatch: H W.
 // blurred(p) = response(sum_u k_u light(p - u) / sum_u k_u), u over the taps with p - u inside the image.
 #import shared/grid.wgsl
 #import shared/shake.wgsl
@@ -10,9 +10,9 @@ const WIDTH: u32 = 32;
 @group(0) @binding(0) var<uniform> shake: ShakeUniform;
 @group(0) @binding(1) var<storage, read> taps: array<vec4<f32>>;
 @group(0) @binding(2) var<storage, read> response: array<f32>;
-@group(0) @binding(3) var<storage, read> light: array<f32>;
+@group(0) @binding(3) var<storage, read> light: array<vec4<f32>>;
 @group(0) @binding(4) var<storage, read_write> blurred: array<f32>;
-@group(0) @binding(5) var<storage, read_write> factor: array<f32>;
+@group(0) @binding(5) var<storage, read_write> factor: array<vec4<f32>>;
 
 // The last knot but one whose light is not above; the first for less light than any has.
 fn knot_below(light_here: f32) -> u32 {
@@ -48,15 +48,17 @@ fn main(
         let held = clamp(place, vec2<i32>(0), last);
         let weight = select(0.0, taps[n].z, all(place == held));
         let at = u32(held.y) * shake.width + u32(held.x);
-        sum += weight * vec3<f32>(light[at], light[at + pixels], light[at + 2u * pixels]);
+        sum += weight * light[at].xyz;
         weights += weight;
     }
     let scale = select(0.0, 1.0 / weights, weights > 0.0);
+    var slopes = vec4<f32>(0.0);
     for (var c = 0u; c < 3u; c++) {
         let value = sum[c] * scale;
         let knot = knot_below(value);
         let slope = 1.0 / (f32(KNOTS - 1u) * (response[knot + 1u] - response[knot]));
         blurred[index + c * pixels] = f32(knot) / f32(KNOTS - 1u) + slope * (value - response[knot]);
-        factor[index + c * pixels] = slope * scale;
+        slopes[c] = slope * scale;
     }
+    factor[index] = slopes;
 }

@@ -1,5 +1,5 @@
 // The derivative of the loss by one pixel of the render, all channels, an invocation.
-// Reads taps [taps], response [256], scaled [3, H, W] (derivative by the weighted sums), render [3, H, W]. Writes
+// Reads taps [taps], response [256], scaled [H, W] (derivative by the weighted sums), render [3, H, W]. Writes
 // render_gradient [3, H, W]. Dispatch: H W.
 // dL/drender(q) = (f^-1)'(render(q)) sum_u k_u scaled(q + u) + w sum_n d_n / sqrt(d_n^2 + BEND^2), u over the taps
 // with q + u inside, d_n the differences to the neighbours of q, f the response.
@@ -12,7 +12,7 @@ const BEND: f32 = 0.02;
 @group(0) @binding(0) var<uniform> shake: ShakeUniform;
 @group(0) @binding(1) var<storage, read> taps: array<vec4<f32>>;
 @group(0) @binding(2) var<storage, read> response: array<f32>;
-@group(0) @binding(3) var<storage, read> scaled: array<f32>;
+@group(0) @binding(3) var<storage, read> scaled: array<vec4<f32>>;
 @group(0) @binding(4) var<storage, read> render: array<f32>;
 @group(0) @binding(5) var<storage, read_write> render_gradient: array<f32>;
 
@@ -50,7 +50,7 @@ fn main(
         let held = clamp(place, vec2<i32>(0), last);
         let weight = select(0.0, taps[n].z, all(place == held));
         let at = u32(held.y) * shake.width + u32(held.x);
-        sum += weight * vec3<f32>(scaled[at], scaled[at + pixels], scaled[at + 2u * pixels]);
+        sum += weight * scaled[at].xyz;
     }
     for (var c = 0u; c < 3u; c++) {
         let at = index + c * pixels;

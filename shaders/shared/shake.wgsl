@@ -8,13 +8,8 @@ struct ShakeUniform {
     height: u32,
     // Taps in use.
     taps: u32,
-    // 3 H W.
-    values: u32,
     // Weight of the total variation.
     smooth_weight: f32,
-    pad_0: u32,
-    pad_1: u32,
-    pad_2: u32,
 }
 
 // The knot below an encoded value, and how far it is beyond.

@@ -1,5 +1,5 @@
 // The gradient of the loss at 4 columns x `run` rows of one channel an invocation: the second half.
-// Reads prediction [3, H, W], truth [ceil(3 H W / 2)], derivatives [3 moments, 3, H, W]. Writes gradient
+// Reads prediction [3, H, W], truth [ceil(3 H W / 2)], derivatives [3, H, W]. Writes gradient
 // [3, H, W] and error_sums [invocations] (sums of |p - t| and (p - t)^2). Dispatch: as loss_similarity.
 // dL/dp = 0.8 / N sign(p - t) - 0.2 / N (G * dS/dm + 2 p G * dS/dmxx + t G * dS/dmxy), N = 3 H W.
 #import shared/grid.wgsl
@@ -10,7 +10,7 @@ const WIDTH: u32 = 32;
 @group(0) @binding(0) var<uniform> size: LossUniform;
 @group(0) @binding(1) var<storage, read> prediction: array<f32>;
 @group(0) @binding(2) var<storage, read> truth: array<u32>;
-@group(0) @binding(3) var<storage, read> derivatives: array<f32>;
+@group(0) @binding(3) var<storage, read> derivatives: array<vec4<f32>>;
 @group(0) @binding(4) var<storage, read_write> gradient: array<f32>;
 @group(0) @binding(5) var<storage, read_write> error_sums: array<vec2<f32>>;
 
@@ -19,8 +19,7 @@ fn moments(first: u32, column: u32, block: Block) -> vec3<f32> {
     let at = block.x + column;
     let inside = at >= RADIUS && at < size.width + RADIUS;
     let index = select(block.plane, first + column - RADIUS, inside);
-    let d = vec3<f32>(derivatives[index], derivatives[index + size.values], derivatives[index + 2u * size.values]);
-    return select(vec3<f32>(0.0), d, inside);
+    return select(vec3<f32>(0.0), derivatives[index].xyz, inside);
 }
 
 fn blur(a: vec3<f32>, b: vec3<f32>, c: vec3<f32>, d: vec3<f32>, e: vec3<f32>, f: vec3<f32>) -> vec3<f32> {

@@ -1,7 +1,7 @@
 // SSIM of 4 columns x `run` rows of one channel an invocation, and its derivatives by the window's
 // moments: the first half of the loss.
 // Reads prediction [3, H, W], truth [ceil(3 H W / 2)] (two 16-bit values a word). Writes derivatives
-// [3 moments, 3, H, W] and similarity_sums [invocations]. Dispatch: 3 blocks_x blocks_y invocations.
+// [3, H, W] (by three moments, one unused) and similarity_sums [invocations]. Dispatch: 3 blocks_x blocks_y invocations.
 // S = (2 mx my + C1)(2 sxy + C2) / ((mx^2 + my^2 + C1)(sxx + syy + C2)), moments zero-padded.
 #import shared/grid.wgsl
 #import shared/loss.wgsl
@@ -11,7 +11,7 @@ const WIDTH: u32 = 32;
 @group(0) @binding(0) var<uniform> size: LossUniform;
 @group(0) @binding(1) var<storage, read> prediction: array<f32>;
 @group(0) @binding(2) var<storage, read> truth: array<u32>;
-@group(0) @binding(3) var<storage, read_write> derivatives: array<f32>;
+@group(0) @binding(3) var<storage, read_write> derivatives: array<vec4<f32>>;
 @group(0) @binding(4) var<storage, read_write> similarity_sums: array<f32>;
 
 // x, y, x^2 + y^2 and x y of a column; zero outside of the row.
@@ -87,10 +87,7 @@ fn emit(block: Block, column: u32, y: u32, moments: vec4<f32>) -> f32 {
         return 0.0;
     }
     let result = similarity(moments);
-    let at = block.plane + y * size.width + x;
-    derivatives[at] = result.y;
-    derivatives[at + size.values] = result.z;
-    derivatives[at + 2u * size.values] = result.w;
+    derivatives[block.plane + y * size.width + x] = vec4<f32>(result.yzw, 0.0);
     return result.x;
 }
 

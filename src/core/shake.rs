@@ -89,8 +89,8 @@ impl ShakeKernel {
 pub struct Shake {
     views: Vec<OnDevice>,
     response: Buffer<f32>,
-    light: Buffer<f32>,
-    factor: Buffer<f32>,
+    light: Buffer<[f32; 4]>,
+    factor: Buffer<[f32; 4]>,
     blurred: Buffer<f32>,
     render_gradient: Buffer<f32>,
 }
@@ -99,7 +99,7 @@ struct OnDevice {
     kernel: ShakeKernel,
     uniform: Buffer<ShakeUniform>,
     taps: Buffer<[f32; 4]>,
-    values: usize,
+    pixels: usize,
 }
 
 impl Shake {
@@ -108,22 +108,22 @@ impl Shake {
     /// # Errors
     /// A device error, out of memory above all.
     pub fn new(gpu: &Gpu, views: usize, size: [usize; 2], response: &Response) -> Result<Self, GpuError> {
-        let values = 3 * size[0] * size[1];
+        let pixels = size[0] * size[1];
         let view = || -> Result<OnDevice, GpuError> {
             Ok(OnDevice {
                 kernel: ShakeKernel::still(),
                 uniform: gpu.create("shake", 1)?,
                 taps: gpu.create("shake taps", MOST_TAPS)?,
-                values: 0,
+                pixels: 0,
             })
         };
         Ok(Self {
             views: (0..views).map(|_| view()).collect::<Result<_, _>>()?,
             response: gpu.upload("shake response", response.knots())?,
-            light: gpu.create("shake light", values)?,
-            factor: gpu.create("shake factor", values)?,
-            blurred: gpu.create("shaken render", values)?,
-            render_gradient: gpu.create("render gradient", values)?,
+            light: gpu.create("shake light", pixels)?,
+            factor: gpu.create("shake factor", pixels)?,
+            blurred: gpu.create("shaken render", 3 * pixels)?,
+            render_gradient: gpu.create("render gradient", 3 * pixels)?,
         })
     }
 
@@ -133,8 +133,8 @@ impl Shake {
     /// # Errors
     /// [`GpuError::Validation`] for an image larger than those of [`Shake::new`]; a device error.
     pub fn set(&mut self, view: usize, size: [usize; 2], kernel: ShakeKernel) -> Result<(), GpuError> {
-        let values = 3 * size[0] * size[1];
-        if values > self.light.len() {
+        let pixels = size[0] * size[1];
+        if pixels > self.light.len() {
             return Err(GpuError::Validation(format!("shake made too small for {}x{}", size[0], size[1])));
         }
         let on_device = &mut self.views[view];
@@ -142,12 +142,10 @@ impl Shake {
             width: size[0] as u32,
             height: size[1] as u32,
             taps: kernel.taps.len() as u32,
-            values: values as u32,
-            smooth_weight: (SMOOTH_WEIGHT / values as f64) as f32,
-            pad: [0; 3],
+            smooth_weight: (SMOOTH_WEIGHT / (3 * pixels) as f64) as f32,
         }])?;
         on_device.taps.write_at(0, &kernel.rows())?;
-        (on_device.kernel, on_device.values) = (kernel, values);
+        (on_device.kernel, on_device.pixels) = (kernel, pixels);
         Ok(())
     }
 
@@ -181,16 +179,16 @@ impl Shake {
         view: usize,
         render: &Buffer<f32>,
     ) -> Result<(), GpuError> {
-        let OnDevice { uniform, taps, values, .. } = &self.views[view];
+        let OnDevice { uniform, taps, pixels, .. } = &self.views[view];
         recorder.dispatch_items(
             &kernels::LINEARISE,
             &[uniform, &self.response, render, &self.light],
-            *values,
+            *pixels,
         )?;
         recorder.dispatch_items(
             &kernels::BLUR,
             &[uniform, taps, &self.response, &self.light, &self.blurred, &self.factor],
-            values / 3,
+            *pixels,
         )
     }
 
@@ -206,12 +204,12 @@ impl Shake {
         render: &Buffer<f32>,
         gradient: &Buffer<f32>,
     ) -> Result<(), GpuError> {
-        let OnDevice { uniform, taps, values, .. } = &self.views[view];
-        recorder.dispatch_items(&kernels::SCALE, &[uniform, gradient, &self.factor], *values)?;
+        let OnDevice { uniform, taps, pixels, .. } = &self.views[view];
+        recorder.dispatch_items(&kernels::SCALE, &[uniform, gradient, &self.factor], *pixels)?;
         recorder.dispatch_items(
             &kernels::BLUR_BACKWARD,
             &[uniform, taps, &self.response, &self.factor, render, &self.render_gradient],
-            values / 3,
+            *pixels,
         )
     }
 

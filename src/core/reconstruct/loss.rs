@@ -115,7 +115,7 @@ pub struct LossValue {
 pub struct Loss {
     layout: LossUniform,
     size: Buffer<LossUniform>,
-    derivatives: Buffer<f32>,
+    derivatives: Buffer<[f32; 4]>,
     similarity_sums: Buffer<f32>,
     error_sums: Buffer<[f32; 2]>,
 }
@@ -136,7 +136,7 @@ impl Loss {
         Ok(Self {
             layout,
             size: gpu.upload("loss size", &[layout])?,
-            derivatives: gpu.create("similarity derivatives", 3 * values)?,
+            derivatives: gpu.create("similarity derivatives", values)?,
             similarity_sums: gpu.create("similarity sums", layout.invocations())?,
             error_sums: gpu.create("error sums", layout.invocations())?,
         })

@@ -42,7 +42,5 @@ pub(super) struct ShakeUniform {
     pub(super) width: u32,
     pub(super) height: u32,
     pub(super) taps: u32,
-    pub(super) values: u32,
     pub(super) smooth_weight: f32,
-    pub(super) pad: [u32; 3],
 }

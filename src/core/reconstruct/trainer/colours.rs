@@ -25,7 +25,7 @@ impl Trainer<'_> {
         for view in 0..self.views.len() {
             cancel.check()?;
             let camera = self.level.views[view].camera;
-            let render = self.shaken_render(view, &camera, step)?;
+            let render = self.render_from(&camera, step, Some(view))?;
             let photograph = self.views[view].image.resize_area(render.width(), render.height());
             self.colours[view] = ViewColour::between(&render, &photograph);
         }

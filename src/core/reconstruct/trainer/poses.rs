@@ -50,7 +50,7 @@ impl Trainer<'_> {
             for ((&view, seen), correction) in some.iter().zip(&seen).zip(corrections) {
                 let Some(correction) = correction else { continue };
                 let motion = self.motions[view].plus(&correction);
-                let after = self.shaken_render(view, &self.camera_after(view, &motion), step)?;
+                let after = self.render_from(&self.camera_after(view, &motion), step, Some(view))?;
                 let improved = register::difference(&seen.photograph, &after)
                     < register::difference(&seen.photograph, &seen.render);
                 if improved {
@@ -64,12 +64,12 @@ impl Trainer<'_> {
 
     fn probe(&mut self, view: usize, step: u32, depth: f64) -> Result<Probed, GpuError> {
         let camera = self.level.views[view].camera;
-        let render = self.shaken_render(view, &camera, step)?;
+        let render = self.render_from(&camera, step, Some(view))?;
         let probes = register::probes(&camera, depth);
         let mut probed = Vec::with_capacity(6);
         for probe in &probes {
             let moved = self.camera_after(view, &self.motions[view].plus(probe));
-            probed.push(self.shaken_render(view, &moved, step)?);
+            probed.push(self.render_from(&moved, step, Some(view))?);
         }
         let probed = probed.try_into().map_err(|_| GpuError::Validation("six probes".to_owned()))?;
         let photograph = self.photograph(view, render.width(), render.height());
@@ -80,23 +80,6 @@ impl Trainer<'_> {
     fn camera_after(&self, view: usize, motion: &Motion) -> Camera {
         let k = &self.level.views[view].camera.intrinsics;
         motion.moved(&self.views[view].camera).resized(k.width, k.height)
-    }
-
-    /// The scene through `camera`, shaken as `view` is.
-    pub(super) fn shaken_render(
-        &mut self,
-        view: usize,
-        camera: &Camera,
-        step: u32,
-    ) -> Result<Image, GpuError> {
-        let render = self.render_from(camera, step)?;
-        let Some(shake) = &self.shake else { return Ok(render) };
-        // The render still lies on the device.
-        let mut recorder = self.gpu.recorder();
-        shake.record_forward(&mut recorder, view, &self.raster.image)?;
-        recorder.submit()?;
-        let (width, height) = (render.width(), render.height());
-        Ok(Image::from_planar(width, height, shake.blurred().start_read(3 * width * height)?.wait()?))
     }
 
     /// Sets the level's cameras by the motions.

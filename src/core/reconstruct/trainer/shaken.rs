@@ -48,11 +48,16 @@ impl Trainer<'_> {
     /// The scene from a training view, as `step` would see it.
     fn render_view(&mut self, view: usize, step: u32) -> Result<Image, GpuError> {
         let camera = self.level.views[view].camera;
-        self.render_from(&camera, step)
+        self.render_from(&camera, step, None)
     }
 
-    /// The scene through `camera`, no larger than the views, as `step` would see it.
-    pub(super) fn render_from(&mut self, camera: &Camera, step: u32) -> Result<Image, GpuError> {
+    /// The scene through `camera`, no larger than the views, as `step` would see it; as shaken as the view `like` is.
+    pub(super) fn render_from(
+        &mut self,
+        camera: &Camera,
+        step: u32,
+        like: Option<usize>,
+    ) -> Result<Image, GpuError> {
         let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
         let (degree, allocated) = (self.schedule.degree(step), self.gaussians.sh_degree);
         loop {
@@ -61,9 +66,16 @@ impl Trainer<'_> {
             let mut recorder = self.gpu.recorder();
             self.projection.record(&mut recorder, &self.gaussians)?;
             Forward::new(self.specialisation).record(&mut recorder, &self.projection, &self.raster)?;
+            let image = match (&self.shake, like) {
+                (Some(shake), Some(view)) => {
+                    shake.record_forward(&mut recorder, view, &self.raster.image)?;
+                    shake.blurred()
+                }
+                _ => &self.raster.image,
+            };
             recorder.submit()?;
             let counts = self.raster.counts()?;
-            let image = self.raster.image.start_read(3 * width * height)?;
+            let image = image.start_read(3 * width * height)?;
             let counts = counts.wait()?;
             if !counts.overflowed() {
                 return Ok(Image::from_planar(width, height, image.wait()?));
