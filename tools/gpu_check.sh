@@ -4,8 +4,8 @@
 #     gpu_check.sh [--quick] [--adapter NAME] [--folder DIR] [--out DIR] [-- ARGUMENTS OF `fled bench`]
 #
 # DIR is what tools/gpu_pack.py makes; by default the folder of this script. Nothing else is needed but a Vulkan driver,
-# bash and gzip. Results go to OUT, by default ./gpu-check-results: tests.txt, bench.txt, bench.json, job.txt and the
-# job's metrics.json. Every part runs whatever became of the others; the exit code is 0 when all went well. The tests of
+# bash and gzip. Results go to OUT, by default ./gpu-check-results: tests.txt, blending.txt, bench.txt, bench.json,
+# job.txt and the job's metrics.json. Every part runs whatever became of the others; the exit code is 0 when all went well. The tests of
 # the kernels take the best kind of adapter, whatever NAME says.
 set -uo pipefail
 
@@ -59,6 +59,11 @@ kernels() {
     "$work/fled-gpu-tests" && "$work/fled-core-tests" "${modules[@]}"
 }
 
+# Which of the blending kernels is the fastest here; `Specialisation::for_adapter` has the choice.
+blending() {
+    "$work/fled-core-tests" --ignored --nocapture blending_times
+}
+
 measure() {
     "$work/fled" bench ${quick:+--quick} --adapter "$adapter" --json "$out/bench.json" ${bench[@]+"${bench[@]}"}
 }
@@ -72,6 +77,7 @@ job() {
 }
 
 part "kernels against their references" tests.txt kernels
+part "every way of blending" blending.txt blending
 part "what they cost" bench.txt measure
 part "a whole job" job.txt job
 

@@ -42,8 +42,9 @@ pub struct Options {
     pub start: Start,
     /// How Gaussians come and go.
     pub densify: Densify,
-    /// Whether random points are added where there are few sparse ones.
-    pub fill_up: bool,
+    /// With fewer sparse points than this, random ones are added.
+    #[schemars(range(max = 1_000_000))]
+    pub fill_up: u32,
     /// The length that rates of the means are measured in.
     pub extent: ExtentRule,
     /// Whether differences of exposure and cast between the views are taken out before the scene explains them.
@@ -197,7 +198,7 @@ impl Preset {
             refine_poses: true,
             start: Start::Warm,
             densify: Densify::Mcmc,
-            fill_up: true,
+            fill_up: 1_000,
             extent: ExtentRule::Scene,
             view_colour: false,
             cap: 30_000,
@@ -323,6 +324,7 @@ impl Options {
             return Err(fault("dropout", &format!("{} is not in 0..=0.5", self.dropout)));
         }
         within("cap", self.cap, 100, 5_000_000)?;
+        within("fill_up", self.fill_up, 0, 1_000_000)?;
         within("sh_degree", self.sh_degree, 0, 3)
     }
 }

@@ -125,7 +125,7 @@ impl Job<'_, '_> {
         Ok(TrainStart::Fresh(reconstruct::initialise(
             &coloured_points(poses, material.views, material.images),
             &cameras,
-            Beginning { cap: config.cap, fill_up: self.options.fill_up },
+            Beginning { cap: config.cap, fill_up: self.options.fill_up as usize },
             &config.schedule(),
         )))
     }

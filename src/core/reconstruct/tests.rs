@@ -98,7 +98,7 @@ fn points_of(scene: &Gaussians) -> Vec<Point> {
 
 fn start(views: &[TrainingView], scene: &Gaussians, config: &TrainConfig) -> TrainStart {
     let cameras: Vec<_> = views.iter().map(|v| v.camera).collect();
-    let beginning = Beginning { cap: config.cap, fill_up: true };
+    let beginning = Beginning { cap: config.cap, fill_up: 0 };
     TrainStart::Fresh(initialise(&points_of(scene), &cameras, beginning, &config.schedule()))
 }
 

@@ -278,14 +278,15 @@ fn every_row_of_the_kernel_table_agrees_with_its_shader() {
 #[ignore = "a measurement"]
 fn blending_times() {
     let gpu = fixtures::gpu();
-    let (width, height, n) = (280, 160, 10_000);
+    let on_cpu = gpu.describe().device_type == DeviceType::Cpu;
+    let (width, height, n) = if on_cpu { (280, 160, 10_000) } else { (1120, 640, 200_000) };
     let mut gaussians = fixtures::gaussians(n, 0, 3);
     gaussians.log_scales.iter_mut().flatten().for_each(|s| *s -= 0.55);
     let view = fixtures::viewpoint(width, height);
     let device = DeviceGaussians::upload(gpu, &gaussians, n).unwrap();
     let projection = Projection::new(gpu, n).unwrap();
     projection.camera.write(&[CameraUniform::new(&view.camera, n, 0, 0, 0.1)]).unwrap();
-    let sizes = SplatSizes { gaussians: n, width, height, intersections: 200_000 };
+    let sizes = SplatSizes { gaussians: n, width, height, intersections: 20 * n };
     let buffers = SplatBuffers::new(gpu, sizes, true).unwrap();
     let gradient = gpu.upload("image gradient", &vec![0.5_f32; 3 * width * height]).unwrap();
     for specialisation in specialisations() {
