@@ -1,5 +1,7 @@
 """Checks of the recipe's parts: python -m unittest"""
 
+import importlib.util
+import json
 import tempfile
 import unittest
 from pathlib import Path
@@ -41,6 +43,17 @@ class ToneCurve(unittest.TestCase):
     def test_the_automatic_target_reaches_its_mean(self):
         bright = tone_curve.enhance([ramp()], *tone_curve.automatic_target([ramp()]))[0]
         self.assertAlmostEqual(float(tone_curve.value(bright).mean()), 0.45, places=3)
+
+
+    def test_the_golden_numbers_that_the_product_is_held_to_are_those_of_this_curve(self):
+        folder = Path(__file__).parent.parent / "tests" / "golden"
+        script = importlib.util.spec_from_file_location("golden_tone_curve", folder / "tone_curve.py")
+        golden = importlib.util.module_from_spec(script)
+        script.loader.exec_module(golden)
+        expected = json.loads((folder / "tone_curve.json").read_text())
+        for found, curve in zip(golden.golden()["curves"], expected["curves"], strict=True):
+            np.testing.assert_allclose(found["values"], curve["values"], atol=1e-6)
+        np.testing.assert_allclose(golden.golden()["automatic"], expected["automatic"], atol=1e-6)
 
 
 class Degradation(unittest.TestCase):

@@ -231,6 +231,42 @@ mod tests {
         }
     }
 
+    /// The photograph of tests/golden/tone_curve.py.
+    fn golden_photograph() -> Image<Srgb> {
+        let (mut state, mut photograph) = (7_u32, Image::new(16, 8));
+        for pixel in 0..16 * 8 {
+            let rgb = [0; 3].map(|_| {
+                state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+                let uniform = f64::from(state >> 8) / f64::from(1 << 24);
+                (0.4 * uniform * uniform) as f32
+            });
+            photograph.set(pixel % 16, pixel / 16, rgb);
+        }
+        photograph
+    }
+
+    #[test]
+    fn networks_are_trained_on_photographs_through_the_same_curve() {
+        let golden: serde_json::Value =
+            serde_json::from_str(include_str!("../../../tests/golden/tone_curve.json")).expect("JSON");
+        let photograph = golden_photograph();
+        let histogram = Histogram::of(&photograph);
+        for curve in golden["curves"].as_array().expect("a list") {
+            let number = |key: &str| curve[key].as_f64().expect("a number");
+            let anchor = Anchor { alpha: number("alpha"), gamma: number("gamma") };
+            let values: Vec<f32> = serde_json::from_value(curve["values"].clone()).expect("numbers");
+            let bright = ToneCurve::new(&histogram, anchor).apply(&photograph);
+            for (pixel, expected) in values.chunks_exact(3).enumerate() {
+                let found = bright.get(pixel % 16, pixel / 16);
+                let apart = found.iter().zip(expected).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+                assert!(apart <= 1e-6, "{anchor:?}, pixel {pixel}: {found:?} and {expected:?}");
+            }
+        }
+        let expected: [f64; 2] = serde_json::from_value(golden["automatic"].clone()).expect("two numbers");
+        let found = super::super::resolve_target("auto", &histogram).expect("a target");
+        assert!((found.alpha - expected[0]).abs() <= 1e-6 && (found.gamma - expected[1]).abs() <= 1e-6);
+    }
+
     #[test]
     fn a_single_value_keeps_its_limit_and_spreads_the_rest_evenly() {
         let grey = 51.0 / 255.0;
