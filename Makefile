@@ -10,7 +10,7 @@ export NODEVICE_SELECT := 1
 endif
 
 .DEFAULT_GOAL := help
-.PHONY: help setup onnxruntime build test test-peers tidy check lint demo bench gpu-pack gpu-check
+.PHONY: help setup onnxruntime build test test-widths test-peers tidy check lint demo bench gpu-pack gpu-check
 
 help: ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1\t\2/' | expand -t 22
@@ -27,6 +27,12 @@ build: ## the program: target/release/fled
 test: setup onnxruntime ## every test
 	$(PYTHON) -m unittest discover --start-directory tools
 	$(CARGO) test --release --locked --workspace
+	@$(MAKE) --no-print-directory test-widths
+
+# Mesa's software driver takes its subgroups to be as wide as this, whatever the processor has.
+test-widths: ## the kernels with subgroups of 4 and 16 instead of 8 invocations
+	for bits in 128 512; do LP_NATIVE_VECTOR_WIDTH=$$bits $(CARGO) test --release --locked --quiet -p fled-core --lib -- \
+	    splat:: noise:: shake::tests reconstruct::loss reconstruct::optimizer || exit 1; done
 
 # FLED=PROGRAM judges that one and builds none; TORCH=PYTHON has PyTorch already and saves its installation.
 test-peers: setup onnxruntime $(if $(FLED),,build) ## scene.ply judged by software that is not ours; 5 GB under .peers/

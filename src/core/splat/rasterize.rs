@@ -104,6 +104,9 @@ const RASTERIZE_BACKWARD_WALK: Kernel =
 const RASTERIZE_BACKWARD_GENERIC: Kernel =
     Kernel::new("splat/rasterize_backward_generic", BACKWARD_BINDINGS).unchecked();
 
+/// Pixels that a subgroup blends where it walks.
+const HALF_TILE: u32 = TILE * TILE / 2;
+
 /// Which specialisation of the blending kernels runs. All give the same image to 1e-5.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Specialisation {
@@ -120,14 +123,18 @@ impl Specialisation {
     /// What suits the adapter. Software Vulkan wants few invocations with much work each (measured: the
     /// module's benchmark), a GPU many.
     pub fn for_adapter(info: &AdapterInfo) -> Self {
-        let pixels = if info.device_type == DeviceType::Cpu { 16 } else { 4 };
-        let width = TILE * TILE / pixels;
-        // A subgroup's size must be known when the shader is compiled, and divide the workgroup.
-        let subgroup = info
-            .subgroup
-            .filter(|(least, most)| least == most && *least >= 8 && *least <= width)
-            .map(|(size, _)| size);
-        let walks = info.device_type == DeviceType::Cpu && subgroup.is_some_and(|size| 2 * size == width);
+        let on_cpu = info.device_type == DeviceType::Cpu;
+        // A subgroup's size must be known when the shader is compiled.
+        let known = info.subgroup.filter(|(least, most)| least == most && *least >= 8).map(|(size, _)| size);
+        // Half a tile a subgroup, of vectors of four pixels.
+        let walks = on_cpu && known.is_some_and(|size| matches!(size, 8 | 16 | 32));
+        let pixels = match known {
+            Some(size) if walks => HALF_TILE / size,
+            _ if on_cpu => 16,
+            _ => 4,
+        };
+        // It must divide the workgroup.
+        let subgroup = known.filter(|size| *size <= TILE * TILE / pixels);
         Self { pixels, subgroup, walks }
     }
 

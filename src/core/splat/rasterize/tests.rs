@@ -116,16 +116,43 @@ fn flat(g: &ProjectedGradient) -> [f64; SLOT_ROW] {
     [x, y, a, b, c, red, green, blue, g.opacity]
 }
 
+/// All that this adapter can run.
 fn specialisations() -> Vec<Specialisation> {
     let subgroup = Specialisation::for_adapter(fixtures::gpu().describe()).subgroup;
-    let plain = |subgroup| [4, 8, 16].map(|pixels| Specialisation { pixels, subgroup, walks: false });
-    let mut all = plain(None).to_vec();
+    let plain = |subgroup: Option<u32>| {
+        let fits = move |pixels: &u32| subgroup.is_none_or(|size| size <= TILE * TILE / pixels);
+        [4, 8, 16].into_iter().filter(fits).map(move |pixels| Specialisation {
+            pixels,
+            subgroup,
+            walks: false,
+        })
+    };
+    let mut all: Vec<_> = plain(None).collect();
     if let Some(size) = subgroup {
         all.extend(plain(subgroup));
-        let walks = Specialisation { pixels: 128 / size, subgroup, walks: true };
+        let walks = Specialisation { pixels: HALF_TILE / size, subgroup, walks: true };
         all.extend((walks.pixels >= 4).then_some(walks));
     }
     all
+}
+
+#[test]
+fn every_kind_of_adapter_gets_kernels_that_fit_its_subgroups() {
+    let chosen = |device_type, subgroup| {
+        let info = AdapterInfo { device_type, subgroup, ..fixtures::gpu().describe().clone() };
+        let Specialisation { pixels, subgroup, walks } = Specialisation::for_adapter(&info);
+        (pixels, subgroup, walks)
+    };
+    let (cpu, card) = (DeviceType::Cpu, DeviceType::Discrete);
+    assert_eq!(chosen(cpu, Some((8, 8))), (16, Some(8), true));
+    assert_eq!(chosen(cpu, Some((16, 16))), (8, Some(16), true));
+    // Without wide vectors, and without subgroups.
+    assert_eq!(chosen(cpu, Some((4, 4))), (16, None, false));
+    assert_eq!(chosen(cpu, None), (16, None, false));
+    assert_eq!(chosen(card, Some((32, 32))), (4, Some(32), false));
+    assert_eq!(chosen(card, Some((64, 64))), (4, Some(64), false));
+    // Sizes that vary from kernel to kernel.
+    assert_eq!(chosen(card, Some((8, 32))), (4, None, false));
 }
 
 fn chosen() -> Specialisation {
