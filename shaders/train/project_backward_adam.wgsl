@@ -1,11 +1,11 @@
 // The gradient of one Gaussian an invocation, from its slots to its parameters, and its Adam update in
-// place. Sums the Gaussian's contiguous rows of slot_gradients, goes back through conic, covariance,
+// place. Sums the Gaussian's contiguous slots, goes back through conic, covariance,
 // projection, harmonics and activations, adds the MCMC regularisers, updates, adds exploration noise.
 // Reads tile_counts, slot_offsets [count], slot_colours, slot_moments and slot_tails [slots] (see
-// shared/raster_backward.wgsl), intersections (their exact total). Reads and writes geometry [part, 12], geometry_moments [part, 2, 12],
-// sh [part, sh_row], sh_moments [part, 2, sh_row], counters [0] (non-finite gradients dropped).
+// shared/raster_backward.wgsl), intersections (their exact total). Reads and writes geometry [part, 12],
+// geometry_moments [part, 2, 12], sh [part, sh_row], sh_moments [part, 2, sh_row], counters [0] (non-finite gradients dropped).
 // Dispatch: the part's rows. Void when the slots overflowed.
-// WRITE_GRADIENTS = 1 leaves the parameters and writes the gradient in place of the first moments. COUNT_PULLS = 1 adds
+// WRITE_GRADIENTS = 1 leaves the parameters and writes the gradient in place of the first moments. ACCUMULATE_POSITION = 1 adds
 // the length of the gradient by the position, in normalised device coordinates, and a view to the moments' free floats.
 #import shared/gaussian_rows.wgsl
 #import shared/grid.wgsl
@@ -16,7 +16,7 @@
 
 const WIDTH: u32 = 64;
 const WRITE_GRADIENTS: u32 = 0;
-const COUNT_PULLS: u32 = 0;
+const ACCUMULATE_POSITION: u32 = 0;
 const BETA_M: f32 = 0.9;
 const BETA_V: f32 = 0.999;
 const EPSILON: f32 = 1e-15;
@@ -138,14 +138,14 @@ fn update_geometry(row: u32, q: u32, value: vec4<f32>, gradient: vec4<f32>, rate
     geometry[3u * row + q] = value - adam_step(m, v, rate);
 }
 
-// The vector with the logit: its last floats are no parameter's and count pulls.
-fn update_logit(row: u32, value: vec4<f32>, gradient: vec4<f32>, rate: vec4<f32>, pull: vec2<f32>) {
+// The vector with the logit: its last floats are no parameter's and hold the position's gradient.
+fn update_logit(row: u32, value: vec4<f32>, gradient: vec4<f32>, rate: vec4<f32>, seen: vec2<f32>) {
     let at = 6u * row + 2u;
     let before = vec2<f32>(geometry_moments[at].w, geometry_moments[at + 3u].w);
     update_geometry(row, 2u, value, gradient, rate);
-    if (COUNT_PULLS == 1u) {
-        geometry_moments[at].w = before.x + pull.x;
-        geometry_moments[at + 3u].w = before.y + pull.y;
+    if (ACCUMULATE_POSITION == 1u) {
+        geometry_moments[at].w = before.x + seen.x;
+        geometry_moments[at + 3u].w = before.y + seen.y;
     }
 }
 
@@ -223,13 +223,13 @@ fn main(
     let basis = sh_basis(offset / max(length(offset), 1e-12), camera.sh_degree);
     var by = Geometry(vec3<f32>(0.0), vec3<f32>(0.0), vec4<f32>(0.0), 0.0);
     var gated = vec3<f32>(0.0);
-    var pull = vec2<f32>(0.0);
+    var seen = vec2<f32>(0.0);
     if (tile_counts[i] > 0u && p.usable) {
         let sum = sum_slots(i, p, shape.opacity);
         let colour = colour_backward(harmonics, basis, offset, sum.colour);
         by = geometry_backward(p, shape, sum, colour.by_mean);
         gated = colour.gated;
-        pull = vec2<f32>(length(0.5 * vec2<f32>(camera.size) * sum.mean), 1.0);
+        seen = vec2<f32>(length(0.5 * vec2<f32>(camera.size) * sum.mean), 1.0);
     }
     if (!(fits3(by.mean) && fits3(by.log_scale) && fits3(by.quat.xyz) && fits3(gated)
         && fits3(vec3<f32>(by.quat.w, by.logit, 0.0)))) {
@@ -250,6 +250,6 @@ fn main(
     update_geometry(row, 1u, vec4<f32>(s.yz, g.quat.xy), vec4<f32>(by.log_scale.yz, by.quat.xy), rates.yyzz);
     let last = vec4<f32>(g.quat.zw, g.logit, 0.0);
     let by_last = vec4<f32>(by.quat.zw, by.logit, 0.0);
-    update_logit(row, last, by_last, vec4<f32>(rates.zzw, 0.0), pull);
+    update_logit(row, last, by_last, vec4<f32>(rates.zzw, 0.0), seen);
     update_colour(row, harmonics, basis, gated);
 }

@@ -161,7 +161,8 @@ impl Work {
             // Colour and gradient a pixel; a row of nine a slot, whether it is looked at or not.
             "rasterize_backward" | "rasterize_backward_walk" | "rasterize_backward_generic" => {
                 let rows = slots * WORD * SLOT_ROW as u64 + (slots - walked.min(slots)) * WORD;
-                Cost::both(list + pixels * 6 * WORD + tiles * WORD + rows, pairs * BLEND_BACKWARD)
+                let operations = (verb != "rasterize_backward_walk").then_some(pairs * BLEND_BACKWARD);
+                Cost { bytes: Some(list + pixels * 6 * WORD + tiles * WORD + rows), operations }
             }
             // Rows of slots; parameters and both moments in and out: 11 of the 12 numbers of a row are in use.
             "project_backward_adam" => {

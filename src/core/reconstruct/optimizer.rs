@@ -143,12 +143,12 @@ pub struct SlotGradients<'a> {
 }
 
 /// Where the free floats of a row of geometry moments are: the sum of the lengths of the gradients by position, and the
-/// number of views in it. Classic densification alone counts them.
-pub const PULL_AT: [usize; 2] = [11, 23];
+/// number of views in it. Classic densification alone keeps them.
+pub const POSITION_GRADIENT_AT: [usize; 2] = [11, 23];
 
 /// Adam's state on the device.
 pub struct Optimizer {
-    /// [`PROJECT_BACKWARD_ADAM`], counting pulls or not.
+    /// [`PROJECT_BACKWARD_ADAM`], accumulating the positions' gradients or not.
     update: Kernel,
     /// The numbers of the step; written before each use.
     pub step: Buffer<StepUniform>,
@@ -169,15 +169,15 @@ struct RelocateUniform {
 }
 
 impl Optimizer {
-    /// Moments of zero for `gaussians`. `pulls`: whether [`PULL_AT`] is counted.
+    /// Moments of zero for `gaussians`. `accumulates`: whether [`POSITION_GRADIENT_AT`] is kept.
     ///
     /// # Errors
     /// Out of memory, or above what the adapter binds.
-    pub fn new(gpu: &Gpu, gaussians: &DeviceGaussians, pulls: bool) -> Result<Self, GpuError> {
+    pub fn new(gpu: &Gpu, gaussians: &DeviceGaussians, accumulates: bool) -> Result<Self, GpuError> {
         let (rows, per_part) = (gaussians.capacity, gaussians.sh.per_part());
-        let counting = PROJECT_BACKWARD_ADAM.with(&[("COUNT_PULLS", 1)]);
+        let accumulating = PROJECT_BACKWARD_ADAM.with(&[("ACCUMULATE_POSITION", 1)]);
         Ok(Self {
-            update: if pulls { counting } else { PROJECT_BACKWARD_ADAM },
+            update: if accumulates { accumulating } else { PROJECT_BACKWARD_ADAM },
             step: gpu.create("step", 1)?,
             geometry_moments: gpu.create_rows("geometry moments", rows, 2 * GEOMETRY_ROW, per_part)?,
             sh_moments: gpu.create_rows("sh moments", rows, 2 * gaussians.sh.length(), per_part)?,

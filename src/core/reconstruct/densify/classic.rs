@@ -1,4 +1,4 @@
-//! Densification as first published, to compare with: Gaussians that the loss pulls at are cloned when small and
+//! Densification as first published, to compare with: Gaussians whose position the loss has a large gradient by are cloned when small and
 //! split when large; transparent ones go. Kerbl et al., "3D Gaussian Splatting for Real-Time Radiance Field
 //! Rendering", 2023, section 5.
 //!
@@ -12,7 +12,7 @@ use super::{GeometryRow, MIN_OPACITY, opacity};
 use crate::random::normal;
 
 /// Mean length of the gradient by the position in normalised device coordinates above which a Gaussian is too coarse.
-const PULL: f32 = 2e-4;
+const THRESHOLD: f32 = 2e-4;
 /// Gaussians up to this share of the extent are cloned, larger ones split.
 const SMALL: f64 = 0.01;
 /// After a reset, Gaussians beyond this share of the extent go.
@@ -28,7 +28,7 @@ const RESET_TO: f32 = 0.01;
 
 /// What the steps since the last densification saw of a Gaussian: the sum of the lengths of its gradients by position, in
 /// normalised device coordinates, and the number of views that showed it.
-pub type Pull = [f32; 2];
+pub type PositionGradient = [f32; 2];
 
 /// One Gaussian after a densification.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -41,11 +41,11 @@ pub struct Descendant {
     pub new: bool,
 }
 
-/// Decides a densification of `rows`, at most `cap` afterwards: those that are pulled at most come first. Without a
+/// Decides a densification of `rows`, at most `cap` afterwards: those with the largest gradients come first. Without a
 /// survivor everything stays. `after_reset`: whether opacities were reset before, so that size means something.
 pub fn plan(
     rows: &[GeometryRow],
-    pulls: &[Pull],
+    gradients: &[PositionGradient],
     cap: usize,
     extent: f64,
     after_reset: bool,
@@ -56,8 +56,8 @@ pub fn plan(
         |row: &GeometryRow| opacity(row) < MIN_OPACITY || (after_reset && largest(row) > LARGE * extent);
     let kept: Vec<usize> = (0..rows.len()).filter(|&i| !dies(&rows[i])).collect();
     let kept = if kept.is_empty() { (0..rows.len()).collect() } else { kept };
-    let mean = |i: usize| pulls[i][0] / pulls[i][1].max(1.0);
-    let mut coarse: Vec<usize> = kept.iter().copied().filter(|&i| mean(i) >= PULL).collect();
+    let mean = |i: usize| gradients[i][0] / gradients[i][1].max(1.0);
+    let mut coarse: Vec<usize> = kept.iter().copied().filter(|&i| mean(i) >= THRESHOLD).collect();
     coarse.sort_by(|&a, &b| mean(b).total_cmp(&mean(a)).then(a.cmp(&b)));
     coarse.truncate(cap.saturating_sub(kept.len()));
     let splits = |i: &usize| largest(&rows[*i]) > SMALL * extent;
@@ -103,7 +103,7 @@ mod tests {
 
     use super::*;
 
-    const PULLED: Pull = [0.01, 10.0];
+    const LARGE_GRADIENT: PositionGradient = [0.01, 10.0];
 
     /// Ten times as long in its own x, which points along the world's y.
     fn row(opacity: f32, scale: f32) -> GeometryRow {
@@ -112,15 +112,25 @@ mod tests {
         [1.0, 2.0, 3.0, s + 10.0_f32.ln(), s, s, 1.5, 0.0, 0.0, 1.5, logit, 0.0]
     }
 
-    fn after(rows: &[GeometryRow], pulls: &[Pull], cap: usize, after_reset: bool) -> Vec<Descendant> {
-        plan(rows, pulls, cap, 1.0, after_reset, &mut Pcg64::seed_from_u64(1))
+    fn after(
+        rows: &[GeometryRow],
+        gradients: &[PositionGradient],
+        cap: usize,
+        after_reset: bool,
+    ) -> Vec<Descendant> {
+        plan(rows, gradients, cap, 1.0, after_reset, &mut Pcg64::seed_from_u64(1))
     }
 
     #[test]
     fn the_small_are_cloned_the_large_split_and_the_transparent_go() {
         let rows = [row(0.6, 1e-4), row(0.6, 0.05), row(0.001, 0.05), row(0.6, 1e-4), row(0.6, 1e-4)];
-        // The fourth is pulled at half as much as it takes, the last was never seen.
-        let found = after(&rows, &[PULLED, PULLED, PULLED, [1e-3, 10.0], [0.0, 0.0]], 100, false);
+        // The fourth has half the gradient that it takes, the last was never seen.
+        let found = after(
+            &rows,
+            &[LARGE_GRADIENT, LARGE_GRADIENT, LARGE_GRADIENT, [1e-3, 10.0], [0.0, 0.0]],
+            100,
+            false,
+        );
         let kinds: Vec<_> = found.iter().map(|d| (d.source, d.new)).collect();
         assert_eq!(kinds, [(0, false), (3, false), (4, false), (0, true), (1, true), (1, true)]);
         assert_eq!(found[3].row, rows[0]);
@@ -145,16 +155,16 @@ mod tests {
     }
 
     #[test]
-    fn the_cap_holds_for_those_that_are_pulled_most_and_size_counts_after_a_reset() {
+    fn the_cap_holds_for_the_largest_gradients_and_size_counts_after_a_reset() {
         let rows = [row(0.6, 0.05); 4];
-        let pulls = [[0.01, 10.0], [0.04, 10.0], [0.02, 10.0], [0.03, 10.0]];
-        let found = after(&rows, &pulls, 6, false);
+        let gradients = [[0.01, 10.0], [0.04, 10.0], [0.02, 10.0], [0.03, 10.0]];
+        let found = after(&rows, &gradients, 6, false);
         let new: Vec<_> = found.iter().filter(|d| d.new).map(|d| d.source).collect();
         assert_eq!((found.len(), new), (6, vec![1, 1, 3, 3]));
         let mixed = [row(0.6, 0.05), row(0.6, 1e-3)];
         let small: Vec<_> = after(&mixed, &[[0.0; 2]; 2], 6, true).iter().map(|d| d.source).collect();
         assert_eq!(small, [1]);
-        assert_eq!(after(&rows, &pulls, 2, true).len(), 4, "without a survivor everything stays");
+        assert_eq!(after(&rows, &gradients, 2, true).len(), 4, "without a survivor everything stays");
     }
 
     #[test]

@@ -104,7 +104,7 @@ fn shaken(image: &Image, angle: f64, response: &Response) -> Image {
 }
 
 #[test]
-fn classic_densification_grows_where_the_views_pull_and_learns_the_scene() {
+fn classic_densification_grows_where_gradients_are_large_and_learns_the_scene() {
     let scene = truth(150, 8);
     let angles: Vec<_> = (0..8).map(|n| -0.6 + 0.17 * f64::from(n)).collect();
     let views = views_of(&scene, &angles, [96, 64]);

@@ -5,7 +5,7 @@ use fled_gpu::GpuError;
 use super::{Trainer, WARM_GROWTH};
 use crate::reconstruct::Densify;
 use crate::reconstruct::densify::{self, GeometryRow, classic};
-use crate::reconstruct::optimizer::PULL_AT;
+use crate::reconstruct::optimizer::POSITION_GRADIENT_AT;
 use crate::splat::project::GEOMETRY_ROW;
 
 /// Floats of a row of geometry moments.
@@ -51,11 +51,12 @@ impl Trainer<'_> {
         let (sh, sh_moments) = (self.gaussians.sh.read(count)?, optimizer.sh_moments.read(count)?);
         let moments = optimizer.geometry_moments.read(count)?;
         let (moments, _) = moments.as_chunks::<MOMENTS_ROW>();
-        let pulls: Vec<classic::Pull> = moments.iter().map(|row| PULL_AT.map(|at| row[at])).collect();
+        let gradients: Vec<classic::PositionGradient> =
+            moments.iter().map(|row| POSITION_GRADIENT_AT.map(|at| row[at])).collect();
         let mut after = if self.schedule.densifies(step) {
             let random = &mut self.schedule.generator(2, u64::from(step));
             let reset_before = self.config.warm || step > classic::RESET_EVERY;
-            classic::plan(rows, &pulls, self.config.cap, self.config.extent, reset_before, random)
+            classic::plan(rows, &gradients, self.config.cap, self.config.extent, reset_before, random)
         } else {
             let as_is = |source: usize| classic::Descendant { source, row: rows[source], new: false };
             (0..count).map(as_is).collect()
@@ -66,7 +67,7 @@ impl Trainer<'_> {
         let geometry: Vec<GeometryRow> = after.iter().map(|one| one.row).collect();
         let kept = |one: &classic::Descendant| {
             let mut row = if one.new { [0.0; MOMENTS_ROW] } else { moments[one.source] };
-            PULL_AT.into_iter().for_each(|at| row[at] = 0.0);
+            POSITION_GRADIENT_AT.into_iter().for_each(|at| row[at] = 0.0);
             row
         };
         let new_moments: Vec<[f32; MOMENTS_ROW]> = after.iter().map(kept).collect();
