@@ -5,6 +5,7 @@
 // v = dL/dsigma: slot_colours (by r g b, sum v), slot_moments (sums of v dx, v dy, v dx^2, v dx dy), slot_tails (v dy^2),
 // all [slots].
 #import shared/raster_batch.wgsl
+#import shared/raster_pixels_backward.wgsl
 
 @group(0) @binding(0) var<uniform> camera: CameraUniform;
 @group(0) @binding(1) var<storage, read> tile_ranges: array<vec2<u32>>;
@@ -59,25 +60,7 @@ fn backward(tile: u32, lane: u32, lane_in_subgroup: u32) {
     let range = min(tile_ranges[tile], vec2<u32>(arrayLength(&slots)));
     // The slots past the last tile were never blended: their rows are zero.
     let end = select(min(last[2u * tile], range.y), range.x, tile == tiles);
-    // T (negative once stopped), the gradient by the colour, and that gradient times the colour still behind.
-    var t: array<vec4<f32>, QUADS>;
-    var red: array<vec4<f32>, QUADS>;
-    var green: array<vec4<f32>, QUADS>;
-    var blue: array<vec4<f32>, QUADS>;
-    var behind: array<vec4<f32>, QUADS>;
-    for (var q = 0u; q < QUADS; q++) {
-        let inside = inside_image(pixel + vec2<u32>(4u * q, 0u), camera.size);
-        t[q] = select(vec4<f32>(-1.0), vec4<f32>(1.0), inside);
-        for (var k = 0u; k < 4u; k++) {
-            let i = select(0u, pixel.y * camera.size.x + pixel.x + 4u * q + k, inside[k]);
-            let g = vec3<f32>(image_gradient[i], image_gradient[plane + i], image_gradient[2u * plane + i]);
-            let upstream = select(vec3<f32>(0.0), g, inside[k]);
-            red[q][k] = upstream.x;
-            green[q][k] = upstream.y;
-            blue[q][k] = upstream.z;
-            behind[q][k] = dot(upstream, vec3<f32>(image[i], image[plane + i], image[2u * plane + i]));
-        }
-    }
+    begin_pixels(pixel);
     for (var at = range.x; at < end; at += GROUP) {
         let slot = slots[min(at + lane, range.y - 1u)];
         if (lane < GROUP) {
@@ -90,35 +73,7 @@ fn backward(tile: u32, lane: u32, lane_in_subgroup: u32) {
         let n = min(end - at, GROUP);
         for (var j = 0u; j < n; j++) {
             let splat = batch[j];
-            let offset = centre - splat.place.xy;
-            let row = row_exponent(splat, offset.y);
-            var by_colour = vec3<f32>(0.0);
-            var v0 = 0.0;
-            var v1 = 0.0;
-            var v2 = 0.0;
-            for (var q = 0u; q < QUADS; q++) {
-                let dx = offset.x + f32(4u * q) + vec4<f32>(0.0, 1.0, 2.0, 3.0);
-                let raw = raw_alpha(dx, row);
-                let alpha = min(raw, vec4<f32>(splat.place.w));
-                let before = t[q];
-                let after = before * (1.0 - alpha);
-                let stop = after < vec4<f32>(TRANSMITTANCE_STOP);
-                let weight = select(alpha * before, vec4<f32>(0.0), stop);
-                let along = red[q] * splat.colour.x + green[q] * splat.colour.y + blue[q] * splat.colour.z;
-                let rest = behind[q] - weight * along;
-                let by_alpha = before * along - rest / (1.0 - alpha);
-                let v = select(-by_alpha * alpha, vec4<f32>(0.0), stop | (raw >= vec4<f32>(ALPHA_MAX)));
-                behind[q] = rest;
-                by_colour += vec3<f32>(dot(weight, red[q]), dot(weight, green[q]), dot(weight, blue[q]));
-                v0 += dot(v, vec4<f32>(1.0));
-                v1 += dot(v, dx);
-                v2 += dot(v, dx * dx);
-                t[q] = select(after, -abs(before), stop);
-            }
-            let dy = offset.y;
-            store_partial(j, lane, lane_in_subgroup, array<f32, SUMS>(
-                by_colour.x, by_colour.y, by_colour.z, v0, v1, v0 * dy, v2, v1 * dy, v0 * dy * dy,
-            ));
+            store_partial(j, lane, lane_in_subgroup, blend_backward(splat, centre - splat.place.xy));
         }
         // All partial sums of the batch are stored.
         workgroupBarrier();

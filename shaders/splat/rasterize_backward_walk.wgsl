@@ -4,6 +4,7 @@
 // slot_colours (by r g b, sum v), slot_moments (sums of v dx, v dy, v dx^2, v dx dy), slot_tails (v dy^2), all [slots].
 // Dispatch: a workgroup a tile, and one for the slots that belong to none.
 #import shared/grid.wgsl
+#import shared/raster_pixels_backward.wgsl
 #import shared/raster_walk.wgsl
 #import shared/reduce_sums.wgsl
 
@@ -47,28 +48,9 @@ fn keep_nothing(slot: u32) {
 }
 
 fn backward(tile: u32, half: u32, range: vec2<u32>, ends: array<u32, HALVES>, lane: u32) {
-    let plane = camera.size.x * camera.size.y;
     let pixel = first_pixel(tile, half * SUBGROUP + lane, camera.tiles.x);
     let centre = vec2<f32>(pixel) + vec2<f32>(0.5);
-    // T (negative once stopped), the gradient by the colour, and that gradient times the colour still behind.
-    var t: array<vec4<f32>, QUADS>;
-    var red: array<vec4<f32>, QUADS>;
-    var green: array<vec4<f32>, QUADS>;
-    var blue: array<vec4<f32>, QUADS>;
-    var behind: array<vec4<f32>, QUADS>;
-    for (var q = 0u; q < QUADS; q++) {
-        let inside = inside_image(pixel + vec2<u32>(4u * q, 0u), camera.size);
-        t[q] = select(vec4<f32>(-1.0), vec4<f32>(1.0), inside);
-        for (var k = 0u; k < 4u; k++) {
-            let i = select(0u, pixel.y * camera.size.x + pixel.x + 4u * q + k, inside[k]);
-            let g = vec3<f32>(image_gradient[i], image_gradient[plane + i], image_gradient[2u * plane + i]);
-            let upstream = select(vec3<f32>(0.0), g, inside[k]);
-            red[q][k] = upstream.x;
-            green[q][k] = upstream.y;
-            blue[q][k] = upstream.z;
-            behind[q][k] = dot(upstream, vec3<f32>(image[i], image[plane + i], image[2u * plane + i]));
-        }
-    }
+    begin_pixels(pixel);
     // The upper half goes on to the end of the list: it writes the rows of splats that neither half counts.
     let end = select(ends[1], range.y, half == 0u);
     for (var at = range.x; at < end; at += SUBGROUP) {
@@ -88,35 +70,7 @@ fn backward(tile: u32, half: u32, range: vec2<u32>, ends: array<u32, HALVES>, la
             let j = countTrailingZeros(bits);
             bits &= bits - 1u;
             let splat = handed(own.splat, j);
-            let offset = centre - splat.place.xy;
-            let row = row_exponent(splat, offset.y);
-            var by_colour = vec3<f32>(0.0);
-            var v0 = 0.0;
-            var v1 = 0.0;
-            var v2 = 0.0;
-            for (var q = 0u; q < QUADS; q++) {
-                let dx = offset.x + f32(4u * q) + vec4<f32>(0.0, 1.0, 2.0, 3.0);
-                let raw = raw_alpha(dx, row);
-                let alpha = min(raw, vec4<f32>(splat.place.w));
-                let before = t[q];
-                let after = before * (1.0 - alpha);
-                let stop = after < vec4<f32>(TRANSMITTANCE_STOP);
-                let weight = select(alpha * before, vec4<f32>(0.0), stop);
-                let along = red[q] * splat.colour.x + green[q] * splat.colour.y + blue[q] * splat.colour.z;
-                let rest = behind[q] - weight * along;
-                let by_alpha = before * along - rest / (1.0 - alpha);
-                let v = select(-by_alpha * alpha, vec4<f32>(0.0), stop | (raw >= vec4<f32>(ALPHA_MAX)));
-                behind[q] = rest;
-                by_colour += vec3<f32>(dot(weight, red[q]), dot(weight, green[q]), dot(weight, blue[q]));
-                v0 += dot(v, vec4<f32>(1.0));
-                v1 += dot(v, dx);
-                v2 += dot(v, dx * dx);
-                t[q] = select(after, -abs(before), stop);
-            }
-            let dy = offset.y;
-            let reduced = reduce_sums(lane, array<f32, 9>(
-                by_colour.x, by_colour.y, by_colour.z, v0, v1, v0 * dy, v2, v1 * dy, v0 * dy * dy,
-            ));
+            let reduced = reduce_sums(lane, blend_backward(splat, centre - splat.place.xy));
             keep(subgroupShuffle(slot, j), lane, reduced, half == 1u && (above >> j & 1u) != 0u);
         }
     }

@@ -3,6 +3,7 @@
 // [3, height, width], transmittance [height, width], last [tiles, 2]: one past the last intersection that counted.
 // Dispatch: a workgroup a tile. C = sum c alpha T, T <- T (1 - alpha), stop before T would pass below 1e-4; T background is added.
 #import shared/grid.wgsl
+#import shared/raster_pixels.wgsl
 #import shared/raster_walk.wgsl
 
 @group(0) @binding(0) var<uniform> camera: CameraUniform;
@@ -33,15 +34,7 @@ fn main(
     let pixel = first_pixel(tile, lane, camera.tiles.x);
     let centre = vec2<f32>(pixel) + vec2<f32>(0.5);
     let range = min(tile_ranges[tile], vec2<u32>(arrayLength(&slots)));
-    // A negative T marks a pixel that has stopped, or lies outside the image; its magnitude stays.
-    var t: array<vec4<f32>, QUADS>;
-    var red: array<vec4<f32>, QUADS>;
-    var green: array<vec4<f32>, QUADS>;
-    var blue: array<vec4<f32>, QUADS>;
-    for (var q = 0u; q < QUADS; q++) {
-        let inside = inside_image(pixel + vec2<u32>(4u * q, 0u), camera.size);
-        t[q] = select(vec4<f32>(-1.0), vec4<f32>(1.0), inside);
-    }
+    begin_pixels(pixel);
     var at = range.x;
     while (at < range.y) {
         let mine = at + lane_in_subgroup;
@@ -51,41 +44,15 @@ fn main(
         while (bits != 0u) {
             let splat = handed(own.splat, countTrailingZeros(bits));
             bits &= bits - 1u;
-            let offset = centre - splat.place.xy;
-            let row = row_exponent(splat, offset.y);
-            for (var q = 0u; q < QUADS; q++) {
-                let dx = offset.x + f32(4u * q) + vec4<f32>(0.0, 1.0, 2.0, 3.0);
-                let alpha = min(raw_alpha(dx, row), vec4<f32>(splat.place.w));
-                let before = t[q];
-                let after = before * (1.0 - alpha);
-                let stop = after < vec4<f32>(TRANSMITTANCE_STOP);
-                let weight = select(alpha * before, vec4<f32>(0.0), stop);
-                red[q] += weight * splat.colour.x;
-                green[q] += weight * splat.colour.y;
-                blue[q] += weight * splat.colour.z;
-                t[q] = select(after, -abs(before), stop);
-            }
+            blend(splat, centre - splat.place.xy);
         }
         at = min(at + SUBGROUP, range.y);
-        var most = t[0];
-        for (var q = 1u; q < QUADS; q++) {
-            most = max(most, t[q]);
-        }
-        if (!subgroupAny(any(most > vec4<f32>(0.0)))) {
+        if (subgroupAll(all_stopped())) {
             break;
         }
     }
     if (lane_in_subgroup == 0u) {
         last[HALVES * tile + half] = at;
     }
-    for (var k = 0u; k < PIXELS; k++) {
-        if (pixel.x + k < camera.size.x && pixel.y < camera.size.y) {
-            let i = pixel.y * camera.size.x + pixel.x + k;
-            let left = abs(t[k / 4u][k % 4u]);
-            image[i] = red[k / 4u][k % 4u] + left * camera.background.x;
-            image[plane + i] = green[k / 4u][k % 4u] + left * camera.background.y;
-            image[2u * plane + i] = blue[k / 4u][k % 4u] + left * camera.background.z;
-            transmittance[i] = left;
-        }
-    }
+    write_pixels(pixel);
 }

@@ -25,10 +25,10 @@ const WORD: u64 = 4;
 const PROJECTED: u64 = 48;
 /// Values of a digit of the sort.
 const DIGITS: u64 = 16;
-/// Operations a pair of pixel and splat, counted in shaders/splat/rasterize.wgsl: offset 1, exponent 4, alpha 3,
+/// Operations a pair of pixel and splat, counted in shaders/shared/raster_pixels.wgsl: offset 1, exponent 4, alpha 3,
 /// transmittance 2, weight 1, colour 6.
 const BLEND: u64 = 17;
-/// The same of shaders/shared/raster_backward.wgsl: offset 1, exponent 4, alpha 3, transmittance 2, weight 1,
+/// The same of shaders/shared/raster_pixels_backward.wgsl: offset 1, exponent 4, alpha 3, transmittance 2, weight 1,
 /// gradient along the colour 5, rest 2, by alpha 3, v 1, sums of colour 6, v 1, v dx 2, v dx^2 3. Reductions do not
 /// count.
 const BLEND_BACKWARD: u64 = 34;
