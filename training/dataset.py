@@ -1,5 +1,7 @@
 """An endless, seeded stream of training patches."""
 
+from pathlib import Path
+
 import numpy as np
 import torch
 from torch.utils.data import IterableDataset
@@ -13,13 +15,21 @@ SCENE = 2 * PATCH
 BUFFER = 240
 # Making a patch costs as much as training on it: each is shown several times, far apart and turned differently.
 USES = 3
+# Share of the scenes whose guide is a render by the product itself (`renders.py`), where there are such.
+REAL_GUIDES = 0.2
 
 
 class Patches(IterableDataset):
-    """Yields (input [6, P, P], clean [3, P, P]); `seed` and `start` fix the stream."""
+    """Yields (input [6, P, P], clean [3, P, P]); `seed` and `start` fix the stream.
 
-    def __init__(self, seed, start=0):
+    `renders` is a folder that renders.py has filled, or None: all guides are then simulated.
+    """
+
+    def __init__(self, seed, start=0, renders=None):
         self.seed = [seed, start]
+        self.views = sorted(Path(renders).glob("*.npy")) if renders else []
+        if renders and not self.views:
+            raise FileNotFoundError(f"{renders} has no views; make them by renders.py")
 
     def __iter__(self):
         worker = torch.utils.data.get_worker_info()
@@ -28,7 +38,9 @@ class Patches(IterableDataset):
         supply = sources.Sources(rng)
         buffer = []
         while True:
-            buffer.extend((planes, USES) for planes in scene_patches(rng, supply))
+            real = self.views and rng.random() < REAL_GUIDES
+            patches = view_patches(rng, self.views) if real else scene_patches(rng, supply)
+            buffer.extend((planes, USES) for planes in patches)
             while len(buffer) > BUFFER:
                 place = rng.integers(len(buffer))
                 planes, uses = buffer[place]
@@ -66,3 +78,13 @@ def scene_patches(rng, supply):
     stacked = np.concatenate(degrade.pair(rng, light, blur, exposure, target, guide), 2)
     planes = np.moveaxis(stacked, 2, 0).astype(np.float16)
     return [planes[:, y : y + PATCH, x : x + PATCH].copy() for y in (0, PATCH) for x in (0, PATCH)]
+
+
+def view_patches(rng, views):
+    """Four places of one view that the product has rendered, f16 [9, P, P]: blurry, guide, clean."""
+    view = np.load(views[rng.integers(len(views))], mmap_mode="r")
+    patches = []
+    for _ in range(4):
+        y, x = (rng.integers(side - PATCH + 1) for side in view.shape[1:])
+        patches.append(turned(rng, np.array(view[:, y : y + PATCH, x : x + PATCH])))
+    return patches

@@ -107,10 +107,11 @@ def random_exposure(rng):
         # Cheap sensors and old cameras read out far noisier than the fitted line.
         jitter += rng.uniform(0, 2.5)
     shot, read = sensor(np.exp(rng.uniform(np.log(100), np.log(1600))), jitter)
-    if rng.random() < 0.1:
+    if rng.random() < 0.25:
+        # Under noise the network learns to average; to deblur it learns from what has none.
         shot, read = 0.0, 0.0
     return Exposure(
-        light=float(np.exp(rng.uniform(np.log(0.02), np.log(0.6)))),
+        light=float(np.exp(rng.uniform(np.log(0.02), np.log(1.0)))),
         shot=shot,
         read=read,
         mosaic=rng.random() < 0.25,
@@ -203,6 +204,8 @@ class Guide:
     drift: float
     warp: float
     grain: float
+    # How likely only what agrees with the view is kept of it.
+    trusted: float = 0.0
 
 
 def random_guide(rng):
@@ -213,6 +216,7 @@ def random_guide(rng):
         drift=rng.uniform(0, 0.05),
         warp=rng.uniform(0, 1.2) * rng.random(),
         grain=rng.uniform(0, 0.03) * rng.random(),
+        trusted=0.5,
     )
 
 
@@ -240,10 +244,39 @@ def spoil_render(rng, image, guide):
     return np.clip(image * gain + offset + patchy + grain * guide.grain, 0, 1).astype(np.float32)
 
 
+# Side of a cell, px, and the difference at which a render has lost most of its say: the product's (pipeline/guide.rs).
+CELL, DISAGREEMENT = 4, 0.04
+
+
+def trusted(view, render):
+    """The render where it agrees with its view, the view elsewhere: what the product gives the network as guide.
+
+    Sides must be multiples of CELL.
+    """
+    height, width = view.shape[:2]
+    squared = np.mean((cells(view) - cells(render)) ** 2, 2, keepdims=True)
+    trust = np.exp(-squared / DISAGREEMENT**2)
+    for axis, length in ((0, height), (1, width)):
+        # Bilinear, with the first and last cell continued to the border.
+        place = np.clip((np.arange(length) + 0.5) / CELL - 0.5, 0, length // CELL - 1)
+        low = np.minimum(place.astype(int), max(length // CELL - 2, 0))
+        share = np.expand_dims((place - low).astype(np.float32), (1, 2) if axis == 0 else (0, 2))
+        high = np.minimum(low + 1, length // CELL - 1)
+        trust = trust.take(low, axis) * (1 - share) + trust.take(high, axis) * share
+    return view + trust * (render - view)
+
+
+def cells(image):
+    """Means of CELL x CELL px."""
+    height, width, channels = image.shape
+    return image.reshape(height // CELL, CELL, width // CELL, CELL, channels).mean((1, 3))
+
+
 def pair(rng, light, blur, exposure, target, guide):
     """One example from sharp linear light with MARGIN round it; light above 1 saturates after the blur.
 
-    `target` is (alpha, gamma) of the brightening or None for none; `guide` a Guide or None for a copy.
+    `target` is (alpha, gamma) of the brightening or None for none; `guide` a Guide or None for a copy. Half of the
+    guides of training are the simulated render where it agrees with the view (`trusted`), as in the product.
     Returns blurry, guide, clean, each f32 [H - 2 MARGIN, W - 2 MARGIN, 3].
     """
     shape = light.shape[:2]
@@ -263,7 +296,8 @@ def pair(rng, light, blur, exposure, target, guide):
     if guide is None:
         return blurry, blurry, clean
     render = brighten(render_light(rng, frequencies, shape, guide)[inner, inner])
-    return blurry, spoil_render(rng, render, guide), clean
+    render = spoil_render(rng, render, guide)
+    return blurry, trusted(blurry, render) if rng.random() < guide.trusted else render, clean
 
 
 def random_target(rng):

@@ -25,6 +25,7 @@ def case(name, extent, light=1.0, noise=True, target="auto"):
 
 
 CASES = [
+    case("sharp and clean", 0, noise=False, target=None),
     case("blur 8 px, clean", 8, noise=False, target=None),
     case("blur 14 px, clean", 14, noise=False, target=None),
     case("noise only, brightened x10", 0, 0.1),

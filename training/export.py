@@ -1,4 +1,4 @@
-"""Write a checkpoint as ONNX, check it against PyTorch, and enter its checksum in the manifest.
+"""Write a checkpoint as ONNX with its golden output, check it against PyTorch, and enter its checksum in the manifest.
 
     python export.py run/small-u2w16/checkpoint.pt ../models/small-u2w16.onnx --manifest ../models/manifest.json
 """
@@ -121,6 +121,25 @@ def largest_difference(model, network):
     return worst
 
 
+SIDE = 64
+
+
+def test_images():
+    """The product's self-test (deblur/golden.rs): a view and a guide, [1, 6, SIDE, SIDE]."""
+    place = np.arange(SIDE)
+    along = np.broadcast_to(place.astype(np.float32) / np.float32(SIDE), (SIDE, SIDE))
+    edge = np.where(place // 16 % 2 == (place // 16 % 2)[:, None], np.float32(0.2), np.float32(0))
+    half, low = np.float32(0.5), np.float32(0.2)
+    view = np.stack([low + half * along + edge, low + half * along.T + edge, np.float32(0.7) - half * along * along.T])
+    return torch.from_numpy(np.concatenate([view, view.transpose(0, 2, 1)]))[None]
+
+
+def golden(network):
+    """What the network makes of the self-test's images, as the file's content."""
+    with torch.no_grad():
+        return network(test_images())[0].numpy().astype("<f4").tobytes()
+
+
 def enter(manifest, path):
     """Write the file's size and checksum into the manifest entry that names it."""
     content = path.read_bytes()
@@ -152,6 +171,7 @@ def main():
     if not worst <= TOLERANCE:
         raise SystemExit("the exported network differs from the trained one")
     options.output.write_bytes(model.SerializeToString())
+    options.output.with_suffix(".golden").write_bytes(golden(network))
     if options.manifest:
         enter(options.manifest, options.output)
 

@@ -1,8 +1,10 @@
-"""Train the guided deblurring network on the CPU within a time budget.
+"""Train the guided deblurring network within a time budget.
 
-    python train.py --minutes 60 --run run/small-u2w16
+    python train.py --minutes 240 --run run/small-u2w16
+    python train.py --device cuda --width 32 --middle 4 --batch 64 --workers 15 --minutes 25 --piece 9 --run run/medium
 
-Started again with the same --run it goes on from the last checkpoint.
+Started again with the same --run it goes on from the last checkpoint. On a CPU the budget is of the learning process's
+own CPU time, so that other work on the machine changes when it ends and not what comes out; on a GPU it is of the clock.
 """
 
 import argparse
@@ -22,12 +24,18 @@ WARM_UP = 0.02
 # Share of the budget trained in bf16, which halves a step's cost on CPUs that have it; the rest is f32.
 COARSE = 0.7
 FLOOR = 0.01
+# Share of the budget after which guides are real renders too, where a folder of them is given.
+SIMULATED_ONLY = 0.5
 
 
 def arguments():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--run", type=Path, default=Path("run/small-u2w16"), help="folder of checkpoint and log")
-    parser.add_argument("--minutes", type=float, default=60, help="wall-clock budget over all restarts")
+    parser.add_argument("--minutes", type=float, default=240, help="budget over all restarts")
+    parser.add_argument("--piece", type=float, help="stop after so many minutes by the clock, to be started again")
+    parser.add_argument("--device", default="cpu", help="cpu or cuda")
+    parser.add_argument("--start", type=Path, help="begin with the averaged weights of this checkpoint")
+    parser.add_argument("--renders", type=Path, help="folder made by renders.py: guides that are real renders")
     parser.add_argument("--batch", type=int, default=8, help="patches of 128 px a step")
     parser.add_argument("--rate", type=float, default=1.5e-3, help="peak learning rate")
     parser.add_argument("--width", type=int, default=16)
@@ -55,7 +63,10 @@ class Trainer:
     def __init__(self, options):
         self.options = options
         torch.manual_seed(options.seed)
-        self.network = Network(options.width, middle=options.middle).to(memory_format=torch.channels_last)
+        network = Network(options.width, middle=options.middle)
+        if options.start:
+            network.load_state_dict(torch.load(options.start, weights_only=True)["average"])
+        self.network = network.to(options.device, memory_format=torch.channels_last)
         self.average = copy.deepcopy(self.network).requires_grad_(False)
         self.optimiser = torch.optim.AdamW(
             self.network.parameters(), lr=options.rate, betas=(0.9, 0.95), weight_decay=1e-4, fused=True
@@ -64,9 +75,10 @@ class Trainer:
         self.path = options.run / "checkpoint.pt"
         if self.path.exists():
             self.restore()
+        self.forward = torch.compile(self.network) if options.device == "cuda" else self.network
 
     def restore(self):
-        state = torch.load(self.path, weights_only=True)
+        state = torch.load(self.path, weights_only=True, map_location=self.options.device)
         self.network.load_state_dict(state["network"])
         self.average.load_state_dict(state["average"])
         self.optimiser.load_state_dict(state["optimiser"])
@@ -82,13 +94,19 @@ class Trainer:
         torch.save(state, temporary)
         os.replace(temporary, self.path)
 
+    @property
+    def progress(self):
+        """Share of the budget that is used up."""
+        return self.seconds / (60 * self.options.minutes)
+
     def update(self, pair, clean):
-        """One step; returns the loss."""
+        """One step; returns the loss, still on the device."""
         for group in self.optimiser.param_groups:
-            group["lr"] = rate_at(self.seconds / (60 * self.options.minutes), self.options.rate)
-        coarse = not self.options.exact and self.seconds < COARSE * 60 * self.options.minutes
-        with torch.autocast("cpu", torch.bfloat16, enabled=coarse):
-            output = self.network(pair.contiguous(memory_format=torch.channels_last))
+            group["lr"] = rate_at(self.progress, self.options.rate)
+        coarse = not self.options.exact and self.progress < COARSE
+        with torch.autocast(self.options.device, torch.bfloat16, enabled=coarse):
+            output = self.forward(pair.contiguous(memory_format=torch.channels_last))
+        output = output.float()
         loss = charbonnier(output, clean) + self.options.frequency * frequency_loss(output, clean)
         self.optimiser.zero_grad()
         loss.backward()
@@ -101,7 +119,16 @@ class Trainer:
         keep = min(0.999, (1 + self.step) / (10 + self.step))
         with torch.no_grad():
             torch._foreach_lerp_(list(self.average.parameters()), list(self.network.parameters()), 1 - keep)
-        return loss.item()
+        return loss.detach()
+
+
+def stream(trainer, options):
+    """Batches from where the trainer stands."""
+    renders = options.renders if trainer.progress >= SIMULATED_ONLY else None
+    return DataLoader(
+        Patches(options.seed, trainer.step, renders), options.batch, num_workers=options.workers,
+        prefetch_factor=8 if options.workers else None, pin_memory=options.device == "cuda",
+    )
 
 
 def mean_psnr(images, clean):
@@ -115,30 +142,39 @@ def main():
     options.run.mkdir(parents=True, exist_ok=True)
     torch.set_num_threads(options.threads)
     trainer = Trainer(options)
-    stream = DataLoader(
-        Patches(options.seed, trainer.step), options.batch, num_workers=options.workers,
-        prefetch_factor=8 if options.workers else None,
+    began, clock = time.monotonic(), time.process_time if options.device == "cpu" else time.monotonic
+    mark, finished, stopped = clock(), False, False
+    with open(options.run / "log.txt", "a", buffering=1) as log:
+        while not (finished or stopped):
+            # Once more for the second part, in which the guides are real renders.
+            simulated, total = trainer.progress < SIMULATED_ONLY, 0.0
+            for pair, clean in stream(trainer, options):
+                pair, clean = (tensor.to(options.device, non_blocking=True) for tensor in (pair, clean))
+                total += trainer.update(pair, clean)
+                now = clock()
+                trainer.seconds += now - mark
+                mark = now
+                if trainer.step % 100 == 0:
+                    report(trainer, pair, clean, total / 100, log)
+                    total, trainer.clipped = 0.0, 0
+                finished = trainer.progress >= 1
+                stopped = options.piece is not None and time.monotonic() - began >= 60 * options.piece
+                if finished or stopped or trainer.step % options.save_every == 0:
+                    trainer.save()
+                over = simulated and options.renders and trainer.progress >= SIMULATED_ONLY
+                if finished or stopped or over:
+                    break
+    print(f"step {trainer.step}, {100 * min(trainer.progress, 1):.1f} % of the budget", flush=True)
+
+
+def report(trainer, pair, clean, loss, log):
+    """A line about the last hundred steps."""
+    with torch.no_grad():
+        before, after = mean_psnr(pair[:, :3], clean), mean_psnr(trainer.average(pair), clean)
+    print(
+        f"step {trainer.step} seconds {trainer.seconds:.0f} loss {loss:.5f} "
+        f"input {before:.2f} average {after:.2f} clipped {trainer.clipped}", file=log,
     )
-    log = open(options.run / "log.txt", "a", buffering=1)
-    mark, total, before, after = time.monotonic(), 0.0, 0.0, 0.0
-    for pair, clean in stream:
-        total += trainer.update(pair, clean)
-        now = time.monotonic()
-        trainer.seconds += now - mark
-        mark = now
-        if trainer.step % 100 == 0:
-            with torch.no_grad():
-                before, after = mean_psnr(pair[:, :3], clean), mean_psnr(trainer.average(pair), clean)
-            print(
-                f"step {trainer.step} seconds {trainer.seconds:.0f} loss {total / 100:.5f} "
-                f"input {before:.2f} average {after:.2f} clipped {trainer.clipped}", file=log,
-            )
-            total, trainer.clipped = 0.0, 0
-        finished = trainer.seconds >= 60 * options.minutes
-        if finished or trainer.step % options.save_every == 0:
-            trainer.save()
-        if finished:
-            break
 
 
 if __name__ == "__main__":

@@ -5,16 +5,20 @@
 
 mod blend;
 mod error;
+pub mod golden;
 pub mod manifest;
 mod onnx;
 mod open;
+mod overlay;
 pub mod runtime;
 mod tiling;
 
 pub use blend::Blend;
 pub use error::DeblurError;
-pub use onnx::Onnx;
+pub use golden::Golden;
+pub use onnx::{Onnx, Provider};
 pub use open::{OpenOptions, Opened, open};
+pub use overlay::install;
 
 use crate::image::Image;
 
@@ -46,7 +50,7 @@ pub struct DeblurInfo {
     pub id: String,
     /// Of the model file, lower-case hexadecimal; empty without a file.
     pub sha256: String,
-    /// The execution provider really in use: `cpu`, or `none` without a network.
+    /// The execution provider really in use: `cuda` or `cpu`, or `none` without a network.
     pub provider: String,
     /// Input channels: 6 takes a guide, 3 does not, 0 is no network.
     pub channels: u32,

@@ -4,7 +4,8 @@ use std::io::Write;
 use std::path::PathBuf;
 
 use fled_core::colmap::ColmapCli;
-use fled_core::deblur;
+use fled_core::deblur::manifest::{Manifest, Place};
+use fled_core::deblur::{self, DeblurError};
 use fled_core::pipeline::error::ErrorKind;
 use fled_gpu::Gpu;
 use serde::Serialize;
@@ -82,13 +83,10 @@ fn checks(args: &Args) -> Vec<Check> {
     let open = deblur::OpenOptions {
         runtime: args.tools.onnxruntime.as_deref(),
         search: &search,
-        models: &args.tools.model_folders(),
+        models: &args.tools.models.folders(),
         ..deblur::OpenOptions::default()
     };
-    let model = deblur::open("default", &open).map(|opened| {
-        let info = opened.deblurrer.describe();
-        format!("{} on {}, sha256 {}", info.id, info.provider, info.sha256)
-    });
+    let model = models(&open);
     let adapter = Gpu::new(&args.adapter).map(|gpu| gpu.describe().to_string());
     vec![
         Check::new(
@@ -98,9 +96,26 @@ fn checks(args: &Args) -> Vec<Check> {
         ),
         Check::new("colmap", ColmapCli::new(&args.tools.colmap).version(), "apt-get install colmap"),
         Check::new("onnxruntime", runtime, "make onnxruntime, or set ORT_DYLIB_PATH"),
-        Check::new("models", model, "Set ORT_DYLIB_PATH, or choose another network with --set deblur=PATH"),
+        Check::new("models", model, "Set ORT_DYLIB_PATH; `fled models verify` says more about a network"),
         Check::new("disk", disk(args), "Free some space: a run may need 2 GiB"),
     ]
+}
+
+/// The default network, opened, and the user's own, their checksums.
+fn models(open: &deblur::OpenOptions<'_>) -> Result<String, DeblurError> {
+    let opened = deblur::open("default", open)?;
+    let info = opened.deblurrer.describe();
+    let mut found = format!("{} on {}, sha256 {}", info.id, info.provider, info.sha256);
+    for fallback in opened.fallbacks {
+        found = format!("{found}; {fallback}");
+    }
+    for entry in Manifest::known(open.models)?.models {
+        if let Place::File(_) = entry.place(open.models) {
+            entry.load(open.models)?;
+            found = format!("{found}; {} is whole", entry.id);
+        }
+    }
+    Ok(found)
 }
 
 fn disk(args: &Args) -> Result<String, String> {

@@ -3,6 +3,7 @@
 mod bench;
 mod doctor;
 mod failure;
+mod models;
 mod progress;
 mod render;
 mod render_worker;
@@ -42,6 +43,8 @@ enum Command {
     Serve(serve::Args),
     /// Measures what training and rendering cost on this machine, kernel by kernel.
     Bench(bench::Args),
+    /// Lists, checks, adds and fetches deblurring networks.
+    Models(models::Args),
     /// Says what this machine has and lacks, and what to do about it.
     Doctor(doctor::Args),
     /// Renders what the service asks for on standard input.
@@ -61,6 +64,7 @@ fn main() -> ExitCode {
         Command::Synth(args) => synth::main(&args),
         Command::Serve(args) => serve::main(&args),
         Command::Bench(args) => bench::main(&args),
+        Command::Models(args) => models::main(&args),
         Command::Doctor(args) => doctor::main(&args),
         Command::RenderWorker => render_worker::main(),
     };

@@ -9,6 +9,7 @@ use fled_server::ServeConfig;
 use tracing_subscriber::EnvFilter;
 
 use crate::failure::{Failure, io};
+use crate::tools;
 
 /// Arguments of `fled serve`.
 #[derive(clap::Args)]
@@ -22,6 +23,8 @@ pub struct Args {
     /// Jobs run at once.
     #[arg(long, value_name = "N", default_value_t = 1)]
     workers: usize,
+    #[command(flatten)]
+    models: tools::ModelFolder,
 }
 
 /// Serves until SIGINT or SIGTERM; running jobs go on at the next start.
@@ -32,7 +35,14 @@ pub fn main(args: &Args) -> Result<(), Failure> {
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("info"));
     let colours = std::io::stderr().is_terminal();
     tracing_subscriber::fmt().with_env_filter(filter).with_ansi(colours).with_writer(std::io::stderr).init();
-    let config = ServeConfig::new(args.data.clone(), args.listen, args.workers).map_err(io(&args.data))?;
+    let mut config =
+        ServeConfig::new(args.data.clone(), args.listen, args.workers).map_err(io(&args.data))?;
+    config.models = args.models.folders();
+    for folder in &config.models {
+        for command in [&mut config.job_command, &mut config.doctor_command] {
+            command.extend(["--models".into(), folder.into()]);
+        }
+    }
     let runtime = tokio::runtime::Runtime::new().map_err(|e| Failure::new(ErrorKind::Internal, e))?;
     runtime.block_on(fled_server::serve(config)).map_err(|e| Failure::new(ErrorKind::Io, e))
 }

@@ -27,6 +27,33 @@ pub struct Args {
     /// Folder in which poses are kept from run to run; `none` keeps none.
     #[arg(long, value_name = "DIR")]
     pub cache: Option<PathBuf>,
+    #[command(flatten)]
+    pub models: ModelFolder,
+}
+
+/// Where networks that are not built in lie.
+#[derive(clap::Args, Clone, Debug)]
+pub struct ModelFolder {
+    /// Folder of networks that are not built in; default: fled/models in the user's data directory.
+    #[arg(long = "models", global = true, value_name = "DIR", env = "FLED_MODELS")]
+    folder: Option<PathBuf>,
+}
+
+impl ModelFolder {
+    /// Folders that hold files of known networks.
+    pub fn folders(&self) -> Vec<PathBuf> {
+        let own = || data_home().map(|home| home.join("fled/models"));
+        self.folder.clone().or_else(own).into_iter().collect()
+    }
+
+    /// The folder into which networks go.
+    ///
+    /// # Errors
+    /// [`Failure`] without a home directory.
+    pub fn first(&self) -> Result<PathBuf, Failure> {
+        let none = || Failure::usage("there is no home directory: name a folder with --models DIR");
+        self.folders().into_iter().next().ok_or_else(none)
+    }
 }
 
 impl Args {
@@ -45,11 +72,6 @@ impl Args {
         }
         folders.extend(data_home().map(|home| home.join("fled")));
         folders
-    }
-
-    /// Folders that hold files of known networks.
-    pub fn model_folders(&self) -> Vec<PathBuf> {
-        data_home().map(|home| home.join("fled/models")).into_iter().collect()
     }
 
     fn pose_cache(&self) -> Option<PathBuf> {
@@ -132,7 +154,7 @@ fn open_deblurrer(args: &Args, options: &Options) -> Result<deblur::Opened, Fail
     let open = deblur::OpenOptions {
         runtime: args.onnxruntime.as_deref(),
         search: &search,
-        models: &args.model_folders(),
+        models: &args.models.folders(),
         threads: 0,
         blend: options.guide == Guide::Blend,
     };

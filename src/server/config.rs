@@ -22,6 +22,8 @@ pub struct ServeConfig {
     pub render_command: Vec<OsString>,
     /// Program and arguments of a process that judges the machine and prints JSON, see `/readyz`.
     pub doctor_command: Vec<OsString>,
+    /// Folders of networks that are not built in; the commands are told them too.
+    pub models: Vec<PathBuf>,
     /// Times and sizes.
     pub limits: Limits,
 }
@@ -45,6 +47,7 @@ impl ServeConfig {
             job_command: command(&["run"]),
             render_command: command(&["render-worker"]),
             doctor_command: command(&["doctor", "--json"]),
+            models: Vec::new(),
             limits: Limits::default(),
         })
     }

@@ -2,5 +2,6 @@
 
 mod command_line;
 mod job;
+mod models;
 mod service;
 mod support;

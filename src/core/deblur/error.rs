@@ -35,10 +35,26 @@ pub enum DeblurError {
         /// Where to get it and where to put it.
         advice: String,
     },
+    /// The user's list of networks is damaged.
+    #[error("{}: {detail}; mend it, or remove it", path.display())]
+    ManifestUnreadable {
+        /// The overlay.
+        path: PathBuf,
+        /// What is wrong with it.
+        detail: String,
+    },
     /// The file could not be read.
     #[error("cannot read the network {}: {source}", path.display())]
     ModelUnreadable {
         /// The file.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// The file or the list could not be written.
+    #[error("cannot keep the network at {}: {source}", path.display())]
+    ModelNotKept {
+        /// Where it should have gone.
         path: PathBuf,
         /// Why.
         source: std::io::Error,

@@ -1,25 +1,30 @@
-//! The networks that fled knows: `models/manifest.json`, and the one that is built in.
+//! The networks that fled knows: `models/manifest.json` of this build, with the user's own laid over it.
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
-use crate::deblur::DeblurError;
+use crate::deblur::{DeblurError, Golden};
 
 const MANIFEST: &str = include_str!("../../../models/manifest.json");
 
 /// The files that are part of the binary, by the manifest's file name.
-const EMBEDDED: [(&str, &[u8]); 1] =
-    [("small-u2w16.onnx", include_bytes!("../../../models/small-u2w16.onnx"))];
+const EMBEDDED: [(&str, &[u8]); 2] = [
+    ("small-u2w16.onnx", include_bytes!("../../../models/small-u2w16.onnx")),
+    ("small-u2w16.golden", include_bytes!("../../../models/small-u2w16.golden")),
+];
+
+/// The user's entries, in each folder of models.
+pub const OVERLAY: &str = "manifest.json";
 
 /// What a network may return for values in 0..=1 when nothing else is known about it: the bounds
 /// of the published NAFNets, outside which they have failed (deblur.md).
 const USUAL_RANGE: [f32; 2] = [-1.0, 2.0];
 
 /// All known networks.
-#[derive(Clone, Debug, Deserialize)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Manifest {
     /// In the order of the file.
@@ -27,17 +32,17 @@ pub struct Manifest {
 }
 
 /// Whether a network takes a guide.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Role {
-    /// Three channels: the blurry view.
+    /// Three channels: the view.
     Single,
     /// Six channels: the blurry view, then the guide.
     Guided,
 }
 
 /// One known network.
-#[derive(Clone, Debug, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Entry {
     /// What `deblur=` takes.
@@ -47,10 +52,10 @@ pub struct Entry {
     /// File name; absent where the user makes the file.
     pub file: Option<String>,
     /// Where the file can be had.
-    #[serde(default)]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub url: Option<String>,
     /// Who made it, when it is ours.
-    #[serde(default)]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub source: Option<String>,
     /// Of the file, lower-case hexadecimal; absent where the publisher pins none.
     pub sha256: Option<String>,
@@ -74,13 +79,16 @@ pub struct Entry {
     pub input: Option<String>,
     /// Name of the output; absent: whatever the file says.
     pub output: Option<String>,
+    /// File of the output that the self-test expects ([`Golden`]); absent: it is made on the CPU.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub golden: Option<String>,
     /// Whether `deblur=default` means this one.
     pub default: bool,
     /// False until somebody has fetched and run it.
     #[serde(default = "yes")]
     pub verified: bool,
     /// What else to know.
-    #[serde(default)]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub note: Option<String>,
 }
 
@@ -107,12 +115,62 @@ pub struct Model {
     pub tile: usize,
     /// Least and greatest sane output for input in 0..=1.
     pub range: [f32; 2],
+    /// What the self-test expects, where it is known beforehand.
+    pub golden: Option<Golden>,
 }
 
 impl Manifest {
     /// The manifest of this build.
     pub fn embedded() -> Self {
         serde_json::from_str(MANIFEST).expect("a test reads the embedded manifest")
+    }
+
+    /// The manifest of this build with the overlays of `directories` over it: an entry takes the place of the one with its
+    /// id, or is added; the last one that calls itself the default is it.
+    ///
+    /// # Errors
+    /// [`DeblurError::ManifestUnreadable`] when an overlay is there and cannot be read.
+    pub fn known(directories: &[PathBuf]) -> Result<Self, DeblurError> {
+        let mut manifest = Self::embedded();
+        for directory in directories {
+            for entry in Self::overlay(directory)?.models {
+                manifest.lay_over(entry);
+            }
+        }
+        Ok(manifest)
+    }
+
+    /// The user's entries in one folder; none without the file.
+    ///
+    /// # Errors
+    /// [`DeblurError::ManifestUnreadable`].
+    pub fn overlay(directory: &Path) -> Result<Self, DeblurError> {
+        let path = directory.join(OVERLAY);
+        let unreadable = |detail: String| DeblurError::ManifestUnreadable { path: path.clone(), detail };
+        let text = match std::fs::read_to_string(&path) {
+            Ok(text) => text,
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(Self::default()),
+            Err(error) => return Err(unreadable(error.to_string())),
+        };
+        let overlay: Self = serde_json::from_str(&text).map_err(|error| unreadable(error.to_string()))?;
+        overlay.models.iter().try_for_each(|entry| entry.check().map_err(&unreadable))?;
+        Ok(overlay)
+    }
+
+    /// Puts `entry` in the place of the one with its id, or adds it.
+    pub fn lay_over(&mut self, entry: Entry) {
+        if entry.default {
+            self.models.iter_mut().for_each(|other| other.default = false);
+        }
+        match self.models.iter_mut().find(|other| other.id == entry.id) {
+            Some(place) => *place = entry,
+            None => self.models.push(entry),
+        }
+    }
+
+    /// The entry that `choice` means: `default` or an id.
+    pub fn find(&self, choice: &str) -> Option<&Entry> {
+        self.models.iter().find(|entry| entry.id == choice || (choice == "default" && entry.default))
     }
 
     /// What may be chosen without naming a file: `default`, `identity` and the ids.
@@ -128,9 +186,8 @@ impl Manifest {
     /// [`DeblurError::UnknownModel`], [`DeblurError::ModelFileMissing`],
     /// [`DeblurError::ModelUnreadable`] or [`DeblurError::ModelChecksum`].
     pub fn resolve(&self, choice: &str, directories: &[PathBuf]) -> Result<Model, DeblurError> {
-        let wanted = |entry: &&Entry| entry.id == choice || (choice == "default" && entry.default);
-        if let Some(entry) = self.models.iter().find(wanted) {
-            return entry.checked(entry.read(directories)?);
+        if let Some(entry) = self.find(choice) {
+            return entry.load(directories);
         }
         let path = Path::new(choice);
         if path.is_file() {
@@ -145,49 +202,150 @@ impl Manifest {
         let bytes = read(path)?;
         let sha256 = digest(&bytes);
         if let Some(entry) = self.models.iter().find(|entry| entry.sha256.as_ref() == Some(&sha256)) {
-            return entry.checked(bytes);
+            return entry.checked(bytes, None);
         }
         let id = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-        let (multiple, minimum_side, tile) = (16, 16, 1024);
-        Ok(Model { id, sha256, bytes, channels: None, multiple, minimum_side, tile, range: USUAL_RANGE })
+        Ok(Model::unknown(id, bytes))
+    }
+}
+
+impl Model {
+    /// A file about which nothing else is known.
+    pub fn unknown(id: String, bytes: Vec<u8>) -> Self {
+        Self {
+            id,
+            sha256: digest(&bytes),
+            bytes,
+            channels: None,
+            multiple: 16,
+            minimum_side: 16,
+            tile: 1024,
+            range: USUAL_RANGE,
+            golden: None,
+        }
     }
 }
 
 impl Entry {
-    fn read(&self, directories: &[PathBuf]) -> Result<Vec<u8>, DeblurError> {
-        let Some(file) = &self.file else { return Err(self.missing(directories)) };
-        if let Some((_, bytes)) = EMBEDDED.iter().find(|(name, _)| name == file) {
-            return Ok(bytes.to_vec());
+    /// The entry of a file of which no more is known than its input channels, checksum and size in bytes.
+    pub fn of_file(id: &str, channels: u32, sha256: String, bytes: u64) -> Self {
+        let guided = channels == 6;
+        let model = Model::unknown(String::new(), Vec::new());
+        Self {
+            id: id.to_owned(),
+            role: if guided { Role::Guided } else { Role::Single },
+            file: None,
+            url: None,
+            source: None,
+            sha256: Some(sha256),
+            bytes: Some(bytes),
+            licence: "unknown".to_owned(),
+            channels,
+            order: ["blurry", "guide"][..if guided { 2 } else { 1 }]
+                .iter()
+                .map(ToString::to_string)
+                .collect(),
+            multiple: model.multiple,
+            minimum_side: model.minimum_side,
+            tile: model.tile,
+            range: model.range,
+            input: None,
+            output: None,
+            golden: None,
+            default: false,
+            verified: true,
+            note: None,
         }
-        let path = directories.iter().map(|directory| directory.join(file)).find(|path| path.is_file());
-        read(&path.ok_or_else(|| self.missing(directories))?)
     }
 
-    fn checked(&self, bytes: Vec<u8>) -> Result<Model, DeblurError> {
+    /// The network, its file found and its checksum right.
+    ///
+    /// # Errors
+    /// [`DeblurError::ModelFileMissing`], [`DeblurError::ModelUnreadable`] or [`DeblurError::ModelChecksum`].
+    pub fn load(&self, directories: &[PathBuf]) -> Result<Model, DeblurError> {
+        let bytes = match self.place(directories) {
+            Place::BuiltIn => embedded(self.file.as_deref()).unwrap_or_default().to_vec(),
+            Place::File(path) => read(&path)?,
+            Place::Missing => return Err(self.missing(directories)),
+        };
+        let golden = self.golden.as_deref();
+        let golden = match embedded(golden) {
+            Some(bytes) => Some(bytes.to_vec()),
+            None => find(golden, directories).map(|path| read(&path)).transpose()?,
+        };
+        self.checked(bytes, golden.as_deref())
+    }
+
+    /// Where its file is.
+    pub fn place(&self, directories: &[PathBuf]) -> Place {
+        // What is built in wins: a stray file of the same name must not break the default.
+        if embedded(self.file.as_deref()).is_some() {
+            return Place::BuiltIn;
+        }
+        find(self.file.as_deref(), directories).map_or(Place::Missing, Place::File)
+    }
+
+    /// The network in `bytes`, its checksum right; `golden` is what its self-test expects.
+    ///
+    /// # Errors
+    /// [`DeblurError::ModelChecksum`], or [`DeblurError::SelfTest`] when `golden` is damaged.
+    pub fn checked(&self, bytes: Vec<u8>, golden: Option<&[u8]>) -> Result<Model, DeblurError> {
         let sha256 = digest(&bytes);
         match &self.sha256 {
-            Some(expected) if *expected != sha256 => Err(DeblurError::ModelChecksum {
-                id: self.id.clone(),
-                expected: expected.clone(),
-                actual: sha256,
-            }),
-            _ => Ok(Model {
-                id: self.id.clone(),
-                sha256,
-                bytes,
-                channels: Some(self.channels),
-                multiple: self.multiple,
-                minimum_side: self.minimum_side,
-                tile: self.tile,
-                range: self.range,
-            }),
+            Some(expected) if *expected != sha256 => {
+                return Err(DeblurError::ModelChecksum {
+                    id: self.id.clone(),
+                    expected: expected.clone(),
+                    actual: sha256,
+                });
+            }
+            _ => {}
         }
+        let golden = golden.map(Golden::from_bytes).transpose();
+        let golden = golden.map_err(|detail| DeblurError::SelfTest { id: self.id.clone(), detail })?;
+        Ok(Model {
+            id: self.id.clone(),
+            sha256,
+            bytes,
+            channels: Some(self.channels),
+            multiple: self.multiple,
+            minimum_side: self.minimum_side,
+            tile: self.tile,
+            range: self.range,
+            golden,
+        })
+    }
+
+    /// What a hand-written entry may have wrong.
+    ///
+    /// # Errors
+    /// A sentence.
+    pub fn check(&self) -> Result<(), String> {
+        let wrong = |what: &str| Err(format!("entry `{}`: {what}", self.id));
+        let named = |name: &Option<String>| name.as_deref().is_none_or(is_file_name);
+        if self.id.is_empty() || ["default", "identity", "same", "curve"].contains(&self.id.as_str()) {
+            return wrong("the id must not be empty, `default`, `identity`, `same` or `curve`");
+        }
+        if !named(&self.file) || !named(&self.golden) {
+            return wrong("`file` and `golden` are names of files beside the manifest, without a folder");
+        }
+        let guided = self.role == Role::Guided;
+        if self.channels != if guided { 6 } else { 3 } || self.order.len() != 1 + usize::from(guided) {
+            return wrong("a guided network takes 6 channels in two images, a single one 3 in one");
+        }
+        if self.multiple == 0 || self.multiple > 256 || self.tile < 128 || self.range[0] >= self.range[1] {
+            return wrong("`multiple` is 1 to 256, `tile` at least 128, and `range` rises");
+        }
+        Ok(())
     }
 
     fn missing(&self, directories: &[PathBuf]) -> DeblurError {
         let mut advice = match (&self.file, &self.url) {
-            (Some(file), Some(url)) => format!("Download {url} and put it as {file} into one of"),
-            _ => "Make or get the file and give its path instead; known directories are".to_owned(),
+            (Some(file), Some(url)) => format!(
+                "`fled models fetch {id}` gets it from {url}; or put it as {file} into one of",
+                id = self.id
+            ),
+            _ => "Make or get the file and `fled models add` it; known directories are".to_owned(),
         };
         for directory in directories {
             let _ = write!(advice, " {}", directory.display());
@@ -199,11 +357,37 @@ impl Entry {
     }
 }
 
+/// Where a network's file is.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Place {
+    /// Part of this program.
+    BuiltIn,
+    /// In a folder of models.
+    File(PathBuf),
+    /// Not on this machine.
+    Missing,
+}
+
+fn embedded(name: Option<&str>) -> Option<&'static [u8]> {
+    EMBEDDED.iter().find(|(file, _)| Some(*file) == name).map(|(_, bytes)| *bytes)
+}
+
+fn find(name: Option<&str>, directories: &[PathBuf]) -> Option<PathBuf> {
+    let name = name?;
+    directories.iter().map(|directory| directory.join(name)).find(|path| path.is_file())
+}
+
+/// A plain name: neither a path nor a way out of its folder.
+fn is_file_name(name: &str) -> bool {
+    !name.is_empty() && Path::new(name).file_name().is_some_and(|last| last == name)
+}
+
 fn read(path: &Path) -> Result<Vec<u8>, DeblurError> {
     std::fs::read(path).map_err(|source| DeblurError::ModelUnreadable { path: path.to_path_buf(), source })
 }
 
-fn digest(bytes: &[u8]) -> String {
+/// SHA-256, lower-case hexadecimal.
+pub fn digest(bytes: &[u8]) -> String {
     Sha256::digest(bytes).iter().fold(String::with_capacity(64), |mut text, byte| {
         let _ = write!(text, "{byte:02x}");
         text
@@ -211,60 +395,4 @@ fn digest(bytes: &[u8]) -> String {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_default_network_is_built_in_and_is_the_file_that_the_manifest_names() {
-        let manifest = Manifest::embedded();
-        let model = manifest.resolve("default", &[]).expect("embedded");
-        let entry = manifest.models.iter().find(|entry| entry.default).expect("a default");
-        assert_eq!(Some(&model.sha256), entry.sha256.as_ref());
-        assert_eq!(entry.bytes, Some(model.bytes.len() as u64));
-        assert_eq!((model.channels, entry.role), (Some(6), Role::Guided));
-    }
-
-    #[test]
-    fn ids_are_unique_and_channels_agree_with_role_and_order() {
-        let manifest = Manifest::embedded();
-        for (index, entry) in manifest.models.iter().enumerate() {
-            assert!(manifest.models[..index].iter().all(|other| other.id != entry.id), "{}", entry.id);
-            assert_eq!(entry.channels, 3 * entry.order.len() as u32, "{}", entry.id);
-            assert_eq!(entry.role == Role::Guided, entry.channels == 6, "{}", entry.id);
-            assert!(!entry.licence.is_empty() && entry.order[0] == "blurry", "{}", entry.id);
-        }
-        assert_eq!(manifest.models.iter().filter(|entry| entry.default).count(), 1);
-    }
-
-    #[test]
-    fn a_damaged_file_is_refused_by_its_checksum() {
-        let directory = tempfile::tempdir().expect("temporary directory");
-        std::fs::write(directory.path().join("NAFNet-GoPro-width32.onnx"), "damaged").expect("write");
-        let refused = Manifest::embedded()
-            .resolve("nafnet-gopro-w32", &[directory.path().to_path_buf()])
-            .expect_err("not the file");
-        assert!(matches!(refused, DeblurError::ModelChecksum { .. }), "{refused}");
-    }
-
-    #[test]
-    fn a_network_whose_file_is_missing_says_where_to_get_it() {
-        let missing = Manifest::embedded().resolve("nafnet-gopro-w32", &["data/models".into()]);
-        let text = missing.expect_err("not here").to_string();
-        assert!(text.contains("https://") && text.contains("data/models"), "{text}");
-        let by_hand = Manifest::embedded().resolve("deepdeblurrf-official", &[]).expect_err("no file");
-        assert!(by_hand.to_string().contains("give its path"), "{by_hand}");
-    }
-
-    #[test]
-    fn an_unknown_name_lists_the_known_ones() {
-        let unknown = Manifest::embedded().resolve("nafnet", &[]).expect_err("unknown");
-        assert!(unknown.to_string().contains("small-u2w16"), "{unknown}");
-    }
-
-    #[test]
-    fn a_known_file_given_by_path_keeps_its_identity() {
-        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../models/small-u2w16.onnx");
-        let model = Manifest::embedded().resolve(&path.display().to_string(), &[]).expect("present");
-        assert_eq!(model.id, "small-u2w16");
-    }
-}
+mod tests;

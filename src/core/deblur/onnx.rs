@@ -1,59 +1,135 @@
-//! A network in ONNX Runtime, on the CPU.
+//! A network in ONNX Runtime, on CUDA where its library lies beside, else on the CPU.
 
 use ort::ep;
 use ort::session::Session;
 use ort::value::{TensorElementType, TensorRef, ValueType};
 
+use crate::deblur::golden::{self, Golden};
 use crate::deblur::manifest::Model;
 use crate::deblur::runtime::Runtime;
 use crate::deblur::tiling::{self, Join, Tile};
 use crate::deblur::{DeblurError, DeblurInfo, Deblurrer, same_size};
 use crate::image::Image;
 
-/// Side of the self-test's image, px.
-const TEST_SIDE: usize = 64;
+/// What computes a network.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Provider {
+    /// An NVIDIA GPU.
+    Cuda,
+    /// The processor: the reference.
+    Cpu,
+}
+
+impl Provider {
+    /// As in reports.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Cuda => "cuda",
+            Self::Cpu => "cpu",
+        }
+    }
+}
 
 /// A deblurring network with three or six input channels and images of any size.
 pub struct Onnx {
     session: Session,
     model: Model,
     channels: u32,
+    provider: Provider,
     warnings: Vec<String>,
 }
 
 impl Onnx {
-    /// Loads a network and tests it on a small image. `threads` is how many work on one view; 0
-    /// leaves it to the library.
+    /// Loads a network on the best provider that passes the self-test: CUDA where the library brings it, else the CPU. The
+    /// second value says why CUDA, being there, is not in use. `threads` is how many work on one view; 0 leaves it to the
+    /// library.
     ///
     /// # Errors
-    /// [`DeblurError::ModelUnusable`] when the library refuses the file or its input and output are
-    /// not images of dynamic size, [`DeblurError::SelfTest`] when its values make no sense.
-    pub fn load(runtime: &Runtime, mut model: Model, threads: usize) -> Result<Self, DeblurError> {
-        let bytes = std::mem::take(&mut model.bytes);
+    /// As [`Onnx::load_on`] of the CPU.
+    pub fn load(
+        runtime: &Runtime,
+        model: &Model,
+        threads: usize,
+    ) -> Result<(Self, Option<String>), DeblurError> {
+        if !runtime.has_cuda() {
+            return Ok((Self::load_on(runtime, model, Provider::Cpu, threads)?, None));
+        }
+        let mut model = model.clone();
+        if model.golden.is_none() {
+            // Without a known output the CPU's is what CUDA has to reach.
+            let golden = Self::load_on(runtime, &model, Provider::Cpu, threads)?.golden()?;
+            model.golden = Some(golden);
+        }
+        match Self::load_on(runtime, &model, Provider::Cuda, threads) {
+            Ok(network) => Ok((network, None)),
+            Err(error) => {
+                let network = Self::load_on(runtime, &model, Provider::Cpu, threads)?;
+                Ok((network, Some(format!("CUDA cannot be used, the CPU is: {error}"))))
+            }
+        }
+    }
+
+    /// Loads a network on one provider and tests it on a small image.
+    ///
+    /// # Errors
+    /// [`DeblurError::ModelUnusable`] when the library or the provider refuses the file or its input and output are not
+    /// images of dynamic size, [`DeblurError::SelfTest`] when its values are not those that it is known to return or make
+    /// no sense.
+    pub fn load_on(
+        runtime: &Runtime,
+        model: &Model,
+        provider: Provider,
+        threads: usize,
+    ) -> Result<Self, DeblurError> {
         let unusable = |detail: String| DeblurError::ModelUnusable { id: model.id.clone(), detail };
-        let session = session(runtime, &bytes, threads).map_err(&unusable)?;
+        let session = session(runtime, &model.bytes, provider, threads).map_err(&unusable)?;
         let channels = input_channels(&session, model.channels).map_err(&unusable)?;
-        let mut network = Self { session, model, channels, warnings: Vec::new() };
+        let model = Model { bytes: Vec::new(), ..model.clone() };
+        let mut network = Self { session, model, channels, provider, warnings: Vec::new() };
         network.self_test()?;
         Ok(network)
     }
 
-    /// Runs a fixed pattern twice: the values must be finite, in range, and the same both times.
+    /// What the network makes of the self-test's image.
+    ///
+    /// # Errors
+    /// [`DeblurError::Inference`], or [`DeblurError::SelfTest`] when it is not finite.
+    pub fn golden(&mut self) -> Result<Golden, DeblurError> {
+        let (view, guide) = (golden::view(), golden::guide());
+        let tile = Tile { x: 0, y: 0, width: golden::SIDE, height: golden::SIDE };
+        let output = self.run(&view, (self.channels == 6).then_some(&guide), tile)?;
+        let rows = (0..3).flat_map(|channel| (0..golden::SIDE).map(move |y| (channel, y)));
+        let own = rows.flat_map(|(channel, y)| output.row(channel, y, golden::SIDE).to_vec());
+        Golden::new(own.collect()).map_err(|detail| self.failed(detail))
+    }
+
+    fn failed(&self, detail: String) -> DeblurError {
+        DeblurError::SelfTest { id: self.model.id.clone(), detail }
+    }
+
+    /// Twice the same image: the values must be those that are known, or at least in range, and the same both times.
     fn self_test(&mut self) -> Result<(), DeblurError> {
-        let pattern = test_pattern();
-        let tile = Tile { x: 0, y: 0, width: TEST_SIDE, height: TEST_SIDE };
-        let first = self.run(&pattern, None, tile)?;
+        let (first, second) = (self.golden()?, self.golden()?);
         let [low, high] = self.model.range;
-        let failed = |detail: String| DeblurError::SelfTest { id: self.model.id.clone(), detail };
-        if let Some(wrong) = first.values.iter().find(|value| !(low..=high).contains(*value)) {
-            return Err(failed(format!("a value of {wrong} is not in {low}..={high}")));
+        if let Some(wrong) = first.values().iter().find(|value| !(low..=high).contains(*value)) {
+            return Err(self.failed(format!("a value of {wrong} is not in {low}..={high}")));
         }
-        let second = self.run(&pattern, None, tile)?;
-        if first.values != second.values {
-            let detail = "two runs on the same image differ".to_owned();
-            return Err(DeblurError::SelfTest { id: self.model.id.clone(), detail });
+        // The CPU repeats itself exactly; a GPU may add in another order.
+        let apart = first.difference(second.values());
+        if apart > if self.provider == Provider::Cpu { 0.0 } else { golden::TOLERANCE } {
+            return Err(self.failed(format!("two runs on the same image differ by {apart}")));
         }
-        Ok(())
+        match &self.model.golden {
+            Some(known) if known.difference(first.values()) > golden::TOLERANCE => {
+                let apart = known.difference(first.values());
+                Err(self.failed(format!(
+                    "on {} it is off by {apart} from what it is known to return; {} is allowed",
+                    self.provider.name(),
+                    golden::TOLERANCE
+                )))
+            }
+            _ => Ok(()),
+        }
     }
 
     /// One tile through the network.
@@ -91,7 +167,7 @@ impl Onnx {
         let [low, high] = self.model.range;
         let rows = (0..3).flat_map(|channel| (0..tile.height).map(move |y| (channel, y)));
         for (channel, y) in rows {
-            let row = &output.values[(channel * output.height + y) * output.width..][..tile.width];
+            let row = output.row(channel, y, tile.width);
             if let Some(value) = row.iter().find(|value| !(low..=high).contains(*value)) {
                 return Err(format!(
                     "network {} returned {value} for a tile of {}x{} px at ({}, {}), outside {low}..={high}: \
@@ -127,7 +203,7 @@ impl Deblurrer for Onnx {
         DeblurInfo {
             id: self.model.id.clone(),
             sha256: self.model.sha256.clone(),
-            provider: "cpu".to_owned(),
+            provider: self.provider.name().to_owned(),
             channels: self.channels,
         }
     }
@@ -144,7 +220,13 @@ struct Output {
     height: usize,
 }
 
-fn session(runtime: &Runtime, bytes: &[u8], threads: usize) -> Result<Session, String> {
+impl Output {
+    fn row(&self, channel: usize, y: usize, width: usize) -> &[f32] {
+        &self.values[(channel * self.height + y) * self.width..][..width]
+    }
+}
+
+fn session(runtime: &Runtime, bytes: &[u8], provider: Provider, threads: usize) -> Result<Session, String> {
     #[expect(clippy::needless_pass_by_value, reason = "the form that `map_err` calls")]
     fn text<R>(error: ort::Error<R>) -> String {
         error.to_string()
@@ -154,7 +236,12 @@ fn session(runtime: &Runtime, bytes: &[u8], threads: usize) -> Result<Session, S
     // driver, which shares the cores.
     let builder = builder.with_intra_op_spinning(false).map_err(text)?;
     let builder = builder.with_intra_threads(threads).map_err(text)?;
-    let mut builder = builder.with_execution_providers([ep::CPU::default().build()]).map_err(text)?;
+    // Strictly: ort would otherwise go on with the CPU and say nothing.
+    let provider = match provider {
+        Provider::Cuda => ep::CUDA::default().build().error_on_failure(),
+        Provider::Cpu => ep::CPU::default().build(),
+    };
+    let mut builder = builder.with_execution_providers([provider]).map_err(text)?;
     builder.commit_from_memory(bytes).map_err(text)
 }
 
@@ -194,19 +281,6 @@ fn image_shape(value: &ValueType) -> Result<[i64; 4], String> {
         }
         other => Err(format!("is {other} instead of a tensor of 32-bit floats")),
     }
-}
-
-/// Smooth colours with an edge: what networks are made for.
-fn test_pattern() -> Image {
-    let mut image = Image::new(TEST_SIDE, TEST_SIDE);
-    for y in 0..TEST_SIDE {
-        for x in 0..TEST_SIDE {
-            let (u, v) = (x as f32 / TEST_SIDE as f32, y as f32 / TEST_SIDE as f32);
-            let edge = if x / 16 % 2 == y / 16 % 2 { 0.2 } else { 0.0 };
-            image.set(x, y, [0.2 + 0.5 * u + edge, 0.2 + 0.5 * v + edge, 0.7 - 0.5 * u * v]);
-        }
-    }
-    image
 }
 
 #[cfg(test)]

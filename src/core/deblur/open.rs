@@ -38,12 +38,13 @@ pub fn open(choice: &str, options: &OpenOptions<'_>) -> Result<Opened, DeblurErr
     if choice == "identity" {
         return Ok(Opened { deblurrer: Box::new(Identity), fallbacks: Vec::new() });
     }
-    let model = Manifest::embedded().resolve(choice, options.models)?;
+    let model = Manifest::known(options.models)?.resolve(choice, options.models)?;
     let runtime = runtime::load(options.runtime, options.search)?;
-    let network: Box<dyn Deblurrer> = Box::new(Onnx::load(&runtime, model, options.threads)?);
+    let (network, without_cuda) = Onnx::load(&runtime, &model, options.threads)?;
+    let network: Box<dyn Deblurrer> = Box::new(network);
     let info = network.describe();
     let takes_guide = info.channels == 6;
-    let mut fallbacks = Vec::new();
+    let mut fallbacks = Vec::from_iter(without_cuda);
     if !takes_guide && !options.blend {
         fallbacks.push(format!(
             "network {} takes no guide: rounds after the first feed it the mean of view and render",

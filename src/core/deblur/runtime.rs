@@ -21,6 +21,10 @@ pub const LIBRARY: &str = if cfg!(windows) {
     "libonnxruntime.so"
 };
 
+/// The part of the library for NVIDIA GPUs.
+pub(crate) const CUDA_LIBRARY: &str =
+    if cfg!(windows) { "onnxruntime_providers_cuda.dll" } else { "libonnxruntime_providers_cuda.so" };
+
 /// ONNX Runtime, started.
 #[derive(Clone, Debug)]
 pub struct Runtime {
@@ -41,6 +45,11 @@ impl Runtime {
     /// The facts for `doctor` and the report.
     pub fn info(&self) -> &RuntimeInfo {
         &self.info
+    }
+
+    /// Whether the library's part for CUDA lies beside it. Whether it works, only loading a network on it tells.
+    pub fn has_cuda(&self) -> bool {
+        self.info.path.parent().is_some_and(|folder| folder.join(CUDA_LIBRARY).is_file())
     }
 
     pub(crate) fn environment(&self) -> &Environment {
@@ -117,6 +126,14 @@ fn start(info: RuntimeInfo) -> Result<Runtime, DeblurError> {
         .map_err(|e| unusable(e.to_string()))?;
     environment.set_log_level(LogLevel::Warning);
     Ok(Runtime { environment, info })
+}
+
+/// The tests' runtime, as if it had been found in `folder`.
+#[cfg(test)]
+pub(crate) fn as_if_in(folder: &Path) -> Runtime {
+    let runtime = for_tests();
+    let info = RuntimeInfo { path: folder.join(LIBRARY), version: runtime.info.version };
+    Runtime { environment: runtime.environment, info }
 }
 
 /// The library that `make onnxruntime` fetched, for the tests of this crate.

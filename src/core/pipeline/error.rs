@@ -211,6 +211,8 @@ fn deblur_kind(error: &DeblurError) -> ErrorKind {
         DeblurError::RuntimeMissing { .. }
         | DeblurError::RuntimeUnusable { .. }
         | DeblurError::ModelFileMissing { .. }
+        | DeblurError::ManifestUnreadable { .. }
+        | DeblurError::ModelNotKept { .. }
         | DeblurError::ModelUnreadable { .. }
         | DeblurError::ModelChecksum { .. }
         | DeblurError::ModelUnusable { .. }

@@ -41,6 +41,7 @@ fn serve(data: &Path, address_file: &Path) -> Result<(), Box<dyn std::error::Err
         job_command: command("run"),
         render_command: command("render-worker"),
         doctor_command: command("doctor"),
+        models: std::env::var_os("FLED_MODELS").into_iter().map(Into::into).collect(),
         limits: Limits {
             lease: Duration::from_secs(5),
             heartbeat: Duration::from_millis(500),

@@ -1,12 +1,13 @@
 //! `/v1/jobs`.
 
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
 use axum::extract::{DefaultBodyLimit, FromRequest, Multipart, Path, Request, State};
 use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
-use fled_core::deblur::manifest::Manifest;
+use fled_core::deblur::manifest::{Manifest, Place};
 use fled_core::pipeline::config::{OptionsError, Preset};
 use serde::Deserialize;
 use serde_json::{Map, Value};
@@ -114,6 +115,7 @@ async fn from_json(app: &App, body: &CreateJob, key: Option<&str>) -> Result<Cre
     ];
     let fingerprint = blake3::hash(parts.join("\n").as_bytes()).to_hex().to_string();
     let job = new_job(
+        app,
         &capture.id,
         body.name.as_deref().unwrap_or(&capture.name),
         body.preset.as_deref(),
@@ -138,10 +140,10 @@ async fn from_upload(app: &Arc<App>, request: Request, key: Option<&str>) -> Res
     let preset = upload.fields.get("preset").cloned().filter(|preset| !preset.is_empty());
     let fingerprint = upload.fingerprint.clone();
     // Options are judged before the photographs: a typo is told at once.
-    new_job("", "", preset.as_deref(), &options)?;
+    new_job(app, "", "", preset.as_deref(), &options)?;
     let report = upload.judge().await?;
     let capture = upload.keep(app, &report).await?;
-    let job = new_job(&capture.id, &capture.name, preset.as_deref(), &options)?;
+    let job = new_job(app, &capture.id, &capture.name, preset.as_deref(), &options)?;
     let creation = app.store.create_job(&job, key, &fingerprint).await?;
     if !matches!(creation, Creation::Created(_)) && app.store.delete_capture(&capture.id).await? {
         // The job of the first request has its own capture; this copy was for nothing.
@@ -151,6 +153,7 @@ async fn from_upload(app: &Arc<App>, request: Request, key: Option<&str>) -> Res
 }
 
 fn new_job(
+    app: &App,
     capture: &str,
     name: &str,
     preset: Option<&str>,
@@ -161,7 +164,7 @@ fn new_job(
         .parse()
         .map_err(|error: OptionsError| bad_option(&error).pointer("/preset"))?;
     let options = preset.options().with_overrides(options).map_err(|error| bad_option(&error))?;
-    check_network(&options.deblur)?;
+    check_network(&app.config.models, &options.deblur)?;
     Ok(NewJob {
         id: Uuid::now_v7().to_string(),
         name: name.chars().take(200).collect(),
@@ -173,16 +176,28 @@ fn new_job(
 }
 
 /// Networks are chosen by name: a path would let a client probe the files of the server.
-fn check_network(choice: &str) -> Result<(), Problem> {
-    let manifest = Manifest::embedded();
-    let known = manifest.choices();
-    if known.contains(&choice) {
+fn check_network(folders: &[PathBuf], choice: &str) -> Result<(), Problem> {
+    let refused = |message: String| bad_option(&OptionsError { key: "deblur".to_owned(), message });
+    let manifest = Manifest::known(folders).map_err(|error| {
+        tracing::error!(%error, "the list of networks cannot be read");
+        Problem::internal()
+    })?;
+    if choice == "identity" {
         return Ok(());
     }
-    let message = format!("`{choice}` is none of {}", known.join(", "));
-    Err(bad_option(&OptionsError { key: "deblur".to_owned(), message }).hint(
-        "A file of your own can be named on the command line only: fled run CAPTURE --set deblur=FILE.",
-    ))
+    match manifest.find(choice) {
+        Some(entry) if entry.place(folders) == Place::Missing => {
+            let message = format!("the file of network `{choice}` is not on this server");
+            let hint = format!("Whoever runs the server gets it by: fled models fetch {choice}.");
+            Err(refused(message).hint(hint))
+        }
+        Some(_) => Ok(()),
+        None => {
+            let known = manifest.choices().join(", ");
+            Err(refused(format!("`{choice}` is none of {known}"))
+                .hint("Whoever runs the server can add a file: fled models add FILE --id NAME."))
+        }
+    }
 }
 
 fn bad_option(error: &OptionsError) -> Problem {

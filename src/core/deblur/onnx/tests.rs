@@ -11,7 +11,7 @@ fn file(name: &str) -> String {
 
 fn network(choice: &str) -> Result<Onnx, DeblurError> {
     let model = Manifest::embedded().resolve(choice, &[]).expect("present");
-    Onnx::load(&runtime::for_tests(), model, 1)
+    Onnx::load_on(&runtime::for_tests(), &model, Provider::Cpu, 1)
 }
 
 /// Waves, different in every channel, between 0.1 and 0.9.
@@ -107,7 +107,7 @@ fn networks_that_are_not_ours_are_refused_with_the_reason() {
 
 #[test]
 fn the_self_test_catches_infinite_and_random_values() {
-    for (name, reason) in [("infinite3.onnx", "not in"), ("random3.onnx", "differ")] {
+    for (name, reason) in [("infinite3.onnx", "not finite"), ("random3.onnx", "differ")] {
         let refused = network(&file(name)).err().expect("refused");
         assert!(matches!(refused, DeblurError::SelfTest { .. }), "{refused}");
         assert!(refused.to_string().contains(reason), "{refused}");
@@ -144,4 +144,35 @@ fn a_network_without_a_guide_is_blended_and_says_so() {
     assert!(guided.fallbacks.is_empty());
     let identity = open("identity", &OpenOptions::default()).expect("needs no library");
     assert_eq!(identity.deblurrer.describe().id, "identity");
+}
+
+#[test]
+fn the_default_network_returns_here_what_it_returned_where_it_was_trained() {
+    let model = Manifest::embedded().resolve("default", &[]).expect("built in");
+    let known = model.golden.clone().expect("a golden output");
+    let runtime = runtime::for_tests();
+    let mut network = Onnx::load_on(&runtime, &model, Provider::Cpu, 1).expect("passes its self-test");
+    // PyTorch and ONNX Runtime on another kind of processor: far inside what the self-test allows.
+    assert!(known.difference(network.golden().expect("runs").values()) < 1e-4);
+    let swapped = Golden::new(golden::view().data().to_vec()).expect("of the right size");
+    let wrong = Model { golden: Some(swapped), ..model };
+    let refused = Onnx::load_on(&runtime, &wrong, Provider::Cpu, 1).err().expect("another output is known");
+    assert!(refused.to_string().contains("on cpu it is off by"), "{refused}");
+}
+
+#[test]
+fn cuda_that_is_there_and_does_not_work_is_said_and_the_processor_used() {
+    let folder = tempfile::tempdir().expect("temporary directory");
+    let runtime = runtime::as_if_in(folder.path());
+    let model = Manifest::embedded().resolve(&file("identity3.onnx"), &[]).expect("present");
+    let (network, said) = Onnx::load(&runtime, &model, 1).expect("loads");
+    assert_eq!(
+        (network.describe().provider.as_str(), said),
+        ("cpu", None),
+        "without CUDA there is nothing to say"
+    );
+    std::fs::write(folder.path().join(runtime::CUDA_LIBRARY), "not a library").expect("write");
+    let (network, said) = Onnx::load(&runtime, &model, 1).expect("loads");
+    assert_eq!(network.describe().provider, "cpu");
+    assert!(said.as_deref().is_some_and(|text| text.contains("CUDA cannot be used")), "{said:?}");
 }

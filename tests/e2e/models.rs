@@ -1,0 +1,187 @@
+//! `fled models`: adding, checking and fetching networks, from a server of the test's own.
+
+use std::io::{BufRead, BufReader, Write};
+use std::net::{TcpListener, TcpStream};
+use std::path::{Path, PathBuf};
+use std::process::Output;
+use std::sync::{Arc, Mutex};
+
+use fled_core::deblur::manifest::digest;
+
+use crate::support;
+
+fn network(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/golden/onnx").join(format!("{name}.onnx"))
+}
+
+fn models(folder: &Path, arguments: &[&str]) -> Output {
+    let mut command = support::fled();
+    command.arg("models").args(arguments).arg("--models").arg(folder);
+    command.output().expect("the binary starts")
+}
+
+fn code(output: &Output) -> i32 {
+    output.status.code().expect("not killed")
+}
+
+fn said(output: &Output) -> String {
+    String::from_utf8_lossy(&output.stdout).into_owned() + &String::from_utf8_lossy(&output.stderr)
+}
+
+#[test]
+fn an_added_network_is_listed_checked_and_may_be_chosen() {
+    let home = tempfile::tempdir().expect("temporary folder");
+    let folder = home.path().join("models");
+    let file = network("identity3").display().to_string();
+    let added = models(&folder, &["add", &file, "--id", "mine", "--licence", "CC0-1.0"]);
+    assert_eq!(code(&added), 0, "{}", said(&added));
+    let list = said(&models(&folder, &["list"]));
+    let line = |id: &str| {
+        list.lines().find(|line| line.starts_with(id)).unwrap_or_else(|| panic!("{id} in\n{list}"))
+    };
+    assert!(line("mine").contains("single") && line("mine").contains("CC0-1.0"), "{list}");
+    assert!(line("small-u2w16").contains("built in (default)"), "{list}");
+    assert!(line("nafnet-gopro-w32").contains("fled models fetch nafnet-gopro-w32"), "{list}");
+    let verified = models(&folder, &["verify"]);
+    let text = said(&verified);
+    assert_eq!(code(&verified), 0, "{text}");
+    assert!(
+        text.lines().filter(|line| line.contains("ok") && line.contains("known values")).count() == 2,
+        "{text}"
+    );
+
+    let capture = support::small_capture(home.path());
+    let out = home.path().join("out");
+    let mut run = support::small_run(&capture, &out, 1);
+    support::succeed(run.arg("--models").arg(&folder).args(["--set", "deblur=mine"]));
+    let report = support::json(&out.join("metrics.json"));
+    assert!(
+        report["models"]["deblur"].as_str().is_some_and(|model| model.starts_with("mine sha256:")),
+        "{report}"
+    );
+
+    std::fs::write(folder.join("mine.onnx"), "damaged").expect("write");
+    let broken = models(&folder, &["verify", "mine"]);
+    assert_eq!(code(&broken), 4);
+    assert!(said(&broken).contains("damaged or another file"), "{}", said(&broken));
+    let refused = support::small_run(&capture, &home.path().join("other"), 1)
+        .env("FLED_MODELS", &folder)
+        .args(["--set", "deblur=mine"])
+        .output()
+        .expect("the binary starts");
+    assert_eq!(code(&refused), 4, "before anything is done: {}", said(&refused));
+}
+
+#[test]
+fn what_is_no_usable_network_is_not_added() {
+    let home = tempfile::tempdir().expect("temporary folder");
+    for (name, word) in
+        [("four_channels", "4 channels"), ("infinite3", "not finite"), ("fixed_size", "48x32")]
+    {
+        let refused = models(home.path(), &["add", &network(name).display().to_string()]);
+        assert_eq!(code(&refused), 4, "{name}");
+        assert!(said(&refused).contains(word), "{name}: {}", said(&refused));
+    }
+    let taken =
+        models(home.path(), &["add", &network("identity3").display().to_string(), "--id", "identity"]);
+    assert_eq!(code(&taken), 2, "{}", said(&taken));
+    let wrong = models(
+        home.path(),
+        &["add", &network("identity3").display().to_string(), "--id", "nafnet-gopro-w32"],
+    );
+    assert!(said(&wrong).contains("sha256"), "{}", said(&wrong));
+    assert_eq!(std::fs::read_dir(home.path()).expect("readable").count(), 0, "nothing is left behind");
+}
+
+/// A server of one file, which breaks its first answer off after `cut` bytes; the requests' `range` headers.
+fn serve(content: Vec<u8>, cut: usize) -> (String, Arc<Mutex<Vec<Option<String>>>>) {
+    let listener = TcpListener::bind("127.0.0.1:0").expect("a port");
+    let url = format!("http://{}/network.onnx", listener.local_addr().expect("bound"));
+    let ranges = Arc::new(Mutex::new(Vec::new()));
+    let seen = ranges.clone();
+    std::thread::spawn(move || {
+        for (count, stream) in listener.incoming().enumerate() {
+            let Ok(stream) = stream else { continue };
+            let range = answer(stream, &content, (count == 0).then_some(cut));
+            seen.lock().expect("not poisoned").push(range);
+        }
+    });
+    (url, ranges)
+}
+
+fn answer(mut stream: TcpStream, content: &[u8], cut: Option<usize>) -> Option<String> {
+    let lines = BufReader::new(stream.try_clone().expect("a second handle")).lines();
+    let head: Vec<String> = lines.map_while(Result::ok).take_while(|line| !line.is_empty()).collect();
+    let range = head.iter().find_map(|line| line.to_lowercase().strip_prefix("range: ").map(str::to_owned));
+    let from =
+        range.as_deref().and_then(|range| range.strip_prefix("bytes=")?.strip_suffix('-')?.parse().ok());
+    let from: usize = from.unwrap_or(0);
+    let status = if from > 0 {
+        format!("206 Partial Content\r\nContent-Range: bytes {from}-{}/{}", content.len() - 1, content.len())
+    } else {
+        "200 OK".to_owned()
+    };
+    let length = content.len() - from;
+    let head = format!("HTTP/1.1 {status}\r\nContent-Length: {length}\r\nConnection: close\r\n\r\n");
+    let sent = &content[from..cut.unwrap_or(content.len())];
+    let _ = stream.write_all(head.as_bytes()).and_then(|()| stream.write_all(sent));
+    range
+}
+
+/// A list that names the network at `url`.
+fn overlay(folder: &Path, url: &str, sha256: &str, bytes: usize) {
+    let entry = serde_json::json!({
+        "id": "far", "role": "single", "file": "far.onnx", "url": url, "sha256": sha256, "bytes": bytes, "licence": "MIT",
+        "channels": 3, "order": ["blurry"], "multiple": 16, "minimum_side": 16, "tile": 1024, "range": [-1.0, 2.0],
+        "input": null, "output": null, "default": false, "verified": false,
+    });
+    let text = serde_json::json!({ "models": [entry] }).to_string();
+    std::fs::write(folder.join("manifest.json"), text).expect("write");
+}
+
+#[test]
+fn a_broken_download_goes_on_where_it_stopped() {
+    let home = tempfile::tempdir().expect("temporary folder");
+    let content = std::fs::read(network("box3")).expect("golden network");
+    let (url, ranges) = serve(content.clone(), 100);
+    overlay(home.path(), &url, &digest(&content), content.len());
+    let broken = models(home.path(), &["fetch", "far"]);
+    assert_eq!(code(&broken), 4, "{}", said(&broken));
+    assert!(said(&broken).contains("stopped after 100"), "{}", said(&broken));
+    assert!(!home.path().join("far.onnx").exists(), "only a whole file may be found");
+    let whole = models(home.path(), &["fetch", "far"]);
+    assert_eq!(code(&whole), 0, "{}", said(&whole));
+    assert_eq!(std::fs::read(home.path().join("far.onnx")).expect("fetched"), content);
+    assert_eq!(*ranges.lock().expect("not poisoned"), [None, Some("bytes=100-".to_owned())]);
+    assert!(!home.path().join("far.part").exists());
+    assert_eq!(code(&models(home.path(), &["verify", "far"])), 0);
+    let again = models(home.path(), &["fetch", "far"]);
+    assert!(said(&again).contains("is here"), "{}", said(&again));
+    assert_eq!(ranges.lock().expect("not poisoned").len(), 2, "nothing is fetched twice");
+}
+
+#[test]
+fn another_file_than_the_named_one_is_thrown_away() {
+    let home = tempfile::tempdir().expect("temporary folder");
+    let content = std::fs::read(network("box3")).expect("golden network");
+    let (url, _) = serve(content.clone(), content.len());
+    overlay(home.path(), &url, &digest(b"another"), content.len());
+    let refused = models(home.path(), &["fetch", "far"]);
+    assert_eq!(code(&refused), 4);
+    assert!(
+        said(&refused).contains("It was removed") && said(&refused).contains(&digest(&content)),
+        "{}",
+        said(&refused)
+    );
+    assert!(!home.path().join("far.onnx").exists() && !home.path().join("far.part").exists());
+}
+
+#[test]
+fn without_a_network_the_way_by_hand_is_told() {
+    let home = tempfile::tempdir().expect("temporary folder");
+    let closed = TcpListener::bind("127.0.0.1:0").and_then(|listener| listener.local_addr()).expect("a port");
+    overlay(home.path(), &format!("http://{closed}/far.onnx"), &digest(b"x"), 1);
+    let refused = models(home.path(), &["fetch", "far"]);
+    assert_eq!(code(&refused), 4);
+    assert!(said(&refused).contains("fled models add FILE --id far"), "{}", said(&refused));
+}
