@@ -4,6 +4,7 @@
 //! are given and what they return are sRGB-encoded images in 0..=1 of the same size.
 
 mod blend;
+mod by_guide;
 mod error;
 pub mod golden;
 pub mod manifest;
@@ -14,10 +15,11 @@ pub mod runtime;
 mod tiling;
 
 pub use blend::Blend;
+pub use by_guide::ByGuide;
 pub use error::DeblurError;
 pub use golden::Golden;
 pub use onnx::{Onnx, Provider};
-pub use open::{OpenOptions, Opened, open};
+pub use open::{OpenOptions, Opened, open, open_enhancer};
 pub use overlay::install;
 
 use crate::image::Image;
@@ -36,6 +38,11 @@ pub trait Deblurrer: Send {
 
     /// What it is, for the report of the run.
     fn describe(&self) -> DeblurInfo;
+
+    /// What views without a guide go through, when that is another network.
+    fn unguided(&self) -> Option<DeblurInfo> {
+        None
+    }
 
     /// Sentences about what went wrong without ending the run, since the last call.
     fn take_warnings(&mut self) -> Vec<String> {

@@ -5,6 +5,7 @@
 //! fingerprint of what it was made from, so the same call after a crash goes on from the last
 //! finished stage, and inside a round from the last checkpoint.
 
+mod brighten;
 pub mod config;
 pub mod error;
 mod evaluate;
@@ -45,6 +46,8 @@ pub struct Tools<'a> {
     pub sfm: &'a dyn Sfm,
     /// The deblurring network, with the wrapping that the option `guide` asks for.
     pub deblurrer: &'a mut dyn Deblurrer,
+    /// The network that brightens in place of the tone curve: a baseline.
+    pub enhancer: Option<&'a mut dyn Deblurrer>,
     /// What was already used in place of what was asked for, one sentence each.
     pub fallbacks: Vec<String>,
     /// Folder in which poses are kept from run to run. COLMAP draws from the system's entropy,

@@ -103,7 +103,7 @@ fn checks(args: &Args) -> Vec<Check> {
 
 /// The default network, opened, and the user's own, their checksums.
 fn models(open: &deblur::OpenOptions<'_>) -> Result<String, DeblurError> {
-    let opened = deblur::open("default", open)?;
+    let opened = deblur::open("default", "same", open)?;
     let info = opened.deblurrer.describe();
     let mut found = format!("{} on {}, sha256 {}", info.id, info.provider, info.sha256);
     for fallback in opened.fallbacks {

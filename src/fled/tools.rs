@@ -98,6 +98,7 @@ pub struct Kit {
     gpu: Gpu,
     sfm: Box<dyn Sfm>,
     deblurrer: Box<dyn Deblurrer>,
+    enhancer: Option<Box<dyn Deblurrer>>,
     fallbacks: Vec<String>,
     pose_cache: Option<PathBuf>,
 }
@@ -110,9 +111,13 @@ impl Kit {
     /// for that the capture does not bring.
     pub fn new(args: &Args, options: &Options, capture: &Capture) -> Result<Self, Failure> {
         let gpu = Gpu::new(&options.adapter).map_err(|e| Failure::new(ErrorKind::Environment, e))?;
-        let deblur::Opened { deblurrer, fallbacks } = open_deblurrer(args, options)?;
+        let (deblur::Opened { deblurrer, mut fallbacks }, enhancer) = open_networks(args, options)?;
+        let enhancer = enhancer.map(|opened| {
+            fallbacks.extend(opened.fallbacks);
+            opened.deblurrer
+        });
         let sfm = sfm(args, options, capture)?;
-        Ok(Self { gpu, sfm, deblurrer, fallbacks, pose_cache: args.pose_cache() })
+        Ok(Self { gpu, sfm, deblurrer, enhancer, fallbacks, pose_cache: args.pose_cache() })
     }
 
     /// The device.
@@ -126,6 +131,7 @@ impl Kit {
             gpu: &self.gpu,
             sfm: self.sfm.as_ref(),
             deblurrer: self.deblurrer.as_mut(),
+            enhancer: self.enhancer.as_mut().map(|enhancer| &mut **enhancer as &mut dyn Deblurrer),
             fallbacks: self.fallbacks.clone(),
             pose_cache: self.pose_cache.clone(),
         }
@@ -149,7 +155,10 @@ fn sfm(args: &Args, options: &Options, capture: &Capture) -> Result<Box<dyn Sfm>
     }
 }
 
-fn open_deblurrer(args: &Args, options: &Options) -> Result<deblur::Opened, Failure> {
+fn open_networks(
+    args: &Args,
+    options: &Options,
+) -> Result<(deblur::Opened, Option<deblur::Opened>), Failure> {
     let search = Args::library_folders();
     let open = deblur::OpenOptions {
         runtime: args.onnxruntime.as_deref(),
@@ -158,7 +167,9 @@ fn open_deblurrer(args: &Args, options: &Options) -> Result<deblur::Opened, Fail
         threads: 0,
         blend: options.guide == Guide::Blend,
     };
-    deblur::open(&options.deblur, &open).map_err(|e| PipelineError::from(e).into())
+    let deblurrer = deblur::open(&options.deblur, &options.deblur_unguided, &open);
+    let enhancer = deblur::open_enhancer(&options.enhance, &open);
+    Ok((deblurrer.map_err(PipelineError::from)?, enhancer.map_err(PipelineError::from)?))
 }
 
 /// A token that SIGINT and SIGTERM raise. A second signal ends the process at once.

@@ -62,6 +62,8 @@ def main():
     save("loud3", [
         node("Greater", ["view", "limit"], "bright"), node("Where", ["bright", "nine", "view"]),
     ], [("limit", np.array(0.95, np.float32)), ("nine", np.array(9, np.float32))])
+    # Brightens: the square root.
+    save("root3", [node("Pow", ["view", "half"])], [("half", np.array(0.5, np.float32))])
     save("infinite3", [node("Div", ["view", "zero"])], [("zero", np.array(0, np.float32))])
     save("random3", [
         node("RandomNormalLike", ["view"], "noise", scale=0.01), node("Add", ["view", "noise"]),

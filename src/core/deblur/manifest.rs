@@ -173,10 +173,10 @@ impl Manifest {
         self.models.iter().find(|entry| entry.id == choice || (choice == "default" && entry.default))
     }
 
-    /// What may be chosen without naming a file: `default`, `identity` and the ids.
+    /// The networks that may be chosen without naming a file: `default` and the ids.
     pub fn choices(&self) -> Vec<&str> {
         let ids = self.models.iter().map(|entry| entry.id.as_str());
-        ["default", "identity"].into_iter().chain(ids).collect()
+        std::iter::once("default").chain(ids).collect()
     }
 
     /// The network that `choice` means: `default`, an id, or the path of an ONNX file. Files of

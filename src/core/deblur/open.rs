@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use crate::deblur::manifest::Manifest;
-use crate::deblur::{Blend, DeblurError, Deblurrer, Identity, Onnx, runtime};
+use crate::deblur::{Blend, ByGuide, DeblurError, Deblurrer, Identity, Onnx, runtime};
 
 /// Where to look and how to run.
 #[derive(Clone, Copy, Debug, Default)]
@@ -28,13 +28,41 @@ pub struct Opened {
     pub fallbacks: Vec<String>,
 }
 
-/// Opens what the option `deblur` means: `identity`, `default`, a manifest id, or the path of an
-/// ONNX file. A network that takes no guide is wrapped in [`Blend`], and says so.
+/// Opens what the options mean: `deblur` is `identity`, `default`, a manifest id, or the path of an ONNX file; `unguided`
+/// likewise, or `same`. A network that takes no guide and is to be given one is wrapped in [`Blend`], and says so.
 ///
 /// # Errors
 /// Any [`DeblurError`] of finding the library, finding the file, or loading it. Never falls back
 /// to [`Identity`] by itself.
-pub fn open(choice: &str, options: &OpenOptions<'_>) -> Result<Opened, DeblurError> {
+pub fn open(deblur: &str, unguided: &str, options: &OpenOptions<'_>) -> Result<Opened, DeblurError> {
+    let guided = open_one(deblur, options)?;
+    if unguided == "same" || unguided == deblur {
+        return Ok(guided);
+    }
+    // Never given a guide, so there is nothing to say about how it would take one.
+    let first = open_one(unguided, &OpenOptions { blend: true, ..*options })?;
+    let deblurrer = Box::new(ByGuide::new(first.deblurrer, guided.deblurrer));
+    Ok(Opened { deblurrer, fallbacks: [first.fallbacks, guided.fallbacks].concat() })
+}
+
+/// Opens the network that the option `enhance` means; `None` for `curve`.
+///
+/// # Errors
+/// As [`open`]; [`DeblurError::ModelUnusable`] when it wants a guide.
+pub fn open_enhancer(enhance: &str, options: &OpenOptions<'_>) -> Result<Option<Opened>, DeblurError> {
+    if enhance == "curve" {
+        return Ok(None);
+    }
+    let opened = open_one(enhance, &OpenOptions { blend: false, ..*options })?;
+    let info = opened.deblurrer.describe();
+    if info.channels == 6 {
+        let detail = "it wants a guide; one that brightens takes 3 channels".to_owned();
+        return Err(DeblurError::ModelUnusable { id: info.id, detail });
+    }
+    Ok(Some(Opened { deblurrer: opened.deblurrer, fallbacks: Vec::new() }))
+}
+
+fn open_one(choice: &str, options: &OpenOptions<'_>) -> Result<Opened, DeblurError> {
     if choice == "identity" {
         return Ok(Opened { deblurrer: Box::new(Identity), fallbacks: Vec::new() });
     }

@@ -28,6 +28,11 @@ pub struct Options {
     pub lut_scope: LutScope,
     /// `default`, a manifest id, `identity`, or, on the command line only, a path to an ONNX file.
     pub deblur: String,
+    /// The network for views without a guide, those of round 1: `same` as `deblur`, or chosen likewise.
+    pub deblur_unguided: String,
+    /// What brightens: `curve`, step by step; or, as a baseline, a network of 3 channels, chosen as `deblur` is, that is given
+    /// each dark photograph and whose brightness then serves every round.
+    pub enhance: String,
     /// What guides the deblurring of rounds after the first.
     pub guide: Guide,
     /// The noise field.
@@ -191,6 +196,8 @@ impl Preset {
             target: "auto".to_owned(),
             lut_scope: LutScope::Scene,
             deblur: "default".to_owned(),
+            deblur_unguided: "same".to_owned(),
+            enhance: "curve".to_owned(),
             guide: Guide::Render,
             noise: NoiseMode::Grid,
             shake: ShakeModel::Kernel,

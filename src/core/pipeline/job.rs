@@ -11,7 +11,9 @@ use super::views::working_size;
 use super::workspace::{Workspace, fingerprint};
 use crate::cancel::CancelToken;
 use crate::capture::Capture;
+use crate::deblur::DeblurInfo;
 use crate::event::{Event, ProgressSink, Stage};
+use crate::image::Image;
 use crate::metrics::RoundMetrics;
 
 /// One run of the pipeline.
@@ -31,6 +33,8 @@ pub struct Job<'a, 't> {
     pub(super) poses_facts: BTreeMap<String, serde_json::Value>,
     /// Fingerprint of everything that the rounds depend on, set once the poses are known.
     pub(super) inputs: String,
+    /// The views as the enhancing network brightened them, where there is one.
+    pub(super) brightened: Option<Vec<Image>>,
 }
 
 impl<'a, 't> Job<'a, 't> {
@@ -51,10 +55,11 @@ impl<'a, 't> Job<'a, 't> {
             width * height
         });
         sink.event(&Event::Planned { rounds: options.rounds, views: views as u32 });
-        let deblurrer = tools.deblurrer.describe();
         let adapter = tools.gpu.describe();
         sink.log(format!("adapter: {adapter}"));
-        sink.log(format!("deblur: {} on {}", deblurrer.id, deblurrer.provider));
+        for (use_of, network) in networks(tools) {
+            sink.log(format!("{use_of}: {} on {}", network.id, network.provider));
+        }
         let trained_on = if options.trains_on_enhanced() { "enhanced" } else { "deblurred" };
         sink.log(format!("the scene is trained on the {trained_on} views"));
         for fallback in &tools.fallbacks {
@@ -74,7 +79,13 @@ impl<'a, 't> Job<'a, 't> {
             started: Instant::now(),
             poses_facts: BTreeMap::new(),
             inputs: String::new(),
+            brightened: None,
         })
+    }
+
+    /// The networks of this run, by what they are for.
+    pub(super) fn networks(&self) -> Vec<(&'static str, DeblurInfo)> {
+        networks(self.tools)
     }
 
     /// Fingerprint of a stage of a round: the run's inputs and all rounds before are in it.
@@ -123,4 +134,11 @@ impl<'a, 't> Job<'a, 't> {
         });
         self.plan.advance(stage, done as f64 / total.max(1) as f64, self.sink);
     }
+}
+
+fn networks(tools: &Tools<'_>) -> Vec<(&'static str, DeblurInfo)> {
+    let mut networks = vec![("deblur", tools.deblurrer.describe())];
+    networks.extend(tools.deblurrer.unguided().map(|info| ("deblur_unguided", info)));
+    networks.extend(tools.enhancer.as_ref().map(|enhancer| ("enhance", enhancer.describe())));
+    networks
 }

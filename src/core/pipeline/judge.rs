@@ -101,7 +101,7 @@ impl Job<'_, '_> {
     }
 
     /// The anchors for which E(R; P) looks like `wanted`: one search over a few views, or one a view.
-    fn fit(&self, renders: &[Image], wanted: &[Image]) -> Vec<Anchor> {
+    pub(super) fn fit(&self, renders: &[Image], wanted: &[Image]) -> Vec<Anchor> {
         let seed = self.options.seed;
         match self.options.lut_scope {
             LutScope::Scene => {

@@ -12,6 +12,7 @@ use super::job::Job;
 use super::judge::BRIGHTENED;
 use super::training::Training;
 use crate::camera::NamedCamera;
+use crate::deblur::DeblurInfo;
 use crate::event::Event;
 use crate::metrics::Report;
 use crate::poses::Poses;
@@ -50,8 +51,9 @@ impl Job<'_, '_> {
     }
 
     fn report(&self) -> Report {
-        let deblurrer = self.tools.deblurrer.describe();
-        let model = format!("{} sha256:{} on {}", deblurrer.id, deblurrer.sha256, deblurrer.provider);
+        let model = |info: &DeblurInfo| format!("{} sha256:{} on {}", info.id, info.sha256, info.provider);
+        let models =
+            self.networks().iter().map(|(use_of, info)| ((*use_of).to_owned(), model(info))).collect();
         let count = |key: &str| {
             self.poses_facts.get(key).and_then(serde_json::Value::as_u64).unwrap_or_default() as u32
         };
@@ -62,7 +64,7 @@ impl Job<'_, '_> {
             views: count("total"),
             stages: self.seconds.iter().map(|(stage, s)| (stage.name().to_owned(), *s)).collect(),
             adapter: self.tools.gpu.describe().to_string(),
-            models: BTreeMap::from([("deblur".to_owned(), model)]),
+            models,
             fallbacks: self.tools.fallbacks.clone(),
             poses: self.poses_facts.clone(),
             seed: self.options.seed,

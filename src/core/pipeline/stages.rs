@@ -3,19 +3,16 @@
 use std::path::Path;
 use std::time::Instant;
 
-use super::config::{Guide, OptionsError};
+use super::config::Guide;
 use super::error::PipelineError;
 use super::job::Job;
-use super::tone::Tone;
 use super::training::Scene;
 use super::views::{self, View};
 use super::workspace::fingerprint;
 use crate::camera::NamedCamera;
-use crate::enhance::{self, Anchor};
 use crate::event::Stage;
 use crate::image::{EncodeFormat, Image};
 use crate::poses::Poses;
-use crate::reconstruct::Response;
 
 /// JPEG quality of the pictures that people look at; metrics never read them.
 const PREVIEW_QUALITY: u8 = 90;
@@ -63,13 +60,14 @@ impl Job<'_, '_> {
     fn rounds_fingerprint(&self, poses: &Poses) -> String {
         let options = serde_json::to_string(self.options).unwrap_or_default();
         let poses = serde_json::to_string(poses).unwrap_or_default();
-        let deblurrer = self.tools.deblurrer.describe();
+        let networks = self.networks();
+        let networks: Vec<String> =
+            networks.iter().map(|(use_of, info)| format!("{use_of} {} {}", info.id, info.sha256)).collect();
         fingerprint(&[
             &self.capture.fingerprint,
             &poses,
             &options,
-            &deblurrer.id,
-            &deblurrer.sha256,
+            &networks.join(" "),
             &self.tools.gpu.describe().to_string(),
         ])
     }
@@ -100,43 +98,6 @@ impl Job<'_, '_> {
         let cameras: Vec<NamedCamera> =
             views.iter().map(|view| NamedCamera::new(&view.name, &view.camera, view.split)).collect();
         self.workspace.write_json(&self.workspace.path("cameras.json"), &cameras)
-    }
-
-    /// P_1..P_N.
-    pub fn anchors(&mut self, views: &[View]) -> Result<Vec<Anchor>, PipelineError> {
-        let pooled = enhance::Histogram::pooled(views.iter().map(|view| &view.dark));
-        let target = enhance::resolve_target(&self.options.target, &pooled)
-            .map_err(|e| OptionsError { key: "target".to_owned(), message: e.to_string() })?;
-        self.sink.log(format!("target brightness: alpha {:.3}, gamma {:.3}", target.alpha, target.gamma));
-        Ok(enhance::anchors(self.options.rounds, target))
-    }
-
-    /// E(L; P) of every view, without a stage of its own.
-    pub fn enhanced(&self, views: &[View], anchor: Anchor) -> Vec<Image> {
-        let dark: Vec<Image> = views.iter().map(|view| view.dark.clone()).collect();
-        Tone::fit(self.options.lut_scope, &dark, &[anchor]).apply(&dark)
-    }
-
-    /// How light becomes the values of H_i: the camera's sRGB, then the round's curve.
-    pub fn response(&self, views: &[View], anchor: Anchor) -> Response {
-        let dark: Vec<Image> = views.iter().map(|view| view.dark.clone()).collect();
-        let tone = Tone::fit(self.options.lut_scope, &dark, &[anchor]);
-        Response::through(|v| tone.scene().apply_colour([v; 3])[0])
-    }
-
-    /// H_i = E(L; P_i), always from the original dark views.
-    pub fn enhance(
-        &mut self,
-        round: u32,
-        views: &[View],
-        anchor: Anchor,
-    ) -> Result<Vec<Image>, PipelineError> {
-        self.round_seconds = 0.0;
-        self.stage(Stage::Enhance, round, |job| {
-            let enhanced = job.enhanced(views, anchor);
-            job.previews(round, "enhanced", views, &enhanced)?;
-            Ok(enhanced)
-        })
     }
 
     /// D_i: every view through the network, from round 2 on guided by HR.

@@ -164,7 +164,13 @@ fn new_job(
         .parse()
         .map_err(|error: OptionsError| bad_option(&error).pointer("/preset"))?;
     let options = preset.options().with_overrides(options).map_err(|error| bad_option(&error))?;
-    check_network(&app.config.models, &options.deblur)?;
+    for (key, choice, words) in [
+        ("deblur", &options.deblur, &["identity"][..]),
+        ("deblur_unguided", &options.deblur_unguided, &["same", "identity"]),
+        ("enhance", &options.enhance, &["curve"]),
+    ] {
+        check_network(&app.config.models, key, choice, words)?;
+    }
     Ok(NewJob {
         id: Uuid::now_v7().to_string(),
         name: name.chars().take(200).collect(),
@@ -176,13 +182,14 @@ fn new_job(
 }
 
 /// Networks are chosen by name: a path would let a client probe the files of the server.
-fn check_network(folders: &[PathBuf], choice: &str) -> Result<(), Problem> {
-    let refused = |message: String| bad_option(&OptionsError { key: "deblur".to_owned(), message });
+/// `words` are what the option may say besides.
+fn check_network(folders: &[PathBuf], key: &str, choice: &str, words: &[&str]) -> Result<(), Problem> {
+    let refused = |message: String| bad_option(&OptionsError { key: key.to_owned(), message });
     let manifest = Manifest::known(folders).map_err(|error| {
         tracing::error!(%error, "the list of networks cannot be read");
         Problem::internal()
     })?;
-    if choice == "identity" {
+    if words.contains(&choice) {
         return Ok(());
     }
     match manifest.find(choice) {

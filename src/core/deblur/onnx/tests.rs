@@ -131,7 +131,7 @@ fn the_default_network_is_deterministic_and_stays_near_a_clean_view() {
 fn a_network_without_a_guide_is_blended_and_says_so() {
     let search = [PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../../.onnxruntime"))];
     let options = OpenOptions { search: &search, threads: 1, ..OpenOptions::default() };
-    let mut opened = open(&file("identity3.onnx"), &options).expect("opens");
+    let mut opened = open(&file("identity3.onnx"), "same", &options).expect("opens");
     assert_eq!(opened.fallbacks.len(), 1, "{:?}", opened.fallbacks);
     let (view, guide) = (waves(20, 20, 0.0), waves(20, 20, 1.0));
     let mean = view.data().iter().zip(guide.data()).map(|(v, g)| 0.5 * (v + g)).collect();
@@ -140,9 +140,9 @@ fn a_network_without_a_guide_is_blended_and_says_so() {
 
     let refused = network(&file("identity3.onnx")).expect("loads").deblur(&view, Some(&guide));
     assert!(matches!(refused, Err(DeblurError::GuideUnsupported { .. })));
-    let guided = open(&file("mix6.onnx"), &options).expect("opens");
+    let guided = open(&file("mix6.onnx"), "same", &options).expect("opens");
     assert!(guided.fallbacks.is_empty());
-    let identity = open("identity", &OpenOptions::default()).expect("needs no library");
+    let identity = open("identity", "same", &OpenOptions::default()).expect("needs no library");
     assert_eq!(identity.deblurrer.describe().id, "identity");
 }
 
