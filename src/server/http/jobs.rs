@@ -200,7 +200,7 @@ fn check_network(folders: &[PathBuf], key: &str, choice: &str, words: &[&str]) -
         }
         Some(_) => Ok(()),
         None => {
-            let known = manifest.choices().join(", ");
+            let known = [words, &manifest.choices()].concat().join(", ");
             Err(refused(format!("`{choice}` is none of {known}"))
                 .hint("Whoever runs the server can add a file: fled models add FILE --id NAME."))
         }

@@ -80,6 +80,14 @@ fn an_unknown_option_is_refused_with_a_pointer_to_it() {
     let networks = post(json!({ "deblur": "/etc/hostname" }));
     assert_eq!(networks["pointer"], "/options/deblur");
     assert!(networks["detail"].as_str().is_some_and(|text| text.contains("identity")), "{networks:#}");
+    let networks = post(json!({ "deblur": "nafnet-gopro-w32" }));
+    assert!(
+        networks["hint"].as_str().is_some_and(|hint| hint.contains("fled models fetch nafnet-gopro-w32")),
+        "known, but its file is not here: {networks:#}"
+    );
+    assert_eq!(post(json!({ "deblur_unguided": "a.onnx" }))["pointer"], "/options/deblur_unguided");
+    let enhance = post(json!({ "enhance": "identity" }));
+    assert!(enhance["detail"].as_str().is_some_and(|text| text.contains("curve")), "{enhance:#}");
     let reply =
         server.post_json("/v1/jobs", &json!({ "capture_id": capture, "preset": "fast" }), &[]).expect(422);
     assert_eq!(reply.json()["pointer"], "/preset");
