@@ -107,7 +107,7 @@ def random_exposure(rng):
         # Cheap sensors and old cameras read out far noisier than the fitted line.
         jitter += rng.uniform(0, 2.5)
     shot, read = sensor(np.exp(rng.uniform(np.log(100), np.log(1600))), jitter)
-    if rng.random() < 0.25:
+    if rng.random() < 0.3:
         # Under noise the network learns to average; to deblur it learns from what has none.
         shot, read = 0.0, 0.0
     return Exposure(
@@ -170,11 +170,11 @@ class Blur:
 
 
 def random_blur(rng, shape):
-    """The training distribution: 70 % shake, 15 % varying shake, 10 % none, 5 % defocus."""
+    """The training distribution: 68 % shake, 15 % varying shake, 12 % none, 5 % defocus."""
     kind = rng.random()
-    if kind < 0.70:
+    if kind < 0.68:
         return Blur([shake_kernel(rng, rng.uniform(0, 25) * rng.uniform(0.3, 1))])
-    if kind < 0.85:
+    if kind < 0.83:
         extent = rng.uniform(2, 22)
         kernels = [shake_kernel(rng, extent * rng.uniform(0.3, 1)) for _ in range(2)]
         ramp = smooth_field(rng, shape, 2)

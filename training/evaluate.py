@@ -1,6 +1,7 @@
 """PSNR tables of ONNX deblurring networks, on held-out photographs and on captures with ground truth.
 
     python evaluate.py ../models/small-u2w16.onnx other.onnx --captures DIR --crops crops
+    python evaluate.py ../models/small-u2w16.onnx --gates        # fails when the network is not good enough to be shipped
 """
 
 import argparse
@@ -103,6 +104,19 @@ def held_out_table(models, repeats, crops):
     return rows
 
 
+def gates(rows):
+    """(what is asked, dB asked, dB there) of the first network in the rows of `held_out_table`."""
+    by_case = {row[0]: row[1:] for row in rows}
+    sharp, clean = by_case["sharp and clean"], by_case["blur 8 px, clean"]
+    paper = by_case["paper-like: blur 8, dark x10, noise"]
+    return [
+        ("a sharp, clean image comes back at", 40.0, sharp[2]),
+        ("blur 8 px, clean: single above the input by", 1.5, clean[2] - clean[0]),
+        ("paper-like: single above the input by", 3.0, paper[2] - paper[0]),
+        ("paper-like: guided above the guide by", 1.0, paper[3] - paper[1]),
+    ]
+
+
 def save_crop(path, images, side=192):
     """The middles of the images side by side."""
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -139,15 +153,22 @@ def main():
     parser.add_argument("models", type=Path, nargs="+")
     parser.add_argument("--captures", type=Path, help="folder of captures with images/ and gt/")
     parser.add_argument("--repeats", type=int, default=3, help="kernels and noise per photograph and case")
+    parser.add_argument("--gates", action="store_true", help="judge the first network by its table")
     parser.add_argument("--crops", type=Path, help="write crops of the results here")
     options = parser.parse_args()
     models = [Model(path) for path in options.models]
     names = [path.stem for path in options.models]
     header = ["case", "input", "guide alone"] + [f"{name} {kind}" for name in names for kind in ("single", "guided")]
-    print(table(header, held_out_table(models, options.repeats, options.crops)), flush=True)
+    rows = held_out_table(models, options.repeats, options.crops)
+    print(table(header, rows), flush=True)
     if options.captures:
         folders = sorted(path for path in options.captures.iterdir() if (path / "gt").is_dir())
         print("\n" + table(["capture", "views", "input", *names], [capture_rows(models, f, options.crops) for f in folders]))
+    if options.gates:
+        verdicts = gates(rows)
+        print("\n" + table(["gate", "asked, dB", "there, dB"], verdicts))
+        if any(there < asked for _, asked, there in verdicts):
+            raise SystemExit("not every gate is passed")
 
 
 if __name__ == "__main__":

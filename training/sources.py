@@ -1,15 +1,33 @@
-"""Sharp images to learn from: the sample photographs of two packages, and procedural scenes."""
+"""Sharp images to learn from: the sample photographs of two packages, and procedural scenes.
 
+    python sources.py photographs
+
+copies the photographs, for a machine that lacks the packages; FLED_PHOTOGRAPHS names the folder there.
+"""
+
+import importlib.util
+import os
+import shutil
+import sys
 from pathlib import Path
 
 import numpy as np
 import scipy.ndimage as nd
-import skimage
-import sklearn
 from PIL import Image, ImageDraw, ImageFont
 
-SKIMAGE = Path(skimage.__file__).parent / "data"
-SKLEARN = Path(sklearn.__file__).parent / "datasets" / "images"
+
+def folder(package, *below):
+    """Where a package keeps its photographs."""
+    if "FLED_PHOTOGRAPHS" in os.environ:
+        return Path(os.environ["FLED_PHOTOGRAPHS"])
+    found = importlib.util.find_spec(package)
+    if found is None:
+        raise SystemExit(f"{package} is missing: install requirements.txt, or set FLED_PHOTOGRAPHS")
+    return Path(found.origin).parent.joinpath(*below)
+
+
+SKIMAGE = folder("skimage", "data")
+SKLEARN = folder("sklearn", "datasets", "images")
 
 TRAINING = [
     SKIMAGE / name
@@ -205,3 +223,10 @@ def augment(rng, image):
     if rng.random() < 0.7:
         image = image ** np.float32(np.exp(rng.normal() * 0.25)) * (1 - 0.4 * rng.random(3, np.float32) ** 2)
     return np.ascontiguousarray(image, np.float32)
+
+
+if __name__ == "__main__":
+    target = Path(sys.argv[1])
+    target.mkdir(parents=True, exist_ok=True)
+    for path in TRAINING + HELD_OUT:
+        shutil.copy(path, target)

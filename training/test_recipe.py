@@ -1,6 +1,7 @@
 """Checks of the recipe's parts: python -m unittest"""
 
 import importlib.util
+import itertools
 import json
 import tempfile
 import unittest
@@ -14,7 +15,7 @@ import degrade
 import export
 import sources
 import tone_curve
-from network import Network
+from network import Network, logarithmic_loss
 
 
 def ramp():
@@ -84,6 +85,40 @@ class Degradation(unittest.TestCase):
         np.testing.assert_allclose(degrade.encode(degrade.decode(levels)), levels, atol=1e-5)
 
 
+class Guides(unittest.TestCase):
+    def test_a_render_guides_where_it_agrees_and_only_there(self):
+        # The numbers of the product's own test (pipeline/guide.rs).
+        view = np.full((32, 64, 3), 0.5, np.float32)
+        render = view + 0.01
+        render[:, :24] = 0.1, 0.2, 0.9
+        guide = degrade.trusted(view, render)
+        self.assertAlmostEqual(float(guide[16, 4, 2]), 0.5, delta=0.01)
+        self.assertAlmostEqual(float(guide[16, 60, 0]), 0.51, delta=1e-3)
+
+    def test_real_renders_are_part_of_the_stream_where_there_are_any(self):
+        with tempfile.TemporaryDirectory() as folder:
+            planes = np.arange(9, dtype=np.float16)[:, None, None] / 16 + np.zeros((9, 180, 320), np.float16)
+            np.save(Path(folder) / "1000-000.npy", planes)
+            drawn = [pair for pair, _ in itertools.islice(dataset.Patches(3, 0, folder), 200)]
+            real = sum(bool((pair[1] == pair[1, 0, 0]).all() and pair[5, 0, 0] == 5 / 16) for pair in drawn)
+            self.assertTrue(10 < real < 100, real)
+        with self.assertRaises(FileNotFoundError):
+            dataset.Patches(3, 0, "/nowhere")
+
+
+class Loss(unittest.TestCase):
+    def test_a_tenth_off_any_samples_error_counts_the_same(self):
+        clean = torch.zeros(2, 3, 16, 16)
+        noisy, nearly = torch.full((1, 3, 16, 16), 0.3), torch.full((1, 3, 16, 16), 0.03)
+
+        def loss(first, second):
+            return float(logarithmic_loss(torch.cat([first * noisy, second * nearly]), clean, 0.1))
+
+        whole = loss(1, 1)
+        self.assertAlmostEqual(whole - loss(0.9, 1), whole - loss(1, 0.9), delta=0.01)
+        self.assertGreater(whole - loss(0.9, 1), 0.05)
+
+
 class Data(unittest.TestCase):
     def test_held_out_photographs_are_never_trained_on(self):
         self.assertFalse({path.name for path in sources.TRAINING} & {path.name for path in sources.HELD_OUT})
@@ -99,6 +134,15 @@ class Export(unittest.TestCase):
         torch.manual_seed(0)
         network = Network().eval()
         self.assertLess(export.largest_difference(export.build(network), network), export.TOLERANCE)
+
+    def test_the_golden_output_is_that_of_the_products_images(self):
+        images = export.test_images()[0].numpy()
+        self.assertEqual(images.shape, (6, export.SIDE, export.SIDE))
+        # As golden.rs has them: column 5 and row 20 lie in different squares, 5 and 3 in one.
+        np.testing.assert_allclose(images[:3, 20, 5], [0.2 + 2.5 / 64, 0.2 + 10 / 64, 0.7 - 0.5 * 100 / 4096], atol=1e-6)
+        np.testing.assert_allclose(images[:3, 3, 5], [0.4 + 2.5 / 64, 0.4 + 1.5 / 64, 0.7 - 0.5 * 15 / 4096], atol=1e-6)
+        np.testing.assert_allclose(images[3:, 5, 20], images[:3, 20, 5], atol=1e-7)
+        self.assertEqual(len(export.golden(Network().eval())), 4 * 3 * export.SIDE**2)
 
     def test_the_comparison_notices_a_changed_weight(self):
         network = Network().eval()

@@ -18,12 +18,14 @@ import torch
 from torch.utils.data import DataLoader
 
 from dataset import Patches
-from network import Network, charbonnier, frequency_loss
+from network import Network, logarithmic_loss
 
 WARM_UP = 0.02
 # Share of the budget trained in bf16, which halves a step's cost on CPUs that have it; the rest is f32.
 COARSE = 0.7
 FLOOR = 0.01
+# Brings gradients to the size that they are clipped at.
+SCALE = 0.02
 # Share of the budget after which guides are real renders too, where a folder of them is given.
 SIMULATED_ONLY = 0.5
 
@@ -40,7 +42,7 @@ def arguments():
     parser.add_argument("--rate", type=float, default=1.5e-3, help="peak learning rate")
     parser.add_argument("--width", type=int, default=16)
     parser.add_argument("--middle", type=int, default=2)
-    parser.add_argument("--frequency", type=float, default=0.03, help="weight of the FFT loss")
+    parser.add_argument("--frequency", type=float, default=0.1, help="weight of the spectra in the loss")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--workers", type=int, default=1, help="processes that make patches")
     parser.add_argument("--threads", type=int, default=1)
@@ -107,7 +109,7 @@ class Trainer:
         with torch.autocast(self.options.device, torch.bfloat16, enabled=coarse):
             output = self.forward(pair.contiguous(memory_format=torch.channels_last))
         output = output.float()
-        loss = charbonnier(output, clean) + self.options.frequency * frequency_loss(output, clean)
+        loss = SCALE * logarithmic_loss(output, clean, self.options.frequency)
         self.optimiser.zero_grad()
         loss.backward()
         norm = torch.nn.utils.clip_grad_norm_(self.network.parameters(), 0.5)

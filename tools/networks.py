@@ -1,0 +1,90 @@
+#!/usr/bin/env python3
+"""What a deblurring network brings in the loop: runs `fled run` on captures with ground truth without one, with one by itself,
+guided and blended, several seeds each, and prints Markdown tables. Python's standard library only.
+
+    python3 tools/networks.py --fled target/release/fled --out /tmp/networks CAPTURE[:key=value;...] ...
+
+Finished runs are not done again, so an interrupted comparison goes on.
+"""
+
+import argparse
+import pathlib
+import statistics
+import sys
+
+from ablate import run
+
+# The scene is trained on what the network returns, as in the paper; the last rows are what fled does by default.
+LOOP = ["rounds=2", "shake=off"]
+VARIANTS = [
+    ("no network", LOOP + ["deblur=identity"]),
+    ("{}, never guided", LOOP + ["guide=none"]),
+    ("{}, guided by renders", LOOP),
+    ("{}, fed the mean of view and render", LOOP + ["guide=blend"]),
+    ("shake kernels, no network", ["rounds=2", "deblur=identity"]),
+    ("shake kernels; {} only made and scored", ["rounds=2"]),
+]
+
+
+def scores(report):
+    """Of the last round against ground truth: {(split, image): (psnr_cc dB, SSIM)}, and the renders' sharpness."""
+    final = report["rounds"][-1]
+    found = {
+        (record["split"], record["image"]): (record["psnr_cc_db"], record["ssim"])
+        for record in final["records"]
+        if (record["reference"], record["brightness"]) == ("gt", "final")
+    }
+    return {**found, "sharpness": final["sharpness"]["render"]}
+
+
+def cell(by_seed, key, base=None):
+    """Mean and spread over the seeds of a PSNR with its SSIM; the difference is by seed: what seeds share is not noise."""
+    runs = list(by_seed.values())
+    psnr = [run[key][0] for run in runs]
+    spread = f" ± {statistics.stdev(psnr):.2f}" if len(psnr) > 1 else ""
+    text = f"{statistics.mean(psnr):.2f}{spread} / {statistics.mean(run[key][1] for run in runs):.4f}"
+    shared = [seed for seed in by_seed if base and base is not by_seed and seed in base]
+    if shared:
+        text += f" ({statistics.mean(by_seed[seed][key][0] - base[seed][key][0] for seed in shared):+.2f})"
+    return text
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("captures", nargs="+", help="folder, with options after a colon: sceaux:held_out=5")
+    parser.add_argument("--fled", type=pathlib.Path, default=pathlib.Path("target/release/fled"))
+    parser.add_argument("--out", type=pathlib.Path, required=True)
+    parser.add_argument("--preset", default="standard")
+    parser.add_argument("--network", default="default", help="what deblur= takes")
+    parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--set", action="append", default=[], help="an option of every run")
+    parser.add_argument("--finished", action="store_true", help="run nothing, print what is finished")
+    arguments = parser.parse_args()
+    results = {}
+    for seed in range(arguments.seeds):
+        for number, (name, options) in enumerate(VARIANTS):
+            for text in arguments.captures:
+                path, _, extra = text.partition(":")
+                capture = pathlib.Path(path)
+                network = [] if any(o.startswith("deblur=") for o in options) else [f"deblur={arguments.network}"]
+                out = arguments.out / capture.name / f"{number}-{arguments.network.replace('/', '-') if network else ''}-{seed}"
+                every = arguments.set + [o for o in extra.split(";") if o] + [f"seed={seed}"] + options + network
+                if arguments.finished and not (out / "metrics.json").exists():
+                    continue
+                results.setdefault((capture.name, name), {})[seed] = scores(run(arguments, capture, out, every))
+    for capture in dict.fromkeys(name for name, _ in results):
+        print(f"| {capture} | renders, held out, psnr_cc dB / SSIM | deblurred views, all that train | sharpness of the renders | seeds |")
+        print("|---|---|---|---|---|")
+        base = results.get((capture, VARIANTS[0][0]))
+        for name, _ in VARIANTS:
+            by_seed = results.get((capture, name))
+            if by_seed:
+                sharpness = statistics.mean(run["sharpness"] for run in by_seed.values())
+                render, deblurred = cell(by_seed, ("held_out", "render"), base), cell(by_seed, ("train", "deblurred"))
+                label = name.format(arguments.network)
+                print(f"| {label} | {render} | {deblurred} | {sharpness:.0f} | {len(by_seed)} |")
+        print()
+
+
+if __name__ == "__main__":
+    sys.exit(main())
