@@ -12,21 +12,23 @@ import sources
 # Four patches of 128 px tile the inner 256 px of a scene, which shares one blur, exposure and tone curve.
 PATCH = 128
 SCENE = 2 * PATCH
-BUFFER = 240
 # Making a patch costs as much as training on it: each is shown several times, far apart and turned differently.
 USES = 3
 # Share of the scenes whose guide is a render by the product itself (`renders.py`), where there are such.
 REAL_GUIDES = 0.2
+# Share of the scenes with enough light, from which deblurring is learnt: under noise a network learns to average.
+CLEAN = 0.3
 
 
 class Patches(IterableDataset):
     """Yields (input [6, P, P], clean [3, P, P]); `seed` and `start` fix the stream.
 
-    `renders` is a folder that renders.py has filled, or None: all guides are then simulated.
+    `renders` is a folder that renders.py has filled, or None: all guides are then simulated. `buffer` patches are mixed: many
+    batches, so that one batch hardly holds a patch twice.
     """
 
-    def __init__(self, seed, start=0, renders=None):
-        self.seed = [seed, start]
+    def __init__(self, seed, start=0, renders=None, buffer=240):
+        self.seed, self.buffer = [seed, start], buffer
         self.views = sorted(Path(renders).glob("*.npy")) if renders else []
         if renders and not self.views:
             raise FileNotFoundError(f"{renders} has no views; make them by renders.py")
@@ -41,7 +43,7 @@ class Patches(IterableDataset):
             real = self.views and rng.random() < REAL_GUIDES
             patches = view_patches(rng, self.views) if real else scene_patches(rng, supply)
             buffer.extend((planes, USES) for planes in patches)
-            while len(buffer) > BUFFER:
+            while len(buffer) > self.buffer:
                 place = rng.integers(len(buffer))
                 planes, uses = buffer[place]
                 if uses > 1:
@@ -72,9 +74,14 @@ def scene_patches(rng, supply):
         # Highlights beyond what the sensor holds: blur spreads them before it clips them.
         light *= 1.25
     blur = degrade.random_blur(rng, light.shape[:2])
-    exposure = degrade.random_exposure(rng)
-    target = degrade.random_target(rng) if rng.random() < 0.95 else None
-    guide = degrade.random_guide(rng) if rng.random() < 0.5 else None
+    if rng.random() < CLEAN:
+        exposure = degrade.clean_exposure(rng)
+        target = degrade.random_target(rng) if rng.random() < 0.3 else None
+    else:
+        exposure = degrade.random_exposure(rng)
+        target = degrade.random_target(rng) if rng.random() < 0.95 else None
+    # No guide is the harder case, so it comes more often.
+    guide = degrade.random_guide(rng) if rng.random() < 0.4 else None
     stacked = np.concatenate(degrade.pair(rng, light, blur, exposure, target, guide), 2)
     planes = np.moveaxis(stacked, 2, 0).astype(np.float16)
     return [planes[:, y : y + PATCH, x : x + PATCH].copy() for y in (0, PATCH) for x in (0, PATCH)]
@@ -86,5 +93,8 @@ def view_patches(rng, views):
     patches = []
     for _ in range(4):
         y, x = (rng.integers(side - PATCH + 1) for side in view.shape[1:])
-        patches.append(turned(rng, np.array(view[:, y : y + PATCH, x : x + PATCH])))
+        patch = np.array(view[:, y : y + PATCH, x : x + PATCH])
+        if rng.random() < 0.3:
+            patch[3:6] = patch[:3]
+        patches.append(turned(rng, patch))
     return patches

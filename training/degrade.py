@@ -103,20 +103,24 @@ def sensor(iso, jitter=0.0):
 def random_exposure(rng):
     """The training distribution of exposures."""
     jitter = rng.normal() * 0.25
-    if rng.random() < 0.3:
+    if rng.random() < 0.15:
         # Cheap sensors and old cameras read out far noisier than the fitted line.
         jitter += rng.uniform(0, 2.5)
     shot, read = sensor(np.exp(rng.uniform(np.log(100), np.log(1600))), jitter)
-    if rng.random() < 0.3:
-        # Under noise the network learns to average; to deblur it learns from what has none.
-        shot, read = 0.0, 0.0
     return Exposure(
-        light=float(np.exp(rng.uniform(np.log(0.02), np.log(1.0)))),
+        light=float(np.exp(rng.uniform(np.log(0.03), np.log(0.6)))),
         shot=shot,
         read=read,
         mosaic=rng.random() < 0.25,
         jpeg=int(rng.integers(70, 99)) if rng.random() < 0.5 else 0,
     )
+
+
+def clean_exposure(rng):
+    """Enough light: nothing but the blur is in the way."""
+    shot, read = sensor(rng.uniform(50, 200)) if rng.random() < 0.5 else (0.0, 0.0)
+    jpeg = int(rng.integers(90, 99)) if rng.random() < 0.3 else 0
+    return Exposure(light=float(rng.uniform(0.5, 1)), shot=shot, read=read, jpeg=jpeg)
 
 
 def expose(rng, linear, exposure):
@@ -170,12 +174,13 @@ class Blur:
 
 
 def random_blur(rng, shape):
-    """The training distribution: 68 % shake, 15 % varying shake, 12 % none, 5 % defocus."""
+    """The training distribution: 72 % shake, 15 % varying shake, 8 % none, 5 % defocus."""
     kind = rng.random()
-    if kind < 0.68:
-        return Blur([shake_kernel(rng, rng.uniform(0, 25) * rng.uniform(0.3, 1))])
-    if kind < 0.83:
-        extent = rng.uniform(2, 22)
+    if kind < 0.72:
+        # Mostly what a hand does; longer shakes hardly come back.
+        return Blur([shake_kernel(rng, rng.uniform(2, 16) if rng.random() < 0.9 else rng.uniform(0, 25))])
+    if kind < 0.87:
+        extent = rng.uniform(2, 20)
         kernels = [shake_kernel(rng, extent * rng.uniform(0.3, 1)) for _ in range(2)]
         ramp = smooth_field(rng, shape, 2)
         return Blur(kernels, 1 / (1 + np.exp(-2 * ramp)))
@@ -204,8 +209,8 @@ class Guide:
     drift: float
     warp: float
     grain: float
-    # How likely only what agrees with the view is kept of it.
-    trusted: float = 0.0
+    # How likely only what agrees with the view is kept of it, as in the product.
+    trusted: float = 1.0
 
 
 def random_guide(rng):
@@ -249,10 +254,12 @@ CELL, DISAGREEMENT = 4, 0.04
 
 
 def trusted(view, render):
-    """The render where it agrees with its view, the view elsewhere: what the product gives the network as guide.
-
-    Sides must be multiples of CELL.
-    """
+    """The render where it agrees with its view, the view elsewhere: what the product gives the network as guide."""
+    rows, columns = view.shape[:2]
+    if rows % CELL or columns % CELL:
+        # The product's last cells are smaller; here they are filled up with what is at the border.
+        pad = ((0, -rows % CELL), (0, -columns % CELL), (0, 0))
+        return trusted(np.pad(view, pad, "edge"), np.pad(render, pad, "edge"))[:rows, :columns]
     height, width = view.shape[:2]
     squared = np.mean((cells(view) - cells(render)) ** 2, 2, keepdims=True)
     trust = np.exp(-squared / DISAGREEMENT**2)

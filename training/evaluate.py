@@ -167,7 +167,7 @@ def main():
     if options.gates:
         verdicts = gates(rows)
         print("\n" + table(["gate", "asked, dB", "there, dB"], verdicts))
-        if any(there < asked for _, asked, there in verdicts):
+        if any(not there >= asked for _, asked, there in verdicts):
             raise SystemExit("not every gate is passed")
 
 

@@ -67,7 +67,7 @@ class Trainer:
         torch.manual_seed(options.seed)
         network = Network(options.width, middle=options.middle)
         if options.start:
-            network.load_state_dict(torch.load(options.start, weights_only=True)["average"])
+            network.load_state_dict(torch.load(options.start, weights_only=True, map_location="cpu")["average"])
         self.network = network.to(options.device, memory_format=torch.channels_last)
         self.average = copy.deepcopy(self.network).requires_grad_(False)
         self.optimiser = torch.optim.AdamW(
@@ -104,7 +104,8 @@ class Trainer:
     def update(self, pair, clean):
         """One step; returns the loss, still on the device."""
         for group in self.optimiser.param_groups:
-            group["lr"] = rate_at(self.progress, self.options.rate)
+            # By steps too: on a GPU two hundredths of the budget may be few.
+            group["lr"] = rate_at(self.progress, self.options.rate) * min(1.0, (self.step + 1) / 300)
         coarse = not self.options.exact and self.progress < COARSE
         with torch.autocast(self.options.device, torch.bfloat16, enabled=coarse):
             output = self.forward(pair.contiguous(memory_format=torch.channels_last))
@@ -128,8 +129,8 @@ def stream(trainer, options):
     """Batches from where the trainer stands."""
     renders = options.renders if trainer.progress >= SIMULATED_ONLY else None
     return DataLoader(
-        Patches(options.seed, trainer.step, renders), options.batch, num_workers=options.workers,
-        prefetch_factor=8 if options.workers else None, pin_memory=options.device == "cuda",
+        Patches(options.seed, trainer.step, renders, 30 * options.batch), options.batch, num_workers=options.workers,
+        prefetch_factor=4 if options.workers else None, pin_memory=options.device == "cuda",
     )
 
 
@@ -145,20 +146,25 @@ def main():
     torch.set_num_threads(options.threads)
     trainer = Trainer(options)
     began, clock = time.monotonic(), time.process_time if options.device == "cpu" else time.monotonic
-    mark, finished, stopped = clock(), False, False
+    if options.renders:
+        # A wrong folder is told now and not at half of the budget.
+        Patches(options.seed, 0, options.renders)
+    mark, finished, stopped = clock(), trainer.progress >= 1, False
     with open(options.run / "log.txt", "a", buffering=1) as log:
         while not (finished or stopped):
             # Once more for the second part, in which the guides are real renders.
-            simulated, total = trainer.progress < SIMULATED_ONLY, 0.0
+            simulated, total, steps = trainer.progress < SIMULATED_ONLY, 0.0, 0
             for pair, clean in stream(trainer, options):
                 pair, clean = (tensor.to(options.device, non_blocking=True) for tensor in (pair, clean))
-                total += trainer.update(pair, clean)
+                total, steps = total + trainer.update(pair, clean), steps + 1
                 now = clock()
-                trainer.seconds += now - mark
+                if steps > 1 or options.device == "cpu":
+                    # On a GPU the first step of a stream compiles and waits for patches: not learning, not booked.
+                    trainer.seconds += now - mark
                 mark = now
                 if trainer.step % 100 == 0:
-                    report(trainer, pair, clean, total / 100, log)
-                    total, trainer.clipped = 0.0, 0
+                    report(trainer, pair, clean, total / steps, log)
+                    total, steps, trainer.clipped = 0.0, 0, 0
                 finished = trainer.progress >= 1
                 stopped = options.piece is not None and time.monotonic() - began >= 60 * options.piece
                 if finished or stopped or trainer.step % options.save_every == 0:

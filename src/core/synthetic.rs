@@ -37,8 +37,11 @@ pub struct SynthOptions {
     pub width: usize,
     /// Height, px.
     pub height: usize,
-    /// Seed of path, shake and noise. The scene itself is always the same.
+    /// Seed of path, shake and noise.
     pub seed: u64,
+    /// Which room. Everything that is measured is measured in room 0; a network that learns from synthetic captures learns
+    /// from others.
+    pub room: u64,
     /// Share of the light that the dark exposure catches: linear values are multiplied by it.
     pub exposure: f64,
     /// Longest blur path in the middle of the image, px; a view's is 0.4 to 1 of it.
@@ -50,7 +53,7 @@ pub struct SynthOptions {
 
 impl Default for SynthOptions {
     fn default() -> Self {
-        Self { views: 24, width: 320, height: 180, seed: 0, exposure: 0.05, blur: 9.0, noise: 0.02 }
+        Self { views: 24, width: 320, height: 180, seed: 0, room: 0, exposure: 0.05, blur: 9.0, noise: 0.02 }
     }
 }
 
@@ -130,7 +133,7 @@ pub fn generate(options: &SynthOptions, out: &Path) -> Result<SynthSummary, Synt
         let path = out.join(folder);
         std::fs::create_dir_all(&path).map_err(|source| SynthError::Io { path, source })?;
     }
-    let scene = scene::Scene::room();
+    let scene = scene::Scene::room(options.room);
     let cameras = path::cameras(options.views, options.intrinsics(), options.seed);
     let named: Vec<(String, Camera)> =
         cameras.iter().enumerate().map(|(index, camera)| (format!("{index:03}"), *camera)).collect();

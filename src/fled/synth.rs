@@ -18,9 +18,12 @@ pub struct Args {
     /// Width and height in px.
     #[arg(long, default_value = "320x180", value_parser = size)]
     size: (usize, usize),
-    /// Seed of the scene, the shake and the noise.
+    /// Seed of the path, the shake and the noise.
     #[arg(long, default_value_t = 0)]
     seed: u64,
+    /// Which room; 0 is the one of the benchmarks.
+    #[arg(long, default_value_t = 0)]
+    room: u64,
     /// Share of a well-exposed photograph's light.
     #[arg(long, default_value_t = 0.05)]
     exposure: f64,
@@ -53,6 +56,7 @@ pub fn main(args: &Args) -> Result<(), Failure> {
         width: args.size.0,
         height: args.size.1,
         seed: args.seed,
+        room: args.room,
         exposure: args.exposure,
         blur: args.blur,
         noise: args.noise,

@@ -1,6 +1,8 @@
 //! The room: what stands in it, and casting rays at it.
 
 use glam::{DMat3, DVec2, DVec3};
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64Mcg;
 
 use super::texture::albedo;
 use crate::camera::Camera;
@@ -47,11 +49,44 @@ struct Hit {
 /// Solids in the order in which they were put up.
 pub(super) struct Scene {
     solids: Vec<Solid>,
+    /// Of the patterns on all surfaces, 1 as a rule.
+    scale: f64,
 }
 
 impl Scene {
-    /// The one scene: walls, floor, and things at many depths around the origin.
-    pub fn room() -> Self {
+    /// Walls, floor, and things at many depths around the origin. Room 0 is the one that everything is measured in; the others
+    /// have its plan, with other paint, patterns and sizes.
+    pub fn room(number: u64) -> Self {
+        let mut room = Self::first();
+        if number > 0 {
+            room.redecorate(&mut Pcg64Mcg::seed_from_u64(number));
+        }
+        room
+    }
+
+    fn redecorate(&mut self, rng: &mut Pcg64Mcg) {
+        self.scale = rng.random_range(0.6..1.8);
+        for solid in &mut self.solids {
+            solid.base = std::array::from_fn(|_| rng.random_range(0.08..0.55));
+            solid.salt = rng.random();
+            let moved = DVec3::new(rng.random_range(-0.25..0.25), 0.0, rng.random_range(-0.25..0.25));
+            let grown = rng.random_range(0.8..1.2);
+            match &mut solid.shape {
+                Shape::Block { centre, half, turn } => {
+                    *centre += moved;
+                    *half *= DVec3::new(grown, 1.0, rng.random_range(0.8..1.2));
+                    *turn += rng.random_range(-1.0..1.0);
+                }
+                Shape::Ball { centre, radius } => {
+                    *centre += moved;
+                    *radius *= grown;
+                }
+                Shape::Walls { .. } => {}
+            }
+        }
+    }
+
+    fn first() -> Self {
         let mut solids = vec![Solid {
             shape: Shape::Walls { centre: DVec3::new(0.0, -1.0, 0.0), half: DVec3::new(4.6, 2.4, 4.2) },
             base: [0.32, 0.29, 0.25],
@@ -78,7 +113,7 @@ impl Scene {
             let shape = Shape::Ball { centre: DVec3::from(centre), radius };
             solids.push(Solid { shape, base, salt: 101 + 7 * index as u32 });
         }
-        Self { solids }
+        Self { solids, scale: 1.0 }
     }
 
     /// The picture through `camera`, linear light 0..1: the mean of rays at `offsets` in each pixel.
@@ -102,7 +137,8 @@ impl Scene {
         let ray = to_world * DVec3::new((pixel.x - k.cx) / k.fx, (pixel.y - k.cy) / k.fy, 1.0);
         let origin = camera.centre();
         let Some((solid, hit)) = self.nearest(origin, ray) else { return (f64::INFINITY, DVec3::ZERO) };
-        let paint = DVec3::from(albedo(hit.surface, solid.base, solid.salt + hit.face));
+        let paint =
+            DVec3::from(albedo(hit.surface, solid.base, solid.salt.wrapping_add(hit.face), self.scale));
         (hit.distance, paint * (AMBIENT + self.lamp_light(origin + ray * hit.distance, hit.normal)))
     }
 
@@ -219,7 +255,7 @@ mod tests {
 
     #[test]
     fn the_lamp_falls_off_with_the_square_of_the_distance_and_the_cosine() {
-        let room = Scene::room();
+        let room = Scene::room(0);
         let (below, height) = (room.lamp_light(BELOW_THE_LAMP, UP), 3.6);
         assert!((below - (WHITE_AT / height).powi(2)).abs() < 1e-9, "{below}");
         let aside = BELOW_THE_LAMP - DVec3::new(0.0, 0.0, 1.8);
@@ -230,7 +266,7 @@ mod tests {
 
     #[test]
     fn what_a_block_hides_from_the_lamp_is_in_its_shadow() {
-        let mut room = Scene::room();
+        let mut room = Scene::room(0);
         assert_eq!(room.lamp_light(BEHIND_A_BLOCK, UP), 0.0);
         room.solids.truncate(1);
         assert!(room.lamp_light(BEHIND_A_BLOCK, UP) > 0.3);

@@ -77,3 +77,21 @@ fn options_out_of_range_are_refused_by_name() {
     let error = generate(&SynthOptions { exposure: 0.0, ..small(0) }, dir.path()).unwrap_err();
     assert!(error.to_string().contains("exposure"));
 }
+
+#[test]
+fn other_rooms_are_others_and_the_same_every_time() {
+    let dirs: Vec<_> = (0..4).map(|_| tempfile::tempdir().unwrap()).collect();
+    for (dir, room) in dirs.iter().zip([0, 5, 5, 6]) {
+        generate(&SynthOptions { room, ..small(1) }, dir.path()).unwrap();
+    }
+    let bytes: Vec<_> =
+        dirs.iter().map(|dir| std::fs::read(dir.path().join("HL/001.png")).unwrap()).collect();
+    assert!(bytes[1] == bytes[2] && bytes[0] != bytes[1] && bytes[1] != bytes[3]);
+    let mean = |dir: &tempfile::TempDir| {
+        let image = load(dir.path(), "HL/001.png");
+        image.data().iter().sum::<f32>() / image.data().len() as f32
+    };
+    for dir in &dirs {
+        assert!((0.15..0.7).contains(&mean(dir)), "as bright as a room: {}", mean(dir));
+    }
+}
