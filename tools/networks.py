@@ -8,8 +8,11 @@ Finished runs are not done again, so an interrupted comparison goes on.
 """
 
 import argparse
+import hashlib
+import json
 import pathlib
 import statistics
+import subprocess
 import sys
 
 from ablate import run
@@ -37,8 +40,23 @@ def scores(report):
     return {**found, "sharpness": final["sharpness"]["render"]}
 
 
+def checksum(arguments):
+    """Of the network's file, so that another one under its name is not taken for it."""
+    path = pathlib.Path(arguments.network)
+    if path.is_file():
+        return hashlib.sha256(path.read_bytes()).hexdigest()
+    listed = subprocess.run([arguments.fled, "models", "list", "--json"], check=True, capture_output=True, text=True).stdout
+    for entry in json.loads(listed)["models"]:
+        if entry["id"] == arguments.network or (arguments.network == "default" and entry["default"]):
+            return str(entry["sha256"])
+    raise SystemExit(f"{arguments.network} is no known network and no file")
+
+
 def cell(by_seed, key, base=None):
     """Mean and spread over the seeds of a PSNR with its SSIM; the difference is by seed: what seeds share is not noise."""
+    by_seed = {seed: run for seed, run in by_seed.items() if key in run}
+    if not by_seed:
+        return "-"
     runs = list(by_seed.values())
     psnr = [run[key][0] for run in runs]
     spread = f" ± {statistics.stdev(psnr):.2f}" if len(psnr) > 1 else ""
@@ -60,15 +78,17 @@ def main():
     parser.add_argument("--set", action="append", default=[], help="an option of every run")
     parser.add_argument("--finished", action="store_true", help="run nothing, print what is finished")
     arguments = parser.parse_args()
-    results = {}
+    results, network_file = {}, checksum(arguments)
     for seed in range(arguments.seeds):
         for number, (name, options) in enumerate(VARIANTS):
             for text in arguments.captures:
                 path, _, extra = text.partition(":")
                 capture = pathlib.Path(path)
                 network = [] if any(o.startswith("deblur=") for o in options) else [f"deblur={arguments.network}"]
-                out = arguments.out / capture.name / f"{number}-{arguments.network.replace('/', '-') if network else ''}-{seed}"
                 every = arguments.set + [o for o in extra.split(";") if o] + [f"seed={seed}"] + options + network
+                facts = [str(capture.resolve()), arguments.preset, *every, network_file if network else ""]
+                slug = hashlib.sha256("\n".join(facts).encode()).hexdigest()[:12]
+                out = arguments.out / capture.name / f"{number}-{seed}-{slug}"
                 if arguments.finished and not (out / "metrics.json").exists():
                     continue
                 results.setdefault((capture.name, name), {})[seed] = scores(run(arguments, capture, out, every))

@@ -61,6 +61,8 @@ pub struct DeblurInfo {
     pub provider: String,
     /// Input channels: 6 takes a guide, 3 does not, 0 is no network.
     pub channels: u32,
+    /// How it is fed: what else its output depends on. Empty without a network.
+    pub feeding: String,
 }
 
 /// Returns what it is given. A run without a network: the views are only brightened.
@@ -79,6 +81,7 @@ impl Deblurrer for Identity {
             sha256: String::new(),
             provider: "none".to_owned(),
             channels: 0,
+            feeding: String::new(),
         }
     }
 }

@@ -60,15 +60,15 @@ struct AddArgs {
     /// Licence of the weights, an SPDX expression.
     #[arg(long, value_name = "SPDX")]
     licence: Option<String>,
-    /// Both sides of what it is fed are padded to a multiple of this, px.
-    #[arg(long, value_name = "PX", default_value_t = 16)]
-    multiple: usize,
-    /// Least length of a side that it can be fed, px.
-    #[arg(long, value_name = "PX", default_value_t = 16)]
-    minimum_side: usize,
-    /// Side of the tiles that large views are cut into, px.
-    #[arg(long, value_name = "PX", default_value_t = 1024)]
-    tile: usize,
+    /// Both sides of what it is fed are padded to a multiple of this, px; 16 for a new network.
+    #[arg(long, value_name = "PX")]
+    multiple: Option<usize>,
+    /// Least length of a side that it can be fed, px; 16 for a new network.
+    #[arg(long, value_name = "PX")]
+    minimum_side: Option<usize>,
+    /// Side of the tiles that large views are cut into, px; 1024 for a new network.
+    #[arg(long, value_name = "PX")]
+    tile: Option<usize>,
     /// `deblur=default` means this one from now on.
     #[arg(long)]
     default: bool,
@@ -86,19 +86,36 @@ pub fn main(args: &Args) -> Result<(), Failure> {
         Command::Verify { ids } => verify(&known, &folders, ids, args),
         Command::Add(add) => {
             let content = std::fs::read(&add.file).map_err(io(&add.file))?;
-            keep(describe(add, &known, &content)?, content, args)
+            let overlay =
+                args.folder.first().and_then(|folder| Manifest::overlay(&folder).map_err(failure))?;
+            let described = describe(add, &known, &overlay, &content);
+            if described.entry.built_in() {
+                return Err(Failure::usage(format!("{} is built in", described.entry.id)));
+            }
+            keep(described, content, &start(args)?, args)
         }
         Command::Fetch { id, from } => {
             let entry = find(&known, id)?;
             if entry.place(&folders) != Place::Missing {
-                entry.load(&folders).map_err(failure)?;
-                eprintln!("{} is here and whole", entry.id);
-                return Ok(());
+                match entry.load(&folders) {
+                    Ok(_) => {
+                        eprintln!("{} is here and whole", entry.id);
+                        return Ok(());
+                    }
+                    // It is fetched anew and takes the place of the damaged one.
+                    Err(error @ DeblurError::ModelChecksum { .. }) if !entry.built_in() => {
+                        eprintln!("{error}");
+                    }
+                    Err(error) => return Err(failure(error)),
+                }
             }
+            // First whether it could be used: a download that then lies about would be for nothing.
+            let runtime = start(args)?;
             let folder = args.folder.first()?;
             let content = fetch::fetch(entry, from.as_deref(), &folder)?;
             let url = from.clone().or_else(|| entry.url.clone());
-            keep(Entry { url, ..entry.clone() }, content, args)?;
+            let described = Described { entry: Entry { url, ..entry.clone() }, new: false };
+            keep(described, content, &runtime, args)?;
             fetch::forget(entry, &folder);
             Ok(())
         }
@@ -177,53 +194,76 @@ fn passed(runtime: &runtime::Runtime, mut model: Model) -> Result<String, Deblur
     Ok(format!("{channels} channels, cpu: {pinned}{cuda}"))
 }
 
-/// The entry of a file that is added: that of the known network that it is said or found to be, else a new one.
-fn describe(add: &AddArgs, known: &Manifest, content: &[u8]) -> Result<Entry, Failure> {
+/// What is known of a file before it has been loaded.
+struct Described {
+    entry: Entry,
+    /// Whether the channels are still to be read from the file.
+    new: bool,
+}
+
+/// The entry of a file that is added: that of the known network that it is said or found to be, else a new one. A network of the
+/// user's own is replaced by another file under its name; a published one only by the file that it is.
+fn describe(add: &AddArgs, known: &Manifest, overlay: &Manifest, content: &[u8]) -> Described {
     let sha256 = digest(content);
-    let same = known.models.iter().find(|entry| entry.sha256.as_ref() == Some(&sha256));
-    let named = add.id.as_deref().and_then(|id| known.models.iter().find(|entry| entry.id == id));
-    let mut entry = match named.or(same.filter(|_| add.id.is_none())) {
-        Some(entry) => entry.clone(),
-        None => {
-            let stem = add.file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-            let mut entry =
-                Entry::of_file(add.id.as_deref().unwrap_or(&stem), 3, sha256, content.len() as u64);
-            (entry.multiple, entry.minimum_side, entry.tile) = (add.multiple, add.minimum_side, add.tile);
-            entry
+    let stem = add.file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+    let same = || known.models.iter().find(|entry| entry.sha256.as_ref() == Some(&sha256));
+    let named = match &add.id {
+        Some(id) => known.models.iter().find(|entry| entry.id == *id),
+        None => same().or_else(|| known.models.iter().find(|entry| entry.id == stem)),
+    };
+    let published = |entry: &Entry| {
+        entry.url.is_some() || entry.built_in() || !overlay.models.iter().any(|own| own.id == entry.id)
+    };
+    let (mut entry, new) = match named {
+        Some(entry) if published(entry) || entry.sha256.as_ref() == Some(&sha256) => (entry.clone(), false),
+        named => {
+            let id = named.map_or_else(|| add.id.clone().unwrap_or(stem), |entry| entry.id.clone());
+            let mut entry = Entry::of_file(&id, 3, sha256, content.len() as u64);
+            if let Some(before) = named {
+                (entry.file, entry.golden) = (before.file.clone(), before.golden.clone());
+                (entry.licence, entry.default) = (before.licence.clone(), before.default);
+                (entry.multiple, entry.minimum_side, entry.tile) =
+                    (before.multiple, before.minimum_side, before.tile);
+            }
+            (entry, true)
         }
     };
     entry.default |= add.default;
+    entry.multiple = add.multiple.unwrap_or(entry.multiple);
+    entry.minimum_side = add.minimum_side.unwrap_or(entry.minimum_side);
+    entry.tile = add.tile.unwrap_or(entry.tile);
     if let Some(licence) = &add.licence {
         entry.licence.clone_from(licence);
     }
-    Ok(entry)
+    Described { entry, new }
 }
 
 /// Tests the network on the CPU, whose output its self-test expects from then on, and puts it into the folder.
-fn keep(mut entry: Entry, content: Vec<u8>, args: &Args) -> Result<(), Failure> {
-    let folder = args.folder.first()?;
-    let runtime = start(args)?;
-    // What a new file takes is what it says itself.
-    let pinned = entry.checked(content, None).map_err(failure)?;
-    let unknown = Model { channels: None, ..pinned };
-    let mut network = Onnx::load_on(&runtime, &unknown, Provider::Cpu, 0).map_err(failure)?;
-    let channels = network.describe().channels;
-    if entry.source.is_none() && entry.url.is_none() && entry.file.is_none() && channels != entry.channels {
-        let described =
-            Entry::of_file(&entry.id, channels, unknown.sha256.clone(), unknown.bytes.len() as u64);
-        (entry.role, entry.channels, entry.order) = (described.role, described.channels, described.order);
+fn keep(
+    described: Described,
+    content: Vec<u8>,
+    runtime: &runtime::Runtime,
+    args: &Args,
+) -> Result<(), Failure> {
+    let Described { mut entry, new } = described;
+    entry.check().map_err(Failure::usage)?;
+    let mut model = entry.checked(content, None).map_err(failure)?;
+    if new {
+        model.channels = None;
     }
-    if channels != entry.channels {
-        let detail = format!("it takes {channels} channels, {} takes {}", entry.id, entry.channels);
-        return Err(failure(DeblurError::ModelUnusable { id: entry.id, detail }));
+    let mut network = Onnx::load_on(runtime, &model, Provider::Cpu, 0).map_err(failure)?;
+    let channels = network.describe().channels;
+    if new {
+        let read = Entry::of_file(&entry.id, channels, String::new(), 0);
+        (entry.role, entry.channels, entry.order) = (read.role, read.channels, read.order);
     }
     let golden = network.golden().map_err(failure)?;
-    (entry.sha256, entry.bytes) = (Some(unknown.sha256.clone()), Some(unknown.bytes.len() as u64));
+    (entry.sha256, entry.bytes) = (Some(model.sha256.clone()), Some(model.bytes.len() as u64));
     entry.verified = true;
-    entry.check().map_err(Failure::usage)?;
+    let folder = args.folder.first()?;
     let (id, guided) = (entry.id.clone(), if channels == 6 { "guided" } else { "without a guide" });
-    deblur::install(&folder, entry, &unknown.bytes, &golden).map_err(failure)?;
-    eprintln!("{id} ({guided}, sha256 {}) is in {}", unknown.sha256, show(&folder));
+    deblur::install(&folder, entry, &model.bytes, &golden).map_err(failure)?;
+    eprintln!("{id} ({guided}, sha256 {}) is in {}", model.sha256, show(&folder));
     eprintln!("choose it with --set deblur={id}");
     Ok(())
 }

@@ -61,6 +61,17 @@ fn an_added_network_is_listed_checked_and_may_be_chosen() {
         "{report}"
     );
 
+    // Another file under the name of one's own, and how it is fed.
+    let other = network("box3").display().to_string();
+    let replaced = models(&folder, &["add", &other, "--id", "mine", "--multiple", "32"]);
+    assert_eq!(code(&replaced), 0, "{}", said(&replaced));
+    let manifest = support::json(&folder.join("manifest.json"));
+    assert_eq!(manifest["models"].as_array().map(Vec::len), Some(1), "{manifest}");
+    assert_eq!(
+        (&manifest["models"][0]["multiple"], &manifest["models"][0]["licence"]),
+        (&32.into(), &"CC0-1.0".into())
+    );
+
     std::fs::write(folder.join("mine.onnx"), "damaged").expect("write");
     let broken = models(&folder, &["verify", "mine"]);
     assert_eq!(code(&broken), 4);
@@ -222,6 +233,26 @@ fn a_broken_download_goes_on_where_it_stopped() {
     let again = models(home.path(), &["fetch", "far"]);
     assert!(said(&again).contains("is here"), "{}", said(&again));
     assert_eq!(ranges.lock().expect("not poisoned").len(), 2, "nothing is fetched twice");
+    std::fs::write(home.path().join("far.onnx"), "damaged").expect("write");
+    assert_eq!(code(&models(home.path(), &["fetch", "far"])), 0, "a damaged file is fetched anew");
+    assert_eq!(std::fs::read(home.path().join("far.onnx")).expect("fetched"), content);
+}
+
+#[test]
+fn what_an_earlier_download_left_is_used_when_it_is_whole_and_doubted_when_not() {
+    let home = tempfile::tempdir().expect("temporary folder");
+    let content = std::fs::read(network("box3")).expect("golden network");
+    let (url, ranges) = serve(content.clone(), content.len());
+    overlay(home.path(), &url, &digest(&content), content.len());
+    std::fs::write(home.path().join("far.part"), [b"of another file", &content[..40]].concat())
+        .expect("write");
+    let mended = models(home.path(), &["fetch", "far"]);
+    assert_eq!(code(&mended), 0, "{}", said(&mended));
+    assert_eq!(ranges.lock().expect("not poisoned").len(), 2, "the rest, then the whole");
+    std::fs::remove_file(home.path().join("far.onnx")).expect("there");
+    std::fs::write(home.path().join("far.part"), &content).expect("write");
+    assert_eq!(code(&models(home.path(), &["fetch", "far"])), 0);
+    assert_eq!(ranges.lock().expect("not poisoned").len(), 2, "what is whole is not fetched again");
 }
 
 #[test]

@@ -54,7 +54,13 @@ mod tests {
         }
 
         fn describe(&self) -> DeblurInfo {
-            DeblurInfo { id: self.0.to_string(), sha256: String::new(), provider: String::new(), channels: 3 }
+            DeblurInfo {
+                id: self.0.to_string(),
+                sha256: String::new(),
+                provider: String::new(),
+                channels: 3,
+                feeding: String::new(),
+            }
         }
 
         fn take_warnings(&mut self) -> Vec<String> {

@@ -16,6 +16,9 @@ const EMBEDDED: [(&str, &[u8]); 2] = [
     ("small-u2w16.golden", include_bytes!("../../../models/small-u2w16.golden")),
 ];
 
+/// Words of the options that name networks.
+const RESERVED: [&str; 4] = ["default", "identity", "same", "curve"];
+
 /// The user's entries, in each folder of models.
 pub const OVERLAY: &str = "manifest.json";
 
@@ -136,6 +139,11 @@ impl Manifest {
             for entry in Self::overlay(directory)?.models {
                 manifest.lay_over(entry);
             }
+            if manifest.find("default").is_none() {
+                let detail =
+                    "no network is the default any more: one entry needs `\"default\": true`".to_owned();
+                return Err(DeblurError::ManifestUnreadable { path: directory.join(OVERLAY), detail });
+            }
         }
         Ok(manifest)
     }
@@ -191,18 +199,18 @@ impl Manifest {
         }
         let path = Path::new(choice);
         if path.is_file() {
-            return self.by_path(path);
+            return self.by_path(path, directories);
         }
         let known = self.models.iter().map(|entry| entry.id.as_str()).collect::<Vec<_>>().join(", ");
         Err(DeblurError::UnknownModel { choice: choice.to_owned(), known })
     }
 
     /// A file named by its path: a known network if its checksum says so, else taken as it is.
-    fn by_path(&self, path: &Path) -> Result<Model, DeblurError> {
+    fn by_path(&self, path: &Path, directories: &[PathBuf]) -> Result<Model, DeblurError> {
         let bytes = read(path)?;
         let sha256 = digest(&bytes);
         if let Some(entry) = self.models.iter().find(|entry| entry.sha256.as_ref() == Some(&sha256)) {
-            return entry.checked(bytes, None);
+            return entry.checked(bytes, entry.golden_file(directories)?.as_deref());
         }
         let id = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
         Ok(Model::unknown(id, bytes))
@@ -210,6 +218,17 @@ impl Manifest {
 }
 
 impl Model {
+    /// Everything but the file.
+    pub(super) fn without_bytes(&self) -> Self {
+        Self {
+            id: self.id.clone(),
+            sha256: self.sha256.clone(),
+            bytes: Vec::new(),
+            golden: self.golden.clone(),
+            ..*self
+        }
+    }
+
     /// A file about which nothing else is known.
     pub fn unknown(id: String, bytes: Vec<u8>) -> Self {
         Self {
@@ -268,18 +287,37 @@ impl Entry {
             Place::File(path) => read(&path)?,
             Place::Missing => return Err(self.missing(directories)),
         };
-        let golden = self.golden.as_deref();
-        let golden = match embedded(golden) {
-            Some(bytes) => Some(bytes.to_vec()),
-            None => find(golden, directories).map(|path| read(&path)).transpose()?,
-        };
-        self.checked(bytes, golden.as_deref())
+        self.checked(bytes, self.golden_file(directories)?.as_deref())
+    }
+
+    /// What the self-test expects, where the entry names a file of it: then it has to be there.
+    fn golden_file(&self, directories: &[PathBuf]) -> Result<Option<Vec<u8>>, DeblurError> {
+        let Some(name) = &self.golden else { return Ok(None) };
+        if let Some(bytes) = embedded(Some(name)) {
+            return Ok(Some(bytes.to_vec()));
+        }
+        let advice = format!(
+            "Its {name} is missing; take the network up again: fled models add FILE --id {}",
+            self.id
+        );
+        let missing = || DeblurError::ModelFileMissing { id: self.id.clone(), advice };
+        read(&find(Some(name), directories).ok_or_else(missing)?).map(Some)
+    }
+
+    /// Whether its file is part of this program.
+    pub fn built_in(&self) -> bool {
+        embedded(self.file.as_deref()).is_some()
+    }
+
+    /// Whether a file of this name, golden or not, is this entry's.
+    pub(super) fn owns(&self, name: &str) -> bool {
+        [&self.file, &self.golden].into_iter().any(|own| own.as_deref() == Some(name))
     }
 
     /// Where its file is.
     pub fn place(&self, directories: &[PathBuf]) -> Place {
         // What is built in wins: a stray file of the same name must not break the default.
-        if embedded(self.file.as_deref()).is_some() {
+        if self.built_in() {
             return Place::BuiltIn;
         }
         find(self.file.as_deref(), directories).map_or(Place::Missing, Place::File)
@@ -323,18 +361,35 @@ impl Entry {
     pub fn check(&self) -> Result<(), String> {
         let wrong = |what: &str| Err(format!("entry `{}`: {what}", self.id));
         let named = |name: &Option<String>| name.as_deref().is_none_or(is_file_name);
-        if self.id.is_empty() || ["default", "identity", "same", "curve"].contains(&self.id.as_str()) {
-            return wrong("the id must not be empty, `default`, `identity`, `same` or `curve`");
+        let plain = |c: char| c.is_ascii_alphanumeric() || "-_.".contains(c);
+        if self.id.is_empty() || self.id.starts_with('.') || !self.id.chars().all(plain) {
+            return wrong("an id is made of letters, digits, `-`, `_` and `.`, and does not begin with `.`");
+        }
+        if RESERVED.contains(&self.id.as_str()) {
+            return wrong("`default`, `identity`, `same` and `curve` mean something else");
         }
         if !named(&self.file) || !named(&self.golden) {
             return wrong("`file` and `golden` are names of files beside the manifest, without a folder");
         }
         let guided = self.role == Role::Guided;
-        if self.channels != if guided { 6 } else { 3 } || self.order.len() != 1 + usize::from(guided) {
-            return wrong("a guided network takes 6 channels in two images, a single one 3 in one");
+        let order: &[&str] = if guided { &["blurry", "guide"] } else { &["blurry"] };
+        if self.channels != if guided { 6 } else { 3 } || self.order != order {
+            return wrong(
+                "a guided network takes 6 channels in the order blurry, guide; a single one takes the 3 of blurry",
+            );
         }
-        if self.multiple == 0 || self.multiple > 256 || self.tile < 128 || self.range[0] >= self.range[1] {
-            return wrong("`multiple` is 1 to 256, `tile` at least 128, and `range` rises");
+        let sides = (1..=256).contains(&self.multiple)
+            && (1..=4096).contains(&self.minimum_side)
+            && (128..=8192).contains(&self.tile);
+        if !sides || self.range[0] >= self.range[1] {
+            return wrong(
+                "`multiple` is 1 to 256, `minimum_side` 1 to 4096, `tile` 128 to 8192, and `range` rises",
+            );
+        }
+        let hexadecimal =
+            |text: &String| text.len() == 64 && text.chars().all(|c| matches!(c, '0'..='9' | 'a'..='f'));
+        if !self.sha256.as_ref().is_none_or(hexadecimal) {
+            return wrong("`sha256` is 64 lower-case hexadecimal digits");
         }
         Ok(())
     }

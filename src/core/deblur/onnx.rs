@@ -54,16 +54,17 @@ impl Onnx {
         if !runtime.has_cuda() {
             return Ok((Self::load_on(runtime, model, Provider::Cpu, threads)?, None));
         }
-        let mut model = model.clone();
+        let mut known = None;
         if model.golden.is_none() {
             // Without a known output the CPU's is what CUDA has to reach.
-            let golden = Self::load_on(runtime, &model, Provider::Cpu, threads)?.golden()?;
-            model.golden = Some(golden);
+            let golden = Self::load_on(runtime, model, Provider::Cpu, threads)?.golden()?;
+            known = Some(Model { golden: Some(golden), ..model.clone() });
         }
-        match Self::load_on(runtime, &model, Provider::Cuda, threads) {
+        let model = known.as_ref().unwrap_or(model);
+        match Self::load_on(runtime, model, Provider::Cuda, threads) {
             Ok(network) => Ok((network, None)),
             Err(error) => {
-                let network = Self::load_on(runtime, &model, Provider::Cpu, threads)?;
+                let network = Self::load_on(runtime, model, Provider::Cpu, threads)?;
                 Ok((network, Some(format!("CUDA cannot be used, the CPU is: {error}"))))
             }
         }
@@ -84,7 +85,7 @@ impl Onnx {
         let unusable = |detail: String| DeblurError::ModelUnusable { id: model.id.clone(), detail };
         let session = session(runtime, &model.bytes, provider, threads).map_err(&unusable)?;
         let channels = input_channels(&session, model.channels).map_err(&unusable)?;
-        let model = Model { bytes: Vec::new(), ..model.clone() };
+        let model = model.without_bytes();
         let mut network = Self { session, model, channels, provider, warnings: Vec::new() };
         network.self_test()?;
         Ok(network)
@@ -205,6 +206,10 @@ impl Deblurrer for Onnx {
             sha256: self.model.sha256.clone(),
             provider: self.provider.name().to_owned(),
             channels: self.channels,
+            feeding: format!(
+                "sides of a multiple of {}, at least {} px, tiles of {} px, values in {:?}",
+                self.model.multiple, self.model.minimum_side, self.model.tile, self.model.range
+            ),
         }
     }
 
@@ -238,7 +243,8 @@ fn session(runtime: &Runtime, bytes: &[u8], provider: Provider, threads: usize) 
     let builder = builder.with_intra_threads(threads).map_err(text)?;
     // Strictly: ort would otherwise go on with the CPU and say nothing.
     let provider = match provider {
-        Provider::Cuda => ep::CUDA::default().build().error_on_failure(),
+        // Nor with the 10 bits of mantissa that TF32 keeps: the self-test allows for rounding, not for that.
+        Provider::Cuda => ep::CUDA::default().with_tf32(false).build().error_on_failure(),
         Provider::Cpu => ep::CPU::default().build(),
     };
     let mut builder = builder.with_execution_providers([provider]).map_err(text)?;

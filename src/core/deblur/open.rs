@@ -53,13 +53,14 @@ pub fn open_enhancer(enhance: &str, options: &OpenOptions<'_>) -> Result<Option<
     if enhance == "curve" {
         return Ok(None);
     }
-    let opened = open_one(enhance, &OpenOptions { blend: false, ..*options })?;
+    // Never given a guide, so there is nothing to say about how it would take one.
+    let opened = open_one(enhance, &OpenOptions { blend: true, ..*options })?;
     let info = opened.deblurrer.describe();
     if info.channels == 6 {
         let detail = "it wants a guide; one that brightens takes 3 channels".to_owned();
         return Err(DeblurError::ModelUnusable { id: info.id, detail });
     }
-    Ok(Some(Opened { deblurrer: opened.deblurrer, fallbacks: Vec::new() }))
+    Ok(Some(opened))
 }
 
 fn open_one(choice: &str, options: &OpenOptions<'_>) -> Result<Opened, DeblurError> {

@@ -1,5 +1,6 @@
 //! Putting a network into a folder of models, so that it can be chosen by its name.
 
+use std::fs::File;
 use std::path::{Path, PathBuf};
 
 use crate::deblur::manifest::{Entry, Manifest, OVERLAY};
@@ -7,10 +8,11 @@ use crate::deblur::{DeblurError, Golden};
 use crate::image::write_atomic;
 
 /// Puts the network's file `content`, its golden output and its entry into `directory`. Each file is there whole or not at
-/// all, the entry last: what is listed can be loaded.
+/// all, the entry last: what is listed can be loaded. One call at a time in a folder, processes included.
 ///
 /// # Errors
-/// [`DeblurError::ModelNotKept`], [`DeblurError::ManifestUnreadable`] when the overlay that is there is damaged.
+/// [`DeblurError::ModelNotKept`], also for an entry that cannot be listed or whose file would take the place of another
+/// network's; [`DeblurError::ManifestUnreadable`] when the overlay that is there is damaged.
 pub fn install(
     directory: &Path,
     mut entry: Entry,
@@ -18,15 +20,26 @@ pub fn install(
     golden: &Golden,
 ) -> Result<(), DeblurError> {
     std::fs::create_dir_all(directory).map_err(kept(directory))?;
+    let guard = directory.join(".lock");
+    let lock = File::create(&guard).and_then(|file| file.lock().map(|()| file)).map_err(kept(&guard))?;
     let file = entry.file.get_or_insert_with(|| format!("{}.onnx", entry.id)).clone();
     let expected = entry.golden.get_or_insert_with(|| format!("{}.golden", entry.id)).clone();
+    let refused = |detail: String| kept(&directory.join(&file))(std::io::Error::other(detail));
+    entry.check().map_err(&refused)?;
+    let known = Manifest::known(&[directory.to_path_buf()])?;
+    let taken = |other: &&Entry| other.id != entry.id && (other.owns(&file) || other.owns(&expected));
+    if let Some(other) = known.models.iter().find(taken) {
+        return Err(refused(format!("the file is that of network {}; choose another --id", other.id)));
+    }
     let mut overlay = Manifest::overlay(directory)?;
     overlay.lay_over(entry);
     let mut text = serde_json::to_string_pretty(&overlay).expect("strings, numbers and lists");
     text.push('\n');
     write(&directory.join(file), content)?;
     write(&directory.join(expected), &golden.to_bytes())?;
-    write(&directory.join(OVERLAY), text.as_bytes())
+    write(&directory.join(OVERLAY), text.as_bytes())?;
+    drop(lock);
+    Ok(())
 }
 
 fn write(path: &Path, content: &[u8]) -> Result<(), DeblurError> {
@@ -75,6 +88,25 @@ mod tests {
         let golden = Golden::new(golden::view().data().to_vec()).expect("of the right size");
         let refused = install(directory.path(), Entry::of_file("a", 3, String::new(), 1), b"c", &golden);
         assert!(matches!(refused, Err(DeblurError::ManifestUnreadable { .. })), "{refused:?}");
-        assert_eq!(std::fs::read_dir(directory.path()).expect("readable").count(), 1, "nothing else is left");
+        let left = std::fs::read_dir(directory.path()).expect("readable").flatten();
+        let left: Vec<_> = left.map(|file| file.file_name()).filter(|name| name != ".lock").collect();
+        assert_eq!(left, [OVERLAY], "nothing else is left");
+    }
+
+    #[test]
+    fn neither_another_networks_file_nor_one_outside_is_written_over() {
+        let home = tempfile::tempdir().expect("temporary directory");
+        let directory = home.path().join("models");
+        let golden = Golden::new(golden::view().data().to_vec()).expect("of the right size");
+        let install = |entry: Entry| install(&directory, entry, b"content", &golden);
+        // A known network's file name, under another id.
+        let clash = install(Entry::of_file("NAFNet-GoPro-width32", 3, digest(b"content"), 7));
+        assert!(clash.expect_err("taken").to_string().contains("nafnet-gopro-w32"));
+        for id in ["../outside", "/outside", "", ".hidden", "default", "a b"] {
+            let refused = install(Entry::of_file(id, 3, digest(b"content"), 7));
+            assert!(matches!(refused, Err(DeblurError::ModelNotKept { .. })), "{id}: {refused:?}");
+        }
+        install(Entry::of_file("fine-1.0", 3, digest(b"content"), 7)).expect("a plain name");
+        assert_eq!(std::fs::read_dir(home.path()).expect("readable").count(), 1);
     }
 }

@@ -48,6 +48,7 @@ impl Runtime {
     }
 
     /// Whether the library's part for CUDA lies beside it. Whether it works, only loading a network on it tells.
+    /// Where the system's loader found the library its folder is not known, and the CPU is used.
     pub fn has_cuda(&self) -> bool {
         self.info.path.parent().is_some_and(|folder| folder.join(CUDA_LIBRARY).is_file())
     }

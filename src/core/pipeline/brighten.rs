@@ -1,7 +1,5 @@
 //! H_i: the dark views, brightened by the round's tone curve or, as a baseline, once by a network.
 
-use std::time::Instant;
-
 use super::config::OptionsError;
 use super::error::PipelineError;
 use super::job::Job;
@@ -35,23 +33,16 @@ impl Job<'_, '_> {
         Ok(enhance::anchors(self.options.rounds, target))
     }
 
-    /// Every dark view through the enhancing network, if there is one.
+    /// Every dark view through the enhancing network, if there is one: a stage before the rounds.
     fn brightened_by_network(&mut self, views: &[View]) -> Result<Option<Vec<Image>>, PipelineError> {
         if self.tools.enhancer.is_none() {
             return Ok(None);
         }
-        let started = Instant::now();
-        let mut images = Vec::with_capacity(views.len());
-        for view in views {
-            self.cancel.check()?;
-            let Some(enhancer) = self.tools.enhancer.as_deref_mut() else { return Ok(None) };
-            images.push(enhancer.deblur(&view.dark, None)?);
-            for warning in enhancer.take_warnings() {
-                self.sink.warn("enhance", format!("{}: {warning}", view.name));
-            }
-        }
-        let seconds = started.elapsed().as_secs_f64();
-        self.sink.log(format!("{} views brightened by the network in {seconds:.1} s", views.len()));
+        let images = self.each_view(Stage::Enhance, 0, "brightened", views, |job, i| {
+            let enhancer =
+                job.tools.enhancer.as_deref_mut().expect("looked for above; nothing takes it away");
+            Ok((enhancer.deblur(&views[i].dark, None)?, enhancer.take_warnings()))
+        })?;
         Ok(Some(images))
     }
 

@@ -330,6 +330,14 @@ impl Options {
         if !(0.0..=0.5).contains(&self.dropout) {
             return Err(fault("dropout", &format!("{} is not in 0..=0.5", self.dropout)));
         }
+        if self.enhance != "curve" && self.target != "auto" {
+            let message = "a network that brightens decides the brightness: leave `target` at `auto`";
+            return Err(fault("target", &message));
+        }
+        if self.guide == Guide::None && self.deblur_unguided != "same" {
+            let message = "with `guide=none` no view is ever guided: choose the network by `deblur`";
+            return Err(fault("deblur_unguided", &message));
+        }
         within("cap", self.cap, 100, 5_000_000)?;
         within("fill_up", self.fill_up, 0, 1_000_000)?;
         within("sh_degree", self.sh_degree, 0, 3)
@@ -391,5 +399,9 @@ mod tests {
         assert_eq!(options.with_assignment("rounds=0").expect_err("range").key, "rounds");
         assert_eq!(options.with_assignment("dropout=0.6").expect_err("range").key, "dropout");
         assert_eq!(options.with_assignment("noise=loud").expect_err("enum").key, "noise");
+        let unguided = Options { guide: Guide::None, ..options.clone() };
+        assert_eq!(unguided.with_assignment("deblur_unguided=a").expect_err("both").key, "deblur_unguided");
+        let aimed = Options { target: "10,0.8".to_owned(), ..options };
+        assert_eq!(aimed.with_assignment("enhance=a").expect_err("both").key, "target");
     }
 }

@@ -12,6 +12,8 @@ pub struct Plan {
     poses: f64,
     round: Vec<(Stage, f64)>,
     rounds: u32,
+    /// Whether a network brightens, once before the rounds.
+    brightens: bool,
     done: f64,
     current: f64,
     skipped: f64,
@@ -41,6 +43,7 @@ impl Plan {
             poses: 1.2 * views,
             round,
             rounds: options.rounds,
+            brightens: options.enhance != "curve",
             done: 0.0,
             current: 0.0,
             skipped: 0.0,
@@ -56,7 +59,10 @@ impl Plan {
     }
 
     fn total(&self) -> f64 {
-        self.poses + f64::from(self.rounds) * self.round.iter().map(|(_, weight)| weight).sum::<f64>()
+        let before = if self.brightens { self.weight(Stage::Enhance) } else { 0.0 };
+        self.poses
+            + before
+            + f64::from(self.rounds) * self.round.iter().map(|(_, weight)| weight).sum::<f64>()
     }
 
     /// Notes that `share` (0..=1) of a stage is done, and tells the sink.

@@ -105,7 +105,7 @@ impl Job<'_, '_> {
         let seconds = self.started.elapsed().as_secs_f64();
         self.workspace.stamp("run", &self.inputs, seconds)?;
         let work = self.workspace.work();
-        for folder in ["deblurred", "training.checkpoint"] {
+        for folder in ["deblurred", "brightened", "training.checkpoint"] {
             let path = work.join(folder);
             let gone = if path.is_dir() { fs::remove_dir_all(&path) } else { fs::remove_file(&path) };
             match gone {

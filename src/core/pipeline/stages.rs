@@ -62,7 +62,7 @@ impl Job<'_, '_> {
         let poses = serde_json::to_string(poses).unwrap_or_default();
         let networks = self.networks();
         let networks: Vec<String> =
-            networks.iter().map(|(use_of, info)| format!("{use_of} {} {}", info.id, info.sha256)).collect();
+            networks.iter().map(|(use_of, info)| format!("{use_of} {info:?}")).collect();
         fingerprint(&[
             &self.capture.fingerprint,
             &poses,
@@ -109,36 +109,54 @@ impl Job<'_, '_> {
         guides: Option<&[Image]>,
     ) -> Result<Vec<Image>, PipelineError> {
         let guides = guides.filter(|_| self.options.guide != Guide::None);
-        let key = self.stage_fingerprint(Stage::Deblur, round);
-        let name = format!("deblur-{round}");
-        let folder = self.workspace.work().join("deblurred").join(round.to_string());
+        self.each_view(Stage::Deblur, round, "deblurred", views, |job, i| {
+            let image = job.tools.deblurrer.deblur(&enhanced[i], guides.map(|guides| &guides[i]))?;
+            Ok((image, job.tools.deblurrer.take_warnings()))
+        })
+    }
+
+    /// A network's stage: `work` on every view, with its warnings. Each result is kept under `kind` until the run has ended, so
+    /// that a stage is done once, and told, so that it is known to be alive.
+    pub(super) fn each_view(
+        &mut self,
+        stage: Stage,
+        round: u32,
+        kind: &str,
+        views: &[View],
+        mut work: impl FnMut(&mut Self, usize) -> Result<(Image, Vec<String>), PipelineError>,
+    ) -> Result<Vec<Image>, PipelineError> {
+        let key = self.stage_fingerprint(stage, round);
+        let name = format!("{}-{round}", stage.name());
+        let folder = self.workspace.work().join(kind).join(round.to_string());
         let file = |view: &View| folder.join(format!("{}.f32", view.name));
         if let Some(seconds) = self.workspace.finished(&name, &key) {
             let stored: Option<Vec<Image>> =
                 views.iter().map(|view| read_planar(&file(view), view)).collect();
             if let Some(stored) = stored {
-                self.skip_stage(Stage::Deblur, round, seconds);
+                self.skip_stage(stage, round, seconds);
                 return Ok(stored);
             }
         }
         let started = Instant::now();
-        let deblurred = self.stage(Stage::Deblur, round, |job| {
-            let mut deblurred = Vec::with_capacity(views.len());
+        let images = self.stage(stage, round, |job| {
+            let mut images = Vec::with_capacity(views.len());
             for (i, view) in views.iter().enumerate() {
                 job.cancel.check()?;
-                let image = job.tools.deblurrer.deblur(&enhanced[i], guides.map(|guides| &guides[i]))?;
-                for warning in job.tools.deblurrer.take_warnings() {
-                    job.sink.warn("deblur", format!("{}: {warning}", view.name));
+                let (image, warnings) = work(job, i)?;
+                for warning in warnings {
+                    job.sink.warn(stage.name(), format!("{}: {warning}", view.name));
                 }
                 job.workspace.write(&file(view), bytemuck::cast_slice(image.data()))?;
-                deblurred.push(image);
-                job.advance(Stage::Deblur, round, i + 1, views.len());
+                images.push(image);
+                job.advance(stage, round, i + 1, views.len());
             }
-            job.previews(round, "deblurred", views, &deblurred)?;
-            Ok(deblurred)
+            if round > 0 {
+                job.previews(round, kind, views, &images)?;
+            }
+            Ok(images)
         })?;
         self.workspace.stamp(&name, &key, started.elapsed().as_secs_f64())?;
-        Ok(deblurred)
+        Ok(images)
     }
 
     pub(super) fn previews(

@@ -1,7 +1,7 @@
 //! Downloading a network: only when asked for, resumed, and checked before anything uses it.
 
 use std::fs::{File, OpenOptions};
-use std::io::{Read, Write};
+use std::io::{Read, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -30,29 +30,58 @@ pub fn fetch(entry: &Entry, from: Option<&str>, folder: &Path) -> Result<Vec<u8>
         return Err(environment(format!("{} has no address. {note}", entry.id), &by_hand(entry)));
     };
     std::fs::create_dir_all(folder).map_err(io(folder))?;
-    let part = part(entry, folder);
-    if entry.sha256.is_none() {
-        let _ = std::fs::remove_file(&part);
+    let path = part(entry, folder);
+    let mut options = OpenOptions::new();
+    let mut part =
+        options.read(true).write(true).create(true).truncate(false).open(&path).map_err(io(&path))?;
+    if part.try_lock().is_err() {
+        let detail = format!("{} is being fetched already, into {}", entry.id, path.display());
+        return Err(environment(detail, "Wait for it."));
     }
-    let lost = |detail: String| {
-        environment(format!("cannot get {} from {url}: {detail}", entry.id), &by_hand(entry))
+    let Some(expected) = &entry.sha256 else {
+        // Nothing would tell whether what is here belongs to what is there now.
+        let content = attempt(entry, url, &mut part, 0)?;
+        return Ok(content);
     };
-    let limit = entry.bytes.unwrap_or(LARGEST);
-    download(url, &part, limit).map_err(lost)?;
-    let content = std::fs::read(&part).map_err(io(&part))?;
-    let actual = digest(&content);
-    match &entry.sha256 {
-        Some(expected) if *expected != actual => {
-            // Neither more bytes nor another attempt can make it right.
-            let _ = std::fs::remove_file(&part);
-            let detail = format!(
-                "what {url} gives is not {}: sha256 {actual}, {expected} is expected. It was removed",
-                entry.id
-            );
-            Err(environment(detail, &by_hand(entry)))
-        }
-        _ => Ok(content),
+    let have = part.metadata().map_err(io(&path))?.len();
+    let before = read(&mut part).map_err(io(&path))?;
+    if digest(&before) == *expected {
+        return Ok(before);
     }
+    drop(before);
+    let mut content = attempt(entry, url, &mut part, have)?;
+    if have > 0 && digest(&content) != *expected {
+        // The beginning may have been of another address or day.
+        content = attempt(entry, url, &mut part, 0)?;
+    }
+    let actual = digest(&content);
+    if actual != *expected {
+        let _ = std::fs::remove_file(&path);
+        let detail = format!(
+            "what {url} gives is not {}: sha256 {actual}, {expected} is expected. It was removed",
+            entry.id
+        );
+        return Err(environment(detail, &by_hand(entry)));
+    }
+    Ok(content)
+}
+
+/// The file's whole content, downloaded from its byte `have` on.
+fn attempt(entry: &Entry, url: &str, part: &mut File, have: u64) -> Result<Vec<u8>, Failure> {
+    let lost = |detail: String| {
+        let resumed = if entry.sha256.is_some() { " Called again, it goes on from there." } else { "" };
+        let detail = format!("cannot get {} from {url}: {detail}.{resumed}", entry.id);
+        environment(detail, &by_hand(entry))
+    };
+    download(url, part, have, entry.bytes.unwrap_or(LARGEST)).map_err(lost)?;
+    read(part).map_err(|error| lost(error.to_string()))
+}
+
+fn read(part: &mut File) -> std::io::Result<Vec<u8>> {
+    let mut content = Vec::new();
+    part.seek(SeekFrom::Start(0))?;
+    part.read_to_end(&mut content)?;
+    Ok(content)
 }
 
 /// Removes what the download left, once the network is in its place.
@@ -72,9 +101,9 @@ fn environment(detail: String, hint: &str) -> Failure {
     Failure { hint: hint.to_owned(), ..Failure::new(ErrorKind::Environment, detail) }
 }
 
-/// Brings `part` to the whole content of `url`.
-fn download(url: &str, part: &Path, limit: u64) -> Result<(), String> {
-    let text = |error: std::io::Error| format!("{}: {error}", part.display());
+/// Brings `part`, of which `have` bytes are good, to the whole content of `url`.
+fn download(url: &str, part: &mut File, have: u64, limit: u64) -> Result<(), String> {
+    let text = |error: std::io::Error| error.to_string();
     let agent: Agent = Agent::config_builder()
         .http_status_as_error(false)
         .timeout_connect(Some(PATIENCE))
@@ -82,7 +111,6 @@ fn download(url: &str, part: &Path, limit: u64) -> Result<(), String> {
         .timeout_per_read(Some(PATIENCE))
         .build()
         .into();
-    let have = std::fs::metadata(part).map_or(0, |file| file.len());
     let mut response = request(&agent, url, have)?;
     let mut at = have;
     match response.status() {
@@ -98,13 +126,12 @@ fn download(url: &str, part: &Path, limit: u64) -> Result<(), String> {
         return Err(format!("it answers {}", response.status()));
     }
     let total = response.body().content_length().map(|length| length + at);
-    if total.is_some_and(|total| total > limit) {
-        return Err(format!("it has {} bytes, {limit} are expected", total.unwrap_or_default()));
+    if let Some(total) = total.filter(|total| *total > limit) {
+        return Err(format!("it has {total} bytes, {limit} are expected"));
     }
-    let file = OpenOptions::new().create(true).append(at > 0).write(true).truncate(at == 0).open(part);
-    let mut file = file.map_err(text)?;
-    copy(&mut response, &mut file, at, total, limit)?;
-    file.sync_all().map_err(text)
+    part.set_len(at).and_then(|()| part.seek(SeekFrom::Start(at))).map_err(text)?;
+    copy(&mut response, part, at, total, limit)?;
+    part.sync_all().map_err(text)
 }
 
 fn request(agent: &Agent, url: &str, from: u64) -> Result<Response<Body>, String> {
@@ -134,9 +161,7 @@ fn copy(
     let mut reader = response.body_mut().as_reader();
     let mut buffer = vec![0; 1 << 16];
     loop {
-        let read = reader.read(&mut buffer).map_err(|error| {
-            format!("stopped after {at} bytes: {error}. Called again, it goes on from there")
-        })?;
+        let read = reader.read(&mut buffer).map_err(|error| format!("stopped after {at} bytes: {error}"))?;
         if read == 0 {
             break;
         }

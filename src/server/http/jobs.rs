@@ -7,7 +7,7 @@ use std::time::Duration;
 use axum::extract::{DefaultBodyLimit, FromRequest, Multipart, Path, Request, State};
 use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
-use fled_core::deblur::manifest::{Manifest, Place};
+use fled_core::deblur::manifest::{Manifest, Place, Role};
 use fled_core::pipeline::config::{OptionsError, Preset};
 use serde::Deserialize;
 use serde_json::{Map, Value};
@@ -197,6 +197,9 @@ fn check_network(folders: &[PathBuf], key: &str, choice: &str, words: &[&str]) -
             let message = format!("the file of network `{choice}` is not on this server");
             let hint = format!("Whoever runs the server gets it by: fled models fetch {choice}.");
             Err(refused(message).hint(hint))
+        }
+        Some(entry) if key == "enhance" && entry.role == Role::Guided => {
+            Err(refused(format!("network `{choice}` wants a guide; one that brightens has 3 channels")))
         }
         Some(_) => Ok(()),
         None => {

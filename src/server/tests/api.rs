@@ -88,6 +88,8 @@ fn an_unknown_option_is_refused_with_a_pointer_to_it() {
     assert_eq!(post(json!({ "deblur_unguided": "a.onnx" }))["pointer"], "/options/deblur_unguided");
     let enhance = post(json!({ "enhance": "identity" }));
     assert!(enhance["detail"].as_str().is_some_and(|text| text.contains("curve")), "{enhance:#}");
+    let guided = post(json!({ "enhance": "default" }));
+    assert!(guided["detail"].as_str().is_some_and(|text| text.contains("wants a guide")), "{guided:#}");
     let reply =
         server.post_json("/v1/jobs", &json!({ "capture_id": capture, "preset": "fast" }), &[]).expect(422);
     assert_eq!(reply.json()["pointer"], "/preset");
