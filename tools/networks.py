@@ -76,11 +76,14 @@ def main():
     parser.add_argument("--network", default="default", help="what deblur= takes")
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--set", action="append", default=[], help="an option of every run")
+    parser.add_argument("--only", type=int, nargs="*", help="numbers of the variants to run, from 0")
     parser.add_argument("--finished", action="store_true", help="run nothing, print what is finished")
     arguments = parser.parse_args()
     results, network_file = {}, checksum(arguments)
     for seed in range(arguments.seeds):
         for number, (name, options) in enumerate(VARIANTS):
+            if arguments.only is not None and number not in arguments.only:
+                continue
             for text in arguments.captures:
                 path, _, extra = text.partition(":")
                 capture = pathlib.Path(path)

@@ -17,7 +17,7 @@ USES = 3
 # Share of the scenes whose guide is a render by the product itself (`renders.py`), where there are such.
 REAL_GUIDES = 0.2
 # Share of the scenes with enough light, from which deblurring is learnt: under noise a network learns to average.
-CLEAN = 0.3
+CLEAN = 0.2
 
 
 class Patches(IterableDataset):

@@ -103,12 +103,12 @@ def sensor(iso, jitter=0.0):
 def random_exposure(rng):
     """The training distribution of exposures."""
     jitter = rng.normal() * 0.25
-    if rng.random() < 0.15:
+    if rng.random() < 0.3:
         # Cheap sensors and old cameras read out far noisier than the fitted line.
         jitter += rng.uniform(0, 2.5)
     shot, read = sensor(np.exp(rng.uniform(np.log(100), np.log(1600))), jitter)
     return Exposure(
-        light=float(np.exp(rng.uniform(np.log(0.03), np.log(0.6)))),
+        light=float(np.exp(rng.uniform(np.log(0.02), np.log(0.6)))),
         shot=shot,
         read=read,
         mosaic=rng.random() < 0.25,
