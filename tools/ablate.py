@@ -56,7 +56,8 @@ def sharp(capture, folder):
 def run(arguments, capture, out, options):
     """The report of one run."""
     report = out / "metrics.json"
-    if not report.exists():
+    # The report is written after every round; the scene is delivered at the end.
+    if not (out / "scene.ply").exists():
         command = [arguments.fled.resolve(), "run", capture, "--out", out, "--preset", arguments.preset]
         command += ["--cache", arguments.out / "cache"]
         for option in options:
@@ -116,7 +117,7 @@ def main():
                 steps = [f"steps={arguments.steps}", f"seed={seed}"]
                 every = BASE + arguments.set + [o for o in extra.split(";") if o] + steps
                 every += [option.replace("TWICE", str(2 * arguments.steps)) for option in options]
-                if arguments.finished and not (out / "metrics.json").exists():
+                if arguments.finished and not (out / "scene.ply").exists():
                     continue
                 found = last_round(run(arguments, capture, out, every))
                 results.setdefault((capture.name, name), {})[seed] = found

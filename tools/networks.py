@@ -54,6 +54,7 @@ def checksum(arguments):
 
 def cell(by_seed, key, base=None):
     """Mean and spread over the seeds of a PSNR with its SSIM; the difference is by seed: what seeds share is not noise."""
+    base = {} if base is None or base is by_seed else base
     by_seed = {seed: run for seed, run in by_seed.items() if key in run}
     if not by_seed:
         return "-"
@@ -61,7 +62,7 @@ def cell(by_seed, key, base=None):
     psnr = [run[key][0] for run in runs]
     spread = f" ± {statistics.stdev(psnr):.2f}" if len(psnr) > 1 else ""
     text = f"{statistics.mean(psnr):.2f}{spread} / {statistics.mean(run[key][1] for run in runs):.4f}"
-    shared = [seed for seed in by_seed if base and base is not by_seed and seed in base]
+    shared = [seed for seed in by_seed if seed in base]
     if shared:
         text += f" ({statistics.mean(by_seed[seed][key][0] - base[seed][key][0] for seed in shared):+.2f})"
     return text
@@ -92,7 +93,7 @@ def main():
                 facts = [str(capture.resolve()), arguments.preset, *every, network_file if network else ""]
                 slug = hashlib.sha256("\n".join(facts).encode()).hexdigest()[:12]
                 out = arguments.out / capture.name / f"{number}-{seed}-{slug}"
-                if arguments.finished and not (out / "metrics.json").exists():
+                if arguments.finished and not (out / "scene.ply").exists():
                     continue
                 results.setdefault((capture.name, name), {})[seed] = scores(run(arguments, capture, out, every))
     for capture in dict.fromkeys(name for name, _ in results):

@@ -15,7 +15,7 @@ SCENE = 2 * PATCH
 # Making a patch costs as much as training on it: each is shown several times, far apart and turned differently.
 USES = 3
 # Share of the scenes whose guide is a render by the product itself (`renders.py`), where there are such.
-REAL_GUIDES = 0.2
+REAL_GUIDES = 0.35
 # Share of the scenes with enough light, from which deblurring is learnt: under noise a network learns to average.
 CLEAN = 0.2
 

@@ -177,8 +177,9 @@ def random_blur(rng, shape):
     """The training distribution: 72 % shake, 15 % varying shake, 8 % none, 5 % defocus."""
     kind = rng.random()
     if kind < 0.72:
-        # Mostly what a hand does; longer shakes hardly come back.
-        return Blur([shake_kernel(rng, rng.uniform(2, 16) if rng.random() < 0.9 else rng.uniform(0, 25))])
+        # Mostly what a hand does, and as often a pixel as ten: a network that has seen only strong blur sharpens what is sharp.
+        short = np.exp(rng.uniform(np.log(0.5), np.log(16)))
+        return Blur([shake_kernel(rng, short if rng.random() < 0.9 else rng.uniform(0, 25))])
     if kind < 0.87:
         extent = rng.uniform(2, 20)
         kernels = [shake_kernel(rng, extent * rng.uniform(0.3, 1)) for _ in range(2)]
@@ -215,9 +216,11 @@ class Guide:
 
 def random_guide(rng):
     """The training distribution of simulated renders."""
+    # Half are as sharp as splats get: a guide is not a sign that everything is to be sharpened.
+    sharp = rng.random() < 0.5
     return Guide(
-        extent=rng.uniform(0, 14) * rng.random(),
-        sigma=rng.uniform(0, 1.6),
+        extent=rng.uniform(0, 3 if sharp else 14) * rng.random(),
+        sigma=rng.uniform(0, 0.7 if sharp else 1.6),
         drift=rng.uniform(0, 0.05),
         warp=rng.uniform(0, 1.2) * rng.random(),
         grain=rng.uniform(0, 0.03) * rng.random(),
