@@ -108,6 +108,22 @@ def load(checkpoint, raw=False):
     return network.eval(), state
 
 
+# Names of the ONNX file's weights, and of the network's.
+PREFIXES = {"encoder": "encoders", "down": "downs", "up": "ups", "decoder": "decoders"}
+
+
+def weights(path):
+    """The averaged weights of a checkpoint, or those of an exported file, as a state of the network."""
+    if path.suffix != ".onnx":
+        return torch.load(path, weights_only=True, map_location="cpu")["average"]
+    state = {}
+    for tensor in onnx.load(path).graph.initializer:
+        first, dot, rest = tensor.name.partition(".")
+        if dot:
+            state[f"{PREFIXES.get(first, first)}.{rest}"] = torch.from_numpy(numpy_helper.to_array(tensor).copy())
+    return state
+
+
 def largest_difference(model, network):
     """Largest absolute difference between ONNX Runtime and PyTorch over three sizes."""
     session = onnxruntime.InferenceSession(model.SerializeToString(), providers=["CPUExecutionProvider"])

@@ -144,6 +144,16 @@ class Export(unittest.TestCase):
         np.testing.assert_allclose(images[3:, 5, 20], images[:3, 20, 5], atol=1e-7)
         self.assertEqual(len(export.golden(Network().eval())), 4 * 3 * export.SIDE**2)
 
+    def test_training_can_go_on_from_an_exported_file(self):
+        network, other = Network().eval(), Network().eval()
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "a.onnx"
+            path.write_bytes(export.build(network).SerializeToString())
+            other.load_state_dict(export.weights(path))
+        pair = torch.rand(1, 6, 32, 32)
+        with torch.no_grad():
+            torch.testing.assert_close(other(pair), network(pair))
+
     def test_the_comparison_notices_a_changed_weight(self):
         network = Network().eval()
         model = export.build(network)

@@ -36,7 +36,7 @@ def arguments():
     parser.add_argument("--minutes", type=float, default=240, help="budget over all restarts")
     parser.add_argument("--piece", type=float, help="stop after so many minutes by the clock, to be started again")
     parser.add_argument("--device", default="cpu", help="cpu or cuda")
-    parser.add_argument("--start", type=Path, help="begin with the averaged weights of this checkpoint")
+    parser.add_argument("--start", type=Path, help="begin with the weights of this checkpoint (its average) or exported ONNX file")
     parser.add_argument("--renders", type=Path, help="folder made by renders.py: guides that are real renders")
     parser.add_argument("--batch", type=int, default=8, help="patches of 128 px a step")
     parser.add_argument("--rate", type=float, default=1.5e-3, help="peak learning rate")
@@ -67,7 +67,10 @@ class Trainer:
         torch.manual_seed(options.seed)
         network = Network(options.width, middle=options.middle)
         if options.start:
-            network.load_state_dict(torch.load(options.start, weights_only=True, map_location="cpu")["average"])
+            # Only here: a machine that continues its own run needs no ONNX.
+            from export import weights
+
+            network.load_state_dict(weights(options.start))
         self.network = network.to(options.device, memory_format=torch.channels_last)
         self.average = copy.deepcopy(self.network).requires_grad_(False)
         self.optimiser = torch.optim.AdamW(
