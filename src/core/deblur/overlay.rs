@@ -86,7 +86,7 @@ mod tests {
         let directory = tempfile::tempdir().expect("temporary directory");
         std::fs::write(directory.path().join(OVERLAY), "{").expect("write");
         let golden = Golden::new(golden::view().data().to_vec()).expect("of the right size");
-        let refused = install(directory.path(), Entry::of_file("a", 3, String::new(), 1), b"c", &golden);
+        let refused = install(directory.path(), Entry::of_file("a", 3, digest(b"c"), 1), b"c", &golden);
         assert!(matches!(refused, Err(DeblurError::ManifestUnreadable { .. })), "{refused:?}");
         let left = std::fs::read_dir(directory.path()).expect("readable").flatten();
         let left: Vec<_> = left.map(|file| file.file_name()).filter(|name| name != ".lock").collect();
