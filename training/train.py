@@ -4,7 +4,7 @@
     python train.py --device cuda --width 32 --middle 4 --batch 64 --workers 15 --minutes 25 --piece 9 --run run/medium
 
 Started again with the same --run it goes on from the last checkpoint. On a CPU the budget is of the learning process's
-own CPU time, so that other work on the machine changes when it ends and not what comes out; on a GPU it is of the clock.
+own CPU time, so that other work on the machine changes when it ends more than how far it comes; on a GPU it is of the clock.
 """
 
 import argparse
