@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use super::config::{LutScope, ShakeModel};
+use super::config::LutScope;
 use super::error::PipelineError;
 use super::evaluate::{self, RoundImages};
 use super::guide;
@@ -189,8 +189,8 @@ impl Job<'_, '_> {
         let records = evaluate::records(views, images);
         let noise_sigma = evaluate::means(images, metrics::noise_sigma);
         let sigma = noise_sigma.get("enhanced").copied().unwrap_or_default();
-        let response = (self.options.shake == ShakeModel::Kernel).then(|| self.response(views, next.target));
-        let score = score::score(views, images.final_renders, images.final_enhanced, response.as_ref());
+        let response = self.response(views, next.target);
+        let score = score::score(views, images.final_renders, images.final_enhanced, &response);
         let before = self.rounds.last().and_then(|previous| previous.score);
         RoundMetrics {
             round,
