@@ -191,6 +191,11 @@ fn answer(mut stream: TcpStream, content: &[u8], cut: Option<usize>) -> Option<S
     let from =
         range.as_deref().and_then(|range| range.strip_prefix("bytes=")?.strip_suffix('-')?.parse().ok());
     let from: usize = from.unwrap_or(0);
+    if from >= content.len() {
+        let head = "HTTP/1.1 416 Range Not Satisfiable\r\nContent-Length: 0\r\nConnection: close\r\n\r\n";
+        let _ = stream.write_all(head.as_bytes());
+        return range;
+    }
     let status = if from > 0 {
         format!("206 Partial Content\r\nContent-Range: bytes {from}-{}/{}", content.len() - 1, content.len())
     } else {
@@ -253,6 +258,36 @@ fn what_an_earlier_download_left_is_used_when_it_is_whole_and_doubted_when_not()
     std::fs::write(home.path().join("far.part"), &content).expect("write");
     assert_eq!(code(&models(home.path(), &["fetch", "far"])), 0);
     assert_eq!(ranges.lock().expect("not poisoned").len(), 2, "what is whole is not fetched again");
+}
+
+#[test]
+fn more_than_the_whole_is_begun_again() {
+    let home = tempfile::tempdir().expect("temporary folder");
+    let content = std::fs::read(network("box3")).expect("golden network");
+    let (url, ranges) = serve(content.clone(), content.len());
+    overlay(home.path(), &url, &digest(&content), content.len());
+    std::fs::write(home.path().join("far.part"), [&content[..], b"and more"].concat()).expect("write");
+    let mended = models(home.path(), &["fetch", "far"]);
+    assert_eq!(code(&mended), 0, "{}", said(&mended));
+    assert_eq!(std::fs::read(home.path().join("far.onnx")).expect("fetched"), content);
+    let past = format!("bytes={}-", content.len() + 8);
+    assert_eq!(*ranges.lock().expect("not poisoned"), [Some(past), None], "refused, then the whole");
+}
+
+#[test]
+fn nobody_fetches_what_another_is_fetching() {
+    let home = tempfile::tempdir().expect("temporary folder");
+    let content = std::fs::read(network("box3")).expect("golden network");
+    let (url, ranges) = serve(content.clone(), content.len());
+    overlay(home.path(), &url, &digest(&content), content.len());
+    let part = std::fs::File::create(home.path().join("far.part")).expect("created");
+    part.lock().expect("locked");
+    let refused = models(home.path(), &["fetch", "far"]);
+    assert_eq!(code(&refused), 4, "{}", said(&refused));
+    assert!(said(&refused).contains("being fetched already"), "{}", said(&refused));
+    assert!(ranges.lock().expect("not poisoned").is_empty(), "nothing was asked for");
+    drop(part);
+    assert_eq!(code(&models(home.path(), &["fetch", "far"])), 0);
 }
 
 #[test]

@@ -11,11 +11,13 @@ from onnx import TensorProto, checker, helper, numpy_helper
 FOLDER = Path(__file__).resolve().parent / "onnx"
 
 
-def save(name, nodes, constants=(), channels=3, size=("h", "w"), output_channels=3, element=TensorProto.FLOAT):
+def save(
+    name, nodes, constants=(), channels=3, size=("h", "w"), output_channels=3, element=TensorProto.FLOAT, outputs=("restored",)
+):
     graph = helper.make_graph(
         nodes, name,
         [helper.make_tensor_value_info("view", element, ["n", channels, *size])],
-        [helper.make_tensor_value_info("restored", element, ["n", output_channels, *size])],
+        [helper.make_tensor_value_info(output, element, ["n", output_channels, *size]) for output in outputs],
         [numpy_helper.from_array(value, key) for key, value in constants],
     )
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
@@ -64,6 +66,10 @@ def main():
     ], [("limit", np.array(0.95, np.float32)), ("nine", np.array(9, np.float32))])
     # Brightens: the square root.
     save("root3", [node("Pow", ["view", "half"])], [("half", np.array(0.5, np.float32))])
+    # As networks of several scales have it: the coarse one comes first.
+    save("two_outputs3", [
+        node("Mul", ["view", "half"], "coarse"), node("Identity", ["view"]),
+    ], [("half", np.array(0.5, np.float32))], outputs=("coarse", "restored"))
     save("infinite3", [node("Div", ["view", "zero"])], [("zero", np.array(0, np.float32))])
     save("random3", [
         node("RandomNormalLike", ["view"], "noise", scale=0.01), node("Add", ["view", "noise"]),

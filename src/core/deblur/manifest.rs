@@ -78,9 +78,9 @@ pub struct Entry {
     pub tile: usize,
     /// Least and greatest sane output for input in 0..=1.
     pub range: [f32; 2],
-    /// Name of the input; absent: whatever the file says.
+    /// Name of the input, which has to be the file's; absent: whatever the file says.
     pub input: Option<String>,
-    /// Name of the output; absent: whatever the file says.
+    /// Name of the output that is the restored view, where the file has several; absent: the first one.
     pub output: Option<String>,
     /// File of the output that the self-test expects ([`Golden`]); absent: it is made on the CPU.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -110,6 +110,10 @@ pub struct Model {
     pub bytes: Vec<u8>,
     /// Input channels; `None`: to be read from the file.
     pub channels: Option<u32>,
+    /// Name of the input; `None`: whatever the file says.
+    pub input: Option<String>,
+    /// Name of the output that is the restored view; `None`: the first one.
+    pub output: Option<String>,
     /// Both sides must be a multiple of this, px.
     pub multiple: usize,
     /// Least length of a side, px.
@@ -225,6 +229,8 @@ impl Model {
             sha256: self.sha256.clone(),
             bytes: Vec::new(),
             golden: self.golden.clone(),
+            input: self.input.clone(),
+            output: self.output.clone(),
             ..*self
         }
     }
@@ -236,6 +242,8 @@ impl Model {
             sha256: digest(&bytes),
             bytes,
             channels: None,
+            input: None,
+            output: None,
             multiple: 16,
             minimum_side: 16,
             tile: 1024,
@@ -346,6 +354,8 @@ impl Entry {
             sha256,
             bytes,
             channels: Some(self.channels),
+            input: self.input.clone(),
+            output: self.output.clone(),
             multiple: self.multiple,
             minimum_side: self.minimum_side,
             tile: self.tile,

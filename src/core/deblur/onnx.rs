@@ -34,7 +34,8 @@ impl Provider {
 pub struct Onnx {
     session: Session,
     model: Model,
-    channels: u32,
+    /// What the file takes and gives.
+    form: Form,
     provider: Provider,
     warnings: Vec<String>,
 }
@@ -84,9 +85,9 @@ impl Onnx {
     ) -> Result<Self, DeblurError> {
         let unusable = |detail: String| DeblurError::ModelUnusable { id: model.id.clone(), detail };
         let session = session(runtime, &model.bytes, provider, threads).map_err(&unusable)?;
-        let channels = input_channels(&session, model.channels).map_err(&unusable)?;
+        let form = Form::of(&session, model).map_err(&unusable)?;
         let model = model.without_bytes();
-        let mut network = Self { session, model, channels, provider, warnings: Vec::new() };
+        let mut network = Self { session, model, form, provider, warnings: Vec::new() };
         network.self_test()?;
         Ok(network)
     }
@@ -98,7 +99,7 @@ impl Onnx {
     pub fn golden(&mut self) -> Result<Golden, DeblurError> {
         let (view, guide) = (golden::view(), golden::guide());
         let tile = Tile { x: 0, y: 0, width: golden::SIDE, height: golden::SIDE };
-        let output = self.run(&view, (self.channels == 6).then_some(&guide), tile)?;
+        let output = self.run(&view, (self.form.channels == 6).then_some(&guide), tile)?;
         let rows = (0..3).flat_map(|channel| (0..golden::SIDE).map(move |y| (channel, y)));
         let own = rows.flat_map(|(channel, y)| output.row(channel, y, golden::SIDE).to_vec());
         Golden::new(own.collect()).map_err(|detail| self.failed(detail))
@@ -137,7 +138,7 @@ impl Onnx {
     fn run(&mut self, blurry: &Image, guide: Option<&Image>, tile: Tile) -> Result<Output, DeblurError> {
         let width = tiling::padded(tile.width, self.model.multiple, self.model.minimum_side);
         let height = tiling::padded(tile.height, self.model.multiple, self.model.minimum_side);
-        let images = match (self.channels, guide) {
+        let images = match (self.form.channels, guide) {
             (6, guide) => vec![blurry, guide.unwrap_or(blurry)],
             (_, None) => vec![blurry],
             (_, Some(_)) => return Err(DeblurError::GuideUnsupported { id: self.model.id.clone() }),
@@ -153,10 +154,11 @@ impl Onnx {
     }
 
     fn infer(&mut self, input: &[f32], width: usize, height: usize) -> Result<Vec<f32>, String> {
-        let shape = [1, self.channels as usize, height, width];
+        let shape = [1, self.form.channels as usize, height, width];
         let tensor = TensorRef::from_array_view((shape, input)).map_err(|e| e.to_string())?;
         let outputs = self.session.run(ort::inputs![tensor]).map_err(|e| e.to_string())?;
-        let (shape, values) = outputs[0].try_extract_tensor::<f32>().map_err(|e| e.to_string())?;
+        let (shape, values) =
+            outputs[self.form.output].try_extract_tensor::<f32>().map_err(|e| e.to_string())?;
         if shape[..] != [1, 3, height as i64, width as i64] {
             return Err(format!("it returned {:?} instead of [1, 3, {height}, {width}]", &shape[..]));
         }
@@ -205,7 +207,7 @@ impl Deblurrer for Onnx {
             id: self.model.id.clone(),
             sha256: self.model.sha256.clone(),
             provider: self.provider.name().to_owned(),
-            channels: self.channels,
+            channels: self.form.channels,
             feeding: format!(
                 "sides of a multiple of {}, at least {} px, tiles of {} px, values in {:?}",
                 self.model.multiple, self.model.minimum_side, self.model.tile, self.model.range
@@ -251,15 +253,41 @@ fn session(runtime: &Runtime, bytes: &[u8], provider: Provider, threads: usize) 
     builder.commit_from_memory(bytes).map_err(text)
 }
 
-/// Input channels by the file, checked against the manifest's, with everything else about the
-/// input and output that must hold.
-fn input_channels(session: &Session, expected: Option<u32>) -> Result<u32, String> {
-    let ([input], [output, ..]) = (session.inputs(), session.outputs()) else {
-        let (inputs, outputs) = (session.inputs().len(), session.outputs().len());
-        return Err(format!("it has {inputs} inputs and {outputs} outputs; one image each is expected"));
-    };
-    let input_shape = image_shape(input.dtype()).map_err(|detail| format!("its input {detail}"))?;
-    let output_shape = image_shape(output.dtype()).map_err(|detail| format!("its output {detail}"))?;
+/// What of a file's input and outputs is used.
+struct Form {
+    /// Of the input.
+    channels: u32,
+    /// Which output is the restored view.
+    output: usize,
+}
+
+impl Form {
+    /// By the file, checked against what is known of it, with everything else about the input and output that must hold.
+    fn of(session: &Session, model: &Model) -> Result<Self, String> {
+        let (inputs, outputs) = (session.inputs(), session.outputs());
+        let ([input], [_, ..]) = (inputs, outputs) else {
+            let (inputs, outputs) = (inputs.len(), outputs.len());
+            return Err(format!("it has {inputs} inputs and {outputs} outputs; one image each is expected"));
+        };
+        if let Some(name) = model.input.as_ref().filter(|name| *name != input.name()) {
+            return Err(format!("its input is `{}`, the manifest says `{name}`", input.name()));
+        }
+        let named = |name: &String| {
+            outputs.iter().position(|output| output.name() == name).ok_or_else(|| {
+                let names: Vec<_> = outputs.iter().map(|output| format!("`{}`", output.name())).collect();
+                format!("its outputs are {}, the manifest says `{name}`", names.join(", "))
+            })
+        };
+        let output = model.output.as_ref().map_or(Ok(0), named)?;
+        let channels = channels(input.dtype(), outputs[output].dtype(), model.channels)?;
+        Ok(Self { channels, output })
+    }
+}
+
+/// Input channels by the file, checked against the manifest's.
+fn channels(input: &ValueType, output: &ValueType, expected: Option<u32>) -> Result<u32, String> {
+    let input_shape = image_shape(input).map_err(|detail| format!("its input {detail}"))?;
+    let output_shape = image_shape(output).map_err(|detail| format!("its output {detail}"))?;
     if !matches!(output_shape[1], 3 | -1) {
         return Err(format!("it returns {} channels instead of 3", output_shape[1]));
     }

@@ -106,6 +106,27 @@ fn networks_that_are_not_ours_are_refused_with_the_reason() {
 }
 
 #[test]
+fn the_manifest_says_which_of_several_outputs_is_the_view() {
+    let known = Manifest::embedded().resolve(&file("two_outputs3.onnx"), &[]).expect("present");
+    let named = |input: &str, output: &str| {
+        let model = Model { input: Some(input.to_owned()), output: Some(output.to_owned()), ..known.clone() };
+        Onnx::load_on(&runtime::for_tests(), &model, Provider::Cpu, 1)
+    };
+    let view = waves(32, 32, 0.0);
+    let restored = named("view", "restored").expect("loads").deblur(&view, None).expect("runs");
+    assert!(worst(&restored, &view) < 1e-6);
+    let first = network(&file("two_outputs3.onnx")).expect("loads").deblur(&view, None).expect("runs");
+    assert!(worst(&first, &view.map(|value| 0.5 * value)) < 1e-6, "without a name it is the first");
+    for (input, output, reason) in [
+        ("view", "sharp", "outputs are `coarse`, `restored`, the manifest says `sharp`"),
+        ("image", "restored", "input is `view`, the manifest says `image`"),
+    ] {
+        let refused = named(input, output).err().expect("another file").to_string();
+        assert!(refused.contains(reason), "{refused}");
+    }
+}
+
+#[test]
 fn the_self_test_catches_infinite_and_random_values() {
     for (name, reason) in [("infinite3.onnx", "not finite"), ("random3.onnx", "differ")] {
         let refused = network(&file(name)).err().expect("refused");
