@@ -18,7 +18,7 @@ use rand_pcg::Pcg64Mcg;
 use rayon::prelude::*;
 
 use crate::camera::{Camera, Intrinsics};
-use crate::image::{Image, ImageError, Linear};
+use crate::image::{Image, ImageError, Linear, Srgb};
 use crate::poses::PosesError;
 use crate::poses::bounds::{BoundedCamera, write_poses_bounds};
 
@@ -42,6 +42,8 @@ pub struct SynthOptions {
     /// Which room. Everything that is measured is measured in room 0; a network that learns from synthetic captures learns
     /// from others.
     pub room: u64,
+    /// A folder of photographs that paper the room's surfaces, in place of painted patterns; every file in it is read.
+    pub papers: Option<PathBuf>,
     /// Share of the light that the dark exposure catches: linear values are multiplied by it.
     pub exposure: f64,
     /// Longest blur path in the middle of the image, px; a view's is 0.4 to 1 of it.
@@ -53,7 +55,17 @@ pub struct SynthOptions {
 
 impl Default for SynthOptions {
     fn default() -> Self {
-        Self { views: 24, width: 320, height: 180, seed: 0, room: 0, exposure: 0.05, blur: 9.0, noise: 0.02 }
+        Self {
+            views: 24,
+            width: 320,
+            height: 180,
+            seed: 0,
+            room: 0,
+            papers: None,
+            exposure: 0.05,
+            blur: 9.0,
+            noise: 0.02,
+        }
     }
 }
 
@@ -63,6 +75,14 @@ pub enum SynthError {
     /// An option does not fit.
     #[error("{0}")]
     Options(String),
+    /// A photograph for the walls cannot be read.
+    #[error("papers: {}: {source}", path.display())]
+    Paper {
+        /// Which.
+        path: PathBuf,
+        /// Why.
+        source: ImageError,
+    },
     /// An image could not be written.
     #[error(transparent)]
     Image(#[from] ImageError),
@@ -133,7 +153,8 @@ pub fn generate(options: &SynthOptions, out: &Path) -> Result<SynthSummary, Synt
         let path = out.join(folder);
         std::fs::create_dir_all(&path).map_err(|source| SynthError::Io { path, source })?;
     }
-    let scene = scene::Scene::room(options.room);
+    let papers = options.papers.as_deref().map(load_papers).transpose()?.unwrap_or_default();
+    let scene = scene::Scene::room(options.room, papers);
     let cameras = path::cameras(options.views, options.intrinsics(), options.seed);
     let named: Vec<(String, Camera)> =
         cameras.iter().enumerate().map(|(index, camera)| (format!("{index:03}"), *camera)).collect();
@@ -148,6 +169,23 @@ pub fn generate(options: &SynthOptions, out: &Path) -> Result<SynthSummary, Synt
     let rows: Vec<BoundedCamera> = cameras.iter().map(bounded).collect();
     write_poses_bounds(&out.join("poses_bounds.npy"), &rows)?;
     Ok(SynthSummary { cameras: named })
+}
+
+/// The photographs of a folder, in the order of their names.
+fn load_papers(folder: &Path) -> Result<Vec<Image<Linear>>, SynthError> {
+    let failed = |source| SynthError::Io { path: folder.to_owned(), source };
+    let entries = std::fs::read_dir(folder).map_err(failed)?;
+    let mut paths: Vec<PathBuf> =
+        entries.map(|entry| Ok(entry?.path())).collect::<std::io::Result<_>>().map_err(failed)?;
+    paths.sort();
+    if paths.is_empty() {
+        return Err(SynthError::Options(format!("papers: {} holds no photograph", folder.display())));
+    }
+    let load = |path: PathBuf| match Image::<Srgb>::load(&path) {
+        Ok(photograph) => Ok(photograph.to_linear()),
+        Err(source) => Err(SynthError::Paper { path, source }),
+    };
+    paths.into_iter().map(load).collect()
 }
 
 fn write_view(

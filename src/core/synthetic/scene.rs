@@ -4,7 +4,7 @@ use glam::{DMat3, DVec2, DVec3};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 
-use super::texture::albedo;
+use super::texture::{albedo, paper};
 use crate::camera::Camera;
 use crate::image::{Image, Linear};
 
@@ -51,13 +51,15 @@ pub(super) struct Scene {
     solids: Vec<Solid>,
     /// Of the patterns on all surfaces, 1 as a rule.
     scale: f64,
+    /// What the surfaces are papered with; none: they are painted.
+    papers: Vec<Image<Linear>>,
 }
 
 impl Scene {
     /// Walls, floor, and things at many depths around the origin. Room 0 is the one that everything is measured in; the others
     /// have its plan, with other paint, patterns and sizes.
-    pub fn room(number: u64) -> Self {
-        let mut room = Self::first();
+    pub fn room(number: u64, papers: Vec<Image<Linear>>) -> Self {
+        let mut room = Self { papers, ..Self::first() };
         if number > 0 {
             room.redecorate(&mut Pcg64Mcg::seed_from_u64(number));
         }
@@ -113,7 +115,7 @@ impl Scene {
             let shape = Shape::Ball { centre: DVec3::from(centre), radius };
             solids.push(Solid { shape, base, salt: 101 + 7 * index as u32 });
         }
-        Self { solids, scale: 1.0 }
+        Self { solids, scale: 1.0, papers: Vec::new() }
     }
 
     /// The picture through `camera`, linear light 0..1: the mean of rays at `offsets` in each pixel.
@@ -137,9 +139,16 @@ impl Scene {
         let ray = to_world * DVec3::new((pixel.x - k.cx) / k.fx, (pixel.y - k.cy) / k.fy, 1.0);
         let origin = camera.centre();
         let Some((solid, hit)) = self.nearest(origin, ray) else { return (f64::INFINITY, DVec3::ZERO) };
-        let paint =
-            DVec3::from(albedo(hit.surface, solid.base, solid.salt.wrapping_add(hit.face), self.scale));
-        (hit.distance, paint * (AMBIENT + self.lamp_light(origin + ray * hit.distance, hit.normal)))
+        let salt = solid.salt.wrapping_add(hit.face);
+        let paint = if self.papers.is_empty() {
+            albedo(hit.surface, solid.base, salt, self.scale)
+        } else {
+            paper(hit.surface, &self.papers, salt, self.scale)
+        };
+        (
+            hit.distance,
+            DVec3::from(paint) * (AMBIENT + self.lamp_light(origin + ray * hit.distance, hit.normal)),
+        )
     }
 
     /// What a ray meets first.
@@ -255,7 +264,7 @@ mod tests {
 
     #[test]
     fn the_lamp_falls_off_with_the_square_of_the_distance_and_the_cosine() {
-        let room = Scene::room(0);
+        let room = Scene::room(0, Vec::new());
         let (below, height) = (room.lamp_light(BELOW_THE_LAMP, UP), 3.6);
         assert!((below - (WHITE_AT / height).powi(2)).abs() < 1e-9, "{below}");
         let aside = BELOW_THE_LAMP - DVec3::new(0.0, 0.0, 1.8);
@@ -266,7 +275,7 @@ mod tests {
 
     #[test]
     fn what_a_block_hides_from_the_lamp_is_in_its_shadow() {
-        let mut room = Scene::room(0);
+        let mut room = Scene::room(0, Vec::new());
         assert_eq!(room.lamp_light(BEHIND_A_BLOCK, UP), 0.0);
         room.solids.truncate(1);
         assert!(room.lamp_light(BEHIND_A_BLOCK, UP) > 0.3);

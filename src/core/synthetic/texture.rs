@@ -3,6 +3,8 @@
 
 use glam::{DVec2, IVec2};
 
+use crate::image::{Image, Linear};
+
 /// A reproducible number in 0..1 of a cell and a salt.
 fn hash(cell: IVec2, salt: u32) -> f64 {
     let mut h = (cell.x as u32).wrapping_mul(0x9e37_79b1)
@@ -60,3 +62,24 @@ pub(super) fn albedo(p: DVec2, base: [f64; 3], salt: u32, scale: f64) -> [f64; 3
     }
     colour
 }
+
+/// Linear light at `p` of a surface papered with one of `photographs`, side by side and every second one mirrored so that no
+/// seam shows; a texel is a pixel of the middle of the room wide times `scale`.
+pub(super) fn paper(p: DVec2, photographs: &[Image<Linear>], salt: u32, scale: f64) -> [f64; 3] {
+    let random = |k: i32| hash(IVec2::new(k, -1), salt);
+    let photograph = &photographs[(random(0) * photographs.len() as f64) as usize % photographs.len()];
+    let along = |position: f64, side: usize| {
+        let side = side as f64;
+        let turned = position.rem_euclid(2.0 * side);
+        turned.min(2.0 * side - turned)
+    };
+    let texels = p / (TEXEL * scale) + 1000.0 * DVec2::new(random(1), random(2));
+    let (x, y) = (along(texels.x, photograph.width()), along(texels.y, photograph.height()));
+    photograph.sample(x as f32, y as f32).map(|value| PAPER_WHITE * f64::from(value))
+}
+
+/// Side of a photograph's pixel on a wall, world units.
+const TEXEL: f64 = 0.01;
+
+/// Albedo of a papered surface where its photograph is white.
+const PAPER_WHITE: f64 = 0.9;
