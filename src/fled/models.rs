@@ -69,6 +69,9 @@ struct AddArgs {
     /// Side of the tiles that large views are cut into, px; 1024 for a new network.
     #[arg(long, value_name = "PX")]
     tile: Option<usize>,
+    /// Which of several outputs is the restored view; the first for a new network.
+    #[arg(long, value_name = "NAME")]
+    output: Option<String>,
     /// `deblur=default` means this one from now on.
     #[arg(long)]
     default: bool,
@@ -224,6 +227,8 @@ fn describe(add: &AddArgs, known: &Manifest, overlay: &Manifest, content: &[u8])
                 (entry.licence, entry.default) = (before.licence.clone(), before.default);
                 (entry.multiple, entry.minimum_side, entry.tile) =
                     (before.multiple, before.minimum_side, before.tile);
+                (entry.input, entry.output) = (before.input.clone(), before.output.clone());
+                entry.range = before.range;
             }
             (entry, true)
         }
@@ -232,6 +237,7 @@ fn describe(add: &AddArgs, known: &Manifest, overlay: &Manifest, content: &[u8])
     entry.multiple = add.multiple.unwrap_or(entry.multiple);
     entry.minimum_side = add.minimum_side.unwrap_or(entry.minimum_side);
     entry.tile = add.tile.unwrap_or(entry.tile);
+    entry.output = add.output.clone().or(entry.output);
     if let Some(licence) = &add.licence {
         entry.licence.clone_from(licence);
     }

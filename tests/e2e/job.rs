@@ -1,14 +1,11 @@
 //! A job from photographs to scene, and what interrupts it.
 
 use std::fs;
-use std::io::{BufRead, BufReader};
-use std::path::Path;
-use std::process::Stdio;
 
 use fled_core::gaussians::ply;
 use fled_core::image::Image;
 
-use crate::support::{fled, json, small_capture, small_run, succeed};
+use crate::support::{fled, json, kill_at, small_capture, small_run, succeed};
 
 #[test]
 fn a_dark_capture_becomes_a_scene_with_metrics_of_every_round() {
@@ -70,28 +67,13 @@ fn a_run_killed_at_any_stage_goes_on_and_ends_with_the_same_scene() {
         r#""stage_started","stage":"evaluate","round":2"#,
     ];
     for moment in moments {
-        kill_at(&capture, &out, moment);
+        kill_at(&mut small_run(&capture, &out, 2), moment);
     }
     succeed(&mut small_run(&capture, &out, 2));
     let resumed = fs::read(out.join("scene.ply")).expect("scene.ply");
     assert!(resumed == expected, "a resumed run must deliver what an undisturbed one does");
     let log = fs::read_to_string(out.join("log.txt")).expect("log.txt");
     assert!(log.contains("already done"), "the rerun must have skipped finished stages:\n{log}");
-}
-
-/// Starts the run and kills it, without a chance to clean up, at the first event that holds `moment`.
-fn kill_at(capture: &Path, out: &Path, moment: &str) {
-    let mut child = small_run(capture, out, 2)
-        .arg("--json")
-        .stdout(Stdio::piped())
-        .stderr(Stdio::null())
-        .spawn()
-        .expect("the binary starts");
-    let mut lines = BufReader::new(child.stdout.take().expect("piped")).lines();
-    let seen = lines.any(|line| line.expect("UTF-8").contains(moment));
-    child.kill().expect("kill");
-    child.wait().expect("wait");
-    assert!(seen, "the run ended before {moment}");
 }
 
 #[test]

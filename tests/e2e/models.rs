@@ -85,6 +85,23 @@ fn an_added_network_is_listed_checked_and_may_be_chosen() {
 }
 
 #[test]
+fn which_of_several_outputs_is_meant_is_said_once() {
+    let home = tempfile::tempdir().expect("temporary folder");
+    let file = network("two_outputs3").display().to_string();
+    let entry = || support::json(&home.path().join("manifest.json"))["models"][0].clone();
+    let wrong = models(home.path(), &["add", &file, "--id", "two", "--output", "sharp"]);
+    assert!(said(&wrong).contains("outputs are `coarse`, `restored`"), "{}", said(&wrong));
+    let added = models(home.path(), &["add", &file, "--id", "two", "--output", "restored"]);
+    assert_eq!(code(&added), 0, "{}", said(&added));
+    assert_eq!(entry()["output"], "restored");
+    let verified = models(home.path(), &["verify", "two"]);
+    assert_eq!(code(&verified), 0, "the manifest's output is checked too: {}", said(&verified));
+    let replaced = models(home.path(), &["add", &network("identity3").display().to_string(), "--id", "two"]);
+    assert_eq!(code(&replaced), 0, "{}", said(&replaced));
+    assert_eq!(entry()["output"], "restored", "what is not said again stays");
+}
+
+#[test]
 fn what_is_no_usable_network_is_not_added() {
     let home = tempfile::tempdir().expect("temporary folder");
     for (name, word) in
@@ -145,6 +162,25 @@ fn an_enhancer_and_a_restorer_of_the_users_make_the_baseline_of_the_papers() {
         .expect("the binary starts");
     assert_eq!(code(&wrong), 4, "{}", said(&wrong));
     assert!(said(&wrong).contains("wants a guide"), "{}", said(&wrong));
+}
+
+#[test]
+fn a_resumed_run_takes_what_the_enhancer_had_made() {
+    let home = tempfile::tempdir().expect("temporary folder");
+    let capture = support::small_capture(home.path());
+    let enhance = format!("enhance={}", network("root3").display());
+    let run = |out: &str| {
+        let mut run = support::small_run(&capture, &home.path().join(out), 1);
+        run.args(["--set", &enhance, "--set", "deblur=identity"]);
+        run
+    };
+    support::succeed(&mut run("whole"));
+    support::kill_at(&mut run("killed"), r#""stage_started","stage":"reconstruct","round":1"#);
+    support::succeed(&mut run("killed"));
+    let log = std::fs::read_to_string(home.path().join("killed/log.txt")).expect("log.txt");
+    assert!(log.contains("enhance already done"), "{log}");
+    let scene = |out: &str| std::fs::read(home.path().join(out).join("scene.ply")).expect("scene.ply");
+    assert!(scene("killed") == scene("whole"), "a resumed run must deliver what an undisturbed one does");
 }
 
 #[test]

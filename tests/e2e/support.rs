@@ -1,7 +1,8 @@
 //! Small captures and the binary.
 
+use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use std::process::{Command, Output, Stdio};
 
 use fled_core::synthetic::{SynthOptions, generate};
 
@@ -42,6 +43,17 @@ pub fn succeed(command: &mut Command) -> Output {
     let output = command.output().expect("the binary starts");
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     output
+}
+
+/// Starts a run and kills it, without a chance to clean up, at the first event that holds `moment`.
+pub fn kill_at(run: &mut Command, moment: &str) {
+    let mut child =
+        run.arg("--json").stdout(Stdio::piped()).stderr(Stdio::null()).spawn().expect("the binary starts");
+    let mut lines = BufReader::new(child.stdout.take().expect("piped")).lines();
+    let seen = lines.any(|line| line.expect("UTF-8").contains(moment));
+    child.kill().expect("kill");
+    child.wait().expect("wait");
+    assert!(seen, "the run ended before {moment}");
 }
 
 /// A JSON file.

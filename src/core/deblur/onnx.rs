@@ -209,8 +209,12 @@ impl Deblurrer for Onnx {
             provider: self.provider.name().to_owned(),
             channels: self.form.channels,
             feeding: format!(
-                "sides of a multiple of {}, at least {} px, tiles of {} px, values in {:?}",
-                self.model.multiple, self.model.minimum_side, self.model.tile, self.model.range
+                "sides of a multiple of {}, at least {} px, tiles of {} px, values in {:?}, output `{}`",
+                self.model.multiple,
+                self.model.minimum_side,
+                self.model.tile,
+                self.model.range,
+                self.session.outputs()[self.form.output].name()
             ),
         }
     }

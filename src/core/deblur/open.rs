@@ -76,7 +76,7 @@ fn open_one(choice: &str, options: &OpenOptions<'_>) -> Result<Opened, DeblurErr
     let mut fallbacks = Vec::from_iter(without_cuda);
     if !takes_guide && !options.blend {
         fallbacks.push(format!(
-            "network {} takes no guide: rounds after the first feed it the mean of view and render",
+            "network {} takes no guide: rounds after the first feed it the mean of view and guide",
             info.id
         ));
     }

@@ -107,3 +107,19 @@ fn a_known_file_given_by_path_keeps_its_identity() {
     let model = Manifest::embedded().resolve(&path.display().to_string(), &[]).expect("present");
     assert_eq!(model.id, "small-u2w16");
 }
+
+#[test]
+fn the_names_of_an_entry_reach_the_network_that_is_loaded() {
+    let mut two = entry("two", "two.onnx", false);
+    (two["input"], two["output"]) = ("view".into(), "restored".into());
+    let (directory, known) = overlaid(&serde_json::json!([two]));
+    std::fs::write(directory.path().join("two.onnx"), "a network").expect("write");
+    let model = known.expect("read").resolve("two", &[directory.path().to_path_buf()]).expect("there");
+    for model in [&model, &model.without_bytes()] {
+        assert_eq!(
+            (model.input.as_deref(), model.output.as_deref()),
+            (Some("view"), Some("restored")),
+            "{model:?}"
+        );
+    }
+}

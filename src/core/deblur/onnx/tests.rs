@@ -113,8 +113,15 @@ fn the_manifest_says_which_of_several_outputs_is_the_view() {
         Onnx::load_on(&runtime::for_tests(), &model, Provider::Cpu, 1)
     };
     let view = waves(32, 32, 0.0);
-    let restored = named("view", "restored").expect("loads").deblur(&view, None).expect("runs");
+    let mut network_of_restored = named("view", "restored").expect("loads");
+    let restored = network_of_restored.deblur(&view, None).expect("runs");
     assert!(worst(&restored, &view) < 1e-6);
+    let coarse = named("view", "coarse").expect("loads").describe().feeding;
+    assert_ne!(
+        coarse,
+        network_of_restored.describe().feeding,
+        "results of one are not taken for the other's"
+    );
     let first = network(&file("two_outputs3.onnx")).expect("loads").deblur(&view, None).expect("runs");
     assert!(worst(&first, &view.map(|value| 0.5 * value)) < 1e-6, "without a name it is the first");
     for (input, output, reason) in [
