@@ -39,11 +39,11 @@ pub struct SynthOptions {
     pub height: usize,
     /// Seed of path, shake and noise.
     pub seed: u64,
-    /// Which room. Everything that is measured is measured in room 0; a network that learns from synthetic captures learns
-    /// from others.
+    /// Which room. Everything that is measured is measured in room 0 with painted walls; a network that learns from synthetic
+    /// captures learns from others.
     pub room: u64,
-    /// A folder of photographs that paper the room's surfaces, in place of painted patterns; every file in it is read.
-    pub papers: Option<PathBuf>,
+    /// A folder of photographs that hang on all surfaces in place of painted patterns; every file in it is read.
+    pub wallpapers: Option<PathBuf>,
     /// Share of the light that the dark exposure catches: linear values are multiplied by it.
     pub exposure: f64,
     /// Longest blur path in the middle of the image, px; a view's is 0.4 to 1 of it.
@@ -61,7 +61,7 @@ impl Default for SynthOptions {
             height: 180,
             seed: 0,
             room: 0,
-            papers: None,
+            wallpapers: None,
             exposure: 0.05,
             blur: 9.0,
             noise: 0.02,
@@ -76,8 +76,8 @@ pub enum SynthError {
     #[error("{0}")]
     Options(String),
     /// A photograph for the walls cannot be read.
-    #[error("papers: {}: {source}", path.display())]
-    Paper {
+    #[error("wallpapers: {}: {source}", path.display())]
+    Wallpaper {
         /// Which.
         path: PathBuf,
         /// Why.
@@ -143,18 +143,18 @@ impl SynthOptions {
 }
 
 /// Writes a capture into `out`, which is created. Existing files of the same names are replaced.
-/// The same options give the same bytes.
+/// The same options, and the same photographs on the walls, give the same bytes.
 ///
 /// # Errors
 /// [`SynthError`].
 pub fn generate(options: &SynthOptions, out: &Path) -> Result<SynthSummary, SynthError> {
     options.check()?;
+    let wallpapers = options.wallpapers.as_deref().map(load_wallpapers).transpose()?.unwrap_or_default();
     for folder in ["images", "HL"] {
         let path = out.join(folder);
         std::fs::create_dir_all(&path).map_err(|source| SynthError::Io { path, source })?;
     }
-    let papers = options.papers.as_deref().map(load_papers).transpose()?.unwrap_or_default();
-    let scene = scene::Scene::room(options.room, papers);
+    let scene = scene::Scene::room(options.room, wallpapers);
     let cameras = path::cameras(options.views, options.intrinsics(), options.seed);
     let named: Vec<(String, Camera)> =
         cameras.iter().enumerate().map(|(index, camera)| (format!("{index:03}"), *camera)).collect();
@@ -171,19 +171,22 @@ pub fn generate(options: &SynthOptions, out: &Path) -> Result<SynthSummary, Synt
     Ok(SynthSummary { cameras: named })
 }
 
+/// Long side that a photograph on a wall is brought down to, px: more would hardly be seen, and all are held at once.
+const LARGEST_WALLPAPER: usize = 2048;
+
 /// The photographs of a folder, in the order of their names.
-fn load_papers(folder: &Path) -> Result<Vec<Image<Linear>>, SynthError> {
+fn load_wallpapers(folder: &Path) -> Result<Vec<Image<Linear>>, SynthError> {
     let failed = |source| SynthError::Io { path: folder.to_owned(), source };
     let entries = std::fs::read_dir(folder).map_err(failed)?;
     let mut paths: Vec<PathBuf> =
         entries.map(|entry| Ok(entry?.path())).collect::<std::io::Result<_>>().map_err(failed)?;
     paths.sort();
     if paths.is_empty() {
-        return Err(SynthError::Options(format!("papers: {} holds no photograph", folder.display())));
+        return Err(SynthError::Options(format!("wallpapers: {} holds no photograph", folder.display())));
     }
-    let load = |path: PathBuf| match Image::<Srgb>::load(&path) {
+    let load = |path: PathBuf| match Image::<Srgb>::load_at_most(&path, LARGEST_WALLPAPER) {
         Ok(photograph) => Ok(photograph.to_linear()),
-        Err(source) => Err(SynthError::Paper { path, source }),
+        Err(source) => Err(SynthError::Wallpaper { path, source }),
     };
     paths.into_iter().map(load).collect()
 }

@@ -24,9 +24,9 @@ pub struct Args {
     /// Which room; 0 is the one of the benchmarks.
     #[arg(long, default_value_t = 0)]
     room: u64,
-    /// Folder of photographs to paper the room with, in place of painted patterns.
+    /// Folder of photographs that hang on all surfaces in place of painted patterns.
     #[arg(long)]
-    papers: Option<PathBuf>,
+    wallpapers: Option<PathBuf>,
     /// Share of a well-exposed photograph's light.
     #[arg(long, default_value_t = 0.05)]
     exposure: f64,
@@ -60,7 +60,7 @@ pub fn main(args: &Args) -> Result<(), Failure> {
         height: args.size.1,
         seed: args.seed,
         room: args.room,
-        papers: args.papers.clone(),
+        wallpapers: args.wallpapers.clone(),
         exposure: args.exposure,
         blur: args.blur,
         noise: args.noise,

@@ -4,7 +4,7 @@ use glam::{DMat3, DVec2, DVec3};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 
-use super::texture::{albedo, paper};
+use super::texture::{albedo, wallpaper};
 use crate::camera::Camera;
 use crate::image::{Image, Linear};
 
@@ -52,14 +52,14 @@ pub(super) struct Scene {
     /// Of the patterns on all surfaces, 1 as a rule.
     scale: f64,
     /// What the surfaces are papered with; none: they are painted.
-    papers: Vec<Image<Linear>>,
+    wallpapers: Vec<Image<Linear>>,
 }
 
 impl Scene {
     /// Walls, floor, and things at many depths around the origin. Room 0 is the one that everything is measured in; the others
     /// have its plan, with other paint, patterns and sizes.
-    pub fn room(number: u64, papers: Vec<Image<Linear>>) -> Self {
-        let mut room = Self { papers, ..Self::first() };
+    pub fn room(number: u64, wallpapers: Vec<Image<Linear>>) -> Self {
+        let mut room = Self { wallpapers, ..Self::first() };
         if number > 0 {
             room.redecorate(&mut Pcg64Mcg::seed_from_u64(number));
         }
@@ -115,7 +115,7 @@ impl Scene {
             let shape = Shape::Ball { centre: DVec3::from(centre), radius };
             solids.push(Solid { shape, base, salt: 101 + 7 * index as u32 });
         }
-        Self { solids, scale: 1.0, papers: Vec::new() }
+        Self { solids, scale: 1.0, wallpapers: Vec::new() }
     }
 
     /// The picture through `camera`, linear light 0..1: the mean of rays at `offsets` in each pixel.
@@ -140,10 +140,10 @@ impl Scene {
         let origin = camera.centre();
         let Some((solid, hit)) = self.nearest(origin, ray) else { return (f64::INFINITY, DVec3::ZERO) };
         let salt = solid.salt.wrapping_add(hit.face);
-        let paint = if self.papers.is_empty() {
+        let paint = if self.wallpapers.is_empty() {
             albedo(hit.surface, solid.base, salt, self.scale)
         } else {
-            paper(hit.surface, &self.papers, salt, self.scale)
+            wallpaper(hit.surface, &self.wallpapers, salt, self.scale)
         };
         (
             hit.distance,

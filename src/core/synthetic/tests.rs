@@ -97,18 +97,18 @@ fn other_rooms_are_others_and_the_same_every_time() {
 
 #[test]
 fn a_papered_room_shows_its_photographs() {
-    let (papers, dir) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
-    let with_papers = || SynthOptions { papers: Some(papers.path().into()), ..small(1) };
-    let error = generate(&with_papers(), dir.path()).unwrap_err();
+    let (wallpapers, dir) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let wallpapered = || SynthOptions { wallpapers: Some(wallpapers.path().into()), ..small(1) };
+    let error = generate(&wallpapered(), dir.path()).unwrap_err();
     assert!(error.to_string().contains("no photograph"), "{error}");
     let mut red = Image::<Srgb>::new(8, 8);
     red.plane_mut(0).fill(0.9);
-    red.save(&papers.path().join("red.png")).unwrap();
-    generate(&with_papers(), dir.path()).unwrap();
+    red.save(&wallpapers.path().join("red.png")).unwrap();
+    generate(&wallpapered(), dir.path()).unwrap();
     let shown = load(dir.path(), "HL/001.png");
     let mean = |channel: usize| shown.plane(channel).iter().sum::<f32>() / shown.pixels() as f32;
     assert!(mean(0) > 0.3 && mean(1) < 1e-3, "{} {}", mean(0), mean(1));
-    std::fs::write(papers.path().join("notes.txt"), "no photograph").unwrap();
-    let error = generate(&with_papers(), dir.path()).unwrap_err();
+    std::fs::write(wallpapers.path().join("notes.txt"), "no photograph").unwrap();
+    let error = generate(&wallpapered(), dir.path()).unwrap_err();
     assert!(error.to_string().contains("notes.txt"), "{error}");
 }
