@@ -97,7 +97,7 @@ pub fn run(
         let renders = job.render(i, &views, &scene)?; // R_i
         let next = job.match_next(i, &renders, &views, &anchors, &target)?; // P_R
         job.evaluate(i, &views, [&enhanced, &deblurred, &renders, &target], &next, &scene)?;
-        guides = Some(next.guides); // HR = E(R_i; P_R)
+        guides = Some(next.guides); // H_i+1 with the detail of HR = E(R_i; P_R)
         previous = Some((scene, next.to_next));
     }
     job.deliver()

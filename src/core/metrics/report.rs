@@ -106,9 +106,9 @@ pub struct RoundMetrics {
     /// alpha and gamma fitted to map this round's renders to the next anchor, one a view or one in all.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub matched: Vec<[f64; 2]>,
-    /// What rounds are compared by: SSIM of the renders at the target brightness, as shaken as their views where shake
-    /// was looked for, against the views at that brightness; of held-out views where there are any. `None` in reports
-    /// of earlier versions.
+    /// What rounds are compared by: SSIM of the renders at the target brightness, each first shaken as its view is,
+    /// against the views at that brightness; of held-out views where there are any. `None` in reports of earlier
+    /// versions.
     #[serde(default)]
     pub score: Option<f64>,
     /// Whether the round was judged worse than the one before it.

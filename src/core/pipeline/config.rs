@@ -110,9 +110,9 @@ pub enum LutScope {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Guide {
-    /// Clean renders of the round before, through a guided network.
+    /// The view with the detail of the render of the round before, beside the view, through a guided network.
     Render,
-    /// The network on a mix of the view and the render.
+    /// The network on the mean of the view and that guide.
     Blend,
     /// No guide.
     None,

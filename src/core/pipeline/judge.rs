@@ -31,7 +31,7 @@ pub struct Next {
     anchor: Anchor,
     /// P_N.
     target: Anchor,
-    /// HR, at the next round's brightness; the last round's renders themselves.
+    /// The next round's views with the detail of HR; after the last round its renders themselves.
     pub guides: Vec<Image>,
     /// From this round's brightness to the next one's; `None` after the last round.
     pub to_next: Option<Tone>,
