@@ -15,9 +15,11 @@ SCENE = 2 * PATCH
 # Making a patch costs as much as training on it: each is shown several times, far apart and turned differently.
 USES = 3
 # Share of the scenes whose guide is a render by the product itself (`renders.py`), where there are such.
-REAL_GUIDES = 0.35
+REAL_GUIDES = 0.4
 # Share of the scenes with enough light, from which deblurring is learnt: under noise a network learns to average.
-CLEAN = 0.2
+CLEAN = 0.3
+# Deviation of the colours of real renders, which the loop carries from one brightness to the next by a curve that it finds.
+DRIFT = 0.015
 
 
 class Patches(IterableDataset):
@@ -29,7 +31,7 @@ class Patches(IterableDataset):
 
     def __init__(self, seed, start=0, renders=None, buffer=240):
         self.seed, self.buffer = [seed, start], buffer
-        self.views = sorted(Path(renders).glob("*.npy")) if renders else []
+        self.views = sorted(Path(renders).glob("*.render.npy")) if renders else []
         if renders and not self.views:
             raise FileNotFoundError(f"{renders} has no views; make them by renders.py")
 
@@ -88,13 +90,29 @@ def scene_patches(rng, supply):
 
 
 def view_patches(rng, views):
-    """Four places of one view that the product has rendered, f16 [9, P, P]: blurry, guide, clean."""
+    """Four places of one view that the product has rendered, f16 [9, P, P]: blurry, guide, clean.
+
+    The guide is the view with the render's detail where the two agree, as the product feeds it.
+    """
     view = np.load(views[rng.integers(len(views))], mmap_mode="r")
+    gain, offset = 1 + rng.normal(size=3) * DRIFT, rng.normal(size=3) * DRIFT / 2
+    # Rooms' renders are seldom too crisp by themselves.
+    crispness = degrade.random_crispness(rng)
+    # Two fifths are enlarged, because a room is sharper than most photographs are.
+    side = round(PATCH / rng.uniform(1.1, 1.9)) if rng.random() < 0.4 else PATCH
     patches = []
     for _ in range(4):
-        y, x = (rng.integers(side - PATCH + 1) for side in view.shape[1:])
-        patch = np.array(view[:, y : y + PATCH, x : x + PATCH])
+        y, x = (rng.integers(length - side + 1) for length in view.shape[1:])
+        patch = np.array(view[:, y : y + side, x : x + side], np.float32)
+        if side != PATCH:
+            whole = torch.from_numpy(patch)[None]
+            patch = torch.nn.functional.interpolate(whole, (PATCH, PATCH), mode="bicubic").clamp(0, 1)[0].numpy()
         if rng.random() < 0.3:
             patch[3:6] = patch[:3]
-        patches.append(turned(rng, patch))
+        else:
+            blurry, render = np.moveaxis(patch[:3], 0, 2), np.moveaxis(patch[3:6], 0, 2)
+            render = degrade.crisper(rng, render, crispness) * gain + offset
+            guide = degrade.trusted(blurry, np.clip(render, 0, 1).astype(np.float32))
+            patch[3:6] = np.moveaxis(guide, 2, 0)
+        patches.append(turned(rng, patch.astype(np.float16)))
     return patches

@@ -3,6 +3,7 @@
 All light is linear until `encode`; images are f32 [H, W, 3].
 """
 
+import functools
 import io
 from dataclasses import dataclass
 
@@ -210,22 +211,42 @@ class Guide:
     drift: float
     warp: float
     grain: float
-    # How likely only what agrees with the view is kept of it, as in the product.
-    trusted: float = 1.0
+    # Low pass, px, of the places that too few views have seen.
+    smudge: float = 0.0
+    # By how much detail stands out too far.
+    crisp: float = 0.0
 
 
 def random_guide(rng):
-    """The training distribution of simulated renders."""
-    # Half are as sharp as splats get: a guide is not a sign that everything is to be sharpened.
-    sharp = rng.random() < 0.5
+    """The training distribution of simulated renders: 40 % nearly sharp, 25 % blurred, 35 % poor; 40 % of all too crisp.
+
+    The poor ones are those of few views or steps: 5 to 10 dB worse than their views, which a network has to leave alone. One
+    that has met only guides better than their views takes every guide for the truth. Too crisp is the scene of views that a
+    network has sharpened: one that has only met blurred guides sharpens them once more.
+    """
+    kind = rng.random()
+    sharp, poor = kind < 0.4, kind >= 0.65
     return Guide(
-        extent=rng.uniform(0, 3 if sharp else 14) * rng.random(),
-        sigma=rng.uniform(0, 0.7 if sharp else 1.6),
-        drift=rng.uniform(0, 0.05),
-        warp=rng.uniform(0, 1.2) * rng.random(),
-        grain=rng.uniform(0, 0.03) * rng.random(),
-        trusted=0.5,
+        extent=rng.uniform(0, 3 if sharp else 14) * rng.random() * (rng.random() < 0.7 or not sharp),
+        sigma=rng.uniform(1, 3.5) if poor else rng.uniform(0, 0.7 if sharp else 1.6),
+        drift=rng.uniform(0, 0.1 if poor else 0.05),
+        warp=rng.uniform(0.5, 4) if poor else rng.uniform(0, 1.2) * rng.random(),
+        grain=rng.uniform(0, 0.06 if poor else 0.03) * rng.random(),
+        smudge=rng.uniform(1, 5) if rng.random() < (0.6 if poor else 0.2) else 0.0,
+        crisp=random_crispness(rng),
     )
+
+
+def random_crispness(rng):
+    return rng.uniform(0, 1.2) if rng.random() < 0.4 else 0.0
+
+
+def crisper(rng, image, amount):
+    """Detail below a random size put in `amount` times more."""
+    if amount == 0:
+        return image
+    sigma = rng.uniform(0.7, 2.5)
+    return image + amount * (image - nd.gaussian_filter(image, (sigma, sigma, 0)))
 
 
 def render_light(rng, image_spectrum, shape, guide):
@@ -238,10 +259,14 @@ def render_light(rng, image_spectrum, shape, guide):
 
 
 def spoil_render(rng, image, guide):
-    """Colour drift, sub-pixel warp and smooth grain on the brightened render, 0..1."""
+    """Too crisp or smudged places, a warp, colour drift and smooth grain on the brightened render, 0..1."""
     height, width = image.shape[:2]
+    image = crisper(rng, image, guide.crisp)
+    if guide.smudge > 0.05:
+        where = 1 / (1 + np.exp(-4 * smooth_field(rng, (height, width), 5)))
+        image = image + where * (nd.gaussian_filter(image, (guide.smudge, guide.smudge, 0)) - image)
     if guide.warp > 0.02:
-        shift = smooth_field(rng, (height, width), 4, 2) * guide.warp
+        shift = smooth_field(rng, (height, width), 8 if guide.warp > 1.2 else 4, 2) * guide.warp
         y, x = np.mgrid[:height, :width].astype(np.float32)
         place = [y + shift[..., 0], x + shift[..., 1]]
         image = np.stack([nd.map_coordinates(image[..., c], place, order=1, mode="mirror") for c in range(3)], -1)
@@ -257,36 +282,50 @@ CELL, DISAGREEMENT = 4, 0.04
 
 
 def trusted(view, render):
-    """The render where it agrees with its view, the view elsewhere: what the product gives the network as guide."""
-    rows, columns = view.shape[:2]
-    if rows % CELL or columns % CELL:
-        # The product's last cells are smaller; here they are filled up with what is at the border.
-        pad = ((0, -rows % CELL), (0, -columns % CELL), (0, 0))
-        return trusted(np.pad(view, pad, "edge"), np.pad(render, pad, "edge"))[:rows, :columns]
-    height, width = view.shape[:2]
-    squared = np.mean((cells(view) - cells(render)) ** 2, 2, keepdims=True)
-    trust = np.exp(-squared / DISAGREEMENT**2)
-    for axis, length in ((0, height), (1, width)):
-        # Bilinear, with the first and last cell continued to the border.
-        place = np.clip((np.arange(length) + 0.5) / CELL - 0.5, 0, length // CELL - 1)
-        low = np.minimum(place.astype(int), max(length // CELL - 2, 0))
-        share = np.expand_dims((place - low).astype(np.float32), (1, 2) if axis == 0 else (0, 2))
-        high = np.minimum(low + 1, length // CELL - 1)
-        trust = trust.take(low, axis) * (1 - share) + trust.take(high, axis) * share
-    return view + trust * (render - view)
+    """The view with the render's detail where the two agree: what the product gives the network as guide."""
+    difference = cells(view) - cells(render)
+    trust = enlarged(np.exp(-np.mean(difference**2, 2, keepdims=True) / DISAGREEMENT**2), view.shape)
+    return np.clip(view + trust * (render + enlarged(difference, view.shape) - view), 0, 1)
+
+
+@functools.cache
+def average(length):
+    """[cells, length]: the means of equal cells of at most CELL px, which may share a pixel at their border."""
+    count = -(-length // CELL)
+    borders = np.arange(count + 1) * length / count
+    pixels = np.arange(length)
+    overlap = np.minimum(borders[1:, None], pixels + 1) - np.maximum(borders[:-1, None], pixels)
+    return (np.maximum(overlap, 0) * count / length).astype(np.float32)
+
+
+@functools.cache
+def interpolation(length):
+    """[length, cells]: bilinear between the cells' middles, the first and last cell continued to the border."""
+    count = -(-length // CELL)
+    place = np.clip((np.arange(length) + 0.5) * count / length - 0.5, 0, count - 1)
+    return np.maximum(1 - np.abs(place[:, None] - np.arange(count)), 0).astype(np.float32)
+
+
+def along_both(matrices, image):
+    """An image under a matrix for its rows and one for its columns."""
+    image = np.tensordot(matrices[0], image, (1, 0))
+    return np.ascontiguousarray(np.tensordot(matrices[1], image, (1, 1)).swapaxes(0, 1))
 
 
 def cells(image):
-    """Means of CELL x CELL px."""
-    height, width, channels = image.shape
-    return image.reshape(height // CELL, CELL, width // CELL, CELL, channels).mean((1, 3))
+    """Means of the cells."""
+    return along_both([average(length) for length in image.shape[:2]], image)
+
+
+def enlarged(coarse, shape):
+    """Values of cells at the pixels of an image of `shape`."""
+    return along_both([interpolation(length) for length in shape[:2]], coarse)
 
 
 def pair(rng, light, blur, exposure, target, guide):
     """One example from sharp linear light with MARGIN round it; light above 1 saturates after the blur.
 
-    `target` is (alpha, gamma) of the brightening or None for none; `guide` a Guide or None for a copy. Half of the
-    guides of training are the simulated render where it agrees with the view (`trusted`), as in the product.
+    `target` is (alpha, gamma) of the brightening or None for none; `guide` a Guide or None for a copy.
     Returns blurry, guide, clean, each f32 [H - 2 MARGIN, W - 2 MARGIN, 3].
     """
     shape = light.shape[:2]
@@ -307,7 +346,7 @@ def pair(rng, light, blur, exposure, target, guide):
         return blurry, blurry, clean
     render = brighten(render_light(rng, frequencies, shape, guide)[inner, inner])
     render = spoil_render(rng, render, guide)
-    return blurry, trusted(blurry, render) if rng.random() < guide.trusted else render, clean
+    return blurry, trusted(blurry, render), clean
 
 
 def random_target(rng):

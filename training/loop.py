@@ -3,10 +3,11 @@
     python loop.py RUN [RUN ...] --models ../models/small-u2w16.onnx other.onnx
 
 A RUN is the output folder of `fled run` of two rounds or more on a capture with ground truth. Fed are the second round's
-brightened views and, as their guides, the first round's renders through the curve that the run found for them, where they
-agree with the view. All from the run's JPEG previews, so the figures stand a little beside those of the run itself.
-Prints PSNR after a colour fit, and mean squared errors (1e-4) above and below about 3 px: a network that sharpens what is
-sharp already shows in what is fine.
+brightened views and, as their guides, these with the detail of the first round's renders where the two agree (the renders
+go through the curve that the run found for them first). All from the run's JPEG previews, so the figures stand a little beside
+those of the run itself. Prints PSNR after a colour fit, mean squared errors (1e-4) above and below about 3 px (a network that
+sharpens what is sharp already shows in what is fine), and PSNR against what the network is asked for: the truth, as dark, under
+the run's curve. "of itself" is guided by what the network makes of the view alone, from which nothing is to be learnt.
 """
 
 import argparse
@@ -26,8 +27,9 @@ SIGMA = 1.2
 
 
 def views(run, every):
-    """(view, guide, render, truth) of every n-th view."""
-    matched = json.loads((run / "metrics.json").read_text())["rounds"][0]["matched"]
+    """(view, guide, render, truth, truth under the view's curve) of every n-th view."""
+    first, second = json.loads((run / "metrics.json").read_text())["rounds"][:2]
+    matched, (alpha, gamma) = first["matched"], second["anchor"]
     names = sorted(path.name for path in (run / "rounds/2/enhanced").iterdir() if (run / "gt" / path.name).exists())
 
     def load(folder):
@@ -37,20 +39,33 @@ def views(run, every):
     if len(matched) != 1:
         raise SystemExit(f"{run} has a curve a view (lut_scope=image); this reads runs with one a scene")
     bright = tone_curve.enhance(renders, *matched[0])
-    found = list(zip(load("rounds/2/enhanced"), bright, load("gt")))[::every]
-    return [(view, degrade.trusted(view, render), render, truth) for view, render, truth in found]
+    dark = load("inputs")
+    lut = tone_curve.table(tone_curve.histogram(dark), alpha)
+    found = list(zip(dark, load("rounds/2/enhanced"), bright, load("gt")))[::every]
+    return [
+        (view, degrade.trusted(view, render), render, truth, tone_curve.apply(as_dark(truth, taken), lut, gamma))
+        for taken, view, render, truth in found
+    ]
 
 
-def errors(image, truth):
-    """PSNR in dB, and the mean squared errors of coarse and fine, 1e-4."""
+def as_dark(truth, taken):
+    """The sharp photograph with the light of the dark one."""
+    light, caught = degrade.decode(truth), degrade.decode(taken)
+    return degrade.encode(light * (light * caught).sum() / (light * light).sum())
+
+
+def errors(image, truth, asked):
+    """Mean squared errors: all, coarse and fine after a colour fit to `truth`; and against `asked`."""
     error = colour_fitted(image, truth) - truth
     coarse = nd.gaussian_filter(error, (SIGMA, SIGMA, 0))
-    return np.array([(error**2).mean(), (coarse**2).mean(), ((error - coarse) ** 2).mean()])
+    return np.array([(error**2).mean(), (coarse**2).mean(), ((error - coarse) ** 2).mean(), ((image - asked) ** 2).mean()])
 
 
-def row(label, found):
-    total, coarse, fine = np.mean(found, 0)
-    return (label, float(-10 * np.log10(total)), float(1e4 * coarse), float(1e4 * fine))
+def row(label, make, examples):
+    """Of what `make` makes of (view, guide, render)."""
+    found = [errors(make(view, guide, render), truth, asked) for view, guide, render, truth, asked in examples]
+    total, coarse, fine, asked = np.mean(found, 0)
+    return (label, float(-10 * np.log10(total)), float(1e4 * coarse), float(1e4 * fine), float(-10 * np.log10(asked)))
 
 
 def main():
@@ -63,14 +78,17 @@ def main():
     for run in options.runs:
         examples = views(run, options.every)
         rows = [
-            row("view", [errors(view, truth) for view, _, _, truth in examples]),
-            row("render", [errors(render, truth) for _, _, render, truth in examples]),
-            row("guide", [errors(guide, truth) for _, guide, _, truth in examples]),
+            row("view", lambda view, guide, render: view, examples),
+            row("render", lambda view, guide, render: render, examples),
+            row("guide", lambda view, guide, render: guide, examples),
         ]
         for name, model in models.items():
-            rows.append(row(f"{name}, alone", [errors(model(view), truth) for view, _, _, truth in examples]))
-            rows.append(row(f"{name}, guided", [errors(model(view, guide), truth) for view, guide, _, truth in examples]))
-        print(table([str(run), "PSNR, dB", "coarse", "fine"], rows) + "\n", flush=True)
+            rows += [
+                row(f"{name}, alone", lambda view, guide, render: model(view), examples),
+                row(f"{name}, of itself", lambda view, guide, render: model(view, degrade.trusted(view, model(view))), examples),
+                row(f"{name}, guided", lambda view, guide, render: model(view, guide), examples),
+            ]
+        print(table([str(run), "PSNR, dB", "coarse", "fine", "as asked, dB"], rows) + "\n", flush=True)
 
 
 if __name__ == "__main__":

@@ -1,20 +1,24 @@
 """Guides as they are in the product: what its own trainer renders of captures that it makes.
 
-    python renders.py --fled ../target/release/fled --captures 12 --out run/renders
+    python renders.py --fled ../target/release/fled --captures 25 --out run/renders
 
-For each capture: `fled synth` of a room of its own (room 0, in which everything is measured, is left out), one round of `fled
-run`; every view then becomes one file f16 [9, H, W]: the view brightened, its guide (the render where it agrees), and the
-sharp photograph, as dark, under the same curve. Half of the scenes are trained with kernels for the shake and without a
-network, so their renders are sharp; half on what the built-in network leaves, so theirs are blurred, as in the loop. A
-capture that is there already is kept.
+For each capture: `fled synth` of a room of its own (room 0, in which everything is measured, is left out), two thirds of them
+with the training photographs on the walls; one round of `fled run` on COLMAP's poses; every view then becomes one file f16
+[9, H, W]: the view brightened, its render, and the sharp photograph, as dark, under the same curve, all without the distortion
+that COLMAP found. Shake, noise, views, steps and Gaussians are drawn far apart, so that there are renders much better and much
+worse than their views. A third of the scenes are trained with kernels for the shake, a third on what the built-in network
+leaves, a third on the views alone. A capture that is there already is kept; one whose photographs COLMAP cannot place is left
+out, and `ROOM.none` says so.
 """
 
 import argparse
+import json
 import shutil
 import subprocess
 from pathlib import Path
 
 import numpy as np
+import scipy.ndimage as nd
 
 import degrade
 import sources
@@ -23,64 +27,117 @@ import tone_curve
 SIZE = "320x180"
 
 
-def photographs(folder):
-    """The files of a folder in their order, f32 0..1, with their names."""
-    paths = sorted(folder.iterdir())
-    return [path.stem for path in paths], [sources.load(path).astype(np.float32) / 255 for path in paths]
+class NoPoses(Exception):
+    """COLMAP could not place the photographs."""
 
 
-def capture(fled, scratch, room, views, steps):
+def photograph(folder, view):
+    """The photograph of a view of `poses.json`, f32 [H, W, 3] 0..1, as the product undistorts it."""
+    image = sources.load(folder / f"{view['name']}.png").astype(np.float32) / 255
+    lens, pinhole = view["lens"]["intrinsics"], view["camera"]["intrinsics"]
+    # COLMAP is asked for one coefficient; more would be a change of the product.
+    k1, *others = view["lens"]["distortion"].get("radial", [0.0])
+    if any(others) or any(view["lens"]["distortion"].get("tangential", [])):
+        raise SystemExit(f"this lens is not understood: {view['lens']}")
+    y, x = np.mgrid[: image.shape[0], : image.shape[1]].astype(np.float32) + 0.5
+    x, y = (x - pinhole["cx"]) / pinhole["fx"], (y - pinhole["cy"]) / pinhole["fy"]
+    scale = 1 + k1 * (x * x + y * y)
+    place = [y * scale * lens["fy"] + lens["cy"] - 0.5, x * scale * lens["fx"] + lens["cx"] - 0.5]
+    return np.stack([nd.map_coordinates(image[..., c], place, order=1, mode="nearest") for c in range(3)], -1)
+
+
+def reconstruct(fled, capture, out, settings):
+    """`fled run`; raises NoPoses, or SystemExit with its last words on any other failure."""
+    command = [fled, "run", capture, "--out", out, "--preset", "preview", "--cache", "none", "--json"]
+    done = subprocess.run(command + options(settings), stdout=subprocess.PIPE, text=True)
+    if done.returncode:
+        said = [json.loads(line) for line in done.stdout.splitlines()]
+        failed = [event for event in said if event["event"] == "failed"]
+        if failed and failed[-1]["kind"] == "few_poses":
+            raise NoPoses
+        raise SystemExit(f"fled run failed: {failed or done.returncode}")
+
+
+LOOPS = [
+    dict(deblur="identity", shake="kernel"),
+    dict(deblur="default", shake="off"),
+    dict(deblur="identity", shake="off"),
+]
+
+
+def log_uniform(rng, low, high):
+    return float(np.exp(rng.uniform(np.log(low), np.log(high))))
+
+
+def wallpapers(folder):
+    """Fills a folder with the training photographs, each as often as it counts."""
+    folder.mkdir()
+    for path in sources.TRAINING:
+        for number in range(sources.WEIGHTS.get(path.stem, 1)):
+            shutil.copy(path, folder / f"{path.stem}-{number}{path.suffix}")
+    return folder
+
+
+def options(values):
+    return [part for key, value in values.items() for part in ("--set", f"{key}={value}")]
+
+
+def capture(fled, scratch, room):
     """(name, planes) of every view of one capture."""
     rng = np.random.default_rng(room)
-    exposure, blur, noise = rng.uniform(0.03, 0.15), rng.uniform(2, 14), np.exp(rng.uniform(np.log(0.004), np.log(0.04)))
-    arguments = dict(seed=room, room=room, views=views, size=SIZE, exposure=exposure, blur=blur, noise=noise)
-    subprocess.run([fled, "synth", scratch / "dark", *(f"--{key}={value}" for key, value in arguments.items())], check=True)
-    names, dark = photographs(scratch / "dark" / "images")
-    # From the bright picture: eight bits of a dark one would leave bands, which the network would be paid to draw.
-    _, bright = photographs(scratch / "dark" / "HL")
-    alpha, gamma = tone_curve.automatic_target(dark)
+    exposure = log_uniform(rng, 0.03, 0.3)
+    made = dict(
+        seed=room, room=room, views=rng.integers(12, 31), size=SIZE, exposure=exposure,
+        blur=log_uniform(rng, 0.7, 14), noise=log_uniform(rng, 0.004, 0.05),
+    )
+    if rng.random() < 2 / 3:
+        made["wallpapers"] = wallpapers(scratch / "wallpapers")
+    subprocess.run([fled, "synth", scratch / "dark", *(f"--{key}={value}" for key, value in made.items())], check=True)
+    # The target by the photographs as taken: the run is told it before it knows how the lens bends.
+    files = sorted((scratch / "dark" / "images").iterdir())
+    alpha, gamma = tone_curve.automatic_target([sources.load(path).astype(np.float32) / 255 for path in files])
     # A level on the way from the first round's to the last one's.
     share = rng.uniform(0.4, 1)
     alpha, gamma = 0.1 ** (1 - share) * alpha**share, gamma**share
-    loop = dict(deblur="identity", shake="kernel") if room % 2 else dict(deblur="default", shake="off")
-    settings = dict(size=int(SIZE.split("x")[0]), rounds=1, steps=steps, target=f"{alpha},{gamma}", seed=room, **loop)
-    subprocess.run(
-        [fled, "run", scratch / "dark", "--out", scratch / "run", "--preset", "preview", "--cache", "none"]
-        + [part for key, value in settings.items() for part in ("--set", f"{key}={value}")],
-        check=True, stdout=subprocess.DEVNULL,
+    settings = dict(
+        size=int(SIZE.split("x")[0]), rounds=1, target=f"{alpha},{gamma}", seed=room, pose_source="colmap",
+        steps=int(log_uniform(rng, 150, 900)), cap=int(log_uniform(rng, 2_000, 12_000)), **LOOPS[room % 3],
     )
+    reconstruct(fled, scratch / "dark", scratch / "run", settings)
+    views = json.loads((scratch / "run" / "poses.json").read_text())["views"]
+    dark = [photograph(scratch / "dark" / "images", view) for view in views]
     lut = tone_curve.table(tone_curve.histogram(dark), alpha)
-    for name, blurry, sharp in zip(names, dark, bright):
-        render = scratch / "run" / "restored" / f"{name}.png"
-        if not render.exists():
-            continue  # structure from motion found no pose for it
-        clean = degrade.encode(degrade.decode(sharp) * exposure)
+    for view, blurry in zip(views, dark):
+        # From the bright picture: eight bits of a dark one would leave bands, which the network would be paid to draw.
+        clean = degrade.encode(degrade.decode(photograph(scratch / "dark" / "HL", view)) * exposure)
         blurry, clean = (tone_curve.apply(image, lut, gamma) for image in (blurry, clean))
-        guide = degrade.trusted(blurry, sources.load(render).astype(np.float32) / 255)
-        planes = np.moveaxis(np.concatenate([blurry, guide, clean], 2), 2, 0)
-        yield name, planes.astype(np.float16)
+        render = sources.load(scratch / "run" / "restored" / f"{view['name']}.png").astype(np.float32) / 255
+        yield view["name"], np.moveaxis(np.concatenate([blurry, render, clean], 2), 2, 0).astype(np.float16)
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--fled", type=Path, required=True, help="the program")
     parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--captures", type=int, default=12)
-    parser.add_argument("--views", type=int, default=24, help="photographs of a capture")
-    parser.add_argument("--steps", type=int, default=600, help="of training a capture's scene")
-    options = parser.parse_args()
-    options.out.mkdir(parents=True, exist_ok=True)
-    for room in range(1, options.captures + 1):
-        if any(options.out.glob(f"{room}-*.npy")):
+    parser.add_argument("--captures", type=int, default=25)
+    arguments = parser.parse_args()
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    for room in range(1, arguments.captures + 1):
+        none = arguments.out / f"{room}.none"
+        if none.exists() or any(arguments.out.glob(f"{room}-*.render.npy")):
             continue
-        scratch = options.out / f"scratch-{room}"
+        scratch = arguments.out / f"scratch-{room}"
         shutil.rmtree(scratch, ignore_errors=True)
         scratch.mkdir()
-        for name, planes in capture(options.fled.resolve(), scratch, room, options.views, options.steps):
-            np.save(scratch / f"{room}-{name}.npy", planes)
-        # All of a capture at once, so that a stopped run makes it anew.
-        for path in scratch.glob("*.npy"):
-            path.rename(options.out / path.name)
+        try:
+            for name, planes in capture(arguments.fled.resolve(), scratch, room):
+                np.save(scratch / f"{room}-{name}.render.npy", planes)
+        except NoPoses:
+            none.touch()
+        else:
+            # All of a capture at once, so that a stopped run makes it anew.
+            for path in scratch.glob("*.render.npy"):
+                path.rename(arguments.out / path.name)
         shutil.rmtree(scratch)
 
 

@@ -181,16 +181,21 @@ class Sources:
         self.pool = [procedural(rng, size, self.photos) for _ in range(8)]
 
     def draw(self, rng, side):
-        """A sharp crop f32 [side, side, 3], augmented."""
+        """A sharp crop f32 [side, side, 3], augmented.
+
+        Two fifths are enlarged, and so no sharper than a lens that is a little out of focus: a network that has only seen crisp truths
+        sharpens the photographs of every other lens beyond theirs.
+        """
         if rng.random() < 0.6:
             image = self.photos[rng.choice(len(self.photos), p=self.weights)]
-            low, high = 0.55, 1.0
+            low, high = 0.55, 1.8
         else:
             if rng.random() < 0.15:
                 self.renew(rng)
             image = self.pool[rng.integers(len(self.pool))]
-            low, high = 0.8, 1.0
-        return augment(rng, crop(rng, image, side, rng.uniform(low, high)))
+            low, high = 0.75, 1.6
+        scale = np.exp(rng.uniform(np.log(low), 0) if rng.random() < 0.6 else rng.uniform(0, np.log(high)))
+        return augment(rng, crop(rng, image, side, scale))
 
     def renew(self, rng):
         """Add a fresh procedural scene, in place of a random one when the pool is full."""
@@ -202,7 +207,7 @@ class Sources:
 
 
 def crop(rng, image, side, scale):
-    """A square of `side` pixels from the image reduced by `scale`; reflected where the image is too small."""
+    """A square of `side` pixels from the image at `scale`; reflected where the image is too small."""
     wanted = int(round(side / scale))
     height, width = min(wanted, image.shape[0]), min(wanted, image.shape[1])
     top, left = rng.integers(image.shape[0] - height + 1), rng.integers(image.shape[1] - width + 1)
