@@ -23,7 +23,7 @@ VARIANTS = [
     ("no network", LOOP + ["deblur=identity"]),
     ("{}, never guided", LOOP + ["guide=none"]),
     ("{}, guided by renders", LOOP),
-    ("{}, fed the mean of view and render", LOOP + ["guide=blend"]),
+    ("{}, fed the guide in the view's place", LOOP + ["guide=blend"]),
     ("shake kernels, no network", ["rounds=2", "deblur=identity"]),
     ("shake kernels; {} only made and scored", ["rounds=2"]),
 ]

@@ -279,10 +279,17 @@ def spoil_render(rng, image, guide):
 
 # Side of a cell, px, and the difference at which a render has lost most of its say: the product's (pipeline/guide.rs).
 CELL, DISAGREEMENT = 4, 0.04
+# Share of the render's detail that the product's guides have; training's have all.
+SHARE = 0.7
+
+
+def fed(view, guide):
+    """A guide with as much of the detail as the product feeds."""
+    return view + SHARE * (guide - view)
 
 
 def trusted(view, render):
-    """The view with the render's detail where the two agree: what the product gives the network as guide."""
+    """The view with the render's detail where the two agree: a guide of training."""
     difference = cells(view) - cells(render)
     trust = enlarged(np.exp(-np.mean(difference**2, 2, keepdims=True) / DISAGREEMENT**2), view.shape)
     return np.clip(view + trust * (render + enlarged(difference, view.shape) - view), 0, 1)

@@ -96,7 +96,7 @@ def held_out_table(models, repeats, crops):
                 blurry, guide, clean = example(path, description, [number, index, repeat])
                 outputs = [blurry, guide]
                 for model in models:
-                    outputs += [model(blurry), model(blurry, guide)]
+                    outputs += [model(blurry), model(blurry, degrade.fed(blurry, guide))]
                 values.append([psnr(output, clean) for output in outputs])
                 if crops and repeat == 0:
                     save_crop(crops / f"{path.stem}-{number}.png", [*outputs, clean])

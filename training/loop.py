@@ -43,7 +43,7 @@ def views(run, every):
     lut = tone_curve.table(tone_curve.histogram(dark), alpha)
     found = list(zip(dark, load("rounds/2/enhanced"), bright, load("gt")))[::every]
     return [
-        (view, degrade.trusted(view, render), render, truth, tone_curve.apply(as_dark(truth, taken), lut, gamma))
+        (view, degrade.fed(view, degrade.trusted(view, render)), render, truth, tone_curve.apply(as_dark(truth, taken), lut, gamma))
         for taken, view, render, truth in found
     ]
 
@@ -85,7 +85,7 @@ def main():
         for name, model in models.items():
             rows += [
                 row(f"{name}, alone", lambda view, guide, render: model(view), examples),
-                row(f"{name}, of itself", lambda view, guide, render: model(view, degrade.trusted(view, model(view))), examples),
+                row(f"{name}, of itself", lambda view, guide, render: model(view, degrade.fed(view, degrade.trusted(view, model(view)))), examples),
                 row(f"{name}, guided", lambda view, guide, render: model(view, guide), examples),
             ]
         print(table([str(run), "PSNR, dB", "coarse", "fine", "as asked, dB"], rows) + "\n", flush=True)

@@ -16,7 +16,7 @@ pub struct OpenOptions<'a> {
     pub models: &'a [PathBuf],
     /// Threads that work on one view; 0 leaves it to the library.
     pub threads: usize,
-    /// Feed the mean of view and guide instead of both.
+    /// Feed the guide in the view's place instead of both.
     pub blend: bool,
 }
 
@@ -76,7 +76,7 @@ fn open_one(choice: &str, options: &OpenOptions<'_>) -> Result<Opened, DeblurErr
     let mut fallbacks = Vec::from_iter(without_cuda);
     if !takes_guide && !options.blend {
         fallbacks.push(format!(
-            "network {} takes no guide: rounds after the first feed it the mean of view and guide",
+            "network {} takes no guide: rounds after the first feed it the guide in the view's place",
             info.id
         ));
     }

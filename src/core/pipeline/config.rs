@@ -112,7 +112,7 @@ pub enum LutScope {
 pub enum Guide {
     /// The view with the detail of the render of the round before, beside the view, through a guided network.
     Render,
-    /// The network on the mean of the view and that guide.
+    /// The network on that guide in the view's place.
     Blend,
     /// No guide.
     None,
