@@ -175,13 +175,13 @@ class Blur:
 
 
 def random_blur(rng, shape):
-    """The training distribution: 72 % shake, 15 % varying shake, 8 % none, 5 % defocus."""
+    """The training distribution: 66 % shake, 15 % varying shake, 14 % none, 5 % defocus."""
     kind = rng.random()
-    if kind < 0.72:
+    if kind < 0.66:
         # Mostly what a hand does, and as often a pixel as ten: a network that has seen only strong blur sharpens what is sharp.
         short = np.exp(rng.uniform(np.log(0.5), np.log(16)))
         return Blur([shake_kernel(rng, short if rng.random() < 0.9 else rng.uniform(0, 25))])
-    if kind < 0.87:
+    if kind < 0.81:
         extent = rng.uniform(2, 20)
         kernels = [shake_kernel(rng, extent * rng.uniform(0.3, 1)) for _ in range(2)]
         ramp = smooth_field(rng, shape, 2)

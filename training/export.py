@@ -179,14 +179,14 @@ def main():
     parser.add_argument("checkpoint", type=Path)
     parser.add_argument("output", type=Path)
     parser.add_argument("--raw", action="store_true", help="the raw weights instead of their moving average")
-    parser.add_argument("--mix", nargs=2, metavar=("CHECKPOINT", "SHARE"), help="weights of an ancestor, and their share of the mean")
+    parser.add_argument("--mix", nargs=2, metavar=("CHECKPOINT", "SHARE"), help="an ancestor (its average, or an exported file), and its share of the mean")
     parser.add_argument("--manifest", type=Path)
     options = parser.parse_args()
     torch.set_num_threads(1)
     network, state = load(options.checkpoint, options.raw)
     if options.mix:
         # Along the way from an ancestor to its descendant the mean of the weights is a network in between.
-        ancestor, share = load(options.mix[0], options.raw)[0].state_dict(), float(options.mix[1])
+        ancestor, share = weights(Path(options.mix[0])), float(options.mix[1])
         network.load_state_dict({key: (1 - share) * value + share * ancestor[key] for key, value in network.state_dict().items()})
     model = build(network)
     worst = largest_difference(model, network)
