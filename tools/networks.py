@@ -4,7 +4,8 @@ guided and blended, several seeds each, and prints Markdown tables. Python's sta
 
     python3 tools/networks.py --fled target/release/fled --out /tmp/networks CAPTURE[:key=value;...] ...
 
-Finished runs are not done again, so an interrupted comparison goes on.
+Finished runs are not done again, so an interrupted comparison goes on. OUT belongs to one build of the program: what another one
+made there is taken for this one's.
 """
 
 import argparse

@@ -92,7 +92,7 @@ def scene_patches(rng, supply):
 def view_patches(rng, views):
     """Four places of one view that the product has rendered, f16 [9, P, P]: blurry, guide, clean.
 
-    The guide is the view with the render's detail where the two agree, as the product feeds it.
+    The guide is the view with the render's detail where the two agree.
     """
     view = np.load(views[rng.integers(len(views))], mmap_mode="r")
     gain, offset = 1 + rng.normal(size=3) * DRIFT, rng.normal(size=3) * DRIFT / 2

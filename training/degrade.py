@@ -238,6 +238,7 @@ def random_guide(rng):
 
 
 def random_crispness(rng):
+    """The training distribution of how much too far detail stands out; mostly 0."""
     return rng.uniform(0, 1.2) if rng.random() < 0.4 else 0.0
 
 
@@ -284,15 +285,18 @@ SHARE = 0.7
 
 
 def fed(view, guide):
-    """A guide with as much of the detail as the product feeds."""
+    """A guide of training with as much of its detail as the product feeds, but for what is cut at black and white."""
     return view + SHARE * (guide - view)
 
 
-def trusted(view, render):
-    """The view with the render's detail where the two agree: a guide of training."""
+def trusted(view, render, share=1.0):
+    """The view with a share of the render's detail where the two agree, f32 [H, W, 3] sRGB 0..1 like both of them.
+
+    With all of the detail it is a guide of training, with SHARE of it the product's.
+    """
     difference = cells(view) - cells(render)
     trust = enlarged(np.exp(-np.mean(difference**2, 2, keepdims=True) / DISAGREEMENT**2), view.shape)
-    return np.clip(view + trust * (render + enlarged(difference, view.shape) - view), 0, 1)
+    return np.clip(view + share * trust * (render + enlarged(difference, view.shape) - view), 0, 1)
 
 
 @functools.cache
@@ -320,12 +324,12 @@ def along_both(matrices, image):
 
 
 def cells(image):
-    """Means of the cells."""
+    """Means of the cells: [H, W, C] to [ceil(H / CELL), ceil(W / CELL), C]."""
     return along_both([average(length) for length in image.shape[:2]], image)
 
 
 def enlarged(coarse, shape):
-    """Values of cells at the pixels of an image of `shape`."""
+    """Values of cells [h, w, C] at the pixels of an image of `shape`, [H, W, C]."""
     return along_both([interpolation(length) for length in shape[:2]], coarse)
 
 

@@ -37,7 +37,10 @@ CASES = [
 
 
 class Model:
-    """An ONNX network of 6 or 3 channels; pads by reflection to multiples of 16 and crops back."""
+    """An ONNX network of 6 or 3 channels; pads by reflection to multiples of 16 and crops back.
+
+    One of 3 is fed the guide in the view's place, as in the product.
+    """
 
     def __init__(self, path):
         options = onnxruntime.SessionOptions()
@@ -48,7 +51,8 @@ class Model:
 
     def __call__(self, blurry, guide=None):
         height, width = blurry.shape[:2]
-        planes = [blurry] if self.input.shape[1] == 3 else [blurry, blurry if guide is None else guide]
+        guide = blurry if guide is None else guide
+        planes = [guide] if self.input.shape[1] == 3 else [blurry, guide]
         pad = ((0, -height % 16), (0, -width % 16), (0, 0))
         pair = np.pad(np.concatenate(planes, 2), pad, "reflect").transpose(2, 0, 1)[None]
         output = self.session.run(None, {self.input.name: np.ascontiguousarray(pair, np.float32)})[0][0]

@@ -3,7 +3,7 @@
     python loop.py RUN [RUN ...] --models ../models/small-u2w16.onnx other.onnx
 
 A RUN is the output folder of `fled run` of two rounds or more on a capture with ground truth. Fed are the second round's
-brightened views and, as their guides, these with the detail of the first round's renders where the two agree (the renders
+brightened views and, as their guides, these with seven tenths of the detail of the first round's renders where the two agree (the renders
 go through the curve that the run found for them first). All from the run's JPEG previews, so the figures stand a little beside
 those of the run itself. Prints PSNR after a colour fit, mean squared errors (1e-4) above and below about 3 px (a network that
 sharpens what is sharp already shows in what is fine), and PSNR against what the network is asked for: the truth, as dark, under
@@ -26,26 +26,29 @@ from evaluate import Model, colour_fitted, table
 SIGMA = 1.2
 
 
-def views(run, every):
+def views(run, every, share):
     """(view, guide, render, truth, truth under the view's curve) of every n-th view."""
     first, second = json.loads((run / "metrics.json").read_text())["rounds"][:2]
     matched, (alpha, gamma) = first["matched"], second["anchor"]
-    names = sorted(path.name for path in (run / "rounds/2/enhanced").iterdir() if (run / "gt" / path.name).exists())
+    everything = sorted(path.name for path in (run / "rounds/2/enhanced").iterdir())
+    names = [name for name in everything if (run / "gt" / name).exists()]
 
-    def load(folder):
+    def load(folder, names=names):
         return [sources.load(run / folder / name).astype(np.float32) / 255 for name in names]
 
-    renders = load("rounds/1/renders")
     if len(matched) != 1:
         raise SystemExit(f"{run} has a curve a view (lut_scope=image); this reads runs with one a scene")
-    bright = tone_curve.enhance(renders, *matched[0])
-    dark = load("inputs")
-    lut = tone_curve.table(tone_curve.histogram(dark), alpha)
-    found = list(zip(dark, load("rounds/2/enhanced"), bright, load("gt")))[::every]
-    return [
-        (view, degrade.fed(view, degrade.trusted(view, render)), render, truth, tone_curve.apply(as_dark(truth, taken), lut, gamma))
-        for taken, view, render, truth in found
-    ]
+    # Curves are of all views, also of those without ground truth.
+    to_next = tone_curve.table(tone_curve.histogram(load("rounds/1/renders", everything)), matched[0][0])
+    lut = tone_curve.table(tone_curve.histogram(load("inputs", everything)), alpha)
+    found = []
+    for taken, view, render, truth in list(
+        zip(load("inputs"), load("rounds/2/enhanced"), load("rounds/1/renders"), load("gt"))
+    )[::every]:
+        render = tone_curve.apply(render, to_next, matched[0][1])
+        asked = tone_curve.apply(as_dark(truth, taken), lut, gamma)
+        found.append((view, degrade.trusted(view, render, share), render, truth, asked))
+    return found
 
 
 def as_dark(truth, taken):
@@ -73,10 +76,11 @@ def main():
     parser.add_argument("runs", type=Path, nargs="+")
     parser.add_argument("--models", type=Path, nargs="+", required=True)
     parser.add_argument("--every", type=int, default=3, help="one view of so many")
+    parser.add_argument("--share", type=float, default=degrade.SHARE, help="of the renders' detail in the guides; the product's")
     options = parser.parse_args()
     models = {path.stem: Model(path) for path in options.models}
     for run in options.runs:
-        examples = views(run, options.every)
+        examples = views(run, options.every, options.share)
         rows = [
             row("view", lambda view, guide, render: view, examples),
             row("render", lambda view, guide, render: render, examples),
@@ -85,7 +89,7 @@ def main():
         for name, model in models.items():
             rows += [
                 row(f"{name}, alone", lambda view, guide, render: model(view), examples),
-                row(f"{name}, of itself", lambda view, guide, render: model(view, degrade.fed(view, degrade.trusted(view, model(view)))), examples),
+                row(f"{name}, of itself", lambda view, guide, render: model(view, degrade.trusted(view, model(view), options.share)), examples),
                 row(f"{name}, guided", lambda view, guide, render: model(view, guide), examples),
             ]
         print(table([str(run), "PSNR, dB", "coarse", "fine", "as asked, dB"], rows) + "\n", flush=True)

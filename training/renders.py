@@ -34,11 +34,16 @@ class NoPoses(Exception):
 def photograph(folder, view):
     """The photograph of a view of `poses.json`, f32 [H, W, 3] 0..1, as the product undistorts it."""
     image = sources.load(folder / f"{view['name']}.png").astype(np.float32) / 255
-    lens, pinhole = view["lens"]["intrinsics"], view["camera"]["intrinsics"]
+    return undistorted(image, view["lens"], view["camera"]["intrinsics"])
+
+
+def undistorted(image, lens, pinhole):
+    """An image [H, W, 3] without the bend of its lens, as `pinhole` sees it (poses/lens.rs, `undistort`)."""
+    bend, lens = lens["distortion"], lens["intrinsics"]
     # COLMAP is asked for one coefficient; more would be a change of the product.
-    k1, *others = view["lens"]["distortion"].get("radial", [0.0])
-    if any(others) or any(view["lens"]["distortion"].get("tangential", [])):
-        raise SystemExit(f"this lens is not understood: {view['lens']}")
+    k1, *others = bend.get("radial", [0.0])
+    if bend["model"] not in ("none", "perspective") or any(others) or any(bend.get("tangential", [])):
+        raise SystemExit(f"this lens is not understood: {bend}")
     y, x = np.mgrid[: image.shape[0], : image.shape[1]].astype(np.float32) + 0.5
     x, y = (x - pinhole["cx"]) / pinhole["fx"], (y - pinhole["cy"]) / pinhole["fy"]
     scale = 1 + k1 * (x * x + y * y)
@@ -66,6 +71,7 @@ LOOPS = [
 
 
 def log_uniform(rng, low, high):
+    """A number whose logarithm is uniform."""
     return float(np.exp(rng.uniform(np.log(low), np.log(high))))
 
 
@@ -79,6 +85,7 @@ def wallpapers(folder):
 
 
 def options(values):
+    """Arguments of `fled run` that set these."""
     return [part for key, value in values.items() for part in ("--set", f"{key}={value}")]
 
 

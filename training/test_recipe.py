@@ -13,6 +13,7 @@ import torch
 import dataset
 import degrade
 import export
+import renders
 import sources
 import tone_curve
 import train
@@ -117,6 +118,8 @@ class Guides(unittest.TestCase):
         planes = [torch.from_numpy(image).movedim(2, 0)[None] for image in (view, render)]
         ours = train.trusted(*planes)[0].movedim(0, 2).numpy()
         np.testing.assert_allclose(ours, degrade.trusted(view, render), atol=1e-6)
+        fed = degrade.trusted(waves(0.1, 0), waves(0.12, 0.4), degrade.SHARE)
+        np.testing.assert_allclose(fed[1, 3], [0.15408, 0.05293, 0.00392], atol=1e-4)
         tiny = np.full((1, 2, 3), 0.5, np.float32)
         np.testing.assert_array_equal(degrade.trusted(tiny, tiny), tiny)
 
@@ -133,6 +136,37 @@ class Guides(unittest.TestCase):
             self.assertAlmostEqual(float(torch.stack(guided).mean()), 0.3, delta=1e-3, msg="only detail comes from a render")
         with self.assertRaises(FileNotFoundError):
             dataset.Patches(3, 0, "/nowhere")
+
+
+class OwnGuides(unittest.TestCase):
+    def test_only_what_has_no_guide_is_given_one_of_the_networks_own(self):
+        view = torch.rand(6, 3, 16, 16) * 0.1 + 0.4
+        pair = torch.cat([view, view], 1)
+        pair[3:, 3:] += 0.05
+
+        def striped(pair):
+            return pair[:, :3] + 0.04 * (torch.arange(16) % 2 - 0.5)
+
+        for share, expected in ((0.0, 0), (1.0, 3)):
+            given = train.with_own_guides(pair, striped, share)
+            changed = (given != pair).flatten(1).any(1)
+            self.assertEqual(changed.tolist(), [True] * expected + [False] * (6 - expected))
+            self.assertTrue((given[:, :3] == pair[:, :3]).all())
+        torch.testing.assert_close(given[:3, 3:], striped(pair[:3]), atol=1e-3, rtol=0)
+
+
+class Lens(unittest.TestCase):
+    def test_a_lens_is_unbent_as_in_the_product(self):
+        # The numbers of the product's own test (poses/lens.rs): what is shown is where it came from.
+        y, x = np.mgrid[:120, :160].astype(np.float32)
+        ramps = np.stack([0.2 + 0.004 * x, 0.2 + 0.004 * y, 0 * x], -1)
+        lens = dict(
+            intrinsics=dict(fx=150, fy=150, cx=80, cy=60), distortion=dict(model="perspective", radial=[-0.1, 0, 0, 0, 0, 0], tangential=[0, 0])
+        )
+        found = renders.undistorted(ramps, lens, dict(fx=140, fy=140, cx=80, cy=60))[20, 10]
+        np.testing.assert_allclose(found, [0.22985, 0.27423, 0], atol=1e-4)
+        with self.assertRaises(SystemExit):
+            renders.undistorted(ramps, dict(lens, distortion=dict(model="fisheye", radial=[0.1, 0, 0, 0])), lens["intrinsics"])
 
 
 class Loss(unittest.TestCase):

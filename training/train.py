@@ -85,6 +85,8 @@ class Trainer:
         self.path = options.run / "checkpoint.pt"
         if self.path.exists():
             self.restore()
+            # Else every restart would draw the same again.
+            torch.manual_seed(options.seed + self.step)
         self.forward = torch.compile(self.network) if options.device == "cuda" else self.network
 
     def restore(self):
@@ -115,12 +117,8 @@ class Trainer:
             # By steps too: on a GPU two hundredths of the budget may be few.
             group["lr"] = rate_at(self.progress, self.options.rate) * min(1.0, (self.step + 1) / 300)
         coarse = not self.options.exact and self.progress < COARSE
-        own = (pair[:, 3:] == pair[:, :3]).flatten(1).all(1) & (torch.rand(len(pair), device=pair.device) < OWN_GUIDES)
-        if own.any():
-            with torch.no_grad(), torch.autocast(self.options.device, torch.bfloat16):
-                render = self.average(pair[own]).float().clamp(0, 1)
-            pair[own, 3:] = trusted(pair[own, :3], render)
         with torch.autocast(self.options.device, torch.bfloat16, enabled=coarse):
+            pair = with_own_guides(pair, self.average, OWN_GUIDES)
             output = self.forward(pair.contiguous(memory_format=torch.channels_last))
         output = output.float()
         loss = SCALE * logarithmic_loss(output, clean, self.options.frequency)
@@ -145,6 +143,17 @@ def trusted(view, render):
     trust = torch.exp(-difference.square().mean(1, keepdim=True) / degrade.DISAGREEMENT**2)
     trust, difference = (F.interpolate(coarse, size, mode="bilinear") for coarse in (trust, difference))
     return (view + trust * (render + difference - view)).clamp(0, 1)
+
+
+def with_own_guides(pair, network, share):
+    """[N, 6, P, P] in which a share of those without a guide have one that the network made of the view alone."""
+    own = (pair[:, 3:] == pair[:, :3]).flatten(1).all(1) & (torch.rand(len(pair), device=pair.device) < share)
+    if own.any():
+        pair = pair.clone()
+        with torch.no_grad():
+            render = network(pair[own]).float().clamp(0, 1)
+        pair[own, 3:] = trusted(pair[own, :3], render)
+    return pair
 
 
 def stream(trainer, options):

@@ -28,7 +28,7 @@ use crate::image::Image;
 pub trait Deblurrer: Send {
     /// The restored view, of the size of `blurry`, every value finite and in 0..=1.
     ///
-    /// `guide` is the view with the detail of its clean render (or such a render), of the same size and brightness; without one
+    /// `guide` is the view with the detail of its clean render of the same size and brightness; without one
     /// a guided network is fed `blurry` twice.
     ///
     /// # Errors

@@ -69,7 +69,7 @@ struct AddArgs {
     /// Side of the tiles that large views are cut into, px; 1024 for a new network.
     #[arg(long, value_name = "PX")]
     tile: Option<usize>,
-    /// Which of several outputs is the restored view; the first for a new network.
+    /// Which of several outputs is the restored view; the first for a new network. Empty: the first again.
     #[arg(long, value_name = "NAME")]
     output: Option<String>,
     /// `deblur=default` means this one from now on.
@@ -237,7 +237,9 @@ fn describe(add: &AddArgs, known: &Manifest, overlay: &Manifest, content: &[u8])
     entry.multiple = add.multiple.unwrap_or(entry.multiple);
     entry.minimum_side = add.minimum_side.unwrap_or(entry.minimum_side);
     entry.tile = add.tile.unwrap_or(entry.tile);
-    entry.output = add.output.clone().or(entry.output);
+    if let Some(output) = &add.output {
+        entry.output = Some(output.clone()).filter(|name| !name.is_empty());
+    }
     if let Some(licence) = &add.licence {
         entry.licence.clone_from(licence);
     }

@@ -24,7 +24,7 @@ pub struct Args {
     /// Which room; 0 is the one of the benchmarks.
     #[arg(long, default_value_t = 0)]
     room: u64,
-    /// Folder of photographs that hang on all surfaces in place of painted patterns.
+    /// Folder of photographs, and nothing else, that hang on all surfaces in place of painted patterns, at 2048 px at most.
     #[arg(long)]
     wallpapers: Option<PathBuf>,
     /// Share of a well-exposed photograph's light.

@@ -99,6 +99,9 @@ fn which_of_several_outputs_is_meant_is_said_once() {
     let replaced = models(home.path(), &["add", &network("identity3").display().to_string(), "--id", "two"]);
     assert_eq!(code(&replaced), 0, "{}", said(&replaced));
     assert_eq!(entry()["output"], "restored", "what is not said again stays");
+    let first = models(home.path(), &["add", &file, "--id", "two", "--output", ""]);
+    assert_eq!(code(&first), 0, "{}", said(&first));
+    assert!(entry()["output"].is_null(), "{}", entry());
 }
 
 #[test]

@@ -274,12 +274,15 @@ impl Form {
             return Err(format!("it has {inputs} inputs and {outputs} outputs; one image each is expected"));
         };
         if let Some(name) = model.input.as_ref().filter(|name| *name != input.name()) {
-            return Err(format!("its input is `{}`, the manifest says `{name}`", input.name()));
+            return Err(format!("its input is `{}`; `{name}` is asked for by the manifest", input.name()));
         }
         let named = |name: &String| {
             outputs.iter().position(|output| output.name() == name).ok_or_else(|| {
                 let names: Vec<_> = outputs.iter().map(|output| format!("`{}`", output.name())).collect();
-                format!("its outputs are {}, the manifest says `{name}`", names.join(", "))
+                format!(
+                    "its outputs are {}; `{name}` is asked for, by the manifest or --output",
+                    names.join(", ")
+                )
             })
         };
         let output = model.output.as_ref().map_or(Ok(0), named)?;

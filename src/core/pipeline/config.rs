@@ -110,9 +110,9 @@ pub enum LutScope {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Guide {
-    /// The view with the detail of the render of the round before, beside the view, through a guided network.
+    /// A guided network is fed the view and, as its guide, the view with detail of the previous round's render.
     Render,
-    /// The network on that guide in the view's place.
+    /// The network is fed that guide in the view's place.
     Blend,
     /// No guide.
     None,

@@ -162,6 +162,20 @@ mod tests {
     use super::*;
     use crate::image::Srgb;
 
+    /// training/test_recipe.py has the same numbers.
+    #[test]
+    fn what_is_shown_is_where_it_came_from() {
+        let mut ramps = Image::<Srgb>::new(160, 120);
+        for (x, y) in (0..160 * 120).map(|i| (i % 160, i / 160)) {
+            ramps.set(x, y, [0.2 + 0.004 * x as f32, 0.2 + 0.004 * y as f32, 0.0]);
+        }
+        let pinhole = Intrinsics { fx: 140.0, fy: 140.0, ..lens(0.0).intrinsics };
+        let found = undistort(&ramps, &lens(-0.1), &pinhole).get(10, 20);
+        for (found, expected) in found.into_iter().zip([0.22985, 0.27423, 0.0]) {
+            assert!((found - expected).abs() < 1e-4, "{found}, not {expected}");
+        }
+    }
+
     fn lens(k1: f64) -> Lens {
         let intrinsics = Intrinsics { width: 160, height: 120, fx: 150.0, fy: 150.0, cx: 80.0, cy: 60.0 };
         Lens {

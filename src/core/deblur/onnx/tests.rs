@@ -125,8 +125,8 @@ fn the_manifest_says_which_of_several_outputs_is_the_view() {
     let first = network(&file("two_outputs3.onnx")).expect("loads").deblur(&view, None).expect("runs");
     assert!(worst(&first, &view.map(|value| 0.5 * value)) < 1e-6, "without a name it is the first");
     for (input, output, reason) in [
-        ("view", "sharp", "outputs are `coarse`, `restored`, the manifest says `sharp`"),
-        ("image", "restored", "input is `view`, the manifest says `image`"),
+        ("view", "sharp", "outputs are `coarse`, `restored`; `sharp` is asked for"),
+        ("image", "restored", "input is `view`; `image` is asked for"),
     ] {
         let refused = named(input, output).err().expect("another file").to_string();
         assert!(refused.contains(reason), "{refused}");
