@@ -20,7 +20,7 @@ const DISAGREEMENT: f32 = 0.04;
 
 /// Share of its render's detail that a guide has, the rest is its view's. Networks are trained with all of it. With seven tenths a
 /// guide brings nearly as much where the shake is strong (0.3 instead of 0.4 dB), and where there is little to gain it no
-/// longer harms (level instead of 0.3 to 0.5 dB below the network alone; models/README.md, In the loop).
+/// longer harms (0.0 to 0.1 dB above the network alone instead of 0.3 below it; models/README.md, In the loop).
 const SHARE: f32 = 0.7;
 
 /// The guides of all views: each view with its render's detail where the two agree.
