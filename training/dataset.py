@@ -17,7 +17,7 @@ USES = 3
 # Share of the scenes whose guide is a render by the product itself (`renders.py`), where there are such.
 REAL_GUIDES = 0.4
 # Share of the scenes with enough light, from which deblurring is learnt: under noise a network learns to average.
-CLEAN = 0.3
+CLEAN = 0.4
 # Deviation of the colours of real renders, which the loop carries from one brightness to the next by a curve that it finds.
 DRIFT = 0.015
 
@@ -75,8 +75,9 @@ def scene_patches(rng, supply):
     if rng.random() < 0.7:
         # Highlights beyond what the sensor holds: blur spreads them before it clips them.
         light *= 1.25
-    blur = degrade.random_blur(rng, light.shape[:2])
-    if rng.random() < CLEAN:
+    clean = rng.random() < CLEAN
+    blur = degrade.clean_blur(rng) if clean else degrade.random_blur(rng, light.shape[:2])
+    if clean:
         exposure = degrade.clean_exposure(rng)
         target = degrade.random_target(rng) if rng.random() < 0.3 else None
     else:

@@ -191,6 +191,11 @@ def random_blur(rng, shape):
     return Blur([disc_kernel(rng.uniform(0.5, 4))])
 
 
+def clean_blur(rng):
+    """The training distribution where there is enough light: 75 % shakes that can be undone, 25 % none."""
+    return Blur([shake_kernel(rng, rng.uniform(2, 14))] if rng.random() < 0.75 else [])
+
+
 def blur_image(linear, image_spectrum, blur):
     """The linear image under `blur`."""
     if not blur.kernels:
@@ -280,13 +285,8 @@ def spoil_render(rng, image, guide):
 
 # Side of a cell, px, and the difference at which a render has lost most of its say: the product's (pipeline/guide.rs).
 CELL, DISAGREEMENT = 4, 0.04
-# Share of the render's detail that the product's guides have; training's have all.
+# Share of the render's detail that the product feeds; training's guides have all.
 SHARE = 0.7
-
-
-def fed(view, guide):
-    """A guide of training with as much of its detail as the product feeds, but for what is cut at black and white."""
-    return view + SHARE * (guide - view)
 
 
 def trusted(view, render, share=1.0):
@@ -333,10 +333,11 @@ def enlarged(coarse, shape):
     return along_both([interpolation(length) for length in shape[:2]], coarse)
 
 
-def pair(rng, light, blur, exposure, target, guide):
+def pair(rng, light, blur, exposure, target, guide, share=1.0):
     """One example from sharp linear light with MARGIN round it; light above 1 saturates after the blur.
 
-    `target` is (alpha, gamma) of the brightening or None for none; `guide` a Guide or None for a copy.
+    `target` is (alpha, gamma) of the brightening or None for none; `guide` a Guide or None for a copy, which has a `share` of
+    the simulated render's detail.
     Returns blurry, guide, clean, each f32 [H - 2 MARGIN, W - 2 MARGIN, 3].
     """
     shape = light.shape[:2]
@@ -357,7 +358,7 @@ def pair(rng, light, blur, exposure, target, guide):
         return blurry, blurry, clean
     render = brighten(render_light(rng, frequencies, shape, guide)[inner, inner])
     render = spoil_render(rng, render, guide)
-    return blurry, trusted(blurry, render), clean
+    return blurry, trusted(blurry, render, share), clean
 
 
 def random_target(rng):

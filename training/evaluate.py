@@ -73,8 +73,8 @@ def colour_fitted(image, truth):
     return fitted
 
 
-def example(path, description, seed):
-    """Blurry, guide and clean of one held-out photograph in one case."""
+def example(path, description, seed, share=1.0):
+    """Blurry, guide (with a share of its render's detail) and clean of one held-out photograph in one case."""
     rng = np.random.default_rng(seed)
     photo = sources.load(path).astype(np.float32) / 255
     sharp = np.pad(photo, ((MARGIN, MARGIN), (MARGIN, MARGIN), (0, 0)), "reflect")
@@ -87,7 +87,7 @@ def example(path, description, seed):
         dark = degrade.expose(rng, degrade.decode(photo), exposure)
         target = tone_curve.automatic_target([dark])
     guide = Guide(extent=max(extent * 0.5, 2), **GUIDE)
-    return degrade.pair(rng, degrade.decode(sharp), blur, exposure, target, guide)
+    return degrade.pair(rng, degrade.decode(sharp), blur, exposure, target, guide, share)
 
 
 def held_out_table(models, repeats, crops):
@@ -97,10 +97,12 @@ def held_out_table(models, repeats, crops):
         values = []
         for index, path in enumerate(sources.HELD_OUT):
             for repeat in range(repeats):
-                blurry, guide, clean = example(path, description, [number, index, repeat])
+                seed = [number, index, repeat]
+                blurry, guide, clean = example(path, description, seed)
+                fed = example(path, description, seed, degrade.SHARE)[1]
                 outputs = [blurry, guide]
                 for model in models:
-                    outputs += [model(blurry), model(blurry, degrade.fed(blurry, guide))]
+                    outputs += [model(blurry), model(blurry, fed)]
                 values.append([psnr(output, clean) for output in outputs])
                 if crops and repeat == 0:
                     save_crop(crops / f"{path.stem}-{number}.png", [*outputs, clean])

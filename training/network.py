@@ -8,6 +8,8 @@ import torch
 import torch.nn.functional as F
 from torch import nn
 
+from depthwise import depthwise
+
 EPSILON = 1e-6
 
 
@@ -19,11 +21,11 @@ def normalise(x):
 class Block(nn.Module):
     """Gated depthwise convolution with channel attention, then a gated pixel-wise one; both residual."""
 
-    def __init__(self, width):
+    def __init__(self, width, taps):
         super().__init__()
         self.a1, self.b1 = nn.Conv2d(width, width, 1), nn.Conv2d(width, width, 1)
-        self.a2 = nn.Conv2d(width, width, 3, padding=1, groups=width)
-        self.b2 = nn.Conv2d(width, width, 3, padding=1, groups=width)
+        self.a2 = nn.Conv2d(width, width, taps, padding=taps // 2, groups=width)
+        self.b2 = nn.Conv2d(width, width, taps, padding=taps // 2, groups=width)
         self.attention = nn.Conv2d(width, width, 1)
         self.c3 = nn.Conv2d(width, width, 1)
         self.a4, self.b4 = nn.Conv2d(width, width, 1), nn.Conv2d(width, width, 1)
@@ -36,7 +38,7 @@ class Block(nn.Module):
 
     def forward(self, x):
         y = normalise(x)
-        y = self.a2(self.a1(y)) * self.b2(self.b1(y))
+        y = depthwise(self.a2, self.a1(y)) * depthwise(self.b2, self.b1(y))
         y = y * self.attention(y.mean((2, 3), keepdim=True))
         x = x + self.c3(y)
         y = normalise(x)
@@ -46,24 +48,25 @@ class Block(nn.Module):
 class Network(nn.Module):
     """[N, 6, H, W] = blurry RGB, guide RGB (a copy of blurry where there is none) to [N, 3, H, W].
 
-    sRGB 0..1, sides multiples of 16, output not clipped.
+    sRGB 0..1, sides multiples of 16, output not clipped. `taps` are the sides of the depthwise kernels of the three
+    levels and of the middle: to undo a shake of 8 px takes filters about as wide, and they hardly cost anything.
     """
 
-    def __init__(self, width=16, encoder=(1, 1, 2), middle=2, decoder=(1, 1, 1)):
+    def __init__(self, width=16, encoder=(2, 2, 2), middle=2, decoder=(1, 2, 2), taps=(7, 7, 5, 3)):
         super().__init__()
-        self.shape = dict(width=width, encoder=list(encoder), middle=middle, decoder=list(decoder))
+        self.shape = dict(width=width, encoder=list(encoder), middle=middle, decoder=list(decoder), taps=list(taps))
         self.stem = nn.Conv2d(6, width, 6, stride=2, padding=2)
         self.encoders, self.downs = nn.ModuleList(), nn.ModuleList()
-        for blocks in encoder:
-            self.encoders.append(nn.Sequential(*[Block(width) for _ in range(blocks)]))
+        for blocks, side in zip(encoder, taps):
+            self.encoders.append(nn.Sequential(*[Block(width, side) for _ in range(blocks)]))
             self.downs.append(nn.Conv2d(width, 2 * width, 2, stride=2))
             width *= 2
-        self.middle = nn.Sequential(*[Block(width) for _ in range(middle)])
+        self.middle = nn.Sequential(*[Block(width, taps[3]) for _ in range(middle)])
         self.ups, self.decoders = nn.ModuleList(), nn.ModuleList()
-        for blocks in decoder:
+        for blocks, side in zip(decoder, taps[2::-1]):
             self.ups.append(nn.Conv2d(width, 2 * width, 1, bias=False))
             width //= 2
-            self.decoders.append(nn.Sequential(*[Block(width) for _ in range(blocks)]))
+            self.decoders.append(nn.Sequential(*[Block(width, side) for _ in range(blocks)]))
         self.ending = nn.Conv2d(width, 12, 3, padding=1)
         nn.init.normal_(self.ending.weight, std=0.005)
         nn.init.zeros_(self.ending.bias)
@@ -79,6 +82,29 @@ class Network(nn.Module):
         for up, decoder in zip(self.ups, self.decoders):
             x = decoder(F.pixel_shuffle(up(x), 2) + skips.pop())
         return F.pixel_shuffle(self.ending(x), 2) + pair[:, :3]
+
+
+def grown(network, state):
+    """The state with which `network` does what a network of fewer blocks or smaller kernels did with `state`.
+
+    Kernels get a rim of zeros; what a new block adds begins as zero. Raises ValueError for another width.
+    """
+    grown = {}
+    for name, fresh in network.state_dict().items():
+        old = state.get(name)
+        if old is None:
+            last = ".c3." in name or ".c5." in name
+            grown[name] = torch.zeros_like(fresh) if last else fresh
+            continue
+        if old.shape != fresh.shape:
+            rim = (fresh.shape[-1] - old.shape[-1]) // 2 if old.dim() == 4 else -1
+            if rim < 0 or old.shape[:2] != fresh.shape[:2]:
+                raise ValueError(f"{name} is {list(old.shape)}, here {list(fresh.shape)}")
+            old = F.pad(old, (rim,) * 4)
+        grown[name] = old
+    if lost := state.keys() - grown.keys():
+        raise ValueError(f"there is no place for {sorted(lost)[0]}")
+    return grown
 
 
 # Errors below these (45 dB) are good enough: what is nearly clean already must not outweigh what is blurred.

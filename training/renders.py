@@ -19,6 +19,7 @@ from pathlib import Path
 
 import numpy as np
 import scipy.ndimage as nd
+from PIL import Image
 
 import degrade
 import sources
@@ -79,8 +80,9 @@ def wallpapers(folder):
     """Fills a folder with the training photographs, each as often as it counts."""
     folder.mkdir()
     for path in sources.TRAINING:
+        image = Image.fromarray(sources.photograph(path))
         for number in range(sources.WEIGHTS.get(path.stem, 1)):
-            shutil.copy(path, folder / f"{path.stem}-{number}{path.suffix}")
+            image.save(folder / f"{path.stem}-{number}.png")
     return folder
 
 

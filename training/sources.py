@@ -1,4 +1,4 @@
-"""Sharp images to learn from: the sample photographs of two packages, and procedural scenes.
+"""Sharp images to learn from: photographs that ship inside packages, and procedural scenes.
 
     python sources.py photographs
 
@@ -16,18 +16,26 @@ import scipy.ndimage as nd
 from PIL import Image, ImageDraw, ImageFont
 
 
+def chosen(otherwise):
+    """The folder that FLED_PHOTOGRAPHS names, else what `otherwise` says."""
+    return Path(os.environ["FLED_PHOTOGRAPHS"]) if "FLED_PHOTOGRAPHS" in os.environ else otherwise()
+
+
 def folder(package, *below):
-    """Where a package keeps its photographs."""
-    if "FLED_PHOTOGRAPHS" in os.environ:
-        return Path(os.environ["FLED_PHOTOGRAPHS"])
+    """Where a Python package keeps its photographs."""
     found = importlib.util.find_spec(package)
     if found is None:
         raise SystemExit(f"{package} is missing: install requirements.txt, or set FLED_PHOTOGRAPHS")
     return Path(found.origin).parent.joinpath(*below)
 
 
-SKIMAGE = folder("skimage", "data")
-SKLEARN = folder("sklearn", "datasets", "images")
+SKIMAGE = chosen(lambda: folder("skimage", "data"))
+SKLEARN = chosen(lambda: folder("sklearn", "datasets", "images"))
+# Debian's packages lomiri-wallpapers-16.04 and libjxl-testdata.
+LOMIRI = chosen(lambda: Path("/usr/share/backgrounds"))
+JXL = chosen(lambda: Path("/usr/share/libjxl-testdata/jxl"))
+JXL_FLOWER = chosen(lambda: JXL / "flower")
+JXL_500 = chosen(lambda: JXL.parent / "external/wesaturate/500px")
 
 TRAINING = [
     SKIMAGE / name
@@ -36,13 +44,29 @@ TRAINING = [
         "gravel.png", "grass.png", "ihc.png", "retina.jpg", "hubble_deep_field.jpg", "moon.png", "page.png",
         "text.png",
     )
-] + [SKLEARN / "flower.jpg"]
+] + [SKLEARN / "flower.jpg"] + [
+    LOMIRI / f"{name}.jpg"
+    for name in (
+        "Picture_0B_by_freespace", "Picture_1A_by_freespace", "Wine_by_Jakkub_Mede", "aitzgorri_by_Aitzol_Berasategi",
+        "friends_by_Aitzol_Berasategi", "life_by_Aitzol_Berasategi", "picosdeeuropa_by_Aitzol_Berasategi",
+        "seeding_by_Clements_Engelhardt", "sunset_by_Aitzol_Berasategi",
+    )
+] + [JXL / "hdr_room.png", JXL_FLOWER / "flower.png"] + [
+    JXL_500 / f"{name}_srgb8.png" for name in ("cvo9xd_keong_macan", "tmshre_riaphotographs", "u76c0g_bliznaca")
+]
 
 # Never seen in training, in no form: no other file shows the same subject.
 HELD_OUT = [SKLEARN / "china.jpg", SKIMAGE / "chelsea.png", SKIMAGE / "rocket.jpg", SKIMAGE / "coins.png"]
 
 # How often each training photograph is drawn; the others once. Scenes with depth, objects and people count more.
-WEIGHTS = {"astronaut": 4, "coffee": 3, "motorcycle_left": 4, "motorcycle_right": 4, "flower": 2, "camera": 3}
+WEIGHTS = {
+    "astronaut": 4, "coffee": 3, "motorcycle_left": 4, "motorcycle_right": 4, "flower": 2, "camera": 3, "hdr_room": 4,
+    "Picture_0B_by_freespace": 2, "Picture_1A_by_freespace": 3, "Wine_by_Jakkub_Mede": 3, "aitzgorri_by_Aitzol_Berasategi": 3,
+    "friends_by_Aitzol_Berasategi": 4, "life_by_Aitzol_Berasategi": 4, "picosdeeuropa_by_Aitzol_Berasategi": 3,
+}
+
+# Larger photographs are reduced to this side, px: pixel by pixel they are softer than what the product is given.
+SIDE = 1280
 
 
 def load(path):
@@ -50,10 +74,17 @@ def load(path):
     return np.asarray(Image.open(path).convert("RGB"))
 
 
+def photograph(path):
+    """A training photograph, 8-bit RGB [H, W, 3], neither side above SIDE."""
+    image = Image.open(path).convert("RGB")
+    image.thumbnail((SIDE, SIDE), Image.LANCZOS)
+    return np.asarray(image)
+
+
 def photographs():
     """The training photographs and their weights."""
     weights = np.array([WEIGHTS.get(path.stem, 1) for path in TRAINING], float)
-    return [load(path) for path in TRAINING], weights / weights.sum()
+    return [photograph(path) for path in TRAINING], weights / weights.sum()
 
 
 def fractal(rng, height, width, channels=1):

@@ -17,7 +17,8 @@ import renders
 import sources
 import tone_curve
 import train
-from network import Network, logarithmic_loss
+from depthwise import Depthwise, library
+from network import Network, grown, logarithmic_loss
 
 
 def ramp():
@@ -190,6 +191,42 @@ class Data(unittest.TestCase):
         first, second = (next(iter(dataset.Patches(3))) for _ in range(2))
         torch.testing.assert_close(first, second)
         self.assertEqual(tuple(first[0].shape), (6, dataset.PATCH, dataset.PATCH))
+
+
+class Depth(unittest.TestCase):
+    def test_the_fast_backward_pass_is_pytorchs(self):
+        self.assertIsNotNone(library())
+        torch.manual_seed(1)
+        for channels, height, width, taps in ((16, 9, 12, 3), (32, 8, 8, 5), (16, 20, 7, 7), (48, 4, 11, 9)):
+            x = torch.randn(2, channels, height, width, requires_grad=True)
+            layer = torch.nn.Conv2d(channels, channels, taps, padding=taps // 2, groups=channels)
+            wanted = torch.randn_like(x)
+            inputs = (x, layer.weight, layer.bias)
+            expected = torch.autograd.grad((layer(x) * wanted).sum(), inputs)
+            found = torch.autograd.grad((Depthwise.apply(*inputs) * wanted).sum(), inputs)
+            torch.testing.assert_close(found, expected, atol=1e-3, rtol=1e-4)
+
+    def test_a_size_without_code_is_an_error(self):
+        x = torch.randn(1, 16, 4, 4, requires_grad=True)
+        with self.assertRaises(ValueError):
+            Depthwise.apply(x, torch.randn(16, 1, 7, 7), torch.randn(16)).sum().backward()
+
+
+class Growth(unittest.TestCase):
+    def test_a_grown_network_does_what_it_did(self):
+        torch.manual_seed(0)
+        small = Network(encoder=(1, 1, 1), middle=1, decoder=(1, 1, 1), taps=(3, 3, 3, 3))
+        large = Network()
+        large.load_state_dict(grown(large, small.state_dict()))
+        pair = torch.rand(1, 6, 48, 48)
+        with torch.no_grad():
+            torch.testing.assert_close(large(pair), small(pair), atol=1e-5, rtol=0)
+
+    def test_what_does_not_fit_is_an_error(self):
+        with self.assertRaises(ValueError):
+            grown(Network(width=32), Network().state_dict())
+        with self.assertRaises(ValueError):
+            grown(Network(encoder=(1, 1, 1)), Network().state_dict())
 
 
 class Export(unittest.TestCase):

@@ -20,7 +20,7 @@ from torch.utils.data import DataLoader
 
 import degrade
 from dataset import Patches
-from network import Network, logarithmic_loss
+from network import Network, grown, logarithmic_loss
 
 WARM_UP = 0.02
 # Share of the budget trained in bf16, which halves a step's cost on CPUs that have it; the rest is f32.
@@ -41,7 +41,7 @@ def arguments():
     parser.add_argument("--minutes", type=float, default=240, help="budget over all restarts")
     parser.add_argument("--piece", type=float, help="stop after so many minutes by the clock, to be started again")
     parser.add_argument("--device", default="cpu", help="cpu or cuda")
-    parser.add_argument("--start", type=Path, help="begin with the weights of this checkpoint (its average) or exported ONNX file")
+    parser.add_argument("--start", type=Path, help="begin with the weights of this checkpoint (its average) or exported ONNX file, also of one with fewer blocks or smaller kernels")
     parser.add_argument("--renders", type=Path, help="folder made by renders.py: guides that are real renders")
     parser.add_argument("--batch", type=int, default=8, help="patches of 128 px a step")
     parser.add_argument("--rate", type=float, default=1.5e-3, help="peak learning rate")
@@ -75,7 +75,7 @@ class Trainer:
             # Only here: a machine that continues its own run needs no ONNX.
             from export import weights
 
-            network.load_state_dict(weights(options.start))
+            network.load_state_dict(grown(network, weights(options.start)))
         self.network = network.to(options.device, memory_format=torch.channels_last)
         self.average = copy.deepcopy(self.network).requires_grad_(False)
         self.optimiser = torch.optim.AdamW(
