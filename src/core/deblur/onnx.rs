@@ -42,8 +42,8 @@ pub struct Onnx {
 
 impl Onnx {
     /// Loads a network on the best provider that passes the self-test: CUDA where the library brings it, else the CPU. The
-    /// second value says why CUDA, being there, is not in use. `threads` is how many work on one view; 0 leaves it to the
-    /// library.
+    /// second value says why CUDA, being there, is not in use, or not for all of the network. `threads` is how many work on
+    /// one view; 0 leaves it to the library.
     ///
     /// # Errors
     /// As [`Onnx::load_on`] of the CPU.
@@ -62,8 +62,13 @@ impl Onnx {
             known = Some(Model { golden: Some(golden), ..model.clone() });
         }
         let model = known.as_ref().unwrap_or(model);
-        match Self::load_on(runtime, model, Provider::Cuda, threads) {
-            Ok(network) => Ok((network, None)),
+        let on_cuda = |alone| Self::load_strictly(runtime, model, Provider::Cuda, alone, threads);
+        let whole = match on_cuda(true) {
+            Ok(network) => return Ok((network, None)),
+            Err(error) => error,
+        };
+        match on_cuda(false) {
+            Ok(network) => Ok((network, Some(format!("CUDA runs the network only in part: {whole}")))),
             Err(error) => {
                 let network = Self::load_on(runtime, model, Provider::Cpu, threads)?;
                 Ok((network, Some(format!("CUDA cannot be used, the CPU is: {error}"))))
@@ -83,8 +88,19 @@ impl Onnx {
         provider: Provider,
         threads: usize,
     ) -> Result<Self, DeblurError> {
+        Self::load_strictly(runtime, model, provider, false, threads)
+    }
+
+    /// As [`Onnx::load_on`]; where `alone`, it is an error when the provider leaves a part of the network to the CPU.
+    fn load_strictly(
+        runtime: &Runtime,
+        model: &Model,
+        provider: Provider,
+        alone: bool,
+        threads: usize,
+    ) -> Result<Self, DeblurError> {
         let unusable = |detail: String| DeblurError::ModelUnusable { id: model.id.clone(), detail };
-        let session = session(runtime, &model.bytes, provider, threads).map_err(&unusable)?;
+        let session = session(runtime, &model.bytes, provider, alone, threads).map_err(&unusable)?;
         let form = Form::of(&session, model).map_err(&unusable)?;
         let model = model.without_bytes();
         let mut network = Self { session, model, form, provider, warnings: Vec::new() };
@@ -237,7 +253,13 @@ impl Output {
     }
 }
 
-fn session(runtime: &Runtime, bytes: &[u8], provider: Provider, threads: usize) -> Result<Session, String> {
+fn session(
+    runtime: &Runtime,
+    bytes: &[u8],
+    provider: Provider,
+    alone: bool,
+    threads: usize,
+) -> Result<Session, String> {
     #[expect(clippy::needless_pass_by_value, reason = "the form that `map_err` calls")]
     fn text<R>(error: ort::Error<R>) -> String {
         error.to_string()
@@ -246,7 +268,10 @@ fn session(runtime: &Runtime, bytes: &[u8], provider: Provider, threads: usize) 
     // Spinning threads cost 280 instead of 163 ms of CPU a view and starve the GPU's software
     // driver, which shares the cores.
     let builder = builder.with_intra_op_spinning(false).map_err(text)?;
-    let builder = builder.with_intra_threads(threads).map_err(text)?;
+    let mut builder = builder.with_intra_threads(threads).map_err(text)?;
+    if alone {
+        builder = builder.with_disable_cpu_fallback().map_err(text)?;
+    }
     // Strictly: ort would otherwise go on with the CPU and say nothing.
     let provider = match provider {
         // Nor with the 10 bits of mantissa that TF32 keeps: the self-test allows for rounding, not for that.
