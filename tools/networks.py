@@ -4,8 +4,8 @@ guided and blended, several seeds each, and prints Markdown tables. Python's sta
 
     python3 tools/networks.py --fled target/release/fled --out /tmp/networks CAPTURE[:key=value;...] ...
 
-Finished runs are not done again, so an interrupted comparison goes on. OUT belongs to one build of the program: what another one
-made there is taken for this one's.
+Finished runs of the same build of the program and of the same network are not done again, so an interrupted comparison goes on;
+COLMAP's poses are kept from build to build.
 """
 
 import argparse
@@ -81,7 +81,7 @@ def main():
     parser.add_argument("--only", type=int, nargs="*", help="numbers of the variants to run, from 0")
     parser.add_argument("--finished", action="store_true", help="run nothing, print what is finished")
     arguments = parser.parse_args()
-    results, network_file = {}, checksum(arguments)
+    results, network_file, build = {}, checksum(arguments), hashlib.sha256(arguments.fled.read_bytes()).hexdigest()
     for seed in range(arguments.seeds):
         for number, (name, options) in enumerate(VARIANTS):
             if arguments.only is not None and number not in arguments.only:
@@ -91,7 +91,7 @@ def main():
                 capture = pathlib.Path(path)
                 network = [] if any(o.startswith("deblur=") for o in options) else [f"deblur={arguments.network}"]
                 every = arguments.set + [o for o in extra.split(";") if o] + [f"seed={seed}"] + options + network
-                facts = [str(capture.resolve()), arguments.preset, *every, network_file if network else ""]
+                facts = [str(capture.resolve()), arguments.preset, *every, build, network_file if network else ""]
                 slug = hashlib.sha256("\n".join(facts).encode()).hexdigest()[:12]
                 out = arguments.out / capture.name / f"{number}-{seed}-{slug}"
                 if arguments.finished and not (out / "scene.ply").exists():

@@ -175,7 +175,7 @@ class Blur:
 
 
 def random_blur(rng, shape):
-    """The training distribution: 66 % shake, 15 % varying shake, 14 % none, 5 % defocus."""
+    """The training distribution where light is scarce: 66 % shake, 15 % varying shake, 14 % none, 5 % defocus."""
     kind = rng.random()
     if kind < 0.66:
         # Mostly what a hand does, and as often a pixel as ten: a network that has seen only strong blur sharpens what is sharp.
@@ -192,8 +192,8 @@ def random_blur(rng, shape):
 
 
 def clean_blur(rng):
-    """The training distribution where there is enough light: 75 % shakes that can be undone, 25 % none."""
-    return Blur([shake_kernel(rng, rng.uniform(2, 14))] if rng.random() < 0.75 else [])
+    """The training distribution where there is enough light: 85 % shakes that can be undone, 15 % none."""
+    return Blur([shake_kernel(rng, rng.uniform(2, 14))] if rng.random() < 0.85 else [])
 
 
 def blur_image(linear, image_spectrum, blur):
@@ -336,8 +336,8 @@ def enlarged(coarse, shape):
 def pair(rng, light, blur, exposure, target, guide, share=1.0):
     """One example from sharp linear light with MARGIN round it; light above 1 saturates after the blur.
 
-    `target` is (alpha, gamma) of the brightening or None for none; `guide` a Guide or None for a copy, which has a `share` of
-    the simulated render's detail.
+    `target` is (alpha, gamma) of the brightening or None for none; `guide` a Guide or None for a copy; of the
+    simulated render's detail the guide has a `share`.
     Returns blurry, guide, clean, each f32 [H - 2 MARGIN, W - 2 MARGIN, 3].
     """
     shape = light.shape[:2]

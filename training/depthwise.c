@@ -31,7 +31,7 @@ static inline __attribute__((always_inline)) void row(
 
 /* weights [taps, taps, channels]; 0, or 1 where there is no code for such a size. */
 int depthwise_weights(const float *input, const float *gradient, float *weights, long n, long height, long width, long channels, int taps) {
-    if (channels % LANES || (taps != 3 && taps != 5 && taps != 7 && taps != 9) || width < taps) return 1;
+    if (channels % LANES || (taps != 3 && taps != 5 && taps != 7 && taps != 9)) return 1;
     const int reach = taps / 2;
     memset(weights, 0, sizeof(float) * taps * taps * channels);
     for (long image = 0; image < n; image++)

@@ -15,19 +15,23 @@ import torch
 import torch.nn.functional as F
 
 
+# What there is code for in depthwise.c: sides of kernels, and what the channels must be a multiple of.
+TAPS, LANES = (3, 5, 7, 9), 16
+
+
 @functools.cache
 def library():
     """The compiled code, or None where there is no compiler: PyTorch's own backward pass then does it."""
     with tempfile.TemporaryDirectory() as folder:
         built = Path(folder) / "depthwise.so"
         source = Path(__file__).with_suffix(".c")
-        command = [os.environ.get("CC", "cc"), "-O3", "-march=native", "-ffast-math", "-shared", "-fPIC", "-o", built, source]
+        command = [os.environ.get("CC", "cc"), "-O3", "-march=native", "-shared", "-fPIC", "-o", built, source]
         try:
             subprocess.run(command, check=True)
+            loaded = ctypes.CDLL(str(built))
         except (OSError, subprocess.CalledProcessError) as reason:
             print(f"without {source.name} a step takes 1.6 times as long: {reason}", file=sys.stderr, flush=True)
             return None
-        loaded = ctypes.CDLL(str(built))
     pointer, count = ctypes.c_void_p, ctypes.c_long
     loaded.depthwise_weights.argtypes = [pointer] * 3 + [count] * 4 + [ctypes.c_int]
     return loaded
@@ -45,6 +49,7 @@ class Depthwise(torch.autograd.Function):
             return F.conv2d(x, weight, bias, padding=weight.shape[2] // 2, groups=len(weight))
 
     @staticmethod
+    @torch.autograd.function.once_differentiable
     def backward(context, gradient):
         x, weight = context.saved_tensors
         (n, channels, height, width), taps = x.shape, weight.shape[2]
@@ -62,7 +67,7 @@ class Depthwise(torch.autograd.Function):
 
 def depthwise(layer, x):
     """What `layer`, an nn.Conv2d with as many groups as channels, makes of [N, C, H, W]."""
-    mended = layer.kernel_size[0] > 3 and x.device.type == "cpu" and torch.is_grad_enabled() and not torch.compiler.is_compiling()
-    if mended and layer.in_channels % 16 == 0 and library():
+    slow = layer.kernel_size[0] > 3 and x.device.type == "cpu" and torch.is_grad_enabled() and not torch.compiler.is_compiling()
+    if slow and layer.kernel_size[0] in TAPS and layer.in_channels % LANES == 0 and library():
         return Depthwise.apply(x, layer.weight, layer.bias)
     return layer(x)

@@ -14,7 +14,7 @@ import onnxruntime
 import torch
 from onnx import TensorProto, helper, numpy_helper
 
-from network import EPSILON, Network
+from network import EPSILON, Network, grown
 
 # Opset 17 and IR 8 are read by every ONNX Runtime since 1.13.
 OPSET, IR = 17, 8
@@ -52,20 +52,23 @@ class Graph:
         deviation = self.op("Sqrt", [self.op("Add", [variance, "epsilon"])])
         return self.op("Div", [centred, deviation])
 
-    def block(self, x, name, block):
+    def block(self, x, name, block, gist):
         def conv(y, part):
             return self.convolution(y, f"{name}.{part}", getattr(block, part))
 
         y = self.normalise(x)
         y = self.op("Mul", [conv(conv(y, "a1"), "a2"), conv(conv(y, "b1"), "b2")])
-        y = self.op("Mul", [y, conv(self.op("GlobalAveragePool", [y]), "attention")])
+        attention = conv(self.op("GlobalAveragePool", [y]), "attention")
+        if block.condition is not None:
+            attention = self.op("Add", [attention, conv(gist, "condition")])
+        y = self.op("Mul", [y, attention])
         x = self.op("Add", [x, conv(y, "c3")])
         y = self.normalise(x)
         return self.op("Add", [x, conv(self.op("Mul", [conv(y, "a4"), conv(y, "b4")]), "c5")])
 
-    def blocks(self, x, name, sequence):
+    def blocks(self, x, name, sequence, gist=None):
         for number, block in enumerate(sequence):
-            x = self.block(x, f"{name}.{number}", block)
+            x = self.block(x, f"{name}.{number}", block, gist)
         return x
 
     def shuffle(self, x):
@@ -81,9 +84,10 @@ def build(network):
         skips.append(graph.blocks(x, f"encoder.{number}", encoder))
         x = graph.convolution(skips[-1], f"down.{number}", down)
     x = graph.blocks(x, "middle", network.middle)
+    gist = graph.convolution(graph.op("GlobalAveragePool", [x]), "gist", network.gist)
     for number, (up, decoder) in enumerate(zip(network.ups, network.decoders)):
         x = graph.op("Add", [graph.shuffle(graph.convolution(x, f"up.{number}", up)), skips.pop()])
-        x = graph.blocks(x, f"decoder.{number}", decoder)
+        x = graph.blocks(x, f"decoder.{number}", decoder, gist)
     residual = graph.shuffle(graph.convolution(x, "ending", network.ending))
     bounds = [graph.constant(name, np.array([at], np.int64)) for name, at in (("from", 0), ("to", 3), ("channels", 1))]
     graph.op("Add", [residual, graph.op("Slice", ["input", *bounds])], "output")
@@ -104,7 +108,7 @@ def load(checkpoint, raw=False):
     """The network of a checkpoint: its moving average, or the raw weights; and the checkpoint."""
     state = torch.load(checkpoint, weights_only=True, map_location="cpu")
     network = Network(**state["shape"])
-    network.load_state_dict(state["network" if raw else "average"])
+    network.load_state_dict(grown(network, state["network" if raw else "average"]))
     return network.eval(), state
 
 
@@ -186,7 +190,7 @@ def main():
     network, state = load(options.checkpoint, options.raw)
     if options.mix:
         # Along the way from an ancestor to its descendant the mean of the weights is a network in between.
-        ancestor, share = weights(Path(options.mix[0])), float(options.mix[1])
+        ancestor, share = grown(network, weights(Path(options.mix[0]))), float(options.mix[1])
         network.load_state_dict({key: (1 - share) * value + share * ancestor[key] for key, value in network.state_dict().items()})
     model = build(network)
     worst = largest_difference(model, network)

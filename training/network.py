@@ -18,10 +18,17 @@ def normalise(x):
     return F.layer_norm(x.permute(0, 2, 3, 1), x.shape[1:2], eps=EPSILON).permute(0, 3, 1, 2)
 
 
-class Block(nn.Module):
-    """Gated depthwise convolution with channel attention, then a gated pixel-wise one; both residual."""
+# Channels in which the middle tells the decoder what it has seen of the whole image.
+GIST = 16
 
-    def __init__(self, width, taps):
+
+class Block(nn.Module):
+    """Gated depthwise convolution with channel attention, then a gated pixel-wise one; both residual.
+
+    In the decoder the attention follows the image's gist too: a shake is the whole image's, and what undoes it depends on it.
+    """
+
+    def __init__(self, width, taps, gist=0):
         super().__init__()
         self.a1, self.b1 = nn.Conv2d(width, width, 1), nn.Conv2d(width, width, 1)
         self.a2 = nn.Conv2d(width, width, taps, padding=taps // 2, groups=width)
@@ -31,15 +38,17 @@ class Block(nn.Module):
         self.a4, self.b4 = nn.Conv2d(width, width, 1), nn.Conv2d(width, width, 1)
         self.c5 = nn.Conv2d(width, width, 1)
         nn.init.ones_(self.attention.bias)
+        self.condition = nn.Conv2d(gist, width, 1, bias=False) if gist else None
         for last in (self.c3, self.c5):
             # A small start instead of NAFNet's zero scales: each block begins as nearly the identity.
             nn.init.normal_(last.weight, std=0.02)
             nn.init.zeros_(last.bias)
 
-    def forward(self, x):
+    def forward(self, x, gist=None):
         y = normalise(x)
         y = depthwise(self.a2, self.a1(y)) * depthwise(self.b2, self.b1(y))
-        y = y * self.attention(y.mean((2, 3), keepdim=True))
+        attention = self.attention(y.mean((2, 3), keepdim=True))
+        y = y * (attention if self.condition is None else attention + self.condition(gist))
         x = x + self.c3(y)
         y = normalise(x)
         return x + self.c5(self.a4(y) * self.b4(y))
@@ -62,11 +71,12 @@ class Network(nn.Module):
             self.downs.append(nn.Conv2d(width, 2 * width, 2, stride=2))
             width *= 2
         self.middle = nn.Sequential(*[Block(width, taps[3]) for _ in range(middle)])
+        self.gist = nn.Conv2d(width, GIST, 1)
         self.ups, self.decoders = nn.ModuleList(), nn.ModuleList()
         for blocks, side in zip(decoder, taps[2::-1]):
             self.ups.append(nn.Conv2d(width, 2 * width, 1, bias=False))
             width //= 2
-            self.decoders.append(nn.Sequential(*[Block(width, side) for _ in range(blocks)]))
+            self.decoders.append(nn.ModuleList(Block(width, side, GIST) for _ in range(blocks)))
         self.ending = nn.Conv2d(width, 12, 3, padding=1)
         nn.init.normal_(self.ending.weight, std=0.005)
         nn.init.zeros_(self.ending.bias)
@@ -79,8 +89,11 @@ class Network(nn.Module):
             skips.append(x)
             x = down(x)
         x = self.middle(x)
+        gist = self.gist(x.mean((2, 3), keepdim=True))
         for up, decoder in zip(self.ups, self.decoders):
-            x = decoder(F.pixel_shuffle(up(x), 2) + skips.pop())
+            x = F.pixel_shuffle(up(x), 2) + skips.pop()
+            for block in decoder:
+                x = block(x, gist)
         return F.pixel_shuffle(self.ending(x), 2) + pair[:, :3]
 
 
@@ -93,7 +106,7 @@ def grown(network, state):
     for name, fresh in network.state_dict().items():
         old = state.get(name)
         if old is None:
-            last = ".c3." in name or ".c5." in name
+            last = name.split(".")[-2] in ("c3", "c5", "condition")
             grown[name] = torch.zeros_like(fresh) if last else fresh
             continue
         if old.shape != fresh.shape:

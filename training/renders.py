@@ -80,9 +80,10 @@ def wallpapers(folder):
     """Fills a folder with the training photographs, each as often as it counts."""
     folder.mkdir()
     for path in sources.TRAINING:
-        image = Image.fromarray(sources.photograph(path))
-        for number in range(sources.WEIGHTS.get(path.stem, 1)):
-            image.save(folder / f"{path.stem}-{number}.png")
+        first = folder / f"{path.name}-0.png"
+        Image.fromarray(sources.photograph(path)).save(first)
+        for number in range(1, sources.WEIGHTS.get(path.stem, 1)):
+            shutil.copy(first, folder / f"{path.name}-{number}.png")
     return folder
 
 

@@ -58,6 +58,7 @@ TRAINING = [
 # Never seen in training, in no form: no other file shows the same subject.
 HELD_OUT = [SKLEARN / "china.jpg", SKIMAGE / "chelsea.png", SKIMAGE / "rocket.jpg", SKIMAGE / "coins.png"]
 
+# hdr_room.png is in HLG and taken for sRGB: to the network a room of another contrast.
 # How often each training photograph is drawn; the others once. Scenes with depth, objects and people count more.
 WEIGHTS = {
     "astronaut": 4, "coffee": 3, "motorcycle_left": 4, "motorcycle_right": 4, "flower": 2, "camera": 3, "hdr_room": 4,
@@ -76,6 +77,8 @@ def load(path):
 
 def photograph(path):
     """A training photograph, 8-bit RGB [H, W, 3], neither side above SIDE."""
+    if not path.exists():
+        raise SystemExit(f"{path} is missing: install what README.md says, or fill the folder that FLED_PHOTOGRAPHS names again")
     image = Image.open(path).convert("RGB")
     image.thumbnail((SIDE, SIDE), Image.LANCZOS)
     return np.asarray(image)

@@ -33,16 +33,16 @@ def nafnet(path, width=32, encoder=(1, 1, 1, 28), middle=1, decoder=(1, 1, 1, 1)
     x = graph.convolution("input", "intro", nn.Conv2d(3, width, 3, padding=1))
     skips = []
     for number, count in enumerate(encoder):
-        x = graph.blocks(x, f"encoder.{number}", [Block(width) for _ in range(count)])
+        x = graph.blocks(x, f"encoder.{number}", [Block(width, 3) for _ in range(count)])
         skips.append(x)
         x = graph.convolution(x, f"down.{number}", nn.Conv2d(width, 2 * width, 2, stride=2))
         width *= 2
-    x = graph.blocks(x, "middle", [Block(width) for _ in range(middle)])
+    x = graph.blocks(x, "middle", [Block(width, 3) for _ in range(middle)])
     for number, count in enumerate(decoder):
         up = graph.convolution(x, f"up.{number}", nn.Conv2d(width, 2 * width, 1, bias=False))
         x = graph.op("Add", [graph.shuffle(up), skips.pop()])
         width //= 2
-        x = graph.blocks(x, f"decoder.{number}", [Block(width) for _ in range(count)])
+        x = graph.blocks(x, f"decoder.{number}", [Block(width, 3) for _ in range(count)])
     x = graph.convolution(x, "ending", nn.Conv2d(width, 3, 3, padding=1))
     graph.op("Add", [x, "input"], "output")
     value = helper.make_tensor_value_info

@@ -8,6 +8,7 @@ import unittest
 from pathlib import Path
 
 import numpy as np
+import onnxruntime
 import torch
 
 import dataset
@@ -15,9 +16,10 @@ import degrade
 import export
 import renders
 import sources
+import speed
 import tone_curve
 import train
-from depthwise import Depthwise, library
+from depthwise import Depthwise, depthwise, library
 from network import Network, grown, logarithmic_loss
 
 
@@ -207,9 +209,22 @@ class Depth(unittest.TestCase):
             torch.testing.assert_close(found, expected, atol=1e-3, rtol=1e-4)
 
     def test_a_size_without_code_is_an_error(self):
-        x = torch.randn(1, 16, 4, 4, requires_grad=True)
+        x = torch.randn(1, 8, 4, 4, requires_grad=True)
         with self.assertRaises(ValueError):
-            Depthwise.apply(x, torch.randn(16, 1, 7, 7), torch.randn(16)).sum().backward()
+            Depthwise.apply(x, torch.randn(8, 1, 7, 7), torch.randn(8)).sum().backward()
+
+    def test_training_uses_it_and_in_bf16_it_is_nearly_as_exact(self):
+        torch.manual_seed(2)
+        x = torch.randn(2, 16, 12, 12, requires_grad=True)
+        layer = torch.nn.Conv2d(16, 16, 7, padding=3, groups=16)
+        (expected,) = torch.autograd.grad(layer(x).square().sum(), (layer.weight,))
+        with torch.autocast("cpu", torch.bfloat16):
+            output = depthwise(layer, x)
+        self.assertIn("Depthwise", output.grad_fn.name())
+        (found,) = torch.autograd.grad(output.float().square().sum(), (layer.weight,))
+        self.assertLess(float((found - expected).norm() / expected.norm()), 0.01)
+        with torch.no_grad():
+            self.assertIsNone(depthwise(layer, x).grad_fn)
 
 
 class Growth(unittest.TestCase):
@@ -220,6 +235,12 @@ class Growth(unittest.TestCase):
         large.load_state_dict(grown(large, small.state_dict()))
         pair = torch.rand(1, 6, 48, 48)
         with torch.no_grad():
+            torch.testing.assert_close(large(pair), small(pair), atol=1e-5, rtol=0)
+            # Of a network without a gist, as all were once.
+            for block in itertools.chain(*small.decoders):
+                block.condition.weight.zero_()
+            old = {name: value for name, value in small.state_dict().items() if "gist" not in name and "condition" not in name}
+            large.load_state_dict(grown(large, old))
             torch.testing.assert_close(large(pair), small(pair), atol=1e-5, rtol=0)
 
     def test_what_does_not_fit_is_an_error(self):
@@ -253,6 +274,14 @@ class Export(unittest.TestCase):
         pair = torch.rand(1, 6, 32, 32)
         with torch.no_grad():
             torch.testing.assert_close(other(pair), network(pair))
+
+    def test_the_network_that_speed_is_measured_beside_runs(self):
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "nafnet.onnx"
+            speed.nafnet(path, width=4, encoder=(1, 1), middle=1, decoder=(1, 1))
+            session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
+            (output,) = session.run(None, {"input": np.zeros((1, 3, 16, 24), np.float32)})
+        self.assertEqual(output.shape, (1, 3, 16, 24))
 
     def test_the_comparison_notices_a_changed_weight(self):
         network = Network().eval()

@@ -63,12 +63,16 @@ impl Onnx {
         }
         let model = known.as_ref().unwrap_or(model);
         let on_cuda = |alone| Self::load_strictly(runtime, model, Provider::Cuda, alone, threads);
-        let whole = match on_cuda(true) {
-            Ok(network) => return Ok((network, None)),
-            Err(error) => error,
+        let (tried, in_part) = match on_cuda(true) {
+            // The library's words; it always keeps arithmetic on shapes, and then speed is all that is lost.
+            Err(DeblurError::ModelUnusable { detail, .. }) if detail.contains("explicitly disabled") => (
+                on_cuda(false),
+                Some("the CPU runs a part of the network, what CUDA did not take".to_owned()),
+            ),
+            other => (other, None),
         };
-        match on_cuda(false) {
-            Ok(network) => Ok((network, Some(format!("CUDA runs the network only in part: {whole}")))),
+        match tried {
+            Ok(network) => Ok((network, in_part)),
             Err(error) => {
                 let network = Self::load_on(runtime, model, Provider::Cpu, threads)?;
                 Ok((network, Some(format!("CUDA cannot be used, the CPU is: {error}"))))

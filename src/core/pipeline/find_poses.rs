@@ -95,6 +95,11 @@ fn upright_size(view: &PoseView) -> Result<(usize, usize), PipelineError> {
     Ok((header.width, header.height))
 }
 
+/// Whether these are the poses that a run with any other network finds, too: the first look was good enough.
+pub(super) fn without_network(poses: &Poses) -> bool {
+    poses.rung != Some(RUNG) && !poses.low_confidence
+}
+
 /// The second answer where it places more photographs, or as many with more confidence.
 fn better(
     first: Result<Poses, PosesError>,
@@ -148,5 +153,12 @@ mod tests {
         assert_eq!(rung(Ok(poses(12, true, 'C')), Err(few(4))).ok(), Some(Some('C')));
         assert_eq!(rung(Err(few(4)), Ok(poses(17, false, 'F'))).ok(), Some(Some('F')));
         assert!(matches!(rung(Err(few(4)), Err(few(9))), Err(PosesError::TooFew { registered: 4, .. })));
+    }
+
+    #[test]
+    fn only_a_good_first_look_serves_every_network() {
+        assert!(without_network(&poses(18, false, 'C')));
+        assert!(!without_network(&poses(18, true, 'C')), "another network may lead to better ones");
+        assert!(!without_network(&poses(18, false, 'F')));
     }
 }

@@ -5,6 +5,7 @@ use std::time::Instant;
 
 use super::config::Guide;
 use super::error::PipelineError;
+use super::find_poses;
 use super::job::Job;
 use super::training::Scene;
 use super::views::{self, View};
@@ -21,12 +22,18 @@ impl Job<'_, '_> {
     /// Structure from motion, once a job, or what an earlier run of the same capture found.
     pub fn poses(&mut self) -> Result<Poses, PipelineError> {
         let source = self.tools.sfm.describe();
-        let key = fingerprint(&[&self.capture.fingerprint, &source, &self.options.seed.to_string()]);
+        let shared =
+            fingerprint(&[&self.capture.fingerprint, &source, &self.options.seed.to_string(), "any network"]);
+        // What a network had a hand in is of no use to a run with another one.
+        let key = fingerprint(&[&shared, &format!("{:?}", self.networks())]);
         let path = self.workspace.path("poses.json");
-        let cached = self.tools.pose_cache.as_ref().map(|folder| folder.join(format!("{key}.json")));
-        let known = self.workspace.finished("poses", &key).and_then(|_| self.workspace.read_json(&path));
+        let cache = self.tools.pose_cache.clone();
+        let cached = |key: &str| cache.as_ref().map(|folder| folder.join(format!("{key}.json")));
+        let finished = |key| self.workspace.finished("poses", key);
+        let known = finished(&shared).or(finished(&key)).and_then(|_| self.workspace.read_json(&path));
         let reused: Option<Poses> = known.or_else(|| {
-            let poses = self.workspace.read_json(cached.as_deref()?)?;
+            let of_any = self.workspace.read_json(&cached(&shared)?).filter(find_poses::without_network);
+            let poses = of_any.or_else(|| self.workspace.read_json(&cached(&key)?))?;
             self.sink.log(format!("poses: those of an earlier run of this capture ({source})"));
             Some(poses)
         });
@@ -48,8 +55,9 @@ impl Job<'_, '_> {
             self.sink.warn("poses_missing", message);
         }
         self.workspace.write_json(&path, &poses)?;
-        if let Some(cached) = cached.filter(|cached| !cached.exists()) {
-            self.workspace.write_json(&cached, &poses)?;
+        let key = if find_poses::without_network(&poses) { shared } else { key };
+        if let Some(kept) = cached(&key).filter(|kept| !kept.exists()) {
+            self.workspace.write_json(&kept, &poses)?;
         }
         self.workspace.stamp("poses", &key, poses.seconds)?;
         self.inputs = self.rounds_fingerprint(&poses);
