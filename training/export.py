@@ -84,7 +84,10 @@ def build(network):
         skips.append(graph.blocks(x, f"encoder.{number}", encoder))
         x = graph.convolution(skips[-1], f"down.{number}", down)
     x = graph.blocks(x, "middle", network.middle)
-    gist = graph.convolution(graph.op("GlobalAveragePool", [x]), "gist", network.gist)
+    look = graph.op("Sigmoid", [graph.convolution(x, "look", network.look)])
+    seen = graph.op("Mul", [look, graph.convolution(x, "gist", network.gist)])
+    seen, look = (graph.op("GlobalAveragePool", [plane]) for plane in (seen, look))
+    gist = graph.op("Div", [seen, graph.op("Add", [look, "epsilon"])])
     for number, (up, decoder) in enumerate(zip(network.ups, network.decoders)):
         x = graph.op("Add", [graph.shuffle(graph.convolution(x, f"up.{number}", up)), skips.pop()])
         x = graph.blocks(x, f"decoder.{number}", decoder, gist)

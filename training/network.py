@@ -71,7 +71,10 @@ class Network(nn.Module):
             self.downs.append(nn.Conv2d(width, 2 * width, 2, stride=2))
             width *= 2
         self.middle = nn.Sequential(*[Block(width, taps[3]) for _ in range(middle)])
-        self.gist = nn.Conv2d(width, GIST, 1)
+        # Where to look: a sky says nothing about a shake.
+        self.gist, self.look = nn.Conv2d(width, GIST, 1), nn.Conv2d(width, GIST, 1)
+        nn.init.zeros_(self.look.weight)
+        nn.init.zeros_(self.look.bias)
         self.ups, self.decoders = nn.ModuleList(), nn.ModuleList()
         for blocks, side in zip(decoder, taps[2::-1]):
             self.ups.append(nn.Conv2d(width, 2 * width, 1, bias=False))
@@ -89,7 +92,8 @@ class Network(nn.Module):
             skips.append(x)
             x = down(x)
         x = self.middle(x)
-        gist = self.gist(x.mean((2, 3), keepdim=True))
+        look = torch.sigmoid(self.look(x))
+        gist = (look * self.gist(x)).mean((2, 3), keepdim=True) / (look.mean((2, 3), keepdim=True) + EPSILON)
         for up, decoder in zip(self.ups, self.decoders):
             x = F.pixel_shuffle(up(x), 2) + skips.pop()
             for block in decoder:
@@ -106,7 +110,7 @@ def grown(network, state):
     for name, fresh in network.state_dict().items():
         old = state.get(name)
         if old is None:
-            last = name.split(".")[-2] in ("c3", "c5", "condition")
+            last = name.split(".")[-2] in ("c3", "c5", "condition", "look")
             grown[name] = torch.zeros_like(fresh) if last else fresh
             continue
         if old.shape != fresh.shape:
