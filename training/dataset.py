@@ -15,9 +15,9 @@ SCENE = 2 * PATCH
 # Making a patch costs as much as training on it: each is shown several times, far apart and turned differently.
 USES = 3
 # Share of the scenes whose guide is a render by the product itself (`renders.py`), where there are such.
-REAL_GUIDES = 0.3
+REAL_GUIDES = 0.25
 # Share of the other scenes with enough light, from which deblurring is learnt: under noise a network learns to average.
-CLEAN = 0.5
+CLEAN = 0.6
 # Deviation of the colours of real renders, which the loop carries from one brightness to the next by a curve that it finds.
 DRIFT = 0.015
 

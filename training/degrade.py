@@ -192,8 +192,8 @@ def random_blur(rng, shape):
 
 
 def clean_blur(rng):
-    """The training distribution where there is enough light: 85 % shakes that can be undone, 15 % none."""
-    return Blur([shake_kernel(rng, rng.uniform(2, 14))] if rng.random() < 0.85 else [])
+    """The training distribution where there is enough light: 90 % shakes that can be undone, 10 % none."""
+    return Blur([shake_kernel(rng, rng.uniform(2, 14))] if rng.random() < 0.9 else [])
 
 
 def blur_image(linear, image_spectrum, blur):
