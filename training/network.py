@@ -58,7 +58,7 @@ class Network(nn.Module):
     """[N, 6, H, W] = blurry RGB, guide RGB (a copy of blurry where there is none) to [N, 3, H, W].
 
     sRGB 0..1, sides multiples of 16, output not clipped. `taps` are the sides of the depthwise kernels of the three
-    levels and of the middle: to undo a shake of 8 px takes filters about as wide, and they hardly cost anything.
+    levels and of the middle: to undo a shake of 8 px takes filters about as wide, and ONNX Runtime takes no longer for them.
     """
 
     def __init__(self, width=16, encoder=(2, 2, 2), middle=2, decoder=(1, 2, 2), taps=(7, 7, 5, 3)):
@@ -104,7 +104,7 @@ class Network(nn.Module):
 def grown(network, state):
     """The state with which `network` does what a network of fewer blocks or smaller kernels did with `state`.
 
-    Kernels get a rim of zeros; what a new block adds begins as zero. Raises ValueError for another width.
+    Kernels get a rim of zeros; what a new block or the gist adds begins as zero. Raises ValueError for another width.
     """
     grown = {}
     for name, fresh in network.state_dict().items():
