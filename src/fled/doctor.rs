@@ -101,7 +101,7 @@ fn checks(args: &Args) -> Vec<Check> {
     ]
 }
 
-/// The default network, opened, and whether the files of the user's own are of the right size: no job need choose them, so they
+/// The default network, opened, and whether the files of the user's own are what they were: no job need choose them, so they
 /// are told and no fault of the machine.
 fn models(open: &deblur::OpenOptions<'_>) -> Result<String, DeblurError> {
     let opened = deblur::open("default", "same", open)?;
@@ -111,9 +111,9 @@ fn models(open: &deblur::OpenOptions<'_>) -> Result<String, DeblurError> {
         found = format!("{found}; {fallback}");
     }
     for entry in Manifest::known(open.models)?.models {
-        if let Place::File(path) = entry.place(open.models) {
-            let bytes = std::fs::metadata(&path).map_or(0, |file| file.len());
-            let state = if entry.bytes.is_none_or(|whole| whole == bytes) { "here" } else { "DAMAGED" };
+        if let Place::File(_) = entry.place(open.models) {
+            let state =
+                entry.load(open.models).map_or_else(|e| format!("DAMAGED: {e}"), |_| "here".to_owned());
             found = format!("{found}; {} {state}", entry.id);
         }
     }

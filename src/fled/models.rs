@@ -6,7 +6,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use fled_core::deblur::manifest::{Entry, Manifest, Model, Place, digest};
-use fled_core::deblur::{self, DeblurError, Deblurrer, Onnx, Provider, runtime};
+use fled_core::deblur::{self, DeblurError, Deblurrer, Golden, Onnx, Provider, runtime};
 use fled_core::pipeline::error::{ErrorKind, PipelineError};
 
 use crate::failure::{Failure, io};
@@ -69,7 +69,7 @@ struct AddArgs {
     /// Side of the tiles that large views are cut into, px; 1024 for a new network.
     #[arg(long, value_name = "PX")]
     tile: Option<usize>,
-    /// Which of several outputs is the restored view; the first for a new network. Empty: the first again.
+    /// Which output is the restored view, where several could be. Empty: none is named any more.
     #[arg(long, value_name = "NAME")]
     output: Option<String>,
     /// `deblur=default` means this one from now on.
@@ -101,6 +101,12 @@ pub fn main(args: &Args) -> Result<(), Failure> {
             let entry = find(&known, id)?;
             if entry.place(&folders) != Place::Missing {
                 match entry.load(&folders) {
+                    Ok(model) if entry.sha256.is_none() => {
+                        // Nobody has told its checksum; whether it runs is what can be found out.
+                        Onnx::load_on(&start(args)?, &model, Provider::Cpu, 0).map_err(failure)?;
+                        eprintln!("{} is here and runs; which file it should be is not known", entry.id);
+                        return Ok(());
+                    }
                     Ok(_) => {
                         eprintln!("{} is here and whole", entry.id);
                         return Ok(());
@@ -117,7 +123,7 @@ pub fn main(args: &Args) -> Result<(), Failure> {
             let folder = args.folder.first()?;
             let content = fetch::fetch(entry, from.as_deref(), &folder)?;
             let url = from.clone().or_else(|| entry.url.clone());
-            let described = Described { entry: Entry { url, ..entry.clone() }, new: false };
+            let described = Described { entry: Entry { url, ..entry.clone() }, new: false, fed_alike: true };
             keep(described, content, &runtime, args)?;
             fetch::forget(entry, &folder);
             Ok(())
@@ -202,6 +208,8 @@ struct Described {
     entry: Entry,
     /// Whether the channels are still to be read from the file.
     new: bool,
+    /// Whether it is fed as the golden output that may be here was made.
+    fed_alike: bool,
 }
 
 /// The entry of a file that is added: that of the known network that it is said or found to be, else a new one. A network of the
@@ -233,6 +241,7 @@ fn describe(add: &AddArgs, known: &Manifest, overlay: &Manifest, content: &[u8])
             (entry, true)
         }
     };
+    let before = entry.clone();
     entry.default |= add.default;
     entry.multiple = add.multiple.unwrap_or(entry.multiple);
     entry.minimum_side = add.minimum_side.unwrap_or(entry.minimum_side);
@@ -243,19 +252,26 @@ fn describe(add: &AddArgs, known: &Manifest, overlay: &Manifest, content: &[u8])
     if let Some(licence) = &add.licence {
         entry.licence.clone_from(licence);
     }
-    Described { entry, new }
+    let feeding = |entry: &Entry| (entry.multiple, entry.minimum_side, entry.output.clone());
+    let fed_alike = feeding(&before) == feeding(&entry);
+    Described { entry, new, fed_alike }
 }
 
-/// Tests the network on the CPU, whose output its self-test expects from then on, and puts it into the folder.
+/// Tests the network on the CPU, whose output its self-test expects from then on where none is known, and puts it into the
+/// folder.
 fn keep(
     described: Described,
     content: Vec<u8>,
     runtime: &runtime::Runtime,
     args: &Args,
 ) -> Result<(), Failure> {
-    let Described { mut entry, new } = described;
+    let Described { mut entry, new, fed_alike } = described;
     entry.check().map_err(Failure::usage)?;
-    let mut model = entry.checked(content, None).map_err(failure)?;
+    let known =
+        if new || !fed_alike { None } else { entry.golden_file(&args.folder.folders()).ok().flatten() };
+    // A damaged one is made anew, as one that is missing.
+    let known = known.filter(|bytes| Golden::from_bytes(bytes).is_ok());
+    let mut model = entry.checked(content, known.as_deref()).map_err(failure)?;
     if new {
         model.channels = None;
     }
@@ -265,7 +281,7 @@ fn keep(
         let read = Entry::of_file(&entry.id, channels, String::new(), 0);
         (entry.role, entry.channels, entry.order) = (read.role, read.channels, read.order);
     }
-    let golden = network.golden().map_err(failure)?;
+    let golden = model.golden.take().map_or_else(|| network.golden(), Ok).map_err(failure)?;
     (entry.sha256, entry.bytes) = (Some(model.sha256.clone()), Some(model.bytes.len() as u64));
     entry.verified = true;
     let folder = args.folder.first()?;

@@ -166,6 +166,7 @@ fn open_networks(
         models: &args.models.folders(),
         threads: 0,
         blend: options.guide == Guide::Blend,
+        unguided: options.guide == Guide::None || options.rounds == 1,
     };
     let deblurrer = deblur::open(&options.deblur, &options.deblur_unguided, &open);
     let enhancer = deblur::open_enhancer(&options.enhance, &open);

@@ -89,6 +89,8 @@ fn which_of_several_outputs_is_meant_is_said_once() {
     let home = tempfile::tempdir().expect("temporary folder");
     let file = network("two_outputs3").display().to_string();
     let entry = || support::json(&home.path().join("manifest.json"))["models"][0].clone();
+    let silent = models(home.path(), &["add", &file, "--id", "two"]);
+    assert!(said(&silent).contains("--output NAME"), "the first may be any map: {}", said(&silent));
     let wrong = models(home.path(), &["add", &file, "--id", "two", "--output", "sharp"]);
     assert!(said(&wrong).contains("outputs are `coarse`, `restored`"), "{}", said(&wrong));
     let added = models(home.path(), &["add", &file, "--id", "two", "--output", "restored"]);
@@ -99,8 +101,11 @@ fn which_of_several_outputs_is_meant_is_said_once() {
     let replaced = models(home.path(), &["add", &network("identity3").display().to_string(), "--id", "two"]);
     assert_eq!(code(&replaced), 0, "{}", said(&replaced));
     assert_eq!(entry()["output"], "restored", "what is not said again stays");
-    let first = models(home.path(), &["add", &file, "--id", "two", "--output", ""]);
-    assert_eq!(code(&first), 0, "{}", said(&first));
+    let only = models(
+        home.path(),
+        &["add", &network("identity3").display().to_string(), "--id", "two", "--output", ""],
+    );
+    assert_eq!(code(&only), 0, "{}", said(&only));
     assert!(entry()["output"].is_null(), "{}", entry());
 }
 
@@ -151,6 +156,7 @@ fn an_enhancer_and_a_restorer_of_the_users_make_the_baseline_of_the_papers() {
         report["models"]["deblur"].as_str().is_some_and(|model| model.starts_with("box3.onnx ")),
         "{report:#}"
     );
+    assert_eq!(report["fallbacks"], serde_json::json!([]), "one round gives no guide: {report:#}");
     let mean = |folder: &str| {
         let image = Image::load(&out.join(folder).join("001.jpg")).expect("a preview");
         image.data().iter().sum::<f32>() / image.data().len() as f32
@@ -297,6 +303,25 @@ fn what_an_earlier_download_left_is_used_when_it_is_whole_and_doubted_when_not()
     std::fs::write(home.path().join("far.part"), &content).expect("write");
     assert_eq!(code(&models(home.path(), &["fetch", "far"])), 0);
     assert_eq!(ranges.lock().expect("not poisoned").len(), 2, "what is whole is not fetched again");
+}
+
+#[test]
+fn what_a_network_is_known_to_return_is_compared_and_kept() {
+    let home = tempfile::tempdir().expect("temporary folder");
+    let content = std::fs::read(network("box3")).expect("golden network");
+    let (url, _) = serve(content.clone(), content.len());
+    overlay(home.path(), &url, &digest(&content), content.len());
+    let list = std::fs::read_to_string(home.path().join("manifest.json")).expect("written");
+    let list = list.replace("\"id\":\"far\"", "\"id\":\"far\",\"golden\":\"far.golden\"");
+    std::fs::write(home.path().join("manifest.json"), list).expect("write");
+    let golden = home.path().join("far.golden");
+    let grey = 0.5_f32.to_le_bytes().repeat(3 * 64 * 64);
+    std::fs::write(&golden, &grey).expect("write");
+    let refused = models(home.path(), &["fetch", "far"]);
+    assert_eq!(code(&refused), 4, "{}", said(&refused));
+    assert!(said(&refused).contains("off by"), "{}", said(&refused));
+    assert_eq!(std::fs::read(&golden).expect("kept"), grey, "not written over by what this machine computes");
+    assert!(!home.path().join("far.onnx").exists());
 }
 
 #[test]

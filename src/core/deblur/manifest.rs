@@ -299,7 +299,10 @@ impl Entry {
     }
 
     /// What the self-test expects, where the entry names a file of it: then it has to be there.
-    fn golden_file(&self, directories: &[PathBuf]) -> Result<Option<Vec<u8>>, DeblurError> {
+    ///
+    /// # Errors
+    /// [`DeblurError::ModelFileMissing`] or [`DeblurError::ModelUnreadable`].
+    pub fn golden_file(&self, directories: &[PathBuf]) -> Result<Option<Vec<u8>>, DeblurError> {
         let Some(name) = &self.golden else { return Ok(None) };
         if let Some(bytes) = embedded(Some(name)) {
             return Ok(Some(bytes.to_vec()));

@@ -18,6 +18,8 @@ pub struct OpenOptions<'a> {
     pub threads: usize,
     /// Feed the guide in the view's place instead of both.
     pub blend: bool,
+    /// The run never gives a guide, so there is nothing to say about how it would be taken.
+    pub unguided: bool,
 }
 
 /// A deblurrer, and what is not as it was asked for.
@@ -74,7 +76,7 @@ fn open_one(choice: &str, options: &OpenOptions<'_>) -> Result<Opened, DeblurErr
     let info = network.describe();
     let takes_guide = info.channels == 6;
     let mut fallbacks = Vec::from_iter(without_cuda);
-    if !takes_guide && !options.blend {
+    if !takes_guide && !options.blend && !options.unguided {
         fallbacks.push(format!(
             "network {} takes no guide: rounds after the first feed it the guide in the view's place",
             info.id

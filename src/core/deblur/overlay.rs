@@ -8,7 +8,7 @@ use crate::deblur::{DeblurError, Golden};
 use crate::image::write_atomic;
 
 /// Puts the network's file `content`, its golden output and its entry into `directory`. Each file is there whole or not at
-/// all, the entry last: what is listed can be loaded. One call at a time in a folder, processes included.
+/// all, the entry last: what is newly listed can be loaded. One call at a time in a folder, processes included.
 ///
 /// # Errors
 /// [`DeblurError::ModelNotKept`], also for an entry that cannot be listed or whose file would take the place of another

@@ -35,7 +35,7 @@ pub struct Runtime {
 /// Which library is in use.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RuntimeInfo {
-    /// Where it was found; just a file name when the system's loader found it.
+    /// Where it was found; just a file name when the system's loader found it and has not told where (outside Linux).
     pub path: PathBuf,
     /// `1.x`.
     pub version: String,
@@ -48,9 +48,10 @@ impl Runtime {
     }
 
     /// Whether the library's part for CUDA lies beside it. Whether it works, only loading a network on it tells.
-    /// Where the system's loader found the library its folder is not known, and the CPU is used.
     pub fn has_cuda(&self) -> bool {
-        self.info.path.parent().is_some_and(|folder| folder.join(CUDA_LIBRARY).is_file())
+        // A mere file name has the parent ``: the system's loader does not look in the current folder.
+        let folder = self.info.path.parent().filter(|folder| !folder.as_os_str().is_empty());
+        folder.is_some_and(|folder| folder.join(CUDA_LIBRARY).is_file())
     }
 
     pub(crate) fn environment(&self) -> &Environment {
@@ -117,7 +118,7 @@ fn probe(candidate: PathBuf) -> Result<RuntimeInfo, String> {
     }
 }
 
-fn start(info: RuntimeInfo) -> Result<Runtime, DeblurError> {
+fn start(mut info: RuntimeInfo) -> Result<Runtime, DeblurError> {
     let unusable = |detail: String| DeblurError::RuntimeUnusable { path: info.path.clone(), detail };
     let environment = ort::init_from(&info.path)
         .map_err(|e| unusable(e.to_string()))?
@@ -126,7 +127,21 @@ fn start(info: RuntimeInfo) -> Result<Runtime, DeblurError> {
         .build()
         .map_err(|e| unusable(e.to_string()))?;
     environment.set_log_level(LogLevel::Warning);
+    if info.path.as_os_str() == LIBRARY
+        && let Ok(maps) = std::fs::read_to_string("/proc/self/maps")
+        && let Some(path) = mapped(&maps)
+    {
+        info.path = path;
+    }
     Ok(Runtime { environment, info })
+}
+
+/// The library's file by the list of what Linux has mapped into the process.
+fn mapped(maps: &str) -> Option<PathBuf> {
+    let paths = maps.lines().filter_map(|line| line.find('/').map(|at| Path::new(&line[at..])));
+    let is_library =
+        |path: &&Path| path.file_name().is_some_and(|name| name.to_string_lossy().starts_with(LIBRARY));
+    paths.filter(is_library).map(Path::to_path_buf).next()
 }
 
 /// The tests' runtime, as if it had been found in `folder`.
@@ -173,6 +188,19 @@ mod tests {
         let found = find(None, &[empty.path().to_path_buf(), local.clone()]);
         let found = found.unwrap_or_else(|error| panic!("{error}"));
         assert_eq!(found.path, local.join(LIBRARY).canonicalize().expect("fetched"));
+    }
+
+    #[test]
+    #[cfg(target_os = "linux")]
+    fn the_folder_of_a_library_that_the_loader_found_is_known() {
+        let started = for_tests().info().path.clone();
+        let maps = std::fs::read_to_string("/proc/self/maps").expect("Linux");
+        assert_eq!(mapped(&maps), Some(started));
+        assert_eq!(
+            mapped("7f-80 r-xp 0 fe:00 12   /usr/lib/my libs/libonnxruntime.so.1.31.1\n"),
+            Some(PathBuf::from("/usr/lib/my libs/libonnxruntime.so.1.31.1"))
+        );
+        assert_eq!(mapped("7f-80 r-xp 0 fe:00 12   /usr/lib/libc.so.6\n7f-80 rw-p 0 00:00 0\n"), None);
     }
 
     #[test]

@@ -22,10 +22,10 @@ pub struct Tile {
     pub height: usize,
 }
 
-/// The tiles of a view of `width` x `height`: one up to [`WHOLE`] pixels, else tiles of at most
-/// `side` px, evenly spread, that overlap by at least [`FEATHER`].
+/// The tiles of a view of `width` x `height`: one up to [`WHOLE`] pixels and half more than a tile has, else tiles of
+/// at most `side` px, evenly spread, that overlap by at least [`FEATHER`].
 pub fn plan(width: usize, height: usize, side: usize) -> Vec<Tile> {
-    if width * height <= WHOLE {
+    if width * height <= WHOLE.min(3 * side * side / 2) {
         return vec![Tile { x: 0, y: 0, width, height }];
     }
     let mut tiles = Vec::new();
@@ -147,6 +147,10 @@ mod tests {
     #[test]
     fn small_views_are_one_tile_and_large_ones_are_covered_with_overlap() {
         assert_eq!(plan(1120, 640, 1024).len(), 1);
+        assert!(
+            plan(560, 315, 256).iter().all(|tile| tile.width <= 256 && tile.height <= 256),
+            "small tiles are kept to"
+        );
         for (width, height) in [(2400, 1600), (1025, 3000), (1500, 1001)] {
             let tiles = plan(width, height, 1024);
             assert!(tiles.iter().all(|tile| tile.width <= 1024 && tile.height <= 1024));

@@ -32,7 +32,9 @@ impl Job<'_, '_> {
             Err(PosesError::TooFew { .. }) => views.len() > 2,
             Err(_) => false,
         };
-        if given || !weak || self.options.deblur == "identity" {
+        let unguided = self.tools.deblurrer.unguided().unwrap_or_else(|| self.tools.deblurrer.describe());
+        // 0: nothing would be deblurred.
+        if given || !weak || unguided.channels == 0 {
             return Ok(first?);
         }
         self.sink.log(format!("poses: rung {RUNG}, the ladder once more on deblurred photographs"));
@@ -65,6 +67,9 @@ impl Job<'_, '_> {
             self.cancel.check()?;
             let file = folder.join(format!("d{index:05}.png"));
             let deblurred = self.tools.deblurrer.deblur(image, None)?;
+            for warning in self.tools.deblurrer.take_warnings() {
+                self.sink.warn("poses", format!("{}: {warning}", view.name));
+            }
             let bytes = deblurred
                 .encode(EncodeFormat::Png)
                 .map_err(|source| PipelineError::Photograph { name: view.name.clone(), source })?;

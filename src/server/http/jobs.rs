@@ -120,7 +120,8 @@ async fn from_json(app: &App, body: &CreateJob, key: Option<&str>) -> Result<Cre
         body.name.as_deref().unwrap_or(&capture.name),
         body.preset.as_deref(),
         &body.options,
-    )?;
+    )
+    .await?;
     Ok(app.store.create_job(&job, key, &fingerprint).await?)
 }
 
@@ -140,10 +141,10 @@ async fn from_upload(app: &Arc<App>, request: Request, key: Option<&str>) -> Res
     let preset = upload.fields.get("preset").cloned().filter(|preset| !preset.is_empty());
     let fingerprint = upload.fingerprint.clone();
     // Options are judged before the photographs: a typo is told at once.
-    new_job(app, "", "", preset.as_deref(), &options)?;
+    new_job(app, "", "", preset.as_deref(), &options).await?;
     let report = upload.judge().await?;
     let capture = upload.keep(app, &report).await?;
-    let job = new_job(app, &capture.id, &capture.name, preset.as_deref(), &options)?;
+    let job = new_job(app, &capture.id, &capture.name, preset.as_deref(), &options).await?;
     let creation = app.store.create_job(&job, key, &fingerprint).await?;
     if !matches!(creation, Creation::Created(_)) && app.store.delete_capture(&capture.id).await? {
         // The job of the first request has its own capture; this copy was for nothing.
@@ -152,7 +153,7 @@ async fn from_upload(app: &Arc<App>, request: Request, key: Option<&str>) -> Res
     Ok(creation)
 }
 
-fn new_job(
+async fn new_job(
     app: &App,
     capture: &str,
     name: &str,
@@ -169,7 +170,10 @@ fn new_job(
         ("deblur_unguided", &options.deblur_unguided, &["same", "identity"]),
         ("enhance", &options.enhance, &["curve"]),
     ] {
-        check_network(&app.config.models, key, choice, words)?;
+        let (folders, choice) = (app.config.models.clone(), choice.clone());
+        // It reads the network's file.
+        let check = move || check_network(&folders, key, &choice, words);
+        tokio::task::spawn_blocking(check).await.map_err(|_| Problem::internal())??;
     }
     Ok(NewJob {
         id: Uuid::now_v7().to_string(),
@@ -201,7 +205,12 @@ fn check_network(folders: &[PathBuf], key: &str, choice: &str, words: &[&str]) -
         Some(entry) if key == "enhance" && entry.role == Role::Guided => {
             Err(refused(format!("network `{choice}` wants a guide; one that brightens has 3 channels")))
         }
-        Some(_) => Ok(()),
+        Some(entry) => entry.load(folders).map(drop).map_err(|error| {
+            // With a path of the server: for its log.
+            tracing::error!(%error, "a network that a job asks for cannot be used");
+            refused(format!("the file of network `{choice}` on this server is damaged"))
+                .hint(format!("Whoever runs the server sees more by: fled models verify {choice}."))
+        }),
         None => {
             let known = [words, &manifest.choices()].concat().join(", ");
             Err(refused(format!("`{choice}` is none of {known}"))

@@ -101,6 +101,26 @@ fn an_unknown_option_is_refused_with_a_pointer_to_it() {
 }
 
 #[test]
+fn a_damaged_network_is_told_before_the_job() {
+    let server = Server::start();
+    let capture = server.capture(3);
+    let entry = json!({
+        "id": "mine", "role": "single", "file": "mine.onnx", "url": null, "sha256": "0".repeat(64), "bytes": 7, "licence": "MIT",
+        "channels": 3, "order": ["blurry"], "multiple": 16, "minimum_side": 16, "tile": 1024, "range": [-1.0, 2.0],
+        "input": null, "output": null, "default": false, "verified": true,
+    });
+    let models = server.data.path().join("models");
+    std::fs::create_dir_all(&models).expect("folder");
+    std::fs::write(models.join("manifest.json"), json!({ "models": [entry] }).to_string()).expect("written");
+    std::fs::write(models.join("mine.onnx"), "content").expect("written");
+    let job = json!({ "capture_id": capture, "options": { "deblur": "mine" } });
+    let refused = server.post_json("/v1/jobs", &job, &[]).expect(422).json();
+    assert_eq!(refused["pointer"], "/options/deblur");
+    assert!(refused["detail"].as_str().is_some_and(|text| text.contains("damaged")), "{refused:#}");
+    assert!(!refused.to_string().contains("manifest.json"), "no paths of the server: {refused:#}");
+}
+
+#[test]
 fn another_sites_page_cannot_start_jobs() {
     let server = Server::start();
     let evil = [("origin", "https://evil.example"), ("sec-fetch-site", "cross-site")];

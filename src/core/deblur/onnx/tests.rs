@@ -122,8 +122,8 @@ fn the_manifest_says_which_of_several_outputs_is_the_view() {
         network_of_restored.describe().feeding,
         "results of one are not taken for the other's"
     );
-    let first = network(&file("two_outputs3.onnx")).expect("loads").deblur(&view, None).expect("runs");
-    assert!(worst(&first, &view.map(|value| 0.5 * value)) < 1e-6, "without a name it is the first");
+    let refused = network(&file("two_outputs3.onnx")).err().expect("either may be meant").to_string();
+    assert!(refused.contains("`coarse`, `restored`") && refused.contains("--output"), "{refused}");
     for (input, output, reason) in [
         ("view", "sharp", "outputs are `coarse`, `restored`; `sharp` is asked for"),
         ("image", "restored", "input is `view`; `image` is asked for"),
@@ -131,6 +131,19 @@ fn the_manifest_says_which_of_several_outputs_is_the_view() {
         let refused = named(input, output).err().expect("another file").to_string();
         assert!(refused.contains(reason), "{refused}");
     }
+}
+
+#[test]
+fn the_self_test_finds_sides_that_do_not_fit() {
+    let known = Manifest::embedded().resolve(&file("blocks16.onnx"), &[]).expect("present");
+    let of = |multiple: usize| {
+        Onnx::load_on(&runtime::for_tests(), &Model { multiple, ..known.clone() }, Provider::Cpu, 1).err()
+    };
+    assert!(of(16).is_none() && of(32).is_none());
+    // The golden image's 64 px fit both; 72 do not.
+    let refused = of(8).expect("72 is no multiple of 16");
+    assert!(matches!(refused, DeblurError::SelfTest { .. }), "{refused}");
+    assert!(refused.to_string().contains("72x80 px do not fit it"), "{refused}");
 }
 
 #[test]

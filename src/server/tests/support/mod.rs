@@ -75,7 +75,9 @@ fn spawn(data: &Path) -> (Child, String) {
     let file = data.join("address");
     let _ = std::fs::remove_file(&file);
     let program = PathBuf::from(env!("CARGO_BIN_EXE_fled-fake"));
-    let child = Command::new(program).arg("serve").arg(data.join("data")).arg(&file).spawn().expect("start");
+    let mut command = Command::new(program);
+    command.arg("serve").arg(data.join("data")).arg(&file).env("FLED_MODELS", data.join("models"));
+    let child = command.spawn().expect("start");
     let start = Instant::now();
     loop {
         match std::fs::read_to_string(&file) {
