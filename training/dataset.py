@@ -15,9 +15,9 @@ SCENE = 2 * PATCH
 # Making a patch costs as much as training on it: each is shown several times, far apart and turned differently.
 USES = 3
 # Share of the scenes whose guide is a render by the product itself (`renders.py`), where there are such.
-REAL_GUIDES = 0.25
+REAL_GUIDES = 0.2
 # Share of the other scenes with enough light, from which deblurring is learnt: under noise a network learns to average.
-CLEAN = 0.6
+CLEAN = 0.8
 # Deviation of the colours of real renders, which the loop carries from one brightness to the next by a curve that it finds.
 DRIFT = 0.015
 
@@ -79,12 +79,12 @@ def scene_patches(rng, supply):
     blur = degrade.clean_blur(rng) if clean else degrade.random_blur(rng, light.shape[:2])
     if clean:
         exposure = degrade.clean_exposure(rng)
-        target = degrade.random_target(rng) if rng.random() < 0.3 else None
+        target = degrade.random_target(rng) if rng.random() < 0.2 else None
     else:
         exposure = degrade.random_exposure(rng)
         target = degrade.random_target(rng) if rng.random() < 0.95 else None
     # No guide is the harder case, so it comes more often.
-    guide = degrade.random_guide(rng) if rng.random() < 0.4 else None
+    guide = degrade.random_guide(rng) if rng.random() < (0.25 if clean else 0.4) else None
     stacked = np.concatenate(degrade.pair(rng, light, blur, exposure, target, guide), 2)
     planes = np.moveaxis(stacked, 2, 0).astype(np.float16)
     return [planes[:, y : y + PATCH, x : x + PATCH].copy() for y in (0, PATCH) for x in (0, PATCH)]

@@ -170,6 +170,8 @@ def enter(manifest, path):
     content = path.read_bytes()
     listing = manifest.read_text()
     entries = json.loads(listing)
+    if not any(entry["file"] == path.name for entry in entries["models"]):
+        raise SystemExit(f"{manifest} has no entry whose file is {path.name}: write one first")
     for entry in entries["models"]:
         if entry["file"] == path.name:
             for key, value in (("sha256", hashlib.sha256(content).hexdigest()), ("bytes", len(content))):

@@ -14,6 +14,10 @@ import os
 import time
 from pathlib import Path
 
+# Before NumPy and PyTorch are loaded: the processes that make patches would each take all cores for their matrix products.
+for library in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+    os.environ.setdefault(library, "1")
+
 import torch
 import torch.nn.functional as F
 from torch.utils.data import DataLoader
@@ -33,6 +37,8 @@ SCALE = 0.02
 OWN_GUIDES = 0.4
 # Share of the budget after which guides are real renders too, where a folder of them is given.
 SIMULATED_ONLY = 0.3
+# No step takes so long, s: on a GPU the first one of a stream waits for patches, and one that compiles takes longer too.
+LONGEST_STEP = 2.0
 
 
 def arguments():
@@ -51,6 +57,7 @@ def arguments():
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--workers", type=int, default=1, help="processes that make patches")
     parser.add_argument("--threads", type=int, default=1)
+    parser.add_argument("--eager", action="store_true", help="on a GPU without torch.compile, which needs a C compiler and Python.h")
     parser.add_argument("--exact", action="store_true", help="f32 from the beginning")
     parser.add_argument("--save-every", type=int, default=500, help="steps between checkpoints")
     return parser.parse_args()
@@ -70,8 +77,9 @@ class Trainer:
     def __init__(self, options):
         self.options = options
         torch.manual_seed(options.seed)
+        self.path = options.run / "checkpoint.pt"
         network = Network(options.width, middle=options.middle)
-        if options.start:
+        if options.start and not self.path.exists():
             # Only here: a machine that continues its own run needs no ONNX.
             from export import weights
 
@@ -82,12 +90,12 @@ class Trainer:
             self.network.parameters(), lr=options.rate, betas=(0.9, 0.95), weight_decay=1e-4, fused=True
         )
         self.step, self.seconds, self.clipped = 0, 0.0, 0
-        self.path = options.run / "checkpoint.pt"
         if self.path.exists():
             self.restore()
             # Else every restart would draw the same again.
             torch.manual_seed(options.seed + self.step)
-        self.forward = torch.compile(self.network) if options.device == "cuda" else self.network
+        compiled = options.device == "cuda" and not options.eager
+        self.forward = torch.compile(self.network) if compiled else self.network
 
     def restore(self):
         state = torch.load(self.path, weights_only=True, map_location=self.options.device)
@@ -162,7 +170,7 @@ def stream(trainer, options):
     """Batches from where the trainer stands."""
     renders = options.renders if trainer.progress >= SIMULATED_ONLY else None
     return DataLoader(
-        Patches(options.seed, trainer.step, renders, 30 * options.batch), options.batch, num_workers=options.workers,
+        Patches(options.seed, trainer.step, renders, max(240, 12 * options.batch)), options.batch, num_workers=options.workers,
         prefetch_factor=4 if options.workers else None, pin_memory=options.device == "cuda",
     )
 
@@ -191,9 +199,7 @@ def main():
                 pair, clean = (tensor.to(options.device, non_blocking=True) for tensor in (pair, clean))
                 total, steps = total + trainer.update(pair, clean), steps + 1
                 now = clock()
-                if steps > 1 or options.device == "cpu":
-                    # On a GPU the first step of a stream compiles and waits for patches: not learning, not booked.
-                    trainer.seconds += now - mark
+                trainer.seconds += now - mark if options.device == "cpu" else min(now - mark, LONGEST_STEP)
                 mark = now
                 if trainer.step % 100 == 0:
                     report(trainer, pair, clean, total / steps, log)
