@@ -269,8 +269,13 @@ fn keep(
     entry.check().map_err(Failure::usage)?;
     let known =
         if new || !fed_alike { None } else { entry.golden_file(&args.folder.folders()).ok().flatten() };
-    // A damaged one is made anew, as one that is missing.
-    let known = known.filter(|bytes| Golden::from_bytes(bytes).is_ok());
+    let known = known.filter(|bytes| {
+        let whole = Golden::from_bytes(bytes).is_ok();
+        if !whole {
+            eprintln!("{}: its golden output is damaged and made anew here", entry.id);
+        }
+        whole
+    });
     let mut model = entry.checked(content, known.as_deref()).map_err(failure)?;
     if new {
         model.channels = None;

@@ -72,7 +72,12 @@ fn an_added_network_is_listed_checked_and_may_be_chosen() {
         (&32.into(), &"CC0-1.0".into())
     );
 
-    std::fs::write(folder.join("mine.onnx"), "damaged").expect("write");
+    let mut content = std::fs::read(folder.join("mine.onnx")).expect("here");
+    content[100] ^= 1;
+    std::fs::write(folder.join("mine.onnx"), content).expect("write");
+    let doctor = support::fled().arg("doctor").env("FLED_MODELS", &folder).output();
+    let doctor = said(&doctor.expect("the binary starts"));
+    assert!(doctor.contains("mine DAMAGED"), "of the right length, but another file: {doctor}");
     let broken = models(&folder, &["verify", "mine"]);
     assert_eq!(code(&broken), 4);
     assert!(said(&broken).contains("damaged or another file"), "{}", said(&broken));
@@ -303,6 +308,21 @@ fn what_an_earlier_download_left_is_used_when_it_is_whole_and_doubted_when_not()
     std::fs::write(home.path().join("far.part"), &content).expect("write");
     assert_eq!(code(&models(home.path(), &["fetch", "far"])), 0);
     assert_eq!(ranges.lock().expect("not poisoned").len(), 2, "what is whole is not fetched again");
+}
+
+#[test]
+fn a_file_whose_checksum_nobody_knows_is_not_called_whole() {
+    let home = tempfile::tempdir().expect("temporary folder");
+    overlay(home.path(), "http://127.0.0.1:9/far.onnx", "", 0);
+    let list = std::fs::read_to_string(home.path().join("manifest.json")).expect("written");
+    let list = list.replace("\"sha256\":\"\"", "\"sha256\":null");
+    std::fs::write(home.path().join("manifest.json"), list).expect("write");
+    std::fs::copy(network("box3"), home.path().join("far.onnx")).expect("copy");
+    let here = models(home.path(), &["fetch", "far"]);
+    assert_eq!(code(&here), 0, "{}", said(&here));
+    assert!(said(&here).contains("is not known") && !said(&here).contains("whole"), "{}", said(&here));
+    std::fs::write(home.path().join("far.onnx"), "cut short").expect("write");
+    assert_eq!(code(&models(home.path(), &["fetch", "far"])), 4);
 }
 
 #[test]

@@ -208,7 +208,7 @@ fn check_network(folders: &[PathBuf], key: &str, choice: &str, words: &[&str]) -
         Some(entry) => entry.load(folders).map(drop).map_err(|error| {
             // With a path of the server: for its log.
             tracing::error!(%error, "a network that a job asks for cannot be used");
-            refused(format!("the file of network `{choice}` on this server is damaged"))
+            refused(format!("network `{choice}` is damaged on this server"))
                 .hint(format!("Whoever runs the server sees more by: fled models verify {choice}."))
         }),
         None => {
