@@ -72,9 +72,11 @@ fn an_added_network_is_listed_checked_and_may_be_chosen() {
         (&32.into(), &"CC0-1.0".into())
     );
 
-    let mut content = std::fs::read(folder.join("mine.onnx")).expect("here");
+    let file = folder.join(manifest["models"][0]["file"].as_str().expect("its file"));
+    assert!(!folder.join("mine.onnx").exists(), "the first one is gone, and was there until the other was");
+    let mut content = std::fs::read(&file).expect("here");
     content[100] ^= 1;
-    std::fs::write(folder.join("mine.onnx"), content).expect("write");
+    std::fs::write(&file, content).expect("write");
     let doctor = support::fled().arg("doctor").env("FLED_MODELS", &folder).output();
     let doctor = said(&doctor.expect("the binary starts"));
     assert!(doctor.contains("mine DAMAGED"), "of the right length, but another file: {doctor}");

@@ -3,12 +3,13 @@
 use std::fs::File;
 use std::path::{Path, PathBuf};
 
-use crate::deblur::manifest::{Entry, Manifest, OVERLAY};
+use crate::deblur::manifest::{Entry, Manifest, OVERLAY, digest};
 use crate::deblur::{DeblurError, Golden};
 use crate::image::write_atomic;
 
-/// Puts the network's file `content`, its golden output and its entry into `directory`. Each file is there whole or not at
-/// all, the entry last: what is newly listed can be loaded. One call at a time in a folder, processes included.
+/// Puts the network's file `content`, its golden output and its entry into `directory`. The entry comes last and whole, and a
+/// network that it replaces stays usable until then: its files keep their names and the new ones get others. One call at a
+/// time in a folder, processes included.
 ///
 /// # Errors
 /// [`DeblurError::ModelNotKept`], also for an entry that cannot be listed or whose file would take the place of another
@@ -22,6 +23,18 @@ pub fn install(
     std::fs::create_dir_all(directory).map_err(kept(directory))?;
     let guard = directory.join(".lock");
     let lock = File::create(&guard).and_then(|file| file.lock().map(|()| file)).map_err(kept(&guard))?;
+    let mut overlay = Manifest::overlay(directory)?;
+    let golden = golden.to_bytes();
+    let before = overlay.find(&entry.id).cloned();
+    let whole = before.as_ref().and_then(|entry| entry.load(&[directory.to_path_buf()]).ok());
+    let replaced = whole.is_some_and(|model| {
+        model.bytes != content || model.golden.is_none_or(|known| known.to_bytes() != golden)
+    });
+    if replaced {
+        let version = &digest(&[content, &golden].concat())[..8];
+        entry.file = Some(format!("{}-{version}.onnx", entry.id));
+        entry.golden = Some(format!("{}-{version}.golden", entry.id));
+    }
     let file = entry.file.get_or_insert_with(|| format!("{}.onnx", entry.id)).clone();
     let expected = entry.golden.get_or_insert_with(|| format!("{}.golden", entry.id)).clone();
     let refused = |detail: String| kept(&directory.join(&file))(std::io::Error::other(detail));
@@ -31,13 +44,18 @@ pub fn install(
     if let Some(other) = known.models.iter().find(taken) {
         return Err(refused(format!("the file is that of network {}; choose another --id", other.id)));
     }
-    let mut overlay = Manifest::overlay(directory)?;
     overlay.lay_over(entry);
     let mut text = serde_json::to_string_pretty(&overlay).expect("strings, numbers and lists");
     text.push('\n');
     write(&directory.join(file), content)?;
-    write(&directory.join(expected), &golden.to_bytes())?;
+    write(&directory.join(expected), &golden)?;
     write(&directory.join(OVERLAY), text.as_bytes())?;
+    let old = before.into_iter().flat_map(|entry| [entry.file, entry.golden]).flatten();
+    let known = Manifest::known(&[directory.to_path_buf()])?;
+    for name in old.filter(|name| !known.models.iter().any(|entry| entry.owns(name))) {
+        // What cannot be removed is listed nowhere any more.
+        let _ = std::fs::remove_file(directory.join(name));
+    }
     drop(lock);
     Ok(())
 }
@@ -55,7 +73,7 @@ fn kept(path: &Path) -> impl FnOnce(std::io::Error) -> DeblurError {
 mod tests {
     use super::*;
     use crate::deblur::golden;
-    use crate::deblur::manifest::{Place, digest};
+    use crate::deblur::manifest::Place;
 
     #[test]
     fn an_installed_network_is_found_by_its_id_and_the_others_stay() {
@@ -79,6 +97,42 @@ mod tests {
         std::fs::write(directory.join("first.onnx"), "other").expect("write");
         assert!(matches!(known.resolve("first", &folders), Err(DeblurError::ModelChecksum { .. })));
         assert!(known.resolve("second", &folders).is_ok());
+    }
+
+    #[test]
+    fn a_network_that_is_replaced_stays_usable_until_the_new_one_is() {
+        let home = tempfile::tempdir().expect("temporary directory");
+        let directory = home.path().to_path_buf();
+        let golden = Golden::new(golden::view().data().to_vec()).expect("of the right size");
+        let take = |content: &[u8]| {
+            let entry = Entry::of_file("mine", 3, digest(content), content.len() as u64);
+            install(&directory, entry, content, &golden)
+        };
+        let resolved = || {
+            let folders = [directory.clone()];
+            let known = Manifest::known(&folders).expect("readable");
+            known.resolve("mine", &folders).expect("usable").bytes
+        };
+        take(b"first").expect("new");
+        // A folder in the golden output's place: the new one's comes after its network's file, before the entry.
+        let version = &digest(&[b"second".as_slice(), &golden.to_bytes()].concat())[..8];
+        let obstacle = directory.join(format!("mine-{version}.golden"));
+        std::fs::create_dir(&obstacle).expect("made");
+        assert!(matches!(take(b"second"), Err(DeblurError::ModelNotKept { .. })));
+        assert_eq!(resolved(), b"first");
+        std::fs::remove_dir(&obstacle).expect("removed");
+        take(b"second").expect("replaces");
+        assert_eq!(resolved(), b"second");
+        take(b"third").expect("replaces");
+        take(b"third").expect("is there already");
+        assert_eq!(resolved(), b"third");
+        // A damaged one is written over.
+        let file = Manifest::overlay(&directory).expect("readable").models[0].file.clone().expect("named");
+        std::fs::write(directory.join(&file), "damaged").expect("written");
+        take(b"third").expect("mended");
+        assert_eq!(resolved(), b"third");
+        let left = std::fs::read_dir(&directory).expect("readable").count();
+        assert_eq!(left, 4, "the lock, the manifest and one network's two files");
     }
 
     #[test]
