@@ -14,7 +14,9 @@ use crate::event::ProgressSink;
 use crate::image::read_header;
 use crate::poses::bounds::read_poses_bounds;
 use crate::poses::model::SparseModel;
-use crate::poses::{Distortion, Lens, PoseRequest, PoseView, PosedView, Poses, PosesError, Sfm, SparsePoint};
+use crate::poses::{
+    Distortion, Lens, PoseRequest, PoseView, PosedView, Poses, PosesError, Sfm, SparsePoint, name_of,
+};
 
 /// Points that are guessed where poses came without points: as many as the smallest preset's cap.
 const GUESSED_POINTS: usize = 10_000;
@@ -179,7 +181,7 @@ impl Sfm for GivenPoses {
         }
         let registered = views.len();
         if registered < 3 {
-            let advice = format!("the names in {} must be those of the photographs", self.path.display());
+            let advice = format!("the names in {} must be those of the photographs", name_of(&self.path));
             return Err(PosesError::TooFew { registered, total, advice });
         }
         if registered < total {

@@ -176,7 +176,7 @@ pub enum PosesError {
 }
 
 /// Whoever gave the file knows where it lies; a client of the service need not learn where it was put.
-fn name_of(file: &Path) -> std::borrow::Cow<'_, str> {
+pub(crate) fn name_of(file: &Path) -> std::borrow::Cow<'_, str> {
     file.file_name().unwrap_or(file.as_os_str()).to_string_lossy()
 }
 

@@ -184,10 +184,13 @@ fn names_that_fit_no_photograph_are_too_few_poses() {
     let capture = capture();
     let json = serde_json::json!({ "fl_x": 70.0, "w": 80, "h": 60, "frames": [] });
     std::fs::write(capture.dir.path().join("transforms.json"), json.to_string()).unwrap();
-    assert!(matches!(
-        capture.poses("transforms.json"),
-        Err(PosesError::TooFew { registered: 0, total: 4, .. })
-    ));
+    let refused = capture.poses("transforms.json").expect_err("none of them");
+    assert!(matches!(refused, PosesError::TooFew { registered: 0, total: 4, .. }));
+    let said = refused.to_string();
+    assert!(
+        said.contains("the names in transforms.json must be"),
+        "the file's name and not where it lies: {said}"
+    );
     std::fs::write(capture.dir.path().join("transforms.json"), "{").unwrap();
     assert!(matches!(capture.poses("transforms.json"), Err(PosesError::BadFile { .. })));
     assert!(GivenPoses::open(capture.dir.path()).is_err());
