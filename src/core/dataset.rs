@@ -181,7 +181,11 @@ impl Sfm for GivenPoses {
         }
         let registered = views.len();
         if registered < 3 {
-            let advice = format!("the names in {} must be those of the photographs", name_of(&self.path));
+            let file = match self.format {
+                Format::Model => "the COLMAP model".into(),
+                Format::Transforms | Format::PosesBounds => name_of(&self.path),
+            };
+            let advice = format!("the names in {file} must be those of the photographs");
             return Err(PosesError::TooFew { registered, total, advice });
         }
         if registered < total {

@@ -231,7 +231,6 @@ fn describe(add: &AddArgs, known: &Manifest, overlay: &Manifest, content: &[u8])
             let id = named.map_or_else(|| add.id.clone().unwrap_or(stem), |entry| entry.id.clone());
             let mut entry = Entry::of_file(&id, 3, sha256, content.len() as u64);
             if let Some(before) = named {
-                (entry.file, entry.golden) = (before.file.clone(), before.golden.clone());
                 (entry.licence, entry.default) = (before.licence.clone(), before.default);
                 (entry.multiple, entry.minimum_side, entry.tile) =
                     (before.multiple, before.minimum_side, before.tile);

@@ -73,7 +73,7 @@ fn an_added_network_is_listed_checked_and_may_be_chosen() {
     );
 
     let file = folder.join(manifest["models"][0]["file"].as_str().expect("its file"));
-    assert!(!folder.join("mine.onnx").exists(), "the first one is gone, and was there until the other was");
+    assert!(!folder.join("mine.onnx").exists(), "the first one is gone");
     let mut content = std::fs::read(&file).expect("here");
     content[100] ^= 1;
     std::fs::write(&file, content).expect("write");

@@ -8,8 +8,8 @@ use crate::deblur::{DeblurError, Golden};
 use crate::image::write_atomic;
 
 /// Puts the network's file `content`, its golden output and its entry into `directory`. The entry comes last and whole, and a
-/// network that it replaces stays usable until then: its files keep their names and the new ones get others. One call at a
-/// time in a folder, processes included.
+/// network that it replaces stays usable until then: what differs gets a name of its own, and the old file goes after the
+/// entry. One call at a time in a folder, processes included.
 ///
 /// # Errors
 /// [`DeblurError::ModelNotKept`], also for an entry that cannot be listed or whose file would take the place of another
@@ -26,38 +26,41 @@ pub fn install(
     let mut overlay = Manifest::overlay(directory)?;
     let golden = golden.to_bytes();
     let before = overlay.find(&entry.id).cloned();
-    let whole = before.as_ref().and_then(|entry| entry.load(&[directory.to_path_buf()]).ok());
-    let replaced = whole.is_some_and(|model| {
-        model.bytes != content || model.golden.is_none_or(|known| known.to_bytes() != golden)
-    });
-    if replaced {
-        let version = &digest(&[content, &golden].concat())[..8];
-        entry.file = Some(format!("{}-{version}.onnx", entry.id));
-        entry.golden = Some(format!("{}-{version}.golden", entry.id));
+    let usable = before.as_ref().and_then(|entry| entry.load(&[directory.to_path_buf()]).ok());
+    if let (Some(before), Some(usable)) = (&before, usable) {
+        let named = |content: &[u8], kind| Some(format!("{}-{}.{kind}", entry.id, &digest(content)[..8]));
+        let same = usable.bytes == content;
+        entry.file = if same { before.file.clone() } else { named(content, "onnx") };
+        let same = usable.golden.is_some_and(|known| known.to_bytes() == golden);
+        entry.golden = if same { before.golden.clone() } else { named(&golden, "golden") };
     }
     let file = entry.file.get_or_insert_with(|| format!("{}.onnx", entry.id)).clone();
     let expected = entry.golden.get_or_insert_with(|| format!("{}.golden", entry.id)).clone();
     let refused = |detail: String| kept(&directory.join(&file))(std::io::Error::other(detail));
     entry.check().map_err(&refused)?;
-    let known = Manifest::known(&[directory.to_path_buf()])?;
+    let mut known = Manifest::known(&[directory.to_path_buf()])?;
     let taken = |other: &&Entry| other.id != entry.id && (other.owns(&file) || other.owns(&expected));
     if let Some(other) = known.models.iter().find(taken) {
         return Err(refused(format!("the file is that of network {}; choose another --id", other.id)));
     }
-    overlay.lay_over(entry);
+    overlay.lay_over(entry.clone());
     let mut text = serde_json::to_string_pretty(&overlay).expect("strings, numbers and lists");
     text.push('\n');
-    write(&directory.join(file), content)?;
-    write(&directory.join(expected), &golden)?;
-    write(&directory.join(OVERLAY), text.as_bytes())?;
-    let old = before.into_iter().flat_map(|entry| [entry.file, entry.golden]).flatten();
-    let known = Manifest::known(&[directory.to_path_buf()])?;
-    for name in old.filter(|name| !known.models.iter().any(|entry| entry.owns(name))) {
-        // What cannot be removed is listed nowhere any more.
+    let written = write(&directory.join(&file), content)
+        .and_then(|()| write(&directory.join(&expected), &golden))
+        .and_then(|()| write(&directory.join(OVERLAY), text.as_bytes()));
+    let left = if written.is_ok() {
+        known.lay_over(entry);
+        before.into_iter().flat_map(|entry| [entry.file, entry.golden]).flatten().collect()
+    } else {
+        vec![file, expected]
+    };
+    for name in left.iter().filter(|name| !known.models.iter().any(|entry| entry.owns(name))) {
+        // What cannot be removed, or was left by a crash, is listed nowhere.
         let _ = std::fs::remove_file(directory.join(name));
     }
     drop(lock);
-    Ok(())
+    written
 }
 
 fn write(path: &Path, content: &[u8]) -> Result<(), DeblurError> {
@@ -74,6 +77,7 @@ mod tests {
     use super::*;
     use crate::deblur::golden;
     use crate::deblur::manifest::Place;
+    use crate::image::Image;
 
     #[test]
     fn an_installed_network_is_found_by_its_id_and_the_others_stay() {
@@ -103,36 +107,50 @@ mod tests {
     fn a_network_that_is_replaced_stays_usable_until_the_new_one_is() {
         let home = tempfile::tempdir().expect("temporary directory");
         let directory = home.path().to_path_buf();
-        let golden = Golden::new(golden::view().data().to_vec()).expect("of the right size");
-        let take = |content: &[u8]| {
-            let entry = Entry::of_file("mine", 3, digest(content), content.len() as u64);
-            install(&directory, entry, content, &golden)
+        let golden = |image: Image| Golden::new(image.data().to_vec()).expect("of the right size");
+        let (one, other) = (golden(golden::view()), golden(golden::guide()));
+        let take = |content: &[u8], golden: &Golden| {
+            install(&directory, Entry::of_file("mine", 3, digest(content), 7), content, golden)
         };
         let resolved = || {
             let folders = [directory.clone()];
             let known = Manifest::known(&folders).expect("readable");
-            known.resolve("mine", &folders).expect("usable").bytes
+            let model = known.resolve("mine", &folders).expect("usable");
+            (model.bytes, model.golden.expect("known"))
         };
-        take(b"first").expect("new");
-        // A folder in the golden output's place: the new one's comes after its network's file, before the entry.
-        let version = &digest(&[b"second".as_slice(), &golden.to_bytes()].concat())[..8];
-        let obstacle = directory.join(format!("mine-{version}.golden"));
+        let files = || {
+            let names =
+                std::fs::read_dir(&directory).expect("readable").flatten().map(|file| file.file_name());
+            let mut names: Vec<_> = names.map(|name| name.to_string_lossy().into_owned()).collect();
+            names.sort();
+            names.retain(|name| ![".lock", OVERLAY].contains(&name.as_str()));
+            names
+        };
+        take(b"first", &one).expect("new");
+        assert_eq!(files(), ["mine.golden", "mine.onnx"]);
+        // A folder in the place of the new golden output, which is written after the network and before the entry.
+        let obstacle = directory.join(format!("mine-{}.golden", &digest(&other.to_bytes())[..8]));
         std::fs::create_dir(&obstacle).expect("made");
-        assert!(matches!(take(b"second"), Err(DeblurError::ModelNotKept { .. })));
-        assert_eq!(resolved(), b"first");
+        assert!(matches!(take(b"second", &other), Err(DeblurError::ModelNotKept { .. })));
         std::fs::remove_dir(&obstacle).expect("removed");
-        take(b"second").expect("replaces");
-        assert_eq!(resolved(), b"second");
-        take(b"third").expect("replaces");
-        take(b"third").expect("is there already");
-        assert_eq!(resolved(), b"third");
-        // A damaged one is written over.
-        let file = Manifest::overlay(&directory).expect("readable").models[0].file.clone().expect("named");
-        std::fs::write(directory.join(&file), "damaged").expect("written");
-        take(b"third").expect("mended");
-        assert_eq!(resolved(), b"third");
-        let left = std::fs::read_dir(&directory).expect("readable").count();
-        assert_eq!(left, 4, "the lock, the manifest and one network's two files");
+        assert_eq!(resolved(), (b"first".to_vec(), one.clone()));
+        assert_eq!(files(), ["mine.golden", "mine.onnx"], "what was not finished is not left");
+        take(b"first", &other).expect("another golden output");
+        assert_eq!(resolved(), (b"first".to_vec(), other.clone()));
+        assert_eq!(
+            files().last().map(String::as_str),
+            Some("mine.onnx"),
+            "what is the same stays where it is"
+        );
+        take(b"second", &other).expect("another network");
+        take(b"second", &other).expect("is there already");
+        assert_eq!((resolved(), files().len()), ((b"second".to_vec(), other.clone()), 2));
+        // What is damaged is no longer usable.
+        for name in files() {
+            std::fs::write(directory.join(name), "damaged").expect("written");
+        }
+        take(b"second", &one).expect("mended");
+        assert_eq!((resolved(), files().len()), ((b"second".to_vec(), one.clone()), 2));
     }
 
     #[test]
