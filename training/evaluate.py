@@ -1,4 +1,4 @@
-"""PSNR tables of ONNX deblurring networks, on held-out photographs and on captures with ground truth.
+"""PSNR and SSIM tables of ONNX deblurring networks, on held-out photographs and on captures with ground truth.
 
     python evaluate.py ../models/small-u2w16.onnx other.onnx --captures DIR --crops crops
     python evaluate.py ../models/small-u2w16.onnx --gates        # fails when the network is not good enough to be shipped
@@ -12,6 +12,7 @@ import numpy as np
 import onnxruntime
 import scipy.fft
 from PIL import Image
+from skimage.metrics import structural_similarity
 
 import degrade
 import sources
@@ -23,18 +24,22 @@ ISO = 800
 GUIDE = dict(sigma=0.7, drift=0.015, warp=0.5, grain=0.01)
 
 
-def case(name, extent, light=1.0, noise=True, target="auto"):
-    return dict(name=name, extent=extent, light=light, noise=noise, target=target)
+def case(name, extent, light=1.0, iso=ISO, target="auto"):
+    return dict(name=name, extent=extent, light=light, iso=iso, target=target)
 
 
 CASES = [
-    case("sharp and clean", 0, noise=False, target=None),
-    case("blur 8 px, clean", 8, noise=False, target=None),
-    case("blur 14 px, clean", 14, noise=False, target=None),
+    case("sharp and clean", 0, iso=0, target=None),
+    case("blur 8 px, clean", 8, iso=0, target=None),
+    case("blur 14 px, clean", 14, iso=0, target=None),
     case("noise only, brightened x10", 0, 0.1),
     case("paper-like: blur 8, dark x10, noise", 8, 0.1),
     case("blur 14, dark x10, noise", 14, 0.1),
     case("round-1 level, blur 8, noise", 8, 0.1, target=(1.0, 0.894)),
+    case("blur 8, dark x3, noise", 8, 0.3),
+    case("blur 8, dark x30, noise", 8, 0.03),
+    case("blur 8, dark x10, less noise (ISO 200)", 8, 0.1, 200),
+    case("blur 8, dark x10, more noise (ISO 3200)", 8, 0.1, 3200),
 ]
 
 
@@ -65,6 +70,13 @@ def psnr(image, clean):
     return float(-10 * np.log10(max(np.mean((np.clip(image, 0, 1) - clean) ** 2), 1e-10)))
 
 
+def scores(image, clean):
+    """PSNR, dB, and SSIM with the usual window of 11 px, the mean over the channels."""
+    window = dict(gaussian_weights=True, sigma=1.5, use_sample_covariance=False)
+    ssim = structural_similarity(np.clip(image, 0, 1), clean, channel_axis=2, data_range=1, **window)
+    return psnr(image, clean), float(ssim)
+
+
 def colour_fitted(image, truth):
     """The image under the affine map a channel that brings it nearest to the truth."""
     fitted = np.empty_like(image)
@@ -87,7 +99,7 @@ def example(path, description, seed, share=1.0):
     sharp = np.pad(photo, ((MARGIN, MARGIN), (MARGIN, MARGIN), (0, 0)), "reflect")
     extent = description["extent"]
     blur = random_shake(rng, extent)
-    shot, read = degrade.sensor(ISO) if description["noise"] else (0.0, 0.0)
+    shot, read = degrade.sensor(description["iso"]) if description["iso"] else (0.0, 0.0)
     exposure = Exposure(description["light"], shot, read)
     target = description["target"]
     if target == "auto":
@@ -98,7 +110,7 @@ def example(path, description, seed, share=1.0):
 
 
 def held_out_table(models, repeats, crops):
-    """Rows of (case, input, guide alone, then single and guided of every model), dB."""
+    """Rows of (case, input, guide alone, then single and guided of every model), each PSNR, dB, and SSIM."""
     rows = []
     for number, description in enumerate(CASES):
         values = []
@@ -110,7 +122,7 @@ def held_out_table(models, repeats, crops):
                 outputs = [blurry, guide]
                 for model in models:
                     outputs += [model(blurry), model(blurry, fed)]
-                values.append([psnr(output, clean) for output in outputs])
+                values.append([scores(output, clean) for output in outputs])
                 if crops and repeat == 0:
                     save_crop(crops / f"{path.stem}-{number}.png", [*outputs, clean])
         rows.append((description["name"], *np.mean(values, 0)))
@@ -146,7 +158,7 @@ def told_rows(models, repeats):
 
 def gates(rows):
     """(what is asked, dB asked, dB there) of the first network in the rows of `held_out_table`."""
-    by_case = {row[0]: row[1:] for row in rows}
+    by_case = {row[0]: [psnr for psnr, _ in row[1:]] for row in rows}
     sharp, clean = by_case["sharp and clean"], by_case["blur 8 px, clean"]
     paper = by_case["paper-like: blur 8, dark x10, noise"]
     return [
@@ -166,7 +178,7 @@ def save_crop(path, images, side=192):
 
 
 def capture_rows(models, folder, crops):
-    """Rows of (capture, view count, input, then single of every model), dB after the colour fit."""
+    """Rows of (capture, view count, input, then single of every model), each PSNR, dB, and SSIM after the colour fit."""
     names = sorted(path.name for path in (folder / "images").iterdir())
     dark = [sources.load(folder / "images" / name).astype(np.float32) / 255 for name in names]
     truth = [sources.load(folder / "gt" / name).astype(np.float32) / 255 for name in names]
@@ -174,18 +186,23 @@ def capture_rows(models, folder, crops):
     values = []
     for view, (blurry, sharp) in enumerate(zip(bright, truth)):
         outputs = [colour_fitted(image, sharp) for image in [blurry, *[model(blurry) for model in models]]]
-        values.append([psnr(output, sharp) for output in outputs])
+        values.append([scores(output, sharp) for output in outputs])
         if crops and view in (0, len(names) // 2):
             save_crop(crops / f"{folder.name}-{view}.png", [*outputs, sharp])
     return (folder.name, len(names), *np.mean(values, 0))
 
 
+def text(cell):
+    """A table's cell: a number that is not whole with two decimals, PSNR and SSIM as 30.12 / 0.912."""
+    if isinstance(cell, np.ndarray):
+        return f"{cell[0]:.2f} / {cell[1]:.3f}"
+    return f"{cell:.2f}" if isinstance(cell, float) else str(cell)
+
+
 def table(header, rows):
-    """A Markdown table; numbers that are not whole with two decimals."""
-    lines = ["| " + " | ".join(header) + " |", "|" + "---|" * len(header)]
-    for row in rows:
-        lines.append("| " + " | ".join(f"{cell:.2f}" if isinstance(cell, float) else str(cell) for cell in row) + " |")
-    return "\n".join(lines)
+    """A Markdown table."""
+    lines = [list(header), ["---"] * len(header), *([text(cell) for cell in row] for row in rows)]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 
 def main():

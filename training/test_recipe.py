@@ -13,6 +13,7 @@ import torch
 
 import dataset
 import degrade
+import evaluate
 import export
 import renders
 import sources
@@ -136,6 +137,10 @@ class Guides(unittest.TestCase):
             guides = [pair[3:] for pair in drawn if float(pair[0].std()) < 1e-3]
             guided = [guide for guide in guides if float(guide.std()) > 5e-3]
             self.assertTrue(10 < len(guided) < len(guides) < 150, (len(guided), len(guides)))
+            for guide in guides:
+                places = [place for rows in guide.chunk(2, 1) for place in rows.chunk(2, 2)]
+                striped = {float(place.std()) > 5e-3 for place in places}
+                self.assertEqual((tuple(guide.shape), len(striped)), ((3, dataset.PATCH, dataset.PATCH), 1), "a whole patch has a guide or none of it")
             self.assertAlmostEqual(float(torch.stack(guided).mean()), 0.3, delta=1e-3, msg="only detail comes from a render")
         with self.assertRaises(FileNotFoundError):
             dataset.Patches(3, 0, "/nowhere")
@@ -248,6 +253,25 @@ class Growth(unittest.TestCase):
             grown(Network(width=32), Network().state_dict())
         with self.assertRaises(ValueError):
             grown(Network(encoder=(1, 1, 1)), Network().state_dict())
+
+
+class Evaluation(unittest.TestCase):
+    def test_the_gates_read_the_columns_that_they_name(self):
+        # Input, guide alone, single, guided: a number of its own in every cell; SSIM is not what is asked for.
+        cells = np.arange(len(evaluate.CASES) * 4).reshape(-1, 4, 1) * [1.0, 0.0]
+        rows = [(case["name"], *row) for case, row in zip(evaluate.CASES, cells)]
+        there = [value for _, _, value in evaluate.gates(rows)]
+        self.assertEqual(there, [2.0, 2.0, 2.0, 2.0])
+        rows[0][3][0] = 40.5
+        self.assertEqual(evaluate.gates(rows)[0][1:], (40.0, 40.5))
+
+    def test_scores_are_those_of_the_published_definitions(self):
+        image = np.random.default_rng(6).random((32, 24, 3), np.float32)
+        self.assertEqual(evaluate.scores(image, image), (100.0, 1.0))
+        psnr, ssim = evaluate.scores(np.clip(image * 0.5, 0, 1), image)
+        self.assertAlmostEqual(psnr, -10 * np.log10(float(np.mean((image / 2) ** 2))), places=4)
+        # Of independent pixels mean and deviation are halved: 4 / 5 for either.
+        self.assertAlmostEqual(ssim, 0.64, delta=0.02)
 
 
 class Export(unittest.TestCase):

@@ -1,7 +1,7 @@
 """Train the guided deblurring network within a time budget.
 
     python train.py --minutes 240 --run run/small-u2w16
-    python train.py --device cuda --width 32 --middle 3 --batch 64 --workers 15 --minutes 25 --piece 9 --run run/medium-u2w32
+    python train.py --device cuda --width 32 --middle 3 --batch 16 --workers 15 --minutes 25 --piece 9 --run run/medium-u2w32
 
 Started again with the same --run it goes on from the last checkpoint. On a CPU the budget is of the learning process's
 own CPU time, so that other work on the machine changes when it ends more than how far it comes; on a GPU it is of the clock.
@@ -49,7 +49,7 @@ def arguments():
     parser.add_argument("--device", default="cpu", help="cpu or cuda")
     parser.add_argument("--start", type=Path, help="begin with the weights of this checkpoint (its average) or exported ONNX file, also of one with fewer blocks or smaller kernels")
     parser.add_argument("--renders", type=Path, help="folder made by renders.py: guides that are real renders")
-    parser.add_argument("--batch", type=int, default=8, help="patches of 128 px a step")
+    parser.add_argument("--batch", type=int, default=2, help="patches of 256 px a step")
     parser.add_argument("--rate", type=float, default=1.5e-3, help="peak learning rate")
     parser.add_argument("--width", type=int, default=16)
     parser.add_argument("--middle", type=int, default=2)
@@ -170,7 +170,7 @@ def stream(trainer, options):
     """Batches from where the trainer stands."""
     renders = options.renders if trainer.progress >= SIMULATED_ONLY else None
     return DataLoader(
-        Patches(options.seed, trainer.step, renders, max(240, 12 * options.batch)), options.batch, num_workers=options.workers,
+        Patches(options.seed, trainer.step, renders, max(60, 12 * options.batch)), options.batch, num_workers=options.workers,
         prefetch_factor=4 if options.workers else None, pin_memory=options.device == "cuda",
     )
 
