@@ -158,7 +158,7 @@ def told_rows(models, repeats):
 
 def gates(rows):
     """(what is asked, dB asked, dB there) of the first network in the rows of `held_out_table`."""
-    by_case = {row[0]: [psnr for psnr, _ in row[1:]] for row in rows}
+    by_case = {row[0]: [decibels for decibels, _ in row[1:]] for row in rows}
     sharp, clean = by_case["sharp and clean"], by_case["blur 8 px, clean"]
     paper = by_case["paper-like: blur 8, dark x10, noise"]
     return [

@@ -1,7 +1,7 @@
 """Train the guided deblurring network within a time budget.
 
     python train.py --minutes 240 --run run/small-u2w16
-    python train.py --device cuda --width 32 --middle 3 --batch 16 --workers 15 --minutes 25 --piece 9 --run run/medium-u2w32
+    python train.py --device cuda --width 32 --middle 3 --batch 16 --workers 15 --minutes 20 --piece 9 --run run/medium-u2w32
 
 Started again with the same --run it goes on from the last checkpoint. On a CPU the budget is of the learning process's
 own CPU time, so that other work on the machine changes when it ends more than how far it comes; on a GPU it is of the clock.
