@@ -48,7 +48,7 @@ def checksum(arguments):
         return hashlib.sha256(path.read_bytes()).hexdigest()
     listed = subprocess.run([arguments.fled, "models", "list", "--json"], check=True, capture_output=True, text=True).stdout
     for entry in json.loads(listed)["models"]:
-        if entry["id"] == arguments.network or (arguments.network == "default" and entry["default"]):
+        if entry["id"] == arguments.network:
             return str(entry["sha256"])
     raise SystemExit(f"{arguments.network} is no known network and no file")
 
@@ -75,7 +75,7 @@ def main():
     parser.add_argument("--fled", type=pathlib.Path, default=pathlib.Path("target/release/fled"))
     parser.add_argument("--out", type=pathlib.Path, required=True)
     parser.add_argument("--preset", default="standard")
-    parser.add_argument("--network", default="default", help="what deblur= takes")
+    parser.add_argument("--network", default="small-u2w16", help="what deblur= takes; `default` would be another where CUDA runs it")
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--set", action="append", default=[], help="an option of every run")
     parser.add_argument("--only", type=int, nargs="*", help="numbers of the variants to run, from 0")

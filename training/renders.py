@@ -66,7 +66,7 @@ def reconstruct(fled, capture, out, settings):
 
 LOOPS = [
     dict(deblur="identity", shake="kernel"),
-    dict(deblur="default", shake="off"),
+    dict(deblur="small-u2w16", shake="off"),
     dict(deblur="identity", shake="off"),
 ]
 

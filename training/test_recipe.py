@@ -248,9 +248,26 @@ class Growth(unittest.TestCase):
             large.load_state_dict(grown(large, old))
             torch.testing.assert_close(large(pair), small(pair), atol=1e-5, rtol=0)
 
+    def test_a_widened_network_does_what_it_did_and_its_copies_learn_apart(self):
+        torch.manual_seed(0)
+        narrow, wide = Network(width=4), Network(width=8, middle=3)
+        wide.load_state_dict(grown(wide, narrow.state_dict()))
+        pair = torch.rand(1, 6, 48, 48)
+        output = wide(pair)
+        with torch.no_grad():
+            torch.testing.assert_close(output, narrow(pair), atol=1e-5, rtol=0)
+        output.square().mean().backward()
+        layer = wide.encoders[0][0].a1
+        ways = layer.weight.detach()
+        self.assertGreater(float((ways[:, :4] - ways[:, 4:]).abs().mean()), 0.1 * float(ways.abs().mean()))
+        first, second = layer.weight.grad[:4], layer.weight.grad[4:]
+        self.assertGreater(float((first - second).norm()), 0.1 * float(first.norm()))
+
     def test_what_does_not_fit_is_an_error(self):
         with self.assertRaises(ValueError):
-            grown(Network(width=32), Network().state_dict())
+            grown(Network(width=24), Network().state_dict())
+        with self.assertRaises(ValueError):
+            grown(Network(), Network(width=32).state_dict())
         with self.assertRaises(ValueError):
             grown(Network(encoder=(1, 1, 1)), Network().state_dict())
 
@@ -259,11 +276,13 @@ class Evaluation(unittest.TestCase):
     def test_the_gates_read_the_columns_that_they_name(self):
         # Input, guide alone, single, guided: a number of its own in every cell; SSIM is not what is asked for.
         cells = np.arange(len(evaluate.CASES) * 4).reshape(-1, 4, 1) * [1.0, 0.0]
+        # And of a second network, which gains one more.
+        cells = np.concatenate([cells, cells[:, 2:] + [1.0, 0.0]], 1)
         rows = [(case["name"], *row) for case, row in zip(evaluate.CASES, cells)]
-        there = [value for _, _, value in evaluate.gates(rows)]
-        self.assertEqual(there, [2.0, 2.0, 2.0, 2.0])
+        there = [value[2:] for value in evaluate.gates(rows)]
+        self.assertEqual(there, [(2.0, 3.0)] * 4)
         rows[0][3][0] = 40.5
-        self.assertEqual(evaluate.gates(rows)[0][1:], (40.0, 40.5))
+        self.assertEqual(evaluate.gates(rows)[0][1:], (40.0, 40.5, 3.0))
 
     def test_scores_are_those_of_the_published_definitions(self):
         image = np.random.default_rng(6).random((32, 24, 3), np.float32)

@@ -47,7 +47,7 @@ def arguments():
     parser.add_argument("--minutes", type=float, default=240, help="budget over all restarts")
     parser.add_argument("--piece", type=float, help="stop after so many minutes by the clock, to be started again")
     parser.add_argument("--device", default="cpu", help="cpu or cuda")
-    parser.add_argument("--start", type=Path, help="begin with the weights of this checkpoint (its average) or exported ONNX file, also of one with fewer blocks or smaller kernels")
+    parser.add_argument("--start", type=Path, help="begin with the weights of this checkpoint (its average) or exported ONNX file, also of one with fewer blocks, smaller kernels or a part of the width")
     parser.add_argument("--renders", type=Path, help="folder made by renders.py: guides that are real renders")
     parser.add_argument("--batch", type=int, default=2, help="patches of 256 px a step")
     parser.add_argument("--rate", type=float, default=1.5e-3, help="peak learning rate")

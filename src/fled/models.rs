@@ -154,7 +154,11 @@ fn list(known: &Manifest, folders: &[PathBuf], json: bool) -> Result<(), Failure
             Place::Missing if entry.url.is_some() => format!("not here: fled models fetch {}", entry.id),
             Place::Missing => format!("not here: fled models add FILE --id {}", entry.id),
         };
-        let default = if entry.default { " (default)" } else { "" };
+        let default = match (entry.default, entry.default_on_cuda) {
+            (true, _) => " (default)",
+            (_, true) => " (default on CUDA)",
+            _ => "",
+        };
         let guide = if entry.channels == 6 { "guided" } else { "single" };
         writeln!(out, "{:22} {guide} {:18} {place}{default}", entry.id, entry.licence).map_err(written)?;
         if let (false, Some(note)) = (entry.verified, &entry.note) {
@@ -232,6 +236,7 @@ fn describe(add: &AddArgs, known: &Manifest, overlay: &Manifest, content: &[u8])
             let mut entry = Entry::of_file(&id, 3, sha256, content.len() as u64);
             if let Some(before) = named {
                 (entry.licence, entry.default) = (before.licence.clone(), before.default);
+                entry.default_on_cuda = before.default_on_cuda;
                 (entry.multiple, entry.minimum_side, entry.tile) =
                     (before.multiple, before.minimum_side, before.tile);
                 (entry.input, entry.output) = (before.input.clone(), before.output.clone());

@@ -42,12 +42,13 @@ fn an_added_network_is_listed_checked_and_may_be_chosen() {
     };
     assert!(line("mine").contains("single") && line("mine").contains("CC0-1.0"), "{list}");
     assert!(line("small-u2w16").contains("built in (default)"), "{list}");
+    assert!(line("medium-u2w32").contains("built in (default on CUDA)"), "{list}");
     assert!(line("nafnet-gopro-w32").contains("fled models fetch nafnet-gopro-w32"), "{list}");
     let verified = models(&folder, &["verify"]);
     let text = said(&verified);
     assert_eq!(code(&verified), 0, "{text}");
     assert!(
-        text.lines().filter(|line| line.contains("ok") && line.contains("known values")).count() == 2,
+        text.lines().filter(|line| line.contains("ok") && line.contains("known values")).count() == 3,
         "{text}"
     );
 
@@ -205,7 +206,12 @@ fn another_network_may_restore_what_has_no_guide_yet() {
     let capture = support::small_capture(home.path());
     let out = home.path().join("out");
     let unguided = format!("deblur_unguided={}", network("identity3").display());
-    support::succeed(support::small_run(&capture, &out, 2).args(["--set", &unguided]));
+    support::succeed(support::small_run(&capture, &out, 2).args([
+        "--set",
+        "deblur=small-u2w16",
+        "--set",
+        &unguided,
+    ]));
     let report = support::json(&out.join("metrics.json"));
     let model = |use_of: &str| {
         report["models"][use_of].as_str().map(|model| model.split(' ').next().map(str::to_owned))

@@ -11,9 +11,11 @@ use crate::deblur::{DeblurError, Golden};
 const MANIFEST: &str = include_str!("../../../models/manifest.json");
 
 /// The files that are part of the binary, by the manifest's file name.
-const EMBEDDED: [(&str, &[u8]); 2] = [
+const EMBEDDED: [(&str, &[u8]); 4] = [
     ("small-u2w16.onnx", include_bytes!("../../../models/small-u2w16.onnx")),
     ("small-u2w16.golden", include_bytes!("../../../models/small-u2w16.golden")),
+    ("medium-u2w32.onnx", include_bytes!("../../../models/medium-u2w32.onnx")),
+    ("medium-u2w32.golden", include_bytes!("../../../models/medium-u2w32.golden")),
 ];
 
 /// Words of the options that name networks.
@@ -87,6 +89,9 @@ pub struct Entry {
     pub golden: Option<String>,
     /// Whether `deblur=default` means this one.
     pub default: bool,
+    /// Whether it is this one instead where CUDA runs it.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub default_on_cuda: bool,
     /// False until somebody has fetched and run it.
     #[serde(default = "yes")]
     pub verified: bool,
@@ -172,7 +177,10 @@ impl Manifest {
     /// Puts `entry` in the place of the one with its id, or adds it.
     pub fn lay_over(&mut self, entry: Entry) {
         if entry.default {
-            self.models.iter_mut().for_each(|other| other.default = false);
+            self.models.iter_mut().for_each(|other| (other.default, other.default_on_cuda) = (false, false));
+        }
+        if entry.default_on_cuda {
+            self.models.iter_mut().for_each(|other| other.default_on_cuda = false);
         }
         match self.models.iter_mut().find(|other| other.id == entry.id) {
             Some(place) => *place = entry,
@@ -183,6 +191,11 @@ impl Manifest {
     /// The entry that `choice` means: `default` or an id.
     pub fn find(&self, choice: &str) -> Option<&Entry> {
         self.models.iter().find(|entry| entry.id == choice || (choice == "default" && entry.default))
+    }
+
+    /// The entry that `default` means where CUDA runs it; none once the user has a default of their own.
+    pub fn default_on_cuda(&self) -> Option<&Entry> {
+        self.models.iter().find(|entry| entry.default_on_cuda)
     }
 
     /// The networks that may be chosen without naming a file: `default` and the ids.
@@ -280,6 +293,7 @@ impl Entry {
             output: None,
             golden: None,
             default: false,
+            default_on_cuda: false,
             verified: true,
             note: None,
         }

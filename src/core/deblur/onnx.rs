@@ -55,6 +55,21 @@ impl Onnx {
         if !runtime.has_cuda() {
             return Ok((Self::load_on(runtime, model, Provider::Cpu, threads)?, None));
         }
+        Self::load_on_cuda(runtime, model, threads).or_else(|error| {
+            let network = Self::load_on(runtime, model, Provider::Cpu, threads)?;
+            Ok((network, Some(format!("CUDA cannot be used, the CPU is: {error}"))))
+        })
+    }
+
+    /// Loads a network on CUDA, whose library has to be there. The second value says when a part of it is left to the CPU.
+    ///
+    /// # Errors
+    /// As [`Onnx::load_on`].
+    pub fn load_on_cuda(
+        runtime: &Runtime,
+        model: &Model,
+        threads: usize,
+    ) -> Result<(Self, Option<String>), DeblurError> {
         let mut known = None;
         if model.golden.is_none() {
             // Without a known output the CPU's is what CUDA has to reach.
@@ -63,20 +78,13 @@ impl Onnx {
         }
         let model = known.as_ref().unwrap_or(model);
         let on_cuda = |alone| Self::load_strictly(runtime, model, Provider::Cuda, alone, threads);
-        let (tried, in_part) = match on_cuda(true) {
+        match on_cuda(true) {
             // The library's words; it always keeps arithmetic on shapes, and then speed is all that is lost.
-            Err(DeblurError::ModelUnusable { detail, .. }) if detail.contains("explicitly disabled") => (
-                on_cuda(false),
-                Some("the CPU runs a part of the network, what CUDA did not take".to_owned()),
-            ),
-            other => (other, None),
-        };
-        match tried {
-            Ok(network) => Ok((network, in_part)),
-            Err(error) => {
-                let network = Self::load_on(runtime, model, Provider::Cpu, threads)?;
-                Ok((network, Some(format!("CUDA cannot be used, the CPU is: {error}"))))
+            Err(DeblurError::ModelUnusable { detail, .. }) if detail.contains("explicitly disabled") => {
+                let said = "the CPU runs a part of the network, what CUDA did not take".to_owned();
+                Ok((on_cuda(false)?, Some(said)))
             }
+            other => Ok((other?, None)),
         }
     }
 

@@ -2,7 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::deblur::manifest::Manifest;
+use crate::deblur::manifest::{Entry, Manifest, Model};
+use crate::deblur::runtime::Runtime;
 use crate::deblur::{Blend, ByGuide, DeblurError, Deblurrer, Identity, Onnx, runtime};
 
 /// Where to look and how to run.
@@ -31,7 +32,7 @@ pub struct Opened {
 }
 
 /// Opens what the options mean: `deblur` is `identity`, `default`, a manifest id, or the path of an ONNX file; `unguided`
-/// likewise, or `same`. A network that takes no guide and is to be given one is wrapped in [`Blend`], and says so.
+/// likewise, or `same`. `default` is a larger network where CUDA runs it ([`Manifest::default_on_cuda`]). A network that takes no guide and is to be given one is wrapped in [`Blend`], and says so.
 ///
 /// # Errors
 /// Any [`DeblurError`] of finding the library, finding the file, or loading it. Never falls back
@@ -69,13 +70,16 @@ fn open_one(choice: &str, options: &OpenOptions<'_>) -> Result<Opened, DeblurErr
     if choice == "identity" {
         return Ok(Opened { deblurrer: Box::new(Identity), fallbacks: Vec::new() });
     }
-    let model = Manifest::known(options.models)?.resolve(choice, options.models)?;
+    let known = Manifest::known(options.models)?;
+    // An unknown network is told before a library that is missing.
+    let model = known.resolve(choice, options.models)?;
     let runtime = runtime::load(options.runtime, options.search)?;
-    let (network, without_cuda) = Onnx::load(&runtime, &model, options.threads)?;
+    let larger = larger(&known, choice, runtime.has_cuda());
+    let larger = larger.map(|entry| (entry.id.as_str(), entry.load(options.models)));
+    let (network, mut fallbacks) = load(&runtime, larger, &model, options.threads)?;
     let network: Box<dyn Deblurrer> = Box::new(network);
     let info = network.describe();
     let takes_guide = info.channels == 6;
-    let mut fallbacks = Vec::from_iter(without_cuda);
     if !takes_guide && !options.blend && !options.unguided {
         fallbacks.push(format!(
             "network {} takes no guide: rounds after the first feed it the guide in the view's place",
@@ -84,4 +88,30 @@ fn open_one(choice: &str, options: &OpenOptions<'_>) -> Result<Opened, DeblurErr
     }
     let deblurrer = if takes_guide && !options.blend { network } else { Box::new(Blend::new(network)) };
     Ok(Opened { deblurrer, fallbacks })
+}
+
+/// What is tried before the network that `choice` means.
+pub(super) fn larger<'a>(known: &'a Manifest, choice: &str, cuda: bool) -> Option<&'a Entry> {
+    known.default_on_cuda().filter(|_| choice == "default" && cuda)
+}
+
+/// The larger network, by its id, if CUDA runs it, else `model`; and what is not as it should be.
+pub(super) fn load(
+    runtime: &Runtime,
+    larger: Option<(&str, Result<Model, DeblurError>)>,
+    model: &Model,
+    threads: usize,
+) -> Result<(Onnx, Vec<String>), DeblurError> {
+    let mut fallbacks = Vec::new();
+    if let Some((id, larger)) = larger {
+        match larger.and_then(|larger| Onnx::load_on_cuda(runtime, &larger, threads)) {
+            Ok((network, in_part)) => return Ok((network, Vec::from_iter(in_part))),
+            Err(error) => {
+                fallbacks.push(format!("network {id}, the default on CUDA, cannot be used: {error}"));
+            }
+        }
+    }
+    let (network, said) = Onnx::load(runtime, model, threads)?;
+    fallbacks.extend(said);
+    Ok((network, fallbacks))
 }

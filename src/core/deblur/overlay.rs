@@ -26,16 +26,8 @@ pub fn install(
     let mut overlay = Manifest::overlay(directory)?;
     let golden = golden.to_bytes();
     let before = overlay.find(&entry.id).cloned();
-    let usable = before.as_ref().and_then(|entry| entry.load(&[directory.to_path_buf()]).ok());
-    if let (Some(before), Some(usable)) = (&before, usable) {
-        let named = |content: &[u8], kind| Some(format!("{}-{}.{kind}", entry.id, &digest(content)[..8]));
-        let same = usable.bytes == content;
-        entry.file = if same { before.file.clone() } else { named(content, "onnx") };
-        let same = usable.golden.is_some_and(|known| known.to_bytes() == golden);
-        entry.golden = if same { before.golden.clone() } else { named(&golden, "golden") };
-    }
-    let file = entry.file.get_or_insert_with(|| format!("{}.onnx", entry.id)).clone();
-    let expected = entry.golden.get_or_insert_with(|| format!("{}.golden", entry.id)).clone();
+    let (file, expected) = names(directory, &entry, before.as_ref(), content, &golden);
+    (entry.file, entry.golden) = (Some(file.clone()), Some(expected.clone()));
     let refused = |detail: String| kept(&directory.join(&file))(std::io::Error::other(detail));
     entry.check().map_err(&refused)?;
     let mut known = Manifest::known(&[directory.to_path_buf()])?;
@@ -61,6 +53,28 @@ pub fn install(
     }
     drop(lock);
     written
+}
+
+/// The names of the network's file and of its golden output: nothing is written over that `before`, if it can be used, reads.
+fn names(
+    directory: &Path,
+    entry: &Entry,
+    before: Option<&Entry>,
+    content: &[u8],
+    golden: &[u8],
+) -> (String, String) {
+    let usable = before.and_then(|entry| Some((entry, entry.load(&[directory.to_path_buf()]).ok()?)));
+    let (file, expected) = if let Some((before, usable)) = usable {
+        let named = |content: &[u8], kind| Some(format!("{}-{}.{kind}", entry.id, &digest(content)[..8]));
+        let same = usable.bytes == content;
+        let file = if same { before.file.clone() } else { named(content, "onnx") };
+        let same = usable.golden.is_some_and(|known| known.to_bytes() == golden);
+        (file, if same { before.golden.clone() } else { named(golden, "golden") })
+    } else {
+        (entry.file.clone(), entry.golden.clone())
+    };
+    let plain = |kind| format!("{}.{kind}", entry.id);
+    (file.unwrap_or_else(|| plain("onnx")), expected.unwrap_or_else(|| plain("golden")))
 }
 
 fn write(path: &Path, content: &[u8]) -> Result<(), DeblurError> {

@@ -8,6 +8,12 @@ fn the_default_network_is_built_in_and_is_the_file_that_the_manifest_names() {
     assert_eq!(Some(&model.sha256), entry.sha256.as_ref());
     assert_eq!(entry.bytes, Some(model.bytes.len() as u64));
     assert_eq!((model.channels, entry.role), (Some(6), Role::Guided));
+    let larger = manifest.default_on_cuda().expect("one for GPUs");
+    assert!(larger.built_in() && larger.role == Role::Guided && larger.bytes > entry.bytes, "{larger:?}");
+    assert_eq!(
+        manifest.resolve(&larger.id, &[]).expect("embedded").bytes.len() as u64,
+        larger.bytes.unwrap_or(0)
+    );
 }
 
 #[test]
@@ -20,6 +26,7 @@ fn ids_are_unique_and_channels_agree_with_role_and_order() {
         assert!(!entry.licence.is_empty() && entry.order[0] == "blurry", "{}", entry.id);
     }
     assert_eq!(manifest.models.iter().filter(|entry| entry.default).count(), 1);
+    assert_eq!(manifest.models.iter().filter(|entry| entry.default_on_cuda).count(), 1);
 }
 
 #[test]
@@ -71,6 +78,13 @@ fn the_users_entries_are_added_or_take_the_place_of_ours() {
     let known = known.expect("readable");
     assert_eq!(known.models.len(), Manifest::embedded().models.len() + 1);
     assert_eq!(known.find("default").map(|entry| entry.id.as_str()), Some("mine"));
+    assert_eq!(known.default_on_cuda(), None, "the user's own default is it on a GPU, too");
+    let mut for_cuda = entry("mine", "mine.onnx", false);
+    for_cuda["default_on_cuda"] = true.into();
+    let (_directory, on_cuda) = overlaid(&serde_json::json!([for_cuda]));
+    let on_cuda = on_cuda.expect("readable");
+    assert_eq!(on_cuda.default_on_cuda().map(|entry| entry.id.as_str()), Some("mine"));
+    assert_eq!(on_cuda.find("default").map(|entry| entry.id.as_str()), Some("small-u2w16"));
     let replaced = known.find("nafnet-gopro-w32").and_then(|entry| entry.file.clone());
     assert_eq!(replaced.as_deref(), Some("n.onnx"));
     let written = serde_json::to_string(&known).expect("serialises");

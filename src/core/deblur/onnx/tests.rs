@@ -2,6 +2,7 @@ use std::path::{Path, PathBuf};
 
 use super::*;
 use crate::deblur::manifest::Manifest;
+use crate::deblur::open::{larger, load};
 use crate::deblur::{OpenOptions, open, runtime};
 
 fn file(name: &str) -> String {
@@ -187,17 +188,29 @@ fn a_network_without_a_guide_is_blended_and_says_so() {
 }
 
 #[test]
-fn the_default_network_returns_here_what_it_returned_where_it_was_trained() {
-    let model = Manifest::embedded().resolve("default", &[]).expect("built in");
-    let known = model.golden.clone().expect("a golden output");
+fn the_built_in_networks_return_here_what_they_returned_where_they_were_trained() {
     let runtime = runtime::for_tests();
-    let mut network = Onnx::load_on(&runtime, &model, Provider::Cpu, 1).expect("passes its self-test");
-    // PyTorch and ONNX Runtime on another kind of processor: far inside what the self-test allows.
-    assert!(known.difference(network.golden().expect("runs").values()) < 1e-4);
+    for id in ["small-u2w16", "medium-u2w32"] {
+        let model = Manifest::embedded().resolve(id, &[]).expect("built in");
+        let known = model.golden.clone().expect("a golden output");
+        let mut network = Onnx::load_on(&runtime, &model, Provider::Cpu, 1).expect("passes its self-test");
+        // PyTorch and ONNX Runtime on another kind of processor: far inside what the self-test allows.
+        assert!(known.difference(network.golden().expect("runs").values()) < 1e-4, "{id}");
+    }
+    let model = Manifest::embedded().resolve("default", &[]).expect("built in");
     let swapped = Golden::new(golden::view().data().to_vec()).expect("of the right size");
     let wrong = Model { golden: Some(swapped), ..model };
     let refused = Onnx::load_on(&runtime, &wrong, Provider::Cpu, 1).err().expect("another output is known");
     assert!(refused.to_string().contains("on cpu it is off by"), "{refused}");
+}
+
+#[test]
+fn the_larger_network_is_for_who_asks_for_the_default_and_has_cuda() {
+    let known = Manifest::embedded();
+    let tried = |choice, cuda| larger(&known, choice, cuda).map(|entry| entry.id.as_str());
+    assert_eq!(tried("default", true), Some("medium-u2w32"));
+    assert_eq!(tried("default", false), None);
+    assert_eq!(tried("small-u2w16", true), None);
 }
 
 #[test]
@@ -215,4 +228,13 @@ fn cuda_that_is_there_and_does_not_work_is_said_and_the_processor_used() {
     let (network, said) = Onnx::load(&runtime, &model, 1).expect("loads");
     assert_eq!(network.describe().provider, "cpu");
     assert!(said.as_deref().is_some_and(|text| text.contains("CUDA cannot be used")), "{said:?}");
+    let larger = Manifest::embedded().resolve("medium-u2w32", &[]).expect("built in");
+    let (network, said) = load(&runtime, Some(("larger", Ok(larger))), &model, 1).expect("loads");
+    let info = network.describe();
+    assert_eq!((info.id.as_str(), info.provider.as_str()), ("identity3.onnx", "cpu"));
+    assert!(said[0].contains("network larger, the default on CUDA, cannot be used"), "{said:?}");
+    assert!(said[1].contains("CUDA cannot be used, the CPU is"), "{said:?}");
+    let damaged = Err(DeblurError::UnknownModel { choice: "larger".to_owned(), known: String::new() });
+    let (_, said) = load(&runtime, Some(("larger", damaged)), &model, 1).expect("no fault of this one");
+    assert_eq!(said.len(), 2, "{said:?}");
 }
