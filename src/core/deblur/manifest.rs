@@ -29,7 +29,7 @@ pub const OVERLAY: &str = "manifest.json";
 const USUAL_RANGE: [f32; 2] = [-1.0, 2.0];
 
 /// All known networks.
-#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Manifest {
     /// In the order of the file.

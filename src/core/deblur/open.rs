@@ -70,13 +70,14 @@ fn open_one(choice: &str, options: &OpenOptions<'_>) -> Result<Opened, DeblurErr
     if choice == "identity" {
         return Ok(Opened { deblurrer: Box::new(Identity), fallbacks: Vec::new() });
     }
-    let known = Manifest::known(options.models)?;
     // An unknown network is told before a library that is missing.
-    let model = known.resolve(choice, options.models)?;
+    let model = Manifest::ask(options.models, |known| known.resolve(choice, options.models))??;
     let runtime = runtime::load(options.runtime, options.search)?;
-    let larger = larger(&known, choice, runtime.has_cuda());
-    let larger = larger.map(|entry| (entry.id.as_str(), entry.load(options.models)));
-    let (network, mut fallbacks) = load(&runtime, larger, &model, options.threads)?;
+    let larger = Manifest::ask(options.models, |known| {
+        let larger = larger(known, choice, runtime.has_cuda());
+        larger.map(|entry| entry.load(options.models).map_err(|error| (entry.id.clone(), error))).transpose()
+    })?;
+    let (network, mut fallbacks) = load(&runtime, larger.transpose(), &model, options.threads)?;
     let network: Box<dyn Deblurrer> = Box::new(network);
     let info = network.describe();
     let takes_guide = info.channels == 6;
@@ -95,18 +96,21 @@ pub(super) fn larger<'a>(known: &'a Manifest, choice: &str, cuda: bool) -> Optio
     known.default_on_cuda().filter(|_| choice == "default" && cuda)
 }
 
-/// The larger network, by its id, if CUDA runs it, else `model`; and what is not as it should be.
+/// The larger network if CUDA runs it, else `model`; and what is not as it should be. A failure comes with the network's id.
 pub(super) fn load(
     runtime: &Runtime,
-    larger: Option<(&str, Result<Model, DeblurError>)>,
+    larger: Option<Result<Model, (String, DeblurError)>>,
     model: &Model,
     threads: usize,
 ) -> Result<(Onnx, Vec<String>), DeblurError> {
     let mut fallbacks = Vec::new();
-    if let Some((id, larger)) = larger {
-        match larger.and_then(|larger| Onnx::load_on_cuda(runtime, &larger, threads)) {
+    if let Some(larger) = larger {
+        let tried = larger.and_then(|larger| {
+            Onnx::load_on_cuda(runtime, &larger, threads).map_err(|error| (larger.id.clone(), error))
+        });
+        match tried {
             Ok((network, in_part)) => return Ok((network, Vec::from_iter(in_part))),
-            Err(error) => {
+            Err((id, error)) => {
                 fallbacks.push(format!("network {id}, the default on CUDA, cannot be used: {error}"));
             }
         }

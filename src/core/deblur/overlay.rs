@@ -77,6 +77,31 @@ fn names(
     (file.unwrap_or_else(|| plain("onnx")), expected.unwrap_or_else(|| plain("golden")))
 }
 
+impl Manifest {
+    /// What `ask` makes of the known networks. One that is replaced after its entry was read is no longer where that said, so
+    /// what fails is asked again if the list has changed meanwhile.
+    ///
+    /// # Errors
+    /// [`DeblurError::ManifestUnreadable`]; inside, those of `ask`.
+    pub fn ask<T, E>(
+        directories: &[PathBuf],
+        ask: impl Fn(&Self) -> Result<T, E>,
+    ) -> Result<Result<T, E>, DeblurError> {
+        let mut known = Self::known(directories)?;
+        loop {
+            let answer = ask(&known);
+            if answer.is_ok() {
+                return Ok(answer);
+            }
+            let now = Self::known(directories)?;
+            if now == known {
+                return Ok(answer);
+            }
+            known = now;
+        }
+    }
+}
+
 fn write(path: &Path, content: &[u8]) -> Result<(), DeblurError> {
     write_atomic(path, content).map_err(kept(path))
 }
@@ -165,6 +190,37 @@ mod tests {
         }
         take(b"second", &one).expect("mended");
         assert_eq!((resolved(), files().len()), ((b"second".to_vec(), one.clone()), 2));
+    }
+
+    #[test]
+    fn a_network_that_is_replaced_once_its_entry_was_read_is_found_where_it_is_now() {
+        let home = tempfile::tempdir().expect("temporary directory");
+        let folders = [home.path().to_path_buf()];
+        let golden = Golden::new(golden::view().data().to_vec()).expect("of the right size");
+        let take = |content: &[u8]| {
+            install(&folders[0], Entry::of_file("mine", 3, digest(content), 7), content, &golden)
+        };
+        take(b"first").expect("new");
+        let asked = std::cell::Cell::new(0);
+        let resolve = |choice: &str| {
+            asked.set(0);
+            let answer = Manifest::ask(&folders, |known| {
+                asked.set(asked.get() + 1);
+                if asked.get() == 1 && choice == "mine" {
+                    take(b"second").expect("another network");
+                    assert!(matches!(
+                        known.resolve(choice, &folders),
+                        Err(DeblurError::ModelFileMissing { .. })
+                    ));
+                }
+                known.resolve(choice, &folders)
+            });
+            (answer.expect("readable"), asked.get())
+        };
+        let (found, turns) = resolve("mine");
+        assert_eq!((found.expect("there").bytes.as_slice(), turns), (b"second".as_slice(), 2));
+        let (found, turns) = resolve("nobody's");
+        assert!(matches!(found, Err(DeblurError::UnknownModel { .. })) && turns == 1, "{turns}");
     }
 
     #[test]

@@ -188,15 +188,25 @@ async fn new_job(
 /// Networks are chosen by name: a path would let a client probe the files of the server.
 /// `words` are what the option may say besides.
 fn check_network(folders: &[PathBuf], key: &str, choice: &str, words: &[&str]) -> Result<(), Problem> {
-    let refused = |message: String| bad_option(&OptionsError { key: key.to_owned(), message });
-    let manifest = Manifest::known(folders).map_err(|error| {
+    let answer = Manifest::ask(folders, |known| check_among(known, folders, key, choice, words));
+    answer.map_err(|error| {
         tracing::error!(%error, "the list of networks cannot be read");
         Problem::internal()
-    })?;
+    })?
+}
+
+fn check_among(
+    known: &Manifest,
+    folders: &[PathBuf],
+    key: &str,
+    choice: &str,
+    words: &[&str],
+) -> Result<(), Problem> {
+    let refused = |message: String| bad_option(&OptionsError { key: key.to_owned(), message });
     if words.contains(&choice) {
         return Ok(());
     }
-    match manifest.find(choice) {
+    match known.find(choice) {
         Some(entry) if entry.place(folders) == Place::Missing => {
             let message = format!("the file of network `{choice}` is not on this server");
             let hint = format!("Whoever runs the server gets it by: fled models fetch {choice}.");
@@ -212,7 +222,7 @@ fn check_network(folders: &[PathBuf], key: &str, choice: &str, words: &[&str]) -
                 .hint(format!("Whoever runs the server sees more by: fled models verify {choice}."))
         }),
         None => {
-            let known = [words, &manifest.choices()].concat().join(", ");
+            let known = [words, &known.choices()].concat().join(", ");
             Err(refused(format!("`{choice}` is none of {known}"))
                 .hint("Whoever runs the server can add a file: fled models add FILE --id NAME."))
         }

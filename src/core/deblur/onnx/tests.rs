@@ -229,12 +229,13 @@ fn cuda_that_is_there_and_does_not_work_is_said_and_the_processor_used() {
     assert_eq!(network.describe().provider, "cpu");
     assert!(said.as_deref().is_some_and(|text| text.contains("CUDA cannot be used")), "{said:?}");
     let larger = Manifest::embedded().resolve("medium-u2w32", &[]).expect("built in");
-    let (network, said) = load(&runtime, Some(("larger", Ok(larger))), &model, 1).expect("loads");
+    let (network, said) = load(&runtime, Some(Ok(larger)), &model, 1).expect("loads");
     let info = network.describe();
     assert_eq!((info.id.as_str(), info.provider.as_str()), ("identity3.onnx", "cpu"));
-    assert!(said[0].contains("network larger, the default on CUDA, cannot be used"), "{said:?}");
+    assert!(said[0].contains("network medium-u2w32, the default on CUDA, cannot be used"), "{said:?}");
     assert!(said[1].contains("CUDA cannot be used, the CPU is"), "{said:?}");
-    let damaged = Err(DeblurError::UnknownModel { choice: "larger".to_owned(), known: String::new() });
-    let (_, said) = load(&runtime, Some(("larger", damaged)), &model, 1).expect("no fault of this one");
+    let damaged = DeblurError::UnknownModel { choice: "larger".to_owned(), known: String::new() };
+    let damaged = Err(("larger".to_owned(), damaged));
+    let (_, said) = load(&runtime, Some(damaged), &model, 1).expect("no fault of this one");
     assert_eq!(said.len(), 2, "{said:?}");
 }
