@@ -95,7 +95,7 @@ def random_shake(rng, extent):
 def example(path, description, seed, share=1.0):
     """Blurry, guide (with a share of its render's detail) and clean of one held-out photograph in one case."""
     rng = np.random.default_rng(seed)
-    photo = sources.load(path).astype(np.float32) / 255
+    photo = sources.photograph(path, sources.HELD_OUT_SIDE).astype(np.float32) / 255
     sharp = np.pad(photo, ((MARGIN, MARGIN), (MARGIN, MARGIN), (0, 0)), "reflect")
     extent = description["extent"]
     blur = random_shake(rng, extent)
@@ -109,12 +109,14 @@ def example(path, description, seed, share=1.0):
     return degrade.pair(rng, degrade.decode(sharp), blur, exposure, target, guide, share)
 
 
-def held_out_table(models, repeats, crops):
-    """Rows of (case, input, guide alone, then single and guided of every model), each PSNR, dB, and SSIM."""
+def held_out_table(models, photographs, repeats, crops):
+    """Rows of (case, input, guide alone, then single and guided of every model), each PSNR, dB, and SSIM: the means over
+    `photographs`, each with `repeats` kernels and noises.
+    """
     rows = []
     for number, description in enumerate(CASES):
         values = []
-        for index, path in enumerate(sources.HELD_OUT):
+        for index, path in enumerate(photographs):
             for repeat in range(repeats):
                 seed = [number, index, repeat]
                 blurry, guide, clean = example(path, description, seed)
@@ -211,17 +213,21 @@ def main():
     parser.add_argument("models", type=Path, nargs="+")
     parser.add_argument("--captures", type=Path, help="folder of captures with images/ and gt/")
     parser.add_argument("--repeats", type=int, default=3, help="kernels and noise per photograph and case")
+    parser.add_argument("--landscapes", action="store_true", help="the table of the held-out landscapes, not of the gates' four photographs")
     parser.add_argument("--gates", action="store_true", help="judge the networks by the table")
     parser.add_argument("--told", action="store_true", help="only this: blur of 8 px, clean, beside a filter that is told the kernel")
     parser.add_argument("--crops", type=Path, help="write crops of the results here")
     options = parser.parse_args()
+    if options.landscapes and (options.gates or options.told):
+        parser.error("the gates and --told are of the four photographs")
     models = [Model(path) for path in options.models]
     names = [path.stem for path in options.models]
     if options.told:
         print(table(["photograph", "input", "told the kernel", *names], told_rows(models, options.repeats)))
         return
     header = ["case", "input", "guide alone"] + [f"{name} {kind}" for name in names for kind in ("single", "guided")]
-    rows = held_out_table(models, options.repeats, options.crops)
+    photographs = sources.HELD_OUT_LANDSCAPES if options.landscapes else sources.HELD_OUT
+    rows = held_out_table(models, photographs, options.repeats, options.crops)
     print(table(header, rows), flush=True)
     if options.captures:
         folders = sorted(path for path in options.captures.iterdir() if (path / "gt").is_dir())

@@ -77,9 +77,11 @@ def log_uniform(rng, low, high):
 
 
 def wallpapers(folder):
-    """Fills a folder with the training photographs, each as often as it counts."""
+    """Fills a folder with the training photographs but for the landscapes, each as often as it counts."""
     folder.mkdir()
     for path in sources.TRAINING:
+        if path in sources.TRAINING_LANDSCAPES:
+            continue
         first = folder / f"{path.name}-0.png"
         Image.fromarray(sources.photograph(path)).save(first)
         for number in range(1, sources.WEIGHTS.get(path.stem, 1)):

@@ -31,11 +31,28 @@ def folder(package, *below):
 
 SKIMAGE = chosen(lambda: folder("skimage", "data"))
 SKLEARN = chosen(lambda: folder("sklearn", "datasets", "images"))
-# Debian's packages lomiri-wallpapers-16.04 and libjxl-testdata.
+# Debian's packages lomiri-wallpapers-16.04, libjxl-testdata and endless-sky-high-dpi.
 LOMIRI = chosen(lambda: Path("/usr/share/backgrounds"))
 JXL = chosen(lambda: Path("/usr/share/libjxl-testdata/jxl"))
 JXL_FLOWER = chosen(lambda: JXL / "flower")
 JXL_500 = chosen(lambda: JXL.parent / "external/wesaturate/500px")
+ENDLESS_SKY = chosen(lambda: Path("/usr/share/games/endless-sky/plugins/endless-sky-high-dpi/images/land"))
+
+# Of its landscapes those in the public domain that are not mostly sky or haze; every kind has its numbers.
+LANDSCAPES = {
+    "badlands": (0, 1, 2, 4, 6, 7), "beach": (1, 2, 3, 4, 6), "canyon": (0, 2, 4, 5, 7, "01", "04", "05"), "city": (0, 8),
+    "desert": (0, 2, 4, 5), "fields": (1, 3, 4, 7, 8), "fog": (3,), "forest": (1, 3, 4, 5), "hills": (0, 1, 2),
+    "lava": (0, 1, 2, 3, 6), "loc": (1,), "mountain": (2, 3, 5, 8, 9), "sea": (0, 1, 3, 5, 8), "snow": (0, 1, 4, 6, 7, 8, 9, 10),
+    "station": (3,), "valley": (1, 3, 5, 8), "water": (0, 3, 5, 8, 9),
+}
+
+
+def landscape(name):
+    """The file of one of the landscapes."""
+    return ENDLESS_SKY / f"{name}@2x.jpg"
+
+
+TRAINING_LANDSCAPES = [landscape(f"{kind}{number}") for kind, numbers in LANDSCAPES.items() for number in numbers]
 
 TRAINING = [
     SKIMAGE / name
@@ -53,21 +70,37 @@ TRAINING = [
     )
 ] + [JXL / "hdr_room.png", JXL_FLOWER / "flower.png"] + [
     JXL_500 / f"{name}_srgb8.png" for name in ("cvo9xd_keong_macan", "tmshre_riaphotographs", "u76c0g_bliznaca")
-]
+] + TRAINING_LANDSCAPES
 
-# Never seen in training, in no form: no other file shows the same subject.
+# Never seen in training, in no form: no other file shows the same subject. The gates are of these.
 HELD_OUT = [SKLEARN / "china.jpg", SKIMAGE / "chelsea.png", SKIMAGE / "rocket.jpg", SKIMAGE / "coins.png"]
 
+# Nor these, of which no trained one is taken from near the same place: four photographs are few.
+HELD_OUT_LANDSCAPES = [
+    landscape(name)
+    for name in (
+        "badlands3", "beach0", "canyon9", "city10", "city11", "city4", "dune4", "fields0", "fields5",
+        "forest2", "fog4", "loc0", "loc2", "mountain7", "mountain1", "station0", "station2", "station4", "valley6",
+        "valley9", "water2",
+    )
+]
+
 # hdr_room.png is in HLG and taken for sRGB: to the network a room of another contrast.
-# How often each training photograph is drawn; the others once. Scenes with depth, objects and people count more.
+# How often each training photograph is drawn; the others once. Scenes with depth, objects and people count more, the
+# landscapes together about as much as all the others.
 WEIGHTS = {
     "astronaut": 4, "coffee": 3, "motorcycle_left": 4, "motorcycle_right": 4, "flower": 2, "camera": 3, "hdr_room": 4,
     "Picture_0B_by_freespace": 2, "Picture_1A_by_freespace": 3, "Wine_by_Jakkub_Mede": 3, "aitzgorri_by_Aitzol_Berasategi": 3,
     "friends_by_Aitzol_Berasategi": 4, "life_by_Aitzol_Berasategi": 4, "picosdeeuropa_by_Aitzol_Berasategi": 3,
 }
 
+# Mean step from pixel to pixel below which a crop is drawn once more: a sky teaches little.
+FLAT = 0.008
+
 # Larger photographs are reduced to this side, px: pixel by pixel they are softer than what the product is given.
 SIDE = 1280
+# And those held out to the size of the gates' photographs.
+HELD_OUT_SIDE = 640
 
 
 def load(path):
@@ -75,12 +108,12 @@ def load(path):
     return np.asarray(Image.open(path).convert("RGB"))
 
 
-def photograph(path):
-    """A training photograph, 8-bit RGB [H, W, 3], neither side above SIDE."""
+def photograph(path, side=SIDE):
+    """A photograph, 8-bit RGB [H, W, 3], neither side above `side`."""
     if not path.exists():
         raise SystemExit(f"{path} is missing: install what README.md says, or fill the folder that FLED_PHOTOGRAPHS names again")
     image = Image.open(path).convert("RGB")
-    image.thumbnail((SIDE, SIDE), Image.LANCZOS)
+    image.thumbnail((side, side), Image.LANCZOS)
     return np.asarray(image)
 
 
@@ -229,7 +262,10 @@ class Sources:
             image = self.pool[rng.integers(len(self.pool))]
             low, high = 0.75, 1.6
         scale = np.exp(rng.uniform(np.log(low), 0) if rng.random() < 0.6 else rng.uniform(0, np.log(high)))
-        return augment(rng, crop(rng, image, side, scale))
+        part = crop(rng, image, side, scale)
+        if max(np.abs(np.diff(part, axis=axis)).mean() for axis in (0, 1)) < FLAT:
+            part = crop(rng, image, side, scale)
+        return augment(rng, part)
 
     def renew(self, rng):
         """Add a fresh procedural scene, in place of a random one when the pool is full."""
@@ -267,5 +303,5 @@ def augment(rng, image):
 if __name__ == "__main__":
     target = Path(sys.argv[1])
     target.mkdir(parents=True, exist_ok=True)
-    for path in TRAINING + HELD_OUT:
+    for path in TRAINING + HELD_OUT + HELD_OUT_LANDSCAPES:
         shutil.copy(path, target)

@@ -6,6 +6,7 @@ import json
 import tempfile
 import unittest
 from pathlib import Path
+from unittest import mock
 
 import numpy as np
 import onnxruntime
@@ -21,6 +22,7 @@ import speed
 import tone_curve
 import train
 from depthwise import Depthwise, depthwise, library
+from muon import SIZE, Muon, matrices, orthogonal
 from network import Network, grown, logarithmic_loss
 
 
@@ -192,7 +194,8 @@ class Loss(unittest.TestCase):
 
 class Data(unittest.TestCase):
     def test_held_out_photographs_are_never_trained_on(self):
-        self.assertFalse({path.name for path in sources.TRAINING} & {path.name for path in sources.HELD_OUT})
+        held_out = sources.HELD_OUT + sources.HELD_OUT_LANDSCAPES
+        self.assertFalse({path.name for path in sources.TRAINING} & {path.name for path in held_out})
 
     def test_one_seed_gives_one_stream(self):
         first, second = (next(iter(dataset.Patches(3))) for _ in range(2))
@@ -230,6 +233,57 @@ class Depth(unittest.TestCase):
         self.assertLess(float((found - expected).norm() / expected.norm()), 0.01)
         with torch.no_grad():
             self.assertIsNone(depthwise(layer, x).grad_fn)
+
+
+class Optimiser(unittest.TestCase):
+    def test_every_weight_is_a_matrix_or_not(self):
+        network = Network(width=4)
+        dense, rest = matrices(network)
+        self.assertEqual({id(w) for w in dense} | {id(w) for w in rest}, {id(w) for w in network.parameters()})
+        self.assertEqual(len(dense) + len(rest), len(list(network.parameters())))
+        block = network.encoders[0][0]
+        for weight, there in ((block.a1.weight, dense), (network.stem.weight, dense), (block.a2.weight, rest), (block.a1.bias, rest)):
+            self.assertTrue(any(weight is other for other in there))
+
+    def test_an_update_is_orthogonal_and_as_large_as_adams(self):
+        torch.manual_seed(0)
+        rows, _, columns = torch.linalg.svd(torch.randn(2, 8, 24), full_matrices=False)
+        stretched = rows @ (torch.logspace(-1, 1, 8)[:, None] * columns)
+        values = torch.linalg.svdvals(orthogonal(stretched))
+        self.assertTrue(bool(((values > 0.6) & (values < 1.3)).all()), values)
+        self.assertGreater(float((orthogonal(stretched) * (rows @ columns)).sum()) / (2 * 8), 0.8)
+        for shape in ((8, 24, 1, 1), (24, 2, 2, 2)):
+            weight = torch.nn.Parameter(torch.zeros(shape))
+            weight.grad = torch.randn(shape)
+            Muon([weight], lr=1e-3).step()
+            self.assertLess(abs(float(weight.detach().square().mean().sqrt()) / (1e-3 * SIZE) - 1), 0.3)
+            self.assertLess(float((weight.detach() * weight.grad).sum()), 0)
+
+    def test_training_that_was_interrupted_goes_on_with_its_momenta(self):
+        pair, clean = torch.rand(2, 6, 32, 32), torch.rand(2, 3, 32, 32)
+        with tempfile.TemporaryDirectory() as folder:
+            arguments = ["train.py", "--width", "4", "--muon", "--run", folder, "--exact"]
+            with mock.patch("sys.argv", arguments):
+                options = train.arguments()
+            whole = train.Trainer(options)
+            # Past the warm-up, so that a step is a step.
+            whole.step, whole.seconds = 300, 30 * options.minutes
+            whole.update(pair, clean)
+            whole.save()
+            again = train.Trainer(options)
+            self.assertEqual(again.step, 301)
+            for first, second in zip(whole.optimisers, again.optimisers):
+                torch.testing.assert_close(second.state_dict()["state"], first.state_dict()["state"], rtol=0, atol=0)
+            momentum = whole.optimisers[1].state[whole.network.stem.weight]["momentum"]
+            self.assertGreater(float(momentum.abs().max()), 0)
+            # Guides of its own are drawn at random.
+            for trainer in (whole, again):
+                torch.manual_seed(1)
+                trainer.update(pair, clean)
+            torch.testing.assert_close(again.network.state_dict(), whole.network.state_dict(), rtol=0, atol=0)
+            options.muon = False
+            with self.assertRaises(SystemExit):
+                train.Trainer(options)
 
 
 class Growth(unittest.TestCase):
