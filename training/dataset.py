@@ -18,7 +18,7 @@ USES = 3
 # Share of the scenes whose guide is a render by the product itself (`renders.py`), where there are such.
 REAL_GUIDES = 0.2
 # Share of the other scenes with enough light, from which deblurring is learnt: under noise a network learns to average.
-CLEAN = 0.78
+CLEAN = 0.65
 # Deviation of the colours of real renders, which the loop carries from one brightness to the next by a curve that it finds.
 DRIFT = 0.015
 

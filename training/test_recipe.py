@@ -137,11 +137,11 @@ class Guides(unittest.TestCase):
             np.save(Path(folder) / "1000-000.render.npy", planes)
             drawn = [pair for pair, _ in itertools.islice(dataset.Patches(3, 0, folder), 200)]
             guides = [pair[3:] for pair in drawn if float(pair[0].std()) < 1e-3]
-            guided = [guide for guide in guides if float(guide.std()) > 5e-3]
+            guided = [guide for guide in guides if float(guide.std()) > 1e-3]
             self.assertTrue(10 < len(guided) < len(guides) < 150, (len(guided), len(guides)))
             for guide in guides:
                 places = [place for rows in guide.chunk(2, 1) for place in rows.chunk(2, 2)]
-                striped = {float(place.std()) > 5e-3 for place in places}
+                striped = {float(place.std()) > 1e-3 for place in places}
                 self.assertEqual((tuple(guide.shape), len(striped)), ((3, dataset.PATCH, dataset.PATCH), 1), "a whole patch has a guide or none of it")
             self.assertAlmostEqual(float(torch.stack(guided).mean()), 0.3, delta=1e-3, msg="only detail comes from a render")
         with self.assertRaises(FileNotFoundError):
