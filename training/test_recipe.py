@@ -135,10 +135,10 @@ class Guides(unittest.TestCase):
             planes = np.repeat(np.array([0.3, 0.32, 0.3], np.float16), 3)[:, None, None] + np.zeros((9, 180, 320), np.float16)
             planes[3:6, ::2] += 0.02
             np.save(Path(folder) / "1000-000.render.npy", planes)
-            drawn = [pair for pair, _ in itertools.islice(dataset.Patches(3, 0, folder), 200)]
+            drawn = [pair for pair, _ in itertools.islice(dataset.Patches(3, 0, folder), 400)]
             guides = [pair[3:] for pair in drawn if float(pair[0].std()) < 1e-3]
             guided = [guide for guide in guides if float(guide.std()) > 1e-3]
-            self.assertTrue(10 < len(guided) < len(guides) < 150, (len(guided), len(guides)))
+            self.assertTrue(20 < len(guided) < len(guides) < 300, (len(guided), len(guides)))
             for guide in guides:
                 places = [place for rows in guide.chunk(2, 1) for place in rows.chunk(2, 2)]
                 striped = {float(place.std()) > 1e-3 for place in places}
