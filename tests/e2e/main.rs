@@ -5,3 +5,4 @@ mod job;
 mod models;
 mod service;
 mod support;
+mod unchanged;
