@@ -1,4 +1,5 @@
-// The noise of one cell an invocation, before its mean is removed, and the cell's share of the image.
+// The noise of one cell an invocation, before its mean is removed, and the cell's share of the
+// image.
 // Reads raw [cells, 4]. Writes values [cells, 4] = (n_r, n_g, n_b, share). Dispatch: cells.
 // n = A tanh(raw) or A sigmoid(raw); share = sum over the pixels of the bilinear weight / (W H).
 #import shared/grid.wgsl

@@ -1,5 +1,6 @@
 // One step of Adam on four parameters of the noise field an invocation.
-// Reads intersections (their exact total), gradients [segments, parameters]. Writes parameters, moments [2, parameters]. Dispatch: parameters.
+// Reads intersections (their exact total), gradients [segments, parameters]. Writes parameters,
+// moments [2, parameters]. Dispatch: parameters.
 // m = b1 m + (1 - b1) g, v = b2 v + (1 - b2) g^2, p -= rate m / c1 / (sqrt(v / c2) + eps).
 #import shared/grid.wgsl
 

@@ -1,7 +1,8 @@
 // Encodes position and viewing direction of one cell of the chunk an invocation.
 // Reads nothing but the camera. Writes encoded [count, encoded_stride] and the last 28 columns of
 // features [count, 156]. Dispatch: count.
-// x = (2 u / W - 1, 2 v / H - 1, 2 * 16 / 63 - 1), d = R^T K^-1 (u, v, 1) normalised; gamma(x) = (x, sin 2^k x, cos 2^k x).
+// x = (2 u / W - 1, 2 v / H - 1, 2 * 16 / 63 - 1), d = R^T K^-1 (u, v, 1) normalised; gamma(x) =
+// (x, sin 2^k x, cos 2^k x).
 #import shared/grid.wgsl
 #import shared/noise.wgsl
 

@@ -1,6 +1,9 @@
-// The derivatives of the weights of one layer over all of the chunk's cells, for 16 inputs a subgroup and 4 outputs a lane, and
-// of the biases where its inputs are the first: a lane loads one cell's inputs, and all lanes get them from it.
-// Reads delta [count, output_stride], input [count, input_stride]. Writes gradients [parameters]; chunks after the first add
+// The derivatives of the weights of one layer over all of the chunk's cells, for 16 inputs a
+// subgroup and 4 outputs a lane, and
+// of the biases where its inputs are the first: a lane loads one cell's inputs, and all lanes get
+// them from it.
+// Reads delta [count, output_stride], input [count, input_stride]. Writes gradients [parameters];
+// chunks after the first add
 // to them. Dispatch: a workgroup for 16 inputs and 32 outputs.
 // dW = input^T delta, db = sum delta.
 #import shared/grid.wgsl
@@ -53,7 +56,8 @@ fn main(
     if (row >= layer.inputs) {
         return;
     }
-    // Lanes past the last output compute it too, and do not store it; inputs past the last likewise.
+    // Lanes past the last output compute it too, and do not store it; inputs past the last
+    // likewise.
     let column = min(mine, layer.outputs - 1u);
     let last = layer.inputs - 1u;
     var bias = vec4<f32>(0.0);

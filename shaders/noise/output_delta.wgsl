@@ -1,5 +1,6 @@
 // The derivative by the network's output of one cell of the chunk an invocation.
-// Reads values [cells, 4], cell_gradient [cells, 4], total [1]. Writes delta [count, 4]. Dispatch: count.
+// Reads values [cells, 4], cell_gradient [cells, 4], total [1]. Writes delta [count, 4]. Dispatch:
+// count.
 // dn = g - share * sum g (centred) or g; delta = dn A (1 - tanh^2) or dn A sigmoid (1 - sigmoid).
 #import shared/grid.wgsl
 #import shared/noise.wgsl

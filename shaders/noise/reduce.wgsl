@@ -1,6 +1,7 @@
 // The sum of all cells' vectors, by one workgroup, always in the same order.
 // Reads values [cells, 4]. Writes total [1]. Dispatch: one workgroup.
-// total = sum values (WEIGHTED = 0) or sum values * values.w, the mean over the image (WEIGHTED = 1).
+// total = sum values (WEIGHTED = 0) or sum values * values.w, the mean over the image (WEIGHTED =
+// 1).
 #import shared/noise.wgsl
 
 const WIDTH: u32 = 64;

@@ -1,5 +1,6 @@
 // The light of one pixel of the render an invocation.
-// Reads response [256], render [3, H, W]. Writes light [H, W] (red, green, blue, unused). Dispatch: H W.
+// Reads response [256], render [3, H, W]. Writes light [H, W] (red, green, blue, unused). Dispatch:
+// H W.
 // light = response^-1(render), linear between knots.
 #import shared/grid.wgsl
 #import shared/shake.wgsl

@@ -27,6 +27,7 @@ struct CameraUniform {
     sh_row: u32,
     // What shines through where the splats leave room.
     background: vec3<f32>,
-    // Share of the Gaussians that are dropped; the opacity of the others is divided by what is left.
+    // Share of the Gaussians that are dropped; the opacity of the others is divided by what is
+    // left.
     dropout: f32,
 }

@@ -1,4 +1,5 @@
-// The reduction of shared/raster_backward.wgsl without subgroups: every invocation stores its own sums.
+// The reduction of shared/raster_backward.wgsl without subgroups: every invocation stores its own
+// sums.
 #import shared/raster_backward.wgsl
 
 const PARTIALS: u32 = WIDTH;

@@ -1,5 +1,7 @@
-// The backward of projection: from the gradients by mean and inverse covariance on the image to those by point,
-// rotation and covariance; tests compare it with the reference. Needs `camera` and shared/projection.wgsl.
+// The backward of projection: from the gradients by mean and inverse covariance on the image to
+// those by point,
+// rotation and covariance; tests compare it with the reference. Needs `camera` and
+// shared/projection.wgsl.
 #import shared/projection.wgsl
 
 // -conic G conic, embedded in 3 x 3.

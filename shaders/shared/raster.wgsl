@@ -1,4 +1,5 @@
-// What blending and its backward share, so that both take identical decisions: the pixels of an invocation, what they need
+// What blending and its backward share, so that both take identical decisions: the pixels of an
+// invocation, what they need
 // of a splat, and alpha.
 #import shared/tiles.wgsl
 
@@ -32,7 +33,8 @@ fn splat_of(first: vec4<f32>, second: vec4<f32>, third: vec4<f32>) -> Splat {
     return Splat(vec4<f32>(first.xy, log2(opacity), most), curve, vec3<f32>(second.zw, third.x));
 }
 
-// Index of a Gaussian's row among `length` vectors; never past the end, because the kernels are unchecked.
+// Index of a Gaussian's row among `length` vectors; never past the end, because the kernels are
+// unchecked.
 fn splat_row(gaussian: u32, length: u32) -> u32 {
     return min(gaussian, max(length, 3u) / 3u - 1u) * 3u;
 }
@@ -43,12 +45,14 @@ fn first_pixel(tile: u32, lane: u32, tiles_x: u32) -> vec2<u32> {
     return vec2<u32>(tile % tiles_x, tile / tiles_x) * TILE + vec2<u32>(in_tile % TILE, in_tile / TILE);
 }
 
-// What a row of pixels shares of log2(opacity exp(-sigma)), a polynomial in dx: the factors of dx^2, dx and 1.
+// What a row of pixels shares of log2(opacity exp(-sigma)), a polynomial in dx: the factors of
+// dx^2, dx and 1.
 fn row_exponent(splat: Splat, dy: f32) -> vec3<f32> {
     return vec3<f32>(splat.curve.x, splat.curve.y * dy, splat.place.z + splat.curve.z * dy * dy);
 }
 
-// Opacity before the clamp, at four pixels; 0 where the splat does not count. `dx`: pixel centres minus mean.
+// Opacity before the clamp, at four pixels; 0 where the splat does not count. `dx`: pixel centres
+// minus mean.
 fn raw_alpha(dx: vec4<f32>, row: vec3<f32>) -> vec4<f32> {
     let raw = exp2(dx * (row.x * dx + row.y) + row.z);
     return select(vec4<f32>(0.0), raw, raw >= vec4<f32>(ALPHA_CUT));

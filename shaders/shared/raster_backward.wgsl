@@ -1,8 +1,12 @@
-// The backward of blending for one tile, without its reduction: `store_partial` and PARTIALS come from
-// shared/partial_subgroup.wgsl or shared/partial_workgroup.wgsl. Replays the forward order, so both take the
+// The backward of blending for one tile, without its reduction: `store_partial` and PARTIALS come
+// from
+// shared/partial_subgroup.wgsl or shared/partial_workgroup.wgsl. Replays the forward order, so both
+// take the
 // same decisions: behind a splat lies (final colour - colour so far), T is never divided by.
-// Reads image, image_gradient [3, height, width], last [tiles, 2]; writes every row of the tile once. With
-// v = dL/dsigma: slot_colours (by r g b, sum v), slot_moments (sums of v dx, v dy, v dx^2, v dx dy), slot_tails (v dy^2),
+// Reads image, image_gradient [3, height, width], last [tiles, 2]; writes every row of the tile
+// once. With
+// v = dL/dsigma: slot_colours (by r g b, sum v), slot_moments (sums of v dx, v dy, v dx^2, v dx
+// dy), slot_tails (v dy^2),
 // all [slots].
 #import shared/raster_batch.wgsl
 #import shared/raster_pixels_backward.wgsl
@@ -34,7 +38,8 @@ fn store_row(slot: u32, row: array<f32, SUMS>) {
     slot_tails[slot] = row[8];
 }
 
-// Adds what the invocations found for splat `j` of the batch, always in the same order, and writes its row.
+// Adds what the invocations found for splat `j` of the batch, always in the same order, and writes
+// its row.
 fn finish_splat(j: u32, slot: u32) {
     var row: array<f32, SUMS>;
     for (var i = 0u; i < SUMS; i++) {

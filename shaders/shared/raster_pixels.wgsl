@@ -1,4 +1,5 @@
-// The pixels of an invocation while splats are blended over them, front to back. Needs `camera`, `image`, `transmittance`.
+// The pixels of an invocation while splats are blended over them, front to back. Needs `camera`,
+// `image`, `transmittance`.
 #import shared/raster.wgsl
 
 // A negative T marks a pixel that has stopped, or lies outside the image; its magnitude stays.

@@ -1,8 +1,10 @@
-// The pixels of an invocation while the gradients by the splats over them are found, front to back. Needs `camera`, `image`,
+// The pixels of an invocation while the gradients by the splats over them are found, front to back.
+// Needs `camera`, `image`,
 // `image_gradient`.
 #import shared/raster.wgsl
 
-// T (negative once stopped), the gradient by the colour, and that gradient times the colour still behind.
+// T (negative once stopped), the gradient by the colour, and that gradient times the colour still
+// behind.
 var<private> t: array<vec4<f32>, QUADS>;
 var<private> red: array<vec4<f32>, QUADS>;
 var<private> green: array<vec4<f32>, QUADS>;
@@ -26,7 +28,8 @@ fn begin_pixels(pixel: vec2<u32>) {
     }
 }
 
-// Sums over the pixels: the gradient by the colour r g b, then v, v dx, v dy, v dx^2, v dx dy, v dy^2, where v = dL/dsigma.
+// Sums over the pixels: the gradient by the colour r g b, then v, v dx, v dy, v dx^2, v dx dy, v
+// dy^2, where v = dL/dsigma.
 // `offset`: the centre of the first pixel minus the splat's mean.
 fn blend_backward(splat: Splat, offset: vec2<f32>) -> array<f32, 9> {
     let row = row_exponent(splat, offset.y);

@@ -1,4 +1,5 @@
-// An exclusive prefix sum over the workgroup, one value an invocation. The same order on every device.
+// An exclusive prefix sum over the workgroup, one value an invocation. The same order on every
+// device.
 #import shared/sort.wgsl
 
 var<workgroup> scan_sums: array<u32, WIDTH>;

@@ -1,5 +1,6 @@
 // Counts the values of one 4-bit digit in a block of keys.
-// Reads parameters, counters, keys [n]. Writes histogram [DIGITS, blocks]. Dispatch: a workgroup a block.
+// Reads parameters, counters, keys [n]. Writes histogram [DIGITS, blocks]. Dispatch: a workgroup a
+// block.
 #import shared/radix.wgsl
 
 @group(0) @binding(0) var<uniform> parameters: SortParameters;

@@ -1,7 +1,10 @@
-// Exclusive prefix sum of a short array by one workgroup, in place: sums of blocks, or digit counts.
-// Writes the total to a counter and the indirect arguments of kernels over that many elements: six numbers,
+// Exclusive prefix sum of a short array by one workgroup, in place: sums of blocks, or digit
+// counts.
+// Writes the total to a counter and the indirect arguments of kernels over that many elements: six
+// numbers,
 // workgroups of a block an invocation group, then workgroups of WIDTH elements.
-// Reads parameters; reads and writes counters, values [blocks * per_block]; writes arguments. Dispatch: 1.
+// Reads parameters; reads and writes counters, values [blocks * per_block]; writes arguments.
+// Dispatch: 1.
 #import shared/workgroup_scan.wgsl
 
 @group(0) @binding(0) var<uniform> parameters: SortParameters;

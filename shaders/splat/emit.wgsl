@@ -1,5 +1,7 @@
-// Writes an intersection for every tile a visible Gaussian touches: its slots are contiguous and in order of
-// depth. Never more than were counted, and never past the capacity (the exact number stays in the counter).
+// Writes an intersection for every tile a visible Gaussian touches: its slots are contiguous and in
+// order of
+// depth. Never more than were counted, and never past the capacity (the exact number stays in the
+// counter).
 // Reads camera, parameters, counters, order [visible], projected [count, 3], tile_counts [count],
 // slot_offsets [count]. Writes keys [slots] (tile), payloads [slots] (slot), slot_gaussian [slots].
 // Dispatch: visible.
@@ -46,7 +48,8 @@ fn main(
             }
         }
     }
-    // Two kernels may round differently: a tile that was counted and is not touched goes past the last tile.
+    // Two kernels may round differently: a tile that was counted and is not touched goes past the
+    // last tile.
     for (; slot < end; slot++) {
         keys[slot] = camera.tiles.x * camera.tiles.y;
         payloads[slot] = slot;

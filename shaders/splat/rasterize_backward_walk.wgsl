@@ -1,7 +1,11 @@
-// The gradients by the splats of a tile, one half after the other, by one subgroup; see shared/raster_walk.wgsl. Replays the
-// forward order, so both take the same decisions: behind a splat lies (final colour - colour so far), T is never divided by.
-// Reads image, image_gradient [3, height, width], last [tiles, 2]; writes every row of the tile. With v = dL/dsigma:
-// slot_colours (by r g b, sum v), slot_moments (sums of v dx, v dy, v dx^2, v dx dy), slot_tails (v dy^2), all [slots].
+// The gradients by the splats of a tile, one half after the other, by one subgroup; see
+// shared/raster_walk.wgsl. Replays the
+// forward order, so both take the same decisions: behind a splat lies (final colour - colour so
+// far), T is never divided by.
+// Reads image, image_gradient [3, height, width], last [tiles, 2]; writes every row of the tile.
+// With v = dL/dsigma:
+// slot_colours (by r g b, sum v), slot_moments (sums of v dx, v dy, v dx^2, v dx dy), slot_tails (v
+// dy^2), all [slots].
 // Dispatch: a workgroup a tile, and one for the slots that belong to none.
 #import shared/grid.wgsl
 #import shared/raster_pixels_backward.wgsl
@@ -26,7 +30,8 @@ fn is_slot(slot: u32) -> bool {
     return slot < min(vectors, arrayLength(&slot_tails));
 }
 
-// Lane i below 8 keeps sum i of a splat, the first also the ninth. What it kept of the other half is added.
+// Lane i below 8 keeps sum i of a splat, the first also the ninth. What it kept of the other half
+// is added.
 fn keep(slot: u32, lane: u32, reduced: vec2<f32>, add: bool) {
     let at = 4u * slot + lane % 4u;
     if (lane < 4u) {
@@ -51,7 +56,8 @@ fn backward(tile: u32, half: u32, range: vec2<u32>, ends: array<u32, HALVES>, la
     let pixel = first_pixel(tile, half * SUBGROUP + lane, camera.tiles.x);
     let centre = vec2<f32>(pixel) + vec2<f32>(0.5);
     begin_pixels(pixel);
-    // The upper half goes on to the end of the list: it writes the rows of splats that neither half counts.
+    // The upper half goes on to the end of the list: it writes the rows of splats that neither half
+    // counts.
     let end = select(ends[1], range.y, half == 0u);
     for (var at = range.x; at < end; at += SUBGROUP) {
         let mine = at + lane;

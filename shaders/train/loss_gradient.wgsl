@@ -1,6 +1,7 @@
 // The gradient of the loss at 4 columns x `run` rows of one channel an invocation: the second half.
 // Reads prediction [3, H, W], truth [ceil(3 H W / 2)], derivatives [3, H, W]. Writes gradient
-// [3, H, W] and error_sums [invocations] (sums of |p - t| and (p - t)^2). Dispatch: as loss_similarity.
+// [3, H, W] and error_sums [invocations] (sums of |p - t| and (p - t)^2). Dispatch: as
+// loss_similarity.
 // dL/dp = 0.8 / N sign(p - t) - 0.2 / N (G * dS/dm + 2 p G * dS/dmxx + t G * dS/dmxy), N = 3 H W.
 #import shared/grid.wgsl
 #import shared/loss.wgsl
@@ -26,7 +27,8 @@ fn blur(a: vec3<f32>, b: vec3<f32>, c: vec3<f32>, d: vec3<f32>, e: vec3<f32>, f:
     return G0 * a + G1 * b + G2 * c + G3 * d + G4 * e + G5 * f;
 }
 
-// The derivatives of a row's columns x - 5 .. x + 8, blurred horizontally at x .. x + 3, a column each.
+// The derivatives of a row's columns x - 5 .. x + 8, blurred horizontally at x .. x + 3, a column
+// each.
 fn blurred_row(block: Block, y: u32) -> mat4x3<f32> {
     let first = block.plane + y * size.width + block.x;
     let p0 = moments(first, 0u, block);

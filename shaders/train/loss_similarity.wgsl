@@ -1,7 +1,9 @@
 // SSIM of 4 columns x `run` rows of one channel an invocation, and its derivatives by the window's
 // moments: the first half of the loss.
-// Reads prediction [3, H, W], truth [ceil(3 H W / 2)] (two 16-bit values a word). Writes derivatives
-// [3, H, W] (by three moments, one unused) and similarity_sums [invocations]. Dispatch: 3 blocks_x blocks_y invocations.
+// Reads prediction [3, H, W], truth [ceil(3 H W / 2)] (two 16-bit values a word). Writes
+// derivatives
+// [3, H, W] (by three moments, one unused) and similarity_sums [invocations]. Dispatch: 3 blocks_x
+// blocks_y invocations.
 // S = (2 mx my + C1)(2 sxy + C2) / ((mx^2 + my^2 + C1)(sxx + syy + C2)), moments zero-padded.
 #import shared/grid.wgsl
 #import shared/loss.wgsl
@@ -22,7 +24,8 @@ fn products(first: u32, column: u32, y: f32, block: Block) -> vec4<f32> {
     return select(vec4<f32>(0.0), vec4<f32>(x, y, x * x + y * y, x * y), inside);
 }
 
-// A word of the packed target. Words before the first and behind the last hold no column of the row.
+// A word of the packed target. Words before the first and behind the last hold no column of the
+// row.
 fn word(index: i32) -> u32 {
     return truth[clamp(index, 0, i32(size.values + 1u) / 2 - 1)];
 }
@@ -31,7 +34,8 @@ fn blur(a: vec4<f32>, b: vec4<f32>, c: vec4<f32>, d: vec4<f32>, e: vec4<f32>, f:
     return G0 * a + G1 * b + G2 * c + G3 * d + G4 * e + G5 * f;
 }
 
-// The products of a row's columns x - 5 .. x + 8, blurred horizontally at x .. x + 3, a column each.
+// The products of a row's columns x - 5 .. x + 8, blurred horizontally at x .. x + 3, a column
+// each.
 fn blurred_row(block: Block, y: u32) -> mat4x4<f32> {
     let first = block.plane + y * size.width + block.x;
     // The 14 values from first - 5 on lie in 8 words; an odd start leaves out the first half-word.

@@ -1,12 +1,18 @@
-// The gradient of one Gaussian an invocation, from its slots to its parameters, and its Adam update in
+// The gradient of one Gaussian an invocation, from its slots to its parameters, and its Adam update
+// in
 // place. Sums the Gaussian's contiguous slots, goes back through conic, covariance,
-// projection, harmonics and activations, adds the MCMC regularisers, updates, adds exploration noise.
+// projection, harmonics and activations, adds the MCMC regularisers, updates, adds exploration
+// noise.
 // Reads tile_counts, slot_offsets [count], slot_colours, slot_moments and slot_tails [slots] (see
-// shared/raster_backward.wgsl), intersections (their exact total). Reads and writes geometry [part, 12],
-// geometry_moments [part, 2, 12], sh [part, sh_row], sh_moments [part, 2, sh_row], counters [0] (non-finite gradients dropped).
+// shared/raster_backward.wgsl), intersections (their exact total). Reads and writes geometry [part,
+// 12],
+// geometry_moments [part, 2, 12], sh [part, sh_row], sh_moments [part, 2, sh_row], counters [0]
+// (non-finite gradients dropped).
 // Dispatch: the part's rows. Void when the slots overflowed.
-// WRITE_GRADIENTS = 1 leaves the parameters and writes the gradient in place of the first moments. ACCUMULATE_POSITION = 1 adds
-// the length of the gradient by the position, in normalised device coordinates, and a view to the moments' free floats.
+// WRITE_GRADIENTS = 1 leaves the parameters and writes the gradient in place of the first moments.
+// ACCUMULATE_POSITION = 1 adds
+// the length of the gradient by the position, in normalised device coordinates, and a view to the
+// moments' free floats.
 #import shared/gaussian_rows.wgsl
 #import shared/grid.wgsl
 #import shared/part.wgsl
@@ -62,7 +68,8 @@ fn sum_slots(i: u32, p: Projection, opacity: f32) -> SlotSum {
         moments += slot_moments[slot];
         tail += slot_tails[slot];
     }
-    // sigma = 0.5 (a dx^2 + c dy^2) + b dx dy, alpha = opacity exp(-sigma): what all slots of a Gaussian share is put in here.
+    // sigma = 0.5 (a dx^2 + c dy^2) + b dx dy, alpha = opacity exp(-sigma): what all slots of a
+    // Gaussian share is put in here.
     let conic = vec3<f32>(p.flat.z, -p.flat.y, p.flat.x) / p.determinant;
     let mean = -vec2<f32>(dot(conic.xy, moments.xy), dot(conic.yz, moments.xy));
     return SlotSum(mean, vec3<f32>(0.5 * moments.z, moments.w, 0.5 * tail), colour.xyz, -colour.w * (1.0 - opacity));

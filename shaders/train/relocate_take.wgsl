@@ -1,5 +1,7 @@
-// Copies the Gaussian that another is to become, a move an invocation, where the source lies in this part.
-// Reads moves [rows], geometry [part, 12], sh [part, sh_row]. Writes taken [rows, 12 + sh_row]. Dispatch: rows.
+// Copies the Gaussian that another is to become, a move an invocation, where the source lies in
+// this part.
+// Reads moves [rows], geometry [part, 12], sh [part, sh_row]. Writes taken [rows, 12 + sh_row].
+// Dispatch: rows.
 #import shared/grid.wgsl
 #import shared/part.wgsl
 #import shared/relocate.wgsl

@@ -44,7 +44,10 @@ impl Agreement {
 #[track_caller]
 pub fn assert_agrees(what: &str, found: &[f32], expected: &[f64], tolerance: f64) {
     let agreement = agreement(found, expected);
-    assert!(agreement.within(tolerance), "{what}: {agreement:?}, tolerance {tolerance:e}");
+    assert!(
+        agreement.within(tolerance),
+        "{what}: {agreement:?}, tolerance {tolerance:e}"
+    );
 }
 
 /// Panics unless the analytic derivative equals the central difference of `f` around `at`.
@@ -53,7 +56,10 @@ pub fn assert_derivative(what: &str, analytic: f64, at: f64, mut f: impl FnMut(f
     let step = 1e-5 * at.abs().max(1.0);
     let numeric = (f(at + step) - f(at - step)) / (2.0 * step);
     let error = (analytic - numeric).abs();
-    assert!(error <= 1e-5 * numeric.abs() + 1e-9, "{what}: {analytic:e} against {numeric:e} by differences");
+    assert!(
+        error <= 1e-5 * numeric.abs() + 1e-9,
+        "{what}: {analytic:e} against {numeric:e} by differences"
+    );
 }
 
 mod tests {
@@ -63,7 +69,11 @@ mod tests {
     fn equal_numbers_agree_and_each_kind_of_fault_is_seen() {
         let expected: Vec<f64> = (0..1000).map(|i| (f64::from(i) * 0.37).sin()).collect();
         let with = |f: &dyn Fn(usize, f64) -> f64| -> bool {
-            let found: Vec<f32> = expected.iter().enumerate().map(|(i, &e)| f(i, e) as f32).collect();
+            let found: Vec<f32> = expected
+                .iter()
+                .enumerate()
+                .map(|(i, &e)| f(i, e) as f32)
+                .collect();
             agreement(&found, &expected).within(1e-3)
         };
         assert!(with(&|_, e| e));
@@ -71,7 +81,10 @@ mod tests {
         assert!(!with(&|_, e| e + 2e-3), "offset");
         assert!(!with(&|_, e| -e), "sign");
         assert!(!with(&|i, e| if i == 500 { e + 0.2 } else { e }), "outlier");
-        assert!(!with(&|i, e| if i == 3 { f64::NAN } else { e }), "not a number");
+        assert!(
+            !with(&|i, e| if i == 3 { f64::NAN } else { e }),
+            "not a number"
+        );
     }
 
     #[test]

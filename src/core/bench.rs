@@ -1,12 +1,13 @@
-//! What fled's work costs on a device: training and rendering of scenes that are the same everywhere, the
-//! two heaviest parts of a step by themselves, and every kernel by the device's own clock.
+//! What fled's work costs on a device: training and rendering of scenes that are the same
+//! everywhere, the two heaviest parts of a step by themselves, and every kernel by the device's own
+//! clock.
 //!
 //! A case is the product's own code, not a copy of it: training is [`Stepper`], the loop of
-//! [`train`](crate::reconstruct::train); rendering is [`Renderer`](crate::render::Renderer). Steps a second are
-//! measured without timestamps; afterwards some steps more are made with a timestamp around every dispatch.
-//! Two small kernels measure what the device can do at all, in the same minutes, so that a kernel's share of
-//! it means the same on a machine that is shared with others. What a kernel has to move and to compute
-//! follows from counts ([`model`]).
+//! [`train`](crate::reconstruct::train); rendering is [`Renderer`](crate::render::Renderer). Steps
+//! a second are measured without timestamps; afterwards some steps more are made with a timestamp
+//! around every dispatch. Two small kernels measure what the device can do at all, in the same
+//! minutes, so that a kernel's share of it means the same on a machine that is shared with others.
+//! What a kernel has to move and to compute follows from counts ([`model`]).
 
 mod measure;
 pub mod model;
@@ -32,9 +33,9 @@ pub use workload::Workload;
 
 /// Degree of the harmonics in synthetic scenes: the paper's.
 const SH_DEGREE: u32 = 3;
-/// Steps of the round that the measured steps belong to, and the first of them. In the middle of a round all
-/// harmonics are active and the noise field acts; relocation, and the estimate of the shake, come before the first step
-/// and every hundredth after it.
+/// Steps of the round that the measured steps belong to, and the first of them. In the middle of a
+/// round all harmonics are active and the noise field acts; relocation, and the estimate of the
+/// shake, come before the first step and every hundredth after it.
 const ROUND: u32 = 10_000;
 const FIRST: u32 = ROUND / 2;
 /// Most steps of a case, so that warm-up and both halves of a case lie inside the round.
@@ -59,7 +60,10 @@ impl Default for BenchOptions {
         Self {
             sizes: vec![(280, 160), (560, 320), (1120, 640)],
             gaussians: vec![10_000, 50_000, 200_000],
-            budget: Budget { seconds: 5.0, steps: 100 },
+            budget: Budget {
+                seconds: 5.0,
+                steps: 100,
+            },
             seed: 0,
         }
     }
@@ -71,7 +75,10 @@ impl BenchOptions {
         Self {
             sizes: vec![(280, 160)],
             gaussians: vec![10_000],
-            budget: Budget { seconds: 0.5, steps: 10 },
+            budget: Budget {
+                seconds: 0.5,
+                steps: 10,
+            },
             seed: 0,
         }
     }
@@ -120,12 +127,25 @@ struct Extras {
 }
 
 impl Extras {
-    /// Nothing, each mode of the noise field, and what the presets `preview` and `standard` train with.
+    /// Nothing, each mode of the noise field, and what the presets `preview` and `standard` train
+    /// with.
     const ALL: [Self; 4] = [
-        Self { noise: NoiseMode::Off, shake: false },
-        Self { noise: NoiseMode::Grid, shake: false },
-        Self { noise: NoiseMode::Grid, shake: true },
-        Self { noise: NoiseMode::Paper, shake: false },
+        Self {
+            noise: NoiseMode::Off,
+            shake: false,
+        },
+        Self {
+            noise: NoiseMode::Grid,
+            shake: false,
+        },
+        Self {
+            noise: NoiseMode::Grid,
+            shake: true,
+        },
+        Self {
+            noise: NoiseMode::Paper,
+            shake: false,
+        },
     ];
 
     fn name(self) -> String {
@@ -134,31 +154,53 @@ impl Extras {
             NoiseMode::Grid => "grid",
             NoiseMode::Paper => "paper",
         };
-        format!("noise {noise}{}", if self.shake { " and shake" } else { "" })
+        format!(
+            "noise {noise}{}",
+            if self.shake { " and shake" } else { "" }
+        )
     }
 }
 
 /// One thing to measure.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Plan {
-    Train { size: (usize, usize), gaussians: usize, extras: Extras },
-    Render { size: (usize, usize), gaussians: usize },
-    Ssim { size: (usize, usize) },
-    Sort { keys: usize },
+    Train {
+        size: (usize, usize),
+        gaussians: usize,
+        extras: Extras,
+    },
+    Render {
+        size: (usize, usize),
+        gaussians: usize,
+    },
+    Ssim {
+        size: (usize, usize),
+    },
+    Sort {
+        keys: usize,
+    },
 }
 
 impl Plan {
-    /// Every case of the options. Noise field, shake and SSIM cost by the pixel, so all extras run with the first
-    /// number of Gaussians alone.
+    /// Every case of the options. Noise field, shake and SSIM cost by the pixel, so all extras run
+    /// with the first number of Gaussians alone.
     fn all(options: &BenchOptions) -> Vec<Self> {
         let mut plans = Vec::new();
         for &size in &options.sizes {
             for &gaussians in &options.gaussians {
-                plans.push(Self::Train { size, gaussians, extras: Extras::ALL[0] });
+                plans.push(Self::Train {
+                    size,
+                    gaussians,
+                    extras: Extras::ALL[0],
+                });
                 plans.push(Self::Render { size, gaussians });
             }
             if let Some(&gaussians) = options.gaussians.first() {
-                plans.extend(Extras::ALL[1..].iter().map(|&extras| Self::Train { size, gaussians, extras }));
+                plans.extend(Extras::ALL[1..].iter().map(|&extras| Self::Train {
+                    size,
+                    gaussians,
+                    extras,
+                }));
             }
             plans.push(Self::Ssim { size });
         }
@@ -168,10 +210,21 @@ impl Plan {
 
     fn name(&self) -> String {
         match *self {
-            Self::Train { size: (w, h), gaussians, extras } => {
-                format!("train {w}x{h}, {} Gaussians, {}", short(gaussians), extras.name())
+            Self::Train {
+                size: (w, h),
+                gaussians,
+                extras,
+            } => {
+                format!(
+                    "train {w}x{h}, {} Gaussians, {}",
+                    short(gaussians),
+                    extras.name()
+                )
             }
-            Self::Render { size: (w, h), gaussians } => {
+            Self::Render {
+                size: (w, h),
+                gaussians,
+            } => {
                 format!("render {w}x{h}, {} Gaussians", short(gaussians))
             }
             Self::Ssim { size: (w, h) } => format!("ssim {w}x{h}"),
@@ -182,8 +235,13 @@ impl Plan {
     fn measure(&self, bench: &Bench<'_>) -> Result<Case, BenchError> {
         let name = self.name();
         match *self {
-            Self::Train { size, gaussians, extras } => {
-                let mut workload = Workload::synthetic(bench.gpu, size, gaussians, bench.options.seed)?;
+            Self::Train {
+                size,
+                gaussians,
+                extras,
+            } => {
+                let mut workload =
+                    Workload::synthetic(bench.gpu, size, gaussians, bench.options.seed)?;
                 if extras.shake {
                     workload.shake();
                 }
@@ -194,9 +252,9 @@ impl Plan {
                 bench.render(name, &workload)
             }
             Self::Ssim { size } => bench.case(name, "ssim", || Similarity::new(bench.gpu, size)),
-            Self::Sort { keys } => {
-                bench.case(name, "sort", || Sorting::new(bench.gpu, keys, bench.options.seed))
-            }
+            Self::Sort { keys } => bench.case(name, "sort", || {
+                Sorting::new(bench.gpu, keys, bench.options.seed)
+            }),
         }
     }
 }
@@ -216,7 +274,11 @@ impl Bench<'_> {
             let stepper = Stepper::new(self.gpu, &workload.views, gaussians, &config, FIRST)?;
             Ok(Training::new(stepper, workload, self.cancel))
         })?;
-        Ok(Case { noise: Some(extras.noise), shake: Some(extras.shake), ..case })
+        Ok(Case {
+            noise: Some(extras.noise),
+            shake: Some(extras.shake),
+            ..case
+        })
     }
 
     fn render(&self, name: String, workload: &Workload) -> Result<Case, BenchError> {
@@ -260,8 +322,8 @@ fn config(workload: &Workload, extras: Extras) -> TrainConfig {
     }
 }
 
-/// Measures everything that `options` ask for on synthetic scenes. A device is profiled and its memory counted
-/// as a whole: nothing else may use it meanwhile.
+/// Measures everything that `options` ask for on synthetic scenes. A device is profiled and its
+/// memory counted as a whole: nothing else may use it meanwhile.
 ///
 /// # Errors
 /// [`BenchError`].
@@ -280,7 +342,11 @@ pub fn run(
     if options.budget.steps > MOST_STEPS {
         return Err(BenchError::Steps(options.budget.steps));
     }
-    let bench = Bench { gpu, options, cancel };
+    let bench = Bench {
+        gpu,
+        options,
+        cancel,
+    };
     let plans = Plan::all(options);
     let mut report = Report::new(Machine::of(gpu), options);
     report.yardsticks.add(yardstick::measure(gpu)?);
@@ -294,8 +360,8 @@ pub fn run(
     Ok(report)
 }
 
-/// Adds the cases of a real scene, that of a finished run: training with and without what is explained beside the
-/// scene, and rendering.
+/// Adds the cases of a real scene, that of a finished run: training with and without what is
+/// explained beside the scene, and rendering.
 ///
 /// # Errors
 /// [`BenchError`], above all when `workload` has no views.
@@ -307,7 +373,11 @@ pub fn run_scene(
     cancel: &CancelToken,
 ) -> Result<(), BenchError> {
     let options = report.options.clone();
-    let bench = Bench { gpu, options: &options, cancel };
+    let bench = Bench {
+        gpu,
+        options: &options,
+        cancel,
+    };
     let total = Extras::ALL.len() + 1;
     for (done, extras) in Extras::ALL.into_iter().enumerate() {
         cancel.check()?;
@@ -325,7 +395,11 @@ pub fn run_scene(
 
 /// `10k` for 10,000.
 fn short(count: usize) -> String {
-    if count >= 1000 && count.is_multiple_of(1000) { format!("{}k", count / 1000) } else { count.to_string() }
+    if count >= 1000 && count.is_multiple_of(1000) {
+        format!("{}k", count / 1000)
+    } else {
+        count.to_string()
+    }
 }
 
 #[cfg(test)]

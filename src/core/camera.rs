@@ -25,8 +25,18 @@ pub struct Intrinsics {
 impl Intrinsics {
     /// The same camera seen through an image resampled to `width` x `height`.
     pub fn resized(&self, width: usize, height: usize) -> Self {
-        let (sx, sy) = (width as f64 / self.width as f64, height as f64 / self.height as f64);
-        Self { width, height, fx: self.fx * sx, fy: self.fy * sy, cx: self.cx * sx, cy: self.cy * sy }
+        let (sx, sy) = (
+            width as f64 / self.width as f64,
+            height as f64 / self.height as f64,
+        );
+        Self {
+            width,
+            height,
+            fx: self.fx * sx,
+            fy: self.fy * sy,
+            cx: self.cx * sx,
+            cy: self.cy * sy,
+        }
     }
 }
 
@@ -42,10 +52,14 @@ pub struct Camera {
 impl Camera {
     /// From a rotation (world to camera) and translation, as COLMAP stores poses.
     pub fn from_pose(intrinsics: Intrinsics, rotation: DQuat, translation: DVec3) -> Self {
-        Self { intrinsics, world_to_camera: DMat4::from_rotation_translation(rotation, translation) }
+        Self {
+            intrinsics,
+            world_to_camera: DMat4::from_rotation_translation(rotation, translation),
+        }
     }
 
-    /// A camera at `eye` that looks at `target`; `down` is the world direction that points down in the image.
+    /// A camera at `eye` that looks at `target`; `down` is the world direction that points down in
+    /// the image.
     pub fn look_at(intrinsics: Intrinsics, eye: DVec3, target: DVec3, down: DVec3) -> Self {
         let z = (target - eye).normalize();
         let x = down.cross(z).normalize();
@@ -94,12 +108,18 @@ impl Camera {
             return None;
         }
         let k = &self.intrinsics;
-        Some((DVec2::new(k.fx * p.x / p.z + k.cx, k.fy * p.y / p.z + k.cy), p.z))
+        Some((
+            DVec2::new(k.fx * p.x / p.z + k.cx, k.fy * p.y / p.z + k.cy),
+            p.z,
+        ))
     }
 
     /// The same pose with the image resampled to `width` x `height`.
     pub fn resized(&self, width: usize, height: usize) -> Self {
-        Self { intrinsics: self.intrinsics.resized(width, height), ..*self }
+        Self {
+            intrinsics: self.intrinsics.resized(width, height),
+            ..*self
+        }
     }
 }
 
@@ -152,7 +172,14 @@ mod tests {
     use super::*;
 
     fn intrinsics() -> Intrinsics {
-        Intrinsics { width: 200, height: 100, fx: 150.0, fy: 150.0, cx: 100.0, cy: 50.0 }
+        Intrinsics {
+            width: 200,
+            height: 100,
+            fx: 150.0,
+            fy: 150.0,
+            cx: 100.0,
+            cy: 50.0,
+        }
     }
 
     #[test]
@@ -170,7 +197,12 @@ mod tests {
 
     #[test]
     fn a_named_camera_is_row_major_and_round_trips() {
-        let camera = Camera::look_at(intrinsics(), DVec3::new(1.0, 2.0, -5.0), DVec3::ZERO, DVec3::Y);
+        let camera = Camera::look_at(
+            intrinsics(),
+            DVec3::new(1.0, 2.0, -5.0),
+            DVec3::ZERO,
+            DVec3::Y,
+        );
         let named = NamedCamera::new("a", &camera, Split::HeldOut);
         assert!((named.world_to_camera[0][3] - camera.translation().x).abs() < 1e-12);
         assert_eq!(named.camera(), camera);

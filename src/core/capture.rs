@@ -95,7 +95,10 @@ pub struct CaptureWarning {
 
 impl CaptureWarning {
     fn new(code: &str, message: impl Into<String>) -> Self {
-        Self { code: code.to_owned(), message: message.into() }
+        Self {
+            code: code.to_owned(),
+            message: message.into(),
+        }
     }
 }
 
@@ -136,7 +139,9 @@ impl CaptureError {
     /// Who is at fault: the capture, or the machine.
     pub fn kind(&self) -> ErrorKind {
         match self {
-            Self::Io { source, .. } if source.kind() != std::io::ErrorKind::NotFound => ErrorKind::Io,
+            Self::Io { source, .. } if source.kind() != std::io::ErrorKind::NotFound => {
+                ErrorKind::Io
+            }
             _ => ErrorKind::BadInput,
         }
     }
@@ -147,12 +152,16 @@ impl CaptureError {
             Self::NotACapture { .. } => {
                 "give a folder with JPEG, PNG, WebP or TIFF photographs, or a zip of one"
             }
-            Self::Archive(_) => "zip the folder of photographs anew, without encryption, links or odd paths",
+            Self::Archive(_) => {
+                "zip the folder of photographs anew, without encryption, links or odd paths"
+            }
             Self::TooManyFiles => "leave out what is not a photograph, or every second photograph",
             Self::TooFew { .. } => {
                 "upload 20 to 60 overlapping photographs of one unmoving scene, each from another place"
             }
-            Self::Io { .. } => "check that the path exists, can be read, and that the disk is not full",
+            Self::Io { .. } => {
+                "check that the path exists, can be read, and that the disk is not full"
+            }
         }
     }
 
@@ -164,9 +173,13 @@ impl CaptureError {
 
 /// The sentence of [`CaptureError::TooFew`], with the first reasons.
 fn too_few(accepted: usize, verdicts: &[Verdict]) -> String {
-    let mut text =
-        format!("{accepted} of {} photographs can be used, at least {MIN_VIEWS} are needed", verdicts.len());
-    let rejected = verdicts.iter().filter_map(|v| v.reason.as_ref().map(|reason| (&v.name, reason)));
+    let mut text = format!(
+        "{accepted} of {} photographs can be used, at least {MIN_VIEWS} are needed",
+        verdicts.len()
+    );
+    let rejected = verdicts
+        .iter()
+        .filter_map(|v| v.reason.as_ref().map(|reason| (&v.name, reason)));
     for (name, reason) in rejected.take(3) {
         text.push_str(&format!("; {name}: {reason}"));
     }
@@ -188,13 +201,18 @@ impl Capture {
         } else if archive::is_zip(path).map_err(CaptureError::io(path))? {
             archive::unpack(path, &scratch_dir.join("unpacked"))?
         } else {
-            return Err(CaptureError::NotACapture { path: path.to_owned() });
+            return Err(CaptureError::NotACapture {
+                path: path.to_owned(),
+            });
         };
         let layout = layout::Layout::of(entries);
         let fingerprint = layout.fingerprint()?;
         let judged = judge::judge(&layout);
         if judged.views.len() < MIN_VIEWS {
-            return Err(CaptureError::TooFew { accepted: judged.views.len(), verdicts: judged.verdicts });
+            return Err(CaptureError::TooFew {
+                accepted: judged.views.len(),
+                verdicts: judged.verdicts,
+            });
         }
         Ok(Self {
             views: judged.views,

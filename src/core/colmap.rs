@@ -37,7 +37,11 @@ impl Default for ColmapCli {
 impl ColmapCli {
     /// Drives `program`: a path, or a name looked up by the system.
     pub fn new(program: impl Into<PathBuf>) -> Self {
-        Self { program: program.into(), limits: Limits::default(), acceptance: Acceptance::default() }
+        Self {
+            program: program.into(),
+            limits: Limits::default(),
+            acceptance: Acceptance::default(),
+        }
     }
 
     /// With other time limits.
@@ -49,9 +53,13 @@ impl ColmapCli {
     /// COLMAP's version, as in `3.8`: what `fled doctor` shows.
     ///
     /// # Errors
-    /// [`PosesError::Missing`] when there is no such program, [`PosesError::Tool`] when it is not COLMAP.
+    /// [`PosesError::Missing`] when there is no such program, [`PosesError::Tool`] when it is not
+    /// COLMAP.
     pub fn version(&self) -> Result<String, PosesError> {
-        let limits = Limits { wall: Duration::from_secs(30), ..self.limits };
+        let limits = Limits {
+            wall: Duration::from_secs(30),
+            ..self.limits
+        };
         let runner = process::Runner::new(&self.program, limits, None)?;
         version(&runner, &CancelToken::new())
     }
@@ -61,7 +69,8 @@ impl ColmapCli {
     /// Sparse points for views of the request whose poses are known.
     ///
     /// # Errors
-    /// [`PosesError`]: COLMAP is missing or failed, a photograph cannot be read, or the caller cancelled.
+    /// [`PosesError`]: COLMAP is missing or failed, a photograph cannot be read, or the caller
+    /// cancelled.
     pub fn triangulate(
         &self,
         request: &PoseRequest<'_>,
@@ -73,7 +82,8 @@ impl ColmapCli {
         let log = request.work_dir.join("colmap.log");
         let runner = process::Runner::new(&self.program, self.limits, Some(&log))?;
         let version = version(&runner, cancel)?;
-        let points = ladder::Climb::new(&runner, request, self.acceptance).triangulate(posed, cancel)?;
+        let points =
+            ladder::Climb::new(&runner, request, self.acceptance).triangulate(posed, cancel)?;
         let (points_found, views) = (points.len(), posed.len());
         sink.log(format!(
             "poses: COLMAP {version} triangulated {points_found} points in {views} given views"
@@ -92,17 +102,31 @@ impl Sfm for ColmapCli {
         let start = Instant::now();
         let total = request.views.len();
         if total < ladder::MIN_VIEWS {
-            let advice = format!("a scene needs at least {}, better 20 to 60", ladder::MIN_VIEWS);
-            return Err(PosesError::TooFew { registered: 0, total, advice });
+            let advice = format!(
+                "a scene needs at least {}, better 20 to 60",
+                ladder::MIN_VIEWS
+            );
+            return Err(PosesError::TooFew {
+                registered: 0,
+                total,
+                advice,
+            });
         }
         std::fs::create_dir_all(request.work_dir).map_err(PosesError::io(request.work_dir))?;
-        let runner =
-            process::Runner::new(&self.program, self.limits, Some(&request.work_dir.join("colmap.log")))?;
+        let runner = process::Runner::new(
+            &self.program,
+            self.limits,
+            Some(&request.work_dir.join("colmap.log")),
+        )?;
         let version = version(&runner, cancel)?;
         sink.log(format!("poses: COLMAP {version} on {total} photographs"));
         let climb = ladder::Climb::new(&runner, request, self.acceptance);
         let poses = climb.run(sink, cancel)?;
-        Ok(Poses { source: format!("colmap {version}"), seconds: start.elapsed().as_secs_f64(), ..poses })
+        Ok(Poses {
+            source: format!("colmap {version}"),
+            seconds: start.elapsed().as_secs_f64(),
+            ..poses
+        })
     }
 
     fn describe(&self) -> String {

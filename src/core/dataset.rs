@@ -15,7 +15,8 @@ use crate::image::read_header;
 use crate::poses::bounds::read_poses_bounds;
 use crate::poses::model::SparseModel;
 use crate::poses::{
-    Distortion, Lens, PoseRequest, PoseView, PosedView, Poses, PosesError, Sfm, SparsePoint, name_of,
+    Distortion, Lens, PoseRequest, PoseView, PosedView, Poses, PosesError, Sfm, SparsePoint,
+    name_of,
 };
 
 /// Points that are guessed where poses came without points: as many as the smallest preset's cap.
@@ -88,13 +89,20 @@ impl GivenPoses {
                 return Err(PosesError::bad_file(path, reason));
             }
         };
-        Ok(Self { path: path.to_owned(), format, triangulate: None })
+        Ok(Self {
+            path: path.to_owned(),
+            format,
+            triangulate: None,
+        })
     }
 
     /// With somebody who finds points where the poses come without.
     #[must_use]
     pub fn triangulated_by(self, triangulate: Triangulate) -> Self {
-        Self { triangulate: Some(triangulate), ..self }
+        Self {
+            triangulate: Some(triangulate),
+            ..self
+        }
     }
 
     /// Triangulated points, or why there are none.
@@ -110,7 +118,10 @@ impl GivenPoses {
         };
         match triangulate(request, views, sink, cancel) {
             Ok(points) if points.len() >= LEAST_POINTS => Ok(Ok(points)),
-            Ok(points) => Ok(Err(format!("and only {} could be triangulated", points.len()))),
+            Ok(points) => Ok(Err(format!(
+                "and only {} could be triangulated",
+                points.len()
+            ))),
             Err(PosesError::Cancelled(cancelled)) => Err(cancelled.into()),
             Err(error) => Ok(Err(format!("and triangulation failed ({error})"))),
         }
@@ -128,20 +139,36 @@ impl GivenPoses {
             Format::PosesBounds => {
                 let rows = read_poses_bounds(&self.path)?;
                 let view = |row: &crate::poses::bounds::BoundedCamera| GivenView {
-                    lens: Lens { intrinsics: row.camera.intrinsics, distortion: Distortion::None },
+                    lens: Lens {
+                        intrinsics: row.camera.intrinsics,
+                        distortion: Distortion::None,
+                    },
                     world_to_camera: row.camera.world_to_camera,
                     bounds: Some((row.near, row.far)),
                 };
                 let views = Assignment::ByOrder(rows.iter().map(view).collect());
-                Ok(Given { views, points: Vec::new(), mean_error: None, mean_track: None })
+                Ok(Given {
+                    views,
+                    points: Vec::new(),
+                    mean_error: None,
+                    mean_track: None,
+                })
             }
         }
     }
 
-    fn assign(&self, views: &[PoseView], given: &Assignment) -> Result<Vec<Option<GivenView>>, PosesError> {
+    fn assign(
+        &self,
+        views: &[PoseView],
+        given: &Assignment,
+    ) -> Result<Vec<Option<GivenView>>, PosesError> {
         match given {
             Assignment::ByStem(by_stem) => {
-                let of = |view: &PoseView| by_stem.get(&view.name).or_else(|| by_stem.get(&stem(&view.file)));
+                let of = |view: &PoseView| {
+                    by_stem
+                        .get(&view.name)
+                        .or_else(|| by_stem.get(&stem(&view.file)))
+                };
                 Ok(views.iter().map(|view| of(view).copied()).collect())
             }
             Assignment::ByOrder(rows) if rows.len() == views.len() => {
@@ -186,12 +213,19 @@ impl Sfm for GivenPoses {
                 Format::Transforms | Format::PosesBounds => name_of(&self.path),
             };
             let advice = format!("the names in {file} must be those of the photographs");
-            return Err(PosesError::TooFew { registered, total, advice });
+            return Err(PosesError::TooFew {
+                registered,
+                total,
+                advice,
+            });
         }
         if registered < total {
             sink.warn(
                 "views_unregistered",
-                format!("{} of {total} photographs have no given pose", total - registered),
+                format!(
+                    "{} of {total} photographs have no given pose",
+                    total - registered
+                ),
             );
         }
         let mut points = given.points;
@@ -232,18 +266,33 @@ impl Sfm for GivenPoses {
             Format::Transforms => "transforms.json",
             Format::PosesBounds => "poses_bounds.npy",
         };
-        let points = if self.triangulate.is_some() { ", points triangulated where it has none" } else { "" };
+        let points = if self.triangulate.is_some() {
+            ", points triangulated where it has none"
+        } else {
+            ""
+        };
         format!("given {what}{points}")
     }
 }
 
 /// A given pose at the photograph's own size, which may differ from the one it was computed at.
 fn posed(view: &PoseView, given: &GivenView) -> Result<PosedView, PosesError> {
-    let header = read_header(&view.file).map_err(|e| PosesError::bad_file(&view.file, e.to_string()))?;
+    let header =
+        read_header(&view.file).map_err(|e| PosesError::bad_file(&view.file, e.to_string()))?;
     let intrinsics = given.lens.intrinsics.resized(header.width, header.height);
-    let lens = Lens { intrinsics, ..given.lens };
-    let camera = Camera { intrinsics: lens.pinhole(), world_to_camera: given.world_to_camera };
-    Ok(PosedView { name: view.name.clone(), camera, lens })
+    let lens = Lens {
+        intrinsics,
+        ..given.lens
+    };
+    let camera = Camera {
+        intrinsics: lens.pinhole(),
+        world_to_camera: given.world_to_camera,
+    };
+    Ok(PosedView {
+        name: view.name.clone(),
+        camera,
+        lens,
+    })
 }
 
 fn from_model(model: &SparseModel) -> Given {
@@ -252,7 +301,11 @@ fn from_model(model: &SparseModel) -> Given {
         world_to_camera: image.world_to_camera(),
         bounds: None,
     };
-    let by_stem = model.images.iter().map(|image| (stem(Path::new(&image.name)), view(image))).collect();
+    let by_stem = model
+        .images
+        .iter()
+        .map(|image| (stem(Path::new(&image.name)), view(image)))
+        .collect();
     Given {
         views: Assignment::ByStem(by_stem),
         points: model.sparse_points(),
@@ -263,7 +316,9 @@ fn from_model(model: &SparseModel) -> Given {
 
 /// A file's name without folder and extension.
 fn stem(file: &Path) -> String {
-    file.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default()
+    file.file_stem()
+        .map(|stem| stem.to_string_lossy().into_owned())
+        .unwrap_or_default()
 }
 
 #[cfg(test)]

@@ -28,8 +28,8 @@ use crate::image::Image;
 pub trait Deblurrer: Send {
     /// The restored view, of the size of `blurry`, every value finite and in 0..=1.
     ///
-    /// `guide` is the view with the detail of its clean render of the same size and brightness; without one
-    /// a guided network is fed `blurry` twice.
+    /// `guide` is the view with the detail of its clean render of the same size and brightness;
+    /// without one a guided network is fed `blurry` twice.
     ///
     /// # Errors
     /// [`DeblurError::GuideSize`] when the sizes differ, [`DeblurError::GuideUnsupported`] when the
@@ -89,9 +89,10 @@ impl Deblurrer for Identity {
 fn same_size(blurry: &Image, guide: Option<&Image>) -> Result<(), DeblurError> {
     let size = |image: &Image| (image.width(), image.height());
     match guide {
-        Some(guide) if size(guide) != size(blurry) => {
-            Err(DeblurError::GuideSize { blurry: size(blurry), guide: size(guide) })
-        }
+        Some(guide) if size(guide) != size(blurry) => Err(DeblurError::GuideSize {
+            blurry: size(blurry),
+            guide: size(guide),
+        }),
         _ => Ok(()),
     }
 }
@@ -104,13 +105,29 @@ mod tests {
     fn identity_returns_the_view_and_ignores_the_guide() {
         let view = Image::from_planar(2, 1, vec![0.1, 0.2, 0.3, 0.4, 0.5, 0.6]);
         assert_eq!(Identity.deblur(&view, None).expect("no guide"), view);
-        assert_eq!(Identity.deblur(&view, Some(&Image::new(2, 1))).expect("a guide"), view);
+        assert_eq!(
+            Identity
+                .deblur(&view, Some(&Image::new(2, 1)))
+                .expect("a guide"),
+            view
+        );
         assert_eq!(Identity.describe().channels, 0);
     }
 
     #[test]
     fn a_guide_of_another_size_is_refused() {
-        let refused = Identity.deblur(&Image::new(4, 2), Some(&Image::new(2, 4))).expect_err("sizes differ");
-        assert!(matches!(refused, DeblurError::GuideSize { blurry: (4, 2), guide: (2, 4) }), "{refused}");
+        let refused = Identity
+            .deblur(&Image::new(4, 2), Some(&Image::new(2, 4)))
+            .expect_err("sizes differ");
+        assert!(
+            matches!(
+                refused,
+                DeblurError::GuideSize {
+                    blurry: (4, 2),
+                    guide: (2, 4)
+                }
+            ),
+            "{refused}"
+        );
     }
 }

@@ -10,6 +10,8 @@ mod curve;
 mod evolution;
 mod matching;
 
-pub use anchors::{AUTO_MEAN_V, Anchor, MAX_ALPHA, MIN_GAMMA, TargetError, anchors, resolve_target};
+pub use anchors::{
+    AUTO_MEAN_V, Anchor, MAX_ALPHA, MIN_GAMMA, TargetError, anchors, resolve_target,
+};
 pub use curve::{BINS, Histogram, ToneCurve};
 pub use matching::{Match, match_anchor, spread_indices};

@@ -9,7 +9,9 @@ use serde::{Deserialize, Serialize};
 use crate::metrics::RoundMetrics;
 
 /// The stages of a job, in the order in which Algorithm 1 meets them.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize, JsonSchema)]
+#[derive(
+    Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize, JsonSchema,
+)]
 #[serde(rename_all = "snake_case")]
 pub enum Stage {
     /// Structure from motion, once a job.
@@ -147,7 +149,10 @@ pub trait ProgressSink {
 
     /// Convenience: a [`Event::Warning`].
     fn warn(&mut self, code: &str, message: String) {
-        self.event(&Event::Warning { code: code.to_owned(), message });
+        self.event(&Event::Warning {
+            code: code.to_owned(),
+            message,
+        });
     }
 
     /// Convenience: a [`Event::Log`].

@@ -42,10 +42,15 @@ impl Gaussians {
         const Y00: f32 = 0.282_094_8;
         let row = 3 * self.coefficients();
         for sh in self.sh.chunks_exact_mut(row) {
-            let base: [f32; 3] = std::array::from_fn(|c| 0.5 + Y00 * sh[c]).map(|v: f32| v.clamp(0.0, 1.0));
+            let base: [f32; 3] =
+                std::array::from_fn(|c| 0.5 + Y00 * sh[c]).map(|v: f32| v.clamp(0.0, 1.0));
             let (mapped, slope) = (colour(base), slope(base));
             for (i, value) in sh.iter_mut().enumerate() {
-                *value = if i < 3 { (mapped[i] - 0.5) / Y00 } else { *value * slope[i % 3] };
+                *value = if i < 3 {
+                    (mapped[i] - 0.5) / Y00
+                } else {
+                    *value * slope[i % 3]
+                };
             }
         }
     }
@@ -59,10 +64,17 @@ impl Gaussians {
     pub fn is_usable(&self, index: usize) -> bool {
         let row = 3 * self.coefficients();
         let quat = self.quats[index];
-        let head = self.means[index].iter().chain(&self.log_scales[index]).chain(&quat);
-        let finite = head.chain([&self.opacity_logits[index]]).all(|v| v.is_finite());
+        let head = self.means[index]
+            .iter()
+            .chain(&self.log_scales[index])
+            .chain(&quat);
+        let finite = head
+            .chain([&self.opacity_logits[index]])
+            .all(|v| v.is_finite());
         let sh = &self.sh[index * row..(index + 1) * row];
-        finite && sh.iter().all(|v| v.is_finite()) && quat.iter().map(|v| v * v).sum::<f32>() >= 1e-8
+        finite
+            && sh.iter().all(|v| v.is_finite())
+            && quat.iter().map(|v| v * v).sum::<f32>() >= 1e-8
     }
 
     /// The Gaussians at `indices`, in that order.
@@ -73,7 +85,11 @@ impl Gaussians {
             quats: indices.iter().map(|&i| self.quats[i]).collect(),
             log_scales: indices.iter().map(|&i| self.log_scales[i]).collect(),
             opacity_logits: indices.iter().map(|&i| self.opacity_logits[i]).collect(),
-            sh: indices.iter().flat_map(|&i| &self.sh[i * row..(i + 1) * row]).copied().collect(),
+            sh: indices
+                .iter()
+                .flat_map(|&i| &self.sh[i * row..(i + 1) * row])
+                .copied()
+                .collect(),
             sh_degree: self.sh_degree,
         }
     }
@@ -88,13 +104,20 @@ impl Gaussians {
     /// The same Gaussians with harmonics of `degree`: cut off, or filled up with zeros.
     #[must_use]
     pub fn with_sh_degree(&self, degree: u32) -> Self {
-        let (from, to) = (3 * self.coefficients(), 3 * ((degree + 1) * (degree + 1)) as usize);
+        let (from, to) = (
+            3 * self.coefficients(),
+            3 * ((degree + 1) * (degree + 1)) as usize,
+        );
         let mut sh = vec![0.0; self.len() * to];
         for (source, target) in self.sh.chunks_exact(from).zip(sh.chunks_exact_mut(to)) {
             let shared = from.min(to);
             target[..shared].copy_from_slice(&source[..shared]);
         }
-        Self { sh, sh_degree: degree, ..self.clone() }
+        Self {
+            sh,
+            sh_degree: degree,
+            ..self.clone()
+        }
     }
 }
 

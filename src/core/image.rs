@@ -37,7 +37,12 @@ pub struct Image<E = Srgb> {
 impl<E> Image<E> {
     /// A black image.
     pub fn new(width: usize, height: usize) -> Self {
-        Self { width, height, data: vec![0.0; 3 * width * height], encoding: PhantomData }
+        Self {
+            width,
+            height,
+            data: vec![0.0; 3 * width * height],
+            encoding: PhantomData,
+        }
     }
 
     /// From planar values, [3, height, width].
@@ -45,8 +50,17 @@ impl<E> Image<E> {
     /// # Panics
     /// When the length is not `3 * width * height`: a fault of the caller.
     pub fn from_planar(width: usize, height: usize, data: Vec<f32>) -> Self {
-        assert_eq!(data.len(), 3 * width * height, "planar data of {width}x{height}");
-        Self { width, height, data, encoding: PhantomData }
+        assert_eq!(
+            data.len(),
+            3 * width * height,
+            "planar data of {width}x{height}"
+        );
+        Self {
+            width,
+            height,
+            data,
+            encoding: PhantomData,
+        }
     }
 
     /// Width in px.
@@ -102,12 +116,20 @@ impl<E> Image<E> {
 
     /// Every value mapped.
     pub fn map(&self, f: impl Fn(f32) -> f32) -> Self {
-        Self::from_planar(self.width, self.height, self.data.iter().map(|&v| f(v)).collect())
+        Self::from_planar(
+            self.width,
+            self.height,
+            self.data.iter().map(|&v| f(v)).collect(),
+        )
     }
 
     /// Rec. 709 luma of the values as they are encoded, [height, width].
     pub fn luma(&self) -> Vec<f32> {
         let (red, green, blue) = (self.plane(0), self.plane(1), self.plane(2));
-        red.iter().zip(green).zip(blue).map(|((r, g), b)| 0.2126 * r + 0.7152 * g + 0.0722 * b).collect()
+        red.iter()
+            .zip(green)
+            .zip(blue)
+            .map(|((r, g), b)| 0.2126 * r + 0.7152 * g + 0.0722 * b)
+            .collect()
     }
 }

@@ -2,9 +2,10 @@
 //! sharp 3D Gaussian splatting scene.
 //!
 //! Data flows one way: [`pipeline`] drives [`colmap`], [`enhance`], [`deblur`], [`reconstruct`]
-//! (which drives [`splat`], [`noise`], [`shake`] and [`register`]), [`metrics`] and [`render`]. Siblings never import each
-//! other; all may use [`image`], [`camera`], [`poses`], [`gaussians`], [`event`] and [`cancel`].
-//! The crate knows no HTTP, no SQL, no async runtime and no environment variables.
+//! (which drives [`splat`], [`noise`], [`shake`] and [`register`]), [`metrics`] and [`render`].
+//! Siblings never import each other; all may use [`image`], [`camera`], [`poses`], [`gaussians`],
+//! [`event`] and [`cancel`]. The crate knows no HTTP, no SQL, no async runtime and no environment
+//! variables.
 
 #[cfg(test)]
 mod agreement;

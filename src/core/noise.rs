@@ -1,5 +1,5 @@
-//! The noise field: a small network that explains what is smooth over an image and is no part of the
-//! scene (black level, cast, exposure), so that the splats need not; method.md 5.
+//! The noise field: a small network that explains what is smooth over an image and is no part of
+//! the scene (black level, cast, exposure), so that the splats need not; method.md 5.
 //!
 //! ```no_run
 //! # use fled_core::{camera::Camera, noise::{NoiseField, NoiseMode}};
@@ -22,12 +22,12 @@
 //! # }
 //! ```
 //!
-//! One step must be submitted before the next `begin_step`, which writes what the kernels read. Same seed,
-//! same device: same bits. The map is never part of a delivered view.
+//! One step must be submitted before the next `begin_step`, which writes what the kernels read.
+//! Same seed, same device: same bits. The map is never part of a delivered view.
 //!
 //! Differs from the paper: its point of normalised device space is taken in the frame of the camera
-//! itself, where it is the same plane for every view, because the world's frame of LLFF captures does not
-//! exist for cameras that turn around a scene; views differ by the direction's encoding.
+//! itself, where it is the same plane for every view, because the world's frame of LLFF captures
+//! does not exist for cameras that turn around a scene; views differ by the direction's encoding.
 
 mod kernels;
 mod network;
@@ -64,8 +64,9 @@ pub const OFF_SHARE: f64 = 0.1;
 
 /// Above this |correlation| of map and render the field explains the scene rather than the noise.
 pub const CORRELATION_LIMIT: f64 = 0.3;
-/// Maps flatter than this, standard deviation 0..=1, are not guarded: half an 8-bit step of whatever
-/// shape cannot take the scene's place, and in real rounds of 8 views such maps correlated by 0.4.
+/// Maps flatter than this, standard deviation 0..=1, are not guarded: half an 8-bit step of
+/// whatever shape cannot take the scene's place, and in real rounds of 8 views such maps correlated
+/// by 0.4.
 pub const LEAST_GUARDED_SPREAD: f64 = 0.5 / 255.0;
 
 /// Side of a cell of mode `Grid`, px.
@@ -95,8 +96,8 @@ pub fn amplitude(sigma: f32) -> f32 {
     (3.0 * sigma).clamp(LEAST, MOST)
 }
 
-/// Where the step's count of intersections lies, and how many fit: a step that was blended from a part of them
-/// teaches the field nothing.
+/// Where the step's count of intersections lies, and how many fit: a step that was blended from a
+/// part of them teaches the field nothing.
 pub struct Room<'a> {
     /// Counters of the step.
     pub intersections: &'a Buffer<u32>,
@@ -159,7 +160,12 @@ impl NoiseField {
     ///
     /// # Errors
     /// A device error, out of memory above all.
-    pub fn new(gpu: &Gpu, mode: NoiseMode, seed: u64, size: [usize; 2]) -> Result<Option<Self>, GpuError> {
+    pub fn new(
+        gpu: &Gpu,
+        mode: NoiseMode,
+        seed: u64,
+        size: [usize; 2],
+    ) -> Result<Option<Self>, GpuError> {
         let octaves = match mode {
             NoiseMode::Off => return Ok(None),
             NoiseMode::Grid => 8,
@@ -168,12 +174,22 @@ impl NoiseField {
         let network = Network::new(octaves);
         let cell = cell_side(mode) as usize;
         let most_cells = size[0].div_ceil(cell) * size[1].div_ceil(cell);
-        let chunk_cells = most_cells.min(if mode == NoiseMode::Grid { CHUNK_GRID } else { CHUNK_PAPER });
+        let chunk_cells = most_cells.min(if mode == NoiseMode::Grid {
+            CHUNK_GRID
+        } else {
+            CHUNK_PAPER
+        });
         let on_cpu = gpu.describe().device_type == DeviceType::Cpu;
         let exchanges = on_cpu && gpu.describe().subgroup == Some((LANES as u32, LANES as u32));
-        let segments = if on_cpu { SEGMENTS_ON_CPU } else { SEGMENTS_ON_GPU };
+        let segments = if on_cpu {
+            SEGMENTS_ON_CPU
+        } else {
+            SEGMENTS_ON_GPU
+        };
         let buffers = Buffers::new(gpu, &network, most_cells, chunk_cells, segments)?;
-        buffers.parameters.write(bytemuck::cast_slice(&network.initial(seed, mode == NoiseMode::Paper)))?;
+        buffers.parameters.write(bytemuck::cast_slice(
+            &network.initial(seed, mode == NoiseMode::Paper),
+        ))?;
         let current = NoiseUniform::default();
         let (restraint, step) = (1.0, 0);
         Ok(Some(Self {
@@ -193,13 +209,25 @@ impl NoiseField {
     /// Sets the view and its noise for what is submitted next, and counts the step.
     ///
     /// # Errors
-    /// [`GpuError::Validation`] when the image is larger than the field was made for; a device error.
+    /// [`GpuError::Validation`] when the image is larger than the field was made for; a device
+    /// error.
     pub fn begin_step(&mut self, camera: &Camera, sigma: f32) -> Result<(), GpuError> {
-        let bound = if self.mode == NoiseMode::Paper { MOST } else { amplitude(sigma) };
-        let uniform = NoiseUniform::new(camera, self.mode, self.network.octaves, self.restraint * bound);
+        let bound = if self.mode == NoiseMode::Paper {
+            MOST
+        } else {
+            amplitude(sigma)
+        };
+        let uniform = NoiseUniform::new(
+            camera,
+            self.mode,
+            self.network.octaves,
+            self.restraint * bound,
+        );
         if uniform.cells() > self.most_cells {
             let (width, height) = (uniform.width, uniform.height);
-            return Err(GpuError::Validation(format!("a noise field made too small for {width}x{height}")));
+            return Err(GpuError::Validation(format!(
+                "a noise field made too small for {width}x{height}"
+            )));
         }
         self.current = uniform;
         self.buffers.field.write(&[uniform])?;
@@ -210,12 +238,14 @@ impl NoiseField {
         Ok(())
     }
 
-    /// Forgets the last [`NoiseField::begin_step`], whose intersections did not fit [`Room`]: it will be repeated.
+    /// Forgets the last [`NoiseField::begin_step`], whose intersections did not fit [`Room`]: it
+    /// will be repeated.
     pub fn take_back_step(&mut self) {
         self.step = self.step.saturating_sub(1);
     }
 
-    /// Records `prediction = render + n`; both planar [3, H, W] of the size of [`NoiseField::begin_step`].
+    /// Records `prediction = render + n`; both planar [3, H, W] of the size of
+    /// [`NoiseField::begin_step`].
     ///
     /// # Errors
     /// [`GpuError::Validation`] for a buffer that is shorter than the image; a device error.
@@ -245,8 +275,8 @@ impl NoiseField {
         )
     }
 
-    /// Records the derivative of the loss by the network's parameters from that by the prediction, and one
-    /// step of Adam. Needs the forward of the same step before it.
+    /// Records the derivative of the loss by the network's parameters from that by the prediction,
+    /// and one step of Adam. Needs the forward of the same step before it.
     ///
     /// # Errors
     /// As [`NoiseField::record_forward`].
@@ -260,15 +290,31 @@ impl NoiseField {
         let b = &self.buffers;
         let parameters = self.network.parameters();
         let rate = RATE * DECAY.powi((self.step.saturating_sub(1) / DECAY_STEPS) as i32);
-        b.adam.write(&[AdamUniform::new(rate, self.step, self.segments, parameters, room)])?;
+        b.adam.write(&[AdamUniform::new(
+            rate,
+            self.step,
+            self.segments,
+            parameters,
+            room,
+        )])?;
         recorder.dispatch_items(
             &kernels::ADAM,
-            &[&b.adam, room.intersections, &b.gradients, &b.parameters, &b.moments],
+            &[
+                &b.adam,
+                room.intersections,
+                &b.gradients,
+                &b.parameters,
+                &b.moments,
+            ],
             parameters,
         )
     }
 
-    fn record_gradients(&self, recorder: &mut Recorder, gradient: &Buffer<f32>) -> Result<(), GpuError> {
+    fn record_gradients(
+        &self,
+        recorder: &mut Recorder,
+        gradient: &Buffer<f32>,
+    ) -> Result<(), GpuError> {
         self.check_length(&[gradient])?;
         let b = &self.buffers;
         let cells = self.current.cells();
@@ -278,7 +324,11 @@ impl NoiseField {
             cells,
         )?;
         if self.mode == NoiseMode::Grid {
-            recorder.dispatch_groups(&kernels::REDUCE, &[&b.field, &b.cell_gradient, &b.total], 1)?;
+            recorder.dispatch_groups(
+                &kernels::REDUCE,
+                &[&b.field, &b.cell_gradient, &b.total],
+                1,
+            )?;
         }
         let chunks = self.chunks();
         for (chunk, cells) in chunks.iter().enumerate() {
@@ -288,7 +338,14 @@ impl NoiseField {
             }
             recorder.dispatch_items(
                 &kernels::OUTPUT_DELTA,
-                &[&b.field, &b.chunks[chunk], &b.values, &b.cell_gradient, &b.total, &b.deltas[LAYERS - 1]],
+                &[
+                    &b.field,
+                    &b.chunks[chunk],
+                    &b.values,
+                    &b.cell_gradient,
+                    &b.total,
+                    &b.deltas[LAYERS - 1],
+                ],
                 cells.len(),
             )?;
             self.record_layers_backward(recorder, chunk, cells.len())?;
@@ -307,8 +364,13 @@ impl NoiseField {
             count,
         )?;
         for (layer, shape) in self.network.layers.iter().enumerate() {
-            let buffers: [&dyn fled_gpu::Bind; 5] =
-                [&b.layers[layer], &b.chunks[chunk], b.input(layer), &b.parameters, &b.outputs[layer]];
+            let buffers: [&dyn fled_gpu::Bind; 5] = [
+                &b.layers[layer],
+                &b.chunks[chunk],
+                b.input(layer),
+                &b.parameters,
+                &b.outputs[layer],
+            ];
             if self.exchanges {
                 let groups = count.div_ceil(16) * shape.outputs4.div_ceil(LANES);
                 recorder.dispatch_groups(&kernels::LAYER_FORWARD_SUBGROUP, &buffers, groups)?;
@@ -335,14 +397,21 @@ impl NoiseField {
                 let groups = shape.inputs4.div_ceil(4) * shape.outputs4.div_ceil(LANES);
                 recorder.dispatch_groups(&kernels::LAYER_WEIGHTS_SUBGROUP, &weights, groups)?;
             } else {
-                let tiles = self.segments as usize * shape.inputs4.div_ceil(2) * shape.outputs4.div_ceil(2);
+                let tiles =
+                    self.segments as usize * shape.inputs4.div_ceil(2) * shape.outputs4.div_ceil(2);
                 recorder.dispatch_items(&kernels::LAYER_WEIGHTS, &weights, tiles)?;
             }
             if layer == 0 {
                 continue;
             }
-            let back: [&dyn fled_gpu::Bind; 6] =
-                [uniform, chunk, delta, &b.parameters, input, &b.deltas[layer - 1]];
+            let back: [&dyn fled_gpu::Bind; 6] = [
+                uniform,
+                chunk,
+                delta,
+                &b.parameters,
+                input,
+                &b.deltas[layer - 1],
+            ];
             if self.exchanges {
                 let groups = count.div_ceil(16) * shape.inputs4.div_ceil(LANES);
                 recorder.dispatch_groups(&kernels::LAYER_BACKWARD_SUBGROUP, &back, groups)?;
@@ -354,8 +423,8 @@ impl NoiseField {
         Ok(())
     }
 
-    /// Compares the map of the step that was submitted last with its render; halves the amplitude from the
-    /// next step on when they are too alike. Waits for the device.
+    /// Compares the map of the step that was submitted last with its render; halves the amplitude
+    /// from the next step on when they are too alike. Waits for the device.
     ///
     /// # Errors
     /// A device error.
@@ -386,12 +455,15 @@ impl NoiseField {
     fn check_length(&self, images: &[&Buffer<f32>]) -> Result<(), GpuError> {
         let values = 3 * self.current.pixels();
         if values == 0 {
-            return Err(GpuError::Validation("the noise field needs `begin_step` first".to_owned()));
+            return Err(GpuError::Validation(
+                "the noise field needs `begin_step` first".to_owned(),
+            ));
         }
         match images.iter().find(|image| image.len() < values) {
-            Some(image) => {
-                Err(GpuError::Validation(format!("noise on {values} values, buffer of {}", image.len())))
-            }
+            Some(image) => Err(GpuError::Validation(format!(
+                "noise on {values} values, buffer of {}",
+                image.len()
+            ))),
             None => Ok(()),
         }
     }
@@ -405,7 +477,8 @@ impl Buffers {
         chunk: usize,
         segments: u32,
     ) -> Result<Self, GpuError> {
-        // Layers work on 8 or 16 cells at once and write rows past the last; a chunk ends at a multiple of 16.
+        // Layers work on 8 or 16 cells at once and write rows past the last; a chunk ends at a
+        // multiple of 16.
         let (rows, all_rows) = (chunk.next_multiple_of(16), cells.next_multiple_of(16));
         let last = LAYERS - 1;
         let output = |layer: usize, rows: usize, all_rows: usize| {
@@ -420,12 +493,21 @@ impl Buffers {
                 .map(|_| gpu.create("noise chunk", 1))
                 .collect::<Result<_, _>>()?,
             layers: layers
-                .map(|shape| gpu.upload("noise layer", &[LayerUniform::new(shape, segments, parameters)]))
+                .map(|shape| {
+                    gpu.upload(
+                        "noise layer",
+                        &[LayerUniform::new(shape, segments, parameters)],
+                    )
+                })
                 .collect::<Result<_, _>>()?,
             adam: gpu.create("noise adam", 1)?,
             encoded: gpu.create("noise encoding", rows * network.layers[0].input_stride4)?,
-            outputs: (0..LAYERS).map(|l| output(l, rows, all_rows)).collect::<Result<_, _>>()?,
-            deltas: (0..LAYERS).map(|l| output(l, rows, rows)).collect::<Result<_, _>>()?,
+            outputs: (0..LAYERS)
+                .map(|l| output(l, rows, all_rows))
+                .collect::<Result<_, _>>()?,
+            deltas: (0..LAYERS)
+                .map(|l| output(l, rows, rows))
+                .collect::<Result<_, _>>()?,
             values: gpu.create("noise values", cells)?,
             mean: gpu.create("noise mean", 1)?,
             cell_gradient: gpu.create("noise cell gradient", cells)?,
@@ -437,7 +519,11 @@ impl Buffers {
     }
 
     fn input(&self, layer: usize) -> &Buffer<[f32; 4]> {
-        if layer == 0 { &self.encoded } else { &self.outputs[layer - 1] }
+        if layer == 0 {
+            &self.encoded
+        } else {
+            &self.outputs[layer - 1]
+        }
     }
 }
 
@@ -448,7 +534,12 @@ fn cell_side(mode: NoiseMode) -> u32 {
 /// Statistics of `prediction - render`, and whether it is too like the render.
 fn compare(render: &[f32], prediction: &[f32]) -> Inspection {
     let n = render.len() as f64;
-    let map = || render.iter().zip(prediction).map(|(&r, &p)| (f64::from(r), f64::from(p) - f64::from(r)));
+    let map = || {
+        render
+            .iter()
+            .zip(prediction)
+            .map(|(&r, &p)| (f64::from(r), f64::from(p) - f64::from(r)))
+    };
     let (mean_render, mean) = map().fold((0.0, 0.0), |sum, (r, m)| (sum.0 + r / n, sum.1 + m / n));
     let (mut covariance, mut variance_render, mut variance) = (0.0, 0.0, 0.0);
     for (r, m) in map() {
@@ -456,12 +547,22 @@ fn compare(render: &[f32], prediction: &[f32]) -> Inspection {
         variance_render += (r - mean_render).powi(2) / n;
         variance += (m - mean).powi(2) / n;
     }
-    // Below a hundredth of an 8-bit step the map is nothing, and its correlation is that of rounding.
+    // Below a hundredth of an 8-bit step the map is nothing, and its correlation is that of
+    // rounding.
     let something = variance > 1e-9 && variance_render > 1e-12;
-    let correlation = if something { covariance / (variance * variance_render).sqrt() } else { 0.0 };
+    let correlation = if something {
+        covariance / (variance * variance_render).sqrt()
+    } else {
+        0.0
+    };
     let spread = variance.sqrt();
     let halved = correlation.abs() > CORRELATION_LIMIT && spread > LEAST_GUARDED_SPREAD;
-    Inspection { mean, spread, correlation, halved }
+    Inspection {
+        mean,
+        spread,
+        correlation,
+        halved,
+    }
 }
 
 #[cfg(test)]

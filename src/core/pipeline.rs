@@ -90,13 +90,28 @@ pub fn run(
         let enhanced = job.enhance(i, &views, anchor)?; // H_i = E(L; P_i)
         let deblurred = job.deblur(i, &views, &enhanced, guides.as_deref())?; // D_i
         let response = job.response(&views, anchor); // f: light -> values of H_i
-        let images = if options.trains_on_enhanced() { &enhanced } else { &deblurred };
-        let material = Material { round: i, views: &views, images, response };
+        let images = if options.trains_on_enhanced() {
+            &enhanced
+        } else {
+            &deblurred
+        };
+        let material = Material {
+            round: i,
+            views: &views,
+            images,
+            response,
+        };
         let scene = job.reconstruct(&material, &poses, previous.take())?; // V_i
         job.place(&mut views, &scene)?;
         let renders = job.render(i, &views, &scene)?; // R_i
         let next = job.match_next(i, &renders, &views, &anchors, &target)?; // P_R
-        job.evaluate(i, &views, [&enhanced, &deblurred, &renders, &target], &next, &scene)?;
+        job.evaluate(
+            i,
+            &views,
+            [&enhanced, &deblurred, &renders, &target],
+            &next,
+            &scene,
+        )?;
         guides = Some(next.guides); // H_i+1 with the detail of HR = E(R_i; P_R)
         previous = Some((scene, next.to_next));
     }

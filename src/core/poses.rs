@@ -175,9 +175,12 @@ pub enum PosesError {
     Cancelled(#[from] Cancelled),
 }
 
-/// Whoever gave the file knows where it lies; a client of the service need not learn where it was put.
+/// Whoever gave the file knows where it lies; a client of the service need not learn where it was
+/// put.
 pub(crate) fn name_of(file: &Path) -> std::borrow::Cow<'_, str> {
-    file.file_name().unwrap_or(file.as_os_str()).to_string_lossy()
+    file.file_name()
+        .unwrap_or(file.as_os_str())
+        .to_string_lossy()
 }
 
 impl PosesError {
@@ -189,6 +192,9 @@ impl PosesError {
 
     /// A [`PosesError::BadFile`].
     pub fn bad_file(file: &Path, reason: impl Into<String>) -> Self {
-        Self::BadFile { file: file.to_owned(), reason: reason.into() }
+        Self::BadFile {
+            file: file.to_owned(),
+            reason: reason.into(),
+        }
     }
 }

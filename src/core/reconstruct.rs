@@ -1,7 +1,7 @@
 //! Training the splats of one round: from posed views to a scene.
 //!
-//! A step is one submission: project, sort, blend, noise, loss, and all the way back into Adam. The host
-//! waits for nothing but the count of intersections of the step before last.
+//! A step is one submission: project, sort, blend, noise, loss, and all the way back into Adam. The
+//! host waits for nothing but the count of intersections of the step before last.
 
 pub mod checkpoint;
 mod colour;
@@ -48,8 +48,8 @@ pub struct TrainingView {
 pub enum Background {
     /// Black: what is dark in every view may turn transparent.
     Black,
-    /// Another colour at every step, so that only what is opaque looks right. Differs from the paper: its views
-    /// fill their frames too, and what is seen through from elsewhere is a hole.
+    /// Another colour at every step, so that only what is opaque looks right. Differs from the
+    /// paper: its views fill their frames too, and what is seen through from elsewhere is a hole.
     Random,
 }
 
@@ -69,8 +69,8 @@ pub enum Densify {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum ExtentRule {
-    /// The larger of the cameras' own and a quarter of the points' median depth: cameras that face forward stand
-    /// close together.
+    /// The larger of the cameras' own and a quarter of the points' median depth: cameras that face
+    /// forward stand close together.
     Scene,
     /// 1.1 times the radius of the cameras, as first published.
     Cameras,
@@ -90,10 +90,11 @@ pub enum TrainStart {
 pub struct TrainConfig {
     /// Optimiser steps.
     pub steps: u32,
-    /// Explain the shake of the views, whose values come from light like this; `None`: they are not shaken.
+    /// Explain the shake of the views, whose values come from light like this; `None`: they are not
+    /// shaken.
     pub shake: Option<Response>,
-    /// Correct the cameras by the renders. The number is about how far away the scene is, world units;
-    /// `None`: they stand where the poses say.
+    /// Correct the cameras by the renders. The number is about how far away the scene is, world
+    /// units; `None`: they stand where the poses say.
     pub refine_poses: Option<f64>,
     /// Most Gaussians.
     pub cap: usize,
@@ -107,8 +108,8 @@ pub struct TrainConfig {
     pub warm: bool,
     /// What lies behind the splats.
     pub background: Background,
-    /// Share of the Gaussians that a step at the end of the round goes without; it grows from nothing. Against
-    /// floaters that only few views see.
+    /// Share of the Gaussians that a step at the end of the round goes without; it grows from
+    /// nothing. Against floaters that only few views see.
     pub dropout: f64,
     /// How Gaussians come and go.
     pub densify: Densify,
@@ -161,7 +162,8 @@ pub struct Trained {
     pub non_finite_gradients: u64,
     /// What the noise field learnt; `None` when it was off.
     pub noise: Option<NoiseMapStatistics>,
-    /// Mean [`ShakeKernel::spread`](crate::shake::ShakeKernel::spread) over the views, px; `None` when shake was off.
+    /// Mean [`ShakeKernel::spread`](crate::shake::ShakeKernel::spread) over the views, px; `None`
+    /// when shake was off.
     pub shake_px: Option<f64>,
     /// The views' cameras, in their order, corrected or as given.
     pub cameras: Vec<Camera>,
@@ -223,8 +225,9 @@ pub fn train(
 /// Corrections of a view that did not train.
 const REGISTRATIONS: u32 = 4;
 
-/// The cameras of `views` corrected by the scene as it is, which does not change: for photographs that were kept out
-/// of training, whose poses would otherwise be less exact than those of the others.
+/// The cameras of `views` corrected by the scene as it is, which does not change: for photographs
+/// that were kept out of training, whose poses would otherwise be less exact than those of the
+/// others.
 ///
 /// # Errors
 /// [`ReconstructError`].

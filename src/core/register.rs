@@ -1,8 +1,9 @@
-//! Where a photograph was taken from, corrected by renders of the scene: Gauss-Newton over the six ways a camera
-//! can move, its derivatives taken from renders of slightly moved cameras.
+//! Where a photograph was taken from, corrected by renders of the scene: Gauss-Newton over the six
+//! ways a camera can move, its derivatives taken from renders of slightly moved cameras.
 //!
-//! Differs from the paper, which keeps COLMAP's poses. Features found in dark, shaken photographs place a camera
-//! to a third of a pixel or so; the scene then is the mean of views that do not quite agree, and no sharper.
+//! Differs from the paper, which keeps COLMAP's poses. Features found in dark, shaken photographs
+//! place a camera to a third of a pixel or so; the scene then is the mean of views that do not
+//! quite agree, and no sharper.
 
 use glam::{DMat3, DMat4, DQuat, DVec3};
 
@@ -15,13 +16,15 @@ const PROBE_PX: f64 = 0.25;
 const LARGEST_PX: f64 = 1.0;
 /// Outer pixels that are not compared: what lies beyond the border is shaken into them.
 const BORDER: usize = 4;
-/// Differences beyond so many deviations of their middle count by their size, not by their square (Huber).
+/// Differences beyond so many deviations of their middle count by their size, not by their square
+/// (Huber).
 const BEND: f32 = 2.0;
-/// Levenberg's damping as a share of the mean curvature: turning left and moving left look alike where the scene
-/// is flat, and neither should grow to cancel the other.
+/// Levenberg's damping as a share of the mean curvature: turning left and moving left look alike
+/// where the scene is flat, and neither should grow to cancel the other.
 const DAMPING: f64 = 1e-3;
 
-/// How a camera was moved, in its own axes: turned by a rotation vector (rad), then shifted (world units).
+/// How a camera was moved, in its own axes: turned by a rotation vector (rad), then shifted (world
+/// units).
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Motion {
     /// Rotation vector x y z, rad, then the shift x y z, world units.
@@ -34,18 +37,23 @@ impl Motion {
         let [a, b, c, x, y, z] = self.twist.map(f64::from);
         let turn = DQuat::from_scaled_axis(DVec3::new(a, b, c));
         let motion = DMat4::from_rotation_translation(turn, DVec3::new(x, y, z));
-        Camera { world_to_camera: motion * camera.world_to_camera, ..*camera }
+        Camera {
+            world_to_camera: motion * camera.world_to_camera,
+            ..*camera
+        }
     }
 
     /// This motion and a further small one. Motions are so small that they add.
     #[must_use]
     pub fn plus(&self, by: &[f64; 6]) -> Self {
-        Self { twist: std::array::from_fn(|i| self.twist[i] + by[i] as f32) }
+        Self {
+            twist: std::array::from_fn(|i| self.twist[i] + by[i] as f32),
+        }
     }
 }
 
-/// Six small motions, each of which moves the image of a scene at the median `depth` (world units) by about a quarter
-/// of a pixel, at the border where it does not move the middle.
+/// Six small motions, each of which moves the image of a scene at the median `depth` (world units)
+/// by about a quarter of a pixel, at the border where it does not move the middle.
 pub fn probes(camera: &Camera, depth: f64) -> [[f64; 6]; 6] {
     let k = &camera.intrinsics;
     let turn = PROBE_PX / k.fx;
@@ -54,8 +62,8 @@ pub fn probes(camera: &Camera, depth: f64) -> [[f64; 6]; 6] {
     std::array::from_fn(|axis| std::array::from_fn(|i| if i == axis { sizes[axis] } else { 0.0 }))
 }
 
-/// The motion that brings `render` to `photograph` to first order, given `probed`, the renders after each of the
-/// camera's [`probes`]. All of one size. `None` where the images do not tell.
+/// The motion that brings `render` to `photograph` to first order, given `probed`, the renders
+/// after each of the camera's [`probes`]. All of one size. `None` where the images do not tell.
 pub fn correction(
     photograph: &Image,
     render: &Image,
@@ -76,7 +84,11 @@ pub fn correction(
             for at in from + BORDER..from + width - BORDER {
                 let now = render.data()[at];
                 let missing = photograph.data()[at] - now;
-                let weight = if missing.abs() <= bend { 1.0 } else { bend / missing.abs() };
+                let weight = if missing.abs() <= bend {
+                    1.0
+                } else {
+                    bend / missing.abs()
+                };
                 let by: [f32; 6] = std::array::from_fn(|i| probed[i].data()[at] - now);
                 for i in 0..6 {
                     row_slope[i] += weight * by[i] * missing;
@@ -96,9 +108,16 @@ pub fn correction(
     let mean = (0..6).map(|i| curvature[i][i]).sum::<f64>() / 6.0;
     (0..6).for_each(|i| curvature[i][i] += DAMPING * mean);
     let shares = solve(curvature, slope)?;
-    let longest = shares.iter().fold(0.0_f64, |most, share| most.max(share.abs())) * PROBE_PX;
+    let longest = shares
+        .iter()
+        .fold(0.0_f64, |most, share| most.max(share.abs()))
+        * PROBE_PX;
     let kept = (LARGEST_PX / longest.max(1e-12)).min(1.0);
-    Some(std::array::from_fn(|i| kept * (0..6).map(|axis| shares[axis] * probes[axis][i]).sum::<f64>()))
+    Some(std::array::from_fn(|i| {
+        kept * (0..6)
+            .map(|axis| shares[axis] * probes[axis][i])
+            .sum::<f64>()
+    }))
 }
 
 /// How far apart two images are: the mean absolute difference without the border.
@@ -107,7 +126,8 @@ pub fn difference(photograph: &Image, render: &Image) -> f64 {
     all.iter().map(|d| f64::from(*d)).sum::<f64>() / all.len().max(1) as f64
 }
 
-/// Standard deviation of the differences as their middle tells it; `None` when nothing differs or nothing is finite.
+/// Standard deviation of the differences as their middle tells it; `None` when nothing differs or
+/// nothing is finite.
 fn middle_difference(photograph: &Image, render: &Image) -> Option<f32> {
     let mut some = differences(photograph, render, 7);
     let middle = some.len() / 2;
@@ -157,15 +177,20 @@ fn solve<const N: usize>(lower: [[f64; N]; N], mut right: [f64; N]) -> Option<[f
     right.iter().all(|x| x.is_finite()).then_some(right)
 }
 
-/// Takes out of `motions` what all cameras have in common: a turn, a shift and a growth of the whole world, which no
-/// image tells and along which cameras and scene would drift away from the poses that were given.
+/// Takes out of `motions` what all cameras have in common: a turn, a shift and a growth of the
+/// whole world, which no image tells and along which cameras and scene would drift away from the
+/// poses that were given.
 pub fn hold_gauge(cameras: &[Camera], motions: &mut [Motion]) {
     let centre = cameras.iter().map(Camera::centre).sum::<DVec3>() / cameras.len().max(1) as f64;
-    let radius = cameras.iter().map(|c| c.centre().distance(centre)).fold(0.0, f64::max);
+    let radius = cameras
+        .iter()
+        .map(|c| c.centre().distance(centre))
+        .fold(0.0, f64::max);
     if radius <= 0.0 {
         return;
     }
-    // Unknowns: turn, shift / radius, growth. A camera tells of the turn by its own, and of all by its centre.
+    // Unknowns: turn, shift / radius, growth. A camera tells of the turn by its own, and of all by
+    // its centre.
     let (mut lower, mut right) = ([[0.0; 7]; 7], [0.0; 7]);
     for (camera, motion) in cameras.iter().zip(motions.iter()) {
         let (turned, displaced) = world_motion(camera, &motion.moved(camera));
@@ -184,7 +209,9 @@ pub fn hold_gauge(cameras: &[Camera], motions: &mut [Motion]) {
         }
     }
     (0..7).for_each(|i| lower[i][i] += 1e-9);
-    let Some(common) = solve(lower, right) else { return };
+    let Some(common) = solve(lower, right) else {
+        return;
+    };
     let turn = DVec3::new(common[0], common[1], common[2]);
     let shift = DVec3::new(common[3], common[4], common[5]);
     for (camera, motion) in cameras.iter().zip(motions.iter_mut()) {
@@ -208,10 +235,14 @@ fn add_row(lower: &mut [[f64; 7]; 7], right: &mut [f64; 7], row: [f64; 7], value
 fn world_motion(before: &Camera, after: &Camera) -> (DVec3, DVec3) {
     // Axes of the camera as columns; what turns the old ones into the new ones.
     let turn: DMat3 = after.rotation().transpose() * before.rotation();
-    (DQuat::from_mat3(&turn).to_scaled_axis(), after.centre() - before.centre())
+    (
+        DQuat::from_mat3(&turn).to_scaled_axis(),
+        after.centre() - before.centre(),
+    )
 }
 
-/// The twist of a small motion that is given in the world: the inverse of [`world_motion`], to first order.
+/// The twist of a small motion that is given in the world: the inverse of [`world_motion`], to
+/// first order.
 fn camera_motion(camera: &Camera, turned: DVec3, displaced: DVec3) -> [f64; 6] {
     let rotation = camera.rotation();
     let turn = -(rotation * turned);

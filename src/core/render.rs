@@ -47,20 +47,30 @@ struct Target {
 }
 
 impl Scene {
-    /// How much the last image had to sort and blend; `None` before the first. Waits for the device.
+    /// How much the last image had to sort and blend; `None` before the first. Waits for the
+    /// device.
     ///
     /// # Errors
     /// A device error.
     pub fn work(&self) -> Result<Option<SplatWork>, SplatError> {
-        let kept = self.target.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
-        Ok(kept.as_ref().map(|target| target.buffers.work()).transpose()?)
+        let kept = self
+            .target
+            .lock()
+            .unwrap_or_else(std::sync::PoisonError::into_inner);
+        Ok(kept
+            .as_ref()
+            .map(|target| target.buffers.work())
+            .transpose()?)
     }
 }
 
 impl Renderer {
     /// A renderer on this device.
     pub fn new(gpu: &Gpu) -> Self {
-        Self { gpu: gpu.clone(), forward: Forward::new(Specialisation::for_adapter(gpu.describe())) }
+        Self {
+            gpu: gpu.clone(),
+            forward: Forward::new(Specialisation::for_adapter(gpu.describe())),
+        }
     }
 
     /// Copies a scene to the device, for [`Renderer::render_scene`].
@@ -75,8 +85,8 @@ impl Renderer {
         })
     }
 
-    /// The image a camera sees, with spherical harmonics up to `sh_degree`; sRGB-encoded, over black, not
-    /// clamped above.
+    /// The image a camera sees, with spherical harmonics up to `sh_degree`; sRGB-encoded, over
+    /// black, not clamped above.
     ///
     /// # Errors
     /// As [`Renderer::upload`], and [`SplatError::EmptyImage`].
@@ -104,7 +114,10 @@ impl Renderer {
         }
         let allocated = scene.gaussians.sh_degree;
         let uniform = CameraUniform::new(camera, scene.gaussians.count, sh_degree, allocated, NEAR);
-        let mut kept = scene.target.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+        let mut kept = scene
+            .target
+            .lock()
+            .unwrap_or_else(std::sync::PoisonError::into_inner);
         // Most splats touch a few tiles; the exact number is known after the first attempt.
         let mut intersections = (4 * scene.gaussians.count).max(1 << 14);
         if let Some(target) =
@@ -117,7 +130,12 @@ impl Renderer {
                 Some(target) => target,
                 None => self.target(
                     scene,
-                    SplatSizes { gaussians: scene.gaussians.count, width, height, intersections },
+                    SplatSizes {
+                        gaussians: scene.gaussians.count,
+                        width,
+                        height,
+                        intersections,
+                    },
                 )?,
             };
             scene.projection.camera.write(&[uniform])?;
@@ -139,8 +157,12 @@ impl Renderer {
         let buffers = SplatBuffers::new(&self.gpu, sizes, false)?;
         let mut recorder = self.gpu.recorder();
         scene.projection.record(&mut recorder, &scene.gaussians)?;
-        self.forward.record(&mut recorder, &scene.projection, &buffers)?;
-        Ok(Target { buffers, recording: recorder.finish() })
+        self.forward
+            .record(&mut recorder, &scene.projection, &buffers)?;
+        Ok(Target {
+            buffers,
+            recording: recorder.finish(),
+        })
     }
 }
 
@@ -156,7 +178,9 @@ mod tests {
         let gaussians = fixtures::gaussians(300, 2, 21);
         let mut view = fixtures::viewpoint(70, 45);
         (view.sh_degree, view.near) = (2, f64::from(NEAR));
-        let splats: Vec<_> = (0..300).map(|i| Splat::from_gaussians(&gaussians, i)).collect();
+        let splats: Vec<_> = (0..300)
+            .map(|i| Splat::from_gaussians(&gaussians, i))
+            .collect();
         let (_, expected) = reference::render(&splats, &view);
         let renderer = Renderer::new(fixtures::gpu());
         let image = renderer.render(&gaussians, &view.camera, 2).unwrap();
@@ -177,7 +201,9 @@ mod tests {
         // 200 splats over 1,200 tiles: far more than the first guess holds.
         let large = fixtures::viewpoint(640, 480).camera;
         let first = renderer.render_scene(&scene, &large).unwrap();
-        let small = renderer.render_scene(&scene, &fixtures::viewpoint(64, 48).camera).unwrap();
+        let small = renderer
+            .render_scene(&scene, &fixtures::viewpoint(64, 48).camera)
+            .unwrap();
         assert_eq!((small.width(), small.height()), (64, 48));
         assert!(renderer.render_scene(&scene, &large).unwrap() == first);
         assert!(renderer.render(&gaussians, &large, 0).unwrap() == first);
@@ -189,6 +215,12 @@ mod tests {
         let renderer = Renderer::new(fixtures::gpu());
         let camera = fixtures::viewpoint(0, 48).camera;
         let result = renderer.render(&fixtures::gaussians(3, 0, 1), &camera, 0);
-        assert!(matches!(result, Err(SplatError::EmptyImage { width: 0, height: 48 })));
+        assert!(matches!(
+            result,
+            Err(SplatError::EmptyImage {
+                width: 0,
+                height: 48
+            })
+        ));
     }
 }

@@ -1,10 +1,12 @@
-//! The shake of each training view: a small kernel that the sharp render is blurred with before it is
-//! compared with the photograph, so that the scene need not be as blurred as what it is trained on.
+//! The shake of each training view: a small kernel that the sharp render is blurred with before it
+//! is compared with the photograph, so that the scene need not be as blurred as what it is trained
+//! on.
 //!
-//! Differs from the paper, which leaves all of the blur to the network: what the network leaves in D_j is
-//! explained here, `I_pred = f(k_j * f^-1(I_r)) + n`, f the [`Response`]. The kernels differ from view to view and
-//! the scene does not, so what is common to all views is the sharp scene. `k_j` is not learnt by the
-//! optimiser but solved for ([`estimate`]) from the renders, every so many steps.
+//! Differs from the paper, which leaves all of the blur to the network: what the network leaves in
+//! D_j is explained here, `I_pred = f(k_j * f^-1(I_r)) + n`, f the [`Response`]. The kernels differ
+//! from view to view and the scene does not, so what is common to all views is the sharp scene.
+//! `k_j` is not learnt by the optimiser but solved for ([`estimate`]) from the renders, every so
+//! many steps.
 
 mod estimate;
 mod kernels;
@@ -20,8 +22,9 @@ pub use response::Response;
 /// Most taps of a kernel on the device; of more, the smallest are dropped.
 pub const MOST_TAPS: usize = 96;
 
-/// Weight of the total variation of the sharp render, beside 0.8 of the mean absolute error. What the shake
-/// hides from every view is otherwise free: it grows into needles, and the kernels with it.
+/// Weight of the total variation of the sharp render, beside 0.8 of the mean absolute error. What
+/// the shake hides from every view is otherwise free: it grows into needles, and the kernels with
+/// it.
 const SMOOTH_WEIGHT: f64 = 0.05;
 /// Differences well below this count by their square: smooth shading is free. `BEND` of the shader.
 const SMOOTH_BEND: f64 = 0.02;
@@ -44,10 +47,16 @@ pub struct ShakeKernel {
 impl ShakeKernel {
     /// No shake.
     pub fn still() -> Self {
-        Self { taps: vec![Tap { offset: [0, 0], weight: 1.0 }] }
+        Self {
+            taps: vec![Tap {
+                offset: [0, 0],
+                weight: 1.0,
+            }],
+        }
     }
 
-    /// The largest [`MOST_TAPS`] positive taps, normalised; [`ShakeKernel::still`] when there is none.
+    /// The largest [`MOST_TAPS`] positive taps, normalised; [`ShakeKernel::still`] when there is
+    /// none.
     pub fn new(mut taps: Vec<Tap>) -> Self {
         taps.retain(|tap| tap.weight.is_finite() && tap.weight > 0.0);
         taps.sort_by(|a, b| b.weight.total_cmp(&a.weight).then(a.offset.cmp(&b.offset)));
@@ -67,16 +76,27 @@ impl ShakeKernel {
 
     /// Where the light arrives on average, px.
     pub fn centroid(&self) -> [f64; 2] {
-        [0, 1]
-            .map(|axis| self.taps.iter().map(|tap| f64::from(tap.weight) * f64::from(tap.offset[axis])).sum())
+        [0, 1].map(|axis| {
+            self.taps
+                .iter()
+                .map(|tap| f64::from(tap.weight) * f64::from(tap.offset[axis]))
+                .sum()
+        })
     }
 
     /// Root mean square distance of the light from its centroid, px.
     pub fn spread(&self) -> f64 {
         let centre = self.centroid();
-        let squared =
-            |tap: &Tap| (0..2).map(|axis| (f64::from(tap.offset[axis]) - centre[axis]).powi(2)).sum::<f64>();
-        self.taps.iter().map(|tap| f64::from(tap.weight) * squared(tap)).sum::<f64>().sqrt()
+        let squared = |tap: &Tap| {
+            (0..2)
+                .map(|axis| (f64::from(tap.offset[axis]) - centre[axis]).powi(2))
+                .sum::<f64>()
+        };
+        self.taps
+            .iter()
+            .map(|tap| f64::from(tap.weight) * squared(tap))
+            .sum::<f64>()
+            .sqrt()
     }
 
     fn rows(&self) -> Vec<[f32; 4]> {
@@ -107,7 +127,12 @@ impl Shake {
     ///
     /// # Errors
     /// A device error, out of memory above all.
-    pub fn new(gpu: &Gpu, views: usize, size: [usize; 2], response: &Response) -> Result<Self, GpuError> {
+    pub fn new(
+        gpu: &Gpu,
+        views: usize,
+        size: [usize; 2],
+        response: &Response,
+    ) -> Result<Self, GpuError> {
         let pixels = size[0] * size[1];
         let view = || -> Result<OnDevice, GpuError> {
             Ok(OnDevice {
@@ -127,15 +152,23 @@ impl Shake {
         })
     }
 
-    /// Sets how `view` is shaken from the next submission on, at its image's size in px. Recordings stay
-    /// valid as long as the size does.
+    /// Sets how `view` is shaken from the next submission on, at its image's size in px. Recordings
+    /// stay valid as long as the size does.
     ///
     /// # Errors
     /// [`GpuError::Validation`] for an image larger than those of [`Shake::new`]; a device error.
-    pub fn set(&mut self, view: usize, size: [usize; 2], kernel: ShakeKernel) -> Result<(), GpuError> {
+    pub fn set(
+        &mut self,
+        view: usize,
+        size: [usize; 2],
+        kernel: ShakeKernel,
+    ) -> Result<(), GpuError> {
         let pixels = size[0] * size[1];
         if pixels > self.light.len() {
-            return Err(GpuError::Validation(format!("shake made too small for {}x{}", size[0], size[1])));
+            return Err(GpuError::Validation(format!(
+                "shake made too small for {}x{}",
+                size[0], size[1]
+            )));
         }
         let on_device = &mut self.views[view];
         on_device.uniform.write(&[ShakeUniform {
@@ -164,7 +197,8 @@ impl Shake {
         &self.blurred
     }
 
-    /// The derivative of the loss by the render, planar [3, H, W], after [`Shake::record_backward`].
+    /// The derivative of the loss by the render, planar [3, H, W], after
+    /// [`Shake::record_backward`].
     pub fn render_gradient(&self) -> &Buffer<f32> {
         &self.render_gradient
     }
@@ -179,7 +213,12 @@ impl Shake {
         view: usize,
         render: &Buffer<f32>,
     ) -> Result<(), GpuError> {
-        let OnDevice { uniform, taps, pixels, .. } = &self.views[view];
+        let OnDevice {
+            uniform,
+            taps,
+            pixels,
+            ..
+        } = &self.views[view];
         recorder.dispatch_items(
             &kernels::LINEARISE,
             &[uniform, &self.response, render, &self.light],
@@ -187,7 +226,14 @@ impl Shake {
         )?;
         recorder.dispatch_items(
             &kernels::BLUR,
-            &[uniform, taps, &self.response, &self.light, &self.blurred, &self.factor],
+            &[
+                uniform,
+                taps,
+                &self.response,
+                &self.light,
+                &self.blurred,
+                &self.factor,
+            ],
             *pixels,
         )
     }
@@ -204,21 +250,39 @@ impl Shake {
         render: &Buffer<f32>,
         gradient: &Buffer<f32>,
     ) -> Result<(), GpuError> {
-        let OnDevice { uniform, taps, pixels, .. } = &self.views[view];
+        let OnDevice {
+            uniform,
+            taps,
+            pixels,
+            ..
+        } = &self.views[view];
         recorder.dispatch_items(&kernels::SCALE, &[uniform, gradient, &self.factor], *pixels)?;
         recorder.dispatch_items(
             &kernels::BLUR_BACKWARD,
-            &[uniform, taps, &self.response, &self.factor, render, &self.render_gradient],
+            &[
+                uniform,
+                taps,
+                &self.response,
+                &self.factor,
+                render,
+                &self.render_gradient,
+            ],
             *pixels,
         )
     }
 
-    /// The kernels as numbers, for checkpoints: for each view its count of taps, then x, y and weight.
+    /// The kernels as numbers, for checkpoints: for each view its count of taps, then x, y and
+    /// weight.
     pub fn save(&self) -> Vec<f32> {
         let mut state = Vec::new();
         for kernel in self.kernels() {
             state.push(kernel.taps.len() as f32);
-            state.extend(kernel.rows().iter().flat_map(|row| [row[0], row[1], row[2]]));
+            state.extend(
+                kernel
+                    .rows()
+                    .iter()
+                    .flat_map(|row| [row[0], row[1], row[2]]),
+            );
         }
         state
     }
@@ -235,8 +299,13 @@ impl Shake {
                 return None;
             }
             // As they stood: normalising again would change the last bit.
-            let tap = |row: &[f32]| Tap { offset: [row[0] as i32, row[1] as i32], weight: row[2] };
-            kernels.push(ShakeKernel { taps: numbers.chunks_exact(3).map(tap).collect() });
+            let tap = |row: &[f32]| Tap {
+                offset: [row[0] as i32, row[1] as i32],
+                weight: row[2],
+            };
+            kernels.push(ShakeKernel {
+                taps: numbers.chunks_exact(3).map(tap).collect(),
+            });
             rest = tail;
         }
         rest.is_empty().then_some(kernels)

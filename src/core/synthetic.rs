@@ -39,10 +39,11 @@ pub struct SynthOptions {
     pub height: usize,
     /// Seed of path, shake and noise.
     pub seed: u64,
-    /// Which room. Everything that is measured is measured in room 0 with painted walls; a network that learns from synthetic
-    /// captures learns from others.
+    /// Which room. Everything that is measured is measured in room 0 with painted walls; a network
+    /// that learns from synthetic captures learns from others.
     pub room: u64,
-    /// A folder of photographs that hang on all surfaces in place of painted patterns; every file in it is read.
+    /// A folder of photographs that hang on all surfaces in place of painted patterns; every file
+    /// in it is read.
     pub wallpapers: Option<PathBuf>,
     /// Share of the light that the dark exposure catches: linear values are multiplied by it.
     pub exposure: f64,
@@ -113,10 +114,16 @@ impl SynthOptions {
             return fault(format!("views: {} is not in 1..=1000", self.views));
         }
         if !(32..=8192).contains(&self.width) || !(32..=8192).contains(&self.height) {
-            return fault(format!("size: {}x{} is not in 32..=8192", self.width, self.height));
+            return fault(format!(
+                "size: {}x{} is not in 32..=8192",
+                self.width, self.height
+            ));
         }
         if !(self.exposure > 0.0 && self.exposure <= 1.0) {
-            return fault(format!("exposure: {} is not above 0 and at most 1", self.exposure));
+            return fault(format!(
+                "exposure: {} is not above 0 and at most 1",
+                self.exposure
+            ));
         }
         if !(0.0..=200.0).contains(&self.blur) {
             return fault(format!("blur: {} px is not in 0..=200", self.blur));
@@ -149,40 +156,63 @@ impl SynthOptions {
 /// [`SynthError`].
 pub fn generate(options: &SynthOptions, out: &Path) -> Result<SynthSummary, SynthError> {
     options.check()?;
-    let wallpapers = options.wallpapers.as_deref().map(load_wallpapers).transpose()?.unwrap_or_default();
+    let wallpapers = options
+        .wallpapers
+        .as_deref()
+        .map(load_wallpapers)
+        .transpose()?
+        .unwrap_or_default();
     for folder in ["images", "HL"] {
         let path = out.join(folder);
         std::fs::create_dir_all(&path).map_err(|source| SynthError::Io { path, source })?;
     }
     let scene = scene::Scene::room(options.room, wallpapers);
     let cameras = path::cameras(options.views, options.intrinsics(), options.seed);
-    let named: Vec<(String, Camera)> =
-        cameras.iter().enumerate().map(|(index, camera)| (format!("{index:03}"), *camera)).collect();
+    let named: Vec<(String, Camera)> = cameras
+        .iter()
+        .enumerate()
+        .map(|(index, camera)| (format!("{index:03}"), *camera))
+        .collect();
     named
         .par_iter()
         .enumerate()
-        .try_for_each(|(index, (name, camera))| write_view(options, &scene, out, (index, name, camera)))?;
+        .try_for_each(|(index, (name, camera))| {
+            write_view(options, &scene, out, (index, name, camera))
+        })?;
     let bounded = |camera: &Camera| {
         let (near, far) = scene.depth_range(camera);
-        BoundedCamera { camera: *camera, near, far }
+        BoundedCamera {
+            camera: *camera,
+            near,
+            far,
+        }
     };
     let rows: Vec<BoundedCamera> = cameras.iter().map(bounded).collect();
     write_poses_bounds(&out.join("poses_bounds.npy"), &rows)?;
     Ok(SynthSummary { cameras: named })
 }
 
-/// Long side that a photograph on a wall is brought down to, px: more would hardly be seen, and all are held at once.
+/// Long side that a photograph on a wall is brought down to, px: more would hardly be seen, and all
+/// are held at once.
 const LARGEST_WALLPAPER: usize = 2048;
 
 /// The photographs of a folder, in the order of their names.
 fn load_wallpapers(folder: &Path) -> Result<Vec<Image<Linear>>, SynthError> {
-    let failed = |source| SynthError::Io { path: folder.to_owned(), source };
+    let failed = |source| SynthError::Io {
+        path: folder.to_owned(),
+        source,
+    };
     let entries = std::fs::read_dir(folder).map_err(failed)?;
-    let mut paths: Vec<PathBuf> =
-        entries.map(|entry| Ok(entry?.path())).collect::<std::io::Result<_>>().map_err(failed)?;
+    let mut paths: Vec<PathBuf> = entries
+        .map(|entry| Ok(entry?.path()))
+        .collect::<std::io::Result<_>>()
+        .map_err(failed)?;
     paths.sort();
     if paths.is_empty() {
-        return Err(SynthError::Options(format!("wallpapers: {} holds no photograph", folder.display())));
+        return Err(SynthError::Options(format!(
+            "wallpapers: {} holds no photograph",
+            folder.display()
+        )));
     }
     let load = |path: PathBuf| match Image::<Srgb>::load_at_most(&path, LARGEST_WALLPAPER) {
         Ok(photograph) => Ok(photograph.to_linear()),
@@ -197,8 +227,19 @@ fn write_view(
     out: &Path,
     (index, name, camera): (usize, &str, &Camera),
 ) -> Result<(), SynthError> {
-    let mut rng = Pcg64Mcg::seed_from_u64(options.seed.wrapping_mul(1_000_003).wrapping_add(index as u64));
-    let shake = path::shake(camera, scene.focus_distance(camera), options.blur, SUBFRAMES, &mut rng);
+    let mut rng = Pcg64Mcg::seed_from_u64(
+        options
+            .seed
+            .wrapping_mul(1_000_003)
+            .wrapping_add(index as u64),
+    );
+    let shake = path::shake(
+        camera,
+        scene.focus_distance(camera),
+        options.blur,
+        SUBFRAMES,
+        &mut rng,
+    );
     let mut light = Image::<Linear>::new(options.width, options.height);
     for (moment, offset) in shake.iter().zip(spread_offsets(shake.len())) {
         let frame = scene.render_at(moment, &[offset]);
@@ -209,13 +250,17 @@ fn write_view(
     let dark = sensor::expose(&light, options.exposure, options.noise, &mut rng);
     let file = format!("{name}.png");
     dark.to_srgb().save(&out.join("images").join(&file))?;
-    scene.render_at(camera, &grid_offsets(SHARP_RAYS)).to_srgb().save(&out.join("HL").join(&file))?;
+    scene
+        .render_at(camera, &grid_offsets(SHARP_RAYS))
+        .to_srgb()
+        .save(&out.join("HL").join(&file))?;
     Ok(())
 }
 
 /// Places of `rays` x `rays` rays in a pixel.
 fn grid_offsets(rays: usize) -> Vec<DVec2> {
-    let place = |i: usize| DVec2::new((i % rays) as f64 + 0.5, (i / rays) as f64 + 0.5) / rays as f64;
+    let place =
+        |i: usize| DVec2::new((i % rays) as f64 + 0.5, (i / rays) as f64 + 0.5) / rays as f64;
     (0..rays * rays).map(place).collect()
 }
 

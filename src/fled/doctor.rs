@@ -44,10 +44,24 @@ struct Check {
 }
 
 impl Check {
-    fn new(name: &'static str, found: Result<String, impl std::fmt::Display>, hint: &'static str) -> Self {
+    fn new(
+        name: &'static str,
+        found: Result<String, impl std::fmt::Display>,
+        hint: &'static str,
+    ) -> Self {
         match found {
-            Ok(detail) => Self { name, ok: true, detail, hint: "" },
-            Err(error) => Self { name, ok: false, detail: error.to_string(), hint },
+            Ok(detail) => Self {
+                name,
+                ok: true,
+                detail,
+                hint: "",
+            },
+            Err(error) => Self {
+                name,
+                ok: false,
+                detail: error.to_string(),
+                hint,
+            },
         }
     }
 }
@@ -64,14 +78,21 @@ pub fn main(args: &Args) -> Result<(), Failure> {
     } else {
         checks.iter().try_for_each(|check| {
             let state = if check.ok { "ok" } else { "MISSING" };
-            writeln!(out, "{state:8} {:12} {} {}", check.name, check.detail, check.hint)
+            writeln!(
+                out,
+                "{state:8} {:12} {} {}",
+                check.name, check.detail, check.hint
+            )
         })
     };
     written.map_err(|e| Failure::new(ErrorKind::Io, e))?;
     let missing = checks.iter().filter(|check| !check.ok).count();
     if missing > 0 {
         let detail = format!("{missing} of {} checks failed", checks.len());
-        return Err(Failure { hint: String::new(), ..Failure::new(ErrorKind::Environment, detail) });
+        return Err(Failure {
+            hint: String::new(),
+            ..Failure::new(ErrorKind::Environment, detail)
+        });
     }
     Ok(())
 }
@@ -94,15 +115,27 @@ fn checks(args: &Args) -> Vec<Check> {
             adapter,
             "Install a Vulkan driver; without a GPU: apt-get install mesa-vulkan-drivers libvulkan1",
         ),
-        Check::new("colmap", ColmapCli::new(&args.tools.colmap).version(), "apt-get install colmap"),
-        Check::new("onnxruntime", runtime, "make onnxruntime, or set ORT_DYLIB_PATH"),
-        Check::new("models", model, "Set ORT_DYLIB_PATH; `fled models verify` says more about a network"),
+        Check::new(
+            "colmap",
+            ColmapCli::new(&args.tools.colmap).version(),
+            "apt-get install colmap",
+        ),
+        Check::new(
+            "onnxruntime",
+            runtime,
+            "make onnxruntime, or set ORT_DYLIB_PATH",
+        ),
+        Check::new(
+            "models",
+            model,
+            "Set ORT_DYLIB_PATH; `fled models verify` says more about a network",
+        ),
         Check::new("disk", disk(args), "Free some space: a run may need 2 GiB"),
     ]
 }
 
-/// The default network, opened, and whether the files of the user's own are what they were: no job need choose them, so they
-/// are told and no fault of the machine.
+/// The default network, opened, and whether the files of the user's own are what they were: no job
+/// need choose them, so they are told and no fault of the machine.
 fn models(open: &deblur::OpenOptions<'_>) -> Result<String, DeblurError> {
     let opened = deblur::open("default", "same", open)?;
     let info = opened.deblurrer.describe();
@@ -112,8 +145,9 @@ fn models(open: &deblur::OpenOptions<'_>) -> Result<String, DeblurError> {
     }
     for entry in Manifest::known(open.models)?.models {
         if let Place::File(_) = entry.place(open.models) {
-            let state =
-                entry.load(open.models).map_or_else(|e| format!("DAMAGED: {e}"), |_| "here".to_owned());
+            let state = entry
+                .load(open.models)
+                .map_or_else(|e| format!("DAMAGED: {e}"), |_| "here".to_owned());
             found = format!("{found}; {} {state}", entry.id);
         }
     }
@@ -121,8 +155,17 @@ fn models(open: &deblur::OpenOptions<'_>) -> Result<String, DeblurError> {
 }
 
 fn disk(args: &Args) -> Result<String, String> {
-    let stat = rustix::fs::statvfs(&args.data).map_err(|e| format!("{}: {e}", args.data.display()))?;
+    let stat =
+        rustix::fs::statvfs(&args.data).map_err(|e| format!("{}: {e}", args.data.display()))?;
     let free = stat.f_bavail * stat.f_frsize;
-    let text = format!("{:.1} GiB free at {}", free as f64 / f64::from(1 << 30), args.data.display());
-    if free < LEAST_SPACE { Err(text) } else { Ok(text) }
+    let text = format!(
+        "{:.1} GiB free at {}",
+        free as f64 / f64::from(1 << 30),
+        args.data.display()
+    );
+    if free < LEAST_SPACE {
+        Err(text)
+    } else {
+        Ok(text)
+    }
 }

@@ -22,7 +22,12 @@ pub struct Failure {
 impl Failure {
     /// With the advice that fits the kind.
     pub fn new(kind: ErrorKind, detail: impl fmt::Display) -> Self {
-        Self { kind, detail: detail.to_string(), hint: kind.hint().to_owned(), wrong_use: false }
+        Self {
+            kind,
+            detail: detail.to_string(),
+            hint: kind.hint().to_owned(),
+            wrong_use: false,
+        }
     }
 
     /// A value on the command line that cannot be.
@@ -41,13 +46,22 @@ impl Failure {
         if !self.hint.is_empty() && !self.detail.contains(&self.hint) {
             eprintln!("      {}", self.hint);
         }
-        if self.wrong_use { ExitCode::from(2) } else { ExitCode::from(self.kind.exit_code()) }
+        if self.wrong_use {
+            ExitCode::from(2)
+        } else {
+            ExitCode::from(self.kind.exit_code())
+        }
     }
 }
 
 impl From<PipelineError> for Failure {
     fn from(error: PipelineError) -> Self {
-        Self { kind: error.kind(), hint: error.hint(), detail: error.to_string(), wrong_use: false }
+        Self {
+            kind: error.kind(),
+            hint: error.hint(),
+            detail: error.to_string(),
+            wrong_use: false,
+        }
     }
 }
 

@@ -74,12 +74,13 @@ fn main() -> ExitCode {
     }
 }
 
-/// Without a desktop session, the layer by which Mesa lets desktops choose a device calls that an error on standard
-/// error at every start. fled chooses its device itself.
+/// Without a desktop session, the layer by which Mesa lets desktops choose a device calls that an
+/// error on standard error at every start. fled chooses its device itself.
 #[allow(unsafe_code)]
 fn silence_device_select() {
     if std::env::var_os("XDG_RUNTIME_DIR").is_none() {
-        // SAFETY: called first in `main`, while there is no other thread that could read the environment.
+        // SAFETY: called first in `main`, while there is no other thread that could read the
+        // environment.
         unsafe { std::env::set_var("NODEVICE_SELECT", "1") };
     }
 }

@@ -39,7 +39,8 @@ enum Command {
     },
     /// Takes an ONNX file into the folder of networks.
     Add(AddArgs),
-    /// Downloads a known network, when it is not here; goes on where an earlier download was stopped.
+    /// Downloads a known network, when it is not here; goes on where an earlier download was
+    /// stopped.
     Fetch {
         /// The network, as `fled models list` names it.
         id: String,
@@ -89,11 +90,16 @@ pub fn main(args: &Args) -> Result<(), Failure> {
         Command::Verify { ids } => verify(&known, &folders, ids, args),
         Command::Add(add) => {
             let content = std::fs::read(&add.file).map_err(io(&add.file))?;
-            let overlay =
-                args.folder.first().and_then(|folder| Manifest::overlay(&folder).map_err(failure))?;
+            let overlay = args
+                .folder
+                .first()
+                .and_then(|folder| Manifest::overlay(&folder).map_err(failure))?;
             let described = describe(add, &known, &overlay, &content);
             if described.entry.built_in() {
-                return Err(Failure::usage(format!("{} is built in", described.entry.id)));
+                return Err(Failure::usage(format!(
+                    "{} is built in",
+                    described.entry.id
+                )));
             }
             keep(described, content, &start(args)?, args)
         }
@@ -104,7 +110,10 @@ pub fn main(args: &Args) -> Result<(), Failure> {
                     Ok(model) if entry.sha256.is_none() => {
                         // Nobody has told its checksum; whether it runs is what can be found out.
                         Onnx::load_on(&start(args)?, &model, Provider::Cpu, 0).map_err(failure)?;
-                        eprintln!("{} is here and runs; which file it should be is not known", entry.id);
+                        eprintln!(
+                            "{} is here and runs; which file it should be is not known",
+                            entry.id
+                        );
                         return Ok(());
                     }
                     Ok(_) => {
@@ -123,7 +132,14 @@ pub fn main(args: &Args) -> Result<(), Failure> {
             let folder = args.folder.first()?;
             let content = fetch::fetch(entry, from.as_deref(), &folder)?;
             let url = from.clone().or_else(|| entry.url.clone());
-            let described = Described { entry: Entry { url, ..entry.clone() }, new: false, fed_alike: true };
+            let described = Described {
+                entry: Entry {
+                    url,
+                    ..entry.clone()
+                },
+                new: false,
+                fed_alike: true,
+            };
             keep(described, content, &runtime, args)?;
             fetch::forget(entry, &folder);
             Ok(())
@@ -136,22 +152,34 @@ fn failure(error: DeblurError) -> Failure {
 }
 
 fn find<'a>(known: &'a Manifest, id: &str) -> Result<&'a Entry, Failure> {
-    let ids = || known.models.iter().map(|entry| entry.id.as_str()).collect::<Vec<_>>().join(", ");
-    known.find(id).ok_or_else(|| Failure::usage(format!("`{id}` is no known network; known are {}", ids())))
+    let ids = || {
+        known
+            .models
+            .iter()
+            .map(|entry| entry.id.as_str())
+            .collect::<Vec<_>>()
+            .join(", ")
+    };
+    known
+        .find(id)
+        .ok_or_else(|| Failure::usage(format!("`{id}` is no known network; known are {}", ids())))
 }
 
 fn list(known: &Manifest, folders: &[PathBuf], json: bool) -> Result<(), Failure> {
     let written = |e| Failure::new(ErrorKind::Io, e);
     let mut out = std::io::stdout().lock();
     if json {
-        let text = serde_json::to_string_pretty(known).map_err(|e| Failure::new(ErrorKind::Internal, e))?;
+        let text = serde_json::to_string_pretty(known)
+            .map_err(|e| Failure::new(ErrorKind::Internal, e))?;
         return writeln!(out, "{text}").map_err(written);
     }
     for entry in &known.models {
         let place = match entry.place(folders) {
             Place::BuiltIn => "built in".to_owned(),
             Place::File(path) => path.display().to_string(),
-            Place::Missing if entry.url.is_some() => format!("not here: fled models fetch {}", entry.id),
+            Place::Missing if entry.url.is_some() => {
+                format!("not here: fled models fetch {}", entry.id)
+            }
             Place::Missing => format!("not here: fled models add FILE --id {}", entry.id),
         };
         let default = match (entry.default, entry.default_on_cuda) {
@@ -159,8 +187,17 @@ fn list(known: &Manifest, folders: &[PathBuf], json: bool) -> Result<(), Failure
             (_, true) => " (default on CUDA)",
             _ => "",
         };
-        let guide = if entry.channels == 6 { "guided" } else { "single" };
-        writeln!(out, "{:22} {guide} {:18} {place}{default}", entry.id, entry.licence).map_err(written)?;
+        let guide = if entry.channels == 6 {
+            "guided"
+        } else {
+            "single"
+        };
+        writeln!(
+            out,
+            "{:22} {guide} {:18} {place}{default}",
+            entry.id, entry.licence
+        )
+        .map_err(written)?;
         if let (false, Some(note)) = (entry.verified, &entry.note) {
             writeln!(out, "{:22} {note}", "").map_err(written)?;
         }
@@ -172,34 +209,61 @@ fn start(args: &Args) -> Result<runtime::Runtime, Failure> {
     runtime::load(args.onnxruntime.as_deref(), &tools::Args::library_folders()).map_err(failure)
 }
 
-fn verify(known: &Manifest, folders: &[PathBuf], ids: &[String], args: &Args) -> Result<(), Failure> {
+fn verify(
+    known: &Manifest,
+    folders: &[PathBuf],
+    ids: &[String],
+    args: &Args,
+) -> Result<(), Failure> {
     let wanted: Vec<&Entry> = if ids.is_empty() {
-        known.models.iter().filter(|entry| entry.place(folders) != Place::Missing).collect()
+        known
+            .models
+            .iter()
+            .filter(|entry| entry.place(folders) != Place::Missing)
+            .collect()
     } else {
-        ids.iter().map(|id| find(known, id)).collect::<Result<_, _>>()?
+        ids.iter()
+            .map(|id| find(known, id))
+            .collect::<Result<_, _>>()?
     };
     let runtime = start(args)?;
     let mut out = std::io::stdout().lock();
     let mut broken = 0;
     for entry in wanted {
-        let verdict = entry.load(folders).and_then(|model| passed(&runtime, model));
+        let verdict = entry
+            .load(folders)
+            .and_then(|model| passed(&runtime, model));
         broken += usize::from(verdict.is_err());
-        let text = verdict.map_or_else(|error| format!("BROKEN   {error}"), |on| format!("ok       {on}"));
+        let text = verdict.map_or_else(
+            |error| format!("BROKEN   {error}"),
+            |on| format!("ok       {on}"),
+        );
         writeln!(out, "{:22} {text}", entry.id).map_err(|e| Failure::new(ErrorKind::Io, e))?;
     }
     if broken > 0 {
-        return Err(Failure::new(ErrorKind::Environment, format!("{broken} networks cannot be used")));
+        return Err(Failure::new(
+            ErrorKind::Environment,
+            format!("{broken} networks cannot be used"),
+        ));
     }
     Ok(())
 }
 
-/// The providers on which the network passes its self-test, as words. The CPU has to be one of them.
+/// The providers on which the network passes its self-test, as words. The CPU has to be one of
+/// them.
 fn passed(runtime: &runtime::Runtime, mut model: Model) -> Result<String, DeblurError> {
-    let pinned = if model.golden.is_some() { "known values" } else { "plausible values, none are known" };
+    let pinned = if model.golden.is_some() {
+        "known values"
+    } else {
+        "plausible values, none are known"
+    };
     let mut network = Onnx::load_on(runtime, &model, Provider::Cpu, 0)?;
     let channels = network.describe().channels;
     model.golden = Some(network.golden()?);
-    let cuda = match runtime.has_cuda().then(|| Onnx::load_on(runtime, &model, Provider::Cuda, 0)) {
+    let cuda = match runtime
+        .has_cuda()
+        .then(|| Onnx::load_on(runtime, &model, Provider::Cuda, 0))
+    {
         None => String::new(),
         Some(Ok(_)) => ", cuda: the same".to_owned(),
         Some(Err(error)) => format!(", cuda cannot be used: {error}"),
@@ -216,21 +280,36 @@ struct Described {
     fed_alike: bool,
 }
 
-/// The entry of a file that is added: that of the known network that it is said or found to be, else a new one. A network of the
-/// user's own is replaced by another file under its name; a published one only by the file that it is.
+/// The entry of a file that is added: that of the known network that it is said or found to be,
+/// else a new one. A network of the user's own is replaced by another file under its name; a
+/// published one only by the file that it is.
 fn describe(add: &AddArgs, known: &Manifest, overlay: &Manifest, content: &[u8]) -> Described {
     let sha256 = digest(content);
-    let stem = add.file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-    let same = || known.models.iter().find(|entry| entry.sha256.as_ref() == Some(&sha256));
+    let stem = add
+        .file
+        .file_stem()
+        .unwrap_or_default()
+        .to_string_lossy()
+        .into_owned();
+    let same = || {
+        known
+            .models
+            .iter()
+            .find(|entry| entry.sha256.as_ref() == Some(&sha256))
+    };
     let named = match &add.id {
         Some(id) => known.models.iter().find(|entry| entry.id == *id),
         None => same().or_else(|| known.models.iter().find(|entry| entry.id == stem)),
     };
     let published = |entry: &Entry| {
-        entry.url.is_some() || entry.built_in() || !overlay.models.iter().any(|own| own.id == entry.id)
+        entry.url.is_some()
+            || entry.built_in()
+            || !overlay.models.iter().any(|own| own.id == entry.id)
     };
     let (mut entry, new) = match named {
-        Some(entry) if published(entry) || entry.sha256.as_ref() == Some(&sha256) => (entry.clone(), false),
+        Some(entry) if published(entry) || entry.sha256.as_ref() == Some(&sha256) => {
+            (entry.clone(), false)
+        }
         named => {
             let id = named.map_or_else(|| add.id.clone().unwrap_or(stem), |entry| entry.id.clone());
             let mut entry = Entry::of_file(&id, 3, sha256, content.len() as u64);
@@ -258,25 +337,39 @@ fn describe(add: &AddArgs, known: &Manifest, overlay: &Manifest, content: &[u8])
     }
     let feeding = |entry: &Entry| (entry.multiple, entry.minimum_side, entry.output.clone());
     let fed_alike = feeding(&before) == feeding(&entry);
-    Described { entry, new, fed_alike }
+    Described {
+        entry,
+        new,
+        fed_alike,
+    }
 }
 
-/// Tests the network on the CPU, whose output its self-test expects from then on where none is known, and puts it into the
-/// folder.
+/// Tests the network on the CPU, whose output its self-test expects from then on where none is
+/// known, and puts it into the folder.
 fn keep(
     described: Described,
     content: Vec<u8>,
     runtime: &runtime::Runtime,
     args: &Args,
 ) -> Result<(), Failure> {
-    let Described { mut entry, new, fed_alike } = described;
+    let Described {
+        mut entry,
+        new,
+        fed_alike,
+    } = described;
     entry.check().map_err(Failure::usage)?;
-    let known =
-        if new || !fed_alike { None } else { entry.golden_file(&args.folder.folders()).ok().flatten() };
+    let known = if new || !fed_alike {
+        None
+    } else {
+        entry.golden_file(&args.folder.folders()).ok().flatten()
+    };
     let known = known.filter(|bytes| {
         let whole = Golden::from_bytes(bytes).is_ok();
         if !whole {
-            eprintln!("{}: its golden output is damaged and made anew here", entry.id);
+            eprintln!(
+                "{}: its golden output is damaged and made anew here",
+                entry.id
+            );
         }
         whole
     });
@@ -290,17 +383,36 @@ fn keep(
         let read = Entry::of_file(&entry.id, channels, String::new(), 0);
         (entry.role, entry.channels, entry.order) = (read.role, read.channels, read.order);
     }
-    let golden = model.golden.take().map_or_else(|| network.golden(), Ok).map_err(failure)?;
+    let golden = model
+        .golden
+        .take()
+        .map_or_else(|| network.golden(), Ok)
+        .map_err(failure)?;
     (entry.sha256, entry.bytes) = (Some(model.sha256.clone()), Some(model.bytes.len() as u64));
     entry.verified = true;
     let folder = args.folder.first()?;
-    let (id, guided) = (entry.id.clone(), if channels == 6 { "guided" } else { "without a guide" });
+    let (id, guided) = (
+        entry.id.clone(),
+        if channels == 6 {
+            "guided"
+        } else {
+            "without a guide"
+        },
+    );
     deblur::install(&folder, entry, &model.bytes, &golden).map_err(failure)?;
-    eprintln!("{id} ({guided}, sha256 {}) is in {}", model.sha256, show(&folder));
+    eprintln!(
+        "{id} ({guided}, sha256 {}) is in {}",
+        model.sha256,
+        show(&folder)
+    );
     eprintln!("choose it with --set deblur={id}");
     Ok(())
 }
 
 fn show(folder: &Path) -> String {
-    folder.canonicalize().unwrap_or_else(|_| folder.to_path_buf()).display().to_string()
+    folder
+        .canonicalize()
+        .unwrap_or_else(|_| folder.to_path_buf())
+        .display()
+        .to_string()
 }

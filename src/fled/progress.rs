@@ -24,7 +24,12 @@ impl Reporter {
             bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()));
             bar
         });
-        Self { log, started: Instant::now(), bar, json }
+        Self {
+            log,
+            started: Instant::now(),
+            bar,
+            json,
+        }
     }
 
     fn line(&mut self, text: &str) {
@@ -42,21 +47,45 @@ impl Reporter {
 
     fn show(&mut self, event: &Event) {
         match event {
-            Event::Planned { rounds, views } => self.line(&format!("{views} views, {rounds} rounds")),
+            Event::Planned { rounds, views } => {
+                self.line(&format!("{views} views, {rounds} rounds"))
+            }
             Event::StageStarted { stage, round } => {
                 if let Some(bar) = &self.bar {
                     bar.set_message(name(stage.name(), *round));
                 }
             }
-            Event::StageAdvanced { stage, round, done, total, steps_per_second } => {
+            Event::StageAdvanced {
+                stage,
+                round,
+                done,
+                total,
+                steps_per_second,
+            } => {
                 if let Some(bar) = &self.bar {
-                    let rate = steps_per_second.map_or(String::new(), |rate| format!(", {rate:.1} steps/s"));
-                    bar.set_message(format!("{} {done}/{total}{rate}", name(stage.name(), *round)));
+                    let rate = steps_per_second
+                        .map_or(String::new(), |rate| format!(", {rate:.1} steps/s"));
+                    bar.set_message(format!(
+                        "{} {done}/{total}{rate}",
+                        name(stage.name(), *round)
+                    ));
                 }
             }
-            Event::StageFinished { stage, round, seconds, skipped } => {
-                let how = if *skipped { "already done, took" } else { "done in" };
-                self.line(&format!("{} {how} {seconds:.1} s", name(stage.name(), *round)));
+            Event::StageFinished {
+                stage,
+                round,
+                seconds,
+                skipped,
+            } => {
+                let how = if *skipped {
+                    "already done, took"
+                } else {
+                    "done in"
+                };
+                self.line(&format!(
+                    "{} {how} {seconds:.1} s",
+                    name(stage.name(), *round)
+                ));
             }
             Event::RoundFinished { metrics } => {
                 for line in round_lines(metrics) {
@@ -70,13 +99,20 @@ impl Reporter {
             }
             Event::Warning { code, message } => self.line(&format!("warning ({code}): {message}")),
             Event::Log { message } => self.line(message),
-            Event::Finished { best_round, seconds } => {
-                self.line(&format!("finished in {seconds:.1} s; round {best_round} is delivered"));
+            Event::Finished {
+                best_round,
+                seconds,
+            } => {
+                self.line(&format!(
+                    "finished in {seconds:.1} s; round {best_round} is delivered"
+                ));
                 if let Some(bar) = &self.bar {
                     bar.finish_and_clear();
                 }
             }
-            Event::Failed { kind, detail, hint } => self.line(&format!("failed ({kind}): {detail} {hint}")),
+            Event::Failed { kind, detail, hint } => {
+                self.line(&format!("failed ({kind}): {detail} {hint}"))
+            }
         }
     }
 }
@@ -95,7 +131,11 @@ impl ProgressSink for Reporter {
 }
 
 fn name(stage: &str, round: u32) -> String {
-    if round == 0 { stage.to_owned() } else { format!("round {round} {stage}") }
+    if round == 0 {
+        stage.to_owned()
+    } else {
+        format!("round {round} {stage}")
+    }
 }
 
 /// A round's scores as lines of text.
@@ -122,5 +162,8 @@ pub fn round_lines(metrics: &fled_core::metrics::RoundMetrics) -> Vec<String> {
 
 /// The word that a value of an enum is in JSON.
 fn word(value: &impl serde::Serialize) -> String {
-    serde_json::to_string(value).unwrap_or_default().trim_matches('"').to_owned()
+    serde_json::to_string(value)
+        .unwrap_or_default()
+        .trim_matches('"')
+        .to_owned()
 }

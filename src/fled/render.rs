@@ -22,7 +22,12 @@ pub struct Args {
     #[command(flatten)]
     from: From,
     /// Height above the horizon, degrees; with --azimuth.
-    #[arg(long, default_value_t = 0.0, allow_negative_numbers = true, requires = "azimuth")]
+    #[arg(
+        long,
+        default_value_t = 0.0,
+        allow_negative_numbers = true,
+        requires = "azimuth"
+    )]
     elevation: f64,
     /// Distance from the scene's centre as a multiple of the cameras' mean; with --azimuth.
     #[arg(long, default_value_t = 1.0, requires = "azimuth")]
@@ -61,15 +66,23 @@ pub fn main(args: &Args) -> Result<(), Failure> {
     let cameras = read_cameras(&args.run.join("cameras.json"))?;
     let camera = camera(args, &cameras)?;
     let scene = match args.round {
-        Some(round) => args.run.join("rounds").join(round.to_string()).join("scene.ply"),
+        Some(round) => args
+            .run
+            .join("rounds")
+            .join(round.to_string())
+            .join("scene.ply"),
         None => args.run.join("scene.ply"),
     };
     let gaussians = ply::read(&scene).map_err(|e| Failure::from(PipelineError::from(e)))?;
     let gpu = Gpu::new(&args.adapter).map_err(|e| Failure::new(ErrorKind::Environment, e))?;
     let render = |e| Failure::from(PipelineError::from(e));
     let renderer = Renderer::new(&gpu);
-    let picture = renderer.render(&gaussians, &camera, gaussians.sh_degree).map_err(render)?;
-    picture.save(&args.output).map_err(|e| Failure::new(ErrorKind::Io, e))
+    let picture = renderer
+        .render(&gaussians, &camera, gaussians.sh_degree)
+        .map_err(render)?;
+    picture
+        .save(&args.output)
+        .map_err(|e| Failure::new(ErrorKind::Io, e))
 }
 
 fn read_cameras(path: &Path) -> Result<Vec<NamedCamera>, Failure> {
@@ -80,7 +93,13 @@ fn read_cameras(path: &Path) -> Result<Vec<NamedCamera>, Failure> {
 
 fn camera(args: &Args, cameras: &[NamedCamera]) -> Result<Camera, Failure> {
     let camera = if let Some(name) = &args.from.view {
-        let known = || cameras.iter().map(|camera| camera.name.as_str()).collect::<Vec<_>>().join(", ");
+        let known = || {
+            cameras
+                .iter()
+                .map(|camera| camera.name.as_str())
+                .collect::<Vec<_>>()
+                .join(", ")
+        };
         cameras
             .iter()
             .find(|camera| camera.name == *name)
@@ -88,21 +107,27 @@ fn camera(args: &Args, cameras: &[NamedCamera]) -> Result<Camera, Failure> {
             .camera()
     } else if let Some(path) = &args.from.pose {
         let bytes = std::fs::read(path).map_err(io(path))?;
-        let mut value: serde_json::Value =
-            serde_json::from_slice(&bytes).map_err(|e| Failure::usage(format!("{}: {e}", path.display())))?;
+        let mut value: serde_json::Value = serde_json::from_slice(&bytes)
+            .map_err(|e| Failure::usage(format!("{}: {e}", path.display())))?;
         if let Some(object) = value.as_object_mut() {
             object.entry("name").or_insert_with(|| "pose".into());
             object.entry("split").or_insert_with(|| "held_out".into());
         }
-        let named: NamedCamera =
-            serde_json::from_value(value).map_err(|e| Failure::usage(format!("{}: {e}", path.display())))?;
+        let named: NamedCamera = serde_json::from_value(value)
+            .map_err(|e| Failure::usage(format!("{}: {e}", path.display())))?;
         named.camera()
     } else {
-        let orbit = Orbit::from_cameras(cameras)
-            .ok_or_else(|| Failure::usage("the run's cameras say nothing about where the scene is"))?;
+        let orbit = Orbit::from_cameras(cameras).ok_or_else(|| {
+            Failure::usage("the run's cameras say nothing about where the scene is")
+        })?;
         let first = orbit_size(cameras);
         let azimuth = args.from.azimuth.unwrap_or_default();
-        return Ok(orbit.camera(azimuth, args.elevation, args.distance, args.size.unwrap_or(first)));
+        return Ok(orbit.camera(
+            azimuth,
+            args.elevation,
+            args.distance,
+            args.size.unwrap_or(first),
+        ));
     };
     Ok(match args.size {
         Some((width, height)) => fitted(&camera, width, height),
@@ -112,7 +137,9 @@ fn camera(args: &Args, cameras: &[NamedCamera]) -> Result<Camera, Failure> {
 
 /// The size of the first view.
 fn orbit_size(cameras: &[NamedCamera]) -> (usize, usize) {
-    cameras.first().map_or((1, 1), |camera| (camera.intrinsics.width, camera.intrinsics.height))
+    cameras.first().map_or((1, 1), |camera| {
+        (camera.intrinsics.width, camera.intrinsics.height)
+    })
 }
 
 /// The same pose and vertical field of view in a picture of another size, pixels kept square.
@@ -128,5 +155,8 @@ fn fitted(camera: &Camera, width: usize, height: usize) -> Camera {
         cx: width as f64 / 2.0 + shift,
         cy: k.cy * scale,
     };
-    Camera { intrinsics, ..*camera }
+    Camera {
+        intrinsics,
+        ..*camera
+    }
 }

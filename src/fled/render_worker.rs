@@ -31,9 +31,12 @@ pub fn main() -> Result<(), Failure> {
             Ok(()) => RenderReply::Ok(true),
             Err(why) => RenderReply::Error(why),
         };
-        let text = serde_json::to_string(&reply).map_err(|e| Failure::new(ErrorKind::Internal, e))?;
+        let text =
+            serde_json::to_string(&reply).map_err(|e| Failure::new(ErrorKind::Internal, e))?;
         let mut out = io::stdout().lock();
-        writeln!(out, "{text}").and_then(|()| out.flush()).map_err(gone)?;
+        writeln!(out, "{text}")
+            .and_then(|()| out.flush())
+            .map_err(gone)?;
     }
     Ok(())
 }
@@ -63,7 +66,11 @@ struct Stamp {
 impl Stamp {
     fn of(path: &Path) -> io::Result<Self> {
         let metadata = fs::metadata(path)?;
-        Ok(Self { path: path.to_owned(), bytes: metadata.len(), modified: metadata.modified().ok() })
+        Ok(Self {
+            path: path.to_owned(),
+            bytes: metadata.len(),
+            modified: metadata.modified().ok(),
+        })
     }
 }
 
@@ -76,7 +83,10 @@ struct Worker {
 impl Worker {
     fn open() -> Result<Self, String> {
         let gpu = Gpu::new("auto").map_err(words)?;
-        Ok(Self { renderer: Renderer::new(&gpu), scene: None })
+        Ok(Self {
+            renderer: Renderer::new(&gpu),
+            scene: None,
+        })
     }
 
     fn render(&mut self, request: &RenderRequest) -> Result<(), String> {
@@ -89,7 +99,10 @@ impl Worker {
                 (stamp, self.renderer.upload(&gaussians).map_err(words)?)
             }
         });
-        let image = self.renderer.render_scene(scene, &request.camera.camera()).map_err(words)?;
+        let image = self
+            .renderer
+            .render_scene(scene, &request.camera.camera())
+            .map_err(words)?;
         let format = match request.format {
             Format::Jpeg => EncodeFormat::Jpeg(JPEG_QUALITY),
             Format::Png => EncodeFormat::Png,

@@ -46,7 +46,11 @@ pub fn main(args: &Args) -> Result<(), Failure> {
     let options = options(args)?;
     let workspace = Workspace::open(&args.out)?;
     let path = workspace.path("log.txt");
-    let log = OpenOptions::new().create(true).append(true).open(&path).map_err(io(&path))?;
+    let log = OpenOptions::new()
+        .create(true)
+        .append(true)
+        .open(&path)
+        .map_err(io(&path))?;
     let mut reporter = Reporter::new(log, args.json);
     let cancel = tools::cancel_on_signals()?;
     let outcome = run(args, &options, &workspace, &mut reporter, &cancel);
@@ -82,15 +86,18 @@ fn options(args: &Args) -> Result<Options, Failure> {
     let mut options = args.preset.options();
     if let Some(path) = &args.options {
         let bytes = std::fs::read(path).map_err(io(path))?;
-        let overrides =
-            serde_json::from_slice(&bytes).map_err(|e| Failure::usage(format!("{}: {e}", path.display())))?;
+        let overrides = serde_json::from_slice(&bytes)
+            .map_err(|e| Failure::usage(format!("{}: {e}", path.display())))?;
         options = options.with_overrides(&overrides)?;
     }
     for assignment in &args.assignments {
         options = options.with_assignment(assignment)?;
     }
     if options.deblur.is_empty() {
-        return Err(Failure::new(ErrorKind::BadInput, "option `deblur` is empty"));
+        return Err(Failure::new(
+            ErrorKind::BadInput,
+            "option `deblur` is empty",
+        ));
     }
     Ok(options)
 }

@@ -34,7 +34,11 @@ pub struct Args {
 pub fn main(args: &Args) -> Result<(), Failure> {
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("info"));
     let colours = std::io::stderr().is_terminal();
-    tracing_subscriber::fmt().with_env_filter(filter).with_ansi(colours).with_writer(std::io::stderr).init();
+    tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_ansi(colours)
+        .with_writer(std::io::stderr)
+        .init();
     let mut config =
         ServeConfig::new(args.data.clone(), args.listen, args.workers).map_err(io(&args.data))?;
     config.models = args.models.folders();
@@ -43,6 +47,9 @@ pub fn main(args: &Args) -> Result<(), Failure> {
             command.extend(["--models".into(), folder.into()]);
         }
     }
-    let runtime = tokio::runtime::Runtime::new().map_err(|e| Failure::new(ErrorKind::Internal, e))?;
-    runtime.block_on(fled_server::serve(config)).map_err(|e| Failure::new(ErrorKind::Io, e))
+    let runtime =
+        tokio::runtime::Runtime::new().map_err(|e| Failure::new(ErrorKind::Internal, e))?;
+    runtime
+        .block_on(fled_server::serve(config))
+        .map_err(|e| Failure::new(ErrorKind::Io, e))
 }

@@ -24,7 +24,8 @@ pub struct Args {
     /// Which room; 0 is the one of the benchmarks.
     #[arg(long, default_value_t = 0)]
     room: u64,
-    /// Folder of photographs, and nothing else, that hang on all surfaces in place of painted patterns, at 2048 px at most.
+    /// Folder of photographs, and nothing else, that hang on all surfaces in place of painted
+    /// patterns, at 2048 px at most.
     #[arg(long)]
     wallpapers: Option<PathBuf>,
     /// Share of a well-exposed photograph's light.
@@ -43,7 +44,11 @@ pub struct Args {
 /// # Errors
 /// A sentence for clap.
 pub fn size(text: &str) -> Result<(usize, usize), String> {
-    let parse = |side: &str| side.parse::<usize>().ok().filter(|side| (1..=16_384).contains(side));
+    let parse = |side: &str| {
+        side.parse::<usize>()
+            .ok()
+            .filter(|side| (1..=16_384).contains(side))
+    };
     text.split_once('x')
         .and_then(|(width, height)| Some((parse(width)?, parse(height)?)))
         .ok_or_else(|| format!("`{text}` is not WIDTHxHEIGHT in pixels"))

@@ -19,7 +19,12 @@ use crate::failure::Failure;
 #[derive(clap::Args, Clone, Debug)]
 pub struct Args {
     /// The COLMAP program.
-    #[arg(long, value_name = "PROGRAM", default_value = "colmap", env = "FLED_COLMAP")]
+    #[arg(
+        long,
+        value_name = "PROGRAM",
+        default_value = "colmap",
+        env = "FLED_COLMAP"
+    )]
     pub colmap: PathBuf,
     /// ONNX Runtime's library, when it is not where `fled doctor` looks.
     #[arg(long, value_name = "FILE", env = "ORT_DYLIB_PATH")]
@@ -35,7 +40,12 @@ pub struct Args {
 #[derive(clap::Args, Clone, Debug)]
 pub struct ModelFolder {
     /// Folder of networks that are not built in; default: fled/models in the user's data directory.
-    #[arg(long = "models", global = true, value_name = "DIR", env = "FLED_MODELS")]
+    #[arg(
+        long = "models",
+        global = true,
+        value_name = "DIR",
+        env = "FLED_MODELS"
+    )]
     folder: Option<PathBuf>,
 }
 
@@ -65,7 +75,13 @@ impl Args {
         {
             folders.push(folder.to_owned());
             // A binary in target/release of a checkout finds what `make onnxruntime` fetched.
-            folders.extend(folder.ancestors().skip(1).take(2).map(|up| up.join(".onnxruntime")));
+            folders.extend(
+                folder
+                    .ancestors()
+                    .skip(1)
+                    .take(2)
+                    .map(|up| up.join(".onnxruntime")),
+            );
         }
         if let Ok(here) = std::env::current_dir() {
             folders.push(here.join(".onnxruntime"));
@@ -110,14 +126,28 @@ impl Kit {
     /// [`Failure`] of kind `environment` with what to do, or `bad_input` when poses are asked
     /// for that the capture does not bring.
     pub fn new(args: &Args, options: &Options, capture: &Capture) -> Result<Self, Failure> {
-        let gpu = Gpu::new(&options.adapter).map_err(|e| Failure::new(ErrorKind::Environment, e))?;
-        let (deblur::Opened { deblurrer, mut fallbacks }, enhancer) = open_networks(args, options)?;
+        let gpu =
+            Gpu::new(&options.adapter).map_err(|e| Failure::new(ErrorKind::Environment, e))?;
+        let (
+            deblur::Opened {
+                deblurrer,
+                mut fallbacks,
+            },
+            enhancer,
+        ) = open_networks(args, options)?;
         let enhancer = enhancer.map(|opened| {
             fallbacks.extend(opened.fallbacks);
             opened.deblurrer
         });
         let sfm = sfm(args, options, capture)?;
-        Ok(Self { gpu, sfm, deblurrer, enhancer, fallbacks, pose_cache: args.pose_cache() })
+        Ok(Self {
+            gpu,
+            sfm,
+            deblurrer,
+            enhancer,
+            fallbacks,
+            pose_cache: args.pose_cache(),
+        })
     }
 
     /// The device.
@@ -131,7 +161,10 @@ impl Kit {
             gpu: &self.gpu,
             sfm: self.sfm.as_ref(),
             deblurrer: self.deblurrer.as_mut(),
-            enhancer: self.enhancer.as_mut().map(|enhancer| &mut **enhancer as &mut dyn Deblurrer),
+            enhancer: self
+                .enhancer
+                .as_mut()
+                .map(|enhancer| &mut **enhancer as &mut dyn Deblurrer),
             fallbacks: self.fallbacks.clone(),
             pose_cache: self.pose_cache.clone(),
         }
@@ -140,13 +173,17 @@ impl Kit {
 
 fn sfm(args: &Args, options: &Options, capture: &Capture) -> Result<Box<dyn Sfm>, Failure> {
     match (options.pose_source, &capture.poses) {
-        (PoseSource::Colmap, _) | (PoseSource::Auto, None) => Ok(Box::new(ColmapCli::new(&args.colmap))),
+        (PoseSource::Colmap, _) | (PoseSource::Auto, None) => {
+            Ok(Box::new(ColmapCli::new(&args.colmap)))
+        }
         (PoseSource::Auto | PoseSource::Given, Some(given)) => {
             let given = GivenPoses::open(given.path()).map_err(PipelineError::from)?;
             let colmap = ColmapCli::new(&args.colmap);
-            Ok(Box::new(given.triangulated_by(Box::new(move |request, views, sink, cancel| {
-                colmap.triangulate(request, views, sink, cancel)
-            }))))
+            Ok(Box::new(given.triangulated_by(Box::new(
+                move |request, views, sink, cancel| {
+                    colmap.triangulate(request, views, sink, cancel)
+                },
+            ))))
         }
         (PoseSource::Given, None) => Err(Failure::new(
             ErrorKind::BadInput,
@@ -170,7 +207,10 @@ fn open_networks(
     };
     let deblurrer = deblur::open(&options.deblur, &options.deblur_unguided, &open);
     let enhancer = deblur::open_enhancer(&options.enhance, &open);
-    Ok((deblurrer.map_err(PipelineError::from)?, enhancer.map_err(PipelineError::from)?))
+    Ok((
+        deblurrer.map_err(PipelineError::from)?,
+        enhancer.map_err(PipelineError::from)?,
+    ))
 }
 
 /// A token that SIGINT and SIGTERM raise. A second signal ends the process at once.
@@ -182,15 +222,22 @@ pub fn cancel_on_signals() -> Result<CancelToken, Failure> {
     let internal = |e: std::io::Error| Failure::new(ErrorKind::Internal, e);
     let token = CancelToken::new();
     let raised = token.clone();
-    let runtime = tokio::runtime::Builder::new_current_thread().enable_io().build().map_err(internal)?;
+    let runtime = tokio::runtime::Builder::new_current_thread()
+        .enable_io()
+        .build()
+        .map_err(internal)?;
     let (mut interrupt, mut terminate) = runtime
         .block_on(async {
-            Ok::<_, std::io::Error>((signal(SignalKind::interrupt())?, signal(SignalKind::terminate())?))
+            Ok::<_, std::io::Error>((
+                signal(SignalKind::interrupt())?,
+                signal(SignalKind::terminate())?,
+            ))
         })
         .map_err(internal)?;
     std::thread::spawn(move || {
         runtime.block_on(async {
-            let wait = async || tokio::select! { _ = interrupt.recv() => {}, _ = terminate.recv() => {} };
+            let wait =
+                async || tokio::select! { _ = interrupt.recv() => {}, _ = terminate.recv() => {} };
             let mut wait = wait;
             wait().await;
             raised.cancel();

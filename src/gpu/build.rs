@@ -4,14 +4,21 @@ use std::path::{Path, PathBuf};
 use std::{env, fs};
 
 fn main() {
-    let root = Path::new(&env::var("CARGO_MANIFEST_DIR").expect("cargo sets it")).join("../../shaders");
+    let root =
+        Path::new(&env::var("CARGO_MANIFEST_DIR").expect("cargo sets it")).join("../../shaders");
     let mut files = Vec::new();
     collect(&root, &mut files);
     files.sort();
     let mut table = String::from("pub(crate) static SOURCES: &[(&str, &str)] = &[\n");
     for file in &files {
-        let name = file.strip_prefix(&root).expect("below the root").with_extension("");
-        let name = name.to_str().expect("shader names are ASCII").replace('\\', "/");
+        let name = file
+            .strip_prefix(&root)
+            .expect("below the root")
+            .with_extension("");
+        let name = name
+            .to_str()
+            .expect("shader names are ASCII")
+            .replace('\\', "/");
         let path = file.canonicalize().expect("the file was just listed");
         table.push_str(&format!("    ({name:?}, include_str!({path:?})),\n"));
     }

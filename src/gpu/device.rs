@@ -11,7 +11,8 @@ use crate::kernel::{Kernel, Pipeline};
 use crate::memory::Tally;
 use crate::profile::Profile;
 
-/// Longest wait for the device: far above any step, far below a person's patience with a hung driver.
+/// Longest wait for the device: far above any step, far below a person's patience with a hung
+/// driver.
 const TIMEOUT: Duration = Duration::from_secs(300);
 
 /// A handle of the device. Cloning is cheap and shares everything.
@@ -43,7 +44,8 @@ pub struct AdapterInfo {
     pub backend: String,
     /// Kind of hardware.
     pub device_type: DeviceType,
-    /// Smallest and largest number of invocations in a subgroup; `None` when subgroups are not offered.
+    /// Smallest and largest number of invocations in a subgroup; `None` when subgroups are not
+    /// offered.
     pub subgroup: Option<(u32, u32)>,
     /// Largest storage binding, bytes.
     pub max_binding: u64,
@@ -73,8 +75,8 @@ pub enum DeviceType {
 }
 
 impl Gpu {
-    /// Opens an adapter: `"auto"` takes the best kind of hardware, anything else the first adapter whose
-    /// name contains it, letter case aside.
+    /// Opens an adapter: `"auto"` takes the best kind of hardware, anything else the first adapter
+    /// whose name contains it, letter case aside.
     ///
     /// # Errors
     /// [`GpuError::NoAdapter`] when none fits or the device cannot be opened.
@@ -82,8 +84,8 @@ impl Gpu {
         Self::binding_at_most(adapter, u64::MAX)
     }
 
-    /// The same as if the adapter could bind `most` bytes at most: what happens beyond a binding is seen with
-    /// little memory.
+    /// The same as if the adapter could bind `most` bytes at most: what happens beyond a binding is
+    /// seen with little memory.
     ///
     /// # Errors
     /// As [`Gpu::new`].
@@ -92,7 +94,9 @@ impl Gpu {
         descriptor.backends = wgpu::Backends::VULKAN;
         // Checking every indirect dispatch costs a dispatch more each; the kernels that write the
         // arguments fold them below 65,535 a dimension (shared/grid.wgsl).
-        descriptor.flags.remove(wgpu::InstanceFlags::VALIDATION_INDIRECT_CALL);
+        descriptor
+            .flags
+            .remove(wgpu::InstanceFlags::VALIDATION_INDIRECT_CALL);
         let instance = wgpu::Instance::new(descriptor);
         let adapters = pollster::block_on(instance.enumerate_adapters(wgpu::Backends::VULKAN));
         let adapter = choose(adapters, adapter)?;
@@ -109,7 +113,11 @@ impl Gpu {
     /// # Errors
     /// [`GpuError::DeviceLost`], [`GpuError::OutOfMemory`] or [`GpuError::Validation`].
     pub fn check(&self) -> Result<(), GpuError> {
-        let fault = self.inner.fault.lock().unwrap_or_else(PoisonError::into_inner);
+        let fault = self
+            .inner
+            .fault
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner);
         fault.clone().map_or(Ok(()), Err)
     }
 
@@ -131,21 +139,32 @@ impl Gpu {
 
     fn poll(&self, submission_index: Option<wgpu::SubmissionIndex>) -> Result<(), GpuError> {
         self.check()?;
-        let wait = wgpu::PollType::Wait { submission_index, timeout: Some(TIMEOUT) };
+        let wait = wgpu::PollType::Wait {
+            submission_index,
+            timeout: Some(TIMEOUT),
+        };
         // wgpu panics inside `poll` when the device is lost; that is an error like any other here.
         let polled = catch_unwind(AssertUnwindSafe(|| self.inner.device.poll(wait)));
         self.check()?;
         match polled {
             Ok(Ok(_)) => Ok(()),
-            Ok(Err(_)) => Err(GpuError::Timeout { seconds: TIMEOUT.as_secs() }),
-            Err(_) => Err(GpuError::DeviceLost("waiting for the device failed".to_owned())),
+            Ok(Err(_)) => Err(GpuError::Timeout {
+                seconds: TIMEOUT.as_secs(),
+            }),
+            Err(_) => Err(GpuError::DeviceLost(
+                "waiting for the device failed".to_owned(),
+            )),
         }
     }
 
-    /// Gives the device up, as a driver crash would: everything afterwards is [`GpuError::DeviceLost`].
+    /// Gives the device up, as a driver crash would: everything afterwards is
+    /// [`GpuError::DeviceLost`].
     pub fn lose(&self) {
         self.inner.device.destroy();
-        note(&self.inner.fault, GpuError::DeviceLost("given up".to_owned()));
+        note(
+            &self.inner.fault,
+            GpuError::DeviceLost("given up".to_owned()),
+        );
     }
 }
 
@@ -156,15 +175,20 @@ pub struct Submission(pub(crate) wgpu::SubmissionIndex);
 fn choose(adapters: Vec<wgpu::Adapter>, wanted: &str) -> Result<wgpu::Adapter, GpuError> {
     let found: Vec<_> = adapters.iter().map(|a| a.get_info().name).collect();
     let name = wanted.to_lowercase();
-    let fits = |a: &wgpu::Adapter| wanted == "auto" || a.get_info().name.to_lowercase().contains(&name);
-    adapters.into_iter().filter(fits).min_by_key(|a| device_type(a.get_info().device_type)).ok_or_else(|| {
-        let reason = if wanted == "auto" {
-            "no Vulkan driver".to_owned()
-        } else {
-            format!("none is named `{wanted}`")
-        };
-        GpuError::NoAdapter { reason, found }
-    })
+    let fits =
+        |a: &wgpu::Adapter| wanted == "auto" || a.get_info().name.to_lowercase().contains(&name);
+    adapters
+        .into_iter()
+        .filter(fits)
+        .min_by_key(|a| device_type(a.get_info().device_type))
+        .ok_or_else(|| {
+            let reason = if wanted == "auto" {
+                "no Vulkan driver".to_owned()
+            } else {
+                format!("none is named `{wanted}`")
+            };
+            GpuError::NoAdapter { reason, found }
+        })
 }
 
 fn device_type(raw: wgpu::DeviceType) -> DeviceType {
@@ -179,20 +203,25 @@ fn device_type(raw: wgpu::DeviceType) -> DeviceType {
 
 fn open(adapter: &wgpu::Adapter, most: u64) -> Result<Gpu, GpuError> {
     let raw = adapter.get_info();
-    let wanted =
-        wgpu::Features::SUBGROUP | wgpu::Features::SUBGROUP_BARRIER | wgpu::Features::TIMESTAMP_QUERY;
+    let wanted = wgpu::Features::SUBGROUP
+        | wgpu::Features::SUBGROUP_BARRIER
+        | wgpu::Features::TIMESTAMP_QUERY;
     let features = adapter.features() & wanted;
     let mut limits = adapter.limits();
     limits.max_storage_buffer_binding_size = limits.max_storage_buffer_binding_size.min(most);
     let info = AdapterInfo {
         name: raw.name.clone(),
-        driver: format!("{} {}", raw.driver, raw.driver_info).trim().to_owned(),
+        driver: format!("{} {}", raw.driver, raw.driver_info)
+            .trim()
+            .to_owned(),
         backend: raw.backend.to_string(),
         device_type: device_type(raw.device_type),
         subgroup: features
             .contains(wgpu::Features::SUBGROUP)
             .then_some((raw.subgroup_min_size, raw.subgroup_max_size)),
-        max_binding: limits.max_storage_buffer_binding_size.min(limits.max_buffer_size),
+        max_binding: limits
+            .max_storage_buffer_binding_size
+            .min(limits.max_buffer_size),
         timestamps: features.contains(wgpu::Features::TIMESTAMP_QUERY),
     };
     let descriptor = wgpu::DeviceDescriptor {
@@ -202,8 +231,12 @@ fn open(adapter: &wgpu::Adapter, most: u64) -> Result<Gpu, GpuError> {
         memory_hints: wgpu::MemoryHints::MemoryUsage,
         ..Default::default()
     };
-    let (device, queue) = pollster::block_on(adapter.request_device(&descriptor))
-        .map_err(|e| GpuError::NoAdapter { reason: e.to_string(), found: vec![raw.name] })?;
+    let (device, queue) = pollster::block_on(adapter.request_device(&descriptor)).map_err(|e| {
+        GpuError::NoAdapter {
+            reason: e.to_string(),
+            found: vec![raw.name],
+        }
+    })?;
     let fault = Arc::new(Mutex::new(None));
     let (uncaptured, lost) = (fault.clone(), fault.clone());
     device.on_uncaptured_error(Arc::new(move |error| note(&uncaptured, translate(error))));
@@ -213,19 +246,35 @@ fn open(adapter: &wgpu::Adapter, most: u64) -> Result<Gpu, GpuError> {
         }
     });
     let (pipelines, groups, profile) = (Mutex::default(), Mutex::default(), Mutex::default());
-    let inner = Inner { device, queue, info, fault, pipelines, groups, profile, tally: Arc::default() };
-    Ok(Gpu { inner: Arc::new(inner) })
+    let inner = Inner {
+        device,
+        queue,
+        info,
+        fault,
+        pipelines,
+        groups,
+        profile,
+        tally: Arc::default(),
+    };
+    Ok(Gpu {
+        inner: Arc::new(inner),
+    })
 }
 
 /// Keeps the first fault: the later ones follow from it.
 fn note(slot: &Mutex<Option<GpuError>>, error: GpuError) {
     tracing::error!(%error, "GPU fault");
-    slot.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(error);
+    slot.lock()
+        .unwrap_or_else(PoisonError::into_inner)
+        .get_or_insert(error);
 }
 
 fn translate(error: wgpu::Error) -> GpuError {
     match error {
-        wgpu::Error::OutOfMemory { .. } => GpuError::OutOfMemory { label: "a command".to_owned(), bytes: 0 },
+        wgpu::Error::OutOfMemory { .. } => GpuError::OutOfMemory {
+            label: "a command".to_owned(),
+            bytes: 0,
+        },
         wgpu::Error::Validation { description, .. } | wgpu::Error::Internal { description, .. } => {
             GpuError::Validation(description)
         }

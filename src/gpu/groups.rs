@@ -1,6 +1,7 @@
 //! Bind groups, kept as long as all of their buffers are.
 //!
-//! Work that is recorded anew mostly binds the same buffers to the same kernels, so there is nothing to make anew.
+//! Work that is recorded anew mostly binds the same buffers to the same kernels, so there is
+//! nothing to make anew.
 
 use std::collections::HashMap;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -10,7 +11,8 @@ use crate::device::Inner;
 use crate::kernel::Pipeline;
 use crate::{Gpu, buffer::RawBuffer};
 
-/// Groups by the address of their pipeline, which lives as long as the device, and the numbers of their buffers.
+/// Groups by the address of their pipeline, which lives as long as the device, and the numbers of
+/// their buffers.
 pub(crate) type Groups = Mutex<HashMap<(usize, Vec<u64>), wgpu::BindGroup>>;
 
 static NEXT: AtomicU64 = AtomicU64::new(0);
@@ -27,7 +29,10 @@ struct Owned {
 impl Identity {
     pub(crate) fn new(gpu: &Gpu) -> Self {
         let number = NEXT.fetch_add(1, Ordering::Relaxed);
-        Self(Arc::new(Owned { number, device: Arc::downgrade(&gpu.inner) }))
+        Self(Arc::new(Owned {
+            number,
+            device: Arc::downgrade(&gpu.inner),
+        }))
     }
 }
 
@@ -42,21 +47,37 @@ impl Drop for Owned {
 
 impl Gpu {
     /// The group that binds `buffers` to a kernel, in the order of its bindings.
-    pub(crate) fn group(&self, pipeline: &Arc<Pipeline>, buffers: &[&RawBuffer]) -> wgpu::BindGroup {
-        let numbers = buffers.iter().map(|buffer| buffer.identity.0.number).collect();
+    pub(crate) fn group(
+        &self,
+        pipeline: &Arc<Pipeline>,
+        buffers: &[&RawBuffer],
+    ) -> wgpu::BindGroup {
+        let numbers = buffers
+            .iter()
+            .map(|buffer| buffer.identity.0.number)
+            .collect();
         let key = (Arc::as_ptr(pipeline) as usize, numbers);
-        let mut groups = self.inner.groups.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut groups = self
+            .inner
+            .groups
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner);
         let make = || {
             let entries: Vec<_> = buffers
                 .iter()
                 .zip(0..)
-                .map(|(b, binding)| wgpu::BindGroupEntry { binding, resource: b.raw.as_entire_binding() })
+                .map(|(b, binding)| wgpu::BindGroupEntry {
+                    binding,
+                    resource: b.raw.as_entire_binding(),
+                })
                 .collect();
-            self.inner.device.create_bind_group(&wgpu::BindGroupDescriptor {
-                label: Some(pipeline.kernel.name),
-                layout: &pipeline.layout,
-                entries: &entries,
-            })
+            self.inner
+                .device
+                .create_bind_group(&wgpu::BindGroupDescriptor {
+                    label: Some(pipeline.kernel.name),
+                    layout: &pipeline.layout,
+                    entries: &entries,
+                })
         };
         groups.entry(key).or_insert_with(make).clone()
     }
@@ -64,6 +85,10 @@ impl Gpu {
     /// Bind groups that are kept.
     #[cfg(test)]
     pub(crate) fn kept_groups(&self) -> usize {
-        self.inner.groups.lock().unwrap_or_else(PoisonError::into_inner).len()
+        self.inner
+            .groups
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .len()
     }
 }

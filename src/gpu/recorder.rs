@@ -28,9 +28,17 @@ pub struct Recording {
 }
 
 enum Command {
-    Dispatch { pipeline: Arc<Pipeline>, group: wgpu::BindGroup, workgroups: Workgroups },
+    Dispatch {
+        pipeline: Arc<Pipeline>,
+        group: wgpu::BindGroup,
+        workgroups: Workgroups,
+    },
     Clear(RawBuffer),
-    Copy { from: RawBuffer, to: RawBuffer, bytes: u64 },
+    Copy {
+        from: RawBuffer,
+        to: RawBuffer,
+        bytes: u64,
+    },
 }
 
 enum Workgroups {
@@ -42,7 +50,10 @@ enum Workgroups {
 impl Gpu {
     /// An empty list of commands.
     pub fn recorder(&self) -> Recorder {
-        Recorder { gpu: self.clone(), commands: Vec::new() }
+        Recorder {
+            gpu: self.clone(),
+            commands: Vec::new(),
+        }
     }
 }
 
@@ -79,7 +90,13 @@ impl Recorder {
         buffers: &[&dyn Bind],
         items: usize,
     ) -> Result<(), GpuError> {
-        let width: u32 = self.gpu.pipeline(kernel)?.reflection.workgroup.iter().product();
+        let width: u32 = self
+            .gpu
+            .pipeline(kernel)?
+            .reflection
+            .workgroup
+            .iter()
+            .product();
         self.dispatch_groups(kernel, buffers, items.div_ceil(width as usize))
     }
 
@@ -96,8 +113,8 @@ impl Recorder {
         self.dispatch(kernel, buffers, fold(groups))
     }
 
-    /// Adds a dispatch whose three workgroup counts stand at element `index` of `arguments` (u32 x 3).
-    /// The kernel must not bind `arguments` for writing.
+    /// Adds a dispatch whose three workgroup counts stand at element `index` of `arguments` (u32 x
+    /// 3). The kernel must not bind `arguments` for writing.
     ///
     /// # Errors
     /// As [`Recorder::dispatch`].
@@ -109,7 +126,10 @@ impl Recorder {
         index: usize,
     ) -> Result<(), GpuError> {
         if index + 3 > arguments.len() {
-            return Err(fault(kernel, format!("indirect arguments at {index} of {}", arguments.len())));
+            return Err(fault(
+                kernel,
+                format!("indirect arguments at {index} of {}", arguments.len()),
+            ));
         }
         let workgroups = Workgroups::Indirect(arguments.raw().clone(), 4 * index as u64);
         self.push(kernel, buffers, workgroups)
@@ -124,12 +144,25 @@ impl Recorder {
     ///
     /// # Errors
     /// [`GpuError::Validation`] past the end of either.
-    pub fn copy<T: Pod>(&mut self, from: &Buffer<T>, to: &Buffer<T>, count: usize) -> Result<(), GpuError> {
+    pub fn copy<T: Pod>(
+        &mut self,
+        from: &Buffer<T>,
+        to: &Buffer<T>,
+        count: usize,
+    ) -> Result<(), GpuError> {
         if count > from.len() || count > to.len() {
-            return Err(GpuError::Validation(format!("copy of {count} from {} to {}", from.len(), to.len())));
+            return Err(GpuError::Validation(format!(
+                "copy of {count} from {} to {}",
+                from.len(),
+                to.len()
+            )));
         }
         let bytes = (count * size_of::<T>()) as u64;
-        self.commands.push(Command::Copy { from: from.raw().clone(), to: to.raw().clone(), bytes });
+        self.commands.push(Command::Copy {
+            from: from.raw().clone(),
+            to: to.raw().clone(),
+            bytes,
+        });
         Ok(())
     }
 
@@ -143,7 +176,10 @@ impl Recorder {
 
     /// Ends the list.
     pub fn finish(self) -> Recording {
-        Recording { gpu: self.gpu, commands: self.commands }
+        Recording {
+            gpu: self.gpu,
+            commands: self.commands,
+        }
     }
 
     fn push(
@@ -156,7 +192,11 @@ impl Recorder {
         let raws: Vec<_> = buffers.iter().map(|b| b.raw()).collect();
         check(&pipeline, &raws)?;
         let group = self.gpu.group(&pipeline, &raws);
-        self.commands.push(Command::Dispatch { pipeline, group, workgroups });
+        self.commands.push(Command::Dispatch {
+            pipeline,
+            group,
+            workgroups,
+        });
         self.gpu.check()
     }
 }
@@ -169,9 +209,16 @@ impl Recording {
     pub fn submit(&self) -> Result<Submission, GpuError> {
         let inner = &self.gpu.inner;
         self.gpu.check()?;
-        let mut encoder =
-            inner.device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some("recording") });
-        let dispatches = self.commands.iter().filter(|c| matches!(c, Command::Dispatch { .. })).count();
+        let mut encoder = inner
+            .device
+            .create_command_encoder(&wgpu::CommandEncoderDescriptor {
+                label: Some("recording"),
+            });
+        let dispatches = self
+            .commands
+            .iter()
+            .filter(|c| matches!(c, Command::Dispatch { .. }))
+            .count();
         let timer = self.gpu.timer(dispatches);
         let mut commands = self.commands.iter().peekable();
         while let Some(command) = commands.next_if(|_| true) {
@@ -180,13 +227,20 @@ impl Recording {
                 Command::Copy { from, to, bytes } => {
                     encoder.copy_buffer_to_buffer(&from.raw, 0, &to.raw, 0, *bytes);
                 }
-                Command::Dispatch { pipeline, group, workgroups } => {
+                Command::Dispatch {
+                    pipeline,
+                    group,
+                    workgroups,
+                } => {
                     let mut pass = begin(&mut encoder, timer.as_ref(), pipeline);
                     encode(&mut pass, pipeline, group, workgroups);
                     // Timed kernels have a pass each; otherwise the pass takes all that follow.
                     while timer.is_none()
-                        && let Some(Command::Dispatch { pipeline, group, workgroups }) =
-                            commands.next_if(|c| matches!(c, Command::Dispatch { .. }))
+                        && let Some(Command::Dispatch {
+                            pipeline,
+                            group,
+                            workgroups,
+                        }) = commands.next_if(|c| matches!(c, Command::Dispatch { .. }))
                     {
                         encode(&mut pass, pipeline, group, workgroups);
                     }
@@ -211,7 +265,10 @@ fn begin<'a>(
     pipeline: &Pipeline,
 ) -> wgpu::ComputePass<'a> {
     let timestamp_writes = timer.map(|t| t.next(pipeline.kernel.name));
-    encoder.begin_compute_pass(&wgpu::ComputePassDescriptor { label: None, timestamp_writes })
+    encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
+        label: None,
+        timestamp_writes,
+    })
 }
 
 fn encode(
@@ -224,7 +281,9 @@ fn encode(
     pass.set_bind_group(0, group, &[]);
     match workgroups {
         Workgroups::Direct([x, y, z]) => pass.dispatch_workgroups(*x, *y, *z),
-        Workgroups::Indirect(arguments, offset) => pass.dispatch_workgroups_indirect(&arguments.raw, *offset),
+        Workgroups::Indirect(arguments, offset) => {
+            pass.dispatch_workgroups_indirect(&arguments.raw, *offset)
+        }
     }
 }
 
@@ -235,7 +294,10 @@ fn fold(groups: usize) -> [u32; 3] {
 }
 
 fn fault(kernel: &Kernel, message: String) -> GpuError {
-    GpuError::Binding { kernel: kernel.name.to_owned(), message }
+    GpuError::Binding {
+        kernel: kernel.name.to_owned(),
+        message,
+    }
 }
 
 /// Number, element size and aliasing of the buffers against what the shader declares.
@@ -243,14 +305,20 @@ fn check(pipeline: &Pipeline, buffers: &[&RawBuffer]) -> Result<(), GpuError> {
     let declared = &pipeline.reflection.bindings;
     let kernel = &pipeline.kernel;
     if declared.len() != buffers.len() {
-        return Err(fault(kernel, format!("{} buffers for {} bindings", buffers.len(), declared.len())));
+        return Err(fault(
+            kernel,
+            format!("{} buffers for {} bindings", buffers.len(), declared.len()),
+        ));
     }
     for (i, (binding, buffer)) in declared.iter().zip(buffers).enumerate() {
         let name = &binding.name;
         let (stride, element) = (u64::from(binding.stride), buffer.stride);
         if binding.access == Access::Uniform && buffer.bytes < stride {
             let bytes = buffer.bytes;
-            return Err(fault(kernel, format!("`{name}` has {stride} bytes, `{}` {bytes}", buffer.label)));
+            return Err(fault(
+                kernel,
+                format!("`{name}` has {stride} bytes, `{}` {bytes}", buffer.label),
+            ));
         }
         if binding.access != Access::Uniform && stride % element != 0 && element % stride != 0 {
             let label = buffer.label;
@@ -259,12 +327,19 @@ fn check(pipeline: &Pipeline, buffers: &[&RawBuffer]) -> Result<(), GpuError> {
                 format!("`{name}`: elements of {stride} bytes, `{label}` of {element}"),
             ));
         }
-        let aliased = buffers.iter().zip(declared).enumerate().any(|(j, (other, d))| {
-            let written = binding.access == Access::ReadWrite || d.access == Access::ReadWrite;
-            i != j && written && other.raw == buffer.raw
-        });
+        let aliased = buffers
+            .iter()
+            .zip(declared)
+            .enumerate()
+            .any(|(j, (other, d))| {
+                let written = binding.access == Access::ReadWrite || d.access == Access::ReadWrite;
+                i != j && written && other.raw == buffer.raw
+            });
         if aliased {
-            return Err(fault(kernel, format!("`{}` is bound twice, once for writing", buffer.label)));
+            return Err(fault(
+                kernel,
+                format!("`{}` is bound twice, once for writing", buffer.label),
+            ));
         }
     }
     Ok(())

@@ -51,7 +51,10 @@ impl Reflection {
 
     /// The value of this constant.
     pub fn constant(&self, name: &str) -> Option<f64> {
-        self.constants.iter().find(|(other, _)| other == name).map(|(_, value)| *value)
+        self.constants
+            .iter()
+            .find(|(other, _)| other == name)
+            .map(|(_, value)| *value)
     }
 }
 
@@ -60,9 +63,12 @@ impl Reflection {
 /// # Errors
 /// [`GpuError::Shader`] with naga's words.
 pub fn validate(name: &str, text: &str) -> Result<naga::Module, GpuError> {
-    let fault = |message: String| GpuError::Shader { name: name.to_owned(), message };
-    let module =
-        naga::front::wgsl::parse_str(text).map_err(|e| fault(e.emit_to_string_with_path(text, name)))?;
+    let fault = |message: String| GpuError::Shader {
+        name: name.to_owned(),
+        message,
+    };
+    let module = naga::front::wgsl::parse_str(text)
+        .map_err(|e| fault(e.emit_to_string_with_path(text, name)))?;
     let capabilities = Capabilities::SUBGROUP | Capabilities::SUBGROUP_BARRIER;
     Validator::new(ValidationFlags::all(), capabilities)
         .validate(&module)
@@ -76,8 +82,11 @@ pub fn validate(name: &str, text: &str) -> Result<naga::Module, GpuError> {
 /// [`GpuError::Shader`] when the text is not valid.
 pub fn reflect(name: &str, text: &str) -> Result<Reflection, GpuError> {
     let module = validate(name, text)?;
-    let workgroup =
-        module.entry_points.iter().find(|e| e.name == "main").map_or([0; 3], |e| e.workgroup_size);
+    let workgroup = module
+        .entry_points
+        .iter()
+        .find(|e| e.name == "main")
+        .map_or([0; 3], |e| e.workgroup_size);
     Ok(Reflection {
         bindings: bindings(name, &module)?,
         workgroup,
@@ -89,10 +98,14 @@ pub fn reflect(name: &str, text: &str) -> Result<Reflection, GpuError> {
 fn bindings(name: &str, module: &naga::Module) -> Result<Vec<ReflectedBinding>, GpuError> {
     let mut found = Vec::new();
     for (_, variable) in module.global_variables.iter() {
-        let Some(binding) = &variable.binding else { continue };
+        let Some(binding) = &variable.binding else {
+            continue;
+        };
         let access = match variable.space {
             AddressSpace::Uniform => Access::Uniform,
-            AddressSpace::Storage { access } if access.contains(StorageAccess::STORE) => Access::ReadWrite,
+            AddressSpace::Storage { access } if access.contains(StorageAccess::STORE) => {
+                Access::ReadWrite
+            }
             AddressSpace::Storage { .. } => Access::Read,
             _ => continue,
         };
@@ -104,11 +117,20 @@ fn bindings(name: &str, module: &naga::Module) -> Result<Vec<ReflectedBinding>, 
         }
         let inner = &module.types[variable.ty].inner;
         let stride = match inner {
-            TypeInner::Array { stride, size: naga::ArraySize::Dynamic, .. } => *stride,
+            TypeInner::Array {
+                stride,
+                size: naga::ArraySize::Dynamic,
+                ..
+            } => *stride,
             _ => inner.size(module.to_ctx()),
         };
         let name = variable.name.clone().unwrap_or_default();
-        found.push(ReflectedBinding { number: binding.binding, name, access, stride });
+        found.push(ReflectedBinding {
+            number: binding.binding,
+            name,
+            access,
+            stride,
+        });
     }
     found.sort_by_key(|b| b.number);
     Ok(found)
@@ -124,7 +146,11 @@ fn structures(module: &naga::Module) -> Vec<ReflectedStruct> {
         }),
         _ => None,
     };
-    module.types.iter().filter_map(|(_, ty)| structure(ty)).collect()
+    module
+        .types
+        .iter()
+        .filter_map(|(_, ty)| structure(ty))
+        .collect()
 }
 
 fn constants(module: &naga::Module) -> Vec<(String, f64)> {
@@ -134,8 +160,13 @@ fn constants(module: &naga::Module) -> Vec<(String, f64)> {
         naga::Expression::Literal(naga::Literal::I32(v)) => Some(f64::from(*v)),
         _ => None,
     };
-    let constant = |c: &naga::Constant| Some((c.name.clone()?, value(&module.global_expressions[c.init])?));
-    module.constants.iter().filter_map(|(_, c)| constant(c)).collect()
+    let constant =
+        |c: &naga::Constant| Some((c.name.clone()?, value(&module.global_expressions[c.init])?));
+    module
+        .constants
+        .iter()
+        .filter_map(|(_, c)| constant(c))
+        .collect()
 }
 
 #[cfg(test)]
@@ -150,11 +181,22 @@ mod tests {
         assert_eq!(found.workgroup, [32, 1, 1]);
         assert_eq!(found.constant("WIDTH"), Some(32.0));
         let scale = found.structure("TestScale").expect("declared");
-        assert_eq!((scale.size, &scale.members[1]), (8, &("count".to_owned(), 4)));
-        let names: Vec<_> = found.bindings.iter().map(|b| (b.name.as_str(), b.access, b.stride)).collect();
+        assert_eq!(
+            (scale.size, &scale.members[1]),
+            (8, &("count".to_owned(), 4))
+        );
+        let names: Vec<_> = found
+            .bindings
+            .iter()
+            .map(|b| (b.name.as_str(), b.access, b.stride))
+            .collect();
         assert_eq!(
             names,
-            [("scale", Access::Uniform, 8), ("x", Access::Read, 4), ("out", Access::ReadWrite, 4)]
+            [
+                ("scale", Access::Uniform, 8),
+                ("x", Access::Read, 4),
+                ("out", Access::ReadWrite, 4)
+            ]
         );
     }
 }

@@ -4,8 +4,8 @@ use bytemuck::Pod;
 
 use crate::{Buffer, Gpu, GpuError};
 
-/// Rows of equal length. Where all of them would be a larger binding than the adapter has, they lie in several
-/// buffers: a kernel is then dispatched once a part.
+/// Rows of equal length. Where all of them would be a larger binding than the adapter has, they lie
+/// in several buffers: a kernel is then dispatched once a part.
 #[derive(Clone)]
 pub struct Rows<T> {
     parts: Vec<Buffer<T>>,
@@ -52,7 +52,9 @@ impl<T: Pod> Rows<T> {
         if values.len() == rows * self.length {
             return Ok(values);
         }
-        Err(GpuError::Validation(format!("a read of {rows} rows past the last")))
+        Err(GpuError::Validation(format!(
+            "a read of {rows} rows past the last"
+        )))
     }
 
     /// Sets every byte to zero, before all work that is submitted later.
@@ -70,14 +72,15 @@ impl<T: Pod> Rows<T> {
 }
 
 impl Gpu {
-    /// How many rows of at most `bytes` each the adapter binds at once; at least one, which may then be
-    /// [`GpuError::TooLarge`].
+    /// How many rows of at most `bytes` each the adapter binds at once; at least one, which may
+    /// then be [`GpuError::TooLarge`].
     pub fn rows_per_part(&self, bytes: usize) -> usize {
         ((self.describe().max_binding / bytes.max(1) as u64) as usize).max(1)
     }
 
-    /// `rows` zeroed rows of `length` elements in parts of `per_part`; at least one part. Arrays that a kernel reads side
-    /// by side take the same `per_part`: [`Gpu::rows_per_part`] of the longest row.
+    /// `rows` zeroed rows of `length` elements in parts of `per_part`; at least one part. Arrays
+    /// that a kernel reads side by side take the same `per_part`: [`Gpu::rows_per_part`] of the
+    /// longest row.
     ///
     /// # Errors
     /// As [`Gpu::create`].
@@ -89,8 +92,14 @@ impl Gpu {
         per_part: usize,
     ) -> Result<Rows<T>, GpuError> {
         let sizes = part_sizes(rows, per_part);
-        let parts = sizes.map(|here| self.create(label, here * length)).collect::<Result<_, _>>()?;
-        Ok(Rows { parts, length, per_part })
+        let parts = sizes
+            .map(|here| self.create(label, here * length))
+            .collect::<Result<_, _>>()?;
+        Ok(Rows {
+            parts,
+            length,
+            per_part,
+        })
     }
 }
 
@@ -115,7 +124,10 @@ mod tests {
     fn rows_in_parts_are_written_and_read_as_one() {
         let gpu = Gpu::new("auto").expect("an adapter");
         let rows = gpu.create_rows::<u32>("rows", 7, 3, 3).expect("created");
-        assert_eq!(rows.parts().iter().map(Buffer::len).collect::<Vec<_>>(), [9, 9, 3]);
+        assert_eq!(
+            rows.parts().iter().map(Buffer::len).collect::<Vec<_>>(),
+            [9, 9, 3]
+        );
         let values: Vec<u32> = (0..21).collect();
         rows.write(&values).expect("written");
         assert_eq!(rows.read(7).expect("read"), values);
@@ -132,8 +144,14 @@ mod tests {
     #[test]
     fn an_adapter_that_binds_little_takes_more_parts() {
         let gpu = Gpu::binding_at_most("auto", 4_096).expect("an adapter");
-        assert_eq!((gpu.describe().max_binding, gpu.rows_per_part(96)), (4_096, 42));
+        assert_eq!(
+            (gpu.describe().max_binding, gpu.rows_per_part(96)),
+            (4_096, 42)
+        );
         assert_eq!(gpu.rows_per_part(10_000), 1);
-        assert!(matches!(gpu.create::<u32>("too much", 1_025), Err(GpuError::TooLarge { limit: 4_096, .. })));
+        assert!(matches!(
+            gpu.create::<u32>("too much", 1_025),
+            Err(GpuError::TooLarge { limit: 4_096, .. })
+        ));
     }
 }

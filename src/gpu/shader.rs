@@ -16,16 +16,20 @@ pub fn names() -> impl Iterator<Item = &'static str> {
 /// # Errors
 /// [`GpuError::Shader`] when there is no such file.
 pub fn source(name: &str) -> Result<&'static str, GpuError> {
-    SOURCES.binary_search_by(|(other, _)| (*other).cmp(name)).map(|index| SOURCES[index].1).map_err(|_| {
-        GpuError::Shader { name: name.to_owned(), message: "no such file in shaders/".to_owned() }
-    })
+    SOURCES
+        .binary_search_by(|(other, _)| (*other).cmp(name))
+        .map(|index| SOURCES[index].1)
+        .map_err(|_| GpuError::Shader {
+            name: name.to_owned(),
+            message: "no such file in shaders/".to_owned(),
+        })
 }
 
 /// The text of a shader with every `#import` replaced, each file once, and the given constants set.
 ///
-/// A constant `("PIXELS", 8)` replaces the value in the line `const PIXELS: u32 = 4;`. Differs from the
-/// page "architecture" (WGSL `override`): the size of a private array must be textual, and one mechanism
-/// for both is simpler.
+/// A constant `("PIXELS", 8)` replaces the value in the line `const PIXELS: u32 = 4;`. Differs from
+/// the page "architecture" (WGSL `override`): the size of a private array must be textual, and one
+/// mechanism for both is simpler.
 ///
 /// # Errors
 /// [`GpuError::Shader`] for an unknown file or a constant that the text does not declare.
@@ -78,7 +82,8 @@ fn set_constant(text: &str, constant: &str, value: u32) -> Option<String> {
 /// What stands before the `=` when the line declares this constant.
 fn declaration<'a>(line: &'a str, constant: &str) -> Option<&'a str> {
     let rest = line.strip_prefix("const ")?.strip_prefix(constant)?;
-    rest.starts_with([':', ' ']).then(|| line.split('=').next())?
+    rest.starts_with([':', ' '])
+        .then(|| line.split('=').next())?
 }
 
 #[cfg(test)]
@@ -97,12 +102,16 @@ mod tests {
         }
         // A shared file is a fragment: it is valid where it is imported.
         let unused: Vec<_> = names().filter(|name| !used.contains(name)).collect();
-        assert!(used.len() >= 3 && unused.is_empty(), "not imported: {unused:?}");
+        assert!(
+            used.len() >= 3 && unused.is_empty(),
+            "not imported: {unused:?}"
+        );
     }
 
     #[test]
     fn a_shader_with_a_type_error_fails_validation() {
-        let error = reflect::validate("bad", "fn f() -> f32 { return 1u; }").expect_err("a u32 is no f32");
+        let error =
+            reflect::validate("bad", "fn f() -> f32 { return 1u; }").expect_err("a u32 is no f32");
         assert!(matches!(error, GpuError::Shader { name, .. } if name == "bad"));
     }
 
@@ -117,7 +126,13 @@ mod tests {
     fn a_constant_is_replaced_and_an_unknown_one_is_refused() {
         let text = expand("shared/test_axpy", &[("ADD", 7)]).expect("expands");
         assert!(text.contains("const ADD: u32 = 7;"));
-        assert!(matches!(expand("shared/test_axpy", &[("AD", 7)]), Err(GpuError::Shader { .. })));
-        assert!(matches!(expand("shared/nothing", &[]), Err(GpuError::Shader { .. })));
+        assert!(matches!(
+            expand("shared/test_axpy", &[("AD", 7)]),
+            Err(GpuError::Shader { .. })
+        ));
+        assert!(matches!(
+            expand("shared/nothing", &[]),
+            Err(GpuError::Shader { .. })
+        ));
     }
 }

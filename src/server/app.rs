@@ -65,18 +65,29 @@ impl App {
     /// Remembers that a worker of this server runs the job; what rings to stop it.
     pub fn register(&self, job: &str) -> Arc<Notify> {
         let bell = Arc::new(Notify::new());
-        self.running.lock().unwrap_or_else(PoisonError::into_inner).insert(job.to_owned(), bell.clone());
+        self.running
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .insert(job.to_owned(), bell.clone());
         bell
     }
 
     /// Forgets a job that no longer runs.
     pub fn unregister(&self, job: &str) {
-        self.running.lock().unwrap_or_else(PoisonError::into_inner).remove(job);
+        self.running
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .remove(job);
     }
 
     /// Stops the job's process, when a worker of this server runs it.
     pub fn stop(&self, job: &str) {
-        if let Some(bell) = self.running.lock().unwrap_or_else(PoisonError::into_inner).get(job) {
+        if let Some(bell) = self
+            .running
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .get(job)
+        {
             // Remembered until it is awaited, so that no order of events loses it.
             bell.notify_one();
         }

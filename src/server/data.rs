@@ -136,7 +136,10 @@ mod tests {
     fn a_second_server_on_the_same_directory_is_refused_until_the_first_is_gone() {
         let dir = tempfile::tempdir().expect("temporary directory");
         let first = DataDir::open(dir.path()).expect("free");
-        assert!(matches!(DataDir::open(dir.path()), Err(ServerError::DataInUse(_))));
+        assert!(matches!(
+            DataDir::open(dir.path()),
+            Err(ServerError::DataInUse(_))
+        ));
         drop(first);
         DataDir::open(dir.path()).expect("free again");
     }

@@ -39,7 +39,10 @@ pub enum ServerError {
 impl ServerError {
     /// An [`ServerError::Io`] about `path`, for `map_err`.
     pub fn io(path: &Path) -> impl FnOnce(io::Error) -> Self + '_ {
-        move |source| Self::Io { path: path.to_owned(), source }
+        move |source| Self::Io {
+            path: path.to_owned(),
+            source,
+        }
     }
 }
 

@@ -1,6 +1,9 @@
 //! The HTTP API, version 1, and the dashboard.
 
-#![allow(unused_qualifications, reason = "the code that utoipa's attributes write has them")]
+#![allow(
+    unused_qualifications,
+    reason = "the code that utoipa's attributes write has them"
+)]
 
 mod artifacts;
 mod captures;
@@ -53,7 +56,10 @@ pub fn router(app: Arc<App>) -> Router {
         .route("/v1/jobs", get(jobs::list).post(jobs::create))
         .layer(DefaultBodyLimit::disable());
     let small = Router::new()
-        .route("/v1/captures/{id}", get(captures::show).delete(captures::delete))
+        .route(
+            "/v1/captures/{id}",
+            get(captures::show).delete(captures::delete),
+        )
         .route("/v1/jobs/{id}", get(jobs::show).delete(jobs::delete))
         .route("/v1/jobs/{id}/cancel", post(jobs::cancel))
         .route("/v1/jobs/{id}/retry", post(jobs::retry))
@@ -86,7 +92,10 @@ pub fn router(app: Arc<App>) -> Router {
         // Another site's page must not start or delete jobs with a visitor's browser.
         .layer(CsrfLayer::new())
         .layer(CatchPanicLayer::custom(panicked))
-        .layer(header(header::CONTENT_SECURITY_POLICY, CONTENT_SECURITY_POLICY))
+        .layer(header(
+            header::CONTENT_SECURITY_POLICY,
+            CONTENT_SECURITY_POLICY,
+        ))
         .layer(header(header::X_CONTENT_TYPE_OPTIONS, "nosniff"))
         .layer(header(header::REFERRER_POLICY, "no-referrer"))
         .layer(header(header::CACHE_CONTROL, "no-cache"))
@@ -97,7 +106,9 @@ pub fn router(app: Arc<App>) -> Router {
 #[expect(clippy::needless_pass_by_value, reason = "the layer hands it over so")]
 fn panicked(fault: Box<dyn Any + Send + 'static>) -> Response {
     let text = fault.downcast_ref::<String>().map(String::as_str);
-    let text = text.or_else(|| fault.downcast_ref::<&str>().copied()).unwrap_or("no message");
+    let text = text
+        .or_else(|| fault.downcast_ref::<&str>().copied())
+        .unwrap_or("no message");
     tracing::error!(text, "a handler panicked");
     Problem::internal().into_response()
 }

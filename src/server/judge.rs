@@ -41,7 +41,13 @@ pub fn judge(dir: &Path) -> Result<CaptureReport, Box<Refusal>> {
         let opened = Capture::open(&archive, &scratch);
         match fs::remove_dir_all(&scratch) {
             Err(source) if source.kind() != std::io::ErrorKind::NotFound => {
-                return Err(refuse(dir, CaptureError::Io { path: scratch, source }));
+                return Err(refuse(
+                    dir,
+                    CaptureError::Io {
+                        path: scratch,
+                        source,
+                    },
+                ));
             }
             _ => opened,
         }
@@ -75,8 +81,10 @@ fn mixed() -> Box<Refusal> {
 fn refuse(dir: &Path, error: CaptureError) -> Box<Refusal> {
     // Where the server keeps its files is nobody's business.
     let archive = dir.join(ARCHIVE).display().to_string();
-    let detail =
-        error.to_string().replace(&archive, "the upload").replace(&dir.display().to_string(), "the upload");
+    let detail = error
+        .to_string()
+        .replace(&archive, "the upload")
+        .replace(&dir.display().to_string(), "the upload");
     let hint = error.hint().to_owned();
     let is_ours = error.kind() == ErrorKind::Io;
     let (accepted, verdicts) = match error {
@@ -109,5 +117,8 @@ fn verdict(of: capture::Verdict) -> Verdict {
 }
 
 fn warning(of: CaptureWarning) -> Warning {
-    Warning { code: of.code, message: of.message }
+    Warning {
+        code: of.code,
+        message: of.message,
+    }
 }

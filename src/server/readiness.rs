@@ -46,11 +46,23 @@ pub async fn checks(app: &App) -> Vec<Check> {
     let mut checks = vec![database(app).await, disk(app)];
     // Concurrent callers wait for one judgement instead of starting several.
     let mut remembered = app.readiness.lock().await;
-    if remembered.as_ref().is_none_or(|known| known.at.elapsed() > BELIEVED) {
-        *remembered = Some(Remembered { at: Instant::now(), checks: doctor(app).await });
+    if remembered
+        .as_ref()
+        .is_none_or(|known| known.at.elapsed() > BELIEVED)
+    {
+        *remembered = Some(Remembered {
+            at: Instant::now(),
+            checks: doctor(app).await,
+        });
     }
     if let Some(known) = remembered.as_ref() {
-        checks.extend(known.checks.iter().filter(|check| check.name != "disk").cloned());
+        checks.extend(
+            known
+                .checks
+                .iter()
+                .filter(|check| check.name != "disk")
+                .cloned(),
+        );
     }
     checks
 }
@@ -60,38 +72,61 @@ async fn database(app: &App) -> Check {
     Check {
         name: "database".to_owned(),
         ok: outcome.is_ok(),
-        detail: outcome
-            .as_ref()
-            .map_or_else(ToString::to_string, |()| "answers and can be written".to_owned()),
-        hint: outcome.map_or("Check the data directory's permissions and space.", |()| "").to_owned(),
+        detail: outcome.as_ref().map_or_else(ToString::to_string, |()| {
+            "answers and can be written".to_owned()
+        }),
+        hint: outcome
+            .map_or("Check the data directory's permissions and space.", |()| "")
+            .to_owned(),
     }
 }
 
 fn disk(app: &App) -> Check {
     let needed = app.limits.min_free_bytes;
     let (ok, detail) = match app.data.free_bytes() {
-        Ok(free) => (free >= needed, format!("{:.1} GiB free", free as f64 / f64::from(1 << 30))),
+        Ok(free) => (
+            free >= needed,
+            format!("{:.1} GiB free", free as f64 / f64::from(1 << 30)),
+        ),
         Err(error) => (false, error.to_string()),
     };
-    let hint = if ok { String::new() } else { format!("Free at least {} MiB.", needed >> 20) };
-    Check { name: "disk".to_owned(), ok, detail, hint }
+    let hint = if ok {
+        String::new()
+    } else {
+        format!("Free at least {} MiB.", needed >> 20)
+    };
+    Check {
+        name: "disk".to_owned(),
+        ok,
+        detail,
+        hint,
+    }
 }
 
 async fn doctor(app: &App) -> Vec<Check> {
     match tokio::time::timeout(PATIENCE, ask_doctor(app)).await {
         Ok(Ok(checks)) => checks,
         Ok(Err(detail)) => vec![unknown(detail)],
-        Err(_) => vec![unknown(format!("no answer within {} s", PATIENCE.as_secs()))],
+        Err(_) => vec![unknown(format!(
+            "no answer within {} s",
+            PATIENCE.as_secs()
+        ))],
     }
 }
 
 fn unknown(detail: String) -> Check {
     let hint = "Run `fled doctor` by hand.".to_owned();
-    Check { name: "environment".to_owned(), ok: false, detail, hint }
+    Check {
+        name: "environment".to_owned(),
+        ok: false,
+        detail,
+        hint,
+    }
 }
 
 async fn ask_doctor(app: &App) -> Result<Vec<Check>, String> {
-    let mut group = Group::spawn(&app.config.doctor_command, &[], &[]).map_err(|error| error.to_string())?;
+    let mut group =
+        Group::spawn(&app.config.doctor_command, &[], &[]).map_err(|error| error.to_string())?;
     drop(group.stdin.take());
     let mut said = String::new();
     while let Some(line) = group.next_line().await {

@@ -101,7 +101,13 @@ impl Renderers {
     /// Nothing is started before the first request.
     pub fn new(command: Vec<OsString>, timeout: Duration, grace: Duration) -> Self {
         let queue = Arc::new(Semaphore::new(QUEUE));
-        Self { command, timeout, grace, process: Arc::default(), queue }
+        Self {
+            command,
+            timeout,
+            grace,
+            process: Arc::default(),
+            queue,
+        }
     }
 
     /// Renders one picture to `request.out`, after those asked for before.
@@ -109,8 +115,13 @@ impl Renderers {
     /// # Errors
     /// [`RenderError`]; the next request starts a new process where this one lost it.
     pub async fn render(&self, request: &RenderRequest) -> Result<(), RenderError> {
-        let permit = self.queue.clone().try_acquire_owned().map_err(|_| RenderError::Busy)?;
-        let line = serde_json::to_string(request).map_err(|error| RenderError::Refused(error.to_string()))?;
+        let permit = self
+            .queue
+            .clone()
+            .try_acquire_owned()
+            .map_err(|_| RenderError::Busy)?;
+        let line = serde_json::to_string(request)
+            .map_err(|error| RenderError::Refused(error.to_string()))?;
         let (command, timeout, grace) = (self.command.clone(), self.timeout, self.grace);
         let process = self.process.clone();
         // In a task of its own: a client that hangs up must not leave half a conversation behind,
@@ -120,7 +131,8 @@ impl Renderers {
             let mut slot = process.lock().await;
             exchange(&mut slot, &command, &line, (timeout, grace)).await
         });
-        task.await.unwrap_or_else(|error| Err(RenderError::Process(error.to_string())))
+        task.await
+            .unwrap_or_else(|error| Err(RenderError::Process(error.to_string())))
     }
 
     /// Ends the process.
@@ -151,7 +163,10 @@ async fn exchange(
             Err(_) => {
                 group.stop(grace).await;
                 *slot = None;
-                return Err(RenderError::Process(format!("did not answer within {} s", timeout.as_secs())));
+                return Err(RenderError::Process(format!(
+                    "did not answer within {} s",
+                    timeout.as_secs()
+                )));
             }
         }
         if fresh {
@@ -186,7 +201,10 @@ async fn ask(group: &mut Group, line: &str) -> Option<RenderReply> {
 /// The files of a scene: of one round, or of the delivered one.
 pub fn scene_file(output: &Path, round: Option<u32>) -> PathBuf {
     match round {
-        Some(round) => output.join("rounds").join(round.to_string()).join("scene.ply"),
+        Some(round) => output
+            .join("rounds")
+            .join(round.to_string())
+            .join("scene.ply"),
         None => output.join("scene.ply"),
     }
 }

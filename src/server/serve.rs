@@ -39,11 +39,19 @@ impl Server {
         let left = store.release_all().await?;
         if !left.is_empty() {
             let orphans = kill_orphans(&left);
-            tracing::info!(jobs = left.len(), orphans, "jobs of an earlier server go on");
+            tracing::info!(
+                jobs = left.len(),
+                orphans,
+                "jobs of an earlier server go on"
+            );
         }
         let name = config.listen.to_string();
-        let listener = TcpListener::bind(config.listen).await.map_err(ServerError::io(Path::new(&name)))?;
-        let address = listener.local_addr().map_err(ServerError::io(Path::new(&name)))?;
+        let listener = TcpListener::bind(config.listen)
+            .await
+            .map_err(ServerError::io(Path::new(&name)))?;
+        let address = listener
+            .local_addr()
+            .map_err(ServerError::io(Path::new(&name)))?;
         let workers = config.workers;
         let app = Arc::new(App::new(config, data, store));
         let mut tasks = JoinSet::new();
@@ -51,7 +59,11 @@ impl Server {
             tasks.spawn(worker::work(app.clone(), index));
         }
         tasks.spawn(listen(app.clone(), listener));
-        Ok(Self { address, app, tasks })
+        Ok(Self {
+            address,
+            app,
+            tasks,
+        })
     }
 
     /// Where it listens.
@@ -74,7 +86,8 @@ impl Server {
 
 async fn listen(app: Arc<App>, listener: TcpListener) {
     let shutdown = app.shutdown.clone();
-    let service = axum::serve(listener, router(app)).with_graceful_shutdown(shutdown.cancelled_owned());
+    let service =
+        axum::serve(listener, router(app)).with_graceful_shutdown(shutdown.cancelled_owned());
     if let Err(error) = service.await {
         tracing::error!(%error, "the listener failed");
     }
@@ -87,7 +100,10 @@ async fn listen(app: Arc<App>, listener: TcpListener) {
 pub async fn serve(config: ServeConfig) -> Result<()> {
     let server = Server::start(config).await?;
     tracing::info!("listening on http://{}", server.address());
-    let io = |source| ServerError::Io { path: "signals".into(), source };
+    let io = |source| ServerError::Io {
+        path: "signals".into(),
+        source,
+    };
     let mut interrupt = signal(SignalKind::interrupt()).map_err(io)?;
     let mut terminate = signal(SignalKind::terminate()).map_err(io)?;
     tokio::select! {

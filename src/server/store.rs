@@ -31,12 +31,32 @@ pub use results::{StageSeconds, WarningRow};
 
 /// Applied in order, each once, never edited after release.
 const MIGRATIONS: [(i64, &str, &str); 6] = [
-    (1, "captures", include_str!("../../migrations/0001_captures.sql")),
+    (
+        1,
+        "captures",
+        include_str!("../../migrations/0001_captures.sql"),
+    ),
     (2, "jobs", include_str!("../../migrations/0002_jobs.sql")),
-    (3, "events", include_str!("../../migrations/0003_events.sql")),
-    (4, "results", include_str!("../../migrations/0004_results.sql")),
-    (5, "idempotency", include_str!("../../migrations/0005_idempotency.sql")),
-    (6, "artifacts", include_str!("../../migrations/0006_artifacts.sql")),
+    (
+        3,
+        "events",
+        include_str!("../../migrations/0003_events.sql"),
+    ),
+    (
+        4,
+        "results",
+        include_str!("../../migrations/0004_results.sql"),
+    ),
+    (
+        5,
+        "idempotency",
+        include_str!("../../migrations/0005_idempotency.sql"),
+    ),
+    (
+        6,
+        "artifacts",
+        include_str!("../../migrations/0006_artifacts.sql"),
+    ),
 ];
 
 /// How long a writer waits for another before it gives up.
@@ -63,8 +83,13 @@ impl Store {
             .synchronous(SqliteSynchronous::Full)
             .foreign_keys(true)
             .busy_timeout(BUSY_TIMEOUT);
-        let pool = SqlitePoolOptions::new().max_connections(6).connect_with(options).await?;
-        Migrator::with_migrations(MIGRATIONS.into_iter().map(migration).collect()).run(&pool).await?;
+        let pool = SqlitePoolOptions::new()
+            .max_connections(6)
+            .connect_with(options)
+            .await?;
+        Migrator::with_migrations(MIGRATIONS.into_iter().map(migration).collect())
+            .run(&pool)
+            .await?;
         Ok(Self { pool })
     }
 
@@ -74,7 +99,11 @@ impl Store {
     /// When it does not.
     pub async fn check(&self) -> Result<()> {
         // An immediate transaction takes the write lock, which a read would not.
-        self.pool.begin_with("BEGIN IMMEDIATE").await?.rollback().await?;
+        self.pool
+            .begin_with("BEGIN IMMEDIATE")
+            .await?
+            .rollback()
+            .await?;
         Ok(())
     }
 

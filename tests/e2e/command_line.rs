@@ -6,7 +6,10 @@ use std::process::Output;
 use crate::support::{self, small_capture, small_run};
 
 fn fled(arguments: &[&str]) -> Output {
-    support::fled().args(arguments).output().expect("the binary starts")
+    support::fled()
+        .args(arguments)
+        .output()
+        .expect("the binary starts")
 }
 
 fn code(output: &Output) -> i32 {
@@ -31,7 +34,12 @@ fn a_capture_that_is_none_exits_with_three_and_advice() {
     fs::create_dir(&empty).expect("folder");
     for capture in ["/nowhere/at/all", &empty.display().to_string()] {
         let output = fled(&["run", capture, "--out", &out]);
-        assert_eq!(code(&output), 3, "{capture}: {}", String::from_utf8_lossy(&output.stderr));
+        assert_eq!(
+            code(&output),
+            3,
+            "{capture}: {}",
+            String::from_utf8_lossy(&output.stderr)
+        );
     }
 }
 
@@ -40,14 +48,30 @@ fn an_adapter_that_is_not_there_exits_with_four_and_the_failure_is_an_event() {
     let folder = tempfile::tempdir().expect("temporary folder");
     let capture = small_capture(folder.path());
     let mut run = small_run(&capture, &folder.path().join("out"), 1);
-    let output =
-        run.args(["--json", "--set", "adapter=no-such-adapter"]).output().expect("the binary starts");
-    assert_eq!(code(&output), 4, "{}", String::from_utf8_lossy(&output.stderr));
-    let last = String::from_utf8_lossy(&output.stdout).lines().last().map(str::to_owned).expect("events");
+    let output = run
+        .args(["--json", "--set", "adapter=no-such-adapter"])
+        .output()
+        .expect("the binary starts");
+    assert_eq!(
+        code(&output),
+        4,
+        "{}",
+        String::from_utf8_lossy(&output.stderr)
+    );
+    let last = String::from_utf8_lossy(&output.stdout)
+        .lines()
+        .last()
+        .map(str::to_owned)
+        .expect("events");
     let event: serde_json::Value = serde_json::from_str(&last).expect("a JSON line");
     assert_eq!(event["event"], "failed");
     assert_eq!(event["kind"], "environment");
-    assert!(event["hint"].as_str().is_some_and(|hint| hint.contains("fled doctor")), "{event}");
+    assert!(
+        event["hint"]
+            .as_str()
+            .is_some_and(|hint| hint.contains("fled doctor")),
+        "{event}"
+    );
 }
 
 #[test]
@@ -55,7 +79,10 @@ fn a_missing_model_exits_with_three_and_says_which_are_known() {
     let folder = tempfile::tempdir().expect("temporary folder");
     let capture = small_capture(folder.path());
     let mut run = small_run(&capture, &folder.path().join("out"), 1);
-    let output = run.args(["--set", "deblur=no-such-network"]).output().expect("the binary starts");
+    let output = run
+        .args(["--set", "deblur=no-such-network"])
+        .output()
+        .expect("the binary starts");
     assert_eq!(code(&output), 3);
     assert!(String::from_utf8_lossy(&output.stderr).contains("small-u2w16"));
 }
@@ -66,7 +93,11 @@ fn the_doctor_finds_everything_that_the_tests_need() {
     let text = String::from_utf8_lossy(&output.stdout).into_owned();
     assert_eq!(code(&output), 0, "{text}");
     for what in ["adapter", "colmap", "onnxruntime", "models", "disk"] {
-        assert!(text.lines().any(|line| line.starts_with("ok") && line.contains(what)), "{what} in\n{text}");
+        assert!(
+            text.lines()
+                .any(|line| line.starts_with("ok") && line.contains(what)),
+            "{what} in\n{text}"
+        );
     }
     let without = fled(&["doctor", "--colmap", "/nowhere/colmap"]);
     assert_eq!(code(&without), 4);
@@ -77,16 +108,45 @@ fn the_doctor_finds_everything_that_the_tests_need() {
 fn a_bench_prints_its_table_and_writes_the_same_cases_as_json() {
     let folder = tempfile::tempdir().expect("temporary folder");
     let json = folder.path().join("bench.json");
-    let tiny = ["--sizes", "64x48", "--gaussians", "200", "--steps", "3", "--seconds", "0.01"];
-    let output = fled(&[&["bench"][..], &tiny, &["--json", &json.display().to_string()]].concat());
-    assert_eq!(code(&output), 0, "{}", String::from_utf8_lossy(&output.stderr));
-    let (report, table) = (support::json(&json), String::from_utf8_lossy(&output.stdout));
+    let tiny = [
+        "--sizes",
+        "64x48",
+        "--gaussians",
+        "200",
+        "--steps",
+        "3",
+        "--seconds",
+        "0.01",
+    ];
+    let output = fled(
+        &[
+            &["bench"][..],
+            &tiny,
+            &["--json", &json.display().to_string()],
+        ]
+        .concat(),
+    );
+    assert_eq!(
+        code(&output),
+        0,
+        "{}",
+        String::from_utf8_lossy(&output.stderr)
+    );
+    let (report, table) = (
+        support::json(&json),
+        String::from_utf8_lossy(&output.stdout),
+    );
     let cases = report["cases"].as_array().expect("cases");
     assert_eq!(cases.len(), 7);
     for case in cases {
         let name = case["name"].as_str().expect("a name");
         assert!(table.contains(name), "{name} in\n{table}");
-        assert!(case["steps_per_second"].as_f64().is_some_and(|rate| rate > 0.0), "{case}");
+        assert!(
+            case["steps_per_second"]
+                .as_f64()
+                .is_some_and(|rate| rate > 0.0),
+            "{case}"
+        );
     }
     assert!(String::from_utf8_lossy(&output.stderr).contains("[7/7] sort 200 keys"));
 }

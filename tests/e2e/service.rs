@@ -41,7 +41,11 @@ impl Server {
     fn start() -> Self {
         let folder = tempfile::tempdir().expect("temporary folder");
         let (child, client) = serve(folder.path());
-        Self { folder, child, client }
+        Self {
+            folder,
+            child,
+            client,
+        }
     }
 
     /// kill -9, and nothing else.
@@ -63,7 +67,10 @@ impl Server {
         let options = json!({
             "size": 128, "steps": 300, "cap": 1500, "rounds": 2, "pose_source": "given", "held_out": 4,
         });
-        parts.extend([text("preset", "preview"), text("options", &options.to_string())]);
+        parts.extend([
+            text("preset", "preview"),
+            text("options", &options.to_string()),
+        ]);
         let reply = self.upload("/v1/jobs", &parts, &[]).expect(202);
         reply.json()["id"].as_str().expect("id").to_owned()
     }
@@ -80,9 +87,15 @@ impl Server {
     }
 
     fn names(&self, job: &str) -> Vec<String> {
-        let answer = self.get(&format!("/v1/jobs/{job}/artifacts"), &[]).expect(200).json();
+        let answer = self
+            .get(&format!("/v1/jobs/{job}/artifacts"), &[])
+            .expect(200)
+            .json();
         let artifacts = answer["artifacts"].as_array().expect("artifacts");
-        artifacts.iter().map(|file| file["name"].as_str().expect("name").to_owned()).collect()
+        artifacts
+            .iter()
+            .map(|file| file["name"].as_str().expect("name").to_owned())
+            .collect()
     }
 
     fn picture(&self, reply: Reply) -> Image {
@@ -92,7 +105,9 @@ impl Server {
     }
 
     fn log(&self, job: &str) -> String {
-        self.get(&format!("/v1/jobs/{job}/log?limit=2000"), &[]).expect(200).text()
+        self.get(&format!("/v1/jobs/{job}/log?limit=2000"), &[])
+            .expect(200)
+            .text()
     }
 }
 
@@ -109,7 +124,10 @@ fn serve(folder: &Path) -> (Child, Client) {
     let address = lines
         .by_ref()
         .map(|line| line.expect("UTF-8"))
-        .find_map(|line| line.split_once("listening on ").map(|(_, address)| address.to_owned()));
+        .find_map(|line| {
+            line.split_once("listening on ")
+                .map(|(_, address)| address.to_owned())
+        });
     // Read on, or the server blocks once the pipe is full.
     std::thread::spawn(move || lines.for_each(drop));
     (child, Client::new(address.expect("an address"), PATIENCE))
@@ -124,7 +142,11 @@ fn folder_parts(capture: &Path) -> Vec<Part> {
             if path.is_dir() {
                 folders.push(path);
             } else {
-                let name = path.strip_prefix(capture).expect("inside").display().to_string();
+                let name = path
+                    .strip_prefix(capture)
+                    .expect("inside")
+                    .display()
+                    .to_string();
                 parts.push(file(&name, &fs::read(&path).expect("a file")));
             }
         }
@@ -132,8 +154,14 @@ fn folder_parts(capture: &Path) -> Vec<Part> {
     parts
 }
 
-fn events_of<'a>(events: &'a [(i64, String, Value)], name: &'a str) -> impl Iterator<Item = &'a Value> {
-    events.iter().filter(move |(_, kind, _)| kind == name).map(|(.., data)| data)
+fn events_of<'a>(
+    events: &'a [(i64, String, Value)],
+    name: &'a str,
+) -> impl Iterator<Item = &'a Value> {
+    events
+        .iter()
+        .filter(move |(_, kind, _)| kind == name)
+        .map(|(.., data)| data)
 }
 
 #[test]
@@ -143,38 +171,94 @@ fn a_posted_capture_becomes_a_succeeded_job_with_rounds_artifacts_and_a_render()
     server.wait_for_training(&job, 2);
     let view = |query: &str| server.get(&format!("/v1/jobs/{job}/render?{query}"), &[]);
     let early = server.picture(view("azimuth=5&format=png"));
-    assert!(fled_core::metrics::mean_v(&early) > 0.01, "round 1, seen while round 2 trains, is black");
+    assert!(
+        fled_core::metrics::mean_v(&early) > 0.01,
+        "round 1, seen while round 2 trains, is black"
+    );
     let webp = view("azimuth=5&format=webp").expect(200);
-    assert_eq!((webp.header("content-type"), &webp.body[8..12]), ("image/webp", b"WEBP".as_slice()));
+    assert_eq!(
+        (webp.header("content-type"), &webp.body[8..12]),
+        ("image/webp", b"WEBP".as_slice())
+    );
 
     let done = server.wait(&job, "over", |shown| shown["finished_at"].is_string());
-    assert_eq!((&done["state"], &done["error"]), (&"succeeded".into(), &Value::Null), "{}", server.log(&job));
-    assert_eq!((&done["attempts"], &done["progress"]), (&1.into(), &1.0.into()));
-    let rounds = server.get(&format!("/v1/jobs/{job}/rounds"), &[]).expect(200).json();
+    assert_eq!(
+        (&done["state"], &done["error"]),
+        (&"succeeded".into(), &Value::Null),
+        "{}",
+        server.log(&job)
+    );
+    assert_eq!(
+        (&done["attempts"], &done["progress"]),
+        (&1.into(), &1.0.into())
+    );
+    let rounds = server
+        .get(&format!("/v1/jobs/{job}/rounds"), &[])
+        .expect(200)
+        .json();
     assert_eq!(rounds["rounds"].as_array().map(Vec::len), Some(2));
-    assert_eq!((&rounds["registered"], &rounds["best_round"]), (&12.into(), &done["best_round"]));
-    let held_out = rounds["rounds"][1]["records"].as_array().expect("records").iter().find(|record| {
-        record["split"] == "held_out" && record["image"] == "render" && record["reference"] == "gt"
-    });
-    assert_eq!(held_out.expect("a held-out record against ground truth")["views"], 3);
-    let metrics = server.get(&format!("/v1/jobs/{job}/artifacts/metrics.json"), &[]).expect(200).json();
-    assert_eq!(metrics["rounds"], rounds["rounds"], "two tellings of the same rounds");
+    assert_eq!(
+        (&rounds["registered"], &rounds["best_round"]),
+        (&12.into(), &done["best_round"])
+    );
+    let held_out = rounds["rounds"][1]["records"]
+        .as_array()
+        .expect("records")
+        .iter()
+        .find(|record| {
+            record["split"] == "held_out"
+                && record["image"] == "render"
+                && record["reference"] == "gt"
+        });
+    assert_eq!(
+        held_out.expect("a held-out record against ground truth")["views"],
+        3
+    );
+    let metrics = server
+        .get(&format!("/v1/jobs/{job}/artifacts/metrics.json"), &[])
+        .expect(200)
+        .json();
+    assert_eq!(
+        metrics["rounds"], rounds["rounds"],
+        "two tellings of the same rounds"
+    );
 
     let names = server.names(&job);
-    for name in ["scene.ply", "cameras.json", "metrics.json", "config.json", "rounds/2/scene.ply"] {
-        assert!(names.iter().any(|known| known == name), "{name} is missing in {names:?}");
+    for name in [
+        "scene.ply",
+        "cameras.json",
+        "metrics.json",
+        "config.json",
+        "rounds/2/scene.ply",
+    ] {
+        assert!(
+            names.iter().any(|known| known == name),
+            "{name} is missing in {names:?}"
+        );
     }
-    let camera = &server.get(&format!("/v1/jobs/{job}/artifacts/cameras.json"), &[]).expect(200).json()[1];
+    let camera = &server
+        .get(&format!("/v1/jobs/{job}/artifacts/cameras.json"), &[])
+        .expect(200)
+        .json()[1];
     let name = camera["name"].as_str().expect("name");
     let seen = server.picture(view(&format!("view={name}&format=png")));
-    let restored = server.get(&format!("/v1/jobs/{job}/artifacts/restored/{name}.png"), &[]);
+    let restored = server.get(
+        &format!("/v1/jobs/{job}/artifacts/restored/{name}.png"),
+        &[],
+    );
     let restored = server.picture(restored);
     let psnr = fled_core::metrics::psnr(&seen, &restored);
-    assert!(psnr > 45.0, "the service and the pipeline render differently: {psnr:.1} dB");
+    assert!(
+        psnr > 45.0,
+        "the service and the pipeline render differently: {psnr:.1} dB"
+    );
 
     let events = server.events(&job, 0, usize::MAX);
     assert_eq!(events_of(&events, "round_finished").count(), 2);
-    assert_eq!(events_of(&events, "state").last().expect("states")["state"], "succeeded");
+    assert_eq!(
+        events_of(&events, "state").last().expect("states")["state"],
+        "succeeded"
+    );
 }
 
 #[test]
@@ -188,14 +272,31 @@ fn a_server_killed_while_a_job_trains_finishes_it_after_its_restart() {
         server.restart();
     }
     let done = server.wait(&job, "over", |shown| shown["finished_at"].is_string());
-    assert_eq!((&done["state"], &done["attempts"]), (&"succeeded".into(), &3.into()), "{done:#}");
-    assert!(server.log(&job).contains("round 1: reconstruct found done"), "{}", server.log(&job));
+    assert_eq!(
+        (&done["state"], &done["attempts"]),
+        (&"succeeded".into(), &3.into()),
+        "{done:#}"
+    );
+    assert!(
+        server.log(&job).contains("round 1: reconstruct found done"),
+        "{}",
+        server.log(&job)
+    );
     let events = server.events(&job, 0, usize::MAX);
     let numbers: Vec<i64> = events.iter().map(|(id, ..)| *id).collect();
-    assert_eq!(numbers, (1..=numbers.len() as i64).collect::<Vec<_>>(), "a gap or a duplicate");
-    let rounds = server.get(&format!("/v1/jobs/{job}/rounds"), &[]).expect(200).json();
+    assert_eq!(
+        numbers,
+        (1..=numbers.len() as i64).collect::<Vec<_>>(),
+        "a gap or a duplicate"
+    );
+    let rounds = server
+        .get(&format!("/v1/jobs/{job}/rounds"), &[])
+        .expect(200)
+        .json();
     assert_eq!(rounds["rounds"].as_array().map(Vec::len), Some(2));
-    server.get(&format!("/v1/jobs/{job}/artifacts/scene.ply"), &[]).expect(200);
+    server
+        .get(&format!("/v1/jobs/{job}/artifacts/scene.ply"), &[])
+        .expect(200);
 }
 
 #[test]
@@ -206,14 +307,27 @@ fn a_job_whose_process_is_killed_is_taken_up_again_and_finishes() {
     let processes = pids_of(&job);
     assert!(!processes.is_empty(), "no process carries the job's mark");
     for process in processes {
-        let status = Command::new("kill").args(["-9", &process.to_string()]).status().expect("kill starts");
+        let status = Command::new("kill")
+            .args(["-9", &process.to_string()])
+            .status()
+            .expect("kill starts");
         assert!(status.success());
     }
     let done = server.wait(&job, "over", |shown| shown["finished_at"].is_string());
-    assert_eq!((&done["state"], &done["attempts"]), (&"succeeded".into(), &2.into()), "{done:#}");
+    assert_eq!(
+        (&done["state"], &done["attempts"]),
+        (&"succeeded".into(), &2.into()),
+        "{done:#}"
+    );
     let log = server.log(&job);
-    assert!(log.contains("SIGKILL"), "the log must tell what happened: {log}");
-    assert!(log.contains("round 1: reconstruct found done"), "round 1 was done again: {log}");
+    assert!(
+        log.contains("SIGKILL"),
+        "the log must tell what happened: {log}"
+    );
+    assert!(
+        log.contains("round 1: reconstruct found done"),
+        "round 1 was done again: {log}"
+    );
 }
 
 #[test]
@@ -221,19 +335,36 @@ fn a_capture_of_black_pictures_is_refused_with_a_reason_for_each() {
     let server = Server::start();
     let black: Image = Image::new(160, 120);
     let png = black.encode(EncodeFormat::Png).expect("encode");
-    let parts: Vec<Part> = (0..12).map(|i| file(&format!("{i:03}.png"), &png)).collect();
+    let parts: Vec<Part> = (0..12)
+        .map(|i| file(&format!("{i:03}.png"), &png))
+        .collect();
     for path in ["/v1/captures", "/v1/jobs"] {
         let reply = server.upload(path, &parts, &[]).expect(422);
         assert_eq!(reply.header("content-type"), "application/problem+json");
         let problem = reply.json();
-        assert_eq!((&problem["code"], &problem["status"]), (&"bad_input".into(), &422.into()));
-        assert!(problem["hint"].as_str().is_some_and(|hint| !hint.is_empty()), "{problem}");
+        assert_eq!(
+            (&problem["code"], &problem["status"]),
+            (&"bad_input".into(), &422.into())
+        );
+        assert!(
+            problem["hint"]
+                .as_str()
+                .is_some_and(|hint| !hint.is_empty()),
+            "{problem}"
+        );
         let images = problem["capture"]["images"].as_array().expect("verdicts");
         let black = |image: &&Value| {
-            image["accepted"] == false && image["reason"].as_str().is_some_and(|why| why.contains("black"))
+            image["accepted"] == false
+                && image["reason"]
+                    .as_str()
+                    .is_some_and(|why| why.contains("black"))
         };
         assert_eq!(images.iter().filter(black).count(), 12, "{problem}");
     }
     let left = server.get("/v1/captures", &[]).expect(200).json();
-    assert_eq!(left["captures"].as_array().map(Vec::len), Some(0), "a refused capture was kept");
+    assert_eq!(
+        left["captures"].as_array().map(Vec::len),
+        Some(0),
+        "a refused capture was kept"
+    );
 }

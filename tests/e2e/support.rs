@@ -12,27 +12,49 @@ const FLED: &str = env!("CARGO_BIN_EXE_fled");
 /// A capture of 12 small views with true poses, made once a test.
 pub fn small_capture(folder: &Path) -> PathBuf {
     let capture = folder.join("capture");
-    let options =
-        SynthOptions { views: 12, width: 128, height: 80, seed: 3, blur: 3.0, ..SynthOptions::default() };
+    let options = SynthOptions {
+        views: 12,
+        width: 128,
+        height: 80,
+        seed: 3,
+        blur: 3.0,
+        ..SynthOptions::default()
+    };
     generate(&options, &capture).expect("a synthetic capture");
     capture
 }
 
-/// The binary, which finds ONNX Runtime where `make onnxruntime` puts it, wherever the build folder is.
+/// The binary, which finds ONNX Runtime where `make onnxruntime` puts it, wherever the build folder
+/// is.
 pub fn fled() -> Command {
-    let library = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../.onnxruntime/libonnxruntime.so");
+    let library =
+        Path::new(env!("CARGO_MANIFEST_DIR")).join("../../.onnxruntime/libonnxruntime.so");
     let mut command = Command::new(FLED);
     // The networks of whoever runs the tests are none of theirs.
-    command.env("ORT_DYLIB_PATH", library).env("FLED_MODELS", "/nowhere/models");
+    command
+        .env("ORT_DYLIB_PATH", library)
+        .env("FLED_MODELS", "/nowhere/models");
     command
 }
 
-/// `fled run` at a size that takes seconds. Points are kept beside the capture: COLMAP draws others each time.
+/// `fled run` at a size that takes seconds. Points are kept beside the capture: COLMAP draws others
+/// each time.
 pub fn small_run(capture: &Path, out: &Path, rounds: u32) -> Command {
     let mut command = fled();
-    command.arg("run").arg(capture).arg("--out").arg(out).args(["--preset", "preview"]);
+    command
+        .arg("run")
+        .arg(capture)
+        .arg("--out")
+        .arg(out)
+        .args(["--preset", "preview"]);
     command.arg("--cache").arg(capture.with_file_name("cache"));
-    for set in ["size=128", "steps=120", "cap=1500", "pose_source=given", &format!("rounds={rounds}")] {
+    for set in [
+        "size=128",
+        "steps=120",
+        "cap=1500",
+        "pose_source=given",
+        &format!("rounds={rounds}"),
+    ] {
         command.args(["--set", set]);
     }
     command
@@ -41,14 +63,22 @@ pub fn small_run(capture: &Path, out: &Path, rounds: u32) -> Command {
 /// Runs to the end and fails the test with the program's own words when it fails.
 pub fn succeed(command: &mut Command) -> Output {
     let output = command.output().expect("the binary starts");
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    assert!(
+        output.status.success(),
+        "{}",
+        String::from_utf8_lossy(&output.stderr)
+    );
     output
 }
 
 /// Starts a run and kills it, without a chance to clean up, at the first event that holds `moment`.
 pub fn kill_at(run: &mut Command, moment: &str) {
-    let mut child =
-        run.arg("--json").stdout(Stdio::piped()).stderr(Stdio::null()).spawn().expect("the binary starts");
+    let mut child = run
+        .arg("--json")
+        .stdout(Stdio::piped())
+        .stderr(Stdio::null())
+        .spawn()
+        .expect("the binary starts");
     let mut lines = BufReader::new(child.stdout.take().expect("piped")).lines();
     let seen = lines.any(|line| line.expect("UTF-8").contains(moment));
     child.kill().expect("kill");

@@ -32,7 +32,8 @@ pub struct Reply {
 impl Reply {
     /// The body as JSON.
     pub fn json(&self) -> Value {
-        serde_json::from_slice(&self.body).unwrap_or_else(|error| panic!("{error}: {}", self.text()))
+        serde_json::from_slice(&self.body)
+            .unwrap_or_else(|error| panic!("{error}: {}", self.text()))
     }
 
     /// The body as text.
@@ -42,7 +43,9 @@ impl Reply {
 
     /// A header, empty when absent.
     pub fn header(&self, name: &str) -> &str {
-        self.headers.get(name).map_or("", |value| value.to_str().expect("ASCII"))
+        self.headers
+            .get(name)
+            .map_or("", |value| value.to_str().expect("ASCII"))
     }
 
     /// Fails the test with the body unless the status is this one.
@@ -61,7 +64,11 @@ impl Client {
             .timeout_global(Some(PATIENCE))
             .build()
             .new_agent();
-        Self { base, agent, patience }
+        Self {
+            base,
+            agent,
+            patience,
+        }
     }
 
     /// GET with headers.
@@ -95,7 +102,11 @@ impl Client {
 
     /// POST of a multipart form.
     pub fn upload(&self, path: &str, parts: &[Part], headers: &[(&str, &str)]) -> Reply {
-        let headers = [headers, &[("content-type", "multipart/form-data; boundary=XXXX")]].concat();
+        let headers = [
+            headers,
+            &[("content-type", "multipart/form-data; boundary=XXXX")],
+        ]
+        .concat();
         self.post(path, &multipart(parts), &headers)
     }
 
@@ -124,7 +135,8 @@ impl Client {
         self.wait(job, state, |shown| shown["state"] == state)
     }
 
-    /// The events after a number until the stream ends or there are `most`: (number, name, payload).
+    /// The events after a number until the stream ends or there are `most`: (number, name,
+    /// payload).
     pub fn events(&self, job: &str, after: i64, most: usize) -> Vec<(i64, String, Value)> {
         let request = self
             .agent
@@ -140,7 +152,11 @@ impl Client {
                 Some(("id", text)) => id = text.trim().parse().expect("number"),
                 Some(("event", text)) => name = text.trim().to_owned(),
                 Some(("data", text)) => {
-                    events.push((id, name.clone(), serde_json::from_str(text.trim()).expect("JSON")));
+                    events.push((
+                        id,
+                        name.clone(),
+                        serde_json::from_str(text.trim()).expect("JSON"),
+                    ));
                     if events.len() == most {
                         break;
                     }
@@ -154,8 +170,17 @@ impl Client {
 
 fn reply(outcome: Result<ureq::http::Response<ureq::Body>, ureq::Error>) -> Reply {
     let mut response = outcome.expect("an answer");
-    let body = response.body_mut().with_config().limit(1 << 30).read_to_vec().expect("body");
-    Reply { status: response.status().as_u16(), headers: response.headers().clone(), body }
+    let body = response
+        .body_mut()
+        .with_config()
+        .limit(1 << 30)
+        .read_to_vec()
+        .expect("body");
+    Reply {
+        status: response.status().as_u16(),
+        headers: response.headers().clone(),
+        body,
+    }
 }
 
 /// Field name, file name, content.
@@ -174,9 +199,12 @@ pub fn file(name: &str, content: &[u8]) -> Part {
 fn multipart(parts: &[Part]) -> Vec<u8> {
     let mut body = Vec::new();
     for (name, file, content) in parts {
-        let file = file.as_ref().map_or(String::new(), |file| format!("; filename=\"{file}\""));
+        let file = file
+            .as_ref()
+            .map_or(String::new(), |file| format!("; filename=\"{file}\""));
         body.extend(
-            format!("--XXXX\r\nContent-Disposition: form-data; name=\"{name}\"{file}\r\n\r\n").bytes(),
+            format!("--XXXX\r\nContent-Disposition: form-data; name=\"{name}\"{file}\r\n\r\n")
+                .bytes(),
         );
         body.extend(content);
         body.extend(b"\r\n");

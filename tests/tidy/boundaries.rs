@@ -24,7 +24,9 @@ const BOUNDARIES: [Boundary; 5] = [
     Boundary {
         within: &["src/core/", "src/gpu/"],
         except: &[],
-        words: &["axum", "sqlx", "tokio", "hyper", "tower", "clap", "reqwest", "ureq", "rusqlite"],
+        words: &[
+            "axum", "sqlx", "tokio", "hyper", "tower", "clap", "reqwest", "ureq", "rusqlite",
+        ],
         reason: "the core has no HTTP, no SQL, no async runtime and no command line",
     },
     Boundary {
@@ -57,9 +59,9 @@ fn faults(sources: &[Source]) -> Vec<String> {
         for source in sources.iter().filter(|source| concerns(&source.path)) {
             for (number, line) in source.code() {
                 let named = boundary.words.iter().filter(|word| names(line, word));
-                faults.extend(
-                    named.map(|word| format!("{}:{number}: `{word}`: {}", source.path, boundary.reason)),
-                );
+                faults.extend(named.map(|word| {
+                    format!("{}:{number}: `{word}`: {}", source.path, boundary.reason)
+                }));
             }
         }
     }
@@ -93,7 +95,11 @@ fn a_word_on_the_wrong_side_is_found() {
         ("src/core/enhance.rs", "use ort::session::Session;"),
         ("src/gpu/buffer.rs", "fn upload(scene: &Gaussians) {}"),
     ] {
-        assert_eq!(faults(&[Source::made_up(path, line)]).len(), 1, "{path}: {line}");
+        assert_eq!(
+            faults(&[Source::made_up(path, line)]).len(),
+            1,
+            "{path}: {line}"
+        );
     }
 }
 

@@ -9,18 +9,40 @@ fn faults(source: &Source) -> Vec<String> {
         .text
         .split("#[should_panic")
         .skip(1)
-        .map(|rest| rest.split("\n    }\n").next().unwrap_or(rest).split("\n}\n").next().unwrap_or(rest))
+        .map(|rest| {
+            rest.split("\n    }\n")
+                .next()
+                .unwrap_or(rest)
+                .split("\n}\n")
+                .next()
+                .unwrap_or(rest)
+        })
         .collect();
-    let unit_tests = source.text.find("\n#[cfg(test)]\nmod tests {").unwrap_or(source.text.len());
+    let unit_tests = source
+        .text
+        .find("\n#[cfg(test)]\nmod tests {")
+        .unwrap_or(source.text.len());
     let only_tests = source.path.starts_with("tests/") || source.path.ends_with("tests.rs");
-    let tests = if only_tests { &source.text[..] } else { &source.text[unit_tests..] };
+    let tests = if only_tests {
+        &source.text[..]
+    } else {
+        &source.text[unit_tests..]
+    };
     let helpers = tests.lines().filter_map(|line| {
-        let name = line.trim_start().trim_start_matches("pub(crate) ").trim_start_matches("pub ");
+        let name = line
+            .trim_start()
+            .trim_start_matches("pub(crate) ")
+            .trim_start_matches("pub ");
         let name = name.strip_prefix("fn ")?;
-        name.starts_with("assert_").then(|| name.split(['(', '<']).next().unwrap_or(name))
+        name.starts_with("assert_")
+            .then(|| name.split(['(', '<']).next().unwrap_or(name))
     });
     helpers
-        .filter(|helper| !condemned.iter().any(|body| body.contains(&format!("{helper}("))))
+        .filter(|helper| {
+            !condemned
+                .iter()
+                .any(|body| body.contains(&format!("{helper}(")))
+        })
         .map(|helper| format!("{}: no `#[should_panic]` test calls {helper}", source.path))
         .collect()
 }
@@ -37,11 +59,16 @@ fn every_comparison_has_been_seen_to_fail() {
 fn a_comparison_that_never_failed_is_found() {
     let helper = "fn assert_close(a: f32, b: f32) {}\n";
     assert_eq!(faults(&Source::made_up("tests/a.rs", helper)).len(), 1);
-    let test = format!("{helper}#[test]\n#[should_panic]\nfn far() {{\n    assert_close(1.0, 2.0);\n}}\n");
+    let test =
+        format!("{helper}#[test]\n#[should_panic]\nfn far() {{\n    assert_close(1.0, 2.0);\n}}\n");
     assert!(faults(&Source::made_up("tests/a.rs", &test)).is_empty());
     let in_unit_tests = format!("\n#[cfg(test)]\nmod tests {{\n    {helper}}}\n");
-    assert_eq!(faults(&Source::made_up("src/a.rs", &in_unit_tests)).len(), 1);
-    let unrelated =
-        format!("{helper}#[should_panic]\nfn far() {{\n    panic!();\n}}\nassert_close(1.0, 1.0);\n");
+    assert_eq!(
+        faults(&Source::made_up("src/a.rs", &in_unit_tests)).len(),
+        1
+    );
+    let unrelated = format!(
+        "{helper}#[should_panic]\nfn far() {{\n    panic!();\n}}\nassert_close(1.0, 1.0);\n"
+    );
     assert_eq!(faults(&Source::made_up("tests/a.rs", &unrelated)).len(), 1);
 }

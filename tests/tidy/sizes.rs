@@ -17,7 +17,10 @@ const LONGER: [(&str, usize, &str); 1] = [(
 
 fn faults(sources: &[Source], limit: usize) -> Vec<String> {
     let fault = |source: &Source| {
-        let own = LONGER.iter().find(|(path, _, _)| *path == source.path).map(|(_, own, _)| *own);
+        let own = LONGER
+            .iter()
+            .find(|(path, _, _)| *path == source.path)
+            .map(|(_, own, _)| *own);
         let (lines, limit) = (source.text.lines().count(), own.unwrap_or(limit));
         (lines > limit).then(|| format!("{}: {lines} lines, at most {limit}", source.path))
     };
@@ -34,5 +37,8 @@ fn files_are_not_too_long() {
 #[test]
 fn a_long_file_is_found() {
     let long = Source::made_up("src/core/long.rs", &"\n".repeat(501));
-    assert_eq!(faults(&[long], RUST), ["src/core/long.rs: 501 lines, at most 500"]);
+    assert_eq!(
+        faults(&[long], RUST),
+        ["src/core/long.rs: 501 lines, at most 500"]
+    );
 }

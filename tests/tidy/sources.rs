@@ -14,7 +14,10 @@ pub struct Source {
 impl Source {
     /// A file that exists only in a test.
     pub fn made_up(path: &str, text: &str) -> Self {
-        Self { path: path.to_owned(), text: text.to_owned() }
+        Self {
+            path: path.to_owned(),
+            text: text.to_owned(),
+        }
     }
 
     /// Number, from 1, and text of every line that is not a comment, up to the unit tests.
@@ -33,24 +36,41 @@ pub fn files(folder: &str, extension: &str) -> Vec<Source> {
     collect(&top.join(folder), extension, &mut found);
     found.sort();
     let read = |path: PathBuf| Source {
-        path: path.strip_prefix(&top).expect("below the top").display().to_string().replace('\\', "/"),
-        text: fs::read_to_string(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display())),
+        path: path
+            .strip_prefix(&top)
+            .expect("below the top")
+            .display()
+            .to_string()
+            .replace('\\', "/"),
+        text: fs::read_to_string(&path)
+            .unwrap_or_else(|error| panic!("{}: {error}", path.display())),
     };
     found.into_iter().map(read).collect()
 }
 
 /// The top of the repository.
 pub fn top() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).ancestors().nth(2).expect("tests/tidy is two down").to_path_buf()
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+        .ancestors()
+        .nth(2)
+        .expect("tests/tidy is two down")
+        .to_path_buf()
 }
 
 /// Fails with one line a fault.
 pub fn expect_none(faults: &[String]) {
-    assert!(faults.is_empty(), "{} faults:\n{}", faults.len(), faults.join("\n"));
+    assert!(
+        faults.is_empty(),
+        "{} faults:\n{}",
+        faults.len(),
+        faults.join("\n")
+    );
 }
 
 fn collect(folder: &Path, extension: &str, found: &mut Vec<PathBuf>) {
-    let Ok(entries) = fs::read_dir(folder) else { return };
+    let Ok(entries) = fs::read_dir(folder) else {
+        return;
+    };
     for entry in entries {
         let path = entry.expect("a directory entry").path();
         if path.is_dir() && !path.ends_with("node_modules") {
@@ -63,7 +83,11 @@ fn collect(folder: &Path, extension: &str, found: &mut Vec<PathBuf>) {
 
 #[test]
 fn the_walk_finds_this_file_and_code_leaves_out_comments_and_tests() {
-    assert!(files("tests/tidy", "rs").iter().any(|file| file.path == "tests/tidy/sources.rs"));
+    assert!(
+        files("tests/tidy", "rs")
+            .iter()
+            .any(|file| file.path == "tests/tidy/sources.rs")
+    );
     let file = Source::made_up("a.rs", "use a;\n// use b;\n#[cfg(test)]\nuse c;\n");
     assert_eq!(file.code().collect::<Vec<_>>(), [(1, "use a;")]);
 }

@@ -13,11 +13,12 @@ use crate::cancel::CancelToken;
 
 /// Steps before anything counts: kernels are compiled and buffers grown in them.
 const WARM_UP: u32 = 3;
-/// Fewer steps have no median worth the name. A step that alone is longer than the budget is made once.
+/// Fewer steps have no median worth the name. A step that alone is longer than the budget is made
+/// once.
 const LEAST: u32 = 3;
 
-/// How long a case takes, twice: once without timestamps, once with them. What comes first ends it, after three
-/// steps, or after one that is longer than the seconds.
+/// How long a case takes, twice: once without timestamps, once with them. What comes first ends it,
+/// after three steps, or after one that is longer than the seconds.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Budget {
     /// Seconds.
@@ -58,7 +59,9 @@ pub(super) fn measure(
 ) -> Result<Measured, BenchError> {
     let one = warm_up(subject, budget, cancel)?;
     let least = if one > budget.seconds { 1 } else { LEAST };
-    let steps = ((budget.seconds / one.max(1e-9)) as u32).min(budget.steps).max(least);
+    let steps = ((budget.seconds / one.max(1e-9)) as u32)
+        .min(budget.steps)
+        .max(least);
     let begin = Instant::now();
     subject.repeat(steps)?;
     let seconds = begin.elapsed().as_secs_f64();
@@ -69,11 +72,21 @@ pub(super) fn measure(
         gpu.profile(false);
         profiled = Some(outcome?);
     }
-    Ok(Measured { steps, seconds, profiled, work: middle(works) })
+    Ok(Measured {
+        steps,
+        seconds,
+        profiled,
+        work: middle(works),
+    })
 }
 
-/// The first steps, two at least: the first compiles the kernels. Returns the seconds of the last of them.
-fn warm_up(subject: &mut impl Subject, budget: Budget, cancel: &CancelToken) -> Result<f64, BenchError> {
+/// The first steps, two at least: the first compiles the kernels. Returns the seconds of the last
+/// of them.
+fn warm_up(
+    subject: &mut impl Subject,
+    budget: Budget,
+    cancel: &CancelToken,
+) -> Result<f64, BenchError> {
     let all = Instant::now();
     let mut one = 0.0;
     for step in 0..=WARM_UP {
@@ -99,7 +112,8 @@ fn profile(
     let (mut walls, mut sums) = (Vec::new(), Vec::new());
     let mut kernels = BTreeMap::<&'static str, Vec<(f64, u64)>>::new();
     let mut steps = 0;
-    while steps < least || (steps < budget.steps && begin.elapsed().as_secs_f64() < budget.seconds) {
+    while steps < least || (steps < budget.steps && begin.elapsed().as_secs_f64() < budget.seconds)
+    {
         cancel.check()?;
         gpu.profile(true);
         let step = Instant::now();
@@ -108,23 +122,39 @@ fn profile(
         let times = gpu.profiled();
         sums.push(times.iter().map(|(_, time)| time.total.as_secs_f64()).sum());
         for (name, time) in times {
-            kernels.entry(name).or_default().push((time.total.as_secs_f64(), time.dispatches));
+            kernels
+                .entry(name)
+                .or_default()
+                .push((time.total.as_secs_f64(), time.dispatches));
         }
         gpu.profile(false);
         works.push(subject.work()?);
         steps += 1;
     }
-    Ok(Profiled { steps, wall: median(walls), kernels: median(sums), rows: rows(kernels, steps) })
+    Ok(Profiled {
+        steps,
+        wall: median(walls),
+        kernels: median(sums),
+        rows: rows(kernels, steps),
+    })
 }
 
-/// The medians of every kernel, the longest first. A kernel that does not run in a step took nothing in it.
-fn rows(kernels: BTreeMap<&'static str, Vec<(f64, u64)>>, steps: u32) -> Vec<(&'static str, f64, u64)> {
+/// The medians of every kernel, the longest first. A kernel that does not run in a step took
+/// nothing in it.
+fn rows(
+    kernels: BTreeMap<&'static str, Vec<(f64, u64)>>,
+    steps: u32,
+) -> Vec<(&'static str, f64, u64)> {
     let mut rows: Vec<_> = kernels
         .into_iter()
         .map(|(name, mut times)| {
             times.resize(times.len().max(steps as usize), (0.0, 0));
             let dispatches = median(times.iter().map(|time| time.1 as f64).collect());
-            (name, median(times.into_iter().map(|time| time.0).collect()), dispatches as u64)
+            (
+                name,
+                median(times.into_iter().map(|time| time.0).collect()),
+                dispatches as u64,
+            )
         })
         .collect();
     rows.sort_by(|a, b| b.1.total_cmp(&a.1));

@@ -1,17 +1,20 @@
 //! How many bytes a kernel has to move and how many operations it has to make, from counts.
 //!
-//! This is the one place that says so. Both are what the work asks for, not what a device was seen to do:
+//! This is the one place that says so. Both are what the work asks for, not what a device was seen
+//! to do:
 //!
-//! - **Bytes**: every value that a dispatch needs from memory counts once when it is read and once when it is
-//!   written, as if caches were perfect inside a dispatch; what is fetched through an index (the row of a splat
-//!   for every intersection) counts once a fetch. Uniforms do not count. Where Gaussians may be culled before
-//!   their harmonics are read, those that touch a tile count: a lower bound.
-//! - **Operations**: additions, multiplications, divisions, minima, roots and exponentials of floating-point
-//!   numbers, one each (a fused multiply-add is two). Comparisons, choices, signs and integers count nothing,
-//!   so kernels that only sort have 0. What neighbouring invocations compute twice (the rims of a window)
-//!   counts once: a kernel that repeats work has a smaller share of the device for it.
-//! - **Nothing is guessed**: `None` where the number depends on what nobody counts, such as the tiles of a
-//!   splat's box that are tested and not touched.
+//! - **Bytes**: every value that a dispatch needs from memory counts once when it is read and once
+//!   when it is written, as if caches were perfect inside a dispatch; what is fetched through an
+//!   index (the row of a splat for every intersection) counts once a fetch. Uniforms do not count.
+//!   Where Gaussians may be culled before their harmonics are read, those that touch a tile count:
+//!   a lower bound.
+//! - **Operations**: additions, multiplications, divisions, minima, roots and exponentials of
+//!   floating-point numbers, one each (a fused multiply-add is two). Comparisons, choices, signs
+//!   and integers count nothing, so kernels that only sort have 0. What neighbouring invocations
+//!   compute twice (the rims of a window) counts once: a kernel that repeats work has a smaller
+//!   share of the device for it.
+//! - **Nothing is guessed**: `None` where the number depends on what nobody counts, such as the
+//!   tiles of a splat's box that are tested and not touched.
 
 use crate::noise::NoiseWork;
 use crate::splat::project::GEOMETRY_ROW;
@@ -25,22 +28,22 @@ const WORD: u64 = 4;
 const PROJECTED: u64 = 48;
 /// Values of a digit of the sort.
 const DIGITS: u64 = 16;
-/// Operations a pair of pixel and splat, counted in shaders/shared/raster_pixels.wgsl: offset 1, exponent 4, alpha 3,
-/// transmittance 2, weight 1, colour 6.
+/// Operations a pair of pixel and splat, counted in shaders/shared/raster_pixels.wgsl: offset 1,
+/// exponent 4, alpha 3, transmittance 2, weight 1, colour 6.
 const BLEND: u64 = 17;
-/// The same of shaders/shared/raster_pixels_backward.wgsl: offset 1, exponent 4, alpha 3, transmittance 2, weight 1,
-/// gradient along the colour 5, rest 2, by alpha 3, v 1, sums of colour 6, v 1, v dx 2, v dx^2 3. Reductions do not
-/// count.
+/// The same of shaders/shared/raster_pixels_backward.wgsl: offset 1, exponent 4, alpha 3,
+/// transmittance 2, weight 1, gradient along the colour 5, rest 2, by alpha 3, v 1, sums of colour
+/// 6, v 1, v dx 2, v dx^2 3. Reductions do not count.
 const BLEND_BACKWARD: u64 = 34;
 /// Operations a value of a separable window of 11, one plane: 6 products and 10 sums, twice.
 const WINDOW: u64 = 32;
-/// Operations a value in shaders/train/loss_similarity.wgsl: 4 for x^2 + y^2 and x y, four windows, 30 for SSIM,
-/// its derivatives and the sum.
+/// Operations a value in shaders/train/loss_similarity.wgsl: 4 for x^2 + y^2 and x y, four windows,
+/// 30 for SSIM, its derivatives and the sum.
 const SIMILARITY: u64 = 4 + 4 * WINDOW + 30;
 /// In shaders/train/loss_gradient.wgsl: three windows, 12 for the gradient and the sums of errors.
 const GRADIENT: u64 = 3 * WINDOW + 12;
-/// Operations in shaders/shake: a value and a tap of a pixel of blur.wgsl, the same of blur_backward.wgsl (four
-/// neighbours of 6 operations each among them), a value of linearise.wgsl.
+/// Operations in shaders/shake: a value and a tap of a pixel of blur.wgsl, the same of
+/// blur_backward.wgsl (four neighbours of 6 operations each among them), a value of linearise.wgsl.
 const BLUR: [u64; 2] = [9, 7];
 const BLUR_BACK: [u64; 2] = [32, 6];
 const LINEARISE: u64 = 6;
@@ -79,16 +82,25 @@ pub struct Cost {
 
 impl Cost {
     fn bytes(bytes: u64) -> Self {
-        Self { bytes: Some(bytes), operations: None }
+        Self {
+            bytes: Some(bytes),
+            operations: None,
+        }
     }
 
     /// Of a kernel that computes with integers alone.
     fn integers(bytes: u64) -> Self {
-        Self { bytes: Some(bytes), operations: Some(0) }
+        Self {
+            bytes: Some(bytes),
+            operations: Some(0),
+        }
     }
 
     fn both(bytes: u64, operations: u64) -> Self {
-        Self { bytes: Some(bytes), operations: Some(operations) }
+        Self {
+            bytes: Some(bytes),
+            operations: Some(operations),
+        }
     }
 }
 
@@ -98,12 +110,16 @@ impl Work {
         let (family, verb) = kernel.split_once('/').unwrap_or(("", kernel));
         match (family, &self.splat, &self.noise) {
             ("sort", _, _) => self.sort(verb),
-            ("splat" | "train", Some(splat), _) if verb != "loss_similarity" && verb != "loss_gradient" => {
+            ("splat" | "train", Some(splat), _)
+                if verb != "loss_similarity" && verb != "loss_gradient" =>
+            {
                 self.splat(verb, splat)
             }
             ("train", _, _) => self.loss(verb),
             ("noise", _, Some(noise)) => self.noise(verb, noise),
-            ("shake", _, _) => self.taps.map_or(Cost::default(), |taps| self.shake(verb, taps as u64)),
+            ("shake", _, _) => self
+                .taps
+                .map_or(Cost::default(), |taps| self.shake(verb, taps as u64)),
             _ => Cost::default(),
         }
     }
@@ -119,13 +135,20 @@ impl Work {
     }
 
     fn sort(&self, verb: &str) -> Cost {
-        let sum = |each: &dyn Fn(u64) -> u64| self.sorts().iter().map(|[n, passes]| passes * each(*n)).sum();
+        let sum = |each: &dyn Fn(u64) -> u64| {
+            self.sorts()
+                .iter()
+                .map(|[n, passes]| passes * each(*n))
+                .sum()
+        };
         let histogram = |n: u64| WORD * DIGITS * blocks(n);
         match verb {
             "radix_count" => Cost::integers(sum(&|n| WORD * n + histogram(n))),
             "radix_scatter" => Cost::integers(sum(&|n| 4 * WORD * n + histogram(n))),
             "scan" => {
-                let sums = self.splat.map_or(0, |s| blocks(self.gaussians as u64) + blocks(s.visible as u64));
+                let sums = self.splat.map_or(0, |s| {
+                    blocks(self.gaussians as u64) + blocks(s.visible as u64)
+                });
                 Cost::integers(sum(&|n| 2 * histogram(n)) + 2 * WORD * sums)
             }
             _ => Cost::default(),
@@ -161,13 +184,20 @@ impl Work {
             // Colour and gradient a pixel; a row of nine a slot, whether it is looked at or not.
             "rasterize_backward" | "rasterize_backward_walk" | "rasterize_backward_generic" => {
                 let rows = slots * WORD * SLOT_ROW as u64 + (slots - walked.min(slots)) * WORD;
-                let operations = (verb != "rasterize_backward_walk").then_some(pairs * BLEND_BACKWARD);
-                Cost { bytes: Some(list + pixels * 6 * WORD + tiles * WORD + rows), operations }
+                let operations =
+                    (verb != "rasterize_backward_walk").then_some(pairs * BLEND_BACKWARD);
+                Cost {
+                    bytes: Some(list + pixels * 6 * WORD + tiles * WORD + rows),
+                    operations,
+                }
             }
-            // Rows of slots; parameters and both moments in and out: 11 of the 12 numbers of a row are in use.
+            // Rows of slots; parameters and both moments in and out: 11 of the 12 numbers of a row
+            // are in use.
             "project_backward_adam" => {
                 let numbers = (row - WORD) + sh;
-                Cost::bytes(n * (WORD + 6 * numbers) + visible * WORD + slots * WORD * SLOT_ROW as u64)
+                Cost::bytes(
+                    n * (WORD + 6 * numbers) + visible * WORD + slots * WORD * SLOT_ROW as u64,
+                )
             }
             _ => Cost::default(),
         }
@@ -202,7 +232,12 @@ impl Work {
         let parameters = WORD * noise.parameters as u64;
         let forwards = if chunks > 1 { 2 } else { 1 };
         let layers = |first: usize, each: fn(u64, u64) -> u64| -> u64 {
-            noise.layers.iter().skip(first).map(|[i, o]| each(*i as u64, *o as u64)).sum()
+            noise
+                .layers
+                .iter()
+                .skip(first)
+                .map(|[i, o]| each(*i as u64, *o as u64))
+                .sum()
         };
         let products = |first| cells * layers(first, |i, o| 2 * i * o);
         let activations = |first, each| cells * WORD * layers(first, each);
@@ -214,16 +249,21 @@ impl Work {
             ),
             // The first chunk writes the gradients, the others add to them.
             "layer_weights" | "layer_weights_subgroup" => Cost::both(
-                activations(0, |i, o| i + o) + parameters * segments * (2 * chunks).saturating_sub(1),
+                activations(0, |i, o| i + o)
+                    + parameters * segments * (2 * chunks).saturating_sub(1),
                 products(0),
             ),
-            // The first layer's inputs need no derivative; the others are read for their ReLU and written.
-            "layer_backward" | "layer_backward_subgroup" => {
-                Cost::both(activations(1, |i, o| 2 * i + o) + chunks * parameters, products(1))
-            }
+            // The first layer's inputs need no derivative; the others are read for their ReLU and
+            // written.
+            "layer_backward" | "layer_backward_subgroup" => Cost::both(
+                activations(1, |i, o| 2 * i + o) + chunks * parameters,
+                products(1),
+            ),
             // The position's encoding, and the direction's beside the features.
             "encode" => {
-                let width = |layer: usize, side: usize| noise.layers.get(layer).map_or(0, |l| l[side] as u64);
+                let width = |layer: usize, side: usize| {
+                    noise.layers.get(layer).map_or(0, |l| l[side] as u64)
+                };
                 let direction = width(5, 0).saturating_sub(width(4, 1));
                 Cost::bytes(forwards * cells * WORD * (width(0, 0) + direction))
             }
@@ -233,7 +273,10 @@ impl Work {
             "output_delta" => Cost::bytes(cells * 3 * four),
             "adam" => {
                 let numbers = noise.parameters as u64;
-                Cost::both(parameters * (segments + 6), numbers * (segments + NOISE_ADAM))
+                Cost::both(
+                    parameters * (segments + 6),
+                    numbers * (segments + NOISE_ADAM),
+                )
             }
             // In mode `Grid` alone: the mean of the map and the sum of its gradient.
             "reduce" => Cost::bytes(2 * cells * four),
@@ -251,12 +294,23 @@ fn blocks(n: u64) -> u64 {
 mod tests {
     use super::*;
 
-    const SPLAT: SplatWork =
-        SplatWork { visible: 1_500, intersections: 5_000, tiles: 20, walked: 8_000, passes: [8, 2] };
+    const SPLAT: SplatWork = SplatWork {
+        visible: 1_500,
+        intersections: 5_000,
+        tiles: 20,
+        walked: 8_000,
+        passes: [8, 2],
+    };
 
     fn work() -> Work {
         let (gaussians, coefficients, pixels) = (2_000, 16, 5_120);
-        Work { gaussians, coefficients, pixels, splat: Some(SPLAT), ..Work::default() }
+        Work {
+            gaussians,
+            coefficients,
+            pixels,
+            splat: Some(SPLAT),
+            ..Work::default()
+        }
     }
 
     #[test]
@@ -294,20 +348,33 @@ mod tests {
             parameters: 72,
             layers: vec![[4, 8], [8, 4]],
         };
-        let one = Work { noise: Some(noise.clone()), ..Work::default() };
+        let one = Work {
+            noise: Some(noise.clone()),
+            ..Work::default()
+        };
         // 10 cells x 2 x (32 + 32), and only the second layer backwards.
         assert_eq!(one.cost("noise/layer_forward").operations, Some(1_280));
         assert_eq!(one.cost("noise/layer_backward").operations, Some(640));
         // 10 x 4 x (12 + 12) + 72 x 4.
         assert_eq!(one.cost("noise/layer_forward").bytes, Some(1_248));
-        let two = Work { noise: Some(NoiseWork { chunks: 2, ..noise }), ..Work::default() };
+        let two = Work {
+            noise: Some(NoiseWork { chunks: 2, ..noise }),
+            ..Work::default()
+        };
         assert_eq!(two.cost("noise/layer_forward").operations, Some(2_560));
         assert_eq!(two.cost("noise/layer_weights").operations, Some(1_280));
     }
 
     #[test]
     fn a_shaken_view_costs_by_the_tap() {
-        let of = |taps| Work { pixels: 100, taps, ..Work::default() }.cost("shake/blur");
+        let of = |taps| {
+            Work {
+                pixels: 100,
+                taps,
+                ..Work::default()
+            }
+            .cost("shake/blur")
+        };
         // 300 values of 12 bytes and 9 operations; 100 pixels of 5 taps of 7 operations.
         assert_eq!(of(Some(5)), Cost::both(3_600, 6_200));
         assert_eq!(of(None), Cost::default());

@@ -57,7 +57,8 @@ pub struct Machine {
 /// What the device can do at all: medians of what was measured before, between and after the cases.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Yardsticks {
-    /// Arithmetic of a kernel of fused multiply-adds, 10^9 operations a second (a multiply-add is two).
+    /// Arithmetic of a kernel of fused multiply-adds, 10^9 operations a second (a multiply-add is
+    /// two).
     pub fma_gflops: f64,
     /// Bytes that a kernel that copies reads and writes, 10^9 a second.
     pub copy_gb_per_second: f64,
@@ -98,7 +99,8 @@ pub struct Case {
     pub steps: u32,
     /// How many were made with timestamps.
     pub profiled_steps: u32,
-    /// Median of such a step on the host's clock, ms: longer, for every kernel waits for the one before.
+    /// Median of such a step on the host's clock, ms: longer, for every kernel waits for the one
+    /// before.
     pub profiled_milliseconds: Option<f64>,
     /// Median of the sum of a step's kernels, ms.
     pub kernel_milliseconds: Option<f64>,
@@ -172,7 +174,9 @@ impl Report {
         for row in self.cases.iter_mut().flat_map(|case| &mut case.kernels) {
             let share = |amount: Option<u64>, giga: f64| {
                 let possible = giga * 1e9 * row.milliseconds / 1e3;
-                amount.filter(|_| possible > 0.0).map(|amount| amount as f64 / possible)
+                amount
+                    .filter(|_| possible > 0.0)
+                    .map(|amount| amount as f64 / possible)
             };
             row.bandwidth_share = share(row.bytes, yardsticks.copy_gb_per_second);
             row.arithmetic_share = share(row.operations, yardsticks.fma_gflops);
@@ -210,7 +214,12 @@ impl Yardsticks {
 }
 
 impl Case {
-    pub(super) fn new(name: String, task: &'static str, measured: &Measured, gpu_peak_bytes: u64) -> Self {
+    pub(super) fn new(
+        name: String,
+        task: &'static str,
+        measured: &Measured,
+        gpu_peak_bytes: u64,
+    ) -> Self {
         let work = &measured.work;
         let some = |value: usize| (value > 0).then_some(value);
         let profiled = measured.profiled.as_ref();
@@ -240,11 +249,17 @@ impl Case {
 }
 
 fn kernels(measured: &Measured) -> Vec<KernelRow> {
-    let Some(profiled) = &measured.profiled else { return Vec::new() };
+    let Some(profiled) = &measured.profiled else {
+        return Vec::new();
+    };
     let sum: f64 = profiled.rows.iter().map(|row| row.1).sum();
     let row = |&(kernel, seconds, dispatches): &(&'static str, f64, u64)| {
         // A kernel that runs in few steps (relocation) has no typical step to be related to.
-        let cost = if dispatches > 0 { measured.work.cost(kernel) } else { Default::default() };
+        let cost = if dispatches > 0 {
+            measured.work.cost(kernel)
+        } else {
+            Default::default()
+        };
         KernelRow {
             kernel,
             milliseconds: 1e3 * seconds,
@@ -283,8 +298,15 @@ fn peak_resident() -> Option<u64> {
 }
 
 fn parse_peak(status: &str) -> Option<u64> {
-    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
-    line.trim().strip_suffix("kB")?.trim().parse::<u64>().ok().map(|kib| 1024 * kib)
+    let line = status
+        .lines()
+        .find_map(|line| line.strip_prefix("VmHWM:"))?;
+    line.trim()
+        .strip_suffix("kB")?
+        .trim()
+        .parse::<u64>()
+        .ok()
+        .map(|kib| 1024 * kib)
 }
 
 #[cfg(test)]
@@ -293,7 +315,10 @@ mod tests {
 
     #[test]
     fn the_peak_of_the_process_is_read_in_bytes() {
-        assert_eq!(parse_peak("VmPeak:\t 90 kB\nVmHWM:\t   12 kB\n"), Some(12_288));
+        assert_eq!(
+            parse_peak("VmPeak:\t 90 kB\nVmHWM:\t   12 kB\n"),
+            Some(12_288)
+        );
         assert_eq!(parse_peak("VmPeak:\t 90 kB\n"), None);
     }
 }

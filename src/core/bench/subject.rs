@@ -33,8 +33,16 @@ pub(super) struct Training<'a> {
 }
 
 impl<'a> Training<'a> {
-    pub(super) fn new(stepper: Stepper<'a>, workload: &'a Workload, cancel: &'a CancelToken) -> Self {
-        Self { stepper, workload, cancel }
+    pub(super) fn new(
+        stepper: Stepper<'a>,
+        workload: &'a Workload,
+        cancel: &'a CancelToken,
+    ) -> Self {
+        Self {
+            stepper,
+            workload,
+            cancel,
+        }
     }
 }
 
@@ -46,7 +54,12 @@ impl Subject for Training<'_> {
     fn work(&self) -> Result<Work, BenchError> {
         let splat = Some(self.stepper.splat_work()?);
         let (noise, taps) = (self.stepper.noise_work(), self.stepper.taps());
-        Ok(Work { splat, noise, taps, ..self.workload.work() })
+        Ok(Work {
+            splat,
+            noise,
+            taps,
+            ..self.workload.work()
+        })
     }
 }
 
@@ -61,20 +74,28 @@ impl<'a> Rendering<'a> {
     pub(super) fn new(gpu: &Gpu, workload: &'a Workload) -> Result<Self, BenchError> {
         let renderer = Renderer::new(gpu);
         let scene = renderer.upload(&workload.gaussians)?;
-        Ok(Self { renderer, scene, workload })
+        Ok(Self {
+            renderer,
+            scene,
+            workload,
+        })
     }
 }
 
 impl Subject for Rendering<'_> {
     fn repeat(&mut self, times: u32) -> Result<(), BenchError> {
         for _ in 0..times {
-            self.renderer.render_scene(&self.scene, &self.workload.camera()?)?;
+            self.renderer
+                .render_scene(&self.scene, &self.workload.camera()?)?;
         }
         Ok(())
     }
 
     fn work(&self) -> Result<Work, BenchError> {
-        Ok(Work { splat: self.scene.work()?, ..self.workload.work() })
+        Ok(Work {
+            splat: self.scene.work()?,
+            ..self.workload.work()
+        })
     }
 }
 
@@ -95,8 +116,17 @@ impl Similarity {
         let gradient = gpu.create("image gradient", prediction.len())?;
         let mut recorder = gpu.recorder();
         let loss = Loss::new(gpu, width, height)?;
-        loss.record(&mut recorder, &prediction, &upload_target(gpu, &image)?, &gradient)?;
-        Ok(Self { gpu: gpu.clone(), recording: recorder.finish(), pixels: width * height })
+        loss.record(
+            &mut recorder,
+            &prediction,
+            &upload_target(gpu, &image)?,
+            &gradient,
+        )?;
+        Ok(Self {
+            gpu: gpu.clone(),
+            recording: recorder.finish(),
+            pixels: width * height,
+        })
     }
 }
 
@@ -106,7 +136,10 @@ impl Subject for Similarity {
     }
 
     fn work(&self) -> Result<Work, BenchError> {
-        Ok(Work { pixels: self.pixels, ..Work::default() })
+        Ok(Work {
+            pixels: self.pixels,
+            ..Work::default()
+        })
     }
 }
 
@@ -130,7 +163,12 @@ impl Sorting {
         // Each time the same keys: what is sorted already is read in another pattern.
         recorder.copy(&unsorted, sort.keys(), keys)?;
         sort.record(&mut recorder, &counters)?;
-        Ok(Self { gpu: gpu.clone(), recording: recorder.finish(), keys, passes: sort.passes() })
+        Ok(Self {
+            gpu: gpu.clone(),
+            recording: recorder.finish(),
+            keys,
+            passes: sort.passes(),
+        })
     }
 }
 
@@ -140,7 +178,11 @@ impl Subject for Sorting {
     }
 
     fn work(&self) -> Result<Work, BenchError> {
-        Ok(Work { keys: self.keys, key_passes: self.passes, ..Work::default() })
+        Ok(Work {
+            keys: self.keys,
+            key_passes: self.passes,
+            ..Work::default()
+        })
     }
 }
 
@@ -158,7 +200,11 @@ fn count(gpu: &Gpu, counters: &Counters, keys: usize) -> Result<(), GpuError> {
     };
     let row = gpu.upload("parameters", &[row])?;
     let mut recorder = gpu.recorder();
-    recorder.dispatch(&SCAN, &[&row, &counters.values, &total, &counters.arguments], [1, 1, 1])?;
+    recorder.dispatch(
+        &SCAN,
+        &[&row, &counters.values, &total, &counters.arguments],
+        [1, 1, 1],
+    )?;
     recorder.submit().map(|_| ())
 }
 

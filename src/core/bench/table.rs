@@ -6,8 +6,16 @@ use super::report::{Case, JobTimes, KernelRow, Report};
 use crate::event::Stage;
 
 /// The columns, with their widths in `row`.
-const HEAD: [&str; 8] =
-    ["", "ms a step", "share", "dispatches", "MB", "Mop", "of the bandwidth", "of the arithmetic"];
+const HEAD: [&str; 8] = [
+    "",
+    "ms a step",
+    "share",
+    "dispatches",
+    "MB",
+    "Mop",
+    "of the bandwidth",
+    "of the arithmetic",
+];
 
 pub(super) fn table(report: &Report) -> String {
     let mut out = head(report);
@@ -19,7 +27,13 @@ pub(super) fn table(report: &Report) -> String {
         out += &job_lines(job);
     }
     if let Some(bytes) = report.peak_resident_bytes {
-        line(&mut out, format_args!("\nThe process had at most {} MB resident.", megabytes(bytes)));
+        line(
+            &mut out,
+            format_args!(
+                "\nThe process had at most {} MB resident.",
+                megabytes(bytes)
+            ),
+        );
     }
     out
 }
@@ -31,10 +45,23 @@ fn head(report: &Report) -> String {
         Some((least, most)) => format!("subgroups of {least} to {most}"),
         None => "no subgroups".to_owned(),
     };
-    let clock = if machine.timestamps { "" } else { ", no timestamps: kernels are not timed" };
+    let clock = if machine.timestamps {
+        ""
+    } else {
+        ", no timestamps: kernels are not timed"
+    };
     let mut out = String::new();
-    line(&mut out, format_args!("fled {} on {} ({})", report.fled, machine.adapter, machine.driver));
-    line(&mut out, format_args!("{subgroup}, {} host threads{clock}", machine.threads));
+    line(
+        &mut out,
+        format_args!(
+            "fled {} on {} ({})",
+            report.fled, machine.adapter, machine.driver
+        ),
+    );
+    line(
+        &mut out,
+        format_args!("{subgroup}, {} host threads{clock}", machine.threads),
+    );
     line(
         &mut out,
         format_args!(
@@ -53,9 +80,13 @@ fn case_lines(case: &Case) -> String {
         ("blended pairs", case.blended_pairs),
         ("taps", case.taps),
     ];
-    let counts: String =
-        counts.iter().filter_map(|(name, count)| count.map(|count| format!(", {count} {name}"))).collect();
-    let sum = case.kernel_milliseconds.map_or(String::new(), |ms| format!(", kernels {ms:.3} ms"));
+    let counts: String = counts
+        .iter()
+        .filter_map(|(name, count)| count.map(|count| format!(", {count} {name}")))
+        .collect();
+    let sum = case
+        .kernel_milliseconds
+        .map_or(String::new(), |ms| format!(", kernels {ms:.3} ms"));
     line(
         &mut out,
         format_args!(
@@ -70,8 +101,10 @@ fn case_lines(case: &Case) -> String {
 }
 
 fn kernel_line(kernel: &KernelRow) -> String {
-    let amount = |value: Option<u64>| value.map_or(unknown(), |value| format!("{:.2}", value as f64 / 1e6));
-    let share = |value: Option<f64>| value.map_or(unknown(), |value| format!("{:.1} %", 100.0 * value));
+    let amount =
+        |value: Option<u64>| value.map_or(unknown(), |value| format!("{:.2}", value as f64 / 1e6));
+    let share =
+        |value: Option<f64>| value.map_or(unknown(), |value| format!("{:.1} %", 100.0 * value));
     row(&[
         format!("  {}", kernel.kernel),
         format!("{:.3}", kernel.milliseconds),
@@ -101,10 +134,16 @@ fn job_lines(job: &JobTimes) -> String {
             megabytes(job.gpu_peak_bytes)
         ),
     );
-    for (stage, seconds) in Stage::ALL.iter().filter_map(|stage| job.stages.get_key_value(stage.name())) {
+    for (stage, seconds) in Stage::ALL
+        .iter()
+        .filter_map(|stage| job.stages.get_key_value(stage.name()))
+    {
         line(
             &mut out,
-            format_args!("  {stage:<34}{seconds:>10.2} s{:>8.1} %", 100.0 * seconds / job.seconds),
+            format_args!(
+                "  {stage:<34}{seconds:>10.2} s{:>8.1} %",
+                100.0 * seconds / job.seconds
+            ),
         );
     }
     out
@@ -113,7 +152,11 @@ fn job_lines(job: &JobTimes) -> String {
 fn row(cells: &[String; 8]) -> String {
     let [name, rest @ ..] = cells;
     let widths = [10, 9, 12, 10, 11, 18, 19];
-    let rest: String = rest.iter().zip(widths).map(|(cell, width)| format!("{cell:>width$}")).collect();
+    let rest: String = rest
+        .iter()
+        .zip(widths)
+        .map(|(cell, width)| format!("{cell:>width$}"))
+        .collect();
     format!("{name:<34}{rest}\n")
 }
 

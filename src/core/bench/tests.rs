@@ -1,4 +1,5 @@
-//! The bench on a tiny scene. A device is profiled as a whole, so these tests do not share that of the others.
+//! The bench on a tiny scene. A device is profiled as a whole, so these tests do not share that of
+//! the others.
 
 use std::sync::OnceLock;
 
@@ -12,14 +13,18 @@ fn tiny() -> BenchOptions {
     BenchOptions {
         sizes: vec![(96, 64)],
         gaussians: vec![500],
-        budget: Budget { seconds: 0.02, steps: 4 },
+        budget: Budget {
+            seconds: 0.02,
+            steps: 4,
+        },
         seed: 3,
     }
 }
 
 fn report() -> Report {
     static REPORT: OnceLock<Report> = OnceLock::new();
-    let measured = || run(&gpu(), &tiny(), &mut |_, _, _| {}, &CancelToken::new()).expect("measured");
+    let measured =
+        || run(&gpu(), &tiny(), &mut |_, _, _| {}, &CancelToken::new()).expect("measured");
     REPORT.get_or_init(measured).clone()
 }
 
@@ -27,22 +32,40 @@ fn report() -> Report {
 fn every_case_has_kernels_whose_sum_lies_within_the_step_and_the_table_shows_them() {
     let report = report();
     let names: Vec<_> = report.cases.iter().map(|case| case.task).collect();
-    assert_eq!(names, ["train", "render", "train", "train", "train", "ssim", "sort"]);
+    assert_eq!(
+        names,
+        ["train", "render", "train", "train", "train", "ssim", "sort"]
+    );
     let table = report.table();
     for case in &report.cases {
-        assert!(case.steps_per_second > 0.0 && case.gpu_peak_bytes > 0, "{case:?}");
+        assert!(
+            case.steps_per_second > 0.0 && case.gpu_peak_bytes > 0,
+            "{case:?}"
+        );
         assert!(table.contains(&case.name), "{}", case.name);
         if !report.machine.timestamps {
             continue;
         }
-        let (sum, wall) = (case.kernel_milliseconds.unwrap(), case.profiled_milliseconds.unwrap());
-        assert!(sum > 0.0 && sum <= wall, "{}: kernels {sum} ms, step {wall} ms", case.name);
+        let (sum, wall) = (
+            case.kernel_milliseconds.unwrap(),
+            case.profiled_milliseconds.unwrap(),
+        );
+        assert!(
+            sum > 0.0 && sum <= wall,
+            "{}: kernels {sum} ms, step {wall} ms",
+            case.name
+        );
         assert!((case.kernels.iter().map(|row| row.share).sum::<f64>() - 1.0).abs() < 1e-9);
         for row in &case.kernels {
-            let line = table.lines().find(|line| line.trim_start().starts_with(row.kernel));
+            let line = table
+                .lines()
+                .find(|line| line.trim_start().starts_with(row.kernel));
             assert!(line.is_some(), "{} is not in the table", row.kernel);
             assert!(row.bytes.is_some(), "{} has no bytes", row.kernel);
-            assert!(row.bandwidth_share.is_some_and(|share| share > 0.0), "{row:?}");
+            assert!(
+                row.bandwidth_share.is_some_and(|share| share > 0.0),
+                "{row:?}"
+            );
         }
     }
 }
@@ -50,7 +73,13 @@ fn every_case_has_kernels_whose_sum_lies_within_the_step_and_the_table_shows_the
 #[test]
 fn a_step_of_training_blends_and_updates_and_only_the_noise_field_adds_its_kernels() {
     let report = report();
-    let kernels = |case: usize| report.cases[case].kernels.iter().map(|row| row.kernel).collect::<Vec<_>>();
+    let kernels = |case: usize| {
+        report.cases[case]
+            .kernels
+            .iter()
+            .map(|row| row.kernel)
+            .collect::<Vec<_>>()
+    };
     if !report.machine.timestamps {
         return;
     }
@@ -64,25 +93,49 @@ fn a_step_of_training_blends_and_updates_and_only_the_noise_field_adds_its_kerne
     ] {
         assert!(has(&off, kernel), "{off:?}");
     }
-    assert!(has(&render, "splat/rasterize") && !render.iter().any(|name| name.starts_with("train/")));
-    assert!(has(&grid, "noise/layer_forward") && !off.iter().any(|name| name.starts_with("noise/")));
+    assert!(
+        has(&render, "splat/rasterize") && !render.iter().any(|name| name.starts_with("train/"))
+    );
+    assert!(
+        has(&grid, "noise/layer_forward") && !off.iter().any(|name| name.starts_with("noise/"))
+    );
     let shake = kernels(3);
-    assert!(shake.contains(&"shake/blur_backward") && !grid.iter().any(|name| name.starts_with("shake/")));
+    assert!(
+        shake.contains(&"shake/blur_backward")
+            && !grid.iter().any(|name| name.starts_with("shake/"))
+    );
     let mut sort = kernels(6);
     sort.sort_unstable();
-    assert_eq!(sort, ["sort/radix_count", "sort/radix_scatter", "sort/scan"]);
+    assert_eq!(
+        sort,
+        ["sort/radix_count", "sort/radix_scatter", "sort/scan"]
+    );
 }
 
 #[test]
 fn a_made_up_scene_is_the_same_again_and_touches_as_many_tiles_as_a_trained_one() {
     let gpu = &gpu();
-    let options = BenchOptions { sizes: vec![(280, 160)], gaussians: vec![10_000], ..tiny() };
-    let plan = Plan::Render { size: (280, 160), gaussians: 10_000 };
-    let bench = Bench { gpu, options: &options, cancel: &CancelToken::new() };
+    let options = BenchOptions {
+        sizes: vec![(280, 160)],
+        gaussians: vec![10_000],
+        ..tiny()
+    };
+    let plan = Plan::Render {
+        size: (280, 160),
+        gaussians: 10_000,
+    };
+    let bench = Bench {
+        gpu,
+        options: &options,
+        cancel: &CancelToken::new(),
+    };
     let case = plan.measure(&bench).expect("measured");
     let (visible, intersections) = (case.visible.unwrap(), case.intersections.unwrap());
     let each = intersections as f64 / visible as f64;
-    assert!((3.0..4.0).contains(&each) && visible > 8_000, "{intersections} of {visible} visible");
+    assert!(
+        (3.0..4.0).contains(&each) && visible > 8_000,
+        "{intersections} of {visible} visible"
+    );
     let again = || Workload::synthetic(gpu, (64, 48), 50, 9).expect("made");
     assert_eq!(again().gaussians, again().gaussians);
     let other = Workload::synthetic(gpu, (64, 48), 50, 10).expect("made");
@@ -108,15 +161,27 @@ fn the_json_says_null_where_nobody_counts() {
 #[test]
 fn nothing_to_measure_and_a_raised_token_are_errors() {
     let gpu = &gpu();
-    let none = BenchOptions { sizes: Vec::new(), ..tiny() };
+    let none = BenchOptions {
+        sizes: Vec::new(),
+        ..tiny()
+    };
     let outcome = run(gpu, &none, &mut |_, _, _| {}, &CancelToken::new());
     assert!(matches!(outcome, Err(BenchError::Empty("size"))));
-    let long = BenchOptions { budget: Budget { seconds: 1.0, steps: MOST_STEPS + 1 }, ..tiny() };
+    let long = BenchOptions {
+        budget: Budget {
+            seconds: 1.0,
+            steps: MOST_STEPS + 1,
+        },
+        ..tiny()
+    };
     let outcome = run(gpu, &long, &mut |_, _, _| {}, &CancelToken::new());
     assert!(matches!(outcome, Err(BenchError::Steps(2_001))));
     let cancel = CancelToken::new();
     cancel.cancel();
-    assert!(matches!(run(gpu, &tiny(), &mut |_, _, _| {}, &cancel), Err(BenchError::Cancelled(_))));
+    assert!(matches!(
+        run(gpu, &tiny(), &mut |_, _, _| {}, &cancel),
+        Err(BenchError::Cancelled(_))
+    ));
     let missing = Workload::of_run(std::path::Path::new("/nowhere/at/all"));
     assert!(matches!(missing, Err(BenchError::Run(message)) if message.contains("cameras.json")));
 }

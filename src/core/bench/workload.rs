@@ -1,4 +1,5 @@
-//! Scenes to measure on: one made up from a seed, the same on every machine, or that of a finished run.
+//! Scenes to measure on: one made up from a seed, the same on every machine, or that of a finished
+//! run.
 
 use std::path::Path;
 
@@ -17,14 +18,17 @@ use crate::render::Renderer;
 
 /// Views of a made-up scene: more cost memory and change nothing.
 const VIEWS: usize = 3;
-/// Half the sides of the box that the Gaussians lie in, world units; the cameras stand 3 before its middle.
+/// Half the sides of the box that the Gaussians lie in, world units; the cameras stand 3 before its
+/// middle.
 const BOX: [f64; 3] = [1.6, 0.95, 1.0];
-/// Median scale of a Gaussian when there are 10,000, world units. Chosen so that they touch 3.5 tiles each at
-/// 280x160, as in trained scenes (31,000 to 46,000 intersections of 10,000 Gaussians).
+/// Median scale of a Gaussian when there are 10,000, world units. Chosen so that they touch 3.5
+/// tiles each at 280x160, as in trained scenes (31,000 to 46,000 intersections of 10,000
+/// Gaussians).
 const SCALE: f64 = 0.024;
 /// Length of the shake of a shaken view, as a share of its width: 5 px at 280.
 const SHAKEN: f64 = 0.018;
-/// Standard deviation of the noise that the training views are said to have; it bounds the noise field.
+/// Standard deviation of the noise that the training views are said to have; it bounds the noise
+/// field.
 const NOISE_SIGMA: f32 = 0.01;
 
 /// A scene with the views it is trained on.
@@ -40,9 +44,9 @@ pub struct Workload {
 }
 
 impl Workload {
-    /// `gaussians` random Gaussians in a box before three cameras of `size` px. The more there are, the
-    /// smaller they are, as in trained scenes; the views are renders of the scene itself, so it stays about
-    /// what it is while it is trained.
+    /// `gaussians` random Gaussians in a box before three cameras of `size` px. The more there are,
+    /// the smaller they are, as in trained scenes; the views are renders of the scene itself, so it
+    /// stays about what it is while it is trained.
     ///
     /// # Errors
     /// Rendering; out of memory above all.
@@ -58,10 +62,19 @@ impl Workload {
         let view = |index: usize| -> Result<TrainingView, BenchError> {
             let camera = camera(index, size);
             let image = renderer.render_scene(&uploaded, &camera)?;
-            Ok(TrainingView { name: index.to_string(), camera, image, noise_sigma: NOISE_SIGMA })
+            Ok(TrainingView {
+                name: index.to_string(),
+                camera,
+                image,
+                noise_sigma: NOISE_SIGMA,
+            })
         };
         let views = (0..VIEWS).map(view).collect::<Result<_, _>>()?;
-        Ok(Self::new(format!("{}x{}, {gaussians} Gaussians", size.0, size.1), views, scene))
+        Ok(Self::new(
+            format!("{}x{}, {gaussians} Gaussians", size.0, size.1),
+            views,
+            scene,
+        ))
     }
 
     /// The delivered scene of a finished run, with its restored views.
@@ -70,7 +83,8 @@ impl Workload {
     /// [`BenchError::Run`] when `folder` does not hold a finished run; files that cannot be read.
     pub fn of_run(folder: &Path) -> Result<Self, BenchError> {
         let path = folder.join("cameras.json");
-        let fault = |error: &dyn std::fmt::Display| BenchError::Run(format!("{}: {error}", path.display()));
+        let fault =
+            |error: &dyn std::fmt::Display| BenchError::Run(format!("{}: {error}", path.display()));
         let text = std::fs::read(&path).map_err(|e| fault(&e))?;
         let cameras: Vec<NamedCamera> = serde_json::from_slice(&text).map_err(|e| fault(&e))?;
         let view = |named: &NamedCamera| -> Result<TrainingView, BenchError> {
@@ -90,7 +104,11 @@ impl Workload {
             return Err(fault(&"no training view"));
         }
         let gaussians = ply::read(&folder.join("scene.ply"))?;
-        Ok(Self::new(format!("the capture's scene, {} Gaussians", gaussians.len()), views, gaussians))
+        Ok(Self::new(
+            format!("the capture's scene, {} Gaussians", gaussians.len()),
+            views,
+            gaussians,
+        ))
     }
 
     /// Shakes every view along a line of its own, so that there is a shake to be found.
@@ -105,19 +123,35 @@ impl Workload {
         let cameras: Vec<Camera> = views.iter().map(|view| view.camera).collect();
         let points: Vec<Point> = gaussians.means.iter().map(|&mean| (mean, [0; 3])).collect();
         let extent = scene_extent(&cameras, &points, ExtentRule::Scene);
-        Self { name, views, gaussians, extent }
+        Self {
+            name,
+            views,
+            gaussians,
+            extent,
+        }
     }
 
     /// The camera of the first view.
     pub(super) fn camera(&self) -> Result<Camera, BenchError> {
-        self.views.first().map(|view| view.camera).ok_or(BenchError::Empty("view"))
+        self.views
+            .first()
+            .map(|view| view.camera)
+            .ok_or(BenchError::Empty("view"))
     }
 
     /// The part of the work that is known before anything runs.
     pub(super) fn work(&self) -> Work {
-        let pixels = self.views.first().map_or(0, |view| view.image.width() * view.image.height());
+        let pixels = self
+            .views
+            .first()
+            .map_or(0, |view| view.image.width() * view.image.height());
         let (gaussians, coefficients) = (self.gaussians.len(), self.gaussians.coefficients());
-        Work { gaussians, coefficients, pixels, ..Work::default() }
+        Work {
+            gaussians,
+            coefficients,
+            pixels,
+            ..Work::default()
+        }
     }
 }
 
@@ -129,13 +163,18 @@ fn shaken(image: &Image, angle: f64) -> Image {
     let taps = 2 * half + 1;
     let mut sum = Image::<Linear>::new(width, height);
     for tap in -half..=half {
-        let [dx, dy] = [angle.cos(), angle.sin()].map(|part| (f64::from(tap) * part).round() as isize);
+        let [dx, dy] =
+            [angle.cos(), angle.sin()].map(|part| (f64::from(tap) * part).round() as isize);
         for y in 0..height {
             let from_y = y.saturating_add_signed(dy).min(height - 1);
             for x in 0..width {
                 let from = light.get(x.saturating_add_signed(dx).min(width - 1), from_y);
                 let here = sum.get(x, y);
-                sum.set(x, y, std::array::from_fn(|c| here[c] + from[c] / taps as f32));
+                sum.set(
+                    x,
+                    y,
+                    std::array::from_fn(|c| here[c] + from[c] / taps as f32),
+                );
             }
         }
     }
@@ -146,7 +185,14 @@ fn shaken(image: &Image, angle: f64) -> Image {
 fn camera(index: usize, (width, height): (usize, usize)) -> Camera {
     let focal = width as f64;
     let (cx, cy) = (0.5 * width as f64, 0.5 * height as f64);
-    let intrinsics = Intrinsics { width, height, fx: focal, fy: focal, cx, cy };
+    let intrinsics = Intrinsics {
+        width,
+        height,
+        fx: focal,
+        fy: focal,
+        cx,
+        cy,
+    };
     let angle = (index as f64 - 1.0) / 6.0;
     let eye = DVec3::new(3.0 * angle.sin(), -0.2, -3.0 * angle.cos());
     Camera::look_at(intrinsics, eye, DVec3::ZERO, DVec3::Y)
@@ -156,15 +202,20 @@ fn random_scene(count: usize, seed: u64) -> Gaussians {
     let mut random = Pcg64::seed_from_u64(seed);
     let mut signed = move || 2.0 * random.random::<f64>() - 1.0;
     let log_scale = (SCALE * (10_000.0 / count.max(1) as f64).sqrt()).ln();
-    let mut out = Gaussians { sh_degree: SH_DEGREE, ..Gaussians::default() };
+    let mut out = Gaussians {
+        sh_degree: SH_DEGREE,
+        ..Gaussians::default()
+    };
     let row = 3 * out.coefficients();
     for _ in 0..count {
         out.means.push(BOX.map(|half| (half * signed()) as f32));
         // Flat and long ones, as trained scenes are made of.
-        out.log_scales.push([0; 3].map(|_| (log_scale + 0.8 * signed()) as f32));
+        out.log_scales
+            .push([0; 3].map(|_| (log_scale + 0.8 * signed()) as f32));
         out.quats.push([0; 4].map(|_| signed() as f32));
         out.opacity_logits.push((0.5 + 2.5 * signed()) as f32);
-        out.sh.extend((0..row).map(|i| if i < 3 { signed() } else { 0.1 * signed() } as f32));
+        out.sh
+            .extend((0..row).map(|i| if i < 3 { signed() } else { 0.1 * signed() } as f32));
     }
     out
 }

@@ -28,7 +28,11 @@ fn image(brightest: f32) -> Image {
             let wave = |k: f32| (TAU * k * u).sin() * (TAU * k * v).cos() / k.sqrt();
             let grain = ((x * 7919 + y * 104_729) % 97) as f32 / 97.0;
             let level = 0.5 + 0.12 * (wave(2.0) + wave(7.0) + wave(31.0)) + 0.05 * grain;
-            image.set(x, y, [level, 0.9 * level, 0.7 * level + 0.1 * u].map(|c| c * brightest));
+            image.set(
+                x,
+                y,
+                [level, 0.9 * level, 0.7 * level + 0.1 * u].map(|c| c * brightest),
+            );
         }
     }
     image
@@ -40,7 +44,11 @@ fn shaken(sharp: &Image) -> Image {
     for y in 0..HEIGHT {
         for x in 0..WIDTH {
             let sum = [0.0, 1.0, 2.3].map(|by| sharp.sample(x as f32 + 0.5 + by, y as f32 + 0.5));
-            shaken.set(x, y, [0, 1, 2].map(|c| (sum[0][c] + sum[1][c] + sum[2][c]) / 3.0));
+            shaken.set(
+                x,
+                y,
+                [0, 1, 2].map(|c| (sum[0][c] + sum[1][c] + sum[2][c]) / 3.0),
+            );
         }
     }
     shaken
@@ -61,26 +69,46 @@ fn scene(count: usize) -> Gaussians {
 #[divan::bench]
 fn tone_curve_from_a_histogram(bencher: Bencher<'_, '_>) {
     let histogram = Histogram::of(&image(0.2));
-    bencher.bench(|| ToneCurve::new(black_box(&histogram), Anchor { alpha: 10.0, gamma: 0.8 }));
+    bencher.bench(|| {
+        ToneCurve::new(
+            black_box(&histogram),
+            Anchor {
+                alpha: 10.0,
+                gamma: 0.8,
+            },
+        )
+    });
 }
 
 #[divan::bench]
 fn tone_curve_over_an_image(bencher: Bencher<'_, '_>) {
     let dark = image(0.2);
-    let curve = ToneCurve::new(&Histogram::of(&dark), Anchor { alpha: 10.0, gamma: 0.8 });
-    bencher.counter(ItemsCount::new(PIXELS)).bench(|| curve.apply(black_box(&dark)));
+    let curve = ToneCurve::new(
+        &Histogram::of(&dark),
+        Anchor {
+            alpha: 10.0,
+            gamma: 0.8,
+        },
+    );
+    bencher
+        .counter(ItemsCount::new(PIXELS))
+        .bench(|| curve.apply(black_box(&dark)));
 }
 
 #[divan::bench]
 fn ssim(bencher: Bencher<'_, '_>) {
     let (a, b) = (image(1.0), image(0.9));
-    bencher.counter(ItemsCount::new(PIXELS)).bench(|| metrics::ssim(black_box(&a), black_box(&b)));
+    bencher
+        .counter(ItemsCount::new(PIXELS))
+        .bench(|| metrics::ssim(black_box(&a), black_box(&b)));
 }
 
 #[divan::bench]
 fn psnr(bencher: Bencher<'_, '_>) {
     let (a, b) = (image(1.0), image(0.9));
-    bencher.counter(ItemsCount::new(PIXELS)).bench(|| metrics::psnr(black_box(&a), black_box(&b)));
+    bencher
+        .counter(ItemsCount::new(PIXELS))
+        .bench(|| metrics::psnr(black_box(&a), black_box(&b)));
 }
 
 #[divan::bench]
@@ -110,10 +138,12 @@ fn ply_write(bencher: Bencher<'_, '_>, count: usize) {
     let scene = scene(count);
     let mut bytes = Vec::new();
     ply::write_to(&scene, &mut bytes).expect("memory takes it");
-    bencher.counter(BytesCount::new(bytes.len())).bench_local(|| {
-        bytes.clear();
-        ply::write_to(black_box(&scene), &mut bytes).expect("memory takes it");
-    });
+    bencher
+        .counter(BytesCount::new(bytes.len()))
+        .bench_local(|| {
+            bytes.clear();
+            ply::write_to(black_box(&scene), &mut bytes).expect("memory takes it");
+        });
 }
 
 #[divan::bench(args = [10_000, 200_000])]
@@ -122,5 +152,7 @@ fn ply_read(bencher: Bencher<'_, '_>, count: usize) {
     let path = folder.path().join("scene.ply");
     ply::write(&scene(count), &path).expect("written");
     let bytes = std::fs::metadata(&path).expect("there").len();
-    bencher.counter(BytesCount::new(bytes)).bench(|| ply::read(black_box(&path)).expect("read"));
+    bencher
+        .counter(BytesCount::new(bytes))
+        .bench(|| ply::read(black_box(&path)).expect("read"));
 }

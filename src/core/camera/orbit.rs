@@ -25,7 +25,8 @@ pub struct Orbit {
 }
 
 impl Orbit {
-    /// From the cameras of a scene; `None` when there are none or they say nothing about directions.
+    /// From the cameras of a scene; `None` when there are none or they say nothing about
+    /// directions.
     pub fn from_cameras(cameras: &[NamedCamera]) -> Option<Self> {
         let intrinsics = cameras.first()?.intrinsics;
         let cameras: Vec<Camera> = cameras.iter().map(NamedCamera::camera).collect();
@@ -34,7 +35,10 @@ impl Orbit {
         let centre = look_at_point(&cameras, middle)?;
         let towards = middle - centre;
         let level = (towards - up * towards.dot(up)).try_normalize()?;
-        let mut distances: Vec<f64> = cameras.iter().map(|c| c.centre().distance(centre)).collect();
+        let mut distances: Vec<f64> = cameras
+            .iter()
+            .map(|c| c.centre().distance(centre))
+            .collect();
         distances.sort_by(f64::total_cmp);
         let radius = distances[distances.len() / 2];
         let elevation = towards.dot(up).atan2(towards.dot(level));
@@ -58,8 +62,10 @@ impl Orbit {
         (width, height): (usize, usize),
     ) -> Camera {
         let steepest = STEEPEST.to_radians();
-        let (azimuth, elevation) =
-            (azimuth.to_radians(), (elevation.to_radians() + self.elevation).clamp(-steepest, steepest));
+        let (azimuth, elevation) = (
+            azimuth.to_radians(),
+            (elevation.to_radians() + self.elevation).clamp(-steepest, steepest),
+        );
         let [up, right, towards] = self.axes;
         let level = towards * azimuth.cos() + right * azimuth.sin();
         let direction = level * elevation.cos() + up * elevation.sin();
@@ -88,9 +94,13 @@ fn mean(cameras: &[Camera], of: fn(&Camera) -> DVec3) -> DVec3 {
 
 /// The point nearest to all optical axes, least squares, drawn slightly to a guess in front.
 fn look_at_point(cameras: &[Camera], middle: DVec3) -> Option<DVec3> {
-    let spread = cameras.iter().map(|c| c.centre().distance(middle)).fold(0.0, f64::max);
+    let spread = cameras
+        .iter()
+        .map(|c| c.centre().distance(middle))
+        .fold(0.0, f64::max);
     let forward = mean(cameras, Camera::forward).try_normalize();
-    let guess = middle + forward.unwrap_or(DVec3::ZERO) * if spread > 0.0 { 2.0 * spread } else { 1.0 };
+    let guess =
+        middle + forward.unwrap_or(DVec3::ZERO) * if spread > 0.0 { 2.0 * spread } else { 1.0 };
     let weight = GUESS_WEIGHT * cameras.len() as f64;
     let (mut matrix, mut vector) = (DMat3::from_diagonal(DVec3::splat(weight)), guess * weight);
     for camera in cameras {
@@ -102,7 +112,11 @@ fn look_at_point(cameras: &[Camera], middle: DVec3) -> Option<DVec3> {
     }
     let point = matrix.inverse() * vector;
     let in_front = forward.is_none_or(|forward| (point - middle).dot(forward) > 0.0);
-    let chosen = if in_front && point.is_finite() { point } else { guess };
+    let chosen = if in_front && point.is_finite() {
+        point
+    } else {
+        guess
+    };
     chosen.is_finite().then_some(chosen)
 }
 
@@ -112,12 +126,23 @@ mod tests {
     use super::*;
 
     fn ring(centre: DVec3, radius: f64, degrees: f64) -> Vec<NamedCamera> {
-        let k = Intrinsics { width: 200, height: 100, fx: 150.0, fy: 150.0, cx: 100.0, cy: 50.0 };
+        let k = Intrinsics {
+            width: 200,
+            height: 100,
+            fx: 150.0,
+            fy: 150.0,
+            cx: 100.0,
+            cy: 50.0,
+        };
         (-3..=3)
             .map(|i| {
                 let angle = (f64::from(i) * degrees / 3.0).to_radians();
                 let eye = centre + DVec3::new(angle.sin(), -0.2, -angle.cos()) * radius;
-                NamedCamera::new(format!("{i}"), &Camera::look_at(k, eye, centre, DVec3::Y), Split::Train)
+                NamedCamera::new(
+                    format!("{i}"),
+                    &Camera::look_at(k, eye, centre, DVec3::Y),
+                    Split::Train,
+                )
             })
             .collect()
     }
@@ -127,7 +152,11 @@ mod tests {
         let centre = DVec3::new(3.0, 1.0, 7.0);
         let orbit = Orbit::from_cameras(&ring(centre, 4.0, 60.0)).expect("an orbit");
         assert!((orbit.centre - centre).length() < 0.05, "{}", orbit.centre);
-        assert!((orbit.radius - 4.0 * 1.04_f64.sqrt()).abs() < 0.05, "{}", orbit.radius);
+        assert!(
+            (orbit.radius - 4.0 * 1.04_f64.sqrt()).abs() < 0.05,
+            "{}",
+            orbit.radius
+        );
     }
 
     #[test]
@@ -153,7 +182,11 @@ mod tests {
         let row: Vec<NamedCamera> = (0..5)
             .map(|i| {
                 let eye = DVec3::X * f64::from(i);
-                NamedCamera::new("v", &Camera::look_at(k, eye, eye + DVec3::Z, DVec3::Y), Split::Train)
+                NamedCamera::new(
+                    "v",
+                    &Camera::look_at(k, eye, eye + DVec3::Z, DVec3::Y),
+                    Split::Train,
+                )
             })
             .collect();
         for cameras in [&row[..], &row[..1]] {

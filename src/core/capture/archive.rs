@@ -51,11 +51,17 @@ pub struct ArchiveFault {
 
 impl ArchiveFault {
     fn whole(reason: impl Into<String>) -> Self {
-        Self { entry: None, reason: reason.into() }
+        Self {
+            entry: None,
+            reason: reason.into(),
+        }
     }
 
     fn of(entry: &str, reason: impl Into<String>) -> Self {
-        Self { entry: Some(entry.to_owned()), reason: reason.into() }
+        Self {
+            entry: Some(entry.to_owned()),
+            reason: reason.into(),
+        }
     }
 }
 
@@ -99,11 +105,14 @@ fn refuse_absurd_counts(file: &mut File) -> Result<(), ArchiveFault> {
     file.rewind().map_err(broken)?;
     let at = bytes.windows(4).rposition(|window| window == b"PK\x05\x06");
     let record = at.and_then(|at| bytes.get(at..at + RECORD));
-    let record = record.ok_or_else(|| ArchiveFault::whole("cut short: its directory is missing"))?;
+    let record =
+        record.ok_or_else(|| ArchiveFault::whole("cut short: its directory is missing"))?;
     // 65,535 stands for "see the zip64 record": more than are accepted in any case.
     let count = usize::from(u16::from_le_bytes([record[10], record[11]]));
     if count > MAX_FILES {
-        return Err(ArchiveFault::whole(format!("more than {MAX_FILES} entries")));
+        return Err(ArchiveFault::whole(format!(
+            "more than {MAX_FILES} entries"
+        )));
     }
     Ok(())
 }
@@ -119,7 +128,9 @@ struct Wanted {
 fn check(archive: &mut ZipArchive<File>) -> Result<Vec<Wanted>, ArchiveFault> {
     let whole = |error: ZipError| ArchiveFault::whole(told(&error));
     if archive.len() > MAX_FILES {
-        return Err(ArchiveFault::whole(format!("more than {MAX_FILES} entries")));
+        return Err(ArchiveFault::whole(format!(
+            "more than {MAX_FILES} entries"
+        )));
     }
     if archive.has_duplicate_names() {
         return Err(ArchiveFault::whole("two entries have the same name"));
@@ -136,10 +147,17 @@ fn check(archive: &mut ZipArchive<File>) -> Result<Vec<Wanted>, ArchiveFault> {
         check_entry(&name, &entry)?;
         total = total.saturating_add(entry.size());
         if total > MAX_ARCHIVE_BYTES {
-            return Err(ArchiveFault::of(&name, "unpacked, the archive is larger than 8 GiB"));
+            return Err(ArchiveFault::of(
+                &name,
+                "unpacked, the archive is larger than 8 GiB",
+            ));
         }
         if entry.is_file() && plays_a_role(&name) {
-            wanted.push(Wanted { index, name, size: entry.size() });
+            wanted.push(Wanted {
+                index,
+                name,
+                size: entry.size(),
+            });
         }
     }
     Ok(wanted)
@@ -151,7 +169,9 @@ fn check_name(name: &str) -> Result<(), ArchiveFault> {
     if name.is_empty() || name.contains('\0') {
         return refuse("an empty name or one with a zero byte");
     }
-    if name.starts_with('/') || (bytes.len() > 1 && bytes[1] == b':' && bytes[0].is_ascii_alphabetic()) {
+    if name.starts_with('/')
+        || (bytes.len() > 1 && bytes[1] == b':' && bytes[0].is_ascii_alphabetic())
+    {
         return refuse("an absolute path");
     }
     if name.split('/').any(|part| part == "..") {
@@ -170,7 +190,10 @@ fn check_entry<R: Read>(name: &str, entry: &ZipFile<'_, R>) -> Result<(), Archiv
     if entry.encrypted() {
         return refuse("encrypted");
     }
-    if !matches!(entry.compression(), CompressionMethod::Stored | CompressionMethod::Deflated) {
+    if !matches!(
+        entry.compression(),
+        CompressionMethod::Stored | CompressionMethod::Deflated
+    ) {
         return refuse("packed by a method that is not read; use plain zip");
     }
     if entry.size() > MAX_FILE_BYTES {
@@ -179,7 +202,10 @@ fn check_entry<R: Read>(name: &str, entry: &ZipFile<'_, R>) -> Result<(), Archiv
     if entry.size() > RATIO_FREE_BYTES && entry.size() / MAX_RATIO > entry.compressed_size() {
         return refuse("shrunk more than a photograph can be");
     }
-    if Path::new(name).extension().is_some_and(|extension| extension.eq_ignore_ascii_case("zip")) {
+    if Path::new(name)
+        .extension()
+        .is_some_and(|extension| extension.eq_ignore_ascii_case("zip"))
+    {
         return refuse("an archive inside the archive");
     }
     Ok(())
@@ -202,10 +228,14 @@ fn unpack_all(
     let mut entries = Vec::with_capacity(wanted.len());
     for (number, item) in wanted.into_iter().enumerate() {
         let file = own_file(target, &item.name, number, &mut folders)?;
-        let mut source =
-            archive.by_index(item.index).map_err(|error| ArchiveFault::of(&item.name, told(&error)))?;
+        let mut source = archive
+            .by_index(item.index)
+            .map_err(|error| ArchiveFault::of(&item.name, told(&error)))?;
         unpack_one(&mut source, &item, &file)?;
-        entries.push(Entry { path: item.name, file });
+        entries.push(Entry {
+            path: item.name,
+            file,
+        });
     }
     Ok(entries)
 }
@@ -225,10 +255,13 @@ fn own_file(
         let extension = last.rsplit_once('.').map_or("", |(_, extension)| extension);
         return Ok(target.join(format!("{number:05}.{extension}")));
     }
-    let position = folders.iter().position(|known| known == folder).unwrap_or_else(|| {
-        folders.push(folder.to_owned());
-        folders.len() - 1
-    });
+    let position = folders
+        .iter()
+        .position(|known| known == folder)
+        .unwrap_or_else(|| {
+            folders.push(folder.to_owned());
+            folders.len() - 1
+        });
     let own_folder = target.join(format!("poses{position}"));
     fs::create_dir_all(&own_folder).map_err(CaptureError::io(&own_folder))?;
     // COLMAP wants its points under exactly this name.
@@ -241,18 +274,24 @@ fn unpack_one(source: &mut impl Read, item: &Wanted, file: &Path) -> Result<(), 
     let mut buffer = vec![0; 64 << 10];
     let mut written = 0;
     loop {
-        let read = source.read(&mut buffer).map_err(|error| ArchiveFault::of(&item.name, damaged(&error)))?;
+        let read = source
+            .read(&mut buffer)
+            .map_err(|error| ArchiveFault::of(&item.name, damaged(&error)))?;
         if read == 0 {
             break;
         }
         written += read as u64;
         if written > item.size {
-            return Err(ArchiveFault::of(&item.name, "longer than the archive's directory says").into());
+            return Err(
+                ArchiveFault::of(&item.name, "longer than the archive's directory says").into(),
+            );
         }
         io::Write::write_all(&mut out, &buffer[..read]).map_err(CaptureError::io(file))?;
     }
     if written != item.size {
-        return Err(ArchiveFault::of(&item.name, "shorter than the archive's directory says").into());
+        return Err(
+            ArchiveFault::of(&item.name, "shorter than the archive's directory says").into(),
+        );
     }
     Ok(())
 }

@@ -29,12 +29,16 @@ impl Entry {
 
     /// The last part of the path.
     pub(super) fn name(&self) -> &str {
-        self.path.rsplit_once('/').map_or(self.path.as_str(), |(_, name)| name)
+        self.path
+            .rsplit_once('/')
+            .map_or(self.path.as_str(), |(_, name)| name)
     }
 
     /// The name without its extension.
     pub(super) fn stem(&self) -> &str {
-        self.name().rsplit_once('.').map_or(self.name(), |(stem, _)| stem)
+        self.name()
+            .rsplit_once('.')
+            .map_or(self.name(), |(stem, _)| stem)
     }
 }
 
@@ -45,7 +49,12 @@ pub(super) fn of_folder(root: &Path) -> Result<Vec<Entry>, CaptureError> {
     Ok(entries)
 }
 
-fn walk(folder: &Path, prefix: &str, depth: usize, entries: &mut Vec<Entry>) -> Result<(), CaptureError> {
+fn walk(
+    folder: &Path,
+    prefix: &str,
+    depth: usize,
+    entries: &mut Vec<Entry>,
+) -> Result<(), CaptureError> {
     for item in fs::read_dir(folder).map_err(CaptureError::io(folder))? {
         let item = item.map_err(CaptureError::io(folder))?;
         let name = item.file_name().to_string_lossy().into_owned();
@@ -54,7 +63,9 @@ fn walk(folder: &Path, prefix: &str, depth: usize, entries: &mut Vec<Entry>) -> 
         }
         let (path, file) = (format!("{prefix}{name}"), item.path());
         // Links are followed: the folder is the operator's own. What leads nowhere is not there.
-        let Ok(metadata) = file.metadata() else { continue };
+        let Ok(metadata) = file.metadata() else {
+            continue;
+        };
         if metadata.is_dir() && depth < MAX_DEPTH {
             walk(&file, &format!("{path}/"), depth + 1, entries)?;
         } else if metadata.is_file() {
@@ -80,8 +91,14 @@ pub(super) fn natural(a: &str, b: &str) -> Ordering {
         let (number_a, number_b) = (digits(left), digits(right));
         let order = if !number_a.is_empty() && !number_b.is_empty() {
             (left, right) = (&left[number_a.len()..], &right[number_b.len()..]);
-            let (value_a, value_b) = (number_a.trim_start_matches('0'), number_b.trim_start_matches('0'));
-            value_a.len().cmp(&value_b.len()).then_with(|| value_a.cmp(value_b))
+            let (value_a, value_b) = (
+                number_a.trim_start_matches('0'),
+                number_b.trim_start_matches('0'),
+            );
+            value_a
+                .len()
+                .cmp(&value_b.len())
+                .then_with(|| value_a.cmp(value_b))
         } else {
             let mut chars = (left.chars(), right.chars());
             let (x, y) = (chars.0.next(), chars.1.next());
@@ -97,7 +114,9 @@ pub(super) fn natural(a: &str, b: &str) -> Ordering {
 }
 
 fn digits(text: &str) -> &str {
-    let end = text.find(|c: char| !c.is_ascii_digit()).unwrap_or(text.len());
+    let end = text
+        .find(|c: char| !c.is_ascii_digit())
+        .unwrap_or(text.len());
     &text[..end]
 }
 
@@ -108,9 +127,26 @@ mod tests {
 
     #[test]
     fn numbers_are_ordered_by_value_and_letters_without_case() {
-        let mut names = ["img10.jpg", "IMG2.jpg", "img1.jpg", "img02b.jpg", "a.jpg", "img.jpg"];
+        let mut names = [
+            "img10.jpg",
+            "IMG2.jpg",
+            "img1.jpg",
+            "img02b.jpg",
+            "a.jpg",
+            "img.jpg",
+        ];
         names.sort_by(|a, b| natural(a, b));
-        assert_eq!(names, ["a.jpg", "img.jpg", "img1.jpg", "IMG2.jpg", "img02b.jpg", "img10.jpg"]);
+        assert_eq!(
+            names,
+            [
+                "a.jpg",
+                "img.jpg",
+                "img1.jpg",
+                "IMG2.jpg",
+                "img02b.jpg",
+                "img10.jpg"
+            ]
+        );
     }
 
     proptest! {

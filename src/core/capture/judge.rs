@@ -49,7 +49,11 @@ struct Seen {
 pub(super) fn judge(layout: &Layout) -> Judged {
     let seen = look_at_all(&layout.photographs);
     let typical = median(seen.iter().flatten().map(|seen| seen.sharpness).collect());
-    let mut judged = Judged { views: Vec::new(), verdicts: Vec::new(), warnings: Vec::new() };
+    let mut judged = Judged {
+        views: Vec::new(),
+        verdicts: Vec::new(),
+        warnings: Vec::new(),
+    };
     let (mut pictures, mut names) = (HashMap::new(), HashSet::new());
     for (entry, seen) in layout.photographs.iter().zip(seen) {
         let seen = seen.and_then(|seen| match pictures.insert(seen.picture, entry.name()) {
@@ -76,7 +80,10 @@ fn look_at_all(photographs: &[Entry]) -> Vec<Result<Seen, Fault>> {
 
 /// Runs parallel work on so few threads that decoded photographs stay within bounds.
 fn on_few_threads<T: Send>(work: impl FnOnce() -> T + Send) -> T {
-    match rayon::ThreadPoolBuilder::new().num_threads(DECODED_AT_ONCE).build() {
+    match rayon::ThreadPoolBuilder::new()
+        .num_threads(DECODED_AT_ONCE)
+        .build()
+    {
         Ok(pool) => pool.install(work),
         // No threads of its own to be had: the shared ones do it.
         Err(_) => work(),
@@ -92,7 +99,11 @@ struct Fault {
 
 impl Fault {
     fn of(reason: String) -> Self {
-        Self { reason, unsupported_format: false, header: None }
+        Self {
+            reason,
+            unsupported_format: false,
+            header: None,
+        }
     }
 
     fn verdict(self, entry: &Entry) -> Verdict {
@@ -116,13 +127,21 @@ impl From<ImageError> for Fault {
             ImageError::Io { source, .. } => format!("cannot be read: {source}"),
             error => error.to_string(),
         };
-        Self { unsupported_format: error.is_unsupported_format(), ..Self::of(reason) }
+        Self {
+            unsupported_format: error.is_unsupported_format(),
+            ..Self::of(reason)
+        }
     }
 }
 
 fn look_at(entry: &Entry) -> Result<Seen, Fault> {
     let header = read_header(&entry.file)?;
-    let reject = |reason: String| Err(Fault { header: Some(header.clone()), ..Fault::of(reason) });
+    let reject = |reason: String| {
+        Err(Fault {
+            header: Some(header.clone()),
+            ..Fault::of(reason)
+        })
+    };
     if header.width.min(header.height) < SMALLEST_SIDE {
         return reject(format!(
             "{} x {} px: each side must have at least {SMALLEST_SIDE}",
@@ -131,22 +150,41 @@ fn look_at(entry: &Entry) -> Result<Seen, Fault> {
     }
     let small = match Image::load_at_most(&entry.file, JUDGED_SIDE) {
         Ok(small) => small,
-        Err(error) => return Err(Fault { header: Some(header), ..Fault::from(error) }),
+        Err(error) => {
+            return Err(Fault {
+                header: Some(header),
+                ..Fault::from(error)
+            });
+        }
     };
     let bytes: Vec<u8> = small.data().iter().flat_map(|v| v.to_le_bytes()).collect();
     let v = small.pixels();
     let mean_v = (0..v).map(|i| largest(&small, i)).sum::<f32>() / v as f32;
-    let (low, high) = small.data().iter().fold((f32::MAX, f32::MIN), |(l, h), &v| (l.min(v), h.max(v)));
+    let (low, high) = small
+        .data()
+        .iter()
+        .fold((f32::MAX, f32::MIN), |(l, h), &v| (l.min(v), h.max(v)));
     if high - low < 1.5 / 255.0 {
-        let colour = if high < 1.5 / 255.0 { "black" } else { "one colour" };
+        let colour = if high < 1.5 / 255.0 {
+            "black"
+        } else {
+            "one colour"
+        };
         return reject(format!("nothing is seen: the whole picture is {colour}"));
     }
     let sharpness = sharpness(&small);
-    Ok(Seen { header, picture: *blake3::hash(&bytes).as_bytes(), mean_v, sharpness })
+    Ok(Seen {
+        header,
+        picture: *blake3::hash(&bytes).as_bytes(),
+        mean_v,
+        sharpness,
+    })
 }
 
 fn largest(image: &Image<Srgb>, i: usize) -> f32 {
-    image.plane(0)[i].max(image.plane(1)[i]).max(image.plane(2)[i])
+    image.plane(0)[i]
+        .max(image.plane(1)[i])
+        .max(image.plane(2)[i])
 }
 
 /// Mean squared gradient of linear luma over the squared mean: independent of exposure. At a
@@ -159,7 +197,10 @@ fn sharpness(small: &Image<Srgb>) -> f32 {
     for y in 0..height - 1 {
         for x in 0..width - 1 {
             let here = luma[y * width + x];
-            let (dx, dy) = (luma[y * width + x + 1] - here, luma[(y + 1) * width + x] - here);
+            let (dx, dy) = (
+                luma[y * width + x + 1] - here,
+                luma[(y + 1) * width + x] - here,
+            );
             energy += f64::from(dx * dx + dy * dy);
         }
     }
@@ -193,8 +234,18 @@ impl Seen {
 }
 
 impl Judged {
-    fn accept(&mut self, entry: &Entry, header: &Header, name: String, warnings: Vec<CaptureWarning>) {
-        let &Header { width, height, focal_px } = header;
+    fn accept(
+        &mut self,
+        entry: &Entry,
+        header: &Header,
+        name: String,
+        warnings: Vec<CaptureWarning>,
+    ) {
+        let &Header {
+            width,
+            height,
+            focal_px,
+        } = header;
         self.verdicts.push(Verdict {
             name: entry.name().to_owned(),
             accepted: true,
@@ -224,7 +275,9 @@ impl Judged {
         let find = |view: &CaptureView| {
             let name = &*view.original_name;
             let stem = name.rsplit_once('.').map_or(name, |(stem, _)| stem);
-            ground_truth.get(&stem.to_lowercase()).map(|entry| (entry, is_truth_of(view, entry)))
+            ground_truth
+                .get(&stem.to_lowercase())
+                .map(|entry| (entry, is_truth_of(view, entry)))
         };
         let found: Vec<_> = on_few_threads(|| self.views.par_iter().map(find).collect());
         let (mut missing, mut unusable) = (Vec::new(), Vec::new());
@@ -242,7 +295,11 @@ impl Judged {
             }
         };
         warn("gt_missing", "have no ground truth", &missing);
-        warn("gt_size", "have ground truth that cannot be read or has another shape", &unusable);
+        warn(
+            "gt_size",
+            "have ground truth that cannot be read or has another shape",
+            &unusable,
+        );
     }
 
     fn warn_of_the_whole(&mut self) {
@@ -257,15 +314,20 @@ impl Judged {
             ));
         }
         let mut sizes: BTreeMap<(usize, usize), usize> = BTreeMap::new();
-        self.views.iter().for_each(|view| *sizes.entry((view.width, view.height)).or_default() += 1);
-        if let (Some((size, most)), true) = (sizes.iter().max_by_key(|entry| entry.1), sizes.len() > 1) {
+        self.views
+            .iter()
+            .for_each(|view| *sizes.entry((view.width, view.height)).or_default() += 1);
+        if let (Some((size, most)), true) =
+            (sizes.iter().max_by_key(|entry| entry.1), sizes.len() > 1)
+        {
             let message = format!(
                 "{} of {count} photographs are not of {} x {} px as the others",
                 count - most,
                 size.0,
                 size.1
             );
-            self.warnings.push(CaptureWarning::new("mixed_sizes", message));
+            self.warnings
+                .push(CaptureWarning::new("mixed_sizes", message));
         }
     }
 }
@@ -283,7 +345,13 @@ fn is_truth_of(view: &CaptureView, entry: &Entry) -> bool {
 /// Our own name for a view: the stem with everything else than letters, digits, `-` and `_`
 /// replaced, never empty, never starting like an option, unique also where case is ignored.
 fn own_name(stem: &str, taken: &mut HashSet<String>) -> String {
-    let safe = |c: char| if c.is_ascii_alphanumeric() || matches!(c, '-' | '_') { c } else { '_' };
+    let safe = |c: char| {
+        if c.is_ascii_alphanumeric() || matches!(c, '-' | '_') {
+            c
+        } else {
+            '_'
+        }
+    };
     let mut base: String = stem.chars().take(LONGEST_NAME).map(safe).collect();
     if !base.starts_with(|c: char| c.is_ascii_alphanumeric()) {
         base.insert(0, 'v');

@@ -51,15 +51,35 @@ impl Layout {
         entries.sort_by(|a, b| natural(&a.path, &b.path));
         let inside = |entry: &Entry, folder: &str| entry.folder().eq_ignore_ascii_case(folder);
         let photographs_in = |folder: &str| -> Vec<Entry> {
-            entries.iter().filter(|e| inside(e, folder) && claims_to_be_a_photograph(e)).cloned().collect()
+            entries
+                .iter()
+                .filter(|e| inside(e, folder) && claims_to_be_a_photograph(e))
+                .cloned()
+                .collect()
         };
         let with_folder = photographs_in("images");
-        let photographs = if with_folder.is_empty() { photographs_in("") } else { with_folder };
+        let photographs = if with_folder.is_empty() {
+            photographs_in("")
+        } else {
+            with_folder
+        };
         let truth = photographs_in("gt");
-        let truth = if truth.is_empty() { photographs_in("hl") } else { truth };
-        let ground_truth = truth.into_iter().map(|e| (e.stem().to_lowercase(), e)).collect();
+        let truth = if truth.is_empty() {
+            photographs_in("hl")
+        } else {
+            truth
+        };
+        let ground_truth = truth
+            .into_iter()
+            .map(|e| (e.stem().to_lowercase(), e))
+            .collect();
         let (poses, pose_files) = find_poses(&entries);
-        Self { photographs, ground_truth, poses, pose_files }
+        Self {
+            photographs,
+            ground_truth,
+            poses,
+            pose_files,
+        }
     }
 
     /// blake3 over the names and contents of everything that plays a role.
@@ -69,7 +89,9 @@ impl Layout {
         for entry in self.photographs.iter().chain(truth).chain(&self.pose_files) {
             let file = File::open(&entry.file).map_err(CaptureError::io(&entry.file))?;
             let mut content = blake3::Hasher::new();
-            content.update_reader(file).map_err(CaptureError::io(&entry.file))?;
+            content
+                .update_reader(file)
+                .map_err(CaptureError::io(&entry.file))?;
             // The length keeps a name and what follows it apart.
             hasher.update(&(entry.path.len() as u64).to_le_bytes());
             hasher.update(entry.path.as_bytes());
@@ -90,38 +112,64 @@ fn claims_to_be_a_photograph(entry: &Entry) -> bool {
 /// Removes folders that are around everything, such as the one that a zip of a folder has.
 fn strip_wrappers(entries: &mut [Entry]) {
     loop {
-        let tops: BTreeSet<Option<&str>> =
-            entries.iter().map(|e| e.path.split_once('/').map(|(top, _)| top)).collect();
+        let tops: BTreeSet<Option<&str>> = entries
+            .iter()
+            .map(|e| e.path.split_once('/').map(|(top, _)| top))
+            .collect();
         let wrapper = match tops.first() {
             Some(Some(top)) if tops.len() == 1 => *top,
             _ => return,
         };
-        if KNOWN_FOLDERS.iter().any(|known| known.eq_ignore_ascii_case(wrapper)) {
+        if KNOWN_FOLDERS
+            .iter()
+            .any(|known| known.eq_ignore_ascii_case(wrapper))
+        {
             return;
         }
         let cut = wrapper.len() + 1;
-        entries.iter_mut().for_each(|entry| entry.path.drain(..cut).for_each(drop));
+        entries
+            .iter_mut()
+            .for_each(|entry| entry.path.drain(..cut).for_each(drop));
     }
 }
 
 /// Poses and their files. `sparse_gt/` is not looked at: it judges poses, it does not give them.
 fn find_poses(entries: &[Entry]) -> (Option<GivenPosesFile>, Vec<Entry>) {
-    let at = |path: &str| entries.iter().find(|e| e.path.eq_ignore_ascii_case(path)).cloned();
+    let at = |path: &str| {
+        entries
+            .iter()
+            .find(|e| e.path.eq_ignore_ascii_case(path))
+            .cloned()
+    };
     for folder in ["sparse/0", "sparse"] {
         for extension in ["bin", "txt"] {
             let parts = ["cameras", "images", "points3D"];
-            let found: Vec<Entry> =
-                parts.iter().filter_map(|part| at(&format!("{folder}/{part}.{extension}"))).collect();
+            let found: Vec<Entry> = parts
+                .iter()
+                .filter_map(|part| at(&format!("{folder}/{part}.{extension}")))
+                .collect();
             // A model without points is one too: they can be triangulated.
             if found.len() >= 2 && found[1].stem().eq_ignore_ascii_case("images") {
-                let model = found[0].file.parent().map(ToOwned::to_owned).unwrap_or_default();
+                let model = found[0]
+                    .file
+                    .parent()
+                    .map(ToOwned::to_owned)
+                    .unwrap_or_default();
                 return (Some(GivenPosesFile::ColmapModel(model)), found);
             }
         }
     }
     if let Some(entry) = at("transforms.json") {
-        return (Some(GivenPosesFile::Transforms(entry.file.clone())), vec![entry]);
+        return (
+            Some(GivenPosesFile::Transforms(entry.file.clone())),
+            vec![entry],
+        );
     }
     let bounds = at("poses_bounds.npy");
-    (bounds.clone().map(|entry| GivenPosesFile::PosesBounds(entry.file)), bounds.into_iter().collect())
+    (
+        bounds
+            .clone()
+            .map(|entry| GivenPosesFile::PosesBounds(entry.file)),
+        bounds.into_iter().collect(),
+    )
 }

@@ -8,12 +8,15 @@ use zip::write::{SimpleFileOptions, ZipWriter};
 
 /// A picture with structure, different for each seed.
 fn picture(seed: usize, width: usize, height: usize) -> Image<Srgb> {
-    let value = |i: usize| ((i / 7 * 2_654_435_761 + seed * 40_503) >> 5 & 255) as f32 / 255.0 * 0.3;
+    let value =
+        |i: usize| ((i / 7 * 2_654_435_761 + seed * 40_503) >> 5 & 255) as f32 / 255.0 * 0.3;
     Image::from_planar(width, height, (0..3 * width * height).map(value).collect())
 }
 
 fn jpeg(seed: usize) -> Vec<u8> {
-    picture(seed, 96, 64).encode(EncodeFormat::Jpeg(90)).expect("encoded")
+    picture(seed, 96, 64)
+        .encode(EncodeFormat::Jpeg(90))
+        .expect("encoded")
 }
 
 /// A folder of files by relative path.
@@ -29,7 +32,10 @@ fn folder(files: &[(&str, Vec<u8>)]) -> tempfile::TempDir {
 
 fn open_folder(files: &[(&str, Vec<u8>)]) -> Result<Capture, CaptureError> {
     let folder = folder(files);
-    Capture::open(&folder.path().join("capture"), &folder.path().join("scratch"))
+    Capture::open(
+        &folder.path().join("capture"),
+        &folder.path().join("scratch"),
+    )
 }
 
 type Packer<'a> = &'a dyn Fn(&mut ZipWriter<Cursor<Vec<u8>>>);
@@ -41,7 +47,9 @@ fn zipped(pack: Packer<'_>) -> Vec<u8> {
 }
 
 fn add(writer: &mut ZipWriter<Cursor<Vec<u8>>>, name: &str, bytes: &[u8]) {
-    writer.start_file(name, SimpleFileOptions::default()).expect("started");
+    writer
+        .start_file(name, SimpleFileOptions::default())
+        .expect("started");
     writer.write_all(bytes).expect("packed");
 }
 
@@ -53,23 +61,40 @@ fn open_zip(bytes: &[u8]) -> (Result<Capture, CaptureError>, Vec<PathBuf>) {
     let scratch = folder.path().join("scratch");
     fs::create_dir(&scratch).expect("made");
     let outcome = Capture::open(&path, &scratch);
-    let left =
-        entries::of_folder(folder.path()).expect("listed").into_iter().map(|e| e.path.into()).collect();
+    let left = entries::of_folder(folder.path())
+        .expect("listed")
+        .into_iter()
+        .map(|e| e.path.into())
+        .collect();
     (outcome, left)
 }
 
 #[test]
 fn photographs_lie_in_the_folder_itself_or_in_images_also_inside_a_wrapper() {
     for prefix in ["", "images/", "my scene/", "my scene/images/"] {
-        let names: Vec<String> = [10, 2, 1].iter().map(|i| format!("{prefix}img{i}.jpg")).collect();
-        let mut files: Vec<(&str, Vec<u8>)> =
-            names.iter().enumerate().map(|(i, name)| (name.as_str(), jpeg(i))).collect();
+        let names: Vec<String> = [10, 2, 1]
+            .iter()
+            .map(|i| format!("{prefix}img{i}.jpg"))
+            .collect();
+        let mut files: Vec<(&str, Vec<u8>)> = names
+            .iter()
+            .enumerate()
+            .map(|(i, name)| (name.as_str(), jpeg(i)))
+            .collect();
         files.push((
-            if prefix.contains("my") { "my scene/notes.txt" } else { "notes.txt" },
+            if prefix.contains("my") {
+                "my scene/notes.txt"
+            } else {
+                "notes.txt"
+            },
             b"hello".to_vec(),
         ));
         let capture = open_folder(&files).expect("a capture");
-        let names: Vec<_> = capture.views.iter().map(|view| view.name.as_str()).collect();
+        let names: Vec<_> = capture
+            .views
+            .iter()
+            .map(|view| view.name.as_str())
+            .collect();
         assert_eq!(names, ["img1", "img2", "img10"], "{prefix}");
         assert_eq!(capture.views[0].original_name, "img1.jpg");
         assert_eq!(capture.verdicts.len(), 3);
@@ -80,7 +105,11 @@ fn photographs_lie_in_the_folder_itself_or_in_images_also_inside_a_wrapper() {
 #[test]
 fn ground_truth_is_found_by_stem_and_left_out_when_broken_or_of_another_shape() {
     for truth in ["gt", "HL"] {
-        let sharp = |width| picture(9, width, 64).encode(EncodeFormat::Png).expect("encoded");
+        let sharp = |width| {
+            picture(9, width, 64)
+                .encode(EncodeFormat::Png)
+                .expect("encoded")
+        };
         let capture = open_folder(&[
             ("images/a.jpg", jpeg(1)),
             ("images/b.jpg", jpeg(2)),
@@ -93,24 +122,49 @@ fn ground_truth_is_found_by_stem_and_left_out_when_broken_or_of_another_shape() 
         .expect("a capture");
         let has: Vec<bool> = capture.views.iter().map(|view| view.gt.is_some()).collect();
         assert_eq!(has, [true, false, false, false], "{truth}");
-        let codes: Vec<_> = capture.warnings.iter().map(|warning| warning.code.as_str()).collect();
-        assert!(codes.contains(&"gt_missing") && codes.contains(&"gt_size"), "{codes:?}");
+        let codes: Vec<_> = capture
+            .warnings
+            .iter()
+            .map(|warning| warning.code.as_str())
+            .collect();
+        assert!(
+            codes.contains(&"gt_missing") && codes.contains(&"gt_size"),
+            "{codes:?}"
+        );
     }
 }
 
 #[test]
 fn given_poses_are_found_in_order_of_preference_and_those_of_the_truth_are_not() {
-    let photographs =
-        || vec![("images/a.jpg", jpeg(1)), ("images/b.jpg", jpeg(2)), ("images/c.jpg", jpeg(3))];
+    let photographs = || {
+        vec![
+            ("images/a.jpg", jpeg(1)),
+            ("images/b.jpg", jpeg(2)),
+            ("images/c.jpg", jpeg(3)),
+        ]
+    };
     let with = |more: &[&'static str]| {
         let mut files = photographs();
         files.extend(more.iter().map(|name| (*name, b"x".to_vec())));
         open_folder(&files).expect("a capture").poses
     };
-    assert_eq!(with(&["sparse_gt/cameras.txt", "sparse_gt/images.txt"]), None);
-    assert!(matches!(with(&["poses_bounds.npy"]), Some(GivenPosesFile::PosesBounds(_))));
-    assert!(matches!(with(&["poses_bounds.npy", "transforms.json"]), Some(GivenPosesFile::Transforms(_))));
-    let model = with(&["sparse/0/cameras.bin", "sparse/0/images.bin", "transforms.json"]);
+    assert_eq!(
+        with(&["sparse_gt/cameras.txt", "sparse_gt/images.txt"]),
+        None
+    );
+    assert!(matches!(
+        with(&["poses_bounds.npy"]),
+        Some(GivenPosesFile::PosesBounds(_))
+    ));
+    assert!(matches!(
+        with(&["poses_bounds.npy", "transforms.json"]),
+        Some(GivenPosesFile::Transforms(_))
+    ));
+    let model = with(&[
+        "sparse/0/cameras.bin",
+        "sparse/0/images.bin",
+        "transforms.json",
+    ]);
     assert!(matches!(model, Some(GivenPosesFile::ColmapModel(path)) if path.ends_with("sparse/0")));
     assert_eq!(with(&["sparse/cameras.txt", "sparse/points3D.txt"]), None);
 }
@@ -127,14 +181,28 @@ fn bad_files_are_rejected_by_themselves_and_the_rest_goes_on() {
         ("6.jpg", b"a text".to_vec()),
         ("7.heic", b"\0\0\0\x18ftypheic\0\0\0\0mif1heic".to_vec()),
         ("8.jpg", jpeg(1)),
-        ("9.png", Image::<Srgb>::new(96, 64).encode(EncodeFormat::Png).expect("encoded")),
+        (
+            "9.png",
+            Image::<Srgb>::new(96, 64)
+                .encode(EncodeFormat::Png)
+                .expect("encoded"),
+        ),
         (".hidden.jpg", jpeg(5)),
     ])
     .expect("a capture");
     assert_eq!(capture.views.len(), 3);
-    let reasons: Vec<String> =
-        capture.verdicts[3..].iter().map(|verdict| verdict.reason.clone().expect("rejected")).collect();
-    let parts = ["cut short", "empty", "not a JPEG", "HEIC", "same picture as 1.jpg", "black"];
+    let reasons: Vec<String> = capture.verdicts[3..]
+        .iter()
+        .map(|verdict| verdict.reason.clone().expect("rejected"))
+        .collect();
+    let parts = [
+        "cut short",
+        "empty",
+        "not a JPEG",
+        "HEIC",
+        "same picture as 1.jpg",
+        "black",
+    ];
     for (reason, part) in reasons.iter().zip(parts) {
         assert!(reason.contains(part), "{reason} should say {part}");
     }
@@ -145,14 +213,29 @@ fn bad_files_are_rejected_by_themselves_and_the_rest_goes_on() {
 #[test]
 fn captures_without_enough_usable_photographs_are_refused_with_figures() {
     let same = jpeg(1);
-    let identical: Vec<(String, Vec<u8>)> = (0..20).map(|i| (format!("{i}.jpg"), same.clone())).collect();
-    let identical: Vec<(&str, Vec<u8>)> = identical.iter().map(|(n, b)| (n.as_str(), b.clone())).collect();
+    let identical: Vec<(String, Vec<u8>)> = (0..20)
+        .map(|i| (format!("{i}.jpg"), same.clone()))
+        .collect();
+    let identical: Vec<(&str, Vec<u8>)> = identical
+        .iter()
+        .map(|(n, b)| (n.as_str(), b.clone()))
+        .collect();
     let two = [("a.jpg", jpeg(1)), ("b.jpg", jpeg(2))];
-    let cases = [(vec![("notes.txt", b"x".to_vec())], 0), (two.to_vec(), 2), (identical, 1)];
+    let cases = [
+        (vec![("notes.txt", b"x".to_vec())], 0),
+        (two.to_vec(), 2),
+        (identical, 1),
+    ];
     for (files, usable) in cases {
         let error = open_folder(&files).expect_err("too few");
-        assert!(matches!(&error, CaptureError::TooFew { accepted, .. } if *accepted == usable), "{error}");
-        assert!(error.to_string().starts_with(&format!("{usable} of ")), "{error}");
+        assert!(
+            matches!(&error, CaptureError::TooFew { accepted, .. } if *accepted == usable),
+            "{error}"
+        );
+        assert!(
+            error.to_string().starts_with(&format!("{usable} of ")),
+            "{error}"
+        );
         assert_eq!(error.kind(), ErrorKind::BadInput);
         assert!(error.hint().contains("20 to 60"));
     }
@@ -171,26 +254,55 @@ fn hostile_names_never_become_names_of_ours() {
     .expect("a capture");
     assert_eq!(capture.views.len(), 5);
     for view in &capture.views {
-        assert!(view.name.len() <= 40 && !view.name.starts_with('-'), "{}", view.name);
-        assert!(view.name.chars().all(|c| c.is_ascii_alphanumeric() || "-_".contains(c)), "{}", view.name);
+        assert!(
+            view.name.len() <= 40 && !view.name.starts_with('-'),
+            "{}",
+            view.name
+        );
+        assert!(
+            view.name
+                .chars()
+                .all(|c| c.is_ascii_alphanumeric() || "-_".contains(c)),
+            "{}",
+            view.name
+        );
     }
 }
 
 #[test]
 fn a_zip_is_the_capture_that_its_folder_is() {
-    let names =
-        ["fox/images/1.jpg", "fox/images/2.jpg", "fox/images/3.jpg", "fox/gt/1.png", "fox/transforms.json"];
-    let files: Vec<(&str, Vec<u8>)> = names.iter().enumerate().map(|(i, name)| (*name, jpeg(i))).collect();
-    let bytes = zipped(&|writer| files.iter().for_each(|(name, bytes)| add(writer, name, bytes)));
+    let names = [
+        "fox/images/1.jpg",
+        "fox/images/2.jpg",
+        "fox/images/3.jpg",
+        "fox/gt/1.png",
+        "fox/transforms.json",
+    ];
+    let files: Vec<(&str, Vec<u8>)> = names
+        .iter()
+        .enumerate()
+        .map(|(i, name)| (*name, jpeg(i)))
+        .collect();
+    let bytes = zipped(&|writer| {
+        files
+            .iter()
+            .for_each(|(name, bytes)| add(writer, name, bytes))
+    });
     let (outcome, left) = open_zip(&bytes);
-    let (from_zip, from_folder) = (outcome.expect("a capture"), open_folder(&files).expect("a capture"));
+    let (from_zip, from_folder) = (
+        outcome.expect("a capture"),
+        open_folder(&files).expect("a capture"),
+    );
     assert_eq!(from_zip.fingerprint, from_folder.fingerprint);
     assert_eq!(from_zip.verdicts, from_folder.verdicts);
     assert!(from_zip.views[0].gt.is_some() && from_zip.poses.is_some());
     assert_eq!(left.len(), 1 + names.len());
     let mut other = files.clone();
     other[0].1 = jpeg(77);
-    assert_ne!(open_folder(&other).expect("a capture").fingerprint, from_folder.fingerprint);
+    assert_ne!(
+        open_folder(&other).expect("a capture").fingerprint,
+        from_folder.fingerprint
+    );
 }
 
 #[test]
@@ -208,7 +320,9 @@ fn hostile_zips_are_refused_by_name_and_leave_nothing_behind() {
     };
     let linked = zipped(&|writer| {
         good(writer);
-        writer.add_symlink("link.jpg", "/etc/passwd", SimpleFileOptions::default()).expect("packed");
+        writer
+            .add_symlink("link.jpg", "/etc/passwd", SimpleFileOptions::default())
+            .expect("packed");
     });
     let zeros = zipped(&|writer| {
         good(writer);
@@ -219,9 +333,21 @@ fn hostile_zips_are_refused_by_name_and_leave_nothing_behind() {
         add(writer, "inner.zip", b"PK");
     });
     let cases: [(&str, Vec<u8>, &str); 8] = [
-        ("../evil.jpg", renamed("aa/evil.jpg", "../evil.jpg"), "leads out"),
-        ("/ab/evil.jpg", renamed("aab/evil.jpg", "/ab/evil.jpg"), "absolute"),
-        ("C:/evil.jpg", renamed("aa/evil.jpg", "C:/evil.jpg"), "absolute"),
+        (
+            "../evil.jpg",
+            renamed("aa/evil.jpg", "../evil.jpg"),
+            "leads out",
+        ),
+        (
+            "/ab/evil.jpg",
+            renamed("aab/evil.jpg", "/ab/evil.jpg"),
+            "absolute",
+        ),
+        (
+            "C:/evil.jpg",
+            renamed("aa/evil.jpg", "C:/evil.jpg"),
+            "absolute",
+        ),
         ("link.jpg", linked, "link"),
         ("zeros.jpg", zeros, "shrunk"),
         ("inner.zip", nested, "archive inside"),
@@ -231,21 +357,34 @@ fn hostile_zips_are_refused_by_name_and_leave_nothing_behind() {
     for (entry, bytes, reason) in cases {
         let (outcome, left) = open_zip(&bytes);
         let error = outcome.expect_err(entry);
-        assert!(error.to_string().contains(entry) && error.to_string().contains(reason), "{entry}: {error}");
+        assert!(
+            error.to_string().contains(entry) && error.to_string().contains(reason),
+            "{entry}: {error}"
+        );
         assert_eq!(error.kind(), ErrorKind::BadInput);
-        assert_eq!(left, [PathBuf::from("capture.zip")], "{entry} left something");
+        assert_eq!(
+            left,
+            [PathBuf::from("capture.zip")],
+            "{entry} left something"
+        );
     }
 }
 
 #[test]
 fn encrypted_and_corrupt_entries_are_refused_and_removed() {
-    let mut bytes = zipped(&|writer| (0..3).for_each(|i| add(writer, &format!("{i}.jpg"), &jpeg(i))));
+    let mut bytes =
+        zipped(&|writer| (0..3).for_each(|i| add(writer, &format!("{i}.jpg"), &jpeg(i))));
     let whole = bytes.clone();
     // Bit 0 of the flags, at 8 in each central header.
     let at = find(&bytes, b"PK\x01\x02").expect("a central header");
     bytes[at + 8] |= 1;
     let (outcome, left) = open_zip(&bytes);
-    assert!(outcome.expect_err("encrypted").to_string().contains("0.jpg"));
+    assert!(
+        outcome
+            .expect_err("encrypted")
+            .to_string()
+            .contains("0.jpg")
+    );
     assert_eq!(left.len(), 1);
     let mut bytes = whole;
     bytes[60] ^= 0x55;
@@ -255,7 +394,9 @@ fn encrypted_and_corrupt_entries_are_refused_and_removed() {
 }
 
 fn find(bytes: &[u8], pattern: &[u8]) -> Option<usize> {
-    bytes.windows(pattern.len()).position(|window| window == pattern)
+    bytes
+        .windows(pattern.len())
+        .position(|window| window == pattern)
 }
 
 /// Replaces a name of equal length everywhere.
@@ -278,10 +419,19 @@ fn the_captures_for_development_are_accepted_whole() {
         let scratch = tempfile::tempdir().expect("a temporary folder");
         let capture = Capture::open(&root.join(name), scratch.path()).expect("a capture");
         assert_eq!(capture.views.len(), count);
-        assert!(capture.views.iter().all(|view| view.gt.is_some() && (view.width, view.height) == size));
+        assert!(
+            capture
+                .views
+                .iter()
+                .all(|view| view.gt.is_some() && (view.width, view.height) == size)
+        );
         assert_eq!(capture.poses, None);
         assert_eq!(
-            capture.verdicts.iter().map(|v| v.warnings.len()).sum::<usize>(),
+            capture
+                .verdicts
+                .iter()
+                .map(|v| v.warnings.len())
+                .sum::<usize>(),
             0,
             "{:?}",
             capture.verdicts
@@ -304,7 +454,9 @@ fn patches(seed: usize, size: usize, gain: f32) -> Image<Srgb> {
 #[test]
 fn dark_blurred_and_odd_sized_photographs_are_accepted_with_a_warning_each() {
     let png = |image: Image<Srgb>| image.encode(EncodeFormat::Png).expect("encoded");
-    let blurred = patches(4, 160, 0.6).resize_area(12, 12).resize_bilinear(160, 160);
+    let blurred = patches(4, 160, 0.6)
+        .resize_area(12, 12)
+        .resize_bilinear(160, 160);
     let capture = open_folder(&[
         ("1.png", png(patches(1, 160, 0.6))),
         ("2.png", png(patches(2, 160, 0.3))),
@@ -316,17 +468,34 @@ fn dark_blurred_and_odd_sized_photographs_are_accepted_with_a_warning_each() {
     let codes: Vec<Vec<&str>> = capture
         .verdicts
         .iter()
-        .map(|verdict| verdict.warnings.iter().map(|warning| warning.code.as_str()).collect())
+        .map(|verdict| {
+            verdict
+                .warnings
+                .iter()
+                .map(|warning| warning.code.as_str())
+                .collect()
+        })
         .collect();
-    assert_eq!(codes, [vec![], vec![], vec!["dark"], vec!["blurred"], vec![]]);
-    let mixed = capture.warnings.iter().find(|warning| warning.code == "mixed_sizes").expect("a warning");
+    assert_eq!(
+        codes,
+        [vec![], vec![], vec!["dark"], vec!["blurred"], vec![]]
+    );
+    let mixed = capture
+        .warnings
+        .iter()
+        .find(|warning| warning.code == "mixed_sizes")
+        .expect("a warning");
     assert!(mixed.message.starts_with("1 of 5"), "{}", mixed.message);
 }
 
 #[test]
 fn a_path_that_is_no_capture_is_the_users_fault() {
     let folder = folder(&[("a.txt", b"text".to_vec())]);
-    let open = |name: &str| Capture::open(&folder.path().join(name), folder.path()).expect_err(name);
-    assert!(matches!(open("capture/a.txt"), CaptureError::NotACapture { .. }));
+    let open =
+        |name: &str| Capture::open(&folder.path().join(name), folder.path()).expect_err(name);
+    assert!(matches!(
+        open("capture/a.txt"),
+        CaptureError::NotACapture { .. }
+    ));
     assert_eq!(open("missing").kind(), ErrorKind::BadInput);
 }

@@ -66,14 +66,21 @@ impl Copies {
             .into_iter()
             .map(|copy| match one_size {
                 true => copy,
-                false => Copy { file: format!("{}x{}/{}", copy.size.0, copy.size.1, copy.file), ..copy },
+                false => Copy {
+                    file: format!("{}x{}/{}", copy.size.0, copy.size.1, copy.file),
+                    ..copy
+                },
             })
             .collect();
         copies.par_iter().zip(views).try_for_each(|(copy, view)| {
             cancel.check()?;
             copy.write(dir, view)
         })?;
-        Ok(Self { dir: dir.to_owned(), copies, one_size })
+        Ok(Self {
+            dir: dir.to_owned(),
+            copies,
+            one_size,
+        })
     }
 
     /// Whether full-size copies would be no different.
@@ -84,10 +91,18 @@ impl Copies {
     /// The focal length of the copies, px, where the photographs agree on one to 5 %.
     pub fn focal(&self, views: &[PoseView]) -> Option<f64> {
         let scaled = |(copy, view): (&Copy, &PoseView)| {
-            let share = copy.size.0.max(copy.size.1) as f64 / copy.original.0.max(copy.original.1) as f64;
-            view.focal_px.filter(|f| f.is_finite() && *f > 0.0).map(|f| f * share)
+            let share =
+                copy.size.0.max(copy.size.1) as f64 / copy.original.0.max(copy.original.1) as f64;
+            view.focal_px
+                .filter(|f| f.is_finite() && *f > 0.0)
+                .map(|f| f * share)
         };
-        let mut focals = self.copies.iter().zip(views).map(scaled).collect::<Option<Vec<_>>>()?;
+        let mut focals = self
+            .copies
+            .iter()
+            .zip(views)
+            .map(scaled)
+            .collect::<Option<Vec<_>>>()?;
         focals.sort_by(f64::total_cmp);
         let (low, high) = (*focals.first()?, *focals.last()?);
         (self.one_size && high <= 1.05 * low).then(|| focals[focals.len() / 2])
@@ -96,27 +111,39 @@ impl Copies {
 
 impl Copy {
     fn planned(index: usize, view: &PoseView, small: bool) -> Result<Self, PosesError> {
-        let header = read_header(&view.file).map_err(|e| PosesError::bad_file(&view.file, e.to_string()))?;
+        let header =
+            read_header(&view.file).map_err(|e| PosesError::bad_file(&view.file, e.to_string()))?;
         let original = (header.width, header.height);
         let longest = original.0.max(original.1);
         let size = if small && longest > LARGEST_SMALL_SIDE {
-            let scaled = |side: usize| (side as f64 * SMALL_SIDE as f64 / longest as f64).round().max(1.0);
+            let scaled = |side: usize| {
+                (side as f64 * SMALL_SIDE as f64 / longest as f64)
+                    .round()
+                    .max(1.0)
+            };
             (scaled(original.0) as usize, scaled(original.1) as usize)
         } else {
             original
         };
         // Our own name: nothing of the user's reaches a command line or a list file.
-        Ok(Self { file: format!("v{index:05}.png"), original, size })
+        Ok(Self {
+            file: format!("v{index:05}.png"),
+            original,
+            size,
+        })
     }
 
     fn write(&self, dir: &Path, view: &PoseView) -> Result<(), PosesError> {
-        let unreadable = |e: &dyn std::fmt::Display| PosesError::bad_file(&view.file, e.to_string());
-        let image =
-            Image::load_at_most(&view.file, self.size.0.max(self.size.1)).map_err(|e| unreadable(&e))?;
+        let unreadable =
+            |e: &dyn std::fmt::Display| PosesError::bad_file(&view.file, e.to_string());
+        let image = Image::load_at_most(&view.file, self.size.0.max(self.size.1))
+            .map_err(|e| unreadable(&e))?;
         let path = dir.join(&self.file);
         let parent = path.parent().unwrap_or(dir);
         std::fs::create_dir_all(parent).map_err(PosesError::io(parent))?;
-        brightened(&image).save(&path).map_err(|e| PosesError::bad_file(&path, e.to_string()))
+        brightened(&image)
+            .save(&path)
+            .map_err(|e| PosesError::bad_file(&path, e.to_string()))
     }
 }
 

@@ -33,7 +33,12 @@ pub struct Acceptance {
 
 impl Default for Acceptance {
     fn default() -> Self {
-        Self { registered: 0.8, observations: 75.0, track: 3.1, salvage: 0.5 }
+        Self {
+            registered: 0.8,
+            observations: 75.0,
+            track: 3.1,
+            salvage: 0.5,
+        }
     }
 }
 
@@ -50,11 +55,41 @@ struct Rung {
 }
 
 const LADDER: [Rung; 5] = [
-    Rung { letter: 'A', database: 'A', full_size: false, robust_features: false, loose_mapper: false },
-    Rung { letter: 'B', database: 'A', full_size: false, robust_features: false, loose_mapper: true },
-    Rung { letter: 'C', database: 'C', full_size: true, robust_features: false, loose_mapper: true },
-    Rung { letter: 'D', database: 'D', full_size: false, robust_features: true, loose_mapper: true },
-    Rung { letter: 'E', database: 'E', full_size: false, robust_features: false, loose_mapper: false },
+    Rung {
+        letter: 'A',
+        database: 'A',
+        full_size: false,
+        robust_features: false,
+        loose_mapper: false,
+    },
+    Rung {
+        letter: 'B',
+        database: 'A',
+        full_size: false,
+        robust_features: false,
+        loose_mapper: true,
+    },
+    Rung {
+        letter: 'C',
+        database: 'C',
+        full_size: true,
+        robust_features: false,
+        loose_mapper: true,
+    },
+    Rung {
+        letter: 'D',
+        database: 'D',
+        full_size: false,
+        robust_features: true,
+        loose_mapper: true,
+    },
+    Rung {
+        letter: 'E',
+        database: 'E',
+        full_size: false,
+        robust_features: false,
+        loose_mapper: false,
+    },
 ];
 
 /// A rung's result.
@@ -68,7 +103,11 @@ struct Candidate {
 impl Candidate {
     /// What decides between candidates, most important first.
     fn rank(&self) -> (bool, usize, usize) {
-        (self.accepted, self.model.images.len(), self.model.observations())
+        (
+            self.accepted,
+            self.model.images.len(),
+            self.model.observations(),
+        )
     }
 }
 
@@ -82,16 +121,33 @@ pub(super) struct Climb<'a> {
 
 impl<'a> Climb<'a> {
     pub fn new(runner: &'a Runner, request: &'a PoseRequest<'a>, acceptance: Acceptance) -> Self {
-        Self { runner, prober: Prober::new(runner), request, acceptance }
+        Self {
+            runner,
+            prober: Prober::new(runner),
+            request,
+            acceptance,
+        }
     }
 
     /// Climbs until a model is accepted, and takes the best.
-    pub fn run(&self, sink: &mut dyn ProgressSink, cancel: &CancelToken) -> Result<Poses, PosesError> {
+    pub fn run(
+        &self,
+        sink: &mut dyn ProgressSink,
+        cancel: &CancelToken,
+    ) -> Result<Poses, PosesError> {
         let total = self.request.views.len();
-        let small = Copies::write(&self.request.work_dir.join("small"), self.request.views, true, cancel)?;
+        let small = Copies::write(
+            &self.request.work_dir.join("small"),
+            self.request.views,
+            true,
+            cancel,
+        )?;
         let mut best: Option<Candidate> = None;
         let mut broken = None;
-        for rung in LADDER.iter().filter(|rung| !(rung.full_size && small.are_full_size())) {
+        for rung in LADDER
+            .iter()
+            .filter(|rung| !(rung.full_size && small.are_full_size()))
+        {
             let outcome = self.attempt(rung, &small, sink, cancel);
             let candidate = match outcome {
                 Ok(candidate) => candidate,
@@ -155,13 +211,21 @@ impl<'a> Climb<'a> {
             ),
             None => format!("poses: rung {} registered none of {}", rung.letter, views.len()),
         });
-        Ok(model.map(|model| Candidate { rung: rung.letter, model, copies, accepted }))
+        Ok(model.map(|model| Candidate {
+            rung: rung.letter,
+            model,
+            copies,
+            accepted,
+        }))
     }
 
     fn seed(&self, rung: &Rung) -> Setting {
         // A fresh attempt with the same seed might repeat the failure.
         let attempt = u64::from(u32::from(rung.letter));
-        set(options::RANDOM_SEED, &(self.request.seed.wrapping_add(attempt) % (1 << 31)))
+        set(
+            options::RANDOM_SEED,
+            &(self.request.seed.wrapping_add(attempt) % (1 << 31)),
+        )
     }
 
     fn extract(
@@ -202,11 +266,20 @@ impl<'a> Climb<'a> {
     }
 
     /// Matches of rung A.
-    pub(super) fn match_features(&self, database: &Path, cancel: &CancelToken) -> Result<(), PosesError> {
+    pub(super) fn match_features(
+        &self,
+        database: &Path,
+        cancel: &CancelToken,
+    ) -> Result<(), PosesError> {
         self.match_pairs(&LADDER[0], database, cancel)
     }
 
-    fn match_pairs(&self, rung: &Rung, database: &Path, cancel: &CancelToken) -> Result<(), PosesError> {
+    fn match_pairs(
+        &self,
+        rung: &Rung,
+        database: &Path,
+        cancel: &CancelToken,
+    ) -> Result<(), PosesError> {
         let mut settings = vec![
             set(&["database_path"], &database.display()),
             set(options::MATCH_USE_GPU, &0),
@@ -217,7 +290,11 @@ impl<'a> Climb<'a> {
             settings.push(set(&["SiftMatching.max_ratio"], &0.85));
         }
         let exhaustive = self.request.views.len() <= MOST_EXHAUSTIVE;
-        let command = if exhaustive { "exhaustive_matcher" } else { "sequential_matcher" };
+        let command = if exhaustive {
+            "exhaustive_matcher"
+        } else {
+            "sequential_matcher"
+        };
         self.succeed(command, &settings, cancel)
     }
 
@@ -229,7 +306,10 @@ impl<'a> Climb<'a> {
         database: &Path,
         cancel: &CancelToken,
     ) -> Result<Option<SparseModel>, PosesError> {
-        let output = self.request.work_dir.join(format!("sparse-{}", rung.letter));
+        let output = self
+            .request
+            .work_dir
+            .join(format!("sparse-{}", rung.letter));
         if output.exists() {
             std::fs::remove_dir_all(&output).map_err(PosesError::io(&output))?;
         }
@@ -250,7 +330,12 @@ impl<'a> Climb<'a> {
             ]);
         }
         let finished = self.prober.run("mapper", &settings, cancel)?;
-        let found_nothing = || finished.text().to_ascii_lowercase().contains("failed to create sparse model");
+        let found_nothing = || {
+            finished
+                .text()
+                .to_ascii_lowercase()
+                .contains("failed to create sparse model")
+        };
         if !finished.status.success() && !found_nothing() {
             return Err(finished.failure("mapper"));
         }
@@ -264,13 +349,20 @@ impl<'a> Climb<'a> {
         cancel: &CancelToken,
     ) -> Result<(), PosesError> {
         let finished = self.prober.run(command, settings, cancel)?;
-        if finished.status.success() { Ok(()) } else { Err(finished.failure(command)) }
+        if finished.status.success() {
+            Ok(())
+        } else {
+            Err(finished.failure(command))
+        }
     }
 
     fn accepts(&self, model: &SparseModel) -> bool {
         let (registered, total) = (model.images.len() as f64, self.request.views.len() as f64);
         // Of fewer than ten photographs a point cannot be seen by many: 2 for two of them.
-        let track = self.acceptance.track.min(2.0 + (self.acceptance.track - 2.0) * (total - 2.0) / 8.0);
+        let track = self
+            .acceptance
+            .track
+            .min(2.0 + (self.acceptance.track - 2.0) * (total - 2.0) / 8.0);
         registered >= self.acceptance.registered * total
             && model.observations() as f64 >= self.acceptance.observations * registered
             && model.mean_track().is_some_and(|mean| mean >= track)
@@ -286,15 +378,30 @@ impl<'a> Climb<'a> {
         let mut views = Vec::new();
         let mut missing = Vec::new();
         for (view, copy) in self.request.views.iter().zip(&best.copies.copies) {
-            let Some(image) = best.model.images.iter().find(|image| image.name == copy.file) else {
+            let Some(image) = best
+                .model
+                .images
+                .iter()
+                .find(|image| image.name == copy.file)
+            else {
                 missing.push(view.name.as_str());
                 continue;
             };
             let lens = best.model.camera_of(image).lens();
             let (width, height) = copy.original;
-            let lens = Lens { intrinsics: lens.intrinsics.resized(width, height), ..lens };
-            let camera = Camera { intrinsics: lens.pinhole(), world_to_camera: image.world_to_camera() };
-            views.push(PosedView { name: view.name.clone(), camera, lens });
+            let lens = Lens {
+                intrinsics: lens.intrinsics.resized(width, height),
+                ..lens
+            };
+            let camera = Camera {
+                intrinsics: lens.pinhole(),
+                world_to_camera: image.world_to_camera(),
+            };
+            views.push(PosedView {
+                name: view.name.clone(),
+                camera,
+                lens,
+            });
         }
         self.warn(best, &missing, sink);
         self.runner.note(&format!("[rung {} taken]", best.rung));
@@ -318,7 +425,10 @@ impl<'a> Climb<'a> {
             let list = missing.join(", ");
             sink.warn(
                 "views_unregistered",
-                format!("{} of {total} photographs have no pose: {list}", missing.len()),
+                format!(
+                    "{} of {total} photographs have no pose: {list}",
+                    missing.len()
+                ),
             );
         }
         if !best.accepted {
@@ -333,10 +443,15 @@ impl<'a> Climb<'a> {
     }
 
     fn too_few(&self, registered: usize) -> PosesError {
-        let advice = "take 20 to 60 photographs with large overlap, moving the camera sideways between \
+        let advice =
+            "take 20 to 60 photographs with large overlap, moving the camera sideways between \
                       them; hold it still, add light, and include things with texture"
-            .to_owned();
-        PosesError::TooFew { registered, total: self.request.views.len(), advice }
+                .to_owned();
+        PosesError::TooFew {
+            registered,
+            total: self.request.views.len(),
+            advice,
+        }
     }
 }
 
@@ -348,7 +463,10 @@ fn largest_model(output: &Path) -> Result<Option<SparseModel>, PosesError> {
         .filter(|dir| SparseModel::stands_in(dir))
         .collect();
     dirs.sort();
-    let models = dirs.iter().map(|dir| SparseModel::read(dir)).collect::<Result<Vec<_>, _>>()?;
+    let models = dirs
+        .iter()
+        .map(|dir| SparseModel::read(dir))
+        .collect::<Result<Vec<_>, _>>()?;
     let ranked = models.into_iter().filter(|model| !model.images.is_empty());
     Ok(ranked.max_by_key(|model| (model.images.len(), model.points.len())))
 }
@@ -368,7 +486,16 @@ pub(super) fn remove_if_there(file: &Path) -> Result<(), PosesError> {
 
 /// Progress in thirds of a rung; the total grows with each rung that is needed.
 fn advance(sink: &mut dyn ProgressSink, letter: char, part: u64) {
-    let rungs_before = LADDER.iter().take_while(|rung| rung.letter != letter).count() as u64;
+    let rungs_before = LADDER
+        .iter()
+        .take_while(|rung| rung.letter != letter)
+        .count() as u64;
     let (done, total) = (3 * rungs_before + part, 3 * (rungs_before + 1));
-    sink.event(&Event::StageAdvanced { stage: Stage::Poses, round: 0, done, total, steps_per_second: None });
+    sink.event(&Event::StageAdvanced {
+        stage: Stage::Poses,
+        round: 0,
+        done,
+        total,
+        steps_per_second: None,
+    });
 }

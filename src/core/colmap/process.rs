@@ -37,7 +37,10 @@ pub struct Limits {
 
 impl Default for Limits {
     fn default() -> Self {
-        Self { wall: Duration::from_secs(4 * 3600), silence: Duration::from_secs(20 * 60) }
+        Self {
+            wall: Duration::from_secs(4 * 3600),
+            silence: Duration::from_secs(20 * 60),
+        }
     }
 }
 
@@ -65,7 +68,9 @@ impl Log {
         if self.left == 0 {
             return;
         }
-        let fits = bytes.len().min(usize::try_from(self.left).unwrap_or(usize::MAX));
+        let fits = bytes
+            .len()
+            .min(usize::try_from(self.left).unwrap_or(usize::MAX));
         let _ = self.file.write_all(&bytes[..fits]);
         self.left -= fits as u64;
         if self.left == 0 {
@@ -90,10 +95,22 @@ impl Finished {
     /// The error that this end amounts to.
     pub fn failure(&self, command: &str) -> PosesError {
         let text = self.text();
-        let lines: Vec<&str> = text.lines().map(str::trim).filter(|line| !line.is_empty()).collect();
+        let lines: Vec<&str> = text
+            .lines()
+            .map(str::trim)
+            .filter(|line| !line.is_empty())
+            .collect();
         let tail = lines[lines.len().saturating_sub(5)..].join(" | ");
-        let tail = if tail.is_empty() { "it said nothing".to_owned() } else { tail };
-        PosesError::Tool { command: command.to_owned(), status: self.status.to_string(), tail }
+        let tail = if tail.is_empty() {
+            "it said nothing".to_owned()
+        } else {
+            tail
+        };
+        PosesError::Tool {
+            command: command.to_owned(),
+            status: self.status.to_string(),
+            tail,
+        }
     }
 }
 
@@ -102,7 +119,10 @@ impl Runner {
     pub fn new(program: &Path, limits: Limits, log: Option<&Path>) -> Result<Self, PosesError> {
         let open = |path: &Path| {
             let file = File::create(path).map_err(PosesError::io(path))?;
-            Ok::<_, PosesError>(Mutex::new(Log { file, left: LOG_BYTES }))
+            Ok::<_, PosesError>(Mutex::new(Log {
+                file,
+                left: LOG_BYTES,
+            }))
         };
         let setpriv = Command::new("setpriv")
             .args(["--pdeathsig", "KILL", "true"])
@@ -125,7 +145,9 @@ impl Runner {
 
     fn log_bytes(&self, bytes: &[u8]) {
         if let Some(log) = &self.log {
-            log.lock().unwrap_or_else(std::sync::PoisonError::into_inner).write(bytes);
+            log.lock()
+                .unwrap_or_else(std::sync::PoisonError::into_inner)
+                .write(bytes);
         }
     }
 
@@ -152,7 +174,11 @@ impl Runner {
         outcome
     }
 
-    fn spawn(&self, command: &str, arguments: &[String]) -> Result<Box<dyn ChildWrapper>, PosesError> {
+    fn spawn(
+        &self,
+        command: &str,
+        arguments: &[String],
+    ) -> Result<Box<dyn ChildWrapper>, PosesError> {
         let missing = |source: std::io::Error| PosesError::Missing {
             program: self.program.display().to_string(),
             reason: source.to_string(),
@@ -160,14 +186,25 @@ impl Runner {
         // `help` is asked first and runs bare, so that a missing program is the system's own error.
         let mut process = if self.setpriv && command != "help" {
             let mut process = Command::new("setpriv");
-            process.args(["--pdeathsig", "KILL", "--"]).arg(&self.program);
+            process
+                .args(["--pdeathsig", "KILL", "--"])
+                .arg(&self.program);
             process
         } else {
             Command::new(&self.program)
         };
-        process.arg(command).args(arguments).env("QT_QPA_PLATFORM", "offscreen");
-        process.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
-        CommandWrap::from(process).wrap(ProcessGroup::leader()).spawn().map_err(missing)
+        process
+            .arg(command)
+            .args(arguments)
+            .env("QT_QPA_PLATFORM", "offscreen");
+        process
+            .stdin(Stdio::null())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped());
+        CommandWrap::from(process)
+            .wrap(ProcessGroup::leader())
+            .spawn()
+            .map_err(missing)
     }
 
     /// Follows the child until it ends.

@@ -49,11 +49,18 @@ impl Scene {
         image.data_mut().fill(0.1);
         let file = dir.path().join("photograph.png");
         image.save(&file).unwrap();
-        let view = |i| PoseView { name: format!("view{i}"), file: file.clone(), focal_px: None };
+        let view = |i| PoseView {
+            name: format!("view{i}"),
+            file: file.clone(),
+            focal_px: None,
+        };
         let script = dir.path().join("colmap");
         std::fs::write(&script, format!("{PRELUDE}{MODEL}{body}")).unwrap();
         std::fs::set_permissions(&script, std::fs::Permissions::from_mode(0o755)).unwrap();
-        Self { views: (0..count).map(view).collect(), dir }
+        Self {
+            views: (0..count).map(view).collect(),
+            dir,
+        }
     }
 
     fn tool(&self) -> ColmapCli {
@@ -74,7 +81,15 @@ impl Scene {
         sink: &mut dyn ProgressSink,
         cancel: &CancelToken,
     ) -> Result<Poses, PosesError> {
-        tool.poses(&PoseRequest { views: &self.views, work_dir: &self.work_dir(), seed: 1 }, sink, cancel)
+        tool.poses(
+            &PoseRequest {
+                views: &self.views,
+                work_dir: &self.work_dir(),
+                seed: 1,
+            },
+            sink,
+            cancel,
+        )
     }
 
     fn poses(&self) -> Result<Poses, PosesError> {
@@ -84,21 +99,35 @@ impl Scene {
 
 #[test]
 fn a_good_model_is_taken_on_rung_a_at_the_originals_size() {
-    let scene = Scene::new(10, r#"[ $command = mapper ] && model "$out/0" 10 10; exit 0"#);
+    let scene = Scene::new(
+        10,
+        r#"[ $command = mapper ] && model "$out/0" 10 10; exit 0"#,
+    );
     let mut stages = Vec::new();
     let mut sink = |event: &Event| {
         if let Event::StageAdvanced { done, total, .. } = event {
             stages.push((*done, *total));
         }
     };
-    let poses = scene.run(&scene.tool(), &mut sink, &CancelToken::new()).unwrap();
-    assert_eq!((poses.registered, poses.total, poses.rung), (10, 10, Some('A')));
+    let poses = scene
+        .run(&scene.tool(), &mut sink, &CancelToken::new())
+        .unwrap();
+    assert_eq!(
+        (poses.registered, poses.total, poses.rung),
+        (10, 10, Some('A'))
+    );
     assert_eq!(stages, [(0, 3), (1, 3), (2, 3), (3, 3)]);
     assert!(!poses.low_confidence);
     assert_eq!(poses.source, "colmap 3.8");
     let view = &poses.views[3];
-    assert_eq!((view.name.as_str(), view.camera.translation().x), ("view3", 3.0));
-    assert_eq!((view.lens.intrinsics.width, view.lens.intrinsics.fx), (48, 50.0));
+    assert_eq!(
+        (view.name.as_str(), view.camera.translation().x),
+        ("view3", 3.0)
+    );
+    assert_eq!(
+        (view.lens.intrinsics.width, view.lens.intrinsics.fx),
+        (48, 50.0)
+    );
     let json = serde_json::to_string(&poses).unwrap();
     assert_eq!(serde_json::from_str::<Poses>(&json).unwrap(), poses);
 }
@@ -107,33 +136,75 @@ fn a_good_model_is_taken_on_rung_a_at_the_originals_size() {
 fn known_poses_are_triangulated_at_the_copies_size() {
     let body = r#"[ $command = point_triangulator ] && model "$out" 10 10; exit 0"#;
     let scene = Scene::new(10, body);
-    let request = PoseRequest { views: &scene.views, work_dir: &scene.work_dir(), seed: 1 };
-    let k = crate::camera::Intrinsics { width: 48, height: 32, fx: 50.0, fy: 51.0, cx: 24.0, cy: 16.0 };
+    let request = PoseRequest {
+        views: &scene.views,
+        work_dir: &scene.work_dir(),
+        seed: 1,
+    };
+    let k = crate::camera::Intrinsics {
+        width: 48,
+        height: 32,
+        fx: 50.0,
+        fy: 51.0,
+        cx: 24.0,
+        cy: 16.0,
+    };
     let posed: Vec<PosedView> = (0..9)
         .map(|n| {
             let at = glam::DVec3::new(f64::from(n), 0.0, 0.0);
             let camera = crate::camera::Camera::look_at(k, at, at + glam::DVec3::Z, glam::DVec3::Y);
-            let lens = crate::poses::Lens { intrinsics: k, distortion: crate::poses::Distortion::None };
-            PosedView { name: format!("view{n}"), camera, lens }
+            let lens = crate::poses::Lens {
+                intrinsics: k,
+                distortion: crate::poses::Distortion::None,
+            };
+            PosedView {
+                name: format!("view{n}"),
+                camera,
+                lens,
+            }
         })
         .collect();
-    let points = scene.tool().triangulate(&request, &posed, &mut Silent, &CancelToken::new()).unwrap();
+    let points = scene
+        .tool()
+        .triangulate(&request, &posed, &mut Silent, &CancelToken::new())
+        .unwrap();
     assert_eq!((points.len(), points[0].track), (100, 10));
     let known = crate::poses::model::SparseModel::read(&scene.work_dir().join("known")).unwrap();
-    assert_eq!((known.images.len(), known.images[3].name.as_str()), (9, "v00003.png"));
-    assert_eq!(known.images[3].world_to_camera(), posed[3].camera.world_to_camera);
+    assert_eq!(
+        (known.images.len(), known.images[3].name.as_str()),
+        (9, "v00003.png")
+    );
+    assert_eq!(
+        known.images[3].world_to_camera(),
+        posed[3].camera.world_to_camera
+    );
     assert_eq!(known.cameras[3].params, [50.0, 51.0, 24.0, 16.0]);
     let failing = Scene::new(10, "exit 1");
-    let request = PoseRequest { views: &failing.views, work_dir: &failing.work_dir(), seed: 1 };
-    assert!(failing.tool().triangulate(&request, &posed, &mut Silent, &CancelToken::new()).is_err());
+    let request = PoseRequest {
+        views: &failing.views,
+        work_dir: &failing.work_dir(),
+        seed: 1,
+    };
+    assert!(
+        failing
+            .tool()
+            .triangulate(&request, &posed, &mut Silent, &CancelToken::new())
+            .is_err()
+    );
 }
 
 #[test]
 fn the_gpu_is_never_asked_for() {
-    let scene = Scene::new(10, r#"[ $command = mapper ] && model "$out/0" 10 10; exit 0"#);
+    let scene = Scene::new(
+        10,
+        r#"[ $command = mapper ] && model "$out/0" 10 10; exit 0"#,
+    );
     scene.poses().unwrap();
     let log = scene.log();
-    assert!(log.contains("--SiftExtraction.use_gpu 0") && log.contains("--SiftMatching.use_gpu 0"), "{log}");
+    assert!(
+        log.contains("--SiftExtraction.use_gpu 0") && log.contains("--SiftMatching.use_gpu 0"),
+        "{log}"
+    );
 }
 
 #[test]
@@ -144,12 +215,22 @@ fn newer_option_names_are_used_where_the_help_lists_them() {
         .replace("SiftExtraction", "FeatureExtraction")
         .replace("SiftMatching", "FeatureMatching")
         .replace("--random_seed", "--default_random_seed");
-    std::fs::write(scene.dir.path().join("colmap"), format!("{newer}{MODEL}{body}")).unwrap();
+    std::fs::write(
+        scene.dir.path().join("colmap"),
+        format!("{newer}{MODEL}{body}"),
+    )
+    .unwrap();
     scene.poses().unwrap();
     let log = scene.log();
     assert!(log.contains("--FeatureExtraction.use_gpu 0"), "{log}");
-    assert!(log.contains("--default_random_seed") && !log.contains("--SiftExtraction.use_gpu"), "{log}");
-    assert!(log.contains("has no option ImageReader.single_camera"), "what is not sent is noted");
+    assert!(
+        log.contains("--default_random_seed") && !log.contains("--SiftExtraction.use_gpu"),
+        "{log}"
+    );
+    assert!(
+        log.contains("has no option ImageReader.single_camera"),
+        "what is not sent is noted"
+    );
 }
 
 #[test]
@@ -170,7 +251,11 @@ fi; exit 0"#;
         "--random_seed arg (=0)\\n",
         "--random_seed arg (=0)\\n  --Mapper.init_min_tri_angle arg\\n",
     );
-    std::fs::write(scene.dir.path().join("colmap"), format!("{script}{MODEL}{body}")).unwrap();
+    std::fs::write(
+        scene.dir.path().join("colmap"),
+        format!("{script}{MODEL}{body}"),
+    )
+    .unwrap();
     let poses = scene.poses().unwrap();
     assert_eq!((poses.rung, poses.registered), (Some('B'), 10));
 }
@@ -179,7 +264,11 @@ fi; exit 0"#;
 fn few_registered_photographs_are_named_with_advice() {
     let scene = Scene::new(10, r#"[ $command = mapper ] && model "$out/0" 4 4; exit 0"#);
     match scene.poses() {
-        Err(PosesError::TooFew { registered: 4, total: 10, advice }) => assert!(advice.contains("overlap")),
+        Err(PosesError::TooFew {
+            registered: 4,
+            total: 10,
+            advice,
+        }) => assert!(advice.contains("overlap")),
         other => panic!("{other:?}"),
     }
 }
@@ -193,7 +282,9 @@ fn a_doubtful_model_is_delivered_with_a_warning() {
             codes.push(code.clone());
         }
     };
-    let poses = scene.run(&scene.tool(), &mut sink, &CancelToken::new()).unwrap();
+    let poses = scene
+        .run(&scene.tool(), &mut sink, &CancelToken::new())
+        .unwrap();
     assert!(poses.low_confidence && poses.registered == 7);
     assert_eq!(codes, ["views_unregistered", "low_confidence_poses"]);
 }
@@ -204,17 +295,33 @@ fn a_mapper_that_finds_no_start_is_data_and_not_a_fault() {
         5,
         "[ $command = mapper ] && { echo 'ERROR: failed to create sparse model' >&2; exit 1; }; exit 0",
     );
-    assert!(matches!(scene.poses(), Err(PosesError::TooFew { registered: 0, total: 5, .. })));
+    assert!(matches!(
+        scene.poses(),
+        Err(PosesError::TooFew {
+            registered: 0,
+            total: 5,
+            ..
+        })
+    ));
 }
 
 #[test]
 fn a_crash_is_told_with_its_signal_and_last_words() {
-    let scene =
-        Scene::new(5, "[ $command = exhaustive_matcher ] && { echo last words; kill -SEGV $$; }; exit 0");
+    let scene = Scene::new(
+        5,
+        "[ $command = exhaustive_matcher ] && { echo last words; kill -SEGV $$; }; exit 0",
+    );
     match scene.poses() {
-        Err(PosesError::Tool { command, status, tail }) => {
+        Err(PosesError::Tool {
+            command,
+            status,
+            tail,
+        }) => {
             assert_eq!(command, "exhaustive_matcher");
-            assert!(status.contains("signal: 11") && tail.contains("last words"), "{status} {tail}");
+            assert!(
+                status.contains("signal: 11") && tail.contains("last words"),
+                "{status} {tail}"
+            );
         }
         other => panic!("{other:?}"),
     }
@@ -225,7 +332,10 @@ fn a_program_that_is_not_there_is_missing() {
     let scene = Scene::new(5, "");
     let tool = ColmapCli::new("/nowhere/colmap");
     let outcome = scene.run(&tool, &mut Silent, &CancelToken::new());
-    assert!(matches!(outcome, Err(PosesError::Missing { .. })), "{outcome:?}");
+    assert!(
+        matches!(outcome, Err(PosesError::Missing { .. })),
+        "{outcome:?}"
+    );
     assert!(matches!(tool.version(), Err(PosesError::Missing { .. })));
 }
 
@@ -234,7 +344,14 @@ fn two_photographs_are_too_few_before_anything_is_run() {
     let scene = Scene::new(2, "");
     let tool = ColmapCli::new("/nowhere/colmap");
     let outcome = scene.run(&tool, &mut Silent, &CancelToken::new());
-    assert!(matches!(outcome, Err(PosesError::TooFew { registered: 0, total: 2, .. })));
+    assert!(matches!(
+        outcome,
+        Err(PosesError::TooFew {
+            registered: 0,
+            total: 2,
+            ..
+        })
+    ));
 }
 
 /// A child and a grandchild that both sleep, their process ids in files.
@@ -265,26 +382,58 @@ fn assert_nothing_left(scene: &Scene) {
 #[should_panic(expected = "the child lives on")]
 fn a_process_that_lives_on_is_noticed() {
     let scene = Scene::new(5, "");
-    std::fs::write(scene.dir.path().join("child"), std::process::id().to_string()).unwrap();
+    std::fs::write(
+        scene.dir.path().join("child"),
+        std::process::id().to_string(),
+    )
+    .unwrap();
     assert_nothing_left(&scene);
 }
 
 #[test]
 fn a_hang_ends_in_a_timeout_that_leaves_no_process_behind() {
     let scene = Scene::new(5, HANG);
-    let limits = Limits { wall: Duration::from_secs(60), silence: Duration::from_secs(1) };
-    let outcome = scene.run(&scene.tool().with_limits(limits), &mut Silent, &CancelToken::new());
-    assert!(matches!(outcome, Err(PosesError::Timeout { why: "without output", .. })), "{outcome:?}");
+    let limits = Limits {
+        wall: Duration::from_secs(60),
+        silence: Duration::from_secs(1),
+    };
+    let outcome = scene.run(
+        &scene.tool().with_limits(limits),
+        &mut Silent,
+        &CancelToken::new(),
+    );
+    assert!(
+        matches!(
+            outcome,
+            Err(PosesError::Timeout {
+                why: "without output",
+                ..
+            })
+        ),
+        "{outcome:?}"
+    );
     assert_nothing_left(&scene);
 }
 
 #[test]
 fn endless_output_meets_the_wall_limit_and_a_bounded_log() {
-    let scene =
-        Scene::new(5, "[ $command = feature_extractor ] && exec yes 'a line that says nothing'; exit 0");
-    let limits = Limits { wall: Duration::from_secs(3), silence: Duration::from_secs(60) };
-    let outcome = scene.run(&scene.tool().with_limits(limits), &mut Silent, &CancelToken::new());
-    assert!(matches!(outcome, Err(PosesError::Timeout { why: "in all", .. })), "{outcome:?}");
+    let scene = Scene::new(
+        5,
+        "[ $command = feature_extractor ] && exec yes 'a line that says nothing'; exit 0",
+    );
+    let limits = Limits {
+        wall: Duration::from_secs(3),
+        silence: Duration::from_secs(60),
+    };
+    let outcome = scene.run(
+        &scene.tool().with_limits(limits),
+        &mut Silent,
+        &CancelToken::new(),
+    );
+    assert!(
+        matches!(outcome, Err(PosesError::Timeout { why: "in all", .. })),
+        "{outcome:?}"
+    );
     assert!(scene.log().len() < 9 << 20);
 }
 
@@ -303,7 +452,10 @@ fn a_cancel_is_obeyed_within_a_second_and_leaves_no_process_behind() {
     });
     let outcome = scene.run(&scene.tool(), &mut Silent, &cancel);
     let ended = Instant::now();
-    assert!(matches!(outcome, Err(PosesError::Cancelled(_))), "{outcome:?}");
+    assert!(
+        matches!(outcome, Err(PosesError::Cancelled(_))),
+        "{outcome:?}"
+    );
     assert!(ended - canceller.join().unwrap() < Duration::from_secs(1));
     assert_nothing_left(&scene);
 }
@@ -316,25 +468,43 @@ mod captures {
     use crate::poses::model::SparseModel;
 
     fn judge(name: &str) {
-        let capture = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/captures").join(name);
+        let capture = Path::new(env!("CARGO_MANIFEST_DIR"))
+            .join("../../../shared/captures")
+            .join(name);
         if !capture.is_dir() {
             return;
         }
-        let mut files: Vec<PathBuf> =
-            std::fs::read_dir(capture.join("images")).unwrap().map(|entry| entry.unwrap().path()).collect();
+        let mut files: Vec<PathBuf> = std::fs::read_dir(capture.join("images"))
+            .unwrap()
+            .map(|entry| entry.unwrap().path())
+            .collect();
         files.sort();
         let stem = |file: &Path| file.file_stem().unwrap().to_str().unwrap().to_owned();
         let views: Vec<PoseView> = files
             .iter()
-            .map(|file| PoseView { name: stem(file), file: file.clone(), focal_px: None })
+            .map(|file| PoseView {
+                name: stem(file),
+                file: file.clone(),
+                focal_px: None,
+            })
             .collect();
         let work = tempfile::tempdir().unwrap();
-        let request = PoseRequest { views: &views, work_dir: work.path(), seed: 0 };
-        let poses = ColmapCli::default().poses(&request, &mut Silent, &CancelToken::new()).unwrap();
+        let request = PoseRequest {
+            views: &views,
+            work_dir: work.path(),
+            seed: 0,
+        };
+        let poses = ColmapCli::default()
+            .poses(&request, &mut Silent, &CancelToken::new())
+            .unwrap();
         let truth = SparseModel::read(&capture.join("sparse_gt")).unwrap();
         let (mut estimated, mut expected) = (Vec::new(), Vec::new());
         for view in &poses.views {
-            let image = truth.images.iter().find(|image| stem(Path::new(&image.name)) == view.name).unwrap();
+            let image = truth
+                .images
+                .iter()
+                .find(|image| stem(Path::new(&image.name)) == view.name)
+                .unwrap();
             estimated.push(view.camera);
             expected.push(crate::camera::Camera {
                 intrinsics: truth.camera_of(image).lens().intrinsics,

@@ -8,14 +8,20 @@ use crate::poses::model::{ModelCamera, ModelImage, SparseModel};
 use crate::poses::{Lens, PoseView, PosedView, PosesError, SparsePoint};
 
 impl Climb<'_> {
-    /// Points that the features of rung A's copies of `posed` (a part of the request's views, in its order) give
-    /// at their known poses; none where nothing matches.
+    /// Points that the features of rung A's copies of `posed` (a part of the request's views, in
+    /// its order) give at their known poses; none where nothing matches.
     pub fn triangulate(
         &self,
         posed: &[PosedView],
         cancel: &CancelToken,
     ) -> Result<Vec<SparsePoint>, PosesError> {
-        let of = |posed: &PosedView| self.request.views.iter().find(|view| view.name == posed.name).cloned();
+        let of = |posed: &PosedView| {
+            self.request
+                .views
+                .iter()
+                .find(|view| view.name == posed.name)
+                .cloned()
+        };
         let views: Vec<PoseView> = posed.iter().filter_map(of).collect();
         let work = self.request.work_dir;
         let copies = Copies::write(&work.join("small"), &views, true, cancel)?;
@@ -51,15 +57,16 @@ impl Climb<'_> {
             set(&["ImageReader.camera_model"], &"PINHOLE"),
             set(&["ImageReader.single_camera"], &0),
             set(options::EXTRACT_USE_GPU, &0),
-            // Several threads would number the photographs as they finish; the model must know the numbers.
+            // Several threads would number the photographs as they finish; the model must know the
+            // numbers.
             set(options::EXTRACT_THREADS, &1),
         ];
         self.succeed("feature_extractor", &settings, cancel)
     }
 }
 
-/// The poses as a model without points, at the size of the copies. Identifiers follow the order of the files'
-/// names, as the database's do.
+/// The poses as a model without points, at the size of the copies. Identifiers follow the order of
+/// the files' names, as the database's do.
 fn known_model(posed: &[PosedView], copies: &Copies) -> SparseModel {
     let mut rows: Vec<_> = copies.copies.iter().zip(posed).collect();
     rows.sort_by(|a, b| a.0.file.cmp(&b.0.file));
@@ -68,7 +75,13 @@ fn known_model(posed: &[PosedView], copies: &Copies) -> SparseModel {
         cameras: numbered()
             .map(|((copy, view), id)| {
                 let intrinsics = view.lens.intrinsics.resized(copy.size.0, copy.size.1);
-                ModelCamera::of_lens(id, &Lens { intrinsics, ..view.lens })
+                ModelCamera::of_lens(
+                    id,
+                    &Lens {
+                        intrinsics,
+                        ..view.lens
+                    },
+                )
             })
             .collect(),
         images: numbered()

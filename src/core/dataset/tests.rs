@@ -17,29 +17,58 @@ struct Capture {
 fn capture() -> Capture {
     let dir = tempfile::tempdir().unwrap();
     let image: Image<Srgb> = Image::new(40, 30);
-    let k = Intrinsics { width: 80, height: 60, fx: 70.0, fy: 70.0, cx: 40.0, cy: 30.0 };
+    let k = Intrinsics {
+        width: 80,
+        height: 60,
+        fx: 70.0,
+        fy: 70.0,
+        cx: 40.0,
+        cy: 30.0,
+    };
     let name = |i: usize| format!("photo{i}");
     let views = (0..4).map(|i| {
         let file = dir.path().join(format!("{}.png", name(i)));
         image.save(&file).unwrap();
-        PoseView { name: name(i), file, focal_px: None }
+        PoseView {
+            name: name(i),
+            file,
+            focal_px: None,
+        }
     });
     let views = views.collect();
     let eye = |i: usize| DVec3::new(i as f64 - 1.5, 0.1 * i as f64, -4.0);
-    let cameras = (0..4).map(|i| Camera::look_at(k, eye(i), DVec3::new(0.0, 0.0, 0.5), DVec3::Y)).collect();
-    Capture { dir, views, cameras }
+    let cameras = (0..4)
+        .map(|i| Camera::look_at(k, eye(i), DVec3::new(0.0, 0.0, 0.5), DVec3::Y))
+        .collect();
+    Capture {
+        dir,
+        views,
+        cameras,
+    }
 }
 
 impl Capture {
     fn poses(&self, path: &str) -> Result<Poses, PosesError> {
-        let request = PoseRequest { views: &self.views, work_dir: self.dir.path(), seed: 3 };
-        GivenPoses::open(&self.dir.path().join(path))?.poses(&request, &mut Silent, &CancelToken::new())
+        let request = PoseRequest {
+            views: &self.views,
+            work_dir: self.dir.path(),
+            seed: 3,
+        };
+        GivenPoses::open(&self.dir.path().join(path))?.poses(
+            &request,
+            &mut Silent,
+            &CancelToken::new(),
+        )
     }
 
     fn assert_right(&self, poses: &Poses) {
         assert_eq!((poses.registered, poses.total), (4, 4));
         for (view, camera) in poses.views.iter().zip(&self.cameras) {
-            assert!(view.camera.world_to_camera.abs_diff_eq(camera.world_to_camera, 1e-9));
+            assert!(
+                view.camera
+                    .world_to_camera
+                    .abs_diff_eq(camera.world_to_camera, 1e-9)
+            );
             assert_eq!(view.camera.intrinsics, camera.intrinsics.resized(40, 30));
         }
     }
@@ -48,12 +77,19 @@ impl Capture {
 #[test]
 fn a_colmap_model_gives_its_poses_and_points_by_name() {
     let capture = capture();
-    let image =
-        |(i, camera): (usize, &Camera)| ModelImage::posed(i as u32, 1, format!("sub/photo{i}.jpg"), camera);
+    let image = |(i, camera): (usize, &Camera)| {
+        ModelImage::posed(i as u32, 1, format!("sub/photo{i}.jpg"), camera)
+    };
     let model = SparseModel {
         cameras: vec![ModelCamera::pinhole(1, &capture.cameras[0].intrinsics)],
         // Out of order on purpose.
-        images: capture.cameras.iter().enumerate().map(image).rev().collect(),
+        images: capture
+            .cameras
+            .iter()
+            .enumerate()
+            .map(image)
+            .rev()
+            .collect(),
         points: vec![crate::poses::model::ModelPoint {
             id: 1,
             position: [1.0, 2.0, 3.0],
@@ -62,24 +98,32 @@ fn a_colmap_model_gives_its_poses_and_points_by_name() {
             track: vec![(1, 0), (2, 0)],
         }],
     };
-    model.write_text(&capture.dir.path().join("sparse")).unwrap();
+    model
+        .write_text(&capture.dir.path().join("sparse"))
+        .unwrap();
     let poses = capture.poses("sparse").unwrap();
     capture.assert_right(&poses);
-    assert_eq!((poses.points.len(), poses.points[0].track, poses.mean_track), (1, 2, Some(2.0)));
+    assert_eq!(
+        (poses.points.len(), poses.points[0].track, poses.mean_track),
+        (1, 2, Some(2.0))
+    );
 }
 
 #[test]
 #[should_panic(expected = "abs_diff_eq")]
 fn a_pose_that_is_off_by_a_millionth_is_not_right() {
     let capture = capture();
-    let image =
-        |(i, camera): (usize, &Camera)| ModelImage::posed(i as u32, 1, format!("photo{i}.jpg"), camera);
+    let image = |(i, camera): (usize, &Camera)| {
+        ModelImage::posed(i as u32, 1, format!("photo{i}.jpg"), camera)
+    };
     let model = SparseModel {
         cameras: vec![ModelCamera::pinhole(1, &capture.cameras[0].intrinsics)],
         images: capture.cameras.iter().enumerate().map(image).collect(),
         points: Vec::new(),
     };
-    model.write_text(&capture.dir.path().join("sparse")).unwrap();
+    model
+        .write_text(&capture.dir.path().join("sparse"))
+        .unwrap();
     let mut poses = capture.poses("sparse").unwrap();
     poses.views[2].camera.world_to_camera.w_axis.x += 1e-6;
     capture.assert_right(&poses);
@@ -90,7 +134,9 @@ fn transforms_json_has_opengl_axes() {
     let capture = capture();
     let flip = DMat4::from_scale(DVec3::new(1.0, -1.0, -1.0));
     let frame = |(i, camera): (usize, &Camera)| {
-        let matrix = (camera.world_to_camera.inverse() * flip).transpose().to_cols_array_2d();
+        let matrix = (camera.world_to_camera.inverse() * flip)
+            .transpose()
+            .to_cols_array_2d();
         serde_json::json!({ "file_path": format!("./images/photo{i}"), "transform_matrix": matrix })
     };
     let frames: Vec<_> = capture.cameras.iter().enumerate().map(frame).collect();
@@ -100,7 +146,11 @@ fn transforms_json_has_opengl_axes() {
     let poses = capture.poses("transforms.json").unwrap();
     assert_eq!(poses.registered, 4);
     for (view, camera) in poses.views.iter().zip(&capture.cameras) {
-        assert!(view.camera.world_to_camera.abs_diff_eq(camera.world_to_camera, 1e-9));
+        assert!(
+            view.camera
+                .world_to_camera
+                .abs_diff_eq(camera.world_to_camera, 1e-9)
+        );
         assert!((view.camera.intrinsics.fx - 35.0).abs() < 1e-9);
     }
 }
@@ -121,14 +171,24 @@ fn a_frames_own_intrinsics_win_and_distortion_is_kept() {
     assert!((poses.views[0].lens.intrinsics.fx - 45.0).abs() < 1e-9);
     assert!((poses.views[1].lens.intrinsics.fx - 35.0).abs() < 1e-9);
     assert!(!poses.views[1].lens.distortion.is_none());
-    assert!(poses.views[1].camera.intrinsics.fx < 35.0, "a barrel's pinhole sees as much as it may");
+    assert!(
+        poses.views[1].camera.intrinsics.fx < 35.0,
+        "a barrel's pinhole sees as much as it may"
+    );
 }
 
 #[test]
 fn poses_bounds_go_by_order_and_points_are_guessed_where_two_cameras_look() {
     let capture = capture();
-    let rows: Vec<_> =
-        capture.cameras.iter().map(|camera| BoundedCamera { camera: *camera, near: 2.0, far: 8.0 }).collect();
+    let rows: Vec<_> = capture
+        .cameras
+        .iter()
+        .map(|camera| BoundedCamera {
+            camera: *camera,
+            near: 2.0,
+            far: 8.0,
+        })
+        .collect();
     write_poses_bounds(&capture.dir.path().join("poses_bounds.npy"), &rows).unwrap();
     let mut codes = Vec::new();
     let mut sink = |event: &Event| {
@@ -136,13 +196,24 @@ fn poses_bounds_go_by_order_and_points_are_guessed_where_two_cameras_look() {
             codes.push(code.clone());
         }
     };
-    let request = PoseRequest { views: &capture.views, work_dir: capture.dir.path(), seed: 3 };
+    let request = PoseRequest {
+        views: &capture.views,
+        work_dir: capture.dir.path(),
+        seed: 3,
+    };
     let given = GivenPoses::open(&capture.dir.path().join("poses_bounds.npy")).unwrap();
-    let poses = given.poses(&request, &mut sink, &CancelToken::new()).unwrap();
+    let poses = given
+        .poses(&request, &mut sink, &CancelToken::new())
+        .unwrap();
     capture.assert_right(&poses);
     assert_eq!(codes, ["points_guessed"]);
     assert_eq!(poses.points.len(), GUESSED_POINTS);
-    let point = SparsePoint { position: [0.0; 3], colour: [9; 3], error: 0.5, track: 3 };
+    let point = SparsePoint {
+        position: [0.0; 3],
+        colour: [9; 3],
+        error: 0.5,
+        track: 3,
+    };
     for (found, warned) in [(LEAST_POINTS, false), (LEAST_POINTS - 1, true)] {
         codes.clear();
         let mut sink = |event: &Event| {
@@ -151,29 +222,48 @@ fn poses_bounds_go_by_order_and_points_are_guessed_where_two_cameras_look() {
             }
         };
         let given = GivenPoses::open(&capture.dir.path().join("poses_bounds.npy")).unwrap();
-        let given = given
-            .triangulated_by(Box::new(move |_, views, _, _| Ok(vec![point; found * views.len().min(1)])));
-        let points = given.poses(&request, &mut sink, &CancelToken::new()).unwrap().points;
-        assert_eq!((points.iter().all(|p| *p == point), codes.len()), (!warned, usize::from(warned)));
+        let given = given.triangulated_by(Box::new(move |_, views, _, _| {
+            Ok(vec![point; found * views.len().min(1)])
+        }));
+        let points = given
+            .poses(&request, &mut sink, &CancelToken::new())
+            .unwrap()
+            .points;
+        assert_eq!(
+            (points.iter().all(|p| *p == point), codes.len()),
+            (!warned, usize::from(warned))
+        );
     }
     let seen_by = |point: &SparsePoint| {
         let sees = |camera: &&Camera| {
-            camera.project(DVec3::from(point.position)).is_some_and(|(p, depth)| {
-                p.x >= 0.0 && p.y >= 0.0 && p.x <= 80.0 && p.y <= 60.0 && depth > 1.5
-            })
+            camera
+                .project(DVec3::from(point.position))
+                .is_some_and(|(p, depth)| {
+                    p.x >= 0.0 && p.y >= 0.0 && p.x <= 80.0 && p.y <= 60.0 && depth > 1.5
+                })
         };
         capture.cameras.iter().filter(sees).count()
     };
-    let shared = poses.points.iter().filter(|point| seen_by(point) >= 2).count();
+    let shared = poses
+        .points
+        .iter()
+        .filter(|point| seen_by(point) >= 2)
+        .count();
     assert!(shared as f64 > 0.95 * GUESSED_POINTS as f64, "{shared}");
-    let again = given.poses(&request, &mut Silent, &CancelToken::new()).unwrap();
+    let again = given
+        .poses(&request, &mut Silent, &CancelToken::new())
+        .unwrap();
     assert_eq!(again.points, poses.points);
 }
 
 #[test]
 fn a_count_that_does_not_fit_the_photographs_is_refused() {
     let capture = capture();
-    let row = BoundedCamera { camera: capture.cameras[0], near: 2.0, far: 8.0 };
+    let row = BoundedCamera {
+        camera: capture.cameras[0],
+        near: 2.0,
+        far: 8.0,
+    };
     write_poses_bounds(&capture.dir.path().join("poses_bounds.npy"), &[row; 3]).unwrap();
     let error = capture.poses("poses_bounds.npy").unwrap_err().to_string();
     assert!(error.contains("3 poses for 4 photographs"), "{error}");
@@ -185,13 +275,23 @@ fn names_that_fit_no_photograph_are_too_few_poses() {
     let json = serde_json::json!({ "fl_x": 70.0, "w": 80, "h": 60, "frames": [] });
     std::fs::write(capture.dir.path().join("transforms.json"), json.to_string()).unwrap();
     let refused = capture.poses("transforms.json").expect_err("none of them");
-    assert!(matches!(refused, PosesError::TooFew { registered: 0, total: 4, .. }));
+    assert!(matches!(
+        refused,
+        PosesError::TooFew {
+            registered: 0,
+            total: 4,
+            ..
+        }
+    ));
     let said = refused.to_string();
     assert!(
         said.contains("the names in transforms.json must be"),
         "the file's name and not where it lies: {said}"
     );
     std::fs::write(capture.dir.path().join("transforms.json"), "{").unwrap();
-    assert!(matches!(capture.poses("transforms.json"), Err(PosesError::BadFile { .. })));
+    assert!(matches!(
+        capture.poses("transforms.json"),
+        Err(PosesError::BadFile { .. })
+    ));
     assert!(GivenPoses::open(capture.dir.path()).is_err());
 }

@@ -52,14 +52,25 @@ pub(super) fn read(file: &Path) -> Result<HashMap<String, GivenView>, PosesError
     let bytes = std::fs::read(file).map_err(PosesError::io(file))?;
     let transforms: Transforms =
         serde_json::from_slice(&bytes).map_err(|e| PosesError::bad_file(file, e.to_string()))?;
-    let fisheye = transforms.is_fisheye || transforms.camera_model.as_deref() == Some("OPENCV_FISHEYE");
+    let fisheye =
+        transforms.is_fisheye || transforms.camera_model.as_deref() == Some("OPENCV_FISHEYE");
     let view = |frame: &Frame| {
         let bad = |what| PosesError::bad_file(file, format!("frame {}: {what}", frame.file_path));
-        let lens =
-            frame.optics.or(&transforms.optics).lens(fisheye).ok_or_else(|| bad("no usable intrinsics"))?;
+        let lens = frame
+            .optics
+            .or(&transforms.optics)
+            .lens(fisheye)
+            .ok_or_else(|| bad("no usable intrinsics"))?;
         let world_to_camera =
             world_to_camera(&frame.transform_matrix).ok_or_else(|| bad("no rigid transform"))?;
-        Ok((stem(Path::new(&frame.file_path)), GivenView { lens, world_to_camera, bounds: None }))
+        Ok((
+            stem(Path::new(&frame.file_path)),
+            GivenView {
+                lens,
+                world_to_camera,
+                bounds: None,
+            },
+        ))
     };
     transforms.frames.iter().map(view).collect()
 }
@@ -95,7 +106,9 @@ impl Optics {
     /// Without a size there is nothing to scale by, so the size is required.
     fn lens(&self, fisheye: bool) -> Option<Lens> {
         let (width, height) = (self.w?, self.h?);
-        let from_angle = self.camera_angle_x.map(|angle| 0.5 * width / (0.5 * angle).tan());
+        let from_angle = self
+            .camera_angle_x
+            .map(|angle| 0.5 * width / (0.5 * angle).tan());
         let fx = self.fl_x.or(from_angle)?;
         let fy = self.fl_y.unwrap_or(fx);
         let sized = width >= 1.0 && height >= 1.0 && fx > 0.0 && fy > 0.0;
@@ -110,11 +123,19 @@ impl Optics {
         };
         // k4 of a perspective file is OpenCV's first denominator term.
         let distortion = if fisheye {
-            Distortion::Fisheye { radial: [k1, k2, k3, k4] }
+            Distortion::Fisheye {
+                radial: [k1, k2, k3, k4],
+            }
         } else {
             let tangential = [self.p1.unwrap_or(0.0), self.p2.unwrap_or(0.0)];
-            Distortion::Perspective { radial: [k1, k2, k3, k4, 0.0, 0.0], tangential }
+            Distortion::Perspective {
+                radial: [k1, k2, k3, k4, 0.0, 0.0],
+                tangential,
+            }
         };
-        sized.then_some(Lens { intrinsics, distortion })
+        sized.then_some(Lens {
+            intrinsics,
+            distortion,
+        })
     }
 }

@@ -3,8 +3,9 @@
 use crate::deblur::{DeblurError, DeblurInfo, Deblurrer, same_size};
 use crate::image::Image;
 
-/// Feeds a network the guide in its view's place, so that a network without guide channels profits from the render all the same.
-/// Differs from method.md, 3 (`guide = blend`), which feeds the mean of view and render: a guide is a mix of the two already.
+/// Feeds a network the guide in its view's place, so that a network without guide channels profits
+/// from the render all the same. Differs from method.md, 3 (`guide = blend`), which feeds the mean
+/// of view and render: a guide is a mix of the two already.
 pub struct Blend<D: Deblurrer + ?Sized> {
     inner: Box<D>,
 }
@@ -19,7 +20,9 @@ impl<D: Deblurrer + ?Sized> Blend<D> {
 impl<D: Deblurrer + ?Sized> Deblurrer for Blend<D> {
     fn deblur(&mut self, blurry: &Image, guide: Option<&Image>) -> Result<Image, DeblurError> {
         same_size(blurry, guide)?;
-        let Some(guide) = guide else { return self.inner.deblur(blurry, None) };
+        let Some(guide) = guide else {
+            return self.inner.deblur(blurry, None);
+        };
         self.inner.deblur(guide, None)
     }
 

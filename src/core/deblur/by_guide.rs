@@ -3,8 +3,8 @@
 use crate::deblur::{DeblurError, DeblurInfo, Deblurrer, same_size};
 use crate::image::Image;
 
-/// A published network without guide channels may be the better one for round 1, where there is no render yet; the rounds
-/// after it need one that takes a guide.
+/// A published network without guide channels may be the better one for round 1, where there is no
+/// render yet; the rounds after it need one that takes a guide.
 pub struct ByGuide {
     unguided: Box<dyn Deblurrer>,
     guided: Box<dyn Deblurrer>,
@@ -72,8 +72,14 @@ mod tests {
     fn a_guide_decides_which_network_restores_the_view() {
         let mut both = ByGuide::new(Box::new(Grey(0.25)), Box::new(Grey(0.75)));
         let view = Image::new(2, 2);
-        assert_eq!(both.deblur(&view, None).expect("no guide").get(0, 0), [0.25; 3]);
-        assert_eq!(both.deblur(&view, Some(&view)).expect("a guide").get(0, 0), [0.75; 3]);
+        assert_eq!(
+            both.deblur(&view, None).expect("no guide").get(0, 0),
+            [0.25; 3]
+        );
+        assert_eq!(
+            both.deblur(&view, Some(&view)).expect("a guide").get(0, 0),
+            [0.75; 3]
+        );
         assert!(both.deblur(&view, Some(&Image::new(1, 2))).is_err());
         assert_eq!(both.describe().id, "0.75");
         assert_eq!(both.unguided().map(|info| info.id).as_deref(), Some("0.25"));

@@ -60,7 +60,9 @@ pub enum DeblurError {
         source: std::io::Error,
     },
     /// The file is not the one that the manifest names.
-    #[error("network {id} is damaged or another file: sha256 is {actual}, the manifest says {expected}")]
+    #[error(
+        "network {id} is damaged or another file: sha256 is {actual}, the manifest says {expected}"
+    )]
     ModelChecksum {
         /// Manifest id.
         id: String,
@@ -94,7 +96,9 @@ pub enum DeblurError {
         guide: (usize, usize),
     },
     /// The network has three input channels.
-    #[error("network {id} takes no guide; use `guide=blend` or `guide=none`, or a network with 6 channels")]
+    #[error(
+        "network {id} takes no guide; use `guide=blend` or `guide=none`, or a network with 6 channels"
+    )]
     GuideUnsupported {
         /// Manifest id or file name.
         id: String,

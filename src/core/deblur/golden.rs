@@ -5,11 +5,13 @@ use crate::image::Image;
 /// Side of the image, px.
 pub const SIDE: usize = 64;
 
-/// Largest difference between what a network returns and what it should, in units of 0..=1. Providers round differently;
-/// a wrong one is off by far more (0.003 and above in the mean, deblur.md).
+/// Largest difference between what a network returns and what it should, in units of 0..=1.
+/// Providers round differently; a wrong one is off by far more (0.003 and above in the mean,
+/// deblur.md).
 pub const TOLERANCE: f32 = 2e-3;
 
-/// What a network returns for [`view`], guided by [`guide`] where it takes one: [3, [`SIDE`], [`SIDE`]], sRGB, not clipped.
+/// What a network returns for [`view`], guided by [`guide`] where it takes one: [3, [`SIDE`],
+/// [`SIDE`]], sRGB, not clipped.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Golden(Vec<f32>);
 
@@ -39,14 +41,25 @@ impl Golden {
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, String> {
         let (values, rest) = bytes.as_chunks::<4>();
         if !rest.is_empty() {
-            return Err(format!("its output for the self-test has {} bytes", bytes.len()));
+            return Err(format!(
+                "its output for the self-test has {} bytes",
+                bytes.len()
+            ));
         }
-        Self::new(values.iter().map(|value| f32::from_le_bytes(*value)).collect())
+        Self::new(
+            values
+                .iter()
+                .map(|value| f32::from_le_bytes(*value))
+                .collect(),
+        )
     }
 
     /// A file's content.
     pub fn to_bytes(&self) -> Vec<u8> {
-        self.0.iter().flat_map(|value| value.to_le_bytes()).collect()
+        self.0
+            .iter()
+            .flat_map(|value| value.to_le_bytes())
+            .collect()
     }
 
     /// In the order of planes, rows, columns.
@@ -56,8 +69,18 @@ impl Golden {
 
     /// The largest difference from `values`; one that is no number counts as infinite.
     pub fn difference(&self, values: &[f32]) -> f32 {
-        let far = |(a, b): (&f32, &f32)| if b.is_finite() { (a - b).abs() } else { f32::INFINITY };
-        let short = if values.len() == self.0.len() { 0.0 } else { f32::INFINITY };
+        let far = |(a, b): (&f32, &f32)| {
+            if b.is_finite() {
+                (a - b).abs()
+            } else {
+                f32::INFINITY
+            }
+        };
+        let short = if values.len() == self.0.len() {
+            0.0
+        } else {
+            f32::INFINITY
+        };
         self.0.iter().zip(values).map(far).fold(short, f32::max)
     }
 }
@@ -78,8 +101,20 @@ fn pattern(turn: impl Fn(usize, usize) -> (usize, usize)) -> Image {
         for x in 0..SIDE {
             let (column, row) = turn(x, y);
             let (u, v) = (column as f32 / SIDE as f32, row as f32 / SIDE as f32);
-            let edge = if column / 16 % 2 == row / 16 % 2 { 0.2 } else { 0.0 };
-            image.set(x, y, [0.2 + 0.5 * u + edge, 0.2 + 0.5 * v + edge, 0.7 - 0.5 * u * v]);
+            let edge = if column / 16 % 2 == row / 16 % 2 {
+                0.2
+            } else {
+                0.0
+            };
+            image.set(
+                x,
+                y,
+                [
+                    0.2 + 0.5 * u + edge,
+                    0.2 + 0.5 * v + edge,
+                    0.7 - 0.5 * u * v,
+                ],
+            );
         }
     }
     image
@@ -94,14 +129,20 @@ mod tests {
         let golden = Golden::new(view().data().to_vec()).expect("of the right size");
         let again = Golden::from_bytes(&golden.to_bytes()).expect("whole");
         assert_eq!(again, golden);
-        assert!(Golden::from_bytes(&golden.to_bytes()[4..]).is_err() && Golden::from_bytes(&[0; 7]).is_err());
+        assert!(
+            Golden::from_bytes(&golden.to_bytes()[4..]).is_err()
+                && Golden::from_bytes(&[0; 7]).is_err()
+        );
     }
 
     #[test]
     fn every_kind_of_wrong_output_is_seen() {
         let golden = Golden::new(view().data().to_vec()).expect("of the right size");
         assert!(golden.difference(view().data()) <= TOLERANCE);
-        assert!(golden.difference(guide().data()) > TOLERANCE, "view and guide mixed up");
+        assert!(
+            golden.difference(guide().data()) > TOLERANCE,
+            "view and guide mixed up"
+        );
         let mut one = view().data().to_vec();
         one[5] += 0.01;
         assert!(golden.difference(&one) > TOLERANCE);

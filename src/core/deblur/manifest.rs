@@ -1,4 +1,5 @@
-//! The networks that fled knows: `models/manifest.json` of this build, with the user's own laid over it.
+//! The networks that fled knows: `models/manifest.json` of this build, with the user's own laid
+//! over it.
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -12,10 +13,22 @@ const MANIFEST: &str = include_str!("../../../models/manifest.json");
 
 /// The files that are part of the binary, by the manifest's file name.
 const EMBEDDED: [(&str, &[u8]); 4] = [
-    ("small-u2w16.onnx", include_bytes!("../../../models/small-u2w16.onnx")),
-    ("small-u2w16.golden", include_bytes!("../../../models/small-u2w16.golden")),
-    ("medium-u2w32.onnx", include_bytes!("../../../models/medium-u2w32.onnx")),
-    ("medium-u2w32.golden", include_bytes!("../../../models/medium-u2w32.golden")),
+    (
+        "small-u2w16.onnx",
+        include_bytes!("../../../models/small-u2w16.onnx"),
+    ),
+    (
+        "small-u2w16.golden",
+        include_bytes!("../../../models/small-u2w16.golden"),
+    ),
+    (
+        "medium-u2w32.onnx",
+        include_bytes!("../../../models/medium-u2w32.onnx"),
+    ),
+    (
+        "medium-u2w32.golden",
+        include_bytes!("../../../models/medium-u2w32.golden"),
+    ),
 ];
 
 /// Words of the options that name networks.
@@ -82,7 +95,8 @@ pub struct Entry {
     pub range: [f32; 2],
     /// Name of the input, which has to be the file's; absent: whatever the file says.
     pub input: Option<String>,
-    /// Name of the output that is the restored view, where the file has several; absent: the first one.
+    /// Name of the output that is the restored view, where the file has several; absent: the first
+    /// one.
     pub output: Option<String>,
     /// File of the output that the self-test expects ([`Golden`]); absent: it is made on the CPU.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -137,8 +151,8 @@ impl Manifest {
         serde_json::from_str(MANIFEST).expect("a test reads the embedded manifest")
     }
 
-    /// The manifest of this build with the overlays of `directories` over it: an entry takes the place of the one with its
-    /// id, or is added; the last one that calls itself the default is it.
+    /// The manifest of this build with the overlays of `directories` over it: an entry takes the
+    /// place of the one with its id, or is added; the last one that calls itself the default is it.
     ///
     /// # Errors
     /// [`DeblurError::ManifestUnreadable`] when an overlay is there and cannot be read.
@@ -150,8 +164,12 @@ impl Manifest {
             }
             if manifest.find("default").is_none() {
                 let detail =
-                    "no network is the default any more: one entry needs `\"default\": true`".to_owned();
-                return Err(DeblurError::ManifestUnreadable { path: directory.join(OVERLAY), detail });
+                    "no network is the default any more: one entry needs `\"default\": true`"
+                        .to_owned();
+                return Err(DeblurError::ManifestUnreadable {
+                    path: directory.join(OVERLAY),
+                    detail,
+                });
             }
         }
         Ok(manifest)
@@ -163,24 +181,37 @@ impl Manifest {
     /// [`DeblurError::ManifestUnreadable`].
     pub fn overlay(directory: &Path) -> Result<Self, DeblurError> {
         let path = directory.join(OVERLAY);
-        let unreadable = |detail: String| DeblurError::ManifestUnreadable { path: path.clone(), detail };
+        let unreadable = |detail: String| DeblurError::ManifestUnreadable {
+            path: path.clone(),
+            detail,
+        };
         let text = match std::fs::read_to_string(&path) {
             Ok(text) => text,
-            Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(Self::default()),
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
+                return Ok(Self::default());
+            }
             Err(error) => return Err(unreadable(error.to_string())),
         };
-        let overlay: Self = serde_json::from_str(&text).map_err(|error| unreadable(error.to_string()))?;
-        overlay.models.iter().try_for_each(|entry| entry.check().map_err(&unreadable))?;
+        let overlay: Self =
+            serde_json::from_str(&text).map_err(|error| unreadable(error.to_string()))?;
+        overlay
+            .models
+            .iter()
+            .try_for_each(|entry| entry.check().map_err(&unreadable))?;
         Ok(overlay)
     }
 
     /// Puts `entry` in the place of the one with its id, or adds it.
     pub fn lay_over(&mut self, entry: Entry) {
         if entry.default {
-            self.models.iter_mut().for_each(|other| (other.default, other.default_on_cuda) = (false, false));
+            self.models
+                .iter_mut()
+                .for_each(|other| (other.default, other.default_on_cuda) = (false, false));
         }
         if entry.default_on_cuda {
-            self.models.iter_mut().for_each(|other| other.default_on_cuda = false);
+            self.models
+                .iter_mut()
+                .for_each(|other| other.default_on_cuda = false);
         }
         match self.models.iter_mut().find(|other| other.id == entry.id) {
             Some(place) => *place = entry,
@@ -190,10 +221,13 @@ impl Manifest {
 
     /// The entry that `choice` means: `default` or an id.
     pub fn find(&self, choice: &str) -> Option<&Entry> {
-        self.models.iter().find(|entry| entry.id == choice || (choice == "default" && entry.default))
+        self.models
+            .iter()
+            .find(|entry| entry.id == choice || (choice == "default" && entry.default))
     }
 
-    /// The entry that `default` means where CUDA runs it; none once the user has a default of their own.
+    /// The entry that `default` means where CUDA runs it; none once the user has a default of their
+    /// own.
     pub fn default_on_cuda(&self) -> Option<&Entry> {
         self.models.iter().find(|entry| entry.default_on_cuda)
     }
@@ -218,18 +252,34 @@ impl Manifest {
         if path.is_file() {
             return self.by_path(path, directories);
         }
-        let known = self.models.iter().map(|entry| entry.id.as_str()).collect::<Vec<_>>().join(", ");
-        Err(DeblurError::UnknownModel { choice: choice.to_owned(), known })
+        let known = self
+            .models
+            .iter()
+            .map(|entry| entry.id.as_str())
+            .collect::<Vec<_>>()
+            .join(", ");
+        Err(DeblurError::UnknownModel {
+            choice: choice.to_owned(),
+            known,
+        })
     }
 
     /// A file named by its path: a known network if its checksum says so, else taken as it is.
     fn by_path(&self, path: &Path, directories: &[PathBuf]) -> Result<Model, DeblurError> {
         let bytes = read(path)?;
         let sha256 = digest(&bytes);
-        if let Some(entry) = self.models.iter().find(|entry| entry.sha256.as_ref() == Some(&sha256)) {
+        if let Some(entry) = self
+            .models
+            .iter()
+            .find(|entry| entry.sha256.as_ref() == Some(&sha256))
+        {
             return entry.checked(bytes, entry.golden_file(directories)?.as_deref());
         }
-        let id = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        let id = path
+            .file_name()
+            .unwrap_or_default()
+            .to_string_lossy()
+            .into_owned();
         Ok(Model::unknown(id, bytes))
     }
 }
@@ -267,7 +317,8 @@ impl Model {
 }
 
 impl Entry {
-    /// The entry of a file of which no more is known than its input channels, checksum and size in bytes.
+    /// The entry of a file of which no more is known than its input channels, checksum and size in
+    /// bytes.
     pub fn of_file(id: &str, channels: u32, sha256: String, bytes: u64) -> Self {
         let guided = channels == 6;
         let model = Model::unknown(String::new(), Vec::new());
@@ -302,7 +353,8 @@ impl Entry {
     /// The network, its file found and its checksum right.
     ///
     /// # Errors
-    /// [`DeblurError::ModelFileMissing`], [`DeblurError::ModelUnreadable`] or [`DeblurError::ModelChecksum`].
+    /// [`DeblurError::ModelFileMissing`], [`DeblurError::ModelUnreadable`] or
+    /// [`DeblurError::ModelChecksum`].
     pub fn load(&self, directories: &[PathBuf]) -> Result<Model, DeblurError> {
         let bytes = match self.place(directories) {
             Place::BuiltIn => embedded(self.file.as_deref()).unwrap_or_default().to_vec(),
@@ -317,7 +369,9 @@ impl Entry {
     /// # Errors
     /// [`DeblurError::ModelFileMissing`] or [`DeblurError::ModelUnreadable`].
     pub fn golden_file(&self, directories: &[PathBuf]) -> Result<Option<Vec<u8>>, DeblurError> {
-        let Some(name) = &self.golden else { return Ok(None) };
+        let Some(name) = &self.golden else {
+            return Ok(None);
+        };
         if let Some(bytes) = embedded(Some(name)) {
             return Ok(Some(bytes.to_vec()));
         }
@@ -325,7 +379,10 @@ impl Entry {
             "Its {name} is missing; take the network up again: fled models add FILE --id {}",
             self.id
         );
-        let missing = || DeblurError::ModelFileMissing { id: self.id.clone(), advice };
+        let missing = || DeblurError::ModelFileMissing {
+            id: self.id.clone(),
+            advice,
+        };
         read(&find(Some(name), directories).ok_or_else(missing)?).map(Some)
     }
 
@@ -336,7 +393,9 @@ impl Entry {
 
     /// Whether a file of this name, golden or not, is this entry's.
     pub(super) fn owns(&self, name: &str) -> bool {
-        [&self.file, &self.golden].into_iter().any(|own| own.as_deref() == Some(name))
+        [&self.file, &self.golden]
+            .into_iter()
+            .any(|own| own.as_deref() == Some(name))
     }
 
     /// Where its file is.
@@ -365,7 +424,10 @@ impl Entry {
             _ => {}
         }
         let golden = golden.map(Golden::from_bytes).transpose();
-        let golden = golden.map_err(|detail| DeblurError::SelfTest { id: self.id.clone(), detail })?;
+        let golden = golden.map_err(|detail| DeblurError::SelfTest {
+            id: self.id.clone(),
+            detail,
+        })?;
         Ok(Model {
             id: self.id.clone(),
             sha256,
@@ -390,16 +452,24 @@ impl Entry {
         let named = |name: &Option<String>| name.as_deref().is_none_or(is_file_name);
         let plain = |c: char| c.is_ascii_alphanumeric() || "-_.".contains(c);
         if self.id.is_empty() || self.id.starts_with('.') || !self.id.chars().all(plain) {
-            return wrong("an id is made of letters, digits, `-`, `_` and `.`, and does not begin with `.`");
+            return wrong(
+                "an id is made of letters, digits, `-`, `_` and `.`, and does not begin with `.`",
+            );
         }
         if RESERVED.contains(&self.id.as_str()) {
             return wrong("`default`, `identity`, `same` and `curve` mean something else");
         }
         if !named(&self.file) || !named(&self.golden) {
-            return wrong("`file` and `golden` are names of files beside the manifest, without a folder");
+            return wrong(
+                "`file` and `golden` are names of files beside the manifest, without a folder",
+            );
         }
         let guided = self.role == Role::Guided;
-        let order: &[&str] = if guided { &["blurry", "guide"] } else { &["blurry"] };
+        let order: &[&str] = if guided {
+            &["blurry", "guide"]
+        } else {
+            &["blurry"]
+        };
         if self.channels != if guided { 6 } else { 3 } || self.order != order {
             return wrong(
                 "a guided network takes 6 channels in the order blurry, guide; a single one takes the 3 of blurry",
@@ -413,8 +483,9 @@ impl Entry {
                 "`multiple` is 1 to 256, `minimum_side` 1 to 4096, `tile` 128 to 8192, and `range` rises",
             );
         }
-        let hexadecimal =
-            |text: &String| text.len() == 64 && text.chars().all(|c| matches!(c, '0'..='9' | 'a'..='f'));
+        let hexadecimal = |text: &String| {
+            text.len() == 64 && text.chars().all(|c| matches!(c, '0'..='9' | 'a'..='f'))
+        };
         if !self.sha256.as_ref().is_none_or(hexadecimal) {
             return wrong("`sha256` is 64 lower-case hexadecimal digits");
         }
@@ -435,7 +506,10 @@ impl Entry {
         if let Some(note) = &self.note {
             let _ = write!(advice, ". {note}");
         }
-        DeblurError::ModelFileMissing { id: self.id.clone(), advice }
+        DeblurError::ModelFileMissing {
+            id: self.id.clone(),
+            advice,
+        }
     }
 }
 
@@ -451,12 +525,18 @@ pub enum Place {
 }
 
 fn embedded(name: Option<&str>) -> Option<&'static [u8]> {
-    EMBEDDED.iter().find(|(file, _)| Some(*file) == name).map(|(_, bytes)| *bytes)
+    EMBEDDED
+        .iter()
+        .find(|(file, _)| Some(*file) == name)
+        .map(|(_, bytes)| *bytes)
 }
 
 fn find(name: Option<&str>, directories: &[PathBuf]) -> Option<PathBuf> {
     let name = name?;
-    directories.iter().map(|directory| directory.join(name)).find(|path| path.is_file())
+    directories
+        .iter()
+        .map(|directory| directory.join(name))
+        .find(|path| path.is_file())
 }
 
 /// A plain name: neither a path nor a way out of its folder.
@@ -465,15 +545,20 @@ fn is_file_name(name: &str) -> bool {
 }
 
 fn read(path: &Path) -> Result<Vec<u8>, DeblurError> {
-    std::fs::read(path).map_err(|source| DeblurError::ModelUnreadable { path: path.to_path_buf(), source })
+    std::fs::read(path).map_err(|source| DeblurError::ModelUnreadable {
+        path: path.to_path_buf(),
+        source,
+    })
 }
 
 /// SHA-256, lower-case hexadecimal.
 pub fn digest(bytes: &[u8]) -> String {
-    Sha256::digest(bytes).iter().fold(String::with_capacity(64), |mut text, byte| {
-        let _ = write!(text, "{byte:02x}");
-        text
-    })
+    Sha256::digest(bytes)
+        .iter()
+        .fold(String::with_capacity(64), |mut text, byte| {
+            let _ = write!(text, "{byte:02x}");
+            text
+        })
 }
 
 #[cfg(test)]

@@ -31,51 +31,89 @@ pub struct Opened {
     pub fallbacks: Vec<String>,
 }
 
-/// Opens what the options mean: `deblur` is `identity`, `default`, a manifest id, or the path of an ONNX file; `unguided`
-/// likewise, or `same`. `default` is a larger network where CUDA runs it ([`Manifest::default_on_cuda`]). A network that takes no guide and is to be given one is wrapped in [`Blend`], and says so.
+/// Opens what the options mean: `deblur` is `identity`, `default`, a manifest id, or the path of an
+/// ONNX file; `unguided` likewise, or `same`. `default` is a larger network where CUDA runs it
+/// ([`Manifest::default_on_cuda`]). A network that takes no guide and is to be given one is wrapped
+/// in [`Blend`], and says so.
 ///
 /// # Errors
 /// Any [`DeblurError`] of finding the library, finding the file, or loading it. Never falls back
 /// to [`Identity`] by itself.
-pub fn open(deblur: &str, unguided: &str, options: &OpenOptions<'_>) -> Result<Opened, DeblurError> {
+pub fn open(
+    deblur: &str,
+    unguided: &str,
+    options: &OpenOptions<'_>,
+) -> Result<Opened, DeblurError> {
     let guided = open_one(deblur, options)?;
     if unguided == "same" || unguided == deblur {
         return Ok(guided);
     }
     // Never given a guide, so there is nothing to say about how it would take one.
-    let first = open_one(unguided, &OpenOptions { blend: true, ..*options })?;
+    let first = open_one(
+        unguided,
+        &OpenOptions {
+            blend: true,
+            ..*options
+        },
+    )?;
     let deblurrer = Box::new(ByGuide::new(first.deblurrer, guided.deblurrer));
-    Ok(Opened { deblurrer, fallbacks: [first.fallbacks, guided.fallbacks].concat() })
+    Ok(Opened {
+        deblurrer,
+        fallbacks: [first.fallbacks, guided.fallbacks].concat(),
+    })
 }
 
 /// Opens the network that the option `enhance` means; `None` for `curve`.
 ///
 /// # Errors
 /// As [`open`]; [`DeblurError::ModelUnusable`] when it wants a guide.
-pub fn open_enhancer(enhance: &str, options: &OpenOptions<'_>) -> Result<Option<Opened>, DeblurError> {
+pub fn open_enhancer(
+    enhance: &str,
+    options: &OpenOptions<'_>,
+) -> Result<Option<Opened>, DeblurError> {
     if enhance == "curve" {
         return Ok(None);
     }
     // Never given a guide, so there is nothing to say about how it would take one.
-    let opened = open_one(enhance, &OpenOptions { blend: true, ..*options })?;
+    let opened = open_one(
+        enhance,
+        &OpenOptions {
+            blend: true,
+            ..*options
+        },
+    )?;
     let info = opened.deblurrer.describe();
     if info.channels == 6 {
         let detail = "it wants a guide; one that brightens takes 3 channels".to_owned();
-        return Err(DeblurError::ModelUnusable { id: info.id, detail });
+        return Err(DeblurError::ModelUnusable {
+            id: info.id,
+            detail,
+        });
     }
     Ok(Some(opened))
 }
 
 fn open_one(choice: &str, options: &OpenOptions<'_>) -> Result<Opened, DeblurError> {
     if choice == "identity" {
-        return Ok(Opened { deblurrer: Box::new(Identity), fallbacks: Vec::new() });
+        return Ok(Opened {
+            deblurrer: Box::new(Identity),
+            fallbacks: Vec::new(),
+        });
     }
     // An unknown network is told before a library that is missing.
-    let model = Manifest::ask(options.models, |known| known.resolve(choice, options.models))??;
+    let model = Manifest::ask(options.models, |known| {
+        known.resolve(choice, options.models)
+    })??;
     let runtime = runtime::load(options.runtime, options.search)?;
     let larger = Manifest::ask(options.models, |known| {
         let larger = larger(known, choice, runtime.has_cuda());
-        larger.map(|entry| entry.load(options.models).map_err(|error| (entry.id.clone(), error))).transpose()
+        larger
+            .map(|entry| {
+                entry
+                    .load(options.models)
+                    .map_err(|error| (entry.id.clone(), error))
+            })
+            .transpose()
     })?;
     let (network, mut fallbacks) = load(&runtime, larger.transpose(), &model, options.threads)?;
     let network: Box<dyn Deblurrer> = Box::new(network);
@@ -87,16 +125,26 @@ fn open_one(choice: &str, options: &OpenOptions<'_>) -> Result<Opened, DeblurErr
             info.id
         ));
     }
-    let deblurrer = if takes_guide && !options.blend { network } else { Box::new(Blend::new(network)) };
-    Ok(Opened { deblurrer, fallbacks })
+    let deblurrer = if takes_guide && !options.blend {
+        network
+    } else {
+        Box::new(Blend::new(network))
+    };
+    Ok(Opened {
+        deblurrer,
+        fallbacks,
+    })
 }
 
 /// What is tried before the network that `choice` means.
 pub(super) fn larger<'a>(known: &'a Manifest, choice: &str, cuda: bool) -> Option<&'a Entry> {
-    known.default_on_cuda().filter(|_| choice == "default" && cuda)
+    known
+        .default_on_cuda()
+        .filter(|_| choice == "default" && cuda)
 }
 
-/// The larger network if CUDA runs it, else `model`; and what is not as it should be. A failure comes with the network's id.
+/// The larger network if CUDA runs it, else `model`; and what is not as it should be. A failure
+/// comes with the network's id.
 pub(super) fn load(
     runtime: &Runtime,
     larger: Option<Result<Model, (String, DeblurError)>>,
@@ -106,12 +154,15 @@ pub(super) fn load(
     let mut fallbacks = Vec::new();
     if let Some(larger) = larger {
         let tried = larger.and_then(|larger| {
-            Onnx::load_on_cuda(runtime, &larger, threads).map_err(|error| (larger.id.clone(), error))
+            Onnx::load_on_cuda(runtime, &larger, threads)
+                .map_err(|error| (larger.id.clone(), error))
         });
         match tried {
             Ok((network, in_part)) => return Ok((network, Vec::from_iter(in_part))),
             Err((id, error)) => {
-                fallbacks.push(format!("network {id}, the default on CUDA, cannot be used: {error}"));
+                fallbacks.push(format!(
+                    "network {id}, the default on CUDA, cannot be used: {error}"
+                ));
             }
         }
     }

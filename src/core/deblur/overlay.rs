@@ -7,13 +7,15 @@ use crate::deblur::manifest::{Entry, Manifest, OVERLAY, digest};
 use crate::deblur::{DeblurError, Golden};
 use crate::image::write_atomic;
 
-/// Puts the network's file `content`, its golden output and its entry into `directory`. The entry comes last and whole, and a
-/// network that it replaces stays usable until then: what differs gets a name of its own, and the old file goes after the
-/// entry. One call at a time in a folder, processes included.
+/// Puts the network's file `content`, its golden output and its entry into `directory`. The entry
+/// comes last and whole, and a network that it replaces stays usable until then: what differs gets
+/// a name of its own, and the old file goes after the entry. One call at a time in a folder,
+/// processes included.
 ///
 /// # Errors
-/// [`DeblurError::ModelNotKept`], also for an entry that cannot be listed or whose file would take the place of another
-/// network's; [`DeblurError::ManifestUnreadable`] when the overlay that is there is damaged.
+/// [`DeblurError::ModelNotKept`], also for an entry that cannot be listed or whose file would take
+/// the place of another network's; [`DeblurError::ManifestUnreadable`] when the overlay that is
+/// there is damaged.
 pub fn install(
     directory: &Path,
     mut entry: Entry,
@@ -22,7 +24,9 @@ pub fn install(
 ) -> Result<(), DeblurError> {
     std::fs::create_dir_all(directory).map_err(kept(directory))?;
     let guard = directory.join(".lock");
-    let lock = File::create(&guard).and_then(|file| file.lock().map(|()| file)).map_err(kept(&guard))?;
+    let lock = File::create(&guard)
+        .and_then(|file| file.lock().map(|()| file))
+        .map_err(kept(&guard))?;
     let mut overlay = Manifest::overlay(directory)?;
     let golden = golden.to_bytes();
     let before = overlay.find(&entry.id).cloned();
@@ -31,9 +35,13 @@ pub fn install(
     let refused = |detail: String| kept(&directory.join(&file))(std::io::Error::other(detail));
     entry.check().map_err(&refused)?;
     let mut known = Manifest::known(&[directory.to_path_buf()])?;
-    let taken = |other: &&Entry| other.id != entry.id && (other.owns(&file) || other.owns(&expected));
+    let taken =
+        |other: &&Entry| other.id != entry.id && (other.owns(&file) || other.owns(&expected));
     if let Some(other) = known.models.iter().find(taken) {
-        return Err(refused(format!("the file is that of network {}; choose another --id", other.id)));
+        return Err(refused(format!(
+            "the file is that of network {}; choose another --id",
+            other.id
+        )));
     }
     overlay.lay_over(entry.clone());
     let mut text = serde_json::to_string_pretty(&overlay).expect("strings, numbers and lists");
@@ -43,11 +51,18 @@ pub fn install(
         .and_then(|()| write(&directory.join(OVERLAY), text.as_bytes()));
     let left = if written.is_ok() {
         known.lay_over(entry);
-        before.into_iter().flat_map(|entry| [entry.file, entry.golden]).flatten().collect()
+        before
+            .into_iter()
+            .flat_map(|entry| [entry.file, entry.golden])
+            .flatten()
+            .collect()
     } else {
         vec![file, expected]
     };
-    for name in left.iter().filter(|name| !known.models.iter().any(|entry| entry.owns(name))) {
+    for name in left
+        .iter()
+        .filter(|name| !known.models.iter().any(|entry| entry.owns(name)))
+    {
         // What cannot be removed, or was left by a crash, is listed nowhere.
         let _ = std::fs::remove_file(directory.join(name));
     }
@@ -55,7 +70,8 @@ pub fn install(
     written
 }
 
-/// The names of the network's file and of its golden output: nothing is written over that `before`, if it can be used, reads.
+/// The names of the network's file and of its golden output: nothing is written over that `before`,
+/// if it can be used, reads.
 fn names(
     directory: &Path,
     entry: &Entry,
@@ -63,23 +79,41 @@ fn names(
     content: &[u8],
     golden: &[u8],
 ) -> (String, String) {
-    let usable = before.and_then(|entry| Some((entry, entry.load(&[directory.to_path_buf()]).ok()?)));
+    let usable =
+        before.and_then(|entry| Some((entry, entry.load(&[directory.to_path_buf()]).ok()?)));
     let (file, expected) = if let Some((before, usable)) = usable {
-        let named = |content: &[u8], kind| Some(format!("{}-{}.{kind}", entry.id, &digest(content)[..8]));
+        let named =
+            |content: &[u8], kind| Some(format!("{}-{}.{kind}", entry.id, &digest(content)[..8]));
         let same = usable.bytes == content;
-        let file = if same { before.file.clone() } else { named(content, "onnx") };
-        let same = usable.golden.is_some_and(|known| known.to_bytes() == golden);
-        (file, if same { before.golden.clone() } else { named(golden, "golden") })
+        let file = if same {
+            before.file.clone()
+        } else {
+            named(content, "onnx")
+        };
+        let same = usable
+            .golden
+            .is_some_and(|known| known.to_bytes() == golden);
+        (
+            file,
+            if same {
+                before.golden.clone()
+            } else {
+                named(golden, "golden")
+            },
+        )
     } else {
         (entry.file.clone(), entry.golden.clone())
     };
     let plain = |kind| format!("{}.{kind}", entry.id);
-    (file.unwrap_or_else(|| plain("onnx")), expected.unwrap_or_else(|| plain("golden")))
+    (
+        file.unwrap_or_else(|| plain("onnx")),
+        expected.unwrap_or_else(|| plain("golden")),
+    )
 }
 
 impl Manifest {
-    /// What `ask` makes of the known networks. One that is replaced after its entry was read is no longer where that said, so
-    /// what fails is asked again if the list has changed meanwhile.
+    /// What `ask` makes of the known networks. One that is replaced after its entry was read is no
+    /// longer where that said, so what fails is asked again if the list has changed meanwhile.
     ///
     /// # Errors
     /// [`DeblurError::ManifestUnreadable`]; inside, those of `ask`.
@@ -138,7 +172,10 @@ mod tests {
             assert_eq!(place, Place::File(directory.join(format!("{id}.onnx"))));
         }
         std::fs::write(directory.join("first.onnx"), "other").expect("write");
-        assert!(matches!(known.resolve("first", &folders), Err(DeblurError::ModelChecksum { .. })));
+        assert!(matches!(
+            known.resolve("first", &folders),
+            Err(DeblurError::ModelChecksum { .. })
+        ));
         assert!(known.resolve("second", &folders).is_ok());
     }
 
@@ -149,7 +186,12 @@ mod tests {
         let golden = |image: Image| Golden::new(image.data().to_vec()).expect("of the right size");
         let (one, other) = (golden(golden::view()), golden(golden::guide()));
         let take = |content: &[u8], golden: &Golden| {
-            install(&directory, Entry::of_file("mine", 3, digest(content), 7), content, golden)
+            install(
+                &directory,
+                Entry::of_file("mine", 3, digest(content), 7),
+                content,
+                golden,
+            )
         };
         let resolved = || {
             let folders = [directory.clone()];
@@ -158,22 +200,34 @@ mod tests {
             (model.bytes, model.golden.expect("known"))
         };
         let files = || {
-            let names =
-                std::fs::read_dir(&directory).expect("readable").flatten().map(|file| file.file_name());
-            let mut names: Vec<_> = names.map(|name| name.to_string_lossy().into_owned()).collect();
+            let names = std::fs::read_dir(&directory)
+                .expect("readable")
+                .flatten()
+                .map(|file| file.file_name());
+            let mut names: Vec<_> = names
+                .map(|name| name.to_string_lossy().into_owned())
+                .collect();
             names.sort();
             names.retain(|name| ![".lock", OVERLAY].contains(&name.as_str()));
             names
         };
         take(b"first", &one).expect("new");
         assert_eq!(files(), ["mine.golden", "mine.onnx"]);
-        // A folder in the place of the new golden output, which is written after the network and before the entry.
+        // A folder in the place of the new golden output, which is written after the network and
+        // before the entry.
         let obstacle = directory.join(format!("mine-{}.golden", &digest(&other.to_bytes())[..8]));
         std::fs::create_dir(&obstacle).expect("made");
-        assert!(matches!(take(b"second", &other), Err(DeblurError::ModelNotKept { .. })));
+        assert!(matches!(
+            take(b"second", &other),
+            Err(DeblurError::ModelNotKept { .. })
+        ));
         std::fs::remove_dir(&obstacle).expect("removed");
         assert_eq!(resolved(), (b"first".to_vec(), one.clone()));
-        assert_eq!(files(), ["mine.golden", "mine.onnx"], "what was not finished is not left");
+        assert_eq!(
+            files(),
+            ["mine.golden", "mine.onnx"],
+            "what was not finished is not left"
+        );
         take(b"first", &other).expect("another golden output");
         assert_eq!(resolved(), (b"first".to_vec(), other.clone()));
         assert_eq!(
@@ -183,13 +237,19 @@ mod tests {
         );
         take(b"second", &other).expect("another network");
         take(b"second", &other).expect("is there already");
-        assert_eq!((resolved(), files().len()), ((b"second".to_vec(), other.clone()), 2));
+        assert_eq!(
+            (resolved(), files().len()),
+            ((b"second".to_vec(), other.clone()), 2)
+        );
         // What is damaged is no longer usable.
         for name in files() {
             std::fs::write(directory.join(name), "damaged").expect("written");
         }
         take(b"second", &one).expect("mended");
-        assert_eq!((resolved(), files().len()), ((b"second".to_vec(), one.clone()), 2));
+        assert_eq!(
+            (resolved(), files().len()),
+            ((b"second".to_vec(), one.clone()), 2)
+        );
     }
 
     #[test]
@@ -198,7 +258,12 @@ mod tests {
         let folders = [home.path().to_path_buf()];
         let golden = Golden::new(golden::view().data().to_vec()).expect("of the right size");
         let take = |content: &[u8]| {
-            install(&folders[0], Entry::of_file("mine", 3, digest(content), 7), content, &golden)
+            install(
+                &folders[0],
+                Entry::of_file("mine", 3, digest(content), 7),
+                content,
+                &golden,
+            )
         };
         take(b"first").expect("new");
         let asked = std::cell::Cell::new(0);
@@ -218,9 +283,15 @@ mod tests {
             (answer.expect("readable"), asked.get())
         };
         let (found, turns) = resolve("mine");
-        assert_eq!((found.expect("there").bytes.as_slice(), turns), (b"second".as_slice(), 2));
+        assert_eq!(
+            (found.expect("there").bytes.as_slice(), turns),
+            (b"second".as_slice(), 2)
+        );
         let (found, turns) = resolve("nobody's");
-        assert!(matches!(found, Err(DeblurError::UnknownModel { .. })) && turns == 1, "{turns}");
+        assert!(
+            matches!(found, Err(DeblurError::UnknownModel { .. })) && turns == 1,
+            "{turns}"
+        );
     }
 
     #[test]
@@ -228,10 +299,23 @@ mod tests {
         let directory = tempfile::tempdir().expect("temporary directory");
         std::fs::write(directory.path().join(OVERLAY), "{").expect("write");
         let golden = Golden::new(golden::view().data().to_vec()).expect("of the right size");
-        let refused = install(directory.path(), Entry::of_file("a", 3, digest(b"c"), 1), b"c", &golden);
-        assert!(matches!(refused, Err(DeblurError::ManifestUnreadable { .. })), "{refused:?}");
-        let left = std::fs::read_dir(directory.path()).expect("readable").flatten();
-        let left: Vec<_> = left.map(|file| file.file_name()).filter(|name| name != ".lock").collect();
+        let refused = install(
+            directory.path(),
+            Entry::of_file("a", 3, digest(b"c"), 1),
+            b"c",
+            &golden,
+        );
+        assert!(
+            matches!(refused, Err(DeblurError::ManifestUnreadable { .. })),
+            "{refused:?}"
+        );
+        let left = std::fs::read_dir(directory.path())
+            .expect("readable")
+            .flatten();
+        let left: Vec<_> = left
+            .map(|file| file.file_name())
+            .filter(|name| name != ".lock")
+            .collect();
         assert_eq!(left, [OVERLAY], "nothing else is left");
     }
 
@@ -242,11 +326,24 @@ mod tests {
         let golden = Golden::new(golden::view().data().to_vec()).expect("of the right size");
         let install = |entry: Entry| install(&directory, entry, b"content", &golden);
         // A known network's file name, under another id.
-        let clash = install(Entry::of_file("NAFNet-GoPro-width32", 3, digest(b"content"), 7));
-        assert!(clash.expect_err("taken").to_string().contains("nafnet-gopro-w32"));
+        let clash = install(Entry::of_file(
+            "NAFNet-GoPro-width32",
+            3,
+            digest(b"content"),
+            7,
+        ));
+        assert!(
+            clash
+                .expect_err("taken")
+                .to_string()
+                .contains("nafnet-gopro-w32")
+        );
         for id in ["../outside", "/outside", "", ".hidden", "default", "a b"] {
             let refused = install(Entry::of_file(id, 3, digest(b"content"), 7));
-            assert!(matches!(refused, Err(DeblurError::ModelNotKept { .. })), "{id}: {refused:?}");
+            assert!(
+                matches!(refused, Err(DeblurError::ModelNotKept { .. })),
+                "{id}: {refused:?}"
+            );
         }
         install(Entry::of_file("fine-1.0", 3, digest(b"content"), 7)).expect("a plain name");
         assert_eq!(std::fs::read_dir(home.path()).expect("readable").count(), 1);

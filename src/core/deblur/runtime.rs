@@ -22,8 +22,11 @@ pub const LIBRARY: &str = if cfg!(windows) {
 };
 
 /// The part of the library for NVIDIA GPUs.
-pub(crate) const CUDA_LIBRARY: &str =
-    if cfg!(windows) { "onnxruntime_providers_cuda.dll" } else { "libonnxruntime_providers_cuda.so" };
+pub(crate) const CUDA_LIBRARY: &str = if cfg!(windows) {
+    "onnxruntime_providers_cuda.dll"
+} else {
+    "libonnxruntime_providers_cuda.so"
+};
 
 /// ONNX Runtime, started.
 #[derive(Clone, Debug)]
@@ -35,7 +38,8 @@ pub struct Runtime {
 /// Which library is in use.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RuntimeInfo {
-    /// Where it was found; just a file name when the system's loader found it and has not told where (outside Linux).
+    /// Where it was found; just a file name when the system's loader found it and has not told
+    /// where (outside Linux).
     pub path: PathBuf,
     /// `1.x`.
     pub version: String,
@@ -47,10 +51,16 @@ impl Runtime {
         &self.info
     }
 
-    /// Whether the library's part for CUDA lies beside it. Whether it works, only loading a network on it tells.
+    /// Whether the library's part for CUDA lies beside it. Whether it works, only loading a network
+    /// on it tells.
     pub fn has_cuda(&self) -> bool {
-        // A mere file name has the parent ``: the system's loader does not look in the current folder.
-        let folder = self.info.path.parent().filter(|folder| !folder.as_os_str().is_empty());
+        // A mere file name has the parent ``: the system's loader does not look in the current
+        // folder.
+        let folder = self
+            .info
+            .path
+            .parent()
+            .filter(|folder| !folder.as_os_str().is_empty());
         folder.is_some_and(|folder| folder.join(CUDA_LIBRARY).is_file())
     }
 
@@ -88,7 +98,11 @@ pub fn load(explicit: Option<&Path>, search: &[PathBuf]) -> Result<Runtime, Debl
 pub fn find(explicit: Option<&Path>, search: &[PathBuf]) -> Result<RuntimeInfo, DeblurError> {
     let candidates = match explicit {
         Some(path) => vec![path.to_path_buf()],
-        None => search.iter().cloned().chain([PathBuf::from(LIBRARY)]).collect(),
+        None => search
+            .iter()
+            .cloned()
+            .chain([PathBuf::from(LIBRARY)])
+            .collect(),
     };
     let mut tried = Vec::new();
     for candidate in candidates {
@@ -101,25 +115,44 @@ pub fn find(explicit: Option<&Path>, search: &[PathBuf]) -> Result<RuntimeInfo, 
 }
 
 fn probe(candidate: PathBuf) -> Result<RuntimeInfo, String> {
-    let path = if candidate.is_dir() { candidate.join(LIBRARY) } else { candidate };
+    let path = if candidate.is_dir() {
+        candidate.join(LIBRARY)
+    } else {
+        candidate
+    };
     let by_loader = path.as_os_str() == LIBRARY;
     if !by_loader && !path.is_file() {
         return Err(format!("{}: no such file", path.display()));
     }
     // An absolute path: `ort` reads a relative one as relative to the executable.
-    let path = if by_loader { path } else { path.canonicalize().unwrap_or(path) };
+    let path = if by_loader {
+        path
+    } else {
+        path.canonicalize().unwrap_or(path)
+    };
     match ort::util::probe(&path) {
-        Some(minor) if minor >= ort::MINOR_VERSION => Ok(RuntimeInfo { path, version: format!("1.{minor}") }),
-        Some(minor) => {
-            Err(format!("{}: version 1.{minor}, at least 1.{} is needed", path.display(), ort::MINOR_VERSION))
-        }
+        Some(minor) if minor >= ort::MINOR_VERSION => Ok(RuntimeInfo {
+            path,
+            version: format!("1.{minor}"),
+        }),
+        Some(minor) => Err(format!(
+            "{}: version 1.{minor}, at least 1.{} is needed",
+            path.display(),
+            ort::MINOR_VERSION
+        )),
         None if by_loader => Err("the system's loader: not found".to_owned()),
-        None => Err(format!("{}: not an ONNX Runtime library for this machine", path.display())),
+        None => Err(format!(
+            "{}: not an ONNX Runtime library for this machine",
+            path.display()
+        )),
     }
 }
 
 fn start(mut info: RuntimeInfo) -> Result<Runtime, DeblurError> {
-    let unusable = |detail: String| DeblurError::RuntimeUnusable { path: info.path.clone(), detail };
+    let unusable = |detail: String| DeblurError::RuntimeUnusable {
+        path: info.path.clone(),
+        detail,
+    };
     let environment = ort::init_from(&info.path)
         .map_err(|e| unusable(e.to_string()))?
         .with_name("fled")
@@ -138,9 +171,13 @@ fn start(mut info: RuntimeInfo) -> Result<Runtime, DeblurError> {
 
 /// The library's file by the list of what Linux has mapped into the process.
 fn mapped(maps: &str) -> Option<PathBuf> {
-    let paths = maps.lines().filter_map(|line| line.find('/').map(|at| Path::new(&line[at..])));
-    let is_library =
-        |path: &&Path| path.file_name().is_some_and(|name| name.to_string_lossy().starts_with(LIBRARY));
+    let paths = maps
+        .lines()
+        .filter_map(|line| line.find('/').map(|at| Path::new(&line[at..])));
+    let is_library = |path: &&Path| {
+        path.file_name()
+            .is_some_and(|name| name.to_string_lossy().starts_with(LIBRARY))
+    };
     paths.filter(is_library).map(Path::to_path_buf).next()
 }
 
@@ -148,8 +185,14 @@ fn mapped(maps: &str) -> Option<PathBuf> {
 #[cfg(test)]
 pub(crate) fn as_if_in(folder: &Path) -> Runtime {
     let runtime = for_tests();
-    let info = RuntimeInfo { path: folder.join(LIBRARY), version: runtime.info.version };
-    Runtime { environment: runtime.environment, info }
+    let info = RuntimeInfo {
+        path: folder.join(LIBRARY),
+        version: runtime.info.version,
+    };
+    Runtime {
+        environment: runtime.environment,
+        info,
+    }
 }
 
 /// The library that `make onnxruntime` fetched, for the tests of this crate.
@@ -168,9 +211,13 @@ mod tests {
 
     #[test]
     fn a_missing_library_is_an_error_that_says_what_to_run() {
-        let error = load(Some(Path::new("/nowhere/libonnxruntime.so")), &[]).expect_err("not there");
+        let error =
+            load(Some(Path::new("/nowhere/libonnxruntime.so")), &[]).expect_err("not there");
         let text = error.to_string();
-        assert!(text.contains("make onnxruntime") && text.contains("/nowhere/"), "{text}");
+        assert!(
+            text.contains("make onnxruntime") && text.contains("/nowhere/"),
+            "{text}"
+        );
     }
 
     #[test]
@@ -178,7 +225,10 @@ mod tests {
         let directory = tempfile::tempdir().expect("temporary directory");
         std::fs::write(directory.path().join(LIBRARY), "not a library").expect("write");
         let error = find(Some(directory.path()), &[]).expect_err("not a library");
-        assert!(error.to_string().contains("not an ONNX Runtime library"), "{error}");
+        assert!(
+            error.to_string().contains("not an ONNX Runtime library"),
+            "{error}"
+        );
     }
 
     #[test]
@@ -187,7 +237,10 @@ mod tests {
         let local = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../.onnxruntime");
         let found = find(None, &[empty.path().to_path_buf(), local.clone()]);
         let found = found.unwrap_or_else(|error| panic!("{error}"));
-        assert_eq!(found.path, local.join(LIBRARY).canonicalize().expect("fetched"));
+        assert_eq!(
+            found.path,
+            local.join(LIBRARY).canonicalize().expect("fetched")
+        );
     }
 
     #[test]
@@ -200,7 +253,10 @@ mod tests {
             mapped("7f-80 r-xp 0 fe:00 12   /usr/lib/my libs/libonnxruntime.so.1.31.1\n"),
             Some(PathBuf::from("/usr/lib/my libs/libonnxruntime.so.1.31.1"))
         );
-        assert_eq!(mapped("7f-80 r-xp 0 fe:00 12   /usr/lib/libc.so.6\n7f-80 rw-p 0 00:00 0\n"), None);
+        assert_eq!(
+            mapped("7f-80 r-xp 0 fe:00 12   /usr/lib/libc.so.6\n7f-80 rw-p 0 00:00 0\n"),
+            None
+        );
     }
 
     #[test]

@@ -22,11 +22,16 @@ pub struct Tile {
     pub height: usize,
 }
 
-/// The tiles of a view of `width` x `height`: one up to [`WHOLE`] pixels and half more than a tile has, else tiles of
-/// at most `side` px, evenly spread, that overlap by at least [`FEATHER`].
+/// The tiles of a view of `width` x `height`: one up to [`WHOLE`] pixels and half more than a tile
+/// has, else tiles of at most `side` px, evenly spread, that overlap by at least [`FEATHER`].
 pub fn plan(width: usize, height: usize, side: usize) -> Vec<Tile> {
     if width * height <= WHOLE.min(3 * side * side / 2) {
-        return vec![Tile { x: 0, y: 0, width, height }];
+        return vec![Tile {
+            x: 0,
+            y: 0,
+            width,
+            height,
+        }];
     }
     let mut tiles = Vec::new();
     for (y, tile_height) in spans(height, side) {
@@ -47,14 +52,18 @@ fn spans(length: usize, side: usize) -> Vec<(usize, usize)> {
     }
     let side = side.max(2 * FEATHER);
     let gaps = (length - side).div_ceil(side - FEATHER);
-    (0..=gaps).map(|i| ((length - side) * i / gaps, side)).collect()
+    (0..=gaps)
+        .map(|i| ((length - side) * i / gaps, side))
+        .collect()
 }
 
 /// A tile of some images, channel after channel, [3 * images, height, width], padded at the right
 /// and at the bottom by reflection.
 pub fn cut(images: &[&Image], tile: Tile, width: usize, height: usize) -> Vec<f32> {
     let mut out = Vec::with_capacity(3 * images.len() * width * height);
-    let columns: Vec<usize> = (0..width).map(|x| tile.x + reflect(x, tile.width)).collect();
+    let columns: Vec<usize> = (0..width)
+        .map(|x| tile.x + reflect(x, tile.width))
+        .collect();
     for image in images {
         for channel in 0..3 {
             let plane = image.plane(channel);
@@ -91,14 +100,19 @@ pub struct Join {
 impl Join {
     /// For a view of `width` x `height`.
     pub fn new(width: usize, height: usize) -> Self {
-        Self { sum: Image::new(width, height), weights: vec![0.0; width * height] }
+        Self {
+            sum: Image::new(width, height),
+            weights: vec![0.0; width * height],
+        }
     }
 
     /// Adds a tile's values, [3, rows, stride], of which the tile's own part is used. `stride` and
     /// `rows` are the padded sides.
     pub fn add(&mut self, tile: Tile, values: &[f32], stride: usize, rows: usize) {
         let (width, height) = (self.sum.width(), self.sum.height());
-        let across: Vec<f32> = (0..tile.width).map(|i| fade(i, tile.x, tile.width, width)).collect();
+        let across: Vec<f32> = (0..tile.width)
+            .map(|i| fade(i, tile.x, tile.width, width))
+            .collect();
         for y in 0..tile.height {
             let down = fade(y, tile.y, tile.height, height);
             let at = (tile.y + y) * width + tile.x;
@@ -131,7 +145,11 @@ impl Join {
 fn fade(i: usize, start: usize, length: usize, whole: usize) -> f32 {
     let ramp = |distance: usize| ((distance as f32 + 0.5) / FEATHER as f32).min(1.0);
     let left = if start > 0 { ramp(i) } else { 1.0 };
-    let right = if start + length < whole { ramp(length - 1 - i) } else { 1.0 };
+    let right = if start + length < whole {
+        ramp(length - 1 - i)
+    } else {
+        1.0
+    };
     left * right
 }
 
@@ -148,15 +166,24 @@ mod tests {
     fn small_views_are_one_tile_and_large_ones_are_covered_with_overlap() {
         assert_eq!(plan(1120, 640, 1024).len(), 1);
         assert!(
-            plan(560, 315, 256).iter().all(|tile| tile.width <= 256 && tile.height <= 256),
+            plan(560, 315, 256)
+                .iter()
+                .all(|tile| tile.width <= 256 && tile.height <= 256),
             "small tiles are kept to"
         );
         for (width, height) in [(2400, 1600), (1025, 3000), (1500, 1001)] {
             let tiles = plan(width, height, 1024);
-            assert!(tiles.iter().all(|tile| tile.width <= 1024 && tile.height <= 1024));
+            assert!(
+                tiles
+                    .iter()
+                    .all(|tile| tile.width <= 1024 && tile.height <= 1024)
+            );
             let columns: Vec<Tile> = tiles.iter().copied().filter(|tile| tile.y == 0).collect();
             assert_eq!(
-                (columns[0].x, columns[columns.len() - 1].x + columns[columns.len() - 1].width),
+                (
+                    columns[0].x,
+                    columns[columns.len() - 1].x + columns[columns.len() - 1].width
+                ),
                 (0, width)
             );
             for pair in columns.windows(2) {
@@ -174,7 +201,12 @@ mod tests {
             join.add(tile, &cut(&[&view], tile, width, height), width, height);
         }
         let joined = join.finish();
-        let worst = joined.data().iter().zip(view.data()).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+        let worst = joined
+            .data()
+            .iter()
+            .zip(view.data())
+            .map(|(a, b)| (a - b).abs())
+            .fold(0.0, f32::max);
         assert!(worst < 1e-6, "{worst}");
     }
 
@@ -182,13 +214,21 @@ mod tests {
     fn padding_mirrors_without_repeating_the_edge() {
         let indices: Vec<usize> = (0..8).map(|i| reflect(i, 3)).collect();
         assert_eq!(indices, [0, 1, 2, 1, 0, 1, 2, 1]);
-        assert_eq!((reflect(5, 1), padded(50, 16, 16), padded(50, 16, 384)), (0, 64, 384));
+        assert_eq!(
+            (reflect(5, 1), padded(50, 16, 16), padded(50, 16, 384)),
+            (0, 64, 384)
+        );
     }
 
     #[test]
     fn guide_channels_follow_the_view() {
         let (view, guide) = (Image::new(2, 2), gradient(2, 2));
-        let tile = Tile { x: 0, y: 0, width: 2, height: 2 };
+        let tile = Tile {
+            x: 0,
+            y: 0,
+            width: 2,
+            height: 2,
+        };
         let both = cut(&[&view, &guide], tile, 2, 2);
         assert_eq!((&both[..12], &both[12..]), (view.data(), guide.data()));
     }

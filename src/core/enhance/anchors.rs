@@ -15,7 +15,10 @@ pub const MIN_GAMMA: f64 = 0.3;
 pub const AUTO_MEAN_V: f64 = 0.45;
 
 /// P_0: nearly the identity, gain 1.12. 0.1 because 0 has no logarithm.
-const FIRST: Anchor = Anchor { alpha: 0.1, gamma: 1.0 };
+const FIRST: Anchor = Anchor {
+    alpha: 0.1,
+    gamma: 1.0,
+};
 
 /// Steps of alpha, on a geometric scale, among which the `auto` target chooses.
 const AUTO_ALPHAS: u32 = 60;
@@ -67,7 +70,10 @@ pub fn anchors(rounds: u32, target: Anchor) -> Vec<Anchor> {
             i => {
                 let share = f64::from(i) / f64::from(rounds);
                 let alpha = FIRST.alpha.powf(1.0 - share) * target.alpha.powf(share);
-                Anchor { alpha, gamma: target.gamma.powf(share) }
+                Anchor {
+                    alpha,
+                    gamma: target.gamma.powf(share),
+                }
             }
         })
         .collect()
@@ -91,17 +97,29 @@ impl FromStr for Anchor {
 
     /// Reads `alpha,gamma` or a LuSh scene's name.
     fn from_str(text: &str) -> Result<Self, TargetError> {
-        let fault = |reason: &str| TargetError { text: text.to_owned(), reason: reason.to_owned() };
-        if let Some(&(_, gamma, alpha)) = PRESETS.iter().find(|preset| preset.0.eq_ignore_ascii_case(text)) {
+        let fault = |reason: &str| TargetError {
+            text: text.to_owned(),
+            reason: reason.to_owned(),
+        };
+        if let Some(&(_, gamma, alpha)) = PRESETS
+            .iter()
+            .find(|preset| preset.0.eq_ignore_ascii_case(text))
+        {
             return Ok(Self { alpha, gamma });
         }
         let unreadable = || {
             let names: Vec<_> = PRESETS.iter().map(|preset| preset.0).collect();
-            fault(&format!("expected `auto`, `alpha,gamma` such as `10,0.8`, or one of {}", names.join(", ")))
+            fault(&format!(
+                "expected `auto`, `alpha,gamma` such as `10,0.8`, or one of {}",
+                names.join(", ")
+            ))
         };
         let (alpha, gamma) = text.split_once(',').ok_or_else(unreadable)?;
         let number = |text: &str| text.trim().parse::<f64>().map_err(|_| unreadable());
-        let anchor = Self { alpha: number(alpha)?, gamma: number(gamma)? };
+        let anchor = Self {
+            alpha: number(alpha)?,
+            gamma: number(gamma)?,
+        };
         if !(0.0..=100.0).contains(&anchor.alpha) {
             return Err(fault("alpha must be in 0..=100 (above 15 nothing changes)"));
         }
@@ -112,19 +130,27 @@ impl FromStr for Anchor {
     }
 }
 
-/// The anchor whose curve is closest to a longer exposure. Differs from method.md (alpha 10, then gamma): of all curves
-/// with the wanted mean the steepest crush what is dark and lift its noise; a longer exposure is what the dark
-/// photograph lacks. So: the gain of light that brings the mean of V to [`AUTO_MEAN_V`], and of the anchors
-/// that bring it there too the one with the least squared difference over the histogram. Where no anchor in range
-/// reaches the mean, as near to it as they come. What is bright enough already is left nearly alone.
+/// The anchor whose curve is closest to a longer exposure. Differs from method.md (alpha 10, then
+/// gamma): of all curves with the wanted mean the steepest crush what is dark and lift its noise; a
+/// longer exposure is what the dark photograph lacks. So: the gain of light that brings the mean of
+/// V to [`AUTO_MEAN_V`], and of the anchors that bring it there too the one with the least squared
+/// difference over the histogram. Where no anchor in range reaches the mean, as near to it as they
+/// come. What is bright enough already is left nearly alone.
 fn automatic(dark: &Histogram) -> Anchor {
     if dark.mean_of(|v| v) >= AUTO_MEAN_V {
         return FIRST;
     }
     let exposed = |gain: f64| {
-        move |v: f64| f64::from(linear_to_srgb((gain * f64::from(srgb_to_linear(v as f32))) as f32)).min(1.0)
+        move |v: f64| {
+            f64::from(linear_to_srgb(
+                (gain * f64::from(srgb_to_linear(v as f32))) as f32,
+            ))
+            .min(1.0)
+        }
     };
-    let exponent = bisect(0.0, MOST_EXPOSURE.ln(), |e| dark.mean_of(exposed(e.exp())) <= AUTO_MEAN_V);
+    let exponent = bisect(0.0, MOST_EXPOSURE.ln(), |e| {
+        dark.mean_of(exposed(e.exp())) <= AUTO_MEAN_V
+    });
     let wanted = exposed(exponent.exp());
     let candidates = (0..=AUTO_ALPHAS).map(|k| {
         let share = f64::from(k) / f64::from(AUTO_ALPHAS);
@@ -166,20 +192,42 @@ mod tests {
     use crate::image::{Image, Linear};
 
     fn dark(level: f32) -> Histogram {
-        let data = (0..3 * 4096).map(|i| level * (((i * 7919) % 4099) as f32 / 4099.0).powi(2)).collect();
+        let data = (0..3 * 4096)
+            .map(|i| level * (((i * 7919) % 4099) as f32 / 4099.0).powi(2))
+            .collect();
         Histogram::of(&Image::from_planar(64, 64, data))
     }
 
     #[test]
     fn two_rounds_to_ten_and_point_eight_pass_one_and_its_root() {
-        let steps = anchors(2, Anchor { alpha: 10.0, gamma: 0.8 });
-        assert!((steps[0].alpha - 1.0).abs() < 1e-12 && (steps[0].gamma - 0.8_f64.sqrt()).abs() < 1e-12);
-        assert_eq!(steps[1], Anchor { alpha: 10.0, gamma: 0.8 });
+        let steps = anchors(
+            2,
+            Anchor {
+                alpha: 10.0,
+                gamma: 0.8,
+            },
+        );
+        assert!(
+            (steps[0].alpha - 1.0).abs() < 1e-12 && (steps[0].gamma - 0.8_f64.sqrt()).abs() < 1e-12
+        );
+        assert_eq!(
+            steps[1],
+            Anchor {
+                alpha: 10.0,
+                gamma: 0.8
+            }
+        );
     }
 
     #[test]
     fn a_target_without_equalisation_has_none_in_any_round() {
-        let steps = anchors(3, Anchor { alpha: 0.0, gamma: 0.25 });
+        let steps = anchors(
+            3,
+            Anchor {
+                alpha: 0.0,
+                gamma: 0.25,
+            },
+        );
         assert!(steps.iter().all(|anchor| anchor.alpha == 0.0));
         assert!((steps[0].gamma - 0.25_f64.powf(1.0 / 3.0)).abs() < 1e-12);
     }
@@ -190,34 +238,57 @@ mod tests {
             let histogram = dark(level);
             let target = resolve_target("auto", &histogram).expect("auto");
             let mean = histogram.mean_through(&ToneCurve::new(&histogram, target));
-            assert!(target == FIRST || (mean - AUTO_MEAN_V).abs() < 1e-3, "{level}: {target:?} gives {mean}");
+            assert!(
+                target == FIRST || (mean - AUTO_MEAN_V).abs() < 1e-3,
+                "{level}: {target:?} gives {mean}"
+            );
             assert_eq!(target == FIRST, level == 1.0);
-            assert!((MIN_GAMMA..=1.0).contains(&target.gamma) && (0.1..=MAX_ALPHA).contains(&target.alpha));
+            assert!(
+                (MIN_GAMMA..=1.0).contains(&target.gamma)
+                    && (0.1..=MAX_ALPHA).contains(&target.alpha)
+            );
         }
     }
 
     #[test]
     fn the_automatic_target_is_closer_to_a_longer_exposure_than_the_steepest_curve() {
-        let bright =
-            Image::from_planar(64, 64, (0..3 * 4096).map(|i| ((i * 7919) % 4099) as f32 / 4099.0).collect());
+        let bright = Image::from_planar(
+            64,
+            64,
+            (0..3 * 4096)
+                .map(|i| ((i * 7919) % 4099) as f32 / 4099.0)
+                .collect(),
+        );
         let light = bright.to_linear();
         let dark =
-            Image::<Linear>::from_planar(64, 64, light.data().iter().map(|v| v / 15.0).collect()).to_srgb();
+            Image::<Linear>::from_planar(64, 64, light.data().iter().map(|v| v / 15.0).collect())
+                .to_srgb();
         let histogram = Histogram::of(&dark);
         let target = resolve_target("auto", &histogram).expect("auto");
         let steep = |gamma| Anchor { alpha: 10.0, gamma };
         let mean = |anchor| histogram.mean_through(&ToneCurve::new(&histogram, anchor));
-        let steepest = steep(bisect(1.0, MIN_GAMMA, |gamma| mean(steep(gamma)) <= AUTO_MEAN_V));
+        let steepest = steep(bisect(1.0, MIN_GAMMA, |gamma| {
+            mean(steep(gamma)) <= AUTO_MEAN_V
+        }));
         // Best gain against the bright picture, whose mean is not the target's.
         let error = |anchor: Anchor| {
             let curve = ToneCurve::new(&histogram, anchor);
             let out = curve.apply(&dark);
-            let pairs = || out.data().iter().zip(bright.data()).map(|(&a, &b)| (f64::from(a), f64::from(b)));
-            let scale = pairs().map(|(a, b)| a * b).sum::<f64>() / pairs().map(|(a, _)| a * a).sum::<f64>();
+            let pairs = || {
+                out.data()
+                    .iter()
+                    .zip(bright.data())
+                    .map(|(&a, &b)| (f64::from(a), f64::from(b)))
+            };
+            let scale =
+                pairs().map(|(a, b)| a * b).sum::<f64>() / pairs().map(|(a, _)| a * a).sum::<f64>();
             pairs().map(|(a, b)| (scale * a - b).powi(2)).sum::<f64>()
         };
         let (ours, theirs) = (error(target), error(steepest));
-        assert!(ours < 0.5 * theirs, "{target:?} {ours} against {steepest:?} {theirs}");
+        assert!(
+            ours < 0.5 * theirs,
+            "{target:?} {ours} against {steepest:?} {theirs}"
+        );
     }
 
     #[test]
@@ -225,17 +296,37 @@ mod tests {
         let data = vec![0.8; 3 * 64];
         let histogram = Histogram::of(&Image::from_planar(8, 8, data));
         let target = resolve_target("auto", &histogram).expect("auto");
-        assert!(target.gamma == 1.0 && (target.alpha - 0.1).abs() < 1e-9, "{target:?}");
+        assert!(
+            target.gamma == 1.0 && (target.alpha - 0.1).abs() < 1e-9,
+            "{target:?}"
+        );
     }
 
     #[test]
     fn targets_are_read_as_pairs_and_names_and_refused_with_the_known_ones() {
         let histogram = dark(0.1);
-        assert_eq!(resolve_target("10, 0.8", &histogram), Ok(Anchor { alpha: 10.0, gamma: 0.8 }));
-        assert_eq!(resolve_target("Car", &histogram), Ok(Anchor { alpha: 0.0, gamma: 0.25 }));
+        assert_eq!(
+            resolve_target("10, 0.8", &histogram),
+            Ok(Anchor {
+                alpha: 10.0,
+                gamma: 0.8
+            })
+        );
+        assert_eq!(
+            resolve_target("Car", &histogram),
+            Ok(Anchor {
+                alpha: 0.0,
+                gamma: 0.25
+            })
+        );
         for wrong in ["", "bright", "10", "10,0", "-1,0.5", "nan,1", "10,0.8,3"] {
             assert!(resolve_target(wrong, &histogram).is_err(), "{wrong}");
         }
-        assert!(resolve_target("bright", &histogram).expect_err("unknown").to_string().contains("sakura"));
+        assert!(
+            resolve_target("bright", &histogram)
+                .expect_err("unknown")
+                .to_string()
+                .contains("sakura")
+        );
     }
 }

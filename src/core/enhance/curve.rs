@@ -14,7 +14,11 @@ const SMALLEST_V: f32 = 1e-4;
 /// Where a V between 0 and 1 falls: the lower of its two bins and the share of the upper one.
 /// What is not a number counts as black.
 fn bin(v: f32) -> (usize, f32) {
-    let position = if v > 0.0 { v.min(1.0) * (BINS - 1) as f32 } else { 0.0 };
+    let position = if v > 0.0 {
+        v.min(1.0) * (BINS - 1) as f32
+    } else {
+        0.0
+    };
     let low = (position as usize).min(BINS - 2);
     (low, position - low as f32)
 }
@@ -72,7 +76,11 @@ impl Histogram {
     pub fn mean_of(&self, function: impl Fn(f64) -> f64) -> f64 {
         let mapped = |(k, count): (usize, &f64)| count * function(k as f64 / (BINS - 1) as f64);
         let total = self.total();
-        if total > 0.0 { self.bins.iter().enumerate().map(mapped).sum::<f64>() / total } else { 0.0 }
+        if total > 0.0 {
+            self.bins.iter().enumerate().map(mapped).sum::<f64>() / total
+        } else {
+            0.0
+        }
     }
 
     /// The table of the equalisation with clip limit `alpha` (method 1): entries in 0..=1,
@@ -105,7 +113,10 @@ impl ToneCurve {
     /// The curve of an anchor over a histogram: pooled for one tone in the whole scene, of one
     /// image for the paper's reading.
     pub fn new(histogram: &Histogram, anchor: Anchor) -> Self {
-        Self { table: histogram.equalisation(anchor.alpha).map(Box::new), gamma: anchor.gamma as f32 }
+        Self {
+            table: histogram.equalisation(anchor.alpha).map(Box::new),
+            gamma: anchor.gamma as f32,
+        }
     }
 
     /// The equalisation's V' before the exponent.
@@ -117,7 +128,11 @@ impl ToneCurve {
 
     /// What all channels of a colour are multiplied with before the exponent.
     pub(super) fn gain(&self, v: f32) -> f32 {
-        if self.table.is_some() { self.equalised(v) / v.max(SMALLEST_V) } else { 1.0 }
+        if self.table.is_some() {
+            self.equalised(v) / v.max(SMALLEST_V)
+        } else {
+            1.0
+        }
     }
 
     /// The exponent on a value, clipped first.
@@ -172,7 +187,10 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    const ANCHOR: Anchor = Anchor { alpha: 10.0, gamma: 0.8 };
+    const ANCHOR: Anchor = Anchor {
+        alpha: 10.0,
+        gamma: 0.8,
+    };
 
     /// The grey picture of tests/golden/clahe.py: a linear congruence, squared twice to be dark,
     /// then one pixel of every value.
@@ -184,7 +202,10 @@ mod tests {
             let squared = (uniform * uniform) >> 16;
             ((((u64::from(squared) * u64::from(squared)) >> 16) * 200) >> 16) as u8
         });
-        dark.collect::<Vec<_>>().into_iter().chain(0..=255).collect()
+        dark.collect::<Vec<_>>()
+            .into_iter()
+            .chain(0..=255)
+            .collect()
     }
 
     /// The same table in whole numbers, as OpenCV computes it: the excess is spread in whole
@@ -195,10 +216,15 @@ mod tests {
         let total = values.len() as i64;
         let limit = ((alpha * total as f64 / BINS as f64) as i64).max(1);
         let excess: i64 = counts.iter().map(|c| (c - limit).max(0)).sum();
-        counts.iter_mut().for_each(|c| *c = (*c).min(limit) + excess / BINS as i64);
+        counts
+            .iter_mut()
+            .for_each(|c| *c = (*c).min(limit) + excess / BINS as i64);
         let remainder = (excess % BINS as i64) as usize;
         if let Some(step) = BINS.checked_div(remainder) {
-            (0..BINS).step_by(step).take(remainder).for_each(|k| counts[k] += 1);
+            (0..BINS)
+                .step_by(step)
+                .take(remainder)
+                .for_each(|k| counts[k] += 1);
         }
         let scale = 255.0_f32 / total as f32;
         let mut sum = 0;
@@ -213,14 +239,23 @@ mod tests {
         let golden: serde_json::Value =
             serde_json::from_str(include_str!("../../../tests/golden/clahe.json")).expect("JSON");
         let values = golden_values();
-        let data: Vec<f32> = (0..3).flat_map(|_| values.iter().map(|&v| f32::from(v) / 255.0)).collect();
+        let data: Vec<f32> = (0..3)
+            .flat_map(|_| values.iter().map(|&v| f32::from(v) / 255.0))
+            .collect();
         let histogram = Histogram::of(&Image::from_planar(64, 48, data));
         for (name, expected) in golden.as_object().expect("one table an alpha") {
             let alpha: f64 = name.parse().expect("a number");
             let expected: Vec<u8> = serde_json::from_value(expected.clone()).expect("256 numbers");
-            assert_eq!(integer_table(&values, alpha).as_slice(), expected, "alpha {alpha}");
+            assert_eq!(
+                integer_table(&values, alpha).as_slice(),
+                expected,
+                "alpha {alpha}"
+            );
             let float = histogram.equalisation(alpha).expect("a table");
-            let worst = float.iter().zip(&expected).map(|(f, &e)| (f * 255.0 - f32::from(e)).abs());
+            let worst = float
+                .iter()
+                .zip(&expected)
+                .map(|(f, &e)| (f * 255.0 - f32::from(e)).abs());
             // What whole counts cost: half a step, the limit's fraction in each bin, and up to 64
             // counts of the remainder that come early (r - r^2 / 256 at r = 128).
             let limit = (alpha * values.len() as f64 / BINS as f64).max(1.0);
@@ -248,23 +283,38 @@ mod tests {
     #[test]
     fn networks_are_trained_on_photographs_through_the_same_curve() {
         let golden: serde_json::Value =
-            serde_json::from_str(include_str!("../../../tests/golden/tone_curve.json")).expect("JSON");
+            serde_json::from_str(include_str!("../../../tests/golden/tone_curve.json"))
+                .expect("JSON");
         let photograph = golden_photograph();
         let histogram = Histogram::of(&photograph);
         for curve in golden["curves"].as_array().expect("a list") {
             let number = |key: &str| curve[key].as_f64().expect("a number");
-            let anchor = Anchor { alpha: number("alpha"), gamma: number("gamma") };
-            let values: Vec<f32> = serde_json::from_value(curve["values"].clone()).expect("numbers");
+            let anchor = Anchor {
+                alpha: number("alpha"),
+                gamma: number("gamma"),
+            };
+            let values: Vec<f32> =
+                serde_json::from_value(curve["values"].clone()).expect("numbers");
             let bright = ToneCurve::new(&histogram, anchor).apply(&photograph);
             for (pixel, expected) in values.chunks_exact(3).enumerate() {
                 let found = bright.get(pixel % 16, pixel / 16);
-                let apart = found.iter().zip(expected).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
-                assert!(apart <= 1e-6, "{anchor:?}, pixel {pixel}: {found:?} and {expected:?}");
+                let apart = found
+                    .iter()
+                    .zip(expected)
+                    .map(|(a, b)| (a - b).abs())
+                    .fold(0.0, f32::max);
+                assert!(
+                    apart <= 1e-6,
+                    "{anchor:?}, pixel {pixel}: {found:?} and {expected:?}"
+                );
             }
         }
-        let expected: [f64; 2] = serde_json::from_value(golden["automatic"].clone()).expect("two numbers");
+        let expected: [f64; 2] =
+            serde_json::from_value(golden["automatic"].clone()).expect("two numbers");
         let found = super::super::resolve_target("auto", &histogram).expect("a target");
-        assert!((found.alpha - expected[0]).abs() <= 1e-6 && (found.gamma - expected[1]).abs() <= 1e-6);
+        assert!(
+            (found.alpha - expected[0]).abs() <= 1e-6 && (found.gamma - expected[1]).abs() <= 1e-6
+        );
     }
 
     #[test]
@@ -282,7 +332,13 @@ mod tests {
     #[test]
     fn hue_and_saturation_survive_the_equalisation() {
         let image = Image::from_planar(2, 1, vec![0.1, 0.02, 0.05, 0.01, 0.025, 0.015]);
-        let curve = ToneCurve::new(&Histogram::of(&image), Anchor { alpha: 10.0, gamma: 1.0 });
+        let curve = ToneCurve::new(
+            &Histogram::of(&image),
+            Anchor {
+                alpha: 10.0,
+                gamma: 1.0,
+            },
+        );
         let [r, g, b] = curve.apply_colour([0.1, 0.05, 0.025]);
         assert!(r > 0.2 && (g / r - 0.5).abs() < 1e-5 && (b / r - 0.25).abs() < 1e-5);
     }
@@ -290,7 +346,13 @@ mod tests {
     #[test]
     fn alpha_zero_is_the_exponent_alone() {
         let image = Image::from_planar(1, 1, vec![0.25, 0.5, 0.04]);
-        let curve = ToneCurve::new(&Histogram::of(&image), Anchor { alpha: 0.0, gamma: 0.5 });
+        let curve = ToneCurve::new(
+            &Histogram::of(&image),
+            Anchor {
+                alpha: 0.0,
+                gamma: 0.5,
+            },
+        );
         let colour = curve.apply_colour([0.25, 0.5, 0.04]);
         assert!((colour[0] - 0.5).abs() < 1e-6 && (colour[2] - 0.2).abs() < 1e-6);
     }
@@ -301,7 +363,12 @@ mod tests {
             let image = Image::from_planar(2, 2, data);
             let curve = ToneCurve::new(&Histogram::of(&image), ANCHOR);
             assert!(curve.apply_colour([0.0; 3]).iter().all(|v| v.is_finite()));
-            assert!(curve.apply_colour([0.3, 0.2, 0.1]).iter().all(|v| v.is_finite()));
+            assert!(
+                curve
+                    .apply_colour([0.3, 0.2, 0.1])
+                    .iter()
+                    .all(|v| v.is_finite())
+            );
         }
         let nothing = ToneCurve::new(&Histogram::pooled([]), ANCHOR);
         assert!(nothing.apply_colour([0.3, 0.2, 0.1])[0].is_finite());
@@ -310,8 +377,18 @@ mod tests {
     #[test]
     fn the_slope_is_the_derivative_of_the_curve() {
         let image = Image::from_planar(1, 1, vec![0.25, 0.5, 0.04]);
-        let curve = ToneCurve::new(&Histogram::of(&image), Anchor { alpha: 0.0, gamma: 0.5 });
-        assert!((curve.slope([0.25; 3])[1] - 1.0).abs() < 1e-3, "{:?}", curve.slope([0.25; 3]));
+        let curve = ToneCurve::new(
+            &Histogram::of(&image),
+            Anchor {
+                alpha: 0.0,
+                gamma: 0.5,
+            },
+        );
+        assert!(
+            (curve.slope([0.25; 3])[1] - 1.0).abs() < 1e-3,
+            "{:?}",
+            curve.slope([0.25; 3])
+        );
     }
 
     proptest! {

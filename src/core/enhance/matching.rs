@@ -45,16 +45,28 @@ pub struct Match {
 ///
 /// # Panics
 /// When there is no pair, or a pair differs in size: faults of the caller.
-pub fn match_anchor(pairs: &[(&Image<Srgb>, &Image<Srgb>)], histogram: &Histogram, seed: u64) -> Match {
+pub fn match_anchor(
+    pairs: &[(&Image<Srgb>, &Image<Srgb>)],
+    histogram: &Histogram,
+    seed: u64,
+) -> Match {
     assert!(!pairs.is_empty(), "nothing to match");
-    let scenes: Vec<Pair> = pairs.iter().map(|(render, target)| Pair::new(render, target)).collect();
+    let scenes: Vec<Pair> = pairs
+        .iter()
+        .map(|(render, target)| Pair::new(render, target))
+        .collect();
     let anchor_at = |point: [f64; 2]| Anchor {
         alpha: point[0] * MAX_ALPHA,
         gamma: MIN_GAMMA + point[1] * (1.0 - MIN_GAMMA),
     };
-    let best =
-        Evolution::PAPER.minimise(seed, |point| cost(&scenes, &ToneCurve::new(histogram, anchor_at(point))));
-    Match { anchor: anchor_at(best.point), cost: best.cost, generations: best.generations }
+    let best = Evolution::PAPER.minimise(seed, |point| {
+        cost(&scenes, &ToneCurve::new(histogram, anchor_at(point)))
+    });
+    Match {
+        anchor: anchor_at(best.point),
+        cost: best.cost,
+        generations: best.generations,
+    }
 }
 
 /// At most `most` indices spread evenly over `0..count`, first and last included.
@@ -82,7 +94,11 @@ struct Pair {
 impl Pair {
     fn new(render: &Image<Srgb>, target: &Image<Srgb>) -> Self {
         let size = (render.width(), render.height());
-        assert_eq!(size, (target.width(), target.height()), "a render and its target");
+        assert_eq!(
+            size,
+            (target.width(), target.height()),
+            "a render and its target"
+        );
         let (width, height) = small_size(size);
         let colours = |image: &Image<Srgb>| {
             let small = image.resize_area(width, height);
@@ -91,17 +107,31 @@ impl Pair {
         };
         let (render, target) = (colours(render), colours(target));
         let mut target_histogram = [0.0; SOFT_BINS];
-        target.iter().for_each(|&rgb| count(&mut target_histogram, rgb));
+        target
+            .iter()
+            .for_each(|&rgb| count(&mut target_histogram, rgb));
         let target_luma: Vec<f32> = target.iter().copied().map(luma).collect();
         let blur = Blur { width, height };
         let target_mean = blur.apply(&target_luma);
         let target_square = blur.apply(&product(&target_luma, &target_luma));
-        Self { width, height, render, target, target_histogram, target_luma, target_mean, target_square }
+        Self {
+            width,
+            height,
+            render,
+            target,
+            target_histogram,
+            target_luma,
+            target_mean,
+            target_square,
+        }
     }
 
     /// Mean SSIM of a luma against the target's, over the region where the window fits.
     fn ssim(&self, luma: &[f32]) -> f64 {
-        let blur = Blur { width: self.width, height: self.height };
+        let blur = Blur {
+            width: self.width,
+            height: self.height,
+        };
         let mean = blur.apply(luma);
         let square = blur.apply(&product(luma, luma));
         let cross = blur.apply(&product(luma, &self.target_luma));
@@ -122,7 +152,11 @@ impl Pair {
 /// the image itself is.
 fn small_size((width, height): (usize, usize)) -> (usize, usize) {
     let factor = (width.max(height) as f64 / MAX_SIDE as f64).max(4.0);
-    let side = |side: usize| ((side as f64 / factor).round() as usize).max(2 * TAPS).min(side);
+    let side = |side: usize| {
+        ((side as f64 / factor).round() as usize)
+            .max(2 * TAPS)
+            .min(side)
+    };
     (side(width), side(height))
 }
 
@@ -142,7 +176,10 @@ fn cost(pairs: &[Pair], curve: &ToneCurve) -> f64 {
         }
         samples += 3.0 * pair.render.len() as f64;
         ssim += pair.ssim(&lumas) / pairs.len() as f64;
-        target_histogram.iter_mut().zip(&pair.target_histogram).for_each(|(sum, bin)| *sum += bin);
+        target_histogram
+            .iter_mut()
+            .zip(&pair.target_histogram)
+            .for_each(|(sum, bin)| *sum += bin);
     }
     squares / samples + (1.0 - ssim) + (1.0 - correlation(&histogram, &target_histogram))
 }
@@ -159,7 +196,12 @@ impl<'a> FastCurve<'a> {
 
     fn new(curve: &'a ToneCurve) -> Self {
         let root = |i: usize| i as f32 / Self::STEPS as f32;
-        Self { curve, powers: (0..=Self::STEPS).map(|i| curve.power(root(i) * root(i))).collect() }
+        Self {
+            curve,
+            powers: (0..=Self::STEPS)
+                .map(|i| curve.power(root(i) * root(i)))
+                .collect(),
+        }
     }
 
     fn apply(&self, rgb: [f32; 3]) -> [f32; 3] {
@@ -220,9 +262,14 @@ impl Blur {
         let taps = taps();
         let (out_width, out_height) = (self.width - TAPS + 1, self.height - TAPS + 1);
         let mut narrow = vec![0.0; out_width * self.height];
-        for (row, out) in plane.chunks_exact(self.width).zip(narrow.chunks_exact_mut(out_width)) {
+        for (row, out) in plane
+            .chunks_exact(self.width)
+            .zip(narrow.chunks_exact_mut(out_width))
+        {
             for (offset, tap) in taps.into_iter().enumerate() {
-                out.iter_mut().zip(&row[offset..]).for_each(|(sum, v)| *sum += tap * v);
+                out.iter_mut()
+                    .zip(&row[offset..])
+                    .for_each(|(sum, v)| *sum += tap * v);
             }
         }
         let mut result = vec![0.0; out_width * out_height];
@@ -252,8 +299,13 @@ mod tests {
         for y in 0..height {
             for x in 0..width {
                 let (u, v) = (x as f32 / width as f32, y as f32 / height as f32);
-                let light = (0.02 + 0.3 * u * u) * (1.0 + 0.6 * (23.0 * u + 11.0 * v + phase).sin());
-                image.set(x, y, [light, light * (0.5 + 0.4 * v), light * (0.9 - 0.5 * u)]);
+                let light =
+                    (0.02 + 0.3 * u * u) * (1.0 + 0.6 * (23.0 * u + 11.0 * v + phase).sin());
+                image.set(
+                    x,
+                    y,
+                    [light, light * (0.5 + 0.4 * v), light * (0.9 - 0.5 * u)],
+                );
             }
         }
         image
@@ -262,7 +314,12 @@ mod tests {
     /// The mean distance between two curves over the colours of an image.
     fn distance(image: &Image<Srgb>, a: &ToneCurve, b: &ToneCurve) -> f32 {
         let (a, b) = (a.apply(image), b.apply(image));
-        a.data().iter().zip(b.data()).map(|(a, b)| (a - b).abs()).sum::<f32>() / a.data().len() as f32
+        a.data()
+            .iter()
+            .zip(b.data())
+            .map(|(a, b)| (a - b).abs())
+            .sum::<f32>()
+            / a.data().len() as f32
     }
 
     #[test]
@@ -270,7 +327,10 @@ mod tests {
         let views: Vec<_> = [0.0, 1.0, 2.5].map(|phase| scene(200, 120, phase)).into();
         let histogram = Histogram::pooled(&views);
         for known in [(0.8, 0.9), (3.0, 0.6), (8.0, 0.45), (0.3, 0.35)] {
-            let known = Anchor { alpha: known.0, gamma: known.1 };
+            let known = Anchor {
+                alpha: known.0,
+                gamma: known.1,
+            };
             let truth = ToneCurve::new(&histogram, known);
             let targets: Vec<_> = views.iter().map(|view| truth.apply(view)).collect();
             let pairs: Vec<_> = views.iter().zip(&targets).collect();
@@ -278,7 +338,13 @@ mod tests {
             let off = distance(&views[1], &truth, &ToneCurve::new(&histogram, found.anchor));
             assert!(off < 0.01, "{known:?}: {found:?} is off by {off}");
             let other = if known.gamma > 0.65 { MIN_GAMMA } else { 1.0 };
-            let wrong = ToneCurve::new(&histogram, Anchor { gamma: other, ..known });
+            let wrong = ToneCurve::new(
+                &histogram,
+                Anchor {
+                    gamma: other,
+                    ..known
+                },
+            );
             assert!(distance(&views[1], &truth, &wrong) > 0.05, "{known:?}");
         }
     }
@@ -287,7 +353,14 @@ mod tests {
     fn a_seed_repeats_its_search() {
         let view = scene(160, 90, 0.0);
         let histogram = Histogram::of(&view);
-        let target = ToneCurve::new(&histogram, Anchor { alpha: 2.0, gamma: 0.7 }).apply(&view);
+        let target = ToneCurve::new(
+            &histogram,
+            Anchor {
+                alpha: 2.0,
+                gamma: 0.7,
+            },
+        )
+        .apply(&view);
         let run = |seed| match_anchor(&[(&view, &target)], &histogram, seed);
         assert_eq!(run(3), run(3));
         assert_ne!(run(3), run(4));
@@ -305,13 +378,25 @@ mod tests {
     #[test]
     fn the_quick_curve_is_the_curve() {
         let view = scene(64, 64, 0.3);
-        for anchor in [Anchor { alpha: 10.0, gamma: 0.3 }, Anchor { alpha: 0.0, gamma: 0.5 }] {
+        for anchor in [
+            Anchor {
+                alpha: 10.0,
+                gamma: 0.3,
+            },
+            Anchor {
+                alpha: 0.0,
+                gamma: 0.5,
+            },
+        ] {
             let curve = ToneCurve::new(&Histogram::of(&view), anchor);
             let fast = FastCurve::new(&curve);
             for i in 0..64 {
                 let rgb = view.get(i, i);
                 let (a, b) = (curve.apply_colour(rgb), fast.apply(rgb));
-                assert!(a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-4), "{a:?} {b:?}");
+                assert!(
+                    a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-4),
+                    "{a:?} {b:?}"
+                );
             }
         }
     }

@@ -1,5 +1,5 @@
-//! Scenes as PLY files in the layout that 3DGS viewers read: binary little endian, quaternions w x y z,
-//! opacity as a logit, scales as logarithms, higher harmonics channel-major.
+//! Scenes as PLY files in the layout that 3DGS viewers read: binary little endian, quaternions w x
+//! y z, opacity as a logit, scales as logarithms, higher harmonics channel-major.
 
 use std::fs::File;
 use std::io::{BufRead, BufReader, BufWriter, Read, Write};
@@ -33,11 +33,16 @@ pub enum PlyError {
 /// # Errors
 /// [`PlyError::Io`].
 pub fn write(gaussians: &Gaussians, path: &Path) -> Result<(), PlyError> {
-    let fault = |source| PlyError::Io { path: path.to_owned(), source };
+    let fault = |source| PlyError::Io {
+        path: path.to_owned(),
+        source,
+    };
     let temporary = path.with_extension("ply.tmp");
     let mut file = BufWriter::new(File::create(&temporary).map_err(fault)?);
     write_to(gaussians, &mut file).map_err(fault)?;
-    let file = file.into_inner().map_err(|error| fault(error.into_error()))?;
+    let file = file
+        .into_inner()
+        .map_err(|error| fault(error.into_error()))?;
     file.sync_all().map_err(fault)?;
     std::fs::rename(&temporary, path).map_err(fault)
 }
@@ -73,10 +78,19 @@ pub fn write_to(gaussians: &Gaussians, out: &mut impl Write) -> std::io::Result<
 }
 
 fn property_names(coefficients: usize) -> Vec<String> {
-    let fixed = |names: &[&str]| names.iter().map(|name| (*name).to_owned()).collect::<Vec<_>>();
-    let mut names = fixed(&["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2"]);
+    let fixed = |names: &[&str]| {
+        names
+            .iter()
+            .map(|name| (*name).to_owned())
+            .collect::<Vec<_>>()
+    };
+    let mut names = fixed(&[
+        "x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2",
+    ]);
     names.extend((0..3 * (coefficients - 1)).map(|n| format!("f_rest_{n}")));
-    names.extend(fixed(&["opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"]));
+    names.extend(fixed(&[
+        "opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3",
+    ]));
     names
 }
 
@@ -85,9 +99,15 @@ fn property_names(coefficients: usize) -> Vec<String> {
 /// # Errors
 /// [`PlyError`] when the file cannot be read or lacks a property of a Gaussian.
 pub fn read(path: &Path) -> Result<Gaussians, PlyError> {
-    let fault = |source| PlyError::Io { path: path.to_owned(), source };
+    let fault = |source| PlyError::Io {
+        path: path.to_owned(),
+        source,
+    };
     let mut file = BufReader::new(File::open(path).map_err(fault)?);
-    let format = |message: String| PlyError::Format { path: path.to_owned(), message };
+    let format = |message: String| PlyError::Format {
+        path: path.to_owned(),
+        message,
+    };
     let header = read_header(&mut file).map_err(fault)?.map_err(format)?;
     let mut body = Vec::new();
     file.read_to_end(&mut body).map_err(fault)?;
@@ -104,7 +124,11 @@ struct Header {
 
 /// Outer error: reading; inner error: the header's.
 fn read_header(file: &mut impl BufRead) -> std::io::Result<Result<Header, String>> {
-    let mut header = Header { count: 0, stride: 0, properties: Vec::new() };
+    let mut header = Header {
+        count: 0,
+        stride: 0,
+        properties: Vec::new(),
+    };
     for number in 0..1_000 {
         let mut line = String::new();
         if file.by_ref().take(1_000).read_line(&mut line)? == 0 {
@@ -112,7 +136,8 @@ fn read_header(file: &mut impl BufRead) -> std::io::Result<Result<Header, String
         }
         let words: Vec<_> = line.split_whitespace().collect();
         match (number, words.as_slice()) {
-            (0, ["ply"]) | (_, ["format", "binary_little_endian", _] | ["comment" | "obj_info", ..]) => {}
+            (0, ["ply"])
+            | (_, ["format", "binary_little_endian", _] | ["comment" | "obj_info", ..]) => {}
             (0, _) => return Ok(Err("not a PLY file".to_owned())),
             (_, ["element", "vertex", count]) => match count.parse() {
                 Ok(count) => header.count = count,
@@ -120,13 +145,22 @@ fn read_header(file: &mut impl BufRead) -> std::io::Result<Result<Header, String
             },
             (_, ["property", kind, name]) => {
                 let Some(size) = size_of_type(kind) else {
-                    return Ok(Err(format!("property `{name}` has the unknown type `{kind}`")));
+                    return Ok(Err(format!(
+                        "property `{name}` has the unknown type `{kind}`"
+                    )));
                 };
-                header.properties.push(((*name).to_owned(), header.stride, size));
+                header
+                    .properties
+                    .push(((*name).to_owned(), header.stride, size));
                 header.stride += size;
             }
             (_, ["end_header"]) => return Ok(Ok(header)),
-            _ => return Ok(Err(format!("cannot read the header line `{}`", line.trim()))),
+            _ => {
+                return Ok(Err(format!(
+                    "cannot read the header line `{}`",
+                    line.trim()
+                )));
+            }
         }
     }
     Ok(Err("the header has no end".to_owned()))
@@ -144,11 +178,21 @@ fn size_of_type(kind: &str) -> Option<usize> {
 
 impl Header {
     fn decode(&self, body: &[u8]) -> Result<Gaussians, String> {
-        let expected = self.count.checked_mul(self.stride).ok_or("the vertex count is absurd")?;
+        let expected = self
+            .count
+            .checked_mul(self.stride)
+            .ok_or("the vertex count is absurd")?;
         if body.len() < expected {
-            return Err(format!("{} bytes of vertices, {expected} announced", body.len()));
+            return Err(format!(
+                "{} bytes of vertices, {expected} announced",
+                body.len()
+            ));
         }
-        let rest = self.properties.iter().filter(|(name, ..)| name.starts_with("f_rest_")).count();
+        let rest = self
+            .properties
+            .iter()
+            .filter(|(name, ..)| name.starts_with("f_rest_"))
+            .count();
         let sh_degree = (0..=3)
             .find(|degree| 3 * ((degree + 1) * (degree + 1) - 1) == rest)
             .ok_or_else(|| format!("{rest} higher harmonics fit no degree"))?;
@@ -158,7 +202,10 @@ impl Header {
                 offsets.push(self.offset(&name)?);
             }
         }
-        let mut out = Gaussians { sh_degree: sh_degree as u32, ..Gaussians::default() };
+        let mut out = Gaussians {
+            sh_degree: sh_degree as u32,
+            ..Gaussians::default()
+        };
         for vertex in body.chunks_exact(self.stride.max(1)).take(self.count) {
             let row: Vec<_> = offsets.iter().map(|&at| float(vertex, at)).collect();
             push(&mut out, &row);
@@ -167,8 +214,13 @@ impl Header {
     }
 
     fn offset(&self, name: &str) -> Result<usize, String> {
-        let found = self.properties.iter().find(|(known, _, size)| known == name && *size == 4);
-        found.map(|(_, offset, _)| *offset).ok_or_else(|| format!("no float property `{name}`"))
+        let found = self
+            .properties
+            .iter()
+            .find(|(known, _, size)| known == name && *size == 4);
+        found
+            .map(|(_, offset, _)| *offset)
+            .ok_or_else(|| format!("no float property `{name}`"))
     }
 }
 
@@ -184,11 +236,14 @@ fn push(out: &mut Gaussians, row: &[f32]) {
     out.sh.extend(&row[3..6]);
     let by_channel = &row[6..tail];
     for n in 0..rest / 3 {
-        out.sh.extend([0, 1, 2].map(|channel| by_channel[channel * (rest / 3) + n]));
+        out.sh
+            .extend([0, 1, 2].map(|channel| by_channel[channel * (rest / 3) + n]));
     }
     out.opacity_logits.push(row[tail]);
-    out.log_scales.push([row[tail + 1], row[tail + 2], row[tail + 3]]);
-    out.quats.push([row[tail + 4], row[tail + 5], row[tail + 6], row[tail + 7]]);
+    out.log_scales
+        .push([row[tail + 1], row[tail + 2], row[tail + 3]]);
+    out.quats
+        .push([row[tail + 4], row[tail + 5], row[tail + 6], row[tail + 7]]);
 }
 
 #[cfg(test)]
@@ -200,7 +255,9 @@ mod tests {
         let row = 3 * ((sh_degree + 1) * (sh_degree + 1)) as usize;
         Gaussians {
             means: (0..count).map(|i| [0, 1, 2].map(|n| value(i, n))).collect(),
-            quats: (0..count).map(|i| [3, 4, 5, 6].map(|n| value(i, n))).collect(),
+            quats: (0..count)
+                .map(|i| [3, 4, 5, 6].map(|n| value(i, n)))
+                .collect(),
             log_scales: (0..count).map(|i| [7, 8, 9].map(|n| value(i, n))).collect(),
             opacity_logits: (0..count).map(|i| value(i, 10)).collect(),
             sh: (0..count * row).map(|n| value(n, 2)).collect(),
@@ -224,11 +281,21 @@ mod tests {
         let scene = scene(1, 1);
         let mut bytes = Vec::new();
         write_to(&scene, &mut bytes).expect("written");
-        let at = bytes.windows(11).position(|w| w == b"end_header\n").expect("a header") + 11;
-        let body: Vec<_> =
-            bytes[at..].chunks_exact(4).map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect();
+        let at = bytes
+            .windows(11)
+            .position(|w| w == b"end_header\n")
+            .expect("a header")
+            + 11;
+        let body: Vec<_> = bytes[at..]
+            .chunks_exact(4)
+            .map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]]))
+            .collect();
         assert_eq!(body.len(), 26);
-        assert_eq!(body[9..12], [scene.sh[3], scene.sh[6], scene.sh[9]], "red of coefficients 1, 2, 3");
+        assert_eq!(
+            body[9..12],
+            [scene.sh[3], scene.sh[6], scene.sh[9]],
+            "red of coefficients 1, 2, 3"
+        );
         assert_eq!(body[12], scene.sh[4], "then green");
         assert_eq!(body[18], scene.opacity_logits[0]);
         assert_eq!(body[22..], scene.quats[0]);
@@ -245,7 +312,9 @@ mod tests {
             matches!(read(&path), Err(PlyError::Format { message, .. }) if message.contains("announced"))
         );
         std::fs::write(&path, b"P6 3 3").expect("written");
-        assert!(matches!(read(&path), Err(PlyError::Format { message, .. }) if message == "not a PLY file"));
+        assert!(
+            matches!(read(&path), Err(PlyError::Format { message, .. }) if message == "not a PLY file")
+        );
     }
 
     #[test]

@@ -145,7 +145,11 @@ impl Image<Srgb> {
         let from = (samples.width, samples.height);
         let (width, height) = at_most(from.0, from.1, long_side.max(1));
         let shrinks = (width, height) != from;
-        let table = if shrinks { samples.table(srgb_to_linear) } else { samples.table(|v| v) };
+        let table = if shrinks {
+            samples.table(srgb_to_linear)
+        } else {
+            samples.table(|v| v)
+        };
         let average = AreaAverage::new(from, (width, height));
         let mut image = Self::new(width, height);
         for channel in 0..3 {
@@ -153,7 +157,10 @@ impl Image<Srgb> {
             average.plane(from.0, row, image.plane_mut(channel));
         }
         if shrinks {
-            image.data_mut().iter_mut().for_each(|v| *v = linear_to_srgb(*v));
+            image
+                .data_mut()
+                .iter_mut()
+                .for_each(|v| *v = linear_to_srgb(*v));
         }
         Ok(image)
     }
@@ -168,7 +175,10 @@ struct Opened {
 
 impl Opened {
     fn open(path: &Path) -> Result<Self, ImageError> {
-        let io = |source| ImageError::Io { path: path.to_owned(), source };
+        let io = |source| ImageError::Io {
+            path: path.to_owned(),
+            source,
+        };
         let file = File::open(path).map_err(io)?;
         let metadata = file.metadata().map_err(io)?;
         if !metadata.is_file() {
@@ -181,7 +191,10 @@ impl Opened {
         }
         let mut file = BufReader::new(file);
         let mut head = Vec::with_capacity(32);
-        Read::by_ref(&mut file).take(32).read_to_end(&mut head).map_err(io)?;
+        Read::by_ref(&mut file)
+            .take(32)
+            .read_to_end(&mut head)
+            .map_err(io)?;
         let format = match kind(&head, path) {
             Kind::Readable(format) => format,
             Kind::Heic => return Err(ImageError::Heic),
@@ -191,7 +204,9 @@ impl Opened {
         file.rewind().map_err(io)?;
         if format == ImageFormat::Jpeg {
             if !jpeg_has_its_end(&mut file).map_err(io)? {
-                return Err(ImageError::Damaged { message: "the end of the JPEG is missing".to_owned() });
+                return Err(ImageError::Damaged {
+                    message: "the end of the JPEG is missing".to_owned(),
+                });
             }
             file.rewind().map_err(io)?;
         }
@@ -218,7 +233,15 @@ impl Opened {
             Ok(Some(block)) => exif::focal_px(block, width, height),
             _ => None,
         };
-        Ok(Self { decoder, orientation, header: Header { width, height, focal_px } })
+        Ok(Self {
+            decoder,
+            orientation,
+            header: Header {
+                width,
+                height,
+                focal_px,
+            },
+        })
     }
 }
 
@@ -294,11 +317,17 @@ impl Samples {
     fn decode(path: &Path) -> Result<Self, ImageError> {
         guarded(|| {
             let opened = Opened::open(path)?;
-            let mut picture = DynamicImage::from_decoder(opened.decoder).map_err(|error| told(&error))?;
+            let mut picture =
+                DynamicImage::from_decoder(opened.decoder).map_err(|error| told(&error))?;
             picture.apply_orientation(opened.orientation);
             let (width, height) = (opened.header.width, opened.header.height);
             let (channels, values) = interleaved(picture)?;
-            Ok(Self { width, height, channels, values })
+            Ok(Self {
+                width,
+                height,
+                channels,
+                values,
+            })
         })
     }
 
@@ -322,7 +351,13 @@ impl Samples {
     }
 }
 
-fn look_up<T: Copy + Into<usize>>(row: &[T], offset: usize, stride: usize, table: &[f32], out: &mut [f32]) {
+fn look_up<T: Copy + Into<usize>>(
+    row: &[T],
+    offset: usize,
+    stride: usize,
+    table: &[f32],
+    out: &mut [f32],
+) {
     out.iter_mut()
         .zip(row[offset..].iter().step_by(stride))
         .for_each(|(v, &sample)| *v = table[sample.into()]);
@@ -359,7 +394,9 @@ fn over_black<T: image::Primitive>(samples: &[T], stride: usize) -> Vec<T> {
         .chunks_exact(stride)
         .flat_map(|pixel| {
             let alpha = pixel[stride - 1].to_u64().expect("an integer sample");
-            pixel[..stride - 1].iter().map(move |&value| composited(value, alpha))
+            pixel[..stride - 1]
+                .iter()
+                .map(move |&value| composited(value, alpha))
         })
         .collect()
 }
@@ -375,8 +412,11 @@ fn told(error: &image::ImageError) -> ImageError {
 
 /// Runs a decoder; where a hostile file makes it panic, the file is at fault, not the run.
 fn guarded<T>(decode: impl FnOnce() -> Result<T, ImageError>) -> Result<T, ImageError> {
-    catch_unwind(AssertUnwindSafe(decode))
-        .unwrap_or_else(|_| Err(ImageError::Damaged { message: "the decoder gave up".to_owned() }))
+    catch_unwind(AssertUnwindSafe(decode)).unwrap_or_else(|_| {
+        Err(ImageError::Damaged {
+            message: "the decoder gave up".to_owned(),
+        })
+    })
 }
 
 #[cfg(test)]

@@ -13,8 +13,11 @@ const PLAUSIBLE: std::ops::RangeInclusive<f64> = 0.2..=20.0;
 /// block is absent, broken, or gives millimetres without any measure of the sensor.
 pub(super) fn focal_px(exif: Vec<u8>, width: usize, height: usize) -> Option<f64> {
     let exif = Reader::new().read_raw(exif).ok()?;
-    let focal = equivalent(&exif, width, height).or_else(|| by_sensor_resolution(&exif, width, height))?;
-    PLAUSIBLE.contains(&(focal / width.max(height) as f64)).then_some(focal)
+    let focal =
+        equivalent(&exif, width, height).or_else(|| by_sensor_resolution(&exif, width, height))?;
+    PLAUSIBLE
+        .contains(&(focal / width.max(height) as f64))
+        .then_some(focal)
 }
 
 /// From the 35 mm equivalent: the diagonals correspond.
@@ -27,15 +30,18 @@ fn equivalent(exif: &Exif, width: usize, height: usize) -> Option<f64> {
 fn by_sensor_resolution(exif: &Exif, width: usize, height: usize) -> Option<f64> {
     let millimetres = positive(exif, Tag::FocalLength)?;
     let per_unit = positive(exif, Tag::FocalPlaneXResolution)?;
-    let unit_mm = match positive(exif, Tag::FocalPlaneResolutionUnit).map_or(2, |unit| unit as u32) {
+    let unit_mm = match positive(exif, Tag::FocalPlaneResolutionUnit).map_or(2, |unit| unit as u32)
+    {
         2 => 25.4,
         3 => 10.0,
         4 => 1.0,
         5 => 0.001,
         _ => return None,
     };
-    let (taken_width, taken_height) =
-        (positive(exif, Tag::PixelXDimension)?, positive(exif, Tag::PixelYDimension)?);
+    let (taken_width, taken_height) = (
+        positive(exif, Tag::PixelXDimension)?,
+        positive(exif, Tag::PixelYDimension)?,
+    );
     // The long sides are compared: a rotated picture keeps its EXIF numbers.
     let resized = width.max(height) as f64 / taken_width.max(taken_height);
     Some(millimetres * per_unit / unit_mm * resized)
@@ -58,7 +64,11 @@ pub(crate) mod tests {
     pub(crate) fn block(fields: &[(Tag, Value)]) -> Vec<u8> {
         let fields: Vec<Field> = fields
             .iter()
-            .map(|(tag, value)| Field { tag: *tag, ifd_num: In::PRIMARY, value: value.clone() })
+            .map(|(tag, value)| Field {
+                tag: *tag,
+                ifd_num: In::PRIMARY,
+                value: value.clone(),
+            })
             .collect();
         let mut writer = Writer::new();
         fields.iter().for_each(|field| writer.push_field(field));
@@ -93,10 +103,24 @@ pub(crate) mod tests {
 
     #[test]
     fn millimetres_alone_zeros_and_nonsense_give_nothing() {
-        assert_eq!(focal_px(block(&[(Tag::FocalLength, rational(50, 1))]), 4000, 3000), None);
-        assert_eq!(focal_px(block(&[(Tag::FocalLengthIn35mmFilm, Value::Short(vec![0]))]), 4000, 3000), None);
         assert_eq!(
-            focal_px(block(&[(Tag::FocalLengthIn35mmFilm, Value::Short(vec![60_000]))]), 4000, 3000),
+            focal_px(block(&[(Tag::FocalLength, rational(50, 1))]), 4000, 3000),
+            None
+        );
+        assert_eq!(
+            focal_px(
+                block(&[(Tag::FocalLengthIn35mmFilm, Value::Short(vec![0]))]),
+                4000,
+                3000
+            ),
+            None
+        );
+        assert_eq!(
+            focal_px(
+                block(&[(Tag::FocalLengthIn35mmFilm, Value::Short(vec![60_000]))]),
+                4000,
+                3000
+            ),
             None
         );
         assert_eq!(focal_px(b"not EXIF at all".to_vec(), 4000, 3000), None);

@@ -5,30 +5,44 @@ use super::{Image, Linear, Srgb};
 /// Linear light of an sRGB-encoded value. Odd around 0, unbounded above 1: nothing is clipped.
 pub fn srgb_to_linear(value: f32) -> f32 {
     let magnitude = value.abs();
-    let linear =
-        if magnitude <= 0.040_45 { magnitude / 12.92 } else { ((magnitude + 0.055) / 1.055).powf(2.4) };
+    let linear = if magnitude <= 0.040_45 {
+        magnitude / 12.92
+    } else {
+        ((magnitude + 0.055) / 1.055).powf(2.4)
+    };
     linear.copysign(value)
 }
 
 /// The sRGB-encoded value of linear light. The inverse of [`srgb_to_linear`].
 pub fn linear_to_srgb(value: f32) -> f32 {
     let magnitude = value.abs();
-    let encoded =
-        if magnitude <= 0.003_130_8 { 12.92 * magnitude } else { 1.055 * magnitude.powf(1.0 / 2.4) - 0.055 };
+    let encoded = if magnitude <= 0.003_130_8 {
+        12.92 * magnitude
+    } else {
+        1.055 * magnitude.powf(1.0 / 2.4) - 0.055
+    };
     encoded.copysign(value)
 }
 
 impl Image<Srgb> {
     /// The same picture in linear light.
     pub fn to_linear(&self) -> Image<Linear> {
-        Image::from_planar(self.width, self.height, self.data.iter().map(|&v| srgb_to_linear(v)).collect())
+        Image::from_planar(
+            self.width,
+            self.height,
+            self.data.iter().map(|&v| srgb_to_linear(v)).collect(),
+        )
     }
 }
 
 impl Image<Linear> {
     /// The same picture, sRGB-encoded.
     pub fn to_srgb(&self) -> Image<Srgb> {
-        Image::from_planar(self.width, self.height, self.data.iter().map(|&v| linear_to_srgb(v)).collect())
+        Image::from_planar(
+            self.width,
+            self.height,
+            self.data.iter().map(|&v| linear_to_srgb(v)).collect(),
+        )
     }
 }
 
@@ -42,7 +56,10 @@ mod tests {
         assert!((linear_to_srgb(0.18) - 0.461_356_13).abs() < 1e-6);
         for step in 0..=1000 {
             let value = step as f32 / 1000.0;
-            assert!((linear_to_srgb(srgb_to_linear(value)) - value).abs() < 1e-5, "{value}");
+            assert!(
+                (linear_to_srgb(srgb_to_linear(value)) - value).abs() < 1e-5,
+                "{value}"
+            );
         }
     }
 }

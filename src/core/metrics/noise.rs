@@ -16,19 +16,24 @@ const WHITE: f32 = 254.5 / 255.0;
 /// When the image is smaller than 3 x 3 px: a fault of the caller.
 pub fn noise_sigma(image: &Image) -> f64 {
     let luma = Luma::new(image);
-    let sum: f64 = luma.responses([1.0, -2.0, 1.0, -2.0, 4.0, -2.0, 1.0, -2.0, 1.0]).map(f64::abs).sum();
+    let sum: f64 = luma
+        .responses([1.0, -2.0, 1.0, -2.0, 4.0, -2.0, 1.0, -2.0, 1.0])
+        .map(f64::abs)
+        .sum();
     (std::f64::consts::PI / 2.0).sqrt() * sum / (6.0 * luma.inner() as f64)
 }
 
 /// `255^2 max(0, var(Laplacian) - 20 sigma^2)` on luma: the variance of the Laplacian, which ranks
-/// noise as sharpness, less what noise of [`noise_sigma`] puts into it (20 is the sum of the squared
-/// weights of the 4-neighbour mask).
+/// noise as sharpness, less what noise of [`noise_sigma`] puts into it (20 is the sum of the
+/// squared weights of the 4-neighbour mask).
 ///
 /// # Panics
 /// When the image is smaller than 3 x 3 px.
 pub fn sharpness(image: &Image) -> f64 {
     let luma = Luma::new(image);
-    let responses: Vec<f64> = luma.responses([0.0, 1.0, 0.0, 1.0, -4.0, 1.0, 0.0, 1.0, 0.0]).collect();
+    let responses: Vec<f64> = luma
+        .responses([0.0, 1.0, 0.0, 1.0, -4.0, 1.0, 0.0, 1.0, 0.0])
+        .collect();
     let n = responses.len() as f64;
     let mean = responses.iter().sum::<f64>() / n;
     let variance = responses.iter().map(|r| (r - mean).powi(2)).sum::<f64>() / n;
@@ -38,10 +43,14 @@ pub fn sharpness(image: &Image) -> f64 {
 
 /// Mean over the pixels of HSV's V, the largest channel, clipped to 0..=1.
 pub fn mean_v(image: &Image) -> f64 {
-    values(image).map(|v| f64::from(v.clamp(0.0, 1.0))).sum::<f64>() / image.pixels().max(1) as f64
+    values(image)
+        .map(|v| f64::from(v.clamp(0.0, 1.0)))
+        .sum::<f64>()
+        / image.pixels().max(1) as f64
 }
 
-/// Share of the pixels of which a channel is white in eight bits, 0..=1: what brightening has burnt.
+/// Share of the pixels of which a channel is white in eight bits, 0..=1: what brightening has
+/// burnt.
 pub fn clipped_share(image: &Image) -> f64 {
     values(image).filter(|&v| v >= WHITE).count() as f64 / image.pixels().max(1) as f64
 }
@@ -61,14 +70,21 @@ struct Luma {
 impl Luma {
     fn new(image: &Image) -> Self {
         let (width, height) = (image.width(), image.height());
-        assert!(width >= 3 && height >= 3, "a 3 x 3 mask needs at least 3 x 3 px, not {width}x{height}");
+        assert!(
+            width >= 3 && height >= 3,
+            "a 3 x 3 mask needs at least 3 x 3 px, not {width}x{height}"
+        );
         let mut values = vec![0.0; image.pixels()];
         for (channel, weight) in LUMA.into_iter().enumerate() {
             for (value, &x) in values.iter_mut().zip(image.plane(channel)) {
                 *value += f64::from(weight) * f64::from(x);
             }
         }
-        Self { width, height, values }
+        Self {
+            width,
+            height,
+            values,
+        }
     }
 
     /// Pixels that have all eight neighbours.
@@ -81,7 +97,9 @@ impl Luma {
         (1..self.height - 1).flat_map(move |y| {
             (1..self.width - 1).map(move |x| {
                 let corner = (y - 1) * self.width + x - 1;
-                (0..9).map(|i| mask[i] * self.values[corner + i / 3 * self.width + i % 3]).sum()
+                (0..9)
+                    .map(|i| mask[i] * self.values[corner + i / 3 * self.width + i % 3])
+                    .sum()
             })
         })
     }
@@ -112,7 +130,11 @@ mod tests {
         let mut image = Image::new(160, 120);
         for y in 0..120 {
             for x in 0..160 {
-                let value = if x / 20 % 2 == 0 { 0.5 - contrast } else { 0.5 + contrast };
+                let value = if x / 20 % 2 == 0 {
+                    0.5 - contrast
+                } else {
+                    0.5 + contrast
+                };
                 image.set(x, y, [value; 3]);
             }
         }
@@ -123,7 +145,10 @@ mod tests {
     fn the_noise_of_a_ramp_is_what_was_added() {
         for sigma in [0.01, 0.05] {
             let found = noise_sigma(&noisy(sigma, 1));
-            assert!((found / f64::from(sigma) - 1.0).abs() < 0.03, "{sigma} {found}");
+            assert!(
+                (found / f64::from(sigma) - 1.0).abs() < 0.03,
+                "{sigma} {found}"
+            );
         }
         assert!(noise_sigma(&noisy(0.0, 1)) < 1e-6);
     }
@@ -132,7 +157,10 @@ mod tests {
     fn noise_alone_is_not_sharp_and_edges_are() {
         let (edges, noise) = (sharpness(&stripes(0.3)), sharpness(&noisy(0.05, 2)));
         assert!(edges > 1000.0, "{edges}");
-        assert!(noise < 0.03 * 20.0 * (0.05 * 255.0_f64).powi(2) + 50.0, "{noise}");
+        assert!(
+            noise < 0.03 * 20.0 * (0.05 * 255.0_f64).powi(2) + 50.0,
+            "{noise}"
+        );
         assert!(sharpness(&stripes(0.1)) < edges);
     }
 

@@ -80,7 +80,8 @@ pub struct RoundMetrics {
     pub steps_per_second: f64,
     /// Scores.
     pub records: Vec<Record>,
-    /// Mean noise sigma of the enhanced and the deblurred views and of the renders (Immerkaer, luma, 0..=1).
+    /// Mean noise sigma of the enhanced and the deblurred views and of the renders (Immerkaer,
+    /// luma, 0..=1).
     pub noise_sigma: BTreeMap<String, f64>,
     /// Mean noise-corrected sharpness of the same images.
     pub sharpness: BTreeMap<String, f64>,
@@ -90,25 +91,27 @@ pub struct RoundMetrics {
     pub clipped: f64,
     /// Noise ceiling of self-consistency against the enhanced views: -20 log10(sigma), dB.
     pub noise_ceiling_db: f64,
-    /// Mean over the views of the noise map's mean and of its spread; absent when the noise field was off.
+    /// Mean over the views of the noise map's mean and of its spread; absent when the noise field
+    /// was off.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub noise_map: Option<NoiseMapStatistics>,
-    /// Root mean square distance that the shake found in a training view moves its light, mean over the views, px of the
-    /// working size; `None` when it was not looked for.
+    /// Root mean square distance that the shake found in a training view moves its light, mean over
+    /// the views, px of the working size; `None` when it was not looked for.
     pub shake_px: Option<f64>,
-    /// Mean way that the correction of the cameras moved the middle of the images in this round, px; `null` when they
-    /// stand where the poses say.
+    /// Mean way that the correction of the cameras moved the middle of the images in this round,
+    /// px; `null` when they stand where the poses say.
     pub pose_correction_px: Option<f64>,
     /// Gradients that were not finite and were dropped.
     pub non_finite_gradients: u64,
     /// alpha and gamma of the round's anchor.
     pub anchor: [f64; 2],
-    /// alpha and gamma fitted to map this round's renders to the next anchor, one a view or one in all.
+    /// alpha and gamma fitted to map this round's renders to the next anchor, one a view or one in
+    /// all.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub matched: Vec<[f64; 2]>,
-    /// What rounds are compared by: SSIM of the renders at the target brightness, each first shaken as its view is,
-    /// against the views at that brightness; of held-out views where there are any. `None` in reports of earlier
-    /// versions.
+    /// What rounds are compared by: SSIM of the renders at the target brightness, each first shaken
+    /// as its view is, against the views at that brightness; of held-out views where there are any.
+    /// `None` in reports of earlier versions.
     #[serde(default)]
     pub score: Option<f64>,
     /// Whether the round was judged worse than the one before it.

@@ -22,9 +22,14 @@ const C2: f64 = 9e-4;
 pub fn ssim(image: &Image, reference: &Image) -> f64 {
     super::assert_same_size(image, reference);
     let (width, height) = (image.width(), image.height());
-    assert!(width >= TAPS && height >= TAPS, "SSIM needs at least {TAPS} x {TAPS} px, not {width}x{height}");
-    let sums: Vec<f64> =
-        (0..3).into_par_iter().map(|c| plane_ssim(image.plane(c), reference.plane(c), width)).collect();
+    assert!(
+        width >= TAPS && height >= TAPS,
+        "SSIM needs at least {TAPS} x {TAPS} px, not {width}x{height}"
+    );
+    let sums: Vec<f64> = (0..3)
+        .into_par_iter()
+        .map(|c| plane_ssim(image.plane(c), reference.plane(c), width))
+        .collect();
     sums.iter().sum::<f64>() / 3.0
 }
 
@@ -44,7 +49,9 @@ fn plane_ssim(image: &[f32], reference: &[f32], width: usize) -> f64 {
     let sums: Vec<f64> = (0..valid_rows)
         .into_par_iter()
         .map(|y| {
-            (0..valid_width).map(|x| similarity(column_moments(&rows[y..y + TAPS], x, &weights))).sum::<f64>()
+            (0..valid_width)
+                .map(|x| similarity(column_moments(&rows[y..y + TAPS], x, &weights)))
+                .sum::<f64>()
         })
         .collect();
     sums.iter().sum::<f64>() / (valid_width * valid_rows) as f64
@@ -100,7 +107,9 @@ mod tests {
 
     fn texture(phase: f32) -> Image {
         let (width, height) = (23, 17);
-        let values = (0..3 * width * height).map(|i| 0.5 + 0.4 * (i as f32 * 0.7 + phase).sin()).collect();
+        let values = (0..3 * width * height)
+            .map(|i| 0.5 + 0.4 * (i as f32 * 0.7 + phase).sin())
+            .collect();
         Image::from_planar(width, height, values)
     }
 

@@ -11,29 +11,55 @@ use crate::camera::Camera;
 
 pub(super) const ENCODE: Kernel = Kernel::new(
     "noise/encode",
-    &[uniform("field"), uniform("chunk"), read_write("encoded"), read_write("features")],
+    &[
+        uniform("field"),
+        uniform("chunk"),
+        read_write("encoded"),
+        read_write("features"),
+    ],
 );
 
-const LAYER_FORWARD_BINDINGS: &[Binding] =
-    &[uniform("layer"), uniform("chunk"), read("input"), read("parameters"), read_write("output")];
+const LAYER_FORWARD_BINDINGS: &[Binding] = &[
+    uniform("layer"),
+    uniform("chunk"),
+    read("input"),
+    read("parameters"),
+    read_write("output"),
+];
 pub(super) const LAYER_FORWARD: Kernel = Kernel::new("noise/layer_forward", LAYER_FORWARD_BINDINGS);
 pub(super) const LAYER_FORWARD_SUBGROUP: Kernel =
     Kernel::new("noise/layer_forward_subgroup", LAYER_FORWARD_BINDINGS);
 
-pub(super) const ACTIVATE: Kernel =
-    Kernel::new("noise/activate", &[uniform("field"), read("raw"), read_write("values")]);
+pub(super) const ACTIVATE: Kernel = Kernel::new(
+    "noise/activate",
+    &[uniform("field"), read("raw"), read_write("values")],
+);
 
-pub(super) const REDUCE: Kernel =
-    Kernel::new("noise/reduce", &[uniform("field"), read("values"), read_write("total")]);
+pub(super) const REDUCE: Kernel = Kernel::new(
+    "noise/reduce",
+    &[uniform("field"), read("values"), read_write("total")],
+);
 
 pub(super) const COMPOSE: Kernel = Kernel::new(
     "noise/compose",
-    &[uniform("field"), read("values"), read("mean"), read("render"), read_write("prediction")],
+    &[
+        uniform("field"),
+        read("values"),
+        read("mean"),
+        read("render"),
+        read_write("prediction"),
+    ],
 );
 
 pub(super) const GATHER: Kernel = Kernel::new(
     "noise/gather",
-    &[uniform("field"), read("values"), read("mean"), read("gradient"), read_write("cell_gradient")],
+    &[
+        uniform("field"),
+        read("values"),
+        read("mean"),
+        read("gradient"),
+        read_write("cell_gradient"),
+    ],
 );
 
 pub(super) const OUTPUT_DELTA: Kernel = Kernel::new(
@@ -56,12 +82,18 @@ const LAYER_BACKWARD_BINDINGS: &[Binding] = &[
     read("input"),
     read_write("input_delta"),
 ];
-pub(super) const LAYER_BACKWARD: Kernel = Kernel::new("noise/layer_backward", LAYER_BACKWARD_BINDINGS);
+pub(super) const LAYER_BACKWARD: Kernel =
+    Kernel::new("noise/layer_backward", LAYER_BACKWARD_BINDINGS);
 pub(super) const LAYER_BACKWARD_SUBGROUP: Kernel =
     Kernel::new("noise/layer_backward_subgroup", LAYER_BACKWARD_BINDINGS);
 
-const LAYER_WEIGHTS_BINDINGS: &[Binding] =
-    &[uniform("layer"), uniform("chunk"), read("delta"), read("input"), read_write("gradients")];
+const LAYER_WEIGHTS_BINDINGS: &[Binding] = &[
+    uniform("layer"),
+    uniform("chunk"),
+    read("delta"),
+    read("input"),
+    read_write("gradients"),
+];
 pub(super) const LAYER_WEIGHTS: Kernel = Kernel::new("noise/layer_weights", LAYER_WEIGHTS_BINDINGS);
 pub(super) const LAYER_WEIGHTS_SUBGROUP: Kernel =
     Kernel::new("noise/layer_weights_subgroup", LAYER_WEIGHTS_BINDINGS);
@@ -149,7 +181,11 @@ pub(super) struct ChunkUniform {
 
 impl ChunkUniform {
     pub(super) fn new(cells: &Range<usize>) -> Self {
-        Self { first: cells.start as u32, count: cells.len() as u32, padding: [0; 2] }
+        Self {
+            first: cells.start as u32,
+            count: cells.len() as u32,
+            padding: [0; 2],
+        }
     }
 }
 
@@ -205,7 +241,13 @@ pub(super) struct AdamUniform {
 }
 
 impl AdamUniform {
-    pub(super) fn new(rate: f64, step: u64, segments: u32, parameters: usize, room: &Room<'_>) -> Self {
+    pub(super) fn new(
+        rate: f64,
+        step: u64,
+        segments: u32,
+        parameters: usize,
+        room: &Room<'_>,
+    ) -> Self {
         let correction = |beta: f64| (1.0 - beta.powf(step as f64)) as f32;
         Self {
             rate: rate as f32,

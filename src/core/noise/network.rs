@@ -82,7 +82,11 @@ impl Network {
                 inputs4,
                 outputs4,
                 input_stride4: inputs4,
-                output_stride4: if i == FEATURE_LAYER { features.div_ceil(4) } else { outputs4 },
+                output_stride4: if i == FEATURE_LAYER {
+                    features.div_ceil(4)
+                } else {
+                    outputs4
+                },
                 weights4,
                 biases4,
                 relu: i != FEATURE_LAYER && i != LAYERS - 1,
@@ -90,16 +94,21 @@ impl Network {
                 whole: i == LAYERS - 1,
             }
         });
-        Self { octaves, layers: layers.collect() }
+        Self {
+            octaves,
+            layers: layers.collect(),
+        }
     }
 
     /// vec4s of all parameters.
     pub(super) fn parameters(&self) -> usize {
-        self.layers.last().map_or(0, |last| last.biases4 + last.outputs4)
+        self.layers
+            .last()
+            .map_or(0, |last| last.biases4 + last.outputs4)
     }
 
-    /// Weights and biases uniform in +-1/sqrt(inputs), [4 parameters]; the last layer is zero unless asked
-    /// for, so that the noise starts at nothing.
+    /// Weights and biases uniform in +-1/sqrt(inputs), [4 parameters]; the last layer is zero
+    /// unless asked for, so that the noise starts at nothing.
     pub(super) fn initial(&self, seed: u64, last_layer: bool) -> Vec<f32> {
         let mut random = rand_pcg::Pcg64Mcg::seed_from_u64(seed ^ 0x006e_6f69_7365);
         let mut parameters = vec![0.0; 4 * self.parameters()];
@@ -124,8 +133,19 @@ mod tests {
     #[test]
     fn the_paper_s_network_has_84_419_parameters_and_none_share_a_place() {
         let network = Network::new(10);
-        assert_eq!(network.layers.iter().map(|l| (l.inputs + 1) * l.outputs).sum::<usize>(), 84_419);
-        let filled = network.initial(3, true).iter().filter(|&&p| p != 0.0).count();
+        assert_eq!(
+            network
+                .layers
+                .iter()
+                .map(|l| (l.inputs + 1) * l.outputs)
+                .sum::<usize>(),
+            84_419
+        );
+        let filled = network
+            .initial(3, true)
+            .iter()
+            .filter(|&&p| p != 0.0)
+            .count();
         assert!((84_410..=84_419).contains(&filled), "{filled}");
     }
 
@@ -135,6 +155,10 @@ mod tests {
         assert_eq!(network.initial(1, false), network.initial(1, false));
         assert_ne!(network.initial(1, false), network.initial(2, false));
         let last = &network.layers[LAYERS - 1];
-        assert!(network.initial(1, false)[4 * last.weights4..].iter().all(|&p| p == 0.0));
+        assert!(
+            network.initial(1, false)[4 * last.weights4..]
+                .iter()
+                .all(|&p| p == 0.0)
+        );
     }
 }

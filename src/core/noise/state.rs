@@ -21,13 +21,19 @@ pub enum StateError {
 }
 
 impl NoiseField {
-    /// Step, guard, parameters and moments: what [`NoiseField::restore`] goes on from. Waits for the device.
+    /// Step, guard, parameters and moments: what [`NoiseField::restore`] goes on from. Waits for
+    /// the device.
     ///
     /// # Errors
     /// A device error.
     pub fn save(&self) -> Result<Vec<f32>, GpuError> {
         // Steps are far below 2^24, up to which f32 counts exactly.
-        let mut state = vec![VERSION, self.mode_number(), self.step as f32, self.restraint];
+        let mut state = vec![
+            VERSION,
+            self.mode_number(),
+            self.step as f32,
+            self.restraint,
+        ];
         for buffer in [&self.buffers.parameters, &self.buffers.moments] {
             state.extend(buffer.read()?.as_flattened());
         }
@@ -50,7 +56,9 @@ impl NoiseField {
             return Err(StateError::Format("another mode"));
         }
         let (values, moments) = state[HEADER..].split_at(parameters);
-        self.buffers.parameters.write(bytemuck::cast_slice(values))?;
+        self.buffers
+            .parameters
+            .write(bytemuck::cast_slice(values))?;
         self.buffers.moments.write(bytemuck::cast_slice(moments))?;
         self.step = state[2] as u64;
         self.restraint = state[3];
@@ -58,6 +66,10 @@ impl NoiseField {
     }
 
     fn mode_number(&self) -> f32 {
-        if self.mode == NoiseMode::Paper { 1.0 } else { 0.0 }
+        if self.mode == NoiseMode::Paper {
+            1.0
+        } else {
+            0.0
+        }
     }
 }

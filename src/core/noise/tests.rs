@@ -7,8 +7,20 @@ use crate::camera::Intrinsics;
 
 pub(super) fn camera(width: usize, height: usize, turn: f64) -> Camera {
     let (w, h) = (width as f64, height as f64);
-    let intrinsics = Intrinsics { width, height, fx: w, fy: w, cx: 0.48 * w, cy: 0.53 * h };
-    Camera::look_at(intrinsics, DVec3::new(turn, -0.4, -3.0), DVec3::new(0.1, 0.2, 0.3), DVec3::Y)
+    let intrinsics = Intrinsics {
+        width,
+        height,
+        fx: w,
+        fy: w,
+        cx: 0.48 * w,
+        cy: 0.53 * h,
+    };
+    Camera::look_at(
+        intrinsics,
+        DVec3::new(turn, -0.4, -3.0),
+        DVec3::new(0.1, 0.2, 0.3),
+        DVec3::Y,
+    )
 }
 
 fn gpu() -> Gpu {
@@ -31,15 +43,25 @@ const SIGMA: f32 = 0.02;
 impl Fixture {
     fn new(mode: NoiseMode, width: usize, height: usize) -> Self {
         let gpu = gpu();
-        let field = NoiseField::new(&gpu, mode, 7, [width, height]).expect("buffers").expect("not off");
+        let field = NoiseField::new(&gpu, mode, 7, [width, height])
+            .expect("buffers")
+            .expect("not off");
         let parameters = field.network.initial(7, true);
-        field.buffers.parameters.write(bytemuck::cast_slice(&parameters)).expect("written");
+        field
+            .buffers
+            .parameters
+            .write(bytemuck::cast_slice(&parameters))
+            .expect("written");
         let values = |f: f32, scale: f32| -> Vec<f32> {
-            (0..3 * width * height).map(|i| scale * (0.5 + 0.4 * (f * i as f32).sin())).collect()
+            (0..3 * width * height)
+                .map(|i| scale * (0.5 + 0.4 * (f * i as f32).sin()))
+                .collect()
         };
         Self {
             render: gpu.upload("render", &values(0.013, 1.0)).expect("upload"),
-            prediction: gpu.create("prediction", 3 * width * height).expect("buffer"),
+            prediction: gpu
+                .create("prediction", 3 * width * height)
+                .expect("buffer"),
             gradient: gpu.upload("gradient", &values(0.37, 1e-3)).expect("upload"),
             camera: camera(width, height, 0.3),
             intersections: gpu.upload("intersections", &[0, 100]).expect("upload"),
@@ -55,23 +77,49 @@ impl Fixture {
     fn step_with_room_for(&mut self, capacity: u32) {
         self.field.begin_step(&self.camera, SIGMA).expect("fits");
         let mut recorder = self.gpu.recorder();
-        self.field.record_forward(&mut recorder, &self.render, &self.prediction).expect("recorded");
-        let room = Room { intersections: &self.intersections, total_at: 1, capacity };
-        self.field.record_backward(&mut recorder, &self.gradient, &room).expect("recorded");
+        self.field
+            .record_forward(&mut recorder, &self.render, &self.prediction)
+            .expect("recorded");
+        let room = Room {
+            intersections: &self.intersections,
+            total_at: 1,
+            capacity,
+        };
+        self.field
+            .record_backward(&mut recorder, &self.gradient, &room)
+            .expect("recorded");
         recorder.submit().expect("submitted");
     }
 
     /// Map and parameter gradients of the device, and the same of the reference.
     fn compare(&mut self) -> [(Vec<f32>, Vec<f64>); 2] {
-        let before: Vec<f64> = wide(self.field.buffers.parameters.read().expect("read").as_flattened());
+        let before: Vec<f64> = wide(
+            self.field
+                .buffers
+                .parameters
+                .read()
+                .expect("read")
+                .as_flattened(),
+        );
         self.step();
-        let reference = Reference::new(self.field.mode, &before, &self.camera, f64::from(amplitude(SIGMA)));
-        let (render, prediction) = (self.render.read().expect("read"), self.prediction.read().expect("read"));
+        let reference = Reference::new(
+            self.field.mode,
+            &before,
+            &self.camera,
+            f64::from(amplitude(SIGMA)),
+        );
+        let (render, prediction) = (
+            self.render.read().expect("read"),
+            self.prediction.read().expect("read"),
+        );
         let map = prediction.iter().zip(&render).map(|(p, r)| p - r).collect();
         let segments = self.field.buffers.gradients.read().expect("read");
         let mut gradients = vec![0.0; before.len()];
         for segment in segments.as_flattened().chunks(before.len()) {
-            gradients.iter_mut().zip(segment).for_each(|(sum, part)| *sum += part);
+            gradients
+                .iter_mut()
+                .zip(segment)
+                .for_each(|(sum, part)| *sum += part);
         }
         let expected = reference.gradient(&wide(&self.gradient.read().expect("read")));
         [(map, reference.map()), (gradients, expected)]
@@ -87,7 +135,12 @@ fn map_and_gradients_equal_the_reference_in_both_modes() {
     for (mode, width, height) in [(NoiseMode::Grid, 61, 43), (NoiseMode::Paper, 13, 9)] {
         let [map, gradients] = Fixture::new(mode, width, height).compare();
         assert_agrees(&format!("{mode:?} map"), &map.0, &map.1, 1e-3);
-        assert_agrees(&format!("{mode:?} gradients"), &gradients.0, &gradients.1, 1e-3);
+        assert_agrees(
+            &format!("{mode:?} gradients"),
+            &gradients.0,
+            &gradients.1,
+            1e-3,
+        );
     }
 }
 
@@ -108,10 +161,21 @@ fn many_chunks_give_what_one_chunk_gives() {
     let mut parts = Fixture::new(NoiseMode::Grid, 61, 43);
     parts.field.chunk_cells = 16;
     let cells = 8 * 6;
-    parts.field.buffers =
-        Buffers::new(&parts.gpu, &parts.field.network, cells, 16, parts.field.segments).expect("buffers");
+    parts.field.buffers = Buffers::new(
+        &parts.gpu,
+        &parts.field.network,
+        cells,
+        16,
+        parts.field.segments,
+    )
+    .expect("buffers");
     let start = whole.field.buffers.parameters.read().expect("read");
-    parts.field.buffers.parameters.write(&start).expect("written");
+    parts
+        .field
+        .buffers
+        .parameters
+        .write(&start)
+        .expect("written");
     let ([map, gradients], [map_2, gradients_2]) = (whole.compare(), parts.compare());
     assert_agrees("map", &map_2.0, &wide(&map.0), 1e-5);
     assert_agrees("gradients", &gradients_2.0, &wide(&gradients.0), 1e-5);
@@ -127,7 +191,10 @@ fn one_step_of_adam_moves_every_parameter_as_the_formula_says() {
     for ((before, after), g) in pairs.zip(&gradients.0) {
         // In the first step the corrected moments are g and g^2.
         let expected = f64::from(*before) - RATE * f64::from(*g) / (f64::from(g.abs()) + 1e-8);
-        assert!((f64::from(*after) - expected).abs() < 1e-6, "{before} {after} {expected}");
+        assert!(
+            (f64::from(*after) - expected).abs() < 1e-6,
+            "{before} {after} {expected}"
+        );
     }
 }
 
@@ -136,21 +203,38 @@ fn a_new_grid_is_silent_and_learns_a_smooth_cast() {
     let (width, height) = (48, 32);
     let mut fixture = Fixture::new(NoiseMode::Grid, width, height);
     let start = fixture.field.network.initial(1, false);
-    fixture.field.buffers.parameters.write(bytemuck::cast_slice(&start)).expect("written");
+    fixture
+        .field
+        .buffers
+        .parameters
+        .write(bytemuck::cast_slice(&start))
+        .expect("written");
     let plane = width * height;
-    let cast = |i: usize| if i / plane == 0 { 0.03 * ((i % width) as f32 / width as f32 - 0.5) } else { 0.0 };
+    let cast = |i: usize| {
+        if i / plane == 0 {
+            0.03 * ((i % width) as f32 / width as f32 - 0.5)
+        } else {
+            0.0
+        }
+    };
     let render = fixture.render.read().expect("read");
     let mut errors = Vec::new();
     for _ in 0..300 {
         fixture.step();
         let prediction = fixture.prediction.read().expect("read");
         let error = |i: usize| prediction[i] - render[i] - cast(i);
-        let gradient: Vec<f32> = (0..3 * plane).map(|i| 2.0 * error(i) / plane as f32).collect();
+        let gradient: Vec<f32> = (0..3 * plane)
+            .map(|i| 2.0 * error(i) / plane as f32)
+            .collect();
         errors.push((0..3 * plane).map(|i| error(i).powi(2)).sum::<f32>());
         fixture.gradient.write(&gradient).expect("written");
     }
     let silence = (0..3 * plane).map(|i| cast(i).powi(2)).sum::<f32>();
-    assert!((errors[0] / silence - 1.0).abs() < 1e-3, "{} {silence}", errors[0]);
+    assert!(
+        (errors[0] / silence - 1.0).abs() < 1e-3,
+        "{} {silence}",
+        errors[0]
+    );
     assert!(errors[299] < 0.5 * silence, "{} {silence}", errors[299]);
 }
 
@@ -163,11 +247,20 @@ fn a_saved_field_goes_on_with_the_same_bits_and_another_state_is_refused() {
     second.field.restore(&saved).expect("the same field");
     first.step();
     second.step();
-    assert_eq!(first.field.save().expect("read"), second.field.save().expect("read"));
+    assert_eq!(
+        first.field.save().expect("read"),
+        second.field.save().expect("read")
+    );
     assert_ne!(first.field.save().expect("read"), saved);
     let mut paper = Fixture::new(NoiseMode::Paper, 8, 8);
-    assert!(matches!(paper.field.restore(&saved), Err(StateError::Format(_))));
-    assert!(matches!(second.field.restore(&saved[1..]), Err(StateError::Format(_))));
+    assert!(matches!(
+        paper.field.restore(&saved),
+        Err(StateError::Format(_))
+    ));
+    assert!(matches!(
+        second.field.restore(&saved[1..]),
+        Err(StateError::Format(_))
+    ));
 }
 
 #[test]
@@ -176,14 +269,24 @@ fn a_map_like_the_render_halves_the_amplitude_and_another_does_not() {
     fixture.step();
     let render = fixture.render.read().expect("read");
     let write = |fixture: &Fixture, noise: &dyn Fn(usize, f32) -> f32| {
-        let values: Vec<f32> = render.iter().enumerate().map(|(i, &r)| r + noise(i, r)).collect();
+        let values: Vec<f32> = render
+            .iter()
+            .enumerate()
+            .map(|(i, &r)| r + noise(i, r))
+            .collect();
         fixture.prediction.write(&values).expect("written");
     };
     write(&fixture, &|i, _| 0.01 * (i as f32 * 1.7).sin());
-    let quiet = fixture.field.inspect(&fixture.render, &fixture.prediction).expect("read");
+    let quiet = fixture
+        .field
+        .inspect(&fixture.render, &fixture.prediction)
+        .expect("read");
     assert!(!quiet.halved && quiet.correlation.abs() < 0.1, "{quiet:?}");
     write(&fixture, &|_, r| 0.05 * r);
-    let alike = fixture.field.inspect(&fixture.render, &fixture.prediction).expect("read");
+    let alike = fixture
+        .field
+        .inspect(&fixture.render, &fixture.prediction)
+        .expect("read");
     assert!(alike.halved && alike.correlation > 0.99, "{alike:?}");
     let before = fixture.field.current.amplitude;
     fixture.step();
@@ -193,10 +296,16 @@ fn a_map_like_the_render_halves_the_amplitude_and_another_does_not() {
 #[test]
 fn gradients_that_are_not_finite_change_nothing() {
     let mut fixture = Fixture::new(NoiseMode::Grid, 24, 16);
-    fixture.gradient.write(&[f32::NAN; 3 * 24 * 16]).expect("written");
+    fixture
+        .gradient
+        .write(&[f32::NAN; 3 * 24 * 16])
+        .expect("written");
     let before = fixture.field.buffers.parameters.read().expect("read");
     fixture.step();
-    assert_eq!(fixture.field.buffers.parameters.read().expect("read"), before);
+    assert_eq!(
+        fixture.field.buffers.parameters.read().expect("read"),
+        before
+    );
 }
 
 #[test]
@@ -221,10 +330,28 @@ fn the_amplitude_follows_the_noise_between_its_bounds() {
 #[test]
 fn wrong_sizes_are_refused_and_off_has_no_field() {
     let mut fixture = Fixture::new(NoiseMode::Grid, 24, 16);
-    assert!(fixture.field.begin_step(&camera(48, 32, 0.0), SIGMA).is_err());
-    let room = Room { intersections: &fixture.intersections, total_at: 1, capacity: 100 };
-    assert!(fixture.field.record_backward(&mut fixture.gpu.recorder(), &fixture.gradient, &room).is_err());
-    assert!(NoiseField::new(&fixture.gpu, NoiseMode::Off, 0, [24, 16]).expect("no device needed").is_none());
+    assert!(
+        fixture
+            .field
+            .begin_step(&camera(48, 32, 0.0), SIGMA)
+            .is_err()
+    );
+    let room = Room {
+        intersections: &fixture.intersections,
+        total_at: 1,
+        capacity: 100,
+    };
+    assert!(
+        fixture
+            .field
+            .record_backward(&mut fixture.gpu.recorder(), &fixture.gradient, &room)
+            .is_err()
+    );
+    assert!(
+        NoiseField::new(&fixture.gpu, NoiseMode::Off, 0, [24, 16])
+            .expect("no device needed")
+            .is_none()
+    );
 }
 
 #[test]
@@ -232,8 +359,18 @@ fn the_structs_equal_the_shaders() {
     use fled_gpu::Kernel;
     let size = |kernel: &Kernel, name: &str| {
         let (_, found) = kernel.reflect().expect("the row agrees with the shader");
-        let layout = found.structure(name).unwrap_or_else(|| panic!("no {name}")).clone();
-        (layout.size as usize, layout.members.iter().map(|m| m.1 as usize).collect::<Vec<_>>())
+        let layout = found
+            .structure(name)
+            .unwrap_or_else(|| panic!("no {name}"))
+            .clone();
+        (
+            layout.size as usize,
+            layout
+                .members
+                .iter()
+                .map(|m| m.1 as usize)
+                .collect::<Vec<_>>(),
+        )
     };
     let consecutive = |count: usize| (0..count).map(|i| 4 * i).collect::<Vec<_>>();
     let mut field = vec![0, 16, 32, 48, 56];
@@ -246,12 +383,28 @@ fn the_structs_equal_the_shaders() {
         &kernels::GATHER,
         &kernels::OUTPUT_DELTA,
     ] {
-        assert_eq!(size(kernel, "NoiseUniform"), (size_of::<NoiseUniform>(), field.clone()));
-        assert_eq!(size(kernel, "ChunkUniform"), (size_of::<ChunkUniform>(), consecutive(4)));
+        assert_eq!(
+            size(kernel, "NoiseUniform"),
+            (size_of::<NoiseUniform>(), field.clone())
+        );
+        assert_eq!(
+            size(kernel, "ChunkUniform"),
+            (size_of::<ChunkUniform>(), consecutive(4))
+        );
     }
     assert_eq!(std::mem::offset_of!(NoiseUniform, amplitude), 64 + 32);
-    for kernel in [&kernels::LAYER_FORWARD, &kernels::LAYER_BACKWARD, &kernels::LAYER_WEIGHTS] {
-        assert_eq!(size(kernel, "LayerUniform"), (size_of::<LayerUniform>(), consecutive(12)));
+    for kernel in [
+        &kernels::LAYER_FORWARD,
+        &kernels::LAYER_BACKWARD,
+        &kernels::LAYER_WEIGHTS,
+    ] {
+        assert_eq!(
+            size(kernel, "LayerUniform"),
+            (size_of::<LayerUniform>(), consecutive(12))
+        );
     }
-    assert_eq!(size(&kernels::ADAM, "AdamUniform"), (size_of::<AdamUniform>(), consecutive(8)));
+    assert_eq!(
+        size(&kernels::ADAM, "AdamUniform"),
+        (size_of::<AdamUniform>(), consecutive(8))
+    );
 }

@@ -9,7 +9,8 @@ pub struct NoiseWork {
     pub pixels: usize,
     /// Cells the network is asked about: one in 64 pixels, or every pixel.
     pub cells: usize,
-    /// Parts the cells are taken in. With more than one the forward runs twice, for want of kept activations.
+    /// Parts the cells are taken in. With more than one the forward runs twice, for want of kept
+    /// activations.
     pub chunks: usize,
     /// Parts of the cells whose weight gradients are summed apart.
     pub segments: usize,
@@ -28,7 +29,12 @@ impl NoiseField {
             chunks: self.chunks().len(),
             segments: self.segments as usize,
             parameters: 4 * self.network.parameters(),
-            layers: self.network.layers.iter().map(|l| [4 * l.inputs4, 4 * l.outputs4]).collect(),
+            layers: self
+                .network
+                .layers
+                .iter()
+                .map(|l| [4 * l.inputs4, 4 * l.outputs4])
+                .collect(),
         }
     }
 }

@@ -11,14 +11,19 @@ use crate::image::Image;
 use crate::reconstruct::Response;
 
 impl Job<'_, '_> {
-    /// P_1..P_N. Where a network brightens, it does so here, and every round has the curve that comes nearest to it: what
-    /// needs a curve (light for the shake, colours of the scene) uses that one.
+    /// P_1..P_N. Where a network brightens, it does so here, and every round has the curve that
+    /// comes nearest to it: what needs a curve (light for the shake, colours of the scene) uses
+    /// that one.
     pub fn anchors(&mut self, views: &[View]) -> Result<Vec<Anchor>, PipelineError> {
         if let Some(images) = self.brightened_by_network(views)? {
             let dark = dark(views);
             let fitted = self.fit(&dark, &images);
-            let mean = |of: fn(&Anchor) -> f64| fitted.iter().map(of).sum::<f64>() / fitted.len() as f64;
-            let anchor = Anchor { alpha: mean(|a| a.alpha), gamma: mean(|a| a.gamma) };
+            let mean =
+                |of: fn(&Anchor) -> f64| fitted.iter().map(of).sum::<f64>() / fitted.len() as f64;
+            let anchor = Anchor {
+                alpha: mean(|a| a.alpha),
+                gamma: mean(|a| a.gamma),
+            };
             self.sink.log(format!(
                 "the curve nearest to the network's brightening: alpha {:.3}, gamma {:.3}",
                 anchor.alpha, anchor.gamma
@@ -27,21 +32,36 @@ impl Job<'_, '_> {
             return Ok(vec![anchor; self.options.rounds as usize]);
         }
         let pooled = enhance::Histogram::pooled(views.iter().map(|view| &view.dark));
-        let target = enhance::resolve_target(&self.options.target, &pooled)
-            .map_err(|e| OptionsError { key: "target".to_owned(), message: e.to_string() })?;
-        self.sink.log(format!("target brightness: alpha {:.3}, gamma {:.3}", target.alpha, target.gamma));
+        let target =
+            enhance::resolve_target(&self.options.target, &pooled).map_err(|e| OptionsError {
+                key: "target".to_owned(),
+                message: e.to_string(),
+            })?;
+        self.sink.log(format!(
+            "target brightness: alpha {:.3}, gamma {:.3}",
+            target.alpha, target.gamma
+        ));
         Ok(enhance::anchors(self.options.rounds, target))
     }
 
     /// Every dark view through the enhancing network, if there is one: a stage before the rounds.
-    fn brightened_by_network(&mut self, views: &[View]) -> Result<Option<Vec<Image>>, PipelineError> {
+    fn brightened_by_network(
+        &mut self,
+        views: &[View],
+    ) -> Result<Option<Vec<Image>>, PipelineError> {
         if self.tools.enhancer.is_none() {
             return Ok(None);
         }
         let images = self.each_view(Stage::Enhance, 0, "brightened", views, |job, i| {
-            let enhancer =
-                job.tools.enhancer.as_deref_mut().expect("looked for above; nothing takes it away");
-            Ok((enhancer.deblur(&views[i].dark, None)?, enhancer.take_warnings()))
+            let enhancer = job
+                .tools
+                .enhancer
+                .as_deref_mut()
+                .expect("looked for above; nothing takes it away");
+            Ok((
+                enhancer.deblur(&views[i].dark, None)?,
+                enhancer.take_warnings(),
+            ))
         })?;
         Ok(Some(images))
     }

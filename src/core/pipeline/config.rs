@@ -28,10 +28,12 @@ pub struct Options {
     pub lut_scope: LutScope,
     /// `default`, a manifest id, `identity`, or, on the command line only, a path to an ONNX file.
     pub deblur: String,
-    /// The network for views without a guide, those of round 1: `same` as `deblur`, or chosen likewise.
+    /// The network for views without a guide, those of round 1: `same` as `deblur`, or chosen
+    /// likewise.
     pub deblur_unguided: String,
-    /// What brightens: `curve`, step by step; or, as a baseline, a network of 3 channels, chosen as `deblur` is, that is given
-    /// each dark photograph and whose brightness then serves every round.
+    /// What brightens: `curve`, step by step; or, as a baseline, a network of 3 channels, chosen as
+    /// `deblur` is, that is given each dark photograph and whose brightness then serves every
+    /// round.
     pub enhance: String,
     /// What guides the deblurring of rounds after the first.
     pub guide: Guide,
@@ -41,7 +43,8 @@ pub struct Options {
     pub shake: ShakeModel,
     /// Which views the scene is trained on.
     pub train_on: TrainOn,
-    /// Whether the cameras are corrected by the renders; those of held-out views too, which train nothing.
+    /// Whether the cameras are corrected by the renders; those of held-out views too, which train
+    /// nothing.
     pub refine_poses: bool,
     /// How rounds after the first start.
     pub start: Start,
@@ -52,7 +55,8 @@ pub struct Options {
     pub fill_up: u32,
     /// The length that rates of the means are measured in.
     pub extent: ExtentRule,
-    /// Whether differences of exposure and cast between the views are taken out before the scene explains them.
+    /// Whether differences of exposure and cast between the views are taken out before the scene
+    /// explains them.
     pub view_colour: bool,
     /// Most Gaussians.
     #[schemars(range(min = 100, max = 5_000_000))]
@@ -110,7 +114,8 @@ pub enum LutScope {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Guide {
-    /// A guided network is fed the view and, as its guide, the view with detail of the previous round's render.
+    /// A guided network is fed the view and, as its guide, the view with detail of the previous
+    /// round's render.
     Render,
     /// The network is fed that guide in the view's place.
     Blend,
@@ -219,7 +224,12 @@ impl Preset {
             adapter: "auto".to_owned(),
         };
         match self {
-            Self::Preview => Options { steps: 1_000, size: 280, cap: 10_000, ..standard },
+            Self::Preview => Options {
+                steps: 1_000,
+                size: 280,
+                cap: 10_000,
+                ..standard
+            },
             Self::Standard => standard,
             Self::Paper => Options {
                 steps: 10_000,
@@ -240,8 +250,9 @@ impl Preset {
 }
 
 impl Options {
-    /// Whether the scene is trained on the enhanced views. Differs from the paper where `shake` is `kernel`: what a
-    /// network leaves of the blur, and the halos that it adds, are no kernel, and to sharpen twice is to overdo it.
+    /// Whether the scene is trained on the enhanced views. Differs from the paper where `shake` is
+    /// `kernel`: what a network leaves of the blur, and the halos that it adds, are no kernel, and
+    /// to sharpen twice is to overdo it.
     pub fn trains_on_enhanced(&self) -> bool {
         match self.train_on {
             TrainOn::Auto => self.shake == ShakeModel::Kernel,
@@ -261,10 +272,13 @@ impl FromStr for Preset {
     type Err = OptionsError;
 
     fn from_str(name: &str) -> Result<Self, OptionsError> {
-        Self::ALL.into_iter().find(|preset| preset.name() == name).ok_or_else(|| OptionsError {
-            key: "preset".to_owned(),
-            message: format!("`{name}` is none of preview, standard, paper"),
-        })
+        Self::ALL
+            .into_iter()
+            .find(|preset| preset.name() == name)
+            .ok_or_else(|| OptionsError {
+                key: "preset".to_owned(),
+                message: format!("`{name}` is none of preview, standard, paper"),
+            })
     }
 }
 
@@ -295,7 +309,9 @@ impl Options {
         let mut current = self.clone();
         for (key, value) in overrides {
             let mut object = serde_json::to_value(&current).map_err(|e| fault(key, &e))?;
-            let fields = object.as_object_mut().ok_or_else(|| fault(key, &"not an object"))?;
+            let fields = object
+                .as_object_mut()
+                .ok_or_else(|| fault(key, &"not an object"))?;
             if !fields.contains_key(key) {
                 let known = fields.keys().cloned().collect::<Vec<_>>().join(", ");
                 return Err(fault(key, &format!("unknown; known are {known}")));
@@ -313,9 +329,11 @@ impl Options {
     /// # Errors
     /// [`OptionsError`] naming the key.
     pub fn with_assignment(&self, assignment: &str) -> Result<Self, OptionsError> {
-        let (key, text) =
-            assignment.split_once('=').ok_or_else(|| fault(assignment, &"expected key=value"))?;
-        let attempt = |value| self.with_overrides(&serde_json::Map::from_iter([(key.to_owned(), value)]));
+        let (key, text) = assignment
+            .split_once('=')
+            .ok_or_else(|| fault(assignment, &"expected key=value"))?;
+        let attempt =
+            |value| self.with_overrides(&serde_json::Map::from_iter([(key.to_owned(), value)]));
         let as_string = attempt(serde_json::Value::String(text.to_owned()));
         match (as_string, serde_json::from_str(text)) {
             (Err(_), Ok(value)) => attempt(value),
@@ -328,14 +346,19 @@ impl Options {
         within("steps", self.steps, 1, 200_000)?;
         within("size", self.size, 64, 4096)?;
         if !(0.0..=0.5).contains(&self.dropout) {
-            return Err(fault("dropout", &format!("{} is not in 0..=0.5", self.dropout)));
+            return Err(fault(
+                "dropout",
+                &format!("{} is not in 0..=0.5", self.dropout),
+            ));
         }
         if self.enhance != "curve" && self.target != "auto" {
-            let message = "a network that brightens decides the brightness: leave `target` at `auto`";
+            let message =
+                "a network that brightens decides the brightness: leave `target` at `auto`";
             return Err(fault("target", &message));
         }
         if self.guide == Guide::None && self.deblur_unguided != "same" {
-            let message = "with `guide=none` no view is ever guided: choose the network by `deblur`";
+            let message =
+                "with `guide=none` no view is ever guided: choose the network by `deblur`";
             return Err(fault("deblur_unguided", &message));
         }
         within("cap", self.cap, 100, 5_000_000)?;
@@ -352,7 +375,10 @@ fn within(key: &str, value: u32, low: u32, high: u32) -> Result<(), OptionsError
 }
 
 fn fault(key: &str, message: &dyn fmt::Display) -> OptionsError {
-    OptionsError { key: key.to_owned(), message: message.to_string() }
+    OptionsError {
+        key: key.to_owned(),
+        message: message.to_string(),
+    }
 }
 
 #[cfg(test)]
@@ -363,45 +389,119 @@ mod tests {
     fn what_shake_explains_is_not_deblurred_for_training_unless_asked_for() {
         let standard = Preset::Standard.options();
         assert!(standard.trains_on_enhanced());
-        assert!(!Options { shake: ShakeModel::Off, ..standard.clone() }.trains_on_enhanced());
-        assert!(!Options { train_on: TrainOn::Deblurred, ..standard.clone() }.trains_on_enhanced());
-        let forced = Options { train_on: TrainOn::Enhanced, shake: ShakeModel::Off, ..standard };
+        assert!(
+            !Options {
+                shake: ShakeModel::Off,
+                ..standard.clone()
+            }
+            .trains_on_enhanced()
+        );
+        assert!(
+            !Options {
+                train_on: TrainOn::Deblurred,
+                ..standard.clone()
+            }
+            .trains_on_enhanced()
+        );
+        let forced = Options {
+            train_on: TrainOn::Enhanced,
+            shake: ShakeModel::Off,
+            ..standard
+        };
         assert!(forced.trains_on_enhanced() && !Preset::Paper.options().trains_on_enhanced());
     }
 
     #[test]
     fn assignments_take_numbers_words_and_booleans() {
         let options = Options::default();
-        assert_eq!(options.with_assignment("rounds=3").expect("valid").rounds, 3);
-        assert_eq!(options.with_assignment("held_out=5").expect("valid").held_out, "5");
-        assert_eq!(options.with_assignment("noise=off").expect("valid").noise, NoiseMode::Off);
-        assert!(!options.with_assignment("resolution_schedule=false").expect("valid").resolution_schedule);
-        assert_eq!(options.with_assignment("target=10,0.8").expect("valid").target, "10,0.8");
+        assert_eq!(
+            options.with_assignment("rounds=3").expect("valid").rounds,
+            3
+        );
+        assert_eq!(
+            options
+                .with_assignment("held_out=5")
+                .expect("valid")
+                .held_out,
+            "5"
+        );
+        assert_eq!(
+            options.with_assignment("noise=off").expect("valid").noise,
+            NoiseMode::Off
+        );
+        assert!(
+            !options
+                .with_assignment("resolution_schedule=false")
+                .expect("valid")
+                .resolution_schedule
+        );
+        assert_eq!(
+            options
+                .with_assignment("target=10,0.8")
+                .expect("valid")
+                .target,
+            "10,0.8"
+        );
     }
 
     #[test]
     fn every_nth_view_may_be_a_number_or_a_string_in_json() {
         let read = |value: serde_json::Value| {
             let overrides = serde_json::Map::from_iter([("held_out".to_owned(), value)]);
-            Options::default().with_overrides(&overrides).map(|options| options.held_out)
+            Options::default()
+                .with_overrides(&overrides)
+                .map(|options| options.held_out)
         };
         assert_eq!(read(5.into()).expect("valid"), "5");
         assert_eq!(read("a,b".into()).expect("valid"), "a,b");
         assert!(
-            read(true.into()).expect_err("no list").to_string().contains("expected a number or a string")
+            read(true.into())
+                .expect_err("no list")
+                .to_string()
+                .contains("expected a number or a string")
         );
     }
 
     #[test]
     fn an_unknown_key_or_bad_value_names_the_key() {
         let options = Options::default();
-        assert_eq!(options.with_assignment("round=3").expect_err("unknown").key, "round");
-        assert_eq!(options.with_assignment("rounds=0").expect_err("range").key, "rounds");
-        assert_eq!(options.with_assignment("dropout=0.6").expect_err("range").key, "dropout");
-        assert_eq!(options.with_assignment("noise=loud").expect_err("enum").key, "noise");
-        let unguided = Options { guide: Guide::None, ..options.clone() };
-        assert_eq!(unguided.with_assignment("deblur_unguided=a").expect_err("both").key, "deblur_unguided");
-        let aimed = Options { target: "10,0.8".to_owned(), ..options };
-        assert_eq!(aimed.with_assignment("enhance=a").expect_err("both").key, "target");
+        assert_eq!(
+            options.with_assignment("round=3").expect_err("unknown").key,
+            "round"
+        );
+        assert_eq!(
+            options.with_assignment("rounds=0").expect_err("range").key,
+            "rounds"
+        );
+        assert_eq!(
+            options
+                .with_assignment("dropout=0.6")
+                .expect_err("range")
+                .key,
+            "dropout"
+        );
+        assert_eq!(
+            options.with_assignment("noise=loud").expect_err("enum").key,
+            "noise"
+        );
+        let unguided = Options {
+            guide: Guide::None,
+            ..options.clone()
+        };
+        assert_eq!(
+            unguided
+                .with_assignment("deblur_unguided=a")
+                .expect_err("both")
+                .key,
+            "deblur_unguided"
+        );
+        let aimed = Options {
+            target: "10,0.8".to_owned(),
+            ..options
+        };
+        assert_eq!(
+            aimed.with_assignment("enhance=a").expect_err("both").key,
+            "target"
+        );
     }
 }

@@ -98,16 +98,23 @@ impl ErrorKind {
             Self::Io => {
                 "Check the disk's space and the folder's permissions, then run the same command again."
             }
-            Self::Timeout => "The machine may be overloaded; run the same command again, it resumes.",
+            Self::Timeout => {
+                "The machine may be overloaded; run the same command again, it resumes."
+            }
             Self::Environment => "Run `fled doctor`: it says what is missing and how to get it.",
             Self::Cancelled => "Run the same command again: it resumes where it stopped.",
-            Self::Internal => "Please report this with log.txt; running the same command again resumes.",
+            Self::Internal => {
+                "Please report this with log.txt; running the same command again resumes."
+            }
         }
     }
 
     /// Whether trying again without a change could help.
     pub fn retryable(self) -> bool {
-        !matches!(self, Self::BadInput | Self::FewPoses | Self::Environment | Self::Cancelled)
+        !matches!(
+            self,
+            Self::BadInput | Self::FewPoses | Self::Environment | Self::Cancelled
+        )
     }
 }
 
@@ -169,7 +176,10 @@ pub enum PipelineError {
 impl PipelineError {
     /// A failed read or write of `path`.
     pub fn io(path: &Path, source: std::io::Error) -> Self {
-        Self::Io { path: path.to_owned(), source }
+        Self::Io {
+            path: path.to_owned(),
+            source,
+        }
     }
 
     /// What sort of failure it is.
@@ -191,7 +201,8 @@ impl PipelineError {
     pub fn hint(&self) -> String {
         match self {
             Self::Options(_) => {
-                "See `fled run --help` or GET /v1/options for the options and their ranges.".to_owned()
+                "See `fled run --help` or GET /v1/options for the options and their ranges."
+                    .to_owned()
             }
             Self::Poses(PosesError::TooFew { advice, .. }) => advice.clone(),
             Self::Capture(error) => error.hint().to_owned(),
@@ -207,7 +218,9 @@ impl PipelineError {
 
 fn deblur_kind(error: &DeblurError) -> ErrorKind {
     match error {
-        DeblurError::UnknownModel { .. } | DeblurError::GuideUnsupported { .. } => ErrorKind::BadInput,
+        DeblurError::UnknownModel { .. } | DeblurError::GuideUnsupported { .. } => {
+            ErrorKind::BadInput
+        }
         DeblurError::RuntimeMissing { .. }
         | DeblurError::RuntimeUnusable { .. }
         | DeblurError::ModelFileMissing { .. }
@@ -239,7 +252,9 @@ fn gpu_kind(error: &GpuError) -> ErrorKind {
         GpuError::OutOfMemory { .. } | GpuError::TooLarge { .. } => ErrorKind::OomGpu,
         GpuError::DeviceLost(_) => ErrorKind::DeviceLost,
         GpuError::Timeout { .. } => ErrorKind::Timeout,
-        GpuError::Shader { .. } | GpuError::Binding { .. } | GpuError::Validation(_) => ErrorKind::Internal,
+        GpuError::Shader { .. } | GpuError::Binding { .. } | GpuError::Validation(_) => {
+            ErrorKind::Internal
+        }
     }
 }
 
@@ -248,9 +263,9 @@ fn reconstruct_kind(error: &ReconstructError) -> ErrorKind {
         ReconstructError::Gpu(error) => gpu_kind(error),
         ReconstructError::Cancelled(_) => ErrorKind::Cancelled,
         ReconstructError::Empty { .. } => ErrorKind::BadInput,
-        ReconstructError::OtherRound | ReconstructError::Noise(_) | ReconstructError::NotFinite { .. } => {
-            ErrorKind::Internal
-        }
+        ReconstructError::OtherRound
+        | ReconstructError::Noise(_)
+        | ReconstructError::NotFinite { .. } => ErrorKind::Internal,
     }
 }
 

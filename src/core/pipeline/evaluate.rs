@@ -30,27 +30,57 @@ pub struct RoundImages<'a> {
 pub fn records(views: &[View], images: &RoundImages<'_>) -> Vec<Record> {
     let mut records = Vec::new();
     for split in [Split::HeldOut, Split::Train] {
-        let members: Vec<usize> = (0..views.len()).filter(|&i| views[i].split == split).collect();
+        let members: Vec<usize> = (0..views.len())
+            .filter(|&i| views[i].split == split)
+            .collect();
         if members.is_empty() {
             continue;
         }
-        let with_gt: Vec<usize> = members.iter().copied().filter(|&i| views[i].gt.is_some()).collect();
+        let with_gt: Vec<usize> = members
+            .iter()
+            .copied()
+            .filter(|&i| views[i].gt.is_some())
+            .collect();
         let gt = |i: usize| views[i].gt.as_ref();
         for (image, set) in [
             (ImageKind::Render, images.final_renders),
             (ImageKind::Deblurred, images.final_deblurred),
             (ImageKind::Enhanced, images.final_enhanced),
         ] {
-            let pairs: Vec<_> = with_gt.iter().filter_map(|&i| Some((&set[i], gt(i)?))).collect();
-            records.extend(mean_record((split, image, Reference::Gt, Brightness::Final), &pairs));
+            let pairs: Vec<_> = with_gt
+                .iter()
+                .filter_map(|&i| Some((&set[i], gt(i)?)))
+                .collect();
+            records.extend(mean_record(
+                (split, image, Reference::Gt, Brightness::Final),
+                &pairs,
+            ));
         }
         for (reference, brightness, set, against) in [
-            (Reference::Deblurred, Brightness::Native, images.renders, images.deblurred),
-            (Reference::Enhanced, Brightness::Native, images.renders, images.enhanced),
-            (Reference::Enhanced, Brightness::Final, images.final_renders, images.final_enhanced),
+            (
+                Reference::Deblurred,
+                Brightness::Native,
+                images.renders,
+                images.deblurred,
+            ),
+            (
+                Reference::Enhanced,
+                Brightness::Native,
+                images.renders,
+                images.enhanced,
+            ),
+            (
+                Reference::Enhanced,
+                Brightness::Final,
+                images.final_renders,
+                images.final_enhanced,
+            ),
         ] {
             let pairs: Vec<_> = members.iter().map(|&i| (&set[i], &against[i])).collect();
-            records.extend(mean_record((split, ImageKind::Render, reference, brightness), &pairs));
+            records.extend(mean_record(
+                (split, ImageKind::Render, reference, brightness),
+                &pairs,
+            ));
         }
     }
     records
@@ -92,13 +122,23 @@ pub fn means(
     images: &RoundImages<'_>,
     measure: impl Fn(&Image) -> f64 + Sync + Send + Copy,
 ) -> BTreeMap<String, f64> {
-    [("enhanced", images.enhanced), ("deblurred", images.deblurred), ("render", images.renders)]
-        .into_iter()
-        .map(|(name, set)| (name.to_owned(), mean(set, measure)))
-        .collect()
+    [
+        ("enhanced", images.enhanced),
+        ("deblurred", images.deblurred),
+        ("render", images.renders),
+    ]
+    .into_iter()
+    .map(|(name, set)| (name.to_owned(), mean(set, measure)))
+    .collect()
 }
 
 /// Mean of a measure over images.
 pub fn mean(images: &[Image], measure: impl Fn(&Image) -> f64 + Sync + Send) -> f64 {
-    images.par_iter().map(measure).collect::<Vec<_>>().iter().sum::<f64>() / images.len() as f64
+    images
+        .par_iter()
+        .map(measure)
+        .collect::<Vec<_>>()
+        .iter()
+        .sum::<f64>()
+        / images.len() as f64
 }

@@ -1,4 +1,5 @@
-//! Poses from whoever finds them, and rung F of COLMAP's ladder: once more, on deblurred photographs.
+//! Poses from whoever finds them, and rung F of COLMAP's ladder: once more, on deblurred
+//! photographs.
 
 use std::path::Path;
 
@@ -32,18 +33,28 @@ impl Job<'_, '_> {
             Err(PosesError::TooFew { .. }) => views.len() > 2,
             Err(_) => false,
         };
-        let unguided = self.tools.deblurrer.unguided().unwrap_or_else(|| self.tools.deblurrer.describe());
+        let unguided = self
+            .tools
+            .deblurrer
+            .unguided()
+            .unwrap_or_else(|| self.tools.deblurrer.describe());
         // 0: nothing would be deblurred.
         if given || !weak || unguided.channels == 0 {
             return Ok(first?);
         }
-        self.sink.log(format!("poses: rung {RUNG}, the ladder once more on deblurred photographs"));
+        self.sink.log(format!(
+            "poses: rung {RUNG}, the ladder once more on deblurred photographs"
+        ));
         let second = self.poses_of_deblurred(&views, &work_dir.join("deblurred"))?;
         Ok(better(first, second, self.sink)?)
     }
 
     fn ask(&mut self, views: &[PoseView], work_dir: &Path) -> Result<Poses, PosesError> {
-        let request = PoseRequest { views, work_dir, seed: self.options.seed };
+        let request = PoseRequest {
+            views,
+            work_dir,
+            seed: self.options.seed,
+        };
         self.tools.sfm.poses(&request, self.sink, self.cancel)
     }
 
@@ -54,12 +65,22 @@ impl Job<'_, '_> {
         folder: &Path,
     ) -> Result<Result<Poses, PosesError>, PipelineError> {
         let photograph = |view: &PoseView| {
-            Image::load_at_most(&view.file, LONGEST_SIDE)
-                .map_err(|source| PipelineError::Photograph { name: view.name.clone(), source })
+            Image::load_at_most(&view.file, LONGEST_SIDE).map_err(|source| {
+                PipelineError::Photograph {
+                    name: view.name.clone(),
+                    source,
+                }
+            })
         };
-        let dark = views.iter().map(photograph).collect::<Result<Vec<_>, _>>()?;
+        let dark = views
+            .iter()
+            .map(photograph)
+            .collect::<Result<Vec<_>, _>>()?;
         let target = enhance::resolve_target(&self.options.target, &Histogram::pooled(&dark))
-            .map_err(|e| OptionsError { key: "target".to_owned(), message: e.to_string() })?;
+            .map_err(|e| OptionsError {
+                key: "target".to_owned(),
+                message: e.to_string(),
+            })?;
         let bright = Tone::fit(self.options.lut_scope, &dark, &[target]).apply(&dark);
         self.workspace.make_folder(folder)?;
         let mut copies = Vec::with_capacity(views.len());
@@ -70,37 +91,69 @@ impl Job<'_, '_> {
             for warning in self.tools.deblurrer.take_warnings() {
                 self.sink.warn("poses", format!("{}: {warning}", view.name));
             }
-            let bytes = deblurred
-                .encode(EncodeFormat::Png)
-                .map_err(|source| PipelineError::Photograph { name: view.name.clone(), source })?;
+            let bytes = deblurred.encode(EncodeFormat::Png).map_err(|source| {
+                PipelineError::Photograph {
+                    name: view.name.clone(),
+                    source,
+                }
+            })?;
             self.workspace.write(&file, &bytes)?;
             let (original, _) = upright_size(view)?;
-            let focal_px = view.focal_px.map(|focal| focal * image.width() as f64 / original as f64);
-            copies.push(PoseView { name: view.name.clone(), file, focal_px });
+            let focal_px = view
+                .focal_px
+                .map(|focal| focal * image.width() as f64 / original as f64);
+            copies.push(PoseView {
+                name: view.name.clone(),
+                file,
+                focal_px,
+            });
         }
         let found = match self.ask(&copies, &folder.join("colmap")) {
             Ok(found) => found,
             Err(error) => return Ok(Err(error)),
         };
         let original = |posed: PosedView| -> Result<PosedView, PipelineError> {
-            let Some(view) = views.iter().find(|view| view.name == posed.name) else { return Ok(posed) };
+            let Some(view) = views.iter().find(|view| view.name == posed.name) else {
+                return Ok(posed);
+            };
             let (width, height) = upright_size(view)?;
-            let lens = Lens { intrinsics: posed.lens.intrinsics.resized(width, height), ..posed.lens };
-            let camera = Camera { intrinsics: lens.pinhole(), ..posed.camera };
-            Ok(PosedView { camera, lens, ..posed })
+            let lens = Lens {
+                intrinsics: posed.lens.intrinsics.resized(width, height),
+                ..posed.lens
+            };
+            let camera = Camera {
+                intrinsics: lens.pinhole(),
+                ..posed.camera
+            };
+            Ok(PosedView {
+                camera,
+                lens,
+                ..posed
+            })
         };
-        let views = found.views.into_iter().map(original).collect::<Result<Vec<_>, _>>()?;
-        Ok(Ok(Poses { views, rung: Some(RUNG), ..found }))
+        let views = found
+            .views
+            .into_iter()
+            .map(original)
+            .collect::<Result<Vec<_>, _>>()?;
+        Ok(Ok(Poses {
+            views,
+            rung: Some(RUNG),
+            ..found
+        }))
     }
 }
 
 fn upright_size(view: &PoseView) -> Result<(usize, usize), PipelineError> {
-    let header = read_header(&view.file)
-        .map_err(|source| PipelineError::Photograph { name: view.name.clone(), source })?;
+    let header = read_header(&view.file).map_err(|source| PipelineError::Photograph {
+        name: view.name.clone(),
+        source,
+    })?;
     Ok((header.width, header.height))
 }
 
-/// Whether these are the poses that a run with any other network finds, too: the first look was good enough.
+/// Whether these are the poses that a run with any other network finds, too: the first look was
+/// good enough.
 pub(super) fn without_network(poses: &Poses) -> bool {
     poses.rung != Some(RUNG) && !poses.low_confidence
 }
@@ -119,7 +172,11 @@ fn better(
         }
         (Ok(first), Ok(second)) => {
             let rank = |poses: &Poses| (!poses.low_confidence, poses.registered);
-            Ok(if rank(&second) > rank(&first) { second } else { first })
+            Ok(if rank(&second) > rank(&first) {
+                second
+            } else {
+                first
+            })
         }
         (Err(_), Ok(second)) => Ok(second),
     }
@@ -138,7 +195,8 @@ mod tests {
     use crate::pipeline::{Tools, Workspace};
     use crate::poses::{Distortion, Sfm};
 
-    /// Finds photographs only where they are bright; keeps the width, px, and the mean of each that it was asked about.
+    /// Finds photographs only where they are bright; keeps the width, px, and the mean of each that
+    /// it was asked about.
     #[derive(Default)]
     struct NeedsLight(RefCell<Vec<(usize, f32)>>);
 
@@ -159,12 +217,30 @@ mod tests {
                 let (width, height) = (image.width(), image.height());
                 let focal = width as f64;
                 let (cx, cy) = (focal / 2.0, height as f64 / 2.0);
-                let k = crate::camera::Intrinsics { width, height, fx: focal, fy: focal, cx, cy };
+                let k = crate::camera::Intrinsics {
+                    width,
+                    height,
+                    fx: focal,
+                    fy: focal,
+                    cx,
+                    cy,
+                };
                 let camera = Camera::look_at(k, glam::DVec3::ZERO, glam::DVec3::Z, glam::DVec3::Y);
-                let lens = Lens { intrinsics: k, distortion: Distortion::None };
-                found.views.push(PosedView { name: view.name.clone(), camera, lens });
+                let lens = Lens {
+                    intrinsics: k,
+                    distortion: Distortion::None,
+                };
+                found.views.push(PosedView {
+                    name: view.name.clone(),
+                    camera,
+                    lens,
+                });
             }
-            if darkest < 0.3 { Err(few(1)) } else { Ok(found) }
+            if darkest < 0.3 {
+                Err(few(1))
+            } else {
+                Ok(found)
+            }
         }
 
         fn describe(&self) -> String {
@@ -182,7 +258,11 @@ mod tests {
         }
 
         fn describe(&self) -> DeblurInfo {
-            DeblurInfo { id: self.0.to_string(), channels: 3, ..Identity.describe() }
+            DeblurInfo {
+                id: self.0.to_string(),
+                channels: 3,
+                ..Identity.describe()
+            }
         }
 
         fn take_warnings(&mut self) -> Vec<String> {
@@ -191,7 +271,9 @@ mod tests {
     }
 
     /// The answer, the warnings, and what was asked, for three dark photographs of 960 x 640 px.
-    fn found_with(deblurrer: &mut dyn Deblurrer) -> (Result<Poses, PipelineError>, Vec<String>, NeedsLight) {
+    fn found_with(
+        deblurrer: &mut dyn Deblurrer,
+    ) -> (Result<Poses, PipelineError>, Vec<String>, NeedsLight) {
         let home = tempfile::tempdir().expect("temporary directory");
         let images = home.path().join("images");
         std::fs::create_dir(&images).expect("made");
@@ -200,7 +282,9 @@ mod tests {
             for (index, value) in image.data_mut().iter_mut().enumerate() {
                 *value = 0.02 + 0.002 * (index % period) as f32;
             }
-            image.save(&images.join(format!("{name}.png"))).expect("written");
+            image
+                .save(&images.join(format!("{name}.png")))
+                .expect("written");
         }
         let capture = Capture::open(home.path(), &home.path().join("scratch")).expect("a capture");
         let workspace = Workspace::open(&home.path().join("run")).expect("a workspace");
@@ -220,32 +304,62 @@ mod tests {
             }
         };
         let (options, cancel) = (Options::default(), CancelToken::new());
-        let mut job =
-            Job::new(&capture, &options, &mut tools, &workspace, &mut sink, &cancel).expect("a job");
+        let mut job = Job::new(
+            &capture, &options, &mut tools, &workspace, &mut sink, &cancel,
+        )
+        .expect("a job");
         let found = job.find_poses();
         (found, warnings, sfm)
     }
 
     #[test]
     fn what_the_ladder_cannot_place_is_deblurred_once_and_asked_about_again() {
-        let mut networks = ByGuide::new(Box::new(Grey(0.5, Vec::new())), Box::new(Grey(0.75, Vec::new())));
+        let mut networks = ByGuide::new(
+            Box::new(Grey(0.5, Vec::new())),
+            Box::new(Grey(0.75, Vec::new())),
+        );
         let (found, warnings, asked) = found_with(&mut networks);
         let found = found.expect("placed on bright copies");
         assert_eq!((found.rung, found.registered), (Some(RUNG), 3));
-        let asked: Vec<_> = asked.0.into_inner().iter().map(|(width, mean)| (*width, *mean > 0.3)).collect();
-        assert_eq!(asked, [(960, false), (960, false), (960, false), (640, true), (640, true), (640, true)]);
+        let asked: Vec<_> = asked
+            .0
+            .into_inner()
+            .iter()
+            .map(|(width, mean)| (*width, *mean > 0.3))
+            .collect();
+        assert_eq!(
+            asked,
+            [
+                (960, false),
+                (960, false),
+                (960, false),
+                (640, true),
+                (640, true),
+                (640, true)
+            ]
+        );
         for view in &found.views {
             let k = view.camera.intrinsics;
-            assert_eq!((k.width, k.height, view.lens.intrinsics.fx), (960, 640, 960.0), "as the original");
+            assert_eq!(
+                (k.width, k.height, view.lens.intrinsics.fx),
+                (960, 640, 960.0),
+                "as the original"
+            );
         }
         // Of the network that was used: none of these views has a guide.
-        assert_eq!(warnings, ["a", "b", "c"].map(|name| format!("poses: {name}: is 0.5 now")));
+        assert_eq!(
+            warnings,
+            ["a", "b", "c"].map(|name| format!("poses: {name}: is 0.5 now"))
+        );
     }
 
     #[test]
     fn a_run_without_a_network_has_no_second_look() {
         let (found, _, asked) = found_with(&mut Identity);
-        assert!(matches!(found, Err(PipelineError::Poses(PosesError::TooFew { .. }))), "{found:?}");
+        assert!(
+            matches!(found, Err(PipelineError::Poses(PosesError::TooFew { .. }))),
+            "{found:?}"
+        );
         assert_eq!(asked.0.into_inner().len(), 3);
     }
 
@@ -265,24 +379,49 @@ mod tests {
     }
 
     fn few(registered: usize) -> PosesError {
-        PosesError::TooFew { registered, total: 20, advice: String::new() }
+        PosesError::TooFew {
+            registered,
+            total: 20,
+            advice: String::new(),
+        }
     }
 
     #[test]
     fn the_second_look_wins_only_where_it_is_better() {
         let rung = |first, second| better(first, second, &mut Silent).map(|poses| poses.rung);
-        assert_eq!(rung(Ok(poses(12, true, 'C')), Ok(poses(18, true, 'F'))).ok(), Some(Some('F')));
-        assert_eq!(rung(Ok(poses(18, true, 'C')), Ok(poses(17, false, 'F'))).ok(), Some(Some('F')));
-        assert_eq!(rung(Ok(poses(18, true, 'C')), Ok(poses(18, true, 'F'))).ok(), Some(Some('C')));
-        assert_eq!(rung(Ok(poses(12, true, 'C')), Err(few(4))).ok(), Some(Some('C')));
-        assert_eq!(rung(Err(few(4)), Ok(poses(17, false, 'F'))).ok(), Some(Some('F')));
-        assert!(matches!(rung(Err(few(4)), Err(few(9))), Err(PosesError::TooFew { registered: 4, .. })));
+        assert_eq!(
+            rung(Ok(poses(12, true, 'C')), Ok(poses(18, true, 'F'))).ok(),
+            Some(Some('F'))
+        );
+        assert_eq!(
+            rung(Ok(poses(18, true, 'C')), Ok(poses(17, false, 'F'))).ok(),
+            Some(Some('F'))
+        );
+        assert_eq!(
+            rung(Ok(poses(18, true, 'C')), Ok(poses(18, true, 'F'))).ok(),
+            Some(Some('C'))
+        );
+        assert_eq!(
+            rung(Ok(poses(12, true, 'C')), Err(few(4))).ok(),
+            Some(Some('C'))
+        );
+        assert_eq!(
+            rung(Err(few(4)), Ok(poses(17, false, 'F'))).ok(),
+            Some(Some('F'))
+        );
+        assert!(matches!(
+            rung(Err(few(4)), Err(few(9))),
+            Err(PosesError::TooFew { registered: 4, .. })
+        ));
     }
 
     #[test]
     fn only_a_good_first_look_serves_every_network() {
         assert!(without_network(&poses(18, false, 'C')));
-        assert!(!without_network(&poses(18, true, 'C')), "another network may lead to better ones");
+        assert!(
+            !without_network(&poses(18, true, 'C')),
+            "another network may lead to better ones"
+        );
         assert!(!without_network(&poses(18, false, 'F')));
     }
 }

@@ -54,13 +54,20 @@ impl<'a, 't> Job<'a, 't> {
             let (width, height) = working_size(view.width, view.height, options.size as usize);
             width * height
         });
-        sink.event(&Event::Planned { rounds: options.rounds, views: views as u32 });
+        sink.event(&Event::Planned {
+            rounds: options.rounds,
+            views: views as u32,
+        });
         let adapter = tools.gpu.describe();
         sink.log(format!("adapter: {adapter}"));
         for (use_of, network) in networks(tools) {
             sink.log(format!("{use_of}: {} on {}", network.id, network.provider));
         }
-        let trained_on = if options.trains_on_enhanced() { "enhanced" } else { "deblurred" };
+        let trained_on = if options.trains_on_enhanced() {
+            "enhanced"
+        } else {
+            "deblurred"
+        };
         sink.log(format!("the scene is trained on the {trained_on} views"));
         for fallback in &tools.fallbacks {
             sink.warn("fallback", fallback.clone());
@@ -119,7 +126,12 @@ impl<'a, 't> Job<'a, 't> {
         if round > 0 {
             self.round_seconds += seconds;
         }
-        self.sink.event(&Event::StageFinished { stage, round, seconds, skipped });
+        self.sink.event(&Event::StageFinished {
+            stage,
+            round,
+            seconds,
+            skipped,
+        });
         self.plan.finish(stage, skipped, self.sink);
     }
 
@@ -132,13 +144,24 @@ impl<'a, 't> Job<'a, 't> {
             total: total as u64,
             steps_per_second: None,
         });
-        self.plan.advance(stage, done as f64 / total.max(1) as f64, self.sink);
+        self.plan
+            .advance(stage, done as f64 / total.max(1) as f64, self.sink);
     }
 }
 
 fn networks(tools: &Tools<'_>) -> Vec<(&'static str, DeblurInfo)> {
     let mut networks = vec![("deblur", tools.deblurrer.describe())];
-    networks.extend(tools.deblurrer.unguided().map(|info| ("deblur_unguided", info)));
-    networks.extend(tools.enhancer.as_ref().map(|enhancer| ("enhance", enhancer.describe())));
+    networks.extend(
+        tools
+            .deblurrer
+            .unguided()
+            .map(|info| ("deblur_unguided", info)),
+    );
+    networks.extend(
+        tools
+            .enhancer
+            .as_ref()
+            .map(|enhancer| ("enhance", enhancer.describe())),
+    );
     networks
 }

@@ -43,14 +43,23 @@ pub struct Next {
 
 impl Job<'_, '_> {
     /// R_i: the scene at every view's camera.
-    pub fn render(&mut self, round: u32, views: &[View], scene: &Scene) -> Result<Vec<Image>, PipelineError> {
+    pub fn render(
+        &mut self,
+        round: u32,
+        views: &[View],
+        scene: &Scene,
+    ) -> Result<Vec<Image>, PipelineError> {
         self.stage(Stage::Render, round, |job| {
             let renderer = Renderer::new(job.tools.gpu);
             let uploaded = renderer.upload(&scene.gaussians)?;
             let mut renders = Vec::with_capacity(views.len());
             for (i, view) in views.iter().enumerate() {
                 job.cancel.check()?;
-                renders.push(renderer.render_scene(&uploaded, &view.camera)?.map(|v| v.clamp(0.0, 1.0)));
+                renders.push(
+                    renderer
+                        .render_scene(&uploaded, &view.camera)?
+                        .map(|v| v.clamp(0.0, 1.0)),
+                );
                 job.advance(Stage::Render, round, i + 1, views.len());
             }
             job.previews(round, "renders", views, &renders)?;
@@ -100,7 +109,8 @@ impl Job<'_, '_> {
         })
     }
 
-    /// The anchors for which E(R; P) looks like `wanted`: one search over a few views, or one a view.
+    /// The anchors for which E(R; P) looks like `wanted`: one search over a few views, or one a
+    /// view.
     pub(super) fn fit(&self, renders: &[Image], wanted: &[Image]) -> Vec<Anchor> {
         let seed = self.options.seed;
         match self.options.lut_scope {
@@ -152,29 +162,47 @@ impl Job<'_, '_> {
             job.brighten_scene(round, next.to_final.as_ref(), scene)?;
             Ok(metrics)
         })?;
-        let metrics = RoundMetrics { seconds: self.round_seconds, ..metrics };
+        let metrics = RoundMetrics {
+            seconds: self.round_seconds,
+            ..metrics
+        };
         self.rounds.push(metrics.clone());
         self.write_report()?;
-        self.sink.event(&Event::RoundFinished { metrics: Box::new(metrics) });
+        self.sink.event(&Event::RoundFinished {
+            metrics: Box::new(metrics),
+        });
         Ok(())
     }
 
-    /// The round's scene at the target brightness: what is delivered should no later round be better.
-    /// The last round is at that brightness itself, and leaves no file of an earlier plan behind.
-    fn brighten_scene(&self, round: u32, tone: Option<&Tone>, scene: &Scene) -> Result<(), PipelineError> {
+    /// The round's scene at the target brightness: what is delivered should no later round be
+    /// better. The last round is at that brightness itself, and leaves no file of an earlier plan
+    /// behind.
+    fn brighten_scene(
+        &self,
+        round: u32,
+        tone: Option<&Tone>,
+        scene: &Scene,
+    ) -> Result<(), PipelineError> {
         let path = self.workspace.round(round).join(BRIGHTENED);
-        let Some(tone) = tone else { return self.workspace.remove(&path) };
+        let Some(tone) = tone else {
+            return self.workspace.remove(&path);
+        };
         let mut gaussians = scene.gaussians.clone();
         let curve = tone.scene();
         gaussians.map_colours(|rgb| curve.apply_colour(rgb), |rgb| curve.slope(rgb));
         Ok(ply::write(&gaussians, &path)?)
     }
 
-    /// The scene's renders at the views' cameras and the target brightness: of the best round so far.
+    /// The scene's renders at the views' cameras and the target brightness: of the best round so
+    /// far.
     fn restored(&self, views: &[View], renders: &[Image]) -> Result<(), PipelineError> {
         let folder = self.workspace.path("restored");
         views.iter().zip(renders).try_for_each(|(view, image)| {
-            self.picture(&folder.join(format!("{}.png", view.name)), image, EncodeFormat::Png)
+            self.picture(
+                &folder.join(format!("{}.png", view.name)),
+                image,
+                EncodeFormat::Png,
+            )
         })
     }
 
@@ -190,7 +218,12 @@ impl Job<'_, '_> {
         let noise_sigma = evaluate::means(images, metrics::noise_sigma);
         let sigma = noise_sigma.get("enhanced").copied().unwrap_or_default();
         let response = self.response(views, next.target);
-        let score = score::score(views, images.final_renders, images.final_enhanced, &response);
+        let score = score::score(
+            views,
+            images.final_renders,
+            images.final_enhanced,
+            &response,
+        );
         let before = self.rounds.last().and_then(|previous| previous.score);
         RoundMetrics {
             round,
@@ -209,7 +242,11 @@ impl Job<'_, '_> {
             pose_correction_px: scene.training.pose_correction_px,
             non_finite_gradients: scene.training.non_finite_gradients,
             anchor: [next.anchor.alpha, next.anchor.gamma],
-            matched: next.matched.iter().map(|anchor| [anchor.alpha, anchor.gamma]).collect(),
+            matched: next
+                .matched
+                .iter()
+                .map(|anchor| [anchor.alpha, anchor.gamma])
+                .collect(),
             score: Some(score),
             worse_than_previous: before.is_some_and(|before| score < before - 0.01),
         }

@@ -55,11 +55,18 @@ impl Plan {
         if stage == Stage::Poses {
             return self.poses;
         }
-        self.round.iter().find(|(other, _)| *other == stage).map_or(0.0, |(_, weight)| *weight)
+        self.round
+            .iter()
+            .find(|(other, _)| *other == stage)
+            .map_or(0.0, |(_, weight)| *weight)
     }
 
     fn total(&self) -> f64 {
-        let before = if self.brightens { self.weight(Stage::Enhance) } else { 0.0 };
+        let before = if self.brightens {
+            self.weight(Stage::Enhance)
+        } else {
+            0.0
+        };
         self.poses
             + before
             + f64::from(self.rounds) * self.round.iter().map(|(_, weight)| weight).sum::<f64>()
@@ -87,9 +94,12 @@ impl Plan {
         let progress = (reached / self.total()).clamp(0.0, 1.0);
         let worked = reached - self.skipped;
         let elapsed = self.started.elapsed().as_secs_f64();
-        let eta_seconds =
-            (worked > 0.0 && elapsed > 2.0).then(|| (self.total() - reached).max(0.0) * elapsed / worked);
-        sink.event(&Event::Progress { progress, eta_seconds });
+        let eta_seconds = (worked > 0.0 && elapsed > 2.0)
+            .then(|| (self.total() - reached).max(0.0) * elapsed / worked);
+        sink.event(&Event::Progress {
+            progress,
+            eta_seconds,
+        });
     }
 }
 
@@ -99,7 +109,10 @@ mod tests {
 
     #[test]
     fn progress_never_falls_and_ends_at_one() {
-        let options = Options { rounds: 2, ..Options::default() };
+        let options = Options {
+            rounds: 2,
+            ..Options::default()
+        };
         let mut plan = Plan::new(&options, 20, 45_000);
         let mut seen = Vec::new();
         let mut sink = |event: &Event| {

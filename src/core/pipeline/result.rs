@@ -21,10 +21,20 @@ impl Job<'_, '_> {
     /// The outcome of an earlier run of the same inputs, when it had delivered.
     pub(super) fn delivered(&mut self) -> Option<Outcome> {
         let seconds = self.workspace.finished("run", &self.inputs)?;
-        let report: Report = self.workspace.read_json(&self.workspace.path("metrics.json"))?;
-        self.sink.log("this capture was finished with these options before; its result stands".to_owned());
-        self.sink.event(&Event::Progress { progress: 1.0, eta_seconds: Some(0.0) });
-        self.sink.event(&Event::Finished { best_round: report.best_round, seconds });
+        let report: Report = self
+            .workspace
+            .read_json(&self.workspace.path("metrics.json"))?;
+        self.sink.log(
+            "this capture was finished with these options before; its result stands".to_owned(),
+        );
+        self.sink.event(&Event::Progress {
+            progress: 1.0,
+            eta_seconds: Some(0.0),
+        });
+        self.sink.event(&Event::Finished {
+            best_round: report.best_round,
+            seconds,
+        });
         Some(Outcome { report })
     }
 
@@ -37,7 +47,10 @@ impl Job<'_, '_> {
             ("registered".to_owned(), json!(poses.registered)),
             ("total".to_owned(), json!(poses.total)),
             ("points".to_owned(), json!(poses.points.len())),
-            ("mean_reprojection_error_px".to_owned(), json!(poses.mean_reprojection_error)),
+            (
+                "mean_reprojection_error_px".to_owned(),
+                json!(poses.mean_reprojection_error),
+            ),
             ("mean_track".to_owned(), json!(poses.mean_track)),
             ("low_confidence".to_owned(), json!(poses.low_confidence)),
         ]);
@@ -46,23 +59,35 @@ impl Job<'_, '_> {
     /// Writes `metrics.json` with the rounds so far.
     pub(super) fn write_report(&mut self) -> Result<Report, PipelineError> {
         let report = self.report();
-        self.workspace.write_json(&self.workspace.path("metrics.json"), &report)?;
+        self.workspace
+            .write_json(&self.workspace.path("metrics.json"), &report)?;
         Ok(report)
     }
 
     fn report(&self) -> Report {
-        let model = |info: &DeblurInfo| format!("{} sha256:{} on {}", info.id, info.sha256, info.provider);
-        let models =
-            self.networks().iter().map(|(use_of, info)| ((*use_of).to_owned(), model(info))).collect();
+        let model =
+            |info: &DeblurInfo| format!("{} sha256:{} on {}", info.id, info.sha256, info.provider);
+        let models = self
+            .networks()
+            .iter()
+            .map(|(use_of, info)| ((*use_of).to_owned(), model(info)))
+            .collect();
         let count = |key: &str| {
-            self.poses_facts.get(key).and_then(serde_json::Value::as_u64).unwrap_or_default() as u32
+            self.poses_facts
+                .get(key)
+                .and_then(serde_json::Value::as_u64)
+                .unwrap_or_default() as u32
         };
         Report {
             best_round: self.best_round(),
             rounds: self.rounds.clone(),
             registered: count("registered"),
             views: count("total"),
-            stages: self.seconds.iter().map(|(stage, s)| (stage.name().to_owned(), *s)).collect(),
+            stages: self
+                .seconds
+                .iter()
+                .map(|(stage, s)| (stage.name().to_owned(), *s))
+                .collect(),
             adapter: self.tools.gpu.describe().to_string(),
             models,
             fallbacks: self.tools.fallbacks.clone(),
@@ -98,25 +123,41 @@ impl Job<'_, '_> {
             self.sink.warn("round_worse", message);
         }
         let brightened = best.join(BRIGHTENED);
-        let scene = if brightened.exists() { brightened } else { best.join("scene.ply") };
+        let scene = if brightened.exists() {
+            brightened
+        } else {
+            best.join("scene.ply")
+        };
         let bytes = fs::read(&scene).map_err(|e| PipelineError::io(&scene, e))?;
-        self.workspace.write(&self.workspace.path("scene.ply"), &bytes)?;
+        self.workspace
+            .write(&self.workspace.path("scene.ply"), &bytes)?;
         self.deliver_cameras(&best)?;
         let seconds = self.started.elapsed().as_secs_f64();
         self.workspace.stamp("run", &self.inputs, seconds)?;
         let work = self.workspace.work();
         for folder in ["deblurred", "brightened", "training.checkpoint"] {
             let path = work.join(folder);
-            let gone = if path.is_dir() { fs::remove_dir_all(&path) } else { fs::remove_file(&path) };
+            let gone = if path.is_dir() {
+                fs::remove_dir_all(&path)
+            } else {
+                fs::remove_file(&path)
+            };
             match gone {
                 Err(e) if e.kind() != std::io::ErrorKind::NotFound => {
-                    self.sink.log(format!("cannot remove {}: {e}", path.display()));
+                    self.sink
+                        .log(format!("cannot remove {}: {e}", path.display()));
                 }
                 _ => {}
             }
         }
-        self.sink.event(&Event::Progress { progress: 1.0, eta_seconds: Some(0.0) });
-        self.sink.event(&Event::Finished { best_round: report.best_round, seconds });
+        self.sink.event(&Event::Progress {
+            progress: 1.0,
+            eta_seconds: Some(0.0),
+        });
+        self.sink.event(&Event::Finished {
+            best_round: report.best_round,
+            seconds,
+        });
         Ok(Outcome { report })
     }
 
@@ -125,7 +166,9 @@ impl Job<'_, '_> {
         let path = self.workspace.path("cameras.json");
         let training: Option<Training> = self.workspace.read_json(&best.join("training.json"));
         let named: Option<Vec<NamedCamera>> = self.workspace.read_json(&path);
-        let (Some(training), Some(named)) = (training, named) else { return Ok(()) };
+        let (Some(training), Some(named)) = (training, named) else {
+            return Ok(());
+        };
         let placed: Vec<NamedCamera> = named
             .into_iter()
             .zip(&training.cameras)

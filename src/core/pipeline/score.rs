@@ -9,16 +9,32 @@ use crate::metrics;
 use crate::shake::reference::Reference;
 use crate::shake::{self, Response};
 
-/// Mean SSIM of a round's renders at the target brightness against the views at that brightness, over held-out views
-/// where there are any. Never against ground truth: a capture that brings it must be delivered the same scene as one
-/// that does not. Differs from method.md 7: each render is first shaken as its view is, else the sharper of two scenes
-/// looks like the worse one; also where the scene was trained without kernels, whose views are shaken no less.
+/// Mean SSIM of a round's renders at the target brightness against the views at that brightness,
+/// over held-out views where there are any. Never against ground truth: a capture that brings it
+/// must be delivered the same scene as one that does not. Differs from method.md 7: each render is
+/// first shaken as its view is, else the sharper of two scenes looks like the worse one; also where
+/// the scene was trained without kernels, whose views are shaken no less.
 pub fn score(views: &[View], renders: &[Image], target: &[Image], response: &Response) -> f64 {
-    let of = |split: Split| (0..views.len()).filter(|&i| views[i].split == split).collect::<Vec<_>>();
+    let of = |split: Split| {
+        (0..views.len())
+            .filter(|&i| views[i].split == split)
+            .collect::<Vec<_>>()
+    };
     let held_out = of(Split::HeldOut);
-    let judged = if held_out.is_empty() { of(Split::Train) } else { held_out };
-    let similarity = |&i: &usize| metrics::ssim(&as_shaken(&renders[i], &target[i], response), &target[i]);
-    judged.par_iter().map(similarity).collect::<Vec<_>>().iter().sum::<f64>() / judged.len().max(1) as f64
+    let judged = if held_out.is_empty() {
+        of(Split::Train)
+    } else {
+        held_out
+    };
+    let similarity =
+        |&i: &usize| metrics::ssim(&as_shaken(&renders[i], &target[i], response), &target[i]);
+    judged
+        .par_iter()
+        .map(similarity)
+        .collect::<Vec<_>>()
+        .iter()
+        .sum::<f64>()
+        / judged.len().max(1) as f64
 }
 
 /// The render, shaken as the view was.
@@ -26,8 +42,17 @@ fn as_shaken(render: &Image, view: &Image, response: &Response) -> Image {
     let kernel = shake::estimate(render, view, response);
     let size = [render.width(), render.height()];
     let values: Vec<f64> = render.data().iter().map(|&v| f64::from(v)).collect();
-    let shaken = Reference { size, kernel: &kernel, response }.shaken(&values);
-    Image::from_planar(size[0], size[1], shaken.into_iter().map(|v| v as f32).collect())
+    let shaken = Reference {
+        size,
+        kernel: &kernel,
+        response,
+    }
+    .shaken(&values);
+    Image::from_planar(
+        size[0],
+        size[1],
+        shaken.into_iter().map(|v| v as f32).collect(),
+    )
 }
 
 #[cfg(test)]
@@ -45,36 +70,76 @@ mod tests {
         for (x, y) in (0..SIDE * SIDE).map(|i| (i % SIDE, i / SIDE)) {
             let (u, v) = ((x % 13) as f64 - 6.0, (y % 11) as f64 - 5.0);
             let inside = u.hypot(v) < 2.0 + ((x / 13 + y / 11) % 3) as f64;
-            image.set(x, y, if inside { [0.8, 0.6, 0.3] } else { [0.2, 0.25, 0.4] });
+            image.set(
+                x,
+                y,
+                if inside {
+                    [0.8, 0.6, 0.3]
+                } else {
+                    [0.2, 0.25, 0.4]
+                },
+            );
         }
         image
     }
 
     fn along(length: i32) -> ShakeKernel {
         let weight = 1.0 / (2 * length + 1) as f32;
-        ShakeKernel::new((-length..=length).map(|x| Tap { offset: [x, 0], weight }).collect())
+        ShakeKernel::new(
+            (-length..=length)
+                .map(|x| Tap {
+                    offset: [x, 0],
+                    weight,
+                })
+                .collect(),
+        )
     }
 
     fn blurred(image: &Image, length: i32) -> Image {
         let values: Vec<f64> = image.data().iter().map(|&v| f64::from(v)).collect();
         let (size, response) = ([SIDE, SIDE], Response::srgb());
-        let shaken = Reference { size, kernel: &along(length), response: &response }.shaken(&values);
+        let shaken = Reference {
+            size,
+            kernel: &along(length),
+            response: &response,
+        }
+        .shaken(&values);
         Image::from_planar(SIDE, SIDE, shaken.into_iter().map(|v| v as f32).collect())
     }
 
     #[test]
     fn the_sharper_of_two_scenes_wins_because_its_render_is_shaken_first() {
         let side = SIDE as f64;
-        let intrinsics =
-            Intrinsics { width: SIDE, height: SIDE, fx: side, fy: side, cx: side / 2.0, cy: side / 2.0 };
+        let intrinsics = Intrinsics {
+            width: SIDE,
+            height: SIDE,
+            fx: side,
+            fy: side,
+            cx: side / 2.0,
+            cy: side / 2.0,
+        };
         let camera = Camera::look_at(intrinsics, DVec3::NEG_Z, DVec3::ZERO, DVec3::Y);
-        let view = View { name: "a".to_owned(), camera, dark: sharp(), gt: None, split: Split::HeldOut };
+        let view = View {
+            name: "a".to_owned(),
+            camera,
+            dark: sharp(),
+            gt: None,
+            split: Split::HeldOut,
+        };
         let target = [blurred(&sharp(), 1)];
         let of = |render: &Image| {
-            score(std::slice::from_ref(&view), std::slice::from_ref(render), &target, &Response::srgb())
+            score(
+                std::slice::from_ref(&view),
+                std::slice::from_ref(render),
+                &target,
+                &Response::srgb(),
+            )
         };
         let (sharp, soft) = (sharp(), blurred(&sharp(), 2));
-        assert!(metrics::ssim(&sharp, &target[0]) < metrics::ssim(&soft, &target[0]), "as published");
+        assert!(
+            metrics::ssim(&sharp, &target[0]) < metrics::ssim(&soft, &target[0]),
+            "as published"
+        );
         assert!(of(&sharp) > of(&soft) + 0.01);
     }
 }

@@ -22,19 +22,34 @@ impl Job<'_, '_> {
     /// Structure from motion, once a job, or what an earlier run of the same capture found.
     pub fn poses(&mut self) -> Result<Poses, PipelineError> {
         let source = self.tools.sfm.describe();
-        let shared =
-            fingerprint(&[&self.capture.fingerprint, &source, &self.options.seed.to_string(), "any network"]);
+        let shared = fingerprint(&[
+            &self.capture.fingerprint,
+            &source,
+            &self.options.seed.to_string(),
+            "any network",
+        ]);
         // What a network had a hand in is of no use to a run with another one.
         let key = fingerprint(&[&shared, &format!("{:?}", self.networks())]);
         let path = self.workspace.path("poses.json");
         let cache = self.tools.pose_cache.clone();
-        let cached = |key: &str| cache.as_ref().map(|folder| folder.join(format!("{key}.json")));
+        let cached = |key: &str| {
+            cache
+                .as_ref()
+                .map(|folder| folder.join(format!("{key}.json")))
+        };
         let finished = |key| self.workspace.finished("poses", key);
-        let known = finished(&shared).or(finished(&key)).and_then(|_| self.workspace.read_json(&path));
+        let known = finished(&shared)
+            .or(finished(&key))
+            .and_then(|_| self.workspace.read_json(&path));
         let reused: Option<Poses> = known.or_else(|| {
-            let of_any = self.workspace.read_json(&cached(&shared)?).filter(find_poses::without_network);
+            let of_any = self
+                .workspace
+                .read_json(&cached(&shared)?)
+                .filter(find_poses::without_network);
             let poses = of_any.or_else(|| self.workspace.read_json(&cached(&key)?))?;
-            self.sink.log(format!("poses: those of an earlier run of this capture ({source})"));
+            self.sink.log(format!(
+                "poses: those of an earlier run of this capture ({source})"
+            ));
             Some(poses)
         });
         let poses = match reused {
@@ -45,7 +60,8 @@ impl Job<'_, '_> {
             None => self.stage(Stage::Poses, 0, Self::find_poses)?,
         };
         if poses.low_confidence {
-            self.sink.warn("poses_low_confidence", low_confidence(&poses));
+            self.sink
+                .warn("poses_low_confidence", low_confidence(&poses));
         }
         if poses.registered < poses.total {
             let message = format!(
@@ -55,7 +71,11 @@ impl Job<'_, '_> {
             self.sink.warn("poses_missing", message);
         }
         self.workspace.write_json(&path, &poses)?;
-        let key = if find_poses::without_network(&poses) { shared } else { key };
+        let key = if find_poses::without_network(&poses) {
+            shared
+        } else {
+            key
+        };
         if let Some(kept) = cached(&key).filter(|kept| !kept.exists()) {
             self.workspace.write_json(&kept, &poses)?;
         }
@@ -69,8 +89,10 @@ impl Job<'_, '_> {
         let options = serde_json::to_string(self.options).unwrap_or_default();
         let poses = serde_json::to_string(poses).unwrap_or_default();
         let networks = self.networks();
-        let networks: Vec<String> =
-            networks.iter().map(|(use_of, info)| format!("{use_of} {info:?}")).collect();
+        let networks: Vec<String> = networks
+            .iter()
+            .map(|(use_of, info)| format!("{use_of} {info:?}"))
+            .collect();
         fingerprint(&[
             &self.capture.fingerprint,
             &poses,
@@ -103,9 +125,12 @@ impl Job<'_, '_> {
     }
 
     fn write_cameras(&self, views: &[View]) -> Result<(), PipelineError> {
-        let cameras: Vec<NamedCamera> =
-            views.iter().map(|view| NamedCamera::new(&view.name, &view.camera, view.split)).collect();
-        self.workspace.write_json(&self.workspace.path("cameras.json"), &cameras)
+        let cameras: Vec<NamedCamera> = views
+            .iter()
+            .map(|view| NamedCamera::new(&view.name, &view.camera, view.split))
+            .collect();
+        self.workspace
+            .write_json(&self.workspace.path("cameras.json"), &cameras)
     }
 
     /// D_i: every view through the network, from round 2 on guided by HR.
@@ -118,13 +143,17 @@ impl Job<'_, '_> {
     ) -> Result<Vec<Image>, PipelineError> {
         let guides = guides.filter(|_| self.options.guide != Guide::None);
         self.each_view(Stage::Deblur, round, "deblurred", views, |job, i| {
-            let image = job.tools.deblurrer.deblur(&enhanced[i], guides.map(|guides| &guides[i]))?;
+            let image = job
+                .tools
+                .deblurrer
+                .deblur(&enhanced[i], guides.map(|guides| &guides[i]))?;
             Ok((image, job.tools.deblurrer.take_warnings()))
         })
     }
 
-    /// A network's stage: `work` on every view, with its warnings. Each result is kept under `kind` until the run has ended, so
-    /// that a stage is done once, and told, so that it is known to be alive.
+    /// A network's stage: `work` on every view, with its warnings. Each result is kept under `kind`
+    /// until the run has ended, so that a stage is done once, and told, so that it is known to be
+    /// alive.
     pub(super) fn each_view(
         &mut self,
         stage: Stage,
@@ -138,8 +167,10 @@ impl Job<'_, '_> {
         let folder = self.workspace.work().join(kind).join(round.to_string());
         let file = |view: &View| folder.join(format!("{}.f32", view.name));
         if let Some(seconds) = self.workspace.finished(&name, &key) {
-            let stored: Option<Vec<Image>> =
-                views.iter().map(|view| read_planar(&file(view), view)).collect();
+            let stored: Option<Vec<Image>> = views
+                .iter()
+                .map(|view| read_planar(&file(view), view))
+                .collect();
             if let Some(stored) = stored {
                 self.skip_stage(stage, round, seconds);
                 return Ok(stored);
@@ -152,9 +183,11 @@ impl Job<'_, '_> {
                 job.cancel.check()?;
                 let (image, warnings) = work(job, i)?;
                 for warning in warnings {
-                    job.sink.warn(stage.name(), format!("{}: {warning}", view.name));
+                    job.sink
+                        .warn(stage.name(), format!("{}: {warning}", view.name));
                 }
-                job.workspace.write(&file(view), bytemuck::cast_slice(image.data()))?;
+                job.workspace
+                    .write(&file(view), bytemuck::cast_slice(image.data()))?;
                 images.push(image);
                 job.advance(stage, round, i + 1, views.len());
             }
@@ -163,7 +196,8 @@ impl Job<'_, '_> {
             }
             Ok(images)
         })?;
-        self.workspace.stamp(&name, &key, started.elapsed().as_secs_f64())?;
+        self.workspace
+            .stamp(&name, &key, started.elapsed().as_secs_f64())?;
         Ok(images)
     }
 
@@ -175,11 +209,23 @@ impl Job<'_, '_> {
         images: &[Image],
     ) -> Result<(), PipelineError> {
         let folder = self.workspace.round(round).join(kind);
-        views.iter().zip(images).try_for_each(|(view, image)| self.preview(&folder, &view.name, image))
+        views
+            .iter()
+            .zip(images)
+            .try_for_each(|(view, image)| self.preview(&folder, &view.name, image))
     }
 
-    pub(super) fn preview(&self, folder: &Path, name: &str, image: &Image) -> Result<(), PipelineError> {
-        self.picture(&folder.join(format!("{name}.jpg")), image, EncodeFormat::Jpeg(PREVIEW_QUALITY))
+    pub(super) fn preview(
+        &self,
+        folder: &Path,
+        name: &str,
+        image: &Image,
+    ) -> Result<(), PipelineError> {
+        self.picture(
+            &folder.join(format!("{name}.jpg")),
+            image,
+            EncodeFormat::Jpeg(PREVIEW_QUALITY),
+        )
     }
 
     /// Writes a picture whole or not at all.
@@ -191,7 +237,10 @@ impl Job<'_, '_> {
     ) -> Result<(), PipelineError> {
         let bytes = image
             .encode(format)
-            .map_err(|source| PipelineError::Photograph { name: path.display().to_string(), source })?;
+            .map_err(|source| PipelineError::Photograph {
+                name: path.display().to_string(),
+                source,
+            })?;
         self.workspace.write(path, &bytes)
     }
 }

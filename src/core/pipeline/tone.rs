@@ -23,9 +23,16 @@ impl Tone {
                 .map(|(view, image)| ToneCurve::new(&Histogram::of(image), anchor(view)))
                 .collect(),
         };
-        let mean = |of: fn(&Anchor) -> f64| anchors.iter().map(of).sum::<f64>() / anchors.len() as f64;
-        let middle = Anchor { alpha: mean(|a| a.alpha), gamma: mean(|a| a.gamma) };
-        Self { curves, scene: ToneCurve::new(&Histogram::pooled(images), middle) }
+        let mean =
+            |of: fn(&Anchor) -> f64| anchors.iter().map(of).sum::<f64>() / anchors.len() as f64;
+        let middle = Anchor {
+            alpha: mean(|a| a.alpha),
+            gamma: mean(|a| a.gamma),
+        };
+        Self {
+            curves,
+            scene: ToneCurve::new(&Histogram::pooled(images), middle),
+        }
     }
 
     /// The curve of a view.
@@ -33,14 +40,18 @@ impl Tone {
         &self.curves[view.min(self.curves.len() - 1)]
     }
 
-    /// The one curve for what no view owns: the colours of the scene. In the scope of an image it is
-    /// the curve of the pooled views at the mean of their anchors.
+    /// The one curve for what no view owns: the colours of the scene. In the scope of an image it
+    /// is the curve of the pooled views at the mean of their anchors.
     pub fn scene(&self) -> &ToneCurve {
         &self.scene
     }
 
     /// Every image through its curve.
     pub fn apply(&self, images: &[Image]) -> Vec<Image> {
-        images.iter().enumerate().map(|(view, image)| self.curve(view).apply(image)).collect()
+        images
+            .iter()
+            .enumerate()
+            .map(|(view, image)| self.curve(view).apply(image))
+            .collect()
     }
 }

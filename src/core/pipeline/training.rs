@@ -20,7 +20,8 @@ use crate::metrics;
 use crate::metrics::report::NoiseMapStatistics;
 use crate::poses::{Poses, SparsePoint};
 use crate::reconstruct::{
-    self, Beginning, Checkpoint, Response, TrainConfig, TrainHooks, TrainStart, Trained, TrainingView,
+    self, Beginning, Checkpoint, Response, TrainConfig, TrainHooks, TrainStart, Trained,
+    TrainingView,
 };
 
 /// V_i with the facts of its training, as stored beside its `scene.ply`.
@@ -73,12 +74,16 @@ impl Job<'_, '_> {
             self.workspace.round(round).join("scene.ply"),
             self.workspace.round(round).join("training.json"),
         );
-        if let (Some(seconds), Some(training)) =
-            (self.workspace.finished(&name, &key), self.workspace.read_json::<Training>(&facts))
-        {
+        if let (Some(seconds), Some(training)) = (
+            self.workspace.finished(&name, &key),
+            self.workspace.read_json::<Training>(&facts),
+        ) {
             let gaussians = ply::read(&scene_file)?;
             self.skip_stage(Stage::Reconstruct, round, seconds);
-            return Ok(Scene { gaussians, training });
+            return Ok(Scene {
+                gaussians,
+                training,
+            });
         }
         let started = Instant::now();
         let scene = self.stage(Stage::Reconstruct, round, |job| {
@@ -90,11 +95,13 @@ impl Job<'_, '_> {
             job.workspace.write_json(&facts, &scene.training)?;
             Ok(scene)
         })?;
-        self.workspace.stamp(&name, &key, started.elapsed().as_secs_f64())?;
+        self.workspace
+            .stamp(&name, &key, started.elapsed().as_secs_f64())?;
         Ok(scene)
     }
 
-    /// From the checkpoint of an interrupted training, the scene of the round before, or the points.
+    /// From the checkpoint of an interrupted training, the scene of the round before, or the
+    /// points.
     fn train_start(
         &mut self,
         material: &Material<'_>,
@@ -105,14 +112,19 @@ impl Job<'_, '_> {
         let round = material.round;
         let key = self.stage_fingerprint(Stage::Reconstruct, round);
         if self.workspace.finished("checkpoint", &key).is_some() {
-            match std::fs::read(self.checkpoint_path()).map(|bytes| Checkpoint::from_bytes(&bytes)) {
+            match std::fs::read(self.checkpoint_path()).map(|bytes| Checkpoint::from_bytes(&bytes))
+            {
                 Ok(Ok(checkpoint)) => {
-                    self.sink.log(format!("round {round}: resumed at step {}", checkpoint.step));
+                    self.sink.log(format!(
+                        "round {round}: resumed at step {}",
+                        checkpoint.step
+                    ));
                     return Ok(TrainStart::Resume(checkpoint));
                 }
-                _ => self
-                    .sink
-                    .warn("checkpoint", "the checkpoint cannot be read; the round starts again".to_owned()),
+                _ => self.sink.warn(
+                    "checkpoint",
+                    "the checkpoint cannot be read; the round starts again".to_owned(),
+                ),
             }
         }
         if let (Start::Warm, Some((scene, Some(tone)))) = (self.options.start, previous) {
@@ -125,7 +137,10 @@ impl Job<'_, '_> {
         Ok(TrainStart::Fresh(reconstruct::initialise(
             &coloured_points(poses, material.views, material.images),
             &cameras,
-            Beginning { cap: config.cap, fill_up: self.options.fill_up as usize },
+            Beginning {
+                cap: config.cap,
+                fill_up: self.options.fill_up as usize,
+            },
             &config.schedule(),
         )))
     }
@@ -152,7 +167,10 @@ impl Job<'_, '_> {
             dropout: self.options.dropout,
             densify: self.options.densify,
             view_colour: self.options.view_colour,
-            seed: self.options.seed.wrapping_add(u64::from(material.round) << 32),
+            seed: self
+                .options
+                .seed
+                .wrapping_add(u64::from(material.round) << 32),
             extent: reconstruct::scene_extent(&cameras, &points(poses), self.options.extent),
         }
     }
@@ -167,7 +185,8 @@ impl Job<'_, '_> {
         let training = training_views(material, Split::Train);
         let trained = self.train_with_hooks(round, &training, start, config)?;
         for warning in &trained.warnings {
-            self.sink.warn("training", format!("round {round}: {warning}"));
+            self.sink
+                .warn("training", format!("round {round}: {warning}"));
         }
         let seconds = trained.seconds.max(1e-9);
         let cameras = self.cameras_after(material, &trained, config)?;
@@ -181,12 +200,15 @@ impl Job<'_, '_> {
                 shake_px: trained.shake_px,
                 cameras,
                 pose_correction_px: correction,
-                noise: trained.noise.filter(|_| self.options.noise != NoiseMode::Off),
+                noise: trained
+                    .noise
+                    .filter(|_| self.options.noise != NoiseMode::Off),
             },
         })
     }
 
-    /// The cameras of all views: those that trained as the training left them, the others found in its scene.
+    /// The cameras of all views: those that trained as the training left them, the others found in
+    /// its scene.
     fn cameras_after(
         &self,
         material: &Material<'_>,
@@ -195,9 +217,13 @@ impl Job<'_, '_> {
     ) -> Result<Vec<Camera>, PipelineError> {
         let held_out = training_views(material, Split::HeldOut);
         let registered = match config.refine_poses {
-            Some(_) if !held_out.is_empty() => {
-                reconstruct::register(self.tools.gpu, &held_out, &trained.gaussians, config, self.cancel)?
-            }
+            Some(_) if !held_out.is_empty() => reconstruct::register(
+                self.tools.gpu,
+                &held_out,
+                &trained.gaussians,
+                config,
+                self.cancel,
+            )?,
             _ => held_out.iter().map(|view| view.camera).collect(),
         };
         let (mut trained, mut registered) = (trained.cameras.iter(), registered.iter());
@@ -206,7 +232,13 @@ impl Job<'_, '_> {
             Split::HeldOut => registered.next(),
         };
         let given = material.views.iter().map(|view| view.camera);
-        Ok(material.views.iter().map(of).zip(given).map(|(found, given)| *found.unwrap_or(&given)).collect())
+        Ok(material
+            .views
+            .iter()
+            .map(of)
+            .zip(given)
+            .map(|(found, given)| *found.unwrap_or(&given))
+            .collect())
     }
 
     /// Trains with progress, cancellation and checkpoints wired to the job.
@@ -217,14 +249,24 @@ impl Job<'_, '_> {
         start: TrainStart,
         config: &TrainConfig,
     ) -> Result<Trained, PipelineError> {
-        let (path, key) = (self.checkpoint_path(), self.stage_fingerprint(Stage::Reconstruct, round));
+        let (path, key) = (
+            self.checkpoint_path(),
+            self.stage_fingerprint(Stage::Reconstruct, round),
+        );
         let (gpu, cancel) = (self.tools.gpu, self.cancel);
         let job = RefCell::new(self);
         let mut progress = |done: u64, total: u64, rate: f64| {
             let job = &mut **job.borrow_mut();
             let stage = Stage::Reconstruct;
-            job.sink.event(&Event::StageAdvanced { stage, round, done, total, steps_per_second: Some(rate) });
-            job.plan.advance(stage, done as f64 / total.max(1) as f64, job.sink);
+            job.sink.event(&Event::StageAdvanced {
+                stage,
+                round,
+                done,
+                total,
+                steps_per_second: Some(rate),
+            });
+            job.plan
+                .advance(stage, done as f64 / total.max(1) as f64, job.sink);
         };
         let mut checkpoint = |checkpoint: &Checkpoint| {
             let job = &mut **job.borrow_mut();
@@ -234,10 +276,15 @@ impl Job<'_, '_> {
                 .and_then(|()| job.workspace.stamp("checkpoint", &key, 0.0));
             // A checkpoint that cannot be written costs time after a crash, not this run.
             if let Err(error) = saved {
-                job.sink.warn("checkpoint", format!("round {round}: {error}"));
+                job.sink
+                    .warn("checkpoint", format!("round {round}: {error}"));
             }
         };
-        let mut hooks = TrainHooks { cancel, progress: &mut progress, checkpoint: Some(&mut checkpoint) };
+        let mut hooks = TrainHooks {
+            cancel,
+            progress: &mut progress,
+            checkpoint: Some(&mut checkpoint),
+        };
         Ok(reconstruct::train(gpu, views, start, config, &mut hooks)?)
     }
 }
@@ -299,10 +346,18 @@ fn coloured_points(poses: &Poses, views: &[View], images: &[Image]) -> Vec<recon
             (values[values.len() / 2].clamp(0.0, 1.0) * 255.0).round() as u8
         })
     };
-    poses.points.iter().map(|point| (point.position.map(|x| x as f32), colour(point))).collect()
+    poses
+        .points
+        .iter()
+        .map(|point| (point.position.map(|x| x as f32), colour(point)))
+        .collect()
 }
 
 /// Positions and colours of the sparse points, as the trainer takes them.
 fn points(poses: &Poses) -> Vec<reconstruct::Point> {
-    poses.points.iter().map(|point| (point.position.map(|x| x as f32), point.colour)).collect()
+    poses
+        .points
+        .iter()
+        .map(|point| (point.position.map(|x| x as f32), point.colour))
+        .collect()
 }

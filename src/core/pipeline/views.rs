@@ -44,7 +44,10 @@ pub fn load(
 ) -> Result<Vec<View>, PipelineError> {
     let names: Vec<&str> = poses.views.iter().map(|view| view.name.as_str()).collect();
     let splits = splits(&options.held_out, &names)?;
-    let training = splits.iter().filter(|split| **split == Split::Train).count();
+    let training = splits
+        .iter()
+        .filter(|split| **split == Split::Train)
+        .count();
     if training < LEAST_VIEWS {
         return Err(PipelineError::TooFewViews {
             registered: training,
@@ -58,10 +61,20 @@ pub fn load(
         .zip(splits)
         .map(|(posed, split)| {
             cancel.check()?;
-            let photograph = capture.views.iter().find(|view| view.name == posed.name).ok_or_else(|| {
-                let message = format!("the poses name a view `{}` that the capture lacks", posed.name);
-                OptionsError { key: "pose_source".to_owned(), message }
-            })?;
+            let photograph = capture
+                .views
+                .iter()
+                .find(|view| view.name == posed.name)
+                .ok_or_else(|| {
+                    let message = format!(
+                        "the poses name a view `{}` that the capture lacks",
+                        posed.name
+                    );
+                    OptionsError {
+                        key: "pose_source".to_owned(),
+                        message,
+                    }
+                })?;
             view(photograph, posed, split, options.size as usize)
         })
         .collect()
@@ -74,7 +87,10 @@ fn view(
     size: usize,
 ) -> Result<View, PipelineError> {
     let load = |path: &std::path::Path| {
-        Image::load(path).map_err(|source| PipelineError::Photograph { name: posed.name.clone(), source })
+        Image::load(path).map_err(|source| PipelineError::Photograph {
+            name: posed.name.clone(),
+            source,
+        })
     };
     let original = load(&photograph.file)?;
     let (width, height) = working_size(original.width(), original.height(), size);
@@ -83,7 +99,13 @@ fn view(
         Some(path) => Some(resample(&posed.undistort(&load(path)?), width, height)),
         None => None,
     };
-    Ok(View { name: posed.name.clone(), camera: posed.camera.resized(width, height), dark, gt, split })
+    Ok(View {
+        name: posed.name.clone(),
+        camera: posed.camera.resized(width, height),
+        dark,
+        gt,
+        split,
+    })
 }
 
 /// Working size for a photograph: long side at most `size`, never above the original.
@@ -111,9 +133,20 @@ fn resample(image: &Image, width: usize, height: usize) -> Image {
 /// [`OptionsError`] for a number below 2 and for names that are no view's.
 pub fn splits(held_out: &str, names: &[&str]) -> Result<Vec<Split>, OptionsError> {
     let every = |n: usize| -> Vec<Split> {
-        (0..names.len()).map(|i| if i % n == 0 { Split::HeldOut } else { Split::Train }).collect()
+        (0..names.len())
+            .map(|i| {
+                if i % n == 0 {
+                    Split::HeldOut
+                } else {
+                    Split::Train
+                }
+            })
+            .collect()
     };
-    let fault = |message: String| OptionsError { key: "held_out".to_owned(), message };
+    let fault = |message: String| OptionsError {
+        key: "held_out".to_owned(),
+        message,
+    };
     match held_out {
         "auto" if names.len() >= HELD_OUT_FROM => return Ok(every(8)),
         "auto" | "none" => return Ok(vec![Split::Train; names.len()]),
@@ -126,11 +159,24 @@ pub fn splits(held_out: &str, names: &[&str]) -> Result<Vec<Split>, OptionsError
             Err(fault(format!("every {n}-th leaves nothing to train on")))
         };
     }
-    let wanted: Vec<&str> = held_out.split(',').map(str::trim).filter(|name| !name.is_empty()).collect();
+    let wanted: Vec<&str> = held_out
+        .split(',')
+        .map(str::trim)
+        .filter(|name| !name.is_empty())
+        .collect();
     if let Some(unknown) = wanted.iter().find(|name| !names.contains(name)) {
         return Err(fault(format!("`{unknown}` is no registered view")));
     }
-    Ok(names.iter().map(|name| if wanted.contains(name) { Split::HeldOut } else { Split::Train }).collect())
+    Ok(names
+        .iter()
+        .map(|name| {
+            if wanted.contains(name) {
+                Split::HeldOut
+            } else {
+                Split::Train
+            }
+        })
+        .collect())
 }
 
 #[cfg(test)]
@@ -143,7 +189,9 @@ mod tests {
         let names: Vec<&str> = names.iter().map(String::as_str).collect();
         let held = |option: &str, names: &[&str]| -> Vec<usize> {
             let splits = splits(option, names).expect("valid");
-            (0..names.len()).filter(|&i| splits[i] == Split::HeldOut).collect()
+            (0..names.len())
+                .filter(|&i| splits[i] == Split::HeldOut)
+                .collect()
         };
         assert_eq!(held("auto", &names), [0, 8, 16]);
         assert_eq!(held("auto", &names[..11]), Vec::<usize>::new());

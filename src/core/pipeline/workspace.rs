@@ -33,7 +33,9 @@ impl Workspace {
     /// [`PipelineError::Io`] when it cannot be made.
     pub fn open(root: &Path) -> Result<Self, PipelineError> {
         fs::create_dir_all(root).map_err(|e| PipelineError::io(root, e))?;
-        Ok(Self { root: root.to_owned() })
+        Ok(Self {
+            root: root.to_owned(),
+        })
     }
 
     /// The folder itself.
@@ -91,7 +93,8 @@ impl Workspace {
     /// # Errors
     /// [`PipelineError::Io`].
     pub fn write_json(&self, path: &Path, value: &impl Serialize) -> Result<(), PipelineError> {
-        let mut bytes = serde_json::to_vec_pretty(value).map_err(|e| PipelineError::io(path, e.into()))?;
+        let mut bytes =
+            serde_json::to_vec_pretty(value).map_err(|e| PipelineError::io(path, e.into()))?;
         bytes.push(b'\n');
         self.write(path, &bytes)
     }
@@ -106,7 +109,10 @@ impl Workspace {
     /// # Errors
     /// [`PipelineError::Io`].
     pub fn stamp(&self, name: &str, fingerprint: &str, seconds: f64) -> Result<(), PipelineError> {
-        let stamp = Stamp { fingerprint: fingerprint.to_owned(), seconds };
+        let stamp = Stamp {
+            fingerprint: fingerprint.to_owned(),
+            seconds,
+        };
         self.write_json(&self.stamp_path(name), &stamp)
     }
 

@@ -44,7 +44,11 @@ impl Similarity {
         });
         let rotation = horn(&covariance);
         let scale = (to_spread / from_spread).sqrt();
-        Some(Self { scale, rotation, translation: mean_to - scale * (rotation * mean_from) })
+        Some(Self {
+            scale,
+            rotation,
+            translation: mean_to - scale * (rotation * mean_from),
+        })
     }
 }
 
@@ -57,10 +61,30 @@ fn mean(points: &[DVec3]) -> DVec3 {
 fn horn(covariance: &DMat3) -> DQuat {
     let s = |i: usize, j: usize| covariance.col(i)[j];
     let n = DMat4::from_cols_array_2d(&[
-        [s(0, 0) + s(1, 1) + s(2, 2), s(1, 2) - s(2, 1), s(2, 0) - s(0, 2), s(0, 1) - s(1, 0)],
-        [s(1, 2) - s(2, 1), s(0, 0) - s(1, 1) - s(2, 2), s(0, 1) + s(1, 0), s(2, 0) + s(0, 2)],
-        [s(2, 0) - s(0, 2), s(0, 1) + s(1, 0), s(1, 1) - s(0, 0) - s(2, 2), s(1, 2) + s(2, 1)],
-        [s(0, 1) - s(1, 0), s(2, 0) + s(0, 2), s(1, 2) + s(2, 1), s(2, 2) - s(0, 0) - s(1, 1)],
+        [
+            s(0, 0) + s(1, 1) + s(2, 2),
+            s(1, 2) - s(2, 1),
+            s(2, 0) - s(0, 2),
+            s(0, 1) - s(1, 0),
+        ],
+        [
+            s(1, 2) - s(2, 1),
+            s(0, 0) - s(1, 1) - s(2, 2),
+            s(0, 1) + s(1, 0),
+            s(2, 0) + s(0, 2),
+        ],
+        [
+            s(2, 0) - s(0, 2),
+            s(0, 1) + s(1, 0),
+            s(1, 1) - s(0, 0) - s(2, 2),
+            s(1, 2) + s(2, 1),
+        ],
+        [
+            s(0, 1) - s(1, 0),
+            s(2, 0) + s(0, 2),
+            s(1, 2) + s(2, 1),
+            s(2, 2) - s(0, 0) - s(1, 1),
+        ],
     ]);
     let norm = |m: &DMat4| m.to_cols_array().iter().map(|v| v * v).sum::<f64>().sqrt();
     // Gershgorin: the shift makes every eigenvalue positive, so the largest is the dominant one.
@@ -71,7 +95,9 @@ fn horn(covariance: &DMat3) -> DQuat {
         power *= 1.0 / norm(&power);
     }
     let columns = [power.x_axis, power.y_axis, power.z_axis, power.w_axis];
-    let longest = columns.into_iter().max_by(|a, b| a.length_squared().total_cmp(&b.length_squared()));
+    let longest = columns
+        .into_iter()
+        .max_by(|a, b| a.length_squared().total_cmp(&b.length_squared()));
     let q = longest.expect("four columns").normalize();
     DQuat::from_xyzw(q.y, q.z, q.w, q.x)
 }
@@ -94,10 +120,16 @@ pub fn compare(estimated: &[Camera], truth: &[Camera]) -> Option<CameraErrors> {
     let (from, to) = (centres(estimated), centres(truth));
     let fit = Similarity::fit(&from, &to)?;
     let extent = extent(&to);
-    let shares: Vec<f64> = from.iter().zip(&to).map(|(a, b)| fit.apply(*a).distance(*b) / extent).collect();
+    let shares: Vec<f64> = from
+        .iter()
+        .zip(&to)
+        .map(|(a, b)| fit.apply(*a).distance(*b) / extent)
+        .collect();
     let angle = |(a, b): (&Camera, &Camera)| {
         let moved = DQuat::from_mat3(&a.rotation()) * fit.rotation.inverse();
-        moved.angle_between(DQuat::from_mat3(&b.rotation())).to_degrees()
+        moved
+            .angle_between(DQuat::from_mat3(&b.rotation()))
+            .to_degrees()
     };
     Some(CameraErrors {
         position_rms: (shares.iter().map(|s| s * s).sum::<f64>() / shares.len() as f64).sqrt(),
@@ -108,7 +140,10 @@ pub fn compare(estimated: &[Camera], truth: &[Camera]) -> Option<CameraErrors> {
 
 /// Largest distance between two of the points.
 pub fn extent(points: &[DVec3]) -> f64 {
-    points.iter().flat_map(|a| points.iter().map(|b| a.distance(*b))).fold(0.0, f64::max)
+    points
+        .iter()
+        .flat_map(|a| points.iter().map(|b| a.distance(*b)))
+        .fold(0.0, f64::max)
 }
 
 #[cfg(test)]
@@ -119,10 +154,22 @@ mod tests {
     use crate::camera::Intrinsics;
 
     fn ring(count: usize) -> Vec<Camera> {
-        let k = Intrinsics { width: 64, height: 48, fx: 60.0, fy: 60.0, cx: 32.0, cy: 24.0 };
+        let k = Intrinsics {
+            width: 64,
+            height: 48,
+            fx: 60.0,
+            fy: 60.0,
+            cx: 32.0,
+            cy: 24.0,
+        };
         let camera = |i: usize| {
             let t = i as f64 * 0.7;
-            Camera::look_at(k, DVec3::new(3.0 * t.cos(), 0.3 * t, 3.0 * t.sin()), DVec3::ZERO, DVec3::Y)
+            Camera::look_at(
+                k,
+                DVec3::new(3.0 * t.cos(), 0.3 * t, 3.0 * t.sin()),
+                DVec3::ZERO,
+                DVec3::Y,
+            )
         };
         (0..count).map(camera).collect()
     }
@@ -148,11 +195,20 @@ mod tests {
             let truth = ring(12);
             let estimated = moved(&truth, &by);
             let errors = compare(&estimated, &truth).expect("twelve");
-            assert!(errors.position_max < 1e-9 && errors.rotation_max_degrees < 1e-5, "{errors:?}");
+            assert!(
+                errors.position_max < 1e-9 && errors.rotation_max_degrees < 1e-5,
+                "{errors:?}"
+            );
             let mut wrong = estimated.clone();
-            wrong[3] = Camera { world_to_camera: estimated[4].world_to_camera, ..estimated[3] };
+            wrong[3] = Camera {
+                world_to_camera: estimated[4].world_to_camera,
+                ..estimated[3]
+            };
             let errors = compare(&wrong, &truth).expect("twelve");
-            assert!(errors.position_max > 0.1 && errors.rotation_max_degrees > 5.0, "{errors:?}");
+            assert!(
+                errors.position_max > 0.1 && errors.rotation_max_degrees > 5.0,
+                "{errors:?}"
+            );
         }
     }
 

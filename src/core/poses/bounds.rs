@@ -32,11 +32,16 @@ pub fn read_poses_bounds(file: &Path) -> Result<Vec<BoundedCamera>, PosesError> 
     let array: Array2<f64> =
         ndarray_npy::read_npy(file).map_err(|e| PosesError::bad_file(file, e.to_string()))?;
     if array.ncols() != COLUMNS {
-        return Err(PosesError::bad_file(file, format!("rows of {} numbers instead of 17", array.ncols())));
+        return Err(PosesError::bad_file(
+            file,
+            format!("rows of {} numbers instead of 17", array.ncols()),
+        ));
     }
     let bad = |row: usize| PosesError::bad_file(file, format!("row {row} is not a camera"));
     let rows = array.rows().into_iter().map(|row| row.to_vec());
-    rows.enumerate().map(|(index, row)| camera(&row).ok_or_else(|| bad(index))).collect()
+    rows.enumerate()
+        .map(|(index, row)| camera(&row).ok_or_else(|| bad(index)))
+        .collect()
 }
 
 fn camera(row: &[f64]) -> Option<BoundedCamera> {
@@ -62,7 +67,14 @@ fn camera(row: &[f64]) -> Option<BoundedCamera> {
         cx: 0.5 * width,
         cy: 0.5 * height,
     };
-    Some(BoundedCamera { camera: Camera { intrinsics, world_to_camera }, near, far })
+    Some(BoundedCamera {
+        camera: Camera {
+            intrinsics,
+            world_to_camera,
+        },
+        near,
+        far,
+    })
 }
 
 /// Writes the rows.
@@ -75,8 +87,15 @@ pub fn write_poses_bounds(file: &Path, rows: &[BoundedCamera]) -> Result<(), Pos
         let axes = camera.rotation().transpose();
         let k = &camera.intrinsics;
         let size = DVec3::new(k.height as f64, k.width as f64, k.fx);
-        for (column, value) in
-            [axes.y_axis, axes.x_axis, -axes.z_axis, camera.centre(), size].into_iter().enumerate()
+        for (column, value) in [
+            axes.y_axis,
+            axes.x_axis,
+            -axes.z_axis,
+            camera.centre(),
+            size,
+        ]
+        .into_iter()
+        .enumerate()
         {
             for line in 0..3 {
                 row[5 * line + column] = value[line];
@@ -92,9 +111,25 @@ mod tests {
     use super::*;
 
     fn row() -> BoundedCamera {
-        let k = Intrinsics { width: 320, height: 180, fx: 277.0, fy: 277.0, cx: 160.0, cy: 90.0 };
-        let camera = Camera::look_at(k, DVec3::new(1.0, -2.0, -5.0), DVec3::new(0.2, 0.0, 1.0), DVec3::Y);
-        BoundedCamera { camera, near: 1.5, far: 9.0 }
+        let k = Intrinsics {
+            width: 320,
+            height: 180,
+            fx: 277.0,
+            fy: 277.0,
+            cx: 160.0,
+            cy: 90.0,
+        };
+        let camera = Camera::look_at(
+            k,
+            DVec3::new(1.0, -2.0, -5.0),
+            DVec3::new(0.2, 0.0, 1.0),
+            DVec3::Y,
+        );
+        BoundedCamera {
+            camera,
+            near: 1.5,
+            far: 9.0,
+        }
     }
 
     #[test]
@@ -105,7 +140,12 @@ mod tests {
         let read = read_poses_bounds(&file).unwrap();
         assert_eq!(read.len(), 2);
         assert_eq!(read[1].camera.intrinsics, row().camera.intrinsics);
-        assert!(read[1].camera.world_to_camera.abs_diff_eq(row().camera.world_to_camera, 1e-12));
+        assert!(
+            read[1]
+                .camera
+                .world_to_camera
+                .abs_diff_eq(row().camera.world_to_camera, 1e-12)
+        );
     }
 
     #[test]
@@ -118,7 +158,10 @@ mod tests {
         let backward = DVec3::new(array[[0, 2]], array[[0, 7]], array[[0, 12]]);
         assert!((down - row().camera.down()).length() < 1e-12);
         assert!((backward + row().camera.forward()).length() < 1e-12);
-        assert_eq!((array[[0, 4]], array[[0, 9]], array[[0, 14]]), (180.0, 320.0, 277.0));
+        assert_eq!(
+            (array[[0, 4]], array[[0, 9]], array[[0, 14]]),
+            (180.0, 320.0, 277.0)
+        );
     }
 
     #[test]
@@ -131,9 +174,17 @@ mod tests {
             array[[0, 5 * line]] *= -1.0;
         }
         ndarray_npy::write_npy(&file, &array).unwrap();
-        assert!(read_poses_bounds(&file).unwrap_err().to_string().contains("row 0"));
+        assert!(
+            read_poses_bounds(&file)
+                .unwrap_err()
+                .to_string()
+                .contains("row 0")
+        );
         ndarray_npy::write_npy(&file, &Array2::<f64>::zeros((2, 15))).unwrap();
         let message = read_poses_bounds(&file).unwrap_err().to_string();
-        assert!(message.contains("15") && message.starts_with("poses_bounds.npy:"), "{message}");
+        assert!(
+            message.contains("15") && message.starts_with("poses_bounds.npy:"),
+            "{message}"
+        );
     }
 }

@@ -16,7 +16,8 @@ use crate::image::Image;
 pub enum Distortion {
     /// A perfect pinhole.
     None,
-    /// OpenCV's rational model; COLMAP's SIMPLE_RADIAL, RADIAL, OPENCV and FULL_OPENCV are it with zeros.
+    /// OpenCV's rational model; COLMAP's SIMPLE_RADIAL, RADIAL, OPENCV and FULL_OPENCV are it with
+    /// zeros.
     Perspective {
         /// k1..k6 in OpenCV's order of meaning: numerator k1, k2, k3, denominator k4, k5, k6.
         radial: [f64; 6],
@@ -45,8 +46,12 @@ impl Distortion {
         let r2 = p.length_squared();
         match *self {
             Self::None => p,
-            Self::Perspective { radial: [k1, k2, k3, k4, k5, k6], tangential: [p1, p2] } => {
-                let scale = (1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1.0 + r2 * (k4 + r2 * (k5 + r2 * k6)));
+            Self::Perspective {
+                radial: [k1, k2, k3, k4, k5, k6],
+                tangential: [p1, p2],
+            } => {
+                let scale = (1.0 + r2 * (k1 + r2 * (k2 + r2 * k3)))
+                    / (1.0 + r2 * (k4 + r2 * (k5 + r2 * k6)));
                 let cross = 2.0 * p.x * p.y;
                 p * scale
                     + DVec2::new(
@@ -54,7 +59,9 @@ impl Distortion {
                         p2 * cross + p1 * (r2 + 2.0 * p.y * p.y),
                     )
             }
-            Self::Fisheye { radial: [k1, k2, k3, k4] } => {
+            Self::Fisheye {
+                radial: [k1, k2, k3, k4],
+            } => {
                 let r = r2.sqrt();
                 if r < 1e-12 {
                     return p;
@@ -71,7 +78,9 @@ impl Distortion {
     pub fn is_none(&self) -> bool {
         match *self {
             Self::None => true,
-            Self::Perspective { radial, tangential } => radial.iter().chain(&tangential).all(|&k| k == 0.0),
+            Self::Perspective { radial, tangential } => {
+                radial.iter().chain(&tangential).all(|&k| k == 0.0)
+            }
             Self::Fisheye { .. } => false,
         }
     }
@@ -98,26 +107,39 @@ impl Lens {
         }
         for _ in 0..40 {
             let middle = 0.5 * (low + high);
-            if covered(middle) { high = middle } else { low = middle }
+            if covered(middle) {
+                high = middle
+            } else {
+                low = middle
+            }
         }
         self.zoomed(high)
     }
 
     fn zoomed(&self, zoom: f64) -> Intrinsics {
-        Intrinsics { fx: self.intrinsics.fx * zoom, fy: self.intrinsics.fy * zoom, ..self.intrinsics }
+        Intrinsics {
+            fx: self.intrinsics.fx * zoom,
+            fy: self.intrinsics.fy * zoom,
+            ..self.intrinsics
+        }
     }
 
     /// Whether the border of `pinhole`'s image falls inside the photograph.
     fn covers(&self, pinhole: &Intrinsics) -> bool {
         let (w, h) = (pinhole.width as f64, pinhole.height as f64);
         let inside = |u: f64, v: f64| {
-            let p = self.pixel(DVec2::new((u - pinhole.cx) / pinhole.fx, (v - pinhole.cy) / pinhole.fy));
+            let p = self.pixel(DVec2::new(
+                (u - pinhole.cx) / pinhole.fx,
+                (v - pinhole.cy) / pinhole.fy,
+            ));
             p.x >= 0.0 && p.y >= 0.0 && p.x <= w && p.y <= h
         };
         let steps = 32;
         (0..=steps)
             .map(|i| f64::from(i) / f64::from(steps))
-            .all(|t| inside(t * w, 0.0) && inside(t * w, h) && inside(0.0, t * h) && inside(w, t * h))
+            .all(|t| {
+                inside(t * w, 0.0) && inside(t * w, h) && inside(0.0, t * h) && inside(w, t * h)
+            })
     }
 }
 
@@ -128,12 +150,18 @@ pub fn undistort<E>(image: &Image<E>, lens: &Lens, pinhole: &Intrinsics) -> Imag
     if lens.distortion.is_none() && lens.intrinsics == *pinhole {
         return Image::from_planar(width, height, image.data().to_vec());
     }
-    let lens = Lens { intrinsics: lens.intrinsics.resized(width, height), ..*lens };
+    let lens = Lens {
+        intrinsics: lens.intrinsics.resized(width, height),
+        ..*lens
+    };
     let k = pinhole.resized(width, height);
     let mut out = Image::new(width, height);
     for y in 0..height {
         for x in 0..width {
-            let p = DVec2::new((x as f64 + 0.5 - k.cx) / k.fx, (y as f64 + 0.5 - k.cy) / k.fy);
+            let p = DVec2::new(
+                (x as f64 + 0.5 - k.cx) / k.fx,
+                (y as f64 + 0.5 - k.cy) / k.fy,
+            );
             let source = lens.pixel(p) - 0.5;
             out.set(x, y, sample(image, source.x, source.y));
         }
@@ -146,7 +174,10 @@ fn sample<E>(image: &Image<E>, x: f64, y: f64) -> [f32; 3] {
     let x = x.clamp(0.0, (image.width() - 1) as f64);
     let y = y.clamp(0.0, (image.height() - 1) as f64);
     let (x0, y0) = (x as usize, y as usize);
-    let (x1, y1) = ((x0 + 1).min(image.width() - 1), (y0 + 1).min(image.height() - 1));
+    let (x1, y1) = (
+        (x0 + 1).min(image.width() - 1),
+        (y0 + 1).min(image.height() - 1),
+    );
     let (fx, fy) = ((x - x0 as f64) as f32, (y - y0 as f64) as f32);
     let (a, b) = (image.get(x0, y0), image.get(x1, y0));
     let (c, d) = (image.get(x0, y1), image.get(x1, y1));
@@ -169,7 +200,11 @@ mod tests {
         for (x, y) in (0..160 * 120).map(|i| (i % 160, i / 160)) {
             ramps.set(x, y, [0.2 + 0.004 * x as f32, 0.2 + 0.004 * y as f32, 0.0]);
         }
-        let pinhole = Intrinsics { fx: 140.0, fy: 140.0, ..lens(0.0).intrinsics };
+        let pinhole = Intrinsics {
+            fx: 140.0,
+            fy: 140.0,
+            ..lens(0.0).intrinsics
+        };
         let found = undistort(&ramps, &lens(-0.1), &pinhole).get(10, 20);
         for (found, expected) in found.into_iter().zip([0.22985, 0.27423, 0.0]) {
             assert!((found - expected).abs() < 1e-4, "{found}, not {expected}");
@@ -177,7 +212,14 @@ mod tests {
     }
 
     fn lens(k1: f64) -> Lens {
-        let intrinsics = Intrinsics { width: 160, height: 120, fx: 150.0, fy: 150.0, cx: 80.0, cy: 60.0 };
+        let intrinsics = Intrinsics {
+            width: 160,
+            height: 120,
+            fx: 150.0,
+            fy: 150.0,
+            cx: 80.0,
+            cy: 60.0,
+        };
         Lens {
             intrinsics,
             distortion: Distortion::Perspective {
@@ -200,7 +242,10 @@ mod tests {
                 image.set(
                     x,
                     y,
-                    f(DVec2::new((x as f64 + 0.5 - k.cx) / k.fx, (y as f64 + 0.5 - k.cy) / k.fy)),
+                    f(DVec2::new(
+                        (x as f64 + 0.5 - k.cx) / k.fx,
+                        (y as f64 + 0.5 - k.cy) / k.fy,
+                    )),
                 );
             }
         }
@@ -213,7 +258,11 @@ mod tests {
     }
 
     fn worst(a: &Image<Srgb>, b: &Image<Srgb>) -> f32 {
-        a.data().iter().zip(b.data()).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max)
+        a.data()
+            .iter()
+            .zip(b.data())
+            .map(|(a, b)| (a - b).abs())
+            .fold(0.0, f32::max)
     }
 
     #[test]
@@ -224,8 +273,15 @@ mod tests {
             let pinhole = lens.pinhole();
             let expected = image_of(&pinhole, scene);
             let got = undistort(&taken, &lens, &pinhole);
-            assert!(worst(&got, &expected) < 4e-3, "k1 {k1}: {}", worst(&got, &expected));
-            let wrong = Lens { distortion: self::lens(-k1).distortion, ..lens };
+            assert!(
+                worst(&got, &expected) < 4e-3,
+                "k1 {k1}: {}",
+                worst(&got, &expected)
+            );
+            let wrong = Lens {
+                distortion: self::lens(-k1).distortion,
+                ..lens
+            };
             assert!(
                 worst(&undistort(&taken, &wrong, &pinhole), &expected) > 0.05,
                 "a wrong sign goes unseen"
@@ -239,14 +295,21 @@ mod tests {
             let lens = lens(k1);
             let pinhole = lens.pinhole();
             assert!(lens.covers(&pinhole));
-            assert!(!lens.covers(&Intrinsics { fx: pinhole.fx * 0.99, fy: pinhole.fy * 0.99, ..pinhole }));
+            assert!(!lens.covers(&Intrinsics {
+                fx: pinhole.fx * 0.99,
+                fy: pinhole.fy * 0.99,
+                ..pinhole
+            }));
         }
     }
 
     #[test]
     fn a_working_size_is_undistorted_as_the_original_is() {
         let lens = lens(0.12);
-        let half = Lens { intrinsics: lens.intrinsics.resized(80, 60), ..lens };
+        let half = Lens {
+            intrinsics: lens.intrinsics.resized(80, 60),
+            ..lens
+        };
         let taken = image_of(&half.intrinsics, |d| scene(straighten(&lens.distortion, d)));
         let expected = image_of(&lens.pinhole().resized(80, 60), scene);
         assert!(worst(&undistort(&taken, &lens, &lens.pinhole()), &expected) < 1.5e-2);
@@ -254,16 +317,22 @@ mod tests {
 
     #[test]
     fn no_distortion_is_a_copy() {
-        let lens = Lens { distortion: Distortion::None, ..lens(0.0) };
+        let lens = Lens {
+            distortion: Distortion::None,
+            ..lens(0.0)
+        };
         let image = image_of(&lens.intrinsics, scene);
         assert_eq!(undistort(&image, &lens, &lens.pinhole()), image);
     }
 
     #[test]
     fn opencv_tangential_terms_bend_the_right_way() {
-        // cv::projectPoints for (0.3, -0.2), k = (0.1, -0.05), p = (0.01, -0.02) by hand from OpenCV's formula.
-        let d =
-            Distortion::Perspective { radial: [0.1, -0.05, 0.0, 0.0, 0.0, 0.0], tangential: [0.01, -0.02] };
+        // cv::projectPoints for (0.3, -0.2), k = (0.1, -0.05), p = (0.01, -0.02) by hand from
+        // OpenCV's formula.
+        let d = Distortion::Perspective {
+            radial: [0.1, -0.05, 0.0, 0.0, 0.0, 0.0],
+            tangential: [0.01, -0.02],
+        };
         let got = d.distort(DVec2::new(0.3, -0.2));
         let r2: f64 = 0.13;
         let s = 1.0 + 0.1 * r2 - 0.05 * r2 * r2;

@@ -98,7 +98,10 @@ impl CameraModel {
     ];
 
     fn row(self) -> (Self, i32, &'static str, usize) {
-        Self::NAMES.into_iter().find(|row| row.0 == self).expect("every model has its row")
+        Self::NAMES
+            .into_iter()
+            .find(|row| row.0 == self)
+            .expect("every model has its row")
     }
 
     /// COLMAP's name.
@@ -113,7 +116,10 @@ impl CameraModel {
 
     /// The model of this name.
     pub fn from_name(name: &str) -> Option<Self> {
-        Self::NAMES.into_iter().find(|row| row.2 == name).map(|row| row.0)
+        Self::NAMES
+            .into_iter()
+            .find(|row| row.2 == name)
+            .map(|row| row.0)
     }
 
     fn number(self) -> i32 {
@@ -121,7 +127,10 @@ impl CameraModel {
     }
 
     fn from_number(number: i32) -> Option<Self> {
-        Self::NAMES.into_iter().find(|row| row.1 == number).map(|row| row.0)
+        Self::NAMES
+            .into_iter()
+            .find(|row| row.1 == number)
+            .map(|row| row.0)
     }
 }
 
@@ -129,34 +138,77 @@ impl ModelCamera {
     /// The lens this camera describes.
     pub fn lens(&self) -> Lens {
         let p = &self.params;
-        let perspective = |radial: [f64; 6], tangential| Distortion::Perspective { radial, tangential };
+        let perspective =
+            |radial: [f64; 6], tangential| Distortion::Perspective { radial, tangential };
         use CameraModel as M;
         let (fx, fy, cx, cy, distortion) = match self.model {
             M::SimplePinhole => (p[0], p[0], p[1], p[2], Distortion::None),
             M::Pinhole => (p[0], p[1], p[2], p[3], Distortion::None),
-            M::SimpleRadial => {
-                (p[0], p[0], p[1], p[2], perspective([p[3], 0.0, 0.0, 0.0, 0.0, 0.0], [0.0; 2]))
-            }
-            M::Radial => (p[0], p[0], p[1], p[2], perspective([p[3], p[4], 0.0, 0.0, 0.0, 0.0], [0.0; 2])),
-            M::OpenCv => {
-                (p[0], p[1], p[2], p[3], perspective([p[4], p[5], 0.0, 0.0, 0.0, 0.0], [p[6], p[7]]))
-            }
+            M::SimpleRadial => (
+                p[0],
+                p[0],
+                p[1],
+                p[2],
+                perspective([p[3], 0.0, 0.0, 0.0, 0.0, 0.0], [0.0; 2]),
+            ),
+            M::Radial => (
+                p[0],
+                p[0],
+                p[1],
+                p[2],
+                perspective([p[3], p[4], 0.0, 0.0, 0.0, 0.0], [0.0; 2]),
+            ),
+            M::OpenCv => (
+                p[0],
+                p[1],
+                p[2],
+                p[3],
+                perspective([p[4], p[5], 0.0, 0.0, 0.0, 0.0], [p[6], p[7]]),
+            ),
             M::FullOpenCv => {
                 let radial = [p[4], p[5], p[8], p[9], p[10], p[11]];
                 (p[0], p[1], p[2], p[3], perspective(radial, [p[6], p[7]]))
             }
-            M::OpenCvFisheye => {
-                (p[0], p[1], p[2], p[3], Distortion::Fisheye { radial: [p[4], p[5], p[6], p[7]] })
-            }
-            M::SimpleRadialFisheye => {
-                (p[0], p[0], p[1], p[2], Distortion::Fisheye { radial: [p[3], 0.0, 0.0, 0.0] })
-            }
-            M::RadialFisheye => {
-                (p[0], p[0], p[1], p[2], Distortion::Fisheye { radial: [p[3], p[4], 0.0, 0.0] })
-            }
+            M::OpenCvFisheye => (
+                p[0],
+                p[1],
+                p[2],
+                p[3],
+                Distortion::Fisheye {
+                    radial: [p[4], p[5], p[6], p[7]],
+                },
+            ),
+            M::SimpleRadialFisheye => (
+                p[0],
+                p[0],
+                p[1],
+                p[2],
+                Distortion::Fisheye {
+                    radial: [p[3], 0.0, 0.0, 0.0],
+                },
+            ),
+            M::RadialFisheye => (
+                p[0],
+                p[0],
+                p[1],
+                p[2],
+                Distortion::Fisheye {
+                    radial: [p[3], p[4], 0.0, 0.0],
+                },
+            ),
         };
-        let intrinsics = Intrinsics { width: self.width, height: self.height, fx, fy, cx, cy };
-        Lens { intrinsics, distortion }
+        let intrinsics = Intrinsics {
+            width: self.width,
+            height: self.height,
+            fx,
+            fy,
+            cx,
+            cy,
+        };
+        Lens {
+            intrinsics,
+            distortion,
+        }
     }
 
     /// A camera with the lens: PINHOLE, FULL_OPENCV or OPENCV_FISHEYE.
@@ -164,19 +216,35 @@ impl ModelCamera {
         let k = &lens.intrinsics;
         let (model, distortion) = match lens.distortion {
             Distortion::None => return Self::pinhole(id, k),
-            Distortion::Perspective { radial: [k1, k2, k3, k4, k5, k6], tangential: [p1, p2] } => {
-                (CameraModel::FullOpenCv, vec![k1, k2, p1, p2, k3, k4, k5, k6])
-            }
+            Distortion::Perspective {
+                radial: [k1, k2, k3, k4, k5, k6],
+                tangential: [p1, p2],
+            } => (
+                CameraModel::FullOpenCv,
+                vec![k1, k2, p1, p2, k3, k4, k5, k6],
+            ),
             Distortion::Fisheye { radial } => (CameraModel::OpenCvFisheye, radial.to_vec()),
         };
         let params = [vec![k.fx, k.fy, k.cx, k.cy], distortion].concat();
-        Self { id, model, width: k.width, height: k.height, params }
+        Self {
+            id,
+            model,
+            width: k.width,
+            height: k.height,
+            params,
+        }
     }
 
     /// A PINHOLE camera.
     pub fn pinhole(id: u32, k: &Intrinsics) -> Self {
         let params = vec![k.fx, k.fy, k.cx, k.cy];
-        Self { id, model: CameraModel::Pinhole, width: k.width, height: k.height, params }
+        Self {
+            id,
+            model: CameraModel::Pinhole,
+            width: k.width,
+            height: k.height,
+            params,
+        }
     }
 }
 
@@ -208,9 +276,14 @@ impl SparseModel {
     /// and are not read.
     ///
     /// # Errors
-    /// [`PosesError::Io`] and [`PosesError::BadFile`]; a file cut short is an error, never a short model.
+    /// [`PosesError::Io`] and [`PosesError::BadFile`]; a file cut short is an error, never a short
+    /// model.
     pub fn read(dir: &Path) -> Result<Self, PosesError> {
-        let model = if dir.join("cameras.bin").is_file() { binary::read(dir) } else { text::read(dir) }?;
+        let model = if dir.join("cameras.bin").is_file() {
+            binary::read(dir)
+        } else {
+            text::read(dir)
+        }?;
         model.check(dir)?;
         Ok(model)
     }
@@ -233,12 +306,17 @@ impl SparseModel {
 
     /// Whether `dir` holds a model.
     pub fn stands_in(dir: &Path) -> bool {
-        ["cameras.bin", "cameras.txt"].iter().any(|name| dir.join(name).is_file())
+        ["cameras.bin", "cameras.txt"]
+            .iter()
+            .any(|name| dir.join(name).is_file())
     }
 
     /// The camera of an image.
     pub fn camera_of(&self, image: &ModelImage) -> &ModelCamera {
-        let camera = self.cameras.iter().find(|camera| camera.id == image.camera_id);
+        let camera = self
+            .cameras
+            .iter()
+            .find(|camera| camera.id == image.camera_id);
         camera.expect("checked when the model was read")
     }
 
@@ -275,24 +353,36 @@ impl SparseModel {
         for camera in &self.cameras {
             let sized = camera.width > 0 && camera.height > 0;
             let focals = camera.lens().intrinsics;
-            if !sized || focals.fx <= 0.0 || focals.fy <= 0.0 || !camera.params.iter().all(|p| p.is_finite())
+            if !sized
+                || focals.fx <= 0.0
+                || focals.fy <= 0.0
+                || !camera.params.iter().all(|p| p.is_finite())
             {
                 return fault(format!("camera {} has no usable intrinsics", camera.id));
             }
         }
         for image in &self.images {
-            if !self.cameras.iter().any(|camera| camera.id == image.camera_id) {
+            if !self
+                .cameras
+                .iter()
+                .any(|camera| camera.id == image.camera_id)
+            {
                 return fault(format!(
                     "image {} names camera {}, which is not there",
                     image.name, image.camera_id
                 ));
             }
             let norm: f64 = image.rotation.iter().map(|q| q * q).sum();
-            if !norm.is_finite() || norm < 1e-12 || !image.translation.iter().all(|t| t.is_finite()) {
+            if !norm.is_finite() || norm < 1e-12 || !image.translation.iter().all(|t| t.is_finite())
+            {
                 return fault(format!("image {} has no usable pose", image.name));
             }
         }
-        match self.points.iter().find(|point| !point.position.iter().all(|v| v.is_finite())) {
+        match self
+            .points
+            .iter()
+            .find(|point| !point.position.iter().all(|v| v.is_finite()))
+        {
             Some(point) => fault(format!("point {} is not finite", point.id)),
             None => Ok(()),
         }

@@ -111,14 +111,21 @@ impl Checkpoint {
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, CheckpointError> {
         let fault = |message: &str| CheckpointError(message.to_owned());
         let size = size_of::<Header>();
-        let body = bytes.len().checked_sub(32).filter(|n| *n >= size).ok_or_else(|| fault("too short"))?;
+        let body = bytes
+            .len()
+            .checked_sub(32)
+            .filter(|n| *n >= size)
+            .ok_or_else(|| fault("too short"))?;
         let (content, hash) = bytes.split_at(body);
         let header: Header = bytemuck::pod_read_unaligned(&content[..size]);
         if header.magic != MAGIC {
             return Err(fault("not a checkpoint"));
         }
         if header.version != VERSION {
-            return Err(CheckpointError(format!("version {}, this program reads {VERSION}", header.version)));
+            return Err(CheckpointError(format!(
+                "version {}, this program reads {VERSION}",
+                header.version
+            )));
         }
         if blake3::hash(content).as_bytes() != hash {
             return Err(fault("damaged"));
@@ -126,12 +133,26 @@ impl Checkpoint {
         let mut rest = &content[size..];
         let mut arrays = [const { Vec::new() }; 8];
         for (array, length) in arrays.iter_mut().zip(header.lengths) {
-            let length = usize::try_from(length).ok().and_then(|n| n.checked_mul(4)).unwrap_or(usize::MAX);
-            let (values, tail) = rest.split_at_checked(length).ok_or_else(|| fault("truncated"))?;
+            let length = usize::try_from(length)
+                .ok()
+                .and_then(|n| n.checked_mul(4))
+                .unwrap_or(usize::MAX);
+            let (values, tail) = rest
+                .split_at_checked(length)
+                .ok_or_else(|| fault("truncated"))?;
             *array = bytemuck::pod_collect_to_vec(values);
             rest = tail;
         }
-        let [geometry, geometry_moments, sh, sh_moments, noise, shake, motions, colours] = arrays;
+        let [
+            geometry,
+            geometry_moments,
+            sh,
+            sh_moments,
+            noise,
+            shake,
+            motions,
+            colours,
+        ] = arrays;
         let out = Self {
             fingerprint: header.fingerprint,
             step: header.step,
@@ -148,14 +169,24 @@ impl Checkpoint {
             motions,
             colours,
         };
-        if out.consistent() { Ok(out) } else { Err(fault("its arrays do not fit together")) }
+        if out.consistent() {
+            Ok(out)
+        } else {
+            Err(fault("its arrays do not fit together"))
+        }
     }
 
     fn consistent(&self) -> bool {
         let sh = sh_row(self.sh_degree.min(3)) * self.count();
         let n = self.count();
         let expected = [12 * n, 24 * n, sh, 2 * sh];
-        let found = [&self.geometry, &self.geometry_moments, &self.sh, &self.sh_moments].map(Vec::len);
+        let found = [
+            &self.geometry,
+            &self.geometry_moments,
+            &self.sh,
+            &self.sh_moments,
+        ]
+        .map(Vec::len);
         self.sh_degree <= 3 && expected == found
     }
 }
@@ -186,7 +217,10 @@ mod tests {
 
     #[test]
     fn a_checkpoint_round_trips_bit_for_bit() {
-        assert_eq!(Checkpoint::from_bytes(&checkpoint().to_bytes()), Ok(checkpoint()));
+        assert_eq!(
+            Checkpoint::from_bytes(&checkpoint().to_bytes()),
+            Ok(checkpoint())
+        );
     }
 
     #[test]
@@ -202,7 +236,10 @@ mod tests {
         newer[16] += 1;
         assert!(refused(&newer).starts_with("version 6"));
         assert_eq!(refused(&[0; 200]), "not a checkpoint");
-        let odd = Checkpoint { sh_degree: 2, ..checkpoint() };
+        let odd = Checkpoint {
+            sh_degree: 2,
+            ..checkpoint()
+        };
         assert_eq!(refused(&odd.to_bytes()), "its arrays do not fit together");
     }
 }

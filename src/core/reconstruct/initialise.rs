@@ -1,4 +1,5 @@
-//! The scene before the first step: Gaussians from the sparse points, and random ones where there are few.
+//! The scene before the first step: Gaussians from the sparse points, and random ones where there
+//! are few.
 
 use glam::{DVec2, DVec3};
 use rand::seq::SliceRandom;
@@ -27,9 +28,9 @@ const SH0: f32 = 0.282_094_8;
 pub struct Beginning {
     /// Most in all.
     pub cap: usize,
-    /// With fewer points than this, random ones are added in the cameras' frusta between the 5th and 95th percentile
-    /// of depth. Differs from splat.md (20,000): what grows from sparse points is better by more than 1 dB, and only
-    /// where there are hardly any do random ones help.
+    /// With fewer points than this, random ones are added in the cameras' frusta between the 5th
+    /// and 95th percentile of depth. Differs from splat.md (20,000): what grows from sparse points
+    /// is better by more than 1 dB, and only where there are hardly any do random ones help.
     pub fill_up: usize,
 }
 
@@ -46,7 +47,8 @@ pub fn scene_extent(cameras: &[Camera], points: &[Point], rule: ExtentRule) -> f
     if extent > 0.0 { extent } else { 1.0 }
 }
 
-/// Median depth of the points in the images that show them, world units. 1 when there is nothing to measure.
+/// Median depth of the points in the images that show them, world units. 1 when there is nothing to
+/// measure.
 pub fn scene_depth(cameras: &[Camera], points: &[Point]) -> f64 {
     let depths = visible_depths(cameras, points);
     depths.get(depths.len() / 2).copied().unwrap_or(1.0)
@@ -62,18 +64,31 @@ fn camera_radius(cameras: &[Camera]) -> f64 {
 fn visible_depths(cameras: &[Camera], points: &[Point]) -> Vec<f64> {
     let mut depths = Vec::new();
     for camera in cameras {
-        let size = DVec2::new(camera.intrinsics.width as f64, camera.intrinsics.height as f64);
+        let size = DVec2::new(
+            camera.intrinsics.width as f64,
+            camera.intrinsics.height as f64,
+        );
         let inside = |pixel: DVec2| pixel.cmpge(DVec2::ZERO).all() && pixel.cmplt(size).all();
-        let seen = points.iter().filter_map(|(p, _)| camera.project(DVec3::from(p.map(f64::from))));
-        depths.extend(seen.filter(|(pixel, _)| inside(*pixel)).map(|(_, depth)| depth));
+        let seen = points
+            .iter()
+            .filter_map(|(p, _)| camera.project(DVec3::from(p.map(f64::from))));
+        depths.extend(
+            seen.filter(|(pixel, _)| inside(*pixel))
+                .map(|(_, depth)| depth),
+        );
     }
     depths.sort_by(f64::total_cmp);
     depths
 }
 
-/// Gaussians of degree `schedule.sh_degree` at `points`: scale from the three nearest neighbours, opacity 0.5, the
-/// point's colour; at most `room.cap`. Points that are not finite are left out.
-pub fn initialise(points: &[Point], cameras: &[Camera], room: Beginning, schedule: &Schedule) -> Gaussians {
+/// Gaussians of degree `schedule.sh_degree` at `points`: scale from the three nearest neighbours,
+/// opacity 0.5, the point's colour; at most `room.cap`. Points that are not finite are left out.
+pub fn initialise(
+    points: &[Point],
+    cameras: &[Camera],
+    room: Beginning,
+    schedule: &Schedule,
+) -> Gaussians {
     let Beginning { cap, fill_up } = room;
     let mut random = schedule.generator(3, 0);
     let finite = |p: &&Point| p.0.iter().all(|v| v.is_finite());
@@ -81,25 +96,40 @@ pub fn initialise(points: &[Point], cameras: &[Camera], room: Beginning, schedul
     all.shuffle(&mut random);
     all.truncate(cap);
     let extent = scene_extent(cameras, &all, ExtentRule::Scene);
-    // Without a single point half of the cap lies anywhere, and the rest goes to where the error is.
-    let wanted = if all.is_empty() { cap / 2 } else { fill_up.min(cap) };
+    // Without a single point half of the cap lies anywhere, and the rest goes to where the error
+    // is.
+    let wanted = if all.is_empty() {
+        cap / 2
+    } else {
+        fill_up.min(cap)
+    };
     let missing = wanted.saturating_sub(all.len());
     all.extend(random_points(&all, cameras, missing, &mut random));
     let (low, high) = (SCALE_FLOOR * extent, SCALE_CEILING * extent);
-    let log_scales = neighbour_distances(&all).into_iter().map(|d| [d.clamp(low, high).ln() as f32; 3]);
+    let log_scales = neighbour_distances(&all)
+        .into_iter()
+        .map(|d| [d.clamp(low, high).ln() as f32; 3]);
     let flat = Gaussians {
         means: all.iter().map(|(p, _)| *p).collect(),
         quats: vec![[1.0, 0.0, 0.0, 0.0]; all.len()],
         log_scales: log_scales.collect(),
         opacity_logits: vec![OPACITY_LOGIT; all.len()],
-        sh: all.iter().flat_map(|(_, c)| c.map(|v| (f32::from(v) / 255.0 - 0.5) / SH0)).collect(),
+        sh: all
+            .iter()
+            .flat_map(|(_, c)| c.map(|v| (f32::from(v) / 255.0 - 0.5) / SH0))
+            .collect(),
         sh_degree: 0,
     };
     flat.with_sh_degree(schedule.sh_degree)
 }
 
 /// Points uniform over the images and in inverse depth, coloured like their nearest sparse point.
-fn random_points(known: &[Point], cameras: &[Camera], count: usize, random: &mut impl Rng) -> Vec<Point> {
+fn random_points(
+    known: &[Point],
+    cameras: &[Camera],
+    count: usize,
+    random: &mut impl Rng,
+) -> Vec<Point> {
     if cameras.is_empty() {
         return Vec::new();
     }
@@ -108,15 +138,22 @@ fn random_points(known: &[Point], cameras: &[Camera], count: usize, random: &mut
         .map(|_| {
             let camera = &cameras[random.random_range(0..cameras.len())];
             let k = &camera.intrinsics;
-            let pixel = [random.random::<f64>() * k.width as f64, random.random::<f64>() * k.height as f64];
+            let pixel = [
+                random.random::<f64>() * k.width as f64,
+                random.random::<f64>() * k.height as f64,
+            ];
             let share: f64 = random.random();
             let depth = 1.0 / (share / near + (1.0 - share) / far);
             let ray = DVec3::new((pixel[0] - k.cx) / k.fx, (pixel[1] - k.cy) / k.fy, 1.0);
-            (camera.rotation().transpose() * (ray * depth - camera.translation())).as_vec3().to_array()
+            (camera.rotation().transpose() * (ray * depth - camera.translation()))
+                .as_vec3()
+                .to_array()
         })
         .collect();
     let colour = |p: &[f32; 3]| {
-        let nearest = known.iter().min_by(|a, b| squared(&a.0, p).total_cmp(&squared(&b.0, p)));
+        let nearest = known
+            .iter()
+            .min_by(|a, b| squared(&a.0, p).total_cmp(&squared(&b.0, p)));
         nearest.map_or([128; 3], |(_, colour)| *colour)
     };
     places.par_iter().map(|p| (*p, colour(p))).collect()
@@ -125,7 +162,8 @@ fn random_points(known: &[Point], cameras: &[Camera], count: usize, random: &mut
 fn depth_range(known: &[Point], cameras: &[Camera]) -> (f64, f64) {
     let depths = visible_depths(cameras, known);
     if depths.is_empty() {
-        // Nothing is known but the cameras: they usually stand about as far apart as from the scene.
+        // Nothing is known but the cameras: they usually stand about as far apart as from the
+        // scene.
         let radius = camera_radius(cameras).max(1e-3);
         return (0.5 * radius, 5.0 * radius);
     }
@@ -141,8 +179,10 @@ fn squared(a: &[f32; 3], b: &[f32; 3]) -> f32 {
 fn neighbour_distances(points: &[Point]) -> Vec<f64> {
     let mut order: Vec<_> = (0..points.len()).collect();
     order.sort_by(|&a, &b| points[a].0[0].total_cmp(&points[b].0[0]).then(a.cmp(&b)));
-    let by_rank: Vec<_> =
-        (0..order.len()).into_par_iter().map(|rank| nearest_three(points, &order, rank)).collect();
+    let by_rank: Vec<_> = (0..order.len())
+        .into_par_iter()
+        .map(|rank| nearest_three(points, &order, rank))
+        .collect();
     let mut out = vec![0.0; points.len()];
     for (&index, distance) in order.iter().zip(by_rank) {
         out[index] = distance;
@@ -177,8 +217,16 @@ fn nearest_three(points: &[Point], order: &[usize], rank: usize) -> f64 {
             break;
         }
     }
-    let found: Vec<_> = best.into_iter().filter(|d| d.is_finite()).map(|d| f64::from(d).sqrt()).collect();
-    if found.is_empty() { f64::INFINITY } else { found.iter().sum::<f64>() / found.len() as f64 }
+    let found: Vec<_> = best
+        .into_iter()
+        .filter(|d| d.is_finite())
+        .map(|d| f64::from(d).sqrt())
+        .collect();
+    if found.is_empty() {
+        f64::INFINITY
+    } else {
+        found.iter().sum::<f64>() / found.len() as f64
+    }
 }
 
 #[cfg(test)]
@@ -186,7 +234,13 @@ mod tests {
     use super::*;
     use crate::splat::fixtures::{Random, viewpoint};
 
-    const PLAN: Schedule = Schedule { steps: 100, sh_degree: 2, resolution: false, warm: false, seed: 1 };
+    const PLAN: Schedule = Schedule {
+        steps: 100,
+        sh_degree: 2,
+        resolution: false,
+        warm: false,
+        seed: 1,
+    };
 
     fn filled(cap: usize) -> Beginning {
         Beginning { cap, fill_up: 200 }
@@ -194,7 +248,9 @@ mod tests {
 
     fn points(count: usize) -> Vec<Point> {
         let mut random = Random::new(4);
-        (0..count).map(|n| ([0; 3].map(|_| random.signed() as f32), [n as u8, 2, 3])).collect()
+        (0..count)
+            .map(|n| ([0; 3].map(|_| random.signed() as f32), [n as u8, 2, 3]))
+            .collect()
     }
 
     #[test]
@@ -202,8 +258,9 @@ mod tests {
         let points = points(300);
         for (i, found) in neighbour_distances(&points).into_iter().enumerate() {
             let others = points.iter().enumerate().filter(|(j, _)| *j != i);
-            let mut all: Vec<_> =
-                others.map(|(_, p)| f64::from(squared(&p.0, &points[i].0)).sqrt()).collect();
+            let mut all: Vec<_> = others
+                .map(|(_, p)| f64::from(squared(&p.0, &points[i].0)).sqrt())
+                .collect();
             all.sort_by(f64::total_cmp);
             assert!((found - all[..3].iter().sum::<f64>() / 3.0).abs() < 1e-6);
         }
@@ -216,12 +273,28 @@ mod tests {
         assert_eq!((few.len(), few.sh_degree, few.sh.len()), (200, 2, 200 * 27));
         let seen = |mean: &[f32; 3]| camera.project(DVec3::from(mean.map(f64::from))).is_some();
         assert!(few.means[50..].iter().all(seen));
-        assert_eq!(initialise(&points(500), &[camera], filled(400), &PLAN).len(), 400);
+        assert_eq!(
+            initialise(&points(500), &[camera], filled(400), &PLAN).len(),
+            400
+        );
         assert!((0..200).all(|i| few.is_usable(i)));
-        let sparse = Beginning { cap: 400, fill_up: 0 };
-        assert_eq!(initialise(&points(50), &[camera], sparse, &PLAN).means, few.means[..50]);
-        assert_eq!(initialise(&[], &[camera], sparse, &PLAN).len(), 200, "a scene needs something");
-        let narrow = Beginning { cap: 100, fill_up: 200 };
+        let sparse = Beginning {
+            cap: 400,
+            fill_up: 0,
+        };
+        assert_eq!(
+            initialise(&points(50), &[camera], sparse, &PLAN).means,
+            few.means[..50]
+        );
+        assert_eq!(
+            initialise(&[], &[camera], sparse, &PLAN).len(),
+            200,
+            "a scene needs something"
+        );
+        let narrow = Beginning {
+            cap: 100,
+            fill_up: 200,
+        };
         assert_eq!(initialise(&points(50), &[camera], narrow, &PLAN).len(), 100);
         assert_eq!(few, initialise(&points(50), &[camera], filled(400), &PLAN));
     }
@@ -233,7 +306,11 @@ mod tests {
         let cameras = [viewpoint(80, 60).camera, other];
         let by = |rule| scene_extent(&cameras, &points(200), rule);
         assert!(by(ExtentRule::Scene) > 0.1, "{}", by(ExtentRule::Scene));
-        assert_eq!(by(ExtentRule::Cameras), 1.0, "cameras at one place measure nothing");
+        assert_eq!(
+            by(ExtentRule::Cameras),
+            1.0,
+            "cameras at one place measure nothing"
+        );
     }
 
     #[test]
@@ -250,6 +327,11 @@ mod tests {
     fn colours_come_back_from_the_constant_harmonic() {
         let scene = initialise(&[([0.0; 3], [255, 51, 0])], &[], filled(10), &PLAN);
         let colour = [0, 1, 2].map(|c| 0.5 + SH0 * scene.sh[c]);
-        assert!(colour.iter().zip([1.0, 0.2, 0.0]).all(|(a, b)| (a - b).abs() < 1e-6));
+        assert!(
+            colour
+                .iter()
+                .zip([1.0, 0.2, 0.0])
+                .all(|(a, b)| (a - b).abs() < 1e-6)
+        );
     }
 }

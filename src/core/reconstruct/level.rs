@@ -36,12 +36,20 @@ impl Level {
         for view in views {
             let size = reduced_size(view.image.width(), view.image.height(), divisor);
             let target = upload_target(gpu, &view.image.resize_area(size.0, size.1))?;
-            reduced.push(LevelView { camera: view.camera.resized(size.0, size.1), target, size });
+            reduced.push(LevelView {
+                camera: view.camera.resized(size.0, size.1),
+                target,
+                size,
+            });
             if let std::collections::btree_map::Entry::Vacant(entry) = losses.entry(size) {
                 entry.insert(Loss::new(gpu, size.0, size.1)?);
             }
         }
-        Ok(Self { divisor, views: reduced, losses })
+        Ok(Self {
+            divisor,
+            views: reduced,
+            losses,
+        })
     }
 
     /// Trains `view` on another image of its size.

@@ -1,8 +1,8 @@
 //! The loss of a training step, `0.8 mean|p - t| + 0.2 (1 - mean SSIM(p, t))`, and its gradient.
 //!
-//! SSIM has an 11 x 11 Gaussian window of sigma 1.5 and is zero-padded, as published trainers have it
-//! (the metrics use the valid region only: the two numbers differ). The gradient is written directly; the
-//! value stays on the device until somebody asks.
+//! SSIM has an 11 x 11 Gaussian window of sigma 1.5 and is zero-padded, as published trainers have
+//! it (the metrics use the valid region only: the two numbers differ). The gradient is written
+//! directly; the value stays on the device until somebody asks.
 //!
 //! ```no_run
 //! # use fled_core::{image::Image, reconstruct::loss::{Loss, upload_target}};
@@ -36,8 +36,8 @@ pub const SSIM_SHARE: f64 = 0.2;
 /// `COLUMNS` of shaders/shared/loss.wgsl.
 const COLUMNS: u32 = 4;
 
-/// Rows an invocation walks down. Ten rows more are read, so a long run wastes less; a GPU needs the
-/// invocations that short runs make.
+/// Rows an invocation walks down. Ten rows more are read, so a long run wastes less; a GPU needs
+/// the invocations that short runs make.
 const RUN_ON_CPU: u32 = 32;
 const RUN_ON_GPU: u32 = 8;
 
@@ -127,7 +127,12 @@ impl Loss {
     /// A device error, out of memory above all.
     pub fn new(gpu: &Gpu, width: usize, height: usize) -> Result<Self, GpuError> {
         let on_cpu = gpu.describe().device_type == DeviceType::Cpu;
-        Self::with_run(gpu, width, height, if on_cpu { RUN_ON_CPU } else { RUN_ON_GPU })
+        Self::with_run(
+            gpu,
+            width,
+            height,
+            if on_cpu { RUN_ON_CPU } else { RUN_ON_GPU },
+        )
     }
 
     fn with_run(gpu: &Gpu, width: usize, height: usize, run: u32) -> Result<Self, GpuError> {
@@ -142,9 +147,9 @@ impl Loss {
         })
     }
 
-    /// Records the loss of `prediction` (planar [3, H, W]) against `target` (from [`upload_target`]);
-    /// overwrites `gradient` ([3, H, W]) with the derivative of the loss by the prediction. Buffers may be
-    /// longer than the image.
+    /// Records the loss of `prediction` (planar [3, H, W]) against `target` (from
+    /// [`upload_target`]); overwrites `gradient` ([3, H, W]) with the derivative of the loss by the
+    /// prediction. Buffers may be longer than the image.
     ///
     /// # Errors
     /// [`GpuError::Validation`] when a buffer is shorter than the image; a device error.
@@ -158,33 +163,59 @@ impl Loss {
         let values = self.layout.values as usize;
         let lengths = [prediction.len(), 2 * target.len(), gradient.len()];
         if lengths.iter().any(|&length| length < values) {
-            return Err(GpuError::Validation(format!("a loss of {values} values on buffers of {lengths:?}")));
+            return Err(GpuError::Validation(format!(
+                "a loss of {values} values on buffers of {lengths:?}"
+            )));
         }
         let invocations = self.layout.invocations();
         recorder.dispatch_items(
             &SIMILARITY,
-            &[&self.size, prediction, target, &self.derivatives, &self.similarity_sums],
+            &[
+                &self.size,
+                prediction,
+                target,
+                &self.derivatives,
+                &self.similarity_sums,
+            ],
             invocations,
         )?;
         recorder.dispatch_items(
             &GRADIENT,
-            &[&self.size, prediction, target, &self.derivatives, gradient, &self.error_sums],
+            &[
+                &self.size,
+                prediction,
+                target,
+                &self.derivatives,
+                gradient,
+                &self.error_sums,
+            ],
             invocations,
         )
     }
 
-    /// The value of the loss that was submitted last. Waits for the device. The partial sums are added up
-    /// in one order, so the same images give the same bits.
+    /// The value of the loss that was submitted last. Waits for the device. The partial sums are
+    /// added up in one order, so the same images give the same bits.
     ///
     /// # Errors
     /// A device error.
     pub fn value(&self) -> Result<LossValue, GpuError> {
         let n = f64::from(self.layout.values);
-        let ssim = self.similarity_sums.read()?.into_iter().map(f64::from).sum::<f64>() / n;
+        let ssim = self
+            .similarity_sums
+            .read()?
+            .into_iter()
+            .map(f64::from)
+            .sum::<f64>()
+            / n;
         let errors = self.error_sums.read()?;
         let l1 = errors.iter().map(|e| f64::from(e[0])).sum::<f64>() / n;
         let squared = errors.iter().map(|e| f64::from(e[1])).sum::<f64>() / n;
-        Ok(LossValue { total: L1_SHARE * l1 + SSIM_SHARE * (1.0 - ssim), l1, ssim, squared })
+        Ok(LossValue {
+            total: L1_SHARE * l1 + SSIM_SHARE * (1.0 - ssim),
+            l1,
+            ssim,
+            squared,
+        })
     }
 }
 
@@ -193,7 +224,9 @@ impl Loss {
 pub fn pack_target(image: &Image) -> Vec<u32> {
     let quantised = |value: f32| (value.clamp(0.0, 1.0) * 65535.0 + 0.5) as u32;
     let pairs = image.data().chunks(2);
-    pairs.map(|pair| quantised(pair[0]) | pair.get(1).map_or(0, |&second| quantised(second) << 16)).collect()
+    pairs
+        .map(|pair| quantised(pair[0]) | pair.get(1).map_or(0, |&second| quantised(second) << 16))
+        .collect()
 }
 
 /// [`pack_target`] into a buffer.

@@ -66,8 +66,8 @@ const RATE_QUAT: f64 = 1e-3;
 const RATE_OPACITY: f64 = 0.05;
 const RATE_SH0: f64 = 2.5e-3;
 const RATE_SH: f64 = 1.25e-4;
-/// Weight of the means of the opacities and of the scales in the loss (MCMC). Differs from splat.md (0.01): that was
-/// chosen for rounds of 30,000 steps and millions of Gaussians.
+/// Weight of the means of the opacities and of the scales in the loss (MCMC). Differs from splat.md
+/// (0.01): that was chosen for rounds of 30,000 steps and millions of Gaussians.
 const REGULARISER: f64 = 0.002;
 /// Exploration noise, in units of the rate of the means (MCMC).
 const NOISE: f64 = 5e5;
@@ -105,18 +105,32 @@ pub struct StepUniform {
 }
 
 impl StepUniform {
-    /// The numbers of `step` of a round with `count` Gaussians in a scene of `extent` world units. `mcmc`: whether MCMC
-    /// densifies; without it there is neither regulariser nor noise.
+    /// The numbers of `step` of a round with `count` Gaussians in a scene of `extent` world units.
+    /// `mcmc`: whether MCMC densifies; without it there is neither regulariser nor noise.
     pub fn new(schedule: &Schedule, step: u32, count: usize, extent: f64, mcmc: bool) -> Self {
         let (relative, haste) = (schedule.means_rate(step), schedule.haste());
         let t = step as i32 + 1;
-        let weight = if mcmc { REGULARISER / count.max(1) as f64 } else { 0.0 };
-        // Scales have a length: in units of the extent the same scene gets the same step at any scale.
+        let weight = if mcmc {
+            REGULARISER / count.max(1) as f64
+        } else {
+            0.0
+        };
+        // Scales have a length: in units of the extent the same scene gets the same step at any
+        // scale.
         let explores = mcmc && schedule.explores(step);
-        let noise = if explores { NOISE * relative / extent } else { 0.0 };
+        let noise = if explores {
+            NOISE * relative / extent
+        } else {
+            0.0
+        };
         Self {
-            rates: [relative * extent, haste * RATE_LOG_SCALE, haste * RATE_QUAT, RATE_OPACITY]
-                .map(|v| v as f32),
+            rates: [
+                relative * extent,
+                haste * RATE_LOG_SCALE,
+                haste * RATE_QUAT,
+                RATE_OPACITY,
+            ]
+            .map(|v| v as f32),
             rate_sh0: (haste * RATE_SH0) as f32,
             rate_sh: (haste * RATE_SH) as f32,
             bias_m: (1.0 / (1.0 - BETA_M.powi(t))) as f32,
@@ -142,8 +156,8 @@ pub struct SlotGradients<'a> {
     pub totals: &'a Buffer<u32>,
 }
 
-/// Where the free floats of a row of geometry moments are: the sum of the lengths of the gradients by position, and the
-/// number of views in it. Classic densification alone keeps them.
+/// Where the free floats of a row of geometry moments are: the sum of the lengths of the gradients
+/// by position, and the number of views in it. Classic densification alone keeps them.
 pub const POSITION_GRADIENT_AT: [usize; 2] = [11, 23];
 
 /// Adam's state on the device.
@@ -173,13 +187,26 @@ impl Optimizer {
     ///
     /// # Errors
     /// Out of memory, or above what the adapter binds.
-    pub fn new(gpu: &Gpu, gaussians: &DeviceGaussians, accumulates: bool) -> Result<Self, GpuError> {
+    pub fn new(
+        gpu: &Gpu,
+        gaussians: &DeviceGaussians,
+        accumulates: bool,
+    ) -> Result<Self, GpuError> {
         let (rows, per_part) = (gaussians.capacity, gaussians.sh.per_part());
         let accumulating = PROJECT_BACKWARD_ADAM.with(&[("ACCUMULATE_POSITION", 1)]);
         Ok(Self {
-            update: if accumulates { accumulating } else { PROJECT_BACKWARD_ADAM },
+            update: if accumulates {
+                accumulating
+            } else {
+                PROJECT_BACKWARD_ADAM
+            },
             step: gpu.create("step", 1)?,
-            geometry_moments: gpu.create_rows("geometry moments", rows, 2 * GEOMETRY_ROW, per_part)?,
+            geometry_moments: gpu.create_rows(
+                "geometry moments",
+                rows,
+                2 * GEOMETRY_ROW,
+                per_part,
+            )?,
             sh_moments: gpu.create_rows("sh moments", rows, 2 * gaussians.sh.length(), per_part)?,
             counters: gpu.create("optimizer counters", 4)?,
         })
@@ -236,13 +263,22 @@ impl Optimizer {
     ///
     /// # Errors
     /// A device error.
-    pub fn relocate(&self, gpu: &Gpu, gaussians: &DeviceGaussians, plan: &Plan) -> Result<(), GpuError> {
+    pub fn relocate(
+        &self,
+        gpu: &Gpu,
+        gaussians: &DeviceGaussians,
+        plan: &Plan,
+    ) -> Result<(), GpuError> {
         let sh_row = gaussians.sh.length();
         let taken_row = GEOMETRY_ROW + sh_row;
         let most = gpu.rows_per_part(taken_row * size_of::<f32>());
         // What is taken never changes: a source keeps its place, rotation and colour.
         for (moves, shapes) in plan.moves.chunks(most).zip(plan.shapes.chunks(most)) {
-            let uniform = RelocateUniform { rows: moves.len() as u32, sh_row: sh_row as u32, pad: [0; 2] };
+            let uniform = RelocateUniform {
+                rows: moves.len() as u32,
+                sh_row: sh_row as u32,
+                pad: [0; 2],
+            };
             let uniform = gpu.upload("relocation", &[uniform])?;
             let (moves, shapes) = (gpu.upload("moves", moves)?, gpu.upload("shapes", shapes)?);
             let taken = gpu.create::<f32>("taken", moves.len() * taken_row)?;

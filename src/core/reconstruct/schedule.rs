@@ -12,14 +12,17 @@ const QUARTER_SHARE: f64 = 0.1;
 const FULL_FROM: f64 = 0.3;
 /// Smaller images are not reduced: SSIM's window of 11 px would see nothing of them.
 const SMALLEST_SIDE: usize = 32;
-/// Steps of the published trainers whose rates these are. Differs from splat.md: a round is much shorter, so
-/// its steps are larger; with the published rates, splats of 1,000 steps hardly leave their points.
+/// Steps of the published trainers whose rates these are. Differs from splat.md: a round is much
+/// shorter, so its steps are larger; with the published rates, splats of 1,000 steps hardly leave
+/// their points.
 const PUBLISHED_STEPS: f64 = 30_000.0;
 /// Means may go this many times as far in a step, so that they go as far in a round of 1,500.
 const MOST_MEANS_HASTE: f64 = 20.0;
-/// All else but opacities changes at most so many times as fast, and by the square root of what is missing.
+/// All else but opacities changes at most so many times as fast, and by the square root of what is
+/// missing.
 const MOST_HASTE: f64 = 5.0;
-/// Rate of the means at the start and the end of a round of [`PUBLISHED_STEPS`], world units a step at extent 1.
+/// Rate of the means at the start and the end of a round of [`PUBLISHED_STEPS`], world units a step
+/// at extent 1.
 const MEANS_RATES: (f64, f64) = (1.6e-4, 1.6e-6);
 /// Warm rounds move the means by this share of the usual rate.
 const WARM_MEANS: f64 = 0.3;
@@ -58,8 +61,8 @@ impl Schedule {
         f64::from(step) / f64::from(self.steps.max(1))
     }
 
-    /// By how much the images are reduced at `step` (0-based): 4, 2 or 1. A warm round has its coarse shapes already;
-    /// reduced images would only blur them.
+    /// By how much the images are reduced at `step` (0-based): 4, 2 or 1. A warm round has its
+    /// coarse shapes already; reduced images would only blur them.
     pub fn divisor(&self, step: u32) -> usize {
         let share = self.share(step);
         match share {
@@ -80,7 +83,9 @@ impl Schedule {
 
     /// Factor of the rates of scales, quaternions and colours in a round as short as this.
     pub fn haste(&self) -> f64 {
-        (PUBLISHED_STEPS / f64::from(self.steps.max(1))).sqrt().clamp(1.0, MOST_HASTE)
+        (PUBLISHED_STEPS / f64::from(self.steps.max(1)))
+            .sqrt()
+            .clamp(1.0, MOST_HASTE)
     }
 
     /// Rate of the means at `step` for a scene of extent 1: exponential decay over the round.
@@ -96,7 +101,8 @@ impl Schedule {
         self.share(step) < NOISE_END
     }
 
-    /// Steps between densifications. Differs from splat.md (100): a round of few steps would see too few.
+    /// Steps between densifications. Differs from splat.md (100): a round of few steps would see
+    /// too few.
     pub fn densify_interval(&self) -> u32 {
         (self.steps / 20).clamp(10, 100)
     }
@@ -107,16 +113,23 @@ impl Schedule {
         step.is_multiple_of(self.densify_interval()) && share >= DENSIFY.0 && share < DENSIFY.1
     }
 
-    /// Whether the shake of the views is estimated before `step`: never on the coarse images of a cold round,
-    /// whose pixels are as large as the shake, and from the first step on of a warm one.
+    /// Whether the shake of the views is estimated before `step`: never on the coarse images of a
+    /// cold round, whose pixels are as large as the shake, and from the first step on of a warm
+    /// one.
     pub fn estimates_shake(&self, step: u32) -> bool {
-        step.is_multiple_of(self.densify_interval()) && (self.warm || self.share(step) >= SHAKE_FROM)
+        step.is_multiple_of(self.densify_interval())
+            && (self.warm || self.share(step) >= SHAKE_FROM)
     }
 
-    /// Whether the cameras are corrected before `step`: not before there are edges to judge them by.
+    /// Whether the cameras are corrected before `step`: not before there are edges to judge them
+    /// by.
     pub fn refines_poses(&self, step: u32) -> bool {
         let interval = (self.steps / POSE_CORRECTIONS).max(1);
-        let from = if self.warm { WARM_POSES_FROM } else { POSES_FROM };
+        let from = if self.warm {
+            WARM_POSES_FROM
+        } else {
+            POSES_FROM
+        };
         step.is_multiple_of(interval) && self.share(step) >= from
     }
 
@@ -132,11 +145,14 @@ impl Schedule {
 
     /// Densifications of the whole round.
     pub fn densifications(&self) -> u32 {
-        (0..self.steps).step_by(self.densify_interval() as usize).filter(|&s| self.densifies(s)).count()
-            as u32
+        (0..self.steps)
+            .step_by(self.densify_interval() as usize)
+            .filter(|&s| self.densifies(s))
+            .count() as u32
     }
 
-    /// The view of `step` among `views`: every view once an epoch, in an order drawn for that epoch.
+    /// The view of `step` among `views`: every view once an epoch, in an order drawn for that
+    /// epoch.
     pub fn view(&self, step: u32, views: usize) -> usize {
         let (epoch, place) = (step as usize / views, step as usize % views);
         let mut order: Vec<_> = (0..views).collect();
@@ -146,7 +162,8 @@ impl Schedule {
 
     /// A generator for one purpose and moment, independent of all others.
     pub fn generator(&self, purpose: u64, moment: u64) -> Pcg64 {
-        let mixed = self.seed ^ purpose.wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ moment.rotate_left(32);
+        let mixed =
+            self.seed ^ purpose.wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ moment.rotate_left(32);
         Pcg64::seed_from_u64(mixed)
     }
 }
@@ -154,8 +171,10 @@ impl Schedule {
 /// The size of an image of `width` x `height` reduced by `divisor`, rounded up.
 pub fn reduced_size(width: usize, height: usize, divisor: usize) -> (usize, usize) {
     let side = width.min(height);
-    let fitting =
-        (1..=divisor).rev().find(|d| divisor.is_multiple_of(*d) && side / d >= SMALLEST_SIDE).unwrap_or(1);
+    let fitting = (1..=divisor)
+        .rev()
+        .find(|d| divisor.is_multiple_of(*d) && side / d >= SMALLEST_SIDE)
+        .unwrap_or(1);
     (width.div_ceil(fitting), height.div_ceil(fitting))
 }
 
@@ -163,13 +182,22 @@ pub fn reduced_size(width: usize, height: usize, divisor: usize) -> (usize, usiz
 mod tests {
     use super::*;
 
-    const PLAN: Schedule = Schedule { steps: 1_000, sh_degree: 3, resolution: true, warm: false, seed: 7 };
+    const PLAN: Schedule = Schedule {
+        steps: 1_000,
+        sh_degree: 3,
+        resolution: true,
+        warm: false,
+        seed: 7,
+    };
 
     #[test]
     fn resolution_and_degree_grow_at_the_stated_shares() {
         let divisors = [0, 99, 100, 299, 300, 999].map(|step| PLAN.divisor(step));
         assert_eq!(divisors, [4, 4, 2, 2, 1, 1]);
-        assert_eq!([0, 99, 100, 200, 300, 999].map(|step| PLAN.degree(step)), [0, 0, 1, 2, 3, 3]);
+        assert_eq!(
+            [0, 99, 100, 200, 300, 999].map(|step| PLAN.degree(step)),
+            [0, 0, 1, 2, 3, 3]
+        );
         let warm = Schedule { warm: true, ..PLAN };
         assert_eq!((warm.degree(0), warm.divisor(0)), (3, 1));
         assert_eq!(reduced_size(281, 161, 4), (71, 41));
@@ -178,7 +206,10 @@ mod tests {
 
     #[test]
     fn the_rate_of_the_means_falls_a_hundredfold_over_the_rounds_own_length() {
-        let long = Schedule { steps: 30_000, ..PLAN };
+        let long = Schedule {
+            steps: 30_000,
+            ..PLAN
+        };
         assert!((long.means_rate(0) - 1.6e-4).abs() < 1e-12);
         assert!((long.means_rate(30_000) - 1.6e-6).abs() < 1e-12);
         assert!((Schedule { warm: true, ..long }.means_rate(0) - 0.48e-4).abs() < 1e-12);
@@ -188,7 +219,12 @@ mod tests {
     fn short_rounds_take_larger_steps_up_to_a_limit() {
         let of = |steps| Schedule { steps, ..PLAN };
         assert_eq!(
-            [of(100_000).haste(), of(30_000).haste(), of(7_500).haste(), of(10).haste()],
+            [
+                of(100_000).haste(),
+                of(30_000).haste(),
+                of(7_500).haste(),
+                of(10).haste()
+            ],
             [1.0, 1.0, 2.0, 5.0]
         );
         assert!((of(3_000).means_rate(0) - 1.6e-3).abs() < 1e-12);
@@ -207,7 +243,11 @@ mod tests {
 
     #[test]
     fn shake_is_estimated_at_full_resolution() {
-        let steps = |plan: Schedule| (0..1_000).filter(move |&s| plan.estimates_shake(s)).collect::<Vec<_>>();
+        let steps = |plan: Schedule| {
+            (0..1_000)
+                .filter(move |&s| plan.estimates_shake(s))
+                .collect::<Vec<_>>()
+        };
         assert_eq!((steps(PLAN)[0], steps(PLAN).len()), (300, 14));
         let warm = steps(Schedule { warm: true, ..PLAN });
         assert_eq!((warm[0], warm.len()), (0, 20));
@@ -216,7 +256,11 @@ mod tests {
 
     #[test]
     fn cameras_are_corrected_once_there_are_edges() {
-        let steps = |plan: Schedule| (0..1_000).filter(move |&s| plan.refines_poses(s)).collect::<Vec<_>>();
+        let steps = |plan: Schedule| {
+            (0..1_000)
+                .filter(move |&s| plan.refines_poses(s))
+                .collect::<Vec<_>>()
+        };
         assert_eq!(steps(PLAN), [400, 600, 800]);
         assert_eq!(steps(Schedule { warm: true, ..PLAN }), [200, 400, 600, 800]);
         assert!(steps(PLAN).iter().all(|&s| PLAN.divisor(s) == 1));
@@ -225,7 +269,9 @@ mod tests {
     #[test]
     fn densification_keeps_to_its_window() {
         assert_eq!(PLAN.densify_interval(), 50);
-        assert!(!PLAN.densifies(0) && PLAN.densifies(50) && !PLAN.densifies(51) && !PLAN.densifies(800));
+        assert!(
+            !PLAN.densifies(0) && PLAN.densifies(50) && !PLAN.densifies(51) && !PLAN.densifies(800)
+        );
         assert_eq!(PLAN.densifications(), 15);
     }
 }

@@ -21,15 +21,23 @@ fn render_before(gaussians: &Gaussians, camera: &Camera, background: [f32; 3]) -
     let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
     let device = DeviceGaussians::upload(gpu, gaussians, 0).expect("uploaded");
     let projection = Projection::new(gpu, gaussians.len()).expect("created");
-    let sizes = SplatSizes { gaussians: gaussians.len(), width, height, intersections: 200_000 };
+    let sizes = SplatSizes {
+        gaussians: gaussians.len(),
+        width,
+        height,
+        intersections: 200_000,
+    };
     let buffers = SplatBuffers::new(gpu, sizes, false).expect("created");
     let degree = gaussians.sh_degree;
-    let uniform = CameraUniform::new(camera, gaussians.len(), degree, degree, NEAR).before(background);
+    let uniform =
+        CameraUniform::new(camera, gaussians.len(), degree, degree, NEAR).before(background);
     projection.camera.write(&[uniform]).expect("written");
     let mut recorder = gpu.recorder();
     projection.record(&mut recorder, &device).expect("recorded");
     let forward = Forward::new(Specialisation::for_adapter(gpu.describe()));
-    forward.record(&mut recorder, &projection, &buffers).expect("recorded");
+    forward
+        .record(&mut recorder, &projection, &buffers)
+        .expect("recorded");
     recorder.submit().expect("submitted");
     Image::from_planar(width, height, buffers.image.read().expect("read"))
 }
@@ -52,15 +60,31 @@ fn truth(count: usize, seed: u64) -> Gaussians {
 fn camera_at(angle: f64, width: usize, height: usize) -> Camera {
     let focal = 1.1 * width as f64;
     let (cx, cy) = (width as f64 / 2.0, height as f64 / 2.0);
-    let intrinsics = Intrinsics { width, height, fx: focal, fy: focal, cx, cy };
-    let eye = DVec3::new(3.0 * angle.sin(), -0.6 * (2.0 * angle).cos(), -3.0 * angle.cos());
+    let intrinsics = Intrinsics {
+        width,
+        height,
+        fx: focal,
+        fy: focal,
+        cx,
+        cy,
+    };
+    let eye = DVec3::new(
+        3.0 * angle.sin(),
+        -0.6 * (2.0 * angle).cos(),
+        -3.0 * angle.cos(),
+    );
     Camera::look_at(intrinsics, eye, DVec3::ZERO, DVec3::Y)
 }
 
 fn views_of(scene: &Gaussians, angles: &[f64], size: [usize; 2]) -> Vec<TrainingView> {
     let view = |(n, &angle): (usize, &f64)| {
         let camera = camera_at(angle, size[0], size[1]);
-        TrainingView { name: format!("{n}"), camera, image: render(scene, &camera), noise_sigma: 0.01 }
+        TrainingView {
+            name: format!("{n}"),
+            camera,
+            image: render(scene, &camera),
+            noise_sigma: 0.01,
+        }
     };
     angles.iter().enumerate().map(view).collect()
 }
@@ -98,16 +122,33 @@ fn points_of(scene: &Gaussians) -> Vec<Point> {
 
 fn start(views: &[TrainingView], scene: &Gaussians, config: &TrainConfig) -> TrainStart {
     let cameras: Vec<_> = views.iter().map(|v| v.camera).collect();
-    let beginning = Beginning { cap: config.cap, fill_up: 0 };
-    TrainStart::Fresh(initialise(&points_of(scene), &cameras, beginning, &config.schedule()))
+    let beginning = Beginning {
+        cap: config.cap,
+        fill_up: 0,
+    };
+    TrainStart::Fresh(initialise(
+        &points_of(scene),
+        &cameras,
+        beginning,
+        &config.schedule(),
+    ))
 }
 
 fn trained(views: &[TrainingView], start: TrainStart, config: &TrainConfig) -> Trained {
     trained_on(fixtures::gpu(), views, start, config)
 }
 
-fn trained_on(gpu: &Gpu, views: &[TrainingView], start: TrainStart, config: &TrainConfig) -> Trained {
-    let mut hooks = TrainHooks { cancel: &CancelToken::new(), progress: &mut |_, _, _| {}, checkpoint: None };
+fn trained_on(
+    gpu: &Gpu,
+    views: &[TrainingView],
+    start: TrainStart,
+    config: &TrainConfig,
+) -> Trained {
+    let mut hooks = TrainHooks {
+        cancel: &CancelToken::new(),
+        progress: &mut |_, _, _| {},
+        checkpoint: None,
+    };
     train(gpu, views, start, config, &mut hooks).expect("trains")
 }
 
@@ -123,7 +164,10 @@ fn two_thousand_gaussians_learn_one_image_by_heart() {
     let views = views_of(&scene, &[0.2], [96, 64]);
     let config = config(300, 2_000);
     let result = trained(&views, start(&views, &scene, &config), &config);
-    let quality = psnr(&render(&result.gaussians, &views[0].camera), &views[0].image);
+    let quality = psnr(
+        &render(&result.gaussians, &views[0].camera),
+        &views[0].image,
+    );
     assert!(quality > 33.0, "{quality:.2} dB");
     assert!(result.gaussians.len() <= 2_000 && result.non_finite_gradients == 0);
     assert!(result.final_loss < 0.03, "{}", result.final_loss);
@@ -134,36 +178,63 @@ fn eight_views_of_a_synthetic_scene_predict_views_held_out() {
     let scene = truth(150, 8);
     let angles: Vec<_> = (0..8).map(|n| -0.6 + 0.17 * f64::from(n)).collect();
     let views = views_of(&scene, &angles, [96, 64]);
-    let config = TrainConfig { resolution_schedule: true, ..config(800, 1_000) };
+    let config = TrainConfig {
+        resolution_schedule: true,
+        ..config(800, 1_000)
+    };
     let result = trained(&views, start(&views, &scene, &config), &config);
     let held_out = views_of(&scene, &[-0.35, 0.0, 0.33], [96, 64]);
-    let scores: Vec<_> =
-        held_out.iter().map(|v| psnr(&render(&result.gaussians, &v.camera), &v.image)).collect();
+    let scores: Vec<_> = held_out
+        .iter()
+        .map(|v| psnr(&render(&result.gaussians, &v.camera), &v.image))
+        .collect();
     let mean = scores.iter().sum::<f64>() / scores.len() as f64;
-    assert!(mean >= 30.0, "{mean:.2} dB of {scores:?}, {} Gaussians", result.gaussians.len());
+    assert!(
+        mean >= 30.0,
+        "{mean:.2} dB of {scores:?}, {} Gaussians",
+        result.gaussians.len()
+    );
 }
 
 #[test]
 fn the_same_seed_gives_the_same_bytes_and_another_seed_others() {
     let scene = truth(120, 2);
     let views = views_of(&scene, &[-0.3, 0.0, 0.3], [64, 48]);
-    let config = TrainConfig { resolution_schedule: true, ..config(120, 400) };
-    let run = |config: &TrainConfig| bytes(&trained(&views, start(&views, &scene, config), config).gaussians);
+    let config = TrainConfig {
+        resolution_schedule: true,
+        ..config(120, 400)
+    };
+    let run = |config: &TrainConfig| {
+        bytes(&trained(&views, start(&views, &scene, config), config).gaussians)
+    };
     let (first, second) = (run(&config), run(&config));
     assert!(first == second, "two runs of one seed differ");
-    assert!(first != run(&TrainConfig { seed: 4, ..config.clone() }), "the seed changes nothing");
+    assert!(
+        first
+            != run(&TrainConfig {
+                seed: 4,
+                ..config.clone()
+            }),
+        "the seed changes nothing"
+    );
 }
 
 #[test]
 fn a_scene_larger_than_a_binding_trains_in_parts_to_the_same_bytes() {
     let scene = truth(120, 2);
     let views = views_of(&scene, &[-0.3, 0.0, 0.3], [32, 32]);
-    let config = TrainConfig { sh_degree: 3, ..config(120, 500) };
+    let config = TrainConfig {
+        sh_degree: 3,
+        ..config(120, 500)
+    };
     let small = Gpu::binding_at_most("auto", 64 * 1024).expect("an adapter");
     // Adam's moments of the harmonics: 2 x 48 numbers a Gaussian.
     assert_eq!(small.rows_per_part(2 * 48 * 4), 170);
     let begin = || start(&views, &scene, &config);
-    let (whole, parts) = (trained(&views, begin(), &config), trained_on(&small, &views, begin(), &config));
+    let (whole, parts) = (
+        trained(&views, begin(), &config),
+        trained_on(&small, &views, begin(), &config),
+    );
     assert_eq!(whole.gaussians.len(), 500);
     assert!(bytes(&whole.gaussians) == bytes(&parts.gaussians));
 }
@@ -182,7 +253,15 @@ fn a_round_resumed_from_a_checkpoint_ends_in_the_same_bytes() {
         ..config(150, 400)
     };
     resumes(&views, &scene, &config);
-    resumes(&views, &scene, &TrainConfig { densify: Densify::Classic, shake: None, ..config });
+    resumes(
+        &views,
+        &scene,
+        &TrainConfig {
+            densify: Densify::Classic,
+            shake: None,
+            ..config
+        },
+    );
 }
 
 fn resumes(views: &[TrainingView], scene: &Gaussians, config: &TrainConfig) {
@@ -190,10 +269,15 @@ fn resumes(views: &[TrainingView], scene: &Gaussians, config: &TrainConfig) {
     let undisturbed = trained(views, start(views, scene, config), config);
     for stop in [25, 60, 125] {
         let begin = start(views, scene, config);
-        let checkpoint = trainer::Trainer::new(gpu, views, begin, config).expect("made").frozen_at(stop);
+        let checkpoint = trainer::Trainer::new(gpu, views, begin, config)
+            .expect("made")
+            .frozen_at(stop);
         let thawed = Checkpoint::from_bytes(&checkpoint.to_bytes()).expect("a checkpoint");
         let resumed = trained(views, TrainStart::Resume(thawed), config);
-        assert!(bytes(&resumed.gaussians) == bytes(&undisturbed.gaussians), "stopped at {stop}");
+        assert!(
+            bytes(&resumed.gaussians) == bytes(&undisturbed.gaussians),
+            "stopped at {stop}"
+        );
         assert_eq!(resumed.cameras, undisturbed.cameras, "stopped at {stop}");
     }
 }
@@ -202,16 +286,28 @@ fn resumes(views: &[TrainingView], scene: &Gaussians, config: &TrainConfig) {
 fn an_overflow_of_the_intersections_is_repeated_in_larger_buffers() {
     let scene = truth(120, 2);
     let views = views_of(&scene, &[-0.3, 0.3], [64, 48]);
-    let config = TrainConfig { densify: Densify::Off, ..config(60, 400) };
+    let config = TrainConfig {
+        densify: Densify::Off,
+        ..config(60, 400)
+    };
     let begin = || start(&views, &scene, &config);
     let small = trainer::Trainer::new(fixtures::gpu(), &views, begin(), &config).expect("made");
     let small = small.with_intersections(50);
     let cancel = CancelToken::new();
-    let mut hooks = TrainHooks { cancel: &cancel, progress: &mut |_, _, _| {}, checkpoint: None };
+    let mut hooks = TrainHooks {
+        cancel: &cancel,
+        progress: &mut |_, _, _| {},
+        checkpoint: None,
+    };
     let grown = small.run(&mut hooks).expect("trains");
     let roomy = trained(&views, begin(), &config);
     let quality = |t: &Trained| psnr(&render(&t.gaussians, &views[0].camera), &views[0].image);
-    assert!((quality(&grown) - quality(&roomy)).abs() < 1.0, "{} {}", quality(&grown), quality(&roomy));
+    assert!(
+        (quality(&grown) - quality(&roomy)).abs() < 1.0,
+        "{} {}",
+        quality(&grown),
+        quality(&roomy)
+    );
 }
 
 #[test]
@@ -219,7 +315,9 @@ fn a_poisoned_start_neither_spreads_nor_reaches_the_result() {
     let scene = truth(120, 2);
     let views = views_of(&scene, &[-0.3, 0.3], [64, 48]);
     let config = config(60, 400);
-    let TrainStart::Fresh(mut gaussians) = start(&views, &scene, &config) else { panic!("fresh") };
+    let TrainStart::Fresh(mut gaussians) = start(&views, &scene, &config) else {
+        panic!("fresh")
+    };
     gaussians.means[0][1] = f32::NAN;
     gaussians.quats[1] = [0.0; 4];
     gaussians.log_scales[2] = [3e38; 3];
@@ -261,11 +359,21 @@ fn relocation_keeps_the_image_of_an_isolated_splat() {
     let plan = densify::plan(&rows, 2, &mut config(1, 2).schedule().generator(2, 0));
     let device = DeviceGaussians::upload(fixtures::gpu(), &scene, 0).expect("uploaded");
     let optimizer = optimizer::Optimizer::new(fixtures::gpu(), &device, false).expect("created");
-    optimizer.relocate(fixtures::gpu(), &device, &plan).expect("relocated");
+    optimizer
+        .relocate(fixtures::gpu(), &device, &plan)
+        .expect("relocated");
     let after = render(&device.download().expect("read"), &camera);
-    let difference: f32 = before.data().iter().zip(after.data()).map(|(a, b)| (a - b).abs()).sum();
+    let difference: f32 = before
+        .data()
+        .iter()
+        .zip(after.data())
+        .map(|(a, b)| (a - b).abs())
+        .sum();
     let mass: f32 = before.data().iter().sum();
-    assert!(mass > 1.0 && difference <= 0.02 * mass * 3.0, "{difference} of {mass}");
+    assert!(
+        mass > 1.0 && difference <= 0.02 * mass * 3.0,
+        "{difference} of {mass}"
+    );
 }
 
 #[test]
@@ -276,7 +384,11 @@ fn cancelling_stops_a_round_between_two_steps() {
     let cancel = CancelToken::new();
     let stop = cancel.clone();
     let mut progress = |_: u64, _: u64, _: f64| stop.cancel();
-    let mut hooks = TrainHooks { cancel: &cancel, progress: &mut progress, checkpoint: None };
+    let mut hooks = TrainHooks {
+        cancel: &cancel,
+        progress: &mut progress,
+        checkpoint: None,
+    };
     let begin = start(&views, &scene, &config);
     let outcome = train(fixtures::gpu(), &views, begin, &config, &mut hooks);
     assert!(matches!(outcome, Err(ReconstructError::Cancelled(_))));
@@ -288,35 +400,69 @@ fn no_views_no_gaussians_and_a_foreign_checkpoint_are_refused() {
     let views = views_of(&scene, &[0.0], [64, 48]);
     let plain = config(30, 100);
     let cancel = CancelToken::new();
-    let mut hooks = TrainHooks { cancel: &cancel, progress: &mut |_, _, _| {}, checkpoint: None };
+    let mut hooks = TrainHooks {
+        cancel: &cancel,
+        progress: &mut |_, _, _| {},
+        checkpoint: None,
+    };
     let begin = start(&views, &scene, &plain);
     let mut refused = |views: &[TrainingView], start| {
         train(fixtures::gpu(), views, start, &plain, &mut hooks).expect_err("refused")
     };
-    assert!(matches!(refused(&[], begin.clone()), ReconstructError::Empty { views: 0, .. }));
-    let nothing = TrainStart::Fresh(Gaussians { sh_degree: 1, ..Gaussians::default() });
-    assert!(matches!(refused(&views, nothing), ReconstructError::Empty { gaussians: 0, .. }));
-    let other = TrainConfig { seed: 99, ..plain.clone() };
-    let foreign = trainer::Trainer::new(fixtures::gpu(), &views, begin, &other).expect("made").frozen_at(25);
-    assert!(matches!(refused(&views, TrainStart::Resume(foreign)), ReconstructError::OtherRound));
+    assert!(matches!(
+        refused(&[], begin.clone()),
+        ReconstructError::Empty { views: 0, .. }
+    ));
+    let nothing = TrainStart::Fresh(Gaussians {
+        sh_degree: 1,
+        ..Gaussians::default()
+    });
+    assert!(matches!(
+        refused(&views, nothing),
+        ReconstructError::Empty { gaussians: 0, .. }
+    ));
+    let other = TrainConfig {
+        seed: 99,
+        ..plain.clone()
+    };
+    let foreign = trainer::Trainer::new(fixtures::gpu(), &views, begin, &other)
+        .expect("made")
+        .frozen_at(25);
+    assert!(matches!(
+        refused(&views, TrainStart::Resume(foreign)),
+        ReconstructError::OtherRound
+    ));
 }
 
 #[test]
 fn a_round_in_parts_is_the_same_round_and_ends_where_it_should() {
     let scene = truth(200, 11);
     let views = views_of(&scene, &[-0.3, 0.0, 0.3], [64, 48]);
-    let config = TrainConfig { noise: NoiseMode::Grid, ..config(60, 300) };
-    let TrainStart::Fresh(first) = start(&views, &scene, &config) else { panic!("fresh") };
+    let config = TrainConfig {
+        noise: NoiseMode::Grid,
+        ..config(60, 300)
+    };
+    let TrainStart::Fresh(first) = start(&views, &scene, &config) else {
+        panic!("fresh")
+    };
     let whole = trained(&views, TrainStart::Fresh(first.clone()), &config);
-    let mut stepper = Stepper::new(fixtures::gpu(), &views, first.clone(), &config, 0).expect("made");
+    let mut stepper =
+        Stepper::new(fixtures::gpu(), &views, first.clone(), &config, 0).expect("made");
     let cancel = CancelToken::new();
     for part in [1, 24, 30, 2] {
         stepper.advance(part, &cancel).expect("trains");
     }
-    assert_ne!(bytes(&stepper.gaussians()), bytes(&whole.gaussians), "three steps are missing");
+    assert_ne!(
+        bytes(&stepper.gaussians()),
+        bytes(&whole.gaussians),
+        "three steps are missing"
+    );
     stepper.advance(1_000, &cancel).expect("trains");
     assert_eq!(bytes(&stepper.gaussians()), bytes(&whole.gaussians));
     assert!(stepper.splat_work().expect("read").walked > 0 && stepper.noise_work().is_some());
     cancel.cancel();
-    assert!(matches!(stepper.advance(1, &cancel), Err(ReconstructError::Cancelled(_))));
+    assert!(matches!(
+        stepper.advance(1, &cancel),
+        Err(ReconstructError::Cancelled(_))
+    ));
 }

@@ -32,8 +32,8 @@ use crate::splat::rasterize::{
 use crate::splat::uniform::{CameraUniform, NEAR};
 pub use stepper::Stepper;
 
-/// Every so many steps the device is left to finish. What depends on finished steps (growing buffers,
-/// checkpoints) happens there alone, so that an interruption changes nothing.
+/// Every so many steps the device is left to finish. What depends on finished steps (growing
+/// buffers, checkpoints) happens there alone, so that an interruption changes nothing.
 const SYNC: u32 = 25;
 /// Steps in flight.
 const IN_FLIGHT: usize = 2;
@@ -97,7 +97,10 @@ impl<'a> Trainer<'a> {
             TrainStart::Resume(checkpoint) => (saved::scene_of(&checkpoint), Some(checkpoint)),
         };
         if views.is_empty() || gaussians.is_empty() {
-            return Err(ReconstructError::Empty { views: views.len(), gaussians: gaussians.len() });
+            return Err(ReconstructError::Empty {
+                views: views.len(),
+                gaussians: gaussians.len(),
+            });
         }
         let grows = config.densify != Densify::Off;
         let capacity = if grows { config.cap } else { 0 }.max(gaussians.len());
@@ -122,7 +125,11 @@ impl<'a> Trainer<'a> {
             recordings: Vec::new(),
             noise: NoiseField::new(gpu, config.noise, config.seed, size)?,
             noise_seen: Vec::new(),
-            shake: config.shake.as_ref().map(|r| Shake::new(gpu, views.len(), size, r)).transpose()?,
+            shake: config
+                .shake
+                .as_ref()
+                .map(|r| Shake::new(gpu, views.len(), size, r))
+                .transpose()?,
             motions: vec![Motion::default(); views.len()],
             warnings: Vec::new(),
             next: 0,
@@ -248,15 +255,21 @@ impl<'a> Trainer<'a> {
         let view = &self.level.views[index];
         let count = self.gaussians.count;
         let (degree, allocated) = (schedule.degree(step), self.gaussians.sh_degree);
-        // The near plane of the renderer: a splat that training culls would be a floater in the views.
+        // The near plane of the renderer: a splat that training culls would be a floater in the
+        // views.
         let camera = CameraUniform::new(&view.camera, count, degree, allocated, NEAR)
             .before(self.background(step))
             .dropping(
                 self.schedule.share(step) as f32 * self.config.dropout as f32,
                 self.schedule.generator(4, u64::from(step)).random(),
             );
-        let mut numbers =
-            StepUniform::new(schedule, step, count, extent, self.config.densify == Densify::Mcmc);
+        let mut numbers = StepUniform::new(
+            schedule,
+            step,
+            count,
+            extent,
+            self.config.densify == Densify::Mcmc,
+        );
         let (_, total_at) = self.raster.totals();
         numbers.capacity = self.raster.sizes().intersections as u32;
         numbers.total_at = total_at;
@@ -302,13 +315,22 @@ impl<'a> Trainer<'a> {
             Some(noise) if noisy => {
                 noise.begin_step(&view.camera, self.views[index].noise_sigma)?;
                 noise.record_forward(&mut recorder, clean, &self.prediction)?;
-                loss.record(&mut recorder, &self.prediction, &view.target, &self.gradient)?;
+                loss.record(
+                    &mut recorder,
+                    &self.prediction,
+                    &view.target,
+                    &self.gradient,
+                )?;
                 let (intersections, total_at) = self.raster.totals();
                 let capacity = self.raster.sizes().intersections as u32;
                 noise.record_backward(
                     &mut recorder,
                     &self.gradient,
-                    &Room { intersections, total_at, capacity },
+                    &Room {
+                        intersections,
+                        total_at,
+                        capacity,
+                    },
                 )?;
             }
             _ => loss.record(&mut recorder, clean, &view.target, &self.gradient)?,
@@ -325,15 +347,18 @@ impl<'a> Trainer<'a> {
             rows: &self.raster.slots,
             totals: self.raster.totals().0,
         };
-        self.optimizer.record(&mut recorder, &self.gaussians, &self.projection, &slots)?;
+        self.optimizer
+            .record(&mut recorder, &self.gaussians, &self.projection, &slots)?;
         Ok(recorder.finish())
     }
 
-    /// Waits until at most `left` steps are in flight. A step whose intersections did not fit has changed
-    /// nothing: it is repeated in larger buffers.
+    /// Waits until at most `left` steps are in flight. A step whose intersections did not fit has
+    /// changed nothing: it is repeated in larger buffers.
     fn settle(&mut self, flight: &mut Flight, left: usize) -> Result<(), GpuError> {
         while flight.pending.len() > left {
-            let Some((step, counts)) = flight.pending.pop_front() else { break };
+            let Some((step, counts)) = flight.pending.pop_front() else {
+                break;
+            };
             let counts = counts.wait()?;
             if counts.overflowed() {
                 flight.redo.push_back(step);
@@ -355,7 +380,14 @@ impl<'a> Trainer<'a> {
         }
         let wanted = (sizes.intersections * 3 / 2).max(needed + needed / 10);
         let intersections = wanted.min(SlotRows::most(self.gpu)).max(needed);
-        self.raster = SplatBuffers::new(self.gpu, SplatSizes { intersections, ..sizes }, true)?;
+        self.raster = SplatBuffers::new(
+            self.gpu,
+            SplatSizes {
+                intersections,
+                ..sizes
+            },
+            true,
+        )?;
         self.forget_recordings();
         Ok(())
     }
@@ -368,20 +400,31 @@ impl<'a> Trainer<'a> {
         let dropped = u64::from(self.optimizer.counters.read()?[0]);
         let updates = f64::from(self.config.steps) * self.gaussians.count as f64;
         if dropped as f64 > NON_FINITE_LIMIT * updates {
-            return Err(ReconstructError::NotFinite { dropped, step: self.next });
+            return Err(ReconstructError::NotFinite {
+                dropped,
+                step: self.next,
+            });
         }
         Ok(())
     }
 
-    /// Looks at the noise map of the last step, before the checkpoint: the guard's verdict belongs to it.
+    /// Looks at the noise map of the last step, before the checkpoint: the guard's verdict belongs
+    /// to it.
     fn inspect_noise(&mut self) -> Result<(), GpuError> {
         let acts = self.noise_acts(self.next - 1);
-        let Some(noise) = self.noise.as_mut().filter(|_| acts) else { return Ok(()) };
-        let clean = self.shake.as_ref().map_or(&self.raster.image, Shake::blurred);
+        let Some(noise) = self.noise.as_mut().filter(|_| acts) else {
+            return Ok(());
+        };
+        let clean = self
+            .shake
+            .as_ref()
+            .map_or(&self.raster.image, Shake::blurred);
         let seen = noise.inspect(clean, &self.prediction)?;
         if seen.halved {
             let correlation = seen.correlation;
-            self.warnings.push(format!("noise map follows the scene ({correlation:.2}): bound halved"));
+            self.warnings.push(format!(
+                "noise map follows the scene ({correlation:.2}): bound halved"
+            ));
         }
         self.noise_seen.push(NoiseMapStatistics {
             mean: seen.mean,
@@ -418,8 +461,11 @@ impl Trainer<'_> {
                 frozen.get_or_insert_with(|| checkpoint.clone());
             }
         };
-        let mut hooks =
-            TrainHooks { cancel: &cancel, progress: &mut |_, _, _| {}, checkpoint: Some(&mut keep) };
+        let mut hooks = TrainHooks {
+            cancel: &cancel,
+            progress: &mut |_, _, _| {},
+            checkpoint: Some(&mut keep),
+        };
         self.run(&mut hooks).expect("trains");
         frozen.expect("a checkpoint after the step")
     }
@@ -427,7 +473,15 @@ impl Trainer<'_> {
     /// The same with room for so many intersections.
     pub(super) fn with_intersections(mut self, intersections: usize) -> Self {
         let sizes = self.raster.sizes();
-        self.raster = SplatBuffers::new(self.gpu, SplatSizes { intersections, ..sizes }, true).expect("made");
+        self.raster = SplatBuffers::new(
+            self.gpu,
+            SplatSizes {
+                intersections,
+                ..sizes
+            },
+            true,
+        )
+        .expect("made");
         self.forget_recordings();
         self
     }
@@ -440,8 +494,9 @@ fn largest(views: &[TrainingView]) -> [usize; 2] {
 }
 
 fn mean_statistics(seen: &[NoiseMapStatistics]) -> Option<NoiseMapStatistics> {
-    let mean =
-        |value: fn(&NoiseMapStatistics) -> f64| seen.iter().map(value).sum::<f64>() / seen.len() as f64;
+    let mean = |value: fn(&NoiseMapStatistics) -> f64| {
+        seen.iter().map(value).sum::<f64>() / seen.len() as f64
+    };
     let correlation = seen.iter().map(|s| s.correlation).fold(0.0, f64::max);
     (!seen.is_empty()).then(|| NoiseMapStatistics {
         mean: mean(|s| s.mean),

@@ -6,7 +6,14 @@ use crate::camera::Intrinsics;
 const DEPTH: f64 = 3.0;
 
 fn camera_at(eye: DVec3) -> Camera {
-    let intrinsics = Intrinsics { width: 96, height: 64, fx: 80.0, fy: 80.0, cx: 48.0, cy: 32.0 };
+    let intrinsics = Intrinsics {
+        width: 96,
+        height: 64,
+        fx: 80.0,
+        fy: 80.0,
+        cx: 48.0,
+        cy: 32.0,
+    };
     Camera::look_at(intrinsics, eye, DVec3::ZERO, DVec3::Y)
 }
 
@@ -17,13 +24,26 @@ fn seen(camera: &Camera) -> Image {
     let (origin, to_world) = (camera.centre(), camera.rotation().transpose());
     for y in 0..k.height {
         for x in 0..k.width {
-            let ray = DVec3::new((x as f64 + 0.5 - k.cx) / k.fx, (y as f64 + 0.5 - k.cy) / k.fy, 1.0);
+            let ray = DVec3::new(
+                (x as f64 + 0.5 - k.cx) / k.fx,
+                (y as f64 + 0.5 - k.cy) / k.fy,
+                1.0,
+            );
             let ray = to_world * ray;
-            let wall = if x < k.width / 2 { -0.3 * DEPTH } else { 0.3 * DEPTH };
+            let wall = if x < k.width / 2 {
+                -0.3 * DEPTH
+            } else {
+                0.3 * DEPTH
+            };
             let point = origin + ray * ((wall - origin.z) / ray.z);
-            let value =
-                0.5 + 0.2 * (7.0 * point.x).sin() * (5.0 * point.y).cos() + 0.1 * (11.0 * point.y).sin();
-            image.set(x, y, [value as f32, 0.8 * value as f32, (1.0 - value) as f32]);
+            let value = 0.5
+                + 0.2 * (7.0 * point.x).sin() * (5.0 * point.y).cos()
+                + 0.1 * (11.0 * point.y).sin();
+            image.set(
+                x,
+                y,
+                [value as f32, 0.8 * value as f32, (1.0 - value) as f32],
+            );
         }
     }
     image
@@ -31,7 +51,12 @@ fn seen(camera: &Camera) -> Image {
 
 /// Largest way of what lies before the camera between the two, px.
 fn apart(a: &Camera, b: &Camera) -> f64 {
-    let points = [[0.0, 0.0, 1.0], [0.8, 0.4, -0.8], [-0.9, 0.3, 0.5], [0.4, -0.6, -0.5]];
+    let points = [
+        [0.0, 0.0, 1.0],
+        [0.8, 0.4, -0.8],
+        [-0.9, 0.3, 0.5],
+        [0.4, -0.6, -0.5],
+    ];
     let way = |p: &[f64; 3]| {
         let p = DVec3::from(*p);
         (a.project(p).expect("before it").0 - b.project(p).expect("before it").0).length()
@@ -55,11 +80,18 @@ fn corrected(photograph: &Image, given: &Camera, rounds: usize) -> Motion {
 fn a_camera_that_stands_wrong_by_a_pixel_is_brought_back() {
     let truth = camera_at(DVec3::new(0.2, -0.1, -DEPTH));
     let photograph = seen(&truth);
-    for twist in [[0.008, -0.006, 0.004, 0.02, -0.01, 0.03], [0.0, 0.0, -0.01, -0.03, 0.02, 0.0]] {
+    for twist in [
+        [0.008, -0.006, 0.004, 0.02, -0.01, 0.03],
+        [0.0, 0.0, -0.01, -0.03, 0.02, 0.0],
+    ] {
         let given = Motion { twist }.moved(&truth);
         assert!(apart(&given, &truth) > 0.5, "{}", apart(&given, &truth));
         let found = corrected(&photograph, &given, 6).moved(&given);
-        assert!(apart(&found, &truth) < 0.03, "{} px left", apart(&found, &truth));
+        assert!(
+            apart(&found, &truth) < 0.03,
+            "{} px left",
+            apart(&found, &truth)
+        );
     }
 }
 
@@ -80,7 +112,10 @@ fn noise_and_things_that_the_scene_lacks_hardly_move_a_camera() {
 #[test]
 fn a_correction_is_never_longer_than_a_pixel_and_flat_images_give_none() {
     let truth = camera_at(DVec3::new(0.0, 0.0, -DEPTH));
-    let given = Motion { twist: [0.06, 0.0, 0.0, 0.0, 0.0, 0.0] }.moved(&truth);
+    let given = Motion {
+        twist: [0.06, 0.0, 0.0, 0.0, 0.0, 0.0],
+    }
+    .moved(&truth);
     let far = corrected(&seen(&truth), &given, 1).moved(&given);
     // All six at their longest.
     assert!(apart(&far, &given) < 6.0, "{}", apart(&far, &given));
@@ -90,18 +125,40 @@ fn a_correction_is_never_longer_than_a_pixel_and_flat_images_give_none() {
     assert_eq!(correction(&flat, &flat, &same, &probes), None);
     let mut broken = seen(&truth);
     broken.data_mut()[3_000] = f32::NAN;
-    assert_eq!(correction(&broken, &seen(&truth), &probes.map(|_| seen(&given)), &probes), None);
+    assert_eq!(
+        correction(
+            &broken,
+            &seen(&truth),
+            &probes.map(|_| seen(&given)),
+            &probes
+        ),
+        None
+    );
 }
 
 #[test]
 fn what_all_cameras_have_in_common_is_taken_out_and_nothing_else() {
-    let eyes = [[0.0, 0.0, -3.0], [1.0, 0.3, -2.8], [-1.0, 0.2, -2.9], [0.4, -0.7, -3.1], [-0.5, 0.8, -3.0]];
+    let eyes = [
+        [0.0, 0.0, -3.0],
+        [1.0, 0.3, -2.8],
+        [-1.0, 0.2, -2.9],
+        [0.4, -0.7, -3.1],
+        [-0.5, 0.8, -3.0],
+    ];
     let cameras = eyes.map(|eye| camera_at(DVec3::from(eye)));
     let centre = cameras.iter().map(Camera::centre).sum::<DVec3>() / 5.0;
-    let (turn, shift, growth) = (DVec3::new(0.002, -0.001, 0.0015), DVec3::new(0.01, 0.02, -0.005), 0.004);
+    let (turn, shift, growth) = (
+        DVec3::new(0.002, -0.001, 0.0015),
+        DVec3::new(0.01, 0.02, -0.005),
+        0.004,
+    );
     let mut motions = cameras.map(|camera| {
         let arm = camera.centre() - centre;
-        Motion::default().plus(&camera_motion(&camera, turn, turn.cross(arm) + shift + growth * arm))
+        Motion::default().plus(&camera_motion(
+            &camera,
+            turn,
+            turn.cross(arm) + shift + growth * arm,
+        ))
     });
     hold_gauge(&cameras, &mut motions);
     for motion in motions {
@@ -119,5 +176,8 @@ fn a_motion_in_the_world_is_the_twist_that_makes_it() {
     let (turned, displaced) = (DVec3::new(1e-4, -2e-4, 3e-4), DVec3::new(-2e-4, 1e-4, 4e-4));
     let motion = Motion::default().plus(&camera_motion(&camera, turned, displaced));
     let (turn, way) = world_motion(&camera, &motion.moved(&camera));
-    assert!((turn - turned).length() < 1e-7 && (way - displaced).length() < 1e-6, "{turn} {way}");
+    assert!(
+        (turn - turned).length() < 1e-7 && (way - displaced).length() < 1e-6,
+        "{turn} {way}"
+    );
 }

@@ -1,26 +1,29 @@
-//! The shake of a photograph from the photograph and a render of the same view: least squares over the
-//! derivatives of the light, non-negative, as blind deconvolution estimates kernels (Cho and Lee, "Fast
-//! Motion Deblurring", 2009), with the render in the place of a guessed sharp image.
+//! The shake of a photograph from the photograph and a render of the same view: least squares over
+//! the derivatives of the light, non-negative, as blind deconvolution estimates kernels (Cho and
+//! Lee, "Fast Motion Deblurring", 2009), with the render in the place of a guessed sharp image.
 
 use crate::image::Image;
 
 use super::{Response, ShakeKernel, Tap};
 
-/// Half of the kernel's side, as a share of the image's longer side: 11 px at 560, beyond which COLMAP
-/// does not follow either.
+/// Half of the kernel's side, as a share of the image's longer side: 11 px at 560, beyond which
+/// COLMAP does not follow either.
 const REACH_SHARE: f64 = 0.02;
 /// Bounds of the same, px.
 const REACH_BOUNDS: (usize, usize) = (2, 16);
 /// Pixels that a kernel is judged by, about: of larger images, every n-th row.
 const PIXELS: usize = 60_000;
-/// Weight of the squared taps, in units of the mean squared derivative: keeps noise from being a kernel.
+/// Weight of the squared taps, in units of the mean squared derivative: keeps noise from being a
+/// kernel.
 const RIDGE: f64 = 0.01;
-/// Weight of the squared centroid, in the same units and per px^2. The poses stand where the shake is on average; a
-/// kernel that moves its image would only hide the error of a pose, and all of them could drift together.
+/// Weight of the squared centroid, in the same units and per px^2. The poses stand where the shake
+/// is on average; a kernel that moves its image would only hide the error of a pose, and all of
+/// them could drift together.
 const CENTRED: f64 = 0.3;
-/// Cost of a tap, in the same units and per px^2 of its distance, for images up to [`FAR_SIDE`]; larger ones are
-/// shaken by more pixels. What is wrong in the render acts as noise of the regressor and widens every kernel; the render
-/// that is then trained through it is sharper than the scene, with halos, and more wrong.
+/// Cost of a tap, in the same units and per px^2 of its distance, for images up to [`FAR_SIDE`];
+/// larger ones are shaken by more pixels. What is wrong in the render acts as noise of the
+/// regressor and widens every kernel; the render that is then trained through it is sharper than
+/// the scene, with halos, and more wrong.
 const FAR: f64 = 0.008;
 /// Longer side at which [`FAR`] was chosen, px.
 const FAR_SIDE: f64 = 560.0;
@@ -35,14 +38,17 @@ pub fn reach(longer_side: usize) -> usize {
     reach.clamp(REACH_BOUNDS.0, REACH_BOUNDS.1)
 }
 
-/// The kernel that turns `render` into `photograph`, both encoded by `response` and of one size, with taps up to
-/// [`reach`]. Still where the images are too small or too flat to tell.
+/// The kernel that turns `render` into `photograph`, both encoded by `response` and of one size,
+/// with taps up to [`reach`]. Still where the images are too small or too flat to tell.
 pub fn estimate(render: &Image, photograph: &Image, response: &Response) -> ShakeKernel {
     let reach = reach(render.width().max(render.height()));
     if render.width().min(render.height()) <= 4 * reach + 2 {
         return ShakeKernel::still();
     }
-    let (from, to) = (Derivatives::of(render, response), Derivatives::of(photograph, response));
+    let (from, to) = (
+        Derivatives::of(render, response),
+        Derivatives::of(photograph, response),
+    );
     let square = 2 * reach + 1;
     let own = Correlation::new(&from, &from, 2 * reach);
     let wanted = Correlation::new(&to, &from, reach);
@@ -76,8 +82,17 @@ pub fn estimate(render: &Image, photograph: &Image, response: &Response) -> Shak
         .collect();
     let weights = non_negative_least_squares(&matrix, &right);
     let most = weights.iter().copied().fold(0.0, f32::max);
-    let taps = weights.iter().enumerate().filter(|(_, weight)| **weight >= SMALLEST_TAP * most);
-    ShakeKernel::new(taps.map(|(tap, &weight)| Tap { offset: offset(tap), weight }).collect())
+    let taps = weights
+        .iter()
+        .enumerate()
+        .filter(|(_, weight)| **weight >= SMALLEST_TAP * most);
+    ShakeKernel::new(
+        taps.map(|(tap, &weight)| Tap {
+            offset: offset(tap),
+            weight,
+        })
+        .collect(),
+    )
 }
 
 /// Horizontal and vertical differences of the mean light.
@@ -94,17 +109,27 @@ impl Derivatives {
         let data = image.data();
         let light: Vec<f32> = (0..pixels)
             .map(|i| {
-                (0..3).map(|c| response.light(f64::from(data[c * pixels + i])) as f32).sum::<f32>() / 3.0
+                (0..3)
+                    .map(|c| response.light(f64::from(data[c * pixels + i])) as f32)
+                    .sum::<f32>()
+                    / 3.0
             })
             .collect();
         let difference = |step: usize| -> Vec<f32> {
-            (0..pixels).map(|i| light[(i + step).min(pixels - 1)] - light[i]).collect()
+            (0..pixels)
+                .map(|i| light[(i + step).min(pixels - 1)] - light[i])
+                .collect()
         };
-        Self { width, height, planes: [difference(1), difference(width)] }
+        Self {
+            width,
+            height,
+            planes: [difference(1), difference(width)],
+        }
     }
 }
 
-/// `mean over p of a(p) b(p - u)` for every |u| <= reach, over the pixels for which all of them exist.
+/// `mean over p of a(p) b(p - u)` for every |u| <= reach, over the pixels for which all of them
+/// exist.
 struct Correlation {
     reach: i32,
     values: Vec<f64>,
@@ -120,7 +145,11 @@ impl Correlation {
         let pixels = 2 * (right - left) * (bottom - reach).div_ceil(stride);
         // A correlation with itself is symmetric: half of it is enough.
         let alike = std::ptr::eq(a, b);
-        let needed = if alike { square * square / 2 + 1 } else { square * square };
+        let needed = if alike {
+            square * square / 2 + 1
+        } else {
+            square * square
+        };
         for (at, value) in values.iter_mut().enumerate().take(needed) {
             // u = at - reach, so p - u = p + reach - at.
             let (ux, uy) = (at % square, at / square);
@@ -136,7 +165,10 @@ impl Correlation {
         for at in needed..square * square {
             values[at] = values[square * square - 1 - at];
         }
-        Self { reach: reach as i32, values }
+        Self {
+            reach: reach as i32,
+            values,
+        }
     }
 
     fn at(&self, x: i32, y: i32) -> f64 {
@@ -158,21 +190,28 @@ fn dot(a: &[f32], b: &[f32]) -> f32 {
     sums.iter().sum::<f32>() + a_rest.iter().zip(b_rest).map(|(a, b)| a * b).sum::<f32>()
 }
 
-/// `argmin over x >= 0 of x'Ax / 2 - b'x` by accelerated projected gradients (Beck and Teboulle 2009).
+/// `argmin over x >= 0 of x'Ax / 2 - b'x` by accelerated projected gradients (Beck and Teboulle
+/// 2009).
 fn non_negative_least_squares(matrix: &[f32], right: &[f32]) -> Vec<f32> {
     let count = right.len();
-    let product = |x: &[f32]| -> Vec<f32> { matrix.chunks_exact(count).map(|row| dot(row, x)).collect() };
+    let product =
+        |x: &[f32]| -> Vec<f32> { matrix.chunks_exact(count).map(|row| dot(row, x)).collect() };
     let step = 1.0 / largest_eigenvalue(&product, count);
     let mut x = vec![0.0_f32; count];
     let mut ahead = x.clone();
     let mut momentum = 1.0_f32;
     for _ in 0..ITERATIONS {
         let gradient = product(&ahead);
-        let next: Vec<f32> =
-            (0..count).map(|i| (ahead[i] - step * (gradient[i] - right[i])).max(0.0)).collect();
+        let next: Vec<f32> = (0..count)
+            .map(|i| (ahead[i] - step * (gradient[i] - right[i])).max(0.0))
+            .collect();
         let following = (1.0 + (1.0 + 4.0 * momentum * momentum).sqrt()) / 2.0;
         let push = (momentum - 1.0) / following;
-        ahead = next.iter().zip(&x).map(|(new, old)| new + push * (new - old)).collect();
+        ahead = next
+            .iter()
+            .zip(&x)
+            .map(|(new, old)| new + push * (new - old))
+            .collect();
         (x, momentum) = (next, following);
     }
     x

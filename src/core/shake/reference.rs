@@ -13,7 +13,8 @@ pub struct Reference<'a> {
 }
 
 impl Reference<'_> {
-    /// Pairs of pixels that a tap joins (where the light comes from, where it arrives), with its weight.
+    /// Pairs of pixels that a tap joins (where the light comes from, where it arrives), with its
+    /// weight.
     fn paths(&self) -> impl Iterator<Item = (usize, usize, f64)> + '_ {
         let [width, height] = self.size;
         self.kernel.taps().iter().flat_map(move |tap| {
@@ -45,19 +46,25 @@ impl Reference<'_> {
 
     /// `f(k * f^-1(render))` of a planar render [3, H, W]; taps that leave the image are left out.
     pub fn shaken(&self, render: &[f64]) -> Vec<f64> {
-        self.arrived(render).0.into_iter().map(|light| self.response.value(light)).collect()
+        self.arrived(render)
+            .0
+            .into_iter()
+            .map(|light| self.response.value(light))
+            .collect()
     }
 
-    /// The derivative by the render of `sum(gradient * shaken(render)) + smooth_weight * roughness(render)`.
+    /// The derivative by the render of `sum(gradient * shaken(render)) + smooth_weight *
+    /// roughness(render)`.
     pub fn gradient(&self, render: &[f64], gradient: &[f64]) -> Vec<f64> {
         let pixels = self.size[0] * self.size[1];
         let (light, weights) = self.arrived(render);
         let mut out = self.roughness_gradient(render);
         for (from, to, weight) in self.paths() {
             for plane in [0, pixels, 2 * pixels] {
-                let by_light =
-                    gradient[plane + to] * self.response.value_slope(light[plane + to]) / weights[to];
-                out[plane + from] += weight * by_light * self.response.light_slope(render[plane + from]);
+                let by_light = gradient[plane + to] * self.response.value_slope(light[plane + to])
+                    / weights[to];
+                out[plane + from] +=
+                    weight * by_light * self.response.light_slope(render[plane + from]);
             }
         }
         out
@@ -65,7 +72,9 @@ impl Reference<'_> {
 
     /// `weight * sum over neighbours of sqrt(d^2 + bend^2)`, the total variation of the render.
     pub fn roughness(&self, render: &[f64]) -> f64 {
-        self.neighbours().map(|(a, b)| self.bend() * (render[a] - render[b]).hypot(SMOOTH_BEND)).sum()
+        self.neighbours()
+            .map(|(a, b)| self.bend() * (render[a] - render[b]).hypot(SMOOTH_BEND))
+            .sum()
     }
 
     fn roughness_gradient(&self, render: &[f64]) -> Vec<f64> {

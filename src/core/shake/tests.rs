@@ -7,8 +7,14 @@ use crate::image::Image;
 fn curve() -> ShakeKernel {
     let tap = |n: i32| {
         let along = f64::from(n) / 7.0;
-        let offset = [(5.0 * along).round() as i32, (2.0 * (3.0 * along).sin()).round() as i32];
-        Tap { offset, weight: if n == 3 { 2.0 } else { 1.0 } }
+        let offset = [
+            (5.0 * along).round() as i32,
+            (2.0 * (3.0 * along).sin()).round() as i32,
+        ];
+        Tap {
+            offset,
+            weight: if n == 3 { 2.0 } else { 1.0 },
+        }
     };
     let mut taps: Vec<Tap> = (-7..=7).map(tap).collect();
     taps.dedup_by_key(|tap| tap.offset);
@@ -17,7 +23,13 @@ fn curve() -> ShakeKernel {
 
 /// A curve like those of equalisation: steep in the dark, nearly flat above.
 fn response() -> Response {
-    Response::through(|v| if v < 0.25 { 3.2 * v } else { 0.8 + 0.2 * (v - 0.25) / 0.75 })
+    Response::through(|v| {
+        if v < 0.25 {
+            3.2 * v
+        } else {
+            0.8 + 0.2 * (v - 0.25) / 0.75
+        }
+    })
 }
 
 /// Blocks and waves: edges in all directions.
@@ -27,7 +39,8 @@ fn picture(width: usize, height: usize) -> Image {
         let wave = (0.41 * x as f32 + 0.23 * y as f32).sin() * (0.17 * y as f32).cos();
         0.08 + 0.06 * block as f32 + 0.08 * (1.0 + wave)
     };
-    let planes = (0..3).flat_map(|c| (0..height).flat_map(move |y| (0..width).map(move |x| value(x, y, c))));
+    let planes =
+        (0..3).flat_map(|c| (0..height).flat_map(move |y| (0..width).map(move |x| value(x, y, c))));
     Image::from_planar(width, height, planes.collect())
 }
 
@@ -37,35 +50,63 @@ fn wide(values: &[f32]) -> Vec<f64> {
 
 fn shaken(image: &Image, kernel: &ShakeKernel, response: &Response) -> Image {
     let size = [image.width(), image.height()];
-    let values = Reference { size, kernel, response }.shaken(&wide(image.data()));
-    Image::from_planar(size[0], size[1], values.into_iter().map(|v| v as f32).collect())
+    let values = Reference {
+        size,
+        kernel,
+        response,
+    }
+    .shaken(&wide(image.data()));
+    Image::from_planar(
+        size[0],
+        size[1],
+        values.into_iter().map(|v| v as f32).collect(),
+    )
 }
 
 /// The shaken image and the gradient of the device, and the same of the reference.
 fn compare(kernel: &ShakeKernel, response: &Response) -> [(Vec<f32>, Vec<f64>); 2] {
-    let (gpu, size) = (Gpu::new("auto").expect("the tests need a Vulkan adapter"), [61, 43]);
+    let (gpu, size) = (
+        Gpu::new("auto").expect("the tests need a Vulkan adapter"),
+        [61, 43],
+    );
     let render = picture(size[0], size[1]);
-    let upstream: Vec<f32> = (0..render.data().len()).map(|i| (0.37 * i as f32).sin() * 1e-3).collect();
+    let upstream: Vec<f32> = (0..render.data().len())
+        .map(|i| (0.37 * i as f32).sin() * 1e-3)
+        .collect();
     let mut shake = Shake::new(&gpu, 2, [64, 48], response).expect("buffers");
     shake.set(1, size, kernel.clone()).expect("fits");
     let on_device = |values: &[f32]| gpu.upload("image", values).expect("uploaded");
     let (image, gradient) = (on_device(render.data()), on_device(&upstream));
     let mut recorder = gpu.recorder();
-    shake.record_forward(&mut recorder, 1, &image).expect("recorded");
-    shake.record_backward(&mut recorder, 1, &image, &gradient).expect("recorded");
+    shake
+        .record_forward(&mut recorder, 1, &image)
+        .expect("recorded");
+    shake
+        .record_backward(&mut recorder, 1, &image, &gradient)
+        .expect("recorded");
     recorder.submit().expect("submitted");
     let read = |buffer: &Buffer<f32>| buffer.read().expect("read")[..upstream.len()].to_vec();
-    let reference = Reference { size, kernel, response };
+    let reference = Reference {
+        size,
+        kernel,
+        response,
+    };
     let values = wide(render.data());
     [
         (read(shake.blurred()), reference.shaken(&values)),
-        (read(shake.render_gradient()), reference.gradient(&values, &wide(&upstream))),
+        (
+            read(shake.render_gradient()),
+            reference.gradient(&values, &wide(&upstream)),
+        ),
     ]
 }
 
 #[test]
 fn image_and_gradient_equal_the_reference() {
-    for (kernel, response) in [(curve(), response()), (ShakeKernel::still(), Response::srgb())] {
+    for (kernel, response) in [
+        (curve(), response()),
+        (ShakeKernel::still(), Response::srgb()),
+    ] {
         let [image, gradient] = compare(&kernel, &response);
         assert_agrees("image", &image.0, &image.1, 1e-5);
         assert_agrees("gradient", &gradient.0, &gradient.1, 1e-4);
@@ -74,7 +115,10 @@ fn image_and_gradient_equal_the_reference() {
 
 #[test]
 fn the_comparison_sees_a_mirrored_kernel() {
-    let mirrored = |tap: &Tap| Tap { offset: tap.offset.map(|o| -o), ..*tap };
+    let mirrored = |tap: &Tap| Tap {
+        offset: tap.offset.map(|o| -o),
+        ..*tap
+    };
     let other = ShakeKernel::new(curve().taps().iter().map(mirrored).collect());
     let ([image, gradient], [wrong, wrong_gradient]) =
         (compare(&curve(), &response()), compare(&other, &response()));
@@ -85,10 +129,16 @@ fn the_comparison_sees_a_mirrored_kernel() {
 #[test]
 fn the_reference_gradient_equals_central_differences() {
     let (kernel, response, size) = (curve(), response(), [17, 9]);
-    let reference = Reference { size, kernel: &kernel, response: &response };
+    let reference = Reference {
+        size,
+        kernel: &kernel,
+        response: &response,
+    };
     // Off the knots of the response, where it bends.
-    let render: Vec<f64> =
-        wide(picture(17, 9).data()).iter().map(|v| (v * 255.0).floor() / 255.0 + 0.002).collect();
+    let render: Vec<f64> = wide(picture(17, 9).data())
+        .iter()
+        .map(|v| (v * 255.0).floor() / 255.0 + 0.002)
+        .collect();
     let upstream: Vec<f64> = (0..render.len()).map(|i| (0.7 * i as f64).cos()).collect();
     let gradient = reference.gradient(&render, &upstream);
     for at in [0, 16, 60, 153 + 77, 306 + 152] {
@@ -96,7 +146,12 @@ fn the_reference_gradient_equals_central_differences() {
             let mut moved = render.clone();
             moved[at] = value;
             let shaken = reference.shaken(&moved);
-            shaken.iter().zip(&upstream).map(|(s, u)| s * u).sum::<f64>() + reference.roughness(&moved)
+            shaken
+                .iter()
+                .zip(&upstream)
+                .map(|(s, u)| s * u)
+                .sum::<f64>()
+                + reference.roughness(&moved)
         });
     }
 }
@@ -105,18 +160,40 @@ fn the_reference_gradient_equals_central_differences() {
 fn a_still_view_is_left_as_it_is_and_light_is_kept() {
     let image = picture(40, 30);
     let same = shaken(&image, &ShakeKernel::still(), &response());
-    assert!(image.data().iter().zip(same.data()).all(|(a, b)| (a - b).abs() < 1e-5));
+    assert!(
+        image
+            .data()
+            .iter()
+            .zip(same.data())
+            .all(|(a, b)| (a - b).abs() < 1e-5)
+    );
     let flat = Image::from_planar(40, 30, vec![0.4; 3600]);
-    assert!(shaken(&flat, &curve(), &response()).data().iter().all(|v| (v - 0.4).abs() < 1e-5));
+    assert!(
+        shaken(&flat, &curve(), &response())
+            .data()
+            .iter()
+            .all(|v| (v - 0.4).abs() < 1e-5)
+    );
 }
 
 #[test]
 fn the_response_rises_strictly_and_its_inverse_brings_values_back() {
-    for response in [Response::srgb(), response(), Response::through(|v| (v * 1.7).min(1.0))] {
+    for response in [
+        Response::srgb(),
+        response(),
+        Response::through(|v| (v * 1.7).min(1.0)),
+    ] {
         let knots = response.knots();
-        assert!(knots.windows(2).all(|pair| pair[0] < pair[1] && pair[1].is_finite()));
+        assert!(
+            knots
+                .windows(2)
+                .all(|pair| pair[0] < pair[1] && pair[1].is_finite())
+        );
         for value in [0.0, 0.003, 0.2, 0.55, 0.999, 1.0, 1.3] {
-            assert!((response.value(response.light(value)) - value).abs() < 1e-6, "{value}");
+            assert!(
+                (response.value(response.light(value)) - value).abs() < 1e-6,
+                "{value}"
+            );
         }
     }
 }
@@ -125,19 +202,41 @@ fn the_response_rises_strictly_and_its_inverse_brings_values_back() {
 fn the_shake_is_found_again_in_a_noisy_photograph() {
     let (sharp, response) = (picture(280, 160), Response::srgb());
     let noisy = |image: &Image| {
-        let noise = |i: usize| (0.02 * (12.9898 * i as f64).sin() * (78.233 * i as f64).cos()) as f32;
-        let data = image.data().iter().enumerate().map(|(i, v)| v + noise(i)).collect();
+        let noise =
+            |i: usize| (0.02 * (12.9898 * i as f64).sin() * (78.233 * i as f64).cos()) as f32;
+        let data = image
+            .data()
+            .iter()
+            .enumerate()
+            .map(|(i, v)| v + noise(i))
+            .collect();
         Image::from_planar(image.width(), image.height(), data)
     };
     let kernel = curve();
-    let found = estimate(&sharp, &noisy(&shaken(&sharp, &kernel, &response)), &response);
+    let found = estimate(
+        &sharp,
+        &noisy(&shaken(&sharp, &kernel, &response)),
+        &response,
+    );
     // Far taps are dear, so a kernel comes out somewhat too small, and never too large.
     let wide = found.spread() / kernel.spread();
     assert!((0.65..1.02).contains(&wide), "{wide} of the true spread");
-    assert!(found.centroid().iter().all(|c| c.abs() < 0.3), "{:?}", found.centroid());
-    let weight =
-        |of: &ShakeKernel, offset| of.taps().iter().find(|t| t.offset == offset).map_or(0.0, |t| t.weight);
-    let apart: f32 = kernel.taps().iter().map(|t| (weight(&found, t.offset) - t.weight).abs()).sum();
+    assert!(
+        found.centroid().iter().all(|c| c.abs() < 0.3),
+        "{:?}",
+        found.centroid()
+    );
+    let weight = |of: &ShakeKernel, offset| {
+        of.taps()
+            .iter()
+            .find(|t| t.offset == offset)
+            .map_or(0.0, |t| t.weight)
+    };
+    let apart: f32 = kernel
+        .taps()
+        .iter()
+        .map(|t| (weight(&found, t.offset) - t.weight).abs())
+        .sum();
     assert!(apart < 1.0, "{apart} of 2 apart: {found:?}");
     let still = estimate(&sharp, &noisy(&sharp), &response);
     assert!(still.spread() < 0.3, "a still photograph: {still:?}");
@@ -146,13 +245,25 @@ fn the_shake_is_found_again_in_a_noisy_photograph() {
 #[test]
 fn what_tells_nothing_is_still() {
     let flat = Image::from_planar(100, 80, vec![0.3; 24_000]);
-    assert_eq!(estimate(&flat, &flat, &Response::srgb()), ShakeKernel::still());
+    assert_eq!(
+        estimate(&flat, &flat, &Response::srgb()),
+        ShakeKernel::still()
+    );
     let small = picture(9, 9);
-    assert_eq!(estimate(&small, &small, &Response::srgb()), ShakeKernel::still());
+    assert_eq!(
+        estimate(&small, &small, &Response::srgb()),
+        ShakeKernel::still()
+    );
     let mut broken = picture(100, 80);
     broken.data_mut()[500] = f32::NAN;
-    assert_eq!(estimate(&broken, &picture(100, 80), &Response::srgb()), ShakeKernel::still());
-    let bad = [f32::NAN, -1.0, 0.0, f32::INFINITY].map(|weight| Tap { offset: [1, 1], weight });
+    assert_eq!(
+        estimate(&broken, &picture(100, 80), &Response::srgb()),
+        ShakeKernel::still()
+    );
+    let bad = [f32::NAN, -1.0, 0.0, f32::INFINITY].map(|weight| Tap {
+        offset: [1, 1],
+        weight,
+    });
     assert_eq!(ShakeKernel::new(bad.to_vec()), ShakeKernel::still());
 }
 
@@ -162,16 +273,27 @@ fn saved_kernels_come_back_to_the_bit_and_others_are_refused() {
     let mut shake = Shake::new(&gpu, 2, [20, 10], &Response::srgb()).expect("buffers");
     shake.set(1, [20, 10], curve()).expect("fits");
     let state = shake.save();
-    assert_eq!(Shake::parse(&state, 2), Some(vec![ShakeKernel::still(), curve()]));
+    assert_eq!(
+        Shake::parse(&state, 2),
+        Some(vec![ShakeKernel::still(), curve()])
+    );
     assert_eq!(Shake::parse(&state[..state.len() - 1], 2), None);
     assert_eq!(Shake::parse(&state, 1), None);
     assert_eq!(Shake::parse(&[1e9, 0.0], 1), None);
-    assert!(shake.set(0, [30, 10], curve()).is_err(), "an image that does not fit");
+    assert!(
+        shake.set(0, [30, 10], curve()).is_err(),
+        "an image that does not fit"
+    );
 }
 
 #[test]
 fn the_struct_and_the_constants_are_those_of_the_shaders() {
-    let table = [&kernels::LINEARISE, &kernels::BLUR, &kernels::SCALE, &kernels::BLUR_BACKWARD];
+    let table = [
+        &kernels::LINEARISE,
+        &kernels::BLUR,
+        &kernels::SCALE,
+        &kernels::BLUR_BACKWARD,
+    ];
     for kernel in table {
         let (text, found) = kernel.reflect().expect("valid");
         let layout = found.structure("ShakeUniform").expect("declared");

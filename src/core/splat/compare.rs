@@ -1,13 +1,22 @@
-//! Comparisons of what a kernel made with its reference. Each says why it fails, and is tested to fail.
+//! Comparisons of what a kernel made with its reference. Each says why it fails, and is tested to
+//! fail.
 
 /// Differences of an image to its reference, which may jump where a splat is cut off.
 ///
 /// Fails when more than `share` of the values differ by more than `limit`, or any is not finite.
-pub fn mostly_within(found: &[f32], expected: &[f64], limit: f64, share: f64) -> Result<(), String> {
+pub fn mostly_within(
+    found: &[f32],
+    expected: &[f64],
+    limit: f64,
+    share: f64,
+) -> Result<(), String> {
     if found.len() != expected.len() || found.is_empty() {
         return Err(format!("{} values for {}", found.len(), expected.len()));
     }
-    let differences = found.iter().zip(expected).map(|(&a, &b)| (f64::from(a) - b).abs());
+    let differences = found
+        .iter()
+        .zip(expected)
+        .map(|(&a, &b)| (f64::from(a) - b).abs());
     let (mut outliers, mut worst) = (0, 0.0_f64);
     for difference in differences {
         if !difference.is_finite() {
@@ -17,12 +26,16 @@ pub fn mostly_within(found: &[f32], expected: &[f64], limit: f64, share: f64) ->
         worst = worst.max(difference);
     }
     if outliers as f64 > share * found.len() as f64 {
-        return Err(format!("{outliers} of {} values beyond {limit}, the worst by {worst}", found.len()));
+        return Err(format!(
+            "{outliers} of {} values beyond {limit}, the worst by {worst}",
+            found.len()
+        ));
     }
     Ok(())
 }
 
-/// Gradients against their reference: relative L2 at most 1e-3, cosine at least 0.9999, no signed bias.
+/// Gradients against their reference: relative L2 at most 1e-3, cosine at least 0.9999, no signed
+/// bias.
 pub fn gradients_agree(found: &[f64], expected: &[f64]) -> Result<(), String> {
     if found.len() != expected.len() {
         return Err(format!("{} values for {}", found.len(), expected.len()));
@@ -40,7 +53,9 @@ pub fn gradients_agree(found: &[f64], expected: &[f64]) -> Result<(), String> {
     if relative <= 1e-3 && cosine >= 0.9999 && bias.abs() <= 5e-4 {
         return Ok(());
     }
-    Err(format!("relative L2 {relative:.2e}, cosine {cosine:.6}, bias {bias:.2e}"))
+    Err(format!(
+        "relative L2 {relative:.2e}, cosine {cosine:.6}, bias {bias:.2e}"
+    ))
 }
 
 mod tests {

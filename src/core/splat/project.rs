@@ -1,7 +1,9 @@
 //! The Gaussians on the device and their projection.
 
 use bytemuck::{Pod, Zeroable};
-use fled_gpu::{Buffer, Gpu, GpuError, Kernel, Recorder, Rows, part_sizes, read, read_write, uniform};
+use fled_gpu::{
+    Buffer, Gpu, GpuError, Kernel, Recorder, Rows, part_sizes, read, read_write, uniform,
+};
 
 use super::uniform::CameraUniform;
 use crate::gaussians::Gaussians;
@@ -69,13 +71,20 @@ impl DeviceGaussians {
     pub fn upload(gpu: &Gpu, gaussians: &Gaussians, capacity: usize) -> Result<Self, GpuError> {
         let capacity = capacity.max(gaussians.len());
         let row = sh_row(gaussians.sh_degree);
-        // The longest rows of a Gaussian are Adam's two moments of its harmonics, or of its geometry.
+        // The longest rows of a Gaussian are Adam's two moments of its harmonics, or of its
+        // geometry.
         let per_part = gpu.rows_per_part(2 * size_of::<f32>() * row.max(GEOMETRY_ROW));
         let mut parts = Vec::new();
         for rows in part_sizes(capacity, per_part) {
-            let uniform =
-                PartUniform { first: (parts.len() * per_part) as u32, rows: rows as u32, pad: [0; 2] };
-            parts.push(Part { uniform: gpu.upload("part", &[uniform])?, rows });
+            let uniform = PartUniform {
+                first: (parts.len() * per_part) as u32,
+                rows: rows as u32,
+                pad: [0; 2],
+            };
+            parts.push(Part {
+                uniform: gpu.upload("part", &[uniform])?,
+                rows,
+            });
         }
         let out = Self {
             geometry: gpu.create_rows("geometry", capacity, GEOMETRY_ROW, per_part)?,
@@ -85,7 +94,8 @@ impl DeviceGaussians {
             count: gaussians.len(),
             sh_degree: gaussians.sh_degree,
         };
-        out.geometry.write(pack_geometry(gaussians).as_flattened())?;
+        out.geometry
+            .write(pack_geometry(gaussians).as_flattened())?;
         out.sh.write(&pack_harmonics(gaussians))?;
         Ok(out)
     }
@@ -101,7 +111,8 @@ impl DeviceGaussians {
     }
 }
 
-/// Floats of a row of harmonics: all coefficients of three channels, filled up to whole vectors of four.
+/// Floats of a row of harmonics: all coefficients of three channels, filled up to whole vectors of
+/// four.
 pub const fn sh_row(degree: u32) -> usize {
     (3 * (degree + 1) * (degree + 1)).next_multiple_of(4) as usize
 }
@@ -111,7 +122,10 @@ fn pack_harmonics(gaussians: &Gaussians) -> Vec<f32> {
     let mut rows = vec![0.0; gaussians.len() * sh_row(gaussians.sh_degree)];
     let used = 3 * gaussians.coefficients();
     let sources = gaussians.sh.chunks_exact(used);
-    for (row, source) in rows.chunks_exact_mut(sh_row(gaussians.sh_degree)).zip(sources) {
+    for (row, source) in rows
+        .chunks_exact_mut(sh_row(gaussians.sh_degree))
+        .zip(sources)
+    {
         row[..used].copy_from_slice(source);
     }
     rows
@@ -122,7 +136,20 @@ pub fn pack_geometry(gaussians: &Gaussians) -> Vec<[f32; GEOMETRY_ROW]> {
     let row = |i: usize| {
         let ([x, y, z], [a, b, c]) = (gaussians.means[i], gaussians.log_scales[i]);
         let [qw, qx, qy, qz] = gaussians.quats[i];
-        [x, y, z, a, b, c, qw, qx, qy, qz, gaussians.opacity_logits[i], 0.0]
+        [
+            x,
+            y,
+            z,
+            a,
+            b,
+            c,
+            qw,
+            qx,
+            qy,
+            qz,
+            gaussians.opacity_logits[i],
+            0.0,
+        ]
     };
     (0..gaussians.len()).map(row).collect()
 }
@@ -130,7 +157,11 @@ pub fn pack_geometry(gaussians: &Gaussians) -> Vec<[f32; GEOMETRY_ROW]> {
 /// Gaussians from rows of geometry and of harmonics.
 pub fn unpack_gaussians(rows: &[[f32; GEOMETRY_ROW]], sh: &[f32], sh_degree: u32) -> Gaussians {
     let used = 3 * ((sh_degree + 1) * (sh_degree + 1)) as usize;
-    let sh = sh.chunks_exact(sh_row(sh_degree)).flat_map(|row| &row[..used]).copied().collect();
+    let sh = sh
+        .chunks_exact(sh_row(sh_degree))
+        .flat_map(|row| &row[..used])
+        .copied()
+        .collect();
     Gaussians {
         means: rows.iter().map(|r| [r[0], r[1], r[2]]).collect(),
         log_scales: rows.iter().map(|r| [r[3], r[4], r[5]]).collect(),
@@ -146,8 +177,8 @@ pub fn unpack_gaussians(rows: &[[f32; GEOMETRY_ROW]], sh: &[f32], sh_degree: u32
 pub struct Projection {
     /// The camera; written before each use.
     pub camera: Buffer<CameraUniform>,
-    /// [capacity, 3]: mean xy, conic ab | conic c, opacity, red, green | blue, depth, extent xy. Stale where
-    /// `tile_counts` is 0.
+    /// [capacity, 3]: mean xy, conic ab | conic c, opacity, red, green | blue, depth, extent xy.
+    /// Stale where `tile_counts` is 0.
     pub projected: Buffer<[f32; 4]>,
     /// Tiles touched; 0 is culled, [capacity].
     pub tile_counts: Buffer<u32>,
@@ -173,9 +204,16 @@ impl Projection {
     ///
     /// # Errors
     /// A shader or binding error.
-    pub fn record(&self, recorder: &mut Recorder, gaussians: &DeviceGaussians) -> Result<(), GpuError> {
-        for ((part, geometry), sh) in
-            gaussians.parts.iter().zip(gaussians.geometry.parts()).zip(gaussians.sh.parts())
+    pub fn record(
+        &self,
+        recorder: &mut Recorder,
+        gaussians: &DeviceGaussians,
+    ) -> Result<(), GpuError> {
+        for ((part, geometry), sh) in gaussians
+            .parts
+            .iter()
+            .zip(gaussians.geometry.parts())
+            .zip(gaussians.sh.parts())
         {
             recorder.dispatch_items(
                 &PROJECT_FORWARD,
@@ -209,13 +247,34 @@ mod tests {
         let mut recorder = gpu.recorder();
         projection.record(&mut recorder, &device).expect("recorded");
         recorder.submit().expect("submitted");
-        let read = (projection.projected.read(), projection.tile_counts.read(), projection.depth_keys.read());
-        (read.0.expect("read"), read.1.expect("read"), read.2.expect("read"))
+        let read = (
+            projection.projected.read(),
+            projection.tile_counts.read(),
+            projection.depth_keys.read(),
+        );
+        (
+            read.0.expect("read"),
+            read.1.expect("read"),
+            read.2.expect("read"),
+        )
     }
 
     fn flat(p: &Projected) -> [f64; 12] {
         let ([x, y], [a, b, c], [red, green, blue]) = (p.mean, p.conic, p.colour);
-        [x, y, a, b, c, p.opacity, red, green, blue, p.depth, p.extent[0], p.extent[1]]
+        [
+            x,
+            y,
+            a,
+            b,
+            c,
+            p.opacity,
+            red,
+            green,
+            blue,
+            p.depth,
+            p.extent[0],
+            p.extent[1],
+        ]
     }
 
     /// Tiles that hold a pixel which blending would touch, by looking at every pixel.
@@ -246,21 +305,36 @@ mod tests {
                 continue;
             };
             let brute = tiles_by_brute_force(&expected, 144, 96);
-            assert!(counts[i] as usize >= brute, "{i} lost {brute} - {}", counts[i]);
+            assert!(
+                counts[i] as usize >= brute,
+                "{i} lost {brute} - {}",
+                counts[i]
+            );
             (counted, needed) = (counted + counts[i] as usize, needed + brute);
             if counts[i] == 0 {
                 continue;
             }
             visible += 1;
-            let row: Vec<_> = projected[3 * i..3 * i + 3].iter().flatten().map(|v| f64::from(*v)).collect();
+            let row: Vec<_> = projected[3 * i..3 * i + 3]
+                .iter()
+                .flatten()
+                .map(|v| f64::from(*v))
+                .collect();
             assert_eq!(keys[i], (row[9] as f32).to_bits());
             for (value, expected) in row.iter().zip(flat(&expected)) {
-                assert!((value - expected).abs() <= 2e-4 * (1.0 + expected.abs()), "{i}: {row:?} {expected}");
+                assert!(
+                    (value - expected).abs() <= 2e-4 * (1.0 + expected.abs()),
+                    "{i}: {row:?} {expected}"
+                );
             }
         }
         assert!(visible > 150, "{visible} visible");
-        // A tile may be counted for a position between its pixel centres: the test is over the box of centres.
-        assert!(counted as f64 <= 1.1 * needed as f64, "{counted} counted, {needed} needed");
+        // A tile may be counted for a position between its pixel centres: the test is over the box
+        // of centres.
+        assert!(
+            counted as f64 <= 1.1 * needed as f64,
+            "{counted} counted, {needed} needed"
+        );
         assert!(relative_l2(&[1.0, 2.0], &[1.0, 2.5]) > 0.1);
     }
 
@@ -277,7 +351,10 @@ mod tests {
         gaussians.opacity_logits[4] = f32::NAN;
         gaussians.means[5] = [0.0, 0.0, -50.0];
         let view = fixtures::viewpoint(64, 48);
-        let (_, counts, keys) = run(&gaussians, &CameraUniform::new(&view.camera, 7, 1, 1, view.near as f32));
+        let (_, counts, keys) = run(
+            &gaussians,
+            &CameraUniform::new(&view.camera, 7, 1, 1, view.near as f32),
+        );
         assert_eq!(counts[..6], [0; 6]);
         assert_eq!(keys[..6], [u32::MAX; 6]);
         assert!(counts[6] > 0);
@@ -296,7 +373,11 @@ mod tests {
                 let (before, after) = (rows[3 * i + 1][1], fewer[3 * i + 1][1]);
                 assert!((after - before / 0.8).abs() < 1e-6, "{before} {after}");
             }
-            visible.iter().filter(|&&i| counts[i] == 0).copied().collect::<Vec<_>>()
+            visible
+                .iter()
+                .filter(|&&i| counts[i] == 0)
+                .copied()
+                .collect::<Vec<_>>()
         };
         let (one, other) = (dropped(1), dropped(2));
         let share = one.len() as f64 / visible.len() as f64;
@@ -315,17 +396,36 @@ mod tests {
     fn the_part_has_the_layout_of_the_shader() {
         let (_, found) = PROJECT_FORWARD.reflect().expect("valid");
         let part = found.structure("PartUniform").expect("declared");
-        let offset = |name: &str| part.members.iter().find(|m| m.0 == name).map(|m| m.1 as usize);
+        let offset = |name: &str| {
+            part.members
+                .iter()
+                .find(|m| m.0 == name)
+                .map(|m| m.1 as usize)
+        };
         assert_eq!(part.size as usize, size_of::<PartUniform>());
-        assert_eq!(offset("first"), Some(std::mem::offset_of!(PartUniform, first)));
-        assert_eq!(offset("rows"), Some(std::mem::offset_of!(PartUniform, rows)));
+        assert_eq!(
+            offset("first"),
+            Some(std::mem::offset_of!(PartUniform, first))
+        );
+        assert_eq!(
+            offset("rows"),
+            Some(std::mem::offset_of!(PartUniform, rows))
+        );
     }
 
     #[test]
     fn the_camera_has_the_layout_of_the_shader() {
         let (_, found) = PROJECT_FORWARD.reflect().expect("valid");
-        let camera = found.structs.iter().find(|s| s.name == "CameraUniform").expect("declared");
-        let offsets: Vec<_> = camera.members.iter().map(|(name, at)| (name.as_str(), *at as usize)).collect();
+        let camera = found
+            .structs
+            .iter()
+            .find(|s| s.name == "CameraUniform")
+            .expect("declared");
+        let offsets: Vec<_> = camera
+            .members
+            .iter()
+            .map(|(name, at)| (name.as_str(), *at as usize))
+            .collect();
         let expected = [
             ("row_x", std::mem::offset_of!(CameraUniform, row_x)),
             ("row_y", std::mem::offset_of!(CameraUniform, row_y)),
@@ -340,7 +440,10 @@ mod tests {
             ("count", std::mem::offset_of!(CameraUniform, count)),
             ("near", std::mem::offset_of!(CameraUniform, near)),
             ("sh_row", std::mem::offset_of!(CameraUniform, sh_row)),
-            ("background", std::mem::offset_of!(CameraUniform, background)),
+            (
+                "background",
+                std::mem::offset_of!(CameraUniform, background),
+            ),
             ("dropout", std::mem::offset_of!(CameraUniform, dropout)),
         ];
         assert_eq!(offsets, expected);

@@ -1,14 +1,16 @@
 //! From projected splats to an image, and from the image's gradient to the splats'.
 //!
-//! Forward: compact the visible splats, sort them by depth, give each its slots, emit an intersection a
-//! touched tile, sort by tile, find each tile's range, blend. Backward: one row of nine gradients an
-//! intersection, which the projection's backward sums. There are no atomics on floats anywhere: the same
-//! input gives the same bits.
+//! Forward: compact the visible splats, sort them by depth, give each its slots, emit an
+//! intersection a touched tile, sort by tile, find each tile's range, blend. Backward: one row of
+//! nine gradients an intersection, which the projection's backward sums. There are no atomics on
+//! floats anywhere: the same input gives the same bits.
 
 mod slots;
 mod work;
 
-use fled_gpu::{AdapterInfo, Buffer, DeviceType, Gpu, GpuError, Kernel, Recorder, read, read_write, uniform};
+use fled_gpu::{
+    AdapterInfo, Buffer, DeviceType, Gpu, GpuError, Kernel, Recorder, read, read_write, uniform,
+};
 
 use super::project::Projection;
 use super::sort::{BLOCK, Counters, FIXED, RadixSort, SCAN, SortParameters};
@@ -26,8 +28,14 @@ const VISIBLE: u32 = 0;
 /// Counter of intersections.
 const INTERSECTIONS: u32 = 1;
 
-const COUNT_VISIBLE: Kernel =
-    Kernel::new("splat/count_visible", &[uniform("camera"), read("tile_counts"), read_write("block_sums")]);
+const COUNT_VISIBLE: Kernel = Kernel::new(
+    "splat/count_visible",
+    &[
+        uniform("camera"),
+        read("tile_counts"),
+        read_write("block_sums"),
+    ],
+);
 const COMPACT_VISIBLE: Kernel = Kernel::new(
     "splat/compact_visible",
     &[
@@ -41,7 +49,13 @@ const COMPACT_VISIBLE: Kernel = Kernel::new(
 );
 const COUNT_SLOTS: Kernel = Kernel::new(
     "splat/count_slots",
-    &[uniform("parameters"), read("counters"), read("order"), read("tile_counts"), read_write("block_sums")],
+    &[
+        uniform("parameters"),
+        read("counters"),
+        read("order"),
+        read("tile_counts"),
+        read_write("block_sums"),
+    ],
 );
 const ASSIGN_SLOTS: Kernel = Kernel::new(
     "splat/assign_slots",
@@ -71,7 +85,13 @@ const EMIT: Kernel = Kernel::new(
 );
 const TILE_RANGES: Kernel = Kernel::new(
     "splat/tile_ranges",
-    &[uniform("camera"), uniform("parameters"), read("counters"), read("keys"), read_write("tile_ranges")],
+    &[
+        uniform("camera"),
+        uniform("parameters"),
+        read("counters"),
+        read("keys"),
+        read_write("tile_ranges"),
+    ],
 );
 const FORWARD_BINDINGS: &[fled_gpu::Binding] = &[
     uniform("camera"),
@@ -98,7 +118,8 @@ const BACKWARD_BINDINGS: &[fled_gpu::Binding] = &[
     read_write("slot_moments"),
     read_write("slot_tails"),
 ];
-const RASTERIZE_BACKWARD: Kernel = Kernel::new("splat/rasterize_backward", BACKWARD_BINDINGS).unchecked();
+const RASTERIZE_BACKWARD: Kernel =
+    Kernel::new("splat/rasterize_backward", BACKWARD_BINDINGS).unchecked();
 const RASTERIZE_BACKWARD_WALK: Kernel =
     Kernel::new("splat/rasterize_backward_walk", BACKWARD_BINDINGS).unchecked();
 const RASTERIZE_BACKWARD_GENERIC: Kernel =
@@ -112,20 +133,24 @@ const HALF_TILE: u32 = TILE * TILE / 2;
 pub struct Specialisation {
     /// Consecutive pixels an invocation: 4, 8 or 16.
     pub pixels: u32,
-    /// Lanes of a subgroup when the backward reduces over it: 8, 16, 32 or 64; `None`: workgroup memory.
+    /// Lanes of a subgroup when the backward reduces over it: 8, 16, 32 or 64; `None`: workgroup
+    /// memory.
     pub subgroup: Option<u32>,
-    /// Whether a subgroup blends half a tile by itself, with the splats in its registers, instead of a workgroup a
-    /// tile with the splats in its memory. Needs a subgroup of 128 / `pixels`.
+    /// Whether a subgroup blends half a tile by itself, with the splats in its registers, instead
+    /// of a workgroup a tile with the splats in its memory. Needs a subgroup of 128 / `pixels`.
     pub walks: bool,
 }
 
 impl Specialisation {
-    /// What suits the adapter. Software Vulkan wants few invocations with much work each (measured: the
-    /// module's benchmark), a GPU many.
+    /// What suits the adapter. Software Vulkan wants few invocations with much work each (measured:
+    /// the module's benchmark), a GPU many.
     pub fn for_adapter(info: &AdapterInfo) -> Self {
         let on_cpu = info.device_type == DeviceType::Cpu;
         // A subgroup's size must be known when the shader is compiled.
-        let known = info.subgroup.filter(|(least, most)| least == most && *least >= 8).map(|(size, _)| size);
+        let known = info
+            .subgroup
+            .filter(|(least, most)| least == most && *least >= 8)
+            .map(|(size, _)| size);
         // Half a tile a subgroup, of vectors of four pixels.
         let walks = on_cpu && known.is_some_and(|size| matches!(size, 8 | 16 | 32));
         let pixels = match known {
@@ -135,13 +160,22 @@ impl Specialisation {
         };
         // It must divide the workgroup.
         let subgroup = known.filter(|size| *size <= TILE * TILE / pixels);
-        Self { pixels, subgroup, walks }
+        Self {
+            pixels,
+            subgroup,
+            walks,
+        }
     }
 
-    /// Splats between two reductions: as many as fit 32 KiB of workgroup memory, and at most one an invocation.
+    /// Splats between two reductions: as many as fit 32 KiB of workgroup memory, and at most one an
+    /// invocation.
     fn group(self) -> u32 {
         let width = TILE * TILE / self.pixels;
-        if self.subgroup.is_none() && width >= 64 { 8 } else { 16 }
+        if self.subgroup.is_none() && width >= 64 {
+            8
+        } else {
+            16
+        }
     }
 
     fn forward(self) -> Kernel {
@@ -158,7 +192,9 @@ impl Specialisation {
             Some(size) if self.walks => {
                 RASTERIZE_BACKWARD_WALK.with(&[("PIXELS", self.pixels), ("SUBGROUP", size)])
             }
-            Some(size) => RASTERIZE_BACKWARD.with(&constants).with(&[("SUBGROUP", size)]),
+            Some(size) => RASTERIZE_BACKWARD
+                .with(&constants)
+                .with(&[("SUBGROUP", size)]),
             None => RASTERIZE_BACKWARD_GENERIC.with(&constants),
         }
     }
@@ -215,7 +251,11 @@ impl PendingCounts {
     pub fn wait(self) -> Result<SplatCounts, GpuError> {
         let values = self.values.wait()?;
         let at = |index: u32| values[index as usize] as usize;
-        Ok(SplatCounts { visible: at(VISIBLE), intersections: at(INTERSECTIONS), capacity: self.capacity })
+        Ok(SplatCounts {
+            visible: at(VISIBLE),
+            intersections: at(INTERSECTIONS),
+            capacity: self.capacity,
+        })
     }
 }
 
@@ -228,8 +268,8 @@ pub struct SplatBuffers {
     pub image: Buffer<f32>,
     /// What is left of the background, [height, width].
     pub transmittance: Buffer<f32>,
-    /// A Gaussian's rows are `slot_offsets[g]` and the `tile_counts[g] - 1` that follow, as far as they lie below
-    /// the capacity.
+    /// A Gaussian's rows are `slot_offsets[g]` and the `tile_counts[g] - 1` that follow, as far as
+    /// they lie below the capacity.
     pub slots: SlotRows,
     counters: Counters,
     block_sums: Buffer<u32>,
@@ -257,7 +297,14 @@ impl SplatBuffers {
         let tile_bits = usize::BITS - sizes.tiles().leading_zeros();
         let parameters = |source, capacity: usize, result, result_capacity: usize| {
             let (capacity, result_capacity) = (capacity as u32, result_capacity as u32);
-            let row = SortParameters { shift: 0, source, capacity, result, result_capacity, per_block: 1 };
+            let row = SortParameters {
+                shift: 0,
+                source,
+                capacity,
+                result,
+                result_capacity,
+                per_block: 1,
+            };
             gpu.upload("parameters", &[row])
         };
         Ok(Self {
@@ -296,7 +343,10 @@ impl SplatBuffers {
     /// # Errors
     /// A device error.
     pub fn counts(&self) -> Result<PendingCounts, GpuError> {
-        Ok(PendingCounts { values: self.counters.values.start_read(2)?, capacity: self.sizes.intersections })
+        Ok(PendingCounts {
+            values: self.counters.values.start_read(2)?,
+            capacity: self.sizes.intersections,
+        })
     }
 }
 
@@ -308,11 +358,13 @@ pub struct Forward {
 impl Forward {
     /// The blending kernel of a specialisation.
     pub fn new(specialisation: Specialisation) -> Self {
-        Self { kernel: specialisation.forward() }
+        Self {
+            kernel: specialisation.forward(),
+        }
     }
 
-    /// Adds everything after the projection. `projection.camera` may be rewritten between submissions, as
-    /// long as its image fits the sizes of the buffers.
+    /// Adds everything after the projection. `projection.camera` may be rewritten between
+    /// submissions, as long as its image fits the sizes of the buffers.
     ///
     /// # Errors
     /// A fault of a kernel or binding.
@@ -350,7 +402,9 @@ pub struct Backward {
 impl Backward {
     /// The kernel of a specialisation.
     pub fn new(specialisation: Specialisation) -> Self {
-        Self { kernel: specialisation.backward() }
+        Self {
+            kernel: specialisation.backward(),
+        }
     }
 
     /// Adds the backward of what [`Forward::record`] added before, for `image_gradient`, planar
@@ -395,12 +449,21 @@ fn sort_by_depth(
     let counters = &buffers.counters;
     recorder.dispatch_groups(
         &COUNT_VISIBLE,
-        &[&projection.camera, &projection.tile_counts, &buffers.block_sums],
+        &[
+            &projection.camera,
+            &projection.tile_counts,
+            &buffers.block_sums,
+        ],
         blocks,
     )?;
     recorder.dispatch(
         &SCAN,
-        &[&buffers.scan_visible, &counters.values, &buffers.block_sums, &counters.arguments],
+        &[
+            &buffers.scan_visible,
+            &counters.values,
+            &buffers.block_sums,
+            &counters.arguments,
+        ],
         [1, 1, 1],
     )?;
     recorder.dispatch_groups(
@@ -427,13 +490,24 @@ fn assign_slots(
     let order = buffers.depth.sorted_payloads();
     recorder.dispatch_indirect(
         &COUNT_SLOTS,
-        &[&buffers.visible, &counters.values, order, &projection.tile_counts, &buffers.slot_sums],
+        &[
+            &buffers.visible,
+            &counters.values,
+            order,
+            &projection.tile_counts,
+            &buffers.slot_sums,
+        ],
         &counters.arguments,
         Counters::blocks(VISIBLE),
     )?;
     recorder.dispatch(
         &SCAN,
-        &[&buffers.scan_slots, &counters.values, &buffers.slot_sums, &counters.arguments],
+        &[
+            &buffers.scan_slots,
+            &counters.values,
+            &buffers.slot_sums,
+            &counters.arguments,
+        ],
         [1, 1, 1],
     )?;
     recorder.dispatch_indirect(

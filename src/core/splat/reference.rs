@@ -37,7 +37,10 @@ impl Splat {
             log_scale: gaussians.log_scales[index].map(f64::from),
             quat: gaussians.quats[index].map(f64::from),
             opacity_logit: f64::from(gaussians.opacity_logits[index]),
-            sh: sh.chunks_exact(3).map(|c| [c[0], c[1], c[2]].map(f64::from)).collect(),
+            sh: sh
+                .chunks_exact(3)
+                .map(|c| [c[0], c[1], c[2]].map(f64::from))
+                .collect(),
         }
     }
 
@@ -54,7 +57,12 @@ impl Splat {
 
     /// Every number in a row: mean, log-scale, quaternion, opacity, harmonics.
     pub fn flatten(&self) -> Vec<f64> {
-        let head = self.mean.iter().chain(&self.log_scale).chain(&self.quat).chain([&self.opacity_logit]);
+        let head = self
+            .mean
+            .iter()
+            .chain(&self.log_scale)
+            .chain(&self.quat)
+            .chain([&self.opacity_logit]);
         head.chain(self.sh.iter().flatten()).copied().collect()
     }
 
@@ -66,7 +74,10 @@ impl Splat {
             log_scale: take3(3),
             quat: [row[6], row[7], row[8], row[9]],
             opacity_logit: row[10],
-            sh: row[11..].chunks_exact(3).map(|c| [c[0], c[1], c[2]]).collect(),
+            sh: row[11..]
+                .chunks_exact(3)
+                .map(|c| [c[0], c[1], c[2]])
+                .collect(),
         }
     }
 }
@@ -94,7 +105,11 @@ pub fn render(splats: &[Splat], view: &Viewpoint) -> (Vec<Option<Projected>>, Bl
 pub fn render_backward(splats: &[Splat], view: &Viewpoint, image_gradient: &[f64]) -> Vec<Splat> {
     let (projected, blended) = render(splats, view);
     let gradients = blend_backward(&projected, &blended, image_gradient);
-    splats.iter().zip(&gradients).map(|(splat, gradient)| project_backward(splat, view, gradient)).collect()
+    splats
+        .iter()
+        .zip(&gradients)
+        .map(|(splat, gradient)| project_backward(splat, view, gradient))
+        .collect()
 }
 
 #[cfg(test)]

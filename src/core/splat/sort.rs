@@ -1,4 +1,5 @@
-//! Stable radix sort of u32 pairs on the GPU, 4 bits a pass; the number of pairs stands in a GPU buffer.
+//! Stable radix sort of u32 pairs on the GPU, 4 bits a pass; the number of pairs stands in a GPU
+//! buffer.
 
 use bytemuck::{Pod, Zeroable};
 use fled_gpu::{Buffer, Gpu, GpuError, Kernel, Recorder, read, read_write, uniform};
@@ -13,12 +14,22 @@ pub const FIXED: u32 = u32::MAX;
 /// Exclusive prefix sum of a short array by one workgroup; writes a counter and indirect arguments.
 pub const SCAN: Kernel = Kernel::new(
     "sort/scan",
-    &[uniform("parameters"), read_write("counters"), read_write("values"), read_write("arguments")],
+    &[
+        uniform("parameters"),
+        read_write("counters"),
+        read_write("values"),
+        read_write("arguments"),
+    ],
 );
 /// Digit counts of a block.
 pub const RADIX_COUNT: Kernel = Kernel::new(
     "sort/radix_count",
-    &[uniform("parameters"), read("counters"), read("keys"), read_write("histogram")],
+    &[
+        uniform("parameters"),
+        read("counters"),
+        read("keys"),
+        read_write("histogram"),
+    ],
 );
 /// Moves the pairs of a block.
 pub const RADIX_SCATTER: Kernel = Kernel::new(
@@ -54,7 +65,8 @@ pub struct SortParameters {
 
 /// Numbers that only the GPU knows, and the workgroups of the dispatches that depend on them.
 ///
-/// Counter `i` has six arguments from `6 i` on: workgroups for a block each, then for 64 elements each.
+/// Counter `i` has six arguments from `6 i` on: workgroups for a block each, then for 64 elements
+/// each.
 #[derive(Clone)]
 pub struct Counters {
     /// The numbers.
@@ -123,10 +135,24 @@ impl RadixSort {
             result_capacity: 0,
             per_block: DIGITS as u32,
         };
-        let pass = |digit| gpu.upload("sort pass", &[SortParameters { shift: 4 * digit, ..parameters }]);
+        let pass = |digit| {
+            gpu.upload(
+                "sort pass",
+                &[SortParameters {
+                    shift: 4 * digit,
+                    ..parameters
+                }],
+            )
+        };
         Ok(Self {
-            keys: [gpu.create("sort keys", capacity)?, gpu.create("sort keys", capacity)?],
-            payloads: [gpu.create("sort payloads", capacity)?, gpu.create("sort payloads", capacity)?],
+            keys: [
+                gpu.create("sort keys", capacity)?,
+                gpu.create("sort keys", capacity)?,
+            ],
+            payloads: [
+                gpu.create("sort payloads", capacity)?,
+                gpu.create("sort payloads", capacity)?,
+            ],
             histogram: gpu.create("sort histogram", DIGITS * capacity.div_ceil(BLOCK))?,
             passes: (0..bits.div_ceil(4)).map(pass).collect::<Result<_, _>>()?,
             scan: gpu.upload("sort scan", &[parameters])?,
@@ -159,7 +185,8 @@ impl RadixSort {
         &self.payloads[self.passes.len() % 2]
     }
 
-    /// Adds the sort to a recording. The arguments of the counter must have been written (by [`SCAN`]).
+    /// Adds the sort to a recording. The arguments of the counter must have been written (by
+    /// [`SCAN`]).
     ///
     /// # Errors
     /// A fault of a kernel.
@@ -169,13 +196,23 @@ impl RadixSort {
             let (from, to) = (i % 2, (i + 1) % 2);
             recorder.dispatch_indirect(
                 &RADIX_COUNT,
-                &[parameters, &counters.values, &self.keys[from], &self.histogram],
+                &[
+                    parameters,
+                    &counters.values,
+                    &self.keys[from],
+                    &self.histogram,
+                ],
                 &counters.arguments,
                 blocks,
             )?;
             recorder.dispatch(
                 &SCAN,
-                &[&self.scan, &counters.values, &self.histogram, &counters.arguments],
+                &[
+                    &self.scan,
+                    &counters.values,
+                    &self.histogram,
+                    &counters.arguments,
+                ],
                 [1, 1, 1],
             )?;
             recorder.dispatch_indirect(
@@ -209,7 +246,9 @@ mod tests {
         let counters = Counters::new(&gpu, 1).unwrap();
         let sort = RadixSort::new(&gpu, n, bits, &counters, 0).unwrap();
         sort.keys().write(keys).unwrap();
-        sort.payloads().write(&(0..n as u32).collect::<Vec<_>>()).unwrap();
+        sort.payloads()
+            .write(&(0..n as u32).collect::<Vec<_>>())
+            .unwrap();
         let total = gpu.upload("total", &[n as u32]).unwrap();
         let parameters = SortParameters {
             shift: 0,
@@ -222,11 +261,18 @@ mod tests {
         let parameters = gpu.upload("parameters", &[parameters]).unwrap();
         let mut recorder = gpu.recorder();
         recorder
-            .dispatch(&SCAN, &[&parameters, &counters.values, &total, &counters.arguments], [1, 1, 1])
+            .dispatch(
+                &SCAN,
+                &[&parameters, &counters.values, &total, &counters.arguments],
+                [1, 1, 1],
+            )
             .unwrap();
         sort.record(&mut recorder, &counters).unwrap();
         recorder.submit().unwrap();
-        (sort.sorted_keys().read().unwrap(), sort.sorted_payloads().read().unwrap())
+        (
+            sort.sorted_keys().read().unwrap(),
+            sort.sorted_payloads().read().unwrap(),
+        )
     }
 
     fn assert_sorted(keys: &[u32], bits: u32) {
@@ -234,7 +280,12 @@ mod tests {
         expected.sort_by_key(|&i| keys[i as usize]);
         let (found, payloads) = sorted(keys, bits);
         assert!(payloads == expected, "payloads of {} keys", keys.len());
-        assert!(found.iter().zip(&expected).all(|(&k, &i)| k == keys[i as usize]));
+        assert!(
+            found
+                .iter()
+                .zip(&expected)
+                .all(|(&k, &i)| k == keys[i as usize])
+        );
     }
 
     #[test]
@@ -257,7 +308,10 @@ mod tests {
 
     #[test]
     fn descending_keys_none_and_one_are_sorted() {
-        assert_sorted(&(0..2500).rev().map(|i| i * 1_000_003).collect::<Vec<_>>(), 32);
+        assert_sorted(
+            &(0..2500).rev().map(|i| i * 1_000_003).collect::<Vec<_>>(),
+            32,
+        );
         assert_sorted(&[u32::MAX], 32);
         assert_sorted(&[], 32);
     }

@@ -7,8 +7,9 @@ use crate::camera::Camera;
 /// Side of a tile, px.
 pub const TILE: u32 = 16;
 
-/// Splats nearer to the camera than this are culled, world units; the same when training and rendering.
-/// Differs from splat.md (0.2 x scene unit): hand-held cameras come close, and a scene does not carry its unit.
+/// Splats nearer to the camera than this are culled, world units; the same when training and
+/// rendering. Differs from splat.md (0.2 x scene unit): hand-held cameras come close, and a scene
+/// does not carry its unit.
 pub const NEAR: f32 = 0.01;
 
 /// `CameraUniform` of shaders/shared/camera.wgsl.
@@ -48,8 +49,8 @@ pub struct CameraUniform {
 }
 
 impl CameraUniform {
-    /// The camera with `count` Gaussians whose arrays hold spherical harmonics of degree `allocated`, of
-    /// which those up to `active` are used.
+    /// The camera with `count` Gaussians whose arrays hold spherical harmonics of degree
+    /// `allocated`, of which those up to `active` are used.
     pub fn new(camera: &Camera, count: usize, active: u32, allocated: u32, near: f32) -> Self {
         let rows = camera.world_to_camera.transpose();
         let row = |v: glam::DVec4| v.to_array().map(|x| x as f32);
@@ -84,6 +85,10 @@ impl CameraUniform {
     /// The same without a `share` of the Gaussians, below 1, drawn from `draw`.
     #[must_use]
     pub fn dropping(self, share: f32, draw: u32) -> Self {
-        Self { dropout: share, draw, ..self }
+        Self {
+            dropout: share,
+            draw,
+            ..self
+        }
     }
 }

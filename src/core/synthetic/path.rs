@@ -9,9 +9,9 @@ use rand_pcg::Pcg64Mcg;
 use super::DOWN;
 use crate::camera::{Camera, Intrinsics};
 
-/// Views along one closed, wavy loop before the scene, all looking near its middle: neighbours overlap
-/// widely, no two cameras see the same things from one place, and every view has neighbours on both
-/// sides, so that a held-out one asks for what its neighbours have seen.
+/// Views along one closed, wavy loop before the scene, all looking near its middle: neighbours
+/// overlap widely, no two cameras see the same things from one place, and every view has neighbours
+/// on both sides, so that a held-out one asks for what its neighbours have seen.
 pub(super) fn cameras(count: usize, intrinsics: Intrinsics, seed: u64) -> Vec<Camera> {
     let mut rng = Pcg64Mcg::seed_from_u64(seed ^ 0x5eed);
     (0..count)
@@ -33,8 +33,8 @@ pub(super) fn cameras(count: usize, intrinsics: Intrinsics, seed: u64) -> Vec<Ca
 }
 
 /// `count` moments of one exposure: rotation and translation follow a smooth random curve whose
-/// image in the middle of the frame, at `distance`, is a path of 0.4 to 1 times `blur` px, centred on the
-/// camera's pose (so the poses are those of the middle of the blur).
+/// image in the middle of the frame, at `distance`, is a path of 0.4 to 1 times `blur` px, centred
+/// on the camera's pose (so the poses are those of the middle of the blur).
 pub(super) fn shake(
     camera: &Camera,
     distance: f64,
@@ -53,7 +53,11 @@ pub(super) fn shake(
         .iter()
         .enumerate()
         .map(|(index, at)| {
-            let pixels = if travelled > 0.0 { *at * (length / travelled) } else { DVec2::ZERO };
+            let pixels = if travelled > 0.0 {
+                *at * (length / travelled)
+            } else {
+                DVec2::ZERO
+            };
             let angle = turning * pixels / focal;
             let along = index as f64 / (count.max(2) - 1) as f64 - 0.5;
             let turn = DQuat::from_rotation_y(angle.x)

@@ -21,7 +21,11 @@ const AMBIENT: f64 = 0.1;
 #[derive(Clone, Copy, Debug)]
 enum Shape {
     /// An axis-aligned box in its own frame, turned about the vertical.
-    Block { centre: DVec3, half: DVec3, turn: f64 },
+    Block {
+        centre: DVec3,
+        half: DVec3,
+        turn: f64,
+    },
     /// A ball.
     Ball { centre: DVec3, radius: f64 },
     /// The inside of a box: the room's walls.
@@ -56,10 +60,13 @@ pub(super) struct Scene {
 }
 
 impl Scene {
-    /// Walls, floor, and things at many depths around the origin. Room 0 is the one that everything is measured in; the others
-    /// have its plan, with other paint, patterns and sizes.
+    /// Walls, floor, and things at many depths around the origin. Room 0 is the one that everything
+    /// is measured in; the others have its plan, with other paint, patterns and sizes.
     pub fn room(number: u64, wallpapers: Vec<Image<Linear>>) -> Self {
-        let mut room = Self { wallpapers, ..Self::first() };
+        let mut room = Self {
+            wallpapers,
+            ..Self::first()
+        };
         if number > 0 {
             room.redecorate(&mut Pcg64Mcg::seed_from_u64(number));
         }
@@ -71,7 +78,11 @@ impl Scene {
         for solid in &mut self.solids {
             solid.base = std::array::from_fn(|_| rng.random_range(0.08..0.55));
             solid.salt = rng.random();
-            let moved = DVec3::new(rng.random_range(-0.25..0.25), 0.0, rng.random_range(-0.25..0.25));
+            let moved = DVec3::new(
+                rng.random_range(-0.25..0.25),
+                0.0,
+                rng.random_range(-0.25..0.25),
+            );
             let grown = rng.random_range(0.8..1.2);
             match &mut solid.shape {
                 Shape::Block { centre, half, turn } => {
@@ -90,7 +101,10 @@ impl Scene {
 
     fn first() -> Self {
         let mut solids = vec![Solid {
-            shape: Shape::Walls { centre: DVec3::new(0.0, -1.0, 0.0), half: DVec3::new(4.6, 2.4, 4.2) },
+            shape: Shape::Walls {
+                centre: DVec3::new(0.0, -1.0, 0.0),
+                half: DVec3::new(4.6, 2.4, 4.2),
+            },
             base: [0.32, 0.29, 0.25],
             salt: 1,
         }];
@@ -103,8 +117,16 @@ impl Scene {
             ([-0.2, 0.2, 2.4], [0.7, 1.2, 0.3], 0.1, [0.3, 0.2, 0.4]),
         ];
         for (index, (centre, half, turn, base)) in blocks.into_iter().enumerate() {
-            let shape = Shape::Block { centre: DVec3::from(centre), half: DVec3::from(half), turn };
-            solids.push(Solid { shape, base, salt: 11 + 7 * index as u32 });
+            let shape = Shape::Block {
+                centre: DVec3::from(centre),
+                half: DVec3::from(half),
+                turn,
+            };
+            solids.push(Solid {
+                shape,
+                base,
+                salt: 11 + 7 * index as u32,
+            });
         }
         let balls = [
             ([-1.1, -0.12, 0.3], 0.32, [0.5, 0.45, 0.1]),
@@ -112,21 +134,40 @@ impl Scene {
             ([1.5, 1.1, -0.5], 0.3, [0.15, 0.4, 0.4]),
         ];
         for (index, (centre, radius, base)) in balls.into_iter().enumerate() {
-            let shape = Shape::Ball { centre: DVec3::from(centre), radius };
-            solids.push(Solid { shape, base, salt: 101 + 7 * index as u32 });
+            let shape = Shape::Ball {
+                centre: DVec3::from(centre),
+                radius,
+            };
+            solids.push(Solid {
+                shape,
+                base,
+                salt: 101 + 7 * index as u32,
+            });
         }
-        Self { solids, scale: 1.0, wallpapers: Vec::new() }
+        Self {
+            solids,
+            scale: 1.0,
+            wallpapers: Vec::new(),
+        }
     }
 
-    /// The picture through `camera`, linear light 0..1: the mean of rays at `offsets` in each pixel.
+    /// The picture through `camera`, linear light 0..1: the mean of rays at `offsets` in each
+    /// pixel.
     pub fn render_at(&self, camera: &Camera, offsets: &[DVec2]) -> Image<Linear> {
         let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
         let mut image = Image::new(width, height);
         for y in 0..height {
             for x in 0..width {
                 let corner = DVec2::new(x as f64, y as f64);
-                let sum: DVec3 = offsets.iter().map(|offset| self.trace(camera, corner + *offset).1).sum();
-                image.set(x, y, (sum / offsets.len() as f64).to_array().map(|v| v as f32));
+                let sum: DVec3 = offsets
+                    .iter()
+                    .map(|offset| self.trace(camera, corner + *offset).1)
+                    .sum();
+                image.set(
+                    x,
+                    y,
+                    (sum / offsets.len() as f64).to_array().map(|v| v as f32),
+                );
             }
         }
         image
@@ -138,7 +179,9 @@ impl Scene {
         let to_world: DMat3 = camera.rotation().transpose();
         let ray = to_world * DVec3::new((pixel.x - k.cx) / k.fx, (pixel.y - k.cy) / k.fy, 1.0);
         let origin = camera.centre();
-        let Some((solid, hit)) = self.nearest(origin, ray) else { return (f64::INFINITY, DVec3::ZERO) };
+        let Some((solid, hit)) = self.nearest(origin, ray) else {
+            return (f64::INFINITY, DVec3::ZERO);
+        };
         let salt = solid.salt.wrapping_add(hit.face);
         let paint = if self.wallpapers.is_empty() {
             albedo(hit.surface, solid.base, salt, self.scale)
@@ -147,7 +190,8 @@ impl Scene {
         };
         (
             hit.distance,
-            DVec3::from(paint) * (AMBIENT + self.lamp_light(origin + ray * hit.distance, hit.normal)),
+            DVec3::from(paint)
+                * (AMBIENT + self.lamp_light(origin + ray * hit.distance, hit.normal)),
         )
     }
 
@@ -167,14 +211,23 @@ impl Scene {
         if facing <= 0.0 {
             return 0.0;
         }
-        let lit = self.nearest(point + normal * 1e-6, way).is_none_or(|(_, hit)| hit.distance >= 1.0);
-        if lit { facing * WHITE_AT * WHITE_AT / way.length_squared() } else { 0.0 }
+        let lit = self
+            .nearest(point + normal * 1e-6, way)
+            .is_none_or(|(_, hit)| hit.distance >= 1.0);
+        if lit {
+            facing * WHITE_AT * WHITE_AT / way.length_squared()
+        } else {
+            0.0
+        }
     }
 
     /// Nearest and farthest depth that a camera sees, on a coarse grid.
     pub fn depth_range(&self, camera: &Camera) -> (f64, f64) {
         let depths = self.depths(camera);
-        (depths.iter().copied().fold(f64::INFINITY, f64::min), depths.iter().copied().fold(0.0, f64::max))
+        (
+            depths.iter().copied().fold(f64::INFINITY, f64::min),
+            depths.iter().copied().fold(0.0, f64::max),
+        )
     }
 
     /// Median depth that a camera sees.
@@ -185,9 +238,15 @@ impl Scene {
     }
 
     fn depths(&self, camera: &Camera) -> Vec<f64> {
-        let size = DVec2::new(camera.intrinsics.width as f64, camera.intrinsics.height as f64);
-        let pixel = |i: usize| DVec2::new((i % 24) as f64 + 0.5, (i / 24) as f64 + 0.5) / 24.0 * size;
-        (0..24 * 24).map(|i| self.trace(camera, pixel(i)).0).collect()
+        let size = DVec2::new(
+            camera.intrinsics.width as f64,
+            camera.intrinsics.height as f64,
+        );
+        let pixel =
+            |i: usize| DVec2::new((i % 24) as f64 + 0.5, (i / 24) as f64 + 0.5) / 24.0 * size;
+        (0..24 * 24)
+            .map(|i| self.trace(camera, pixel(i)).0)
+            .collect()
     }
 }
 
@@ -204,13 +263,19 @@ impl Shape {
             }
             Self::Block { centre, half, turn } => {
                 let frame = DMat3::from_rotation_y(turn);
-                let (origin, ray) = (frame.transpose() * (origin - centre), frame.transpose() * ray);
+                let (origin, ray) = (
+                    frame.transpose() * (origin - centre),
+                    frame.transpose() * ray,
+                );
                 let ((near, axis), (far, _)) = slabs(origin, ray, half)?;
                 if near <= 1e-6 || near > far {
                     return None;
                 }
                 let hit = face(origin, ray, near, axis);
-                Some(Hit { normal: frame * hit.normal, ..hit })
+                Some(Hit {
+                    normal: frame * hit.normal,
+                    ..hit
+                })
             }
         }
     }
@@ -239,7 +304,12 @@ fn face(origin: DVec3, ray: DVec3, distance: f64, axis: usize) -> Hit {
     let mut normal = DVec3::ZERO;
     normal[axis] = point[axis].signum();
     let surface = DVec2::new(point[(axis + 1) % 3], point[(axis + 2) % 3]);
-    Hit { distance, normal, surface, face: 2 * axis as u32 + u32::from(point[axis] > 0.0) }
+    Hit {
+        distance,
+        normal,
+        surface,
+        face: 2 * axis as u32 + u32::from(point[axis] > 0.0),
+    }
 }
 
 fn meet_ball(origin: DVec3, ray: DVec3, radius: f64) -> Option<Hit> {
@@ -251,7 +321,12 @@ fn meet_ball(origin: DVec3, ray: DVec3, radius: f64) -> Option<Hit> {
     let distance = (-b - discriminant.sqrt()) / a;
     let normal = (origin + ray * distance) / radius;
     let surface = DVec2::new(normal.z.atan2(normal.x), normal.y.clamp(-1.0, 1.0).asin()) * radius;
-    (distance > 1e-6).then_some(Hit { distance, normal, surface, face: 0 })
+    (distance > 1e-6).then_some(Hit {
+        distance,
+        normal,
+        surface,
+        face: 0,
+    })
 }
 
 #[cfg(test)]
@@ -266,7 +341,10 @@ mod tests {
     fn the_lamp_falls_off_with_the_square_of_the_distance_and_the_cosine() {
         let room = Scene::room(0, Vec::new());
         let (below, height) = (room.lamp_light(BELOW_THE_LAMP, UP), 3.6);
-        assert!((below - (WHITE_AT / height).powi(2)).abs() < 1e-9, "{below}");
+        assert!(
+            (below - (WHITE_AT / height).powi(2)).abs() < 1e-9,
+            "{below}"
+        );
         let aside = BELOW_THE_LAMP - DVec3::new(0.0, 0.0, 1.8);
         let expected = WHITE_AT.powi(2) * height / (height * height + 1.8 * 1.8).powf(1.5);
         assert!((room.lamp_light(aside, UP) - expected).abs() < 1e-9);

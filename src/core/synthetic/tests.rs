@@ -3,7 +3,13 @@ use crate::metrics::psnr;
 use crate::poses::bounds::read_poses_bounds;
 
 fn small(seed: u64) -> SynthOptions {
-    SynthOptions { views: 3, width: 64, height: 36, seed, ..SynthOptions::default() }
+    SynthOptions {
+        views: 3,
+        width: 64,
+        height: 36,
+        seed,
+        ..SynthOptions::default()
+    }
 }
 
 fn load(dir: &Path, file: &str) -> Image<Srgb> {
@@ -17,7 +23,10 @@ fn the_same_seed_gives_the_same_bytes_and_another_does_not() {
         generate(&small(seed), dir.path()).unwrap();
     }
     for file in ["images/001.png", "HL/001.png", "poses_bounds.npy"] {
-        let bytes: Vec<_> = dirs.iter().map(|dir| std::fs::read(dir.path().join(file)).unwrap()).collect();
+        let bytes: Vec<_> = dirs
+            .iter()
+            .map(|dir| std::fs::read(dir.path().join(file)).unwrap())
+            .collect();
         assert!(bytes[0] == bytes[1], "{file}");
         assert!(bytes[0] != bytes[2], "{file}");
     }
@@ -31,7 +40,11 @@ fn the_layout_is_lush_nerfs_and_the_poses_are_the_cameras() {
     assert_eq!(rows.len(), 3);
     for ((name, camera), row) in summary.cameras.iter().zip(&rows) {
         assert!(dir.path().join(format!("images/{name}.png")).is_file());
-        assert!(row.camera.world_to_camera.abs_diff_eq(camera.world_to_camera, 1e-9));
+        assert!(
+            row.camera
+                .world_to_camera
+                .abs_diff_eq(camera.world_to_camera, 1e-9)
+        );
         assert!(row.near > 0.1 && row.far < 20.0 && row.near < row.far);
     }
 }
@@ -40,40 +53,78 @@ fn the_layout_is_lush_nerfs_and_the_poses_are_the_cameras() {
 fn every_view_has_near_neighbours_on_both_sides() {
     let options = SynthOptions::default();
     let cameras = path::cameras(options.views, options.intrinsics(), 7);
-    let gap = |i: usize| cameras[i].centre().distance(cameras[(i + 1) % cameras.len()].centre());
+    let gap = |i: usize| {
+        cameras[i]
+            .centre()
+            .distance(cameras[(i + 1) % cameras.len()].centre())
+    };
     let gaps: Vec<f64> = (0..cameras.len()).map(gap).collect();
     let mean = gaps.iter().sum::<f64>() / gaps.len() as f64;
-    assert!(gaps.iter().all(|&gap| gap < 2.0 * mean), "the loop is open: {gaps:?}");
+    assert!(
+        gaps.iter().all(|&gap| gap < 2.0 * mean),
+        "the loop is open: {gaps:?}"
+    );
 }
 
 #[test]
 fn without_blur_and_noise_the_dark_image_is_the_truth_under_the_exposure() {
     let dir = tempfile::tempdir().unwrap();
-    let options = SynthOptions { blur: 0.0, noise: 0.0, exposure: 0.25, ..small(5) };
+    let options = SynthOptions {
+        blur: 0.0,
+        noise: 0.0,
+        exposure: 0.25,
+        ..small(5)
+    };
     generate(&options, dir.path()).unwrap();
     let truth = load(dir.path(), "HL/001.png");
     let cut = truth.to_linear().map(|v| 0.25 * v).to_srgb();
     let dark = load(dir.path(), "images/001.png");
     // What is left is the sampling and the dark image's 8 bits.
     let unexposed = psnr(&dark, &truth);
-    assert!(psnr(&dark, &cut) > unexposed + 8.0, "{} {unexposed}", psnr(&dark, &cut));
+    assert!(
+        psnr(&dark, &cut) > unexposed + 8.0,
+        "{} {unexposed}",
+        psnr(&dark, &cut)
+    );
 }
 
 #[test]
 fn blur_and_noise_each_take_the_image_away_from_the_truth() {
     let dir = tempfile::tempdir().unwrap();
     let distance = |blur, noise| {
-        generate(&SynthOptions { blur, noise, exposure: 1.0, ..small(6) }, dir.path()).unwrap();
-        psnr(&load(dir.path(), "images/001.png"), &load(dir.path(), "HL/001.png"))
+        generate(
+            &SynthOptions {
+                blur,
+                noise,
+                exposure: 1.0,
+                ..small(6)
+            },
+            dir.path(),
+        )
+        .unwrap();
+        psnr(
+            &load(dir.path(), "images/001.png"),
+            &load(dir.path(), "HL/001.png"),
+        )
     };
     let (plain, blurred, noisy) = (distance(0.0, 0.0), distance(6.0, 0.0), distance(0.0, 0.2));
-    assert!(blurred < plain - 1.0 && noisy < plain - 1.0, "{plain} {blurred} {noisy}");
+    assert!(
+        blurred < plain - 1.0 && noisy < plain - 1.0,
+        "{plain} {blurred} {noisy}"
+    );
 }
 
 #[test]
 fn options_out_of_range_are_refused_by_name() {
     let dir = tempfile::tempdir().unwrap();
-    let error = generate(&SynthOptions { exposure: 0.0, ..small(0) }, dir.path()).unwrap_err();
+    let error = generate(
+        &SynthOptions {
+            exposure: 0.0,
+            ..small(0)
+        },
+        dir.path(),
+    )
+    .unwrap_err();
     assert!(error.to_string().contains("exposure"));
 }
 
@@ -83,22 +134,31 @@ fn other_rooms_are_others_and_the_same_every_time() {
     for (dir, room) in dirs.iter().zip([0, 5, 5, 6]) {
         generate(&SynthOptions { room, ..small(1) }, dir.path()).unwrap();
     }
-    let bytes: Vec<_> =
-        dirs.iter().map(|dir| std::fs::read(dir.path().join("HL/001.png")).unwrap()).collect();
+    let bytes: Vec<_> = dirs
+        .iter()
+        .map(|dir| std::fs::read(dir.path().join("HL/001.png")).unwrap())
+        .collect();
     assert!(bytes[1] == bytes[2] && bytes[0] != bytes[1] && bytes[1] != bytes[3]);
     let mean = |dir: &tempfile::TempDir| {
         let image = load(dir.path(), "HL/001.png");
         image.data().iter().sum::<f32>() / image.data().len() as f32
     };
     for dir in &dirs {
-        assert!((0.15..0.7).contains(&mean(dir)), "as bright as a room: {}", mean(dir));
+        assert!(
+            (0.15..0.7).contains(&mean(dir)),
+            "as bright as a room: {}",
+            mean(dir)
+        );
     }
 }
 
 #[test]
 fn a_papered_room_shows_its_photographs() {
     let (wallpapers, dir) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
-    let wallpapered = || SynthOptions { wallpapers: Some(wallpapers.path().into()), ..small(1) };
+    let wallpapered = || SynthOptions {
+        wallpapers: Some(wallpapers.path().into()),
+        ..small(1)
+    };
     let error = generate(&wallpapered(), dir.path()).unwrap_err();
     assert!(error.to_string().contains("no photograph"), "{error}");
     let mut red = Image::<Srgb>::new(8, 8);

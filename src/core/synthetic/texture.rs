@@ -1,5 +1,5 @@
-//! Albedo: painted corners and blobs at every scale, so that features are found near and far, sharp and
-//! blurred; or photographs on the walls.
+//! Albedo: painted corners and blobs at every scale, so that features are found near and far, sharp
+//! and blurred; or photographs on the walls.
 
 use glam::{DVec2, IVec2};
 
@@ -42,7 +42,11 @@ fn shapes(p: DVec2, size: f64, salt: u32) -> Option<[f64; 3]> {
         false => offset.abs().max_element() < 0.8 * radius,
     };
     within.then(|| {
-        let tone = if random(6) < 0.5 { 0.03 + 0.12 * random(7) } else { 0.55 + 0.4 * random(7) };
+        let tone = if random(6) < 0.5 {
+            0.03 + 0.12 * random(7)
+        } else {
+            0.55 + 0.4 * random(7)
+        };
         [random(8), random(9), random(10)].map(|tint| tone * (0.6 + 0.4 * tint))
     })
 }
@@ -63,19 +67,31 @@ pub(super) fn albedo(p: DVec2, base: [f64; 3], salt: u32, scale: f64) -> [f64; 3
     colour
 }
 
-/// Albedo, linear light, at `p` in world units of a surface with one of `photographs` on it (`salt` says which), again and
-/// again, every second one mirrored so that no seam shows. A photograph's pixel is `TEXEL * scale` world units wide.
-pub(super) fn wallpaper(p: DVec2, photographs: &[Image<Linear>], salt: u32, scale: f64) -> [f64; 3] {
+/// Albedo, linear light, at `p` in world units of a surface with one of `photographs` on it (`salt`
+/// says which), again and again, every second one mirrored so that no seam shows. A photograph's
+/// pixel is `TEXEL * scale` world units wide.
+pub(super) fn wallpaper(
+    p: DVec2,
+    photographs: &[Image<Linear>],
+    salt: u32,
+    scale: f64,
+) -> [f64; 3] {
     let random = |k: i32| hash(IVec2::new(k, -1), salt);
-    let photograph = &photographs[(random(0) * photographs.len() as f64) as usize % photographs.len()];
+    let photograph =
+        &photographs[(random(0) * photographs.len() as f64) as usize % photographs.len()];
     let along = |position: f64, side: usize| {
         let side = side as f64;
         let turned = position.rem_euclid(2.0 * side);
         turned.min(2.0 * side - turned)
     };
     let texels = p / (TEXEL * scale) + 1000.0 * DVec2::new(random(1), random(2));
-    let (x, y) = (along(texels.x, photograph.width()), along(texels.y, photograph.height()));
-    photograph.sample(x as f32, y as f32).map(|value| WALLPAPER_WHITE * f64::from(value))
+    let (x, y) = (
+        along(texels.x, photograph.width()),
+        along(texels.y, photograph.height()),
+    );
+    photograph
+        .sample(x as f32, y as f32)
+        .map(|value| WALLPAPER_WHITE * f64::from(value))
 }
 
 /// Side of a photograph's pixel on a wall, world units.
@@ -95,17 +111,29 @@ mod tests {
             photograph.set(x, y, [0.2 * x as f32, 0.4 * y as f32, 0.5]);
         }
         let at = |p: DVec2| wallpaper(p, std::slice::from_ref(&photograph), 7, 1.0);
-        // Neighbours differ by at most what they differ by in the photograph, over three repetitions of it.
+        // Neighbours differ by at most what they differ by in the photograph, over three
+        // repetitions of it.
         for step in 0..300 {
             let p = 0.001 * f64::from(step) * DVec2::ONE;
             let (a, b) = (at(p), at(p + 0.001));
-            let apart = a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+            let apart = a
+                .iter()
+                .zip(b)
+                .map(|(a, b)| (a - b).abs())
+                .fold(0.0, f64::max);
             assert!(apart < 0.1 * 0.4 * WALLPAPER_WHITE + 1e-6, "{apart} at {p}");
         }
-        let reds: Vec<f64> = (0..100).map(|i| at(DVec2::new(0.003 * f64::from(i), 0.0))[0]).collect();
-        let (low, high) =
-            (reds.iter().copied().fold(1.0, f64::min), reds.iter().copied().fold(0.0, f64::max));
-        assert!(low < 0.01 && high > 0.7, "the whole photograph is shown: {low} to {high}");
+        let reds: Vec<f64> = (0..100)
+            .map(|i| at(DVec2::new(0.003 * f64::from(i), 0.0))[0])
+            .collect();
+        let (low, high) = (
+            reds.iter().copied().fold(1.0, f64::min),
+            reds.iter().copied().fold(0.0, f64::max),
+        );
+        assert!(
+            low < 0.01 && high > 0.7,
+            "the whole photograph is shown: {low} to {high}"
+        );
         let grey = Image::from_planar(1, 1, vec![0.5; 3]);
         assert_eq!(wallpaper(DVec2::new(-3.0, 8.0), &[grey], 1, 1.0), [0.45; 3]);
     }

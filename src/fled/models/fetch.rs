@@ -19,23 +19,37 @@ const PATIENCE: Duration = Duration::from_secs(30);
 /// No network is larger, bytes: an address that never ends must not fill the disk.
 const LARGEST: u64 = 4 << 30;
 
-/// The file of a known network, from `from` or the manifest's address. What an interrupted download left in `folder` is gone
-/// on with where the manifest has a checksum that proves the whole right in the end.
+/// The file of a known network, from `from` or the manifest's address. What an interrupted download
+/// left in `folder` is gone on with where the manifest has a checksum that proves the whole right
+/// in the end.
 ///
 /// # Errors
-/// [`Failure`] of kind `environment` when it cannot be had or is not the file that the manifest names.
+/// [`Failure`] of kind `environment` when it cannot be had or is not the file that the manifest
+/// names.
 pub fn fetch(entry: &Entry, from: Option<&str>, folder: &Path) -> Result<Vec<u8>, Failure> {
     let Some(url) = from.or(entry.url.as_deref()) else {
         let note = entry.note.as_deref().unwrap_or_default();
-        return Err(environment(format!("{} has no address. {note}", entry.id), &by_hand(entry)));
+        return Err(environment(
+            format!("{} has no address. {note}", entry.id),
+            &by_hand(entry),
+        ));
     };
     std::fs::create_dir_all(folder).map_err(io(folder))?;
     let path = part(entry, folder);
     let mut options = OpenOptions::new();
-    let mut part =
-        options.read(true).write(true).create(true).truncate(false).open(&path).map_err(io(&path))?;
+    let mut part = options
+        .read(true)
+        .write(true)
+        .create(true)
+        .truncate(false)
+        .open(&path)
+        .map_err(io(&path))?;
     if part.try_lock().is_err() {
-        let detail = format!("{} is being fetched already, into {}", entry.id, path.display());
+        let detail = format!(
+            "{} is being fetched already, into {}",
+            entry.id,
+            path.display()
+        );
         return Err(environment(detail, "Wait for it."));
     }
     let Some(expected) = &entry.sha256 else {
@@ -69,7 +83,11 @@ pub fn fetch(entry: &Entry, from: Option<&str>, folder: &Path) -> Result<Vec<u8>
 /// The file's whole content, downloaded from its byte `have` on.
 fn attempt(entry: &Entry, url: &str, part: &mut File, have: u64) -> Result<Vec<u8>, Failure> {
     let lost = |detail: String| {
-        let resumed = if entry.sha256.is_some() { " Called again, it goes on from there." } else { "" };
+        let resumed = if entry.sha256.is_some() {
+            " Called again, it goes on from there."
+        } else {
+            ""
+        };
         let detail = format!("cannot get {} from {url}: {detail}.{resumed}", entry.id);
         environment(detail, &by_hand(entry))
     };
@@ -94,11 +112,17 @@ fn part(entry: &Entry, folder: &Path) -> PathBuf {
 }
 
 fn by_hand(entry: &Entry) -> String {
-    format!("Without a network: get the file elsewhere, then fled models add FILE --id {}", entry.id)
+    format!(
+        "Without a network: get the file elsewhere, then fled models add FILE --id {}",
+        entry.id
+    )
 }
 
 fn environment(detail: String, hint: &str) -> Failure {
-    Failure { hint: hint.to_owned(), ..Failure::new(ErrorKind::Environment, detail) }
+    Failure {
+        hint: hint.to_owned(),
+        ..Failure::new(ErrorKind::Environment, detail)
+    }
 }
 
 /// Brings `part`, of which `have` bytes are good, to the whole content of `url`.
@@ -129,7 +153,9 @@ fn download(url: &str, part: &mut File, have: u64, limit: u64) -> Result<(), Str
     if let Some(total) = total.filter(|total| *total > limit) {
         return Err(format!("it has {total} bytes, {limit} are expected"));
     }
-    part.set_len(at).and_then(|()| part.seek(SeekFrom::Start(at))).map_err(text)?;
+    part.set_len(at)
+        .and_then(|()| part.seek(SeekFrom::Start(at)))
+        .map_err(text)?;
     copy(&mut response, part, at, total, limit)?;
     part.sync_all().map_err(text)
 }
@@ -138,14 +164,23 @@ fn request(agent: &Agent, url: &str, from: u64) -> Result<Response<Body>, String
     let request = agent.get(url);
     // Compressed, the bytes would not be those that the range counts.
     let request = request.header("accept-encoding", "identity");
-    let request = if from > 0 { request.header("range", format!("bytes={from}-")) } else { request };
+    let request = if from > 0 {
+        request.header("range", format!("bytes={from}-"))
+    } else {
+        request
+    };
     request.call().map_err(|error| error.to_string())
 }
 
 /// First byte of a partial answer.
 fn begins(response: &Response<Body>) -> Option<u64> {
     let range = response.headers().get("content-range")?.to_str().ok()?;
-    range.strip_prefix("bytes ")?.split('-').next()?.parse().ok()
+    range
+        .strip_prefix("bytes ")?
+        .split('-')
+        .next()?
+        .parse()
+        .ok()
 }
 
 fn copy(
@@ -156,27 +191,33 @@ fn copy(
     limit: u64,
 ) -> Result<(), String> {
     let bar = ProgressBar::new(total.unwrap_or(0)).with_position(at);
-    let style = ProgressStyle::with_template("{bar:30} {bytes}/{total_bytes} {bytes_per_sec} {eta}");
+    let style =
+        ProgressStyle::with_template("{bar:30} {bytes}/{total_bytes} {bytes_per_sec} {eta}");
     bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()));
     let mut reader = response.body_mut().as_reader();
     let mut buffer = vec![0; 1 << 16];
     loop {
-        let read = reader.read(&mut buffer).map_err(|error| format!("stopped after {at} bytes: {error}"))?;
+        let read = reader
+            .read(&mut buffer)
+            .map_err(|error| format!("stopped after {at} bytes: {error}"))?;
         if read == 0 {
             break;
         }
         at += read as u64;
         if at > limit {
-            return Err(format!("it has more than the {limit} bytes that are expected"));
+            return Err(format!(
+                "it has more than the {limit} bytes that are expected"
+            ));
         }
-        file.write_all(&buffer[..read]).map_err(|error| error.to_string())?;
+        file.write_all(&buffer[..read])
+            .map_err(|error| error.to_string())?;
         bar.set_position(at);
     }
     bar.finish_and_clear();
     match total {
-        Some(total) if at != total => {
-            Err(format!("stopped after {at} of {total} bytes. Called again, it goes on"))
-        }
+        Some(total) if at != total => Err(format!(
+            "stopped after {at} of {total} bytes. Called again, it goes on"
+        )),
         _ => Ok(()),
     }
 }

@@ -35,7 +35,9 @@ struct Job {
 pub fn run(arguments: &[OsString]) -> Outcome {
     let after = |name: &str| {
         let at = arguments.iter().position(|argument| argument == name);
-        at.and_then(|at| arguments.get(at + 1)).map(PathBuf::from).ok_or(format!("{name} is missing"))
+        at.and_then(|at| arguments.get(at + 1))
+            .map(PathBuf::from)
+            .ok_or(format!("{name} is missing"))
     };
     let options: Options = serde_json::from_slice(&fs::read(after("--options")?)?)?;
     let (plan, tick) = match options.adapter.split_once(':') {
@@ -58,9 +60,18 @@ impl Job {
         eprintln!("a line on standard error <script>alert(1)</script>");
         say("a line that is no event");
         let names = self.names()?;
-        tell(&Event::Planned { rounds: self.options.rounds, views: names.len() as u32 });
+        tell(&Event::Planned {
+            rounds: self.options.rounds,
+            views: names.len() as u32,
+        });
         match self.plan.as_str() {
-            "few_poses" => return fail("few_poses", "3 of 20 photographs could be placed", "Take more."),
+            "few_poses" => {
+                return fail(
+                    "few_poses",
+                    "3 of 20 photographs could be placed",
+                    "Take more.",
+                );
+            }
             "bad_word" => return fail("no_such_kind", "an unknown kind", "None."),
             "silent" => sleep(Duration::from_secs(600)),
             "crash" => std::process::abort(),
@@ -70,13 +81,18 @@ impl Job {
         self.stage(Stage::Poses, 0)?;
         self.write_cameras(&names)?;
         let code = "low_confidence".to_owned();
-        tell(&Event::Warning { code, message: "poses <b>may</b> be wrong".to_owned() });
+        tell(&Event::Warning {
+            code,
+            message: "poses <b>may</b> be wrong".to_owned(),
+        });
         for round in 1..=self.options.rounds {
             for stage in &Stage::ALL[1..] {
                 self.stage(*stage, round)?;
             }
             self.write_round(round, &names)?;
-            tell(&Event::RoundFinished { metrics: Box::new(metrics(round)) });
+            tell(&Event::RoundFinished {
+                metrics: Box::new(metrics(round)),
+            });
             if self.plan == "crash-late" && self.first("crashed")? {
                 std::process::abort();
             }
@@ -100,14 +116,29 @@ impl Job {
             for done in 1..=TICKS {
                 sleep(self.tick);
                 let steps_per_second = (stage == Stage::Reconstruct).then_some(25.0);
-                tell(&Event::StageAdvanced { stage, round, done, total: TICKS, steps_per_second });
+                tell(&Event::StageAdvanced {
+                    stage,
+                    round,
+                    done,
+                    total: TICKS,
+                    steps_per_second,
+                });
             }
             fs::write(mark, "")?;
         }
-        tell(&Event::StageFinished { stage, round, seconds: start.elapsed().as_secs_f64(), skipped });
+        tell(&Event::StageFinished {
+            stage,
+            round,
+            seconds: start.elapsed().as_secs_f64(),
+            skipped,
+        });
         let index = Stage::ALL.iter().position(|&s| s == stage).unwrap_or(0) as f64;
-        let progress = (f64::from(round.max(1) - 1) + (index + 1.0) / 7.0) / f64::from(self.options.rounds);
-        tell(&Event::Progress { progress, eta_seconds: Some(10.0 * (1.0 - progress)) });
+        let progress =
+            (f64::from(round.max(1) - 1) + (index + 1.0) / 7.0) / f64::from(self.options.rounds);
+        tell(&Event::Progress {
+            progress,
+            eta_seconds: Some(10.0 * (1.0 - progress)),
+        });
         Ok(())
     }
 
@@ -130,17 +161,31 @@ impl Job {
     }
 
     fn write_cameras(&self, names: &[String]) -> Outcome {
-        let k = Intrinsics { width: 160, height: 90, fx: 120.0, fy: 120.0, cx: 80.0, cy: 45.0 };
+        let k = Intrinsics {
+            width: 160,
+            height: 90,
+            fx: 120.0,
+            fy: 120.0,
+            cx: 80.0,
+            cy: 45.0,
+        };
         let cameras: Vec<NamedCamera> = names
             .iter()
             .enumerate()
             .map(|(i, name)| {
                 let eye = DVec3::new(i as f64 - 1.0, -0.5, -4.0);
-                let split = if i % 8 == 0 { Split::HeldOut } else { Split::Train };
+                let split = if i % 8 == 0 {
+                    Split::HeldOut
+                } else {
+                    Split::Train
+                };
                 NamedCamera::new(name, &Camera::look_at(k, eye, DVec3::ZERO, DVec3::Y), split)
             })
             .collect();
-        fs::write(self.output.join("cameras.json"), serde_json::to_vec(&cameras)?)?;
+        fs::write(
+            self.output.join("cameras.json"),
+            serde_json::to_vec(&cameras)?,
+        )?;
         for name in names {
             self.picture(&format!("inputs/{name}.jpg"), name, 0.15)?;
             self.picture(&format!("gt/{name}.jpg"), name, 1.0)?;
@@ -155,10 +200,17 @@ impl Job {
                 self.picture(&format!("rounds/{round}/{kind}/{name}.jpg"), name, gain)?;
             }
         }
-        let scene = if self.plan == "bad_scene" { "crash" } else { "ply" };
+        let scene = if self.plan == "bad_scene" {
+            "crash"
+        } else {
+            "ply"
+        };
         fs::write(self.output.join(format!("rounds/{round}/scene.ply")), scene)?;
         let report = serde_json::json!({ "adapter": "played <i>adapter</i>", "seed": self.options.seed, "views": names.len() });
-        fs::write(self.output.join("metrics.json"), serde_json::to_vec(&report)?)?;
+        fs::write(
+            self.output.join("metrics.json"),
+            serde_json::to_vec(&report)?,
+        )?;
         Ok(())
     }
 
@@ -177,7 +229,11 @@ impl Job {
 }
 
 fn fail(kind: &str, detail: &str, hint: &str) -> Outcome {
-    tell(&Event::Failed { kind: kind.to_owned(), detail: detail.to_owned(), hint: hint.to_owned() });
+    tell(&Event::Failed {
+        kind: kind.to_owned(),
+        detail: detail.to_owned(),
+        hint: hint.to_owned(),
+    });
     std::process::exit(3);
 }
 
@@ -204,9 +260,19 @@ fn metrics(round: u32) -> RoundMetrics {
             let less = if split == Split::HeldOut { 1.5 } else { 0.0 };
             [
                 record(split, ImageKind::Enhanced, 16.0 - less, Reference::Gt),
-                record(split, ImageKind::Deblurred, 18.0 + gain - less, Reference::Gt),
+                record(
+                    split,
+                    ImageKind::Deblurred,
+                    18.0 + gain - less,
+                    Reference::Gt,
+                ),
                 record(split, ImageKind::Render, 19.0 + gain - less, Reference::Gt),
-                record(split, ImageKind::Render, 26.0 + gain - less, Reference::Deblurred),
+                record(
+                    split,
+                    ImageKind::Render,
+                    26.0 + gain - less,
+                    Reference::Deblurred,
+                ),
             ]
         })
         .collect();

@@ -36,12 +36,17 @@ fn serve(data: &Path, address_file: &Path) -> Result<(), Box<dyn std::error::Err
     let command = |verb: &str| vec![program.clone().into_os_string(), verb.into()];
     let config = ServeConfig {
         data: data.to_owned(),
-        listen: std::env::var("FLED_FAKE_LISTEN").unwrap_or_else(|_| "127.0.0.1:0".to_owned()).parse()?,
+        listen: std::env::var("FLED_FAKE_LISTEN")
+            .unwrap_or_else(|_| "127.0.0.1:0".to_owned())
+            .parse()?,
         workers: 2,
         job_command: command("run"),
         render_command: command("render-worker"),
         doctor_command: command("doctor"),
-        models: std::env::var_os("FLED_MODELS").into_iter().map(Into::into).collect(),
+        models: std::env::var_os("FLED_MODELS")
+            .into_iter()
+            .map(Into::into)
+            .collect(),
         limits: Limits {
             lease: Duration::from_secs(5),
             heartbeat: Duration::from_millis(500),

@@ -60,7 +60,10 @@ pub async fn list(
             collect(&output, "", &mut names).map(|()| names)
         }
     });
-    let mut names = names.await.map_err(|_| Problem::internal())?.map_err(ServerError::io(&output))?;
+    let mut names = names
+        .await
+        .map_err(|_| Problem::internal())?
+        .map_err(ServerError::io(&output))?;
     names.sort();
     let mut artifacts = Vec::with_capacity(names.len());
     for name in names {
@@ -93,14 +96,19 @@ pub async fn download(
     headers: HeaderMap,
 ) -> Result<Response, Problem> {
     find(&app, &id).await?;
-    let file = Stored::open(&app, &id, &name).await?.ok_or_else(|| Problem::not_found("artifact"))?;
+    let file = Stored::open(&app, &id, &name)
+        .await?
+        .ok_or_else(|| Problem::not_found("artifact"))?;
     let etag = format!("\"{}\"", file.sha256);
     let common = [
         (header::ETAG, etag.clone()),
         (header::ACCEPT_RANGES, "bytes".to_owned()),
         (header::CONTENT_TYPE, media_type(&name).to_owned()),
         // A file of a job must not become a page of this site.
-        (header::CONTENT_SECURITY_POLICY, "default-src 'none'; sandbox".to_owned()),
+        (
+            header::CONTENT_SECURITY_POLICY,
+            "default-src 'none'; sandbox".to_owned(),
+        ),
     ];
     if is_known(&headers, &etag) {
         return Ok((StatusCode::NOT_MODIFIED, common).into_response());
@@ -109,31 +117,59 @@ pub async fn download(
         Wanted::All => (0, file.bytes),
         Wanted::Part { start, length } => (start, length),
         Wanted::Impossible => {
-            let problem =
-                Problem::new(StatusCode::RANGE_NOT_SATISFIABLE, "bad_range", "The range is beyond the end.");
-            return Ok(
-                ([(header::CONTENT_RANGE, format!("bytes */{}", file.bytes))], problem).into_response()
+            let problem = Problem::new(
+                StatusCode::RANGE_NOT_SATISFIABLE,
+                "bad_range",
+                "The range is beyond the end.",
             );
+            return Ok((
+                [(header::CONTENT_RANGE, format!("bytes */{}", file.bytes))],
+                problem,
+            )
+                .into_response());
         }
     };
-    let mut source = tokio::fs::File::open(&file.path).await.map_err(ServerError::io(&file.path))?;
-    source.seek(SeekFrom::Start(start)).await.map_err(ServerError::io(&file.path))?;
+    let mut source = tokio::fs::File::open(&file.path)
+        .await
+        .map_err(ServerError::io(&file.path))?;
+    source
+        .seek(SeekFrom::Start(start))
+        .await
+        .map_err(ServerError::io(&file.path))?;
     let body = Body::from_stream(ReaderStream::with_capacity(source.take(length), 1 << 16));
     let whole = length == file.bytes;
-    let status = if whole { StatusCode::OK } else { StatusCode::PARTIAL_CONTENT };
-    let mut response = (status, common, [(header::CONTENT_LENGTH, length.to_string())], body).into_response();
+    let status = if whole {
+        StatusCode::OK
+    } else {
+        StatusCode::PARTIAL_CONTENT
+    };
+    let mut response = (
+        status,
+        common,
+        [(header::CONTENT_LENGTH, length.to_string())],
+        body,
+    )
+        .into_response();
     if !whole {
         let range = format!("bytes {start}-{}/{}", start + length - 1, file.bytes);
-        response.headers_mut().insert(header::CONTENT_RANGE, range.parse().map_err(|_| Problem::internal())?);
+        response.headers_mut().insert(
+            header::CONTENT_RANGE,
+            range.parse().map_err(|_| Problem::internal())?,
+        );
     }
     Ok(response)
 }
 
 /// Whether the client has this very content already.
 pub(super) fn is_known(headers: &HeaderMap, etag: &str) -> bool {
-    headers.get(header::IF_NONE_MATCH).and_then(|value| value.to_str().ok()).is_some_and(|tags| {
-        tags.split(',').any(|tag| matches!(tag.trim().trim_start_matches("W/"), t if t == etag || t == "*"))
-    })
+    headers
+        .get(header::IF_NONE_MATCH)
+        .and_then(|value| value.to_str().ok())
+        .is_some_and(|tags| {
+            tags.split(',').any(
+                |tag| matches!(tag.trim().trim_start_matches("W/"), t if t == etag || t == "*"),
+            )
+        })
 }
 
 /// A file with its digest.
@@ -147,13 +183,20 @@ impl Stored {
     /// `None` when there is no such file below the job's output.
     async fn open(app: &App, id: &str, name: &str) -> Result<Option<Self>, Problem> {
         let output = app.data.output(id);
-        let Some(path) = inside(&output, name) else { return Ok(None) };
-        let Ok(metadata) = tokio::fs::metadata(&path).await else { return Ok(None) };
+        let Some(path) = inside(&output, name) else {
+            return Ok(None);
+        };
+        let Ok(metadata) = tokio::fs::metadata(&path).await else {
+            return Ok(None);
+        };
         if !metadata.is_file() {
             return Ok(None);
         }
         let bytes = metadata.len();
-        let modified = metadata.modified().ok().and_then(|time| time.duration_since(UNIX_EPOCH).ok());
+        let modified = metadata
+            .modified()
+            .ok()
+            .and_then(|time| time.duration_since(UNIX_EPOCH).ok());
         let modified_ns = i64::try_from(modified.unwrap_or_default().as_nanos()).unwrap_or(0);
         let size = i64::try_from(bytes).unwrap_or(i64::MAX);
         let sha256 = match app.store.digest(id, name, size, modified_ns).await? {
@@ -161,19 +204,31 @@ impl Stored {
             None => {
                 let source = path.clone();
                 let digest = tokio::task::spawn_blocking(move || sha256(&source)).await;
-                let digest = digest.map_err(|_| Problem::internal())?.map_err(ServerError::io(&path))?;
-                app.store.remember_digest(id, (name, size, modified_ns), &digest).await?;
+                let digest = digest
+                    .map_err(|_| Problem::internal())?
+                    .map_err(ServerError::io(&path))?;
+                app.store
+                    .remember_digest(id, (name, size, modified_ns), &digest)
+                    .await?;
                 digest
             }
         };
-        Ok(Some(Self { path, bytes, sha256 }))
+        Ok(Some(Self {
+            path,
+            bytes,
+            sha256,
+        }))
     }
 }
 
 fn sha256(path: &FilePath) -> io::Result<String> {
     let mut hasher = Sha256::new();
     io::copy(&mut fs::File::open(path)?, &mut hasher)?;
-    Ok(hasher.finalize().iter().map(|byte| format!("{byte:02x}")).collect())
+    Ok(hasher
+        .finalize()
+        .iter()
+        .map(|byte| format!("{byte:02x}"))
+        .collect())
 }
 
 /// Where the pipeline keeps what only a resumed run reads.
@@ -184,15 +239,22 @@ fn inside(output: &FilePath, name: &str) -> Option<PathBuf> {
     if name.split('/').next() == Some(WORK) {
         return None;
     }
-    if name.split('/').any(|part| part.is_empty() || part.starts_with('.') || part.contains(['\\', '\0'])) {
+    if name
+        .split('/')
+        .any(|part| part.is_empty() || part.starts_with('.') || part.contains(['\\', '\0']))
+    {
         return None;
     }
     // Resolved: a link inside must not lead out.
-    let (root, path) = (output.canonicalize().ok()?, output.join(name).canonicalize().ok()?);
+    let (root, path) = (
+        output.canonicalize().ok()?,
+        output.join(name).canonicalize().ok()?,
+    );
     path.starts_with(&root).then_some(path)
 }
 
-/// Every public file below `dir`. What begins with a dot is the pipeline's own: unfinished or temporary.
+/// Every public file below `dir`. What begins with a dot is the pipeline's own: unfinished or
+/// temporary.
 fn collect(dir: &FilePath, prefix: &str, names: &mut Vec<String>) -> io::Result<()> {
     let entries = match fs::read_dir(dir) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(()),
@@ -200,7 +262,9 @@ fn collect(dir: &FilePath, prefix: &str, names: &mut Vec<String>) -> io::Result<
     };
     for entry in entries {
         let entry = entry?;
-        let Ok(name) = entry.file_name().into_string() else { continue };
+        let Ok(name) = entry.file_name().into_string() else {
+            continue;
+        };
         if name.starts_with('.') || (prefix.is_empty() && name == WORK) {
             continue;
         }

@@ -47,14 +47,24 @@ pub async fn create(
     body: Result<Multipart, axum::extract::multipart::MultipartRejection>,
 ) -> Result<Response, Problem> {
     let body = body.map_err(|rejection| {
-        Problem::new(rejection.status(), "unsupported_media_type", rejection.body_text())
-            .hint("Send multipart/form-data with parts named `images`.")
+        Problem::new(
+            rejection.status(),
+            "unsupported_media_type",
+            rejection.body_text(),
+        )
+        .hint("Send multipart/form-data with parts named `images`.")
     })?;
     let upload = upload::receive(&app, body).await?;
     let report = upload.judge().await?;
     if query.dry_run.is_some_and(|value| value != "false") {
         let name = upload.fields.get("name").cloned().unwrap_or_default();
-        return Ok(axum::Json(Capture { id: None, name, created_at: None, report }).into_response());
+        return Ok(axum::Json(Capture {
+            id: None,
+            name,
+            created_at: None,
+            report,
+        })
+        .into_response());
     }
     let row = upload.keep(&app, &report).await?;
     let location = format!("/v1/captures/{}", row.id);
@@ -70,11 +80,24 @@ pub async fn list(
     Query(query): Query<ListQuery>,
 ) -> Result<axum::Json<Captures>, Problem> {
     let limit = query.limit.unwrap_or(50).clamp(1, 200);
-    let rows = app.store.captures(limit + 1, query.cursor.as_deref()).await?;
+    let rows = app
+        .store
+        .captures(limit + 1, query.cursor.as_deref())
+        .await?;
     let more = rows.len() > limit as usize;
-    let captures: Vec<Capture> = rows.into_iter().take(limit as usize).map(Capture::from_row).collect();
-    let next_cursor = captures.last().filter(|_| more).and_then(|last| last.id.clone());
-    Ok(axum::Json(Captures { captures, next_cursor }))
+    let captures: Vec<Capture> = rows
+        .into_iter()
+        .take(limit as usize)
+        .map(Capture::from_row)
+        .collect();
+    let next_cursor = captures
+        .last()
+        .filter(|_| more)
+        .and_then(|last| last.id.clone());
+    Ok(axum::Json(Captures {
+        captures,
+        next_cursor,
+    }))
 }
 
 /// Shows a capture and its verdicts.
@@ -86,7 +109,11 @@ pub async fn show(
     State(app): State<Arc<App>>,
     Path(id): Path<String>,
 ) -> Result<axum::Json<Capture>, Problem> {
-    let row = app.store.capture(&id).await?.ok_or_else(|| Problem::not_found("capture"))?;
+    let row = app
+        .store
+        .capture(&id)
+        .await?
+        .ok_or_else(|| Problem::not_found("capture"))?;
     Ok(axum::Json(Capture::from_row(row)))
 }
 
@@ -96,10 +123,19 @@ pub async fn show(
         (status = 204, description = "Deleted"),
         (status = 404, description = "Unknown", body = Problem, content_type = "application/problem+json"),
         (status = 409, description = "A job uses it", body = Problem, content_type = "application/problem+json")))]
-pub async fn delete(State(app): State<Arc<App>>, Path(id): Path<String>) -> Result<StatusCode, Problem> {
-    let row = app.store.capture(&id).await?.ok_or_else(|| Problem::not_found("capture"))?;
+pub async fn delete(
+    State(app): State<Arc<App>>,
+    Path(id): Path<String>,
+) -> Result<StatusCode, Problem> {
+    let row = app
+        .store
+        .capture(&id)
+        .await?
+        .ok_or_else(|| Problem::not_found("capture"))?;
     if !app.store.delete_capture(&row.id).await? {
-        return Err(Problem::conflict("in_use", "A job uses this capture.").hint("Delete its jobs first."));
+        return Err(
+            Problem::conflict("in_use", "A job uses this capture.").hint("Delete its jobs first.")
+        );
     }
     remove(&app.data.capture(&row.id)).await;
     Ok(StatusCode::NO_CONTENT)

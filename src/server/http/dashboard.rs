@@ -26,7 +26,9 @@ pub async fn asset(Path(name): Path<String>) -> Response {
 }
 
 fn file(name: &str) -> Response {
-    let Some(file) = Web::get(name) else { return Problem::not_found("file").into_response() };
+    let Some(file) = Web::get(name) else {
+        return Problem::not_found("file").into_response();
+    };
     let media_type = match name.rsplit_once('.').map(|(_, extension)| extension) {
         Some("html") => "text/html; charset=utf-8",
         Some("css") => "text/css; charset=utf-8",

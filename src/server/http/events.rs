@@ -34,8 +34,9 @@ pub struct StreamQuery {
     after: Option<i64>,
 }
 
-/// Streams what happens to a job: `state`, `planned`, `stage_started`, `stage_finished`, `progress`,
-/// `round_finished`, `warning`. Ends with the job; 204 when there is nothing more to come.
+/// Streams what happens to a job: `state`, `planned`, `stage_started`, `stage_finished`,
+/// `progress`, `round_finished`, `warning`. Ends with the job; 204 when there is nothing more to
+/// come.
 #[utoipa::path(get, path = "/v1/jobs/{id}/events", tag = "jobs",
     params(("id" = String, Path), StreamQuery,
         ("Last-Event-ID" = Option<i64>, Header, description = "Number of the last event received; what follows it is sent")),
@@ -52,15 +53,25 @@ pub async fn stream(
     // Watching begins before the first look, or a change between the two would be missed.
     let versions = app.watch();
     let job = find(&app, &id).await?;
-    let header = headers.get("last-event-id").and_then(|value| value.to_str().ok()?.parse().ok());
+    let header = headers
+        .get("last-event-id")
+        .and_then(|value| value.to_str().ok()?.parse().ok());
     let last = header.or(query.after).unwrap_or(0);
     if job.state.is_terminal() && app.store.events_after(&id, last, 1).await?.is_empty() {
         // The only answer after which a browser does not connect again.
         return Ok(StatusCode::NO_CONTENT.into_response());
     }
-    let cursor = Cursor { app, id, last, versions, batch: Vec::new().into_iter() };
+    let cursor = Cursor {
+        app,
+        id,
+        last,
+        versions,
+        batch: Vec::new().into_iter(),
+    };
     let keep_alive = KeepAlive::new().interval(Duration::from_secs(15));
-    Ok(Sse::new(cursor.into_stream()).keep_alive(keep_alive).into_response())
+    Ok(Sse::new(cursor.into_stream())
+        .keep_alive(keep_alive)
+        .into_response())
 }
 
 struct Cursor {
@@ -75,7 +86,10 @@ impl Cursor {
     fn into_stream(self) -> impl Stream<Item = Result<Event, Infallible>> {
         futures::stream::unfold(self, async |mut cursor| {
             let row = cursor.next().await?;
-            let event = Event::default().id(row.seq.to_string()).event(row.kind).data(row.data.to_string());
+            let event = Event::default()
+                .id(row.seq.to_string())
+                .event(row.kind)
+                .data(row.data.to_string());
             Some((Ok(event), cursor))
         })
     }
@@ -90,7 +104,12 @@ impl Cursor {
             self.versions.mark_unchanged();
             // The state is read before the events: an end that comes in between has its event read.
             let job = self.app.store.job(&self.id).await.ok()??;
-            let rows = self.app.store.events_after(&self.id, self.last, BATCH).await.ok()?;
+            let rows = self
+                .app
+                .store
+                .events_after(&self.id, self.last, BATCH)
+                .await
+                .ok()?;
             if rows.is_empty() {
                 if job.state.is_terminal() {
                     return None;

@@ -65,7 +65,10 @@ pub struct ListQuery {
         (status = 202, description = "Accepted, on disk", body = Job, headers(("Location" = String))),
         (status = 404, description = "Unknown capture", body = Problem, content_type = "application/problem+json"),
         (status = 422, description = "Unknown option, bad value, or too few usable photographs", body = Problem, content_type = "application/problem+json")))]
-pub async fn create(State(app): State<Arc<App>>, mut request: Request) -> Result<Response, Problem> {
+pub async fn create(
+    State(app): State<Arc<App>>,
+    mut request: Request,
+) -> Result<Response, Problem> {
     let key = idempotency_key(request.headers())?;
     let is_multipart = request
         .headers()
@@ -95,10 +98,16 @@ pub async fn create(State(app): State<Arc<App>>, mut request: Request) -> Result
     app.changed();
     let location = format!("/v1/jobs/{}", row.id);
     let job = Job::load(&app.store, row).await?;
-    let mut response =
-        (StatusCode::ACCEPTED, [(header::LOCATION, location)], axum::Json(job)).into_response();
+    let mut response = (
+        StatusCode::ACCEPTED,
+        [(header::LOCATION, location)],
+        axum::Json(job),
+    )
+        .into_response();
     if replayed {
-        response.headers_mut().insert("idempotent-replayed", HeaderValue::from_static("true"));
+        response
+            .headers_mut()
+            .insert("idempotent-replayed", HeaderValue::from_static("true"));
     }
     Ok(response)
 }
@@ -113,7 +122,9 @@ async fn from_json(app: &App, body: &CreateJob, key: Option<&str>) -> Result<Cre
         &options,
         body.name.as_deref().unwrap_or_default(),
     ];
-    let fingerprint = blake3::hash(parts.join("\n").as_bytes()).to_hex().to_string();
+    let fingerprint = blake3::hash(parts.join("\n").as_bytes())
+        .to_hex()
+        .to_string();
     let job = new_job(
         app,
         &capture.id,
@@ -125,20 +136,34 @@ async fn from_json(app: &App, body: &CreateJob, key: Option<&str>) -> Result<Cre
     Ok(app.store.create_job(&job, key, &fingerprint).await?)
 }
 
-async fn from_upload(app: &Arc<App>, request: Request, key: Option<&str>) -> Result<Creation, Problem> {
+async fn from_upload(
+    app: &Arc<App>,
+    request: Request,
+    key: Option<&str>,
+) -> Result<Creation, Problem> {
     let body = Multipart::from_request(request, app)
         .await
-        .map_err(|rejection| Problem::new(rejection.status(), "bad_request", rejection.body_text()))?;
+        .map_err(|rejection| {
+            Problem::new(rejection.status(), "bad_request", rejection.body_text())
+        })?;
     let upload = upload::receive(app, body).await?;
-    let options =
-        match upload.fields.get("options").map(String::as_str).filter(|text| !text.trim().is_empty()) {
-            None => Map::new(),
-            Some(text) => serde_json::from_str(text).map_err(|error| {
-                Problem::unprocessable("bad_input", format!("`options` is no JSON object: {error}"))
-                    .pointer("/options")
-            })?,
-        };
-    let preset = upload.fields.get("preset").cloned().filter(|preset| !preset.is_empty());
+    let options = match upload
+        .fields
+        .get("options")
+        .map(String::as_str)
+        .filter(|text| !text.trim().is_empty())
+    {
+        None => Map::new(),
+        Some(text) => serde_json::from_str(text).map_err(|error| {
+            Problem::unprocessable("bad_input", format!("`options` is no JSON object: {error}"))
+                .pointer("/options")
+        })?,
+    };
+    let preset = upload
+        .fields
+        .get("preset")
+        .cloned()
+        .filter(|preset| !preset.is_empty());
     let fingerprint = upload.fingerprint.clone();
     // Options are judged before the photographs: a typo is told at once.
     new_job(app, "", "", preset.as_deref(), &options).await?;
@@ -164,16 +189,25 @@ async fn new_job(
         .unwrap_or(Preset::Standard.name())
         .parse()
         .map_err(|error: OptionsError| bad_option(&error).pointer("/preset"))?;
-    let options = preset.options().with_overrides(options).map_err(|error| bad_option(&error))?;
+    let options = preset
+        .options()
+        .with_overrides(options)
+        .map_err(|error| bad_option(&error))?;
     for (key, choice, words) in [
         ("deblur", &options.deblur, &["identity"][..]),
-        ("deblur_unguided", &options.deblur_unguided, &["same", "identity"]),
+        (
+            "deblur_unguided",
+            &options.deblur_unguided,
+            &["same", "identity"],
+        ),
         ("enhance", &options.enhance, &["curve"]),
     ] {
         let (folders, choice) = (app.config.models.clone(), choice.clone());
         // It reads the network's file.
         let check = move || check_network(&folders, key, &choice, words);
-        tokio::task::spawn_blocking(check).await.map_err(|_| Problem::internal())??;
+        tokio::task::spawn_blocking(check)
+            .await
+            .map_err(|_| Problem::internal())??;
     }
     Ok(NewJob {
         id: Uuid::now_v7().to_string(),
@@ -187,8 +221,15 @@ async fn new_job(
 
 /// Networks are chosen by name: a path would let a client probe the files of the server.
 /// `words` are what the option may say besides.
-fn check_network(folders: &[PathBuf], key: &str, choice: &str, words: &[&str]) -> Result<(), Problem> {
-    let answer = Manifest::ask(folders, |known| check_among(known, folders, key, choice, words));
+fn check_network(
+    folders: &[PathBuf],
+    key: &str,
+    choice: &str,
+    words: &[&str],
+) -> Result<(), Problem> {
+    let answer = Manifest::ask(folders, |known| {
+        check_among(known, folders, key, choice, words)
+    });
     answer.map_err(|error| {
         tracing::error!(%error, "the list of networks cannot be read");
         Problem::internal()
@@ -202,7 +243,12 @@ fn check_among(
     choice: &str,
     words: &[&str],
 ) -> Result<(), Problem> {
-    let refused = |message: String| bad_option(&OptionsError { key: key.to_owned(), message });
+    let refused = |message: String| {
+        bad_option(&OptionsError {
+            key: key.to_owned(),
+            message,
+        })
+    };
     if words.contains(&choice) {
         return Ok(());
     }
@@ -212,14 +258,15 @@ fn check_among(
             let hint = format!("Whoever runs the server gets it by: fled models fetch {choice}.");
             Err(refused(message).hint(hint))
         }
-        Some(entry) if key == "enhance" && entry.role == Role::Guided => {
-            Err(refused(format!("network `{choice}` wants a guide; one that brightens has 3 channels")))
-        }
+        Some(entry) if key == "enhance" && entry.role == Role::Guided => Err(refused(format!(
+            "network `{choice}` wants a guide; one that brightens has 3 channels"
+        ))),
         Some(entry) => entry.load(folders).map(drop).map_err(|error| {
             // With a path of the server: for its log.
             tracing::error!(%error, "a network that a job asks for cannot be used");
-            refused(format!("network `{choice}` is damaged on this server"))
-                .hint(format!("Whoever runs the server sees more by: fled models verify {choice}."))
+            refused(format!("network `{choice}` is damaged on this server")).hint(format!(
+                "Whoever runs the server sees more by: fled models verify {choice}."
+            ))
         }),
         None => {
             let known = [words, &known.choices()].concat().join(", ");
@@ -238,7 +285,9 @@ fn bad_option(error: &OptionsError) -> Problem {
 }
 
 fn idempotency_key(headers: &HeaderMap) -> Result<Option<String>, Problem> {
-    let Some(value) = headers.get("idempotency-key") else { return Ok(None) };
+    let Some(value) = headers.get("idempotency-key") else {
+        return Ok(None);
+    };
     match value.to_str() {
         Ok(key) if !key.is_empty() && key.len() <= 255 => Ok(Some(key.to_owned())),
         _ => Err(Problem::new(
@@ -257,7 +306,10 @@ pub async fn list(
     Query(query): Query<ListQuery>,
 ) -> Result<axum::Json<Jobs>, Problem> {
     let limit = query.limit.unwrap_or(50).clamp(1, 200);
-    let mut rows = app.store.jobs(query.state, limit + 1, query.cursor.as_deref()).await?;
+    let mut rows = app
+        .store
+        .jobs(query.state, limit + 1, query.cursor.as_deref())
+        .await?;
     let more = rows.len() > limit as usize;
     rows.truncate(limit as usize);
     let next_cursor = rows.last().filter(|_| more).map(|row| row.id.clone());
@@ -273,7 +325,10 @@ pub async fn list(
     responses(
         (status = 200, description = "The job", body = Job),
         (status = 404, description = "Unknown", body = Problem, content_type = "application/problem+json")))]
-pub async fn show(State(app): State<Arc<App>>, Path(id): Path<String>) -> Result<axum::Json<Job>, Problem> {
+pub async fn show(
+    State(app): State<Arc<App>>,
+    Path(id): Path<String>,
+) -> Result<axum::Json<Job>, Problem> {
     let row = find(&app, &id).await?;
     Ok(axum::Json(Job::load(&app.store, row).await?))
 }
@@ -284,7 +339,10 @@ pub async fn show(State(app): State<Arc<App>>, Path(id): Path<String>) -> Result
         (status = 202, description = "Cancelled, or about to be", body = Job),
         (status = 404, description = "Unknown", body = Problem, content_type = "application/problem+json"),
         (status = 409, description = "It is over already", body = Problem, content_type = "application/problem+json")))]
-pub async fn cancel(State(app): State<Arc<App>>, Path(id): Path<String>) -> Result<Response, Problem> {
+pub async fn cancel(
+    State(app): State<Arc<App>>,
+    Path(id): Path<String>,
+) -> Result<Response, Problem> {
     let row = find(&app, &id).await?;
     if app.store.request_cancel(&id).await?.is_none() {
         return Err(over(&row));
@@ -314,7 +372,10 @@ pub async fn cancel(State(app): State<Arc<App>>, Path(id): Path<String>) -> Resu
         (status = 202, description = "Queued", body = Job),
         (status = 404, description = "Unknown", body = Problem, content_type = "application/problem+json"),
         (status = 409, description = "It neither failed nor was cancelled", body = Problem, content_type = "application/problem+json")))]
-pub async fn retry(State(app): State<Arc<App>>, Path(id): Path<String>) -> Result<Response, Problem> {
+pub async fn retry(
+    State(app): State<Arc<App>>,
+    Path(id): Path<String>,
+) -> Result<Response, Problem> {
     let row = find(&app, &id).await?;
     if app.store.retry(&id).await?.is_none() {
         return Err(over(&row));
@@ -331,7 +392,10 @@ pub async fn retry(State(app): State<Arc<App>>, Path(id): Path<String>) -> Resul
         (status = 204, description = "Deleted"),
         (status = 404, description = "Unknown", body = Problem, content_type = "application/problem+json"),
         (status = 409, description = "It runs", body = Problem, content_type = "application/problem+json")))]
-pub async fn delete(State(app): State<Arc<App>>, Path(id): Path<String>) -> Result<StatusCode, Problem> {
+pub async fn delete(
+    State(app): State<Arc<App>>,
+    Path(id): Path<String>,
+) -> Result<StatusCode, Problem> {
     find(&app, &id).await?;
     if !app.store.delete_job(&id).await? {
         return Err(Problem::conflict("running", "The job runs.").hint("Cancel it first."));
@@ -348,5 +412,8 @@ fn over(row: &JobRow) -> Problem {
 
 /// The job, or 404.
 pub(super) async fn find(app: &App, id: &str) -> Result<JobRow, Problem> {
-    app.store.job(id).await?.ok_or_else(|| Problem::not_found("job"))
+    app.store
+        .job(id)
+        .await?
+        .ok_or_else(|| Problem::not_found("job"))
 }

@@ -46,11 +46,20 @@ pub async fn show(
 ) -> Result<axum::Json<LogPage>, Problem> {
     find(&app, &id).await?;
     let path = app.data.log(&id);
-    let (offset, limit) = (query.offset.unwrap_or(0), query.limit.unwrap_or(1000).clamp(1, 5000));
+    let (offset, limit) = (
+        query.offset.unwrap_or(0),
+        query.limit.unwrap_or(1000).clamp(1, 5000),
+    );
     let read = {
         let path = path.clone();
         tokio::task::spawn_blocking(move || read_page(&path, offset, limit)).await
     };
-    let page = read.map_err(|_| Problem::internal())?.map_err(ServerError::io(&path))?;
-    Ok(axum::Json(LogPage { lines: page.lines, next_offset: page.next_offset, end: page.end }))
+    let page = read
+        .map_err(|_| Problem::internal())?
+        .map_err(ServerError::io(&path))?;
+    Ok(axum::Json(LogPage {
+        lines: page.lines,
+        next_offset: page.next_offset,
+        end: page.end,
+    }))
 }

@@ -44,7 +44,9 @@ struct Api;
 /// # Panics
 /// Never: the document is made of plain data.
 pub fn document() -> String {
-    Api::openapi().to_yaml().expect("plain data can be written as YAML")
+    Api::openapi()
+        .to_yaml()
+        .expect("plain data can be written as YAML")
 }
 
 /// This document.

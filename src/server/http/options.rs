@@ -10,7 +10,8 @@ use super::problem::Problem;
 #[utoipa::path(get, path = "/v1/options", tag = "jobs",
     responses((status = 200, description = "A JSON Schema with `presets` besides", body = Object)))]
 pub async fn show() -> Result<Json<Value>, Problem> {
-    let mut schema = serde_json::to_value(schemars::schema_for!(Options)).map_err(|_| Problem::internal())?;
+    let mut schema =
+        serde_json::to_value(schemars::schema_for!(Options)).map_err(|_| Problem::internal())?;
     let mut presets = Map::new();
     for preset in Preset::ALL {
         let options = serde_json::to_value(preset.options()).map_err(|_| Problem::internal())?;
@@ -28,15 +29,22 @@ mod tests {
     #[tokio::test]
     async fn the_schema_names_its_draft_and_every_preset_fills_every_option() {
         let Json(schema) = show().await.expect("schema");
-        assert_eq!(schema["$schema"], "https://json-schema.org/draft/2020-12/schema");
+        assert_eq!(
+            schema["$schema"],
+            "https://json-schema.org/draft/2020-12/schema"
+        );
         assert_eq!(schema["properties"]["rounds"]["minimum"], 1);
         let keys = |value: &Value| {
-            let mut keys: Vec<String> = value.as_object().expect("object").keys().cloned().collect();
+            let mut keys: Vec<String> =
+                value.as_object().expect("object").keys().cloned().collect();
             keys.sort();
             keys
         };
         for preset in Preset::ALL {
-            assert_eq!(keys(&schema["presets"][preset.name()]), keys(&schema["properties"]));
+            assert_eq!(
+                keys(&schema["presets"][preset.name()]),
+                keys(&schema["properties"])
+            );
         }
     }
 }

@@ -89,7 +89,15 @@ pub async fn get(
 ) -> Result<Response, Problem> {
     let round = round(&app, &id, query.round).await?;
     let camera = camera(&app.data.output(&id), &query).await?;
-    picture(&app, &id, round, camera, query.format.unwrap_or(Format::Jpeg), &headers).await
+    picture(
+        &app,
+        &id,
+        round,
+        camera,
+        query.format.unwrap_or(Format::Jpeg),
+        &headers,
+    )
+    .await
 }
 
 /// Renders with a camera of the client's own.
@@ -108,14 +116,29 @@ pub async fn post(
 ) -> Result<Response, Problem> {
     let round = round(&app, &id, body.round).await?;
     let k = body.intrinsics;
-    let intrinsics = Intrinsics { width: k.width, height: k.height, fx: k.fx, fy: k.fy, cx: k.cx, cy: k.cy };
+    let intrinsics = Intrinsics {
+        width: k.width,
+        height: k.height,
+        fx: k.fx,
+        fy: k.fy,
+        cx: k.cx,
+        cy: k.cy,
+    };
     let camera = NamedCamera {
         name: String::new(),
         intrinsics,
         world_to_camera: body.world_to_camera,
         split: Split::Train,
     };
-    picture(&app, &id, round, camera, body.format.unwrap_or(Format::Jpeg), &headers).await
+    picture(
+        &app,
+        &id,
+        round,
+        camera,
+        body.format.unwrap_or(Format::Jpeg),
+        &headers,
+    )
+    .await
 }
 
 /// Of which round the scene is taken; `None`: the delivered scene of a finished job.
@@ -132,45 +155,77 @@ async fn round(app: &App, id: &str, asked: Option<u32>) -> Result<Option<u32>, P
         return Ok(None);
     }
     let finished = app.store.rounds(id).await?;
-    let rounds = finished.iter().rev().filter_map(|metrics| u32::try_from(metrics["round"].as_u64()?).ok());
-    rounds.map(Some).find(|&round| scene_file(&output, round).is_file()).ok_or_else(|| {
-        Problem::conflict("no_scene_yet", "No round of this job is finished yet.")
-            .hint("Ask again after the first `round_finished` event.")
-    })
+    let rounds = finished
+        .iter()
+        .rev()
+        .filter_map(|metrics| u32::try_from(metrics["round"].as_u64()?).ok());
+    rounds
+        .map(Some)
+        .find(|&round| scene_file(&output, round).is_file())
+        .ok_or_else(|| {
+            Problem::conflict("no_scene_yet", "No round of this job is finished yet.")
+                .hint("Ask again after the first `round_finished` event.")
+        })
 }
 
 async fn camera(output: &FilePath, query: &RenderQuery) -> Result<NamedCamera, Problem> {
     let path = output.join("cameras.json");
-    let text = tokio::fs::read(&path).await.map_err(ServerError::io(&path))?;
-    let cameras: Vec<NamedCamera> = serde_json::from_slice(&text)
-        .map_err(|error| ServerError::Damaged { what: "cameras.json", detail: error.to_string() })?;
+    let text = tokio::fs::read(&path)
+        .await
+        .map_err(ServerError::io(&path))?;
+    let cameras: Vec<NamedCamera> =
+        serde_json::from_slice(&text).map_err(|error| ServerError::Damaged {
+            what: "cameras.json",
+            detail: error.to_string(),
+        })?;
     if let Some(view) = &query.view {
-        if query.azimuth.or(query.elevation).or(query.distance).is_some() {
+        if query
+            .azimuth
+            .or(query.elevation)
+            .or(query.distance)
+            .is_some()
+        {
             return Err(Problem::unprocessable(
                 "bad_input",
                 "Either a view or a place on the orbit, not both.",
             ));
         }
-        let named =
-            cameras.iter().find(|camera| camera.name == *view).ok_or_else(|| Problem::not_found("view"))?;
+        let named = cameras
+            .iter()
+            .find(|camera| camera.name == *view)
+            .ok_or_else(|| Problem::not_found("view"))?;
         let (width, height) = size(query, &named.intrinsics)?;
         let camera = named.camera().resized(width, height);
         return Ok(NamedCamera::new(named.name.clone(), &camera, named.split));
     }
-    let orbit = Orbit::from_cameras(&cameras)
-        .ok_or_else(|| Problem::unprocessable("bad_input", "The cameras of this job span no orbit."))?;
+    let orbit = Orbit::from_cameras(&cameras).ok_or_else(|| {
+        Problem::unprocessable("bad_input", "The cameras of this job span no orbit.")
+    })?;
     let first = cameras.first().ok_or_else(Problem::internal)?;
     let number = |name: &str, value: Option<f64>, default: f64| match value.unwrap_or(default) {
         value if value.is_finite() => Ok(value),
-        _ => Err(Problem::unprocessable("bad_input", format!("`{name}` is no finite number."))),
+        _ => Err(Problem::unprocessable(
+            "bad_input",
+            format!("`{name}` is no finite number."),
+        )),
     };
     let distance = number("distance", query.distance, 1.0)?;
     if !(0.01..=100.0).contains(&distance) {
-        return Err(Problem::unprocessable("bad_input", "`distance` is not in 0.01..=100."));
+        return Err(Problem::unprocessable(
+            "bad_input",
+            "`distance` is not in 0.01..=100.",
+        ));
     }
-    let (azimuth, elevation) =
-        (number("azimuth", query.azimuth, 0.0)?, number("elevation", query.elevation, 0.0)?);
-    let camera = orbit.camera(azimuth, elevation, distance, size(query, &first.intrinsics)?);
+    let (azimuth, elevation) = (
+        number("azimuth", query.azimuth, 0.0)?,
+        number("elevation", query.elevation, 0.0)?,
+    );
+    let camera = orbit.camera(
+        azimuth,
+        elevation,
+        distance,
+        size(query, &first.intrinsics)?,
+    );
     Ok(NamedCamera::new("", &camera, Split::Train))
 }
 
@@ -205,7 +260,11 @@ fn check_camera(camera: &NamedCamera) -> Result<(), Problem> {
     let k = &camera.intrinsics;
     check_size((k.width, k.height))?;
     let rows = &camera.world_to_camera;
-    let finite = rows.iter().flatten().chain([&k.fx, &k.fy, &k.cx, &k.cy]).all(|value| value.is_finite());
+    let finite = rows
+        .iter()
+        .flatten()
+        .chain([&k.fx, &k.fy, &k.cx, &k.cy])
+        .all(|value| value.is_finite());
     let rotation = camera.camera().rotation();
     let deviation = (rotation * rotation.transpose() - glam::DMat3::IDENTITY).to_cols_array();
     let is_rigid = deviation.iter().all(|d| d.abs() < 1e-3)
@@ -214,8 +273,11 @@ fn check_camera(camera: &NamedCamera) -> Result<(), Problem> {
     if finite && k.fx > 0.0 && k.fy > 0.0 && is_rigid {
         return Ok(());
     }
-    Err(Problem::unprocessable("bad_camera", "This is no pinhole camera with a rigid pose.")
-        .hint("world_to_camera is row-major 4x4: a rotation, a translation, and 0 0 0 1 below."))
+    Err(
+        Problem::unprocessable("bad_camera", "This is no pinhole camera with a rigid pose.").hint(
+            "world_to_camera is row-major 4x4: a rotation, a translation, and 0 0 0 1 below.",
+        ),
+    )
 }
 
 async fn picture(
@@ -230,7 +292,10 @@ async fn picture(
     let scene = scene_file(&app.data.output(id), round);
     let key = key(&scene, &camera, format).map_err(ServerError::io(&scene))?;
     let etag = format!("\"{key}\"");
-    let common = [(header::ETAG, etag.clone()), (header::CONTENT_TYPE, format.media_type().to_owned())];
+    let common = [
+        (header::ETAG, etag.clone()),
+        (header::CONTENT_TYPE, format.media_type().to_owned()),
+    ];
     if is_known(headers, &etag) {
         return Ok((StatusCode::NOT_MODIFIED, common).into_response());
     }
@@ -239,15 +304,24 @@ async fn picture(
     if let Ok(bytes) = tokio::fs::read(&cached).await {
         return Ok((common, Body::from(bytes)).into_response());
     }
-    tokio::fs::create_dir_all(&cache).await.map_err(ServerError::io(&cache))?;
+    tokio::fs::create_dir_all(&cache)
+        .await
+        .map_err(ServerError::io(&cache))?;
     let out = cache.join(format!("{}.tmp", Uuid::now_v7()));
-    let request = RenderRequest { scene, camera, format, out: out.clone() };
+    let request = RenderRequest {
+        scene,
+        camera,
+        format,
+        out: out.clone(),
+    };
     if let Err(error) = app.renderers.render(&request).await {
         drop(tokio::fs::remove_file(&out).await);
         return Err(failed(&error));
     }
     let bytes = tokio::fs::read(&out).await.map_err(ServerError::io(&out))?;
-    tokio::fs::rename(&out, &cached).await.map_err(ServerError::io(&cached))?;
+    tokio::fs::rename(&out, &cached)
+        .await
+        .map_err(ServerError::io(&cached))?;
     let kept = app.limits.kept_renders;
     drop(tokio::task::spawn_blocking(move || trim(&cache, kept)));
     Ok((common, Body::from(bytes)).into_response())
@@ -268,13 +342,21 @@ fn key(scene: &FilePath, camera: &NamedCamera, format: Format) -> std::io::Resul
     let mut hasher = blake3::Hasher::new();
     hasher.update(scene.as_os_str().as_encoded_bytes());
     hasher.update(format!("{:?}{}", metadata.modified()?, metadata.len()).as_bytes());
-    hasher.update(format!("{:?}{:?}{format:?}", camera.intrinsics, camera.world_to_camera).as_bytes());
+    hasher.update(
+        format!(
+            "{:?}{:?}{format:?}",
+            camera.intrinsics, camera.world_to_camera
+        )
+        .as_bytes(),
+    );
     Ok(hasher.finalize().to_hex()[..32].to_owned())
 }
 
 /// Removes the oldest pictures beyond `kept`.
 fn trim(cache: &FilePath, kept: usize) {
-    let Ok(entries) = std::fs::read_dir(cache) else { return };
+    let Ok(entries) = std::fs::read_dir(cache) else {
+        return;
+    };
     let mut files: Vec<_> = entries
         .flatten()
         .filter_map(|entry| Some((entry.metadata().ok()?.modified().ok()?, entry.path())))

@@ -42,7 +42,8 @@ pub struct Rounds {
     rounds: Vec<Value>,
     /// The delivered round, once the job is done.
     best_round: Option<u32>,
-    /// The rest of `metrics.json` once it is there: registered, views, adapter, models, fallbacks, poses, seed, config.
+    /// The rest of `metrics.json` once it is there: registered, views, adapter, models, fallbacks,
+    /// poses, seed, config.
     #[serde(flatten)]
     #[schema(value_type = Object)]
     facts: Map<String, Value>,
@@ -66,14 +67,23 @@ pub async fn show(
     }
     let mut facts = facts(&app, &id).await;
     facts.insert("stages".to_owned(), stages(&app.store.stages(&id).await?));
-    Ok(axum::Json(Rounds { rounds, best_round: job.best_round, facts }).into_response())
+    Ok(axum::Json(Rounds {
+        rounds,
+        best_round: job.best_round,
+        facts,
+    })
+    .into_response())
 }
 
 /// What `metrics.json` says besides the rounds. The file is written after every round; before
 /// the first there is none.
 async fn facts(app: &App, id: &str) -> Map<String, Value> {
-    let text = tokio::fs::read(app.data.output(id).join("metrics.json")).await.unwrap_or_default();
-    let Ok(Value::Object(mut report)) = serde_json::from_slice(&text) else { return Map::new() };
+    let text = tokio::fs::read(app.data.output(id).join("metrics.json"))
+        .await
+        .unwrap_or_default();
+    let Ok(Value::Object(mut report)) = serde_json::from_slice(&text) else {
+        return Map::new();
+    };
     for ours in ["rounds", "best_round", "stages"] {
         report.remove(ours);
     }
@@ -84,7 +94,10 @@ async fn facts(app: &App, id: &str) -> Map<String, Value> {
 fn stages(stages: &[StageSeconds]) -> Value {
     let mut sums = Map::new();
     for stage in stages {
-        let before = sums.get(&stage.stage).and_then(Value::as_f64).unwrap_or(0.0);
+        let before = sums
+            .get(&stage.stage)
+            .and_then(Value::as_f64)
+            .unwrap_or(0.0);
         sums.insert(stage.stage.clone(), json!(before + stage.seconds));
     }
     Value::Object(sums)

@@ -70,9 +70,17 @@ impl Capture {
     pub fn from_row(row: CaptureRow) -> Self {
         let report = serde_json::from_value(row.report).unwrap_or_else(|error| {
             tracing::error!(%error, capture = row.id, "its verdicts are damaged");
-            CaptureReport { accepted: row.accepted, ..CaptureReport::default() }
+            CaptureReport {
+                accepted: row.accepted,
+                ..CaptureReport::default()
+            }
         });
-        Self { id: Some(row.id), name: row.name, created_at: Some(time(row.created_at)), report }
+        Self {
+            id: Some(row.id),
+            name: row.name,
+            created_at: Some(time(row.created_at)),
+            report,
+        }
     }
 }
 
@@ -178,11 +186,18 @@ impl Job {
         Ok(Self {
             warnings: warnings
                 .into_iter()
-                .map(|warning| Warning { code: warning.code, message: warning.message })
+                .map(|warning| Warning {
+                    code: warning.code,
+                    message: warning.message,
+                })
                 .collect(),
             stages: stages
                 .into_iter()
-                .map(|stage| StageTime { stage: stage.stage, round: stage.round, seconds: stage.seconds })
+                .map(|stage| StageTime {
+                    stage: stage.stage,
+                    round: stage.round,
+                    seconds: stage.seconds,
+                })
                 .collect(),
             id: row.id,
             name: row.name,
@@ -213,5 +228,7 @@ impl Job {
 
 /// RFC 3339 in UTC.
 fn time(milliseconds: i64) -> String {
-    jiff::Timestamp::from_millisecond(milliseconds).unwrap_or_default().to_string()
+    jiff::Timestamp::from_millisecond(milliseconds)
+        .unwrap_or_default()
+        .to_string()
 }

@@ -50,7 +50,12 @@ pub async fn receive(app: &App, mut body: Multipart) -> Result<Upload, Problem> 
     check_space(app)?;
     let dir = app.data.incoming().join(Uuid::now_v7().to_string());
     fs::create_dir(&dir).await.map_err(ServerError::io(&dir))?;
-    let mut upload = Upload { dir, fields: BTreeMap::new(), fingerprint: String::new(), files: 0 };
+    let mut upload = Upload {
+        dir,
+        fields: BTreeMap::new(),
+        fingerprint: String::new(),
+        files: 0,
+    };
     let mut receiver = Receiver {
         app,
         hasher: blake3::Hasher::new(),
@@ -85,8 +90,10 @@ impl Upload {
     /// 422 with the verdicts when too few photographs can be used.
     pub async fn judge(&self) -> Result<CaptureReport, Problem> {
         if self.files == 0 {
-            return Err(Problem::unprocessable("bad_input", "The upload holds no file.")
-                .hint("Send photographs as parts named `images`, or one zip."));
+            return Err(
+                Problem::unprocessable("bad_input", "The upload holds no file.")
+                    .hint("Send photographs as parts named `images`, or one zip."),
+            );
         }
         let dir = self.dir.clone();
         let outcome = tokio::task::spawn_blocking(move || judge::judge(&dir)).await;
@@ -119,7 +126,10 @@ impl Upload {
             std::fs::rename(&from, &to)?;
             sync_directory(to.parent().unwrap_or(Path::new(".")))
         });
-        moved.await.map_err(|_| Problem::internal())?.map_err(ServerError::io(&self.dir))?;
+        moved
+            .await
+            .map_err(|_| Problem::internal())?
+            .map_err(ServerError::io(&self.dir))?;
         app.store.insert_capture(&row).await?;
         Ok(row)
     }
@@ -136,11 +146,16 @@ fn refused(refusal: Refusal) -> Problem {
         (StatusCode::UNPROCESSABLE_ENTITY, "bad_input")
     };
     let capture = serde_json::to_value(&refusal.report).unwrap_or_default();
-    Problem::new(status, code, refusal.detail).hint(refusal.hint).capture(capture)
+    Problem::new(status, code, refusal.detail)
+        .hint(refusal.hint)
+        .capture(capture)
 }
 
 fn default_name() -> String {
-    format!("capture of {}", jiff::Zoned::now().strftime("%Y-%m-%d %H:%M"))
+    format!(
+        "capture of {}",
+        jiff::Zoned::now().strftime("%Y-%m-%d %H:%M")
+    )
 }
 
 /// Makes the files and the names of a whole tree survive a power cut. Zips are unpacked by the
@@ -201,12 +216,16 @@ impl Receiver<'_> {
     ) -> Result<(), Problem> {
         let path = dir.join(self.place(part, name));
         let parent = path.parent().unwrap_or(dir);
-        fs::create_dir_all(parent).await.map_err(ServerError::io(parent))?;
+        fs::create_dir_all(parent)
+            .await
+            .map_err(ServerError::io(parent))?;
         let mut file = File::create(&path).await.map_err(ServerError::io(&path))?;
         while let Some(chunk) = field.chunk().await.map_err(|error| broken(&error))? {
             self.count(chunk.len())?;
             self.hasher.update(&chunk);
-            file.write_all(&chunk).await.map_err(ServerError::io(&path))?;
+            file.write_all(&chunk)
+                .await
+                .map_err(ServerError::io(&path))?;
         }
         file.flush().await.map_err(ServerError::io(&path))?;
         Ok(())
@@ -228,8 +247,12 @@ impl Receiver<'_> {
     fn place(&mut self, part: &str, name: &str) -> PathBuf {
         let components: Vec<&str> = name.split(['/', '\\']).filter(|c| !c.is_empty()).collect();
         let file = components.last().copied().unwrap_or("unnamed");
-        let folder =
-            components.len().checked_sub(2).and_then(|i| components.get(i)).copied().unwrap_or_default();
+        let folder = components
+            .len()
+            .checked_sub(2)
+            .and_then(|i| components.get(i))
+            .copied()
+            .unwrap_or_default();
         let lower = file.to_ascii_lowercase();
         let is_pose = ["transforms.json", "poses_bounds.npy"].contains(&lower.as_str());
         let is_model = ["cameras", "images", "points3d"]
@@ -240,17 +263,25 @@ impl Receiver<'_> {
         }
         if is_model {
             // COLMAP's readers know these names only with their capitals.
-            let name =
-                if lower.starts_with("points3d") { lower.replace("points3d", "points3D") } else { lower };
+            let name = if lower.starts_with("points3d") {
+                lower.replace("points3d", "points3D")
+            } else {
+                lower
+            };
             return Path::new("sparse").join(name);
         }
         if lower.ends_with(".zip") && part != "gt" {
             return self.unique(Path::new(""), judge::ARCHIVE);
         }
-        let is_truth = part == "gt" || ["gt", "hl"].iter().any(|truth| folder.eq_ignore_ascii_case(truth));
+        let is_truth = part == "gt"
+            || ["gt", "hl"]
+                .iter()
+                .any(|truth| folder.eq_ignore_ascii_case(truth));
         let stored = match self.names.get(file) {
             // The second of a pair takes the name of the first.
-            Some(stored) if !self.taken.contains(&folder_of(is_truth).join(stored)) => stored.clone(),
+            Some(stored) if !self.taken.contains(&folder_of(is_truth).join(stored)) => {
+                stored.clone()
+            }
             _ => safe_name(file),
         };
         let path = self.unique(&folder_of(is_truth), &stored);
@@ -283,7 +314,13 @@ fn safe_name(name: &str) -> String {
     let keep = |text: &str, most: usize| -> String {
         let mut bytes = 0;
         text.chars()
-            .map(|c| if c.is_control() || "/\\:*?\"<>|".contains(c) { '_' } else { c })
+            .map(|c| {
+                if c.is_control() || "/\\:*?\"<>|".contains(c) {
+                    '_'
+                } else {
+                    c
+                }
+            })
             .take_while(|c| {
                 bytes += c.len_utf8();
                 bytes <= most
@@ -309,15 +346,24 @@ mod tests {
 
     #[test]
     fn no_name_leaves_its_folder_or_reaches_a_command_line() {
-        for name in
-            ["../../etc/passwd", "-rf.png", "a\nb.jpg", "日本.png", ".hidden", "", "x".repeat(300).as_str()]
-        {
+        for name in [
+            "../../etc/passwd",
+            "-rf.png",
+            "a\nb.jpg",
+            "日本.png",
+            ".hidden",
+            "",
+            "x".repeat(300).as_str(),
+        ] {
             let safe = safe_name(name);
             assert!(
                 !safe.starts_with(['-', '.']) && safe.len() <= 161 && !safe.is_empty(),
                 "{name:?} -> {safe:?}"
             );
-            assert!(!safe.contains(['/', '\\', '\n', '\0']), "{name:?} -> {safe:?}");
+            assert!(
+                !safe.contains(['/', '\\', '\n', '\0']),
+                "{name:?} -> {safe:?}"
+            );
         }
         assert_eq!(safe_name("IMG 0001.JPG"), "IMG 0001.JPG");
     }

@@ -31,8 +31,14 @@ enum End {
 
 /// What a job's process has told about its end.
 enum Verdict {
-    Finished { best_round: u32 },
-    Failed { kind: String, detail: String, hint: String },
+    Finished {
+        best_round: u32,
+    },
+    Failed {
+        kind: String,
+        detail: String,
+        hint: String,
+    },
 }
 
 pub(super) struct Attempt<'a> {
@@ -50,14 +56,24 @@ pub(super) struct Attempt<'a> {
 pub(super) async fn run(app: &App, claim: &Claim, cancel: Arc<Notify>) -> Result<Settlement> {
     let id = &claim.job.id;
     let output = app.data.output(id);
-    tokio::fs::create_dir_all(&output).await.map_err(ServerError::io(&output))?;
+    tokio::fs::create_dir_all(&output)
+        .await
+        .map_err(ServerError::io(&output))?;
     let options = app.data.job(id).join("options.json");
     write_atomically(&options, claim.job.options.to_string().as_bytes())
         .map_err(ServerError::io(&options))?;
     let path = app.data.log(id);
     let log = LogWriter::open(&path, app.limits.max_log_bytes).map_err(ServerError::io(&path))?;
-    let mut attempt = Attempt { app, lease: claim.lease.clone(), log, pending: None, verdict: None };
-    attempt.log.line(&format!("attempt {} begins", claim.job.attempts));
+    let mut attempt = Attempt {
+        app,
+        lease: claim.lease.clone(),
+        log,
+        pending: None,
+        verdict: None,
+    };
+    attempt
+        .log
+        .line(&format!("attempt {} begins", claim.job.attempts));
     let arguments: Vec<OsString> = vec![
         judge::source(app.data.capture(&claim.job.capture_id)).into(),
         "--out".into(),
@@ -129,15 +145,27 @@ impl Attempt<'_> {
     async fn exit(&self, group: &mut Group) -> Result<End> {
         match tokio::time::timeout(DRAIN, group.wait()).await {
             Ok(Ok(status)) => Ok(End::Exited(status)),
-            Ok(Err(source)) => Err(ServerError::Io { path: "job".into(), source }),
-            Err(_) => self.timed_out("closed its outputs, but went on", DRAIN).await,
+            Ok(Err(source)) => Err(ServerError::Io {
+                path: "job".into(),
+                source,
+            }),
+            Err(_) => {
+                self.timed_out("closed its outputs, but went on", DRAIN)
+                    .await
+            }
         }
     }
 
     async fn timed_out(&self, what: &str, limit: Duration) -> Result<End> {
-        let detail = format!("the job's process {what} for {} s and was stopped", limit.as_secs());
+        let detail = format!(
+            "the job's process {what} for {} s and was stopped",
+            limit.as_secs()
+        );
         let hint = "The log shows what it did last; a smaller preset needs less time.";
-        Ok(End::Stop(self.failure(ErrorKind::Timeout, detail, hint.to_owned()).await?))
+        Ok(End::Stop(
+            self.failure(ErrorKind::Timeout, detail, hint.to_owned())
+                .await?,
+        ))
     }
 
     async fn take(&mut self, line: Line) -> Result<()> {
@@ -161,17 +189,28 @@ impl Attempt<'_> {
     async fn event(&mut self, event: Event) -> Result<()> {
         match event {
             Event::Log { message } => self.log.line(&message),
-            Event::StageAdvanced { stage, round, done, total, steps_per_second } => {
+            Event::StageAdvanced {
+                stage,
+                round,
+                done,
+                total,
+                steps_per_second,
+            } => {
                 let pending = self.pending.get_or_insert_default();
                 pending.stage = Some((stage, round, done, total));
                 pending.steps_per_second = steps_per_second;
             }
-            Event::Progress { progress, eta_seconds } => {
+            Event::Progress {
+                progress,
+                eta_seconds,
+            } => {
                 let pending = self.pending.get_or_insert_default();
                 pending.progress = progress.is_finite().then(|| progress.clamp(0.0, 1.0));
                 pending.eta_seconds = eta_seconds.filter(|eta| eta.is_finite());
             }
-            Event::Finished { best_round, .. } => self.verdict = Some(Verdict::Finished { best_round }),
+            Event::Finished { best_round, .. } => {
+                self.verdict = Some(Verdict::Finished { best_round })
+            }
             Event::Failed { kind, detail, hint } => {
                 self.verdict = Some(Verdict::Failed { kind, detail, hint });
             }
@@ -204,20 +243,26 @@ impl Attempt<'_> {
             Some(Verdict::Failed { kind, detail, hint }) => {
                 // Nobody asked through us: some other hand stopped the process.
                 let kind = ErrorKind::from_name(&kind).filter(|&kind| kind != ErrorKind::Cancelled);
-                self.failure(kind.unwrap_or(ErrorKind::Internal), detail, hint).await
+                self.failure(kind.unwrap_or(ErrorKind::Internal), detail, hint)
+                    .await
             }
             _ => {
                 let detail = format!("the job's process ended without a result ({status})");
                 let hint = "The log shows what it did last. Signal 9 may mean that memory ran out.";
-                self.failure(ErrorKind::Internal, detail, hint.to_owned()).await
+                self.failure(ErrorKind::Internal, detail, hint.to_owned())
+                    .await
             }
         }
     }
 
     async fn not_started(&self, error: &std::io::Error) -> Result<Settlement> {
         let detail = format!("the job's process could not be started: {error}");
-        self.failure(ErrorKind::Environment, detail, "Check the installation with `fled doctor`.".into())
-            .await
+        self.failure(
+            ErrorKind::Environment,
+            detail,
+            "Check the installation with `fled doctor`.".into(),
+        )
+        .await
     }
 
     /// Decides between another attempt and the end.
@@ -226,8 +271,16 @@ impl Attempt<'_> {
         let retry = kind.retryable() && failures < self.app.limits.attempts_without_progress;
         let base = i64::try_from(self.app.limits.retry_base.as_millis()).unwrap_or(i64::MAX);
         let wait = base.saturating_mul(4_i64.saturating_pow(failures.saturating_sub(1)));
-        let error = JobError { code: kind.name().to_owned(), detail, hint };
-        Ok(Settlement::Failed { error, retry_in_ms: retry.then_some(wait), failures })
+        let error = JobError {
+            code: kind.name().to_owned(),
+            detail,
+            hint,
+        };
+        Ok(Settlement::Failed {
+            error,
+            retry_in_ms: retry.then_some(wait),
+            failures,
+        })
     }
 }
 
@@ -241,12 +294,20 @@ fn readable(event: &Event) -> String {
     match event {
         Event::Planned { rounds, views } => format!("planned {rounds} rounds of {views} views"),
         Event::StageStarted { stage, round } => format!("{} begins", place(*stage, *round)),
-        Event::StageFinished { stage, round, seconds, skipped } => {
+        Event::StageFinished {
+            stage,
+            round,
+            seconds,
+            skipped,
+        } => {
             let how = if *skipped { "found done" } else { "done" };
             format!("{} {how}, {seconds:.1} s", place(*stage, *round))
         }
         Event::RoundFinished { metrics } => {
-            format!("round {} done, {:.1} s, {} Gaussians", metrics.round, metrics.seconds, metrics.gaussians)
+            format!(
+                "round {} done, {:.1} s, {} Gaussians",
+                metrics.round, metrics.seconds, metrics.gaussians
+            )
         }
         Event::Warning { code, message } => format!("warning {code}: {message}"),
         other => format!("{other:?}"),
@@ -255,16 +316,29 @@ fn readable(event: &Event) -> String {
 
 /// A stage in the log; the poses belong to no round.
 fn place(stage: Stage, round: u32) -> String {
-    if round == 0 { stage.name().to_owned() } else { format!("round {round}: {}", stage.name()) }
+    if round == 0 {
+        stage.name().to_owned()
+    } else {
+        format!("round {round}: {}", stage.name())
+    }
 }
 
 fn closing_line(settlement: &Settlement) -> String {
     match settlement {
         Settlement::Finished { best_round } => format!("finished; round {best_round} is delivered"),
         Settlement::Stopped => "cancelled".to_owned(),
-        Settlement::Released => "interrupted: the server stops; the job goes on after its restart".to_owned(),
-        Settlement::Failed { error, retry_in_ms: Some(wait), .. } => {
-            format!("failed ({}): {}; again in {wait} ms", error.code, error.detail)
+        Settlement::Released => {
+            "interrupted: the server stops; the job goes on after its restart".to_owned()
+        }
+        Settlement::Failed {
+            error,
+            retry_in_ms: Some(wait),
+            ..
+        } => {
+            format!(
+                "failed ({}): {}; again in {wait} ms",
+                error.code, error.detail
+            )
         }
         Settlement::Failed { error, .. } => {
             format!("failed ({}): {} {}", error.code, error.detail, error.hint)

@@ -12,7 +12,9 @@ use super::process::JOB_VARIABLE;
 
 /// Kills every process that carries the mark of one of `jobs`. Returns how many.
 pub fn kill_orphans(jobs: &[String]) -> usize {
-    let Ok(processes) = fs::read_dir("/proc") else { return 0 };
+    let Ok(processes) = fs::read_dir("/proc") else {
+        return 0;
+    };
     processes
         .flatten()
         .filter(|entry| marked(&entry.path(), jobs))
@@ -23,7 +25,9 @@ pub fn kill_orphans(jobs: &[String]) -> usize {
 
 fn marked(process: &Path, jobs: &[String]) -> bool {
     // Processes of other users cannot be read, and none of them is ours.
-    let Ok(environment) = fs::read(process.join("environ")) else { return false };
+    let Ok(environment) = fs::read(process.join("environ")) else {
+        return false;
+    };
     environment.split(|&byte| byte == 0).any(|variable| {
         variable
             .strip_prefix(JOB_VARIABLE.as_bytes())
@@ -42,20 +46,30 @@ mod tests {
 
     #[test]
     fn only_processes_of_the_named_jobs_are_killed() {
-        let sleeper =
-            |job: &str| Command::new("sleep").arg("60").env(JOB_VARIABLE, job).spawn().expect("sleep starts");
+        let sleeper = |job: &str| {
+            Command::new("sleep")
+                .arg("60")
+                .env(JOB_VARIABLE, job)
+                .spawn()
+                .expect("sleep starts")
+        };
         let (mut ours, mut other) = (sleeper("orphan-test-a"), sleeper("orphan-test-b"));
         // `spawn` returns a moment before the kernel shows the new program's environment.
         for child in [&ours, &other] {
             let environment = format!("/proc/{}/environ", child.id());
             let deadline = Instant::now() + Duration::from_secs(10);
-            while fs::read(&environment).is_ok_and(|bytes| bytes.is_empty()) && Instant::now() < deadline {
+            while fs::read(&environment).is_ok_and(|bytes| bytes.is_empty())
+                && Instant::now() < deadline
+            {
                 thread::sleep(Duration::from_millis(5));
             }
         }
         assert_eq!(kill_orphans(&["orphan-test-a".to_owned()]), 1);
         assert!(!ours.wait().expect("ended").success());
-        assert!(other.try_wait().expect("known").is_none(), "another job's process was killed");
+        assert!(
+            other.try_wait().expect("known").is_none(),
+            "another job's process was killed"
+        );
         other.kill().expect("kill");
         other.wait().expect("ended");
     }

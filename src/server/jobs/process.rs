@@ -68,7 +68,8 @@ impl Group {
             .ok_or_else(|| io::Error::new(io::ErrorKind::InvalidInput, "empty command"))?;
         let mut command = Command::new(program);
         if std::env::var_os("XDG_RUNTIME_DIR").is_none() {
-            // Vulkan loaders look for a desktop there and call its absence an error, in the log of every job.
+            // Vulkan loaders look for a desktop there and call its absence an error, in the log of
+            // every job.
             command.env("XDG_RUNTIME_DIR", std::env::temp_dir());
         }
         let mut child = command
@@ -85,14 +86,21 @@ impl Group {
         let pid = child.id().and_then(|id| Pid::from_raw(id.cast_signed()));
         let pid = pid.ok_or_else(|| io::Error::other("the process has no id"))?;
         let (sender, lines) = mpsc::channel(QUEUE);
-        let (stdin, stdout, stderr) = (child.stdin.take(), child.stdout.take(), child.stderr.take());
+        let (stdin, stdout, stderr) =
+            (child.stdin.take(), child.stdout.take(), child.stderr.take());
         if let Some(stdout) = stdout {
             tokio::spawn(read_lines(stdout, Line::Output, sender.clone()));
         }
         if let Some(stderr) = stderr {
             tokio::spawn(read_lines(stderr, Line::Error, sender));
         }
-        Ok(Self { child, ended: false, pid, stdin, lines })
+        Ok(Self {
+            child,
+            ended: false,
+            pid,
+            stdin,
+            lines,
+        })
     }
 
     /// The id of the process and of its group.
@@ -131,7 +139,10 @@ impl Group {
     /// Asks the group to end, and ends it after `grace`. Returns once the process is gone.
     pub async fn stop(&mut self, grace: Duration) {
         self.signal(Signal::TERM);
-        if tokio::time::timeout(grace, self.child.wait()).await.is_err() {
+        if tokio::time::timeout(grace, self.child.wait())
+            .await
+            .is_err()
+        {
             self.signal(Signal::KILL);
             if let Err(error) = self.child.wait().await {
                 tracing::warn!(%error, pid = self.pid(), "cannot wait for a stopped process");
@@ -153,13 +164,21 @@ impl Drop for Group {
     }
 }
 
-async fn read_lines(source: impl AsyncRead + Unpin, wrap: fn(String) -> Line, sender: mpsc::Sender<Line>) {
+async fn read_lines(
+    source: impl AsyncRead + Unpin,
+    wrap: fn(String) -> Line,
+    sender: mpsc::Sender<Line>,
+) {
     let mut reader = BufReader::new(source);
     let mut bytes = Vec::new();
     let mut cut = false;
     loop {
         bytes.clear();
-        match (&mut reader).take(LONGEST_LINE).read_until(b'\n', &mut bytes).await {
+        match (&mut reader)
+            .take(LONGEST_LINE)
+            .read_until(b'\n', &mut bytes)
+            .await
+        {
             Ok(0) | Err(_) => return,
             Ok(_) => {}
         }
@@ -170,7 +189,11 @@ async fn read_lines(source: impl AsyncRead + Unpin, wrap: fn(String) -> Line, se
             continue;
         }
         let text = String::from_utf8_lossy(&bytes);
-        if sender.send(wrap(text.trim_end_matches(['\n', '\r']).to_owned())).await.is_err() {
+        if sender
+            .send(wrap(text.trim_end_matches(['\n', '\r']).to_owned()))
+            .await
+            .is_err()
+        {
             return;
         }
     }
@@ -182,14 +205,18 @@ async fn read_lines(source: impl AsyncRead + Unpin, wrap: fn(String) -> Line, se
 /// # Errors
 /// When that server is gone already, or the kernel refuses.
 pub fn die_with_parent() -> io::Result<()> {
-    let Some(parent) = std::env::var_os(PARENT_VARIABLE) else { return Ok(()) };
+    let Some(parent) = std::env::var_os(PARENT_VARIABLE) else {
+        return Ok(());
+    };
     set_parent_process_death_signal(Some(Signal::KILL))?;
     // The server may have ended before the kernel was asked.
     let now = getppid().map(|pid| pid.as_raw_nonzero().get().to_string());
     if now.is_some_and(|now| *parent == *now) {
         return Ok(());
     }
-    Err(io::Error::other("the server that started this process is gone"))
+    Err(io::Error::other(
+        "the server that started this process is gone",
+    ))
 }
 
 #[cfg(test)]
@@ -199,17 +226,23 @@ mod tests {
     use super::*;
 
     fn shell(script: &str) -> Vec<OsString> {
-        ["/bin/sh", "-c", script].into_iter().map(OsString::from).collect()
+        ["/bin/sh", "-c", script]
+            .into_iter()
+            .map(OsString::from)
+            .collect()
     }
 
     #[tokio::test]
     async fn both_outputs_are_read_and_the_status_is_told() {
-        let mut group = Group::spawn(&shell("echo a; echo b >&2; exit 3"), &[], &[]).expect("start");
+        let mut group =
+            Group::spawn(&shell("echo a; echo b >&2; exit 3"), &[], &[]).expect("start");
         let mut lines = Vec::new();
         while let Some(line) = group.next_line().await {
             lines.push(line);
         }
-        assert!(lines.contains(&Line::Output("a".into())) && lines.contains(&Line::Error("b".into())));
+        assert!(
+            lines.contains(&Line::Output("a".into())) && lines.contains(&Line::Error("b".into()))
+        );
         assert_eq!(group.wait().await.expect("status").code(), Some(3));
     }
 
@@ -217,12 +250,17 @@ mod tests {
     async fn stopping_ends_grandchildren_and_those_who_ignore_the_polite_signal() {
         let script = "trap '' TERM; sleep 60 & echo $!; wait; wait";
         let mut group = Group::spawn(&shell(script), &[], &[]).expect("start");
-        let Some(Line::Output(grandchild)) = group.next_line().await else { panic!("no pid") };
+        let Some(Line::Output(grandchild)) = group.next_line().await else {
+            panic!("no pid")
+        };
         let start = Instant::now();
         group.stop(Duration::from_millis(200)).await;
         assert!(start.elapsed() < Duration::from_secs(2));
         tokio::time::sleep(Duration::from_millis(100)).await;
         let state = std::fs::read_to_string(format!("/proc/{grandchild}/stat")).unwrap_or_default();
-        assert!(state.is_empty() || state.contains(") Z "), "the grandchild lives: {state}");
+        assert!(
+            state.is_empty() || state.contains(") Z "),
+            "the grandchild lives: {state}"
+        );
     }
 }

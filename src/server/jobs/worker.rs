@@ -61,7 +61,11 @@ async fn run(app: &App, claim: &Claim) -> Result<()> {
         Err(error) => io_failure(app, claim, &error).await?,
     };
     // A cancel that came while the process was ending by itself is honoured all the same.
-    let cancelled = app.store.job(id).await?.is_some_and(|job| job.cancel_requested);
+    let cancelled = app
+        .store
+        .job(id)
+        .await?
+        .is_some_and(|job| job.cancel_requested);
     let settlement = match settlement {
         Settlement::Failed { .. } | Settlement::Released if cancelled => Settlement::Stopped,
         other => other,
@@ -82,5 +86,9 @@ async fn io_failure(app: &App, claim: &Claim, error: &ServerError) -> Result<Set
         detail: error.to_string(),
         hint: "Check the free space and the permissions of the data directory.".to_owned(),
     };
-    Ok(Settlement::Failed { error, retry_in_ms: retry.then_some(wait), failures })
+    Ok(Settlement::Failed {
+        error,
+        retry_in_ms: retry.then_some(wait),
+        failures,
+    })
 }

@@ -27,14 +27,16 @@ impl Store {
     /// # Errors
     /// When the database refuses.
     pub async fn insert_capture(&self, row: &CaptureRow) -> Result<()> {
-        sqlx::query("INSERT INTO captures (id, name, accepted, report, created_at) VALUES (?, ?, ?, ?, ?)")
-            .bind(&row.id)
-            .bind(&row.name)
-            .bind(row.accepted)
-            .bind(row.report.to_string())
-            .bind(row.created_at)
-            .execute(&self.pool)
-            .await?;
+        sqlx::query(
+            "INSERT INTO captures (id, name, accepted, report, created_at) VALUES (?, ?, ?, ?, ?)",
+        )
+        .bind(&row.id)
+        .bind(&row.name)
+        .bind(row.accepted)
+        .bind(row.report.to_string())
+        .bind(row.created_at)
+        .execute(&self.pool)
+        .await?;
         Ok(())
     }
 
@@ -43,8 +45,10 @@ impl Store {
     /// # Errors
     /// When the database refuses.
     pub async fn capture(&self, id: &str) -> Result<Option<CaptureRow>> {
-        let row =
-            sqlx::query("SELECT * FROM captures WHERE id = ?").bind(id).fetch_optional(&self.pool).await?;
+        let row = sqlx::query("SELECT * FROM captures WHERE id = ?")
+            .bind(id)
+            .fetch_optional(&self.pool)
+            .await?;
         row.as_ref().map(from_row).transpose()
     }
 
@@ -53,12 +57,13 @@ impl Store {
     /// # Errors
     /// When the database refuses.
     pub async fn captures(&self, limit: u32, cursor: Option<&str>) -> Result<Vec<CaptureRow>> {
-        let rows =
-            sqlx::query("SELECT * FROM captures WHERE (?1 IS NULL OR id < ?1) ORDER BY id DESC LIMIT ?2")
-                .bind(cursor)
-                .bind(limit)
-                .fetch_all(&self.pool)
-                .await?;
+        let rows = sqlx::query(
+            "SELECT * FROM captures WHERE (?1 IS NULL OR id < ?1) ORDER BY id DESC LIMIT ?2",
+        )
+        .bind(cursor)
+        .bind(limit)
+        .fetch_all(&self.pool)
+        .await?;
         rows.iter().map(from_row).collect()
     }
 
@@ -79,8 +84,10 @@ impl Store {
 
 fn from_row(row: &SqliteRow) -> Result<CaptureRow> {
     let report: String = row.try_get("report")?;
-    let report = serde_json::from_str(&report)
-        .map_err(|error| ServerError::Damaged { what: "capture report", detail: error.to_string() })?;
+    let report = serde_json::from_str(&report).map_err(|error| ServerError::Damaged {
+        what: "capture report",
+        detail: error.to_string(),
+    })?;
     Ok(CaptureRow {
         id: row.try_get("id")?,
         name: row.try_get("name")?,

@@ -34,9 +34,15 @@ impl Store {
         rows.iter()
             .map(|row| {
                 let data: String = row.try_get("data")?;
-                let data = serde_json::from_str(&data)
-                    .map_err(|error| ServerError::Damaged { what: "event", detail: error.to_string() })?;
-                Ok(EventRow { seq: row.try_get("seq")?, kind: row.try_get("kind")?, data })
+                let data = serde_json::from_str(&data).map_err(|error| ServerError::Damaged {
+                    what: "event",
+                    detail: error.to_string(),
+                })?;
+                Ok(EventRow {
+                    seq: row.try_get("seq")?,
+                    kind: row.try_get("kind")?,
+                    data,
+                })
             })
             .collect()
     }

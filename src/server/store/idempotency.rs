@@ -24,7 +24,12 @@ impl Store {
     ///
     /// # Errors
     /// When the database refuses.
-    pub async fn create_job(&self, job: &NewJob, key: Option<&str>, fingerprint: &str) -> Result<Creation> {
+    pub async fn create_job(
+        &self,
+        job: &NewJob,
+        key: Option<&str>,
+        fingerprint: &str,
+    ) -> Result<Creation> {
         // Immediate: two requests with one key queue here instead of both finding it unused.
         let mut tx = self.pool.begin_with("BEGIN IMMEDIATE").await?;
         if let Some(key) = key {
@@ -51,12 +56,17 @@ impl Store {
                 .execute(&mut *tx)
                 .await?;
         }
-        let row = read(&mut tx, &job.id).await?.ok_or_else(|| missing(&job.id))?;
+        let row = read(&mut tx, &job.id)
+            .await?
+            .ok_or_else(|| missing(&job.id))?;
         tx.commit().await?;
         Ok(Creation::Created(row))
     }
 }
 
 fn missing(id: &str) -> ServerError {
-    ServerError::Damaged { what: "idempotency key", detail: format!("its job {id} is gone") }
+    ServerError::Damaged {
+        what: "idempotency key",
+        detail: format!("its job {id} is gone"),
+    }
 }

@@ -85,7 +85,10 @@ impl Store {
     /// # Errors
     /// When the database refuses.
     pub async fn job(&self, id: &str) -> Result<Option<JobRow>> {
-        let row = sqlx::query("SELECT * FROM jobs WHERE id = ?").bind(id).fetch_optional(&self.pool).await?;
+        let row = sqlx::query("SELECT * FROM jobs WHERE id = ?")
+            .bind(id)
+            .fetch_optional(&self.pool)
+            .await?;
         row.as_ref().map(from_row).transpose()
     }
 
@@ -130,8 +133,12 @@ impl Store {
 
     async fn change(&self, id: &str, transition: Transition) -> Result<Option<JobState>> {
         let mut tx = self.pool.begin_with("BEGIN IMMEDIATE").await?;
-        let Some(job) = read(&mut tx, id).await? else { return Ok(None) };
-        let Some(next) = job.state.after(transition) else { return Ok(None) };
+        let Some(job) = read(&mut tx, id).await? else {
+            return Ok(None);
+        };
+        let Some(next) = job.state.after(transition) else {
+            return Ok(None);
+        };
         let finished = next.is_terminal().then(now_ms);
         if transition == Transition::Retried {
             sqlx::query(
@@ -186,11 +193,23 @@ pub(super) async fn insert(tx: &mut Transaction<'static, Sqlite>, job: &NewJob) 
     .bind(now_ms())
     .execute(&mut **tx)
     .await?;
-    events::append(tx, &job.id, "state", &json!({ "state": JobState::Queued.name() })).await
+    events::append(
+        tx,
+        &job.id,
+        "state",
+        &json!({ "state": JobState::Queued.name() }),
+    )
+    .await
 }
 
-pub(super) async fn read(tx: &mut Transaction<'static, Sqlite>, id: &str) -> Result<Option<JobRow>> {
-    let row = sqlx::query("SELECT * FROM jobs WHERE id = ?").bind(id).fetch_optional(&mut **tx).await?;
+pub(super) async fn read(
+    tx: &mut Transaction<'static, Sqlite>,
+    id: &str,
+) -> Result<Option<JobRow>> {
+    let row = sqlx::query("SELECT * FROM jobs WHERE id = ?")
+        .bind(id)
+        .fetch_optional(&mut **tx)
+        .await?;
     row.as_ref().map(from_row).transpose()
 }
 
@@ -202,8 +221,12 @@ pub(super) fn from_row(row: &SqliteRow) -> Result<JobRow> {
         None => None,
         Some(code) => Some(JobError {
             code,
-            detail: row.try_get::<Option<String>, _>("error_detail")?.unwrap_or_default(),
-            hint: row.try_get::<Option<String>, _>("error_hint")?.unwrap_or_default(),
+            detail: row
+                .try_get::<Option<String>, _>("error_detail")?
+                .unwrap_or_default(),
+            hint: row
+                .try_get::<Option<String>, _>("error_hint")?
+                .unwrap_or_default(),
         }),
     };
     Ok(JobRow {
@@ -211,10 +234,14 @@ pub(super) fn from_row(row: &SqliteRow) -> Result<JobRow> {
         name: row.try_get("name")?,
         capture_id: row.try_get("capture_id")?,
         preset: row.try_get("preset")?,
-        options: serde_json::from_str(&options)
-            .map_err(|error| ServerError::Damaged { what: "job options", detail: error.to_string() })?,
-        state: JobState::from_name(&state)
-            .ok_or(ServerError::Damaged { what: "job state", detail: state })?,
+        options: serde_json::from_str(&options).map_err(|error| ServerError::Damaged {
+            what: "job options",
+            detail: error.to_string(),
+        })?,
+        state: JobState::from_name(&state).ok_or(ServerError::Damaged {
+            what: "job state",
+            detail: state,
+        })?,
         stage: row.try_get("stage")?,
         round: row.try_get("round")?,
         rounds: row.try_get("rounds")?,

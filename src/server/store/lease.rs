@@ -90,9 +90,17 @@ impl Store {
         .await?;
         let Some(row) = row else { return Ok(None) };
         let job = from_row(&row)?;
-        let lease = Lease { job: job.id.clone(), epoch: row.try_get("epoch")? };
-        events::append(&mut tx, &job.id, "state", &json!({ "state": "running", "attempt": job.attempts }))
-            .await?;
+        let lease = Lease {
+            job: job.id.clone(),
+            epoch: row.try_get("epoch")?,
+        };
+        events::append(
+            &mut tx,
+            &job.id,
+            "state",
+            &json!({ "state": "running", "attempt": job.attempts }),
+        )
+        .await?;
         tx.commit().await?;
         Ok(Some(Claim { lease, job }))
     }
@@ -123,8 +131,10 @@ impl Store {
     pub async fn record(&self, lease: &Lease, event: &Event) -> Result<()> {
         let mut tx = self.fenced(lease).await?;
         apply(&mut tx, &lease.job, event).await?;
-        let data = serde_json::to_value(event)
-            .map_err(|error| ServerError::Damaged { what: "event", detail: error.to_string() })?;
+        let data = serde_json::to_value(event).map_err(|error| ServerError::Damaged {
+            what: "event",
+            detail: error.to_string(),
+        })?;
         let kind = data["event"].as_str().unwrap_or("event").to_owned();
         events::append(&mut tx, &lease.job, &kind, &data).await?;
         tx.commit().await?;
@@ -178,7 +188,9 @@ impl Store {
     pub async fn settle(&self, lease: &Lease, settlement: &Settlement) -> Result<JobState> {
         let mut tx = self.fenced(lease).await?;
         settle(&mut tx, &lease.job, settlement).await?;
-        let state = read(&mut tx, &lease.job).await?.map_or(JobState::Queued, |job| job.state);
+        let state = read(&mut tx, &lease.job)
+            .await?
+            .map_or(JobState::Queued, |job| job.state);
         tx.commit().await?;
         Ok(state)
     }
@@ -193,7 +205,8 @@ impl Store {
             .fetch_one(&self.pool)
             .await?;
         let before: u32 = row.try_get("failures")?;
-        let advanced = row.try_get::<f64, _>("progress")? > row.try_get::<f64, _>("failed_at")? + 1e-3;
+        let advanced =
+            row.try_get::<f64, _>("progress")? > row.try_get::<f64, _>("failed_at")? + 1e-3;
         Ok(if advanced { 1 } else { before + 1 })
     }
 
@@ -211,9 +224,21 @@ impl Store {
         for row in rows {
             let id: String = row.try_get("id")?;
             let stop: bool = row.try_get("cancel_requested")?;
-            settle(&mut tx, &id, if stop { &Settlement::Stopped } else { &Settlement::Released }).await?;
+            settle(
+                &mut tx,
+                &id,
+                if stop {
+                    &Settlement::Stopped
+                } else {
+                    &Settlement::Released
+                },
+            )
+            .await?;
             // The old epoch must not write any more, should its worker still breathe.
-            sqlx::query("UPDATE jobs SET epoch = epoch + 1 WHERE id = ?").bind(&id).execute(&mut *tx).await?;
+            sqlx::query("UPDATE jobs SET epoch = epoch + 1 WHERE id = ?")
+                .bind(&id)
+                .execute(&mut *tx)
+                .await?;
             released.push(id);
         }
         tx.commit().await?;
@@ -223,67 +248,88 @@ impl Store {
     /// A transaction that has checked the epoch, and holds the write lock since.
     async fn fenced(&self, lease: &Lease) -> Result<Transaction<'static, Sqlite>> {
         let mut tx = self.pool.begin().await?;
-        let done =
-            sqlx::query("UPDATE jobs SET epoch = epoch WHERE id = ? AND epoch = ? AND state = 'running'")
-                .bind(&lease.job)
-                .bind(lease.epoch)
-                .execute(&mut *tx)
-                .await?;
-        if done.rows_affected() == 1 { Ok(tx) } else { Err(ServerError::LeaseLost(lease.job.clone())) }
+        let done = sqlx::query(
+            "UPDATE jobs SET epoch = epoch WHERE id = ? AND epoch = ? AND state = 'running'",
+        )
+        .bind(&lease.job)
+        .bind(lease.epoch)
+        .execute(&mut *tx)
+        .await?;
+        if done.rows_affected() == 1 {
+            Ok(tx)
+        } else {
+            Err(ServerError::LeaseLost(lease.job.clone()))
+        }
     }
 }
 
 /// The effect of an event on the job's row and its results.
 async fn apply(tx: &mut Transaction<'static, Sqlite>, job: &str, event: &Event) -> Result<()> {
     let query = match event {
-        Event::Planned { rounds, .. } => {
-            sqlx::query("UPDATE jobs SET rounds = ? WHERE id = ?").bind(*rounds).bind(job)
-        }
-        Event::StageStarted { stage, round } => {
-            sqlx::query("UPDATE jobs SET stage = ?, round = ?, steps_per_second = NULL WHERE id = ?")
-                .bind(stage.name())
-                .bind(*round)
-                .bind(job)
-        }
+        Event::Planned { rounds, .. } => sqlx::query("UPDATE jobs SET rounds = ? WHERE id = ?")
+            .bind(*rounds)
+            .bind(job),
+        Event::StageStarted { stage, round } => sqlx::query(
+            "UPDATE jobs SET stage = ?, round = ?, steps_per_second = NULL WHERE id = ?",
+        )
+        .bind(stage.name())
+        .bind(*round)
+        .bind(job),
         // A stage found on disk took its time in an earlier attempt, which has told it.
-        Event::StageFinished { stage, round, seconds, skipped: false } => {
-            sqlx::query("INSERT OR REPLACE INTO stages (job_id, stage, round, seconds) VALUES (?, ?, ?, ?)")
-                .bind(job)
-                .bind(stage.name())
-                .bind(*round)
-                .bind(*seconds)
-        }
+        Event::StageFinished {
+            stage,
+            round,
+            seconds,
+            skipped: false,
+        } => sqlx::query(
+            "INSERT OR REPLACE INTO stages (job_id, stage, round, seconds) VALUES (?, ?, ?, ?)",
+        )
+        .bind(job)
+        .bind(stage.name())
+        .bind(*round)
+        .bind(*seconds),
         Event::RoundFinished { metrics } => {
-            let json = serde_json::to_string(metrics)
-                .map_err(|error| ServerError::Damaged { what: "round", detail: error.to_string() })?;
+            let json = serde_json::to_string(metrics).map_err(|error| ServerError::Damaged {
+                what: "round",
+                detail: error.to_string(),
+            })?;
             sqlx::query("INSERT OR REPLACE INTO rounds (job_id, round, metrics) VALUES (?, ?, ?)")
                 .bind(job)
                 .bind(metrics.round)
                 .bind(json)
         }
-        Event::Warning { code, message } => {
-            sqlx::query("INSERT OR IGNORE INTO warnings (job_id, code, message, at) VALUES (?, ?, ?, ?)")
-                .bind(job)
-                .bind(code.clone())
-                .bind(message.clone())
-                .bind(now_ms())
-        }
+        Event::Warning { code, message } => sqlx::query(
+            "INSERT OR IGNORE INTO warnings (job_id, code, message, at) VALUES (?, ?, ?, ?)",
+        )
+        .bind(job)
+        .bind(code.clone())
+        .bind(message.clone())
+        .bind(now_ms()),
         _ => return Ok(()),
     };
     query.execute(&mut **tx).await?;
     Ok(())
 }
 
-async fn settle(tx: &mut Transaction<'static, Sqlite>, job: &str, settlement: &Settlement) -> Result<()> {
+async fn settle(
+    tx: &mut Transaction<'static, Sqlite>,
+    job: &str,
+    settlement: &Settlement,
+) -> Result<()> {
     let transition = match settlement {
         Settlement::Finished { .. } => Transition::Finished,
-        Settlement::Failed { retry_in_ms, .. } => Transition::Failed { retry: retry_in_ms.is_some() },
+        Settlement::Failed { retry_in_ms, .. } => Transition::Failed {
+            retry: retry_in_ms.is_some(),
+        },
         Settlement::Stopped => Transition::Stopped,
         Settlement::Released => Transition::Released,
     };
     let next = JobState::Running
         .after(transition)
-        .ok_or_else(|| ServerError::Damaged { what: "job state", detail: format!("{transition:?}") })?;
+        .ok_or_else(|| ServerError::Damaged {
+            what: "job state",
+            detail: format!("{transition:?}"),
+        })?;
     let finished = next.is_terminal().then(now_ms);
     sqlx::query(
         "UPDATE jobs SET state = ?, finished_at = ?, lease_owner = NULL, lease_until = 0,
@@ -306,7 +352,11 @@ async fn settle(tx: &mut Transaction<'static, Sqlite>, job: &str, settlement: &S
             .await?;
             data["best_round"] = (*best_round).into();
         }
-        Settlement::Failed { error, retry_in_ms, failures } => {
+        Settlement::Failed {
+            error,
+            retry_in_ms,
+            failures,
+        } => {
             store_failure(tx, job, error, *retry_in_ms, *failures).await?;
             data["error"] = error_json(error);
             data["retry_in_ms"] = (*retry_in_ms).into();

@@ -39,8 +39,12 @@ impl Store {
             .await?;
         rows.iter()
             .map(|row| {
-                serde_json::from_str(row.try_get("metrics")?)
-                    .map_err(|error| ServerError::Damaged { what: "round", detail: error.to_string() })
+                serde_json::from_str(row.try_get("metrics")?).map_err(|error| {
+                    ServerError::Damaged {
+                        what: "round",
+                        detail: error.to_string(),
+                    }
+                })
             })
             .collect()
     }
@@ -50,11 +54,12 @@ impl Store {
     /// # Errors
     /// When the database refuses.
     pub async fn stages(&self, job: &str) -> Result<Vec<StageSeconds>> {
-        let rows =
-            sqlx::query("SELECT stage, round, seconds FROM stages WHERE job_id = ? ORDER BY round, stage")
-                .bind(job)
-                .fetch_all(&self.pool)
-                .await?;
+        let rows = sqlx::query(
+            "SELECT stage, round, seconds FROM stages WHERE job_id = ? ORDER BY round, stage",
+        )
+        .bind(job)
+        .fetch_all(&self.pool)
+        .await?;
         let mut stages = rows
             .iter()
             .map(|row| {
@@ -65,7 +70,14 @@ impl Store {
                 })
             })
             .collect::<Result<Vec<_>>>()?;
-        stages.sort_by_key(|one| (one.round, Stage::ALL.iter().position(|stage| stage.name() == one.stage)));
+        stages.sort_by_key(|one| {
+            (
+                one.round,
+                Stage::ALL
+                    .iter()
+                    .position(|stage| stage.name() == one.stage),
+            )
+        });
         Ok(stages)
     }
 
@@ -74,13 +86,19 @@ impl Store {
     /// # Errors
     /// When the database refuses.
     pub async fn warnings(&self, job: &str) -> Result<Vec<WarningRow>> {
-        let rows =
-            sqlx::query("SELECT code, message FROM warnings WHERE job_id = ? ORDER BY at, code, message")
-                .bind(job)
-                .fetch_all(&self.pool)
-                .await?;
+        let rows = sqlx::query(
+            "SELECT code, message FROM warnings WHERE job_id = ? ORDER BY at, code, message",
+        )
+        .bind(job)
+        .fetch_all(&self.pool)
+        .await?;
         rows.iter()
-            .map(|row| Ok(WarningRow { code: row.try_get("code")?, message: row.try_get("message")? }))
+            .map(|row| {
+                Ok(WarningRow {
+                    code: row.try_get("code")?,
+                    message: row.try_get("message")?,
+                })
+            })
             .collect()
     }
 

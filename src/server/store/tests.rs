@@ -10,7 +10,9 @@ use crate::jobs::state::{JobState, Transition};
 
 async fn store() -> (tempfile::TempDir, Store) {
     let dir = tempfile::tempdir().expect("temporary directory");
-    let store = Store::open(&dir.path().join("fled.db")).await.expect("fresh database");
+    let store = Store::open(&dir.path().join("fled.db"))
+        .await
+        .expect("fresh database");
     let capture = CaptureRow {
         id: "c".to_owned(),
         name: "a capture".to_owned(),
@@ -34,13 +36,24 @@ fn new_job(id: &str) -> NewJob {
 }
 
 async fn create(store: &Store, id: &str) {
-    let outcome = store.create_job(&new_job(id), None, "").await.expect("create");
+    let outcome = store
+        .create_job(&new_job(id), None, "")
+        .await
+        .expect("create");
     assert!(matches!(outcome, Creation::Created(_)));
 }
 
 fn failed(retry_in_ms: Option<i64>) -> Settlement {
-    let error = JobError { code: "internal".into(), detail: "d".into(), hint: "h".into() };
-    Settlement::Failed { error, retry_in_ms, failures: 1 }
+    let error = JobError {
+        code: "internal".into(),
+        detail: "d".into(),
+        hint: "h".into(),
+    };
+    Settlement::Failed {
+        error,
+        retry_in_ms,
+        failures: 1,
+    }
 }
 
 #[tokio::test]
@@ -48,18 +61,39 @@ async fn a_worker_that_lost_its_lease_writes_nothing() {
     let (_dir, store) = store().await;
     create(&store, "j").await;
     let old = store.claim("one", -1).await.expect("claim").expect("job");
-    let new = store.claim("two", 60_000).await.expect("claim").expect("its lease has run out");
+    let new = store
+        .claim("two", 60_000)
+        .await
+        .expect("claim")
+        .expect("its lease has run out");
     assert_eq!(new.job.attempts, 2);
     let before = store.events_after("j", 0, 100).await.expect("events");
-    let event = Event::StageStarted { stage: Stage::Poses, round: 0 };
+    let event = Event::StageStarted {
+        stage: Stage::Poses,
+        round: 0,
+    };
     let lost = |r: Result<()>| assert!(matches!(r, Err(ServerError::LeaseLost(_))), "{r:?}");
     lost(store.record(&old.lease, &event).await);
     lost(store.advance(&old.lease, &Progress::default()).await);
-    lost(store.settle(&old.lease, &Settlement::Stopped).await.map(drop));
+    lost(
+        store
+            .settle(&old.lease, &Settlement::Stopped)
+            .await
+            .map(drop),
+    );
     lost(store.heartbeat(&old.lease, 1000).await.map(drop));
-    assert_eq!(store.events_after("j", 0, 100).await.expect("events"), before);
-    assert_eq!(store.job("j").await.expect("read").expect("job").state, JobState::Running);
-    store.record(&new.lease, &event).await.expect("the new lease writes");
+    assert_eq!(
+        store.events_after("j", 0, 100).await.expect("events"),
+        before
+    );
+    assert_eq!(
+        store.job("j").await.expect("read").expect("job").state,
+        JobState::Running
+    );
+    store
+        .record(&new.lease, &event)
+        .await
+        .expect("the new lease writes");
 }
 
 #[tokio::test]
@@ -75,14 +109,21 @@ async fn two_workers_never_claim_the_same_job_and_the_oldest_goes_first() {
         let store = store.clone();
         claims.spawn(async move {
             let mut mine = Vec::new();
-            while let Some(claim) = store.claim(&worker.to_string(), 60_000).await.expect("claim") {
+            while let Some(claim) = store
+                .claim(&worker.to_string(), 60_000)
+                .await
+                .expect("claim")
+            {
                 mine.push(claim.job.id);
             }
             mine
         });
     }
     let all = claims.join_all().await;
-    assert!(all.iter().all(|mine| mine.is_sorted()), "oldest first: {all:?}");
+    assert!(
+        all.iter().all(|mine| mine.is_sorted()),
+        "oldest first: {all:?}"
+    );
     let mut all: Vec<String> = all.into_iter().flatten().collect();
     all.sort();
     assert_eq!(all, expected);
@@ -97,9 +138,18 @@ async fn a_restart_queues_what_ran_and_cancels_what_was_to_be_stopped() {
     store.claim("one", 60_000).await.expect("claim").expect("b");
     store.request_cancel("b").await.expect("cancel");
     assert_eq!(store.release_all().await.expect("release"), ["a", "b"]);
-    assert_eq!(store.job("a").await.expect("read").expect("a").state, JobState::Queued);
-    assert_eq!(store.job("b").await.expect("read").expect("b").state, JobState::Cancelled);
-    assert!(store.settle(&a.lease, &Settlement::Stopped).await.is_err(), "the old worker is fenced off");
+    assert_eq!(
+        store.job("a").await.expect("read").expect("a").state,
+        JobState::Queued
+    );
+    assert_eq!(
+        store.job("b").await.expect("read").expect("b").state,
+        JobState::Cancelled
+    );
+    assert!(
+        store.settle(&a.lease, &Settlement::Stopped).await.is_err(),
+        "the old worker is fenced off"
+    );
 }
 
 #[tokio::test]
@@ -107,7 +157,12 @@ async fn a_key_gives_one_job_and_refuses_another_request() {
     let (_dir, store) = store().await;
     let create = |id: &'static str, print: &'static str| {
         let store = store.clone();
-        async move { store.create_job(&new_job(id), Some("key"), print).await.expect("create") }
+        async move {
+            store
+                .create_job(&new_job(id), Some("key"), print)
+                .await
+                .expect("create")
+        }
     };
     assert!(matches!(create("a", "x").await, Creation::Created(job) if job.id == "a"));
     assert!(matches!(create("b", "x").await, Creation::Replayed(job) if job.id == "a"));
@@ -120,14 +175,33 @@ async fn failures_count_only_while_there_is_no_progress() {
     let (_dir, store) = store().await;
     create(&store, "j").await;
     for (progress, expected) in [(0.0, 1), (0.0, 2), (0.4, 1), (0.4, 2), (0.4, 3)] {
-        let claim = store.claim("one", 60_000).await.expect("claim").expect("job");
-        let step = Progress { progress: Some(progress), ..Default::default() };
+        let claim = store
+            .claim("one", 60_000)
+            .await
+            .expect("claim")
+            .expect("job");
+        let step = Progress {
+            progress: Some(progress),
+            ..Default::default()
+        };
         store.advance(&claim.lease, &step).await.expect("advance");
         let failures = store.count_failure(&claim.lease).await.expect("count");
         assert_eq!(failures, expected, "at {progress}");
-        let Settlement::Failed { error, .. } = failed(None) else { unreachable!() };
-        let settlement = Settlement::Failed { error, retry_in_ms: Some(-1), failures };
-        assert_eq!(store.settle(&claim.lease, &settlement).await.expect("settle"), JobState::Queued);
+        let Settlement::Failed { error, .. } = failed(None) else {
+            unreachable!()
+        };
+        let settlement = Settlement::Failed {
+            error,
+            retry_in_ms: Some(-1),
+            failures,
+        };
+        assert_eq!(
+            store
+                .settle(&claim.lease, &settlement)
+                .await
+                .expect("settle"),
+            JobState::Queued
+        );
     }
 }
 
@@ -136,11 +210,24 @@ async fn deleting_a_job_takes_its_rows_and_a_used_capture_stays() {
     let (_dir, store) = store().await;
     create(&store, "j").await;
     assert!(!store.delete_capture("c").await.expect("refused"));
-    let claim = store.claim("one", 60_000).await.expect("claim").expect("job");
+    let claim = store
+        .claim("one", 60_000)
+        .await
+        .expect("claim")
+        .expect("job");
     assert!(!store.delete_job("j").await.expect("a running job stays"));
-    store.settle(&claim.lease, &Settlement::Finished { best_round: 2 }).await.expect("settle");
+    store
+        .settle(&claim.lease, &Settlement::Finished { best_round: 2 })
+        .await
+        .expect("settle");
     assert!(store.delete_job("j").await.expect("delete"));
-    assert!(store.events_after("j", 0, 10).await.expect("events").is_empty());
+    assert!(
+        store
+            .events_after("j", 0, 10)
+            .await
+            .expect("events")
+            .is_empty()
+    );
     assert!(store.delete_capture("c").await.expect("free now"));
 }
 

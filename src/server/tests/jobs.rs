@@ -26,14 +26,33 @@ fn a_job_goes_from_upload_to_results() {
     assert_eq!(done["name"], "a <b>walk</b>");
     assert_eq!(done["warnings"][0]["code"], "low_confidence");
     assert_eq!(done["options"]["seed"], 7);
-    assert_eq!(done["stages"].as_array().expect("stages").len(), 13, "poses and six stages of two rounds");
-    let rounds = server.get(&format!("/v1/jobs/{job}/rounds"), &[]).expect(200).json();
+    assert_eq!(
+        done["stages"].as_array().expect("stages").len(),
+        13,
+        "poses and six stages of two rounds"
+    );
+    let rounds = server
+        .get(&format!("/v1/jobs/{job}/rounds"), &[])
+        .expect(200)
+        .json();
     assert_eq!(rounds["rounds"].as_array().expect("rounds").len(), 2);
-    assert_eq!((&rounds["seed"], &rounds["best_round"]), (&7.into(), &2.into()));
-    let csv = server.get(&format!("/v1/jobs/{job}/rounds?format=csv"), &[]).expect(200).text();
+    assert_eq!(
+        (&rounds["seed"], &rounds["best_round"]),
+        (&7.into(), &2.into())
+    );
+    let csv = server
+        .get(&format!("/v1/jobs/{job}/rounds?format=csv"), &[])
+        .expect(200)
+        .text();
     assert_eq!(csv.lines().count(), 1 + 2 * 8);
-    let log = server.get(&format!("/v1/jobs/{job}/log?limit=3"), &[]).expect(200).json();
-    assert_eq!((log["lines"].as_array().expect("lines").len(), &log["end"]), (3, &false.into()));
+    let log = server
+        .get(&format!("/v1/jobs/{job}/log?limit=3"), &[])
+        .expect(200)
+        .json();
+    assert_eq!(
+        (log["lines"].as_array().expect("lines").len(), &log["end"]),
+        (3, &false.into())
+    );
 }
 
 #[test]
@@ -43,7 +62,10 @@ fn a_failure_that_no_retry_can_mend_is_told_at_once_with_advice() {
     let failed = server.wait_state(&job, "failed");
     assert_eq!(failed["attempts"], 1);
     assert_eq!(failed["error"]["code"], "few_poses");
-    assert_eq!(failed["error"]["detail"], "3 of 20 photographs could be placed");
+    assert_eq!(
+        failed["error"]["detail"],
+        "3 of 20 photographs could be placed"
+    );
     assert_eq!(failed["error"]["hint"], "Take more.");
 }
 
@@ -57,8 +79,14 @@ fn a_crash_is_retried_and_three_without_progress_are_the_end() {
     assert_eq!(server.wait_state(&once, "succeeded")["attempts"], 2);
     assert_eq!(server.wait_state(&late, "succeeded")["attempts"], 2);
     let failed = server.wait_state(&always, "failed");
-    assert_eq!((&failed["attempts"], &failed["error"]["code"]), (&3.into(), &"internal".into()));
-    assert_eq!(server.wait_state(&unknown, "failed")["error"]["code"], "internal");
+    assert_eq!(
+        (&failed["attempts"], &failed["error"]["code"]),
+        (&3.into(), &"internal".into())
+    );
+    assert_eq!(
+        server.wait_state(&unknown, "failed")["error"]["code"],
+        "internal"
+    );
 }
 
 #[test]
@@ -67,17 +95,42 @@ fn cancelling_ends_the_process_within_two_seconds_and_a_retry_goes_on() {
     let job = server.job("slow:100");
     server.wait(&job, "in round 1", |shown| shown["round"] == 1);
     let start = Instant::now();
-    let reply = server.post(&format!("/v1/jobs/{job}/cancel"), b"", &[]).expect(202).json();
-    assert!(start.elapsed() < Duration::from_secs(2), "{:?}", start.elapsed());
+    let reply = server
+        .post(&format!("/v1/jobs/{job}/cancel"), b"", &[])
+        .expect(202)
+        .json();
+    assert!(
+        start.elapsed() < Duration::from_secs(2),
+        "{:?}",
+        start.elapsed()
+    );
     assert_eq!(reply["state"], "cancelled");
     assert_eq!(processes_of(&job), 0);
-    server.post(&format!("/v1/jobs/{job}/cancel"), b"", &[]).expect(409);
-    server.post(&format!("/v1/jobs/{job}/retry"), b"", &[]).expect(202);
-    let log = || server.get(&format!("/v1/jobs/{job}/log"), &[]).expect(200).text();
-    let again = server.wait(&job, "past its poses again", |_| log().contains("poses found done"));
+    server
+        .post(&format!("/v1/jobs/{job}/cancel"), b"", &[])
+        .expect(409);
+    server
+        .post(&format!("/v1/jobs/{job}/retry"), b"", &[])
+        .expect(202);
+    let log = || {
+        server
+            .get(&format!("/v1/jobs/{job}/log"), &[])
+            .expect(200)
+            .text()
+    };
+    let again = server.wait(&job, "past its poses again", |_| {
+        log().contains("poses found done")
+    });
     assert_eq!(again["attempts"], 2);
-    assert_eq!(log().matches("poses done").count(), 1, "the retry began anew: {}", log());
-    server.post(&format!("/v1/jobs/{job}/cancel"), b"", &[]).expect(202);
+    assert_eq!(
+        log().matches("poses done").count(),
+        1,
+        "the retry began anew: {}",
+        log()
+    );
+    server
+        .post(&format!("/v1/jobs/{job}/cancel"), b"", &[])
+        .expect(202);
     server.delete(&format!("/v1/jobs/{job}")).expect(204);
     server.get(&format!("/v1/jobs/{job}"), &[]).expect(404);
 }
@@ -87,8 +140,14 @@ fn a_waiting_job_is_cancelled_without_ever_starting() {
     let server = Server::start();
     let busy = [server.job("slow:200"), server.job("slow:200")];
     let waiting = server.job("ok");
-    let reply = server.post(&format!("/v1/jobs/{waiting}/cancel"), b"", &[]).expect(202).json();
-    assert_eq!((&reply["state"], &reply["attempts"]), (&"cancelled".into(), &0.into()));
+    let reply = server
+        .post(&format!("/v1/jobs/{waiting}/cancel"), b"", &[])
+        .expect(202)
+        .json();
+    assert_eq!(
+        (&reply["state"], &reply["attempts"]),
+        (&"cancelled".into(), &0.into())
+    );
     server.delete(&format!("/v1/jobs/{}", busy[0])).expect(409);
 }
 
@@ -97,7 +156,10 @@ fn a_job_that_falls_silent_is_stopped_and_says_so() {
     let server = Server::start();
     let job = server.job("silent");
     let failed = server.wait_state(&job, "failed");
-    assert_eq!((&failed["error"]["code"], &failed["attempts"]), (&"timeout".into(), &3.into()));
+    assert_eq!(
+        (&failed["error"]["code"], &failed["attempts"]),
+        (&"timeout".into(), &3.into())
+    );
     assert_eq!(processes_of(&job), 0);
 }
 
@@ -107,13 +169,18 @@ fn a_job_survives_the_death_of_its_server_at_any_moment_with_every_event_told_on
     let job = server.job("slow:15");
     let mut events: Vec<(i64, String, serde_json::Value)> = Vec::new();
     for round in [1, 2] {
-        server.wait(&job, "further", |shown| shown["round"] == round && shown["stage"] != "enhance");
+        server.wait(&job, "further", |shown| {
+            shown["round"] == round && shown["stage"] != "enhance"
+        });
         server.kill();
         assert!(gone(&job), "the job's process outlived its server");
         server.restart();
         let last = events.last().map_or(0, |(id, ..)| *id);
         let shown = server.show(&job);
-        assert!(shown["state"] == "running" || shown["state"] == "queued", "{shown:#}");
+        assert!(
+            shown["state"] == "running" || shown["state"] == "queued",
+            "{shown:#}"
+        );
         // What there is by now, from where the last reading ended.
         events.extend(server.events(&job, last, 7));
     }
@@ -122,18 +189,35 @@ fn a_job_survives_the_death_of_its_server_at_any_moment_with_every_event_told_on
     let last = events.last().map_or(0, |(id, ..)| *id);
     events.extend(server.events(&job, last, usize::MAX));
     let ids: Vec<i64> = events.iter().map(|(id, ..)| *id).collect();
-    assert_eq!(ids, (1..=ids.len() as i64).collect::<Vec<_>>(), "a gap or a duplicate");
     assert_eq!(
-        events.last().map(|(_, name, data)| (name.as_str(), &data["state"])),
+        ids,
+        (1..=ids.len() as i64).collect::<Vec<_>>(),
+        "a gap or a duplicate"
+    );
+    assert_eq!(
+        events
+            .last()
+            .map(|(_, name, data)| (name.as_str(), &data["state"])),
         Some(("state", &"succeeded".into()))
     );
     assert_eq!(
-        events.iter().filter(|(_, name, _)| name == "round_finished").count(),
+        events
+            .iter()
+            .filter(|(_, name, _)| name == "round_finished")
+            .count(),
         2 + 1,
         "round 1 is told again"
     );
-    server.get(&format!("/v1/jobs/{job}/events"), &[("last-event-id", &ids.len().to_string())]).expect(204);
-    let rounds = server.get(&format!("/v1/jobs/{job}/rounds"), &[]).expect(200).json();
+    server
+        .get(
+            &format!("/v1/jobs/{job}/events"),
+            &[("last-event-id", &ids.len().to_string())],
+        )
+        .expect(204);
+    let rounds = server
+        .get(&format!("/v1/jobs/{job}/rounds"), &[])
+        .expect(200)
+        .json();
     assert_eq!(rounds["rounds"].as_array().map(Vec::len), Some(2));
 }
 
@@ -151,19 +235,34 @@ fn what_was_accepted_is_there_after_the_death_of_the_server() {
 fn the_same_key_and_request_give_the_same_job() {
     let server = Server::start();
     let capture = server.capture(3);
-    let body =
-        serde_json::json!({ "capture_id": capture, "preset": "preview", "options": { "adapter": "ok" } });
+    let body = serde_json::json!({ "capture_id": capture, "preset": "preview", "options": { "adapter": "ok" } });
     let key = [("idempotency-key", "abc")];
     let first = server.post_json("/v1/jobs", &body, &key).expect(202).json();
     let again = server.post_json("/v1/jobs", &body, &key).expect(202);
     assert_eq!(again.header("idempotent-replayed"), "true");
     assert_eq!(again.json()["id"], first["id"]);
     let other = serde_json::json!({ "capture_id": capture, "preset": "standard" });
-    assert_eq!(server.post_json("/v1/jobs", &other, &key).expect(422).json()["code"], "key_reused");
+    assert_eq!(
+        server
+            .post_json("/v1/jobs", &other, &key)
+            .expect(422)
+            .json()["code"],
+        "key_reused"
+    );
     let key = [("idempotency-key", "def")];
-    let first = server.upload("/v1/jobs", &photographs(3), &key).expect(202).json();
-    let again = server.upload("/v1/jobs", &photographs(3), &key).expect(202).json();
+    let first = server
+        .upload("/v1/jobs", &photographs(3), &key)
+        .expect(202)
+        .json();
+    let again = server
+        .upload("/v1/jobs", &photographs(3), &key)
+        .expect(202)
+        .json();
     assert_eq!(again["id"], first["id"]);
     let captures = server.get("/v1/captures", &[]).expect(200).json();
-    assert_eq!(captures["captures"].as_array().map(Vec::len), Some(2), "a copy of the capture stayed");
+    assert_eq!(
+        captures["captures"].as_array().map(Vec::len),
+        Some(2),
+        "a copy of the capture stayed"
+    );
 }

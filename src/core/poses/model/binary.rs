@@ -70,9 +70,15 @@ impl<'a> Bytes<'a> {
     }
 }
 
-fn rows<T>(file: &Path, row: impl Fn(&mut Bytes<'_>) -> Result<T, PosesError>) -> Result<Vec<T>, PosesError> {
+fn rows<T>(
+    file: &Path,
+    row: impl Fn(&mut Bytes<'_>) -> Result<T, PosesError>,
+) -> Result<Vec<T>, PosesError> {
     let content = std::fs::read(file).map_err(PosesError::io(file))?;
-    let mut bytes = Bytes { left: &content, file };
+    let mut bytes = Bytes {
+        left: &content,
+        file,
+    };
     let count = bytes.u64()?;
     bytes.many(count, row)
 }
@@ -80,11 +86,21 @@ fn rows<T>(file: &Path, row: impl Fn(&mut Bytes<'_>) -> Result<T, PosesError>) -
 fn camera(bytes: &mut Bytes<'_>) -> Result<ModelCamera, PosesError> {
     let id = bytes.u32()?;
     let number = i32::from_le_bytes(bytes.take()?);
-    let model = CameraModel::from_number(number)
-        .ok_or_else(|| PosesError::bad_file(bytes.file, format!("camera model {number} is not supported")))?;
+    let model = CameraModel::from_number(number).ok_or_else(|| {
+        PosesError::bad_file(
+            bytes.file,
+            format!("camera model {number} is not supported"),
+        )
+    })?;
     let (width, height) = (bytes.u64()? as usize, bytes.u64()? as usize);
     let params = bytes.many(model.parameters() as u64, Bytes::f64)?;
-    Ok(ModelCamera { id, model, width, height, params })
+    Ok(ModelCamera {
+        id,
+        model,
+        width,
+        height,
+        params,
+    })
 }
 
 fn image(bytes: &mut Bytes<'_>) -> Result<ModelImage, PosesError> {
@@ -97,7 +113,14 @@ fn image(bytes: &mut Bytes<'_>) -> Result<ModelImage, PosesError> {
         let (x, y, point) = (bytes.f64()?, bytes.f64()?, bytes.u64()?);
         Ok((x, y, (point != NO_POINT).then_some(point)))
     })?;
-    Ok(ModelImage { id, rotation, translation, camera_id, name, keypoints })
+    Ok(ModelImage {
+        id,
+        rotation,
+        translation,
+        camera_id,
+        name,
+        keypoints,
+    })
 }
 
 fn point(bytes: &mut Bytes<'_>) -> Result<ModelPoint, PosesError> {
@@ -107,7 +130,13 @@ fn point(bytes: &mut Bytes<'_>) -> Result<ModelPoint, PosesError> {
     let error = bytes.f64()?;
     let count = bytes.u64()?;
     let track = bytes.many(count, |bytes| Ok((bytes.u32()?, bytes.u32()?)))?;
-    Ok(ModelPoint { id, position, colour, error, track })
+    Ok(ModelPoint {
+        id,
+        position,
+        colour,
+        error,
+        track,
+    })
 }
 
 pub(super) fn write(model: &SparseModel, dir: &Path) -> Result<(), PosesError> {
@@ -146,7 +175,9 @@ pub(super) fn write(model: &SparseModel, dir: &Path) -> Result<(), PosesError> {
 }
 
 fn extend(out: &mut Vec<u8>, values: &[f64]) {
-    values.iter().for_each(|value| out.extend(value.to_le_bytes()));
+    values
+        .iter()
+        .for_each(|value| out.extend(value.to_le_bytes()));
 }
 
 fn save<T>(file: &Path, rows: &[T], row: impl Fn(&mut Vec<u8>, &T)) -> Result<(), PosesError> {

@@ -25,7 +25,12 @@ struct Fields<'a> {
 
 impl<'a> Fields<'a> {
     fn new(text: &'a str, file: &'a Path, line: usize) -> Self {
-        Self { fields: text.split_ascii_whitespace(), text, file, line }
+        Self {
+            fields: text.split_ascii_whitespace(),
+            text,
+            file,
+            line,
+        }
     }
 
     fn fault(&self, what: &str) -> PosesError {
@@ -33,12 +38,15 @@ impl<'a> Fields<'a> {
     }
 
     fn word(&mut self) -> Result<&'a str, PosesError> {
-        self.fields.next().ok_or_else(|| self.fault("too few fields"))
+        self.fields
+            .next()
+            .ok_or_else(|| self.fault("too few fields"))
     }
 
     fn next<T: FromStr>(&mut self) -> Result<T, PosesError> {
         let word = self.word()?;
-        word.parse().map_err(|_| self.fault(&format!("`{word}` is not a number that fits")))
+        word.parse()
+            .map_err(|_| self.fault(&format!("`{word}` is not a number that fits")))
     }
 
     fn array<T: FromStr + Copy + Default, const N: usize>(&mut self) -> Result<[T; N], PosesError> {
@@ -53,13 +61,18 @@ impl<'a> Fields<'a> {
     fn remainder(&self) -> &'a str {
         match self.fields.clone().next() {
             // `SplitAsciiWhitespace::remainder` is not stable yet.
-            Some(word) => self.text[word.as_ptr() as usize - self.text.as_ptr() as usize..].trim_ascii_end(),
+            Some(word) => {
+                self.text[word.as_ptr() as usize - self.text.as_ptr() as usize..].trim_ascii_end()
+            }
             None => "",
         }
     }
 
     /// What is left, several values a row.
-    fn rest<T>(&mut self, row: impl Fn(&mut Self) -> Result<T, PosesError>) -> Result<Vec<T>, PosesError> {
+    fn rest<T>(
+        &mut self,
+        row: impl Fn(&mut Self) -> Result<T, PosesError>,
+    ) -> Result<Vec<T>, PosesError> {
         let mut rows = Vec::new();
         while self.fields.clone().next().is_some() {
             rows.push(row(self)?);
@@ -83,8 +96,13 @@ fn rows<T>(
     row: impl Fn(&mut Fields<'_>) -> Result<T, PosesError>,
 ) -> Result<Vec<T>, PosesError> {
     let text = load(file)?;
-    let lines = text.lines().enumerate().filter(|(_, l)| !is_comment(l) && !l.trim_ascii().is_empty());
-    lines.map(|(index, line)| row(&mut Fields::new(line, file, index + 1))).collect()
+    let lines = text
+        .lines()
+        .enumerate()
+        .filter(|(_, l)| !is_comment(l) && !l.trim_ascii().is_empty());
+    lines
+        .map(|(index, line)| row(&mut Fields::new(line, file, index + 1)))
+        .collect()
 }
 
 fn camera(fields: &mut Fields<'_>) -> Result<ModelCamera, PosesError> {
@@ -101,7 +119,13 @@ fn camera(fields: &mut Fields<'_>) -> Result<ModelCamera, PosesError> {
             params.len()
         )));
     }
-    Ok(ModelCamera { id, model, width, height, params })
+    Ok(ModelCamera {
+        id,
+        model,
+        width,
+        height,
+        params,
+    })
 }
 
 /// Two lines an image; the second, its keypoints, may be empty.
@@ -126,7 +150,14 @@ fn images(file: &Path) -> Result<Vec<ModelImage>, PosesError> {
             let (x, y, point): (f64, f64, i64) = (fields.next()?, fields.next()?, fields.next()?);
             Ok((x, y, u64::try_from(point).ok()))
         })?;
-        images.push(ModelImage { id, rotation, translation, camera_id, name, keypoints });
+        images.push(ModelImage {
+            id,
+            rotation,
+            translation,
+            camera_id,
+            name,
+            keypoints,
+        });
     }
     Ok(images)
 }
@@ -149,25 +180,38 @@ pub(super) fn write(model: &SparseModel, dir: &Path) -> Result<(), PosesError> {
     std::fs::create_dir_all(dir).map_err(PosesError::io(dir))?;
     save(
         "cameras.txt",
-        format_rows("# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]", &model.cameras, |out, c| {
-            let _ = write!(out, "{} {} {} {}", c.id, c.model.name(), c.width, c.height);
-            for p in &c.params {
-                let _ = write!(out, " {p}");
-            }
-        }),
+        format_rows(
+            "# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]",
+            &model.cameras,
+            |out, c| {
+                let _ = write!(out, "{} {} {} {}", c.id, c.model.name(), c.width, c.height);
+                for p in &c.params {
+                    let _ = write!(out, " {p}");
+                }
+            },
+        ),
     )?;
-    let header =
-        "# IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME\n# POINTS2D[] as (X, Y, POINT3D_ID)";
+    let header = "# IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME\n# POINTS2D[] as (X, Y, POINT3D_ID)";
     save(
         "images.txt",
         format_rows(header, &model.images, |out, i| {
             let ([w, x, y, z], [a, b, c]) = (i.rotation, i.translation);
-            let _ = writeln!(out, "{} {w} {x} {y} {z} {a} {b} {c} {} {}", i.id, i.camera_id, i.name);
+            let _ = writeln!(
+                out,
+                "{} {w} {x} {y} {z} {a} {b} {c} {} {}",
+                i.id, i.camera_id, i.name
+            );
             let keypoint = |(x, y, point): &(f64, f64, Option<u64>)| match point {
                 Some(point) => format!("{x} {y} {point}"),
                 None => format!("{x} {y} -1"),
             };
-            out.push_str(&i.keypoints.iter().map(keypoint).collect::<Vec<_>>().join(" "));
+            out.push_str(
+                &i.keypoints
+                    .iter()
+                    .map(keypoint)
+                    .collect::<Vec<_>>()
+                    .join(" "),
+            );
         }),
     )?;
     let header = "# POINT3D_ID, X, Y, Z, R, G, B, ERROR, TRACK[] as (IMAGE_ID, POINT2D_IDX)";

@@ -9,11 +9,16 @@ fn pictures(width: usize, height: usize) -> (Image, Image) {
     let values = |f: f32, g: f32| -> Vec<f32> {
         (0..3 * width * height)
             .map(|i| (i as f32, (i / width) as f32))
-            .map(|(x, y)| 0.5 + 0.2 * (x * f).sin() + 0.2 * (y * g).cos() + 0.05 * (x * x * f).sin())
+            .map(|(x, y)| {
+                0.5 + 0.2 * (x * f).sin() + 0.2 * (y * g).cos() + 0.05 * (x * x * f).sin()
+            })
             .collect()
     };
     let target = Image::from_planar(width, height, values(0.31, 0.17));
-    (Image::from_planar(width, height, values(0.29, 0.19)), target)
+    (
+        Image::from_planar(width, height, values(0.29, 0.19)),
+        target,
+    )
 }
 
 /// Gradient and value of the kernels.
@@ -22,9 +27,12 @@ fn on_device(prediction: &Image, target: &Image, run: u32) -> (Vec<f32>, LossVal
     let loss = Loss::with_run(&gpu, target.width(), target.height(), run).expect("buffers");
     let packed = upload_target(&gpu, target).expect("upload");
     let input = gpu.upload("prediction", prediction.data()).expect("upload");
-    let gradient = gpu.create::<f32>("gradient", prediction.data().len()).expect("buffer");
+    let gradient = gpu
+        .create::<f32>("gradient", prediction.data().len())
+        .expect("buffer");
     let mut recorder = gpu.recorder();
-    loss.record(&mut recorder, &input, &packed, &gradient).expect("recorded");
+    loss.record(&mut recorder, &input, &packed, &gradient)
+        .expect("recorded");
     recorder.submit().expect("submitted");
     (gradient.read().expect("read"), loss.value().expect("read"))
 }
@@ -33,8 +41,9 @@ fn on_device(prediction: &Image, target: &Image, run: u32) -> (Vec<f32>, LossVal
 fn expected(prediction: &Image, target: &Image) -> reference::Reference {
     let p: Vec<f64> = prediction.data().iter().map(|&v| f64::from(v)).collect();
     let words = pack_target(target);
-    let t: Vec<f64> =
-        (0..p.len()).map(|i| f64::from(words[i / 2] >> (16 * (i % 2)) & 0xffff) / 65535.0).collect();
+    let t: Vec<f64> = (0..p.len())
+        .map(|i| f64::from(words[i / 2] >> (16 * (i % 2)) & 0xffff) / 65535.0)
+        .collect();
     reference::loss(&p, &t, target.width())
 }
 
@@ -44,14 +53,23 @@ fn the_kernels_equal_the_reference_on_sizes_that_fit_no_block() {
         let (prediction, target) = pictures(width, height);
         let (gradient, value) = on_device(&prediction, &target, run);
         let expected = expected(&prediction, &target);
-        assert_agrees(&format!("gradient at {width}x{height}"), &gradient, &expected.gradient, 1e-3);
+        assert_agrees(
+            &format!("gradient at {width}x{height}"),
+            &gradient,
+            &expected.gradient,
+            1e-3,
+        );
         for (ours, theirs) in [
             (value.l1, expected.l1),
             (value.ssim, expected.ssim),
             (value.squared, expected.squared),
             (value.total, expected.total()),
         ] {
-            assert!((ours - theirs).abs() < 1e-5, "{width}x{height}: {value:?}, {}", expected.total());
+            assert!(
+                (ours - theirs).abs() < 1e-5,
+                "{width}x{height}: {value:?}, {}",
+                expected.total()
+            );
         }
     }
 }
@@ -68,7 +86,10 @@ fn the_comparison_sees_a_loss_with_other_weights() {
 #[test]
 fn the_same_images_give_the_same_bits() {
     let (prediction, target) = pictures(75, 41);
-    let (first, second) = (on_device(&prediction, &target, 8), on_device(&prediction, &target, 8));
+    let (first, second) = (
+        on_device(&prediction, &target, 8),
+        on_device(&prediction, &target, 8),
+    );
     assert_eq!(first.0, second.0);
     assert_eq!(first.1, second.1);
 }
@@ -85,14 +106,22 @@ fn a_buffer_that_is_too_short_is_refused() {
     let gpu = gpu();
     let loss = Loss::new(&gpu, 20, 10).expect("buffers");
     let target = upload_target(&gpu, &Image::new(20, 10)).expect("upload");
-    let (long, short) = (gpu.create("long", 600).expect("buffer"), gpu.create("short", 599).expect("buffer"));
+    let (long, short) = (
+        gpu.create("long", 600).expect("buffer"),
+        gpu.create("short", 599).expect("buffer"),
+    );
     let mut recorder = gpu.recorder();
-    assert!(matches!(loss.record(&mut recorder, &short, &target, &long), Err(GpuError::Validation(_))));
+    assert!(matches!(
+        loss.record(&mut recorder, &short, &target, &long),
+        Err(GpuError::Validation(_))
+    ));
 }
 
 #[test]
 fn the_uniform_and_the_columns_equal_the_shaders() {
-    let (_, found) = SIMILARITY.reflect().expect("the row agrees with the shader");
+    let (_, found) = SIMILARITY
+        .reflect()
+        .expect("the row agrees with the shader");
     let (_, gradient) = GRADIENT.reflect().expect("the row agrees with the shader");
     let layout = found.structure("LossUniform").expect("declared");
     assert_eq!(layout.size as usize, size_of::<LossUniform>());
@@ -101,7 +130,10 @@ fn the_uniform_and_the_columns_equal_the_shaders() {
         member.unwrap_or_else(|| panic!("no {name}")).1 as usize
     };
     assert_eq!(offset("run"), std::mem::offset_of!(LossUniform, run));
-    assert_eq!(offset("l1_weight"), std::mem::offset_of!(LossUniform, l1_weight));
+    assert_eq!(
+        offset("l1_weight"),
+        std::mem::offset_of!(LossUniform, l1_weight)
+    );
     assert_eq!(offset("values"), std::mem::offset_of!(LossUniform, values));
     assert_eq!(gradient.structure("LossUniform"), Some(layout));
     assert_eq!(found.constant("COLUMNS"), Some(f64::from(COLUMNS)));

@@ -14,19 +14,29 @@ impl Trainer<'_> {
     }
 
     /// Fits the colours of all views anew; what they have in common stays the scene's.
-    pub(super) fn match_colours(&mut self, step: u32, cancel: &CancelToken) -> Result<(), ReconstructError> {
+    pub(super) fn match_colours(
+        &mut self,
+        step: u32,
+        cancel: &CancelToken,
+    ) -> Result<(), ReconstructError> {
         self.fit_colours(step, cancel)?;
         colour::hold_gauge(&mut self.colours);
         Ok(self.show_colours()?)
     }
 
     /// Fits the colours of the views to a scene that does not change.
-    pub(super) fn fit_colours(&mut self, step: u32, cancel: &CancelToken) -> Result<(), ReconstructError> {
+    pub(super) fn fit_colours(
+        &mut self,
+        step: u32,
+        cancel: &CancelToken,
+    ) -> Result<(), ReconstructError> {
         for view in 0..self.views.len() {
             cancel.check()?;
             let camera = self.level.views[view].camera;
             let render = self.render_from(&camera, step, Some(view))?;
-            let photograph = self.views[view].image.resize_area(render.width(), render.height());
+            let photograph = self.views[view]
+                .image
+                .resize_area(render.width(), render.height());
             self.colours[view] = ViewColour::between(&render, &photograph);
         }
         Ok(())
@@ -44,7 +54,8 @@ impl Trainer<'_> {
         }
         for view in 0..self.views.len() {
             let k = self.level.views[view].camera.intrinsics;
-            self.level.show(view, &self.photograph(view, k.width, k.height))?;
+            self.level
+                .show(view, &self.photograph(view, k.width, k.height))?;
         }
         Ok(())
     }

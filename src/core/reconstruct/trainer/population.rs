@@ -13,7 +13,8 @@ const MOMENTS_ROW: usize = 2 * GEOMETRY_ROW;
 
 impl Trainer<'_> {
     pub(super) fn densifies(&self, step: u32) -> bool {
-        self.config.densify != Densify::Off && self.schedule.densifies(step) || self.resets_opacities(step)
+        self.config.densify != Densify::Off && self.schedule.densifies(step)
+            || self.resets_opacities(step)
     }
 
     fn resets_opacities(&self, step: u32) -> bool {
@@ -36,9 +37,18 @@ impl Trainer<'_> {
         let target = if self.config.warm && self.schedule.share(step) < WARM_GROWTH {
             count
         } else {
-            densify::grown(count, self.start_count, self.config.cap, self.schedule.densifications())
+            densify::grown(
+                count,
+                self.start_count,
+                self.config.cap,
+                self.schedule.densifications(),
+            )
         };
-        let plan = densify::plan(rows, target, &mut self.schedule.generator(2, u64::from(step)));
+        let plan = densify::plan(
+            rows,
+            target,
+            &mut self.schedule.generator(2, u64::from(step)),
+        );
         self.optimizer.relocate(self.gpu, &self.gaussians, &plan)?;
         self.gaussians.count = plan.count;
         Ok(())
@@ -48,40 +58,70 @@ impl Trainer<'_> {
     fn clone_and_split(&mut self, rows: &[GeometryRow], step: u32) -> Result<(), GpuError> {
         let (count, optimizer) = (rows.len(), &self.optimizer);
         let sh_row = self.gaussians.sh.length();
-        let (sh, sh_moments) = (self.gaussians.sh.read(count)?, optimizer.sh_moments.read(count)?);
+        let (sh, sh_moments) = (
+            self.gaussians.sh.read(count)?,
+            optimizer.sh_moments.read(count)?,
+        );
         let moments = optimizer.geometry_moments.read(count)?;
         let (moments, _) = moments.as_chunks::<MOMENTS_ROW>();
-        let gradients: Vec<classic::PositionGradient> =
-            moments.iter().map(|row| POSITION_GRADIENT_AT.map(|at| row[at])).collect();
+        let gradients: Vec<classic::PositionGradient> = moments
+            .iter()
+            .map(|row| POSITION_GRADIENT_AT.map(|at| row[at]))
+            .collect();
         let mut after = if self.schedule.densifies(step) {
             let random = &mut self.schedule.generator(2, u64::from(step));
             let reset_before = self.config.warm || step > classic::RESET_EVERY;
-            classic::plan(rows, &gradients, self.config.cap, self.config.extent, reset_before, random)
+            classic::plan(
+                rows,
+                &gradients,
+                self.config.cap,
+                self.config.extent,
+                reset_before,
+                random,
+            )
         } else {
-            let as_is = |source: usize| classic::Descendant { source, row: rows[source], new: false };
+            let as_is = |source: usize| classic::Descendant {
+                source,
+                row: rows[source],
+                new: false,
+            };
             (0..count).map(as_is).collect()
         };
         if self.resets_opacities(step) {
-            after.iter_mut().for_each(|one| one.row[10] = classic::reset(one.row[10]));
+            after
+                .iter_mut()
+                .for_each(|one| one.row[10] = classic::reset(one.row[10]));
         }
         let geometry: Vec<GeometryRow> = after.iter().map(|one| one.row).collect();
         let kept = |one: &classic::Descendant| {
-            let mut row = if one.new { [0.0; MOMENTS_ROW] } else { moments[one.source] };
-            POSITION_GRADIENT_AT.into_iter().for_each(|at| row[at] = 0.0);
+            let mut row = if one.new {
+                [0.0; MOMENTS_ROW]
+            } else {
+                moments[one.source]
+            };
+            POSITION_GRADIENT_AT
+                .into_iter()
+                .for_each(|at| row[at] = 0.0);
             row
         };
         let new_moments: Vec<[f32; MOMENTS_ROW]> = after.iter().map(kept).collect();
         let rows_of = |from: &[f32], length: usize, cleared: bool| -> Vec<f32> {
             let row = |one: &classic::Descendant| {
                 let found = from[one.source * length..(one.source + 1) * length].iter();
-                found.map(|v| if cleared && one.new { 0.0 } else { *v }).collect::<Vec<_>>()
+                found
+                    .map(|v| if cleared && one.new { 0.0 } else { *v })
+                    .collect::<Vec<_>>()
             };
             after.iter().flat_map(row).collect()
         };
         self.gaussians.geometry.write(geometry.as_flattened())?;
-        optimizer.geometry_moments.write(new_moments.as_flattened())?;
+        optimizer
+            .geometry_moments
+            .write(new_moments.as_flattened())?;
         self.gaussians.sh.write(&rows_of(&sh, sh_row, false))?;
-        optimizer.sh_moments.write(&rows_of(&sh_moments, 2 * sh_row, true))?;
+        optimizer
+            .sh_moments
+            .write(&rows_of(&sh_moments, 2 * sh_row, true))?;
         self.gaussians.count = after.len();
         Ok(())
     }

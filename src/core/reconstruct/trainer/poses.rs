@@ -27,7 +27,11 @@ impl Trainer<'_> {
     }
 
     /// One Gauss-Newton step of every camera.
-    pub(super) fn refine_poses(&mut self, step: u32, cancel: &CancelToken) -> Result<(), ReconstructError> {
+    pub(super) fn refine_poses(
+        &mut self,
+        step: u32,
+        cancel: &CancelToken,
+    ) -> Result<(), ReconstructError> {
         self.correct_cameras(step, cancel)?;
         let given: Vec<Camera> = self.views.iter().map(|view| view.camera).collect();
         register::hold_gauge(&given, &mut self.motions);
@@ -37,20 +41,27 @@ impl Trainer<'_> {
 
     /// A camera stays where it is if the images agree less well after its step.
     fn correct_cameras(&mut self, step: u32, cancel: &CancelToken) -> Result<(), ReconstructError> {
-        let Some(depth) = self.config.refine_poses else { return Ok(()) };
+        let Some(depth) = self.config.refine_poses else {
+            return Ok(());
+        };
         let all: Vec<usize> = (0..self.views.len()).collect();
         for some in all.chunks(AT_ONCE) {
             cancel.check()?;
-            let seen =
-                some.iter().map(|&view| self.probe(view, step, depth)).collect::<Result<Vec<_>, _>>()?;
+            let seen = some
+                .iter()
+                .map(|&view| self.probe(view, step, depth))
+                .collect::<Result<Vec<_>, _>>()?;
             let corrections: Vec<Option<[f64; 6]>> = seen
                 .par_iter()
                 .map(|s| register::correction(&s.photograph, &s.render, &s.probed, &s.probes))
                 .collect();
             for ((&view, seen), correction) in some.iter().zip(&seen).zip(corrections) {
-                let Some(correction) = correction else { continue };
+                let Some(correction) = correction else {
+                    continue;
+                };
                 let motion = self.motions[view].plus(&correction);
-                let after = self.render_from(&self.camera_after(view, &motion), step, Some(view))?;
+                let after =
+                    self.render_from(&self.camera_after(view, &motion), step, Some(view))?;
                 let improved = register::difference(&seen.photograph, &after)
                     < register::difference(&seen.photograph, &seen.render);
                 if improved {
@@ -71,15 +82,24 @@ impl Trainer<'_> {
             let moved = self.camera_after(view, &self.motions[view].plus(probe));
             probed.push(self.render_from(&moved, step, Some(view))?);
         }
-        let probed = probed.try_into().map_err(|_| GpuError::Validation("six probes".to_owned()))?;
+        let probed = probed
+            .try_into()
+            .map_err(|_| GpuError::Validation("six probes".to_owned()))?;
         let photograph = self.photograph(view, render.width(), render.height());
-        Ok(Probed { photograph, render, probed, probes })
+        Ok(Probed {
+            photograph,
+            render,
+            probed,
+            probes,
+        })
     }
 
     /// The camera of `view` at the level's resolution after `motion`.
     fn camera_after(&self, view: usize, motion: &Motion) -> Camera {
         let k = &self.level.views[view].camera.intrinsics;
-        motion.moved(&self.views[view].camera).resized(k.width, k.height)
+        motion
+            .moved(&self.views[view].camera)
+            .resized(k.width, k.height)
     }
 
     /// Sets the level's cameras by the motions.
@@ -100,7 +120,8 @@ impl Trainer<'_> {
         Ok(())
     }
 
-    /// Kernels, colours and cameras of the views with the scene as it is: rounds of both, at full resolution.
+    /// Kernels, colours and cameras of the views with the scene as it is: rounds of both, at full
+    /// resolution.
     pub(in crate::reconstruct) fn register(
         mut self,
         rounds: u32,
@@ -119,6 +140,10 @@ impl Trainer<'_> {
 
     /// The views' cameras, at the size of their images, as they stand now.
     pub(super) fn cameras(&self) -> Vec<Camera> {
-        self.views.iter().zip(&self.motions).map(|(view, motion)| motion.moved(&view.camera)).collect()
+        self.views
+            .iter()
+            .zip(&self.motions)
+            .map(|(view, motion)| motion.moved(&view.camera))
+            .collect()
     }
 }

@@ -25,10 +25,21 @@ impl Trainer<'_> {
             geometry_moments: self.optimizer.geometry_moments.read(count)?,
             sh: self.gaussians.sh.read(count)?,
             sh_moments: self.optimizer.sh_moments.read(count)?,
-            noise: self.noise.as_ref().map_or(Ok(Vec::new()), NoiseField::save)?,
+            noise: self
+                .noise
+                .as_ref()
+                .map_or(Ok(Vec::new()), NoiseField::save)?,
             shake: self.shake.as_ref().map_or(Vec::new(), Shake::save),
-            motions: self.motions.iter().flat_map(|motion| motion.twist).collect(),
-            colours: self.colours.iter().flat_map(|colour| colour.to_row()).collect(),
+            motions: self
+                .motions
+                .iter()
+                .flat_map(|motion| motion.twist)
+                .collect(),
+            colours: self
+                .colours
+                .iter()
+                .flat_map(|colour| colour.to_row())
+                .collect(),
         })
     }
 
@@ -36,11 +47,15 @@ impl Trainer<'_> {
         if checkpoint.fingerprint != self.fingerprint() || checkpoint.step > self.config.steps {
             return Err(ReconstructError::OtherRound);
         }
-        self.optimizer.geometry_moments.write(&checkpoint.geometry_moments)?;
+        self.optimizer
+            .geometry_moments
+            .write(&checkpoint.geometry_moments)?;
         self.optimizer.sh_moments.write(&checkpoint.sh_moments)?;
         self.optimizer.counters.write(&[checkpoint.non_finite])?;
         if let Some(noise) = &mut self.noise {
-            noise.restore(&checkpoint.noise).map_err(|error| ReconstructError::Noise(error.to_string()))?;
+            noise
+                .restore(&checkpoint.noise)
+                .map_err(|error| ReconstructError::Noise(error.to_string()))?;
         }
         self.start_count = checkpoint.start_count as usize;
         self.next = checkpoint.step;
@@ -52,7 +67,14 @@ impl Trainer<'_> {
         self.restore_colours(&checkpoint.colours)?;
         let sizes = self.raster.sizes();
         let intersections = checkpoint.intersections as usize;
-        self.raster = SplatBuffers::new(self.gpu, SplatSizes { intersections, ..sizes }, true)?;
+        self.raster = SplatBuffers::new(
+            self.gpu,
+            SplatSizes {
+                intersections,
+                ..sizes
+            },
+            true,
+        )?;
         Ok(())
     }
 

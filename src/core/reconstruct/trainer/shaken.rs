@@ -21,13 +21,21 @@ impl Trainer<'_> {
     }
 
     /// Solves for the kernels of all views anew.
-    pub(super) fn estimate_shake(&mut self, step: u32, cancel: &CancelToken) -> Result<(), ReconstructError> {
-        let Some(response) = &self.config.shake else { return Ok(()) };
+    pub(super) fn estimate_shake(
+        &mut self,
+        step: u32,
+        cancel: &CancelToken,
+    ) -> Result<(), ReconstructError> {
+        let Some(response) = &self.config.shake else {
+            return Ok(());
+        };
         let all: Vec<usize> = (0..self.views.len()).collect();
         for some in all.chunks(AT_ONCE) {
             cancel.check()?;
-            let renders =
-                some.iter().map(|&view| self.render_view(view, step)).collect::<Result<Vec<_>, _>>()?;
+            let renders = some
+                .iter()
+                .map(|&view| self.render_view(view, step))
+                .collect::<Result<Vec<_>, _>>()?;
             let kernels: Vec<ShakeKernel> = some
                 .par_iter()
                 .zip(&renders)
@@ -51,7 +59,8 @@ impl Trainer<'_> {
         self.render_from(&camera, step, None)
     }
 
-    /// The scene through `camera`, no larger than the views, as `step` would see it; as shaken as the view `like` is.
+    /// The scene through `camera`, no larger than the views, as `step` would see it; as shaken as
+    /// the view `like` is.
     pub(super) fn render_from(
         &mut self,
         camera: &Camera,
@@ -65,7 +74,11 @@ impl Trainer<'_> {
             self.projection.camera.write(&[uniform])?;
             let mut recorder = self.gpu.recorder();
             self.projection.record(&mut recorder, &self.gaussians)?;
-            Forward::new(self.specialisation).record(&mut recorder, &self.projection, &self.raster)?;
+            Forward::new(self.specialisation).record(
+                &mut recorder,
+                &self.projection,
+                &self.raster,
+            )?;
             let image = match (&self.shake, like) {
                 (Some(shake), Some(view)) => {
                     shake.record_forward(&mut recorder, view, &self.raster.image)?;
@@ -98,8 +111,13 @@ impl Trainer<'_> {
         Ok(self.set_kernels(kernels)?)
     }
 
-    fn set_kernels(&mut self, kernels: impl IntoIterator<Item = ShakeKernel>) -> Result<(), GpuError> {
-        let Some(shake) = &mut self.shake else { return Ok(()) };
+    fn set_kernels(
+        &mut self,
+        kernels: impl IntoIterator<Item = ShakeKernel>,
+    ) -> Result<(), GpuError> {
+        let Some(shake) = &mut self.shake else {
+            return Ok(());
+        };
         for (index, (view, kernel)) in self.level.views.iter().zip(kernels).enumerate() {
             let k = &view.camera.intrinsics;
             shake.set(index, [k.width, k.height], kernel)?;

@@ -9,13 +9,13 @@ use crate::noise::NoiseWork;
 use crate::reconstruct::{ReconstructError, TrainConfig, TrainHooks, TrainStart, TrainingView};
 use crate::splat::rasterize::SplatWork;
 
-/// The loop of [`train`](crate::reconstruct::train) itself, stopped and gone on with: what is measured is
-/// what runs. Makes no checkpoints.
+/// The loop of [`train`](crate::reconstruct::train) itself, stopped and gone on with: what is
+/// measured is what runs. Makes no checkpoints.
 pub struct Stepper<'a>(Trainer<'a>);
 
 impl<'a> Stepper<'a> {
-    /// A round that begins with `gaussians` at the step `first`, as if those before it had been trained:
-    /// what a step does depends on where in the round it lies. Adam's moments are zero.
+    /// A round that begins with `gaussians` at the step `first`, as if those before it had been
+    /// trained: what a step does depends on where in the round it lies. Adam's moments are zero.
     ///
     /// # Errors
     /// As [`train`](crate::reconstruct::train).
@@ -37,7 +37,11 @@ impl<'a> Stepper<'a> {
     /// As [`train`](crate::reconstruct::train).
     pub fn advance(&mut self, steps: u32, cancel: &CancelToken) -> Result<(), ReconstructError> {
         let last = self.0.next.saturating_add(steps).min(self.0.config.steps);
-        let mut hooks = TrainHooks { cancel, progress: &mut |_, _, _| {}, checkpoint: None };
+        let mut hooks = TrainHooks {
+            cancel,
+            progress: &mut |_, _, _| {},
+            checkpoint: None,
+        };
         self.0.train_to(last, &mut hooks)
     }
 
@@ -57,7 +61,12 @@ impl<'a> Stepper<'a> {
 
     /// Taps of the kernel by which the last step's view is shaken; `None` when shake is off.
     pub fn taps(&self) -> Option<usize> {
-        self.0.shake.as_ref()?.kernels().nth(self.0.last_view).map(|kernel| kernel.taps().len())
+        self.0
+            .shake
+            .as_ref()?
+            .kernels()
+            .nth(self.0.last_view)
+            .map(|kernel| kernel.taps().len())
     }
 
     /// How much the noise field works in a step; `None` when it is off.

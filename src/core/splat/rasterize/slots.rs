@@ -5,9 +5,10 @@ use fled_gpu::{Buffer, Gpu, GpuError};
 #[cfg(test)]
 use super::SLOT_ROW;
 
-/// Sums over the pixels that an intersection covers, v being the derivative of the loss by the exponent sigma; what they
-/// mean for the projected Gaussian follows from its conic and opacity, which all of its intersections share. Three
-/// buffers, because one would be the first to reach what an adapter binds.
+/// Sums over the pixels that an intersection covers, v being the derivative of the loss by the
+/// exponent sigma; what they mean for the projected Gaussian follows from its conic and opacity,
+/// which all of its intersections share. Three buffers, because one would be the first to reach
+/// what an adapter binds.
 #[derive(Clone)]
 pub struct SlotRows {
     /// By the colour r g b; sum of v, [intersections].
@@ -37,7 +38,11 @@ impl SlotRows {
     /// A device error.
     #[cfg(test)]
     pub(crate) fn read(&self) -> Result<Vec<[f32; SLOT_ROW]>, GpuError> {
-        let (colours, moments, tails) = (self.colours.read()?, self.moments.read()?, self.tails.read()?);
+        let (colours, moments, tails) = (
+            self.colours.read()?,
+            self.moments.read()?,
+            self.tails.read()?,
+        );
         let row = |i: usize| {
             let ([a, b, c, d], [e, f, g, h]) = (colours[i], moments[i]);
             [a, b, c, d, e, f, g, h, tails[i]]
@@ -51,10 +56,14 @@ impl SlotRows {
     /// A device error.
     #[cfg(test)]
     pub(crate) fn write(&self, rows: &[[f32; SLOT_ROW]]) -> Result<(), GpuError> {
-        let four = |row: &[f32; SLOT_ROW], at: usize| [row[at], row[at + 1], row[at + 2], row[at + 3]];
-        self.colours.write(&rows.iter().map(|row| four(row, 0)).collect::<Vec<_>>())?;
-        self.moments.write(&rows.iter().map(|row| four(row, 4)).collect::<Vec<_>>())?;
-        self.tails.write(&rows.iter().map(|row| row[8]).collect::<Vec<_>>())
+        let four =
+            |row: &[f32; SLOT_ROW], at: usize| [row[at], row[at + 1], row[at + 2], row[at + 3]];
+        self.colours
+            .write(&rows.iter().map(|row| four(row, 0)).collect::<Vec<_>>())?;
+        self.moments
+            .write(&rows.iter().map(|row| four(row, 4)).collect::<Vec<_>>())?;
+        self.tails
+            .write(&rows.iter().map(|row| row[8]).collect::<Vec<_>>())
     }
 
     /// The most that the adapter binds.

@@ -32,8 +32,17 @@ struct Scene {
 impl Scene {
     fn new(gaussians: Gaussians, width: usize, height: usize) -> Self {
         let mut random = Random::new(5);
-        let image_gradient = (0..3 * width * height).map(|_| random.signed() as f32).collect();
-        Self { gaussians, width, height, intersections: 40_000, background: [0.0; 3], image_gradient }
+        let image_gradient = (0..3 * width * height)
+            .map(|_| random.signed() as f32)
+            .collect();
+        Self {
+            gaussians,
+            width,
+            height,
+            intersections: 40_000,
+            background: [0.0; 3],
+            image_gradient,
+        }
     }
 
     fn run(&self, specialisation: Specialisation) -> Run {
@@ -43,8 +52,8 @@ impl Scene {
         let device = DeviceGaussians::upload(gpu, &self.gaussians, n + 700).unwrap();
         let projection = Projection::new(gpu, n + 700).unwrap();
         let degree = self.gaussians.sh_degree;
-        let camera =
-            CameraUniform::new(&view.camera, n, degree, degree, view.near as f32).before(self.background);
+        let camera = CameraUniform::new(&view.camera, n, degree, degree, view.near as f32)
+            .before(self.background);
         projection.camera.write(&[camera]).unwrap();
         let sizes = SplatSizes {
             gaussians: n + 700,
@@ -56,14 +65,23 @@ impl Scene {
         let image_gradient = gpu.upload("image gradient", &self.image_gradient).unwrap();
         let mut recorder = gpu.recorder();
         projection.record(&mut recorder, &device).unwrap();
-        Forward::new(specialisation).record(&mut recorder, &projection, &buffers).unwrap();
+        Forward::new(specialisation)
+            .record(&mut recorder, &projection, &buffers)
+            .unwrap();
         let backward = Backward::new(specialisation);
-        backward.record(&mut recorder, &projection, &buffers, &image_gradient).unwrap();
+        backward
+            .record(&mut recorder, &projection, &buffers, &image_gradient)
+            .unwrap();
         let recording = recorder.finish();
         // Twice: nothing may depend on what the last step left behind.
         recording.submit().unwrap();
         recording.submit().unwrap();
-        let tile_counts = projection.tile_counts.start_read(n).unwrap().wait().unwrap();
+        let tile_counts = projection
+            .tile_counts
+            .start_read(n)
+            .unwrap()
+            .wait()
+            .unwrap();
         Run {
             projected: rows(&projection.projected.read().unwrap(), &tile_counts),
             image: buffers.image.read().unwrap(),
@@ -105,7 +123,9 @@ impl Run {
                 let row = &self.rows[self.slot_offsets[g] as usize + k];
                 (0..SLOT_ROW).for_each(|i| sum[i] += f64::from(row[i]));
             }
-            self.projected[g].as_ref().map_or([0.0; SLOT_ROW], |p| flat(&gradient(&sum, p.conic, p.opacity)))
+            self.projected[g].as_ref().map_or([0.0; SLOT_ROW], |p| {
+                flat(&gradient(&sum, p.conic, p.opacity))
+            })
         };
         (0..self.tile_counts.len()).map(sum).collect()
     }
@@ -121,16 +141,23 @@ fn specialisations() -> Vec<Specialisation> {
     let subgroup = Specialisation::for_adapter(fixtures::gpu().describe()).subgroup;
     let plain = |subgroup: Option<u32>| {
         let fits = move |pixels: &u32| subgroup.is_none_or(|size| size <= TILE * TILE / pixels);
-        [4, 8, 16].into_iter().filter(fits).map(move |pixels| Specialisation {
-            pixels,
-            subgroup,
-            walks: false,
-        })
+        [4, 8, 16]
+            .into_iter()
+            .filter(fits)
+            .map(move |pixels| Specialisation {
+                pixels,
+                subgroup,
+                walks: false,
+            })
     };
     let mut all: Vec<_> = plain(None).collect();
     if let Some(size) = subgroup {
         all.extend(plain(subgroup));
-        let walks = Specialisation { pixels: HALF_TILE / size, subgroup, walks: true };
+        let walks = Specialisation {
+            pixels: HALF_TILE / size,
+            subgroup,
+            walks: true,
+        };
         all.extend((walks.pixels >= 4).then_some(walks));
     }
     all
@@ -139,8 +166,16 @@ fn specialisations() -> Vec<Specialisation> {
 #[test]
 fn every_kind_of_adapter_gets_kernels_that_fit_its_subgroups() {
     let chosen = |device_type, subgroup| {
-        let info = AdapterInfo { device_type, subgroup, ..fixtures::gpu().describe().clone() };
-        let Specialisation { pixels, subgroup, walks } = Specialisation::for_adapter(&info);
+        let info = AdapterInfo {
+            device_type,
+            subgroup,
+            ..fixtures::gpu().describe().clone()
+        };
+        let Specialisation {
+            pixels,
+            subgroup,
+            walks,
+        } = Specialisation::for_adapter(&info);
         (pixels, subgroup, walks)
     };
     let (cpu, card) = (DeviceType::Cpu, DeviceType::Discrete);
@@ -163,8 +198,15 @@ fn chosen() -> Specialisation {
 fn image_and_transmittance_equal_the_reference_at_a_size_that_is_no_multiple_of_a_tile() {
     let scene = Scene::new(fixtures::gaussians(1500, 1, 3), 141, 93);
     let run = scene.run(chosen());
-    assert!(run.counts.visible > 500 && !run.counts.overflowed(), "{:?}", run.counts);
-    assert_eq!(run.counts.intersections, run.tile_counts.iter().sum::<u32>() as usize);
+    assert!(
+        run.counts.visible > 500 && !run.counts.overflowed(),
+        "{:?}",
+        run.counts
+    );
+    assert_eq!(
+        run.counts.intersections,
+        run.tile_counts.iter().sum::<u32>() as usize
+    );
     let expected = scene.reference(&run);
     mostly_within(&run.image, &expected.image, 1e-4, 1e-3).unwrap();
     mostly_within(&run.transmittance, &expected.transmittance, 1e-4, 1e-3).unwrap();
@@ -176,26 +218,37 @@ fn gradients_equal_the_reference_in_every_column() {
     let run = scene.run(chosen());
     let upstream: Vec<_> = scene.image_gradient.iter().map(|&v| f64::from(v)).collect();
     let expected = blend_backward(&run.projected, &scene.reference(&run), &upstream);
-    let (found, expected): (Vec<_>, Vec<_>) = (run.gradients(), expected.iter().map(flat).collect());
+    let (found, expected): (Vec<_>, Vec<_>) =
+        (run.gradients(), expected.iter().map(flat).collect());
     for column in 0..SLOT_ROW {
         let of = |rows: &[[f64; SLOT_ROW]]| rows.iter().map(|r| r[column]).collect::<Vec<_>>();
-        gradients_agree(&of(&found), &of(&expected)).unwrap_or_else(|why| panic!("column {column}: {why}"));
+        gradients_agree(&of(&found), &of(&expected))
+            .unwrap_or_else(|why| panic!("column {column}: {why}"));
     }
 }
 
 #[test]
 fn before_a_background_image_and_gradients_equal_the_reference() {
     let black = Scene::new(fixtures::gaussians(60, 0, 3), 96, 64);
-    let scene = Scene { background: [0.9, 0.2, 0.6], ..Scene::new(fixtures::gaussians(60, 0, 3), 96, 64) };
+    let scene = Scene {
+        background: [0.9, 0.2, 0.6],
+        ..Scene::new(fixtures::gaussians(60, 0, 3), 96, 64)
+    };
     let run = scene.run(chosen());
     let expected = scene.reference(&run);
     mostly_within(&run.image, &expected.image, 1e-4, 1e-3).unwrap();
-    mostly_within(&run.image, &black.reference(&run).image, 1e-2, 0.1).expect_err("it shines through");
+    mostly_within(&run.image, &black.reference(&run).image, 1e-2, 0.1)
+        .expect_err("it shines through");
     let upstream: Vec<_> = scene.image_gradient.iter().map(|&v| f64::from(v)).collect();
     let expected = blend_backward(&run.projected, &expected, &upstream);
-    let opacity = |of: &dyn Fn(usize) -> f64| (0..run.tile_counts.len()).map(of).collect::<Vec<_>>();
+    let opacity =
+        |of: &dyn Fn(usize) -> f64| (0..run.tile_counts.len()).map(of).collect::<Vec<_>>();
     let found = run.gradients();
-    gradients_agree(&opacity(&|i| found[i][8]), &opacity(&|i| expected[i].opacity)).unwrap();
+    gradients_agree(
+        &opacity(&|i| found[i][8]),
+        &opacity(&|i| expected[i].opacity),
+    )
+    .unwrap();
 }
 
 #[test]
@@ -204,14 +257,23 @@ fn all_specialisations_agree() {
     let first = scene.run(chosen());
     let image: Vec<_> = first.image.iter().map(|&v| f64::from(v)).collect();
     let gradients = first.gradients();
-    let largest = gradients.iter().flatten().fold(0.0_f64, |a, &v| a.max(v.abs()));
+    let largest = gradients
+        .iter()
+        .flatten()
+        .fold(0.0_f64, |a, &v| a.max(v.abs()));
     for specialisation in specialisations() {
         let run = scene.run(specialisation);
         mostly_within(&run.image, &image, 1e-5, 0.0)
             .unwrap_or_else(|why| panic!("{specialisation:?}: {why}"));
-        let found: Vec<_> = run.gradients().iter().flatten().map(|&v| (v / largest) as f32).collect();
+        let found: Vec<_> = run
+            .gradients()
+            .iter()
+            .flatten()
+            .map(|&v| (v / largest) as f32)
+            .collect();
         let expected: Vec<_> = gradients.iter().flatten().map(|&v| v / largest).collect();
-        mostly_within(&found, &expected, 1e-5, 0.0).unwrap_or_else(|why| panic!("{specialisation:?}: {why}"));
+        mostly_within(&found, &expected, 1e-5, 0.0)
+            .unwrap_or_else(|why| panic!("{specialisation:?}: {why}"));
     }
 }
 
@@ -223,7 +285,14 @@ fn the_same_input_gives_the_same_bits() {
     let used = a.counts.intersections;
     assert!(bits(&a.image) == bits(&b.image));
     assert!(bits(a.rows[..used].as_flattened()) == bits(b.rows[..used].as_flattened()));
-    assert!(bits(&a.image) != bits(&Scene::new(fixtures::gaussians(900, 1, 8), 96, 64).run(chosen()).image));
+    assert!(
+        bits(&a.image)
+            != bits(
+                &Scene::new(fixtures::gaussians(900, 1, 8), 96, 64)
+                    .run(chosen())
+                    .image
+            )
+    );
 }
 
 #[test]
@@ -255,7 +324,11 @@ fn a_splat_over_all_tiles_covers_the_image() {
 fn a_camera_inside_a_splat_sees_it_and_those_at_and_behind_its_centre_are_left_out() {
     let mut gaussians = fixtures::gaussians(60, 0, 3);
     let camera = fixtures::viewpoint(90, 70).camera;
-    let at = |depth: f64| (camera.centre() + depth * camera.forward()).to_array().map(|x| x as f32);
+    let at = |depth: f64| {
+        (camera.centre() + depth * camera.forward())
+            .to_array()
+            .map(|x| x as f32)
+    };
     gaussians.means[..3].copy_from_slice(&[at(0.15), at(0.0), at(-0.5)]);
     gaussians.log_scales[..3].fill([0.0; 3]);
     gaussians.opacity_logits[..3].fill(0.0);
@@ -286,7 +359,14 @@ fn an_overflow_is_counted_exactly_and_enough_room_repairs_it() {
 
 #[test]
 fn every_row_of_the_kernel_table_agrees_with_its_shader() {
-    let rows = [COUNT_VISIBLE, COMPACT_VISIBLE, COUNT_SLOTS, ASSIGN_SLOTS, EMIT, TILE_RANGES];
+    let rows = [
+        COUNT_VISIBLE,
+        COMPACT_VISIBLE,
+        COUNT_SLOTS,
+        ASSIGN_SLOTS,
+        EMIT,
+        TILE_RANGES,
+    ];
     for kernel in rows {
         kernel.reflect().unwrap();
     }
@@ -300,28 +380,51 @@ fn every_row_of_the_kernel_table_agrees_with_its_shader() {
     }
 }
 
-/// Prints times. Run with `cargo test --release -p fled-core blending_times -- --ignored --nocapture`.
+/// Prints times. Run with `cargo test --release -p fled-core blending_times -- --ignored
+/// --nocapture`.
 #[test]
 #[ignore = "a measurement"]
 fn blending_times() {
     let gpu = fixtures::gpu();
     let on_cpu = gpu.describe().device_type == DeviceType::Cpu;
-    let (width, height, n) = if on_cpu { (280, 160, 10_000) } else { (1120, 640, 200_000) };
+    let (width, height, n) = if on_cpu {
+        (280, 160, 10_000)
+    } else {
+        (1120, 640, 200_000)
+    };
     let mut gaussians = fixtures::gaussians(n, 0, 3);
-    gaussians.log_scales.iter_mut().flatten().for_each(|s| *s -= 0.55);
+    gaussians
+        .log_scales
+        .iter_mut()
+        .flatten()
+        .for_each(|s| *s -= 0.55);
     let view = fixtures::viewpoint(width, height);
     let device = DeviceGaussians::upload(gpu, &gaussians, n).unwrap();
     let projection = Projection::new(gpu, n).unwrap();
-    projection.camera.write(&[CameraUniform::new(&view.camera, n, 0, 0, 0.1)]).unwrap();
-    let sizes = SplatSizes { gaussians: n, width, height, intersections: 20 * n };
+    projection
+        .camera
+        .write(&[CameraUniform::new(&view.camera, n, 0, 0, 0.1)])
+        .unwrap();
+    let sizes = SplatSizes {
+        gaussians: n,
+        width,
+        height,
+        intersections: 20 * n,
+    };
     let buffers = SplatBuffers::new(gpu, sizes, true).unwrap();
-    let gradient = gpu.upload("image gradient", &vec![0.5_f32; 3 * width * height]).unwrap();
+    let gradient = gpu
+        .upload("image gradient", &vec![0.5_f32; 3 * width * height])
+        .unwrap();
     for specialisation in specialisations() {
         let mut recorder = gpu.recorder();
         projection.record(&mut recorder, &device).unwrap();
-        Forward::new(specialisation).record(&mut recorder, &projection, &buffers).unwrap();
+        Forward::new(specialisation)
+            .record(&mut recorder, &projection, &buffers)
+            .unwrap();
         let backward = Backward::new(specialisation);
-        backward.record(&mut recorder, &projection, &buffers, &gradient).unwrap();
+        backward
+            .record(&mut recorder, &projection, &buffers, &gradient)
+            .unwrap();
         let recording = recorder.finish();
         recording.submit().unwrap();
         gpu.wait().unwrap();
@@ -334,7 +437,11 @@ fn blending_times() {
         }
         gpu.profile(true);
         (0..20).for_each(|_| recording.submit().map(|_| ()).unwrap());
-        eprintln!("{specialisation:?}: {:.1} ms, {:?}", best * 1e3, buffers.counts().unwrap().wait());
+        eprintln!(
+            "{specialisation:?}: {:.1} ms, {:?}",
+            best * 1e3,
+            buffers.counts().unwrap().wait()
+        );
         for (name, time) in gpu.profiled() {
             let per_step = time.shortest.as_secs_f64() * 1e3 * time.dispatches as f64 / 20.0;
             eprintln!("  {name}: {per_step:.2} ms a step");
@@ -351,18 +458,32 @@ fn a_tile_counted_but_not_emitted_changes_no_pixel_and_has_zero_gradients() {
     let device = DeviceGaussians::upload(gpu, &gaussians, n).unwrap();
     let projection = Projection::new(gpu, n).unwrap();
     let view = fixtures::viewpoint(width, height);
-    projection.camera.write(&[CameraUniform::new(&view.camera, n, 0, 0, 0.1)]).unwrap();
-    let sizes = SplatSizes { gaussians: n, width, height, intersections: 20_000 };
+    projection
+        .camera
+        .write(&[CameraUniform::new(&view.camera, n, 0, 0, 0.1)])
+        .unwrap();
+    let sizes = SplatSizes {
+        gaussians: n,
+        width,
+        height,
+        intersections: 20_000,
+    };
     let buffers = SplatBuffers::new(gpu, sizes, true).unwrap();
     // Rows that nobody writes keep this.
     buffers.slots.write(&vec![[7.0; SLOT_ROW]; 20_000]).unwrap();
-    let gradient = gpu.upload("image gradient", &vec![1.0_f32; 3 * width * height]).unwrap();
+    let gradient = gpu
+        .upload("image gradient", &vec![1.0_f32; 3 * width * height])
+        .unwrap();
     let mut recorder = gpu.recorder();
     projection.record(&mut recorder, &device).unwrap();
     recorder.submit().unwrap();
     let mut recorder = gpu.recorder();
-    Forward::new(chosen()).record(&mut recorder, &projection, &buffers).unwrap();
-    Backward::new(chosen()).record(&mut recorder, &projection, &buffers, &gradient).unwrap();
+    Forward::new(chosen())
+        .record(&mut recorder, &projection, &buffers)
+        .unwrap();
+    Backward::new(chosen())
+        .record(&mut recorder, &projection, &buffers, &gradient)
+        .unwrap();
     let recording = recorder.finish();
     recording.submit().unwrap();
     let image = buffers.image.read().unwrap();
@@ -383,17 +504,29 @@ fn a_camera_larger_than_the_buffers_draws_nothing() {
     let gaussians = fixtures::gaussians(200, 0, 3);
     let device = DeviceGaussians::upload(gpu, &gaussians, 200).unwrap();
     let projection = Projection::new(gpu, 200).unwrap();
-    let sizes = SplatSizes { gaussians: 200, width: 64, height: 48, intersections: 20_000 };
+    let sizes = SplatSizes {
+        gaussians: 200,
+        width: 64,
+        height: 48,
+        intersections: 20_000,
+    };
     let buffers = SplatBuffers::new(gpu, sizes, true).unwrap();
     let mut recorder = gpu.recorder();
     projection.record(&mut recorder, &device).unwrap();
-    Forward::new(chosen()).record(&mut recorder, &projection, &buffers).unwrap();
+    Forward::new(chosen())
+        .record(&mut recorder, &projection, &buffers)
+        .unwrap();
     let gradient = gpu.create::<f32>("image gradient", 3 * 64 * 48).unwrap();
-    Backward::new(chosen()).record(&mut recorder, &projection, &buffers, &gradient).unwrap();
+    Backward::new(chosen())
+        .record(&mut recorder, &projection, &buffers, &gradient)
+        .unwrap();
     let recording = recorder.finish();
     let draw = |width, height| {
         let camera = fixtures::viewpoint(width, height).camera;
-        projection.camera.write(&[CameraUniform::new(&camera, 200, 0, 0, 0.1)]).unwrap();
+        projection
+            .camera
+            .write(&[CameraUniform::new(&camera, 200, 0, 0, 0.1)])
+            .unwrap();
         recording.submit().unwrap();
         buffers.image.read().unwrap()
     };

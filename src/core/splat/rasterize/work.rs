@@ -13,23 +13,24 @@ pub struct SplatWork {
     pub intersections: usize,
     /// Tiles that the buffers hold.
     pub tiles: usize,
-    /// Pairs of an intersection and a half of its tile that blending came to before every pixel had stopped: of
-    /// that half, or of the tile, as the kernel has it.
+    /// Pairs of an intersection and a half of its tile that blending came to before every pixel had
+    /// stopped: of that half, or of the tile, as the kernel has it.
     pub walked: usize,
     /// Passes of the sort by depth and of the sort by tile.
     pub passes: [usize; 2],
 }
 
 impl SplatWork {
-    /// Pairs of a pixel and a splat that blending came to, pixels outside of the image among them. A kernel that passes
-    /// over halves that a splat does not touch evaluates fewer.
+    /// Pairs of a pixel and a splat that blending came to, pixels outside of the image among them.
+    /// A kernel that passes over halves that a splat does not touch evaluates fewer.
     pub fn pairs(&self) -> usize {
         self.walked * (TILE * TILE / 2) as usize
     }
 }
 
 impl SplatBuffers {
-    /// The work of the last submission, of an image of the size that the buffers were made for. Waits.
+    /// The work of the last submission, of an image of the size that the buffers were made for.
+    /// Waits.
     ///
     /// # Errors
     /// A device error.
@@ -72,13 +73,23 @@ mod tests {
         gaussians.opacity_logits.fill(2.0);
         let device = DeviceGaussians::upload(gpu, &gaussians, 0).unwrap();
         let projection = Projection::new(gpu, 2).unwrap();
-        let sizes = SplatSizes { gaussians: 2, width: 64, height: 48, intersections: 100 };
+        let sizes = SplatSizes {
+            gaussians: 2,
+            width: 64,
+            height: 48,
+            intersections: 100,
+        };
         let buffers = SplatBuffers::new(gpu, sizes, false).unwrap();
-        projection.camera.write(&[CameraUniform::new(&view, 2, 0, 0, 0.1)]).unwrap();
+        projection
+            .camera
+            .write(&[CameraUniform::new(&view, 2, 0, 0, 0.1)])
+            .unwrap();
         let mut recorder = gpu.recorder();
         projection.record(&mut recorder, &device).unwrap();
         let forward = Forward::new(Specialisation::for_adapter(gpu.describe()));
-        forward.record(&mut recorder, &projection, &buffers).unwrap();
+        forward
+            .record(&mut recorder, &projection, &buffers)
+            .unwrap();
         recorder.submit().unwrap();
         let work = buffers.work().unwrap();
         assert_eq!((work.visible, work.intersections, work.tiles), (1, 1, 12));

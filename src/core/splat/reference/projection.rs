@@ -57,9 +57,21 @@ pub fn sigmoid(x: f64) -> f64 {
 pub fn rotation(q: [f64; 4]) -> DMat3 {
     let [w, x, y, z] = q;
     DMat3::from_cols(
-        DVec3::new(1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z), 2.0 * (x * z - w * y)),
-        DVec3::new(2.0 * (x * y - w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z + w * x)),
-        DVec3::new(2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)),
+        DVec3::new(
+            1.0 - 2.0 * (y * y + z * z),
+            2.0 * (x * y + w * z),
+            2.0 * (x * z - w * y),
+        ),
+        DVec3::new(
+            2.0 * (x * y - w * z),
+            1.0 - 2.0 * (x * x + z * z),
+            2.0 * (y * z + w * x),
+        ),
+        DVec3::new(
+            2.0 * (x * z + w * y),
+            2.0 * (y * z - w * x),
+            1.0 - 2.0 * (x * x + y * y),
+        ),
     )
 }
 
@@ -108,7 +120,11 @@ fn intermediate(splat: &Splat, view: &Viewpoint) -> Option<Intermediate> {
     let factor = rotation * DMat3::from_diagonal(scale);
     let covariance = factor * factor.transpose();
     let projected = linear * covariance * linear.transpose();
-    let flat = [projected.x_axis.x + LOW_PASS, projected.x_axis.y, projected.y_axis.y + LOW_PASS];
+    let flat = [
+        projected.x_axis.x + LOW_PASS,
+        projected.x_axis.y,
+        projected.y_axis.y + LOW_PASS,
+    ];
     let determinant = flat[0] * flat[2] - flat[1] * flat[1];
     let usable = determinant.is_finite() && determinant > DETERMINANT_GUARD;
     usable.then(|| Intermediate {
@@ -148,7 +164,12 @@ fn direction(splat: &Splat, view: &Viewpoint) -> (DVec3, f64) {
 fn unclamped_colour(splat: &Splat, view: &Viewpoint, direction: DVec3) -> [f64; 3] {
     let values = basis(direction.to_array());
     let mut colour = [0.5; 3];
-    for (coefficient, value) in splat.sh.iter().zip(values).take(coefficients(view.sh_degree)) {
+    for (coefficient, value) in splat
+        .sh
+        .iter()
+        .zip(values)
+        .take(coefficients(view.sh_degree))
+    {
         for c in 0..3 {
             colour[c] += coefficient[c] * value;
         }
@@ -164,8 +185,14 @@ pub fn project(splat: &Splat, view: &Viewpoint) -> Option<Projected> {
     if limit < 0.0 {
         return None;
     }
-    let extent = [(2.0 * limit * i.flat[0]).sqrt(), (2.0 * limit * i.flat[2]).sqrt()];
-    let mean = [k.fx * i.point.x / i.point.z + k.cx, k.fy * i.point.y / i.point.z + k.cy];
+    let extent = [
+        (2.0 * limit * i.flat[0]).sqrt(),
+        (2.0 * limit * i.flat[2]).sqrt(),
+    ];
+    let mean = [
+        k.fx * i.point.x / i.point.z + k.cx,
+        k.fy * i.point.y / i.point.z + k.cy,
+    ];
     let outside = |axis: usize, size: usize| {
         mean[axis] + extent[axis] <= 0.0 || mean[axis] - extent[axis] >= size as f64
     };
@@ -194,7 +221,8 @@ pub fn project_backward(splat: &Splat, view: &Viewpoint, gradient: &ProjectedGra
     let by_linear = 2.0 * by_flat * i.linear * i.covariance;
     let by_jacobian = by_linear * i.world_to_camera.transpose();
     let by_point = point_backward(&i, view, gradient.mean, by_jacobian);
-    let by_mean = i.world_to_camera.transpose() * by_point + colour_backward(splat, view, gradient, &mut out);
+    let by_mean =
+        i.world_to_camera.transpose() * by_point + colour_backward(splat, view, gradient, &mut out);
     out.mean = by_mean.to_array();
     covariance_backward(&i, by_covariance, &mut out);
     out.opacity_logit = gradient.opacity * i.opacity * (1.0 - i.opacity);
@@ -205,12 +233,26 @@ pub fn project_backward(splat: &Splat, view: &Viewpoint, gradient: &ProjectedGra
 fn conic_backward(i: &Intermediate, by_conic: [f64; 3]) -> DMat3 {
     let [a, b, c] = i.flat;
     let conic = DMat2::from_cols_array(&[c, -b, -b, a]) * (1.0 / i.determinant);
-    let upstream = DMat2::from_cols_array(&[by_conic[0], by_conic[1] / 2.0, by_conic[1] / 2.0, by_conic[2]]);
+    let upstream = DMat2::from_cols_array(&[
+        by_conic[0],
+        by_conic[1] / 2.0,
+        by_conic[1] / 2.0,
+        by_conic[2],
+    ]);
     let flat = conic * upstream * conic * -1.0;
-    DMat3::from_cols(flat.x_axis.extend(0.0), flat.y_axis.extend(0.0), DVec3::ZERO)
+    DMat3::from_cols(
+        flat.x_axis.extend(0.0),
+        flat.y_axis.extend(0.0),
+        DVec3::ZERO,
+    )
 }
 
-fn point_backward(i: &Intermediate, view: &Viewpoint, by_mean: [f64; 2], by_jacobian: DMat3) -> DVec3 {
+fn point_backward(
+    i: &Intermediate,
+    view: &Viewpoint,
+    by_mean: [f64; 2],
+    by_jacobian: DMat3,
+) -> DVec3 {
     let k = &view.camera.intrinsics;
     let (z, focal) = (i.point.z, [k.fx, k.fy]);
     let place = [i.point.x, i.point.y];
@@ -258,7 +300,12 @@ fn covariance_backward(i: &Intermediate, by_covariance: DMat3, out: &mut Splat) 
 }
 
 /// Fills the harmonics' gradient and returns the mean's share through the viewing direction.
-fn colour_backward(splat: &Splat, view: &Viewpoint, gradient: &ProjectedGradient, out: &mut Splat) -> DVec3 {
+fn colour_backward(
+    splat: &Splat,
+    view: &Viewpoint,
+    gradient: &ProjectedGradient,
+    out: &mut Splat,
+) -> DVec3 {
     let (direction, length) = direction(splat, view);
     let colour = unclamped_colour(splat, view, direction);
     let values = basis(direction.to_array());

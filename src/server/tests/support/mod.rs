@@ -40,7 +40,11 @@ impl Server {
     pub fn start() -> Self {
         let data = tempfile::tempdir().expect("temporary directory");
         let (child, base) = spawn(data.path());
-        Self { data, child, client: Client::new(base, PATIENCE) }
+        Self {
+            data,
+            child,
+            client: Client::new(base, PATIENCE),
+        }
     }
 
     /// kill -9, and nothing else.
@@ -58,14 +62,17 @@ impl Server {
 
     /// A capture of `n` different photographs; its id.
     pub fn capture(&self, n: usize) -> String {
-        let reply = self.upload("/v1/captures", &photographs(n), &[]).expect(201);
+        let reply = self
+            .upload("/v1/captures", &photographs(n), &[])
+            .expect(201);
         reply.json()["id"].as_str().expect("id").to_owned()
     }
 
     /// A job of the plan; its id.
     pub fn job(&self, plan: &str) -> String {
         let capture = self.capture(4);
-        let body = json!({ "capture_id": capture, "preset": "preview", "options": { "adapter": plan } });
+        let body =
+            json!({ "capture_id": capture, "preset": "preview", "options": { "adapter": plan } });
         let reply = self.post_json("/v1/jobs", &body, &[]).expect(202);
         reply.json()["id"].as_str().expect("id").to_owned()
     }
@@ -76,20 +83,29 @@ fn spawn(data: &Path) -> (Child, String) {
     let _ = std::fs::remove_file(&file);
     let program = PathBuf::from(env!("CARGO_BIN_EXE_fled-fake"));
     let mut command = Command::new(program);
-    command.arg("serve").arg(data.join("data")).arg(&file).env("FLED_MODELS", data.join("models"));
+    command
+        .arg("serve")
+        .arg(data.join("data"))
+        .arg(&file)
+        .env("FLED_MODELS", data.join("models"));
     let child = command.spawn().expect("start");
     let start = Instant::now();
     loop {
         match std::fs::read_to_string(&file) {
             Ok(address) if address.contains(':') => return (child, format!("http://{address}")),
-            _ => assert!(start.elapsed() < Duration::from_secs(20), "the server does not start"),
+            _ => assert!(
+                start.elapsed() < Duration::from_secs(20),
+                "the server does not start"
+            ),
         }
         sleep(Duration::from_millis(10));
     }
 }
 
 pub fn photographs(n: usize) -> Vec<Part> {
-    (0..n).map(|i| file(&format!("{i:03}.png"), &photograph(i))).collect()
+    (0..n)
+        .map(|i| file(&format!("{i:03}.png"), &photograph(i)))
+        .collect()
 }
 
 /// Texture that differs from photograph to photograph.
@@ -97,7 +113,8 @@ pub fn photograph(seed: usize) -> Vec<u8> {
     let mut image: Image = Image::new(160, 120);
     for y in 0..120 {
         for x in 0..160 {
-            let v = ((x * (7 + seed) + y * (13 + 3 * seed) + (x * y) / (5 + seed)) % 97) as f32 / 400.0;
+            let v =
+                ((x * (7 + seed) + y * (13 + 3 * seed) + (x * y) / (5 + seed)) % 97) as f32 / 400.0;
             image.set(x, y, [v, v * 0.8, v * 0.6]);
         }
     }
@@ -108,8 +125,8 @@ pub fn photograph(seed: usize) -> Vec<u8> {
 pub fn zip(files: &[(&str, Vec<u8>)]) -> Vec<u8> {
     let mut writer = zip::ZipWriter::new(std::io::Cursor::new(Vec::new()));
     for (name, content) in files {
-        let options =
-            zip::write::SimpleFileOptions::default().compression_method(zip::CompressionMethod::Stored);
+        let options = zip::write::SimpleFileOptions::default()
+            .compression_method(zip::CompressionMethod::Stored);
         writer.start_file(*name, options).expect("entry");
         std::io::Write::write_all(&mut writer, content).expect("content");
     }
