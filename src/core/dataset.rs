@@ -256,6 +256,7 @@ impl Sfm for GivenPoses {
             mean_reprojection_error: given.mean_error,
             mean_track: given.mean_track,
             low_confidence: false,
+            network: None,
             seconds: start.elapsed().as_secs_f64(),
         })
     }

@@ -28,6 +28,7 @@ mod random;
 pub mod reconstruct;
 pub mod register;
 pub mod render;
+pub mod run_folder;
 pub mod shake;
 pub mod splat;
 pub mod synthetic;

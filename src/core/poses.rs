@@ -77,6 +77,10 @@ pub struct Poses {
     pub mean_track: Option<f64>,
     /// Whether no rung met the acceptance rule and the best of them was taken.
     pub low_confidence: bool,
+    /// Fingerprint of the network that had a hand in them, or would have had: without one they
+    /// are what a run with any other network finds, too.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub network: Option<String>,
     /// Wall seconds.
     pub seconds: f64,
 }

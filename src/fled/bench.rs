@@ -158,8 +158,8 @@ fn run_job(
         args.preset.name()
     );
     let begin = Instant::now();
-    let capture =
-        Capture::open(capture, &workspace.work().join("capture")).map_err(PipelineError::from)?;
+    let capture = Capture::open(capture, &workspace.folder().work().capture())
+        .map_err(PipelineError::from)?;
     let places = tools::Args {
         cache: Some("none".into()),
         ..args.tools.clone()

@@ -45,7 +45,7 @@ pub struct Args {
 pub fn main(args: &Args) -> Result<(), Failure> {
     let options = options(args)?;
     let workspace = Workspace::open(&args.out)?;
-    let path = workspace.path("log.txt");
+    let path = workspace.folder().log();
     let log = OpenOptions::new()
         .create(true)
         .append(true)
@@ -71,7 +71,7 @@ fn run(
     reporter: &mut Reporter,
     cancel: &CancelToken,
 ) -> Result<(), Failure> {
-    let capture = Capture::open(&args.capture, &workspace.work().join("capture"))
+    let capture = Capture::open(&args.capture, &workspace.folder().work().capture())
         .map_err(pipeline::error::PipelineError::from)?;
     for warning in &capture.warnings {
         reporter.warn(&warning.code, warning.message.clone());

@@ -415,6 +415,7 @@ impl<'a> Climb<'a> {
             mean_reprojection_error: best.model.mean_error(),
             mean_track: best.model.mean_track(),
             low_confidence: !best.accepted,
+            network: None,
             seconds: 0.0,
         })
     }

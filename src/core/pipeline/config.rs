@@ -260,6 +260,15 @@ impl Options {
             TrainOn::Enhanced => true,
         }
     }
+
+    /// Those of H and D that the scene is trained on.
+    pub fn trained_on<'a, T: ?Sized>(&self, enhanced: &'a T, deblurred: &'a T) -> &'a T {
+        if self.trains_on_enhanced() {
+            enhanced
+        } else {
+            deblurred
+        }
+    }
 }
 
 impl Default for Options {

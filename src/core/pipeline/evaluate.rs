@@ -1,13 +1,28 @@
-//! The scores of a round: method.md section 7.
+//! The scores of a round, its pictures at the target brightness, and its scene there.
 
 use std::collections::BTreeMap;
 
 use rayon::prelude::*;
 
+use super::context::Context;
+use super::enhance::Brightening;
+use super::error::PipelineError;
+use super::match_brightness::Next;
+use super::pictures;
+use super::reconstruct::TrainedScene;
+use super::round::Round;
+use super::score;
+use super::tone::Tone;
 use super::views::View;
+use super::workspace::Workspace;
 use crate::camera::Split;
-use crate::image::Image;
-use crate::metrics::{self, Brightness, ImageKind, Record, Reference};
+use crate::event::Stage;
+use crate::gaussians::{Gaussians, ply};
+use crate::image::{EncodeFormat, Image};
+use crate::metrics::{self, Brightness, ImageKind, Record, Reference, RoundMetrics};
+
+/// How much lower a round's score must be for the round to count as worse than the one before.
+const WORSE_BY: f64 = 0.01;
 
 /// The images of one round, a view each, in the order of the views.
 #[derive(Clone, Copy, Debug)]
@@ -18,43 +33,175 @@ pub struct RoundImages<'a> {
     pub deblurred: &'a [Image],
     /// R_i.
     pub renders: &'a [Image],
-    /// H_N: the views at the target brightness.
-    pub final_enhanced: &'a [Image],
+}
+
+impl<'a> RoundImages<'a> {
+    /// Of H_i, D_i and R_i.
+    pub fn new(enhanced: &'a [Image], deblurred: &'a [Image], renders: &'a [Image]) -> Self {
+        Self {
+            enhanced,
+            deblurred,
+            renders,
+        }
+    }
+}
+
+/// The images of one round at the target brightness.
+#[derive(Clone, Debug)]
+struct TargetImages<'a> {
+    /// H_N.
+    enhanced: &'a [Image],
     /// D_i mapped to the target brightness.
-    pub final_deblurred: &'a [Image],
+    deblurred: Vec<Image>,
     /// R_i mapped to the target brightness.
-    pub final_renders: &'a [Image],
+    renders: Vec<Image>,
+}
+
+/// A finished round.
+#[derive(Clone, Copy)]
+pub struct Finished<'a> {
+    /// Which.
+    pub round: &'a Round,
+    /// The views, with their ground truth where the capture has it.
+    pub views: &'a [View],
+    /// H_i, D_i and R_i.
+    pub images: RoundImages<'a>,
+    /// V_i.
+    pub scene: &'a TrainedScene,
+    /// What it hands on; `None` for the last round.
+    pub next: Option<&'a Next>,
+}
+
+/// The stage: the round's row of `metrics.json`. The pictures of the best round so far stand in
+/// `restored/`; `previous` is the row before.
+///
+/// # Errors
+/// [`PipelineError::Io`], [`PipelineError::Ply`], [`PipelineError::Cancelled`].
+pub fn evaluate(
+    context: &mut Context<'_>,
+    finished: &Finished<'_>,
+    brightening: &Brightening,
+    previous: Option<&RoundMetrics>,
+) -> Result<RoundMetrics, PipelineError> {
+    let number = finished.round.number;
+    let metrics = context.stage(Stage::Evaluate, number, |context| {
+        let tone = finished.next.map(|next| &next.to_target);
+        let at_target = |images: &[Image]| match tone {
+            Some(tone) => tone.apply(images),
+            None => images.to_vec(),
+        };
+        let target = TargetImages {
+            enhanced: &brightening.target,
+            deblurred: at_target(finished.images.deblurred),
+            renders: at_target(finished.images.renders),
+        };
+        let metrics = measure(finished, &target, brightening, previous);
+        if !metrics.worse_than_previous {
+            restored(context.workspace, finished.views, &target.renders)?;
+        }
+        brighten_scene(context.workspace, number, tone, &finished.scene.gaussians)?;
+        Ok(metrics)
+    })?;
+    // Only now is the time of this stage known.
+    let seconds = context.clock.round(number);
+    Ok(RoundMetrics { seconds, ..metrics })
+}
+
+/// The round's scene at the target brightness: what is delivered should no later round be better.
+/// The last round is at that brightness itself, and leaves no file of an earlier plan behind.
+fn brighten_scene(
+    workspace: &Workspace,
+    round: u32,
+    tone: Option<&Tone>,
+    scene: &Gaussians,
+) -> Result<(), PipelineError> {
+    let path = workspace.folder().round(round).scene_at_target();
+    let Some(tone) = tone else {
+        return workspace.remove(&path);
+    };
+    let mut gaussians = scene.clone();
+    let curve = tone.scene();
+    gaussians.map_colours(|rgb| curve.apply_colour(rgb), |rgb| curve.slope(rgb));
+    Ok(ply::write(&gaussians, &path)?)
+}
+
+/// The scene's renders at the views' cameras and the target brightness: of the best round so far.
+fn restored(workspace: &Workspace, views: &[View], renders: &[Image]) -> Result<(), PipelineError> {
+    views.iter().zip(renders).try_for_each(|(view, image)| {
+        let path = workspace.folder().restored_view(&view.name);
+        pictures::write(workspace, &path, image, EncodeFormat::Png)
+    })
+}
+
+fn measure(
+    finished: &Finished<'_>,
+    target: &TargetImages<'_>,
+    brightening: &Brightening,
+    previous: Option<&RoundMetrics>,
+) -> RoundMetrics {
+    let Finished {
+        round,
+        views,
+        images,
+        scene,
+        next,
+    } = finished;
+    let noise_sigma = means(images, metrics::noise_sigma);
+    let sigma = noise_sigma.get("enhanced").copied().unwrap_or_default();
+    let response = &brightening.last().response;
+    let score = score::score(views, &target.renders, target.enhanced, response);
+    let before = previous.and_then(|previous| previous.score);
+    let matched = next.map_or(&[][..], |next| &next.matched);
+    let training = &scene.training;
+    RoundMetrics {
+        round: round.number,
+        seconds: 0.0,
+        gaussians: scene.gaussians.len() as u64,
+        steps: training.steps,
+        steps_per_second: training.steps_per_second,
+        sharpness: means(images, metrics::sharpness),
+        mean_brightness: mean(images.enhanced, metrics::mean_v),
+        clipped: mean(images.enhanced, metrics::clipped_share),
+        noise_ceiling_db: metrics::noise_ceiling(sigma),
+        noise_sigma,
+        records: records(views, images, target),
+        noise_map: training.noise,
+        shake_px: training.shake_px,
+        pose_correction_px: training.pose_correction_px,
+        non_finite_gradients: training.non_finite_gradients,
+        anchor: [round.anchor.alpha, round.anchor.gamma],
+        matched: matched
+            .iter()
+            .map(|anchor| [anchor.alpha, anchor.gamma])
+            .collect(),
+        score: Some(score),
+        worse_than_previous: before.is_some_and(|before| score < before - WORSE_BY),
+    }
 }
 
 /// Every record of the round: both splits, with ground truth where the capture has it.
-pub fn records(views: &[View], images: &RoundImages<'_>) -> Vec<Record> {
+fn records(views: &[View], images: &RoundImages<'_>, target: &TargetImages<'_>) -> Vec<Record> {
     let mut records = Vec::new();
     for split in [Split::HeldOut, Split::Train] {
         let members: Vec<usize> = (0..views.len())
             .filter(|&i| views[i].split == split)
             .collect();
-        if members.is_empty() {
-            continue;
-        }
-        let with_gt: Vec<usize> = members
-            .iter()
-            .copied()
-            .filter(|&i| views[i].gt.is_some())
-            .collect();
-        let gt = |i: usize| views[i].gt.as_ref();
+        let of = |image, reference, brightness| What {
+            split,
+            image,
+            reference,
+            brightness,
+        };
         for (image, set) in [
-            (ImageKind::Render, images.final_renders),
-            (ImageKind::Deblurred, images.final_deblurred),
-            (ImageKind::Enhanced, images.final_enhanced),
+            (ImageKind::Render, &target.renders[..]),
+            (ImageKind::Deblurred, &target.deblurred),
+            (ImageKind::Enhanced, target.enhanced),
         ] {
-            let pairs: Vec<_> = with_gt
+            let what = of(image, Reference::Gt, Brightness::Final);
+            let with_truth = members
                 .iter()
-                .filter_map(|&i| Some((&set[i], gt(i)?)))
-                .collect();
-            records.extend(mean_record(
-                (split, image, Reference::Gt, Brightness::Final),
-                &pairs,
-            ));
+                .filter_map(|&i| Some((&set[i], views[i].gt.as_ref()?)));
+            records.extend(mean_record(what, &with_truth.collect::<Vec<_>>()));
         }
         for (reference, brightness, set, against) in [
             (
@@ -72,53 +219,67 @@ pub fn records(views: &[View], images: &RoundImages<'_>) -> Vec<Record> {
             (
                 Reference::Enhanced,
                 Brightness::Final,
-                images.final_renders,
-                images.final_enhanced,
+                &target.renders,
+                target.enhanced,
             ),
         ] {
-            let pairs: Vec<_> = members.iter().map(|&i| (&set[i], &against[i])).collect();
-            records.extend(mean_record(
-                (split, ImageKind::Render, reference, brightness),
-                &pairs,
-            ));
+            let what = of(ImageKind::Render, reference, brightness);
+            let pairs = members.iter().map(|&i| (&set[i], &against[i]));
+            records.extend(mean_record(what, &pairs.collect::<Vec<_>>()));
         }
     }
     records
 }
 
-type What = (Split, ImageKind, Reference, Brightness);
+/// What a record is about.
+struct What {
+    split: Split,
+    image: ImageKind,
+    reference: Reference,
+    brightness: Brightness,
+}
+
+/// The scores of an image against its reference.
+struct Scores {
+    psnr_db: f64,
+    psnr_cc_db: f64,
+    ssim: f64,
+}
+
+impl Scores {
+    fn of(image: &Image, reference: &Image) -> Self {
+        Self {
+            psnr_db: metrics::psnr(image, reference),
+            psnr_cc_db: metrics::psnr_colour_corrected(image, reference),
+            ssim: metrics::ssim(image, reference),
+        }
+    }
+}
 
 fn mean_record(what: What, pairs: &[(&Image, &Image)]) -> Option<Record> {
     if pairs.is_empty() {
         return None;
     }
-    let scores: Vec<[f64; 3]> = pairs
+    let scores: Vec<Scores> = pairs
         .par_iter()
-        .map(|(image, reference)| {
-            [
-                metrics::psnr(image, reference),
-                metrics::psnr_colour_corrected(image, reference),
-                metrics::ssim(image, reference),
-            ]
-        })
+        .map(|(image, reference)| Scores::of(image, reference))
         .collect();
-    let mean = |k: usize| scores.iter().map(|score| score[k]).sum::<f64>() / scores.len() as f64;
-    let (split, image, reference, brightness) = what;
+    let mean = |of: fn(&Scores) -> f64| scores.iter().map(of).sum::<f64>() / scores.len() as f64;
     Some(Record {
-        split,
-        image,
-        reference,
-        brightness,
+        split: what.split,
+        image: what.image,
+        reference: what.reference,
+        brightness: what.brightness,
         views: pairs.len() as u32,
-        psnr_db: mean(0),
-        psnr_cc_db: mean(1),
-        ssim: mean(2),
+        psnr_db: mean(|scores| scores.psnr_db),
+        psnr_cc_db: mean(|scores| scores.psnr_cc_db),
+        ssim: mean(|scores| scores.ssim),
         lpips_squeeze: None,
     })
 }
 
 /// Means of a measure over the enhanced views, the deblurred views and the renders.
-pub fn means(
+fn means(
     images: &RoundImages<'_>,
     measure: impl Fn(&Image) -> f64 + Sync + Send + Copy,
 ) -> BTreeMap<String, f64> {
@@ -133,7 +294,7 @@ pub fn means(
 }
 
 /// Mean of a measure over images.
-pub fn mean(images: &[Image], measure: impl Fn(&Image) -> f64 + Sync + Send) -> f64 {
+fn mean(images: &[Image], measure: impl Fn(&Image) -> f64 + Sync + Send) -> f64 {
     images
         .par_iter()
         .map(measure)

@@ -1,8 +1,13 @@
 //! Tone curves for a set of views, in either scope.
 
+use rayon::prelude::*;
+
 use super::config::LutScope;
-use crate::enhance::{Anchor, Histogram, ToneCurve};
+use crate::enhance::{self, Anchor, Histogram, ToneCurve};
 use crate::image::Image;
+
+/// Views that share one search for an anchor.
+const SEARCHED_VIEWS: usize = 6;
 
 /// One curve for all views, or one a view.
 #[derive(Clone, Debug)]
@@ -13,26 +18,18 @@ pub struct Tone {
 
 impl Tone {
     /// The curves that bring `images` to `anchors`: one anchor for all, or one an image.
-    pub fn fit(scope: LutScope, images: &[Image], anchors: &[Anchor]) -> Self {
-        let anchor = |view: usize| anchors[view.min(anchors.len() - 1)];
+    pub fn fit(scope: LutScope, images: &[&Image], anchors: &[Anchor]) -> Self {
+        let pooled = Histogram::pooled(images.iter().copied());
+        let of_image = |(view, image): (usize, &&Image)| {
+            let anchor = anchors[view.min(anchors.len() - 1)];
+            ToneCurve::new(&Histogram::of(image), anchor)
+        };
         let curves = match scope {
-            LutScope::Scene => vec![ToneCurve::new(&Histogram::pooled(images), anchor(0))],
-            LutScope::Image => images
-                .iter()
-                .enumerate()
-                .map(|(view, image)| ToneCurve::new(&Histogram::of(image), anchor(view)))
-                .collect(),
+            LutScope::Scene => vec![ToneCurve::new(&pooled, anchors[0])],
+            LutScope::Image => images.iter().enumerate().map(of_image).collect(),
         };
-        let mean =
-            |of: fn(&Anchor) -> f64| anchors.iter().map(of).sum::<f64>() / anchors.len() as f64;
-        let middle = Anchor {
-            alpha: mean(|a| a.alpha),
-            gamma: mean(|a| a.gamma),
-        };
-        Self {
-            curves,
-            scene: ToneCurve::new(&Histogram::pooled(images), middle),
-        }
+        let scene = ToneCurve::new(&pooled, mean(anchors));
+        Self { curves, scene }
     }
 
     /// The curve of a view.
@@ -47,11 +44,39 @@ impl Tone {
     }
 
     /// Every image through its curve.
-    pub fn apply(&self, images: &[Image]) -> Vec<Image> {
+    pub fn apply<'a>(&self, images: impl IntoIterator<Item = &'a Image>) -> Vec<Image> {
+        let images = images.into_iter().enumerate();
         images
-            .iter()
-            .enumerate()
             .map(|(view, image)| self.curve(view).apply(image))
             .collect()
+    }
+}
+
+/// The anchor in the middle of several.
+pub fn mean(anchors: &[Anchor]) -> Anchor {
+    let mean = |of: fn(&Anchor) -> f64| anchors.iter().map(of).sum::<f64>() / anchors.len() as f64;
+    Anchor {
+        alpha: mean(|anchor| anchor.alpha),
+        gamma: mean(|anchor| anchor.gamma),
+    }
+}
+
+/// The anchors for which E(R; P) looks like `wanted`: one search over a few views, or one a view.
+pub fn search(scope: LutScope, seed: u64, images: &[&Image], wanted: &[Image]) -> Vec<Anchor> {
+    match scope {
+        LutScope::Scene => {
+            let few = enhance::spread_indices(images.len(), SEARCHED_VIEWS);
+            let pairs: Vec<_> = few.into_iter().map(|i| (images[i], &wanted[i])).collect();
+            let pooled = Histogram::pooled(images.iter().copied());
+            vec![enhance::match_anchor(&pairs, &pooled, seed).anchor]
+        }
+        LutScope::Image => images
+            .par_iter()
+            .zip(wanted)
+            .map(|(image, wanted)| {
+                let histogram = Histogram::of(image);
+                enhance::match_anchor(&[(image, wanted)], &histogram, seed).anchor
+            })
+            .collect(),
     }
 }

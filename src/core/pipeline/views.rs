@@ -3,8 +3,11 @@
 use rayon::prelude::*;
 
 use super::config::{Options, OptionsError};
+use super::context::Context;
 use super::error::PipelineError;
-use crate::camera::{Camera, Split};
+use super::pictures;
+use super::workspace::Workspace;
+use crate::camera::{Camera, NamedCamera, Split};
 use crate::cancel::CancelToken;
 use crate::capture::{Capture, CaptureView};
 use crate::image::Image;
@@ -31,12 +34,60 @@ pub struct View {
     pub split: Split,
 }
 
-/// Loads, undistorts and resamples every registered view.
+/// L, as they were taken.
+pub fn dark(views: &[View]) -> Vec<&Image> {
+    views.iter().map(|view| &view.dark).collect()
+}
+
+/// L_j: the registered photographs, undistorted, at working size; cameras and pictures of the input
+/// are written for whoever looks at the run.
 ///
 /// # Errors
 /// [`PipelineError::Photograph`], [`PipelineError::TooFewViews`], [`PipelineError::Options`]
 /// when `held_out` names a view that does not exist.
 pub fn load(
+    context: &Context<'_>,
+    capture: &Capture,
+    poses: &Poses,
+    options: &Options,
+) -> Result<Vec<View>, PipelineError> {
+    let views = read(capture, poses, options, context.cancel)?;
+    let workspace = context.workspace;
+    write_cameras(workspace, &views)?;
+    for view in &views {
+        let path = workspace.folder().input(&view.name);
+        pictures::preview(workspace, &path, &view.dark)?;
+        if let Some(gt) = &view.gt {
+            let path = workspace.folder().truth(&view.name);
+            pictures::preview(workspace, &path, gt)?;
+        }
+    }
+    Ok(views)
+}
+
+/// Moves the views to where a training found them.
+///
+/// # Errors
+/// [`PipelineError::Io`].
+pub fn place(
+    context: &Context<'_>,
+    views: &mut [View],
+    cameras: &[Camera],
+) -> Result<(), PipelineError> {
+    for (view, camera) in views.iter_mut().zip(cameras) {
+        view.camera = *camera;
+    }
+    write_cameras(context.workspace, views)
+}
+
+/// Writes `cameras.json`.
+fn write_cameras(workspace: &Workspace, views: &[View]) -> Result<(), PipelineError> {
+    let named = |view: &View| NamedCamera::new(&view.name, &view.camera, view.split);
+    let cameras: Vec<NamedCamera> = views.iter().map(named).collect();
+    workspace.write_json(&workspace.folder().cameras(), &cameras)
+}
+
+fn read(
     capture: &Capture,
     poses: &Poses,
     options: &Options,

@@ -1,13 +1,14 @@
 //! The output folder of a run: where every artifact lies, written whole or not at all.
 
-use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
+use std::{fs, io};
 
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 use super::error::PipelineError;
 use crate::image::write_atomic;
+use crate::run_folder::RunFolder;
 
 /// Version of the code that makes artifacts. Raise it when a stage's result changes for equal
 /// inputs: a rerun then redoes the stage instead of trusting what lies on disk.
@@ -16,7 +17,7 @@ pub const CODE_VERSION: u32 = 3;
 /// The output folder of one run. Cheap to clone; holds paths only.
 #[derive(Clone, Debug)]
 pub struct Workspace {
-    root: PathBuf,
+    folder: RunFolder,
 }
 
 /// What a finished stage leaves beside its artifacts: they are valid for these inputs only.
@@ -34,28 +35,35 @@ impl Workspace {
     pub fn open(root: &Path) -> Result<Self, PipelineError> {
         fs::create_dir_all(root).map_err(|e| PipelineError::io(root, e))?;
         Ok(Self {
-            root: root.to_owned(),
+            folder: RunFolder::new(root),
         })
     }
 
-    /// The folder itself.
-    pub fn root(&self) -> &Path {
-        &self.root
+    /// Where everything in it lies.
+    pub fn folder(&self) -> &RunFolder {
+        &self.folder
     }
 
-    /// A path inside the folder.
-    pub fn path(&self, relative: impl AsRef<Path>) -> PathBuf {
-        self.root.join(relative)
-    }
-
-    /// Folder of a round's artifacts; rounds are 1-based.
-    pub fn round(&self, round: u32) -> PathBuf {
-        self.path("rounds").join(round.to_string())
-    }
-
-    /// Folder of what only a resumed run reads; removed when the run has ended well.
-    pub fn work(&self) -> PathBuf {
-        self.path("work")
+    /// Removes what only serves a later run into the same folder with other options: what networks
+    /// made of every view, and the checkpoint.
+    ///
+    /// # Errors
+    /// [`PipelineError::Io`].
+    pub fn discard_intermediates(&self) -> Result<(), PipelineError> {
+        for path in self.folder.work().disposable() {
+            let gone = if path.is_dir() {
+                fs::remove_dir_all(&path)
+            } else {
+                fs::remove_file(&path)
+            };
+            match gone {
+                Err(e) if e.kind() != io::ErrorKind::NotFound => {
+                    return Err(PipelineError::io(&path, e));
+                }
+                _ => {}
+            }
+        }
+        Ok(())
     }
 
     /// Makes a folder and those above it.
@@ -72,7 +80,7 @@ impl Workspace {
     /// [`PipelineError::Io`].
     pub fn remove(&self, path: &Path) -> Result<(), PipelineError> {
         match fs::remove_file(path) {
-            Err(e) if e.kind() != std::io::ErrorKind::NotFound => Err(PipelineError::io(path, e)),
+            Err(e) if e.kind() != io::ErrorKind::NotFound => Err(PipelineError::io(path, e)),
             _ => Ok(()),
         }
     }
@@ -113,17 +121,13 @@ impl Workspace {
             fingerprint: fingerprint.to_owned(),
             seconds,
         };
-        self.write_json(&self.stamp_path(name), &stamp)
+        self.write_json(&self.folder.work().stamp(name), &stamp)
     }
 
     /// Seconds that the stage took, when it was finished for inputs of this fingerprint.
     pub fn finished(&self, name: &str, fingerprint: &str) -> Option<f64> {
-        let stamp: Stamp = self.read_json(&self.stamp_path(name))?;
+        let stamp: Stamp = self.read_json(&self.folder.work().stamp(name))?;
         (stamp.fingerprint == fingerprint).then_some(stamp.seconds)
-    }
-
-    fn stamp_path(&self, name: &str) -> PathBuf {
-        self.work().join("stamps").join(format!("{name}.json"))
     }
 }
 

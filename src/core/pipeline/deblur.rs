@@ -1,0 +1,49 @@
+//! D_i: every enhanced view through the network, from round 2 on guided by HR.
+
+use super::context::Context;
+use super::dependencies::Dependencies;
+use super::error::PipelineError;
+use super::pictures;
+use super::restore::Restoration;
+use super::round::Round;
+use super::views::View;
+use crate::deblur::Deblurrer;
+use crate::event::Stage;
+use crate::image::Image;
+use crate::run_folder::{KeptImages, RoundPictures};
+
+/// What a round deblurs.
+#[derive(Clone, Copy, Debug)]
+pub struct Blurred<'a> {
+    /// The views, for names and sizes.
+    pub views: &'a [View],
+    /// H_i.
+    pub enhanced: &'a [Image],
+    /// HR of the round before, where views are guided.
+    pub guides: Option<&'a [Image]>,
+}
+
+/// The stage: D_i, once, and its pictures.
+///
+/// # Errors
+/// [`PipelineError::Deblur`], [`PipelineError::Io`], [`PipelineError::Cancelled`].
+pub fn deblur(
+    context: &mut Context<'_>,
+    network: &mut dyn Deblurrer,
+    round: &Round,
+    blurred: Blurred<'_>,
+    depends_on: &Dependencies,
+) -> Result<Vec<Image>, PipelineError> {
+    let restoration = Restoration {
+        stage: Stage::Deblur,
+        round: round.number,
+        kept: KeptImages::Deblurred,
+        views: blurred.views,
+        images: blurred.enhanced,
+        guides: blurred.guides,
+    };
+    let deblurred = restoration.by(network, context, depends_on)?;
+    let (views, kind) = (blurred.views, RoundPictures::Deblurred);
+    pictures::previews(context.workspace, round.number, kind, views, &deblurred)?;
+    Ok(deblurred)
+}

@@ -1,0 +1,95 @@
+//! What a run leaves at the top of its folder.
+
+use std::fs;
+
+use super::context::Context;
+use super::dependencies::Dependencies;
+use super::error::PipelineError;
+use super::reconstruct::Training;
+use super::report;
+use super::views::View;
+use super::workspace::Workspace;
+use crate::camera::NamedCamera;
+use crate::event::Event;
+use crate::metrics::Report;
+use crate::run_folder::RoundFolder;
+
+/// The stamp of the whole run.
+const RUN: &str = "run";
+
+/// The report of an earlier run with equal dependencies, when it had delivered.
+pub fn delivered(context: &mut Context<'_>, depends_on: &Dependencies) -> Option<Report> {
+    let workspace = context.workspace;
+    let seconds = workspace.finished(RUN, depends_on.fingerprint())?;
+    let report: Report = workspace.read_json(&workspace.folder().metrics())?;
+    let message = "this capture was finished with these options before; its result stands";
+    context.sink.log(message.to_owned());
+    tell_finished(context, &report, seconds);
+    Some(report)
+}
+
+/// Copies the best round's scene and cameras to the top of the folder.
+///
+/// # Errors
+/// [`PipelineError::Io`].
+pub fn deliver(
+    context: &mut Context<'_>,
+    report: &mut Report,
+    views: &[View],
+    depends_on: &Dependencies,
+) -> Result<(), PipelineError> {
+    report::write(context, report)?;
+    if report.best_round as usize != report.rounds.len() {
+        let message = format!(
+            "round {} scored worse than round {}, which is delivered",
+            report.rounds.len(),
+            report.best_round
+        );
+        context.sink.warn("round_worse", message);
+    }
+    let workspace = context.workspace;
+    let best = workspace.folder().round(report.best_round);
+    let at_target = best.scene_at_target();
+    let scene = if at_target.exists() {
+        at_target
+    } else {
+        best.scene()
+    };
+    let bytes = fs::read(&scene).map_err(|e| PipelineError::io(&scene, e))?;
+    workspace.write(&workspace.folder().scene(), &bytes)?;
+    deliver_cameras(workspace, views, &best)?;
+    let seconds = context.clock.elapsed();
+    workspace.stamp(RUN, depends_on.fingerprint(), seconds)?;
+    tell_finished(context, report, seconds);
+    Ok(())
+}
+
+/// The cameras as the delivered round found them; a later round has moved them a little.
+fn deliver_cameras(
+    workspace: &Workspace,
+    views: &[View],
+    best: &RoundFolder,
+) -> Result<(), PipelineError> {
+    let path = best.training();
+    let training: Training = workspace.read_json(&path).ok_or_else(|| {
+        let reason = "the facts of the delivered round cannot be read again";
+        PipelineError::io(&path, std::io::Error::other(reason))
+    })?;
+    let placed: Vec<NamedCamera> = views
+        .iter()
+        .zip(&training.cameras)
+        .map(|(view, camera)| NamedCamera::new(&view.name, camera, view.split))
+        .collect();
+    workspace.write_json(&workspace.folder().cameras(), &placed)
+}
+
+fn tell_finished(context: &mut Context<'_>, report: &Report, seconds: f64) {
+    context.sink.event(&Event::Progress {
+        progress: 1.0,
+        eta_seconds: Some(0.0),
+    });
+    context.sink.event(&Event::Finished {
+        best_round: report.best_round,
+        seconds,
+    });
+}

@@ -1,0 +1,226 @@
+use serde_json::json;
+
+use super::*;
+use crate::pipeline::config::TrainOn;
+
+/// Which results a change of each option makes stale, in the order of Algorithm 1. Options without
+/// any act through the tools that they choose, or choose among results (`train_on`).
+const STALE: [(&str, &[&str]); 27] = [
+    ("rounds", &["enhance", "deblur", "reconstruct", "guided"]),
+    ("steps", &["reconstruct", "guided"]),
+    (
+        "size",
+        &["views", "enhance", "deblur", "reconstruct", "guided"],
+    ),
+    ("target", &["enhance", "deblur", "reconstruct", "guided"]),
+    ("lut_scope", &["enhance", "deblur", "reconstruct", "guided"]),
+    ("deblur", &[]),
+    ("deblur_unguided", &[]),
+    ("enhance", &[]),
+    ("guide", &["guided"]),
+    ("noise", &["reconstruct", "guided"]),
+    ("shake", &["reconstruct", "guided"]),
+    ("train_on", &["reconstruct", "guided"]),
+    ("refine_poses", &["reconstruct", "guided"]),
+    ("start", &["reconstruct", "guided"]),
+    ("densify", &["reconstruct", "guided"]),
+    ("fill_up", &["reconstruct", "guided"]),
+    ("extent", &["reconstruct", "guided"]),
+    ("view_colour", &["reconstruct", "guided"]),
+    ("cap", &["reconstruct", "guided"]),
+    ("sh_degree", &["reconstruct", "guided"]),
+    ("background", &["reconstruct", "guided"]),
+    ("dropout", &["reconstruct", "guided"]),
+    ("resolution_schedule", &["reconstruct", "guided"]),
+    ("held_out", &["reconstruct", "guided"]),
+    ("pose_source", &["poses"]),
+    (
+        "seed",
+        &["poses", "enhance", "deblur", "reconstruct", "guided"],
+    ),
+    ("adapter", &[]),
+];
+
+/// Another valid value of every option.
+fn other(option: &str) -> Value {
+    match option {
+        "rounds" | "steps" | "size" | "fill_up" | "cap" | "seed" => json!(777),
+        "sh_degree" => json!(1),
+        "dropout" => json!(0.25),
+        "target" => json!("10,0.8"),
+        "lut_scope" => json!("image"),
+        "deblur" | "deblur_unguided" | "enhance" => json!("mine"),
+        "guide" => json!("none"),
+        "noise" | "shake" | "densify" => json!("off"),
+        "train_on" => json!("deblurred"),
+        "refine_poses" | "resolution_schedule" => json!(false),
+        "view_colour" => json!(true),
+        "start" => json!("scratch"),
+        "extent" => json!("cameras"),
+        "background" => json!("black"),
+        "held_out" => json!("5"),
+        "pose_source" => json!("colmap"),
+        "adapter" => json!("other"),
+        unknown => panic!("say another value of `{unknown}`, and what it makes stale"),
+    }
+}
+
+fn network(id: &str) -> DeblurInfo {
+    DeblurInfo {
+        id: id.to_owned(),
+        sha256: String::new(),
+        provider: "cpu".to_owned(),
+        channels: 6,
+        feeding: String::new(),
+    }
+}
+
+fn networks(deblur: &str, unguided: Option<&str>, enhance: Option<&str>) -> Networks {
+    Networks {
+        deblur: network(deblur),
+        deblur_unguided: unguided.map(network),
+        enhance: enhance.map(network),
+    }
+}
+
+fn found() -> Poses {
+    Poses {
+        views: Vec::new(),
+        points: Vec::new(),
+        registered: 3,
+        total: 3,
+        source: "made up".to_owned(),
+        rung: None,
+        mean_reprojection_error: None,
+        mean_track: None,
+        low_confidence: false,
+        network: None,
+        seconds: 0.0,
+    }
+}
+
+/// The fingerprint of every kind of result.
+fn results(options: &Options, networks: &Networks) -> Vec<(&'static str, String)> {
+    let poses = PosesDependencies::new(options, "capture", "source", networks);
+    let run = RunDependencies::new(
+        options,
+        "capture",
+        &found(),
+        networks.clone(),
+        "adapter".to_owned(),
+    );
+    let first = run.round(1, None);
+    let second = run.round(2, Some(&first));
+    let dependencies = [
+        ("poses", poses.first),
+        ("poses of deblurred", poses.second),
+        ("views", run.views.clone()),
+        ("enhance", run.enhance().clone()),
+        ("deblur", first.deblur),
+        ("reconstruct", first.reconstruct),
+        ("guided", second.deblur),
+        ("run", run.run()),
+    ];
+    dependencies
+        .into_iter()
+        .map(|(name, on)| (name, on.fingerprint().to_owned()))
+        .collect()
+}
+
+fn stale(before: &[(&'static str, String)], after: &[(&'static str, String)]) -> Vec<&'static str> {
+    let changed = |((name, before), (_, after)): (&(&'static str, String), &(_, String))| {
+        (before != after).then_some(*name)
+    };
+    before.iter().zip(after).filter_map(changed).collect()
+}
+
+/// The results of the three stages that take long, and of what they are made from.
+const LISTED: [&str; 6] = [
+    "poses",
+    "views",
+    "enhance",
+    "deblur",
+    "reconstruct",
+    "guided",
+];
+
+#[test]
+fn every_option_makes_stale_what_reads_it_and_what_follows_and_nothing_else() {
+    let options = Options::default();
+    let all = networks("one", None, None);
+    let before = results(&options, &all);
+    let names = options.names();
+    assert_eq!(names.len(), STALE.len(), "an option is missing above");
+    for name in &names {
+        let mut changed = serde_json::to_value(&options).expect("JSON");
+        assert_ne!(changed[name], other(name), "the same value says nothing");
+        changed[name] = other(name);
+        let changed: Options = serde_json::from_value(changed).expect("valid");
+        let stale = stale(&before, &results(&changed, &all));
+        assert!(stale.contains(&"run"), "the whole result is another");
+        let listed: Vec<&str> = LISTED
+            .into_iter()
+            .filter(|stage| stale.contains(stage))
+            .collect();
+        let (_, expected) = STALE
+            .iter()
+            .find(|(option, _)| option == name)
+            .unwrap_or_else(|| panic!("say what `{name}` makes stale"));
+        assert_eq!(listed, *expected, "stale by `{name}`");
+    }
+}
+
+#[test]
+fn another_network_leaves_the_poses_and_what_is_trained_on_enhanced_views() {
+    let options = Options::default();
+    let before = results(&options, &networks("one", None, None));
+    let after = |networks| stale(&before, &results(&options, &networks));
+    let all = after(networks("two", None, None));
+    assert_eq!(all, ["poses of deblurred", "deblur", "guided", "run"]);
+    let unguided = after(networks("one", Some("two"), None));
+    assert_eq!(unguided, ["poses of deblurred", "deblur", "run"]);
+    let guided = after(networks("two", Some("one"), None));
+    assert_eq!(guided, ["guided", "run"]);
+    let brightened = after(networks("one", None, Some("two")));
+    assert!(brightened.contains(&"enhance") && !brightened.contains(&"views"));
+}
+
+#[test]
+fn another_network_makes_a_scene_stale_that_is_trained_on_deblurred_views() {
+    let options = Options {
+        train_on: TrainOn::Deblurred,
+        ..Options::default()
+    };
+    let before = results(&options, &networks("one", None, None));
+    let after = results(&options, &networks("one", Some("two"), None));
+    let stale = stale(&before, &after);
+    assert!(stale.contains(&"reconstruct"), "{stale:?}");
+    assert!(stale.contains(&"guided"), "guided by that scene: {stale:?}");
+}
+
+#[test]
+fn a_stage_sees_the_defaults_in_place_of_options_that_it_does_not_name() {
+    let options = Options {
+        steps: 7,
+        cap: 777,
+        ..Options::default()
+    };
+    let depends_on = Dependencies::on(&options, &["steps"], &[]);
+    assert_eq!(depends_on.options().steps, 7);
+    assert_eq!(depends_on.options().cap, Options::default().cap);
+}
+
+#[test]
+fn a_round_depends_on_the_one_before_it() {
+    let one = networks("one", None, None);
+    let adapter = "adapter".to_owned();
+    let run = RunDependencies::new(&Options::default(), "capture", &found(), one, adapter);
+    let first = run.round(1, None);
+    let second = run.round(2, Some(&first));
+    let other = run.round(2, Some(&second));
+    assert!(!first.is_guided && second.is_guided);
+    for (a, b) in [(&first, &second), (&second, &other)] {
+        assert_ne!(a.reconstruct.fingerprint(), b.reconstruct.fingerprint());
+        assert_ne!(a.deblur.fingerprint(), b.deblur.fingerprint());
+    }
+}

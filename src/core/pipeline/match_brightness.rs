@@ -1,0 +1,65 @@
+//! P_R: the curves that bring a round's renders to the next round's brightness and to the target's.
+
+use super::config::Options;
+use super::context::Context;
+use super::enhance::{Brightened, Brightening};
+use super::error::PipelineError;
+use super::guide;
+use super::round::Round;
+use super::tone::{self, Tone};
+use super::views::View;
+use crate::enhance::Anchor;
+use crate::event::Stage;
+use crate::image::Image;
+
+/// What a round hands to the next.
+#[derive(Clone, Debug)]
+pub struct Next {
+    /// H_{i+1}.
+    pub enhanced: Brightened,
+    /// H_{i+1} with the detail of HR.
+    pub guides: Vec<Image>,
+    /// From this round's brightness to the next one's.
+    pub to_next: Tone,
+    /// From this round's brightness to the target's.
+    pub to_target: Tone,
+    /// The fitted anchors of `to_next`.
+    pub matched: Vec<Anchor>,
+}
+
+/// The stage; `None` after the last round, which hands nothing on.
+///
+/// # Errors
+/// [`PipelineError::Cancelled`].
+pub fn match_brightness(
+    context: &mut Context<'_>,
+    round: &Round,
+    renders: &[Image],
+    views: &[View],
+    brightening: &Brightening,
+    options: &Options,
+) -> Result<Option<Next>, PipelineError> {
+    let Some(following) = brightening.after(round) else {
+        return Ok(None);
+    };
+    context.stage(Stage::Match, round.number, |_| {
+        let (scope, seed) = (options.lut_scope, options.seed);
+        let renders: Vec<&Image> = renders.iter().collect();
+        let towards = |wanted: &[Image]| tone::search(scope, seed, &renders, wanted);
+        let enhanced = brightening.brighten(following, views);
+        let matched = towards(&enhanced);
+        let to_next = Tone::fit(scope, &renders, &matched);
+        let to_target = match brightening.after(following) {
+            None => to_next.clone(),
+            Some(_) => Tone::fit(scope, &renders, &towards(&brightening.target)),
+        };
+        let clean = to_next.apply(renders.iter().copied());
+        Ok(Some(Next {
+            guides: guide::trusted(&enhanced, &clean),
+            enhanced,
+            to_next,
+            to_target,
+            matched,
+        }))
+    })
+}

@@ -1,0 +1,56 @@
+//! The pictures that people look at; metrics never read them.
+
+use std::path::Path;
+
+use super::error::PipelineError;
+use super::views::View;
+use super::workspace::Workspace;
+use crate::image::{EncodeFormat, Image};
+use crate::run_folder::RoundPictures;
+
+/// JPEG quality of what is looked at and not measured.
+const PREVIEW_QUALITY: u8 = 90;
+
+/// Writes a picture whole or not at all.
+///
+/// # Errors
+/// [`PipelineError::Photograph`], [`PipelineError::Io`].
+pub fn write(
+    workspace: &Workspace,
+    path: &Path,
+    image: &Image,
+    format: EncodeFormat,
+) -> Result<(), PipelineError> {
+    let unencodable = |source| PipelineError::Photograph {
+        name: path.display().to_string(),
+        source,
+    };
+    let bytes = image.encode(format).map_err(unencodable)?;
+    workspace.write(path, &bytes)
+}
+
+/// Writes a picture to look at.
+///
+/// # Errors
+/// As [`write`].
+pub fn preview(workspace: &Workspace, path: &Path, image: &Image) -> Result<(), PipelineError> {
+    write(workspace, path, image, EncodeFormat::Jpeg(PREVIEW_QUALITY))
+}
+
+/// Writes a round's pictures of all views.
+///
+/// # Errors
+/// As [`write`].
+pub fn previews(
+    workspace: &Workspace,
+    round: u32,
+    kind: RoundPictures,
+    views: &[View],
+    images: &[Image],
+) -> Result<(), PipelineError> {
+    let folder = workspace.folder().round(round);
+    views
+        .iter()
+        .zip(images)
+        .try_for_each(|(view, image)| preview(workspace, &folder.picture(kind, &view.name), image))
+}

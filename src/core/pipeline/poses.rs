@@ -1,0 +1,218 @@
+//! Poses, once a job: from whoever finds them, or what an earlier run of the same capture found;
+//! and rung F of COLMAP's ladder: once more, on deblurred photographs.
+
+mod deblurred;
+
+use std::path::{Path, PathBuf};
+
+use super::config::{Options, PoseSource};
+use super::context::{Context, stamp_name};
+use super::dependencies::{Dependencies, PosesDependencies};
+use super::error::PipelineError;
+use super::tools::Tools;
+use super::workspace::Workspace;
+use crate::capture::{Capture, CaptureView};
+use crate::event::{ProgressSink, Stage};
+use crate::poses::{PoseRequest, PoseView, Poses, PosesError};
+
+/// Name in results of the rung that looks at deblurred photographs.
+const RUNG: char = 'F';
+
+/// The stage: the poses, once, and what the user should know about them.
+///
+/// # Errors
+/// [`PipelineError::Poses`], those of the network, [`PipelineError::Io`],
+/// [`PipelineError::Cancelled`].
+pub fn poses(
+    context: &mut Context<'_>,
+    capture: &Capture,
+    options: &Options,
+    tools: &mut Tools<'_>,
+) -> Result<Poses, PipelineError> {
+    let source = tools.sfm.describe();
+    let depends_on =
+        PosesDependencies::new(options, &capture.fingerprint, &source, &tools.networks());
+    let cache = Cache {
+        folder: tools.pose_cache.clone(),
+        depends_on: &depends_on,
+    };
+    let path = context.workspace.folder().poses();
+    let serves = |poses: &Poses| serves(poses, &depends_on);
+    let is_here = context
+        .workspace
+        .read_json(&path)
+        .is_some_and(|poses| serves(&poses));
+    let name = stamp_name(Stage::Poses, 0);
+    let fingerprint = depends_on.first.fingerprint();
+    let is_stamped = context.workspace.finished(&name, fingerprint).is_some();
+    if !(is_here && is_stamped)
+        && let Some(poses) = cache.read(context.workspace)
+    {
+        let message = format!("poses: those of an earlier run of this capture ({source})");
+        context.sink.log(message);
+        context.workspace.write_json(&path, &poses)?;
+        context.workspace.stamp(&name, fingerprint, poses.seconds)?;
+    }
+    let poses = context.once(
+        Stage::Poses,
+        0,
+        &depends_on.first,
+        |workspace| workspace.read_json(&path).filter(serves),
+        |context| {
+            let poses = find(context, capture, tools, &depends_on)?;
+            context.workspace.write_json(&path, &poses)?;
+            Ok(poses)
+        },
+    )?;
+    cache.write(context.workspace, &poses)?;
+    warn(context.sink, &poses, capture);
+    Ok(poses)
+}
+
+/// Whether poses serve a run with these dependencies: what a network had a hand in is of no use to
+/// a run with another one.
+fn serves(poses: &Poses, depends_on: &PosesDependencies) -> bool {
+    let network = poses.network.as_deref();
+    network.is_none_or(|network| network == depends_on.second.fingerprint())
+}
+
+/// The poses of earlier runs, by what they depend on.
+struct Cache<'a> {
+    folder: Option<PathBuf>,
+    depends_on: &'a PosesDependencies,
+}
+
+impl Cache<'_> {
+    fn file(&self, of: &Dependencies) -> Option<PathBuf> {
+        let folder = self.folder.as_ref()?;
+        Some(folder.join(format!("{}.json", of.fingerprint())))
+    }
+
+    fn read(&self, workspace: &Workspace) -> Option<Poses> {
+        let of = |dependencies| workspace.read_json(&self.file(dependencies)?);
+        of(&self.depends_on.first).or_else(|| of(&self.depends_on.second))
+    }
+
+    fn write(&self, workspace: &Workspace, poses: &Poses) -> Result<(), PipelineError> {
+        let of = match poses.network {
+            None => &self.depends_on.first,
+            Some(_) => &self.depends_on.second,
+        };
+        match self.file(of).filter(|file| !file.exists()) {
+            Some(file) => workspace.write_json(&file, poses),
+            None => Ok(()),
+        }
+    }
+}
+
+fn warn(sink: &mut dyn ProgressSink, poses: &Poses, capture: &Capture) {
+    let Poses {
+        registered, total, ..
+    } = poses;
+    if poses.low_confidence {
+        let observations: u32 = poses.points.iter().map(|point| point.track).sum();
+        let message = format!(
+            "the poses met no acceptance rule ({registered} of {total} views, {} points, {:.0} \
+             observations a view, a mean track of {:.2}): look at the result before you rely on it",
+            poses.points.len(),
+            f64::from(observations) / *registered as f64,
+            poses.mean_track.unwrap_or_default(),
+        );
+        sink.warn("poses_low_confidence", message);
+    }
+    if registered < total {
+        let is_missing = |view: &&CaptureView| poses.views.iter().all(|p| p.name != view.name);
+        let missing = capture.views.iter().filter(is_missing);
+        let names: Vec<&str> = missing.map(|view| view.name.as_str()).collect();
+        let message = format!(
+            "{registered} of {total} photographs have a pose; left out are {}",
+            names.join(", ")
+        );
+        sink.warn("poses_missing", message);
+    }
+}
+
+/// The first look, and the second where the first found too little and a network can help.
+fn find(
+    context: &mut Context<'_>,
+    capture: &Capture,
+    tools: &mut Tools<'_>,
+    depends_on: &PosesDependencies,
+) -> Result<Poses, PipelineError> {
+    let options = depends_on.first.options();
+    let views: Vec<PoseView> = capture.views.iter().map(pose_view).collect();
+    let work = context.workspace.folder().work();
+    let first = ask(context, tools, &views, &work.poses(), options.seed);
+    let given = capture.poses.is_some() && options.pose_source != PoseSource::Colmap;
+    let is_weak = match &first {
+        Ok(poses) => poses.low_confidence,
+        Err(PosesError::TooFew { .. }) => views.len() > 2,
+        Err(_) => false,
+    };
+    if given || !is_weak {
+        return Ok(first?);
+    }
+    // 0: nothing would be deblurred.
+    let has_network = tools.networks().unguided().channels > 0;
+    let best = if has_network {
+        let message = format!("poses: rung {RUNG}, the ladder once more on deblurred photographs");
+        context.sink.log(message);
+        let second = deblurred::poses(context, tools, &views, depends_on)?;
+        better(first, second, context.sink)?
+    } else {
+        first?
+    };
+    // Another network may lead to better ones.
+    let network = Some(depends_on.second.fingerprint().to_owned());
+    Ok(Poses { network, ..best })
+}
+
+fn pose_view(view: &CaptureView) -> PoseView {
+    PoseView {
+        name: view.name.clone(),
+        file: view.file.clone(),
+        focal_px: view.focal_px,
+    }
+}
+
+fn ask(
+    context: &mut Context<'_>,
+    tools: &Tools<'_>,
+    views: &[PoseView],
+    work_dir: &Path,
+    seed: u64,
+) -> Result<Poses, PosesError> {
+    let request = PoseRequest {
+        views,
+        work_dir,
+        seed,
+    };
+    tools.sfm.poses(&request, context.sink, context.cancel)
+}
+
+/// The second answer where it places more photographs, or as many with more confidence.
+fn better(
+    first: Result<Poses, PosesError>,
+    second: Result<Poses, PosesError>,
+    sink: &mut dyn ProgressSink,
+) -> Result<Poses, PosesError> {
+    match (first, second) {
+        (_, Err(PosesError::Cancelled(cancelled))) => Err(cancelled.into()),
+        (first, Err(error)) => {
+            sink.log(format!("poses: rung {RUNG}: {error}"));
+            first
+        }
+        (Ok(first), Ok(second)) => {
+            let rank = |poses: &Poses| (!poses.low_confidence, poses.registered);
+            Ok(if rank(&second) > rank(&first) {
+                second
+            } else {
+                first
+            })
+        }
+        (Err(_), Ok(second)) => Ok(second),
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,124 @@
+//! Rung F: the ladder once more, on brightened and deblurred copies of the photographs.
+
+use std::path::PathBuf;
+
+use super::{RUNG, ask};
+use crate::camera::Camera;
+use crate::deblur::Deblurrer;
+use crate::image::{EncodeFormat, Image, ImageError, read_header};
+use crate::pipeline::config::Options;
+use crate::pipeline::context::Context;
+use crate::pipeline::dependencies::PosesDependencies;
+use crate::pipeline::enhance;
+use crate::pipeline::error::PipelineError;
+use crate::pipeline::tone::Tone;
+use crate::pipeline::tools::Tools;
+use crate::poses::{Lens, PoseView, PosedView, Poses, PosesError};
+
+/// Longest side of the copies, px: that of rung A's.
+const LONGEST_SIDE: usize = 640;
+
+/// Poses by way of deblurred copies, as of the photographs at their own sizes. What structure from
+/// motion says of the copies, even that it fails, is the value; errors are of the way there.
+///
+/// # Errors
+/// Those of reading, brightening and restoring a photograph.
+pub fn poses(
+    context: &mut Context<'_>,
+    tools: &mut Tools<'_>,
+    views: &[PoseView],
+    depends_on: &PosesDependencies,
+) -> Result<Result<Poses, PosesError>, PipelineError> {
+    let folder = context.workspace.folder().work().poses_of_deblurred();
+    context.workspace.make_folder(&folder)?;
+    let bright = brightened(views, depends_on.second.options())?;
+    let mut copies = Vec::with_capacity(views.len());
+    for (index, (view, image)) in views.iter().zip(&bright).enumerate() {
+        context.cancel.check()?;
+        let file = folder.join(format!("d{index:05}.png"));
+        copies.push(copy(context, tools.deblurrer, view, image, file)?);
+    }
+    let seed = depends_on.first.options().seed;
+    let found = match ask(context, tools, &copies, &folder.join("colmap"), seed) {
+        Ok(found) => found,
+        Err(error) => return Ok(Err(error)),
+    };
+    let placed = found
+        .views
+        .into_iter()
+        .map(|posed| at_original_size(posed, views))
+        .collect::<Result<Vec<_>, _>>()?;
+    Ok(Ok(Poses {
+        views: placed,
+        rung: Some(RUNG),
+        ..found
+    }))
+}
+
+fn brightened(views: &[PoseView], options: &Options) -> Result<Vec<Image>, PipelineError> {
+    let load = |view: &PoseView| {
+        Image::load_at_most(&view.file, LONGEST_SIDE).map_err(|source| unreadable(view, source))
+    };
+    let dark = views.iter().map(load).collect::<Result<Vec<_>, _>>()?;
+    let dark: Vec<&Image> = dark.iter().collect();
+    let target = enhance::target(options, &dark)?;
+    Ok(Tone::fit(options.lut_scope, &dark, &[target]).apply(dark))
+}
+
+/// One photograph, deblurred, written to `file`.
+fn copy(
+    context: &mut Context<'_>,
+    network: &mut dyn Deblurrer,
+    view: &PoseView,
+    image: &Image,
+    file: PathBuf,
+) -> Result<PoseView, PipelineError> {
+    let deblurred = network.deblur(image, None)?;
+    for warning in network.take_warnings() {
+        let message = format!("{}: {warning}", view.name);
+        context.sink.warn("poses", message);
+    }
+    let bytes = deblurred
+        .encode(EncodeFormat::Png)
+        .map_err(|source| unreadable(view, source))?;
+    context.workspace.write(&file, &bytes)?;
+    let (original_width, _) = upright_size(view)?;
+    let scale = image.width() as f64 / original_width as f64;
+    Ok(PoseView {
+        name: view.name.clone(),
+        file,
+        focal_px: view.focal_px.map(|focal| focal * scale),
+    })
+}
+
+fn at_original_size(posed: PosedView, views: &[PoseView]) -> Result<PosedView, PipelineError> {
+    let Some(view) = views.iter().find(|view| view.name == posed.name) else {
+        return Ok(posed);
+    };
+    let (width, height) = upright_size(view)?;
+    let lens = Lens {
+        intrinsics: posed.lens.intrinsics.resized(width, height),
+        ..posed.lens
+    };
+    let camera = Camera {
+        intrinsics: lens.pinhole(),
+        ..posed.camera
+    };
+    Ok(PosedView {
+        camera,
+        lens,
+        ..posed
+    })
+}
+
+fn upright_size(view: &PoseView) -> Result<(usize, usize), PipelineError> {
+    let header = read_header(&view.file).map_err(|source| unreadable(view, source))?;
+    Ok((header.width, header.height))
+}
+
+fn unreadable(view: &PoseView, source: ImageError) -> PipelineError {
+    PipelineError::Photograph {
+        name: view.name.clone(),
+        source,
+    }
+}

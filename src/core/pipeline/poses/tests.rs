@@ -1,0 +1,256 @@
+use std::cell::RefCell;
+
+use super::*;
+use crate::camera::{Camera, Intrinsics};
+use crate::cancel::CancelToken;
+use crate::deblur::{ByGuide, DeblurError, DeblurInfo, Deblurrer, Identity};
+use crate::event::{Event, Silent};
+use crate::image::Image;
+use crate::pipeline::plan::Plan;
+use crate::pipeline::tools::Networks;
+use crate::pipeline::workspace::Workspace;
+use crate::poses::{Distortion, Lens, PosedView, Sfm};
+
+/// Finds photographs only where they are bright; keeps the width, px, and the mean of each that
+/// it was asked about.
+#[derive(Default)]
+struct NeedsLight(RefCell<Vec<(usize, f32)>>);
+
+impl Sfm for NeedsLight {
+    fn poses(
+        &self,
+        request: &PoseRequest<'_>,
+        _: &mut dyn ProgressSink,
+        _: &CancelToken,
+    ) -> Result<Poses, PosesError> {
+        let mut found = placed(request.views.len(), false, 'A');
+        let mut darkest = f32::INFINITY;
+        for view in request.views {
+            let image = Image::load(&view.file).expect("a photograph");
+            let mean = image.data().iter().sum::<f32>() / image.data().len() as f32;
+            darkest = darkest.min(mean);
+            self.0.borrow_mut().push((image.width(), mean));
+            let (width, height) = (image.width(), image.height());
+            let focal = width as f64;
+            let (cx, cy) = (focal / 2.0, height as f64 / 2.0);
+            let k = Intrinsics {
+                width,
+                height,
+                fx: focal,
+                fy: focal,
+                cx,
+                cy,
+            };
+            let camera = Camera::look_at(k, glam::DVec3::ZERO, glam::DVec3::Z, glam::DVec3::Y);
+            let lens = Lens {
+                intrinsics: k,
+                distortion: Distortion::None,
+            };
+            found.views.push(PosedView {
+                name: view.name.clone(),
+                camera,
+                lens,
+            });
+        }
+        if darkest < 0.3 {
+            Err(few(1))
+        } else {
+            Ok(found)
+        }
+    }
+
+    fn describe(&self) -> String {
+        "needs light".to_owned()
+    }
+}
+
+/// Returns a grey level, and says of each view that it did.
+struct Grey(f32, Vec<String>);
+
+impl Deblurrer for Grey {
+    fn deblur(&mut self, blurry: &Image, _: Option<&Image>) -> Result<Image, DeblurError> {
+        self.1.push(format!("is {} now", self.0));
+        Ok(blurry.map(|_| self.0))
+    }
+
+    fn describe(&self) -> DeblurInfo {
+        DeblurInfo {
+            id: self.0.to_string(),
+            channels: 3,
+            ..Identity.describe()
+        }
+    }
+
+    fn take_warnings(&mut self) -> Vec<String> {
+        std::mem::take(&mut self.1)
+    }
+}
+
+/// The answer, the warnings, and what was asked, for three dark photographs of 960 x 640 px.
+fn found_with(
+    deblurrer: &mut dyn Deblurrer,
+) -> (Result<Poses, PipelineError>, Vec<String>, NeedsLight) {
+    let home = tempfile::tempdir().expect("temporary directory");
+    let images = home.path().join("images");
+    std::fs::create_dir(&images).expect("made");
+    for (name, period) in [("a", 17), ("b", 19), ("c", 23)] {
+        let mut image: Image = Image::new(960, 640);
+        for (index, value) in image.data_mut().iter_mut().enumerate() {
+            *value = 0.02 + 0.002 * (index % period) as f32;
+        }
+        image
+            .save(&images.join(format!("{name}.png")))
+            .expect("written");
+    }
+    let capture = Capture::open(home.path(), &home.path().join("scratch")).expect("a capture");
+    let workspace = Workspace::open(&home.path().join("run")).expect("a workspace");
+    let (sfm, mut warnings) = (NeedsLight::default(), Vec::new());
+    let gpu = fled_gpu::Gpu::new("auto").expect("the tests need a Vulkan adapter");
+    let mut tools = Tools {
+        gpu: &gpu,
+        sfm: &sfm,
+        deblurrer,
+        enhancer: None,
+        fallbacks: Vec::new(),
+        pose_cache: None,
+    };
+    let mut sink = |event: &Event| {
+        if let Event::Warning { code, message } = event {
+            warnings.push(format!("{code}: {message}"));
+        }
+    };
+    let (options, cancel) = (Options::default(), CancelToken::new());
+    let mut context = Context::new(
+        &workspace,
+        &mut sink,
+        &cancel,
+        Plan::new(&options, capture.views.len(), 1000),
+    );
+    let found = poses(&mut context, &capture, &options, &mut tools);
+    (found, warnings, sfm)
+}
+
+#[test]
+fn what_the_ladder_cannot_place_is_deblurred_once_and_asked_about_again() {
+    let mut networks = ByGuide::new(
+        Box::new(Grey(0.5, Vec::new())),
+        Box::new(Grey(0.75, Vec::new())),
+    );
+    let (found, warnings, asked) = found_with(&mut networks);
+    let found = found.expect("placed on bright copies");
+    assert_eq!((found.rung, found.registered), (Some(RUNG), 3));
+    let asked: Vec<_> = asked
+        .0
+        .into_inner()
+        .iter()
+        .map(|(width, mean)| (*width, *mean > 0.3))
+        .collect();
+    assert_eq!(
+        asked,
+        [
+            (960, false),
+            (960, false),
+            (960, false),
+            (640, true),
+            (640, true),
+            (640, true)
+        ]
+    );
+    for view in &found.views {
+        let k = view.camera.intrinsics;
+        assert_eq!(
+            (k.width, k.height, view.lens.intrinsics.fx),
+            (960, 640, 960.0),
+            "as the original"
+        );
+    }
+    // Of the network that was used: none of these views has a guide.
+    assert_eq!(
+        warnings,
+        ["a", "b", "c"].map(|name| format!("poses: {name}: is 0.5 now"))
+    );
+}
+
+#[test]
+fn a_run_without_a_network_has_no_second_look() {
+    let (found, _, asked) = found_with(&mut Identity);
+    assert!(
+        matches!(found, Err(PipelineError::Poses(PosesError::TooFew { .. }))),
+        "{found:?}"
+    );
+    assert_eq!(asked.0.into_inner().len(), 3);
+}
+
+fn placed(registered: usize, low_confidence: bool, rung: char) -> Poses {
+    Poses {
+        views: Vec::new(),
+        points: Vec::new(),
+        registered,
+        total: 20,
+        source: String::new(),
+        rung: Some(rung),
+        mean_reprojection_error: None,
+        mean_track: None,
+        low_confidence,
+        network: None,
+        seconds: 0.0,
+    }
+}
+
+fn few(registered: usize) -> PosesError {
+    PosesError::TooFew {
+        registered,
+        total: 20,
+        advice: String::new(),
+    }
+}
+
+#[test]
+fn the_second_look_wins_only_where_it_is_better() {
+    let rung = |first, second| better(first, second, &mut Silent).map(|poses| poses.rung);
+    assert_eq!(
+        rung(Ok(placed(12, true, 'C')), Ok(placed(18, true, 'F'))).ok(),
+        Some(Some('F'))
+    );
+    assert_eq!(
+        rung(Ok(placed(18, true, 'C')), Ok(placed(17, false, 'F'))).ok(),
+        Some(Some('F'))
+    );
+    assert_eq!(
+        rung(Ok(placed(18, true, 'C')), Ok(placed(18, true, 'F'))).ok(),
+        Some(Some('C'))
+    );
+    assert_eq!(
+        rung(Ok(placed(12, true, 'C')), Err(few(4))).ok(),
+        Some(Some('C'))
+    );
+    assert_eq!(
+        rung(Err(few(4)), Ok(placed(17, false, 'F'))).ok(),
+        Some(Some('F'))
+    );
+    assert!(matches!(
+        rung(Err(few(4)), Err(few(9))),
+        Err(PosesError::TooFew { registered: 4, .. })
+    ));
+}
+
+#[test]
+fn only_what_no_network_had_a_hand_in_serves_every_network() {
+    let network = |id: &str| Networks {
+        deblur: DeblurInfo {
+            id: id.to_owned(),
+            ..Identity.describe()
+        },
+        deblur_unguided: None,
+        enhance: None,
+    };
+    let depends_on =
+        |id: &str| PosesDependencies::new(&Options::default(), "capture", "source", &network(id));
+    let by = |id: &str| Poses {
+        network: Some(depends_on(id).second.fingerprint().to_owned()),
+        ..placed(18, false, 'F')
+    };
+    assert!(serves(&placed(18, false, 'C'), &depends_on("one")));
+    assert!(serves(&by("one"), &depends_on("one")));
+    assert!(!serves(&by("one"), &depends_on("two")));
+}

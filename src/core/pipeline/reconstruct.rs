@@ -1,0 +1,321 @@
+//! V_i: training, from a checkpoint, the scene before, or the points.
+
+mod points;
+
+use std::cell::RefCell;
+use std::path::Path;
+
+use fled_gpu::Gpu;
+use serde::{Deserialize, Serialize};
+
+use super::config::{NoiseMode, Options, ShakeModel, Start};
+use super::context::{Advance, Context};
+use super::dependencies::Dependencies;
+use super::error::PipelineError;
+use super::round::Round;
+use super::tone::Tone;
+use super::views::View;
+use super::workspace::Workspace;
+use crate::camera::{Camera, Split};
+use crate::event::Stage;
+use crate::gaussians::{Gaussians, ply};
+use crate::image::Image;
+use crate::metrics;
+use crate::metrics::report::NoiseMapStatistics;
+use crate::poses::Poses;
+use crate::reconstruct::{
+    self, Beginning, Checkpoint, TrainConfig, TrainHooks, TrainStart, Trained, TrainingView,
+};
+
+/// The stamp of the checkpoint.
+const CHECKPOINT: &str = "checkpoint";
+
+/// V_i with the facts of its training, as stored beside its `scene.ply`.
+#[derive(Clone, Debug)]
+pub struct TrainedScene {
+    /// The Gaussians.
+    pub gaussians: Gaussians,
+    /// How they were trained.
+    pub training: Training,
+}
+
+/// Facts of one training.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Training {
+    /// Optimiser steps.
+    pub steps: u64,
+    /// Mean over the round.
+    pub steps_per_second: f64,
+    /// Gradients that were dropped because they were not finite.
+    pub non_finite_gradients: u64,
+    /// What the noise field learnt.
+    pub noise: Option<NoiseMapStatistics>,
+    /// Mean shake of the training views, px.
+    pub shake_px: Option<f64>,
+    /// Of all views, in their order.
+    pub cameras: Vec<Camera>,
+    /// Mean way that the corrections of the cameras moved the middle of the images, px.
+    pub pose_correction_px: Option<f64>,
+}
+
+/// The scene of the round before, with the curve from its brightness to this round's.
+#[derive(Clone, Copy, Debug)]
+pub struct Predecessor<'a> {
+    /// V_{i-1}.
+    pub gaussians: &'a Gaussians,
+    /// From its brightness to this round's.
+    pub to_next: &'a Tone,
+}
+
+/// What a round is trained on.
+#[derive(Clone, Copy)]
+pub struct Material<'a> {
+    /// The round, with how light became the values of the images.
+    pub round: &'a Round,
+    /// All views, with their cameras and splits.
+    pub views: &'a [View],
+    /// D_i, or H_i where the shake explains it (`train_on`), in the order of the views.
+    pub images: &'a [Image],
+    /// The sparse points.
+    pub poses: &'a Poses,
+    /// V_{i-1}, after the first round.
+    pub before: Option<Predecessor<'a>>,
+}
+
+/// The stage: V_i, noise-aware splats on the training views, once.
+///
+/// # Errors
+/// [`PipelineError::Reconstruct`], [`PipelineError::Ply`], [`PipelineError::Io`],
+/// [`PipelineError::Cancelled`].
+pub fn reconstruct(
+    context: &mut Context<'_>,
+    gpu: &Gpu,
+    material: &Material<'_>,
+    depends_on: &Dependencies,
+) -> Result<TrainedScene, PipelineError> {
+    let number = material.round.number;
+    let folder = context.workspace.folder().round(number);
+    let (scene_file, facts) = (folder.scene(), folder.training());
+    let load = |workspace: &Workspace| {
+        let training = workspace.read_json(&facts)?;
+        let gaussians = ply::read(&scene_file).ok()?;
+        Some(TrainedScene {
+            gaussians,
+            training,
+        })
+    };
+    let make = |context: &mut Context<'_>| {
+        let options = depends_on.options();
+        let config = train_config(material, options);
+        let start = train_start(context, material, &config, depends_on)?;
+        let trained = train(context, gpu, material, start, &config, depends_on)?;
+        let scene = with_cameras(context, gpu, material, trained, &config)?;
+        context.workspace.make_folder(folder.root())?;
+        ply::write(&scene.gaussians, &scene_file)?;
+        context.workspace.write_json(&facts, &scene.training)?;
+        Ok(scene)
+    };
+    context.once(Stage::Reconstruct, number, depends_on, load, make)
+}
+
+fn train_config(material: &Material<'_>, options: &Options) -> TrainConfig {
+    let round = material.round;
+    let cameras: Vec<Camera> = material.views.iter().map(|view| view.camera).collect();
+    let points = points::as_given(material.poses);
+    let shaken = options.shake == ShakeModel::Kernel;
+    TrainConfig {
+        steps: options.steps,
+        cap: options.cap as usize,
+        sh_degree: options.sh_degree,
+        noise: options.noise,
+        shake: shaken.then(|| round.response.clone()),
+        refine_poses: options
+            .refine_poses
+            .then(|| reconstruct::scene_depth(&cameras, &points)),
+        resolution_schedule: options.resolution_schedule,
+        warm: round.number > 1 && options.start == Start::Warm,
+        background: options.background,
+        dropout: options.dropout,
+        densify: options.densify,
+        view_colour: options.view_colour,
+        seed: options.seed.wrapping_add(u64::from(round.number) << 32),
+        extent: reconstruct::scene_extent(&cameras, &points, options.extent),
+    }
+}
+
+/// From the checkpoint of an interrupted training, the scene of the round before, or the points.
+fn train_start(
+    context: &mut Context<'_>,
+    material: &Material<'_>,
+    config: &TrainConfig,
+    depends_on: &Dependencies,
+) -> Result<TrainStart, PipelineError> {
+    if let Some(checkpoint) = checkpoint(context, material.round, depends_on) {
+        return Ok(TrainStart::Resume(checkpoint));
+    }
+    let options = depends_on.options();
+    if let (Start::Warm, Some(before)) = (options.start, material.before) {
+        let mut gaussians = before.gaussians.clone();
+        let curve = before.to_next.scene();
+        gaussians.map_colours(|rgb| curve.apply_colour(rgb), |rgb| curve.slope(rgb));
+        return Ok(TrainStart::Fresh(gaussians));
+    }
+    let cameras: Vec<Camera> = material.views.iter().map(|view| view.camera).collect();
+    let beginning = Beginning {
+        cap: config.cap,
+        fill_up: options.fill_up as usize,
+    };
+    Ok(TrainStart::Fresh(reconstruct::initialise(
+        &points::coloured(material.poses, material.views, material.images),
+        &cameras,
+        beginning,
+        &config.schedule(),
+    )))
+}
+
+fn checkpoint(
+    context: &mut Context<'_>,
+    round: &Round,
+    depends_on: &Dependencies,
+) -> Option<Checkpoint> {
+    let fingerprint = depends_on.fingerprint();
+    context.workspace.finished(CHECKPOINT, fingerprint)?;
+    let path = context.workspace.folder().work().checkpoint();
+    let read = std::fs::read(path).map(|bytes| Checkpoint::from_bytes(&bytes));
+    let Ok(Ok(checkpoint)) = read else {
+        let message = "the checkpoint cannot be read; the round starts again";
+        context.sink.warn("checkpoint", message.to_owned());
+        return None;
+    };
+    let (number, step) = (round.number, checkpoint.step);
+    context
+        .sink
+        .log(format!("round {number}: resumed at step {step}"));
+    Some(checkpoint)
+}
+
+/// Trains with progress, cancellation and checkpoints wired to the run.
+fn train(
+    context: &mut Context<'_>,
+    gpu: &Gpu,
+    material: &Material<'_>,
+    start: TrainStart,
+    config: &TrainConfig,
+    depends_on: &Dependencies,
+) -> Result<Trained, PipelineError> {
+    let number = material.round.number;
+    let views = training_views(material, Split::Train);
+    let cancel = context.cancel;
+    let path = context.workspace.folder().work().checkpoint();
+    // Both hooks tell the same context; the trainer calls one at a time.
+    let shared = RefCell::new(&mut *context);
+    let mut progress = |done: u64, total: u64, rate: f64| {
+        let progress = Advance {
+            done,
+            total,
+            per_second: Some(rate),
+        };
+        shared
+            .borrow_mut()
+            .advance(Stage::Reconstruct, number, progress);
+    };
+    let mut keep = |checkpoint: &Checkpoint| {
+        let context = &mut *shared.borrow_mut();
+        let kept = keep_checkpoint(context.workspace, &path, checkpoint, depends_on);
+        // A checkpoint that cannot be written costs time after a crash, not this run.
+        if let Err(error) = kept {
+            let message = format!("round {number}: {error}");
+            context.sink.warn("checkpoint", message);
+        }
+    };
+    let mut hooks = TrainHooks {
+        cancel,
+        progress: &mut progress,
+        checkpoint: Some(&mut keep),
+    };
+    let trained = reconstruct::train(gpu, &views, start, config, &mut hooks)?;
+    for warning in &trained.warnings {
+        let message = format!("round {number}: {warning}");
+        context.sink.warn("training", message);
+    }
+    Ok(trained)
+}
+
+fn keep_checkpoint(
+    workspace: &Workspace,
+    path: &Path,
+    checkpoint: &Checkpoint,
+    depends_on: &Dependencies,
+) -> Result<(), PipelineError> {
+    workspace.write(path, &checkpoint.to_bytes())?;
+    workspace.stamp(CHECKPOINT, depends_on.fingerprint(), 0.0)
+}
+
+/// The scene with the cameras of all views: those that trained as the training left them, the
+/// others found in its scene.
+fn with_cameras(
+    context: &Context<'_>,
+    gpu: &Gpu,
+    material: &Material<'_>,
+    trained: Trained,
+    config: &TrainConfig,
+) -> Result<TrainedScene, PipelineError> {
+    let held_out = training_views(material, Split::HeldOut);
+    let registered = if config.refine_poses.is_some() && !held_out.is_empty() {
+        reconstruct::register(gpu, &held_out, &trained.gaussians, config, context.cancel)?
+    } else {
+        held_out.iter().map(|view| view.camera).collect()
+    };
+    let (mut corrected, mut registered) = (trained.cameras.iter(), registered.iter());
+    let camera_after = |view: &View| {
+        let found = match view.split {
+            Split::Train => corrected.next(),
+            Split::HeldOut => registered.next(),
+        };
+        *found.unwrap_or(&view.camera)
+    };
+    let cameras: Vec<Camera> = material.views.iter().map(camera_after).collect();
+    let pose_correction_px = correction_px(material.views, &cameras, config.refine_poses);
+    let seconds = trained.seconds.max(1e-9);
+    let training = Training {
+        steps: trained.steps,
+        steps_per_second: trained.steps as f64 / seconds,
+        non_finite_gradients: trained.non_finite_gradients,
+        noise: trained.noise.filter(|_| config.noise != NoiseMode::Off),
+        shake_px: trained.shake_px,
+        cameras,
+        pose_correction_px,
+    };
+    Ok(TrainedScene {
+        gaussians: trained.gaussians,
+        training,
+    })
+}
+
+/// The views of one split with their images of this round.
+fn training_views(material: &Material<'_>, split: Split) -> Vec<TrainingView> {
+    material
+        .views
+        .iter()
+        .zip(material.images)
+        .filter(|(view, _)| view.split == split)
+        .map(|(view, image)| TrainingView {
+            name: view.name.clone(),
+            camera: view.camera,
+            image: image.clone(),
+            noise_sigma: metrics::noise_sigma(image) as f32,
+        })
+        .collect()
+}
+
+/// How far what lies at `depth` in the middle of the views was moved, mean, px.
+fn correction_px(views: &[View], cameras: &[Camera], depth: Option<f64>) -> Option<f64> {
+    let depth = depth?;
+    let moved = views.iter().zip(cameras).filter_map(|(view, after)| {
+        let before = view.camera;
+        let point = before.centre() + depth * before.forward();
+        Some((after.project(point)?.0 - before.project(point)?.0).length())
+    });
+    let moved: Vec<f64> = moved.collect();
+    (!moved.is_empty()).then(|| moved.iter().sum::<f64>() / moved.len() as f64)
+}

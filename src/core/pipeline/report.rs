@@ -1,0 +1,101 @@
+//! `metrics.json`: the rounds so far and the facts of the run.
+
+use std::collections::BTreeMap;
+
+use serde_json::{Value, json};
+
+use super::config::Options;
+use super::context::Context;
+use super::error::PipelineError;
+use super::tools::{Networks, Tools};
+use crate::deblur::DeblurInfo;
+use crate::event::Event;
+use crate::metrics::{Report, RoundMetrics};
+use crate::poses::Poses;
+
+/// The report of a run that has not finished a round.
+pub fn begin(options: &Options, tools: &Tools<'_>, networks: &Networks, poses: &Poses) -> Report {
+    let model = |info: &DeblurInfo| {
+        let DeblurInfo {
+            id,
+            sha256,
+            provider,
+            ..
+        } = info;
+        format!("{id} sha256:{sha256} on {provider}")
+    };
+    let models = networks
+        .named()
+        .map(|(option, info)| (option.to_owned(), model(info)));
+    Report {
+        rounds: Vec::new(),
+        best_round: 1,
+        registered: poses.registered as u32,
+        views: poses.total as u32,
+        stages: BTreeMap::new(),
+        adapter: tools.gpu.describe().to_string(),
+        models: models.collect(),
+        fallbacks: tools.fallbacks.clone(),
+        poses: facts(poses),
+        seed: options.seed,
+        config: json!(options),
+    }
+}
+
+fn facts(poses: &Poses) -> BTreeMap<String, Value> {
+    let facts = [
+        ("source", json!(poses.source)),
+        ("rung", json!(poses.rung.map(String::from))),
+        ("registered", json!(poses.registered)),
+        ("total", json!(poses.total)),
+        ("points", json!(poses.points.len())),
+        (
+            "mean_reprojection_error_px",
+            json!(poses.mean_reprojection_error),
+        ),
+        ("mean_track", json!(poses.mean_track)),
+        ("low_confidence", json!(poses.low_confidence)),
+    ];
+    facts
+        .into_iter()
+        .map(|(name, value)| (name.to_owned(), value))
+        .collect()
+}
+
+/// Adds a finished round, and tells.
+///
+/// # Errors
+/// [`PipelineError::Io`].
+pub fn add_round(
+    context: &mut Context<'_>,
+    report: &mut Report,
+    metrics: RoundMetrics,
+) -> Result<(), PipelineError> {
+    report.rounds.push(metrics.clone());
+    report.best_round = best_round(&report.rounds);
+    write(context, report)?;
+    context.sink.event(&Event::RoundFinished {
+        metrics: Box::new(metrics),
+    });
+    Ok(())
+}
+
+/// Writes the report with what the stages have taken so far.
+///
+/// # Errors
+/// [`PipelineError::Io`].
+pub fn write(context: &Context<'_>, report: &mut Report) -> Result<(), PipelineError> {
+    let stages = context.clock.stages();
+    report.stages = stages
+        .iter()
+        .map(|(stage, seconds)| (stage.name().to_owned(), *seconds))
+        .collect();
+    let workspace = context.workspace;
+    workspace.write_json(&workspace.folder().metrics(), report)
+}
+
+/// The last round that was not worse than the one before it.
+fn best_round(rounds: &[RoundMetrics]) -> u32 {
+    let not_worse = rounds.iter().take_while(|round| !round.worse_than_previous);
+    not_worse.last().map_or(1, |round| round.round)
+}

@@ -1,0 +1,93 @@
+//! A network's stage: every view through it, each result kept, each told.
+
+use std::path::{Path, PathBuf};
+
+use super::context::{Advance, Context};
+use super::dependencies::Dependencies;
+use super::error::PipelineError;
+use super::views::View;
+use crate::deblur::{DeblurError, Deblurrer};
+use crate::event::Stage;
+use crate::image::Image;
+use crate::run_folder::KeptImages;
+
+/// What goes through a network, and what becomes of it.
+#[derive(Clone, Copy, Debug)]
+pub struct Restoration<'a> {
+    /// Which stage it is.
+    pub stage: Stage,
+    /// Of which round; 0 before the rounds.
+    pub round: u32,
+    /// As what the results are kept.
+    pub kept: KeptImages,
+    /// The views, for names and sizes.
+    pub views: &'a [View],
+    /// What the network is fed.
+    pub images: &'a [Image],
+    /// With these guides.
+    pub guides: Option<&'a [Image]>,
+}
+
+impl Restoration<'_> {
+    /// Every image through `network`. Each result is kept until the work folder goes, so that a
+    /// stage is done once, and told, so that it is known to be alive.
+    ///
+    /// # Errors
+    /// [`PipelineError::Deblur`], [`PipelineError::Io`], [`PipelineError::Cancelled`].
+    pub fn by(
+        &self,
+        network: &mut dyn Deblurrer,
+        context: &mut Context<'_>,
+        depends_on: &Dependencies,
+    ) -> Result<Vec<Image>, PipelineError> {
+        let files = self.files(context);
+        let load = |_: &_| -> Option<Vec<Image>> {
+            let kept = files.iter().zip(self.views);
+            kept.map(|(file, view)| read_planar(file, view)).collect()
+        };
+        let make = |context: &mut Context<'_>| {
+            let mut restored = Vec::with_capacity(files.len());
+            for (index, file) in files.iter().enumerate() {
+                context.cancel.check()?;
+                let image = self.restore_one(index, network, context)?;
+                let bytes = bytemuck::cast_slice(image.data());
+                context.workspace.write(file, bytes)?;
+                restored.push(image);
+                let progress = Advance::views(index + 1, files.len());
+                context.advance(self.stage, self.round, progress);
+            }
+            Ok(restored)
+        };
+        context.once(self.stage, self.round, depends_on, load, make)
+    }
+
+    fn restore_one(
+        &self,
+        index: usize,
+        network: &mut dyn Deblurrer,
+        context: &mut Context<'_>,
+    ) -> Result<Image, DeblurError> {
+        let guide = self.guides.map(|guides| &guides[index]);
+        let image = network.deblur(&self.images[index], guide)?;
+        for warning in network.take_warnings() {
+            let name = &self.views[index].name;
+            let message = format!("{name}: {warning}");
+            context.sink.warn(self.stage.name(), message);
+        }
+        Ok(image)
+    }
+
+    fn files(&self, context: &Context<'_>) -> Vec<PathBuf> {
+        let work = context.workspace.folder().work();
+        let of = |view: &View| work.kept(self.kept, self.round, &view.name);
+        self.views.iter().map(of).collect()
+    }
+}
+
+fn read_planar(path: &Path, view: &View) -> Option<Image> {
+    let bytes = std::fs::read(path).ok()?;
+    let (width, height) = (view.dark.width(), view.dark.height());
+    let values: Vec<f32> = bytemuck::pod_collect_to_vec(&bytes);
+    let is_whole = bytes.len() == 12 * width * height;
+    is_whole.then(|| Image::from_planar(width, height, values))
+}

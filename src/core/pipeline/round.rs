@@ -1,0 +1,31 @@
+//! What is decided of a round before it begins.
+
+use super::tone::Tone;
+use crate::enhance::Anchor;
+use crate::shake::Response;
+
+/// One round: how bright it is, and how the photographs are brought there.
+#[derive(Clone, Debug)]
+pub struct Round {
+    /// i, 1-based.
+    pub number: u32,
+    /// P_i.
+    pub anchor: Anchor,
+    /// From the dark views to the round's brightness.
+    pub tone: Tone,
+    /// How light becomes the values of the round's views: the camera's sRGB, then the curve.
+    pub response: Response,
+}
+
+impl Round {
+    /// The round `number` at `anchor`, whose curve over the dark views is `tone`.
+    pub fn new(number: u32, anchor: Anchor, tone: Tone) -> Self {
+        let response = Response::through(|v| tone.scene().apply_colour([v; 3])[0]);
+        Self {
+            number,
+            anchor,
+            tone,
+            response,
+        }
+    }
+}

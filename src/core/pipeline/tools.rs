@@ -1,0 +1,66 @@
+//! What a run may use.
+
+use std::path::PathBuf;
+
+use fled_gpu::Gpu;
+
+use crate::deblur::{DeblurInfo, Deblurrer};
+use crate::poses::Sfm;
+
+/// What a run may use.
+pub struct Tools<'a> {
+    /// The device that trains and renders.
+    pub gpu: &'a Gpu,
+    /// Who finds the poses.
+    pub sfm: &'a dyn Sfm,
+    /// The deblurring network, with the wrapping that the option `guide` asks for.
+    pub deblurrer: &'a mut dyn Deblurrer,
+    /// The network that brightens in place of the tone curve: a baseline.
+    pub enhancer: Option<&'a mut dyn Deblurrer>,
+    /// What was already used in place of what was asked for, one sentence each.
+    pub fallbacks: Vec<String>,
+    /// Folder in which poses are kept from run to run. COLMAP draws from the system's entropy,
+    /// so its answer differs from run to run; a kept answer makes equal runs equal.
+    pub pose_cache: Option<PathBuf>,
+}
+
+impl Tools<'_> {
+    /// The networks of this run.
+    pub(super) fn networks(&self) -> Networks {
+        Networks {
+            deblur: self.deblurrer.describe(),
+            deblur_unguided: self.deblurrer.unguided(),
+            enhance: self.enhancer.as_ref().map(|enhancer| enhancer.describe()),
+        }
+    }
+}
+
+/// The networks of a run, by the option that chose them.
+#[derive(Clone, Debug)]
+pub(super) struct Networks {
+    /// Restores views with a guide, and those without where no other does.
+    pub deblur: DeblurInfo,
+    /// Restores views without a guide, where it is another network.
+    pub deblur_unguided: Option<DeblurInfo>,
+    /// Brightens in place of the tone curve.
+    pub enhance: Option<DeblurInfo>,
+}
+
+impl Networks {
+    /// What views without a guide go through.
+    pub fn unguided(&self) -> &DeblurInfo {
+        self.deblur_unguided.as_ref().unwrap_or(&self.deblur)
+    }
+
+    /// Each network with the name of its option.
+    pub fn named(&self) -> impl Iterator<Item = (&'static str, &DeblurInfo)> {
+        let unguided = self.deblur_unguided.as_ref();
+        [
+            ("deblur", Some(&self.deblur)),
+            ("deblur_unguided", unguided),
+        ]
+        .into_iter()
+        .chain([("enhance", self.enhance.as_ref())])
+        .filter_map(|(option, network)| Some((option, network?)))
+    }
+}
