@@ -3,6 +3,8 @@
 
 mod boundaries;
 mod circles;
+mod columns;
+mod comments;
 mod imports;
 mod modules;
 mod oracles;
