@@ -226,7 +226,6 @@ fn is_arguments(token: Option<&TokenTree>) -> bool {
 }
 
 /// Every path of the code, in order.
-#[cfg(test)]
 fn paths(text: &str) -> Vec<String> {
     let outline = Outline::of(&Source::made_up("a.rs", text));
     let joined = |path: &Path| format!("{}:{}", path.line, path.segments.join("::"));
