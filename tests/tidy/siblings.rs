@@ -60,10 +60,11 @@ fn faults(sources: &[Source], rules: &Rules<'_>) -> Vec<String> {
         let outline = Outline::of(source);
         let imported = outline.imports.iter().map(|import| &import.path);
         for path in imported.chain(&outline.paths) {
-            let Some(sibling) = rules.sibling(path, modules.len()) else {
+            let Some(below_crate) = below_crate(path, modules.len()) else {
                 continue;
             };
-            if sibling.split("::").next() != Some(module) && !rules.allow(module, &sibling) {
+            let sibling = &below_crate[0];
+            if sibling != module && !rules.allow(module, below_crate) {
                 faults.push(format!(
                     "{}:{}: {module} imports its sibling {sibling}",
                     source.path, path.line
@@ -74,46 +75,32 @@ fn faults(sources: &[Source], rules: &Rules<'_>) -> Vec<String> {
     faults
 }
 
+/// What a path names below the crate, from a module of it on, in a file so many modules deep.
+fn below_crate(path: &Path, depth: usize) -> Option<&[String]> {
+    let is_super = |segment: &&String| segment.as_str() == "super";
+    let ups = path.segments.iter().take_while(is_super).count();
+    let below = match path.segments[0].as_str() {
+        "crate" => &path.segments[1..],
+        "super" if ups == depth + path.inside.len() => &path.segments[ups..],
+        _ => return None,
+    };
+    // Types of the crate itself are no modules.
+    let is_module = |segment: &String| segment.starts_with(|c: char| c.is_ascii_lowercase());
+    below.first().is_some_and(is_module).then_some(below)
+}
+
 impl Rules<'_> {
-    /// The module of the core that a path names, in a file so many modules below the crate.
-    fn sibling(&self, path: &Path, depth: usize) -> Option<String> {
-        let is_super = |segment: &&String| segment.as_str() == "super";
-        let ups = path.segments.iter().take_while(is_super).count();
-        let below_crate = match path.segments[0].as_str() {
-            "crate" => &path.segments[1..],
-            "super" if ups == depth + path.inside.len() => &path.segments[ups..],
-            _ => return None,
+    /// Whether a module may import what lies there below the crate.
+    fn allow(&self, module: &str, below_crate: &[String]) -> bool {
+        let sibling = &below_crate[0];
+        let one_below = below_crate[..below_crate.len().min(2)].join("::");
+        let holds = |names: &[&str]| {
+            names
+                .iter()
+                .any(|name| name == sibling || *name == one_below)
         };
-        let module = below_crate.first()?;
-        // Types and macros of the crate itself are no modules.
-        module
-            .starts_with(|c: char| c.is_ascii_lowercase())
-            .then(|| {
-                let below = below_crate
-                    .iter()
-                    .take(2)
-                    .cloned()
-                    .collect::<Vec<_>>()
-                    .join("::");
-                if self.rows().any(|row| row == below) {
-                    below
-                } else {
-                    module.clone()
-                }
-            })
-    }
-
-    /// Every module that a rule names.
-    fn rows(&self) -> impl Iterator<Item = &str> {
-        let allowed = self.allowed.iter().flat_map(|(_, whom)| *whom);
-        self.shared.iter().chain(allowed).copied()
-    }
-
-    fn allow(&self, module: &str, imported: &str) -> bool {
-        let allows = |(who, whom): &(&str, &[&str])| {
-            *who == module && (whom.contains(&imported) || whom.contains(&"*"))
-        };
-        self.shared.contains(&imported) || self.allowed.iter().any(allows)
+        let mut rows = self.allowed.iter().filter(|(who, _)| *who == module);
+        holds(self.shared) || rows.any(|(_, whom)| holds(whom) || whom.contains(&"*"))
     }
 }
 
@@ -180,6 +167,6 @@ fn a_module_below_another_has_rights_of_its_own() {
     expect_none(&faults_of("colmap/ladder.rs", stage));
     assert_eq!(
         faults_of("capture.rs", stage),
-        ["src/core/capture.rs:1: capture imports its sibling event::stage"]
+        ["src/core/capture.rs:1: capture imports its sibling event"]
     );
 }
