@@ -13,6 +13,7 @@ fn header(shader: &Source) -> String {
         .text
         .lines()
         .take_while(|line| line.starts_with("//"));
+    let lines = lines.map(|line| line.trim_start_matches('/').trim());
     lines.collect::<Vec<_>>().join(" ").to_lowercase()
 }
 
@@ -89,7 +90,7 @@ fn a_shader_without_a_header_is_found() {
     );
     let seen = Source::made_up(
         "shaders/c.wgsl",
-        "// See shared/d.wgsl. Dispatch: one.\n@compute @workgroup_size(1)\n",
+        "// See\n// shared/d.wgsl. Dispatch: one.\n@compute @workgroup_size(1)\n",
     );
     let half = Source::made_up("shaders/shared/d.wgsl", "// Reads a.\n");
     assert_eq!(

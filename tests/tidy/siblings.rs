@@ -1,6 +1,16 @@
 //! The modules of the core: who may import whom.
 
+use crate::imports::{Outline, Path};
 use crate::sources::{Source, expect_none, files};
+
+/// Who may import whom. A module is named as `pipeline`, or as `pipeline::error` where one below it
+/// has rights of its own.
+struct Rules<'a> {
+    /// What every module may import.
+    shared: &'a [&'a str],
+    /// What some may import besides; `*` is everything.
+    allowed: &'a [(&'a str, &'a [&'a str])],
+}
 
 /// Words that every module shares. `agreement` compares a kernel with its reference, in tests;
 /// the kind of an error decides exit code, HTTP status and retry for all of them alike.
@@ -38,53 +48,67 @@ const ALLOWED: [(&str, &[&str]); 8] = [
 ];
 
 /// Imports between siblings that no row allows.
-fn faults(sources: &[Source]) -> Vec<String> {
+fn faults(sources: &[Source], rules: &Rules<'_>) -> Vec<String> {
     let mut faults = Vec::new();
-    for source in sources
-        .iter()
-        .filter(|source| !source.path.ends_with("tests.rs"))
-    {
-        let Some(module) = source
-            .path
-            .strip_prefix("src/core/")
-            .and_then(|rest| rest.split(['/', '.']).next())
-        else {
+    for source in sources {
+        let path = source.path.strip_prefix("src/core/").unwrap_or("lib.rs");
+        let modules: Vec<&str> = path.trim_end_matches(".rs").split('/').collect();
+        let module = modules[0];
+        if module == "lib" || path.ends_with("tests.rs") {
             continue;
-        };
-        for (number, line) in source.code() {
-            for imported in imports(line) {
-                if imported != module && module != "lib" && !allowed(module, imported) {
-                    faults.push(format!(
-                        "{}:{number}: {module} imports its sibling {imported}",
-                        source.path
-                    ));
-                }
+        }
+        let outline = Outline::of(source);
+        let imported = outline.imports.iter().map(|import| &import.path);
+        for path in imported.chain(&outline.paths) {
+            let Some(below_crate) = below_crate(path, modules.len()) else {
+                continue;
+            };
+            let sibling = &below_crate[0];
+            if sibling != module && !rules.allow(module, below_crate) {
+                faults.push(format!(
+                    "{}:{}: {module} imports its sibling {sibling}",
+                    source.path, path.line
+                ));
             }
         }
     }
     faults
 }
 
-/// The modules named after `crate::` in a line; of the pipeline's, with the one below it.
-fn imports(line: &str) -> impl Iterator<Item = &str> {
-    line.split("crate::").skip(1).filter_map(|rest| {
-        let inside = if rest.starts_with("pipeline::error") {
-            "pipeline::error".len()
-        } else {
-            0
-        };
-        let word = |c: char| !c.is_ascii_lowercase() && c != '_';
-        let end = inside + rest[inside..].find(word).unwrap_or(rest.len() - inside);
-        (end > 0).then_some(&rest[..end])
-    })
+/// What a path names below the crate, from a module of it on, in a file so many modules deep.
+fn below_crate(path: &Path, depth: usize) -> Option<&[String]> {
+    let is_super = |segment: &&String| segment.as_str() == "super";
+    let ups = path.segments.iter().take_while(is_super).count();
+    let below = match path.segments[0].as_str() {
+        "crate" => &path.segments[1..],
+        "super" if ups == depth + path.inside.len() => &path.segments[ups..],
+        _ => return None,
+    };
+    // Types of the crate itself are no modules.
+    let is_module = |segment: &String| segment.starts_with(|c: char| c.is_ascii_lowercase());
+    below.first().is_some_and(is_module).then_some(below)
 }
 
-fn allowed(module: &str, imported: &str) -> bool {
-    SHARED.contains(&imported)
-        || ALLOWED
-            .iter()
-            .any(|(who, whom)| *who == module && (whom.contains(&imported) || whom.contains(&"*")))
+impl Rules<'_> {
+    /// Whether a module may import what lies there below the crate.
+    fn allow(&self, module: &str, below_crate: &[String]) -> bool {
+        let sibling = &below_crate[0];
+        let one_below = below_crate[..below_crate.len().min(2)].join("::");
+        let holds = |names: &[&str]| {
+            names
+                .iter()
+                .any(|name| name == sibling || *name == one_below)
+        };
+        let mut rows = self.allowed.iter().filter(|(who, _)| *who == module);
+        holds(self.shared) || rows.any(|(_, whom)| holds(whom) || whom.contains(&"*"))
+    }
 }
+
+/// The rules of this house.
+const HOUSE: Rules<'_> = Rules {
+    shared: &SHARED,
+    allowed: &ALLOWED,
+};
 
 #[test]
 fn siblings_do_not_import_each_other() {
@@ -94,29 +118,55 @@ fn siblings_do_not_import_each_other() {
         "the walk found only {} files",
         sources.len()
     );
-    expect_none(&faults(&sources));
+    expect_none(&faults(&sources, &HOUSE));
+}
+
+/// The faults of one line in a file of the core, with rules that share `image` and
+/// `pipeline::error`, and let `colmap` import `event::stage`.
+fn faults_of(path: &str, line: &str) -> Vec<String> {
+    let rules = Rules {
+        shared: &["image", "pipeline::error"],
+        allowed: &[("colmap", &["event::stage"]), ("pipeline", &["*"])],
+    };
+    faults(
+        &[Source::made_up(&format!("src/core/{path}"), line)],
+        &rules,
+    )
 }
 
 #[test]
 fn an_import_of_a_sibling_is_found() {
-    let bad = Source::made_up(
-        "src/core/deblur/onnx.rs",
-        "use crate::image::Image;\nuse crate::enhance::curve;\n",
-    );
+    let two = "use crate::image::Image;\nuse crate::enhance::curve;\n";
     assert_eq!(
-        faults(&[bad]),
+        faults_of("deblur/onnx.rs", two),
         ["src/core/deblur/onnx.rs:2: deblur imports its sibling enhance"]
     );
-    let good = Source::made_up("src/core/pipeline.rs", "use crate::enhance::curve;\n");
-    assert!(faults(&[good]).is_empty());
+    for line in [
+        "use crate::{image::Image, enhance::curve};\n",
+        "use super::super::enhance;\n",
+        "fn f() { crate::enhance::curve::fit() }\n",
+        "mod inner { use super::super::super::enhance; }\n",
+    ] {
+        assert_eq!(faults_of("deblur/onnx.rs", line).len(), 1, "{line}");
+    }
+    expect_none(&faults_of("pipeline.rs", "use crate::enhance::curve;\n"));
+    expect_none(&faults_of("deblur/onnx.rs", "use super::manifest::Role;\n"));
+    let in_test = "#[cfg(test)]\nmod tests { use crate::enhance::curve; }\n";
+    expect_none(&faults_of("deblur/onnx.rs", in_test));
 }
 
 #[test]
-fn a_shared_module_that_imports_the_pipeline_is_found() {
-    let bad = Source::made_up("src/core/image/load.rs", "    crate::pipeline::run();\n");
-    let kind = Source::made_up(
-        "src/core/image/load.rs",
-        "use crate::pipeline::error::ErrorKind;\n",
+fn a_module_below_another_has_rights_of_its_own() {
+    let kind = "use crate::pipeline::error::ErrorKind;\n";
+    expect_none(&faults_of("image/load.rs", kind));
+    assert_eq!(
+        faults_of("image/load.rs", "use crate::pipeline::run;\n").len(),
+        1
     );
-    assert_eq!((faults(&[bad]).len(), faults(&[kind]).len()), (1, 0));
+    let stage = "use crate::event::stage::Stage;\n";
+    expect_none(&faults_of("colmap/ladder.rs", stage));
+    assert_eq!(
+        faults_of("capture.rs", stage),
+        ["src/core/capture.rs:1: capture imports its sibling event"]
+    );
 }

@@ -1,9 +1,10 @@
-//! Files that one can read in one sitting.
+//! Files that one can read in one sitting. The length of functions is clippy's business
+//! (`too_many_lines`, with the limit of `clippy.toml`).
 
 use crate::sources::{Source, expect_none, files};
 
 /// Lines of a Rust file, its tests included.
-const RUST: usize = 500;
+const RUST: usize = 450;
 
 /// Lines of a shader.
 const SHADER: usize = 200;
@@ -36,9 +37,9 @@ fn files_are_not_too_long() {
 
 #[test]
 fn a_long_file_is_found() {
-    let long = Source::made_up("src/core/long.rs", &"\n".repeat(501));
+    let of = |lines: usize| Source::made_up("src/core/long.rs", &"\n".repeat(lines));
     assert_eq!(
-        faults(&[long], RUST),
-        ["src/core/long.rs: 501 lines, at most 500"]
+        faults(&[of(450), of(451)], RUST),
+        ["src/core/long.rs: 451 lines, at most 450"]
     );
 }

@@ -29,11 +29,13 @@ impl Source {
     }
 }
 
-/// Every file below `folder` whose name ends in `extension`, sorted by path.
+/// Every file below `folder` whose name ends in `extension`, sorted by path. An empty folder is
+/// the top. What git ignores and what is hidden is left out.
 pub fn files(folder: &str, extension: &str) -> Vec<Source> {
     let top = top();
+    let ignored = ignored(&top);
     let mut found = Vec::new();
-    collect(&top.join(folder), extension, &mut found);
+    collect(&top.join(folder), extension, &ignored, &mut found);
     found.sort();
     let read = |path: PathBuf| Source {
         path: path
@@ -67,14 +69,26 @@ pub fn expect_none(faults: &[String]) {
     );
 }
 
-fn collect(folder: &Path, extension: &str, found: &mut Vec<PathBuf>) {
+/// What the `.gitignore` at the top names by its whole path.
+fn ignored(top: &Path) -> Vec<PathBuf> {
+    let text = fs::read_to_string(top.join(".gitignore")).expect("a .gitignore at the top");
+    let paths = text.lines().filter_map(|line| line.strip_prefix('/'));
+    paths.map(|path| top.join(path)).collect()
+}
+
+fn collect(folder: &Path, extension: &str, ignored: &[PathBuf], found: &mut Vec<PathBuf>) {
     let Ok(entries) = fs::read_dir(folder) else {
         return;
     };
     for entry in entries {
-        let path = entry.expect("a directory entry").path();
-        if path.is_dir() && !path.ends_with("node_modules") {
-            collect(&path, extension, found);
+        let entry = entry.expect("a directory entry");
+        let (path, name) = (entry.path(), entry.file_name());
+        let hidden = name.as_encoded_bytes().starts_with(b".");
+        if hidden || ignored.contains(&path) || path.ends_with("node_modules") {
+            continue;
+        }
+        if path.is_dir() {
+            collect(&path, extension, ignored, found);
         } else if path.extension().is_some_and(|e| e == extension) {
             found.push(path);
         }
