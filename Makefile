@@ -44,7 +44,7 @@ test-widths: ## the kernels with subgroups of 4 and 16 instead of 8 invocations
 	    splat:: noise:: shake::tests reconstruct::loss reconstruct::optimizer || exit 1; done
 
 # TORCH=PYTHON has the packages already and saves their installation.
-test-training: $(if $(TORCH),,training/venv) ## what of the recipe needs PyTorch, and a C compiler; 5 GB into training/venv/
+test-training: $(if $(TORCH),,training/venv) ## what of the recipe needs PyTorch, the photographs of its README and a C compiler; 6 GB into training/venv/
 	cd training && $(or $(TORCH),venv/bin/python) -m unittest torch_tests
 
 .PHONY: training/venv
