@@ -44,12 +44,9 @@ test-widths: ## the kernels with subgroups of 4 and 16 instead of 8 invocations
 	    splat:: noise:: shake::tests reconstruct::loss reconstruct::optimizer || exit 1; done
 
 # TORCH=PYTHON has the packages already and saves their installation.
-test-training: $(if $(TORCH),,training/venv) ## what of the recipe needs PyTorch, the photographs of its README and a C compiler; 6 GB into training/venv/
+test-training: ## what of the recipe needs PyTorch (6 GB into training/venv/), its README's photographs and a C compiler
+	@$(if $(TORCH),,$(PYTHON) tools/environment.py training/venv training/requirements.txt)
 	cd training && $(or $(TORCH),venv/bin/python) -m unittest torch_tests
-
-.PHONY: training/venv
-training/venv:
-	@$(PYTHON) tools/environment.py $@ training/requirements.txt
 
 # FLED=PROGRAM judges that one and builds none.
 test-peers: setup onnxruntime venv $(if $(FLED),,build) ## scene.ply judged by software that is not ours, under .peers/

@@ -27,11 +27,13 @@ def pinned(requirements):
 
 
 def make(folder, requirements):
-    """The environment's Python. Whatever is in `folder` but holds anything else is replaced."""
+    """The environment's Python. An environment that holds anything else is replaced."""
     stamp, python = folder / "installed", folder / "bin" / "python"
     wanted = "\n".join([sys.version, *pinned(requirements)]) + "\n"
     if stamp.is_file() and stamp.read_text() == wanted:
         return python
+    if folder.exists() and not (folder / "pyvenv.cfg").is_file():
+        raise SystemExit(f"{folder} is there and no Python environment")
     shutil.rmtree(folder, ignore_errors=True)
     print(f"installing {requirements} into {folder}", flush=True)
     subprocess.run([sys.executable, "-m", "venv", "--without-pip", folder], check=True)

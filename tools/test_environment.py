@@ -21,6 +21,7 @@ class Environment(unittest.TestCase):
         """How many programs were started to make the environment."""
         def start(command, **_):
             (self.top / "venv").mkdir(exist_ok=True)
+            (self.top / "venv" / "pyvenv.cfg").touch()
             return subprocess.CompletedProcess(command, code if "pip" in command else 0)
 
         with mock.patch("subprocess.run", side_effect=start) as run, mock.patch("builtins.print"):
@@ -40,6 +41,13 @@ class Environment(unittest.TestCase):
         with self.assertRaisesRegex(SystemExit, "pip failed"):
             self.made(code=1)
         self.assertEqual(self.made(), 2)
+
+    def test_a_folder_that_is_no_environment_is_left_alone(self):
+        (self.top / "venv").mkdir()
+        (self.top / "venv" / "letter.txt").touch()
+        with self.assertRaisesRegex(SystemExit, "no Python environment"):
+            self.made()
+        self.assertTrue((self.top / "venv" / "letter.txt").exists())
 
 
 if __name__ == "__main__":
