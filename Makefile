@@ -4,13 +4,16 @@
 SHELL := /bin/bash
 CARGO ?= cargo
 PYTHON ?= python3
+# The Python that has the packages of tools/requirements.txt.
+VENV := .venv/bin/python
 # Else a layer of Mesa calls a missing desktop session an error, on every start.
 ifndef XDG_RUNTIME_DIR
 export NODEVICE_SELECT := 1
 endif
 
 .DEFAULT_GOAL := help
-.PHONY: help setup onnxruntime build test test-widths test-peers tidy check lint demo bench gpu-pack gpu-check
+.PHONY: help setup onnxruntime venv build test test-python test-widths test-training test-peers tidy check lint demo bench \
+    gpu-pack gpu-check
 
 help: ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1\t\2/' | expand -t 22
@@ -21,22 +24,33 @@ setup: ## Debian packages: COLMAP, a software Vulkan driver, pip (as root; else 
 onnxruntime: ## the ONNX Runtime library, from its PyPI wheel, into .onnxruntime/
 	@$(PYTHON) tools/fetch_onnxruntime.py
 
+venv: ## the Python packages of the tools and their tests, pinned, into .venv/
+	@$(PYTHON) tools/environment.py
+
 build: ## the program: target/release/fled
 	$(CARGO) build --release --locked -p fled
 
-test: setup onnxruntime ## every test
-	$(PYTHON) -m unittest discover --start-directory tools
+test: setup onnxruntime test-python ## every test but test-training and test-peers
 	$(CARGO) test --release --locked --workspace
 	@$(MAKE) --no-print-directory test-widths
+
+test-python: venv ## the tools, and what of the recipe needs no PyTorch: some of it shares its numbers with Rust's tests
+	$(VENV) -m unittest discover --start-directory tools
+	$(VENV) -m unittest discover --start-directory training
 
 # Mesa's software driver takes its subgroups to be as wide as this, whatever the processor has.
 test-widths: ## the kernels with subgroups of 4 and 16 instead of 8 invocations
 	for bits in 128 512; do LP_NATIVE_VECTOR_WIDTH=$$bits $(CARGO) test --release --locked --quiet -p fled-core --lib -- \
 	    splat:: noise:: shake::tests reconstruct::loss reconstruct::optimizer || exit 1; done
 
-# FLED=PROGRAM judges that one and builds none; TORCH=PYTHON has PyTorch already and saves its installation.
-test-peers: setup onnxruntime $(if $(FLED),,build) ## scene.ply judged by software that is not ours; 5 GB under .peers/
-	$(PYTHON) tools/peers.py $(if $(FLED),--fled $(FLED)) $(if $(TORCH),--python $(TORCH))
+# TORCH=PYTHON has the packages already and saves their installation.
+test-training: ## what of the recipe needs PyTorch (6 GB into training/venv/), its README's photographs and a C compiler
+	@$(if $(TORCH),,$(PYTHON) tools/environment.py training/venv training/requirements.txt)
+	cd training && $(or $(TORCH),venv/bin/python) -m unittest torch_tests
+
+# FLED=PROGRAM judges that one and builds none.
+test-peers: setup onnxruntime venv $(if $(FLED),,build) ## scene.ply judged by software that is not ours, under .peers/
+	$(VENV) tools/peers.py $(if $(FLED),--fled $(FLED))
 
 tidy: ## the rules of the house alone: fast, needs no GPU and no library
 	$(CARGO) test --release --locked -p fled-tidy
@@ -48,8 +62,8 @@ lint: ## format and clippy, as strict as CI
 	$(CARGO) fmt --all --check
 	$(CARGO) clippy --release --locked --workspace --all-targets -- -D warnings
 
-demo: setup onnxruntime build ## a dark capture, reconstructed by the service, with a before/after picture under demo/
-	$(PYTHON) tools/demo.py
+demo: setup onnxruntime venv build ## a dark capture, reconstructed by the service, with a before/after picture under demo/
+	$(VENV) tools/demo.py
 
 bench: build ## what training and rendering cost here, kernel by kernel; BENCH="--quick" and other arguments of fled bench
 	$${CARGO_TARGET_DIR:-target}/release/fled bench $(BENCH)

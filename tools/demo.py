@@ -22,12 +22,13 @@ import uuid
 import zipfile
 from pathlib import Path
 
-import png
+from PIL import Image
 
 TOP = Path(__file__).resolve().parent.parent
 FOLDER = TOP / "demo"
 CAPTURE, DATA = FOLDER / "capture", FOLDER / "data"
-PHOTOGRAPHS = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp"}
+# White between the pictures of a row, px.
+GAP = 4
 # Degrees to the side of and above the photographers.
 NOVEL_VIEWS = [(-12, 0), (12, 0), (0, 8)]
 PATIENCE = 30 * 60
@@ -152,22 +153,33 @@ def table(report):
 
 
 def original(folder, stem):
-    """The PNG of a view in a folder of the capture."""
-    found = [path for path in sorted(folder.iterdir()) if path.stem == stem and path.suffix == ".png"]
-    return png.read(found[0].read_bytes()) if found else None
+    """The PNG of a view in a folder of the capture, as RGB."""
+    with Image.open(folder / f"{stem}.png") as image:
+        return image.convert("RGB")
+
+
+def beside(pictures):
+    """Pictures of one height side by side, with a white gap."""
+    heights = {picture.height for picture in pictures}
+    if len(heights) != 1:
+        raise ValueError(f"pictures of different heights: {sorted(heights)}")
+    width = sum(picture.width + GAP for picture in pictures) - GAP
+    row, left = Image.new("RGB", (width, heights.pop()), "white"), 0
+    for picture in pictures:
+        row.paste(picture, (left, 0))
+        left += picture.width + GAP
+    return row
 
 
 def before_after(service, job, rounds, cameras):
     """dark | round 1 | last round | ground truth, of a view that trained nothing."""
     held_out = [camera["name"] for camera in cameras if camera["split"] == "held_out"]
     view = (held_out or [camera["name"] for camera in cameras])[0]
-    dark = original(CAPTURE / "images", view)
-    truth = [original(folder, view) for folder in (CAPTURE / "gt", CAPTURE / "HL") if folder.is_dir()]
-    if dark is None or not truth or truth[0] is None:
-        raise SystemExit(f"the capture holds no images/{view}.png with its ground truth")
-    size = f"view={view}&width={dark[0]}&height={dark[1]}&format=png"
-    renders = [png.read(service.get(f"/v1/jobs/{job}/render?{size}&round={round}")) for round in sorted({1, rounds})]
-    (FOLDER / "before-after.png").write_bytes(png.beside([dark, *renders, truth[0]]))
+    dark, truth = original(CAPTURE / "images", view), original(CAPTURE / "HL", view)
+    path = f"/v1/jobs/{job}/render?view={view}&width={dark.width}&height={dark.height}&format=png"
+    answers = [service.get(f"{path}&round={round}") for round in sorted({1, rounds})]
+    renders = [Image.open(io.BytesIO(answer)).convert("RGB") for answer in answers]
+    beside([dark, *renders, truth]).save(FOLDER / "before-after.png")
     return view
 
 

@@ -3,13 +3,11 @@
 
     make test-peers
 
-Installs both judges under .peers/ (about 5 GB, most of it PyTorch's), makes a small capture, trains it for 200 steps,
-and has two scenes judged: the trained one, and a made-up one that asks more (training/strange.py). Exits with 1 and says
-why when a judge disagrees. Python's standard library only; training/judge.py runs in the environment made here.
+Installs splat-transform under .peers/, makes a small capture, trains it for 200 steps, and has two scenes judged: the
+trained one, and a made-up one that asks more (training/strange.py). Exits with 1 and says why when a judge disagrees.
 """
 
 import argparse
-import array
 import json
 import math
 import os
@@ -19,9 +17,10 @@ import subprocess
 import sys
 from pathlib import Path
 
+import plyfile
+
 TOP = Path(__file__).resolve().parent.parent
 FOLDER, TRAINING = TOP / ".peers", TOP / "training"
-REQUIREMENTS = TRAINING / "requirements-peers.txt"
 LIBRARY = TOP / ".onnxruntime" / "libonnxruntime.so"
 # The newest that runs on Node 18, which is Debian 12's.
 SPLAT_TRANSFORM = "@playcanvas/splat-transform@2.7.1"
@@ -46,24 +45,6 @@ def run(command, log=None, **options):
 
 def said(*words):
     print(*words, flush=True)
-
-
-def install_python(given):
-    """A Python that has what judge.py needs: the one given, or one made here from PyPI."""
-    if given:
-        return given
-    folder, wanted = FOLDER / "venv", REQUIREMENTS.read_text()
-    stamp, python = folder / "installed", folder / "bin" / "python"
-    if not (stamp.is_file() and stamp.read_text() == wanted):
-        said("installing PyTorch from PyPI into .peers/venv")
-        shutil.rmtree(folder, ignore_errors=True)
-        try:
-            run([sys.executable, "-m", "venv", folder])
-        except SystemExit as error:
-            raise SystemExit(f"{error}\nOn Debian: apt-get install python3-venv") from error
-        run([python, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "-r", REQUIREMENTS])
-        stamp.write_text(wanted)
-    return python
 
 
 def install_splat_transform():
@@ -107,16 +88,12 @@ def render(fled, folder):
 
 def own_bounds(path):
     """How many vertices our PLY has, and the least and greatest of each property, as splat-transform shows them."""
-    head, _, body = path.read_bytes().partition(b"end_header\n")
-    names = re.findall(rb"property float (\w+)\n", head)
-    values = array.array("f", body)
-    if sys.byteorder == "big":
-        values.byteswap()
+    vertices = plyfile.PlyData.read(path)["vertex"].data
     bounds = {}
-    for column, name in enumerate(name.decode() for name in names):
-        own = values[column::len(names)]
-        bounds[name] = tuple(sorted(shown(name, value) for value in (min(own), max(own))))
-    return len(values) // len(names), bounds
+    for name in vertices.dtype.names:
+        ends = vertices[name].min(), vertices[name].max()
+        bounds[name] = tuple(sorted(shown(name, float(value)) for value in ends))
+    return len(vertices), bounds
 
 
 def shown(name, value):
@@ -175,7 +152,6 @@ def judge_by_splat_transform(program, folder, count):
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--fled", type=Path, default=TOP / "target" / "release" / "fled")
-    parser.add_argument("--python", type=Path, help="a Python that has PyTorch, NumPy and Pillow, in place of a new one")
     options = parser.parse_args()
     fled = options.fled.resolve()
     if not fled.is_file():
@@ -183,18 +159,15 @@ def main():
     os.environ.setdefault("ORT_DYLIB_PATH", str(LIBRARY))
     FOLDER.mkdir(exist_ok=True)
     program = install_splat_transform()
-    python = install_python(options.python)
-    said("the judge's own tests")
-    run([python, "-m", "unittest", "test_judge"], cwd=TRAINING)
     said("a scene of 200 steps")
     trained, count = train(fled)
     strange = FOLDER / "strange"
-    made = int(run([python, TRAINING / "strange.py", strange]))
+    made = int(run([sys.executable, TRAINING / "strange.py", strange]))
     for folder, expected in ((trained, count), (strange, made)):
         said(f"\n{folder.name}")
         pictures = render(fled, folder)
         judge_by_splat_transform(program, folder, expected)
-        said(run([python, TRAINING / "judge.py", folder, pictures]).rstrip())
+        said(run([sys.executable, TRAINING / "judge.py", folder, pictures]).rstrip())
 
 
 if __name__ == "__main__":

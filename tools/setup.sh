@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
 # Installs what fled needs from Debian: COLMAP, the Vulkan loader, a software Vulkan driver, and pip to fetch the
-# ONNX Runtime library. Installs only what is missing; without root it prints the one line to run instead.
+# ONNX Runtime library and the Python packages of the tools. Installs only what is missing; without root it prints the
+# one line to run instead.
 set -euo pipefail
 
 # Ordinary users do not have /sbin in their path.

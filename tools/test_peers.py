@@ -1,4 +1,4 @@
-"""python3 -m unittest discover --start-directory tools"""
+"""Tests of peers.py: what is read of scene.ply and of a summary, and what differs."""
 
 import math
 import struct

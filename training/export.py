@@ -4,8 +4,6 @@
 """
 
 import argparse
-import hashlib
-import json
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +12,7 @@ import onnxruntime
 import torch
 from onnx import TensorProto, helper, numpy_helper
 
+import manifest
 from network import EPSILON, Network, grown
 
 # Opset 17 and IR 8 are read by every ONNX Runtime since 1.13.
@@ -146,41 +145,11 @@ def largest_difference(model, network):
     return worst
 
 
-SIDE = 64
-
-
-def test_images():
-    """The product's self-test (deblur/golden.rs): a view and a guide, [1, 6, SIDE, SIDE]."""
-    place = np.arange(SIDE)
-    along = np.broadcast_to(place.astype(np.float32) / np.float32(SIDE), (SIDE, SIDE))
-    edge = np.where(place // 16 % 2 == (place // 16 % 2)[:, None], np.float32(0.2), np.float32(0))
-    half, low = np.float32(0.5), np.float32(0.2)
-    view = np.stack([low + half * along + edge, low + half * along.T + edge, np.float32(0.7) - half * along * along.T])
-    return torch.from_numpy(np.concatenate([view, view.transpose(0, 2, 1)]))[None]
-
-
 def golden(network):
     """What the network makes of the self-test's images, as the file's content."""
+    pair = torch.from_numpy(manifest.self_test_images())[None]
     with torch.no_grad():
-        return network(test_images())[0].numpy().astype("<f4").tobytes()
-
-
-def enter(manifest, path):
-    """Write the file's size and checksum into the manifest entry that names it."""
-    content = path.read_bytes()
-    listing = manifest.read_text()
-    entries = json.loads(listing)
-    if not any(entry["file"] == path.name for entry in entries["models"]):
-        raise SystemExit(f"{manifest} has no entry whose file is {path.name}: write one first")
-    for entry in entries["models"]:
-        if entry["file"] == path.name:
-            for key, value in (("sha256", hashlib.sha256(content).hexdigest()), ("bytes", len(content))):
-                # Textual, so that the manifest keeps its layout.
-                start = listing.index(f'"{key}": ', listing.index(f'"file": "{path.name}"'))
-                end = listing.index(",", start)
-                listing = listing[:start] + f'"{key}": {json.dumps(value)}' + listing[end:]
-    json.loads(listing)
-    manifest.write_text(listing)
+        return network(pair)[0].numpy().astype("<f4").tobytes()
 
 
 def main():
@@ -205,7 +174,7 @@ def main():
     options.output.write_bytes(model.SerializeToString())
     options.output.with_suffix(".golden").write_bytes(golden(network))
     if options.manifest:
-        enter(options.manifest, options.output)
+        manifest.enter(options.manifest, options.output)
 
 
 if __name__ == "__main__":

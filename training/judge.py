@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-import torch
 from PIL import Image
 
 import published
@@ -37,16 +36,16 @@ class Verdict:
 def compare(name, expected, picture):
     """The verdict on a picture [height, width, 3] in 0..1."""
     if expected.shape != picture.shape:
-        raise SystemExit(f"{name}: a picture of {tuple(picture.shape)}, expected {tuple(expected.shape)}")
-    difference = (expected.clamp(0, 1) - picture).abs()
+        raise SystemExit(f"{name}: a picture of {picture.shape}, expected {expected.shape}")
+    difference = np.abs(np.clip(expected, 0, 1) - picture)
     error = max(float((difference**2).mean()), 1e-12)
-    off = float((difference > 1.001 / 255).double().mean())
+    off = float((difference > 1.001 / 255).mean())
     return Verdict(name, float(-10 * np.log10(error)), off, float(difference.max()))
 
 
 def load_picture(path):
     with Image.open(path) as image:
-        return torch.tensor(np.asarray(image.convert("RGB"), np.float64) / 255)
+        return np.asarray(image.convert("RGB"), np.float64) / 255
 
 
 def judge(scene, cameras, pictures):
@@ -59,7 +58,7 @@ def judge(scene, cameras, pictures):
 
 def with_swapped_quaternions(scene):
     """The scene of a reader that takes w x y z for x y z w."""
-    return replace(scene, rotations=scene.rotations.roll(1, 1))
+    return replace(scene, rotations=np.roll(scene.rotations, 1, 1))
 
 
 def objections(verdicts, spoilt):

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import torch
+import plyfile
 
 # Added to the diagonal of every 2-D covariance, px^2.
 LOW_PASS = 0.3
@@ -26,22 +26,16 @@ SLOPE_LIMIT = 1.3
 # World units; what published viewers use.
 NEAR = 0.2
 
-PLY_TYPES = {
-    "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4",
-    "double": "f8", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4",
-    "float32": "f4", "float64": "f8",
-}
-
 
 @dataclass
 class Scene:
     """What a PLY file says of its Gaussians: rotations w x y z, harmonics [n, coefficients, 3]."""
 
-    means: torch.Tensor
-    rotations: torch.Tensor
-    log_scales: torch.Tensor
-    opacity_logits: torch.Tensor
-    harmonics: torch.Tensor
+    means: np.ndarray
+    rotations: np.ndarray
+    log_scales: np.ndarray
+    opacity_logits: np.ndarray
+    harmonics: np.ndarray
 
 
 @dataclass
@@ -52,36 +46,29 @@ class Camera:
     height: int
     focal: tuple
     centre: tuple
-    world_to_camera: torch.Tensor
+    world_to_camera: np.ndarray
 
 
 @dataclass
 class Splats:
     """Gaussians on the image plane, nearest first: conics are the inverse covariances' a, b, c."""
 
-    means: torch.Tensor
-    conics: torch.Tensor
-    opacities: torch.Tensor
-    colours: torch.Tensor
+    means: np.ndarray
+    conics: np.ndarray
+    opacities: np.ndarray
+    colours: np.ndarray
 
 
 def read_vertices(path):
-    """The vertices of a PLY file as a structured array, by what its header says."""
-    data = Path(path).read_bytes()
-    head, mark, body = data.partition(b"end_header\n")
-    lines = [line.split() for line in head.decode("ascii", "replace").splitlines()]
-    if not mark or lines[0] != ["ply"]:
-        raise ValueError(f"{path}: not a PLY file")
-    order = {"binary_little_endian": "<", "binary_big_endian": ">"}
-    formats = [order.get(line[1]) for line in lines if line[0] == "format"]
-    elements = [line[1:] for line in lines if line[0] == "element"]
-    if len(formats) != 1 or formats[0] is None or len(elements) != 1 or elements[0][0] != "vertex":
-        raise ValueError(f"{path}: not one binary list of vertices: {formats} {elements}")
-    fields = [(line[2], formats[0] + PLY_TYPES[line[1]]) for line in lines if line[0] == "property"]
-    kind, count = np.dtype(fields), int(elements[0][1])
-    if len(body) != count * kind.itemsize:
-        raise ValueError(f"{path}: {len(body)} bytes of vertices, {count * kind.itemsize} announced")
-    return np.frombuffer(body, kind)
+    """The vertices of a PLY file that holds nothing else, as a structured array."""
+    with Path(path).open("rb") as file:
+        try:
+            ply = plyfile.PlyData.read(file, mmap=False)
+        except plyfile.PlyParseError as error:
+            raise ValueError(f"{path}: {error}") from error
+        if [element.name for element in ply.elements] != ["vertex"] or file.read(1):
+            raise ValueError(f"{path}: not one list of vertices and nothing else")
+    return ply["vertex"].data
 
 
 def read_scene(path):
@@ -92,7 +79,7 @@ def read_scene(path):
         missing = [name for name in names if name not in vertices.dtype.names]
         if missing:
             raise ValueError(f"{path}: no property {', '.join(missing)}")
-        return torch.tensor(np.stack([vertices[name].astype(np.float64) for name in names], -1))
+        return np.stack([vertices[name].astype(np.float64) for name in names], -1)
 
     base = columns("f_dc_0", "f_dc_1", "f_dc_2")[:, None]
     rest = sum(name.startswith("f_rest_") for name in vertices.dtype.names)
@@ -101,7 +88,7 @@ def read_scene(path):
     if rest:
         # All of red, then all of green, then all of blue.
         higher = columns(*(f"f_rest_{n}" for n in range(rest))).reshape(len(vertices), 3, rest // 3)
-        base = torch.cat([base, higher.transpose(1, 2)], 1)
+        base = np.concatenate([base, higher.transpose(0, 2, 1)], 1)
     return Scene(
         means=columns("x", "y", "z"),
         rotations=columns("rot_0", "rot_1", "rot_2", "rot_3"),
@@ -123,19 +110,24 @@ def camera(entry):
         height=entry["height"],
         focal=(entry["fx"], entry["fy"]),
         centre=(entry["cx"], entry["cy"]),
-        world_to_camera=torch.tensor(entry["world_to_camera"], dtype=torch.float64),
+        world_to_camera=np.array(entry["world_to_camera"], np.float64),
     )
+
+
+def unit(vectors):
+    """Vectors [n, k] at length 1."""
+    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
 
 
 def rotation_matrices(rotations):
     """[n, 3, 3] of quaternions w x y z of any length: R v = q v q*."""
-    w, x, y, z = torch.nn.functional.normalize(rotations, dim=1).unbind(1)
+    w, x, y, z = unit(rotations).T
     rows = [
         [w * w + x * x - y * y - z * z, 2 * (x * y - w * z), 2 * (x * z + w * y)],
         [2 * (x * y + w * z), w * w - x * x + y * y - z * z, 2 * (y * z - w * x)],
         [2 * (x * z - w * y), 2 * (y * z + w * x), w * w - x * x - y * y + z * z],
     ]
-    return torch.stack([torch.stack(row, -1) for row in rows], -2)
+    return np.stack([np.stack(row, -1) for row in rows], -2)
 
 
 def harmonic_basis(degree, directions):
@@ -143,59 +135,61 @@ def harmonic_basis(degree, directions):
 
     From the definition, K d^m P_l(z)/dz^m Re or Im (x + i y)^m, rather than from a table of polynomials.
     """
-    x, y, z = directions.unbind(1)
+    x, y, z = directions.T
     columns = []
     for level in range(degree + 1):
         for order in range(-level, level + 1):
             m = abs(order)
-            norm = math.sqrt((2 * level + 1) / (4 * math.pi) * math.factorial(level - m) / math.factorial(level + m))
-            along = torch.tensor(np.polynomial.Legendre.basis(level).deriv(m)(z.numpy()))
-            around = torch.complex(x, y) ** m
+            share = math.factorial(level - m) / math.factorial(level + m)
+            norm = math.sqrt((2 * level + 1) / (4 * math.pi) * share)
+            along = np.polynomial.Legendre.basis(level).deriv(m)(z)
+            around = (x + 1j * y) ** m
             around = around.imag if order < 0 else around.real
             columns.append((-1) ** m * norm * (math.sqrt(2) if m else 1) * along * around)
-    return torch.stack(columns, 1)
+    return np.stack(columns, 1)
 
 
 def colours(scene, camera):
     """RGB of every Gaussian from where the camera stands: its harmonics, 0.5 more, at least 0."""
     rotation, translation = camera.world_to_camera[:3, :3], camera.world_to_camera[:3, 3]
-    directions = torch.nn.functional.normalize(scene.means + rotation.T @ translation, dim=1)
+    directions = unit(scene.means + rotation.T @ translation)
     basis = harmonic_basis(math.isqrt(scene.harmonics.shape[1]) - 1, directions)
-    return ((basis[:, :, None] * scene.harmonics).sum(1) + 0.5).clamp(min=0)
+    return np.maximum((basis[:, :, None] * scene.harmonics).sum(1) + 0.5, 0)
 
 
 def flat_covariances(scene, camera, points):
     """[n, 2, 2] px^2: eq. 6, then eq. 5 with the Jacobian of the projection at the clamped point, then the low-pass."""
-    spread = rotation_matrices(scene.rotations) * scene.log_scales.exp()[:, None]
+    spread = rotation_matrices(scene.rotations) * np.exp(scene.log_scales)[:, None]
     z = points[:, 2]
-    jacobian = torch.zeros(len(points), 2, 3, dtype=torch.float64)
+    jacobian = np.zeros((len(points), 2, 3))
     for axis, size in enumerate((camera.width, camera.height)):
         focal = camera.focal[axis]
         limit = SLOPE_LIMIT * size / (2 * focal)
         jacobian[:, axis, axis] = focal / z
-        jacobian[:, axis, 2] = -focal * (points[:, axis] / z).clamp(-limit, limit) / z
+        jacobian[:, axis, 2] = -focal * np.clip(points[:, axis] / z, -limit, limit) / z
     spread = jacobian @ camera.world_to_camera[:3, :3] @ spread
-    return spread @ spread.transpose(1, 2) + LOW_PASS * torch.eye(2, dtype=torch.float64)
+    return spread @ spread.transpose(0, 2, 1) + LOW_PASS * np.eye(2)
 
 
 def project(scene, camera, near=NEAR):
     """The splats in front of the near plane."""
     points = scene.means @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
-    order = torch.argsort(points[:, 2], stable=True)
+    order = np.argsort(points[:, 2], kind="stable")
     order = order[points[order, 2] > near]
     scene = Scene(*(value[order] for value in vars(scene).values()))
     points = points[order]
     flat = flat_covariances(scene, camera, points)
     a, b, c = flat[:, 0, 0], flat[:, 0, 1], flat[:, 1, 1]
-    inverse = torch.stack([c, -b, a], 1) / (a * c - b * b)[:, None]
-    place = points[:, :2] / points[:, 2:] * torch.tensor(camera.focal) + torch.tensor(camera.centre)
-    return Splats(place, inverse, torch.sigmoid(scene.opacity_logits), colours(scene, camera))
+    inverse = np.stack([c, -b, a], 1) / (a * c - b * b)[:, None]
+    place = points[:, :2] / points[:, 2:] * camera.focal + camera.centre
+    opacities = 1 / (1 + np.exp(-scene.opacity_logits))
+    return Splats(place, inverse, opacities, colours(scene, camera))
 
 
 def reaching(splats, y):
     """The splats that may be blended in a row: of the others even the greatest alpha on its line is below the cut."""
-    a, b, c = splats.conics.unbind(1)
-    greatest = splats.opacities * (-0.5 * (c - b * b / a) * (y - splats.means[:, 1]) ** 2).exp()
+    a, b, c = splats.conics.T
+    greatest = splats.opacities * np.exp(-0.5 * (c - b * b / a) * (y - splats.means[:, 1]) ** 2)
     kept = greatest >= 0.999 * ALPHA_LEAST
     return Splats(*(value[kept] for value in vars(splats).values()))
 
@@ -203,20 +197,20 @@ def reaching(splats, y):
 def blend_row(splats, y, width):
     """RGB [width, 3] of the row of pixels whose centres are at height `y`."""
     splats = reaching(splats, y)
-    dx = torch.arange(width, dtype=torch.float64)[:, None] + 0.5 - splats.means[:, 0]
+    dx = np.arange(width)[:, None] + 0.5 - splats.means[:, 0]
     dy = y - splats.means[:, 1]
-    a, b, c = splats.conics.unbind(1)
+    a, b, c = splats.conics.T
     power = -0.5 * (a * dx * dx + c * dy * dy) - b * dx * dy
-    alpha = (splats.opacities * power.exp()).clamp(max=ALPHA_MOST)
-    alpha = torch.where(alpha < ALPHA_LEAST, 0.0, alpha)
-    left = torch.cumprod(1 - alpha, 1)
+    alpha = np.minimum(splats.opacities * np.exp(power), ALPHA_MOST)
+    alpha = np.where(alpha < ALPHA_LEAST, 0.0, alpha)
+    left = np.cumprod(1 - alpha, 1)
     # What is left only falls, so the first splat that leaves too little also ends all behind it.
-    alpha = torch.where(left < TRANSMITTANCE_LEAST, 0.0, alpha)
-    before = torch.cat([torch.ones(width, 1, dtype=torch.float64), left[:, :-1]], 1)
+    alpha = np.where(left < TRANSMITTANCE_LEAST, 0.0, alpha)
+    before = np.concatenate([np.ones((width, 1)), left[:, :-1]], 1)
     return (alpha * before) @ splats.colours
 
 
 def render(scene, camera, near=NEAR):
     """RGB [height, width, 3] over black; not clamped above."""
     splats = project(scene, camera, near)
-    return torch.stack([blend_row(splats, y + 0.5, camera.width) for y in range(camera.height)])
+    return np.stack([blend_row(splats, y + 0.5, camera.width) for y in range(camera.height)])

@@ -18,10 +18,10 @@ import subprocess
 from pathlib import Path
 
 import numpy as np
-import scipy.ndimage as nd
 from PIL import Image
 
 import degrade
+import lens
 import sources
 import tone_curve
 
@@ -35,21 +35,7 @@ class NoPoses(Exception):
 def photograph(folder, view):
     """The photograph of a view of `poses.json`, f32 [H, W, 3] 0..1, as the product undistorts it."""
     image = sources.load(folder / f"{view['name']}.png").astype(np.float32) / 255
-    return undistorted(image, view["lens"], view["camera"]["intrinsics"])
-
-
-def undistorted(image, lens, pinhole):
-    """An image [H, W, 3] without the bend of its lens, as `pinhole` sees it (poses/lens.rs, `undistort`)."""
-    bend, lens = lens["distortion"], lens["intrinsics"]
-    # COLMAP is asked for one coefficient; more would be a change of the product.
-    k1, *others = bend.get("radial", [0.0])
-    if bend["model"] not in ("none", "perspective") or any(others) or any(bend.get("tangential", [])):
-        raise SystemExit(f"this lens is not understood: {bend}")
-    y, x = np.mgrid[: image.shape[0], : image.shape[1]].astype(np.float32) + 0.5
-    x, y = (x - pinhole["cx"]) / pinhole["fx"], (y - pinhole["cy"]) / pinhole["fy"]
-    scale = 1 + k1 * (x * x + y * y)
-    place = [y * scale * lens["fy"] + lens["cy"] - 0.5, x * scale * lens["fx"] + lens["cx"] - 0.5]
-    return np.stack([nd.map_coordinates(image[..., c], place, order=1, mode="nearest") for c in range(3)], -1)
+    return lens.undistorted(image, view["lens"], view["camera"]["intrinsics"])
 
 
 def reconstruct(fled, capture, out, settings):

@@ -11,6 +11,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import plyfile
 
 COUNT = 600
 SIZE = (200, 120)
@@ -39,10 +40,11 @@ def gaussians(seed, count=COUNT):
 
 def write_ply(path, columns):
     """Little endian floats, in the order given."""
-    head = ["ply", "format binary_little_endian 1.0", f"element vertex {len(next(iter(columns.values())))}"]
-    head += [f"property float {name}" for name in columns] + ["end_header\n"]
-    rows = np.stack(list(columns.values()), 1).astype("<f4")
-    Path(path).write_bytes("\n".join(head).encode() + rows.tobytes())
+    kind = np.dtype([(name, "<f4") for name in columns])
+    vertices = np.empty(len(next(iter(columns.values()))), kind)
+    for name, values in columns.items():
+        vertices[name] = values
+    plyfile.PlyData([plyfile.PlyElement.describe(vertices, "vertex")], byte_order="<").write(path)
 
 
 def camera(name, degrees, place):
