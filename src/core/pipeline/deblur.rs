@@ -3,10 +3,9 @@
 use super::context::Context;
 use super::dependencies::Dependencies;
 use super::error::PipelineError;
-use super::pictures;
 use super::restore::Restoration;
 use super::round::Round;
-use super::views::View;
+use super::views::{self, View};
 use crate::deblur::Deblurrer;
 use crate::event::Stage;
 use crate::image::Image;
@@ -44,6 +43,6 @@ pub fn deblur(
     };
     let deblurred = restoration.by(network, context, depends_on)?;
     let (views, kind) = (blurred.views, RoundPictures::Deblurred);
-    pictures::previews(context.workspace, round.number, kind, views, &deblurred)?;
+    views::previews(context.workspace, round.number, kind, views, &deblurred)?;
     Ok(deblurred)
 }

@@ -6,12 +6,11 @@ use super::config::{Options, OptionsError};
 use super::context::Context;
 use super::dependencies::RunDependencies;
 use super::error::PipelineError;
-use super::pictures;
 use super::restore::Restoration;
 use super::round::Round;
 use super::tone::{self, Tone};
 use super::tools::Tools;
-use super::views::{View, dark};
+use super::views::{self, View, dark};
 use crate::enhance::{self, Anchor, Histogram};
 use crate::event::Stage;
 use crate::image::Image;
@@ -157,7 +156,7 @@ pub fn enhance(
     context.stage(Stage::Enhance, round.number, |context| {
         let enhanced = brightened.unwrap_or_else(|| brightening.brighten(round, views));
         let kind = RoundPictures::Enhanced;
-        pictures::previews(context.workspace, round.number, kind, views, &enhanced)?;
+        views::previews(context.workspace, round.number, kind, views, &enhanced)?;
         Ok(enhanced)
     })
 }

@@ -3,10 +3,8 @@
 use std::path::Path;
 
 use super::error::PipelineError;
-use super::views::View;
 use super::workspace::Workspace;
 use crate::image::{EncodeFormat, Image};
-use crate::run_folder::RoundPictures;
 
 /// JPEG quality of what is looked at and not measured.
 const PREVIEW_QUALITY: u8 = 90;
@@ -35,22 +33,4 @@ pub fn write(
 /// As [`write`].
 pub fn preview(workspace: &Workspace, path: &Path, image: &Image) -> Result<(), PipelineError> {
     write(workspace, path, image, EncodeFormat::Jpeg(PREVIEW_QUALITY))
-}
-
-/// Writes a round's pictures of all views.
-///
-/// # Errors
-/// As [`write`].
-pub fn previews(
-    workspace: &Workspace,
-    round: u32,
-    kind: RoundPictures,
-    views: &[View],
-    images: &[Image],
-) -> Result<(), PipelineError> {
-    let folder = workspace.folder().round(round);
-    views
-        .iter()
-        .zip(images)
-        .try_for_each(|(view, image)| preview(workspace, &folder.picture(kind, &view.name), image))
 }

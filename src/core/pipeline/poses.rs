@@ -2,8 +2,12 @@
 //! and rung F of COLMAP's ladder: once more, on deblurred photographs.
 
 mod deblurred;
+mod request;
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
+
+use deblurred::RUNG;
+use request::ask;
 
 use super::config::{Options, PoseSource};
 use super::context::{Context, stamp_name};
@@ -13,10 +17,7 @@ use super::tools::Tools;
 use super::workspace::Workspace;
 use crate::capture::{Capture, CaptureView};
 use crate::event::{ProgressSink, Stage};
-use crate::poses::{PoseRequest, PoseView, Poses, PosesError};
-
-/// Name in results of the rung that looks at deblurred photographs.
-const RUNG: char = 'F';
+use crate::poses::{PoseView, Poses, PosesError};
 
 /// The stage: the poses, once, and what the user should know about them.
 ///
@@ -173,21 +174,6 @@ fn pose_view(view: &CaptureView) -> PoseView {
         file: view.file.clone(),
         focal_px: view.focal_px,
     }
-}
-
-fn ask(
-    context: &mut Context<'_>,
-    tools: &Tools<'_>,
-    views: &[PoseView],
-    work_dir: &Path,
-    seed: u64,
-) -> Result<Poses, PosesError> {
-    let request = PoseRequest {
-        views,
-        work_dir,
-        seed,
-    };
-    tools.sfm.poses(&request, context.sink, context.cancel)
 }
 
 /// The second answer where it places more photographs, or as many with more confidence.

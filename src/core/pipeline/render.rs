@@ -4,9 +4,8 @@ use fled_gpu::Gpu;
 
 use super::context::{Advance, Context};
 use super::error::PipelineError;
-use super::pictures;
 use super::round::Round;
-use super::views::View;
+use super::views::{self, View};
 use crate::event::Stage;
 use crate::gaussians::Gaussians;
 use crate::image::Image;
@@ -37,7 +36,7 @@ pub fn render(
             context.advance(Stage::Render, number, progress);
         }
         let kind = RoundPictures::Renders;
-        pictures::previews(context.workspace, number, kind, views, &renders)?;
+        views::previews(context.workspace, number, kind, views, &renders)?;
         Ok(renders)
     })
 }

@@ -106,8 +106,8 @@ pub fn run(
         let scene = reconstruct(context, tools.gpu, &material, &on.reconstruct)?; // V_i
         views::place(context, &mut views, &scene.training.cameras)?;
         let renders = render(context, tools.gpu, round, &views, &scene.gaussians)?; // R_i
-        let match_on = on.matching.options();
-        let next = match_brightness(context, round, &renders, &views, &brightening, match_on)?; // P_R
+        let fit = on.matching.options();
+        let next = match_brightness(context, round, &renders, &views, &brightening, fit)?; // P_R
         let finished = Finished {
             round,
             views: &views,

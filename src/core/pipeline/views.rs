@@ -12,6 +12,7 @@ use crate::cancel::CancelToken;
 use crate::capture::{Capture, CaptureView};
 use crate::image::Image;
 use crate::poses::{PosedView, Poses};
+use crate::run_folder::RoundPictures;
 
 /// Below this many training views a scene is not worth training.
 pub const LEAST_VIEWS: usize = 3;
@@ -85,6 +86,23 @@ fn write_cameras(workspace: &Workspace, views: &[View]) -> Result<(), PipelineEr
     let named = |view: &View| NamedCamera::new(&view.name, &view.camera, view.split);
     let cameras: Vec<NamedCamera> = views.iter().map(named).collect();
     workspace.write_json(&workspace.folder().cameras(), &cameras)
+}
+
+/// Writes a round's pictures of all views.
+///
+/// # Errors
+/// [`PipelineError::Photograph`], [`PipelineError::Io`].
+pub fn previews(
+    workspace: &Workspace,
+    round: u32,
+    kind: RoundPictures,
+    views: &[View],
+    images: &[Image],
+) -> Result<(), PipelineError> {
+    let folder = workspace.folder().round(round);
+    views.iter().zip(images).try_for_each(|(view, image)| {
+        pictures::preview(workspace, &folder.picture(kind, &view.name), image)
+    })
 }
 
 fn read(

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use super::{RUNG, ask};
+use super::request::ask;
 use crate::camera::Camera;
 use crate::deblur::Deblurrer;
 use crate::image::{EncodeFormat, Image, ImageError, read_header};
@@ -14,6 +14,9 @@ use crate::pipeline::error::PipelineError;
 use crate::pipeline::tone::Tone;
 use crate::pipeline::tools::Tools;
 use crate::poses::{Lens, PoseView, PosedView, Poses, PosesError};
+
+/// Name of this rung in results.
+pub const RUNG: char = 'F';
 
 /// Longest side of the copies, px: that of rung A's.
 const LONGEST_SIDE: usize = 640;

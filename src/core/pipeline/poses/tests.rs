@@ -9,7 +9,7 @@ use crate::image::Image;
 use crate::pipeline::plan::Plan;
 use crate::pipeline::tools::Networks;
 use crate::pipeline::workspace::Workspace;
-use crate::poses::{Distortion, Lens, PosedView, Sfm};
+use crate::poses::{Distortion, Lens, PoseRequest, PosedView, Sfm};
 
 /// Finds photographs only where they are bright; keeps the width, px, and the mean of each that
 /// it was asked about.
@@ -23,7 +23,11 @@ impl Sfm for NeedsLight {
         _: &mut dyn ProgressSink,
         _: &CancelToken,
     ) -> Result<Poses, PosesError> {
-        let mut found = placed(request.views.len(), false, 'A');
+        let count = request.views.len();
+        let mut found = Poses {
+            total: count,
+            ..placed(count, false, 'A')
+        };
         let mut darkest = f32::INFINITY;
         for view in request.views {
             let image = Image::load(&view.file).expect("a photograph");

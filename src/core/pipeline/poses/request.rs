@@ -1,0 +1,26 @@
+//! What is asked of whoever finds poses.
+
+use std::path::Path;
+
+use crate::pipeline::context::Context;
+use crate::pipeline::tools::Tools;
+use crate::poses::{PoseRequest, PoseView, Poses, PosesError};
+
+/// Asks for the poses of `views`; COLMAP works in `work_dir`.
+///
+/// # Errors
+/// [`PosesError`], that of a capture which cannot be placed among them.
+pub fn ask(
+    context: &mut Context<'_>,
+    tools: &Tools<'_>,
+    views: &[PoseView],
+    work_dir: &Path,
+    seed: u64,
+) -> Result<Poses, PosesError> {
+    let request = PoseRequest {
+        views,
+        work_dir,
+        seed,
+    };
+    tools.sfm.poses(&request, context.sink, context.cancel)
+}
