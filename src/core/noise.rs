@@ -3,8 +3,8 @@
 //!
 //! ```no_run
 //! # use fled_core::{camera::Camera, noise::{NoiseField, NoiseMode}};
-//! # use fled_core::noise::Room;
-//! # fn step(gpu: &fled_gpu::Gpu, camera: &Camera, sigma: f32, room: &Room<'_>) -> Result<(), fled_gpu::GpuError> {
+//! # use fled_core::noise::IntersectionLimit;
+//! # fn step(gpu: &fled_gpu::Gpu, camera: &Camera, sigma: f32, limit: &IntersectionLimit<'_>) -> Result<(), fled_gpu::GpuError> {
 //! # let buffer = || gpu.create::<f32>("image", 3 * 280 * 160);
 //! # let (render, prediction, gradient) = (buffer()?, buffer()?, buffer()?);
 //! // Once a round; sizes up to this one. `None` when the mode is `Off`.
@@ -14,7 +14,7 @@
 //! let mut recorder = gpu.recorder();
 //! field.record_forward(&mut recorder, &render, &prediction)?;  // prediction = render + n
 //! // ... the loss of `prediction` writes `gradient`; the splats' backward takes it too ...
-//! field.record_backward(&mut recorder, &gradient, room)?;      // and one step of Adam
+//! field.record_backward(&mut recorder, &gradient, limit)?;      // and one step of Adam
 //! recorder.submit()?;
 //! // Every hundred steps or so; waits. Warn when it says `halved`.
 //! let inspection = field.inspect(&render, &prediction)?;
@@ -98,9 +98,9 @@ pub fn amplitude(sigma: f32) -> f32 {
 
 /// Where the step's count of intersections lies, and how many fit: a step that was blended from a
 /// part of them teaches the field nothing.
-pub struct Room<'a> {
+pub struct IntersectionLimit<'a> {
     /// Counters of the step.
-    pub intersections: &'a Buffer<u32>,
+    pub counters: &'a Buffer<u32>,
     /// Where among them their number stands.
     pub total_at: u32,
     /// Most that fit.
@@ -238,7 +238,7 @@ impl NoiseField {
         Ok(())
     }
 
-    /// Forgets the last [`NoiseField::begin_step`], whose intersections did not fit [`Room`]: it
+    /// Forgets the last [`NoiseField::begin_step`], whose intersections did not fit [`IntersectionLimit`]: it
     /// will be repeated.
     pub fn take_back_step(&mut self) {
         self.step = self.step.saturating_sub(1);
@@ -284,7 +284,7 @@ impl NoiseField {
         &self,
         recorder: &mut Recorder,
         gradient: &Buffer<f32>,
-        room: &Room<'_>,
+        limit: &IntersectionLimit<'_>,
     ) -> Result<(), GpuError> {
         self.record_gradients(recorder, gradient)?;
         let b = &self.buffers;
@@ -295,13 +295,13 @@ impl NoiseField {
             self.step,
             self.segments,
             parameters,
-            room,
+            limit,
         )])?;
         recorder.dispatch_items(
             &kernels::ADAM,
             &[
                 &b.adam,
-                room.intersections,
+                limit.counters,
                 &b.gradients,
                 &b.parameters,
                 &b.moments,
