@@ -20,8 +20,8 @@ use crate::metrics;
 use crate::metrics::report::NoiseMapStatistics;
 use crate::poses::{Poses, SparsePoint};
 use crate::reconstruct::{
-    self, Beginning, Checkpoint, Response, TrainConfig, TrainHooks, TrainStart, Trained,
-    TrainingView,
+    self, Beginning, Checkpoint, Registration, Response, TrainConfig, TrainHooks, TrainStart,
+    Trained, TrainingView,
 };
 
 /// V_i with the facts of its training, as stored beside its `scene.ply`.
@@ -217,13 +217,11 @@ impl Job<'_, '_> {
     ) -> Result<Vec<Camera>, PipelineError> {
         let held_out = training_views(material, Split::HeldOut);
         let registered = match config.refine_poses {
-            Some(_) if !held_out.is_empty() => reconstruct::register(
-                self.tools.gpu,
-                &held_out,
-                &trained.gaussians,
-                config,
-                self.cancel,
-            )?,
+            Some(depth) if !held_out.is_empty() => {
+                let (gpu, shake) = (self.tools.gpu, config.shake.as_ref());
+                Registration::new(gpu, &held_out, &trained.gaussians, shake)?
+                    .cameras(depth, self.cancel)?
+            }
             _ => held_out.iter().map(|view| view.camera).collect(),
         };
         let (mut trained, mut registered) = (trained.cameras.iter(), registered.iter());

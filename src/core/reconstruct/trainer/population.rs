@@ -2,12 +2,14 @@
 
 use fled_gpu::GpuError;
 
-use super::{Trainer, WARM_GROWTH};
+use super::Trainer;
 use crate::reconstruct::Densify;
 use crate::reconstruct::densify::{self, GeometryRow, classic};
 use crate::reconstruct::optimizer::POSITION_GRADIENT_AT;
 use crate::splat::project::GEOMETRY_ROW;
 
+/// A warm round does not grow before this share of its steps.
+const WARM_GROWTH: f64 = 0.05;
 /// Floats of a row of geometry moments.
 const MOMENTS_ROW: usize = 2 * GEOMETRY_ROW;
 
@@ -22,8 +24,8 @@ impl Trainer<'_> {
     }
 
     pub(super) fn densify(&mut self, step: u32) -> Result<(), GpuError> {
-        let count = self.gaussians.count;
-        let flat = self.gaussians.geometry.read(count)?;
+        let count = self.model.pass.gaussians.count;
+        let flat = self.model.pass.gaussians.geometry.read(count)?;
         let (rows, _) = flat.as_chunks::<GEOMETRY_ROW>();
         match self.config.densify {
             Densify::Off => Ok(()),
@@ -49,17 +51,18 @@ impl Trainer<'_> {
             target,
             &mut self.schedule.generator(2, u64::from(step)),
         );
-        self.optimizer.relocate(self.gpu, &self.gaussians, &plan)?;
-        self.gaussians.count = plan.count;
+        self.optimizer
+            .relocate(self.gpu, &self.model.pass.gaussians, &plan)?;
+        self.model.pass.gaussians.count = plan.count;
         Ok(())
     }
 
     /// On the host: it is there for comparison, and moves everything about.
     fn clone_and_split(&mut self, rows: &[GeometryRow], step: u32) -> Result<(), GpuError> {
         let (count, optimizer) = (rows.len(), &self.optimizer);
-        let sh_row = self.gaussians.sh.length();
+        let sh_row = self.model.pass.gaussians.sh.length();
         let (sh, sh_moments) = (
-            self.gaussians.sh.read(count)?,
+            self.model.pass.gaussians.sh.read(count)?,
             optimizer.sh_moments.read(count)?,
         );
         let moments = optimizer.geometry_moments.read(count)?;
@@ -114,15 +117,23 @@ impl Trainer<'_> {
             };
             after.iter().flat_map(row).collect()
         };
-        self.gaussians.geometry.write(geometry.as_flattened())?;
+        self.model
+            .pass
+            .gaussians
+            .geometry
+            .write(geometry.as_flattened())?;
         optimizer
             .geometry_moments
             .write(new_moments.as_flattened())?;
-        self.gaussians.sh.write(&rows_of(&sh, sh_row, false))?;
+        self.model
+            .pass
+            .gaussians
+            .sh
+            .write(&rows_of(&sh, sh_row, false))?;
         optimizer
             .sh_moments
             .write(&rows_of(&sh_moments, 2 * sh_row, true))?;
-        self.gaussians.count = after.len();
+        self.model.pass.gaussians.count = after.len();
         Ok(())
     }
 }
