@@ -1,5 +1,6 @@
 use glam::DVec3;
 
+use super::kernels::LayerUniform;
 use super::reference::ReferenceNoise;
 use super::*;
 use crate::agreement::{agreement, assert_agrees};
