@@ -8,8 +8,8 @@ use crate::camera::Camera;
 use crate::gaussians::Gaussians;
 use crate::image::Image;
 use crate::splat::pass::{ForwardPass, PassRecording};
-use crate::splat::project::DeviceGaussians;
 use crate::splat::rasterize::SplatWork;
+use crate::splat::rows::DeviceGaussians;
 
 /// Rendering failed.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]

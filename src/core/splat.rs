@@ -8,5 +8,6 @@ pub mod pass;
 pub mod project;
 pub mod rasterize;
 pub mod reference;
+pub mod rows;
 pub mod sort;
 pub mod uniform;

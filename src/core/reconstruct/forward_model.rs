@@ -15,7 +15,7 @@ use crate::gaussians::Gaussians;
 use crate::image::Image;
 use crate::shake::{DeviceKernel, Response, Shake};
 use crate::splat::pass::ForwardPass;
-use crate::splat::project::DeviceGaussians;
+use crate::splat::rows::DeviceGaussians;
 
 /// The scene and its photographs. Renders forward only; a trainer goes the way back through it.
 pub(super) struct ForwardModel<'a> {

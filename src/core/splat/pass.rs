@@ -3,8 +3,9 @@
 
 use fled_gpu::{Buffer, Gpu, GpuError, Recorder, Recording, Submission};
 
-use super::project::{DeviceGaussians, Projection};
+use super::project::Projection;
 use super::rasterize::{Forward, SlotRows, Specialisation, SplatBuffers, SplatCounts, SplatSizes};
+use super::rows::DeviceGaussians;
 use super::uniform::{CameraUniform, NEAR};
 use crate::camera::Camera;
 use crate::image::Image;

@@ -6,7 +6,7 @@ use crate::noise::NoiseField;
 use crate::reconstruct::ReconstructError;
 use crate::reconstruct::checkpoint::Checkpoint;
 use crate::reconstruct::observed::Observed;
-use crate::splat::project::{GEOMETRY_ROW, unpack_gaussians};
+use crate::splat::rows::{GeometryRow, unpack_gaussians};
 
 impl Trainer<'_> {
     /// The state before the step `next`, with nothing in flight.
@@ -76,6 +76,6 @@ impl Trainer<'_> {
 
 /// The Gaussians of a checkpoint.
 pub(super) fn scene_of(checkpoint: &Checkpoint) -> Gaussians {
-    let (rows, _) = checkpoint.geometry.as_chunks::<GEOMETRY_ROW>();
-    unpack_gaussians(rows, &checkpoint.sh, checkpoint.sh_degree)
+    let rows: Vec<GeometryRow> = bytemuck::pod_collect_to_vec(&checkpoint.geometry);
+    unpack_gaussians(&rows, &checkpoint.sh, checkpoint.sh_degree)
 }
