@@ -1,10 +1,10 @@
 //! The noise field: a small network that explains what is smooth over an image and is no part of
-//! the scene (black level, cast, exposure), so that the splats need not; method.md 5.
+//! the scene (black level, cast, exposure), so that the splats need not.
 //!
 //! ```no_run
 //! # use fled_core::{camera::Camera, noise::{NoiseField, NoiseMode}};
-//! # use fled_core::noise::Room;
-//! # fn step(gpu: &fled_gpu::Gpu, camera: &Camera, sigma: f32, room: &Room<'_>) -> Result<(), fled_gpu::GpuError> {
+//! # use fled_core::noise::IntersectionLimit;
+//! # fn step(gpu: &fled_gpu::Gpu, camera: &Camera, sigma: f32, limit: &IntersectionLimit<'_>) -> Result<(), fled_gpu::GpuError> {
 //! # let buffer = || gpu.create::<f32>("image", 3 * 280 * 160);
 //! # let (render, prediction, gradient) = (buffer()?, buffer()?, buffer()?);
 //! // Once a round; sizes up to this one. `None` when the mode is `Off`.
@@ -14,7 +14,7 @@
 //! let mut recorder = gpu.recorder();
 //! field.record_forward(&mut recorder, &render, &prediction)?;  // prediction = render + n
 //! // ... the loss of `prediction` writes `gradient`; the splats' backward takes it too ...
-//! field.record_backward(&mut recorder, &gradient, room)?;      // and one step of Adam
+//! field.record_backward(&mut recorder, &gradient, limit)?;      // and one step of Adam
 //! recorder.submit()?;
 //! // Every hundred steps or so; waits. Warn when it says `halved`.
 //! let inspection = field.inspect(&render, &prediction)?;
@@ -29,6 +29,8 @@
 //! itself, where it is the same plane for every view, because the world's frame of LLFF captures
 //! does not exist for cameras that turn around a scene; views differ by the direction's encoding.
 
+mod buffers;
+mod inspection;
 mod kernels;
 mod network;
 pub mod reference;
@@ -42,7 +44,9 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::camera::Camera;
-use kernels::{AdamUniform, ChunkUniform, LayerUniform, NoiseUniform};
+use buffers::Buffers;
+pub use inspection::{CORRELATION_LIMIT, Inspection, LEAST_GUARDED_SPREAD};
+use kernels::{AdamUniform, ChunkUniform, NoiseUniform};
 use network::{LAYERS, Network};
 pub use state::StateError;
 pub use work::NoiseWork;
@@ -61,13 +65,6 @@ pub enum NoiseMode {
 
 /// Share of a round's steps, from the first on, without a noise field in mode `Grid`.
 pub const OFF_SHARE: f64 = 0.1;
-
-/// Above this |correlation| of map and render the field explains the scene rather than the noise.
-pub const CORRELATION_LIMIT: f64 = 0.3;
-/// Maps flatter than this, standard deviation 0..=1, are not guarded: half an 8-bit step of
-/// whatever shape cannot take the scene's place, and in real rounds of 8 views such maps correlated
-/// by 0.4.
-pub const LEAST_GUARDED_SPREAD: f64 = 0.5 / 255.0;
 
 /// Side of a cell of mode `Grid`, px.
 const CELL: u32 = 8;
@@ -98,26 +95,13 @@ pub fn amplitude(sigma: f32) -> f32 {
 
 /// Where the step's count of intersections lies, and how many fit: a step that was blended from a
 /// part of them teaches the field nothing.
-pub struct Room<'a> {
+pub struct IntersectionLimit<'a> {
     /// Counters of the step.
-    pub intersections: &'a Buffer<u32>,
+    pub counters: &'a Buffer<u32>,
     /// Where among them their number stands.
     pub total_at: u32,
     /// Most that fit.
     pub capacity: u32,
-}
-
-/// What the field's map of one view looked like.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Inspection {
-    /// Mean over pixels and channels.
-    pub mean: f64,
-    /// Standard deviation over pixels and channels.
-    pub spread: f64,
-    /// Correlation with the clean render, -1..=1; 0 when either is constant.
-    pub correlation: f64,
-    /// Whether the amplitude was halved because |correlation| passed [`CORRELATION_LIMIT`].
-    pub halved: bool,
 }
 
 /// The network, its optimiser and its buffers.
@@ -134,25 +118,6 @@ pub struct NoiseField {
     most_cells: usize,
     current: NoiseUniform,
     buffers: Buffers,
-}
-
-struct Buffers {
-    field: Buffer<NoiseUniform>,
-    chunks: Vec<Buffer<ChunkUniform>>,
-    layers: Vec<Buffer<LayerUniform>>,
-    adam: Buffer<AdamUniform>,
-    encoded: Buffer<[f32; 4]>,
-    /// Output of each layer for the cells of a chunk; the last one's, for all cells.
-    outputs: Vec<Buffer<[f32; 4]>>,
-    /// Derivative by each layer's output before its ReLU.
-    deltas: Vec<Buffer<[f32; 4]>>,
-    values: Buffer<[f32; 4]>,
-    mean: Buffer<[f32; 4]>,
-    cell_gradient: Buffer<[f32; 4]>,
-    total: Buffer<[f32; 4]>,
-    gradients: Buffer<[f32; 4]>,
-    parameters: Buffer<[f32; 4]>,
-    moments: Buffer<[f32; 4]>,
 }
 
 impl NoiseField {
@@ -238,7 +203,7 @@ impl NoiseField {
         Ok(())
     }
 
-    /// Forgets the last [`NoiseField::begin_step`], whose intersections did not fit [`Room`]: it
+    /// Forgets the last [`NoiseField::begin_step`], whose intersections did not fit [`IntersectionLimit`]: it
     /// will be repeated.
     pub fn take_back_step(&mut self) {
         self.step = self.step.saturating_sub(1);
@@ -284,7 +249,7 @@ impl NoiseField {
         &self,
         recorder: &mut Recorder,
         gradient: &Buffer<f32>,
-        room: &Room<'_>,
+        limit: &IntersectionLimit<'_>,
     ) -> Result<(), GpuError> {
         self.record_gradients(recorder, gradient)?;
         let b = &self.buffers;
@@ -295,13 +260,13 @@ impl NoiseField {
             self.step,
             self.segments,
             parameters,
-            room,
+            limit,
         )])?;
         recorder.dispatch_items(
             &kernels::ADAM,
             &[
                 &b.adam,
-                room.intersections,
+                limit.counters,
                 &b.gradients,
                 &b.parameters,
                 &b.moments,
@@ -436,7 +401,7 @@ impl NoiseField {
         self.check_length(&[render, prediction])?;
         let values = 3 * self.current.pixels();
         let (render, prediction) = (render.start_read(values)?, prediction.start_read(values)?);
-        let inspection = compare(&render.wait()?, &prediction.wait()?);
+        let inspection = inspection::compare(&render.wait()?, &prediction.wait()?);
         if inspection.halved {
             self.restraint /= 2.0;
         }
@@ -469,100 +434,8 @@ impl NoiseField {
     }
 }
 
-impl Buffers {
-    fn new(
-        gpu: &Gpu,
-        network: &Network,
-        cells: usize,
-        chunk: usize,
-        segments: u32,
-    ) -> Result<Self, GpuError> {
-        // Layers work on 8 or 16 cells at once and write rows past the last; a chunk ends at a
-        // multiple of 16.
-        let (rows, all_rows) = (chunk.next_multiple_of(16), cells.next_multiple_of(16));
-        let last = LAYERS - 1;
-        let output = |layer: usize, rows: usize, all_rows: usize| {
-            let rows = if layer == last { all_rows } else { rows };
-            gpu.create("noise layer", rows * network.layers[layer].output_stride4)
-        };
-        let parameters = network.parameters();
-        let layers = network.layers.iter();
-        Ok(Self {
-            field: gpu.create("noise field", 1)?,
-            chunks: (0..cells.div_ceil(chunk))
-                .map(|_| gpu.create("noise chunk", 1))
-                .collect::<Result<_, _>>()?,
-            layers: layers
-                .map(|shape| {
-                    gpu.upload(
-                        "noise layer",
-                        &[LayerUniform::new(shape, segments, parameters)],
-                    )
-                })
-                .collect::<Result<_, _>>()?,
-            adam: gpu.create("noise adam", 1)?,
-            encoded: gpu.create("noise encoding", rows * network.layers[0].input_stride4)?,
-            outputs: (0..LAYERS)
-                .map(|l| output(l, rows, all_rows))
-                .collect::<Result<_, _>>()?,
-            deltas: (0..LAYERS)
-                .map(|l| output(l, rows, rows))
-                .collect::<Result<_, _>>()?,
-            values: gpu.create("noise values", cells)?,
-            mean: gpu.create("noise mean", 1)?,
-            cell_gradient: gpu.create("noise cell gradient", cells)?,
-            total: gpu.create("noise gradient total", 1)?,
-            gradients: gpu.create("noise gradients", segments as usize * parameters)?,
-            parameters: gpu.create("noise parameters", parameters)?,
-            moments: gpu.create("noise moments", 2 * parameters)?,
-        })
-    }
-
-    fn input(&self, layer: usize) -> &Buffer<[f32; 4]> {
-        if layer == 0 {
-            &self.encoded
-        } else {
-            &self.outputs[layer - 1]
-        }
-    }
-}
-
 fn cell_side(mode: NoiseMode) -> u32 {
     if mode == NoiseMode::Grid { CELL } else { 1 }
-}
-
-/// Statistics of `prediction - render`, and whether it is too like the render.
-fn compare(render: &[f32], prediction: &[f32]) -> Inspection {
-    let n = render.len() as f64;
-    let map = || {
-        render
-            .iter()
-            .zip(prediction)
-            .map(|(&r, &p)| (f64::from(r), f64::from(p) - f64::from(r)))
-    };
-    let (mean_render, mean) = map().fold((0.0, 0.0), |sum, (r, m)| (sum.0 + r / n, sum.1 + m / n));
-    let (mut covariance, mut variance_render, mut variance) = (0.0, 0.0, 0.0);
-    for (r, m) in map() {
-        covariance += (r - mean_render) * (m - mean) / n;
-        variance_render += (r - mean_render).powi(2) / n;
-        variance += (m - mean).powi(2) / n;
-    }
-    // Below a hundredth of an 8-bit step the map is nothing, and its correlation is that of
-    // rounding.
-    let something = variance > 1e-9 && variance_render > 1e-12;
-    let correlation = if something {
-        covariance / (variance * variance_render).sqrt()
-    } else {
-        0.0
-    };
-    let spread = variance.sqrt();
-    let halved = correlation.abs() > CORRELATION_LIMIT && spread > LEAST_GUARDED_SPREAD;
-    Inspection {
-        mean,
-        spread,
-        correlation,
-        halved,
-    }
 }
 
 #[cfg(test)]

@@ -6,10 +6,13 @@
 pub mod checkpoint;
 mod colour;
 pub mod densify;
+mod forward_model;
 pub mod initialise;
 mod level;
 pub mod loss;
+mod observed;
 pub mod optimizer;
+mod registration;
 pub mod schedule;
 mod trainer;
 
@@ -26,6 +29,7 @@ use crate::noise::NoiseMode;
 pub use crate::shake::Response;
 pub use checkpoint::{Checkpoint, CheckpointError};
 pub use initialise::{Beginning, Point, initialise, scene_depth, scene_extent};
+pub use registration::Registration;
 pub use schedule::Schedule;
 pub use trainer::Stepper;
 
@@ -220,36 +224,6 @@ pub fn train(
     hooks: &mut TrainHooks<'_>,
 ) -> Result<Trained, ReconstructError> {
     trainer::Trainer::new(gpu, views, start, config)?.run(hooks)
-}
-
-/// Corrections of a view that did not train.
-const REGISTRATIONS: u32 = 4;
-
-/// The cameras of `views` corrected by the scene as it is, which does not change: for photographs
-/// that were kept out of training, whose poses would otherwise be less exact than those of the
-/// others.
-///
-/// # Errors
-/// [`ReconstructError`].
-pub fn register(
-    gpu: &Gpu,
-    views: &[TrainingView],
-    scene: &Gaussians,
-    config: &TrainConfig,
-    cancel: &CancelToken,
-) -> Result<Vec<Camera>, ReconstructError> {
-    let still = TrainConfig {
-        resolution_schedule: false,
-        densify: Densify::Off,
-        view_colour: false,
-        noise: NoiseMode::Off,
-        background: Background::Black,
-        dropout: 0.0,
-        cap: scene.len(),
-        ..config.clone()
-    };
-    let start = TrainStart::Fresh(scene.clone());
-    trainer::Trainer::new(gpu, views, start, &still)?.register(REGISTRATIONS, cancel)
 }
 
 #[cfg(test)]

@@ -1,15 +1,15 @@
 //! Images of a scene, without training it.
 
-use std::sync::Mutex;
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
-use fled_gpu::{Gpu, GpuError, Recording};
+use fled_gpu::{Gpu, GpuError};
 
 use crate::camera::Camera;
 use crate::gaussians::Gaussians;
 use crate::image::Image;
-use crate::splat::project::{DeviceGaussians, Projection};
-use crate::splat::rasterize::{Forward, Specialisation, SplatBuffers, SplatSizes, SplatWork};
-use crate::splat::uniform::{CameraUniform, NEAR};
+use crate::splat::pass::{ForwardPass, PassRecording};
+use crate::splat::rasterize::SplatWork;
+use crate::splat::rows::DeviceGaussians;
 
 /// Rendering failed.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -30,58 +30,72 @@ pub enum SplatError {
 /// Renders scenes over black. Buffers are kept from image to image, and grow when they must.
 pub struct Renderer {
     gpu: Gpu,
-    forward: Forward,
 }
 
-/// A scene on the device, with the buffers of its last image.
-pub struct Scene {
+/// Gaussians on the device, with the buffers of their last image.
+pub struct UploadedGaussians {
     gaussians: DeviceGaussians,
-    projection: Projection,
-    target: Mutex<Option<Target>>,
+    drawing: Mutex<Option<Drawing>>,
 }
 
-/// Buffers for one image size and the commands that fill them.
-struct Target {
-    buffers: SplatBuffers,
-    recording: Recording,
+/// What drew the last image, and its commands.
+struct Drawing {
+    pass: ForwardPass,
+    recording: PassRecording,
 }
 
-impl Scene {
+impl UploadedGaussians {
     /// How much the last image had to sort and blend; `None` before the first. Waits for the
     /// device.
     ///
     /// # Errors
     /// A device error.
     pub fn work(&self) -> Result<Option<SplatWork>, SplatError> {
-        let kept = self
-            .target
-            .lock()
-            .unwrap_or_else(std::sync::PoisonError::into_inner);
-        Ok(kept
+        let drawing = self.drawing();
+        let work = drawing
             .as_ref()
-            .map(|target| target.buffers.work())
-            .transpose()?)
+            .map(|drawing| drawing.pass.buffers().work());
+        Ok(work.transpose()?)
+    }
+
+    fn drawing(&self) -> MutexGuard<'_, Option<Drawing>> {
+        self.drawing.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Drawing {
+    fn new(gpu: &Gpu, gaussians: DeviceGaussians, size: [usize; 2]) -> Result<Self, GpuError> {
+        let pass = ForwardPass::new(gpu, gaussians, size, false)?;
+        let recording = pass.keep(pass.recorder()?);
+        Ok(Self { pass, recording })
+    }
+
+    fn image(&mut self, camera: &Camera, sh_degree: u32) -> Result<Image, GpuError> {
+        let recording = &mut self.recording;
+        self.pass.image(camera, sh_degree, |pass| {
+            if !pass.serves(recording) {
+                *recording = pass.keep(pass.recorder()?);
+            }
+            recording.submit()?;
+            Ok(pass.buffers().image.clone())
+        })
     }
 }
 
 impl Renderer {
     /// A renderer on this device.
     pub fn new(gpu: &Gpu) -> Self {
-        Self {
-            gpu: gpu.clone(),
-            forward: Forward::new(Specialisation::for_adapter(gpu.describe())),
-        }
+        Self { gpu: gpu.clone() }
     }
 
     /// Copies a scene to the device, for [`Renderer::render_scene`].
     ///
     /// # Errors
     /// Out of memory, or more Gaussians than the adapter binds.
-    pub fn upload(&self, gaussians: &Gaussians) -> Result<Scene, SplatError> {
-        Ok(Scene {
+    pub fn upload(&self, gaussians: &Gaussians) -> Result<UploadedGaussians, SplatError> {
+        Ok(UploadedGaussians {
             gaussians: DeviceGaussians::upload(&self.gpu, gaussians, gaussians.len())?,
-            projection: Projection::new(&self.gpu, gaussians.len())?,
-            target: Mutex::new(None),
+            drawing: Mutex::new(None),
         })
     }
 
@@ -103,66 +117,34 @@ impl Renderer {
     ///
     /// # Errors
     /// As [`Renderer::render`].
-    pub fn render_scene(&self, scene: &Scene, camera: &Camera) -> Result<Image, SplatError> {
+    pub fn render_scene(
+        &self,
+        scene: &UploadedGaussians,
+        camera: &Camera,
+    ) -> Result<Image, SplatError> {
         self.draw(scene, camera, scene.gaussians.sh_degree)
     }
 
-    fn draw(&self, scene: &Scene, camera: &Camera, sh_degree: u32) -> Result<Image, SplatError> {
+    fn draw(
+        &self,
+        scene: &UploadedGaussians,
+        camera: &Camera,
+        sh_degree: u32,
+    ) -> Result<Image, SplatError> {
         let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
         if width == 0 || height == 0 {
             return Err(SplatError::EmptyImage { width, height });
         }
-        let allocated = scene.gaussians.sh_degree;
-        let uniform = CameraUniform::new(camera, scene.gaussians.count, sh_degree, allocated, NEAR);
-        let mut kept = scene
-            .target
-            .lock()
-            .unwrap_or_else(std::sync::PoisonError::into_inner);
-        // Most splats touch a few tiles; the exact number is known after the first attempt.
-        let mut intersections = (4 * scene.gaussians.count).max(1 << 14);
-        if let Some(target) =
-            kept.take_if(|t| (t.buffers.sizes().width, t.buffers.sizes().height) != (width, height))
-        {
-            intersections = intersections.max(target.buffers.sizes().intersections);
-        }
-        loop {
-            let target = match kept.take() {
-                Some(target) => target,
-                None => self.target(
-                    scene,
-                    SplatSizes {
-                        gaussians: scene.gaussians.count,
-                        width,
-                        height,
-                        intersections,
-                    },
-                )?,
-            };
-            scene.projection.camera.write(&[uniform])?;
-            target.recording.submit()?;
-            let counts = target.buffers.counts()?;
-            let image = target.buffers.image.start_read(3 * width * height)?;
-            let counts = counts.wait()?;
-            if !counts.overflowed() {
-                let image = Image::from_planar(width, height, image.wait()?);
-                *kept = Some(target);
-                return Ok(image);
-            }
-            // The count is exact; the rest is room for the next camera.
-            intersections = counts.intersections + counts.intersections / 2;
-        }
-    }
-
-    fn target(&self, scene: &Scene, sizes: SplatSizes) -> Result<Target, SplatError> {
-        let buffers = SplatBuffers::new(&self.gpu, sizes, false)?;
-        let mut recorder = self.gpu.recorder();
-        scene.projection.record(&mut recorder, &scene.gaussians)?;
-        self.forward
-            .record(&mut recorder, &scene.projection, &buffers)?;
-        Ok(Target {
-            buffers,
-            recording: recorder.finish(),
-        })
+        let size = [width, height];
+        let mut kept = scene.drawing();
+        let mut drawing = match kept.take() {
+            Some(drawing) => drawing,
+            None => Drawing::new(&self.gpu, scene.gaussians.clone(), size)?,
+        };
+        drawing.pass.set_size(size)?;
+        let image = drawing.image(camera, sh_degree)?;
+        *kept = Some(drawing);
+        Ok(image)
     }
 }
 
@@ -172,6 +154,7 @@ mod tests {
     use crate::splat::compare::mostly_within;
     use crate::splat::fixtures;
     use crate::splat::reference::{self, Splat};
+    use crate::splat::uniform::NEAR;
 
     #[test]
     fn a_rendered_image_equals_the_reference_from_the_gaussians_on() {

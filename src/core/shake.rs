@@ -12,12 +12,14 @@ mod estimate;
 mod kernels;
 pub mod reference;
 mod response;
+mod saved;
 
 use fled_gpu::{Buffer, Gpu, GpuError, Recorder};
 
 pub use estimate::{estimate, reach};
 use kernels::ShakeUniform;
 pub use response::Response;
+pub use saved::{parse, save};
 
 /// Most taps of a kernel on the device; of more, the smallest are dropped.
 pub const MOST_TAPS: usize = 96;
@@ -105,51 +107,65 @@ impl ShakeKernel {
     }
 }
 
-/// The kernels of all training views on the device, and what lies between forward and backward.
+/// What shakes renders on the device: the views' common [`Response`], and what lies between forward
+/// and backward of one of them.
 pub struct Shake {
-    views: Vec<OnDevice>,
-    response: Buffer<f32>,
+    response: Response,
+    knots: Buffer<f32>,
     light: Buffer<[f32; 4]>,
     factor: Buffer<[f32; 4]>,
     blurred: Buffer<f32>,
     render_gradient: Buffer<f32>,
 }
 
-struct OnDevice {
+/// How one view is shaken, on the device.
+pub struct DeviceKernel {
     kernel: ShakeKernel,
     uniform: Buffer<ShakeUniform>,
     taps: Buffer<[f32; 4]>,
     pixels: usize,
 }
 
-impl Shake {
-    /// Still views of one `response`, for images of at most `size` = [width, height] px.
+impl DeviceKernel {
+    /// Room for the kernel of a view; [`Shake::set`] fills it.
     ///
     /// # Errors
     /// A device error, out of memory above all.
-    pub fn new(
-        gpu: &Gpu,
-        views: usize,
-        size: [usize; 2],
-        response: &Response,
-    ) -> Result<Self, GpuError> {
-        let pixels = size[0] * size[1];
-        let view = || -> Result<OnDevice, GpuError> {
-            Ok(OnDevice {
-                kernel: ShakeKernel::still(),
-                uniform: gpu.create("shake", 1)?,
-                taps: gpu.create("shake taps", MOST_TAPS)?,
-                pixels: 0,
-            })
-        };
+    pub fn new(gpu: &Gpu) -> Result<Self, GpuError> {
         Ok(Self {
-            views: (0..views).map(|_| view()).collect::<Result<_, _>>()?,
-            response: gpu.upload("shake response", response.knots())?,
+            kernel: ShakeKernel::still(),
+            uniform: gpu.create("shake", 1)?,
+            taps: gpu.create("shake taps", MOST_TAPS)?,
+            pixels: 0,
+        })
+    }
+
+    /// The kernel.
+    pub fn kernel(&self) -> &ShakeKernel {
+        &self.kernel
+    }
+}
+
+impl Shake {
+    /// For views of one `response`, whose images have at most `size` = [width, height] px.
+    ///
+    /// # Errors
+    /// A device error, out of memory above all.
+    pub fn new(gpu: &Gpu, size: [usize; 2], response: &Response) -> Result<Self, GpuError> {
+        let pixels = size[0] * size[1];
+        Ok(Self {
+            response: response.clone(),
+            knots: gpu.upload("shake response", response.knots())?,
             light: gpu.create("shake light", pixels)?,
             factor: gpu.create("shake factor", pixels)?,
             blurred: gpu.create("shaken render", 3 * pixels)?,
             render_gradient: gpu.create("render gradient", 3 * pixels)?,
         })
+    }
+
+    /// How the views' values come from light.
+    pub fn response(&self) -> &Response {
+        &self.response
     }
 
     /// Sets how `view` is shaken from the next submission on, at its image's size in px. Recordings
@@ -158,8 +174,8 @@ impl Shake {
     /// # Errors
     /// [`GpuError::Validation`] for an image larger than those of [`Shake::new`]; a device error.
     pub fn set(
-        &mut self,
-        view: usize,
+        &self,
+        view: &mut DeviceKernel,
         size: [usize; 2],
         kernel: ShakeKernel,
     ) -> Result<(), GpuError> {
@@ -170,26 +186,15 @@ impl Shake {
                 size[0], size[1]
             )));
         }
-        let on_device = &mut self.views[view];
-        on_device.uniform.write(&[ShakeUniform {
+        view.uniform.write(&[ShakeUniform {
             width: size[0] as u32,
             height: size[1] as u32,
             taps: kernel.taps.len() as u32,
             smooth_weight: (SMOOTH_WEIGHT / (3 * pixels) as f64) as f32,
         }])?;
-        on_device.taps.write_at(0, &kernel.rows())?;
-        (on_device.kernel, on_device.pixels) = (kernel, pixels);
+        view.taps.write_at(0, &kernel.rows())?;
+        (view.kernel, view.pixels) = (kernel, pixels);
         Ok(())
-    }
-
-    /// How each view is shaken.
-    pub fn kernels(&self) -> impl Iterator<Item = &ShakeKernel> {
-        self.views.iter().map(|view| &view.kernel)
-    }
-
-    /// Mean [`ShakeKernel::spread`] over the views, px.
-    pub fn mean_spread(&self) -> f64 {
-        self.kernels().map(ShakeKernel::spread).sum::<f64>() / self.views.len().max(1) as f64
     }
 
     /// The render as shaken, planar [3, H, W], after [`Shake::record_forward`].
@@ -210,31 +215,25 @@ impl Shake {
     pub fn record_forward(
         &self,
         recorder: &mut Recorder,
-        view: usize,
+        view: &DeviceKernel,
         render: &Buffer<f32>,
     ) -> Result<(), GpuError> {
-        let OnDevice {
-            uniform,
-            taps,
-            pixels,
-            ..
-        } = &self.views[view];
         recorder.dispatch_items(
             &kernels::LINEARISE,
-            &[uniform, &self.response, render, &self.light],
-            *pixels,
+            &[&view.uniform, &self.knots, render, &self.light],
+            view.pixels,
         )?;
         recorder.dispatch_items(
             &kernels::BLUR,
             &[
-                uniform,
-                taps,
-                &self.response,
+                &view.uniform,
+                &view.taps,
+                &self.knots,
                 &self.light,
                 &self.blurred,
                 &self.factor,
             ],
-            *pixels,
+            view.pixels,
         )
     }
 
@@ -246,69 +245,27 @@ impl Shake {
     pub fn record_backward(
         &self,
         recorder: &mut Recorder,
-        view: usize,
+        view: &DeviceKernel,
         render: &Buffer<f32>,
         gradient: &Buffer<f32>,
     ) -> Result<(), GpuError> {
-        let OnDevice {
-            uniform,
-            taps,
-            pixels,
-            ..
-        } = &self.views[view];
-        recorder.dispatch_items(&kernels::SCALE, &[uniform, gradient, &self.factor], *pixels)?;
+        recorder.dispatch_items(
+            &kernels::SCALE,
+            &[&view.uniform, gradient, &self.factor],
+            view.pixels,
+        )?;
         recorder.dispatch_items(
             &kernels::BLUR_BACKWARD,
             &[
-                uniform,
-                taps,
-                &self.response,
+                &view.uniform,
+                &view.taps,
+                &self.knots,
                 &self.factor,
                 render,
                 &self.render_gradient,
             ],
-            *pixels,
+            view.pixels,
         )
-    }
-
-    /// The kernels as numbers, for checkpoints: for each view its count of taps, then x, y and
-    /// weight.
-    pub fn save(&self) -> Vec<f32> {
-        let mut state = Vec::new();
-        for kernel in self.kernels() {
-            state.push(kernel.taps.len() as f32);
-            state.extend(
-                kernel
-                    .rows()
-                    .iter()
-                    .flat_map(|row| [row[0], row[1], row[2]]),
-            );
-        }
-        state
-    }
-
-    /// The kernels of [`Shake::save`], one a view; `None` for other numbers.
-    pub fn parse(state: &[f32], views: usize) -> Option<Vec<ShakeKernel>> {
-        let mut rest = state;
-        let mut kernels = Vec::with_capacity(views);
-        for _ in 0..views {
-            let (&count, tail) = rest.split_first()?;
-            let count = count as usize;
-            let (numbers, tail) = tail.split_at_checked(3 * count)?;
-            if count == 0 || count > MOST_TAPS {
-                return None;
-            }
-            // As they stood: normalising again would change the last bit.
-            let tap = |row: &[f32]| Tap {
-                offset: [row[0] as i32, row[1] as i32],
-                weight: row[2],
-            };
-            kernels.push(ShakeKernel {
-                taps: numbers.chunks_exact(3).map(tap).collect(),
-            });
-            rest = tail;
-        }
-        rest.is_empty().then_some(kernels)
     }
 }
 

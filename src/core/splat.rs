@@ -4,8 +4,10 @@
 pub(crate) mod compare;
 #[cfg(test)]
 pub(crate) mod fixtures;
+pub mod pass;
 pub mod project;
 pub mod rasterize;
 pub mod reference;
+pub mod rows;
 pub mod sort;
 pub mod uniform;

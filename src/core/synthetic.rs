@@ -6,7 +6,7 @@
 //! `poses_bounds.npy`.
 
 mod path;
-mod scene;
+mod room;
 mod sensor;
 mod texture;
 
@@ -21,6 +21,7 @@ use crate::camera::{Camera, Intrinsics};
 use crate::image::{Image, ImageError, Linear, Srgb};
 use crate::poses::PosesError;
 use crate::poses::bounds::{BoundedCamera, write_poses_bounds};
+use room::Room;
 
 /// Sub-frames of an exposure: the blur path of ~10 px is then sampled about every pixel.
 const SUBFRAMES: usize = 11;
@@ -166,7 +167,7 @@ pub fn generate(options: &SynthOptions, out: &Path) -> Result<SynthSummary, Synt
         let path = out.join(folder);
         std::fs::create_dir_all(&path).map_err(|source| SynthError::Io { path, source })?;
     }
-    let scene = scene::Scene::room(options.room, wallpapers);
+    let room = Room::new(options.room, wallpapers);
     let cameras = path::cameras(options.views, options.intrinsics(), options.seed);
     let named: Vec<(String, Camera)> = cameras
         .iter()
@@ -177,10 +178,10 @@ pub fn generate(options: &SynthOptions, out: &Path) -> Result<SynthSummary, Synt
         .par_iter()
         .enumerate()
         .try_for_each(|(index, (name, camera))| {
-            write_view(options, &scene, out, (index, name, camera))
+            write_view(options, &room, out, (index, name, camera))
         })?;
     let bounded = |camera: &Camera| {
-        let (near, far) = scene.depth_range(camera);
+        let (near, far) = room.depth_range(camera);
         BoundedCamera {
             camera: *camera,
             near,
@@ -223,7 +224,7 @@ fn load_wallpapers(folder: &Path) -> Result<Vec<Image<Linear>>, SynthError> {
 
 fn write_view(
     options: &SynthOptions,
-    scene: &scene::Scene,
+    room: &Room,
     out: &Path,
     (index, name, camera): (usize, &str, &Camera),
 ) -> Result<(), SynthError> {
@@ -235,14 +236,14 @@ fn write_view(
     );
     let shake = path::shake(
         camera,
-        scene.focus_distance(camera),
+        room.focus_distance(camera),
         options.blur,
         SUBFRAMES,
         &mut rng,
     );
     let mut light = Image::<Linear>::new(options.width, options.height);
     for (moment, offset) in shake.iter().zip(spread_offsets(shake.len())) {
-        let frame = scene.render_at(moment, &[offset]);
+        let frame = room.render_at(moment, &[offset]);
         for (sum, value) in light.data_mut().iter_mut().zip(frame.data()) {
             *sum += value / shake.len() as f32;
         }
@@ -250,8 +251,7 @@ fn write_view(
     let dark = sensor::expose(&light, options.exposure, options.noise, &mut rng);
     let file = format!("{name}.png");
     dark.to_srgb().save(&out.join("images").join(&file))?;
-    scene
-        .render_at(camera, &grid_offsets(SHARP_RAYS))
+    room.render_at(camera, &grid_offsets(SHARP_RAYS))
         .to_srgb()
         .save(&out.join("HL").join(&file))?;
     Ok(())

@@ -10,7 +10,7 @@ use std::time::SystemTime;
 use fled_core::gaussians::ply;
 use fled_core::image::{EncodeFormat, write_atomic};
 use fled_core::pipeline::error::ErrorKind;
-use fled_core::render::{Renderer, Scene};
+use fled_core::render::{Renderer, UploadedGaussians};
 use fled_gpu::Gpu;
 use fled_server::render::{Format, RenderReply, RenderRequest};
 
@@ -77,7 +77,7 @@ impl Stamp {
 /// The device, and the scene rendered last: turning a view asks for the same one again and again.
 struct Worker {
     renderer: Renderer,
-    scene: Option<(Stamp, Scene)>,
+    scene: Option<(Stamp, UploadedGaussians)>,
 }
 
 impl Worker {

@@ -17,8 +17,8 @@
 //!   tiles of a splat's box that are tested and not touched.
 
 use crate::noise::NoiseWork;
-use crate::splat::project::GEOMETRY_ROW;
 use crate::splat::rasterize::{SLOT_ROW, SplatWork};
+use crate::splat::rows::GEOMETRY_ROW;
 use crate::splat::sort::BLOCK;
 use serde::Serialize;
 

@@ -10,7 +10,7 @@ use crate::cancel::CancelToken;
 use crate::image::Image;
 use crate::reconstruct::Stepper;
 use crate::reconstruct::loss::{Loss, upload_target};
-use crate::render::{Renderer, Scene};
+use crate::render::{Renderer, UploadedGaussians};
 use crate::splat::sort::{Counters, FIXED, RadixSort, SCAN, SortParameters};
 
 /// Bits of the keys that are sorted by themselves, as of depths.
@@ -66,7 +66,7 @@ impl Subject for Training<'_> {
 /// Images of a scene, read back.
 pub(super) struct Rendering<'a> {
     renderer: Renderer,
-    scene: Scene,
+    scene: UploadedGaussians,
     workload: &'a Workload,
 }
 

@@ -6,7 +6,7 @@ use bytemuck::{Pod, Zeroable};
 use fled_gpu::{Binding, Kernel, read, read_write, uniform};
 
 use super::network::Layer;
-use super::{NoiseMode, PENALTY, Room, cell_side};
+use super::{IntersectionLimit, NoiseMode, PENALTY, cell_side};
 use crate::camera::Camera;
 
 pub(super) const ENCODE: Kernel = Kernel::new(
@@ -246,7 +246,7 @@ impl AdamUniform {
         step: u64,
         segments: u32,
         parameters: usize,
-        room: &Room<'_>,
+        limit: &IntersectionLimit<'_>,
     ) -> Self {
         let correction = |beta: f64| (1.0 - beta.powf(step as f64)) as f32;
         Self {
@@ -255,8 +255,8 @@ impl AdamUniform {
             correction_2: correction(0.999),
             segments,
             parameters: parameters as u32,
-            total_at: room.total_at,
-            capacity: room.capacity,
+            total_at: limit.total_at,
+            capacity: limit.capacity,
             padding: 0,
         }
     }

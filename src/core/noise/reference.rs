@@ -7,7 +7,7 @@ use super::{MOST, NoiseMode, PENALTY, cell_side};
 use crate::camera::Camera;
 
 /// The field at fixed parameters for one view.
-pub struct Reference<'a> {
+pub struct ReferenceNoise<'a> {
     network: Network,
     parameters: &'a [f64],
     camera: &'a Camera,
@@ -26,7 +26,7 @@ struct Cell {
     raw: [f64; 3],
 }
 
-impl<'a> Reference<'a> {
+impl<'a> ReferenceNoise<'a> {
     /// `parameters` in the layout of the buffers; `amplitude` counts in mode `Grid` only.
     pub fn new(mode: NoiseMode, parameters: &'a [f64], camera: &'a Camera, amplitude: f64) -> Self {
         let grid = mode == NoiseMode::Grid;
@@ -285,7 +285,7 @@ mod tests {
                 .collect();
             let pixels = camera.intrinsics.width * camera.intrinsics.height;
             let weights: Vec<f64> = (0..3 * pixels).map(|i| (0.7 * i as f64).sin()).collect();
-            let gradient = Reference::new(mode, &parameters, &camera, 0.07).gradient(&weights);
+            let gradient = ReferenceNoise::new(mode, &parameters, &camera, 0.07).gradient(&weights);
             for layer in &network.layers {
                 for index in [
                     layer.weight(1, 2),
@@ -299,7 +299,7 @@ mod tests {
                         at,
                         |value| {
                             parameters[index] = value;
-                            let field = Reference::new(mode, &parameters, &camera, 0.07);
+                            let field = ReferenceNoise::new(mode, &parameters, &camera, 0.07);
                             let sum: f64 =
                                 field.map().iter().zip(&weights).map(|(n, w)| n * w).sum();
                             sum + field.penalty()
@@ -319,7 +319,7 @@ mod tests {
             .map(f64::from)
             .collect::<Vec<_>>();
         let view = camera(37, 21, 0.3);
-        let map = Reference::new(NoiseMode::Grid, &grid, &view, 0.07).map();
+        let map = ReferenceNoise::new(NoiseMode::Grid, &grid, &view, 0.07).map();
         for plane in map.chunks(37 * 21) {
             assert!(plane.iter().sum::<f64>().abs() < 1e-9);
             assert!(plane.iter().any(|n| n.abs() > 1e-5));
@@ -329,7 +329,7 @@ mod tests {
             .into_iter()
             .map(f64::from)
             .collect::<Vec<_>>();
-        let map = Reference::new(NoiseMode::Paper, &paper, &camera(6, 5, 0.3), 0.0).map();
+        let map = ReferenceNoise::new(NoiseMode::Paper, &paper, &camera(6, 5, 0.3), 0.0).map();
         assert!(map.iter().all(|&n| n > 0.0 && n < 0.1));
     }
 }

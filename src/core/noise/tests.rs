@@ -1,6 +1,7 @@
 use glam::DVec3;
 
-use super::reference::Reference;
+use super::kernels::LayerUniform;
+use super::reference::ReferenceNoise;
 use super::*;
 use crate::agreement::{agreement, assert_agrees};
 use crate::camera::Intrinsics;
@@ -80,13 +81,13 @@ impl Fixture {
         self.field
             .record_forward(&mut recorder, &self.render, &self.prediction)
             .expect("recorded");
-        let room = Room {
-            intersections: &self.intersections,
+        let limit = IntersectionLimit {
+            counters: &self.intersections,
             total_at: 1,
             capacity,
         };
         self.field
-            .record_backward(&mut recorder, &self.gradient, &room)
+            .record_backward(&mut recorder, &self.gradient, &limit)
             .expect("recorded");
         recorder.submit().expect("submitted");
     }
@@ -102,7 +103,7 @@ impl Fixture {
                 .as_flattened(),
         );
         self.step();
-        let reference = Reference::new(
+        let reference = ReferenceNoise::new(
             self.field.mode,
             &before,
             &self.camera,
@@ -336,15 +337,15 @@ fn wrong_sizes_are_refused_and_off_has_no_field() {
             .begin_step(&camera(48, 32, 0.0), SIGMA)
             .is_err()
     );
-    let room = Room {
-        intersections: &fixture.intersections,
+    let limit = IntersectionLimit {
+        counters: &fixture.intersections,
         total_at: 1,
         capacity: 100,
     };
     assert!(
         fixture
             .field
-            .record_backward(&mut fixture.gpu.recorder(), &fixture.gradient, &room)
+            .record_backward(&mut fixture.gpu.recorder(), &fixture.gradient, &limit)
             .is_err()
     );
     assert!(

@@ -24,7 +24,8 @@ use crate::metrics;
 use crate::metrics::report::NoiseMapStatistics;
 use crate::poses::Poses;
 use crate::reconstruct::{
-    self, Beginning, Checkpoint, TrainConfig, TrainHooks, TrainStart, Trained, TrainingView,
+    self, Beginning, Checkpoint, Registration, TrainConfig, TrainHooks, TrainStart, Trained,
+    TrainingView,
 };
 
 /// The stamp of the checkpoint.
@@ -261,10 +262,13 @@ fn with_cameras(
     config: &TrainConfig,
 ) -> Result<TrainedScene, PipelineError> {
     let held_out = training_views(material, Split::HeldOut);
-    let registered = if config.refine_poses.is_some() && !held_out.is_empty() {
-        reconstruct::register(gpu, &held_out, &trained.gaussians, config, context.cancel)?
-    } else {
-        held_out.iter().map(|view| view.camera).collect()
+    let registered = match config.refine_poses {
+        Some(depth) if !held_out.is_empty() => {
+            let shake = config.shake.as_ref();
+            Registration::new(gpu, &held_out, &trained.gaussians, shake)?
+                .cameras(depth, context.cancel)?
+        }
+        _ => held_out.iter().map(|view| view.camera).collect(),
     };
     let (mut corrected, mut registered) = (trained.cameras.iter(), registered.iter());
     let camera_after = |view: &View| {

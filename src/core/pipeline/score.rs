@@ -6,7 +6,7 @@ use super::views::View;
 use crate::camera::Split;
 use crate::image::Image;
 use crate::metrics;
-use crate::shake::reference::Reference;
+use crate::shake::reference::ReferenceShake;
 use crate::shake::{self, Response};
 
 /// Mean SSIM of a round's renders at the target brightness against the views at that brightness,
@@ -42,7 +42,7 @@ fn as_shaken(render: &Image, view: &Image, response: &Response) -> Image {
     let kernel = shake::estimate(render, view, response);
     let size = [render.width(), render.height()];
     let values: Vec<f64> = render.data().iter().map(|&v| f64::from(v)).collect();
-    let shaken = Reference {
+    let shaken = ReferenceShake {
         size,
         kernel: &kernel,
         response,
@@ -98,7 +98,7 @@ mod tests {
     fn blurred(image: &Image, length: i32) -> Image {
         let values: Vec<f64> = image.data().iter().map(|&v| f64::from(v)).collect();
         let (size, response) = ([SIDE, SIDE], Response::srgb());
-        let shaken = Reference {
+        let shaken = ReferenceShake {
             size,
             kernel: &along(length),
             response: &response,

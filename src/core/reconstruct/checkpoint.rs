@@ -2,12 +2,17 @@
 
 use bytemuck::{Pod, Zeroable};
 
-use crate::splat::project::sh_row;
+use crate::splat::rows::{GEOMETRY_ROW, sh_row};
 
 /// First bytes of a checkpoint.
 const MAGIC: [u8; 8] = *b"fledckpt";
 /// Raised whenever the layout or the meaning changes.
 const VERSION: u32 = 5;
+
+/// Arrays of numbers that a checkpoint holds.
+const ARRAYS: usize = 8;
+/// Bytes of the hash behind them.
+const HASH: usize = 32;
 
 /// Bytes that are no checkpoint of this version.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -59,13 +64,13 @@ struct Header {
     sh_degree: u32,
     intersections: u32,
     non_finite: u32,
-    lengths: [u64; 8],
+    lengths: [u64; ARRAYS],
 }
 
 impl Checkpoint {
     /// Number of Gaussians.
     pub fn count(&self) -> usize {
-        self.geometry.len() / crate::splat::project::GEOMETRY_ROW
+        self.geometry.len() / GEOMETRY_ROW
     }
 
     /// The checkpoint as bytes: a header, then the arrays, little endian.
@@ -91,7 +96,7 @@ impl Checkpoint {
         bytes
     }
 
-    fn arrays(&self) -> [&[f32]; 8] {
+    fn arrays(&self) -> [&[f32]; ARRAYS] {
         [
             &self.geometry,
             &self.geometry_moments,
@@ -109,40 +114,9 @@ impl Checkpoint {
     /// # Errors
     /// [`CheckpointError`] for bytes that are truncated, changed, or of another version.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, CheckpointError> {
-        let fault = |message: &str| CheckpointError(message.to_owned());
-        let size = size_of::<Header>();
-        let body = bytes
-            .len()
-            .checked_sub(32)
-            .filter(|n| *n >= size)
-            .ok_or_else(|| fault("too short"))?;
-        let (content, hash) = bytes.split_at(body);
-        let header: Header = bytemuck::pod_read_unaligned(&content[..size]);
-        if header.magic != MAGIC {
-            return Err(fault("not a checkpoint"));
-        }
-        if header.version != VERSION {
-            return Err(CheckpointError(format!(
-                "version {}, this program reads {VERSION}",
-                header.version
-            )));
-        }
-        if blake3::hash(content).as_bytes() != hash {
-            return Err(fault("damaged"));
-        }
-        let mut rest = &content[size..];
-        let mut arrays = [const { Vec::new() }; 8];
-        for (array, length) in arrays.iter_mut().zip(header.lengths) {
-            let length = usize::try_from(length)
-                .ok()
-                .and_then(|n| n.checked_mul(4))
-                .unwrap_or(usize::MAX);
-            let (values, tail) = rest
-                .split_at_checked(length)
-                .ok_or_else(|| fault("truncated"))?;
-            *array = bytemuck::pod_collect_to_vec(values);
-            rest = tail;
-        }
+        let content = intact(bytes)?;
+        let (header, rest) = content.split_at(size_of::<Header>());
+        let header: Header = bytemuck::pod_read_unaligned(header);
         let [
             geometry,
             geometry_moments,
@@ -152,7 +126,7 @@ impl Checkpoint {
             shake,
             motions,
             colours,
-        ] = arrays;
+        ] = arrays(rest, &header.lengths)?;
         let out = Self {
             fingerprint: header.fingerprint,
             step: header.step,
@@ -179,7 +153,7 @@ impl Checkpoint {
     fn consistent(&self) -> bool {
         let sh = sh_row(self.sh_degree.min(3)) * self.count();
         let n = self.count();
-        let expected = [12 * n, 24 * n, sh, 2 * sh];
+        let expected = [GEOMETRY_ROW * n, 2 * GEOMETRY_ROW * n, sh, 2 * sh];
         let found = [
             &self.geometry,
             &self.geometry_moments,
@@ -189,6 +163,50 @@ impl Checkpoint {
         .map(Vec::len);
         self.sh_degree <= 3 && expected == found
     }
+}
+
+fn fault(message: &str) -> CheckpointError {
+    CheckpointError(message.to_owned())
+}
+
+/// Header and arrays, if they are of this version and what was written.
+fn intact(bytes: &[u8]) -> Result<&[u8], CheckpointError> {
+    let (content, hash) = bytes
+        .split_last_chunk::<HASH>()
+        .filter(|(content, _)| content.len() >= size_of::<Header>())
+        .ok_or_else(|| fault("too short"))?;
+    let header: Header = bytemuck::pod_read_unaligned(&content[..size_of::<Header>()]);
+    if header.magic != MAGIC {
+        return Err(fault("not a checkpoint"));
+    }
+    if header.version != VERSION {
+        let found = header.version;
+        return Err(fault(&format!(
+            "version {found}, this program reads {VERSION}"
+        )));
+    }
+    if blake3::hash(content).as_bytes() != hash {
+        return Err(fault("damaged"));
+    }
+    Ok(content)
+}
+
+/// Arrays of so many numbers, one behind the other.
+fn arrays(bytes: &[u8], lengths: &[u64; ARRAYS]) -> Result<[Vec<f32>; ARRAYS], CheckpointError> {
+    let mut rest = bytes;
+    let mut arrays = [const { Vec::new() }; ARRAYS];
+    for (array, &length) in arrays.iter_mut().zip(lengths) {
+        let size = usize::try_from(length)
+            .ok()
+            .and_then(|numbers| numbers.checked_mul(size_of::<f32>()))
+            .unwrap_or(usize::MAX);
+        let (values, tail) = rest
+            .split_at_checked(size)
+            .ok_or_else(|| fault("truncated"))?;
+        *array = bytemuck::pod_collect_to_vec(values);
+        rest = tail;
+    }
+    Ok(arrays)
 }
 
 #[cfg(test)]

@@ -5,15 +5,16 @@ pub mod classic;
 
 use rand::{Rng, RngExt};
 
+use crate::splat::rows::GeometryRow;
+
 /// At most this opacity counts as dead.
 pub const MIN_OPACITY: f32 = 0.005;
 /// A Gaussian is split into at most this many.
 pub const MOST_COPIES: u32 = 51;
-/// Growth at a densification.
+/// A squared quaternion norm below this has no direction.
+const SMALLEST_QUAT: f32 = 1e-8;
+/// Growth at a densification, at least.
 pub const GROWTH: f64 = 1.05;
-
-/// Geometry of one Gaussian as the device holds it: `geometry` of project_forward.wgsl.
-pub type GeometryRow = [f32; 12];
 
 /// What a densification changes.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -29,12 +30,14 @@ pub struct Plan {
 }
 
 fn usable(row: &GeometryRow) -> bool {
-    row[..11].iter().all(|v| v.is_finite()) && row[6..10].iter().map(|v| v * v).sum::<f32>() >= 1e-8
+    let numbers = row.mean.iter().chain(&row.log_scale).chain(&row.quat);
+    let finite = numbers.chain([&row.opacity_logit]).all(|v| v.is_finite());
+    finite && row.quat.iter().map(|v| v * v).sum::<f32>() >= SMALLEST_QUAT
 }
 
 fn opacity(row: &GeometryRow) -> f32 {
     if usable(row) {
-        1.0 / (1.0 + (-row[10]).exp())
+        1.0 / (1.0 + (-row.opacity_logit).exp())
     } else {
         0.0
     }
@@ -128,7 +131,7 @@ fn split(row: &GeometryRow, copies: u32) -> [f32; 4] {
     } else {
         0.0
     };
-    let scale = |axis: usize| (f64::from(row[3 + axis]) + shift) as f32;
+    let scale = |axis: usize| (f64::from(row.log_scale[axis]) + shift) as f32;
     [
         scale(0),
         scale(1),
@@ -137,7 +140,7 @@ fn split(row: &GeometryRow, copies: u32) -> [f32; 4] {
     ]
 }
 
-/// Gaussians after the next growth. Differs from splat.md (x1.05 each time): a short round has few
+/// Gaussians after the next growth. Long rounds grow by [`GROWTH`] each time; a short one has few
 /// densifications, so the factor is raised until the cap is met after half of them.
 pub fn grown(count: usize, start: usize, cap: usize, densifications: u32) -> usize {
     let half = f64::from(densifications.max(2)) / 2.0;
@@ -154,16 +157,20 @@ mod tests {
 
     fn row(opacity: f32) -> GeometryRow {
         let logit = (opacity / (1.0 - opacity)).ln();
-        [
-            0.1, 0.2, 0.3, -2.0, -1.0, -3.0, 1.0, 0.0, 0.0, 0.0, logit, 0.0,
-        ]
+        GeometryRow {
+            mean: [0.1, 0.2, 0.3],
+            log_scale: [-2.0, -1.0, -3.0],
+            quat: [1.0, 0.0, 0.0, 0.0],
+            opacity_logit: logit,
+            spare: 0.0,
+        }
     }
 
     #[test]
     fn the_dead_move_and_the_scene_grows_to_its_target() {
         let mut rows: Vec<_> = (0..40).map(|_| row(0.6)).collect();
         rows[3] = row(0.001);
-        rows[5][0] = f32::NAN;
+        rows[5].mean[0] = f32::NAN;
         let plan = plan(&rows, 44, &mut Pcg64::seed_from_u64(1));
         let targets: Vec<_> = plan
             .moves

@@ -1,64 +1,33 @@
-//! The training views at one resolution, on the device.
+//! The resolution at which a part of a round is trained.
 
 use std::collections::BTreeMap;
 
-use fled_gpu::{Buffer, Gpu, GpuError};
+use fled_gpu::{Gpu, GpuError};
 
-use super::TrainingView;
-use super::loss::{Loss, pack_target, upload_target};
-use super::schedule::reduced_size;
-use crate::camera::Camera;
-use crate::image::Image;
+use super::loss::Loss;
+use super::observed::Observed;
 
-/// One view at the level's resolution.
-pub(super) struct LevelView {
-    /// At the reduced size.
-    pub(super) camera: Camera,
-    /// Packed image.
-    pub(super) target: Buffer<u32>,
-    size: (usize, usize),
-}
-
-/// All views reduced by one divisor.
+/// One divisor of the images, and a loss for each size that it leaves them.
 pub(super) struct Level {
     /// 4, 2 or 1.
     pub(super) divisor: usize,
-    /// In the order of the training views.
-    pub(super) views: Vec<LevelView>,
-    losses: BTreeMap<(usize, usize), Loss>,
+    losses: BTreeMap<[usize; 2], Loss>,
 }
 
 impl Level {
-    /// Reduces the views by area averaging and uploads them.
-    pub(super) fn new(gpu: &Gpu, views: &[TrainingView], divisor: usize) -> Result<Self, GpuError> {
+    /// The level of `views`, which are reduced by `divisor`.
+    pub(super) fn new(gpu: &Gpu, views: &[Observed<'_>], divisor: usize) -> Result<Self, GpuError> {
         let mut losses = BTreeMap::new();
-        let mut reduced = Vec::with_capacity(views.len());
-        for view in views {
-            let size = reduced_size(view.image.width(), view.image.height(), divisor);
-            let target = upload_target(gpu, &view.image.resize_area(size.0, size.1))?;
-            reduced.push(LevelView {
-                camera: view.camera.resized(size.0, size.1),
-                target,
-                size,
-            });
-            if let std::collections::btree_map::Entry::Vacant(entry) = losses.entry(size) {
-                entry.insert(Loss::new(gpu, size.0, size.1)?);
+        for [width, height] in views.iter().map(Observed::size) {
+            if !losses.contains_key(&[width, height]) {
+                losses.insert([width, height], Loss::new(gpu, width, height)?);
             }
         }
-        Ok(Self {
-            divisor,
-            views: reduced,
-            losses,
-        })
-    }
-
-    /// Trains `view` on another image of its size.
-    pub(super) fn show(&self, view: usize, image: &Image) -> Result<(), GpuError> {
-        self.views[view].target.write(&pack_target(image))
+        Ok(Self { divisor, losses })
     }
 
     /// The loss that fits a view.
-    pub(super) fn loss(&self, view: usize) -> &Loss {
-        &self.losses[&self.views[view].size]
+    pub(super) fn loss(&self, view: &Observed<'_>) -> &Loss {
+        &self.losses[&view.size()]
     }
 }

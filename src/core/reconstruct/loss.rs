@@ -27,10 +27,10 @@ use fled_gpu::{Buffer, DeviceType, Gpu, GpuError, Kernel, Recorder, read, read_w
 
 use crate::image::Image;
 
-/// Weight of the mean absolute error; method.md 5.
+/// Weight of the mean absolute error; the share that is common for splats.
 pub const L1_SHARE: f64 = 0.8;
 
-/// Weight of `1 - SSIM`; method.md 5.
+/// Weight of `1 - SSIM`.
 pub const SSIM_SHARE: f64 = 0.2;
 
 /// `COLUMNS` of shaders/shared/loss.wgsl.

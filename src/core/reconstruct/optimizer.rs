@@ -5,8 +5,9 @@ use fled_gpu::{Buffer, Gpu, GpuError, Kernel, Recorder, Rows, read, read_write, 
 
 use super::densify::Plan;
 use super::schedule::Schedule;
-use crate::splat::project::{DeviceGaussians, GEOMETRY_ROW, Projection};
+use crate::splat::project::Projection;
 use crate::splat::rasterize::SlotRows;
+use crate::splat::rows::{DeviceGaussians, GEOMETRY_ROW};
 
 /// From slot gradients to updated parameters.
 pub const PROJECT_BACKWARD_ADAM: Kernel = Kernel::new(
@@ -60,14 +61,14 @@ const RELOCATE_PUT: Kernel = Kernel::new(
 
 const BETA_M: f64 = 0.9;
 const BETA_V: f64 = 0.999;
-/// Rates of splat.md, "Defaults", for a round of 30,000 steps.
+/// Rates of the published trainers, for a round of 30,000 steps.
 const RATE_LOG_SCALE: f64 = 5e-3;
 const RATE_QUAT: f64 = 1e-3;
 const RATE_OPACITY: f64 = 0.05;
 const RATE_SH0: f64 = 2.5e-3;
 const RATE_SH: f64 = 1.25e-4;
-/// Weight of the means of the opacities and of the scales in the loss (MCMC). Differs from splat.md
-/// (0.01): that was chosen for rounds of 30,000 steps and millions of Gaussians.
+/// Weight of the means of the opacities and of the scales in the loss (MCMC). The 0.01 of its
+/// authors was chosen for rounds of 30,000 steps and millions of Gaussians.
 const REGULARISER: f64 = 0.002;
 /// Exploration noise, in units of the rate of the means (MCMC).
 const NOISE: f64 = 5e5;
@@ -156,9 +157,23 @@ pub struct SlotGradients<'a> {
     pub totals: &'a Buffer<u32>,
 }
 
-/// Where the free floats of a row of geometry moments are: the sum of the lengths of the gradients
-/// by position, and the number of views in it. Classic densification alone keeps them.
-pub const POSITION_GRADIENT_AT: [usize; 2] = [11, 23];
+/// Numbers of a [`GeometryRow`](crate::splat::rows::GeometryRow) that are trained.
+const TRAINED: usize = GEOMETRY_ROW - 1;
+
+/// Adam's moments of the geometry of one Gaussian. Beside the number that only fills the row up
+/// stands what classic densification asks for; without it that is zero.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+pub struct GeometryMoments {
+    /// First moments.
+    pub first: [f32; TRAINED],
+    /// Sum of the lengths of the gradients by position, in normalised device coordinates.
+    pub gradient_lengths: f32,
+    /// Second moments.
+    pub second: [f32; TRAINED],
+    /// Number of views in that sum.
+    pub gradient_views: f32,
+}
 
 /// Adam's state on the device.
 pub struct Optimizer {
@@ -183,7 +198,8 @@ struct RelocateUniform {
 }
 
 impl Optimizer {
-    /// Moments of zero for `gaussians`. `accumulates`: whether [`POSITION_GRADIENT_AT`] is kept.
+    /// Moments of zero for `gaussians`. `accumulates`: whether the sum of the
+    /// gradients by position is kept.
     ///
     /// # Errors
     /// Out of memory, or above what the adapter binds.
@@ -257,6 +273,15 @@ impl Optimizer {
             )?;
         }
         Ok(())
+    }
+
+    /// The moments of the geometry of `count` Gaussians.
+    ///
+    /// # Errors
+    /// A device error.
+    pub fn read_geometry_moments(&self, count: usize) -> Result<Vec<GeometryMoments>, GpuError> {
+        let numbers = self.geometry_moments.read(count)?;
+        Ok(bytemuck::pod_collect_to_vec(&numbers))
     }
 
     /// Carries out a densification: copies, shapes, cleared moments.

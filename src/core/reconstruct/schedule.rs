@@ -12,9 +12,8 @@ const QUARTER_SHARE: f64 = 0.1;
 const FULL_FROM: f64 = 0.3;
 /// Smaller images are not reduced: SSIM's window of 11 px would see nothing of them.
 const SMALLEST_SIDE: usize = 32;
-/// Steps of the published trainers whose rates these are. Differs from splat.md: a round is much
-/// shorter, so its steps are larger; with the published rates, splats of 1,000 steps hardly leave
-/// their points.
+/// Steps of the published trainers whose rates these are. A round is much shorter, so its steps are
+/// larger; with the published rates, splats of 1,000 steps hardly leave their points.
 const PUBLISHED_STEPS: f64 = 30_000.0;
 /// Means may go this many times as far in a step, so that they go as far in a round of 1,500.
 const MOST_MEANS_HASTE: f64 = 20.0;
@@ -101,8 +100,8 @@ impl Schedule {
         self.share(step) < NOISE_END
     }
 
-    /// Steps between densifications. Differs from splat.md (100): a round of few steps would see
-    /// too few.
+    /// Steps between densifications: 100 as published, fewer in a round of few steps, which would
+    /// see too few.
     pub fn densify_interval(&self) -> u32 {
         (self.steps / 20).clamp(10, 100)
     }

@@ -3,7 +3,7 @@
 use super::{Response, SMOOTH_BEND, SMOOTH_WEIGHT, ShakeKernel};
 
 /// A view's shake: its image's size in px, its kernel, its response.
-pub struct Reference<'a> {
+pub struct ReferenceShake<'a> {
     /// Width and height, px.
     pub size: [usize; 2],
     /// How it is shaken.
@@ -12,7 +12,7 @@ pub struct Reference<'a> {
     pub response: &'a Response,
 }
 
-impl Reference<'_> {
+impl ReferenceShake<'_> {
     /// Pairs of pixels that a tap joins (where the light comes from, where it arrives), with its
     /// weight.
     fn paths(&self) -> impl Iterator<Item = (usize, usize, f64)> + '_ {

@@ -1,4 +1,4 @@
-use super::reference::Reference;
+use super::reference::ReferenceShake;
 use super::*;
 use crate::agreement::{agreement, assert_agrees, assert_derivative};
 use crate::image::Image;
@@ -50,7 +50,7 @@ fn wide(values: &[f32]) -> Vec<f64> {
 
 fn shaken(image: &Image, kernel: &ShakeKernel, response: &Response) -> Image {
     let size = [image.width(), image.height()];
-    let values = Reference {
+    let values = ReferenceShake {
         size,
         kernel,
         response,
@@ -73,20 +73,21 @@ fn compare(kernel: &ShakeKernel, response: &Response) -> [(Vec<f32>, Vec<f64>); 
     let upstream: Vec<f32> = (0..render.data().len())
         .map(|i| (0.37 * i as f32).sin() * 1e-3)
         .collect();
-    let mut shake = Shake::new(&gpu, 2, [64, 48], response).expect("buffers");
-    shake.set(1, size, kernel.clone()).expect("fits");
+    let shake = Shake::new(&gpu, [64, 48], response).expect("buffers");
+    let mut view = DeviceKernel::new(&gpu).expect("buffers");
+    shake.set(&mut view, size, kernel.clone()).expect("fits");
     let on_device = |values: &[f32]| gpu.upload("image", values).expect("uploaded");
     let (image, gradient) = (on_device(render.data()), on_device(&upstream));
     let mut recorder = gpu.recorder();
     shake
-        .record_forward(&mut recorder, 1, &image)
+        .record_forward(&mut recorder, &view, &image)
         .expect("recorded");
     shake
-        .record_backward(&mut recorder, 1, &image, &gradient)
+        .record_backward(&mut recorder, &view, &image, &gradient)
         .expect("recorded");
     recorder.submit().expect("submitted");
     let read = |buffer: &Buffer<f32>| buffer.read().expect("read")[..upstream.len()].to_vec();
-    let reference = Reference {
+    let reference = ReferenceShake {
         size,
         kernel,
         response,
@@ -129,7 +130,7 @@ fn the_comparison_sees_a_mirrored_kernel() {
 #[test]
 fn the_reference_gradient_equals_central_differences() {
     let (kernel, response, size) = (curve(), response(), [17, 9]);
-    let reference = Reference {
+    let reference = ReferenceShake {
         size,
         kernel: &kernel,
         response: &response,
@@ -269,21 +270,21 @@ fn what_tells_nothing_is_still() {
 
 #[test]
 fn saved_kernels_come_back_to_the_bit_and_others_are_refused() {
+    let kernels = vec![ShakeKernel::still(), curve()];
+    let state = save(&kernels);
+    assert_eq!(parse(&state, 2), Some(kernels));
+    assert_eq!(parse(&state[..state.len() - 1], 2), None);
+    assert_eq!(parse(&state, 1), None);
+    assert_eq!(parse(&[1e9, 0.0], 1), None);
+}
+
+#[test]
+fn an_image_larger_than_the_buffers_is_refused() {
     let gpu = Gpu::new("auto").expect("the tests need a Vulkan adapter");
-    let mut shake = Shake::new(&gpu, 2, [20, 10], &Response::srgb()).expect("buffers");
-    shake.set(1, [20, 10], curve()).expect("fits");
-    let state = shake.save();
-    assert_eq!(
-        Shake::parse(&state, 2),
-        Some(vec![ShakeKernel::still(), curve()])
-    );
-    assert_eq!(Shake::parse(&state[..state.len() - 1], 2), None);
-    assert_eq!(Shake::parse(&state, 1), None);
-    assert_eq!(Shake::parse(&[1e9, 0.0], 1), None);
-    assert!(
-        shake.set(0, [30, 10], curve()).is_err(),
-        "an image that does not fit"
-    );
+    let shake = Shake::new(&gpu, [20, 10], &Response::srgb()).expect("buffers");
+    let mut view = DeviceKernel::new(&gpu).expect("buffers");
+    assert!(shake.set(&mut view, [20, 10], curve()).is_ok());
+    assert!(shake.set(&mut view, [30, 10], curve()).is_err());
 }
 
 #[test]

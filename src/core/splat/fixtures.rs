@@ -5,7 +5,7 @@ use std::sync::OnceLock;
 use fled_gpu::Gpu;
 use glam::DVec3;
 
-use super::reference::Viewpoint;
+use super::reference::{Projected, Viewpoint};
 use crate::camera::{Camera, Intrinsics};
 use crate::gaussians::Gaussians;
 
@@ -79,6 +79,21 @@ pub fn gaussians(count: usize, sh_degree: u32, seed: u64) -> Gaussians {
             .extend((0..row).map(|_| (0.4 * random.signed()) as f32));
     }
     out
+}
+
+/// The row of the `index`-th Gaussian in what a projection wrote.
+pub fn projected(rows: &[[f32; 4]], index: usize) -> Projected {
+    let row = rows[3 * index..3 * index + 3].as_flattened();
+    let row: [f32; 12] = row.try_into().expect("twelve numbers");
+    let [x, y, a, b, c, opacity, red, green, blue, depth, right, down] = row.map(f64::from);
+    Projected {
+        mean: [x, y],
+        conic: [a, b, c],
+        opacity,
+        colour: [red, green, blue],
+        depth,
+        extent: [right, down],
+    }
 }
 
 /// |a - b| / |b|.

@@ -1,15 +1,9 @@
-//! The Gaussians on the device and their projection.
+//! The projection of the Gaussians on the device.
 
-use bytemuck::{Pod, Zeroable};
-use fled_gpu::{
-    Buffer, Gpu, GpuError, Kernel, Recorder, Rows, part_sizes, read, read_write, uniform,
-};
+use fled_gpu::{Buffer, Gpu, GpuError, Kernel, Recorder, read, read_write, uniform};
 
+use super::rows::DeviceGaussians;
 use super::uniform::CameraUniform;
-use crate::gaussians::Gaussians;
-
-/// Floats of a row of `geometry`: mean, log-scale, quaternion w x y z, opacity logit, padding.
-pub const GEOMETRY_ROW: usize = 12;
 
 /// Projects every Gaussian and counts its tiles.
 pub const PROJECT_FORWARD: Kernel = Kernel::new(
@@ -24,153 +18,6 @@ pub const PROJECT_FORWARD: Kernel = Kernel::new(
         read_write("depth_keys"),
     ],
 );
-
-/// `PartUniform` of shaders/shared/part.wgsl.
-#[repr(C)]
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Pod, Zeroable)]
-pub struct PartUniform {
-    /// First Gaussian of the part.
-    pub first: u32,
-    /// Gaussians of the part.
-    pub rows: u32,
-    /// Unused.
-    pub pad: [u32; 2],
-}
-
-/// Some of the Gaussians: as many as the adapter binds at once.
-#[derive(Clone)]
-pub struct Part {
-    /// Which.
-    pub uniform: Buffer<PartUniform>,
-    /// How many.
-    pub rows: usize,
-}
-
-/// Gaussians on the device with room for more.
-#[derive(Clone)]
-pub struct DeviceGaussians {
-    /// [capacity, 12].
-    pub geometry: Rows<f32>,
-    /// [capacity, [`sh_row`]].
-    pub sh: Rows<f32>,
-    /// What a kernel is dispatched for, one after the other.
-    pub parts: Vec<Part>,
-    /// Rows that the buffers hold.
-    pub capacity: usize,
-    /// Rows in use.
-    pub count: usize,
-    /// Allocated degree of the harmonics.
-    pub sh_degree: u32,
-}
-
-impl DeviceGaussians {
-    /// Uploads `gaussians` into buffers for `capacity` rows, at least as many as there are.
-    ///
-    /// # Errors
-    /// Out of memory, or above what the adapter binds.
-    pub fn upload(gpu: &Gpu, gaussians: &Gaussians, capacity: usize) -> Result<Self, GpuError> {
-        let capacity = capacity.max(gaussians.len());
-        let row = sh_row(gaussians.sh_degree);
-        // The longest rows of a Gaussian are Adam's two moments of its harmonics, or of its
-        // geometry.
-        let per_part = gpu.rows_per_part(2 * size_of::<f32>() * row.max(GEOMETRY_ROW));
-        let mut parts = Vec::new();
-        for rows in part_sizes(capacity, per_part) {
-            let uniform = PartUniform {
-                first: (parts.len() * per_part) as u32,
-                rows: rows as u32,
-                pad: [0; 2],
-            };
-            parts.push(Part {
-                uniform: gpu.upload("part", &[uniform])?,
-                rows,
-            });
-        }
-        let out = Self {
-            geometry: gpu.create_rows("geometry", capacity, GEOMETRY_ROW, per_part)?,
-            sh: gpu.create_rows("sh", capacity, row, per_part)?,
-            parts,
-            capacity,
-            count: gaussians.len(),
-            sh_degree: gaussians.sh_degree,
-        };
-        out.geometry
-            .write(pack_geometry(gaussians).as_flattened())?;
-        out.sh.write(&pack_harmonics(gaussians))?;
-        Ok(out)
-    }
-
-    /// Reads the Gaussians in use back.
-    ///
-    /// # Errors
-    /// A device error.
-    pub fn download(&self) -> Result<Gaussians, GpuError> {
-        let (geometry, sh) = (self.geometry.read(self.count)?, self.sh.read(self.count)?);
-        let (rows, _) = geometry.as_chunks::<GEOMETRY_ROW>();
-        Ok(unpack_gaussians(rows, &sh, self.sh_degree))
-    }
-}
-
-/// Floats of a row of harmonics: all coefficients of three channels, filled up to whole vectors of
-/// four.
-pub const fn sh_row(degree: u32) -> usize {
-    (3 * (degree + 1) * (degree + 1)).next_multiple_of(4) as usize
-}
-
-/// Rows of `sh`.
-fn pack_harmonics(gaussians: &Gaussians) -> Vec<f32> {
-    let mut rows = vec![0.0; gaussians.len() * sh_row(gaussians.sh_degree)];
-    let used = 3 * gaussians.coefficients();
-    let sources = gaussians.sh.chunks_exact(used);
-    for (row, source) in rows
-        .chunks_exact_mut(sh_row(gaussians.sh_degree))
-        .zip(sources)
-    {
-        row[..used].copy_from_slice(source);
-    }
-    rows
-}
-
-/// Rows of `geometry`.
-pub fn pack_geometry(gaussians: &Gaussians) -> Vec<[f32; GEOMETRY_ROW]> {
-    let row = |i: usize| {
-        let ([x, y, z], [a, b, c]) = (gaussians.means[i], gaussians.log_scales[i]);
-        let [qw, qx, qy, qz] = gaussians.quats[i];
-        [
-            x,
-            y,
-            z,
-            a,
-            b,
-            c,
-            qw,
-            qx,
-            qy,
-            qz,
-            gaussians.opacity_logits[i],
-            0.0,
-        ]
-    };
-    (0..gaussians.len()).map(row).collect()
-}
-
-/// Gaussians from rows of geometry and of harmonics.
-pub fn unpack_gaussians(rows: &[[f32; GEOMETRY_ROW]], sh: &[f32], sh_degree: u32) -> Gaussians {
-    let used = 3 * ((sh_degree + 1) * (sh_degree + 1)) as usize;
-    let sh = sh
-        .chunks_exact(sh_row(sh_degree))
-        .flat_map(|row| &row[..used])
-        .copied()
-        .collect();
-    Gaussians {
-        means: rows.iter().map(|r| [r[0], r[1], r[2]]).collect(),
-        log_scales: rows.iter().map(|r| [r[3], r[4], r[5]]).collect(),
-        quats: rows.iter().map(|r| [r[6], r[7], r[8], r[9]]).collect(),
-        opacity_logits: rows.iter().map(|r| r[10]).collect(),
-        sh,
-        sh_degree,
-    }
-}
 
 /// What the projection writes, by Gaussian.
 #[derive(Clone)]
@@ -236,8 +83,10 @@ impl Projection {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::gaussians::Gaussians;
     use crate::splat::fixtures::{self, relative_l2};
     use crate::splat::reference::{Projected, Splat, project};
+    use crate::splat::rows::PartUniform;
 
     fn run(gaussians: &Gaussians, camera: &CameraUniform) -> (Vec<[f32; 4]>, Vec<u32>, Vec<u32>) {
         let gpu = fixtures::gpu();
@@ -315,16 +164,12 @@ mod tests {
                 continue;
             }
             visible += 1;
-            let row: Vec<_> = projected[3 * i..3 * i + 3]
-                .iter()
-                .flatten()
-                .map(|v| f64::from(*v))
-                .collect();
-            assert_eq!(keys[i], (row[9] as f32).to_bits());
-            for (value, expected) in row.iter().zip(flat(&expected)) {
+            let found = fixtures::projected(&projected, i);
+            assert_eq!(keys[i], (found.depth as f32).to_bits());
+            for (value, expected) in flat(&found).into_iter().zip(flat(&expected)) {
                 assert!(
                     (value - expected).abs() <= 2e-4 * (1.0 + expected.abs()),
-                    "{i}: {row:?} {expected}"
+                    "{i}: {found:?} {expected}"
                 );
             }
         }

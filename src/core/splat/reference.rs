@@ -12,6 +12,22 @@ use crate::gaussians::Gaussians;
 pub use blend::{Blended, blend, blend_backward};
 pub use projection::{Projected, ProjectedGradient, project, project_backward};
 
+/// Where a row of [`Splat::flatten`] has its numbers.
+pub mod column {
+    use std::ops::Range;
+
+    /// World units.
+    pub const MEAN: Range<usize> = 0..3;
+    /// Natural logarithm of world units.
+    pub const LOG_SCALE: Range<usize> = 3..6;
+    /// w x y z.
+    pub const QUAT: Range<usize> = 6..10;
+    /// Before the sigmoid.
+    pub const OPACITY_LOGIT: usize = 10;
+    /// From here to the end: the coefficients.
+    pub const HARMONICS: usize = 11;
+}
+
 /// One Gaussian in f64, in the trained parameterisation. The same struct holds its gradient.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Splat {
@@ -68,18 +84,19 @@ impl Splat {
 
     /// The inverse of [`Splat::flatten`].
     pub fn unflatten(row: &[f64]) -> Self {
-        let take3 = |at: usize| [row[at], row[at + 1], row[at + 2]];
+        let (sh, _) = row[column::HARMONICS..].as_chunks();
         Self {
-            mean: take3(0),
-            log_scale: take3(3),
-            quat: [row[6], row[7], row[8], row[9]],
-            opacity_logit: row[10],
-            sh: row[11..]
-                .chunks_exact(3)
-                .map(|c| [c[0], c[1], c[2]])
-                .collect(),
+            mean: numbers(row, column::MEAN),
+            log_scale: numbers(row, column::LOG_SCALE),
+            quat: numbers(row, column::QUAT),
+            opacity_logit: row[column::OPACITY_LOGIT],
+            sh: sh.to_vec(),
         }
     }
+}
+
+fn numbers<const N: usize>(row: &[f64], columns: std::ops::Range<usize>) -> [f64; N] {
+    std::array::from_fn(|i| row[columns.start + i])
 }
 
 /// What is rendered with: camera, active degree and near plane.

@@ -8,8 +8,8 @@ use crate::camera::Camera;
 pub const TILE: u32 = 16;
 
 /// Splats nearer to the camera than this are culled, world units; the same when training and
-/// rendering. Differs from splat.md (0.2 x scene unit): hand-held cameras come close, and a scene
-/// does not carry its unit.
+/// rendering. Not the usual 0.2 scene units: hand-held cameras come close, and a scene does not
+/// carry its unit.
 pub const NEAR: f32 = 0.01;
 
 /// `CameraUniform` of shaders/shared/camera.wgsl.

@@ -8,8 +8,9 @@
 use glam::{Quat, Vec3};
 use rand::Rng;
 
-use super::{GeometryRow, MIN_OPACITY, opacity};
+use super::{MIN_OPACITY, opacity};
 use crate::random::normal;
+use crate::splat::rows::GeometryRow;
 
 /// Mean length of the gradient by the position in normalised device coordinates above which a
 /// Gaussian is too coarse.
@@ -27,9 +28,20 @@ pub const RESET_EVERY: u32 = 3_000;
 /// Opacities after a reset, at most.
 const RESET_TO: f32 = 0.01;
 
-/// What the steps since the last densification saw of a Gaussian: the sum of the lengths of its
-/// gradients by position, in normalised device coordinates, and the number of views that showed it.
-pub type PositionGradient = [f32; 2];
+/// What the steps since the last densification saw of a Gaussian.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct PositionGradient {
+    /// Sum of the lengths of its gradients by position, in normalised device coordinates.
+    pub lengths: f32,
+    /// Number of views that showed it.
+    pub views: f32,
+}
+
+impl PositionGradient {
+    fn mean(self) -> f32 {
+        self.lengths / self.views.max(1.0)
+    }
+}
 
 /// One Gaussian after a densification.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -53,7 +65,6 @@ pub fn plan(
     after_reset: bool,
     random: &mut impl Rng,
 ) -> Vec<Descendant> {
-    let largest = |row: &GeometryRow| f64::from(row[3].max(row[4]).max(row[5])).exp();
     let dies = |row: &GeometryRow| {
         opacity(row) < MIN_OPACITY || (after_reset && largest(row) > LARGE * extent)
     };
@@ -63,7 +74,7 @@ pub fn plan(
     } else {
         kept
     };
-    let mean = |i: usize| gradients[i][0] / gradients[i][1].max(1.0);
+    let mean = |i: usize| gradients[i].mean();
     let mut coarse: Vec<usize> = kept
         .iter()
         .copied()
@@ -101,16 +112,23 @@ pub fn plan(
     after
 }
 
+/// The longest half axis, world units.
+fn largest(row: &GeometryRow) -> f64 {
+    let [x, y, z] = row.log_scale;
+    f64::from(x.max(y).max(z)).exp()
+}
+
 /// A smaller Gaussian at a place drawn from `row`.
 fn part(row: &GeometryRow, random: &mut impl Rng) -> GeometryRow {
-    let scale = Vec3::new(row[3], row[4], row[5]).exp();
+    let scale = Vec3::from(row.log_scale).exp();
     let drawn = Vec3::from([0; 3].map(|_| normal(random) as f32));
-    let rotation = Quat::from_xyzw(row[7], row[8], row[9], row[6]).normalize();
+    let [w, x, y, z] = row.quat;
+    let rotation = Quat::from_xyzw(x, y, z, w).normalize();
     let offset = rotation * (scale * drawn);
     let mut out = *row;
     for axis in 0..3 {
-        out[axis] += offset[axis];
-        out[3 + axis] -= SHRINK.ln();
+        out.mean[axis] += offset[axis];
+        out.log_scale[axis] -= SHRINK.ln();
     }
     out
 }
@@ -127,26 +145,26 @@ mod tests {
 
     use super::*;
 
-    const LARGE_GRADIENT: PositionGradient = [0.01, 10.0];
+    const LARGE_GRADIENT: PositionGradient = seen_in_ten_views(0.01);
+
+    const fn seen_in_ten_views(lengths: f32) -> PositionGradient {
+        PositionGradient {
+            lengths,
+            views: 10.0,
+        }
+    }
 
     /// Ten times as long in its own x, which points along the world's y.
     fn row(opacity: f32, scale: f32) -> GeometryRow {
         let (s, logit) = (scale.ln(), (opacity / (1.0 - opacity)).ln());
         // A quarter turn about z; rows need not be normalised.
-        [
-            1.0,
-            2.0,
-            3.0,
-            s + 10.0_f32.ln(),
-            s,
-            s,
-            1.5,
-            0.0,
-            0.0,
-            1.5,
-            logit,
-            0.0,
-        ]
+        GeometryRow {
+            mean: [1.0, 2.0, 3.0],
+            log_scale: [s + 10.0_f32.ln(), s, s],
+            quat: [1.5, 0.0, 0.0, 1.5],
+            opacity_logit: logit,
+            spare: 0.0,
+        }
     }
 
     fn after(
@@ -181,8 +199,8 @@ mod tests {
                 LARGE_GRADIENT,
                 LARGE_GRADIENT,
                 LARGE_GRADIENT,
-                [1e-3, 10.0],
-                [0.0, 0.0],
+                seen_in_ten_views(1e-3),
+                PositionGradient::default(),
             ],
             100,
             false,
@@ -201,8 +219,10 @@ mod tests {
         );
         assert_eq!(found[3].row, rows[0]);
         for part in &found[4..] {
-            assert!((part.row[3] - rows[1][3] + 1.6_f32.ln()).abs() < 1e-6);
-            assert_eq!(part.row[6..], rows[1][6..]);
+            let shrunk = rows[1].log_scale[0] - part.row.log_scale[0];
+            assert!((shrunk - 1.6_f32.ln()).abs() < 1e-6);
+            let rest = |row: &GeometryRow| (row.quat, row.opacity_logit);
+            assert_eq!(rest(&part.row), rest(&rows[1]));
         }
     }
 
@@ -212,7 +232,8 @@ mod tests {
         let mut random = Pcg64::seed_from_u64(2);
         let parts: Vec<_> = (0..4_000).map(|_| part(&source, &mut random)).collect();
         let spread = |axis: usize| {
-            let sum: f32 = parts.iter().map(|p| (p[axis] - source[axis]).powi(2)).sum();
+            let off = |part: &GeometryRow| part.mean[axis] - source.mean[axis];
+            let sum: f32 = parts.iter().map(|part| off(part).powi(2)).sum();
             (sum / parts.len() as f32).sqrt()
         };
         for (axis, expected) in [(0, 0.01), (1, 0.1), (2, 0.01)] {
@@ -227,12 +248,12 @@ mod tests {
     #[test]
     fn the_cap_holds_for_the_largest_gradients_and_size_counts_after_a_reset() {
         let rows = [row(0.6, 0.05); 4];
-        let gradients = [[0.01, 10.0], [0.04, 10.0], [0.02, 10.0], [0.03, 10.0]];
+        let gradients = [0.01, 0.04, 0.02, 0.03].map(seen_in_ten_views);
         let found = after(&rows, &gradients, 6, false);
         let new: Vec<_> = found.iter().filter(|d| d.new).map(|d| d.source).collect();
         assert_eq!((found.len(), new), (6, vec![1, 1, 3, 3]));
         let mixed = [row(0.6, 0.05), row(0.6, 1e-3)];
-        let small: Vec<_> = after(&mixed, &[[0.0; 2]; 2], 6, true)
+        let small: Vec<_> = after(&mixed, &[PositionGradient::default(); 2], 6, true)
             .iter()
             .map(|d| d.source)
             .collect();

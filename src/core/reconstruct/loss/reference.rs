@@ -9,7 +9,7 @@ const C2: f64 = 9e-4;
 
 /// Loss of a planar image [3, height, width], its parts, and its gradient by the prediction.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Reference {
+pub struct ReferenceLoss {
     /// Mean absolute error.
     pub l1: f64,
     /// Mean squared error.
@@ -20,7 +20,7 @@ pub struct Reference {
     pub gradient: Vec<f64>,
 }
 
-impl Reference {
+impl ReferenceLoss {
     /// `0.8 l1 + 0.2 (1 - ssim)`.
     pub fn total(&self) -> f64 {
         L1_SHARE * self.l1 + SSIM_SHARE * (1.0 - self.ssim)
@@ -28,9 +28,9 @@ impl Reference {
 }
 
 /// The loss of a prediction against a target, both planar [3, height, width].
-pub fn loss(prediction: &[f64], target: &[f64], width: usize) -> Reference {
+pub fn loss(prediction: &[f64], target: &[f64], width: usize) -> ReferenceLoss {
     let plane = prediction.len() / 3;
-    let mut result = Reference {
+    let mut result = ReferenceLoss {
         l1: 0.0,
         squared: 0.0,
         ssim: 0.0,
@@ -56,7 +56,7 @@ pub fn loss(prediction: &[f64], target: &[f64], width: usize) -> Reference {
 }
 
 /// Adds the sums and appends the gradient of one channel, not yet divided by the number of values.
-fn add_plane(result: &mut Reference, x: &[f64], y: &[f64], width: usize) {
+fn add_plane(result: &mut ReferenceLoss, x: &[f64], y: &[f64], width: usize) {
     let product = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).collect::<Vec<_>>();
     let means = [
         x.to_vec(),

@@ -38,7 +38,7 @@ fn on_device(prediction: &Image, target: &Image, run: u32) -> (Vec<f32>, LossVal
 }
 
 /// The reference on the target as it is packed.
-fn expected(prediction: &Image, target: &Image) -> reference::Reference {
+fn expected(prediction: &Image, target: &Image) -> reference::ReferenceLoss {
     let p: Vec<f64> = prediction.data().iter().map(|&v| f64::from(v)).collect();
     let words = pack_target(target);
     let t: Vec<f64> = (0..p.len())

@@ -1,13 +1,13 @@
-use rand::SeedableRng;
-use rand_pcg::Pcg64;
+mod relocation;
 
 use super::*;
 use crate::gaussians::Gaussians;
-use crate::reconstruct::densify;
 use crate::splat::fixtures::{self, Random, cosine, relative_l2};
-use crate::splat::project::sh_row;
 use crate::splat::rasterize::{SLOT_ROW, gradient};
-use crate::splat::reference::{ProjectedGradient, Splat, Viewpoint, project, project_backward};
+use crate::splat::reference::{
+    ProjectedGradient, Splat, Viewpoint, column, project, project_backward,
+};
+use crate::splat::rows::sh_row;
 use crate::splat::uniform::CameraUniform;
 
 const SCHEDULE: Schedule = Schedule {
@@ -120,7 +120,7 @@ impl Bench {
             StepUniform::default(),
         );
         let count = self.gaussians.len();
-        let geometry = self.optimizer.geometry_moments.read(count).expect("read");
+        let geometry = self.optimizer.read_geometry_moments(count).expect("read");
         let sh = self.optimizer.sh_moments.read(count).expect("read");
         let (row, stride) = (
             3 * self.gaussians.coefficients(),
@@ -128,7 +128,7 @@ impl Bench {
         );
         (0..self.gaussians.len())
             .map(|i| {
-                let head = geometry[24 * i..24 * i + 11].iter();
+                let head = geometry[i].first.iter();
                 head.chain(&sh[stride * i..stride * i + row])
                     .map(|v| f64::from(*v))
                     .collect()
@@ -148,7 +148,15 @@ fn gradients_of_every_parameter_equal_the_reference() {
                 project_backward(&splat, &bench.view, &bench.upstream[i]).flatten()
             })
             .collect();
-        for range in [0..3, 3..6, 6..10, 10..11, 11..59] {
+        let harmonics = column::HARMONICS..column::HARMONICS + 3 * 16;
+        let opacity = column::OPACITY_LOGIT..column::OPACITY_LOGIT + 1;
+        for range in [
+            column::MEAN,
+            column::LOG_SCALE,
+            column::QUAT,
+            opacity,
+            harmonics,
+        ] {
             let pick = |rows: &[Vec<f64>]| {
                 rows.iter()
                     .flat_map(|r| r[range.clone()].to_vec())
@@ -199,7 +207,11 @@ fn opacities_that_make_up_for_dropped_gaussians_have_the_gradient_of_that() {
     bench.rows.colours.write(&colours).expect("written");
     for (dropping, whole) in bench.gradients().iter().zip(&whole) {
         for (n, (a, b)) in dropping.iter().zip(whole).enumerate() {
-            let factor = if n == 10 { 1.25 } else { 1.0 };
+            let factor = if n == column::OPACITY_LOGIT {
+                1.25
+            } else {
+                1.0
+            };
             assert!(
                 (a - factor * b).abs() <= 1e-6 + 1e-5 * b.abs(),
                 "{n}: {a} {b}"
@@ -219,11 +231,11 @@ fn the_first_update_and_its_moments_equal_scalar_adam() {
     bench.step(&PROJECT_BACKWARD_ADAM, first);
     let moved = bench.device.download().expect("read");
     let rate = |n: usize| match n {
-        0..3 => first.rates[0],
-        3..6 => first.rates[1],
-        6..10 => first.rates[2],
-        10 => first.rates[3],
-        11..14 => first.rate_sh0,
+        n if column::MEAN.contains(&n) => first.rates[0],
+        n if column::LOG_SCALE.contains(&n) => first.rates[1],
+        n if column::QUAT.contains(&n) => first.rates[2],
+        column::OPACITY_LOGIT => first.rates[3],
+        n if n < column::HARMONICS + 3 => first.rate_sh0,
         _ => first.rate_sh,
     };
     for (i, row) in gradients.iter().enumerate() {
@@ -242,17 +254,12 @@ fn the_first_update_and_its_moments_equal_scalar_adam() {
             );
         }
     }
-    let moments = bench
-        .optimizer
-        .geometry_moments
-        .read(bench.gaussians.len())
-        .expect("read");
-    for (i, row) in gradients.iter().enumerate() {
-        for (n, g) in row[..11].iter().enumerate() {
-            assert!((f64::from(moments[24 * i + n]) - 0.1 * g).abs() <= 1e-6 + 1e-5 * g.abs());
-            assert!(
-                (f64::from(moments[24 * i + 12 + n]) - 0.001 * g * g).abs() <= 1e-6 + 1e-5 * g * g
-            );
+    let moments = bench.optimizer.read_geometry_moments(60).expect("read");
+    for (moments, row) in moments.iter().zip(&gradients) {
+        for ((first, second), g) in moments.first.iter().zip(&moments.second).zip(row) {
+            let (first, second) = (f64::from(*first), f64::from(*second));
+            assert!((first - 0.1 * g).abs() <= 1e-6 + 1e-5 * g.abs());
+            assert!((second - 0.001 * g * g).abs() <= 1e-6 + 1e-5 * g * g);
         }
     }
 }
@@ -357,64 +364,6 @@ fn exploration_moves_faint_gaussians_and_leaves_opaque_ones() {
     assert!((spread(0) / 0.0838 - 1.0).abs() < 0.2 && (spread(1) / 0.0838 - 1.0).abs() < 0.2);
     assert!(spread(2) < 0.01);
     assert!((200..400).all(|i| moved(i, 0).abs() < 1e-6));
-}
-
-#[test]
-fn relocation_copies_splits_and_clears_on_the_device() {
-    relocates(fixtures::gpu(), 1);
-    // Six parts of four, and moves in chunks of six: from part to part.
-    relocates(&Gpu::binding_at_most("auto", 1_024).expect("an adapter"), 6);
-}
-
-fn relocates(gpu: &Gpu, parts: usize) {
-    let mut gaussians = fixtures::gaussians(20, 2, 9);
-    gaussians.opacity_logits[4] = -8.0;
-    let mut device = DeviceGaussians::upload(gpu, &gaussians, 24).expect("uploaded");
-    assert_eq!(device.parts.len(), parts);
-    let optimizer = Optimizer::new(gpu, &device, false).expect("created");
-    optimizer
-        .geometry_moments
-        .write(&vec![1.0; 24 * 24])
-        .expect("written");
-    optimizer
-        .sh_moments
-        .write(&vec![1.0; 24 * 56])
-        .expect("written");
-    let rows = crate::splat::project::pack_geometry(&gaussians);
-    let plan = densify::plan(&rows, 22, &mut Pcg64::seed_from_u64(3));
-    optimizer.relocate(gpu, &device, &plan).expect("relocated");
-    device.count = plan.count;
-    let after = device.download().expect("read");
-    let (geometry, sh) = (
-        optimizer.geometry_moments.read(24),
-        optimizer.sh_moments.read(24),
-    );
-    let (geometry, sh) = (geometry.expect("read"), sh.expect("read"));
-    assert_eq!(after.len(), 22);
-    let touched: Vec<_> = plan.moves.iter().map(|m| m[0] as usize).collect();
-    assert!(touched.contains(&4) && touched.contains(&20) && touched.contains(&21));
-    for (&[to, from], shape) in plan.moves.iter().zip(&plan.shapes) {
-        let (to, from) = (to as usize, from as usize);
-        assert_eq!(after.means[to], gaussians.means[from]);
-        assert_eq!(after.quats[to], gaussians.quats[from]);
-        assert_eq!(after.log_scales[to], shape[..3]);
-        assert_eq!(after.opacity_logits[to], shape[3]);
-        assert_eq!(
-            after.sh[27 * to..27 * to + 27],
-            gaussians.sh[27 * from..27 * from + 27]
-        );
-    }
-    for i in 0..20 {
-        let expected = if touched.contains(&i) { 0.0 } else { 1.0 };
-        assert!(
-            geometry[24 * i..24 * i + 24].iter().all(|v| *v == expected),
-            "{i}"
-        );
-        assert!(
-            sh[56 * i..56 * i + 56].iter().all(|v| *v == expected),
-            "{i}"
-        );
-    }
 }
 
 #[test]

@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::register::Motion;
-use crate::shake::reference::Reference;
+use crate::shake::reference::ReferenceShake;
 use crate::shake::{ShakeKernel, Tap};
 
 #[test]
@@ -127,14 +127,9 @@ fn cameras_that_stand_wrong_are_corrected_in_training_and_held_out_ones_after_it
         "{before:.2} px off before, {after:.2} after"
     );
     assert!(refined.final_loss < unrefined.final_loss);
-    let registered = |cancel: &CancelToken| {
-        register(
-            fixtures::gpu(),
-            std::slice::from_ref(held_out),
-            &refined.gaussians,
-            &config,
-            cancel,
-        )
+    let registered = |cancel: &CancelToken| -> Result<Vec<Camera>, ReconstructError> {
+        let held_out = std::slice::from_ref(held_out);
+        Registration::new(fixtures::gpu(), held_out, &refined.gaussians, None)?.cameras(3.0, cancel)
     };
     let cancel = CancelToken::new();
     let found = registered(&cancel).expect("found");
@@ -162,7 +157,7 @@ fn shaken(image: &Image, angle: f64, response: &Response) -> Image {
     };
     let kernel = ShakeKernel::new((-3..=3).map(tap).collect());
     let size = [image.width(), image.height()];
-    let reference = Reference {
+    let reference = ReferenceShake {
         size,
         kernel: &kernel,
         response,

@@ -1,15 +1,15 @@
 //! Between steps: Gaussians come and go.
 
-use fled_gpu::GpuError;
+use fled_gpu::{GpuError, Rows};
 
-use super::{Trainer, WARM_GROWTH};
+use super::Trainer;
 use crate::reconstruct::Densify;
-use crate::reconstruct::densify::{self, GeometryRow, classic};
-use crate::reconstruct::optimizer::POSITION_GRADIENT_AT;
-use crate::splat::project::GEOMETRY_ROW;
+use crate::reconstruct::densify::{self, classic};
+use crate::reconstruct::optimizer::GeometryMoments;
+use crate::splat::rows::GeometryRow;
 
-/// Floats of a row of geometry moments.
-const MOMENTS_ROW: usize = 2 * GEOMETRY_ROW;
+/// A warm round does not grow before this share of its steps.
+const WARM_GROWTH: f64 = 0.05;
 
 impl Trainer<'_> {
     pub(super) fn densifies(&self, step: u32) -> bool {
@@ -22,13 +22,11 @@ impl Trainer<'_> {
     }
 
     pub(super) fn densify(&mut self, step: u32) -> Result<(), GpuError> {
-        let count = self.gaussians.count;
-        let flat = self.gaussians.geometry.read(count)?;
-        let (rows, _) = flat.as_chunks::<GEOMETRY_ROW>();
+        let rows = self.model.pass.gaussians.read_geometry()?;
         match self.config.densify {
             Densify::Off => Ok(()),
-            Densify::Mcmc => self.relocate(rows, step),
-            Densify::Classic => self.clone_and_split(rows, step),
+            Densify::Mcmc => self.relocate(&rows, step),
+            Densify::Classic => self.clone_and_split(&rows, step),
         }
     }
 
@@ -37,92 +35,104 @@ impl Trainer<'_> {
         let target = if self.config.warm && self.schedule.share(step) < WARM_GROWTH {
             count
         } else {
-            densify::grown(
-                count,
-                self.start_count,
-                self.config.cap,
-                self.schedule.densifications(),
-            )
+            let densifications = self.schedule.densifications();
+            densify::grown(count, self.start_count, self.config.cap, densifications)
         };
-        let plan = densify::plan(
-            rows,
-            target,
-            &mut self.schedule.generator(2, u64::from(step)),
-        );
-        self.optimizer.relocate(self.gpu, &self.gaussians, &plan)?;
-        self.gaussians.count = plan.count;
+        let random = &mut self.schedule.generator(2, u64::from(step));
+        let plan = densify::plan(rows, target, random);
+        let gaussians = &mut self.model.pass.gaussians;
+        self.optimizer.relocate(self.gpu, gaussians, &plan)?;
+        gaussians.count = plan.count;
         Ok(())
     }
 
     /// On the host: it is there for comparison, and moves everything about.
     fn clone_and_split(&mut self, rows: &[GeometryRow], step: u32) -> Result<(), GpuError> {
-        let (count, optimizer) = (rows.len(), &self.optimizer);
-        let sh_row = self.gaussians.sh.length();
-        let (sh, sh_moments) = (
-            self.gaussians.sh.read(count)?,
-            optimizer.sh_moments.read(count)?,
-        );
-        let moments = optimizer.geometry_moments.read(count)?;
-        let (moments, _) = moments.as_chunks::<MOMENTS_ROW>();
-        let gradients: Vec<classic::PositionGradient> = moments
-            .iter()
-            .map(|row| POSITION_GRADIENT_AT.map(|at| row[at]))
-            .collect();
-        let mut after = if self.schedule.densifies(step) {
-            let random = &mut self.schedule.generator(2, u64::from(step));
-            let reset_before = self.config.warm || step > classic::RESET_EVERY;
-            classic::plan(
-                rows,
-                &gradients,
-                self.config.cap,
-                self.config.extent,
-                reset_before,
-                random,
-            )
-        } else {
-            let as_is = |source: usize| classic::Descendant {
-                source,
-                row: rows[source],
-                new: false,
-            };
-            (0..count).map(as_is).collect()
-        };
+        let moments = self.optimizer.read_geometry_moments(rows.len())?;
+        let mut after = self.descendants(rows, &moments, step);
         if self.resets_opacities(step) {
-            after
-                .iter_mut()
-                .for_each(|one| one.row[10] = classic::reset(one.row[10]));
+            for one in &mut after {
+                one.row.opacity_logit = classic::reset(one.row.opacity_logit);
+            }
         }
         let geometry: Vec<GeometryRow> = after.iter().map(|one| one.row).collect();
-        let kept = |one: &classic::Descendant| {
-            let mut row = if one.new {
-                [0.0; MOMENTS_ROW]
-            } else {
-                moments[one.source]
-            };
-            POSITION_GRADIENT_AT
-                .into_iter()
-                .for_each(|at| row[at] = 0.0);
-            row
-        };
-        let new_moments: Vec<[f32; MOMENTS_ROW]> = after.iter().map(kept).collect();
-        let rows_of = |from: &[f32], length: usize, cleared: bool| -> Vec<f32> {
-            let row = |one: &classic::Descendant| {
-                let found = from[one.source * length..(one.source + 1) * length].iter();
-                found
-                    .map(|v| if cleared && one.new { 0.0 } else { *v })
-                    .collect::<Vec<_>>()
-            };
-            after.iter().flat_map(row).collect()
-        };
-        self.gaussians.geometry.write(geometry.as_flattened())?;
-        optimizer
-            .geometry_moments
-            .write(new_moments.as_flattened())?;
-        self.gaussians.sh.write(&rows_of(&sh, sh_row, false))?;
-        optimizer
-            .sh_moments
-            .write(&rows_of(&sh_moments, 2 * sh_row, true))?;
-        self.gaussians.count = after.len();
+        let moments: Vec<_> = after
+            .iter()
+            .map(|one| moments_after(one, &moments))
+            .collect();
+        let gaussians = &mut self.model.pass.gaussians;
+        gaussians.geometry.write(bytemuck::cast_slice(&geometry))?;
+        let geometry_moments = &self.optimizer.geometry_moments;
+        geometry_moments.write(bytemuck::cast_slice(&moments))?;
+        hand_down(&gaussians.sh, rows.len(), &after, |_| true)?;
+        hand_down(&self.optimizer.sh_moments, rows.len(), &after, |one| {
+            !one.new
+        })?;
+        gaussians.count = after.len();
         Ok(())
     }
+
+    /// Who is there after `step`.
+    fn descendants(
+        &self,
+        rows: &[GeometryRow],
+        moments: &[GeometryMoments],
+        step: u32,
+    ) -> Vec<classic::Descendant> {
+        if !self.schedule.densifies(step) {
+            let as_is = |(source, &row): (usize, &GeometryRow)| classic::Descendant {
+                source,
+                row,
+                new: false,
+            };
+            return rows.iter().enumerate().map(as_is).collect();
+        }
+        let gradients: Vec<classic::PositionGradient> = moments
+            .iter()
+            .map(|row| classic::PositionGradient {
+                lengths: row.gradient_lengths,
+                views: row.gradient_views,
+            })
+            .collect();
+        classic::plan(
+            rows,
+            &gradients,
+            self.config.cap,
+            self.config.extent,
+            self.config.warm || step > classic::RESET_EVERY,
+            &mut self.schedule.generator(2, u64::from(step)),
+        )
+    }
+}
+
+/// Those of its source without the gradients that were summed up until now; zero for a new one.
+fn moments_after(one: &classic::Descendant, moments: &[GeometryMoments]) -> GeometryMoments {
+    if one.new {
+        return GeometryMoments::default();
+    }
+    GeometryMoments {
+        gradient_lengths: 0.0,
+        gradient_views: 0.0,
+        ..moments[one.source]
+    }
+}
+
+/// Gives every descendant the row of its source among the first `count`; zeros to those that do not
+/// inherit.
+fn hand_down(
+    rows: &Rows<f32>,
+    count: usize,
+    after: &[classic::Descendant],
+    inherits: impl Fn(&classic::Descendant) -> bool,
+) -> Result<(), GpuError> {
+    let (before, length) = (rows.read(count)?, rows.length());
+    let mut numbers = Vec::with_capacity(after.len() * length);
+    for one in after {
+        if inherits(one) {
+            numbers.extend_from_slice(&before[one.source * length..(one.source + 1) * length]);
+        } else {
+            numbers.extend(std::iter::repeat_n(0.0, length));
+        }
+    }
+    rows.write(&numbers)
 }

@@ -5,41 +5,32 @@ use crate::gaussians::Gaussians;
 use crate::noise::NoiseField;
 use crate::reconstruct::ReconstructError;
 use crate::reconstruct::checkpoint::Checkpoint;
-use crate::reconstruct::level::Level;
-use crate::shake::Shake;
-use crate::splat::project::{GEOMETRY_ROW, unpack_gaussians};
-use crate::splat::rasterize::{SplatBuffers, SplatSizes};
+use crate::reconstruct::observed::Observed;
+use crate::splat::rows::{GeometryRow, unpack_gaussians};
 
 impl Trainer<'_> {
     /// The state before the step `next`, with nothing in flight.
     pub(super) fn checkpoint(&self) -> Result<Checkpoint, ReconstructError> {
-        let count = self.gaussians.count;
+        let gaussians = &self.model.pass.gaussians;
+        let count = gaussians.count;
         Ok(Checkpoint {
             fingerprint: self.fingerprint(),
             step: self.next,
             start_count: self.start_count as u32,
-            sh_degree: self.gaussians.sh_degree,
-            intersections: self.raster.sizes().intersections as u32,
+            sh_degree: gaussians.sh_degree,
+            intersections: self.model.pass.buffers().sizes().intersections as u32,
             non_finite: self.optimizer.counters.read()?[0],
-            geometry: self.gaussians.geometry.read(count)?,
+            geometry: gaussians.geometry.read(count)?,
             geometry_moments: self.optimizer.geometry_moments.read(count)?,
-            sh: self.gaussians.sh.read(count)?,
+            sh: gaussians.sh.read(count)?,
             sh_moments: self.optimizer.sh_moments.read(count)?,
             noise: self
                 .noise
                 .as_ref()
                 .map_or(Ok(Vec::new()), NoiseField::save)?,
-            shake: self.shake.as_ref().map_or(Vec::new(), Shake::save),
-            motions: self
-                .motions
-                .iter()
-                .flat_map(|motion| motion.twist)
-                .collect(),
-            colours: self
-                .colours
-                .iter()
-                .flat_map(|colour| colour.to_row())
-                .collect(),
+            shake: self.model.save_kernels(),
+            motions: self.model.save_motions(),
+            colours: self.model.save_colours(),
         })
     }
 
@@ -61,20 +52,13 @@ impl Trainer<'_> {
         self.next = checkpoint.step;
         // The level in use before this step: `prepare` changes it where the undisturbed round does.
         let divisor = self.schedule.divisor(self.next.saturating_sub(1));
-        self.level = Level::new(self.gpu, self.views, divisor)?;
-        self.restore_shake(&checkpoint.shake)?;
-        self.restore_motions(&checkpoint.motions)?;
-        self.restore_colours(&checkpoint.colours)?;
-        let sizes = self.raster.sizes();
-        let intersections = checkpoint.intersections as usize;
-        self.raster = SplatBuffers::new(
-            self.gpu,
-            SplatSizes {
-                intersections,
-                ..sizes
-            },
-            true,
-        )?;
+        self.set_level(divisor)?;
+        self.model.restore_kernels(&checkpoint.shake)?;
+        self.model.restore_motions(&checkpoint.motions)?;
+        self.model.restore_colours(&checkpoint.colours)?;
+        self.model
+            .pass
+            .set_room(checkpoint.intersections as usize)?;
         Ok(())
     }
 
@@ -82,7 +66,7 @@ impl Trainer<'_> {
     fn fingerprint(&self) -> u64 {
         let mut hasher = blake3::Hasher::new();
         hasher.update(format!("{:?}", self.config).as_bytes());
-        for view in self.views {
+        for view in self.model.views.iter().map(Observed::given) {
             hasher.update(format!("{} {:?}", view.name, view.camera).as_bytes());
         }
         let hash = hasher.finalize();
@@ -92,6 +76,6 @@ impl Trainer<'_> {
 
 /// The Gaussians of a checkpoint.
 pub(super) fn scene_of(checkpoint: &Checkpoint) -> Gaussians {
-    let (rows, _) = checkpoint.geometry.as_chunks::<GEOMETRY_ROW>();
-    unpack_gaussians(rows, &checkpoint.sh, checkpoint.sh_degree)
+    let rows: Vec<GeometryRow> = bytemuck::pod_collect_to_vec(&checkpoint.geometry);
+    unpack_gaussians(&rows, &checkpoint.sh, checkpoint.sh_degree)
 }

@@ -48,7 +48,7 @@ impl<'a> Stepper<'a> {
     /// The scene as it stands.
     #[cfg(test)]
     pub(in crate::reconstruct) fn gaussians(&self) -> Gaussians {
-        self.0.gaussians.download().expect("read")
+        self.0.model.pass.gaussians.download().expect("read")
     }
 
     /// How much the last step had to sort and blend; reads it back from the device.
@@ -56,17 +56,13 @@ impl<'a> Stepper<'a> {
     /// # Errors
     /// A device error.
     pub fn splat_work(&self) -> Result<SplatWork, GpuError> {
-        self.0.raster.work()
+        self.0.model.pass.buffers().work()
     }
 
     /// Taps of the kernel by which the last step's view is shaken; `None` when shake is off.
     pub fn taps(&self) -> Option<usize> {
-        self.0
-            .shake
-            .as_ref()?
-            .kernels()
-            .nth(self.0.last_view)
-            .map(|kernel| kernel.taps().len())
+        let kernel = self.0.model.views[self.0.last_view].kernel.as_ref()?;
+        Some(kernel.kernel().taps().len())
     }
 
     /// How much the noise field works in a step; `None` when it is off.

@@ -2,7 +2,8 @@
 
 use fled_gpu::GpuError;
 
-use super::{SplatBuffers, TILE};
+use super::SplatBuffers;
+use crate::splat::uniform::TILE;
 
 /// What one image asked of the rasteriser.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -57,8 +58,9 @@ impl SplatBuffers {
 #[cfg(test)]
 mod tests {
     use crate::splat::fixtures;
-    use crate::splat::project::{DeviceGaussians, Projection};
+    use crate::splat::project::Projection;
     use crate::splat::rasterize::{Forward, Specialisation, SplatBuffers, SplatSizes};
+    use crate::splat::rows::DeviceGaussians;
     use crate::splat::uniform::CameraUniform;
 
     #[test]

@@ -51,7 +51,7 @@ struct Hit {
 }
 
 /// Solids in the order in which they were put up.
-pub(super) struct Scene {
+pub(super) struct Room {
     solids: Vec<Solid>,
     /// Of the patterns on all surfaces, 1 as a rule.
     scale: f64,
@@ -59,10 +59,10 @@ pub(super) struct Scene {
     wallpapers: Vec<Image<Linear>>,
 }
 
-impl Scene {
+impl Room {
     /// Walls, floor, and things at many depths around the origin. Room 0 is the one that everything
     /// is measured in; the others have its plan, with other paint, patterns and sizes.
-    pub fn room(number: u64, wallpapers: Vec<Image<Linear>>) -> Self {
+    pub fn new(number: u64, wallpapers: Vec<Image<Linear>>) -> Self {
         let mut room = Self {
             wallpapers,
             ..Self::first()
@@ -339,7 +339,7 @@ mod tests {
 
     #[test]
     fn the_lamp_falls_off_with_the_square_of_the_distance_and_the_cosine() {
-        let room = Scene::room(0, Vec::new());
+        let room = Room::new(0, Vec::new());
         let (below, height) = (room.lamp_light(BELOW_THE_LAMP, UP), 3.6);
         assert!(
             (below - (WHITE_AT / height).powi(2)).abs() < 1e-9,
@@ -353,7 +353,7 @@ mod tests {
 
     #[test]
     fn what_a_block_hides_from_the_lamp_is_in_its_shadow() {
-        let mut room = Scene::room(0, Vec::new());
+        let mut room = Room::new(0, Vec::new());
         assert_eq!(room.lamp_light(BEHIND_A_BLOCK, UP), 0.0);
         room.solids.truncate(1);
         assert!(room.lamp_light(BEHIND_A_BLOCK, UP) > 0.3);

@@ -1,0 +1,128 @@
+//! Where each view was taken from, judged by its render as the scene stands.
+
+use fled_gpu::GpuError;
+use rayon::prelude::*;
+
+use super::ForwardModel;
+use crate::camera::Camera;
+use crate::cancel::CancelToken;
+use crate::image::Image;
+use crate::reconstruct::ReconstructError;
+use crate::register::{self, Motion};
+
+/// Views whose seven renders are held at once.
+const AT_ONCE: usize = 4;
+
+/// What is known of a view before its camera is corrected.
+struct Probed {
+    photograph: Image,
+    render: Image,
+    probed: [Image; 6],
+    probes: [[f64; 6]; 6],
+}
+
+impl Probed {
+    fn correction(&self) -> Option<[f64; 6]> {
+        register::correction(&self.photograph, &self.render, &self.probed, &self.probes)
+    }
+
+    /// Whether another render is nearer to the photograph.
+    fn is_worse_than(&self, render: &Image) -> bool {
+        register::difference(&self.photograph, render)
+            < register::difference(&self.photograph, &self.render)
+    }
+}
+
+impl ForwardModel<'_> {
+    /// One Gauss-Newton step of every camera; what they have in common is the world's.
+    pub(in crate::reconstruct) fn refine_poses(
+        &mut self,
+        depth: f64,
+        degree: u32,
+        cancel: &CancelToken,
+    ) -> Result<(), ReconstructError> {
+        self.correct_cameras(depth, degree, cancel)?;
+        let given: Vec<Camera> = self.views.iter().map(|view| view.given().camera).collect();
+        let mut motions: Vec<Motion> = self.views.iter().map(|view| view.motion()).collect();
+        register::hold_gauge(&given, &mut motions);
+        self.set_motions(motions);
+        Ok(())
+    }
+
+    /// One Gauss-Newton step of every camera in a scene that lies about `depth` world units away. A
+    /// camera stays where it is if the images agree less well after its step.
+    pub(in crate::reconstruct) fn correct_cameras(
+        &mut self,
+        depth: f64,
+        degree: u32,
+        cancel: &CancelToken,
+    ) -> Result<(), ReconstructError> {
+        let all: Vec<usize> = (0..self.views.len()).collect();
+        for some in all.chunks(AT_ONCE) {
+            cancel.check()?;
+            let seen = some
+                .iter()
+                .map(|&view| self.probe(view, degree, depth))
+                .collect::<Result<Vec<_>, _>>()?;
+            let corrections: Vec<_> = seen.par_iter().map(Probed::correction).collect();
+            for ((&view, seen), correction) in some.iter().zip(&seen).zip(corrections) {
+                let Some(correction) = correction else {
+                    continue;
+                };
+                let motion = self.views[view].motion().plus(&correction);
+                let camera = self.views[view].camera_after(&motion);
+                let after = self.render_shaken(view, &camera, degree)?;
+                if seen.is_worse_than(&after) {
+                    self.views[view].move_to(motion);
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn probe(&mut self, view: usize, degree: u32, depth: f64) -> Result<Probed, GpuError> {
+        let camera = *self.views[view].camera();
+        let render = self.render_shaken(view, &camera, degree)?;
+        let probes = register::probes(&camera, depth);
+        let mut probed = Vec::with_capacity(probes.len());
+        for probe in &probes {
+            let motion = self.views[view].motion().plus(probe);
+            let moved = self.views[view].camera_after(&motion);
+            probed.push(self.render_shaken(view, &moved, degree)?);
+        }
+        let probed = probed
+            .try_into()
+            .map_err(|_| GpuError::Validation("six probes".to_owned()))?;
+        Ok(Probed {
+            photograph: self.views[view].photograph_in_scene_colours(),
+            render,
+            probed,
+            probes,
+        })
+    }
+
+    fn set_motions(&mut self, motions: impl IntoIterator<Item = Motion>) {
+        for (view, motion) in self.views.iter_mut().zip(motions) {
+            view.move_to(motion);
+        }
+    }
+
+    /// The motions as numbers, for a checkpoint.
+    pub(in crate::reconstruct) fn save_motions(&self) -> Vec<f32> {
+        let twists = self.views.iter().map(|view| view.motion().twist);
+        twists.flatten().collect()
+    }
+
+    /// Takes up the motions of a checkpoint.
+    pub(in crate::reconstruct) fn restore_motions(
+        &mut self,
+        state: &[f32],
+    ) -> Result<(), ReconstructError> {
+        let (twists, rest) = state.as_chunks();
+        if twists.len() != self.views.len() || !rest.is_empty() {
+            return Err(ReconstructError::OtherRound);
+        }
+        self.set_motions(twists.iter().map(|&twist| Motion { twist }));
+        Ok(())
+    }
+}

@@ -1,0 +1,94 @@
+//! How each view is shaken, judged by its render as the scene stands.
+
+use fled_gpu::GpuError;
+use rayon::prelude::*;
+
+use super::ForwardModel;
+use crate::cancel::CancelToken;
+use crate::image::Image;
+use crate::reconstruct::ReconstructError;
+use crate::shake::{self, DeviceKernel, ShakeKernel};
+
+/// Renders that are held at once.
+const AT_ONCE: usize = 8;
+
+impl ForwardModel<'_> {
+    /// Solves for the kernels of all views anew.
+    pub(in crate::reconstruct) fn estimate_shake(
+        &mut self,
+        degree: u32,
+        cancel: &CancelToken,
+    ) -> Result<(), ReconstructError> {
+        let Some(response) = self.shake.as_ref().map(|shake| shake.response().clone()) else {
+            return Ok(());
+        };
+        let all: Vec<usize> = (0..self.views.len()).collect();
+        for some in all.chunks(AT_ONCE) {
+            cancel.check()?;
+            let mut renders = Vec::with_capacity(some.len());
+            for &view in some {
+                let camera = *self.views[view].camera();
+                renders.push(self.render(&camera, degree)?);
+            }
+            let photographs: Vec<Image> = some
+                .iter()
+                .map(|&view| self.views[view].photograph_in_scene_colours())
+                .collect();
+            let kernels: Vec<ShakeKernel> = renders
+                .par_iter()
+                .zip(&photographs)
+                .map(|(render, photograph)| shake::estimate(render, photograph, &response))
+                .collect();
+            for (&view, kernel) in some.iter().zip(kernels) {
+                self.set_kernel(view, kernel)?;
+            }
+        }
+        Ok(())
+    }
+
+    fn set_kernel(&mut self, view: usize, kernel: ShakeKernel) -> Result<(), GpuError> {
+        let view = &mut self.views[view];
+        let size = view.size();
+        match (&self.shake, &mut view.kernel) {
+            (Some(shake), Some(on_device)) => shake.set(on_device, size, kernel),
+            _ => Ok(()),
+        }
+    }
+
+    /// Takes the views for still.
+    pub(super) fn still_views(&mut self) -> Result<(), GpuError> {
+        (0..self.views.len()).try_for_each(|view| self.set_kernel(view, ShakeKernel::still()))
+    }
+
+    fn kernels(&self) -> impl Iterator<Item = &ShakeKernel> {
+        let kernels = self.views.iter().filter_map(|view| view.kernel.as_ref());
+        kernels.map(DeviceKernel::kernel)
+    }
+
+    /// Mean [`ShakeKernel::spread`] over the views, px; `None` where nothing is taken for shaken.
+    pub(in crate::reconstruct) fn mean_spread(&self) -> Option<f64> {
+        self.shake.as_ref()?;
+        let sum = self.kernels().map(ShakeKernel::spread).sum::<f64>();
+        Some(sum / self.views.len() as f64)
+    }
+
+    /// The kernels as numbers, for a checkpoint; none where nothing is taken for shaken.
+    pub(in crate::reconstruct) fn save_kernels(&self) -> Vec<f32> {
+        shake::save(self.kernels())
+    }
+
+    /// Takes up the kernels of a checkpoint, at the resolution at which they were saved.
+    pub(in crate::reconstruct) fn restore_kernels(
+        &mut self,
+        state: &[f32],
+    ) -> Result<(), ReconstructError> {
+        if self.shake.is_none() {
+            return Ok(());
+        }
+        let kernels = shake::parse(state, self.views.len()).ok_or(ReconstructError::OtherRound)?;
+        for (view, kernel) in kernels.into_iter().enumerate() {
+            self.set_kernel(view, kernel)?;
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,62 @@
+//! Where photographs that did not train were taken from.
+
+use fled_gpu::Gpu;
+
+use super::forward_model::{ForwardModel, Purpose};
+use super::{ReconstructError, TrainingView};
+use crate::camera::Camera;
+use crate::cancel::CancelToken;
+use crate::gaussians::Gaussians;
+use crate::shake::Response;
+
+/// Corrections of a view that did not train.
+const CORRECTIONS: u32 = 4;
+
+/// A scene that does not change, beside photographs that were kept out of training, whose poses
+/// would otherwise be less exact than those of the others. It only renders forward: nothing of the
+/// photographs gets into the scene.
+pub struct Registration<'a> {
+    model: ForwardModel<'a>,
+    sh_degree: u32,
+}
+
+impl<'a> Registration<'a> {
+    /// For `views` of `scene`. With `shake` they are taken for shaken, and for values that come
+    /// from light like this.
+    ///
+    /// # Errors
+    /// [`ReconstructError::Empty`] without views or Gaussians; a device error.
+    pub fn new(
+        gpu: &Gpu,
+        views: &'a [TrainingView],
+        scene: &Gaussians,
+        shake: Option<&Response>,
+    ) -> Result<Self, ReconstructError> {
+        let purpose = Purpose {
+            shake,
+            capacity: scene.len(),
+            gradients: false,
+        };
+        Ok(Self {
+            model: ForwardModel::new(gpu, views, scene, purpose)?,
+            sh_degree: scene.sh_degree,
+        })
+    }
+
+    /// The views' cameras, corrected by renders of the scene, which lies about `depth` world units
+    /// away.
+    ///
+    /// # Errors
+    /// Cancelled, or a device error.
+    pub fn cameras(
+        mut self,
+        depth: f64,
+        cancel: &CancelToken,
+    ) -> Result<Vec<Camera>, ReconstructError> {
+        for _ in 0..CORRECTIONS {
+            self.model.estimate_shake(self.sh_degree, cancel)?;
+            self.model.correct_cameras(depth, self.sh_degree, cancel)?;
+        }
+        Ok(self.model.cameras())
+    }
+}

@@ -1,0 +1,137 @@
+//! Rounds that stop, go on, or do not begin.
+
+use super::*;
+
+#[test]
+fn a_round_resumed_from_a_checkpoint_ends_in_the_same_bytes() {
+    let scene = truth(120, 2);
+    let views = views_of(&scene, &[-0.3, 0.0, 0.3], [64, 48]);
+    let shake = Some(Response::srgb());
+    let config = TrainConfig {
+        resolution_schedule: true,
+        noise: NoiseMode::Grid,
+        shake,
+        refine_poses: Some(3.0),
+        view_colour: true,
+        ..config(150, 400)
+    };
+    resumes(&views, &scene, &config);
+    resumes(
+        &views,
+        &scene,
+        &TrainConfig {
+            densify: Densify::Classic,
+            shake: None,
+            ..config
+        },
+    );
+}
+
+fn resumes(views: &[TrainingView], scene: &Gaussians, config: &TrainConfig) {
+    let gpu = fixtures::gpu();
+    let undisturbed = trained(views, start(views, scene, config), config);
+    for stop in [25, 60, 125] {
+        let begin = start(views, scene, config);
+        let checkpoint = trainer::Trainer::new(gpu, views, begin, config)
+            .expect("made")
+            .frozen_at(stop);
+        let thawed = Checkpoint::from_bytes(&checkpoint.to_bytes()).expect("a checkpoint");
+        let resumed = trained(views, TrainStart::Resume(thawed), config);
+        assert!(
+            bytes(&resumed.gaussians) == bytes(&undisturbed.gaussians),
+            "stopped at {stop}"
+        );
+        assert_eq!(resumed.cameras, undisturbed.cameras, "stopped at {stop}");
+    }
+}
+
+#[test]
+fn cancelling_stops_a_round_between_two_steps() {
+    let scene = truth(60, 2);
+    let views = views_of(&scene, &[0.0], [64, 48]);
+    let config = config(1_000_000, 100);
+    let cancel = CancelToken::new();
+    let stop = cancel.clone();
+    let mut progress = |_: u64, _: u64, _: f64| stop.cancel();
+    let mut hooks = TrainHooks {
+        cancel: &cancel,
+        progress: &mut progress,
+        checkpoint: None,
+    };
+    let begin = start(&views, &scene, &config);
+    let outcome = train(fixtures::gpu(), &views, begin, &config, &mut hooks);
+    assert!(matches!(outcome, Err(ReconstructError::Cancelled(_))));
+}
+
+#[test]
+fn no_views_no_gaussians_and_a_foreign_checkpoint_are_refused() {
+    let scene = truth(60, 2);
+    let views = views_of(&scene, &[0.0], [64, 48]);
+    let plain = config(30, 100);
+    let cancel = CancelToken::new();
+    let mut hooks = TrainHooks {
+        cancel: &cancel,
+        progress: &mut |_, _, _| {},
+        checkpoint: None,
+    };
+    let begin = start(&views, &scene, &plain);
+    let mut refused = |views: &[TrainingView], start| {
+        train(fixtures::gpu(), views, start, &plain, &mut hooks).expect_err("refused")
+    };
+    assert!(matches!(
+        refused(&[], begin.clone()),
+        ReconstructError::Empty { views: 0, .. }
+    ));
+    let nothing = TrainStart::Fresh(Gaussians {
+        sh_degree: 1,
+        ..Gaussians::default()
+    });
+    assert!(matches!(
+        refused(&views, nothing),
+        ReconstructError::Empty { gaussians: 0, .. }
+    ));
+    let other = TrainConfig {
+        seed: 99,
+        ..plain.clone()
+    };
+    let foreign = trainer::Trainer::new(fixtures::gpu(), &views, begin, &other)
+        .expect("made")
+        .frozen_at(25);
+    assert!(matches!(
+        refused(&views, TrainStart::Resume(foreign)),
+        ReconstructError::OtherRound
+    ));
+}
+
+#[test]
+fn a_round_in_parts_is_the_same_round_and_ends_where_it_should() {
+    let scene = truth(200, 11);
+    let views = views_of(&scene, &[-0.3, 0.0, 0.3], [64, 48]);
+    let config = TrainConfig {
+        noise: NoiseMode::Grid,
+        ..config(60, 300)
+    };
+    let TrainStart::Fresh(first) = start(&views, &scene, &config) else {
+        panic!("fresh")
+    };
+    let whole = trained(&views, TrainStart::Fresh(first.clone()), &config);
+    let mut stepper =
+        Stepper::new(fixtures::gpu(), &views, first.clone(), &config, 0).expect("made");
+    let cancel = CancelToken::new();
+    for part in [1, 24, 30, 2] {
+        stepper.advance(part, &cancel).expect("trains");
+    }
+    assert_ne!(
+        bytes(&stepper.gaussians()),
+        bytes(&whole.gaussians),
+        "three steps are missing"
+    );
+    stepper.advance(1_000, &cancel).expect("trains");
+    assert_eq!(bytes(&stepper.gaussians()), bytes(&whole.gaussians));
+    assert!(stepper.splat_work().expect("read").walked > 0 && stepper.noise_work().is_some());
+    cancel.cancel();
+    assert!(matches!(
+        stepper.advance(1, &cancel),
+        Err(ReconstructError::Cancelled(_))
+    ));
+}

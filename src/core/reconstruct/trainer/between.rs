@@ -1,0 +1,127 @@
+//! Between steps: what is done there, when, and what is looked after.
+
+use std::time::Instant;
+
+use fled_gpu::GpuError;
+
+use super::Trainer;
+use crate::cancel::CancelToken;
+use crate::metrics::report::NoiseMapStatistics;
+use crate::reconstruct::level::Level;
+use crate::reconstruct::{ReconstructError, TrainHooks};
+use crate::shake::Shake;
+
+/// Every so many steps the device is left to finish. What depends on finished steps (growing
+/// buffers, checkpoints) happens there alone, so that an interruption changes nothing.
+const SYNC: u32 = 25;
+/// A round fails when more than this share of all Gaussians' updates was not finite.
+const NON_FINITE_LIMIT: f64 = 1e-3;
+
+impl Trainer<'_> {
+    pub(super) fn is_sync(&self, step: u32) -> bool {
+        let divisor = self.schedule.divisor(step);
+        step.is_multiple_of(SYNC)
+            || self.densifies(step)
+            || self.estimates_shake(step)
+            || self.refines_poses(step)
+            || self.matches_colours(step)
+            || divisor != self.level.divisor
+    }
+
+    /// What happens between steps, in the order in which one builds on the other.
+    pub(super) fn prepare(
+        &mut self,
+        step: u32,
+        cancel: &CancelToken,
+    ) -> Result<(), ReconstructError> {
+        let divisor = self.schedule.divisor(step);
+        if divisor != self.level.divisor {
+            self.set_level(divisor)?;
+        }
+        let degree = self.schedule.degree(step);
+        if self.matches_colours(step) {
+            self.model.match_colours(degree, cancel)?;
+        }
+        if self.estimates_shake(step) {
+            self.model.estimate_shake(degree, cancel)?;
+        }
+        if self.refines_poses(step)
+            && let Some(depth) = self.config.refine_poses
+        {
+            self.model.refine_poses(depth, degree, cancel)?;
+        }
+        if self.densifies(step) {
+            self.densify(step)?;
+        }
+        Ok(())
+    }
+
+    /// Trains at another resolution.
+    pub(super) fn set_level(&mut self, divisor: usize) -> Result<(), GpuError> {
+        self.model.reduce(divisor)?;
+        self.level = Level::new(self.gpu, &self.model.views, divisor)?;
+        Ok(())
+    }
+
+    fn estimates_shake(&self, step: u32) -> bool {
+        self.config.shake.is_some() && self.schedule.estimates_shake(step)
+    }
+
+    fn refines_poses(&self, step: u32) -> bool {
+        self.config.refine_poses.is_some() && self.schedule.refines_poses(step)
+    }
+
+    fn matches_colours(&self, step: u32) -> bool {
+        self.config.view_colour && self.schedule.matches_colours(step)
+    }
+
+    pub(super) fn check_finite(&self) -> Result<(), ReconstructError> {
+        let dropped = u64::from(self.optimizer.counters.read()?[0]);
+        let updates = f64::from(self.config.steps) * self.model.pass.gaussians.count as f64;
+        if dropped as f64 > NON_FINITE_LIMIT * updates {
+            return Err(ReconstructError::NotFinite {
+                dropped,
+                step: self.next,
+            });
+        }
+        Ok(())
+    }
+
+    /// Looks at the noise map of the last step, before the checkpoint: the guard's verdict belongs
+    /// to it.
+    pub(super) fn inspect_noise(&mut self) -> Result<(), GpuError> {
+        let acts = self.noise_acts(self.next - 1);
+        let Some(noise) = self.noise.as_mut().filter(|_| acts) else {
+            return Ok(());
+        };
+        let render = &self.model.pass.buffers().image;
+        let clean = self.model.shake.as_ref().map_or(render, Shake::blurred);
+        let seen = noise.inspect(clean, &self.prediction)?;
+        if seen.halved {
+            let correlation = seen.correlation;
+            self.warnings.push(format!(
+                "noise map follows the scene ({correlation:.2}): bound halved"
+            ));
+        }
+        self.noise_seen.push(NoiseMapStatistics {
+            mean: seen.mean,
+            spread: seen.spread,
+            correlation: seen.correlation.abs(),
+        });
+        Ok(())
+    }
+
+    pub(super) fn offer_checkpoint(
+        &self,
+        hooks: &mut TrainHooks<'_>,
+        saved: &mut Instant,
+    ) -> Result<(), ReconstructError> {
+        if let Some(hook) = &mut hooks.checkpoint
+            && saved.elapsed() >= self.checkpoint_every
+        {
+            hook(&self.checkpoint()?);
+            *saved = Instant::now();
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,43 @@
+//! Kernels as numbers, for checkpoints: for each view its count of taps, then x, y and weight.
+
+use super::{MOST_TAPS, ShakeKernel, Tap};
+
+/// Numbers of a tap.
+const TAP_NUMBERS: usize = 3;
+
+/// The kernels as numbers.
+pub fn save<'a>(kernels: impl IntoIterator<Item = &'a ShakeKernel>) -> Vec<f32> {
+    let mut state = Vec::new();
+    for kernel in kernels {
+        state.push(kernel.taps.len() as f32);
+        for Tap { offset, weight } in &kernel.taps {
+            state.extend([offset[0] as f32, offset[1] as f32, *weight]);
+        }
+    }
+    state
+}
+
+/// The kernels of [`save`], one a view; `None` for other numbers.
+pub fn parse(state: &[f32], views: usize) -> Option<Vec<ShakeKernel>> {
+    let mut rest = state;
+    let mut kernels = Vec::with_capacity(views);
+    for _ in 0..views {
+        let (&count, tail) = rest.split_first()?;
+        let count = count as usize;
+        if count == 0 || count > MOST_TAPS {
+            return None;
+        }
+        let (numbers, tail) = tail.split_at_checked(TAP_NUMBERS * count)?;
+        let (taps, _) = numbers.as_chunks::<TAP_NUMBERS>();
+        // As they stood: normalising again would change the last bit.
+        let tap = |&[x, y, weight]: &[f32; TAP_NUMBERS]| Tap {
+            offset: [x as i32, y as i32],
+            weight,
+        };
+        kernels.push(ShakeKernel {
+            taps: taps.iter().map(tap).collect(),
+        });
+        rest = tail;
+    }
+    rest.is_empty().then_some(kernels)
+}

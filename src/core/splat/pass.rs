@@ -1,0 +1,198 @@
+//! A scene on the device and what draws it: the one place that repeats a drawing until its
+//! intersections fit.
+
+use fled_gpu::{Buffer, Gpu, GpuError, Recorder, Recording, Submission};
+
+use super::project::Projection;
+use super::rasterize::{Forward, SlotRows, Specialisation, SplatBuffers, SplatCounts, SplatSizes};
+use super::rows::DeviceGaussians;
+use super::uniform::{CameraUniform, NEAR};
+use crate::camera::Camera;
+use crate::image::Image;
+
+/// Most splats touch a few tiles: the first guess at the intersections of a Gaussian.
+const TILES_PER_SPLAT: usize = 4;
+/// And so many more, for small scenes of large splats.
+const SPARE_INTERSECTIONS: usize = 1 << 14;
+
+/// The forward half of splatting. How many intersections an image has is known after it was drawn;
+/// when they did not fit, the buffers grow and the image is drawn again.
+pub struct ForwardPass {
+    gpu: Gpu,
+    /// The scene.
+    pub gaussians: DeviceGaussians,
+    /// The scene as the last camera saw it.
+    pub projection: Projection,
+    buffers: SplatBuffers,
+    forward: Forward,
+    gradients: bool,
+    /// Counts how often the buffers were made.
+    generation: u64,
+}
+
+/// Commands that hold as long as the buffers stay that they were recorded for.
+pub struct PassRecording {
+    recording: Recording,
+    generation: u64,
+}
+
+impl PassRecording {
+    /// Hands the commands to the device.
+    ///
+    /// # Errors
+    /// A device error.
+    pub fn submit(&self) -> Result<Submission, GpuError> {
+        self.recording.submit()
+    }
+}
+
+impl ForwardPass {
+    /// Draws `gaussians` in images of at most `size` = [width, height] px. `gradients`: whether the
+    /// buffers hold what a backward pass writes.
+    ///
+    /// # Errors
+    /// Out of memory, or above what the adapter binds.
+    pub fn new(
+        gpu: &Gpu,
+        gaussians: DeviceGaussians,
+        size: [usize; 2],
+        gradients: bool,
+    ) -> Result<Self, GpuError> {
+        let guess = TILES_PER_SPLAT * gaussians.capacity + SPARE_INTERSECTIONS;
+        let sizes = SplatSizes {
+            gaussians: gaussians.capacity,
+            width: size[0],
+            height: size[1],
+            intersections: bounded(gpu, guess, gradients),
+        };
+        Ok(Self {
+            projection: Projection::new(gpu, gaussians.capacity)?,
+            buffers: SplatBuffers::new(gpu, sizes, gradients)?,
+            forward: Forward::new(Specialisation::for_adapter(gpu.describe())),
+            generation: 0,
+            gpu: gpu.clone(),
+            gaussians,
+            gradients,
+        })
+    }
+
+    /// What the last submission wrote.
+    pub fn buffers(&self) -> &SplatBuffers {
+        &self.buffers
+    }
+
+    /// The scene from `camera`, with harmonics up to `degree`. The near plane is the same for
+    /// training and rendering: a splat that training culls would be a floater in the views.
+    pub fn seen_from(&self, camera: &Camera, degree: u32) -> CameraUniform {
+        let allocated = self.gaussians.sh_degree;
+        CameraUniform::new(camera, self.gaussians.count, degree, allocated, NEAR)
+    }
+
+    /// A recorder that projects and blends the scene first.
+    ///
+    /// # Errors
+    /// A shader or binding error.
+    pub fn recorder(&self) -> Result<Recorder, GpuError> {
+        let mut recorder = self.gpu.recorder();
+        self.projection.record(&mut recorder, &self.gaussians)?;
+        self.forward
+            .record(&mut recorder, &self.projection, &self.buffers)?;
+        Ok(recorder)
+    }
+
+    /// What was recorded for the buffers as they are, to be submitted more than once.
+    pub fn keep(&self, recorder: Recorder) -> PassRecording {
+        PassRecording {
+            recording: recorder.finish(),
+            generation: self.generation,
+        }
+    }
+
+    /// Whether the buffers of a recording are still in use.
+    pub fn serves(&self, recording: &PassRecording) -> bool {
+        recording.generation == self.generation
+    }
+
+    /// The image of `camera`, with harmonics up to `degree`. `submit` hands the drawing to the
+    /// device and names the buffer that holds the image then, planar [3, height, width]; it is
+    /// called again whenever the intersections did not fit.
+    ///
+    /// # Errors
+    /// A device error, and those of `submit`.
+    pub fn image(
+        &mut self,
+        camera: &Camera,
+        degree: u32,
+        mut submit: impl FnMut(&Self) -> Result<Buffer<f32>, GpuError>,
+    ) -> Result<Image, GpuError> {
+        let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
+        let uniform = self.seen_from(camera, degree);
+        loop {
+            self.projection.camera.write(&[uniform])?;
+            let image = submit(self)?;
+            let counts = self.buffers.counts()?;
+            let image = image.start_read(3 * width * height)?;
+            let counts = counts.wait()?;
+            if !counts.overflowed() {
+                return Ok(Image::from_planar(width, height, image.wait()?));
+            }
+            self.make_room(&counts)?;
+        }
+    }
+
+    /// Grows the buffers until so many intersections fit, and some more for the next camera.
+    ///
+    /// # Errors
+    /// Out of memory, or above what the adapter binds.
+    pub fn make_room(&mut self, counts: &SplatCounts) -> Result<(), GpuError> {
+        let (needed, now) = (counts.intersections, self.buffers.sizes().intersections);
+        if needed <= now {
+            return Ok(());
+        }
+        let wanted = (now * 3 / 2).max(needed + needed / 10);
+        self.set_room(bounded(&self.gpu, wanted, self.gradients).max(needed))
+    }
+
+    /// Makes the buffers anew for so many intersections.
+    ///
+    /// # Errors
+    /// As [`ForwardPass::make_room`].
+    pub fn set_room(&mut self, intersections: usize) -> Result<(), GpuError> {
+        let sizes = SplatSizes {
+            intersections,
+            ..self.buffers.sizes()
+        };
+        self.make_buffers(sizes)
+    }
+
+    /// Makes the buffers anew for images of another size, unless they have it.
+    ///
+    /// # Errors
+    /// As [`ForwardPass::make_room`].
+    pub fn set_size(&mut self, [width, height]: [usize; 2]) -> Result<(), GpuError> {
+        let sizes = SplatSizes {
+            width,
+            height,
+            ..self.buffers.sizes()
+        };
+        if sizes == self.buffers.sizes() {
+            return Ok(());
+        }
+        self.make_buffers(sizes)
+    }
+
+    fn make_buffers(&mut self, sizes: SplatSizes) -> Result<(), GpuError> {
+        self.buffers = SplatBuffers::new(&self.gpu, sizes, self.gradients)?;
+        self.generation += 1;
+        Ok(())
+    }
+}
+
+/// The rows of a backward pass are the first to reach what the adapter binds.
+fn bounded(gpu: &Gpu, intersections: usize, gradients: bool) -> usize {
+    if gradients {
+        intersections.min(SlotRows::most(gpu))
+    } else {
+        intersections
+    }
+}

@@ -1,0 +1,158 @@
+//! What the rasteriser works in, and how much of it an image took.
+
+use fled_gpu::{Buffer, Gpu, GpuError, ReadBack};
+
+use super::SlotRows;
+use super::order::{INTERSECTIONS, VISIBLE};
+use crate::splat::sort::{BLOCK, Counters, FIXED, RadixSort, SortParameters};
+use crate::splat::uniform::TILE;
+
+/// How much the buffers of a rasteriser hold.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SplatSizes {
+    /// Gaussians.
+    pub gaussians: usize,
+    /// Image width, px.
+    pub width: usize,
+    /// Image height, px.
+    pub height: usize,
+    /// Intersections of splats and tiles.
+    pub intersections: usize,
+}
+
+impl SplatSizes {
+    pub(super) fn tiles(&self) -> usize {
+        self.width.div_ceil(TILE as usize) * self.height.div_ceil(TILE as usize)
+    }
+}
+
+/// How many splats were visible and how many intersections there were; exact even on overflow.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SplatCounts {
+    /// Gaussians that touch a tile.
+    pub visible: usize,
+    /// Pairs of a splat and a tile it touches.
+    pub intersections: usize,
+    /// Room for intersections; with more, the image and the gradients are incomplete.
+    pub capacity: usize,
+}
+
+impl SplatCounts {
+    /// Whether intersections were dropped: grow the buffers and repeat the view.
+    pub fn overflowed(&self) -> bool {
+        self.intersections > self.capacity
+    }
+}
+
+/// A count on its way from the device.
+pub struct PendingCounts {
+    values: ReadBack<u32>,
+    capacity: usize,
+}
+
+impl PendingCounts {
+    /// Waits for the step that was submitted before the counts were asked for, for none after it.
+    ///
+    /// # Errors
+    /// A device error.
+    pub fn wait(self) -> Result<SplatCounts, GpuError> {
+        let values = self.values.wait()?;
+        let at = |index: u32| values[index as usize] as usize;
+        Ok(SplatCounts {
+            visible: at(VISIBLE),
+            intersections: at(INTERSECTIONS),
+            capacity: self.capacity,
+        })
+    }
+}
+
+/// Buffers of the rasteriser; the image may be smaller than they are.
+pub struct SplatBuffers {
+    pub(super) sizes: SplatSizes,
+    /// First slot of a Gaussian, [gaussians]; undefined where `tile_counts` is 0.
+    pub slot_offsets: Buffer<u32>,
+    /// Planar RGB, [3, height, width] of the camera's size.
+    pub image: Buffer<f32>,
+    /// What is left of the background, [height, width].
+    pub transmittance: Buffer<f32>,
+    /// A Gaussian's rows are `slot_offsets[g]` and the `tile_counts[g] - 1` that follow, as far as
+    /// they lie below the capacity.
+    pub slots: SlotRows,
+    pub(super) counters: Counters,
+    pub(super) block_sums: Buffer<u32>,
+    pub(super) slot_sums: Buffer<u32>,
+    pub(super) depth: RadixSort,
+    pub(super) tile: RadixSort,
+    pub(super) slot_gaussian: Buffer<u32>,
+    pub(super) tile_ranges: Buffer<[u32; 2]>,
+    pub(super) last: Buffer<u32>,
+    pub(super) scan_visible: Buffer<SortParameters>,
+    pub(super) scan_slots: Buffer<SortParameters>,
+    pub(super) visible: Buffer<SortParameters>,
+    pub(super) intersections: Buffer<SortParameters>,
+}
+
+impl SplatBuffers {
+    /// Buffers of these sizes; without gradients when only images are wanted.
+    ///
+    /// # Errors
+    /// Out of memory, or above what the adapter binds.
+    pub fn new(gpu: &Gpu, sizes: SplatSizes, gradients: bool) -> Result<Self, GpuError> {
+        let counters = Counters::new(gpu, 2)?;
+        let (gaussians, slots) = (sizes.gaussians, sizes.intersections);
+        let pixels = sizes.width * sizes.height;
+        let tile_bits = usize::BITS - sizes.tiles().leading_zeros();
+        let parameters = |source, capacity: usize, result, result_capacity: usize| {
+            let (capacity, result_capacity) = (capacity as u32, result_capacity as u32);
+            let row = SortParameters {
+                shift: 0,
+                source,
+                capacity,
+                result,
+                result_capacity,
+                per_block: 1,
+            };
+            gpu.upload("parameters", &[row])
+        };
+        Ok(Self {
+            sizes,
+            slot_offsets: gpu.create("slot offsets", gaussians)?,
+            image: gpu.create("image", 3 * pixels)?,
+            transmittance: gpu.create("transmittance", pixels)?,
+            slots: SlotRows::new(gpu, if gradients { slots } else { 0 })?,
+            block_sums: gpu.create("block sums", gaussians.div_ceil(BLOCK))?,
+            slot_sums: gpu.create("slot sums", gaussians.div_ceil(BLOCK))?,
+            depth: RadixSort::new(gpu, gaussians, 32, &counters, VISIBLE)?,
+            tile: RadixSort::new(gpu, slots, tile_bits, &counters, INTERSECTIONS)?,
+            slot_gaussian: gpu.create("slot gaussian", slots)?,
+            tile_ranges: gpu.create("tile ranges", sizes.tiles() + 1)?,
+            last: gpu.create("last", 2 * (sizes.tiles() + 1))?,
+            scan_visible: parameters(FIXED, gaussians, VISIBLE, gaussians)?,
+            scan_slots: parameters(VISIBLE, gaussians, INTERSECTIONS, slots)?,
+            visible: parameters(VISIBLE, gaussians, VISIBLE, slots)?,
+            intersections: parameters(INTERSECTIONS, slots, INTERSECTIONS, slots)?,
+            counters,
+        })
+    }
+
+    /// What the buffers hold.
+    pub fn sizes(&self) -> SplatSizes {
+        self.sizes
+    }
+
+    /// The buffer that holds the exact number of intersections, and where in it.
+    pub fn totals(&self) -> (&Buffer<u32>, u32) {
+        (&self.counters.values, INTERSECTIONS)
+    }
+
+    /// Starts to read the counts of the last submission back.
+    ///
+    /// # Errors
+    /// A device error.
+    pub fn counts(&self) -> Result<PendingCounts, GpuError> {
+        Ok(PendingCounts {
+            values: self.counters.values.start_read(2)?,
+            capacity: self.sizes.intersections,
+        })
+    }
+}
