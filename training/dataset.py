@@ -9,7 +9,7 @@ from torch.utils.data import IterableDataset
 import degrade
 import sources
 
-# A shake is found from as much as one sees: the same network trained on 128 px for as long undid less of it (../models/README.md).
+# A shake is found from as much as one sees: the same network trained on 128 px for as long undid less of it (../docs/decisions/networks.md).
 PATCH = 256
 # Rooms' renders are smaller: four places of one, which share blur, exposure and tone curve, make a patch.
 PLACE = PATCH // 2

@@ -6,7 +6,7 @@
 //! are off by more there than the view is. Nor is there any detail to be had where the scene is
 //! wrong (a tree that only one view saw, a floater in front of a held-out camera): where the two
 //! disagree at a scale that neither shake nor noise reaches, the guide is the view itself, which
-//! the network knows as "no guide". Measured in docs/benchmarks.md, "The guide".
+//! the network knows as "no guide". Measured in docs/decisions/guide.md.
 
 use rayon::prelude::*;
 
@@ -22,7 +22,7 @@ const DISAGREEMENT: f32 = 0.04;
 /// Share of its render's detail that a guide has, the rest is its view's. Networks are trained with
 /// all of it. With seven tenths a guide brings nearly as much where the shake is strong (0.3
 /// instead of 0.4 dB), and where there is little to gain it no longer harms (0.0 to 0.1 dB above
-/// the network alone instead of 0.3 below it; models/README.md, In the loop).
+/// the network alone instead of 0.3 below it; docs/decisions/guide.md).
 const SHARE: f32 = 0.7;
 
 /// The guides of all views: each view with its render's detail where the two agree.
