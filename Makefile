@@ -10,7 +10,7 @@ export NODEVICE_SELECT := 1
 endif
 
 .DEFAULT_GOAL := help
-.PHONY: help setup onnxruntime build test test-widths test-peers tidy check lint demo bench gpu-pack gpu-check
+.PHONY: help setup onnxruntime build test test-widths test-browser test-peers tidy check lint demo bench gpu-pack gpu-check
 
 help: ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1\t\2/' | expand -t 22
@@ -33,6 +33,12 @@ test: setup onnxruntime ## every test
 test-widths: ## the kernels with subgroups of 4 and 16 instead of 8 invocations
 	for bits in 128 512; do LP_NATIVE_VECTOR_WIDTH=$$bits $(CARGO) test --release --locked --quiet -p fled-core --lib -- \
 	    splat:: noise:: shake::tests reconstruct::loss reconstruct::optimizer || exit 1; done
+
+# FLED=PROGRAM tests that one and builds none; CHROMIUM=PROGRAM is used in place of Debian's.
+test-browser: setup onnxruntime $(if $(FLED),,build) ## the dashboard in a real browser; needs Node 20 and npm
+	@$(if $(CHROMIUM),,tools/setup.sh chromium)
+	cd tests/browser && npm ci --loglevel=error && \
+	    FLED=$(abspath $(or $(FLED),$(or $(CARGO_TARGET_DIR),target)/release/fled)) node --test *.test.js
 
 # FLED=PROGRAM judges that one and builds none; TORCH=PYTHON has PyTorch already and saves its installation.
 test-peers: setup onnxruntime $(if $(FLED),,build) ## scene.ply judged by software that is not ours; 5 GB under .peers/
