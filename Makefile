@@ -12,8 +12,8 @@ export NODEVICE_SELECT := 1
 endif
 
 .DEFAULT_GOAL := help
-.PHONY: help setup onnxruntime venv build test test-python test-widths test-training test-peers tidy check lint demo bench \
-    gpu-pack gpu-check
+.PHONY: help setup onnxruntime venv build test test-python test-widths test-browser test-training
+.PHONY: test-peers tidy check lint demo bench gpu-pack gpu-check
 
 help: ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1\t\2/' | expand -t 22
@@ -42,6 +42,12 @@ test-python: venv ## the tools, and what of the recipe needs no PyTorch: some of
 test-widths: ## the kernels with subgroups of 4 and 16 instead of 8 invocations
 	for bits in 128 512; do LP_NATIVE_VECTOR_WIDTH=$$bits $(CARGO) test --release --locked --quiet -p fled-core --lib -- \
 	    splat:: noise:: shake::tests reconstruct::loss reconstruct::optimizer || exit 1; done
+
+# FLED=PROGRAM tests that one and builds none; CHROMIUM=PROGRAM is used in place of Debian's.
+test-browser: setup onnxruntime $(if $(FLED),,build) ## the dashboard in a real browser; needs Node 20 and npm
+	@$(if $(CHROMIUM),,tools/setup.sh chromium)
+	cd tests/browser && npm ci --loglevel=error && \
+	    FLED=$(abspath $(or $(FLED),$(or $(CARGO_TARGET_DIR),target)/release/fled)) node --test *.test.js
 
 # TORCH=PYTHON has the packages already and saves their installation.
 test-training: ## what of the recipe needs PyTorch (6 GB into training/venv/), its README's photographs and a C compiler

@@ -189,9 +189,9 @@ function roundTable(rounds) {
   const cells = (round) => [round.round, duration(round.seconds), round.gaussians.toLocaleString(), round.steps.toLocaleString(),
     round.steps_per_second?.toFixed(1), round.noise_sigma?.render?.toFixed(4) ?? round.noise_sigma?.renders?.toFixed(4) ?? "",
     round.shake_px?.toFixed(2), round.pose_correction_px?.toFixed(2), round.worse_than_previous ? "worse than the round before" : ""];
-  return h("table", {},
+  return h("div", { class: "scroll" }, h("table", {},
     h("thead", {}, h("tr", {}, ["Round", "Time", "Gaussians", "Steps", "Steps/s", "Noise of renders", "Shake found, px", "Cameras moved, px", ""].map((t) => h("th", {}, t)))),
-    h("tbody", {}, rounds.map((round) => h("tr", {}, cells(round).map((text) => h("td", {}, String(text ?? "")))))));
+    h("tbody", {}, rounds.map((round) => h("tr", {}, cells(round).map((text) => h("td", {}, String(text ?? ""))))))));
 }
 
 function stageBars(stages) {

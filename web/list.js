@@ -46,8 +46,8 @@ function row(job) {
 }
 
 function startForm() {
-  const files = h("input", { type: "file", multiple: true, accept: "image/*,.zip,.tif,.tiff", "aria-label": "photographs" });
-  const folder = h("input", { type: "file", webkitdirectory: true, "aria-label": "folder" });
+  const files = h("input", { type: "file", multiple: true, accept: "image/*,.zip,.tif,.tiff" });
+  const folder = h("input", { type: "file", webkitdirectory: true });
   const name = h("input", { type: "text", placeholder: "optional", maxLength: 200 });
   const preset = h("select", {},
     h("option", { value: "preview" }, "preview: a quick look"),

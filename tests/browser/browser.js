@@ -1,0 +1,120 @@
+// Debian's Chromium, and pages that write down whatever goes wrong on them.
+
+import assert from "node:assert/strict";
+import { basename, join } from "node:path";
+
+import { chromium } from "playwright-core";
+
+import { PATIENCE } from "./until.js";
+
+const SCREENSHOTS = join(import.meta.dirname, "screenshots");
+
+const ARGUMENTS = [
+  "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
+  "--disable-background-networking", "--disable-component-update", "--disable-sync",
+];
+
+/** px */
+export const DESKTOP = { width: 1200, height: 900 };
+/** A small phone of today, px. */
+export const PHONE = { width: 360, height: 740 };
+
+export class Browser {
+  /** A browser that looks at the server at `base`. */
+  static async start(base) {
+    const executablePath = process.env.CHROMIUM ?? "/usr/bin/chromium";
+    return new Browser(base, await chromium.launch({ executablePath, args: ARGUMENTS }));
+  }
+
+  constructor(base, chromium) {
+    Object.assign(this, { base, chromium });
+  }
+
+  stop() {
+    return this.chromium.close();
+  }
+
+  /**
+   * Opens the page at `hash`, hands it to `judge(page, faults)` and fails when it had any fault in
+   * the end. Leaves a picture of its last state, whatever came out: `screenshots/NAME.png`.
+   */
+  async visit(name, hash, judge, viewport = DESKTOP) {
+    const context = await this.chromium.newContext({ viewport, acceptDownloads: true });
+    context.setDefaultTimeout(PATIENCE);
+    const page = await context.newPage();
+    const faults = watch(page, this.base);
+    if (process.env.WEB) await fromTree(page, this.base, process.env.WEB);
+    try {
+      await page.goto(`${this.base}/${hash}`);
+      await judge(page, faults);
+      assert.deepEqual(faults, [], "faults of the page");
+    } finally {
+      await page.screenshot({ path: join(SCREENSHOTS, `${name}.png`), fullPage: true });
+      await context.close();
+    }
+  }
+}
+
+/** What goes wrong on a page from now on, a line each. */
+function watch(page, base) {
+  const faults = [];
+  page.on("console", (message) => {
+    if (["error", "warning"].includes(message.type())) {
+      faults.push(`console: ${message.text()}`);
+    }
+  });
+  page.on("pageerror", (error) => faults.push(`script: ${error.message}`));
+  page.on("request", (request) => {
+    const { protocol, origin } = new URL(request.url());
+    if (protocol !== "data:" && origin !== base) faults.push(`outside: ${request.url()}`);
+  });
+  page.on("requestfailed", (request) => {
+    const reason = request.failure()?.errorText;
+    // A page that is left closes its stream of events.
+    if (request.resourceType() === "eventsource" && reason === "net::ERR_ABORTED") return;
+    faults.push(`failed: ${request.url()}: ${reason}`);
+  });
+  page.on("response", (response) => {
+    if (response.status() < 400) return;
+    const { pathname } = new URL(response.url());
+    faults.push(`answer: ${response.status()} ${response.request().method()} ${pathname}`);
+  });
+  return faults;
+}
+
+/** The page's own files from a folder and not from the program: to work on them without a build. */
+async function fromTree(page, base, folder) {
+  const own = (url) => url.origin === base && /^\/(assets\/.*)?$/.test(url.pathname);
+  await page.route(own, (route) => {
+    const name = basename(new URL(route.request().url()).pathname) || "index.html";
+    return route.fulfill({ path: join(folder, name) });
+  });
+}
+
+/** What reaches over the right edge of the window and is not scrolled by an element of its own. */
+export function overflowing(page) {
+  return page.evaluate(() => {
+    const width = document.documentElement.clientWidth;
+    const clips = (node) => getComputedStyle(node).overflowX !== "visible";
+    const clipped = (node) => {
+      for (let up = node.parentElement; up && up !== document.body; up = up.parentElement) {
+        if (clips(up)) return true;
+      }
+      return false;
+    };
+    const over = [...document.body.querySelectorAll("*")]
+      .filter((node) => node.getBoundingClientRect().right > width + 0.5 && !clipped(node))
+      .map((node) => {
+        const words = node.textContent.trim().slice(0, 40);
+        return `${node.tagName.toLowerCase()}.${node.getAttribute("class") ?? ""} "${words}"`;
+      });
+    const scrolls = document.documentElement.scrollWidth > width;
+    return scrolls && over.length === 0 ? ["the page scrolls sideways"] : over;
+  });
+}
+
+/** Whether every picture in `locator` is there. */
+export async function loaded(locator) {
+  const sizes = await locator.evaluateAll((images) => images.map((image) => image.naturalWidth));
+  return sizes.length > 0 && sizes.every((size) => size > 0);
+}

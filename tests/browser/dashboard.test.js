@@ -1,0 +1,285 @@
+// The dashboard as its users see it: the real program serves it, real jobs fill it, a browser
+// shows it. `make test-browser` says in FLED where the program is; WEB=../../web takes the page
+// from the tree and not from the program. Pictures of every page are in screenshots/ afterwards.
+
+import assert from "node:assert/strict";
+import { writeFileSync } from "node:fs";
+import { join } from "node:path";
+import { after, before, test } from "node:test";
+
+import { Browser, PHONE, loaded, overflowing } from "./browser.js";
+import { Server } from "./server.js";
+import { until } from "./until.js";
+
+// Markup, to a page that takes a name for more than text.
+const FINISHED = "a finished <b>job</b>";
+const FAILED = "a failed job";
+const RUNNING = "a running job";
+const UPLOADED = "from the page";
+
+/** Minutes of work, even on a GPU. */
+const ENDLESS = { steps: 100_000 };
+
+let server;
+let browser;
+let capture;
+
+before(async () => {
+  server = await Server.start(process.env.FLED);
+  browser = await Browser.start(server.base);
+  capture = server.capture();
+});
+
+after(async () => {
+  await browser?.stop();
+  await server?.stop();
+});
+
+/** A job that several tests look at: the first of them submits it. Its id. */
+function shared(name, options) {
+  let id = null;
+  return () => (id ??= server.submit(capture, name, options));
+}
+
+const finishing = shared(FINISHED, {});
+const failing = shared(FAILED, { adapter: "no such adapter" });
+const running = shared(RUNNING, ENDLESS);
+
+async function finished() {
+  await server.reached(await finishing(), "succeeded");
+  return `#/jobs/${await finishing()}`;
+}
+
+async function failed() {
+  await server.reached(await failing(), "failed");
+  return `#/jobs/${await failing()}`;
+}
+
+/** The list's row of a job. */
+const row = (page, name) => page.locator("tbody tr", { hasText: name });
+
+/** The part of a job's page under a title. */
+function part(page, title) {
+  const heading = page.getByRole("heading", { name: title, exact: true, level: 2 });
+  return page.locator("section", { has: heading });
+}
+
+const state = (page) => page.locator("h1 + .state");
+
+const button = (page, name) => page.getByRole("button", { name });
+
+/** Waits for an element with the text. */
+const seen = (locator, text) => locator.filter({ hasText: text }).first().waitFor();
+
+/** Waits until the progress that `value` reads grows. */
+async function grows(value) {
+  const first = await value();
+  await until("progress moves", async () => (await value()) > first);
+  assert.ok((await value()) < 1);
+}
+
+const valueOf = (bar) => () => bar.evaluate((element) => element.value);
+
+test("without a job the list says how to begin, and the machine is ready", () =>
+  browser.visit("list-empty", "", async (page) => {
+    await seen(page.locator("main"), "No job yet.");
+    await seen(page.locator("#health"), /^ready$/);
+    assert.equal(await page.getByRole("table").isVisible(), false);
+  }));
+
+test("nothing is sent before photographs are chosen", () =>
+  browser.visit("upload-nothing", "", async (page) => {
+    await button(page, "Start").click();
+    await seen(page.getByRole("alert"), "Choose photographs");
+  }));
+
+test("an upload that is refused says why, and another can be tried", () =>
+  browser.visit("upload-refused", "", async (page, faults) => {
+    const path = join(server.folder, "notes.jpg");
+    writeFileSync(path, "no photograph");
+    await page.getByLabel("Photographs, or one zip").setInputFiles(path);
+    await button(page, "Start").click();
+    await seen(page.getByRole("alert"), "notes.jpg");
+    await until("the button can be pressed", () => button(page, "Start").isEnabled());
+    // The refusal is answered once and reported once more by the browser itself.
+    assert.equal(faults.length, 2);
+    for (const fault of faults.splice(0)) assert.match(fault, /\b422\b/);
+  }));
+
+test("a folder that is chosen on the page becomes a job, which is cancelled", () =>
+  browser.visit("uploaded", "", async (page) => {
+    await page.getByLabel("or a folder").setInputFiles(capture);
+    await page.getByLabel("Name").fill(UPLOADED);
+    await page.getByLabel("Preset").selectOption("preview");
+    await button(page, "Start").click();
+    await seen(page.getByRole("heading", { level: 1 }), UPLOADED);
+    const job = await server.job(page.url().split("/").pop());
+    assert.deepEqual([job.name, job.preset], [UPLOADED, "preview"]);
+    await seen(state(page), "running");
+    await button(page, "Cancel").click();
+    await seen(state(page), "cancelled");
+    assert.equal(await button(page, "Cancel").count(), 0);
+    await button(page, "Try again").waitFor();
+  }));
+
+test("a failed job shows the error with its hint, and fails again when tried again", async () => {
+  const address = await failed();
+  const { error } = await server.job(await failing());
+  assert.ok(error.detail && error.hint);
+  await browser.visit("failed", address, async (page) => {
+    await seen(state(page), "failed");
+    const problem = page.locator(".problem:not(:empty)");
+    assert.deepEqual(await problem.allInnerTexts(), [
+      `${error.code.replaceAll("_", " ")}: ${error.detail}\n${error.hint}`,
+    ]);
+    await button(page, "Try again").click();
+    await seen(page.locator("section"), "attempt 2");
+    await seen(state(page), "failed");
+    await seen(problem, error.hint);
+  });
+});
+
+test("a job that finishes is seen to finish, with its scores and its files", async () => {
+  const id = await finishing();
+  await browser.visit("finished", `#/jobs/${id}`, async (page) => {
+    await seen(state(page), "succeeded");
+    await seen(page.getByRole("heading", { level: 1 }), FINISHED);
+    const metrics = part(page, "Metrics by round");
+    await seen(metrics, "against ground truth");
+    const rows = metrics.getByRole("table").locator("tbody tr");
+    await until("both rounds are in the table", async () => (await rows.count()) === 2);
+
+    const { records } = (await server.rounds(id)).rounds[1];
+    const score = records.find((record) => record.image === "render"
+      && record.split === "held_out" && record.reference === "gt" && record.brightness === "final");
+    const chart = metrics.getByRole("img", { name: "PSNR after colour fit, dB" });
+    const label = `rendered, held out (2 views), round 2: ${score.psnr_cc_db.toFixed(2)}`;
+    assert.equal(await chart.getByText(label, { exact: true }).count(), 1, label);
+
+    await seen(part(page, "Time by stage"), "2 · reconstruct");
+    await seen(part(page, "Facts"), "8 of 8 views");
+    await seen(part(page, "Files"), "scene.ply");
+    await seen(part(page, "Log"), "round 2 is delivered");
+  });
+});
+
+test("every picture of every view is there, and two of them can be compared", async () =>
+  browser.visit("views", await finished(), async (page) => {
+    const views = part(page, "Views");
+    const choice = views.getByRole("combobox", { name: "view" });
+    await views.waitFor();
+    assert.equal(await choice.locator("option").count(), 8);
+    const slider = views.getByRole("slider");
+    const images = slider.locator("img");
+    await until("both sides of the comparison are there", () => loaded(images));
+    const before = await images.first().getAttribute("src");
+    await choice.selectOption("003");
+    assert.notEqual(await images.first().getAttribute("src"), before);
+    await views.scrollIntoViewIfNeeded();
+    await until("every picture of view 003 is there", () => loaded(views.locator("img")));
+
+    const at = async () => Number(await slider.getAttribute("aria-valuenow"));
+    assert.equal(await at(), 50);
+    await slider.press("ArrowRight");
+    assert.equal(await at(), 55);
+    const box = await slider.boundingBox();
+    await page.mouse.move(box.x + box.width / 2, box.y + box.height / 2);
+    await page.mouse.down();
+    await page.mouse.move(box.x + box.width / 4, box.y + box.height / 2);
+    await page.mouse.up();
+    assert.ok(Math.abs((await at()) - 25) <= 1, `the bar is at ${await at()}`);
+
+    await views.locator("figure", { hasText: "ground truth" }).click();
+    await seen(slider.locator(".left"), "ground truth");
+  }));
+
+test("a view that nobody photographed is rendered and turns", async () =>
+  browser.visit("novel-view", await finished(), async (page) => {
+    const novel = part(page, "Novel view");
+    const image = novel.getByRole("img", { name: "rendered view" });
+    await seen(novel, "azimuth 0°");
+    await until("a view is rendered", () => loaded(image));
+    const before = await image.getAttribute("src");
+    await novel.getByLabel("novel view, arrow keys turn").press("ArrowRight");
+    await seen(novel, "azimuth 5°");
+    assert.notEqual(await image.getAttribute("src"), before);
+    await until("the turned view is there", () => loaded(image));
+    await novel.getByRole("combobox", { name: "round" }).selectOption("1");
+    await until("round 1 is rendered", () => loaded(image));
+  }));
+
+test("a file of the result is downloaded", async () =>
+  browser.visit("files", await finished(), async (page) => {
+    const link = part(page, "Files").getByRole("link", { name: "metrics.json", exact: true });
+    const [download] = await Promise.all([page.waitForEvent("download"), link.click()]);
+    assert.equal(download.suggestedFilename(), "metrics.json");
+    assert.equal(await download.failure(), null);
+  }));
+
+test("a running job shows what it does, and its progress moves without a reload", async () =>
+  browser.visit("running", `#/jobs/${await running()}`, async (page) => {
+    await seen(state(page), "running");
+    await seen(page.locator("section"), /round 1 of 2, reconstruct · [0-9.]+ steps\/s · .* left/);
+    await grows(valueOf(page.getByRole("progressbar", { name: "progress" })));
+    await seen(part(page, "Time by stage"), "1 · enhance");
+    await seen(part(page, "Log"), "round 1: reconstruct begins");
+    assert.equal(await button(page, "Delete").count(), 0);
+  }));
+
+test("the list shows every job with its state and leads to it", async () => {
+  const states = [[FINISHED, "succeeded"], [FAILED, "failed"], [RUNNING, "running"]];
+  await Promise.all([finished(), failed(), running()]);
+  await browser.visit("list", "", async (page) => {
+    for (const [name, word] of states) await seen(row(page, name).locator(".state"), word);
+    const bar = (name) => row(page, name).getByRole("progressbar");
+    assert.equal(await valueOf(bar(FINISHED))(), 1);
+    await grows(valueOf(bar(RUNNING)));
+    await page.getByRole("link", { name: FINISHED }).click();
+    await seen(page.getByRole("heading", { level: 1 }), FINISHED);
+    await page.getByRole("link", { name: "fled" }).click();
+    await row(page, FINISHED).waitFor();
+  });
+});
+
+test("an address of no job says so", () =>
+  browser.visit("unknown", "#/jobs/00000000-0000-7000-8000-000000000000", async (page, faults) => {
+    await seen(page.getByRole("alert"), "There is no such job.");
+    for (const fault of faults.splice(0)) assert.match(fault, /\b404\b/);
+  }));
+
+test("nothing is wider than a phone", async () => {
+  const pages = {
+    list: "",
+    finished: await finished(),
+    failed: await failed(),
+    running: `#/jobs/${await running()}`,
+  };
+  for (const [name, address] of Object.entries(pages)) {
+    await browser.visit(`phone-${name}`, address, async (page) => {
+      await (address ? state(page) : row(page, FINISHED)).waitFor();
+      if (name === "finished") {
+        await seen(part(page, "Novel view"), "azimuth 0°");
+        await part(page, "Files").waitFor();
+      }
+      assert.deepEqual(await overflowing(page), []);
+    }, PHONE);
+  }
+});
+
+test("a job that was cancelled runs again", async () =>
+  browser.visit("again", `#/jobs/${await running()}`, async (page) => {
+    await button(page, "Cancel").click();
+    await seen(state(page), "cancelled");
+    await button(page, "Try again").click();
+    await seen(state(page), "running");
+    await seen(page.locator("section"), "attempt 2");
+  }));
+
+test("a job that is deleted leaves the list", async () => {
+  await finished();
+  await browser.visit("deleted", await failed(), async (page) => {
+    await button(page, "Delete").click();
+    await row(page, FINISHED).waitFor();
+    await until("its row is gone", async () => (await row(page, FAILED).count()) === 0);
+  });
+});

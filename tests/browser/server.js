@@ -1,0 +1,131 @@
+// The real program as a server of its own: a free port, a folder that is gone afterwards.
+
+import { execFileSync, spawn } from "node:child_process";
+import { mkdtempSync, readdirSync, readFileSync, rmSync } from "node:fs";
+import { tmpdir } from "node:os";
+import { join, relative } from "node:path";
+import { createInterface } from "node:readline";
+
+import { until } from "./until.js";
+
+/** A job of seconds: what it computes is not judged here. */
+const SMALL = {
+  size: 96,
+  steps: 40,
+  cap: 1000,
+  rounds: 2,
+  held_out: "4",
+  pose_source: "given",
+  deblur: "identity",
+};
+
+/** A program finds there what `make onnxruntime` has fetched. */
+const TOP = join(import.meta.dirname, "../..");
+
+/** SIGTERM may take so long, ms. */
+const FAREWELL = 10_000;
+
+export class Server {
+  /** Starts `program serve`; resolves once it listens. */
+  static async start(program) {
+    const folder = mkdtempSync(join(tmpdir(), "fled-browser-"));
+    const environment = { ...process.env, FLED_MODELS: join(folder, "models") };
+    delete environment.RUST_LOG;
+    const child = spawn(
+      program,
+      ["serve", "--listen", "127.0.0.1:0", "--workers", "2", "--data", join(folder, "data")],
+      { cwd: TOP, env: environment, stdio: ["ignore", "ignore", "pipe"] },
+    );
+    const server = new Server(program, folder, child);
+    server.base = await server.#address();
+    return server;
+  }
+
+  constructor(program, folder, child) {
+    Object.assign(this, { program, folder, child, said: [] });
+  }
+
+  #address() {
+    return new Promise((resolve, reject) => {
+      createInterface({ input: this.child.stderr }).on("line", (line) => {
+        this.said.push(line);
+        const address = line.match(/listening on (http:\S+)/);
+        if (address) resolve(address[1]);
+      });
+      this.child.on("error", reject);
+      this.child.on("exit", (code) => {
+        reject(new Error(`the server ended with ${code}:\n${this.said.join("\n")}`));
+      });
+    });
+  }
+
+  async stop() {
+    const { child } = this;
+    if (child.exitCode === null && child.signalCode === null) {
+      const ended = new Promise((resolve) => { child.once("exit", resolve); });
+      const impatience = setTimeout(() => child.kill("SIGKILL"), FAREWELL);
+      child.kill("SIGTERM");
+      await ended;
+      clearTimeout(impatience);
+    }
+    rmSync(this.folder, { recursive: true, force: true });
+  }
+
+  /** A folder of eight small dark photographs with their poses and their ground truth. */
+  capture() {
+    const folder = join(this.folder, "capture");
+    const options = ["--views", "8", "--size", "96x64"];
+    execFileSync(this.program, ["synth", folder, ...options], { stdio: "ignore" });
+    return folder;
+  }
+
+  /** Submits a small job of the capture with further options; its id. */
+  async submit(capture, name, options = {}) {
+    const body = new FormData();
+    body.append("name", name);
+    body.append("preset", "preview");
+    body.append("options", JSON.stringify({ ...SMALL, ...options }));
+    for (const path of files(capture)) {
+      body.append("images", new Blob([readFileSync(path)]), relative(capture, path));
+    }
+    const { id } = await this.#json("/v1/jobs", { method: "POST", body });
+    return id;
+  }
+
+  /** The job as the API shows it. */
+  job(id) {
+    return this.#json(`/v1/jobs/${id}`);
+  }
+
+  /** The scores of a job as the API shows them. */
+  rounds(id) {
+    return this.#json(`/v1/jobs/${id}/rounds`);
+  }
+
+  /** Waits until a job is over, in `state`. */
+  async reached(id, state) {
+    const name = await until(`job ${id} is over`, async () => {
+      const job = await this.job(id);
+      return job.finished_at && job.state;
+    });
+    if (name !== state) {
+      const { error } = await this.job(id);
+      throw new Error(`the job is ${name}, not ${state}: ${JSON.stringify(error)}`);
+    }
+  }
+
+  async #json(path, options) {
+    const response = await fetch(this.base + path, options);
+    const text = await response.text();
+    if (!response.ok) throw new Error(`${path}: ${response.status} ${text}`);
+    return JSON.parse(text);
+  }
+}
+
+/** Every file of a folder and of those in it. */
+function files(folder) {
+  return readdirSync(folder, { withFileTypes: true }).flatMap((entry) => {
+    const path = join(folder, entry.name);
+    return entry.isDirectory() ? files(path) : [path];
+  });
+}
