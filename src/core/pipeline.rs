@@ -25,7 +25,6 @@ mod report;
 mod restore;
 mod round;
 mod run;
-mod score;
 mod tone;
 mod tools;
 mod views;

@@ -1,5 +1,9 @@
 //! The scores of a round, its pictures at the target brightness, and its scene there.
 
+mod images;
+mod records;
+mod score;
+
 use std::collections::BTreeMap;
 
 use rayon::prelude::*;
@@ -11,51 +15,19 @@ use super::match_brightness::Next;
 use super::pictures;
 use super::reconstruct::TrainedScene;
 use super::round::Round;
-use super::score;
 use super::tone::Tone;
 use super::views::View;
 use super::workspace::Workspace;
-use crate::camera::Split;
 use crate::event::Stage;
 use crate::gaussians::{Gaussians, ply};
 use crate::image::{EncodeFormat, Image};
-use crate::metrics::{self, Brightness, ImageKind, Record, Reference, RoundMetrics};
+use crate::metrics::{self, RoundMetrics};
+use images::TargetImages;
+
+pub use images::RoundImages;
 
 /// How much lower a round's score must be for the round to count as worse than the one before.
 const WORSE_BY: f64 = 0.01;
-
-/// The images of one round, a view each, in the order of the views.
-#[derive(Clone, Copy, Debug)]
-pub struct RoundImages<'a> {
-    /// H_i.
-    pub enhanced: &'a [Image],
-    /// D_i.
-    pub deblurred: &'a [Image],
-    /// R_i.
-    pub renders: &'a [Image],
-}
-
-impl<'a> RoundImages<'a> {
-    /// Of H_i, D_i and R_i.
-    pub fn new(enhanced: &'a [Image], deblurred: &'a [Image], renders: &'a [Image]) -> Self {
-        Self {
-            enhanced,
-            deblurred,
-            renders,
-        }
-    }
-}
-
-/// The images of one round at the target brightness.
-#[derive(Clone, Debug)]
-struct TargetImages<'a> {
-    /// H_N.
-    enhanced: &'a [Image],
-    /// D_i mapped to the target brightness.
-    deblurred: Vec<Image>,
-    /// R_i mapped to the target brightness.
-    renders: Vec<Image>,
-}
 
 /// A finished round.
 #[derive(Clone, Copy)]
@@ -149,7 +121,9 @@ fn measure(
     let noise_sigma = means(images, metrics::noise_sigma);
     let sigma = noise_sigma.get("enhanced").copied().unwrap_or_default();
     let response = &brightening.last().response;
-    let score = score::score(views, &target.renders, target.enhanced, response);
+    let likenesses = score::likenesses(&target.renders, target.enhanced, response);
+    let score = score::score(views, &likenesses);
+    let comparisons = records::comparisons(views, images, target);
     let before = previous.and_then(|previous| previous.score);
     let matched = next.map_or(&[][..], |next| &next.matched);
     let training = &scene.training;
@@ -164,7 +138,7 @@ fn measure(
         clipped: mean(images.enhanced, metrics::clipped_share),
         noise_ceiling_db: metrics::noise_ceiling(sigma),
         noise_sigma,
-        records: records(views, images, target),
+        records: records::records(views, &comparisons),
         noise_map: training.noise,
         shake_px: training.shake_px,
         pose_correction_px: training.pose_correction_px,
@@ -177,105 +151,6 @@ fn measure(
         score: Some(score),
         worse_than_previous: before.is_some_and(|before| score < before - WORSE_BY),
     }
-}
-
-/// Every record of the round: both splits, with ground truth where the capture has it.
-fn records(views: &[View], images: &RoundImages<'_>, target: &TargetImages<'_>) -> Vec<Record> {
-    let mut records = Vec::new();
-    for split in [Split::HeldOut, Split::Train] {
-        let members: Vec<usize> = (0..views.len())
-            .filter(|&i| views[i].split == split)
-            .collect();
-        let of = |image, reference, brightness| What {
-            split,
-            image,
-            reference,
-            brightness,
-        };
-        for (image, set) in [
-            (ImageKind::Render, &target.renders[..]),
-            (ImageKind::Deblurred, &target.deblurred),
-            (ImageKind::Enhanced, target.enhanced),
-        ] {
-            let what = of(image, Reference::Gt, Brightness::Final);
-            let with_truth = members
-                .iter()
-                .filter_map(|&i| Some((&set[i], views[i].gt.as_ref()?)));
-            records.extend(mean_record(what, &with_truth.collect::<Vec<_>>()));
-        }
-        for (reference, brightness, set, against) in [
-            (
-                Reference::Deblurred,
-                Brightness::Native,
-                images.renders,
-                images.deblurred,
-            ),
-            (
-                Reference::Enhanced,
-                Brightness::Native,
-                images.renders,
-                images.enhanced,
-            ),
-            (
-                Reference::Enhanced,
-                Brightness::Final,
-                &target.renders,
-                target.enhanced,
-            ),
-        ] {
-            let what = of(ImageKind::Render, reference, brightness);
-            let pairs = members.iter().map(|&i| (&set[i], &against[i]));
-            records.extend(mean_record(what, &pairs.collect::<Vec<_>>()));
-        }
-    }
-    records
-}
-
-/// What a record is about.
-struct What {
-    split: Split,
-    image: ImageKind,
-    reference: Reference,
-    brightness: Brightness,
-}
-
-/// The scores of an image against its reference.
-struct Scores {
-    psnr_db: f64,
-    psnr_cc_db: f64,
-    ssim: f64,
-}
-
-impl Scores {
-    fn of(image: &Image, reference: &Image) -> Self {
-        Self {
-            psnr_db: metrics::psnr(image, reference),
-            psnr_cc_db: metrics::psnr_colour_corrected(image, reference),
-            ssim: metrics::ssim(image, reference),
-        }
-    }
-}
-
-fn mean_record(what: What, pairs: &[(&Image, &Image)]) -> Option<Record> {
-    if pairs.is_empty() {
-        return None;
-    }
-    let scores: Vec<Scores> = pairs
-        .par_iter()
-        .map(|(image, reference)| Scores::of(image, reference))
-        .collect();
-    let mean = |of: fn(&Scores) -> f64| scores.iter().map(of).sum::<f64>() / scores.len() as f64;
-    Some(Record {
-        split: what.split,
-        image: what.image,
-        reference: what.reference,
-        brightness: what.brightness,
-        views: pairs.len() as u32,
-        psnr_db: mean(|scores| scores.psnr_db),
-        psnr_cc_db: mean(|scores| scores.psnr_cc_db),
-        ssim: mean(|scores| scores.ssim),
-        lpips_squeeze: None,
-    })
 }
 
 /// Means of a measure over the enhanced views, the deblurred views and the renders.

@@ -2,49 +2,63 @@
 
 use rayon::prelude::*;
 
-use super::views::View;
 use crate::camera::Split;
 use crate::image::Image;
 use crate::metrics;
+use crate::pipeline::views::View;
 use crate::shake::reference::ReferenceShake;
-use crate::shake::{self, Response};
+use crate::shake::{self, Response, ShakeKernel};
 
-/// Mean SSIM of a round's renders at the target brightness against the views at that brightness,
-/// over held-out views where there are any. Never against ground truth: a capture that brings it
-/// must be delivered the same scene as one that does not. Differs from method.md 7: each render is
-/// first shaken as its view is, else the sharper of two scenes looks like the worse one; also where
-/// the scene was trained without kernels, whose views are shaken no less.
-pub fn score(views: &[View], renders: &[Image], target: &[Image], response: &Response) -> f64 {
-    let of = |split: Split| {
-        (0..views.len())
-            .filter(|&i| views[i].split == split)
-            .collect::<Vec<_>>()
+/// How a render explains its view, both at the target brightness.
+#[derive(Clone, Copy, Debug)]
+pub struct Likeness {
+    /// Root mean square distance that the shake found in the view moves its light, px.
+    pub shake_px: f64,
+    /// SSIM of the render, shaken as the view is, against the view.
+    pub ssim: f64,
+}
+
+/// The likeness of every render. Each is first shaken as its view is, else the sharper of two
+/// scenes looks like the worse one; also where the scene was trained without kernels, whose views
+/// are shaken no less.
+pub fn likenesses(renders: &[Image], target: &[Image], response: &Response) -> Vec<Likeness> {
+    let of = |(render, view): (&Image, &Image)| {
+        let kernel = shake::estimate(render, view, response);
+        let shaken = as_shaken(render, &kernel, response);
+        Likeness {
+            shake_px: kernel.spread(),
+            ssim: metrics::ssim(&shaken, view),
+        }
+    };
+    renders.par_iter().zip(target).map(of).collect()
+}
+
+/// Mean SSIM of the likenesses, over held-out views where there are any. Never against ground
+/// truth: a capture that brings it must be delivered the same scene as one that does not.
+pub fn score(views: &[View], likenesses: &[Likeness]) -> f64 {
+    let of = |split: Split| -> Vec<f64> {
+        let pairs = views.iter().zip(likenesses);
+        pairs
+            .filter(|(view, _)| view.split == split)
+            .map(|(_, likeness)| likeness.ssim)
+            .collect()
     };
     let held_out = of(Split::HeldOut);
-    let judged = if held_out.is_empty() {
+    let compared = if held_out.is_empty() {
         of(Split::Train)
     } else {
         held_out
     };
-    let similarity =
-        |&i: &usize| metrics::ssim(&as_shaken(&renders[i], &target[i], response), &target[i]);
-    judged
-        .par_iter()
-        .map(similarity)
-        .collect::<Vec<_>>()
-        .iter()
-        .sum::<f64>()
-        / judged.len().max(1) as f64
+    compared.iter().sum::<f64>() / compared.len().max(1) as f64
 }
 
-/// The render, shaken as the view was.
-fn as_shaken(render: &Image, view: &Image, response: &Response) -> Image {
-    let kernel = shake::estimate(render, view, response);
+/// The render, shaken by a kernel.
+fn as_shaken(render: &Image, kernel: &ShakeKernel, response: &Response) -> Image {
     let size = [render.width(), render.height()];
     let values: Vec<f64> = render.data().iter().map(|&v| f64::from(v)).collect();
     let shaken = ReferenceShake {
         size,
-        kernel: &kernel,
+        kernel,
         response,
     }
     .shaken(&values);
@@ -59,7 +73,7 @@ fn as_shaken(render: &Image, view: &Image, response: &Response) -> Image {
 mod tests {
     use super::*;
     use crate::camera::{Camera, Intrinsics};
-    use crate::shake::{ShakeKernel, Tap};
+    use crate::shake::Tap;
     use glam::DVec3;
 
     const SIDE: usize = 64;
@@ -128,12 +142,9 @@ mod tests {
         };
         let target = [blurred(&sharp(), 1)];
         let of = |render: &Image| {
-            score(
-                std::slice::from_ref(&view),
-                std::slice::from_ref(render),
-                &target,
-                &Response::srgb(),
-            )
+            let renders = std::slice::from_ref(render);
+            let likenesses = likenesses(renders, &target, &Response::srgb());
+            score(std::slice::from_ref(&view), &likenesses)
         };
         let (sharp, soft) = (sharp(), blurred(&sharp(), 2));
         assert!(

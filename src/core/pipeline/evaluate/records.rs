@@ -1,0 +1,128 @@
+//! The scores of a round, against everything that it is compared with.
+
+use rayon::prelude::*;
+
+use super::images::{RoundImages, TargetImages};
+use crate::camera::Split;
+use crate::image::Image;
+use crate::metrics::{self, Brightness, ImageKind, Record, Reference};
+use crate::pipeline::views::View;
+
+/// The scores of an image against its reference.
+#[derive(Clone, Copy, Debug)]
+pub struct Scores {
+    /// PSNR, dB.
+    pub psnr_db: f64,
+    /// PSNR after an affine colour fit of each channel, dB.
+    pub psnr_cc_db: f64,
+    /// SSIM.
+    pub ssim: f64,
+}
+
+impl Scores {
+    fn of(image: &Image, reference: &Image) -> Self {
+        Self {
+            psnr_db: metrics::psnr(image, reference),
+            psnr_cc_db: metrics::psnr_colour_corrected(image, reference),
+            ssim: metrics::ssim(image, reference),
+        }
+    }
+}
+
+/// One kind of image against one kind of reference, at one brightness.
+#[derive(Clone, Debug)]
+pub struct Comparison {
+    /// What was compared.
+    pub image: ImageKind,
+    /// Against what.
+    pub reference: Reference,
+    /// At which brightness.
+    pub brightness: Brightness,
+    /// Of every view; `None` where it has no such reference.
+    pub scores: Vec<Option<Scores>>,
+}
+
+/// Every comparison of a round: with ground truth where the capture has it, and of the renders
+/// with what they were made from.
+pub fn comparisons(
+    views: &[View],
+    images: &RoundImages<'_>,
+    target: &TargetImages<'_>,
+) -> Vec<Comparison> {
+    use Brightness::{Final, Native};
+    let compare = |image, reference, brightness, set: &[Image], against: &References<'_>| {
+        let scores = (0..views.len()).into_par_iter().map(|view| {
+            let reference = against(view)?;
+            Some(Scores::of(&set[view], reference))
+        });
+        Comparison {
+            image,
+            reference,
+            brightness,
+            scores: scores.collect(),
+        }
+    };
+    let truth: &References<'_> = &|view| views[view].gt.as_ref();
+    let deblurred: &References<'_> = &|view| Some(&images.deblurred[view]);
+    let enhanced: &References<'_> = &|view| Some(&images.enhanced[view]);
+    let bright: &References<'_> = &|view| Some(&target.enhanced[view]);
+    let (gt, render) = (Reference::Gt, ImageKind::Render);
+    vec![
+        compare(render, gt, Final, &target.renders, truth),
+        compare(ImageKind::Deblurred, gt, Final, &target.deblurred, truth),
+        compare(ImageKind::Enhanced, gt, Final, target.enhanced, truth),
+        compare(
+            render,
+            Reference::Deblurred,
+            Native,
+            images.renders,
+            deblurred,
+        ),
+        compare(
+            render,
+            Reference::Enhanced,
+            Native,
+            images.renders,
+            enhanced,
+        ),
+        compare(render, Reference::Enhanced, Final, &target.renders, bright),
+    ]
+}
+
+/// What a view is compared with.
+type References<'a> = dyn Fn(usize) -> Option<&'a Image> + Sync + 'a;
+
+/// The means of each comparison over the views of each split.
+pub fn records(views: &[View], comparisons: &[Comparison]) -> Vec<Record> {
+    let mean = |split: Split| {
+        let of = move |comparison| mean_record(views, split, comparison);
+        comparisons.iter().filter_map(of)
+    };
+    [Split::HeldOut, Split::Train]
+        .into_iter()
+        .flat_map(mean)
+        .collect()
+}
+
+fn mean_record(views: &[View], split: Split, comparison: &Comparison) -> Option<Record> {
+    let members = views.iter().zip(&comparison.scores);
+    let scores: Vec<Scores> = members
+        .filter(|(view, _)| view.split == split)
+        .filter_map(|(_, scores)| *scores)
+        .collect();
+    if scores.is_empty() {
+        return None;
+    }
+    let mean = |of: fn(&Scores) -> f64| scores.iter().map(of).sum::<f64>() / scores.len() as f64;
+    Some(Record {
+        split,
+        image: comparison.image,
+        reference: comparison.reference,
+        brightness: comparison.brightness,
+        views: scores.len() as u32,
+        psnr_db: mean(|scores| scores.psnr_db),
+        psnr_cc_db: mean(|scores| scores.psnr_cc_db),
+        ssim: mean(|scores| scores.ssim),
+        lpips_squeeze: None,
+    })
+}
