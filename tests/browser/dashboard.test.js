@@ -82,7 +82,7 @@ const valueOf = (bar) => () => bar.evaluate((element) => element.value);
 
 test("without a job the list says how to begin, and the machine is ready", () =>
   browser.visit("list-empty", "", async (page) => {
-    await seen(page.locator("main"), "No job yet.");
+    await page.getByText("No job yet.").waitFor();
     await seen(page.locator("#health"), /^ready$/);
     assert.equal(await page.getByRole("table").isVisible(), false);
   }));
@@ -204,8 +204,13 @@ test("a view that nobody photographed is rendered and turns", async () =>
     await seen(novel, "azimuth 5°");
     assert.notEqual(await image.getAttribute("src"), before);
     await until("the turned view is there", () => loaded(image));
+
+    const turned = await image.getAttribute("src");
+    const answered = page.waitForResponse(/\/render\?.*\bround=1$/);
     await novel.getByRole("combobox", { name: "round" }).selectOption("1");
-    await until("round 1 is rendered", () => loaded(image));
+    assert.equal((await answered).status(), 200);
+    await until("round 1 is shown", async () =>
+      (await image.getAttribute("src")) !== turned && loaded(image));
   }));
 
 test("a file of the result is downloaded", async () =>
