@@ -34,6 +34,10 @@ pub struct Args {
     /// Events as JSON lines on standard output.
     #[arg(long)]
     json: bool,
+    /// Remove what only another run into the same folder, with other options, would use again:
+    /// the deblurred views in full precision.
+    #[arg(long)]
+    discard_work: bool,
     #[command(flatten)]
     tools: tools::Args,
 }
@@ -79,6 +83,9 @@ fn run(
     let mut kit = tools::Kit::new(&args.tools, options, &capture)?;
     let mut tools = kit.tools();
     pipeline::run(&capture, options, &mut tools, workspace, reporter, cancel)?;
+    if args.discard_work {
+        workspace.discard_intermediates()?;
+    }
     Ok(())
 }
 

@@ -41,6 +41,8 @@ pub fn main(args: &Args) -> Result<(), Failure> {
         .init();
     let mut config =
         ServeConfig::new(args.data.clone(), args.listen, args.workers).map_err(io(&args.data))?;
+    // A job's folder is its own: no other run will use what this one worked with.
+    config.job_command.push("--discard-work".into());
     config.models = args.models.folders();
     for folder in &config.models {
         for command in [&mut config.job_command, &mut config.doctor_command] {

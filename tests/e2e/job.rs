@@ -120,6 +120,34 @@ fn a_finished_run_is_not_done_again() {
 }
 
 #[test]
+fn a_change_of_the_training_deblurs_nothing_again_unless_the_work_is_discarded() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let capture = small_capture(folder.path());
+    let out = folder.path().join("out");
+    let log = || fs::read_to_string(out.join("log.txt")).expect("log.txt");
+    let mut told = 0;
+    let mut run = |arguments: &[&str]| {
+        succeed(small_run(&capture, &out, 1).args(arguments));
+        let whole = log();
+        let said = whole[told..].to_owned();
+        told = whole.len();
+        said
+    };
+    run(&[]);
+    let retrained = run(&["--set", "cap=1200", "--discard-work"]);
+    assert!(
+        retrained.contains("round 1 deblur already done"),
+        "{retrained}"
+    );
+    assert!(
+        retrained.contains("round 1 reconstruct done"),
+        "{retrained}"
+    );
+    let discarded = run(&["--set", "cap=1100"]);
+    assert!(discarded.contains("round 1 deblur done"), "{discarded}");
+}
+
+#[test]
 fn a_finished_run_is_rendered_from_a_view_and_from_an_orbit() {
     let folder = tempfile::tempdir().expect("temporary folder");
     let capture = small_capture(folder.path());
