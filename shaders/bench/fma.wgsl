@@ -1,6 +1,5 @@
 // The yardstick of arithmetic: three independent chains of fused multiply-adds, 4 wide, an
-// invocation. More
-// would not fit the registers of a CPU.
+// invocation. More would not fit the registers of a CPU.
 // Reads size. Writes sums [4 count], so that nothing can be left out. Dispatch: count.
 // x <- a x + b: FMAS a round, 8 operations each, `rounds` rounds an invocation.
 #import shared/grid.wgsl

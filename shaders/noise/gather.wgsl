@@ -1,6 +1,5 @@
 // The derivative of loss and penalty by the centred noise of one cell an invocation: the transpose
-// of the
-// bilinear upsampling.
+// of the bilinear upsampling.
 // Reads values [cells, 4], mean [1], gradient [3, H, W]. Writes cell_gradient [cells, 4]. Dispatch:
 // cells.
 // g = sum over the pixels of weight * dL/dprediction + penalty * (n - mean(n)).

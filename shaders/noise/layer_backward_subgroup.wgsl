@@ -1,10 +1,8 @@
 // The derivative by the input of one fully connected layer, for 16 cells a subgroup and 4 inputs a
-// lane; as
-// layer_forward_subgroup.wgsl.
+// lane; as layer_forward_subgroup.wgsl.
 // Reads delta [count, output_stride] (the derivative before the relu of the layer), parameters,
-// input
-// [count, input_stride]. Writes input_delta [count, input_stride]. Dispatch: a workgroup for 16
-// cells and 32 inputs.
+// input [count, input_stride]. Writes input_delta [count, input_stride]. Dispatch: a workgroup for
+// 16 cells and 32 inputs.
 // input_delta = delta W^T, 0 where the input came out of a relu as 0.
 #import shared/grid.wgsl
 #import shared/noise.wgsl

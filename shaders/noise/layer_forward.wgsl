@@ -1,8 +1,7 @@
 // One fully connected layer for 8 cells x 8 outputs an invocation.
 // Reads input [count, input_stride], parameters. Writes output [count, output_stride]. Rows past
-// count, up
-// to a multiple of 8, are written with nothing of meaning. Dispatch: ceil(count / 8) ceil(outputs /
-// 2).
+// count, up to a multiple of 8, are written with nothing of meaning. Dispatch: ceil(count / 8)
+// ceil(outputs / 2).
 // output = relu(input W + b), or without the relu.
 #import shared/grid.wgsl
 #import shared/noise.wgsl

@@ -1,10 +1,8 @@
 // The derivatives of the weights of one layer over all of the chunk's cells, for 16 inputs a
-// subgroup and 4 outputs a lane, and
-// of the biases where its inputs are the first: a lane loads one cell's inputs, and all lanes get
-// them from it.
+// subgroup and 4 outputs a lane, and of the biases where its inputs are the first: a lane loads one
+// cell's inputs, and all lanes get them from it.
 // Reads delta [count, output_stride], input [count, input_stride]. Writes gradients [parameters];
-// chunks after the first add
-// to them. Dispatch: a workgroup for 16 inputs and 32 outputs.
+// chunks after the first add to them. Dispatch: a workgroup for 16 inputs and 32 outputs.
 // dW = input^T delta, db = sum delta.
 #import shared/grid.wgsl
 #import shared/noise.wgsl

@@ -1,7 +1,6 @@
 // One shaken pixel, all channels, an invocation.
 // Reads taps [taps] (dx, dy, weight, unused), response [256], light [H, W]. Writes blurred [3, H,
-// W] and
-// factor [H, W] (derivative of blurred by the weighted sum of light). Dispatch: H W.
+// W] and factor [H, W] (derivative of blurred by the weighted sum of light). Dispatch: H W.
 // blurred(p) = response(sum_u k_u light(p - u) / sum_u k_u), u over the taps with p - u inside the
 // image.
 #import shared/grid.wgsl

@@ -1,10 +1,8 @@
 // The derivative of the loss by one pixel of the render, all channels, an invocation.
 // Reads taps [taps], response [256], scaled [H, W] (derivative by the weighted sums), render [3, H,
-// W]. Writes
-// render_gradient [3, H, W]. Dispatch: H W.
+// W]. Writes render_gradient [3, H, W]. Dispatch: H W.
 // dL/drender(q) = (f^-1)'(render(q)) sum_u k_u scaled(q + u) + w sum_n d_n / sqrt(d_n^2 + BEND^2),
-// u over the taps
-// with q + u inside, d_n the differences to the neighbours of q, f the response.
+// u over the taps with q + u inside, d_n the differences to the neighbours of q, f the response.
 #import shared/grid.wgsl
 #import shared/shake.wgsl
 

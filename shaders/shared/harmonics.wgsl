@@ -1,5 +1,5 @@
-// Real spherical harmonics to degree 3, in the order and with the signs of 3DGS; the meaning
-// is src/core/splat/reference/harmonics.rs.
+// Real spherical harmonics to degree 3, in the order and with the signs of 3DGS; the meaning is
+// src/core/splat/reference/harmonics.rs.
 
 const SH0: f32 = 0.28209479;
 const SH1: f32 = 0.48860251;

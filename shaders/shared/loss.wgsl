@@ -1,7 +1,6 @@
 // What both kernels of the training loss share: sizes, the Gaussian window, the packed target.
 // An invocation owns COLUMNS neighbouring columns over `run` rows of one channel; it walks down
-// them and
-// keeps ten partial sums a column, so each row is read and blurred horizontally once.
+// them and keeps ten partial sums a column, so each row is read and blurred horizontally once.
 
 // Columns an invocation; it reads 5 more on either side.
 const COLUMNS: u32 = 4u;

@@ -1,7 +1,6 @@
 // What the kernels of the noise field share. A cell is a point of the image at which the network is
 // evaluated: 8 x 8 px in mode `grid`, one pixel in mode `paper`. Between the centres of the cells
-// the
-// noise is bilinear; outside of the outermost centres it is constant.
+// the noise is bilinear; outside of the outermost centres it is constant.
 
 struct NoiseUniform {
     // Rows of the rotation from world to camera.

@@ -1,6 +1,5 @@
 // The backward of projection: from the gradients by mean and inverse covariance on the image to
-// those by point,
-// rotation and covariance; tests compare it with the reference. Needs `camera` and
+// those by point, rotation and covariance; tests compare it with the reference. Needs `camera` and
 // shared/projection.wgsl.
 #import shared/projection.wgsl
 

@@ -1,6 +1,5 @@
 // Counting the digits of a block: column `lane` of `digit_counts` belongs to one invocation, which
-// owns
-// ITEMS consecutive keys, so that equal digits keep their order.
+// owns ITEMS consecutive keys, so that equal digits keep their order.
 #import shared/grid.wgsl
 #import shared/sort.wgsl
 

@@ -1,6 +1,5 @@
 // What blending and its backward share, so that both take identical decisions: the pixels of an
-// invocation, what they need
-// of a splat, and alpha.
+// invocation, what they need of a splat, and alpha.
 #import shared/tiles.wgsl
 
 // Consecutive pixels of a row that one invocation owns, and invocations of a tile's workgroup.

@@ -1,13 +1,10 @@
 // The backward of blending for one tile, without its reduction: `store_partial` and PARTIALS come
-// from
-// shared/partial_subgroup.wgsl or shared/partial_workgroup.wgsl. Replays the forward order, so both
-// take the
-// same decisions: behind a splat lies (final colour - colour so far), T is never divided by.
+// from shared/partial_subgroup.wgsl or shared/partial_workgroup.wgsl. Replays the forward order, so
+// both take the same decisions: behind a splat lies (final colour - colour so far), T is never
+// divided by.
 // Reads image, image_gradient [3, height, width], last [tiles, 2]; writes every row of the tile
-// once. With
-// v = dL/dsigma: slot_colours (by r g b, sum v), slot_moments (sums of v dx, v dy, v dx^2, v dx
-// dy), slot_tails (v dy^2),
-// all [slots].
+// once. With v = dL/dsigma: slot_colours (by r g b, sum v), slot_moments (sums of v dx, v dy, v
+// dx^2, v dx dy), slot_tails (v dy^2), all [slots].
 #import shared/raster_batch.wgsl
 #import shared/raster_pixels_backward.wgsl
 

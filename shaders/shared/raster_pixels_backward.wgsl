@@ -1,6 +1,5 @@
 // The pixels of an invocation while the gradients by the splats over them are found, front to back.
-// Needs `camera`, `image`,
-// `image_gradient`.
+// Needs `camera`, `image`, `image_gradient`.
 #import shared/raster.wgsl
 
 // T (negative once stopped), the gradient by the colour, and that gradient times the colour still

@@ -1,8 +1,6 @@
 // Walking a tile's list with the splats in registers. A subgroup blends half a tile: it loads as
-// many splats as it has lanes,
-// keeps those that touch its half, and hands them round by shuffles. There is no workgroup memory,
-// and nobody waits. Needs
-// `camera`, `slot_gaussian` and `projected`.
+// many splats as it has lanes, keeps those that touch its half, and hands them round by shuffles.
+// There is no workgroup memory, and nobody waits. Needs `camera`, `slot_gaussian` and `projected`.
 #import shared/raster.wgsl
 
 // Lanes of a subgroup; times PIXELS it is half a tile.

@@ -1,6 +1,5 @@
 // Nine sums over a subgroup of SUBGROUP lanes by shuffles: three rounds transpose eight of them
-// over eight lanes while
-// adding; wider subgroups add the eights.
+// over eight lanes while adding; wider subgroups add the eights.
 
 // Keeps one of two sums and adds the partner's half of it: after rounds 4, 2, 1 lane i holds sum i.
 fn exchange(low: f32, high: f32, upper: bool, mask: u32) -> f32 {

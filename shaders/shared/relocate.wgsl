@@ -1,7 +1,6 @@
 // How Gaussians move (MCMC densification). Each row of `moves` is (target, source); the log-scales
-// and logit that both end
-// up with are in `shape`. A row whose target is its source only changes those. No source is a
-// target of another row.
+// and logit that both end up with are in `shape`. A row whose target is its source only changes
+// those. No source is a target of another row.
 // The Rust side is `RelocateUniform` in src/core/reconstruct/optimizer.rs.
 
 struct RelocateUniform {

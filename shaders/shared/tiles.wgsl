@@ -1,6 +1,6 @@
-// Which 16 x 16 tiles a splat touches. Counting and emitting call the same function, so
-// they cannot disagree; the test is exact but for a slack that covers f32 rounding, so no pixel
-// with alpha >= 1/255 is lost.
+// Which 16 x 16 tiles a splat touches. Counting and emitting call the same function, so they cannot
+// disagree; the test is exact but for a slack that covers f32 rounding, so no pixel with alpha >=
+// 1/255 is lost.
 #import shared/camera.wgsl
 
 const ALPHA_CUT: f32 = 1.0 / 255.0;

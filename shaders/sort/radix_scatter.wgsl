@@ -1,7 +1,6 @@
 // Moves the pairs of a block to their places by one 4-bit digit; stable.
 // Reads parameters, counters, histogram [DIGITS, blocks] scanned, keys [n], payloads [n]. Writes
-// keys_out [n],
-// payloads_out [n]. Dispatch: a workgroup a block.
+// keys_out [n], payloads_out [n]. Dispatch: a workgroup a block.
 #import shared/radix.wgsl
 
 @group(0) @binding(0) var<uniform> parameters: SortParameters;

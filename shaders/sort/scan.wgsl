@@ -1,8 +1,7 @@
 // Exclusive prefix sum of a short array by one workgroup, in place: sums of blocks, or digit
 // counts.
 // Writes the total to a counter and the indirect arguments of kernels over that many elements: six
-// numbers,
-// workgroups of a block an invocation group, then workgroups of WIDTH elements.
+// numbers, workgroups of a block an invocation group, then workgroups of WIDTH elements.
 // Reads parameters; reads and writes counters, values [blocks * per_block]; writes arguments.
 // Dispatch: 1.
 #import shared/workgroup_scan.wgsl

@@ -1,7 +1,6 @@
 // Gives every visible Gaussian its first slot: a prefix sum of tile counts in order of depth.
 // Reads parameters, counters, order [visible], tile_counts [count], block_sums [blocks] scanned.
-// Writes
-// slot_offsets [count], for visible Gaussians only. Dispatch: a workgroup a block.
+// Writes slot_offsets [count], for visible Gaussians only. Dispatch: a workgroup a block.
 #import shared/grid.wgsl
 #import shared/workgroup_scan.wgsl
 

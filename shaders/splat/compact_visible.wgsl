@@ -1,7 +1,6 @@
 // Gathers the visible Gaussians in their order: by prefix sum, so that ties in depth stay stable.
 // Reads camera, tile_counts [count], depth_keys [count], block_sums [blocks] scanned. Writes keys
-// [visible],
-// payloads [visible]: depth and index of the Gaussian. Dispatch: a workgroup a block.
+// [visible], payloads [visible]: depth and index of the Gaussian. Dispatch: a workgroup a block.
 #import shared/grid.wgsl
 #import shared/camera.wgsl
 #import shared/workgroup_scan.wgsl

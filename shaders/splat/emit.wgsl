@@ -1,7 +1,6 @@
 // Writes an intersection for every tile a visible Gaussian touches: its slots are contiguous and in
-// order of
-// depth. Never more than were counted, and never past the capacity (the exact number stays in the
-// counter).
+// order of depth. Never more than were counted, and never past the capacity (the exact number stays
+// in the counter).
 // Reads camera, parameters, counters, order [visible], projected [count, 3], tile_counts [count],
 // slot_offsets [count]. Writes keys [slots] (tile), payloads [slots] (slot), slot_gaussian [slots].
 // Dispatch: visible.

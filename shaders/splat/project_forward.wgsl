@@ -1,7 +1,7 @@
 // Projects one Gaussian an invocation: mean and inverse covariance on the image, colour from its
 // harmonics, depth key, and the exact number of tiles it touches (0 when culled).
-// Reads geometry [part, 12], sh [part, sh_row]. Writes projected [count, 3],
-// tile_counts [count], depth_keys [count]. Dispatch: the part's rows.
+// Reads geometry [part, 12], sh [part, sh_row]. Writes projected [count, 3], tile_counts [count],
+// depth_keys [count]. Dispatch: the part's rows.
 // Sigma' = J W Sigma W^T J^T + 0.3 I, opacity = sigmoid(logit) / (1 - dropout), colour = max(0.5 +
 // sum sh Y(d), 0).
 #import shared/gaussian_rows.wgsl

@@ -1,5 +1,5 @@
-// The gradients by the splats of a tile, reduced over subgroups of SUBGROUP lanes; see
-// shared/raster_backward.wgsl.
+// The gradients by the splats of a tile, reduced over subgroups of SUBGROUP lanes;
+// see shared/raster_backward.wgsl.
 // Dispatch: a workgroup a tile.
 #import shared/grid.wgsl
 #import shared/partial_subgroup.wgsl

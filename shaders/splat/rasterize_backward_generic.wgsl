@@ -1,5 +1,5 @@
-// The gradients by the splats of a tile on a device without subgroups; see
-// shared/raster_backward.wgsl.
+// The gradients by the splats of a tile on a device without subgroups;
+// see shared/raster_backward.wgsl.
 // Dispatch: a workgroup a tile.
 #import shared/grid.wgsl
 #import shared/partial_workgroup.wgsl

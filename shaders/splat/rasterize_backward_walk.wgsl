@@ -1,11 +1,9 @@
-// The gradients by the splats of a tile, one half after the other, by one subgroup; see
-// shared/raster_walk.wgsl. Replays the
-// forward order, so both take the same decisions: behind a splat lies (final colour - colour so
-// far), T is never divided by.
+// The gradients by the splats of a tile, one half after the other, by one subgroup;
+// see shared/raster_walk.wgsl. Replays the forward order, so both take the same decisions: behind a
+// splat lies (final colour - colour so far), T is never divided by.
 // Reads image, image_gradient [3, height, width], last [tiles, 2]; writes every row of the tile.
-// With v = dL/dsigma:
-// slot_colours (by r g b, sum v), slot_moments (sums of v dx, v dy, v dx^2, v dx dy), slot_tails (v
-// dy^2), all [slots].
+// With v = dL/dsigma: slot_colours (by r g b, sum v), slot_moments (sums of v dx, v dy, v dx^2, v
+// dx dy), slot_tails (v dy^2), all [slots].
 // Dispatch: a workgroup a tile, and one for the slots that belong to none.
 #import shared/grid.wgsl
 #import shared/raster_pixels_backward.wgsl

@@ -1,9 +1,8 @@
-// Blends the splats of a tile front to back, each half of it by a subgroup of its own; see
-// shared/raster_walk.wgsl.
+// Blends the splats of a tile front to back, each half of it by a subgroup of its own;
+// see shared/raster_walk.wgsl.
 // Reads camera, tile_ranges [tiles], slots [n] sorted, slot_gaussian [n], projected [count, 3].
-// Writes image
-// [3, height, width], transmittance [height, width], last [tiles, 2]: one past the last
-// intersection that counted.
+// Writes image [3, height, width], transmittance [height, width], last [tiles, 2]: one past the
+// last intersection that counted.
 // Dispatch: a workgroup a tile. C = sum c alpha T, T <- T (1 - alpha), stop before T would pass
 // below 1e-4; T background is added.
 #import shared/grid.wgsl

@@ -1,7 +1,6 @@
 // The gradient of the loss at 4 columns x `run` rows of one channel an invocation: the second half.
-// Reads prediction [3, H, W], truth [ceil(3 H W / 2)], derivatives [3, H, W]. Writes gradient
-// [3, H, W] and error_sums [invocations] (sums of |p - t| and (p - t)^2). Dispatch: as
-// loss_similarity.
+// Reads prediction [3, H, W], truth [ceil(3 H W / 2)], derivatives [3, H, W]. Writes gradient [3,
+// H, W] and error_sums [invocations] (sums of |p - t| and (p - t)^2). Dispatch: as loss_similarity.
 // dL/dp = 0.8 / N sign(p - t) - 0.2 / N (G * dS/dm + 2 p G * dS/dmxx + t G * dS/dmxy), N = 3 H W.
 #import shared/grid.wgsl
 #import shared/loss.wgsl

@@ -1,18 +1,14 @@
 // The gradient of one Gaussian an invocation, from its slots to its parameters, and its Adam update
-// in
-// place. Sums the Gaussian's contiguous slots, goes back through conic, covariance,
-// projection, harmonics and activations, adds the MCMC regularisers, updates, adds exploration
-// noise.
-// Reads tile_counts, slot_offsets [count], slot_colours, slot_moments and slot_tails [slots] (see
-// shared/raster_backward.wgsl), intersections (their exact total). Reads and writes geometry [part,
-// 12],
-// geometry_moments [part, 2, 12], sh [part, sh_row], sh_moments [part, 2, sh_row], counters [0]
-// (non-finite gradients dropped).
+// in place. Sums the Gaussian's contiguous slots, goes back through conic, covariance, projection,
+// harmonics and activations, adds the MCMC regularisers, updates, adds exploration noise.
+// Reads tile_counts, slot_offsets [count], slot_colours, slot_moments and slot_tails [slots]
+// (see shared/raster_backward.wgsl), intersections (their exact total). Reads and writes geometry
+// [part, 12], geometry_moments [part, 2, 12], sh [part, sh_row], sh_moments [part, 2, sh_row],
+// counters [0] (non-finite gradients dropped).
 // Dispatch: the part's rows. Void when the slots overflowed.
 // WRITE_GRADIENTS = 1 leaves the parameters and writes the gradient in place of the first moments.
-// ACCUMULATE_POSITION = 1 adds
-// the length of the gradient by the position, in normalised device coordinates, and a view to the
-// moments' free floats.
+// ACCUMULATE_POSITION = 1 adds the length of the gradient by the position, in normalised device
+// coordinates, and a view to the moments' free floats.
 #import shared/gaussian_rows.wgsl
 #import shared/grid.wgsl
 #import shared/part.wgsl

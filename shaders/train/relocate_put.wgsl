@@ -1,10 +1,9 @@
 // Makes a dead or new Gaussian what was taken for it, a move an invocation, where the target lies
-// in this part, and
-// clears its moments. Log-scales and logit come from `shape`: the source's own change too.
+// in this part, and clears its moments. Log-scales and logit come from `shape`: the source's own
+// change too.
 // Reads moves [rows], shape [rows] (log-scale xyz, logit), taken [rows, 12 + sh_row]. Reads and
-// writes
-// geometry [part, 12], geometry_moments [part, 2, 12], sh [part, sh_row], sh_moments [part, 2,
-// sh_row]. Dispatch: rows.
+// writes geometry [part, 12], geometry_moments [part, 2, 12], sh [part, sh_row], sh_moments [part,
+// 2, sh_row]. Dispatch: rows.
 #import shared/grid.wgsl
 #import shared/part.wgsl
 #import shared/relocate.wgsl

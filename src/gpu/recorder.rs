@@ -282,7 +282,7 @@ fn encode(
     match workgroups {
         Workgroups::Direct([x, y, z]) => pass.dispatch_workgroups(*x, *y, *z),
         Workgroups::Indirect(arguments, offset) => {
-            pass.dispatch_workgroups_indirect(&arguments.raw, *offset)
+            pass.dispatch_workgroups_indirect(&arguments.raw, *offset);
         }
     }
 }

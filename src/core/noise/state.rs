@@ -46,22 +46,23 @@ impl NoiseField {
     /// [`StateError::Format`] for other numbers, of which nothing is taken; a device error.
     pub fn restore(&mut self, state: &[f32]) -> Result<(), StateError> {
         let parameters = 4 * self.network.parameters();
-        if state.len() != HEADER + 3 * parameters {
-            return Err(StateError::Format("the length differs"));
-        }
-        if state[0] != VERSION {
+        let (&[version, mode, step, restraint], numbers) = state
+            .split_first_chunk::<HEADER>()
+            .filter(|(_, numbers)| numbers.len() == 3 * parameters)
+            .ok_or(StateError::Format("the length differs"))?;
+        if version != VERSION {
             return Err(StateError::Format("another version"));
         }
-        if state[1] != self.mode_number() {
+        if mode != self.mode_number() {
             return Err(StateError::Format("another mode"));
         }
-        let (values, moments) = state[HEADER..].split_at(parameters);
+        let (values, moments) = numbers.split_at(parameters);
         self.buffers
             .parameters
             .write(bytemuck::cast_slice(values))?;
         self.buffers.moments.write(bytemuck::cast_slice(moments))?;
-        self.step = state[2] as u64;
-        self.restraint = state[3];
+        self.step = step as u64;
+        self.restraint = restraint;
         Ok(())
     }
 

@@ -1,6 +1,7 @@
 //! The resolution at which a part of a round is trained.
 
 use std::collections::BTreeMap;
+use std::collections::btree_map::Entry;
 
 use fled_gpu::{Gpu, GpuError};
 
@@ -19,8 +20,8 @@ impl Level {
     pub(super) fn new(gpu: &Gpu, views: &[Observed<'_>], divisor: usize) -> Result<Self, GpuError> {
         let mut losses = BTreeMap::new();
         for [width, height] in views.iter().map(Observed::size) {
-            if !losses.contains_key(&[width, height]) {
-                losses.insert([width, height], Loss::new(gpu, width, height)?);
+            if let Entry::Vacant(entry) = losses.entry([width, height]) {
+                entry.insert(Loss::new(gpu, width, height)?);
             }
         }
         Ok(Self { divisor, losses })

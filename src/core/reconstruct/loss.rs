@@ -208,8 +208,9 @@ impl Loss {
             .sum::<f64>()
             / n;
         let errors = self.error_sums.read()?;
-        let l1 = errors.iter().map(|e| f64::from(e[0])).sum::<f64>() / n;
-        let squared = errors.iter().map(|e| f64::from(e[1])).sum::<f64>() / n;
+        let absolute = errors.iter().map(|[absolute, _]| f64::from(*absolute));
+        let squares = errors.iter().map(|[_, square]| f64::from(*square));
+        let (l1, squared) = (absolute.sum::<f64>() / n, squares.sum::<f64>() / n);
         Ok(LossValue {
             total: L1_SHARE * l1 + SSIM_SHARE * (1.0 - ssim),
             l1,

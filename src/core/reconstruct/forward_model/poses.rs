@@ -8,6 +8,7 @@ use crate::camera::Camera;
 use crate::cancel::CancelToken;
 use crate::image::Image;
 use crate::reconstruct::ReconstructError;
+use crate::reconstruct::observed::Observed;
 use crate::register::{self, Motion};
 
 /// Views whose seven renders are held at once.
@@ -43,7 +44,7 @@ impl ForwardModel<'_> {
     ) -> Result<(), ReconstructError> {
         self.correct_cameras(depth, degree, cancel)?;
         let given: Vec<Camera> = self.views.iter().map(|view| view.given().camera).collect();
-        let mut motions: Vec<Motion> = self.views.iter().map(|view| view.motion()).collect();
+        let mut motions: Vec<Motion> = self.views.iter().map(Observed::motion).collect();
         register::hold_gauge(&given, &mut motions);
         self.set_motions(motions);
         Ok(())

@@ -56,14 +56,15 @@ impl SlotRows {
     /// A device error.
     #[cfg(test)]
     pub(crate) fn write(&self, rows: &[[f32; SLOT_ROW]]) -> Result<(), GpuError> {
-        let four =
-            |row: &[f32; SLOT_ROW], at: usize| [row[at], row[at + 1], row[at + 2], row[at + 3]];
-        self.colours
-            .write(&rows.iter().map(|row| four(row, 0)).collect::<Vec<_>>())?;
-        self.moments
-            .write(&rows.iter().map(|row| four(row, 4)).collect::<Vec<_>>())?;
-        self.tails
-            .write(&rows.iter().map(|row| row[8]).collect::<Vec<_>>())
+        let (mut colours, mut moments, mut tails) = (Vec::new(), Vec::new(), Vec::new());
+        for &[red, green, blue, v, vx, vy, vxx, vxy, vyy] in rows {
+            colours.push([red, green, blue, v]);
+            moments.push([vx, vy, vxx, vxy]);
+            tails.push(vyy);
+        }
+        self.colours.write(&colours)?;
+        self.moments.write(&moments)?;
+        self.tails.write(&tails)
     }
 
     /// The most that the adapter binds.
