@@ -12,7 +12,7 @@ use crate::run_folder::RunFolder;
 
 /// Version of the code that makes artifacts. Raise it when a stage's result changes for equal
 /// inputs: a rerun then redoes the stage instead of trusting what lies on disk.
-pub const CODE_VERSION: u32 = 3;
+pub const CODE_VERSION: u32 = 4;
 
 /// The output folder of one run. Cheap to clone; holds paths only.
 #[derive(Clone, Debug)]

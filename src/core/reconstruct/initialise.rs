@@ -7,7 +7,7 @@ use rand::{Rng, RngExt};
 use rayon::prelude::*;
 
 use super::ExtentRule;
-use super::schedule::Schedule;
+use super::schedule::{Schedule, Stream};
 use crate::camera::Camera;
 use crate::gaussians::Gaussians;
 
@@ -90,7 +90,7 @@ pub fn initialise(
     schedule: &Schedule,
 ) -> Gaussians {
     let Beginning { cap, fill_up } = room;
-    let mut random = schedule.generator(3, 0);
+    let mut random = schedule.generator(Stream::FirstPoints, 0);
     let finite = |p: &&Point| p.0.iter().all(|v| v.is_finite());
     let mut all: Vec<Point> = points.iter().filter(finite).copied().collect();
     all.shuffle(&mut random);

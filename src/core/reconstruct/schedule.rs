@@ -39,6 +39,22 @@ const COLOUR_MATCHES: u32 = 10;
 /// Exploration noise stops at this share of the round.
 const NOISE_END: f64 = 0.9;
 
+/// What random numbers are drawn for. Each purpose has a stream of its own, so that none repeats the
+/// numbers of another.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Stream {
+    /// The order of the views in an epoch.
+    ViewOrder = 1,
+    /// Which Gaussians are copied, and where the parts of split ones lie.
+    Densification = 2,
+    /// What a round begins with.
+    FirstPoints = 3,
+    /// Which Gaussians a step goes without.
+    Dropout = 4,
+    /// The colour behind the splats.
+    Background = 5,
+}
+
 /// The plan of one round: pure functions of the step, so a resumed round goes on as if undisturbed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Schedule {
@@ -155,14 +171,14 @@ impl Schedule {
     pub fn view(&self, step: u32, views: usize) -> usize {
         let (epoch, place) = (step as usize / views, step as usize % views);
         let mut order: Vec<_> = (0..views).collect();
-        order.shuffle(&mut self.generator(1, epoch as u64));
+        order.shuffle(&mut self.generator(Stream::ViewOrder, epoch as u64));
         order[place]
     }
 
-    /// A generator for one purpose and moment, independent of all others.
-    pub fn generator(&self, purpose: u64, moment: u64) -> Pcg64 {
-        let mixed =
-            self.seed ^ purpose.wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ moment.rotate_left(32);
+    /// A generator for one purpose and moment, a step or an epoch, independent of all others.
+    pub fn generator(&self, stream: Stream, moment: u64) -> Pcg64 {
+        let purpose = (stream as u64).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+        let mixed = self.seed ^ purpose ^ moment.rotate_left(32);
         Pcg64::seed_from_u64(mixed)
     }
 }
@@ -179,6 +195,10 @@ pub fn reduced_size(width: usize, height: usize, divisor: usize) -> (usize, usiz
 
 #[cfg(test)]
 mod tests {
+    use std::collections::BTreeSet;
+
+    use rand::RngExt;
+
     use super::*;
 
     const PLAN: Schedule = Schedule {
@@ -238,6 +258,23 @@ mod tests {
         assert_eq!(sorted, (0..9).collect::<Vec<_>>());
         assert_ne!(epoch(0), epoch(1));
         assert_eq!(epoch(4), epoch(4));
+    }
+
+    #[test]
+    fn no_two_streams_and_no_two_moments_share_their_numbers() {
+        let streams = [
+            Stream::ViewOrder,
+            Stream::Densification,
+            Stream::FirstPoints,
+            Stream::Dropout,
+            Stream::Background,
+        ];
+        let first = |stream, moment| PLAN.generator(stream, moment).random::<u64>();
+        let drawn: BTreeSet<u64> = streams
+            .into_iter()
+            .flat_map(|stream| (0..100).map(move |moment| first(stream, moment)))
+            .collect();
+        assert_eq!(drawn.len(), 100 * streams.len());
     }
 
     #[test]

@@ -315,7 +315,9 @@ fn relocation_keeps_the_image_of_an_isolated_splat() {
     let camera = camera_at(0.0, 96, 64);
     let before = render(&scene, &camera);
     let rows = pack_geometry(&scene);
-    let plan = densify::plan(&rows, 2, &mut config(1, 2).schedule().generator(2, 0));
+    let schedule = config(1, 2).schedule();
+    let mut random = schedule.generator(schedule::Stream::Densification, 0);
+    let plan = densify::plan(&rows, 2, &mut random);
     let device = DeviceGaussians::upload(fixtures::gpu(), &scene, 0).expect("uploaded");
     let optimizer = optimizer::Optimizer::new(fixtures::gpu(), &device, false).expect("created");
     optimizer

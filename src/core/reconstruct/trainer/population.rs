@@ -6,6 +6,7 @@ use super::Trainer;
 use crate::reconstruct::Densify;
 use crate::reconstruct::densify::{self, classic};
 use crate::reconstruct::optimizer::GeometryMoments;
+use crate::reconstruct::schedule::Stream;
 use crate::splat::rows::GeometryRow;
 
 /// A warm round does not grow before this share of its steps.
@@ -38,7 +39,9 @@ impl Trainer<'_> {
             let densifications = self.schedule.densifications();
             densify::grown(count, self.start_count, self.config.cap, densifications)
         };
-        let random = &mut self.schedule.generator(2, u64::from(step));
+        let random = &mut self
+            .schedule
+            .generator(Stream::Densification, u64::from(step));
         let plan = densify::plan(rows, target, random);
         let gaussians = &mut self.model.pass.gaussians;
         self.optimizer.relocate(self.gpu, gaussians, &plan)?;
@@ -100,7 +103,9 @@ impl Trainer<'_> {
             self.config.cap,
             self.config.extent,
             self.config.warm || step > classic::RESET_EVERY,
-            &mut self.schedule.generator(2, u64::from(step)),
+            &mut self
+                .schedule
+                .generator(Stream::Densification, u64::from(step)),
         )
     }
 }

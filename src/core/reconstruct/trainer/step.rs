@@ -6,6 +6,7 @@ use rand::RngExt;
 use super::{Flight, Trainer};
 use crate::noise::{IntersectionLimit, NoiseMode, OFF_SHARE};
 use crate::reconstruct::optimizer::{SlotGradients, StepUniform};
+use crate::reconstruct::schedule::Stream;
 use crate::reconstruct::{Background, Densify};
 
 impl Trainer<'_> {
@@ -35,11 +36,12 @@ impl Trainer<'_> {
     /// Writes what differs between two steps of one view.
     fn write_numbers(&self, step: u32, view: usize) -> Result<(), GpuError> {
         let (schedule, pass) = (&self.schedule, &self.model.pass);
+        let mut random = schedule.generator(Stream::Dropout, u64::from(step));
         let dropped = schedule.share(step) as f32 * self.config.dropout as f32;
         let camera = pass
             .seen_from(self.model.views[view].camera(), schedule.degree(step))
             .before(self.background(step))
-            .dropping(dropped, schedule.generator(4, u64::from(step)).random());
+            .dropping(dropped, random.random());
         let mcmc = self.config.densify == Densify::Mcmc;
         let (count, extent) = (pass.gaussians.count, self.config.extent);
         let mut numbers = StepUniform::new(schedule, step, count, extent, mcmc);
@@ -53,7 +55,10 @@ impl Trainer<'_> {
     fn background(&self, step: u32) -> [f32; 3] {
         match self.config.background {
             Background::Black => [0.0; 3],
-            Background::Random => self.schedule.generator(3, u64::from(step)).random(),
+            Background::Random => {
+                let mut random = self.schedule.generator(Stream::Background, u64::from(step));
+                random.random()
+            }
         }
     }
 
