@@ -1,4 +1,4 @@
-//! Deblurring one view at a time, with or without a clean render as a guide (method.md, 3).
+//! Deblurring one view at a time, with or without a clean render as a guide.
 //!
 //! A [`Deblurrer`] is a network in ONNX Runtime, or [`Identity`] where none is wanted. What they
 //! are given and what they return are sRGB-encoded images in 0..=1 of the same size.

@@ -1,4 +1,4 @@
-//! What is measured, per round: method.md section 7.
+//! What is measured, per round.
 //!
 //! [`psnr`], [`psnr_colour_corrected`] and [`ssim`] judge an image (first argument, clipped to
 //! 0..=1) against a reference of the same size (second, taken as it is). [`noise_sigma`],

@@ -48,7 +48,7 @@ impl Reporter {
     fn show(&mut self, event: &Event) {
         match event {
             Event::Planned { rounds, views } => {
-                self.line(&format!("{views} views, {rounds} rounds"))
+                self.line(&format!("{views} views, {rounds} rounds"));
             }
             Event::StageStarted { stage, round } => {
                 if let Some(bar) = &self.bar {
@@ -111,7 +111,7 @@ impl Reporter {
                 }
             }
             Event::Failed { kind, detail, hint } => {
-                self.line(&format!("failed ({kind}): {detail} {hint}"))
+                self.line(&format!("failed ({kind}): {detail} {hint}"));
             }
         }
     }

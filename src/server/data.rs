@@ -4,8 +4,7 @@
 //! fled.db  server.lock  incoming/<upload>/  captures/<id>/
 //! jobs/<id>/{options.json, process, log.txt, output/, renders/}
 //! ```
-//! Differs from service.md: files are named by capture and job, not by content; the sweeper and
-//! content addressing come with shared storage.
+//! Files are named by capture and job, not by content.
 
 use std::fs::{self, File};
 use std::io::{self, Write};

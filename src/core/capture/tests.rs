@@ -286,7 +286,7 @@ fn a_zip_is_the_capture_that_its_folder_is() {
     let bytes = zipped(&|writer| {
         files
             .iter()
-            .for_each(|(name, bytes)| add(writer, name, bytes))
+            .for_each(|(name, bytes)| add(writer, name, bytes));
     });
     let (outcome, left) = open_zip(&bytes);
     let (from_zip, from_folder) = (

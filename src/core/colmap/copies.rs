@@ -1,8 +1,8 @@
 //! Pose copies: the dark originals as COLMAP should see them.
 //!
 //! One gain a photograph in linear light, so that the median level is sRGB 0.4, and a soft clip:
-//! of gamma, weaker gain, the original, CLAHE and denoising, this registered most photographs
-//! (captures.md). Area-averaging to about 560 px is a denoiser for free.
+//! of gamma, weaker gain, the original, CLAHE and denoising, this registered most photographs.
+//! Area-averaging to about 560 px is a denoiser for free.
 
 use std::path::{Path, PathBuf};
 

@@ -17,7 +17,7 @@ pub(super) const MIN_VIEWS: usize = 3;
 /// Above this many photographs all pairs are too many: neighbours in the capture's order.
 const MOST_EXHAUSTIVE: usize = 150;
 
-/// When a model is good enough. Fitted on the runs of captures.md: loosened options register
+/// When a model is good enough. Fitted on runs of real captures: loosened options register
 /// photographs with wrong poses, and the reprojection error does not show it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Acceptance {

@@ -4,8 +4,8 @@ use crate::deblur::{DeblurError, DeblurInfo, Deblurrer, same_size};
 use crate::image::Image;
 
 /// Feeds a network the guide in its view's place, so that a network without guide channels profits
-/// from the render all the same. Differs from method.md, 3 (`guide = blend`), which feeds the mean
-/// of view and render: a guide is a mix of the two already.
+/// from the render all the same. Not the mean of view and render: a guide is a
+/// mix of the two already.
 pub struct Blend<D: Deblurrer + ?Sized> {
     inner: Box<D>,
 }

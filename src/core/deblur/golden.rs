@@ -6,8 +6,7 @@ use crate::image::Image;
 pub const SIDE: usize = 64;
 
 /// Largest difference between what a network returns and what it should, in units of 0..=1.
-/// Providers round differently; a wrong one is off by far more (0.003 and above in the mean,
-/// deblur.md).
+/// Providers round differently; a wrong one is off by far more (0.003 and above in the mean).
 pub const TOLERANCE: f32 = 2e-3;
 
 /// What a network returns for [`view`], guided by [`guide`] where it takes one: [3, [`SIDE`],

@@ -38,7 +38,7 @@ const RESERVED: [&str; 4] = ["default", "identity", "same", "curve"];
 pub const OVERLAY: &str = "manifest.json";
 
 /// What a network may return for values in 0..=1 when nothing else is known about it: the bounds
-/// of the published NAFNets, outside which they have failed (deblur.md).
+/// of the published NAFNets, outside which they have failed.
 const USUAL_RANGE: [f32; 2] = [-1.0, 2.0];
 
 /// All known networks.

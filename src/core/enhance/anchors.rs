@@ -130,8 +130,8 @@ impl FromStr for Anchor {
     }
 }
 
-/// The anchor whose curve is closest to a longer exposure. Differs from method.md (alpha 10, then
-/// gamma): of all curves with the wanted mean the steepest crush what is dark and lift its noise; a
+/// The anchor whose curve is closest to a longer exposure. Not at alpha 10 with gamma to
+/// fit: of all curves with the wanted mean the steepest crush what is dark and lift its noise; a
 /// longer exposure is what the dark photograph lacks. So: the gain of light that brings the mean of
 /// V to [`AUTO_MEAN_V`], and of the anchors that bring it there too the one with the least squared
 /// difference over the histogram. Where no anchor in range reaches the mean, as near to it as they

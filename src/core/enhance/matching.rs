@@ -4,7 +4,7 @@
 //! `e = E(R; P)`, equal weights, on small images. In float and with soft bins f is smooth, so
 //! small images find the same optimum as large ones.
 //!
-//! Differs from method.md: SSIM is of the luma, not of each channel. The curve keeps hue and
+//! SSIM is of the luma, not of each channel. The curve keeps hue and
 //! saturation, so the channels say three times the same, at three times the time. And images
 //! are never compared above 112 px, also where a quarter would be more.
 

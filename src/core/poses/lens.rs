@@ -1,6 +1,6 @@
 //! Lens distortion, in COLMAP's and OpenCV's parameters, and its removal.
 //!
-//! Differs from captures.md: COLMAP's `image_undistorter` reads and writes 8-bit files and may
+//! COLMAP's `image_undistorter` reads and writes 8-bit files and may
 //! change the size by a pixel. Ours remaps `f32` images in memory, keeps the size, and serves the
 //! ground truth and every working size alike.
 
@@ -108,9 +108,9 @@ impl Lens {
         for _ in 0..40 {
             let middle = 0.5 * (low + high);
             if covered(middle) {
-                high = middle
+                high = middle;
             } else {
-                low = middle
+                low = middle;
             }
         }
         self.zoomed(high)

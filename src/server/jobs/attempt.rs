@@ -209,7 +209,7 @@ impl Attempt<'_> {
                 pending.eta_seconds = eta_seconds.filter(|eta| eta.is_finite());
             }
             Event::Finished { best_round, .. } => {
-                self.verdict = Some(Verdict::Finished { best_round })
+                self.verdict = Some(Verdict::Finished { best_round });
             }
             Event::Failed { kind, detail, hint } => {
                 self.verdict = Some(Verdict::Failed { kind, detail, hint });
