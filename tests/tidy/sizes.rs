@@ -1,5 +1,5 @@
-//! Files that one can read in one sitting. The length of functions is clippy's business
-//! (`too_many_lines`, with the limit of `clippy.toml`).
+//! Files that one can read in one sitting. Six hundred lines are where the tree stands;
+//! 450 is what it is brought down to.
 
 use crate::sources::{Source, expect_none, files};
 
@@ -10,11 +10,18 @@ const RUST: usize = 600;
 const SHADER: usize = 200;
 
 /// Longer ones, each with its own limit and reason.
-const LONGER: [(&str, usize, &str); 1] = [(
-    "shaders/train/project_backward_adam.wgsl",
-    260,
-    "projection backward and Adam in one kernel, so that gradients never reach memory",
-)];
+const LONGER: [(&str, usize, &str); 2] = [
+    (
+        "shaders/train/project_backward_adam.wgsl",
+        260,
+        "projection backward and Adam in one kernel, so that gradients never reach memory",
+    ),
+    (
+        "tests/e2e/models.rs",
+        660,
+        "to be split into the tests of the manifest and those of the downloads",
+    ),
+];
 
 fn faults(sources: &[Source], limit: usize) -> Vec<String> {
     let fault = |source: &Source| {
