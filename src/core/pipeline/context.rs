@@ -97,6 +97,8 @@ impl<'a> Context<'a> {
             self.end_stage(stage, round, seconds, true);
             return Ok(value);
         }
+        // Else an interrupted `make` leaves a mixture under the stamp of an earlier one.
+        self.workspace.unstamp(&name)?;
         let started = Instant::now();
         let value = self.stage(stage, round, make)?;
         let seconds = started.elapsed().as_secs_f64();
@@ -228,6 +230,28 @@ mod tests {
         assert_eq!(made, 2);
         assert_eq!(ask(&workspace, &large, false, &mut made), large.cap);
         assert_eq!(made, 3, "what cannot be read is made anew");
+    }
+
+    #[test]
+    fn what_an_interrupted_stage_wrote_over_is_not_trusted_by_the_earlier_stamp() {
+        let folder = tempfile::tempdir().expect("temporary folder");
+        let workspace = Workspace::open(folder.path()).expect("open");
+        let (small, mut made) = (Options::default(), 0);
+        ask(&workspace, &small, true, &mut made);
+        let (cancel, mut sink) = (CancelToken::new(), Silent);
+        let plan = Plan::new(&small, 3, 100);
+        let mut context = Context::new(&workspace, &mut sink, &cancel, plan);
+        let other = Dependencies::on(&small, &["steps"], &[]);
+        let interrupted = context.once(
+            Stage::Deblur,
+            1,
+            &other,
+            |_| None::<u32>,
+            |_| Err(crate::cancel::Cancelled.into()),
+        );
+        assert!(interrupted.is_err());
+        ask(&workspace, &small, true, &mut made);
+        assert_eq!(made, 2, "the file may be half of each");
     }
 
     #[test]

@@ -17,15 +17,26 @@ use crate::run_folder::RoundFolder;
 /// The stamp of the whole run.
 const RUN: &str = "run";
 
-/// The report of an earlier run with equal dependencies, when it had delivered.
-pub fn delivered(context: &mut Context<'_>, depends_on: &Dependencies) -> Option<Report> {
+/// The report of an earlier run with equal dependencies, when it had delivered. If it had not, no
+/// earlier delivery stands from here on: its files are about to be written over.
+///
+/// # Errors
+/// [`PipelineError::Io`].
+pub fn delivered(
+    context: &mut Context<'_>,
+    depends_on: &Dependencies,
+) -> Result<Option<Report>, PipelineError> {
     let workspace = context.workspace;
-    let seconds = workspace.finished(RUN, depends_on.fingerprint())?;
-    let report: Report = workspace.read_json(&workspace.folder().metrics())?;
+    let finished = workspace.finished(RUN, depends_on.fingerprint());
+    let report: Option<Report> = workspace.read_json(&workspace.folder().metrics());
+    let (Some(seconds), Some(report)) = (finished, report) else {
+        workspace.unstamp(RUN)?;
+        return Ok(None);
+    };
     let message = "this capture was finished with these options before; its result stands";
     context.sink.log(message.to_owned());
     tell_finished(context, &report, seconds);
-    Some(report)
+    Ok(Some(report))
 }
 
 /// Copies the best round's scene and cameras to the top of the folder.

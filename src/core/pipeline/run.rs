@@ -78,7 +78,7 @@ pub fn run(
     let context = &mut begin(capture, options, tools, workspace, sink, cancel)?;
     let poses = poses(context, capture, options, tools)?;
     let depends_on = RunDependencies::of(options, capture, &poses, tools);
-    if let Some(report) = delivered(context, &depends_on.run()) {
+    if let Some(report) = delivered(context, &depends_on.run())? {
         return Ok(Outcome { report });
     }
     let mut report = report::begin(options, tools, depends_on.networks(), &poses);

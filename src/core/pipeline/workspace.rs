@@ -124,6 +124,14 @@ impl Workspace {
         self.write_json(&self.folder.work().stamp(name), &stamp)
     }
 
+    /// Takes the mark away: what the stage left is about to be written over.
+    ///
+    /// # Errors
+    /// [`PipelineError::Io`].
+    pub fn unstamp(&self, name: &str) -> Result<(), PipelineError> {
+        self.remove(&self.folder.work().stamp(name))
+    }
+
     /// Seconds that the stage took, when it was finished for inputs of this fingerprint.
     pub fn finished(&self, name: &str, fingerprint: &str) -> Option<f64> {
         let stamp: Stamp = self.read_json(&self.folder.work().stamp(name))?;
