@@ -219,15 +219,6 @@ impl Sfm for GivenPoses {
                 advice,
             });
         }
-        if registered < total {
-            sink.warn(
-                "views_unregistered",
-                format!(
-                    "{} of {total} photographs have no given pose",
-                    total - registered
-                ),
-            );
-        }
         let mut points = given.points;
         if points.is_empty() {
             let cameras: Vec<Camera> = views.iter().map(|view: &PosedView| view.camera).collect();

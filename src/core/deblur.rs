@@ -1,6 +1,6 @@
 //! Deblurring one view at a time, with or without a clean render as a guide.
 //!
-//! A [`Deblurrer`] is a network in ONNX Runtime, or [`Identity`] where none is wanted. What they
+//! A [`Restorer`] is a network in ONNX Runtime, or [`Identity`] where none is wanted. What they
 //! are given and what they return are sRGB-encoded images in 0..=1 of the same size.
 
 mod blend;
@@ -24,8 +24,8 @@ pub use overlay::install;
 
 use crate::image::Image;
 
-/// Removes blur and noise from one view.
-pub trait Deblurrer: Send {
+/// Makes one image of another: removes blur and noise from a view, or brightens it.
+pub trait Restorer: Send {
     /// The restored view, of the size of `blurry`, every value finite and in 0..=1.
     ///
     /// `guide` is the view with the detail of its clean render of the same size and brightness;
@@ -34,13 +34,13 @@ pub trait Deblurrer: Send {
     /// # Errors
     /// [`DeblurError::GuideSize`] when the sizes differ, [`DeblurError::GuideUnsupported`] when the
     /// network has no channels for a guide, [`DeblurError::Inference`] when it cannot be run.
-    fn deblur(&mut self, blurry: &Image, guide: Option<&Image>) -> Result<Image, DeblurError>;
+    fn restore(&mut self, blurry: &Image, guide: Option<&Image>) -> Result<Image, DeblurError>;
 
     /// What it is, for the report of the run.
-    fn describe(&self) -> DeblurInfo;
+    fn describe(&self) -> RestorerInfo;
 
     /// What views without a guide go through, when that is another network.
-    fn unguided(&self) -> Option<DeblurInfo> {
+    fn unguided(&self) -> Option<RestorerInfo> {
         None
     }
 
@@ -52,7 +52,7 @@ pub trait Deblurrer: Send {
 
 /// The facts of a deblurrer.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct DeblurInfo {
+pub struct RestorerInfo {
     /// Manifest id, file name, or `identity`.
     pub id: String,
     /// Of the model file, lower-case hexadecimal; empty without a file.
@@ -69,14 +69,14 @@ pub struct DeblurInfo {
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Identity;
 
-impl Deblurrer for Identity {
-    fn deblur(&mut self, blurry: &Image, guide: Option<&Image>) -> Result<Image, DeblurError> {
+impl Restorer for Identity {
+    fn restore(&mut self, blurry: &Image, guide: Option<&Image>) -> Result<Image, DeblurError> {
         same_size(blurry, guide)?;
         Ok(blurry.clone())
     }
 
-    fn describe(&self) -> DeblurInfo {
-        DeblurInfo {
+    fn describe(&self) -> RestorerInfo {
+        RestorerInfo {
             id: "identity".to_owned(),
             sha256: String::new(),
             provider: "none".to_owned(),
@@ -104,10 +104,10 @@ mod tests {
     #[test]
     fn identity_returns_the_view_and_ignores_the_guide() {
         let view = Image::from_planar(2, 1, vec![0.1, 0.2, 0.3, 0.4, 0.5, 0.6]);
-        assert_eq!(Identity.deblur(&view, None).expect("no guide"), view);
+        assert_eq!(Identity.restore(&view, None).expect("no guide"), view);
         assert_eq!(
             Identity
-                .deblur(&view, Some(&Image::new(2, 1)))
+                .restore(&view, Some(&Image::new(2, 1)))
                 .expect("a guide"),
             view
         );
@@ -117,7 +117,7 @@ mod tests {
     #[test]
     fn a_guide_of_another_size_is_refused() {
         let refused = Identity
-            .deblur(&Image::new(4, 2), Some(&Image::new(2, 4)))
+            .restore(&Image::new(4, 2), Some(&Image::new(2, 4)))
             .expect_err("sizes differ");
         assert!(
             matches!(

@@ -6,7 +6,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use fled_core::deblur::manifest::{Entry, Manifest, Model, Place, digest};
-use fled_core::deblur::{self, DeblurError, Deblurrer, Golden, Onnx, Provider, runtime};
+use fled_core::deblur::{self, DeblurError, Golden, Onnx, Provider, Restorer, runtime};
 use fled_core::pipeline::error::{ErrorKind, PipelineError};
 
 use crate::failure::{Failure, io};

@@ -6,7 +6,7 @@ use fled_core::cancel::CancelToken;
 use fled_core::capture::Capture;
 use fled_core::colmap::ColmapCli;
 use fled_core::dataset::GivenPoses;
-use fled_core::deblur::{self, Deblurrer};
+use fled_core::deblur::{self, Restorer};
 use fled_core::pipeline::config::{Guide, Options, PoseSource};
 use fled_core::pipeline::error::{ErrorKind, PipelineError};
 use fled_core::pipeline::{self};
@@ -113,8 +113,8 @@ fn home(below: &str, variable: &str) -> Option<PathBuf> {
 pub struct Kit {
     gpu: Gpu,
     sfm: Box<dyn Sfm>,
-    deblurrer: Box<dyn Deblurrer>,
-    enhancer: Option<Box<dyn Deblurrer>>,
+    deblurrer: Box<dyn Restorer>,
+    enhancer: Option<Box<dyn Restorer>>,
     fallbacks: Vec<String>,
     pose_cache: Option<PathBuf>,
 }
@@ -164,7 +164,7 @@ impl Kit {
             enhancer: self
                 .enhancer
                 .as_mut()
-                .map(|enhancer| &mut **enhancer as &mut dyn Deblurrer),
+                .map(|enhancer| &mut **enhancer as &mut dyn Restorer),
             fallbacks: self.fallbacks.clone(),
             pose_cache: self.pose_cache.clone(),
         }

@@ -168,7 +168,7 @@ impl<'a> Climb<'a> {
             }
         }
         match (best, broken) {
-            (Some(best), _) => self.deliver(&best, sink),
+            (Some(best), _) => self.deliver(&best),
             (None, Some(error)) => Err(error),
             (None, None) => Err(self.too_few(0)),
         }
@@ -369,14 +369,13 @@ impl<'a> Climb<'a> {
     }
 
     /// The poses of a candidate, in the request's order and at the originals' sizes.
-    fn deliver(&self, best: &Candidate, sink: &mut dyn ProgressSink) -> Result<Poses, PosesError> {
+    fn deliver(&self, best: &Candidate) -> Result<Poses, PosesError> {
         let (registered, total) = (best.model.images.len(), self.request.views.len());
         let least = (self.acceptance.salvage * total as f64).max(MIN_VIEWS as f64);
         if !best.accepted && (registered as f64) < least {
             return Err(self.too_few(registered));
         }
         let mut views = Vec::new();
-        let mut missing = Vec::new();
         for (view, copy) in self.request.views.iter().zip(&best.copies.copies) {
             let Some(image) = best
                 .model
@@ -384,7 +383,6 @@ impl<'a> Climb<'a> {
                 .iter()
                 .find(|image| image.name == copy.file)
             else {
-                missing.push(view.name.as_str());
                 continue;
             };
             let lens = best.model.camera_of(image).lens();
@@ -403,7 +401,6 @@ impl<'a> Climb<'a> {
                 lens,
             });
         }
-        self.warn(best, &missing, sink);
         self.runner.note(&format!("[rung {} taken]", best.rung));
         Ok(Poses {
             registered: views.len(),
@@ -418,29 +415,6 @@ impl<'a> Climb<'a> {
             network: None,
             seconds: 0.0,
         })
-    }
-
-    fn warn(&self, best: &Candidate, missing: &[&str], sink: &mut dyn ProgressSink) {
-        let total = self.request.views.len();
-        if !missing.is_empty() {
-            let list = missing.join(", ");
-            sink.warn(
-                "views_unregistered",
-                format!(
-                    "{} of {total} photographs have no pose: {list}",
-                    missing.len()
-                ),
-            );
-        }
-        if !best.accepted {
-            let model = &best.model;
-            sink.warn("low_confidence_poses", format!(
-                "no setting gave a model that can be trusted; the best has {} of {total} photographs, {:.0} observations each and a mean track of {:.2}",
-                model.images.len(),
-                model.observations() as f64 / model.images.len() as f64,
-                model.mean_track().unwrap_or(0.0),
-            ));
-        }
     }
 
     fn too_few(&self, registered: usize) -> PosesError {

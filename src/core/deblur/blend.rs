@@ -1,32 +1,32 @@
 //! A guide for networks without channels for one.
 
-use crate::deblur::{DeblurError, DeblurInfo, Deblurrer, same_size};
+use crate::deblur::{DeblurError, Restorer, RestorerInfo, same_size};
 use crate::image::Image;
 
 /// Feeds a network the guide in its view's place, so that a network without guide channels profits
 /// from the render all the same. Not the mean of view and render: a guide is a
 /// mix of the two already.
-pub struct Blend<D: Deblurrer + ?Sized> {
+pub struct Blend<D: Restorer + ?Sized> {
     inner: Box<D>,
 }
 
-impl<D: Deblurrer + ?Sized> Blend<D> {
+impl<D: Restorer + ?Sized> Blend<D> {
     /// Wraps a network.
     pub fn new(inner: Box<D>) -> Self {
         Self { inner }
     }
 }
 
-impl<D: Deblurrer + ?Sized> Deblurrer for Blend<D> {
-    fn deblur(&mut self, blurry: &Image, guide: Option<&Image>) -> Result<Image, DeblurError> {
+impl<D: Restorer + ?Sized> Restorer for Blend<D> {
+    fn restore(&mut self, blurry: &Image, guide: Option<&Image>) -> Result<Image, DeblurError> {
         same_size(blurry, guide)?;
         let Some(guide) = guide else {
-            return self.inner.deblur(blurry, None);
+            return self.inner.restore(blurry, None);
         };
-        self.inner.deblur(guide, None)
+        self.inner.restore(guide, None)
     }
 
-    fn describe(&self) -> DeblurInfo {
+    fn describe(&self) -> RestorerInfo {
         self.inner.describe()
     }
 
@@ -45,7 +45,10 @@ mod tests {
         let mut blend = Blend::new(Box::new(Identity));
         let view = Image::from_planar(1, 1, vec![0.0, 0.2, 1.0]);
         let guide = Image::from_planar(1, 1, vec![1.0, 0.4, 0.0]);
-        assert_eq!(blend.deblur(&view, Some(&guide)).expect("same size"), guide);
-        assert_eq!(blend.deblur(&view, None).expect("no guide"), view);
+        assert_eq!(
+            blend.restore(&view, Some(&guide)).expect("same size"),
+            guide
+        );
+        assert_eq!(blend.restore(&view, None).expect("no guide"), view);
     }
 }

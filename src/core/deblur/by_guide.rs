@@ -1,36 +1,36 @@
 //! One network for views without a guide, another for those with one.
 
-use crate::deblur::{DeblurError, DeblurInfo, Deblurrer, same_size};
+use crate::deblur::{DeblurError, Restorer, RestorerInfo, same_size};
 use crate::image::Image;
 
 /// A published network without guide channels may be the better one for round 1, where there is no
 /// render yet; the rounds after it need one that takes a guide.
 pub struct ByGuide {
-    unguided: Box<dyn Deblurrer>,
-    guided: Box<dyn Deblurrer>,
+    unguided: Box<dyn Restorer>,
+    guided: Box<dyn Restorer>,
 }
 
 impl ByGuide {
     /// `unguided` restores views without a guide, `guided` those with one.
-    pub fn new(unguided: Box<dyn Deblurrer>, guided: Box<dyn Deblurrer>) -> Self {
+    pub fn new(unguided: Box<dyn Restorer>, guided: Box<dyn Restorer>) -> Self {
         Self { unguided, guided }
     }
 }
 
-impl Deblurrer for ByGuide {
-    fn deblur(&mut self, blurry: &Image, guide: Option<&Image>) -> Result<Image, DeblurError> {
+impl Restorer for ByGuide {
+    fn restore(&mut self, blurry: &Image, guide: Option<&Image>) -> Result<Image, DeblurError> {
         same_size(blurry, guide)?;
         match guide {
-            Some(guide) => self.guided.deblur(blurry, Some(guide)),
-            None => self.unguided.deblur(blurry, None),
+            Some(guide) => self.guided.restore(blurry, Some(guide)),
+            None => self.unguided.restore(blurry, None),
         }
     }
 
-    fn describe(&self) -> DeblurInfo {
+    fn describe(&self) -> RestorerInfo {
         self.guided.describe()
     }
 
-    fn unguided(&self) -> Option<DeblurInfo> {
+    fn unguided(&self) -> Option<RestorerInfo> {
         Some(self.unguided.describe())
     }
 
@@ -48,13 +48,13 @@ mod tests {
     /// Returns a grey level and warns with it.
     struct Grey(f32);
 
-    impl Deblurrer for Grey {
-        fn deblur(&mut self, blurry: &Image, _: Option<&Image>) -> Result<Image, DeblurError> {
+    impl Restorer for Grey {
+        fn restore(&mut self, blurry: &Image, _: Option<&Image>) -> Result<Image, DeblurError> {
             Ok(blurry.map(|_| self.0))
         }
 
-        fn describe(&self) -> DeblurInfo {
-            DeblurInfo {
+        fn describe(&self) -> RestorerInfo {
+            RestorerInfo {
                 id: self.0.to_string(),
                 sha256: String::new(),
                 provider: String::new(),
@@ -73,14 +73,14 @@ mod tests {
         let mut both = ByGuide::new(Box::new(Grey(0.25)), Box::new(Grey(0.75)));
         let view = Image::new(2, 2);
         assert_eq!(
-            both.deblur(&view, None).expect("no guide").get(0, 0),
+            both.restore(&view, None).expect("no guide").get(0, 0),
             [0.25; 3]
         );
         assert_eq!(
-            both.deblur(&view, Some(&view)).expect("a guide").get(0, 0),
+            both.restore(&view, Some(&view)).expect("a guide").get(0, 0),
             [0.75; 3]
         );
-        assert!(both.deblur(&view, Some(&Image::new(1, 2))).is_err());
+        assert!(both.restore(&view, Some(&Image::new(1, 2))).is_err());
         assert_eq!(both.describe().id, "0.75");
         assert_eq!(both.unguided().map(|info| info.id).as_deref(), Some("0.25"));
         assert_eq!(both.take_warnings(), ["0.25", "0.75"]);

@@ -8,7 +8,7 @@ use crate::deblur::golden::{self, Golden};
 use crate::deblur::manifest::Model;
 use crate::deblur::runtime::Runtime;
 use crate::deblur::tiling::{self, Join, Tile};
-use crate::deblur::{DeblurError, DeblurInfo, Deblurrer, same_size};
+use crate::deblur::{DeblurError, Restorer, RestorerInfo, same_size};
 use crate::image::Image;
 
 /// What computes a network.
@@ -314,8 +314,8 @@ impl Onnx {
     }
 }
 
-impl Deblurrer for Onnx {
-    fn deblur(&mut self, blurry: &Image, guide: Option<&Image>) -> Result<Image, DeblurError> {
+impl Restorer for Onnx {
+    fn restore(&mut self, blurry: &Image, guide: Option<&Image>) -> Result<Image, DeblurError> {
         same_size(blurry, guide)?;
         let (width, height) = (blurry.width(), blurry.height());
         let mut join = Join::new(width, height);
@@ -333,8 +333,8 @@ impl Deblurrer for Onnx {
         Ok(join.finish())
     }
 
-    fn describe(&self) -> DeblurInfo {
-        DeblurInfo {
+    fn describe(&self) -> RestorerInfo {
+        RestorerInfo {
             id: self.model.id.clone(),
             sha256: self.model.sha256.clone(),
             provider: self.provider.name().to_owned(),

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use crate::deblur::manifest::{Entry, Manifest, Model};
 use crate::deblur::runtime::Runtime;
-use crate::deblur::{Blend, ByGuide, DeblurError, Deblurrer, Identity, Onnx, runtime};
+use crate::deblur::{Blend, ByGuide, DeblurError, Identity, Onnx, Restorer, runtime};
 
 /// Where to look and how to run.
 #[derive(Clone, Copy, Debug, Default)]
@@ -26,7 +26,7 @@ pub struct OpenOptions<'a> {
 /// A deblurrer, and what is not as it was asked for.
 pub struct Opened {
     /// Takes a guide in every case.
-    pub deblurrer: Box<dyn Deblurrer>,
+    pub deblurrer: Box<dyn Restorer>,
     /// One sentence for each thing used in place of another; belongs into the report.
     pub fallbacks: Vec<String>,
 }
@@ -116,7 +116,7 @@ fn open_one(choice: &str, options: &OpenOptions<'_>) -> Result<Opened, DeblurErr
             .transpose()
     })?;
     let (network, mut fallbacks) = load(&runtime, larger.transpose(), &model, options.threads)?;
-    let network: Box<dyn Deblurrer> = Box::new(network);
+    let network: Box<dyn Restorer> = Box::new(network);
     let info = network.describe();
     let takes_guide = info.channels == 6;
     if !takes_guide && !options.blend && !options.unguided {

@@ -6,7 +6,7 @@ use super::error::PipelineError;
 use super::restore::Restoration;
 use super::round::Round;
 use super::views::{self, View};
-use crate::deblur::Deblurrer;
+use crate::deblur::Restorer;
 use crate::event::Stage;
 use crate::image::Image;
 use crate::run_folder::{KeptImages, RoundPictures};
@@ -28,7 +28,7 @@ pub struct Blurred<'a> {
 /// [`PipelineError::Deblur`], [`PipelineError::Io`], [`PipelineError::Cancelled`].
 pub fn deblur(
     context: &mut Context<'_>,
-    network: &mut dyn Deblurrer,
+    network: &mut dyn Restorer,
     round: &Round,
     blurred: Blurred<'_>,
     depends_on: &Dependencies,

@@ -10,7 +10,7 @@ use super::config::{Guide, Options};
 use super::tools::{Networks, Tools};
 use super::workspace::fingerprint;
 use crate::capture::Capture;
-use crate::deblur::DeblurInfo;
+use crate::deblur::RestorerInfo;
 use crate::poses::Poses;
 
 /// Structure from motion.
@@ -207,7 +207,7 @@ pub struct RoundDependencies {
 }
 
 /// Everything that a network's output depends on.
-fn of_network(network: &DeblurInfo) -> String {
+fn of_network(network: &RestorerInfo) -> String {
     format!("{network:?}")
 }
 

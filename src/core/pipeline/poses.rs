@@ -66,7 +66,8 @@ pub fn poses(
         },
     )?;
     cache.write(context.workspace, &poses)?;
-    warn(context.sink, &poses, capture);
+    let names: Vec<&str> = capture.views.iter().map(|view| &view.name[..]).collect();
+    warn(context.sink, &poses, &names);
     Ok(poses)
 }
 
@@ -106,7 +107,8 @@ impl Cache<'_> {
     }
 }
 
-fn warn(sink: &mut dyn ProgressSink, poses: &Poses, capture: &Capture) {
+/// What the user should know about the poses, whoever found them and whenever.
+fn warn(sink: &mut dyn ProgressSink, poses: &Poses, names: &[&str]) {
     let Poses {
         registered, total, ..
     } = poses;
@@ -122,12 +124,11 @@ fn warn(sink: &mut dyn ProgressSink, poses: &Poses, capture: &Capture) {
         sink.warn("poses_low_confidence", message);
     }
     if registered < total {
-        let is_missing = |view: &&CaptureView| poses.views.iter().all(|p| p.name != view.name);
-        let missing = capture.views.iter().filter(is_missing);
-        let names: Vec<&str> = missing.map(|view| view.name.as_str()).collect();
+        let is_missing = |name: &&str| poses.views.iter().all(|view| view.name != *name);
+        let missing: Vec<&str> = names.iter().copied().filter(is_missing).collect();
         let message = format!(
             "{registered} of {total} photographs have a pose; left out are {}",
-            names.join(", ")
+            missing.join(", ")
         );
         sink.warn("poses_missing", message);
     }

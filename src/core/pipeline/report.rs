@@ -8,15 +8,15 @@ use super::config::Options;
 use super::context::Context;
 use super::error::PipelineError;
 use super::tools::{Networks, Tools};
-use crate::deblur::DeblurInfo;
+use crate::deblur::RestorerInfo;
 use crate::event::Event;
 use crate::metrics::{Report, RoundMetrics};
 use crate::poses::Poses;
 
 /// The report of a run that has not finished a round.
 pub fn begin(options: &Options, tools: &Tools<'_>, networks: &Networks, poses: &Poses) -> Report {
-    let model = |info: &DeblurInfo| {
-        let DeblurInfo {
+    let model = |info: &RestorerInfo| {
+        let RestorerInfo {
             id,
             sha256,
             provider,

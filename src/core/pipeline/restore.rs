@@ -6,7 +6,7 @@ use super::context::{Advance, Context};
 use super::dependencies::Dependencies;
 use super::error::PipelineError;
 use super::views::View;
-use crate::deblur::{DeblurError, Deblurrer};
+use crate::deblur::{DeblurError, Restorer};
 use crate::event::Stage;
 use crate::image::Image;
 use crate::run_folder::KeptImages;
@@ -36,7 +36,7 @@ impl Restoration<'_> {
     /// [`PipelineError::Deblur`], [`PipelineError::Io`], [`PipelineError::Cancelled`].
     pub fn by(
         &self,
-        network: &mut dyn Deblurrer,
+        network: &mut dyn Restorer,
         context: &mut Context<'_>,
         depends_on: &Dependencies,
     ) -> Result<Vec<Image>, PipelineError> {
@@ -64,11 +64,11 @@ impl Restoration<'_> {
     fn restore_one(
         &self,
         index: usize,
-        network: &mut dyn Deblurrer,
+        network: &mut dyn Restorer,
         context: &mut Context<'_>,
     ) -> Result<Image, DeblurError> {
         let guide = self.guides.map(|guides| &guides[index]);
-        let image = network.deblur(&self.images[index], guide)?;
+        let image = network.restore(&self.images[index], guide)?;
         for warning in network.take_warnings() {
             let name = &self.views[index].name;
             let message = format!("{name}: {warning}");

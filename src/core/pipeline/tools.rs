@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use fled_gpu::Gpu;
 
-use crate::deblur::{DeblurInfo, Deblurrer};
+use crate::deblur::{Restorer, RestorerInfo};
 use crate::poses::Sfm;
 
 /// What a run may use.
@@ -14,9 +14,9 @@ pub struct Tools<'a> {
     /// Who finds the poses.
     pub sfm: &'a dyn Sfm,
     /// The deblurring network, with the wrapping that the option `guide` asks for.
-    pub deblurrer: &'a mut dyn Deblurrer,
+    pub deblurrer: &'a mut dyn Restorer,
     /// The network that brightens in place of the tone curve: a baseline.
-    pub enhancer: Option<&'a mut dyn Deblurrer>,
+    pub enhancer: Option<&'a mut dyn Restorer>,
     /// What was already used in place of what was asked for, one sentence each.
     pub fallbacks: Vec<String>,
     /// Folder in which poses are kept from run to run. COLMAP draws from the system's entropy,
@@ -39,21 +39,21 @@ impl Tools<'_> {
 #[derive(Clone, Debug)]
 pub(super) struct Networks {
     /// Restores views with a guide, and those without where no other does.
-    pub deblur: DeblurInfo,
+    pub deblur: RestorerInfo,
     /// Restores views without a guide, where it is another network.
-    pub deblur_unguided: Option<DeblurInfo>,
+    pub deblur_unguided: Option<RestorerInfo>,
     /// Brightens in place of the tone curve.
-    pub enhance: Option<DeblurInfo>,
+    pub enhance: Option<RestorerInfo>,
 }
 
 impl Networks {
     /// What views without a guide go through.
-    pub fn unguided(&self) -> &DeblurInfo {
+    pub fn unguided(&self) -> &RestorerInfo {
         self.deblur_unguided.as_ref().unwrap_or(&self.deblur)
     }
 
     /// Each network with the name of its option.
-    pub fn named(&self) -> impl Iterator<Item = (&'static str, &DeblurInfo)> {
+    pub fn named(&self) -> impl Iterator<Item = (&'static str, &RestorerInfo)> {
         let unguided = self.deblur_unguided.as_ref();
         [
             ("deblur", Some(&self.deblur)),

@@ -45,7 +45,7 @@ fn the_identity_network_returns_the_view_at_any_size() {
     for (width, height) in [(64, 64), (37, 50), (1, 3)] {
         let view = waves(width, height, 0.0);
         assert!(
-            worst(&network.deblur(&view, None).expect("runs"), &view) < 1e-6,
+            worst(&network.restore(&view, None).expect("runs"), &view) < 1e-6,
             "{width}x{height}"
         );
     }
@@ -55,7 +55,7 @@ fn the_identity_network_returns_the_view_at_any_size() {
 fn the_view_comes_before_the_guide_and_is_its_own_guide_without_one() {
     let mut network = network(&file("mix6.onnx")).expect("loads");
     let (view, guide) = (waves(48, 32, 0.0), waves(48, 32, 2.0));
-    let guided = network.deblur(&view, Some(&guide)).expect("runs");
+    let guided = network.restore(&view, Some(&guide)).expect("runs");
     let values = view
         .data()
         .iter()
@@ -65,20 +65,23 @@ fn the_view_comes_before_the_guide_and_is_its_own_guide_without_one() {
     let expected = Image::from_planar(48, 32, values);
     assert!(worst(&guided, &expected) < 1e-6);
     assert!(
-        worst(&guided, &network.deblur(&guide, Some(&view)).expect("runs")) > 0.1,
+        worst(
+            &guided,
+            &network.restore(&guide, Some(&view)).expect("runs")
+        ) > 0.1,
         "order matters"
     );
-    assert!(worst(&network.deblur(&view, None).expect("runs"), &view) < 1e-6);
+    assert!(worst(&network.restore(&view, None).expect("runs"), &view) < 1e-6);
 }
 
 #[test]
 fn sides_are_padded_to_a_multiple_and_cropped_back() {
     let mut network = network(&file("blocks16.onnx")).expect("loads");
     let view = waves(50, 37, 0.0);
-    assert!(worst(&network.deblur(&view, None).expect("padded"), &view) < 1e-6);
+    assert!(worst(&network.restore(&view, None).expect("padded"), &view) < 1e-6);
     network.model.multiple = 1;
     let refused = network
-        .deblur(&view, None)
+        .restore(&view, None)
         .expect_err("the network needs multiples of 16");
     assert!(
         matches!(
@@ -98,7 +101,7 @@ fn a_view_in_tiles_shows_no_seams() {
     let mut network = network(&file("box3.onnx")).expect("loads");
     let view = waves(1696, 896, 0.0);
     assert!(tiling::plan(1696, 896, network.model.tile).len() > 1);
-    let tiled = network.deblur(&view, None).expect("runs");
+    let tiled = network.restore(&view, None).expect("runs");
     let whole = Tile {
         x: 0,
         y: 0,
@@ -117,10 +120,10 @@ fn a_tile_that_leaves_the_range_keeps_its_input_and_warns() {
     let mut network =
         network(&file("loud3.onnx")).expect("the self-test's pattern is not that bright");
     let mut view = waves(1696, 896, 0.0);
-    assert!(worst(&network.deblur(&view, None).expect("runs"), &view) < 1e-6);
+    assert!(worst(&network.restore(&view, None).expect("runs"), &view) < 1e-6);
     assert!(network.take_warnings().is_empty());
     view.set(3, 3, [1.0, 0.5, 0.5]);
-    assert!(worst(&network.deblur(&view, None).expect("runs"), &view) < 1e-6);
+    assert!(worst(&network.restore(&view, None).expect("runs"), &view) < 1e-6);
     let warnings = network.take_warnings();
     assert_eq!(warnings.len(), 1, "{warnings:?}");
     assert!(warnings[0].contains("at (0, 0)"), "{warnings:?}");
@@ -163,7 +166,7 @@ fn the_manifest_says_which_of_several_outputs_is_the_view() {
     };
     let view = waves(32, 32, 0.0);
     let mut network_of_restored = named("view", "restored").expect("loads");
-    let restored = network_of_restored.deblur(&view, None).expect("runs");
+    let restored = network_of_restored.restore(&view, None).expect("runs");
     assert!(worst(&restored, &view) < 1e-6);
     let coarse = named("view", "coarse").expect("loads").describe().feeding;
     assert_ne!(
@@ -236,8 +239,8 @@ fn the_default_network_is_deterministic_and_stays_near_a_clean_view() {
     let mut first = network("default").expect("loads");
     let mut second = network("default").expect("loads");
     let view = waves(90, 70, 0.0);
-    let restored = first.deblur(&view, None).expect("runs");
-    assert_eq!(restored, second.deblur(&view, None).expect("runs"));
+    let restored = first.restore(&view, None).expect("runs");
+    assert_eq!(restored, second.restore(&view, None).expect("runs"));
     assert!(
         restored
             .data()
@@ -271,12 +274,12 @@ fn a_network_without_a_guide_is_blended_and_says_so() {
     let mut opened = open(&file("identity3.onnx"), "same", &options).expect("opens");
     assert_eq!(opened.fallbacks.len(), 1, "{:?}", opened.fallbacks);
     let (view, guide) = (waves(20, 20, 0.0), waves(20, 20, 1.0));
-    let blended = opened.deblurrer.deblur(&view, Some(&guide)).expect("runs");
+    let blended = opened.deblurrer.restore(&view, Some(&guide)).expect("runs");
     assert!(worst(&blended, &guide) < 1e-6);
 
     let refused = network(&file("identity3.onnx"))
         .expect("loads")
-        .deblur(&view, Some(&guide));
+        .restore(&view, Some(&guide));
     assert!(matches!(refused, Err(DeblurError::GuideUnsupported { .. })));
     let guided = open(&file("mix6.onnx"), "same", &options).expect("opens");
     assert!(guided.fallbacks.is_empty());

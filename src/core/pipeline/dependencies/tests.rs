@@ -65,8 +65,8 @@ fn other(option: &str) -> Value {
     }
 }
 
-fn network(id: &str) -> DeblurInfo {
-    DeblurInfo {
+fn network(id: &str) -> RestorerInfo {
+    RestorerInfo {
         id: id.to_owned(),
         sha256: String::new(),
         provider: "cpu".to_owned(),

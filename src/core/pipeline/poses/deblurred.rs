@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use super::request::ask;
 use crate::camera::Camera;
-use crate::deblur::Deblurrer;
+use crate::deblur::Restorer;
 use crate::image::{EncodeFormat, Image, ImageError, read_header};
 use crate::pipeline::config::Options;
 use crate::pipeline::context::Context;
@@ -71,12 +71,12 @@ fn brightened(views: &[PoseView], options: &Options) -> Result<Vec<Image>, Pipel
 /// One photograph, deblurred, written to `file`.
 fn copy(
     context: &mut Context<'_>,
-    network: &mut dyn Deblurrer,
+    network: &mut dyn Restorer,
     view: &PoseView,
     image: &Image,
     file: PathBuf,
 ) -> Result<PoseView, PipelineError> {
-    let deblurred = network.deblur(image, None)?;
+    let deblurred = network.restore(image, None)?;
     for warning in network.take_warnings() {
         let message = format!("{}: {warning}", view.name);
         context.sink.warn("poses", message);

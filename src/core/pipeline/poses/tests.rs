@@ -3,7 +3,7 @@ use std::cell::RefCell;
 use super::*;
 use crate::camera::{Camera, Intrinsics};
 use crate::cancel::CancelToken;
-use crate::deblur::{ByGuide, DeblurError, DeblurInfo, Deblurrer, Identity};
+use crate::deblur::{ByGuide, DeblurError, Identity, Restorer, RestorerInfo};
 use crate::event::{Event, Silent};
 use crate::image::Image;
 use crate::pipeline::plan::Plan;
@@ -71,14 +71,14 @@ impl Sfm for NeedsLight {
 /// Returns a grey level, and says of each view that it did.
 struct Grey(f32, Vec<String>);
 
-impl Deblurrer for Grey {
-    fn deblur(&mut self, blurry: &Image, _: Option<&Image>) -> Result<Image, DeblurError> {
+impl Restorer for Grey {
+    fn restore(&mut self, blurry: &Image, _: Option<&Image>) -> Result<Image, DeblurError> {
         self.1.push(format!("is {} now", self.0));
         Ok(blurry.map(|_| self.0))
     }
 
-    fn describe(&self) -> DeblurInfo {
-        DeblurInfo {
+    fn describe(&self) -> RestorerInfo {
+        RestorerInfo {
             id: self.0.to_string(),
             channels: 3,
             ..Identity.describe()
@@ -92,7 +92,7 @@ impl Deblurrer for Grey {
 
 /// The answer, the warnings, and what was asked, for three dark photographs of 960 x 640 px.
 fn found_with(
-    deblurrer: &mut dyn Deblurrer,
+    deblurrer: &mut dyn Restorer,
 ) -> (Result<Poses, PipelineError>, Vec<String>, NeedsLight) {
     let home = tempfile::tempdir().expect("temporary directory");
     let images = home.path().join("images");
@@ -241,7 +241,7 @@ fn the_second_look_wins_only_where_it_is_better() {
 #[test]
 fn only_what_no_network_had_a_hand_in_serves_every_network() {
     let network = |id: &str| Networks {
-        deblur: DeblurInfo {
+        deblur: RestorerInfo {
             id: id.to_owned(),
             ..Identity.describe()
         },
@@ -257,4 +257,36 @@ fn only_what_no_network_had_a_hand_in_serves_every_network() {
     assert!(serves(&placed(18, false, 'C'), &depends_on("one")));
     assert!(serves(&by("one"), &depends_on("one")));
     assert!(!serves(&by("one"), &depends_on("two")));
+}
+
+#[test]
+fn photographs_without_a_pose_and_doubtful_poses_are_told_once_with_names_and_figures() {
+    let mut told = Vec::new();
+    let mut sink = |event: &Event| {
+        if let Event::Warning { code, message } = event {
+            told.push(format!("{code}: {message}"));
+        }
+    };
+    let poses = Poses {
+        total: 2,
+        mean_track: Some(2.5),
+        ..placed(1, true, 'C')
+    };
+    warn(&mut sink, &poses, &["a", "b"]);
+    assert_eq!(
+        told,
+        [
+            "poses_low_confidence: the poses met no acceptance rule (1 of 2 views, 0 points, 0 \
+             observations a view, a mean track of 2.50): look at the result before you rely on it",
+            "poses_missing: 1 of 2 photographs have a pose; left out are a, b",
+        ]
+    );
+    told.clear();
+    let mut sink = |event: &Event| told.push(format!("{event:?}"));
+    let whole = Poses {
+        total: 18,
+        ..placed(18, false, 'A')
+    };
+    warn(&mut sink, &whole, &["a"]);
+    assert!(told.is_empty(), "{told:?}");
 }
