@@ -14,7 +14,7 @@ mod golden;
 
 pub use noise::{clipped_share, mean_v, noise_sigma, sharpness};
 pub use psnr::{noise_ceiling, psnr, psnr_colour_corrected};
-pub use report::{Brightness, ImageKind, Record, Reference, Report, RoundMetrics};
+pub use report::{Brightness, ImageKind, Record, Reference, Report, RoundMetrics, ViewScore};
 pub use ssim::ssim;
 
 use crate::image::Image;

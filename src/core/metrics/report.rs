@@ -65,6 +65,29 @@ pub struct Record {
     pub lpips_squeeze: Option<f64>,
 }
 
+/// How one photograph came out: a mean hides a view that failed.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct ViewScore {
+    /// The view.
+    pub name: String,
+    /// Whether it has a pose. One without is left out: it has no split and no scores.
+    pub registered: bool,
+    /// Train or held-out.
+    pub split: Option<Split>,
+    /// What its render at the target brightness was compared with: ground truth where the capture
+    /// brings it, else the brightened view, which is self-consistency and not quality.
+    pub reference: Option<Reference>,
+    /// PSNR, dB.
+    pub psnr_db: Option<f64>,
+    /// PSNR after a per-channel affine colour fit, dB.
+    pub psnr_cc_db: Option<f64>,
+    /// SSIM of the valid region.
+    pub ssim: Option<f64>,
+    /// Root mean square distance that the shake between render and brightened view moves its light,
+    /// px of the working size.
+    pub shake_px: Option<f64>,
+}
+
 /// One round.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct RoundMetrics {
@@ -78,8 +101,11 @@ pub struct RoundMetrics {
     pub steps: u64,
     /// Training steps per second.
     pub steps_per_second: f64,
-    /// Scores.
+    /// Scores, means over the views of a split.
     pub records: Vec<Record>,
+    /// Scores of every photograph of the capture; none in reports of earlier versions.
+    #[serde(default)]
+    pub views: Vec<ViewScore>,
     /// Mean noise sigma of the enhanced and the deblurred views and of the renders (Immerkaer,
     /// luma, 0..=1).
     pub noise_sigma: BTreeMap<String, f64>,

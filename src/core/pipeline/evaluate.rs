@@ -1,5 +1,6 @@
 //! The scores of a round, its pictures at the target brightness, and its scene there.
 
+mod by_view;
 mod images;
 mod records;
 mod score;
@@ -36,6 +37,8 @@ pub struct Finished<'a> {
     pub round: &'a Round,
     /// The views, with their ground truth where the capture has it.
     pub views: &'a [View],
+    /// The photographs that have no pose.
+    pub unregistered: &'a [String],
     /// H_i, D_i and R_i.
     pub images: RoundImages<'a>,
     /// V_i.
@@ -114,6 +117,7 @@ fn measure(
     let Finished {
         round,
         views,
+        unregistered,
         images,
         scene,
         next,
@@ -139,6 +143,7 @@ fn measure(
         noise_ceiling_db: metrics::noise_ceiling(sigma),
         noise_sigma,
         records: records::records(views, &comparisons),
+        views: by_view::rows(views, unregistered, &comparisons, &likenesses),
         noise_map: training.noise,
         shake_px: training.shake_px,
         pose_correction_px: training.pose_correction_px,

@@ -14,6 +14,7 @@ use super::context::{Context, stamp_name};
 use super::dependencies::{Dependencies, PosesDependencies};
 use super::error::PipelineError;
 use super::tools::Tools;
+use super::views;
 use super::workspace::Workspace;
 use crate::capture::{Capture, CaptureView};
 use crate::event::{ProgressSink, Stage};
@@ -66,8 +67,7 @@ pub fn poses(
         },
     )?;
     cache.write(context.workspace, &poses)?;
-    let names: Vec<&str> = capture.views.iter().map(|view| &view.name[..]).collect();
-    warn(context.sink, &poses, &names);
+    warn(context.sink, &poses, &views::unregistered(capture, &poses));
     Ok(poses)
 }
 
@@ -108,7 +108,7 @@ impl Cache<'_> {
 }
 
 /// What the user should know about the poses, whoever found them and whenever.
-fn warn(sink: &mut dyn ProgressSink, poses: &Poses, names: &[&str]) {
+fn warn(sink: &mut dyn ProgressSink, poses: &Poses, missing: &[String]) {
     let Poses {
         registered, total, ..
     } = poses;
@@ -124,8 +124,6 @@ fn warn(sink: &mut dyn ProgressSink, poses: &Poses, names: &[&str]) {
         sink.warn("poses_low_confidence", message);
     }
     if registered < total {
-        let is_missing = |name: &&str| poses.views.iter().all(|view| view.name != *name);
-        let missing: Vec<&str> = names.iter().copied().filter(is_missing).collect();
         let message = format!(
             "{registered} of {total} photographs have a pose; left out are {}",
             missing.join(", ")

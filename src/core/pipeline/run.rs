@@ -81,6 +81,7 @@ pub fn run(
     if let Some(report) = delivered(context, &depends_on.run())? {
         return Ok(Outcome { report });
     }
+    let unregistered = views::unregistered(capture, &poses);
     let mut report = report::begin(options, tools, depends_on.networks(), &poses);
     let mut views = views::load(context, capture, &poses, options)?; // L
     let brightening = enhance::plan(context, &views, &depends_on, tools)?; // P_1..P_N, H_N
@@ -111,6 +112,7 @@ pub fn run(
         let finished = Finished {
             round,
             views: &views,
+            unregistered: &unregistered,
             images: RoundImages::new(&enhanced, &deblurred, &renders),
             scene: &scene,
             next: next.as_ref(),

@@ -40,6 +40,13 @@ pub fn dark(views: &[View]) -> Vec<&Image> {
     views.iter().map(|view| &view.dark).collect()
 }
 
+/// Names of the photographs that have no pose.
+pub fn unregistered(capture: &Capture, poses: &Poses) -> Vec<String> {
+    let names = capture.views.iter().map(|view| &view.name);
+    let has_no_pose = |name: &&String| poses.views.iter().all(|view| view.name != **name);
+    names.filter(has_no_pose).cloned().collect()
+}
+
 /// L_j: the registered photographs, undistorted, at working size; cameras and pictures of the input
 /// are written for whoever looks at the run.
 ///

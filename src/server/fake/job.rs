@@ -283,6 +283,7 @@ fn metrics(round: u32) -> RoundMetrics {
         steps: 1_000,
         steps_per_second: 25.0,
         records,
+        views: Vec::new(),
         noise_sigma: BTreeMap::from([("render".to_owned(), 0.01)]),
         sharpness: BTreeMap::from([("render".to_owned(), 0.2)]),
         mean_brightness: 0.4,

@@ -30,7 +30,7 @@ pub struct RoundsQuery {
 pub enum Form {
     /// As `metrics.json`.
     Json,
-    /// One row a record.
+    /// One row a record and one a view.
     Csv,
 }
 
@@ -103,7 +103,7 @@ fn stages(stages: &[StageSeconds]) -> Value {
     Value::Object(sums)
 }
 
-const COLUMNS: [&str; 10] = [
+const COLUMNS: [&str; 13] = [
     "round",
     "split",
     "image",
@@ -114,19 +114,25 @@ const COLUMNS: [&str; 10] = [
     "psnr_cc_db",
     "ssim",
     "lpips_squeeze",
+    "view",
+    "registered",
+    "shake_px",
 ];
 
-/// One row a record. Every value is a number or one of our own words: nothing needs quoting.
+/// One row a record, then one a view: those have its name in `view` and no number of views. Every
+/// value is a number or one of our own words: nothing needs quoting.
 fn csv(rounds: &[Value]) -> String {
     let mut text = COLUMNS.join(",") + "\n";
     for round in rounds {
-        for record in round["records"].as_array().into_iter().flatten() {
+        let records = round["records"].as_array().into_iter().flatten();
+        let views = round["views"].as_array().into_iter().flatten();
+        for row in records.cloned().chain(views.map(of_view)) {
             let cells = COLUMNS.map(|column| match column {
                 "round" => round["round"].to_string(),
-                _ => match &record[column] {
+                _ => match &row[column] {
                     Value::Null => String::new(),
                     Value::String(word) => word.clone(),
-                    number => number.to_string(),
+                    other => other.to_string(),
                 },
             });
             // Writing to a string cannot fail.
@@ -136,21 +142,43 @@ fn csv(rounds: &[Value]) -> String {
     text
 }
 
+/// The row of a view: of its render, at the target brightness.
+fn of_view(view: &Value) -> Value {
+    let mut row = view.clone();
+    row["view"] = view["name"].clone();
+    row["image"] = json!("render");
+    row["brightness"] = json!("final");
+    row
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
-    fn the_table_has_a_row_for_every_record_and_gaps_stay_empty() {
+    fn the_table_has_a_row_for_every_record_and_view_and_gaps_stay_empty() {
         let rounds = [json!({ "round": 1, "records": [
             { "split": "train", "image": "render", "reference": "gt", "brightness": "final", "views": 17,
               "psnr_db": 21.5, "psnr_cc_db": 22.0, "ssim": 0.7 },
             { "split": "held_out", "image": "render", "reference": "gt", "brightness": "final", "views": 3,
-              "psnr_db": 20.5, "psnr_cc_db": 21.0, "ssim": 0.6, "lpips_squeeze": 0.3 } ] })];
+              "psnr_db": 20.5, "psnr_cc_db": 21.0, "ssim": 0.6, "lpips_squeeze": 0.3 } ],
+            "views": [
+            { "name": "a", "registered": true, "split": "train", "reference": "gt", "psnr_db": 19.5,
+              "psnr_cc_db": 20.0, "ssim": 0.5, "shake_px": 1.5 },
+            { "name": "b", "registered": false, "split": null, "reference": null, "psnr_db": null,
+              "psnr_cc_db": null, "ssim": null, "shake_px": null } ] })];
         let text = csv(&rounds);
         let lines: Vec<&str> = text.lines().collect();
-        assert_eq!(lines[1], "1,train,render,gt,final,17,21.5,22.0,0.7,");
-        assert_eq!(lines[2], "1,held_out,render,gt,final,3,20.5,21.0,0.6,0.3");
-        assert_eq!(lines.len(), 3);
+        assert_eq!(lines[1], "1,train,render,gt,final,17,21.5,22.0,0.7,,,,");
+        assert_eq!(
+            lines[2],
+            "1,held_out,render,gt,final,3,20.5,21.0,0.6,0.3,,,"
+        );
+        assert_eq!(
+            lines[3],
+            "1,train,render,gt,final,,19.5,20.0,0.5,,a,true,1.5"
+        );
+        assert_eq!(lines[4], "1,,render,,final,,,,,,b,false,");
+        assert_eq!(lines.len(), 5);
     }
 }

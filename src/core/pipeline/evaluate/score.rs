@@ -12,6 +12,8 @@ use crate::shake::{self, Response, ShakeKernel};
 /// How a render explains its view, both at the target brightness.
 #[derive(Clone, Copy, Debug)]
 pub struct Likeness {
+    /// Root mean square distance that the shake found in the view moves its light, px.
+    pub shake_px: f64,
     /// SSIM of the render, shaken as the view is, against the view.
     pub ssim: f64,
 }
@@ -24,6 +26,7 @@ pub fn likenesses(renders: &[Image], target: &[Image], response: &Response) -> V
         let kernel = shake::estimate(render, view, response);
         let shaken = as_shaken(render, &kernel, response);
         Likeness {
+            shake_px: kernel.spread(),
             ssim: metrics::ssim(&shaken, view),
         }
     };

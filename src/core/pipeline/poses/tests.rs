@@ -272,13 +272,13 @@ fn photographs_without_a_pose_and_doubtful_poses_are_told_once_with_names_and_fi
         mean_track: Some(2.5),
         ..placed(1, true, 'C')
     };
-    warn(&mut sink, &poses, &["a", "b"]);
+    warn(&mut sink, &poses, &["b".to_owned()]);
     assert_eq!(
         told,
         [
             "poses_low_confidence: the poses met no acceptance rule (1 of 2 views, 0 points, 0 \
              observations a view, a mean track of 2.50): look at the result before you rely on it",
-            "poses_missing: 1 of 2 photographs have a pose; left out are a, b",
+            "poses_missing: 1 of 2 photographs have a pose; left out are b",
         ]
     );
     told.clear();
@@ -287,6 +287,6 @@ fn photographs_without_a_pose_and_doubtful_poses_are_told_once_with_names_and_fi
         total: 18,
         ..placed(18, false, 'A')
     };
-    warn(&mut sink, &whole, &["a"]);
+    warn(&mut sink, &whole, &[]);
     assert!(told.is_empty(), "{told:?}");
 }

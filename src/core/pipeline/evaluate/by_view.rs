@@ -1,0 +1,136 @@
+//! The row of every photograph.
+
+use super::records::Comparison;
+use super::score::Likeness;
+use crate::metrics::{Brightness, ImageKind, Reference, ViewScore};
+use crate::pipeline::views::View;
+
+/// The scores of every view's render at the target brightness, then the photographs without a pose.
+pub fn rows(
+    views: &[View],
+    unregistered: &[String],
+    comparisons: &[Comparison],
+    likenesses: &[Likeness],
+) -> Vec<ViewScore> {
+    let row = |(index, view): (usize, &View)| registered(view, index, comparisons, likenesses);
+    let rows = views.iter().enumerate().map(row);
+    rows.chain(unregistered.iter().map(without_pose)).collect()
+}
+
+fn registered(
+    view: &View,
+    index: usize,
+    comparisons: &[Comparison],
+    likenesses: &[Likeness],
+) -> ViewScore {
+    let reference = match view.gt {
+        Some(_) => Reference::Gt,
+        None => Reference::Enhanced,
+    };
+    let is_asked = |comparison: &&Comparison| {
+        comparison.image == ImageKind::Render
+            && comparison.reference == reference
+            && comparison.brightness == Brightness::Final
+    };
+    let comparison = comparisons.iter().find(is_asked);
+    let scores = comparison.and_then(|comparison| comparison.scores[index]);
+    ViewScore {
+        name: view.name.clone(),
+        registered: true,
+        split: Some(view.split),
+        reference: Some(reference),
+        psnr_db: scores.map(|scores| scores.psnr_db),
+        psnr_cc_db: scores.map(|scores| scores.psnr_cc_db),
+        ssim: scores.map(|scores| scores.ssim),
+        shake_px: Some(likenesses[index].shake_px),
+    }
+}
+
+fn without_pose(name: &String) -> ViewScore {
+    ViewScore {
+        name: name.clone(),
+        registered: false,
+        split: None,
+        reference: None,
+        psnr_db: None,
+        psnr_cc_db: None,
+        ssim: None,
+        shake_px: None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::DVec3;
+
+    use super::*;
+    use crate::camera::{Camera, Intrinsics, Split};
+    use crate::image::Image;
+    use crate::pipeline::evaluate::records::Scores;
+
+    const SIDE: usize = 8;
+
+    fn view(name: &str, split: Split, gt: Option<Image>) -> View {
+        let side = SIDE as f64;
+        let intrinsics = Intrinsics {
+            width: SIDE,
+            height: SIDE,
+            fx: side,
+            fy: side,
+            cx: side / 2.0,
+            cy: side / 2.0,
+        };
+        View {
+            name: name.to_owned(),
+            camera: Camera::look_at(intrinsics, DVec3::NEG_Z, DVec3::ZERO, DVec3::Y),
+            dark: Image::new(SIDE, SIDE),
+            gt,
+            split,
+        }
+    }
+
+    fn comparison(reference: Reference, psnr_db: [Option<f64>; 2]) -> Comparison {
+        let scores = psnr_db.map(|psnr_db| {
+            psnr_db.map(|psnr_db| Scores {
+                psnr_db,
+                psnr_cc_db: psnr_db + 1.0,
+                ssim: 0.5,
+            })
+        });
+        Comparison {
+            image: ImageKind::Render,
+            reference,
+            brightness: Brightness::Final,
+            scores: scores.to_vec(),
+        }
+    }
+
+    #[test]
+    fn a_view_is_scored_against_truth_where_it_has_one_and_one_without_a_pose_is_listed() {
+        let views = [
+            view("a", Split::HeldOut, Some(Image::new(SIDE, SIDE))),
+            view("b", Split::Train, None),
+        ];
+        let comparisons = [
+            comparison(Reference::Gt, [Some(20.0), None]),
+            comparison(Reference::Enhanced, [Some(30.0), Some(31.0)]),
+        ];
+        let likenesses = [0.5, 2.0].map(|shake_px| Likeness {
+            shake_px,
+            ssim: 0.9,
+        });
+        let rows = rows(&views, &["c".to_owned()], &comparisons, &likenesses);
+        let seen: Vec<_> = rows
+            .iter()
+            .map(|row| (&row.name[..], row.registered, row.reference, row.psnr_db))
+            .collect();
+        let expected = [
+            ("a", true, Some(Reference::Gt), Some(20.0)),
+            ("b", true, Some(Reference::Enhanced), Some(31.0)),
+            ("c", false, None, None),
+        ];
+        assert_eq!(seen, expected);
+        let shakes: Vec<_> = rows.iter().map(|row| row.shake_px).collect();
+        assert_eq!(shakes, [Some(0.5), Some(2.0), None]);
+    }
+}
