@@ -2,11 +2,11 @@
 
 use std::path::{Path, PathBuf};
 
-use fled_core::camera::orbit::Orbit;
-use fled_core::camera::{Camera, Intrinsics, NamedCamera};
+use fled_core::camera::{Camera, NamedCamera};
 use fled_core::gaussians::ply;
 use fled_core::pipeline::error::{ErrorKind, PipelineError};
 use fled_core::render::Renderer;
+use fled_core::run_folder::{PictureSize, RunFolder, Viewpoint};
 use fled_gpu::Gpu;
 
 use crate::failure::{Failure, io};
@@ -63,16 +63,12 @@ struct From {
 /// # Errors
 /// [`Failure`] when the run, the view or the adapter is not there.
 pub fn main(args: &Args) -> Result<(), Failure> {
-    let cameras = read_cameras(&args.run.join("cameras.json"))?;
-    let camera = camera(args, &cameras)?;
-    let scene = match args.round {
-        Some(round) => args
-            .run
-            .join("rounds")
-            .join(round.to_string())
-            .join("scene.ply"),
-        None => args.run.join("scene.ply"),
-    };
+    let run = RunFolder::new(&args.run);
+    let cameras = read_cameras(&run.cameras())?;
+    let camera = viewpoint(args)?
+        .camera(&cameras, PictureSize::from(args.size))
+        .map_err(Failure::usage)?;
+    let scene = run.scene_of(args.round);
     let gaussians = ply::read(&scene).map_err(|e| Failure::from(PipelineError::from(e)))?;
     let gpu = Gpu::new(&args.adapter).map_err(|e| Failure::new(ErrorKind::Environment, e))?;
     let render = |e| Failure::from(PipelineError::from(e));
@@ -91,72 +87,29 @@ fn read_cameras(path: &Path) -> Result<Vec<NamedCamera>, Failure> {
         .map_err(|e| Failure::new(ErrorKind::BadInput, format!("{}: {e}", path.display())))
 }
 
-fn camera(args: &Args, cameras: &[NamedCamera]) -> Result<Camera, Failure> {
-    let camera = if let Some(name) = &args.from.view {
-        let known = || {
-            cameras
-                .iter()
-                .map(|camera| camera.name.as_str())
-                .collect::<Vec<_>>()
-                .join(", ")
-        };
-        cameras
-            .iter()
-            .find(|camera| camera.name == *name)
-            .ok_or_else(|| Failure::usage(format!("no view `{name}`; there are {}", known())))?
-            .camera()
-    } else if let Some(path) = &args.from.pose {
-        let bytes = std::fs::read(path).map_err(io(path))?;
-        let mut value: serde_json::Value = serde_json::from_slice(&bytes)
-            .map_err(|e| Failure::usage(format!("{}: {e}", path.display())))?;
-        if let Some(object) = value.as_object_mut() {
-            object.entry("name").or_insert_with(|| "pose".into());
-            object.entry("split").or_insert_with(|| "held_out".into());
-        }
-        let named: NamedCamera = serde_json::from_value(value)
-            .map_err(|e| Failure::usage(format!("{}: {e}", path.display())))?;
-        named.camera()
-    } else {
-        let orbit = Orbit::from_cameras(cameras).ok_or_else(|| {
-            Failure::usage("the run's cameras say nothing about where the scene is")
-        })?;
-        let first = orbit_size(cameras);
-        let azimuth = args.from.azimuth.unwrap_or_default();
-        return Ok(orbit.camera(
-            azimuth,
-            args.elevation,
-            args.distance,
-            args.size.unwrap_or(first),
-        ));
-    };
-    Ok(match args.size {
-        Some((width, height)) => fitted(&camera, width, height),
-        None => camera,
-    })
-}
-
-/// The size of the first view.
-fn orbit_size(cameras: &[NamedCamera]) -> (usize, usize) {
-    cameras.first().map_or((1, 1), |camera| {
-        (camera.intrinsics.width, camera.intrinsics.height)
-    })
-}
-
-/// The same pose and vertical field of view in a picture of another size, pixels kept square.
-fn fitted(camera: &Camera, width: usize, height: usize) -> Camera {
-    let k = camera.intrinsics;
-    let scale = height as f64 / k.height as f64;
-    let shift = (k.cx - k.width as f64 / 2.0) * scale;
-    let intrinsics = Intrinsics {
-        width,
-        height,
-        fx: k.fx * scale,
-        fy: k.fy * scale,
-        cx: width as f64 / 2.0 + shift,
-        cy: k.cy * scale,
-    };
-    Camera {
-        intrinsics,
-        ..*camera
+fn viewpoint(args: &Args) -> Result<Viewpoint, Failure> {
+    if let Some(name) = &args.from.view {
+        return Ok(Viewpoint::View(name.clone()));
     }
+    if let Some(path) = &args.from.pose {
+        return Ok(Viewpoint::Pose(read_pose(path)?));
+    }
+    Ok(Viewpoint::Orbit {
+        azimuth: args.from.azimuth.unwrap_or_default(),
+        elevation: args.elevation,
+        distance: args.distance,
+    })
+}
+
+/// A camera in a file of its own, which need not say a name and a split.
+fn read_pose(path: &Path) -> Result<Camera, Failure> {
+    let unreadable = |e: serde_json::Error| Failure::usage(format!("{}: {e}", path.display()));
+    let bytes = std::fs::read(path).map_err(io(path))?;
+    let mut value: serde_json::Value = serde_json::from_slice(&bytes).map_err(unreadable)?;
+    if let Some(object) = value.as_object_mut() {
+        object.entry("name").or_insert_with(|| "pose".into());
+        object.entry("split").or_insert_with(|| "held_out".into());
+    }
+    let named: NamedCamera = serde_json::from_value(value).map_err(unreadable)?;
+    Ok(named.camera())
 }

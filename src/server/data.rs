@@ -10,6 +10,7 @@ use std::fs::{self, File};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
+use fled_core::run_folder::RunFolder;
 use rustix::fs::{FlockOperation, flock, statvfs};
 
 use crate::error::{Result, ServerError};
@@ -82,8 +83,8 @@ impl DataDir {
     }
 
     /// What the job's process writes: the artifacts.
-    pub fn output(&self, id: &str) -> PathBuf {
-        self.job(id).join("output")
+    pub fn output(&self, id: &str) -> RunFolder {
+        RunFolder::new(self.job(id).join("output"))
     }
 
     /// The job's log.

@@ -4,7 +4,7 @@
 //! picture and not the service.
 
 use std::ffi::OsString;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -195,16 +195,5 @@ async fn ask(group: &mut Group, line: &str) -> Option<RenderReply> {
             },
             Line::Error(text) => tracing::info!(text, "render process"),
         }
-    }
-}
-
-/// The files of a scene: of one round, or of the delivered one.
-pub fn scene_file(output: &Path, round: Option<u32>) -> PathBuf {
-    match round {
-        Some(round) => output
-            .join("rounds")
-            .join(round.to_string())
-            .join("scene.ply"),
-        None => output.join("scene.ply"),
     }
 }

@@ -11,7 +11,7 @@ use fled_core::image::{EncodeFormat, Image};
 use fled_tests::{Client, Part, Reply, file, gone, pids_of, text};
 use serde_json::{Value, json};
 
-use crate::support::{fled, small_capture};
+use crate::support::{fled, small_capture, succeed};
 
 /// A small job takes seconds alone, but tests run beside each other.
 const PATIENCE: Duration = Duration::from_secs(300);
@@ -192,6 +192,20 @@ fn a_posted_capture_becomes_a_succeeded_job_with_rounds_artifacts_and_a_render()
         (&done["attempts"], &done["progress"]),
         (&1.into(), &1.0.into())
     );
+    check_rounds(&server, &job, &done);
+    check_artifacts(&server, &job);
+    check_views(&server, &job);
+
+    let events = server.events(&job, 0, usize::MAX);
+    assert_eq!(events_of(&events, "round_finished").count(), 2);
+    assert_eq!(
+        events_of(&events, "state").last().expect("states")["state"],
+        "succeeded"
+    );
+}
+
+/// The table of rounds is that of `metrics.json`, with every split and every view.
+fn check_rounds(server: &Server, job: &str, done: &Value) {
     let rounds = server
         .get(&format!("/v1/jobs/{job}/rounds"), &[])
         .expect(200)
@@ -222,8 +236,16 @@ fn a_posted_capture_becomes_a_succeeded_job_with_rounds_artifacts_and_a_render()
         metrics["rounds"], rounds["rounds"],
         "two tellings of the same rounds"
     );
+    let views = rounds["rounds"][1]["views"].as_array().expect("views");
+    assert_eq!(views.len(), 12);
+    assert!(
+        views.iter().all(|view| view["psnr_db"].is_f64()),
+        "{views:?}"
+    );
+}
 
-    let names = server.names(&job);
+fn check_artifacts(server: &Server, job: &str) {
+    let names = server.names(job);
     for name in [
         "scene.ply",
         "cameras.json",
@@ -236,6 +258,17 @@ fn a_posted_capture_becomes_a_succeeded_job_with_rounds_artifacts_and_a_render()
             "{name} is missing in {names:?}"
         );
     }
+    let private = names.iter().find(|name| name.starts_with("work/"));
+    assert_eq!(
+        private, None,
+        "what only a resumed run reads is no artifact"
+    );
+}
+
+/// A photograph's view is rendered as the pipeline did, and in other proportions as `fled render`
+/// does: with square pixels.
+fn check_views(server: &Server, job: &str) {
+    let view = |query: &str| server.get(&format!("/v1/jobs/{job}/render?{query}"), &[]);
     let camera = &server
         .get(&format!("/v1/jobs/{job}/artifacts/cameras.json"), &[])
         .expect(200)
@@ -252,13 +285,23 @@ fn a_posted_capture_becomes_a_succeeded_job_with_rounds_artifacts_and_a_render()
         psnr > 45.0,
         "the service and the pipeline render differently: {psnr:.1} dB"
     );
-
-    let events = server.events(&job, 0, usize::MAX);
-    assert_eq!(events_of(&events, "round_finished").count(), 2);
-    assert_eq!(
-        events_of(&events, "state").last().expect("states")["state"],
-        "succeeded"
-    );
+    let query = format!("view={name}&width=60&height=90&format=png");
+    let by_service = server.picture(view(&query));
+    let file = server.folder.path().join("by_command.png");
+    let run = server
+        .folder
+        .path()
+        .join("data/jobs")
+        .join(job)
+        .join("output");
+    let mut command = fled();
+    command
+        .arg("render")
+        .arg(run)
+        .args(["--view", name, "--size", "60x90", "-o"]);
+    succeed(command.arg(&file));
+    let by_command = Image::load(&file).expect("a picture");
+    assert!(by_service == by_command, "the same question, two pictures");
 }
 
 #[test]

@@ -10,6 +10,7 @@ use axum::body::Body;
 use axum::extract::{Path, State};
 use axum::http::{HeaderMap, StatusCode, header};
 use axum::response::{IntoResponse, Response};
+use fled_core::run_folder::RunFolder;
 use serde::Serialize;
 use sha2::{Digest, Sha256};
 use tokio::io::{AsyncReadExt, AsyncSeekExt};
@@ -52,7 +53,7 @@ pub async fn list(
     Path(id): Path<String>,
 ) -> Result<axum::Json<Artifacts>, Problem> {
     find(&app, &id).await?;
-    let output = app.data.output(&id);
+    let output = app.data.output(&id).root().to_owned();
     let names = tokio::task::spawn_blocking({
         let output = output.clone();
         move || {
@@ -182,7 +183,7 @@ struct Stored {
 impl Stored {
     /// `None` when there is no such file below the job's output.
     async fn open(app: &App, id: &str, name: &str) -> Result<Option<Self>, Problem> {
-        let output = app.data.output(id);
+        let output = app.data.output(id).root().to_owned();
         let Some(path) = inside(&output, name) else {
             return Ok(None);
         };
@@ -231,18 +232,9 @@ fn sha256(path: &FilePath) -> io::Result<String> {
         .collect())
 }
 
-/// Where the pipeline keeps what only a resumed run reads.
-const WORK: &str = "work";
-
 /// The file of this name, when it really lies below `output` and is no private one.
 fn inside(output: &FilePath, name: &str) -> Option<PathBuf> {
-    if name.split('/').next() == Some(WORK) {
-        return None;
-    }
-    if name
-        .split('/')
-        .any(|part| part.is_empty() || part.starts_with('.') || part.contains(['\\', '\0']))
-    {
+    if !RunFolder::is_public(name) {
         return None;
     }
     // Resolved: a link inside must not lead out.
@@ -253,8 +245,7 @@ fn inside(output: &FilePath, name: &str) -> Option<PathBuf> {
     path.starts_with(&root).then_some(path)
 }
 
-/// Every public file below `dir`. What begins with a dot is the pipeline's own: unfinished or
-/// temporary.
+/// Every public file below `dir`.
 fn collect(dir: &FilePath, prefix: &str, names: &mut Vec<String>) -> io::Result<()> {
     let entries = match fs::read_dir(dir) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(()),
@@ -265,7 +256,7 @@ fn collect(dir: &FilePath, prefix: &str, names: &mut Vec<String>) -> io::Result<
         let Ok(name) = entry.file_name().into_string() else {
             continue;
         };
-        if name.starts_with('.') || (prefix.is_empty() && name == WORK) {
+        if !RunFolder::is_public(&format!("{prefix}{name}")) {
             continue;
         }
         let kind = entry.file_type()?;

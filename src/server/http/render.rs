@@ -7,8 +7,8 @@ use axum::body::Body;
 use axum::extract::{Path, State};
 use axum::http::{HeaderMap, StatusCode, header};
 use axum::response::{IntoResponse, Response};
-use fled_core::camera::orbit::Orbit;
 use fled_core::camera::{Intrinsics, NamedCamera, Split};
+use fled_core::run_folder::{PictureSize, RunFolder, Viewpoint, ViewpointError};
 use serde::Deserialize;
 use utoipa::{IntoParams, ToSchema};
 use uuid::Uuid;
@@ -20,7 +20,7 @@ use super::problem::Problem;
 use crate::app::App;
 use crate::error::ServerError;
 use crate::jobs::state::JobState;
-use crate::render::{Format, RenderError, RenderRequest, scene_file};
+use crate::render::{Format, RenderError, RenderRequest};
 
 /// Longest side of a render, px.
 const LONGEST_SIDE: usize = 2048;
@@ -146,12 +146,12 @@ async fn round(app: &App, id: &str, asked: Option<u32>) -> Result<Option<u32>, P
     let job = find(app, id).await?;
     let output = app.data.output(id);
     if let Some(round) = asked {
-        if scene_file(&output, Some(round)).is_file() {
+        if output.scene_of(Some(round)).is_file() {
             return Ok(Some(round));
         }
         return Err(Problem::not_found("round, or it is not finished"));
     }
-    if job.state == JobState::Succeeded && scene_file(&output, None).is_file() {
+    if job.state == JobState::Succeeded && output.scene_of(None).is_file() {
         return Ok(None);
     }
     let finished = app.store.rounds(id).await?;
@@ -161,15 +161,20 @@ async fn round(app: &App, id: &str, asked: Option<u32>) -> Result<Option<u32>, P
         .filter_map(|metrics| u32::try_from(metrics["round"].as_u64()?).ok());
     rounds
         .map(Some)
-        .find(|&round| scene_file(&output, round).is_file())
+        .find(|&round| output.scene_of(round).is_file())
         .ok_or_else(|| {
             Problem::conflict("no_scene_yet", "No round of this job is finished yet.")
                 .hint("Ask again after the first `round_finished` event.")
         })
 }
 
-async fn camera(output: &FilePath, query: &RenderQuery) -> Result<NamedCamera, Problem> {
-    let path = output.join("cameras.json");
+/// The camera that the query asks for.
+async fn camera(output: &RunFolder, query: &RenderQuery) -> Result<NamedCamera, Problem> {
+    let viewpoint = query.viewpoint()?;
+    for side in [query.width, query.height].into_iter().flatten() {
+        check_size((side, side))?;
+    }
+    let path = output.cameras();
     let text = tokio::fs::read(&path)
         .await
         .map_err(ServerError::io(&path))?;
@@ -178,70 +183,42 @@ async fn camera(output: &FilePath, query: &RenderQuery) -> Result<NamedCamera, P
             what: "cameras.json",
             detail: error.to_string(),
         })?;
-    if let Some(view) = &query.view {
-        if query
-            .azimuth
-            .or(query.elevation)
-            .or(query.distance)
-            .is_some()
-        {
-            return Err(Problem::unprocessable(
-                "bad_input",
-                "Either a view or a place on the orbit, not both.",
-            ));
-        }
-        let named = cameras
-            .iter()
-            .find(|camera| camera.name == *view)
-            .ok_or_else(|| Problem::not_found("view"))?;
-        let (width, height) = size(query, &named.intrinsics)?;
-        let camera = named.camera().resized(width, height);
-        return Ok(NamedCamera::new(named.name.clone(), &camera, named.split));
-    }
-    let orbit = Orbit::from_cameras(&cameras).ok_or_else(|| {
-        Problem::unprocessable("bad_input", "The cameras of this job span no orbit.")
-    })?;
-    let first = cameras.first().ok_or_else(Problem::internal)?;
-    let number = |name: &str, value: Option<f64>, default: f64| match value.unwrap_or(default) {
-        value if value.is_finite() => Ok(value),
-        _ => Err(Problem::unprocessable(
-            "bad_input",
-            format!("`{name}` is no finite number."),
-        )),
+    let size = PictureSize {
+        width: query.width,
+        height: query.height,
     };
-    let distance = number("distance", query.distance, 1.0)?;
-    if !(0.01..=100.0).contains(&distance) {
-        return Err(Problem::unprocessable(
-            "bad_input",
-            "`distance` is not in 0.01..=100.",
-        ));
-    }
-    let (azimuth, elevation) = (
-        number("azimuth", query.azimuth, 0.0)?,
-        number("elevation", query.elevation, 0.0)?,
-    );
-    let camera = orbit.camera(
-        azimuth,
-        elevation,
-        distance,
-        size(query, &first.intrinsics)?,
-    );
+    let camera = viewpoint.camera(&cameras, size).map_err(no_viewpoint)?;
     Ok(NamedCamera::new("", &camera, Split::Train))
 }
 
-/// The size asked for; a side that is not follows the photograph's proportions.
-fn size(query: &RenderQuery, original: &Intrinsics) -> Result<(usize, usize), Problem> {
-    let scaled = |side: usize, this: usize, other: usize| {
-        ((side as f64 * other as f64 / this as f64).round() as usize).max(1)
-    };
-    let size = match (query.width, query.height) {
-        (Some(width), Some(height)) => (width, height),
-        (Some(width), None) => (width, scaled(width, original.width, original.height)),
-        (None, Some(height)) => (scaled(height, original.height, original.width), height),
-        (None, None) => (original.width, original.height),
-    };
-    check_size(size)?;
-    Ok(size)
+impl RenderQuery {
+    fn viewpoint(&self) -> Result<Viewpoint, Problem> {
+        let orbit = [self.azimuth, self.elevation, self.distance];
+        match &self.view {
+            Some(_) if orbit.iter().any(Option::is_some) => Err(Problem::unprocessable(
+                "bad_input",
+                "Either a view or a place on the orbit, not both.",
+            )),
+            Some(name) => Ok(Viewpoint::View(name.clone())),
+            None => Ok(Viewpoint::Orbit {
+                azimuth: self.azimuth.unwrap_or(0.0),
+                elevation: self.elevation.unwrap_or(0.0),
+                distance: self.distance.unwrap_or(1.0),
+            }),
+        }
+    }
+}
+
+fn no_viewpoint(error: ViewpointError) -> Problem {
+    match error {
+        ViewpointError::UnknownView { .. } => Problem::not_found("view"),
+        ViewpointError::NoOrbit => {
+            Problem::unprocessable("bad_input", "The cameras of this job span no orbit.")
+        }
+        ViewpointError::NotFinite(_) | ViewpointError::Distance => {
+            Problem::unprocessable("bad_input", format!("{error}."))
+        }
+    }
 }
 
 fn check_size((width, height): (usize, usize)) -> Result<(), Problem> {
@@ -289,7 +266,7 @@ async fn picture(
     headers: &HeaderMap,
 ) -> Result<Response, Problem> {
     check_camera(&camera)?;
-    let scene = scene_file(&app.data.output(id), round);
+    let scene = app.data.output(id).scene_of(round);
     let key = key(&scene, &camera, format).map_err(ServerError::io(&scene))?;
     let etag = format!("\"{key}\"");
     let common = [

@@ -78,7 +78,7 @@ pub async fn show(
 /// What `metrics.json` says besides the rounds. The file is written after every round; before
 /// the first there is none.
 async fn facts(app: &App, id: &str) -> Map<String, Value> {
-    let text = tokio::fs::read(app.data.output(id).join("metrics.json"))
+    let text = tokio::fs::read(app.data.output(id).metrics())
         .await
         .unwrap_or_default();
     let Ok(Value::Object(mut report)) = serde_json::from_slice(&text) else {

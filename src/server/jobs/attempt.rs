@@ -55,7 +55,7 @@ pub(super) struct Attempt<'a> {
 /// [`ServerError::LeaseLost`] when another worker has taken the job over; the process is ended.
 pub(super) async fn run(app: &App, claim: &Claim, cancel: Arc<Notify>) -> Result<Settlement> {
     let id = &claim.job.id;
-    let output = app.data.output(id);
+    let output = app.data.output(id).root().to_owned();
     tokio::fs::create_dir_all(&output)
         .await
         .map_err(ServerError::io(&output))?;
