@@ -63,7 +63,7 @@ impl App {
     }
 
     /// Remembers that a worker of this server runs the job; what rings to stop it.
-    pub fn register(&self, job: &str) -> Arc<Notify> {
+    pub fn begin(&self, job: &str) -> Arc<Notify> {
         let bell = Arc::new(Notify::new());
         self.running
             .lock()
@@ -73,7 +73,7 @@ impl App {
     }
 
     /// Forgets a job that no longer runs.
-    pub fn unregister(&self, job: &str) {
+    pub fn end(&self, job: &str) {
         self.running
             .lock()
             .unwrap_or_else(PoisonError::into_inner)

@@ -39,7 +39,6 @@ use crate::app::App;
 
 pub use openapi::document;
 pub use problem::Problem;
-pub use shapes::{CaptureReport, Verdict, Warning};
 
 /// Only what the server itself sends may run or be shown; nobody may frame it.
 const CONTENT_SECURITY_POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; \

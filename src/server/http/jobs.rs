@@ -8,7 +8,7 @@ use axum::extract::{DefaultBodyLimit, FromRequest, Multipart, Path, Request, Sta
 use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use fled_core::deblur::manifest::{Manifest, Place, Role};
-use fled_core::pipeline::config::{OptionsError, Preset};
+use fled_core::pipeline::config::{Options, OptionsError, Preset};
 use serde::Deserialize;
 use serde_json::{Map, Value};
 use utoipa::{IntoParams, ToSchema};
@@ -97,7 +97,7 @@ pub async fn create(
     app.wake.notify_one();
     app.changed();
     let location = format!("/v1/jobs/{}", row.id);
-    let job = Job::load(&app.store, row).await?;
+    let job = told(&app, &row.id).await?;
     let mut response = (
         StatusCode::ACCEPTED,
         [(header::LOCATION, location)],
@@ -125,14 +125,8 @@ async fn from_json(app: &App, body: &CreateJob, key: Option<&str>) -> Result<Cre
     let fingerprint = blake3::hash(parts.join("\n").as_bytes())
         .to_hex()
         .to_string();
-    let job = new_job(
-        app,
-        &capture.id,
-        body.name.as_deref().unwrap_or(&capture.name),
-        body.preset.as_deref(),
-        &body.options,
-    )
-    .await?;
+    let order = Order::new(app, body.preset.as_deref(), &body.options).await?;
+    let job = order.job(&capture.id, body.name.as_deref().unwrap_or(&capture.name))?;
     Ok(app.store.create_job(&job, key, &fingerprint).await?)
 }
 
@@ -165,11 +159,11 @@ async fn from_upload(
         .cloned()
         .filter(|preset| !preset.is_empty());
     let fingerprint = upload.fingerprint.clone();
-    // Options are judged before the photographs: a typo is told at once.
-    new_job(app, "", "", preset.as_deref(), &options).await?;
-    let report = upload.judge().await?;
+    // Options are checked before the photographs: a typo is told at once.
+    let order = Order::new(app, preset.as_deref(), &options).await?;
+    let report = upload.examine().await?;
     let capture = upload.keep(app, &report).await?;
-    let job = new_job(app, &capture.id, &capture.name, preset.as_deref(), &options).await?;
+    let job = order.job(&capture.id, &capture.name)?;
     let creation = app.store.create_job(&job, key, &fingerprint).await?;
     if !matches!(creation, Creation::Created(_)) && app.store.delete_capture(&capture.id).await? {
         // The job of the first request has its own capture; this copy was for nothing.
@@ -178,45 +172,55 @@ async fn from_upload(
     Ok(creation)
 }
 
-async fn new_job(
-    app: &App,
-    capture: &str,
-    name: &str,
-    preset: Option<&str>,
-    options: &Map<String, Value>,
-) -> Result<NewJob, Problem> {
-    let preset: Preset = preset
-        .unwrap_or(Preset::Standard.name())
-        .parse()
-        .map_err(|error: OptionsError| bad_option(&error).pointer("/preset"))?;
-    let options = preset
-        .options()
-        .with_overrides(options)
-        .map_err(|error| bad_option(&error))?;
-    for (key, choice, words) in [
-        ("deblur", &options.deblur, &["identity"][..]),
-        (
-            "deblur_unguided",
-            &options.deblur_unguided,
-            &["same", "identity"],
-        ),
-        ("enhance", &options.enhance, &["curve"]),
-    ] {
-        let (folders, choice) = (app.config.models.clone(), choice.clone());
-        // It reads the network's file.
-        let check = move || check_network(&folders, key, &choice, words);
-        tokio::task::spawn_blocking(check)
-            .await
-            .map_err(|_| Problem::internal())??;
+/// What is asked of a job, checked, before there is a capture for it.
+struct Order {
+    preset: Preset,
+    options: Options,
+}
+
+impl Order {
+    async fn new(
+        app: &App,
+        preset: Option<&str>,
+        options: &Map<String, Value>,
+    ) -> Result<Self, Problem> {
+        let preset: Preset = preset
+            .unwrap_or(Preset::Standard.name())
+            .parse()
+            .map_err(|error: OptionsError| bad_option(&error).pointer("/preset"))?;
+        let options = preset
+            .options()
+            .with_overrides(options)
+            .map_err(|error| bad_option(&error))?;
+        for (key, choice, words) in [
+            ("deblur", &options.deblur, &["identity"][..]),
+            (
+                "deblur_unguided",
+                &options.deblur_unguided,
+                &["same", "identity"],
+            ),
+            ("enhance", &options.enhance, &["curve"]),
+        ] {
+            let (folders, choice) = (app.config.models.clone(), choice.clone());
+            // It reads the network's file.
+            let check = move || check_network(&folders, key, &choice, words);
+            tokio::task::spawn_blocking(check)
+                .await
+                .map_err(|_| Problem::internal())??;
+        }
+        Ok(Self { preset, options })
     }
-    Ok(NewJob {
-        id: Uuid::now_v7().to_string(),
-        name: name.chars().take(200).collect(),
-        capture_id: capture.to_owned(),
-        preset: preset.name().to_owned(),
-        rounds: options.rounds,
-        options: serde_json::to_value(&options).map_err(|_| Problem::internal())?,
-    })
+
+    fn job(&self, capture: &str, name: &str) -> Result<NewJob, Problem> {
+        Ok(NewJob {
+            id: Uuid::now_v7().to_string(),
+            name: name.chars().take(200).collect(),
+            capture_id: capture.to_owned(),
+            preset: self.preset.name().to_owned(),
+            rounds: self.options.rounds,
+            options: serde_json::to_value(&self.options).map_err(|_| Problem::internal())?,
+        })
+    }
 }
 
 /// Networks are chosen by name: a path would let a client probe the files of the server.
@@ -306,17 +310,15 @@ pub async fn list(
     Query(query): Query<ListQuery>,
 ) -> Result<axum::Json<Jobs>, Problem> {
     let limit = query.limit.unwrap_or(50).clamp(1, 200);
-    let mut rows = app
+    let mut told = app
         .store
         .jobs(query.state, limit + 1, query.cursor.as_deref())
         .await?;
-    let more = rows.len() > limit as usize;
-    rows.truncate(limit as usize);
-    let next_cursor = rows.last().filter(|_| more).map(|row| row.id.clone());
-    let mut jobs = Vec::with_capacity(rows.len());
-    for row in rows {
-        jobs.push(Job::load(&app.store, row).await?);
-    }
+    let more = told.len() > limit as usize;
+    told.truncate(limit as usize);
+    let last = told.last().filter(|_| more);
+    let next_cursor = last.map(|told| told.row.id.clone());
+    let jobs = told.into_iter().map(Job::from_told).collect();
     Ok(axum::Json(Jobs { jobs, next_cursor }))
 }
 
@@ -329,8 +331,7 @@ pub async fn show(
     State(app): State<Arc<App>>,
     Path(id): Path<String>,
 ) -> Result<axum::Json<Job>, Problem> {
-    let row = find(&app, &id).await?;
-    Ok(axum::Json(Job::load(&app.store, row).await?))
+    Ok(axum::Json(told(&app, &id).await?))
 }
 
 /// Stops a job and every process of it, within two seconds.
@@ -362,7 +363,7 @@ pub async fn cancel(
     if let Ok(outcome) = tokio::time::timeout(CANCEL_PATIENCE, ended).await {
         outcome?;
     }
-    let job = Job::load(&app.store, find(&app, &id).await?).await?;
+    let job = told(&app, &id).await?;
     Ok((StatusCode::ACCEPTED, axum::Json(job)).into_response())
 }
 
@@ -382,7 +383,7 @@ pub async fn retry(
     }
     app.wake.notify_one();
     app.changed();
-    let job = Job::load(&app.store, find(&app, &id).await?).await?;
+    let job = told(&app, &id).await?;
     Ok((StatusCode::ACCEPTED, axum::Json(job)).into_response())
 }
 
@@ -411,6 +412,13 @@ fn over(row: &JobRow) -> Problem {
 }
 
 /// The job, or 404.
+/// The job as answered.
+async fn told(app: &App, id: &str) -> Result<Job, Problem> {
+    let told = app.store.told_job(id).await?;
+    told.map(Job::from_told)
+        .ok_or_else(|| Problem::not_found("job"))
+}
+
 pub(super) async fn find(app: &App, id: &str) -> Result<JobRow, Problem> {
     app.store
         .job(id)

@@ -11,7 +11,6 @@ use serde_json::{Map, Value, json};
 use utoipa::{IntoParams, ToSchema};
 
 use super::extract::Query;
-use super::jobs::find;
 use super::problem::Problem;
 use crate::app::App;
 use crate::store::StageSeconds;
@@ -59,17 +58,18 @@ pub async fn show(
     Path(id): Path<String>,
     Query(query): Query<RoundsQuery>,
 ) -> Result<Response, Problem> {
-    let job = find(&app, &id).await?;
+    let told = app.store.told_job(&id).await?;
+    let told = told.ok_or_else(|| Problem::not_found("job"))?;
     let rounds = app.store.rounds(&id).await?;
     if matches!(query.format, Some(Form::Csv)) {
         let csv = csv(&rounds);
         return Ok(([(header::CONTENT_TYPE, "text/csv; charset=utf-8")], csv).into_response());
     }
     let mut facts = facts(&app, &id).await;
-    facts.insert("stages".to_owned(), stages(&app.store.stages(&id).await?));
+    facts.insert("stages".to_owned(), stages(&told.stages));
     Ok(axum::Json(Rounds {
         rounds,
-        best_round: job.best_round,
+        best_round: told.row.best_round,
         facts,
     })
     .into_response())

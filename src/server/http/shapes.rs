@@ -1,12 +1,12 @@
 //! The JSON that outside programs rely on.
 
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 use serde_json::Value;
 use utoipa::ToSchema;
 
-use crate::error::Result;
+use crate::intake::{CaptureReport, Warning};
 use crate::jobs::state::JobState;
-use crate::store::{CaptureRow, JobRow, Store};
+use crate::store::{CaptureRow, ToldJob};
 
 /// A capture as answered: its verdicts and how many photographs can be used.
 #[derive(Clone, Debug, Serialize, ToSchema)]
@@ -22,38 +22,6 @@ pub struct Capture {
     /// What became of each file, and what is worth knowing of all.
     #[serde(flatten)]
     pub report: CaptureReport,
-}
-
-/// Verdicts on an upload.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
-pub struct CaptureReport {
-    /// Number of usable photographs.
-    pub accepted: u32,
-    /// One verdict a file.
-    pub images: Vec<Verdict>,
-    /// What is worth knowing of the capture as a whole.
-    pub warnings: Vec<Warning>,
-}
-
-/// What became of one photograph.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
-pub struct Verdict {
-    /// Its file name as stored.
-    pub name: String,
-    /// Whether it is used.
-    pub accepted: bool,
-    /// Why not.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub reason: Option<String>,
-    /// Pixels, upright; 0 where it cannot be read.
-    pub width: usize,
-    /// Pixels, upright; 0 where it cannot be read.
-    pub height: usize,
-    /// Focal length from EXIF, px.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub focal_px: Option<f64>,
-    /// Dark, blurred, a duplicate ...
-    pub warnings: Vec<Warning>,
 }
 
 /// A page of captures.
@@ -146,15 +114,6 @@ pub struct JobError {
     pub hint: String,
 }
 
-/// Something the user should know; the work goes on.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
-pub struct Warning {
-    /// Stable code.
-    pub code: String,
-    /// One sentence.
-    pub message: String,
-}
-
 /// The time of a stage.
 #[derive(Debug, Serialize, ToSchema)]
 pub struct StageTime {
@@ -176,14 +135,14 @@ pub struct Jobs {
 }
 
 impl Job {
-    /// From its row and what the store holds besides.
-    ///
-    /// # Errors
-    /// When the database refuses.
-    pub async fn load(store: &Store, row: JobRow) -> Result<Self> {
-        let warnings = store.warnings(&row.id).await?;
-        let stages = store.stages(&row.id).await?;
-        Ok(Self {
+    /// From what the store holds.
+    pub fn from_told(told: ToldJob) -> Self {
+        let ToldJob {
+            row,
+            warnings,
+            stages,
+        } = told;
+        Self {
             warnings: warnings
                 .into_iter()
                 .map(|warning| Warning {
@@ -222,7 +181,7 @@ impl Job {
             created_at: time(row.created_at),
             started_at: row.started_at.map(time),
             finished_at: row.finished_at.map(time),
-        })
+        }
     }
 }
 

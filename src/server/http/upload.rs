@@ -1,4 +1,4 @@
-//! Multipart uploads: streamed to disk under names of our own, fsynced, judged, moved into place.
+//! Multipart uploads: streamed to disk under names of our own, fsynced, examined, moved into place.
 
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::path::{Path, PathBuf};
@@ -11,11 +11,10 @@ use tokio::io::AsyncWriteExt;
 use uuid::Uuid;
 
 use super::problem::{Problem, disk_full};
-use super::shapes::CaptureReport;
 use crate::app::App;
 use crate::data::sync_directory;
 use crate::error::ServerError;
-use crate::judge::{self, Refusal};
+use crate::intake::{self, CaptureReport, Refusal};
 use crate::store::{CaptureRow, now_ms};
 
 /// Text fields are short; files stream.
@@ -88,7 +87,7 @@ impl Upload {
     ///
     /// # Errors
     /// 422 with the verdicts when too few photographs can be used.
-    pub async fn judge(&self) -> Result<CaptureReport, Problem> {
+    pub async fn examine(&self) -> Result<CaptureReport, Problem> {
         if self.files == 0 {
             return Err(
                 Problem::unprocessable("bad_input", "The upload holds no file.")
@@ -96,7 +95,7 @@ impl Upload {
             );
         }
         let dir = self.dir.clone();
-        let outcome = tokio::task::spawn_blocking(move || judge::judge(&dir)).await;
+        let outcome = tokio::task::spawn_blocking(move || intake::examine(&dir)).await;
         match outcome.map_err(|_| Problem::internal())? {
             Ok(report) => Ok(report),
             Err(refusal) => Err(refused(*refusal)),
@@ -137,7 +136,7 @@ impl Upload {
 
 fn refused(refusal: Refusal) -> Problem {
     if refusal.is_ours {
-        tracing::error!(refusal.detail, "cannot judge an upload");
+        tracing::error!(refusal.detail, "cannot examine an upload");
         return Problem::internal();
     }
     let (status, code) = if refusal.unsupported_format {
@@ -159,7 +158,7 @@ fn default_name() -> String {
 }
 
 /// Makes the files and the names of a whole tree survive a power cut. Zips are unpacked by the
-/// judge, so the files received are not all there is.
+/// examine, so the files received are not all there is.
 fn sync_tree(dir: &Path) -> std::io::Result<()> {
     for entry in std::fs::read_dir(dir)? {
         let entry = entry?;
@@ -271,7 +270,7 @@ impl Receiver<'_> {
             return Path::new("sparse").join(name);
         }
         if lower.ends_with(".zip") && part != "gt" {
-            return self.unique(Path::new(""), judge::ARCHIVE);
+            return self.unique(Path::new(""), intake::ARCHIVE);
         }
         let is_truth = part == "gt"
             || ["gt", "hl"]

@@ -15,7 +15,7 @@ use super::process::{Group, Happening, JOB_VARIABLE, Line};
 use crate::app::App;
 use crate::data::write_atomically;
 use crate::error::{Result, ServerError};
-use crate::judge;
+use crate::intake;
 use crate::store::{Claim, JobError, Lease, Progress, Settlement};
 
 /// After its process has ended, what others of the group still write is awaited so long.
@@ -30,7 +30,7 @@ enum End {
 }
 
 /// What a job's process has told about its end.
-enum Verdict {
+enum LastWords {
     Finished {
         best_round: u32,
     },
@@ -46,7 +46,7 @@ pub(super) struct Attempt<'a> {
     lease: Lease,
     log: LogWriter,
     pending: Option<Progress>,
-    verdict: Option<Verdict>,
+    last_words: Option<LastWords>,
 }
 
 /// Runs the job's process to its end and says how to settle the job. Does not settle it.
@@ -69,13 +69,13 @@ pub(super) async fn run(app: &App, claim: &Claim, cancel: Arc<Notify>) -> Result
         lease: claim.lease.clone(),
         log,
         pending: None,
-        verdict: None,
+        last_words: None,
     };
     attempt
         .log
         .line(&format!("attempt {} begins", claim.job.attempts));
     let arguments: Vec<OsString> = vec![
-        judge::source(app.data.capture(&claim.job.capture_id)).into(),
+        intake::source(app.data.capture(&claim.job.capture_id)).into(),
         "--out".into(),
         output.into(),
         "--options".into(),
@@ -93,7 +93,7 @@ pub(super) async fn run(app: &App, claim: &Claim, cancel: Arc<Notify>) -> Result
     let outcome = attempt.watch(&mut group, &cancel).await;
     group.stop(app.limits.grace).await;
     let settlement = match outcome? {
-        End::Exited(status) => attempt.judge(status).await?,
+        End::Exited(status) => attempt.settle(status).await?,
         End::Stop(settlement) => settlement,
     };
     attempt.log.line(&closing_line(&settlement));
@@ -209,10 +209,10 @@ impl Attempt<'_> {
                 pending.eta_seconds = eta_seconds.filter(|eta| eta.is_finite());
             }
             Event::Finished { best_round, .. } => {
-                self.verdict = Some(Verdict::Finished { best_round });
+                self.last_words = Some(LastWords::Finished { best_round });
             }
             Event::Failed { kind, detail, hint } => {
-                self.verdict = Some(Verdict::Failed { kind, detail, hint });
+                self.last_words = Some(LastWords::Failed { kind, detail, hint });
             }
             told => {
                 // In the order in which they were said.
@@ -234,13 +234,13 @@ impl Attempt<'_> {
     }
 
     /// How a process that ended by itself is settled.
-    async fn judge(&mut self, status: ExitStatus) -> Result<Settlement> {
+    async fn settle(&mut self, status: ExitStatus) -> Result<Settlement> {
         self.write_pending().await?;
-        match self.verdict.take() {
-            Some(Verdict::Finished { best_round }) if status.success() => {
+        match self.last_words.take() {
+            Some(LastWords::Finished { best_round }) if status.success() => {
                 Ok(Settlement::Finished { best_round })
             }
-            Some(Verdict::Failed { kind, detail, hint }) => {
+            Some(LastWords::Failed { kind, detail, hint }) => {
                 // Nobody asked through us: some other hand stopped the process.
                 let kind = ErrorKind::from_name(&kind).filter(|&kind| kind != ErrorKind::Cancelled);
                 self.failure(kind.unwrap_or(ErrorKind::Internal), detail, hint)

@@ -52,9 +52,9 @@ async fn pause(app: &App, time: Duration) {
 async fn run(app: &App, claim: &Claim) -> Result<()> {
     let id = &claim.job.id;
     tracing::info!(job = id, attempt = claim.job.attempts, "job begins");
-    let cancel = app.register(id);
+    let cancel = app.begin(id);
     let outcome = attempt::run(app, claim, cancel).await;
-    app.unregister(id);
+    app.end(id);
     let settlement = match outcome {
         Ok(settlement) => settlement,
         Err(ServerError::LeaseLost(job)) => return Err(ServerError::LeaseLost(job)),

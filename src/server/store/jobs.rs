@@ -1,9 +1,12 @@
 //! Jobs as rows: creation, reading, and what users ask of them.
 
+use fled_core::event::Stage;
+use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
 use sqlx::sqlite::SqliteRow;
 use sqlx::{Row, Sqlite, Transaction};
 
+use super::results::{StageSeconds, WarningRow};
 use super::{Store, events, now_ms};
 use crate::error::{Result, ServerError};
 use crate::jobs::state::{JobState, Transition};
@@ -79,6 +82,26 @@ pub struct JobRow {
     pub finished_at: Option<i64>,
 }
 
+/// A job with what it has told so far.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ToldJob {
+    /// Its row.
+    pub row: JobRow,
+    /// Its warnings, oldest first.
+    pub warnings: Vec<WarningRow>,
+    /// The time of every finished stage, by round and then in the order of the stages.
+    pub stages: Vec<StageSeconds>,
+}
+
+/// Jobs with what they have told, in one statement however many they are.
+const TOLD: &str = "SELECT jobs.*,
+    (SELECT json_group_array(json_object('code', code, 'message', message)
+                             ORDER BY at, code, message)
+     FROM warnings WHERE job_id = jobs.id) AS warnings,
+    (SELECT json_group_array(json_object('stage', stage, 'round', round, 'seconds', seconds))
+     FROM stages WHERE job_id = jobs.id) AS stages
+    FROM jobs";
+
 impl Store {
     /// The job of this id.
     ///
@@ -101,17 +124,31 @@ impl Store {
         state: Option<JobState>,
         limit: u32,
         cursor: Option<&str>,
-    ) -> Result<Vec<JobRow>> {
-        let rows = sqlx::query(
-            "SELECT * FROM jobs WHERE (?1 IS NULL OR state = ?1) AND (?2 IS NULL OR id < ?2)
-             ORDER BY id DESC LIMIT ?3",
-        )
-        .bind(state.map(JobState::name))
-        .bind(cursor)
-        .bind(limit)
-        .fetch_all(&self.pool)
-        .await?;
-        rows.iter().map(from_row).collect()
+    ) -> Result<Vec<ToldJob>> {
+        let page = format!(
+            "{TOLD} WHERE (?1 IS NULL OR state = ?1) AND (?2 IS NULL OR id < ?2)
+             ORDER BY id DESC LIMIT ?3"
+        );
+        let rows = sqlx::query(sqlx::AssertSqlSafe(page))
+            .bind(state.map(JobState::name))
+            .bind(cursor)
+            .bind(limit)
+            .fetch_all(&self.pool)
+            .await?;
+        rows.iter().map(told).collect()
+    }
+
+    /// The job of this id, with what it has told.
+    ///
+    /// # Errors
+    /// When the database refuses.
+    pub async fn told_job(&self, id: &str) -> Result<Option<ToldJob>> {
+        let one = format!("{TOLD} WHERE id = ?");
+        let row = sqlx::query(sqlx::AssertSqlSafe(one))
+            .bind(id)
+            .fetch_optional(&self.pool)
+            .await?;
+        row.as_ref().map(told).transpose()
     }
 
     /// Asks for a job to be stopped: at once when it waits, else through its worker.
@@ -211,6 +248,26 @@ pub(super) async fn read(
         .fetch_optional(&mut **tx)
         .await?;
     row.as_ref().map(from_row).transpose()
+}
+
+fn told(row: &SqliteRow) -> Result<ToldJob> {
+    let mut stages: Vec<StageSeconds> = list(row, "stages")?;
+    let place = |name: &str| Stage::ALL.iter().position(|stage| stage.name() == name);
+    stages.sort_by_key(|told| (told.round, place(&told.stage)));
+    Ok(ToldJob {
+        row: from_row(row)?,
+        warnings: list(row, "warnings")?,
+        stages,
+    })
+}
+
+/// A column that holds a JSON list.
+fn list<T: DeserializeOwned>(row: &SqliteRow, column: &'static str) -> Result<Vec<T>> {
+    let text: String = row.try_get(column)?;
+    serde_json::from_str(&text).map_err(|error| ServerError::Damaged {
+        what: column,
+        detail: error.to_string(),
+    })
 }
 
 pub(super) fn from_row(row: &SqliteRow) -> Result<JobRow> {

@@ -1,6 +1,6 @@
 //! What a job has shown: rounds, stage times, warnings, digests.
 
-use fled_core::event::Stage;
+use serde::Deserialize;
 use serde_json::Value;
 use sqlx::Row;
 
@@ -8,7 +8,7 @@ use super::Store;
 use crate::error::{Result, ServerError};
 
 /// The time of one stage of one round.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Deserialize)]
 pub struct StageSeconds {
     /// Its name.
     pub stage: String,
@@ -19,7 +19,7 @@ pub struct StageSeconds {
 }
 
 /// Something the user should know.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 pub struct WarningRow {
     /// Stable code.
     pub code: String,
@@ -44,59 +44,6 @@ impl Store {
                         what: "round",
                         detail: error.to_string(),
                     }
-                })
-            })
-            .collect()
-    }
-
-    /// The time of every finished stage, by round and then in the order of the stages.
-    ///
-    /// # Errors
-    /// When the database refuses.
-    pub async fn stages(&self, job: &str) -> Result<Vec<StageSeconds>> {
-        let rows = sqlx::query(
-            "SELECT stage, round, seconds FROM stages WHERE job_id = ? ORDER BY round, stage",
-        )
-        .bind(job)
-        .fetch_all(&self.pool)
-        .await?;
-        let mut stages = rows
-            .iter()
-            .map(|row| {
-                Ok(StageSeconds {
-                    stage: row.try_get("stage")?,
-                    round: row.try_get("round")?,
-                    seconds: row.try_get("seconds")?,
-                })
-            })
-            .collect::<Result<Vec<_>>>()?;
-        stages.sort_by_key(|one| {
-            (
-                one.round,
-                Stage::ALL
-                    .iter()
-                    .position(|stage| stage.name() == one.stage),
-            )
-        });
-        Ok(stages)
-    }
-
-    /// The warnings of a job, oldest first.
-    ///
-    /// # Errors
-    /// When the database refuses.
-    pub async fn warnings(&self, job: &str) -> Result<Vec<WarningRow>> {
-        let rows = sqlx::query(
-            "SELECT code, message FROM warnings WHERE job_id = ? ORDER BY at, code, message",
-        )
-        .bind(job)
-        .fetch_all(&self.pool)
-        .await?;
-        rows.iter()
-            .map(|row| {
-                Ok(WarningRow {
-                    code: row.try_get("code")?,
-                    message: row.try_get("message")?,
                 })
             })
             .collect()

@@ -26,6 +26,11 @@ fn a_job_goes_from_upload_to_results() {
     assert_eq!(done["name"], "a <b>walk</b>");
     assert_eq!(done["warnings"][0]["code"], "low_confidence");
     assert_eq!(done["options"]["seed"], 7);
+    let page = server.get("/v1/jobs", &[]).expect(200).json();
+    assert_eq!(
+        page["jobs"][0], done,
+        "a page tells of a job what the job does"
+    );
     assert_eq!(
         done["stages"].as_array().expect("stages").len(),
         13,

@@ -1,4 +1,4 @@
-//! Judges an upload with the eyes of the pipeline.
+//! Takes an upload in: looks at it with the eyes of the pipeline, and reports.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -6,10 +6,52 @@ use std::path::{Path, PathBuf};
 use fled_core::capture::{self, Capture, CaptureError, CaptureWarning};
 use fled_core::pipeline::error::ErrorKind;
 
-use crate::http::{CaptureReport, Verdict, Warning};
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
 
 /// The name under which an uploaded zip is stored.
 pub const ARCHIVE: &str = "upload.zip";
+
+/// Verdicts on an upload.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct CaptureReport {
+    /// Number of usable photographs.
+    pub accepted: u32,
+    /// One verdict a file.
+    pub images: Vec<Verdict>,
+    /// What is worth knowing of the capture as a whole.
+    pub warnings: Vec<Warning>,
+}
+
+/// What became of one photograph.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct Verdict {
+    /// Its file name as stored.
+    pub name: String,
+    /// Whether it is used.
+    pub accepted: bool,
+    /// Why not.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub reason: Option<String>,
+    /// Pixels, upright; 0 where it cannot be read.
+    pub width: usize,
+    /// Pixels, upright; 0 where it cannot be read.
+    pub height: usize,
+    /// Focal length from EXIF, px.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub focal_px: Option<f64>,
+    /// Dark, blurred, a duplicate ...
+    pub warnings: Vec<Warning>,
+}
+
+/// Something the user should know; the work goes on.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+pub struct Warning {
+    /// Stable code.
+    pub code: String,
+    /// One sentence.
+    pub message: String,
+}
 
 /// Why an upload is no capture.
 #[derive(Debug)]
@@ -26,18 +68,18 @@ pub struct Refusal {
     pub report: CaptureReport,
 }
 
-/// Judges what lies in `dir`: an archive alone, or the files of a capture folder. A zip stays a
+/// Looks at what lies in `dir`: an archive alone, or the files of a capture folder. A zip stays a
 /// zip: only inside it do its files have their names.
 ///
 /// # Errors
 /// [`Refusal`] when it is no usable capture.
-pub fn judge(dir: &Path) -> Result<CaptureReport, Box<Refusal>> {
+pub fn examine(dir: &Path) -> Result<CaptureReport, Box<Refusal>> {
     let archive = dir.join(ARCHIVE);
     let opened = if archive.is_file() {
         if dir.read_dir().is_ok_and(|entries| entries.count() > 1) {
             return Err(mixed());
         }
-        let scratch = dir.join(".judged");
+        let scratch = dir.join(".examined");
         let opened = Capture::open(&archive, &scratch);
         match fs::remove_dir_all(&scratch) {
             Err(source) if source.kind() != std::io::ErrorKind::NotFound => {
