@@ -14,7 +14,8 @@ pub fn rows(
 ) -> Vec<ViewScore> {
     let row = |(index, view): (usize, &View)| registered(view, index, comparisons, likenesses);
     let rows = views.iter().enumerate().map(row);
-    rows.chain(unregistered.iter().map(without_pose)).collect()
+    rows.chain(unregistered.iter().map(|name| without_pose(name)))
+        .collect()
 }
 
 fn registered(
@@ -46,9 +47,9 @@ fn registered(
     }
 }
 
-fn without_pose(name: &String) -> ViewScore {
+fn without_pose(name: &str) -> ViewScore {
     ViewScore {
-        name: name.clone(),
+        name: name.to_owned(),
         registered: false,
         split: None,
         reference: None,
