@@ -187,7 +187,9 @@ async fn camera(output: &RunFolder, query: &RenderQuery) -> Result<NamedCamera, 
         width: query.width,
         height: query.height,
     };
-    let camera = viewpoint.camera(&cameras, size).map_err(no_viewpoint)?;
+    let camera = viewpoint
+        .camera(&cameras, size)
+        .map_err(|error| no_viewpoint(&error))?;
     Ok(NamedCamera::new("", &camera, Split::Train))
 }
 
@@ -209,7 +211,7 @@ impl RenderQuery {
     }
 }
 
-fn no_viewpoint(error: ViewpointError) -> Problem {
+fn no_viewpoint(error: &ViewpointError) -> Problem {
     match error {
         ViewpointError::UnknownView { .. } => Problem::not_found("view"),
         ViewpointError::NoOrbit => {
