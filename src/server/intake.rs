@@ -4,7 +4,6 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use fled_core::capture::{self, Capture, CaptureError, CaptureWarning};
-use fled_core::pipeline::error::ErrorKind;
 
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
@@ -12,20 +11,20 @@ use utoipa::ToSchema;
 /// The name under which an uploaded zip is stored.
 pub const ARCHIVE: &str = "upload.zip";
 
-/// Verdicts on an upload.
+/// Assessments of an upload.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct CaptureReport {
     /// Number of usable photographs.
     pub accepted: u32,
-    /// One verdict a file.
-    pub images: Vec<Verdict>,
+    /// One assessment a file.
+    pub images: Vec<Assessment>,
     /// What is worth knowing of the capture as a whole.
     pub warnings: Vec<Warning>,
 }
 
 /// What became of one photograph.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
-pub struct Verdict {
+pub struct Assessment {
     /// Its file name as stored.
     pub name: String,
     /// Whether it is used.
@@ -64,7 +63,7 @@ pub struct Refusal {
     pub unsupported_format: bool,
     /// Whether the machine is at fault and not the upload.
     pub is_ours: bool,
-    /// The verdicts, as far as they go.
+    /// The assessments, as far as they go.
     pub report: CaptureReport,
 }
 
@@ -99,7 +98,7 @@ pub fn examine(dir: &Path) -> Result<CaptureReport, Box<Refusal>> {
     let capture = opened.map_err(|error| refuse(dir, error))?;
     Ok(CaptureReport {
         accepted: u32::try_from(capture.views.len()).unwrap_or(u32::MAX),
-        images: capture.verdicts.into_iter().map(verdict).collect(),
+        images: capture.assessments.into_iter().map(assessment).collect(),
         warnings: capture.warnings.into_iter().map(warning).collect(),
     })
 }
@@ -128,26 +127,31 @@ fn refuse(dir: &Path, error: CaptureError) -> Box<Refusal> {
         .replace(&archive, "the upload")
         .replace(&dir.display().to_string(), "the upload");
     let hint = error.hint().to_owned();
-    let is_ours = error.kind() == ErrorKind::Io;
-    let (accepted, verdicts) = match error {
-        CaptureError::TooFew { accepted, verdicts } => (accepted, verdicts),
+    let is_ours = error.is_of_the_machine();
+    let (accepted, assessments) = match error {
+        CaptureError::TooFew {
+            accepted,
+            assessments,
+        } => (accepted, assessments),
         _ => (0, Vec::new()),
     };
     Box::new(Refusal {
         detail,
         hint,
-        unsupported_format: verdicts.iter().any(|verdict| verdict.unsupported_format),
+        unsupported_format: assessments
+            .iter()
+            .any(|assessment| assessment.unsupported_format),
         is_ours,
         report: CaptureReport {
             accepted: u32::try_from(accepted).unwrap_or(u32::MAX),
-            images: verdicts.into_iter().map(verdict).collect(),
+            images: assessments.into_iter().map(assessment).collect(),
             warnings: Vec::new(),
         },
     })
 }
 
-fn verdict(of: capture::Verdict) -> Verdict {
-    Verdict {
+fn assessment(of: capture::Assessment) -> Assessment {
+    Assessment {
         name: of.name,
         accepted: of.accepted,
         reason: of.reason,

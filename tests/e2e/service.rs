@@ -395,7 +395,9 @@ fn a_capture_of_black_pictures_is_refused_with_a_reason_for_each() {
                 .is_some_and(|hint| !hint.is_empty()),
             "{problem}"
         );
-        let images = problem["capture"]["images"].as_array().expect("verdicts");
+        let images = problem["capture"]["images"]
+            .as_array()
+            .expect("assessments");
         let black = |image: &&Value| {
             image["accepted"] == false
                 && image["reason"]

@@ -14,8 +14,8 @@ use zip::result::ZipError;
 
 use crate::image::{MAX_FILE_BYTES, named_like_a_photograph};
 
-use super::CaptureError;
-use super::entries::{Entry, MAX_FILES, is_hidden};
+use super::entries::{Entry, is_hidden};
+use super::error::{ArchiveFault, CaptureError, MAX_FILES};
 
 /// Most bytes of all files of an archive together, unpacked.
 pub const MAX_ARCHIVE_BYTES: u64 = 8 << 30;
@@ -38,32 +38,6 @@ const POSE_FILES: [&str; 8] = [
     "transforms.json",
     "poses_bounds.npy",
 ];
-
-/// Why an archive is refused, and the entry at fault where there is one.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{}{reason}", entry.as_ref().map(|name| format!("{name:?}: ")).unwrap_or_default())]
-pub struct ArchiveFault {
-    /// The entry's name as packed.
-    pub entry: Option<String>,
-    /// What is wrong.
-    pub reason: String,
-}
-
-impl ArchiveFault {
-    fn whole(reason: impl Into<String>) -> Self {
-        Self {
-            entry: None,
-            reason: reason.into(),
-        }
-    }
-
-    fn of(entry: &str, reason: impl Into<String>) -> Self {
-        Self {
-            entry: Some(entry.to_owned()),
-            reason: reason.into(),
-        }
-    }
-}
 
 /// Whether a file starts as a zip does.
 pub(super) fn is_zip(path: &Path) -> io::Result<bool> {

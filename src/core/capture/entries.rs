@@ -4,10 +4,7 @@ use std::cmp::Ordering;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use super::CaptureError;
-
-/// Most files of a capture that are looked at.
-pub const MAX_FILES: usize = 20_000;
+use super::error::{CaptureError, MAX_FILES};
 
 /// Folders within folders that are looked through: `wrapper/sparse/0` and one to spare.
 const MAX_DEPTH: usize = 4;

@@ -6,8 +6,8 @@ use std::path::{Path, PathBuf};
 
 use crate::image::named_like_a_photograph;
 
-use super::CaptureError;
 use super::entries::{Entry, natural};
+use super::error::CaptureError;
 
 /// Folders that mean something; none of them is a wrapper around the capture.
 const KNOWN_FOLDERS: [&str; 5] = ["images", "gt", "hl", "sparse", "sparse_gt"];
@@ -133,7 +133,8 @@ fn strip_wrappers(entries: &mut [Entry]) {
     }
 }
 
-/// Poses and their files. `sparse_gt/` is not looked at: it judges poses, it does not give them.
+/// Poses and their files. `sparse_gt/` is not looked at: poses are measured against it, it gives
+/// none.
 fn find_poses(entries: &[Entry]) -> (Option<GivenPosesFile>, Vec<Entry>) {
     let at = |path: &str| {
         entries

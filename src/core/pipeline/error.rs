@@ -186,7 +186,8 @@ impl PipelineError {
     pub fn kind(&self) -> ErrorKind {
         match self {
             Self::Options(_) | Self::Photograph { .. } => ErrorKind::BadInput,
-            Self::Capture(error) => error.kind(),
+            Self::Capture(error) if error.is_of_the_machine() => ErrorKind::Io,
+            Self::Capture(_) => ErrorKind::BadInput,
             Self::TooFewViews { .. } => ErrorKind::FewPoses,
             Self::Poses(error) => poses_kind(error),
             Self::Deblur(error) => deblur_kind(error),

@@ -37,7 +37,7 @@ pub struct ListQuery {
     request_body(content_type = "multipart/form-data", content = String,
         description = "`images`: photographs or one zip; `gt`: ground truth with the same names; `poses`: transforms.json, poses_bounds.npy or a COLMAP model; `name`"),
     responses(
-        (status = 200, description = "The verdicts of a dry run", body = Capture),
+        (status = 200, description = "The assessments of a dry run", body = Capture),
         (status = 201, description = "Stored, on disk", body = Capture),
         (status = 422, description = "Too few usable photographs", body = Problem, content_type = "application/problem+json"),
         (status = 507, description = "The disk is full", body = Problem, content_type = "application/problem+json")))]
@@ -100,7 +100,7 @@ pub async fn list(
     }))
 }
 
-/// Shows a capture and its verdicts.
+/// Shows a capture and its assessments.
 #[utoipa::path(get, path = "/v1/captures/{id}", tag = "captures", params(("id" = String, Path)),
     responses(
         (status = 200, description = "The capture", body = Capture),

@@ -32,7 +32,7 @@ pub struct Problem {
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(value_type = Option<String>)]
     pointer: Option<Box<str>>,
-    /// Verdicts on the uploaded files, where an upload was refused.
+    /// Assessments of the uploaded files, where an upload was refused.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(value_type = Option<Object>)]
     capture: Option<Box<Value>>,
@@ -67,7 +67,7 @@ impl Problem {
         self
     }
 
-    /// The verdicts on an upload.
+    /// The assessments of an upload.
     #[must_use]
     pub fn capture(mut self, capture: Value) -> Self {
         self.capture = Some(Box::new(capture));
@@ -118,7 +118,10 @@ impl IntoResponse for Problem {
 impl From<ServerError> for Problem {
     fn from(error: ServerError) -> Self {
         tracing::error!(%error, "a request failed");
-        let full = matches!(&error, ServerError::Io { source, .. } if source.kind() == std::io::ErrorKind::StorageFull);
+        let full = matches!(
+            &error,
+            ServerError::Io { source, .. } if source.kind() == std::io::ErrorKind::StorageFull
+        );
         if full { disk_full() } else { Self::internal() }
     }
 }

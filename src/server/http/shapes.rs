@@ -8,7 +8,7 @@ use crate::intake::{CaptureReport, Warning};
 use crate::jobs::state::JobState;
 use crate::store::{CaptureRow, ToldJob};
 
-/// A capture as answered: its verdicts and how many photographs can be used.
+/// A capture as answered: its assessments and how many photographs can be used.
 #[derive(Clone, Debug, Serialize, ToSchema)]
 pub struct Capture {
     /// UUID v7; absent on a dry run.
@@ -37,7 +37,7 @@ impl Capture {
     /// From its row.
     pub fn from_row(row: CaptureRow) -> Self {
         let report = serde_json::from_value(row.report).unwrap_or_else(|error| {
-            tracing::error!(%error, capture = row.id, "its verdicts are damaged");
+            tracing::error!(%error, capture = row.id, "its assessments are damaged");
             CaptureReport {
                 accepted: row.accepted,
                 ..CaptureReport::default()

@@ -86,7 +86,7 @@ impl Upload {
     /// Judges the files; the photographs that cannot be used stay listed with the reason.
     ///
     /// # Errors
-    /// 422 with the verdicts when too few photographs can be used.
+    /// 422 with the assessments when too few photographs can be used.
     pub async fn examine(&self) -> Result<CaptureReport, Problem> {
         if self.files == 0 {
             return Err(

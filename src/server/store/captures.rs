@@ -15,7 +15,7 @@ pub struct CaptureRow {
     pub name: String,
     /// Number of usable photographs.
     pub accepted: u32,
-    /// The verdicts, as answered.
+    /// The assessments, as answered.
     pub report: serde_json::Value,
     /// Milliseconds since 1970.
     pub created_at: i64,

@@ -15,7 +15,7 @@ fn bad_files_are_listed_and_the_rest_goes_on_until_too_few_remain() {
         .expect(201)
         .json();
     assert_eq!(reply["accepted"], 3);
-    let images = reply["images"].as_array().expect("verdicts");
+    let images = reply["images"].as_array().expect("assessments");
     let broken = images
         .iter()
         .find(|image| image["name"] == "broken.jpg")

@@ -8,10 +8,13 @@ use crate::image::{Header, Image, ImageError, Srgb, read_header, srgb_to_linear}
 
 use super::entries::Entry;
 use super::layout::Layout;
-use super::{CaptureView, CaptureWarning, FEW_VIEWS, Verdict};
+use super::photograph::{Assessment, CaptureView, CaptureWarning};
 
-/// Long side at which photographs are judged, px: decoding dominates, so small is enough.
-const JUDGED_SIDE: usize = 320;
+/// Below this many a capture is accepted with a warning.
+pub const FEW_VIEWS: usize = 12;
+
+/// Long side at which photographs are assessed, px: decoding dominates, so small is enough.
+const ASSESSED_SIDE: usize = 320;
 
 /// Photographs decoded at a time: each holds its full size in 8 or 16 bit, so this bounds memory.
 const DECODED_AT_ONCE: usize = 2;
@@ -29,9 +32,9 @@ const BLURRED_SHARE: f32 = 0.35;
 const LONGEST_NAME: usize = 40;
 
 /// The outcome for the whole capture.
-pub(super) struct Judged {
+pub(super) struct Assessed {
     pub(super) views: Vec<CaptureView>,
-    pub(super) verdicts: Vec<Verdict>,
+    pub(super) assessments: Vec<Assessment>,
     pub(super) warnings: Vec<CaptureWarning>,
 }
 
@@ -45,13 +48,13 @@ struct Seen {
     sharpness: f32,
 }
 
-/// Judges every photograph, then the capture.
-pub(super) fn judge(layout: &Layout) -> Judged {
+/// Assesses every photograph, then the capture.
+pub(super) fn assess(layout: &Layout) -> Assessed {
     let seen = look_at_all(&layout.photographs);
     let typical = median(seen.iter().flatten().map(|seen| seen.sharpness).collect());
-    let mut judged = Judged {
+    let mut assessed = Assessed {
         views: Vec::new(),
-        verdicts: Vec::new(),
+        assessments: Vec::new(),
         warnings: Vec::new(),
     };
     let (mut pictures, mut names) = (HashMap::new(), HashSet::new());
@@ -64,14 +67,14 @@ pub(super) fn judge(layout: &Layout) -> Judged {
             Ok(seen) => {
                 let warnings = seen.warnings(typical);
                 let name = own_name(entry.stem(), &mut names);
-                judged.accept(entry, &seen.header, name, warnings);
+                assessed.accept(entry, &seen.header, name, warnings);
             }
-            Err(fault) => judged.verdicts.push(fault.verdict(entry)),
+            Err(fault) => assessed.assessments.push(fault.assessment(entry)),
         }
     }
-    judged.attach_ground_truth(&layout.ground_truth);
-    judged.warn_of_the_whole();
-    judged
+    assessed.attach_ground_truth(&layout.ground_truth);
+    assessed.warn_of_the_whole();
+    assessed
 }
 
 fn look_at_all(photographs: &[Entry]) -> Vec<Result<Seen, Fault>> {
@@ -106,8 +109,8 @@ impl Fault {
         }
     }
 
-    fn verdict(self, entry: &Entry) -> Verdict {
-        Verdict {
+    fn assessment(self, entry: &Entry) -> Assessment {
+        Assessment {
             name: entry.name().to_owned(),
             accepted: false,
             reason: Some(self.reason),
@@ -148,7 +151,7 @@ fn look_at(entry: &Entry) -> Result<Seen, Fault> {
             header.width, header.height
         ));
     }
-    let small = match Image::load_at_most(&entry.file, JUDGED_SIDE) {
+    let small = match Image::load_at_most(&entry.file, ASSESSED_SIDE) {
         Ok(small) => small,
         Err(error) => {
             return Err(Fault {
@@ -233,7 +236,7 @@ impl Seen {
     }
 }
 
-impl Judged {
+impl Assessed {
     fn accept(
         &mut self,
         entry: &Entry,
@@ -246,7 +249,7 @@ impl Judged {
             height,
             focal_px,
         } = header;
-        self.verdicts.push(Verdict {
+        self.assessments.push(Assessment {
             name: entry.name().to_owned(),
             accepted: true,
             reason: None,
@@ -309,7 +312,8 @@ impl Judged {
                 "few",
                 format!(
                     "{count} photographs are few: 20 to 60 give a much better scene, and below \
-                         {FEW_VIEWS} none is held out for the measurements unless `held_out` asks for it"
+                     {FEW_VIEWS} none is held out for the measurements unless `held_out` asks \
+                     for it"
                 ),
             ));
         }
@@ -339,7 +343,7 @@ fn is_truth_of(view: &CaptureView, entry: &Entry) -> bool {
         let ratio = (header.width * view.height) as f64 / (header.height * view.width) as f64;
         (ratio - 1.0).abs() < 0.01
     });
-    fits && Image::load_at_most(&entry.file, JUDGED_SIDE).is_ok()
+    fits && Image::load_at_most(&entry.file, ASSESSED_SIDE).is_ok()
 }
 
 /// Our own name for a view: the stem with everything else than letters, digits, `-` and `_`
@@ -394,7 +398,8 @@ mod tests {
                 let name = own_name(stem, &mut taken);
                 prop_assert!((1..=LONGEST_NAME).contains(&name.len()));
                 prop_assert!(name.starts_with(|c: char| c.is_ascii_alphanumeric()));
-                prop_assert!(name.chars().all(|c| c.is_ascii_alphanumeric() || c == '-' || c == '_'));
+                let safe = |c: char| c.is_ascii_alphanumeric() || c == '-' || c == '_';
+                prop_assert!(name.chars().all(safe));
             }
             prop_assert_eq!(taken.len(), stems.len());
         }

@@ -1,0 +1,116 @@
+//! Why a capture or an archive is refused.
+
+use std::path::{Path, PathBuf};
+
+use super::photograph::Assessment;
+
+/// Most files of a capture that are looked at.
+pub const MAX_FILES: usize = 20_000;
+
+/// Fewer usable photographs than this are refused: two fix no scene.
+pub const MIN_VIEWS: usize = 3;
+
+/// Why a capture cannot be worked on.
+#[derive(Debug, thiserror::Error)]
+pub enum CaptureError {
+    /// The path is neither a folder nor a zip.
+    #[error("{} is neither a folder of photographs nor a zip", path.display())]
+    NotACapture {
+        /// The path.
+        path: PathBuf,
+    },
+    /// The zip is refused.
+    #[error("the zip is refused: {0}")]
+    Archive(#[from] ArchiveFault),
+    /// There are more files than are taken.
+    #[error("more than {MAX_FILES} files")]
+    TooManyFiles,
+    /// Too few photographs can be used.
+    #[error("{}", too_few(*accepted, assessments))]
+    TooFew {
+        /// How many can be used.
+        accepted: usize,
+        /// What became of each file.
+        assessments: Vec<Assessment>,
+    },
+    /// The file system failed.
+    #[error("{}: {source}", path.display())]
+    Io {
+        /// Where.
+        path: PathBuf,
+        /// What it said.
+        source: std::io::Error,
+    },
+}
+
+impl CaptureError {
+    /// Whether the machine is at fault, not the capture.
+    pub fn is_of_the_machine(&self) -> bool {
+        matches!(self, Self::Io { source, .. } if source.kind() != std::io::ErrorKind::NotFound)
+    }
+
+    /// What to do about it.
+    pub fn hint(&self) -> &'static str {
+        match self {
+            Self::NotACapture { .. } => {
+                "give a folder with JPEG, PNG, WebP or TIFF photographs, or a zip of one"
+            }
+            Self::Archive(_) => {
+                "zip the folder of photographs anew, without encryption, links or odd paths"
+            }
+            Self::TooManyFiles => "leave out what is not a photograph, or every second photograph",
+            Self::TooFew { .. } => {
+                "upload 20 to 60 overlapping photographs of one unmoving scene, each from another place"
+            }
+            Self::Io { .. } => {
+                "check that the path exists, can be read, and that the disk is not full"
+            }
+        }
+    }
+
+    pub(super) fn io(path: &Path) -> impl FnOnce(std::io::Error) -> Self {
+        let path = path.to_owned();
+        move |source| Self::Io { path, source }
+    }
+}
+
+/// The sentence of [`CaptureError::TooFew`], with the first reasons.
+fn too_few(accepted: usize, assessments: &[Assessment]) -> String {
+    let mut text = format!(
+        "{accepted} of {} photographs can be used, at least {MIN_VIEWS} are needed",
+        assessments.len()
+    );
+    let rejected = assessments
+        .iter()
+        .filter_map(|v| v.reason.as_ref().map(|reason| (&v.name, reason)));
+    for (name, reason) in rejected.take(3) {
+        text.push_str(&format!("; {name}: {reason}"));
+    }
+    text
+}
+
+/// Why an archive is refused, and the entry at fault where there is one.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{}{reason}", entry.as_ref().map(|name| format!("{name:?}: ")).unwrap_or_default())]
+pub struct ArchiveFault {
+    /// The entry's name as packed.
+    pub entry: Option<String>,
+    /// What is wrong.
+    pub reason: String,
+}
+
+impl ArchiveFault {
+    pub(super) fn whole(reason: impl Into<String>) -> Self {
+        Self {
+            entry: None,
+            reason: reason.into(),
+        }
+    }
+
+    pub(super) fn of(entry: &str, reason: impl Into<String>) -> Self {
+        Self {
+            entry: Some(entry.to_owned()),
+            reason: reason.into(),
+        }
+    }
+}

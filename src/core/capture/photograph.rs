@@ -1,0 +1,66 @@
+//! A photograph of a capture, and what became of it.
+
+use std::path::PathBuf;
+
+use serde::{Deserialize, Serialize};
+
+/// One accepted photograph.
+#[derive(Clone, Debug, PartialEq)]
+pub struct CaptureView {
+    /// Our own name: letters, digits, `-`, `_`, at most 40, unique also where case is ignored.
+    pub name: String,
+    /// The file's name as uploaded; what given poses call it. Never a path of ours.
+    pub original_name: String,
+    /// Where it lies.
+    pub file: PathBuf,
+    /// Width of the upright photograph, px.
+    pub width: usize,
+    /// Height of the upright photograph, px.
+    pub height: usize,
+    /// Focal length in px, from EXIF.
+    pub focal_px: Option<f64>,
+    /// Its sharp ground truth.
+    pub gt: Option<PathBuf>,
+}
+
+/// What became of one file.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Assessment {
+    /// The name as uploaded.
+    pub name: String,
+    /// Whether it is used.
+    pub accepted: bool,
+    /// Why not.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub reason: Option<String>,
+    /// Whether its format is known but not read (HEIC, raw): HTTP 415 rather than 422.
+    #[serde(default, skip)]
+    pub unsupported_format: bool,
+    /// Width of the upright photograph, px; 0 when it could not be read.
+    pub width: usize,
+    /// Height of the upright photograph, px; 0 when it could not be read.
+    pub height: usize,
+    /// Focal length in px, from EXIF.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub focal_px: Option<f64>,
+    /// What the user should know about it.
+    pub warnings: Vec<CaptureWarning>,
+}
+
+/// Something worth knowing that does not stop the work.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct CaptureWarning {
+    /// Stable snake_case code: `dark`, `blurred`, `mixed_sizes`, `few`, `gt_size`, `gt_missing`.
+    pub code: String,
+    /// One sentence, with figures.
+    pub message: String,
+}
+
+impl CaptureWarning {
+    pub(super) fn new(code: &str, message: impl Into<String>) -> Self {
+        Self {
+            code: code.to_owned(),
+            message: message.into(),
+        }
+    }
+}

@@ -1,0 +1,143 @@
+//! Zips, good and hostile.
+
+use super::*;
+
+#[test]
+fn a_zip_is_the_capture_that_its_folder_is() {
+    let names = [
+        "fox/images/1.jpg",
+        "fox/images/2.jpg",
+        "fox/images/3.jpg",
+        "fox/gt/1.png",
+        "fox/transforms.json",
+    ];
+    let files: Vec<(&str, Vec<u8>)> = names
+        .iter()
+        .enumerate()
+        .map(|(i, name)| (*name, jpeg(i)))
+        .collect();
+    let bytes = zipped(&|writer| {
+        files
+            .iter()
+            .for_each(|(name, bytes)| add(writer, name, bytes));
+    });
+    let (outcome, left) = open_zip(&bytes);
+    let (from_zip, from_folder) = (
+        outcome.expect("a capture"),
+        open_folder(&files).expect("a capture"),
+    );
+    assert_eq!(from_zip.fingerprint, from_folder.fingerprint);
+    assert_eq!(from_zip.assessments, from_folder.assessments);
+    assert!(from_zip.views[0].gt.is_some() && from_zip.poses.is_some());
+    assert_eq!(left.len(), 1 + names.len());
+    let mut other = files.clone();
+    other[0].1 = jpeg(77);
+    assert_ne!(
+        open_folder(&other).expect("a capture").fingerprint,
+        from_folder.fingerprint
+    );
+}
+
+#[test]
+fn hostile_zips_are_refused_by_name_and_leave_nothing_behind() {
+    let good = |writer: &mut ZipWriter<Cursor<Vec<u8>>>| {
+        (0..3).for_each(|i| add(writer, &format!("{i}.jpg"), &jpeg(i)));
+    };
+    // The writer refuses some of these names itself, so they are put in afterwards.
+    let renamed = |placeholder: &str, name: &str| {
+        let bytes = zipped(&|writer| {
+            good(writer);
+            add(writer, placeholder, &jpeg(9));
+        });
+        replace(&bytes, placeholder.as_bytes(), name.as_bytes())
+    };
+    let linked = zipped(&|writer| {
+        good(writer);
+        writer
+            .add_symlink("link.jpg", "/etc/passwd", SimpleFileOptions::default())
+            .expect("packed");
+    });
+    let zeros = zipped(&|writer| {
+        good(writer);
+        add(writer, "zeros.jpg", &vec![0; 64 << 20]);
+    });
+    let nested = zipped(&|writer| {
+        good(writer);
+        add(writer, "inner.zip", b"PK");
+    });
+    let cases: [(&str, Vec<u8>, &str); 8] = [
+        (
+            "../evil.jpg",
+            renamed("aa/evil.jpg", "../evil.jpg"),
+            "leads out",
+        ),
+        (
+            "/ab/evil.jpg",
+            renamed("aab/evil.jpg", "/ab/evil.jpg"),
+            "absolute",
+        ),
+        (
+            "C:/evil.jpg",
+            renamed("aa/evil.jpg", "C:/evil.jpg"),
+            "absolute",
+        ),
+        ("link.jpg", linked, "link"),
+        ("zeros.jpg", zeros, "shrunk"),
+        ("inner.zip", nested, "archive inside"),
+        ("", renamed("a.jpg", "1.jpg"), "same name"),
+        ("", zipped(&good)[..300].to_vec(), "cut short"),
+    ];
+    for (entry, bytes, reason) in cases {
+        let (outcome, left) = open_zip(&bytes);
+        let error = outcome.expect_err(entry);
+        assert!(
+            error.to_string().contains(entry) && error.to_string().contains(reason),
+            "{entry}: {error}"
+        );
+        assert!(!error.is_of_the_machine());
+        assert_eq!(
+            left,
+            [PathBuf::from("capture.zip")],
+            "{entry} left something"
+        );
+    }
+}
+
+#[test]
+fn encrypted_and_corrupt_entries_are_refused_and_removed() {
+    let mut bytes =
+        zipped(&|writer| (0..3).for_each(|i| add(writer, &format!("{i}.jpg"), &jpeg(i))));
+    let whole = bytes.clone();
+    // Bit 0 of the flags, at 8 in each central header.
+    let at = find(&bytes, b"PK\x01\x02").expect("a central header");
+    bytes[at + 8] |= 1;
+    let (outcome, left) = open_zip(&bytes);
+    assert!(
+        outcome
+            .expect_err("encrypted")
+            .to_string()
+            .contains("0.jpg")
+    );
+    assert_eq!(left.len(), 1);
+    let mut bytes = whole;
+    bytes[60] ^= 0x55;
+    let (outcome, left) = open_zip(&bytes);
+    assert!(outcome.expect_err("corrupt").to_string().contains("0.jpg"));
+    assert_eq!(left.len(), 1);
+}
+
+fn find(bytes: &[u8], pattern: &[u8]) -> Option<usize> {
+    bytes
+        .windows(pattern.len())
+        .position(|window| window == pattern)
+}
+
+/// Replaces a name of equal length everywhere.
+fn replace(bytes: &[u8], from: &[u8], to: &[u8]) -> Vec<u8> {
+    assert_eq!(from.len(), to.len(), "names of equal length");
+    let mut bytes = bytes.to_vec();
+    while let Some(at) = find(&bytes, from) {
+        bytes[at..at + from.len()].copy_from_slice(to);
+    }
+    bytes
+}
