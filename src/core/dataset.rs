@@ -2,11 +2,14 @@
 //! `poses_bounds.npy`.
 
 mod frusta;
+mod given_view;
 mod transforms;
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
+
+use given_view::{GivenView, stem};
 
 use crate::camera::Camera;
 use crate::cancel::CancelToken;
@@ -47,15 +50,6 @@ enum Format {
     Model,
     Transforms,
     PosesBounds,
-}
-
-/// A pose with the lens it was given with.
-#[derive(Clone, Copy, Debug, PartialEq)]
-struct GivenView {
-    lens: Lens,
-    world_to_camera: glam::DMat4,
-    /// Nearest and farthest depth, where the format tells.
-    bounds: Option<(f64, f64)>,
 }
 
 /// What a format holds.
@@ -304,13 +298,6 @@ fn from_model(model: &SparseModel) -> Given {
         mean_error: model.mean_error(),
         mean_track: model.mean_track(),
     }
-}
-
-/// A file's name without folder and extension.
-fn stem(file: &Path) -> String {
-    file.file_stem()
-        .map(|stem| stem.to_string_lossy().into_owned())
-        .unwrap_or_default()
 }
 
 #[cfg(test)]

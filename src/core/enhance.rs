@@ -9,9 +9,9 @@ mod anchors;
 mod curve;
 mod evolution;
 mod matching;
+mod target;
 
-pub use anchors::{
-    AUTO_MEAN_V, Anchor, MAX_ALPHA, MIN_GAMMA, TargetError, anchors, resolve_target,
-};
+pub use anchors::{Anchor, MAX_ALPHA, MIN_GAMMA, TargetError, anchors};
 pub use curve::{BINS, Histogram, ToneCurve};
 pub use matching::{Match, match_anchor, spread_indices};
+pub use target::{AUTO_MEAN_V, resolve_target};

@@ -12,7 +12,7 @@ mod texture;
 
 use std::path::{Path, PathBuf};
 
-use glam::{DVec2, DVec3};
+use glam::DVec2;
 use rand::SeedableRng;
 use rand_pcg::Pcg64Mcg;
 use rayon::prelude::*;
@@ -272,9 +272,6 @@ fn spread_offsets(count: usize) -> Vec<DVec2> {
     let mean = places.iter().sum::<DVec2>() / count.max(1) as f64;
     places.iter().map(|p| *p - mean + 0.5).collect()
 }
-
-/// The world direction that points down in level images.
-const DOWN: DVec3 = DVec3::Y;
 
 #[cfg(test)]
 mod tests;

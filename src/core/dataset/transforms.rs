@@ -7,7 +7,7 @@ use std::path::Path;
 use glam::{DMat4, DVec3, DVec4};
 use serde::Deserialize;
 
-use super::{GivenView, stem};
+use super::given_view::{GivenView, stem};
 use crate::camera::Intrinsics;
 use crate::poses::{Distortion, Lens, PosesError};
 

@@ -209,11 +209,13 @@ mod tests {
     proptest! {
         #[test]
         fn an_area_average_keeps_the_mean_and_the_range(
-            width in 1usize..40, height in 1usize..40, to_width in 1usize..50, to_height in 1usize..50,
+            width in 1usize..40, height in 1usize..40,
+            to_width in 1usize..50, to_height in 1usize..50,
         ) {
             let image = ramp(width, height);
             let resized = image.resize_area(to_width, to_height);
-            let mean = |image: &Image<Srgb>| image.plane(0).iter().sum::<f32>() / image.pixels() as f32;
+            let sum = |image: &Image<Srgb>| image.plane(0).iter().sum::<f32>();
+            let mean = |image: &Image<Srgb>| sum(image) / image.pixels() as f32;
             prop_assert!((mean(&image) - mean(&resized)).abs() < 1e-4);
             prop_assert!(resized.data().iter().all(|v| (-1e-5..=1.00001).contains(v)));
         }

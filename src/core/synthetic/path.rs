@@ -6,8 +6,10 @@ use glam::{DQuat, DVec2, DVec3};
 use rand::{Rng, RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 
-use super::DOWN;
 use crate::camera::{Camera, Intrinsics};
+
+/// The world direction that points down in level images.
+const DOWN: DVec3 = DVec3::Y;
 
 /// Views along one closed, wavy loop before the scene, all looking near its middle: neighbours
 /// overlap widely, no two cameras see the same things from one place, and every view has neighbours

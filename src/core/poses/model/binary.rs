@@ -2,7 +2,8 @@
 
 use std::path::Path;
 
-use super::{CameraModel, ModelCamera, ModelImage, ModelPoint, SparseModel};
+use super::camera::{CameraModel, ModelCamera};
+use super::rows::{ModelImage, ModelPoint, SparseModel};
 use crate::poses::PosesError;
 
 /// What COLMAP writes where a keypoint belongs to no point.

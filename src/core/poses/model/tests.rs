@@ -1,6 +1,9 @@
 use proptest::prelude::*;
 
+use glam::{DQuat, DVec3};
+
 use super::*;
+use crate::camera::{Camera, Intrinsics};
 
 fn number() -> impl Strategy<Value = f64> {
     prop_oneof![-1e6..1e6f64, -1e-6..1e-6f64]
@@ -91,7 +94,11 @@ proptest! {
     }
 
     #[test]
-    fn a_binary_file_cut_anywhere_is_an_error_and_never_a_panic(model in model(), cut in 0.0..1.0f64, which in 0..3usize) {
+    fn a_binary_file_cut_anywhere_is_an_error_and_never_a_panic(
+        model in model(),
+        cut in 0.0..1.0f64,
+        which in 0..3usize,
+    ) {
         let dir = tempfile::tempdir().unwrap();
         model.write_binary(dir.path()).unwrap();
         let file = dir.path().join(["cameras.bin", "images.bin", "points3D.bin"][which]);

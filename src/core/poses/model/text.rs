@@ -4,7 +4,8 @@ use std::fmt::Write as _;
 use std::path::Path;
 use std::str::{FromStr, SplitAsciiWhitespace};
 
-use super::{CameraModel, ModelCamera, ModelImage, ModelPoint, SparseModel};
+use super::camera::{CameraModel, ModelCamera};
+use super::rows::{ModelImage, ModelPoint, SparseModel};
 use crate::poses::PosesError;
 
 pub(super) fn read(dir: &Path) -> Result<SparseModel, PosesError> {

@@ -1,0 +1,199 @@
+//! COLMAP's cameras: lenses with sensors.
+
+use crate::camera::Intrinsics;
+use crate::poses::{Distortion, Lens};
+
+/// A row of `cameras`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ModelCamera {
+    /// COLMAP's identifier.
+    pub id: u32,
+    /// The camera model.
+    pub model: CameraModel,
+    /// Image width, px.
+    pub width: usize,
+    /// Image height, px.
+    pub height: usize,
+    /// Parameters in COLMAP's order for the model.
+    pub params: Vec<f64>,
+}
+
+/// COLMAP's camera models that we can undistort.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[expect(missing_docs, reason = "the names are COLMAP's, in CameraModel::NAMES")]
+pub enum CameraModel {
+    SimplePinhole,
+    Pinhole,
+    SimpleRadial,
+    Radial,
+    OpenCv,
+    OpenCvFisheye,
+    FullOpenCv,
+    SimpleRadialFisheye,
+    RadialFisheye,
+}
+
+impl CameraModel {
+    /// Model, COLMAP's number and name, and its count of parameters.
+    pub(super) const NAMES: [(Self, i32, &'static str, usize); 9] = [
+        (Self::SimplePinhole, 0, "SIMPLE_PINHOLE", 3),
+        (Self::Pinhole, 1, "PINHOLE", 4),
+        (Self::SimpleRadial, 2, "SIMPLE_RADIAL", 4),
+        (Self::Radial, 3, "RADIAL", 5),
+        (Self::OpenCv, 4, "OPENCV", 8),
+        (Self::OpenCvFisheye, 5, "OPENCV_FISHEYE", 8),
+        (Self::FullOpenCv, 6, "FULL_OPENCV", 12),
+        (Self::SimpleRadialFisheye, 8, "SIMPLE_RADIAL_FISHEYE", 4),
+        (Self::RadialFisheye, 9, "RADIAL_FISHEYE", 5),
+    ];
+
+    fn row(self) -> (Self, i32, &'static str, usize) {
+        Self::NAMES
+            .into_iter()
+            .find(|row| row.0 == self)
+            .expect("every model has its row")
+    }
+
+    /// COLMAP's name.
+    pub fn name(self) -> &'static str {
+        self.row().2
+    }
+
+    /// How many parameters it has.
+    pub fn parameters(self) -> usize {
+        self.row().3
+    }
+
+    /// The model of this name.
+    pub fn from_name(name: &str) -> Option<Self> {
+        Self::NAMES
+            .into_iter()
+            .find(|row| row.2 == name)
+            .map(|row| row.0)
+    }
+
+    pub(super) fn number(self) -> i32 {
+        self.row().1
+    }
+
+    pub(super) fn from_number(number: i32) -> Option<Self> {
+        Self::NAMES
+            .into_iter()
+            .find(|row| row.1 == number)
+            .map(|row| row.0)
+    }
+}
+
+impl ModelCamera {
+    /// The lens this camera describes.
+    pub fn lens(&self) -> Lens {
+        let p = &self.params;
+        let perspective =
+            |radial: [f64; 6], tangential| Distortion::Perspective { radial, tangential };
+        use CameraModel as M;
+        let (fx, fy, cx, cy, distortion) = match self.model {
+            M::SimplePinhole => (p[0], p[0], p[1], p[2], Distortion::None),
+            M::Pinhole => (p[0], p[1], p[2], p[3], Distortion::None),
+            M::SimpleRadial => (
+                p[0],
+                p[0],
+                p[1],
+                p[2],
+                perspective([p[3], 0.0, 0.0, 0.0, 0.0, 0.0], [0.0; 2]),
+            ),
+            M::Radial => (
+                p[0],
+                p[0],
+                p[1],
+                p[2],
+                perspective([p[3], p[4], 0.0, 0.0, 0.0, 0.0], [0.0; 2]),
+            ),
+            M::OpenCv => (
+                p[0],
+                p[1],
+                p[2],
+                p[3],
+                perspective([p[4], p[5], 0.0, 0.0, 0.0, 0.0], [p[6], p[7]]),
+            ),
+            M::FullOpenCv => {
+                let radial = [p[4], p[5], p[8], p[9], p[10], p[11]];
+                (p[0], p[1], p[2], p[3], perspective(radial, [p[6], p[7]]))
+            }
+            M::OpenCvFisheye => (
+                p[0],
+                p[1],
+                p[2],
+                p[3],
+                Distortion::Fisheye {
+                    radial: [p[4], p[5], p[6], p[7]],
+                },
+            ),
+            M::SimpleRadialFisheye => (
+                p[0],
+                p[0],
+                p[1],
+                p[2],
+                Distortion::Fisheye {
+                    radial: [p[3], 0.0, 0.0, 0.0],
+                },
+            ),
+            M::RadialFisheye => (
+                p[0],
+                p[0],
+                p[1],
+                p[2],
+                Distortion::Fisheye {
+                    radial: [p[3], p[4], 0.0, 0.0],
+                },
+            ),
+        };
+        let intrinsics = Intrinsics {
+            width: self.width,
+            height: self.height,
+            fx,
+            fy,
+            cx,
+            cy,
+        };
+        Lens {
+            intrinsics,
+            distortion,
+        }
+    }
+
+    /// A camera with the lens: PINHOLE, FULL_OPENCV or OPENCV_FISHEYE.
+    pub fn of_lens(id: u32, lens: &Lens) -> Self {
+        let k = &lens.intrinsics;
+        let (model, distortion) = match lens.distortion {
+            Distortion::None => return Self::pinhole(id, k),
+            Distortion::Perspective {
+                radial: [k1, k2, k3, k4, k5, k6],
+                tangential: [p1, p2],
+            } => (
+                CameraModel::FullOpenCv,
+                vec![k1, k2, p1, p2, k3, k4, k5, k6],
+            ),
+            Distortion::Fisheye { radial } => (CameraModel::OpenCvFisheye, radial.to_vec()),
+        };
+        let params = [vec![k.fx, k.fy, k.cx, k.cy], distortion].concat();
+        Self {
+            id,
+            model,
+            width: k.width,
+            height: k.height,
+            params,
+        }
+    }
+
+    /// A PINHOLE camera.
+    pub fn pinhole(id: u32, k: &Intrinsics) -> Self {
+        let params = vec![k.fx, k.fy, k.cx, k.cy];
+        Self {
+            id,
+            model: CameraModel::Pinhole,
+            width: k.width,
+            height: k.height,
+            params,
+        }
+    }
+}

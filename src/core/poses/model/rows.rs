@@ -1,0 +1,153 @@
+//! What a sparse model holds.
+
+use std::path::Path;
+
+use glam::{DMat4, DQuat, DVec3};
+
+use super::camera::ModelCamera;
+use crate::camera::Camera;
+use crate::poses::{PosesError, SparsePoint};
+
+/// A model as it stands in a directory. Order of the files is kept.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct SparseModel {
+    /// Cameras (lenses with sensors), shared by images.
+    pub cameras: Vec<ModelCamera>,
+    /// Registered images.
+    pub images: Vec<ModelImage>,
+    /// Triangulated points.
+    pub points: Vec<ModelPoint>,
+}
+
+/// A row of `images`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ModelImage {
+    /// COLMAP's identifier.
+    pub id: u32,
+    /// World to camera, w x y z.
+    pub rotation: [f64; 4],
+    /// World to camera.
+    pub translation: [f64; 3],
+    /// Which camera.
+    pub camera_id: u32,
+    /// File name relative to the image directory.
+    pub name: String,
+    /// Keypoints: x, y in px and the point they belong to.
+    pub keypoints: Vec<(f64, f64, Option<u64>)>,
+}
+
+/// A row of `points3D`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ModelPoint {
+    /// COLMAP's identifier.
+    pub id: u64,
+    /// World units.
+    pub position: [f64; 3],
+    /// sRGB.
+    pub colour: [u8; 3],
+    /// Mean reprojection error, px.
+    pub error: f64,
+    /// Image identifier and index of the keypoint in it.
+    pub track: Vec<(u32, u32)>,
+}
+
+impl ModelImage {
+    /// Rigid transform from world to camera.
+    pub fn world_to_camera(&self) -> DMat4 {
+        let [w, x, y, z] = self.rotation;
+        let rotation = DQuat::from_xyzw(x, y, z, w).normalize();
+        DMat4::from_rotation_translation(rotation, DVec3::from(self.translation))
+    }
+
+    /// An image without keypoints.
+    pub fn posed(id: u32, camera_id: u32, name: impl Into<String>, camera: &Camera) -> Self {
+        let q = DQuat::from_mat3(&camera.rotation());
+        Self {
+            id,
+            rotation: [q.w, q.x, q.y, q.z],
+            translation: camera.translation().to_array(),
+            camera_id,
+            name: name.into(),
+            keypoints: Vec::new(),
+        }
+    }
+}
+
+impl SparseModel {
+    /// The camera of an image.
+    pub fn camera_of(&self, image: &ModelImage) -> &ModelCamera {
+        let camera = self
+            .cameras
+            .iter()
+            .find(|camera| camera.id == image.camera_id);
+        camera.expect("checked when the model was read")
+    }
+
+    /// Observations (members of tracks) over all points.
+    pub fn observations(&self) -> usize {
+        self.points.iter().map(|point| point.track.len()).sum()
+    }
+
+    /// Mean number of images that see a point; `None` without points.
+    pub fn mean_track(&self) -> Option<f64> {
+        (!self.points.is_empty()).then(|| self.observations() as f64 / self.points.len() as f64)
+    }
+
+    /// Mean of the points' reprojection errors, px; `None` without points.
+    pub fn mean_error(&self) -> Option<f64> {
+        let sum: f64 = self.points.iter().map(|point| point.error).sum();
+        (!self.points.is_empty()).then(|| sum / self.points.len() as f64)
+    }
+
+    /// The points as the pipeline wants them.
+    pub fn sparse_points(&self) -> Vec<SparsePoint> {
+        let point = |p: &ModelPoint| SparsePoint {
+            position: p.position,
+            colour: p.colour,
+            error: p.error.max(0.0),
+            track: p.track.len() as u32,
+        };
+        self.points.iter().map(point).collect()
+    }
+
+    /// Finite numbers, sizes above zero and no dangling camera: what everything after relies on.
+    pub(super) fn check(&self, dir: &Path) -> Result<(), PosesError> {
+        let fault = |reason: String| Err(PosesError::bad_file(dir, reason));
+        for camera in &self.cameras {
+            let sized = camera.width > 0 && camera.height > 0;
+            let focals = camera.lens().intrinsics;
+            if !sized
+                || focals.fx <= 0.0
+                || focals.fy <= 0.0
+                || !camera.params.iter().all(|p| p.is_finite())
+            {
+                return fault(format!("camera {} has no usable intrinsics", camera.id));
+            }
+        }
+        for image in &self.images {
+            if !self
+                .cameras
+                .iter()
+                .any(|camera| camera.id == image.camera_id)
+            {
+                return fault(format!(
+                    "image {} names camera {}, which is not there",
+                    image.name, image.camera_id
+                ));
+            }
+            let norm: f64 = image.rotation.iter().map(|q| q * q).sum();
+            if !norm.is_finite() || norm < 1e-12 || !image.translation.iter().all(|t| t.is_finite())
+            {
+                return fault(format!("image {} has no usable pose", image.name));
+            }
+        }
+        match self
+            .points
+            .iter()
+            .find(|point| !point.position.iter().all(|v| v.is_finite()))
+        {
+            Some(point) => fault(format!("point {} is not finite", point.id)),
+            None => Ok(()),
+        }
+    }
+}
