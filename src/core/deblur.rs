@@ -5,6 +5,7 @@
 
 mod blend;
 mod by_guide;
+mod choice;
 mod error;
 pub mod golden;
 pub mod manifest;
@@ -16,6 +17,7 @@ mod tiling;
 
 pub use blend::Blend;
 pub use by_guide::ByGuide;
+pub use choice::NetworkChoice;
 pub use error::DeblurError;
 pub use golden::Golden;
 pub use onnx::{Onnx, Provider};
@@ -77,7 +79,7 @@ impl Restorer for Identity {
 
     fn describe(&self) -> RestorerInfo {
         RestorerInfo {
-            id: "identity".to_owned(),
+            id: choice::IDENTITY.to_owned(),
             sha256: String::new(),
             provider: "none".to_owned(),
             channels: 0,

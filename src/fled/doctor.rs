@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use fled_core::colmap::ColmapCli;
 use fled_core::deblur::manifest::{Manifest, Place};
-use fled_core::deblur::{self, DeblurError};
+use fled_core::deblur::{self, DeblurError, NetworkChoice};
 use fled_core::pipeline::error::ErrorKind;
 use fled_gpu::Gpu;
 use serde::Serialize;
@@ -137,7 +137,7 @@ fn checks(args: &Args) -> Vec<Check> {
 /// The default network, opened, and whether the files of the user's own are what they were: no job
 /// need choose them, so they are told and no fault of the machine.
 fn models(open: &deblur::OpenOptions<'_>) -> Result<String, DeblurError> {
-    let opened = deblur::open("default", "same", open)?;
+    let opened = deblur::open(&NetworkChoice::Default, &NetworkChoice::Same, open)?;
     let info = opened.deblurrer.describe();
     let mut found = format!("{} on {}, sha256 {}", info.id, info.provider, info.sha256);
     for fallback in opened.fallbacks {

@@ -6,9 +6,9 @@ use std::path::PathBuf;
 use fled_core::cancel::CancelToken;
 use fled_core::capture::Capture;
 use fled_core::event::{Event, ProgressSink};
+use fled_core::pipeline;
 use fled_core::pipeline::config::{Options, Preset};
 use fled_core::pipeline::workspace::Workspace;
-use fled_core::pipeline::{self, error::ErrorKind};
 
 use crate::failure::{Failure, io};
 use crate::progress::Reporter;
@@ -99,12 +99,6 @@ fn options(args: &Args) -> Result<Options, Failure> {
     }
     for assignment in &args.assignments {
         options = options.with_assignment(assignment)?;
-    }
-    if options.deblur.is_empty() {
-        return Err(Failure::new(
-            ErrorKind::BadInput,
-            "option `deblur` is empty",
-        ));
     }
     Ok(options)
 }

@@ -1,8 +1,13 @@
 //! A network in ONNX Runtime, on CUDA where its library lies beside, else on the CPU.
 
-use ort::ep;
+mod form;
+mod session;
+
 use ort::session::Session;
-use ort::value::{Outlet, TensorElementType, TensorRef, ValueType};
+use ort::value::TensorRef;
+
+use form::Form;
+use session::session;
 
 use crate::deblur::golden::{self, Golden};
 use crate::deblur::manifest::Model;
@@ -11,24 +16,7 @@ use crate::deblur::tiling::{self, Join, Tile};
 use crate::deblur::{DeblurError, Restorer, RestorerInfo, same_size};
 use crate::image::Image;
 
-/// What computes a network.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Provider {
-    /// An NVIDIA GPU.
-    Cuda,
-    /// The processor: the reference.
-    Cpu,
-}
-
-impl Provider {
-    /// As in reports.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Cuda => "cuda",
-            Self::Cpu => "cpu",
-        }
-    }
-}
+pub use session::Provider;
 
 /// A deblurring network with three or six input channels and images of any size.
 pub struct Onnx {
@@ -365,160 +353,6 @@ struct Output {
 impl Output {
     fn row(&self, channel: usize, y: usize, width: usize) -> &[f32] {
         &self.values[(channel * self.height + y) * self.width..][..width]
-    }
-}
-
-fn session(
-    runtime: &Runtime,
-    bytes: &[u8],
-    provider: Provider,
-    alone: bool,
-    threads: usize,
-) -> Result<Session, String> {
-    #[expect(
-        clippy::needless_pass_by_value,
-        reason = "the form that `map_err` calls"
-    )]
-    fn text<R>(error: ort::Error<R>) -> String {
-        error.to_string()
-    }
-    let builder = Session::builder(runtime.environment()).map_err(text)?;
-    // Spinning threads cost 280 instead of 163 ms of CPU a view and starve the GPU's software
-    // driver, which shares the cores.
-    let builder = builder.with_intra_op_spinning(false).map_err(text)?;
-    let mut builder = builder.with_intra_threads(threads).map_err(text)?;
-    if alone {
-        builder = builder.with_disable_cpu_fallback().map_err(text)?;
-    }
-    // Strictly: ort would otherwise go on with the CPU and say nothing.
-    let provider = match provider {
-        // Nor with the 10 bits of mantissa that TF32 keeps: the self-test allows for rounding, not
-        // for that.
-        Provider::Cuda => ep::CUDA::default()
-            .with_tf32(false)
-            .build()
-            .error_on_failure(),
-        Provider::Cpu => ep::CPU::default().build(),
-    };
-    let mut builder = builder.with_execution_providers([provider]).map_err(text)?;
-    builder.commit_from_memory(bytes).map_err(text)
-}
-
-/// What of a file's input and outputs is used.
-struct Form {
-    /// Of the input.
-    channels: u32,
-    /// Which output is the restored view.
-    output: usize,
-}
-
-impl Form {
-    /// By the file, checked against what is known of it, with everything else about the input and
-    /// output that must hold.
-    fn of(session: &Session, model: &Model) -> Result<Self, String> {
-        let (inputs, outputs) = (session.inputs(), session.outputs());
-        let ([input], [_, ..]) = (inputs, outputs) else {
-            let (inputs, outputs) = (inputs.len(), outputs.len());
-            return Err(format!(
-                "it has {inputs} inputs and {outputs} outputs; one image each is expected"
-            ));
-        };
-        if let Some(name) = model.input.as_ref().filter(|name| *name != input.name()) {
-            return Err(format!(
-                "its input is `{}`; `{name}` is asked for by the manifest",
-                input.name()
-            ));
-        }
-        let named = |name: &String| {
-            outputs
-                .iter()
-                .position(|output| output.name() == name)
-                .ok_or_else(|| {
-                    let names: Vec<_> = outputs
-                        .iter()
-                        .map(|output| format!("`{}`", output.name()))
-                        .collect();
-                    format!(
-                        "its outputs are {}; `{name}` is asked for, by the manifest or --output",
-                        names.join(", ")
-                    )
-                })
-        };
-        let output = model
-            .output
-            .as_ref()
-            .map_or_else(|| the_picture(outputs), named)?;
-        let channels = channels(input.dtype(), outputs[output].dtype(), model.channels)?;
-        Ok(Self { channels, output })
-    }
-}
-
-/// The only output that can be a picture; of several the first may well be a map of the light, or
-/// halfway.
-fn the_picture(outputs: &[Outlet]) -> Result<usize, String> {
-    let is_picture =
-        |output: &Outlet| image_shape(output.dtype()).is_ok_and(|shape| matches!(shape[1], 3 | -1));
-    let pictures: Vec<usize> = (0..outputs.len())
-        .filter(|&at| is_picture(&outputs[at]))
-        .collect();
-    if let [_, _, ..] = pictures[..] {
-        let names: Vec<_> = pictures
-            .iter()
-            .map(|&at| format!("`{}`", outputs[at].name()))
-            .collect();
-        return Err(format!(
-            "its outputs {} may each be the restored view: say which by `fled models add FILE --output NAME`",
-            names.join(", ")
-        ));
-    }
-    // None: what is wrong with the first is told.
-    Ok(pictures.first().copied().unwrap_or(0))
-}
-
-/// Input channels by the file, checked against the manifest's.
-fn channels(input: &ValueType, output: &ValueType, expected: Option<u32>) -> Result<u32, String> {
-    let input_shape = image_shape(input).map_err(|detail| format!("its input {detail}"))?;
-    let output_shape = image_shape(output).map_err(|detail| format!("its output {detail}"))?;
-    if !matches!(output_shape[1], 3 | -1) {
-        return Err(format!(
-            "it returns {} channels instead of 3",
-            output_shape[1]
-        ));
-    }
-    if input_shape[2..] != [-1, -1] {
-        return Err(format!(
-            "it takes only images of {}x{} px",
-            input_shape[3], input_shape[2]
-        ));
-    }
-    match (input_shape[1], expected) {
-        (-1, Some(expected)) => Ok(expected),
-        (-1, None) => Err("the file does not say how many channels it takes".to_owned()),
-        (found @ (3 | 6), expected)
-            if expected.is_none_or(|expected| i64::from(expected) == found) =>
-        {
-            Ok(found as u32)
-        }
-        (found, Some(expected)) => Err(format!(
-            "it takes {found} channels, the manifest says {expected}"
-        )),
-        (found, None) => Err(format!(
-            "it takes {found} channels; 3 (a view) or 6 (view and guide) are usable"
-        )),
-    }
-}
-
-/// Batch, channels, height, width; -1 is dynamic.
-fn image_shape(value: &ValueType) -> Result<[i64; 4], String> {
-    match value {
-        ValueType::Tensor {
-            ty: TensorElementType::Float32,
-            shape,
-            ..
-        } => shape[..]
-            .try_into()
-            .map_err(|_| format!("has {} dimensions instead of 4", shape.len())),
-        other => Err(format!("is {other} instead of a tensor of 32-bit floats")),
     }
 }
 

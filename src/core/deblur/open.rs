@@ -4,7 +4,9 @@ use std::path::{Path, PathBuf};
 
 use crate::deblur::manifest::{Entry, Manifest, Model};
 use crate::deblur::runtime::Runtime;
-use crate::deblur::{Blend, ByGuide, DeblurError, Identity, Onnx, Restorer, runtime};
+use crate::deblur::{
+    Blend, ByGuide, DeblurError, Identity, NetworkChoice, Onnx, Restorer, runtime,
+};
 
 /// Where to look and how to run.
 #[derive(Clone, Copy, Debug, Default)]
@@ -31,21 +33,20 @@ pub struct Opened {
     pub fallbacks: Vec<String>,
 }
 
-/// Opens what the options mean: `deblur` is `identity`, `default`, a manifest id, or the path of an
-/// ONNX file; `unguided` likewise, or `same`. `default` is a larger network where CUDA runs it
-/// ([`Manifest::default_on_cuda`]). A network that takes no guide and is to be given one is wrapped
+/// Opens what the options mean: `unguided` may be [`NetworkChoice::Same`]. The default is a larger
+/// network where CUDA runs it ([`Manifest::default_on_cuda`]). A network that takes no guide and is to be given one is wrapped
 /// in [`Blend`], and says so.
 ///
 /// # Errors
 /// Any [`DeblurError`] of finding the library, finding the file, or loading it. Never falls back
 /// to [`Identity`] by itself.
 pub fn open(
-    deblur: &str,
-    unguided: &str,
+    deblur: &NetworkChoice,
+    unguided: &NetworkChoice,
     options: &OpenOptions<'_>,
 ) -> Result<Opened, DeblurError> {
     let guided = open_one(deblur, options)?;
-    if unguided == "same" || unguided == deblur {
+    if *unguided == NetworkChoice::Same || unguided == deblur {
         return Ok(guided);
     }
     // Never given a guide, so there is nothing to say about how it would take one.
@@ -68,10 +69,10 @@ pub fn open(
 /// # Errors
 /// As [`open`]; [`DeblurError::ModelUnusable`] when it wants a guide.
 pub fn open_enhancer(
-    enhance: &str,
+    enhance: &NetworkChoice,
     options: &OpenOptions<'_>,
 ) -> Result<Option<Opened>, DeblurError> {
-    if enhance == "curve" {
+    if *enhance == NetworkChoice::Curve {
         return Ok(None);
     }
     // Never given a guide, so there is nothing to say about how it would take one.
@@ -93,8 +94,8 @@ pub fn open_enhancer(
     Ok(Some(opened))
 }
 
-fn open_one(choice: &str, options: &OpenOptions<'_>) -> Result<Opened, DeblurError> {
-    if choice == "identity" {
+fn open_one(choice: &NetworkChoice, options: &OpenOptions<'_>) -> Result<Opened, DeblurError> {
+    if *choice == NetworkChoice::Identity {
         return Ok(Opened {
             deblurrer: Box::new(Identity),
             fallbacks: Vec::new(),
@@ -102,7 +103,7 @@ fn open_one(choice: &str, options: &OpenOptions<'_>) -> Result<Opened, DeblurErr
     }
     // An unknown network is told before a library that is missing.
     let model = Manifest::ask(options.models, |known| {
-        known.resolve(choice, options.models)
+        known.resolve(choice.as_str(), options.models)
     })??;
     let runtime = runtime::load(options.runtime, options.search)?;
     let larger = Manifest::ask(options.models, |known| {
@@ -137,10 +138,14 @@ fn open_one(choice: &str, options: &OpenOptions<'_>) -> Result<Opened, DeblurErr
 }
 
 /// What is tried before the network that `choice` means.
-pub(super) fn larger<'a>(known: &'a Manifest, choice: &str, cuda: bool) -> Option<&'a Entry> {
+pub(super) fn larger<'a>(
+    known: &'a Manifest,
+    choice: &NetworkChoice,
+    cuda: bool,
+) -> Option<&'a Entry> {
     known
         .default_on_cuda()
-        .filter(|_| choice == "default" && cuda)
+        .filter(|_| *choice == NetworkChoice::Default && cuda)
 }
 
 /// The larger network if CUDA runs it, else `model`; and what is not as it should be. A failure

@@ -6,6 +6,7 @@ use std::str::FromStr;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crate::deblur::NetworkChoice;
 pub use crate::noise::NoiseMode;
 pub use crate::reconstruct::{Background, Densify, ExtentRule};
 
@@ -27,14 +28,17 @@ pub struct Options {
     /// One tone table for the scene or one a view.
     pub lut_scope: LutScope,
     /// `default`, a manifest id, `identity`, or, on the command line only, a path to an ONNX file.
-    pub deblur: String,
+    #[schemars(with = "String")]
+    pub deblur: NetworkChoice,
     /// The network for views without a guide, those of round 1: `same` as `deblur`, or chosen
     /// likewise.
-    pub deblur_unguided: String,
+    #[schemars(with = "String")]
+    pub deblur_unguided: NetworkChoice,
     /// What brightens: `curve`, step by step; or, as a baseline, a network of 3 channels, chosen as
     /// `deblur` is, that is given each dark photograph and whose brightness then serves every
     /// round.
-    pub enhance: String,
+    #[schemars(with = "String")]
+    pub enhance: NetworkChoice,
     /// What guides the deblurring of rounds after the first.
     pub guide: Guide,
     /// The noise field.
@@ -200,9 +204,9 @@ impl Preset {
             size: 560,
             target: "auto".to_owned(),
             lut_scope: LutScope::Scene,
-            deblur: "default".to_owned(),
-            deblur_unguided: "same".to_owned(),
-            enhance: "curve".to_owned(),
+            deblur: NetworkChoice::Default,
+            deblur_unguided: NetworkChoice::Same,
+            enhance: NetworkChoice::Curve,
             guide: Guide::Render,
             noise: NoiseMode::Grid,
             shake: ShakeModel::Kernel,
@@ -306,6 +310,35 @@ impl fmt::Display for OptionsError {
     }
 }
 
+/// One of the options that name networks.
+#[derive(Clone, Copy, Debug)]
+pub struct NetworkOption<'a> {
+    /// The flat key.
+    pub key: &'static str,
+    /// Its value.
+    pub choice: &'a NetworkChoice,
+    /// What it may say besides a network's name and `default`.
+    pub words: &'static [NetworkChoice],
+}
+
+impl NetworkOption<'_> {
+    fn check(&self) -> Result<(), OptionsError> {
+        if self.choice.as_str().is_empty() {
+            return Err(fault(self.key, &"is empty"));
+        }
+        if self.choice.is_network() || self.words.contains(self.choice) {
+            return Ok(());
+        }
+        let words: Vec<&str> = self.words.iter().map(NetworkChoice::as_str).collect();
+        let message = format!(
+            "`{}` is none of {}, default or the name of a network",
+            self.choice,
+            words.join(", ")
+        );
+        Err(fault(self.key, &message))
+    }
+}
+
 impl Options {
     /// The options with `overrides` (a JSON object of flat keys) laid over them, each checked.
     ///
@@ -350,6 +383,17 @@ impl Options {
         }
     }
 
+    /// The options that name networks.
+    pub fn networks(&self) -> [NetworkOption<'_>; 3] {
+        use NetworkChoice::{Curve, Identity, Same};
+        let option = |key, choice, words| NetworkOption { key, choice, words };
+        [
+            option("deblur", &self.deblur, &[Identity]),
+            option("deblur_unguided", &self.deblur_unguided, &[Same, Identity]),
+            option("enhance", &self.enhance, &[Curve]),
+        ]
+    }
+
     fn check(&self) -> Result<(), OptionsError> {
         within("rounds", self.rounds, 1, 8)?;
         within("steps", self.steps, 1, 200_000)?;
@@ -360,12 +404,13 @@ impl Options {
                 &format!("{} is not in 0..=0.5", self.dropout),
             ));
         }
-        if self.enhance != "curve" && self.target != "auto" {
+        self.networks().iter().try_for_each(NetworkOption::check)?;
+        if self.enhance != NetworkChoice::Curve && self.target != "auto" {
             let message =
                 "a network that brightens decides the brightness: leave `target` at `auto`";
             return Err(fault("target", &message));
         }
-        if self.guide == Guide::None && self.deblur_unguided != "same" {
+        if self.guide == Guide::None && self.deblur_unguided != NetworkChoice::Same {
             let message =
                 "with `guide=none` no view is ever guided: choose the network by `deblur`";
             return Err(fault("deblur_unguided", &message));
@@ -391,126 +436,4 @@ fn fault(key: &str, message: &dyn fmt::Display) -> OptionsError {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn what_shake_explains_is_not_deblurred_for_training_unless_asked_for() {
-        let standard = Preset::Standard.options();
-        assert!(standard.trains_on_enhanced());
-        assert!(
-            !Options {
-                shake: ShakeModel::Off,
-                ..standard.clone()
-            }
-            .trains_on_enhanced()
-        );
-        assert!(
-            !Options {
-                train_on: TrainOn::Deblurred,
-                ..standard.clone()
-            }
-            .trains_on_enhanced()
-        );
-        let forced = Options {
-            train_on: TrainOn::Enhanced,
-            shake: ShakeModel::Off,
-            ..standard
-        };
-        assert!(forced.trains_on_enhanced() && !Preset::Paper.options().trains_on_enhanced());
-    }
-
-    #[test]
-    fn assignments_take_numbers_words_and_booleans() {
-        let options = Options::default();
-        assert_eq!(
-            options.with_assignment("rounds=3").expect("valid").rounds,
-            3
-        );
-        assert_eq!(
-            options
-                .with_assignment("held_out=5")
-                .expect("valid")
-                .held_out,
-            "5"
-        );
-        assert_eq!(
-            options.with_assignment("noise=off").expect("valid").noise,
-            NoiseMode::Off
-        );
-        assert!(
-            !options
-                .with_assignment("resolution_schedule=false")
-                .expect("valid")
-                .resolution_schedule
-        );
-        assert_eq!(
-            options
-                .with_assignment("target=10,0.8")
-                .expect("valid")
-                .target,
-            "10,0.8"
-        );
-    }
-
-    #[test]
-    fn every_nth_view_may_be_a_number_or_a_string_in_json() {
-        let read = |value: serde_json::Value| {
-            let overrides = serde_json::Map::from_iter([("held_out".to_owned(), value)]);
-            Options::default()
-                .with_overrides(&overrides)
-                .map(|options| options.held_out)
-        };
-        assert_eq!(read(5.into()).expect("valid"), "5");
-        assert_eq!(read("a,b".into()).expect("valid"), "a,b");
-        assert!(
-            read(true.into())
-                .expect_err("no list")
-                .to_string()
-                .contains("expected a number or a string")
-        );
-    }
-
-    #[test]
-    fn an_unknown_key_or_bad_value_names_the_key() {
-        let options = Options::default();
-        assert_eq!(
-            options.with_assignment("round=3").expect_err("unknown").key,
-            "round"
-        );
-        assert_eq!(
-            options.with_assignment("rounds=0").expect_err("range").key,
-            "rounds"
-        );
-        assert_eq!(
-            options
-                .with_assignment("dropout=0.6")
-                .expect_err("range")
-                .key,
-            "dropout"
-        );
-        assert_eq!(
-            options.with_assignment("noise=loud").expect_err("enum").key,
-            "noise"
-        );
-        let unguided = Options {
-            guide: Guide::None,
-            ..options.clone()
-        };
-        assert_eq!(
-            unguided
-                .with_assignment("deblur_unguided=a")
-                .expect_err("both")
-                .key,
-            "deblur_unguided"
-        );
-        let aimed = Options {
-            target: "10,0.8".to_owned(),
-            ..options
-        };
-        assert_eq!(
-            aimed.with_assignment("enhance=a").expect_err("both").key,
-            "target"
-        );
-    }
-}
+mod tests;

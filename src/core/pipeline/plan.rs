@@ -4,6 +4,7 @@
 use std::time::Instant;
 
 use super::config::{NoiseMode, Options};
+use crate::deblur::NetworkChoice;
 use crate::event::{Event, ProgressSink, Stage};
 
 /// Expected seconds of each stage; only their ratios matter once the run is under way.
@@ -43,7 +44,7 @@ impl Plan {
             poses: 1.2 * views,
             round,
             rounds: options.rounds,
-            brightens: options.enhance != "curve",
+            brightens: options.enhance != NetworkChoice::Curve,
             done: 0.0,
             current: 0.0,
             skipped: 0.0,

@@ -7,8 +7,9 @@ use std::time::Duration;
 use axum::extract::{DefaultBodyLimit, FromRequest, Multipart, Path, Request, State};
 use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
+use fled_core::deblur::NetworkChoice;
 use fled_core::deblur::manifest::{Manifest, Place, Role};
-use fled_core::pipeline::config::{Options, OptionsError, Preset};
+use fled_core::pipeline::config::{NetworkOption, Options, OptionsError, Preset};
 use serde::Deserialize;
 use serde_json::{Map, Value};
 use utoipa::{IntoParams, ToSchema};
@@ -192,22 +193,17 @@ impl Order {
             .options()
             .with_overrides(options)
             .map_err(|error| bad_option(&error))?;
-        for (key, choice, words) in [
-            ("deblur", &options.deblur, &["identity"][..]),
-            (
-                "deblur_unguided",
-                &options.deblur_unguided,
-                &["same", "identity"],
-            ),
-            ("enhance", &options.enhance, &["curve"]),
-        ] {
-            let (folders, choice) = (app.config.models.clone(), choice.clone());
-            // It reads the network's file.
-            let check = move || check_network(&folders, key, &choice, words);
-            tokio::task::spawn_blocking(check)
-                .await
-                .map_err(|_| Problem::internal())??;
-        }
+        // It reads the networks' files.
+        let (folders, checked) = (app.config.models.clone(), options.clone());
+        let check = move || {
+            let networks = checked.networks().into_iter();
+            networks
+                .filter(|option| option.choice.is_network())
+                .try_for_each(|option| check_network(&folders, option))
+        };
+        tokio::task::spawn_blocking(check)
+            .await
+            .map_err(|_| Problem::internal())??;
         Ok(Self { preset, options })
     }
 
@@ -224,16 +220,8 @@ impl Order {
 }
 
 /// Networks are chosen by name: a path would let a client probe the files of the server.
-/// `words` are what the option may say besides.
-fn check_network(
-    folders: &[PathBuf],
-    key: &str,
-    choice: &str,
-    words: &[&str],
-) -> Result<(), Problem> {
-    let answer = Manifest::ask(folders, |known| {
-        check_among(known, folders, key, choice, words)
-    });
+fn check_network(folders: &[PathBuf], option: NetworkOption<'_>) -> Result<(), Problem> {
+    let answer = Manifest::ask(folders, |known| check_among(known, folders, option));
     answer.map_err(|error| {
         tracing::error!(%error, "the list of networks cannot be read");
         Problem::internal()
@@ -243,19 +231,15 @@ fn check_network(
 fn check_among(
     known: &Manifest,
     folders: &[PathBuf],
-    key: &str,
-    choice: &str,
-    words: &[&str],
+    option: NetworkOption<'_>,
 ) -> Result<(), Problem> {
+    let (key, choice) = (option.key, option.choice.as_str());
     let refused = |message: String| {
         bad_option(&OptionsError {
             key: key.to_owned(),
             message,
         })
     };
-    if words.contains(&choice) {
-        return Ok(());
-    }
     match known.find(choice) {
         Some(entry) if entry.place(folders) == Place::Missing => {
             let message = format!("the file of network `{choice}` is not on this server");
@@ -273,7 +257,8 @@ fn check_among(
             ))
         }),
         None => {
-            let known = [words, &known.choices()].concat().join(", ");
+            let words = option.words.iter().map(NetworkChoice::as_str);
+            let known = words.chain(known.choices()).collect::<Vec<_>>().join(", ");
             Err(refused(format!("`{choice}` is none of {known}"))
                 .hint("Whoever runs the server can add a file: fled models add FILE --id NAME."))
         }

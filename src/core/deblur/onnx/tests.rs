@@ -3,13 +3,17 @@ use std::path::{Path, PathBuf};
 use super::*;
 use crate::deblur::manifest::Manifest;
 use crate::deblur::open::{larger, load};
-use crate::deblur::{OpenOptions, open, runtime};
+use crate::deblur::{NetworkChoice, OpenOptions, open, runtime};
 
 fn file(name: &str) -> String {
     let path = Path::new(env!("CARGO_MANIFEST_DIR"))
         .join("../../tests/golden/onnx")
         .join(name);
     path.display().to_string()
+}
+
+fn named(name: &str) -> NetworkChoice {
+    NetworkChoice::Named(file(name))
 }
 
 fn network(choice: &str) -> Result<Onnx, DeblurError> {
@@ -271,7 +275,7 @@ fn a_network_without_a_guide_is_blended_and_says_so() {
         threads: 1,
         ..OpenOptions::default()
     };
-    let mut opened = open(&file("identity3.onnx"), "same", &options).expect("opens");
+    let mut opened = open(&named("identity3.onnx"), &NetworkChoice::Same, &options).expect("opens");
     assert_eq!(opened.fallbacks.len(), 1, "{:?}", opened.fallbacks);
     let (view, guide) = (waves(20, 20, 0.0), waves(20, 20, 1.0));
     let blended = opened.deblurrer.restore(&view, Some(&guide)).expect("runs");
@@ -281,9 +285,14 @@ fn a_network_without_a_guide_is_blended_and_says_so() {
         .expect("loads")
         .restore(&view, Some(&guide));
     assert!(matches!(refused, Err(DeblurError::GuideUnsupported { .. })));
-    let guided = open(&file("mix6.onnx"), "same", &options).expect("opens");
+    let guided = open(&named("mix6.onnx"), &NetworkChoice::Same, &options).expect("opens");
     assert!(guided.fallbacks.is_empty());
-    let identity = open("identity", "same", &OpenOptions::default()).expect("needs no library");
+    let identity = open(
+        &NetworkChoice::Identity,
+        &NetworkChoice::Same,
+        &OpenOptions::default(),
+    )
+    .expect("needs no library");
     assert_eq!(identity.deblurrer.describe().id, "identity");
 }
 
@@ -322,10 +331,11 @@ fn the_built_in_networks_return_here_what_they_returned_where_they_were_trained(
 #[test]
 fn the_larger_network_is_for_who_asks_for_the_default_and_has_cuda() {
     let known = Manifest::embedded();
-    let tried = |choice, cuda| larger(&known, choice, cuda).map(|entry| entry.id.as_str());
-    assert_eq!(tried("default", true), Some("medium-u2w32"));
-    assert_eq!(tried("default", false), None);
-    assert_eq!(tried("small-u2w16", true), None);
+    let tried = |choice, cuda| larger(&known, &choice, cuda).map(|entry| entry.id.as_str());
+    let small = NetworkChoice::Named("small-u2w16".to_owned());
+    assert_eq!(tried(NetworkChoice::Default, true), Some("medium-u2w32"));
+    assert_eq!(tried(NetworkChoice::Default, false), None);
+    assert_eq!(tried(small, true), None);
 }
 
 #[test]

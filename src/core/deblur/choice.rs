@@ -1,0 +1,95 @@
+//! What the options that name networks may say.
+
+use std::fmt;
+
+use serde::{Deserialize, Serialize};
+
+/// The manifest's default network.
+pub(super) const DEFAULT: &str = "default";
+/// No network: a view is returned as it is.
+pub(super) const IDENTITY: &str = "identity";
+const SAME: &str = "same";
+const CURVE: &str = "curve";
+
+/// The words that are no network's name.
+pub(super) const RESERVED: [&str; 4] = [DEFAULT, IDENTITY, SAME, CURVE];
+
+/// The value of the options `deblur`, `deblur_unguided` and `enhance`; which of the words each of
+/// them takes is the options' to say. Written and read as one string.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(from = "String", into = "String")]
+pub enum NetworkChoice {
+    /// The network that the manifest calls the default.
+    Default,
+    /// None: views stay as they are.
+    Identity,
+    /// The one that `deblur` means.
+    Same,
+    /// None: the tone curve brightens.
+    Curve,
+    /// A manifest's id, or the path of an ONNX file.
+    Named(String),
+}
+
+impl NetworkChoice {
+    /// As the user writes it.
+    pub fn as_str(&self) -> &str {
+        match self {
+            Self::Default => DEFAULT,
+            Self::Identity => IDENTITY,
+            Self::Same => SAME,
+            Self::Curve => CURVE,
+            Self::Named(name) => name,
+        }
+    }
+
+    /// Whether a network is meant, by `default` or by its name.
+    pub fn is_network(&self) -> bool {
+        matches!(self, Self::Default | Self::Named(_))
+    }
+}
+
+impl From<String> for NetworkChoice {
+    fn from(text: String) -> Self {
+        match text.as_str() {
+            DEFAULT => Self::Default,
+            IDENTITY => Self::Identity,
+            SAME => Self::Same,
+            CURVE => Self::Curve,
+            _ => Self::Named(text),
+        }
+    }
+}
+
+impl From<NetworkChoice> for String {
+    fn from(choice: NetworkChoice) -> Self {
+        match choice {
+            NetworkChoice::Named(name) => name,
+            word => word.as_str().to_owned(),
+        }
+    }
+}
+
+impl fmt::Display for NetworkChoice {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.as_str())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_choice_is_written_as_it_is_read() {
+        for text in RESERVED.into_iter().chain(["small-u2w16", "a/b.onnx", ""]) {
+            let choice = NetworkChoice::from(text.to_owned());
+            assert_eq!(choice.as_str(), text);
+            assert_eq!(String::from(choice.clone()), text);
+            assert_eq!(
+                matches!(choice, NetworkChoice::Named(_)),
+                !RESERVED.contains(&text)
+            );
+        }
+    }
+}

@@ -1,0 +1,124 @@
+//! What a network takes and gives, as its file says.
+
+use ort::session::Session;
+use ort::value::{Outlet, TensorElementType, ValueType};
+
+use crate::deblur::manifest::Model;
+
+/// What of a file's input and outputs is used.
+pub(super) struct Form {
+    /// Of the input.
+    pub(super) channels: u32,
+    /// Which output is the restored view.
+    pub(super) output: usize,
+}
+
+impl Form {
+    /// By the file, checked against what is known of it, with everything else about the input and
+    /// output that must hold.
+    pub(super) fn of(session: &Session, model: &Model) -> Result<Self, String> {
+        let (inputs, outputs) = (session.inputs(), session.outputs());
+        let ([input], [_, ..]) = (inputs, outputs) else {
+            let (inputs, outputs) = (inputs.len(), outputs.len());
+            return Err(format!(
+                "it has {inputs} inputs and {outputs} outputs; one image each is expected"
+            ));
+        };
+        if let Some(name) = model.input.as_ref().filter(|name| *name != input.name()) {
+            return Err(format!(
+                "its input is `{}`; `{name}` is asked for by the manifest",
+                input.name()
+            ));
+        }
+        let named = |name: &String| {
+            outputs
+                .iter()
+                .position(|output| output.name() == name)
+                .ok_or_else(|| {
+                    let names: Vec<_> = outputs
+                        .iter()
+                        .map(|output| format!("`{}`", output.name()))
+                        .collect();
+                    format!(
+                        "its outputs are {}; `{name}` is asked for, by the manifest or --output",
+                        names.join(", ")
+                    )
+                })
+        };
+        let output = model
+            .output
+            .as_ref()
+            .map_or_else(|| the_picture(outputs), named)?;
+        let channels = channels(input.dtype(), outputs[output].dtype(), model.channels)?;
+        Ok(Self { channels, output })
+    }
+}
+
+/// The only output that can be a picture; of several the first may well be a map of the light, or
+/// halfway.
+fn the_picture(outputs: &[Outlet]) -> Result<usize, String> {
+    let is_picture =
+        |output: &Outlet| image_shape(output.dtype()).is_ok_and(|shape| matches!(shape[1], 3 | -1));
+    let pictures: Vec<usize> = (0..outputs.len())
+        .filter(|&at| is_picture(&outputs[at]))
+        .collect();
+    if let [_, _, ..] = pictures[..] {
+        let names: Vec<_> = pictures
+            .iter()
+            .map(|&at| format!("`{}`", outputs[at].name()))
+            .collect();
+        return Err(format!(
+            "its outputs {} may each be the restored view: say which by `fled models add FILE --output NAME`",
+            names.join(", ")
+        ));
+    }
+    // None: what is wrong with the first is told.
+    Ok(pictures.first().copied().unwrap_or(0))
+}
+
+/// Input channels by the file, checked against the manifest's.
+fn channels(input: &ValueType, output: &ValueType, expected: Option<u32>) -> Result<u32, String> {
+    let input_shape = image_shape(input).map_err(|detail| format!("its input {detail}"))?;
+    let output_shape = image_shape(output).map_err(|detail| format!("its output {detail}"))?;
+    if !matches!(output_shape[1], 3 | -1) {
+        return Err(format!(
+            "it returns {} channels instead of 3",
+            output_shape[1]
+        ));
+    }
+    if input_shape[2..] != [-1, -1] {
+        return Err(format!(
+            "it takes only images of {}x{} px",
+            input_shape[3], input_shape[2]
+        ));
+    }
+    match (input_shape[1], expected) {
+        (-1, Some(expected)) => Ok(expected),
+        (-1, None) => Err("the file does not say how many channels it takes".to_owned()),
+        (found @ (3 | 6), expected)
+            if expected.is_none_or(|expected| i64::from(expected) == found) =>
+        {
+            Ok(found as u32)
+        }
+        (found, Some(expected)) => Err(format!(
+            "it takes {found} channels, the manifest says {expected}"
+        )),
+        (found, None) => Err(format!(
+            "it takes {found} channels; 3 (a view) or 6 (view and guide) are usable"
+        )),
+    }
+}
+
+/// Batch, channels, height, width; -1 is dynamic.
+fn image_shape(value: &ValueType) -> Result<[i64; 4], String> {
+    match value {
+        ValueType::Tensor {
+            ty: TensorElementType::Float32,
+            shape,
+            ..
+        } => shape[..]
+            .try_into()
+            .map_err(|_| format!("has {} dimensions instead of 4", shape.len())),
+        other => Err(format!("is {other} instead of a tensor of 32-bit floats")),
+    }
+}
