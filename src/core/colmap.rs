@@ -9,6 +9,7 @@ mod copies;
 mod ladder;
 mod options;
 mod process;
+mod rungs;
 mod triangulate;
 
 use std::path::{Path, PathBuf};
@@ -17,8 +18,8 @@ use std::time::{Duration, Instant};
 use crate::cancel::CancelToken;
 use crate::event::ProgressSink;
 use crate::poses::{PoseRequest, PosedView, Poses, PosesError, Sfm, SparsePoint};
-pub use ladder::Acceptance;
 pub use process::Limits;
+pub use rungs::Acceptance;
 
 /// COLMAP's command line as an [`Sfm`].
 #[derive(Clone, Debug)]

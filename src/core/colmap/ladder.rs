@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use super::copies::Copies;
 use super::options::{self, Prober, Setting, set};
 use super::process::Runner;
+use super::rungs::{Acceptance, LADDER, Rung};
 use crate::camera::Camera;
 use crate::cancel::CancelToken;
 use crate::event::{Event, ProgressSink, Stage};
@@ -16,81 +17,6 @@ pub(super) const MIN_VIEWS: usize = 3;
 
 /// Above this many photographs all pairs are too many: neighbours in the capture's order.
 const MOST_EXHAUSTIVE: usize = 150;
-
-/// When a model is good enough. Fitted on runs of real captures: loosened options register
-/// photographs with wrong poses, and the reprojection error does not show it.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Acceptance {
-    /// Least share of the photographs that must register.
-    pub registered: f64,
-    /// Least observations (members of tracks) a registered photograph.
-    pub observations: f64,
-    /// Least mean track length.
-    pub track: f64,
-    /// Least share that is still delivered, with a warning, when no rung was good enough.
-    pub salvage: f64,
-}
-
-impl Default for Acceptance {
-    fn default() -> Self {
-        Self {
-            registered: 0.8,
-            observations: 75.0,
-            track: 3.1,
-            salvage: 0.5,
-        }
-    }
-}
-
-/// Settings of one rung.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Rung {
-    letter: char,
-    /// The rung whose features and matches are mapped.
-    database: char,
-    full_size: bool,
-    /// Affine shapes, domain-size pooling, a lower peak threshold: for images with few features.
-    robust_features: bool,
-    loose_mapper: bool,
-}
-
-const LADDER: [Rung; 5] = [
-    Rung {
-        letter: 'A',
-        database: 'A',
-        full_size: false,
-        robust_features: false,
-        loose_mapper: false,
-    },
-    Rung {
-        letter: 'B',
-        database: 'A',
-        full_size: false,
-        robust_features: false,
-        loose_mapper: true,
-    },
-    Rung {
-        letter: 'C',
-        database: 'C',
-        full_size: true,
-        robust_features: false,
-        loose_mapper: true,
-    },
-    Rung {
-        letter: 'D',
-        database: 'D',
-        full_size: false,
-        robust_features: true,
-        loose_mapper: true,
-    },
-    Rung {
-        letter: 'E',
-        database: 'E',
-        full_size: false,
-        robust_features: false,
-        loose_mapper: false,
-    },
-];
 
 /// A rung's result.
 struct Candidate {
