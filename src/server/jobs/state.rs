@@ -1,4 +1,5 @@
-//! The life of a job. [`JobState::after`] is the only place that knows it.
+//! The life of a job. [`JobState::after`] alone decides what a job becomes; SQL only asks where it
+//! stands.
 
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
@@ -123,7 +124,8 @@ mod tests {
                     prop_assert_eq!(next, retried.then_some(JobState::Queued));
                 }
                 if next.is_some_and(JobState::is_terminal) {
-                    prop_assert!(state == JobState::Running || transition == Transition::CancelRequested);
+                    let cancels = transition == Transition::CancelRequested;
+                    prop_assert!(state == JobState::Running || cancels);
                 }
                 state = next.unwrap_or(state);
             }
@@ -133,7 +135,8 @@ mod tests {
         fn from_anywhere_unfinished_a_job_can_still_be_cancelled_and_finished(
             transitions in proptest::collection::vec(any_transition(), 0..40),
         ) {
-            let state = transitions.into_iter().fold(JobState::Queued, |s, t| s.after(t).unwrap_or(s));
+            let step = |state: JobState, by| state.after(by).unwrap_or(state);
+            let state = transitions.into_iter().fold(JobState::Queued, step);
             if !state.is_terminal() {
                 let running = state.after(Transition::Claimed).expect("unfinished jobs can be claimed");
                 prop_assert_eq!(running.after(Transition::Stopped), Some(JobState::Cancelled));

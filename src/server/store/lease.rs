@@ -72,23 +72,38 @@ impl Store {
     pub async fn claim(&self, owner: &str, lease_ms: i64) -> Result<Option<Claim>> {
         let now = now_ms();
         let mut tx = self.pool.begin_with("BEGIN IMMEDIATE").await?;
-        // One statement, so that no two workers can take the same job.
+        // The transaction holds the write lock: no two workers can take the same job.
+        let waiting = sqlx::query_as::<_, (String, String)>(
+            "SELECT id, state FROM jobs
+             WHERE (state = 'queued' AND not_before <= ?1) OR (state = 'running' AND lease_until < ?1)
+             ORDER BY created_at, id LIMIT 1",
+        )
+        .bind(now)
+        .fetch_optional(&mut *tx)
+        .await?;
+        let Some((id, state)) = waiting else {
+            return Ok(None);
+        };
+        let next = JobState::from_name(&state)
+            .and_then(|state| state.after(Transition::Claimed))
+            .ok_or_else(|| ServerError::Damaged {
+                what: "job state",
+                detail: format!("job {id} is {state} and cannot be claimed"),
+            })?;
         let row = sqlx::query(
-            "UPDATE jobs SET state = 'running', epoch = epoch + 1, lease_owner = ?1, lease_until = ?2 + ?3,
-                    attempts = attempts + 1, started_at = COALESCE(started_at, ?2), finished_at = NULL,
+            "UPDATE jobs SET state = ?1, epoch = epoch + 1, lease_owner = ?2, lease_until = ?3 + ?4,
+                    attempts = attempts + 1, started_at = COALESCE(started_at, ?3), finished_at = NULL,
                     steps_per_second = NULL, eta_seconds = NULL,
                     error_code = NULL, error_detail = NULL, error_hint = NULL
-             WHERE id = (SELECT id FROM jobs
-                         WHERE (state = 'queued' AND not_before <= ?2) OR (state = 'running' AND lease_until < ?2)
-                         ORDER BY created_at, id LIMIT 1)
-             RETURNING *",
+             WHERE id = ?5 RETURNING *",
         )
+        .bind(next.name())
         .bind(owner)
         .bind(now)
         .bind(lease_ms)
-        .fetch_optional(&mut *tx)
+        .bind(&id)
+        .fetch_one(&mut *tx)
         .await?;
-        let Some(row) = row else { return Ok(None) };
         let job = from_row(&row)?;
         let lease = Lease {
             job: job.id.clone(),
@@ -98,7 +113,7 @@ impl Store {
             &mut tx,
             &job.id,
             "state",
-            &json!({ "state": "running", "attempt": job.attempts }),
+            &json!({ "state": next.name(), "attempt": job.attempts }),
         )
         .await?;
         tx.commit().await?;
