@@ -55,5 +55,6 @@ fn main(
     let v = BETA_2 * moments[adam.parameters + index] + (1.0 - BETA_2) * gradient * gradient;
     moments[index] = m;
     moments[adam.parameters + index] = v;
-    parameters[index] -= adam.rate * (m / adam.correction_1) / (sqrt(v / adam.correction_2) + EPSILON);
+    parameters[index] -= adam.rate * (m / adam.correction_1)
+        / (sqrt(v / adam.correction_2) + EPSILON);
 }

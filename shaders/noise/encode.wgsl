@@ -41,11 +41,13 @@ fn main(
         return;
     }
     let cell = chunk.first + index;
-    let pixel = (vec2<f32>(f32(cell % field.columns), f32(cell / field.columns)) + 0.5) * f32(field.scale);
+    let pixel = (vec2<f32>(f32(cell % field.columns), f32(cell / field.columns)) + 0.5)
+        * f32(field.scale);
     let size = vec2<f32>(f32(field.width), f32(field.height));
     let position = vec3<f32>(2.0 * pixel / size - 1.0, 32.0 / 63.0 - 1.0);
     let camera = vec3<f32>((pixel - field.centre) / field.focal, 1.0);
-    let world = field.row_x.xyz * camera.x + field.row_y.xyz * camera.y + field.row_z.xyz * camera.z;
+    let world = field.row_x.xyz * camera.x + field.row_y.xyz * camera.y
+        + field.row_z.xyz * camera.z;
     let direction = normalize(world);
 
     var at = index * field.encoded_stride;

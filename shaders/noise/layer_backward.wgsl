@@ -27,7 +27,8 @@ fn weights(at: u32) -> mat4x4<f32> {
 }
 
 fn gated(value: vec4<f32>, at: u32) -> vec4<f32> {
-    return select(vec4<f32>(0.0), value, (input[at] > vec4<f32>(0.0)) | vec4<bool>(layer.input_relu == 0u));
+    let passes = (input[at] > vec4<f32>(0.0)) | vec4<bool>(layer.input_relu == 0u);
+    return select(vec4<f32>(0.0), value, passes);
 }
 
 fn store(at: u32, lower: vec4<f32>, upper: vec4<f32>, both: bool) {

@@ -58,7 +58,8 @@ fn main(
         let value = sum[c] * scale;
         let knot = knot_below(value);
         let slope = 1.0 / (f32(KNOTS - 1u) * (response[knot + 1u] - response[knot]));
-        blurred[index + c * pixels] = f32(knot) / f32(KNOTS - 1u) + slope * (value - response[knot]);
+        blurred[index + c * pixels] = f32(knot) / f32(KNOTS - 1u)
+            + slope * (value - response[knot]);
         slopes[c] = slope * scale;
     }
     factor[index] = slopes;

@@ -21,6 +21,7 @@ fn main(
     if index >= pixels {
         return;
     }
-    let by_blurred = vec3<f32>(gradient[index], gradient[index + pixels], gradient[index + 2u * pixels]);
+    let by_blurred =
+        vec3<f32>(gradient[index], gradient[index + pixels], gradient[index + 2u * pixels]);
     factor[index] *= vec4<f32>(by_blurred, 0.0);
 }

@@ -49,7 +49,8 @@ fn block_of(invocation: u32, size: LossUniform) -> Block {
     let x = invocation % size.blocks_x;
     let rest = invocation / size.blocks_x;
     let channel = rest / size.blocks_y;
-    return Block(x * COLUMNS, (rest % size.blocks_y) * size.run, channel * size.width * size.height, channel < 3u);
+    return Block(x * COLUMNS, (rest % size.blocks_y) * size.run, channel * size.width * size.height,
+        channel < 3u);
 }
 
 // The value at an index of a packed planar image, of whose words `word` holds this one: the even

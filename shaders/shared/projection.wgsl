@@ -107,7 +107,8 @@ fn project_shape(mean: vec3<f32>, shape: Shape, camera: CameraUniform) -> Projec
     let size = vec2<f32>(camera.size);
     let margin = FOV_MARGIN * size / camera.focal;
     let slope = p.point.xy * inverse;
-    p.slope = clamp(slope, -camera.centre / camera.focal - margin, (size - camera.centre) / camera.focal + margin);
+    p.slope = clamp(slope, -camera.centre / camera.focal - margin,
+        (size - camera.centre) / camera.focal + margin);
     p.clamped = p.slope != slope;
     let jacobian = mat3x3<f32>(
         vec3<f32>(camera.focal.x * inverse, 0.0, 0.0),

@@ -18,7 +18,8 @@ fn hash4(key: vec4<u32>) -> vec4<u32> {
 
 // Four numbers in (0, 1).
 fn uniform4(seed: u32, step: u32, id: u32) -> vec4<f32> {
-    return (vec4<f32>(hash4(vec4<u32>(seed, step, id, 0x9e3779b9u)) >> vec4<u32>(8u)) + 0.5) / 16777216.0;
+    return (vec4<f32>(hash4(vec4<u32>(seed, step, id, 0x9e3779b9u)) >> vec4<u32>(8u)) + 0.5)
+        / 16777216.0;
 }
 
 // Three independent standard normal numbers (Box and Muller).

@@ -41,7 +41,8 @@ fn splat_row(gaussian: u32, length: u32) -> u32 {
 // First pixel of an invocation, px.
 fn first_pixel(tile: u32, lane: u32, tiles_x: u32) -> vec2<u32> {
     let in_tile = lane * PIXELS;
-    return vec2<u32>(tile % tiles_x, tile / tiles_x) * TILE + vec2<u32>(in_tile % TILE, in_tile / TILE);
+    return vec2<u32>(tile % tiles_x, tile / tiles_x) * TILE
+        + vec2<u32>(in_tile % TILE, in_tile / TILE);
 }
 
 // What a row of pixels shares of log2(opacity exp(-sigma)), a polynomial in dx: the factors of

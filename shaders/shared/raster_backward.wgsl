@@ -27,7 +27,8 @@ const SUMS: u32 = 9;
 var<workgroup> partials: array<f32, SUMS * GROUP * PARTIALS>;
 
 fn store_row(slot: u32, row: array<f32, SUMS>) {
-    if (slot >= min(arrayLength(&slot_colours), min(arrayLength(&slot_moments), arrayLength(&slot_tails)))) {
+    if (slot >= min(arrayLength(&slot_colours),
+        min(arrayLength(&slot_moments), arrayLength(&slot_tails)))) {
         return;
     }
     slot_colours[slot] = vec4<f32>(row[0], row[1], row[2], row[3]);
@@ -75,7 +76,8 @@ fn backward(tile: u32, lane: u32, lane_in_subgroup: u32) {
         let n = min(end - at, GROUP);
         for (var j = 0u; j < n; j++) {
             let splat = batch[j];
-            store_partial(j, lane, lane_in_subgroup, blend_backward(splat, centre - splat.place.xy));
+            store_partial(j, lane, lane_in_subgroup,
+                blend_backward(splat, centre - splat.place.xy));
         }
         // All partial sums of the batch are stored.
         workgroupBarrier();

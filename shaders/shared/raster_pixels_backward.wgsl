@@ -17,12 +17,14 @@ fn begin_pixels(pixel: vec2<u32>) {
         t[q] = select(vec4<f32>(-1.0), vec4<f32>(1.0), inside);
         for (var k = 0u; k < 4u; k++) {
             let i = select(0u, pixel.y * camera.size.x + pixel.x + 4u * q + k, inside[k]);
-            let g = vec3<f32>(image_gradient[i], image_gradient[plane + i], image_gradient[2u * plane + i]);
+            let g = vec3<f32>(image_gradient[i], image_gradient[plane + i],
+                image_gradient[2u * plane + i]);
             let upstream = select(vec3<f32>(0.0), g, inside[k]);
             red[q][k] = upstream.x;
             green[q][k] = upstream.y;
             blue[q][k] = upstream.z;
-            behind[q][k] = dot(upstream, vec3<f32>(image[i], image[plane + i], image[2u * plane + i]));
+            behind[q][k] =
+                dot(upstream, vec3<f32>(image[i], image[plane + i], image[2u * plane + i]));
         }
     }
 }
@@ -56,5 +58,6 @@ fn blend_backward(splat: Splat, offset: vec2<f32>) -> array<f32, 9> {
         t[q] = select(after, -abs(before), stop);
     }
     let dy = offset.y;
-    return array<f32, 9>(by_colour.x, by_colour.y, by_colour.z, v0, v1, v0 * dy, v2, v1 * dy, v0 * dy * dy);
+    return array<f32, 9>(by_colour.x, by_colour.y, by_colour.z,
+        v0, v1, v0 * dy, v2, v1 * dy, v0 * dy * dy);
 }

@@ -41,7 +41,9 @@ fn handed(own: Splat, j: u32) -> Splat {
             subgroupShuffle(own.place.z, j),
             subgroupShuffle(own.place.w, j),
         ),
-        vec3<f32>(subgroupShuffle(own.curve.x, j), subgroupShuffle(own.curve.y, j), subgroupShuffle(own.curve.z, j)),
-        vec3<f32>(subgroupShuffle(own.colour.x, j), subgroupShuffle(own.colour.y, j), subgroupShuffle(own.colour.z, j)),
+        vec3<f32>(subgroupShuffle(own.curve.x, j), subgroupShuffle(own.curve.y, j),
+            subgroupShuffle(own.curve.z, j)),
+        vec3<f32>(subgroupShuffle(own.colour.x, j), subgroupShuffle(own.colour.y, j),
+            subgroupShuffle(own.colour.z, j)),
     );
 }

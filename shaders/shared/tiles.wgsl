@@ -38,7 +38,8 @@ fn tile_touched(mean: vec2<f32>, conic: vec3<f32>, limit: f32, tile: vec2<u32>) 
 
 // Whether the splat reaches alpha 1/255 at some pixel centre's position inside a box of pixels.
 // `conic`: (a, b, c); `limit`: exponent_limit(opacity).
-fn box_touched(mean: vec2<f32>, conic: vec3<f32>, limit: f32, corner: vec2<u32>, size: vec2<u32>) -> bool {
+fn box_touched(mean: vec2<f32>, conic: vec3<f32>, limit: f32, corner: vec2<u32>,
+    size: vec2<u32>) -> bool {
     // Offsets of the outermost pixel centres from the mean.
     let low = vec2<f32>(corner) + vec2<f32>(0.5) - mean;
     let high = low + vec2<f32>(size) - vec2<f32>(1.0);

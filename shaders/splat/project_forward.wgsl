@@ -66,7 +66,8 @@ fn main(
     let conic = vec3<f32>(p.flat.z, -p.flat.y, p.flat.x) / p.determinant;
     let extent = splat_extent(p.flat.xz, opacity);
     let colour = colour_of(row, g.mean);
-    if (!is_finite3(colour) || !is_finite3(conic) || !is_finite(mean.x + mean.y + extent.x + extent.y)) {
+    if (!is_finite3(colour) || !is_finite3(conic)
+        || !is_finite(mean.x + mean.y + extent.x + extent.y)) {
         return;
     }
     let count = count_tiles(mean, conic, extent, limit);

@@ -31,7 +31,8 @@ fn main(
     let plane = camera.size.x * camera.size.y;
     // The kernel is unchecked: a camera larger than the buffers draws nothing.
     let fits = 3u * plane <= arrayLength(&image) && plane <= arrayLength(&transmittance);
-    if (!fits || tile >= min(camera.tiles.x * camera.tiles.y, min(arrayLength(&last) / 2u, arrayLength(&tile_ranges)))) {
+    if (!fits || tile >= min(camera.tiles.x * camera.tiles.y,
+        min(arrayLength(&last) / 2u, arrayLength(&tile_ranges)))) {
         return;
     }
     let pixel = first_pixel(tile, lane, camera.tiles.x);

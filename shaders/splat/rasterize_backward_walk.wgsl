@@ -91,7 +91,8 @@ fn main(
     let tiles = camera.tiles.x * camera.tiles.y;
     // The kernel is unchecked: a camera larger than the buffers gives no gradient.
     let fits = 3u * plane <= min(arrayLength(&image), arrayLength(&image_gradient));
-    if (!fits || tile > tiles || tile >= min(arrayLength(&last) / HALVES, arrayLength(&tile_ranges))) {
+    if (!fits || tile > tiles
+        || tile >= min(arrayLength(&last) / HALVES, arrayLength(&tile_ranges))) {
         return;
     }
     let range = min(tile_ranges[tile], vec2<u32>(arrayLength(&slots)));

@@ -22,7 +22,8 @@ fn moments(first: u32, column: u32, block: Block) -> vec3<f32> {
     return select(vec3<f32>(0.0), derivatives[index].xyz, inside);
 }
 
-fn blur(a: vec3<f32>, b: vec3<f32>, c: vec3<f32>, d: vec3<f32>, e: vec3<f32>, f: vec3<f32>) -> vec3<f32> {
+fn blur(a: vec3<f32>, b: vec3<f32>, c: vec3<f32>, d: vec3<f32>, e: vec3<f32>,
+    f: vec3<f32>) -> vec3<f32> {
     return G0 * a + G1 * b + G2 * c + G3 * d + G4 * e + G5 * f;
 }
 

@@ -29,7 +29,8 @@ fn word(index: i32) -> u32 {
     return truth[clamp(index, 0, i32(size.values + 1u) / 2 - 1)];
 }
 
-fn blur(a: vec4<f32>, b: vec4<f32>, c: vec4<f32>, d: vec4<f32>, e: vec4<f32>, f: vec4<f32>) -> vec4<f32> {
+fn blur(a: vec4<f32>, b: vec4<f32>, c: vec4<f32>, d: vec4<f32>, e: vec4<f32>,
+    f: vec4<f32>) -> vec4<f32> {
     return G0 * a + G1 * b + G2 * c + G3 * d + G4 * e + G5 * f;
 }
 

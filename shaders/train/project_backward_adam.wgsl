@@ -68,7 +68,8 @@ fn sum_slots(i: u32, p: Projection, opacity: f32) -> SlotSum {
     // Gaussian share is put in here.
     let conic = vec3<f32>(p.flat.z, -p.flat.y, p.flat.x) / p.determinant;
     let mean = -vec2<f32>(dot(conic.xy, moments.xy), dot(conic.yz, moments.xy));
-    return SlotSum(mean, vec3<f32>(0.5 * moments.z, moments.w, 0.5 * tail), colour.xyz, -colour.w * (1.0 - opacity));
+    return SlotSum(mean, vec3<f32>(0.5 * moments.z, moments.w, 0.5 * tail), colour.xyz,
+        -colour.w * (1.0 - opacity));
 }
 
 fn geometry_backward(p: Projection, s: Shape, sum: SlotSum, by_direction: vec3<f32>) -> Geometry {
@@ -120,7 +121,8 @@ fn colour_backward(
         + along(gated, coefficients(v[3], v[4], v[5]), s[4], s[5], s[6], s[7])
         + along(gated, coefficients(v[6], v[7], v[8]), s[8], s[9], s[10], s[11])
         + along(gated, coefficients(v[9], v[10], v[11]), s[12], s[13], s[14], s[15]);
-    return ColourGradient(gated, (by_direction - direction * dot(direction, by_direction)) / distance);
+    return ColourGradient(gated,
+        (by_direction - direction * dot(direction, by_direction)) / distance);
 }
 
 // What Adam takes off the parameters.
@@ -184,7 +186,8 @@ fn update_colour(row: u32, v: array<vec4<f32>, 12>, b: array<f32, 16>, gated: ve
     }
     update_block(row, 0u, v[0], v[1], v[2], first);
     if (camera.sh_degree >= 2u) {
-        update_block(row, 3u, v[3], v[4], v[5], mat4x3<f32>(gated * b[4], gated * b[5], gated * b[6], gated * b[7]));
+        update_block(row, 3u, v[3], v[4], v[5],
+            mat4x3<f32>(gated * b[4], gated * b[5], gated * b[6], gated * b[7]));
     }
     if (camera.sh_degree == 2u) {
         update_harmonics(row, 6u, v[6], vec4<f32>(gated * b[8], 0.0), vec4<f32>(train.rate_sh));
@@ -250,7 +253,8 @@ fn main(
     let rates = train.rates;
     let s = g.log_scale;
     update_geometry(row, 0u, vec4<f32>(mean, s.x), vec4<f32>(by.mean, by.log_scale.x), rates.xxxy);
-    update_geometry(row, 1u, vec4<f32>(s.yz, g.quat.xy), vec4<f32>(by.log_scale.yz, by.quat.xy), rates.yyzz);
+    update_geometry(row, 1u, vec4<f32>(s.yz, g.quat.xy), vec4<f32>(by.log_scale.yz, by.quat.xy),
+        rates.yyzz);
     let last = vec4<f32>(g.quat.zw, g.logit, 0.0);
     let by_last = vec4<f32>(by.quat.zw, by.logit, 0.0);
     update_logit(row, last, by_last, vec4<f32>(rates.zzw, 0.0), seen);
