@@ -6,7 +6,7 @@ use std::sync::{Arc, mpsc};
 use bytemuck::Pod;
 
 use crate::groups::Identity;
-use crate::memory::Reservation;
+use crate::tally::Reservation;
 use crate::{Gpu, GpuError, Submission};
 
 /// `len` elements of `T` on the device. Cloning shares the storage.
@@ -216,7 +216,7 @@ impl Gpu {
             | wgpu::BufferUsages::INDIRECT
             | wgpu::BufferUsages::COPY_SRC;
         let (raw, counted) = self.create_raw(label, bytes, usage)?;
-        let identity = Identity::new(self);
+        let identity = Identity::new(&self.inner.groups);
         let raw = RawBuffer {
             raw,
             label,

@@ -5,11 +5,11 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
-use crate::GpuError;
 use crate::groups::Groups;
-use crate::kernel::{Kernel, Pipeline};
-use crate::memory::Tally;
+use crate::pipeline::Pipeline;
 use crate::profile::Profile;
+use crate::tally::Tally;
+use crate::{GpuError, Kernel};
 
 /// Longest wait for the device: far above any step, far below a person's patience with a hung
 /// driver.
@@ -28,7 +28,7 @@ pub(crate) struct Inner {
     /// The first fault that no call could return at once.
     fault: Arc<Mutex<Option<GpuError>>>,
     pub(crate) pipelines: Mutex<HashMap<Kernel, Arc<Pipeline>>>,
-    pub(crate) groups: Groups,
+    pub(crate) groups: Arc<Groups>,
     pub(crate) profile: Mutex<Option<Profile>>,
     pub(crate) tally: Arc<Tally>,
 }
@@ -245,15 +245,14 @@ fn open(adapter: &wgpu::Adapter, most: u64) -> Result<Gpu, GpuError> {
             note(&lost, GpuError::DeviceLost(message));
         }
     });
-    let (pipelines, groups, profile) = (Mutex::default(), Mutex::default(), Mutex::default());
     let inner = Inner {
         device,
         queue,
         info,
         fault,
-        pipelines,
-        groups,
-        profile,
+        pipelines: Mutex::default(),
+        groups: Arc::default(),
+        profile: Mutex::default(),
         tally: Arc::default(),
     };
     Ok(Gpu {

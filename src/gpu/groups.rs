@@ -5,15 +5,17 @@
 
 use std::collections::HashMap;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, PoisonError, Weak};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 
-use crate::device::Inner;
-use crate::kernel::Pipeline;
-use crate::{Gpu, buffer::RawBuffer};
+use crate::pipeline::Pipeline;
 
-/// Groups by the address of their pipeline, which lives as long as the device, and the numbers of
-/// their buffers.
-pub(crate) type Groups = Mutex<HashMap<(usize, Vec<u64>), wgpu::BindGroup>>;
+/// A pipeline by its address, for it lives as long as the device, and the numbers of the buffers
+/// that are bound to it.
+type Key = (usize, Vec<u64>);
+
+/// The bind groups of one device.
+#[derive(Default)]
+pub(crate) struct Groups(Mutex<HashMap<Key, wgpu::BindGroup>>);
 
 static NEXT: AtomicU64 = AtomicU64::new(0);
 
@@ -23,72 +25,65 @@ pub(crate) struct Identity(Arc<Owned>);
 
 struct Owned {
     number: u64,
-    device: Weak<Inner>,
+    groups: Weak<Groups>,
 }
 
 impl Identity {
-    pub(crate) fn new(gpu: &Gpu) -> Self {
+    /// Of a new allocation, whose groups will be among these.
+    pub(crate) fn new(groups: &Arc<Groups>) -> Self {
         let number = NEXT.fetch_add(1, Ordering::Relaxed);
         Self(Arc::new(Owned {
             number,
-            device: Arc::downgrade(&gpu.inner),
+            groups: Arc::downgrade(groups),
         }))
     }
 }
 
 impl Drop for Owned {
     fn drop(&mut self) {
-        if let Some(device) = self.device.upgrade() {
-            let mut groups = device.groups.lock().unwrap_or_else(PoisonError::into_inner);
-            groups.retain(|(_, buffers), _| !buffers.contains(&self.number));
+        if let Some(groups) = self.groups.upgrade() {
+            groups
+                .kept()
+                .retain(|(_, buffers), _| !buffers.contains(&self.number));
         }
     }
 }
 
-impl Gpu {
+impl Groups {
     /// The group that binds `buffers` to a kernel, in the order of its bindings.
     pub(crate) fn group(
         &self,
+        device: &wgpu::Device,
         pipeline: &Arc<Pipeline>,
-        buffers: &[&RawBuffer],
+        buffers: &[(&Identity, &wgpu::Buffer)],
     ) -> wgpu::BindGroup {
-        let numbers = buffers
-            .iter()
-            .map(|buffer| buffer.identity.0.number)
-            .collect();
-        let key = (Arc::as_ptr(pipeline) as usize, numbers);
-        let mut groups = self
-            .inner
-            .groups
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner);
+        let numbers = buffers.iter().map(|(identity, _)| identity.0.number);
+        let key = (Arc::as_ptr(pipeline) as usize, numbers.collect());
         let make = || {
             let entries: Vec<_> = buffers
                 .iter()
                 .zip(0..)
-                .map(|(b, binding)| wgpu::BindGroupEntry {
+                .map(|((_, buffer), binding)| wgpu::BindGroupEntry {
                     binding,
-                    resource: b.raw.as_entire_binding(),
+                    resource: buffer.as_entire_binding(),
                 })
                 .collect();
-            self.inner
-                .device
-                .create_bind_group(&wgpu::BindGroupDescriptor {
-                    label: Some(pipeline.kernel.name),
-                    layout: &pipeline.layout,
-                    entries: &entries,
-                })
+            device.create_bind_group(&wgpu::BindGroupDescriptor {
+                label: Some(pipeline.kernel.name),
+                layout: &pipeline.layout,
+                entries: &entries,
+            })
         };
-        groups.entry(key).or_insert_with(make).clone()
+        self.kept().entry(key).or_insert_with(make).clone()
     }
 
-    /// Bind groups that are kept.
+    /// How many are kept.
     #[cfg(test)]
-    pub(crate) fn kept_groups(&self) -> usize {
-        self.inner
-            .groups
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner)
-            .len()
+    pub(crate) fn len(&self) -> usize {
+        self.kept().len()
+    }
+
+    fn kept(&self) -> MutexGuard<'_, HashMap<Key, wgpu::BindGroup>> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }

@@ -53,24 +53,29 @@
 //!   buffers.
 
 mod buffer;
+mod compile;
 mod device;
 mod error;
 mod groups;
 mod kernel;
 mod memory;
+mod pipeline;
 mod profile;
 mod recorder;
 pub mod reflect;
 mod rows;
 pub mod shader;
+mod tally;
+mod timer;
 
 pub use buffer::{Bind, Buffer, ReadBack};
 pub use device::{AdapterInfo, DeviceType, Gpu, Submission};
 pub use error::GpuError;
-pub use kernel::{Access, Binding, Kernel, read, read_write, uniform};
+pub use kernel::{Binding, Kernel, read, read_write, uniform};
 pub use memory::MemoryUse;
 pub use profile::KernelTime;
 pub use recorder::{MAX_WORKGROUPS, Recorder, Recording};
+pub use reflect::Access;
 pub use rows::{Rows, part_sizes};
 
 #[cfg(test)]

@@ -6,9 +6,10 @@ use bytemuck::Pod;
 
 use crate::buffer::sealed::Sealed;
 use crate::buffer::{Bind, Buffer, RawBuffer};
-use crate::kernel::{Access, Kernel, Pipeline};
-use crate::profile::Timer;
-use crate::{Gpu, GpuError, Submission};
+use crate::pipeline::Pipeline;
+use crate::reflect::Access;
+use crate::timer::Timer;
+use crate::{Gpu, GpuError, Kernel, Submission};
 
 /// Most workgroups in one dimension of a dispatch, in every Vulkan driver.
 pub const MAX_WORKGROUPS: u32 = 65_535;
@@ -191,7 +192,9 @@ impl Recorder {
         let pipeline = self.gpu.pipeline(kernel)?;
         let raws: Vec<_> = buffers.iter().map(|b| b.raw()).collect();
         check(&pipeline, &raws)?;
-        let group = self.gpu.group(&pipeline, &raws);
+        let bound: Vec<_> = raws.iter().map(|b| (&b.identity, &b.raw)).collect();
+        let inner = &self.gpu.inner;
+        let group = inner.groups.group(&inner.device, &pipeline, &bound);
         self.commands.push(Command::Dispatch {
             pipeline,
             group,

@@ -114,13 +114,13 @@ fn what_is_recorded_anew_binds_the_same_group_until_a_buffer_of_it_goes() {
     // The kernel adds to what is there.
     let sums = [&first, &first, &clone, &second, &second].map(record);
     assert_eq!(sums.map(|s| s[1]), [6.0, 12.0, 18.0, 6.0, 12.0]);
-    assert_eq!(gpu.kept_groups(), 2);
+    assert_eq!(gpu.inner.groups.len(), 2);
     drop(first);
-    assert_eq!(gpu.kept_groups(), 2, "a clone is left");
+    assert_eq!(gpu.inner.groups.len(), 2, "a clone is left");
     drop(clone);
-    assert_eq!(gpu.kept_groups(), 1);
+    assert_eq!(gpu.inner.groups.len(), 1);
     drop(second);
-    assert_eq!(gpu.kept_groups(), 0);
+    assert_eq!(gpu.inner.groups.len(), 0);
 }
 
 #[test]
