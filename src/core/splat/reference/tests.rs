@@ -1,7 +1,7 @@
 use glam::DVec3;
 
 use super::*;
-use crate::camera::Intrinsics;
+use crate::camera::{Camera, Intrinsics};
 
 /// A small deterministic generator for tests, uniform in 0..1.
 struct Random(u64);

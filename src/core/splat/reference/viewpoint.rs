@@ -1,0 +1,14 @@
+//! From where, and how finely, a scene is seen.
+
+use crate::camera::Camera;
+
+/// What is rendered with: camera, active degree and near plane.
+#[derive(Clone, Copy, Debug)]
+pub struct Viewpoint {
+    /// The camera.
+    pub camera: Camera,
+    /// Active degree of the harmonics.
+    pub sh_degree: u32,
+    /// Near plane, world units.
+    pub near: f64,
+}
