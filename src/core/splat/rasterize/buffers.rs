@@ -3,9 +3,13 @@
 use fled_gpu::{Buffer, Gpu, GpuError, ReadBack};
 
 use super::SlotRows;
-use super::order::{INTERSECTIONS, VISIBLE};
 use crate::splat::sort::{BLOCK, Counters, FIXED, RadixSort, SortParameters};
 use crate::splat::uniform::TILE;
+
+/// Counter of visible splats.
+pub(super) const VISIBLE: u32 = 0;
+/// Counter of intersections.
+pub(super) const INTERSECTIONS: u32 = 1;
 
 /// How much the buffers of a rasteriser hold.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -2,14 +2,9 @@
 
 use fled_gpu::{GpuError, Kernel, Recorder, read, read_write, uniform};
 
-use super::SplatBuffers;
+use super::buffers::{SplatBuffers, VISIBLE};
 use crate::splat::project::Projection;
 use crate::splat::sort::{BLOCK, Counters, SCAN};
-
-/// Counter of visible splats.
-pub(super) const VISIBLE: u32 = 0;
-/// Counter of intersections.
-pub(super) const INTERSECTIONS: u32 = 1;
 
 pub(super) const COUNT_VISIBLE: Kernel = Kernel::new(
     "splat/count_visible",
