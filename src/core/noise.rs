@@ -31,7 +31,9 @@
 
 mod buffers;
 mod inspection;
+mod intersection_limit;
 mod kernels;
+mod mode;
 mod network;
 pub mod reference;
 mod state;
@@ -40,40 +42,25 @@ mod work;
 use std::ops::Range;
 
 use fled_gpu::{Buffer, DeviceType, Gpu, GpuError, Recorder};
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
 
 use crate::camera::Camera;
 use buffers::Buffers;
 pub use inspection::{CORRELATION_LIMIT, Inspection, LEAST_GUARDED_SPREAD};
+pub use intersection_limit::IntersectionLimit;
 use kernels::{AdamUniform, ChunkUniform, NoiseUniform};
+pub use mode::NoiseMode;
+use mode::cell_side;
 use network::{LAYERS, Network};
 pub use state::StateError;
 pub use work::NoiseWork;
 
-/// The noise field of a round.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum NoiseMode {
-    /// On a grid of 1/8 resolution, signed, zero mean.
-    Grid,
-    /// At every pixel, positive: the paper's.
-    Paper,
-    /// None.
-    Off,
-}
-
 /// Share of a round's steps, from the first on, without a noise field in mode `Grid`.
 pub const OFF_SHARE: f64 = 0.1;
 
-/// Side of a cell of mode `Grid`, px.
-const CELL: u32 = 8;
 /// Largest amplitude, and the paper's only one.
 const MOST: f32 = 0.1;
 /// Smallest amplitude of mode `Grid`.
 const LEAST: f32 = 0.02;
-/// Weight of the mean squared noise in mode `Grid`; the paper has none.
-const PENALTY: f64 = 0.01;
 /// Adam's rate falls by `DECAY` every `DECAY_STEPS` steps.
 const RATE: f64 = 1e-4;
 const DECAY: f64 = 0.95;
@@ -91,17 +78,6 @@ const LANES: usize = 8;
 /// `clamp(3 sigma, 0.02, 0.1)`: the bound of the noise of a view whose measured noise is `sigma`.
 pub fn amplitude(sigma: f32) -> f32 {
     (3.0 * sigma).clamp(LEAST, MOST)
-}
-
-/// Where the step's count of intersections lies, and how many fit: a step that was blended from a
-/// part of them teaches the field nothing.
-pub struct IntersectionLimit<'a> {
-    /// Counters of the step.
-    pub counters: &'a Buffer<u32>,
-    /// Where among them their number stands.
-    pub total_at: u32,
-    /// Most that fit.
-    pub capacity: u32,
 }
 
 /// The network, its optimiser and its buffers.
@@ -432,10 +408,6 @@ impl NoiseField {
             None => Ok(()),
         }
     }
-}
-
-fn cell_side(mode: NoiseMode) -> u32 {
-    if mode == NoiseMode::Grid { CELL } else { 1 }
 }
 
 #[cfg(test)]

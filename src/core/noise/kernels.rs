@@ -5,8 +5,9 @@ use std::ops::Range;
 use bytemuck::{Pod, Zeroable};
 use fled_gpu::{Binding, Kernel, read, read_write, uniform};
 
+use super::intersection_limit::IntersectionLimit;
+use super::mode::{NoiseMode, PENALTY, cell_side};
 use super::network::Layer;
-use super::{IntersectionLimit, NoiseMode, PENALTY, cell_side};
 use crate::camera::Camera;
 
 pub(super) const ENCODE: Kernel = Kernel::new(

@@ -2,8 +2,9 @@
 
 use glam::DVec3;
 
+use super::MOST;
+use super::mode::{NoiseMode, PENALTY, cell_side};
 use super::network::{self, FEATURE_LAYER, LAYERS, Network};
-use super::{MOST, NoiseMode, PENALTY, cell_side};
 use crate::camera::Camera;
 
 /// The field at fixed parameters for one view.
