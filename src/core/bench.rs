@@ -9,115 +9,35 @@
 //! minutes, so that a kernel's share of it means the same on a machine that is shared with others.
 //! What a kernel has to move and to compute follows from counts ([`model`]).
 
+mod error;
 mod measure;
 pub mod model;
+mod options;
 pub mod report;
 mod subject;
 mod table;
 mod workload;
 mod yardstick;
 
-use fled_gpu::{Gpu, GpuError};
-use serde::Serialize;
+use fled_gpu::Gpu;
 
-use crate::cancel::{CancelToken, Cancelled};
-use crate::gaussians::ply::PlyError;
-use crate::image::ImageError;
+use crate::cancel::CancelToken;
 use crate::noise::NoiseMode;
-use crate::reconstruct::{Background, Densify, ReconstructError, Response, Stepper, TrainConfig};
-use crate::render::SplatError;
-pub use measure::Budget;
+use crate::reconstruct::{Background, Densify, Response, Stepper, TrainConfig};
+pub use error::BenchError;
+pub use options::{BenchOptions, Budget, MOST_STEPS};
 use report::{Case, Machine, Report};
 use subject::{Rendering, Similarity, Sorting, Subject, Training};
 pub use workload::Workload;
 
-/// Degree of the harmonics in synthetic scenes: the paper's.
-const SH_DEGREE: u32 = 3;
 /// Steps of the round that the measured steps belong to, and the first of them. In the middle of a
 /// round all harmonics are active and the noise field acts; relocation, and the estimate of the
 /// shake, come before the first step and every hundredth after it.
 const ROUND: u32 = 10_000;
 const FIRST: u32 = ROUND / 2;
-/// Most steps of a case, so that warm-up and both halves of a case lie inside the round.
-pub const MOST_STEPS: u32 = 2_000;
-
-/// What to measure.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct BenchOptions {
-    /// Widths and heights of the images, px.
-    pub sizes: Vec<(usize, usize)>,
-    /// Numbers of Gaussians, and of keys to sort.
-    pub gaussians: Vec<usize>,
-    /// How long a case takes.
-    pub budget: Budget,
-    /// Seed of the synthetic scenes.
-    pub seed: u64,
-}
-
-impl Default for BenchOptions {
-    /// The sizes and numbers of the presets.
-    fn default() -> Self {
-        Self {
-            sizes: vec![(280, 160), (560, 320), (1120, 640)],
-            gaussians: vec![10_000, 50_000, 200_000],
-            budget: Budget {
-                seconds: 5.0,
-                steps: 100,
-            },
-            seed: 0,
-        }
-    }
-}
-
-impl BenchOptions {
-    /// One small size and a few steps: shows that everything runs, and measures little.
-    pub fn quick() -> Self {
-        Self {
-            sizes: vec![(280, 160)],
-            gaussians: vec![10_000],
-            budget: Budget {
-                seconds: 0.5,
-                steps: 10,
-            },
-            seed: 0,
-        }
-    }
-}
 
 /// Takes the number of finished cases, of all cases, and the name of the next.
 pub type Progress<'a> = &'a mut dyn FnMut(usize, usize, &str);
-
-/// Why nothing was measured.
-#[derive(Debug, thiserror::Error)]
-pub enum BenchError {
-    /// The device.
-    #[error(transparent)]
-    Gpu(#[from] GpuError),
-    /// Training.
-    #[error(transparent)]
-    Reconstruct(#[from] ReconstructError),
-    /// Rendering.
-    #[error(transparent)]
-    Render(#[from] SplatError),
-    /// Asked to stop.
-    #[error(transparent)]
-    Cancelled(#[from] Cancelled),
-    /// The scene of a finished run cannot be read.
-    #[error(transparent)]
-    Scene(#[from] PlyError),
-    /// An image of a finished run cannot be read.
-    #[error(transparent)]
-    Image(#[from] ImageError),
-    /// The folder does not hold a finished run.
-    #[error("{0}")]
-    Run(String),
-    /// A budget beyond [`MOST_STEPS`].
-    #[error("{0} steps a case; at most {MOST_STEPS} are possible")]
-    Steps(u32),
-    /// There is nothing to measure.
-    #[error("nothing to measure: no {0}")]
-    Empty(&'static str),
-}
 
 /// What a step explains beside the scene.
 #[derive(Clone, Copy, Debug, PartialEq)]

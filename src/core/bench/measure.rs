@@ -4,10 +4,10 @@ use std::collections::BTreeMap;
 use std::time::Instant;
 
 use fled_gpu::Gpu;
-use serde::Serialize;
 
-use super::BenchError;
+use super::error::BenchError;
 use super::model::Work;
+use super::options::Budget;
 use super::subject::Subject;
 use crate::cancel::CancelToken;
 
@@ -16,16 +16,6 @@ const WARM_UP: u32 = 3;
 /// Fewer steps have no median worth the name. A step that alone is longer than the budget is made
 /// once.
 const LEAST: u32 = 3;
-
-/// How long a case takes, twice: once without timestamps, once with them. What comes first ends it,
-/// after three steps, or after one that is longer than the seconds.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Budget {
-    /// Seconds.
-    pub seconds: f64,
-    /// Steps.
-    pub steps: u32,
-}
 
 /// What was found out about one case.
 #[derive(Clone, Debug)]

@@ -5,8 +5,8 @@ use std::collections::BTreeMap;
 use fled_gpu::Gpu;
 use serde::Serialize;
 
-use super::BenchOptions;
 use super::measure::{Measured, median};
+use super::options::BenchOptions;
 use super::yardstick::Yardstick;
 use crate::metrics;
 use crate::noise::NoiseMode;
@@ -182,11 +182,6 @@ impl Report {
             row.arithmetic_share = share(row.operations, yardsticks.fma_gflops);
         }
         self.peak_resident_bytes = peak_resident();
-    }
-
-    /// The report for people.
-    pub fn table(&self) -> String {
-        super::table::table(self)
     }
 }
 

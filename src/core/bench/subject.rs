@@ -4,8 +4,9 @@ use fled_gpu::{Buffer, Gpu, GpuError, Recording};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
+use super::error::BenchError;
 use super::model::Work;
-use super::{BenchError, Workload};
+use super::workload::Workload;
 use crate::cancel::CancelToken;
 use crate::image::Image;
 use crate::reconstruct::Stepper;

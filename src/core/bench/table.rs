@@ -17,25 +17,28 @@ const HEAD: [&str; 8] = [
     "of the arithmetic",
 ];
 
-pub(super) fn table(report: &Report) -> String {
-    let mut out = head(report);
-    out += &row(&HEAD.map(str::to_owned));
-    for case in &report.cases {
-        out += &case_lines(case);
+impl Report {
+    /// The report for people.
+    pub fn table(&self) -> String {
+        let mut out = head(self);
+        out += &row(&HEAD.map(str::to_owned));
+        for case in &self.cases {
+            out += &case_lines(case);
+        }
+        if let Some(job) = &self.job {
+            out += &job_lines(job);
+        }
+        if let Some(bytes) = self.peak_resident_bytes {
+            line(
+                &mut out,
+                format_args!(
+                    "\nThe process had at most {} MB resident.",
+                    megabytes(bytes)
+                ),
+            );
+        }
+        out
     }
-    if let Some(job) = &report.job {
-        out += &job_lines(job);
-    }
-    if let Some(bytes) = report.peak_resident_bytes {
-        line(
-            &mut out,
-            format_args!(
-                "\nThe process had at most {} MB resident.",
-                megabytes(bytes)
-            ),
-        );
-    }
-    out
 }
 
 fn head(report: &Report) -> String {

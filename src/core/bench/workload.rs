@@ -8,14 +8,16 @@ use glam::DVec3;
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
+use super::error::BenchError;
 use super::model::Work;
-use super::{BenchError, SH_DEGREE};
 use crate::camera::{Camera, Intrinsics, NamedCamera, Split};
 use crate::gaussians::{Gaussians, ply};
 use crate::image::{Image, Linear};
 use crate::reconstruct::{ExtentRule, Point, TrainingView, scene_extent};
 use crate::render::Renderer;
 
+/// Degree of the harmonics in synthetic scenes: the paper's.
+const SH_DEGREE: u32 = 3;
 /// Views of a made-up scene: more cost memory and change nothing.
 const VIEWS: usize = 3;
 /// Half the sides of the box that the Gaussians lie in, world units; the cameras stand 3 before its

@@ -1,0 +1,42 @@
+//! Why nothing was measured.
+
+use fled_gpu::GpuError;
+
+use super::options::MOST_STEPS;
+use crate::cancel::Cancelled;
+use crate::gaussians::ply::PlyError;
+use crate::image::ImageError;
+use crate::reconstruct::ReconstructError;
+use crate::render::SplatError;
+
+/// Why nothing was measured.
+#[derive(Debug, thiserror::Error)]
+pub enum BenchError {
+    /// The device.
+    #[error(transparent)]
+    Gpu(#[from] GpuError),
+    /// Training.
+    #[error(transparent)]
+    Reconstruct(#[from] ReconstructError),
+    /// Rendering.
+    #[error(transparent)]
+    Render(#[from] SplatError),
+    /// Asked to stop.
+    #[error(transparent)]
+    Cancelled(#[from] Cancelled),
+    /// The scene of a finished run cannot be read.
+    #[error(transparent)]
+    Scene(#[from] PlyError),
+    /// An image of a finished run cannot be read.
+    #[error(transparent)]
+    Image(#[from] ImageError),
+    /// The folder does not hold a finished run.
+    #[error("{0}")]
+    Run(String),
+    /// A budget beyond [`MOST_STEPS`].
+    #[error("{0} steps a case; at most {MOST_STEPS} are possible")]
+    Steps(u32),
+    /// There is nothing to measure.
+    #[error("nothing to measure: no {0}")]
+    Empty(&'static str),
+}
