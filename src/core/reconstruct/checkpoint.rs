@@ -2,7 +2,8 @@
 
 use bytemuck::{Pod, Zeroable};
 
-use crate::splat::rows::{GEOMETRY_ROW, sh_row};
+use crate::gaussians::Gaussians;
+use crate::splat::rows::{GEOMETRY_ROW, GeometryRow, sh_row, unpack_gaussians};
 
 /// First bytes of a checkpoint.
 const MAGIC: [u8; 8] = *b"fledckpt";
@@ -71,6 +72,12 @@ impl Checkpoint {
     /// Number of Gaussians.
     pub fn count(&self) -> usize {
         self.geometry.len() / GEOMETRY_ROW
+    }
+
+    /// The scene.
+    pub fn gaussians(&self) -> Gaussians {
+        let rows: Vec<GeometryRow> = bytemuck::pod_collect_to_vec(&self.geometry);
+        unpack_gaussians(&rows, &self.sh, self.sh_degree)
     }
 
     /// The checkpoint as bytes: a header, then the arrays, little endian.

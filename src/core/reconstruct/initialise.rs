@@ -5,8 +5,9 @@ use glam::{DVec2, DVec3};
 use rand::seq::SliceRandom;
 use rand::{Rng, RngExt};
 use rayon::prelude::*;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
 
-use super::ExtentRule;
 use super::schedule::{Schedule, Stream};
 use crate::camera::Camera;
 use crate::gaussians::Gaussians;
@@ -32,6 +33,17 @@ pub struct Beginning {
     /// and 95th percentile of depth. Filling up to 20,000 whatever there is costs more than 1 dB
     /// against what grows from sparse points; only where there are hardly any do random ones help.
     pub fill_up: usize,
+}
+
+/// The length that rates and noise are measured in.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum ExtentRule {
+    /// The larger of the cameras' own and a quarter of the points' median depth: cameras that face
+    /// forward stand close together.
+    Scene,
+    /// 1.1 times the radius of the cameras, as first published.
+    Cameras,
 }
 
 /// Length that rates and noise are measured in, world units. 1 when there is nothing to measure.

@@ -4,9 +4,12 @@ mod interrupted;
 use glam::DVec3;
 
 use super::*;
-use crate::camera::Intrinsics;
-use crate::gaussians::ply;
+use crate::camera::{Camera, Intrinsics};
+use crate::cancel::CancelToken;
+use crate::gaussians::{Gaussians, ply};
+use crate::image::Image;
 use crate::metrics::psnr;
+use crate::noise::NoiseMode;
 use crate::splat::fixtures::{self, Random};
 use crate::splat::project::Projection;
 use crate::splat::rasterize::{Forward, Specialisation, SplatBuffers, SplatSizes};

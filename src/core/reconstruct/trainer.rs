@@ -67,7 +67,7 @@ impl<'a> Trainer<'a> {
     ) -> Result<Self, ReconstructError> {
         let (gaussians, checkpoint) = match start {
             TrainStart::Fresh(gaussians) => (gaussians.with_sh_degree(config.sh_degree), None),
-            TrainStart::Resume(checkpoint) => (saved::scene_of(&checkpoint), Some(checkpoint)),
+            TrainStart::Resume(checkpoint) => (checkpoint.gaussians(), Some(checkpoint)),
         };
         let grows = config.densify != Densify::Off;
         let purpose = Purpose {

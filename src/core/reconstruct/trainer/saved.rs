@@ -1,12 +1,10 @@
 //! The state of a round as numbers, and back.
 
 use super::Trainer;
-use crate::gaussians::Gaussians;
 use crate::noise::NoiseField;
 use crate::reconstruct::ReconstructError;
 use crate::reconstruct::checkpoint::Checkpoint;
 use crate::reconstruct::observed::Observed;
-use crate::splat::rows::{GeometryRow, unpack_gaussians};
 
 impl Trainer<'_> {
     /// The state before the step `next`, with nothing in flight.
@@ -72,10 +70,4 @@ impl Trainer<'_> {
         let hash = hasher.finalize();
         u64::from_le_bytes(*hash.as_bytes().first_chunk().expect("a hash has 32 bytes"))
     }
-}
-
-/// The Gaussians of a checkpoint.
-pub(super) fn scene_of(checkpoint: &Checkpoint) -> Gaussians {
-    let rows: Vec<GeometryRow> = bytemuck::pod_collect_to_vec(&checkpoint.geometry);
-    unpack_gaussians(&rows, &checkpoint.sh, checkpoint.sh_degree)
 }

@@ -1,0 +1,17 @@
+//! What a round is trained on.
+
+use crate::camera::Camera;
+use crate::image::Image;
+
+/// One image to train on.
+#[derive(Clone, Debug)]
+pub struct TrainingView {
+    /// For messages.
+    pub name: String,
+    /// Its camera, at the size of the image.
+    pub camera: Camera,
+    /// sRGB-encoded.
+    pub image: Image,
+    /// Its measured noise, 0..=1; bounds the noise field.
+    pub noise_sigma: f32,
+}
