@@ -15,7 +15,7 @@ use fled_core::metrics::{Brightness, ImageKind, Record, Reference, RoundMetrics}
 use fled_core::pipeline::config::Options;
 use glam::DVec3;
 
-use super::say;
+use crate::protocol::{say, tell};
 
 /// Ticks of a stage, each a `StageAdvanced`.
 const TICKS: u64 = 10;
@@ -235,10 +235,6 @@ fn fail(kind: &str, detail: &str, hint: &str) -> Outcome {
         hint: hint.to_owned(),
     });
     std::process::exit(3);
-}
-
-fn tell(event: &Event) {
-    say(&serde_json::to_string(event).expect("events are plain data"));
 }
 
 fn metrics(round: u32) -> RoundMetrics {

@@ -4,15 +4,17 @@
 //! does is planned by its option `adapter`, the only free word that no part of the service reads.
 
 mod job;
+mod protocol;
 
 use std::ffi::OsString;
-use std::io::{self, BufRead, Write};
+use std::io::{self, BufRead};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use fled_core::image::Image;
 use fled_server::render::RenderRequest;
 use fled_server::{Limits, ServeConfig};
+use protocol::say;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     fled_server::die_with_parent()?;
@@ -89,11 +91,4 @@ fn render_worker() -> Result<(), Box<dyn std::error::Error>> {
         say(r#"{"ok":true}"#);
     }
     Ok(())
-}
-
-/// One line of the protocol, at once.
-fn say(line: &str) {
-    let mut out = io::stdout().lock();
-    // Nobody listens any more: the server is gone, and so will be this process.
-    let _ = writeln!(out, "{line}").and_then(|()| out.flush());
 }
