@@ -1,43 +1,24 @@
 //! Whether the machine can do the work: database, disk, and what a child process finds out about
 //! the adapter, COLMAP, ONNX Runtime and the models.
 
+mod check;
+
 use std::time::{Duration, Instant};
 
-use serde::{Deserialize, Serialize};
-use utoipa::ToSchema;
+use serde::Deserialize;
 
 use crate::app::App;
 use crate::jobs::process::{Group, Line};
+pub use check::{Check, Remembered};
 
 /// How long a judgement of the machine is believed.
 const BELIEVED: Duration = Duration::from_secs(60);
 /// The judging process may take so long.
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// One thing that has to be in order.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
-pub struct Check {
-    /// `database`, `disk`, `adapter`, `colmap`, `onnxruntime`, `models` ...
-    pub name: String,
-    /// Whether it is in order.
-    pub ok: bool,
-    /// What was found.
-    pub detail: String,
-    /// What to do, when it is not in order.
-    #[serde(default, skip_serializing_if = "String::is_empty")]
-    pub hint: String,
-}
-
 /// What the judging process prints, as one line of JSON.
 #[derive(Clone, Debug, Deserialize)]
 struct Doctor {
-    checks: Vec<Check>,
-}
-
-/// A judgement and its time.
-#[derive(Clone, Debug)]
-pub struct Remembered {
-    at: Instant,
     checks: Vec<Check>,
 }
 
