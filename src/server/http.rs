@@ -6,6 +6,7 @@
 )]
 
 mod artifacts;
+mod body_limit;
 mod captures;
 mod dashboard;
 mod events;
@@ -13,6 +14,7 @@ mod extract;
 mod health;
 mod jobs;
 mod log;
+mod lookup;
 mod openapi;
 mod options;
 mod problem;
@@ -36,6 +38,7 @@ use tower_http::set_header::SetResponseHeaderLayer;
 use tower_http::trace::TraceLayer;
 
 use crate::app::App;
+use body_limit::SMALL;
 
 pub use openapi::document;
 pub use problem::Problem;
@@ -43,9 +46,6 @@ pub use problem::Problem;
 /// Only what the server itself sends may run or be shown; nobody may frame it.
 const CONTENT_SECURITY_POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; \
     img-src 'self' blob:; connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
-
-/// Small bodies: everything but uploads.
-const SMALL: usize = 1 << 20;
 
 /// Every route.
 pub fn router(app: Arc<App>) -> Router {

@@ -9,7 +9,7 @@ use std::time::UNIX_EPOCH;
 use axum::body::Body;
 use axum::extract::{Path, State};
 use axum::http::{HeaderMap, StatusCode, header};
-use axum::response::{IntoResponse, Response};
+use axum::response::{IntoResponse, IntoResponseParts, Response};
 use fled_core::run_folder::RunFolder;
 use serde::Serialize;
 use sha2::{Digest, Sha256};
@@ -17,7 +17,7 @@ use tokio::io::{AsyncReadExt, AsyncSeekExt};
 use tokio_util::io::ReaderStream;
 use utoipa::ToSchema;
 
-use super::jobs::find;
+use super::lookup::find;
 use super::problem::Problem;
 use super::range::{Wanted, wanted};
 use crate::app::App;
@@ -130,35 +130,7 @@ pub async fn download(
                 .into_response());
         }
     };
-    let mut source = tokio::fs::File::open(&file.path)
-        .await
-        .map_err(ServerError::io(&file.path))?;
-    source
-        .seek(SeekFrom::Start(start))
-        .await
-        .map_err(ServerError::io(&file.path))?;
-    let body = Body::from_stream(ReaderStream::with_capacity(source.take(length), 1 << 16));
-    let whole = length == file.bytes;
-    let status = if whole {
-        StatusCode::OK
-    } else {
-        StatusCode::PARTIAL_CONTENT
-    };
-    let mut response = (
-        status,
-        common,
-        [(header::CONTENT_LENGTH, length.to_string())],
-        body,
-    )
-        .into_response();
-    if !whole {
-        let range = format!("bytes {start}-{}/{}", start + length - 1, file.bytes);
-        response.headers_mut().insert(
-            header::CONTENT_RANGE,
-            range.parse().map_err(|_| Problem::internal())?,
-        );
-    }
-    Ok(response)
+    file.send(start, length, common).await
 }
 
 /// Whether the client has this very content already.
@@ -219,6 +191,39 @@ impl Stored {
             bytes,
             sha256,
         }))
+    }
+
+    /// The answer with `length` bytes from `start` on.
+    async fn send(
+        &self,
+        start: u64,
+        length: u64,
+        headers: impl IntoResponseParts,
+    ) -> Result<Response, Problem> {
+        let mut source = tokio::fs::File::open(&self.path)
+            .await
+            .map_err(ServerError::io(&self.path))?;
+        source
+            .seek(SeekFrom::Start(start))
+            .await
+            .map_err(ServerError::io(&self.path))?;
+        let body = Body::from_stream(ReaderStream::with_capacity(source.take(length), 1 << 16));
+        let whole = length == self.bytes;
+        let status = if whole {
+            StatusCode::OK
+        } else {
+            StatusCode::PARTIAL_CONTENT
+        };
+        let length_header = [(header::CONTENT_LENGTH, length.to_string())];
+        let mut response = (status, headers, length_header, body).into_response();
+        if !whole {
+            let range = format!("bytes {start}-{}/{}", start + length - 1, self.bytes);
+            response.headers_mut().insert(
+                header::CONTENT_RANGE,
+                range.parse().map_err(|_| Problem::internal())?,
+            );
+        }
+        Ok(response)
     }
 }
 

@@ -18,7 +18,7 @@ use tokio::sync::watch;
 use utoipa::IntoParams;
 
 use super::extract::Query;
-use super::jobs::find;
+use super::lookup::find;
 use super::problem::Problem;
 use crate::app::App;
 use crate::store::EventRow;

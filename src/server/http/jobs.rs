@@ -15,9 +15,10 @@ use serde_json::{Map, Value};
 use utoipa::{IntoParams, ToSchema};
 use uuid::Uuid;
 
-use super::SMALL;
+use super::body_limit::SMALL;
 use super::captures::remove;
 use super::extract::{Json, Query};
+use super::lookup::find;
 use super::problem::Problem;
 use super::shapes::{Job, Jobs};
 use super::upload;
@@ -396,17 +397,9 @@ fn over(row: &JobRow) -> Problem {
         .hint("Queued and running jobs can be cancelled; failed and cancelled ones retried.")
 }
 
-/// The job, or 404.
-/// The job as answered.
+/// The job as answered, or 404.
 async fn told(app: &App, id: &str) -> Result<Job, Problem> {
     let told = app.store.told_job(id).await?;
     told.map(Job::from_told)
-        .ok_or_else(|| Problem::not_found("job"))
-}
-
-pub(super) async fn find(app: &App, id: &str) -> Result<JobRow, Problem> {
-    app.store
-        .job(id)
-        .await?
         .ok_or_else(|| Problem::not_found("job"))
 }

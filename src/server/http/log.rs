@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use utoipa::{IntoParams, ToSchema};
 
 use super::extract::Query;
-use super::jobs::find;
+use super::lookup::find;
 use super::problem::Problem;
 use crate::app::App;
 use crate::error::ServerError;

@@ -15,7 +15,7 @@ use uuid::Uuid;
 
 use super::artifacts::is_known;
 use super::extract::{Json, Query};
-use super::jobs::find;
+use super::lookup::find;
 use super::problem::Problem;
 use crate::app::App;
 use crate::error::ServerError;
