@@ -1,0 +1,139 @@
+//! Uploads through a real server process: what is taken, what is refused, where it lies.
+
+mod support;
+
+use support::{Server, file, photograph, photographs, text, zip};
+
+#[test]
+fn bad_files_are_listed_and_the_rest_goes_on_until_too_few_remain() {
+    let server = Server::start();
+    let mut parts = photographs(3);
+    parts.push(file("broken.jpg", b"this is text"));
+    let reply = server
+        .upload("/v1/captures", &parts, &[])
+        .expect(201)
+        .json();
+    assert_eq!(reply["accepted"], 3);
+    let images = reply["images"].as_array().expect("assessments");
+    let broken = images
+        .iter()
+        .find(|image| image["name"] == "broken.jpg")
+        .expect("listed");
+    assert!(
+        broken["accepted"] == false && broken["reason"].is_string(),
+        "{broken}"
+    );
+    let reply = server.upload("/v1/captures", &parts[2..], &[]).expect(422);
+    assert_eq!(reply.header("content-type"), "application/problem+json");
+    let problem = reply.json();
+    assert_eq!(problem["code"], "bad_input");
+    assert!(
+        problem["hint"].is_string()
+            && problem["capture"]["images"]
+                .as_array()
+                .is_some_and(|v| v.len() == 2)
+    );
+    server
+        .upload("/v1/captures", &[text("name", "nothing")], &[])
+        .expect(422);
+    let dry = server
+        .upload("/v1/captures?dry_run", &photographs(3), &[])
+        .expect(200)
+        .json();
+    assert!(dry["id"].is_null() && dry["accepted"] == 3);
+    let list = server.get("/v1/captures", &[]).expect(200).json();
+    assert_eq!(
+        list["captures"].as_array().map(Vec::len),
+        Some(1),
+        "only what was accepted is kept"
+    );
+    let left = std::fs::read_dir(server.data.path().join("data/incoming"))
+        .expect("folder")
+        .count();
+    assert_eq!(left, 0, "refused uploads leave files");
+}
+
+#[test]
+fn a_zip_is_judged_by_its_own_names_and_kept_as_it_is() {
+    let server = Server::start();
+    let names = [
+        "walk/images/a.png",
+        "walk/images/b.png",
+        "walk/images/c.png",
+        "walk/gt/a.png",
+    ];
+    let content: Vec<(&str, Vec<u8>)> = (0..)
+        .zip(names)
+        .map(|(i, name)| (name, photograph(i)))
+        .collect();
+    let reply = server
+        .upload("/v1/captures", &[file("walk.zip", &zip(&content))], &[])
+        .expect(201)
+        .json();
+    assert_eq!(
+        reply["accepted"], 3,
+        "ground truth is no photograph: {reply:#}"
+    );
+    assert_eq!(reply["images"][0]["name"], "a.png");
+    let capture = server
+        .data
+        .path()
+        .join("data/captures")
+        .join(reply["id"].as_str().expect("id"));
+    let kept: Vec<_> = std::fs::read_dir(capture)
+        .expect("folder")
+        .flatten()
+        .map(|e| e.file_name())
+        .collect();
+    assert_eq!(kept, ["upload.zip"]);
+    let bad = server
+        .upload("/v1/captures", &[file("a.zip", b"no zip at all")], &[])
+        .expect(422)
+        .json();
+    assert!(
+        !bad["detail"].as_str().expect("detail").contains("incoming"),
+        "a path of the server is told: {bad}"
+    );
+    let parts = [
+        file("walk.zip", &zip(&content)),
+        file("a.png", &photograph(1)),
+    ];
+    server.upload("/v1/captures", &parts, &[]).expect(422);
+}
+
+#[test]
+fn names_cannot_lead_out_of_the_capture() {
+    let server = Server::start();
+    let names = [
+        "../../../evil.png",
+        "/etc/evil.png",
+        "a\\..\\..\\evil.png",
+        "-rf.png",
+        "日本.png",
+    ];
+    let parts: Vec<_> = names
+        .iter()
+        .enumerate()
+        .map(|(i, name)| file(name, &photograph(i)))
+        .collect();
+    let reply = server
+        .upload("/v1/captures", &parts, &[])
+        .expect(201)
+        .json();
+    assert_eq!(reply["accepted"], 5, "{reply:#}");
+    let capture = server
+        .data
+        .path()
+        .join("data/captures")
+        .join(reply["id"].as_str().expect("id"));
+    assert_eq!(
+        std::fs::read_dir(capture.join("images"))
+            .expect("images")
+            .count(),
+        5
+    );
+    assert!(
+        !server.data.path().join("evil.png").exists()
+            && !server.data.path().join("data/evil.png").exists()
+    );
+}

@@ -1,0 +1,154 @@
+//! Files and renders of a job through a real server process.
+
+mod support;
+
+use serde_json::json;
+use support::Server;
+
+#[test]
+fn results_come_whole_in_ranges_and_not_at_all_when_known() {
+    let server = Server::start();
+    let job = server.job("ok");
+    server.wait_state(&job, "succeeded");
+    let list = server
+        .get(&format!("/v1/jobs/{job}/artifacts"), &[])
+        .expect(200)
+        .json();
+    let artifacts = list["artifacts"].as_array().expect("list");
+    let names: Vec<&str> = artifacts
+        .iter()
+        .filter_map(|a| a["name"].as_str())
+        .collect();
+    for name in [
+        "scene.ply",
+        "cameras.json",
+        "metrics.json",
+        "rounds/1/renders/000.jpg",
+        "inputs/003.jpg",
+    ] {
+        assert!(names.contains(&name), "{name} is missing in {names:?}");
+    }
+    assert!(
+        !names.iter().any(|name| name.starts_with('.')),
+        "private files are listed"
+    );
+    let path = format!("/v1/jobs/{job}/artifacts/scene.ply");
+    let whole = server.get(&path, &[]).expect(200);
+    assert_eq!(whole.text(), "ply of round 2");
+    // printf 'ply of round 2' | sha256sum
+    let scene = artifacts
+        .iter()
+        .find(|a| a["name"] == "scene.ply")
+        .expect("listed");
+    assert_eq!(
+        whole.header("etag"),
+        format!("\"{}\"", scene["sha256"].as_str().expect("digest"))
+    );
+    let part = server.get(&path, &[("range", "bytes=4-5")]).expect(206);
+    assert_eq!(
+        (part.text().as_str(), part.header("content-range")),
+        ("of", "bytes 4-5/14")
+    );
+    server.get(&path, &[("range", "bytes=99-")]).expect(416);
+    server
+        .get(&path, &[("if-none-match", whole.header("etag"))])
+        .expect(304);
+    for name in [
+        "..%2f..%2ffled.db",
+        "../../fled.db",
+        ".done-poses-0",
+        "none",
+        "rounds",
+    ] {
+        let status = server
+            .get(&format!("/v1/jobs/{job}/artifacts/{name}"), &[])
+            .status;
+        assert_eq!(status, 404, "{name}");
+    }
+}
+
+#[test]
+fn renders_come_while_the_job_trains_from_the_last_finished_round() {
+    let server = Server::start();
+    let job = server.job("slow:40");
+    server.wait(&job, "running", |shown| shown["state"] == "running");
+    let render = |query: &str| server.get(&format!("/v1/jobs/{job}/render?{query}"), &[]);
+    assert_eq!(
+        render("azimuth=10").expect(409).json()["code"],
+        "no_scene_yet"
+    );
+    server.wait(&job, "in round 2", |shown| shown["round"] == 2);
+    let picture = render("azimuth=10&elevation=5&width=64").expect(200);
+    assert_eq!(
+        (picture.header("content-type"), &picture.body[..2]),
+        ("image/jpeg", &[0xff, 0xd8][..])
+    );
+    let tag = picture.header("etag").to_owned();
+    server
+        .get(
+            &format!("/v1/jobs/{job}/render?azimuth=10&elevation=5&width=64"),
+            &[("if-none-match", &tag)],
+        )
+        .expect(304);
+    assert_ne!(
+        render("azimuth=20&elevation=5&width=64")
+            .expect(200)
+            .header("etag"),
+        tag
+    );
+    let png = render("view=001&format=png&round=1").expect(200);
+    assert_eq!(&png.body[1..4], b"PNG");
+    assert_eq!(
+        (png.body[19], png.body[23]),
+        (160, 90),
+        "the view's own size"
+    );
+    render("view=nobody").expect(404);
+    render("round=2").expect(404);
+    render("width=99999").expect(422);
+    render("azimuth=NaN").expect(422);
+    render("azimut=1").expect(400);
+    server.wait_state(&job, "succeeded");
+    assert_ne!(
+        render("azimuth=10&elevation=5&width=64")
+            .expect(200)
+            .header("etag"),
+        tag,
+        "the delivered scene is another"
+    );
+}
+
+#[test]
+fn a_camera_of_the_clients_own_must_be_rigid() {
+    let server = Server::start();
+    let job = server.job("ok");
+    server.wait_state(&job, "succeeded");
+    let camera = json!({ "world_to_camera": [[1.0,0.0,0.0,0.0],[0.0,1.0,0.0,0.0],[0.0,0.0,1.0,4.0],[0.0,0.0,0.0,1.0]],
+        "intrinsics": { "width": 64, "height": 48, "fx": 50.0, "fy": 50.0, "cx": 32.0, "cy": 24.0 }, "format": "png" });
+    server
+        .post_json(&format!("/v1/jobs/{job}/render"), &camera, &[])
+        .expect(200);
+    let mut skewed = camera.clone();
+    skewed["world_to_camera"][0][0] = json!(2.0);
+    assert_eq!(
+        server
+            .post_json(&format!("/v1/jobs/{job}/render"), &skewed, &[])
+            .expect(422)
+            .json()["code"],
+        "bad_camera"
+    );
+}
+
+#[test]
+fn a_render_process_that_dies_costs_one_picture_and_not_the_service() {
+    let server = Server::start();
+    let (good, bad) = (server.job("ok"), server.job("bad_scene"));
+    server.wait_state(&good, "succeeded");
+    server.wait_state(&bad, "succeeded");
+    let render =
+        |job: &str, query: &str| server.get(&format!("/v1/jobs/{job}/render?{query}"), &[]);
+    render(&good, "azimuth=1").expect(200);
+    let problem = render(&bad, "round=1").expect(503).json();
+    assert_eq!(problem["code"], "render_failed");
+    render(&good, "azimuth=2").expect(200);
+}
