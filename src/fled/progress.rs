@@ -46,75 +46,71 @@ impl Reporter {
     }
 
     fn show(&mut self, event: &Event) {
-        match event {
-            Event::Planned { rounds, views } => {
-                self.line(&format!("{views} views, {rounds} rounds"));
-            }
-            Event::StageStarted { stage, round } => {
-                if let Some(bar) = &self.bar {
-                    bar.set_message(name(stage.name(), *round));
-                }
-            }
-            Event::StageAdvanced {
-                stage,
-                round,
-                done,
-                total,
-                steps_per_second,
-            } => {
-                if let Some(bar) = &self.bar {
-                    let rate = steps_per_second
-                        .map_or(String::new(), |rate| format!(", {rate:.1} steps/s"));
-                    bar.set_message(format!(
-                        "{} {done}/{total}{rate}",
-                        name(stage.name(), *round)
-                    ));
-                }
-            }
-            Event::StageFinished {
-                stage,
-                round,
-                seconds,
-                skipped,
-            } => {
-                let how = if *skipped {
-                    "already done, took"
-                } else {
-                    "done in"
-                };
-                self.line(&format!(
-                    "{} {how} {seconds:.1} s",
-                    name(stage.name(), *round)
-                ));
-            }
-            Event::RoundFinished { metrics } => {
-                for line in round_lines(metrics) {
-                    self.line(&line);
-                }
-            }
-            Event::Progress { progress, .. } => {
-                if let Some(bar) = &self.bar {
-                    bar.set_position((progress * 1000.0) as u64);
-                }
-            }
-            Event::Warning { code, message } => self.line(&format!("warning ({code}): {message}")),
-            Event::Log { message } => self.line(message),
-            Event::Finished {
-                best_round,
-                seconds,
-            } => {
-                self.line(&format!(
-                    "finished in {seconds:.1} s; round {best_round} is delivered"
-                ));
-                if let Some(bar) = &self.bar {
-                    bar.finish_and_clear();
-                }
-            }
-            Event::Failed { kind, detail, hint } => {
-                self.line(&format!("failed ({kind}): {detail} {hint}"));
-            }
+        if let Some(bar) = &self.bar {
+            advance(bar, event);
+        }
+        for line in lines(event) {
+            self.line(&line);
+        }
+        if let (Event::Finished { .. }, Some(bar)) = (event, &self.bar) {
+            bar.finish_and_clear();
         }
     }
+}
+
+/// What an event changes of the bar itself.
+fn advance(bar: &ProgressBar, event: &Event) {
+    match event {
+        Event::StageStarted { stage, round } => bar.set_message(name(stage.name(), *round)),
+        Event::StageAdvanced {
+            stage,
+            round,
+            done,
+            total,
+            steps_per_second,
+        } => {
+            let rate =
+                steps_per_second.map_or(String::new(), |rate| format!(", {rate:.1} steps/s"));
+            bar.set_message(format!(
+                "{} {done}/{total}{rate}",
+                name(stage.name(), *round)
+            ));
+        }
+        Event::Progress { progress, .. } => bar.set_position((progress * 1000.0) as u64),
+        _ => {}
+    }
+}
+
+/// What an event adds to the log.
+fn lines(event: &Event) -> Vec<String> {
+    let line = match event {
+        Event::StageStarted { .. } | Event::StageAdvanced { .. } | Event::Progress { .. } => {
+            return Vec::new();
+        }
+        Event::RoundFinished { metrics } => return round_lines(metrics),
+        Event::Planned { rounds, views } => format!("{views} views, {rounds} rounds"),
+        Event::StageFinished {
+            stage,
+            round,
+            seconds,
+            skipped,
+        } => {
+            let how = if *skipped {
+                "already done, took"
+            } else {
+                "done in"
+            };
+            format!("{} {how} {seconds:.1} s", name(stage.name(), *round))
+        }
+        Event::Warning { code, message } => format!("warning ({code}): {message}"),
+        Event::Log { message } => message.clone(),
+        Event::Finished {
+            best_round,
+            seconds,
+        } => format!("finished in {seconds:.1} s; round {best_round} is delivered"),
+        Event::Failed { kind, detail, hint } => format!("failed ({kind}): {detail} {hint}"),
+    };
+    vec![line]
 }
 
 impl ProgressSink for Reporter {
