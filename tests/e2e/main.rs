@@ -1,8 +1,10 @@
 //! The whole product through its binary: captures made here, real stages, real processes.
 
 mod command_line;
+mod downloads;
 mod job;
 mod models;
+mod networks;
 mod service;
 mod support;
 mod unchanged;

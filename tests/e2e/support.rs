@@ -91,3 +91,31 @@ pub fn json(path: &Path) -> serde_json::Value {
     let bytes = std::fs::read(path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
     serde_json::from_slice(&bytes).expect("valid JSON")
 }
+
+/// A network of the golden values.
+pub fn network(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("../../tests/golden/onnx")
+        .join(format!("{name}.onnx"))
+}
+
+/// `fled models`, with the networks in `folder`.
+pub fn models(folder: &Path, arguments: &[&str]) -> Output {
+    let mut command = fled();
+    command
+        .arg("models")
+        .args(arguments)
+        .arg("--models")
+        .arg(folder);
+    command.output().expect("the binary starts")
+}
+
+/// The exit status.
+pub fn code(output: &Output) -> i32 {
+    output.status.code().expect("not killed")
+}
+
+/// What was written to either output.
+pub fn said(output: &Output) -> String {
+    String::from_utf8_lossy(&output.stdout).into_owned() + &String::from_utf8_lossy(&output.stderr)
+}

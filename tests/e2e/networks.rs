@@ -1,0 +1,129 @@
+//! Runs with networks of the user's own.
+
+use fled_core::image::Image;
+
+use crate::support::{self, code, network, said};
+
+#[test]
+fn an_enhancer_and_a_restorer_of_the_users_make_the_baseline_of_the_papers() {
+    let home = tempfile::tempdir().expect("temporary folder");
+    let capture = support::small_capture(home.path());
+    let out = home.path().join("out");
+    let path = |name: &str| network(name).display().to_string();
+    let mut run = support::small_run(&capture, &out, 1);
+    for set in [
+        &format!("enhance={}", path("root3")),
+        &format!("deblur={}", path("box3")),
+        "noise=off",
+        "shake=off",
+        "refine_poses=false",
+    ] {
+        run.args(["--set", set]);
+    }
+    support::succeed(&mut run);
+    let report = support::json(&out.join("metrics.json"));
+    assert!(
+        report["models"]["enhance"]
+            .as_str()
+            .is_some_and(|model| model.starts_with("root3.onnx ")),
+        "{report:#}"
+    );
+    assert!(
+        report["models"]["deblur"]
+            .as_str()
+            .is_some_and(|model| model.starts_with("box3.onnx ")),
+        "{report:#}"
+    );
+    assert_eq!(
+        report["fallbacks"],
+        serde_json::json!([]),
+        "one round gives no guide: {report:#}"
+    );
+    let mean = |folder: &str| {
+        let image = Image::load(&out.join(folder).join("001.jpg")).expect("a preview");
+        image.data().iter().sum::<f32>() / image.data().len() as f32
+    };
+    let (dark, bright) = (mean("inputs"), mean("rounds/1/enhanced"));
+    // The mean of the roots is at most the root of the mean.
+    assert!(
+        bright > 1.5 * dark && bright < dark.sqrt() + 0.01,
+        "{dark} to {bright}"
+    );
+
+    let wrong = support::small_run(&capture, &home.path().join("wrong"), 1)
+        .args(["--set", "enhance=small-u2w16"])
+        .output()
+        .expect("the binary starts");
+    assert_eq!(code(&wrong), 4, "{}", said(&wrong));
+    assert!(said(&wrong).contains("wants a guide"), "{}", said(&wrong));
+}
+
+#[test]
+fn a_resumed_run_takes_what_the_enhancer_had_made() {
+    let home = tempfile::tempdir().expect("temporary folder");
+    let capture = support::small_capture(home.path());
+    let enhance = format!("enhance={}", network("root3").display());
+    let run = |out: &str| {
+        let mut run = support::small_run(&capture, &home.path().join(out), 1);
+        run.args(["--set", &enhance, "--set", "deblur=identity"]);
+        run
+    };
+    support::succeed(&mut run("whole"));
+    support::kill_at(
+        &mut run("killed"),
+        r#""stage_started","stage":"reconstruct","round":1"#,
+    );
+    support::succeed(&mut run("killed"));
+    let log = std::fs::read_to_string(home.path().join("killed/log.txt")).expect("log.txt");
+    assert!(log.contains("enhance already done"), "{log}");
+    let scene =
+        |out: &str| std::fs::read(home.path().join(out).join("scene.ply")).expect("scene.ply");
+    assert!(
+        scene("killed") == scene("whole"),
+        "a resumed run must deliver what an undisturbed one does"
+    );
+}
+
+#[test]
+fn another_network_may_restore_what_has_no_guide_yet() {
+    let home = tempfile::tempdir().expect("temporary folder");
+    let capture = support::small_capture(home.path());
+    let out = home.path().join("out");
+    let unguided = format!("deblur_unguided={}", network("identity3").display());
+    support::succeed(support::small_run(&capture, &out, 2).args([
+        "--set",
+        "deblur=small-u2w16",
+        "--set",
+        &unguided,
+    ]));
+    let report = support::json(&out.join("metrics.json"));
+    let model = |use_of: &str| {
+        report["models"][use_of]
+            .as_str()
+            .map(|model| model.split(' ').next().map(str::to_owned))
+    };
+    assert_eq!(
+        model("deblur"),
+        Some(Some("small-u2w16".to_owned())),
+        "{report:#}"
+    );
+    assert_eq!(
+        model("deblur_unguided"),
+        Some(Some("identity3.onnx".to_owned())),
+        "{report:#}"
+    );
+    let view = |round: u32, kind: &str| {
+        let path = out.join(format!("rounds/{round}/{kind}/001.jpg"));
+        Image::load(&path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
+    };
+    assert_eq!(
+        view(1, "deblurred"),
+        view(1, "enhanced"),
+        "round 1 went through the identity"
+    );
+    assert_ne!(
+        view(2, "deblurred"),
+        view(2, "enhanced"),
+        "round 2 went through ours"
+    );
+}
