@@ -4,13 +4,17 @@
 //! ```no_run
 //! # use fled_core::{camera::Camera, noise::{NoiseField, NoiseMode}};
 //! # use fled_core::noise::IntersectionLimit;
-//! # fn step(gpu: &fled_gpu::Gpu, camera: &Camera, sigma: f32, limit: &IntersectionLimit<'_>) -> Result<(), fled_gpu::GpuError> {
+//! # fn step(
+//! #     gpu: &fled_gpu::Gpu, camera: &Camera, sigma: f32, limit: &IntersectionLimit<'_>,
+//! # ) -> Result<(), fled_gpu::GpuError> {
 //! # let buffer = || gpu.create::<f32>("image", 3 * 280 * 160);
 //! # let (render, prediction, gradient) = (buffer()?, buffer()?, buffer()?);
 //! // Once a round; sizes up to this one. `None` when the mode is `Off`.
-//! let Some(mut field) = NoiseField::new(gpu, NoiseMode::Grid, 0, [280, 160])? else { return Ok(()) };
+//! let Some(mut field) = NoiseField::new(gpu, NoiseMode::Grid, 0, [280, 160])? else {
+//!     return Ok(());
+//! };
 //! // Every step from `OFF_SHARE` of the round on; before, the render itself is the prediction.
-//! field.begin_step(camera, sigma)?;                        // the camera at the size that is trained
+//! field.begin_step(camera, sigma)?; // the camera at the size that is trained
 //! let mut recorder = gpu.recorder();
 //! field.record_forward(&mut recorder, &render, &prediction)?;  // prediction = render + n
 //! // ... the loss of `prediction` writes `gradient`; the splats' backward takes it too ...
@@ -179,8 +183,8 @@ impl NoiseField {
         Ok(())
     }
 
-    /// Forgets the last [`NoiseField::begin_step`], whose intersections did not fit [`IntersectionLimit`]: it
-    /// will be repeated.
+    /// Forgets the last [`NoiseField::begin_step`], whose intersections did not fit
+    /// [`IntersectionLimit`]: it will be repeated.
     pub fn take_back_step(&mut self) {
         self.step = self.step.saturating_sub(1);
     }

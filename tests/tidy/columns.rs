@@ -81,7 +81,6 @@ fn without_addresses(line: &str) -> String {
 }
 
 #[test]
-#[ignore = "some lines of WGSL, Rust and Markdown are still longer"]
 fn lines_are_not_too_long() {
     let mut rust = files("src", "rs");
     rust.extend(files("tests", "rs"));

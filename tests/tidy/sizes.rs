@@ -9,13 +9,11 @@ const RUST: usize = 450;
 const SHADER: usize = 200;
 
 /// Longer ones, each with its own limit and reason.
-const LONGER: [(&str, usize, &str); 1] = [
-    (
-        "shaders/train/project_backward_adam.wgsl",
-        260,
-        "projection backward and Adam in one kernel, so that gradients never reach memory",
-    ),
-];
+const LONGER: [(&str, usize, &str); 1] = [(
+    "shaders/train/project_backward_adam.wgsl",
+    270,
+    "projection backward and Adam in one kernel, so that gradients never reach memory",
+)];
 
 fn faults(sources: &[Source], limit: usize) -> Vec<String> {
     let fault = |source: &Source| {

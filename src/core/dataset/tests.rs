@@ -61,6 +61,30 @@ impl Capture {
         )
     }
 
+    /// The true cameras as `poses_bounds.npy`.
+    fn write_bounds(&self) -> PathBuf {
+        let rows: Vec<_> = self
+            .cameras
+            .iter()
+            .map(|camera| BoundedCamera {
+                camera: *camera,
+                near: 2.0,
+                far: 8.0,
+            })
+            .collect();
+        let file = self.dir.path().join("poses_bounds.npy");
+        write_poses_bounds(&file, &rows).unwrap();
+        file
+    }
+
+    fn request(&self) -> PoseRequest<'_> {
+        PoseRequest {
+            views: &self.views,
+            work_dir: self.dir.path(),
+            seed: 3,
+        }
+    }
+
     fn assert_right(&self, poses: &Poses) {
         assert_eq!((poses.registered, poses.total), (4, 4));
         for (view, camera) in poses.views.iter().zip(&self.cameras) {
@@ -180,60 +204,21 @@ fn a_frames_own_intrinsics_win_and_distortion_is_kept() {
 #[test]
 fn poses_bounds_go_by_order_and_points_are_guessed_where_two_cameras_look() {
     let capture = capture();
-    let rows: Vec<_> = capture
-        .cameras
-        .iter()
-        .map(|camera| BoundedCamera {
-            camera: *camera,
-            near: 2.0,
-            far: 8.0,
-        })
-        .collect();
-    write_poses_bounds(&capture.dir.path().join("poses_bounds.npy"), &rows).unwrap();
+    let file = capture.write_bounds();
     let mut codes = Vec::new();
     let mut sink = |event: &Event| {
         if let Event::Warning { code, .. } = event {
             codes.push(code.clone());
         }
     };
-    let request = PoseRequest {
-        views: &capture.views,
-        work_dir: capture.dir.path(),
-        seed: 3,
-    };
-    let given = GivenPoses::open(&capture.dir.path().join("poses_bounds.npy")).unwrap();
+    let request = capture.request();
+    let given = GivenPoses::open(&file).unwrap();
     let poses = given
         .poses(&request, &mut sink, &CancelToken::new())
         .unwrap();
     capture.assert_right(&poses);
     assert_eq!(codes, ["points_guessed"]);
     assert_eq!(poses.points.len(), GUESSED_POINTS);
-    let point = SparsePoint {
-        position: [0.0; 3],
-        colour: [9; 3],
-        error: 0.5,
-        track: 3,
-    };
-    for (found, warned) in [(LEAST_POINTS, false), (LEAST_POINTS - 1, true)] {
-        codes.clear();
-        let mut sink = |event: &Event| {
-            if let Event::Warning { code, .. } = event {
-                codes.push(code.clone());
-            }
-        };
-        let given = GivenPoses::open(&capture.dir.path().join("poses_bounds.npy")).unwrap();
-        let given = given.triangulated_by(Box::new(move |_, views, _, _| {
-            Ok(vec![point; found * views.len().min(1)])
-        }));
-        let points = given
-            .poses(&request, &mut sink, &CancelToken::new())
-            .unwrap()
-            .points;
-        assert_eq!(
-            (points.iter().all(|p| *p == point), codes.len()),
-            (!warned, usize::from(warned))
-        );
-    }
     let seen_by = |point: &SparsePoint| {
         let sees = |camera: &&Camera| {
             camera
@@ -254,6 +239,39 @@ fn poses_bounds_go_by_order_and_points_are_guessed_where_two_cameras_look() {
         .poses(&request, &mut Silent, &CancelToken::new())
         .unwrap();
     assert_eq!(again.points, poses.points);
+}
+
+#[test]
+fn enough_triangulated_points_take_the_place_of_guessed_ones() {
+    let capture = capture();
+    let file = capture.write_bounds();
+    let request = capture.request();
+    let point = SparsePoint {
+        position: [0.0; 3],
+        colour: [9; 3],
+        error: 0.5,
+        track: 3,
+    };
+    for (found, warned) in [(LEAST_POINTS, false), (LEAST_POINTS - 1, true)] {
+        let mut codes = Vec::new();
+        let mut sink = |event: &Event| {
+            if let Event::Warning { code, .. } = event {
+                codes.push(code.clone());
+            }
+        };
+        let given = GivenPoses::open(&file).unwrap();
+        let given = given.triangulated_by(Box::new(move |_, views, _, _| {
+            Ok(vec![point; found * views.len().min(1)])
+        }));
+        let points = given
+            .poses(&request, &mut sink, &CancelToken::new())
+            .unwrap()
+            .points;
+        assert_eq!(
+            (points.iter().all(|p| *p == point), codes.len()),
+            (!warned, usize::from(warned))
+        );
+    }
 }
 
 #[test]

@@ -34,8 +34,8 @@ pub struct Opened {
 }
 
 /// Opens what the options mean: `unguided` may be [`NetworkChoice::Same`]. The default is a larger
-/// network where CUDA runs it ([`Manifest::default_on_cuda`]). A network that takes no guide and is to be given one is wrapped
-/// in [`Blend`], and says so.
+/// network where CUDA runs it ([`Manifest::default_on_cuda`]). A network that takes no guide and is
+/// to be given one is wrapped in [`Blend`], and says so.
 ///
 /// # Errors
 /// Any [`DeblurError`] of finding the library, finding the file, or loading it. Never falls back

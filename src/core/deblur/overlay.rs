@@ -150,7 +150,6 @@ mod tests {
     use super::*;
     use crate::deblur::golden;
     use crate::deblur::manifest::Place;
-    use crate::image::Image;
 
     #[test]
     fn an_installed_network_is_found_by_its_id_and_the_others_stay() {
@@ -179,77 +178,92 @@ mod tests {
         assert!(known.resolve("second", &folders).is_ok());
     }
 
-    #[test]
-    fn a_network_that_is_replaced_stays_usable_until_the_new_one_is() {
-        let home = tempfile::tempdir().expect("temporary directory");
-        let directory = home.path().to_path_buf();
-        let golden = |image: Image| Golden::new(image.data().to_vec()).expect("of the right size");
-        let (one, other) = (golden(golden::view()), golden(golden::guide()));
-        let take = |content: &[u8], golden: &Golden| {
-            install(
-                &directory,
-                Entry::of_file("mine", 3, digest(content), 7),
-                content,
-                golden,
-            )
-        };
-        let resolved = || {
-            let folders = [directory.clone()];
+    /// A folder of networks in which `mine` is replaced.
+    struct Mine {
+        home: tempfile::TempDir,
+    }
+
+    impl Mine {
+        fn new() -> Self {
+            let home = tempfile::tempdir().expect("temporary directory");
+            Self { home }
+        }
+
+        fn take(&self, content: &[u8], golden: &Golden) -> Result<(), DeblurError> {
+            let entry = Entry::of_file("mine", 3, digest(content), 7);
+            install(self.home.path(), entry, content, golden)
+        }
+
+        /// The network and its golden output, as a run gets them.
+        fn resolved(&self) -> (Vec<u8>, Golden) {
+            let folders = [self.home.path().to_path_buf()];
             let known = Manifest::known(&folders).expect("readable");
             let model = known.resolve("mine", &folders).expect("usable");
             (model.bytes, model.golden.expect("known"))
-        };
-        let files = || {
-            let names = std::fs::read_dir(&directory)
-                .expect("readable")
+        }
+
+        /// The names of the files but the overlay's.
+        fn files(&self) -> Vec<String> {
+            let entries = std::fs::read_dir(self.home.path()).expect("readable");
+            let mut names: Vec<_> = entries
                 .flatten()
-                .map(|file| file.file_name());
-            let mut names: Vec<_> = names
-                .map(|name| name.to_string_lossy().into_owned())
+                .map(|file| file.file_name().to_string_lossy().into_owned())
+                .filter(|name| ![".lock", OVERLAY].contains(&name.as_str()))
                 .collect();
             names.sort();
-            names.retain(|name| ![".lock", OVERLAY].contains(&name.as_str()));
             names
-        };
-        take(b"first", &one).expect("new");
-        assert_eq!(files(), ["mine.golden", "mine.onnx"]);
+        }
+    }
+
+    fn two_goldens() -> [Golden; 2] {
+        [golden::view(), golden::guide()]
+            .map(|image| Golden::new(image.data().to_vec()).expect("of the right size"))
+    }
+
+    #[test]
+    fn a_network_that_is_replaced_stays_usable_until_the_new_one_is() {
+        let (mine, [one, other]) = (Mine::new(), two_goldens());
+        mine.take(b"first", &one).expect("new");
+        assert_eq!(mine.files(), ["mine.golden", "mine.onnx"]);
         // A folder in the place of the new golden output, which is written after the network and
         // before the entry.
-        let obstacle = directory.join(format!("mine-{}.golden", &digest(&other.to_bytes())[..8]));
+        let name = format!("mine-{}.golden", &digest(&other.to_bytes())[..8]);
+        let obstacle = mine.home.path().join(name);
         std::fs::create_dir(&obstacle).expect("made");
         assert!(matches!(
-            take(b"second", &other),
+            mine.take(b"second", &other),
             Err(DeblurError::ModelNotKept { .. })
         ));
         std::fs::remove_dir(&obstacle).expect("removed");
-        assert_eq!(resolved(), (b"first".to_vec(), one.clone()));
+        assert_eq!(mine.resolved(), (b"first".to_vec(), one));
         assert_eq!(
-            files(),
+            mine.files(),
             ["mine.golden", "mine.onnx"],
             "what was not finished is not left"
         );
-        take(b"first", &other).expect("another golden output");
-        assert_eq!(resolved(), (b"first".to_vec(), other.clone()));
+        mine.take(b"first", &other).expect("another golden output");
+        assert_eq!(mine.resolved(), (b"first".to_vec(), other));
         assert_eq!(
-            files().last().map(String::as_str),
+            mine.files().last().map(String::as_str),
             Some("mine.onnx"),
             "what is the same stays where it is"
         );
-        take(b"second", &other).expect("another network");
-        take(b"second", &other).expect("is there already");
-        assert_eq!(
-            (resolved(), files().len()),
-            ((b"second".to_vec(), other.clone()), 2)
-        );
-        // What is damaged is no longer usable.
-        for name in files() {
-            std::fs::write(directory.join(name), "damaged").expect("written");
+    }
+
+    #[test]
+    fn a_network_is_replaced_twice_and_when_it_is_damaged() {
+        let (mine, [one, other]) = (Mine::new(), two_goldens());
+        mine.take(b"first", &one).expect("new");
+        mine.take(b"second", &other).expect("another network");
+        mine.take(b"second", &other).expect("is there already");
+        assert_eq!(mine.resolved(), (b"second".to_vec(), other));
+        assert_eq!(mine.files().len(), 2);
+        for name in mine.files() {
+            std::fs::write(mine.home.path().join(name), "damaged").expect("written");
         }
-        take(b"second", &one).expect("mended");
-        assert_eq!(
-            (resolved(), files().len()),
-            ((b"second".to_vec(), one.clone()), 2)
-        );
+        mine.take(b"second", &one).expect("mended");
+        assert_eq!(mine.resolved(), (b"second".to_vec(), one));
+        assert_eq!(mine.files().len(), 2);
     }
 
     #[test]

@@ -39,8 +39,8 @@ const COLOUR_MATCHES: u32 = 10;
 /// Exploration noise stops at this share of the round.
 const NOISE_END: f64 = 0.9;
 
-/// What random numbers are drawn for. Each purpose has a stream of its own, so that none repeats the
-/// numbers of another.
+/// What random numbers are drawn for. Each purpose has a stream of its own, so that none repeats
+/// the numbers of another.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stream {
     /// The order of the views in an epoch.

@@ -54,6 +54,18 @@ impl CameraModel {
             .expect("every model has its row")
     }
 
+    fn has_one_focal_length(self) -> bool {
+        use CameraModel as M;
+        matches!(
+            self,
+            M::SimplePinhole
+                | M::SimpleRadial
+                | M::Radial
+                | M::SimpleRadialFisheye
+                | M::RadialFisheye
+        )
+    }
+
     /// COLMAP's name.
     pub fn name(self) -> &'static str {
         self.row().2
@@ -88,64 +100,10 @@ impl ModelCamera {
     /// The lens this camera describes.
     pub fn lens(&self) -> Lens {
         let p = &self.params;
-        let perspective =
-            |radial: [f64; 6], tangential| Distortion::Perspective { radial, tangential };
-        use CameraModel as M;
-        let (fx, fy, cx, cy, distortion) = match self.model {
-            M::SimplePinhole => (p[0], p[0], p[1], p[2], Distortion::None),
-            M::Pinhole => (p[0], p[1], p[2], p[3], Distortion::None),
-            M::SimpleRadial => (
-                p[0],
-                p[0],
-                p[1],
-                p[2],
-                perspective([p[3], 0.0, 0.0, 0.0, 0.0, 0.0], [0.0; 2]),
-            ),
-            M::Radial => (
-                p[0],
-                p[0],
-                p[1],
-                p[2],
-                perspective([p[3], p[4], 0.0, 0.0, 0.0, 0.0], [0.0; 2]),
-            ),
-            M::OpenCv => (
-                p[0],
-                p[1],
-                p[2],
-                p[3],
-                perspective([p[4], p[5], 0.0, 0.0, 0.0, 0.0], [p[6], p[7]]),
-            ),
-            M::FullOpenCv => {
-                let radial = [p[4], p[5], p[8], p[9], p[10], p[11]];
-                (p[0], p[1], p[2], p[3], perspective(radial, [p[6], p[7]]))
-            }
-            M::OpenCvFisheye => (
-                p[0],
-                p[1],
-                p[2],
-                p[3],
-                Distortion::Fisheye {
-                    radial: [p[4], p[5], p[6], p[7]],
-                },
-            ),
-            M::SimpleRadialFisheye => (
-                p[0],
-                p[0],
-                p[1],
-                p[2],
-                Distortion::Fisheye {
-                    radial: [p[3], 0.0, 0.0, 0.0],
-                },
-            ),
-            M::RadialFisheye => (
-                p[0],
-                p[0],
-                p[1],
-                p[2],
-                Distortion::Fisheye {
-                    radial: [p[3], p[4], 0.0, 0.0],
-                },
-            ),
+        // One focal length, or one for each axis.
+        let (fx, fy, cx, cy) = match self.model.has_one_focal_length() {
+            true => (p[0], p[0], p[1], p[2]),
+            false => (p[0], p[1], p[2], p[3]),
         };
         let intrinsics = Intrinsics {
             width: self.width,
@@ -157,7 +115,26 @@ impl ModelCamera {
         };
         Lens {
             intrinsics,
-            distortion,
+            distortion: self.distortion(),
+        }
+    }
+
+    fn distortion(&self) -> Distortion {
+        let p = &self.params;
+        let perspective =
+            |radial: [f64; 6], tangential| Distortion::Perspective { radial, tangential };
+        let fisheye = |radial: [f64; 4]| Distortion::Fisheye { radial };
+        let radial = |k1, k2| [k1, k2, 0.0, 0.0, 0.0, 0.0];
+        use CameraModel as M;
+        match self.model {
+            M::SimplePinhole | M::Pinhole => Distortion::None,
+            M::SimpleRadial => perspective(radial(p[3], 0.0), [0.0; 2]),
+            M::Radial => perspective(radial(p[3], p[4]), [0.0; 2]),
+            M::OpenCv => perspective(radial(p[4], p[5]), [p[6], p[7]]),
+            M::FullOpenCv => perspective([p[4], p[5], p[8], p[9], p[10], p[11]], [p[6], p[7]]),
+            M::OpenCvFisheye => fisheye([p[4], p[5], p[6], p[7]]),
+            M::SimpleRadialFisheye => fisheye([p[3], 0.0, 0.0, 0.0]),
+            M::RadialFisheye => fisheye([p[3], p[4], 0.0, 0.0]),
         }
     }
 

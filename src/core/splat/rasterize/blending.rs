@@ -14,8 +14,8 @@ const FORWARD_BINDINGS: &[Binding] = &[
     read_write("transmittance"),
     read_write("last"),
 ];
-// All kernels that blend are unchecked: they index private and workgroup arrays by loop counters and
-// lanes, and storage below its `arrayLength`; their loops run over ranges that are cut to it.
+// All kernels that blend are unchecked: they index private and workgroup arrays by loop counters
+// and lanes, and storage below its `arrayLength`; their loops run over ranges that are cut to it.
 const RASTERIZE: Kernel = Kernel::new("splat/rasterize", FORWARD_BINDINGS).unchecked();
 const RASTERIZE_WALK: Kernel = Kernel::new("splat/rasterize_walk", FORWARD_BINDINGS).unchecked();
 const BACKWARD_BINDINGS: &[Binding] = &[
