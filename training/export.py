@@ -10,31 +10,21 @@ import numpy as np
 import onnx
 import onnxruntime
 import torch
-from onnx import TensorProto, helper, numpy_helper
+from onnx import numpy_helper
 
 import manifest
+import onnx_graph
 from network import EPSILON, Network, grown
 
-# Opset 17 and IR 8 are read by every ONNX Runtime since 1.13.
-OPSET, IR = 17, 8
 TOLERANCE = 1e-5
 
 
-class Graph:
-    """Collects nodes and weights; each method adds one operation and returns its output's name."""
+class Graph(onnx_graph.Graph):
+    """A graph of the network's layers."""
 
     def __init__(self):
-        self.nodes, self.weights = [], []
+        super().__init__()
         self.constant("epsilon", np.array(EPSILON, np.float32))
-
-    def constant(self, name, array):
-        self.weights.append(numpy_helper.from_array(np.ascontiguousarray(array), name))
-        return name
-
-    def op(self, kind, inputs, output=None, **attributes):
-        output = output or f"{kind.lower()}_{len(self.nodes)}"
-        self.nodes.append(helper.make_node(kind, inputs, [output], name=output, **attributes))
-        return output
 
     def convolution(self, x, name, layer):
         inputs = [x, self.constant(f"{name}.weight", layer.weight.detach().numpy())]
@@ -93,15 +83,8 @@ def build(network):
     residual = graph.shuffle(graph.convolution(x, "ending", network.ending))
     bounds = [graph.constant(name, np.array([at], np.int64)) for name, at in (("from", 0), ("to", 3), ("channels", 1))]
     graph.op("Add", [residual, graph.op("Slice", ["input", *bounds])], "output")
-    model = helper.make_model(
-        helper.make_graph(
-            graph.nodes, "u2",
-            [helper.make_tensor_value_info("input", TensorProto.FLOAT, ["n", 6, "h", "w"])],
-            [helper.make_tensor_value_info("output", TensorProto.FLOAT, ["n", 3, "h", "w"])],
-            graph.weights,
-        ),
-        opset_imports=[helper.make_opsetid("", OPSET)], ir_version=IR, producer_name="fled training",
-    )
+    ends = [[onnx_graph.value(name, "n", channels, "h", "w")] for name, channels in (("input", 6), ("output", 3))]
+    model = graph.model("u2", *ends)
     onnx.checker.check_model(model)
     return model
 

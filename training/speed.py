@@ -22,10 +22,10 @@ VIEWS = 24
 def nafnet(path, width=32, encoder=(1, 1, 1, 28), middle=1, decoder=(1, 1, 1, 1)):
     """The published NAFNet of GoPro in folded form, three channels, random weights."""
     import torch
-    from onnx import TensorProto, helper
     from torch import nn
 
     import export
+    from onnx_graph import value
     from network import Block
 
     torch.manual_seed(0)
@@ -45,14 +45,7 @@ def nafnet(path, width=32, encoder=(1, 1, 1, 28), middle=1, decoder=(1, 1, 1, 1)
         x = graph.blocks(x, f"decoder.{number}", [Block(width, 3) for _ in range(count)])
     x = graph.convolution(x, "ending", nn.Conv2d(width, 3, 3, padding=1))
     graph.op("Add", [x, "input"], "output")
-    value = helper.make_tensor_value_info
-    model = helper.make_model(
-        helper.make_graph(
-            graph.nodes, "nafnet", [value("input", TensorProto.FLOAT, ["n", 3, "h", "w"])],
-            [value("output", TensorProto.FLOAT, ["n", 3, "h", "w"])], graph.weights,
-        ),
-        opset_imports=[helper.make_opsetid("", export.OPSET)], ir_version=export.IR,
-    )
+    model = graph.model("nafnet", [value("input", "n", 3, "h", "w")], [value("output", "n", 3, "h", "w")])
     path.write_bytes(model.SerializeToString())
 
 

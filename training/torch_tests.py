@@ -1,6 +1,7 @@
 """What of the recipe needs PyTorch, its photographs or a C compiler: make test-training"""
 
 import itertools
+import json
 import tempfile
 import unittest
 from pathlib import Path
@@ -15,6 +16,9 @@ import degrade
 import evaluate
 import export
 import manifest
+import matcher
+import matcher_check
+import matcher_reference
 import sources
 import speed
 import train
@@ -267,6 +271,62 @@ class Export(unittest.TestCase):
 
     def test_the_golden_output_is_one_picture_in_three_channels_of_floats(self):
         self.assertEqual(len(export.golden(Network().eval())), 4 * 3 * manifest.SIDE**2)
+
+
+class Matcher(unittest.TestCase):
+    @classmethod
+    def setUpClass(cls):
+        cls.weights = matcher_check.TOP / ".matcher"
+        cls.graphs = [matcher_check.session(name, cls.weights) for name in ("xfeat.onnx", "lighterglue.onnx")]
+        cls.xfeat, cls.glue = matcher_check.published()
+        values = matcher_reference.picture((171, 141), (40, 7))
+        cls.image = values.astype(np.float32) / np.float32(255)
+
+    def test_the_graphs_are_those_of_the_recipe_and_hold_no_weights(self):
+        for name, model in matcher.graphs(self.weights).items():
+            content = (matcher_check.TOP / "models" / name).read_bytes()
+            self.assertEqual(model.SerializeToString(), content)
+            self.assertLess(len(content), 100_000)
+
+    def test_the_described_steps_give_the_published_points(self):
+        found = matcher_reference.described(self.graphs[0], self.image)
+        for ours, theirs in zip(found, matcher_reference.published_points(self.xfeat, self.image)):
+            matcher_reference.near(ours, theirs, "points")
+
+    def test_what_is_not_published_is_refused(self):
+        theirs = matcher_reference.published_points(self.xfeat, self.image)[2]
+        ours = matcher_reference.described(self.graphs[0], np.roll(self.image, 1, axis=1))[2]
+        for found in (ours, theirs[:-1], theirs + np.nan):
+            with self.assertRaisesRegex(SystemExit, "descriptors"):
+                matcher_reference.near(found, theirs, "descriptors")
+
+    def test_the_reference_is_what_its_script_makes(self):
+        reference = json.loads((matcher_check.TOP / "src" / "core" / "matching" / "reference.json").read_text())
+        pair = []
+        for entry, expected in zip(matcher_reference.PICTURES, reference["pictures"], strict=True):
+            part, listing = matcher_reference.features(self.xfeat, self.graphs[0], entry)
+            pair.append(part)
+            self.assertEqual(listing["checksum"], expected["checksum"])
+            np.testing.assert_allclose(listing["points"], expected["points"], atol=1e-4)
+        found = matcher_reference.matches(self.xfeat, self.graphs[1], self.glue, pair)
+        np.testing.assert_allclose(found["matches"], reference["matches"], atol=1e-3)
+
+    def test_the_comparison_notices_another_output(self):
+        truth = np.zeros((2, 2))
+        with mock.patch("builtins.print"):
+            verdicts = [matcher_check.row("a", truth + off, truth, truth, 1e-4) for off in (1e-5, 2e-4, np.nan)]
+        self.assertEqual(verdicts, [True, False, False])
+
+    def test_one_point_and_many_are_matched(self):
+        random = np.random.default_rng(5)
+        for counts in ((1, 1), (1, 300), (257, 3)):
+            feed = {}
+            for side, count in zip("ab", counts):
+                feed[f"points_{side}"] = random.random((1, count, 2), np.float32)
+                feed[f"descriptors_{side}"] = random.random((1, count, 64), np.float32) / 5
+            (scores,) = self.graphs[1].run(None, feed)
+            self.assertEqual(scores.shape, counts)
+            self.assertTrue(np.isfinite(scores).all() and (scores >= 0).all() and (scores <= 1).all())
 
 
 if __name__ == "__main__":
