@@ -12,7 +12,6 @@ pub mod manifest;
 mod onnx;
 mod open;
 mod overlay;
-pub mod runtime;
 mod tiling;
 
 pub use blend::Blend;
@@ -20,7 +19,7 @@ pub use by_guide::ByGuide;
 pub use choice::NetworkChoice;
 pub use error::DeblurError;
 pub use golden::Golden;
-pub use onnx::{Onnx, Provider};
+pub use onnx::Onnx;
 pub use open::{OpenOptions, Opened, open, open_enhancer};
 pub use overlay::install;
 

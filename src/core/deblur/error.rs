@@ -2,23 +2,14 @@
 
 use std::path::PathBuf;
 
+use crate::inference::RuntimeError;
+
 /// Why a network could not be loaded or run.
 #[derive(Debug, thiserror::Error)]
 pub enum DeblurError {
-    /// No usable library was found.
-    #[error("the ONNX Runtime library was not found; run `make onnxruntime`. Tried: {}", tried.join("; "))]
-    RuntimeMissing {
-        /// Each place, with what was wrong there.
-        tried: Vec<String>,
-    },
-    /// The library was found but did not start.
-    #[error("ONNX Runtime at {} did not start: {detail}", path.display())]
-    RuntimeUnusable {
-        /// The library.
-        path: PathBuf,
-        /// Its own words.
-        detail: String,
-    },
+    /// There is no ONNX Runtime.
+    #[error(transparent)]
+    Runtime(#[from] RuntimeError),
     /// Neither a manifest id nor a file.
     #[error("`{choice}` is no ONNX file and no known network; known are {known}")]
     UnknownModel {

@@ -1,22 +1,18 @@
 //! A network in ONNX Runtime, on CUDA where its library lies beside, else on the CPU.
 
 mod form;
-mod session;
 
 use ort::session::Session;
 use ort::value::TensorRef;
 
 use form::Form;
-use session::session;
 
 use crate::deblur::golden::{self, Golden};
 use crate::deblur::manifest::Model;
-use crate::deblur::runtime::Runtime;
 use crate::deblur::tiling::{self, Join, Tile};
 use crate::deblur::{DeblurError, Restorer, RestorerInfo, same_size};
 use crate::image::Image;
-
-pub use session::Provider;
+use crate::inference::{Graph, Provider, Runtime, session};
 
 /// A deblurring network with three or six input channels and images of any size.
 pub struct Onnx {
@@ -114,8 +110,11 @@ impl Onnx {
             id: model.id.clone(),
             detail,
         };
-        let session =
-            session(runtime, &model.bytes, provider, alone, threads).map_err(&unusable)?;
+        let graph = Graph {
+            bytes: &model.bytes,
+            weights: None,
+        };
+        let session = session(runtime, &graph, provider, alone, threads).map_err(&unusable)?;
         let form = Form::of(&session, model).map_err(&unusable)?;
         let model = model.without_bytes();
         let mut network = Self {

@@ -3,10 +3,8 @@
 use std::path::{Path, PathBuf};
 
 use crate::deblur::manifest::{Entry, Manifest, Model};
-use crate::deblur::runtime::Runtime;
-use crate::deblur::{
-    Blend, ByGuide, DeblurError, Identity, NetworkChoice, Onnx, Restorer, runtime,
-};
+use crate::deblur::{Blend, ByGuide, DeblurError, Identity, NetworkChoice, Onnx, Restorer};
+use crate::inference::{Runtime, runtime};
 
 /// Where to look and how to run.
 #[derive(Clone, Copy, Debug, Default)]

@@ -222,8 +222,7 @@ fn deblur_kind(error: &DeblurError) -> ErrorKind {
         DeblurError::UnknownModel { .. } | DeblurError::GuideUnsupported { .. } => {
             ErrorKind::BadInput
         }
-        DeblurError::RuntimeMissing { .. }
-        | DeblurError::RuntimeUnusable { .. }
+        DeblurError::Runtime(_)
         | DeblurError::ModelFileMissing { .. }
         | DeblurError::ManifestUnreadable { .. }
         | DeblurError::ModelNotKept { .. }
@@ -240,7 +239,7 @@ fn poses_kind(error: &PosesError) -> ErrorKind {
         PosesError::TooFew { .. } => ErrorKind::FewPoses,
         PosesError::Missing { .. } => ErrorKind::Environment,
         PosesError::Timeout { .. } => ErrorKind::Timeout,
-        PosesError::Tool { .. } => ErrorKind::Internal,
+        PosesError::Tool { .. } | PosesError::Matching { .. } => ErrorKind::Internal,
         PosesError::BadFile { .. } => ErrorKind::BadInput,
         PosesError::Io { .. } => ErrorKind::Io,
         PosesError::Cancelled(_) => ErrorKind::Cancelled,

@@ -3,7 +3,8 @@ use std::path::{Path, PathBuf};
 use super::*;
 use crate::deblur::manifest::Manifest;
 use crate::deblur::open::{larger, load};
-use crate::deblur::{NetworkChoice, OpenOptions, open, runtime};
+use crate::deblur::{NetworkChoice, OpenOptions, open};
+use crate::inference::runtime;
 
 fn file(name: &str) -> String {
     let path = Path::new(env!("CARGO_MANIFEST_DIR"))

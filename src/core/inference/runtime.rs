@@ -10,7 +10,7 @@ use std::sync::{Mutex, PoisonError};
 use ort::environment::Environment;
 use ort::logging::LogLevel;
 
-use crate::deblur::DeblurError;
+use super::error::RuntimeError;
 
 /// The library's file name on this system; also what the system's loader is asked for.
 pub const LIBRARY: &str = if cfg!(windows) {
@@ -78,9 +78,9 @@ static STARTED: Mutex<Option<Runtime>> = Mutex::new(None);
 /// Later calls return the runtime of the first.
 ///
 /// # Errors
-/// [`DeblurError::RuntimeMissing`] with what was wrong at every place, or
-/// [`DeblurError::RuntimeUnusable`].
-pub fn load(explicit: Option<&Path>, search: &[PathBuf]) -> Result<Runtime, DeblurError> {
+/// [`RuntimeError::Missing`] with what was wrong at every place, or
+/// [`RuntimeError::Unusable`].
+pub fn load(explicit: Option<&Path>, search: &[PathBuf]) -> Result<Runtime, RuntimeError> {
     let found = find(explicit, search)?;
     let mut started = STARTED.lock().unwrap_or_else(PoisonError::into_inner);
     if let Some(runtime) = started.as_ref() {
@@ -94,8 +94,8 @@ pub fn load(explicit: Option<&Path>, search: &[PathBuf]) -> Result<Runtime, Debl
 /// Finds the library without starting it.
 ///
 /// # Errors
-/// [`DeblurError::RuntimeMissing`] with what was wrong at every place.
-pub fn find(explicit: Option<&Path>, search: &[PathBuf]) -> Result<RuntimeInfo, DeblurError> {
+/// [`RuntimeError::Missing`] with what was wrong at every place.
+pub fn find(explicit: Option<&Path>, search: &[PathBuf]) -> Result<RuntimeInfo, RuntimeError> {
     let candidates = match explicit {
         Some(path) => vec![path.to_path_buf()],
         None => search
@@ -111,7 +111,7 @@ pub fn find(explicit: Option<&Path>, search: &[PathBuf]) -> Result<RuntimeInfo, 
             Err(reason) => tried.push(reason),
         }
     }
-    Err(DeblurError::RuntimeMissing { tried })
+    Err(RuntimeError::Missing { tried })
 }
 
 fn probe(candidate: PathBuf) -> Result<RuntimeInfo, String> {
@@ -148,8 +148,8 @@ fn probe(candidate: PathBuf) -> Result<RuntimeInfo, String> {
     }
 }
 
-fn start(mut info: RuntimeInfo) -> Result<Runtime, DeblurError> {
-    let unusable = |detail: String| DeblurError::RuntimeUnusable {
+fn start(mut info: RuntimeInfo) -> Result<Runtime, RuntimeError> {
+    let unusable = |detail: String| RuntimeError::Unusable {
         path: info.path.clone(),
         detail,
     };

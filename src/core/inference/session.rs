@@ -1,9 +1,11 @@
 //! ONNX Runtime's session of a network, on one provider.
 
+use std::sync::Arc;
+
 use ort::ep;
 use ort::session::Session;
 
-use crate::deblur::runtime::Runtime;
+use super::runtime::Runtime;
 
 /// What computes a network.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -24,11 +26,23 @@ impl Provider {
     }
 }
 
-/// The network in `bytes`, ready to run. With `alone`, a part of it that the provider cannot do is
+/// A network as a file or two.
+#[derive(Clone, Debug)]
+pub struct Graph<'a> {
+    /// The ONNX file.
+    pub bytes: &'a [u8],
+    /// The file of weights that it points into, by the name it uses.
+    pub weights: Option<(&'a str, Arc<[u8]>)>,
+}
+
+/// The network, ready to run. With `alone`, a part of it that the provider cannot do is
 /// an error; `threads` work on one run, 0 leaves it to the library.
-pub(super) fn session(
+///
+/// # Errors
+/// ONNX Runtime's words.
+pub fn session(
     runtime: &Runtime,
-    bytes: &[u8],
+    graph: &Graph<'_>,
     provider: Provider,
     alone: bool,
     threads: usize,
@@ -59,5 +73,10 @@ pub(super) fn session(
         Provider::Cpu => ep::CPU::default().build(),
     };
     let mut builder = builder.with_execution_providers([provider]).map_err(text)?;
-    builder.commit_from_memory(bytes).map_err(text)
+    if let Some((file, content)) = &graph.weights {
+        builder = builder
+            .with_external_initializer_file_in_memory(file, content.clone())
+            .map_err(text)?;
+    }
+    builder.commit_from_memory(graph.bytes).map_err(text)
 }

@@ -1,0 +1,20 @@
+//! Key points that bear noise and shake, and their matches: XFeat (CVPR 2024) finds and describes
+//! them, LighterGlue says which belong together. Both run in ONNX Runtime; their weights are a
+//! package of their own ([`weights`]).
+
+mod detect;
+mod extractor;
+mod key_points;
+mod matcher;
+mod nearest;
+mod pairs;
+mod search;
+pub mod weights;
+
+pub use extractor::Extractor;
+pub use key_points::KeyPoints;
+pub use matcher::{Match, Matcher};
+pub use search::{FeatureError, LearnedMatching, SearchOptions};
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,70 @@
+//! Which pairs of photographs are looked at.
+
+use super::detect::DESCRIPTOR;
+
+/// Up to this many photographs every pair is.
+const ALL_PAIRS: usize = 60;
+
+/// Above it: so many followers in the capture's order ...
+const FOLLOWERS: usize = 8;
+
+/// ... and so many of the most similar of all.
+const SIMILAR: usize = 12;
+
+/// Pairs of indices, the lower first, in order. `pooled` is one vector a photograph.
+pub(super) fn candidates(pooled: &[[f32; DESCRIPTOR]]) -> Vec<(usize, usize)> {
+    let count = pooled.len();
+    let mut pairs: Vec<(usize, usize)> = Vec::new();
+    if count <= ALL_PAIRS {
+        for first in 0..count {
+            pairs.extend((first + 1..count).map(|second| (first, second)));
+        }
+        return pairs;
+    }
+    for first in 0..count {
+        pairs.extend((first + 1..count.min(first + 1 + FOLLOWERS)).map(|second| (first, second)));
+        let cosine = |other: usize| -> f32 {
+            pooled[first]
+                .iter()
+                .zip(&pooled[other])
+                .map(|(a, b)| a * b)
+                .sum()
+        };
+        let mut others: Vec<(f32, usize)> = (0..count)
+            .filter(|&other| other != first)
+            .map(|other| (cosine(other), other))
+            .collect();
+        others.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
+        let similar = others.iter().take(SIMILAR);
+        pairs.extend(similar.map(|&(_, other)| (first.min(other), first.max(other))));
+    }
+    pairs.sort_unstable();
+    pairs.dedup();
+    pairs
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn few_photographs_are_all_compared_and_of_many_neighbours_and_the_similar() {
+        let vector = |turn: usize| {
+            let mut vector = [0.0; DESCRIPTOR];
+            let angle = std::f32::consts::TAU * turn as f32 / 200.0;
+            (vector[0], vector[1]) = (angle.cos(), angle.sin());
+            vector
+        };
+        let few: Vec<_> = (0..ALL_PAIRS).map(vector).collect();
+        assert_eq!(candidates(&few).len(), ALL_PAIRS * (ALL_PAIRS - 1) / 2);
+        // Once around, twice: the second time a photograph is similar to one of the first.
+        let many: Vec<_> = (0..400).map(|i| vector(i % 200)).collect();
+        let pairs = candidates(&many);
+        assert!(
+            pairs.contains(&(10, 11)) && pairs.contains(&(10, 18)) && pairs.contains(&(10, 210))
+        );
+        assert!(!pairs.contains(&(10, 100)));
+        assert!(pairs.len() < 400 * (FOLLOWERS + SIMILAR));
+        assert!(pairs.iter().all(|(first, second)| first < second));
+    }
+}

@@ -1,0 +1,256 @@
+//! Key points and matches of a whole capture.
+
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, mpsc};
+
+use super::extractor::Extractor;
+use super::key_points::KeyPoints;
+use super::matcher::Matcher;
+use super::weights::{Package, WeightsError};
+use super::{nearest, pairs};
+use crate::cancel::CancelToken;
+use crate::image::Image;
+use crate::inference::{self, Graph, Network, Provider, Runtime, RuntimeError};
+use crate::poses::matching::{Correspondences, Matching, PairMatches};
+use crate::poses::{PosesError, name_of};
+
+const XFEAT: &[u8] = include_bytes!("../../../models/xfeat.onnx");
+const LIGHTERGLUE: &[u8] = include_bytes!("../../../models/lighterglue.onnx");
+
+/// How many key points a photograph may have, and which pairs are worth the matcher.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SearchOptions {
+    /// Most key points of a photograph.
+    pub key_points: usize,
+    /// Least mutual nearest neighbours of a pair that the matcher looks at.
+    pub neighbours: usize,
+    /// Threads, each with networks of its own.
+    pub threads: usize,
+}
+
+impl Default for SearchOptions {
+    fn default() -> Self {
+        Self {
+            key_points: 1024,
+            neighbours: 12,
+            threads: std::thread::available_parallelism().map_or(1, usize::from),
+        }
+    }
+}
+
+/// Why the networks cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum FeatureError {
+    /// Their weights.
+    #[error(transparent)]
+    Weights(#[from] WeightsError),
+    /// ONNX Runtime.
+    #[error(transparent)]
+    Runtime(#[from] RuntimeError),
+    /// ONNX Runtime refuses a graph.
+    #[error("network {id} cannot be used: {detail}")]
+    Unusable {
+        /// Which.
+        id: &'static str,
+        /// What is wrong with it.
+        detail: String,
+    },
+}
+
+/// XFeat and LighterGlue as a [`Matching`].
+pub struct LearnedMatching {
+    runtime: Runtime,
+    package: Package,
+    weights: [Arc<[u8]>; 2],
+    options: SearchOptions,
+}
+
+impl LearnedMatching {
+    /// Checks the weights in the first of `folders` that has them, and that ONNX Runtime takes both
+    /// graphs.
+    ///
+    /// # Errors
+    /// [`FeatureError`].
+    pub fn open(
+        runtime: &Runtime,
+        folders: &[PathBuf],
+        options: SearchOptions,
+    ) -> Result<Self, FeatureError> {
+        let package = Package::embedded();
+        let [xfeat, lighterglue] = &package.weights;
+        let weights = [xfeat.load(folders)?, lighterglue.load(folders)?];
+        let matching = Self {
+            runtime: runtime.clone(),
+            weights,
+            options,
+            package,
+        };
+        matching.extractor()?;
+        matching.matcher()?;
+        Ok(matching)
+    }
+
+    /// A new session of XFeat.
+    ///
+    /// # Errors
+    /// [`FeatureError::Unusable`].
+    pub fn extractor(&self) -> Result<Extractor, FeatureError> {
+        self.session("xfeat", XFEAT, 0).map(Extractor::new)
+    }
+
+    /// A new session of LighterGlue.
+    ///
+    /// # Errors
+    /// [`FeatureError::Unusable`].
+    pub fn matcher(&self) -> Result<Matcher, FeatureError> {
+        self.session("lighterglue", LIGHTERGLUE, 1)
+            .map(Matcher::new)
+    }
+
+    fn session(
+        &self,
+        id: &'static str,
+        bytes: &[u8],
+        weights: usize,
+    ) -> Result<Network, FeatureError> {
+        let graph = Graph {
+            bytes,
+            weights: Some((
+                &self.package.weights[weights].file,
+                self.weights[weights].clone(),
+            )),
+        };
+        inference::session(&self.runtime, &graph, Provider::Cpu, false, 1)
+            .map(Network::new)
+            .map_err(|detail| FeatureError::Unusable { id, detail })
+    }
+
+    /// One of each, for every thread.
+    fn sessions<T>(
+        &self,
+        one: impl Fn(&Self) -> Result<T, FeatureError>,
+    ) -> Result<Vec<T>, PosesError> {
+        let all =
+            (0..self.options.threads.max(1)).map(|_| one(self).map_err(|error| failed(&error)));
+        all.collect()
+    }
+
+    fn extract(&self, extractor: &mut Extractor, picture: &Path) -> Result<KeyPoints, PosesError> {
+        let image =
+            Image::load(picture).map_err(|e| PosesError::bad_file(picture, e.to_string()))?;
+        extractor
+            .key_points(&image, self.options.key_points)
+            .map_err(|detail| PosesError::Matching {
+                detail: format!("{}: {detail}", name_of(picture)),
+            })
+    }
+
+    /// The matches of a pair, where a quick look says that there may be some.
+    fn pair(
+        &self,
+        matcher: &mut Matcher,
+        (first, second): (usize, usize),
+        found: &[KeyPoints],
+    ) -> Result<Option<PairMatches>, PosesError> {
+        let (a, b) = (&found[first], &found[second]);
+        if nearest::mutual(a, b).len() < self.options.neighbours {
+            return Ok(None);
+        }
+        let matches = matcher
+            .matches(a, b)
+            .map_err(|detail| PosesError::Matching {
+                detail: format!("pictures {first} and {second}: {detail}"),
+            })?;
+        Ok(Some(PairMatches {
+            first,
+            second,
+            matches: matches.iter().map(|m| [m.first, m.second]).collect(),
+        }))
+    }
+}
+
+fn failed(error: &FeatureError) -> PosesError {
+    PosesError::Matching {
+        detail: error.to_string(),
+    }
+}
+
+impl Matching for LearnedMatching {
+    fn matches(
+        &self,
+        pictures: &[PathBuf],
+        advance: &mut dyn FnMut(u64, u64),
+        cancel: &CancelToken,
+    ) -> Result<Correspondences, PosesError> {
+        let total = pictures.len() as u64;
+        let mut extractors = self.sessions(Self::extractor)?;
+        let extract = |extractor: &mut _, picture: &PathBuf| self.extract(extractor, picture);
+        let found = each(pictures, &mut extractors, cancel, extract, &mut |done| {
+            advance(done, total);
+        })?;
+        drop(extractors);
+        let pooled: Vec<_> = found.iter().map(KeyPoints::pooled).collect();
+        let candidates = pairs::candidates(&pooled);
+        let (before, total) = (total, total + candidates.len() as u64);
+        let mut matchers = self.sessions(Self::matcher)?;
+        let pair = |matcher: &mut _, pair: &_| self.pair(matcher, *pair, &found);
+        let matched = each(&candidates, &mut matchers, cancel, pair, &mut |done| {
+            advance(before + done, total);
+        })?;
+        Ok(Correspondences {
+            key_points: found.into_iter().map(|found| found.positions).collect(),
+            pairs: matched.into_iter().flatten().collect(),
+        })
+    }
+
+    fn describe(&self) -> String {
+        let Self {
+            package, options, ..
+        } = self;
+        format!(
+            "{} of {} {}, {} key points",
+            package.id, package.package, package.version, options.key_points
+        )
+    }
+}
+
+/// `work` on every item, by as many threads as there are states, in the items' order. `advance` is
+/// told, on this thread, how many are done.
+///
+/// # Errors
+/// The first of the work, or [`PosesError::Cancelled`].
+fn each<I: Sync, S: Send, R: Send>(
+    items: &[I],
+    states: &mut [S],
+    cancel: &CancelToken,
+    work: impl Fn(&mut S, &I) -> Result<R, PosesError> + Sync,
+    advance: &mut dyn FnMut(u64),
+) -> Result<Vec<R>, PosesError> {
+    let next = AtomicUsize::new(0);
+    let (sender, receiver) = mpsc::channel();
+    let mut results: Vec<Option<R>> = items.iter().map(|_| None).collect();
+    std::thread::scope(|scope| {
+        for state in states {
+            let (next, work, sender) = (&next, &work, sender.clone());
+            scope.spawn(move || {
+                loop {
+                    let index = next.fetch_add(1, Ordering::Relaxed);
+                    let Some(item) = items.get(index) else { break };
+                    let result = cancel.check().map_err(PosesError::from);
+                    let result = result.and_then(|()| work(state, item));
+                    if sender.send((index, result)).is_err() {
+                        break;
+                    }
+                }
+            });
+        }
+        drop(sender);
+        for (done, (index, result)) in (1..).zip(receiver) {
+            results[index] = Some(result?);
+            advance(done);
+        }
+        Ok::<_, PosesError>(())
+    })?;
+    Ok(results.into_iter().flatten().collect())
+}
