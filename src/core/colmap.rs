@@ -5,28 +5,36 @@
 //! even with a seed and on one thread, so two runs differ in the last digits and, on hard
 //! captures, in how many photographs register.
 
+mod candidate;
+mod consistency;
 mod copies;
+mod files;
+mod groups;
 mod ladder;
+mod learned;
 mod options;
 mod process;
 mod rungs;
 mod triangulate;
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use crate::cancel::CancelToken;
 use crate::event::ProgressSink;
+use crate::poses::matching::Matching;
 use crate::poses::{PoseRequest, PosedView, Poses, PosesError, Sfm, SparsePoint};
 pub use process::Limits;
 pub use rungs::Acceptance;
 
 /// COLMAP's command line as an [`Sfm`].
-#[derive(Clone, Debug)]
+#[derive(Clone)]
 pub struct ColmapCli {
     program: PathBuf,
     limits: Limits,
     acceptance: Acceptance,
+    matching: Option<Arc<dyn Matching>>,
 }
 
 impl Default for ColmapCli {
@@ -42,6 +50,7 @@ impl ColmapCli {
             program: program.into(),
             limits: Limits::default(),
             acceptance: Acceptance::default(),
+            matching: None,
         }
     }
 
@@ -49,6 +58,15 @@ impl ColmapCli {
     #[must_use]
     pub fn with_limits(self, limits: Limits) -> Self {
         Self { limits, ..self }
+    }
+
+    /// With somebody else who finds key points and matches, before COLMAP's own.
+    #[must_use]
+    pub fn with_matching(self, matching: Arc<dyn Matching>) -> Self {
+        Self {
+            matching: Some(matching),
+            ..self
+        }
     }
 
     /// COLMAP's version, as in `3.8`: what `fled doctor` shows.
@@ -83,8 +101,8 @@ impl ColmapCli {
         let log = request.work_dir.join("colmap.log");
         let runner = process::Runner::new(&self.program, self.limits, Some(&log))?;
         let version = version(&runner, cancel)?;
-        let points =
-            ladder::Climb::new(&runner, request, self.acceptance).triangulate(posed, cancel)?;
+        let points = ladder::Climb::new(&runner, request, self.acceptance, None)
+            .triangulate(posed, cancel)?;
         let (points_found, views) = (points.len(), posed.len());
         sink.log(format!(
             "poses: COLMAP {version} triangulated {points_found} points in {views} given views"
@@ -121,7 +139,7 @@ impl Sfm for ColmapCli {
         )?;
         let version = version(&runner, cancel)?;
         sink.log(format!("poses: COLMAP {version} on {total} photographs"));
-        let climb = ladder::Climb::new(&runner, request, self.acceptance);
+        let climb = ladder::Climb::new(&runner, request, self.acceptance, self.matching.as_deref());
         let poses = climb.run(sink, cancel)?;
         Ok(Poses {
             source: format!("colmap {version}"),
@@ -131,7 +149,11 @@ impl Sfm for ColmapCli {
     }
 
     fn describe(&self) -> String {
-        format!("colmap {}", Path::new(&self.program).display())
+        let by = self
+            .matching
+            .as_ref()
+            .map_or_else(String::new, |matching| format!(", {}", matching.describe()));
+        format!("colmap {}{by}", Path::new(&self.program).display())
     }
 }
 

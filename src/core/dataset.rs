@@ -238,6 +238,8 @@ impl Sfm for GivenPoses {
             total,
             source: self.describe(),
             rung: None,
+            verdicts: Vec::new(),
+            parts: Vec::new(),
             mean_reprojection_error: given.mean_error,
             mean_track: given.mean_track,
             low_confidence: false,

@@ -33,5 +33,5 @@ pub mod config;
 pub mod error;
 pub mod workspace;
 
-pub use run::{Outcome, run};
+pub use run::{Outcome, find_poses, run};
 pub use tools::Tools;

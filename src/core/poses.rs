@@ -4,6 +4,7 @@
 pub mod align;
 pub mod bounds;
 pub mod lens;
+pub mod matching;
 pub mod model;
 
 use std::path::{Path, PathBuf};
@@ -71,6 +72,13 @@ pub struct Poses {
     pub source: String,
     /// The rung of the ladder that was accepted, `A`..=`F`; `None` for given poses.
     pub rung: Option<char>,
+    /// What is said about the place of every view asked for; empty where the poses were given.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub verdicts: Vec<PoseVerdict>,
+    /// The names of the views that hang together, where they fall into several parts of three or
+    /// more that no matches connect; else empty.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub parts: Vec<Vec<String>>,
     /// Mean reprojection error, px of the pose copies; `None` where nobody measured one.
     pub mean_reprojection_error: Option<f64>,
     /// Mean number of views a point was seen in; `None` without points.
@@ -83,6 +91,31 @@ pub struct Poses {
     pub network: Option<String>,
     /// Wall seconds.
     pub seconds: f64,
+}
+
+/// What is said about a view's place.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct PoseVerdict {
+    /// The view's name.
+    pub name: String,
+    /// Whether it has a place.
+    pub status: PoseStatus,
+    /// Its matches with other placed views, of the networks; 0 without networks.
+    pub matches: usize,
+    /// How many of them fit the poses.
+    pub fitting: usize,
+}
+
+/// Whether a view has a place.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum PoseStatus {
+    /// Placed, and nothing speaks against it.
+    Registered,
+    /// Placed, but stronger matches than those that placed it say otherwise: it is left out.
+    Doubtful,
+    /// Not placed.
+    NotFound,
 }
 
 /// A view with its pose.
@@ -158,6 +191,12 @@ pub enum PosesError {
         /// Its last lines.
         tail: String,
     },
+    /// The networks that find key points and matches.
+    #[error("key points and matches: {detail}")]
+    Matching {
+        /// What went wrong.
+        detail: String,
+    },
     /// Given poses that cannot be used, or a model that cannot be read.
     #[error("{}: {reason}", name_of(file))]
     BadFile {
@@ -177,6 +216,19 @@ pub enum PosesError {
     /// Asked to stop.
     #[error(transparent)]
     Cancelled(#[from] Cancelled),
+}
+
+/// The parts of a capture that nothing connects, for a sentence.
+pub(crate) fn in_words(parts: &[Vec<String>]) -> String {
+    let names: Vec<String> = parts
+        .iter()
+        .map(|part| format!("{} ({})", part.len(), part.join(", ")))
+        .collect();
+    format!(
+        "{} places that no matches connect, with {} photographs",
+        parts.len(),
+        names.join(" and ")
+    )
 }
 
 /// Whoever gave the file knows where it lies; a client of the service need not learn where it was

@@ -1,16 +1,20 @@
 //! The ladder of settings: each rung is tried only when the ones before gave no good model.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
+use super::candidate::{Candidate, Evidence};
+use super::consistency::Consistency;
 use super::copies::Copies;
+use super::files::{largest_model, remove_if_there};
+use super::groups;
 use super::options::{self, Prober, Setting, set};
 use super::process::Runner;
 use super::rungs::{Acceptance, LADDER, Rung};
-use crate::camera::Camera;
 use crate::cancel::CancelToken;
 use crate::event::{Event, ProgressSink, Stage};
+use crate::poses::matching::Matching;
 use crate::poses::model::SparseModel;
-use crate::poses::{Lens, PoseRequest, PosedView, Poses, PosesError};
+use crate::poses::{PoseRequest, Poses, PosesError, in_words};
 
 /// Two views give a depth but no check of it.
 pub(super) const MIN_VIEWS: usize = 3;
@@ -18,40 +22,28 @@ pub(super) const MIN_VIEWS: usize = 3;
 /// Above this many photographs all pairs are too many: neighbours in the capture's order.
 const MOST_EXHAUSTIVE: usize = 150;
 
-/// A rung's result.
-struct Candidate {
-    rung: char,
-    model: SparseModel,
-    copies: Copies,
-    accepted: bool,
-}
-
-impl Candidate {
-    /// What decides between candidates, most important first.
-    fn rank(&self) -> (bool, usize, usize) {
-        (
-            self.accepted,
-            self.model.images.len(),
-            self.model.observations(),
-        )
-    }
-}
-
 /// One climb up the ladder.
 pub(super) struct Climb<'a> {
     runner: &'a Runner,
     prober: Prober<'a>,
     pub(super) request: &'a PoseRequest<'a>,
     acceptance: Acceptance,
+    matching: Option<&'a dyn Matching>,
 }
 
 impl<'a> Climb<'a> {
-    pub fn new(runner: &'a Runner, request: &'a PoseRequest<'a>, acceptance: Acceptance) -> Self {
+    pub fn new(
+        runner: &'a Runner,
+        request: &'a PoseRequest<'a>,
+        acceptance: Acceptance,
+        matching: Option<&'a dyn Matching>,
+    ) -> Self {
         Self {
             runner,
             prober: Prober::new(runner),
             request,
             acceptance,
+            matching,
         }
     }
 
@@ -68,16 +60,35 @@ impl<'a> Climb<'a> {
             true,
             cancel,
         )?;
+        let mut evidence = Evidence {
+            small: &small,
+            found: None,
+        };
         let mut best: Option<Candidate> = None;
         let mut broken = None;
+        if let Some(matching) = self.matching {
+            match self.climb_learned(matching, &mut evidence, sink, cancel) {
+                Ok(candidate) => best = candidate,
+                Err(error) if is_about_the_tool(&error) => {
+                    sink.warn("matcher_failed", format!("learned matches: {error}"));
+                    broken = Some(error);
+                }
+                Err(error) => return Err(error),
+            }
+        }
         for rung in LADDER
             .iter()
             .filter(|rung| !(rung.full_size && small.are_full_size()))
+            .filter(|rung| rung.beside_networks || evidence.found.is_none())
         {
-            let outcome = self.attempt(rung, &small, sink, cancel);
-            let candidate = match outcome {
+            // Mapping again is cheap, so a good model that lacks a photograph still tries rung B.
+            let accepted = best.as_ref().filter(|best| best.accepted);
+            if accepted.is_some_and(|best| best.believed() == total || rung.letter != 'B') {
+                break;
+            }
+            let candidate = match self.attempt(rung, &evidence, sink, cancel) {
                 Ok(candidate) => candidate,
-                Err(error @ PosesError::Tool { .. }) => {
+                Err(error) if is_about_the_tool(&error) => {
                     sink.warn("colmap_failed", format!("rung {}: {error}", rung.letter));
                     broken = Some(error);
                     continue;
@@ -87,16 +98,11 @@ impl<'a> Climb<'a> {
             if candidate.as_ref().map(Candidate::rank) > best.as_ref().map(Candidate::rank) {
                 best = candidate;
             }
-            // Mapping again is cheap, so a good model that lacks a photograph still tries rung B.
-            let accepted = best.as_ref().filter(|best| best.accepted);
-            if accepted.is_some_and(|best| best.model.images.len() == total || rung.letter != 'A') {
-                break;
-            }
         }
         match (best, broken) {
-            (Some(best), _) => self.deliver(&best),
+            (Some(best), _) => self.deliver(&best, &evidence),
             (None, Some(error)) => Err(error),
-            (None, None) => Err(self.too_few(0)),
+            (None, None) => Err(self.too_few(0, &evidence)),
         }
     }
 
@@ -104,63 +110,91 @@ impl<'a> Climb<'a> {
     fn attempt(
         &self,
         rung: &Rung,
-        small: &Copies,
+        evidence: &Evidence<'_>,
         sink: &mut dyn ProgressSink,
         cancel: &CancelToken,
     ) -> Result<Option<Candidate>, PosesError> {
         let views = self.request.views;
-        let mut report = |part| advance(sink, rung.letter, part);
-        report(0);
+        advance(sink, rung.letter, 0);
         let copies = match rung.full_size {
             true => Copies::write(&self.request.work_dir.join("full"), views, false, cancel)?,
-            false => small.clone(),
+            false => evidence.small.clone(),
         };
         let database = self.request.work_dir.join(format!("{}.db", rung.database));
         if rung.database == rung.letter {
             self.extract(rung, &copies, &database, cancel)?;
-            report(1);
+            advance(sink, rung.letter, 1);
             self.match_pairs(rung, &database, cancel)?;
         }
-        report(2);
-        let model = self.map(rung, &copies, &database, cancel)?;
-        report(3);
-        let accepted = model.as_ref().is_some_and(|model| self.accepts(model));
-        sink.log(match &model {
-            Some(model) => format!(
-                "poses: rung {} registered {} of {}, {:.0} observations a photograph, mean track {:.2}, {}",
-                rung.letter,
-                model.images.len(),
-                views.len(),
-                model.observations() as f64 / model.images.len() as f64,
-                model.mean_track().unwrap_or(0.0),
-                if accepted { "accepted" } else { "not good enough" }
-            ),
-            None => format!("poses: rung {} registered none of {}", rung.letter, views.len()),
-        });
-        Ok(model.map(|model| Candidate {
-            rung: rung.letter,
-            model,
-            copies,
-            accepted,
-        }))
+        advance(sink, rung.letter, 2);
+        let mapping = Mapping {
+            letter: rung.letter,
+            loose: rung.loose_mapper,
+        };
+        let model = self.map(mapping, &copies, &database, cancel)?;
+        advance(sink, rung.letter, 3);
+        Ok(self.weigh(rung.letter, model, copies, evidence, sink))
     }
 
-    fn seed(&self, rung: &Rung) -> Setting {
+    /// A rung's model as a candidate, told in the log.
+    pub(super) fn weigh(
+        &self,
+        rung: char,
+        model: Option<SparseModel>,
+        copies: Copies,
+        evidence: &Evidence<'_>,
+        sink: &mut dyn ProgressSink,
+    ) -> Option<Candidate> {
+        let total = self.request.views.len();
+        let Some(model) = model else {
+            sink.log(format!("poses: rung {rung} registered none of {total}"));
+            return None;
+        };
+        let found = evidence.found.as_ref();
+        let consistency =
+            found.map(|found| Consistency::of(&model, &copies, evidence.small, found));
+        let accepted = match &consistency {
+            Some(consistency) => self.believes(consistency),
+            None => self.accepts(&model),
+        };
+        let candidate = Candidate {
+            rung,
+            model,
+            copies,
+            consistency,
+            accepted,
+        };
+        let registered = candidate.model.images.len();
+        sink.log(format!(
+            "poses: rung {rung} registered {registered} of {total}, {} of them believed, {:.0} \
+             observations a photograph, mean track {:.2}, {}",
+            candidate.believed(),
+            candidate.model.observations() as f64 / registered as f64,
+            candidate.model.mean_track().unwrap_or(0.0),
+            if accepted {
+                "accepted"
+            } else {
+                "not good enough"
+            }
+        ));
+        Some(candidate)
+    }
+
+    fn seed(&self, letter: char) -> Setting {
         // A fresh attempt with the same seed might repeat the failure.
-        let attempt = u64::from(u32::from(rung.letter));
+        let attempt = u64::from(u32::from(letter));
         set(
             options::RANDOM_SEED,
             &(self.request.seed.wrapping_add(attempt) % (1 << 31)),
         )
     }
 
-    fn extract(
+    /// How photographs are read into a new database: cameras and lens.
+    pub(super) fn reading(
         &self,
-        rung: &Rung,
         copies: &Copies,
         database: &Path,
-        cancel: &CancelToken,
-    ) -> Result<(), PosesError> {
+    ) -> Result<Vec<Setting>, PosesError> {
         // A database of an earlier, killed run may be locked or half full.
         remove_if_there(database)?;
         let share = if copies.one_size {
@@ -173,14 +207,24 @@ impl<'a> Climb<'a> {
             set(&["image_path"], &copies.dir.display()),
             set(&["ImageReader.camera_model"], &"SIMPLE_RADIAL"),
             share,
-            set(options::EXTRACT_USE_GPU, &0),
-            self.seed(rung),
         ];
         if let Some(focal) = copies.focal(self.request.views) {
             let (width, height) = copies.copies[0].size;
             let params = format!("{focal},{},{},0", width as f64 / 2.0, height as f64 / 2.0);
             settings.push(set(&["ImageReader.camera_params"], &params));
         }
+        Ok(settings)
+    }
+
+    fn extract(
+        &self,
+        rung: &Rung,
+        copies: &Copies,
+        database: &Path,
+        cancel: &CancelToken,
+    ) -> Result<(), PosesError> {
+        let mut settings = self.reading(copies, database)?;
+        settings.extend([set(options::EXTRACT_USE_GPU, &0), self.seed(rung.letter)]);
         if rung.robust_features {
             settings.extend([
                 set(&["SiftExtraction.estimate_affine_shape"], &1),
@@ -210,7 +254,7 @@ impl<'a> Climb<'a> {
             set(&["database_path"], &database.display()),
             set(options::MATCH_USE_GPU, &0),
             set(options::GUIDED_MATCHING, &1),
-            self.seed(rung),
+            self.seed(rung.letter),
         ];
         if rung.robust_features {
             settings.push(set(&["SiftMatching.max_ratio"], &0.85));
@@ -225,9 +269,9 @@ impl<'a> Climb<'a> {
     }
 
     /// The largest model of the mapper; `None` when it found no start.
-    fn map(
+    pub(super) fn map(
         &self,
-        rung: &Rung,
+        mapping: Mapping,
         copies: &Copies,
         database: &Path,
         cancel: &CancelToken,
@@ -235,7 +279,7 @@ impl<'a> Climb<'a> {
         let output = self
             .request
             .work_dir
-            .join(format!("sparse-{}", rung.letter));
+            .join(format!("sparse-{}", mapping.letter));
         if output.exists() {
             std::fs::remove_dir_all(&output).map_err(PosesError::io(&output))?;
         }
@@ -244,9 +288,9 @@ impl<'a> Climb<'a> {
             set(&["database_path"], &database.display()),
             set(&["image_path"], &copies.dir.display()),
             set(&["output_path"], &output.display()),
-            self.seed(rung),
+            self.seed(mapping.letter),
         ];
-        if rung.loose_mapper {
+        if mapping.loose {
             settings.extend([
                 set(&["Mapper.init_min_num_inliers"], &50),
                 set(&["Mapper.init_min_tri_angle"], &4),
@@ -282,6 +326,12 @@ impl<'a> Climb<'a> {
         }
     }
 
+    /// Whether the matches speak for enough of the photographs.
+    fn believes(&self, consistency: &Consistency) -> bool {
+        let (believed, total) = (consistency.believed().len(), self.request.views.len());
+        believed >= MIN_VIEWS && believed as f64 >= self.acceptance.registered * total as f64
+    }
+
     fn accepts(&self, model: &SparseModel) -> bool {
         let (registered, total) = (model.images.len() as f64, self.request.views.len() as f64);
         // Of fewer than ten photographs a point cannot be seen by many: 2 for two of them.
@@ -295,46 +345,25 @@ impl<'a> Climb<'a> {
     }
 
     /// The poses of a candidate, in the request's order and at the originals' sizes.
-    fn deliver(&self, best: &Candidate) -> Result<Poses, PosesError> {
-        let (registered, total) = (best.model.images.len(), self.request.views.len());
+    fn deliver(&self, best: &Candidate, evidence: &Evidence<'_>) -> Result<Poses, PosesError> {
+        let (registered, total) = (best.believed(), self.request.views.len());
         let least = (self.acceptance.salvage * total as f64).max(MIN_VIEWS as f64);
         if !best.accepted && (registered as f64) < least {
-            return Err(self.too_few(registered));
+            return Err(self.too_few(registered, evidence));
         }
-        let mut views = Vec::new();
-        for (view, copy) in self.request.views.iter().zip(&best.copies.copies) {
-            let Some(image) = best
-                .model
-                .images
-                .iter()
-                .find(|image| image.name == copy.file)
-            else {
-                continue;
-            };
-            let lens = best.model.camera_of(image).lens();
-            let (width, height) = copy.original;
-            let lens = Lens {
-                intrinsics: lens.intrinsics.resized(width, height),
-                ..lens
-            };
-            let camera = Camera {
-                intrinsics: lens.pinhole(),
-                world_to_camera: image.world_to_camera(),
-            };
-            views.push(PosedView {
-                name: view.name.clone(),
-                camera,
-                lens,
-            });
-        }
+        let all = self.request.views.iter().enumerate();
+        let verdicts: Vec<_> = all.map(|(index, view)| best.verdict(index, view)).collect();
+        let views = best.placed(self.request.views);
         self.runner.note(&format!("[rung {} taken]", best.rung));
         Ok(Poses {
             registered: views.len(),
             views,
-            points: best.model.sparse_points(),
+            points: best.points(),
             total,
             source: String::new(),
             rung: Some(best.rung),
+            verdicts,
+            parts: self.parts(evidence),
             mean_reprojection_error: best.model.mean_error(),
             mean_track: best.model.mean_track(),
             low_confidence: !best.accepted,
@@ -343,11 +372,31 @@ impl<'a> Climb<'a> {
         })
     }
 
-    fn too_few(&self, registered: usize) -> PosesError {
-        let advice =
+    /// The names of the photographs that hang together, where no matches connect all.
+    fn parts(&self, evidence: &Evidence<'_>) -> Vec<Vec<String>> {
+        let connected = evidence.found.as_ref().map(groups::connected);
+        let mut parts = connected.unwrap_or_default();
+        parts.retain(|part| part.len() >= MIN_VIEWS);
+        if parts.len() < 2 {
+            return Vec::new();
+        }
+        let name = |&index: &usize| self.request.views[index].name.clone();
+        let names = |part: &Vec<usize>| part.iter().map(name).collect();
+        parts.iter().map(names).collect()
+    }
+
+    fn too_few(&self, registered: usize, evidence: &Evidence<'_>) -> PosesError {
+        let parts = self.parts(evidence);
+        let advice = if parts.is_empty() {
             "take 20 to 60 photographs with large overlap, moving the camera sideways between \
-                      them; hold it still, add light, and include things with texture"
-                .to_owned();
+             them; hold it still, add light, and include things with texture"
+                .to_owned()
+        } else {
+            format!(
+                "they show {}: make a capture of each, or add photographs that connect them",
+                in_words(&parts)
+            )
+        };
         PosesError::TooFew {
             registered,
             total: self.request.views.len(),
@@ -356,33 +405,18 @@ impl<'a> Climb<'a> {
     }
 }
 
-/// COLMAP numbers its models as it starts them: the first is not always the largest.
-fn largest_model(output: &Path) -> Result<Option<SparseModel>, PosesError> {
-    let entries = std::fs::read_dir(output).map_err(PosesError::io(output))?;
-    let mut dirs: Vec<PathBuf> = entries
-        .filter_map(|entry| Some(entry.ok()?.path()))
-        .filter(|dir| SparseModel::stands_in(dir))
-        .collect();
-    dirs.sort();
-    let models = dirs
-        .iter()
-        .map(|dir| SparseModel::read(dir))
-        .collect::<Result<Vec<_>, _>>()?;
-    let ranked = models.into_iter().filter(|model| !model.images.is_empty());
-    Ok(ranked.max_by_key(|model| (model.images.len(), model.points.len())))
+/// How COLMAP's mapper is run.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Mapping {
+    /// The rung.
+    pub letter: char,
+    /// With lower bounds on what a place needs.
+    pub loose: bool,
 }
 
-pub(super) fn remove_if_there(file: &Path) -> Result<(), PosesError> {
-    for suffix in ["", "-wal", "-shm", "-journal"] {
-        let path = PathBuf::from(format!("{}{suffix}", file.display()));
-        match std::fs::remove_file(&path) {
-            Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
-                return Err(PosesError::io(&path)(error));
-            }
-            _ => {}
-        }
-    }
-    Ok(())
+/// Whether another rung may do better.
+fn is_about_the_tool(error: &PosesError) -> bool {
+    matches!(error, PosesError::Tool { .. } | PosesError::Matching { .. })
 }
 
 /// Progress in thirds of a rung; the total grows with each rung that is needed.

@@ -35,9 +35,12 @@ pub(super) struct Rung {
     /// Affine shapes, domain-size pooling, a lower peak threshold: for images with few features.
     pub(super) robust_features: bool,
     pub(super) loose_mapper: bool,
+    /// Whether it is tried where the matches of networks gave no good model, too: what the others
+    /// cost brought nothing there.
+    pub(super) beside_networks: bool,
 }
 
-/// In the order in which they are tried.
+/// COLMAP's own features, in the order in which the rungs are tried.
 pub(super) const LADDER: [Rung; 5] = [
     Rung {
         letter: 'A',
@@ -45,6 +48,7 @@ pub(super) const LADDER: [Rung; 5] = [
         full_size: false,
         robust_features: false,
         loose_mapper: false,
+        beside_networks: true,
     },
     Rung {
         letter: 'B',
@@ -52,6 +56,7 @@ pub(super) const LADDER: [Rung; 5] = [
         full_size: false,
         robust_features: false,
         loose_mapper: true,
+        beside_networks: true,
     },
     Rung {
         letter: 'C',
@@ -59,6 +64,7 @@ pub(super) const LADDER: [Rung; 5] = [
         full_size: true,
         robust_features: false,
         loose_mapper: true,
+        beside_networks: false,
     },
     Rung {
         letter: 'D',
@@ -66,6 +72,7 @@ pub(super) const LADDER: [Rung; 5] = [
         full_size: false,
         robust_features: true,
         loose_mapper: true,
+        beside_networks: false,
     },
     Rung {
         letter: 'E',
@@ -73,5 +80,6 @@ pub(super) const LADDER: [Rung; 5] = [
         full_size: false,
         robust_features: false,
         loose_mapper: false,
+        beside_networks: false,
     },
 ];

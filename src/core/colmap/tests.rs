@@ -3,6 +3,7 @@
 
 mod captures;
 mod hangs;
+mod learned;
 
 use std::os::unix::fs::PermissionsExt;
 use std::path::Path;

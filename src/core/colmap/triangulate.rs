@@ -50,7 +50,7 @@ impl Climb<'_> {
         database: &std::path::Path,
         cancel: &CancelToken,
     ) -> Result<(), PosesError> {
-        super::ladder::remove_if_there(database)?;
+        super::files::remove_if_there(database)?;
         let settings = [
             set(&["database_path"], &database.display()),
             set(&["image_path"], &copies.dir.display()),

@@ -18,7 +18,7 @@ use super::views;
 use super::workspace::Workspace;
 use crate::capture::{Capture, CaptureView};
 use crate::event::{ProgressSink, Stage};
-use crate::poses::{PoseView, Poses, PosesError};
+use crate::poses::{PoseStatus, PoseView, Poses, PosesError, in_words};
 
 /// The stage: the poses, once, and what the user should know about them.
 ///
@@ -122,6 +122,29 @@ fn warn(sink: &mut dyn ProgressSink, poses: &Poses, missing: &[String]) {
             poses.mean_track.unwrap_or_default(),
         );
         sink.warn("poses_low_confidence", message);
+    }
+    let doubtful: Vec<&str> = poses
+        .verdicts
+        .iter()
+        .filter(|verdict| verdict.status == PoseStatus::Doubtful)
+        .map(|verdict| &*verdict.name)
+        .collect();
+    if !doubtful.is_empty() {
+        let message = format!(
+            "{} of {total} photographs were placed where their strongest matches say otherwise, and \
+             are left out: {}; photographs between them and the others would help",
+            doubtful.len(),
+            doubtful.join(", ")
+        );
+        sink.warn("poses_doubtful", message);
+    }
+    if !poses.parts.is_empty() {
+        let message = format!(
+            "the photographs show {}: only the largest is reconstructed; make a capture of each, \
+             or add photographs that connect them",
+            in_words(&poses.parts)
+        );
+        sink.warn("capture_in_parts", message);
     }
     if registered < total {
         let message = format!(

@@ -22,6 +22,7 @@ use crate::capture::Capture;
 use crate::event::{Event, ProgressSink};
 use crate::image::Image;
 use crate::metrics::Report;
+use crate::poses::Poses;
 
 /// A finished run.
 #[derive(Clone, Debug)]
@@ -123,6 +124,22 @@ pub fn run(
     }
     deliver(context, &mut report, &views, &depends_on.run())?;
     Ok(Outcome { report })
+}
+
+/// The stage of the poses alone; a run with the same workspace goes on from there.
+///
+/// # Errors
+/// [`PipelineError`].
+pub fn find_poses(
+    capture: &Capture,
+    options: &Options,
+    tools: &mut Tools<'_>,
+    workspace: &Workspace,
+    sink: &mut dyn ProgressSink,
+    cancel: &CancelToken,
+) -> Result<Poses, PipelineError> {
+    let context = &mut begin(capture, options, tools, workspace, sink, cancel)?;
+    poses(context, capture, options, tools)
 }
 
 /// Writes the options as run and tells what is about to happen, with what.

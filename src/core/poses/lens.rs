@@ -94,6 +94,20 @@ impl Lens {
         DVec2::new(k.fx * d.x + k.cx, k.fy * d.y + k.cy)
     }
 
+    /// The point of the undistorted normalised plane that a photograph's pixel shows: what
+    /// [`Self::pixel`] undoes, by fixed-point iteration.
+    pub fn ray(&self, pixel: DVec2) -> DVec2 {
+        let k = &self.intrinsics;
+        let bent = DVec2::new((pixel.x - k.cx) / k.fx, (pixel.y - k.cy) / k.fy);
+        let mut straight = bent;
+        if !self.distortion.is_none() {
+            for _ in 0..12 {
+                straight += bent - self.distortion.distort(straight);
+            }
+        }
+        straight
+    }
+
     /// The pinhole of the same size and principal point with the smallest focal length for which
     /// every pixel has a source in the photograph: no black borders that training would learn.
     pub fn pinhole(&self) -> Intrinsics {

@@ -93,6 +93,8 @@ fn found() -> Poses {
         rung: None,
         mean_reprojection_error: None,
         mean_track: None,
+        verdicts: Vec::new(),
+        parts: Vec::new(),
         low_confidence: false,
         network: None,
         seconds: 0.0,

@@ -195,6 +195,8 @@ fn placed(registered: usize, low_confidence: bool, rung: char) -> Poses {
         rung: Some(rung),
         mean_reprojection_error: None,
         mean_track: None,
+        verdicts: Vec::new(),
+        parts: Vec::new(),
         low_confidence,
         network: None,
         seconds: 0.0,

@@ -1,0 +1,115 @@
+//! What a rung found, and what is believed of it.
+
+use std::collections::HashSet;
+
+use super::consistency::Consistency;
+use super::copies::Copies;
+use crate::camera::Camera;
+use crate::poses::matching::Correspondences;
+use crate::poses::model::SparseModel;
+use crate::poses::{Lens, PoseStatus, PoseVerdict, PoseView, PosedView, SparsePoint};
+
+/// A rung's result.
+pub(super) struct Candidate {
+    pub(super) rung: char,
+    pub(super) model: SparseModel,
+    pub(super) copies: Copies,
+    /// What the learned matches say about the model, where there are some.
+    pub(super) consistency: Option<Consistency>,
+    pub(super) accepted: bool,
+}
+
+impl Candidate {
+    /// What decides between candidates, most important first.
+    pub(super) fn rank(&self) -> (bool, usize, usize) {
+        (self.accepted, self.believed(), self.model.observations())
+    }
+
+    /// The views that are believed, in their order, at the originals' sizes.
+    pub(super) fn placed(&self, views: &[PoseView]) -> Vec<PosedView> {
+        let all = views.iter().zip(&self.copies.copies).enumerate();
+        let believed = all.filter(|(index, _)| self.believes(*index));
+        let placed = believed.filter_map(|(_, (view, copy))| {
+            let images = &self.model.images;
+            let image = images.iter().find(|image| image.name == copy.file)?;
+            let lens = self.model.camera_of(image).lens();
+            let (width, height) = copy.original;
+            let lens = Lens {
+                intrinsics: lens.intrinsics.resized(width, height),
+                ..lens
+            };
+            let camera = Camera {
+                intrinsics: lens.pinhole(),
+                world_to_camera: image.world_to_camera(),
+            };
+            Some(PosedView {
+                name: view.name.clone(),
+                camera,
+                lens,
+            })
+        });
+        placed.collect()
+    }
+
+    fn believes(&self, index: usize) -> bool {
+        let consistency = self.consistency.as_ref();
+        consistency.is_none_or(|of| of.believed().contains(&index))
+    }
+
+    /// What is said about a photograph's place.
+    pub(super) fn verdict(&self, index: usize, view: &PoseView) -> PoseVerdict {
+        let file = &self.copies.copies[index].file;
+        let is_placed = self.model.images.iter().any(|image| image.name == *file);
+        let consistency = self.consistency.as_ref();
+        let is_believed = self.believes(index);
+        let (matches, fitting) = consistency.map_or((0, 0), |of| of.matches_of(index));
+        PoseVerdict {
+            name: view.name.clone(),
+            status: match (is_placed, is_believed) {
+                (true, true) => PoseStatus::Registered,
+                (true, false) => PoseStatus::Doubtful,
+                (false, _) => PoseStatus::NotFound,
+            },
+            matches,
+            fitting,
+        }
+    }
+
+    /// The points that two believed photographs or more see.
+    pub(super) fn points(&self) -> Vec<SparsePoint> {
+        let Some(consistency) = &self.consistency else {
+            return self.model.sparse_points();
+        };
+        let files: HashSet<&str> = consistency
+            .believed()
+            .iter()
+            .map(|&index| self.copies.copies[index].file.as_str())
+            .collect();
+        let believed: HashSet<u32> = self
+            .model
+            .images
+            .iter()
+            .filter(|image| files.contains(image.name.as_str()))
+            .map(|image| image.id)
+            .collect();
+        let mut model = self.model.clone();
+        model.points.retain_mut(|point| {
+            point.track.retain(|(image, _)| believed.contains(image));
+            point.track.len() > 1
+        });
+        model.sparse_points()
+    }
+
+    /// How many photographs have a place that is believed.
+    pub(super) fn believed(&self) -> usize {
+        self.consistency
+            .as_ref()
+            .map_or(self.model.images.len(), |of| of.believed().len())
+    }
+}
+
+/// The small copies, and what networks found in them.
+pub(super) struct Evidence<'a> {
+    pub(super) small: &'a Copies,
+    pub(super) found: Option<Correspondences>,
+}

@@ -1,0 +1,198 @@
+//! Whether a model agrees with the matches: how many photographs it has placed says nothing.
+//!
+//! Matches between two photographs fit a model where each lies near the epipolar line of the
+//! other. Between photographs of different places that look alike (the windows of two walls, the
+//! sides of a table) there are matches, too, and a model that believed them contradicts the true
+//! ones. Those are more: so the strongest matches that hold all photographs together, a maximum
+//! spanning tree, decide. Where the model contradicts a branch, what hangs on it is not believed.
+
+use std::collections::HashMap;
+
+use glam::{DMat3, DVec2, DVec3};
+
+use super::copies::Copies;
+use super::groups::{Groups, LEAST_MATCHES};
+use crate::camera::Camera;
+use crate::poses::Lens;
+use crate::poses::matching::{Correspondences, PairMatches};
+use crate::poses::model::SparseModel;
+
+/// Farthest that a match may lie from the epipolar line, px of the small copies.
+const NEAR: f64 = 3.0;
+
+/// Least share of a branch's matches that fit the model. On models with true poses (cells of 2.6
+/// and 4.4 px) 0.71 and more of every branch's do, where a branch is false 0.64 and fewer.
+const LEAST_FIT: f64 = 0.68;
+
+/// Share of the matches of a pair from which on it speaks for its model.
+const SUPPORT: f64 = 0.5;
+
+/// The matches of two placed photographs, and how many fit.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct PairFit {
+    pub first: usize,
+    pub second: usize,
+    pub matches: usize,
+    pub fitting: usize,
+}
+
+impl PairFit {
+    fn share(&self) -> f64 {
+        self.fitting as f64 / self.matches.max(1) as f64
+    }
+}
+
+/// What the matches say about a model.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct Consistency {
+    /// Of every pair of placed photographs that has matches.
+    pub pairs: Vec<PairFit>,
+    /// Placed photographs that the strongest matches hold together as the model has them; the part
+    /// with most of them first.
+    pub parts: Vec<Vec<usize>>,
+}
+
+/// A placed photograph.
+struct Placed {
+    camera: Camera,
+    lens: Lens,
+    /// From px of the matches to px of the model's copies.
+    scale: f64,
+}
+
+impl Consistency {
+    /// Holds a model, made of `copies`, against the matches that were found in `small` ones.
+    pub fn of(
+        model: &SparseModel,
+        copies: &Copies,
+        small: &Copies,
+        found: &Correspondences,
+    ) -> Self {
+        let places = placed(model, copies, small);
+        let mut pairs: Vec<PairFit> = Vec::new();
+        for pair in &found.pairs {
+            if let (Some(a), Some(b)) = (places.get(&pair.first), places.get(&pair.second)) {
+                pairs.push(PairFit {
+                    first: pair.first,
+                    second: pair.second,
+                    matches: pair.matches.len(),
+                    fitting: fitting(a, b, pair, found),
+                });
+            }
+        }
+        let mut views: Vec<usize> = places.into_keys().collect();
+        views.sort_unstable();
+        Self {
+            parts: parts(&views, &pairs),
+            pairs,
+        }
+    }
+
+    /// The photographs that are believed.
+    pub fn believed(&self) -> &[usize] {
+        self.parts.first().map_or(&[], Vec::as_slice)
+    }
+
+    /// A photograph's matches with placed ones, and how many of them fit.
+    pub fn matches_of(&self, view: usize) -> (usize, usize) {
+        let own = self
+            .pairs
+            .iter()
+            .filter(|pair| pair.first == view || pair.second == view);
+        own.fold((0, 0), |(matches, fitting), pair| {
+            (matches + pair.matches, fitting + pair.fitting)
+        })
+    }
+
+    /// The correspondences of the pairs that fit the model where both photographs are believed, and
+    /// of the pairs of those that are not.
+    pub fn agreeing(&self, found: &Correspondences) -> Correspondences {
+        let believed = self.believed();
+        let agrees = |pair: &&PairMatches| {
+            let both = believed.contains(&pair.first) && believed.contains(&pair.second);
+            let of_pair = |fit: &&PairFit| (fit.first, fit.second) == (pair.first, pair.second);
+            let fit = self.pairs.iter().find(of_pair);
+            !both || fit.is_some_and(|fit| fit.share() >= SUPPORT)
+        };
+        Correspondences {
+            key_points: found.key_points.clone(),
+            pairs: found.pairs.iter().filter(agrees).cloned().collect(),
+        }
+    }
+}
+
+/// The model's cameras by the index of the photograph.
+fn placed(model: &SparseModel, copies: &Copies, small: &Copies) -> HashMap<usize, Placed> {
+    let mut placed = HashMap::new();
+    for image in &model.images {
+        let index = copies
+            .copies
+            .iter()
+            .position(|copy| copy.file == image.name);
+        if let Some(index) = index {
+            let lens = model.camera_of(image).lens();
+            placed.insert(
+                index,
+                Placed {
+                    camera: Camera {
+                        intrinsics: lens.intrinsics,
+                        world_to_camera: image.world_to_camera(),
+                    },
+                    lens,
+                    scale: copies.copies[index].size.0 as f64 / small.copies[index].size.0 as f64,
+                },
+            );
+        }
+    }
+    placed
+}
+
+/// How many matches of a pair lie near each other's epipolar lines.
+fn fitting(a: &Placed, b: &Placed, pair: &PairMatches, found: &Correspondences) -> usize {
+    let rotation = b.camera.rotation() * a.camera.rotation().transpose();
+    let translation = b.camera.translation() - rotation * a.camera.translation();
+    let cross = DMat3::from_cols(
+        DVec3::new(0.0, translation.z, -translation.y),
+        DVec3::new(-translation.z, 0.0, translation.x),
+        DVec3::new(translation.y, -translation.x, 0.0),
+    );
+    let essential = cross * rotation;
+    let focal = 0.5 * (a.lens.intrinsics.fx / a.scale + b.lens.intrinsics.fx / b.scale);
+    let ray = |placed: &Placed, [x, y]: [f32; 2]| {
+        let pixel = DVec2::new(f64::from(x), f64::from(y)) * placed.scale;
+        placed.lens.ray(pixel).extend(1.0)
+    };
+    let near = |[first, second]: &&[u32; 2]| {
+        let from = ray(a, found.key_points[pair.first][*first as usize]);
+        let to = ray(b, found.key_points[pair.second][*second as usize]);
+        let (line_to, line_from) = (essential * from, essential.transpose() * to);
+        let slope = line_to.truncate().length_squared() + line_from.truncate().length_squared();
+        // Sampson's distance.
+        to.dot(line_to).abs() * focal <= NEAR * slope.sqrt()
+    };
+    pair.matches.iter().filter(near).count()
+}
+
+/// The branches of the maximum spanning tree that fit hold its parts together.
+fn parts(views: &[usize], pairs: &[PairFit]) -> Vec<Vec<usize>> {
+    let mut strongest: Vec<&PairFit> = pairs
+        .iter()
+        .filter(|pair| pair.matches >= LEAST_MATCHES)
+        .collect();
+    strongest.sort_by_key(|pair| (std::cmp::Reverse(pair.matches), pair.first, pair.second));
+    let mut tree = Groups::new(views);
+    let branches: Vec<&PairFit> = strongest
+        .into_iter()
+        .filter(|pair| tree.join(pair.first, pair.second))
+        .collect();
+    let mut held = Groups::new(views);
+    for branch in branches {
+        if branch.share() >= LEAST_FIT {
+            held.join(branch.first, branch.second);
+        }
+    }
+    held.members()
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,225 @@
+//! Key points and matches that networks found, put into COLMAP's database: it verifies the matches
+//! itself.
+
+use std::cmp::Reverse;
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use super::candidate::{Candidate, Evidence};
+use super::copies::Copies;
+use super::ladder::{Climb, Mapping};
+use super::options::{self, set};
+use crate::cancel::CancelToken;
+use crate::event::{Event, ProgressSink, Stage};
+use crate::poses::PosesError;
+use crate::poses::matching::{Correspondences, Matching, PairMatches};
+
+/// Values of a descriptor in COLMAP's text files. They are not used: nothing is matched by them.
+const DESCRIPTOR: usize = 128;
+
+/// The selections of pairs that models are built from, until one agrees with all photographs'
+/// strongest matches. With fewer of the strongest there is less that misleads, and less that holds.
+const SELECTIONS: [Selection; 3] = [
+    Selection::All,
+    Selection::Strongest(3),
+    Selection::Strongest(5),
+];
+
+/// Which pairs a model is built from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Selection {
+    /// Every pair with matches.
+    All,
+    /// The pairs with most matches of each photograph, so many.
+    Strongest(usize),
+}
+
+impl Climb<'_> {
+    /// The best model of the matches that networks find. Where one contradicts stronger matches
+    /// than those it is built on, another is built on the strongest alone, and on what agrees with
+    /// it.
+    pub(super) fn climb_learned(
+        &self,
+        matching: &dyn Matching,
+        evidence: &mut Evidence<'_>,
+        sink: &mut dyn ProgressSink,
+        cancel: &CancelToken,
+    ) -> Result<Option<Candidate>, PosesError> {
+        let found = self.find(matching, evidence.small, sink, cancel)?;
+        evidence.found = Some(found.clone());
+        let total = self.request.views.len();
+        let mut best = None;
+        for selection in SELECTIONS {
+            let letters = match selection {
+                Selection::All => ['L', 'M'],
+                Selection::Strongest(_) => ['N', 'O'],
+            };
+            let selected = selection.of(&found);
+            let candidate = self.build(&selected, letters, evidence, sink, cancel)?;
+            best = better(best, candidate);
+            let Some(best) = &best else { continue };
+            if best.believed() == total {
+                break;
+            }
+        }
+        // More matches place more exactly.
+        let agreeing = best
+            .as_ref()
+            .filter(|best| !['L', 'M'].contains(&best.rung))
+            .and_then(|best| best.consistency.as_ref())
+            .map(|consistency| consistency.agreeing(&found));
+        if let Some(agreeing) = agreeing {
+            let candidate = self.build(&agreeing, ['P', 'Q'], evidence, sink, cancel)?;
+            best = better(best, candidate);
+        }
+        Ok(best)
+    }
+
+    /// A model of some of the matches: by the mapper as it is, and where that does not place all,
+    /// by a loose one.
+    fn build(
+        &self,
+        matches: &Correspondences,
+        letters: [char; 2],
+        evidence: &Evidence<'_>,
+        sink: &mut dyn ProgressSink,
+        cancel: &CancelToken,
+    ) -> Result<Option<Candidate>, PosesError> {
+        let (small, total) = (evidence.small, self.request.views.len());
+        let database = self.request.work_dir.join("L.db");
+        self.import(matches, small, &database, cancel)?;
+        let mut best = None;
+        for (letter, loose) in letters.into_iter().zip([false, true]) {
+            let model = self.map(Mapping { letter, loose }, small, &database, cancel)?;
+            let placed = model.as_ref().map_or(0, |model| model.images.len());
+            best = better(
+                best,
+                self.weigh(letter, model, small.clone(), evidence, sink),
+            );
+            if placed == total {
+                break;
+            }
+        }
+        Ok(best)
+    }
+
+    /// Key points and matches of the copies, by networks.
+    fn find(
+        &self,
+        matching: &dyn Matching,
+        copies: &Copies,
+        sink: &mut dyn ProgressSink,
+        cancel: &CancelToken,
+    ) -> Result<Correspondences, PosesError> {
+        let files = copies.copies.iter().map(|copy| copies.dir.join(&copy.file));
+        let pictures: Vec<PathBuf> = files.collect();
+        let mut advance = |done, total| {
+            sink.event(&Event::StageAdvanced {
+                stage: Stage::Poses,
+                round: 0,
+                done,
+                total,
+                steps_per_second: None,
+            });
+        };
+        let start = Instant::now();
+        let found = matching.matches(&pictures, &mut advance, cancel)?;
+        let matches: usize = found.pairs.iter().map(|pair| pair.matches.len()).sum();
+        sink.log(format!(
+            "poses: {matches} matches in {} pairs of {} photographs, {} in {:.1} s",
+            found.pairs.len(),
+            pictures.len(),
+            matching.describe(),
+            start.elapsed().as_secs_f64()
+        ));
+        Ok(found)
+    }
+
+    /// Fills a new database with what was found in the copies.
+    pub(super) fn import(
+        &self,
+        found: &Correspondences,
+        copies: &Copies,
+        database: &Path,
+        cancel: &CancelToken,
+    ) -> Result<(), PosesError> {
+        let folder = self.request.work_dir.join("learned");
+        for (copy, points) in copies.copies.iter().zip(&found.key_points) {
+            write(
+                &folder.join(format!("{}.txt", copy.file)),
+                &features(points),
+            )?;
+        }
+        let mut settings = self.reading(copies, database)?;
+        settings.push(set(&["import_path"], &folder.display()));
+        self.succeed("feature_importer", &settings, cancel)?;
+        let list = folder.join("matches.txt");
+        write(&list, &matches(copies, &found.pairs))?;
+        let settings = [
+            set(&["database_path"], &database.display()),
+            set(&["match_list_path"], &list.display()),
+            set(&["match_type"], &"raw"),
+            set(options::MATCH_USE_GPU, &0),
+        ];
+        self.succeed("matches_importer", &settings, cancel)
+    }
+}
+
+impl Selection {
+    fn of(self, found: &Correspondences) -> Correspondences {
+        let Self::Strongest(most) = self else {
+            return found.clone();
+        };
+        let mut pairs: Vec<&PairMatches> = found.pairs.iter().collect();
+        pairs.sort_by_key(|pair| (Reverse(pair.matches.len()), pair.first, pair.second));
+        let mut taken = vec![0; found.key_points.len()];
+        pairs.retain(|pair| {
+            let is_wanted = taken[pair.first] < most || taken[pair.second] < most;
+            taken[pair.first] += 1;
+            taken[pair.second] += 1;
+            is_wanted
+        });
+        Correspondences {
+            key_points: found.key_points.clone(),
+            pairs: pairs.into_iter().cloned().collect(),
+        }
+    }
+}
+
+fn better(one: Option<Candidate>, other: Option<Candidate>) -> Option<Candidate> {
+    match (one, other) {
+        (Some(one), Some(other)) if other.rank() > one.rank() => Some(other),
+        (one, other) => one.or(other),
+    }
+}
+
+/// COLMAP's text form of key points: x, y, scale, orientation and a descriptor each.
+fn features(points: &[[f32; 2]]) -> String {
+    let descriptor = " 0".repeat(DESCRIPTOR);
+    let mut text = format!("{} {DESCRIPTOR}\n", points.len());
+    for [x, y] in points {
+        let _ = writeln!(text, "{x} {y} 1 0{descriptor}");
+    }
+    text
+}
+
+/// COLMAP's list of raw matches: the names of a pair, a line a match, an empty line.
+fn matches(copies: &Copies, pairs: &[PairMatches]) -> String {
+    let mut text = String::new();
+    for pair in pairs.iter().filter(|pair| !pair.matches.is_empty()) {
+        let name = |index: usize| &copies.copies[index].file;
+        let _ = writeln!(text, "{} {}", name(pair.first), name(pair.second));
+        for [first, second] in &pair.matches {
+            let _ = writeln!(text, "{first} {second}");
+        }
+        text.push('\n');
+    }
+    text
+}
+
+fn write(path: &PathBuf, text: &str) -> Result<(), PosesError> {
+    let folder = path.parent().unwrap_or(path);
+    std::fs::create_dir_all(folder).map_err(PosesError::io(folder))?;
+    std::fs::write(path, text).map_err(PosesError::io(path))
+}

@@ -1,0 +1,228 @@
+//! Key points and matches that somebody else finds.
+
+use super::*;
+use crate::poses::PoseStatus;
+use crate::poses::matching::{Correspondences, Matching, PairMatches};
+
+/// A script whose mapper places every photograph, whatever it is given.
+const PLACES_ALL: &str = r#"
+if [ "$command" = mapper ]; then model "$out/0" 10 10; fi; exit 0"#;
+
+/// Matches between neighbours, forty each; the stand-in's cameras lie side by side, so what is
+/// matched on one row fits them.
+struct Neighbours {
+    /// Photographs whose matches lie on other rows.
+    contradicting: Vec<usize>,
+    /// A photograph without matches with the next one.
+    last_of_a_place: Option<usize>,
+}
+
+impl Matching for Neighbours {
+    fn matches(
+        &self,
+        pictures: &[PathBuf],
+        advance: &mut dyn FnMut(u64, u64),
+        cancel: &CancelToken,
+    ) -> Result<Correspondences, PosesError> {
+        cancel.check()?;
+        assert!(pictures.iter().all(|picture| picture.is_file()));
+        let row = |view: usize, point: usize| {
+            let shift = if self.contradicting.contains(&view) {
+                13
+            } else {
+                0
+            };
+            ((point * 7 + point * shift) % 32) as f32
+        };
+        let points = |view| {
+            (0..40)
+                .map(|point| [point as f32, row(view, point)])
+                .collect()
+        };
+        let count = pictures.len();
+        advance(count as u64, count as u64);
+        let pair = |first| PairMatches {
+            first,
+            second: first + 1,
+            matches: (0..40).map(|point| [point, point]).collect(),
+        };
+        Ok(Correspondences {
+            key_points: (0..count).map(points).collect(),
+            pairs: (0..count - 1)
+                .filter(|first| Some(*first) != self.last_of_a_place)
+                .map(pair)
+                .collect(),
+        })
+    }
+
+    fn describe(&self) -> String {
+        "a stand-in".to_owned()
+    }
+}
+
+/// Networks that do not run.
+struct Broken;
+
+impl Matching for Broken {
+    fn matches(
+        &self,
+        _: &[PathBuf],
+        _: &mut dyn FnMut(u64, u64),
+        _: &CancelToken,
+    ) -> Result<Correspondences, PosesError> {
+        Err(PosesError::Matching {
+            detail: "no such node".to_owned(),
+        })
+    }
+
+    fn describe(&self) -> String {
+        "broken".to_owned()
+    }
+}
+
+fn statuses(poses: &Poses) -> Vec<PoseStatus> {
+    poses
+        .verdicts
+        .iter()
+        .map(|verdict| verdict.status)
+        .collect()
+}
+
+#[test]
+fn learned_matches_come_first_and_their_model_is_believed() {
+    let scene = Scene::new(10, PLACES_ALL);
+    let matching = Neighbours {
+        contradicting: Vec::new(),
+        last_of_a_place: None,
+    };
+    let tool = scene.tool().with_matching(Arc::new(matching));
+    assert!(tool.describe().ends_with(", a stand-in"));
+    let poses = scene.run(&tool, &mut Silent, &CancelToken::new()).unwrap();
+    assert_eq!((poses.registered, poses.rung), (10, Some('L')));
+    assert!(!poses.low_confidence);
+    assert_eq!(statuses(&poses), [PoseStatus::Registered; 10]);
+    let middle = &poses.verdicts[4];
+    assert_eq!((middle.matches, middle.fitting), (80, 80));
+    let log = scene.log();
+    assert!(log.contains("feature_importer") && log.contains("matches_importer"));
+    assert!(!log.contains("feature_extractor"), "{log}");
+    let folder = scene.work_dir().join("learned");
+    let features = std::fs::read_to_string(folder.join("v00003.png.txt")).unwrap();
+    assert_eq!(features.lines().next(), Some("40 128"));
+    let second = features.lines().nth(2).unwrap();
+    assert!(second.starts_with("1 7 1 0 0"), "{second}");
+    assert_eq!(second.split(' ').count(), 4 + 128);
+    let matches = std::fs::read_to_string(folder.join("matches.txt")).unwrap();
+    assert!(matches.starts_with("v00000.png v00001.png\n0 0\n1 1\n"));
+    assert_eq!(matches.matches("\n\n").count(), 9);
+}
+
+#[test]
+fn a_place_that_stronger_matches_contradict_is_left_out_by_name() {
+    let scene = Scene::new(10, PLACES_ALL);
+    let matching = Neighbours {
+        contradicting: vec![9],
+        last_of_a_place: None,
+    };
+    let tool = scene.tool().with_matching(Arc::new(matching));
+    let poses = scene.run(&tool, &mut Silent, &CancelToken::new()).unwrap();
+    assert_eq!((poses.registered, poses.total), (9, 10));
+    assert!(poses.views.iter().all(|view| view.name != "view9"));
+    assert_eq!(
+        statuses(&poses)[8..],
+        [PoseStatus::Registered, PoseStatus::Doubtful]
+    );
+    // The stand-in's points are seen by all.
+    assert!(poses.points.iter().all(|point| point.track == 9));
+    assert!(!poses.low_confidence, "nine of ten are enough");
+}
+
+#[test]
+fn where_most_places_are_contradicted_no_model_is_trusted() {
+    let scene = Scene::new(10, PLACES_ALL);
+    let matching = Neighbours {
+        contradicting: (3..10).step_by(2).collect(),
+        last_of_a_place: None,
+    };
+    let tool = scene.tool().with_matching(Arc::new(matching));
+    let error = scene
+        .run(&tool, &mut Silent, &CancelToken::new())
+        .unwrap_err();
+    assert!(
+        matches!(
+            error,
+            PosesError::TooFew {
+                registered: 3,
+                total: 10,
+                ..
+            }
+        ),
+        "{error}"
+    );
+}
+
+#[test]
+fn networks_that_fail_are_told_and_colmaps_own_features_used() {
+    let scene = Scene::new(10, PLACES_ALL);
+    let tool = scene.tool().with_matching(Arc::new(Broken));
+    let mut codes = Vec::new();
+    let mut sink = |event: &Event| {
+        if let Event::Warning { code, message } = event {
+            codes.push((code.clone(), message.clone()));
+        }
+    };
+    let poses = scene.run(&tool, &mut sink, &CancelToken::new()).unwrap();
+    assert_eq!((poses.registered, poses.rung), (10, Some('A')));
+    assert_eq!(codes.len(), 1);
+    assert!(
+        codes[0].0 == "matcher_failed" && codes[0].1.contains("no such node"),
+        "{codes:?}"
+    );
+}
+
+#[test]
+fn a_capture_of_two_places_names_what_hangs_together() {
+    let scene = Scene::new(10, PLACES_ALL);
+    let two = |last_of_a_place| {
+        let matching = Neighbours {
+            contradicting: Vec::new(),
+            last_of_a_place: Some(last_of_a_place),
+        };
+        let tool = scene.tool().with_matching(Arc::new(matching));
+        scene.run(&tool, &mut Silent, &CancelToken::new())
+    };
+    let poses = two(5).unwrap();
+    assert!((poses.registered, poses.low_confidence) == (6, true));
+    let names = |of: std::ops::Range<usize>| -> Vec<String> {
+        of.map(|index| format!("view{index}")).collect()
+    };
+    assert_eq!(poses.parts, [names(0..6), names(6..10)]);
+    // One photograph that matches no other is no second place.
+    assert!(two(8).unwrap().parts.is_empty());
+}
+
+#[test]
+fn parts_too_small_for_a_scene_are_told_in_the_error() {
+    let scene = Scene::new(
+        10,
+        r#"
+if [ "$command" = mapper ]; then model "$out/0" 4 4; fi; exit 0"#,
+    );
+    let matching = Neighbours {
+        contradicting: Vec::new(),
+        last_of_a_place: Some(4),
+    };
+    let tool = scene.tool().with_matching(Arc::new(matching));
+    let error = scene
+        .run(&tool, &mut Silent, &CancelToken::new())
+        .unwrap_err()
+        .to_string();
+    assert!(
+        error.contains("only 4 of 10") && error.contains("2 places"),
+        "{error}"
+    );
+    assert!(
+        error.contains("5 (view0, view1, view2, view3, view4)"),
+        "{error}"
+    );
+}
