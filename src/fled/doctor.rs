@@ -1,16 +1,20 @@
 //! `fled doctor`: what this machine has and lacks.
 
+use std::convert::Infallible;
 use std::io::Write;
 use std::path::PathBuf;
 
 use fled_core::colmap::ColmapCli;
 use fled_core::deblur::manifest::{Manifest, Place};
 use fled_core::deblur::{self, DeblurError, NetworkChoice};
+use fled_core::features::weights::Package;
+use fled_core::inference::runtime;
 use fled_core::pipeline::error::ErrorKind;
 use fled_gpu::Gpu;
 use serde::Serialize;
 
 use crate::failure::Failure;
+use crate::models::package_state;
 use crate::tools;
 
 /// Free space below which a run of 60 photographs may not finish, bytes.
@@ -99,7 +103,7 @@ pub fn main(args: &Args) -> Result<(), Failure> {
 
 fn checks(args: &Args) -> Vec<Check> {
     let search = tools::Args::library_folders();
-    let runtime = deblur::runtime::find(args.tools.onnxruntime.as_deref(), &search)
+    let runtime = runtime::find(args.tools.onnxruntime.as_deref(), &search)
         .map(|found| format!("{} at {}", found.version, found.path.display()));
     let open = deblur::OpenOptions {
         runtime: args.tools.onnxruntime.as_deref(),
@@ -130,8 +134,18 @@ fn checks(args: &Args) -> Vec<Check> {
             model,
             "Set ORT_DYLIB_PATH; `fled models verify` says more about a network",
         ),
+        Check::new("matcher", Ok::<_, Infallible>(matcher(args)), ""),
         Check::new("disk", disk(args), "Free some space: a run may need 2 GiB"),
     ]
+}
+
+/// The weights that find and match key points. A machine without them is no faulty one: COLMAP has
+/// key points of its own.
+fn matcher(args: &Args) -> String {
+    let package = Package::embedded();
+    package_state(&package, &args.tools.matcher_folders()).unwrap_or_else(|error| {
+        format!("none, poses are found by COLMAP's own key points: {error}")
+    })
 }
 
 /// The default network, opened, and whether the files of the user's own are what they were: no job

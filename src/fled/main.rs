@@ -35,6 +35,8 @@ struct Cli {
 enum Command {
     /// Reconstructs one capture. The same command goes on where an earlier one was stopped.
     Run(run::Args),
+    /// Finds the poses of a capture and stops; `fled run` with the same folder goes on from them.
+    Poses(run::Args),
     /// Renders a view of a finished run.
     Render(render::Args),
     /// Makes a dark, shaken capture with ground truth.
@@ -59,7 +61,8 @@ fn main() -> ExitCode {
         return Failure::new(ErrorKind::Internal, error).report();
     }
     let outcome = match cli.command {
-        Command::Run(args) => run::main(&args),
+        Command::Run(args) => run::main(&args, run::Extent::Whole),
+        Command::Poses(args) => run::main(&args, run::Extent::Poses),
         Command::Render(args) => render::main(&args),
         Command::Synth(args) => synth::main(&args),
         Command::Serve(args) => serve::main(&args),

@@ -1,12 +1,17 @@
 //! `fled models`: which networks there are, and getting more of them.
 
 mod fetch;
+mod package;
+
+pub use package::state as package_state;
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use fled_core::deblur::manifest::{Entry, Manifest, Model, Place, digest};
-use fled_core::deblur::{self, DeblurError, Golden, Onnx, Provider, Restorer, runtime};
+use fled_core::deblur::{self, DeblurError, Golden, Onnx, Restorer};
+use fled_core::features::weights::Package;
+use fled_core::inference::{Provider, runtime};
 use fled_core::pipeline::error::{ErrorKind, PipelineError};
 
 use crate::failure::{Failure, io};
@@ -103,48 +108,54 @@ pub fn main(args: &Args) -> Result<(), Failure> {
             }
             keep(described, content, &start(args)?, args)
         }
-        Command::Fetch { id, from } => {
-            let entry = find(&known, id)?;
-            if entry.place(&folders) != Place::Missing {
-                match entry.load(&folders) {
-                    Ok(model) if entry.sha256.is_none() => {
-                        // Nobody has told its checksum; whether it runs is what can be found out.
-                        Onnx::load_on(&start(args)?, &model, Provider::Cpu, 0).map_err(failure)?;
-                        eprintln!(
-                            "{} is here and runs; which file it should be is not known",
-                            entry.id
-                        );
-                        return Ok(());
-                    }
-                    Ok(_) => {
-                        eprintln!("{} is here and whole", entry.id);
-                        return Ok(());
-                    }
-                    // It is fetched anew and takes the place of the damaged one.
-                    Err(error @ DeblurError::ModelChecksum { .. }) if !entry.built_in() => {
-                        eprintln!("{error}");
-                    }
-                    Err(error) => return Err(failure(error)),
-                }
+        Command::Fetch { id, .. } if *id == Package::embedded().id => {
+            package::fetch(&Package::embedded(), &args.folder.first()?)
+        }
+        Command::Fetch { id, from } => fetch_known(find(&known, id)?, from.as_deref(), args),
+    }
+}
+
+/// Gets a known network, unless it is here and whole.
+fn fetch_known(entry: &Entry, from: Option<&str>, args: &Args) -> Result<(), Failure> {
+    let folders = args.folder.folders();
+    if entry.place(&folders) != Place::Missing {
+        match entry.load(&folders) {
+            Ok(model) if entry.sha256.is_none() => {
+                // Nobody has told its checksum; whether it runs is what can be found out.
+                Onnx::load_on(&start(args)?, &model, Provider::Cpu, 0).map_err(failure)?;
+                eprintln!(
+                    "{} is here and runs; which file it should be is not known",
+                    entry.id
+                );
+                return Ok(());
             }
-            // First whether it could be used: a download that then lies about would be for nothing.
-            let runtime = start(args)?;
-            let folder = args.folder.first()?;
-            let content = fetch::fetch(entry, from.as_deref(), &folder)?;
-            let url = from.clone().or_else(|| entry.url.clone());
-            let described = Described {
-                entry: Entry {
-                    url,
-                    ..entry.clone()
-                },
-                new: false,
-                fed_alike: true,
-            };
-            keep(described, content, &runtime, args)?;
-            fetch::forget(entry, &folder);
-            Ok(())
+            Ok(_) => {
+                eprintln!("{} is here and whole", entry.id);
+                return Ok(());
+            }
+            // It is fetched anew and takes the place of the damaged one.
+            Err(error @ DeblurError::ModelChecksum { .. }) if !entry.built_in() => {
+                eprintln!("{error}");
+            }
+            Err(error) => return Err(failure(error)),
         }
     }
+    // First whether it could be used: a download that then lies about would be for nothing.
+    let runtime = start(args)?;
+    let folder = args.folder.first()?;
+    let content = fetch::fetch(entry, from, &folder)?;
+    let url = from.map(str::to_owned).or_else(|| entry.url.clone());
+    let described = Described {
+        entry: Entry {
+            url,
+            ..entry.clone()
+        },
+        new: false,
+        fed_alike: true,
+    };
+    keep(described, content, &runtime, args)?;
+    fetch::forget(entry, &folder);
+    Ok(())
 }
 
 fn failure(error: DeblurError) -> Failure {
@@ -206,7 +217,8 @@ fn list(known: &Manifest, folders: &[PathBuf], json: bool) -> Result<(), Failure
 }
 
 fn start(args: &Args) -> Result<runtime::Runtime, Failure> {
-    runtime::load(args.onnxruntime.as_deref(), &tools::Args::library_folders()).map_err(failure)
+    runtime::load(args.onnxruntime.as_deref(), &tools::Args::library_folders())
+        .map_err(|error| failure(error.into()))
 }
 
 fn verify(

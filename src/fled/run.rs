@@ -42,11 +42,20 @@ pub struct Args {
     tools: tools::Args,
 }
 
+/// How far a run goes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Extent {
+    /// Up to the poses.
+    Poses,
+    /// To the end.
+    Whole,
+}
+
 /// Runs the pipeline.
 ///
 /// # Errors
 /// [`Failure`], with the exit code of its kind.
-pub fn main(args: &Args) -> Result<(), Failure> {
+pub fn main(args: &Args, extent: Extent) -> Result<(), Failure> {
     let options = options(args)?;
     let workspace = Workspace::open(&args.out)?;
     let path = workspace.folder().log();
@@ -57,7 +66,7 @@ pub fn main(args: &Args) -> Result<(), Failure> {
         .map_err(io(&path))?;
     let mut reporter = Reporter::new(log, args.json);
     let cancel = tools::cancel_on_signals()?;
-    let outcome = run(args, &options, &workspace, &mut reporter, &cancel);
+    let outcome = run(args, extent, &options, &workspace, &mut reporter, &cancel);
     if let Err(failure) = &outcome {
         reporter.event(&Event::Failed {
             kind: failure.kind.name().to_owned(),
@@ -70,6 +79,7 @@ pub fn main(args: &Args) -> Result<(), Failure> {
 
 fn run(
     args: &Args,
+    extent: Extent,
     options: &Options,
     workspace: &Workspace,
     reporter: &mut Reporter,
@@ -82,7 +92,14 @@ fn run(
     }
     let mut kit = tools::Kit::new(&args.tools, options, &capture)?;
     let mut tools = kit.tools();
-    pipeline::run(&capture, options, &mut tools, workspace, reporter, cancel)?;
+    match extent {
+        Extent::Poses => {
+            pipeline::find_poses(&capture, options, &mut tools, workspace, reporter, cancel)?;
+        }
+        Extent::Whole => {
+            pipeline::run(&capture, options, &mut tools, workspace, reporter, cancel)?;
+        }
+    }
     if args.discard_work {
         workspace.discard_intermediates()?;
     }

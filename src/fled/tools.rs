@@ -1,12 +1,15 @@
 //! What a run needs from the machine: device, COLMAP, ONNX Runtime, networks, signals.
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use fled_core::cancel::CancelToken;
 use fled_core::capture::Capture;
 use fled_core::colmap::ColmapCli;
 use fled_core::dataset::GivenPoses;
 use fled_core::deblur::{self, Restorer};
+use fled_core::features::{FeatureError, LearnedMatching, SearchOptions};
+use fled_core::inference::runtime;
 use fled_core::pipeline::config::{Guide, Options, PoseSource};
 use fled_core::pipeline::error::{ErrorKind, PipelineError};
 use fled_core::pipeline::{self};
@@ -32,6 +35,10 @@ pub struct Args {
     /// Folder in which poses are kept from run to run; `none` keeps none.
     #[arg(long, value_name = "DIR")]
     pub cache: Option<PathBuf>,
+    /// Folder with the weights that find and match key points, when it is not where `fled doctor`
+    /// looks; `none` goes without.
+    #[arg(long, value_name = "DIR", env = "FLED_MATCHER")]
+    pub matcher: Option<PathBuf>,
     #[command(flatten)]
     pub models: ModelFolder,
 }
@@ -75,19 +82,55 @@ impl Args {
         {
             folders.push(folder.to_owned());
             // A binary in target/release of a checkout finds what `make onnxruntime` fetched.
-            folders.extend(
-                folder
-                    .ancestors()
-                    .skip(1)
-                    .take(2)
-                    .map(|up| up.join(".onnxruntime")),
-            );
+            folders.extend(beside_checkout(folder, ".onnxruntime"));
         }
         if let Ok(here) = std::env::current_dir() {
             folders.push(here.join(".onnxruntime"));
         }
         folders.extend(data_home().map(|home| home.join("fled")));
         folders
+    }
+
+    /// Places where the weights of key points and matches are looked for.
+    pub fn matcher_folders(&self) -> Vec<PathBuf> {
+        if let Some(folder) = &self.matcher {
+            return vec![folder.clone()];
+        }
+        let mut folders = self.models.folders();
+        if let Ok(program) = std::env::current_exe()
+            && let Some(folder) = program.parent()
+        {
+            folders.push(folder.join(".matcher"));
+            folders.extend(beside_checkout(folder, ".matcher"));
+        }
+        if let Ok(here) = std::env::current_dir() {
+            folders.push(here.join(".matcher"));
+        }
+        folders
+    }
+
+    /// COLMAP with the networks that find and match key points; without them the ladder has fewer
+    /// rungs, and the second value says why.
+    fn colmap(&self) -> (ColmapCli, Option<String>) {
+        let colmap = ColmapCli::new(&self.colmap);
+        if self.matcher.as_deref() == Some(Path::new("none")) {
+            return (colmap, None);
+        }
+        let search = Self::library_folders();
+        let opened = runtime::load(self.onnxruntime.as_deref(), &search)
+            .map_err(FeatureError::from)
+            .and_then(|runtime| {
+                LearnedMatching::open(&runtime, &self.matcher_folders(), SearchOptions::default())
+            });
+        match opened {
+            Ok(matching) => (colmap.with_matching(Arc::new(matching)), None),
+            Err(error) => (
+                colmap,
+                Some(format!(
+                    "poses are found by COLMAP's own key points alone, without networks: {error}"
+                )),
+            ),
+        }
     }
 
     fn pose_cache(&self) -> Option<PathBuf> {
@@ -97,6 +140,16 @@ impl Args {
             None => home(".cache", "XDG_CACHE_HOME").map(|home| home.join("fled/poses")),
         }
     }
+}
+
+/// Folders of this name at the top of the checkout whose target/release or target/debug has the
+/// program.
+fn beside_checkout(program: &Path, name: &str) -> impl Iterator<Item = PathBuf> {
+    program
+        .ancestors()
+        .skip(1)
+        .take(2)
+        .map(move |up| up.join(name))
 }
 
 fn data_home() -> Option<PathBuf> {
@@ -139,7 +192,8 @@ impl Kit {
             fallbacks.extend(opened.fallbacks);
             opened.deblurrer
         });
-        let sfm = sfm(args, options, capture)?;
+        let (sfm, fallback) = sfm(args, options, capture)?;
+        fallbacks.extend(fallback);
         Ok(Self {
             gpu,
             sfm,
@@ -171,19 +225,23 @@ impl Kit {
     }
 }
 
-fn sfm(args: &Args, options: &Options, capture: &Capture) -> Result<Box<dyn Sfm>, Failure> {
+fn sfm(
+    args: &Args,
+    options: &Options,
+    capture: &Capture,
+) -> Result<(Box<dyn Sfm>, Option<String>), Failure> {
     match (options.pose_source, &capture.poses) {
         (PoseSource::Colmap, _) | (PoseSource::Auto, None) => {
-            Ok(Box::new(ColmapCli::new(&args.colmap)))
+            let (colmap, fallback) = args.colmap();
+            Ok((Box::new(colmap), fallback))
         }
         (PoseSource::Auto | PoseSource::Given, Some(given)) => {
             let given = GivenPoses::open(given.path()).map_err(PipelineError::from)?;
             let colmap = ColmapCli::new(&args.colmap);
-            Ok(Box::new(given.triangulated_by(Box::new(
-                move |request, views, sink, cancel| {
-                    colmap.triangulate(request, views, sink, cancel)
-                },
-            ))))
+            let sfm = given.triangulated_by(Box::new(move |request, views, sink, cancel| {
+                colmap.triangulate(request, views, sink, cancel)
+            }));
+            Ok((Box::new(sfm), None))
         }
         (PoseSource::Given, None) => Err(Failure::new(
             ErrorKind::BadInput,
