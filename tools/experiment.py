@@ -39,7 +39,7 @@ from pathlib import Path
 import score_table
 
 # Of its doctor's checks: what computes. The disk does not.
-COMPUTING = ("adapter", "colmap", "onnxruntime", "models")
+COMPUTING = ("adapter", "colmap", "onnxruntime", "models", "matcher")
 # Characters of a record's name.
 NAME = 16
 
