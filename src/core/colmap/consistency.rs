@@ -104,15 +104,22 @@ impl Consistency {
         })
     }
 
-    /// The correspondences of the pairs that fit the model where both photographs are believed, and
-    /// of the pairs of those that are not.
-    pub fn agreeing(&self, found: &Correspondences) -> Correspondences {
+    /// What fits the model between believed photographs, and of the others' pairs the `strongest`.
+    pub fn agreeing(
+        &self,
+        found: &Correspondences,
+        strongest: &Correspondences,
+    ) -> Correspondences {
         let believed = self.believed();
         let agrees = |pair: &&PairMatches| {
-            let both = believed.contains(&pair.first) && believed.contains(&pair.second);
             let of_pair = |fit: &&PairFit| (fit.first, fit.second) == (pair.first, pair.second);
-            let fit = self.pairs.iter().find(of_pair);
-            !both || fit.is_some_and(|fit| fit.share() >= SUPPORT)
+            if believed.contains(&pair.first) && believed.contains(&pair.second) {
+                let fit = self.pairs.iter().find(of_pair);
+                return fit.is_some_and(|fit| fit.share() >= SUPPORT);
+            }
+            let same =
+                |other: &PairMatches| (other.first, other.second) == (pair.first, pair.second);
+            strongest.pairs.iter().any(same)
         };
         Correspondences {
             key_points: found.key_points.clone(),

@@ -11,6 +11,15 @@ const FOLLOWERS: usize = 8;
 /// ... and so many of the most similar of all.
 const SIMILAR: usize = 12;
 
+/// How many there are at most.
+pub(super) fn count(photographs: usize) -> usize {
+    if photographs <= ALL_PAIRS {
+        photographs * photographs.saturating_sub(1) / 2
+    } else {
+        photographs * (FOLLOWERS + SIMILAR)
+    }
+}
+
 /// Pairs of indices, the lower first, in order. `pooled` is one vector a photograph.
 pub(super) fn candidates(pooled: &[[f32; DESCRIPTOR]]) -> Vec<(usize, usize)> {
     let count = pooled.len();
@@ -56,7 +65,11 @@ mod tests {
             vector
         };
         let few: Vec<_> = (0..ALL_PAIRS).map(vector).collect();
-        assert_eq!(candidates(&few).len(), ALL_PAIRS * (ALL_PAIRS - 1) / 2);
+        assert_eq!(candidates(&few).len(), count(ALL_PAIRS));
+        assert_eq!(
+            (count(ALL_PAIRS), count(0)),
+            (ALL_PAIRS * (ALL_PAIRS - 1) / 2, 0)
+        );
         // Once around, twice: the second time a photograph is similar to one of the first.
         let many: Vec<_> = (0..400).map(|i| vector(i % 200)).collect();
         let pairs = candidates(&many);
@@ -64,7 +77,7 @@ mod tests {
             pairs.contains(&(10, 11)) && pairs.contains(&(10, 18)) && pairs.contains(&(10, 210))
         );
         assert!(!pairs.contains(&(10, 100)));
-        assert!(pairs.len() < 400 * (FOLLOWERS + SIMILAR));
+        assert!(pairs.len() < count(400));
         assert!(pairs.iter().all(|(first, second)| first < second));
     }
 }

@@ -247,6 +247,15 @@ fn a_capture_has_matches_where_its_pictures_overlap_and_progress_is_told() {
 }
 
 #[test]
+fn more_photographs_have_fewer_key_points_each_and_never_less_than_half() {
+    let options = SearchOptions::default();
+    let of = |photographs| options.key_points_of(photographs);
+    assert_eq!([of(3), of(16)], [2048, 2048]);
+    assert!((1200..1400).contains(&of(25)), "{}", of(25));
+    assert_eq!([of(60), of(300)], [1024, 1024]);
+}
+
+#[test]
 fn a_cancelled_search_ends_and_a_broken_picture_is_named() {
     let folder = tempfile::tempdir().expect("temporary directory");
     let mut pictures = capture(folder.path());

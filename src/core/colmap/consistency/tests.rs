@@ -116,7 +116,7 @@ fn a_true_model_is_believed_whole_at_any_size_of_its_copies() {
         let consistency = Consistency::of(&model, &copies(12, share), &small, &found);
         assert_eq!(consistency.believed(), (0..12).collect::<Vec<_>>());
         assert_eq!(consistency.parts.len(), 1);
-        assert_eq!(consistency.agreeing(&found), found);
+        assert_eq!(consistency.agreeing(&found, &found), found);
         let (matches, fitting) = consistency.matches_of(5);
         assert_eq!(matches, 560);
         assert!(fitting > 530, "{fitting}");
@@ -151,9 +151,24 @@ fn what_does_not_fit_a_true_model_is_left_out_to_place_more_exactly() {
     let (model, small) = (model(&cameras, 1), copies(12, 1));
     let consistency = Consistency::of(&model, &small, &small, &found);
     assert_eq!(consistency.parts.len(), 1);
-    let agreeing = consistency.agreeing(&found);
+    let agreeing = consistency.agreeing(&found, &found);
     assert_eq!(agreeing.pairs, neighbours(&cameras).pairs);
     assert_eq!(agreeing.key_points, found.key_points);
+}
+
+#[test]
+fn of_photographs_that_are_not_believed_the_strongest_pairs_stay() {
+    let cameras = ring(12);
+    let wrong = on_the_wrong_side(&cameras, 8);
+    let found = misled(&cameras, &wrong);
+    let strongest = neighbours(&cameras);
+    let (model, small) = (model(&wrong, 1), copies(12, 1));
+    let consistency = Consistency::of(&model, &small, &small, &found);
+    // The pairs across to the wrong side fit the model, but not both of a pair are believed.
+    assert_eq!(
+        consistency.agreeing(&found, &strongest).pairs,
+        strongest.pairs
+    );
 }
 
 #[test]
