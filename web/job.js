@@ -52,7 +52,7 @@ export function jobPage(main, id) {
     const report = await api(`${base}/rounds`);
     if (gone) return;
     show(metrics, report.rounds.length > 0 && metricCharts(report.rounds));
-    show(facts, factList(job, report));
+    show(facts, factList(job, report), report.registered !== undefined && posesPicture(base));
     const rounds = report.rounds.map((round) => round.round);
     if (rounds.length === 0) return;
     if (!cameras) cameras = await api(`${base}/artifacts/cameras.json`).catch(() => null);
@@ -201,6 +201,14 @@ function stageBars(stages) {
     h("span", {}, row.round > 0 ? `${row.round} · ${row.stage}` : row.stage),
     h("progress", { max: most || 1, value: row.seconds, "aria-label": row.stage }),
     h("span", { class: "number" }, duration(row.seconds))]));
+}
+
+/** Cameras and points from above; nothing where an older run has left no such file. */
+function posesPicture(base) {
+  const image = h("img", { src: `${base}/artifacts/poses.svg`, alt: "cameras and sparse points from above", loading: "lazy" });
+  const figure = h("figure", { class: "poses" }, image, h("figcaption", {}, "Where the photographs were taken from"));
+  image.addEventListener("error", () => figure.remove());
+  return figure;
 }
 
 function factList(job, report) {

@@ -6,6 +6,7 @@ pub mod bounds;
 pub mod lens;
 pub mod matching;
 pub mod model;
+mod picture;
 
 use std::path::{Path, PathBuf};
 
@@ -16,6 +17,7 @@ use crate::cancel::{CancelToken, Cancelled};
 use crate::event::ProgressSink;
 use crate::image::Image;
 pub use lens::{Distortion, Lens};
+pub use picture::svg;
 
 /// Finds where each photograph was taken from. Two implementations: COLMAP by subprocess, and
 /// poses given with the capture.
@@ -70,7 +72,9 @@ pub struct Poses {
     pub total: usize,
     /// Who answered: `colmap 3.8`, or which file.
     pub source: String,
-    /// The rung of the ladder that was accepted, `A`..=`F`; `None` for given poses.
+    /// The rung of the ladder that was taken: learned matches of all pairs (`L`, by a loose mapper
+    /// `M`), of the strongest (`N`, `O`), of those that agree (`P`, `Q`); COLMAP's own features
+    /// (`A`..=`E`); or all of it on deblurred photographs (`F`). `None` for given poses.
     pub rung: Option<char>,
     /// What is said about the place of every view asked for; empty where the poses were given.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]

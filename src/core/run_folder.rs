@@ -1,7 +1,7 @@
 //! The folder that a run leaves: where everything in it lies, and from where one may look at it.
 //!
 //! ```text
-//! scene.ply  cameras.json  metrics.json  config.json  poses.json  log.txt
+//! scene.ply  cameras.json  metrics.json  config.json  poses.json  poses.svg  log.txt
 //! inputs/VIEW.jpg  gt/VIEW.jpg  restored/VIEW.png
 //! rounds/ROUND/{scene.ply, scene_at_target.ply, training.json}
 //! rounds/ROUND/{enhanced, deblurred, renders}/VIEW.jpg
@@ -67,6 +67,11 @@ impl RunFolder {
     /// What structure from motion said, before any correction.
     pub fn poses(&self) -> PathBuf {
         self.root.join("poses.json")
+    }
+
+    /// The same to look at: cameras and points from above.
+    pub fn poses_picture(&self) -> PathBuf {
+        self.root.join("poses.svg")
     }
 
     /// The log of every run into this folder, appended to.
@@ -283,6 +288,7 @@ mod tests {
             (run.metrics(), "out/metrics.json"),
             (run.config(), "out/config.json"),
             (run.poses(), "out/poses.json"),
+            (run.poses_picture(), "out/poses.svg"),
             (run.log(), "out/log.txt"),
             (run.input("a"), "out/inputs/a.jpg"),
             (run.truth("a"), "out/gt/a.jpg"),

@@ -4,6 +4,7 @@
 //! of gamma, weaker gain, the original, CLAHE and denoising, this registered most photographs.
 //! Area-averaging to about 560 px is a denoiser for free.
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
@@ -24,6 +25,9 @@ const SMALL_SIDE: usize = 560;
 /// Linear light up to which nothing is clipped; above it values approach 1 without reaching it.
 const KNEE: f32 = 0.7;
 
+/// Focal lengths that differ by less are one lens, focused nearer or farther.
+const SAME_LENS: f64 = 1.05;
+
 /// A photograph whose median is darker than half a code value of 8 bits gets no more gain.
 const DARKEST_MEDIAN: f32 = 0.5 / 255.0 / 12.92;
 
@@ -32,8 +36,10 @@ const DARKEST_MEDIAN: f32 = 0.5 / 255.0 / 12.92;
 pub(super) struct Copies {
     pub dir: PathBuf,
     pub copies: Vec<Copy>,
-    /// Whether all copies have one size: then one camera took them.
-    pub one_size: bool,
+    /// Whether one camera took them: all have one size, and one focal length where EXIF tells.
+    pub one_camera: bool,
+    /// How many focal lengths EXIF tells of, those within 5 % taken for one.
+    pub zooms: usize,
 }
 
 /// One photograph's copy.
@@ -60,14 +66,22 @@ impl Copies {
             .enumerate()
             .map(|(index, view)| Copy::planned(index, view, small))
             .collect::<Result<Vec<_>, _>>()?;
-        let one_size = copies.iter().all(|copy| copy.size == copies[0].size);
+        let share = |(copy, view): (&Copy, &PoseView)| {
+            let longest = copy.original.0.max(copy.original.1) as f64;
+            view.focal_px.map(|focal| focal / longest)
+        };
+        let lenses = lenses(&copies.iter().zip(views).map(share).collect::<Vec<_>>());
+        let camera = |(copy, lens): (&Copy, &usize)| (copy.size, *lens);
+        let cameras: BTreeSet<_> = copies.iter().zip(&lenses).map(camera).collect();
+        let one_camera = cameras.len() == 1;
         // COLMAP shares a camera by folder where not all photographs can share one.
         let copies: Vec<Copy> = copies
             .into_iter()
-            .map(|copy| match one_size {
+            .zip(&lenses)
+            .map(|(copy, lens)| match one_camera {
                 true => copy,
                 false => Copy {
-                    file: format!("{}x{}/{}", copy.size.0, copy.size.1, copy.file),
+                    file: format!("{}x{}-{lens}/{}", copy.size.0, copy.size.1, copy.file),
                     ..copy
                 },
             })
@@ -79,7 +93,12 @@ impl Copies {
         Ok(Self {
             dir: dir.to_owned(),
             copies,
-            one_size,
+            one_camera,
+            zooms: lenses
+                .iter()
+                .filter(|&&lens| lens > 0)
+                .collect::<BTreeSet<_>>()
+                .len(),
         })
     }
 
@@ -88,7 +107,7 @@ impl Copies {
         self.copies.iter().all(|copy| copy.size == copy.original)
     }
 
-    /// The focal length of the copies, px, where the photographs agree on one to 5 %.
+    /// The focal length of the copies, px, where one camera took them and EXIF tells.
     pub fn focal(&self, views: &[PoseView]) -> Option<f64> {
         let scaled = |(copy, view): (&Copy, &PoseView)| {
             let share =
@@ -104,9 +123,32 @@ impl Copies {
             .map(scaled)
             .collect::<Option<Vec<_>>>()?;
         focals.sort_by(f64::total_cmp);
-        let (low, high) = (*focals.first()?, *focals.last()?);
-        (self.one_size && high <= 1.05 * low).then(|| focals[focals.len() / 2])
+        let middle = focals.get(focals.len() / 2).copied();
+        middle.filter(|_| self.one_camera)
     }
+}
+
+/// Which lens each photograph was taken with, by its focal length over the longer side: 1 is the
+/// shortest, 0 where EXIF does not tell.
+fn lenses(lengths: &[Option<f64>]) -> Vec<usize> {
+    let known = |length: &Option<f64>| length.filter(|f| f.is_finite() && *f > 0.0);
+    let mut sorted: Vec<f64> = lengths.iter().filter_map(known).collect();
+    sorted.sort_by(f64::total_cmp);
+    let mut shortest: Vec<f64> = Vec::new();
+    for length in sorted {
+        if shortest
+            .last()
+            .is_none_or(|first| length > SAME_LENS * first)
+        {
+            shortest.push(length);
+        }
+    }
+    let lens = |length: &Option<f64>| {
+        known(length).map_or(0, |length| {
+            shortest.partition_point(|first| *first <= length)
+        })
+    };
+    lengths.iter().map(lens).collect()
 }
 
 impl Copy {
@@ -192,6 +234,14 @@ mod tests {
         image.data_mut().fill(0.6);
         let out = brightened(&image);
         assert!(out.data().iter().all(|v| (v - 0.6).abs() < 1e-4));
+    }
+
+    #[test]
+    fn a_lens_is_known_by_its_focal_length() {
+        assert_eq!(lenses(&[None, None]), [0, 0]);
+        assert_eq!(lenses(&[Some(0.8), Some(0.82), Some(0.81)]), [1, 1, 1]);
+        let zoomed = [Some(1.5), Some(0.8), None, Some(0.83), Some(f64::NAN)];
+        assert_eq!(lenses(&zoomed), [2, 1, 0, 1, 0]);
     }
 
     #[test]

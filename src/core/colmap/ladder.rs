@@ -60,6 +60,14 @@ impl<'a> Climb<'a> {
             true,
             cancel,
         )?;
+        if small.zooms > 1 {
+            let message = format!(
+                "the photographs were taken at {} focal lengths: each is a camera of its own, which \
+                 fewer photographs have to tell apart; leave the zoom alone",
+                small.zooms
+            );
+            sink.warn("zoom_changed", message);
+        }
         let mut evidence = Evidence {
             small: &small,
             found: None,
@@ -197,7 +205,7 @@ impl<'a> Climb<'a> {
     ) -> Result<Vec<Setting>, PosesError> {
         // A database of an earlier, killed run may be locked or half full.
         remove_if_there(database)?;
-        let share = if copies.one_size {
+        let share = if copies.one_camera {
             set(&["ImageReader.single_camera"], &1)
         } else {
             set(&["ImageReader.single_camera_per_folder"], &1)

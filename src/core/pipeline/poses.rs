@@ -18,7 +18,8 @@ use super::views;
 use super::workspace::Workspace;
 use crate::capture::{Capture, CaptureView};
 use crate::event::{ProgressSink, Stage};
-use crate::poses::{PoseStatus, PoseView, Poses, PosesError, in_words};
+use crate::image::write_atomic;
+use crate::poses::{PoseStatus, PoseView, Poses, PosesError, in_words, svg};
 
 /// The stage: the poses, once, and what the user should know about them.
 ///
@@ -66,6 +67,9 @@ pub fn poses(
             Ok(poses)
         },
     )?;
+    let picture = context.workspace.folder().poses_picture();
+    write_atomic(&picture, svg(&poses).as_bytes())
+        .map_err(|source| PipelineError::io(&picture, source))?;
     cache.write(context.workspace, &poses)?;
     warn(context.sink, &poses, &views::unregistered(capture, &poses));
     Ok(poses)

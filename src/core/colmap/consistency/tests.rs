@@ -38,7 +38,8 @@ fn copies(count: usize, share: usize) -> Copies {
     Copies {
         dir: "copies".into(),
         copies: (0..count).map(copy).collect(),
-        one_size: true,
+        one_camera: true,
+        zooms: 0,
     }
 }
 
