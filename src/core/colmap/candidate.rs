@@ -4,6 +4,7 @@ use std::collections::HashSet;
 
 use super::consistency::Consistency;
 use super::copies::Copies;
+use super::rungs::FIRST_LEARNED;
 use crate::camera::Camera;
 use crate::poses::matching::Correspondences;
 use crate::poses::model::SparseModel;
@@ -21,8 +22,18 @@ pub(super) struct Candidate {
 
 impl Candidate {
     /// What decides between candidates, most important first.
-    pub(super) fn rank(&self) -> (bool, usize, usize) {
-        (self.accepted, self.believed(), self.model.observations())
+    pub(super) fn rank(&self) -> (bool, usize, u64) {
+        (self.accepted, self.believed(), self.exactness())
+    }
+
+    /// Observations a photograph over the square of their mean error, in millionths: what the
+    /// variance of a place is inverse to. Of learned points four fifths, as those of COLMAP are
+    /// finer than their error tells.
+    fn exactness(&self) -> u64 {
+        let observations = self.model.observations() as f64 / self.model.images.len() as f64;
+        let error = self.model.mean_error().unwrap_or(f64::MAX).max(1e-3);
+        let share = if self.rung >= FIRST_LEARNED { 0.8 } else { 1.0 };
+        (1e6 * share * observations / (error * error)) as u64
     }
 
     /// The views that are believed, in their order, at the originals' sizes.

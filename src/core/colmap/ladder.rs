@@ -89,9 +89,15 @@ impl<'a> Climb<'a> {
             .filter(|rung| !(rung.full_size && small.are_full_size()))
             .filter(|rung| rung.beside_networks || evidence.found.is_none())
         {
-            // Mapping again is cheap, so a good model that lacks a photograph still tries rung B.
             let accepted = best.as_ref().filter(|best| best.accepted);
-            if accepted.is_some_and(|best| best.believed() == total || rung.letter != 'B') {
+            let is_enough = |best: &Candidate| match rung.letter {
+                // Where the shake is small COLMAP's own points are finer than learned ones.
+                'A' => false,
+                // Mapping again is cheap, so a good model that lacks a photograph still tries.
+                'B' => best.believed() == total,
+                _ => true,
+            };
+            if accepted.is_some_and(is_enough) {
                 break;
             }
             let candidate = match self.attempt(rung, &evidence, sink, cancel) {

@@ -25,6 +25,9 @@ impl Default for Acceptance {
     }
 }
 
+/// The rungs of learned matches are this letter and those after it.
+pub(super) const FIRST_LEARNED: char = 'L';
+
 /// Settings of one rung.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Rung {

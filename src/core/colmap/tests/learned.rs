@@ -4,8 +4,13 @@ use super::*;
 use crate::poses::PoseStatus;
 use crate::poses::matching::{Correspondences, Matching, PairMatches};
 
-/// A script whose mapper places every photograph, whatever it is given.
+/// A script whose mapper places every photograph, but by COLMAP's own features none.
 const PLACES_ALL: &str = r#"
+case "$out" in *sparse-[A-E]) exit 0;; esac
+if [ "$command" = mapper ]; then model "$out/0" 10 10; fi; exit 0"#;
+
+/// A script whose mapper places every photograph, whatever it is given.
+const PLACES_ALWAYS: &str = r#"
 if [ "$command" = mapper ]; then model "$out/0" 10 10; fi; exit 0"#;
 
 /// Matches between neighbours, forty each; the stand-in's cameras lie side by side, so what is
@@ -104,8 +109,13 @@ fn learned_matches_come_first_and_their_model_is_believed() {
     let middle = &poses.verdicts[4];
     assert_eq!((middle.matches, middle.fitting), (80, 80));
     let log = scene.log();
-    assert!(log.contains("feature_importer") && log.contains("matches_importer"));
-    assert!(!log.contains("feature_extractor"), "{log}");
+    let at = |command: &str| log.find(command).expect(command);
+    assert!(at("feature_importer") < at("matches_importer"));
+    assert!(at("matches_importer") < at("feature_extractor"));
+    assert!(
+        !log.contains("sparse-C"),
+        "the first rung alone might do better"
+    );
     let folder = scene.work_dir().join("learned");
     let features = std::fs::read_to_string(folder.join("v00003.png.txt")).unwrap();
     assert_eq!(features.lines().next(), Some("40 128"));
@@ -162,8 +172,29 @@ fn where_most_places_are_contradicted_no_model_is_trusted() {
 }
 
 #[test]
+fn of_two_models_that_are_as_whole_the_more_exact_one_is_taken() {
+    // As exact: COLMAP's own points are finer.
+    let scene = Scene::new(10, PLACES_ALWAYS);
+    let matching = || Neighbours {
+        contradicting: Vec::new(),
+        last_of_a_place: None,
+    };
+    let rung = |scene: &Scene| {
+        let tool = scene.tool().with_matching(Arc::new(matching()));
+        let poses = scene.run(&tool, &mut Silent, &CancelToken::new()).unwrap();
+        (poses.registered, poses.rung)
+    };
+    assert_eq!(rung(&scene), (10, Some('A')));
+    let fewer_observations = r#"
+if [ "$command" = mapper ]; then
+  case "$out" in *sparse-A) model "$out/0" 10 7;; *) model "$out/0" 10 10;; esac
+fi; exit 0"#;
+    assert_eq!(rung(&Scene::new(10, fewer_observations)), (10, Some('L')));
+}
+
+#[test]
 fn networks_that_fail_are_told_and_colmaps_own_features_used() {
-    let scene = Scene::new(10, PLACES_ALL);
+    let scene = Scene::new(10, PLACES_ALWAYS);
     let tool = scene.tool().with_matching(Arc::new(Broken));
     let mut codes = Vec::new();
     let mut sink = |event: &Event| {
