@@ -244,6 +244,12 @@ pub(crate) fn name_of(file: &Path) -> std::borrow::Cow<'_, str> {
 }
 
 impl PosesError {
+    /// Whether a tool failed at what it was asked, so that asking for less or for other things may
+    /// do better.
+    pub fn is_about_the_tool(&self) -> bool {
+        matches!(self, Self::Tool { .. } | Self::Matching { .. })
+    }
+
     /// An adapter for `map_err` that remembers the path.
     pub fn io(path: &Path) -> impl FnOnce(std::io::Error) -> Self {
         let path = path.to_owned();

@@ -123,7 +123,14 @@ impl Workload {
 
     fn new(name: String, views: Vec<TrainingView>, gaussians: Gaussians) -> Self {
         let cameras: Vec<Camera> = views.iter().map(|view| view.camera).collect();
-        let points: Vec<Point> = gaussians.means.iter().map(|&mean| (mean, [0; 3])).collect();
+        let points: Vec<Point> = gaussians
+            .means
+            .iter()
+            .map(|&position| Point {
+                position,
+                colour: [0; 3],
+            })
+            .collect();
         let extent = scene_extent(&cameras, &points, ExtentRule::Scene);
         Self {
             name,

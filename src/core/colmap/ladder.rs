@@ -60,14 +60,7 @@ impl<'a> Climb<'a> {
             true,
             cancel,
         )?;
-        if small.zooms > 1 {
-            let message = format!(
-                "the photographs were taken at {} focal lengths: each is a camera of its own, which \
-                 fewer photographs have to tell apart; leave the zoom alone",
-                small.zooms
-            );
-            sink.warn("zoom_changed", message);
-        }
+        warn_of_zooms(&small, sink);
         let mut evidence = Evidence {
             small: &small,
             found: None,
@@ -77,7 +70,7 @@ impl<'a> Climb<'a> {
         if let Some(matching) = self.matching {
             match self.climb_learned(matching, &mut evidence, sink, cancel) {
                 Ok(candidate) => best = candidate,
-                Err(error) if is_about_the_tool(&error) => {
+                Err(error) if error.is_about_the_tool() => {
                     sink.warn("matcher_failed", format!("learned matches: {error}"));
                     broken = Some(error);
                 }
@@ -102,7 +95,7 @@ impl<'a> Climb<'a> {
             }
             let candidate = match self.attempt(rung, &evidence, sink, cancel) {
                 Ok(candidate) => candidate,
-                Err(error) if is_about_the_tool(&error) => {
+                Err(error) if error.is_about_the_tool() => {
                     sink.warn("colmap_failed", format!("rung {}: {error}", rung.letter));
                     broken = Some(error);
                     continue;
@@ -428,9 +421,15 @@ pub(super) struct Mapping {
     pub loose: bool,
 }
 
-/// Whether another rung may do better.
-fn is_about_the_tool(error: &PosesError) -> bool {
-    matches!(error, PosesError::Tool { .. } | PosesError::Matching { .. })
+fn warn_of_zooms(copies: &Copies, sink: &mut dyn ProgressSink) {
+    let zooms = copies.zooms;
+    if zooms > 1 {
+        let message = format!(
+            "the photographs were taken at {zooms} focal lengths: each is a camera of its own, \
+             which fewer photographs have to tell apart; leave the zoom alone"
+        );
+        sink.warn("zoom_changed", message);
+    }
 }
 
 /// Progress in thirds of a rung; the total grows with each rung that is needed.

@@ -64,8 +64,8 @@ impl Climb<'_> {
                 Selection::Strongest(_) => ['N', 'O'],
             };
             let selected = selection.of(&found);
-            let candidate = self.build(&selected, letters, evidence, sink, cancel)?;
-            best = better(best, candidate);
+            let built = self.build(&selected, letters, evidence, sink, cancel);
+            best = better(best, told(built, sink)?);
             let Some(best) = &best else { continue };
             if best.believed() == total {
                 break;
@@ -81,8 +81,8 @@ impl Climb<'_> {
                 break;
             };
             let (believed, agreeing) = (now.believed(), consistency.agreeing(&found, &strongest));
-            let candidate = self.build(&agreeing, ['P', 'Q'], evidence, sink, cancel)?;
-            best = better(best, candidate);
+            let built = self.build(&agreeing, ['P', 'Q'], evidence, sink, cancel);
+            best = better(best, told(built, sink)?);
             if best
                 .as_ref()
                 .is_none_or(|best| [believed, total].contains(&best.believed()))
@@ -201,6 +201,20 @@ impl Selection {
             key_points: found.key_points.clone(),
             pairs: pairs.into_iter().cloned().collect(),
         }
+    }
+}
+
+/// What was built; a failure of the tool is told, and another selection may do better.
+fn told(
+    built: Result<Option<Candidate>, PosesError>,
+    sink: &mut dyn ProgressSink,
+) -> Result<Option<Candidate>, PosesError> {
+    match built {
+        Err(error) if error.is_about_the_tool() => {
+            sink.warn("colmap_failed", format!("learned matches: {error}"));
+            Ok(None)
+        }
+        built => built,
     }
 }
 

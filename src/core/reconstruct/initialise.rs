@@ -12,8 +12,14 @@ use super::schedule::{Schedule, Stream};
 use crate::camera::Camera;
 use crate::gaussians::Gaussians;
 
-/// A sparse point: position in world units, sRGB colour.
-pub type Point = ([f32; 3], [u8; 3]);
+/// A point that a Gaussian begins at.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Point {
+    /// World units.
+    pub position: [f32; 3],
+    /// sRGB.
+    pub colour: [u8; 3],
+}
 
 /// Opacity at the start: a logit of 0.
 const OPACITY_LOGIT: f32 = 0.0;
@@ -83,7 +89,7 @@ fn visible_depths(cameras: &[Camera], points: &[Point]) -> Vec<f64> {
         let inside = |pixel: DVec2| pixel.cmpge(DVec2::ZERO).all() && pixel.cmplt(size).all();
         let seen = points
             .iter()
-            .filter_map(|(p, _)| camera.project(DVec3::from(p.map(f64::from))));
+            .filter_map(|p| camera.project(DVec3::from(p.position.map(f64::from))));
         depths.extend(
             seen.filter(|(pixel, _)| inside(*pixel))
                 .map(|(_, depth)| depth),
@@ -103,7 +109,7 @@ pub fn initialise(
 ) -> Gaussians {
     let Beginning { cap, fill_up } = room;
     let mut random = schedule.generator(Stream::FirstPoints, 0);
-    let finite = |p: &&Point| p.0.iter().all(|v| v.is_finite());
+    let finite = |p: &&Point| p.position.iter().all(|v| v.is_finite());
     let mut all: Vec<Point> = points.iter().filter(finite).copied().collect();
     all.shuffle(&mut random);
     all.truncate(cap);
@@ -122,13 +128,13 @@ pub fn initialise(
         .into_iter()
         .map(|d| [d.clamp(low, high).ln() as f32; 3]);
     let flat = Gaussians {
-        means: all.iter().map(|(p, _)| *p).collect(),
+        means: all.iter().map(|p| p.position).collect(),
         quats: vec![[1.0, 0.0, 0.0, 0.0]; all.len()],
         log_scales: log_scales.collect(),
         opacity_logits: vec![OPACITY_LOGIT; all.len()],
         sh: all
             .iter()
-            .flat_map(|(_, c)| c.map(|v| (f32::from(v) / 255.0 - 0.5) / SH0))
+            .flat_map(|p| p.colour.map(|v| (f32::from(v) / 255.0 - 0.5) / SH0))
             .collect(),
         sh_degree: 0,
     };
@@ -162,13 +168,15 @@ fn random_points(
                 .to_array()
         })
         .collect();
-    let colour = |p: &[f32; 3]| {
-        let nearest = known
-            .iter()
-            .min_by(|a, b| squared(&a.0, p).total_cmp(&squared(&b.0, p)));
-        nearest.map_or([128; 3], |(_, colour)| *colour)
+    let coloured = |position: &[f32; 3]| {
+        let away = |point: &Point| squared(&point.position, position);
+        let nearest = known.iter().min_by(|a, b| away(a).total_cmp(&away(b)));
+        Point {
+            position: *position,
+            colour: nearest.map_or([128; 3], |point| point.colour),
+        }
     };
-    places.par_iter().map(|p| (*p, colour(p))).collect()
+    places.par_iter().map(coloured).collect()
 }
 
 fn depth_range(known: &[Point], cameras: &[Camera]) -> (f64, f64) {
@@ -190,7 +198,11 @@ fn squared(a: &[f32; 3], b: &[f32; 3]) -> f32 {
 /// Mean distance of every point to its three nearest neighbours; infinite for a lone point.
 fn neighbour_distances(points: &[Point]) -> Vec<f64> {
     let mut order: Vec<_> = (0..points.len()).collect();
-    order.sort_by(|&a, &b| points[a].0[0].total_cmp(&points[b].0[0]).then(a.cmp(&b)));
+    order.sort_by(|&a, &b| {
+        points[a].position[0]
+            .total_cmp(&points[b].position[0])
+            .then(a.cmp(&b))
+    });
     let by_rank: Vec<_> = (0..order.len())
         .into_par_iter()
         .map(|rank| nearest_three(points, &order, rank))
@@ -204,10 +216,10 @@ fn neighbour_distances(points: &[Point]) -> Vec<f64> {
 
 /// Walks away from `rank` along x until no nearer point can come.
 fn nearest_three(points: &[Point], order: &[usize], rank: usize) -> f64 {
-    let here = &points[order[rank]].0;
+    let here = &points[order[rank]].position;
     let mut best = [f32::INFINITY; 3];
     let mut visit = |index: usize| {
-        let place = &points[index].0;
+        let place = &points[index].position;
         let along = place[0] - here[0];
         if along * along > best[2] {
             return false;
@@ -261,7 +273,10 @@ mod tests {
     fn points(count: usize) -> Vec<Point> {
         let mut random = Random::new(4);
         (0..count)
-            .map(|n| ([0; 3].map(|_| random.signed() as f32), [n as u8, 2, 3]))
+            .map(|n| Point {
+                position: [0; 3].map(|_| random.signed() as f32),
+                colour: [n as u8, 2, 3],
+            })
             .collect()
     }
 
@@ -271,7 +286,7 @@ mod tests {
         for (i, found) in neighbour_distances(&points).into_iter().enumerate() {
             let others = points.iter().enumerate().filter(|(j, _)| *j != i);
             let mut all: Vec<_> = others
-                .map(|(_, p)| f64::from(squared(&p.0, &points[i].0)).sqrt())
+                .map(|(_, p)| f64::from(squared(&p.position, &points[i].position)).sqrt())
                 .collect();
             all.sort_by(f64::total_cmp);
             assert!((found - all[..3].iter().sum::<f64>() / 3.0).abs() < 1e-6);
@@ -331,13 +346,24 @@ mod tests {
         assert_eq!(initialise(&[], &[camera], filled(40), &PLAN).len(), 20);
         assert!(initialise(&[], &[], filled(40), &PLAN).is_empty());
         assert_eq!(scene_extent(&[camera], &[], ExtentRule::Scene), 1.0);
-        let poisoned = [([f32::NAN, 0.0, 0.0], [0; 3])];
+        let poisoned = [Point {
+            position: [f32::NAN, 0.0, 0.0],
+            colour: [0; 3],
+        }];
         assert!((0..20).all(|i| initialise(&poisoned, &[camera], filled(40), &PLAN).is_usable(i)));
     }
 
     #[test]
     fn colours_come_back_from_the_constant_harmonic() {
-        let scene = initialise(&[([0.0; 3], [255, 51, 0])], &[], filled(10), &PLAN);
+        let scene = initialise(
+            &[Point {
+                position: [0.0; 3],
+                colour: [255, 51, 0],
+            }],
+            &[],
+            filled(10),
+            &PLAN,
+        );
         let colour = [0, 1, 2].map(|c| 0.5 + SH0 * scene.sh[c]);
         assert!(
             colour

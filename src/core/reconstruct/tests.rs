@@ -119,8 +119,9 @@ fn points_of(scene: &Gaussians) -> Vec<Point> {
     let colour = |v: f32| ((0.5 + 0.282 * v).clamp(0.0, 1.0) * 255.0) as u8;
     (0..scene.len())
         .map(|i| {
-            let place = scene.means[i].map(|v| v + 0.02 * random.signed() as f32);
-            (place, [0, 1, 2].map(|c| colour(scene.sh[12 * i + c])))
+            let position = scene.means[i].map(|v| v + 0.02 * random.signed() as f32);
+            let colour = [0, 1, 2].map(|c| colour(scene.sh[12 * i + c]));
+            Point { position, colour }
         })
         .collect()
 }

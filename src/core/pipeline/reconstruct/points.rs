@@ -40,7 +40,10 @@ pub fn coloured(poses: &Poses, views: &[View], images: &[Image]) -> Vec<Point> {
     poses
         .points
         .iter()
-        .map(|point| (point.position.map(|x| x as f32), colour(point)))
+        .map(|point| Point {
+            position: point.position.map(|x| x as f32),
+            colour: colour(point),
+        })
         .collect()
 }
 
@@ -49,6 +52,9 @@ pub fn as_given(poses: &Poses) -> Vec<Point> {
     poses
         .points
         .iter()
-        .map(|point| (point.position.map(|x| x as f32), point.colour))
+        .map(|point| Point {
+            position: point.position.map(|x| x as f32),
+            colour: point.colour,
+        })
         .collect()
 }
