@@ -53,6 +53,33 @@ impl Clock {
     }
 }
 
+/// What a tool tells while it does a stage.
+pub struct StageSink<'a> {
+    sink: &'a mut dyn ProgressSink,
+    plan: &'a mut Plan,
+    stage: Stage,
+    /// Share of the stage.
+    reached: f64,
+}
+
+impl ProgressSink for StageSink<'_> {
+    fn event(&mut self, event: &Event) {
+        self.sink.event(event);
+        if let Event::StageAdvanced {
+            stage, done, total, ..
+        } = event
+            && *stage == self.stage
+        {
+            // A tool that tries another way begins to count anew.
+            let share = *done as f64 / (*total).max(1) as f64;
+            if share > self.reached {
+                self.reached = share;
+                self.plan.advance(self.stage, share, self.sink);
+            }
+        }
+    }
+}
+
 impl<'a> Context<'a> {
     /// The surroundings of a run that begins now.
     pub fn new(
@@ -72,6 +99,17 @@ impl<'a> Context<'a> {
             cancel,
             clock,
             plan,
+        }
+    }
+
+    /// The sink for a tool that does a stage alone: how far it says that it is moves the run's
+    /// progress, too, forwards only.
+    pub fn sink_of(&mut self, stage: Stage) -> StageSink<'_> {
+        StageSink {
+            sink: self.sink,
+            plan: &mut self.plan,
+            stage,
+            reached: 0.0,
         }
     }
 
@@ -252,6 +290,44 @@ mod tests {
         assert!(interrupted.is_err());
         ask(&workspace, &small, true, &mut made);
         assert_eq!(made, 2, "the file may be half of each");
+    }
+
+    #[test]
+    fn a_tool_moves_the_progress_of_the_run_and_never_back() {
+        let folder = tempfile::tempdir().expect("temporary folder");
+        let workspace = Workspace::open(folder.path()).expect("open");
+        let (mut passed, mut progress) = (0, Vec::new());
+        let mut sink = |event: &Event| match event {
+            Event::Progress {
+                progress: share, ..
+            } => progress.push(*share),
+            _ => passed += 1,
+        };
+        let (cancel, plan) = (CancelToken::new(), Plan::new(&Options::default(), 3, 100));
+        let mut context = Context::new(&workspace, &mut sink, &cancel, plan);
+        let mut tool = context.sink_of(Stage::Poses);
+        for (stage, done, total) in [
+            (Stage::Poses, 1, 4),
+            (Stage::Poses, 3, 4),
+            // It tries another way.
+            (Stage::Poses, 1, 6),
+            (Stage::Deblur, 6, 6),
+            (Stage::Poses, 6, 6),
+        ] {
+            tool.event(&Event::StageAdvanced {
+                stage,
+                round: 0,
+                done,
+                total,
+                steps_per_second: None,
+            });
+        }
+        assert_eq!((passed, progress.len()), (5, 3), "{progress:?}");
+        assert!(
+            progress.windows(2).all(|pair| pair[0] < pair[1]),
+            "{progress:?}"
+        );
+        assert!(progress[2] < 1.0, "poses are not all of a run");
     }
 
     #[test]

@@ -41,7 +41,7 @@ impl Plan {
             (Stage::Match, 1.0),
         ];
         Self {
-            poses: 1.2 * views,
+            poses: 2.2 * views,
             round,
             rounds: options.rounds,
             brightens: options.enhance != NetworkChoice::Curve,

@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use crate::event::Stage;
 use crate::pipeline::context::Context;
 use crate::pipeline::tools::Tools;
 use crate::poses::{PoseRequest, PoseView, Poses, PosesError};
@@ -22,5 +23,8 @@ pub fn ask(
         work_dir,
         seed,
     };
-    tools.sfm.poses(&request, context.sink, context.cancel)
+    let cancel = context.cancel;
+    tools
+        .sfm
+        .poses(&request, &mut context.sink_of(Stage::Poses), cancel)
 }
