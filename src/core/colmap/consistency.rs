@@ -21,7 +21,7 @@ use crate::poses::model::SparseModel;
 const NEAR: f64 = 3.0;
 
 /// Least share of a branch's matches that fit the model. On models with true poses (cells of 2.6
-/// and 4.4 px) 0.71 and more of every branch's do, where a branch is false 0.64 and fewer.
+/// and 4.4 px) 0.71 and more of every branch's do, of a false branch 0.64 and fewer, but 0.73 once.
 const LEAST_FIT: f64 = 0.68;
 
 /// Share of the matches of a pair from which on it speaks for its model.

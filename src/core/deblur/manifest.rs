@@ -13,8 +13,9 @@ use crate::deblur::DeblurError;
 use crate::deblur::choice::DEFAULT;
 use files::read;
 
+pub use crate::inference::digest;
 pub use entry::{Entry, Role};
-pub use files::{Place, digest};
+pub use files::Place;
 pub use model::Model;
 
 const MANIFEST: &str = include_str!("../../../models/manifest.json");

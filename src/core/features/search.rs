@@ -18,6 +18,9 @@ use crate::poses::{PosesError, name_of};
 const XFEAT: &[u8] = include_bytes!("../../../models/xfeat.onnx");
 const LIGHTERGLUE: &[u8] = include_bytes!("../../../models/lighterglue.onnx");
 
+/// Each thread's networks take some 100 MiB at 2,048 key points.
+const MOST_THREADS: usize = 8;
+
 /// How many key points a photograph may have, and which pairs are worth the matcher.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SearchOptions {
@@ -48,7 +51,9 @@ impl Default for SearchOptions {
             key_points: 2048,
             pairs: 120,
             neighbours: 12,
-            threads: std::thread::available_parallelism().map_or(1, usize::from),
+            threads: std::thread::available_parallelism()
+                .map_or(1, usize::from)
+                .min(MOST_THREADS),
         }
     }
 }
@@ -201,7 +206,9 @@ impl Matching for LearnedMatching {
         advance: &mut dyn FnMut(u64, u64),
         cancel: &CancelToken,
     ) -> Result<Correspondences, PosesError> {
-        let total = pictures.len() as u64;
+        // Told from the first picture on, so that what is done is never taken for all.
+        let before = pictures.len() as u64;
+        let total = before + pairs::count(pictures.len()) as u64;
         let mut extractors = self.sessions(Self::extractor)?;
         let most = self.options.key_points_of(pictures.len());
         let extract =
@@ -212,7 +219,6 @@ impl Matching for LearnedMatching {
         drop(extractors);
         let pooled: Vec<_> = found.iter().map(KeyPoints::pooled).collect();
         let candidates = pairs::candidates(&pooled);
-        let (before, total) = (total, total + candidates.len() as u64);
         let mut matchers = self.sessions(Self::matcher)?;
         let pair = |matcher: &mut _, pair: &_| self.pair(matcher, *pair, &found);
         let matched = each(&candidates, &mut matchers, cancel, pair, &mut |done| {

@@ -239,6 +239,11 @@ fn a_capture_has_matches_where_its_pictures_overlap_and_progress_is_told() {
         matches(1, 2)
     );
     assert!(matches(0, 3) < 20 && matches(2, 3) < 20);
+    assert_eq!(
+        told.first(),
+        Some(&(1, 4 + 6)),
+        "of pictures and pairs together"
+    );
     assert_eq!(told.last(), Some(&(4 + 6, 4 + 6)));
     assert!(
         told.windows(2).all(|pair| pair[0].0 <= pair[1].0),

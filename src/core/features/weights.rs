@@ -6,11 +6,11 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use serde::Deserialize;
-use sha2::{Digest, Sha256};
 use zip::read::ZipArchive;
 use zip::result::ZipError;
 
 use crate::image::write_atomic;
+use crate::inference::digest;
 
 const MANIFEST: &str = include_str!("../../../models/matcher.json");
 
@@ -145,7 +145,7 @@ impl PackageFile {
 }
 
 fn check(path: &Path, bytes: &[u8], expected: &str) -> Result<(), WeightsError> {
-    let actual = base16(&Sha256::digest(bytes));
+    let actual = digest(bytes);
     if actual == expected {
         return Ok(());
     }
@@ -154,10 +154,6 @@ fn check(path: &Path, bytes: &[u8], expected: &str) -> Result<(), WeightsError> 
         expected: expected.to_owned(),
         actual,
     })
-}
-
-fn base16(bytes: &[u8]) -> String {
-    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 #[cfg(test)]
@@ -187,7 +183,6 @@ mod tests {
                 .expect("written");
         }
         writer.finish().expect("finished");
-        let digest = |bytes: &[u8]| base16(&Sha256::digest(bytes));
         package.sha256 = digest(&std::fs::read(&path).expect("read"));
         for file in package.weights.iter_mut().chain([&mut package.terms]) {
             file.sha256 = digest(file.member.as_bytes());

@@ -5,10 +5,11 @@ use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
 
-use super::files::{Place, digest, embedded, find, is_file_name, read};
+use super::files::{Place, embedded, find, is_file_name, read};
 use super::model::Model;
 use crate::deblur::choice::RESERVED;
 use crate::deblur::{DeblurError, Golden};
+use crate::inference::digest;
 
 /// Whether a network takes a guide.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]

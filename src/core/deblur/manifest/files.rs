@@ -1,9 +1,6 @@
 //! The files of networks: built in, or in a folder of models.
 
-use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
-
-use sha2::{Digest, Sha256};
 
 use crate::deblur::DeblurError;
 
@@ -63,14 +60,4 @@ pub(super) fn read(path: &Path) -> Result<Vec<u8>, DeblurError> {
         path: path.to_path_buf(),
         source,
     })
-}
-
-/// SHA-256, lower-case hexadecimal.
-pub fn digest(bytes: &[u8]) -> String {
-    Sha256::digest(bytes)
-        .iter()
-        .fold(String::with_capacity(64), |mut text, byte| {
-            let _ = write!(text, "{byte:02x}");
-            text
-        })
 }

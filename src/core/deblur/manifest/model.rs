@@ -1,7 +1,7 @@
 //! A network with its bytes.
 
-use super::files::digest;
 use crate::deblur::Golden;
+use crate::inference::digest;
 
 /// What a network may return for values in 0..=1 when nothing else is known about it: the bounds
 /// of the published NAFNets, outside which they have failed.
