@@ -22,6 +22,7 @@ pub mod features;
 pub mod gaussians;
 pub mod image;
 pub mod inference;
+mod linear;
 pub mod metrics;
 pub mod noise;
 pub mod pipeline;

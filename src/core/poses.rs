@@ -7,6 +7,7 @@ pub mod lens;
 pub mod matching;
 pub mod model;
 mod picture;
+pub mod pnp;
 
 use std::path::{Path, PathBuf};
 

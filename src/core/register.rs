@@ -9,6 +9,7 @@ use glam::{DMat3, DMat4, DQuat, DVec3};
 
 use crate::camera::Camera;
 use crate::image::Image;
+use crate::linear::solve;
 
 /// How far a probe moves the image, px.
 const PROBE_PX: f64 = 0.25;
@@ -148,33 +149,6 @@ fn differences(photograph: &Image, render: &Image, nth: usize) -> Vec<f32> {
         .step_by(nth)
         .map(|i| (photograph.data()[i] - render.data()[i]).abs())
         .collect()
-}
-
-/// `A x = b` by Cholesky, A given by its lower half; `None` unless it is positive definite.
-fn solve<const N: usize>(lower: [[f64; N]; N], mut right: [f64; N]) -> Option<[f64; N]> {
-    let mut factor = lower;
-    for i in 0..N {
-        for j in 0..=i {
-            let sum: f64 = (0..j).map(|k| factor[i][k] * factor[j][k]).sum();
-            let rest = lower[i][j] - sum;
-            if i != j {
-                factor[i][j] = rest / factor[j][j];
-            } else if rest.is_finite() && rest > 0.0 {
-                factor[i][i] = rest.sqrt();
-            } else {
-                return None;
-            }
-        }
-    }
-    for i in 0..N {
-        let sum: f64 = (0..i).map(|k| factor[i][k] * right[k]).sum();
-        right[i] = (right[i] - sum) / factor[i][i];
-    }
-    for i in (0..N).rev() {
-        let sum: f64 = (i + 1..N).map(|k| factor[k][i] * right[k]).sum();
-        right[i] = (right[i] - sum) / factor[i][i];
-    }
-    right.iter().all(|x| x.is_finite()).then_some(right)
 }
 
 /// Takes out of `motions` what all cameras have in common: a turn, a shift and a growth of the
