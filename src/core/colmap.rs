@@ -25,6 +25,7 @@ use crate::cancel::CancelToken;
 use crate::event::ProgressSink;
 use crate::poses::matching::Matching;
 use crate::poses::{PoseRequest, PosedView, Poses, PosesError, Sfm, SparsePoint};
+pub(crate) use copies::brightened;
 pub use process::Limits;
 pub use rungs::Acceptance;
 

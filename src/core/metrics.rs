@@ -1,9 +1,10 @@
 //! What is measured, per round.
 //!
-//! [`psnr`], [`psnr_colour_corrected`] and [`ssim`] judge an image (first argument, clipped to
+//! [`psnr`], [`psnr_colour_corrected`], [`ssim`] and [`correlation`] judge an image (first argument, clipped to
 //! 0..=1) against a reference of the same size (second, taken as it is). [`noise_sigma`],
 //! [`sharpness`], [`mean_v`] and [`clipped_share`] describe one image by itself.
 
+mod correlation;
 mod noise;
 mod psnr;
 pub mod report;
@@ -12,6 +13,7 @@ mod ssim;
 #[cfg(test)]
 mod golden;
 
+pub use correlation::correlation;
 pub use noise::{clipped_share, mean_v, noise_sigma, sharpness};
 pub use psnr::{noise_ceiling, psnr, psnr_colour_corrected};
 pub use report::{Brightness, ImageKind, Record, Reference, Report, RoundMetrics, ViewScore};

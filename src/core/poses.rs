@@ -98,8 +98,34 @@ pub struct Poses {
     pub seconds: f64,
 }
 
+impl Poses {
+    /// What is said about the view of this name; of one with a pose where nothing was said before.
+    pub(crate) fn verdict_of(&mut self, name: &str) -> &mut PoseVerdict {
+        let verdicts = &mut self.verdicts;
+        let index = verdicts.iter().position(|verdict| verdict.name == name);
+        let index = index.unwrap_or_else(|| {
+            verdicts.push(PoseVerdict {
+                name: name.to_owned(),
+                status: PoseStatus::Registered,
+                matches: 0,
+                fitting: 0,
+                error_px: None,
+                fit: None,
+            });
+            verdicts.len() - 1
+        });
+        &mut verdicts[index]
+    }
+
+    /// Whether a round's scene placed the view of this name.
+    pub(crate) fn is_late(&self, name: &str) -> bool {
+        let mut verdicts = self.verdicts.iter();
+        verdicts.any(|verdict| verdict.name == name && verdict.status == PoseStatus::Late)
+    }
+}
+
 /// What is said about a view's place.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PoseVerdict {
     /// The view's name.
     pub name: String,
@@ -109,6 +135,14 @@ pub struct PoseVerdict {
     pub matches: usize,
     /// How many of them fit the poses.
     pub fitting: usize,
+    /// Mean reprojection error of the points that it sees, px of the pose copies; of a late view
+    /// px of its working size. `None` where nobody measured one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub error_px: Option<f64>,
+    /// Correlation of its structures with those of its render, shaken as it is, in the last round
+    /// that rendered it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub fit: Option<f64>,
 }
 
 /// Whether a view has a place.
@@ -121,6 +155,10 @@ pub enum PoseStatus {
     Doubtful,
     /// Not placed.
     NotFound,
+    /// Placed by a round's scene; it trains from the next round on.
+    Late,
+    /// Placed, but it fitted a round's scene far worse than the others did: it is left out.
+    TakenOut,
 }
 
 /// A view with its pose.

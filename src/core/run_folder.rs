@@ -64,7 +64,8 @@ impl RunFolder {
         self.root.join("config.json")
     }
 
-    /// What structure from motion said, before any correction.
+    /// What structure from motion said, before any correction, and which views joined or left
+    /// since.
     pub fn poses(&self) -> PathBuf {
         self.root.join("poses.json")
     }
@@ -182,6 +183,16 @@ impl RoundFolder {
         self.root.join("scene_at_target.ply")
     }
 
+    /// The cameras of the round's views, as its training left them.
+    pub fn cameras(&self) -> PathBuf {
+        self.root.join("cameras.json")
+    }
+
+    /// The poses of the rounds after this one, where its scene changed them.
+    pub fn late_views(&self) -> PathBuf {
+        self.root.join("late_views.json")
+    }
+
     /// What training found out besides the scene.
     pub fn training(&self) -> PathBuf {
         self.root.join("training.json")
@@ -239,6 +250,16 @@ impl WorkFolder {
         self.root.join("poses")
     }
 
+    /// What structure from motion said.
+    pub fn found_poses(&self) -> PathBuf {
+        self.poses().join("found.json")
+    }
+
+    /// Pictures in which late views are looked for.
+    pub fn late_views(&self) -> PathBuf {
+        self.root.join("late_views")
+    }
+
     /// Where it works on deblurred copies.
     pub fn poses_of_deblurred(&self) -> PathBuf {
         self.poses().join("deblurred")
@@ -294,6 +315,8 @@ mod tests {
             (run.truth("a"), "out/gt/a.jpg"),
             (run.restored_view("a"), "out/restored/a.png"),
             (round.scene_at_target(), "out/rounds/2/scene_at_target.ply"),
+            (round.cameras(), "out/rounds/2/cameras.json"),
+            (round.late_views(), "out/rounds/2/late_views.json"),
             (round.training(), "out/rounds/2/training.json"),
             (
                 round.picture(RoundPictures::Enhanced, "a"),
@@ -308,6 +331,8 @@ mod tests {
                 "out/rounds/2/renders/a.jpg",
             ),
             (work.stamp("poses"), "out/work/stamps/poses.json"),
+            (work.found_poses(), "out/work/poses/found.json"),
+            (work.late_views(), "out/work/late_views"),
             (work.checkpoint(), "out/work/training.checkpoint"),
             (
                 work.kept(KeptImages::Deblurred, 1, "a"),

@@ -14,6 +14,7 @@ use fled_core::pipeline::config::{Guide, Options, PoseSource};
 use fled_core::pipeline::error::{ErrorKind, PipelineError};
 use fled_core::pipeline::{self};
 use fled_core::poses::Sfm;
+use fled_core::poses::matching::Matching;
 use fled_gpu::Gpu;
 
 use crate::failure::Failure;
@@ -109,28 +110,16 @@ impl Args {
         folders
     }
 
-    /// COLMAP with the networks that find and match key points; without them the ladder has fewer
-    /// rungs, and the second value says why.
-    fn colmap(&self) -> (ColmapCli, Option<String>) {
-        let colmap = ColmapCli::new(&self.colmap);
+    /// The networks that find and match key points; `None` where the user goes without.
+    fn matching(&self) -> Result<Option<Arc<dyn Matching>>, FeatureError> {
         if self.matcher.as_deref() == Some(Path::new("none")) {
-            return (colmap, None);
+            return Ok(None);
         }
         let search = Self::library_folders();
-        let opened = runtime::load(self.onnxruntime.as_deref(), &search)
-            .map_err(FeatureError::from)
-            .and_then(|runtime| {
-                LearnedMatching::open(&runtime, &self.matcher_folders(), SearchOptions::default())
-            });
-        match opened {
-            Ok(matching) => (colmap.with_matching(Arc::new(matching)), None),
-            Err(error) => (
-                colmap,
-                Some(format!(
-                    "poses are found by COLMAP's own key points alone, without networks: {error}"
-                )),
-            ),
-        }
+        let runtime = runtime::load(self.onnxruntime.as_deref(), &search)?;
+        let folders = self.matcher_folders();
+        let matching = LearnedMatching::open(&runtime, &folders, SearchOptions::default())?;
+        Ok(Some(Arc::new(matching)))
     }
 
     fn pose_cache(&self) -> Option<PathBuf> {
@@ -166,6 +155,7 @@ fn home(below: &str, variable: &str) -> Option<PathBuf> {
 pub struct Kit {
     gpu: Gpu,
     sfm: Box<dyn Sfm>,
+    matching: Option<Arc<dyn Matching>>,
     deblurrer: Box<dyn Restorer>,
     enhancer: Option<Box<dyn Restorer>>,
     fallbacks: Vec<String>,
@@ -192,11 +182,20 @@ impl Kit {
             fallbacks.extend(opened.fallbacks);
             opened.deblurrer
         });
-        let (sfm, fallback) = sfm(args, options, capture)?;
-        fallbacks.extend(fallback);
+        let matching = match args.matching() {
+            Ok(matching) => matching,
+            Err(error) => {
+                fallbacks.push(format!(
+                    "poses are found by COLMAP's own key points alone, without networks: {error}"
+                ));
+                None
+            }
+        };
+        let sfm = sfm(args, options, capture, matching.clone())?;
         Ok(Self {
             gpu,
             sfm,
+            matching,
             deblurrer,
             enhancer,
             fallbacks,
@@ -214,6 +213,7 @@ impl Kit {
         pipeline::Tools {
             gpu: &self.gpu,
             sfm: self.sfm.as_ref(),
+            matching: self.matching.as_deref(),
             deblurrer: self.deblurrer.as_mut(),
             enhancer: self
                 .enhancer
@@ -229,19 +229,20 @@ fn sfm(
     args: &Args,
     options: &Options,
     capture: &Capture,
-) -> Result<(Box<dyn Sfm>, Option<String>), Failure> {
+    matching: Option<Arc<dyn Matching>>,
+) -> Result<Box<dyn Sfm>, Failure> {
+    let colmap = ColmapCli::new(&args.colmap);
     match (options.pose_source, &capture.poses) {
-        (PoseSource::Colmap, _) | (PoseSource::Auto, None) => {
-            let (colmap, fallback) = args.colmap();
-            Ok((Box::new(colmap), fallback))
-        }
+        (PoseSource::Colmap, _) | (PoseSource::Auto, None) => Ok(match matching {
+            Some(matching) => Box::new(colmap.with_matching(matching)),
+            None => Box::new(colmap),
+        }),
         (PoseSource::Auto | PoseSource::Given, Some(given)) => {
             let given = GivenPoses::open(given.path()).map_err(PipelineError::from)?;
-            let colmap = ColmapCli::new(&args.colmap);
             let sfm = given.triangulated_by(Box::new(move |request, views, sink, cancel| {
                 colmap.triangulate(request, views, sink, cancel)
             }));
-            Ok((Box::new(sfm), None))
+            Ok(Box::new(sfm))
         }
         (PoseSource::Given, None) => Err(Failure::new(
             ErrorKind::BadInput,

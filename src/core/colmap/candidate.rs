@@ -83,6 +83,8 @@ impl Candidate {
             },
             matches,
             fitting,
+            error_px: self.model.error_of(file),
+            fit: None,
         }
     }
 

@@ -190,7 +190,7 @@ impl Copy {
 }
 
 /// The photograph at the brightness COLMAP likes. A photograph that is bright already stays.
-fn brightened(image: &Image<Srgb>) -> Image<Srgb> {
+pub(crate) fn brightened(image: &Image<Srgb>) -> Image<Srgb> {
     let linear = image.to_linear();
     let mut levels: Vec<f32> = (0..linear.pixels())
         .map(|i| (0..3).map(|channel| linear.plane(channel)[i]).sum::<f32>() / 3.0)

@@ -13,7 +13,7 @@ use super::options::{self, set};
 use crate::cancel::CancelToken;
 use crate::event::{Event, ProgressSink, Stage};
 use crate::poses::PosesError;
-use crate::poses::matching::{Correspondences, Matching, PairMatches};
+use crate::poses::matching::{Correspondences, Matching, PairMatches, Pairs};
 
 /// Values of a descriptor in COLMAP's text files. They are not used: nothing is matched by them.
 const DESCRIPTOR: usize = 128;
@@ -141,7 +141,7 @@ impl Climb<'_> {
             });
         };
         let start = Instant::now();
-        let found = matching.matches(&pictures, &mut advance, cancel)?;
+        let found = matching.matches(&pictures, Pairs::Within, &mut advance, cancel)?;
         let matches: usize = found.pairs.iter().map(|pair| pair.matches.len()).sum();
         sink.log(format!(
             "poses: {matches} matches in {} pairs of {} photographs, {} in {:.1} s",

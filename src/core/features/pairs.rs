@@ -1,6 +1,7 @@
 //! Which pairs of photographs are looked at.
 
 use super::detect::DESCRIPTOR;
+use crate::poses::matching::Pairs;
 
 /// Up to this many photographs every pair is.
 const ALL_PAIRS: usize = 60;
@@ -12,8 +13,10 @@ const FOLLOWERS: usize = 8;
 const SIMILAR: usize = 12;
 
 /// How many there are at most.
-pub(super) fn count(photographs: usize) -> usize {
-    if photographs <= ALL_PAIRS {
+pub(super) fn count(photographs: usize, pairs: Pairs) -> usize {
+    if let Pairs::Across(first) = pairs {
+        first * photographs.saturating_sub(first)
+    } else if photographs <= ALL_PAIRS {
         photographs * photographs.saturating_sub(1) / 2
     } else {
         photographs * (FOLLOWERS + SIMILAR)
@@ -21,8 +24,12 @@ pub(super) fn count(photographs: usize) -> usize {
 }
 
 /// Pairs of indices, the lower first, in order. `pooled` is one vector a photograph.
-pub(super) fn candidates(pooled: &[[f32; DESCRIPTOR]]) -> Vec<(usize, usize)> {
+pub(super) fn candidates(pooled: &[[f32; DESCRIPTOR]], wanted: Pairs) -> Vec<(usize, usize)> {
     let count = pooled.len();
+    if let Pairs::Across(some) = wanted {
+        let others = |first| (some..count).map(move |second| (first, second));
+        return (0..some).flat_map(others).collect();
+    }
     let mut pairs: Vec<(usize, usize)> = Vec::new();
     if count <= ALL_PAIRS {
         for first in 0..count {
@@ -65,19 +72,31 @@ mod tests {
             vector
         };
         let few: Vec<_> = (0..ALL_PAIRS).map(vector).collect();
-        assert_eq!(candidates(&few).len(), count(ALL_PAIRS));
         assert_eq!(
-            (count(ALL_PAIRS), count(0)),
+            candidates(&few, Pairs::Within).len(),
+            count(ALL_PAIRS, Pairs::Within)
+        );
+        assert_eq!(
+            (count(ALL_PAIRS, Pairs::Within), count(0, Pairs::Within)),
             (ALL_PAIRS * (ALL_PAIRS - 1) / 2, 0)
         );
         // Once around, twice: the second time a photograph is similar to one of the first.
         let many: Vec<_> = (0..400).map(|i| vector(i % 200)).collect();
-        let pairs = candidates(&many);
+        let pairs = candidates(&many, Pairs::Within);
         assert!(
             pairs.contains(&(10, 11)) && pairs.contains(&(10, 18)) && pairs.contains(&(10, 210))
         );
         assert!(!pairs.contains(&(10, 100)));
-        assert!(pairs.len() < count(400));
+        assert!(pairs.len() < count(400, Pairs::Within));
         assert!(pairs.iter().all(|(first, second)| first < second));
+    }
+
+    #[test]
+    fn two_sets_are_compared_with_each_other_and_not_with_themselves() {
+        let pooled = vec![[0.0; DESCRIPTOR]; 5];
+        let pairs = candidates(&pooled, Pairs::Across(2));
+        assert_eq!(pairs, [(0, 2), (0, 3), (0, 4), (1, 2), (1, 3), (1, 4)]);
+        assert_eq!(count(5, Pairs::Across(2)), pairs.len());
+        assert_eq!(count(2, Pairs::Across(2)), 0);
     }
 }

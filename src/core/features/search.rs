@@ -12,7 +12,7 @@ use super::{nearest, pairs};
 use crate::cancel::CancelToken;
 use crate::image::Image;
 use crate::inference::{self, Graph, Network, Provider, Runtime, RuntimeError};
-use crate::poses::matching::{Correspondences, Matching, PairMatches};
+use crate::poses::matching::{Correspondences, Matching, PairMatches, Pairs};
 use crate::poses::{PosesError, name_of};
 
 const XFEAT: &[u8] = include_bytes!("../../../models/xfeat.onnx");
@@ -37,10 +37,12 @@ pub struct SearchOptions {
 }
 
 impl SearchOptions {
-    /// Most key points of each of so many photographs, at least half of the most.
-    pub(super) fn key_points_of(&self, photographs: usize) -> usize {
-        let pairs = pairs::count(photographs).max(self.pairs);
-        let share = (self.pairs as f64 / pairs as f64).sqrt().max(0.5);
+    /// Most key points of each photograph where so many pairs are looked at, at least half of the
+    /// most.
+    pub(super) fn key_points_of(&self, pairs: usize) -> usize {
+        let share = (self.pairs as f64 / pairs.max(self.pairs) as f64)
+            .sqrt()
+            .max(0.5);
         (self.key_points as f64 * share) as usize
     }
 }
@@ -203,14 +205,16 @@ impl Matching for LearnedMatching {
     fn matches(
         &self,
         pictures: &[PathBuf],
+        pairs: Pairs,
         advance: &mut dyn FnMut(u64, u64),
         cancel: &CancelToken,
     ) -> Result<Correspondences, PosesError> {
+        let count = pairs::count(pictures.len(), pairs);
         // Told from the first picture on, so that what is done is never taken for all.
         let before = pictures.len() as u64;
-        let total = before + pairs::count(pictures.len()) as u64;
+        let total = before + count as u64;
         let mut extractors = self.sessions(Self::extractor)?;
-        let most = self.options.key_points_of(pictures.len());
+        let most = self.options.key_points_of(count);
         let extract =
             |extractor: &mut _, picture: &PathBuf| Self::extract(extractor, picture, most);
         let found = each(pictures, &mut extractors, cancel, extract, &mut |done| {
@@ -218,7 +222,7 @@ impl Matching for LearnedMatching {
         })?;
         drop(extractors);
         let pooled: Vec<_> = found.iter().map(KeyPoints::pooled).collect();
-        let candidates = pairs::candidates(&pooled);
+        let candidates = pairs::candidates(&pooled, pairs);
         let mut matchers = self.sessions(Self::matcher)?;
         let pair = |matcher: &mut _, pair: &_| self.pair(matcher, *pair, &found);
         let matched = each(&candidates, &mut matchers, cancel, pair, &mut |done| {

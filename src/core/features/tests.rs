@@ -10,7 +10,7 @@ use crate::cancel::CancelToken;
 use crate::image::{EncodeFormat, Image, Srgb};
 use crate::inference::runtime;
 use crate::poses::PosesError;
-use crate::poses::matching::Matching;
+use crate::poses::matching::{Matching, Pairs};
 
 #[derive(Deserialize)]
 struct Reference {
@@ -220,6 +220,7 @@ fn a_capture_has_matches_where_its_pictures_overlap_and_progress_is_told() {
     let found = matching()
         .matches(
             &pictures,
+            Pairs::Within,
             &mut |done, total| told.push((done, total)),
             &CancelToken::new(),
         )
@@ -254,7 +255,7 @@ fn a_capture_has_matches_where_its_pictures_overlap_and_progress_is_told() {
 #[test]
 fn more_photographs_have_fewer_key_points_each_and_never_less_than_half() {
     let options = SearchOptions::default();
-    let of = |photographs| options.key_points_of(photographs);
+    let of = |photographs| options.key_points_of(pairs::count(photographs, Pairs::Within));
     assert_eq!([of(3), of(16)], [2048, 2048]);
     assert!((1200..1400).contains(&of(25)), "{}", of(25));
     assert_eq!([of(60), of(300)], [1024, 1024]);
@@ -266,11 +267,16 @@ fn a_cancelled_search_ends_and_a_broken_picture_is_named() {
     let mut pictures = capture(folder.path());
     let cancel = CancelToken::new();
     cancel.cancel();
-    let cancelled = matching().matches(&pictures, &mut |_, _| {}, &cancel);
+    let cancelled = matching().matches(&pictures, Pairs::Within, &mut |_, _| {}, &cancel);
     assert!(matches!(cancelled, Err(PosesError::Cancelled(_))));
     std::fs::write(folder.path().join("broken.png"), "no picture").expect("written");
     pictures.push(folder.path().join("broken.png"));
-    let broken = matching().matches(&pictures, &mut |_, _| {}, &CancelToken::new());
+    let broken = matching().matches(
+        &pictures,
+        Pairs::Within,
+        &mut |_, _| {},
+        &CancelToken::new(),
+    );
     let text = broken.expect_err("no picture").to_string();
     assert!(text.contains("broken.png"), "{text}");
 }

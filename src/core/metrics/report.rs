@@ -86,6 +86,10 @@ pub struct ViewScore {
     /// Root mean square distance that the shake between render and brightened view moves its light,
     /// px of the working size.
     pub shake_px: Option<f64>,
+    /// Correlation of its structures with those of its render, shaken as it is: near 1 where the
+    /// view stands where its pose says, near 0 where it does not.
+    #[serde(default)]
+    pub fit: Option<f64>,
 }
 
 /// One round.

@@ -50,6 +50,9 @@ pub struct Options {
     /// Whether the cameras are corrected by the renders; those of held-out views too, which train
     /// nothing.
     pub refine_poses: bool,
+    /// Whether a round's scene places photographs that have no pose, and views that fit it far
+    /// worse than the others leave it; both from the next round on.
+    pub late_views: bool,
     /// How rounds after the first start.
     pub start: Start,
     /// How Gaussians come and go.
@@ -212,6 +215,7 @@ impl Preset {
             shake: ShakeModel::Kernel,
             train_on: TrainOn::Auto,
             refine_poses: true,
+            late_views: true,
             start: Start::Warm,
             densify: Densify::Mcmc,
             fill_up: 1_000,
@@ -244,6 +248,7 @@ impl Preset {
                 shake: ShakeModel::Off,
                 train_on: TrainOn::Deblurred,
                 refine_poses: false,
+                late_views: false,
                 background: Background::Black,
                 lut_scope: LutScope::Image,
                 sh_degree: 3,

@@ -5,14 +5,9 @@ use std::fs;
 use super::context::Context;
 use super::dependencies::Dependencies;
 use super::error::PipelineError;
-use super::reconstruct::Training;
 use super::report;
-use super::views::View;
-use super::workspace::Workspace;
-use crate::camera::NamedCamera;
 use crate::event::Event;
 use crate::metrics::Report;
-use crate::run_folder::RoundFolder;
 
 /// The stamp of the whole run.
 const RUN: &str = "run";
@@ -46,7 +41,6 @@ pub fn delivered(
 pub fn deliver(
     context: &mut Context<'_>,
     report: &mut Report,
-    views: &[View],
     depends_on: &Dependencies,
 ) -> Result<(), PipelineError> {
     report::write(context, report)?;
@@ -66,32 +60,19 @@ pub fn deliver(
     } else {
         best.scene()
     };
-    let bytes = fs::read(&scene).map_err(|e| PipelineError::io(&scene, e))?;
-    workspace.write(&workspace.folder().scene(), &bytes)?;
-    deliver_cameras(workspace, views, &best)?;
+    // The cameras as that round found them, too: a later one has moved them a little, and may have
+    // others.
+    for (from, to) in [
+        (scene, workspace.folder().scene()),
+        (best.cameras(), workspace.folder().cameras()),
+    ] {
+        let bytes = fs::read(&from).map_err(|e| PipelineError::io(&from, e))?;
+        workspace.write(&to, &bytes)?;
+    }
     let seconds = context.clock.elapsed();
     workspace.stamp(RUN, depends_on.fingerprint(), seconds)?;
     tell_finished(context, report, seconds);
     Ok(())
-}
-
-/// The cameras as the delivered round found them; a later round has moved them a little.
-fn deliver_cameras(
-    workspace: &Workspace,
-    views: &[View],
-    best: &RoundFolder,
-) -> Result<(), PipelineError> {
-    let path = best.training();
-    let training: Training = workspace.read_json(&path).ok_or_else(|| {
-        let reason = "the facts of the delivered round cannot be read again";
-        PipelineError::io(&path, std::io::Error::other(reason))
-    })?;
-    let placed: Vec<NamedCamera> = views
-        .iter()
-        .zip(&training.cameras)
-        .map(|(view, camera)| NamedCamera::new(&view.name, camera, view.split))
-        .collect();
-    workspace.write_json(&workspace.folder().cameras(), &placed)
 }
 
 fn tell_finished(context: &mut Context<'_>, report: &Report, seconds: f64) {

@@ -27,6 +27,8 @@ const DEBLUR_GUIDED: &[&str] = &["guide"];
 const DEBLUR: &[&str] = &[];
 /// The curves from a round's renders to the next round and to the target.
 const MATCH: &[&str] = &["lut_scope", "seed"];
+/// What joins or leaves the scene after a round.
+const LATE_VIEWS: &[&str] = &["size", "shake", "refine_poses", "lut_scope", "seed"];
 /// Training, and the registration of held-out views.
 const RECONSTRUCT: &[&str] = &[
     "steps",
@@ -190,6 +192,14 @@ impl RunDependencies {
             .collect();
         let facts = [self.views.fingerprint(), &networks.join(" "), &self.adapter];
         Dependencies::on(&self.given, &names, &facts)
+    }
+}
+
+impl RoundDependencies {
+    /// Of the views that join or leave after the round, found by whoever describes itself so.
+    pub fn late_views(&self, run: &RunDependencies, matching: &str) -> Dependencies {
+        let facts = [self.reconstruct.fingerprint(), matching];
+        Dependencies::on(&run.given, LATE_VIEWS, &facts)
     }
 }
 

@@ -26,6 +26,7 @@ use crate::metrics::{self, RoundMetrics};
 use images::TargetImages;
 
 pub use images::RoundImages;
+pub use score::likenesses;
 
 /// How much lower a round's score must be for the round to count as worse than the one before.
 const WORSE_BY: f64 = 0.01;
@@ -125,7 +126,7 @@ fn measure(
     let noise_sigma = means(images, metrics::noise_sigma);
     let sigma = noise_sigma.get("enhanced").copied().unwrap_or_default();
     let response = &brightening.last().response;
-    let likenesses = score::likenesses(&target.renders, target.enhanced, response);
+    let likenesses = likenesses(&target.renders, target.enhanced, response);
     let score = score::score(views, &likenesses);
     let comparisons = records::comparisons(views, images, target);
     let before = previous.and_then(|previous| previous.score);

@@ -11,6 +11,8 @@ use crate::event::{Event, ProgressSink, Stage};
 #[derive(Clone, Debug)]
 pub struct Plan {
     poses: f64,
+    /// Of these seconds, until the poses are found.
+    poses_left: f64,
     round: Vec<(Stage, f64)>,
     rounds: u32,
     /// Whether a network brightens, once before the rounds.
@@ -42,6 +44,7 @@ impl Plan {
         ];
         Self {
             poses: 2.2 * views,
+            poses_left: 2.2 * views,
             round,
             rounds: options.rounds,
             brightens: options.enhance != NetworkChoice::Curve,
@@ -54,7 +57,7 @@ impl Plan {
 
     fn weight(&self, stage: Stage) -> f64 {
         if stage == Stage::Poses {
-            return self.poses;
+            return self.poses_left;
         }
         self.round
             .iter()
@@ -82,6 +85,10 @@ impl Plan {
     /// Notes that a stage is over; `skipped` work says nothing about this run's speed.
     pub fn finish(&mut self, stage: Stage, skipped: bool, sink: &mut dyn ProgressSink) {
         let weight = self.weight(stage);
+        if stage == Stage::Poses {
+            // Late views are looked for after every round, if there are any; nobody planned them.
+            self.poses_left = 0.0;
+        }
         self.done += weight;
         self.current = 0.0;
         if skipped {
@@ -134,6 +141,9 @@ mod tests {
                 plan.advance(stage, 0.5, &mut sink);
                 plan.finish(stage, false, &mut sink);
             }
+            // Late views.
+            plan.advance(Stage::Poses, 0.5, &mut sink);
+            plan.finish(Stage::Poses, false, &mut sink);
         }
         assert!(seen.windows(2).all(|pair| pair[0] <= pair[1]), "{seen:?}");
         assert!((seen.last().expect("some") - 1.0).abs() < 1e-9);

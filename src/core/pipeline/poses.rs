@@ -18,7 +18,6 @@ use super::views;
 use super::workspace::Workspace;
 use crate::capture::{Capture, CaptureView};
 use crate::event::{ProgressSink, Stage};
-use crate::image::write_atomic;
 use crate::poses::{PoseStatus, PoseView, Poses, PosesError, in_words, svg};
 
 /// The stage: the poses, once, and what the user should know about them.
@@ -39,7 +38,7 @@ pub fn poses(
         folder: tools.pose_cache.clone(),
         depends_on: &depends_on,
     };
-    let path = context.workspace.folder().poses();
+    let path = context.workspace.folder().work().found_poses();
     let serves = |poses: &Poses| serves(poses, &depends_on);
     let is_here = context
         .workspace
@@ -67,12 +66,20 @@ pub fn poses(
             Ok(poses)
         },
     )?;
-    let picture = context.workspace.folder().poses_picture();
-    write_atomic(&picture, svg(&poses).as_bytes())
-        .map_err(|source| PipelineError::io(&picture, source))?;
+    publish(context.workspace, &poses)?;
     cache.write(context.workspace, &poses)?;
     warn(context.sink, &poses, &views::unregistered(capture, &poses));
     Ok(poses)
+}
+
+/// Writes the poses for those who look at the run.
+///
+/// # Errors
+/// [`PipelineError::Io`].
+pub fn publish(workspace: &Workspace, poses: &Poses) -> Result<(), PipelineError> {
+    let folder = workspace.folder();
+    workspace.write_json(&folder.poses(), poses)?;
+    workspace.write(&folder.poses_picture(), svg(poses).as_bytes())
 }
 
 /// Whether poses serve a run with these dependencies: what a network had a hand in is of no use to

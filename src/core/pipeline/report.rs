@@ -42,6 +42,12 @@ pub fn begin(options: &Options, tools: &Tools<'_>, networks: &Networks, poses: &
     }
 }
 
+/// Notes that the next rounds have other poses.
+pub fn place(report: &mut Report, poses: &Poses) {
+    report.registered = poses.registered as u32;
+    report.poses = facts(poses);
+}
+
 fn facts(poses: &Poses) -> BTreeMap<String, Value> {
     let facts = [
         ("source", json!(poses.source)),

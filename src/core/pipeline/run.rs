@@ -5,9 +5,10 @@ use super::context::Context;
 use super::deblur::{Blurred, deblur};
 use super::deliver::{deliver, delivered};
 use super::dependencies::{RoundDependencies, RunDependencies};
-use super::enhance::{self, enhance};
+use super::enhance::{self, Brightening, enhance};
 use super::error::PipelineError;
 use super::evaluate::{Finished, RoundImages, evaluate};
+use super::late_views::{FinishedRound, changed_views, late_views};
 use super::match_brightness::{Next, match_brightness};
 use super::plan::Plan;
 use super::poses::poses;
@@ -15,7 +16,7 @@ use super::reconstruct::{Material, Predecessor, TrainedScene, reconstruct};
 use super::render::render;
 use super::report;
 use super::tools::Tools;
-use super::views;
+use super::views::{self, View};
 use super::workspace::Workspace;
 use crate::cancel::CancelToken;
 use crate::capture::Capture;
@@ -23,6 +24,7 @@ use crate::event::{Event, ProgressSink};
 use crate::image::Image;
 use crate::metrics::Report;
 use crate::poses::Poses;
+use crate::poses::matching::Matching;
 
 /// A finished run.
 #[derive(Clone, Debug)]
@@ -62,6 +64,16 @@ impl Handover {
     }
 }
 
+/// What the rounds are made from; late views change it from one to the next.
+struct Ground {
+    poses: Poses,
+    depends_on: RunDependencies,
+    /// L.
+    views: Vec<View>,
+    /// P_1..P_N, H_N.
+    brightening: Brightening,
+}
+
 /// Algorithm 1: brighten one step, deblur, train, render; let the clean renders guide the next
 /// round. Symbols as in the paper: L dark views, P anchors, H enhanced, D deblurred, V scene,
 /// R renders, HR guides.
@@ -79,51 +91,169 @@ pub fn run(
     let context = &mut begin(capture, options, tools, workspace, sink, cancel)?;
     let poses = poses(context, capture, options, tools)?;
     let depends_on = RunDependencies::of(options, capture, &poses, tools);
-    if let Some(report) = delivered(context, &depends_on.run())? {
+    let whole = depends_on.run();
+    if let Some(report) = delivered(context, &whole)? {
         return Ok(Outcome { report });
     }
-    let unregistered = views::unregistered(capture, &poses);
     let mut report = report::begin(options, tools, depends_on.networks(), &poses);
-    let mut views = views::load(context, capture, &poses, options)?; // L
-    let brightening = enhance::plan(context, &views, &depends_on, tools)?; // P_1..P_N, H_N
+    let views = views::load(context, capture, &poses, options)?;
+    let asked = Asked { capture, options };
+    let mut ground = Ground::new(context, asked, tools, poses, views)?;
     let mut before: Option<Handover> = None;
-    for round in &brightening.rounds {
-        let before_it = before.as_ref();
-        let on = depends_on.round(round.number, before_it.map(|before| &before.depends_on));
-        let brightened = before_it.map(|before| before.next.enhanced.clone());
-        let enhanced = enhance(context, round, &views, &brightening, brightened)?; // H_i
-        let blurred = Blurred {
-            views: &views,
-            enhanced: &enhanced,
-            guides: before_it.filter(|_| on.is_guided).map(Handover::guides), // HR
-        };
-        let deblurred = deblur(context, tools.deblurrer, round, blurred, &on.deblur)?; // D_i
-        let material = Material {
-            round,
-            views: &views,
-            images: options.trained_on(&enhanced[..], &deblurred),
-            poses: &poses,
-            before: before_it.map(Handover::predecessor), // V_{i-1}
-        };
-        let scene = reconstruct(context, tools.gpu, &material, &on.reconstruct)?; // V_i
-        views::place(context, &mut views, &scene.training.cameras)?;
-        let renders = render(context, tools.gpu, round, &views, &scene.gaussians)?; // R_i
-        let fit = on.matching.options();
-        let next = match_brightness(context, round, &renders, &views, &brightening, fit)?; // P_R
-        let finished = Finished {
-            round,
-            views: &views,
-            unregistered: &unregistered,
-            images: RoundImages::new(&enhanced, &deblurred, &renders),
-            scene: &scene,
-            next: next.as_ref(),
-        };
-        let metrics = evaluate(context, &finished, &brightening, report.rounds.last())?;
-        report::add_round(context, &mut report, metrics)?;
-        before = next.map(|next| Handover::new(next, scene, on));
+    for index in 0..options.rounds as usize {
+        before = round(
+            context,
+            asked,
+            tools,
+            &mut ground,
+            index,
+            before,
+            &mut report,
+        )?;
     }
-    deliver(context, &mut report, &views, &depends_on.run())?;
+    deliver(context, &mut report, &whole)?;
     Ok(Outcome { report })
+}
+
+/// What the user wants of what.
+#[derive(Clone, Copy)]
+struct Asked<'a> {
+    capture: &'a Capture,
+    options: &'a Options,
+}
+
+/// One round, after the one before it; what it hands to the next, which may stand on other ground.
+fn round(
+    context: &mut Context<'_>,
+    asked: Asked<'_>,
+    tools: &mut Tools<'_>,
+    ground: &mut Ground,
+    index: usize,
+    before: Option<Handover>,
+    report: &mut Report,
+) -> Result<Option<Handover>, PipelineError> {
+    let Ground {
+        poses,
+        depends_on,
+        views,
+        brightening,
+    } = ground;
+    let round = &brightening.rounds[index];
+    let before = before.as_ref();
+    let on = depends_on.round(round.number, before.map(|before| &before.depends_on));
+    let brightened = before.map(|before| before.next.enhanced.clone());
+    let enhanced = enhance(context, round, views, brightening, brightened)?; // H_i
+    let blurred = Blurred {
+        views,
+        enhanced: &enhanced,
+        guides: before.filter(|_| on.is_guided).map(Handover::guides), // HR
+    };
+    let deblurred = deblur(context, tools.deblurrer, round, blurred, &on.deblur)?; // D_i
+    let material = Material {
+        round,
+        views,
+        images: asked.options.trained_on(&enhanced[..], &deblurred),
+        poses,
+        before: before.map(Handover::predecessor), // V_{i-1}
+    };
+    let scene = reconstruct(context, tools.gpu, &material, &on.reconstruct)?; // V_i
+    views::place(context, round.number, views, &scene.training.cameras)?;
+    let renders = render(context, tools.gpu, round, views, &scene.gaussians)?; // R_i
+    let fit = on.matching.options();
+    let next = match_brightness(context, round, &renders, views, brightening, fit)?; // P_R
+    let unregistered = views::unregistered(asked.capture, poses);
+    let finished = Finished {
+        round,
+        views,
+        unregistered: &unregistered,
+        images: RoundImages::new(&enhanced, &deblurred, &renders),
+        scene: &scene,
+        next: next.as_ref(),
+    };
+    let metrics = evaluate(context, &finished, brightening, report.rounds.last())?;
+    report::add_round(context, report, metrics)?;
+    let Some(next) = next else { return Ok(None) };
+    let handover = Handover::new(next, scene, on);
+    let finished = FinishedRound {
+        capture: asked.capture,
+        poses,
+        round,
+        views,
+        renders: &renders,
+        scene: &handover.scene,
+        metrics: report.rounds.last().expect("the round was added"),
+    };
+    let Some((poses, views)) = join(context, asked, tools, &finished, &handover, depends_on)?
+    else {
+        return Ok(Some(handover));
+    };
+    report::place(report, &poses);
+    *ground = Ground::new(context, asked, tools, poses, views)?;
+    let again = ground.handed_over(context, tools, index, handover)?;
+    Ok(Some(again))
+}
+
+/// The poses and views of the next rounds, where this one's scene says that they are others.
+fn join(
+    context: &mut Context<'_>,
+    asked: Asked<'_>,
+    tools: &Tools<'_>,
+    finished: &FinishedRound<'_>,
+    handover: &Handover,
+    depends_on: &RunDependencies,
+) -> Result<Option<(Poses, Vec<View>)>, PipelineError> {
+    if !asked.options.late_views {
+        return Ok(None);
+    }
+    let by = tools.matching.map(Matching::describe).unwrap_or_default();
+    let on = handover.depends_on.late_views(depends_on, &by);
+    let Some(poses) = late_views(context, tools, finished, &on)? else {
+        return Ok(None);
+    };
+    let size = asked.options.size as usize;
+    let views = changed_views(context, finished, &poses, size)?;
+    Ok(Some((poses, views)))
+}
+
+impl Ground {
+    /// What rounds over these views are made from.
+    fn new(
+        context: &mut Context<'_>,
+        asked: Asked<'_>,
+        tools: &mut Tools<'_>,
+        poses: Poses,
+        views: Vec<View>,
+    ) -> Result<Self, PipelineError> {
+        let depends_on = RunDependencies::of(asked.options, asked.capture, &poses, tools);
+        let brightening = enhance::plan(context, &views, &depends_on, tools)?;
+        Ok(Self {
+            poses,
+            depends_on,
+            views,
+            brightening,
+        })
+    }
+
+    /// What a round hands to the next over these views, in place of those that it was made over.
+    fn handed_over(
+        &self,
+        context: &mut Context<'_>,
+        tools: &Tools<'_>,
+        index: usize,
+        handover: Handover,
+    ) -> Result<Handover, PipelineError> {
+        let Self {
+            views, brightening, ..
+        } = self;
+        let round = &brightening.rounds[index];
+        let renders = render(context, tools.gpu, round, views, &handover.scene.gaussians)?;
+        let fit = handover.depends_on.matching.options();
+        let next = match_brightness(context, round, &renders, views, brightening, fit)?;
+        Ok(Handover {
+            next: next.unwrap_or(handover.next),
+            ..handover
+        })
+    }
 }
 
 /// The stage of the poses alone; a run with the same workspace goes on from there.

@@ -6,6 +6,7 @@ use fled_gpu::Gpu;
 
 use crate::deblur::{Restorer, RestorerInfo};
 use crate::poses::Sfm;
+use crate::poses::matching::Matching;
 
 /// What a run may use.
 pub struct Tools<'a> {
@@ -13,6 +14,8 @@ pub struct Tools<'a> {
     pub gpu: &'a Gpu,
     /// Who finds the poses.
     pub sfm: &'a dyn Sfm,
+    /// Who finds matches between photographs and renders, for late views; `None`: none are found.
+    pub matching: Option<&'a dyn Matching>,
     /// The deblurring network, with the wrapping that the option `guide` asks for.
     pub deblurrer: &'a mut dyn Restorer,
     /// The network that brightens in place of the tone curve: a baseline.

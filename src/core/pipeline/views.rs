@@ -33,6 +33,8 @@ pub struct View {
     pub gt: Option<Image>,
     /// Whether it trains.
     pub split: Split,
+    /// Whether it found its place by the scene of an earlier round.
+    pub is_late: bool,
 }
 
 /// L, as they were taken.
@@ -62,37 +64,50 @@ pub fn load(
     let views = read(capture, poses, options, context.cancel)?;
     let workspace = context.workspace;
     write_cameras(workspace, &views)?;
-    for view in &views {
-        let path = workspace.folder().input(&view.name);
-        pictures::preview(workspace, &path, &view.dark)?;
-        if let Some(gt) = &view.gt {
-            let path = workspace.folder().truth(&view.name);
-            pictures::preview(workspace, &path, gt)?;
-        }
-    }
+    views.iter().try_for_each(|view| show(workspace, view))?;
     Ok(views)
 }
 
-/// Moves the views to where a training found them.
+/// Writes the pictures of a view's input.
+///
+/// # Errors
+/// [`PipelineError::Io`].
+pub fn show(workspace: &Workspace, view: &View) -> Result<(), PipelineError> {
+    let path = workspace.folder().input(&view.name);
+    pictures::preview(workspace, &path, &view.dark)?;
+    if let Some(gt) = &view.gt {
+        let path = workspace.folder().truth(&view.name);
+        pictures::preview(workspace, &path, gt)?;
+    }
+    Ok(())
+}
+
+/// Moves the views to where a round's training found them.
 ///
 /// # Errors
 /// [`PipelineError::Io`].
 pub fn place(
     context: &Context<'_>,
+    round: u32,
     views: &mut [View],
     cameras: &[Camera],
 ) -> Result<(), PipelineError> {
     for (view, camera) in views.iter_mut().zip(cameras) {
         view.camera = *camera;
     }
-    write_cameras(context.workspace, views)
+    let workspace = context.workspace;
+    workspace.write_json(&workspace.folder().round(round).cameras(), &named(views))?;
+    write_cameras(workspace, views)
 }
 
 /// Writes `cameras.json`.
 fn write_cameras(workspace: &Workspace, views: &[View]) -> Result<(), PipelineError> {
+    workspace.write_json(&workspace.folder().cameras(), &named(views))
+}
+
+fn named(views: &[View]) -> Vec<NamedCamera> {
     let named = |view: &View| NamedCamera::new(&view.name, &view.camera, view.split);
-    let cameras: Vec<NamedCamera> = views.iter().map(named).collect();
-    workspace.write_json(&workspace.folder().cameras(), &cameras)
+    views.iter().map(named).collect()
 }
 
 /// Writes a round's pictures of all views.
@@ -156,7 +171,11 @@ fn read(
         .collect()
 }
 
-fn view(
+/// A photograph as its pose's pinhole camera sees it, at working size.
+///
+/// # Errors
+/// [`PipelineError::Photograph`].
+pub fn view(
     photograph: &CaptureView,
     posed: &PosedView,
     split: Split,
@@ -181,6 +200,7 @@ fn view(
         dark,
         gt,
         split,
+        is_late: false,
     })
 }
 

@@ -5,10 +5,19 @@ use std::path::PathBuf;
 use super::PosesError;
 use crate::cancel::CancelToken;
 
+/// Which pairs of pictures are looked at.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Pairs {
+    /// Those of one set that may overlap.
+    Within,
+    /// Each of the first so many with each of the others.
+    Across(usize),
+}
+
 /// Finds key points and their matches in photographs.
 pub trait Matching: Send + Sync {
     /// The key points of each picture (sRGB files, as bright as COLMAP gets them) and the matches
-    /// of those pairs that may overlap. `advance` is told how many parts of how many are done.
+    /// of `pairs`. `advance` is told how many parts of how many are done.
     ///
     /// # Errors
     /// [`PosesError::Matching`] when the networks fail, [`PosesError::BadFile`],
@@ -16,6 +25,7 @@ pub trait Matching: Send + Sync {
     fn matches(
         &self,
         pictures: &[PathBuf],
+        pairs: Pairs,
         advance: &mut dyn FnMut(u64, u64),
         cancel: &CancelToken,
     ) -> Result<Correspondences, PosesError>;

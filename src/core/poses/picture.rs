@@ -98,6 +98,11 @@ fn notes(poses: &Poses) -> Vec<String> {
     let missing = [
         named(PoseStatus::Doubtful, "doubtful, left out"),
         named(PoseStatus::NotFound, "not found"),
+        named(
+            PoseStatus::TakenOut,
+            "taken out, as they did not fit the scene",
+        ),
+        named(PoseStatus::Late, "placed by the scene"),
     ];
     std::iter::once(count)
         .chain(missing.into_iter().flatten())
@@ -204,6 +209,8 @@ mod tests {
             status,
             matches: 0,
             fitting: 0,
+            error_px: None,
+            fit: None,
         };
         Poses {
             views: (0..count).map(view).collect(),

@@ -14,6 +14,8 @@ const TRIES: usize = 1000;
 const STEPS: usize = 20;
 /// Least solutions are asked of this many points: three give up to four, and the others choose.
 const LEAST_POINTS: usize = 6;
+/// Of the angle at which two rays must meet: two degrees.
+const LEAST_SINE: f64 = 0.035;
 
 /// A place of the scene and where the photograph shows it.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -82,6 +84,54 @@ pub fn resect(
         inliers,
         rms_px,
     })
+}
+
+/// The point that most of the cameras see within `near_px` of these pixels, at least two, from
+/// directions that tell how far away it is; `None` where there is none.
+pub fn meeting(seen: &[(&Camera, DVec2)], near_px: f64) -> Option<DVec3> {
+    let ray = |(camera, pixel): &(&Camera, DVec2)| {
+        let k = &camera.intrinsics;
+        let ahead = DVec3::new((pixel.x - k.cx) / k.fx, (pixel.y - k.cy) / k.fy, 1.0);
+        (
+            camera.centre(),
+            (camera.rotation().transpose() * ahead).normalize(),
+        )
+    };
+    let rays: Vec<_> = seen.iter().map(ray).collect();
+    let agree = |point: DVec3| {
+        let near = |(camera, pixel): &&(&Camera, DVec2)| {
+            camera
+                .project(point)
+                .is_some_and(|(at, _)| at.distance(*pixel) <= near_px)
+        };
+        seen.iter().filter(near).count()
+    };
+    let mut best = None;
+    for second in 1..rays.len() {
+        for first in 0..second {
+            let Some(point) = nearest(rays[first], rays[second]) else {
+                continue;
+            };
+            let count = agree(point);
+            if count >= 2 && best.is_none_or(|(most, _)| count > most) {
+                best = Some((count, point));
+            }
+        }
+    }
+    best.map(|(_, point)| point)
+}
+
+/// The middle of where two rays come nearest; `None` where they are too parallel to tell.
+fn nearest((a, along_a): (DVec3, DVec3), (b, along_b): (DVec3, DVec3)) -> Option<DVec3> {
+    let cosine = along_a.dot(along_b);
+    let sine2 = 1.0 - cosine * cosine;
+    if sine2 < LEAST_SINE * LEAST_SINE {
+        return None;
+    }
+    let between = b - a;
+    let (x, y) = (between.dot(along_a), between.dot(along_b));
+    let (far_a, far_b) = ((x - cosine * y) / sine2, (cosine * x - y) / sine2);
+    Some(0.5 * (a + far_a * along_a + b + far_b * along_b))
 }
 
 /// px; infinite behind the camera.
@@ -311,6 +361,26 @@ mod tests {
         assert!((55..75).contains(&found.inliers.len()), "{found:?}");
         assert!(found.rms_px < 1.5, "{}", found.rms_px);
         assert_eq!(resect(&intrinsics(), &all, 4.0, 7), Some(found));
+    }
+
+    #[test]
+    fn rays_meet_where_the_point_is_and_parallel_or_wrong_ones_nowhere() {
+        let intrinsics = intrinsics();
+        let cameras = [-0.5, 0.0, 0.4, 0.41].map(|x| {
+            let eye = DVec3::new(x, 0.1, -2.5);
+            Camera::look_at(intrinsics, eye, DVec3::ZERO, DVec3::Y)
+        });
+        let point = DVec3::new(0.2, -0.1, 0.3);
+        let seen = |index: usize, off: f64| {
+            let (pixel, _) = cameras[index].project(point).expect("before the camera");
+            (&cameras[index], pixel + DVec2::new(0.0, off))
+        };
+        let three = [seen(0, 0.3), seen(1, 40.0), seen(2, -0.3)];
+        let found = meeting(&three, 2.0).expect("two agree");
+        assert!(found.distance(point) < 0.01, "{found}");
+        assert_eq!(meeting(&[seen(2, 0.0), seen(3, 0.0)], 2.0), None);
+        assert_eq!(meeting(&[seen(0, 30.0), seen(2, -30.0)], 2.0), None);
+        assert_eq!(meeting(&[seen(0, 0.0)], 2.0), None);
     }
 
     #[test]

@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::poses::PoseStatus;
-use crate::poses::matching::{Correspondences, Matching, PairMatches};
+use crate::poses::matching::{Correspondences, Matching, PairMatches, Pairs};
 
 /// A script whose mapper places every photograph, but by COLMAP's own features none.
 const PLACES_ALL: &str = r#"
@@ -26,10 +26,12 @@ impl Matching for Neighbours {
     fn matches(
         &self,
         pictures: &[PathBuf],
+        pairs: Pairs,
         advance: &mut dyn FnMut(u64, u64),
         cancel: &CancelToken,
     ) -> Result<Correspondences, PosesError> {
         cancel.check()?;
+        assert_eq!(pairs, Pairs::Within);
         assert!(pictures.iter().all(|picture| picture.is_file()));
         let row = |view: usize, point: usize| {
             let shift = if self.contradicting.contains(&view) {
@@ -72,6 +74,7 @@ impl Matching for Broken {
     fn matches(
         &self,
         _: &[PathBuf],
+        _: Pairs,
         _: &mut dyn FnMut(u64, u64),
         _: &CancelToken,
     ) -> Result<Correspondences, PosesError> {

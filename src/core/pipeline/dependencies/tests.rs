@@ -5,7 +5,7 @@ use crate::pipeline::config::TrainOn;
 
 /// Which results a change of each option makes stale, in the order of Algorithm 1. Options without
 /// any act through the tools that they choose, or choose among results (`train_on`).
-const STALE: [(&str, &[&str]); 27] = [
+const STALE: [(&str, &[&str]); 28] = [
     ("rounds", &["enhance", "deblur", "reconstruct", "guided"]),
     ("steps", &["reconstruct", "guided"]),
     (
@@ -22,6 +22,7 @@ const STALE: [(&str, &[&str]); 27] = [
     ("shake", &["reconstruct", "guided"]),
     ("train_on", &["reconstruct", "guided"]),
     ("refine_poses", &["reconstruct", "guided"]),
+    ("late_views", &[]),
     ("start", &["reconstruct", "guided"]),
     ("densify", &["reconstruct", "guided"]),
     ("fill_up", &["reconstruct", "guided"]),
@@ -53,7 +54,7 @@ fn other(option: &str) -> Value {
         "guide" => json!("none"),
         "noise" | "shake" | "densify" => json!("off"),
         "train_on" => json!("deblurred"),
-        "refine_poses" | "resolution_schedule" => json!(false),
+        "refine_poses" | "late_views" | "resolution_schedule" => json!(false),
         "view_colour" => json!(true),
         "start" => json!("scratch"),
         "extent" => json!("cameras"),

@@ -44,6 +44,7 @@ fn registered(
         psnr_cc_db: scores.map(|scores| scores.psnr_cc_db),
         ssim: scores.map(|scores| scores.ssim),
         shake_px: Some(likenesses[index].shake_px),
+        fit: Some(likenesses[index].fit),
     }
 }
 
@@ -57,6 +58,7 @@ fn without_pose(name: &str) -> ViewScore {
         psnr_cc_db: None,
         ssim: None,
         shake_px: None,
+        fit: None,
     }
 }
 
@@ -87,6 +89,7 @@ mod tests {
             dark: Image::new(SIDE, SIDE),
             gt,
             split,
+            is_late: false,
         }
     }
 
@@ -119,6 +122,7 @@ mod tests {
         let likenesses = [0.5, 2.0].map(|shake_px| Likeness {
             shake_px,
             ssim: 0.9,
+            fit: 0.8,
         });
         let rows = rows(&views, &["c".to_owned()], &comparisons, &likenesses);
         let seen: Vec<_> = rows
@@ -133,5 +137,7 @@ mod tests {
         assert_eq!(seen, expected);
         let shakes: Vec<_> = rows.iter().map(|row| row.shake_px).collect();
         assert_eq!(shakes, [Some(0.5), Some(2.0), None]);
+        let fits: Vec<_> = rows.iter().map(|row| row.fit).collect();
+        assert_eq!(fits, [Some(0.8), Some(0.8), None]);
     }
 }

@@ -16,6 +16,8 @@ pub struct Likeness {
     pub shake_px: f64,
     /// SSIM of the render, shaken as the view is, against the view.
     pub ssim: f64,
+    /// Correlation of the two: whether the view stands where its pose says.
+    pub fit: f64,
 }
 
 /// The likeness of every render. Each is first shaken as its view is, else the sharper of two
@@ -28,18 +30,20 @@ pub fn likenesses(renders: &[Image], target: &[Image], response: &Response) -> V
         Likeness {
             shake_px: kernel.spread(),
             ssim: metrics::ssim(&shaken, view),
+            fit: metrics::correlation(&shaken, view),
         }
     };
     renders.par_iter().zip(target).map(of).collect()
 }
 
-/// Mean SSIM of the likenesses, over held-out views where there are any. Never against ground
-/// truth: a capture that brings it must be delivered the same scene as one that does not.
+/// Mean SSIM of the likenesses, over held-out views where there are any, and without those that
+/// joined late: a round must not lose by having more views. Never against ground truth: a capture
+/// that brings it must be delivered the same scene as one that does not.
 pub fn score(views: &[View], likenesses: &[Likeness]) -> f64 {
     let of = |split: Split| -> Vec<f64> {
         let pairs = views.iter().zip(likenesses);
         pairs
-            .filter(|(view, _)| view.split == split)
+            .filter(|(view, _)| view.split == split && !view.is_late)
             .map(|(_, likeness)| likeness.ssim)
             .collect()
     };
@@ -139,6 +143,7 @@ mod tests {
             dark: sharp(),
             gt: None,
             split: Split::HeldOut,
+            is_late: false,
         };
         let target = [blurred(&sharp(), 1)];
         let of = |render: &Image| {

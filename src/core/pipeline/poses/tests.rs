@@ -113,6 +113,7 @@ fn found_with(
     let mut tools = Tools {
         gpu: &gpu,
         sfm: &sfm,
+        matching: None,
         deblurrer,
         enhancer: None,
         fallbacks: Vec::new(),

@@ -99,6 +99,14 @@ impl SparseModel {
         (!self.points.is_empty()).then(|| sum / self.points.len() as f64)
     }
 
+    /// Mean reprojection error of the points that the image of this name sees, px.
+    pub fn error_of(&self, name: &str) -> Option<f64> {
+        let id = self.images.iter().find(|image| image.name == name)?.id;
+        let sees = |point: &&ModelPoint| point.track.iter().any(|(image, _)| *image == id);
+        let errors: Vec<f64> = self.points.iter().filter(sees).map(|p| p.error).collect();
+        (!errors.is_empty()).then(|| errors.iter().sum::<f64>() / errors.len() as f64)
+    }
+
     /// The points as the pipeline wants them.
     pub fn sparse_points(&self) -> Vec<SparsePoint> {
         let point = |p: &ModelPoint| SparsePoint {

@@ -1,0 +1,277 @@
+//! Photographs placed by what renders of a scene have in common with them.
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+use glam::DVec2;
+
+use super::FinishedRound;
+use crate::camera::{Camera, Split};
+use crate::capture::CaptureView;
+use crate::colmap::brightened;
+use crate::event::Stage;
+use crate::image::{EncodeFormat, Image, read_header};
+use crate::pipeline::config::Options;
+use crate::pipeline::context::{Advance, Context};
+use crate::pipeline::error::PipelineError;
+use crate::pipeline::pictures;
+use crate::pipeline::views::{self, View};
+use crate::poses::matching::{Correspondences, Matching, Pairs};
+use crate::poses::pnp::{Sighting, meeting, resect};
+use crate::poses::{Lens, PosedView};
+
+/// How far a sighting may be from where the camera sees its point, px of an image whose longer side
+/// is 560: a key point of a shaken photograph lies anywhere along its path.
+const NEAR_PX: f64 = 6.0;
+
+/// Fewer agreeing sightings place nothing.
+const LEAST_AGREEING: usize = 20;
+
+/// A photograph is compared with so many renders at most, spread over the capture.
+const MOST_RENDERS: usize = 60;
+
+/// The scene by which photographs are placed.
+#[derive(Clone, Copy)]
+pub struct Scene<'a> {
+    /// The round that made it.
+    pub finished: &'a FinishedRound<'a>,
+    /// The names of views whose poses are not believed: their renders show nothing.
+    pub leaving: &'a [String],
+    /// Options of this stage.
+    pub options: &'a Options,
+}
+
+/// A photograph with a place.
+#[derive(Clone, Debug)]
+pub struct Placed {
+    /// With the camera at the original's size.
+    pub posed: PosedView,
+    /// The camera at working size.
+    pub camera: Camera,
+    /// The photograph at the round's brightness and working size.
+    pub image: Image,
+    /// Key points that it has in common with renders.
+    pub matches: usize,
+    /// Those that agree with the place.
+    pub agreeing: usize,
+    /// Their root mean square distance, px of the working size.
+    pub error_px: f64,
+}
+
+/// A photograph that is looked for, through a lens of another one.
+struct Query {
+    posed: PosedView,
+    view: View,
+}
+
+/// Places those of the photographs that it can.
+///
+/// # Errors
+/// As [`super::late_views`].
+pub fn place(
+    context: &mut Context<'_>,
+    scene: &Scene<'_>,
+    matching: &dyn Matching,
+    photographs: &[&CaptureView],
+) -> Result<Vec<Placed>, PipelineError> {
+    let mut queries = Vec::new();
+    for photograph in photographs {
+        context.cancel.check()?;
+        match scene.query(photograph)? {
+            Some(query) => queries.push(query),
+            None => context.sink.log(format!(
+                "late view {}: no photograph of its size has a pose",
+                photograph.name
+            )),
+        }
+    }
+    let references = scene.references(queries.len());
+    if queries.is_empty() || references.is_empty() {
+        return Ok(Vec::new());
+    }
+    let pictures = scene.pictures(context, &queries, &references)?;
+    let (number, cancel) = (scene.finished.round.number, context.cancel);
+    let mut advance = |done, total| {
+        let per_second = None;
+        context.advance(
+            Stage::Poses,
+            number,
+            Advance {
+                done,
+                total,
+                per_second,
+            },
+        );
+    };
+    let pairs = Pairs::Across(queries.len());
+    let found = match matching.matches(&pictures, pairs, &mut advance, cancel) {
+        Ok(found) => found,
+        Err(error) if error.is_about_the_tool() => {
+            let message = format!("late views are not looked for: {error}");
+            context.sink.warn("matcher_failed", message);
+            return Ok(Vec::new());
+        }
+        Err(error) => return Err(error.into()),
+    };
+    let sightings = scene.sightings(&found, queries.len(), &references);
+    let mut placed = Vec::new();
+    for (query, sightings) in queries.into_iter().zip(&sightings) {
+        cancel.check()?;
+        placed.extend(scene.resect(context, query, sightings));
+    }
+    Ok(placed)
+}
+
+impl Scene<'_> {
+    /// The photograph as it would be seen through the lens of one of the same size that has a pose:
+    /// of the most similar focal length, where EXIF tells.
+    fn query(&self, photograph: &CaptureView) -> Result<Option<Query>, PipelineError> {
+        let unreadable = |source| PipelineError::Photograph {
+            name: photograph.name.clone(),
+            source,
+        };
+        let header = read_header(&photograph.file).map_err(unreadable)?;
+        let focal_of = |posed: &PosedView| {
+            let views = &self.finished.capture.views;
+            views.iter().find(|view| view.name == posed.name)?.focal_px
+        };
+        let unlike = |posed: &&PosedView| match (photograph.focal_px, focal_of(posed)) {
+            (Some(wanted), Some(focal)) => (wanted / focal).ln().abs(),
+            _ => f64::INFINITY,
+        };
+        let fits = |posed: &&PosedView| {
+            let Lens { intrinsics, .. } = posed.lens;
+            (intrinsics.width, intrinsics.height) == (header.width, header.height)
+        };
+        let same_size = self.finished.poses.views.iter().filter(fits);
+        let Some(other) = same_size.min_by(|a, b| unlike(a).total_cmp(&unlike(b))) else {
+            return Ok(None);
+        };
+        let posed = PosedView {
+            name: photograph.name.clone(),
+            ..other.clone()
+        };
+        let size = self.options.size as usize;
+        let view = views::view(photograph, &posed, Split::Train, size)?;
+        Ok(Some(Query { posed, view }))
+    }
+
+    /// Indices of the views whose renders are looked at by each of so many photographs.
+    fn references(&self, photographs: usize) -> Vec<usize> {
+        let all: Vec<usize> = (0..self.finished.views.len())
+            .filter(|&index| !self.leaving.contains(&self.finished.views[index].name))
+            .collect();
+        // As many pairs as sixty photographs have, and some renders for each at least.
+        let most = (1800 / photographs.max(1))
+            .clamp(8, MOST_RENDERS)
+            .min(all.len());
+        (0..most)
+            .map(|index| all[index * all.len() / most])
+            .collect()
+    }
+
+    /// Photographs and renders as files, as bright as the networks like them.
+    fn pictures(
+        &self,
+        context: &Context<'_>,
+        queries: &[Query],
+        references: &[usize],
+    ) -> Result<Vec<PathBuf>, PipelineError> {
+        let folder = context.workspace.folder().work().late_views();
+        let dark = queries.iter().map(|query| &query.view.dark);
+        let renders = references
+            .iter()
+            .map(|&index| &self.finished.renders[index]);
+        let write = |(index, image): (usize, &Image)| {
+            context.cancel.check()?;
+            let path = folder.join(format!("{index:05}.png"));
+            pictures::write(
+                context.workspace,
+                &path,
+                &brightened(image),
+                EncodeFormat::Png,
+            )?;
+            Ok(path)
+        };
+        dark.chain(renders).enumerate().map(write).collect()
+    }
+
+    /// What each photograph shows of the scene: its key points that two renders or more show, too,
+    /// at the places where these see them.
+    fn sightings(
+        &self,
+        found: &Correspondences,
+        queries: usize,
+        references: &[usize],
+    ) -> Vec<Vec<Sighting>> {
+        let mut seen: Vec<BTreeMap<u32, Vec<(&Camera, DVec2)>>> = vec![BTreeMap::new(); queries];
+        for pair in &found.pairs {
+            let camera = &self.finished.views[references[pair.second - queries]].camera;
+            for &[query, render] in &pair.matches {
+                let at = pixel(found, pair.second, render);
+                seen[pair.first]
+                    .entry(query)
+                    .or_default()
+                    .push((camera, at));
+            }
+        }
+        let near = near_px(self.finished.views);
+        let of = |(query, seen): (usize, &BTreeMap<u32, Vec<(&Camera, DVec2)>>)| {
+            let sighting = |(&point, rays): (&u32, &Vec<_>)| {
+                Some(Sighting {
+                    pixel: pixel(found, query, point),
+                    point: meeting(rays, near)?,
+                })
+            };
+            seen.iter().filter_map(sighting).collect()
+        };
+        seen.iter().enumerate().map(of).collect()
+    }
+
+    /// The place that most sightings agree on.
+    fn resect(
+        &self,
+        context: &mut Context<'_>,
+        query: Query,
+        sightings: &[Sighting],
+    ) -> Option<Placed> {
+        let Query { posed, view } = query;
+        let k = view.camera.intrinsics;
+        let near = near_px(self.finished.views);
+        let found = resect(&k, sightings, near, self.options.seed);
+        let agreeing = found.as_ref().map_or(0, |found| found.inliers.len());
+        let Some(found) = found.filter(|_| agreeing >= LEAST_AGREEING) else {
+            context.sink.log(format!(
+                "late view {}: {agreeing} of {} points that renders show agree, too few",
+                view.name,
+                sightings.len()
+            ));
+            return None;
+        };
+        let tone = self.finished.round.tone.scene();
+        let camera = Camera {
+            world_to_camera: found.camera.world_to_camera,
+            ..posed.camera
+        };
+        Some(Placed {
+            posed: PosedView { camera, ..posed },
+            camera: found.camera,
+            image: tone.apply(&view.dark),
+            matches: sightings.len(),
+            agreeing,
+            error_px: found.rms_px,
+        })
+    }
+}
+
+/// Where a key point of a picture lies.
+fn pixel(found: &Correspondences, picture: usize, point: u32) -> DVec2 {
+    let [x, y] = found.key_points[picture][point as usize];
+    DVec2::new(x.into(), y.into())
+}
+
+/// [`NEAR_PX`] at the size of the views.
+fn near_px(views: &[View]) -> f64 {
+    let side = |view: &View| view.dark.width().max(view.dark.height());
+    NEAR_PX * views.iter().map(side).max().unwrap_or(0) as f64 / 560.0
+}
