@@ -3,6 +3,7 @@
 mod command_line;
 mod downloads;
 mod job;
+mod late_views;
 mod models;
 mod networks;
 mod service;

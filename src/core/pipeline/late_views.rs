@@ -14,12 +14,12 @@ use super::poses::publish;
 use super::reconstruct::TrainedScene;
 use super::round::Round;
 use super::tools::Tools;
-use super::views::{self, View};
+use super::views::{self, LEAST_VIEWS, View};
 use crate::camera::Split;
 use crate::capture::{Capture, CaptureView};
 use crate::event::Stage;
 use crate::image::Image;
-use crate::metrics::RoundMetrics;
+use crate::metrics::{RoundMetrics, ViewScore};
 use crate::poses::{PoseStatus, PosedView, Poses};
 use crate::render::Renderer;
 use place::{Placed, Scene, place};
@@ -28,6 +28,9 @@ use place::{Placed, Scene, place};
 /// by 4.4 px, 11 have fits of 0.91 to 0.96, and one that stands 8 degrees off has 0.39, though it
 /// was trained on; four that the scene placed have 0.56 to 0.86.
 const BELONGS_FROM: f64 = 0.5;
+
+/// A scene whose middle fit is lower shows nothing well enough to judge a view by it.
+const LEAST_MIDDLE_FIT: f64 = 0.7;
 
 /// A finished round, and what it was made from.
 #[derive(Clone, Copy)]
@@ -61,7 +64,10 @@ pub fn late_views(
 ) -> Result<Option<Poses>, PipelineError> {
     let fitted = with_fits(finished.poses, finished.metrics);
     publish(context.workspace, &fitted)?;
-    let leaving = leaving(finished);
+    let Some(judgement) = Judgement::of(&finished.metrics.views) else {
+        return Ok(None);
+    };
+    let leaving = &judgement.leaving;
     let without_pose = views::unregistered(finished.capture, finished.poses);
     let looked_for: Vec<&CaptureView> = finished
         .capture
@@ -80,46 +86,60 @@ pub fn late_views(
         depends_on,
         |workspace| workspace.read_json(&path),
         |context| {
-            let placed = find(context, tools, finished, &looked_for, &leaving, depends_on)?;
-            let poses = changed(&fitted, finished.capture, &leaving, placed);
+            let placed = find(
+                context,
+                tools,
+                finished,
+                &looked_for,
+                &judgement,
+                depends_on,
+            )?;
+            let poses = changed(&fitted, finished.capture, leaving, placed);
             context.workspace.write_json(&path, &poses)?;
             Ok(poses)
         },
     )?;
-    tell(context, &poses, &leaving);
+    tell(context, &poses, leaving);
     publish(context.workspace, &poses)?;
     let stay_away = leaving.is_empty() && poses.views.len() == finished.poses.views.len();
     Ok((!stay_away).then_some(poses))
 }
 
-/// The names of the views that train and do not fit. Those held out stay: without the worst of them
-/// every score would be better.
-fn leaving(finished: &FinishedRound<'_>) -> Vec<String> {
-    let rows = || {
-        let rows = finished.metrics.views.iter();
-        rows.filter(|row| row.split == Some(Split::Train))
-            .filter_map(|row| Some((row, row.fit?)))
-    };
-    let Some(middle) = middle(rows().map(|(_, fit)| fit)) else {
-        return Vec::new();
-    };
-    let mut leaving: Vec<(f64, &str)> = rows()
-        .filter(|(_, fit)| *fit < BELONGS_FROM * middle)
-        .map(|(row, fit)| (fit, &*row.name))
-        .collect();
-    // The worst first, and never so many that there is no scene.
-    leaving.sort_by(|a, b| a.0.total_cmp(&b.0));
-    leaving.truncate(rows().count().saturating_sub(views::LEAST_VIEWS));
-    leaving
-        .into_iter()
-        .map(|(_, name)| name.to_owned())
-        .collect()
+/// What a round's fits say.
+#[derive(Debug, PartialEq)]
+struct Judgement {
+    /// From this fit on a view belongs to the scene.
+    least: f64,
+    /// The names of the views that train and fit less, the worst first. Those held out stay:
+    /// without the worst of them every score would be better.
+    leaving: Vec<String>,
 }
 
-fn middle(values: impl Iterator<Item = f64>) -> Option<f64> {
-    let mut values: Vec<f64> = values.collect();
-    values.sort_by(f64::total_cmp);
-    values.get(values.len() / 2).copied()
+impl Judgement {
+    /// `None` where the scene shows too little to judge by.
+    fn of(views: &[ViewScore]) -> Option<Self> {
+        let rows = || views.iter().filter_map(|row| Some((row.fit?, row)));
+        let mut fits: Vec<f64> = rows().map(|(fit, _)| fit).collect();
+        fits.sort_by(f64::total_cmp);
+        let middle = fits.get(fits.len() / 2).copied();
+        let middle = middle.filter(|middle| *middle >= LEAST_MIDDLE_FIT)?;
+        let least = BELONGS_FROM * middle;
+        let mut training: Vec<(f64, &String)> = rows()
+            .filter(|(_, row)| row.split == Some(Split::Train))
+            .map(|(fit, row)| (fit, &row.name))
+            .collect();
+        training.sort_by(|a, b| a.0.total_cmp(&b.0));
+        // Never so many that there is no scene.
+        let most = training.len().saturating_sub(LEAST_VIEWS);
+        let leaving = training.into_iter().take(most);
+        Some(Self {
+            least,
+            leaving: leaving
+                .filter(|(fit, _)| *fit < least)
+                .map(|(_, name)| name.clone())
+                .collect(),
+        })
+    }
 }
 
 /// Those of the photographs that the scene places, and that fit it there.
@@ -128,7 +148,7 @@ fn find(
     tools: &Tools<'_>,
     finished: &FinishedRound<'_>,
     looked_for: &[&CaptureView],
-    leaving: &[String],
+    judgement: &Judgement,
     depends_on: &Dependencies,
 ) -> Result<Vec<(Placed, f64)>, PipelineError> {
     let Some(matching) = tools.matching else {
@@ -136,7 +156,7 @@ fn find(
     };
     let scene = Scene {
         finished,
-        leaving,
+        leaving: &judgement.leaving,
         options: depends_on.options(),
     };
     let placed = place(context, &scene, matching, looked_for)?;
@@ -148,13 +168,9 @@ fn find(
         .collect::<Result<Vec<_>, _>>()?;
     let images: Vec<Image> = placed.iter().map(|placed| placed.image.clone()).collect();
     let likenesses = likenesses(&renders, &images, &finished.round.response);
-    let stayed = finished.metrics.views.iter();
-    let stayed = stayed.filter(|row| !leaving.contains(&row.name));
-    let fits = stayed.filter_map(|row| row.fit);
-    let least = BELONGS_FROM * middle(fits).unwrap_or(1.0);
     let mut found = Vec::new();
     for (placed, likeness) in placed.into_iter().zip(likenesses) {
-        let joins = likeness.fit >= least;
+        let joins = likeness.fit >= judgement.least;
         context.sink.log(format!(
             "late view {}: {} of {} points that renders show agree, {:.1} px off, fit {:.2}, {}",
             placed.posed.name,
@@ -165,7 +181,7 @@ fn find(
             if joins {
                 "joins".to_owned()
             } else {
-                format!("below {least:.2}: stays away")
+                format!("below {:.2}: stays away", judgement.least)
             }
         ));
         if joins {
@@ -277,4 +293,52 @@ pub fn changed_views(
         views.push(view);
     }
     Ok(views)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn rows(views: &[(&str, Split, f64)]) -> Vec<ViewScore> {
+        let row = |(name, split, fit): &(&str, Split, f64)| ViewScore {
+            name: (*name).to_owned(),
+            registered: true,
+            split: Some(*split),
+            reference: None,
+            psnr_db: None,
+            psnr_cc_db: None,
+            ssim: None,
+            shake_px: None,
+            fit: Some(*fit),
+        };
+        views.iter().map(row).collect()
+    }
+
+    #[test]
+    fn views_that_train_and_do_not_fit_leave_and_those_held_out_stay() {
+        use Split::{HeldOut, Train};
+        let judged = |views: &[(&str, Split, f64)]| Judgement::of(&rows(views));
+        let views = [
+            ("a", Train, 0.9),
+            ("b", Train, 0.44),
+            ("c", Train, 0.2),
+            ("d", HeldOut, 0.1),
+            ("e", Train, 0.95),
+            ("f", Train, 0.9),
+            ("g", Train, 0.92),
+        ];
+        let found = judged(&views).expect("a good scene");
+        assert_eq!(
+            (found.least, &found.leaving[..]),
+            (0.45, &["c".to_owned(), "b".to_owned()][..])
+        );
+        // A scene that nothing fits well judges nobody, and three views stay whatever they are.
+        assert_eq!(
+            judged(&views.map(|(name, split, fit)| (name, split, 0.7 * fit))),
+            None
+        );
+        let few = [("a", Train, 0.9), ("b", Train, 0.9), ("c", Train, 0.1)];
+        assert_eq!(judged(&few).map(|found| found.leaving), Some(Vec::new()));
+        assert_eq!(judged(&[]), None);
+    }
 }

@@ -1,0 +1,138 @@
+//! Views that join or leave the scene after its first round.
+
+use std::path::Path;
+
+use fled_core::camera::Camera;
+use fled_core::synthetic::{SynthOptions, generate};
+use glam::{DMat4, DQuat, DVec3};
+use serde_json::{Value, json};
+
+use crate::support::{fled, json, succeed};
+
+/// A capture whose poses lack one photograph and have another 12 degrees off.
+const LOST: &str = "004";
+const MOVED: &str = "007";
+
+fn transforms(cameras: &[(String, Camera)]) -> Value {
+    let k = cameras[0].1.intrinsics;
+    let frames: Vec<Value> = cameras
+        .iter()
+        .filter(|(name, _)| name != LOST)
+        .map(|(name, camera)| {
+            let turned = DMat4::from_quat(DQuat::from_rotation_y(12_f64.to_radians()));
+            let seen = match name == MOVED {
+                true => turned * camera.world_to_camera,
+                false => camera.world_to_camera,
+            };
+            let to_world = seen.inverse() * DMat4::from_scale(DVec3::new(1.0, -1.0, -1.0));
+            json!({
+                "file_path": format!("images/{name}.png"),
+                "transform_matrix": to_world.transpose().to_cols_array_2d(),
+            })
+        })
+        .collect();
+    json!({
+        "w": k.width, "h": k.height, "fl_x": k.fx, "fl_y": k.fy, "cx": k.cx, "cy": k.cy,
+        "frames": frames,
+    })
+}
+
+fn verdict<'a>(poses: &'a Value, name: &str) -> &'a Value {
+    let verdicts = poses["verdicts"].as_array().expect("verdicts");
+    let mut named = verdicts.iter().filter(|verdict| verdict["name"] == name);
+    named
+        .next()
+        .unwrap_or_else(|| panic!("nothing is said of {name}: {verdicts:?}"))
+}
+
+fn centre(file: &Path, name: &str) -> DVec3 {
+    let cameras = json(file);
+    let cameras = cameras.as_array().expect("a list");
+    let camera = cameras.iter().find(|camera| camera["name"] == name);
+    let rows = &camera.unwrap_or_else(|| panic!("no camera of {name}"))["world_to_camera"];
+    let value = |row: usize, column: usize| rows[row][column].as_f64().expect("a number");
+    let columns = [0, 1, 2, 3].map(|c| [0, 1, 2, 3].map(|r| value(r, c)));
+    DMat4::from_cols_array_2d(&columns)
+        .inverse()
+        .w_axis
+        .truncate()
+}
+
+#[test]
+fn a_photograph_without_a_pose_joins_and_one_in_the_wrong_place_comes_back() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let capture = folder.path().join("capture");
+    let options = SynthOptions {
+        views: 12,
+        width: 256,
+        height: 160,
+        seed: 3,
+        blur: 3.0,
+        ..SynthOptions::default()
+    };
+    let made = generate(&options, &capture).expect("a synthetic capture");
+    std::fs::remove_file(capture.join("poses_bounds.npy")).expect("there");
+    let poses = transforms(&made.cameras).to_string();
+    std::fs::write(capture.join("transforms.json"), poses).expect("written");
+    let out = folder.path().join("out");
+    let run = |late_views: &str| {
+        let mut command = fled();
+        command.arg("run").arg(&capture).arg("--out").arg(&out);
+        command.args(["--preset", "preview", "--cache", "none"]);
+        for set in [
+            "size=256",
+            "steps=200",
+            "cap=4000",
+            "pose_source=given",
+            "held_out=none",
+        ] {
+            command.args(["--set", set]);
+        }
+        command.args(["--set", "rounds=2", "--set", late_views]);
+        let output = succeed(&mut command);
+        String::from_utf8_lossy(&output.stderr).into_owned()
+    };
+    let log = run("late_views=true");
+    let poses = json(&out.join("poses.json"));
+    assert_eq!(poses["registered"], 12, "{log}");
+    for name in [LOST, MOVED] {
+        assert_eq!(verdict(&poses, name)["status"], "late", "{name}: {log}");
+        let (_, truth) = made
+            .cameras
+            .iter()
+            .find(|(view, _)| view == name)
+            .expect("made");
+        let away = centre(&out.join("cameras.json"), name).distance(truth.centre());
+        let centres: Vec<DVec3> = made.cameras.iter().map(|(_, c)| c.centre()).collect();
+        let extent = centres
+            .iter()
+            .flat_map(|a| centres.iter().map(move |b| a.distance(*b)))
+            .fold(0.0, f64::max);
+        assert!(
+            away < 0.03 * extent,
+            "{name} is {away} of {extent} away: {log}"
+        );
+    }
+    assert_eq!(verdict(&poses, "001")["status"], "registered");
+    let metrics = json(&out.join("metrics.json"));
+    let views = |round: usize| {
+        metrics["rounds"][round]["views"]
+            .as_array()
+            .expect("rows")
+            .clone()
+    };
+    let registered = |round: usize| {
+        views(round)
+            .iter()
+            .filter(|v| v["registered"] == true)
+            .count()
+    };
+    assert_eq!((registered(0), registered(1)), (11, 12));
+    // What was found is not looked for again.
+    let again = run("late_views=true");
+    assert!(again.contains("its result stands"), "{again}");
+    // Switched off, nothing joins and nothing leaves, and the first round serves.
+    let off = run("late_views=false");
+    assert!(off.contains("round 1 reconstruct already done"), "{off}");
+    assert_eq!(json(&out.join("poses.json"))["registered"], 11);
+}
