@@ -52,6 +52,19 @@ impl App {
         }
     }
 
+    /// Whether less space is left than the server needs to go on. A file system that does not say
+    /// is taken to have enough.
+    pub fn is_disk_full(&self) -> bool {
+        self.has_no_space_for(0)
+    }
+
+    /// Whether so many bytes more would leave less space than the server needs to go on.
+    pub fn has_no_space_for(&self, bytes: u64) -> bool {
+        self.data
+            .free_bytes()
+            .is_ok_and(|free| free < self.limits.min_free_bytes.saturating_add(bytes))
+    }
+
     /// Tells every open event stream to look into the database.
     pub fn changed(&self) {
         self.versions.send_modify(|version| *version += 1);

@@ -6,6 +6,8 @@ use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::time::Duration;
 
+use fled_core::pipeline::error::ErrorKind;
+
 /// What `fled serve` is told.
 #[derive(Clone, Debug)]
 pub struct ServeConfig {
@@ -71,9 +73,12 @@ pub struct Limits {
     pub progress_interval: Duration,
     /// Wait before the first retry; each further one is four times as long.
     pub retry_base: Duration,
+    /// The same after a fault of the disk or the database: those last longer.
+    pub io_retry_base: Duration,
     /// Attempts in a row without progress before a job fails.
     pub attempts_without_progress: u32,
-    /// Uploads are refused when they would leave less free space than this, bytes.
+    /// Uploads and jobs are refused, and no job begins, when less free space than this is left,
+    /// bytes.
     pub min_free_bytes: u64,
     /// Largest upload, bytes.
     pub max_upload_bytes: u64,
@@ -83,6 +88,18 @@ pub struct Limits {
     pub render: Duration,
     /// Renders kept for a job.
     pub kept_renders: usize,
+}
+
+impl Limits {
+    /// Milliseconds until the next attempt after so many failures in a row without progress.
+    pub fn retry_wait_ms(&self, kind: ErrorKind, failures: u32) -> i64 {
+        let base = match kind {
+            ErrorKind::Io => self.io_retry_base,
+            _ => self.retry_base,
+        };
+        let base = i64::try_from(base.as_millis()).unwrap_or(i64::MAX);
+        base.saturating_mul(4_i64.saturating_pow(failures.saturating_sub(1)))
+    }
 }
 
 impl Default for Limits {
@@ -95,6 +112,7 @@ impl Default for Limits {
             grace: Duration::from_millis(1000),
             progress_interval: Duration::from_secs(1),
             retry_base: Duration::from_secs(2),
+            io_retry_base: Duration::from_secs(60),
             attempts_without_progress: 3,
             min_free_bytes: 1 << 30,
             max_upload_bytes: 8 << 30,
@@ -102,5 +120,21 @@ impl Default for Limits {
             render: Duration::from_secs(90),
             kept_renders: 400,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_fault_of_the_disk_is_given_minutes() {
+        let limits = Limits::default();
+        let all = limits.attempts_without_progress;
+        let waited: i64 = (1..all)
+            .map(|failures| limits.retry_wait_ms(ErrorKind::Io, failures))
+            .sum();
+        assert!(waited >= 5 * 60_000, "given up after {waited} ms");
+        assert_eq!(limits.retry_wait_ms(ErrorKind::Internal, 2), 8_000);
     }
 }

@@ -103,6 +103,18 @@ pub fn examine(dir: &Path) -> Result<CaptureReport, Box<Refusal>> {
     })
 }
 
+/// Bytes that looking at what lies in `dir` takes for a while: those of an unpacked zip.
+///
+/// # Errors
+/// [`Refusal`] when the zip is one that is not unpacked.
+pub fn unpacked_bytes(dir: &Path) -> Result<u64, Box<Refusal>> {
+    let archive = dir.join(ARCHIVE);
+    if !archive.is_file() {
+        return Ok(0);
+    }
+    capture::unpacked_bytes(&archive).map_err(|error| refuse(dir, error))
+}
+
 /// What the pipeline is given of a stored capture: its zip, or its folder.
 pub fn source(dir: PathBuf) -> PathBuf {
     let archive = dir.join(ARCHIVE);

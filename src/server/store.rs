@@ -15,10 +15,9 @@ mod tests;
 use std::path::Path;
 use std::time::Duration;
 
-use sqlx::SqlitePool;
 use sqlx::migrate::{Migration, MigrationType, Migrator};
 use sqlx::sqlite::{SqliteConnectOptions, SqliteJournalMode, SqlitePoolOptions, SqliteSynchronous};
-use sqlx::{SqlSafeStr, SqlStr};
+use sqlx::{Connection, SqlSafeStr, SqlStr, SqliteConnection, SqlitePool};
 
 use crate::error::Result;
 
@@ -59,6 +58,9 @@ const MIGRATIONS: [(i64, &str, &str); 6] = [
     ),
 ];
 
+/// Connections to the database at most.
+const CONNECTIONS: u32 = 6;
+
 /// How long a writer waits for another before it gives up.
 const BUSY_TIMEOUT: Duration = Duration::from_secs(10);
 
@@ -84,7 +86,8 @@ impl Store {
             .foreign_keys(true)
             .busy_timeout(BUSY_TIMEOUT);
         let pool = SqlitePoolOptions::new()
-            .max_connections(6)
+            .max_connections(CONNECTIONS)
+            .after_release(|connection, _| Box::pin(has_no_transaction(connection)))
             .connect_with(options)
             .await?;
         Migrator::with_migrations(MIGRATIONS.into_iter().map(migration).collect())
@@ -111,6 +114,15 @@ impl Store {
     pub async fn close(&self) {
         self.pool.close().await;
     }
+}
+
+/// Whether a connection may serve again. On a full disk SQLite rolls a transaction back by itself;
+/// sqlx, which counts transactions, then fails to roll it back and counts it for ever. Such a
+/// connection would begin none any more.
+async fn has_no_transaction(connection: &mut SqliteConnection) -> sqlx::Result<bool> {
+    // A dropped transaction is rolled back by the connection's thread: after the answer it is.
+    connection.ping().await?;
+    Ok(!connection.is_in_transaction())
 }
 
 fn migration((version, name, sql): (i64, &'static str, &'static str)) -> Migration {

@@ -27,6 +27,13 @@ const MAX_RATIO: u64 = 100;
 /// Files up to this size may shrink by any factor: 1 MiB of zeros harms nobody.
 const RATIO_FREE_BYTES: u64 = 1 << 20;
 
+/// Most that all files together may shrink: many small ones are a bomb, too. Above what the
+/// darkest uncompressed TIFFs come to.
+const MAX_TOTAL_RATIO: u64 = 25;
+
+/// Archives up to this size, unpacked, may shrink by any factor.
+const TOTAL_RATIO_FREE_BYTES: u64 = 64 << 20;
+
 /// Files other than photographs that are unpacked, with the ends of their paths.
 const POSE_FILES: [&str; 8] = [
     "cameras.txt",
@@ -49,10 +56,7 @@ pub(super) fn is_zip(path: &Path) -> io::Result<bool> {
 /// Unpacks what plays a role into `target`, which is made anew, and gives its files by their
 /// names in the archive. On failure `target` is removed.
 pub(super) fn unpack(path: &Path, target: &Path) -> Result<Vec<Entry>, CaptureError> {
-    let mut file = File::open(path).map_err(CaptureError::io(path))?;
-    refuse_absurd_counts(&mut file)?;
-    let mut archive = ZipArchive::new(file).map_err(|error| ArchiveFault::whole(told(&error)))?;
-    let wanted = check(&mut archive)?;
+    let (mut archive, wanted) = open(path)?;
     match fs::remove_dir_all(target) {
         Err(error) if error.kind() != io::ErrorKind::NotFound => {
             return Err(CaptureError::io(target)(error));
@@ -65,6 +69,28 @@ pub(super) fn unpack(path: &Path, target: &Path) -> Result<Vec<Entry>, CaptureEr
         let _ = fs::remove_dir_all(target);
     }
     outcome
+}
+
+/// Bytes that the files of a zip take once unpacked; 0 where `path` is no zip.
+///
+/// # Errors
+/// [`CaptureError::Archive`] for a zip that is not unpacked, and faults of the file system.
+pub fn unpacked_bytes(path: &Path) -> Result<u64, CaptureError> {
+    if !is_zip(path).map_err(CaptureError::io(path))? {
+        return Ok(0);
+    }
+    let (_, wanted) = open(path)?;
+    Ok(wanted.iter().map(|item| item.size).sum())
+}
+
+/// Opens a zip and holds its directory against the rules.
+fn open(path: &Path) -> Result<(ZipArchive<File>, Vec<Wanted>), CaptureError> {
+    let mut file = File::open(path).map_err(CaptureError::io(path))?;
+    let length = file.metadata().map_err(CaptureError::io(path))?.len();
+    refuse_absurd_counts(&mut file)?;
+    let mut archive = ZipArchive::new(file).map_err(|error| ArchiveFault::whole(told(&error)))?;
+    let wanted = check(&mut archive, length)?;
+    Ok((archive, wanted))
 }
 
 /// Reads the number of entries from the archive's end before the directory is read into memory.
@@ -99,7 +125,7 @@ struct Wanted {
 }
 
 /// Holds every entry against the rules and gives those that play a role.
-fn check(archive: &mut ZipArchive<File>) -> Result<Vec<Wanted>, ArchiveFault> {
+fn check(archive: &mut ZipArchive<File>, length: u64) -> Result<Vec<Wanted>, ArchiveFault> {
     let whole = |error: ZipError| ArchiveFault::whole(told(&error));
     if archive.len() > MAX_FILES {
         return Err(ArchiveFault::whole(format!(
@@ -133,6 +159,11 @@ fn check(archive: &mut ZipArchive<File>) -> Result<Vec<Wanted>, ArchiveFault> {
                 size: entry.size(),
             });
         }
+    }
+    if total > TOTAL_RATIO_FREE_BYTES && total / MAX_TOTAL_RATIO > length {
+        return Err(ArchiveFault::whole(
+            "all files together shrunk more than photographs can",
+        ));
     }
     Ok(wanted)
 }

@@ -56,7 +56,8 @@ fn serve(data: &Path, address_file: &Path) -> Result<(), Box<dyn std::error::Err
             progress_interval: Duration::from_millis(100),
             retry_base: Duration::from_millis(50),
             render: Duration::from_secs(3),
-            min_free_bytes: 1 << 20,
+            io_retry_base: Duration::from_millis(50),
+            min_free_bytes: number("FLED_FAKE_MIN_FREE", 1 << 20)?,
             max_upload_bytes: 1 << 30,
             ..Limits::default()
         },
@@ -68,6 +69,11 @@ fn serve(data: &Path, address_file: &Path) -> Result<(), Box<dyn std::error::Err
         server.stop().await;
         Ok(())
     })
+}
+
+/// A limit that a test sets through the environment.
+fn number(name: &str, default: u64) -> Result<u64, std::num::ParseIntError> {
+    std::env::var(name).map_or(Ok(default), |text| text.parse())
 }
 
 /// Draws the camera's azimuth as a shade. A scene that holds the word `crash` ends the process.

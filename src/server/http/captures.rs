@@ -55,7 +55,7 @@ pub async fn create(
         .hint("Send multipart/form-data with parts named `images`.")
     })?;
     let upload = upload::receive(&app, body).await?;
-    let report = upload.examine().await?;
+    let report = upload.examine(&app).await?;
     if query.dry_run.is_some_and(|value| value != "false") {
         let name = upload.fields.get("name").cloned().unwrap_or_default();
         return Ok(axum::Json(Capture {

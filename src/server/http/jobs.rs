@@ -115,6 +115,8 @@ pub async fn create(
 }
 
 async fn from_json(app: &App, body: &CreateJob, key: Option<&str>) -> Result<Creation, Problem> {
+    // Accepted is accepted: a job that the disk cannot hold is refused now.
+    upload::check_space(app)?;
     let capture = app.store.capture(&body.capture_id).await?;
     let capture = capture.ok_or_else(|| Problem::not_found("capture").pointer("/capture_id"))?;
     let options = Value::Object(body.options.clone()).to_string();
@@ -163,7 +165,7 @@ async fn from_upload(
     let fingerprint = upload.fingerprint.clone();
     // Options are checked before the photographs: a typo is told at once.
     let order = Order::new(app, preset.as_deref(), &options).await?;
-    let report = upload.examine().await?;
+    let report = upload.examine(app).await?;
     let capture = upload.keep(app, &report).await?;
     let job = order.job(&capture.id, &capture.name)?;
     let creation = app.store.create_job(&job, key, &fingerprint).await?;

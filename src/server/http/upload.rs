@@ -87,7 +87,7 @@ impl Upload {
     ///
     /// # Errors
     /// 422 with the assessments when too few photographs can be used.
-    pub async fn examine(&self) -> Result<CaptureReport, Problem> {
+    pub async fn examine(&self, app: &App) -> Result<CaptureReport, Problem> {
         if self.files == 0 {
             return Err(
                 Problem::unprocessable("bad_input", "The upload holds no file.")
@@ -95,6 +95,14 @@ impl Upload {
             );
         }
         let dir = self.dir.clone();
+        let source = dir.clone();
+        let unpacked = tokio::task::spawn_blocking(move || intake::unpacked_bytes(&source))
+            .await
+            .map_err(|_| Problem::internal())?
+            .map_err(|refusal| refused(*refusal))?;
+        if app.has_no_space_for(unpacked) {
+            return Err(disk_full());
+        }
         let outcome = tokio::task::spawn_blocking(move || intake::examine(&dir)).await;
         match outcome.map_err(|_| Problem::internal())? {
             Ok(report) => Ok(report),
@@ -171,11 +179,13 @@ fn sync_tree(dir: &Path) -> std::io::Result<()> {
     sync_directory(dir)
 }
 
-fn check_space(app: &App) -> Result<(), Problem> {
-    match app.data.free_bytes() {
-        Ok(free) if free < app.limits.min_free_bytes => Err(disk_full()),
-        _ => Ok(()),
+/// # Errors
+/// 507 when less space is left than the server needs to go on.
+pub fn check_space(app: &App) -> Result<(), Problem> {
+    if app.is_disk_full() {
+        return Err(disk_full());
     }
+    Ok(())
 }
 
 fn broken(error: &MultipartError) -> Problem {

@@ -269,8 +269,7 @@ impl Attempt<'_> {
     async fn failure(&self, kind: ErrorKind, detail: String, hint: String) -> Result<Settlement> {
         let failures = self.app.store.count_failure(&self.lease).await?;
         let retry = kind.retryable() && failures < self.app.limits.attempts_without_progress;
-        let base = i64::try_from(self.app.limits.retry_base.as_millis()).unwrap_or(i64::MAX);
-        let wait = base.saturating_mul(4_i64.saturating_pow(failures.saturating_sub(1)));
+        let wait = self.app.limits.retry_wait_ms(kind, failures);
         let error = JobError {
             code: kind.name().to_owned(),
             detail,

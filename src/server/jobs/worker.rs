@@ -3,6 +3,8 @@
 use std::sync::Arc;
 use std::time::Duration;
 
+use fled_core::pipeline::error::ErrorKind;
+
 use super::attempt;
 use crate::app::App;
 use crate::error::{Result, ServerError};
@@ -17,7 +19,17 @@ const RECOVERY: Duration = Duration::from_secs(2);
 /// logged and tried again.
 pub async fn work(app: Arc<App>, index: usize) {
     let owner = format!("{}-{index}", std::process::id());
+    let mut was_full = false;
     while !app.shutdown.is_cancelled() {
+        if app.is_disk_full() {
+            if !was_full {
+                tracing::warn!("the disk is full: waiting jobs begin when there is space again");
+            }
+            was_full = true;
+            pause(&app, RECOVERY).await;
+            continue;
+        }
+        was_full = false;
         let lease_ms = i64::try_from(app.limits.lease.as_millis()).unwrap_or(i64::MAX);
         match app.store.claim(&owner, lease_ms).await {
             Ok(Some(claim)) => {
@@ -58,7 +70,10 @@ async fn run(app: &App, claim: &Claim) -> Result<()> {
     let settlement = match outcome {
         Ok(settlement) => settlement,
         Err(ServerError::LeaseLost(job)) => return Err(ServerError::LeaseLost(job)),
-        Err(error) => io_failure(app, claim, &error).await?,
+        Err(error) => {
+            tracing::error!(%error, job = id, "the server failed an attempt");
+            io_failure(app, claim, &error).await?
+        }
     };
     // A cancel that came while the process was ending by itself is honoured all the same.
     let cancelled = app
@@ -76,14 +91,23 @@ async fn run(app: &App, claim: &Claim) -> Result<()> {
     Ok(())
 }
 
+/// A fault in words without paths: where the server keeps its files is in its log only.
+fn told(error: &ServerError) -> String {
+    match error {
+        ServerError::Io { source, .. } => format!("a file of the job: {source}"),
+        ServerError::Database(_) => "the server's database refused".to_owned(),
+        other => other.to_string(),
+    }
+}
+
 /// The settlement of an attempt that the disk or the database ended.
 async fn io_failure(app: &App, claim: &Claim, error: &ServerError) -> Result<Settlement> {
     let failures = app.store.count_failure(&claim.lease).await?;
     let retry = failures < app.limits.attempts_without_progress;
-    let wait = i64::try_from(app.limits.retry_base.as_millis()).unwrap_or(i64::MAX);
+    let wait = app.limits.retry_wait_ms(ErrorKind::Io, failures);
     let error = JobError {
-        code: "io".to_owned(),
-        detail: error.to_string(),
+        code: ErrorKind::Io.name().to_owned(),
+        detail: told(error),
         hint: "Check the free space and the permissions of the data directory.".to_owned(),
     };
     Ok(Settlement::Failed {

@@ -278,3 +278,52 @@ proptest! {
         });
     }
 }
+
+/// Lets every connection of the pool grow the database to `pages` at most.
+async fn allow_pages(store: &Store, pages: u32) {
+    let mut all = Vec::new();
+    for _ in 0..CONNECTIONS {
+        let mut connection = store.pool.acquire().await.expect("a connection");
+        let limit = format!("PRAGMA max_page_count = {pages}");
+        sqlx::query(sqlx::AssertSqlSafe(limit))
+            .execute(&mut *connection)
+            .await
+            .expect("a limit");
+        all.push(connection);
+    }
+}
+
+#[tokio::test]
+async fn a_disk_that_was_full_disables_no_connection() {
+    let (_dir, store) = store().await;
+    create(&store, "waits").await;
+    // SQLite gives up at this page as it does on a full disk: it rolls back by itself.
+    allow_pages(&store, 1).await;
+    let large = NewJob {
+        options: json!({ "deblur": "x".repeat(1 << 20) }),
+        ..new_job("large")
+    };
+    let refused = store.create_job(&large, None, "").await;
+    assert!(refused.is_err(), "1 MiB into no free page");
+    // By every connection; one that was replaced has no limit, and a job's id is used once.
+    for _ in 0..CONNECTIONS {
+        drop(store.create_job(&large, None, "").await);
+    }
+    allow_pages(&store, 1 << 20).await;
+    for _ in 0..CONNECTIONS + 2 {
+        store.check().await.expect("the database can be written");
+    }
+    create(&store, "after").await;
+    let claim = store.claim("one", 60_000).await.expect("claim");
+    let claim = claim.expect("the job that waits");
+    let step = Progress {
+        progress: Some(0.5),
+        ..Default::default()
+    };
+    store.advance(&claim.lease, &step).await.expect("advance");
+    // Seen by other connections: it was no savepoint in a transaction that never ends.
+    for _ in 0..CONNECTIONS {
+        let told = store.job("waits").await.expect("read").expect("job");
+        assert_eq!(told.progress, 0.5);
+    }
+}

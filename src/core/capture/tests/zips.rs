@@ -104,6 +104,19 @@ fn hostile_zips_are_refused_by_name_and_leave_nothing_behind() {
 }
 
 #[test]
+fn many_small_files_that_shrink_too_much_together_are_a_bomb_too() {
+    let zeros = vec![0; 1 << 20];
+    let bytes = zipped(&|writer| {
+        (0..3).for_each(|i| add(writer, &format!("{i}.jpg"), &jpeg(i)));
+        (0..80).for_each(|i| add(writer, &format!("zeros-{i}.jpg"), &zeros));
+    });
+    let (outcome, left) = open_zip(&bytes);
+    let error = outcome.expect_err("80 MiB in some 80 kB");
+    assert!(error.to_string().contains("together"), "{error}");
+    assert_eq!(left, [PathBuf::from("capture.zip")]);
+}
+
+#[test]
 fn encrypted_and_corrupt_entries_are_refused_and_removed() {
     let mut bytes =
         zipped(&|writer| (0..3).for_each(|i| add(writer, &format!("{i}.jpg"), &jpeg(i))));

@@ -38,8 +38,13 @@ impl Drop for Server {
 
 impl Server {
     pub fn start() -> Self {
+        Self::start_with(&[])
+    }
+
+    /// With limits that `fled-fake` reads from its environment.
+    pub fn start_with(limits: &[(&str, &str)]) -> Self {
         let data = tempfile::tempdir().expect("temporary directory");
-        let (child, base) = spawn(data.path());
+        let (child, base) = spawn(data.path(), limits);
         Self {
             data,
             child,
@@ -55,8 +60,12 @@ impl Server {
     }
 
     pub fn restart(&mut self) {
+        self.restart_with(&[]);
+    }
+
+    pub fn restart_with(&mut self, limits: &[(&str, &str)]) {
         self.kill();
-        let (child, base) = spawn(self.data.path());
+        let (child, base) = spawn(self.data.path(), limits);
         (self.child, self.client) = (child, Client::new(base, PATIENCE));
     }
 
@@ -78,7 +87,7 @@ impl Server {
     }
 }
 
-fn spawn(data: &Path) -> (Child, String) {
+fn spawn(data: &Path, limits: &[(&str, &str)]) -> (Child, String) {
     let file = data.join("address");
     let _ = std::fs::remove_file(&file);
     let program = PathBuf::from(env!("CARGO_BIN_EXE_fled-fake"));
@@ -87,7 +96,8 @@ fn spawn(data: &Path) -> (Child, String) {
         .arg("serve")
         .arg(data.join("data"))
         .arg(&file)
-        .env("FLED_MODELS", data.join("models"));
+        .env("FLED_MODELS", data.join("models"))
+        .envs(limits.iter().copied());
     let child = command.spawn().expect("start");
     let start = Instant::now();
     loop {
@@ -123,10 +133,18 @@ pub fn photograph(seed: usize) -> Vec<u8> {
 
 /// A zip without compression.
 pub fn zip(files: &[(&str, Vec<u8>)]) -> Vec<u8> {
+    packed(files, zip::CompressionMethod::Stored)
+}
+
+/// A zip that shrinks what can be shrunk.
+pub fn deflated(files: &[(&str, Vec<u8>)]) -> Vec<u8> {
+    packed(files, zip::CompressionMethod::Deflated)
+}
+
+fn packed(files: &[(&str, Vec<u8>)], method: zip::CompressionMethod) -> Vec<u8> {
     let mut writer = zip::ZipWriter::new(std::io::Cursor::new(Vec::new()));
     for (name, content) in files {
-        let options = zip::write::SimpleFileOptions::default()
-            .compression_method(zip::CompressionMethod::Stored);
+        let options = zip::write::SimpleFileOptions::default().compression_method(method);
         writer.start_file(*name, options).expect("entry");
         std::io::Write::write_all(&mut writer, content).expect("content");
     }
