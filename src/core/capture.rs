@@ -7,6 +7,7 @@
 
 mod archive;
 mod assess;
+mod budget;
 mod entries;
 mod error;
 mod layout;
@@ -16,6 +17,7 @@ use std::path::Path;
 
 pub use archive::{MAX_ARCHIVE_BYTES, unpacked_bytes};
 pub use assess::FEW_VIEWS;
+pub use budget::DecodeBudget;
 pub use error::{ArchiveFault, CaptureError, MAX_FILES, MIN_VIEWS};
 pub use layout::GivenPosesFile;
 pub use photograph::{Assessment, CaptureView, CaptureWarning};
@@ -44,6 +46,18 @@ impl Capture {
     /// # Errors
     /// [`CaptureError`]; [`CaptureError::TooFew`] carries the assessments.
     pub fn open(path: &Path, scratch_dir: &Path) -> Result<Self, CaptureError> {
+        Self::open_within(path, scratch_dir, &DecodeBudget::default())
+    }
+
+    /// As [`Capture::open`], within a budget that others decode from as well.
+    ///
+    /// # Errors
+    /// As [`Capture::open`].
+    pub fn open_within(
+        path: &Path,
+        scratch_dir: &Path,
+        budget: &DecodeBudget,
+    ) -> Result<Self, CaptureError> {
         let metadata = path.metadata().map_err(CaptureError::io(path))?;
         let entries = if metadata.is_dir() {
             entries::of_folder(path)?
@@ -56,7 +70,7 @@ impl Capture {
         };
         let layout = layout::Layout::of(entries);
         let fingerprint = layout.fingerprint()?;
-        let assessed = assess::assess(&layout);
+        let assessed = assess::assess(&layout, budget);
         if assessed.views.len() < MIN_VIEWS {
             return Err(CaptureError::TooFew {
                 accepted: assessed.views.len(),

@@ -3,6 +3,7 @@
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
+use fled_core::capture::DecodeBudget;
 use tokio::sync::{Notify, watch};
 use tokio_util::sync::CancellationToken;
 
@@ -22,6 +23,8 @@ pub struct App {
     pub data: DataDir,
     /// The database.
     pub store: Store,
+    /// What all uploads together may take while they are looked at.
+    pub decoding: Arc<DecodeBudget>,
     /// The render process.
     pub renderers: Renderers,
     /// The last judgement of the machine.
@@ -40,6 +43,7 @@ impl App {
         let limits = config.limits;
         Self {
             renderers: Renderers::new(config.render_command.clone(), limits.render, limits.grace),
+            decoding: Arc::new(DecodeBudget::new(limits.max_decoding_bytes)),
             config,
             limits,
             data,

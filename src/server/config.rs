@@ -82,6 +82,8 @@ pub struct Limits {
     pub min_free_bytes: u64,
     /// Largest upload, bytes.
     pub max_upload_bytes: u64,
+    /// Photographs of all uploads that are decoded at a time, bytes.
+    pub max_decoding_bytes: u64,
     /// Largest log of a job, bytes.
     pub max_log_bytes: u64,
     /// Longest wait for one render.
@@ -116,6 +118,7 @@ impl Default for Limits {
             attempts_without_progress: 3,
             min_free_bytes: 1 << 30,
             max_upload_bytes: 8 << 30,
+            max_decoding_bytes: 1 << 30,
             max_log_bytes: 32 << 20,
             render: Duration::from_secs(90),
             kept_renders: 400,

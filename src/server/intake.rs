@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use fled_core::capture::{self, Capture, CaptureError, CaptureWarning};
+use fled_core::capture::{self, Capture, CaptureError, CaptureWarning, DecodeBudget};
 
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
@@ -72,14 +72,14 @@ pub struct Refusal {
 ///
 /// # Errors
 /// [`Refusal`] when it is no usable capture.
-pub fn examine(dir: &Path) -> Result<CaptureReport, Box<Refusal>> {
+pub fn examine(dir: &Path, budget: &DecodeBudget) -> Result<CaptureReport, Box<Refusal>> {
     let archive = dir.join(ARCHIVE);
     let opened = if archive.is_file() {
         if dir.read_dir().is_ok_and(|entries| entries.count() > 1) {
             return Err(mixed());
         }
         let scratch = dir.join(".examined");
-        let opened = Capture::open(&archive, &scratch);
+        let opened = Capture::open_within(&archive, &scratch, budget);
         match fs::remove_dir_all(&scratch) {
             Err(source) if source.kind() != std::io::ErrorKind::NotFound => {
                 return Err(refuse(
@@ -93,7 +93,7 @@ pub fn examine(dir: &Path) -> Result<CaptureReport, Box<Refusal>> {
             _ => opened,
         }
     } else {
-        Capture::open(dir, dir)
+        Capture::open_within(dir, dir, budget)
     };
     let capture = opened.map_err(|error| refuse(dir, error))?;
     Ok(CaptureReport {

@@ -6,6 +6,7 @@ use rayon::prelude::*;
 
 use crate::image::{Header, Image, ImageError, Srgb, read_header, srgb_to_linear};
 
+use super::budget::DecodeBudget;
 use super::entries::Entry;
 use super::layout::Layout;
 use super::photograph::{Assessment, CaptureView, CaptureWarning};
@@ -16,7 +17,8 @@ pub const FEW_VIEWS: usize = 12;
 /// Long side at which photographs are assessed, px: decoding dominates, so small is enough.
 const ASSESSED_SIDE: usize = 320;
 
-/// Photographs decoded at a time: each holds its full size in 8 or 16 bit, so this bounds memory.
+/// Photographs decoded at a time. Each holds its full size in 8 or 16 bit; the budget bounds what
+/// that comes to.
 const DECODED_AT_ONCE: usize = 2;
 
 /// Smallest side of a photograph: below it COLMAP finds hardly a feature.
@@ -49,15 +51,15 @@ struct Seen {
 }
 
 /// Assesses every photograph, then the capture.
-pub(super) fn assess(layout: &Layout) -> Assessed {
-    let seen = look_at_all(&layout.photographs);
+pub(super) fn assess(layout: &Layout, budget: &DecodeBudget) -> Assessed {
+    let seen = look_at_all(&layout.photographs, budget);
     let typical = median(seen.iter().flatten().map(|seen| seen.sharpness).collect());
     let mut assessed = Assessed {
         views: Vec::new(),
         assessments: Vec::new(),
         warnings: Vec::new(),
     };
-    let (mut pictures, mut names) = (HashMap::new(), HashSet::new());
+    let (mut pictures, mut names) = (HashMap::new(), Names::default());
     for (entry, seen) in layout.photographs.iter().zip(seen) {
         let seen = seen.and_then(|seen| match pictures.insert(seen.picture, entry.name()) {
             Some(first) => Err(Fault::of(format!("the same picture as {first}"))),
@@ -66,19 +68,20 @@ pub(super) fn assess(layout: &Layout) -> Assessed {
         match seen {
             Ok(seen) => {
                 let warnings = seen.warnings(typical);
-                let name = own_name(entry.stem(), &mut names);
+                let name = names.own(entry.stem());
                 assessed.accept(entry, &seen.header, name, warnings);
             }
             Err(fault) => assessed.assessments.push(fault.assessment(entry)),
         }
     }
-    assessed.attach_ground_truth(&layout.ground_truth);
+    assessed.attach_ground_truth(&layout.ground_truth, budget);
     assessed.warn_of_the_whole();
     assessed
 }
 
-fn look_at_all(photographs: &[Entry]) -> Vec<Result<Seen, Fault>> {
-    on_few_threads(|| photographs.par_iter().map(look_at).collect())
+fn look_at_all(photographs: &[Entry], budget: &DecodeBudget) -> Vec<Result<Seen, Fault>> {
+    let look = |entry| look_at(entry, budget);
+    on_few_threads(|| photographs.par_iter().map(look).collect())
 }
 
 /// Runs parallel work on so few threads that decoded photographs stay within bounds.
@@ -137,7 +140,7 @@ impl From<ImageError> for Fault {
     }
 }
 
-fn look_at(entry: &Entry) -> Result<Seen, Fault> {
+fn look_at(entry: &Entry, budget: &DecodeBudget) -> Result<Seen, Fault> {
     let header = read_header(&entry.file)?;
     let reject = |reason: String| {
         Err(Fault {
@@ -151,6 +154,7 @@ fn look_at(entry: &Entry) -> Result<Seen, Fault> {
             header.width, header.height
         ));
     }
+    let share = budget.take(header.decoded_bytes);
     let small = match Image::load_at_most(&entry.file, ASSESSED_SIDE) {
         Ok(small) => small,
         Err(error) => {
@@ -160,6 +164,7 @@ fn look_at(entry: &Entry) -> Result<Seen, Fault> {
             });
         }
     };
+    drop(share);
     let bytes: Vec<u8> = small.data().iter().flat_map(|v| v.to_le_bytes()).collect();
     let v = small.pixels();
     let mean_v = (0..v).map(|i| largest(&small, i)).sum::<f32>() / v as f32;
@@ -248,6 +253,7 @@ impl Assessed {
             width,
             height,
             focal_px,
+            ..
         } = header;
         self.assessments.push(Assessment {
             name: entry.name().to_owned(),
@@ -271,7 +277,11 @@ impl Assessed {
     }
 
     /// Gives each view the ground truth of its stem, where that has the view's shape.
-    fn attach_ground_truth(&mut self, ground_truth: &BTreeMap<String, Entry>) {
+    fn attach_ground_truth(
+        &mut self,
+        ground_truth: &BTreeMap<String, Entry>,
+        budget: &DecodeBudget,
+    ) {
         if ground_truth.is_empty() {
             return;
         }
@@ -280,7 +290,7 @@ impl Assessed {
             let stem = name.rsplit_once('.').map_or(name, |(stem, _)| stem);
             ground_truth
                 .get(&stem.to_lowercase())
-                .map(|entry| (entry, is_truth_of(view, entry)))
+                .map(|entry| (entry, is_truth_of(view, entry, budget)))
         };
         let found: Vec<_> = on_few_threads(|| self.views.par_iter().map(find).collect());
         let (mut missing, mut unusable) = (Vec::new(), Vec::new());
@@ -338,38 +348,54 @@ impl Assessed {
 
 /// Whether ground truth has a view's proportions, within 1 %, and is whole: a broken one must
 /// show now, not when the scene is measured.
-fn is_truth_of(view: &CaptureView, entry: &Entry) -> bool {
-    let fits = read_header(&entry.file).is_ok_and(|header| {
-        let ratio = (header.width * view.height) as f64 / (header.height * view.width) as f64;
-        (ratio - 1.0).abs() < 0.01
-    });
-    fits && Image::load_at_most(&entry.file, ASSESSED_SIDE).is_ok()
+fn is_truth_of(view: &CaptureView, entry: &Entry, budget: &DecodeBudget) -> bool {
+    let Ok(header) = read_header(&entry.file) else {
+        return false;
+    };
+    let ratio = (header.width * view.height) as f64 / (header.height * view.width) as f64;
+    let _share = budget.take(header.decoded_bytes);
+    (ratio - 1.0).abs() < 0.01 && Image::load_at_most(&entry.file, ASSESSED_SIDE).is_ok()
 }
 
-/// Our own name for a view: the stem with everything else than letters, digits, `-` and `_`
-/// replaced, never empty, never starting like an option, unique also where case is ignored.
-fn own_name(stem: &str, taken: &mut HashSet<String>) -> String {
-    let safe = |c: char| {
-        if c.is_ascii_alphanumeric() || matches!(c, '-' | '_') {
-            c
-        } else {
-            '_'
+/// The names given so far, in lower case.
+#[derive(Default)]
+struct Names {
+    taken: HashSet<String>,
+    /// The last number behind a name. It only grows, so that thousands of equal names cost no more
+    /// than different ones.
+    numbers: HashMap<String, u32>,
+}
+
+impl Names {
+    /// Our own name for a view: the stem with everything else than letters, digits, `-` and `_`
+    /// replaced, never empty, never starting like an option, unique also where case is ignored.
+    fn own(&mut self, stem: &str) -> String {
+        let safe = |c: char| {
+            if c.is_ascii_alphanumeric() || matches!(c, '-' | '_') {
+                c
+            } else {
+                '_'
+            }
+        };
+        let mut base: String = stem.chars().take(LONGEST_NAME).map(safe).collect();
+        if !base.starts_with(|c: char| c.is_ascii_alphanumeric()) {
+            base.insert(0, 'v');
+            base.truncate(LONGEST_NAME);
         }
-    };
-    let mut base: String = stem.chars().take(LONGEST_NAME).map(safe).collect();
-    if !base.starts_with(|c: char| c.is_ascii_alphanumeric()) {
-        base.insert(0, 'v');
-        base.truncate(LONGEST_NAME);
+        if self.taken.insert(base.to_ascii_lowercase()) {
+            return base;
+        }
+        let number = self.numbers.entry(base.to_ascii_lowercase()).or_insert(1);
+        loop {
+            *number += 1;
+            let suffix = format!("_{number}");
+            let kept = base.len().min(LONGEST_NAME - suffix.len());
+            let name = format!("{}{suffix}", &base[..kept]);
+            if self.taken.insert(name.to_ascii_lowercase()) {
+                return name;
+            }
+        }
     }
-    let mut name = base.clone();
-    let mut number = 1;
-    while !taken.insert(name.to_ascii_lowercase()) {
-        number += 1;
-        let suffix = format!("_{number}");
-        let kept = base.len().min(LONGEST_NAME - suffix.len());
-        name = format!("{}{suffix}", &base[..kept]);
-    }
-    name
 }
 
 #[cfg(test)]
@@ -379,8 +405,8 @@ mod tests {
 
     #[test]
     fn names_stay_recognisable_and_become_unique() {
-        let mut taken = HashSet::new();
-        let mut name = |stem: &str| own_name(stem, &mut taken);
+        let mut names = Names::default();
+        let mut name = |stem: &str| names.own(stem);
         assert_eq!(name("100_7100"), "100_7100");
         assert_eq!(name("Küche 1"), "K_che_1");
         assert_eq!(name("-rf"), "v-rf");
@@ -393,15 +419,15 @@ mod tests {
     proptest! {
         #[test]
         fn any_names_become_safe_and_different(stems in prop::collection::vec(".{0,60}", 1..20)) {
-            let mut taken = HashSet::new();
+            let mut names = Names::default();
             for stem in &stems {
-                let name = own_name(stem, &mut taken);
+                let name = names.own(stem);
                 prop_assert!((1..=LONGEST_NAME).contains(&name.len()));
                 prop_assert!(name.starts_with(|c: char| c.is_ascii_alphanumeric()));
                 let safe = |c: char| c.is_ascii_alphanumeric() || c == '-' || c == '_';
                 prop_assert!(name.chars().all(safe));
             }
-            prop_assert_eq!(taken.len(), stems.len());
+            prop_assert_eq!(names.taken.len(), stems.len());
         }
     }
 }

@@ -106,6 +106,8 @@ pub struct Header {
     pub height: usize,
     /// Focal length in px of the picture as it is, from EXIF.
     pub focal_px: Option<f64>,
+    /// Bytes that the decoded samples take while they are read.
+    pub decoded_bytes: u64,
 }
 
 /// Reads a file's header and holds it against [`MAX_PIXELS`] and [`MAX_FILE_BYTES`].
@@ -225,6 +227,13 @@ impl Opened {
             return Err(ImageError::TooManyPixels { width, height });
         }
         let orientation = decoder.orientation().unwrap_or(Orientation::NoTransforms);
+        // A turned picture is a second one beside the first.
+        let copies = if orientation == Orientation::NoTransforms {
+            1
+        } else {
+            2
+        };
+        let decoded_bytes = decoder.total_bytes().saturating_mul(copies);
         let (width, height) = match orientation.to_exif() {
             5..=8 => (height as usize, width as usize),
             _ => (width as usize, height as usize),
@@ -240,6 +249,7 @@ impl Opened {
                 width,
                 height,
                 focal_px,
+                decoded_bytes,
             },
         })
     }
@@ -372,10 +382,10 @@ fn interleaved(picture: DynamicImage) -> Result<(usize, Values), ImageError> {
         D::ImageRgb8(buffer) => (3, Eight(buffer.into_raw())),
         D::ImageLuma16(buffer) => (1, Sixteen(buffer.into_raw())),
         D::ImageRgb16(buffer) => (3, Sixteen(buffer.into_raw())),
-        D::ImageLumaA8(buffer) => (1, Eight(over_black(&buffer, 2))),
-        D::ImageRgba8(buffer) => (3, Eight(over_black(&buffer, 4))),
-        D::ImageLumaA16(buffer) => (1, Sixteen(over_black(&buffer, 2))),
-        D::ImageRgba16(buffer) => (3, Sixteen(over_black(&buffer, 4))),
+        D::ImageLumaA8(buffer) => (1, Eight(over_black(buffer.into_raw(), 2))),
+        D::ImageRgba8(buffer) => (3, Eight(over_black(buffer.into_raw(), 4))),
+        D::ImageLumaA16(buffer) => (1, Sixteen(over_black(buffer.into_raw(), 2))),
+        D::ImageRgba16(buffer) => (3, Sixteen(over_black(buffer.into_raw(), 4))),
         other => {
             let message = format!("samples of type {:?}", other.color());
             return Err(ImageError::Unsupported { message });
@@ -383,22 +393,26 @@ fn interleaved(picture: DynamicImage) -> Result<(usize, Values), ImageError> {
     })
 }
 
-/// The colour of straight-alpha pixels over black, rounded to the samples' own steps.
-fn over_black<T: image::Primitive>(samples: &[T], stride: usize) -> Vec<T> {
+/// The colour of straight-alpha pixels over black, rounded to the samples' own steps; in place, as
+/// the samples of a large picture are not to be had twice.
+fn over_black<T: image::Primitive>(mut samples: Vec<T>, stride: usize) -> Vec<T> {
     let top = T::DEFAULT_MAX_VALUE.to_u64().expect("an integer sample");
     let composited = |value: T, alpha: u64| {
         let product = value.to_u64().expect("an integer sample") * alpha;
         T::from((product + top / 2) / top).expect("not above the sample it came from")
     };
+    let pixels = samples.len() / stride;
+    for pixel in 0..pixels {
+        let alpha = samples[pixel * stride + stride - 1];
+        let alpha = alpha.to_u64().expect("an integer sample");
+        for channel in 0..stride - 1 {
+            // Never ahead of what is read.
+            samples[pixel * (stride - 1) + channel] =
+                composited(samples[pixel * stride + channel], alpha);
+        }
+    }
+    samples.truncate(pixels * (stride - 1));
     samples
-        .chunks_exact(stride)
-        .flat_map(|pixel| {
-            let alpha = pixel[stride - 1].to_u64().expect("an integer sample");
-            pixel[..stride - 1]
-                .iter()
-                .map(move |&value| composited(value, alpha))
-        })
-        .collect()
 }
 
 /// A decoder's error in our words.

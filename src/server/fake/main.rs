@@ -59,6 +59,7 @@ fn serve(data: &Path, address_file: &Path) -> Result<(), Box<dyn std::error::Err
             io_retry_base: Duration::from_millis(50),
             min_free_bytes: number("FLED_FAKE_MIN_FREE", 1 << 20)?,
             max_upload_bytes: 1 << 30,
+            max_decoding_bytes: number("FLED_FAKE_DECODING", 1 << 30)?,
             ..Limits::default()
         },
     };

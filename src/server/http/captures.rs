@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use axum::extract::{Multipart, Path, State};
+use axum::extract::{Path, Request, State};
 use axum::http::{StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use serde::Deserialize;
@@ -44,17 +44,9 @@ pub struct ListQuery {
 pub async fn create(
     State(app): State<Arc<App>>,
     Query(query): Query<CreateQuery>,
-    body: Result<Multipart, axum::extract::multipart::MultipartRejection>,
+    request: Request,
 ) -> Result<Response, Problem> {
-    let body = body.map_err(|rejection| {
-        Problem::new(
-            rejection.status(),
-            "unsupported_media_type",
-            rejection.body_text(),
-        )
-        .hint("Send multipart/form-data with parts named `images`.")
-    })?;
-    let upload = upload::receive(&app, body).await?;
+    let upload = upload::receive(&app, request, &["name"]).await?;
     let report = upload.examine(&app).await?;
     if query.dry_run.is_some_and(|value| value != "false") {
         let name = upload.fields.get("name").cloned().unwrap_or_default();

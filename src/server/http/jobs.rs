@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
-use axum::extract::{DefaultBodyLimit, FromRequest, Multipart, Path, Request, State};
+use axum::extract::{DefaultBodyLimit, FromRequest, Path, Request, State};
 use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use fled_core::deblur::NetworkChoice;
@@ -72,12 +72,7 @@ pub async fn create(
     mut request: Request,
 ) -> Result<Response, Problem> {
     let key = idempotency_key(request.headers())?;
-    let is_multipart = request
-        .headers()
-        .get(header::CONTENT_TYPE)
-        .and_then(|value| value.to_str().ok())
-        .is_some_and(|value| value.starts_with("multipart/form-data"));
-    let creation = if is_multipart {
+    let creation = if upload::is_multipart(request.headers()) {
         from_upload(&app, request, key.as_deref()).await?
     } else {
         // Uploads stream and are counted elsewhere; JSON is read into memory.
@@ -117,6 +112,9 @@ pub async fn create(
 async fn from_json(app: &App, body: &CreateJob, key: Option<&str>) -> Result<Creation, Problem> {
     // Accepted is accepted: a job that the disk cannot hold is refused now.
     upload::check_space(app)?;
+    if let Some(name) = &body.name {
+        upload::check_name(name)?;
+    }
     let capture = app.store.capture(&body.capture_id).await?;
     let capture = capture.ok_or_else(|| Problem::not_found("capture").pointer("/capture_id"))?;
     let options = Value::Object(body.options.clone()).to_string();
@@ -139,12 +137,7 @@ async fn from_upload(
     request: Request,
     key: Option<&str>,
 ) -> Result<Creation, Problem> {
-    let body = Multipart::from_request(request, app)
-        .await
-        .map_err(|rejection| {
-            Problem::new(rejection.status(), "bad_request", rejection.body_text())
-        })?;
-    let upload = upload::receive(app, body).await?;
+    let upload = upload::receive(app, request, &["name", "preset", "options"]).await?;
     let options = match upload
         .fields
         .get("options")

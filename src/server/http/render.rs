@@ -14,7 +14,7 @@ use utoipa::{IntoParams, ToSchema};
 use uuid::Uuid;
 
 use super::artifacts::is_known;
-use super::extract::{Json, Query};
+use super::extract::{Json, Object, Query};
 use super::lookup::find;
 use super::problem::Problem;
 use crate::app::App;
@@ -54,7 +54,8 @@ pub struct RenderBody {
     /// Rigid, row-major, 4x4; OpenCV axes: x right, y down, z forward.
     world_to_camera: [[f64; 4]; 4],
     /// Pinhole, pixels.
-    intrinsics: Pinhole,
+    #[schema(value_type = Pinhole)]
+    intrinsics: Object<Pinhole>,
     /// Of which round; default: the delivered one, or the last that is finished.
     round: Option<u32>,
     /// `jpeg` (default), `png` or `webp` (lossless).
@@ -115,7 +116,7 @@ pub async fn post(
     Json(body): Json<RenderBody>,
 ) -> Result<Response, Problem> {
     let round = round(&app, &id, body.round).await?;
-    let k = body.intrinsics;
+    let Object(k) = body.intrinsics;
     let intrinsics = Intrinsics {
         width: k.width,
         height: k.height,

@@ -1,15 +1,22 @@
 //! Multipart uploads: streamed to disk under names of our own, fsynced, examined, moved into place.
 
-use std::collections::{BTreeMap, HashMap, HashSet};
-use std::path::{Path, PathBuf};
+mod ahead;
+mod places;
 
-use axum::extract::Multipart;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
 use axum::extract::multipart::{Field, MultipartError};
-use axum::http::StatusCode;
+use axum::extract::{FromRequest, Multipart, Request};
+use axum::http::{HeaderMap, StatusCode, header};
+use fled_core::capture::MAX_FILES;
 use tokio::fs::{self, File};
 use tokio::io::AsyncWriteExt;
 use uuid::Uuid;
 
+use self::ahead::Ahead;
+use self::places::Places;
 use super::problem::{Problem, disk_full};
 use crate::app::App;
 use crate::data::sync_directory;
@@ -17,8 +24,14 @@ use crate::error::ServerError;
 use crate::intake::{self, CaptureReport, Refusal};
 use crate::store::{CaptureRow, now_ms};
 
-/// Text fields are short; files stream.
+/// Text fields are short; files stream. Bytes.
 const LONGEST_TEXT: usize = 1 << 16;
+/// Longest name of a capture or a job, characters.
+const LONGEST_NAME: usize = 200;
+/// Longest name of a file, bytes. File systems take 255; the rest is for its folders.
+const LONGEST_FILE_NAME: usize = 1024;
+/// Names of the parts that are files.
+const FILE_PARTS: [&str; 3] = ["images", "gt", "poses"];
 /// Between two looks at the free space of the disk, bytes.
 const LOOK_AT_DISK: u64 = 32 << 20;
 
@@ -41,12 +54,14 @@ impl Drop for Upload {
     }
 }
 
-/// Receives every part of a multipart body.
+/// Receives every part of a multipart body; `known` are the text fields that mean something.
 ///
 /// # Errors
-/// 400 for a broken body, 413 and 507 when it is too large for us or for the disk.
-pub async fn receive(app: &App, mut body: Multipart) -> Result<Upload, Problem> {
+/// 400 for a broken body, 413 and 507 when it is too large for us or for the disk, 415 for another
+/// type, 422 for a part that means nothing.
+pub async fn receive(app: &App, request: Request, known: &[&str]) -> Result<Upload, Problem> {
     check_space(app)?;
+    let (ahead, mut body) = open(request).await?;
     let dir = app.data.incoming().join(Uuid::now_v7().to_string());
     fs::create_dir(&dir).await.map_err(ServerError::io(&dir))?;
     let mut upload = Upload {
@@ -57,29 +72,101 @@ pub async fn receive(app: &App, mut body: Multipart) -> Result<Upload, Problem> 
     };
     let mut receiver = Receiver {
         app,
+        ahead: ahead.clone(),
         hasher: blake3::Hasher::new(),
         bytes: 0,
         looked: 0,
-        names: HashMap::new(),
-        taken: HashSet::new(),
+        places: Places::default(),
     };
     while let Some(field) = body.next_field().await.map_err(|error| broken(&error))? {
+        ahead.caught_up();
         let part = field.name().unwrap_or_default().to_owned();
         receiver.hasher.update(part.as_bytes());
         match field.file_name().map(str::to_owned) {
             Some(name) => {
+                check_file(&part, &name, upload.files)?;
                 receiver.hasher.update(name.as_bytes());
                 receiver.file(&upload.dir, &part, &name, field).await?;
                 upload.files += 1;
             }
             None => {
+                if !known.contains(&part.as_str()) || upload.fields.contains_key(&part) {
+                    return Err(unknown_field(&part, known));
+                }
                 let text = receiver.text(field).await?;
+                if part == "name" {
+                    check_name(&text)?;
+                }
                 upload.fields.insert(part, text);
             }
         }
     }
     upload.fingerprint = receiver.hasher.finalize().to_hex().to_string();
     Ok(upload)
+}
+
+/// The parts of a body that is multipart/form-data.
+async fn open(request: Request) -> Result<(Arc<Ahead>, Multipart), Problem> {
+    if !is_multipart(request.headers()) {
+        return Err(Problem::new(
+            StatusCode::UNSUPPORTED_MEDIA_TYPE,
+            "unsupported_media_type",
+            "The body is not multipart/form-data.",
+        )
+        .hint("Send multipart/form-data with parts named `images`."));
+    }
+    let ahead = Arc::new(Ahead::default());
+    let request = request.map(|body| ahead.clone().watch(body));
+    let body = Multipart::from_request(request, &()).await;
+    let body = body.map_err(|rejection| {
+        Problem::new(rejection.status(), "bad_request", rejection.body_text())
+    })?;
+    Ok((ahead, body))
+}
+
+/// Whether a request says that it is multipart/form-data, in whatever case.
+pub fn is_multipart(headers: &HeaderMap) -> bool {
+    let value = headers.get(header::CONTENT_TYPE);
+    let kind = value
+        .and_then(|value| value.to_str().ok())
+        .and_then(|value| value.split(';').next());
+    kind.is_some_and(|kind| kind.trim().eq_ignore_ascii_case("multipart/form-data"))
+}
+
+/// # Errors
+/// 422 for a name of a capture or a job that is too long to be shown.
+pub fn check_name(name: &str) -> Result<(), Problem> {
+    if name.chars().count() <= LONGEST_NAME {
+        return Ok(());
+    }
+    Err(Problem::unprocessable("bad_input", "The name is too long.")
+        .pointer("/name")
+        .hint(format!("A name has at most {LONGEST_NAME} characters.")))
+}
+
+fn check_file(part: &str, name: &str, files: usize) -> Result<(), Problem> {
+    if files >= MAX_FILES {
+        return Err(too_large(&format!("More than {MAX_FILES} files.")));
+    }
+    if name.len() > LONGEST_FILE_NAME {
+        let detail = format!("A file name is longer than {LONGEST_FILE_NAME} bytes.");
+        return Err(Problem::unprocessable("bad_input", detail));
+    }
+    if FILE_PARTS.contains(&part) {
+        return Ok(());
+    }
+    Err(unknown_field(part, &FILE_PARTS))
+}
+
+fn unknown_field(part: &str, known: &[&str]) -> Problem {
+    let shown: String = part.chars().take(LONGEST_NAME).collect();
+    let pointer = format!("/{}", shown.replace('~', "~0").replace('/', "~1"));
+    Problem::unprocessable(
+        "bad_input",
+        format!("The part `{shown}` means nothing here, or is sent twice."),
+    )
+    .pointer(pointer)
+    .hint(format!("Known here: {}.", known.join(", ")))
 }
 
 impl Upload {
@@ -103,7 +190,8 @@ impl Upload {
         if app.has_no_space_for(unpacked) {
             return Err(disk_full());
         }
-        let outcome = tokio::task::spawn_blocking(move || intake::examine(&dir)).await;
+        let budget = app.decoding.clone();
+        let outcome = tokio::task::spawn_blocking(move || intake::examine(&dir, &budget)).await;
         match outcome.map_err(|_| Problem::internal())? {
             Ok(report) => Ok(report),
             Err(refusal) => Err(refused(*refusal)),
@@ -189,8 +277,13 @@ pub fn check_space(app: &App) -> Result<(), Problem> {
 }
 
 fn broken(error: &MultipartError) -> Problem {
+    // What the parser cannot read is the body's fault; so is a body that ends or stalls.
+    let status = match error.status() {
+        status if status.is_server_error() => StatusCode::BAD_REQUEST,
+        status => status,
+    };
     Problem::new(
-        error.status(),
+        status,
         "bad_request",
         format!("The multipart body is broken: {}", error.body_text()),
     )
@@ -198,22 +291,27 @@ fn broken(error: &MultipartError) -> Problem {
 
 struct Receiver<'a> {
     app: &'a App,
+    ahead: Arc<Ahead>,
     hasher: blake3::Hasher,
     bytes: u64,
     looked: u64,
-    /// Names as sent, to names as stored: ground truth follows its photograph.
-    names: HashMap<String, String>,
-    taken: HashSet<PathBuf>,
+    places: Places,
 }
 
 impl Receiver<'_> {
-    async fn text(&mut self, field: Field<'_>) -> Result<String, Problem> {
-        let text = field.text().await.map_err(|error| broken(&error))?;
-        if text.len() > LONGEST_TEXT {
-            return Err(too_large("A text field is too long."));
+    /// A text field, never more of it than is accepted.
+    async fn text(&mut self, mut field: Field<'_>) -> Result<String, Problem> {
+        let mut text = Vec::new();
+        while let Some(chunk) = field.chunk().await.map_err(|error| broken(&error))? {
+            self.count(chunk.len())?;
+            if text.len() + chunk.len() > LONGEST_TEXT {
+                return Err(too_large("A text field is too long."));
+            }
+            text.extend_from_slice(&chunk);
         }
-        self.hasher.update(text.as_bytes());
-        Ok(text)
+        self.hasher.update(&text);
+        String::from_utf8(text)
+            .map_err(|_| Problem::unprocessable("bad_input", "A text field is not UTF-8."))
     }
 
     async fn file(
@@ -223,7 +321,7 @@ impl Receiver<'_> {
         name: &str,
         mut field: Field<'_>,
     ) -> Result<(), Problem> {
-        let path = dir.join(self.place(part, name));
+        let path = dir.join(self.places.place(part, name));
         let parent = path.parent().unwrap_or(dir);
         fs::create_dir_all(parent)
             .await
@@ -241,6 +339,7 @@ impl Receiver<'_> {
     }
 
     fn count(&mut self, bytes: usize) -> Result<(), Problem> {
+        self.ahead.taken(bytes);
         self.bytes += bytes as u64;
         if self.bytes > self.app.limits.max_upload_bytes {
             return Err(too_large("The upload is too large."));
@@ -251,129 +350,8 @@ impl Receiver<'_> {
         }
         Ok(())
     }
-
-    /// Where a file goes, relative to the capture: never where its name says.
-    fn place(&mut self, part: &str, name: &str) -> PathBuf {
-        let components: Vec<&str> = name.split(['/', '\\']).filter(|c| !c.is_empty()).collect();
-        let file = components.last().copied().unwrap_or("unnamed");
-        let folder = components
-            .len()
-            .checked_sub(2)
-            .and_then(|i| components.get(i))
-            .copied()
-            .unwrap_or_default();
-        let lower = file.to_ascii_lowercase();
-        let is_pose = ["transforms.json", "poses_bounds.npy"].contains(&lower.as_str());
-        let is_model = ["cameras", "images", "points3d"]
-            .iter()
-            .any(|stem| lower == format!("{stem}.txt") || lower == format!("{stem}.bin"));
-        if is_pose {
-            return PathBuf::from(lower);
-        }
-        if is_model {
-            // COLMAP's readers know these names only with their capitals.
-            let name = if lower.starts_with("points3d") {
-                lower.replace("points3d", "points3D")
-            } else {
-                lower
-            };
-            return Path::new("sparse").join(name);
-        }
-        if lower.ends_with(".zip") && part != "gt" {
-            return self.unique(Path::new(""), intake::ARCHIVE);
-        }
-        let is_truth = part == "gt"
-            || ["gt", "hl"]
-                .iter()
-                .any(|truth| folder.eq_ignore_ascii_case(truth));
-        let stored = match self.names.get(file) {
-            // The second of a pair takes the name of the first.
-            Some(stored) if !self.taken.contains(&folder_of(is_truth).join(stored)) => {
-                stored.clone()
-            }
-            _ => safe_name(file),
-        };
-        let path = self.unique(&folder_of(is_truth), &stored);
-        if let Some(stored) = path.file_name().and_then(|name| name.to_str()) {
-            self.names.insert(file.to_owned(), stored.to_owned());
-        }
-        path
-    }
-
-    fn unique(&mut self, folder: &Path, name: &str) -> PathBuf {
-        let (stem, extension) = name.rsplit_once('.').unwrap_or((name, ""));
-        let mut path = folder.join(name);
-        let mut number = 2;
-        while !self.taken.insert(path.clone()) {
-            path = folder.join(format!("{stem}-{number}.{extension}"));
-            number += 1;
-        }
-        path
-    }
-}
-
-fn folder_of(is_truth: bool) -> PathBuf {
-    PathBuf::from(if is_truth { "gt" } else { "images" })
-}
-
-/// The file name without what harms disks, command lines or logs. Otherwise as it was: poses that
-/// come with a capture call its photographs by their names.
-fn safe_name(name: &str) -> String {
-    let (stem, extension) = name.rsplit_once('.').unwrap_or((name, ""));
-    let keep = |text: &str, most: usize| -> String {
-        let mut bytes = 0;
-        text.chars()
-            .map(|c| {
-                if c.is_control() || "/\\:*?\"<>|".contains(c) {
-                    '_'
-                } else {
-                    c
-                }
-            })
-            .take_while(|c| {
-                bytes += c.len_utf8();
-                bytes <= most
-            })
-            .collect()
-    };
-    let stem = keep(stem, 150);
-    let stem = stem.trim_start_matches(['-', '.', ' ']);
-    let stem = if stem.is_empty() { "photograph" } else { stem };
-    match keep(extension, 10) {
-        extension if extension.is_empty() => stem.to_owned(),
-        extension => format!("{stem}.{extension}"),
-    }
 }
 
 fn too_large(detail: &str) -> Problem {
     Problem::new(StatusCode::PAYLOAD_TOO_LARGE, "too_large", detail)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn no_name_leaves_its_folder_or_reaches_a_command_line() {
-        for name in [
-            "../../etc/passwd",
-            "-rf.png",
-            "a\nb.jpg",
-            "日本.png",
-            ".hidden",
-            "",
-            "x".repeat(300).as_str(),
-        ] {
-            let safe = safe_name(name);
-            assert!(
-                !safe.starts_with(['-', '.']) && safe.len() <= 161 && !safe.is_empty(),
-                "{name:?} -> {safe:?}"
-            );
-            assert!(
-                !safe.contains(['/', '\\', '\n', '\0']),
-                "{name:?} -> {safe:?}"
-            );
-        }
-        assert_eq!(safe_name("IMG 0001.JPG"), "IMG 0001.JPG");
-    }
 }

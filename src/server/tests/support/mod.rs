@@ -69,6 +69,18 @@ impl Server {
         (self.child, self.client) = (child, Client::new(base, PATIENCE));
     }
 
+    /// The most memory that the server's process has ever held, bytes.
+    pub fn peak_memory(&self) -> u64 {
+        let status = std::fs::read_to_string(format!("/proc/{}/status", self.child.id()));
+        let status = status.expect("the server lives");
+        let peak = status
+            .lines()
+            .find_map(|line| line.strip_prefix("VmHWM:"))
+            .and_then(|rest| rest.trim().strip_suffix(" kB"))
+            .expect("Linux");
+        1024 * peak.trim().parse::<u64>().expect("a number")
+    }
+
     /// A capture of `n` different photographs; its id.
     pub fn capture(&self, n: usize) -> String {
         let reply = self
