@@ -16,7 +16,7 @@ mod photograph;
 use std::path::Path;
 
 pub use archive::{MAX_ARCHIVE_BYTES, unpacked_bytes};
-pub use assess::FEW_VIEWS;
+pub use assess::{FEW_VIEWS, view_names};
 pub use budget::DecodeBudget;
 pub use error::{ArchiveFault, CaptureError, MAX_FILES, MIN_VIEWS};
 pub use layout::GivenPosesFile;

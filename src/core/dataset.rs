@@ -90,6 +90,14 @@ impl GivenPoses {
         })
     }
 
+    /// Reads the file and forgets it: whether [`Sfm::poses`] will be able to.
+    ///
+    /// # Errors
+    /// What is wrong with the file.
+    pub fn check(&self) -> Result<(), PosesError> {
+        self.read().map(drop)
+    }
+
     /// With somebody who finds points where the poses come without.
     #[must_use]
     pub fn triangulated_by(self, triangulate: Triangulate) -> Self {

@@ -17,6 +17,7 @@ mod log;
 mod lookup;
 mod openapi;
 mod options;
+mod order;
 mod problem;
 mod range;
 mod render;

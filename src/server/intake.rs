@@ -4,9 +4,12 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use fled_core::capture::{self, Capture, CaptureError, CaptureWarning, DecodeBudget};
-
+use fled_core::dataset::GivenPoses;
+use fled_core::poses::PosesError;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
+
+use crate::wording::without_paths;
 
 /// The name under which an uploaded zip is stored.
 pub const ARCHIVE: &str = "upload.zip";
@@ -79,27 +82,58 @@ pub fn examine(dir: &Path, budget: &DecodeBudget) -> Result<CaptureReport, Box<R
             return Err(mixed());
         }
         let scratch = dir.join(".examined");
-        let opened = Capture::open_within(&archive, &scratch, budget);
+        let opened = opened(&archive, &scratch, budget);
         match fs::remove_dir_all(&scratch) {
             Err(source) if source.kind() != std::io::ErrorKind::NotFound => {
-                return Err(refuse(
-                    dir,
-                    CaptureError::Io {
-                        path: scratch,
-                        source,
-                    },
-                ));
+                let path = scratch;
+                return Err(refuse(dir, CaptureError::Io { path, source }));
             }
             _ => opened,
         }
     } else {
-        Capture::open_within(dir, dir, budget)
+        opened(dir, dir, budget)
     };
-    let capture = opened.map_err(|error| refuse(dir, error))?;
+    let (capture, poses) = opened.map_err(|error| refuse(dir, error))?;
+    if let Err(error) = poses {
+        return Err(bad_poses(&capture, &error));
+    }
     Ok(CaptureReport {
         accepted: u32::try_from(capture.views.len()).unwrap_or(u32::MAX),
         images: capture.assessments.into_iter().map(assessment).collect(),
         warnings: capture.warnings.into_iter().map(warning).collect(),
+    })
+}
+
+/// The capture, and whether the poses that came with it can be read, if there are any.
+fn opened(
+    path: &Path,
+    scratch: &Path,
+    budget: &DecodeBudget,
+) -> Result<(Capture, Result<(), PosesError>), CaptureError> {
+    let capture = Capture::open_within(path, scratch, budget)?;
+    let poses = match &capture.poses {
+        None => Ok(()),
+        Some(given) => GivenPoses::open(given.path()).and_then(|given| given.check()),
+    };
+    Ok((capture, poses))
+}
+
+fn bad_poses(capture: &Capture, error: &PosesError) -> Box<Refusal> {
+    Box::new(Refusal {
+        detail: without_paths(&format!("The poses cannot be read: {error}")),
+        hint: "Mend the file, or leave it out: then the poses are found.".to_owned(),
+        unsupported_format: false,
+        is_ours: false,
+        report: CaptureReport {
+            accepted: u32::try_from(capture.views.len()).unwrap_or(u32::MAX),
+            images: capture
+                .assessments
+                .iter()
+                .cloned()
+                .map(assessment)
+                .collect(),
+            warnings: Vec::new(),
+        },
     })
 }
 

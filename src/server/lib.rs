@@ -14,6 +14,7 @@ mod readiness;
 pub mod render;
 mod serve;
 pub mod store;
+mod wording;
 
 pub use config::{Limits, ServeConfig};
 pub use error::{Result, ServerError};

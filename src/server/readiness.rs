@@ -9,6 +9,7 @@ use serde::Deserialize;
 
 use crate::app::App;
 use crate::jobs::process::{Group, Line};
+use crate::wording::without_paths;
 pub use check::{Check, Remembered};
 
 /// How long a judgement of the machine is believed.
@@ -53,9 +54,13 @@ async fn database(app: &App) -> Check {
     Check {
         name: "database".to_owned(),
         ok: outcome.is_ok(),
-        detail: outcome.as_ref().map_or_else(ToString::to_string, |()| {
-            "answers and can be written".to_owned()
-        }),
+        detail: match &outcome {
+            Ok(()) => "answers and can be written".to_owned(),
+            Err(error) => {
+                tracing::error!(%error, "the database cannot be written");
+                without_paths(&error.to_string())
+            }
+        },
         hint: outcome
             .map_or("Check the data directory's permissions and space.", |()| "")
             .to_owned(),
@@ -86,7 +91,12 @@ fn disk(app: &App) -> Check {
 
 async fn doctor(app: &App) -> Vec<Check> {
     match tokio::time::timeout(PATIENCE, ask_doctor(app)).await {
-        Ok(Ok(checks)) => checks,
+        Ok(Ok(mut checks)) => {
+            for check in &mut checks {
+                check.detail = without_paths(&check.detail);
+            }
+            checks
+        }
         Ok(Err(detail)) => vec![unknown(detail)],
         Err(_) => vec![unknown(format!(
             "no answer within {} s",

@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use crate::image::{Header, Image, ImageError, Srgb, read_header, srgb_to_linear};
 
 use super::budget::DecodeBudget;
-use super::entries::Entry;
+use super::entries::{Entry, stem};
 use super::layout::Layout;
 use super::photograph::{Assessment, CaptureView, CaptureWarning};
 
@@ -68,7 +68,7 @@ pub(super) fn assess(layout: &Layout, budget: &DecodeBudget) -> Assessed {
         match seen {
             Ok(seen) => {
                 let warnings = seen.warnings(typical);
-                let name = names.own(entry.stem());
+                let name = names.own(stem(entry.name()));
                 assessed.accept(entry, &seen.header, name, warnings);
             }
             Err(fault) => assessed.assessments.push(fault.assessment(entry)),
@@ -286,10 +286,8 @@ impl Assessed {
             return;
         }
         let find = |view: &CaptureView| {
-            let name = &*view.original_name;
-            let stem = name.rsplit_once('.').map_or(name, |(stem, _)| stem);
             ground_truth
-                .get(&stem.to_lowercase())
+                .get(&stem(&view.original_name).to_lowercase())
                 .map(|entry| (entry, is_truth_of(view, entry, budget)))
         };
         let found: Vec<_> = on_few_threads(|| self.views.par_iter().map(find).collect());
@@ -355,6 +353,12 @@ fn is_truth_of(view: &CaptureView, entry: &Entry, budget: &DecodeBudget) -> bool
     let ratio = (header.width * view.height) as f64 / (header.height * view.width) as f64;
     let _share = budget.take(header.decoded_bytes);
     (ratio - 1.0).abs() < 0.01 && Image::load_at_most(&entry.file, ASSESSED_SIDE).is_ok()
+}
+
+/// Our own names for the accepted photographs of these names, in the order of their assessments.
+pub fn view_names<'a>(accepted: impl Iterator<Item = &'a str>) -> Vec<String> {
+    let mut names = Names::default();
+    accepted.map(|name| names.own(stem(name))).collect()
 }
 
 /// The names given so far, in lower case.

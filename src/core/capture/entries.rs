@@ -33,10 +33,13 @@ impl Entry {
 
     /// The name without its extension.
     pub(super) fn stem(&self) -> &str {
-        self.name()
-            .rsplit_once('.')
-            .map_or(self.name(), |(stem, _)| stem)
+        stem(self.name())
     }
+}
+
+/// A file's name without its extension.
+pub(super) fn stem(name: &str) -> &str {
+    name.rsplit_once('.').map_or(name, |(stem, _)| stem)
 }
 
 /// The files of a folder, hidden ones left out.

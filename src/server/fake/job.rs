@@ -72,6 +72,10 @@ impl Job {
                     "Take more.",
                 );
             }
+            "leak" => {
+                let detail = format!("{}: is damaged", self.capture.join("images").display());
+                return fail("bad_input", &detail, "None.");
+            }
             "bad_word" => return fail("no_such_kind", "an unknown kind", "None."),
             "silent" => sleep(Duration::from_secs(600)),
             "crash" => std::process::abort(),

@@ -25,7 +25,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         Some("render-worker") => render_worker(),
         Some("doctor") => {
             say(
-                r#"{"checks":[{"name":"adapter","ok":true,"detail":"played"},{"name":"colmap","ok":false,"detail":"missing","hint":"apt-get install colmap"}]}"#,
+                r#"{"checks":[{"name":"adapter","ok":true,"detail":"played"},{"name":"colmap","ok":false,"detail":"no /usr/bin/colmap","hint":"apt-get install colmap"}]}"#,
             );
             Ok(())
         }
@@ -77,13 +77,18 @@ fn number(name: &str, default: u64) -> Result<u64, std::num::ParseIntError> {
     std::env::var(name).map_or(Ok(default), |text| text.parse())
 }
 
-/// Draws the camera's azimuth as a shade. A scene that holds the word `crash` ends the process.
+/// Draws the camera's azimuth as a shade. A scene that holds the word `crash` ends the
+/// process, `refuse` is refused.
 fn render_worker() -> Result<(), Box<dyn std::error::Error>> {
     for line in io::stdin().lock().lines() {
         let request: RenderRequest = serde_json::from_str(&line?)?;
         let scene = std::fs::read_to_string(&request.scene)?;
         if scene.contains("crash") {
             std::process::exit(139);
+        }
+        if scene.contains("refuse") {
+            say(r#"{"error":"/srv/fled/jobs/1/output/scene.ply: damaged"}"#);
+            continue;
         }
         let k = request.camera.intrinsics;
         let turn = request.camera.world_to_camera[0][0] as f32;

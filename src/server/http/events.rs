@@ -53,10 +53,14 @@ pub async fn stream(
     // Watching begins before the first look, or a change between the two would be missed.
     let versions = app.watch();
     let job = find(&app, &id).await?;
-    let header = headers
-        .get("last-event-id")
-        .and_then(|value| value.to_str().ok()?.parse().ok());
-    let last = header.or(query.after).unwrap_or(0);
+    let last = match headers.get("last-event-id") {
+        Some(value) => value
+            .to_str()
+            .ok()
+            .and_then(|text| text.trim().parse().ok()),
+        None => Some(query.after.unwrap_or(0)),
+    };
+    let last = known(&app, &id, last).await?;
     if job.state.is_terminal() && app.store.events_after(&id, last, 1).await?.is_empty() {
         // The only answer after which a browser does not connect again.
         return Ok(StatusCode::NO_CONTENT.into_response());
@@ -72,6 +76,29 @@ pub async fn stream(
     Ok(Sse::new(cursor.into_stream())
         .keep_alive(keep_alive)
         .into_response())
+}
+
+/// The number of an event that the job has told; 0 is before the first.
+async fn known(app: &App, id: &str, last: Option<i64>) -> Result<i64, Problem> {
+    if last == Some(0) {
+        return Ok(0);
+    }
+    if let Some(last) = last.filter(|&last| last > 0)
+        && app
+            .store
+            .events_after(id, last - 1, 1)
+            .await?
+            .iter()
+            .any(|event| event.seq == last)
+    {
+        return Ok(last);
+    }
+    Err(Problem::new(
+        StatusCode::BAD_REQUEST,
+        "bad_request",
+        "Last-Event-ID is the number of no event of this job.",
+    )
+    .hint("Leave it out to have every event."))
 }
 
 struct Cursor {

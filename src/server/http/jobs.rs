@@ -1,30 +1,26 @@
 //! `/v1/jobs`.
 
-use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
 use axum::extract::{DefaultBodyLimit, FromRequest, Path, Request, State};
 use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
-use fled_core::deblur::NetworkChoice;
-use fled_core::deblur::manifest::{Manifest, Place, Role};
-use fled_core::pipeline::config::{NetworkOption, Options, OptionsError, Preset};
 use serde::Deserialize;
 use serde_json::{Map, Value};
 use utoipa::{IntoParams, ToSchema};
-use uuid::Uuid;
 
 use super::body_limit::SMALL;
 use super::captures::remove;
 use super::extract::{Json, Query};
 use super::lookup::find;
+use super::order::Order;
 use super::problem::Problem;
-use super::shapes::{Job, Jobs};
+use super::shapes::{Job, Jobs, report};
 use super::upload;
 use crate::app::App;
 use crate::jobs::state::JobState;
-use crate::store::{Creation, JobRow, NewJob};
+use crate::store::{Creation, JobRow};
 
 /// Cancelling answers when the job is over, but not later than this.
 const CANCEL_PATIENCE: Duration = Duration::from_millis(2500);
@@ -128,6 +124,7 @@ async fn from_json(app: &App, body: &CreateJob, key: Option<&str>) -> Result<Cre
         .to_hex()
         .to_string();
     let order = Order::new(app, body.preset.as_deref(), &body.options).await?;
+    order.check_views(&report(&capture))?;
     let job = order.job(&capture.id, body.name.as_deref().unwrap_or(&capture.name))?;
     Ok(app.store.create_job(&job, key, &fingerprint).await?)
 }
@@ -159,6 +156,7 @@ async fn from_upload(
     // Options are checked before the photographs: a typo is told at once.
     let order = Order::new(app, preset.as_deref(), &options).await?;
     let report = upload.examine(app).await?;
+    order.check_views(&report)?;
     let capture = upload.keep(app, &report).await?;
     let job = order.job(&capture.id, &capture.name)?;
     let creation = app.store.create_job(&job, key, &fingerprint).await?;
@@ -167,106 +165,6 @@ async fn from_upload(
         remove(&app.data.capture(&capture.id)).await;
     }
     Ok(creation)
-}
-
-/// What is asked of a job, checked, before there is a capture for it.
-struct Order {
-    preset: Preset,
-    options: Options,
-}
-
-impl Order {
-    async fn new(
-        app: &App,
-        preset: Option<&str>,
-        options: &Map<String, Value>,
-    ) -> Result<Self, Problem> {
-        let preset: Preset = preset
-            .unwrap_or(Preset::Standard.name())
-            .parse()
-            .map_err(|error: OptionsError| bad_option(&error).pointer("/preset"))?;
-        let options = preset
-            .options()
-            .with_overrides(options)
-            .map_err(|error| bad_option(&error))?;
-        // It reads the networks' files.
-        let (folders, checked) = (app.config.models.clone(), options.clone());
-        let check = move || {
-            let networks = checked.networks().into_iter();
-            networks
-                .filter(|option| option.choice.is_network())
-                .try_for_each(|option| check_network(&folders, option))
-        };
-        tokio::task::spawn_blocking(check)
-            .await
-            .map_err(|_| Problem::internal())??;
-        Ok(Self { preset, options })
-    }
-
-    fn job(&self, capture: &str, name: &str) -> Result<NewJob, Problem> {
-        Ok(NewJob {
-            id: Uuid::now_v7().to_string(),
-            name: name.chars().take(200).collect(),
-            capture_id: capture.to_owned(),
-            preset: self.preset.name().to_owned(),
-            rounds: self.options.rounds,
-            options: serde_json::to_value(&self.options).map_err(|_| Problem::internal())?,
-        })
-    }
-}
-
-/// Networks are chosen by name: a path would let a client probe the files of the server.
-fn check_network(folders: &[PathBuf], option: NetworkOption<'_>) -> Result<(), Problem> {
-    let answer = Manifest::ask(folders, |known| check_among(known, folders, option));
-    answer.map_err(|error| {
-        tracing::error!(%error, "the list of networks cannot be read");
-        Problem::internal()
-    })?
-}
-
-fn check_among(
-    known: &Manifest,
-    folders: &[PathBuf],
-    option: NetworkOption<'_>,
-) -> Result<(), Problem> {
-    let (key, choice) = (option.key, option.choice.as_str());
-    let refused = |message: String| {
-        bad_option(&OptionsError {
-            key: key.to_owned(),
-            message,
-        })
-    };
-    match known.find(choice) {
-        Some(entry) if entry.place(folders) == Place::Missing => {
-            let message = format!("the file of network `{choice}` is not on this server");
-            let hint = format!("Whoever runs the server gets it by: fled models fetch {choice}.");
-            Err(refused(message).hint(hint))
-        }
-        Some(entry) if key == "enhance" && entry.role == Role::Guided => Err(refused(format!(
-            "network `{choice}` wants a guide; one that brightens has 3 channels"
-        ))),
-        Some(entry) => entry.load(folders).map(drop).map_err(|error| {
-            // With a path of the server: for its log.
-            tracing::error!(%error, "a network that a job asks for cannot be used");
-            refused(format!("network `{choice}` is damaged on this server")).hint(format!(
-                "Whoever runs the server sees more by: fled models verify {choice}."
-            ))
-        }),
-        None => {
-            let words = option.words.iter().map(NetworkChoice::as_str);
-            let known = words.chain(known.choices()).collect::<Vec<_>>().join(", ");
-            Err(refused(format!("`{choice}` is none of {known}"))
-                .hint("Whoever runs the server can add a file: fled models add FILE --id NAME."))
-        }
-    }
-}
-
-fn bad_option(error: &OptionsError) -> Problem {
-    // RFC 6901: the two characters that a pointer gives a meaning.
-    let key = error.key.replace('~', "~0").replace('/', "~1");
-    Problem::unprocessable("bad_option", error.to_string())
-        .pointer(format!("/options/{key}"))
-        .hint("See /v1/options for the options, their ranges and presets.")
 }
 
 fn idempotency_key(headers: &HeaderMap) -> Result<Option<String>, Problem> {

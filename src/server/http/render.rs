@@ -21,9 +21,15 @@ use crate::app::App;
 use crate::error::ServerError;
 use crate::jobs::state::JobState;
 use crate::render::{Format, RenderError, RenderRequest};
+use crate::wording::without_paths;
 
 /// Longest side of a render, px.
 const LONGEST_SIDE: usize = 2048;
+
+/// Largest number of a camera: px, or units of the world.
+const LARGEST_NUMBER: f64 = 1e6;
+/// Shortest focal length, in sides of the picture: almost 180 degrees wide.
+const SHORTEST_FOCAL: f64 = 1e-3;
 
 /// What to see: a photograph's view, or a place on the orbit around the scene.
 #[derive(Debug, Default, Deserialize, IntoParams)]
@@ -176,9 +182,13 @@ async fn camera(output: &RunFolder, query: &RenderQuery) -> Result<NamedCamera, 
         check_size((side, side))?;
     }
     let path = output.cameras();
-    let text = tokio::fs::read(&path)
-        .await
-        .map_err(ServerError::io(&path))?;
+    let text = tokio::fs::read(&path).await.map_err(|source| {
+        if source.kind() == std::io::ErrorKind::NotFound {
+            return Problem::conflict("no_cameras", "The cameras of this job are not there.")
+                .hint("Send a camera of your own by POST, or run the capture in a new job.");
+        }
+        ServerError::io(&path)(source).into()
+    })?;
     let cameras: Vec<NamedCamera> =
         serde_json::from_slice(&text).map_err(|error| ServerError::Damaged {
             what: "cameras.json",
@@ -240,17 +250,19 @@ fn check_camera(camera: &NamedCamera) -> Result<(), Problem> {
     let k = &camera.intrinsics;
     check_size((k.width, k.height))?;
     let rows = &camera.world_to_camera;
+    // The renderer computes in f32, where more than this is no number or no picture.
     let finite = rows
         .iter()
         .flatten()
         .chain([&k.fx, &k.fy, &k.cx, &k.cy])
-        .all(|value| value.is_finite());
+        .all(|value| value.abs() <= LARGEST_NUMBER);
+    let sees = |f: f64, side: usize| f >= SHORTEST_FOCAL * side as f64;
     let rotation = camera.camera().rotation();
     let deviation = (rotation * rotation.transpose() - glam::DMat3::IDENTITY).to_cols_array();
     let is_rigid = deviation.iter().all(|d| d.abs() < 1e-3)
         && rotation.determinant() > 0.0
         && rows[3] == [0.0, 0.0, 0.0, 1.0];
-    if finite && k.fx > 0.0 && k.fy > 0.0 && is_rigid {
+    if finite && sees(k.fx, k.width) && sees(k.fy, k.height) && is_rigid {
         return Ok(());
     }
     Err(
@@ -308,12 +320,17 @@ async fn picture(
 }
 
 fn failed(error: &RenderError) -> Problem {
+    tracing::error!(%error, "a render failed");
     let code = match error {
         RenderError::Busy => "busy",
         RenderError::Refused(_) | RenderError::Process(_) => "render_failed",
     };
-    Problem::new(StatusCode::SERVICE_UNAVAILABLE, code, error.to_string())
-        .hint("Try again; /readyz says whether the graphics adapter works.")
+    Problem::new(
+        StatusCode::SERVICE_UNAVAILABLE,
+        code,
+        without_paths(&error.to_string()),
+    )
+    .hint("Try again; /readyz says whether the graphics adapter works.")
 }
 
 /// What a picture depends on: the scene's very file, the camera, the size and the format.

@@ -1,6 +1,6 @@
 //! The JSON that outside programs rely on.
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use utoipa::ToSchema;
 
@@ -36,13 +36,7 @@ pub struct Captures {
 impl Capture {
     /// From its row.
     pub fn from_row(row: CaptureRow) -> Self {
-        let report = serde_json::from_value(row.report).unwrap_or_else(|error| {
-            tracing::error!(%error, capture = row.id, "its assessments are damaged");
-            CaptureReport {
-                accepted: row.accepted,
-                ..CaptureReport::default()
-            }
-        });
+        let report = report(&row);
         Self {
             id: Some(row.id),
             name: row.name,
@@ -50,6 +44,17 @@ impl Capture {
             report,
         }
     }
+}
+
+/// The assessments of a stored capture.
+pub fn report(row: &CaptureRow) -> CaptureReport {
+    CaptureReport::deserialize(&row.report).unwrap_or_else(|error| {
+        tracing::error!(%error, capture = row.id, "its assessments are damaged");
+        CaptureReport {
+            accepted: row.accepted,
+            ..CaptureReport::default()
+        }
+    })
 }
 
 /// A job as answered.

@@ -17,6 +17,7 @@ use crate::data::write_atomically;
 use crate::error::{Result, ServerError};
 use crate::intake;
 use crate::store::{Claim, JobError, Lease, Progress, Settlement};
+use crate::wording::without_paths;
 
 /// After its process has ended, what others of the group still write is awaited so long.
 const DRAIN: Duration = Duration::from_secs(2);
@@ -272,7 +273,7 @@ impl Attempt<'_> {
         let wait = self.app.limits.retry_wait_ms(kind, failures);
         let error = JobError {
             code: kind.name().to_owned(),
-            detail,
+            detail: without_paths(&detail),
             hint,
         };
         Ok(Settlement::Failed {

@@ -53,7 +53,7 @@ pub struct Page {
 }
 
 /// Reads at most `limit` whole lines from `offset` bytes on; a log that does not exist yet is
-/// empty.
+/// empty, and behind its end there is nothing.
 ///
 /// # Errors
 /// When the log cannot be read.
@@ -69,6 +69,8 @@ pub fn read_page(path: &Path, offset: u64, limit: usize) -> io::Result<Page> {
         }
         Err(error) => return Err(error),
     };
+    // A file system refuses to seek to the farthest numbers.
+    let offset = offset.min(file.metadata()?.len());
     file.seek(SeekFrom::Start(offset))?;
     let mut reader = BufReader::new(file);
     let mut page = Page {

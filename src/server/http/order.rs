@@ -1,0 +1,172 @@
+//! What is asked of a job, held against what can be done.
+
+use std::path::PathBuf;
+
+use fled_core::capture::view_names;
+use fled_core::deblur::NetworkChoice;
+use fled_core::deblur::manifest::{Manifest, Place, Role};
+use fled_core::enhance::Anchor;
+use fled_core::pipeline::config::{NetworkOption, Options, OptionsError, Preset};
+use serde_json::{Map, Value};
+use uuid::Uuid;
+
+use super::problem::Problem;
+use crate::app::App;
+use crate::intake::CaptureReport;
+use crate::store::NewJob;
+
+/// Longest part of an adapter's name, characters.
+const LONGEST_ADAPTER: usize = 200;
+
+/// What is asked of a job, checked, before there is a capture for it.
+pub(super) struct Order {
+    preset: Preset,
+    options: Options,
+}
+
+impl Order {
+    /// # Errors
+    /// 422 with a pointer to the option that cannot be.
+    pub(super) async fn new(
+        app: &App,
+        preset: Option<&str>,
+        options: &Map<String, Value>,
+    ) -> Result<Self, Problem> {
+        let preset: Preset = preset
+            .unwrap_or(Preset::Standard.name())
+            .parse()
+            .map_err(|error: OptionsError| bad_option(&error).pointer("/preset"))?;
+        let options = preset
+            .options()
+            .with_overrides(options)
+            .map_err(|error| bad_option(&error))?;
+        check_words(&options)?;
+        // It reads the networks' files.
+        let (folders, checked) = (app.config.models.clone(), options.clone());
+        let check = move || {
+            let networks = checked.networks().into_iter();
+            networks
+                .filter(|option| option.choice.is_network())
+                .try_for_each(|option| check_network(&folders, option))
+        };
+        tokio::task::spawn_blocking(check)
+            .await
+            .map_err(|_| Problem::internal())??;
+        Ok(Self { preset, options })
+    }
+
+    /// Holds what the options say of views against the capture's.
+    ///
+    /// # Errors
+    /// 422 for held-out views that the capture has not.
+    pub(super) fn check_views(&self, report: &CaptureReport) -> Result<(), Problem> {
+        let held_out = self.options.held_out.trim();
+        let refused = |message: String| {
+            let key = "held_out".to_owned();
+            Err(bad_option(&OptionsError { key, message }))
+        };
+        match held_out.parse::<u64>() {
+            _ if ["auto", "none"].contains(&held_out) => return Ok(()),
+            Ok(2..) => return Ok(()),
+            Ok(n) => return refused(format!("every {n}-th leaves nothing to train on")),
+            Err(_) => {}
+        }
+        let accepted = report.images.iter().filter(|image| image.accepted);
+        let names = view_names(accepted.map(|image| image.name.as_str()));
+        let mut wanted = held_out.split(',').map(str::trim).filter(|w| !w.is_empty());
+        match wanted.find(|wanted| !names.iter().any(|name| name == wanted)) {
+            None => Ok(()),
+            Some(unknown) => refused(format!("`{unknown}` is no view of this capture")),
+        }
+    }
+
+    /// The job for a capture.
+    ///
+    /// # Errors
+    /// 500 when the options cannot be written.
+    pub(super) fn job(&self, capture: &str, name: &str) -> Result<NewJob, Problem> {
+        Ok(NewJob {
+            id: Uuid::now_v7().to_string(),
+            name: name.chars().take(200).collect(),
+            capture_id: capture.to_owned(),
+            preset: self.preset.name().to_owned(),
+            rounds: self.options.rounds,
+            options: serde_json::to_value(&self.options).map_err(|_| Problem::internal())?,
+        })
+    }
+}
+
+/// Options in words of their own, which the job would read only after it has found the poses.
+fn check_words(options: &Options) -> Result<(), Problem> {
+    let target = options.target.trim();
+    if !target.eq_ignore_ascii_case("auto") {
+        let parsed: Result<Anchor, _> = target.parse();
+        parsed.map_err(|error| {
+            bad_option(&OptionsError {
+                key: "target".to_owned(),
+                message: error.to_string(),
+            })
+        })?;
+    }
+    if options.adapter.chars().count() > LONGEST_ADAPTER {
+        return Err(bad_option(&OptionsError {
+            key: "adapter".to_owned(),
+            message: format!("longer than {LONGEST_ADAPTER} characters"),
+        }));
+    }
+    Ok(())
+}
+
+/// Networks are chosen by name: a path would let a client probe the files of the server.
+fn check_network(folders: &[PathBuf], option: NetworkOption<'_>) -> Result<(), Problem> {
+    let answer = Manifest::ask(folders, |known| check_among(known, folders, option));
+    answer.map_err(|error| {
+        tracing::error!(%error, "the list of networks cannot be read");
+        Problem::internal()
+    })?
+}
+
+fn check_among(
+    known: &Manifest,
+    folders: &[PathBuf],
+    option: NetworkOption<'_>,
+) -> Result<(), Problem> {
+    let (key, choice) = (option.key, option.choice.as_str());
+    let refused = |message: String| {
+        bad_option(&OptionsError {
+            key: key.to_owned(),
+            message,
+        })
+    };
+    match known.find(choice) {
+        Some(entry) if entry.place(folders) == Place::Missing => {
+            let message = format!("the file of network `{choice}` is not on this server");
+            let hint = format!("Whoever runs the server gets it by: fled models fetch {choice}.");
+            Err(refused(message).hint(hint))
+        }
+        Some(entry) if key == "enhance" && entry.role == Role::Guided => Err(refused(format!(
+            "network `{choice}` wants a guide; one that brightens has 3 channels"
+        ))),
+        Some(entry) => entry.load(folders).map(drop).map_err(|error| {
+            // With a path of the server: for its log.
+            tracing::error!(%error, "a network that a job asks for cannot be used");
+            refused(format!("network `{choice}` is damaged on this server")).hint(format!(
+                "Whoever runs the server sees more by: fled models verify {choice}."
+            ))
+        }),
+        None => {
+            let words = option.words.iter().map(NetworkChoice::as_str);
+            let known = words.chain(known.choices()).collect::<Vec<_>>().join(", ");
+            Err(refused(format!("`{choice}` is none of {known}"))
+                .hint("Whoever runs the server can add a file: fled models add FILE --id NAME."))
+        }
+    }
+}
+
+fn bad_option(error: &OptionsError) -> Problem {
+    // RFC 6901: the two characters that a pointer gives a meaning.
+    let key = error.key.replace('~', "~0").replace('/', "~1");
+    Problem::unprocessable("bad_option", error.to_string())
+        .pointer(format!("/options/{key}"))
+        .hint("See /v1/options for the options, their ranges and presets.")
+}

@@ -1,0 +1,219 @@
+//! Requests that are wrong in ways of their own, through a real server process: each is answered
+//! with what is wrong, none with 500, none with a path of the server.
+
+mod support;
+
+use serde_json::{Value, json};
+use support::{Server, file, photographs, text, zip};
+
+const CAMERA_FOCAL: f64 = 50.0;
+
+fn camera(focal: f64) -> Value {
+    json!({ "world_to_camera": [[1.0,0.0,0.0,0.0],[0.0,1.0,0.0,0.0],[0.0,0.0,1.0,4.0],[0.0,0.0,0.0,1.0]],
+        "intrinsics": { "width": 64, "height": 48, "fx": focal, "fy": focal, "cx": 32.0, "cy": 24.0 } })
+}
+
+#[test]
+fn behind_the_end_of_a_log_there_is_nothing() {
+    let server = Server::start();
+    let job = server.job("few_poses");
+    server.wait_state(&job, "failed");
+    for offset in [1_u64 << 40, i64::MAX as u64, u64::MAX] {
+        let page = server.get(&format!("/v1/jobs/{job}/log?offset={offset}"), &[]);
+        let page = page.expect(200).json();
+        assert_eq!((&page["lines"], &page["end"]), (&json!([]), &true.into()));
+    }
+}
+
+#[test]
+fn a_broken_multipart_body_is_the_clients_fault() {
+    let server = Server::start();
+    let whole =
+        "--XXXX\r\nContent-Disposition: form-data; name=\"images\"; filename=\"a.png\"\r\n\r\nabc";
+    let kind = [("content-type", "multipart/form-data; boundary=XXXX")];
+    for body in [
+        "",
+        "--XXXX",
+        "no boundary",
+        whole,
+        "--XXXX\r\nbad header\r\n\r\nabc\r\n--XXXX--\r\n",
+    ] {
+        for path in ["/v1/captures", "/v1/jobs"] {
+            let problem = server.post(path, body.as_bytes(), &kind).expect(400);
+            assert_eq!(problem.json()["code"], "bad_request", "{body:?}");
+        }
+    }
+    let none = [("content-type", "multipart/form-data")];
+    server.post("/v1/captures", b"", &none).expect(400);
+    server
+        .post("/v1/captures", b"", &[("content-type", "text/plain")])
+        .expect(415);
+    server.post("/v1/captures", b"", &[]).expect(415);
+}
+
+#[test]
+fn the_type_of_a_body_is_read_in_any_case_and_an_array_is_no_order() {
+    let server = Server::start();
+    let capture = server.capture(3);
+    let array = json!([capture, "preview", {}, "name"]);
+    server.post_json("/v1/jobs", &array, &[]).expect(422);
+    let kind = [("content-type", "Multipart/Form-Data; boundary=XXXX")];
+    let body =
+        "--XXXX\r\nContent-Disposition: form-data; name=\"preset\"\r\n\r\npreview\r\n--XXXX--\r\n";
+    let problem = server
+        .post("/v1/jobs", body.as_bytes(), &kind)
+        .expect(422)
+        .json();
+    assert!(
+        problem["detail"]
+            .as_str()
+            .is_some_and(|d| d.contains("no file")),
+        "{problem:#}"
+    );
+}
+
+#[test]
+fn what_a_job_would_fail_at_after_its_poses_is_refused_before_it() {
+    let server = Server::start();
+    let order = |options: Value| {
+        let order = json!({ "capture_id": server.capture(3), "options": options });
+        server.post_json("/v1/jobs", &order, &[])
+    };
+    let refused = |options: Value| order(options).expect(422).json()["pointer"].clone();
+    assert_eq!(refused(json!({ "target": "bright" })), "/options/target");
+    assert_eq!(refused(json!({ "target": "1,2,3" })), "/options/target");
+    assert_eq!(
+        refused(json!({ "held_out": "nobody" })),
+        "/options/held_out"
+    );
+    assert_eq!(refused(json!({ "held_out": 1 })), "/options/held_out");
+    assert_eq!(
+        refused(json!({ "adapter": "x".repeat(300) })),
+        "/options/adapter"
+    );
+    let held_out = "000, 002";
+    order(json!({ "target": "10,0.8", "held_out": held_out, "adapter": "ok" })).expect(202);
+    let mut parts = photographs(3);
+    parts.push(text("options", r#"{"held_out":"nobody"}"#));
+    server.upload("/v1/jobs", &parts, &[]).expect(422);
+    let captures = server.get("/v1/captures", &[]).expect(200).json();
+    assert_eq!(
+        captures["captures"].as_array().map(Vec::len),
+        Some(6),
+        "a refused one was kept"
+    );
+}
+
+#[test]
+fn poses_that_cannot_be_read_are_refused_with_the_upload() {
+    let server = Server::start();
+    let broken = [
+        vec![file("transforms.json", b"{")],
+        vec![file("poses_bounds.npy", b"no array")],
+        vec![
+            file("sparse/0/cameras.txt", b"1 PINHOLE 160 120 100 100 80 60\n"),
+            file("sparse/0/images.txt", b"1 1 0 0 0 0 0 0 1 000.png\n\n"),
+        ],
+    ];
+    for poses in broken {
+        let mut parts = photographs(3);
+        parts.extend(poses);
+        let problem = server
+            .upload("/v1/captures", &parts, &[])
+            .expect(422)
+            .json();
+        let detail = problem["detail"].as_str().expect("detail");
+        assert!(
+            detail.contains("poses") && !detail.contains("incoming"),
+            "{detail}"
+        );
+        assert!(
+            problem["hint"]
+                .as_str()
+                .is_some_and(|hint| hint.contains("leave it out"))
+        );
+    }
+    let mut files: Vec<(&str, Vec<u8>)> = Vec::new();
+    let photographs = photographs(3);
+    for (_, name, content) in &photographs {
+        files.push((name.as_deref().expect("named"), content.clone()));
+    }
+    files.push(("transforms.json", b"[]".to_vec()));
+    let parts = [file("walk.zip", &zip(&files))];
+    server.upload("/v1/captures", &parts, &[]).expect(422);
+}
+
+#[test]
+fn a_camera_that_sees_nothing_is_none_and_lost_cameras_are_told() {
+    let server = Server::start();
+    let job = server.job("ok");
+    server.wait_state(&job, "succeeded");
+    let path = format!("/v1/jobs/{job}/render");
+    server
+        .post_json(&path, &camera(CAMERA_FOCAL), &[])
+        .expect(200);
+    for focal in [1e39, 1e300, 1e-30, 0.0] {
+        server.post_json(&path, &camera(focal), &[]).expect(422);
+    }
+    let mut nested = camera(CAMERA_FOCAL);
+    nested["intrinsics"] = json!([64, 48, 50.0, 50.0, 32.0, 24.0]);
+    server.post_json(&path, &nested, &[]).expect(422);
+    let output = server
+        .data
+        .path()
+        .join("data/jobs")
+        .join(&job)
+        .join("output");
+    std::fs::remove_file(output.join("cameras.json")).expect("removed");
+    let problem = server.get(&path, &[]).expect(409).json();
+    assert_eq!(problem["code"], "no_cameras");
+}
+
+#[test]
+fn an_event_that_was_never_told_cannot_be_the_last() {
+    let server = Server::start();
+    let job = server.job("few_poses");
+    server.wait_state(&job, "failed");
+    let path = format!("/v1/jobs/{job}/events");
+    for bogus in [
+        "abc",
+        "-1",
+        "1000000",
+        "9223372036854775807",
+        "9223372036854775808",
+        "1.5",
+        "",
+    ] {
+        server.get(&path, &[("last-event-id", bogus)]).expect(400);
+    }
+    server
+        .get(&format!("{path}?after=1000000"), &[])
+        .expect(400);
+    server.get(&path, &[("last-event-id", "1")]).expect(200);
+}
+
+#[test]
+fn no_answer_tells_where_the_server_keeps_its_files() {
+    let server = Server::start();
+    let (job, done) = (server.job("leak"), server.job("ok"));
+    let failed = server.wait_state(&job, "failed");
+    assert_eq!(failed["error"]["detail"], "images: is damaged");
+    let events = server
+        .get(&format!("/v1/jobs/{job}/events"), &[])
+        .expect(200)
+        .text();
+    assert!(!events.contains("data/captures"), "{events}");
+    server.wait_state(&done, "succeeded");
+    let scene = format!("data/jobs/{done}/output/scene.ply");
+    std::fs::write(server.data.path().join(scene), "refuse").expect("written");
+    let problem = server
+        .get(&format!("/v1/jobs/{done}/render"), &[])
+        .expect(503)
+        .json();
+    assert_eq!(problem["detail"], "scene.ply: damaged");
+    let ready = server.get("/readyz", &[]).expect(503).text();
+    assert!(
+        ready.contains("no colmap") && !ready.contains("/usr/bin"),
+        "{ready}"
+    );
+}

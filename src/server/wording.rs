@@ -1,0 +1,57 @@
+//! What others may read: where the server keeps its files is for its log only.
+
+/// A text whose absolute paths are cut down to their last part.
+pub fn without_paths(text: &str) -> String {
+    let mut told = String::with_capacity(text.len());
+    let mut rest = text;
+    let mut before = ' ';
+    while let Some(c) = rest.chars().next() {
+        // After a letter, a dot or a colon a slash parts words, units or the host of an address.
+        let begins = c == '/' && (before.is_whitespace() || "\"'`([{<=,".contains(before));
+        let end = rest.find(ends_a_path).unwrap_or(rest.len());
+        let path = rest[..end].trim_end_matches([':', '.']);
+        if begins && path.len() > 1 {
+            told.push_str(
+                path.trim_end_matches('/')
+                    .rsplit('/')
+                    .next()
+                    .unwrap_or(path),
+            );
+            rest = &rest[path.len()..];
+            before = '/';
+        } else {
+            told.push(c);
+            rest = &rest[c.len_utf8()..];
+            before = c;
+        }
+    }
+    told
+}
+
+fn ends_a_path(c: char) -> bool {
+    c.is_whitespace() || "\"'`)]}>,;".contains(c)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn paths_are_cut_down_to_names_and_nothing_else_is() {
+        for (text, told) in [
+            (
+                "/srv/fled/jobs/7/output/scene.ply: No such file",
+                "scene.ply: No such file",
+            ),
+            ("cannot read `/srv/a/b.json`.", "cannot read `b.json`."),
+            ("colmap (/usr/bin/colmap) 3.9", "colmap (colmap) 3.9"),
+            ("--out=/srv/x/ failed", "--out=x failed"),
+            ("3 of 20 km/h and/or 1 / 2", "3 of 20 km/h and/or 1 / 2"),
+            ("see https://example.org/a/b", "see https://example.org/a/b"),
+            ("/srv/caf\u{e9}/\u{65e5}.png", "\u{65e5}.png"),
+            ("", ""),
+        ] {
+            assert_eq!(without_paths(text), told);
+        }
+    }
+}
