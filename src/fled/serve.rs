@@ -20,6 +20,10 @@ pub struct Args {
     /// Address to listen on. There are no accounts yet: whoever reaches it may use it.
     #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:8080")]
     listen: SocketAddr,
+    /// A name by which the server may be called, besides localhost and addresses: what browsers
+    /// and proxies send as Host. May be repeated.
+    #[arg(long = "host", value_name = "NAME")]
+    hosts: Vec<String>,
     /// Jobs run at once.
     #[arg(long, value_name = "N", default_value_t = 1)]
     workers: usize,
@@ -41,6 +45,7 @@ pub fn main(args: &Args) -> Result<(), Failure> {
         .init();
     let mut config =
         ServeConfig::new(args.data.clone(), args.listen, args.workers).map_err(io(&args.data))?;
+    config.hosts.clone_from(&args.hosts);
     // A job's folder is its own: no other run will use what this one worked with.
     config.job_command.push("--discard-work".into());
     config.models = args.models.folders();

@@ -15,6 +15,8 @@ pub struct ServeConfig {
     pub data: PathBuf,
     /// Where it listens; port 0 takes a free one.
     pub listen: SocketAddr,
+    /// Names by which it may be called, besides `localhost` and addresses.
+    pub hosts: Vec<String>,
     /// Jobs run at once.
     pub workers: usize,
     /// Program and first arguments of a job's process; the capture and the options of `fled run`
@@ -45,6 +47,7 @@ impl ServeConfig {
         Ok(Self {
             data,
             listen,
+            hosts: Vec::new(),
             workers,
             job_command: command(&["run"]),
             render_command: command(&["render-worker"]),

@@ -12,6 +12,7 @@ mod dashboard;
 mod events;
 mod extract;
 mod health;
+mod host;
 mod jobs;
 mod log;
 mod lookup;
@@ -31,6 +32,7 @@ use std::sync::Arc;
 use axum::Router;
 use axum::extract::DefaultBodyLimit;
 use axum::http::{HeaderName, HeaderValue, StatusCode, header};
+use axum::middleware;
 use axum::response::{IntoResponse, Response};
 use axum::routing::{get, post};
 use tower_http::catch_panic::CatchPanicLayer;
@@ -91,6 +93,7 @@ pub fn router(app: Arc<App>) -> Router {
         })
         // Another site's page must not start or delete jobs with a visitor's browser.
         .layer(CsrfLayer::new())
+        .layer(middleware::from_fn_with_state(app.clone(), host::check))
         .layer(CatchPanicLayer::custom(panicked))
         .layer(header(
             header::CONTENT_SECURITY_POLICY,

@@ -22,6 +22,20 @@ fn another_sites_page_cannot_start_jobs() {
 }
 
 #[test]
+fn a_foreign_name_that_points_here_is_refused() {
+    let server = Server::start();
+    let rebound = [("host", "evil:8080"), ("origin", "http://evil:8080")];
+    let parts = [text("name", "evil")];
+    let problem = server.upload("/v1/jobs", &parts, &rebound).expect(421);
+    assert_eq!(problem.json()["code"], "unknown_host");
+    server.get("/v1/jobs", &rebound).expect(421);
+    server.get("/v1/jobs", &[("host", "fled.test")]).expect(200);
+    server
+        .get("/v1/jobs", &[("host", "localhost:1")])
+        .expect(200);
+}
+
+#[test]
 fn lists_are_paged_without_gap_and_filtered_by_state() {
     let server = Server::start();
     let mut jobs: Vec<String> = (0..3).map(|_| server.job("ok")).collect();

@@ -1,0 +1,93 @@
+//! By which names the server may be called.
+//!
+//! A page of another site can have its own name point at this machine (DNS rebinding): for the
+//! browser its requests then stay within one origin, and no rule about origins stops them. They
+//! still carry that name.
+
+use std::net::{Ipv4Addr, Ipv6Addr};
+use std::sync::Arc;
+
+use axum::extract::{Request, State};
+use axum::http::uri::Authority;
+use axum::http::{HeaderMap, StatusCode, Uri, header};
+use axum::middleware::Next;
+use axum::response::{IntoResponse, Response};
+
+use super::problem::Problem;
+use crate::app::App;
+
+/// Refuses requests that call the server by a name that is not its own.
+pub(super) async fn check(State(app): State<Arc<App>>, request: Request, next: Next) -> Response {
+    if is_known(request.uri(), request.headers(), &app.config.hosts) {
+        return next.run(request).await;
+    }
+    Problem::new(
+        StatusCode::MISDIRECTED_REQUEST,
+        "unknown_host",
+        "This server is not called by this name.",
+    )
+    .hint("Use its address or localhost; whoever runs the server allows a name by --host NAME.")
+    .into_response()
+}
+
+/// Whether every name that a request gives the server is one of its own. Addresses are: no other
+/// site has one for its name. No name at all is no browser's.
+fn is_known(uri: &Uri, headers: &HeaderMap, hosts: &[String]) -> bool {
+    let named = headers.get_all(header::HOST).iter();
+    let named = named.map(|value| value.to_str().ok()?.parse::<Authority>().ok());
+    named
+        .chain(uri.authority().cloned().map(Some))
+        .all(|authority| authority.is_some_and(|authority| is_own(authority.host(), hosts)))
+}
+
+fn is_own(host: &str, hosts: &[String]) -> bool {
+    let host = host.strip_suffix('.').unwrap_or(host);
+    let in_brackets = host
+        .strip_prefix('[')
+        .and_then(|host| host.strip_suffix(']'));
+    host.parse::<Ipv4Addr>().is_ok()
+        || in_brackets.is_some_and(|host| host.parse::<Ipv6Addr>().is_ok())
+        || host.eq_ignore_ascii_case("localhost")
+        || hosts.iter().any(|own| own.eq_ignore_ascii_case(host))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn addresses_localhost_and_given_names_are_known_and_nothing_else() {
+        let hosts = ["fled.example.org".to_owned()];
+        let known = |host: &str| {
+            let mut headers = HeaderMap::new();
+            headers.insert(header::HOST, host.parse().expect("header"));
+            is_known(&Uri::from_static("/v1/jobs"), &headers, &hosts)
+        };
+        for own in [
+            "127.0.0.1:8080",
+            "192.168.1.7",
+            "[::1]:8080",
+            "localhost:8080",
+            "LocalHost.",
+            "fled.example.org",
+            "FLED.example.org:443",
+        ] {
+            assert!(known(own), "{own}");
+        }
+        for foreign in [
+            "evil",
+            "evil:8080",
+            "127.0.0.1.evil.example",
+            "localhost.evil.example",
+            "evil.fled.example.org",
+            "127.0.0.1@evil",
+            "2130706433",
+            "",
+            "a b",
+        ] {
+            assert!(!known(foreign), "{foreign}");
+        }
+        let uri = Uri::from_static("http://evil/v1/jobs");
+        assert!(!is_known(&uri, &HeaderMap::new(), &hosts));
+    }
+}
