@@ -89,6 +89,12 @@ pub struct Limits {
     pub max_decoding_bytes: u64,
     /// Largest log of a job, bytes.
     pub max_log_bytes: u64,
+    /// Connections at a time; fewer where descriptors are few.
+    pub connections: usize,
+    /// A request's headers have to come within this, after the connection or the last request.
+    pub header: Duration,
+    /// A body has to move within this, and so has an answer.
+    pub stall: Duration,
     /// Longest wait for one render.
     pub render: Duration,
     /// Renders kept for a job.
@@ -123,6 +129,9 @@ impl Default for Limits {
             max_upload_bytes: 8 << 30,
             max_decoding_bytes: 1 << 30,
             max_log_bytes: 32 << 20,
+            connections: 1024,
+            header: Duration::from_secs(30),
+            stall: Duration::from_secs(30),
             render: Duration::from_secs(90),
             kept_renders: 400,
         }

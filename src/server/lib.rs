@@ -5,6 +5,7 @@
 
 mod app;
 mod config;
+mod connections;
 pub mod data;
 pub mod error;
 mod http;

@@ -11,6 +11,7 @@ use tokio::task::JoinSet;
 
 use crate::app::App;
 use crate::config::ServeConfig;
+use crate::connections;
 use crate::data::DataDir;
 use crate::error::{Result, ServerError};
 use crate::http::router;
@@ -58,7 +59,13 @@ impl Server {
         for index in 0..workers {
             tasks.spawn(worker::work(app.clone(), index));
         }
-        tasks.spawn(listen(app.clone(), listener));
+        let (limits, shutdown) = (app.limits, app.shutdown.clone());
+        tasks.spawn(connections::serve(
+            listener,
+            router(app.clone()),
+            limits,
+            shutdown,
+        ));
         Ok(Self {
             address,
             app,
@@ -81,15 +88,6 @@ impl Server {
         self.tasks.shutdown().await;
         self.app.renderers.stop().await;
         self.app.store.close().await;
-    }
-}
-
-async fn listen(app: Arc<App>, listener: TcpListener) {
-    let shutdown = app.shutdown.clone();
-    let service =
-        axum::serve(listener, router(app)).with_graceful_shutdown(shutdown.cancelled_owned());
-    if let Err(error) = service.await {
-        tracing::error!(%error, "the listener failed");
     }
 }
 

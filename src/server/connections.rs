@@ -1,0 +1,259 @@
+//! Connections: how many, and how long each may keep the server waiting.
+//!
+//! A client that says nothing, or very little, costs a descriptor and a place. So headers, bodies
+//! and answers have to move, and when all places are taken the connection that has been idle
+//! longest makes room for a new one.
+
+mod pace;
+
+use std::collections::BTreeMap;
+use std::convert::Infallible;
+use std::pin::{Pin, pin};
+use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::task::{Context, Poll};
+use std::time::{Duration, Instant};
+
+use axum::Router;
+use axum::body::{Body, Bytes};
+use axum::http::Request;
+use hyper::body::{Body as HttpBody, Frame, Incoming, SizeHint};
+use hyper::server::conn::http1;
+use hyper::service::service_fn;
+use hyper_util::rt::{TokioIo, TokioTimer};
+use rustix::process::{Resource, getrlimit};
+use tokio::net::{TcpListener, TcpStream};
+use tokio::task::JoinSet;
+use tokio_util::sync::CancellationToken;
+use tower::ServiceExt;
+
+use crate::config::Limits;
+use pace::{PacedBody, PacedStream};
+
+/// Descriptors that the server needs besides connections: database, logs, pipes of children.
+const DESCRIPTORS: u64 = 64;
+/// After a connection could not be taken, mostly for want of descriptors.
+const RECOVERY: Duration = Duration::from_millis(100);
+/// What is told when every place is taken by a request that is being answered.
+const FULL: &[u8] = b"HTTP/1.1 503 Service Unavailable\r\nRetry-After: 5\r\n\
+    Connection: close\r\nContent-Length: 0\r\n\r\n";
+
+/// Takes connections until `shutdown`, then lets open requests end.
+pub async fn serve(
+    listener: TcpListener,
+    router: Router,
+    limits: Limits,
+    shutdown: CancellationToken,
+) {
+    let places = Arc::new(Places::new(places(limits.connections)));
+    let mut open = JoinSet::new();
+    loop {
+        let accepted = tokio::select! {
+            accepted = listener.accept() => accepted,
+            // Ended ones are forgotten at once, or the set would grow for ever.
+            Some(_) = open.join_next() => continue,
+            () = shutdown.cancelled() => break,
+        };
+        let (stream, address) = match accepted {
+            Ok(accepted) => accepted,
+            Err(error) => {
+                tracing::warn!(%error, "cannot take a connection");
+                tokio::time::sleep(RECOVERY).await;
+                continue;
+            }
+        };
+        let Some(place) = places.take() else {
+            tracing::warn!(%address, "a connection is refused: all are in use");
+            // To a socket that has sent nothing yet a few bytes always go.
+            drop(stream.try_write(FULL));
+            continue;
+        };
+        // Answers of a few lines must not wait for the acknowledgement of those before.
+        if let Err(error) = stream.set_nodelay(true) {
+            tracing::debug!(%error, "cannot set TCP_NODELAY");
+        }
+        let (router, shutdown) = (router.clone(), shutdown.clone());
+        open.spawn(async move { converse(stream, router, &limits, &place, &shutdown).await });
+    }
+    drop(listener);
+    while open.join_next().await.is_some() {}
+}
+
+/// Places for connections: as many as asked for, as far as descriptors go. A connection may open a
+/// file beside itself.
+fn places(asked: usize) -> usize {
+    let descriptors = getrlimit(Resource::Nofile).current.unwrap_or(u64::MAX);
+    let possible = descriptors.saturating_sub(DESCRIPTORS) / 2;
+    asked
+        .min(usize::try_from(possible).unwrap_or(usize::MAX))
+        .max(1)
+}
+
+/// Answers the requests of one connection.
+async fn converse(
+    stream: TcpStream,
+    router: Router,
+    limits: &Limits,
+    place: &Place,
+    shutdown: &CancellationToken,
+) {
+    let stall = limits.stall;
+    let service = service_fn(|request: Request<Incoming>| {
+        let busy = Busy::of(&place.state);
+        let answer = router
+            .clone()
+            .oneshot(request.map(|body| Body::new(PacedBody::new(body, stall))));
+        async move {
+            let response = answer.await?;
+            Ok::<_, Infallible>(response.map(|body| Body::new(Held { body, _busy: busy })))
+        }
+    });
+    let mut connection = pin!(
+        http1::Builder::new()
+            .timer(TokioTimer::new())
+            .header_read_timeout(limits.header)
+            .serve_connection(TokioIo::new(PacedStream::new(stream, stall)), service)
+    );
+    let outcome = tokio::select! {
+        outcome = connection.as_mut() => outcome,
+        () = place.state.leave.cancelled() => return,
+        () = shutdown.cancelled() => {
+            if place.state.is_idle() {
+                return;
+            }
+            connection.as_mut().graceful_shutdown();
+            connection.await
+        }
+    };
+    if let Err(error) = outcome {
+        tracing::debug!(%error, "a connection ended");
+    }
+}
+
+/// The places that there are for connections, and who has them.
+#[derive(Debug)]
+struct Places {
+    most: usize,
+    began: Instant,
+    taken: Mutex<BTreeMap<u64, Arc<State>>>,
+    next: AtomicU64,
+}
+
+/// What a connection is doing.
+#[derive(Debug)]
+struct State {
+    /// Requests that are being answered.
+    busy: AtomicUsize,
+    /// Milliseconds between [`Places::began`] and the end of the last request.
+    idle_since: AtomicU64,
+    began: Instant,
+    leave: CancellationToken,
+}
+
+/// A place, free again when dropped.
+struct Place {
+    number: u64,
+    state: Arc<State>,
+    places: Arc<Places>,
+}
+
+impl Places {
+    fn new(most: usize) -> Self {
+        Self {
+            most,
+            began: Instant::now(),
+            taken: Mutex::default(),
+            next: AtomicU64::new(0),
+        }
+    }
+
+    /// A free place, or that of the connection that has been idle longest; `None` when none is.
+    fn take(self: &Arc<Self>) -> Option<Place> {
+        let mut taken = self.taken.lock().unwrap_or_else(PoisonError::into_inner);
+        if taken.len() >= self.most {
+            let idle = taken.iter().filter(|(_, state)| state.is_idle());
+            let (&number, _) =
+                idle.min_by_key(|(_, state)| state.idle_since.load(Ordering::Relaxed))?;
+            if let Some(state) = taken.remove(&number) {
+                state.leave.cancel();
+            }
+        }
+        let state = Arc::new(State {
+            busy: AtomicUsize::new(0),
+            idle_since: AtomicU64::new(0),
+            began: self.began,
+            leave: CancellationToken::new(),
+        });
+        state.rest();
+        let number = self.next.fetch_add(1, Ordering::Relaxed);
+        taken.insert(number, state.clone());
+        Some(Place {
+            number,
+            state,
+            places: self.clone(),
+        })
+    }
+}
+
+impl Drop for Place {
+    fn drop(&mut self) {
+        let taken = self.places.taken.lock();
+        taken
+            .unwrap_or_else(PoisonError::into_inner)
+            .remove(&self.number);
+    }
+}
+
+impl State {
+    fn is_idle(&self) -> bool {
+        self.busy.load(Ordering::Relaxed) == 0
+    }
+
+    fn rest(&self) {
+        let now = u64::try_from(self.began.elapsed().as_millis()).unwrap_or(u64::MAX);
+        self.idle_since.store(now, Ordering::Relaxed);
+    }
+}
+
+/// A request that is being answered, until the last byte of its answer is sent.
+struct Busy(Arc<State>);
+
+impl Busy {
+    fn of(state: &Arc<State>) -> Self {
+        state.busy.fetch_add(1, Ordering::Relaxed);
+        Self(state.clone())
+    }
+}
+
+impl Drop for Busy {
+    fn drop(&mut self) {
+        self.0.rest();
+        self.0.busy.fetch_sub(1, Ordering::Relaxed);
+    }
+}
+
+/// The body of an answer that keeps its connection busy.
+struct Held {
+    body: Body,
+    _busy: Busy,
+}
+
+impl HttpBody for Held {
+    type Data = Bytes;
+    type Error = axum::Error;
+
+    fn poll_frame(
+        mut self: Pin<&mut Self>,
+        context: &mut Context<'_>,
+    ) -> Poll<Option<Result<Frame<Bytes>, axum::Error>>> {
+        Pin::new(&mut self.body).poll_frame(context)
+    }
+
+    fn is_end_stream(&self) -> bool {
+        self.body.is_end_stream()
+    }
+
+    fn size_hint(&self) -> SizeHint {
+        self.body.size_hint()
+    }
+}

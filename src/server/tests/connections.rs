@@ -1,0 +1,131 @@
+//! Clients that keep the server waiting, through a real server process.
+
+mod support;
+
+use std::io::{Read, Write};
+use std::net::TcpStream;
+use std::thread::sleep;
+use std::time::{Duration, Instant};
+
+use support::Server;
+
+fn connect(server: &Server) -> TcpStream {
+    let address = server.base.trim_start_matches("http://");
+    let stream = TcpStream::connect(address).expect("connect");
+    let patience = Some(Duration::from_secs(10));
+    stream.set_read_timeout(patience).expect("set");
+    stream
+}
+
+/// Waits until the server has closed the connection; how long that took.
+fn closed(mut stream: TcpStream) -> Duration {
+    let start = Instant::now();
+    let mut rest = Vec::new();
+    match stream.read_to_end(&mut rest) {
+        Err(error) if error.kind() == std::io::ErrorKind::WouldBlock => panic!("still open"),
+        // Closed, or reset.
+        _ => start.elapsed(),
+    }
+}
+
+#[test]
+fn a_connection_that_says_nothing_or_half_a_header_is_closed() {
+    let server = Server::start_with(&[("FLED_FAKE_HEADER_MS", "700")]);
+    let silent = connect(&server);
+    let mut half = connect(&server);
+    half.write_all(b"GET /livez HTTP/1.1\r\nHost: localhost\r\n")
+        .expect("half");
+    let mut idle = connect(&server);
+    idle.write_all(b"GET /livez HTTP/1.1\r\nHost: localhost\r\n\r\n")
+        .expect("request");
+    for stream in [silent, half, idle] {
+        let waited = closed(stream);
+        assert!(waited < Duration::from_secs(5), "{waited:?}");
+    }
+}
+
+#[test]
+fn a_body_that_trickles_is_given_up() {
+    let server = Server::start_with(&[("FLED_FAKE_STALL_MS", "700")]);
+    let mut stream = connect(&server);
+    stream
+        .write_all(
+            b"POST /v1/captures HTTP/1.1\r\nHost: localhost\r\nContent-Length: 1000000\r\n\
+              Content-Type: multipart/form-data; boundary=XXXX\r\n\r\n--XXXX\r\n",
+        )
+        .expect("head");
+    let start = Instant::now();
+    // A byte now and then, so that no pause is long.
+    while start.elapsed() < Duration::from_secs(8) {
+        sleep(Duration::from_millis(100));
+        if stream.write_all(b"a").is_err() {
+            break;
+        }
+    }
+    assert!(
+        start.elapsed() < Duration::from_secs(5),
+        "{:?}",
+        start.elapsed()
+    );
+    let incoming = server.data.path().join("data/incoming");
+    let left = std::fs::read_dir(incoming).expect("folder").count();
+    assert_eq!(left, 0, "a given up upload leaves files");
+}
+
+#[test]
+fn an_answer_that_nobody_reads_is_given_up() {
+    let limits = [
+        ("FLED_FAKE_STALL_MS", "700"),
+        ("FLED_FAKE_CONNECTIONS", "1"),
+    ];
+    let server = Server::start_with(&limits);
+    let mut stream = connect(&server);
+    // As many answers as no buffer holds, and none is read.
+    let request = b"GET /openapi.yaml HTTP/1.1\r\nHost: localhost\r\n\r\n".repeat(20_000);
+    let sent = std::thread::spawn(move || {
+        drop((stream.write_all(&request), sleep(Duration::from_secs(6))))
+    });
+    sleep(Duration::from_secs(4));
+    // There is one place, and it is free again.
+    assert_eq!(server.get("/livez", &[]).expect(200).text(), "ok\n");
+    sent.join().expect("sent");
+}
+
+#[test]
+fn idle_connections_make_room_for_those_that_ask() {
+    let server = Server::start_with(&[("FLED_FAKE_CONNECTIONS", "20")]);
+    let idle: Vec<TcpStream> = (0..200).map(|_| connect(&server)).collect();
+    for _ in 0..3 {
+        let start = Instant::now();
+        server.get("/livez", &[]).expect(200);
+        assert!(
+            start.elapsed() < Duration::from_secs(1),
+            "{:?}",
+            start.elapsed()
+        );
+    }
+    drop(idle);
+}
+
+#[test]
+fn requests_that_are_answered_keep_their_places_and_others_are_told() {
+    let server = Server::start_with(&[("FLED_FAKE_CONNECTIONS", "3")]);
+    let job = server.job("slow:100");
+    let path = format!("GET /v1/jobs/{job}/events HTTP/1.1\r\nHost: localhost\r\n\r\n");
+    let mut streams: Vec<TcpStream> = (0..3).map(|_| connect(&server)).collect();
+    for stream in &mut streams {
+        stream.write_all(path.as_bytes()).expect("request");
+        let mut head = [0; 15];
+        stream.read_exact(&mut head).expect("an answer");
+        assert_eq!(&head, b"HTTP/1.1 200 OK");
+    }
+    let mut refused = String::new();
+    connect(&server).read_to_string(&mut refused).expect("told");
+    assert!(
+        refused.starts_with("HTTP/1.1 503") && refused.contains("Retry-After"),
+        "{refused}"
+    );
+    drop(streams);
+    sleep(Duration::from_millis(500));
+    server.get("/livez", &[]).expect(200);
+}
