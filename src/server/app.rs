@@ -9,6 +9,7 @@ use tokio_util::sync::CancellationToken;
 
 use crate::config::{Limits, ServeConfig};
 use crate::data::DataDir;
+use crate::incoming::Uploads;
 use crate::render::Renderers;
 use crate::store::Store;
 
@@ -23,6 +24,8 @@ pub struct App {
     pub data: DataDir,
     /// The database.
     pub store: Store,
+    /// The uploads that are under way.
+    pub uploads: Uploads,
     /// What all uploads together may take while they are looked at.
     pub decoding: Arc<DecodeBudget>,
     /// The render process.
@@ -43,6 +46,7 @@ impl App {
         let limits = config.limits;
         Self {
             renderers: Renderers::new(config.render_command.clone(), limits.render, limits.grace),
+            uploads: Uploads::default(),
             decoding: Arc::new(DecodeBudget::new(limits.max_decoding_bytes)),
             config,
             limits,

@@ -1,7 +1,7 @@
 //! The data directory: who may use it, and where things lie.
 //!
 //! ```text
-//! fled.db  server.lock  incoming/<upload>/  captures/<id>/
+//! fled.db  server.lock  incoming/<upload>/  captures/<id>/  cache/<fingerprint>.json
 //! jobs/<id>/{options.json, process, log.txt, output/, renders/}
 //! ```
 //! Files are named by capture and job, not by content.
@@ -46,7 +46,7 @@ impl DataDir {
         if incoming.exists() {
             fs::remove_dir_all(&incoming).map_err(ServerError::io(&incoming))?;
         }
-        for dir in [incoming, data.root.join("captures"), data.root.join("jobs")] {
+        for dir in [incoming, data.captures(), data.jobs()] {
             fs::create_dir_all(&dir).map_err(ServerError::io(&dir))?;
         }
         Ok(data)
@@ -62,9 +62,14 @@ impl DataDir {
         self.root.join("incoming")
     }
 
+    /// The files of all captures.
+    pub fn captures(&self) -> PathBuf {
+        self.root.join("captures")
+    }
+
     /// The files of a capture.
     pub fn capture(&self, id: &str) -> PathBuf {
-        self.root.join("captures").join(id)
+        self.captures().join(id)
     }
 
     /// Everything of all jobs.
@@ -126,6 +131,20 @@ pub fn write_atomically(path: &Path, bytes: &[u8]) -> io::Result<()> {
 /// When the directory cannot be opened or synchronised.
 pub fn sync_directory(dir: &Path) -> io::Result<()> {
     File::open(dir)?.sync_all()
+}
+
+/// Makes the names in a directory and in all below it survive a power cut.
+///
+/// # Errors
+/// When one cannot be read or synchronised.
+pub fn sync_directories(dir: &Path) -> io::Result<()> {
+    for entry in fs::read_dir(dir)? {
+        let entry = entry?;
+        if entry.file_type()?.is_dir() {
+            sync_directories(&entry.path())?;
+        }
+    }
+    sync_directory(dir)
 }
 
 #[cfg(test)]

@@ -21,6 +21,7 @@ mod options;
 mod order;
 mod problem;
 mod range;
+mod removal;
 mod render;
 mod rounds;
 mod shapes;

@@ -9,12 +9,14 @@ mod connections;
 pub mod data;
 pub mod error;
 mod http;
+mod incoming;
 mod intake;
 pub mod jobs;
 mod readiness;
 pub mod render;
 mod serve;
 pub mod store;
+mod sweep;
 mod wording;
 
 pub use config::{Limits, ServeConfig};

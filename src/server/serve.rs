@@ -17,6 +17,7 @@ use crate::error::{Result, ServerError};
 use crate::http::router;
 use crate::jobs::{kill_orphans, worker};
 use crate::store::Store;
+use crate::sweep;
 
 /// Open requests get so long to end once the server stops.
 const FAREWELL: Duration = Duration::from_secs(5);
@@ -55,7 +56,13 @@ impl Server {
             .map_err(ServerError::io(Path::new(&name)))?;
         let workers = config.workers;
         let app = Arc::new(App::new(config, data, store));
+        // Before there are workers and requests: what has no row now will never have one.
+        let swept = sweep::sweep(&app, Duration::ZERO).await?;
+        if swept > 0 {
+            tracing::info!(swept, "leftovers of an earlier server are removed");
+        }
         let mut tasks = JoinSet::new();
+        tasks.spawn(sweep::keep_sweeping(app.clone()));
         for index in 0..workers {
             tasks.spawn(worker::work(app.clone(), index));
         }

@@ -12,6 +12,7 @@ mod results;
 #[cfg(test)]
 mod tests;
 
+use std::collections::HashSet;
 use std::path::Path;
 use std::time::Duration;
 
@@ -108,6 +109,16 @@ impl Store {
             .rollback()
             .await?;
         Ok(())
+    }
+
+    /// The id of every row of `captures` or `jobs`.
+    ///
+    /// # Errors
+    /// When the database refuses.
+    pub async fn ids(&self, table: &'static str) -> Result<HashSet<String>> {
+        let all = sqlx::AssertSqlSafe(format!("SELECT id FROM {table}"));
+        let ids: Vec<String> = sqlx::query_scalar(all).fetch_all(&self.pool).await?;
+        Ok(ids.into_iter().collect())
     }
 
     /// Waits for open statements and closes every connection.

@@ -10,6 +10,7 @@ use utoipa::IntoParams;
 
 use super::extract::Query;
 use super::problem::Problem;
+use super::removal::remove;
 use super::shapes::{Capture, Captures};
 use super::upload;
 use crate::app::App;
@@ -58,7 +59,7 @@ pub async fn create(
         })
         .into_response());
     }
-    let row = upload.keep(&app, &report).await?;
+    let row = upload::to_its_end(async move { upload.keep(&app, &report).await }).await?;
     let location = format!("/v1/captures/{}", row.id);
     let body = axum::Json(Capture::from_row(row));
     Ok((StatusCode::CREATED, [(header::LOCATION, location)], body).into_response())
@@ -131,15 +132,4 @@ pub async fn delete(
     }
     remove(&app.data.capture(&row.id)).await;
     Ok(StatusCode::NO_CONTENT)
-}
-
-/// Removes the files of something that is no longer in the database. Their loss of name is what
-/// counts; what cannot be removed is told to the operator.
-pub(super) async fn remove(dir: &std::path::Path) {
-    match tokio::fs::remove_dir_all(dir).await {
-        Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
-            tracing::warn!(%error, dir = %dir.display(), "cannot remove");
-        }
-        _ => {}
-    }
 }

@@ -11,11 +11,11 @@ use serde_json::{Map, Value};
 use utoipa::{IntoParams, ToSchema};
 
 use super::body_limit::SMALL;
-use super::captures::remove;
 use super::extract::{Json, Query};
 use super::lookup::find;
 use super::order::Order;
 use super::problem::Problem;
+use super::removal::remove;
 use super::shapes::{Job, Jobs, report};
 use super::upload;
 use crate::app::App;
@@ -157,14 +157,24 @@ async fn from_upload(
     let order = Order::new(app, preset.as_deref(), &options).await?;
     let report = upload.examine(app).await?;
     order.check_views(&report)?;
-    let capture = upload.keep(app, &report).await?;
-    let job = order.job(&capture.id, &capture.name)?;
-    let creation = app.store.create_job(&job, key, &fingerprint).await?;
-    if !matches!(creation, Creation::Created(_)) && app.store.delete_capture(&capture.id).await? {
-        // The job of the first request has its own capture; this copy was for nothing.
-        remove(&app.data.capture(&capture.id)).await;
-    }
-    Ok(creation)
+    let (app, key) = (app.clone(), key.map(str::to_owned));
+    upload::to_its_end(async move {
+        let capture = upload.keep(&app, &report).await?;
+        let job = order.job(&capture.id, &capture.name)?;
+        let creation = app
+            .store
+            .create_job(&job, key.as_deref(), &fingerprint)
+            .await;
+        // The job of the first request has its own capture, and one without a job was not asked
+        // for: this copy was for nothing.
+        if !matches!(creation, Ok(Creation::Created(_)))
+            && app.store.delete_capture(&capture.id).await?
+        {
+            remove(&app.data.capture(&capture.id)).await;
+        }
+        Ok(creation?)
+    })
+    .await
 }
 
 fn idempotency_key(headers: &HeaderMap) -> Result<Option<String>, Problem> {

@@ -4,7 +4,7 @@ mod ahead;
 mod places;
 
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::Arc;
 
 use axum::extract::multipart::{Field, MultipartError};
@@ -18,9 +18,11 @@ use uuid::Uuid;
 use self::ahead::Ahead;
 use self::places::Places;
 use super::problem::{Problem, disk_full};
+use super::removal::remove;
 use crate::app::App;
 use crate::data::sync_directory;
 use crate::error::ServerError;
+use crate::incoming::Incoming;
 use crate::intake::{self, CaptureReport, Refusal};
 use crate::store::{CaptureRow, now_ms};
 
@@ -38,20 +40,13 @@ const LOOK_AT_DISK: u64 = 32 << 20;
 /// A complete upload in its own directory, not yet a capture. Dropped unused, it is removed.
 #[derive(Debug)]
 pub struct Upload {
-    dir: PathBuf,
+    dir: Arc<Incoming>,
     /// Text fields: `name`, `preset`, `options`.
     pub fields: BTreeMap<String, String>,
     /// Identifies the content: names, fields and bytes.
     pub fingerprint: String,
     /// Files received.
     files: usize,
-}
-
-impl Drop for Upload {
-    fn drop(&mut self) {
-        // Moved into place already, when it became a capture.
-        let _ = std::fs::remove_dir_all(&self.dir);
-    }
 }
 
 /// Receives every part of a multipart body; `known` are the text fields that mean something.
@@ -62,8 +57,9 @@ impl Drop for Upload {
 pub async fn receive(app: &App, request: Request, known: &[&str]) -> Result<Upload, Problem> {
     check_space(app)?;
     let (ahead, mut body) = open(request).await?;
-    let dir = app.data.incoming().join(Uuid::now_v7().to_string());
-    fs::create_dir(&dir).await.map_err(ServerError::io(&dir))?;
+    let incoming = app.data.incoming();
+    let dir = app.uploads.begin(&incoming);
+    let dir = dir.map_err(ServerError::io(&incoming))?;
     let mut upload = Upload {
         dir,
         fields: BTreeMap::new(),
@@ -86,7 +82,9 @@ pub async fn receive(app: &App, request: Request, known: &[&str]) -> Result<Uplo
             Some(name) => {
                 check_file(&part, &name, upload.files)?;
                 receiver.hasher.update(name.as_bytes());
-                receiver.file(&upload.dir, &part, &name, field).await?;
+                receiver
+                    .file(upload.dir.path(), &part, &name, field)
+                    .await?;
                 upload.files += 1;
             }
             None => {
@@ -181,18 +179,21 @@ impl Upload {
                     .hint("Send photographs as parts named `images`, or one zip."),
             );
         }
+        // Those who look at the files hold the folder, also when the client hangs up.
         let dir = self.dir.clone();
-        let source = dir.clone();
-        let unpacked = tokio::task::spawn_blocking(move || intake::unpacked_bytes(&source))
+        let unpacked = tokio::task::spawn_blocking(move || intake::unpacked_bytes(dir.path()))
             .await
             .map_err(|_| Problem::internal())?
             .map_err(|refusal| refused(*refusal))?;
         if app.has_no_space_for(unpacked) {
             return Err(disk_full());
         }
-        let budget = app.decoding.clone();
-        let outcome = tokio::task::spawn_blocking(move || intake::examine(&dir, &budget)).await;
-        match outcome.map_err(|_| Problem::internal())? {
+        let (dir, budget) = (self.dir.clone(), app.decoding.clone());
+        let look = move || intake::examine(dir.path(), &budget);
+        match tokio::task::spawn_blocking(look)
+            .await
+            .map_err(|_| Problem::internal())?
+        {
             Ok(report) => Ok(report),
             Err(refusal) => Err(refused(*refusal)),
         }
@@ -215,19 +216,37 @@ impl Upload {
             report: serde_json::to_value(report).unwrap_or_default(),
             created_at: now_ms(),
         };
-        let (from, to) = (self.dir.clone(), app.data.capture(&row.id));
-        let moved = tokio::task::spawn_blocking(move || {
-            sync_tree(&from)?;
-            std::fs::rename(&from, &to)?;
-            sync_directory(to.parent().unwrap_or(Path::new(".")))
-        });
+        let to = app.data.capture(&row.id);
+        let moved = {
+            let (dir, to) = (self.dir.clone(), to.clone());
+            tokio::task::spawn_blocking(move || {
+                sync_tree(dir.path())?;
+                std::fs::rename(dir.path(), &to)?;
+                sync_directory(to.parent().unwrap_or(Path::new(".")))
+            })
+        };
         moved
             .await
             .map_err(|_| Problem::internal())?
-            .map_err(ServerError::io(&self.dir))?;
-        app.store.insert_capture(&row).await?;
+            .map_err(ServerError::io(self.dir.path()))?;
+        if let Err(error) = app.store.insert_capture(&row).await {
+            remove(&to).await;
+            return Err(error.into());
+        }
         Ok(row)
     }
+}
+
+/// Does `work` to its end, also when the client hangs up: what has begun to be kept is kept.
+///
+/// # Errors
+/// Those of the work.
+pub async fn to_its_end<T: Send + 'static>(
+    work: impl Future<Output = Result<T, Problem>> + Send + 'static,
+) -> Result<T, Problem> {
+    tokio::spawn(work)
+        .await
+        .unwrap_or_else(|_| Err(Problem::internal()))
 }
 
 fn refused(refusal: Refusal) -> Problem {

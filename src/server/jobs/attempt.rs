@@ -13,7 +13,7 @@ use tokio::time::{Instant, Interval, MissedTickBehavior, interval, sleep_until};
 use super::log::LogWriter;
 use super::process::{Group, Happening, JOB_VARIABLE, Line};
 use crate::app::App;
-use crate::data::write_atomically;
+use crate::data::{sync_directories, write_atomically};
 use crate::error::{Result, ServerError};
 use crate::intake;
 use crate::store::{Claim, JobError, Lease, Progress, Settlement};
@@ -239,6 +239,7 @@ impl Attempt<'_> {
         self.write_pending().await?;
         match self.last_words.take() {
             Some(LastWords::Finished { best_round }) if status.success() => {
+                self.sync_output().await?;
                 Ok(Settlement::Finished { best_round })
             }
             Some(LastWords::Failed { kind, detail, hint }) => {
@@ -254,6 +255,18 @@ impl Attempt<'_> {
                     .await
             }
         }
+    }
+
+    /// Makes the names of the results survive a power cut, as the word that they are there will.
+    async fn sync_output(&self) -> Result<()> {
+        let output = self.app.data.output(&self.lease.job).root().to_owned();
+        let synced = {
+            let output = output.clone();
+            tokio::task::spawn_blocking(move || sync_directories(&output)).await
+        };
+        synced
+            .unwrap_or_else(|error| Err(std::io::Error::other(error)))
+            .map_err(ServerError::io(&output))
     }
 
     async fn not_started(&self, error: &std::io::Error) -> Result<Settlement> {

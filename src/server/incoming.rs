@@ -1,0 +1,72 @@
+//! Folders in which uploads grow.
+
+use std::collections::HashSet;
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError};
+
+use uuid::Uuid;
+
+/// Attempts at removing a folder: a write that was under way may put a file into it meanwhile.
+const ATTEMPTS: u32 = 3;
+
+/// The uploads that are under way.
+#[derive(Clone, Debug, Default)]
+pub struct Uploads(Arc<Mutex<HashSet<PathBuf>>>);
+
+/// The folder of one upload. It is removed, unless it was moved away, when the last who uses it
+/// lets go: a client that hangs up does not take it from under those who look at its files.
+#[derive(Debug)]
+pub struct Incoming {
+    path: PathBuf,
+    uploads: Uploads,
+}
+
+impl Uploads {
+    /// A new folder below `parent`.
+    ///
+    /// # Errors
+    /// When it cannot be made.
+    pub fn begin(&self, parent: &Path) -> io::Result<Arc<Incoming>> {
+        let path = parent.join(Uuid::now_v7().to_string());
+        self.lock().insert(path.clone());
+        let incoming = Arc::new(Incoming {
+            path,
+            uploads: self.clone(),
+        });
+        fs::create_dir(&incoming.path)?;
+        Ok(incoming)
+    }
+
+    /// Whether an upload under way uses this folder.
+    pub fn uses(&self, path: &Path) -> bool {
+        self.lock().contains(path)
+    }
+
+    fn lock(&self) -> std::sync::MutexGuard<'_, HashSet<PathBuf>> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Incoming {
+    /// Where it lies.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+}
+
+impl Drop for Incoming {
+    fn drop(&mut self) {
+        for _ in 0..ATTEMPTS {
+            match fs::remove_dir_all(&self.path) {
+                Err(error) if error.kind() != io::ErrorKind::NotFound => {
+                    tracing::debug!(%error, "an upload's folder is removed again");
+                }
+                // Also when it was moved into place.
+                _ => break,
+            }
+        }
+        self.uploads.lock().remove(&self.path);
+    }
+}

@@ -1,0 +1,89 @@
+//! What is left on the disk by clients that hang up and servers that die, through a real process.
+
+mod support;
+
+use std::fs;
+use std::io::Write;
+use std::net::TcpStream;
+use std::path::Path;
+use std::thread::sleep;
+use std::time::{Duration, Instant};
+
+use support::{Server, deflated, photograph};
+
+fn names(folder: &Path) -> Vec<String> {
+    let entries = fs::read_dir(folder).expect("folder").flatten();
+    let mut names: Vec<String> = entries
+        .map(|entry| entry.file_name().to_string_lossy().into_owned())
+        .collect();
+    names.sort();
+    names
+}
+
+#[test]
+fn uploads_of_clients_that_hang_up_leave_nothing() {
+    let server = Server::start();
+    let data = server.data.path().join("data");
+    let files: Vec<(String, Vec<u8>)> = (0..12)
+        .map(|i| (format!("images/{i}.png"), photograph(i)))
+        .collect();
+    let files: Vec<(&str, Vec<u8>)> = files.iter().map(|(n, c)| (n.as_str(), c.clone())).collect();
+    let mut body = b"--XXXX\r\nContent-Disposition: form-data; name=\"images\"; \
+        filename=\"a.zip\"\r\n\r\n"
+        .to_vec();
+    body.extend(deflated(&files));
+    body.extend(b"\r\n--XXXX--\r\n");
+    let address = server.base.trim_start_matches("http://").to_owned();
+    for i in 0..40 {
+        let mut stream = TcpStream::connect(&address).expect("connect");
+        let head = format!(
+            "POST /v1/captures HTTP/1.1\r\nHost: {address}\r\nContent-Length: {}\r\n\
+             Content-Type: multipart/form-data; boundary=XXXX\r\n\r\n",
+            body.len()
+        );
+        stream.write_all(head.as_bytes()).expect("head");
+        stream.write_all(&body).expect("body");
+        // Before, while and after the server looks at the photographs.
+        sleep(Duration::from_millis(3 * i));
+    }
+    let start = Instant::now();
+    while !names(&data.join("incoming")).is_empty() {
+        let left = names(&data.join("incoming"));
+        assert!(start.elapsed() < Duration::from_secs(10), "left: {left:?}");
+        sleep(Duration::from_millis(100));
+    }
+    let told = server.get("/v1/captures?limit=200", &[]).expect(200).json();
+    let told = told["captures"].as_array().expect("captures").len();
+    assert_eq!(
+        names(&data.join("captures")).len(),
+        told,
+        "files without a row"
+    );
+}
+
+#[test]
+fn what_no_row_names_is_gone_after_a_restart_and_the_rest_stays() {
+    let mut server = Server::start();
+    let job = server.job("ok");
+    server.wait_state(&job, "succeeded");
+    server
+        .get(&format!("/v1/jobs/{job}/render?azimuth=1"), &[])
+        .expect(200);
+    let data = server.data.path().join("data");
+    let (captures, jobs) = (names(&data.join("captures")), names(&data.join("jobs")));
+    let renders = data.join("jobs").join(&job).join("renders");
+    let pictures = names(&renders);
+    server.kill();
+    fs::create_dir_all(data.join("captures/left/images")).expect("made");
+    fs::create_dir_all(data.join("jobs/left/output")).expect("made");
+    fs::create_dir_all(data.join("incoming/left")).expect("made");
+    fs::write(renders.join("left.tmp"), "half a picture").expect("written");
+    server.restart();
+    assert_eq!(names(&data.join("captures")), captures);
+    assert_eq!(names(&data.join("jobs")), jobs);
+    assert_eq!(names(&renders), pictures);
+    assert!(names(&data.join("incoming")).is_empty());
+    server
+        .get(&format!("/v1/jobs/{job}/artifacts/scene.ply"), &[])
+        .expect(200);
+}
