@@ -1,7 +1,6 @@
 //! What handlers and workers share.
 
-use std::collections::HashMap;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 
 use fled_core::capture::DecodeBudget;
 use tokio::sync::{Notify, watch};
@@ -11,6 +10,7 @@ use crate::config::{Limits, ServeConfig};
 use crate::data::DataDir;
 use crate::incoming::Uploads;
 use crate::render::Renderers;
+use crate::running::Running;
 use crate::store::Store;
 
 /// The state of a server.
@@ -30,6 +30,8 @@ pub struct App {
     pub decoding: Arc<DecodeBudget>,
     /// The render process.
     pub renderers: Renderers,
+    /// The jobs that run.
+    pub running: Running,
     /// The last judgement of the machine.
     pub readiness: tokio::sync::Mutex<Option<crate::readiness::Remembered>>,
     /// Rung when a job may be waiting.
@@ -37,7 +39,6 @@ pub struct App {
     /// Raised when the server stops.
     pub shutdown: CancellationToken,
     versions: watch::Sender<u64>,
-    running: Mutex<HashMap<String, Arc<Notify>>>,
 }
 
 impl App {
@@ -56,7 +57,7 @@ impl App {
             wake: Notify::new(),
             shutdown: CancellationToken::new(),
             versions: watch::Sender::new(0),
-            running: Mutex::default(),
+            running: Running::default(),
         }
     }
 
@@ -81,36 +82,5 @@ impl App {
     /// Sees every [`App::changed`] from now on.
     pub fn watch(&self) -> watch::Receiver<u64> {
         self.versions.subscribe()
-    }
-
-    /// Remembers that a worker of this server runs the job; what rings to stop it.
-    pub fn begin(&self, job: &str) -> Arc<Notify> {
-        let bell = Arc::new(Notify::new());
-        self.running
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner)
-            .insert(job.to_owned(), bell.clone());
-        bell
-    }
-
-    /// Forgets a job that no longer runs.
-    pub fn end(&self, job: &str) {
-        self.running
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner)
-            .remove(job);
-    }
-
-    /// Stops the job's process, when a worker of this server runs it.
-    pub fn stop(&self, job: &str) {
-        if let Some(bell) = self
-            .running
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner)
-            .get(job)
-        {
-            // Remembered until it is awaited, so that no order of events loses it.
-            bell.notify_one();
-        }
     }
 }

@@ -80,6 +80,11 @@ pub struct Limits {
     pub io_retry_base: Duration,
     /// Attempts in a row without progress before a job fails.
     pub attempts_without_progress: u32,
+    /// Deaths of the server in a row, while a job ran and without progress, before the job fails.
+    /// More than attempts: a power cut is not the job's fault, three may be.
+    pub deaths_without_progress: u32,
+    /// Jobs that may wait.
+    pub queue: u32,
     /// Uploads and jobs are refused, and no job begins, when less free space than this is left,
     /// bytes.
     pub min_free_bytes: u64,
@@ -125,6 +130,8 @@ impl Default for Limits {
             retry_base: Duration::from_secs(2),
             io_retry_base: Duration::from_secs(60),
             attempts_without_progress: 3,
+            deaths_without_progress: 5,
+            queue: 200,
             min_free_bytes: 1 << 30,
             max_upload_bytes: 8 << 30,
             max_decoding_bytes: 1 << 30,

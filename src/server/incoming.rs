@@ -70,3 +70,33 @@ impl Drop for Incoming {
         self.uploads.lock().remove(&self.path);
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_folder_goes_with_the_last_who_uses_it_and_not_before() {
+        let dir = tempfile::tempdir().expect("temporary directory");
+        let uploads = Uploads::default();
+        let upload = uploads.begin(dir.path()).expect("a folder");
+        let path = upload.path().to_owned();
+        let looks = upload.clone();
+        drop(upload);
+        // The client has hung up; its photographs are still looked at.
+        fs::create_dir_all(path.join(".examined/unpacked")).expect("unpacked");
+        assert!(path.join(".examined").exists() && uploads.uses(&path));
+        drop(looks);
+        assert!(!path.exists() && !uploads.uses(&path));
+    }
+
+    #[test]
+    fn a_folder_that_was_moved_into_place_stays_there() {
+        let dir = tempfile::tempdir().expect("temporary directory");
+        let upload = Uploads::default().begin(dir.path()).expect("a folder");
+        let kept = dir.path().join("kept");
+        fs::rename(upload.path(), &kept).expect("moved");
+        drop(upload);
+        assert!(kept.exists());
+    }
+}

@@ -14,6 +14,7 @@ mod intake;
 pub mod jobs;
 mod readiness;
 pub mod render;
+mod running;
 mod serve;
 pub mod store;
 mod sweep;

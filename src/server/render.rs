@@ -11,7 +11,7 @@ use std::time::Duration;
 use fled_core::camera::NamedCamera;
 use serde::{Deserialize, Serialize};
 use tokio::io::AsyncWriteExt;
-use tokio::sync::{Mutex, Semaphore};
+use tokio::sync::{Mutex, Semaphore, oneshot};
 
 use crate::jobs::process::{Group, Line};
 
@@ -122,16 +122,23 @@ impl Renderers {
             .map_err(|_| RenderError::Busy)?;
         let line = serde_json::to_string(request)
             .map_err(|error| RenderError::Refused(error.to_string()))?;
+        // Whoever hangs up while waiting here leaves the queue. Turns come in the order of asking.
+        let mut slot = self.process.clone().lock_owned().await;
         let (command, timeout, grace) = (self.command.clone(), self.timeout, self.grace);
-        let process = self.process.clone();
+        let out = request.out.clone();
+        let (sender, answer) = oneshot::channel();
         // In a task of its own: a client that hangs up must not leave half a conversation behind,
         // whose answer the next request would take for its own.
-        let task = tokio::spawn(async move {
-            let _permit = permit;
-            let mut slot = process.lock().await;
-            exchange(&mut slot, &command, &line, (timeout, grace)).await
+        tokio::spawn(async move {
+            let outcome = exchange(&mut slot, &command, &line, (timeout, grace)).await;
+            drop((slot, permit));
+            if sender.send(outcome).is_err() {
+                // Nobody takes the picture; where there is none, nothing is to be removed.
+                drop(tokio::fs::remove_file(&out).await);
+            }
         });
-        task.await
+        answer
+            .await
             .unwrap_or_else(|error| Err(RenderError::Process(error.to_string())))
     }
 

@@ -5,18 +5,19 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 
+use fled_core::pipeline::error::ErrorKind;
 use tokio::net::TcpListener;
 use tokio::signal::unix::{SignalKind, signal};
 use tokio::task::JoinSet;
 
 use crate::app::App;
-use crate::config::ServeConfig;
+use crate::config::{Limits, ServeConfig};
 use crate::connections;
 use crate::data::DataDir;
 use crate::error::{Result, ServerError};
 use crate::http::router;
 use crate::jobs::{kill_orphans, worker};
-use crate::store::Store;
+use crate::store::{JobError, Settlement, Store};
 use crate::sweep;
 
 /// Open requests get so long to end once the server stops.
@@ -38,7 +39,10 @@ impl Server {
     pub async fn start(config: ServeConfig) -> Result<Self> {
         let data = DataDir::open(&config.data)?;
         let store = Store::open(&data.database()).await?;
-        let left = store.release_all().await?;
+        let limits = config.limits;
+        let left = store
+            .release_all(|deaths| after_death(&limits, deaths))
+            .await?;
         if !left.is_empty() {
             let orphans = kill_orphans(&left);
             tracing::info!(
@@ -95,6 +99,27 @@ impl Server {
         self.tasks.shutdown().await;
         self.app.renderers.stop().await;
         self.app.store.close().await;
+    }
+}
+
+/// What becomes of a job whose server has died so many times in a row without its progress. Memory
+/// that runs out takes the server as well as the job: such a job must not start for ever.
+fn after_death(limits: &Limits, deaths: u32) -> Settlement {
+    let again = deaths < limits.deaths_without_progress;
+    // At once after the first, as after a restart by hand.
+    let wait = match deaths {
+        0 | 1 => 0,
+        _ => limits.retry_wait_ms(ErrorKind::Internal, deaths - 1),
+    };
+    Settlement::Failed {
+        error: JobError {
+            code: ErrorKind::Internal.name().to_owned(),
+            detail: format!("the server died while this job ran, {deaths} times without progress"),
+            hint: "Memory may have run out: try a smaller `size` or `cap`, or another machine."
+                .to_owned(),
+        },
+        retry_in_ms: again.then_some(wait),
+        failures: deaths,
     }
 }
 

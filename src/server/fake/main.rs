@@ -60,6 +60,7 @@ fn serve(data: &Path, address_file: &Path) -> Result<(), Box<dyn std::error::Err
             header: Duration::from_millis(number("FLED_FAKE_HEADER_MS", 30_000)?),
             stall: Duration::from_millis(number("FLED_FAKE_STALL_MS", 30_000)?),
             render: Duration::from_secs(3),
+            queue: number("FLED_FAKE_QUEUE", 200)? as u32,
             io_retry_base: Duration::from_millis(50),
             min_free_bytes: number("FLED_FAKE_MIN_FREE", 1 << 20)?,
             max_upload_bytes: 1 << 30,
@@ -82,13 +83,17 @@ fn number(name: &str, default: u64) -> Result<u64, std::num::ParseIntError> {
 }
 
 /// Draws the camera's azimuth as a shade. A scene that holds the word `crash` ends the
-/// process, `refuse` is refused.
+/// process, `refuse` is refused,
+/// `slow` takes its time.
 fn render_worker() -> Result<(), Box<dyn std::error::Error>> {
     for line in io::stdin().lock().lines() {
         let request: RenderRequest = serde_json::from_str(&line?)?;
         let scene = std::fs::read_to_string(&request.scene)?;
         if scene.contains("crash") {
             std::process::exit(139);
+        }
+        if scene.contains("slow") {
+            std::thread::sleep(Duration::from_millis(700));
         }
         if scene.contains("refuse") {
             say(r#"{"error":"/srv/fled/jobs/1/output/scene.ply: damaged"}"#);

@@ -22,6 +22,8 @@ use crate::app::App;
 use crate::jobs::state::JobState;
 use crate::store::{Creation, JobRow};
 
+/// After so many seconds a place in the queue may be free.
+const QUEUE_RETRY: u32 = 60;
 /// Cancelling answers when the job is over, but not later than this.
 const CANCEL_PATIENCE: Duration = Duration::from_millis(2500);
 
@@ -86,6 +88,7 @@ pub async fn create(
             )
             .hint("Use a new key for a new job."));
         }
+        Creation::QueueFull => return Err(queue_full()),
     };
     app.wake.notify_one();
     app.changed();
@@ -126,7 +129,10 @@ async fn from_json(app: &App, body: &CreateJob, key: Option<&str>) -> Result<Cre
     let order = Order::new(app, body.preset.as_deref(), &body.options).await?;
     order.check_views(&report(&capture))?;
     let job = order.job(&capture.id, body.name.as_deref().unwrap_or(&capture.name))?;
-    Ok(app.store.create_job(&job, key, &fingerprint).await?)
+    Ok(app
+        .store
+        .create_job(&job, key, &fingerprint, app.limits.queue)
+        .await?)
 }
 
 async fn from_upload(
@@ -134,6 +140,11 @@ async fn from_upload(
     request: Request,
     key: Option<&str>,
 ) -> Result<Creation, Problem> {
+    // Told before gigabytes are sent. A replay of an earlier request is told too, but not wrongly:
+    // it can be asked again.
+    if app.store.waiting().await? >= app.limits.queue {
+        return Err(queue_full());
+    }
     let upload = upload::receive(app, request, &["name", "preset", "options"]).await?;
     let options = match upload
         .fields
@@ -163,7 +174,7 @@ async fn from_upload(
         let job = order.job(&capture.id, &capture.name)?;
         let creation = app
             .store
-            .create_job(&job, key.as_deref(), &fingerprint)
+            .create_job(&job, key.as_deref(), &fingerprint, app.limits.queue)
             .await;
         // The job of the first request has its own capture, and one without a job was not asked
         // for: this copy was for nothing.
@@ -175,6 +186,16 @@ async fn from_upload(
         Ok(creation?)
     })
     .await
+}
+
+fn queue_full() -> Problem {
+    Problem::new(
+        StatusCode::SERVICE_UNAVAILABLE,
+        "queue_full",
+        "Too many jobs are waiting.",
+    )
+    .hint("Try again when some have ended, or cancel some.")
+    .retry_after(QUEUE_RETRY)
 }
 
 fn idempotency_key(headers: &HeaderMap) -> Result<Option<String>, Problem> {
@@ -237,7 +258,7 @@ pub async fn cancel(
     if app.store.request_cancel(&id).await?.is_none() {
         return Err(over(&row));
     }
-    app.stop(&id);
+    app.running.stop(&id);
     app.changed();
     let mut versions = app.watch();
     let ended = async {

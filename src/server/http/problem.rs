@@ -36,6 +36,9 @@ pub struct Problem {
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(value_type = Option<Object>)]
     capture: Option<Box<Value>>,
+    /// The header `Retry-After`, seconds.
+    #[serde(skip)]
+    retry_after: Option<u32>,
 }
 
 impl Problem {
@@ -50,6 +53,7 @@ impl Problem {
             hint: None,
             pointer: None,
             capture: None,
+            retry_after: None,
         }
     }
 
@@ -64,6 +68,13 @@ impl Problem {
     #[must_use]
     pub fn pointer(mut self, pointer: impl Into<String>) -> Self {
         self.pointer = Some(pointer.into().into());
+        self
+    }
+
+    /// After how many seconds it may go better.
+    #[must_use]
+    pub fn retry_after(mut self, seconds: u32) -> Self {
+        self.retry_after = Some(seconds);
         self
     }
 
@@ -106,7 +117,13 @@ impl Problem {
 impl IntoResponse for Problem {
     fn into_response(self) -> Response {
         let status = StatusCode::from_u16(self.status).unwrap_or(StatusCode::INTERNAL_SERVER_ERROR);
+        let retry_after = self.retry_after;
         let mut response = (status, Json(self)).into_response();
+        if let Some(seconds) = retry_after {
+            response
+                .headers_mut()
+                .insert(header::RETRY_AFTER, seconds.into());
+        }
         let media_type = HeaderValue::from_static("application/problem+json");
         response
             .headers_mut()

@@ -26,6 +26,8 @@ use crate::wording::without_paths;
 /// Longest side of a render, px.
 const LONGEST_SIDE: usize = 2048;
 
+/// After so many seconds a render may go better.
+const RENDER_RETRY: u32 = 5;
 /// Largest number of a camera: px, or units of the world.
 const LARGEST_NUMBER: f64 = 1e6;
 /// Shortest focal length, in sides of the picture: almost 180 degrees wide.
@@ -331,6 +333,7 @@ fn failed(error: &RenderError) -> Problem {
         without_paths(&error.to_string()),
     )
     .hint("Try again; /readyz says whether the graphics adapter works.")
+    .retry_after(RENDER_RETRY)
 }
 
 /// What a picture depends on: the scene's very file, the camera, the size and the format.

@@ -31,7 +31,9 @@ pub async fn work(app: Arc<App>, index: usize) {
         }
         was_full = false;
         let lease_ms = i64::try_from(app.limits.lease.as_millis()).unwrap_or(i64::MAX);
-        match app.store.claim(&owner, lease_ms).await {
+        // A worker of this very server that has not been heard of was suspended with it: its job
+        // runs, whatever the clock says.
+        match app.store.claim(&owner, lease_ms, &app.running.jobs()).await {
             Ok(Some(claim)) => {
                 app.changed();
                 if let Err(error) = run(&app, &claim).await {
@@ -64,9 +66,9 @@ async fn pause(app: &App, time: Duration) {
 async fn run(app: &App, claim: &Claim) -> Result<()> {
     let id = &claim.job.id;
     tracing::info!(job = id, attempt = claim.job.attempts, "job begins");
-    let cancel = app.begin(id);
+    let cancel = app.running.begin(&claim.lease);
     let outcome = attempt::run(app, claim, cancel).await;
-    app.end(id);
+    app.running.end(&claim.lease);
     let settlement = match outcome {
         Ok(settlement) => settlement,
         Err(ServerError::LeaseLost(job)) => return Err(ServerError::LeaseLost(job)),

@@ -1,6 +1,7 @@
 //! Creating a job, at most once for a client's key.
 
 use sqlx::Row;
+use sqlx::sqlite::SqliteExecutor;
 
 use super::jobs::{JobRow, NewJob, insert, read};
 use super::{Store, now_ms};
@@ -15,12 +16,22 @@ pub enum Creation {
     Replayed(JobRow),
     /// The key belongs to another request.
     KeyReused,
+    /// As many jobs wait as may.
+    QueueFull,
 }
 
 impl Store {
+    /// How many jobs wait for a worker.
+    ///
+    /// # Errors
+    /// When the database refuses.
+    pub async fn waiting(&self) -> Result<u32> {
+        waiting(&self.pool).await
+    }
+
     /// Creates a job; with a key, at most once.
     ///
-    /// `fingerprint` identifies the request: the same key with another one is refused.
+    /// `queue` jobs may wait at most; `fingerprint` identifies the request: the same key with another one is refused.
     ///
     /// # Errors
     /// When the database refuses.
@@ -29,6 +40,7 @@ impl Store {
         job: &NewJob,
         key: Option<&str>,
         fingerprint: &str,
+        queue: u32,
     ) -> Result<Creation> {
         // Immediate: two requests with one key queue here instead of both finding it unused.
         let mut tx = self.pool.begin_with("BEGIN IMMEDIATE").await?;
@@ -46,6 +58,9 @@ impl Store {
                 return Ok(Creation::Replayed(row.ok_or_else(|| missing(&id))?));
             }
         }
+        if waiting(&mut *tx).await? >= queue {
+            return Ok(Creation::QueueFull);
+        }
         insert(&mut tx, job).await?;
         if let Some(key) = key {
             sqlx::query("INSERT INTO idempotency (key, fingerprint, job_id, created_at) VALUES (?, ?, ?, ?)")
@@ -62,6 +77,11 @@ impl Store {
         tx.commit().await?;
         Ok(Creation::Created(row))
     }
+}
+
+async fn waiting(executor: impl SqliteExecutor<'_>) -> Result<u32> {
+    let count = sqlx::query_scalar("SELECT COUNT(*) FROM jobs WHERE state = 'queued'");
+    Ok(count.fetch_one(executor).await?)
 }
 
 fn missing(id: &str) -> ServerError {

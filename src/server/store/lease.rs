@@ -3,6 +3,7 @@
 
 use fled_core::event::{Event, Stage};
 use serde_json::{Value, json};
+use sqlx::sqlite::SqliteRow;
 use sqlx::{Row, Sqlite, Transaction};
 
 use super::jobs::{JobError, JobRow, from_row, read};
@@ -65,20 +66,28 @@ pub struct Progress {
 }
 
 impl Store {
-    /// Takes the oldest job that waits or whose lease has run out.
+    /// Takes the oldest job that waits or whose lease has run out, but none of `running`.
     ///
     /// # Errors
     /// When the database refuses.
-    pub async fn claim(&self, owner: &str, lease_ms: i64) -> Result<Option<Claim>> {
+    pub async fn claim(
+        &self,
+        owner: &str,
+        lease_ms: i64,
+        running: &[String],
+    ) -> Result<Option<Claim>> {
         let now = now_ms();
         let mut tx = self.pool.begin_with("BEGIN IMMEDIATE").await?;
         // The transaction holds the write lock: no two workers can take the same job.
         let waiting = sqlx::query_as::<_, (String, String)>(
             "SELECT id, state FROM jobs
-             WHERE (state = 'queued' AND not_before <= ?1) OR (state = 'running' AND lease_until < ?1)
+             WHERE (state = 'queued' AND not_before <= ?1)
+                OR (state = 'running' AND lease_until < ?1
+                    AND id NOT IN (SELECT value FROM json_each(?2)))
              ORDER BY created_at, id LIMIT 1",
         )
         .bind(now)
+        .bind(json!(running).to_string())
         .fetch_optional(&mut *tx)
         .await?;
         let Some((id, state)) = waiting else {
@@ -219,36 +228,36 @@ impl Store {
             .bind(&lease.job)
             .fetch_one(&self.pool)
             .await?;
-        let before: u32 = row.try_get("failures")?;
-        let advanced =
-            row.try_get::<f64, _>("progress")? > row.try_get::<f64, _>("failed_at")? + 1e-3;
-        Ok(if advanced { 1 } else { before + 1 })
+        failures_with_this(&row)
     }
 
     /// Queues again (or, where that was asked, cancels) what runs under any lease. Only for a
-    /// server that has just started and holds the data directory alone. Returns the jobs.
+    /// server that has just started and holds the data directory alone: an earlier one died while
+    /// these ran. That counts as a failure of theirs, and they may be why; `settle_death` says
+    /// what follows from so many without progress. Returns the jobs.
     ///
     /// # Errors
     /// When the database refuses.
-    pub async fn release_all(&self) -> Result<Vec<String>> {
+    pub async fn release_all(
+        &self,
+        settle_death: impl Fn(u32) -> Settlement,
+    ) -> Result<Vec<String>> {
         let mut tx = self.pool.begin_with("BEGIN IMMEDIATE").await?;
-        let rows = sqlx::query("SELECT id, cancel_requested FROM jobs WHERE state = 'running'")
-            .fetch_all(&mut *tx)
-            .await?;
+        let rows = sqlx::query(
+            "SELECT id, cancel_requested, failures, progress, failed_at FROM jobs
+             WHERE state = 'running'",
+        )
+        .fetch_all(&mut *tx)
+        .await?;
         let mut released = Vec::new();
         for row in rows {
             let id: String = row.try_get("id")?;
-            let stop: bool = row.try_get("cancel_requested")?;
-            settle(
-                &mut tx,
-                &id,
-                if stop {
-                    &Settlement::Stopped
-                } else {
-                    &Settlement::Released
-                },
-            )
-            .await?;
+            let settlement = if row.try_get("cancel_requested")? {
+                Settlement::Stopped
+            } else {
+                settle_death(failures_with_this(&row)?)
+            };
+            settle(&mut tx, &id, &settlement).await?;
             // The old epoch must not write any more, should its worker still breathe.
             sqlx::query("UPDATE jobs SET epoch = epoch + 1 WHERE id = ?")
                 .bind(&id)
@@ -276,6 +285,13 @@ impl Store {
             Err(ServerError::LeaseLost(lease.job.clone()))
         }
     }
+}
+
+/// Failures in a row without progress, counting one that happens now.
+fn failures_with_this(row: &SqliteRow) -> Result<u32> {
+    let before: u32 = row.try_get("failures")?;
+    let advanced = row.try_get::<f64, _>("progress")? > row.try_get::<f64, _>("failed_at")? + 1e-3;
+    Ok(if advanced { 1 } else { before + 1 })
 }
 
 /// The effect of an event on the job's row and its results.

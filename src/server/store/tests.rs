@@ -37,7 +37,7 @@ fn new_job(id: &str) -> NewJob {
 
 async fn create(store: &Store, id: &str) {
     let outcome = store
-        .create_job(&new_job(id), None, "")
+        .create_job(&new_job(id), None, "", 100)
         .await
         .expect("create");
     assert!(matches!(outcome, Creation::Created(_)));
@@ -60,9 +60,13 @@ fn failed(retry_in_ms: Option<i64>) -> Settlement {
 async fn a_worker_that_lost_its_lease_writes_nothing() {
     let (_dir, store) = store().await;
     create(&store, "j").await;
-    let old = store.claim("one", -1).await.expect("claim").expect("job");
+    let old = store
+        .claim("one", -1, &[])
+        .await
+        .expect("claim")
+        .expect("job");
     let new = store
-        .claim("two", 60_000)
+        .claim("two", 60_000, &[])
         .await
         .expect("claim")
         .expect("its lease has run out");
@@ -110,7 +114,7 @@ async fn two_workers_never_claim_the_same_job_and_the_oldest_goes_first() {
         claims.spawn(async move {
             let mut mine = Vec::new();
             while let Some(claim) = store
-                .claim(&worker.to_string(), 60_000)
+                .claim(&worker.to_string(), 60_000, &[])
                 .await
                 .expect("claim")
             {
@@ -134,10 +138,24 @@ async fn a_restart_queues_what_ran_and_cancels_what_was_to_be_stopped() {
     let (_dir, store) = store().await;
     create(&store, "a").await;
     create(&store, "b").await;
-    let a = store.claim("one", 60_000).await.expect("claim").expect("a");
-    store.claim("one", 60_000).await.expect("claim").expect("b");
+    let a = store
+        .claim("one", 60_000, &[])
+        .await
+        .expect("claim")
+        .expect("a");
+    store
+        .claim("one", 60_000, &[])
+        .await
+        .expect("claim")
+        .expect("b");
     store.request_cancel("b").await.expect("cancel");
-    assert_eq!(store.release_all().await.expect("release"), ["a", "b"]);
+    assert_eq!(
+        store
+            .release_all(|_| Settlement::Released)
+            .await
+            .expect("release"),
+        ["a", "b"]
+    );
     assert_eq!(
         store.job("a").await.expect("read").expect("a").state,
         JobState::Queued
@@ -159,7 +177,7 @@ async fn a_key_gives_one_job_and_refuses_another_request() {
         let store = store.clone();
         async move {
             store
-                .create_job(&new_job(id), Some("key"), print)
+                .create_job(&new_job(id), Some("key"), print, 100)
                 .await
                 .expect("create")
         }
@@ -176,7 +194,7 @@ async fn failures_count_only_while_there_is_no_progress() {
     create(&store, "j").await;
     for (progress, expected) in [(0.0, 1), (0.0, 2), (0.4, 1), (0.4, 2), (0.4, 3)] {
         let claim = store
-            .claim("one", 60_000)
+            .claim("one", 60_000, &[])
             .await
             .expect("claim")
             .expect("job");
@@ -211,7 +229,7 @@ async fn deleting_a_job_takes_its_rows_and_a_used_capture_stays() {
     create(&store, "j").await;
     assert!(!store.delete_capture("c").await.expect("refused"));
     let claim = store
-        .claim("one", 60_000)
+        .claim("one", 60_000, &[])
         .await
         .expect("claim")
         .expect("job");
@@ -245,7 +263,7 @@ async fn drive(store: &Store, leases: &mut BTreeMap<&str, Lease>, transition: Tr
     match transition {
         // A negative lease has run out at once, so that `Claimed` can happen to a running job.
         Transition::Claimed => {
-            if let Some(claim) = store.claim("w", -1).await.expect("claim") {
+            if let Some(claim) = store.claim("w", -1, &[]).await.expect("claim") {
                 leases.insert("j", claim.lease);
             }
         }
@@ -303,18 +321,18 @@ async fn a_disk_that_was_full_disables_no_connection() {
         options: json!({ "deblur": "x".repeat(1 << 20) }),
         ..new_job("large")
     };
-    let refused = store.create_job(&large, None, "").await;
+    let refused = store.create_job(&large, None, "", 100).await;
     assert!(refused.is_err(), "1 MiB into no free page");
     // By every connection; one that was replaced has no limit, and a job's id is used once.
     for _ in 0..CONNECTIONS {
-        drop(store.create_job(&large, None, "").await);
+        drop(store.create_job(&large, None, "", 100).await);
     }
     allow_pages(&store, 1 << 20).await;
     for _ in 0..CONNECTIONS + 2 {
         store.check().await.expect("the database can be written");
     }
     create(&store, "after").await;
-    let claim = store.claim("one", 60_000).await.expect("claim");
+    let claim = store.claim("one", 60_000, &[]).await.expect("claim");
     let claim = claim.expect("the job that waits");
     let step = Progress {
         progress: Some(0.5),
@@ -325,5 +343,58 @@ async fn a_disk_that_was_full_disables_no_connection() {
     for _ in 0..CONNECTIONS {
         let told = store.job("waits").await.expect("read").expect("job");
         assert_eq!(told.progress, 0.5);
+    }
+}
+
+#[tokio::test]
+async fn a_job_that_runs_here_is_not_taken_over_whatever_the_clock_says() {
+    let (_dir, store) = store().await;
+    create(&store, "j").await;
+    let claim = store.claim("one", -1, &[]).await.expect("claim");
+    let claim = claim.expect("the job");
+    let running = ["j".to_owned()];
+    let stolen = store.claim("two", -1, &running).await.expect("claim");
+    assert!(stolen.is_none(), "its lease has run out, but it runs");
+    store
+        .heartbeat(&claim.lease, 60_000)
+        .await
+        .expect("it goes on");
+}
+
+#[tokio::test]
+async fn the_queue_takes_so_many_and_no_more() {
+    let (_dir, store) = store().await;
+    for (id, expected) in [("a", true), ("b", true), ("c", false)] {
+        let outcome = store.create_job(&new_job(id), None, "", 2).await;
+        let created = matches!(outcome.expect("answered"), Creation::Created(_));
+        assert_eq!(created, expected, "{id}");
+    }
+    assert_eq!(store.waiting().await.expect("count"), 2);
+}
+
+#[tokio::test]
+async fn deaths_of_the_server_count_while_there_is_no_progress() {
+    let (_dir, store) = store().await;
+    create(&store, "j").await;
+    for (progress, expected) in [(0.0, 1), (0.0, 2), (0.5, 1), (0.5, 2)] {
+        let claim = store.claim("one", 60_000, &[]).await.expect("claim");
+        let step = Progress {
+            progress: Some(progress),
+            ..Default::default()
+        };
+        let lease = claim.expect("the job").lease;
+        store.advance(&lease, &step).await.expect("advance");
+        let settle = |deaths| {
+            assert_eq!(deaths, expected, "at {progress}");
+            let Settlement::Failed { error, .. } = failed(None) else {
+                unreachable!()
+            };
+            Settlement::Failed {
+                error,
+                retry_in_ms: Some(-1),
+                failures: deaths,
+            }
+        };
+        store.release_all(settle).await.expect("released");
     }
 }

@@ -1,0 +1,73 @@
+//! The jobs that workers of this server run.
+
+use std::collections::HashMap;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use tokio::sync::Notify;
+
+use crate::store::Lease;
+
+/// What rings to stop each running job, and under which epoch it runs.
+#[derive(Debug, Default)]
+pub struct Running(Mutex<HashMap<String, (i64, Arc<Notify>)>>);
+
+impl Running {
+    /// Remembers that the job runs under this lease; what rings to stop it.
+    pub fn begin(&self, lease: &Lease) -> Arc<Notify> {
+        let bell = Arc::new(Notify::new());
+        self.lock()
+            .insert(lease.job.clone(), (lease.epoch, bell.clone()));
+        bell
+    }
+
+    /// Forgets a job that no longer runs under this lease. Another worker that has taken it over
+    /// keeps its own entry.
+    pub fn end(&self, lease: &Lease) {
+        let mut jobs = self.lock();
+        if jobs
+            .get(&lease.job)
+            .is_some_and(|&(epoch, _)| epoch == lease.epoch)
+        {
+            jobs.remove(&lease.job);
+        }
+    }
+
+    /// Stops the job's process, when a worker of this server runs it.
+    pub fn stop(&self, job: &str) {
+        if let Some((_, bell)) = self.lock().get(job) {
+            // Remembered until it is awaited, so that no order of events loses it.
+            bell.notify_one();
+        }
+    }
+
+    /// The jobs that run.
+    pub fn jobs(&self) -> Vec<String> {
+        self.lock().keys().cloned().collect()
+    }
+
+    fn lock(&self) -> MutexGuard<'_, HashMap<String, (i64, Arc<Notify>)>> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[tokio::test]
+    async fn who_lost_a_job_does_not_forget_it_for_who_has_it_now() {
+        let lease = |epoch| Lease {
+            job: "j".to_owned(),
+            epoch,
+        };
+        let running = Running::default();
+        running.begin(&lease(1));
+        let bell = running.begin(&lease(2));
+        running.end(&lease(1));
+        assert_eq!(running.jobs(), ["j"]);
+        running.stop("j");
+        bell.notified().await;
+        running.end(&lease(2));
+        assert!(running.jobs().is_empty());
+    }
+}

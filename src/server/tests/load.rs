@@ -1,0 +1,120 @@
+//! More than the server can do at a time, through a real server process.
+
+mod support;
+
+use std::io::Write;
+use std::net::TcpStream;
+use std::thread::{scope, sleep};
+use std::time::{Duration, Instant};
+
+use serde_json::json;
+use support::Server;
+
+/// A finished job whose scene takes 700 ms a picture.
+fn slow_scene(server: &Server) -> String {
+    let job = server.job("ok");
+    server.wait_state(&job, "succeeded");
+    let scene = format!("data/jobs/{job}/output/scene.ply");
+    std::fs::write(server.data.path().join(scene), "slow").expect("written");
+    job
+}
+
+#[test]
+fn renders_of_clients_that_hung_up_are_not_made() {
+    let server = Server::start();
+    let job = slow_scene(&server);
+    let address = server.base.trim_start_matches("http://");
+    let asked: Vec<TcpStream> = (0..32)
+        .map(|i| {
+            let mut stream = TcpStream::connect(address).expect("connect");
+            let path = format!("/v1/jobs/{job}/render?azimuth={i}");
+            write!(stream, "GET {path} HTTP/1.1\r\nHost: {address}\r\n\r\n").expect("request");
+            stream
+        })
+        .collect();
+    sleep(Duration::from_millis(300));
+    let busy = server
+        .get(&format!("/v1/jobs/{job}/render?azimuth=100"), &[])
+        .expect(503);
+    assert_eq!(busy.json()["code"], "busy");
+    assert!(!busy.header("retry-after").is_empty());
+    drop(asked);
+    sleep(Duration::from_millis(300));
+    let start = Instant::now();
+    server
+        .get(&format!("/v1/jobs/{job}/render?azimuth=200"), &[])
+        .expect(200);
+    assert!(
+        start.elapsed() < Duration::from_secs(3),
+        "{:?}",
+        start.elapsed()
+    );
+    let renders = server.data.path().join(format!("data/jobs/{job}/renders"));
+    let half: Vec<_> = std::fs::read_dir(renders)
+        .expect("folder")
+        .flatten()
+        .filter(|entry| entry.path().extension().is_some_and(|e| e == "tmp"))
+        .collect();
+    assert!(half.is_empty(), "{half:?}");
+}
+
+#[test]
+fn renders_that_wait_are_made_one_after_the_other() {
+    let server = Server::start();
+    let job = slow_scene(&server);
+    scope(|scope| {
+        for i in 0..4 {
+            let path = format!("/v1/jobs/{job}/render?azimuth={i}");
+            let server = &server;
+            scope.spawn(move || server.get(&path, &[]).expect(200));
+        }
+    });
+}
+
+#[test]
+fn a_full_queue_is_told_and_when_to_try_again() {
+    let server = Server::start_with(&[("FLED_FAKE_QUEUE", "2")]);
+    let capture = server.capture(3);
+    let order = json!({ "capture_id": capture, "options": { "adapter": "slow:300" } });
+    let submit = || server.post_json("/v1/jobs", &order, &[]);
+    for _ in 0..2 {
+        let job = submit().expect(202).json()["id"]
+            .as_str()
+            .expect("id")
+            .to_owned();
+        server.wait(&job, "running", |shown| shown["state"] == "running");
+    }
+    let waiting = submit().expect(202).json();
+    submit().expect(202);
+    let refused = submit().expect(503);
+    assert_eq!(refused.header("retry-after"), "60");
+    assert_eq!(refused.json()["code"], "queue_full");
+    let parts = support::photographs(1);
+    server.upload("/v1/jobs", &parts, &[]).expect(503);
+    let id = waiting["id"].as_str().expect("id");
+    server
+        .post(&format!("/v1/jobs/{id}/cancel"), b"", &[])
+        .expect(202);
+    submit().expect(202);
+}
+
+#[test]
+fn a_job_that_kills_its_server_does_not_start_for_ever() {
+    let mut server = Server::start();
+    let job = server.job("silent");
+    for _ in 0..5 {
+        server.wait(&job, "running", |shown| shown["state"] == "running");
+        server.restart();
+    }
+    let failed = server.wait_state(&job, "failed");
+    assert_eq!(failed["attempts"], 5);
+    let detail = failed["error"]["detail"].as_str().expect("detail");
+    assert!(
+        detail.contains("server died") && detail.contains("5 times"),
+        "{detail}"
+    );
+    server
+        .post(&format!("/v1/jobs/{job}/retry"), b"", &[])
+        .expect(202);
+    server.wait(&job, "running", |shown| shown["state"] == "running");
+}
