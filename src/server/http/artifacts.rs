@@ -44,7 +44,8 @@ pub struct Artifacts {
 }
 
 /// Lists the files that the job has written so far.
-#[utoipa::path(get, path = "/v1/jobs/{id}/artifacts", tag = "results", params(("id" = String, Path)),
+#[utoipa::path(get, path = "/v1/jobs/{id}/artifacts", operation_id = "list_artifacts",
+    tag = "results", params(("id" = String, Path)),
     responses(
         (status = 200, description = "The files", body = Artifacts),
         (status = 404, description = "Unknown", body = Problem, content_type = "application/problem+json")))]
@@ -82,7 +83,8 @@ pub async fn list(
 }
 
 /// Sends a file of the job, whole or the range asked for.
-#[utoipa::path(get, path = "/v1/jobs/{id}/artifacts/{name}", tag = "results",
+#[utoipa::path(get, path = "/v1/jobs/{id}/artifacts/{name}", operation_id = "download_artifact",
+    tag = "results",
     params(("id" = String, Path), ("name" = String, Path, description = "As listed; may contain `/`"),
         ("Range" = Option<String>, Header, description = "One range of bytes")),
     responses(

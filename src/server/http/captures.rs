@@ -17,6 +17,7 @@ use crate::app::App;
 
 /// How to take an upload.
 #[derive(Debug, Deserialize, IntoParams)]
+#[into_params(parameter_in = Query)]
 #[serde(deny_unknown_fields)]
 pub struct CreateQuery {
     /// Judge only; keep nothing. Present and empty, or `true`.
@@ -25,6 +26,7 @@ pub struct CreateQuery {
 
 /// Which captures to list.
 #[derive(Debug, Deserialize, IntoParams)]
+#[into_params(parameter_in = Query)]
 #[serde(deny_unknown_fields)]
 pub struct ListQuery {
     /// At most so many, 1..=200.
@@ -34,7 +36,8 @@ pub struct ListQuery {
 }
 
 /// Uploads photographs: parts named `images`, or one zip; optionally `gt`, poses and `name`.
-#[utoipa::path(post, path = "/v1/captures", tag = "captures", params(CreateQuery),
+#[utoipa::path(post, path = "/v1/captures", operation_id = "create_capture",
+    tag = "captures", params(CreateQuery),
     request_body(content_type = "multipart/form-data", content = String,
         description = "`images`: photographs or one zip; `gt`: ground truth with the same names; `poses`: transforms.json, poses_bounds.npy or a COLMAP model; `name`"),
     responses(
@@ -66,7 +69,8 @@ pub async fn create(
 }
 
 /// Lists captures, newest first.
-#[utoipa::path(get, path = "/v1/captures", tag = "captures", params(ListQuery),
+#[utoipa::path(get, path = "/v1/captures", operation_id = "list_captures",
+    tag = "captures", params(ListQuery),
     responses((status = 200, description = "A page", body = Captures)))]
 pub async fn list(
     State(app): State<Arc<App>>,
@@ -94,7 +98,8 @@ pub async fn list(
 }
 
 /// Shows a capture and its assessments.
-#[utoipa::path(get, path = "/v1/captures/{id}", tag = "captures", params(("id" = String, Path)),
+#[utoipa::path(get, path = "/v1/captures/{id}", operation_id = "show_capture",
+    tag = "captures", params(("id" = String, Path)),
     responses(
         (status = 200, description = "The capture", body = Capture),
         (status = 404, description = "Unknown", body = Problem, content_type = "application/problem+json")))]
@@ -111,7 +116,8 @@ pub async fn show(
 }
 
 /// Deletes a capture that no job uses.
-#[utoipa::path(delete, path = "/v1/captures/{id}", tag = "captures", params(("id" = String, Path)),
+#[utoipa::path(delete, path = "/v1/captures/{id}", operation_id = "delete_capture",
+    tag = "captures", params(("id" = String, Path)),
     responses(
         (status = 204, description = "Deleted"),
         (status = 404, description = "Unknown", body = Problem, content_type = "application/problem+json"),

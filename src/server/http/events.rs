@@ -28,6 +28,7 @@ const BATCH: u32 = 200;
 
 /// From where to stream.
 #[derive(Debug, Deserialize, IntoParams)]
+#[into_params(parameter_in = Query)]
 #[serde(deny_unknown_fields)]
 pub struct StreamQuery {
     /// Like the header `Last-Event-ID`, for clients that cannot set it.
@@ -37,7 +38,7 @@ pub struct StreamQuery {
 /// Streams what happens to a job: `state`, `planned`, `stage_started`, `stage_finished`,
 /// `progress`, `round_finished`, `warning`. Ends with the job; 204 when there is nothing more to
 /// come.
-#[utoipa::path(get, path = "/v1/jobs/{id}/events", tag = "jobs",
+#[utoipa::path(get, path = "/v1/jobs/{id}/events", operation_id = "stream_events", tag = "jobs",
     params(("id" = String, Path), StreamQuery,
         ("Last-Event-ID" = Option<i64>, Header, description = "Number of the last event received; what follows it is sent")),
     responses(

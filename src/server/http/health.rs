@@ -21,13 +21,14 @@ pub struct Readiness {
 }
 
 /// Says that the server lives.
-#[utoipa::path(get, path = "/livez", tag = "health", responses((status = 200, description = "It does", body = String)))]
+#[utoipa::path(get, path = "/livez", operation_id = "live",
+    tag = "health", responses((status = 200, description = "It does", body = String)))]
 pub async fn live() -> &'static str {
     "ok\n"
 }
 
 /// Says whether the server can take jobs, and what is missing.
-#[utoipa::path(get, path = "/readyz", tag = "health",
+#[utoipa::path(get, path = "/readyz", operation_id = "ready", tag = "health",
     responses(
         (status = 200, description = "Everything is in order", body = Readiness),
         (status = 503, description = "Something is missing", body = Readiness)))]

@@ -45,6 +45,7 @@ pub struct CreateJob {
 
 /// Which jobs to list.
 #[derive(Debug, Deserialize, IntoParams)]
+#[into_params(parameter_in = Query)]
 #[serde(deny_unknown_fields)]
 pub struct ListQuery {
     /// Of this state only.
@@ -56,7 +57,7 @@ pub struct ListQuery {
 }
 
 /// Creates a job: JSON for an existing capture, or multipart for capture and job in one call.
-#[utoipa::path(post, path = "/v1/jobs", tag = "jobs",
+#[utoipa::path(post, path = "/v1/jobs", operation_id = "create_job", tag = "jobs",
     params(("Idempotency-Key" = Option<String>, Header, description = "The same key and request give the same job")),
     request_body(content(
         (CreateJob = "application/json"),
@@ -213,7 +214,7 @@ fn idempotency_key(headers: &HeaderMap) -> Result<Option<String>, Problem> {
 }
 
 /// Lists jobs, newest first.
-#[utoipa::path(get, path = "/v1/jobs", tag = "jobs", params(ListQuery),
+#[utoipa::path(get, path = "/v1/jobs", operation_id = "list_jobs", tag = "jobs", params(ListQuery),
     responses((status = 200, description = "A page", body = Jobs)))]
 pub async fn list(
     State(app): State<Arc<App>>,
@@ -233,7 +234,8 @@ pub async fn list(
 }
 
 /// Shows a job: state, progress, warnings, error.
-#[utoipa::path(get, path = "/v1/jobs/{id}", tag = "jobs", params(("id" = String, Path)),
+#[utoipa::path(get, path = "/v1/jobs/{id}", operation_id = "show_job",
+    tag = "jobs", params(("id" = String, Path)),
     responses(
         (status = 200, description = "The job", body = Job),
         (status = 404, description = "Unknown", body = Problem, content_type = "application/problem+json")))]
@@ -245,7 +247,8 @@ pub async fn show(
 }
 
 /// Stops a job and every process of it, within two seconds.
-#[utoipa::path(post, path = "/v1/jobs/{id}/cancel", tag = "jobs", params(("id" = String, Path)),
+#[utoipa::path(post, path = "/v1/jobs/{id}/cancel", operation_id = "cancel_job",
+    tag = "jobs", params(("id" = String, Path)),
     responses(
         (status = 202, description = "Cancelled, or about to be", body = Job),
         (status = 404, description = "Unknown", body = Problem, content_type = "application/problem+json"),
@@ -278,7 +281,8 @@ pub async fn cancel(
 }
 
 /// Queues a failed or cancelled job again; it goes on from what is done.
-#[utoipa::path(post, path = "/v1/jobs/{id}/retry", tag = "jobs", params(("id" = String, Path)),
+#[utoipa::path(post, path = "/v1/jobs/{id}/retry", operation_id = "retry_job",
+    tag = "jobs", params(("id" = String, Path)),
     responses(
         (status = 202, description = "Queued", body = Job),
         (status = 404, description = "Unknown", body = Problem, content_type = "application/problem+json"),
@@ -298,7 +302,8 @@ pub async fn retry(
 }
 
 /// Deletes a job that does not run, with its files.
-#[utoipa::path(delete, path = "/v1/jobs/{id}", tag = "jobs", params(("id" = String, Path)),
+#[utoipa::path(delete, path = "/v1/jobs/{id}", operation_id = "delete_job",
+    tag = "jobs", params(("id" = String, Path)),
     responses(
         (status = 204, description = "Deleted"),
         (status = 404, description = "Unknown", body = Problem, content_type = "application/problem+json"),

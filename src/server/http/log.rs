@@ -15,6 +15,7 @@ use crate::jobs::log::read_page;
 
 /// Which part of the log.
 #[derive(Debug, Deserialize, IntoParams)]
+#[into_params(parameter_in = Query)]
 #[serde(deny_unknown_fields)]
 pub struct LogQuery {
     /// `next_offset` of the page before.
@@ -35,7 +36,8 @@ pub struct LogPage {
 }
 
 /// Shows a page of the job's log: what its process and its tools have said, over all attempts.
-#[utoipa::path(get, path = "/v1/jobs/{id}/log", tag = "results", params(("id" = String, Path), LogQuery),
+#[utoipa::path(get, path = "/v1/jobs/{id}/log", operation_id = "show_log",
+    tag = "results", params(("id" = String, Path), LogQuery),
     responses(
         (status = 200, description = "A page", body = LogPage),
         (status = 404, description = "Unknown", body = Problem, content_type = "application/problem+json")))]

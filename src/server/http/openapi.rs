@@ -2,11 +2,13 @@
 
 use axum::http::header;
 use axum::response::IntoResponse;
-use utoipa::OpenApi;
+use utoipa::openapi::path::{Operation, ParameterIn};
+use utoipa::openapi::{Content, OpenApi, Ref, RefOr, Response, ResponseBuilder};
+use utoipa::{Modify, OpenApi as _};
 
 use super::{artifacts, captures, events, health, jobs, log, options, render, rounds};
 
-#[derive(OpenApi)]
+#[derive(utoipa::OpenApi)]
 #[openapi(
     info(
         title = "fled",
@@ -35,9 +37,60 @@ use super::{artifacts, captures, events, health, jobs, log, options, render, rou
         health::live,
         health::ready,
         show
-    )
+    ),
+    // What only a query names is not found by itself.
+    components(schemas(rounds::Form)),
+    modifiers(&Refusals)
 )]
 struct Api;
+
+/// Adds to every operation how its request can be refused before its handler sees it.
+struct Refusals;
+
+impl Modify for Refusals {
+    fn modify(&self, api: &mut OpenApi) {
+        for (path, item) in &mut api.paths.paths {
+            let operations = [&mut item.get, &mut item.post, &mut item.delete];
+            for operation in operations.into_iter().flatten() {
+                refuse(operation, path);
+            }
+        }
+    }
+}
+
+fn refuse(operation: &mut Operation, path: &str) {
+    let asks = |place: &ParameterIn| {
+        let parameters = operation.parameters.iter().flatten();
+        parameters.clone().any(|parameter| match parameter {
+            RefOr::T(parameter) => parameter.parameter_in == *place,
+            RefOr::Ref(_) => false,
+        })
+    };
+    let has_body = operation.request_body.is_some();
+    let mut refusals = vec![("421", "Called by a name that is not the server's")];
+    if has_body || asks(&ParameterIn::Query) || asks(&ParameterIn::Header) {
+        refusals.push(("400", "A parameter, a header or the body cannot be read"));
+    }
+    if has_body {
+        refusals.push(("413", "The body is too large"));
+        refusals.push(("415", "The body is of another type"));
+    }
+    if path.starts_with("/v1/") {
+        refusals.push(("default", "Any other problem"));
+    }
+    for (status, description) in refusals {
+        let known = operation.responses.responses.entry(status.to_owned());
+        known.or_insert_with(|| problem(description).into());
+    }
+}
+
+fn problem(description: &str) -> Response {
+    let schema = Ref::from_schema_name("Problem");
+    ResponseBuilder::new()
+        .description(description)
+        .content("application/problem+json", Content::new(Some(schema)))
+        .build()
+}
 
 /// The description of the API.
 ///
@@ -50,7 +103,7 @@ pub fn document() -> String {
 }
 
 /// This document.
-#[utoipa::path(get, path = "/openapi.yaml", tag = "health",
+#[utoipa::path(get, path = "/openapi.yaml", operation_id = "show_openapi", tag = "health",
     responses((status = 200, description = "OpenAPI 3.1", body = String, content_type = "application/yaml")))]
 pub async fn show() -> impl IntoResponse {
     ([(header::CONTENT_TYPE, "application/yaml")], document())
@@ -58,9 +111,77 @@ pub async fn show() -> impl IntoResponse {
 
 #[cfg(test)]
 mod tests {
+    use std::collections::HashSet;
     use std::path::Path;
 
+    use serde_json::Value;
+
     use super::*;
+
+    /// Every operation with its path and its method.
+    fn operations(api: &Value) -> Vec<(String, String, Value)> {
+        let paths = api["paths"].as_object().expect("paths");
+        let of_path = |(path, item): (&String, &Value)| {
+            let methods = item.as_object().expect("operations").clone();
+            let path = path.clone();
+            methods
+                .into_iter()
+                .map(move |(method, operation)| (path.clone(), method, operation))
+        };
+        paths.iter().flat_map(of_path).collect()
+    }
+
+    /// Every `$ref` in a document.
+    fn references(value: &Value, found: &mut Vec<String>) {
+        match value {
+            Value::Object(fields) => fields.iter().for_each(|(key, value)| match value {
+                Value::String(target) if key == "$ref" => found.push(target.clone()),
+                value => references(value, found),
+            }),
+            Value::Array(items) => items.iter().for_each(|item| references(item, found)),
+            _ => {}
+        }
+    }
+
+    #[test]
+    fn the_description_can_be_followed_by_a_program() {
+        let api = serde_json::to_value(Api::openapi()).expect("plain data");
+        let mut ids = HashSet::new();
+        for (path, method, operation) in operations(&api) {
+            let name = format!("{method} {path}");
+            let id = operation["operationId"].as_str().expect("an id");
+            assert!(ids.insert(id.to_owned()), "{name}: {id} is another's id");
+            let parameters = operation["parameters"].as_array().cloned();
+            let parameters = parameters.unwrap_or_default();
+            let mut in_path = HashSet::new();
+            for parameter in &parameters {
+                let named = parameter["name"].as_str().expect("a name").to_owned();
+                if parameter["in"] == "path" {
+                    assert!(path.contains(&format!("{{{named}}}")), "{name}: {named}");
+                    in_path.insert(named);
+                }
+            }
+            assert_eq!(in_path.len(), path.matches('{').count(), "{name}");
+            let answers = operation["responses"].as_object().expect("answers");
+            let has_body = operation["requestBody"].is_object();
+            let is_asked = parameters
+                .iter()
+                .any(|parameter| parameter["in"] == "query");
+            assert!(!has_body || answers.contains_key("415"), "{name}");
+            assert!(
+                !(has_body || is_asked) || answers.contains_key("400"),
+                "{name}"
+            );
+        }
+        let mut found = Vec::new();
+        references(&api, &mut found);
+        for target in found {
+            let target = target
+                .strip_prefix('#')
+                .expect("a reference into the document");
+            assert!(api.pointer(target).is_some(), "{target} does not exist");
+        }
+    }
 
     /// `FLED_WRITE_OPENAPI=1 cargo test --release -p fled-server openapi` writes the file.
     #[test]

@@ -7,7 +7,7 @@ use serde_json::{Map, Value};
 use super::problem::Problem;
 
 /// The options of a job as a JSON Schema (2020-12), with every preset under `presets`.
-#[utoipa::path(get, path = "/v1/options", tag = "jobs",
+#[utoipa::path(get, path = "/v1/options", operation_id = "show_options", tag = "jobs",
     responses((status = 200, description = "A JSON Schema with `presets` besides", body = Object)))]
 pub async fn show() -> Result<Json<Value>, Problem> {
     let mut schema =

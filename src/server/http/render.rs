@@ -35,6 +35,7 @@ const SHORTEST_FOCAL: f64 = 1e-3;
 
 /// What to see: a photograph's view, or a place on the orbit around the scene.
 #[derive(Debug, Default, Deserialize, IntoParams)]
+#[into_params(parameter_in = Query)]
 #[serde(deny_unknown_fields)]
 pub struct RenderQuery {
     /// Name of a photograph's view.
@@ -83,7 +84,8 @@ pub struct Pinhole {
 }
 
 /// Renders a photograph's view, or one from an orbit around the scene.
-#[utoipa::path(get, path = "/v1/jobs/{id}/render", tag = "results", params(("id" = String, Path), RenderQuery),
+#[utoipa::path(get, path = "/v1/jobs/{id}/render", operation_id = "render_view",
+    tag = "results", params(("id" = String, Path), RenderQuery),
     responses(
         (status = 200, description = "The picture", body = Vec<u8>, content_type = "image/jpeg"),
         (status = 304, description = "As you have it"),
@@ -110,7 +112,8 @@ pub async fn get(
 }
 
 /// Renders with a camera of the client's own.
-#[utoipa::path(post, path = "/v1/jobs/{id}/render", tag = "results", params(("id" = String, Path)),
+#[utoipa::path(post, path = "/v1/jobs/{id}/render", operation_id = "render_camera",
+    tag = "results", params(("id" = String, Path)),
     request_body = RenderBody,
     responses(
         (status = 200, description = "The picture", body = Vec<u8>, content_type = "image/jpeg"),

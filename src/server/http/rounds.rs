@@ -17,6 +17,7 @@ use crate::store::StageSeconds;
 
 /// In which form.
 #[derive(Debug, Deserialize, IntoParams)]
+#[into_params(parameter_in = Query)]
 #[serde(deny_unknown_fields)]
 pub struct RoundsQuery {
     /// `json` (default) or `csv`.
@@ -49,7 +50,8 @@ pub struct Rounds {
 }
 
 /// Shows the metrics of every finished round.
-#[utoipa::path(get, path = "/v1/jobs/{id}/rounds", tag = "results", params(("id" = String, Path), RoundsQuery),
+#[utoipa::path(get, path = "/v1/jobs/{id}/rounds", operation_id = "show_rounds",
+    tag = "results", params(("id" = String, Path), RoundsQuery),
     responses(
         (status = 200, description = "Finished rounds", content((Rounds = "application/json"), (String = "text/csv"))),
         (status = 404, description = "Unknown", body = Problem, content_type = "application/problem+json")))]
