@@ -8,6 +8,7 @@
 mod artifacts;
 mod body_limit;
 mod captures;
+mod connections;
 mod dashboard;
 mod events;
 mod extract;
@@ -44,6 +45,7 @@ use tower_http::trace::TraceLayer;
 use crate::app::App;
 use body_limit::SMALL;
 
+pub use connections::serve as serve_connections;
 pub use openapi::document;
 pub use problem::Problem;
 

@@ -5,7 +5,6 @@
 
 mod app;
 mod config;
-mod connections;
 pub mod data;
 pub mod error;
 mod http;

@@ -12,10 +12,9 @@ use tokio::task::JoinSet;
 
 use crate::app::App;
 use crate::config::{Limits, ServeConfig};
-use crate::connections;
 use crate::data::DataDir;
 use crate::error::{Result, ServerError};
-use crate::http::router;
+use crate::http::{router, serve_connections};
 use crate::jobs::{kill_orphans, worker};
 use crate::store::{JobError, Settlement, Store};
 use crate::sweep;
@@ -71,7 +70,7 @@ impl Server {
             tasks.spawn(worker::work(app.clone(), index));
         }
         let (limits, shutdown) = (app.limits, app.shutdown.clone());
-        tasks.spawn(connections::serve(
+        tasks.spawn(serve_connections(
             listener,
             router(app.clone()),
             limits,

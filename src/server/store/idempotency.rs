@@ -31,7 +31,8 @@ impl Store {
 
     /// Creates a job; with a key, at most once.
     ///
-    /// `queue` jobs may wait at most; `fingerprint` identifies the request: the same key with another one is refused.
+    /// `queue` jobs may wait at most.
+    /// `fingerprint` identifies the request: the same key with another one is refused.
     ///
     /// # Errors
     /// When the database refuses.
