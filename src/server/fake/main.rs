@@ -15,6 +15,7 @@ use fled_core::image::Image;
 use fled_server::render::RenderRequest;
 use fled_server::{Limits, ServeConfig};
 use protocol::say;
+use rustix::process::{Resource, Rlimit, setrlimit};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     fled_server::die_with_parent()?;
@@ -35,6 +36,14 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
 
 fn serve(data: &Path, address_file: &Path) -> Result<(), Box<dyn std::error::Error>> {
     let program = std::env::current_exe()?;
+    let descriptors = number("FLED_FAKE_DESCRIPTORS", 0)?;
+    if descriptors > 0 {
+        let limit = Rlimit {
+            current: Some(descriptors),
+            maximum: Some(descriptors),
+        };
+        setrlimit(Resource::Nofile, limit)?;
+    }
     let command = |verb: &str| vec![program.clone().into_os_string(), verb.into()];
     let config = ServeConfig {
         data: data.to_owned(),
