@@ -60,7 +60,7 @@ impl Order {
     /// # Errors
     /// 422 for held-out views that the capture has not.
     pub(super) fn check_views(&self, report: &CaptureReport) -> Result<(), Problem> {
-        let held_out = self.options.held_out.trim();
+        let held_out = self.options.held_out.as_str();
         let refused = |message: String| {
             let key = "held_out".to_owned();
             Err(bad_option(&OptionsError { key, message }))

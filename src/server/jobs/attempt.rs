@@ -284,6 +284,13 @@ impl Attempt<'_> {
         let failures = self.app.store.count_failure(&self.lease).await?;
         let retry = kind.retryable() && failures < self.app.limits.attempts_without_progress;
         let wait = self.app.limits.retry_wait_ms(kind, failures);
+        // With paths: for whoever runs the server.
+        tracing::warn!(
+            job = self.lease.job,
+            kind = kind.name(),
+            detail,
+            "an attempt failed"
+        );
         let error = JobError {
             code: kind.name().to_owned(),
             detail: without_paths(&detail),

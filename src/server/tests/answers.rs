@@ -87,6 +87,7 @@ fn what_a_job_would_fail_at_after_its_poses_is_refused_before_it() {
         "/options/held_out"
     );
     assert_eq!(refused(json!({ "held_out": 1 })), "/options/held_out");
+    assert_eq!(refused(json!({ "held_out": " 8 " })), "/options/held_out");
     assert_eq!(
         refused(json!({ "adapter": "x".repeat(300) })),
         "/options/adapter"
@@ -99,7 +100,7 @@ fn what_a_job_would_fail_at_after_its_poses_is_refused_before_it() {
     let captures = server.get("/v1/captures", &[]).expect(200).json();
     assert_eq!(
         captures["captures"].as_array().map(Vec::len),
-        Some(6),
+        Some(7),
         "a refused one was kept"
     );
 }
