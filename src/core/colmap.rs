@@ -14,6 +14,7 @@ mod ladder;
 mod learned;
 mod options;
 mod process;
+mod refine;
 mod rungs;
 mod triangulate;
 
@@ -109,6 +110,38 @@ impl ColmapCli {
             "poses: COLMAP {version} triangulated {points_found} points in {views} given views"
         ));
         Ok(points)
+    }
+}
+
+impl ColmapCli {
+    /// Better poses than the `given` ones, in their world and at their scale: of those views of the
+    /// request that have one or can be placed. `None` where the given ones fit the photographs as
+    /// well as any that are found, and where there are no networks to tell by.
+    ///
+    /// # Errors
+    /// [`PosesError`], as [`Sfm::poses`].
+    pub fn refine(
+        &self,
+        request: &PoseRequest<'_>,
+        given: &[PosedView],
+        sink: &mut dyn ProgressSink,
+        cancel: &CancelToken,
+    ) -> Result<Option<Poses>, PosesError> {
+        let start = Instant::now();
+        if self.matching.is_none() || request.views.len() < ladder::MIN_VIEWS {
+            return Ok(None);
+        }
+        std::fs::create_dir_all(request.work_dir).map_err(PosesError::io(request.work_dir))?;
+        let log = request.work_dir.join("colmap.log");
+        let runner = process::Runner::new(&self.program, self.limits, Some(&log))?;
+        let version = version(&runner, cancel)?;
+        let climb = ladder::Climb::new(&runner, request, self.acceptance, self.matching.as_deref());
+        let poses = climb.refine(given, sink, cancel)?;
+        Ok(poses.map(|poses| Poses {
+            source: format!("given, refined by colmap {version}"),
+            seconds: start.elapsed().as_secs_f64(),
+            ..poses
+        }))
     }
 }
 

@@ -38,11 +38,22 @@ pub type Triangulate = Box<
     ) -> Result<Vec<SparsePoint>, PosesError>,
 >;
 
+/// Finds better poses in the world of given ones, as `ColmapCli::refine` does.
+pub type Refine = Box<
+    dyn Fn(
+        &PoseRequest<'_>,
+        &[PosedView],
+        &mut dyn ProgressSink,
+        &CancelToken,
+    ) -> Result<Option<Poses>, PosesError>,
+>;
+
 /// Poses from a file or directory, as an [`Sfm`].
 pub struct GivenPoses {
     path: PathBuf,
     format: Format,
     triangulate: Option<Triangulate>,
+    refine: Option<Refine>,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -87,6 +98,7 @@ impl GivenPoses {
             path: path.to_owned(),
             format,
             triangulate: None,
+            refine: None,
         })
     }
 
@@ -104,6 +116,52 @@ impl GivenPoses {
         Self {
             triangulate: Some(triangulate),
             ..self
+        }
+    }
+
+    /// With somebody who refines poses of a `transforms.json`, which phones write as they walk; the
+    /// other formats come out of a bundle adjustment.
+    #[must_use]
+    pub fn refined_by(self, refine: Refine) -> Self {
+        Self {
+            refine: Some(refine).filter(|_| self.format == Format::Transforms),
+            ..self
+        }
+    }
+
+    /// Refined poses; `None` where the given ones are taken as they are.
+    fn refined(
+        &self,
+        request: &PoseRequest<'_>,
+        views: &[PosedView],
+        sink: &mut dyn ProgressSink,
+        cancel: &CancelToken,
+    ) -> Result<Option<Poses>, PosesError> {
+        let Some(refine) = &self.refine else {
+            return Ok(None);
+        };
+        // The given lenses are what EXIF would tell.
+        let focal = |view: &PoseView| {
+            let given = views.iter().find(|given| given.name == view.name);
+            given.map(|given| given.lens.intrinsics.fx)
+        };
+        let known = request.views.iter().map(|view| PoseView {
+            focal_px: focal(view).or(view.focal_px),
+            ..view.clone()
+        });
+        let known: Vec<PoseView> = known.collect();
+        let request = PoseRequest {
+            views: &known,
+            ..*request
+        };
+        match refine(&request, views, sink, cancel) {
+            Err(PosesError::Cancelled(cancelled)) => Err(cancelled.into()),
+            Err(error) => {
+                let message = format!("the given poses are taken as they are: {error}");
+                sink.warn("poses_unrefined", message);
+                Ok(None)
+            }
+            refined => refined,
         }
     }
 
@@ -221,6 +279,9 @@ impl Sfm for GivenPoses {
                 advice,
             });
         }
+        if let Some(poses) = self.refined(request, &views, sink, cancel)? {
+            return Ok(poses);
+        }
         let mut points = given.points;
         if points.is_empty() {
             let cameras: Vec<Camera> = views.iter().map(|view: &PosedView| view.camera).collect();
@@ -267,7 +328,11 @@ impl Sfm for GivenPoses {
         } else {
             ""
         };
-        format!("given {what}{points}")
+        let refined = match self.refine {
+            Some(_) => ", refined where the matches say otherwise",
+            None => "",
+        };
+        format!("given {what}{refined}{points}")
     }
 }
 

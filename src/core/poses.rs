@@ -61,7 +61,7 @@ pub struct PoseView {
 }
 
 /// The answer. As JSON it is the stage's stored result.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Poses {
     /// Registered views, in the request's order.
     pub views: Vec<PosedView>,

@@ -238,8 +238,14 @@ fn sfm(
             None => Box::new(colmap),
         }),
         (PoseSource::Auto | PoseSource::Given, Some(given)) => {
-            let given = GivenPoses::open(given.path()).map_err(PipelineError::from)?;
-            let sfm = given.triangulated_by(Box::new(move |request, views, sink, cancel| {
+            let mut sfm = GivenPoses::open(given.path()).map_err(PipelineError::from)?;
+            if let (PoseSource::Auto, Some(matching)) = (options.pose_source, matching) {
+                let colmap = colmap.clone().with_matching(matching);
+                sfm = sfm.refined_by(Box::new(move |request, given, sink, cancel| {
+                    colmap.refine(request, given, sink, cancel)
+                }));
+            }
+            let sfm = sfm.triangulated_by(Box::new(move |request, views, sink, cancel| {
                 colmap.triangulate(request, views, sink, cancel)
             }));
             Ok(Box::new(sfm))

@@ -88,6 +88,13 @@ impl Consistency {
         }
     }
 
+    /// Share of all matches between placed photographs that fit the model.
+    pub fn share(&self) -> f64 {
+        let matches: usize = self.pairs.iter().map(|pair| pair.matches).sum();
+        let fitting: usize = self.pairs.iter().map(|pair| pair.fitting).sum();
+        fitting as f64 / matches.max(1) as f64
+    }
+
     /// The photographs that are believed.
     pub fn believed(&self) -> &[usize] {
         self.parts.first().map_or(&[], Vec::as_slice)

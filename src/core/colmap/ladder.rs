@@ -53,22 +53,42 @@ impl<'a> Climb<'a> {
         sink: &mut dyn ProgressSink,
         cancel: &CancelToken,
     ) -> Result<Poses, PosesError> {
-        let total = self.request.views.len();
-        let small = Copies::write(
-            &self.request.work_dir.join("small"),
-            self.request.views,
-            true,
-            cancel,
-        )?;
-        warn_of_zooms(&small, sink);
+        let small = self.small_copies(sink, cancel)?;
         let mut evidence = Evidence {
             small: &small,
             found: None,
         };
+        match self.search(&mut evidence, sink, cancel)? {
+            Some(best) => self.deliver(&best, &evidence),
+            None => Err(self.too_few(0, &evidence)),
+        }
+    }
+
+    /// The photographs as the learned rungs and most of COLMAP's own see them.
+    pub(super) fn small_copies(
+        &self,
+        sink: &mut dyn ProgressSink,
+        cancel: &CancelToken,
+    ) -> Result<Copies, PosesError> {
+        let Self { request, .. } = self;
+        let folder = request.work_dir.join("small");
+        let small = Copies::write(&folder, request.views, true, cancel)?;
+        warn_of_zooms(&small, sink);
+        Ok(small)
+    }
+
+    /// The best of the rungs that were needed; `None` where none gave a model.
+    pub(super) fn search(
+        &self,
+        evidence: &mut Evidence<'_>,
+        sink: &mut dyn ProgressSink,
+        cancel: &CancelToken,
+    ) -> Result<Option<Candidate>, PosesError> {
+        let (total, small) = (self.request.views.len(), evidence.small);
         let mut best: Option<Candidate> = None;
         let mut broken = None;
         if let Some(matching) = self.matching {
-            match self.climb_learned(matching, &mut evidence, sink, cancel) {
+            match self.climb_learned(matching, evidence, sink, cancel) {
                 Ok(candidate) => best = candidate,
                 Err(error) if error.is_about_the_tool() => {
                     sink.warn("matcher_failed", format!("learned matches: {error}"));
@@ -93,7 +113,7 @@ impl<'a> Climb<'a> {
             if accepted.is_some_and(is_enough) {
                 break;
             }
-            let candidate = match self.attempt(rung, &evidence, sink, cancel) {
+            let candidate = match self.attempt(rung, evidence, sink, cancel) {
                 Ok(candidate) => candidate,
                 Err(error) if error.is_about_the_tool() => {
                     sink.warn("colmap_failed", format!("rung {}: {error}", rung.letter));
@@ -107,9 +127,8 @@ impl<'a> Climb<'a> {
             }
         }
         match (best, broken) {
-            (Some(best), _) => self.deliver(&best, &evidence),
             (None, Some(error)) => Err(error),
-            (None, None) => Err(self.too_few(0, &evidence)),
+            (best, _) => Ok(best),
         }
     }
 
@@ -352,7 +371,11 @@ impl<'a> Climb<'a> {
     }
 
     /// The poses of a candidate, in the request's order and at the originals' sizes.
-    fn deliver(&self, best: &Candidate, evidence: &Evidence<'_>) -> Result<Poses, PosesError> {
+    pub(super) fn deliver(
+        &self,
+        best: &Candidate,
+        evidence: &Evidence<'_>,
+    ) -> Result<Poses, PosesError> {
         let (registered, total) = (best.believed(), self.request.views.len());
         let least = (self.acceptance.salvage * total as f64).max(MIN_VIEWS as f64);
         if !best.accepted && (registered as f64) < least {

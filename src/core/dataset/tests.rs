@@ -179,6 +179,66 @@ fn transforms_json_has_opengl_axes() {
     }
 }
 
+/// The poses of a file, refined by somebody who swaps the first two, with the focal lengths he saw.
+fn refined(capture: &Capture, file: &str, fails: bool) -> (Poses, Vec<Option<f64>>, Vec<String>) {
+    let seen = std::sync::Arc::new(std::sync::Mutex::new(Vec::new()));
+    let (told, mut warned) = (seen.clone(), Vec::new());
+    let given = GivenPoses::open(&capture.dir.path().join(file)).unwrap();
+    let sfm = given.refined_by(Box::new(move |request, views, _, _| {
+        let focals = request.views.iter().map(|view| view.focal_px);
+        told.lock().unwrap().extend(focals);
+        if fails {
+            return Err(PosesError::Matching {
+                detail: "no such node".to_owned(),
+            });
+        }
+        let mut views = views.to_vec();
+        views.swap(0, 1);
+        let registered = views.len();
+        let source = "refined".to_owned();
+        Ok(Some(Poses {
+            views,
+            registered,
+            source,
+            ..Poses::default()
+        }))
+    }));
+    let mut sink = |event: &Event| {
+        if let Event::Warning { code, .. } = event {
+            warned.push(code.clone());
+        }
+    };
+    let poses = sfm
+        .poses(&capture.request(), &mut sink, &CancelToken::new())
+        .unwrap();
+    let focals = seen.lock().unwrap().clone();
+    (poses, focals, warned)
+}
+
+#[test]
+fn poses_of_a_phone_are_refined_and_those_of_a_bundle_adjustment_are_not() {
+    let capture = capture();
+    let matrix = DMat4::IDENTITY.to_cols_array_2d();
+    let frame =
+        |i| serde_json::json!({ "file_path": format!("photo{i}.png"), "transform_matrix": matrix });
+    let frames: Vec<_> = (0..4).map(frame).collect();
+    let json = serde_json::json!({ "fl_x": 70.0, "w": 80, "h": 60, "frames": frames });
+    std::fs::write(capture.dir.path().join("transforms.json"), json.to_string()).unwrap();
+    let (poses, focals, warned) = refined(&capture, "transforms.json", false);
+    assert_eq!(
+        (&*poses.source, &*poses.views[0].name),
+        ("refined", "photo1")
+    );
+    assert_eq!(focals, [Some(35.0); 4], "at the photographs' size");
+    assert!(warned.is_empty());
+    let (poses, _, warned) = refined(&capture, "transforms.json", true);
+    assert_eq!((poses.registered, &*poses.views[0].name), (4, "photo0"));
+    assert_eq!(warned, ["poses_unrefined", "points_guessed"]);
+    capture.write_bounds();
+    let (poses, focals, _) = refined(&capture, "poses_bounds.npy", false);
+    assert_eq!((poses.registered, focals.len()), (4, 0));
+}
+
 #[test]
 fn a_frames_own_intrinsics_win_and_distortion_is_kept() {
     let capture = capture();

@@ -52,6 +52,72 @@ impl Similarity {
     }
 }
 
+impl Similarity {
+    /// What brings most of the cameras of one world to the same cameras in another; a few may stand
+    /// elsewhere there. By where they stand and how they are turned, so that cameras along a line
+    /// tell, too. `None` for fewer than three, or where all stand at one place.
+    pub fn between(from: &[Camera], to: &[Camera]) -> Option<Self> {
+        let mut kept: Vec<usize> = (0..from.len().min(to.len())).collect();
+        let mut fit = of_cameras(&kept, from, to)?;
+        for _ in 0..TRIMS {
+            let centres: Vec<DVec3> = to.iter().map(Camera::centre).collect();
+            let arm = extent(&centres);
+            let away = |&index: &usize| {
+                let there = around(&to[index], arm);
+                let here = around(&fit.camera(&from[index]), arm);
+                here.iter().zip(there).map(|(a, b)| a.distance(b)).sum()
+            };
+            let mut all: Vec<f64> = (0..from.len()).map(|index| away(&index)).collect();
+            all.sort_by(f64::total_cmp);
+            let most = TRIM * all[all.len() / 2] + 1e-12;
+            kept = (0..from.len())
+                .filter(|index| away(index) <= most)
+                .collect();
+            fit = of_cameras(&kept, from, to)?;
+        }
+        Some(fit)
+    }
+
+    /// A camera moved: what it sees of a world moved likewise stays the same.
+    pub fn camera(&self, camera: &Camera) -> Camera {
+        let rotation = camera.rotation() * DMat3::from_quat(self.rotation.inverse());
+        let translation = -(rotation * self.apply(camera.centre()));
+        Camera {
+            world_to_camera: DMat4::from_mat3_translation(rotation, translation),
+            ..*camera
+        }
+    }
+}
+
+/// Fits, each over those that the one before brought within [`TRIM`] times the middle distance.
+const TRIMS: usize = 4;
+const TRIM: f64 = 2.5;
+
+/// Of where they stand and how they are turned.
+fn of_cameras(kept: &[usize], from: &[Camera], to: &[Camera]) -> Option<Similarity> {
+    let centres = |cameras: &[Camera]| -> Vec<DVec3> {
+        kept.iter().map(|&index| cameras[index].centre()).collect()
+    };
+    let by_centres = Similarity::fit(&centres(from), &centres(to))?;
+    let arm = extent(&centres(to));
+    let points = |cameras: &[Camera], arm: f64| -> Vec<DVec3> {
+        kept.iter()
+            .flat_map(|&index| around(&cameras[index], arm))
+            .collect()
+    };
+    Similarity::fit(&points(from, arm / by_centres.scale), &points(to, arm))
+}
+
+/// A camera's centre, and what lies an arm to its right and below it.
+fn around(camera: &Camera, arm: f64) -> [DVec3; 3] {
+    let (centre, back) = (camera.centre(), camera.rotation().transpose());
+    [
+        centre,
+        centre + arm * back.x_axis,
+        centre + arm * back.y_axis,
+    ]
+}
+
 fn mean(points: &[DVec3]) -> DVec3 {
     points.iter().sum::<DVec3>() / points.len() as f64
 }
@@ -210,6 +276,35 @@ mod tests {
                 "{errors:?}"
             );
         }
+    }
+
+    #[test]
+    fn most_of_the_cameras_tell_how_two_worlds_relate_even_along_a_line() {
+        let by = Similarity {
+            scale: 2.5,
+            rotation: DQuat::from_euler(EulerRot::XYZ, 1.0, 0.3, -2.0),
+            translation: DVec3::new(4.0, -1.0, 9.0),
+        };
+        let along_a_line = |index: usize| Camera {
+            world_to_camera: DMat4::from_translation(DVec3::new(-(index as f64), 0.0, 0.0)),
+            ..ring(1)[0]
+        };
+        for from in [ring(12), (0..12).map(along_a_line).collect()] {
+            let mut to: Vec<Camera> = from.iter().map(|camera| by.camera(camera)).collect();
+            assert!(compare(&to, &from).is_some_and(|errors| errors.position_max < 1e-9));
+            to[3] = to[9];
+            let found = Similarity::between(&from, &to).expect("twelve");
+            assert!((found.scale - 2.5).abs() < 1e-6, "{found:?}");
+            assert!(
+                found.rotation.dot(by.rotation).abs() > 1.0 - 1e-9,
+                "{found:?}"
+            );
+            assert!(
+                found.translation.distance(by.translation) < 1e-5,
+                "{found:?}"
+            );
+        }
+        assert_eq!(Similarity::between(&ring(2), &ring(2)), None);
     }
 
     #[test]

@@ -1,7 +1,10 @@
 //! Key points and matches that somebody else finds.
 
+use glam::{DMat4, DQuat, DVec3};
+
 use super::*;
 use crate::poses::PoseStatus;
+use crate::poses::align::Similarity;
 use crate::poses::matching::{Correspondences, Matching, PairMatches, Pairs};
 
 /// A script whose mapper places every photograph, but by COLMAP's own features none.
@@ -259,4 +262,98 @@ if [ "$command" = mapper ]; then model "$out/0" 4 4; fi; exit 0"#,
         error.contains("5 (view0, view1, view2, view3, view4)"),
         "{error}"
     );
+}
+
+/// The stand-in's cameras in a world of twice the size that is turned, those of `off` elsewhere.
+fn given(scene: &Scene, off: &[usize]) -> Vec<PosedView> {
+    let world = Similarity {
+        scale: 2.0,
+        rotation: DQuat::from_rotation_z(0.7),
+        translation: DVec3::new(1.0, 2.0, 3.0),
+    };
+    let tool = scene.tool().with_matching(Arc::new(in_order()));
+    let found = scene.run(&tool, &mut Silent, &CancelToken::new()).unwrap();
+    let place = |(index, view): (usize, &PosedView)| {
+        let mut camera = world.camera(&view.camera);
+        if off.contains(&index) {
+            let turn = DMat4::from_axis_angle(DVec3::new(0.6, 0.8, 0.0), 0.2);
+            camera.world_to_camera = turn * camera.world_to_camera;
+        }
+        PosedView {
+            camera,
+            ..view.clone()
+        }
+    };
+    found.views.iter().enumerate().map(place).collect()
+}
+
+fn in_order() -> Neighbours {
+    Neighbours {
+        contradicting: Vec::new(),
+        last_of_a_place: None,
+    }
+}
+
+fn refined(scene: &Scene, given: &[PosedView]) -> Result<Option<Poses>, PosesError> {
+    let tool = scene.tool().with_matching(Arc::new(in_order()));
+    let request = PoseRequest {
+        views: &scene.views,
+        work_dir: &scene.work_dir(),
+        seed: 1,
+    };
+    tool.refine(&request, given, &mut Silent, &CancelToken::new())
+}
+
+#[test]
+fn given_poses_that_the_matches_contradict_are_refined_in_their_own_world() {
+    let scene = Scene::new(10, PLACES_ALL);
+    let mut rough = given(&scene, &[2, 7]);
+    let truth = given(&scene, &[]);
+    // One was not given at all.
+    rough.remove(4);
+    let poses = refined(&scene, &rough).unwrap().expect("better ones");
+    assert_eq!(
+        (poses.registered, &*poses.source),
+        (10, "given, refined by colmap 3.8")
+    );
+    for (view, truth) in poses.views.iter().zip(&truth) {
+        assert_eq!(view.name, truth.name);
+        let away = view.camera.centre().distance(truth.camera.centre());
+        let ahead = view.camera.forward().dot(truth.camera.forward());
+        assert!(
+            away < 1e-4 && ahead > 1.0 - 1e-6,
+            "{}: {away}, {ahead}",
+            view.name
+        );
+    }
+    let between = poses.views[0]
+        .camera
+        .centre()
+        .distance(poses.views[1].camera.centre());
+    assert!((between - 2.0).abs() < 1e-4, "the given scale: {between}");
+    let depth = poses.views[0]
+        .camera
+        .project(poses.points[0].position.into());
+    assert!(
+        depth.is_some_and(|(_, depth)| (depth - 2.0).abs() < 1e-4),
+        "{depth:?}"
+    );
+}
+
+#[test]
+fn given_poses_that_fit_as_well_stand_and_so_do_those_nobody_can_check() {
+    let scene = Scene::new(10, PLACES_ALL);
+    assert_eq!(refined(&scene, &given(&scene, &[])).unwrap(), None);
+    let rough = given(&scene, &[2, 7]);
+    let nothing = Scene::new(10, "exit 0");
+    assert_eq!(refined(&nothing, &rough).unwrap(), None);
+    let request = PoseRequest {
+        views: &scene.views,
+        work_dir: &scene.work_dir(),
+        seed: 1,
+    };
+    let without = scene
+        .tool()
+        .refine(&request, &rough, &mut Silent, &CancelToken::new());
+    assert_eq!(without.unwrap(), None, "no networks");
 }

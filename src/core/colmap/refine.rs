@@ -1,0 +1,113 @@
+//! Given poses, refined: phones write where they think they were, a few degrees and per cent off.
+//!
+//! Poses are found as for any capture, by matches and bundle adjustment, and brought into the given
+//! world, whose scale and axes stay. Where the given ones fit the matches as well they stand.
+
+use super::candidate::Evidence;
+use super::consistency::Consistency;
+use super::copies::Copies;
+use super::ladder::Climb;
+use crate::cancel::CancelToken;
+use crate::event::ProgressSink;
+use crate::poses::align::Similarity;
+use crate::poses::model::{ModelCamera, ModelImage, SparseModel};
+use crate::poses::{Lens, PoseView, PosedView, Poses, PosesError};
+
+/// Given poses that fit so large a share of the matches that found ones fit are as good: the found
+/// ones were made to fit them.
+const AS_GOOD: f64 = 0.9;
+
+impl Climb<'_> {
+    /// Poses in the world of the `given` ones, of all views that have one or were found; `None`
+    /// where the given ones stand.
+    pub fn refine(
+        &self,
+        given: &[PosedView],
+        sink: &mut dyn ProgressSink,
+        cancel: &CancelToken,
+    ) -> Result<Option<Poses>, PosesError> {
+        let small = self.small_copies(sink, cancel)?;
+        let mut evidence = Evidence {
+            small: &small,
+            found: None,
+        };
+        let Some(best) = self.search(&mut evidence, sink, cancel)? else {
+            return Ok(None);
+        };
+        let poses = self.deliver(&best, &evidence)?;
+        let (Some(matches), Some(found), false) =
+            (&evidence.found, &best.consistency, poses.low_confidence)
+        else {
+            return Ok(None);
+        };
+        let model = model_of(given, self.request.views, &small);
+        let fits = Consistency::of(&model, &small, &small, matches).share();
+        let stand = fits >= AS_GOOD * found.share();
+        sink.log(format!(
+            "poses: {:.0} % of the matches fit the given poses, {:.0} % those that were found: {}",
+            100.0 * fits,
+            100.0 * found.share(),
+            if stand {
+                "the given ones stand"
+            } else {
+                "they are refined"
+            }
+        ));
+        if stand {
+            return Ok(None);
+        }
+        let placed = |view: &PosedView| given.iter().find(|given| given.name == view.name);
+        let both = poses
+            .views
+            .iter()
+            .filter_map(|view| Some((view, placed(view)?)));
+        let (from, to): (Vec<_>, Vec<_>) = both
+            .map(|(view, given)| (view.camera, given.camera))
+            .unzip();
+        let Some(world) = Similarity::between(&from, &to) else {
+            return Ok(None);
+        };
+        Ok(Some(in_world(poses, &world, given, self.request.views)))
+    }
+}
+
+/// Found poses in the given world, and those of the given ones that were not found.
+fn in_world(poses: Poses, world: &Similarity, given: &[PosedView], all: &[PoseView]) -> Poses {
+    let mut poses = poses;
+    for view in &mut poses.views {
+        view.camera = world.camera(&view.camera);
+    }
+    for point in &mut poses.points {
+        point.position = world.apply(point.position.into()).to_array();
+    }
+    for view in given {
+        if poses.views.iter().all(|found| found.name != view.name) {
+            poses.views.push(view.clone());
+        }
+    }
+    poses
+        .views
+        .sort_by_key(|view| all.iter().position(|asked| asked.name == view.name));
+    poses.registered = poses.views.len();
+    poses
+}
+
+/// The given poses as a model without points, at the size of the copies.
+fn model_of(given: &[PosedView], views: &[PoseView], copies: &Copies) -> SparseModel {
+    let mut model = SparseModel::default();
+    for (view, id) in given.iter().zip(1_u32..) {
+        let Some(index) = views.iter().position(|asked| asked.name == view.name) else {
+            continue;
+        };
+        let copy = &copies.copies[index];
+        let lens = Lens {
+            intrinsics: view.lens.intrinsics.resized(copy.size.0, copy.size.1),
+            ..view.lens
+        };
+        model.cameras.push(ModelCamera::of_lens(id, &lens));
+        model
+            .images
+            .push(ModelImage::posed(id, id, copy.file.clone(), &view.camera));
+    }
+    model
+}
