@@ -9,6 +9,7 @@ mod matcher;
 mod nearest;
 mod pairs;
 mod search;
+mod self_test;
 pub mod weights;
 
 pub use extractor::Extractor;

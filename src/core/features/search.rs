@@ -8,7 +8,7 @@ use super::extractor::Extractor;
 use super::key_points::KeyPoints;
 use super::matcher::Matcher;
 use super::weights::{Package, WeightsError};
-use super::{nearest, pairs};
+use super::{nearest, pairs, self_test};
 use crate::cancel::CancelToken;
 use crate::image::Image;
 use crate::inference::{self, Graph, Network, Provider, Runtime, RuntimeError};
@@ -88,8 +88,8 @@ pub struct LearnedMatching {
 }
 
 impl LearnedMatching {
-    /// Checks the weights in the first of `folders` that has them, and that ONNX Runtime takes both
-    /// graphs.
+    /// Checks the weights in the first of `folders` that has them, and that ONNX Runtime computes
+    /// with both graphs what it should.
     ///
     /// # Errors
     /// [`FeatureError`].
@@ -107,9 +107,29 @@ impl LearnedMatching {
             options,
             package,
         };
-        matching.extractor()?;
-        matching.matcher()?;
+        let (mut extractor, mut matcher) = (matching.extractor()?, matching.matcher()?);
+        self_test::run(&mut extractor, &mut matcher).map_err(|detail| FeatureError::Unusable {
+            id: "xfeat-lighterglue",
+            detail,
+        })?;
         Ok(matching)
+    }
+
+    /// The same with the matcher's weights in another order: a library that errs.
+    #[cfg(test)]
+    pub(super) fn with_weights_shuffled(&self) -> Self {
+        let mut matcher = self.weights[1].to_vec();
+        // Not the file's header and tables: the middle, in numbers of four bytes.
+        let quarter = matcher.len() / 16 * 4;
+        matcher[quarter..3 * quarter]
+            .chunks_exact_mut(8)
+            .for_each(|two| two.rotate_left(4));
+        Self {
+            runtime: self.runtime.clone(),
+            package: self.package.clone(),
+            weights: [self.weights[0].clone(), matcher.into()],
+            options: self.options,
+        }
     }
 
     /// A new session of XFeat.

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
 
+use super::self_test::plane;
 use super::*;
 use crate::cancel::CancelToken;
 use crate::image::{EncodeFormat, Image, Srgb};
@@ -31,28 +32,6 @@ struct Picture {
 
 fn reference() -> Reference {
     serde_json::from_str(include_str!("reference.json")).expect("a test's own file")
-}
-
-fn hash(mut n: u32) -> u32 {
-    n ^= n >> 16;
-    n = n.wrapping_mul(0x7FEB_352D);
-    n ^= n >> 15;
-    n = n.wrapping_mul(0x846C_A68B);
-    n ^ (n >> 16)
-}
-
-/// The plane that both pictures are parts of.
-fn plane(u: u32, v: u32) -> u32 {
-    let at = |salt: u32, i: u32, j: u32| hash((salt << 24) + (j << 12) + i);
-    let tile = at(1, u / 20, v / 20);
-    let spot = at(2, u / 24, v / 24);
-    let away = |along: u32, bits: u32| (along % 24) as i32 - 6 - (bits % 12) as i32;
-    let (du, dv) = (away(u, spot), away(v, spot >> 8));
-    let mut value = 50 + (tile % 110) as i32;
-    if du * du + dv * dv < 8 + (spot >> 16) as i32 % 40 {
-        value += if spot >> 31 == 1 { 70 } else { -45 };
-    }
-    value as u32 + at(3, u, v) % 8
 }
 
 fn picture(of: &Picture) -> Image<Srgb> {
@@ -295,4 +274,17 @@ fn a_grey_picture_has_no_key_points_and_no_matches() {
     };
     let mut matcher = matching.matcher().expect("usable");
     assert_eq!(matcher.matches(&found, &none).expect("nothing to do"), []);
+}
+
+#[test]
+fn networks_that_compute_something_else_fail_the_self_test() {
+    let matching = matching();
+    let mut extractor = matching.extractor().expect("usable");
+    let mut matcher = matching.matcher().expect("usable");
+    assert_eq!(self_test::run(&mut extractor, &mut matcher), Ok(()));
+    // Weights of the right size and sum that mean nothing.
+    let shuffled = matching.with_weights_shuffled();
+    let mut matcher = shuffled.matcher().expect("loads all the same");
+    let fault = self_test::run(&mut extractor, &mut matcher).expect_err("nonsense");
+    assert!(fault.contains("are right"), "{fault}");
 }
