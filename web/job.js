@@ -2,6 +2,7 @@
 
 import { chart } from "./chart.js";
 import { address, api, doing, duration, h, pill, plain } from "./dom.js";
+import { poses } from "./poses.js";
 import { comparison, novelView } from "./views.js";
 
 const STAGES = ["poses", "enhance", "deblur", "reconstruct", "render", "match", "evaluate"];
@@ -52,7 +53,7 @@ export function jobPage(main, id) {
     const report = await api(`${base}/rounds`);
     if (gone) return;
     show(metrics, report.rounds.length > 0 && metricCharts(report.rounds));
-    show(facts, factList(job, report), report.registered !== undefined && posesPicture(base));
+    show(facts, factList(job, report), report.registered !== undefined && poses(base, report));
     const rounds = report.rounds.map((round) => round.round);
     if (rounds.length === 0) return;
     if (!cameras) cameras = await api(`${base}/artifacts/cameras.json`).catch(() => null);
@@ -203,19 +204,11 @@ function stageBars(stages) {
     h("span", { class: "number" }, duration(row.seconds))]));
 }
 
-/** Cameras and points from above; nothing where an older run has left no such file. */
-function posesPicture(base) {
-  const image = h("img", { src: `${base}/artifacts/poses.svg`, alt: "cameras and sparse points from above", loading: "lazy" });
-  const figure = h("figure", { class: "poses" }, image, h("figcaption", {}, "Where the photographs were taken from"));
-  image.addEventListener("error", () => figure.remove());
-  return figure;
-}
-
 function factList(job, report) {
   const flat = (value) => (typeof value === "object" && value !== null
-    ? Object.entries(value).map(([k, v]) => `${plain(k)} ${flat(v)}`).join(", ") : String(value));
+    ? Object.entries(value).filter(([, v]) => v !== undefined).map(([k, v]) => `${plain(k)} ${flat(v)}`).join(", ") : String(value));
   const rows = [["registered", report.registered !== undefined ? `${report.registered} of ${report.views} views` : null],
-    ["delivered round", report.best_round], ["adapter", report.adapter], ["poses", report.poses && flat(report.poses)],
+    ["delivered round", report.best_round], ["adapter", report.adapter], ["poses", report.poses && flat({ ...report.poses, verdicts: undefined })],
     ["models", report.models && flat(report.models)], ["fallbacks", report.fallbacks?.join("; ")], ["options", flat(job.options)]];
   return h("dl", {}, rows.filter(([, value]) => value !== null && value !== undefined && value !== "")
     .flatMap(([name, value]) => [h("dt", {}, name), h("dd", {}, String(value))]));

@@ -158,6 +158,11 @@ test("a job that finishes is seen to finish, with its scores and its files", asy
 
     await seen(part(page, "Time by stage"), "2 · reconstruct");
     await seen(part(page, "Facts"), "8 of 8 views");
+    const places = part(page, "Facts").locator("details");
+    await places.getByText("Each photograph's place: 8 found").click();
+    assert.equal(await places.locator("tbody tr").count(), 8);
+    const { fit } = (await server.rounds(id)).rounds[1].views[0];
+    await seen(places.locator("tbody tr").first(), fit.toFixed(2));
     await seen(part(page, "Files"), "scene.ply");
     await seen(part(page, "Log"), "round 2 is delivered");
   });

@@ -178,7 +178,8 @@ pub struct Report {
     pub models: BTreeMap<String, String>,
     /// What was used in place of what was asked for, and why.
     pub fallbacks: Vec<String>,
-    /// Facts of the poses: source, rung, points, reprojection error, mean track.
+    /// Facts of the poses: source, rung, points, reprojection error, mean track, and the verdict on
+    /// every photograph's place.
     pub poses: BTreeMap<String, serde_json::Value>,
     /// Seed of the run.
     pub seed: u64,

@@ -62,8 +62,11 @@ fn facts(poses: &Poses) -> BTreeMap<String, Value> {
         ("mean_track", json!(poses.mean_track)),
         ("low_confidence", json!(poses.low_confidence)),
     ];
+    // Given poses are taken as they are: nothing is said about them.
+    let said = (!poses.verdicts.is_empty()).then(|| ("verdicts", json!(poses.verdicts)));
     facts
         .into_iter()
+        .chain(said)
         .map(|(name, value)| (name.to_owned(), value))
         .collect()
 }

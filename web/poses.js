@@ -1,0 +1,50 @@
+// Where the photographs were taken from: the picture, and what is said about each one's place.
+
+import { h } from "./dom.js";
+
+const WORDS = {
+  registered: "found",
+  late: "placed by the scene",
+  doubtful: "left out: stronger matches say otherwise",
+  taken_out: "taken out: it does not look like the scene there",
+  not_found: "not found",
+};
+
+export function poses(base, report) {
+  const image = h("img", { src: `${base}/artifacts/poses.svg`, alt: "cameras and sparse points from above", loading: "lazy" });
+  const figure = h("figure", { class: "poses" }, image, h("figcaption", {}, "Where the photographs were taken from"));
+  // An older run has left no such file.
+  image.addEventListener("error", () => image.remove());
+  const rows = places(report);
+  if (rows.length > 0) figure.append(h("details", {}, h("summary", {}, summary(rows)), table(rows)));
+  return figure;
+}
+
+/** A row a photograph: what structure from motion said, and how it fits the last scene. */
+function places(report) {
+  const verdicts = report.poses?.verdicts ?? [];
+  const views = report.rounds.at(-1)?.views ?? [];
+  const names = new Set([...verdicts, ...views].map((row) => row.name));
+  const of = (rows, name) => rows.find((row) => row.name === name);
+  return [...names].sort().map((name) => {
+    const [verdict, view] = [of(verdicts, name), of(views, name)];
+    const status = verdict?.status ?? (view?.registered ? "registered" : "not_found");
+    return { name, status, ...verdict, fit: view?.fit ?? verdict?.fit };
+  });
+}
+
+function summary(rows) {
+  const count = (...states) => rows.filter((row) => states.includes(row.status)).length;
+  const late = count("late");
+  const parts = [`${count("registered")} found`, late > 0 && `${late} placed by the scene`,
+    count("doubtful", "taken_out", "not_found") > 0 && `${count("doubtful", "taken_out", "not_found")} without a place`];
+  return `Each photograph's place: ${parts.filter(Boolean).join(", ")}`;
+}
+
+function table(rows) {
+  const number = (value, digits) => h("td", { class: "number" }, value === null || value === undefined ? "" : value.toFixed(digits));
+  const head = ["photograph", "place", "matches that fit", "error, px", "fits its render"];
+  return h("div", { class: "scroll" }, h("table", {}, h("thead", {}, h("tr", {}, head.map((word) => h("th", {}, word)))),
+    h("tbody", {}, rows.map((row) => h("tr", { class: row.status }, h("td", {}, row.name), h("td", {}, WORDS[row.status] ?? row.status),
+      h("td", { class: "number" }, row.matches > 0 ? `${row.fitting} of ${row.matches}` : ""), number(row.error_px, 2), number(row.fit, 2))))));
+}
