@@ -142,6 +142,19 @@ pub enum Event {
     },
 }
 
+impl Event {
+    /// `done` of `total` units of a stage before the rounds.
+    pub fn advanced(stage: Stage, done: u64, total: u64) -> Self {
+        Self::StageAdvanced {
+            stage,
+            round: 0,
+            done,
+            total,
+            steps_per_second: None,
+        }
+    }
+}
+
 /// Receives events. Implementations must not block for long.
 pub trait ProgressSink {
     /// Takes one event.

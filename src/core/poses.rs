@@ -116,12 +116,6 @@ impl Poses {
         });
         &mut verdicts[index]
     }
-
-    /// Whether a round's scene placed the view of this name.
-    pub(crate) fn is_late(&self, name: &str) -> bool {
-        let mut verdicts = self.verdicts.iter();
-        verdicts.any(|verdict| verdict.name == name && verdict.status == PoseStatus::Late)
-    }
 }
 
 /// What is said about a view's place.
@@ -197,7 +191,7 @@ pub struct SparsePoint {
 #[derive(Debug, thiserror::Error)]
 pub enum PosesError {
     /// Structure from motion worked, but the photographs do not allow it. Expected data.
-    #[error("only {registered} of {total} photographs could be placed in one scene; {advice}")]
+    #[error("only {registered} of {total} photographs could be placed in one scene")]
     TooFew {
         /// Photographs in the largest model.
         registered: usize,

@@ -462,11 +462,5 @@ fn advance(sink: &mut dyn ProgressSink, letter: char, part: u64) {
         .take_while(|rung| rung.letter != letter)
         .count() as u64;
     let (done, total) = (3 * rungs_before + part, 3 * (rungs_before + 1));
-    sink.event(&Event::StageAdvanced {
-        stage: Stage::Poses,
-        round: 0,
-        done,
-        total,
-        steps_per_second: None,
-    });
+    sink.event(&Event::advanced(Stage::Poses, done, total));
 }

@@ -132,13 +132,7 @@ impl Climb<'_> {
         let files = copies.copies.iter().map(|copy| copies.dir.join(&copy.file));
         let pictures: Vec<PathBuf> = files.collect();
         let mut advance = |done, total| {
-            sink.event(&Event::StageAdvanced {
-                stage: Stage::Poses,
-                round: 0,
-                done,
-                total,
-                steps_per_second: None,
-            });
+            sink.event(&Event::advanced(Stage::Poses, done, total));
         };
         let start = Instant::now();
         let found = matching.matches(&pictures, Pairs::Within, &mut advance, cancel)?;

@@ -314,13 +314,7 @@ mod tests {
             (Stage::Deblur, 6, 6),
             (Stage::Poses, 6, 6),
         ] {
-            tool.event(&Event::StageAdvanced {
-                stage,
-                round: 0,
-                done,
-                total,
-                steps_per_second: None,
-            });
+            tool.event(&Event::advanced(stage, done, total));
         }
         assert_eq!((passed, progress.len()), (5, 3), "{progress:?}");
         assert!(

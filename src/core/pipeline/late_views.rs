@@ -99,7 +99,7 @@ pub fn late_views(
             Ok(poses)
         },
     )?;
-    tell(context, &poses, leaving);
+    tell(context, &poses, finished.poses, leaving);
     publish(context.workspace, &poses)?;
     let stay_away = leaving.is_empty() && poses.views.len() == finished.poses.views.len();
     Ok((!stay_away).then_some(poses))
@@ -232,15 +232,12 @@ fn changed(
     poses
 }
 
-fn tell(context: &mut Context<'_>, poses: &Poses, leaving: &[String]) {
-    let of = |status: PoseStatus| -> Vec<&str> {
-        let verdicts = poses.verdicts.iter();
-        let those = verdicts.filter(|verdict| verdict.status == status);
-        those.map(|verdict| &*verdict.name).collect()
-    };
-    let out: Vec<&str> = of(PoseStatus::TakenOut)
-        .into_iter()
-        .filter(|name| leaving.iter().any(|leaving| leaving == name))
+fn tell(context: &mut Context<'_>, poses: &Poses, before: &Poses, leaving: &[String]) {
+    let stands = |name: &String| poses.views.iter().any(|view| view.name == *name);
+    let out: Vec<&str> = leaving
+        .iter()
+        .filter(|name| !stands(name))
+        .map(|name| &**name)
         .collect();
     if !out.is_empty() {
         let message = format!(
@@ -252,7 +249,11 @@ fn tell(context: &mut Context<'_>, poses: &Poses, leaving: &[String]) {
         );
         context.sink.warn("views_taken_out", message);
     }
-    let late = of(PoseStatus::Late);
+    let late = poses
+        .views
+        .iter()
+        .filter(|view| !before.views.contains(view));
+    let late: Vec<&str> = late.map(|view| &*view.name).collect();
     if !late.is_empty() {
         let message = format!(
             "placed by the scene, for the next round: {}",
@@ -275,9 +276,10 @@ pub fn changed_views(
     let capture = finished.capture;
     let mut views = Vec::with_capacity(poses.views.len());
     for posed in &poses.views {
+        // A view that left and came back stands elsewhere than before.
+        let stays = finished.poses.views.contains(posed);
         let before = finished.views.iter().find(|view| view.name == posed.name);
-        let was_late = |view: &&View| !poses.is_late(&view.name) || view.is_late;
-        if let Some(view) = before.filter(was_late) {
+        if let Some(view) = before.filter(|_| stays) {
             views.push(view.clone());
             continue;
         }
