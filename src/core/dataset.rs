@@ -306,14 +306,10 @@ impl Sfm for GivenPoses {
             registered,
             total,
             source: self.describe(),
-            rung: None,
-            verdicts: Vec::new(),
-            parts: Vec::new(),
             mean_reprojection_error: given.mean_error,
             mean_track: given.mean_track,
-            low_confidence: false,
-            network: None,
             seconds: start.elapsed().as_secs_f64(),
+            ..Poses::default()
         })
     }
 

@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 
 use crate::support::{fled, json, succeed};
 
-/// A capture whose poses lack one photograph and have another 12 degrees off.
+/// The photograph without a pose, and the one that is turned by 12 degrees.
 const LOST: &str = "004";
 const MOVED: &str = "007";
 
@@ -58,10 +58,8 @@ fn centre(file: &Path, name: &str) -> DVec3 {
         .truncate()
 }
 
-#[test]
-fn a_photograph_without_a_pose_joins_and_one_in_the_wrong_place_comes_back() {
-    let folder = tempfile::tempdir().expect("temporary folder");
-    let capture = folder.path().join("capture");
+/// The capture with its cameras.
+fn capture(folder: &Path) -> Vec<(String, Camera)> {
     let options = SynthOptions {
         views: 12,
         width: 256,
@@ -70,69 +68,69 @@ fn a_photograph_without_a_pose_joins_and_one_in_the_wrong_place_comes_back() {
         blur: 3.0,
         ..SynthOptions::default()
     };
-    let made = generate(&options, &capture).expect("a synthetic capture");
-    std::fs::remove_file(capture.join("poses_bounds.npy")).expect("there");
+    let made = generate(&options, folder).expect("a synthetic capture");
+    std::fs::remove_file(folder.join("poses_bounds.npy")).expect("there");
     let poses = transforms(&made.cameras).to_string();
-    std::fs::write(capture.join("transforms.json"), poses).expect("written");
-    let out = folder.path().join("out");
-    let run = |late_views: &str| {
-        let mut command = fled();
-        command.arg("run").arg(&capture).arg("--out").arg(&out);
-        command.args(["--preset", "preview", "--cache", "none"]);
-        for set in [
-            "size=256",
-            "steps=200",
-            "cap=4000",
-            "pose_source=given",
-            "held_out=none",
-        ] {
-            command.args(["--set", set]);
-        }
-        command.args(["--set", "rounds=2", "--set", late_views]);
-        let output = succeed(&mut command);
-        String::from_utf8_lossy(&output.stderr).into_owned()
-    };
-    let log = run("late_views=true");
+    std::fs::write(folder.join("transforms.json"), poses).expect("written");
+    made.cameras
+}
+
+/// Two rounds; what the program said.
+fn run(capture: &Path, out: &Path, late_views: bool) -> String {
+    let mut command = fled();
+    command.arg("run").arg(capture).arg("--out").arg(out);
+    command.args(["--preset", "preview", "--cache", "none"]);
+    for set in [
+        "size=256",
+        "steps=200",
+        "cap=4000",
+        "pose_source=given",
+        "held_out=none",
+    ] {
+        command.args(["--set", set]);
+    }
+    let late_views = format!("late_views={late_views}");
+    command.args(["--set", "rounds=2", "--set", &late_views]);
+    let output = succeed(&mut command);
+    String::from_utf8_lossy(&output.stderr).into_owned()
+}
+
+/// Largest distance of two cameras.
+fn extent(cameras: &[(String, Camera)]) -> f64 {
+    let centres = || cameras.iter().map(|(_, camera)| camera.centre());
+    let pairs = centres().flat_map(|a| centres().map(move |b| a.distance(b)));
+    pairs.fold(0.0, f64::max)
+}
+
+#[test]
+fn a_photograph_without_a_pose_joins_and_one_in_the_wrong_place_comes_back() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let (place, out) = (folder.path().join("capture"), folder.path().join("out"));
+    let cameras = capture(&place);
+    let log = run(&place, &out, true);
     let poses = json(&out.join("poses.json"));
     assert_eq!(poses["registered"], 12, "{log}");
     for name in [LOST, MOVED] {
         assert_eq!(verdict(&poses, name)["status"], "late", "{name}: {log}");
-        let (_, truth) = made
-            .cameras
-            .iter()
-            .find(|(view, _)| view == name)
-            .expect("made");
+        let (_, truth) = cameras.iter().find(|(view, _)| view == name).expect("made");
         let away = centre(&out.join("cameras.json"), name).distance(truth.centre());
-        let centres: Vec<DVec3> = made.cameras.iter().map(|(_, c)| c.centre()).collect();
-        let extent = centres
-            .iter()
-            .flat_map(|a| centres.iter().map(move |b| a.distance(*b)))
-            .fold(0.0, f64::max);
         assert!(
-            away < 0.03 * extent,
-            "{name} is {away} of {extent} away: {log}"
+            away < 0.03 * extent(&cameras),
+            "{name} is {away} away: {log}"
         );
     }
     assert_eq!(verdict(&poses, "001")["status"], "registered");
     let metrics = json(&out.join("metrics.json"));
-    let views = |round: usize| {
-        metrics["rounds"][round]["views"]
-            .as_array()
-            .expect("rows")
-            .clone()
-    };
     let registered = |round: usize| {
-        views(round)
-            .iter()
-            .filter(|v| v["registered"] == true)
-            .count()
+        let rows = metrics["rounds"][round]["views"].as_array().expect("rows");
+        rows.iter().filter(|row| row["registered"] == true).count()
     };
     assert_eq!((registered(0), registered(1)), (11, 12));
     // What was found is not looked for again.
-    let again = run("late_views=true");
+    let again = run(&place, &out, true);
     assert!(again.contains("its result stands"), "{again}");
     // Switched off, nothing joins and nothing leaves, and the first round serves.
-    let off = run("late_views=false");
+    let off = run(&place, &out, false);
     assert!(off.contains("round 1 reconstruct already done"), "{off}");
     assert_eq!(json(&out.join("poses.json"))["registered"], 11);
 }

@@ -14,13 +14,14 @@ struct Rules<'a> {
 
 /// Words that every module shares. `agreement` compares a kernel with its reference, in tests;
 /// the kind of an error decides exit code, HTTP status and retry for all of them alike.
-const SHARED: [&str; 8] = [
+const SHARED: [&str; 9] = [
     "agreement",
     "camera",
     "cancel",
     "event",
     "gaussians",
     "image",
+    "linear",
     "pipeline::error",
     "random",
 ];

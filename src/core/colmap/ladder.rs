@@ -9,9 +9,9 @@ use super::files::{largest_model, remove_if_there};
 use super::groups;
 use super::options::{self, Prober, Setting, set};
 use super::process::Runner;
-use super::rungs::{Acceptance, LADDER, Rung};
+use super::rungs::{Acceptance, LADDER, Mapping, Rung, advance};
 use crate::cancel::CancelToken;
-use crate::event::{Event, ProgressSink, Stage};
+use crate::event::ProgressSink;
 use crate::poses::matching::Matching;
 use crate::poses::model::SparseModel;
 use crate::poses::{PoseRequest, Poses, PosesError, in_words};
@@ -435,15 +435,6 @@ impl<'a> Climb<'a> {
     }
 }
 
-/// How COLMAP's mapper is run.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Mapping {
-    /// The rung.
-    pub letter: char,
-    /// With lower bounds on what a place needs.
-    pub loose: bool,
-}
-
 fn warn_of_zooms(copies: &Copies, sink: &mut dyn ProgressSink) {
     let zooms = copies.zooms;
     if zooms > 1 {
@@ -453,14 +444,4 @@ fn warn_of_zooms(copies: &Copies, sink: &mut dyn ProgressSink) {
         );
         sink.warn("zoom_changed", message);
     }
-}
-
-/// Progress in thirds of a rung; the total grows with each rung that is needed.
-fn advance(sink: &mut dyn ProgressSink, letter: char, part: u64) {
-    let rungs_before = LADDER
-        .iter()
-        .take_while(|rung| rung.letter != letter)
-        .count() as u64;
-    let (done, total) = (3 * rungs_before + part, 3 * (rungs_before + 1));
-    sink.event(&Event::advanced(Stage::Poses, done, total));
 }

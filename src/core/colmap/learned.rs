@@ -8,8 +8,9 @@ use std::time::Instant;
 
 use super::candidate::{Candidate, Evidence};
 use super::copies::Copies;
-use super::ladder::{Climb, Mapping};
+use super::ladder::Climb;
 use super::options::{self, set};
+use super::rungs::Mapping;
 use crate::cancel::CancelToken;
 use crate::event::{Event, ProgressSink, Stage};
 use crate::poses::PosesError;

@@ -1,5 +1,7 @@
 //! The rungs of the ladder, and when a rung's model is good enough.
 
+use crate::event::{Event, ProgressSink, Stage};
+
 /// When a model is good enough. Fitted on runs of real captures: loosened options register
 /// photographs with wrong poses, and the reprojection error does not show it.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -86,3 +88,22 @@ pub(super) const LADDER: [Rung; 5] = [
         beside_networks: false,
     },
 ];
+
+/// How COLMAP's mapper is run.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Mapping {
+    /// The rung.
+    pub letter: char,
+    /// With lower bounds on what a place needs.
+    pub loose: bool,
+}
+
+/// Progress in thirds of a rung; the total grows with each rung that is needed.
+pub(super) fn advance(sink: &mut dyn ProgressSink, letter: char, part: u64) {
+    let rungs_before = LADDER
+        .iter()
+        .take_while(|rung| rung.letter != letter)
+        .count() as u64;
+    let (done, total) = (3 * rungs_before + part, 3 * (rungs_before + 1));
+    sink.event(&Event::advanced(Stage::Poses, done, total));
+}

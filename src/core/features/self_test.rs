@@ -25,7 +25,7 @@ const LEAST_RIGHT: f64 = 0.75;
 /// # Errors
 /// A sentence: what the networks answer is wrong, or they do not run.
 pub(super) fn run(extractor: &mut Extractor, matcher: &mut Matcher) -> Result<(), String> {
-    let [first, second] = [[0, 0], MOVED].map(|corner| picture(corner));
+    let [first, second] = [[0, 0], MOVED].map(picture);
     let first = extractor.key_points(&first, KEY_POINTS)?;
     let second = extractor.key_points(&second, KEY_POINTS)?;
     let matches = matcher.matches(&first, &second)?;

@@ -82,8 +82,8 @@ pub struct Options {
     #[serde(deserialize_with = "held_out")]
     #[schemars(with = "HeldOut")]
     pub held_out: String,
-    /// `auto` (poses of the capture when it has them, those of a `transforms.json` refined where the
-    /// photographs say otherwise; else COLMAP), `colmap`, or `given` (as they are).
+    /// `auto` (poses of the capture when it has them, those of a `transforms.json` refined where
+    /// the photographs say otherwise; else COLMAP), `colmap`, or `given` (as they are).
     pub pose_source: PoseSource,
     /// Seed of everything random.
     pub seed: u64,

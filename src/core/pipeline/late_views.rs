@@ -4,6 +4,7 @@
 //! seen from everywhere: a photograph that could not be placed among the others may be placed by
 //! renders of it. And a view that stands where it does not belong does not look like its render.
 
+mod finished_round;
 mod place;
 
 use super::context::Context;
@@ -11,8 +12,6 @@ use super::dependencies::Dependencies;
 use super::error::PipelineError;
 use super::evaluate::likenesses;
 use super::poses::publish;
-use super::reconstruct::TrainedScene;
-use super::round::Round;
 use super::tools::Tools;
 use super::views::{self, LEAST_VIEWS, View};
 use crate::camera::Split;
@@ -22,6 +21,7 @@ use crate::image::Image;
 use crate::metrics::{RoundMetrics, ViewScore};
 use crate::poses::{PoseStatus, PosedView, Poses};
 use crate::render::Renderer;
+pub use finished_round::FinishedRound;
 use place::{Placed, Scene, place};
 
 /// A view belongs to the scene from this share of the middle fit on. Of 12 views of castle, shaken
@@ -31,25 +31,6 @@ const BELONGS_FROM: f64 = 0.5;
 
 /// A scene whose middle fit is lower shows nothing well enough to judge a view by it.
 const LEAST_MIDDLE_FIT: f64 = 0.7;
-
-/// A finished round, and what it was made from.
-#[derive(Clone, Copy)]
-pub struct FinishedRound<'a> {
-    /// All photographs.
-    pub capture: &'a Capture,
-    /// Where they were found.
-    pub poses: &'a Poses,
-    /// The round.
-    pub round: &'a Round,
-    /// Those with a pose, where the round's training left them.
-    pub views: &'a [View],
-    /// R_i.
-    pub renders: &'a [Image],
-    /// V_i.
-    pub scene: &'a TrainedScene,
-    /// How each view fits its render.
-    pub metrics: &'a RoundMetrics,
-}
 
 /// What the round's scene says about poses: those of the next rounds, where they are others.
 ///

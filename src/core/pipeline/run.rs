@@ -101,15 +101,12 @@ pub fn run(
     let mut ground = Ground::new(context, asked, tools, poses, views)?;
     let mut before: Option<Handover> = None;
     for index in 0..options.rounds as usize {
-        before = round(
-            context,
+        let turn = Turn {
             asked,
-            tools,
-            &mut ground,
             index,
-            before,
-            &mut report,
-        )?;
+            before: before.as_ref(),
+        };
+        before = round(context, tools, turn, &mut ground, &mut report)?;
     }
     deliver(context, &mut report, &whole)?;
     Ok(Outcome { report })
@@ -122,24 +119,31 @@ struct Asked<'a> {
     options: &'a Options,
 }
 
+/// Which round of it is made, after which.
+#[derive(Clone, Copy)]
+struct Turn<'a> {
+    asked: Asked<'a>,
+    /// From 0 on.
+    index: usize,
+    before: Option<&'a Handover>,
+}
+
 /// One round, after the one before it; what it hands to the next, which may stand on other ground.
 fn round(
     context: &mut Context<'_>,
-    asked: Asked<'_>,
     tools: &mut Tools<'_>,
+    turn: Turn<'_>,
     ground: &mut Ground,
-    index: usize,
-    before: Option<Handover>,
     report: &mut Report,
 ) -> Result<Option<Handover>, PipelineError> {
+    let (asked, before) = (turn.asked, turn.before);
     let Ground {
         poses,
         depends_on,
         views,
         brightening,
     } = ground;
-    let round = &brightening.rounds[index];
-    let before = before.as_ref();
+    let round = &brightening.rounds[turn.index];
     let on = depends_on.round(round.number, before.map(|before| &before.depends_on));
     let brightened = before.map(|before| before.next.enhanced.clone());
     let enhanced = enhance(context, round, views, brightening, brightened)?; // H_i
@@ -189,7 +193,7 @@ fn round(
     };
     report::place(report, &poses);
     *ground = Ground::new(context, asked, tools, poses, views)?;
-    let again = ground.handed_over(context, tools, index, handover)?;
+    let again = ground.handed_over(context, tools, turn.index, handover)?;
     Ok(Some(again))
 }
 

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use glam::DVec2;
 
-use super::FinishedRound;
+use super::finished_round::FinishedRound;
 use crate::camera::{Camera, Split};
 use crate::capture::CaptureView;
 use crate::colmap::brightened;
@@ -57,6 +57,9 @@ pub struct Placed {
     /// Their root mean square distance, px of the working size.
     pub error_px: f64,
 }
+
+/// Which renders show a photograph's key points, and where.
+type Seen<'a> = BTreeMap<u32, Vec<(&'a Camera, DVec2)>>;
 
 /// A photograph that is looked for, through a lens of another one.
 struct Query {
@@ -204,7 +207,7 @@ impl Scene<'_> {
         queries: usize,
         references: &[usize],
     ) -> Vec<Vec<Sighting>> {
-        let mut seen: Vec<BTreeMap<u32, Vec<(&Camera, DVec2)>>> = vec![BTreeMap::new(); queries];
+        let mut seen: Vec<Seen<'_>> = vec![BTreeMap::new(); queries];
         for pair in &found.pairs {
             let camera = &self.finished.views[references[pair.second - queries]].camera;
             for &[query, render] in &pair.matches {
@@ -216,7 +219,7 @@ impl Scene<'_> {
             }
         }
         let near = near_px(self.finished.views);
-        let of = |(query, seen): (usize, &BTreeMap<u32, Vec<(&Camera, DVec2)>>)| {
+        let of = |(query, seen): (usize, &Seen<'_>)| {
             let sighting = |(&point, rays): (&u32, &Vec<_>)| {
                 Some(Sighting {
                     pixel: pixel(found, query, point),
