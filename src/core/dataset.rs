@@ -202,7 +202,8 @@ impl GivenPoses {
                     lens: Lens {
                         intrinsics: row.camera.intrinsics,
                         distortion: Distortion::None,
-                    },
+                    }
+                    .into(),
                     world_to_camera: row.camera.world_to_camera,
                     bounds: Some((row.near, row.far)),
                 };
@@ -336,11 +337,7 @@ impl Sfm for GivenPoses {
 fn posed(view: &PoseView, given: &GivenView) -> Result<PosedView, PosesError> {
     let header =
         read_header(&view.file).map_err(|e| PosesError::bad_file(&view.file, e.to_string()))?;
-    let intrinsics = given.lens.intrinsics.resized(header.width, header.height);
-    let lens = Lens {
-        intrinsics,
-        ..given.lens
-    };
+    let lens = given.lens.at(header.width, header.height);
     let camera = Camera {
         intrinsics: lens.pinhole(),
         world_to_camera: given.world_to_camera,
@@ -354,7 +351,7 @@ fn posed(view: &PoseView, given: &GivenView) -> Result<PosedView, PosesError> {
 
 fn from_model(model: &SparseModel) -> Given {
     let view = |image| GivenView {
-        lens: model.camera_of(image).lens(),
+        lens: model.camera_of(image).lens().into(),
         world_to_camera: image.world_to_camera(),
         bounds: None,
     };

@@ -2,12 +2,76 @@
 
 use std::path::Path;
 
-use crate::poses::Lens;
+use crate::camera::Intrinsics;
+use crate::poses::{Distortion, Lens};
+
+/// The lens of a view, as a format gives it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum GivenLens {
+    /// Of pictures of its own size.
+    Sized(Lens),
+    /// Of pictures whose size is not told: the photographs themselves.
+    OfPhotograph {
+        focal: Focal,
+        /// Pixels; the middle where it is not told.
+        centre: [Option<f64>; 2],
+        distortion: Distortion,
+    },
+}
+
+/// A focal length without the size of a picture.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Focal {
+    /// To the right and down.
+    Pixels([f64; 2]),
+    /// How wide the picture is, radians.
+    Angle(f64),
+}
+
+impl GivenLens {
+    /// The lens of a photograph of this size, pixels.
+    pub(super) fn at(&self, width: usize, height: usize) -> Lens {
+        match *self {
+            Self::Sized(lens) => Lens {
+                intrinsics: lens.intrinsics.resized(width, height),
+                ..lens
+            },
+            Self::OfPhotograph {
+                focal,
+                centre: [cx, cy],
+                distortion,
+            } => {
+                let [fx, fy] = match focal {
+                    Focal::Pixels(both) => both,
+                    Focal::Angle(angle) => [0.5 * width as f64 / (0.5 * angle).tan(); 2],
+                };
+                let intrinsics = Intrinsics {
+                    width,
+                    height,
+                    fx,
+                    fy,
+                    cx: cx.unwrap_or(0.5 * width as f64),
+                    cy: cy.unwrap_or(0.5 * height as f64),
+                };
+                Lens {
+                    intrinsics,
+                    distortion,
+                }
+            }
+        }
+    }
+}
+
+impl From<Lens> for GivenLens {
+    fn from(lens: Lens) -> Self {
+        Self::Sized(lens)
+    }
+}
 
 /// A pose with the lens it was given with.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct GivenView {
-    pub(super) lens: Lens,
+    pub(super) lens: GivenLens,
     pub(super) world_to_camera: glam::DMat4,
     /// Nearest and farthest depth, where the format tells.
     pub(super) bounds: Option<(f64, f64)>,

@@ -262,6 +262,51 @@ fn a_frames_own_intrinsics_win_and_distortion_is_kept() {
 }
 
 #[test]
+fn transforms_without_a_size_are_of_the_photographs() {
+    let capture = capture();
+    let matrix = DMat4::IDENTITY.to_cols_array_2d();
+    let frames: Vec<_> = (0..4)
+        .map(|i| serde_json::json!({ "file_path": format!("./train/photo{i}"), "transform_matrix": matrix }))
+        .collect();
+    let angle = 2.0 * (20.0f64 / 35.0).atan();
+    for optics in [
+        serde_json::json!({ "camera_angle_x": angle }),
+        serde_json::json!({ "fl_x": 35.0, "fl_y": 36.0, "cx": 19.0 }),
+    ] {
+        let mut json = optics.clone();
+        json["frames"] = frames.clone().into();
+        let file = capture.dir.path().join("transforms.json");
+        std::fs::write(&file, json.to_string()).unwrap();
+        let poses = capture.poses("transforms.json").unwrap();
+        let k = poses.views[0].camera.intrinsics;
+        assert_eq!((k.width, k.height), (40, 30), "{optics}");
+        assert!((k.fx - 35.0).abs() < 1e-9, "{optics}: {k:?}");
+        let is_square = optics.get("fl_y").is_none();
+        assert!((k.fy - if is_square { 35.0 } else { 36.0 }).abs() < 1e-9);
+        assert!((k.cx - if is_square { 20.0 } else { 19.0 }).abs() < 1e-9);
+        assert!((k.cy - 15.0).abs() < 1e-9, "{optics}: {k:?}");
+    }
+    // A size without the other, and no focal length at all, are no intrinsics.
+    for optics in [
+        serde_json::json!({ "fl_x": 35.0, "w": 40 }),
+        serde_json::json!({ "cx": 20.0 }),
+        serde_json::json!({ "camera_angle_x": -1.0 }),
+    ] {
+        let mut json = optics.clone();
+        json["frames"] = frames.clone().into();
+        let file = capture.dir.path().join("transforms.json");
+        std::fs::write(&file, json.to_string()).unwrap();
+        assert!(
+            matches!(
+                capture.poses("transforms.json"),
+                Err(PosesError::BadFile { .. })
+            ),
+            "{optics}"
+        );
+    }
+}
+
+#[test]
 fn poses_bounds_go_by_order_and_points_are_guessed_where_two_cameras_look() {
     let capture = capture();
     let file = capture.write_bounds();

@@ -2,12 +2,13 @@
 //! backward), intrinsics for all frames or frame by frame.
 
 use std::collections::HashMap;
+use std::f64::consts::PI;
 use std::path::Path;
 
 use glam::{DMat4, DVec3, DVec4};
 use serde::Deserialize;
 
-use super::given_view::{GivenView, stem};
+use super::given_view::{Focal, GivenLens, GivenView, stem};
 use crate::camera::Intrinsics;
 use crate::poses::{Distortion, Lens, PosesError};
 
@@ -103,26 +104,57 @@ impl Optics {
         }
     }
 
-    /// Without a size there is nothing to scale by, so the size is required.
-    fn lens(&self, fisheye: bool) -> Option<Lens> {
-        let (width, height) = (self.w?, self.h?);
+    /// Without a size there is nothing to scale by: the pixels are then the photograph's own.
+    fn lens(&self, fisheye: bool) -> Option<GivenLens> {
+        let distortion = self.distortion(fisheye);
+        match (self.w, self.h) {
+            (Some(width), Some(height)) => self.intrinsics(width, height).map(|intrinsics| {
+                GivenLens::Sized(Lens {
+                    intrinsics,
+                    distortion,
+                })
+            }),
+            (None, None) => self.focal().map(|focal| GivenLens::OfPhotograph {
+                focal,
+                centre: [self.cx, self.cy],
+                distortion,
+            }),
+            _ => None,
+        }
+    }
+
+    fn focal(&self) -> Option<Focal> {
+        let is_angle = |angle: &f64| *angle > 0.0 && *angle < PI;
+        match (self.fl_x, self.camera_angle_x) {
+            (Some(fx), _) => {
+                let fy = self.fl_y.unwrap_or(fx);
+                (fx > 0.0 && fy > 0.0).then_some(Focal::Pixels([fx, fy]))
+            }
+            (None, angle) => angle.filter(is_angle).map(Focal::Angle),
+        }
+    }
+
+    fn intrinsics(&self, width: f64, height: f64) -> Option<Intrinsics> {
         let from_angle = self
             .camera_angle_x
             .map(|angle| 0.5 * width / (0.5 * angle).tan());
         let fx = self.fl_x.or(from_angle)?;
         let fy = self.fl_y.unwrap_or(fx);
         let sized = width >= 1.0 && height >= 1.0 && fx > 0.0 && fy > 0.0;
-        let [k1, k2, k3, k4] = [self.k1, self.k2, self.k3, self.k4].map(|k| k.unwrap_or(0.0));
-        let intrinsics = Intrinsics {
+        sized.then_some(Intrinsics {
             width: width.round() as usize,
             height: height.round() as usize,
             fx,
             fy,
             cx: self.cx.unwrap_or(0.5 * width),
             cy: self.cy.unwrap_or(0.5 * height),
-        };
+        })
+    }
+
+    fn distortion(&self, fisheye: bool) -> Distortion {
+        let [k1, k2, k3, k4] = [self.k1, self.k2, self.k3, self.k4].map(|k| k.unwrap_or(0.0));
         // k4 of a perspective file is OpenCV's first denominator term.
-        let distortion = if fisheye {
+        if fisheye {
             Distortion::Fisheye {
                 radial: [k1, k2, k3, k4],
             }
@@ -132,10 +164,6 @@ impl Optics {
                 radial: [k1, k2, k3, k4, 0.0, 0.0],
                 tangential,
             }
-        };
-        sized.then_some(Lens {
-            intrinsics,
-            distortion,
-        })
+        }
     }
 }
