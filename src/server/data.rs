@@ -2,6 +2,7 @@
 //!
 //! ```text
 //! fled.db  server.lock  incoming/<upload>/  captures/<id>/  cache/<fingerprint>.json
+//! unnamed/{captures,jobs}/<id>/
 //! jobs/<id>/{options.json, process, log.txt, output/, renders/}
 //! ```
 //! Files are named by capture and job, not by content.
@@ -75,6 +76,13 @@ impl DataDir {
     /// Everything of all jobs.
     pub fn jobs(&self) -> PathBuf {
         self.root.join("jobs")
+    }
+
+    /// What lay in `kept`, the captures or the jobs, and is in no database.
+    pub fn unnamed(&self, kept: &Path) -> PathBuf {
+        let unnamed = self.root.join("unnamed");
+        kept.file_name()
+            .map_or(unnamed.clone(), |kind| unnamed.join(kind))
     }
 
     /// What jobs of one capture share: its poses.

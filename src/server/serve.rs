@@ -62,7 +62,7 @@ impl Server {
         // Before there are workers and requests: what has no row now will never have one.
         let swept = sweep::sweep(&app, Duration::ZERO).await?;
         if swept > 0 {
-            tracing::info!(swept, "leftovers of an earlier server are removed");
+            tracing::info!(swept, "leftovers of an earlier server are out of the way");
         }
         let mut tasks = JoinSet::new();
         tasks.spawn(sweep::keep_sweeping(app.clone()));

@@ -2,12 +2,15 @@
 //!
 //! Files and rows cannot change together: a server that dies between the two leaves files without
 //! a row, never a row without files. They are looked for at the start and every hour.
+//!
+//! A database that was restored from an older copy names less than there is, too. So captures and
+//! jobs without a row are kept aside for a while before they go.
 
 use std::collections::HashSet;
 use std::fs::{self, DirEntry, Metadata};
 use std::io;
 use std::os::unix::fs::MetadataExt;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
@@ -18,6 +21,9 @@ use crate::error::{Result, ServerError};
 const PERIOD: Duration = Duration::from_secs(3600);
 /// Poses that were found longer ago are found again, when they are wanted.
 const POSES_KEPT: Duration = Duration::from_secs(30 * 24 * 3600);
+
+/// Captures and jobs without a row are kept aside for so long.
+const UNNAMED_KEPT: Duration = Duration::from_secs(30 * 24 * 3600);
 
 /// Sweeps now and then until the server stops.
 pub async fn keep_sweeping(app: Arc<App>) {
@@ -32,9 +38,9 @@ pub async fn keep_sweeping(app: Arc<App>) {
     }
 }
 
-/// Removes the files of captures and jobs that have no row, of uploads and renders that came to
-/// nothing, and old poses. Only what has not changed for `age`: what is being made has no row yet.
-/// Returns how many things were removed.
+/// Moves captures and jobs that have no row aside, and removes uploads and renders that came to
+/// nothing, old poses, and what has been aside for long. Only what has not changed for `age`: what
+/// is being made has no row yet. Returns how many things were moved and removed.
 ///
 /// # Errors
 /// When the database or the data directory cannot be read.
@@ -65,8 +71,12 @@ fn sweep_files(
             .to_str()
             .is_some_and(|name| ids.contains(name))
     };
-    let mut swept = remove_from(&data.captures(), age, |entry| !named(captures, entry))?;
-    swept += remove_from(&data.jobs(), age, |entry| !named(jobs, entry))?;
+    let mut swept = 0;
+    for (from, ids) in [(data.captures(), captures), (data.jobs(), jobs)] {
+        let aside = data.unnamed(&from);
+        swept += remove_from(&aside, age.max(UNNAMED_KEPT), |_| true)?;
+        swept += set_aside(&from, &aside, age, |entry| !named(ids, entry))?;
+    }
     swept += remove_from(&data.incoming(), age, |entry| {
         !app.uploads.uses(&entry.path())
     })?;
@@ -82,24 +92,70 @@ fn sweep_files(
     Ok(swept)
 }
 
-/// Removes what lies in `dir`, has not changed for `age` and is not wanted.
-fn remove_from(dir: &Path, age: Duration, is_left: impl Fn(&DirEntry) -> bool) -> Result<usize> {
+/// What lies in `dir`, has not changed for `age` and is not wanted, and whether it is a folder.
+fn left_in(
+    dir: &Path,
+    age: Duration,
+    is_left: impl Fn(&DirEntry) -> bool,
+) -> Result<Vec<(PathBuf, bool)>> {
     let entries = match fs::read_dir(dir) {
-        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(0),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
         entries => entries.map_err(ServerError::io(dir))?,
     };
-    let mut swept = 0;
+    let mut left = Vec::new();
     for entry in entries {
         let entry = entry.map_err(ServerError::io(dir))?;
         let Ok(metadata) = entry.metadata() else {
             // It went meanwhile.
             continue;
         };
-        if changed_within(&metadata, age) || !is_left(&entry) {
-            continue;
+        if !changed_within(&metadata, age) && is_left(&entry) {
+            left.push((entry.path(), metadata.is_dir()));
         }
-        let path = entry.path();
-        let removed = if metadata.is_dir() {
+    }
+    Ok(left)
+}
+
+/// Moves what is left in `dir` to `aside`, where nothing is lost that is there already.
+fn set_aside(
+    dir: &Path,
+    aside: &Path,
+    age: Duration,
+    is_left: impl Fn(&DirEntry) -> bool,
+) -> Result<usize> {
+    let mut swept = 0;
+    for (path, _) in left_in(dir, age, is_left)? {
+        fs::create_dir_all(aside).map_err(ServerError::io(aside))?;
+        let name = path.file_name().unwrap_or_default();
+        let mut to = aside.join(name);
+        for copy in 2.. {
+            if !to.exists() {
+                break;
+            }
+            to = aside.join(name).with_added_extension(copy.to_string());
+        }
+        match fs::rename(&path, &to) {
+            Ok(()) => {
+                tracing::warn!(
+                    from = %path.display(),
+                    to = %to.display(),
+                    "moved aside for 30 days: the database does not name it. If the database is an \
+                     older copy, stop the server, put the right one in place and move this back; \
+                     photographs can also be uploaded again from here"
+                );
+                swept += 1;
+            }
+            Err(error) => tracing::warn!(%error, path = %path.display(), "cannot be moved aside"),
+        }
+    }
+    Ok(swept)
+}
+
+/// Removes what is left in `dir`.
+fn remove_from(dir: &Path, age: Duration, is_left: impl Fn(&DirEntry) -> bool) -> Result<usize> {
+    let mut swept = 0;
+    for (path, is_dir) in left_in(dir, age, is_left)? {
+        let removed = if is_dir {
             fs::remove_dir_all(&path)
         } else {
             fs::remove_file(&path)
@@ -142,6 +198,20 @@ mod tests {
         let none = Duration::ZERO;
         assert_eq!(remove_from(dir.path(), none, is_left).expect("swept"), 2);
         assert!(dir.path().join("named").exists());
+        let aside = dir.path().join("aside");
+        for _ in 0..2 {
+            fs::create_dir(dir.path().join("lost")).expect("made");
+            let is_lost = |entry: &DirEntry| entry.file_name() == "lost";
+            assert_eq!(
+                set_aside(dir.path(), &aside, hour, is_lost).expect("swept"),
+                0
+            );
+            assert_eq!(
+                set_aside(dir.path(), &aside, none, is_lost).expect("swept"),
+                1
+            );
+        }
+        assert!(aside.join("lost").exists() && aside.join("lost.2").exists());
         let missing = dir.path().join("missing");
         assert_eq!(remove_from(&missing, none, is_left).expect("nothing"), 0);
     }

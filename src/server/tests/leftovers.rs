@@ -62,7 +62,7 @@ fn uploads_of_clients_that_hang_up_leave_nothing() {
 }
 
 #[test]
-fn what_no_row_names_is_gone_after_a_restart_and_the_rest_stays() {
+fn what_no_row_names_is_out_of_the_way_after_a_restart_and_the_rest_stays() {
     let mut server = Server::start();
     let job = server.job("ok");
     server.wait_state(&job, "succeeded");
@@ -86,4 +86,52 @@ fn what_no_row_names_is_gone_after_a_restart_and_the_rest_stays() {
     server
         .get(&format!("/v1/jobs/{job}/artifacts/scene.ply"), &[])
         .expect(200);
+}
+
+#[test]
+fn a_database_restored_from_an_older_copy_loses_no_capture() {
+    let mut server = Server::start();
+    let old = server.job("ok");
+    server.wait_state(&old, "succeeded");
+    let data = server.data.path().join("data");
+    server.kill();
+    let aside = server.data.path().join("aside");
+    let databases = ["fled.db", "fled.db-wal", "fled.db-shm"];
+    let copy = |from: &Path, to: &Path| {
+        for name in databases {
+            if fs::copy(from.join(name), to.join(name)).is_err() {
+                // Not every database has a log beside it.
+                let _ = fs::remove_file(to.join(name));
+            }
+        }
+    };
+    let (older, newer) = (aside.join("older"), aside.join("newer"));
+    fs::create_dir_all(&older).expect("made");
+    fs::create_dir_all(&newer).expect("made");
+    copy(&data, &older);
+    server.restart();
+    let job = server.job("ok");
+    let shown = server.wait_state(&job, "succeeded");
+    let capture = shown["capture_id"].as_str().expect("id").to_owned();
+    server.kill();
+    copy(&data, &newer);
+    copy(&older, &data);
+    server.restart();
+    server.get(&format!("/v1/jobs/{job}"), &[]).expect(404);
+    server.get(&format!("/v1/jobs/{old}"), &[]).expect(200);
+    let unnamed = data.join("unnamed");
+    assert_eq!(names(&unnamed.join("captures")), [capture.clone()]);
+    assert_eq!(names(&unnamed.join("jobs")), [job.clone()]);
+    assert!(!data.join("jobs").join(&job).exists());
+    // What the log advises: the right database, and the folders back in their places.
+    server.kill();
+    copy(&newer, &data);
+    for (kind, id) in [("captures", &capture), ("jobs", &job)] {
+        fs::rename(unnamed.join(kind).join(id), data.join(kind).join(id)).expect("back");
+    }
+    server.restart();
+    let scene = format!("/v1/jobs/{job}/artifacts/scene.ply");
+    server.get(&scene, &[]).expect(200);
+    let kept = data.join("captures").join(&capture);
+    assert!(!names(&kept).is_empty(), "the photographs are there");
 }
