@@ -8,6 +8,7 @@
 mod artifacts;
 mod body_limit;
 mod captures;
+mod client;
 mod connections;
 mod dashboard;
 mod events;

@@ -3,7 +3,10 @@
 //! Rendering needs the GPU's driver; in a process of its own a fault of the driver costs one
 //! picture and not the service.
 
+mod turns;
+
 use std::ffi::OsString;
+use std::net::IpAddr;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
@@ -11,11 +14,12 @@ use std::time::Duration;
 use fled_core::camera::NamedCamera;
 use serde::{Deserialize, Serialize};
 use tokio::io::AsyncWriteExt;
-use tokio::sync::{Mutex, Semaphore, oneshot};
+use tokio::sync::{Mutex, oneshot};
 
+use self::turns::Turns;
 use crate::jobs::process::{Group, Line};
 
-/// Requests that wait at most; more are refused.
+/// Requests at a time, with the one that is being done; more are refused.
 const QUEUE: usize = 32;
 
 /// The file format of a render.
@@ -94,35 +98,31 @@ pub struct Renderers {
     timeout: Duration,
     grace: Duration,
     process: Arc<Mutex<Option<Group>>>,
-    queue: Arc<Semaphore>,
+    turns: Turns,
 }
 
 impl Renderers {
     /// Nothing is started before the first request.
     pub fn new(command: Vec<OsString>, timeout: Duration, grace: Duration) -> Self {
-        let queue = Arc::new(Semaphore::new(QUEUE));
         Self {
             command,
             timeout,
             grace,
             process: Arc::default(),
-            queue,
+            turns: Turns::new(QUEUE),
         }
     }
 
-    /// Renders one picture to `request.out`, after those asked for before.
+    /// Renders one picture to `request.out`. Clients take turns; each has its own in the order of
+    /// asking.
     ///
     /// # Errors
     /// [`RenderError`]; the next request starts a new process where this one lost it.
-    pub async fn render(&self, request: &RenderRequest) -> Result<(), RenderError> {
-        let permit = self
-            .queue
-            .clone()
-            .try_acquire_owned()
-            .map_err(|_| RenderError::Busy)?;
+    pub async fn render(&self, client: IpAddr, request: &RenderRequest) -> Result<(), RenderError> {
         let line = serde_json::to_string(request)
             .map_err(|error| RenderError::Refused(error.to_string()))?;
-        // Whoever hangs up while waiting here leaves the queue. Turns come in the order of asking.
+        // Whoever hangs up while waiting here leaves the queue.
+        let turn = self.turns.take(client).await.ok_or(RenderError::Busy)?;
         let mut slot = self.process.clone().lock_owned().await;
         let (command, timeout, grace) = (self.command.clone(), self.timeout, self.grace);
         let out = request.out.clone();
@@ -131,7 +131,7 @@ impl Renderers {
         // whose answer the next request would take for its own.
         tokio::spawn(async move {
             let outcome = exchange(&mut slot, &command, &line, (timeout, grace)).await;
-            drop((slot, permit));
+            drop((slot, turn));
             if sender.send(outcome).is_err() {
                 // Nobody takes the picture; where there is none, nothing is to be removed.
                 drop(tokio::fs::remove_file(&out).await);

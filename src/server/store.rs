@@ -25,7 +25,7 @@ use crate::error::Result;
 pub use captures::CaptureRow;
 pub use events::EventRow;
 pub use idempotency::Creation;
-pub use jobs::{JobError, JobRow, NewJob, ToldJob};
+pub use jobs::{JobError, JobRow, NewJob, Retry, ToldJob};
 pub use lease::{Claim, Lease, Progress, Settlement};
 pub use results::{StageSeconds, WarningRow};
 

@@ -27,6 +27,7 @@ use tokio::task::JoinSet;
 use tokio_util::sync::CancellationToken;
 use tower::ServiceExt;
 
+use super::client::ClientAddress;
 use crate::config::Limits;
 use pace::{PacedBody, PacedStream};
 
@@ -73,7 +74,10 @@ pub async fn serve(
             tracing::debug!(%error, "cannot set TCP_NODELAY");
         }
         let (router, shutdown) = (router.clone(), shutdown.clone());
-        open.spawn(async move { converse(stream, router, &limits, &place, &shutdown).await });
+        let client = ClientAddress::of(address.ip());
+        open.spawn(async move {
+            converse((stream, client), router, &limits, &place, &shutdown).await;
+        });
     }
     drop(listener);
     while open.join_next().await.is_some() {}
@@ -91,14 +95,15 @@ fn places(asked: usize) -> usize {
 
 /// Answers the requests of one connection.
 async fn converse(
-    stream: TcpStream,
+    (stream, client): (TcpStream, ClientAddress),
     router: Router,
     limits: &Limits,
     place: &Place,
     shutdown: &CancellationToken,
 ) {
     let stall = limits.stall;
-    let service = service_fn(|request: Request<Incoming>| {
+    let service = service_fn(|mut request: Request<Incoming>| {
+        request.extensions_mut().insert(client);
         let busy = Busy::of(&place.state);
         let answer = router
             .clone()

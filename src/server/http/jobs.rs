@@ -20,7 +20,7 @@ use super::shapes::{Job, Jobs, report};
 use super::upload;
 use crate::app::App;
 use crate::jobs::state::JobState;
-use crate::store::{Creation, JobRow};
+use crate::store::{Creation, JobRow, Retry};
 
 /// After so many seconds a place in the queue may be free.
 const QUEUE_RETRY: u32 = 60;
@@ -291,9 +291,12 @@ pub async fn retry(
     State(app): State<Arc<App>>,
     Path(id): Path<String>,
 ) -> Result<Response, Problem> {
+    upload::check_space(&app)?;
     let row = find(&app, &id).await?;
-    if app.store.retry(&id).await?.is_none() {
-        return Err(over(&row));
+    match app.store.retry(&id, app.limits.queue).await? {
+        Retry::Queued => {}
+        Retry::WrongState => return Err(over(&row)),
+        Retry::QueueFull => return Err(queue_full()),
     }
     app.wake.notify_one();
     app.changed();

@@ -4,7 +4,7 @@ use std::path::Path as FilePath;
 use std::sync::Arc;
 
 use axum::body::Body;
-use axum::extract::{Path, State};
+use axum::extract::{Extension, Path, State};
 use axum::http::{HeaderMap, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use fled_core::camera::{Intrinsics, NamedCamera, Split};
@@ -14,6 +14,7 @@ use utoipa::{IntoParams, ToSchema};
 use uuid::Uuid;
 
 use super::artifacts::is_known;
+use super::client::ClientAddress;
 use super::extract::{Json, Object, Query};
 use super::lookup::find;
 use super::problem::Problem;
@@ -96,19 +97,17 @@ pub async fn get(
     State(app): State<Arc<App>>,
     Path(id): Path<String>,
     Query(query): Query<RenderQuery>,
+    Extension(client): Extension<ClientAddress>,
     headers: HeaderMap,
 ) -> Result<Response, Problem> {
     let round = round(&app, &id, query.round).await?;
     let camera = camera(&app.data.output(&id), &query).await?;
-    picture(
-        &app,
-        &id,
+    let wanted = Wanted {
         round,
         camera,
-        query.format.unwrap_or(Format::Jpeg),
-        &headers,
-    )
-    .await
+        format: query.format.unwrap_or(Format::Jpeg),
+    };
+    picture(&app, &id, wanted, client, &headers).await
 }
 
 /// Renders with a camera of the client's own.
@@ -123,6 +122,7 @@ pub async fn get(
 pub async fn post(
     State(app): State<Arc<App>>,
     Path(id): Path<String>,
+    Extension(client): Extension<ClientAddress>,
     headers: HeaderMap,
     Json(body): Json<RenderBody>,
 ) -> Result<Response, Problem> {
@@ -142,15 +142,12 @@ pub async fn post(
         world_to_camera: body.world_to_camera,
         split: Split::Train,
     };
-    picture(
-        &app,
-        &id,
+    let wanted = Wanted {
         round,
         camera,
-        body.format.unwrap_or(Format::Jpeg),
-        &headers,
-    )
-    .await
+        format: body.format.unwrap_or(Format::Jpeg),
+    };
+    picture(&app, &id, wanted, client, &headers).await
 }
 
 /// Of which round the scene is taken; `None`: the delivered scene of a finished job.
@@ -277,14 +274,26 @@ fn check_camera(camera: &NamedCamera) -> Result<(), Problem> {
     )
 }
 
-async fn picture(
-    app: &App,
-    id: &str,
+/// A picture that is asked for.
+struct Wanted {
+    /// Of which round; `None`: of the delivered scene.
     round: Option<u32>,
     camera: NamedCamera,
     format: Format,
+}
+
+async fn picture(
+    app: &App,
+    id: &str,
+    wanted: Wanted,
+    client: ClientAddress,
     headers: &HeaderMap,
 ) -> Result<Response, Problem> {
+    let Wanted {
+        round,
+        camera,
+        format,
+    } = wanted;
     check_camera(&camera)?;
     let scene = app.data.output(id).scene_of(round);
     let key = key(&scene, &camera, format).map_err(ServerError::io(&scene))?;
@@ -311,7 +320,7 @@ async fn picture(
         format,
         out: out.clone(),
     };
-    if let Err(error) = app.renderers.render(&request).await {
+    if let Err(error) = app.renderers.render(client.0, &request).await {
         drop(tokio::fs::remove_file(&out).await);
         return Err(failed(&error));
     }

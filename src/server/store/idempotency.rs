@@ -1,9 +1,8 @@
 //! Creating a job, at most once for a client's key.
 
 use sqlx::Row;
-use sqlx::sqlite::SqliteExecutor;
 
-use super::jobs::{JobRow, NewJob, insert, read};
+use super::jobs::{JobRow, NewJob, insert, read, waiting};
 use super::{Store, now_ms};
 use crate::error::{Result, ServerError};
 
@@ -78,11 +77,6 @@ impl Store {
         tx.commit().await?;
         Ok(Creation::Created(row))
     }
-}
-
-async fn waiting(executor: impl SqliteExecutor<'_>) -> Result<u32> {
-    let count = sqlx::query_scalar("SELECT COUNT(*) FROM jobs WHERE state = 'queued'");
-    Ok(count.fetch_one(executor).await?)
 }
 
 fn missing(id: &str) -> ServerError {

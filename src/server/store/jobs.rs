@@ -3,7 +3,7 @@
 use fled_core::event::Stage;
 use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
-use sqlx::sqlite::SqliteRow;
+use sqlx::sqlite::{SqliteExecutor, SqliteRow};
 use sqlx::{Row, Sqlite, Transaction};
 
 use super::results::{StageSeconds, WarningRow};
@@ -93,6 +93,17 @@ pub struct ToldJob {
     pub stages: Vec<StageSeconds>,
 }
 
+/// What became of a request to queue a job again.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Retry {
+    /// It waits.
+    Queued,
+    /// It neither failed nor was cancelled, or is gone.
+    WrongState,
+    /// As many jobs wait as may.
+    QueueFull,
+}
+
 /// Jobs with what they have told, in one statement however many they are.
 const TOLD: &str = "SELECT jobs.*,
     (SELECT json_group_array(json_object('code', code, 'message', message)
@@ -157,51 +168,27 @@ impl Store {
     /// # Errors
     /// When the database refuses.
     pub async fn request_cancel(&self, id: &str) -> Result<Option<JobState>> {
-        self.change(id, Transition::CancelRequested).await
+        let mut tx = self.pool.begin_with("BEGIN IMMEDIATE").await?;
+        let next = change(&mut tx, id, Transition::CancelRequested).await?;
+        tx.commit().await?;
+        Ok(next)
     }
 
-    /// Queues a failed or cancelled job again. `Ok(None)` when it is neither.
+    /// Queues a failed or cancelled job again, where fewer than `queue` wait.
     ///
     /// # Errors
     /// When the database refuses.
-    pub async fn retry(&self, id: &str) -> Result<Option<JobState>> {
-        self.change(id, Transition::Retried).await
-    }
-
-    async fn change(&self, id: &str, transition: Transition) -> Result<Option<JobState>> {
+    pub async fn retry(&self, id: &str, queue: u32) -> Result<Retry> {
         let mut tx = self.pool.begin_with("BEGIN IMMEDIATE").await?;
-        let Some(job) = read(&mut tx, id).await? else {
-            return Ok(None);
-        };
-        let Some(next) = job.state.after(transition) else {
-            return Ok(None);
-        };
-        let finished = next.is_terminal().then(now_ms);
-        if transition == Transition::Retried {
-            sqlx::query(
-                "UPDATE jobs SET cancel_requested = 0, error_code = NULL, error_detail = NULL, error_hint = NULL,
-                 failures = 0, not_before = 0 WHERE id = ?",
-            )
-            .bind(id)
-            .execute(&mut *tx)
-            .await?;
-        } else {
-            sqlx::query("UPDATE jobs SET cancel_requested = 1 WHERE id = ?")
-                .bind(id)
-                .execute(&mut *tx)
-                .await?;
+        if change(&mut tx, id, Transition::Retried).await?.is_none() {
+            return Ok(Retry::WrongState);
         }
-        sqlx::query("UPDATE jobs SET state = ?, finished_at = ? WHERE id = ?")
-            .bind(next.name())
-            .bind(finished)
-            .bind(id)
-            .execute(&mut *tx)
-            .await?;
-        if next != job.state {
-            events::append(&mut tx, id, "state", &json!({ "state": next.name() })).await?;
+        // It is counted already.
+        if waiting(&mut *tx).await? > queue {
+            return Ok(Retry::QueueFull);
         }
         tx.commit().await?;
-        Ok(Some(next))
+        Ok(Retry::Queued)
     }
 
     /// Deletes a job that is not running, with all its rows. `Ok(false)` when it runs or is gone.
@@ -215,6 +202,51 @@ impl Store {
             .await?;
         Ok(done.rows_affected() == 1)
     }
+}
+
+/// Moves a job on; `None` when it is gone or its state does not allow the transition.
+async fn change(
+    tx: &mut Transaction<'static, Sqlite>,
+    id: &str,
+    transition: Transition,
+) -> Result<Option<JobState>> {
+    let Some(job) = read(tx, id).await? else {
+        return Ok(None);
+    };
+    let Some(next) = job.state.after(transition) else {
+        return Ok(None);
+    };
+    let finished = next.is_terminal().then(now_ms);
+    if transition == Transition::Retried {
+        sqlx::query(
+                "UPDATE jobs SET cancel_requested = 0, error_code = NULL, error_detail = NULL, error_hint = NULL,
+                 failures = 0, not_before = 0 WHERE id = ?",
+            )
+            .bind(id)
+            .execute(&mut **tx)
+            .await?;
+    } else {
+        sqlx::query("UPDATE jobs SET cancel_requested = 1 WHERE id = ?")
+            .bind(id)
+            .execute(&mut **tx)
+            .await?;
+    }
+    sqlx::query("UPDATE jobs SET state = ?, finished_at = ? WHERE id = ?")
+        .bind(next.name())
+        .bind(finished)
+        .bind(id)
+        .execute(&mut **tx)
+        .await?;
+    if next != job.state {
+        events::append(tx, id, "state", &json!({ "state": next.name() })).await?;
+    }
+    Ok(Some(next))
+}
+
+/// How many jobs wait for a worker.
+pub(super) async fn waiting(executor: impl SqliteExecutor<'_>) -> Result<u32> {
+    let count = sqlx::query_scalar("SELECT COUNT(*) FROM jobs WHERE state = 'queued'");
+    Ok(count.fetch_one(executor).await?)
 }
 
 pub(super) async fn insert(tx: &mut Transaction<'static, Sqlite>, job: &NewJob) -> Result<()> {

@@ -272,7 +272,7 @@ async fn drive(store: &Store, leases: &mut BTreeMap<&str, Lease>, transition: Tr
         Transition::Failed { retry } => settle(failed(retry.then_some(-1))).await,
         Transition::Stopped => settle(Settlement::Stopped).await,
         Transition::CancelRequested => drop(store.request_cancel("j").await.expect("cancel")),
-        Transition::Retried => drop(store.retry("j").await.expect("retry")),
+        Transition::Retried => drop(store.retry("j", 9).await.expect("retry")),
     }
 }
 

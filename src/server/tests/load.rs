@@ -2,7 +2,7 @@
 
 mod support;
 
-use std::io::Write;
+use std::io::{Read, Write};
 use std::net::TcpStream;
 use std::thread::{scope, sleep};
 use std::time::{Duration, Instant};
@@ -96,6 +96,71 @@ fn a_full_queue_is_told_and_when_to_try_again() {
         .post(&format!("/v1/jobs/{id}/cancel"), b"", &[])
         .expect(202);
     submit().expect(202);
+}
+
+#[test]
+fn a_retry_needs_a_place_in_the_queue() {
+    let server = Server::start_with(&[("FLED_FAKE_QUEUE", "1")]);
+    let failed = server.job("few_poses");
+    server.wait_state(&failed, "failed");
+    let running = [server.job("slow:300"), server.job("slow:300")];
+    for job in &running {
+        server.wait(job, "running", |shown| shown["state"] == "running");
+    }
+    let waiting = server.job("slow:300");
+    let retry = format!("/v1/jobs/{failed}/retry");
+    let refused = server.post(&retry, b"", &[]).expect(503);
+    assert_eq!(refused.header("retry-after"), "60");
+    assert_eq!(refused.json()["code"], "queue_full");
+    assert_eq!(server.show(&failed)["state"], "failed");
+    server
+        .post(&format!("/v1/jobs/{waiting}/cancel"), b"", &[])
+        .expect(202);
+    server.post(&retry, b"", &[]).expect(202);
+}
+
+/// Asks for a view from another of this machine's addresses.
+fn ask_from(source: &str, server: &Server, path: &str) -> TcpStream {
+    let address = server.base.trim_start_matches("http://");
+    let runtime = tokio::runtime::Builder::new_current_thread()
+        .enable_io()
+        .build()
+        .expect("runtime");
+    let stream = runtime.block_on(async {
+        let socket = tokio::net::TcpSocket::new_v4().expect("socket");
+        let source = format!("{source}:0").parse().expect("address");
+        socket.bind(source).expect("bind");
+        let stream = socket.connect(address.parse().expect("address")).await;
+        stream.expect("connect").into_std().expect("standard")
+    });
+    stream.set_nonblocking(false).expect("set");
+    let mut stream = stream;
+    let head = format!("GET {path} HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\r\n");
+    stream.write_all(head.as_bytes()).expect("request");
+    stream
+}
+
+#[test]
+fn a_client_that_asks_for_many_renders_does_not_keep_another_waiting() {
+    let server = Server::start();
+    let job = slow_scene(&server);
+    let path = |i: i32| format!("/v1/jobs/{job}/render?azimuth={i}");
+    let many: Vec<TcpStream> = (0..40)
+        .map(|i| ask_from("127.0.0.1", &server, &path(i)))
+        .collect();
+    sleep(Duration::from_millis(300));
+    let start = Instant::now();
+    let mut answer = Vec::new();
+    ask_from("127.0.0.2", &server, &path(100))
+        .read_to_end(&mut answer)
+        .expect("an answer");
+    assert!(answer.starts_with(b"HTTP/1.1 200"), "{answer:?}");
+    assert!(
+        start.elapsed() < Duration::from_secs(3),
+        "{:?}",
+        start.elapsed()
+    );
+    drop(many);
 }
 
 #[test]
