@@ -16,7 +16,7 @@ use std::time::{Duration, Instant};
 
 use axum::Router;
 use axum::body::{Body, Bytes};
-use axum::http::Request;
+use axum::http::{Request, header};
 use hyper::body::{Body as HttpBody, Frame, Incoming, SizeHint};
 use hyper::server::conn::http1;
 use hyper::service::service_fn;
@@ -105,9 +105,10 @@ async fn converse(
     let service = service_fn(|mut request: Request<Incoming>| {
         request.extensions_mut().insert(client);
         let busy = Busy::of(&place.state);
+        let is_asked_for = request.headers().contains_key(header::EXPECT);
         let answer = router
             .clone()
-            .oneshot(request.map(|body| Body::new(PacedBody::new(body, stall))));
+            .oneshot(request.map(|body| Body::new(PacedBody::new(body, stall, is_asked_for))));
         async move {
             let response = answer.await?;
             Ok::<_, Infallible>(response.map(|body| Body::new(Held { body, _busy: busy })))

@@ -136,3 +136,54 @@ fn requests_that_are_answered_keep_their_places_and_others_are_told() {
     sleep(Duration::from_millis(500));
     server.get("/livez", &[]).expect(200);
 }
+
+#[test]
+fn a_refused_upload_is_told_to_a_client_that_sends_it_all_first() {
+    let full = Server::start_with(&[("FLED_FAKE_MIN_FREE", "1152921504606846976")]);
+    let queue = Server::start_with(&[("FLED_FAKE_QUEUE", "0")]);
+    for (server, path, status) in [
+        (&full, "/v1/captures", "507"),
+        (&queue, "/v1/jobs", "503"),
+        // Nobody has such a page; a body of another type.
+        (&queue, "/v1/jobs/none/render", "413"),
+    ] {
+        let mut stream = connect(server);
+        let kind = match status {
+            "413" => "application/json",
+            _ => "multipart/form-data; boundary=XXXX",
+        };
+        let total = 24 << 20;
+        write!(
+            stream,
+            "POST {path} HTTP/1.1\r\nHost: localhost\r\nContent-Length: {total}\r\n\
+             Content-Type: {kind}\r\n\r\n"
+        )
+        .expect("head");
+        let body = vec![b'a'; total];
+        stream
+            .write_all(&body)
+            .expect("the server takes what it refuses");
+        let mut answer = [0; 12];
+        stream.read_exact(&mut answer).expect("an answer");
+        let answer = String::from_utf8_lossy(&answer);
+        assert_eq!(answer, format!("HTTP/1.1 {status}"), "{path}");
+    }
+}
+
+#[test]
+fn a_refused_upload_without_end_is_not_taken_for_ever() {
+    let server = Server::start_with(&[("FLED_FAKE_QUEUE", "0")]);
+    let mut stream = connect(&server);
+    let total = 1_u64 << 30;
+    write!(
+        stream,
+        "POST /v1/jobs HTTP/1.1\r\nHost: localhost\r\nContent-Length: {total}\r\n\
+         Content-Type: multipart/form-data; boundary=XXXX\r\n\r\n"
+    )
+    .expect("head");
+    let body = vec![b'a'; 1 << 20];
+    let taken = (0..total >> 20).take_while(|_| stream.write_all(&body).is_ok());
+    let taken = taken.count();
+    // What lies in the buffers of both ends comes on top.
+    assert!(taken < 200, "{taken} MiB");
+}

@@ -1,5 +1,6 @@
 //! Bodies and answers that have to move.
 
+use std::future::poll_fn;
 use std::io;
 use std::pin::Pin;
 use std::task::{Context, Poll, ready};
@@ -9,27 +10,40 @@ use axum::body::Bytes;
 use hyper::body::{Body, Frame, Incoming, SizeHint};
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::net::TcpStream;
-use tokio::time::{Sleep, sleep};
+use tokio::runtime::Handle;
+use tokio::time::{Sleep, sleep, timeout};
 
 /// What has to come of a body in the time of a stall, bytes: below 1 KiB a second in 30 seconds
 /// nobody sends photographs.
 const LEAST: usize = 30 << 10;
 
-/// The body of a request whose sender must not fall asleep.
+/// So much is read of a body that nobody wants, bytes. Many clients read no answer before they have
+/// sent everything; a connection that is closed before takes the answer with it.
+const DRAINED: usize = 64 << 20;
+/// And for so long.
+const DRAINING: Duration = Duration::from_secs(5);
+
+/// The body of a request whose sender must not fall asleep. Dropped before its end, what still
+/// comes is read and thrown away, within bounds.
 pub(super) struct PacedBody {
-    body: Incoming,
+    /// None at its end, or when its sender is given up.
+    body: Option<Incoming>,
     stall: Duration,
+    /// The sender waits until somebody asks for the body.
+    is_held_back: bool,
     /// Runs while the sender is waited for, until it has sent enough.
     timer: Option<Pin<Box<Sleep>>>,
     since: usize,
 }
 
 impl PacedBody {
-    /// Fails when less than [`LEAST`] comes within `stall`.
-    pub(super) fn new(body: Incoming, stall: Duration) -> Self {
+    /// Fails when less than [`LEAST`] comes within `stall`. A body that is held back comes only
+    /// when it is asked for.
+    pub(super) fn new(body: Incoming, stall: Duration, is_held_back: bool) -> Self {
         Self {
-            body,
+            body: Some(body),
             stall,
+            is_held_back,
             timer: None,
             since: 0,
         }
@@ -44,13 +58,19 @@ impl Body for PacedBody {
         mut self: Pin<&mut Self>,
         context: &mut Context<'_>,
     ) -> Poll<Option<Result<Frame<Bytes>, axum::BoxError>>> {
-        match Pin::new(&mut self.body).poll_frame(context) {
+        self.is_held_back = false;
+        let Some(body) = &mut self.body else {
+            return Poll::Ready(None);
+        };
+        match Pin::new(body).poll_frame(context) {
             Poll::Ready(frame) => {
                 if let Some(Ok(frame)) = &frame {
                     self.since += frame.data_ref().map_or(0, Bytes::len);
                     if self.since >= LEAST {
                         (self.since, self.timer) = (0, None);
                     }
+                } else {
+                    self.body = None;
                 }
                 Poll::Ready(frame.map(|frame| frame.map_err(Into::into)))
             }
@@ -58,6 +78,7 @@ impl Body for PacedBody {
                 let stall = self.stall;
                 let timer = self.timer.get_or_insert_with(|| Box::pin(sleep(stall)));
                 ready!(timer.as_mut().poll(context));
+                self.body = None;
                 let error = io::Error::new(io::ErrorKind::TimedOut, "the body comes too slowly");
                 Poll::Ready(Some(Err(error.into())))
             }
@@ -65,11 +86,36 @@ impl Body for PacedBody {
     }
 
     fn is_end_stream(&self) -> bool {
-        self.body.is_end_stream()
+        self.body.as_ref().is_none_or(Body::is_end_stream)
     }
 
     fn size_hint(&self) -> SizeHint {
-        self.body.size_hint()
+        let body = self.body.as_ref();
+        body.map_or_else(|| SizeHint::with_exact(0), Body::size_hint)
+    }
+}
+
+impl Drop for PacedBody {
+    fn drop(&mut self) {
+        let Some(body) = self.body.take() else { return };
+        if self.is_held_back || body.is_end_stream() {
+            return;
+        }
+        // Without a runtime the server is gone, and its connections with it.
+        if let Ok(runtime) = Handle::try_current() {
+            runtime.spawn(timeout(DRAINING, drain(body)));
+        }
+    }
+}
+
+/// Reads what comes of a body, within [`DRAINED`].
+async fn drain(mut body: Incoming) {
+    let mut left = DRAINED;
+    while let Some(Ok(frame)) = poll_fn(|context| Pin::new(&mut body).poll_frame(context)).await {
+        left = left.saturating_sub(frame.data_ref().map_or(0, Bytes::len));
+        if left == 0 {
+            break;
+        }
     }
 }
 
