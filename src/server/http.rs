@@ -21,6 +21,7 @@ mod lookup;
 mod openapi;
 mod options;
 mod order;
+mod page;
 mod problem;
 mod range;
 mod removal;

@@ -88,8 +88,8 @@ pub async fn list(
     params(("id" = String, Path), ("name" = String, Path, description = "As listed; may contain `/`"),
         ("Range" = Option<String>, Header, description = "One range of bytes")),
     responses(
-        (status = 200, description = "The file", body = Vec<u8>, content_type = "application/octet-stream"),
-        (status = 206, description = "The range", body = Vec<u8>, content_type = "application/octet-stream"),
+        (status = 200, description = "The file", body = serde_json::Value, content_type = "*/*"),
+        (status = 206, description = "The range", body = serde_json::Value, content_type = "*/*"),
         (status = 304, description = "As you have it"),
         (status = 404, description = "Unknown", body = Problem, content_type = "application/problem+json"),
         (status = 416, description = "Beyond the end", body = Problem, content_type = "application/problem+json")))]

@@ -6,9 +6,10 @@ use axum::extract::{Path, Request, State};
 use axum::http::{StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use serde::Deserialize;
-use utoipa::IntoParams;
+use utoipa::{IntoParams, ToSchema};
 
 use super::extract::Query;
+use super::page::page_size;
 use super::problem::Problem;
 use super::removal::remove;
 use super::shapes::{Capture, Captures};
@@ -24,12 +25,32 @@ pub struct CreateQuery {
     dry_run: Option<String>,
 }
 
+/// A capture as a form.
+#[derive(ToSchema)]
+#[serde(deny_unknown_fields)]
+#[expect(dead_code, reason = "it describes what is read part by part")]
+pub struct CaptureForm {
+    /// Photographs, or one zip.
+    #[schema(value_type = Vec<String>, format = Binary, min_items = 1)]
+    images: Vec<Vec<u8>>,
+    /// Ground truth, by the same names.
+    #[schema(value_type = Option<Vec<String>>, format = Binary)]
+    gt: Option<Vec<Vec<u8>>>,
+    /// transforms.json, poses_bounds.npy or the files of a COLMAP model.
+    #[schema(value_type = Option<Vec<String>>, format = Binary)]
+    poses: Option<Vec<Vec<u8>>>,
+    /// What to call it.
+    #[schema(max_length = 200)]
+    name: Option<String>,
+}
+
 /// Which captures to list.
 #[derive(Debug, Deserialize, IntoParams)]
 #[into_params(parameter_in = Query)]
 #[serde(deny_unknown_fields)]
 pub struct ListQuery {
-    /// At most so many, 1..=200.
+    /// At most so many; default 50.
+    #[param(minimum = 1, maximum = 200)]
     limit: Option<u32>,
     /// `next_cursor` of the page before.
     cursor: Option<String>,
@@ -38,8 +59,7 @@ pub struct ListQuery {
 /// Uploads photographs: parts named `images`, or one zip; optionally `gt`, poses and `name`.
 #[utoipa::path(post, path = "/v1/captures", operation_id = "create_capture",
     tag = "captures", params(CreateQuery),
-    request_body(content_type = "multipart/form-data", content = String,
-        description = "`images`: photographs or one zip; `gt`: ground truth with the same names; `poses`: transforms.json, poses_bounds.npy or a COLMAP model; `name`"),
+    request_body(content_type = "multipart/form-data", content = CaptureForm),
     responses(
         (status = 200, description = "The assessments of a dry run", body = Capture),
         (status = 201, description = "Stored, on disk", body = Capture),
@@ -71,12 +91,14 @@ pub async fn create(
 /// Lists captures, newest first.
 #[utoipa::path(get, path = "/v1/captures", operation_id = "list_captures",
     tag = "captures", params(ListQuery),
-    responses((status = 200, description = "A page", body = Captures)))]
+    responses(
+        (status = 200, description = "A page", body = Captures),
+        (status = 422, description = "Not a page", body = Problem, content_type = "application/problem+json")))]
 pub async fn list(
     State(app): State<Arc<App>>,
     Query(query): Query<ListQuery>,
 ) -> Result<axum::Json<Captures>, Problem> {
-    let limit = query.limit.unwrap_or(50).clamp(1, 200);
+    let limit = page_size(query.limit)?;
     let rows = app
         .store
         .captures(limit + 1, query.cursor.as_deref())

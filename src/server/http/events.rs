@@ -15,7 +15,7 @@ use axum::response::{IntoResponse, Response, Sse};
 use futures::Stream;
 use serde::Deserialize;
 use tokio::sync::watch;
-use utoipa::IntoParams;
+use utoipa::{IntoParams, ToSchema};
 
 use super::extract::Query;
 use super::lookup::find;
@@ -32,7 +32,20 @@ const BATCH: u32 = 200;
 #[serde(deny_unknown_fields)]
 pub struct StreamQuery {
     /// Like the header `Last-Event-ID`, for clients that cannot set it.
+    #[param(minimum = 0)]
     after: Option<i64>,
+}
+
+/// One event as it is sent.
+#[derive(ToSchema)]
+#[expect(dead_code, reason = "it describes what is written field by field")]
+pub struct StreamEvent {
+    /// Its number, from 1.
+    id: String,
+    /// `state`, `planned`, `stage_started` and so on.
+    event: String,
+    /// A JSON object.
+    data: String,
 }
 
 /// Streams what happens to a job: `state`, `planned`, `stage_started`, `stage_finished`,
@@ -40,9 +53,9 @@ pub struct StreamQuery {
 /// come.
 #[utoipa::path(get, path = "/v1/jobs/{id}/events", operation_id = "stream_events", tag = "jobs",
     params(("id" = String, Path), StreamQuery,
-        ("Last-Event-ID" = Option<i64>, Header, description = "Number of the last event received; what follows it is sent")),
+        ("Last-Event-ID" = Option<i64>, Header, minimum = 0, description = "Number of the last event received; what follows it is sent")),
     responses(
-        (status = 200, description = "Events, each with its number as `id`", body = String, content_type = "text/event-stream"),
+        (status = 200, description = "Events, each with its number as `id`", body = StreamEvent, content_type = "text/event-stream"),
         (status = 204, description = "The job is over and everything was sent"),
         (status = 404, description = "Unknown", body = Problem, content_type = "application/problem+json")))]
 pub async fn stream(
@@ -61,6 +74,8 @@ pub async fn stream(
             .and_then(|text| text.trim().parse().ok()),
         None => Some(query.after.unwrap_or(0)),
     };
+    // No number at all, in whichever place it stands.
+    let last = last.filter(|_| query.after.is_none_or(|after| after >= 0));
     let last = known(&app, &id, last).await?;
     if job.state.is_terminal() && app.store.events_after(&id, last, 1).await?.is_empty() {
         // The only answer after which a browser does not connect again.

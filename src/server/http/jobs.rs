@@ -14,6 +14,7 @@ use super::body_limit::SMALL;
 use super::extract::{Json, Query};
 use super::lookup::find;
 use super::order::Order;
+use super::page::page_size;
 use super::problem::Problem;
 use super::removal::remove;
 use super::shapes::{Job, Jobs, report};
@@ -43,6 +44,29 @@ pub struct CreateJob {
     name: Option<String>,
 }
 
+/// A capture and a job in one form.
+#[derive(ToSchema)]
+#[serde(deny_unknown_fields)]
+#[expect(dead_code, reason = "it describes what is read part by part")]
+pub struct JobForm {
+    /// Photographs, or one zip.
+    #[schema(value_type = Vec<String>, format = Binary, min_items = 1)]
+    images: Vec<Vec<u8>>,
+    /// Ground truth, by the same names.
+    #[schema(value_type = Option<Vec<String>>, format = Binary)]
+    gt: Option<Vec<Vec<u8>>>,
+    /// transforms.json, poses_bounds.npy or the files of a COLMAP model.
+    #[schema(value_type = Option<Vec<String>>, format = Binary)]
+    poses: Option<Vec<Vec<u8>>>,
+    /// What to call capture and job.
+    #[schema(max_length = 200)]
+    name: Option<String>,
+    /// `preview`, `standard` (default) or `paper`.
+    preset: Option<String>,
+    /// A JSON object: options over the preset's.
+    options: Option<String>,
+}
+
 /// Which jobs to list.
 #[derive(Debug, Deserialize, IntoParams)]
 #[into_params(parameter_in = Query)]
@@ -50,7 +74,8 @@ pub struct CreateJob {
 pub struct ListQuery {
     /// Of this state only.
     state: Option<JobState>,
-    /// At most so many, 1..=200.
+    /// At most so many; default 50.
+    #[param(minimum = 1, maximum = 200)]
     limit: Option<u32>,
     /// `next_cursor` of the page before.
     cursor: Option<String>,
@@ -58,10 +83,10 @@ pub struct ListQuery {
 
 /// Creates a job: JSON for an existing capture, or multipart for capture and job in one call.
 #[utoipa::path(post, path = "/v1/jobs", operation_id = "create_job", tag = "jobs",
-    params(("Idempotency-Key" = Option<String>, Header, description = "The same key and request give the same job")),
+    params(("Idempotency-Key" = Option<String>, Header, min_length = 1, max_length = 255, pattern = "^[\\x20-\\x7e]+$", description = "The same key and request give the same job")),
     request_body(content(
         (CreateJob = "application/json"),
-        (String = "multipart/form-data"))),
+        (JobForm = "multipart/form-data"))),
     responses(
         (status = 202, description = "Accepted, on disk", body = Job, headers(("Location" = String))),
         (status = 404, description = "Unknown capture", body = Problem, content_type = "application/problem+json"),
@@ -215,12 +240,14 @@ fn idempotency_key(headers: &HeaderMap) -> Result<Option<String>, Problem> {
 
 /// Lists jobs, newest first.
 #[utoipa::path(get, path = "/v1/jobs", operation_id = "list_jobs", tag = "jobs", params(ListQuery),
-    responses((status = 200, description = "A page", body = Jobs)))]
+    responses(
+        (status = 200, description = "A page", body = Jobs),
+        (status = 422, description = "Not a page", body = Problem, content_type = "application/problem+json")))]
 pub async fn list(
     State(app): State<Arc<App>>,
     Query(query): Query<ListQuery>,
 ) -> Result<axum::Json<Jobs>, Problem> {
-    let limit = query.limit.unwrap_or(50).clamp(1, 200);
+    let limit = page_size(query.limit)?;
     let mut told = app
         .store
         .jobs(query.state, limit + 1, query.cursor.as_deref())

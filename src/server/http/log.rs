@@ -8,10 +8,14 @@ use utoipa::{IntoParams, ToSchema};
 
 use super::extract::Query;
 use super::lookup::find;
+use super::page::within;
 use super::problem::Problem;
 use crate::app::App;
 use crate::error::ServerError;
 use crate::jobs::log::read_page;
+
+/// Most lines of a page.
+const LARGEST_PAGE: usize = 5000;
 
 /// Which part of the log.
 #[derive(Debug, Deserialize, IntoParams)]
@@ -20,7 +24,8 @@ use crate::jobs::log::read_page;
 pub struct LogQuery {
     /// `next_offset` of the page before.
     offset: Option<u64>,
-    /// At most so many lines, 1..=5000.
+    /// At most so many lines; default 1000.
+    #[param(minimum = 1, maximum = 5000)]
     limit: Option<usize>,
 }
 
@@ -40,7 +45,8 @@ pub struct LogPage {
     tag = "results", params(("id" = String, Path), LogQuery),
     responses(
         (status = 200, description = "A page", body = LogPage),
-        (status = 404, description = "Unknown", body = Problem, content_type = "application/problem+json")))]
+        (status = 404, description = "Unknown", body = Problem, content_type = "application/problem+json"),
+        (status = 422, description = "Not a page", body = Problem, content_type = "application/problem+json")))]
 pub async fn show(
     State(app): State<Arc<App>>,
     Path(id): Path<String>,
@@ -48,10 +54,12 @@ pub async fn show(
 ) -> Result<axum::Json<LogPage>, Problem> {
     find(&app, &id).await?;
     let path = app.data.log(&id);
-    let (offset, limit) = (
-        query.offset.unwrap_or(0),
-        query.limit.unwrap_or(1000).clamp(1, 5000),
-    );
+    let (offset, limit) = (query.offset.unwrap_or(0), query.limit.unwrap_or(1000));
+    within(limit, LARGEST_PAGE)?;
+    if offset > i64::MAX as u64 {
+        // Nothing is as long, and not every client can tell such a number from another.
+        return Err(Problem::unprocessable("bad_input", "No log is as long.").pointer("/offset"));
+    }
     let read = {
         let path = path.clone();
         tokio::task::spawn_blocking(move || read_page(&path, offset, limit)).await

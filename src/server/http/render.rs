@@ -62,6 +62,7 @@ pub struct RenderQuery {
 #[serde(deny_unknown_fields)]
 pub struct RenderBody {
     /// Rigid, row-major, 4x4; OpenCV axes: x right, y down, z forward.
+    #[schema(value_type = Vec<MatrixRow>, min_items = 4, max_items = 4)]
     world_to_camera: [[f64; 4]; 4],
     /// Pinhole, pixels.
     #[schema(value_type = Pinhole)]
@@ -71,6 +72,12 @@ pub struct RenderBody {
     /// `jpeg` (default), `png` or `webp` (lossless).
     format: Option<Format>,
 }
+
+/// A row of a matrix.
+#[derive(ToSchema)]
+#[schema(value_type = Vec<f64>, min_items = 4, max_items = 4)]
+#[expect(dead_code, reason = "it describes what is read as an array")]
+pub struct MatrixRow([f64; 4]);
 
 /// Intrinsics in pixels.
 #[derive(Debug, Deserialize, ToSchema)]
@@ -88,7 +95,7 @@ pub struct Pinhole {
 #[utoipa::path(get, path = "/v1/jobs/{id}/render", operation_id = "render_view",
     tag = "results", params(("id" = String, Path), RenderQuery),
     responses(
-        (status = 200, description = "The picture", body = Vec<u8>, content_type = "image/jpeg"),
+        (status = 200, description = "The picture", body = serde_json::Value, content_type = "image/*"),
         (status = 304, description = "As you have it"),
         (status = 404, description = "Unknown job, view or round", body = Problem, content_type = "application/problem+json"),
         (status = 409, description = "No round is finished yet", body = Problem, content_type = "application/problem+json"),
@@ -115,7 +122,7 @@ pub async fn get(
     tag = "results", params(("id" = String, Path)),
     request_body = RenderBody,
     responses(
-        (status = 200, description = "The picture", body = Vec<u8>, content_type = "image/jpeg"),
+        (status = 200, description = "The picture", body = serde_json::Value, content_type = "image/*"),
         (status = 404, description = "Unknown job or round", body = Problem, content_type = "application/problem+json"),
         (status = 409, description = "No round is finished yet", body = Problem, content_type = "application/problem+json"),
         (status = 422, description = "Not a camera", body = Problem, content_type = "application/problem+json")))]

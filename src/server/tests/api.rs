@@ -68,6 +68,21 @@ fn lists_are_paged_without_gap_and_filtered_by_state() {
 }
 
 #[test]
+fn a_page_of_no_size_is_refused_and_not_another_one_answered() {
+    let server = Server::start();
+    for (path, most) in [("/v1/jobs", 200), ("/v1/captures", 200)] {
+        for limit in [0, most + 1] {
+            let problem = server.get(&format!("{path}?limit={limit}"), &[]);
+            assert_eq!(problem.expect(422).json()["pointer"], "/limit", "{path}");
+        }
+        server.get(&format!("{path}?limit={most}"), &[]).expect(200);
+    }
+    let log = format!("/v1/jobs/{}/log?limit=", server.job("ok"));
+    server.get(&format!("{log}5000"), &[]).expect(200);
+    server.get(&format!("{log}5001"), &[]).expect(422);
+}
+
+#[test]
 fn health_says_what_is_missing_and_what_to_do() {
     let server = Server::start();
     assert_eq!(server.get("/livez", &[]).expect(200).text(), "ok\n");
