@@ -10,6 +10,7 @@ mod render_worker;
 mod run;
 mod serve;
 mod synth;
+mod token;
 mod tools;
 
 use std::process::ExitCode;
@@ -43,6 +44,8 @@ enum Command {
     Synth(synth::Args),
     /// The HTTP service with its dashboard and workers.
     Serve(serve::Args),
+    /// Makes, lists and ends the tokens by which the service is used.
+    Token(token::Args),
     /// Measures what training and rendering cost on this machine, kernel by kernel.
     Bench(bench::Args),
     /// Lists, checks, adds and fetches deblurring networks.
@@ -66,6 +69,7 @@ fn main() -> ExitCode {
         Command::Render(args) => render::main(&args),
         Command::Synth(args) => synth::main(&args),
         Command::Serve(args) => serve::main(&args),
+        Command::Token(args) => token::main(&args),
         Command::Bench(args) => bench::main(&args),
         Command::Models(args) => models::main(&args),
         Command::Doctor(args) => doctor::main(&args),

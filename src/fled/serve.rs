@@ -17,9 +17,12 @@ pub struct Args {
     /// Where captures, jobs and the database are kept.
     #[arg(long, value_name = "DIR", default_value = "data")]
     data: PathBuf,
-    /// Address to listen on. There are no accounts yet: whoever reaches it may use it.
+    /// Address to listen on. Others than this machine's own need a token (`fled token create`).
     #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:8080")]
     listen: SocketAddr,
+    /// Listens to other machines although there is no token: whoever reaches it may use it.
+    #[arg(long)]
+    open: bool,
     /// A name by which the server may be called, besides localhost and addresses: what browsers
     /// and proxies send as Host. May be repeated.
     #[arg(long = "host", value_name = "NAME")]
@@ -46,6 +49,7 @@ pub fn main(args: &Args) -> Result<(), Failure> {
     let mut config =
         ServeConfig::new(args.data.clone(), args.listen, args.workers).map_err(io(&args.data))?;
     config.hosts.clone_from(&args.hosts);
+    config.open = args.open;
     // A job's folder is its own: no other run will use what this one worked with.
     config.job_command.push("--discard-work".into());
     config.models = args.models.folders();

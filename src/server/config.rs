@@ -15,6 +15,8 @@ pub struct ServeConfig {
     pub data: PathBuf,
     /// Where it listens; port 0 takes a free one.
     pub listen: SocketAddr,
+    /// Whether it may listen to other machines although there is no token.
+    pub open: bool,
     /// Names by which it may be called, besides `localhost` and addresses.
     pub hosts: Vec<String>,
     /// Jobs run at once.
@@ -47,6 +49,7 @@ impl ServeConfig {
         Ok(Self {
             data,
             listen,
+            open: false,
             hosts: Vec::new(),
             workers,
             job_command: command(&["run"]),

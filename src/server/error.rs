@@ -1,6 +1,7 @@
 //! What can go wrong inside the service, before it is worded for HTTP.
 
 use std::io;
+use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 
 /// A fault of the service or of what it stands on.
@@ -23,6 +24,12 @@ pub enum ServerError {
     /// Another server holds the data directory.
     #[error("{0} is in use by another server; stop it or choose another --data")]
     DataInUse(PathBuf),
+    /// Strangers could reach a server that asks nobody for a token.
+    #[error(
+        "{0} can be reached from other machines, and there is no token: make one by \
+         `fled token create`, listen on 127.0.0.1, or let everybody in by --open"
+    )]
+    Unguarded(SocketAddr),
     /// A stored value is not what the schema promises.
     #[error("stored {what} is damaged: {detail}")]
     Damaged {

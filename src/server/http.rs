@@ -5,6 +5,7 @@
     reason = "the code that utoipa's attributes write has them"
 )]
 
+mod access;
 mod artifacts;
 mod body_limit;
 mod captures;
@@ -96,6 +97,7 @@ pub fn router(app: Arc<App>) -> Router {
                 "This address does not do that.",
             )
         })
+        .layer(middleware::from_fn_with_state(app.clone(), access::check))
         // Another site's page must not start or delete jobs with a visitor's browser.
         .layer(CsrfLayer::new())
         .layer(middleware::from_fn_with_state(app.clone(), host::check))

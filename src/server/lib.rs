@@ -17,6 +17,7 @@ mod running;
 mod serve;
 pub mod store;
 mod sweep;
+pub mod token;
 mod wording;
 
 pub use config::{Limits, ServeConfig};

@@ -38,6 +38,7 @@ impl Server {
     pub async fn start(config: ServeConfig) -> Result<Self> {
         let data = DataDir::open(&config.data)?;
         let store = Store::open(&data.database()).await?;
+        guard(&config, &store).await?;
         let limits = config.limits;
         let left = store
             .release_all(|deaths| after_death(&limits, deaths))
@@ -101,6 +102,23 @@ impl Server {
     }
 }
 
+/// Tells who may use the server.
+///
+/// # Errors
+/// [`ServerError::Unguarded`] where that would be everybody, unasked.
+async fn guard(config: &ServeConfig, store: &Store) -> Result<()> {
+    if store.has_tokens().await? {
+        tracing::info!("everything needs a token");
+    } else if config.listen.ip().to_canonical().is_loopback() {
+        tracing::info!("there is no token: whoever uses this machine may do everything");
+    } else if config.open {
+        tracing::warn!("there is no token: whoever reaches this server may do everything");
+    } else {
+        return Err(ServerError::Unguarded(config.listen));
+    }
+    Ok(())
+}
+
 /// What becomes of a job whose server has died so many times in a row without its progress. Memory
 /// that runs out takes the server as well as the job: such a job must not start for ever.
 fn after_death(limits: &Limits, deaths: u32) -> Settlement {
@@ -142,4 +160,53 @@ pub async fn serve(config: ServeConfig) -> Result<()> {
     tracing::info!("stopping");
     server.stop().await;
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::store::NewToken;
+    use crate::token::Secret;
+
+    #[tokio::test]
+    async fn strangers_are_let_in_by_a_token_or_on_purpose_only() {
+        let dir = tempfile::tempdir().expect("temporary directory");
+        let start = async |listen: &str, open: bool| {
+            let listen = listen.parse().expect("an address");
+            let mut config = ServeConfig::new(dir.path().into(), listen, 0).expect("a program");
+            config.open = open;
+            let server = Server::start(config).await;
+            match server {
+                Ok(server) => {
+                    server.stop().await;
+                    Ok(())
+                }
+                Err(error) => Err(error),
+            }
+        };
+        for own in ["127.0.0.1:0", "127.0.0.2:0"] {
+            start(own, false).await.expect("its own machine");
+        }
+        for reachable in ["0.0.0.0:0", "[::]:0"] {
+            let refused = start(reachable, false).await;
+            assert!(
+                matches!(refused, Err(ServerError::Unguarded(_))),
+                "{refused:?}"
+            );
+        }
+        start("0.0.0.0:0", true).await.expect("on purpose");
+        let store = Store::open(&dir.path().join("fled.db"))
+            .await
+            .expect("open");
+        let token = NewToken {
+            id: "1".to_owned(),
+            name: String::new(),
+            digest: Secret::new().expect("random").digest(),
+            scopes: "admin".parse().expect("scopes"),
+            expires_at: None,
+        };
+        store.insert_token(&token).await.expect("kept");
+        store.close().await;
+        start("0.0.0.0:0", false).await.expect("who has a token");
+    }
 }

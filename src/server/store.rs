@@ -11,6 +11,7 @@ mod lease;
 mod results;
 #[cfg(test)]
 mod tests;
+mod tokens;
 
 use std::collections::HashSet;
 use std::path::Path;
@@ -28,9 +29,10 @@ pub use idempotency::Creation;
 pub use jobs::{JobError, JobRow, NewJob, Retry, ToldJob};
 pub use lease::{Claim, Lease, Progress, Settlement};
 pub use results::{StageSeconds, WarningRow};
+pub use tokens::{NewToken, TokenRow};
 
 /// Applied in order, each once, never edited after release.
-const MIGRATIONS: [(i64, &str, &str); 6] = [
+const MIGRATIONS: [(i64, &str, &str); 7] = [
     (
         1,
         "captures",
@@ -56,6 +58,11 @@ const MIGRATIONS: [(i64, &str, &str); 6] = [
         6,
         "artifacts",
         include_str!("../../migrations/0006_artifacts.sql"),
+    ),
+    (
+        7,
+        "tokens",
+        include_str!("../../migrations/0007_tokens.sql"),
     ),
 ];
 

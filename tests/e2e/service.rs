@@ -413,3 +413,43 @@ fn a_capture_of_black_pictures_is_refused_with_a_reason_for_each() {
         "a refused capture was kept"
     );
 }
+
+#[test]
+fn tokens_are_made_listed_and_ended_while_the_service_runs() {
+    let server = Server::start();
+    server.get("/v1/jobs", &[]).expect(200);
+    let data = server.folder.path().join("data");
+    let token = |arguments: &[&str]| {
+        let mut command = fled();
+        command
+            .arg("token")
+            .args(arguments)
+            .arg("--data")
+            .arg(&data);
+        command.output().expect("run")
+    };
+    let made = token(&["create", "--scope", "jobs:read,renders", "--name", "viewer"]);
+    assert!(made.status.success(), "{made:?}");
+    let secret = String::from_utf8(made.stdout).expect("text");
+    let header = format!("Bearer {}", secret.trim());
+    assert!(secret.starts_with("fled_") && secret.lines().count() == 1);
+    server.get("/v1/jobs", &[]).expect(401);
+    let shown = [("authorization", header.as_str())];
+    server.get("/v1/jobs", &shown).expect(200);
+    server.post("/v1/jobs", b"{}", &shown).expect(403);
+    let listed = String::from_utf8(token(&["list"]).stdout).expect("text");
+    assert!(
+        listed.contains("jobs:read,renders") && listed.contains("viewer"),
+        "{listed}"
+    );
+    assert!(
+        listed.contains("last used") && !listed.contains(secret.trim()),
+        "{listed}"
+    );
+    let id = listed.split_whitespace().next().expect("an id");
+    assert!(token(&["revoke", id]).status.success());
+    assert_eq!(token(&["revoke", id]).status.code(), Some(2));
+    assert_eq!(token(&["create", "--scope", "all"]).status.code(), Some(2));
+    server.get("/v1/jobs", &shown).expect(401);
+    server.get("/v1/jobs", &[]).expect(401);
+}

@@ -50,6 +50,7 @@ fn serve(data: &Path, address_file: &Path) -> Result<(), Box<dyn std::error::Err
         listen: std::env::var("FLED_FAKE_LISTEN")
             .unwrap_or_else(|_| "127.0.0.1:0".to_owned())
             .parse()?,
+        open: false,
         hosts: vec!["fled.test".to_owned()],
         workers: 2,
         job_command: command("run"),

@@ -3,6 +3,7 @@
 use axum::http::header;
 use axum::response::IntoResponse;
 use utoipa::openapi::path::{Operation, ParameterIn};
+use utoipa::openapi::security::{HttpAuthScheme, HttpBuilder, SecurityRequirement, SecurityScheme};
 use utoipa::openapi::{Content, OpenApi, Ref, RefOr, Response, ResponseBuilder};
 use utoipa::{Modify, OpenApi as _};
 
@@ -44,11 +45,19 @@ use super::{artifacts, captures, events, health, jobs, log, options, render, rou
 )]
 struct Api;
 
+/// Name of the way to say who one is.
+const TOKEN: &str = "token";
+
 /// Adds to every operation how its request can be refused before its handler sees it.
 struct Refusals;
 
 impl Modify for Refusals {
     fn modify(&self, api: &mut OpenApi) {
+        let scheme = HttpBuilder::new().scheme(HttpAuthScheme::Bearer);
+        let scheme = scheme.description(Some("`fled token create` makes tokens."));
+        let scheme = SecurityScheme::Http(scheme.build());
+        let components = api.components.get_or_insert_default();
+        components.add_security_scheme(TOKEN, scheme);
         for (path, item) in &mut api.paths.paths {
             let operations = [&mut item.get, &mut item.post, &mut item.delete];
             for operation in operations.into_iter().flatten() {
@@ -76,6 +85,11 @@ fn refuse(operation: &mut Operation, path: &str) {
         refusals.push(("415", "The body is of another type"));
     }
     if path.starts_with("/v1/") {
+        refusals.push(("401", "A token is needed, and none that holds was sent"));
+        refusals.push(("403", "The token does not allow this"));
+        let needs = SecurityRequirement::new::<_, [&str; 0], &str>(TOKEN, []);
+        // Nothing is needed as long as there is no token.
+        operation.security = Some(vec![SecurityRequirement::default(), needs]);
         refusals.push(("default", "Any other problem"));
     }
     for (status, description) in refusals {

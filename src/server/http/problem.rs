@@ -39,6 +39,10 @@ pub struct Problem {
     /// The header `Retry-After`, seconds.
     #[serde(skip)]
     retry_after: Option<u32>,
+    /// The header `WWW-Authenticate`.
+    #[serde(skip)]
+    #[schema(ignore)]
+    challenge: Option<HeaderValue>,
 }
 
 impl Problem {
@@ -54,6 +58,7 @@ impl Problem {
             pointer: None,
             capture: None,
             retry_after: None,
+            challenge: None,
         }
     }
 
@@ -75,6 +80,13 @@ impl Problem {
     #[must_use]
     pub fn retry_after(mut self, seconds: u32) -> Self {
         self.retry_after = Some(seconds);
+        self
+    }
+
+    /// How to say who one is.
+    #[must_use]
+    pub fn challenge(mut self, challenge: HeaderValue) -> Self {
+        self.challenge = Some(challenge);
         self
     }
 
@@ -118,11 +130,17 @@ impl IntoResponse for Problem {
     fn into_response(self) -> Response {
         let status = StatusCode::from_u16(self.status).unwrap_or(StatusCode::INTERNAL_SERVER_ERROR);
         let retry_after = self.retry_after;
+        let challenge = self.challenge.clone();
         let mut response = (status, Json(self)).into_response();
         if let Some(seconds) = retry_after {
             response
                 .headers_mut()
                 .insert(header::RETRY_AFTER, seconds.into());
+        }
+        if let Some(challenge) = challenge {
+            response
+                .headers_mut()
+                .insert(header::WWW_AUTHENTICATE, challenge);
         }
         let media_type = HeaderValue::from_static("application/problem+json");
         response

@@ -1,0 +1,175 @@
+//! `fled token`: who may use the service.
+
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use fled_core::pipeline::error::ErrorKind;
+use fled_server::ServerError;
+use fled_server::store::{NewToken, Store, TokenRow, now_ms};
+use fled_server::token::{Scopes, Secret, TokenError, expiry, new_id, shown};
+
+use crate::failure::{Failure, io};
+
+/// Arguments of `fled token`.
+#[derive(clap::Args)]
+pub struct Args {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(clap::Subcommand)]
+enum Command {
+    /// Makes a token and prints it, once. From the first on the service asks everybody for one.
+    Create {
+        #[command(flatten)]
+        data: Data,
+        /// What it allows, with commas: jobs:read, jobs:write, renders, admin (everything).
+        #[arg(long, value_name = "SCOPES")]
+        scope: String,
+        /// How long it holds, as 90d or 12h. For ever when absent.
+        #[arg(long, value_name = "TIME")]
+        expires: Option<String>,
+        /// Whose it is or what for, as it is listed.
+        #[arg(long, default_value = "")]
+        name: String,
+    },
+    /// Lists tokens: name, scopes, when they were made and last used, until when they hold.
+    List {
+        #[command(flatten)]
+        data: Data,
+    },
+    /// Ends a token, at once.
+    Revoke {
+        #[command(flatten)]
+        data: Data,
+        /// The first column of `fled token list`.
+        id: String,
+    },
+}
+
+#[derive(clap::Args)]
+struct Data {
+    /// The service's data directory. It may be in use.
+    #[arg(long = "data", value_name = "DIR", default_value = "data")]
+    dir: PathBuf,
+}
+
+/// Makes, lists or ends tokens.
+///
+/// # Errors
+/// [`Failure`] for a scope or a time that is none, an unknown token, or a database that cannot be
+/// used.
+pub fn main(args: &Args) -> Result<(), Failure> {
+    let runtime =
+        tokio::runtime::Runtime::new().map_err(|e| Failure::new(ErrorKind::Internal, e))?;
+    runtime.block_on(async {
+        match &args.command {
+            Command::Create {
+                data,
+                scope,
+                expires,
+                name,
+            } => create(&data.dir, scope, expires.as_deref(), name).await,
+            Command::List { data } => list(&data.dir).await,
+            Command::Revoke { data, id } => revoke(&data.dir, id).await,
+        }
+    })
+}
+
+async fn create(dir: &Path, scope: &str, expires: Option<&str>, name: &str) -> Result<(), Failure> {
+    let scopes: Scopes = scope.parse().map_err(wrong)?;
+    let expires_at = expires.map(expiry).transpose().map_err(wrong)?;
+    let secret = Secret::new().map_err(wrong)?;
+    let id = new_id().map_err(wrong)?;
+    std::fs::create_dir_all(dir).map_err(io(dir))?;
+    let store = open(dir).await?;
+    let token = NewToken {
+        id,
+        name: name.to_owned(),
+        digest: secret.digest(),
+        scopes,
+        expires_at,
+    };
+    store.insert_token(&token).await.map_err(failed)?;
+    store.close().await;
+    eprintln!(
+        "token {} allows {}. It is shown this once:",
+        token.id, token.scopes
+    );
+    say(secret.reveal())
+}
+
+async fn list(dir: &Path) -> Result<(), Failure> {
+    let store = existing(dir).await?;
+    let tokens = store.tokens().await.map_err(failed)?;
+    store.close().await;
+    if tokens.is_empty() {
+        eprintln!("There is no token: `fled token create` makes one.");
+    }
+    let now = now_ms();
+    tokens.iter().try_for_each(|token| say(&line(token, now)))
+}
+
+fn line(token: &TokenRow, now: i64) -> String {
+    let end = match (token.revoked_at, token.expires_at) {
+        (Some(at), _) => format!("revoked {}", shown(at)),
+        (None, Some(at)) if at <= now => format!("expired {}", shown(at)),
+        (None, Some(at)) => format!("until {}", shown(at)),
+        (None, None) => "for ever".to_owned(),
+    };
+    let used = token.last_used_at.map_or("never used".to_owned(), |at| {
+        format!("last used {}", shown(at))
+    });
+    format!(
+        "{}  {}  made {}, {used}, {end}  {}",
+        token.id,
+        token.scopes,
+        shown(token.created_at),
+        token.name
+    )
+}
+
+async fn revoke(dir: &Path, id: &str) -> Result<(), Failure> {
+    let store = existing(dir).await?;
+    let ended = store.revoke_token(id).await.map_err(failed)?;
+    store.close().await;
+    if !ended {
+        return Err(Failure::usage(format!(
+            "no token {id} holds; `fled token list` shows them"
+        )));
+    }
+    eprintln!("token {id} holds no more");
+    Ok(())
+}
+
+/// The store of a directory that a server has used or a token was made for.
+async fn existing(dir: &Path) -> Result<Store, Failure> {
+    if !dir.join("fled.db").is_file() {
+        let detail = format!(
+            "{} holds no fled.db: it is no data directory",
+            dir.display()
+        );
+        return Err(Failure::usage(detail));
+    }
+    open(dir).await
+}
+
+async fn open(dir: &Path) -> Result<Store, Failure> {
+    Store::open(&dir.join("fled.db")).await.map_err(failed)
+}
+
+fn wrong(error: TokenError) -> Failure {
+    match error {
+        TokenError::NoRandomness(_) => Failure::new(ErrorKind::Environment, error),
+        TokenError::UnknownScope(_) | TokenError::BadExpiry(_) => Failure::usage(error),
+    }
+}
+
+#[expect(clippy::needless_pass_by_value, reason = "`map_err` hands it over so")]
+fn failed(error: ServerError) -> Failure {
+    Failure::new(ErrorKind::Io, error)
+}
+
+fn say(text: &str) -> Result<(), Failure> {
+    writeln!(std::io::stdout(), "{text}").map_err(|error| Failure::new(ErrorKind::Io, error))
+}

@@ -1,0 +1,128 @@
+//! Who may do what.
+//!
+//! As long as there is no token, whoever reaches the server may do everything; it then listens to
+//! its own machine only, unless it was told otherwise. From the first token on, everything of the
+//! API needs one.
+
+use std::sync::Arc;
+
+use axum::extract::{MatchedPath, Request, State};
+use axum::http::{HeaderMap, HeaderValue, Method, StatusCode, header};
+use axum::middleware::Next;
+use axum::response::{IntoResponse, Response};
+
+use super::problem::Problem;
+use crate::app::App;
+use crate::token::{Scope, digest};
+
+/// What anybody may see: whether the server lives, its description, and the page without its data.
+const OPEN: [&str; 5] = ["/", "/assets/{*name}", "/livez", "/readyz", "/openapi.yaml"];
+
+/// Lets those pass who may.
+pub(super) async fn check(State(app): State<Arc<App>>, request: Request, next: Next) -> Response {
+    let path = request.extensions().get::<MatchedPath>();
+    let Some(needed) = needed(path.map(MatchedPath::as_str), request.method()) else {
+        return next.run(request).await;
+    };
+    match admit(&app, request.headers(), needed).await {
+        Ok(()) => next.run(request).await,
+        Err(problem) => problem.into_response(),
+    }
+}
+
+/// What a request needs; `None` where anybody may.
+fn needed(path: Option<&str>, method: &Method) -> Option<Scope> {
+    // No route at all: there is nothing to see.
+    let path = path?;
+    if OPEN.contains(&path) {
+        return None;
+    }
+    Some(match (path, method) {
+        ("/v1/jobs/{id}/render", _) => Scope::Renders,
+        (_, &Method::GET | &Method::HEAD) => Scope::JobsRead,
+        _ => Scope::JobsWrite,
+    })
+}
+
+async fn admit(app: &App, headers: &HeaderMap, needed: Scope) -> Result<(), Problem> {
+    if !app.store.has_tokens().await? {
+        return Ok(());
+    }
+    let shown = bearer(headers).ok_or_else(|| {
+        unauthorized("no_token", "This needs a token.")
+            .hint("Send `Authorization: Bearer fled_...`; `fled token create` makes a token.")
+    })?;
+    let token = app.store.token_that_holds(&digest(shown)).await?;
+    let token = token.ok_or_else(|| {
+        unauthorized(
+            "bad_token",
+            "This token is unknown, revoked or has expired.",
+        )
+        .hint("Ask whoever runs the server for a new one.")
+    })?;
+    if token.scopes.allow(needed) {
+        return Ok(());
+    }
+    let detail = format!("This token does not allow `{}`.", needed.name());
+    Err(Problem::new(StatusCode::FORBIDDEN, "missing_scope", detail)
+        .hint(format!("It allows: {}.", token.scopes)))
+}
+
+/// The token that a request shows, in the one place where it is not written into logs.
+fn bearer(headers: &HeaderMap) -> Option<&str> {
+    let mut values = headers.get_all(header::AUTHORIZATION).iter();
+    let value = values.next()?.to_str().ok()?;
+    if values.next().is_some() {
+        return None;
+    }
+    let (scheme, token) = value.split_once(' ')?;
+    scheme
+        .eq_ignore_ascii_case("bearer")
+        .then_some(token.trim())
+}
+
+fn unauthorized(code: &'static str, detail: &str) -> Problem {
+    Problem::new(StatusCode::UNAUTHORIZED, code, detail)
+        .challenge(HeaderValue::from_static("Bearer realm=\"fled\""))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_not_known_to_be_open_needs_a_scope() {
+        let (get, post) = (&Method::GET, &Method::POST);
+        for open in OPEN {
+            assert_eq!(needed(Some(open), get), None);
+        }
+        let job = "/v1/jobs/{id}";
+        assert_eq!(needed(Some(job), get), Some(Scope::JobsRead));
+        assert_eq!(needed(Some(job), &Method::HEAD), Some(Scope::JobsRead));
+        assert_eq!(needed(Some(job), &Method::DELETE), Some(Scope::JobsWrite));
+        assert_eq!(needed(Some(job), &Method::OPTIONS), Some(Scope::JobsWrite));
+        let render = "/v1/jobs/{id}/render";
+        assert_eq!(needed(Some(render), get), Some(Scope::Renders));
+        assert_eq!(needed(Some(render), post), Some(Scope::Renders));
+        let artifact = "/v1/jobs/{id}/artifacts/{*name}";
+        assert_eq!(needed(Some(artifact), get), Some(Scope::JobsRead));
+        assert_eq!(needed(Some("/of/tomorrow"), get), Some(Scope::JobsRead));
+    }
+
+    #[test]
+    fn only_one_bearer_token_is_read() {
+        let of = |values: &[&str]| {
+            let mut headers = HeaderMap::new();
+            for value in values {
+                headers.append(header::AUTHORIZATION, value.parse().expect("header"));
+            }
+            bearer(&headers).map(str::to_owned)
+        };
+        assert_eq!(of(&["Bearer fled_1"]).as_deref(), Some("fled_1"));
+        assert_eq!(of(&["bearer  fled_1"]).as_deref(), Some("fled_1"));
+        assert_eq!(of(&["Bearer fled_1", "Bearer fled_2"]), None);
+        assert_eq!(of(&["Basic fled_1"]), None);
+        assert_eq!(of(&["fled_1"]), None);
+        assert_eq!(of(&[]), None);
+    }
+}

@@ -1,0 +1,210 @@
+//! Tokens, as digests.
+
+use sqlx::Row;
+use sqlx::sqlite::SqliteRow;
+use subtle::ConstantTimeEq;
+
+use super::{Store, now_ms};
+use crate::error::{Result, ServerError};
+use crate::token::{Digest, Scopes};
+
+/// The use of a token is noted at most so often, milliseconds: a read is no reason to write.
+const NOTED_EVERY: i64 = 60_000;
+
+/// A token to be kept.
+#[derive(Clone, Debug)]
+pub struct NewToken {
+    /// Its public name.
+    pub id: String,
+    /// The user's name for it.
+    pub name: String,
+    /// Of the token itself.
+    pub digest: Digest,
+    /// What it allows.
+    pub scopes: Scopes,
+    /// Until when, milliseconds since 1970; `None` for ever.
+    pub expires_at: Option<i64>,
+}
+
+/// A kept token.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct TokenRow {
+    /// Its public name.
+    pub id: String,
+    /// The user's name for it.
+    pub name: String,
+    /// What it allows.
+    pub scopes: Scopes,
+    /// Milliseconds since 1970.
+    pub created_at: i64,
+    /// Until when it holds; `None` for ever.
+    pub expires_at: Option<i64>,
+    /// Since when it holds no more.
+    pub revoked_at: Option<i64>,
+    /// When it was last shown, to a minute.
+    pub last_used_at: Option<i64>,
+}
+
+impl TokenRow {
+    /// Whether it holds at a time, milliseconds since 1970.
+    pub fn holds(&self, now: i64) -> bool {
+        self.revoked_at.is_none() && self.expires_at.is_none_or(|end| now < end)
+    }
+}
+
+impl Store {
+    /// Keeps a token.
+    ///
+    /// # Errors
+    /// When the database refuses.
+    pub async fn insert_token(&self, token: &NewToken) -> Result<()> {
+        sqlx::query(
+            "INSERT INTO tokens (id, name, digest, scopes, created_at, expires_at)
+             VALUES (?, ?, ?, ?, ?, ?)",
+        )
+        .bind(&token.id)
+        .bind(&token.name)
+        .bind(token.digest.as_slice())
+        .bind(token.scopes.to_string())
+        .bind(now_ms())
+        .bind(token.expires_at)
+        .execute(&self.pool)
+        .await?;
+        Ok(())
+    }
+
+    /// Every token there ever was, oldest first.
+    ///
+    /// # Errors
+    /// When the database refuses.
+    pub async fn tokens(&self) -> Result<Vec<TokenRow>> {
+        let rows = sqlx::query("SELECT * FROM tokens ORDER BY created_at, id")
+            .fetch_all(&self.pool)
+            .await?;
+        rows.iter().map(from_row).collect()
+    }
+
+    /// Whether there ever was a token. One that was revoked or has expired counts: its end must not
+    /// open the service to those who have none.
+    ///
+    /// # Errors
+    /// When the database refuses.
+    pub async fn has_tokens(&self) -> Result<bool> {
+        let any = sqlx::query_scalar("SELECT EXISTS (SELECT 1 FROM tokens)");
+        Ok(any.fetch_one(&self.pool).await?)
+    }
+
+    /// Ends a token. `Ok(false)` when there is none of this name that was not ended before.
+    ///
+    /// # Errors
+    /// When the database refuses.
+    pub async fn revoke_token(&self, id: &str) -> Result<bool> {
+        let done =
+            sqlx::query("UPDATE tokens SET revoked_at = ? WHERE id = ? AND revoked_at IS NULL")
+                .bind(now_ms())
+                .bind(id)
+                .execute(&self.pool)
+                .await?;
+        Ok(done.rows_affected() == 1)
+    }
+
+    /// The token of this digest, if it holds now. Its use is noted.
+    ///
+    /// # Errors
+    /// When the database refuses.
+    pub async fn token_that_holds(&self, digest: &Digest) -> Result<Option<TokenRow>> {
+        let row = sqlx::query("SELECT * FROM tokens WHERE digest = ?")
+            .bind(digest.as_slice())
+            .fetch_optional(&self.pool)
+            .await?;
+        let Some(row) = row else { return Ok(None) };
+        let kept: Vec<u8> = row.try_get("digest")?;
+        let now = now_ms();
+        let token = from_row(&row)?;
+        if !bool::from(kept.ct_eq(digest)) || !token.holds(now) {
+            return Ok(None);
+        }
+        if token
+            .last_used_at
+            .is_none_or(|last| now - last >= NOTED_EVERY)
+        {
+            let noted = sqlx::query("UPDATE tokens SET last_used_at = ? WHERE id = ?")
+                .bind(now)
+                .bind(&token.id)
+                .execute(&self.pool)
+                .await;
+            // A full disk must not lock anybody out.
+            if let Err(error) = noted {
+                tracing::warn!(%error, "the use of a token is not noted");
+            }
+        }
+        Ok(Some(token))
+    }
+}
+
+fn from_row(row: &SqliteRow) -> Result<TokenRow> {
+    let scopes: String = row.try_get("scopes")?;
+    let scopes = scopes.parse().map_err(|error| ServerError::Damaged {
+        what: "token",
+        detail: format!("{error}"),
+    })?;
+    Ok(TokenRow {
+        id: row.try_get("id")?,
+        name: row.try_get("name")?,
+        scopes,
+        created_at: row.try_get("created_at")?,
+        expires_at: row.try_get("expires_at")?,
+        revoked_at: row.try_get("revoked_at")?,
+        last_used_at: row.try_get("last_used_at")?,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::token::Secret;
+
+    #[tokio::test]
+    async fn a_token_holds_until_it_is_revoked_or_expires() {
+        let dir = tempfile::tempdir().expect("temporary directory");
+        let store = Store::open(&dir.path().join("fled.db"))
+            .await
+            .expect("open");
+        assert!(!store.has_tokens().await.expect("answer"));
+        let secrets = [(); 3].map(|()| Secret::new().expect("random"));
+        for (index, secret) in secrets.iter().enumerate() {
+            let token = NewToken {
+                id: index.to_string(),
+                name: "test".to_owned(),
+                digest: secret.digest(),
+                scopes: "renders".parse().expect("scopes"),
+                expires_at: (index == 1).then(|| now_ms() - 1),
+            };
+            store.insert_token(&token).await.expect("kept");
+        }
+        let holds = async |index: usize| {
+            let digest = secrets[index].digest();
+            store.token_that_holds(&digest).await.expect("answer")
+        };
+        assert_eq!(holds(0).await.expect("holds").id, "0");
+        assert!(holds(1).await.is_none(), "it has expired");
+        assert!(store.revoke_token("0").await.expect("answer"));
+        assert!(
+            !store.revoke_token("0").await.expect("answer"),
+            "it is ended"
+        );
+        assert!(!store.revoke_token("none").await.expect("answer"));
+        assert!(holds(0).await.is_none(), "it is revoked");
+        assert!(holds(2).await.is_some());
+        let unknown = crate::token::digest("fled_0");
+        let unknown = store.token_that_holds(&unknown).await.expect("answer");
+        assert!(unknown.is_none());
+        let told = store.tokens().await.expect("tokens");
+        assert!(told[0].last_used_at.is_some() && told[1].last_used_at.is_none());
+        let content = std::fs::read(dir.path().join("fled.db-wal")).unwrap_or_default();
+        let shows = |text: &str| content.windows(text.len()).any(|w| w == text.as_bytes());
+        assert!(!secrets.iter().any(|secret| shows(secret.reveal())));
+        store.revoke_token("2").await.expect("answer");
+        assert!(store.has_tokens().await.expect("answer"), "it stays locked");
+    }
+}

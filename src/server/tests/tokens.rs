@@ -1,0 +1,133 @@
+//! Who may do what, through a real server process.
+
+mod support;
+
+use fled_server::store::{NewToken, Store};
+use fled_server::token::{Secret, new_id};
+use serde_json::json;
+use support::{Server, photographs};
+
+/// A token of these scopes in the server's database, made as `fled token create` makes it; its
+/// header and its id.
+fn token(server: &Server, scopes: &str) -> (String, String) {
+    let secret = Secret::new().expect("random");
+    let token = NewToken {
+        id: new_id().expect("random"),
+        name: scopes.to_owned(),
+        digest: secret.digest(),
+        scopes: scopes.parse().expect("scopes"),
+        expires_at: None,
+    };
+    with_store(server, async |store| {
+        store.insert_token(&token).await.expect("kept")
+    });
+    (format!("Bearer {}", secret.reveal()), token.id)
+}
+
+fn with_store<T>(server: &Server, work: impl AsyncFnOnce(&Store) -> T) -> T {
+    let path = server.data.path().join("data/fled.db");
+    let runtime = tokio::runtime::Builder::new_current_thread()
+        .enable_all()
+        .build()
+        .expect("runtime");
+    runtime.block_on(async {
+        let store = Store::open(&path).await.expect("open");
+        let outcome = work(&store).await;
+        store.close().await;
+        outcome
+    })
+}
+
+#[test]
+fn from_the_first_token_on_everything_needs_one() {
+    let server = Server::start();
+    let job = server.job("ok");
+    server.wait_state(&job, "succeeded");
+    let (admin, id) = token(&server, "admin");
+    let of = |path: &str| format!("/v1/jobs/{job}{path}");
+    let paths = [
+        of(""),
+        of("/events"),
+        of("/rounds"),
+        of("/log"),
+        of("/render?azimuth=1"),
+        of("/artifacts"),
+        of("/artifacts/scene.ply"),
+        "/v1/jobs".to_owned(),
+        "/v1/captures".to_owned(),
+        "/v1/options".to_owned(),
+    ];
+    for path in &paths {
+        let refused = server.get(path, &[]).expect(401);
+        assert_eq!(refused.json()["code"], "no_token", "{path}");
+        assert!(refused.header("www-authenticate").starts_with("Bearer"));
+        assert_eq!(refused.header("content-type"), "application/problem+json");
+        server.get(path, &[("authorization", &admin)]).expect(200);
+        server
+            .get(path, &[("authorization", "Bearer fled_0")])
+            .expect(401);
+    }
+    server.post(&of("/retry"), b"", &[]).expect(401);
+    server.post(&of("/cancel"), b"", &[]).expect(401);
+    server.delete(&of("")).expect(401);
+    server
+        .upload("/v1/captures", &photographs(3), &[])
+        .expect(401);
+    // Only the header counts: addresses are written into logs.
+    let secret = admin.trim_start_matches("Bearer ");
+    for named in ["token", "access_token"] {
+        server
+            .get(&format!("/v1/options?{named}={secret}"), &[])
+            .expect(401);
+    }
+    for open in ["/", "/assets/main.js", "/livez", "/openapi.yaml"] {
+        server.get(open, &[]).expect(200);
+    }
+    server.get("/readyz", &[]).expect(503);
+    server.get("/nowhere", &[]).expect(404);
+    assert!(with_store(&server, async |store| store
+        .revoke_token(&id)
+        .await
+        .expect("done")));
+    server
+        .get("/v1/jobs", &[("authorization", &admin)])
+        .expect(401);
+    server.get("/v1/jobs", &[]).expect(401);
+}
+
+#[test]
+fn a_token_allows_what_its_scopes_say() {
+    let server = Server::start();
+    let capture = server.capture(3);
+    let job = server.job("ok");
+    server.wait_state(&job, "succeeded");
+    let (reads, _) = token(&server, "jobs:read");
+    let (writes, _) = token(&server, "jobs:write");
+    let (renders, _) = token(&server, "renders");
+    let (expired, id) = token(&server, "admin");
+    with_store(&server, async |store| {
+        store.revoke_token(&id).await.expect("done")
+    });
+    let show = format!("/v1/jobs/{job}");
+    let render = format!("{show}/render?azimuth=1");
+    let order = json!({ "capture_id": capture, "options": { "adapter": "ok" } });
+    for (header, show_status, order_status, render_status) in [
+        (&reads, 200, 403, 403),
+        (&writes, 403, 202, 403),
+        (&renders, 403, 403, 200),
+        (&expired, 401, 401, 401),
+    ] {
+        let headers = [("authorization", header.as_str())];
+        server.get(&show, &headers).expect(show_status);
+        server
+            .post_json("/v1/jobs", &order, &headers)
+            .expect(order_status);
+        server.get(&render, &headers).expect(render_status);
+    }
+    let refused = server
+        .get(&show, &[("authorization", &renders)])
+        .expect(403);
+    assert_eq!(refused.json()["code"], "missing_scope");
+    let detail = refused.json()["detail"].as_str().map(str::to_owned);
+    assert!(detail.is_some_and(|detail| detail.contains("jobs:read")));
+}

@@ -1,0 +1,210 @@
+//! Tokens: what they look like, what they allow, how long they hold.
+
+use std::fmt;
+use std::str::FromStr;
+
+use jiff::{Span, Timestamp, Zoned};
+use sha2::{Digest as _, Sha256};
+
+/// What every token begins with, so that one that leaks is found by those who look for such.
+const PREFIX: &str = "fled_";
+/// Random bytes of a token.
+const BYTES: usize = 32;
+/// Random bytes of a token's public name.
+const ID_BYTES: usize = 6;
+
+/// The SHA-256 of a token: all that is kept of it. 256 random bits need no slow hash.
+pub type Digest = [u8; 32];
+
+/// Something that a token may allow.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Scope {
+    /// To see captures, jobs and results.
+    JobsRead,
+    /// To upload, to start, cancel, retry and delete.
+    JobsWrite,
+    /// To have views rendered.
+    Renders,
+    /// Everything, of everybody.
+    Admin,
+}
+
+impl Scope {
+    const ALL: [Self; 4] = [Self::JobsRead, Self::JobsWrite, Self::Renders, Self::Admin];
+
+    /// As it is written.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::JobsRead => "jobs:read",
+            Self::JobsWrite => "jobs:write",
+            Self::Renders => "renders",
+            Self::Admin => "admin",
+        }
+    }
+}
+
+/// What a token allows. Never nothing.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Scopes(Vec<Scope>);
+
+impl Scopes {
+    /// Whether this is allowed; `admin` is allowed everything.
+    pub fn allow(&self, scope: Scope) -> bool {
+        self.0.contains(&scope) || self.0.contains(&Scope::Admin)
+    }
+}
+
+impl fmt::Display for Scopes {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let names: Vec<_> = self.0.iter().map(|scope| scope.name()).collect();
+        f.write_str(&names.join(","))
+    }
+}
+
+impl FromStr for Scopes {
+    type Err = TokenError;
+
+    fn from_str(text: &str) -> Result<Self, TokenError> {
+        let named = |name: &str| {
+            let scope = Scope::ALL.into_iter().find(|scope| scope.name() == name);
+            scope.ok_or_else(|| TokenError::UnknownScope(name.to_owned()))
+        };
+        let mut scopes = Vec::new();
+        for name in text.split(',') {
+            let scope = named(name.trim())?;
+            if !scopes.contains(&scope) {
+                scopes.push(scope);
+            }
+        }
+        Ok(Self(scopes))
+    }
+}
+
+/// Why a token cannot be made.
+#[derive(Debug, PartialEq, Eq, thiserror::Error)]
+pub enum TokenError {
+    /// There is no such scope.
+    #[error("`{0}` is no scope: jobs:read, jobs:write, renders, admin")]
+    UnknownScope(String),
+    /// Not a time from now.
+    #[error("`{0}` is no time to hold: say 90d, 12h or 1y")]
+    BadExpiry(String),
+    /// The system gives no random numbers.
+    #[error("the system gives no random numbers: {0}")]
+    NoRandomness(String),
+}
+
+/// A token as its holder has it. It is shown once and kept nowhere.
+pub struct Secret(String);
+
+impl Secret {
+    /// A new one.
+    ///
+    /// # Errors
+    /// [`TokenError::NoRandomness`].
+    pub fn new() -> Result<Self, TokenError> {
+        Ok(Self(format!("{PREFIX}{}", hex(&random::<BYTES>()?))))
+    }
+
+    /// What is kept of it.
+    pub fn digest(&self) -> Digest {
+        digest(&self.0)
+    }
+
+    /// For its holder.
+    pub fn reveal(&self) -> &str {
+        &self.0
+    }
+}
+
+impl fmt::Debug for Secret {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("Secret")
+    }
+}
+
+/// What is kept of a token that somebody shows.
+pub fn digest(token: &str) -> Digest {
+    Sha256::digest(token.as_bytes()).into()
+}
+
+/// A name for a token, to list and to revoke it by.
+///
+/// # Errors
+/// [`TokenError::NoRandomness`].
+pub fn new_id() -> Result<String, TokenError> {
+    Ok(hex(&random::<ID_BYTES>()?))
+}
+
+/// Until when a token holds that is made now, milliseconds since 1970.
+///
+/// # Errors
+/// [`TokenError::BadExpiry`] for what is no time from now.
+pub fn expiry(text: &str) -> Result<i64, TokenError> {
+    let bad = || TokenError::BadExpiry(text.to_owned());
+    let span: Span = text.parse().map_err(|_| bad())?;
+    let now = Zoned::now();
+    let end = now.checked_add(span).map_err(|_| bad())?;
+    if end <= now {
+        return Err(bad());
+    }
+    Ok(end.timestamp().as_millisecond())
+}
+
+/// A time as it is listed, in UTC.
+pub fn shown(milliseconds: i64) -> String {
+    let time = Timestamp::from_millisecond(milliseconds).unwrap_or_default();
+    time.strftime("%Y-%m-%d %H:%M").to_string()
+}
+
+fn random<const N: usize>() -> Result<[u8; N], TokenError> {
+    let mut bytes = [0; N];
+    getrandom::fill(&mut bytes).map_err(|error| TokenError::NoRandomness(error.to_string()))?;
+    Ok(bytes)
+}
+
+fn hex(bytes: &[u8]) -> String {
+    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_token_is_another_and_never_shown_by_accident() {
+        let (one, other) = (
+            Secret::new().expect("random"),
+            Secret::new().expect("random"),
+        );
+        assert_ne!(one.reveal(), other.reveal());
+        assert_eq!(one.reveal().len(), PREFIX.len() + 2 * BYTES);
+        assert!(one.reveal().starts_with("fled_"));
+        assert_eq!(one.digest(), digest(one.reveal()));
+        assert_eq!(format!("{one:?}"), "Secret");
+    }
+
+    #[test]
+    fn a_scope_allows_itself_and_admin_allows_all() {
+        let scopes: Scopes = "jobs:read, renders,jobs:read".parse().expect("scopes");
+        assert_eq!(scopes.to_string(), "jobs:read,renders");
+        assert!(scopes.allow(Scope::JobsRead) && scopes.allow(Scope::Renders));
+        assert!(!scopes.allow(Scope::JobsWrite) && !scopes.allow(Scope::Admin));
+        let admin: Scopes = "admin".parse().expect("scopes");
+        assert!(Scope::ALL.into_iter().all(|scope| admin.allow(scope)));
+        for none in ["", "jobs", "jobs:read,", "Admin"] {
+            assert!(none.parse::<Scopes>().is_err(), "{none:?}");
+        }
+    }
+
+    #[test]
+    fn a_token_holds_for_a_time_from_now() {
+        let day = 24 * 3600 * 1000;
+        let left = expiry("2d").expect("two days") - Timestamp::now().as_millisecond();
+        assert!((left - 2 * day).abs() < day / 10, "{left}");
+        assert!(expiry("12h").is_ok() && expiry("1y").is_ok());
+        for none in ["", "0s", "-1d", "tomorrow", "2020-01-01"] {
+            assert!(expiry(none).is_err(), "{none:?}");
+        }
+    }
+}
