@@ -18,6 +18,7 @@ mod health;
 mod host;
 mod jobs;
 mod log;
+mod login;
 mod lookup;
 mod openapi;
 mod options;
@@ -78,6 +79,8 @@ pub fn router(app: Arc<App>) -> Router {
         .route("/v1/jobs/{id}/artifacts", get(artifacts::list))
         .route("/v1/jobs/{id}/artifacts/{*name}", get(artifacts::download))
         .route("/v1/options", get(options::show))
+        .route("/login", get(login::show).post(login::login))
+        .route("/logout", post(login::logout))
         .route("/livez", get(health::live))
         .route("/readyz", get(health::ready))
         .route("/openapi.yaml", get(openapi::show))

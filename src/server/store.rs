@@ -9,6 +9,7 @@ mod idempotency;
 mod jobs;
 mod lease;
 mod results;
+mod sessions;
 #[cfg(test)]
 mod tests;
 mod tokens;
@@ -32,7 +33,7 @@ pub use results::{StageSeconds, WarningRow};
 pub use tokens::{NewToken, TokenRow};
 
 /// Applied in order, each once, never edited after release.
-const MIGRATIONS: [(i64, &str, &str); 7] = [
+const MIGRATIONS: [(i64, &str, &str); 8] = [
     (
         1,
         "captures",
@@ -63,6 +64,11 @@ const MIGRATIONS: [(i64, &str, &str); 7] = [
         7,
         "tokens",
         include_str!("../../migrations/0007_tokens.sql"),
+    ),
+    (
+        8,
+        "sessions",
+        include_str!("../../migrations/0008_sessions.sql"),
     ),
 ];
 

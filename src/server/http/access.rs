@@ -13,10 +13,21 @@ use axum::response::{IntoResponse, Response};
 
 use super::problem::Problem;
 use crate::app::App;
+use crate::store::TokenRow;
 use crate::token::{Scope, digest};
 
 /// What anybody may see: whether the server lives, its description, and the page without its data.
-const OPEN: [&str; 5] = ["/", "/assets/{*name}", "/livez", "/readyz", "/openapi.yaml"];
+const OPEN: [&str; 7] = [
+    "/",
+    "/assets/{*name}",
+    "/login",
+    "/logout",
+    "/livez",
+    "/readyz",
+    "/openapi.yaml",
+];
+/// The cookie that stands for a token.
+pub(super) const COOKIE: &str = "fled_session";
 
 /// Lets those pass who may.
 pub(super) async fn check(State(app): State<Arc<App>>, request: Request, next: Next) -> Response {
@@ -48,17 +59,12 @@ async fn admit(app: &App, headers: &HeaderMap, needed: Scope) -> Result<(), Prob
     if !app.store.has_tokens().await? {
         return Ok(());
     }
-    let shown = bearer(headers).ok_or_else(|| {
+    let token = token_of(app, headers).await?.ok_or_else(|| {
+        if headers.contains_key(header::AUTHORIZATION) || session(headers).is_some() {
+            return bad_token();
+        }
         unauthorized("no_token", "This needs a token.")
             .hint("Send `Authorization: Bearer fled_...`; `fled token create` makes a token.")
-    })?;
-    let token = app.store.token_that_holds(&digest(shown)).await?;
-    let token = token.ok_or_else(|| {
-        unauthorized(
-            "bad_token",
-            "This token is unknown, revoked or has expired.",
-        )
-        .hint("Ask whoever runs the server for a new one.")
     })?;
     if token.scopes.allow(needed) {
         return Ok(());
@@ -66,6 +72,40 @@ async fn admit(app: &App, headers: &HeaderMap, needed: Scope) -> Result<(), Prob
     let detail = format!("This token does not allow `{}`.", needed.name());
     Err(Problem::new(StatusCode::FORBIDDEN, "missing_scope", detail)
         .hint(format!("It allows: {}.", token.scopes)))
+}
+
+/// The token that a request shows or that its session stands for, if it holds. A header wins: who
+/// sends one does not mean the cookie.
+pub(super) async fn token_of(app: &App, headers: &HeaderMap) -> Result<Option<TokenRow>, Problem> {
+    Ok(if headers.contains_key(header::AUTHORIZATION) {
+        match bearer(headers) {
+            Some(shown) => app.store.token_that_holds(&digest(shown)).await?,
+            None => None,
+        }
+    } else {
+        match session(headers) {
+            Some(session) => app.store.token_of_session(&digest(session)).await?,
+            None => None,
+        }
+    })
+}
+
+/// The session in a browser's cookie.
+pub(super) fn session(headers: &HeaderMap) -> Option<&str> {
+    let cookies = headers.get_all(header::COOKIE).iter();
+    let mut cookies = cookies
+        .filter_map(|value| value.to_str().ok())
+        .flat_map(|value| value.split(';'));
+    cookies.find_map(|cookie| {
+        let (name, value) = cookie.trim().split_once('=')?;
+        (name == COOKIE && !value.is_empty()).then_some(value)
+    })
+}
+
+/// 401: this one does not hold.
+pub(super) fn bad_token() -> Problem {
+    let detail = "This token or session is unknown, revoked or has expired.";
+    unauthorized("bad_token", detail).hint("Ask whoever runs the server for a new token.")
 }
 
 /// The token that a request shows, in the one place where it is not written into logs.
@@ -124,5 +164,20 @@ mod tests {
         assert_eq!(of(&["Basic fled_1"]), None);
         assert_eq!(of(&["fled_1"]), None);
         assert_eq!(of(&[]), None);
+    }
+
+    #[test]
+    fn the_session_is_found_among_other_cookies() {
+        let of = |value: &str| {
+            let mut headers = HeaderMap::new();
+            headers.append(header::COOKIE, value.parse().expect("header"));
+            session(&headers).map(str::to_owned)
+        };
+        assert_eq!(
+            of("a=b; fled_session=fled_1; c=d").as_deref(),
+            Some("fled_1")
+        );
+        assert_eq!(of("fled_session="), None);
+        assert_eq!(of("xfled_session=1; fled_sessions=2"), None);
     }
 }

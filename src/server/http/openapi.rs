@@ -7,7 +7,7 @@ use utoipa::openapi::security::{HttpAuthScheme, HttpBuilder, SecurityRequirement
 use utoipa::openapi::{Content, OpenApi, Ref, RefOr, Response, ResponseBuilder};
 use utoipa::{Modify, OpenApi as _};
 
-use super::{artifacts, captures, events, health, jobs, log, options, render, rounds};
+use super::{artifacts, captures, events, health, jobs, log, login, options, render, rounds};
 
 #[derive(utoipa::OpenApi)]
 #[openapi(
@@ -35,6 +35,9 @@ use super::{artifacts, captures, events, health, jobs, log, options, render, rou
         artifacts::list,
         artifacts::download,
         options::show,
+        login::show,
+        login::login,
+        login::logout,
         health::live,
         health::ready,
         show

@@ -131,3 +131,77 @@ fn a_token_allows_what_its_scopes_say() {
     let detail = refused.json()["detail"].as_str().map(str::to_owned);
     assert!(detail.is_some_and(|detail| detail.contains("jobs:read")));
 }
+
+/// What a browser keeps of an answer: the cookie without its attributes.
+fn cookie(reply: &fled_tests::Reply) -> String {
+    let set = reply.header("set-cookie");
+    for attribute in ["HttpOnly", "SameSite=Strict", "Path=/"] {
+        assert!(set.contains(attribute), "{set}");
+    }
+    set.split(';').next().expect("a cookie").to_owned()
+}
+
+#[test]
+fn a_browser_logs_in_and_out_by_a_cookie() {
+    let server = Server::start();
+    let job = server.job("ok");
+    server.wait_state(&job, "succeeded");
+    let open = server.get("/login", &[]).expect(200).json();
+    assert_eq!(open, json!({ "needed": false, "scopes": null }));
+    let (header, id) = token(&server, "jobs:read,renders");
+    let locked = server.get("/login", &[]).expect(200).json();
+    assert_eq!(locked, json!({ "needed": true, "scopes": null }));
+    let secret = header.trim_start_matches("Bearer ");
+    let own = ("origin", server.base.as_str());
+    let wrong = json!({ "token": "fled_0" });
+    server.post_json("/login", &wrong, &[own]).expect(401);
+    let right = json!({ "token": secret });
+    let evil = [
+        ("origin", "https://evil.example"),
+        ("sec-fetch-site", "cross-site"),
+    ];
+    server.post_json("/login", &right, &evil).expect(403);
+    let tls = [own, ("x-forwarded-proto", "https")];
+    let secure = server.post_json("/login", &right, &tls).expect(204);
+    assert!(secure.header("set-cookie").contains("; Secure"));
+    let session = cookie(&server.post_json("/login", &right, &[own]).expect(204));
+    assert!(
+        !session.contains(secret),
+        "the token itself is in no cookie"
+    );
+    let browser = [("cookie", session.as_str())];
+    let told = server.get("/login", &browser).expect(200).json();
+    assert_eq!(
+        told,
+        json!({ "needed": true, "scopes": "jobs:read,renders" })
+    );
+    // What a page cannot send a header with: the event stream and pictures.
+    for path in ["", "/events", "/render?azimuth=1", "/artifacts/scene.ply"] {
+        server
+            .get(&format!("/v1/jobs/{job}{path}"), &browser)
+            .expect(200);
+    }
+    // Its scopes are the token's, and another site's page cannot use it.
+    let retry = format!("/v1/jobs/{job}/retry");
+    server.post(&retry, b"", &browser).expect(403);
+    let forged = [evil[0], evil[1], browser[0]];
+    server.post(&retry, b"", &forged).expect(403);
+    // A session is no token, and a header that does not hold is not helped out by the cookie.
+    let as_token = session.replace("fled_session=", "Bearer ");
+    server
+        .get("/v1/jobs", &[("authorization", &as_token)])
+        .expect(401);
+    server
+        .get("/v1/jobs", &[browser[0], ("authorization", "Bearer x")])
+        .expect(401);
+    let gone = server.post("/logout", b"", &browser).expect(204);
+    assert!(gone.header("set-cookie").contains("Max-Age=0"));
+    server.get("/v1/jobs", &browser).expect(401);
+    let session = cookie(&server.post_json("/login", &right, &[]).expect(204));
+    let browser = [("cookie", session.as_str())];
+    server.get("/v1/jobs", &browser).expect(200);
+    with_store(&server, async |store| {
+        store.revoke_token(&id).await.expect("done")
+    });
+    server.get("/v1/jobs", &browser).expect(401);
+}

@@ -1,0 +1,113 @@
+//! `/login` and `/logout`: a browser's session in place of a token.
+//!
+//! A page cannot keep a token where no script can read it, and streams and pictures send no header.
+//! So the token is shown once, and a cookie that no script sees takes its place.
+
+use std::sync::Arc;
+
+use axum::extract::State;
+use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+use super::access::{bad_token, session, token_of};
+use super::extract::Json;
+use super::problem::Problem;
+use crate::app::App;
+use crate::store::now_ms;
+use crate::token::{Secret, digest};
+
+/// A session lasts so long, seconds.
+const LASTS: i64 = 7 * 24 * 3600;
+
+/// A token that is shown for a session.
+#[derive(Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Login {
+    /// `fled_...`
+    token: String,
+}
+
+/// Who a browser is.
+#[derive(Debug, Serialize, ToSchema)]
+pub struct Session {
+    /// Whether the API needs a token.
+    needed: bool,
+    /// What this browser's token allows, with commas; `null` without a session that holds.
+    scopes: Option<String>,
+}
+
+/// Says whether a token is needed, and whether this browser has shown one.
+#[utoipa::path(get, path = "/login", operation_id = "show_session", tag = "login",
+    responses((status = 200, description = "Who one is", body = Session)))]
+pub async fn show(
+    State(app): State<Arc<App>>,
+    headers: HeaderMap,
+) -> Result<axum::Json<Session>, Problem> {
+    let needed = app.store.has_tokens().await?;
+    let token = token_of(&app, &headers).await?;
+    let scopes = token.map(|token| token.scopes.to_string());
+    Ok(axum::Json(Session { needed, scopes }))
+}
+
+/// Begins a session: the cookie stands for the token, for a week at most.
+#[utoipa::path(post, path = "/login", operation_id = "login", tag = "login",
+    request_body = Login,
+    responses(
+        (status = 204, description = "The session is in the cookie", headers(("Set-Cookie" = String))),
+        (status = 401, description = "The token does not hold", body = Problem, content_type = "application/problem+json"),
+        (status = 422, description = "Not a token", body = Problem, content_type = "application/problem+json")))]
+pub async fn login(
+    State(app): State<Arc<App>>,
+    headers: HeaderMap,
+    Json(body): Json<Login>,
+) -> Result<Response, Problem> {
+    let token = app
+        .store
+        .token_that_holds(&digest(body.token.trim()))
+        .await?;
+    let token = token.ok_or_else(bad_token)?;
+    let secret = Secret::new().map_err(|error| {
+        tracing::error!(%error, "no session can be begun");
+        Problem::internal()
+    })?;
+    // Whoever logs in anew leaves no old session behind.
+    end(&app, &headers).await?;
+    let ends = now_ms() + LASTS * 1000;
+    app.store
+        .insert_session(&secret.digest(), &token.id, ends)
+        .await?;
+    Ok(answer(&headers, secret.reveal(), LASTS))
+}
+
+/// Ends the session.
+#[utoipa::path(post, path = "/logout", operation_id = "logout", tag = "login",
+    responses((status = 204, description = "There is no session any more", headers(("Set-Cookie" = String)))))]
+pub async fn logout(State(app): State<Arc<App>>, headers: HeaderMap) -> Result<Response, Problem> {
+    end(&app, &headers).await?;
+    Ok(answer(&headers, "", 0))
+}
+
+async fn end(app: &App, headers: &HeaderMap) -> Result<(), Problem> {
+    if let Some(session) = session(headers) {
+        app.store.end_session(&digest(session)).await?;
+    }
+    Ok(())
+}
+
+/// Done, with the cookie.
+fn answer(headers: &HeaderMap, session: &str, seconds: i64) -> Response {
+    // Only a proxy knows whether the browser speaks TLS; one that lies harms itself.
+    let is_tls = headers
+        .get("x-forwarded-proto")
+        .is_some_and(|scheme| scheme.as_bytes() == b"https");
+    let secure = if is_tls { "; Secure" } else { "" };
+    let name = super::access::COOKIE;
+    let cookie =
+        format!("{name}={session}; Path=/; HttpOnly; SameSite=Strict; Max-Age={seconds}{secure}");
+    match HeaderValue::try_from(cookie) {
+        Ok(cookie) => (StatusCode::NO_CONTENT, [(header::SET_COOKIE, cookie)]).into_response(),
+        Err(_) => Problem::internal().into_response(),
+    }
+}

@@ -1,0 +1,33 @@
+// Asks for a token where the server needs one. The token goes into a cookie that no script sees.
+
+import { api, h } from "./dom.js";
+
+/** Whether a token is needed, and what this browser's allows: `{ needed, scopes }`. */
+export const session = () => api("/login");
+
+/** Shows the form; calls `done` when the token holds. */
+export function loginPage(main, done) {
+  const token = h("input", { type: "password", autocomplete: "current-password", required: true, size: 40 });
+  const problem = h("p", { class: "problem", role: "alert" });
+  const button = h("button", { class: "main", type: "submit" }, "Log in");
+  async function submit(event) {
+    event.preventDefault();
+    button.disabled = true;
+    problem.textContent = "";
+    try {
+      const body = JSON.stringify({ token: token.value });
+      await api("/login", { method: "POST", headers: { "Content-Type": "application/json" }, body });
+      done();
+    } catch (error) {
+      problem.textContent = error.message;
+    }
+    button.disabled = false;
+  }
+  main.append(h("section", {},
+    h("h2", {}, "This server needs a token"),
+    h("form", { onsubmit: submit }, h("label", {}, "Token", token), button),
+    h("p", { class: "hint" }, "Whoever runs the server makes one by `fled token create`. This browser keeps it for a week at most."),
+    problem));
+  token.focus();
+  return () => {};
+}
