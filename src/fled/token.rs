@@ -29,7 +29,7 @@ enum Command {
         /// How long it holds, as 90d or 12h. For ever when absent.
         #[arg(long, value_name = "TIME")]
         expires: Option<String>,
-        /// Whose it is or what for, as it is listed.
+        /// Whose it is: tokens of one name see the same captures and jobs.
         #[arg(long, default_value = "")]
         name: String,
     },

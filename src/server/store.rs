@@ -33,7 +33,7 @@ pub use results::{StageSeconds, WarningRow};
 pub use tokens::{NewToken, TokenRow};
 
 /// Applied in order, each once, never edited after release.
-const MIGRATIONS: [(i64, &str, &str); 8] = [
+const MIGRATIONS: [(i64, &str, &str); 9] = [
     (
         1,
         "captures",
@@ -69,6 +69,11 @@ const MIGRATIONS: [(i64, &str, &str); 8] = [
         8,
         "sessions",
         include_str!("../../migrations/0008_sessions.sql"),
+    ),
+    (
+        9,
+        "owners",
+        include_str!("../../migrations/0009_owners.sql"),
     ),
 ];
 

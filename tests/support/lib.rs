@@ -82,7 +82,16 @@ impl Client {
 
     /// DELETE.
     pub fn delete(&self, path: &str) -> Reply {
-        reply(self.agent.delete(format!("{}{path}", self.base)).call())
+        self.delete_as(path, &[])
+    }
+
+    /// DELETE with headers.
+    pub fn delete_as(&self, path: &str, headers: &[(&str, &str)]) -> Reply {
+        let mut request = self.agent.delete(format!("{}{path}", self.base));
+        for (name, value) in headers {
+            request = request.header(*name, *value);
+        }
+        reply(request.call())
     }
 
     /// POST of bytes.

@@ -6,8 +6,9 @@
 
 use std::sync::Arc;
 
-use axum::extract::{MatchedPath, Request, State};
-use axum::http::{HeaderMap, HeaderValue, Method, StatusCode, header};
+use axum::RequestExt;
+use axum::extract::{MatchedPath, RawPathParams, Request, State};
+use axum::http::{HeaderMap, Method, StatusCode, header};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 
@@ -29,16 +30,73 @@ const OPEN: [&str; 7] = [
 /// The cookie that stands for a token.
 pub(super) const COOKIE: &str = "fled_session";
 
+/// Who asks. Every request to the API has it.
+#[derive(Clone, Debug)]
+pub(super) struct Visitor {
+    owner: Option<String>,
+    sees_all: bool,
+}
+
+impl Visitor {
+    /// Whose what they upload is; `None` where nobody is asked for a token.
+    pub(super) fn owner(&self) -> Option<&str> {
+        self.owner.as_deref()
+    }
+
+    /// Whose captures and jobs alone they see; `None` for those who see all.
+    pub(super) fn sees_only(&self) -> Option<&str> {
+        self.owner().filter(|_| !self.sees_all)
+    }
+}
+
 /// Lets those pass who may.
-pub(super) async fn check(State(app): State<Arc<App>>, request: Request, next: Next) -> Response {
-    let path = request.extensions().get::<MatchedPath>();
-    let Some(needed) = needed(path.map(MatchedPath::as_str), request.method()) else {
+pub(super) async fn check(
+    State(app): State<Arc<App>>,
+    mut request: Request,
+    next: Next,
+) -> Response {
+    let path = request.extensions().get::<MatchedPath>().cloned();
+    let path = path.as_ref().map(MatchedPath::as_str);
+    let Some(needed) = needed(path, request.method()) else {
         return next.run(request).await;
     };
-    match admit(&app, request.headers(), needed).await {
+    let admitted = async {
+        let visitor = admit(&app, request.headers(), needed).await?;
+        if let (Some(path), Some(owner)) = (path, visitor.sees_only()) {
+            check_owner(&app, &mut request, path, owner).await?;
+        }
+        request.extensions_mut().insert(visitor);
+        Ok::<(), Problem>(())
+    };
+    match admitted.await {
         Ok(()) => next.run(request).await,
         Err(problem) => problem.into_response(),
     }
+}
+
+/// What is somebody else's is not there. This is the one door of everything that an address names
+/// by the id of a capture or a job.
+async fn check_owner(
+    app: &App,
+    request: &mut Request,
+    path: &str,
+    owner: &str,
+) -> Result<(), Problem> {
+    if !path.contains("{id}") {
+        return Ok(());
+    }
+    let is_job = path.starts_with("/v1/jobs/");
+    let nothing = || Problem::not_found(if is_job { "job" } else { "capture" });
+    // Decoded as the handler will decode it.
+    let parts: RawPathParams = request.extract_parts().await.map_err(|_| nothing())?;
+    let id = parts.iter().find(|(name, _)| *name == "id");
+    let (_, id) = id.ok_or_else(nothing)?;
+    let owns = if is_job {
+        app.store.owns_job(owner, id).await?
+    } else {
+        app.store.owns_capture(owner, id).await?
+    };
+    if owns { Ok(()) } else { Err(nothing()) }
 }
 
 /// What a request needs; `None` where anybody may.
@@ -55,9 +113,12 @@ fn needed(path: Option<&str>, method: &Method) -> Option<Scope> {
     })
 }
 
-async fn admit(app: &App, headers: &HeaderMap, needed: Scope) -> Result<(), Problem> {
+async fn admit(app: &App, headers: &HeaderMap, needed: Scope) -> Result<Visitor, Problem> {
     if !app.store.has_tokens().await? {
-        return Ok(());
+        return Ok(Visitor {
+            owner: None,
+            sees_all: true,
+        });
     }
     let token = token_of(app, headers).await?.ok_or_else(|| {
         if headers.contains_key(header::AUTHORIZATION) || session(headers).is_some() {
@@ -67,7 +128,10 @@ async fn admit(app: &App, headers: &HeaderMap, needed: Scope) -> Result<(), Prob
             .hint("Send `Authorization: Bearer fled_...`; `fled token create` makes a token.")
     })?;
     if token.scopes.allow(needed) {
-        return Ok(());
+        return Ok(Visitor {
+            owner: Some(token.owner().to_owned()),
+            sees_all: token.scopes.allow(Scope::Admin),
+        });
     }
     let detail = format!("This token does not allow `{}`.", needed.name());
     Err(Problem::new(StatusCode::FORBIDDEN, "missing_scope", detail)
@@ -123,7 +187,6 @@ fn bearer(headers: &HeaderMap) -> Option<&str> {
 
 fn unauthorized(code: &'static str, detail: &str) -> Problem {
     Problem::new(StatusCode::UNAUTHORIZED, code, detail)
-        .challenge(HeaderValue::from_static("Bearer realm=\"fled\""))
 }
 
 #[cfg(test)]

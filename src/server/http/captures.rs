@@ -2,12 +2,13 @@
 
 use std::sync::Arc;
 
-use axum::extract::{Path, Request, State};
+use axum::extract::{Extension, Path, Request, State};
 use axum::http::{StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use serde::Deserialize;
 use utoipa::{IntoParams, ToSchema};
 
+use super::access::Visitor;
 use super::extract::Query;
 use super::page::page_size;
 use super::problem::Problem;
@@ -68,6 +69,7 @@ pub struct ListQuery {
 pub async fn create(
     State(app): State<Arc<App>>,
     Query(query): Query<CreateQuery>,
+    Extension(visitor): Extension<Visitor>,
     request: Request,
 ) -> Result<Response, Problem> {
     let upload = upload::receive(&app, request, &["name"]).await?;
@@ -82,7 +84,8 @@ pub async fn create(
         })
         .into_response());
     }
-    let row = upload::to_its_end(async move { upload.keep(&app, &report).await }).await?;
+    let row = upload::to_its_end(async move { upload.keep(&app, &report, visitor.owner()).await })
+        .await?;
     let location = format!("/v1/captures/{}", row.id);
     let body = axum::Json(Capture::from_row(row));
     Ok((StatusCode::CREATED, [(header::LOCATION, location)], body).into_response())
@@ -97,11 +100,12 @@ pub async fn create(
 pub async fn list(
     State(app): State<Arc<App>>,
     Query(query): Query<ListQuery>,
+    Extension(visitor): Extension<Visitor>,
 ) -> Result<axum::Json<Captures>, Problem> {
     let limit = page_size(query.limit)?;
     let rows = app
         .store
-        .captures(limit + 1, query.cursor.as_deref())
+        .captures(limit + 1, query.cursor.as_deref(), visitor.sees_only())
         .await?;
     let more = rows.len() > limit as usize;
     let captures: Vec<Capture> = rows

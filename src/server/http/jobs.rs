@@ -3,13 +3,14 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use axum::extract::{DefaultBodyLimit, FromRequest, Path, Request, State};
+use axum::extract::{DefaultBodyLimit, Extension, FromRequest, Path, Request, State};
 use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use serde::Deserialize;
 use serde_json::{Map, Value};
 use utoipa::{IntoParams, ToSchema};
 
+use super::access::Visitor;
 use super::body_limit::SMALL;
 use super::extract::{Json, Query};
 use super::lookup::find;
@@ -93,16 +94,17 @@ pub struct ListQuery {
         (status = 422, description = "Unknown option, bad value, or too few usable photographs", body = Problem, content_type = "application/problem+json")))]
 pub async fn create(
     State(app): State<Arc<App>>,
+    Extension(visitor): Extension<Visitor>,
     mut request: Request,
 ) -> Result<Response, Problem> {
-    let key = idempotency_key(request.headers())?;
+    let key = idempotency_key(request.headers(), &visitor)?;
     let creation = if upload::is_multipart(request.headers()) {
-        from_upload(&app, request, key.as_deref()).await?
+        from_upload(&app, request, key.as_deref(), visitor).await?
     } else {
         // Uploads stream and are counted elsewhere; JSON is read into memory.
         DefaultBodyLimit::max(SMALL).apply(&mut request);
         let Json(body) = Json::<CreateJob>::from_request(request, &app).await?;
-        from_json(&app, &body, key.as_deref()).await?
+        from_json(&app, &body, key.as_deref(), &visitor).await?
     };
     let (row, replayed) = match creation {
         Creation::Created(row) => (row, false),
@@ -134,13 +136,23 @@ pub async fn create(
     Ok(response)
 }
 
-async fn from_json(app: &App, body: &CreateJob, key: Option<&str>) -> Result<Creation, Problem> {
+async fn from_json(
+    app: &App,
+    body: &CreateJob,
+    key: Option<&str>,
+    visitor: &Visitor,
+) -> Result<Creation, Problem> {
     // Accepted is accepted: a job that the disk cannot hold is refused now.
     upload::check_space(app)?;
     if let Some(name) = &body.name {
         upload::check_name(name)?;
     }
     let capture = app.store.capture(&body.capture_id).await?;
+    // Somebody else's is not there. A job is whose its capture is.
+    let capture = capture.filter(|capture| {
+        let only = visitor.sees_only();
+        only.is_none() || capture.owner.as_deref() == only
+    });
     let capture = capture.ok_or_else(|| Problem::not_found("capture").pointer("/capture_id"))?;
     let options = Value::Object(body.options.clone()).to_string();
     let parts = [
@@ -165,6 +177,7 @@ async fn from_upload(
     app: &Arc<App>,
     request: Request,
     key: Option<&str>,
+    visitor: Visitor,
 ) -> Result<Creation, Problem> {
     // Told before gigabytes are sent. A replay of an earlier request is told too, but not wrongly:
     // it can be asked again.
@@ -196,7 +209,7 @@ async fn from_upload(
     order.check_views(&report)?;
     let (app, key) = (app.clone(), key.map(str::to_owned));
     upload::to_its_end(async move {
-        let capture = upload.keep(&app, &report).await?;
+        let capture = upload.keep(&app, &report, visitor.owner()).await?;
         let job = order.job(&capture.id, &capture.name)?;
         let creation = app
             .store
@@ -224,12 +237,17 @@ fn queue_full() -> Problem {
     .retry_after(QUEUE_RETRY)
 }
 
-fn idempotency_key(headers: &HeaderMap) -> Result<Option<String>, Problem> {
+/// The key that the client chose, apart from those of other owners.
+fn idempotency_key(headers: &HeaderMap, visitor: &Visitor) -> Result<Option<String>, Problem> {
     let Some(value) = headers.get("idempotency-key") else {
         return Ok(None);
     };
     match value.to_str() {
-        Ok(key) if !key.is_empty() && key.len() <= 255 => Ok(Some(key.to_owned())),
+        Ok(key) if !key.is_empty() && key.len() <= 255 => Ok(Some(match visitor.owner() {
+            // No key of a client's has a line break.
+            Some(owner) => format!("{owner}\n{key}"),
+            None => key.to_owned(),
+        })),
         _ => Err(Problem::new(
             StatusCode::BAD_REQUEST,
             "bad_request",
@@ -246,11 +264,17 @@ fn idempotency_key(headers: &HeaderMap) -> Result<Option<String>, Problem> {
 pub async fn list(
     State(app): State<Arc<App>>,
     Query(query): Query<ListQuery>,
+    Extension(visitor): Extension<Visitor>,
 ) -> Result<axum::Json<Jobs>, Problem> {
     let limit = page_size(query.limit)?;
     let mut told = app
         .store
-        .jobs(query.state, limit + 1, query.cursor.as_deref())
+        .jobs(
+            query.state,
+            limit + 1,
+            query.cursor.as_deref(),
+            visitor.sees_only(),
+        )
         .await?;
     let more = told.len() > limit as usize;
     told.truncate(limit as usize);

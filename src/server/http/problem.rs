@@ -39,10 +39,6 @@ pub struct Problem {
     /// The header `Retry-After`, seconds.
     #[serde(skip)]
     retry_after: Option<u32>,
-    /// The header `WWW-Authenticate`.
-    #[serde(skip)]
-    #[schema(ignore)]
-    challenge: Option<HeaderValue>,
 }
 
 impl Problem {
@@ -58,7 +54,6 @@ impl Problem {
             pointer: None,
             capture: None,
             retry_after: None,
-            challenge: None,
         }
     }
 
@@ -80,13 +75,6 @@ impl Problem {
     #[must_use]
     pub fn retry_after(mut self, seconds: u32) -> Self {
         self.retry_after = Some(seconds);
-        self
-    }
-
-    /// How to say who one is.
-    #[must_use]
-    pub fn challenge(mut self, challenge: HeaderValue) -> Self {
-        self.challenge = Some(challenge);
         self
     }
 
@@ -130,14 +118,15 @@ impl IntoResponse for Problem {
     fn into_response(self) -> Response {
         let status = StatusCode::from_u16(self.status).unwrap_or(StatusCode::INTERNAL_SERVER_ERROR);
         let retry_after = self.retry_after;
-        let challenge = self.challenge.clone();
         let mut response = (status, Json(self)).into_response();
         if let Some(seconds) = retry_after {
             response
                 .headers_mut()
                 .insert(header::RETRY_AFTER, seconds.into());
         }
-        if let Some(challenge) = challenge {
+        if status == StatusCode::UNAUTHORIZED {
+            // How to say who one is.
+            let challenge = HeaderValue::from_static("Bearer realm=\"fled\"");
             response
                 .headers_mut()
                 .insert(header::WWW_AUTHENTICATE, challenge);

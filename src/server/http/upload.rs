@@ -203,7 +203,12 @@ impl Upload {
     ///
     /// # Errors
     /// When the disk or the database refuses.
-    pub async fn keep(self, app: &App, report: &CaptureReport) -> Result<CaptureRow, Problem> {
+    pub async fn keep(
+        self,
+        app: &App,
+        report: &CaptureReport,
+        owner: Option<&str>,
+    ) -> Result<CaptureRow, Problem> {
         let row = CaptureRow {
             id: Uuid::now_v7().to_string(),
             name: self
@@ -215,6 +220,7 @@ impl Upload {
             accepted: report.accepted,
             report: serde_json::to_value(report).unwrap_or_default(),
             created_at: now_ms(),
+            owner: owner.map(str::to_owned),
         };
         let to = app.data.capture(&row.id);
         let moved = {

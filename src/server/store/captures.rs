@@ -19,6 +19,8 @@ pub struct CaptureRow {
     pub report: serde_json::Value,
     /// Milliseconds since 1970.
     pub created_at: i64,
+    /// Whose it is, and so its jobs; `None` where nobody was asked for a token.
+    pub owner: Option<String>,
 }
 
 impl Store {
@@ -28,13 +30,15 @@ impl Store {
     /// When the database refuses.
     pub async fn insert_capture(&self, row: &CaptureRow) -> Result<()> {
         sqlx::query(
-            "INSERT INTO captures (id, name, accepted, report, created_at) VALUES (?, ?, ?, ?, ?)",
+            "INSERT INTO captures (id, name, accepted, report, created_at, owner)
+             VALUES (?, ?, ?, ?, ?, ?)",
         )
         .bind(&row.id)
         .bind(&row.name)
         .bind(row.accepted)
         .bind(row.report.to_string())
         .bind(row.created_at)
+        .bind(&row.owner)
         .execute(&self.pool)
         .await?;
         Ok(())
@@ -52,19 +56,49 @@ impl Store {
         row.as_ref().map(from_row).transpose()
     }
 
-    /// The newest captures older than `cursor`, newest first.
+    /// The newest captures older than `cursor`, newest first, of one owner or of all.
     ///
     /// # Errors
     /// When the database refuses.
-    pub async fn captures(&self, limit: u32, cursor: Option<&str>) -> Result<Vec<CaptureRow>> {
+    pub async fn captures(
+        &self,
+        limit: u32,
+        cursor: Option<&str>,
+        owner: Option<&str>,
+    ) -> Result<Vec<CaptureRow>> {
         let rows = sqlx::query(
-            "SELECT * FROM captures WHERE (?1 IS NULL OR id < ?1) ORDER BY id DESC LIMIT ?2",
+            "SELECT * FROM captures WHERE (?1 IS NULL OR id < ?1) AND (?3 IS NULL OR owner = ?3)
+             ORDER BY id DESC LIMIT ?2",
         )
         .bind(cursor)
         .bind(limit)
+        .bind(owner)
         .fetch_all(&self.pool)
         .await?;
         rows.iter().map(from_row).collect()
+    }
+
+    /// Whether there is such a capture of this owner.
+    ///
+    /// # Errors
+    /// When the database refuses.
+    pub async fn owns_capture(&self, owner: &str, id: &str) -> Result<bool> {
+        let owns = "SELECT EXISTS (SELECT 1 FROM captures WHERE id = ? AND owner = ?)";
+        let owns = sqlx::query_scalar(owns).bind(id).bind(owner);
+        Ok(owns.fetch_one(&self.pool).await?)
+    }
+
+    /// Whether there is such a job of this owner: of a capture of theirs.
+    ///
+    /// # Errors
+    /// When the database refuses.
+    pub async fn owns_job(&self, owner: &str, id: &str) -> Result<bool> {
+        let owns = "SELECT EXISTS (
+                SELECT 1 FROM jobs JOIN captures ON captures.id = jobs.capture_id
+                WHERE jobs.id = ? AND captures.owner = ?
+            )";
+        let owns = sqlx::query_scalar(owns).bind(id).bind(owner);
+        Ok(owns.fetch_one(&self.pool).await?)
     }
 
     /// Deletes a capture that no job names. `Ok(false)` when a job does.
@@ -94,5 +128,6 @@ fn from_row(row: &SqliteRow) -> Result<CaptureRow> {
         accepted: row.try_get("accepted")?,
         report,
         created_at: row.try_get("created_at")?,
+        owner: row.try_get("owner")?,
     })
 }

@@ -126,7 +126,8 @@ impl Store {
         row.as_ref().map(from_row).transpose()
     }
 
-    /// The newest jobs older than `cursor`, newest first, of one state or of all.
+    /// The newest jobs older than `cursor`, newest first, of one state or of all,
+    /// of one owner or of all.
     ///
     /// # Errors
     /// When the database refuses.
@@ -135,15 +136,18 @@ impl Store {
         state: Option<JobState>,
         limit: u32,
         cursor: Option<&str>,
+        owner: Option<&str>,
     ) -> Result<Vec<ToldJob>> {
         let page = format!(
             "{TOLD} WHERE (?1 IS NULL OR state = ?1) AND (?2 IS NULL OR id < ?2)
+             AND (?4 IS NULL OR capture_id IN (SELECT id FROM captures WHERE owner = ?4))
              ORDER BY id DESC LIMIT ?3"
         );
         let rows = sqlx::query(sqlx::AssertSqlSafe(page))
             .bind(state.map(JobState::name))
             .bind(cursor)
             .bind(limit)
+            .bind(owner)
             .fetch_all(&self.pool)
             .await?;
         rows.iter().map(told).collect()

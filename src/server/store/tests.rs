@@ -14,6 +14,7 @@ async fn store() -> (tempfile::TempDir, Store) {
         .await
         .expect("fresh database");
     let capture = CaptureRow {
+        owner: None,
         id: "c".to_owned(),
         name: "a capture".to_owned(),
         accepted: 3,
@@ -185,7 +186,10 @@ async fn a_key_gives_one_job_and_refuses_another_request() {
     assert!(matches!(create("a", "x").await, Creation::Created(job) if job.id == "a"));
     assert!(matches!(create("b", "x").await, Creation::Replayed(job) if job.id == "a"));
     assert!(matches!(create("c", "y").await, Creation::KeyReused));
-    assert_eq!(store.jobs(None, 10, None).await.expect("list").len(), 1);
+    assert_eq!(
+        store.jobs(None, 10, None, None).await.expect("list").len(),
+        1
+    );
 }
 
 #[tokio::test]

@@ -46,6 +46,15 @@ pub struct TokenRow {
 }
 
 impl TokenRow {
+    /// Whose what it uploads is: a new token of the same name sees it too.
+    pub fn owner(&self) -> &str {
+        if self.name.is_empty() {
+            &self.id
+        } else {
+            &self.name
+        }
+    }
+
     /// Whether it holds at a time, milliseconds since 1970.
     pub fn holds(&self, now: i64) -> bool {
         self.revoked_at.is_none() && self.expires_at.is_none_or(|end| now < end)

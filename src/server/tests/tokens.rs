@@ -2,6 +2,9 @@
 
 mod support;
 
+use std::thread::sleep;
+use std::time::{Duration, Instant};
+
 use fled_server::store::{NewToken, Store};
 use fled_server::token::{Secret, new_id};
 use serde_json::json;
@@ -10,10 +13,15 @@ use support::{Server, photographs};
 /// A token of these scopes in the server's database, made as `fled token create` makes it; its
 /// header and its id.
 fn token(server: &Server, scopes: &str) -> (String, String) {
+    token_of("", server, scopes)
+}
+
+/// The same with a name.
+fn token_of(name: &str, server: &Server, scopes: &str) -> (String, String) {
     let secret = Secret::new().expect("random");
     let token = NewToken {
         id: new_id().expect("random"),
-        name: scopes.to_owned(),
+        name: name.to_owned(),
         digest: secret.digest(),
         scopes: scopes.parse().expect("scopes"),
         expires_at: None,
@@ -22,6 +30,29 @@ fn token(server: &Server, scopes: &str) -> (String, String) {
         store.insert_token(&token).await.expect("kept")
     });
     (format!("Bearer {}", secret.reveal()), token.id)
+}
+
+/// A capture and a finished job of whoever has the token, which sees and starts jobs.
+fn job_of(server: &Server, header: &str) -> (String, String) {
+    let headers = [("authorization", header)];
+    let id = |reply: fled_tests::Reply| reply.json()["id"].as_str().expect("id").to_owned();
+    let capture = server.upload("/v1/captures", &photographs(3), &headers);
+    let capture = id(capture.expect(201));
+    let order = json!({ "capture_id": capture, "options": { "adapter": "ok" } });
+    let job = id(server.post_json("/v1/jobs", &order, &headers).expect(202));
+    let start = Instant::now();
+    loop {
+        let shown = server.get(&format!("/v1/jobs/{job}"), &headers).expect(200);
+        if shown.json()["state"] == "succeeded" {
+            return (capture, job);
+        }
+        assert!(
+            start.elapsed() < Duration::from_secs(30),
+            "{}",
+            shown.text()
+        );
+        sleep(Duration::from_millis(20));
+    }
 }
 
 fn with_store<T>(server: &Server, work: impl AsyncFnOnce(&Store) -> T) -> T {
@@ -98,15 +129,14 @@ fn from_the_first_token_on_everything_needs_one() {
 #[test]
 fn a_token_allows_what_its_scopes_say() {
     let server = Server::start();
-    let capture = server.capture(3);
-    let job = server.job("ok");
-    server.wait_state(&job, "succeeded");
-    let (reads, _) = token(&server, "jobs:read");
-    let (writes, _) = token(&server, "jobs:write");
-    let (renders, _) = token(&server, "renders");
-    let (expired, id) = token(&server, "admin");
+    let (both, _) = token_of("anna", &server, "jobs:read,jobs:write");
+    let (capture, job) = job_of(&server, &both);
+    let (reads, _) = token_of("anna", &server, "jobs:read");
+    let (writes, _) = token_of("anna", &server, "jobs:write");
+    let (renders, _) = token_of("anna", &server, "renders");
+    let (expired, id) = token_of("anna", &server, "admin");
     with_store(&server, async |store| {
-        store.revoke_token(&id).await.expect("done")
+        store.revoke_token(&id).await.expect("done");
     });
     let show = format!("/v1/jobs/{job}");
     let render = format!("{show}/render?azimuth=1");
@@ -144,11 +174,11 @@ fn cookie(reply: &fled_tests::Reply) -> String {
 #[test]
 fn a_browser_logs_in_and_out_by_a_cookie() {
     let server = Server::start();
-    let job = server.job("ok");
-    server.wait_state(&job, "succeeded");
     let open = server.get("/login", &[]).expect(200).json();
     assert_eq!(open, json!({ "needed": false, "scopes": null }));
-    let (header, id) = token(&server, "jobs:read,renders");
+    let (writes, _) = token_of("anna", &server, "jobs:read,jobs:write");
+    let (_, job) = job_of(&server, &writes);
+    let (header, id) = token_of("anna", &server, "jobs:read,renders");
     let locked = server.get("/login", &[]).expect(200).json();
     assert_eq!(locked, json!({ "needed": true, "scopes": null }));
     let secret = header.trim_start_matches("Bearer ");
@@ -204,4 +234,96 @@ fn a_browser_logs_in_and_out_by_a_cookie() {
         store.revoke_token(&id).await.expect("done")
     });
     server.get("/v1/jobs", &browser).expect(401);
+}
+
+#[test]
+fn what_is_somebody_elses_is_not_there() {
+    let server = Server::start();
+    let nobodys = server.job("ok");
+    server.wait_state(&nobodys, "succeeded");
+    let scopes = "jobs:read,jobs:write,renders";
+    let (anna, _) = token_of("anna", &server, scopes);
+    let (later, _) = token_of("anna", &server, scopes);
+    let (bob, _) = token_of("bob", &server, scopes);
+    let (unnamed, _) = token(&server, scopes);
+    let (admin, _) = token(&server, "admin");
+    let (capture, job) = job_of(&server, &anna);
+    let encoded = job.replacen('0', "%30", 1);
+    let paths = |job: &str| {
+        [
+            "",
+            "/events",
+            "/rounds",
+            "/log",
+            "/artifacts",
+            "/artifacts/scene.ply",
+            "/render",
+        ]
+        .map(|path| format!("/v1/jobs/{job}{path}"))
+    };
+    let mut all = vec![format!("/v1/captures/{capture}")];
+    all.extend(paths(&job));
+    all.extend(paths(&encoded));
+    for path in &all {
+        for (header, status) in [(&anna, 200), (&later, 200), (&admin, 200)] {
+            server
+                .get(path, &[("authorization", header)])
+                .expect(status);
+        }
+        for header in [&bob, &unnamed] {
+            let headers = [("authorization", header.as_str())];
+            let refused = server.get(path, &headers).expect(404).json();
+            // Not a word tells it from what never was.
+            let never = path.replace(&job, "never").replace(&encoded, "never");
+            let never = server.get(&never.replace(&capture, "never"), &headers);
+            assert_eq!(refused, never.expect(404).json(), "{path}");
+        }
+    }
+    let bobs = [("authorization", bob.as_str())];
+    for path in ["/cancel", "/retry", "/render"] {
+        let path = format!("/v1/jobs/{job}{path}");
+        server.post_json(&path, &json!({}), &bobs).expect(404);
+    }
+    for path in [format!("/v1/jobs/{job}"), format!("/v1/captures/{capture}")] {
+        server.delete_as(&path, &bobs).expect(404);
+    }
+    let order = json!({ "capture_id": capture, "options": { "adapter": "ok" } });
+    server.post_json("/v1/jobs", &order, &bobs).expect(404);
+    // What was made before there were tokens is the admin's alone.
+    let path = format!("/v1/jobs/{nobodys}");
+    server.get(&path, &[("authorization", &anna)]).expect(404);
+    server.get(&path, &[("authorization", &admin)]).expect(200);
+    let (_, own) = job_of(&server, &bob);
+    for (header, jobs) in [(&anna, 1), (&bob, 1), (&unnamed, 0), (&admin, 3)] {
+        for list in ["jobs", "captures"] {
+            let told = server.get(&format!("/v1/{list}"), &[("authorization", header)]);
+            let told = told.expect(200).json()[list].as_array().map(Vec::len);
+            assert_eq!(told, Some(jobs), "{list}");
+        }
+    }
+    server
+        .delete_as(&format!("/v1/jobs/{own}"), &bobs)
+        .expect(204);
+}
+
+#[test]
+fn a_key_of_one_owner_is_another_of_anothers() {
+    let server = Server::start();
+    let scopes = "jobs:read,jobs:write";
+    let jobs = ["anna", "bob"].map(|name| {
+        let (header, _) = token_of(name, &server, scopes);
+        let (capture, _) = job_of(&server, &header);
+        let order = json!({ "capture_id": capture, "options": { "adapter": "ok" } });
+        let headers = [("authorization", header.as_str()), ("idempotency-key", "1")];
+        let made = || {
+            server
+                .post_json("/v1/jobs", &order, &headers)
+                .expect(202)
+                .json()
+        };
+        let (first, again) = (made(), made());
+        assert_eq!(first["id"], again["id"]);
+        first["id"].clone()
+    });
+    assert_ne!(jobs[0], jobs[1]);
 }
