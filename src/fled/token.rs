@@ -165,7 +165,6 @@ fn wrong(error: TokenError) -> Failure {
     }
 }
 
-#[expect(clippy::needless_pass_by_value, reason = "`map_err` hands it over so")]
 fn failed(error: ServerError) -> Failure {
     Failure::new(ErrorKind::Io, error)
 }
