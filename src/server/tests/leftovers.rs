@@ -120,8 +120,11 @@ fn a_database_restored_from_an_older_copy_loses_no_capture() {
     server.get(&format!("/v1/jobs/{job}"), &[]).expect(404);
     server.get(&format!("/v1/jobs/{old}"), &[]).expect(200);
     let unnamed = data.join("unnamed");
-    assert_eq!(names(&unnamed.join("captures")), [capture.clone()]);
-    assert_eq!(names(&unnamed.join("jobs")), [job.clone()]);
+    assert_eq!(
+        names(&unnamed.join("captures")),
+        std::slice::from_ref(&capture)
+    );
+    assert_eq!(names(&unnamed.join("jobs")), std::slice::from_ref(&job));
     assert!(!data.join("jobs").join(&job).exists());
     // What the log advises: the right database, and the folders back in their places.
     server.kill();

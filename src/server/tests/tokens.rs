@@ -27,7 +27,7 @@ fn token_of(name: &str, server: &Server, scopes: &str) -> (String, String) {
         expires_at: None,
     };
     with_store(server, async |store| {
-        store.insert_token(&token).await.expect("kept")
+        store.insert_token(&token).await.expect("kept");
     });
     (format!("Bearer {}", secret.reveal()), token.id)
 }
@@ -239,8 +239,6 @@ fn a_browser_logs_in_and_out_by_a_cookie() {
 #[test]
 fn what_is_somebody_elses_is_not_there() {
     let server = Server::start();
-    let nobodys = server.job("ok");
-    server.wait_state(&nobodys, "succeeded");
     let scopes = "jobs:read,jobs:write,renders";
     let (anna, _) = token_of("anna", &server, scopes);
     let (later, _) = token_of("anna", &server, scopes);
@@ -289,6 +287,20 @@ fn what_is_somebody_elses_is_not_there() {
     }
     let order = json!({ "capture_id": capture, "options": { "adapter": "ok" } });
     server.post_json("/v1/jobs", &order, &bobs).expect(404);
+}
+
+#[test]
+fn lists_hold_what_is_ones_own() {
+    let server = Server::start();
+    let nobodys = server.job("ok");
+    server.wait_state(&nobodys, "succeeded");
+    let scopes = "jobs:read,jobs:write,renders";
+    let (anna, _) = token_of("anna", &server, scopes);
+    let (bob, _) = token_of("bob", &server, scopes);
+    let (unnamed, _) = token(&server, scopes);
+    let (admin, _) = token(&server, "admin");
+    job_of(&server, &anna);
+    let bobs = [("authorization", bob.as_str())];
     // What was made before there were tokens is the admin's alone.
     let path = format!("/v1/jobs/{nobodys}");
     server.get(&path, &[("authorization", &anna)]).expect(404);
