@@ -26,7 +26,7 @@ export function loginPage(main, done) {
   main.append(h("section", {},
     h("h2", {}, "This server needs a token"),
     h("form", { onsubmit: submit }, h("label", {}, "Token", token), button),
-    h("p", { class: "hint" }, "Whoever runs the server makes one by `fled token create`. This browser keeps it for a week at most."),
+    h("p", { class: "hint" }, "Whoever runs the server makes one by ", h("code", {}, "fled token create"), ". This browser is known for a week at most."),
     problem));
   token.focus();
   return () => {};

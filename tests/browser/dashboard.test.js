@@ -293,3 +293,36 @@ test("a job that is deleted leaves the list", async () => {
     await until("its row is gone", async () => (await row(page, FAILED).count()) === 0);
   });
 });
+
+test("from the first token on the page asks for it, and forgets it on logout", async () => {
+  const locked = await Server.start(process.env.FLED);
+  try {
+    const token = locked.token();
+    const visitor = new Browser(locked.base, browser.chromium);
+    await visitor.visit("login", "", async (page, faults) => {
+      const enter = async (text) => {
+        await page.getByLabel("Token").fill(text);
+        await button(page, "Log in").click();
+      };
+      await seen(page.getByRole("heading", { level: 2 }), "This server needs a token");
+      await enter("fled_of_somebody_else");
+      await seen(page.getByRole("alert"), "unknown, revoked or has expired");
+      // The refusal is answered once and reported once more by the browser itself.
+      assert.equal(faults.length, 2);
+      for (const fault of faults.splice(0)) assert.match(fault, /\b401\b/);
+      await enter(token);
+      await page.getByText("No job yet.").waitFor();
+      // A reload would cut the question off.
+      await seen(page.locator("#health"), /^ready$/);
+      await page.reload();
+      await page.getByText("No job yet.").waitFor();
+      assert.equal(await page.evaluate("document.cookie"), "", "no script sees it");
+      await button(page, "Log out").click();
+      await page.getByLabel("Token").waitFor();
+      await seen(page.locator("#health"), /^ready$/);
+      assert.deepEqual(await overflowing(page), []);
+    }, PHONE);
+  } finally {
+    await locked.stop();
+  }
+});
