@@ -398,18 +398,17 @@ fn names_that_fit_no_photograph_are_too_few_poses() {
     let json = serde_json::json!({ "fl_x": 70.0, "w": 80, "h": 60, "frames": [] });
     std::fs::write(capture.dir.path().join("transforms.json"), json.to_string()).unwrap();
     let refused = capture.poses("transforms.json").expect_err("none of them");
-    assert!(matches!(
-        refused,
-        PosesError::TooFew {
-            registered: 0,
-            total: 4,
-            ..
-        }
-    ));
-    let said = refused.to_string();
+    let PosesError::TooFew {
+        registered: 0,
+        total: 4,
+        advice,
+    } = refused
+    else {
+        panic!("{refused}");
+    };
     assert!(
-        said.contains("the names in transforms.json must be"),
-        "the file's name and not where it lies: {said}"
+        advice.starts_with("the names in transforms.json must be"),
+        "the file's name and not where it lies: {advice}"
     );
     std::fs::write(capture.dir.path().join("transforms.json"), "{").unwrap();
     assert!(matches!(

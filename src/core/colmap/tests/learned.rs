@@ -252,15 +252,19 @@ if [ "$command" = mapper ]; then model "$out/0" 4 4; fi; exit 0"#,
     let tool = scene.tool().with_matching(Arc::new(matching));
     let error = scene
         .run(&tool, &mut Silent, &CancelToken::new())
-        .unwrap_err()
-        .to_string();
+        .unwrap_err();
+    let PosesError::TooFew {
+        registered: 4,
+        total: 10,
+        advice,
+    } = error
+    else {
+        panic!("{error}");
+    };
+    assert!(advice.contains("2 places"), "{advice}");
     assert!(
-        error.contains("only 4 of 10") && error.contains("2 places"),
-        "{error}"
-    );
-    assert!(
-        error.contains("5 (view0, view1, view2, view3, view4)"),
-        "{error}"
+        advice.contains("5 (view0, view1, view2, view3, view4)"),
+        "{advice}"
     );
 }
 
