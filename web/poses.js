@@ -4,6 +4,7 @@ import { h } from "./dom.js";
 
 const WORDS = {
   registered: "found",
+  given: "as given: its matches place it nowhere",
   late: "placed by the scene",
   doubtful: "left out: stronger matches say otherwise",
   taken_out: "taken out: it does not look like the scene there",
@@ -36,7 +37,7 @@ function places(report) {
 function summary(rows) {
   const count = (...states) => rows.filter((row) => states.includes(row.status)).length;
   const late = count("late");
-  const parts = [`${count("registered")} found`, late > 0 && `${late} placed by the scene`,
+  const parts = [`${count("registered", "given")} found`, late > 0 && `${late} placed by the scene`,
     count("doubtful", "taken_out", "not_found") > 0 && `${count("doubtful", "taken_out", "not_found")} without a place`];
   return `Each photograph's place: ${parts.filter(Boolean).join(", ")}`;
 }

@@ -149,6 +149,8 @@ pub enum PoseStatus {
     Doubtful,
     /// Not placed.
     NotFound,
+    /// Where rough given poses have it: it could not be placed by its matches.
+    Given,
     /// Placed by a round's scene; it trains from the next round on.
     Late,
     /// Placed, but it fitted a round's scene far worse than the others did: it is left out.

@@ -284,10 +284,11 @@ impl WorkFolder {
     }
 
     /// What goes when a run has ended well: the large files and folders among these.
-    pub fn disposable(&self) -> [PathBuf; 3] {
+    pub fn disposable(&self) -> [PathBuf; 4] {
         [
             self.root.join(KeptImages::Deblurred.name()),
             self.root.join(KeptImages::Brightened.name()),
+            self.late_views(),
             self.checkpoint(),
         ]
     }

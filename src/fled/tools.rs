@@ -186,7 +186,8 @@ impl Kit {
             Ok(matching) => matching,
             Err(error) => {
                 fallbacks.push(format!(
-                    "poses are found by COLMAP's own key points alone, without networks: {error}"
+                    "without the networks for key points, poses are found by COLMAP's own alone, \
+                     given ones are not refined, and none are found by the scene: {error}"
                 ));
                 None
             }

@@ -120,6 +120,11 @@ fn a_photograph_without_a_pose_joins_and_one_in_the_wrong_place_comes_back() {
         );
     }
     assert_eq!(verdict(&poses, "001")["status"], "registered");
+    assert!(
+        verdict(&poses, "001")["fit"]
+            .as_f64()
+            .is_some_and(|fit| fit > 0.7)
+    );
     let metrics = json(&out.join("metrics.json"));
     let registered = |round: usize| {
         let rows = metrics["rounds"][round]["views"].as_array().expect("rows");
@@ -129,6 +134,11 @@ fn a_photograph_without_a_pose_joins_and_one_in_the_wrong_place_comes_back() {
     // What was found is not looked for again.
     let again = run(&place, &out, true);
     assert!(again.contains("its result stands"), "{again}");
+    assert_eq!(
+        json(&out.join("poses.json")),
+        poses,
+        "the scene's say stands, too"
+    );
     // Switched off, nothing joins and nothing leaves, and the first round serves.
     let off = run(&place, &out, false);
     assert!(off.contains("round 1 reconstruct already done"), "{off}");

@@ -11,7 +11,7 @@ use crate::cancel::CancelToken;
 use crate::event::ProgressSink;
 use crate::poses::align::Similarity;
 use crate::poses::model::{ModelCamera, ModelImage, SparseModel};
-use crate::poses::{Lens, PoseView, PosedView, Poses, PosesError};
+use crate::poses::{Lens, PoseStatus, PoseView, PosedView, Poses, PosesError};
 
 /// Given poses that fit so large a share of the matches that found ones fit are as good: the found
 /// ones were made to fit them.
@@ -31,14 +31,19 @@ impl Climb<'_> {
             small: &small,
             found: None,
         };
+        let unchecked = |why: &str, sink: &mut dyn ProgressSink| {
+            let message = format!("the given poses are taken as they are: {why}");
+            sink.warn("poses_unrefined", message);
+            Ok(None)
+        };
         let Some(best) = self.search(&mut evidence, sink, cancel)? else {
-            return Ok(None);
+            return unchecked("none were found to compare them with", sink);
         };
         let poses = self.deliver(&best, &evidence)?;
         let (Some(matches), Some(found), false) =
             (&evidence.found, &best.consistency, poses.low_confidence)
         else {
-            return Ok(None);
+            return unchecked("those that were found are not to be trusted", sink);
         };
         let model = model_of(given, self.request.views, &small);
         let fits = Consistency::of(&model, &small, &small, matches).share();
@@ -65,7 +70,7 @@ impl Climb<'_> {
             .map(|(view, given)| (view.camera, given.camera))
             .unzip();
         let Some(world) = Similarity::between(&from, &to) else {
-            return Ok(None);
+            return unchecked("fewer than three of them were found, too", sink);
         };
         Ok(Some(in_world(poses, &world, given, self.request.views)))
     }
@@ -83,8 +88,11 @@ fn in_world(poses: Poses, world: &Similarity, given: &[PosedView], all: &[PoseVi
     for view in given {
         if poses.views.iter().all(|found| found.name != view.name) {
             poses.views.push(view.clone());
+            poses.verdict_of(&view.name).status = PoseStatus::Given;
         }
     }
+    // The given poses hold together what no matches connect.
+    poses.parts.clear();
     poses
         .views
         .sort_by_key(|view| all.iter().position(|asked| asked.name == view.name));

@@ -43,8 +43,6 @@ pub fn late_views(
     finished: &FinishedRound<'_>,
     depends_on: &Dependencies,
 ) -> Result<Option<Poses>, PipelineError> {
-    let fitted = with_fits(finished.poses, finished.metrics);
-    publish(context.workspace, &fitted)?;
     let Some(judgement) = Judgement::of(&finished.metrics.views) else {
         return Ok(None);
     };
@@ -75,7 +73,8 @@ pub fn late_views(
                 &judgement,
                 depends_on,
             )?;
-            let poses = changed(&fitted, finished.capture, leaving, placed);
+            let fitted = with_fits(finished.poses, finished.metrics);
+            let poses = changed(fitted, finished.capture, leaving, placed);
             context.workspace.write_json(&path, &poses)?;
             Ok(poses)
         },
@@ -173,7 +172,7 @@ fn find(
 }
 
 /// The poses with how each view fitted its render.
-fn with_fits(poses: &Poses, metrics: &RoundMetrics) -> Poses {
+pub fn with_fits(poses: &Poses, metrics: &RoundMetrics) -> Poses {
     let mut poses = poses.clone();
     for row in metrics.views.iter().filter(|row| row.fit.is_some()) {
         poses.verdict_of(&row.name).fit = row.fit;
@@ -183,12 +182,11 @@ fn with_fits(poses: &Poses, metrics: &RoundMetrics) -> Poses {
 
 /// The poses after some views left and others joined, in the capture's order.
 fn changed(
-    poses: &Poses,
+    mut poses: Poses,
     capture: &Capture,
     leaving: &[String],
     placed: Vec<(Placed, f64)>,
 ) -> Poses {
-    let mut poses = poses.clone();
     poses.views.retain(|view| !leaving.contains(&view.name));
     for name in leaving {
         poses.verdict_of(name).status = PoseStatus::TakenOut;

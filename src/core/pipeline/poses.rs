@@ -66,13 +66,13 @@ pub fn poses(
             Ok(poses)
         },
     )?;
-    publish(context.workspace, &poses)?;
     cache.write(context.workspace, &poses)?;
     warn(context.sink, &poses, &views::unregistered(capture, &poses));
     Ok(poses)
 }
 
-/// Writes the poses for those who look at the run.
+/// Writes the poses for those who look at the run. Not part of the stage: a run that was delivered
+/// keeps those that its scene changed.
 ///
 /// # Errors
 /// [`PipelineError::Io`].

@@ -8,10 +8,10 @@ use super::dependencies::{RoundDependencies, RunDependencies};
 use super::enhance::{self, Brightening, enhance};
 use super::error::PipelineError;
 use super::evaluate::{Finished, RoundImages, evaluate};
-use super::late_views::{FinishedRound, changed_views, late_views};
+use super::late_views::{FinishedRound, changed_views, late_views, with_fits};
 use super::match_brightness::{Next, match_brightness};
 use super::plan::Plan;
-use super::poses::poses;
+use super::poses::{poses, publish};
 use super::reconstruct::{Material, Predecessor, TrainedScene, reconstruct};
 use super::render::render;
 use super::report;
@@ -95,6 +95,7 @@ pub fn run(
     if let Some(report) = delivered(context, &whole)? {
         return Ok(Outcome { report });
     }
+    publish(workspace, &poses)?;
     let mut report = report::begin(options, tools, depends_on.networks(), &poses);
     let views = views::load(context, capture, &poses, options)?;
     let asked = Asked { capture, options };
@@ -175,6 +176,7 @@ fn round(
         next: next.as_ref(),
     };
     let metrics = evaluate(context, &finished, brightening, report.rounds.last())?;
+    publish(context.workspace, &with_fits(poses, &metrics))?;
     report::add_round(context, report, metrics)?;
     let Some(next) = next else { return Ok(None) };
     let handover = Handover::new(next, scene, on);
@@ -273,7 +275,9 @@ pub fn find_poses(
     cancel: &CancelToken,
 ) -> Result<Poses, PipelineError> {
     let context = &mut begin(capture, options, tools, workspace, sink, cancel)?;
-    poses(context, capture, options, tools)
+    let poses = poses(context, capture, options, tools)?;
+    publish(workspace, &poses)?;
+    Ok(poses)
 }
 
 /// Writes the options as run and tells what is about to happen, with what.

@@ -102,6 +102,7 @@ fn notes(poses: &Poses) -> Vec<String> {
             PoseStatus::TakenOut,
             "taken out, as they did not fit the scene",
         ),
+        named(PoseStatus::Given, "as given, unchecked"),
         named(PoseStatus::Late, "placed by the scene"),
     ];
     std::iter::once(count)

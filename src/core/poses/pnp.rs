@@ -12,7 +12,7 @@ use crate::linear::solve;
 const TRIES: usize = 1000;
 /// Steps of the least squares; it converges in a few.
 const STEPS: usize = 20;
-/// Least solutions are asked of this many points: three give up to four, and the others choose.
+/// Three points give up to four cameras; fewer than this many that agree do not choose one.
 const LEAST_POINTS: usize = 6;
 /// Of the angle at which two rays must meet: two degrees.
 const LEAST_SINE: f64 = 0.035;

@@ -299,13 +299,22 @@ fn in_order() -> Neighbours {
 }
 
 fn refined(scene: &Scene, given: &[PosedView]) -> Result<Option<Poses>, PosesError> {
-    let tool = scene.tool().with_matching(Arc::new(in_order()));
+    refined_by(scene, given, in_order(), &mut Silent)
+}
+
+fn refined_by(
+    scene: &Scene,
+    given: &[PosedView],
+    matching: Neighbours,
+    sink: &mut dyn ProgressSink,
+) -> Result<Option<Poses>, PosesError> {
+    let tool = scene.tool().with_matching(Arc::new(matching));
     let request = PoseRequest {
         views: &scene.views,
         work_dir: &scene.work_dir(),
         seed: 1,
     };
-    tool.refine(&request, given, &mut Silent, &CancelToken::new())
+    tool.refine(&request, given, sink, &CancelToken::new())
 }
 
 #[test]
@@ -345,12 +354,37 @@ fn given_poses_that_the_matches_contradict_are_refined_in_their_own_world() {
 }
 
 #[test]
+fn a_view_that_is_placed_nowhere_keeps_its_given_pose_and_that_is_told() {
+    let scene = Scene::new(10, PLACES_ALL);
+    let rough = given(&scene, &[2, 7]);
+    let lost = Neighbours {
+        contradicting: vec![9],
+        last_of_a_place: None,
+    };
+    let poses = refined_by(&scene, &rough, lost, &mut Silent).unwrap();
+    let poses = poses.expect("better ones");
+    assert_eq!(poses.registered, 10);
+    assert_eq!(poses.views[9].camera, rough[9].camera);
+    assert_eq!(
+        statuses(&poses)[8..],
+        [PoseStatus::Registered, PoseStatus::Given]
+    );
+}
+
+#[test]
 fn given_poses_that_fit_as_well_stand_and_so_do_those_nobody_can_check() {
     let scene = Scene::new(10, PLACES_ALL);
     assert_eq!(refined(&scene, &given(&scene, &[])).unwrap(), None);
     let rough = given(&scene, &[2, 7]);
     let nothing = Scene::new(10, "exit 0");
-    assert_eq!(refined(&nothing, &rough).unwrap(), None);
+    let mut told = Vec::new();
+    let mut sink = |event: &Event| {
+        if let Event::Warning { code, .. } = event {
+            told.push(code.clone());
+        }
+    };
+    let found = refined_by(&nothing, &rough, in_order(), &mut sink).unwrap();
+    assert_eq!((found, &*told), (None, &["poses_unrefined".to_owned()][..]));
     let request = PoseRequest {
         views: &scene.views,
         work_dir: &scene.work_dir(),
