@@ -236,6 +236,7 @@ fn config(workload: &Workload, extras: Extras) -> TrainConfig {
         background: Background::Black,
         dropout: 0.0,
         densify: Densify::Mcmc,
+        stereo: None,
         view_colour: false,
         seed: 0,
         extent: workload.extent,

@@ -114,6 +114,13 @@ impl Camera {
         ))
     }
 
+    /// Pixel and depth of a world point that lies within the picture.
+    pub fn shows(&self, point: DVec3) -> Option<(DVec2, f64)> {
+        let size = DVec2::new(self.intrinsics.width as f64, self.intrinsics.height as f64);
+        let inside = |pixel: DVec2| pixel.cmpge(DVec2::ZERO).all() && pixel.cmplt(size).all();
+        self.project(point).filter(|(pixel, _)| inside(*pixel))
+    }
+
     /// The same pose with the image resampled to `width` x `height`.
     pub fn resized(&self, width: usize, height: usize) -> Self {
         Self {

@@ -19,7 +19,7 @@ mod late_views;
 mod match_brightness;
 mod pictures;
 mod plan;
-mod poses;
+pub(crate) mod poses;
 mod reconstruct;
 mod render;
 mod report;
@@ -28,7 +28,7 @@ mod round;
 mod run;
 mod tone;
 mod tools;
-mod views;
+pub(crate) mod views;
 
 pub mod config;
 pub mod error;

@@ -60,6 +60,9 @@ pub struct Options {
     /// With fewer sparse points than this, random ones are added.
     #[schemars(range(max = 1_000_000))]
     pub fill_up: u32,
+    /// Whether the views are compared plane by plane: the scene then begins with points that
+    /// several agree on, and nothing stays where they see through.
+    pub stereo: bool,
     /// The length that rates of the means are measured in.
     pub extent: ExtentRule,
     /// Whether differences of exposure and cast between the views are taken out before the scene
@@ -212,7 +215,7 @@ impl Preset {
             deblur_unguided: NetworkChoice::Same,
             enhance: NetworkChoice::Curve,
             guide: Guide::Render,
-            noise: NoiseMode::Grid,
+            noise: NoiseMode::Off,
             shake: ShakeModel::Kernel,
             train_on: TrainOn::Auto,
             refine_poses: true,
@@ -220,6 +223,7 @@ impl Preset {
             start: Start::Warm,
             densify: Densify::Mcmc,
             fill_up: 1_000,
+            stereo: true,
             extent: ExtentRule::Scene,
             view_colour: false,
             cap: 30_000,
@@ -250,6 +254,7 @@ impl Preset {
                 train_on: TrainOn::Deblurred,
                 refine_poses: false,
                 late_views: false,
+                stereo: false,
                 background: Background::Black,
                 lut_scope: LutScope::Image,
                 sh_degree: 3,

@@ -38,6 +38,7 @@ const RECONSTRUCT: &[&str] = &[
     "start",
     "densify",
     "fill_up",
+    "stereo",
     "extent",
     "view_colour",
     "cap",

@@ -201,7 +201,8 @@ fn find(
     Ok(Poses { network, ..best })
 }
 
-fn pose_view(view: &CaptureView) -> PoseView {
+/// What is asked about a photograph.
+pub fn pose_view(view: &CaptureView) -> PoseView {
     PoseView {
         name: view.name.clone(),
         file: view.file.clone(),

@@ -4,6 +4,8 @@ mod points;
 
 use std::cell::RefCell;
 use std::path::Path;
+use std::sync::Arc;
+use std::time::Instant;
 
 use fled_gpu::Gpu;
 use serde::{Deserialize, Serialize};
@@ -27,6 +29,7 @@ use crate::reconstruct::{
     self, Beginning, Checkpoint, Registration, TrainConfig, TrainHooks, TrainStart, Trained,
     TrainingView,
 };
+use crate::stereo::Stereo;
 
 /// The stamp of the checkpoint.
 const CHECKPOINT: &str = "checkpoint";
@@ -107,7 +110,10 @@ pub fn reconstruct(
     };
     let make = |context: &mut Context<'_>| {
         let options = depends_on.options();
-        let config = train_config(material, options);
+        let config = TrainConfig {
+            stereo: stereo(context, material, options)?,
+            ..train_config(material, options)
+        };
         let start = train_start(context, material, &config, depends_on)?;
         let trained = train(context, gpu, material, start, &config, depends_on)?;
         let scene = with_cameras(context, gpu, material, trained, &config)?;
@@ -138,6 +144,7 @@ fn train_config(material: &Material<'_>, options: &Options) -> TrainConfig {
         background: options.background,
         dropout: options.dropout,
         densify: options.densify,
+        stereo: None,
         view_colour: options.view_colour,
         seed: options.seed.wrapping_add(u64::from(round.number) << 32),
         extent: reconstruct::scene_extent(&cameras, &points, options.extent),
@@ -162,16 +169,42 @@ fn train_start(
         return Ok(TrainStart::Fresh(gaussians));
     }
     let cameras: Vec<Camera> = material.views.iter().map(|view| view.camera).collect();
+    let mut points = points::coloured(material.poses, material.views, material.images);
+    if let Some(stereo) = &config.stereo {
+        let dense = points::dense(stereo, points.len(), config.cap);
+        let (round, more, sparse) = (material.round.number, dense.len(), points.len());
+        let line = format!("round {round}: {more} dense points beside {sparse} of the poses");
+        context.sink.log(line);
+        points.extend(dense);
+    }
     let beginning = Beginning {
         cap: config.cap,
         fill_up: options.fill_up as usize,
     };
     Ok(TrainStart::Fresh(reconstruct::initialise(
-        &points::coloured(material.poses, material.views, material.images),
+        &points,
         &cameras,
         beginning,
         &config.schedule(),
     )))
+}
+
+/// What the views agree on about depth, where the options want to know.
+fn stereo(
+    context: &mut Context<'_>,
+    material: &Material<'_>,
+    options: &Options,
+) -> Result<Option<Arc<Stereo>>, PipelineError> {
+    if !options.stereo {
+        return Ok(None);
+    }
+    let begin = Instant::now();
+    let (poses, views, images) = (material.poses, material.views, material.images);
+    let stereo = points::stereo(poses, views, images, context.cancel)?;
+    let (round, seconds) = (material.round.number, begin.elapsed().as_secs_f64());
+    let line = format!("round {round}: depths of the views compared in {seconds:.1} s");
+    context.sink.log(line);
+    Ok(Some(Arc::new(stereo)))
 }
 
 fn checkpoint(

@@ -1,11 +1,14 @@
 //! What a round is trained with.
 
+use std::sync::Arc;
+
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::schedule::Schedule;
 use crate::noise::NoiseMode;
 use crate::shake::Response;
+use crate::stereo::Stereo;
 
 /// What training renders the splats before. Delivered views have a black background.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -31,7 +34,7 @@ pub enum Densify {
 }
 
 /// What a round is trained with.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug)]
 pub struct TrainConfig {
     /// Optimiser steps.
     pub steps: u32,
@@ -58,6 +61,8 @@ pub struct TrainConfig {
     pub dropout: f64,
     /// How Gaussians come and go.
     pub densify: Densify,
+    /// What the views agree on about depth: MCMC moves Gaussians away from where nothing can be.
+    pub stereo: Option<Arc<Stereo>>,
     /// Take differences of exposure and cast between the views out of their images.
     pub view_colour: bool,
     /// Seed of everything random.

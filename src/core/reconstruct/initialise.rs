@@ -1,7 +1,7 @@
 //! The scene before the first step: Gaussians from the sparse points, and random ones where there
 //! are few.
 
-use glam::{DVec2, DVec3};
+use glam::DVec3;
 use rand::seq::SliceRandom;
 use rand::{Rng, RngExt};
 use rayon::prelude::*;
@@ -82,18 +82,10 @@ fn camera_radius(cameras: &[Camera]) -> f64 {
 fn visible_depths(cameras: &[Camera], points: &[Point]) -> Vec<f64> {
     let mut depths = Vec::new();
     for camera in cameras {
-        let size = DVec2::new(
-            camera.intrinsics.width as f64,
-            camera.intrinsics.height as f64,
-        );
-        let inside = |pixel: DVec2| pixel.cmpge(DVec2::ZERO).all() && pixel.cmplt(size).all();
         let seen = points
             .iter()
-            .filter_map(|p| camera.project(DVec3::from(p.position.map(f64::from))));
-        depths.extend(
-            seen.filter(|(pixel, _)| inside(*pixel))
-                .map(|(_, depth)| depth),
-        );
+            .filter_map(|p| camera.shows(DVec3::from(p.position.map(f64::from))));
+        depths.extend(seen.map(|(_, depth)| depth));
     }
     depths.sort_by(f64::total_cmp);
     depths

@@ -107,6 +107,7 @@ fn config(steps: u32, cap: usize) -> TrainConfig {
         background: Background::Black,
         dropout: 0.0,
         densify: Densify::Mcmc,
+        stereo: None,
         view_colour: false,
         seed: 3,
         extent: 1.0,
@@ -321,7 +322,7 @@ fn relocation_keeps_the_image_of_an_isolated_splat() {
     let rows = pack_geometry(&scene);
     let schedule = config(1, 2).schedule();
     let mut random = schedule.generator(schedule::Stream::Densification, 0);
-    let plan = densify::plan(&rows, 2, &mut random);
+    let plan = densify::plan(&rows, 2, |_| false, &mut random);
     let device = DeviceGaussians::upload(fixtures::gpu(), &scene, 0).expect("uploaded");
     let optimizer = optimizer::Optimizer::new(fixtures::gpu(), &device, false).expect("created");
     optimizer

@@ -5,7 +5,7 @@ use crate::pipeline::config::TrainOn;
 
 /// Which results a change of each option makes stale, in the order of Algorithm 1. Options without
 /// any act through the tools that they choose, or choose among results (`train_on`).
-const STALE: [(&str, &[&str]); 28] = [
+const STALE: [(&str, &[&str]); 29] = [
     ("rounds", &["enhance", "deblur", "reconstruct", "guided"]),
     ("steps", &["reconstruct", "guided"]),
     (
@@ -26,6 +26,7 @@ const STALE: [(&str, &[&str]); 28] = [
     ("start", &["reconstruct", "guided"]),
     ("densify", &["reconstruct", "guided"]),
     ("fill_up", &["reconstruct", "guided"]),
+    ("stereo", &["reconstruct", "guided"]),
     ("extent", &["reconstruct", "guided"]),
     ("view_colour", &["reconstruct", "guided"]),
     ("cap", &["reconstruct", "guided"]),
@@ -52,9 +53,10 @@ fn other(option: &str) -> Value {
         "lut_scope" => json!("image"),
         "deblur" | "deblur_unguided" | "enhance" => json!("mine"),
         "guide" => json!("none"),
-        "noise" | "shake" | "densify" => json!("off"),
+        "noise" => json!("grid"),
+        "shake" | "densify" => json!("off"),
         "train_on" => json!("deblurred"),
-        "refine_poses" | "late_views" | "resolution_schedule" => json!(false),
+        "refine_poses" | "late_views" | "resolution_schedule" | "stereo" => json!(false),
         "view_colour" => json!(true),
         "start" => json!("scratch"),
         "extent" => json!("cameras"),

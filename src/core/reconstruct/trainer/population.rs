@@ -42,7 +42,9 @@ impl Trainer<'_> {
         let random = &mut self
             .schedule
             .generator(Stream::Densification, u64::from(step));
-        let plan = densify::plan(rows, target, random);
+        let stereo = self.config.stereo.as_deref();
+        let is_free = |place| stereo.is_some_and(|stereo| stereo.is_free(place));
+        let plan = densify::plan(rows, target, is_free, random);
         let gaussians = &mut self.model.pass.gaussians;
         self.optimizer.relocate(self.gpu, gaussians, &plan)?;
         gaussians.count = plan.count;
