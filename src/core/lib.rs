@@ -17,6 +17,7 @@ pub mod colmap;
 pub mod dataset;
 pub mod deblur;
 pub mod enhance;
+pub mod evaluation;
 pub mod event;
 pub mod features;
 pub mod gaussians;

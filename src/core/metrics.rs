@@ -16,9 +16,9 @@ mod golden;
 
 pub use correlation::correlation;
 pub use noise::{clipped_share, mean_v, noise_sigma, sharpness};
-pub use psnr::{noise_ceiling, psnr, psnr_colour_corrected};
+pub use psnr::{ColourFit, decibels, noise_ceiling, psnr, psnr_colour_corrected};
 pub use report::{Brightness, ImageKind, Record, Reference, Report, RoundMetrics, ViewScore};
-pub use ssim::ssim;
+pub use ssim::{ssim, ssim_where};
 
 use crate::image::Image;
 

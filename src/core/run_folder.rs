@@ -5,6 +5,7 @@
 //! inputs/VIEW.jpg  gt/VIEW.jpg  restored/VIEW.png
 //! rounds/ROUND/{scene.ply, scene_at_target.ply, training.json}
 //! rounds/ROUND/{enhanced, deblurred, renders}/VIEW.jpg
+//! evaluation/  what sharp photographs say, where `fled eval` was asked
 //! work/  what only a resumed run reads
 //! ```
 //! Paths only: nothing here reads, writes or makes a file.
@@ -78,6 +79,11 @@ impl RunFolder {
     /// The log of every run into this folder, appended to.
     pub fn log(&self) -> PathBuf {
         self.root.join("log.txt")
+    }
+
+    /// What sharp photographs say about the run.
+    pub fn evaluation(&self) -> PathBuf {
+        self.root.join("evaluation")
     }
 
     /// Folder of the dark views as they entered the pipeline.
@@ -312,6 +318,7 @@ mod tests {
             (run.poses(), "out/poses.json"),
             (run.poses_picture(), "out/poses.svg"),
             (run.log(), "out/log.txt"),
+            (run.evaluation(), "out/evaluation"),
             (run.input("a"), "out/inputs/a.jpg"),
             (run.truth("a"), "out/gt/a.jpg"),
             (run.restored_view("a"), "out/restored/a.png"),

@@ -2,9 +2,11 @@
 //!
 //! A room of textured boxes, spheres and walls is ray-cast in linear light along the path of a
 //! shaking camera; the mean over the exposure is cut to darkness, given the noise of a sensor and
-//! stored in 8 bits, in LuSh-NeRF's layout: `images/` (dark, blurred), `HL/` (sharp, bright) and
-//! `poses_bounds.npy`.
+//! stored in 8 bits, in the layout of a published data set ([`Layout`]): `images/` (dark, blurred),
+//! sharp, bright ones beside them, and the poses.
 
+mod error;
+mod layout;
 mod path;
 mod room;
 mod sensor;
@@ -18,10 +20,12 @@ use rand_pcg::Pcg64Mcg;
 use rayon::prelude::*;
 
 use crate::camera::{Camera, Intrinsics};
-use crate::image::{Image, ImageError, Linear, Srgb};
-use crate::poses::PosesError;
-use crate::poses::bounds::{BoundedCamera, write_poses_bounds};
+use crate::image::{Image, Linear, Srgb};
+use crate::poses::bounds::BoundedCamera;
 use room::Room;
+
+pub use error::SynthError;
+pub use layout::Layout;
 
 /// Sub-frames of an exposure: the blur path of ~10 px is then sampled about every pixel.
 const SUBFRAMES: usize = 11;
@@ -53,6 +57,8 @@ pub struct SynthOptions {
     /// Standard deviation of the noise at white, as a share of the dark exposure's white: shot
     /// noise falls with the square root of the signal, and a tenth of it remains in the black.
     pub noise: f64,
+    /// How it lies in its folder.
+    pub layout: Layout,
 }
 
 impl Default for SynthOptions {
@@ -67,38 +73,9 @@ impl Default for SynthOptions {
             exposure: 0.05,
             blur: 9.0,
             noise: 0.02,
+            layout: Layout::Lush,
         }
     }
-}
-
-/// Why nothing was made.
-#[derive(Debug, thiserror::Error)]
-pub enum SynthError {
-    /// An option does not fit.
-    #[error("{0}")]
-    Options(String),
-    /// A photograph for the walls cannot be read.
-    #[error("wallpapers: {}: {source}", path.display())]
-    Wallpaper {
-        /// Which.
-        path: PathBuf,
-        /// Why.
-        source: ImageError,
-    },
-    /// An image could not be written.
-    #[error(transparent)]
-    Image(#[from] ImageError),
-    /// The poses could not be written.
-    #[error(transparent)]
-    Poses(#[from] PosesError),
-    /// A directory could not be made.
-    #[error("{}: {source}", path.display())]
-    Io {
-        /// Where.
-        path: PathBuf,
-        /// The system's error.
-        source: std::io::Error,
-    },
 }
 
 /// What was made.
@@ -163,7 +140,7 @@ pub fn generate(options: &SynthOptions, out: &Path) -> Result<SynthSummary, Synt
         .map(load_wallpapers)
         .transpose()?
         .unwrap_or_default();
-    for folder in ["images", "HL"] {
+    for folder in ["images", options.layout.truths()] {
         let path = out.join(folder);
         std::fs::create_dir_all(&path).map_err(|source| SynthError::Io { path, source })?;
     }
@@ -189,7 +166,8 @@ pub fn generate(options: &SynthOptions, out: &Path) -> Result<SynthSummary, Synt
         }
     };
     let rows: Vec<BoundedCamera> = cameras.iter().map(bounded).collect();
-    write_poses_bounds(&out.join("poses_bounds.npy"), &rows)?;
+    let names: Vec<String> = named.iter().map(|(name, _)| name.clone()).collect();
+    options.layout.write_poses(out, &names, &rows)?;
     Ok(SynthSummary { cameras: named })
 }
 
@@ -253,7 +231,7 @@ fn write_view(
     dark.to_srgb().save(&out.join("images").join(&file))?;
     room.render_at(camera, &grid_offsets(SHARP_RAYS))
         .to_srgb()
-        .save(&out.join("HL").join(&file))?;
+        .save(&out.join(options.layout.truths()).join(&file))?;
     Ok(())
 }
 

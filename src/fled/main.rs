@@ -2,6 +2,7 @@
 
 mod bench;
 mod doctor;
+mod eval;
 mod failure;
 mod models;
 mod progress;
@@ -9,6 +10,7 @@ mod render;
 mod render_worker;
 mod run;
 mod serve;
+mod suite;
 mod synth;
 mod token;
 mod tools;
@@ -48,6 +50,8 @@ enum Command {
     Token(token::Args),
     /// Measures what training and rendering cost on this machine, kernel by kernel.
     Bench(bench::Args),
+    /// Judges a finished run by sharp photographs that it did not train on.
+    Eval(eval::Args),
     /// Lists, checks, adds and fetches deblurring networks.
     Models(models::Args),
     /// Says what this machine has and lacks, and what to do about it.
@@ -71,6 +75,7 @@ fn main() -> ExitCode {
         Command::Serve(args) => serve::main(&args),
         Command::Token(args) => token::main(&args),
         Command::Bench(args) => bench::main(&args),
+        Command::Eval(args) => eval::main(&args),
         Command::Models(args) => models::main(&args),
         Command::Doctor(args) => doctor::main(&args),
         Command::RenderWorker => render_worker::main(),

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use fled_core::pipeline::error::ErrorKind;
-use fled_core::synthetic::{self, SynthOptions};
+use fled_core::synthetic::{self, Layout, SynthOptions};
 
 use crate::failure::Failure;
 
@@ -37,6 +37,9 @@ pub struct Args {
     /// Noise of the sensor; see the documentation of `SynthOptions`.
     #[arg(long, default_value_t = 0.02)]
     noise: f64,
+    /// As which data set it lies there: lush, llff or transforms.
+    #[arg(long, default_value = "lush")]
+    layout: Layout,
 }
 
 /// Parses `WxH`.
@@ -69,6 +72,7 @@ pub fn main(args: &Args) -> Result<(), Failure> {
         exposure: args.exposure,
         blur: args.blur,
         noise: args.noise,
+        layout: args.layout,
     };
     synthetic::generate(&options, &args.out).map_err(|e| Failure::new(ErrorKind::Io, e))?;
     eprintln!("{} photographs in {}", args.views, args.out.display());

@@ -1,5 +1,6 @@
 //! What a run needs from the machine: device, COLMAP, ONNX Runtime, networks, signals.
 
+use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -108,6 +109,20 @@ impl Args {
             folders.push(here.join(".matcher"));
         }
         folders
+    }
+
+    /// The environment in which a child finds the same tools.
+    pub fn environment(&self) -> Vec<(&'static str, OsString)> {
+        let named = [
+            ("FLED_COLMAP", Some(&self.colmap)),
+            ("ORT_DYLIB_PATH", self.onnxruntime.as_ref()),
+            ("FLED_MATCHER", self.matcher.as_ref()),
+            ("FLED_MODELS", self.models.folder.as_ref()),
+        ];
+        named
+            .into_iter()
+            .filter_map(|(name, path)| Some((name, path?.clone().into_os_string())))
+            .collect()
     }
 
     /// The networks that find and match key points; `None` where the user goes without.

@@ -7,5 +7,6 @@ mod late_views;
 mod models;
 mod networks;
 mod service;
+mod suite;
 mod support;
 mod unchanged;

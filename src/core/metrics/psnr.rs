@@ -25,14 +25,50 @@ pub fn psnr(image: &Image, reference: &Image) -> f64 {
 /// When the sizes differ.
 pub fn psnr_colour_corrected(image: &Image, reference: &Image) -> f64 {
     super::assert_same_size(image, reference);
+    let fit = ColourFit::between(image, reference);
     let sum: f64 = (0..3)
         .map(|c| {
             let (x, y) = (image.plane(c), reference.plane(c));
-            let (a, b) = affine_fit(x, y);
-            squared_error(x, y, |v| (a * v + b).clamp(0.0, 1.0))
+            squared_error(x, y, |v| fit.value(c, v))
         })
         .sum();
     decibels(sum / (3 * image.pixels()) as f64)
+}
+
+/// The least-squares affine map of each channel of one image to that of another.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ColourFit {
+    /// Factor and offset, a channel.
+    channels: [(f64, f64); 3],
+}
+
+impl ColourFit {
+    /// `a * clip(image) + b` closest to the reference.
+    ///
+    /// # Panics
+    /// When the sizes differ: a fault of the caller.
+    pub fn between(image: &Image, reference: &Image) -> Self {
+        super::assert_same_size(image, reference);
+        Self {
+            channels: std::array::from_fn(|c| affine_fit(image.plane(c), reference.plane(c))),
+        }
+    }
+
+    /// An image mapped, clipped before and after.
+    #[must_use]
+    pub fn apply(&self, image: &Image) -> Image {
+        let mut mapped = image.clone();
+        for c in 0..3 {
+            let values = mapped.plane_mut(c).iter_mut();
+            values.for_each(|v| *v = self.value(c, clipped(*v)) as f32);
+        }
+        mapped
+    }
+
+    fn value(&self, channel: usize, clipped: f64) -> f64 {
+        let (a, b) = self.channels[channel];
+        (a * clipped + b).clamp(0.0, 1.0)
+    }
 }
 
 /// The best PSNR that any clean render can reach against a view with noise of this standard
@@ -41,7 +77,8 @@ pub fn noise_ceiling(sigma: f64) -> f64 {
     decibels(sigma * sigma)
 }
 
-fn decibels(squared_error: f64) -> f64 {
+/// `-10 log10` of a mean squared error, dB, at most 100.
+pub fn decibels(squared_error: f64) -> f64 {
     -10.0 * squared_error.max(LEAST_SQUARED_ERROR).log10()
 }
 

@@ -20,21 +20,42 @@ const C2: f64 = 9e-4;
 /// # Panics
 /// When the sizes differ or an image is smaller than the window: a fault of the caller.
 pub fn ssim(image: &Image, reference: &Image) -> f64 {
+    ssim_where(image, reference, |_, _| true).unwrap_or(1.0)
+}
+
+/// [`ssim`] over the windows whose middle pixel, at x and y, counts; `None` where none does.
+///
+/// # Panics
+/// As [`ssim`].
+pub fn ssim_where(
+    image: &Image,
+    reference: &Image,
+    counts: impl Fn(usize, usize) -> bool + Sync,
+) -> Option<f64> {
     super::assert_same_size(image, reference);
     let (width, height) = (image.width(), image.height());
     assert!(
         width >= TAPS && height >= TAPS,
         "SSIM needs at least {TAPS} x {TAPS} px, not {width}x{height}"
     );
+    let windows = (RADIUS..height - RADIUS)
+        .map(|y| (RADIUS..width - RADIUS).filter(|&x| counts(x, y)).count())
+        .sum::<usize>();
     let sums: Vec<f64> = (0..3)
         .into_par_iter()
-        .map(|c| plane_ssim(image.plane(c), reference.plane(c), width))
+        .map(|c| plane_sum(image.plane(c), reference.plane(c), width, &counts))
+        .map(|sum| sum / windows as f64)
         .collect();
-    sums.iter().sum::<f64>() / 3.0
+    (windows > 0).then(|| sums.iter().sum::<f64>() / 3.0)
 }
 
-/// Mean over the valid region of one channel.
-fn plane_ssim(image: &[f32], reference: &[f32], width: usize) -> f64 {
+/// Sum over the windows of one channel that count.
+fn plane_sum(
+    image: &[f32],
+    reference: &[f32],
+    width: usize,
+    counts: &(impl Fn(usize, usize) -> bool + Sync),
+) -> f64 {
     let height = image.len() / width;
     let valid_width = width - TAPS + 1;
     let weights = window();
@@ -50,11 +71,12 @@ fn plane_ssim(image: &[f32], reference: &[f32], width: usize) -> f64 {
         .into_par_iter()
         .map(|y| {
             (0..valid_width)
+                .filter(|x| counts(x + RADIUS, y + RADIUS))
                 .map(|x| similarity(column_moments(&rows[y..y + TAPS], x, &weights)))
                 .sum::<f64>()
         })
         .collect();
-    sums.iter().sum::<f64>() / (valid_width * valid_rows) as f64
+    sums.iter().sum::<f64>()
 }
 
 /// Horizontally filtered x, y, x^2, y^2 and x y of one row's valid part.

@@ -1,6 +1,12 @@
 use super::*;
+use crate::cancel::CancelToken;
+use crate::capture::Capture;
+use crate::dataset::GivenPoses;
+use crate::event::Silent;
 use crate::metrics::psnr;
+use crate::pipeline::poses::pose_view;
 use crate::poses::bounds::read_poses_bounds;
+use crate::poses::{PoseRequest, PoseView, Sfm};
 
 fn small(seed: u64) -> SynthOptions {
     SynthOptions {
@@ -46,6 +52,41 @@ fn the_layout_is_lush_nerfs_and_the_poses_are_the_cameras() {
                 .abs_diff_eq(camera.world_to_camera, 1e-9)
         );
         assert!(row.near > 0.1 && row.far < 20.0 && row.near < row.far);
+    }
+}
+
+#[test]
+fn every_layout_is_read_back_with_its_truth_and_its_cameras() {
+    for layout in Layout::ALL {
+        let dir = tempfile::tempdir().unwrap();
+        // A photograph of a capture has 64 px at least.
+        let options = SynthOptions {
+            layout,
+            height: 64,
+            ..small(5)
+        };
+        let summary = generate(&options, dir.path()).unwrap();
+        let capture = Capture::open(dir.path(), dir.path()).unwrap();
+        assert!(
+            capture.views.iter().all(|view| view.gt.is_some()),
+            "{layout:?}"
+        );
+        let given = GivenPoses::open(capture.poses.as_ref().unwrap().path()).unwrap();
+        let views: Vec<PoseView> = capture.views.iter().map(pose_view).collect();
+        let request = PoseRequest {
+            views: &views,
+            work_dir: dir.path(),
+            seed: 0,
+        };
+        let poses = given.poses(&request, &mut Silent, &CancelToken::default());
+        let poses = poses.unwrap();
+        assert_eq!(poses.views.len(), 3, "{layout:?}");
+        for (posed, (name, camera)) in poses.views.iter().zip(&summary.cameras) {
+            assert_eq!(posed.name, *name);
+            let (found, made) = (posed.camera.world_to_camera, camera.world_to_camera);
+            assert!(found.abs_diff_eq(made, 1e-9), "{layout:?} {name}");
+            assert!((posed.camera.intrinsics.fx - camera.intrinsics.fx).abs() < 1e-9);
+        }
     }
 }
 

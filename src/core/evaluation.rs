@@ -1,0 +1,233 @@
+//! Runs judged by sharp photographs that they never saw: the yardstick of every claim about
+//! quality.
+//!
+//! The photographs come with poses of their own. The cameras that trained stand in both worlds, and
+//! the similarity between them brings the others into the run's. From there the scene is rendered
+//! and compared twice: with the camera where the truth has it, and with the camera registered on
+//! the sharp photograph while the scene stays as it is. The second decides about the scene, the
+//! difference of the two about the poses.
+
+mod error;
+mod lpips;
+mod needles;
+mod page;
+pub mod report;
+mod score;
+mod seen;
+mod subject;
+pub mod suite;
+mod truth;
+
+use fled_gpu::Gpu;
+
+use crate::camera::Camera;
+use crate::cancel::CancelToken;
+use crate::image::Image;
+use crate::metrics;
+use crate::reconstruct::{Registration, TrainingView};
+use crate::render::{Renderer, UploadedGaussians};
+
+pub use error::EvaluationError;
+pub use lpips::Lpips;
+pub use page::{csv, table, write};
+pub use subject::Subject;
+pub use truth::Truth;
+
+use report::{Evaluation, TestView, ViewScores};
+use seen::{Mask, Witnesses};
+use truth::TruthView;
+
+/// Registration is repeated until no camera moves further than this, px, ...
+const SETTLED_PX: f64 = 0.05;
+/// ... and at most so often. Once moves a camera by up to 4 px.
+const REGISTRATIONS: usize = 3;
+
+/// What is judged, by what, and with what.
+pub struct Request<'a> {
+    /// The run.
+    pub subject: &'a Subject,
+    /// The sharp photographs.
+    pub truth: &'a Truth,
+    /// The run whose scene says what two training views see; most often the judged one itself.
+    pub seen_from: &'a Subject,
+    /// Whether only views between two training views, by the order of their names, are test views.
+    pub inside: bool,
+    /// The device.
+    pub gpu: &'a Gpu,
+    /// The network of LPIPS.
+    pub lpips: Option<&'a mut Lpips>,
+    /// Whether to stop.
+    pub cancel: &'a CancelToken,
+}
+
+/// The verdict, and the pictures that it is about.
+pub struct Judged {
+    /// The figures.
+    pub evaluation: Evaluation,
+    /// Of every test view, in the same order.
+    pub pictures: Vec<Pictures>,
+}
+
+/// A test view to look at.
+pub struct Pictures {
+    /// The render from the registered camera.
+    pub render: Image,
+    /// The sharp photograph.
+    pub truth: Image,
+}
+
+/// Judges a run.
+///
+/// # Errors
+/// [`EvaluationError`]: the two share too few views, no view is left to test on, a photograph that
+/// cannot be read, or a device error.
+pub fn evaluate(request: Request<'_>) -> Result<Judged, EvaluationError> {
+    let Request { subject, truth, .. } = request;
+    let tie = truth.tie(subject)?;
+    let names = truth.test_views(subject, request.inside);
+    if names.is_empty() {
+        return Err(EvaluationError::NoTestViews);
+    }
+    let placed = truth.placed(&names, subject, &tie)?;
+    let loaded = placed.iter().map(|placed| placed.load(subject.size()));
+    let views = loaded.collect::<Result<Vec<_>, _>>()?;
+    let renderer = Renderer::new(request.gpu);
+    let scene = renderer.upload(&subject.gaussians)?;
+    let registered = register(&request, &renderer, &scene, &views)?;
+    let masks = seen_masks(&request, &names, &renderer)?;
+    let mut judge = Judge {
+        renderer: &renderer,
+        scene: &scene,
+        lpips: request.lpips,
+    };
+    let (mut rows, mut pictures) = (Vec::new(), Vec::new());
+    for ((view, camera), mask) in views.into_iter().zip(&registered).zip(&masks) {
+        request.cancel.check()?;
+        let (mapped, _) = judge.scores(&view, &view.camera, mask)?;
+        let (scores, render) = judge.scores(&view, camera, mask)?;
+        rows.push(TestView {
+            nearest: subject.nearest(camera).to_owned(),
+            seen: mask.share(),
+            moved_px: moved_px(&view.camera, camera, subject.depth()),
+            mapped,
+            registered: scores,
+            name: view.name,
+        });
+        let truth = view.photograph;
+        pictures.push(Pictures { render, truth });
+    }
+    let mean_of = |scores: fn(&TestView) -> &ViewScores| {
+        let all: Vec<&ViewScores> = rows.iter().map(scores).collect();
+        score::mean(&all)
+    };
+    let evaluation = Evaluation {
+        training_views: subject.training().count(),
+        tied_views: tie.views,
+        camera_error: tie.error,
+        gaussians: subject.gaussians.len(),
+        needles: needles::count(subject),
+        size: subject.size(),
+        adapter: request.gpu.describe().to_string(),
+        lpips_network: judge.lpips.map(|lpips| lpips.checksum().to_owned()),
+        mapped: mean_of(|row| &row.mapped),
+        registered: mean_of(|row| &row.registered),
+        views: rows,
+    };
+    Ok(Judged {
+        evaluation,
+        pictures,
+    })
+}
+
+/// Renders and scores.
+struct Judge<'a> {
+    renderer: &'a Renderer,
+    scene: &'a UploadedGaussians,
+    lpips: Option<&'a mut Lpips>,
+}
+
+impl Judge<'_> {
+    /// The scores of a view seen by this camera, and its render.
+    fn scores(
+        &mut self,
+        view: &TruthView,
+        camera: &Camera,
+        mask: &Mask,
+    ) -> Result<(ViewScores, Image), EvaluationError> {
+        let render = self.renderer.render_scene(self.scene, camera)?;
+        let mut scores = score::scores(&render, &view.photograph, mask);
+        if let Some(lpips) = &mut self.lpips {
+            scores.all.lpips_squeeze = Some(lpips.distance(&render, &view.photograph)?);
+        }
+        Ok((scores, render))
+    }
+}
+
+/// The cameras of the views, corrected until render and sharp photograph agree best.
+fn register(
+    request: &Request<'_>,
+    renderer: &Renderer,
+    scene: &UploadedGaussians,
+    views: &[TruthView],
+) -> Result<Vec<Camera>, EvaluationError> {
+    let subject = request.subject;
+    let mut cameras: Vec<Camera> = views.iter().map(|view| view.camera).collect();
+    for _ in 0..REGISTRATIONS {
+        let mut photographs = Vec::new();
+        for (view, camera) in views.iter().zip(&cameras) {
+            let render = renderer.render_scene(scene, camera)?;
+            // As bright as the scene: a difference of tone is no motion.
+            let fit = metrics::ColourFit::between(&view.photograph, &render);
+            photographs.push(TrainingView {
+                name: view.name.clone(),
+                camera: *camera,
+                image: fit.apply(&view.photograph),
+                noise_sigma: 0.0,
+            });
+        }
+        let registration = Registration::new(request.gpu, &photographs, &subject.gaussians, None)?;
+        let moved = registration.cameras(subject.depth(), request.cancel)?;
+        let steps = cameras.iter().zip(&moved);
+        let furthest = steps
+            .map(|(before, after)| moved_px(before, after, subject.depth()))
+            .fold(0.0, f64::max);
+        cameras = moved;
+        if furthest <= SETTLED_PX {
+            break;
+        }
+    }
+    Ok(cameras)
+}
+
+/// What at least two training views of `seen_from` see, a mask a test view.
+fn seen_masks(
+    request: &Request<'_>,
+    names: &[&str],
+    renderer: &Renderer,
+) -> Result<Vec<Mask>, EvaluationError> {
+    let from = request.seen_from;
+    let tie = request.truth.tie(from)?;
+    let witnesses = Witnesses::new(renderer, from)?;
+    let placed = request.truth.placed(names, from, &tie)?;
+    let cameras = placed
+        .iter()
+        .map(|placed| placed.camera(request.subject.size()));
+    cameras
+        .map(|camera| witnesses.mask(renderer, &camera))
+        .collect()
+}
+
+/// How far what lies at `depth` in the middle of a camera's picture moves to another's, px; at most
+/// by the picture's diagonal.
+fn moved_px(before: &Camera, after: &Camera, depth: f64) -> f64 {
+    let k = &before.intrinsics;
+    let diagonal = (k.width as f64).hypot(k.height as f64);
+    let point = before.centre() + depth * before.forward();
+    let ends = before.project(point).zip(after.project(point));
+    ends.map_or(diagonal, |((from, _), (to, _))| {
+        (to - from).length().min(diagonal)
+    })
+}
+
+#[cfg(test)]
+mod tests;

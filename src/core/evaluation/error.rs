@@ -1,0 +1,105 @@
+//! What keeps a run from being judged.
+
+use std::path::{Path, PathBuf};
+
+use crate::cancel::Cancelled;
+use crate::pipeline::error::{ErrorKind, PipelineError};
+use crate::reconstruct::ReconstructError;
+use crate::render::SplatError;
+
+/// Why there is no verdict.
+#[derive(Debug, thiserror::Error)]
+pub enum EvaluationError {
+    /// A file of the run is missing or is not what a run leaves.
+    #[error("{}: {reason}", path.display())]
+    Run {
+        /// Which file.
+        path: PathBuf,
+        /// What is wrong.
+        reason: String,
+    },
+    /// The sharp photographs come without poses.
+    #[error(
+        "{} has no poses: it needs a COLMAP model in sparse/, a transforms.json or a \
+         poses_bounds.npy",
+        path.display()
+    )]
+    NoPoses {
+        /// Their folder.
+        path: PathBuf,
+    },
+    /// Too few of the run's training views have a pose among the sharp photographs.
+    #[error(
+        "{tied} of {views} training views have a pose among the sharp photographs, by the same \
+         name; three tell where the others stand"
+    )]
+    NotTied {
+        /// Views in both.
+        tied: usize,
+        /// Training views.
+        views: usize,
+    },
+    /// The run's poses lack a view that it trained on.
+    #[error("poses.json of the run has no lens of `{view}`, which its scene was trained on")]
+    NoLens {
+        /// The view.
+        view: String,
+    },
+    /// Every sharp photograph trained the scene, or lies outside of those that did.
+    #[error("no sharp photograph is left to test on: all of them trained")]
+    NoTestViews,
+    /// The network of LPIPS.
+    #[error("LPIPS: {0}")]
+    Lpips(String),
+    /// Reading photographs or poses, or rendering.
+    #[error(transparent)]
+    Pipeline(#[from] PipelineError),
+}
+
+impl EvaluationError {
+    /// A file of the run that is not as it should be.
+    pub(super) fn run(path: &Path, reason: impl std::fmt::Display) -> Self {
+        Self::Run {
+            path: path.to_owned(),
+            reason: reason.to_string(),
+        }
+    }
+
+    /// What sort of failure it is.
+    pub fn kind(&self) -> ErrorKind {
+        match self {
+            Self::Pipeline(error) => error.kind(),
+            Self::Lpips(_) => ErrorKind::Environment,
+            _ => ErrorKind::BadInput,
+        }
+    }
+
+    /// What the user can do about it.
+    pub fn hint(&self) -> String {
+        let hint = match self {
+            Self::Pipeline(error) => return error.hint(),
+            Self::Run { .. } | Self::NoLens { .. } => "Name the folder of a run that has ended.",
+            Self::NoPoses { .. } => {
+                "Run COLMAP on them and put its model into their folder as sparse/."
+            }
+            Self::NotTied { .. } => {
+                "The sharp photographs must include those of the capture, named alike."
+            }
+            Self::NoTestViews => "Leave photographs out of the capture, or hold views out.",
+            Self::Lpips(_) => "Name lpips-squeeze.onnx with --lpips, or leave it away.",
+        };
+        hint.to_owned()
+    }
+}
+
+macro_rules! through_the_pipeline {
+    ($($error:ty),*) => {$(
+        impl From<$error> for EvaluationError {
+            fn from(error: $error) -> Self {
+                Self::Pipeline(error.into())
+            }
+        }
+    )*};
+}
+
+through_the_pipeline!(Cancelled, ReconstructError, SplatError);

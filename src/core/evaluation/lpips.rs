@@ -1,0 +1,73 @@
+//! LPIPS by a network that the user brings.
+
+use std::path::Path;
+
+use super::error::EvaluationError;
+use crate::image::Image;
+use crate::inference::{Graph, Input, Network, Provider, Runtime, digest, session};
+
+/// How ImageNet's pictures are normalised: mean and deviation, a channel.
+const IMAGENET: [(f32, f32); 3] = [(0.485, 0.229), (0.456, 0.224), (0.406, 0.225)];
+
+/// LPIPS as an ONNX network of two pictures `ref` and `dist`, [1, 3, H, W], normalised as ImageNet,
+/// with the output `score`: v0.1 on SqueezeNet.
+pub struct Lpips {
+    network: Network,
+    checksum: String,
+}
+
+impl Lpips {
+    /// Reads the network.
+    ///
+    /// # Errors
+    /// [`EvaluationError::Lpips`].
+    pub fn open(runtime: &Runtime, path: &Path) -> Result<Self, EvaluationError> {
+        let fault = |error: &dyn std::fmt::Display| {
+            EvaluationError::Lpips(format!("{}: {error}", path.display()))
+        };
+        let bytes = std::fs::read(path).map_err(|error| fault(&error))?;
+        let graph = Graph {
+            bytes: &bytes,
+            weights: None,
+        };
+        let session = session(runtime, &graph, Provider::Cpu, false, 0);
+        Ok(Self {
+            network: Network::new(session.map_err(|error| fault(&error))?),
+            checksum: digest(&bytes),
+        })
+    }
+
+    /// SHA-256 of the network.
+    pub fn checksum(&self) -> &str {
+        &self.checksum
+    }
+
+    /// How unlike two pictures look, 0 for equal ones.
+    ///
+    /// # Errors
+    /// [`EvaluationError::Lpips`].
+    pub fn distance(&mut self, image: &Image, truth: &Image) -> Result<f64, EvaluationError> {
+        let shape = [1, 3, image.height(), image.width()];
+        let [reference, distorted] = [truth, image].map(normalised);
+        let input = |name, values| Input {
+            name,
+            shape: &shape,
+            values,
+        };
+        let inputs = [input("ref", &*reference), input("dist", &*distorted)];
+        let [score] = self
+            .network
+            .run(&inputs, ["score"])
+            .map_err(EvaluationError::Lpips)?;
+        let score = score.values.first().copied().map(f64::from);
+        score.ok_or_else(|| EvaluationError::Lpips("the network's score is empty".to_owned()))
+    }
+}
+
+fn normalised(image: &Image) -> Vec<f32> {
+    let plane = |(c, (mean, deviation)): (usize, (f32, f32))| {
+        let values = image.plane(c).iter();
+        values.map(move |v| (v.clamp(0.0, 1.0) - mean) / deviation)
+    };
+    IMAGENET.into_iter().enumerate().flat_map(plane).collect()
+}

@@ -1,0 +1,39 @@
+//! Long thin Gaussians: spikes in front of sky and ground that no second view holds.
+
+use glam::DVec3;
+
+use super::subject::Subject;
+use crate::camera::Camera;
+
+/// The longest axis over the middle one.
+const ELONGATION: f32 = 10.0;
+/// Length in the nearest view that shows it, px, two standard deviations to each side.
+const LEAST_PX: f64 = 5.0;
+/// Fainter ones are not seen.
+const LEAST_OPACITY: f32 = 0.05;
+
+/// Needles of a scene.
+pub(super) fn count(subject: &Subject) -> usize {
+    let scene = &subject.gaussians;
+    let cameras: Vec<Camera> = subject.training().map(|(_, camera)| camera).collect();
+    let is_needle = |&i: &usize| {
+        let mut axes = scene.log_scales[i];
+        axes.sort_by(f32::total_cmp);
+        let opacity = 1.0 / (1.0 + (-scene.opacity_logits[i]).exp());
+        if opacity < LEAST_OPACITY || axes[2] - axes[1] < ELONGATION.ln() {
+            return false;
+        }
+        let mean = DVec3::from(scene.means[i].map(f64::from));
+        let length = 4.0 * f64::from(axes[2].exp());
+        let seen = cameras.iter().filter_map(|camera| per_px(camera, mean));
+        let finest = seen.fold(f64::INFINITY, f64::min);
+        length / finest >= LEAST_PX
+    };
+    (0..scene.len()).filter(is_needle).count()
+}
+
+/// World units a pixel at a point that a camera's picture shows.
+fn per_px(camera: &Camera, point: DVec3) -> Option<f64> {
+    let (_, depth) = camera.shows(point)?;
+    Some(depth / camera.intrinsics.fx)
+}

@@ -1,0 +1,161 @@
+//! Which pixels of a picture at least two training views see: nobody can know what lies behind the
+//! others.
+
+use glam::DVec3;
+use rayon::prelude::*;
+
+use super::error::EvaluationError;
+use super::subject::Subject;
+use crate::camera::Camera;
+use crate::gaussians::Gaussians;
+use crate::image::Image;
+use crate::render::Renderer;
+
+/// Training views that must see a pixel.
+const LEAST_VIEWS: usize = 2;
+/// A view sees a point that lies at most so much deeper than the surface it sees there.
+const DEEPER: f64 = 1.1;
+/// Below this coverage there is no surface.
+const LEAST_COVERAGE: f32 = 0.5;
+
+/// Some of the pixels of a picture.
+pub(super) struct Mask {
+    width: usize,
+    height: usize,
+    holds: Vec<bool>,
+}
+
+impl Mask {
+    /// A picture's pixels, row by row.
+    pub(super) fn new(width: usize, height: usize, holds: Vec<bool>) -> Self {
+        assert_eq!(holds.len(), width * height, "a mask of another size");
+        Self {
+            width,
+            height,
+            holds,
+        }
+    }
+
+    /// All of them.
+    pub(super) fn full(width: usize, height: usize) -> Self {
+        Self::new(width, height, vec![true; width * height])
+    }
+
+    /// Whether it holds a pixel.
+    pub(super) fn holds(&self, x: usize, y: usize) -> bool {
+        self.holds[y * self.width + x]
+    }
+
+    /// Share of the picture.
+    pub(super) fn share(&self) -> f64 {
+        self.count() as f64 / self.holds.len().max(1) as f64
+    }
+
+    /// The pixels it holds of a picture, in one row.
+    pub(super) fn pixels_of(&self, image: &Image) -> Image {
+        assert_eq!(
+            (image.width(), image.height()),
+            (self.width, self.height),
+            "picture and mask: sizes differ"
+        );
+        let of_plane = |plane: usize| {
+            let values = image.plane(plane).iter().zip(&self.holds);
+            values.filter(|(_, holds)| **holds).map(|(value, _)| *value)
+        };
+        let values = (0..3).flat_map(of_plane).collect();
+        Image::from_planar(self.count(), 1, values)
+    }
+
+    fn count(&self) -> usize {
+        self.holds.iter().filter(|holds| **holds).count()
+    }
+}
+
+/// The training views of a run, with the depth of what they see.
+pub(super) struct Witnesses<'a> {
+    scene: &'a Gaussians,
+    views: Vec<(Camera, Vec<Option<f64>>)>,
+}
+
+impl<'a> Witnesses<'a> {
+    /// Renders the depth of a run's scene at its training views.
+    ///
+    /// # Errors
+    /// A device error.
+    pub(super) fn new(renderer: &Renderer, run: &'a Subject) -> Result<Self, EvaluationError> {
+        let seen = |(_, camera): (&str, Camera)| {
+            let depths = depths(renderer, &run.gaussians, &camera)?;
+            Ok((camera, depths))
+        };
+        let views: Result<Vec<_>, EvaluationError> = run.training().map(seen).collect();
+        Ok(Self {
+            scene: &run.gaussians,
+            views: views?,
+        })
+    }
+
+    /// What at least two of them see of a camera's picture.
+    ///
+    /// # Errors
+    /// A device error.
+    pub(super) fn mask(
+        &self,
+        renderer: &Renderer,
+        camera: &Camera,
+    ) -> Result<Mask, EvaluationError> {
+        let depths = depths(renderer, self.scene, camera)?;
+        let k = &camera.intrinsics;
+        let to_world = camera.world_to_camera.inverse();
+        let is_seen = |(i, depth): (usize, &Option<f64>)| {
+            let Some(depth) = *depth else {
+                return false;
+            };
+            let (x, y) = ((i % k.width) as f64 + 0.5, (i / k.width) as f64 + 0.5);
+            let ray = DVec3::new((x - k.cx) / k.fx, (y - k.cy) / k.fy, 1.0);
+            let point = to_world.transform_point3(depth * ray);
+            let views = self.views.iter();
+            let sees = views.filter(|(view, surface)| sees(view, surface, point));
+            sees.take(LEAST_VIEWS).count() == LEAST_VIEWS
+        };
+        let holds = depths.par_iter().enumerate().map(is_seen).collect();
+        Ok(Mask::new(k.width, k.height, holds))
+    }
+}
+
+/// Whether a point lies in a view's picture and not behind what it shows.
+fn sees(view: &Camera, surface: &[Option<f64>], point: DVec3) -> bool {
+    let Some((pixel, depth)) = view.shows(point) else {
+        return false;
+    };
+    let at = pixel.y as usize * view.intrinsics.width + pixel.x as usize;
+    surface[at].is_some_and(|surface| depth <= DEEPER * surface)
+}
+
+/// Mean depth of what each pixel of a camera's picture shows, world units, row by row; `None` where
+/// it shows nothing.
+fn depths(
+    renderer: &Renderer,
+    scene: &Gaussians,
+    camera: &Camera,
+) -> Result<Vec<Option<f64>>, EvaluationError> {
+    /// Y_0^0, the constant harmonic.
+    const Y00: f32 = 0.282_094_8;
+    let depth = |mean: &[f32; 3]| {
+        let point = DVec3::from(mean.map(f64::from));
+        camera.world_to_camera.transform_point3(point).z.max(0.0)
+    };
+    let all: Vec<f64> = scene.means.iter().map(depth).collect();
+    let furthest = all.iter().copied().fold(f64::MIN_POSITIVE, f64::max);
+    let mut painted = scene.with_sh_degree(0);
+    // Red: depth as a share of the furthest. Green: how much is covered.
+    for (sh, depth) in painted.sh.chunks_exact_mut(3).zip(&all) {
+        let colour = [(depth / furthest) as f32, 1.0, 0.0];
+        sh.copy_from_slice(&colour.map(|value| (value - 0.5) / Y00));
+    }
+    let picture = renderer.render(&painted, camera, 0)?;
+    let pixels = picture.plane(0).iter().zip(picture.plane(1));
+    let depth = |(depth, covered): (&f32, &f32)| {
+        (*covered >= LEAST_COVERAGE).then(|| f64::from(depth / covered) * furthest)
+    };
+    Ok(pixels.map(depth).collect())
+}

@@ -1,0 +1,103 @@
+//! The run that is judged.
+
+use std::path::Path;
+
+use serde::de::DeserializeOwned;
+
+use crate::camera::{Camera, NamedCamera, Split};
+use crate::gaussians::{Gaussians, ply};
+use crate::poses::{Lens, Poses};
+use crate::reconstruct::{Point, scene_depth};
+use crate::run_folder::RunFolder;
+
+use super::error::EvaluationError;
+
+/// A scene and the cameras that it was trained from.
+pub struct Subject {
+    /// The scene, at the target brightness.
+    pub gaussians: Gaussians,
+    cameras: Vec<NamedCamera>,
+    poses: Poses,
+    depth: f64,
+}
+
+impl Subject {
+    /// What a run delivered.
+    ///
+    /// # Errors
+    /// [`EvaluationError::Run`].
+    pub fn open(run: &RunFolder) -> Result<Self, EvaluationError> {
+        let scene = run.scene();
+        let gaussians = ply::read(&scene).map_err(|error| EvaluationError::run(&scene, error))?;
+        Ok(Self::new(
+            gaussians,
+            read(&run.cameras())?,
+            read(&run.poses())?,
+        ))
+    }
+
+    /// From its parts.
+    pub(super) fn new(gaussians: Gaussians, cameras: Vec<NamedCamera>, poses: Poses) -> Self {
+        let point = |mean: &[f32; 3]| Point {
+            position: *mean,
+            colour: [0; 3],
+        };
+        let points: Vec<Point> = gaussians.means.iter().map(point).collect();
+        let all: Vec<Camera> = cameras.iter().map(NamedCamera::camera).collect();
+        let depth = scene_depth(&all, &points);
+        Self {
+            gaussians,
+            cameras,
+            poses,
+            depth,
+        }
+    }
+
+    /// The lens that was found for a view, at the size of the photograph as taken.
+    ///
+    /// # Errors
+    /// [`EvaluationError::NoLens`]: its poses are not those of its scene.
+    pub fn lens(&self, name: &str) -> Result<Lens, EvaluationError> {
+        let view = self.poses.views.iter().find(|view| view.name == name);
+        let no_lens = || EvaluationError::NoLens {
+            view: name.to_owned(),
+        };
+        view.map(|view| view.lens).ok_or_else(no_lens)
+    }
+
+    /// The views that trained it, with their cameras.
+    pub fn training(&self) -> impl Iterator<Item = (&str, Camera)> + Clone {
+        self.cameras
+            .iter()
+            .filter(|camera| camera.split == Split::Train)
+            .map(|camera| (camera.name.as_str(), camera.camera()))
+    }
+
+    /// Longest side of its views, px.
+    pub fn size(&self) -> usize {
+        let sides = |camera: &NamedCamera| camera.intrinsics.width.max(camera.intrinsics.height);
+        self.cameras.iter().map(sides).max().unwrap_or(1)
+    }
+
+    /// Median depth of the scene in its views, world units.
+    pub fn depth(&self) -> f64 {
+        self.depth
+    }
+
+    /// The training view that sees the most alike: what lies at the scene's depth in the middle of
+    /// this camera's picture and of its own are closest together, in distance and direction.
+    pub fn nearest(&self, camera: &Camera) -> &str {
+        let middle = |camera: &Camera| camera.centre() + self.depth * camera.forward();
+        let apart = |other: &Camera| {
+            middle(other).distance(middle(camera)) + other.centre().distance(camera.centre())
+        };
+        let mut views: Vec<_> = self.training().collect();
+        views.sort_by(|(_, a), (_, b)| apart(a).total_cmp(&apart(b)));
+        views.first().map_or("", |(name, _)| name)
+    }
+}
+
+fn read<T: DeserializeOwned>(path: &Path) -> Result<T, EvaluationError> {
+    let bytes = std::fs::read(path).map_err(|error| EvaluationError::run(path, error))?;
+    serde_json::from_slice(&bytes).map_err(|error| EvaluationError::run(path, error))
+}

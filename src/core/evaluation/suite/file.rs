@@ -1,0 +1,367 @@
+//! The file of a suite: what is run, on what, and what is compared.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::{Path, PathBuf};
+
+use serde::Deserialize;
+use serde::de::DeserializeOwned;
+use serde_json::{Map, Value};
+
+use super::error::SuiteError;
+use crate::pipeline::config::Preset;
+
+/// Options of a run: flat keys, as `fled run --options` takes them.
+pub type OptionSet = Map<String, Value>;
+
+/// What a suite's file says. Paths are relative to the file.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Suite {
+    /// What it answers, a sentence.
+    pub question: String,
+    /// Preset of every run.
+    pub preset: Preset,
+    /// How many seeds, from 0.
+    #[serde(default = "one")]
+    pub seeds: u64,
+    /// Options of every run.
+    #[serde(default)]
+    pub set: OptionSet,
+    /// The material that configurations take which name none.
+    #[serde(default = "dark")]
+    pub material: String,
+    /// The LPIPS network; without one no view has that score.
+    pub lpips: Option<PathBuf>,
+    /// Whether test views that lie outside the training views' path are left out.
+    #[serde(default)]
+    pub inside: bool,
+    /// What is photographed. May be left out where a list of captures is given beside the file.
+    #[serde(default)]
+    pub captures: Vec<CaptureEntry>,
+    /// What is compared; the first is what the others are compared with.
+    pub configurations: Vec<Configuration>,
+    /// What share of a ceiling is reached.
+    pub gain: Option<Gain>,
+}
+
+/// One scene, photographed in one or several ways from the same places.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CaptureEntry {
+    /// Its name in the tables.
+    pub name: String,
+    /// Captures of the scene by what they are, such as `dark`, `sharp` and `shaken`.
+    pub materials: BTreeMap<String, PathBuf>,
+    /// Sharp photographs with their cameras, by which its runs are judged.
+    pub truth: PathBuf,
+    /// Options of its runs, over the suite's.
+    #[serde(default)]
+    pub set: OptionSet,
+}
+
+/// One way of doing it.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Configuration {
+    /// Its name in the tables.
+    pub name: String,
+    /// Its options, over the suite's and the capture's.
+    #[serde(default)]
+    pub set: OptionSet,
+    /// The material that it is given.
+    pub material: Option<String>,
+    /// Another configuration: this one makes as many steps as fit into that one's training time.
+    pub seconds_of: Option<String>,
+}
+
+/// (of - over) / (ceiling - over), each the name of a configuration.
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Gain {
+    /// What is to be judged.
+    pub of: String,
+    /// What one has without it.
+    pub over: String,
+    /// What nothing can be better than.
+    pub ceiling: String,
+}
+
+/// What of a suite is carried out; by default all of it.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Selection {
+    /// Configurations, beside the first and those that they need.
+    pub only: Vec<String>,
+    /// Captures.
+    pub captures: Vec<String>,
+    /// Seeds in place of the file's number.
+    pub seeds: Option<u64>,
+}
+
+fn one() -> u64 {
+    1
+}
+
+fn dark() -> String {
+    "dark".to_owned()
+}
+
+impl Suite {
+    /// Reads a suite's file and holds it against what must be true of one.
+    ///
+    /// # Errors
+    /// [`SuiteError::Io`], or [`SuiteError::Wrong`] naming the key.
+    pub fn read(path: &Path) -> Result<Self, SuiteError> {
+        let mut suite: Self = parsed(path)?;
+        let folder = folder_of(path);
+        suite.lpips = suite.lpips.map(|lpips| folder.join(lpips));
+        place(&mut suite.captures, folder);
+        suite
+            .check()
+            .map_err(|fault| SuiteError::Wrong(format!("{}: {fault}", path.display())))?;
+        Ok(suite)
+    }
+
+    /// A list of captures from a file of its own, whose paths are relative to that file, in the
+    /// place of the suite's.
+    ///
+    /// # Errors
+    /// As [`Suite::read`].
+    pub fn with_captures_of(mut self, path: &Path) -> Result<Self, SuiteError> {
+        self.captures = parsed(path)?;
+        place(&mut self.captures, folder_of(path));
+        self.check()
+            .map_err(|fault| SuiteError::Wrong(format!("{}: {fault}", path.display())))?;
+        Ok(self)
+    }
+
+    /// With options of every run, as `key=value`, over the file's.
+    ///
+    /// # Errors
+    /// [`SuiteError::Options`] for one that no run can have.
+    pub fn with_assignments(mut self, assignments: &[String]) -> Result<Self, SuiteError> {
+        for assignment in assignments {
+            let options = self.preset.options().with_assignment(assignment);
+            let options = options.map_err(|error| SuiteError::Options {
+                of: "every run".to_owned(),
+                error,
+            })?;
+            // In the type that the option has.
+            let value = serde_json::to_value(options).expect("options are JSON");
+            if let Some((key, _)) = assignment.split_once('=') {
+                self.set.insert(key.to_owned(), value[key].clone());
+            }
+        }
+        self.check().map_err(SuiteError::Wrong)?;
+        Ok(self)
+    }
+
+    /// What is selected of it. The first configuration stays, and so does what others need to
+    /// know how many steps they make.
+    ///
+    /// # Errors
+    /// [`SuiteError::Wrong`] for a name that it does not have, or when no capture is left.
+    pub fn selected(mut self, selection: &Selection) -> Result<Self, SuiteError> {
+        let all: Vec<&str> = self.configurations.iter().map(|c| &*c.name).collect();
+        expect_known("configuration", &selection.only, &all)?;
+        let all: Vec<&str> = self.captures.iter().map(|c| &*c.name).collect();
+        expect_known("capture", &selection.captures, &all)?;
+        if !selection.only.is_empty() {
+            let mut wanted: BTreeSet<String> = selection.only.iter().cloned().collect();
+            wanted.extend(self.configurations.first().map(|first| first.name.clone()));
+            for configuration in &self.configurations {
+                if wanted.contains(&configuration.name)
+                    && let Some(timing) = self.timing(configuration)
+                {
+                    wanted.extend([timing.time_of.name.clone(), timing.rate_of.name.clone()]);
+                }
+            }
+            self.configurations.retain(|c| wanted.contains(&c.name));
+        }
+        if !selection.captures.is_empty() {
+            self.captures
+                .retain(|capture| selection.captures.contains(&capture.name));
+        }
+        self.seeds = selection.seeds.unwrap_or(self.seeds);
+        if self.captures.is_empty() {
+            return Err(SuiteError::Wrong(
+                "the suite's file has no `captures`, and no list of them is given".to_owned(),
+            ));
+        }
+        Ok(self)
+    }
+
+    /// The material that a configuration is given of a capture.
+    pub fn material<'a>(&self, capture: &'a CaptureEntry, of: &Configuration) -> Option<&'a Path> {
+        let name = of.material.as_ref().unwrap_or(&self.material);
+        capture.materials.get(name).map(PathBuf::as_path)
+    }
+
+    /// From which runs the number of steps follows of a configuration that has `seconds_of`.
+    pub fn timing(&self, of: &Configuration) -> Option<Timing<'_>> {
+        let name = of.seconds_of.as_ref()?;
+        let time_of = self.configurations.iter().find(|c| c.name == *name)?;
+        let rate_of = self.configurations.iter().find(|other| {
+            let same_material = other.material.as_ref().unwrap_or(&self.material)
+                == of.material.as_ref().unwrap_or(&self.material);
+            other.seconds_of.is_none() && same_material && but_steps(&other.set) == of.set
+        })?;
+        Some(Timing { time_of, rate_of })
+    }
+
+    /// What is wrong with it, in words that name the key.
+    fn check(&self) -> Result<(), String> {
+        if self.seeds == 0 {
+            return Err("`seeds` is 0: nothing would be run".to_owned());
+        }
+        let configurations: Vec<&str> = self.configurations.iter().map(|c| &*c.name).collect();
+        let captures: Vec<&str> = self.captures.iter().map(|c| &*c.name).collect();
+        let first = self.configurations.first();
+        let first = first.ok_or("`configurations` is empty")?;
+        for (key, names) in [("configurations", &configurations), ("captures", &captures)] {
+            if let Some(twice) = twice(names) {
+                return Err(format!("`{key}`: two are named `{twice}`"));
+            }
+        }
+        if first.seconds_of.is_some() {
+            return Err(format!(
+                "`seconds_of` of `{}`: the first configuration is what the others are compared \
+                 with, and has steps of its own",
+                first.name
+            ));
+        }
+        self.check_sets()?;
+        for configuration in &self.configurations {
+            self.check_timing(configuration)?;
+            self.check_materials(configuration)?;
+        }
+        let gain = self.gain.iter().flat_map(Gain::named);
+        for (key, name) in gain {
+            if !configurations.contains(&name) {
+                return Err(format!("`gain.{key}`: no configuration is named `{name}`"));
+            }
+        }
+        Ok(())
+    }
+
+    fn check_sets(&self) -> Result<(), String> {
+        let captures = self.captures.iter().map(|c| (c.name.as_str(), &c.set));
+        let configurations = self
+            .configurations
+            .iter()
+            .map(|c| (c.name.as_str(), &c.set));
+        let all = [("the suite", &self.set)];
+        for (name, set) in all.into_iter().chain(captures).chain(configurations) {
+            if set.contains_key("seed") {
+                return Err(format!(
+                    "`set.seed` of `{name}`: seeds are counted by `seeds`"
+                ));
+            }
+        }
+        Ok(())
+    }
+
+    fn check_timing(&self, of: &Configuration) -> Result<(), String> {
+        let Some(name) = &of.seconds_of else {
+            return Ok(());
+        };
+        let fault = |text: String| Err(format!("`seconds_of` of `{}`: {text}", of.name));
+        let Some(other) = self.configurations.iter().find(|c| c.name == *name) else {
+            return fault(format!("no configuration is named `{name}`"));
+        };
+        if other.seconds_of.is_some() {
+            return fault(format!("`{name}` has `seconds_of` itself"));
+        }
+        if of.set.contains_key("steps") {
+            return fault(
+                "its steps follow from the time, and `set.steps` says them too".to_owned(),
+            );
+        }
+        if self.timing(of).is_none() {
+            return fault(
+                "no configuration without it has the same `material` and the same `set` but for \
+                 `steps`, so nobody knows how many steps a second it makes"
+                    .to_owned(),
+            );
+        }
+        Ok(())
+    }
+
+    fn check_materials(&self, of: &Configuration) -> Result<(), String> {
+        let lacking = self
+            .captures
+            .iter()
+            .find(|capture| self.material(capture, of).is_none());
+        match lacking {
+            Some(capture) => Err(format!(
+                "`materials` of `{}`: there is no `{}`, which `{}` is given",
+                capture.name,
+                of.material.as_ref().unwrap_or(&self.material),
+                of.name
+            )),
+            None => Ok(()),
+        }
+    }
+}
+
+/// From which runs a number of steps follows.
+#[derive(Clone, Copy, Debug)]
+pub struct Timing<'a> {
+    /// Whose training time is filled.
+    pub time_of: &'a Configuration,
+    /// Whose steps a second are believed.
+    pub rate_of: &'a Configuration,
+}
+
+impl Gain {
+    /// Its keys and the configurations that they name.
+    fn named(&self) -> [(&'static str, &str); 3] {
+        [
+            ("of", &self.of),
+            ("over", &self.over),
+            ("ceiling", &self.ceiling),
+        ]
+    }
+}
+
+fn but_steps(set: &OptionSet) -> OptionSet {
+    let mut set = set.clone();
+    set.remove("steps");
+    set
+}
+
+fn twice<'a>(names: &[&'a str]) -> Option<&'a str> {
+    let mut seen = BTreeSet::new();
+    names.iter().find(|name| !seen.insert(**name)).copied()
+}
+
+fn expect_known(what: &str, asked: &[String], all: &[&str]) -> Result<(), SuiteError> {
+    match asked.iter().find(|name| !all.contains(&name.as_str())) {
+        Some(name) => Err(SuiteError::Wrong(format!(
+            "no {what} is named `{name}`; there are {}",
+            all.join(", ")
+        ))),
+        None => Ok(()),
+    }
+}
+
+fn parsed<T: DeserializeOwned>(path: &Path) -> Result<T, SuiteError> {
+    let bytes = std::fs::read(path).map_err(SuiteError::io(path))?;
+    serde_json::from_slice(&bytes)
+        .map_err(|error| SuiteError::Wrong(format!("{}: {error}", path.display())))
+}
+
+fn folder_of(path: &Path) -> &Path {
+    path.parent().unwrap_or(Path::new(""))
+}
+
+fn place(captures: &mut [CaptureEntry], folder: &Path) {
+    for capture in captures {
+        capture.truth = folder.join(&capture.truth);
+        for path in capture.materials.values_mut() {
+            *path = folder.join(&path);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,296 @@
+//! All that decides a run and an evaluation, and how both are asked for.
+
+use std::cell::RefCell;
+use std::collections::BTreeMap;
+use std::ffi::OsString;
+use std::path::{Path, PathBuf};
+
+use serde::Serialize;
+use serde_json::{Value, json};
+
+use super::content::checksum;
+use super::error::SuiteError;
+use super::file::{CaptureEntry, Configuration, OptionSet, Suite};
+use crate::deblur::manifest::Manifest;
+use crate::pipeline::config::{NetworkOption, Options, Preset};
+
+/// All that decides what a run becomes.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct RunFacts {
+    /// Hash of the program.
+    pub program: String,
+    /// What computes: adapter, COLMAP, ONNX Runtime, networks.
+    pub machine: BTreeMap<String, String>,
+    /// The options, complete.
+    pub options: Options,
+    /// Hash of what the capture holds.
+    pub capture: String,
+    /// Hashes of the networks that options name.
+    pub networks: BTreeMap<String, String>,
+    /// The folder of poses, where another than the records' own is used.
+    pub poses: Option<PathBuf>,
+}
+
+/// All that decides what an evaluation says.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct EvaluationFacts {
+    /// Name of the run's record.
+    pub run: String,
+    /// Hash of the sharp photographs and their cameras.
+    pub truth: String,
+    /// Hash of the LPIPS network.
+    pub lpips: Option<String>,
+    /// Whether views outside the training views' path are left out.
+    pub inside: bool,
+    /// Name of the record of the run whose scene says what is seen; `None` is the run itself.
+    pub seen_from: Option<String>,
+}
+
+/// A run to be made.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RunOrder {
+    /// The capture.
+    pub capture: PathBuf,
+    /// The preset that `set` lies over.
+    pub preset: Preset,
+    /// Its options over the preset's.
+    pub set: OptionSet,
+}
+
+/// An evaluation to be made.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct EvaluationOrder {
+    /// The run's folder.
+    pub run: PathBuf,
+    /// The folder of the run that says what is seen.
+    pub seen_from: Option<PathBuf>,
+    /// Sharp photographs and their cameras.
+    pub truth: PathBuf,
+    /// The LPIPS network.
+    pub lpips: Option<PathBuf>,
+    /// Whether views outside the training views' path are left out.
+    pub inside: bool,
+    /// The adapter that renders.
+    pub adapter: String,
+}
+
+impl RunOrder {
+    /// The words of `fled run`.
+    pub fn words(&self, out: &Path, poses: &Path) -> Vec<OsString> {
+        let mut words: Vec<OsString> = vec![
+            "run".into(),
+            self.capture.clone().into(),
+            "--out".into(),
+            out.into(),
+            "--cache".into(),
+            poses.into(),
+            "--preset".into(),
+            self.preset.name().into(),
+        ];
+        for (key, value) in &self.set {
+            let value = match value {
+                Value::String(text) => text.clone(),
+                value => value.to_string(),
+            };
+            words.extend(["--set".into(), format!("{key}={value}").into()]);
+        }
+        words
+    }
+}
+
+impl EvaluationOrder {
+    /// The words of `fled eval`.
+    pub fn words(&self, out: &Path) -> Vec<OsString> {
+        let mut words: Vec<OsString> = vec![
+            "eval".into(),
+            self.run.clone().into(),
+            "--truth".into(),
+            self.truth.clone().into(),
+            "--out".into(),
+            out.into(),
+            "--adapter".into(),
+            self.adapter.clone().into(),
+        ];
+        for (flag, path) in [("--lpips", &self.lpips), ("--seen-from", &self.seen_from)] {
+            if let Some(path) = path {
+                words.extend([flag.into(), path.clone().into()]);
+            }
+        }
+        if self.inside {
+            words.push("--inside".into());
+        }
+        words
+    }
+}
+
+/// A build of the program on a machine.
+#[derive(Debug)]
+pub struct Laboratory {
+    program: PathBuf,
+    /// Hash of the program when it was opened.
+    pub checksum: String,
+    machine: BTreeMap<String, String>,
+    models: Vec<PathBuf>,
+    /// The folder of poses, where another than the records' own is used.
+    pub poses: Option<PathBuf>,
+    /// Hashes that are known already: captures are large.
+    known: RefCell<BTreeMap<PathBuf, String>>,
+}
+
+impl Laboratory {
+    /// The build at `program`; `machine` is what it says of what computes, and `models` are the
+    /// folders of its networks.
+    ///
+    /// # Errors
+    /// [`SuiteError::Io`] when the program cannot be read.
+    pub fn open(
+        program: &Path,
+        machine: BTreeMap<String, String>,
+        models: Vec<PathBuf>,
+    ) -> Result<Self, SuiteError> {
+        Ok(Self {
+            program: program.to_owned(),
+            checksum: checksum(program)?,
+            machine,
+            models,
+            poses: None,
+            known: RefCell::default(),
+        })
+    }
+
+    /// The order of a run; `steps` in place of its options' where they follow from a time.
+    ///
+    /// # Errors
+    /// [`SuiteError::Wrong`] for a material that is not there.
+    pub fn order(
+        suite: &Suite,
+        capture: &CaptureEntry,
+        configuration: &Configuration,
+        (seed, steps): (u64, Option<u64>),
+    ) -> Result<RunOrder, SuiteError> {
+        let material = suite.material(capture, configuration).ok_or_else(|| {
+            let (capture, of) = (&capture.name, &configuration.name);
+            SuiteError::Wrong(format!("`{capture}` has no material for `{of}`"))
+        })?;
+        let mut set = suite.set.clone();
+        set.extend(capture.set.clone());
+        set.insert("seed".to_owned(), json!(seed));
+        set.extend(configuration.set.clone());
+        set.extend(steps.map(|steps| ("steps".to_owned(), json!(steps))));
+        Ok(RunOrder {
+            capture: material.to_owned(),
+            preset: suite.preset,
+            set,
+        })
+    }
+
+    /// The facts of a run.
+    ///
+    /// # Errors
+    /// [`SuiteError::Options`] for options that no run can have, [`SuiteError::Wrong`] for a
+    /// network whose content is not known, [`SuiteError::Io`].
+    pub fn run_facts(&self, order: &RunOrder, of: &str) -> Result<RunFacts, SuiteError> {
+        let options = options(order, of)?;
+        Ok(RunFacts {
+            program: self.checksum.clone(),
+            machine: self.machine.clone(),
+            capture: self.known(&order.capture)?,
+            networks: self.networks(&options)?,
+            options,
+            poses: self.poses.clone(),
+        })
+    }
+
+    /// The facts of an evaluation, of runs whose records have these names.
+    ///
+    /// # Errors
+    /// [`SuiteError::Io`].
+    pub fn evaluation_facts(
+        &self,
+        order: &EvaluationOrder,
+        (run, seen_from): (&str, Option<&str>),
+    ) -> Result<EvaluationFacts, SuiteError> {
+        Ok(EvaluationFacts {
+            run: run.to_owned(),
+            truth: self.known(&order.truth)?,
+            lpips: order
+                .lpips
+                .as_deref()
+                .map(|path| self.known(path))
+                .transpose()?,
+            inside: order.inside,
+            seen_from: seen_from.map(str::to_owned),
+        })
+    }
+
+    /// What of a run's facts holds no more.
+    ///
+    /// # Errors
+    /// [`SuiteError::Io`].
+    pub fn changed(
+        &self,
+        facts: &RunFacts,
+        order: &RunOrder,
+    ) -> Result<Vec<&'static str>, SuiteError> {
+        let still = [
+            ("the program", checksum(&self.program)? == facts.program),
+            ("the capture", checksum(&order.capture)? == facts.capture),
+            (
+                "a network",
+                self.networks(&facts.options)? == facts.networks,
+            ),
+        ];
+        let changed = still.into_iter().filter(|(_, same)| !same);
+        Ok(changed.map(|(what, _)| what).collect())
+    }
+
+    fn known(&self, path: &Path) -> Result<String, SuiteError> {
+        if let Some(known) = self.known.borrow().get(path) {
+            return Ok(known.clone());
+        }
+        let found = checksum(path)?;
+        self.known
+            .borrow_mut()
+            .insert(path.to_owned(), found.clone());
+        Ok(found)
+    }
+
+    /// Hash of every network that an option names.
+    fn networks(&self, options: &Options) -> Result<BTreeMap<String, String>, SuiteError> {
+        let manifest = Manifest::known(&self.models)?;
+        let named = options
+            .networks()
+            .into_iter()
+            .filter(|o| o.choice.is_network());
+        named
+            .map(|option| Ok((option.key.to_owned(), network(&manifest, option)?)))
+            .collect()
+    }
+}
+
+fn network(manifest: &Manifest, option: NetworkOption<'_>) -> Result<String, SuiteError> {
+    let (key, name) = (option.key, option.choice.as_str());
+    match manifest.find(name) {
+        Some(entry) => entry.sha256.clone().ok_or_else(|| {
+            SuiteError::Wrong(format!(
+                "`{key}`: the checksum of `{name}` is not known; name its file instead"
+            ))
+        }),
+        None if Path::new(name).is_file() => checksum(Path::new(name)),
+        None => Err(SuiteError::Wrong(format!(
+            "`{key}`: `{name}` is neither a known network nor a file"
+        ))),
+    }
+}
+
+/// The complete options of a run; `of` says in an error whose they are.
+///
+/// # Errors
+/// [`SuiteError::Options`].
+fn options(order: &RunOrder, of: &str) -> Result<Options, SuiteError> {
+    let options = order.preset.options().with_overrides(&order.set);
+    options.map_err(|error| SuiteError::Options {
+        of: of.to_owned(),
+        error,
+    })
+}

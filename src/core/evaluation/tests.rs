@@ -1,0 +1,219 @@
+//! A made-up scene, judged by its own renders in another world.
+
+use std::path::Path;
+
+use glam::{DQuat, DVec3};
+
+use super::*;
+use crate::camera::{Intrinsics, NamedCamera, Split};
+use crate::capture::CaptureView;
+use crate::poses::align::Similarity;
+use crate::poses::{Distortion, Lens, PosedView, Poses};
+use crate::register::{Motion, probes};
+use crate::splat::fixtures;
+
+const SIZE: [usize; 2] = [120, 90];
+
+/// Six cameras beside each other; the odd ones are not in the run.
+fn cameras() -> Vec<NamedCamera> {
+    let intrinsics = Intrinsics {
+        width: SIZE[0],
+        height: SIZE[1],
+        fx: 110.0,
+        fy: 110.0,
+        cx: 60.0,
+        cy: 45.0,
+    };
+    let camera = |index: usize| {
+        let eye = DVec3::new(0.3 * index as f64 - 0.75, 0.1 * (index % 2) as f64, -3.0);
+        let camera = Camera::look_at(intrinsics, eye, DVec3::ZERO, DVec3::Y);
+        NamedCamera::new(format!("v{index}"), &camera, Split::Train)
+    };
+    (0..6).map(camera).collect()
+}
+
+/// What the run found: no distortion.
+fn poses() -> Poses {
+    let view = |named: NamedCamera| PosedView {
+        name: named.name.clone(),
+        camera: named.camera(),
+        lens: Lens {
+            intrinsics: named.intrinsics,
+            distortion: Distortion::None,
+        },
+    };
+    Poses {
+        views: cameras().into_iter().map(view).collect(),
+        ..Poses::default()
+    }
+}
+
+/// The run: its scene and every second camera.
+fn subject() -> Subject {
+    let every_second = cameras().into_iter().step_by(2).collect();
+    Subject::new(fixtures::gaussians(400, 1, 7), every_second, poses())
+}
+
+/// Renders of the scene as photographs of another world; `moved` is where they were really taken.
+fn truth(folder: &Path, moved: impl Fn(usize, &Camera) -> Camera) -> Truth {
+    let other_world = Similarity {
+        scale: 2.5,
+        rotation: DQuat::from_scaled_axis(DVec3::new(0.3, -0.8, 0.2)),
+        translation: DVec3::new(4.0, -1.0, 2.0),
+    };
+    let renderer = Renderer::new(fixtures::gpu());
+    let scene = renderer.upload(&subject().gaussians).expect("uploads");
+    let views = cameras().into_iter().enumerate().map(|(index, named)| {
+        let camera = named.camera();
+        let photograph = renderer.render_scene(&scene, &moved(index, &camera));
+        let file = folder.join(format!("{}.png", named.name));
+        photograph.expect("renders").save(&file).expect("saves");
+        let view = CaptureView {
+            name: named.name.clone(),
+            original_name: format!("{}.png", named.name),
+            file,
+            width: SIZE[0],
+            height: SIZE[1],
+            focal_px: None,
+            gt: None,
+        };
+        let posed = PosedView {
+            name: named.name,
+            camera: other_world.camera(&camera),
+            lens: Lens {
+                intrinsics: camera.intrinsics,
+                distortion: Distortion::None,
+            },
+        };
+        (view, posed)
+    });
+    Truth::new(views.collect())
+}
+
+fn judge(subject: &Subject, truth: &Truth, inside: bool) -> Result<Evaluation, EvaluationError> {
+    let judged = evaluate(Request {
+        subject,
+        truth,
+        seen_from: subject,
+        inside,
+        gpu: fixtures::gpu(),
+        lpips: None,
+        cancel: &CancelToken::default(),
+    })?;
+    assert_eq!(judged.pictures.len(), judged.evaluation.views.len());
+    Ok(judged.evaluation)
+}
+
+#[test]
+fn a_scene_that_is_the_truth_is_found_to_be_it_in_another_world() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let truth = truth(folder.path(), |_, camera| *camera);
+    let evaluation = judge(&subject(), &truth, false).expect("judged");
+    let names: Vec<&str> = evaluation.views.iter().map(|v| v.name.as_str()).collect();
+    assert_eq!(names, ["v1", "v3", "v5"]);
+    assert_eq!((evaluation.training_views, evaluation.tied_views), (3, 3));
+    assert!(evaluation.camera_error < 1e-9, "{evaluation:?}");
+    for view in &evaluation.views {
+        // 8 bits allow 58.9 dB.
+        assert!(view.mapped.all.psnr_db > 55.0, "{view:?}");
+        assert!(view.moved_px < 0.05, "{view:?}");
+        assert!(view.seen > 0.2, "{view:?}");
+        assert!(["v0", "v2", "v4"].contains(&view.nearest.as_str()));
+    }
+    let inside = judge(&subject(), &truth, true).expect("judged");
+    let names: Vec<&str> = inside.views.iter().map(|v| v.name.as_str()).collect();
+    assert_eq!(names, ["v1", "v3"]);
+    let table = table(&inside);
+    assert!(
+        table.contains("| v3 |") && table.contains("| mean |"),
+        "{table}"
+    );
+    assert_eq!(csv(&inside).lines().count(), 3);
+}
+
+#[test]
+fn a_camera_that_is_off_costs_its_column_and_not_the_other() {
+    let folder = tempfile::tempdir().expect("a folder");
+    // About two pixels to the right and one down.
+    let off = |index: usize, camera: &Camera| {
+        let [right, down, ..] = probes(camera, 3.0);
+        let by =
+            |i: usize| (if index % 2 == 1 { 1.0 } else { 0.0 }) * (8.0 * right[i] + 4.0 * down[i]);
+        Motion::default()
+            .plus(&std::array::from_fn(by))
+            .moved(camera)
+    };
+    let evaluation = judge(&subject(), &truth(folder.path(), off), false).expect("judged");
+    let (mapped, registered) = (&evaluation.mapped.all, &evaluation.registered.all);
+    assert!(registered.psnr_db > mapped.psnr_db + 10.0, "{evaluation:?}");
+    assert!(
+        evaluation
+            .views
+            .iter()
+            .all(|v| (1.5..3.5).contains(&v.moved_px)),
+        "{evaluation:?}"
+    );
+}
+
+#[test]
+fn a_soft_scene_costs_every_score() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let truth = truth(folder.path(), |_, camera| *camera);
+    let mut soft = subject();
+    for scales in &mut soft.gaussians.log_scales {
+        *scales = scales.map(|scale| (scale.exp().powi(2) + 0.04_f32.powi(2)).sqrt().ln());
+    }
+    let evaluation = judge(&soft, &truth, false).expect("judged");
+    let scores = &evaluation.registered.all;
+    assert!(scores.psnr_cc_db < 45.0 && scores.ssim < 0.99, "{scores:?}");
+    assert!(scores.psnr_fine_db < 45.0, "what is fine, too: {scores:?}");
+}
+
+#[test]
+fn what_cannot_be_judged_says_why() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let truth = truth(folder.path(), |_, camera| *camera);
+    let all = Subject::new(subject().gaussians, cameras(), poses());
+    let error = judge(&all, &truth, false).expect_err("nothing is left");
+    assert!(matches!(error, EvaluationError::NoTestViews), "{error}");
+    let two = cameras().into_iter().take(2).collect();
+    let two = Subject::new(subject().gaussians, two, poses());
+    let error = judge(&two, &truth, false).expect_err("two do not tie");
+    assert!(
+        matches!(error, EvaluationError::NotTied { tied: 2, views: 2 }),
+        "{error}"
+    );
+}
+
+#[test]
+fn the_lens_is_the_one_that_the_run_found() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let truth = truth(folder.path(), |_, camera| *camera);
+    let mut other = poses();
+    for view in &mut other.views {
+        view.lens.intrinsics.fx *= 1.1;
+        view.lens.intrinsics.fy *= 1.1;
+    }
+    let judged = |poses| {
+        let every_second = cameras().into_iter().step_by(2).collect();
+        let subject = Subject::new(fixtures::gaussians(400, 1, 7), every_second, poses);
+        judge(&subject, &truth, false)
+    };
+    let found = judged(other).expect("judged").mapped.all.psnr_db;
+    assert!(found < 40.0, "another lens shows another picture: {found}");
+    let error = judged(Poses::default()).expect_err("no lens");
+    assert!(matches!(error, EvaluationError::NoLens { .. }), "{error}");
+}
+
+#[test]
+fn needles_are_counted_where_a_view_sees_their_length() {
+    let mut subject = subject();
+    let before = needles::count(&subject);
+    subject.gaussians.means[0] = [0.0; 3];
+    subject.gaussians.opacity_logits[0] = 0.0;
+    subject.gaussians.log_scales[0] = [0.2_f32.ln(), 0.01_f32.ln(), 0.01_f32.ln()];
+    assert_eq!(needles::count(&subject), before + 1);
+    // A tenth as long it is 3 px.
+    subject.gaussians.log_scales[0] = [0.02_f32.ln(), 0.001_f32.ln(), 0.001_f32.ln()];
+    assert_eq!(needles::count(&subject), before);
+}

@@ -1,0 +1,211 @@
+//! Sharp photographs with poses of their own.
+
+use std::path::Path;
+
+use glam::DVec3;
+
+use crate::camera::{Camera, Split};
+use crate::cancel::CancelToken;
+use crate::capture::{Capture, CaptureError, CaptureView};
+use crate::dataset::GivenPoses;
+use crate::event::Silent;
+use crate::image::Image;
+use crate::pipeline::error::PipelineError;
+use crate::pipeline::poses::pose_view;
+use crate::pipeline::views::{self, working_size};
+use crate::poses::align::Similarity;
+use crate::poses::{Lens, PoseRequest, PoseView, PosedView, Poses, Sfm};
+
+use super::error::EvaluationError;
+use super::subject::Subject;
+
+/// Fewer shared cameras do not say how two worlds lie to each other.
+const LEAST_TIED: usize = 3;
+
+/// The photographs of a folder that have a pose there, in the natural order of their names.
+pub struct Truth {
+    views: Vec<(CaptureView, PosedView)>,
+}
+
+/// A sharp photograph at the run's size, undistorted, with its camera in the run's world.
+pub(super) struct TruthView {
+    /// Its name.
+    pub(super) name: String,
+    /// The photograph, sRGB.
+    pub(super) photograph: Image,
+    /// Where it was taken from.
+    pub(super) camera: Camera,
+}
+
+/// A sharp photograph with lens and pose in the run's world.
+pub(super) struct Placed<'a> {
+    photograph: &'a CaptureView,
+    posed: PosedView,
+}
+
+impl Placed<'_> {
+    /// The camera at the working size.
+    pub(super) fn camera(&self, size: usize) -> Camera {
+        let k = &self.posed.camera.intrinsics;
+        let (width, height) = working_size(k.width, k.height, size);
+        self.posed.camera.resized(width, height)
+    }
+
+    /// The photograph at the working size.
+    ///
+    /// # Errors
+    /// A photograph that cannot be read.
+    pub(super) fn load(&self, size: usize) -> Result<TruthView, EvaluationError> {
+        let view = views::view(self.photograph, &self.posed, Split::HeldOut, size)?;
+        Ok(TruthView {
+            name: view.name,
+            photograph: view.gt.unwrap_or(view.dark),
+            camera: view.camera,
+        })
+    }
+}
+
+/// How the truth's world lies to a run's.
+pub(super) struct Tie {
+    /// From the truth's world to the run's.
+    pub(super) similarity: Similarity,
+    /// Training views that both know.
+    pub(super) views: usize,
+    /// Root mean square distance of their cameras, share of their extent.
+    pub(super) error: f64,
+}
+
+impl Truth {
+    /// Reads the poses of a folder of photographs; these are read when they are needed. Where a
+    /// photograph has a sharp one of the same name in `gt/` or `HL/`, that is the truth.
+    ///
+    /// # Errors
+    /// [`EvaluationError::NoPoses`]; a folder that is no capture, or poses that cannot be read.
+    pub fn open(folder: &Path, scratch: &Path) -> Result<Self, EvaluationError> {
+        let fault = |error: CaptureError| EvaluationError::Pipeline(error.into());
+        let capture = Capture::open(folder, scratch).map_err(fault)?;
+        let no_poses = || EvaluationError::NoPoses {
+            path: folder.to_owned(),
+        };
+        let file = capture.poses.as_ref().ok_or_else(no_poses)?;
+        let views: Vec<PoseView> = capture.views.iter().map(pose_view).collect();
+        let request = PoseRequest {
+            views: &views,
+            work_dir: scratch,
+            seed: 0,
+        };
+        let poses = GivenPoses::open(file.path())
+            .and_then(|given| given.poses(&request, &mut Silent, &CancelToken::default()))
+            .map_err(PipelineError::from)?;
+        Ok(Self::of(capture.views, &poses))
+    }
+
+    fn of(photographs: Vec<CaptureView>, poses: &Poses) -> Self {
+        let posed = |view: CaptureView| {
+            let mut all = poses.views.iter();
+            let posed = all.find(|posed| posed.name == view.name)?.clone();
+            Some((view, posed))
+        };
+        Self::new(photographs.into_iter().filter_map(posed).collect())
+    }
+
+    /// From photographs with their poses.
+    pub(super) fn new(views: Vec<(CaptureView, PosedView)>) -> Self {
+        Self { views }
+    }
+
+    /// The similarity that brings the truth's cameras to those of a run.
+    ///
+    /// # Errors
+    /// [`EvaluationError::NotTied`].
+    pub(super) fn tie(&self, subject: &Subject) -> Result<Tie, EvaluationError> {
+        let in_both = subject.training().filter_map(|(name, camera)| {
+            let posed = self.posed(name)?;
+            Some((posed.camera, camera))
+        });
+        let (here, there): (Vec<Camera>, Vec<Camera>) = in_both.unzip();
+        let not_tied = || EvaluationError::NotTied {
+            tied: here.len(),
+            views: subject.training().count(),
+        };
+        if here.len() < LEAST_TIED {
+            return Err(not_tied());
+        }
+        let similarity = Similarity::between(&here, &there).ok_or_else(not_tied)?;
+        let centre = there.iter().map(Camera::centre).sum::<DVec3>() / there.len() as f64;
+        let extent = there.iter().map(|camera| camera.centre().distance(centre));
+        let extent = extent.fold(0.0, f64::max).max(f64::MIN_POSITIVE);
+        let away = here.iter().zip(&there).map(|(from, to)| {
+            let apart = similarity.apply(from.centre()) - to.centre();
+            apart.length_squared()
+        });
+        Ok(Tie {
+            similarity,
+            views: here.len(),
+            error: (away.sum::<f64>() / here.len() as f64).sqrt() / extent,
+        })
+    }
+
+    /// Names of the photographs that did not train; with `inside` those between two that did.
+    pub(super) fn test_views(&self, subject: &Subject, inside: bool) -> Vec<&str> {
+        let trained: Vec<bool> = self
+            .views
+            .iter()
+            .map(|(view, _)| subject.training().any(|(name, _)| name == view.name))
+            .collect();
+        let first = trained.iter().position(|&trained| trained).unwrap_or(0);
+        let last = trained.iter().rposition(|&trained| trained).unwrap_or(0);
+        let rows = self.views.iter().zip(&trained).enumerate();
+        rows.filter(|(index, (_, trained))| {
+            !**trained && (!inside || (first..last).contains(index))
+        })
+        .map(|(_, ((view, _), _))| view.name.as_str())
+        .collect()
+    }
+
+    /// The photographs of these names as a run would have them: taken with the lens that it found
+    /// for the nearest training view, from where the tie puts them. What a lens bends and how far
+    /// off a scene is are found together, so another lens, be it the true one, shows another scene.
+    ///
+    /// # Errors
+    /// [`EvaluationError::NoLens`].
+    pub(super) fn placed(
+        &self,
+        names: &[&str],
+        subject: &Subject,
+        tie: &Tie,
+    ) -> Result<Vec<Placed<'_>>, EvaluationError> {
+        let wanted = self
+            .views
+            .iter()
+            .filter(|(view, _)| names.contains(&view.name.as_str()));
+        let place = |(photograph, posed): &'_ (CaptureView, PosedView)| {
+            let camera = tie.similarity.camera(&posed.camera);
+            let lens = subject.lens(subject.nearest(&camera))?;
+            let lens = Lens {
+                intrinsics: lens.intrinsics.resized(photograph.width, photograph.height),
+                ..lens
+            };
+            let camera = Camera {
+                intrinsics: lens.pinhole(),
+                ..camera
+            };
+            let name = posed.name.clone();
+            Ok::<_, EvaluationError>(PosedView { name, camera, lens })
+        };
+        let placed = wanted.map(|view| {
+            Ok(Placed {
+                photograph: &view.0,
+                posed: place(view)?,
+            })
+        });
+        placed.collect()
+    }
+
+    fn posed(&self, name: &str) -> Option<&PosedView> {
+        let mut views = self.views.iter();
+        views
+            .find(|(view, _)| view.name == name)
+            .map(|(_, posed)| posed)
+    }
+}

@@ -1,0 +1,146 @@
+//! `fled eval suite`: captures x configurations x seeds, judged, and what differs.
+
+mod child;
+
+use std::collections::BTreeMap;
+use std::io::ErrorKind::NotFound;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use fled_core::evaluation::suite::carry_out::{Hands, carry_out};
+use fled_core::evaluation::suite::error::SuiteError;
+use fled_core::evaluation::suite::file::{Selection, Suite};
+use fled_core::evaluation::suite::laboratory::Laboratory;
+use fled_core::evaluation::suite::records::Records;
+use fled_core::evaluation::suite::summary::Summary;
+use fled_core::pipeline::error::{ErrorKind, PipelineError};
+
+use crate::failure::{Failure, io};
+use crate::tools;
+use child::Program;
+
+/// Of the doctor's checks those of what computes. The disk does not.
+const COMPUTING: [&str; 5] = ["adapter", "colmap", "onnxruntime", "models", "matcher"];
+
+/// Arguments of `fled eval suite`.
+#[derive(clap::Args)]
+pub struct Args {
+    /// The suite's file, JSON.
+    file: PathBuf,
+    /// Folder of the records, runs and evaluations; what lies there is not done again.
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// Only this configuration, beside the first and those whose times it needs; may be repeated.
+    #[arg(long, value_name = "NAME")]
+    only: Vec<String>,
+    /// Only these captures.
+    #[arg(long, value_name = "NAME", num_args = 1..)]
+    captures: Vec<String>,
+    /// A JSON list of captures in place of the suite's.
+    #[arg(long, value_name = "FILE")]
+    capture_list: Option<PathBuf>,
+    /// Seeds in place of the suite's number.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
+    seeds: Option<u64>,
+    /// One option of every run, over the suite's; may be repeated.
+    #[arg(long = "set", value_name = "KEY=VALUE")]
+    assignments: Vec<String>,
+    /// Run nothing; print what is recorded.
+    #[arg(long)]
+    finished: bool,
+    /// Where all of it goes as JSON.
+    #[arg(long, value_name = "FILE")]
+    json: Option<PathBuf>,
+    #[command(flatten)]
+    tools: tools::Args,
+}
+
+/// Carries the suite out and prints its tables.
+///
+/// # Errors
+/// [`Failure`]: wrong use for a suite that cannot be carried out. A run that fails is none; it is
+/// a row.
+pub fn main(args: &Args) -> Result<(), Failure> {
+    let suite = suite(args)?;
+    let program = Program::own(&args.tools)?;
+    let mut laboratory = Laboratory::open(
+        program.path(),
+        machine(&program)?,
+        args.tools.models.folders(),
+    )?;
+    laboratory.poses.clone_from(&args.tools.cache);
+    let records = Records::new(&args.out);
+    let runs = if args.finished {
+        carry_out(&suite, &laboratory, &records, None)?
+    } else {
+        let cancel = tools::cancel_on_signals()?;
+        let hands = Hands {
+            start: &mut |words| program.run(words, &cancel),
+            tell: &mut |text| eprintln!("{text}"),
+        };
+        carry_out(&suite, &laboratory, &records, Some(hands))?
+    };
+    let summary = Summary::new(&suite, runs);
+    std::io::stdout()
+        .lock()
+        .write_all(summary.markdown().as_bytes())
+        .map_err(|e| Failure::new(ErrorKind::Io, e))?;
+    match &args.json {
+        Some(path) => write_json(path, &summary),
+        None => Ok(()),
+    }
+}
+
+fn suite(args: &Args) -> Result<Suite, SuiteError> {
+    let mut suite = Suite::read(&args.file)?;
+    if let Some(path) = &args.capture_list {
+        suite = suite.with_captures_of(path)?;
+    }
+    suite
+        .with_assignments(&args.assignments)?
+        .selected(&Selection {
+            only: args.only.clone(),
+            captures: args.captures.clone(),
+            seeds: args.seeds,
+        })
+}
+
+fn write_json(path: &Path, summary: &Summary) -> Result<(), Failure> {
+    let text =
+        serde_json::to_string_pretty(summary).map_err(|e| Failure::new(ErrorKind::Internal, e))?;
+    std::fs::write(path, text + "\n").map_err(io(path))
+}
+
+/// What computes on this machine, as the doctor says.
+fn machine(program: &Program) -> Result<BTreeMap<String, String>, SuiteError> {
+    let said = program.asked(&["doctor", "--json"])?;
+    let checks = said["checks"].as_array().into_iter().flatten();
+    let named = checks.filter_map(|check| {
+        let (name, detail) = (check["name"].as_str()?, check["detail"].as_str()?);
+        COMPUTING
+            .contains(&name)
+            .then(|| (name.to_owned(), detail.to_owned()))
+    });
+    let found: BTreeMap<String, String> = named.collect();
+    if found.len() != COMPUTING.len() {
+        return Err(SuiteError::Child(format!(
+            "`fled doctor` does not say what computes here: {said}"
+        )));
+    }
+    Ok(found)
+}
+
+impl From<SuiteError> for Failure {
+    fn from(error: SuiteError) -> Self {
+        match error {
+            SuiteError::Wrong(_) | SuiteError::Options { .. } => Self::usage(error),
+            SuiteError::Io { error: ref why, .. } if why.kind() == NotFound => Self::usage(error),
+            SuiteError::Network(error) => PipelineError::from(error).into(),
+            SuiteError::Cancelled(error) => PipelineError::from(error).into(),
+            SuiteError::Io { .. } | SuiteError::Record { .. } | SuiteError::Changed { .. } => {
+                Self::new(ErrorKind::Io, error)
+            }
+            SuiteError::Child(_) => Self::new(ErrorKind::Internal, error),
+        }
+    }
+}

@@ -1,0 +1,192 @@
+//! The program itself, started as a child: a crash of a graphics driver ends one run and not the
+//! suite.
+
+use std::ffi::{OsStr, OsString};
+use std::io::{BufRead, BufReader, Read};
+use std::os::unix::process::CommandExt;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::time::Duration;
+
+use fled_core::cancel::CancelToken;
+use fled_core::evaluation::suite::error::SuiteError;
+use fled_server::jobs::process::PARENT_VARIABLE;
+use rustix::process::{Pid, Signal, kill_process};
+
+use crate::failure::Failure;
+use crate::tools;
+
+/// How often a child is looked after: runs take minutes.
+const PAUSE: Duration = Duration::from_millis(100);
+
+/// This program, with the tools that its children use.
+pub struct Program {
+    path: PathBuf,
+    environment: Vec<(&'static str, OsString)>,
+}
+
+impl Program {
+    /// The program that runs.
+    ///
+    /// # Errors
+    /// [`Failure`] when nobody says where it lies.
+    pub fn own(tools: &tools::Args) -> Result<Self, Failure> {
+        let here = std::env::current_exe();
+        let here = here.map_err(crate::failure::io(Path::new("fled")))?;
+        Ok(Self {
+            path: here,
+            environment: tools.environment(),
+        })
+    }
+
+    /// Its file.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// What it answers to these words in JSON. Its exit code says whether all is well, which is
+    /// not asked.
+    ///
+    /// # Errors
+    /// [`SuiteError`] when it cannot be started or answers something else.
+    pub fn asked(&self, words: &[&str]) -> Result<serde_json::Value, SuiteError> {
+        let output = self.command(words).stdout(Stdio::piped()).output();
+        let output = output.map_err(SuiteError::io(&self.path))?;
+        serde_json::from_slice(&output.stdout).map_err(|error| {
+            let said = String::from_utf8_lossy(&output.stderr);
+            SuiteError::Child(format!("fled {}: {error}: {said}", words.join(" ")))
+        })
+    }
+
+    /// Starts it with these words and waits for its end; where it fails, its last error line.
+    ///
+    /// # Errors
+    /// [`SuiteError::Cancelled`], with the child gone, or [`SuiteError::Io`].
+    pub fn run(
+        &self,
+        words: &[OsString],
+        cancel: &CancelToken,
+    ) -> Result<Result<(), String>, SuiteError> {
+        let mut child = self
+            .command(words)
+            .stdout(Stdio::null())
+            .stderr(Stdio::piped())
+            .spawn()
+            .map_err(SuiteError::io(&self.path))?;
+        let errors = child.stderr.take();
+        let reader = std::thread::spawn(move || errors.map_or(String::new(), last_error));
+        let status = wait(&mut child, cancel).map_err(SuiteError::io(&self.path))?;
+        cancel.check()?;
+        // A reader that panicked has read nothing.
+        let line = reader.join().unwrap_or_default();
+        Ok(verdict(status, line))
+    }
+
+    /// In a group of its own: a signal of the terminal comes to this process, which passes it on.
+    fn command<W: AsRef<OsStr>>(&self, words: &[W]) -> Command {
+        let mut command = Command::new(&self.path);
+        command
+            .args(words)
+            .envs(self.environment.iter().map(|(key, value)| (key, value)))
+            .env(PARENT_VARIABLE, std::process::id().to_string())
+            .stdin(Stdio::null())
+            .stderr(Stdio::piped())
+            .process_group(0);
+        command
+    }
+}
+
+/// Waits for the end of a child, and asks for it where this process is asked to stop.
+fn wait(child: &mut Child, cancel: &CancelToken) -> std::io::Result<ExitStatus> {
+    let mut asked = false;
+    loop {
+        if let Some(status) = child.try_wait()? {
+            return Ok(status);
+        }
+        if cancel.check().is_err() && !asked {
+            asked = true;
+            if let Some(pid) = i32::try_from(child.id()).ok().and_then(Pid::from_raw) {
+                // It has just ended: then there is nobody to ask.
+                let _ = kill_process(pid, Signal::TERM);
+            }
+        }
+        std::thread::sleep(PAUSE);
+    }
+}
+
+fn verdict(status: ExitStatus, line: String) -> Result<(), String> {
+    if status.success() {
+        return Ok(());
+    }
+    Err(if line.is_empty() {
+        format!("ended without a word: {status}")
+    } else {
+        line
+    })
+}
+
+/// The last line in which the program says what is wrong, else the last line.
+fn last_error(errors: impl Read) -> String {
+    let (mut last, mut named) = (String::new(), None);
+    for line in BufReader::new(errors).split(b'\n').map_while(Result::ok) {
+        let line = String::from_utf8_lossy(&line).trim().to_owned();
+        let said = line.strip_prefix("fled: ");
+        if let Some(said) = said.or_else(|| line.strip_prefix("error: ")) {
+            named = Some(said.to_owned());
+        }
+        if !line.is_empty() {
+            last = line;
+        }
+    }
+    named.unwrap_or(last)
+}
+
+#[cfg(test)]
+mod tests {
+    use fled_core::cancel::Cancelled;
+
+    use super::*;
+
+    #[test]
+    fn the_line_that_says_what_is_wrong_is_found_among_others() {
+        let said = "   0.1 poses done\nfled: no poses\n      Take more photographs.\n\n";
+        assert_eq!(last_error(said.as_bytes()), "no poses");
+        let wrong_use = "error: unexpected argument\n\nFor more information, try '--help'.\n";
+        assert_eq!(last_error(wrong_use.as_bytes()), "unexpected argument");
+        assert_eq!(last_error(&b"a\nKilled\n"[..]), "Killed");
+        assert_eq!(last_error(&b""[..]), "");
+    }
+
+    fn shell() -> Program {
+        Program {
+            path: "/bin/sh".into(),
+            environment: vec![("FLED_COLMAP", "elsewhere".into())],
+        }
+    }
+
+    fn words(script: &str) -> Vec<OsString> {
+        vec!["-c".into(), script.into()]
+    }
+
+    #[test]
+    fn a_child_that_fails_is_no_error_and_its_tools_are_those_of_the_suite() {
+        let cancel = CancelToken::new();
+        let fails = words("echo fled: no $FLED_COLMAP >&2; exit 3");
+        let outcome = shell().run(&fails, &cancel).expect("started");
+        assert_eq!(outcome, Err("no elsewhere".to_owned()));
+        let killed = shell().run(&words("kill -9 $$"), &cancel).expect("started");
+        assert!(killed.is_err_and(|line| line.contains("signal: 9")));
+        assert_eq!(
+            shell().run(&words("true"), &cancel).expect("started"),
+            Ok(())
+        );
+    }
+
+    #[test]
+    fn a_child_ends_when_the_suite_is_asked_to_stop() {
+        let cancel = CancelToken::new();
+        cancel.cancel();
+        let stopped = shell().run(&words("exec sleep 600"), &cancel);
+        assert!(matches!(stopped, Err(SuiteError::Cancelled(Cancelled))));
+    }
+}
