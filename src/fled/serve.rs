@@ -30,6 +30,10 @@ pub struct Args {
     /// Jobs run at once.
     #[arg(long, value_name = "N", default_value_t = 1)]
     workers: usize,
+    /// Requests that read which one client may make a second, in the long run; one that writes
+    /// counts as ten. 0 limits nobody.
+    #[arg(long, value_name = "N", default_value_t = fled_server::Limits::default().rate)]
+    rate: u32,
     #[command(flatten)]
     models: tools::ModelFolder,
 }
@@ -50,6 +54,7 @@ pub fn main(args: &Args) -> Result<(), Failure> {
         ServeConfig::new(args.data.clone(), args.listen, args.workers).map_err(io(&args.data))?;
     config.hosts.clone_from(&args.hosts);
     config.open = args.open;
+    config.limits.rate = args.rate;
     // A job's folder is its own: no other run will use what this one worked with.
     config.job_command.push("--discard-work".into());
     config.models = args.models.folders();

@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 
 use fled_core::pipeline::error::ErrorKind;
 use fled_server::ServerError;
-use fled_server::store::{NewToken, Store, TokenRow, now_ms};
-use fled_server::token::{Scopes, Secret, TokenError, expiry, new_id, shown};
+use fled_server::store::{NewToken, Quotas, Store, TokenRow, now_ms};
+use fled_server::token::{Scopes, Secret, TokenError, expiry, new_id, shown, size};
 
 use crate::failure::{Failure, io};
 
@@ -20,19 +20,7 @@ pub struct Args {
 #[derive(clap::Subcommand)]
 enum Command {
     /// Makes a token and prints it, once. From the first on the service asks everybody for one.
-    Create {
-        #[command(flatten)]
-        data: Data,
-        /// What it allows, with commas: jobs:read, jobs:write, renders, admin (everything).
-        #[arg(long, value_name = "SCOPES")]
-        scope: String,
-        /// How long it holds, as 90d or 12h. For ever when absent.
-        #[arg(long, value_name = "TIME")]
-        expires: Option<String>,
-        /// Whose it is: tokens of one name see the same captures and jobs.
-        #[arg(long, default_value = "")]
-        name: String,
-    },
+    Create(Create),
     /// Lists tokens: name, scopes, when they were made and last used, until when they hold.
     List {
         #[command(flatten)]
@@ -45,6 +33,27 @@ enum Command {
         /// The first column of `fled token list`.
         id: String,
     },
+}
+
+#[derive(clap::Args)]
+struct Create {
+    #[command(flatten)]
+    data: Data,
+    /// What it allows, with commas: jobs:read, jobs:write, renders, admin (everything).
+    #[arg(long, value_name = "SCOPES")]
+    scope: String,
+    /// How long it holds, as 90d or 12h. For ever when absent.
+    #[arg(long, value_name = "TIME")]
+    expires: Option<String>,
+    /// Whose it is: tokens of one name see the same captures and jobs.
+    #[arg(long, default_value = "")]
+    name: String,
+    /// What its owner's captures and results may take on the disk, as 20G. No limit when absent.
+    #[arg(long, value_name = "SIZE")]
+    quota_bytes: Option<String>,
+    /// Jobs of its owner that may wait or run at a time. No limit when absent.
+    #[arg(long, value_name = "N")]
+    quota_jobs: Option<u32>,
 }
 
 #[derive(clap::Args)]
@@ -64,31 +73,34 @@ pub fn main(args: &Args) -> Result<(), Failure> {
         tokio::runtime::Runtime::new().map_err(|e| Failure::new(ErrorKind::Internal, e))?;
     runtime.block_on(async {
         match &args.command {
-            Command::Create {
-                data,
-                scope,
-                expires,
-                name,
-            } => create(&data.dir, scope, expires.as_deref(), name).await,
+            Command::Create(args) => create(args).await,
             Command::List { data } => list(&data.dir).await,
             Command::Revoke { data, id } => revoke(&data.dir, id).await,
         }
     })
 }
 
-async fn create(dir: &Path, scope: &str, expires: Option<&str>, name: &str) -> Result<(), Failure> {
-    let scopes: Scopes = scope.parse().map_err(wrong)?;
-    let expires_at = expires.map(expiry).transpose().map_err(wrong)?;
+async fn create(args: &Create) -> Result<(), Failure> {
+    let dir = &args.data.dir;
+    let scopes: Scopes = args.scope.parse().map_err(wrong)?;
+    let expires_at = args.expires.as_deref().map(expiry);
+    let expires_at = expires_at.transpose().map_err(wrong)?;
+    let bytes = args.quota_bytes.as_deref().map(size);
+    let quotas = Quotas {
+        bytes: bytes.transpose().map_err(wrong)?,
+        jobs: args.quota_jobs,
+    };
     let secret = Secret::new().map_err(wrong)?;
     let id = new_id().map_err(wrong)?;
     std::fs::create_dir_all(dir).map_err(io(dir))?;
     let store = open(dir).await?;
     let token = NewToken {
         id,
-        name: name.to_owned(),
+        name: args.name.clone(),
         digest: secret.digest(),
         scopes,
         expires_at,
+        quotas,
     };
     store.insert_token(&token).await.map_err(failed)?;
     store.close().await;
@@ -120,11 +132,18 @@ fn line(token: &TokenRow, now: i64) -> String {
     let used = token.last_used_at.map_or("never used".to_owned(), |at| {
         format!("last used {}", shown(at))
     });
+    let bytes = token
+        .quotas
+        .bytes
+        .map(|bytes| format!(", {} MB", bytes / 1_000_000));
+    let jobs = token.quotas.jobs.map(|jobs| format!(", {jobs} jobs"));
     format!(
-        "{}  {}  made {}, {used}, {end}  {}",
+        "{}  {}  made {}, {used}, {end}{}{}  {}",
         token.id,
         token.scopes,
         shown(token.created_at),
+        bytes.unwrap_or_default(),
+        jobs.unwrap_or_default(),
         token.name
     )
 }
@@ -161,7 +180,9 @@ async fn open(dir: &Path) -> Result<Store, Failure> {
 fn wrong(error: TokenError) -> Failure {
     match error {
         TokenError::NoRandomness(_) => Failure::new(ErrorKind::Environment, error),
-        TokenError::UnknownScope(_) | TokenError::BadExpiry(_) => Failure::usage(error),
+        TokenError::UnknownScope(_) | TokenError::BadExpiry(_) | TokenError::BadSize(_) => {
+            Failure::usage(error)
+        }
     }
 }
 

@@ -9,6 +9,7 @@ use tokio_util::sync::CancellationToken;
 use crate::config::{Limits, ServeConfig};
 use crate::data::DataDir;
 use crate::incoming::Uploads;
+use crate::rate::Rates;
 use crate::render::Renderers;
 use crate::running::Running;
 use crate::store::Store;
@@ -30,6 +31,8 @@ pub struct App {
     pub decoding: Arc<DecodeBudget>,
     /// The render process.
     pub renderers: Renderers,
+    /// What each client may ask for.
+    pub rates: Rates,
     /// The jobs that run.
     pub running: Running,
     /// The last judgement of the machine.
@@ -57,6 +60,7 @@ impl App {
             wake: Notify::new(),
             shutdown: CancellationToken::new(),
             versions: watch::Sender::new(0),
+            rates: Rates::new(limits.rate, limits.burst),
             running: Running::default(),
         }
     }

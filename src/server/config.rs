@@ -88,6 +88,11 @@ pub struct Limits {
     pub deaths_without_progress: u32,
     /// Jobs that may wait.
     pub queue: u32,
+    /// What comes back of a client's allowance in a second: requests that read cost one, those that
+    /// write ten. 0 limits nobody.
+    pub rate: u32,
+    /// The allowance of a client that has not asked for a while.
+    pub burst: u32,
     /// Uploads and jobs are refused, and no job begins, when less free space than this is left,
     /// bytes.
     pub min_free_bytes: u64,
@@ -135,6 +140,8 @@ impl Default for Limits {
             attempts_without_progress: 3,
             deaths_without_progress: 5,
             queue: 200,
+            rate: 50,
+            burst: 1000,
             min_free_bytes: 1 << 30,
             max_upload_bytes: 8 << 30,
             max_decoding_bytes: 1 << 30,

@@ -133,6 +133,29 @@ pub fn write_atomically(path: &Path, bytes: &[u8]) -> io::Result<()> {
     sync_directory(path.parent().unwrap_or(Path::new(".")))
 }
 
+/// What the files of a folder and those below it take, bytes; nothing where there is none.
+///
+/// # Errors
+/// When something there cannot be looked at.
+pub fn bytes_below(dir: &Path) -> io::Result<u64> {
+    let entries = match fs::read_dir(dir) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(0),
+        entries => entries?,
+    };
+    let mut sum = 0;
+    for entry in entries {
+        let entry = entry?;
+        // A job that runs replaces its files meanwhile.
+        match entry.metadata() {
+            Ok(about) if about.is_dir() => sum += bytes_below(&entry.path())?,
+            Ok(about) => sum += about.len(),
+            Err(error) if error.kind() == io::ErrorKind::NotFound => {}
+            Err(error) => return Err(error),
+        }
+    }
+    Ok(sum)
+}
+
 /// Makes the names in a directory survive a power cut.
 ///
 /// # Errors

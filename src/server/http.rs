@@ -6,6 +6,7 @@
 )]
 
 mod access;
+mod allowance;
 mod artifacts;
 mod body_limit;
 mod captures;
@@ -25,6 +26,7 @@ mod options;
 mod order;
 mod page;
 mod problem;
+mod quota;
 mod range;
 mod removal;
 mod render;

@@ -11,6 +11,7 @@ mod http;
 mod incoming;
 mod intake;
 pub mod jobs;
+mod rate;
 mod readiness;
 pub mod render;
 mod running;

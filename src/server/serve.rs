@@ -165,7 +165,7 @@ pub async fn serve(config: ServeConfig) -> Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::store::NewToken;
+    use crate::store::{NewToken, Quotas};
     use crate::token::Secret;
 
     #[tokio::test]
@@ -204,6 +204,7 @@ mod tests {
             digest: Secret::new().expect("random").digest(),
             scopes: "admin".parse().expect("scopes"),
             expires_at: None,
+            quotas: Quotas::default(),
         };
         store.insert_token(&token).await.expect("kept");
         store.close().await;

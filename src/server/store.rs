@@ -27,13 +27,13 @@ use crate::error::Result;
 pub use captures::CaptureRow;
 pub use events::EventRow;
 pub use idempotency::Creation;
-pub use jobs::{JobError, JobRow, NewJob, Retry, ToldJob};
+pub use jobs::{JobError, JobRow, NewJob, Retry, Room, ToldJob};
 pub use lease::{Claim, Lease, Progress, Settlement};
 pub use results::{StageSeconds, WarningRow};
-pub use tokens::{NewToken, TokenRow};
+pub use tokens::{NewToken, Quotas, TokenRow};
 
 /// Applied in order, each once, never edited after release.
-const MIGRATIONS: [(i64, &str, &str); 9] = [
+const MIGRATIONS: [(i64, &str, &str); 10] = [
     (
         1,
         "captures",
@@ -74,6 +74,11 @@ const MIGRATIONS: [(i64, &str, &str); 9] = [
         9,
         "owners",
         include_str!("../../migrations/0009_owners.sql"),
+    ),
+    (
+        10,
+        "quotas",
+        include_str!("../../migrations/0010_quotas.sql"),
     ),
 ];
 

@@ -89,6 +89,9 @@ pub enum TokenError {
     /// Not a time from now.
     #[error("`{0}` is no time to hold: say 90d, 12h or 1y")]
     BadExpiry(String),
+    /// Not a number of bytes.
+    #[error("`{0}` is no size: say 20G, 500M or a number of bytes")]
+    BadSize(String),
     /// The system gives no random numbers.
     #[error("the system gives no random numbers: {0}")]
     NoRandomness(String),
@@ -151,6 +154,26 @@ pub fn expiry(text: &str) -> Result<i64, TokenError> {
     Ok(end.timestamp().as_millisecond())
 }
 
+/// A number of bytes, as `20G`, `500M`, `1.5T` (powers of 1,000) or `1000000`.
+///
+/// # Errors
+/// [`TokenError::BadSize`].
+pub fn size(text: &str) -> Result<u64, TokenError> {
+    let bad = || TokenError::BadSize(text.to_owned());
+    let unit = match text.chars().last().map(|unit| unit.to_ascii_uppercase()) {
+        Some('K') => 1e3,
+        Some('M') => 1e6,
+        Some('G') => 1e9,
+        Some('T') => 1e12,
+        _ => return text.parse().map_err(|_| bad()),
+    };
+    let number: f64 = text[..text.len() - 1].parse().map_err(|_| bad())?;
+    if !(0.0..1e6).contains(&number) {
+        return Err(bad());
+    }
+    Ok((number * unit) as u64)
+}
+
 /// A time as it is listed, in UTC.
 pub fn shown(milliseconds: i64) -> String {
     let time = Timestamp::from_millisecond(milliseconds).unwrap_or_default();
@@ -194,6 +217,18 @@ mod tests {
         assert!(Scope::ALL.into_iter().all(|scope| admin.allow(scope)));
         for none in ["", "jobs", "jobs:read,", "Admin"] {
             assert!(none.parse::<Scopes>().is_err(), "{none:?}");
+        }
+    }
+
+    #[test]
+    fn a_size_is_a_number_with_a_unit() {
+        let sizes = ["20G", "1.5t", "500m", "10k", "123"].map(|text| size(text).expect(text));
+        assert_eq!(
+            sizes,
+            [20_000_000_000, 1_500_000_000_000, 500_000_000, 10_000, 123]
+        );
+        for none in ["", "G", "-1G", "1e9G", "NaNG", "20 GB", "ä", "1.5"] {
+            assert!(size(none).is_err(), "{none:?}");
         }
     }
 

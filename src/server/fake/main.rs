@@ -70,6 +70,8 @@ fn serve(data: &Path, address_file: &Path) -> Result<(), Box<dyn std::error::Err
             header: Duration::from_millis(number("FLED_FAKE_HEADER_MS", 30_000)?),
             stall: Duration::from_millis(number("FLED_FAKE_STALL_MS", 30_000)?),
             render: Duration::from_secs(3),
+            rate: number("FLED_FAKE_RATE", 50)? as u32,
+            burst: number("FLED_FAKE_BURST", 1000)? as u32,
             queue: number("FLED_FAKE_QUEUE", 200)? as u32,
             io_retry_base: Duration::from_millis(50),
             min_free_bytes: number("FLED_FAKE_MIN_FREE", 1 << 20)?,

@@ -12,9 +12,12 @@ use axum::http::{HeaderMap, Method, StatusCode, header};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 
+use super::allowance;
+use super::client::ClientAddress;
 use super::problem::Problem;
 use crate::app::App;
-use crate::store::TokenRow;
+use crate::rate::Client;
+use crate::store::{Quotas, Room, TokenRow};
 use crate::token::{Scope, digest};
 
 /// What anybody may see: whether the server lives, its description, and the page without its data.
@@ -35,6 +38,7 @@ pub(super) const COOKIE: &str = "fled_session";
 pub(super) struct Visitor {
     owner: Option<String>,
     sees_all: bool,
+    quotas: Quotas,
 }
 
 impl Visitor {
@@ -47,31 +51,69 @@ impl Visitor {
     pub(super) fn sees_only(&self) -> Option<&str> {
         self.owner().filter(|_| !self.sees_all)
     }
+
+    /// How many jobs there may be when they start one, where `queue` may wait.
+    pub(super) fn room(&self, queue: u32) -> Room<'_> {
+        Room {
+            queue,
+            of_owner: self.owner().zip(self.quotas.jobs),
+        }
+    }
+
+    /// Whose captures and results may take how many bytes; `None` for no limit.
+    pub(super) fn quota_bytes(&self) -> Option<(&str, u64)> {
+        self.owner().zip(self.quotas.bytes)
+    }
 }
 
-/// Lets those pass who may.
-pub(super) async fn check(
-    State(app): State<Arc<App>>,
-    mut request: Request,
-    next: Next,
-) -> Response {
-    let path = request.extensions().get::<MatchedPath>().cloned();
-    let path = path.as_ref().map(MatchedPath::as_str);
-    let Some(needed) = needed(path, request.method()) else {
+/// Lets those pass who may, as often as they may.
+pub(super) async fn check(State(app): State<Arc<App>>, request: Request, next: Next) -> Response {
+    let path = request.extensions().get::<MatchedPath>();
+    let needed = needed(path.map(MatchedPath::as_str), request.method());
+    if needed.is_none() && allowance::is_reading(request.method()) {
         return next.run(request).await;
-    };
-    let admitted = async {
-        let visitor = admit(&app, request.headers(), needed).await?;
-        if let (Some(path), Some(owner)) = (path, visitor.sees_only()) {
-            check_owner(&app, &mut request, path, owner).await?;
-        }
-        request.extensions_mut().insert(visitor);
-        Ok::<(), Problem>(())
-    };
-    match admitted.await {
-        Ok(()) => next.run(request).await,
-        Err(problem) => problem.into_response(),
     }
+    let admission = match needed {
+        Some(needed) => admit(&app, request.headers(), needed).await.map(Some),
+        None => Ok(None),
+    };
+    let client = client(&request, admission.as_ref().ok().and_then(Option::as_ref));
+    let cost = allowance::cost(request.method());
+    let left = client.and_then(|client| app.rates.take(&client, cost));
+    let mut answer = match (left.and_then(|left| left.wait), admission) {
+        (Some(wait), _) => allowance::used_up(wait),
+        (None, Err(problem)) => problem.into_response(),
+        (None, Ok(None)) => next.run(request).await,
+        (None, Ok(Some(visitor))) => match own(&app, request, visitor).await {
+            Ok(request) => next.run(request).await,
+            Err(problem) => problem.into_response(),
+        },
+    };
+    if let Some(left) = left {
+        allowance::tell(&left, answer.headers_mut());
+    }
+    answer
+}
+
+/// Who a request is counted for; `None` where nobody is: this machine's own user, as long as there
+/// is no token.
+fn client(request: &Request, visitor: Option<&Visitor>) -> Option<Client> {
+    if let Some(owner) = visitor.and_then(Visitor::owner) {
+        return Some(Client::Owner(owner.to_owned()));
+    }
+    let ClientAddress(address) = *request.extensions().get()?;
+    let is_at_home = visitor.is_some() && address.is_loopback();
+    (!is_at_home).then_some(Client::Address(address))
+}
+
+/// A request with who asks, if what it names is theirs.
+async fn own(app: &App, mut request: Request, visitor: Visitor) -> Result<Request, Problem> {
+    let path = request.extensions().get::<MatchedPath>().cloned();
+    if let (Some(path), Some(owner)) = (path, visitor.sees_only()) {
+        check_owner(app, &mut request, path.as_str(), owner).await?;
+    }
+    request.extensions_mut().insert(visitor);
+    Ok(request)
 }
 
 /// What is somebody else's is not there. This is the one door of everything that an address names
@@ -118,6 +160,7 @@ async fn admit(app: &App, headers: &HeaderMap, needed: Scope) -> Result<Visitor,
         return Ok(Visitor {
             owner: None,
             sees_all: true,
+            quotas: Quotas::default(),
         });
     }
     let token = token_of(app, headers).await?.ok_or_else(|| {
@@ -131,11 +174,17 @@ async fn admit(app: &App, headers: &HeaderMap, needed: Scope) -> Result<Visitor,
         return Ok(Visitor {
             owner: Some(token.owner().to_owned()),
             sees_all: token.scopes.allow(Scope::Admin),
+            quotas: token.quotas,
         });
     }
     let detail = format!("This token does not allow `{}`.", needed.name());
     Err(Problem::new(StatusCode::FORBIDDEN, "missing_scope", detail)
         .hint(format!("It allows: {}.", token.scopes)))
+}
+
+/// Whether those headers would still let somebody in: an answer may take longer than a token holds.
+pub(super) async fn holds(app: &App, headers: &HeaderMap) -> Result<bool, Problem> {
+    Ok(!app.store.has_tokens().await? || token_of(app, headers).await?.is_some())
 }
 
 /// The token that a request shows or that its session stands for, if it holds. A header wins: who

@@ -72,7 +72,7 @@ pub async fn create(
     Extension(visitor): Extension<Visitor>,
     request: Request,
 ) -> Result<Response, Problem> {
-    let upload = upload::receive(&app, request, &["name"]).await?;
+    let upload = upload::receive(&app, request, &["name"], &visitor).await?;
     let report = upload.examine(&app).await?;
     if query.dry_run.is_some_and(|value| value != "false") {
         let name = upload.fields.get("name").cloned().unwrap_or_default();

@@ -6,7 +6,7 @@
 
 use std::convert::Infallible;
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use axum::extract::{Path, State};
 use axum::http::{HeaderMap, StatusCode};
@@ -17,6 +17,7 @@ use serde::Deserialize;
 use tokio::sync::watch;
 use utoipa::{IntoParams, ToSchema};
 
+use super::access;
 use super::extract::Query;
 use super::lookup::find;
 use super::problem::Problem;
@@ -25,6 +26,8 @@ use crate::store::EventRow;
 
 /// Rows read at once.
 const BATCH: u32 = 200;
+/// How long a stream may go on after its token has ended.
+const ACCESS_CHECK: Duration = Duration::from_secs(5);
 
 /// From where to stream.
 #[derive(Debug, Deserialize, IntoParams)]
@@ -87,6 +90,8 @@ pub async fn stream(
         last,
         versions,
         batch: Vec::new().into_iter(),
+        headers,
+        checked: Instant::now(),
     };
     let keep_alive = KeepAlive::new().interval(Duration::from_secs(15));
     Ok(Sse::new(cursor.into_stream())
@@ -123,6 +128,9 @@ struct Cursor {
     last: i64,
     versions: watch::Receiver<u64>,
     batch: std::vec::IntoIter<EventRow>,
+    /// By which the client was let in, and when that was last so.
+    headers: HeaderMap,
+    checked: Instant,
 }
 
 impl Cursor {
@@ -137,12 +145,19 @@ impl Cursor {
         })
     }
 
-    /// The next event; `None` when the job is over, is gone, or the server stops.
+    /// The next event; `None` when the job is over, is gone, the token has ended, or the server
+    /// stops.
     async fn next(&mut self) -> Option<EventRow> {
         loop {
             if let Some(row) = self.batch.next() {
                 self.last = row.seq;
                 return Some(row);
+            }
+            if self.checked.elapsed() >= ACCESS_CHECK {
+                if !access::holds(&self.app, &self.headers).await.ok()? {
+                    return None;
+                }
+                self.checked = Instant::now();
             }
             self.versions.mark_unchanged();
             // The state is read before the events: an end that comes in between has its event read.
@@ -159,6 +174,7 @@ impl Cursor {
                 }
                 tokio::select! {
                     changed = self.versions.changed() => changed.ok()?,
+                    () = tokio::time::sleep(ACCESS_CHECK) => {}
                     () = self.app.shutdown.cancelled() => return None,
                 }
             }

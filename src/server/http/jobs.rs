@@ -17,6 +17,7 @@ use super::lookup::find;
 use super::order::Order;
 use super::page::page_size;
 use super::problem::Problem;
+use super::quota::bytes_left;
 use super::removal::remove;
 use super::shapes::{Job, Jobs, report};
 use super::upload;
@@ -99,7 +100,7 @@ pub async fn create(
 ) -> Result<Response, Problem> {
     let key = idempotency_key(request.headers(), &visitor)?;
     let creation = if upload::is_multipart(request.headers()) {
-        from_upload(&app, request, key.as_deref(), visitor).await?
+        from_upload(&app, request, key.as_deref(), visitor.clone()).await?
     } else {
         // Uploads stream and are counted elsewhere; JSON is read into memory.
         DefaultBodyLimit::max(SMALL).apply(&mut request);
@@ -117,6 +118,7 @@ pub async fn create(
             .hint("Use a new key for a new job."));
         }
         Creation::QueueFull => return Err(queue_full()),
+        Creation::OverQuota => return Err(over_quota_jobs(&visitor)),
     };
     app.wake.notify_one();
     app.changed();
@@ -144,6 +146,7 @@ async fn from_json(
 ) -> Result<Creation, Problem> {
     // Accepted is accepted: a job that the disk cannot hold is refused now.
     upload::check_space(app)?;
+    bytes_left(app, visitor).await?;
     if let Some(name) = &body.name {
         upload::check_name(name)?;
     }
@@ -169,7 +172,7 @@ async fn from_json(
     let job = order.job(&capture.id, body.name.as_deref().unwrap_or(&capture.name))?;
     Ok(app
         .store
-        .create_job(&job, key, &fingerprint, app.limits.queue)
+        .create_job(&job, key, &fingerprint, visitor.room(app.limits.queue))
         .await?)
 }
 
@@ -184,7 +187,7 @@ async fn from_upload(
     if app.store.waiting().await? >= app.limits.queue {
         return Err(queue_full());
     }
-    let upload = upload::receive(app, request, &["name", "preset", "options"]).await?;
+    let upload = upload::receive(app, request, &["name", "preset", "options"], &visitor).await?;
     let options = match upload
         .fields
         .get("options")
@@ -211,9 +214,10 @@ async fn from_upload(
     upload::to_its_end(async move {
         let capture = upload.keep(&app, &report, visitor.owner()).await?;
         let job = order.job(&capture.id, &capture.name)?;
+        let room = visitor.room(app.limits.queue);
         let creation = app
             .store
-            .create_job(&job, key.as_deref(), &fingerprint, app.limits.queue)
+            .create_job(&job, key.as_deref(), &fingerprint, room)
             .await;
         // The job of the first request has its own capture, and one without a job was not asked
         // for: this copy was for nothing.
@@ -225,6 +229,18 @@ async fn from_upload(
         Ok(creation?)
     })
     .await
+}
+
+/// 429: so many jobs of theirs wait or run already.
+fn over_quota_jobs(visitor: &Visitor) -> Problem {
+    let most = visitor.room(0).of_owner.map_or(0, |(_, most)| most);
+    Problem::new(
+        StatusCode::TOO_MANY_REQUESTS,
+        "quota_jobs",
+        format!("At most {most} of your jobs may wait or run at a time."),
+    )
+    .hint("Try again when one has ended, or cancel one.")
+    .retry_after(QUEUE_RETRY)
 }
 
 fn queue_full() -> Problem {
@@ -341,11 +357,15 @@ pub async fn cancel(
 pub async fn retry(
     State(app): State<Arc<App>>,
     Path(id): Path<String>,
+    Extension(visitor): Extension<Visitor>,
 ) -> Result<Response, Problem> {
     upload::check_space(&app)?;
+    bytes_left(&app, &visitor).await?;
     let row = find(&app, &id).await?;
-    match app.store.retry(&id, app.limits.queue).await? {
+    let room = visitor.room(app.limits.queue);
+    match app.store.retry(&id, room).await? {
         Retry::Queued => {}
+        Retry::OverQuota => return Err(over_quota_jobs(&visitor)),
         Retry::WrongState => return Err(over(&row)),
         Retry::QueueFull => return Err(queue_full()),
     }

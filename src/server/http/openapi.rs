@@ -90,6 +90,7 @@ fn refuse(operation: &mut Operation, path: &str) {
     if path.starts_with("/v1/") {
         refusals.push(("401", "A token is needed, and none that holds was sent"));
         refusals.push(("403", "The token does not allow this"));
+        refusals.push(("429", "Too many requests: `Retry-After` says when again"));
         let needs = SecurityRequirement::new::<_, [&str; 0], &str>(TOKEN, []);
         // Nothing is needed as long as there is no token.
         operation.security = Some(vec![SecurityRequirement::default(), needs]);

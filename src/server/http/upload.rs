@@ -7,6 +7,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
 
+use axum::body::HttpBody;
 use axum::extract::multipart::{Field, MultipartError};
 use axum::extract::{FromRequest, Multipart, Request};
 use axum::http::{HeaderMap, StatusCode, header};
@@ -17,7 +18,9 @@ use uuid::Uuid;
 
 use self::ahead::Ahead;
 use self::places::Places;
+use super::access::Visitor;
 use super::problem::{Problem, disk_full};
+use super::quota::{bytes_left, over_quota};
 use super::removal::remove;
 use crate::app::App;
 use crate::data::sync_directory;
@@ -47,6 +50,8 @@ pub struct Upload {
     pub fingerprint: String,
     /// Files received.
     files: usize,
+    /// What it may take on the disk, bytes, where its owner has a quota.
+    most: Option<u64>,
 }
 
 /// Receives every part of a multipart body; `known` are the text fields that mean something.
@@ -54,8 +59,19 @@ pub struct Upload {
 /// # Errors
 /// 400 for a broken body, 413 and 507 when it is too large for us or for the disk, 415 for another
 /// type, 422 for a part that means nothing.
-pub async fn receive(app: &App, request: Request, known: &[&str]) -> Result<Upload, Problem> {
+pub async fn receive(
+    app: &App,
+    request: Request,
+    known: &[&str],
+    visitor: &Visitor,
+) -> Result<Upload, Problem> {
     check_space(app)?;
+    let most = bytes_left(app, visitor).await?;
+    // Told before gigabytes are sent.
+    let announced = request.body().size_hint().lower();
+    if most.is_some_and(|most| announced > most) {
+        return Err(over_quota());
+    }
     let (ahead, mut body) = open(request).await?;
     let incoming = app.data.incoming();
     let dir = app.uploads.begin(&incoming);
@@ -65,6 +81,7 @@ pub async fn receive(app: &App, request: Request, known: &[&str]) -> Result<Uplo
         fields: BTreeMap::new(),
         fingerprint: String::new(),
         files: 0,
+        most,
     };
     let mut receiver = Receiver {
         app,
@@ -72,6 +89,7 @@ pub async fn receive(app: &App, request: Request, known: &[&str]) -> Result<Uplo
         hasher: blake3::Hasher::new(),
         bytes: 0,
         looked: 0,
+        most,
         places: Places::default(),
     };
     while let Some(field) = body.next_field().await.map_err(|error| broken(&error))? {
@@ -187,6 +205,9 @@ impl Upload {
             .map_err(|refusal| refused(*refusal))?;
         if app.has_no_space_for(unpacked) {
             return Err(disk_full());
+        }
+        if self.most.is_some_and(|most| unpacked > most) {
+            return Err(over_quota());
         }
         let (dir, budget) = (self.dir.clone(), app.decoding.clone());
         let look = move || intake::examine(dir.path(), &budget);
@@ -320,6 +341,7 @@ struct Receiver<'a> {
     hasher: blake3::Hasher,
     bytes: u64,
     looked: u64,
+    most: Option<u64>,
     places: Places,
 }
 
@@ -368,6 +390,9 @@ impl Receiver<'_> {
         self.bytes += bytes as u64;
         if self.bytes > self.app.limits.max_upload_bytes {
             return Err(too_large("The upload is too large."));
+        }
+        if self.most.is_some_and(|most| self.bytes > most) {
+            return Err(over_quota());
         }
         if self.bytes - self.looked > LOOK_AT_DISK {
             self.looked = self.bytes;

@@ -101,6 +101,25 @@ impl Store {
         Ok(owns.fetch_one(&self.pool).await?)
     }
 
+    /// The ids of an owner's captures, and those of the jobs of them.
+    ///
+    /// # Errors
+    /// When the database refuses.
+    pub async fn belongings(&self, owner: &str) -> Result<(Vec<String>, Vec<String>)> {
+        let captures = sqlx::query_scalar("SELECT id FROM captures WHERE owner = ?")
+            .bind(owner)
+            .fetch_all(&self.pool)
+            .await?;
+        let jobs = sqlx::query_scalar(
+            "SELECT jobs.id FROM jobs JOIN captures ON captures.id = jobs.capture_id
+             WHERE captures.owner = ?",
+        )
+        .bind(owner)
+        .fetch_all(&self.pool)
+        .await?;
+        Ok((captures, jobs))
+    }
+
     /// Deletes a capture that no job names. `Ok(false)` when a job does.
     ///
     /// # Errors

@@ -2,7 +2,7 @@
 
 use sqlx::Row;
 
-use super::jobs::{JobRow, NewJob, insert, read, waiting};
+use super::jobs::{Full, JobRow, NewJob, Room, full, insert, read, waiting};
 use super::{Store, now_ms};
 use crate::error::{Result, ServerError};
 
@@ -17,6 +17,8 @@ pub enum Creation {
     KeyReused,
     /// As many jobs wait as may.
     QueueFull,
+    /// Its owner has as many jobs as their quota allows.
+    OverQuota,
 }
 
 impl Store {
@@ -28,9 +30,8 @@ impl Store {
         waiting(&self.pool).await
     }
 
-    /// Creates a job; with a key, at most once.
+    /// Creates a job where there is room for it; with a key, at most once.
     ///
-    /// `queue` jobs may wait at most.
     /// `fingerprint` identifies the request: the same key with another one is refused.
     ///
     /// # Errors
@@ -40,7 +41,7 @@ impl Store {
         job: &NewJob,
         key: Option<&str>,
         fingerprint: &str,
-        queue: u32,
+        room: Room<'_>,
     ) -> Result<Creation> {
         // Immediate: two requests with one key queue here instead of both finding it unused.
         let mut tx = self.pool.begin_with("BEGIN IMMEDIATE").await?;
@@ -58,10 +59,12 @@ impl Store {
                 return Ok(Creation::Replayed(row.ok_or_else(|| missing(&id))?));
             }
         }
-        if waiting(&mut *tx).await? >= queue {
-            return Ok(Creation::QueueFull);
-        }
         insert(&mut tx, job).await?;
+        match full(&mut tx, room).await? {
+            Some(Full::Queue) => return Ok(Creation::QueueFull),
+            Some(Full::Quota) => return Ok(Creation::OverQuota),
+            None => {}
+        }
         if let Some(key) = key {
             sqlx::query("INSERT INTO idempotency (key, fingerprint, job_id, created_at) VALUES (?, ?, ?, ?)")
                 .bind(key)

@@ -102,6 +102,24 @@ pub enum Retry {
     WrongState,
     /// As many jobs wait as may.
     QueueFull,
+    /// Its owner has as many jobs as their quota allows.
+    OverQuota,
+}
+
+/// How many jobs there may be.
+#[derive(Clone, Copy, Debug)]
+pub struct Room<'a> {
+    /// Of everybody, that wait.
+    pub queue: u32,
+    /// An owner, and how many of theirs may wait or run.
+    pub of_owner: Option<(&'a str, u32)>,
+}
+
+/// Where there is no room for a job.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Full {
+    Queue,
+    Quota,
 }
 
 /// Jobs with what they have told, in one statement however many they are.
@@ -178,18 +196,19 @@ impl Store {
         Ok(next)
     }
 
-    /// Queues a failed or cancelled job again, where fewer than `queue` wait.
+    /// Queues a failed or cancelled job again, where there is room for it.
     ///
     /// # Errors
     /// When the database refuses.
-    pub async fn retry(&self, id: &str, queue: u32) -> Result<Retry> {
+    pub async fn retry(&self, id: &str, room: Room<'_>) -> Result<Retry> {
         let mut tx = self.pool.begin_with("BEGIN IMMEDIATE").await?;
         if change(&mut tx, id, Transition::Retried).await?.is_none() {
             return Ok(Retry::WrongState);
         }
-        // It is counted already.
-        if waiting(&mut *tx).await? > queue {
-            return Ok(Retry::QueueFull);
+        match full(&mut tx, room).await? {
+            Some(Full::Queue) => return Ok(Retry::QueueFull),
+            Some(Full::Quota) => return Ok(Retry::OverQuota),
+            None => {}
         }
         tx.commit().await?;
         Ok(Retry::Queued)
@@ -251,6 +270,27 @@ async fn change(
 pub(super) async fn waiting(executor: impl SqliteExecutor<'_>) -> Result<u32> {
     let count = sqlx::query_scalar("SELECT COUNT(*) FROM jobs WHERE state = 'queued'");
     Ok(count.fetch_one(executor).await?)
+}
+
+/// Where there is no room for the jobs that there are, one that was just queued among them.
+pub(super) async fn full(
+    tx: &mut Transaction<'static, Sqlite>,
+    room: Room<'_>,
+) -> Result<Option<Full>> {
+    if waiting(&mut **tx).await? > room.queue {
+        return Ok(Some(Full::Queue));
+    }
+    let Some((owner, most)) = room.of_owner else {
+        return Ok(None);
+    };
+    let theirs: u32 = sqlx::query_scalar(
+        "SELECT COUNT(*) FROM jobs JOIN captures ON captures.id = jobs.capture_id
+         WHERE jobs.state IN ('queued', 'running') AND captures.owner = ?",
+    )
+    .bind(owner)
+    .fetch_one(&mut **tx)
+    .await?;
+    Ok((theirs > most).then_some(Full::Quota))
 }
 
 pub(super) async fn insert(tx: &mut Transaction<'static, Sqlite>, job: &NewJob) -> Result<()> {

@@ -77,7 +77,7 @@ impl Store {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::store::NewToken;
+    use crate::store::{NewToken, Quotas};
     use crate::token::Secret;
 
     #[tokio::test]
@@ -94,6 +94,7 @@ mod tests {
             digest: token,
             scopes: "jobs:read".parse().expect("scopes"),
             expires_at: None,
+            quotas: Quotas::default(),
         };
         store.insert_token(&kept).await.expect("kept");
         let later = now_ms() + 60_000;

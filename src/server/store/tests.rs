@@ -25,6 +25,13 @@ async fn store() -> (tempfile::TempDir, Store) {
     (dir, store)
 }
 
+fn room(queue: u32) -> Room<'static> {
+    Room {
+        queue,
+        of_owner: None,
+    }
+}
+
 fn new_job(id: &str) -> NewJob {
     NewJob {
         id: id.to_owned(),
@@ -38,7 +45,7 @@ fn new_job(id: &str) -> NewJob {
 
 async fn create(store: &Store, id: &str) {
     let outcome = store
-        .create_job(&new_job(id), None, "", 100)
+        .create_job(&new_job(id), None, "", room(100))
         .await
         .expect("create");
     assert!(matches!(outcome, Creation::Created(_)));
@@ -178,7 +185,7 @@ async fn a_key_gives_one_job_and_refuses_another_request() {
         let store = store.clone();
         async move {
             store
-                .create_job(&new_job(id), Some("key"), print, 100)
+                .create_job(&new_job(id), Some("key"), print, room(100))
                 .await
                 .expect("create")
         }
@@ -276,7 +283,7 @@ async fn drive(store: &Store, leases: &mut BTreeMap<&str, Lease>, transition: Tr
         Transition::Failed { retry } => settle(failed(retry.then_some(-1))).await,
         Transition::Stopped => settle(Settlement::Stopped).await,
         Transition::CancelRequested => drop(store.request_cancel("j").await.expect("cancel")),
-        Transition::Retried => drop(store.retry("j", 9).await.expect("retry")),
+        Transition::Retried => drop(store.retry("j", room(9)).await.expect("retry")),
     }
 }
 
@@ -325,11 +332,11 @@ async fn a_disk_that_was_full_disables_no_connection() {
         options: json!({ "deblur": "x".repeat(1 << 20) }),
         ..new_job("large")
     };
-    let refused = store.create_job(&large, None, "", 100).await;
+    let refused = store.create_job(&large, None, "", room(100)).await;
     assert!(refused.is_err(), "1 MiB into no free page");
     // By every connection; one that was replaced has no limit, and a job's id is used once.
     for _ in 0..CONNECTIONS {
-        drop(store.create_job(&large, None, "", 100).await);
+        drop(store.create_job(&large, None, "", room(100)).await);
     }
     allow_pages(&store, 1 << 20).await;
     for _ in 0..CONNECTIONS + 2 {
@@ -369,7 +376,7 @@ async fn a_job_that_runs_here_is_not_taken_over_whatever_the_clock_says() {
 async fn the_queue_takes_so_many_and_no_more() {
     let (_dir, store) = store().await;
     for (id, expected) in [("a", true), ("b", true), ("c", false)] {
-        let outcome = store.create_job(&new_job(id), None, "", 2).await;
+        let outcome = store.create_job(&new_job(id), None, "", room(2)).await;
         let created = matches!(outcome.expect("answered"), Creation::Created(_));
         assert_eq!(created, expected, "{id}");
     }

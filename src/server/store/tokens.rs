@@ -24,6 +24,17 @@ pub struct NewToken {
     pub scopes: Scopes,
     /// Until when, milliseconds since 1970; `None` for ever.
     pub expires_at: Option<i64>,
+    /// What its holder may have.
+    pub quotas: Quotas,
+}
+
+/// How much the holder of a token may have; `None` for no limit but the server's own.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Quotas {
+    /// Captures and results of its owner, bytes.
+    pub bytes: Option<u64>,
+    /// Jobs of its owner that wait or run.
+    pub jobs: Option<u32>,
 }
 
 /// A kept token.
@@ -43,6 +54,8 @@ pub struct TokenRow {
     pub revoked_at: Option<i64>,
     /// When it was last shown, to a minute.
     pub last_used_at: Option<i64>,
+    /// What its holder may have.
+    pub quotas: Quotas,
 }
 
 impl TokenRow {
@@ -68,8 +81,9 @@ impl Store {
     /// When the database refuses.
     pub async fn insert_token(&self, token: &NewToken) -> Result<()> {
         sqlx::query(
-            "INSERT INTO tokens (id, name, digest, scopes, created_at, expires_at)
-             VALUES (?, ?, ?, ?, ?, ?)",
+            "INSERT INTO tokens
+             (id, name, digest, scopes, created_at, expires_at, quota_bytes, quota_jobs)
+             VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
         )
         .bind(&token.id)
         .bind(&token.name)
@@ -77,6 +91,14 @@ impl Store {
         .bind(token.scopes.to_string())
         .bind(now_ms())
         .bind(token.expires_at)
+        // More bytes than the database can count are no limit.
+        .bind(
+            token
+                .quotas
+                .bytes
+                .map(|bytes| i64::try_from(bytes).unwrap_or(i64::MAX)),
+        )
+        .bind(token.quotas.jobs)
         .execute(&self.pool)
         .await?;
         Ok(())
@@ -165,6 +187,12 @@ fn from_row(row: &SqliteRow) -> Result<TokenRow> {
         expires_at: row.try_get("expires_at")?,
         revoked_at: row.try_get("revoked_at")?,
         last_used_at: row.try_get("last_used_at")?,
+        quotas: Quotas {
+            bytes: row
+                .try_get::<Option<i64>, _>("quota_bytes")?
+                .map(i64::unsigned_abs),
+            jobs: row.try_get("quota_jobs")?,
+        },
     })
 }
 
@@ -188,6 +216,10 @@ mod tests {
                 digest: secret.digest(),
                 scopes: "renders".parse().expect("scopes"),
                 expires_at: (index == 1).then(|| now_ms() - 1),
+                quotas: Quotas {
+                    bytes: (index == 2).then_some(1 << 40),
+                    jobs: (index == 2).then_some(3),
+                },
             };
             store.insert_token(&token).await.expect("kept");
         }
@@ -204,7 +236,8 @@ mod tests {
         );
         assert!(!store.revoke_token("none").await.expect("answer"));
         assert!(holds(0).await.is_none(), "it is revoked");
-        assert!(holds(2).await.is_some());
+        let quotas = holds(2).await.expect("holds").quotas;
+        assert_eq!((quotas.bytes, quotas.jobs), (Some(1 << 40), Some(3)));
         let unknown = crate::token::digest("fled_0");
         let unknown = store.token_that_holds(&unknown).await.expect("answer");
         assert!(unknown.is_none());

@@ -5,32 +5,9 @@ mod support;
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
-use fled_server::store::{NewToken, Store};
-use fled_server::token::{Secret, new_id};
 use serde_json::json;
+use support::tokens::{token, token_of, with_store};
 use support::{Server, photographs};
-
-/// A token of these scopes in the server's database, made as `fled token create` makes it; its
-/// header and its id.
-fn token(server: &Server, scopes: &str) -> (String, String) {
-    token_of("", server, scopes)
-}
-
-/// The same with a name.
-fn token_of(name: &str, server: &Server, scopes: &str) -> (String, String) {
-    let secret = Secret::new().expect("random");
-    let token = NewToken {
-        id: new_id().expect("random"),
-        name: name.to_owned(),
-        digest: secret.digest(),
-        scopes: scopes.parse().expect("scopes"),
-        expires_at: None,
-    };
-    with_store(server, async |store| {
-        store.insert_token(&token).await.expect("kept");
-    });
-    (format!("Bearer {}", secret.reveal()), token.id)
-}
 
 /// A capture and a finished job of whoever has the token, which sees and starts jobs.
 fn job_of(server: &Server, header: &str) -> (String, String) {
@@ -53,20 +30,6 @@ fn job_of(server: &Server, header: &str) -> (String, String) {
         );
         sleep(Duration::from_millis(20));
     }
-}
-
-fn with_store<T>(server: &Server, work: impl AsyncFnOnce(&Store) -> T) -> T {
-    let path = server.data.path().join("data/fled.db");
-    let runtime = tokio::runtime::Builder::new_current_thread()
-        .enable_all()
-        .build()
-        .expect("runtime");
-    runtime.block_on(async {
-        let store = Store::open(&path).await.expect("open");
-        let outcome = work(&store).await;
-        store.close().await;
-        outcome
-    })
 }
 
 #[test]

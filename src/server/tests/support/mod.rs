@@ -2,6 +2,8 @@
 
 #![allow(dead_code, unused_imports, reason = "each test file uses its part")]
 
+pub mod tokens;
+
 use std::ops::Deref;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command};

@@ -1,0 +1,80 @@
+//! What is told of a client's allowance: how much is left, and 429 when that is not enough.
+//!
+//! Fields of draft-ietf-httpapi-ratelimit-headers-10.
+
+use std::time::Duration;
+
+use axum::http::{HeaderMap, HeaderName, HeaderValue, Method, StatusCode};
+use axum::response::{IntoResponse, Response};
+
+use super::problem::Problem;
+use crate::rate::{Allowance, READ, WRITE};
+
+const POLICY: HeaderName = HeaderName::from_static("ratelimit-policy");
+const LIMIT: HeaderName = HeaderName::from_static("ratelimit");
+
+/// What a request takes from the allowance.
+pub(super) fn cost(method: &Method) -> std::num::NonZeroU32 {
+    if is_reading(method) { READ } else { WRITE }
+}
+
+/// Whether a method changes nothing.
+pub(super) fn is_reading(method: &Method) -> bool {
+    matches!(*method, Method::GET | Method::HEAD | Method::OPTIONS)
+}
+
+/// Adds to an answer what is left.
+pub(super) fn tell(allowance: &Allowance, headers: &mut HeaderMap) {
+    let (most, window) = (allowance.most, seconds(allowance.window));
+    let (left, whole_in) = (allowance.left, seconds(allowance.whole_in));
+    let fields = [
+        (POLICY, format!("\"client\";q={most};w={window}")),
+        (LIMIT, format!("\"client\";r={left};t={whole_in}")),
+    ];
+    for (name, value) in fields {
+        if let Ok(value) = HeaderValue::try_from(value) {
+            headers.insert(name, value);
+        }
+    }
+}
+
+/// 429: not before `wait` has passed.
+pub(super) fn used_up(wait: Duration) -> Response {
+    Problem::new(
+        StatusCode::TOO_MANY_REQUESTS,
+        "too_many_requests",
+        "These are too many requests in too short a time.",
+    )
+    .hint("Wait as long as Retry-After says; RateLimit in every answer says what is left.")
+    .retry_after(seconds(wait))
+    .into_response()
+}
+
+/// Whole seconds, never too few.
+fn seconds(time: Duration) -> u32 {
+    time.as_secs_f64().ceil() as u32
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_left_is_told_in_whole_seconds() {
+        let allowance = Allowance {
+            most: 1000,
+            left: 7,
+            whole_in: Duration::from_millis(19_860),
+            window: Duration::from_secs(20),
+            wait: None,
+        };
+        let mut headers = HeaderMap::new();
+        tell(&allowance, &mut headers);
+        assert_eq!(headers["ratelimit-policy"], "\"client\";q=1000;w=20");
+        assert_eq!(headers["ratelimit"], "\"client\";r=7;t=20");
+        let refused = used_up(Duration::from_millis(40));
+        assert_eq!(refused.status(), StatusCode::TOO_MANY_REQUESTS);
+        assert_eq!(refused.headers()["retry-after"], "1");
+        assert!(cost(&Method::DELETE) > cost(&Method::HEAD));
+    }
+}

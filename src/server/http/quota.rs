@@ -1,0 +1,48 @@
+//! What the captures and results of one owner may take on the disk.
+
+use std::path::PathBuf;
+
+use axum::http::StatusCode;
+
+use super::access::Visitor;
+use super::problem::Problem;
+use crate::app::App;
+use crate::data::bytes_below;
+use crate::error::ServerError;
+
+/// How many bytes more a visitor may have; `None` where nothing but the disk says.
+///
+/// # Errors
+/// 507 when there are none.
+pub(super) async fn bytes_left(app: &App, visitor: &Visitor) -> Result<Option<u64>, Problem> {
+    let Some((owner, most)) = visitor.quota_bytes() else {
+        return Ok(None);
+    };
+    let (captures, jobs) = app.store.belongings(owner).await?;
+    let captures = captures.iter().map(|id| app.data.capture(id));
+    let folders: Vec<PathBuf> = captures
+        .chain(jobs.iter().map(|id| app.data.job(id)))
+        .collect();
+    let held = tokio::task::spawn_blocking(move || {
+        folders.iter().try_fold(0, |sum, folder| {
+            bytes_below(folder)
+                .map(|bytes| sum + bytes)
+                .map_err(ServerError::io(folder))
+        })
+    });
+    let held = held.await.map_err(|_| Problem::internal())??;
+    match most.checked_sub(held).filter(|left| *left > 0) {
+        Some(left) => Ok(Some(left)),
+        None => Err(over_quota()),
+    }
+}
+
+/// 507: what is there, or what is to come, is more than the owner may have.
+pub(super) fn over_quota() -> Problem {
+    Problem::new(
+        StatusCode::INSUFFICIENT_STORAGE,
+        "quota_bytes",
+        "Your captures and results take as much space as your token allows, or would then.",
+    )
+    .hint("Delete captures and jobs that you no longer need, or ask whoever runs the server.")
+}

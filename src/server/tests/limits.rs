@@ -1,0 +1,137 @@
+//! How much one client may have and ask for, through a real server process.
+
+mod support;
+
+use std::thread::sleep;
+use std::time::{Duration, Instant};
+
+use fled_server::store::Quotas;
+use fled_tests::Reply;
+use serde_json::json;
+use support::tokens::{token, token_of, token_with, with_store};
+use support::{Server, photographs};
+
+/// All that a user needs.
+const USER: &str = "jobs:read,jobs:write,renders";
+
+fn id(reply: Reply) -> String {
+    reply.json()["id"].as_str().expect("id").to_owned()
+}
+
+fn upload(server: &Server, header: &str) -> Reply {
+    let headers = [("authorization", header)];
+    server.upload("/v1/captures", &photographs(3), &headers)
+}
+
+fn order(server: &Server, capture: &str, plan: &str, header: &str) -> Reply {
+    let order = json!({ "capture_id": capture, "options": { "adapter": plan } });
+    server.post_json("/v1/jobs", &order, &[("authorization", header)])
+}
+
+#[test]
+fn an_owner_has_as_many_jobs_as_their_quota_allows() {
+    let server = Server::start();
+    let quotas = Quotas {
+        jobs: Some(1),
+        ..Quotas::default()
+    };
+    let (anna, _) = token_with(&server, "anna", USER, quotas);
+    let (ben, _) = token_of("ben", &server, USER);
+    let capture = id(upload(&server, &anna).expect(201));
+    let first = id(order(&server, &capture, "slow:100", &anna).expect(202));
+    let refused = order(&server, &capture, "ok", &anna).expect(429);
+    assert_eq!(refused.json()["code"], "quota_jobs");
+    assert_ne!(refused.header("retry-after"), "");
+    let theirs = id(upload(&server, &ben).expect(201));
+    order(&server, &theirs, "ok", &ben).expect(202);
+    let headers = [("authorization", anna.as_str())];
+    let cancel = format!("/v1/jobs/{first}/cancel");
+    server.post(&cancel, b"", &headers).expect(202);
+    order(&server, &capture, "slow:100", &anna).expect(202);
+    let again = server.post(&format!("/v1/jobs/{first}/retry"), b"", &headers);
+    assert_eq!(again.expect(429).json()["code"], "quota_jobs");
+    let shown = server.get(&format!("/v1/jobs/{first}"), &headers);
+    assert_eq!(shown.expect(200).json()["state"], "cancelled");
+}
+
+#[test]
+fn an_owner_has_as_many_bytes_as_their_quota_allows() {
+    let server = Server::start();
+    let one: usize = photographs(3).iter().map(|part| part.2.len()).sum();
+    let quotas = Quotas {
+        bytes: Some(one as u64 + 5000),
+        ..Quotas::default()
+    };
+    let (anna, _) = token_with(&server, "anna", USER, quotas);
+    let (ben, _) = token_of("ben", &server, USER);
+    let first = id(upload(&server, &anna).expect(201));
+    let refused = upload(&server, &anna).expect(507);
+    assert_eq!(refused.json()["code"], "quota_bytes");
+    upload(&server, &ben).expect(201);
+    // Tokens of one name have their captures in common, and each its own quota.
+    let (more, _) = token_of("anna", &server, USER);
+    upload(&server, &more).expect(201);
+    let refused = order(&server, &first, "ok", &anna).expect(507);
+    assert_eq!(refused.json()["code"], "quota_bytes");
+    order(&server, &first, "ok", &more).expect(202);
+}
+
+#[test]
+fn who_asks_too_fast_waits_and_nobody_else() {
+    let server = Server::start_with(&[("FLED_FAKE_RATE", "1"), ("FLED_FAKE_BURST", "20")]);
+    for _ in 0..30 {
+        // Without tokens this is one's own machine.
+        server.get("/v1/jobs", &[]).expect(200);
+    }
+    let (anna, _) = token_of("anna", &server, USER);
+    let (ben, _) = token_of("ben", &server, USER);
+    let ask = |header: &str| server.get("/v1/jobs", &[("authorization", header)]);
+    let first = ask(&anna).expect(200);
+    assert_eq!(first.header("ratelimit-policy"), "\"client\";q=20;w=20");
+    assert!(first.header("ratelimit").starts_with("\"client\";r=19;"));
+    let begin = Instant::now();
+    let refused = (0..40)
+        .map(|_| ask(&anna))
+        .find(|reply| reply.status == 429);
+    let refused = refused.expect("not for ever");
+    assert_eq!(refused.json()["code"], "too_many_requests");
+    assert_eq!(refused.header("retry-after"), "1");
+    assert!(begin.elapsed() < Duration::from_secs(20));
+    let writes = server.post("/v1/jobs", b"{}", &[("authorization", &anna)]);
+    writes.expect(429);
+    ask(&ben).expect(200);
+    // Wrong tokens are counted by address, and do not lock the right ones out.
+    let wrong = (0..40).map(|_| ask("Bearer fled_0"));
+    let statuses: Vec<u16> = wrong.map(|reply| reply.status).collect();
+    assert!(
+        statuses.contains(&401) && statuses.contains(&429),
+        "{statuses:?}"
+    );
+    ask(&ben).expect(200);
+    server.get("/livez", &[]).expect(200);
+    sleep(Duration::from_millis(1100));
+    ask(&anna).expect(200);
+}
+
+#[test]
+fn an_event_stream_ends_with_its_token() {
+    let server = Server::start();
+    let (admin, _) = token(&server, "admin");
+    let (anna, which) = token_of("anna", &server, USER);
+    let capture = id(upload(&server, &anna).expect(201));
+    let job = id(order(&server, &capture, "slow:1000", &anna).expect(202));
+    let path = format!("/v1/jobs/{job}/events");
+    let begin = Instant::now();
+    std::thread::scope(|scope| {
+        let stream = scope.spawn(|| server.get(&path, &[("authorization", &anna)]).text());
+        sleep(Duration::from_millis(500));
+        let revoked = with_store(&server, async |store| store.revoke_token(&which).await);
+        assert!(revoked.expect("done"));
+        let told = stream.join().expect("it ends");
+        assert!(told.contains("event: state"), "{told}");
+    });
+    let took = begin.elapsed();
+    assert!(took < Duration::from_secs(20), "{took:?}");
+    let shown = server.get(&format!("/v1/jobs/{job}"), &[("authorization", &admin)]);
+    assert_eq!(shown.expect(200).json()["state"], "running", "it goes on");
+}
