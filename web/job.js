@@ -82,7 +82,7 @@ export function jobPage(main, id) {
         problem.textContent = "";
         try {
           await api(path, { method });
-          if (method === "DELETE") location.hash = "#/";
+          if (path === base) location.hash = "#/";
           else await refresh();
         } catch (error) {
           problem.textContent = error.message;
@@ -100,12 +100,21 @@ export function jobPage(main, id) {
           !over && act("Cancel", `${base}/cancel`),
           (job.state === "failed" || job.state === "cancelled") && act("Try again", `${base}/retry`),
           job.state !== "running" && act("Delete", base, "DELETE"))),
+      keeping(job, act),
       h("p", { class: "hint" }, `${job.preset} · created ${new Date(job.created_at).toLocaleString()}`),
       h("progress", { max: 1, value: job.progress, "aria-label": "progress" }));
     if (job.error) {
       head.append(h("p", { class: "problem" }, `${plain(job.error.code)}: ${job.error.detail}\n${job.error.hint}`));
     }
     document.title = `${job.name || "job"} · fled`;
+  }
+
+  /** What the server will do with the job of itself, and how to keep it. */
+  function keeping(job, act) {
+    if (job.pinned) return h("p", { class: "row hint" }, "Kept until you delete it.", act("Keep no longer than others", `${base}/pin`, "DELETE"));
+    if (!job.expires_at) return "";
+    const day = new Date(job.expires_at).toLocaleString();
+    return h("p", { class: "row problem" }, `This job will be deleted on ${day}.`, act("Keep it", `${base}/pin`, "PUT"));
   }
 
   function listen() {

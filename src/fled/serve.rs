@@ -3,6 +3,7 @@
 use std::io::IsTerminal;
 use std::net::SocketAddr;
 use std::path::PathBuf;
+use std::time::Duration;
 
 use fled_core::pipeline::error::ErrorKind;
 use fled_server::ServeConfig;
@@ -30,6 +31,13 @@ pub struct Args {
     /// Jobs run at once.
     #[arg(long, value_name = "N", default_value_t = 1)]
     workers: usize,
+    /// Deletes jobs that ended so many days ago, and captures so old that have no job. A week
+    /// before it says so; pinned jobs stay. All is kept when absent.
+    #[arg(long, value_name = "DAYS", value_parser = clap::value_parser!(u32).range(1..))]
+    keep_days: Option<u32>,
+    /// Deletes jobs that ended, but the newest so many of each owner. A week before it says so.
+    #[arg(long, value_name = "N")]
+    keep_jobs: Option<u32>,
     /// Requests that read which one client may make a second, in the long run; one that writes
     /// counts as ten. 0 limits nobody.
     #[arg(long, value_name = "N", default_value_t = fled_server::Limits::default().rate)]
@@ -55,6 +63,9 @@ pub fn main(args: &Args) -> Result<(), Failure> {
     config.hosts.clone_from(&args.hosts);
     config.open = args.open;
     config.limits.rate = args.rate;
+    let days = args.keep_days.map(u64::from);
+    config.retention.age = days.map(|days| Duration::from_secs(days * 24 * 3600));
+    config.retention.jobs = args.keep_jobs;
     // A job's folder is its own: no other run will use what this one worked with.
     config.job_command.push("--discard-work".into());
     config.models = args.models.folders();

@@ -30,8 +30,31 @@ pub struct ServeConfig {
     pub doctor_command: Vec<OsString>,
     /// Folders of networks that are not built in; the commands are told them too.
     pub models: Vec<PathBuf>,
+    /// What it deletes of itself.
+    pub retention: Retention,
     /// Times and sizes.
     pub limits: Limits,
+}
+
+/// What the server deletes of itself; by default nothing.
+#[derive(Clone, Copy, Debug)]
+pub struct Retention {
+    /// Jobs that ended so long ago, and captures so old that have no job.
+    pub age: Option<Duration>,
+    /// Jobs that ended, but the newest so many of each owner.
+    pub jobs: Option<u32>,
+    /// So long before something goes it says so.
+    pub notice: Duration,
+}
+
+impl Default for Retention {
+    fn default() -> Self {
+        Self {
+            age: None,
+            jobs: None,
+            notice: Duration::from_secs(7 * 24 * 3600),
+        }
+    }
 }
 
 impl ServeConfig {
@@ -56,6 +79,7 @@ impl ServeConfig {
             render_command: command(&["render-worker"]),
             doctor_command: command(&["doctor", "--json"]),
             models: Vec::new(),
+            retention: Retention::default(),
             limits: Limits::default(),
         })
     }

@@ -25,10 +25,10 @@ mod openapi;
 mod options;
 mod order;
 mod page;
+mod pin;
 mod problem;
 mod quota;
 mod range;
-mod removal;
 mod render;
 mod rounds;
 mod shapes;
@@ -42,7 +42,7 @@ use axum::extract::DefaultBodyLimit;
 use axum::http::{HeaderName, HeaderValue, StatusCode, header};
 use axum::middleware;
 use axum::response::{IntoResponse, Response};
-use axum::routing::{get, post};
+use axum::routing::{get, post, put};
 use tower_http::catch_panic::CatchPanicLayer;
 use tower_http::csrf::CsrfLayer;
 use tower_http::set_header::SetResponseHeaderLayer;
@@ -74,6 +74,7 @@ pub fn router(app: Arc<App>) -> Router {
         .route("/v1/jobs/{id}", get(jobs::show).delete(jobs::delete))
         .route("/v1/jobs/{id}/cancel", post(jobs::cancel))
         .route("/v1/jobs/{id}/retry", post(jobs::retry))
+        .route("/v1/jobs/{id}/pin", put(pin::pin).delete(pin::unpin))
         .route("/v1/jobs/{id}/events", get(events::stream))
         .route("/v1/jobs/{id}/rounds", get(rounds::show))
         .route("/v1/jobs/{id}/log", get(log::show))

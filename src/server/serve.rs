@@ -14,6 +14,7 @@ use crate::app::App;
 use crate::config::{Limits, ServeConfig};
 use crate::data::DataDir;
 use crate::error::{Result, ServerError};
+use crate::expiry::expire;
 use crate::http::{router, serve_connections};
 use crate::jobs::{kill_orphans, worker};
 use crate::store::{JobError, Settlement, Store};
@@ -65,6 +66,7 @@ impl Server {
         if swept > 0 {
             tracing::info!(swept, "leftovers of an earlier server are out of the way");
         }
+        expire(&app).await?;
         let mut tasks = JoinSet::new();
         tasks.spawn(sweep::keep_sweeping(app.clone()));
         for index in 0..workers {

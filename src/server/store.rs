@@ -9,6 +9,7 @@ mod idempotency;
 mod jobs;
 mod lease;
 mod results;
+mod retention;
 mod sessions;
 #[cfg(test)]
 mod tests;
@@ -33,7 +34,7 @@ pub use results::{StageSeconds, WarningRow};
 pub use tokens::{NewToken, Quotas, TokenRow};
 
 /// Applied in order, each once, never edited after release.
-const MIGRATIONS: [(i64, &str, &str); 10] = [
+const MIGRATIONS: [(i64, &str, &str); 11] = [
     (
         1,
         "captures",
@@ -79,6 +80,11 @@ const MIGRATIONS: [(i64, &str, &str); 10] = [
         10,
         "quotas",
         include_str!("../../migrations/0010_quotas.sql"),
+    ),
+    (
+        11,
+        "retention",
+        include_str!("../../migrations/0011_retention.sql"),
     ),
 ];
 

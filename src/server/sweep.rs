@@ -16,6 +16,7 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use crate::app::App;
 use crate::error::{Result, ServerError};
+use crate::expiry::expire;
 
 /// Between two sweeps.
 const PERIOD: Duration = Duration::from_secs(3600);
@@ -34,6 +35,9 @@ pub async fn keep_sweeping(app: Arc<App>) {
         }
         if let Err(error) = sweep(&app, PERIOD).await {
             tracing::warn!(%error, "cannot look for files that nobody names");
+        }
+        if let Err(error) = expire(&app).await {
+            tracing::warn!(%error, "cannot delete what is kept no longer");
         }
     }
 }

@@ -326,3 +326,25 @@ test("from the first token on the page asks for it, and forgets it on logout", a
     await locked.stop();
   }
 });
+
+test("a job that the server will delete says so, and can be kept", async () => {
+  const tidy = await Server.start(process.env.FLED);
+  try {
+    const id = await tidy.submit(tidy.capture(), "old");
+    await tidy.reached(id, "succeeded");
+    await tidy.restart(["--keep-jobs", "0"]);
+    const visitor = new Browser(tidy.base, browser.chromium);
+    await visitor.visit("kept", `#/jobs/${id}`, async (page) => {
+      await page.getByText("This job will be deleted on").waitFor();
+      await button(page, "Keep it").click();
+      await page.getByText("Kept until you delete it").waitFor();
+      assert.equal((await tidy.job(id)).pinned, true);
+      assert.deepEqual(await overflowing(page), []);
+      await button(page, "Keep no longer than others").click();
+      await page.getByText("Kept until you delete it").waitFor({ state: "detached" });
+      assert.equal((await tidy.job(id)).pinned, false);
+    }, PHONE);
+  } finally {
+    await tidy.stop();
+  }
+});

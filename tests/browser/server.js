@@ -26,23 +26,35 @@ const TOP = join(import.meta.dirname, "../..");
 const FAREWELL = 10_000;
 
 export class Server {
-  /** Starts `program serve`; resolves once it listens. */
-  static async start(program) {
-    const folder = mkdtempSync(join(tmpdir(), "fled-browser-"));
-    const environment = { ...process.env, FLED_MODELS: join(folder, "models") };
-    delete environment.RUST_LOG;
-    const child = spawn(
-      program,
-      ["serve", "--listen", "127.0.0.1:0", "--workers", "2", "--data", join(folder, "data")],
-      { cwd: TOP, env: environment, stdio: ["ignore", "ignore", "pipe"] },
-    );
-    const server = new Server(program, folder, child);
-    server.base = await server.#address();
+  /** Starts `program serve` with further arguments; resolves once it listens. */
+  static async start(program, further = []) {
+    const server = new Server(program, mkdtempSync(join(tmpdir(), "fled-browser-")));
+    await server.#serve(further);
     return server;
   }
 
-  constructor(program, folder, child) {
-    Object.assign(this, { program, folder, child, said: [] });
+  constructor(program, folder) {
+    Object.assign(this, { program, folder, said: [] });
+  }
+
+  async #serve(further) {
+    const { folder } = this;
+    const environment = { ...process.env, FLED_MODELS: join(folder, "models") };
+    delete environment.RUST_LOG;
+    const data = join(folder, "data");
+    const listen = ["--listen", "127.0.0.1:0", "--workers", "2"];
+    this.child = spawn(
+      this.program,
+      ["serve", "--data", data, ...listen, ...further],
+      { cwd: TOP, env: environment, stdio: ["ignore", "ignore", "pipe"] },
+    );
+    this.base = await this.#address();
+  }
+
+  /** Stops the server and starts it with what it has, with further arguments. */
+  async restart(further = []) {
+    await this.#end();
+    await this.#serve(further);
   }
 
   #address() {
@@ -71,6 +83,11 @@ export class Server {
   }
 
   async stop() {
+    await this.#end();
+    rmSync(this.folder, { recursive: true, force: true });
+  }
+
+  async #end() {
     const { child } = this;
     if (child.exitCode === null && child.signalCode === null) {
       const ended = new Promise((resolve) => { child.once("exit", resolve); });
@@ -79,7 +96,6 @@ export class Server {
       await ended;
       clearTimeout(impatience);
     }
-    rmSync(this.folder, { recursive: true, force: true });
   }
 
   /** A folder of eight small dark photographs with their poses and their ground truth. */

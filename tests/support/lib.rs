@@ -94,6 +94,11 @@ impl Client {
         reply(request.call())
     }
 
+    /// PUT of nothing.
+    pub fn put(&self, path: &str) -> Reply {
+        reply(self.agent.put(format!("{}{path}", self.base)).send_empty())
+    }
+
     /// POST of bytes.
     pub fn post(&self, path: &str, body: &[u8], headers: &[(&str, &str)]) -> Reply {
         let mut request = self.agent.post(format!("{}{path}", self.base));

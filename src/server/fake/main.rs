@@ -13,7 +13,7 @@ use std::time::Duration;
 
 use fled_core::image::Image;
 use fled_server::render::RenderRequest;
-use fled_server::{Limits, ServeConfig};
+use fled_server::{Limits, Retention, ServeConfig};
 use protocol::say;
 use rustix::process::{Resource, Rlimit, setrlimit};
 
@@ -60,6 +60,11 @@ fn serve(data: &Path, address_file: &Path) -> Result<(), Box<dyn std::error::Err
             .into_iter()
             .map(Into::into)
             .collect(),
+        retention: Retention {
+            age: milliseconds("FLED_FAKE_KEEP_MS")?,
+            jobs: None,
+            notice: milliseconds("FLED_FAKE_NOTICE_MS")?.unwrap_or_default(),
+        },
         limits: Limits {
             lease: Duration::from_secs(5),
             heartbeat: Duration::from_millis(500),
@@ -87,6 +92,12 @@ fn serve(data: &Path, address_file: &Path) -> Result<(), Box<dyn std::error::Err
         server.stop().await;
         Ok(())
     })
+}
+
+/// A time that a test sets through the environment.
+fn milliseconds(name: &str) -> Result<Option<Duration>, std::num::ParseIntError> {
+    let text = std::env::var(name).ok().map(|text| text.parse());
+    Ok(text.transpose()?.map(Duration::from_millis))
 }
 
 /// A limit that a test sets through the environment.

@@ -12,10 +12,10 @@ use super::access::Visitor;
 use super::extract::Query;
 use super::page::page_size;
 use super::problem::Problem;
-use super::removal::remove;
 use super::shapes::{Capture, Captures};
 use super::upload;
 use crate::app::App;
+use crate::removal::remove;
 
 /// How to take an upload.
 #[derive(Debug, Deserialize, IntoParams)]
@@ -80,6 +80,7 @@ pub async fn create(
             id: None,
             name,
             created_at: None,
+            expires_at: None,
             report,
         })
         .into_response());

@@ -18,11 +18,11 @@ use super::order::Order;
 use super::page::page_size;
 use super::problem::Problem;
 use super::quota::bytes_left;
-use super::removal::remove;
 use super::shapes::{Job, Jobs, report};
 use super::upload;
 use crate::app::App;
 use crate::jobs::state::JobState;
+use crate::removal::remove;
 use crate::store::{Creation, JobRow, Retry};
 
 /// After so many seconds a place in the queue may be free.

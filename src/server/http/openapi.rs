@@ -7,7 +7,7 @@ use utoipa::openapi::security::{HttpAuthScheme, HttpBuilder, SecurityRequirement
 use utoipa::openapi::{Content, OpenApi, Ref, RefOr, Response, ResponseBuilder};
 use utoipa::{Modify, OpenApi as _};
 
-use super::{artifacts, captures, events, health, jobs, log, login, options, render, rounds};
+use super::{artifacts, captures, events, health, jobs, log, login, options, pin, render, rounds};
 
 #[derive(utoipa::OpenApi)]
 #[openapi(
@@ -27,6 +27,8 @@ use super::{artifacts, captures, events, health, jobs, log, login, options, rend
         jobs::cancel,
         jobs::retry,
         jobs::delete,
+        pin::pin,
+        pin::unpin,
         events::stream,
         rounds::show,
         log::show,
@@ -62,7 +64,12 @@ impl Modify for Refusals {
         let components = api.components.get_or_insert_default();
         components.add_security_scheme(TOKEN, scheme);
         for (path, item) in &mut api.paths.paths {
-            let operations = [&mut item.get, &mut item.post, &mut item.delete];
+            let operations = [
+                &mut item.get,
+                &mut item.put,
+                &mut item.post,
+                &mut item.delete,
+            ];
             for operation in operations.into_iter().flatten() {
                 refuse(operation, path);
             }

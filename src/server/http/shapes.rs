@@ -19,6 +19,9 @@ pub struct Capture {
     /// When it was stored.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub created_at: Option<String>,
+    /// When it will be deleted, unless a job is made of it: RFC 3339.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub expires_at: Option<String>,
     /// What became of each file, and what is worth knowing of all.
     #[serde(flatten)]
     pub report: CaptureReport,
@@ -41,6 +44,7 @@ impl Capture {
             id: Some(row.id),
             name: row.name,
             created_at: Some(time(row.created_at)),
+            expires_at: row.expires_at.map(time),
             report,
         }
     }
@@ -106,6 +110,10 @@ pub struct Job {
     pub started_at: Option<String>,
     /// RFC 3339.
     pub finished_at: Option<String>,
+    /// Whether it is kept, whatever the server deletes of itself.
+    pub pinned: bool,
+    /// When it will be deleted: RFC 3339.
+    pub expires_at: Option<String>,
 }
 
 /// Why a job failed.
@@ -186,6 +194,8 @@ impl Job {
             created_at: time(row.created_at),
             started_at: row.started_at.map(time),
             finished_at: row.finished_at.map(time),
+            pinned: row.pinned,
+            expires_at: row.expires_at.map(time),
         }
     }
 }

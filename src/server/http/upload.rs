@@ -21,12 +21,12 @@ use self::places::Places;
 use super::access::Visitor;
 use super::problem::{Problem, disk_full};
 use super::quota::{bytes_left, over_quota};
-use super::removal::remove;
 use crate::app::App;
 use crate::data::sync_directory;
 use crate::error::ServerError;
 use crate::incoming::Incoming;
 use crate::intake::{self, CaptureReport, Refusal};
+use crate::removal::remove;
 use crate::store::{CaptureRow, now_ms};
 
 /// Text fields are short; files stream. Bytes.
@@ -242,6 +242,7 @@ impl Upload {
             report: serde_json::to_value(report).unwrap_or_default(),
             created_at: now_ms(),
             owner: owner.map(str::to_owned),
+            expires_at: None,
         };
         let to = app.data.capture(&row.id);
         let moved = {

@@ -21,6 +21,8 @@ pub struct CaptureRow {
     pub created_at: i64,
     /// Whose it is, and so its jobs; `None` where nobody was asked for a token.
     pub owner: Option<String>,
+    /// When it will be deleted, unless a job is made of it.
+    pub expires_at: Option<i64>,
 }
 
 impl Store {
@@ -148,5 +150,6 @@ fn from_row(row: &SqliteRow) -> Result<CaptureRow> {
         report,
         created_at: row.try_get("created_at")?,
         owner: row.try_get("owner")?,
+        expires_at: row.try_get("expires_at")?,
     })
 }

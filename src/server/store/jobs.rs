@@ -80,6 +80,10 @@ pub struct JobRow {
     pub started_at: Option<i64>,
     /// End of the last attempt in a terminal state.
     pub finished_at: Option<i64>,
+    /// Whether it is kept, whatever the server deletes of itself.
+    pub pinned: bool,
+    /// When it will be deleted.
+    pub expires_at: Option<i64>,
 }
 
 /// A job with what it has told so far.
@@ -243,7 +247,7 @@ async fn change(
     if transition == Transition::Retried {
         sqlx::query(
                 "UPDATE jobs SET cancel_requested = 0, error_code = NULL, error_detail = NULL, error_hint = NULL,
-                 failures = 0, not_before = 0 WHERE id = ?",
+                 failures = 0, not_before = 0, expires_at = NULL WHERE id = ?",
             )
             .bind(id)
             .execute(&mut **tx)
@@ -388,5 +392,7 @@ pub(super) fn from_row(row: &SqliteRow) -> Result<JobRow> {
         created_at: row.try_get("created_at")?,
         started_at: row.try_get("started_at")?,
         finished_at: row.try_get("finished_at")?,
+        pinned: row.try_get("pinned")?,
+        expires_at: row.try_get("expires_at")?,
     })
 }

@@ -15,6 +15,7 @@ async fn store() -> (tempfile::TempDir, Store) {
         .expect("fresh database");
     let capture = CaptureRow {
         owner: None,
+        expires_at: None,
         id: "c".to_owned(),
         name: "a capture".to_owned(),
         accepted: 3,

@@ -135,3 +135,38 @@ fn an_event_stream_ends_with_its_token() {
     let shown = server.get(&format!("/v1/jobs/{job}"), &[("authorization", &admin)]);
     assert_eq!(shown.expect(200).json()["state"], "running", "it goes on");
 }
+
+#[test]
+fn a_job_says_that_it_will_go_and_goes_unless_it_is_pinned() {
+    let kept = [("FLED_FAKE_KEEP_MS", "0"), ("FLED_FAKE_NOTICE_MS", "60000")];
+    let mut server = Server::start_with(&kept);
+    let (goes, stays) = (server.job("ok"), server.job("ok"));
+    for job in [&goes, &stays] {
+        let done = server.wait_state(job, "succeeded");
+        assert!(done["expires_at"].is_null() && done["pinned"] == false);
+    }
+    let pinned = server.put(&pin_of(&stays)).expect(200).json();
+    assert_eq!(pinned["pinned"], true);
+    server.put(&pin_of("none")).expect(404);
+    server.restart_with(&kept);
+    assert!(!server.show(&goes)["expires_at"].is_null(), "it says so");
+    assert!(server.show(&stays)["expires_at"].is_null());
+    // Nobody lives for a week here: the notice of what was told is over at once.
+    with_store(&server, async |store| {
+        let gone = store.delete_expired(i64::MAX).await.expect("deleted");
+        assert_eq!(gone.jobs, [goes.clone()]);
+    });
+    server.get(&format!("/v1/jobs/{goes}"), &[]).expect(404);
+    assert_eq!(server.show(&stays)["state"], "succeeded");
+    let let_go = server.delete_as(&pin_of(&stays), &[]).expect(200).json();
+    assert_eq!(let_go["pinned"], false);
+    server.restart_with(&[("FLED_FAKE_KEEP_MS", "0")]);
+    server.restart_with(&[("FLED_FAKE_KEEP_MS", "0")]);
+    server.get(&format!("/v1/jobs/{stays}"), &[]).expect(404);
+    let folder = server.data.path().join("data/jobs").join(&stays);
+    assert!(!folder.exists(), "its files went with it");
+}
+
+fn pin_of(job: &str) -> String {
+    format!("/v1/jobs/{job}/pin")
+}

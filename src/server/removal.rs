@@ -4,7 +4,7 @@ use std::path::Path;
 
 /// Removes the files of something that is no longer in the database. Their loss of name is what
 /// counts; what cannot be removed is told to the operator.
-pub(super) async fn remove(dir: &Path) {
+pub async fn remove(dir: &Path) {
     match tokio::fs::remove_dir_all(dir).await {
         Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
             tracing::warn!(%error, dir = %dir.display(), "cannot remove");

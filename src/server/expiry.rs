@@ -1,0 +1,26 @@
+//! Deletes what the server keeps no longer, after it has told so for a while.
+
+use crate::app::App;
+use crate::error::Result;
+use crate::removal::remove;
+use crate::store::now_ms;
+
+/// Marks what will go and deletes what was marked for long enough. Returns how much was deleted.
+///
+/// # Errors
+/// When the database refuses.
+pub async fn expire(app: &App) -> Result<usize> {
+    let now = now_ms();
+    app.store.mark_expiring(&app.config.retention, now).await?;
+    let expired = app.store.delete_expired(now).await?;
+    for id in &expired.jobs {
+        tracing::info!(job = id, "deleted: it was kept as long as jobs are");
+        remove(&app.data.job(id)).await;
+    }
+    for id in &expired.captures {
+        tracing::info!(capture = id, "deleted: it was kept as long as captures are");
+        remove(&app.data.capture(id)).await;
+    }
+    app.changed();
+    Ok(expired.jobs.len() + expired.captures.len())
+}

@@ -1,0 +1,44 @@
+//! `/v1/jobs/{id}/pin`: jobs that the server does not delete of itself.
+
+use std::sync::Arc;
+
+use axum::Json;
+use axum::extract::{Path, State};
+
+use super::problem::Problem;
+use super::shapes::Job;
+use crate::app::App;
+
+/// Keeps a job, whatever the server deletes of itself.
+#[utoipa::path(put, path = "/v1/jobs/{id}/pin", operation_id = "pin_job",
+    tag = "jobs", params(("id" = String, Path)),
+    responses(
+        (status = 200, description = "It is pinned", body = Job),
+        (status = 404, description = "Unknown", body = Problem, content_type = "application/problem+json")))]
+pub async fn pin(
+    State(app): State<Arc<App>>,
+    Path(id): Path<String>,
+) -> Result<Json<Job>, Problem> {
+    set(&app, &id, true).await
+}
+
+/// Keeps a job no longer than others.
+#[utoipa::path(delete, path = "/v1/jobs/{id}/pin", operation_id = "unpin_job",
+    tag = "jobs", params(("id" = String, Path)),
+    responses(
+        (status = 200, description = "It is not pinned", body = Job),
+        (status = 404, description = "Unknown", body = Problem, content_type = "application/problem+json")))]
+pub async fn unpin(
+    State(app): State<Arc<App>>,
+    Path(id): Path<String>,
+) -> Result<Json<Job>, Problem> {
+    set(&app, &id, false).await
+}
+
+async fn set(app: &App, id: &str, pinned: bool) -> Result<Json<Job>, Problem> {
+    app.store.pin_job(id, pinned).await?;
+    let told = app.store.told_job(id).await?;
+    let told = told.ok_or_else(|| Problem::not_found("job"))?;
+    app.changed();
+    Ok(Json(Job::from_told(told)))
+}

@@ -1,0 +1,241 @@
+//! What goes by itself: first it is marked, then it is deleted.
+
+use std::time::Duration;
+
+use super::Store;
+use crate::config::Retention;
+use crate::error::Result;
+
+/// What was deleted: ids of jobs and of captures.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Expired {
+    /// Their folders are to be removed.
+    pub jobs: Vec<String>,
+    /// The same of captures.
+    pub captures: Vec<String>,
+}
+
+impl Store {
+    /// Marks what is due within the notice with the time at which it goes, and unmarks what is not
+    /// due any more: because it was pinned, has begun again, or the server keeps more now.
+    ///
+    /// # Errors
+    /// When the database refuses.
+    pub async fn mark_expiring(&self, retention: &Retention, now: i64) -> Result<()> {
+        let notice = milliseconds(retention.notice);
+        let age = retention.age.map(milliseconds);
+        let mut tx = self.pool.begin_with("BEGIN IMMEDIATE").await?;
+        sqlx::query(
+            "WITH ended AS (
+                SELECT jobs.id AS id, jobs.finished_at AS finished_at, ROW_NUMBER() OVER (
+                    PARTITION BY captures.owner ORDER BY jobs.finished_at DESC, jobs.id DESC
+                ) AS place
+                FROM jobs JOIN captures ON captures.id = jobs.capture_id
+                WHERE jobs.pinned = 0 AND jobs.finished_at IS NOT NULL
+                AND jobs.state IN ('succeeded', 'failed', 'cancelled')
+            ), due AS (
+                SELECT id FROM ended
+                WHERE (?3 IS NOT NULL AND place > ?3)
+                OR (?4 IS NOT NULL AND finished_at + ?4 <= ?1 + ?2)
+            )
+            UPDATE jobs SET expires_at =
+                CASE WHEN id IN (SELECT id FROM due) THEN COALESCE(expires_at, ?1 + ?2) END
+            WHERE expires_at IS NOT NULL OR id IN (SELECT id FROM due)",
+        )
+        .bind(now)
+        .bind(notice)
+        .bind(retention.jobs)
+        .bind(age)
+        .execute(&mut *tx)
+        .await?;
+        sqlx::query(
+            "WITH due AS (
+                SELECT id FROM captures
+                WHERE ?3 IS NOT NULL AND created_at + ?3 <= ?1 + ?2
+                AND NOT EXISTS (SELECT 1 FROM jobs WHERE capture_id = captures.id)
+            )
+            UPDATE captures SET expires_at =
+                CASE WHEN id IN (SELECT id FROM due) THEN COALESCE(expires_at, ?1 + ?2) END
+            WHERE expires_at IS NOT NULL OR id IN (SELECT id FROM due)",
+        )
+        .bind(now)
+        .bind(notice)
+        .bind(age)
+        .execute(&mut *tx)
+        .await?;
+        tx.commit().await?;
+        Ok(())
+    }
+
+    /// Deletes the rows of what was marked and whose time has come.
+    ///
+    /// # Errors
+    /// When the database refuses.
+    pub async fn delete_expired(&self, now: i64) -> Result<Expired> {
+        let mut tx = self.pool.begin_with("BEGIN IMMEDIATE").await?;
+        let jobs = sqlx::query_scalar(
+            "DELETE FROM jobs WHERE expires_at <= ? AND pinned = 0
+             AND state IN ('succeeded', 'failed', 'cancelled') RETURNING id",
+        )
+        .bind(now)
+        .fetch_all(&mut *tx)
+        .await?;
+        let captures = sqlx::query_scalar(
+            "DELETE FROM captures WHERE expires_at <= ?
+             AND NOT EXISTS (SELECT 1 FROM jobs WHERE capture_id = captures.id) RETURNING id",
+        )
+        .bind(now)
+        .fetch_all(&mut *tx)
+        .await?;
+        tx.commit().await?;
+        Ok(Expired { jobs, captures })
+    }
+
+    /// Keeps a job for ever, or no longer than others. `Ok(false)` when there is none.
+    ///
+    /// # Errors
+    /// When the database refuses.
+    pub async fn pin_job(&self, id: &str, pinned: bool) -> Result<bool> {
+        let done = sqlx::query("UPDATE jobs SET pinned = ?, expires_at = NULL WHERE id = ?")
+            .bind(pinned)
+            .bind(id)
+            .execute(&self.pool)
+            .await?;
+        Ok(done.rows_affected() == 1)
+    }
+}
+
+fn milliseconds(time: Duration) -> i64 {
+    i64::try_from(time.as_millis()).unwrap_or(i64::MAX / 4)
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+    use crate::store::{CaptureRow, NewJob, Room, now_ms};
+
+    const DAY: i64 = 24 * 3600 * 1000;
+    const KEPT: Retention = Retention {
+        age: Some(Duration::from_secs(30 * 24 * 3600)),
+        jobs: Some(2),
+        notice: Duration::from_secs(7 * 24 * 3600),
+    };
+
+    async fn capture(store: &Store, id: &str, owner: Option<&str>) {
+        let row = CaptureRow {
+            id: id.to_owned(),
+            name: id.to_owned(),
+            accepted: 3,
+            report: json!({}),
+            created_at: now_ms(),
+            expires_at: None,
+            owner: owner.map(str::to_owned),
+        };
+        store.insert_capture(&row).await.expect("kept");
+    }
+
+    /// A job that was cancelled, each of the calls a moment later than the one before.
+    async fn ended(store: &Store, id: &str, capture: &str) {
+        let job = NewJob {
+            id: id.to_owned(),
+            name: id.to_owned(),
+            capture_id: capture.to_owned(),
+            preset: "preview".to_owned(),
+            options: json!({}),
+            rounds: 1,
+        };
+        let room = Room {
+            queue: 100,
+            of_owner: None,
+        };
+        store.create_job(&job, None, "", room).await.expect("made");
+        store.request_cancel(id).await.expect("cancelled");
+        tokio::time::sleep(Duration::from_millis(2)).await;
+    }
+
+    async fn store() -> (tempfile::TempDir, Store) {
+        let dir = tempfile::tempdir().expect("temporary directory");
+        let store = Store::open(&dir.path().join("fled.db")).await;
+        let store = store.expect("open");
+        capture(&store, "anna's", Some("anna")).await;
+        capture(&store, "ben's", Some("ben")).await;
+        for id in ["a1", "a2", "a3"] {
+            ended(&store, id, "anna's").await;
+        }
+        ended(&store, "b1", "ben's").await;
+        (dir, store)
+    }
+
+    async fn expires(store: &Store, id: &str) -> Option<i64> {
+        store
+            .job(id)
+            .await
+            .expect("read")
+            .expect("is there")
+            .expires_at
+    }
+
+    #[tokio::test]
+    async fn the_oldest_beyond_the_number_of_each_owner_go_after_the_notice() {
+        let (_dir, store) = store().await;
+        let now = now_ms();
+        store.mark_expiring(&KEPT, now).await.expect("marked");
+        assert_eq!(expires(&store, "a1").await, Some(now + 7 * DAY));
+        for kept in ["a2", "a3", "b1"] {
+            assert_eq!(expires(&store, kept).await, None, "{kept}");
+        }
+        store.mark_expiring(&KEPT, now + DAY).await.expect("marked");
+        assert_eq!(expires(&store, "a1").await, Some(now + 7 * DAY), "as told");
+        let early = store.delete_expired(now + 7 * DAY - 1).await;
+        assert_eq!(early.expect("none"), Expired::default());
+        let gone = store.delete_expired(now + 7 * DAY).await.expect("one");
+        assert_eq!(gone.jobs, ["a1"]);
+        assert!(gone.captures.is_empty());
+    }
+
+    #[tokio::test]
+    async fn what_is_pinned_stays_and_what_begins_again_has_its_time_again() {
+        let (_dir, store) = store().await;
+        let now = now_ms();
+        let old = now + 24 * DAY;
+        store.mark_expiring(&KEPT, old).await.expect("marked");
+        assert_eq!(expires(&store, "b1").await, Some(old + 7 * DAY));
+        assert!(store.pin_job("b1", true).await.expect("pinned"));
+        assert!(!store.pin_job("none", true).await.expect("asked"));
+        let room = Room {
+            queue: 100,
+            of_owner: None,
+        };
+        store.retry("a1", room).await.expect("again");
+        assert_eq!(expires(&store, "a1").await, None);
+        store.mark_expiring(&KEPT, old + DAY).await.expect("marked");
+        let gone = store.delete_expired(old + 9 * DAY).await.expect("two");
+        assert_eq!(gone.jobs, ["a2", "a3"]);
+        store.mark_expiring(&KEPT, old + DAY).await.expect("marked");
+        assert_eq!(expires(&store, "b1").await, None, "it is pinned");
+        store.pin_job("b1", false).await.expect("let go");
+        store.mark_expiring(&KEPT, old + DAY).await.expect("marked");
+        assert_eq!(expires(&store, "b1").await, Some(old + 8 * DAY));
+        let all = Retention::default();
+        store.mark_expiring(&all, old + DAY).await.expect("marked");
+        assert_eq!(expires(&store, "b1").await, None, "all is kept now");
+    }
+
+    #[tokio::test]
+    async fn a_capture_goes_by_age_and_not_before_its_jobs() {
+        let (_dir, store) = store().await;
+        let old = now_ms() + 40 * DAY;
+        store.mark_expiring(&KEPT, old).await.expect("marked");
+        let gone = store.delete_expired(old + 8 * DAY).await.expect("jobs");
+        assert_eq!((gone.jobs.len(), gone.captures.len()), (4, 0));
+        store
+            .mark_expiring(&KEPT, old + 8 * DAY)
+            .await
+            .expect("marked");
+        ended(&store, "a4", "anna's").await;
+        let gone = store.delete_expired(old + 15 * DAY).await.expect("one");
+        assert_eq!(gone.captures, ["ben's"]);
+    }
+}
