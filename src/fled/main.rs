@@ -6,6 +6,7 @@ mod eval;
 mod failure;
 mod models;
 mod progress;
+mod remote;
 mod render;
 mod render_worker;
 mod run;
@@ -46,6 +47,14 @@ enum Command {
     Synth(synth::Args),
     /// The HTTP service with its dashboard and workers.
     Serve(serve::Args),
+    /// Sends a capture to a service, watches the job and fetches its result.
+    Submit(remote::submit::Args),
+    /// Shows what a job of a service does until it is over.
+    Watch(remote::watch::Args),
+    /// Fetches the files of a service's job; the same command goes on where one was cut off.
+    Fetch(remote::fetch::Args),
+    /// Stops a job of a service.
+    Cancel(remote::cancel::Args),
     /// Makes, lists and ends the tokens by which the service is used.
     Token(token::Args),
     /// Measures what training and rendering cost on this machine, kernel by kernel.
@@ -73,6 +82,10 @@ fn main() -> ExitCode {
         Command::Render(args) => render::main(&args),
         Command::Synth(args) => synth::main(&args),
         Command::Serve(args) => serve::main(&args),
+        Command::Submit(args) => remote::submit::main(&args),
+        Command::Watch(args) => remote::watch::main(&args),
+        Command::Fetch(args) => remote::fetch::main(&args),
+        Command::Cancel(args) => remote::cancel::main(&args),
         Command::Token(args) => token::main(&args),
         Command::Bench(args) => bench::main(&args),
         Command::Eval(args) => eval::main(&args),

@@ -6,6 +6,7 @@ mod job;
 mod late_views;
 mod models;
 mod networks;
+mod remote;
 mod service;
 mod suite;
 mod support;

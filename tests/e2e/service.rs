@@ -17,8 +17,8 @@ use crate::support::{fled, small_capture, succeed};
 const PATIENCE: Duration = Duration::from_secs(300);
 
 /// `fled serve` on a free port.
-struct Server {
-    folder: tempfile::TempDir,
+pub struct Server {
+    pub folder: tempfile::TempDir,
     child: Child,
     client: Client,
 }
@@ -38,7 +38,7 @@ impl Drop for Server {
 }
 
 impl Server {
-    fn start() -> Self {
+    pub fn start() -> Self {
         let folder = tempfile::tempdir().expect("temporary folder");
         let (child, client) = serve(folder.path());
         Self {

@@ -1,0 +1,262 @@
+//! The service as a client sees it: what `fled submit`, `watch`, `fetch` and `cancel` share.
+//!
+//! Connections break. Whatever is asked is asked again until it is answered, and nothing that is
+//! asked twice is done twice.
+
+pub mod cancel;
+pub mod fetch;
+mod multipart;
+pub mod submit;
+pub mod watch;
+
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+
+use fled_core::pipeline::error::ErrorKind;
+use serde::Deserialize;
+use serde::de::DeserializeOwned;
+use ureq::http::{Request, Response, StatusCode, header};
+use ureq::{Agent, AsSendBody, Body};
+
+use crate::failure::{Failure, io};
+
+/// Nothing moves for so long: the connection is lost.
+const STALL: Duration = Duration::from_secs(60);
+/// The service looks at the photographs before it answers.
+const ANSWER: Duration = Duration::from_secs(600);
+/// Waits between attempts: twice as long each time, up to this.
+const LONGEST_WAIT: Duration = Duration::from_secs(30);
+/// The variable that holds a token: an argument could be read by others on this machine.
+const TOKEN: &str = "FLED_TOKEN";
+
+/// Which service, and as who.
+#[derive(clap::Args)]
+pub struct Args {
+    /// The service's address.
+    #[arg(
+        long,
+        value_name = "URL",
+        env = "FLED_SERVER",
+        default_value = "http://127.0.0.1:8080"
+    )]
+    server: String,
+    /// A file that holds the token; without it the variable FLED_TOKEN does, where one is needed.
+    #[arg(long, value_name = "FILE")]
+    token_file: Option<PathBuf>,
+    /// How long to try again while the service does not answer, seconds.
+    #[arg(long, value_name = "SECONDS", default_value_t = 600)]
+    patience: u64,
+}
+
+/// A service.
+pub struct Remote {
+    agent: Agent,
+    base: String,
+    bearer: Option<String>,
+    patience: Duration,
+}
+
+/// Why something was not done.
+enum Fault {
+    /// There was no answer, or only a part: it may go better.
+    Lost(String),
+    /// The service asks to come again later.
+    Later(Option<Duration>, Failure),
+    /// The answer is no.
+    Refused(Failure),
+}
+
+/// What is read of a problem document.
+#[derive(Default, Deserialize)]
+#[serde(default)]
+struct Problem {
+    detail: String,
+    hint: String,
+    capture: Option<Assessed>,
+}
+
+#[derive(Deserialize)]
+struct Assessed {
+    #[serde(default)]
+    images: Vec<Assessment>,
+}
+
+#[derive(Deserialize)]
+struct Assessment {
+    name: String,
+    #[serde(default)]
+    accepted: bool,
+    reason: Option<String>,
+}
+
+impl Remote {
+    /// # Errors
+    /// [`Failure`] for a token that cannot be read.
+    pub fn new(args: &Args) -> Result<Self, Failure> {
+        let token = match &args.token_file {
+            Some(path) => Some(std::fs::read_to_string(path).map_err(io(path))?),
+            None => std::env::var(TOKEN).ok(),
+        };
+        let token = token.map(|token| token.trim().to_owned());
+        let agent = Agent::config_builder()
+            .http_status_as_error(false)
+            .timeout_connect(Some(STALL))
+            .timeout_per_read(Some(STALL))
+            .timeout_per_write(Some(STALL))
+            .timeout_recv_response(Some(ANSWER))
+            .build();
+        Ok(Self {
+            agent: agent.into(),
+            base: args.server.trim_end_matches('/').to_owned(),
+            bearer: token
+                .filter(|token| !token.is_empty())
+                .map(|token| format!("Bearer {token}")),
+            patience: Duration::from_secs(args.patience),
+        })
+    }
+
+    /// The service's address.
+    pub fn base(&self) -> &str {
+        &self.base
+    }
+
+    /// The JSON of an address.
+    ///
+    /// # Errors
+    /// [`Failure`] in the service's own words, or when it does not answer for too long.
+    pub fn json<T: DeserializeOwned>(&self, path: &str) -> Result<T, Failure> {
+        self.persist(|| read_json(self.get(path, &[])?))
+    }
+
+    /// Sends a request without a body and gives the JSON of the answer.
+    ///
+    /// # Errors
+    /// As [`Remote::json`].
+    fn post<T: DeserializeOwned>(&self, path: &str) -> Result<T, Failure> {
+        self.persist(|| read_json(self.send(Request::post(self.url(path)), ())?))
+    }
+
+    fn get(&self, path: &str, headers: &[(&str, String)]) -> Result<Response<Body>, Fault> {
+        let mut request = Request::get(self.url(path));
+        for (name, value) in headers {
+            request = request.header(*name, value);
+        }
+        self.send(request, ())
+    }
+
+    fn url(&self, path: &str) -> String {
+        format!("{}{path}", self.base)
+    }
+
+    /// An answer that says yes.
+    fn send(
+        &self,
+        mut request: ureq::http::request::Builder,
+        body: impl AsSendBody,
+    ) -> Result<Response<Body>, Fault> {
+        if let Some(bearer) = &self.bearer {
+            request = request.header(header::AUTHORIZATION, bearer);
+        }
+        let request = request
+            .body(body)
+            .map_err(|error| Fault::Refused(Failure::usage(error)))?;
+        match self.agent.run(request) {
+            Ok(response) if response.status().is_success() => Ok(response),
+            Ok(response) => Err(refusal(response)),
+            Err(
+                error @ (ureq::Error::BadUri(_)
+                | ureq::Error::Http(_)
+                | ureq::Error::RequireHttpsOnly(_)),
+            ) => Err(Fault::Refused(Failure::usage(format!(
+                "{}: {error}",
+                self.base
+            )))),
+            Err(error) => Err(Fault::Lost(error.to_string())),
+        }
+    }
+
+    /// Tries until there is an answer, the service says no, or nothing was heard of it for too
+    /// long.
+    fn persist<T>(&self, mut attempt: impl FnMut() -> Result<T, Fault>) -> Result<T, Failure> {
+        let (began, mut wait) = (Instant::now(), Duration::from_secs(1));
+        loop {
+            let (pause, failure) = match attempt() {
+                Ok(done) => return Ok(done),
+                Err(Fault::Refused(failure)) => return Err(failure),
+                Err(Fault::Later(pause, failure)) => (pause, failure),
+                Err(Fault::Lost(why)) => (None, self.lost(&why)),
+            };
+            let pause = pause.unwrap_or(wait);
+            if began.elapsed() + pause > self.patience {
+                return Err(failure);
+            }
+            eprintln!("{}; again in {} s", failure.detail, pause.as_secs());
+            std::thread::sleep(pause);
+            wait = (2 * wait).min(LONGEST_WAIT);
+        }
+    }
+
+    fn lost(&self, why: &str) -> Failure {
+        Failure {
+            kind: ErrorKind::Environment,
+            detail: format!("{} does not answer: {why}", self.base),
+            hint: "Is `fled serve` running there? The same command goes on from here.".to_owned(),
+            wrong_use: false,
+        }
+    }
+}
+
+fn read_json<T: DeserializeOwned>(mut response: Response<Body>) -> Result<T, Fault> {
+    // A list of files of hundreds of rounds' views is some megabytes.
+    let body = response.body_mut().with_config().limit(256 << 20);
+    let text = body
+        .read_to_vec()
+        .map_err(|error| Fault::Lost(error.to_string()))?;
+    serde_json::from_slice(&text).map_err(|error| {
+        let detail = format!("what answers there is no fled service: {error}");
+        Fault::Refused(Failure::new(ErrorKind::Environment, detail))
+    })
+}
+
+/// An answer that says no, in its own words.
+fn refusal(mut response: Response<Body>) -> Fault {
+    let status = response.status();
+    let seconds = response.headers().get(header::RETRY_AFTER);
+    let seconds = seconds.and_then(|text| text.to_str().ok()?.parse().ok());
+    let text = response.body_mut().read_to_vec().unwrap_or_default();
+    let problem: Problem = serde_json::from_slice(&text).unwrap_or_default();
+    let mut detail = match problem.detail.as_str() {
+        "" => format!("the service answered {status}"),
+        detail => detail.to_owned(),
+    };
+    let images = problem.capture.map(|capture| capture.images);
+    for image in images.into_iter().flatten().filter(|image| !image.accepted) {
+        let reason = image.reason.as_deref().unwrap_or("cannot be used");
+        detail += &format!("\n      {}: {reason}", image.name);
+    }
+    let failure = Failure {
+        kind: match status {
+            StatusCode::UNAUTHORIZED | StatusCode::FORBIDDEN => ErrorKind::Environment,
+            status if status.is_client_error() => ErrorKind::BadInput,
+            _ => ErrorKind::Environment,
+        },
+        detail,
+        hint: match status {
+            StatusCode::UNAUTHORIZED => format!("Put a token into {TOKEN}, or use --token-file."),
+            _ => problem.hint,
+        },
+        wrong_use: false,
+    };
+    let is_over = matches!(
+        status,
+        StatusCode::TOO_MANY_REQUESTS
+            | StatusCode::BAD_GATEWAY
+            | StatusCode::SERVICE_UNAVAILABLE
+            | StatusCode::GATEWAY_TIMEOUT
+    );
+    if is_over {
+        Fault::Later(seconds.map(Duration::from_secs), failure)
+    } else {
+        Fault::Refused(failure)
+    }
+}

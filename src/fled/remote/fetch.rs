@@ -1,0 +1,195 @@
+//! `fled fetch`: brings a job's files here, each whole and proven by its digest.
+
+use std::fs::{self, File, OpenOptions};
+use std::io::{self, Read, Write};
+use std::path::{Component, Path, PathBuf};
+
+use fled_core::pipeline::error::ErrorKind;
+use indicatif::{ProgressBar, ProgressStyle};
+use serde::Deserialize;
+use sha2::{Digest, Sha256};
+use ureq::http::StatusCode;
+
+use super::{Fault, Remote};
+use crate::failure::{Failure, io as at};
+
+/// Arguments of `fled fetch`.
+#[derive(clap::Args)]
+pub struct Args {
+    /// The job's id, as `fled submit` printed it.
+    job: String,
+    #[command(flatten)]
+    remote: super::Args,
+    /// Where the files go. What is there already and whole is not fetched again.
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// Only files whose path begins so, as `scene.ply` or `rounds/2/`; may be repeated.
+    #[arg(long, value_name = "PATH")]
+    only: Vec<String>,
+}
+
+#[derive(Deserialize)]
+struct Artifacts {
+    artifacts: Vec<Artifact>,
+}
+
+#[derive(Deserialize)]
+struct Artifact {
+    name: String,
+    bytes: u64,
+    sha256: String,
+}
+
+/// Fetches the files of a job.
+///
+/// # Errors
+/// [`Failure`] in the service's own words, and when the disk here refuses.
+pub fn main(args: &Args) -> Result<(), Failure> {
+    let remote = Remote::new(&args.remote)?;
+    fetch(&remote, &args.job, &args.out, &args.only)
+}
+
+/// As [`main`]; all files where `only` is empty.
+pub fn fetch(remote: &Remote, job: &str, out: &Path, only: &[String]) -> Result<(), Failure> {
+    let list: Artifacts = remote.json(&format!("/v1/jobs/{job}/artifacts"))?;
+    let is_wanted = |file: &Artifact| {
+        only.is_empty()
+            || only
+                .iter()
+                .any(|start| file.name.starts_with(start.as_str()))
+    };
+    let files: Vec<Artifact> = list.artifacts.into_iter().filter(is_wanted).collect();
+    if files.is_empty() {
+        let detail = format!("job {job} has no such file");
+        return Err(Failure::new(ErrorKind::BadInput, detail));
+    }
+    let bar = ProgressBar::new(files.iter().map(|file| file.bytes).sum());
+    let style = ProgressStyle::with_template("{bar:30} {percent:>3}% {bytes} {msg}");
+    bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()));
+    let mut fetched = 0;
+    for file in &files {
+        bar.set_message(file.name.clone());
+        let to = out.join(inside(&file.name)?);
+        if digest(&to).map_err(at(&to))?.as_deref() != Some(&file.sha256) {
+            bring(remote, job, file, &to)?;
+            fetched += 1;
+        }
+        bar.inc(file.bytes);
+    }
+    bar.finish_and_clear();
+    let kept = files.len() - fetched;
+    eprintln!(
+        "{fetched} files fetched into {}, {kept} were there",
+        out.display()
+    );
+    Ok(())
+}
+
+/// A name of the service as a path below the folder, and nowhere else.
+fn inside(name: &str) -> Result<PathBuf, Failure> {
+    let path = Path::new(name);
+    let is_inside = path
+        .components()
+        .all(|part| matches!(part, Component::Normal(_)));
+    if is_inside && !name.is_empty() {
+        return Ok(path.to_owned());
+    }
+    let detail = format!("the service names a file `{name}`, which is no path of a result");
+    Err(Failure::new(ErrorKind::Environment, detail))
+}
+
+/// One file, gone on with where an earlier download was cut off.
+fn bring(remote: &Remote, job: &str, file: &Artifact, to: &Path) -> Result<(), Failure> {
+    let parent = to.parent().unwrap_or(Path::new("."));
+    fs::create_dir_all(parent).map_err(at(parent))?;
+    let mut part = to.as_os_str().to_owned();
+    part.push(".part");
+    let part = PathBuf::from(part);
+    let address = format!("/v1/jobs/{job}/artifacts/{}", escaped(&file.name));
+    // What an earlier download left may be of another result: then all of it comes again, once.
+    for _ in 0..2 {
+        remote.persist(|| go_on(remote, &address, file.bytes, &part))?;
+        if digest(&part).map_err(at(&part))?.as_deref() == Some(&file.sha256) {
+            return fs::rename(&part, to).map_err(at(to));
+        }
+        fs::remove_file(&part).map_err(at(&part))?;
+    }
+    let detail = format!("{} is not what the service says it is", file.name);
+    Err(Failure::new(ErrorKind::Environment, detail))
+}
+
+/// Downloads what is missing of `part`.
+fn go_on(remote: &Remote, address: &str, bytes: u64, part: &Path) -> Result<(), Fault> {
+    let here = |error| Fault::Refused(at(part)(error));
+    let mut file = OpenOptions::new()
+        .create(true)
+        .append(true)
+        .open(part)
+        .map_err(here)?;
+    let have = file.metadata().map_err(here)?.len();
+    if have >= bytes {
+        return Ok(());
+    }
+    let range = [("range", format!("bytes={have}-"))];
+    let asked = if have > 0 { &range[..] } else { &[] };
+    let response = remote.get(address, asked)?;
+    if have > 0 && response.status() != StatusCode::PARTIAL_CONTENT {
+        file.set_len(0).map_err(here)?;
+    }
+    // One more than there can be: at its limit reading fails.
+    let body = response.into_body().into_with_config();
+    let mut body = body.limit(bytes + 1).reader();
+    let mut buffer = vec![0; 1 << 16];
+    loop {
+        let read = body.read(&mut buffer);
+        match read.map_err(|error| Fault::Lost(error.to_string()))? {
+            0 => break,
+            read => file.write_all(&buffer[..read]).map_err(here)?,
+        }
+    }
+    let has = file.metadata().map_err(here)?.len();
+    if has < bytes {
+        return Err(Fault::Lost(format!("{has} of {bytes} bytes came")));
+    }
+    Ok(())
+}
+
+/// The SHA-256 of a file, hexadecimal; `None` where there is none.
+fn digest(path: &Path) -> io::Result<Option<String>> {
+    let mut file = match File::open(path) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
+        file => file?,
+    };
+    let mut hasher = Sha256::new();
+    io::copy(&mut file, &mut hasher)?;
+    let bytes = hasher.finalize();
+    Ok(Some(
+        bytes.iter().map(|byte| format!("{byte:02x}")).collect(),
+    ))
+}
+
+/// A path as a part of an address.
+fn escaped(name: &str) -> String {
+    name.bytes()
+        .map(|byte| match byte {
+            b'a'..=b'z' | b'A'..=b'Z' | b'0'..=b'9' | b'-' | b'_' | b'.' | b'~' | b'/' => {
+                char::from(byte).to_string()
+            }
+            byte => format!("%{byte:02X}"),
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_name_leads_below_the_folder_or_nowhere() {
+        assert!(inside("rounds/2/scene.ply").is_ok());
+        for outside in ["", "/etc/passwd", "../x", "a/../../x", "./x"] {
+            assert!(inside(outside).is_err(), "{outside:?}");
+        }
+        assert_eq!(escaped("a b/ä.png"), "a%20b/%C3%A4.png");
+    }
+}

@@ -1,0 +1,121 @@
+//! `fled submit`: sends a capture to a service.
+
+use std::io::{Read, Write};
+use std::path::PathBuf;
+
+use fled_core::pipeline::config::{Options, Preset};
+use fled_core::pipeline::error::ErrorKind;
+use indicatif::{ProgressBar, ProgressStyle};
+use serde::Deserialize;
+use serde_json::{Map, Value};
+use ureq::SendBody;
+use ureq::http::{Request, header};
+
+use super::multipart::Form;
+use super::{Fault, Remote, fetch, read_json, watch};
+use crate::failure::Failure;
+
+/// Arguments of `fled submit`.
+#[derive(clap::Args)]
+pub struct Args {
+    /// A folder of photographs, or one zip.
+    capture: PathBuf,
+    #[command(flatten)]
+    remote: super::Args,
+    /// preview, standard or paper.
+    #[arg(long, default_value = "standard")]
+    preset: Preset,
+    /// One option over the preset's; may be repeated.
+    #[arg(long = "set", value_name = "KEY=VALUE")]
+    assignments: Vec<String>,
+    /// What to call it; the folder's name when absent.
+    #[arg(long)]
+    name: Option<String>,
+    /// Makes another job where the same one was submitted before.
+    #[arg(long)]
+    again: bool,
+    /// Returns when the job is accepted.
+    #[arg(long, conflicts_with = "out")]
+    detach: bool,
+    /// Fetches the result into this folder.
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+}
+
+#[derive(Deserialize)]
+struct Accepted {
+    id: String,
+}
+
+/// Sends the capture, watches the job and fetches its result. The same command goes on where an
+/// earlier one was cut off: the same capture and options are the same job.
+///
+/// # Errors
+/// [`Failure`] in the service's own words.
+pub fn main(args: &Args) -> Result<(), Failure> {
+    let remote = Remote::new(&args.remote)?;
+    let form = Form::new(&fields(args)?, &args.capture)?;
+    let mut key = form.digest.to_hex().to_string();
+    if args.again {
+        let now = std::time::SystemTime::UNIX_EPOCH.elapsed();
+        key += &format!("-{}", now.unwrap_or_default().as_nanos());
+    }
+    // A wrong address or token is told at once.
+    remote.json::<Value>("/v1/options")?;
+    let job = remote.persist(|| send(&remote, &form, &key))?;
+    writeln!(std::io::stdout(), "{job}").map_err(|e| Failure::new(ErrorKind::Io, e))?;
+    if args.detach {
+        eprintln!("`fled watch {job} --server {}` shows it", remote.base());
+        return Ok(());
+    }
+    watch::watch(&remote, &job)?;
+    match &args.out {
+        Some(out) => fetch::fetch(&remote, &job, out, &[]),
+        None => Ok(()),
+    }
+}
+
+fn fields(args: &Args) -> Result<Vec<(&'static str, String)>, Failure> {
+    // Checked here too: a typo is told before anything is sent.
+    let mut options: Options = args.preset.options();
+    let mut given = Map::new();
+    for assignment in &args.assignments {
+        options = options.with_assignment(assignment)?;
+        if let Some((key, _)) = assignment.split_once('=') {
+            let all = serde_json::to_value(&options).unwrap_or_default();
+            given.insert(key.trim().to_owned(), all[key.trim()].clone());
+        }
+    }
+    let name = args.name.clone().or_else(|| {
+        let path = args.capture.canonicalize().ok()?;
+        Some(path.file_stem()?.to_string_lossy().into_owned())
+    });
+    Ok(vec![
+        ("name", name.unwrap_or_default()),
+        ("preset", args.preset.name().to_owned()),
+        ("options", Value::Object(given).to_string()),
+    ])
+}
+
+fn send(remote: &Remote, form: &Form, key: &str) -> Result<String, Fault> {
+    let bar = ProgressBar::new(form.bytes());
+    let style = ProgressStyle::with_template(
+        "{bar:30} {percent:>3}% sent, {bytes} of {total_bytes} at {binary_bytes_per_sec}",
+    );
+    bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()));
+    let mut body = form.body();
+    let mut body = bar.wrap_read(body.by_ref());
+    let request = Request::post(remote.url("/v1/jobs"))
+        .header(header::CONTENT_TYPE, Form::content_type())
+        .header(header::CONTENT_LENGTH, form.bytes())
+        // What is refused is refused before the body is sent.
+        .header(header::EXPECT, "100-continue")
+        .header("idempotency-key", key);
+    let answer = remote.send(request, SendBody::from_reader(&mut body));
+    bar.finish_and_clear();
+    let answer = answer?;
+    if answer.headers().contains_key("idempotent-replayed") {
+        eprintln!("this job was submitted before; --again makes another");
+    }
+    read_json::<Accepted>(answer).map(|accepted| accepted.id)
+}

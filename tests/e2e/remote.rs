@@ -1,0 +1,145 @@
+//! The service from another machine, over connections that break.
+
+use std::io::{Read, Write};
+use std::net::{Shutdown, TcpListener, TcpStream};
+use std::path::Path;
+use std::process::Output;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
+use std::thread::spawn;
+
+use crate::service::Server;
+use crate::support::{code, fled, json, said, small_capture, succeed};
+
+/// Passes connections on and cuts one after so many bytes to the service and one after so many from
+/// it.
+struct Proxy {
+    address: String,
+    cuts: Arc<AtomicUsize>,
+}
+
+impl Proxy {
+    fn new(to: &str, up: u64, down: u64) -> Self {
+        let listener = TcpListener::bind("127.0.0.1:0").expect("a port");
+        let address = format!("http://{}", listener.local_addr().expect("an address"));
+        let to = to.trim_start_matches("http://").to_owned();
+        let cuts = Arc::new(AtomicUsize::new(0));
+        let counted = cuts.clone();
+        spawn(move || {
+            let left = [up, down].map(|bytes| Arc::new(AtomicU64::new(bytes)));
+            for client in listener.incoming() {
+                let client = client.expect("a connection");
+                let service = TcpStream::connect(&to).expect("the service listens");
+                for (from, to, left) in
+                    [(&client, &service, &left[0]), (&service, &client, &left[1])]
+                {
+                    let ends = [from, to].map(|end| end.try_clone().expect("a handle"));
+                    let (left, cuts) = (left.clone(), counted.clone());
+                    spawn(move || pass(ends, &left, &cuts));
+                }
+            }
+        });
+        Self { address, cuts }
+    }
+}
+
+/// Copies until the end, or until what is left has passed; that happens once.
+fn pass([mut from, mut to]: [TcpStream; 2], left: &AtomicU64, cuts: &AtomicUsize) {
+    let mut buffer = [0; 4096];
+    while let Ok(read @ 1..) = from.read(&mut buffer) {
+        let before = left.load(Ordering::SeqCst);
+        let now = before.saturating_sub(read as u64);
+        left.store(now, Ordering::SeqCst);
+        if before > 0 && now == 0 {
+            cuts.fetch_add(1, Ordering::SeqCst);
+            let _ = from.shutdown(Shutdown::Both);
+            break;
+        }
+        if to.write_all(&buffer[..read]).is_err() {
+            break;
+        }
+    }
+    let _ = to.shutdown(Shutdown::Both);
+}
+
+fn submit(capture: &Path, server: &str, token: &str, out: &Path) -> Output {
+    let mut command = fled();
+    command
+        .arg("submit")
+        .arg(capture)
+        .args(["--server", server]);
+    command.args([
+        "--preset",
+        "preview",
+        "--name",
+        "a place",
+        "--patience",
+        "60",
+    ]);
+    for set in [
+        "size=96",
+        "steps=40",
+        "cap=800",
+        "rounds=1",
+        "pose_source=given",
+    ] {
+        command.args(["--set", set]);
+    }
+    command.arg("--out").arg(out).env("FLED_TOKEN", token);
+    command.output().expect("the binary starts")
+}
+
+#[test]
+fn a_capture_comes_through_connections_that_break_and_so_does_its_result() {
+    let server = Server::start();
+    let data = server.folder.path().join("data");
+    let made = succeed(
+        fled()
+            .args(["token", "create", "--scope", "admin", "--data"])
+            .arg(data),
+    );
+    let token = String::from_utf8(made.stdout).expect("text");
+    let token = token.trim();
+    let capture = small_capture(server.folder.path());
+    let proxy = Proxy::new(&server.base, 60_000, 200_000);
+    let out = server.folder.path().join("result");
+
+    let refused = submit(&capture, &proxy.address, "fled_0", &out);
+    assert_ne!(code(&refused), 0);
+    assert!(said(&refused).contains("FLED_TOKEN"), "{}", said(&refused));
+    let done = submit(&capture, &proxy.address, token, &out);
+    assert_eq!(code(&done), 0, "{}", said(&done));
+    assert_eq!(proxy.cuts.load(Ordering::SeqCst), 2, "{}", said(&done));
+    let attempts = said(&done).matches("does not answer").count();
+    assert_eq!(attempts, 2, "{}", said(&done));
+    assert!(said(&done).contains("round 1 is delivered"));
+    let bearer = format!("Bearer {token}");
+    let headers = [("authorization", bearer.as_str())];
+    let jobs = server.get("/v1/jobs", &headers).expect(200).json();
+    assert_eq!(jobs["jobs"].as_array().map(Vec::len), Some(1), "{jobs:#}");
+    let id = String::from_utf8(done.stdout.clone()).expect("text");
+    let id = id.trim();
+    assert_eq!(jobs["jobs"][0]["id"], id);
+    assert_eq!(json(&out.join("metrics.json"))["best_round"], 1);
+    let scene = std::fs::read(out.join("scene.ply")).expect("the scene");
+    let path = format!("/v1/jobs/{id}/artifacts/scene.ply");
+    assert!(server.get(&path, &headers).body == scene);
+
+    // The same once more is the same job, and nothing is sent twice but the question.
+    std::fs::remove_file(out.join("scene.ply")).expect("removed");
+    let again = submit(&capture, &proxy.address, token, &out);
+    assert_eq!(code(&again), 0, "{}", said(&again));
+    assert!(
+        said(&again).contains("submitted before"),
+        "{}",
+        said(&again)
+    );
+    assert!(said(&again).contains("1 files fetched"), "{}", said(&again));
+    assert!(std::fs::read(out.join("scene.ply")).expect("the scene") == scene);
+
+    let mut cancel = fled();
+    cancel.args(["cancel", id, "--server", &proxy.address]);
+    let over = cancel.env("FLED_TOKEN", token).output().expect("starts");
+    assert_ne!(code(&over), 0);
+    assert!(said(&over).contains("succeeded"), "{}", said(&over));
+}
