@@ -1,5 +1,6 @@
 //! `fled`: dark, noisy, shaken photographs of a place to a 3D scene that one can walk around in.
 
+mod backup;
 mod bench;
 mod doctor;
 mod eval;
@@ -55,6 +56,8 @@ enum Command {
     Fetch(remote::fetch::Args),
     /// Stops a job of a service.
     Cancel(remote::cancel::Args),
+    /// Copies the service's data directory while it is in use.
+    Backup(backup::Args),
     /// Makes, lists and ends the tokens by which the service is used.
     Token(token::Args),
     /// Measures what training and rendering cost on this machine, kernel by kernel.
@@ -86,6 +89,7 @@ fn main() -> ExitCode {
         Command::Watch(args) => remote::watch::main(&args),
         Command::Fetch(args) => remote::fetch::main(&args),
         Command::Cancel(args) => remote::cancel::main(&args),
+        Command::Backup(args) => backup::main(&args),
         Command::Token(args) => token::main(&args),
         Command::Bench(args) => bench::main(&args),
         Command::Eval(args) => eval::main(&args),

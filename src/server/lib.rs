@@ -4,6 +4,7 @@
 //! child, so that a crash of a driver or of a tool leaves the API standing.
 
 mod app;
+mod backup;
 mod config;
 pub mod data;
 pub mod error;
@@ -23,6 +24,7 @@ mod sweep;
 pub mod token;
 mod wording;
 
+pub use backup::{Backup, backup};
 pub use config::{Limits, Retention, ServeConfig};
 pub use error::{Result, ServerError};
 pub use http::document as openapi_document;

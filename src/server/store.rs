@@ -3,6 +3,7 @@
 //! Writes that must not be lost are single transactions on a database in WAL mode with full
 //! synchronisation: once a call returns, its effect survives a power cut.
 
+mod backup;
 mod captures;
 mod events;
 mod idempotency;
@@ -25,6 +26,7 @@ use sqlx::{Connection, SqlSafeStr, SqlStr, SqliteConnection, SqlitePool};
 
 use crate::error::Result;
 
+pub use backup::Attempted;
 pub use captures::CaptureRow;
 pub use events::EventRow;
 pub use idempotency::Creation;

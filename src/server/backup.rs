@@ -1,0 +1,206 @@
+//! A copy of a data directory, made while a server works in it, on which another can be started.
+//!
+//! The database is copied first, as it is at one moment, then the files that it names. Captures
+//! never change, and neither do jobs that have ended. One that waits or runs at that moment, or is
+//! tried again meanwhile, has no files in the copy: there it begins anew.
+
+use std::collections::HashMap;
+use std::fs::{self, File};
+use std::io;
+use std::path::Path;
+
+use crate::data::sync_directories;
+use crate::error::{Result, ServerError};
+use crate::store::{Attempted, Store};
+
+/// What of a job's folder is not copied: it is rendered again when it is wanted.
+const RENDERS: &str = "renders";
+
+/// What was copied.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Backup {
+    /// Captures.
+    pub captures: usize,
+    /// Jobs with their results.
+    pub jobs: usize,
+    /// Jobs that begin anew in the copy.
+    pub anew: usize,
+    /// Bytes of files, but for the database.
+    pub bytes: u64,
+}
+
+/// Copies the data directory `data` to `to`, which must not be there or hold nothing.
+///
+/// # Errors
+/// [`ServerError::Io`] when something cannot be read or written, [`ServerError::Database`]
+/// likewise; `to` is then incomplete and to be removed.
+pub async fn backup(data: &Path, to: &Path) -> Result<Backup> {
+    make_empty(to)?;
+    let live = Store::as_it_is(&data.join("fled.db")).await?;
+    live.copy_to(&to.join("fled.db")).await?;
+    let copy = Store::open(&to.join("fled.db")).await?;
+    let mut done = Backup::default();
+    for id in copy.ids("captures").await? {
+        let folder = Path::new("captures").join(&id);
+        match copied(data, to, &folder)? {
+            Some(bytes) => {
+                done.captures += 1;
+                done.bytes += bytes;
+            }
+            // It was deleted meanwhile.
+            None => copy.forget_capture(&id).await?,
+        }
+    }
+    let jobs = copy.attempted().await?;
+    for (id, _) in jobs.iter().filter(|(_, job)| job.is_over) {
+        done.bytes += copied(data, to, &Path::new("jobs").join(id))?.unwrap_or(0);
+    }
+    let now = live.attempted().await?;
+    done.anew = begin_anew(&copy, &jobs, &now, to).await?;
+    done.jobs = copy.attempted().await?.len() - done.anew;
+    copy.close().await;
+    live.close().await;
+    sync_directories(to).map_err(ServerError::io(to))?;
+    Ok(done)
+}
+
+/// Sees to it that what has changed since the copy was begun is whole or not there.
+async fn begin_anew(
+    copy: &Store,
+    jobs: &HashMap<String, Attempted>,
+    now: &HashMap<String, Attempted>,
+    to: &Path,
+) -> Result<usize> {
+    let mut anew = 0;
+    for (id, job) in jobs {
+        let folder = to.join("jobs").join(id);
+        match now.get(id) {
+            // One that was cancelled before it began has no folder.
+            Some(now) if now == job && job.is_over => continue,
+            Some(_) => {
+                copy.begin_anew(id).await?;
+                anew += 1;
+            }
+            None => drop(copy.delete_job(id).await?),
+        }
+        match fs::remove_dir_all(&folder) {
+            Err(error) if error.kind() != io::ErrorKind::NotFound => {
+                return Err(ServerError::io(&folder)(error));
+            }
+            _ => {}
+        }
+    }
+    Ok(anew)
+}
+
+fn make_empty(to: &Path) -> Result<()> {
+    let make = || {
+        fs::create_dir_all(to)?;
+        match fs::read_dir(to)?.next() {
+            None => Ok(()),
+            Some(_) => Err(io::Error::other(
+                "it is not empty: a backup is made into a new folder",
+            )),
+        }
+    };
+    make().map_err(ServerError::io(to))
+}
+
+/// Copies one folder and gives its bytes; `None` where it is not there, or no longer.
+fn copied(data: &Path, to: &Path, folder: &Path) -> Result<Option<u64>> {
+    let (from, to) = (data.join(folder), to.join(folder));
+    match copy_tree(&from, &to) {
+        Ok(bytes) => Ok(Some(bytes)),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
+        Err(error) => Err(ServerError::io(&from)(error)),
+    }
+}
+
+fn copy_tree(from: &Path, to: &Path) -> io::Result<u64> {
+    fs::create_dir_all(to)?;
+    let mut bytes = 0;
+    for entry in fs::read_dir(from)? {
+        let entry = entry?;
+        let name = entry.file_name();
+        let (from, to) = (entry.path(), to.join(&name));
+        if entry.file_type()?.is_dir() {
+            if name != RENDERS {
+                bytes += copy_tree(&from, &to)?;
+            }
+        } else {
+            bytes += fs::copy(&from, &to)?;
+            File::open(&to)?.sync_all()?;
+        }
+    }
+    Ok(bytes)
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+    use crate::store::{CaptureRow, NewJob, Room};
+
+    const ROOM: Room<'static> = Room {
+        queue: 9,
+        of_owner: None,
+    };
+
+    async fn with_cancelled_jobs(path: &Path, ids: &[&str]) -> Store {
+        let store = Store::open(path).await.expect("open");
+        let capture = CaptureRow {
+            id: "c".to_owned(),
+            name: "a capture".to_owned(),
+            accepted: 3,
+            report: json!({}),
+            created_at: 1,
+            owner: None,
+            expires_at: None,
+        };
+        store.insert_capture(&capture).await.expect("kept");
+        for id in ids {
+            let job = NewJob {
+                id: (*id).to_owned(),
+                name: (*id).to_owned(),
+                capture_id: "c".to_owned(),
+                preset: "preview".to_owned(),
+                options: json!({}),
+                rounds: 1,
+            };
+            store.create_job(&job, None, "", ROOM).await.expect("made");
+            store.request_cancel(id).await.expect("cancelled");
+        }
+        store
+    }
+
+    #[tokio::test]
+    async fn what_changes_while_it_is_copied_is_whole_or_not_there() {
+        let dir = tempfile::tempdir().expect("temporary directory");
+        let path = dir.path();
+        let ids = ["stays", "again", "goes"];
+        let live = with_cancelled_jobs(&path.join("live.db"), &ids).await;
+        live.copy_to(&path.join("copy.db")).await.expect("copied");
+        let copy = Store::open(&path.join("copy.db")).await.expect("open");
+        let jobs = copy.attempted().await.expect("jobs");
+        for id in ids {
+            fs::create_dir_all(path.join("jobs").join(id).join("output")).expect("made");
+        }
+        live.retry("again", ROOM).await.expect("queued");
+        live.delete_job("goes").await.expect("deleted");
+        let now = live.attempted().await.expect("jobs");
+        let anew = begin_anew(&copy, &jobs, &now, path).await.expect("done");
+        assert_eq!(anew, 1);
+        let state = async |id| {
+            copy.job(id)
+                .await
+                .expect("read")
+                .map(|job| job.state.name())
+        };
+        assert_eq!(state("stays").await, Some("cancelled"));
+        assert_eq!(state("again").await, Some("queued"));
+        assert_eq!(state("goes").await, None);
+        let left = ids.map(|id| path.join("jobs").join(id).exists());
+        assert_eq!(left, [true, false, false]);
+    }
+}

@@ -1,0 +1,107 @@
+//! What a backup asks of a database and of its copy.
+
+use std::collections::HashMap;
+use std::path::Path;
+
+use sqlx::Row;
+use sqlx::sqlite::{SqliteConnectOptions, SqlitePoolOptions};
+
+use super::{BUSY_TIMEOUT, Store};
+use crate::error::Result;
+use crate::jobs::state::JobState;
+
+/// How often a job was begun and whether it is over: as long as this is the same, so are its files.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Attempted {
+    epoch: i64,
+    /// It succeeded, failed or was cancelled.
+    pub is_over: bool,
+}
+
+impl Store {
+    /// Opens a database that may be in use, and leaves its schema as it is.
+    ///
+    /// # Errors
+    /// When there is none.
+    pub async fn as_it_is(path: &Path) -> Result<Self> {
+        let options = SqliteConnectOptions::new()
+            .filename(path)
+            .busy_timeout(BUSY_TIMEOUT);
+        let pool = SqlitePoolOptions::new().max_connections(1);
+        Ok(Self {
+            pool: pool.connect_with(options).await?,
+        })
+    }
+
+    /// Copies the database, as it is at one moment, to a file that is not there yet.
+    ///
+    /// # Errors
+    /// When the disk refuses.
+    pub async fn copy_to(&self, path: &Path) -> Result<()> {
+        sqlx::query("VACUUM INTO ?")
+            .bind(path.to_string_lossy().as_ref())
+            .execute(&self.pool)
+            .await?;
+        Ok(())
+    }
+
+    /// Where every job stands.
+    ///
+    /// # Errors
+    /// When the database refuses.
+    pub async fn attempted(&self) -> Result<HashMap<String, Attempted>> {
+        let rows = sqlx::query("SELECT id, state, epoch FROM jobs")
+            .fetch_all(&self.pool)
+            .await?;
+        let attempted = |row: &sqlx::sqlite::SqliteRow| {
+            let state: String = row.try_get("state")?;
+            let job = Attempted {
+                epoch: row.try_get("epoch")?,
+                is_over: JobState::from_name(&state).is_some_and(JobState::is_terminal),
+            };
+            Ok((row.try_get("id")?, job))
+        };
+        rows.iter().map(attempted).collect()
+    }
+
+    /// Removes a capture with its jobs.
+    ///
+    /// # Errors
+    /// When the database refuses.
+    pub async fn forget_capture(&self, id: &str) -> Result<()> {
+        let mut tx = self.pool.begin_with("BEGIN IMMEDIATE").await?;
+        for forget in [
+            "DELETE FROM jobs WHERE capture_id = ?",
+            "DELETE FROM captures WHERE id = ?",
+        ] {
+            sqlx::query(forget).bind(id).execute(&mut *tx).await?;
+        }
+        tx.commit().await?;
+        Ok(())
+    }
+
+    /// Queues a job whose files are not there.
+    ///
+    /// # Errors
+    /// When the database refuses.
+    pub async fn begin_anew(&self, id: &str) -> Result<()> {
+        let mut tx = self.pool.begin_with("BEGIN IMMEDIATE").await?;
+        for table in ["rounds", "stages", "warnings"] {
+            let forget = format!("DELETE FROM {table} WHERE job_id = ?");
+            sqlx::query(sqlx::AssertSqlSafe(forget))
+                .bind(id)
+                .execute(&mut *tx)
+                .await?;
+        }
+        sqlx::query(
+            "UPDATE jobs SET state = 'queued', stage = NULL, round = 0, progress = 0,
+             finished_at = NULL, cancel_requested = 0, failures = 0, failed_at = 0, not_before = 0,
+             lease_owner = NULL, lease_until = 0, expires_at = NULL WHERE id = ?",
+        )
+        .bind(id)
+        .execute(&mut *tx)
+        .await?;
+        tx.commit().await?;
+        Ok(())
+    }
+}

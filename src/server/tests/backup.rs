@@ -1,0 +1,55 @@
+//! A copy of the data directory while a server works in it, and a server started on the copy.
+
+mod support;
+
+use std::fs;
+use std::path::Path;
+
+use fled_server::{Backup, backup};
+use support::Server;
+
+fn copy(from: &Path, to: &Path) -> fled_server::Result<Backup> {
+    let runtime = tokio::runtime::Builder::new_current_thread()
+        .enable_all()
+        .build()
+        .expect("runtime");
+    runtime.block_on(backup(from, to))
+}
+
+#[test]
+fn a_server_on_the_copy_has_what_had_ended_and_begins_the_rest_anew() {
+    let server = Server::start();
+    let done = server.job("ok");
+    server.wait_state(&done, "succeeded");
+    let never = server.job("slow:1000");
+    let running = server.job("slow:60");
+    let cancel = format!("/v1/jobs/{never}/cancel");
+    server.wait_state(&running, "running");
+    server.post(&cancel, b"", &[]).expect(202);
+    let mut other = Server::start();
+    other.kill();
+    let (from, to) = (
+        server.data.path().join("data"),
+        other.data.path().join("data"),
+    );
+    assert!(copy(&from, &to).is_err(), "there is something already");
+    let nowhere = server.data.path().join("nowhere");
+    assert!(copy(&nowhere, &nowhere.join("copy")).is_err());
+    fs::remove_dir_all(&to).expect("removed");
+    let told = copy(&from, &to).expect("copied");
+    assert_eq!((told.captures, told.jobs, told.anew), (3, 2, 1));
+    assert!(told.bytes > 0);
+    assert!(!to.join("jobs").join(&running).exists());
+
+    other.restart();
+    assert_eq!(other.show(&never)["state"], "cancelled");
+    let scene = format!("/v1/jobs/{done}/artifacts/scene.ply");
+    let whole = server.get(&scene, &[]).expect(200).body;
+    assert!(other.get(&scene, &[]).expect(200).body == whole);
+    let rounds = format!("/v1/jobs/{done}/rounds");
+    let shown = server.get(&rounds, &[]).expect(200).json();
+    assert_eq!(other.get(&rounds, &[]).expect(200).json(), shown);
+    other.wait_state(&running, "succeeded");
+    server.wait_state(&running, "succeeded");
+    other.job("ok");
+}
