@@ -13,6 +13,7 @@ use crate::rate::Rates;
 use crate::render::Renderers;
 use crate::running::Running;
 use crate::store::Store;
+use crate::telemetry::Telemetry;
 
 /// The state of a server.
 #[derive(Debug)]
@@ -33,6 +34,8 @@ pub struct App {
     pub renderers: Renderers,
     /// What each client may ask for.
     pub rates: Rates,
+    /// What it counts about itself.
+    pub telemetry: Telemetry,
     /// The jobs that run.
     pub running: Running,
     /// The last judgement of the machine.
@@ -61,6 +64,7 @@ impl App {
             shutdown: CancellationToken::new(),
             versions: watch::Sender::new(0),
             rates: Rates::new(limits.rate, limits.burst),
+            telemetry: Telemetry::default(),
             running: Running::default(),
         }
     }

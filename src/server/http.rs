@@ -21,6 +21,7 @@ mod jobs;
 mod log;
 mod login;
 mod lookup;
+mod metrics;
 mod openapi;
 mod options;
 mod order;
@@ -45,6 +46,7 @@ use axum::response::{IntoResponse, Response};
 use axum::routing::{get, post, put};
 use tower_http::catch_panic::CatchPanicLayer;
 use tower_http::csrf::CsrfLayer;
+use tower_http::request_id::{MakeRequestUuid, PropagateRequestIdLayer, SetRequestIdLayer};
 use tower_http::set_header::SetResponseHeaderLayer;
 use tower_http::trace::TraceLayer;
 
@@ -85,6 +87,7 @@ pub fn router(app: Arc<App>) -> Router {
         .route("/login", get(login::show).post(login::login))
         .route("/logout", post(login::logout))
         .route("/livez", get(health::live))
+        .route("/metrics", get(metrics::show))
         .route("/readyz", get(health::ready))
         .route("/openapi.yaml", get(openapi::show))
         .route("/", get(dashboard::index))
@@ -116,6 +119,9 @@ pub fn router(app: Arc<App>) -> Router {
         .layer(header(header::REFERRER_POLICY, "no-referrer"))
         .layer(header(header::CACHE_CONTROL, "no-cache"))
         .layer(TraceLayer::new_for_http())
+        .layer(middleware::from_fn_with_state(app.clone(), metrics::count))
+        .layer(PropagateRequestIdLayer::x_request_id())
+        .layer(SetRequestIdLayer::x_request_id(MakeRequestUuid))
         .with_state(app)
 }
 

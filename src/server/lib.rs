@@ -21,6 +21,7 @@ mod running;
 mod serve;
 pub mod store;
 mod sweep;
+mod telemetry;
 pub mod token;
 mod wording;
 

@@ -150,6 +150,8 @@ fn needed(path: Option<&str>, method: &Method) -> Option<Scope> {
     }
     Some(match (path, method) {
         ("/v1/jobs/{id}/render", _) => Scope::Renders,
+        // It tells of everybody.
+        ("/metrics", _) => Scope::Admin,
         (_, &Method::GET | &Method::HEAD) => Scope::JobsRead,
         _ => Scope::JobsWrite,
     })
@@ -258,6 +260,7 @@ mod tests {
         assert_eq!(needed(Some(render), post), Some(Scope::Renders));
         let artifact = "/v1/jobs/{id}/artifacts/{*name}";
         assert_eq!(needed(Some(artifact), get), Some(Scope::JobsRead));
+        assert_eq!(needed(Some("/metrics"), get), Some(Scope::Admin));
         assert_eq!(needed(Some("/of/tomorrow"), get), Some(Scope::JobsRead));
     }
 

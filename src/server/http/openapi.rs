@@ -7,7 +7,9 @@ use utoipa::openapi::security::{HttpAuthScheme, HttpBuilder, SecurityRequirement
 use utoipa::openapi::{Content, OpenApi, Ref, RefOr, Response, ResponseBuilder};
 use utoipa::{Modify, OpenApi as _};
 
-use super::{artifacts, captures, events, health, jobs, log, login, options, pin, render, rounds};
+use super::{
+    artifacts, captures, events, health, jobs, log, login, metrics, options, pin, render, rounds,
+};
 
 #[derive(utoipa::OpenApi)]
 #[openapi(
@@ -42,6 +44,7 @@ use super::{artifacts, captures, events, health, jobs, log, login, options, pin,
         login::logout,
         health::live,
         health::ready,
+        metrics::show,
         show
     ),
     // What only a query names is not found by itself.
@@ -94,7 +97,7 @@ fn refuse(operation: &mut Operation, path: &str) {
         refusals.push(("413", "The body is too large"));
         refusals.push(("415", "The body is of another type"));
     }
-    if path.starts_with("/v1/") {
+    if path.starts_with("/v1/") || path == "/metrics" {
         refusals.push(("401", "A token is needed, and none that holds was sent"));
         refusals.push(("403", "The token does not allow this"));
         refusals.push(("429", "Too many requests: `Retry-After` says when again"));

@@ -188,6 +188,26 @@ impl Store {
         row.as_ref().map(told).transpose()
     }
 
+    /// How many jobs there are of every state.
+    ///
+    /// # Errors
+    /// When the database refuses.
+    pub async fn jobs_by_state(&self) -> Result<Vec<(JobState, i64)>> {
+        let rows = sqlx::query("SELECT state, COUNT(*) AS jobs FROM jobs GROUP BY state")
+            .fetch_all(&self.pool)
+            .await?;
+        let mut counts = JobState::ALL.map(|state| (state, 0));
+        for row in rows {
+            let name: String = row.try_get("state")?;
+            for (state, count) in &mut counts {
+                if state.name() == name {
+                    *count = row.try_get("jobs")?;
+                }
+            }
+        }
+        Ok(counts.to_vec())
+    }
+
     /// Asks for a job to be stopped: at once when it waits, else through its worker.
     /// `Ok(None)` when it is over already or does not exist.
     ///

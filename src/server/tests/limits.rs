@@ -114,6 +114,37 @@ fn who_asks_too_fast_waits_and_nobody_else() {
 }
 
 #[test]
+fn what_the_server_counts_is_for_who_runs_it() {
+    let server = Server::start();
+    let job = server.job("ok");
+    server.wait_state(&job, "succeeded");
+    let open = server
+        .get("/metrics", &[("x-request-id", "of-mine")])
+        .expect(200);
+    assert_eq!(open.header("x-request-id"), "of-mine");
+    let told = open.text();
+    assert!(
+        told.contains("fled_jobs{state=\"succeeded\"} 1\n"),
+        "{told}"
+    );
+    assert!(told.contains("fled_jobs{state=\"queued\"} 0\n"), "{told}");
+    let posted = "fled_requests_total{method=\"POST\",route=\"/v1/jobs\",status=\"202\"} 1\n";
+    assert!(told.contains(posted), "{told}");
+    assert!(told.contains("route=\"/v1/jobs/{id}\"") && !told.contains(&job));
+    let (admin, _) = token(&server, "admin");
+    let (anna, _) = token_of("anna", &server, USER);
+    server.get("/metrics", &[]).expect(401);
+    server
+        .get("/metrics", &[("authorization", &anna)])
+        .expect(403);
+    let shown = server
+        .get("/metrics", &[("authorization", &admin)])
+        .expect(200);
+    assert_eq!(shown.header("x-request-id").len(), 36);
+    assert!(shown.text().contains("status=\"401\"} 1\n"));
+}
+
+#[test]
 fn an_event_stream_ends_with_its_token() {
     let server = Server::start();
     let (admin, _) = token(&server, "admin");

@@ -1,0 +1,64 @@
+//! `/metrics`, the count of every answer, and the access log.
+
+use std::sync::Arc;
+use std::time::Instant;
+
+use axum::extract::{MatchedPath, Request, State};
+use axum::http::header;
+use axum::middleware::Next;
+use axum::response::{IntoResponse, Response};
+
+use super::allowance::is_reading;
+use super::problem::Problem;
+use crate::app::App;
+use crate::telemetry::Answered;
+
+/// OpenMetrics 1.0.
+const MEDIA_TYPE: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
+/// Names an answer in the log and to the client.
+const REQUEST_ID: &str = "x-request-id";
+
+/// What the server counts about itself: requests and their times, jobs by state, free space.
+#[utoipa::path(get, path = "/metrics", operation_id = "show_metrics", tag = "health",
+    responses((status = 200, description = "OpenMetrics", body = String, content_type = "application/openmetrics-text")))]
+pub async fn show(State(app): State<Arc<App>>) -> Result<Response, Problem> {
+    let jobs = app.store.jobs_by_state().await?;
+    let jobs: Vec<_> = jobs
+        .iter()
+        .map(|(state, count)| (state.name(), *count))
+        .collect();
+    let told = app.telemetry.text(&jobs, app.data.free_bytes().ok());
+    Ok(([(header::CONTENT_TYPE, MEDIA_TYPE)], told).into_response())
+}
+
+/// Counts an answer and logs it: what changes something or fails at `info`, the rest at `debug`.
+/// Addresses are logged without their query, tokens never.
+pub(super) async fn count(State(app): State<Arc<App>>, request: Request, next: Next) -> Response {
+    let began = Instant::now();
+    let method = request.method().clone();
+    let path = request.uri().path().to_owned();
+    let route = request.extensions().get::<MatchedPath>();
+    let route = route.map_or("none", MatchedPath::as_str).to_owned();
+    let id = request.headers().get(REQUEST_ID).cloned();
+    let answer = next.run(request).await;
+    let took = began.elapsed();
+    let status = answer.status();
+    let id = id.as_ref().and_then(|id| id.to_str().ok());
+    let (code, ms) = (status.as_u16(), took.as_secs_f64() * 1000.0);
+    if is_reading(&method) && !status.is_server_error() {
+        tracing::debug!(%method, path, code, ms, id, "answered");
+    } else {
+        tracing::info!(%method, path, code, ms, id, "answered");
+    }
+    let answered = Answered {
+        // Anybody may make up methods.
+        method: match method.as_str() {
+            known @ ("GET" | "HEAD" | "POST" | "PUT" | "DELETE" | "OPTIONS") => known.to_owned(),
+            _ => "other".to_owned(),
+        },
+        route,
+        status: code,
+    };
+    app.telemetry.answered(answered, took);
+    answer
+}

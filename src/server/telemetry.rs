@@ -1,0 +1,144 @@
+//! What the server counts about itself, for Prometheus.
+
+use std::fmt;
+use std::time::Duration;
+
+use prometheus_client::encoding::{EncodeLabelSet, text};
+use prometheus_client::metrics::counter::Counter;
+use prometheus_client::metrics::family::Family;
+use prometheus_client::metrics::gauge::Gauge;
+use prometheus_client::metrics::histogram::Histogram;
+use prometheus_client::registry::{Registry, Unit};
+
+/// Upper ends of the times that are told apart, seconds: reads take one millisecond, renders some
+/// hundred, uploads minutes.
+const TIMES: [f64; 9] = [0.002, 0.01, 0.05, 0.2, 1.0, 5.0, 30.0, 120.0, 600.0];
+
+/// What requests are told apart by.
+#[derive(Clone, Debug, Hash, PartialEq, Eq, EncodeLabelSet)]
+pub struct Answered {
+    /// GET, POST and so on.
+    pub method: String,
+    /// As routed, without ids: `/v1/jobs/{id}`; `none` where nothing answers.
+    pub route: String,
+    /// The HTTP status.
+    pub status: u16,
+}
+
+#[derive(Clone, Debug, Hash, PartialEq, Eq, EncodeLabelSet)]
+struct Route {
+    route: String,
+}
+
+#[derive(Clone, Debug, Hash, PartialEq, Eq, EncodeLabelSet)]
+struct State {
+    state: String,
+}
+
+/// The counters of a server's life, and the gauges that are read when somebody asks.
+pub struct Telemetry {
+    registry: Registry,
+    requests: Family<Answered, Counter>,
+    seconds: Family<Route, Histogram, fn() -> Histogram>,
+    jobs: Family<State, Gauge>,
+    free: Gauge,
+}
+
+impl fmt::Debug for Telemetry {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("Telemetry")
+    }
+}
+
+impl Default for Telemetry {
+    fn default() -> Self {
+        let requests = Family::default();
+        let of_times: fn() -> Histogram = || Histogram::new(TIMES);
+        let seconds = Family::new_with_constructor(of_times);
+        let (jobs, free) = (Family::default(), Gauge::default());
+        let mut registry = Registry::with_prefix("fled");
+        registry.register("requests", "Requests answered", requests.clone());
+        registry.register_with_unit(
+            "request",
+            "Time until an answer began",
+            Unit::Seconds,
+            seconds.clone(),
+        );
+        registry.register("jobs", "Jobs that there are, by state", jobs.clone());
+        registry.register_with_unit(
+            "disk_free",
+            "Free space of the data directory",
+            Unit::Bytes,
+            free.clone(),
+        );
+        Self {
+            registry,
+            requests,
+            seconds,
+            jobs,
+            free,
+        }
+    }
+}
+
+impl Telemetry {
+    /// Counts an answer.
+    pub fn answered(&self, answered: Answered, took: Duration) {
+        let route = Route {
+            route: answered.route.clone(),
+        };
+        self.requests.get_or_create(&answered).inc();
+        self.seconds
+            .get_or_create(&route)
+            .observe(took.as_secs_f64());
+    }
+
+    /// Everything as OpenMetrics text, with the jobs of each state and the free space as they are
+    /// now.
+    pub fn text(&self, jobs: &[(&str, i64)], free_bytes: Option<u64>) -> String {
+        for (state, count) in jobs {
+            let state = State {
+                state: (*state).to_owned(),
+            };
+            self.jobs.get_or_create(&state).set(*count);
+        }
+        if let Some(free) = free_bytes {
+            self.free.set(i64::try_from(free).unwrap_or(i64::MAX));
+        }
+        let mut told = String::new();
+        match text::encode(&mut told, &self.registry) {
+            Ok(()) => told,
+            // Nothing fails to be written into memory.
+            Err(fmt::Error) => String::new(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_counted_is_told() {
+        let telemetry = Telemetry::default();
+        let answered = Answered {
+            method: "GET".to_owned(),
+            route: "/v1/jobs/{id}".to_owned(),
+            status: 200,
+        };
+        for _ in 0..3 {
+            telemetry.answered(answered.clone(), Duration::from_millis(7));
+        }
+        let told = telemetry.text(&[("queued", 2), ("running", 0)], Some(5));
+        for line in [
+            "fled_requests_total{method=\"GET\",route=\"/v1/jobs/{id}\",status=\"200\"} 3",
+            "fled_request_seconds_bucket{le=\"0.002\",route=\"/v1/jobs/{id}\"} 0",
+            "fled_request_seconds_bucket{le=\"0.01\",route=\"/v1/jobs/{id}\"} 3",
+            "fled_jobs{state=\"queued\"} 2",
+            "fled_disk_free_bytes 5",
+        ] {
+            assert!(told.lines().any(|told| told == line), "{line}\n{told}");
+        }
+        assert!(told.ends_with("# EOF\n"));
+    }
+}
