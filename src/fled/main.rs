@@ -54,6 +54,8 @@ enum Command {
     Watch(remote::watch::Args),
     /// Fetches the files of a service's job; the same command goes on where one was cut off.
     Fetch(remote::fetch::Args),
+    /// Lets a job of a service that ended go on, with other options where they are given.
+    Retry(remote::retry::Args),
     /// Stops a job of a service.
     Cancel(remote::cancel::Args),
     /// Copies the service's data directory while it is in use.
@@ -88,6 +90,7 @@ fn main() -> ExitCode {
         Command::Submit(args) => remote::submit::main(&args),
         Command::Watch(args) => remote::watch::main(&args),
         Command::Fetch(args) => remote::fetch::main(&args),
+        Command::Retry(args) => remote::retry::main(&args),
         Command::Cancel(args) => remote::cancel::main(&args),
         Command::Backup(args) => backup::main(&args),
         Command::Token(args) => token::main(&args),

@@ -6,6 +6,7 @@
 pub mod cancel;
 pub mod fetch;
 mod multipart;
+pub mod retry;
 pub mod submit;
 pub mod watch;
 
@@ -15,6 +16,7 @@ use std::time::{Duration, Instant};
 use fled_core::pipeline::error::ErrorKind;
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
+use serde_json::Value;
 use ureq::http::{Request, Response, StatusCode, header};
 use ureq::{Agent, AsSendBody, Body};
 
@@ -128,12 +130,20 @@ impl Remote {
         self.persist(|| read_json(self.get(path, &[])?))
     }
 
-    /// Sends a request without a body and gives the JSON of the answer.
+    /// Sends JSON, or nothing, and gives the JSON of the answer.
     ///
     /// # Errors
     /// As [`Remote::json`].
-    fn post<T: DeserializeOwned>(&self, path: &str) -> Result<T, Failure> {
-        self.persist(|| read_json(self.send(Request::post(self.url(path)), ())?))
+    fn post<T: DeserializeOwned>(&self, path: &str, body: Option<&Value>) -> Result<T, Failure> {
+        let body = body.map(Value::to_string).unwrap_or_default();
+        let ask = || {
+            let mut request = Request::post(self.url(path));
+            if !body.is_empty() {
+                request = request.header(header::CONTENT_TYPE, "application/json");
+            }
+            read_json(self.send(request, body.as_str())?)
+        };
+        self.persist(ask)
     }
 
     fn get(&self, path: &str, headers: &[(&str, String)]) -> Result<Response<Body>, Fault> {

@@ -186,7 +186,7 @@ mod tests {
         for id in ids {
             fs::create_dir_all(path.join("jobs").join(id).join("output")).expect("made");
         }
-        live.retry("again", ROOM).await.expect("queued");
+        live.retry("again", ROOM, None).await.expect("queued");
         live.delete_job("goes").await.expect("deleted");
         let now = live.attempted().await.expect("jobs");
         let anew = begin_anew(&copy, &jobs, &now, path).await.expect("done");

@@ -31,6 +31,7 @@ mod problem;
 mod quota;
 mod range;
 mod render;
+mod retry;
 mod rounds;
 mod shapes;
 mod upload;
@@ -75,7 +76,7 @@ pub fn router(app: Arc<App>) -> Router {
         )
         .route("/v1/jobs/{id}", get(jobs::show).delete(jobs::delete))
         .route("/v1/jobs/{id}/cancel", post(jobs::cancel))
-        .route("/v1/jobs/{id}/retry", post(jobs::retry))
+        .route("/v1/jobs/{id}/retry", post(retry::retry))
         .route("/v1/jobs/{id}/pin", put(pin::pin).delete(pin::unpin))
         .route("/v1/jobs/{id}/events", get(events::stream))
         .route("/v1/jobs/{id}/rounds", get(rounds::show))

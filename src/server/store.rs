@@ -11,6 +11,7 @@ mod jobs;
 mod lease;
 mod results;
 mod retention;
+mod retry;
 mod sessions;
 #[cfg(test)]
 mod tests;
@@ -30,9 +31,10 @@ pub use backup::Attempted;
 pub use captures::CaptureRow;
 pub use events::EventRow;
 pub use idempotency::Creation;
-pub use jobs::{JobError, JobRow, NewJob, Retry, Room, ToldJob};
+pub use jobs::{JobError, JobRow, NewJob, Room, ToldJob};
 pub use lease::{Claim, Lease, Progress, Settlement};
 pub use results::{StageSeconds, WarningRow};
+pub use retry::{Change, Retry};
 pub use tokens::{NewToken, Quotas, TokenRow};
 
 /// Applied in order, each once, never edited after release.

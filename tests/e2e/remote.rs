@@ -142,4 +142,27 @@ fn a_capture_comes_through_connections_that_break_and_so_does_its_result() {
     let over = cancel.env("FLED_TOKEN", token).output().expect("starts");
     assert_ne!(code(&over), 0);
     assert!(said(&over).contains("succeeded"), "{}", said(&over));
+
+    // With other options it goes on from what stays true: the poses are not found again.
+    let asked = |verb: &str, more: &[&str]| {
+        let mut command = fled();
+        command
+            .args([verb, id, "--server", &proxy.address])
+            .args(more);
+        command.env("FLED_TOKEN", token).output().expect("starts")
+    };
+    let typo = asked("retry", &["--set", "capp=700"]);
+    assert_eq!(code(&typo), 2, "{}", said(&typo));
+    let retried = asked("retry", &["--set", "cap=700"]);
+    assert_eq!(code(&retried), 0, "{}", said(&retried));
+    let watched = asked("watch", &[]);
+    assert_eq!(code(&watched), 0, "{}", said(&watched));
+    assert!(
+        said(&watched).contains("round 1: 700 Gaussians"),
+        "{}",
+        said(&watched)
+    );
+    let log = format!("/v1/jobs/{id}/log");
+    let log = server.get(&log, &headers).expect(200).text();
+    assert!(log.contains("poses found done"), "{log}");
 }

@@ -25,7 +25,7 @@ struct Job {
 /// [`Failure`] in the service's own words, also where the job is over.
 pub fn main(args: &Args) -> Result<(), Failure> {
     let remote = Remote::new(&args.remote)?;
-    let job: Job = remote.post(&format!("/v1/jobs/{}/cancel", args.job))?;
+    let job: Job = remote.post(&format!("/v1/jobs/{}/cancel", args.job), None)?;
     eprintln!("the job is {}", job.state);
     Ok(())
 }

@@ -3,15 +3,16 @@
 use std::io::{Read, Write};
 use std::path::PathBuf;
 
-use fled_core::pipeline::config::{Options, Preset};
+use fled_core::pipeline::config::Preset;
 use fled_core::pipeline::error::ErrorKind;
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Deserialize;
-use serde_json::{Map, Value};
+use serde_json::Value;
 use ureq::SendBody;
 use ureq::http::{Request, header};
 
 use super::multipart::Form;
+use super::retry::assigned;
 use super::{Fault, Remote, fetch, read_json, watch};
 use crate::failure::Failure;
 
@@ -76,16 +77,7 @@ pub fn main(args: &Args) -> Result<(), Failure> {
 }
 
 fn fields(args: &Args) -> Result<Vec<(&'static str, String)>, Failure> {
-    // Checked here too: a typo is told before anything is sent.
-    let mut options: Options = args.preset.options();
-    let mut given = Map::new();
-    for assignment in &args.assignments {
-        options = options.with_assignment(assignment)?;
-        if let Some((key, _)) = assignment.split_once('=') {
-            let all = serde_json::to_value(&options).unwrap_or_default();
-            given.insert(key.trim().to_owned(), all[key.trim()].clone());
-        }
-    }
+    let options = assigned(args.preset, &args.assignments)?;
     let name = args.name.clone().or_else(|| {
         let path = args.capture.canonicalize().ok()?;
         Some(path.file_stem()?.to_string_lossy().into_owned())
@@ -93,7 +85,7 @@ fn fields(args: &Args) -> Result<Vec<(&'static str, String)>, Failure> {
     Ok(vec![
         ("name", name.unwrap_or_default()),
         ("preset", args.preset.name().to_owned()),
-        ("options", Value::Object(given).to_string()),
+        ("options", Value::Object(options).to_string()),
     ])
 }
 

@@ -23,7 +23,7 @@ use super::upload;
 use crate::app::App;
 use crate::jobs::state::JobState;
 use crate::removal::remove;
-use crate::store::{Creation, JobRow, Retry};
+use crate::store::{Creation, JobRow};
 
 /// After so many seconds a place in the queue may be free.
 const QUEUE_RETRY: u32 = 60;
@@ -232,7 +232,7 @@ async fn from_upload(
 }
 
 /// 429: so many jobs of theirs wait or run already.
-fn over_quota_jobs(visitor: &Visitor) -> Problem {
+pub(super) fn over_quota_jobs(visitor: &Visitor) -> Problem {
     let most = visitor.room(0).of_owner.map_or(0, |(_, most)| most);
     Problem::new(
         StatusCode::TOO_MANY_REQUESTS,
@@ -243,7 +243,7 @@ fn over_quota_jobs(visitor: &Visitor) -> Problem {
     .retry_after(QUEUE_RETRY)
 }
 
-fn queue_full() -> Problem {
+pub(super) fn queue_full() -> Problem {
     Problem::new(
         StatusCode::SERVICE_UNAVAILABLE,
         "queue_full",
@@ -347,34 +347,6 @@ pub async fn cancel(
     Ok((StatusCode::ACCEPTED, axum::Json(job)).into_response())
 }
 
-/// Queues a failed or cancelled job again; it goes on from what is done.
-#[utoipa::path(post, path = "/v1/jobs/{id}/retry", operation_id = "retry_job",
-    tag = "jobs", params(("id" = String, Path)),
-    responses(
-        (status = 202, description = "Queued", body = Job),
-        (status = 404, description = "Unknown", body = Problem, content_type = "application/problem+json"),
-        (status = 409, description = "It neither failed nor was cancelled", body = Problem, content_type = "application/problem+json")))]
-pub async fn retry(
-    State(app): State<Arc<App>>,
-    Path(id): Path<String>,
-    Extension(visitor): Extension<Visitor>,
-) -> Result<Response, Problem> {
-    upload::check_space(&app)?;
-    bytes_left(&app, &visitor).await?;
-    let row = find(&app, &id).await?;
-    let room = visitor.room(app.limits.queue);
-    match app.store.retry(&id, room).await? {
-        Retry::Queued => {}
-        Retry::OverQuota => return Err(over_quota_jobs(&visitor)),
-        Retry::WrongState => return Err(over(&row)),
-        Retry::QueueFull => return Err(queue_full()),
-    }
-    app.wake.notify_one();
-    app.changed();
-    let job = told(&app, &id).await?;
-    Ok((StatusCode::ACCEPTED, axum::Json(job)).into_response())
-}
-
 /// Deletes a job that does not run, with its files.
 #[utoipa::path(delete, path = "/v1/jobs/{id}", operation_id = "delete_job",
     tag = "jobs", params(("id" = String, Path)),
@@ -395,13 +367,13 @@ pub async fn delete(
     Ok(StatusCode::NO_CONTENT)
 }
 
-fn over(row: &JobRow) -> Problem {
+pub(super) fn over(row: &JobRow) -> Problem {
     Problem::conflict("wrong_state", format!("The job is {}.", row.state.name()))
         .hint("Queued and running jobs can be cancelled; failed and cancelled ones retried.")
 }
 
 /// The job as answered, or 404.
-async fn told(app: &App, id: &str) -> Result<Job, Problem> {
+pub(super) async fn told(app: &App, id: &str) -> Result<Job, Problem> {
     let told = app.store.told_job(id).await?;
     told.map(Job::from_told)
         .ok_or_else(|| Problem::not_found("job"))

@@ -8,7 +8,8 @@ use utoipa::openapi::{Content, OpenApi, Ref, RefOr, Response, ResponseBuilder};
 use utoipa::{Modify, OpenApi as _};
 
 use super::{
-    artifacts, captures, events, health, jobs, log, login, metrics, options, pin, render, rounds,
+    artifacts, captures, events, health, jobs, log, login, metrics, options, pin, render, retry,
+    rounds,
 };
 
 #[derive(utoipa::OpenApi)]
@@ -27,7 +28,7 @@ use super::{
         jobs::list,
         jobs::show,
         jobs::cancel,
-        jobs::retry,
+        retry::retry,
         jobs::delete,
         pin::pin,
         pin::unpin,

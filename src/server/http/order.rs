@@ -7,13 +7,14 @@ use fled_core::deblur::NetworkChoice;
 use fled_core::deblur::manifest::{Manifest, Place, Role};
 use fled_core::enhance::Anchor;
 use fled_core::pipeline::config::{NetworkOption, Options, OptionsError, Preset};
+use serde::Deserialize;
 use serde_json::{Map, Value};
 use uuid::Uuid;
 
 use super::problem::Problem;
 use crate::app::App;
 use crate::intake::CaptureReport;
-use crate::store::NewJob;
+use crate::store::{JobRow, NewJob};
 
 /// Longest part of an adapter's name, characters.
 const LONGEST_ADAPTER: usize = 200;
@@ -40,6 +41,31 @@ impl Order {
             .options()
             .with_overrides(options)
             .map_err(|error| bad_option(&error))?;
+        Self::checked(app, preset, options).await
+    }
+
+    /// What is asked of a job that there is, over the options that it has.
+    ///
+    /// # Errors
+    /// As [`Order::new`].
+    pub(super) async fn again(
+        app: &App,
+        row: &JobRow,
+        options: &Map<String, Value>,
+    ) -> Result<Self, Problem> {
+        let damaged = |error: &dyn std::fmt::Display| {
+            tracing::error!(%error, job = row.id, "its options are damaged");
+            Problem::internal()
+        };
+        let preset: Preset = row.preset.parse().map_err(|e: OptionsError| damaged(&e))?;
+        let before = Options::deserialize(&row.options).map_err(|e| damaged(&e))?;
+        let options = before
+            .with_overrides(options)
+            .map_err(|error| bad_option(&error))?;
+        Self::checked(app, preset, options).await
+    }
+
+    async fn checked(app: &App, preset: Preset, options: Options) -> Result<Self, Problem> {
         check_words(&options)?;
         // It reads the networks' files.
         let (folders, checked) = (app.config.models.clone(), options.clone());

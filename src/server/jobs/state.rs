@@ -40,6 +40,8 @@ pub enum Transition {
     Stopped,
     /// Somebody asked to run it again.
     Retried,
+    /// Somebody asked to run it again with other options.
+    Changed,
 }
 
 impl JobState {
@@ -54,7 +56,9 @@ impl JobState {
 
     /// The state after `transition`; `None` when it cannot happen in this state.
     pub fn after(self, transition: Transition) -> Option<Self> {
-        use Transition::{CancelRequested, Claimed, Failed, Finished, Released, Retried, Stopped};
+        use Transition::{
+            CancelRequested, Changed, Claimed, Failed, Finished, Released, Retried, Stopped,
+        };
         match (self, transition) {
             (Self::Queued | Self::Running, Claimed) => Some(Self::Running),
             (Self::Running, Released | Failed { retry: true }) => Some(Self::Queued),
@@ -63,7 +67,8 @@ impl JobState {
             (Self::Queued, CancelRequested) | (Self::Running, Stopped) => Some(Self::Cancelled),
             // The process has to be stopped first; the worker then reports `Stopped`.
             (Self::Running, CancelRequested) => Some(Self::Running),
-            (Self::Failed | Self::Cancelled, Retried) => Some(Self::Queued),
+            (Self::Failed | Self::Cancelled, Retried)
+            | (Self::Succeeded | Self::Failed | Self::Cancelled, Changed) => Some(Self::Queued),
             _ => None,
         }
     }
@@ -102,6 +107,7 @@ pub(crate) fn any_transition() -> impl proptest::strategy::Strategy<Value = Tran
         Just(Transition::CancelRequested),
         Just(Transition::Stopped),
         Just(Transition::Retried),
+        Just(Transition::Changed),
     ]
 }
 
@@ -113,14 +119,15 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_terminal_state_is_left_only_by_a_retry_and_success_never(
+        fn a_terminal_state_is_left_by_a_retry_and_success_only_by_other_options(
             transitions in proptest::collection::vec(any_transition(), 0..40),
         ) {
             let mut state = JobState::Queued;
             for transition in transitions {
                 let next = state.after(transition);
                 if state.is_terminal() {
-                    let retried = transition == Transition::Retried && state != JobState::Succeeded;
+                    let retried = transition == Transition::Changed
+                        || transition == Transition::Retried && state != JobState::Succeeded;
                     prop_assert_eq!(next, retried.then_some(JobState::Queued));
                 }
                 if next.is_some_and(JobState::is_terminal) {

@@ -97,19 +97,6 @@ pub struct ToldJob {
     pub stages: Vec<StageSeconds>,
 }
 
-/// What became of a request to queue a job again.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Retry {
-    /// It waits.
-    Queued,
-    /// It neither failed nor was cancelled, or is gone.
-    WrongState,
-    /// As many jobs wait as may.
-    QueueFull,
-    /// Its owner has as many jobs as their quota allows.
-    OverQuota,
-}
-
 /// How many jobs there may be.
 #[derive(Clone, Copy, Debug)]
 pub struct Room<'a> {
@@ -220,24 +207,6 @@ impl Store {
         Ok(next)
     }
 
-    /// Queues a failed or cancelled job again, where there is room for it.
-    ///
-    /// # Errors
-    /// When the database refuses.
-    pub async fn retry(&self, id: &str, room: Room<'_>) -> Result<Retry> {
-        let mut tx = self.pool.begin_with("BEGIN IMMEDIATE").await?;
-        if change(&mut tx, id, Transition::Retried).await?.is_none() {
-            return Ok(Retry::WrongState);
-        }
-        match full(&mut tx, room).await? {
-            Some(Full::Queue) => return Ok(Retry::QueueFull),
-            Some(Full::Quota) => return Ok(Retry::OverQuota),
-            None => {}
-        }
-        tx.commit().await?;
-        Ok(Retry::Queued)
-    }
-
     /// Deletes a job that is not running, with all its rows. `Ok(false)` when it runs or is gone.
     ///
     /// # Errors
@@ -252,7 +221,7 @@ impl Store {
 }
 
 /// Moves a job on; `None` when it is gone or its state does not allow the transition.
-async fn change(
+pub(super) async fn change(
     tx: &mut Transaction<'static, Sqlite>,
     id: &str,
     transition: Transition,
@@ -264,7 +233,7 @@ async fn change(
         return Ok(None);
     };
     let finished = next.is_terminal().then(now_ms);
-    if transition == Transition::Retried {
+    if matches!(transition, Transition::Retried | Transition::Changed) {
         sqlx::query(
                 "UPDATE jobs SET cancel_requested = 0, error_code = NULL, error_detail = NULL, error_hint = NULL,
                  failures = 0, not_before = 0, expires_at = NULL WHERE id = ?",

@@ -306,15 +306,17 @@ async fn apply(tx: &mut Transaction<'static, Sqlite>, job: &str, event: &Event) 
         .bind(stage.name())
         .bind(*round)
         .bind(job),
-        // A stage found on disk took its time in an earlier attempt, which has told it.
         Event::StageFinished {
             stage,
             round,
             seconds,
-            skipped: false,
-        } => sqlx::query(
-            "INSERT OR REPLACE INTO stages (job_id, stage, round, seconds) VALUES (?, ?, ?, ?)",
-        )
+            skipped,
+        } => sqlx::query(if *skipped {
+            // It was found on disk; the attempt that made it has told its time.
+            "INSERT OR IGNORE INTO stages (job_id, stage, round, seconds) VALUES (?, ?, ?, ?)"
+        } else {
+            "INSERT OR REPLACE INTO stages (job_id, stage, round, seconds) VALUES (?, ?, ?, ?)"
+        })
         .bind(job)
         .bind(stage.name())
         .bind(*round)

@@ -208,7 +208,7 @@ mod tests {
             queue: 100,
             of_owner: None,
         };
-        store.retry("a1", room).await.expect("again");
+        store.retry("a1", room, None).await.expect("again");
         assert_eq!(expires(&store, "a1").await, None);
         store.mark_expiring(&KEPT, old + DAY).await.expect("marked");
         let gone = store.delete_expired(old + 9 * DAY).await.expect("two");

@@ -284,7 +284,17 @@ async fn drive(store: &Store, leases: &mut BTreeMap<&str, Lease>, transition: Tr
         Transition::Failed { retry } => settle(failed(retry.then_some(-1))).await,
         Transition::Stopped => settle(Settlement::Stopped).await,
         Transition::CancelRequested => drop(store.request_cancel("j").await.expect("cancel")),
-        Transition::Retried => drop(store.retry("j", room(9)).await.expect("retry")),
+        Transition::Retried => drop(store.retry("j", room(9), None).await.expect("retry")),
+        Transition::Changed => {
+            let other = Change {
+                options: json!({}),
+                rounds: 1,
+            };
+            store
+                .retry("j", room(9), Some(&other))
+                .await
+                .expect("retry");
+        }
     }
 }
 

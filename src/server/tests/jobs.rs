@@ -4,6 +4,7 @@ mod support;
 
 use std::time::{Duration, Instant};
 
+use serde_json::json;
 use support::{Server, gone, photographs, processes_of, text};
 
 #[test]
@@ -270,4 +271,48 @@ fn the_same_key_and_request_give_the_same_job() {
         Some(2),
         "a copy of the capture stayed"
     );
+}
+
+#[test]
+fn a_job_that_succeeded_goes_on_with_other_options() {
+    let server = Server::start();
+    let job = server.job("ok");
+    let before = server.wait_state(&job, "succeeded");
+    let path = format!("/v1/jobs/{job}/retry");
+    let retry =
+        |options: serde_json::Value| server.post_json(&path, &json!({ "options": options }), &[]);
+    server.post(&path, b"", &[]).expect(409);
+    retry(json!({})).expect(409);
+    let same = json!({ "rounds": before["rounds"] });
+    retry(same).expect(409);
+    let wrong = retry(json!({ "rounds": 99 })).expect(422).json();
+    assert_eq!(wrong["pointer"], "/options/rounds");
+    let held_out = retry(json!({ "held_out": "nobody" })).expect(422).json();
+    assert_eq!(held_out["pointer"], "/options/held_out");
+    assert_eq!(server.show(&job)["options"], before["options"], "as it was");
+    let last = server.events(&job, 0, usize::MAX).len() as i64;
+
+    let queued = retry(json!({ "rounds": 1, "cap": 4321 }))
+        .expect(202)
+        .json();
+    assert_eq!(
+        (&queued["options"]["cap"], &queued["rounds"]),
+        (&json!(4321), &json!(1))
+    );
+    let after = server.wait_state(&job, "succeeded");
+    assert_eq!(
+        (&after["best_round"], &after["attempts"]),
+        (&json!(1), &json!(2))
+    );
+    let rounds = server
+        .get(&format!("/v1/jobs/{job}/rounds"), &[])
+        .expect(200)
+        .json();
+    assert_eq!(
+        rounds["rounds"].as_array().map(Vec::len),
+        Some(1),
+        "{rounds:#}"
+    );
+    let events = server.events(&job, last, usize::MAX);
+    assert_eq!(events[0].1, "state", "the stream goes on: {events:?}");
 }

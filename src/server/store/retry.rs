@@ -1,0 +1,139 @@
+//! Jobs that ended and are to go on.
+
+use serde_json::Value;
+use sqlx::{Sqlite, Transaction};
+
+use super::Store;
+use super::jobs::{Full, Room, change, full};
+use crate::error::Result;
+use crate::jobs::state::Transition;
+
+/// What became of a request to queue a job again.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Retry {
+    /// It waits.
+    Queued,
+    /// It has not ended, has succeeded and no option changes, or is gone.
+    WrongState,
+    /// As many jobs wait as may.
+    QueueFull,
+    /// Its owner has as many jobs as their quota allows.
+    OverQuota,
+}
+
+/// Other options for a job.
+#[derive(Clone, Debug)]
+pub struct Change {
+    /// Complete options.
+    pub options: Value,
+    /// Rounds that they ask for.
+    pub rounds: u32,
+}
+
+impl Store {
+    /// Queues a job that ended again, where there is room for it: one that failed or was cancelled
+    /// as it was, any with other options.
+    ///
+    /// # Errors
+    /// When the database refuses.
+    pub async fn retry(&self, id: &str, room: Room<'_>, other: Option<&Change>) -> Result<Retry> {
+        let transition = match other {
+            None => Transition::Retried,
+            Some(_) => Transition::Changed,
+        };
+        let mut tx = self.pool.begin_with("BEGIN IMMEDIATE").await?;
+        if change(&mut tx, id, transition).await?.is_none() {
+            return Ok(Retry::WrongState);
+        }
+        match full(&mut tx, room).await? {
+            Some(Full::Queue) => return Ok(Retry::QueueFull),
+            Some(Full::Quota) => return Ok(Retry::OverQuota),
+            None => {}
+        }
+        if let Some(other) = other {
+            apply(&mut tx, id, other).await?;
+        }
+        tx.commit().await?;
+        Ok(Retry::Queued)
+    }
+}
+
+/// Gives a job other options. What it has shown is forgotten: what is still true is told again.
+async fn apply(tx: &mut Transaction<'static, Sqlite>, id: &str, other: &Change) -> Result<()> {
+    sqlx::query(
+        "UPDATE jobs SET options = ?, rounds = ?, round = 0, progress = 0, best_round = NULL,
+         failed_at = 0 WHERE id = ?",
+    )
+    .bind(other.options.to_string())
+    .bind(other.rounds)
+    .bind(id)
+    .execute(&mut **tx)
+    .await?;
+    for forget in [
+        "DELETE FROM rounds WHERE job_id = ?",
+        "DELETE FROM stages WHERE job_id = ?",
+        // Poses that are used again warn no second time.
+        "DELETE FROM warnings WHERE job_id = ?1 AND at > (
+            SELECT MIN(at) FROM events WHERE job_id = ?1 AND kind = 'stage_finished'
+        )",
+    ] {
+        sqlx::query(forget).bind(id).execute(&mut **tx).await?;
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+    use crate::store::{CaptureRow, NewJob};
+
+    #[tokio::test]
+    async fn a_job_that_ended_goes_on_with_other_options() {
+        let dir = tempfile::tempdir().expect("temporary directory");
+        let path = dir.path().join("fled.db");
+        let store = Store::open(&path).await.expect("open");
+        let capture = CaptureRow {
+            id: "c".to_owned(),
+            name: "a capture".to_owned(),
+            accepted: 3,
+            report: json!({}),
+            created_at: 1,
+            owner: Some("anna".to_owned()),
+            expires_at: None,
+        };
+        store.insert_capture(&capture).await.expect("kept");
+        let job = NewJob {
+            id: "j".to_owned(),
+            name: "a job".to_owned(),
+            capture_id: "c".to_owned(),
+            preset: "preview".to_owned(),
+            options: json!({ "cap": 1 }),
+            rounds: 2,
+        };
+        let room = Room {
+            queue: 9,
+            of_owner: None,
+        };
+        store.create_job(&job, None, "", room).await.expect("made");
+        let other = Change {
+            options: json!({ "cap": 2 }),
+            rounds: 1,
+        };
+        let retry = async |other| store.retry("j", room, other).await.expect("asked");
+        assert_eq!(retry(Some(&other)).await, Retry::WrongState, "it waits");
+        store.request_cancel("j").await.expect("cancelled");
+        let none = Room {
+            of_owner: Some(("anna", 0)),
+            ..room
+        };
+        let refused = store.retry("j", none, Some(&other)).await;
+        assert_eq!(refused.expect("asked"), Retry::OverQuota);
+        let row = async || store.job("j").await.expect("read").expect("is there");
+        assert_eq!(row().await.options, json!({ "cap": 1 }), "as it was");
+        assert_eq!(retry(Some(&other)).await, Retry::Queued);
+        assert_eq!(row().await.options, json!({ "cap": 2 }));
+        assert_eq!((row().await.rounds, row().await.progress), (1, 0.0));
+    }
+}
