@@ -1,7 +1,7 @@
 //! The service as a client sees it: what `fled submit`, `watch`, `fetch` and `cancel` share.
 //!
-//! Connections break. Whatever is asked is asked again until it is answered, and nothing that is
-//! asked twice is done twice.
+//! Connections break. Whatever is asked is asked again until it is answered; what was done although
+//! its answer was lost is taken as done.
 
 pub mod cancel;
 pub mod fetch;
@@ -24,10 +24,16 @@ use crate::failure::{Failure, io};
 
 /// Nothing moves for so long: the connection is lost.
 const STALL: Duration = Duration::from_secs(60);
-/// The service looks at the photographs before it answers.
+/// The service looks at the photographs before it answers, and at the files before it lists them.
 const ANSWER: Duration = Duration::from_secs(600);
+/// An attempt that moved so many bytes was worth it.
+const MUCH: u64 = 1 << 20;
+/// Between the first two attempts.
+const FIRST_WAIT: Duration = Duration::from_secs(1);
 /// Waits between attempts: twice as long each time, up to this.
 const LONGEST_WAIT: Duration = Duration::from_secs(30);
+/// So many photographs that cannot be used are told by name.
+const TOLD: usize = 20;
 /// The variable that holds a token: an argument could be read by others on this machine.
 const TOKEN: &str = "FLED_TOKEN";
 
@@ -52,7 +58,10 @@ pub struct Args {
 
 /// A service.
 pub struct Remote {
-    agent: Agent,
+    /// For answers that take thought.
+    patient: Agent,
+    /// For files that only have to be sent.
+    brisk: Agent,
     base: String,
     bearer: Option<String>,
     patience: Duration,
@@ -60,12 +69,18 @@ pub struct Remote {
 
 /// Why something was not done.
 enum Fault {
-    /// There was no answer, or only a part: it may go better.
-    Lost(String),
+    /// There was no answer, or only a part: it may go better. Whether much was sent or received.
+    Lost(String, bool),
     /// The service asks to come again later.
     Later(Option<Duration>, Failure),
     /// The answer is no.
     Refused(Failure),
+}
+
+/// What is read of a job.
+#[derive(Deserialize)]
+struct State {
+    state: String,
 }
 
 /// What is read of a problem document.
@@ -100,15 +115,18 @@ impl Remote {
             None => std::env::var(TOKEN).ok(),
         };
         let token = token.map(|token| token.trim().to_owned());
-        let agent = Agent::config_builder()
-            .http_status_as_error(false)
-            .timeout_connect(Some(STALL))
-            .timeout_per_read(Some(STALL))
-            .timeout_per_write(Some(STALL))
-            .timeout_recv_response(Some(ANSWER))
-            .build();
+        let agent = |silence| -> Agent {
+            Agent::config_builder()
+                .http_status_as_error(false)
+                .timeout_connect(Some(STALL))
+                .timeout_per_write(Some(STALL))
+                .timeout_per_read(Some(silence))
+                .build()
+                .into()
+        };
         Ok(Self {
-            agent: agent.into(),
+            patient: agent(ANSWER),
+            brisk: agent(STALL),
             base: args.server.trim_end_matches('/').to_owned(),
             bearer: token
                 .filter(|token| !token.is_empty())
@@ -127,31 +145,49 @@ impl Remote {
     /// # Errors
     /// [`Failure`] in the service's own words, or when it does not answer for too long.
     pub fn json<T: DeserializeOwned>(&self, path: &str) -> Result<T, Failure> {
-        self.persist(|| read_json(self.get(path, &[])?))
+        self.persist(|| self.ask(path))
     }
 
-    /// Sends JSON, or nothing, and gives the JSON of the answer.
+    fn ask<T: DeserializeOwned>(&self, path: &str) -> Result<T, Fault> {
+        let request = Request::get(self.url(path));
+        read_json(self.send(&self.patient, request, ())?)
+    }
+
+    /// Asks something of a job, with JSON or nothing, and gives the state that it then has. Where
+    /// the first answer was lost and the second is that this cannot be any more, it was done.
     ///
     /// # Errors
     /// As [`Remote::json`].
-    fn post<T: DeserializeOwned>(&self, path: &str, body: Option<&Value>) -> Result<T, Failure> {
+    fn order(&self, job: &str, verb: &str, body: Option<&Value>) -> Result<String, Failure> {
         let body = body.map(Value::to_string).unwrap_or_default();
-        let ask = || {
-            let mut request = Request::post(self.url(path));
+        let path = format!("/v1/jobs/{job}");
+        let mut is_lost = false;
+        let state: State = self.persist(|| {
+            let mut request = Request::post(self.url(&format!("{path}/{verb}")));
             if !body.is_empty() {
                 request = request.header(header::CONTENT_TYPE, "application/json");
             }
-            read_json(self.send(request, body.as_str())?)
-        };
-        self.persist(ask)
+            match self.send(&self.patient, request, body.as_str()) {
+                Ok(answer) => read_json(answer),
+                Err(Fault::Refused(failure)) if is_lost => {
+                    self.ask(&path).map_err(|_| Fault::Refused(failure))
+                }
+                Err(fault) => {
+                    is_lost |= matches!(fault, Fault::Lost(..));
+                    Err(fault)
+                }
+            }
+        })?;
+        Ok(state.state)
     }
 
-    fn get(&self, path: &str, headers: &[(&str, String)]) -> Result<Response<Body>, Fault> {
+    /// A file, or what is left of it.
+    fn download(&self, path: &str, headers: &[(&str, String)]) -> Result<Response<Body>, Fault> {
         let mut request = Request::get(self.url(path));
         for (name, value) in headers {
             request = request.header(*name, value);
         }
-        self.send(request, ())
+        self.send(&self.brisk, request, ())
     }
 
     fn url(&self, path: &str) -> String {
@@ -161,6 +197,7 @@ impl Remote {
     /// An answer that says yes.
     fn send(
         &self,
+        agent: &Agent,
         mut request: ureq::http::request::Builder,
         body: impl AsSendBody,
     ) -> Result<Response<Body>, Fault> {
@@ -170,7 +207,7 @@ impl Remote {
         let request = request
             .body(body)
             .map_err(|error| Fault::Refused(Failure::usage(error)))?;
-        match self.agent.run(request) {
+        match agent.run(request) {
             Ok(response) if response.status().is_success() => Ok(response),
             Ok(response) => Err(refusal(response)),
             Err(
@@ -181,23 +218,27 @@ impl Remote {
                 "{}: {error}",
                 self.base
             )))),
-            Err(error) => Err(Fault::Lost(error.to_string())),
+            Err(error) => Err(Fault::Lost(error.to_string(), false)),
         }
     }
 
-    /// Tries until there is an answer, the service says no, or nothing was heard of it for too
-    /// long.
+    /// Tries until there is an answer, the service says no, or nothing has come of it for too long.
     fn persist<T>(&self, mut attempt: impl FnMut() -> Result<T, Fault>) -> Result<T, Failure> {
-        let (began, mut wait) = (Instant::now(), Duration::from_secs(1));
+        let (mut silent_since, mut wait) = (Instant::now(), FIRST_WAIT);
         loop {
             let (pause, failure) = match attempt() {
                 Ok(done) => return Ok(done),
                 Err(Fault::Refused(failure)) => return Err(failure),
                 Err(Fault::Later(pause, failure)) => (pause, failure),
-                Err(Fault::Lost(why)) => (None, self.lost(&why)),
+                Err(Fault::Lost(why, has_moved)) => {
+                    if has_moved {
+                        (silent_since, wait) = (Instant::now(), FIRST_WAIT);
+                    }
+                    (None, self.lost(&why))
+                }
             };
             let pause = pause.unwrap_or(wait);
-            if began.elapsed() + pause > self.patience {
+            if silent_since.elapsed() + pause > self.patience {
                 return Err(failure);
             }
             eprintln!("{}; again in {} s", failure.detail, pause.as_secs());
@@ -221,7 +262,7 @@ fn read_json<T: DeserializeOwned>(mut response: Response<Body>) -> Result<T, Fau
     let body = response.body_mut().with_config().limit(256 << 20);
     let text = body
         .read_to_vec()
-        .map_err(|error| Fault::Lost(error.to_string()))?;
+        .map_err(|error| Fault::Lost(error.to_string(), false))?;
     serde_json::from_slice(&text).map_err(|error| {
         let detail = format!("what answers there is no fled service: {error}");
         Fault::Refused(Failure::new(ErrorKind::Environment, detail))
@@ -240,7 +281,8 @@ fn refusal(mut response: Response<Body>) -> Fault {
         detail => detail.to_owned(),
     };
     let images = problem.capture.map(|capture| capture.images);
-    for image in images.into_iter().flatten().filter(|image| !image.accepted) {
+    let images = images.into_iter().flatten();
+    for image in images.filter(|image| !image.accepted).take(TOLD) {
         let reason = image.reason.as_deref().unwrap_or("cannot be used");
         detail += &format!("\n      {}: {reason}", image.name);
     }

@@ -66,7 +66,8 @@ pub fn main(args: &Args) -> Result<(), Failure> {
     let days = args.keep_days.map(u64::from);
     config.retention.age = days.map(|days| Duration::from_secs(days * 24 * 3600));
     config.retention.jobs = args.keep_jobs;
-    // A job's folder is its own: no other run will use what this one worked with.
+    // Deblurred views in full precision are large; where other options want them they are made
+    // again.
     config.job_command.push("--discard-work".into());
     config.models = args.models.folders();
     for folder in &config.models {

@@ -34,6 +34,8 @@ pub struct App {
     pub renderers: Renderers,
     /// What each client may ask for.
     pub rates: Rates,
+    /// Held while a capture is kept whose owner has a quota.
+    pub keeping: tokio::sync::Mutex<()>,
     /// What it counts about itself.
     pub telemetry: Telemetry,
     /// The jobs that run.
@@ -64,6 +66,7 @@ impl App {
             shutdown: CancellationToken::new(),
             versions: watch::Sender::new(0),
             rates: Rates::new(limits.rate, limits.burst),
+            keeping: tokio::sync::Mutex::default(),
             telemetry: Telemetry::default(),
             running: Running::default(),
         }

@@ -4,7 +4,7 @@
 //! never change, and neither do jobs that have ended. One that waits or runs at that moment, or is
 //! tried again meanwhile, has no files in the copy: there it begins anew.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::fs::{self, File};
 use std::io;
 use std::path::Path;
@@ -13,7 +13,7 @@ use crate::data::sync_directories;
 use crate::error::{Result, ServerError};
 use crate::store::{Attempted, Store};
 
-/// What of a job's folder is not copied: it is rendered again when it is wanted.
+/// What at the top of a job's folder is not copied: novel views are rendered again when wanted.
 const RENDERS: &str = "renders";
 
 /// What was copied.
@@ -40,20 +40,34 @@ pub async fn backup(data: &Path, to: &Path) -> Result<Backup> {
     live.copy_to(&to.join("fled.db")).await?;
     let copy = Store::open(&to.join("fled.db")).await?;
     let mut done = Backup::default();
-    for id in copy.ids("captures").await? {
-        let folder = Path::new("captures").join(&id);
-        match copied(data, to, &folder)? {
-            Some(bytes) => {
-                done.captures += 1;
-                done.bytes += bytes;
-            }
-            // It was deleted meanwhile.
-            None => copy.forget_capture(&id).await?,
+    let captures = copy.ids("captures").await?;
+    let mut incomplete = HashSet::new();
+    for id in &captures {
+        match copied(data, to, &Path::new("captures").join(id))? {
+            Some(bytes) => done.bytes += bytes,
+            None => drop(incomplete.insert(id.clone())),
         }
     }
-    let jobs = copy.attempted().await?;
-    for (id, _) in jobs.iter().filter(|(_, job)| job.is_over) {
-        done.bytes += copied(data, to, &Path::new("jobs").join(id))?.unwrap_or(0);
+    let mut jobs = copy.attempted().await?;
+    for (id, job) in &mut jobs {
+        let folder = Path::new("jobs").join(id);
+        if job.is_over {
+            match copied(data, to, &folder)? {
+                Some(bytes) => done.bytes += bytes,
+                // One that was cancelled before it began has no folder.
+                None => job.is_over = !data.join(&folder).exists(),
+            }
+        }
+    }
+    // What was deleted meanwhile may be there in part.
+    let kept = live.ids("captures").await?;
+    for id in &captures {
+        if incomplete.contains(id) || !kept.contains(id) {
+            copy.forget_capture(id).await?;
+            remove(&to.join("captures").join(id))?;
+        } else {
+            done.captures += 1;
+        }
     }
     let now = live.attempted().await?;
     done.anew = begin_anew(&copy, &jobs, &now, to).await?;
@@ -75,7 +89,6 @@ async fn begin_anew(
     for (id, job) in jobs {
         let folder = to.join("jobs").join(id);
         match now.get(id) {
-            // One that was cancelled before it began has no folder.
             Some(now) if now == job && job.is_over => continue,
             Some(_) => {
                 copy.begin_anew(id).await?;
@@ -83,14 +96,18 @@ async fn begin_anew(
             }
             None => drop(copy.delete_job(id).await?),
         }
-        match fs::remove_dir_all(&folder) {
-            Err(error) if error.kind() != io::ErrorKind::NotFound => {
-                return Err(ServerError::io(&folder)(error));
-            }
-            _ => {}
-        }
+        remove(&folder)?;
     }
     Ok(anew)
+}
+
+fn remove(folder: &Path) -> Result<()> {
+    match fs::remove_dir_all(folder) {
+        Err(error) if error.kind() != io::ErrorKind::NotFound => {
+            Err(ServerError::io(folder)(error))
+        }
+        _ => Ok(()),
+    }
 }
 
 fn make_empty(to: &Path) -> Result<()> {
@@ -109,14 +126,15 @@ fn make_empty(to: &Path) -> Result<()> {
 /// Copies one folder and gives its bytes; `None` where it is not there, or no longer.
 fn copied(data: &Path, to: &Path, folder: &Path) -> Result<Option<u64>> {
     let (from, to) = (data.join(folder), to.join(folder));
-    match copy_tree(&from, &to) {
+    match copy_tree(&from, &to, Some(RENDERS)) {
         Ok(bytes) => Ok(Some(bytes)),
         Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
         Err(error) => Err(ServerError::io(&from)(error)),
     }
 }
 
-fn copy_tree(from: &Path, to: &Path) -> io::Result<u64> {
+/// All but what is called `but` at the top.
+fn copy_tree(from: &Path, to: &Path, but: Option<&str>) -> io::Result<u64> {
     fs::create_dir_all(to)?;
     let mut bytes = 0;
     for entry in fs::read_dir(from)? {
@@ -124,8 +142,8 @@ fn copy_tree(from: &Path, to: &Path) -> io::Result<u64> {
         let name = entry.file_name();
         let (from, to) = (entry.path(), to.join(&name));
         if entry.file_type()?.is_dir() {
-            if name != RENDERS {
-                bytes += copy_tree(&from, &to)?;
+            if but.is_none_or(|but| name != but) {
+                bytes += copy_tree(&from, &to, None)?;
             }
         } else {
             bytes += fs::copy(&from, &to)?;

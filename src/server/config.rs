@@ -47,6 +47,13 @@ pub struct Retention {
     pub notice: Duration,
 }
 
+impl Retention {
+    /// Whether everything is kept.
+    pub fn is_off(&self) -> bool {
+        self.age.is_none() && self.jobs.is_none()
+    }
+}
+
 impl Default for Retention {
     fn default() -> Self {
         Self {

@@ -11,7 +11,12 @@ use crate::store::now_ms;
 /// When the database refuses.
 pub async fn expire(app: &App) -> Result<usize> {
     let now = now_ms();
-    app.store.mark_expiring(&app.config.retention, now).await?;
+    let marked = app.store.mark_expiring(&app.config.retention, now).await;
+    // Where nothing may be deleted any more, what was marked is not deleted either.
+    if app.config.retention.is_off() {
+        return marked.map(|()| 0);
+    }
+    // Deleting is what helps where the disk is too full to mark.
     let expired = app.store.delete_expired(now).await?;
     for id in &expired.jobs {
         tracing::info!(job = id, "deleted: it was kept as long as jobs are");
@@ -22,5 +27,6 @@ pub async fn expire(app: &App) -> Result<usize> {
         remove(&app.data.capture(id)).await;
     }
     app.changed();
+    marked?;
     Ok(expired.jobs.len() + expired.captures.len())
 }

@@ -31,6 +31,8 @@ pub enum Client {
     Owner(String),
     /// Whoever has no token that holds.
     Address(IpAddr),
+    /// The same, where they log in or out: nobody's other requests are in the way.
+    Login(IpAddr),
 }
 
 /// What a client has left, after what it asked for was taken away or refused.

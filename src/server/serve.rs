@@ -66,7 +66,10 @@ impl Server {
         if swept > 0 {
             tracing::info!(swept, "leftovers of an earlier server are out of the way");
         }
-        expire(&app).await?;
+        // A disk that is too full to be written must not keep the server from starting.
+        if let Err(error) = expire(&app).await {
+            tracing::warn!(%error, "cannot delete what is kept no longer");
+        }
         let mut tasks = JoinSet::new();
         tasks.spawn(sweep::keep_sweeping(app.clone()));
         for index in 0..workers {

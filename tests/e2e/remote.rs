@@ -137,32 +137,30 @@ fn a_capture_comes_through_connections_that_break_and_so_does_its_result() {
     assert!(said(&again).contains("1 files fetched"), "{}", said(&again));
     assert!(std::fs::read(out.join("scene.ply")).expect("the scene") == scene);
 
-    let mut cancel = fled();
-    cancel.args(["cancel", id, "--server", &proxy.address]);
-    let over = cancel.env("FLED_TOKEN", token).output().expect("starts");
-    assert_ne!(code(&over), 0);
-    assert!(said(&over).contains("succeeded"), "{}", said(&over));
+    and_with_other_options(&server, &proxy.address, token, id);
+}
 
-    // With other options it goes on from what stays true: the poses are not found again.
+/// A job that has succeeded is no longer cancelled, and goes on with other options from what stays
+/// true: the poses are not found again.
+fn and_with_other_options(server: &Server, address: &str, token: &str, id: &str) {
     let asked = |verb: &str, more: &[&str]| {
         let mut command = fled();
-        command
-            .args([verb, id, "--server", &proxy.address])
-            .args(more);
+        command.args([verb, id, "--server", address]).args(more);
         command.env("FLED_TOKEN", token).output().expect("starts")
     };
+    let over = asked("cancel", &[]);
+    assert_ne!(code(&over), 0);
+    assert!(said(&over).contains("succeeded"), "{}", said(&over));
     let typo = asked("retry", &["--set", "capp=700"]);
     assert_eq!(code(&typo), 2, "{}", said(&typo));
     let retried = asked("retry", &["--set", "cap=700"]);
     assert_eq!(code(&retried), 0, "{}", said(&retried));
     let watched = asked("watch", &[]);
     assert_eq!(code(&watched), 0, "{}", said(&watched));
-    assert!(
-        said(&watched).contains("round 1: 700 Gaussians"),
-        "{}",
-        said(&watched)
-    );
+    let rounds = "round 1: 700 Gaussians";
+    assert!(said(&watched).contains(rounds), "{}", said(&watched));
+    let bearer = format!("Bearer {token}");
     let log = format!("/v1/jobs/{id}/log");
-    let log = server.get(&log, &headers).expect(200).text();
-    assert!(log.contains("poses found done"), "{log}");
+    let log = server.get(&log, &[("authorization", &bearer)]).expect(200);
+    assert!(log.text().contains("poses found done"), "{}", log.text());
 }

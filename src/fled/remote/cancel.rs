@@ -1,7 +1,5 @@
 //! `fled cancel`: stops a job of a service.
 
-use serde::Deserialize;
-
 use super::Remote;
 use crate::failure::Failure;
 
@@ -14,18 +12,13 @@ pub struct Args {
     remote: super::Args,
 }
 
-#[derive(Deserialize)]
-struct Job {
-    state: String,
-}
-
 /// Asks for the job to be stopped.
 ///
 /// # Errors
 /// [`Failure`] in the service's own words, also where the job is over.
 pub fn main(args: &Args) -> Result<(), Failure> {
     let remote = Remote::new(&args.remote)?;
-    let job: Job = remote.post(&format!("/v1/jobs/{}/cancel", args.job), None)?;
-    eprintln!("the job is {}", job.state);
+    let state = remote.order(&args.job, "cancel", None)?;
+    eprintln!("the job is {state}");
     Ok(())
 }

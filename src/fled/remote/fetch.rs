@@ -10,7 +10,7 @@ use serde::Deserialize;
 use sha2::{Digest, Sha256};
 use ureq::http::StatusCode;
 
-use super::{Fault, Remote};
+use super::{Fault, MUCH, Remote};
 use crate::failure::{Failure, io as at};
 
 /// Arguments of `fled fetch`.
@@ -132,24 +132,26 @@ fn go_on(remote: &Remote, address: &str, bytes: u64, part: &Path) -> Result<(), 
     }
     let range = [("range", format!("bytes={have}-"))];
     let asked = if have > 0 { &range[..] } else { &[] };
-    let response = remote.get(address, asked)?;
+    let response = remote.download(address, asked)?;
     if have > 0 && response.status() != StatusCode::PARTIAL_CONTENT {
         file.set_len(0).map_err(here)?;
     }
     // One more than there can be: at its limit reading fails.
     let body = response.into_body().into_with_config();
     let mut body = body.limit(bytes + 1).reader();
+    let mut came = file.metadata().map_err(here)?.len();
     let mut buffer = vec![0; 1 << 16];
+    let lost = |why: String, came: u64| Fault::Lost(why, came > have + MUCH);
     loop {
-        let read = body.read(&mut buffer);
-        match read.map_err(|error| Fault::Lost(error.to_string()))? {
-            0 => break,
-            read => file.write_all(&buffer[..read]).map_err(here)?,
+        match body.read(&mut buffer) {
+            Ok(0) => break,
+            Ok(read) => file.write_all(&buffer[..read]).map_err(here)?,
+            Err(error) => return Err(lost(error.to_string(), came)),
         }
+        came = file.metadata().map_err(here)?.len();
     }
-    let has = file.metadata().map_err(here)?.len();
-    if has < bytes {
-        return Err(Fault::Lost(format!("{has} of {bytes} bytes came")));
+    if came < bytes {
+        return Err(lost(format!("{came} of {bytes} bytes came"), came));
     }
     Ok(())
 }

@@ -1,7 +1,6 @@
 //! `fled retry`: lets a job of a service that ended go on.
 
 use fled_core::pipeline::config::{Options, Preset};
-use serde::Deserialize;
 use serde_json::{Map, Value, json};
 
 use super::Remote;
@@ -20,20 +19,16 @@ pub struct Args {
     assignments: Vec<String>,
 }
 
-#[derive(Deserialize)]
-struct Job {
-    state: String,
-}
-
 /// Queues the job again.
 ///
 /// # Errors
 /// [`Failure`] in the service's own words, also where the job has not ended.
 pub fn main(args: &Args) -> Result<(), Failure> {
     let remote = Remote::new(&args.remote)?;
-    let body = json!({ "options": assigned(Preset::Standard, &args.assignments)? });
-    let job: Job = remote.post(&format!("/v1/jobs/{}/retry", args.job), Some(&body))?;
-    eprintln!("the job is {}; `fled watch` shows it", job.state);
+    let options = assigned(Preset::Standard, &args.assignments)?;
+    let body = (!options.is_empty()).then(|| json!({ "options": options }));
+    let state = remote.order(&args.job, "retry", body.as_ref())?;
+    eprintln!("the job is {state}; `fled watch` shows it");
     Ok(())
 }
 

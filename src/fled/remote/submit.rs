@@ -13,7 +13,7 @@ use ureq::http::{Request, header};
 
 use super::multipart::Form;
 use super::retry::assigned;
-use super::{Fault, Remote, fetch, read_json, watch};
+use super::{Fault, MUCH, Remote, fetch, read_json, watch};
 use crate::failure::Failure;
 
 /// Arguments of `fled submit`.
@@ -103,9 +103,13 @@ fn send(remote: &Remote, form: &Form, key: &str) -> Result<String, Fault> {
         // What is refused is refused before the body is sent.
         .header(header::EXPECT, "100-continue")
         .header("idempotency-key", key);
-    let answer = remote.send(request, SendBody::from_reader(&mut body));
+    let answer = remote.send(&remote.patient, request, SendBody::from_reader(&mut body));
+    let sent = bar.position();
     bar.finish_and_clear();
-    let answer = answer?;
+    let answer = answer.map_err(|fault| match fault {
+        Fault::Lost(why, _) => Fault::Lost(why, sent > MUCH),
+        fault => fault,
+    })?;
     if answer.headers().contains_key("idempotent-replayed") {
         eprintln!("this job was submitted before; --again makes another");
     }

@@ -66,6 +66,22 @@ impl Visitor {
     }
 }
 
+/// Who may not do what they ask.
+struct Refused {
+    /// Whose token they show, where it holds.
+    owner: Option<String>,
+    problem: Problem,
+}
+
+impl<T: Into<Problem>> From<T> for Refused {
+    fn from(problem: T) -> Self {
+        Self {
+            owner: None,
+            problem: problem.into(),
+        }
+    }
+}
+
 /// Lets those pass who may, as often as they may.
 pub(super) async fn check(State(app): State<Arc<App>>, request: Request, next: Next) -> Response {
     let path = request.extensions().get::<MatchedPath>();
@@ -77,12 +93,12 @@ pub(super) async fn check(State(app): State<Arc<App>>, request: Request, next: N
         Some(needed) => admit(&app, request.headers(), needed).await.map(Some),
         None => Ok(None),
     };
-    let client = client(&request, admission.as_ref().ok().and_then(Option::as_ref));
+    let client = client(&request, &admission);
     let cost = allowance::cost(request.method());
     let left = client.and_then(|client| app.rates.take(&client, cost));
     let mut answer = match (left.and_then(|left| left.wait), admission) {
         (Some(wait), _) => allowance::used_up(wait),
-        (None, Err(problem)) => problem.into_response(),
+        (None, Err(refused)) => refused.problem.into_response(),
         (None, Ok(None)) => next.run(request).await,
         (None, Ok(Some(visitor))) => match own(&app, request, visitor).await {
             Ok(request) => next.run(request).await,
@@ -97,13 +113,20 @@ pub(super) async fn check(State(app): State<Arc<App>>, request: Request, next: N
 
 /// Who a request is counted for; `None` where nobody is: this machine's own user, as long as there
 /// is no token.
-fn client(request: &Request, visitor: Option<&Visitor>) -> Option<Client> {
-    if let Some(owner) = visitor.and_then(Visitor::owner) {
+fn client(request: &Request, admission: &Result<Option<Visitor>, Refused>) -> Option<Client> {
+    let owner = match admission {
+        Ok(visitor) => visitor.as_ref().and_then(Visitor::owner),
+        Err(refused) => refused.owner.as_deref(),
+    };
+    if let Some(owner) = owner {
         return Some(Client::Owner(owner.to_owned()));
     }
     let ClientAddress(address) = *request.extensions().get()?;
-    let is_at_home = visitor.is_some() && address.is_loopback();
-    (!is_at_home).then_some(Client::Address(address))
+    match admission {
+        Ok(None) => Some(Client::Login(address)),
+        Ok(Some(_)) if address.is_loopback() => None,
+        _ => Some(Client::Address(address)),
+    }
 }
 
 /// A request with who asks, if what it names is theirs.
@@ -157,7 +180,7 @@ fn needed(path: Option<&str>, method: &Method) -> Option<Scope> {
     })
 }
 
-async fn admit(app: &App, headers: &HeaderMap, needed: Scope) -> Result<Visitor, Problem> {
+async fn admit(app: &App, headers: &HeaderMap, needed: Scope) -> Result<Visitor, Refused> {
     if !app.store.has_tokens().await? {
         return Ok(Visitor {
             owner: None,
@@ -180,8 +203,11 @@ async fn admit(app: &App, headers: &HeaderMap, needed: Scope) -> Result<Visitor,
         });
     }
     let detail = format!("This token does not allow `{}`.", needed.name());
-    Err(Problem::new(StatusCode::FORBIDDEN, "missing_scope", detail)
-        .hint(format!("It allows: {}.", token.scopes)))
+    let problem = Problem::new(StatusCode::FORBIDDEN, "missing_scope", detail);
+    Err(Refused {
+        owner: Some(token.owner().to_owned()),
+        problem: problem.hint(format!("It allows: {}.", token.scopes)),
+    })
 }
 
 /// Whether those headers would still let somebody in: an answer may take longer than a token holds.

@@ -12,6 +12,7 @@ use super::access::Visitor;
 use super::extract::Query;
 use super::page::page_size;
 use super::problem::Problem;
+use super::quota::bytes_left;
 use super::shapes::{Capture, Captures};
 use super::upload;
 use crate::app::App;
@@ -72,7 +73,8 @@ pub async fn create(
     Extension(visitor): Extension<Visitor>,
     request: Request,
 ) -> Result<Response, Problem> {
-    let upload = upload::receive(&app, request, &["name"], &visitor).await?;
+    let most = bytes_left(&app, &visitor).await?;
+    let upload = upload::receive(&app, request, &["name"], most).await?;
     let report = upload.examine(&app).await?;
     if query.dry_run.is_some_and(|value| value != "false") {
         let name = upload.fields.get("name").cloned().unwrap_or_default();
@@ -85,8 +87,7 @@ pub async fn create(
         })
         .into_response());
     }
-    let row = upload::to_its_end(async move { upload.keep(&app, &report, visitor.owner()).await })
-        .await?;
+    let row = upload::to_its_end(async move { upload.keep(&app, &report, &visitor).await }).await?;
     let location = format!("/v1/captures/{}", row.id);
     let body = axum::Json(Capture::from_row(row));
     Ok((StatusCode::CREATED, [(header::LOCATION, location)], body).into_response())

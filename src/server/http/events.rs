@@ -168,13 +168,14 @@ impl Cursor {
                 .events_after(&self.id, self.last, BATCH)
                 .await
                 .ok()?;
+            let until_check = ACCESS_CHECK.saturating_sub(self.checked.elapsed());
             if rows.is_empty() {
                 if job.state.is_terminal() {
                     return None;
                 }
                 tokio::select! {
                     changed = self.versions.changed() => changed.ok()?,
-                    () = tokio::time::sleep(ACCESS_CHECK) => {}
+                    () = tokio::time::sleep(until_check) => {}
                     () = self.app.shutdown.cancelled() => return None,
                 }
             }

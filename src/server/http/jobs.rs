@@ -146,7 +146,9 @@ async fn from_json(
 ) -> Result<Creation, Problem> {
     // Accepted is accepted: a job that the disk cannot hold is refused now.
     upload::check_space(app)?;
-    bytes_left(app, visitor).await?;
+    if !is_known(app, key).await? {
+        bytes_left(app, visitor).await?;
+    }
     if let Some(name) = &body.name {
         upload::check_name(name)?;
     }
@@ -182,12 +184,14 @@ async fn from_upload(
     key: Option<&str>,
     visitor: Visitor,
 ) -> Result<Creation, Problem> {
-    // Told before gigabytes are sent. A replay of an earlier request is told too, but not wrongly:
-    // it can be asked again.
-    if app.store.waiting().await? >= app.limits.queue {
-        return Err(queue_full());
-    }
-    let upload = upload::receive(app, request, &["name", "preset", "options"], &visitor).await?;
+    // Told before gigabytes are sent; a request that is repeated has its job and needs no room.
+    let most = if is_known(app, key).await? {
+        None
+    } else {
+        check_room(app, &visitor).await?;
+        bytes_left(app, &visitor).await?
+    };
+    let upload = upload::receive(app, request, &["name", "preset", "options"], most).await?;
     let options = match upload
         .fields
         .get("options")
@@ -212,7 +216,7 @@ async fn from_upload(
     order.check_views(&report)?;
     let (app, key) = (app.clone(), key.map(str::to_owned));
     upload::to_its_end(async move {
-        let capture = upload.keep(&app, &report, visitor.owner()).await?;
+        let capture = upload.keep(&app, &report, &visitor).await?;
         let job = order.job(&capture.id, &capture.name)?;
         let room = visitor.room(app.limits.queue);
         let creation = app
@@ -229,6 +233,27 @@ async fn from_upload(
         Ok(creation?)
     })
     .await
+}
+
+/// Whether a request of this key has made a job already.
+async fn is_known(app: &App, key: Option<&str>) -> Result<bool, Problem> {
+    Ok(match key {
+        Some(key) => app.store.knows_key(key).await?,
+        None => false,
+    })
+}
+
+async fn check_room(app: &App, visitor: &Visitor) -> Result<(), Problem> {
+    let room = visitor.room(app.limits.queue);
+    if app.store.waiting().await? >= room.queue {
+        return Err(queue_full());
+    }
+    match room.of_owner {
+        Some((owner, most)) if app.store.unfinished(owner).await? >= most => {
+            Err(over_quota_jobs(visitor))
+        }
+        _ => Ok(()),
+    }
 }
 
 /// 429: so many jobs of theirs wait or run already.
@@ -368,8 +393,10 @@ pub async fn delete(
 }
 
 pub(super) fn over(row: &JobRow) -> Problem {
-    Problem::conflict("wrong_state", format!("The job is {}.", row.state.name()))
-        .hint("Queued and running jobs can be cancelled; failed and cancelled ones retried.")
+    Problem::conflict("wrong_state", format!("The job is {}.", row.state.name())).hint(
+        "Queued and running jobs can be cancelled; failed and cancelled ones retried, and any \
+             that ended with other options.",
+    )
 }
 
 /// The job as answered, or 404.

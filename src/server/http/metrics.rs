@@ -45,7 +45,8 @@ pub(super) async fn count(State(app): State<Arc<App>>, request: Request, next: N
     let status = answer.status();
     let id = id.as_ref().and_then(|id| id.to_str().ok());
     let (code, ms) = (status.as_u16(), took.as_secs_f64() * 1000.0);
-    if is_reading(&method) && !status.is_server_error() {
+    let failed = status.is_client_error() || status.is_server_error();
+    if is_reading(&method) && !failed {
         tracing::debug!(%method, path, code, ms, id, "answered");
     } else {
         tracing::info!(%method, path, code, ms, id, "answered");
@@ -59,6 +60,6 @@ pub(super) async fn count(State(app): State<Arc<App>>, request: Request, next: N
         route,
         status: code,
     };
-    app.telemetry.answered(answered, took);
+    app.telemetry.answered(&answered, took);
     answer
 }

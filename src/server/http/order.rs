@@ -81,6 +81,11 @@ impl Order {
         Ok(Self { preset, options })
     }
 
+    /// Whether these are the options already, as an older build may have written them.
+    pub(super) fn asks_for(&self, options: &Value) -> bool {
+        Options::deserialize(options).is_ok_and(|options| options == self.options)
+    }
+
     /// Holds what the options say of views against the capture's.
     ///
     /// # Errors

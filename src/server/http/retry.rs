@@ -76,12 +76,18 @@ async fn changed(
     row: &JobRow,
     options: &Map<String, Value>,
 ) -> Result<Option<Change>, Problem> {
+    if options.is_empty() {
+        return Ok(None);
+    }
     let order = Order::again(app, row, options).await?;
     let capture = app.store.capture(&row.capture_id).await?;
     let capture = capture.ok_or_else(|| Problem::not_found("capture"))?;
     order.check_views(&report(&capture))?;
+    if order.asks_for(&row.options) {
+        return Ok(None);
+    }
     let job = order.job(&capture.id, &row.name)?;
-    Ok((job.options != row.options).then_some(Change {
+    Ok(Some(Change {
         options: job.options,
         rounds: job.rounds,
     }))

@@ -14,6 +14,7 @@ use axum::http::{HeaderMap, StatusCode, header};
 use fled_core::capture::MAX_FILES;
 use tokio::fs::{self, File};
 use tokio::io::AsyncWriteExt;
+use tokio::sync::MutexGuard;
 use uuid::Uuid;
 
 use self::ahead::Ahead;
@@ -22,7 +23,7 @@ use super::access::Visitor;
 use super::problem::{Problem, disk_full};
 use super::quota::{bytes_left, over_quota};
 use crate::app::App;
-use crate::data::sync_directory;
+use crate::data::{bytes_below, sync_directory};
 use crate::error::ServerError;
 use crate::incoming::Incoming;
 use crate::intake::{self, CaptureReport, Refusal};
@@ -54,7 +55,8 @@ pub struct Upload {
     most: Option<u64>,
 }
 
-/// Receives every part of a multipart body; `known` are the text fields that mean something.
+/// Receives every part of a multipart body; `known` are the text fields that mean something, `most`
+/// is what it may take on the disk, bytes, where its owner has a quota.
 ///
 /// # Errors
 /// 400 for a broken body, 413 and 507 when it is too large for us or for the disk, 415 for another
@@ -63,10 +65,9 @@ pub async fn receive(
     app: &App,
     request: Request,
     known: &[&str],
-    visitor: &Visitor,
+    most: Option<u64>,
 ) -> Result<Upload, Problem> {
     check_space(app)?;
-    let most = bytes_left(app, visitor).await?;
     // Told before gigabytes are sent.
     let announced = request.body().size_hint().lower();
     if most.is_some_and(|most| announced > most) {
@@ -220,6 +221,26 @@ impl Upload {
         }
     }
 
+    /// Looks again whether its owner's quota has room for it. Nobody else's look ends before the
+    /// answer is dropped.
+    async fn still_fits<'a>(
+        &self,
+        app: &'a App,
+        visitor: &Visitor,
+    ) -> Result<MutexGuard<'a, ()>, Problem> {
+        let turn = app.keeping.lock().await;
+        let left = bytes_left(app, visitor).await?;
+        let dir = self.dir.clone();
+        let bytes = tokio::task::spawn_blocking(move || bytes_below(dir.path()))
+            .await
+            .map_err(|_| Problem::internal())?
+            .map_err(ServerError::io(self.dir.path()))?;
+        if left.is_some_and(|left| bytes > left) {
+            return Err(over_quota());
+        }
+        Ok(turn)
+    }
+
     /// Makes the upload a capture: on disk, fsynced, then in the database.
     ///
     /// # Errors
@@ -228,8 +249,13 @@ impl Upload {
         self,
         app: &App,
         report: &CaptureReport,
-        owner: Option<&str>,
+        visitor: &Visitor,
     ) -> Result<CaptureRow, Problem> {
+        // Uploads of one owner that come at a time are counted one after the other.
+        let _turn = match self.most {
+            Some(_) => Some(self.still_fits(app, visitor).await?),
+            None => None,
+        };
         let row = CaptureRow {
             id: Uuid::now_v7().to_string(),
             name: self
@@ -241,7 +267,7 @@ impl Upload {
             accepted: report.accepted,
             report: serde_json::to_value(report).unwrap_or_default(),
             created_at: now_ms(),
-            owner: owner.map(str::to_owned),
+            owner: visitor.owner().map(str::to_owned),
             expires_at: None,
         };
         let to = app.data.capture(&row.id);

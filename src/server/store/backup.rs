@@ -3,10 +3,11 @@
 use std::collections::HashMap;
 use std::path::Path;
 
+use serde_json::json;
 use sqlx::Row;
 use sqlx::sqlite::{SqliteConnectOptions, SqlitePoolOptions};
 
-use super::{BUSY_TIMEOUT, Store};
+use super::{BUSY_TIMEOUT, Store, events};
 use crate::error::Result;
 use crate::jobs::state::JobState;
 
@@ -86,7 +87,7 @@ impl Store {
     /// When the database refuses.
     pub async fn begin_anew(&self, id: &str) -> Result<()> {
         let mut tx = self.pool.begin_with("BEGIN IMMEDIATE").await?;
-        for table in ["rounds", "stages", "warnings"] {
+        for table in ["rounds", "stages", "warnings", "artifacts"] {
             let forget = format!("DELETE FROM {table} WHERE job_id = ?");
             sqlx::query(sqlx::AssertSqlSafe(forget))
                 .bind(id)
@@ -95,12 +96,15 @@ impl Store {
         }
         sqlx::query(
             "UPDATE jobs SET state = 'queued', stage = NULL, round = 0, progress = 0,
-             finished_at = NULL, cancel_requested = 0, failures = 0, failed_at = 0, not_before = 0,
+             finished_at = NULL, best_round = NULL, error_code = NULL, error_detail = NULL,
+             error_hint = NULL, cancel_requested = 0, failures = 0, failed_at = 0, not_before = 0,
              lease_owner = NULL, lease_until = 0, expires_at = NULL WHERE id = ?",
         )
         .bind(id)
         .execute(&mut *tx)
         .await?;
+        let queued = json!({ "state": JobState::Queued.name() });
+        events::append(&mut tx, id, "state", &queued).await?;
         tx.commit().await?;
         Ok(())
     }

@@ -2,7 +2,7 @@
 
 use sqlx::Row;
 
-use super::jobs::{Full, JobRow, NewJob, Room, full, insert, read, waiting};
+use super::jobs::{Full, JobRow, NewJob, Room, full, insert, read, unfinished, waiting};
 use super::{Store, now_ms};
 use crate::error::{Result, ServerError};
 
@@ -28,6 +28,24 @@ impl Store {
     /// When the database refuses.
     pub async fn waiting(&self) -> Result<u32> {
         waiting(&self.pool).await
+    }
+
+    /// Whether a request of this key has made a job.
+    ///
+    /// # Errors
+    /// When the database refuses.
+    pub async fn knows_key(&self, key: &str) -> Result<bool> {
+        let known = "SELECT EXISTS (SELECT 1 FROM idempotency WHERE key = ?)";
+        let known = sqlx::query_scalar(known).bind(key);
+        Ok(known.fetch_one(&self.pool).await?)
+    }
+
+    /// How many jobs of an owner wait or run.
+    ///
+    /// # Errors
+    /// When the database refuses.
+    pub async fn unfinished(&self, owner: &str) -> Result<u32> {
+        unfinished(&self.pool, owner).await
     }
 
     /// Creates a job where there is room for it; with a key, at most once.

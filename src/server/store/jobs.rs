@@ -265,6 +265,15 @@ pub(super) async fn waiting(executor: impl SqliteExecutor<'_>) -> Result<u32> {
     Ok(count.fetch_one(executor).await?)
 }
 
+/// How many jobs of an owner wait or run.
+pub(super) async fn unfinished(executor: impl SqliteExecutor<'_>, owner: &str) -> Result<u32> {
+    let count = sqlx::query_scalar(
+        "SELECT COUNT(*) FROM jobs JOIN captures ON captures.id = jobs.capture_id
+         WHERE jobs.state IN ('queued', 'running') AND captures.owner = ?",
+    );
+    Ok(count.bind(owner).fetch_one(executor).await?)
+}
+
 /// Where there is no room for the jobs that there are, one that was just queued among them.
 pub(super) async fn full(
     tx: &mut Transaction<'static, Sqlite>,
@@ -276,13 +285,7 @@ pub(super) async fn full(
     let Some((owner, most)) = room.of_owner else {
         return Ok(None);
     };
-    let theirs: u32 = sqlx::query_scalar(
-        "SELECT COUNT(*) FROM jobs JOIN captures ON captures.id = jobs.capture_id
-         WHERE jobs.state IN ('queued', 'running') AND captures.owner = ?",
-    )
-    .bind(owner)
-    .fetch_one(&mut **tx)
-    .await?;
+    let theirs = unfinished(&mut **tx, owner).await?;
     Ok((theirs > most).then_some(Full::Quota))
 }
 

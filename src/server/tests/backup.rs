@@ -46,6 +46,10 @@ fn a_server_on_the_copy_has_what_had_ended_and_begins_the_rest_anew() {
     let scene = format!("/v1/jobs/{done}/artifacts/scene.ply");
     let whole = server.get(&scene, &[]).expect(200).body;
     assert!(other.get(&scene, &[]).expect(200).body == whole);
+    let files = format!("/v1/jobs/{done}/artifacts");
+    let all = server.get(&files, &[]).expect(200).json();
+    assert!(all.to_string().contains("/renders/"), "{all:#}");
+    assert_eq!(other.get(&files, &[]).expect(200).json(), all);
     let rounds = format!("/v1/jobs/{done}/rounds");
     let shown = server.get(&rounds, &[]).expect(200).json();
     assert_eq!(other.get(&rounds, &[]).expect(200).json(), shown);

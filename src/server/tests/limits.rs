@@ -9,12 +9,12 @@ use fled_server::store::Quotas;
 use fled_tests::Reply;
 use serde_json::json;
 use support::tokens::{token, token_of, token_with, with_store};
-use support::{Server, photographs};
+use support::{Server, photographs, text};
 
 /// All that a user needs.
 const USER: &str = "jobs:read,jobs:write,renders";
 
-fn id(reply: Reply) -> String {
+fn id(reply: &Reply) -> String {
     reply.json()["id"].as_str().expect("id").to_owned()
 }
 
@@ -37,12 +37,12 @@ fn an_owner_has_as_many_jobs_as_their_quota_allows() {
     };
     let (anna, _) = token_with(&server, "anna", USER, quotas);
     let (ben, _) = token_of("ben", &server, USER);
-    let capture = id(upload(&server, &anna).expect(201));
-    let first = id(order(&server, &capture, "slow:100", &anna).expect(202));
+    let capture = id(&upload(&server, &anna).expect(201));
+    let first = id(&order(&server, &capture, "slow:100", &anna).expect(202));
     let refused = order(&server, &capture, "ok", &anna).expect(429);
     assert_eq!(refused.json()["code"], "quota_jobs");
     assert_ne!(refused.header("retry-after"), "");
-    let theirs = id(upload(&server, &ben).expect(201));
+    let theirs = id(&upload(&server, &ben).expect(201));
     order(&server, &theirs, "ok", &ben).expect(202);
     let headers = [("authorization", anna.as_str())];
     let cancel = format!("/v1/jobs/{first}/cancel");
@@ -64,7 +64,7 @@ fn an_owner_has_as_many_bytes_as_their_quota_allows() {
     };
     let (anna, _) = token_with(&server, "anna", USER, quotas);
     let (ben, _) = token_of("ben", &server, USER);
-    let first = id(upload(&server, &anna).expect(201));
+    let first = id(&upload(&server, &anna).expect(201));
     let refused = upload(&server, &anna).expect(507);
     assert_eq!(refused.json()["code"], "quota_bytes");
     upload(&server, &ben).expect(201);
@@ -74,6 +74,36 @@ fn an_owner_has_as_many_bytes_as_their_quota_allows() {
     let refused = order(&server, &first, "ok", &anna).expect(507);
     assert_eq!(refused.json()["code"], "quota_bytes");
     order(&server, &first, "ok", &more).expect(202);
+}
+
+#[test]
+fn a_request_that_is_repeated_has_its_job_whatever_the_quota() {
+    let server = Server::start();
+    let one: usize = photographs(3).iter().map(|part| part.2.len()).sum();
+    let quotas = Quotas {
+        bytes: Some(one as u64 + 5000),
+        jobs: Some(1),
+    };
+    let (anna, _) = token_with(&server, "anna", USER, quotas);
+    let mut parts = photographs(3);
+    parts.push(text("options", r#"{"adapter":"slow:100"}"#));
+    let ask = |key: &str| {
+        let headers = [("authorization", anna.as_str()), ("idempotency-key", key)];
+        server.upload("/v1/jobs", &parts, &headers)
+    };
+    let job = id(&ask("one").expect(202));
+    let again = ask("one").expect(202);
+    assert_eq!(again.header("idempotent-replayed"), "true");
+    assert_eq!(id(&again), job);
+    assert_eq!(ask("two").expect(429).json()["code"], "quota_jobs");
+    server
+        .post(
+            &format!("/v1/jobs/{job}/cancel"),
+            b"",
+            &[("authorization", &anna)],
+        )
+        .expect(202);
+    assert_eq!(ask("two").expect(507).json()["code"], "quota_bytes");
 }
 
 #[test]
@@ -149,20 +179,20 @@ fn an_event_stream_ends_with_its_token() {
     let server = Server::start();
     let (admin, _) = token(&server, "admin");
     let (anna, which) = token_of("anna", &server, USER);
-    let capture = id(upload(&server, &anna).expect(201));
-    let job = id(order(&server, &capture, "slow:1000", &anna).expect(202));
+    let capture = id(&upload(&server, &anna).expect(201));
+    let job = id(&order(&server, &capture, "slow:1000", &anna).expect(202));
     let path = format!("/v1/jobs/{job}/events");
-    let begin = Instant::now();
     std::thread::scope(|scope| {
         let stream = scope.spawn(|| server.get(&path, &[("authorization", &anna)]).text());
         sleep(Duration::from_millis(500));
         let revoked = with_store(&server, async |store| store.revoke_token(&which).await);
         assert!(revoked.expect("done"));
+        let ended = Instant::now();
         let told = stream.join().expect("it ends");
         assert!(told.contains("event: state"), "{told}");
+        let took = ended.elapsed();
+        assert!(took < Duration::from_secs(8), "{took:?}");
     });
-    let took = begin.elapsed();
-    assert!(took < Duration::from_secs(20), "{took:?}");
     let shown = server.get(&format!("/v1/jobs/{job}"), &[("authorization", &admin)]);
     assert_eq!(shown.expect(200).json()["state"], "running", "it goes on");
 }
@@ -185,7 +215,7 @@ fn a_job_says_that_it_will_go_and_goes_unless_it_is_pinned() {
     // Nobody lives for a week here: the notice of what was told is over at once.
     with_store(&server, async |store| {
         let gone = store.delete_expired(i64::MAX).await.expect("deleted");
-        assert_eq!(gone.jobs, [goes.clone()]);
+        assert_eq!(gone.jobs, std::slice::from_ref(&goes));
     });
     server.get(&format!("/v1/jobs/{goes}"), &[]).expect(404);
     assert_eq!(server.show(&stays)["state"], "succeeded");
