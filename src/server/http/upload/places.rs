@@ -5,6 +5,9 @@ use std::path::{Path, PathBuf};
 
 use crate::intake;
 
+/// Folder of a model that poses are measured with.
+const TRUE_POSES: &str = "sparse_gt";
+
 /// The names of one upload.
 #[derive(Debug, Default)]
 pub(super) struct Places {
@@ -41,7 +44,12 @@ impl Places {
             } else {
                 lower
             };
-            return Path::new("sparse").join(name);
+            // Poses that others are measured with are not those of the capture, wherever a name
+            // says that they lie.
+            let is_truth = components
+                .iter()
+                .any(|component| component.eq_ignore_ascii_case(TRUE_POSES));
+            return Path::new(if is_truth { TRUE_POSES } else { "sparse" }).join(name);
         }
         if lower.ends_with(".zip") && part != "gt" {
             return self.unique(Path::new(""), intake::ARCHIVE);
@@ -142,6 +150,19 @@ mod tests {
             );
         }
         assert_eq!(safe_name("IMG 0001.JPG"), "IMG 0001.JPG");
+    }
+
+    #[test]
+    fn true_poses_are_not_taken_for_those_of_the_capture() {
+        let mut places = Places::default();
+        for (name, place) in [
+            ("fern/sparse/0/images.txt", "sparse/images.txt"),
+            ("fern/sparse_gt/images.txt", "sparse_gt/images.txt"),
+            ("fern/sparse_gt/0/Points3D.txt", "sparse_gt/points3D.txt"),
+            ("cameras.bin", "sparse/cameras.bin"),
+        ] {
+            assert_eq!(places.place("images", name), Path::new(place), "{name}");
+        }
     }
 
     #[test]
