@@ -90,10 +90,8 @@ async fn begin_anew(
         let folder = to.join("jobs").join(id);
         match now.get(id) {
             Some(now) if now == job && job.is_over => continue,
-            Some(_) => {
-                copy.begin_anew(id).await?;
-                anew += 1;
-            }
+            // Not one whose capture was forgotten.
+            Some(_) => anew += usize::from(copy.begin_anew(id).await?),
             None => drop(copy.delete_job(id).await?),
         }
         remove(&folder)?;
@@ -209,6 +207,7 @@ mod tests {
         let now = live.attempted().await.expect("jobs");
         let anew = begin_anew(&copy, &jobs, &now, path).await.expect("done");
         assert_eq!(anew, 1);
+        assert!(!copy.begin_anew("nobody").await.expect("asked"));
         let state = async |id| {
             copy.job(id)
                 .await

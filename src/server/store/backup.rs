@@ -81,11 +81,11 @@ impl Store {
         Ok(())
     }
 
-    /// Queues a job whose files are not there.
+    /// Queues a job whose files are not there. `Ok(false)` when there is none.
     ///
     /// # Errors
     /// When the database refuses.
-    pub async fn begin_anew(&self, id: &str) -> Result<()> {
+    pub async fn begin_anew(&self, id: &str) -> Result<bool> {
         let mut tx = self.pool.begin_with("BEGIN IMMEDIATE").await?;
         for table in ["rounds", "stages", "warnings", "artifacts"] {
             let forget = format!("DELETE FROM {table} WHERE job_id = ?");
@@ -94,7 +94,7 @@ impl Store {
                 .execute(&mut *tx)
                 .await?;
         }
-        sqlx::query(
+        let done = sqlx::query(
             "UPDATE jobs SET state = 'queued', stage = NULL, round = 0, progress = 0,
              finished_at = NULL, best_round = NULL, error_code = NULL, error_detail = NULL,
              error_hint = NULL, cancel_requested = 0, failures = 0, failed_at = 0, not_before = 0,
@@ -103,9 +103,12 @@ impl Store {
         .bind(id)
         .execute(&mut *tx)
         .await?;
+        if done.rows_affected() == 0 {
+            return Ok(false);
+        }
         let queued = json!({ "state": JobState::Queued.name() });
         events::append(&mut tx, id, "state", &queued).await?;
         tx.commit().await?;
-        Ok(())
+        Ok(true)
     }
 }
