@@ -18,12 +18,7 @@ pub struct Reporter {
 impl Reporter {
     /// `log` is appended to: a resumed run's log holds its whole history.
     pub fn new(log: File, json: bool) -> Self {
-        let bar = (!json).then(|| {
-            let bar = ProgressBar::new(1000);
-            let style = ProgressStyle::with_template("{bar:30} {percent:>3}% {msg}");
-            bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()));
-            bar
-        });
+        let bar = (!json).then(overall_bar);
         Self {
             log,
             started: Instant::now(),
@@ -56,6 +51,14 @@ impl Reporter {
             bar.finish_and_clear();
         }
     }
+}
+
+/// The bar of a whole run, in thousandths.
+pub fn overall_bar() -> ProgressBar {
+    let bar = ProgressBar::new(1000);
+    let style = ProgressStyle::with_template("{bar:30} {percent:>3}% {msg}");
+    bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()));
+    bar
 }
 
 /// What an event changes of the bar itself.
@@ -126,7 +129,8 @@ impl ProgressSink for Reporter {
     }
 }
 
-fn name(stage: &str, round: u32) -> String {
+/// A stage as it is told.
+pub fn name(stage: &str, round: u32) -> String {
     if round == 0 {
         stage.to_owned()
     } else {

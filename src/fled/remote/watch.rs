@@ -4,12 +4,12 @@ use std::time::Duration;
 
 use fled_core::metrics::RoundMetrics;
 use fled_core::pipeline::error::ErrorKind;
-use indicatif::{ProgressBar, ProgressStyle};
+use indicatif::ProgressBar;
 use serde::Deserialize;
 
 use super::Remote;
 use crate::failure::Failure;
-use crate::progress::round_lines;
+use crate::progress::{name, overall_bar, round_lines};
 
 /// Between two looks at a job.
 const PERIOD: Duration = Duration::from_secs(1);
@@ -130,10 +130,7 @@ struct Screen {
 
 impl Screen {
     fn new() -> Self {
-        let bar = ProgressBar::new(1000);
-        let style = ProgressStyle::with_template("{bar:30} {percent:>3}% {msg}");
-        bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()));
-        Self { bar }
+        Self { bar: overall_bar() }
     }
 
     fn line(&self, text: &str) {
@@ -190,12 +187,4 @@ fn doing(job: &Job) -> String {
     let left = job.eta_seconds.map(|left| format!("{left:.0} s left"));
     let parts: Vec<String> = [stage, rate, left].into_iter().flatten().collect();
     parts.join(", ")
-}
-
-fn name(stage: &str, round: u32) -> String {
-    if round == 0 {
-        stage.to_owned()
-    } else {
-        format!("round {round} {stage}")
-    }
 }
