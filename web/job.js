@@ -3,13 +3,15 @@
 import { chart } from "./chart.js";
 import { address, api, doing, duration, h, pill, plain } from "./dom.js";
 import { poses } from "./poses.js";
+import { shares } from "./share.js";
 import { comparison, novelView } from "./views.js";
 
 const STAGES = ["poses", "enhance", "deblur", "reconstruct", "render", "match", "evaluate"];
 const EVENTS = ["state", "planned", "stage_started", "stage_finished", "progress", "round_finished", "warning"];
 const LOG_MS = 2000;
 
-export function jobPage(main, id) {
+/** The page of job `id` for whoever `who` is: a visitor by a link only looks. */
+export function jobPage(main, id, who) {
   const base = `/v1/jobs/${id}`;
   const head = h("section");
   const problem = h("p", { class: "problem", role: "alert" });
@@ -20,8 +22,11 @@ export function jobPage(main, id) {
   const files = section("Files");
   const views = comparison(id);
   const novel = novelView(id);
-  const log = logView(base);
-  main.append(head, problem, warnings, metrics, views.root, novel.root, h("div", { class: "columns" }, times, facts), files, log.root);
+  const log = who.job ? null : logView(base);
+  const share = who.scopes !== null && !who.job ? shares(id) : null;
+  main.append(head, problem, warnings, metrics, views.root, novel.root, h("div", { class: "columns" }, times, facts), files,
+    ...[share?.root, log?.root].filter(Boolean));
+  share?.open();
 
   let stream = null;
   let gone = false;
@@ -36,7 +41,7 @@ export function jobPage(main, id) {
       show(warnings, job.warnings.length > 0 && h("ul", { class: "plain" },
         job.warnings.map((warning) => h("li", {}, `${plain(warning.code)}: ${warning.message}`))));
       show(times, job.stages.length > 0 && stageBars(job.stages));
-      log.follow(job.state === "running" || job.state === "queued");
+      log?.follow(job.state === "running" || job.state === "queued");
       if (!stream && !["succeeded", "failed", "cancelled"].includes(job.state)) listen();
       // Only rounds and states change these; a progress event does not.
       const report = `${job.state} ${job.stages.length}`;
@@ -96,11 +101,11 @@ export function jobPage(main, id) {
       job.attempts > 1 ? `attempt ${job.attempts}` : ""].filter(Boolean).join(" · ");
     head.replaceChildren(
       h("div", { class: "row" }, h("h1", {}, job.name || "unnamed"), pill(job), h("span", { class: "soft" }, line),
-        h("span", { class: "row push" },
+        !who.job && h("span", { class: "row push" },
           !over && act("Cancel", `${base}/cancel`),
           (job.state === "failed" || job.state === "cancelled") && act("Try again", `${base}/retry`),
           job.state !== "running" && act("Delete", base, "DELETE"))),
-      keeping(job, act),
+      who.job ? "" : keeping(job, act),
       h("p", { class: "hint" }, `${job.preset} · created ${new Date(job.created_at).toLocaleString()}`),
       h("progress", { max: 1, value: job.progress, "aria-label": "progress" }));
     if (job.error) {
@@ -137,7 +142,7 @@ export function jobPage(main, id) {
   return () => {
     gone = true;
     stream?.close();
-    log.follow(false);
+    log?.follow(false);
     document.title = "fled";
   };
 }

@@ -3,26 +3,33 @@
 import { jobPage } from "./job.js";
 import { listPage } from "./list.js";
 import { loginPage, session } from "./login.js";
+import { link, openLink } from "./visitor.js";
 
 const main = document.getElementById("main");
 const logout = document.getElementById("logout");
 let leave = () => {};
 let isLockedOut = false;
+// Who this browser is: `{ needed, scopes, job }`.
+let who = { needed: false, scopes: null, job: null };
 
 function route() {
   leave();
   main.replaceChildren();
   const job = location.hash.match(/^#\/jobs\/([0-9a-f-]+)$/);
-  if (isLockedOut) leave = loginPage(main, enter);
-  else leave = job ? jobPage(main, job[1]) : listPage(main);
+  const shared = link(location.hash);
+  if (shared) leave = openLink(main, shared, enter);
+  else if (isLockedOut) leave = loginPage(main, enter);
+  // Who came by a link sees its job wherever they go.
+  else if (who.job) leave = jobPage(main, who.job, who);
+  else leave = job ? jobPage(main, job[1], who) : listPage(main);
 }
 
 /** Finds out whether this browser may look at anything. */
 async function look() {
   try {
-    const { needed, scopes } = await session();
-    logout.hidden = scopes === null;
-    return needed && scopes === null;
+    who = await session();
+    logout.hidden = who.scopes === null;
+    return who.needed && who.scopes === null;
   } catch {
     // The server does not answer; the health line says so.
     return isLockedOut;
@@ -37,6 +44,7 @@ async function enter() {
 /** Sessions end while a page is open. */
 async function stay() {
   const wasLockedOut = isLockedOut;
+  if (link(location.hash)) return;
   isLockedOut = await look();
   if (isLockedOut !== wasLockedOut) route();
 }

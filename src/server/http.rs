@@ -34,6 +34,7 @@ mod render;
 mod retry;
 mod rounds;
 mod shapes;
+mod share;
 mod upload;
 
 use std::any::Any;
@@ -44,7 +45,7 @@ use axum::extract::DefaultBodyLimit;
 use axum::http::{HeaderName, HeaderValue, StatusCode, header};
 use axum::middleware;
 use axum::response::{IntoResponse, Response};
-use axum::routing::{get, post, put};
+use axum::routing::{delete, get, post, put};
 use tower_http::catch_panic::CatchPanicLayer;
 use tower_http::csrf::CsrfLayer;
 use tower_http::request_id::{MakeRequestUuid, PropagateRequestIdLayer, SetRequestIdLayer};
@@ -74,16 +75,7 @@ pub fn router(app: Arc<App>) -> Router {
             "/v1/captures/{id}",
             get(captures::show).delete(captures::delete),
         )
-        .route("/v1/jobs/{id}", get(jobs::show).delete(jobs::delete))
-        .route("/v1/jobs/{id}/cancel", post(jobs::cancel))
-        .route("/v1/jobs/{id}/retry", post(retry::retry))
-        .route("/v1/jobs/{id}/pin", put(pin::pin).delete(pin::unpin))
-        .route("/v1/jobs/{id}/events", get(events::stream))
-        .route("/v1/jobs/{id}/rounds", get(rounds::show))
-        .route("/v1/jobs/{id}/log", get(log::show))
-        .route("/v1/jobs/{id}/render", get(render::get).post(render::post))
-        .route("/v1/jobs/{id}/artifacts", get(artifacts::list))
-        .route("/v1/jobs/{id}/artifacts/{*name}", get(artifacts::download))
+        .merge(of_a_job())
         .route("/v1/options", get(options::show))
         .route("/login", get(login::show).post(login::login))
         .route("/logout", post(login::logout))
@@ -91,6 +83,8 @@ pub fn router(app: Arc<App>) -> Router {
         .route("/metrics", get(metrics::show))
         .route("/readyz", get(health::ready))
         .route("/openapi.yaml", get(openapi::show))
+        .route("/openapi.json", get(openapi::show_json))
+        .route("/docs", get(openapi::docs))
         .route("/", get(dashboard::index))
         .route("/assets/{*name}", get(dashboard::asset))
         .layer(DefaultBodyLimit::max(SMALL));
@@ -124,6 +118,23 @@ pub fn router(app: Arc<App>) -> Router {
         .layer(PropagateRequestIdLayer::x_request_id())
         .layer(SetRequestIdLayer::x_request_id(MakeRequestUuid))
         .with_state(app)
+}
+
+/// Every route below a job.
+fn of_a_job() -> Router<Arc<App>> {
+    Router::new()
+        .route("/v1/jobs/{id}", get(jobs::show).delete(jobs::delete))
+        .route("/v1/jobs/{id}/cancel", post(jobs::cancel))
+        .route("/v1/jobs/{id}/retry", post(retry::retry))
+        .route("/v1/jobs/{id}/pin", put(pin::pin).delete(pin::unpin))
+        .route("/v1/jobs/{id}/shares", get(share::list).post(share::create))
+        .route("/v1/jobs/{id}/shares/{share}", delete(share::end))
+        .route("/v1/jobs/{id}/events", get(events::stream))
+        .route("/v1/jobs/{id}/rounds", get(rounds::show))
+        .route("/v1/jobs/{id}/log", get(log::show))
+        .route("/v1/jobs/{id}/render", get(render::get).post(render::post))
+        .route("/v1/jobs/{id}/artifacts", get(artifacts::list))
+        .route("/v1/jobs/{id}/artifacts/{*name}", get(artifacts::download))
 }
 
 #[expect(clippy::needless_pass_by_value, reason = "the layer hands it over so")]

@@ -13,6 +13,7 @@ mod results;
 mod retention;
 mod retry;
 mod sessions;
+mod shares;
 #[cfg(test)]
 mod tests;
 mod tokens;
@@ -35,10 +36,11 @@ pub use jobs::{JobError, JobRow, NewJob, Room, ToldJob};
 pub use lease::{Claim, Lease, Progress, Settlement};
 pub use results::{StageSeconds, WarningRow};
 pub use retry::{Change, Retry};
+pub use shares::{NewShare, ShareRow};
 pub use tokens::{NewToken, Quotas, TokenRow};
 
 /// Applied in order, each once, never edited after release.
-const MIGRATIONS: [(i64, &str, &str); 11] = [
+const MIGRATIONS: [(i64, &str, &str); 12] = [
     (
         1,
         "captures",
@@ -89,6 +91,11 @@ const MIGRATIONS: [(i64, &str, &str); 11] = [
         11,
         "retention",
         include_str!("../../migrations/0011_retention.sql"),
+    ),
+    (
+        13,
+        "shares",
+        include_str!("../../migrations/0013_shares.sql"),
     ),
 ];
 

@@ -21,7 +21,7 @@ use crate::store::{Quotas, Room, TokenRow};
 use crate::token::{Scope, digest};
 
 /// What anybody may see: whether the server lives, its description, and the page without its data.
-const OPEN: [&str; 7] = [
+const OPEN: [&str; 9] = [
     "/",
     "/assets/{*name}",
     "/login",
@@ -29,6 +29,17 @@ const OPEN: [&str; 7] = [
     "/livez",
     "/readyz",
     "/openapi.yaml",
+    "/openapi.json",
+    "/docs",
+];
+/// What a link to a job opens: what there is to see of that job.
+const SHARED: [&str; 6] = [
+    "/v1/jobs/{id}",
+    "/v1/jobs/{id}/events",
+    "/v1/jobs/{id}/rounds",
+    "/v1/jobs/{id}/render",
+    "/v1/jobs/{id}/artifacts",
+    "/v1/jobs/{id}/artifacts/{*name}",
 ];
 /// The cookie that stands for a token.
 pub(super) const COOKIE: &str = "fled_session";
@@ -39,9 +50,21 @@ pub(super) struct Visitor {
     owner: Option<String>,
     sees_all: bool,
     quotas: Quotas,
+    /// The token that is shown; `None` where nobody is asked for one.
+    token: Option<TokenRow>,
 }
 
 impl Visitor {
+    /// The token that they show; `None` where nobody is asked for one.
+    pub(super) fn token(&self) -> Option<&TokenRow> {
+        self.token.as_ref()
+    }
+
+    /// The only job that they see, where they came by a link to one.
+    fn only_job(&self) -> Option<&str> {
+        self.token()?.job.as_deref()
+    }
+
     /// Whose what they upload is; `None` where nobody is asked for a token.
     pub(super) fn owner(&self) -> Option<&str> {
         self.owner.as_deref()
@@ -133,7 +156,10 @@ fn client(request: &Request, admission: &Result<Option<Visitor>, Refused>) -> Op
 async fn own(app: &App, mut request: Request, visitor: Visitor) -> Result<Request, Problem> {
     let path = request.extensions().get::<MatchedPath>().cloned();
     if let (Some(path), Some(owner)) = (path, visitor.sees_only()) {
-        check_owner(app, &mut request, path.as_str(), owner).await?;
+        match visitor.only_job() {
+            Some(job) => check_shared(&mut request, path.as_str(), job).await?,
+            None => check_owner(app, &mut request, path.as_str(), owner).await?,
+        }
     }
     request.extensions_mut().insert(visitor);
     Ok(request)
@@ -152,16 +178,34 @@ async fn check_owner(
     }
     let is_job = path.starts_with("/v1/jobs/");
     let nothing = || Problem::not_found(if is_job { "job" } else { "capture" });
-    // Decoded as the handler will decode it.
-    let parts: RawPathParams = request.extract_parts().await.map_err(|_| nothing())?;
-    let id = parts.iter().find(|(name, _)| *name == "id");
-    let (_, id) = id.ok_or_else(nothing)?;
+    let id = named(request).await.ok_or_else(nothing)?;
     let owns = if is_job {
-        app.store.owns_job(owner, id).await?
+        app.store.owns_job(owner, &id).await?
     } else {
-        app.store.owns_capture(owner, id).await?
+        app.store.owns_capture(owner, &id).await?
     };
     if owns { Ok(()) } else { Err(nothing()) }
+}
+
+/// A link opens its job and nothing else.
+async fn check_shared(request: &mut Request, path: &str, job: &str) -> Result<(), Problem> {
+    if !SHARED.contains(&path) {
+        let detail = "A link to a job shows that job and allows nothing else.";
+        return Err(Problem::new(StatusCode::FORBIDDEN, "only_one_job", detail));
+    }
+    let named = named(request).await;
+    if named.as_deref() == Some(job) {
+        Ok(())
+    } else {
+        Err(Problem::not_found("job"))
+    }
+}
+
+/// The id in an address, decoded as the handler will decode it.
+async fn named(request: &mut Request) -> Option<String> {
+    let parts: RawPathParams = request.extract_parts().await.ok()?;
+    let id = parts.iter().find(|(name, _)| *name == "id");
+    id.map(|(_, id)| id.to_owned())
 }
 
 /// What a request needs; `None` where anybody may.
@@ -186,6 +230,7 @@ async fn admit(app: &App, headers: &HeaderMap, needed: Scope) -> Result<Visitor,
             owner: None,
             sees_all: true,
             quotas: Quotas::default(),
+            token: None,
         });
     }
     let token = token_of(app, headers).await?.ok_or_else(|| {
@@ -200,6 +245,7 @@ async fn admit(app: &App, headers: &HeaderMap, needed: Scope) -> Result<Visitor,
             owner: Some(token.owner().to_owned()),
             sees_all: token.scopes.allow(Scope::Admin),
             quotas: token.quotas,
+            token: Some(token),
         });
     }
     let detail = format!("This token does not allow `{}`.", needed.name());

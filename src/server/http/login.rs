@@ -36,6 +36,8 @@ pub struct Session {
     needed: bool,
     /// What this browser's token allows, with commas; `null` without a session that holds.
     scopes: Option<String>,
+    /// The only job that it sees, where it came by a link to one.
+    job: Option<String>,
 }
 
 /// Says whether a token is needed, and whether this browser has shown one.
@@ -47,8 +49,15 @@ pub async fn show(
 ) -> Result<axum::Json<Session>, Problem> {
     let needed = app.store.has_tokens().await?;
     let token = token_of(&app, &headers).await?;
-    let scopes = token.map(|token| token.scopes.to_string());
-    Ok(axum::Json(Session { needed, scopes }))
+    let (scopes, job) = token
+        .map(|token| (token.scopes.to_string(), token.job))
+        .unzip();
+    let job = job.flatten();
+    Ok(axum::Json(Session {
+        needed,
+        scopes,
+        job,
+    }))
 }
 
 /// Begins a session: the cookie stands for the token, for a week at most.

@@ -1,7 +1,7 @@
 //! `/openapi.yaml`: generated from the handlers, checked in, compared by a test.
 
 use axum::http::header;
-use axum::response::IntoResponse;
+use axum::response::{IntoResponse, Redirect};
 use utoipa::openapi::path::{Operation, ParameterIn};
 use utoipa::openapi::security::{HttpAuthScheme, HttpBuilder, SecurityRequirement, SecurityScheme};
 use utoipa::openapi::{Content, OpenApi, Ref, RefOr, Response, ResponseBuilder};
@@ -9,7 +9,7 @@ use utoipa::{Modify, OpenApi as _};
 
 use super::{
     artifacts, captures, events, health, jobs, log, login, metrics, options, pin, render, retry,
-    rounds,
+    rounds, share,
 };
 
 #[derive(utoipa::OpenApi)]
@@ -32,6 +32,9 @@ use super::{
         jobs::delete,
         pin::pin,
         pin::unpin,
+        share::create,
+        share::list,
+        share::end,
         events::stream,
         rounds::show,
         log::show,
@@ -46,7 +49,9 @@ use super::{
         health::live,
         health::ready,
         metrics::show,
-        show
+        show,
+        show_json,
+        docs
     ),
     // What only a query names is not found by itself.
     components(schemas(rounds::Form)),
@@ -136,6 +141,20 @@ pub fn document() -> String {
     responses((status = 200, description = "OpenAPI 3.1", body = String, content_type = "application/yaml")))]
 pub async fn show() -> impl IntoResponse {
     ([(header::CONTENT_TYPE, "application/yaml")], document())
+}
+
+/// This document as JSON.
+#[utoipa::path(get, path = "/openapi.json", operation_id = "show_openapi_json", tag = "health",
+    responses((status = 200, description = "OpenAPI 3.1", body = Object, content_type = "application/json")))]
+pub async fn show_json() -> impl IntoResponse {
+    axum::Json(Api::openapi())
+}
+
+/// The same for people: a page of the dashboard.
+#[utoipa::path(get, path = "/docs", operation_id = "show_docs", tag = "health",
+    responses((status = 303, description = "Where it is", headers(("Location" = String)))))]
+pub async fn docs() -> Redirect {
+    Redirect::to("/#/api")
 }
 
 #[cfg(test)]

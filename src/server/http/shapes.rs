@@ -201,7 +201,7 @@ impl Job {
 }
 
 /// RFC 3339 in UTC.
-fn time(milliseconds: i64) -> String {
+pub(super) fn time(milliseconds: i64) -> String {
     jiff::Timestamp::from_millisecond(milliseconds)
         .unwrap_or_default()
         .to_string()

@@ -56,12 +56,15 @@ pub struct TokenRow {
     pub last_used_at: Option<i64>,
     /// What its holder may have.
     pub quotas: Quotas,
+    /// The only job that it opens, where it is a link to one.
+    pub job: Option<String>,
 }
 
 impl TokenRow {
-    /// Whose what it uploads is: a new token of the same name sees it too.
+    /// Whose what it uploads is: a new token of the same name sees it too. A link is nobody's but
+    /// its own, whatever it is called.
     pub fn owner(&self) -> &str {
-        if self.name.is_empty() {
+        if self.name.is_empty() || self.job.is_some() {
             &self.id
         } else {
             &self.name
@@ -104,19 +107,19 @@ impl Store {
         Ok(())
     }
 
-    /// Every token there ever was, oldest first.
+    /// Every token there ever was, oldest first, without the links to jobs.
     ///
     /// # Errors
     /// When the database refuses.
     pub async fn tokens(&self) -> Result<Vec<TokenRow>> {
-        let rows = sqlx::query("SELECT * FROM tokens ORDER BY created_at, id")
+        let rows = sqlx::query("SELECT * FROM tokens WHERE job_id IS NULL ORDER BY created_at, id")
             .fetch_all(&self.pool)
             .await?;
         rows.iter().map(from_row).collect()
     }
 
     /// Whether there ever was a token. One that was revoked or has expired counts: its end must not
-    /// open the service to those who have none.
+    /// open the service to those who have none. A link is made by a token.
     ///
     /// # Errors
     /// When the database refuses.
@@ -139,15 +142,20 @@ impl Store {
         Ok(done.rows_affected() == 1)
     }
 
-    /// The token of this digest, if it holds now. Its use is noted.
+    /// The token of this digest, if it holds now, and the one that made it is not revoked. Its use
+    /// is noted.
     ///
     /// # Errors
     /// When the database refuses.
     pub async fn token_that_holds(&self, digest: &Digest) -> Result<Option<TokenRow>> {
-        let row = sqlx::query("SELECT * FROM tokens WHERE digest = ?")
-            .bind(digest.as_slice())
-            .fetch_optional(&self.pool)
-            .await?;
+        let row = sqlx::query(
+            "SELECT * FROM tokens WHERE digest = ? AND NOT EXISTS (
+                 SELECT 1 FROM tokens AS maker
+                 WHERE maker.id = tokens.made_by AND maker.revoked_at IS NOT NULL)",
+        )
+        .bind(digest.as_slice())
+        .fetch_optional(&self.pool)
+        .await?;
         let Some(row) = row else { return Ok(None) };
         let kept: Vec<u8> = row.try_get("digest")?;
         let now = now_ms();
@@ -193,6 +201,7 @@ fn from_row(row: &SqliteRow) -> Result<TokenRow> {
                 .map(i64::unsigned_abs),
             jobs: row.try_get("quota_jobs")?,
         },
+        job: row.try_get("job_id")?,
     })
 }
 

@@ -1,0 +1,215 @@
+//! `/v1/jobs/{id}/shares`: links that open one job to whoever has them.
+
+use std::sync::Arc;
+
+use axum::extract::{Extension, Path, State};
+use axum::http::{StatusCode, header};
+use axum::response::IntoResponse;
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+use super::access::Visitor;
+use super::extract::Json;
+use super::lookup::find;
+use super::problem::Problem;
+use super::shapes::time;
+use crate::app::App;
+use crate::store::{NewShare, ShareRow, TokenRow, now_ms};
+use crate::token::{Scope, Secret, new_id};
+
+/// What a link allows: to see, and to look around.
+const SCOPES: &str = "jobs:read,renders";
+/// How long a link holds where nothing is said, days.
+const DAYS: u16 = 30;
+/// How long one may hold, days.
+const MOST_DAYS: u16 = 365;
+/// Links of a job that hold at a time.
+const MOST: u32 = 100;
+/// Length of a name, characters.
+const NAME: usize = 100;
+const DAY_MS: i64 = 24 * 3600 * 1000;
+
+/// A link to be made.
+#[derive(Debug, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct NewLink {
+    /// Whom or what it is for: to know it again.
+    #[serde(default)]
+    #[schema(max_length = 100)]
+    name: String,
+    /// How long it holds, days.
+    #[serde(default = "days")]
+    #[schema(minimum = 1, maximum = 365, default = 30)]
+    days: u16,
+}
+
+fn days() -> u16 {
+    DAYS
+}
+
+/// A link that holds.
+#[derive(Debug, Serialize, ToSchema)]
+pub struct Share {
+    /// Its public name, to end it by.
+    id: String,
+    /// Whom or what it is for.
+    name: String,
+    /// When it was made, RFC 3339.
+    created_at: String,
+    /// Until when it holds, RFC 3339.
+    expires_at: String,
+    /// When it was last used, to a minute, RFC 3339.
+    last_used_at: Option<String>,
+}
+
+/// A link, the one time that it is told.
+#[derive(Debug, Serialize, ToSchema)]
+pub struct MadeShare {
+    #[serde(flatten)]
+    share: Share,
+    /// A token that opens the job alone. The server keeps only its SHA-256.
+    token: String,
+    /// The dashboard's page of the job for whoever has it, below the server's address.
+    path: String,
+}
+
+/// Every link of a job that holds.
+#[derive(Debug, Serialize, ToSchema)]
+pub struct Shares {
+    /// Newest first.
+    shares: Vec<Share>,
+}
+
+/// Makes a link that opens this job to whoever has it: its page, its pictures, its files and novel
+/// views, and nothing else.
+#[utoipa::path(post, path = "/v1/jobs/{id}/shares", operation_id = "share_job",
+    tag = "jobs", params(("id" = String, Path)),
+    request_body = NewLink,
+    responses(
+        (status = 201, description = "The link, told this once", body = MadeShare, headers(("Location" = String))),
+        (status = 404, description = "Unknown", body = Problem, content_type = "application/problem+json"),
+        (status = 409, description = "Nobody needs a token, or the job has as many links as one may have", body = Problem, content_type = "application/problem+json"),
+        (status = 422, description = "Not a time to hold, or a name too long", body = Problem, content_type = "application/problem+json")))]
+pub async fn create(
+    State(app): State<Arc<App>>,
+    Path(id): Path<String>,
+    Extension(visitor): Extension<Visitor>,
+    Json(wanted): Json<NewLink>,
+) -> Result<impl IntoResponse, Problem> {
+    let maker = maker(&visitor)?;
+    check(&wanted)?;
+    let job = find(&app, &id).await?;
+    let no_randomness = |error| {
+        tracing::error!(%error, "no link can be made");
+        Problem::internal()
+    };
+    let secret = Secret::new().map_err(no_randomness)?;
+    let now = now_ms();
+    let share = NewShare {
+        id: new_id().map_err(no_randomness)?,
+        name: wanted.name,
+        digest: secret.digest(),
+        job: job.id.clone(),
+        made_by: maker.id.clone(),
+        scopes: SCOPES,
+        expires_at: now + i64::from(wanted.days) * DAY_MS,
+    };
+    if !app.store.insert_share(&share, MOST).await? {
+        let detail = format!("This job has {MOST} links that hold.");
+        return Err(Problem::conflict("too_many_shares", detail)
+            .hint("End those that nobody needs any more."));
+    }
+    let made = MadeShare {
+        path: format!("/#/share/{}/{}", job.id, secret.reveal()),
+        token: secret.reveal().to_owned(),
+        share: Share {
+            id: share.id,
+            name: share.name,
+            created_at: time(now),
+            expires_at: time(share.expires_at),
+            last_used_at: None,
+        },
+    };
+    let location = format!("/v1/jobs/{}/shares/{}", job.id, made.share.id);
+    Ok((
+        StatusCode::CREATED,
+        [(header::LOCATION, location)],
+        axum::Json(made),
+    ))
+}
+
+/// The links of a job that hold. What opens the job is not told again.
+#[utoipa::path(get, path = "/v1/jobs/{id}/shares", operation_id = "list_shares",
+    tag = "jobs", params(("id" = String, Path)),
+    responses(
+        (status = 200, description = "Newest first", body = Shares),
+        (status = 404, description = "Unknown", body = Problem, content_type = "application/problem+json")))]
+pub async fn list(
+    State(app): State<Arc<App>>,
+    Path(id): Path<String>,
+) -> Result<axum::Json<Shares>, Problem> {
+    let job = find(&app, &id).await?;
+    let shares = app.store.shares(&job.id).await?;
+    let shares = shares.into_iter().map(told).collect();
+    Ok(axum::Json(Shares { shares }))
+}
+
+/// Ends a link. Pages that are open by it lose the job within seconds.
+#[utoipa::path(delete, path = "/v1/jobs/{id}/shares/{share}", operation_id = "end_share",
+    tag = "jobs", params(("id" = String, Path), ("share" = String, Path)),
+    responses(
+        (status = 204, description = "It opens nothing any more"),
+        (status = 404, description = "Unknown, or ended before", body = Problem, content_type = "application/problem+json")))]
+pub async fn end(
+    State(app): State<Arc<App>>,
+    Path((id, share)): Path<(String, String)>,
+) -> Result<StatusCode, Problem> {
+    if app.store.end_share(&id, &share).await? {
+        Ok(StatusCode::NO_CONTENT)
+    } else {
+        Err(Problem::not_found("link"))
+    }
+}
+
+/// The token that makes a link. It cannot give what it does not have.
+fn maker(visitor: &Visitor) -> Result<&TokenRow, Problem> {
+    let Some(token) = visitor.token() else {
+        let detail = "Nobody needs a token here: the job's own address is a link to it.";
+        return Err(Problem::conflict("no_tokens", detail)
+            .hint("`fled token create` makes a first token; from then on links mean something."));
+    };
+    for scope in [Scope::JobsRead, Scope::Renders] {
+        if !token.scopes.allow(scope) {
+            let detail = format!("This token does not allow `{}`.", scope.name());
+            return Err(
+                Problem::new(StatusCode::FORBIDDEN, "missing_scope", detail).hint(format!(
+                    "A link allows {SCOPES}, so its maker must have both."
+                )),
+            );
+        }
+    }
+    Ok(token)
+}
+
+fn check(wanted: &NewLink) -> Result<(), Problem> {
+    if !(1..=MOST_DAYS).contains(&wanted.days) {
+        let detail = format!("A link holds for 1 to {MOST_DAYS} days.");
+        return Err(Problem::unprocessable("bad_days", detail).pointer("/days"));
+    }
+    if wanted.name.chars().count() > NAME || wanted.name.chars().any(char::is_control) {
+        let detail =
+            format!("A link's name has {NAME} characters at most, none of them for control.");
+        return Err(Problem::unprocessable("bad_name", detail).pointer("/name"));
+    }
+    Ok(())
+}
+
+fn told(row: ShareRow) -> Share {
+    Share {
+        id: row.id,
+        name: row.name,
+        created_at: time(row.created_at),
+        expires_at: time(row.expires_at),
+        last_used_at: row.last_used_at.map(time),
+    }
+}

@@ -1,0 +1,225 @@
+//! Links to one job, through a real server process.
+
+mod support;
+
+use fled_server::store::{NewShare, now_ms};
+use fled_server::token::{Secret, new_id};
+use fled_tests::Reply;
+use serde_json::{Value, json};
+use support::Server;
+use support::tokens::{token_of, with_store};
+
+const MAKES: &str = "jobs:read,jobs:write,renders";
+
+/// A server with a finished job, made before there were tokens: only `admin` sees it.
+fn server_with_job() -> (Server, String) {
+    let server = Server::start();
+    let job = server.job("ok");
+    server.wait_state(&job, "succeeded");
+    (server, job)
+}
+
+fn make(server: &Server, job: &str, header: &str, wanted: &Value) -> Reply {
+    let path = format!("/v1/jobs/{job}/shares");
+    server.post_json(&path, wanted, &[("authorization", header)])
+}
+
+/// A link's header and its id.
+fn link(server: &Server, job: &str, header: &str) -> (String, String) {
+    let made = make(server, job, header, &json!({})).expect(201).json();
+    let text = |key: &str| made[key].as_str().expect(key).to_owned();
+    let token = text("token");
+    assert_eq!(text("path"), format!("/#/share/{job}/{token}"));
+    (format!("Bearer {token}"), text("id"))
+}
+
+/// The header of a link that is put into the database as it is.
+fn kept(server: &Server, job: &str, maker: &str, expires_at: i64) -> String {
+    let secret = Secret::new().expect("random");
+    let share = NewShare {
+        id: new_id().expect("random"),
+        name: String::new(),
+        digest: secret.digest(),
+        job: job.to_owned(),
+        made_by: maker.to_owned(),
+        scopes: "jobs:read,renders",
+        expires_at,
+    };
+    with_store(server, async |store| {
+        assert!(store.insert_share(&share, 1000).await.expect("kept"));
+    });
+    format!("Bearer {}", secret.reveal())
+}
+
+#[test]
+fn a_link_shows_its_job_and_nothing_else() {
+    let (server, job) = server_with_job();
+    let other = server.job("ok");
+    server.wait_state(&other, "succeeded");
+    let (admin, _) = token_of("root", &server, "admin");
+    let (link, id) = link(&server, &job, &admin);
+    let with = [("authorization", link.as_str())];
+    let of = |job: &str, path: &str| format!("/v1/jobs/{job}{path}");
+    let seen = [
+        "",
+        "/rounds",
+        "/events",
+        "/render?azimuth=1",
+        "/artifacts",
+        "/artifacts/scene.ply",
+    ];
+    for path in seen {
+        server.get(&of(&job, path), &with).expect(200);
+        server.get(&of(&other, path), &with).expect(404);
+    }
+    let capture = server.get(&of(&job, ""), &with).json()["capture_id"].clone();
+    let capture = format!("/v1/captures/{}", capture.as_str().expect("id"));
+    let never = [
+        "/v1/jobs",
+        "/v1/captures",
+        "/v1/options",
+        &capture,
+        &of(&job, "/log"),
+        &of(&job, "/shares"),
+        "/metrics",
+    ];
+    for path in never {
+        server.get(path, &with).expect(403);
+    }
+    for path in ["/cancel", "/retry"] {
+        server.post(&of(&job, path), b"", &with).expect(403);
+    }
+    server.delete_as(&of(&job, ""), &with).expect(403);
+    server
+        .delete_as(&of(&job, &format!("/shares/{id}")), &with)
+        .expect(403);
+    make(&server, &job, &link, &json!({})).expect(403);
+    let upload = server.upload("/v1/captures", &support::photographs(3), &with);
+    upload.expect(403);
+    server
+        .get(&of(&job, ""), &[("authorization", &admin)])
+        .expect(200);
+}
+
+#[test]
+fn a_browser_that_came_by_a_link_is_told_its_job() {
+    let (server, job) = server_with_job();
+    let (admin, _) = token_of("root", &server, "admin");
+    let (link, _) = link(&server, &job, &admin);
+    let token = link.trim_start_matches("Bearer ");
+    let login = server
+        .post_json("/login", &json!({ "token": token }), &[])
+        .expect(204);
+    let cookie = login
+        .header("set-cookie")
+        .split(';')
+        .next()
+        .expect("cookie")
+        .to_owned();
+    let session = server
+        .get("/login", &[("cookie", &cookie)])
+        .expect(200)
+        .json();
+    assert_eq!(session["job"], json!(job));
+    let page = server.get(&format!("/v1/jobs/{job}"), &[("cookie", &cookie)]);
+    page.expect(200);
+    server.get("/v1/jobs", &[("cookie", &cookie)]).expect(403);
+}
+
+#[test]
+fn a_link_ends_by_hand_with_its_time_its_maker_and_its_job() {
+    let (server, job) = server_with_job();
+    let (admin, admin_id) = token_of("root", &server, "admin");
+    let (maker, maker_id) = token_of("root", &server, "admin");
+    let path = format!("/v1/jobs/{job}");
+    let holds = |link: &str| server.get(&path, &[("authorization", link)]).status == 200;
+    let told = || {
+        let told = server.get(&format!("{path}/shares"), &[("authorization", &admin)]);
+        told.expect(200).json()["shares"]
+            .as_array()
+            .map_or(0, Vec::len)
+    };
+
+    let (ended, id) = link(&server, &job, &admin);
+    assert!(holds(&ended) && told() == 1);
+    let end = || server.delete_as(&format!("{path}/shares/{id}"), &[("authorization", &admin)]);
+    end().expect(204);
+    assert!(!holds(&ended) && told() == 0);
+    end().expect(404);
+
+    let (of_maker, _) = link(&server, &job, &maker);
+    assert!(holds(&of_maker) && told() == 1);
+    with_store(&server, async |store| {
+        assert!(store.revoke_token(&maker_id).await.expect("done"));
+    });
+    assert!(!holds(&of_maker) && told() == 0);
+
+    let now = now_ms();
+    let expired = kept(&server, &job, &admin_id, now - 1);
+    let in_time = kept(&server, &job, &admin_id, now + 60_000);
+    assert!(!holds(&expired) && holds(&in_time) && told() == 1);
+
+    let (last, _) = link(&server, &job, &admin);
+    server
+        .delete_as(&path, &[("authorization", &admin)])
+        .expect(204);
+    server.get(&path, &[("authorization", &last)]).expect(401);
+}
+
+#[test]
+fn what_makes_no_link_says_why() {
+    let (server, job) = server_with_job();
+    let path = format!("/v1/jobs/{job}/shares");
+    let open = server.post_json(&path, &json!({}), &[]).expect(409);
+    assert_eq!(open.json()["code"], "no_tokens");
+    let (admin, admin_id) = token_of("root", &server, "admin");
+    for (wanted, pointer) in [
+        (json!({ "days": 0 }), "/days"),
+        (json!({ "days": 366 }), "/days"),
+        (json!({ "name": "a\u{7}" }), "/name"),
+        (json!({ "name": "a".repeat(101) }), "/name"),
+    ] {
+        let refused = make(&server, &job, &admin, &wanted).expect(422);
+        assert_eq!(refused.json()["pointer"], pointer, "{wanted}");
+    }
+    make(&server, &job, &admin, &json!({ "until": 1 })).expect(422);
+    make(
+        &server,
+        "01234567-89ab-7def-8123-456789abcdef",
+        &admin,
+        &json!({}),
+    )
+    .expect(404);
+    let (stranger, _) = token_of("anna", &server, MAKES);
+    make(&server, &job, &stranger, &json!({})).expect(404);
+    for _ in 0..100 {
+        kept(&server, &job, &admin_id, now_ms() + 60_000);
+    }
+    let refused = make(&server, &job, &admin, &json!({})).expect(409);
+    assert_eq!(refused.json()["code"], "too_many_shares");
+}
+
+#[test]
+fn nobody_gives_by_a_link_what_they_do_not_have() {
+    let server = Server::start();
+    let (all, _) = token_of("anna", &server, MAKES);
+    let with = [("authorization", all.as_str())];
+    let capture = server.upload("/v1/captures", &support::photographs(3), &with);
+    let capture = capture.expect(201).json()["id"].clone();
+    let order = json!({ "capture_id": capture, "options": { "adapter": "ok" } });
+    let job = server
+        .post_json("/v1/jobs", &order, &with)
+        .expect(202)
+        .json();
+    let job = job["id"].as_str().expect("id");
+    let (blind, _) = token_of("anna", &server, "jobs:read,jobs:write");
+    let refused = make(&server, job, &blind, &json!({})).expect(403);
+    assert_eq!(refused.json()["code"], "missing_scope");
+    make(&server, job, &all, &json!({ "name": "for Bob" })).expect(201);
+    let told = server
+        .get(&format!("/v1/jobs/{job}/shares"), &with)
+        .expect(200)
+        .json();
+    assert_eq!(told["shares"][0]["name"], "for Bob");
+    assert!(told["shares"][0].get("token").is_none());
+}
