@@ -16,6 +16,7 @@ mod sessions;
 #[cfg(test)]
 mod tests;
 mod tokens;
+mod uploads;
 
 use std::collections::HashSet;
 use std::path::Path;
@@ -30,15 +31,16 @@ use crate::error::Result;
 pub use backup::Attempted;
 pub use captures::CaptureRow;
 pub use events::EventRow;
-pub use idempotency::Creation;
+pub use idempotency::{Creation, Request, UsedUp};
 pub use jobs::{JobError, JobRow, NewJob, Room, ToldJob};
 pub use lease::{Claim, Lease, Progress, Settlement};
 pub use results::{StageSeconds, WarningRow};
 pub use retry::{Change, Retry};
 pub use tokens::{NewToken, Quotas, TokenRow};
+pub use uploads::UploadRow;
 
 /// Applied in order, each once, never edited after release.
-const MIGRATIONS: [(i64, &str, &str); 11] = [
+const MIGRATIONS: [(i64, &str, &str); 12] = [
     (
         1,
         "captures",
@@ -89,6 +91,11 @@ const MIGRATIONS: [(i64, &str, &str); 11] = [
         11,
         "retention",
         include_str!("../../migrations/0011_retention.sql"),
+    ),
+    (
+        12,
+        "uploads",
+        include_str!("../../migrations/0012_uploads.sql"),
     ),
 ];
 
@@ -144,7 +151,7 @@ impl Store {
         Ok(())
     }
 
-    /// The id of every row of `captures` or `jobs`.
+    /// The id of every row of `captures`, `jobs` or `uploads`.
     ///
     /// # Errors
     /// When the database refuses.

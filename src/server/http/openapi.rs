@@ -9,7 +9,7 @@ use utoipa::{Modify, OpenApi as _};
 
 use super::{
     artifacts, captures, events, health, jobs, log, login, metrics, options, pin, render, retry,
-    rounds,
+    rounds, tus,
 };
 
 #[derive(utoipa::OpenApi)]
@@ -24,6 +24,12 @@ use super::{
         captures::list,
         captures::show,
         captures::delete,
+        tus::options,
+        tus::create,
+        tus::options_of_one,
+        tus::head,
+        tus::patch,
+        tus::delete,
         jobs::create,
         jobs::list,
         jobs::show,
@@ -72,7 +78,9 @@ impl Modify for Refusals {
                 &mut item.get,
                 &mut item.put,
                 &mut item.post,
+                &mut item.patch,
                 &mut item.delete,
+                &mut item.head,
             ];
             for operation in operations.into_iter().flatten() {
                 refuse(operation, path);
