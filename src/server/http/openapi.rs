@@ -63,6 +63,9 @@ struct Api;
 /// Name of the way to say who one is.
 const TOKEN: &str = "token";
 
+/// Every request can be refused so.
+const UNKNOWN_HOST: (&str, &str) = ("421", "Called by a name that is not the server's");
+
 /// Adds to every operation how its request can be refused before its handler sees it.
 struct Refusals;
 
@@ -85,6 +88,11 @@ impl Modify for Refusals {
             for operation in operations.into_iter().flatten() {
                 refuse(operation, path);
             }
+            // They tell what is spoken to everybody.
+            if let Some(operation) = &mut item.options {
+                let answers = &mut operation.responses.responses;
+                answers.insert(UNKNOWN_HOST.0.to_owned(), problem(UNKNOWN_HOST.1).into());
+            }
         }
     }
 }
@@ -98,7 +106,7 @@ fn refuse(operation: &mut Operation, path: &str) {
         })
     };
     let has_body = operation.request_body.is_some();
-    let mut refusals = vec![("421", "Called by a name that is not the server's")];
+    let mut refusals = vec![UNKNOWN_HOST];
     if has_body || asks(&ParameterIn::Query) || asks(&ParameterIn::Header) {
         refusals.push(("400", "A parameter, a header or the body cannot be read"));
     }

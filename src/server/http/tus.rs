@@ -58,7 +58,15 @@ pub(super) async fn mark(request: Request, next: Next) -> Response {
 /// Refuses those who speak another version.
 pub(super) async fn check_version(request: Request, next: Next) -> Response {
     let version = request.headers().get(RESUMABLE);
-    if request.method() == Method::OPTIONS || version.is_some_and(|version| version == VERSION) {
+    let is_spoken = match *request.method() {
+        Method::OPTIONS => true,
+        // Nobody who speaks any version posts to an upload, but in place of another method.
+        Method::POST if request.uri().path() != UPLOADS => {
+            overriding(request.headers()).is_none() || version.is_some_and(|v| v == VERSION)
+        }
+        _ => version.is_some_and(|version| version == VERSION),
+    };
+    if is_spoken {
         return next.run(request).await;
     }
     let problem = Problem::new(
@@ -233,12 +241,16 @@ pub async fn by_override(
         Some(Method::HEAD) => head(app, id).await,
         Some(Method::PATCH) => patch(app, id, request).await,
         Some(Method::DELETE) => delete(app, id).await.map(IntoResponse::into_response),
-        _ => Err(Problem::new(
-            StatusCode::METHOD_NOT_ALLOWED,
-            "method_not_allowed",
-            "This address does not do that.",
-        )
-        .hint("Send the piece by PATCH, or by POST with `X-HTTP-Method-Override: PATCH`.")),
+        _ => {
+            let problem = Problem::new(
+                StatusCode::METHOD_NOT_ALLOWED,
+                "method_not_allowed",
+                "This address does not do that.",
+            );
+            let hint = "Send a piece by PATCH, or by POST with `X-HTTP-Method-Override: PATCH`.";
+            let allowed = [(header::ALLOW, "HEAD,PATCH,DELETE,OPTIONS")];
+            Ok((allowed, problem.hint(hint)).into_response())
+        }
     }
 }
 
