@@ -83,7 +83,7 @@ fn who_speaks_another_version_is_told_which_and_nothing_is_done() {
 fn an_upload_comes_in_pieces_and_says_how_much_of_it_there_is() {
     let server = Server::start();
     let tus = Tus::new(&server);
-    let metadata = format!("filename {},is_dark,kind ", base64("a b.png".as_bytes()));
+    let metadata = format!("filename {},kind ,is_dark", base64("a b.png".as_bytes()));
     let headers = [("upload-length", "11"), ("upload-metadata", &*metadata)];
     let begun = tus.ask("POST", "/v1/uploads", &headers, b"").expect(201);
     assert!(begun.header("upload-expires").ends_with(" GMT"));
@@ -257,6 +257,16 @@ fn what_came_before_a_connection_broke_stays() {
     drop(stream);
     assert_eq!(tus.offset(&path), 4);
     tus.patch(&path, 4, b"efghij").expect(204);
+}
+
+#[test]
+fn a_sender_that_falls_asleep_is_given_up_and_what_came_stays() {
+    let server = Server::start_with(&[("FLED_FAKE_STALL_MS", "300")]);
+    let tus = Tus::new(&server);
+    let path = tus.create("a.png", 10);
+    let mut asleep = tus.hanging(&path, "Upload-Offset: 0\r\n", 10, b"abcd");
+    assert_eq!(status(&mut asleep), "400");
+    assert_eq!(tus.offset(&path), 4);
 }
 
 #[test]
