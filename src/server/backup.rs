@@ -2,8 +2,8 @@
 //!
 //! The database is copied first, as it is at one moment, then the files that it names. Captures
 //! never change, and neither do jobs that have ended. One that waits or runs at that moment, or is
-//! tried again meanwhile, has no files in the copy: there it begins anew. Uploads of which no capture
-//! is made yet are not copied.
+//! tried again meanwhile, has no files in the copy: there it begins anew. Uploads of which no
+//! capture is made yet are not copied.
 
 use std::collections::{HashMap, HashSet};
 use std::fs::{self, File};

@@ -44,8 +44,8 @@ pub async fn keep_sweeping(app: Arc<App>) {
 }
 
 /// Moves captures, jobs and uploads that have no row aside, and removes uploads and renders that
-/// came to nothing, old poses, and what has been aside for long. Only what has not changed for `age`: what
-/// is being made has no row yet. Returns how many things were moved and removed.
+/// came to nothing, old poses, and what has been aside for long. Only what has not changed for
+/// `age`: what is being made has no row yet. Returns how many things were moved and removed.
 ///
 /// # Errors
 /// When the database or the data directory cannot be read.

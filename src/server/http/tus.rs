@@ -259,7 +259,7 @@ fn overriding(headers: &HeaderMap) -> Option<Method> {
     Method::from_bytes(method.as_bytes()).ok()
 }
 
-/// The upload, from whoever had it. It is looked for after that: it may have been deleted meanwhile.
+/// The upload, from whoever had it. It is looked for after that: it may be deleted meanwhile.
 async fn taken(app: &App, id: &str) -> Result<(Hold, UploadRow), Problem> {
     let hold = app.holders.take(id, app.limits.takeover).await;
     let hold = hold.ok_or_else(|| {

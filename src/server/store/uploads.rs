@@ -130,7 +130,8 @@ impl Store {
         Ok(done.rows_affected() == 1)
     }
 
-    /// Forgets an upload; with `by`, only if it has expired by then. `Ok(false)` when there is none.
+    /// Forgets an upload; with `by`, only if it has expired by then. `Ok(false)` when
+    /// there is none.
     ///
     /// # Errors
     /// When the database refuses.
