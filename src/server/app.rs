@@ -8,6 +8,7 @@ use tokio_util::sync::CancellationToken;
 
 use crate::config::{Limits, ServeConfig};
 use crate::data::DataDir;
+use crate::holders::Holders;
 use crate::incoming::Uploads;
 use crate::rate::Rates;
 use crate::render::Renderers;
@@ -28,6 +29,8 @@ pub struct App {
     pub store: Store,
     /// The uploads that are under way.
     pub uploads: Uploads,
+    /// Who writes or reads which upload in pieces.
+    pub holders: Holders,
     /// What all uploads together may take while they are looked at.
     pub decoding: Arc<DecodeBudget>,
     /// The render process.
@@ -56,6 +59,7 @@ impl App {
         Self {
             renderers: Renderers::new(config.render_command.clone(), limits.render, limits.grace),
             uploads: Uploads::default(),
+            holders: Holders::default(),
             decoding: Arc::new(DecodeBudget::new(limits.max_decoding_bytes)),
             config,
             limits,

@@ -2,7 +2,8 @@
 //!
 //! The database is copied first, as it is at one moment, then the files that it names. Captures
 //! never change, and neither do jobs that have ended. One that waits or runs at that moment, or is
-//! tried again meanwhile, has no files in the copy: there it begins anew.
+//! tried again meanwhile, has no files in the copy: there it begins anew. Uploads of which no
+//! capture is made yet are not copied.
 
 use std::collections::{HashMap, HashSet};
 use std::fs::{self, File};
@@ -39,6 +40,8 @@ pub async fn backup(data: &Path, to: &Path) -> Result<Backup> {
     let live = Store::as_it_is(&data.join("fled.db")).await?;
     live.copy_to(&to.join("fled.db")).await?;
     let copy = Store::open(&to.join("fled.db")).await?;
+    // Pieces that come meanwhile would not be there.
+    copy.forget_uploads().await?;
     let mut done = Backup::default();
     let captures = copy.ids("captures").await?;
     let mut incomplete = HashSet::new();

@@ -6,6 +6,7 @@ use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::time::Duration;
 
+use fled_core::capture::MAX_FILES;
 use fled_core::pipeline::error::ErrorKind;
 
 /// What `fled serve` is told.
@@ -129,6 +130,12 @@ pub struct Limits {
     pub min_free_bytes: u64,
     /// Largest upload, bytes.
     pub max_upload_bytes: u64,
+    /// Uploads in pieces that one owner may have at a time: as many as a capture may have files.
+    pub max_uploads: u32,
+    /// An upload in pieces goes so long after its last byte.
+    pub upload_life: Duration,
+    /// Who takes over an upload in pieces waits so long for whom they take it from.
+    pub takeover: Duration,
     /// Photographs of all uploads that are decoded at a time, bytes.
     pub max_decoding_bytes: u64,
     /// Largest log of a job, bytes.
@@ -175,6 +182,9 @@ impl Default for Limits {
             burst: 1000,
             min_free_bytes: 1 << 30,
             max_upload_bytes: 8 << 30,
+            max_uploads: MAX_FILES as u32,
+            upload_life: Duration::from_secs(24 * 3600),
+            takeover: Duration::from_secs(10),
             max_decoding_bytes: 1 << 30,
             max_log_bytes: 32 << 20,
             connections: 1024,

@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! fled.db  server.lock  incoming/<upload>/  captures/<id>/  cache/<fingerprint>.json
-//! unnamed/{captures,jobs}/<id>/
+//! uploads/<id>  unnamed/{captures,jobs,uploads}/<id>
 //! jobs/<id>/{options.json, process, log.txt, output/, renders/}
 //! ```
 //! Files are named by capture and job, not by content.
@@ -25,7 +25,7 @@ pub struct DataDir {
 }
 
 impl DataDir {
-    /// Creates what is missing, takes the lock and removes unfinished uploads.
+    /// Creates what is missing, takes the lock and removes unfinished uploads, but those in pieces.
     ///
     /// # Errors
     /// [`ServerError::DataInUse`] while another server lives on it; [`ServerError::Io`] otherwise.
@@ -47,7 +47,7 @@ impl DataDir {
         if incoming.exists() {
             fs::remove_dir_all(&incoming).map_err(ServerError::io(&incoming))?;
         }
-        for dir in [incoming, data.captures(), data.jobs()] {
+        for dir in [incoming, data.captures(), data.jobs(), data.uploads()] {
             fs::create_dir_all(&dir).map_err(ServerError::io(&dir))?;
         }
         Ok(data)
@@ -61,6 +61,16 @@ impl DataDir {
     /// Where uploads grow until they are complete.
     pub fn incoming(&self) -> PathBuf {
         self.root.join("incoming")
+    }
+
+    /// The files of uploads in pieces.
+    pub fn uploads(&self) -> PathBuf {
+        self.root.join("uploads")
+    }
+
+    /// The file of an upload in pieces.
+    pub fn upload(&self, id: &str) -> PathBuf {
+        self.uploads().join(id)
     }
 
     /// The files of all captures.
@@ -78,7 +88,7 @@ impl DataDir {
         self.root.join("jobs")
     }
 
-    /// What lay in `kept`, the captures or the jobs, and is in no database.
+    /// What lay in `kept`, the captures, the jobs or the uploads, and is in no database.
     pub fn unnamed(&self, kept: &Path) -> PathBuf {
         let unnamed = self.root.join("unnamed");
         kept.file_name()

@@ -26,16 +26,20 @@ mod openapi;
 mod options;
 mod order;
 mod page;
+mod paths;
 mod pin;
 mod problem;
 mod quota;
 mod range;
 mod render;
 mod retry;
+mod room;
 mod rounds;
 mod shapes;
 mod share;
+mod tus;
 mod upload;
+mod uploaded;
 
 use std::any::Any;
 use std::sync::Arc;
@@ -45,7 +49,7 @@ use axum::extract::DefaultBodyLimit;
 use axum::http::{HeaderName, HeaderValue, StatusCode, header};
 use axum::middleware;
 use axum::response::{IntoResponse, Response};
-use axum::routing::{delete, get, post, put};
+use axum::routing::{delete, get, head, post, put};
 use tower_http::catch_panic::CatchPanicLayer;
 use tower_http::csrf::CsrfLayer;
 use tower_http::request_id::{MakeRequestUuid, PropagateRequestIdLayer, SetRequestIdLayer};
@@ -54,6 +58,7 @@ use tower_http::trace::TraceLayer;
 
 use crate::app::App;
 use body_limit::SMALL;
+use paths::{UPLOAD, UPLOADS};
 
 pub use connections::serve as serve_connections;
 pub use openapi::document;
@@ -69,6 +74,18 @@ pub fn router(app: Arc<App>) -> Router {
     let uploads = Router::new()
         .route("/v1/captures", get(captures::list).post(captures::create))
         .route("/v1/jobs", get(jobs::list).post(jobs::create))
+        .layer(DefaultBodyLimit::disable());
+    let pieces = Router::new()
+        .route(UPLOADS, post(tus::create).options(tus::options))
+        .route(
+            UPLOAD,
+            head(tus::head)
+                .patch(tus::patch)
+                .delete(tus::delete)
+                .post(tus::by_override)
+                .options(tus::options_of_one),
+        )
+        .route_layer(middleware::from_fn(tus::check_version))
         .layer(DefaultBodyLimit::disable());
     let small = Router::new()
         .route(
@@ -92,6 +109,7 @@ pub fn router(app: Arc<App>) -> Router {
         SetResponseHeaderLayer::if_not_present(name, HeaderValue::from_static(value))
     };
     uploads
+        .merge(pieces)
         .merge(small)
         .fallback(async || Problem::not_found("page"))
         .method_not_allowed_fallback(async || {
@@ -106,6 +124,7 @@ pub fn router(app: Arc<App>) -> Router {
         .layer(CsrfLayer::new())
         .layer(middleware::from_fn_with_state(app.clone(), host::check))
         .layer(CatchPanicLayer::custom(panicked))
+        .layer(middleware::from_fn(tus::mark))
         .layer(header(
             header::CONTENT_SECURITY_POLICY,
             CONTENT_SECURITY_POLICY,

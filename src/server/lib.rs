@@ -9,6 +9,7 @@ mod config;
 pub mod data;
 pub mod error;
 mod expiry;
+mod holders;
 mod http;
 mod incoming;
 mod intake;
@@ -23,6 +24,7 @@ pub mod store;
 mod sweep;
 mod telemetry;
 pub mod token;
+mod uploads;
 mod wording;
 
 pub use backup::{Backup, backup};

@@ -1,7 +1,7 @@
 //! How much one client may ask for.
 //!
 //! A client has an allowance, which fills up again as time goes by. What reads costs one of it,
-//! what writes costs [`WRITE`].
+//! what writes costs [`WRITE`], and a piece of an upload [`PIECE`].
 
 use std::fmt;
 use std::net::IpAddr;
@@ -18,6 +18,9 @@ use governor::{Quota, RateLimiter};
 pub const READ: NonZeroU32 = NonZeroU32::MIN;
 /// What a request costs that changes something.
 pub const WRITE: NonZeroU32 = NonZeroU32::new(10).expect("not zero");
+/// What a request costs that begins an upload in pieces or adds one: there are many of them, and
+/// the bytes cost their sender more than the server.
+pub const PIECE: NonZeroU32 = NonZeroU32::new(2).expect("not zero");
 /// After so many requests those clients are forgotten whose allowance is whole.
 const FORGET_EVERY: u32 = 4096;
 

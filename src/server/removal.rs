@@ -12,3 +12,13 @@ pub async fn remove(dir: &Path) {
         _ => {}
     }
 }
+
+/// The same for a single file.
+pub async fn remove_file(path: &Path) {
+    match tokio::fs::remove_file(path).await {
+        Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
+            tracing::warn!(%error, path = %path.display(), "cannot remove");
+        }
+        _ => {}
+    }
+}

@@ -17,6 +17,7 @@ mod shares;
 #[cfg(test)]
 mod tests;
 mod tokens;
+mod uploads;
 
 use std::collections::HashSet;
 use std::path::Path;
@@ -31,16 +32,17 @@ use crate::error::Result;
 pub use backup::Attempted;
 pub use captures::CaptureRow;
 pub use events::EventRow;
-pub use idempotency::Creation;
+pub use idempotency::{Creation, Request, UsedUp};
 pub use jobs::{JobError, JobRow, NewJob, Room, ToldJob};
 pub use lease::{Claim, Lease, Progress, Settlement};
 pub use results::{StageSeconds, WarningRow};
 pub use retry::{Change, Retry};
 pub use shares::{NewShare, ShareRow};
 pub use tokens::{NewToken, Quotas, TokenRow};
+pub use uploads::UploadRow;
 
 /// Applied in order, each once, never edited after release.
-const MIGRATIONS: [(i64, &str, &str); 12] = [
+const MIGRATIONS: [(i64, &str, &str); 13] = [
     (
         1,
         "captures",
@@ -91,6 +93,11 @@ const MIGRATIONS: [(i64, &str, &str); 12] = [
         11,
         "retention",
         include_str!("../../migrations/0011_retention.sql"),
+    ),
+    (
+        12,
+        "uploads",
+        include_str!("../../migrations/0012_uploads.sql"),
     ),
     (
         13,
@@ -151,7 +158,7 @@ impl Store {
         Ok(())
     }
 
-    /// The id of every row of `captures` or `jobs`.
+    /// The id of every row of `captures`, `jobs` or `uploads`.
     ///
     /// # Errors
     /// When the database refuses.

@@ -3,8 +3,8 @@
 //! Files and rows cannot change together: a server that dies between the two leaves files without
 //! a row, never a row without files. They are looked for at the start and every hour.
 //!
-//! A database that was restored from an older copy names less than there is, too. So captures and
-//! jobs without a row are kept aside for a while before they go.
+//! A database that was restored from an older copy names less than there is, too. So captures, jobs
+//! and uploads without a row are kept aside for a while before they go.
 
 use std::collections::HashSet;
 use std::fs::{self, DirEntry, Metadata};
@@ -17,13 +17,14 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 use crate::app::App;
 use crate::error::{Result, ServerError};
 use crate::expiry::expire;
+use crate::uploads::{expire_uploads, forget_lost};
 
 /// Between two sweeps.
 const PERIOD: Duration = Duration::from_secs(3600);
 /// Poses that were found longer ago are found again, when they are wanted.
 const POSES_KEPT: Duration = Duration::from_secs(30 * 24 * 3600);
 
-/// Captures and jobs without a row are kept aside for so long.
+/// Captures, jobs and uploads without a row are kept aside for so long.
 const UNNAMED_KEPT: Duration = Duration::from_secs(30 * 24 * 3600);
 
 /// Sweeps now and then until the server stops.
@@ -42,9 +43,9 @@ pub async fn keep_sweeping(app: Arc<App>) {
     }
 }
 
-/// Moves captures and jobs that have no row aside, and removes uploads and renders that came to
-/// nothing, old poses, and what has been aside for long. Only what has not changed for `age`: what
-/// is being made has no row yet. Returns how many things were moved and removed.
+/// Moves captures, jobs and uploads that have no row aside, and removes uploads and renders that
+/// came to nothing, old poses, and what has been aside for long. Only what has not changed for
+/// `age`: what is being made has no row yet. Returns how many things were moved and removed.
 ///
 /// # Errors
 /// When the database or the data directory cannot be read.
@@ -52,22 +53,30 @@ pub async fn sweep(app: &Arc<App>, age: Duration) -> Result<usize> {
     // What is stored after this is younger than `age`; at the start nothing is stored meanwhile.
     let captures = app.store.ids("captures").await?;
     let jobs = app.store.ids("jobs").await?;
+    let named = Named {
+        captures,
+        jobs,
+        uploads: app.store.ids("uploads").await?,
+    };
     let shared = app.clone();
-    let swept = tokio::task::spawn_blocking(move || sweep_files(&shared, &captures, &jobs, age));
-    swept.await.unwrap_or_else(|error| {
+    let swept = tokio::task::spawn_blocking(move || sweep_files(&shared, &named, age));
+    let swept = swept.await.unwrap_or_else(|error| {
         Err(ServerError::Io {
             path: app.data.jobs(),
             source: io::Error::other(error),
         })
-    })
+    })?;
+    Ok(swept + expire_uploads(app).await? + forget_lost(app).await?)
 }
 
-fn sweep_files(
-    app: &App,
-    captures: &HashSet<String>,
-    jobs: &HashSet<String>,
-    age: Duration,
-) -> Result<usize> {
+/// The ids of what has a row.
+struct Named {
+    captures: HashSet<String>,
+    jobs: HashSet<String>,
+    uploads: HashSet<String>,
+}
+
+fn sweep_files(app: &App, rows: &Named, age: Duration) -> Result<usize> {
     let data = &app.data;
     let named = |ids: &HashSet<String>, entry: &DirEntry| {
         entry
@@ -76,7 +85,15 @@ fn sweep_files(
             .is_some_and(|name| ids.contains(name))
     };
     let mut swept = 0;
-    for (from, ids) in [(data.captures(), captures), (data.jobs(), jobs)] {
+    // Of an upload that is empty nothing is lost.
+    swept += remove_from(&data.uploads(), age, |entry| {
+        !named(&rows.uploads, entry) && entry.metadata().is_ok_and(|about| about.len() == 0)
+    })?;
+    for (from, ids) in [
+        (data.captures(), &rows.captures),
+        (data.jobs(), &rows.jobs),
+        (data.uploads(), &rows.uploads),
+    ] {
         let aside = data.unnamed(&from);
         swept += remove_from(&aside, age.max(UNNAMED_KEPT), |_| true)?;
         swept += set_aside(&from, &aside, age, |entry| !named(ids, entry))?;
@@ -85,7 +102,7 @@ fn sweep_files(
         !app.uploads.uses(&entry.path())
     })?;
     swept += remove_from(&data.cache(), age.max(POSES_KEPT), |_| true)?;
-    for id in jobs {
+    for id in &rows.jobs {
         swept += remove_from(&data.renders(id), age, |entry| {
             entry
                 .path()

@@ -37,12 +37,12 @@ export class Server {
     Object.assign(this, { program, folder, said: [] });
   }
 
-  async #serve(further) {
+  async #serve(further, address = "127.0.0.1:0") {
     const { folder } = this;
     const environment = { ...process.env, FLED_MODELS: join(folder, "models") };
     delete environment.RUST_LOG;
     const data = join(folder, "data");
-    const listen = ["--listen", "127.0.0.1:0", "--workers", "2"];
+    const listen = ["--listen", address, "--workers", "2"];
     this.child = spawn(
       this.program,
       ["serve", "--data", data, ...listen, ...further],
@@ -55,6 +55,14 @@ export class Server {
   async restart(further = []) {
     await this.#end();
     await this.#serve(further);
+  }
+
+  /** Kills the server, as a power cut would, and starts it again where it was. */
+  async killed() {
+    const ended = new Promise((resolve) => { this.child.once("exit", resolve); });
+    this.child.kill("SIGKILL");
+    await ended;
+    await this.#serve([], new URL(this.base).host);
   }
 
   #address() {

@@ -108,6 +108,17 @@ impl Client {
         reply(request.send(body))
     }
 
+    /// Any method, with headers and a body.
+    pub fn ask(&self, method: &str, path: &str, headers: &[(&str, &str)], body: &[u8]) -> Reply {
+        let mut request = ureq::http::Request::builder();
+        for (name, value) in headers {
+            request = request.header(*name, *value);
+        }
+        let request = request.method(method).uri(format!("{}{path}", self.base));
+        let request = request.body(body).expect("a request");
+        reply(self.agent.run(request))
+    }
+
     /// POST of JSON.
     pub fn post_json(&self, path: &str, body: &Value, headers: &[(&str, &str)]) -> Reply {
         let headers = [headers, &[("content-type", "application/json")]].concat();

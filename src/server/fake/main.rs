@@ -80,7 +80,9 @@ fn serve(data: &Path, address_file: &Path) -> Result<(), Box<dyn std::error::Err
             queue: number("FLED_FAKE_QUEUE", 200)? as u32,
             io_retry_base: Duration::from_millis(50),
             min_free_bytes: number("FLED_FAKE_MIN_FREE", 1 << 20)?,
-            max_upload_bytes: 1 << 30,
+            max_upload_bytes: number("FLED_FAKE_UPLOAD_BYTES", 1 << 30)?,
+            max_uploads: number("FLED_FAKE_UPLOADS", 1000)? as u32,
+            upload_life: Duration::from_millis(number("FLED_FAKE_UPLOAD_MS", 60_000)?),
             max_decoding_bytes: number("FLED_FAKE_DECODING", 1 << 30)?,
             ..Limits::default()
         },

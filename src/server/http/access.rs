@@ -14,6 +14,7 @@ use axum::response::{IntoResponse, Response};
 
 use super::allowance;
 use super::client::ClientAddress;
+use super::paths::{UPLOAD, UPLOADS};
 use super::problem::Problem;
 use crate::app::App;
 use crate::rate::Client;
@@ -108,7 +109,9 @@ impl<T: Into<Problem>> From<T> for Refused {
 /// Lets those pass who may, as often as they may.
 pub(super) async fn check(State(app): State<Arc<App>>, request: Request, next: Next) -> Response {
     let path = request.extensions().get::<MatchedPath>();
-    let needed = needed(path.map(MatchedPath::as_str), request.method());
+    let path = path.map(MatchedPath::as_str);
+    let needed = needed(path, request.method());
+    let cost = allowance::cost(path, request.method());
     if needed.is_none() && allowance::is_reading(request.method()) {
         return next.run(request).await;
     }
@@ -117,7 +120,6 @@ pub(super) async fn check(State(app): State<Arc<App>>, request: Request, next: N
         None => Ok(None),
     };
     let client = client(&request, &admission);
-    let cost = allowance::cost(request.method());
     let left = client.and_then(|client| app.rates.take(&client, cost));
     let mut answer = match (left.and_then(|left| left.wait), admission) {
         (Some(wait), _) => allowance::used_up(wait),
@@ -166,7 +168,7 @@ async fn own(app: &App, mut request: Request, visitor: Visitor) -> Result<Reques
 }
 
 /// What is somebody else's is not there. This is the one door of everything that an address names
-/// by the id of a capture or a job.
+/// by the id of a capture, a job or an upload.
 async fn check_owner(
     app: &App,
     request: &mut Request,
@@ -176,11 +178,19 @@ async fn check_owner(
     if !path.contains("{id}") {
         return Ok(());
     }
-    let is_job = path.starts_with("/v1/jobs/");
-    let nothing = || Problem::not_found(if is_job { "job" } else { "capture" });
+    let (is_job, is_upload) = (path.starts_with("/v1/jobs/"), path == UPLOAD);
+    let nothing = || {
+        Problem::not_found(match (is_job, is_upload) {
+            (true, _) => "job",
+            (_, true) => "upload",
+            _ => "capture",
+        })
+    };
     let id = named(request).await.ok_or_else(nothing)?;
     let owns = if is_job {
         app.store.owns_job(owner, &id).await?
+    } else if is_upload {
+        app.store.owns_upload(owner, &id).await?
     } else {
         app.store.owns_capture(owner, &id).await?
     };
@@ -216,6 +226,10 @@ fn needed(path: Option<&str>, method: &Method) -> Option<Scope> {
         return None;
     }
     Some(match (path, method) {
+        // What is spoken there, and no more.
+        (UPLOADS | UPLOAD, &Method::OPTIONS) => return None,
+        // Who goes on with an upload asks first how much of it there is.
+        (UPLOADS | UPLOAD, _) => Scope::JobsWrite,
         ("/v1/jobs/{id}/render", _) => Scope::Renders,
         // It tells of everybody.
         ("/metrics", _) => Scope::Admin,
@@ -332,6 +346,12 @@ mod tests {
         assert_eq!(needed(Some(render), post), Some(Scope::Renders));
         let artifact = "/v1/jobs/{id}/artifacts/{*name}";
         assert_eq!(needed(Some(artifact), get), Some(Scope::JobsRead));
+        for uploads in [UPLOADS, UPLOAD] {
+            assert_eq!(needed(Some(uploads), &Method::OPTIONS), None);
+            for method in [&Method::HEAD, get, post, &Method::PATCH, &Method::DELETE] {
+                assert_eq!(needed(Some(uploads), method), Some(Scope::JobsWrite));
+            }
+        }
         assert_eq!(needed(Some("/metrics"), get), Some(Scope::Admin));
         assert_eq!(needed(Some("/of/tomorrow"), get), Some(Scope::JobsRead));
     }

@@ -2,20 +2,26 @@
 //!
 //! Fields of draft-ietf-httpapi-ratelimit-headers-10.
 
+use std::num::NonZeroU32;
 use std::time::Duration;
 
 use axum::http::{HeaderMap, HeaderName, HeaderValue, Method, StatusCode};
 use axum::response::{IntoResponse, Response};
 
+use super::paths;
 use super::problem::Problem;
-use crate::rate::{Allowance, READ, WRITE};
+use crate::rate::{Allowance, PIECE, READ, WRITE};
 
 const POLICY: HeaderName = HeaderName::from_static("ratelimit-policy");
 const LIMIT: HeaderName = HeaderName::from_static("ratelimit");
 
 /// What a request takes from the allowance.
-pub(super) fn cost(method: &Method) -> std::num::NonZeroU32 {
-    if is_reading(method) { READ } else { WRITE }
+pub(super) fn cost(path: Option<&str>, method: &Method) -> NonZeroU32 {
+    match path {
+        _ if is_reading(method) => READ,
+        Some(paths::UPLOADS | paths::UPLOAD) => PIECE,
+        _ => WRITE,
+    }
 }
 
 /// Whether a method changes nothing.
@@ -75,6 +81,9 @@ mod tests {
         let refused = used_up(Duration::from_millis(40));
         assert_eq!(refused.status(), StatusCode::TOO_MANY_REQUESTS);
         assert_eq!(refused.headers()["retry-after"], "1");
-        assert!(cost(&Method::DELETE) > cost(&Method::HEAD));
+        let job = Some("/v1/jobs/{id}");
+        assert!(cost(job, &Method::DELETE) > cost(job, &Method::HEAD));
+        let piece = cost(Some(paths::UPLOAD), &Method::PATCH);
+        assert!(piece > READ && piece < WRITE, "{piece}");
     }
 }

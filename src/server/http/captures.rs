@@ -2,19 +2,21 @@
 
 use std::sync::Arc;
 
-use axum::extract::{Extension, Path, Request, State};
+use axum::extract::{DefaultBodyLimit, Extension, FromRequest, Path, Request, State};
 use axum::http::{StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use serde::Deserialize;
 use utoipa::{IntoParams, ToSchema};
 
 use super::access::Visitor;
-use super::extract::Query;
+use super::body_limit::SMALL;
+use super::extract::{Json, Query};
 use super::page::page_size;
 use super::problem::Problem;
 use super::quota::bytes_left;
 use super::shapes::{Capture, Captures};
-use super::upload;
+use super::upload::{self, Upload};
+use super::uploaded::CaptureOfUploads;
 use crate::app::App;
 use crate::removal::remove;
 
@@ -58,13 +60,18 @@ pub struct ListQuery {
     cursor: Option<String>,
 }
 
-/// Uploads photographs: parts named `images`, or one zip; optionally `gt`, poses and `name`.
+/// Uploads photographs: parts named `images`, or one zip; optionally `gt`, poses and `name`. Or
+/// makes a capture of uploads in pieces.
 #[utoipa::path(post, path = "/v1/captures", operation_id = "create_capture",
     tag = "captures", params(CreateQuery),
-    request_body(content_type = "multipart/form-data", content = CaptureForm),
+    request_body(content(
+        (CaptureForm = "multipart/form-data"),
+        (CaptureOfUploads = "application/json"))),
     responses(
         (status = 200, description = "The assessments of a dry run", body = Capture),
         (status = 201, description = "Stored, on disk", body = Capture),
+        (status = 404, description = "Unknown upload", body = Problem, content_type = "application/problem+json"),
+        (status = 409, description = "Unfinished upload", body = Problem, content_type = "application/problem+json"),
         (status = 422, description = "Too few usable photographs", body = Problem, content_type = "application/problem+json"),
         (status = 507, description = "The disk is full", body = Problem, content_type = "application/problem+json")))]
 pub async fn create(
@@ -73,8 +80,7 @@ pub async fn create(
     Extension(visitor): Extension<Visitor>,
     request: Request,
 ) -> Result<Response, Problem> {
-    let most = bytes_left(&app, &visitor).await?;
-    let upload = upload::receive(&app, request, &["name"], most).await?;
+    let upload = received(&app, request, &visitor).await?;
     let report = upload.examine(&app).await?;
     if query.dry_run.is_some_and(|value| value != "false") {
         let name = upload.fields.get("name").cloned().unwrap_or_default();
@@ -91,6 +97,23 @@ pub async fn create(
     let location = format!("/v1/captures/{}", row.id);
     let body = axum::Json(Capture::from_row(row));
     Ok((StatusCode::CREATED, [(header::LOCATION, location)], body).into_response())
+}
+
+/// What is sent with the request, or was uploaded before.
+async fn received(
+    app: &Arc<App>,
+    mut request: Request,
+    visitor: &Visitor,
+) -> Result<Upload, Problem> {
+    if upload::is_json(request.headers()) {
+        // Uploads stream and are counted elsewhere; JSON is read into memory.
+        DefaultBodyLimit::max(SMALL).apply(&mut request);
+        let Json(body) = Json::<CaptureOfUploads>::from_request(request, app).await?;
+        upload::check_space(app)?;
+        return upload::gather(app, &body.uploads, body.name, visitor).await;
+    }
+    let most = bytes_left(app, visitor).await?;
+    upload::receive(app, request, &["name"], most).await
 }
 
 /// Lists captures, newest first.

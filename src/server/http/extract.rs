@@ -10,6 +10,7 @@ use axum::http::request::Parts;
 use serde::de::value::MapAccessDeserializer;
 use serde::de::{DeserializeOwned, MapAccess, Visitor};
 use serde::{Deserialize, Deserializer};
+use serde_json::{Map, Value};
 
 use super::problem::Problem;
 
@@ -28,6 +29,15 @@ impl<T: DeserializeOwned, S: Send + Sync> FromRequest<S> for Json<T> {
         let axum::Json(Object(body)) = axum::Json::from_request(request, state).await?;
         Ok(Self(body))
     }
+}
+
+/// What a JSON object stands for that was read without a look at its meaning.
+///
+/// # Errors
+/// 422 when it does not stand for that.
+pub fn typed<T: DeserializeOwned>(body: Map<String, Value>) -> Result<T, Problem> {
+    serde_json::from_value(Value::Object(body))
+        .map_err(|error| Problem::unprocessable("bad_input", format!("The JSON body: {error}")))
 }
 
 /// A JSON object. By itself serde takes an array for a struct, field by field.

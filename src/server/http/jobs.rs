@@ -12,21 +12,21 @@ use utoipa::{IntoParams, ToSchema};
 
 use super::access::Visitor;
 use super::body_limit::SMALL;
-use super::extract::{Json, Query};
+use super::extract::{Json, Query, typed};
 use super::lookup::find;
 use super::order::Order;
 use super::page::page_size;
 use super::problem::Problem;
 use super::quota::bytes_left;
+use super::room::{check_room, over_quota_jobs, queue_full};
 use super::shapes::{Job, Jobs, report};
 use super::upload;
+use super::uploaded::{self, JobOfUploads};
 use crate::app::App;
 use crate::jobs::state::JobState;
 use crate::removal::remove;
 use crate::store::{Creation, JobRow};
 
-/// After so many seconds a place in the queue may be free.
-const QUEUE_RETRY: u32 = 60;
 /// Cancelling answers when the job is over, but not later than this.
 const CANCEL_PATIENCE: Duration = Duration::from_millis(2500);
 
@@ -44,6 +44,17 @@ pub struct CreateJob {
     options: Map<String, Value>,
     /// The user's name for it; the capture's when absent.
     name: Option<String>,
+}
+
+/// A job of a capture that there is, or of uploads in pieces.
+#[derive(ToSchema)]
+#[serde(untagged)]
+#[expect(dead_code, reason = "it describes what is told apart by its fields")]
+pub enum JobOrder {
+    /// Of a capture.
+    OfCapture(CreateJob),
+    /// Of uploads.
+    OfUploads(JobOfUploads),
 }
 
 /// A capture and a job in one form.
@@ -83,15 +94,17 @@ pub struct ListQuery {
     cursor: Option<String>,
 }
 
-/// Creates a job: JSON for an existing capture, or multipart for capture and job in one call.
+/// Creates a job: JSON for an existing capture or for uploads in pieces, or multipart for capture
+/// and job in one call.
 #[utoipa::path(post, path = "/v1/jobs", operation_id = "create_job", tag = "jobs",
     params(("Idempotency-Key" = Option<String>, Header, min_length = 1, max_length = 255, pattern = "^[\\x20-\\x7e]+$", description = "The same key and request give the same job")),
     request_body(content(
-        (CreateJob = "application/json"),
+        (JobOrder = "application/json"),
         (JobForm = "multipart/form-data"))),
     responses(
         (status = 202, description = "Accepted, on disk", body = Job, headers(("Location" = String))),
-        (status = 404, description = "Unknown capture", body = Problem, content_type = "application/problem+json"),
+        (status = 404, description = "Unknown capture or upload", body = Problem, content_type = "application/problem+json"),
+        (status = 409, description = "Unfinished upload", body = Problem, content_type = "application/problem+json"),
         (status = 422, description = "Unknown option, bad value, or too few usable photographs", body = Problem, content_type = "application/problem+json")))]
 pub async fn create(
     State(app): State<Arc<App>>,
@@ -104,8 +117,13 @@ pub async fn create(
     } else {
         // Uploads stream and are counted elsewhere; JSON is read into memory.
         DefaultBodyLimit::max(SMALL).apply(&mut request);
-        let Json(body) = Json::<CreateJob>::from_request(request, &app).await?;
-        from_json(&app, &body, key.as_deref(), &visitor).await?
+        let Json(body) = Json::<Map<String, Value>>::from_request(request, &app).await?;
+        if body.contains_key("uploads") {
+            let body: JobOfUploads = typed(body)?;
+            uploaded::create_job(&app, body, key.as_deref(), visitor.clone()).await?
+        } else {
+            from_json(&app, &typed(body)?, key.as_deref(), &visitor).await?
+        }
     };
     let (row, replayed) = match creation {
         Creation::Created(row) => (row, false),
@@ -241,41 +259,6 @@ async fn is_known(app: &App, key: Option<&str>) -> Result<bool, Problem> {
         Some(key) => app.store.knows_key(key).await?,
         None => false,
     })
-}
-
-async fn check_room(app: &App, visitor: &Visitor) -> Result<(), Problem> {
-    let room = visitor.room(app.limits.queue);
-    if app.store.waiting().await? >= room.queue {
-        return Err(queue_full());
-    }
-    match room.of_owner {
-        Some((owner, most)) if app.store.unfinished(owner).await? >= most => {
-            Err(over_quota_jobs(visitor))
-        }
-        _ => Ok(()),
-    }
-}
-
-/// 429: so many jobs of theirs wait or run already.
-pub(super) fn over_quota_jobs(visitor: &Visitor) -> Problem {
-    let most = visitor.room(0).of_owner.map_or(0, |(_, most)| most);
-    Problem::new(
-        StatusCode::TOO_MANY_REQUESTS,
-        "quota_jobs",
-        format!("At most {most} of your jobs may wait or run at a time."),
-    )
-    .hint("Try again when one has ended, or cancel one.")
-    .retry_after(QUEUE_RETRY)
-}
-
-pub(super) fn queue_full() -> Problem {
-    Problem::new(
-        StatusCode::SERVICE_UNAVAILABLE,
-        "queue_full",
-        "Too many jobs are waiting.",
-    )
-    .hint("Try again when some have ended, or cancel some.")
-    .retry_after(QUEUE_RETRY)
 }
 
 /// The key that the client chose, apart from those of other owners.

@@ -54,7 +54,9 @@ pub(super) async fn count(State(app): State<Arc<App>>, request: Request, next: N
     let answered = Answered {
         // Anybody may make up methods.
         method: match method.as_str() {
-            known @ ("GET" | "HEAD" | "POST" | "PUT" | "DELETE" | "OPTIONS") => known.to_owned(),
+            known @ ("GET" | "HEAD" | "POST" | "PUT" | "PATCH" | "DELETE" | "OPTIONS") => {
+                known.to_owned()
+            }
             _ => "other".to_owned(),
         },
         route,

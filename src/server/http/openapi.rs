@@ -9,7 +9,7 @@ use utoipa::{Modify, OpenApi as _};
 
 use super::{
     artifacts, captures, events, health, jobs, log, login, metrics, options, pin, render, retry,
-    rounds, share,
+    rounds, share, tus,
 };
 
 #[derive(utoipa::OpenApi)]
@@ -24,6 +24,12 @@ use super::{
         captures::list,
         captures::show,
         captures::delete,
+        tus::options,
+        tus::create,
+        tus::options_of_one,
+        tus::head,
+        tus::patch,
+        tus::delete,
         jobs::create,
         jobs::list,
         jobs::show,
@@ -62,6 +68,9 @@ struct Api;
 /// Name of the way to say who one is.
 const TOKEN: &str = "token";
 
+/// Every request can be refused so.
+const UNKNOWN_HOST: (&str, &str) = ("421", "Called by a name that is not the server's");
+
 /// Adds to every operation how its request can be refused before its handler sees it.
 struct Refusals;
 
@@ -77,10 +86,17 @@ impl Modify for Refusals {
                 &mut item.get,
                 &mut item.put,
                 &mut item.post,
+                &mut item.patch,
                 &mut item.delete,
+                &mut item.head,
             ];
             for operation in operations.into_iter().flatten() {
                 refuse(operation, path);
+            }
+            // They tell what is spoken to everybody.
+            if let Some(operation) = &mut item.options {
+                let answers = &mut operation.responses.responses;
+                answers.insert(UNKNOWN_HOST.0.to_owned(), problem(UNKNOWN_HOST.1).into());
             }
         }
     }
@@ -95,7 +111,7 @@ fn refuse(operation: &mut Operation, path: &str) {
         })
     };
     let has_body = operation.request_body.is_some();
-    let mut refusals = vec![("421", "Called by a name that is not the server's")];
+    let mut refusals = vec![UNKNOWN_HOST];
     if has_body || asks(&ParameterIn::Query) || asks(&ParameterIn::Header) {
         refusals.push(("400", "A parameter, a header or the body cannot be read"));
     }

@@ -150,6 +150,11 @@ impl From<ServerError> for Problem {
     }
 }
 
+/// 413: more than is taken.
+pub fn too_large(detail: &str) -> Problem {
+    Problem::new(StatusCode::PAYLOAD_TOO_LARGE, "too_large", detail)
+}
+
 /// 507: the disk is (nearly) full.
 pub fn disk_full() -> Problem {
     Problem::new(StatusCode::INSUFFICIENT_STORAGE, "disk_full", "The server's disk is full.")

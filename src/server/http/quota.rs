@@ -1,4 +1,4 @@
-//! What the captures and results of one owner may take on the disk.
+//! What the captures, results and uploads of one owner may take on the disk.
 
 use std::path::PathBuf;
 
@@ -15,6 +15,19 @@ use crate::error::ServerError;
 /// # Errors
 /// 507 when there are none.
 pub(super) async fn bytes_left(app: &App, visitor: &Visitor) -> Result<Option<u64>, Problem> {
+    bytes_left_beside(app, visitor, 0).await
+}
+
+/// The same where so many bytes of their uploads are not counted: they are to become what this is
+/// asked for.
+///
+/// # Errors
+/// 507 when there are none.
+pub(super) async fn bytes_left_beside(
+    app: &App,
+    visitor: &Visitor,
+    uploads: u64,
+) -> Result<Option<u64>, Problem> {
     let Some((owner, most)) = visitor.quota_bytes() else {
         return Ok(None);
     };
@@ -30,7 +43,13 @@ pub(super) async fn bytes_left(app: &App, visitor: &Visitor) -> Result<Option<u6
                 .map_err(ServerError::io(folder))
         })
     });
-    let held = held.await.map_err(|_| Problem::internal())??;
+    let held: u64 = held.await.map_err(|_| Problem::internal())??;
+    let held = held
+        + app
+            .store
+            .bytes_of_uploads(owner)
+            .await?
+            .saturating_sub(uploads);
     match most.checked_sub(held).filter(|left| *left > 0) {
         Some(left) => Ok(Some(left)),
         None => Err(over_quota()),
@@ -42,7 +61,7 @@ pub(super) fn over_quota() -> Problem {
     Problem::new(
         StatusCode::INSUFFICIENT_STORAGE,
         "quota_bytes",
-        "Your captures and results take as much space as your token allows, or would then.",
+        "Your captures, results and uploads take as much space as your token allows, or would then.",
     )
-    .hint("Delete captures and jobs that you no longer need, or ask whoever runs the server.")
+    .hint("Delete captures, jobs and uploads that you no longer need, or ask whoever runs the server.")
 }

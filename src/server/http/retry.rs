@@ -12,11 +12,12 @@ use utoipa::ToSchema;
 
 use super::access::Visitor;
 use super::extract::Json;
-use super::jobs::{over, over_quota_jobs, queue_full, told};
+use super::jobs::{over, told};
 use super::lookup::find;
 use super::order::Order;
 use super::problem::Problem;
 use super::quota::bytes_left;
+use super::room::{over_quota_jobs, queue_full};
 use super::shapes::{Job, report};
 use super::upload;
 use crate::app::App;

@@ -1,6 +1,8 @@
 //! Multipart uploads: streamed to disk under names of our own, fsynced, examined, moved into place.
 
 mod ahead;
+mod gather;
+mod keep;
 mod places;
 
 use std::collections::BTreeMap;
@@ -14,28 +16,25 @@ use axum::http::{HeaderMap, StatusCode, header};
 use fled_core::capture::MAX_FILES;
 use tokio::fs::{self, File};
 use tokio::io::AsyncWriteExt;
-use tokio::sync::MutexGuard;
-use uuid::Uuid;
 
 use self::ahead::Ahead;
 use self::places::Places;
-use super::access::Visitor;
-use super::problem::{Problem, disk_full};
-use super::quota::{bytes_left, over_quota};
+use super::problem::{Problem, disk_full, too_large};
+use super::quota::over_quota;
 use crate::app::App;
-use crate::data::{bytes_below, sync_directory};
 use crate::error::ServerError;
 use crate::incoming::Incoming;
 use crate::intake::{self, CaptureReport, Refusal};
-use crate::removal::remove;
-use crate::store::{CaptureRow, now_ms};
+
+pub use gather::gather;
+pub use keep::Placed;
 
 /// Text fields are short; files stream. Bytes.
 const LONGEST_TEXT: usize = 1 << 16;
 /// Longest name of a capture or a job, characters.
 const LONGEST_NAME: usize = 200;
 /// Longest name of a file, bytes. File systems take 255; the rest is for its folders.
-const LONGEST_FILE_NAME: usize = 1024;
+pub(super) const LONGEST_FILE_NAME: usize = 1024;
 /// Names of the parts that are files.
 const FILE_PARTS: [&str; 3] = ["images", "gt", "poses"];
 /// Between two looks at the free space of the disk, bytes.
@@ -53,6 +52,16 @@ pub struct Upload {
     files: usize,
     /// What it may take on the disk, bytes, where its owner has a quota.
     most: Option<u64>,
+    /// The uploads in pieces that it was gathered from.
+    used: Used,
+}
+
+/// Uploads in pieces that are used up when a capture is kept.
+#[derive(Clone, Debug, Default)]
+struct Used {
+    ids: Vec<String>,
+    /// What they count for while they are there.
+    bytes: u64,
 }
 
 /// Receives every part of a multipart body; `known` are the text fields that mean something, `most`
@@ -83,6 +92,7 @@ pub async fn receive(
         fingerprint: String::new(),
         files: 0,
         most,
+        used: Used::default(),
     };
     let mut receiver = Receiver {
         app,
@@ -130,7 +140,9 @@ async fn open(request: Request) -> Result<(Arc<Ahead>, Multipart), Problem> {
             "unsupported_media_type",
             "The body is not multipart/form-data.",
         )
-        .hint("Send multipart/form-data with parts named `images`."));
+        .hint(
+            "Send multipart/form-data with parts named `images`, or JSON that names `uploads`.",
+        ));
     }
     let ahead = Arc::new(Ahead::default());
     let request = request.map(|body| ahead.clone().watch(body));
@@ -143,11 +155,20 @@ async fn open(request: Request) -> Result<(Arc<Ahead>, Multipart), Problem> {
 
 /// Whether a request says that it is multipart/form-data, in whatever case.
 pub fn is_multipart(headers: &HeaderMap) -> bool {
+    is_of_type(headers, "multipart/form-data")
+}
+
+/// Whether a request says that it is JSON.
+pub fn is_json(headers: &HeaderMap) -> bool {
+    is_of_type(headers, "application/json")
+}
+
+fn is_of_type(headers: &HeaderMap, wanted: &str) -> bool {
     let value = headers.get(header::CONTENT_TYPE);
     let kind = value
         .and_then(|value| value.to_str().ok())
         .and_then(|value| value.split(';').next());
-    kind.is_some_and(|kind| kind.trim().eq_ignore_ascii_case("multipart/form-data"))
+    kind.is_some_and(|kind| kind.trim().eq_ignore_ascii_case(wanted))
 }
 
 /// # Errors
@@ -220,75 +241,6 @@ impl Upload {
             Err(refusal) => Err(refused(*refusal)),
         }
     }
-
-    /// Looks again whether its owner's quota has room for it. Nobody else's look ends before the
-    /// answer is dropped.
-    async fn still_fits<'a>(
-        &self,
-        app: &'a App,
-        visitor: &Visitor,
-    ) -> Result<MutexGuard<'a, ()>, Problem> {
-        let turn = app.keeping.lock().await;
-        let left = bytes_left(app, visitor).await?;
-        let dir = self.dir.clone();
-        let bytes = tokio::task::spawn_blocking(move || bytes_below(dir.path()))
-            .await
-            .map_err(|_| Problem::internal())?
-            .map_err(ServerError::io(self.dir.path()))?;
-        if left.is_some_and(|left| bytes > left) {
-            return Err(over_quota());
-        }
-        Ok(turn)
-    }
-
-    /// Makes the upload a capture: on disk, fsynced, then in the database.
-    ///
-    /// # Errors
-    /// When the disk or the database refuses.
-    pub async fn keep(
-        self,
-        app: &App,
-        report: &CaptureReport,
-        visitor: &Visitor,
-    ) -> Result<CaptureRow, Problem> {
-        // Uploads of one owner that come at a time are counted one after the other.
-        let _turn = match self.most {
-            Some(_) => Some(self.still_fits(app, visitor).await?),
-            None => None,
-        };
-        let row = CaptureRow {
-            id: Uuid::now_v7().to_string(),
-            name: self
-                .fields
-                .get("name")
-                .filter(|name| !name.is_empty())
-                .cloned()
-                .unwrap_or_else(default_name),
-            accepted: report.accepted,
-            report: serde_json::to_value(report).unwrap_or_default(),
-            created_at: now_ms(),
-            owner: visitor.owner().map(str::to_owned),
-            expires_at: None,
-        };
-        let to = app.data.capture(&row.id);
-        let moved = {
-            let (dir, to) = (self.dir.clone(), to.clone());
-            tokio::task::spawn_blocking(move || {
-                sync_tree(dir.path())?;
-                std::fs::rename(dir.path(), &to)?;
-                sync_directory(to.parent().unwrap_or(Path::new(".")))
-            })
-        };
-        moved
-            .await
-            .map_err(|_| Problem::internal())?
-            .map_err(ServerError::io(self.dir.path()))?;
-        if let Err(error) = app.store.insert_capture(&row).await {
-            remove(&to).await;
-            return Err(error.into());
-        }
-        Ok(row)
-    }
 }
 
 /// Does `work` to its end, also when the client hangs up: what has begun to be kept is kept.
@@ -317,27 +269,6 @@ fn refused(refusal: Refusal) -> Problem {
     Problem::new(status, code, refusal.detail)
         .hint(refusal.hint)
         .capture(capture)
-}
-
-fn default_name() -> String {
-    format!(
-        "capture of {}",
-        jiff::Zoned::now().strftime("%Y-%m-%d %H:%M")
-    )
-}
-
-/// Makes the files and the names of a whole tree survive a power cut. Zips are unpacked by the
-/// examine, so the files received are not all there is.
-fn sync_tree(dir: &Path) -> std::io::Result<()> {
-    for entry in std::fs::read_dir(dir)? {
-        let entry = entry?;
-        if entry.file_type()?.is_dir() {
-            sync_tree(&entry.path())?;
-        } else {
-            std::fs::File::open(entry.path())?.sync_all()?;
-        }
-    }
-    sync_directory(dir)
 }
 
 /// # Errors
@@ -427,8 +358,4 @@ impl Receiver<'_> {
         }
         Ok(())
     }
-}
-
-fn too_large(detail: &str) -> Problem {
-    Problem::new(StatusCode::PAYLOAD_TOO_LARGE, "too_large", detail)
 }

@@ -1,9 +1,10 @@
 //! Captures.
 
-use sqlx::Row;
 use sqlx::sqlite::SqliteRow;
+use sqlx::{Row, SqliteConnection};
 
 use super::Store;
+use super::uploads::use_up;
 use crate::error::{Result, ServerError};
 
 /// A stored capture.
@@ -31,19 +32,22 @@ impl Store {
     /// # Errors
     /// When the database refuses.
     pub async fn insert_capture(&self, row: &CaptureRow) -> Result<()> {
-        sqlx::query(
-            "INSERT INTO captures (id, name, accepted, report, created_at, owner)
-             VALUES (?, ?, ?, ?, ?, ?)",
-        )
-        .bind(&row.id)
-        .bind(&row.name)
-        .bind(row.accepted)
-        .bind(row.report.to_string())
-        .bind(row.created_at)
-        .bind(&row.owner)
-        .execute(&self.pool)
-        .await?;
-        Ok(())
+        insert(&mut *self.pool.acquire().await?, row).await
+    }
+
+    /// Stores a capture whose files are already on disk, and forgets the uploads that it is made
+    /// of. `Ok(false)`, and nothing done, when one of them is not there any more.
+    ///
+    /// # Errors
+    /// When the database refuses.
+    pub async fn insert_capture_of(&self, row: &CaptureRow, uploads: &[String]) -> Result<bool> {
+        let mut tx = self.pool.begin_with("BEGIN IMMEDIATE").await?;
+        insert(&mut tx, row).await?;
+        if !use_up(&mut tx, uploads).await? {
+            return Ok(false);
+        }
+        tx.commit().await?;
+        Ok(true)
     }
 
     /// The capture of this id.
@@ -135,6 +139,22 @@ impl Store {
         .await?;
         Ok(done.rows_affected() == 1)
     }
+}
+
+pub(super) async fn insert(connection: &mut SqliteConnection, row: &CaptureRow) -> Result<()> {
+    sqlx::query(
+        "INSERT INTO captures (id, name, accepted, report, created_at, owner)
+         VALUES (?, ?, ?, ?, ?, ?)",
+    )
+    .bind(&row.id)
+    .bind(&row.name)
+    .bind(row.accepted)
+    .bind(row.report.to_string())
+    .bind(row.created_at)
+    .bind(&row.owner)
+    .execute(connection)
+    .await?;
+    Ok(())
 }
 
 fn from_row(row: &SqliteRow) -> Result<CaptureRow> {

@@ -1,8 +1,10 @@
 //! Creating a job, at most once for a client's key.
 
-use sqlx::Row;
+use sqlx::{Row, Sqlite, Transaction};
 
+use super::captures::{self, CaptureRow};
 use super::jobs::{Full, JobRow, NewJob, Room, full, insert, read, unfinished, waiting};
+use super::uploads::use_up;
 use super::{Store, now_ms};
 use crate::error::{Result, ServerError};
 
@@ -19,6 +21,24 @@ pub enum Creation {
     QueueFull,
     /// Its owner has as many jobs as their quota allows.
     OverQuota,
+}
+
+/// A request to create a job, as it is told from others.
+#[derive(Clone, Copy, Debug)]
+pub struct Request<'a> {
+    /// The client's key for it.
+    pub key: Option<&'a str>,
+    /// Identifies what it asks for: the same key with another one is refused.
+    pub fingerprint: &'a str,
+}
+
+/// A capture that uploads become.
+#[derive(Clone, Copy, Debug)]
+pub struct UsedUp<'a> {
+    /// What becomes of them.
+    pub capture: &'a CaptureRow,
+    /// Their ids.
+    pub uploads: &'a [String],
 }
 
 impl Store {
@@ -48,6 +68,14 @@ impl Store {
         unfinished(&self.pool, owner).await
     }
 
+    /// What became of a request of this key, if there was one.
+    ///
+    /// # Errors
+    /// When the database refuses.
+    pub async fn answered(&self, request: &Request<'_>) -> Result<Option<Creation>> {
+        seen(&mut self.pool.begin().await?, request).await
+    }
+
     /// Creates a job where there is room for it; with a key, at most once.
     ///
     /// `fingerprint` identifies the request: the same key with another one is refused.
@@ -63,41 +91,93 @@ impl Store {
     ) -> Result<Creation> {
         // Immediate: two requests with one key queue here instead of both finding it unused.
         let mut tx = self.pool.begin_with("BEGIN IMMEDIATE").await?;
-        if let Some(key) = key {
-            let seen = sqlx::query("SELECT fingerprint, job_id FROM idempotency WHERE key = ?")
-                .bind(key)
-                .fetch_optional(&mut *tx)
-                .await?;
-            if let Some(seen) = seen {
-                if seen.try_get::<String, _>("fingerprint")? != fingerprint {
-                    return Ok(Creation::KeyReused);
-                }
-                let id: String = seen.try_get("job_id")?;
-                let row = read(&mut tx, &id).await?;
-                return Ok(Creation::Replayed(row.ok_or_else(|| missing(&id))?));
-            }
+        let request = Request { key, fingerprint };
+        if let Some(seen) = seen(&mut tx, &request).await? {
+            return Ok(seen);
         }
-        insert(&mut tx, job).await?;
-        match full(&mut tx, room).await? {
-            Some(Full::Queue) => return Ok(Creation::QueueFull),
-            Some(Full::Quota) => return Ok(Creation::OverQuota),
-            None => {}
+        let creation = create(&mut tx, job, &request, room).await?;
+        if matches!(creation, Creation::Created(_)) {
+            tx.commit().await?;
         }
-        if let Some(key) = key {
-            sqlx::query("INSERT INTO idempotency (key, fingerprint, job_id, created_at) VALUES (?, ?, ?, ?)")
-                .bind(key)
-                .bind(fingerprint)
-                .bind(&job.id)
-                .bind(now_ms())
-                .execute(&mut *tx)
-                .await?;
-        }
-        let row = read(&mut tx, &job.id)
-            .await?
-            .ok_or_else(|| missing(&job.id))?;
-        tx.commit().await?;
-        Ok(Creation::Created(row))
+        Ok(creation)
     }
+
+    /// The same with the job's capture, whose files are already on disk, and of which nothing is
+    /// kept where there is no job. The uploads that it is made of are forgotten; `Ok(None)`, and
+    /// nothing done, when one of them is not there any more.
+    ///
+    /// # Errors
+    /// When the database refuses.
+    pub async fn create_job_of(
+        &self,
+        used: UsedUp<'_>,
+        job: &NewJob,
+        request: &Request<'_>,
+        room: Room<'_>,
+    ) -> Result<Option<Creation>> {
+        let mut tx = self.pool.begin_with("BEGIN IMMEDIATE").await?;
+        if let Some(seen) = seen(&mut tx, request).await? {
+            return Ok(Some(seen));
+        }
+        captures::insert(&mut tx, used.capture).await?;
+        if !use_up(&mut tx, used.uploads).await? {
+            return Ok(None);
+        }
+        let creation = create(&mut tx, job, request, room).await?;
+        if matches!(creation, Creation::Created(_)) {
+            tx.commit().await?;
+        }
+        Ok(Some(creation))
+    }
+}
+
+/// What a request of this key has made already, if it has a key.
+async fn seen(
+    tx: &mut Transaction<'static, Sqlite>,
+    request: &Request<'_>,
+) -> Result<Option<Creation>> {
+    let Some(key) = request.key else {
+        return Ok(None);
+    };
+    let seen = sqlx::query("SELECT fingerprint, job_id FROM idempotency WHERE key = ?")
+        .bind(key)
+        .fetch_optional(&mut **tx)
+        .await?;
+    let Some(seen) = seen else { return Ok(None) };
+    if seen.try_get::<String, _>("fingerprint")? != request.fingerprint {
+        return Ok(Some(Creation::KeyReused));
+    }
+    let id: String = seen.try_get("job_id")?;
+    let row = read(tx, &id).await?;
+    Ok(Some(Creation::Replayed(row.ok_or_else(|| missing(&id))?)))
+}
+
+/// Inserts a job and its key. Only what becomes [`Creation::Created`] is to be committed.
+async fn create(
+    tx: &mut Transaction<'static, Sqlite>,
+    job: &NewJob,
+    request: &Request<'_>,
+    room: Room<'_>,
+) -> Result<Creation> {
+    insert(tx, job).await?;
+    match full(tx, room).await? {
+        Some(Full::Queue) => return Ok(Creation::QueueFull),
+        Some(Full::Quota) => return Ok(Creation::OverQuota),
+        None => {}
+    }
+    if let Some(key) = request.key {
+        sqlx::query(
+            "INSERT INTO idempotency (key, fingerprint, job_id, created_at) VALUES (?, ?, ?, ?)",
+        )
+        .bind(key)
+        .bind(request.fingerprint)
+        .bind(&job.id)
+        .bind(now_ms())
+        .execute(&mut **tx)
+        .await?;
+    }
+    let row = read(tx, &job.id).await?.ok_or_else(|| missing(&job.id))?;
+    Ok(Creation::Created(row))
 }
 
 fn missing(id: &str) -> ServerError {

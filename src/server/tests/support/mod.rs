@@ -3,6 +3,7 @@
 #![allow(dead_code, unused_imports, reason = "each test file uses its part")]
 
 pub mod tokens;
+pub mod tus;
 
 use std::ops::Deref;
 use std::path::{Path, PathBuf};

@@ -1,0 +1,6 @@
+//! Routes that several parts of the API know.
+
+/// Uploads in pieces.
+pub(super) const UPLOADS: &str = "/v1/uploads";
+/// One of them.
+pub(super) const UPLOAD: &str = "/v1/uploads/{id}";

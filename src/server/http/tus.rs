@@ -1,0 +1,280 @@
+//! `/v1/uploads`: uploads in pieces that go on where they broke off, by the tus protocol 1.0.0
+//! with its extensions creation, creation-with-upload, expiration, checksum and termination.
+
+mod checksum;
+mod create;
+mod fields;
+mod file;
+mod metadata;
+mod piece;
+
+use std::sync::Arc;
+
+use axum::extract::{Extension, Path, Request, State};
+use axum::http::{HeaderMap, HeaderName, HeaderValue, Method, StatusCode, header};
+use axum::middleware::Next;
+use axum::response::{IntoResponse, Response};
+use utoipa::ToSchema;
+
+use self::checksum::{ALGORITHMS, Checksum};
+use self::fields::{
+    CHECKSUM_ALGORITHM, EXPIRES, EXTENSION, LENGTH, MAX_SIZE, METADATA, METHOD_OVERRIDE, OFFSET,
+    RESUMABLE, VERSION, VERSIONS, expires, is_piece, number,
+};
+use self::piece::Piece;
+use super::access::Visitor;
+use super::paths::UPLOADS;
+use super::problem::Problem;
+use super::upload::to_its_end;
+use crate::app::App;
+use crate::holders::Hold;
+use crate::removal::remove_file;
+use crate::store::UploadRow;
+
+/// What of the protocol there is besides its core.
+const EXTENSIONS: &str = "creation,creation-with-upload,expiration,checksum,termination";
+
+/// Bytes of a file.
+#[derive(ToSchema)]
+#[schema(value_type = String, format = Binary)]
+#[expect(dead_code, reason = "it describes what is read as it comes")]
+pub struct Bytes(Vec<u8>);
+
+/// Puts the version of the protocol on every answer about uploads, refusals included.
+pub(super) async fn mark(request: Request, next: Next) -> Response {
+    let path = request.uri().path();
+    let is_ours = path
+        .strip_prefix(UPLOADS)
+        .is_some_and(|rest| rest.is_empty() || rest.starts_with('/'));
+    let mut answer = next.run(request).await;
+    if is_ours {
+        answer
+            .headers_mut()
+            .insert(RESUMABLE, HeaderValue::from_static(VERSION));
+    }
+    answer
+}
+
+/// Refuses those who speak another version.
+pub(super) async fn check_version(request: Request, next: Next) -> Response {
+    let version = request.headers().get(RESUMABLE);
+    let is_spoken = match *request.method() {
+        Method::OPTIONS => true,
+        // Nobody who speaks any version posts to an upload, but in place of another method.
+        Method::POST if request.uri().path() != UPLOADS => {
+            overriding(request.headers()).is_none() || version.is_some_and(|v| v == VERSION)
+        }
+        _ => version.is_some_and(|version| version == VERSION),
+    };
+    if is_spoken {
+        return next.run(request).await;
+    }
+    let problem = Problem::new(
+        StatusCode::PRECONDITION_FAILED,
+        "tus_version",
+        "This speaks version 1.0.0 of the tus protocol.",
+    );
+    let hint = "Send `Tus-Resumable: 1.0.0`.";
+    ([(VERSIONS, VERSION)], problem.hint(hint)).into_response()
+}
+
+/// Says what of the protocol there is.
+#[utoipa::path(options, path = "/v1/uploads", operation_id = "upload_options", tag = "uploads",
+    responses((status = 204, description = "What is spoken here", headers(
+        ("Tus-Resumable" = String), ("Tus-Version" = String), ("Tus-Extension" = String),
+        ("Tus-Max-Size" = u64), ("Tus-Checksum-Algorithm" = String)))))]
+pub async fn options(State(app): State<Arc<App>>) -> Response {
+    let told: [(HeaderName, String); 4] = [
+        (VERSIONS, VERSION.to_owned()),
+        (EXTENSION, EXTENSIONS.to_owned()),
+        (MAX_SIZE, app.limits.max_upload_bytes.to_string()),
+        (CHECKSUM_ALGORITHM, ALGORITHMS.to_owned()),
+    ];
+    (StatusCode::NO_CONTENT, told).into_response()
+}
+
+/// Says the same at an upload.
+#[utoipa::path(options, path = "/v1/uploads/{id}", operation_id = "one_upload_options",
+    tag = "uploads", params(("id" = String, Path)),
+    responses((status = 204, description = "What is spoken here", headers(
+        ("Tus-Resumable" = String), ("Tus-Version" = String), ("Tus-Extension" = String),
+        ("Tus-Max-Size" = u64), ("Tus-Checksum-Algorithm" = String)))))]
+pub async fn options_of_one(app: State<Arc<App>>) -> Response {
+    options(app).await
+}
+
+/// Begins an upload of so many bytes; the body may be its first piece.
+#[utoipa::path(post, path = "/v1/uploads", operation_id = "create_upload", tag = "uploads",
+    params(
+        ("Tus-Resumable" = String, Header, pattern = "^1\\.0\\.0$", description = "1.0.0"),
+        ("Upload-Length" = u64, Header, description = "Bytes of the file"),
+        ("Upload-Metadata" = String, Header, max_length = 8192, description = "Keys with values in base64, split by commas; `filename` must be there"),
+        ("Upload-Checksum" = Option<String>, Header, description = "Of the first piece: `sha1` or `sha256`, a space, the digest in base64")),
+    request_body(content = Option<Bytes>, content_type = "application/offset+octet-stream"),
+    responses(
+        (status = 201, description = "It has begun", headers(("Location" = String),
+            ("Upload-Offset" = u64), ("Upload-Expires" = String), ("Tus-Resumable" = String))),
+        (status = 412, description = "Another version of tus: `Tus-Version` says which", body = Problem, content_type = "application/problem+json", headers(("Tus-Version" = String))),
+        (status = 460, description = "The first piece has another checksum: nothing was begun", body = Problem, content_type = "application/problem+json"),
+        (status = 507, description = "The disk is full, or there is no room in the quota", body = Problem, content_type = "application/problem+json")))]
+pub async fn create(
+    State(app): State<Arc<App>>,
+    Extension(visitor): Extension<Visitor>,
+    request: Request,
+) -> Result<Response, Problem> {
+    let begun = create::begin(&app, &visitor, request).await?;
+    let told = [
+        (header::LOCATION, format!("{UPLOADS}/{}", begun.id)),
+        (OFFSET, begun.offset.to_string()),
+        (EXPIRES, expires(begun.expires_at)),
+    ];
+    Ok((StatusCode::CREATED, told).into_response())
+}
+
+/// Tells how much of an upload is on the disk. Whoever sends a piece of it meanwhile is stopped.
+#[utoipa::path(head, path = "/v1/uploads/{id}", operation_id = "show_upload", tag = "uploads",
+    params(("id" = String, Path),
+        ("Tus-Resumable" = String, Header, pattern = "^1\\.0\\.0$", description = "1.0.0")),
+    responses(
+        (status = 200, description = "There is so much", headers(("Upload-Offset" = u64),
+            ("Upload-Length" = u64), ("Upload-Metadata" = String), ("Upload-Expires" = String),
+            ("Cache-Control" = String), ("Tus-Resumable" = String))),
+        (status = 404, description = "Unknown, used up or expired"),
+        (status = 412, description = "Another version of tus: `Tus-Version` says which", headers(("Tus-Version" = String))),
+        (status = 423, description = "Whoever sends a piece does not let go: try again")))]
+pub async fn head(
+    State(app): State<Arc<App>>,
+    Path(id): Path<String>,
+) -> Result<Response, Problem> {
+    let (row, offset) = to_its_end(async move {
+        let (_hold, row) = taken(&app, &id).await?;
+        let (file, offset) = file::open(&app, &row).await?;
+        file::sync(&app, &row, &file).await?;
+        Ok((row, offset))
+    })
+    .await?;
+    let told = [
+        (OFFSET, offset.to_string()),
+        (LENGTH, row.length.to_string()),
+        (METADATA, row.metadata),
+        (EXPIRES, expires(row.expires_at)),
+        (header::CACHE_CONTROL, "no-store".to_owned()),
+    ];
+    Ok(told.into_response())
+}
+
+/// Adds a piece to an upload. What came of it stays when the connection breaks, unless it has a
+/// checksum.
+#[utoipa::path(patch, path = "/v1/uploads/{id}", operation_id = "continue_upload", tag = "uploads",
+    params(("id" = String, Path),
+        ("Tus-Resumable" = String, Header, pattern = "^1\\.0\\.0$", description = "1.0.0"),
+        ("Upload-Offset" = u64, Header, description = "Where the piece begins: at the end of what there is"),
+        ("Upload-Checksum" = Option<String>, Header, description = "`sha1` or `sha256`, a space, the digest in base64")),
+    request_body(content = Bytes, content_type = "application/offset+octet-stream"),
+    responses(
+        (status = 204, description = "It is on the disk", headers(("Upload-Offset" = u64),
+            ("Upload-Expires" = String), ("Tus-Resumable" = String))),
+        (status = 404, description = "Unknown, used up or expired", body = Problem, content_type = "application/problem+json"),
+        (status = 409, description = "It does not begin at the end of what there is, or another request has taken over", body = Problem, content_type = "application/problem+json"),
+        (status = 412, description = "Another version of tus: `Tus-Version` says which", body = Problem, content_type = "application/problem+json", headers(("Tus-Version" = String))),
+        (status = 423, description = "Whoever sends a piece does not let go: try again", body = Problem, content_type = "application/problem+json"),
+        (status = 460, description = "It has another checksum: nothing of it stays", body = Problem, content_type = "application/problem+json"),
+        (status = 507, description = "The disk is full", body = Problem, content_type = "application/problem+json")))]
+pub async fn patch(
+    State(app): State<Arc<App>>,
+    Path(id): Path<String>,
+    request: Request,
+) -> Result<Response, Problem> {
+    let (parts, body) = request.into_parts();
+    if !is_piece(&parts.headers) {
+        return Err(fields::other_type());
+    }
+    let piece = Piece {
+        offset: number(&parts.headers, &OFFSET)?,
+        checksum: Checksum::of(&parts.headers)?,
+        body,
+    };
+    let stands = to_its_end(async move {
+        let (hold, row) = taken(&app, &id).await?;
+        piece::add(&app, &hold, &row, piece).await
+    })
+    .await?;
+    let told = [
+        (OFFSET, stands.offset.to_string()),
+        (EXPIRES, expires(stands.expires_at)),
+    ];
+    Ok((StatusCode::NO_CONTENT, told).into_response())
+}
+
+/// Deletes an upload.
+#[utoipa::path(delete, path = "/v1/uploads/{id}", operation_id = "delete_upload", tag = "uploads",
+    params(("id" = String, Path),
+        ("Tus-Resumable" = String, Header, pattern = "^1\\.0\\.0$", description = "1.0.0")),
+    responses(
+        (status = 204, description = "Deleted", headers(("Tus-Resumable" = String))),
+        (status = 404, description = "Unknown, used up or expired", body = Problem, content_type = "application/problem+json"),
+        (status = 412, description = "Another version of tus: `Tus-Version` says which", body = Problem, content_type = "application/problem+json", headers(("Tus-Version" = String))),
+        (status = 423, description = "Whoever sends a piece does not let go: try again", body = Problem, content_type = "application/problem+json")))]
+pub async fn delete(
+    State(app): State<Arc<App>>,
+    Path(id): Path<String>,
+) -> Result<StatusCode, Problem> {
+    to_its_end(async move {
+        let (_hold, row) = taken(&app, &id).await?;
+        if !app.store.forget_upload(&row.id, None).await? {
+            return Err(unknown());
+        }
+        remove_file(&app.data.upload(&row.id)).await;
+        Ok(StatusCode::NO_CONTENT)
+    })
+    .await
+}
+
+/// What a client asks for that can only send GET and POST: the protocol wants the method of this
+/// header to be taken for that of the request.
+pub async fn by_override(
+    app: State<Arc<App>>,
+    id: Path<String>,
+    request: Request,
+) -> Result<Response, Problem> {
+    match overriding(request.headers()) {
+        Some(Method::HEAD) => head(app, id).await,
+        Some(Method::PATCH) => patch(app, id, request).await,
+        Some(Method::DELETE) => delete(app, id).await.map(IntoResponse::into_response),
+        _ => {
+            let problem = Problem::new(
+                StatusCode::METHOD_NOT_ALLOWED,
+                "method_not_allowed",
+                "This address does not do that.",
+            );
+            let hint = "Send a piece by PATCH, or by POST with `X-HTTP-Method-Override: PATCH`.";
+            let allowed = [(header::ALLOW, "HEAD,PATCH,DELETE,OPTIONS")];
+            Ok((allowed, problem.hint(hint)).into_response())
+        }
+    }
+}
+
+fn overriding(headers: &HeaderMap) -> Option<Method> {
+    let method = headers.get(METHOD_OVERRIDE)?;
+    Method::from_bytes(method.as_bytes()).ok()
+}
+
+/// The upload, from whoever had it. It is looked for after that: it may be deleted meanwhile.
+async fn taken(app: &App, id: &str) -> Result<(Hold, UploadRow), Problem> {
+    let hold = app.holders.take(id, app.limits.takeover).await;
+    let hold = hold.ok_or_else(|| {
+        Problem::new(
+            StatusCode::LOCKED,
+            "locked",
+            "Another request still writes to this upload.",
+        )
+        .hint("Try again in some seconds.")
+        .retry_after(1)
+    })?;
+    let row = app.store.upload(id).await?.ok_or_else(unknown)?;
+    Ok((hold, row))
+}
+
+fn unknown() -> Problem {
+    Problem::not_found("upload")
+}

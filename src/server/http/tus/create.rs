@@ -1,0 +1,158 @@
+//! How an upload begins.
+
+use std::sync::Arc;
+
+use axum::body::{Body, HttpBody};
+use axum::extract::Request;
+use axum::http::{HeaderMap, StatusCode};
+use tokio::fs::File;
+use uuid::Uuid;
+
+use super::checksum::Checksum;
+use super::fields::{CONCAT, DEFER_LENGTH, LENGTH, bad, is_piece, number, other_type};
+use super::metadata::Metadata;
+use super::piece::{self, Piece, Stands, life};
+use crate::app::App;
+use crate::data::sync_directory;
+use crate::error::ServerError;
+use crate::http::access::Visitor;
+use crate::http::problem::{Problem, disk_full, too_large};
+use crate::http::quota::{bytes_left, over_quota};
+use crate::http::upload::to_its_end;
+use crate::removal::remove_file;
+use crate::store::{UploadRow, now_ms};
+
+/// After so many seconds there may be room for one more.
+const RETRY: u32 = 60;
+
+/// An upload that has begun.
+#[derive(Debug)]
+pub(super) struct Begun {
+    pub(super) id: String,
+    pub(super) offset: u64,
+    pub(super) expires_at: i64,
+}
+
+/// Begins an upload, with its first piece where the request has one.
+///
+/// # Errors
+/// 400 for headers that cannot be read, 413, 429 and 507 where there is no room for it, and those
+/// of the first piece: then nothing was begun.
+pub(super) async fn begin(
+    app: &Arc<App>,
+    visitor: &Visitor,
+    request: Request,
+) -> Result<Begun, Problem> {
+    let (parts, body) = request.into_parts();
+    let length = length(&parts.headers)?;
+    let metadata = Metadata::of(&parts.headers)?;
+    let first = first(&parts.headers, body)?;
+    if length > app.limits.max_upload_bytes {
+        return Err(too_large("The upload is too large.")
+            .hint("`Tus-Max-Size`, which OPTIONS tells, is the most."));
+    }
+    if app.has_no_space_for(length) {
+        return Err(disk_full());
+    }
+    let row = UploadRow {
+        id: Uuid::now_v7().to_string(),
+        owner: visitor.owner().map(str::to_owned),
+        filename: metadata.filename,
+        metadata: metadata.sent,
+        length,
+        judged: None,
+        created_at: now_ms(),
+        expires_at: life(app),
+    };
+    keep(app, visitor, &row).await?;
+    let mut begun = Begun {
+        id: row.id.clone(),
+        offset: 0,
+        expires_at: row.expires_at,
+    };
+    if let Some(first) = first {
+        let app = app.clone();
+        let stands = to_its_end(async move { with_first(&app, &row, first).await }).await?;
+        (begun.offset, begun.expires_at) = (stands.offset, stands.expires_at);
+    }
+    Ok(begun)
+}
+
+fn length(headers: &HeaderMap) -> Result<u64, Problem> {
+    for (name, of) in [
+        (DEFER_LENGTH, "deferred lengths"),
+        (CONCAT, "concatenation"),
+    ] {
+        if headers.contains_key(&name) {
+            return Err(bad(format!("There are no {of} here: `{name}`.")));
+        }
+    }
+    number(headers, &LENGTH)
+}
+
+/// The piece in the body of a request that begins an upload.
+fn first(headers: &HeaderMap, body: Body) -> Result<Option<Piece>, Problem> {
+    let checksum = Checksum::of(headers)?;
+    if body.is_end_stream() && checksum.is_none() {
+        return Ok(None);
+    }
+    if !body.is_end_stream() && !is_piece(headers) {
+        return Err(other_type());
+    }
+    Ok(Some(Piece {
+        offset: 0,
+        checksum,
+        body,
+    }))
+}
+
+/// Makes the upload: its empty file, then its row.
+async fn keep(app: &App, visitor: &Visitor, row: &UploadRow) -> Result<(), Problem> {
+    // Those of one owner that come at a time are counted one after the other.
+    let _turn = match visitor.quota_bytes() {
+        Some(_) => Some(app.keeping.lock().await),
+        None => None,
+    };
+    let left = bytes_left(app, visitor).await?;
+    if left.is_some_and(|left| row.length > left) {
+        return Err(over_quota());
+    }
+    let path = app.data.upload(&row.id);
+    let made = File::create_new(&path).await;
+    made.map_err(ServerError::io(&path))?;
+    let folder = app.data.uploads();
+    let synced = tokio::task::spawn_blocking(move || {
+        sync_directory(&folder).map_err(ServerError::io(&folder))
+    });
+    let kept = match synced.await.map_err(|_| Problem::internal())? {
+        Ok(()) => app.store.insert_upload(row, app.limits.max_uploads).await,
+        Err(error) => Err(error),
+    };
+    if !matches!(kept, Ok(true)) {
+        remove_file(&path).await;
+    }
+    if kept? { Ok(()) } else { Err(too_many(app)) }
+}
+
+/// Adds the first piece. Nobody else knows of the upload yet: without it there is none.
+async fn with_first(app: &App, row: &UploadRow, first: Piece) -> Result<Stands, Problem> {
+    let hold = app.holders.take(&row.id, app.limits.takeover).await;
+    let hold = hold.ok_or_else(Problem::internal)?;
+    let added = piece::add(app, &hold, row, first).await;
+    if added.is_err() {
+        app.store.forget_upload(&row.id, None).await?;
+        remove_file(&app.data.upload(&row.id)).await;
+    }
+    added
+}
+
+fn too_many(app: &App) -> Problem {
+    let most = app.limits.max_uploads;
+    Problem::new(
+        StatusCode::TOO_MANY_REQUESTS,
+        "too_many_uploads",
+        format!("There are {most} of your uploads of which no capture is made yet."),
+    )
+    .hint("Make captures of them or delete some; each goes a while after its last byte.")
+    .retry_after(RETRY)
+}

@@ -1,0 +1,97 @@
+//! `Upload-Metadata`: what an upload is called.
+
+use std::collections::HashMap;
+
+use axum::http::HeaderMap;
+use base64::Engine;
+use base64::engine::general_purpose::STANDARD;
+
+use super::fields::{METADATA, bad, text};
+use crate::http::problem::Problem;
+use crate::http::upload::LONGEST_FILE_NAME;
+
+/// Longest metadata, bytes: they are kept with every upload.
+const LONGEST: usize = 8 << 10;
+
+/// Metadata as sent, and the file name in them.
+#[derive(Debug)]
+pub(super) struct Metadata {
+    pub(super) sent: String,
+    pub(super) filename: String,
+}
+
+impl Metadata {
+    /// # Errors
+    /// 400 where they cannot be read or name no file.
+    pub(super) fn of(headers: &HeaderMap) -> Result<Self, Problem> {
+        let sent = text(headers, &METADATA)?.unwrap_or_default();
+        if sent.len() > LONGEST {
+            return Err(bad(format!(
+                "`Upload-Metadata` has more than {LONGEST} bytes."
+            )));
+        }
+        let read = pairs(sent).ok_or_else(|| {
+            bad("`Upload-Metadata` is not made of different keys, each with a value in base64.")
+        })?;
+        let filename = read.get("filename").cloned().unwrap_or_default();
+        match String::from_utf8(filename) {
+            Ok(filename) if (1..=LONGEST_FILE_NAME).contains(&filename.len()) => Ok(Self {
+                sent: sent.to_owned(),
+                filename,
+            }),
+            _ => Err(bad(format!(
+                "`Upload-Metadata` has no `filename` of 1 to {LONGEST_FILE_NAME} bytes of UTF-8."
+            ))),
+        }
+    }
+}
+
+/// Every key with its value; `None` where something is wrong.
+fn pairs(sent: &str) -> Option<HashMap<&str, Vec<u8>>> {
+    let mut read = HashMap::new();
+    for pair in sent.split(',').filter(|_| !sent.is_empty()) {
+        let (key, value) = match pair.trim().split_once(' ') {
+            Some((key, value)) => (key, STANDARD.decode(value).ok()?),
+            None => (pair.trim(), Vec::new()),
+        };
+        if key.is_empty() || read.insert(key, value).is_some() {
+            return None;
+        }
+    }
+    Some(read)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_file_has_a_name_and_other_keys_do_not_matter() {
+        let of = |sent: &str| {
+            let mut headers = HeaderMap::new();
+            headers.insert(METADATA, sent.parse().expect("header"));
+            Metadata::of(&headers).ok().map(|read| read.filename)
+        };
+        let named = Some("a.png".to_owned());
+        assert_eq!(of("filename YS5wbmc="), named);
+        assert_eq!(of("is_confidential,filename YS5wbmc=, filetype "), named);
+        for wrong in [
+            "",
+            "filename",
+            "filename ",
+            "filetype YS5wbmc=",
+            "filename YS5wbmc=,filename YS5wbmc=",
+            "filename YS5wbmc=,,a",
+            "filename YS5w bmc=",
+            "filename ____",
+            // 0xff is not UTF-8.
+            "filename /w==",
+        ] {
+            assert_eq!(of(wrong), None, "{wrong}");
+        }
+        let long = STANDARD.encode("x".repeat(LONGEST_FILE_NAME + 1));
+        assert_eq!(of(&format!("filename {long}")), None);
+        let long = "x".repeat(LONGEST);
+        assert_eq!(of(&format!("filename YS5wbmc=,{long}")), None);
+    }
+}

@@ -1,0 +1,212 @@
+//! A piece of an upload on its way to the disk.
+
+use axum::body::{Body, HttpBody};
+use axum::http::StatusCode;
+use futures::StreamExt;
+use tokio::fs::File;
+use tokio::io::AsyncWriteExt;
+
+use super::checksum::Checksum;
+use super::file;
+use crate::app::App;
+use crate::error::ServerError;
+use crate::holders::Hold;
+use crate::http::problem::{Problem, disk_full, too_large};
+use crate::store::{UploadRow, now_ms};
+
+/// Between two looks at the free space of the disk, bytes.
+const LOOK_AT_DISK: u64 = 32 << 20;
+
+/// What is to be added, and where.
+pub(super) struct Piece {
+    /// Where the client takes the end to be.
+    pub(super) offset: u64,
+    /// What it promises of the body.
+    pub(super) checksum: Option<Checksum>,
+    pub(super) body: Body,
+}
+
+/// How an upload stands.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Stands {
+    /// Bytes on the disk.
+    pub(super) offset: u64,
+    /// Milliseconds since 1970.
+    pub(super) expires_at: i64,
+}
+
+/// Why a body was not read any further.
+enum Ended {
+    Whole,
+    TooLong,
+    Broken(String),
+    DiskFull,
+    Wanted,
+    Stopping,
+}
+
+/// Adds a piece to an upload that nobody else has. Whatever the answer, what counts of it is on the
+/// disk when this returns, and no more comes.
+///
+/// # Errors
+/// 409 where it does not begin at the end of what there is, 413 where it is longer than the rest,
+/// 460 where its checksum is another, 507 where there is no space for it: of these nothing stays.
+/// 400 where the body breaks off, 409 where another takes over.
+pub(super) async fn add(
+    app: &App,
+    hold: &Hold,
+    row: &UploadRow,
+    piece: Piece,
+) -> Result<Stands, Problem> {
+    let (file, begin) = file::open(app, row).await?;
+    if piece.offset != begin {
+        let detail = format!("There are {begin} bytes: a piece cannot begin at {}.", {
+            piece.offset
+        });
+        return Err(Problem::conflict("wrong_offset", detail)
+            .hint("HEAD tells where the next piece begins."));
+    }
+    let announced = piece.body.size_hint();
+    if announced.lower() > row.length.saturating_sub(begin) {
+        return Err(beyond());
+    }
+    let is_empty = announced.exact() == Some(0) && piece.checksum.is_none();
+    if is_empty {
+        let expires_at = row.expires_at;
+        let offset = begin;
+        return Ok(Stands { offset, expires_at });
+    }
+    if app.has_no_space_for(announced.lower()) {
+        return Err(disk_full());
+    }
+    if piece.checksum.is_some() {
+        // A server that dies meanwhile must not count what it has not judged.
+        let expires_at = life(app);
+        app.store
+            .touch_upload(&row.id, Some(begin), expires_at)
+            .await?;
+    }
+    let writer = Writer {
+        app,
+        row,
+        file,
+        begin,
+        at: begin,
+        looked: begin,
+        checksum: piece.checksum,
+    };
+    writer.write(piece.body, hold).await
+}
+
+/// A time so far from now as an upload lives after its last byte, milliseconds since 1970.
+pub(super) fn life(app: &App) -> i64 {
+    let life = i64::try_from(app.limits.upload_life.as_millis()).unwrap_or(i64::MAX / 4);
+    now_ms() + life
+}
+
+struct Writer<'a> {
+    app: &'a App,
+    row: &'a UploadRow,
+    file: File,
+    begin: u64,
+    at: u64,
+    looked: u64,
+    checksum: Option<Checksum>,
+}
+
+impl Writer<'_> {
+    async fn write(mut self, body: Body, hold: &Hold) -> Result<Stands, Problem> {
+        let mut ended = self.pour(body, hold).await;
+        // Writes of this file may still be under way.
+        if let Err(error) = self.file.flush().await {
+            let path = self.app.data.upload(&self.row.id);
+            ended = ended.and(Err(ServerError::io(&path)(error)));
+        }
+        let whole = matches!(ended, Ok(Ended::Whole));
+        let holds = self.checksum.take().map(|sum| whole && sum.holds());
+        if holds == Some(false) || matches!(ended, Ok(Ended::TooLong)) {
+            file::cut(self.app, self.row, &self.file, self.begin).await?;
+        }
+        file::sync(self.app, self.row, &self.file).await?;
+        let offset = file::length(self.app, self.row, &self.file).await?;
+        let expires_at = life(self.app);
+        let touched = self.app.store.touch_upload(&self.row.id, None, expires_at);
+        if !touched.await? {
+            return Err(Problem::not_found("upload"));
+        }
+        match ended? {
+            Ended::Whole if holds == Some(false) => Err(mismatch()),
+            Ended::Whole => Ok(Stands { offset, expires_at }),
+            Ended::TooLong => Err(beyond()),
+            Ended::Broken(error) => Err(broken(&error)),
+            Ended::DiskFull => Err(disk_full()),
+            Ended::Wanted => Err(taken_over()),
+            Ended::Stopping => Err(stopping()),
+        }
+    }
+
+    /// Reads until the body ends or somebody else wants the upload.
+    async fn pour(&mut self, body: Body, hold: &Hold) -> Result<Ended, ServerError> {
+        let mut body = body.into_data_stream();
+        loop {
+            let chunk = tokio::select! {
+                biased;
+                () = hold.wanted() => return Ok(Ended::Wanted),
+                () = self.app.shutdown.cancelled() => return Ok(Ended::Stopping),
+                chunk = body.next() => chunk,
+            };
+            let chunk = match chunk {
+                None => return Ok(Ended::Whole),
+                Some(Err(error)) => return Ok(Ended::Broken(error.to_string())),
+                Some(Ok(chunk)) => chunk,
+            };
+            if chunk.len() as u64 > self.row.length.saturating_sub(self.at) {
+                return Ok(Ended::TooLong);
+            }
+            if let Some(checksum) = &mut self.checksum {
+                checksum.update(&chunk);
+            }
+            let written = self.file.write_all(&chunk).await;
+            if let Err(error) = written {
+                return Err(ServerError::io(&self.app.data.upload(&self.row.id))(error));
+            }
+            self.at += chunk.len() as u64;
+            if self.at - self.looked > LOOK_AT_DISK {
+                self.looked = self.at;
+                if self.app.is_disk_full() {
+                    return Ok(Ended::DiskFull);
+                }
+            }
+        }
+    }
+}
+
+fn beyond() -> Problem {
+    too_large("The piece is longer than the rest of the upload.")
+        .hint("`Upload-Length` was the whole; HEAD tells how much of it there is.")
+}
+
+fn mismatch() -> Problem {
+    // The number is the protocol's own.
+    let status = StatusCode::from_u16(460).unwrap_or(StatusCode::UNPROCESSABLE_ENTITY);
+    let detail = "The piece has another checksum: nothing of it was kept.";
+    Problem::new(status, "checksum_mismatch", detail).hint("Send it again.")
+}
+
+fn broken(error: &str) -> Problem {
+    let detail = format!("The body broke off: {error}");
+    Problem::new(StatusCode::BAD_REQUEST, "bad_request", detail)
+        .hint("HEAD tells how much of it has come.")
+}
+
+fn taken_over() -> Problem {
+    let detail = "Another request has taken this upload over.";
+    Problem::conflict("taken_over", detail).hint("HEAD tells where to go on.")
+}
+
+fn stopping() -> Problem {
+    let detail = "The server stops; what has come of the piece is kept.";
+    Problem::new(StatusCode::SERVICE_UNAVAILABLE, "stopping", detail)
+        .hint("Try again: HEAD tells where to go on.")
+        .retry_after(5)
+}

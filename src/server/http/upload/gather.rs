@@ -1,0 +1,139 @@
+//! Uploads in pieces, gathered as if they had come in one body.
+
+use std::collections::{BTreeMap, HashSet};
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+
+use fled_core::capture::MAX_FILES;
+
+use super::places::Places;
+use super::{Upload, Used, check_name};
+use crate::app::App;
+use crate::error::ServerError;
+use crate::http::access::Visitor;
+use crate::http::problem::{Problem, too_large};
+use crate::http::quota::bytes_left_beside;
+use crate::store::UploadRow;
+
+/// Gathers finished uploads of the visitor's own, each under its file name, for a capture that is
+/// called `name`. They stay as they are until the capture is kept.
+///
+/// # Errors
+/// 404 for those that are not there or somebody else's, 409 for unfinished ones, 413 when they are
+/// too large together, 422 for none, too many, or the same twice, 507 when there is no room.
+pub async fn gather(
+    app: &App,
+    ids: &[String],
+    name: Option<String>,
+    visitor: &Visitor,
+) -> Result<Upload, Problem> {
+    check_list(ids)?;
+    if let Some(name) = &name {
+        check_name(name)?;
+    }
+    let rows = own(app, ids, visitor).await?;
+    let bytes: u64 = rows.iter().map(|row| row.length).sum();
+    if bytes > app.limits.max_upload_bytes {
+        return Err(too_large("The uploads are too large together."));
+    }
+    let most = bytes_left_beside(app, visitor, bytes).await?;
+    let incoming = app.data.incoming();
+    let dir = app.uploads.begin(&incoming);
+    let upload = Upload {
+        dir: dir.map_err(ServerError::io(&incoming))?,
+        fields: BTreeMap::from_iter(name.map(|name| ("name".to_owned(), name))),
+        fingerprint: String::new(),
+        files: rows.len(),
+        most,
+        used: Used {
+            ids: ids.to_vec(),
+            bytes,
+        },
+    };
+    let (from, dir) = (app.data.uploads(), upload.dir.clone());
+    tokio::task::spawn_blocking(move || link_all(&from, dir.path(), &rows))
+        .await
+        .map_err(|_| Problem::internal())??;
+    Ok(upload)
+}
+
+fn check_list(ids: &[String]) -> Result<(), Problem> {
+    let refused = |detail: &str, pointer: &str| {
+        Err(Problem::unprocessable("bad_input", detail)
+            .pointer(pointer)
+            .hint("Name each finished upload once, by the last part of its address."))
+    };
+    if ids.is_empty() {
+        return refused("There is no upload.", "/uploads");
+    }
+    if ids.len() > MAX_FILES {
+        return Err(too_large(&format!("More than {MAX_FILES} files.")));
+    }
+    let mut seen = HashSet::new();
+    match ids.iter().position(|id| !seen.insert(id)) {
+        Some(at) => refused("An upload is named twice.", &pointer(at)),
+        None => Ok(()),
+    }
+}
+
+/// The rows of uploads, in their order. An admin may see those of others, but what becomes a
+/// capture counts for whoever makes it: only one's own can.
+async fn own(app: &App, ids: &[String], visitor: &Visitor) -> Result<Vec<UploadRow>, Problem> {
+    let mut rows = app.store.uploads(ids).await?;
+    let own = |(at, id): (usize, &String)| {
+        let row = rows.remove(id);
+        row.filter(|row| row.owner.as_deref() == visitor.owner())
+            .ok_or_else(|| unknown(at))
+    };
+    ids.iter().enumerate().map(own).collect()
+}
+
+/// Gives every file a second name in `dir`, as the names of its upload say.
+fn link_all(from: &Path, dir: &Path, rows: &[UploadRow]) -> Result<(), Problem> {
+    let mut places = Places::default();
+    for (at, row) in rows.iter().enumerate() {
+        let from = from.join(&row.id);
+        let bytes = match fs::metadata(&from) {
+            Err(error) if error.kind() == io::ErrorKind::NotFound => return Err(unknown(at)),
+            about => about.map_err(ServerError::io(&from))?.len(),
+        };
+        if row.judged.is_some() || bytes != row.length {
+            return Err(unfinished(at, row, bytes));
+        }
+        let to = dir.join(places.place("images", &row.filename));
+        match link(&from, &to) {
+            Err(error) if error.kind() == io::ErrorKind::NotFound => return Err(unknown(at)),
+            linked => linked.map_err(ServerError::io(&to))?,
+        }
+    }
+    Ok(())
+}
+
+/// A second name for a file, or a copy where its file system has no such thing or is another.
+fn link(from: &Path, to: &PathBuf) -> io::Result<()> {
+    if let Some(folder) = to.parent() {
+        fs::create_dir_all(folder)?;
+    }
+    match fs::hard_link(from, to) {
+        Err(error) if error.kind() != io::ErrorKind::NotFound => fs::copy(from, to).map(drop),
+        linked => linked,
+    }
+}
+
+fn unknown(at: usize) -> Problem {
+    Problem::not_found("upload")
+        .pointer(pointer(at))
+        .hint("It may have expired, or be used up by a capture. Upload it again.")
+}
+
+fn unfinished(at: usize, row: &UploadRow, bytes: u64) -> Problem {
+    let detail = format!("Of this upload {bytes} of {} bytes have come.", row.length);
+    Problem::conflict("unfinished", detail)
+        .pointer(pointer(at))
+        .hint("Send the rest first: HEAD tells where to go on.")
+}
+
+fn pointer(at: usize) -> String {
+    format!("/uploads/{at}")
+}

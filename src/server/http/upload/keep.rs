@@ -1,0 +1,164 @@
+//! How an upload becomes a capture.
+
+use std::path::{Path, PathBuf};
+
+use tokio::sync::MutexGuard;
+use uuid::Uuid;
+
+use super::Upload;
+use crate::app::App;
+use crate::data::{bytes_below, sync_directory};
+use crate::error::ServerError;
+use crate::http::access::Visitor;
+use crate::http::problem::Problem;
+use crate::http::quota::{bytes_left_beside, over_quota};
+use crate::intake::CaptureReport;
+use crate::removal::{remove, remove_file};
+use crate::store::{CaptureRow, now_ms};
+
+/// An upload whose files lie where those of captures lie, and whose row is still to be stored.
+/// Nobody else's look at the quota ends before it is dropped.
+#[derive(Debug)]
+pub struct Placed<'a> {
+    /// The row.
+    pub row: CaptureRow,
+    /// The uploads in pieces that it was gathered from.
+    pub uploads: Vec<String>,
+    files: PathBuf,
+    _turn: Option<MutexGuard<'a, ()>>,
+}
+
+impl Placed<'_> {
+    /// Takes the files away again: the row was not stored.
+    pub async fn give_up(self) {
+        remove(&self.files).await;
+    }
+
+    /// What is left of uploads in pieces goes: the row was stored, and theirs are gone.
+    pub async fn is_kept(self, app: &App) -> CaptureRow {
+        for id in &self.uploads {
+            remove_file(&app.data.upload(id)).await;
+        }
+        self.row
+    }
+}
+
+impl Upload {
+    /// Makes the upload a capture: on disk, fsynced, then in the database.
+    ///
+    /// # Errors
+    /// When the disk or the database refuses; 404 when uploads that it was gathered from are not
+    /// there any more.
+    pub async fn keep(
+        self,
+        app: &App,
+        report: &CaptureReport,
+        visitor: &Visitor,
+    ) -> Result<CaptureRow, Problem> {
+        let placed = self.place(app, report, visitor).await?;
+        let stored = if placed.uploads.is_empty() {
+            app.store.insert_capture(&placed.row).await.map(|()| true)
+        } else {
+            app.store
+                .insert_capture_of(&placed.row, &placed.uploads)
+                .await
+        };
+        if !matches!(stored, Ok(true)) {
+            placed.give_up().await;
+            stored?;
+            return Err(Problem::not_found("upload").pointer("/uploads"));
+        }
+        Ok(placed.is_kept(app).await)
+    }
+
+    /// Moves the files to where those of captures lie, fsynced.
+    ///
+    /// # Errors
+    /// When the disk refuses, or there is no room in the quota any more.
+    pub async fn place<'a>(
+        self,
+        app: &'a App,
+        report: &CaptureReport,
+        visitor: &Visitor,
+    ) -> Result<Placed<'a>, Problem> {
+        // Uploads of one owner that come at a time are counted one after the other.
+        let turn = match self.most {
+            Some(_) => Some(self.still_fits(app, visitor).await?),
+            None => None,
+        };
+        let row = CaptureRow {
+            id: Uuid::now_v7().to_string(),
+            name: self
+                .fields
+                .get("name")
+                .filter(|name| !name.is_empty())
+                .cloned()
+                .unwrap_or_else(default_name),
+            accepted: report.accepted,
+            report: serde_json::to_value(report).unwrap_or_default(),
+            created_at: now_ms(),
+            owner: visitor.owner().map(str::to_owned),
+            expires_at: None,
+        };
+        let to = app.data.capture(&row.id);
+        let moved = {
+            let (dir, to) = (self.dir.clone(), to.clone());
+            tokio::task::spawn_blocking(move || {
+                sync_tree(dir.path())?;
+                std::fs::rename(dir.path(), &to)?;
+                sync_directory(to.parent().unwrap_or(Path::new(".")))
+            })
+        };
+        moved
+            .await
+            .map_err(|_| Problem::internal())?
+            .map_err(ServerError::io(self.dir.path()))?;
+        Ok(Placed {
+            row,
+            uploads: self.used.ids,
+            files: to,
+            _turn: turn,
+        })
+    }
+
+    /// Looks again whether its owner's quota has room for it. Nobody else's look ends before the
+    /// answer is dropped.
+    async fn still_fits<'a>(
+        &self,
+        app: &'a App,
+        visitor: &Visitor,
+    ) -> Result<MutexGuard<'a, ()>, Problem> {
+        let turn = app.keeping.lock().await;
+        let left = bytes_left_beside(app, visitor, self.used.bytes).await?;
+        let dir = self.dir.clone();
+        let bytes = tokio::task::spawn_blocking(move || bytes_below(dir.path()))
+            .await
+            .map_err(|_| Problem::internal())?
+            .map_err(ServerError::io(self.dir.path()))?;
+        if left.is_some_and(|left| bytes > left) {
+            return Err(over_quota());
+        }
+        Ok(turn)
+    }
+}
+
+fn default_name() -> String {
+    format!(
+        "capture of {}",
+        jiff::Zoned::now().strftime("%Y-%m-%d %H:%M")
+    )
+}
+
+/// Makes the files and the names of a whole tree survive a power cut. Zips are unpacked by the
+/// examine, so the files received are not all there is.
+fn sync_tree(dir: &Path) -> std::io::Result<()> {
+    for entry in std::fs::read_dir(dir)? {
+        let entry = entry?;
+        if entry.file_type()?.is_dir() {
+            sync_tree(&entry.path())?;
+        } else {
+            std::fs::File::open(entry.path())?.sync_all()?;
+        }
+    }
+    sync_directory(dir)
+}

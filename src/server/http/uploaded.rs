@@ -1,0 +1,140 @@
+//! Captures and jobs of uploads in pieces.
+
+use std::sync::Arc;
+
+use serde::Deserialize;
+use serde_json::{Map, Value};
+use utoipa::ToSchema;
+
+use super::access::Visitor;
+use super::order::Order;
+use super::problem::Problem;
+use super::room::check_room;
+use super::upload::{Placed, check_space, gather, to_its_end};
+use crate::app::App;
+use crate::store::{Creation, Request, UsedUp};
+
+/// A capture of uploads in pieces.
+#[derive(Clone, Debug, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct CaptureOfUploads {
+    /// Finished uploads, each the last part of its address: photographs, poses, or one zip. They
+    /// are used up.
+    #[schema(min_items = 1)]
+    pub uploads: Vec<String>,
+    /// What to call it.
+    #[schema(max_length = 200)]
+    pub name: Option<String>,
+}
+
+/// A capture of uploads in pieces, and a job of it.
+#[derive(Clone, Debug, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct JobOfUploads {
+    /// Finished uploads, each the last part of its address: photographs, poses, or one zip. They
+    /// are used up.
+    #[schema(min_items = 1)]
+    uploads: Vec<String>,
+    /// `preview`, `standard` (default) or `paper`.
+    preset: Option<String>,
+    /// Options over the preset's; see `/v1/options`.
+    #[serde(default)]
+    #[schema(value_type = Object)]
+    options: Map<String, Value>,
+    /// What to call capture and job.
+    #[schema(max_length = 200)]
+    name: Option<String>,
+}
+
+impl JobOfUploads {
+    /// Identifies what is asked for: the uploads may be used up already.
+    fn fingerprint(&self) -> String {
+        let options = Value::Object(self.options.clone()).to_string();
+        let parts = [
+            "uploads",
+            &self.uploads.join("\n"),
+            self.preset.as_deref().unwrap_or_default(),
+            &options,
+            self.name.as_deref().unwrap_or_default(),
+        ];
+        blake3::hash(parts.join("\n\n").as_bytes())
+            .to_hex()
+            .to_string()
+    }
+}
+
+/// Creates a capture and a job of it; with a key, at most once.
+///
+/// # Errors
+/// Those of [`gather`], of the capture and of the job: then the uploads are as they were.
+pub(super) async fn create_job(
+    app: &Arc<App>,
+    body: JobOfUploads,
+    key: Option<&str>,
+    visitor: Visitor,
+) -> Result<Creation, Problem> {
+    let fingerprint = body.fingerprint();
+    let request = Request {
+        key,
+        fingerprint: &fingerprint,
+    };
+    // A request that is repeated has its job, and its uploads are used up.
+    if let Some(seen) = app.store.answered(&request).await? {
+        return Ok(seen);
+    }
+    match make(app, body, &request, visitor).await {
+        // The first one may have used them up meanwhile.
+        Err(problem) => app.store.answered(&request).await?.ok_or(problem),
+        made => made,
+    }
+}
+
+async fn make(
+    app: &Arc<App>,
+    body: JobOfUploads,
+    request: &Request<'_>,
+    visitor: Visitor,
+) -> Result<Creation, Problem> {
+    check_space(app)?;
+    check_room(app, &visitor).await?;
+    let preset = body.preset.as_deref().filter(|preset| !preset.is_empty());
+    let order = Order::new(app, preset, &body.options).await?;
+    let upload = gather(app, &body.uploads, body.name, &visitor).await?;
+    let report = upload.examine(app).await?;
+    order.check_views(&report)?;
+    let (app, key) = (app.clone(), request.key.map(str::to_owned));
+    let fingerprint = request.fingerprint.to_owned();
+    to_its_end(async move {
+        let request = Request {
+            key: key.as_deref(),
+            fingerprint: &fingerprint,
+        };
+        let placed = upload.place(&app, &report, &visitor).await?;
+        let creation = store(&app, &placed, &order, &request, &visitor).await;
+        // The uploads are still there where no job was made of them.
+        if matches!(creation, Ok(Creation::Created(_))) {
+            placed.is_kept(&app).await;
+        } else {
+            placed.give_up().await;
+        }
+        creation
+    })
+    .await
+}
+
+async fn store(
+    app: &App,
+    placed: &Placed<'_>,
+    order: &Order,
+    request: &Request<'_>,
+    visitor: &Visitor,
+) -> Result<Creation, Problem> {
+    let job = order.job(&placed.row.id, &placed.row.name)?;
+    let used = UsedUp {
+        capture: &placed.row,
+        uploads: &placed.uploads,
+    };
+    let room = visitor.room(app.limits.queue);
+    let creation = app.store.create_job_of(used, &job, request, room).await?;
+    creation.ok_or_else(|| Problem::not_found("upload").pointer("/uploads"))
+}

@@ -1,0 +1,201 @@
+//! Uploads in pieces.
+
+use std::collections::HashMap;
+
+use serde_json::json;
+use sqlx::sqlite::SqliteRow;
+use sqlx::{Row, SqliteConnection};
+
+use super::{Store, now_ms};
+use crate::error::{Result, ServerError};
+
+/// An upload in pieces, unfinished or not yet made a capture of.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct UploadRow {
+    /// UUID v7.
+    pub id: String,
+    /// Whose it is; `None` where nobody was asked for a token.
+    pub owner: Option<String>,
+    /// What its file is called, as sent.
+    pub filename: String,
+    /// `Upload-Metadata`, as sent.
+    pub metadata: String,
+    /// Bytes that it will have.
+    pub length: u64,
+    /// Bytes that count, while what lies behind them waits for its checksum; `None` where all do.
+    pub judged: Option<u64>,
+    /// Milliseconds since 1970.
+    pub created_at: i64,
+    /// The same: when it goes, unless more of it comes.
+    pub expires_at: i64,
+}
+
+impl Store {
+    /// Keeps an upload whose empty file is on the disk, where its owner has fewer than `most`.
+    /// `Ok(false)` where not.
+    ///
+    /// # Errors
+    /// When the database refuses.
+    pub async fn insert_upload(&self, row: &UploadRow, most: u32) -> Result<bool> {
+        let done = sqlx::query(
+            "INSERT INTO uploads (id, owner, filename, metadata, length, created_at, expires_at)
+             SELECT ?1, ?2, ?3, ?4, ?5, ?6, ?7 WHERE ?8 >
+             (SELECT COUNT(*) FROM uploads WHERE owner IS ?2 AND expires_at > ?6)",
+        )
+        .bind(&row.id)
+        .bind(&row.owner)
+        .bind(&row.filename)
+        .bind(&row.metadata)
+        .bind(signed(row.length))
+        .bind(row.created_at)
+        .bind(row.expires_at)
+        .bind(most)
+        .execute(&self.pool)
+        .await?;
+        Ok(done.rows_affected() == 1)
+    }
+
+    /// The upload of this id, unless it has expired.
+    ///
+    /// # Errors
+    /// When the database refuses.
+    pub async fn upload(&self, id: &str) -> Result<Option<UploadRow>> {
+        let row = sqlx::query("SELECT * FROM uploads WHERE id = ? AND expires_at > ?")
+            .bind(id)
+            .bind(now_ms())
+            .fetch_optional(&self.pool)
+            .await?;
+        row.as_ref().map(from_row).transpose()
+    }
+
+    /// Those of these uploads that there are, by id.
+    ///
+    /// # Errors
+    /// When the database refuses.
+    pub async fn uploads(&self, ids: &[String]) -> Result<HashMap<String, UploadRow>> {
+        let rows = sqlx::query(
+            "SELECT * FROM uploads WHERE id IN (SELECT value FROM json_each(?))
+             AND expires_at > ?",
+        )
+        .bind(json!(ids).to_string())
+        .bind(now_ms())
+        .fetch_all(&self.pool)
+        .await?;
+        let by_id = |row| from_row(row).map(|row| (row.id.clone(), row));
+        rows.iter().map(by_id).collect()
+    }
+
+    /// Whether there is such an upload of this owner.
+    ///
+    /// # Errors
+    /// When the database refuses.
+    pub async fn owns_upload(&self, owner: &str, id: &str) -> Result<bool> {
+        let owns = "SELECT EXISTS (SELECT 1 FROM uploads WHERE id = ? AND owner = ?)";
+        let owns = sqlx::query_scalar(owns).bind(id).bind(owner);
+        Ok(owns.fetch_one(&self.pool).await?)
+    }
+
+    /// Bytes that all uploads of an owner have or will have.
+    ///
+    /// # Errors
+    /// When the database refuses.
+    pub async fn bytes_of_uploads(&self, owner: &str) -> Result<u64> {
+        let sum: i64 = sqlx::query_scalar(
+            "SELECT COALESCE(SUM(length), 0) FROM uploads WHERE owner = ? AND expires_at > ?",
+        )
+        .bind(owner)
+        .bind(now_ms())
+        .fetch_one(&self.pool)
+        .await?;
+        Ok(u64::try_from(sum).unwrap_or(0))
+    }
+
+    /// Notes that more of an upload comes, and how many bytes of it count meanwhile; `None` for
+    /// all that lie there. `Ok(false)` when there is none.
+    ///
+    /// # Errors
+    /// When the database refuses.
+    pub async fn touch_upload(
+        &self,
+        id: &str,
+        judged: Option<u64>,
+        expires_at: i64,
+    ) -> Result<bool> {
+        let done = sqlx::query("UPDATE uploads SET judged = ?, expires_at = ? WHERE id = ?")
+            .bind(judged.map(signed))
+            .bind(expires_at)
+            .bind(id)
+            .execute(&self.pool)
+            .await?;
+        Ok(done.rows_affected() == 1)
+    }
+
+    /// Forgets an upload; with `by`, only if it has expired by then. `Ok(false)` when
+    /// there is none.
+    ///
+    /// # Errors
+    /// When the database refuses.
+    pub async fn forget_upload(&self, id: &str, by: Option<i64>) -> Result<bool> {
+        let done =
+            sqlx::query("DELETE FROM uploads WHERE id = ?1 AND (?2 IS NULL OR expires_at <= ?2)")
+                .bind(id)
+                .bind(by)
+                .execute(&self.pool)
+                .await?;
+        Ok(done.rows_affected() == 1)
+    }
+
+    /// The ids of uploads that have expired by then.
+    ///
+    /// # Errors
+    /// When the database refuses.
+    pub async fn expired_uploads(&self, by: i64) -> Result<Vec<String>> {
+        let expired = sqlx::query_scalar("SELECT id FROM uploads WHERE expires_at <= ?").bind(by);
+        Ok(expired.fetch_all(&self.pool).await?)
+    }
+
+    /// Forgets every upload: in a copy that has none of their files.
+    ///
+    /// # Errors
+    /// When the database refuses.
+    pub async fn forget_uploads(&self) -> Result<()> {
+        let forget = sqlx::query("DELETE FROM uploads");
+        forget.execute(&self.pool).await?;
+        Ok(())
+    }
+}
+
+/// Forgets these uploads, if all of them are there.
+pub(super) async fn use_up(tx: &mut SqliteConnection, ids: &[String]) -> Result<bool> {
+    let done = sqlx::query("DELETE FROM uploads WHERE id IN (SELECT value FROM json_each(?))")
+        .bind(json!(ids).to_string())
+        .execute(tx)
+        .await?;
+    Ok(done.rows_affected() == ids.len() as u64)
+}
+
+fn from_row(row: &SqliteRow) -> Result<UploadRow> {
+    let judged: Option<i64> = row.try_get("judged")?;
+    Ok(UploadRow {
+        id: row.try_get("id")?,
+        owner: row.try_get("owner")?,
+        filename: row.try_get("filename")?,
+        metadata: row.try_get("metadata")?,
+        length: unsigned(row.try_get("length")?)?,
+        judged: judged.map(unsigned).transpose()?,
+        created_at: row.try_get("created_at")?,
+        expires_at: row.try_get("expires_at")?,
+    })
+}
+
+/// No upload is as long as a signed number cannot tell.
+fn signed(bytes: u64) -> i64 {
+    i64::try_from(bytes).unwrap_or(i64::MAX)
+}
+
+fn unsigned(bytes: i64) -> Result<u64> {
+    u64::try_from(bytes).map_err(|error| ServerError::Damaged {
+        what: "upload",
+        detail: error.to_string(),
+    })
+}

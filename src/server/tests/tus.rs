@@ -1,0 +1,437 @@
+//! Uploads in pieces by the tus protocol, through a real server process.
+
+mod support;
+
+use std::fs;
+use std::io::Write;
+use std::thread::sleep;
+use std::time::{Duration, Instant};
+
+use support::Server;
+use support::tokens::token_of;
+use support::tus::{NAMED, PIECE, Tus, base64, status};
+
+/// How many files of uploads there are.
+fn files(server: &Server) -> usize {
+    let folder = server.data.path().join("data/uploads");
+    fs::read_dir(folder).expect("folder").count()
+}
+
+/// Waits until so much of an upload is on the disk, without asking the server.
+fn wait_for_bytes(server: &Server, path: &str, bytes: u64) {
+    let file = path.replace("/v1/uploads/", "data/uploads/");
+    let file = server.data.path().join(file);
+    let start = Instant::now();
+    while fs::metadata(&file).is_ok_and(|about| about.len() < bytes) {
+        assert!(start.elapsed() < Duration::from_secs(20), "{path}");
+        sleep(Duration::from_millis(10));
+    }
+}
+
+#[test]
+fn options_say_what_is_spoken_and_need_no_token() {
+    let server = Server::start();
+    let (_, _) = token_of("anna", &server, "jobs:write");
+    for path in ["/v1/uploads", "/v1/uploads/any"] {
+        // Also to those who do not say what they speak.
+        let told = server.ask("OPTIONS", path, &[], b"").expect(204);
+        for (name, value) in [
+            ("tus-resumable", "1.0.0"),
+            ("tus-version", "1.0.0"),
+            ("tus-max-size", "1073741824"),
+            ("tus-checksum-algorithm", "sha1,sha256"),
+        ] {
+            assert_eq!(told.header(name), value, "{name}");
+        }
+        for extension in [
+            "creation",
+            "creation-with-upload",
+            "expiration",
+            "checksum",
+            "termination",
+        ] {
+            let mut told = told.header("tus-extension").split(',');
+            assert!(told.any(|known| known == extension), "{extension}");
+        }
+        server.ask("HEAD", path, &[], b"").expect(401);
+    }
+}
+
+#[test]
+fn who_speaks_another_version_is_told_which_and_nothing_is_done() {
+    let server = Server::start();
+    let tus = Tus::new(&server);
+    let path = tus.create("a.png", 3);
+    for version in [&[][..], &[("tus-resumable", "0.2.2")]] {
+        let length = [version, &[NAMED, ("upload-length", "3")]].concat();
+        let offset = [version, &[PIECE, ("upload-offset", "0")]].concat();
+        for (method, path, headers, body) in [
+            ("POST", "/v1/uploads", &length, &b""[..]),
+            ("HEAD", &path, &version.to_vec(), b""),
+            ("PATCH", &path, &offset, b"abc"),
+            ("DELETE", &path, &version.to_vec(), b""),
+        ] {
+            let refused = server.ask(method, path, headers, body).expect(412);
+            assert_eq!(refused.header("tus-version"), "1.0.0", "{method}");
+            assert_eq!(refused.header("tus-resumable"), "1.0.0", "{method}");
+        }
+    }
+    assert_eq!((tus.offset(&path), files(&server)), (0, 1));
+}
+
+#[test]
+fn an_upload_comes_in_pieces_and_says_how_much_of_it_there_is() {
+    let server = Server::start();
+    let tus = Tus::new(&server);
+    let metadata = format!("filename {},kind ,is_dark", base64("a b.png".as_bytes()));
+    let headers = [("upload-length", "11"), ("upload-metadata", &*metadata)];
+    let begun = tus.ask("POST", "/v1/uploads", &headers, b"").expect(201);
+    assert!(begun.header("upload-expires").ends_with(" GMT"));
+    let path = begun.header("location").to_owned();
+    let told = tus.head(&path).expect(200);
+    for (name, value) in [
+        ("upload-offset", "0"),
+        ("upload-length", "11"),
+        ("upload-metadata", &*metadata),
+        ("cache-control", "no-store"),
+    ] {
+        assert_eq!(told.header(name), value, "{name}");
+    }
+    let first = tus.patch(&path, 0, b"hello ").expect(204);
+    assert_eq!(first.header("upload-offset"), "6");
+    assert!(first.header("upload-expires").ends_with(" GMT"));
+    for wrong in [0, 5, 7, 11, 12] {
+        let refused = tus.patch(&path, wrong, b"world").expect(409);
+        assert_eq!(refused.json()["code"], "wrong_offset", "{wrong}");
+    }
+    let empty = tus.patch(&path, 6, b"").expect(204);
+    assert_eq!(empty.header("upload-offset"), "6");
+    let last = tus.patch(&path, 6, b"world").expect(204);
+    assert_eq!(last.header("upload-offset"), "11");
+    // It is finished: nothing can be added, and asking for it does no harm.
+    tus.patch(&path, 11, b"").expect(204);
+    tus.patch(&path, 11, b"!").expect(413);
+    tus.patch(&path, 0, b"!").expect(409);
+    assert_eq!(tus.offset(&path), 11);
+    let file = path.replace("/v1/uploads/", "data/uploads/");
+    let content = fs::read(server.data.path().join(file)).expect("there");
+    assert_eq!(content, b"hello world");
+}
+
+#[test]
+fn an_upload_that_cannot_be_is_refused_before_it_begins() {
+    let server = Server::start_with(&[("FLED_FAKE_UPLOAD_BYTES", "1000")]);
+    let tus = Tus::new(&server);
+    let long = format!("filename d2Fsay5wbmc=,x {}", "A".repeat(8192));
+    let length = ("upload-length", "5");
+    for (status, headers) in [
+        (400, vec![NAMED]),
+        (400, vec![NAMED, ("upload-length", "-1")]),
+        (400, vec![NAMED, ("upload-length", "5e3")]),
+        (400, vec![NAMED, ("upload-defer-length", "1")]),
+        (400, vec![NAMED, length, ("upload-concat", "partial")]),
+        (400, vec![length]),
+        (400, vec![length, ("upload-metadata", "filename")]),
+        (400, vec![length, ("upload-metadata", "filename !")]),
+        (400, vec![length, ("upload-metadata", &long)]),
+        (413, vec![NAMED, ("upload-length", "1001")]),
+    ] {
+        let refused = tus.ask("POST", "/v1/uploads", &headers, b"");
+        assert_eq!(refused.status, status, "{headers:?}: {}", refused.text());
+        assert!(refused.json()["hint"].is_string(), "{}", refused.text());
+    }
+    assert_eq!(files(&server), 0);
+    let path = tus.create("a.png", 1000);
+    let offset = ("upload-offset", "0");
+    tus.ask("PATCH", &path, &[offset], b"a").expect(415);
+    let kind = ("content-type", "application/octet-stream");
+    tus.ask("PATCH", &path, &[offset, kind], b"a").expect(415);
+    tus.ask("PATCH", &path, &[PIECE], b"a").expect(400);
+    let negative = ("upload-offset", "-0");
+    tus.ask("PATCH", &path, &[PIECE, negative], b"a")
+        .expect(400);
+    tus.ask("GET", &path, &[], b"").expect(405);
+    tus.ask("POST", &path, &[], b"").expect(405);
+    for method in ["HEAD", "PATCH", "DELETE"] {
+        let headers = [PIECE, offset];
+        tus.ask(method, "/v1/uploads/none", &headers, b"")
+            .expect(404);
+    }
+    assert_eq!(tus.offset(&path), 0);
+}
+
+#[test]
+fn a_piece_longer_than_the_rest_changes_nothing() {
+    let server = Server::start();
+    let tus = Tus::new(&server);
+    let path = tus.create("a.png", 5);
+    tus.patch(&path, 0, b"ab").expect(204);
+    let refused = tus.patch(&path, 2, b"cdef").expect(413);
+    assert_eq!(refused.json()["code"], "too_large");
+    // Without a length it is noticed as it comes.
+    let address = server.base.trim_start_matches("http://");
+    let mut stream = std::net::TcpStream::connect(address).expect("connect");
+    write!(
+        stream,
+        "PATCH {path} HTTP/1.1\r\nHost: {address}\r\nTus-Resumable: 1.0.0\r\nUpload-Offset: 2\r\n\
+         Content-Type: application/offset+octet-stream\r\nTransfer-Encoding: chunked\r\n\r\n2\r\ncd\r\n"
+    )
+    .expect("head");
+    wait_for_bytes(&server, &path, 4);
+    stream.write_all(b"4\r\nefgh\r\n0\r\n\r\n").expect("rest");
+    assert_eq!(status(&mut stream), "413");
+    assert_eq!(tus.offset(&path), 2);
+    tus.patch(&path, 2, b"cde").expect(204);
+}
+
+#[test]
+fn a_file_of_no_bytes_is_finished_at_once() {
+    let server = Server::start();
+    let tus = Tus::new(&server);
+    let path = tus.create("empty.txt", 0);
+    let told = tus.head(&path).expect(200);
+    assert_eq!(told.header("upload-offset"), told.header("upload-length"));
+    tus.patch(&path, 0, b"").expect(204);
+}
+
+#[test]
+fn the_first_piece_may_come_with_the_request_that_begins() {
+    let server = Server::start();
+    let tus = Tus::new(&server);
+    let length = ("upload-length", "5");
+    let begin = |headers: &[(&str, &str)], body: &[u8]| {
+        let headers = [headers, &[NAMED, length]].concat();
+        tus.ask("POST", "/v1/uploads", &headers, body)
+    };
+    let begun = begin(&[PIECE], b"abc").expect(201);
+    assert_eq!(begun.header("upload-offset"), "3");
+    let path = begun.header("location");
+    tus.patch(path, 3, b"de").expect(204);
+    begin(&[], b"abc").expect(415);
+    begin(&[("content-type", "text/plain")], b"abc").expect(415);
+    begin(&[PIECE], b"abcdef").expect(413);
+    let other = ("upload-checksum", "sha1 qZk+NkcGgWq6PiVxeFDCbJzQ2J0=");
+    begin(&[PIECE, other], b"abd").expect(460);
+    assert_eq!(files(&server), 1, "nothing was begun");
+    begin(&[PIECE, other], b"abc").expect(201);
+}
+
+#[test]
+fn a_piece_that_is_not_what_was_sent_leaves_nothing() {
+    let server = Server::start();
+    let tus = Tus::new(&server);
+    let path = tus.create("a.png", 14);
+    let patch = |offset, body: &[u8], sum: &str| {
+        tus.patch_with(&path, offset, body, &[("upload-checksum", sum)])
+    };
+    tus.patch(&path, 0, b"abc").expect(204);
+    let sha1 = "sha1 Kq5sNclPz7QV2+lfQIuc6R7oRu0=";
+    let refused = patch(3, b"hello worle", sha1).expect(460);
+    assert_eq!(refused.json()["code"], "checksum_mismatch");
+    assert_eq!(tus.offset(&path), 3);
+    for unknown in ["md5 XrY7u+Ae7tCTyyK7j1rNww==", "sha1", "sha1 !", ""] {
+        patch(3, b"hello world", unknown).expect(400);
+    }
+    // Half of it cannot be judged.
+    let further = format!("Upload-Offset: 3\r\nUpload-Checksum: {sha1}\r\n");
+    let stream = tus.hanging(&path, &further, 11, b"hello");
+    wait_for_bytes(&server, &path, 8);
+    drop(stream);
+    assert_eq!(tus.offset(&path), 3);
+    patch(3, b"hello world", sha1).expect(204);
+    assert_eq!(tus.offset(&path), 14);
+    let path = tus.create("b.png", 11);
+    let sha256 = "sha256 uU0nuZNNPgilLlLX2n2r+sSE7+N6U4DukIj3rOLvzek=";
+    let sum = [("upload-checksum", sha256)];
+    tus.patch_with(&path, 0, b"hello worle", &sum).expect(460);
+    tus.patch_with(&path, 0, b"hello world", &sum).expect(204);
+}
+
+#[test]
+fn what_came_before_a_connection_broke_stays() {
+    let server = Server::start();
+    let tus = Tus::new(&server);
+    let path = tus.create("a.png", 10);
+    let stream = tus.hanging(&path, "Upload-Offset: 0\r\n", 10, b"abcd");
+    wait_for_bytes(&server, &path, 4);
+    drop(stream);
+    assert_eq!(tus.offset(&path), 4);
+    tus.patch(&path, 4, b"efghij").expect(204);
+}
+
+#[test]
+fn a_sender_that_falls_asleep_is_given_up_and_what_came_stays() {
+    let server = Server::start_with(&[("FLED_FAKE_STALL_MS", "300")]);
+    let tus = Tus::new(&server);
+    let path = tus.create("a.png", 10);
+    let mut asleep = tus.hanging(&path, "Upload-Offset: 0\r\n", 10, b"abcd");
+    assert_eq!(status(&mut asleep), "400");
+    assert_eq!(tus.offset(&path), 4);
+}
+
+#[test]
+fn who_comes_back_takes_over_and_what_was_told_does_not_grow() {
+    let server = Server::start();
+    let tus = Tus::new(&server);
+    let path = tus.create("a.png", 12);
+    let mut hung = tus.hanging(&path, "Upload-Offset: 0\r\n", 12, b"abcd");
+    wait_for_bytes(&server, &path, 4);
+    let start = Instant::now();
+    assert_eq!(tus.offset(&path), 4);
+    assert!(start.elapsed() < Duration::from_secs(5), "it hangs, too");
+    assert_eq!(status(&mut hung), "409");
+    // What the old connection still sends is nobody's.
+    let _ = hung.write_all(b"XXXXXXXX");
+    sleep(Duration::from_millis(200));
+    assert_eq!(tus.offset(&path), 4);
+    let mut hung = tus.hanging(&path, "Upload-Offset: 4\r\n", 8, b"ef");
+    wait_for_bytes(&server, &path, 6);
+    tus.patch(&path, 6, b"ghijkl").expect(204);
+    assert_eq!(status(&mut hung), "409");
+    let file = path.replace("/v1/uploads/", "data/uploads/");
+    let content = fs::read(server.data.path().join(file)).expect("there");
+    assert_eq!(content, b"abcdefghijkl");
+}
+
+#[test]
+fn an_upload_that_is_deleted_is_not_there_for_whoever_waits() {
+    let server = Server::start();
+    let tus = Tus::new(&server);
+    for _ in 0..10 {
+        let path = tus.create("a.png", 12);
+        let hung = tus.hanging(&path, "Upload-Offset: 0\r\n", 12, b"abcd");
+        wait_for_bytes(&server, &path, 4);
+        std::thread::scope(|scope| {
+            let heads: Vec<_> = (0..3)
+                .map(|_| scope.spawn(|| tus.head(&path).status))
+                .collect();
+            tus.ask("DELETE", &path, &[], b"").expect(204);
+            for head in heads {
+                let status = head.join().expect("an answer");
+                assert!([200, 404].contains(&status), "{status}");
+            }
+        });
+        drop(hung);
+        for method in ["HEAD", "DELETE"] {
+            tus.ask(method, &path, &[], b"").expect(404);
+        }
+        tus.patch(&path, 4, b"e").expect(404);
+    }
+    assert_eq!(files(&server), 0);
+}
+
+#[test]
+fn an_upload_expires_a_while_after_its_last_byte() {
+    let short = [("FLED_FAKE_UPLOAD_MS", "2000")];
+    let mut server = Server::start_with(&short);
+    let tus = Tus::new(&server);
+    let (left, sent) = (tus.create("a.png", 4), tus.create("b.png", 4));
+    sleep(Duration::from_millis(1300));
+    tus.patch(&sent, 0, b"a").expect(204);
+    sleep(Duration::from_millis(1000));
+    tus.head(&left).expect(404);
+    tus.patch(&left, 0, b"a").expect(404);
+    tus.patch(&sent, 1, b"b").expect(204);
+    assert_eq!(tus.offset(&sent), 2);
+    assert_eq!(files(&server), 2);
+    server.restart_with(&short);
+    assert_eq!(files(&server), 1, "the expired one is swept");
+    assert_eq!(Tus::new(&server).offset(&sent), 2);
+}
+
+#[test]
+fn a_killed_server_knows_what_it_had_of_an_upload() {
+    let mut server = Server::start();
+    let content: Vec<u8> = (0..3_000_000_u32).map(|i| (i % 251) as u8).collect();
+    let (plain, judged) = {
+        let tus = Tus::new(&server);
+        let plain = tus.create("plain.png", content.len());
+        let judged = tus.create("judged.png", content.len());
+        for path in [&plain, &judged] {
+            tus.patch(path, 0, &content[..1000]).expect(204);
+        }
+        (plain, judged)
+    };
+    let tus = Tus::new(&server);
+    let some = &content[1000..1_500_000];
+    let rest = content.len() - 1000;
+    let offset = "Upload-Offset: 1000\r\n";
+    let sum = format!("{offset}Upload-Checksum: sha1 Kq5sNclPz7QV2+lfQIuc6R7oRu0=\r\n");
+    let streams = [
+        tus.hanging(&plain, offset, rest, some),
+        tus.hanging(&judged, &sum, rest, some),
+    ];
+    for path in [&plain, &judged] {
+        wait_for_bytes(&server, path, 100_000);
+    }
+    server.kill();
+    drop(streams);
+    server.restart();
+    let tus = Tus::new(&server);
+    assert_eq!(tus.offset(&judged), 1000, "nobody has judged the rest");
+    let offset = tus.offset(&plain);
+    let file = plain.replace("/v1/uploads/", "data/uploads/");
+    let file = server.data.path().join(file);
+    let there = fs::read(&file).expect("there");
+    assert!(offset >= 100_000 && there == content[..offset], "{offset}");
+    tus.patch(&plain, offset, &content[offset..]).expect(204);
+    assert!(fs::read(&file).expect("there") == content);
+}
+
+#[test]
+fn a_client_that_can_only_post_names_its_method() {
+    let server = Server::start();
+    let tus = Tus::new(&server);
+    let path = tus.create("a.png", 3);
+    let by = |method| ("x-http-method-override", method);
+    let offset = ("upload-offset", "0");
+    tus.ask("POST", &path, &[by("PATCH"), PIECE, offset], b"abc")
+        .expect(204);
+    let told = tus.ask("POST", &path, &[by("HEAD")], b"").expect(200);
+    assert_eq!(told.header("upload-offset"), "3");
+    tus.ask("POST", &path, &[by("PUT")], b"").expect(405);
+    tus.ask("POST", &path, &[by("DELETE")], b"").expect(204);
+    tus.head(&path).expect(404);
+}
+
+#[test]
+fn there_are_no_more_uploads_than_may_be() {
+    let server = Server::start_with(&[("FLED_FAKE_UPLOADS", "2")]);
+    let (anna, _) = token_of("anna", &server, "jobs:write");
+    let (ben, _) = token_of("ben", &server, "jobs:write");
+    let (annas, bens) = (Tus::of(&server, &anna), Tus::of(&server, &ben));
+    let first = annas.create("a.png", 1);
+    annas.upload("b.png", b"b");
+    let refused = annas.begin("c.png", 1).expect(429);
+    assert_eq!(refused.json()["code"], "too_many_uploads");
+    bens.create("c.png", 1);
+    annas.ask("DELETE", &first, &[], b"").expect(204);
+    annas.create("c.png", 1);
+    assert_eq!(files(&server), 3);
+}
+
+#[test]
+fn many_pieces_do_not_use_up_an_allowance() {
+    let server = Server::start_with(&[("FLED_FAKE_RATE", "1"), ("FLED_FAKE_BURST", "100")]);
+    let (anna, _) = token_of("anna", &server, "jobs:write");
+    let tus = Tus::of(&server, &anna);
+    let path = tus.create("a.png", 40);
+    for offset in 0..40 {
+        tus.patch(&path, offset, b"a").expect(204);
+    }
+    let pieces = (0..40).map(|_| tus.patch(&path, 40, b"").status);
+    assert!(pieces.into_iter().any(|status| status == 429), "they cost");
+}
+
+#[test]
+fn below_the_watermark_no_piece_is_taken() {
+    let mut server = Server::start();
+    let path = Tus::new(&server).create("a.png", 4);
+    Tus::new(&server).patch(&path, 0, b"a").expect(204);
+    server.restart_with(&[("FLED_FAKE_MIN_FREE", "1152921504606846976")]);
+    let tus = Tus::new(&server);
+    let refused = tus.begin("b.png", 4).expect(507);
+    assert_eq!(refused.json()["code"], "disk_full");
+    tus.patch(&path, 1, b"bcd").expect(507);
+    assert_eq!((tus.offset(&path), files(&server)), (1, 1));
+}

@@ -1,0 +1,373 @@
+//! Captures and jobs of uploads in pieces, through a real server process.
+
+mod support;
+
+use std::fs;
+use std::path::Path;
+
+use fled_server::store::Quotas;
+use serde_json::{Value, json};
+use support::tokens::{token_of, token_with, with_store};
+use support::tus::Tus;
+use support::{Server, photograph, photographs, zip};
+
+/// All that a user needs.
+const USER: &str = "jobs:read,jobs:write,renders";
+
+/// Uploads of so many photographs.
+fn uploads(tus: &Tus<'_>, n: usize) -> Vec<String> {
+    let upload = |i| tus.upload(&format!("{i:03}.png"), &photograph(i));
+    (0..n).map(upload).collect()
+}
+
+fn names(folder: &Path) -> Vec<String> {
+    let entries = fs::read_dir(folder).expect("folder").flatten();
+    let mut names: Vec<String> = entries
+        .map(|entry| entry.file_name().to_string_lossy().into_owned())
+        .collect();
+    names.sort();
+    names
+}
+
+fn count(server: &Server, list: &str) -> usize {
+    let told = server.get(&format!("/v1/{list}"), &[]).expect(200).json();
+    told[list].as_array().expect("a list").len()
+}
+
+fn path(id: &str) -> String {
+    format!("/v1/uploads/{id}")
+}
+
+#[test]
+fn photographs_that_came_in_pieces_become_a_capture() {
+    let server = Server::start();
+    let tus = Tus::new(&server);
+    let mut ids = uploads(&tus, 4);
+    ids.push(tus.upload("../gt/../gt/000.png", &photograph(9)));
+    ids.push(tus.upload("notes.jpg", b"no photograph"));
+    ids.push(tus.upload("../../000.png", &photograph(7)));
+    let data = server.data.path().join("data");
+    let order = json!({ "uploads": ids, "name": "in pieces" });
+    let dry = server.post_json("/v1/captures?dry_run", &order, &[]);
+    assert_eq!(dry.expect(200).json()["accepted"], 5);
+    assert_eq!(names(&data.join("uploads")).len(), 7, "nothing is used up");
+    let made = server.post_json("/v1/captures", &order, &[]).expect(201);
+    let capture = made.json();
+    assert_eq!(
+        (&capture["name"], &capture["accepted"]),
+        (&"in pieces".into(), &5.into())
+    );
+    assert_eq!(
+        made.header("location"),
+        format!("/v1/captures/{}", capture["id"].as_str().expect("id"))
+    );
+    let kept = data
+        .join("captures")
+        .join(capture["id"].as_str().expect("id"));
+    assert_eq!(names(&kept), ["gt", "images"]);
+    assert_eq!(
+        names(&kept.join("images")),
+        [
+            "000-2.png",
+            "000.png",
+            "001.png",
+            "002.png",
+            "003.png",
+            "notes.jpg"
+        ]
+    );
+    assert!(fs::read(kept.join("images/002.png")).expect("there") == photograph(2));
+    assert!(names(&data.join("uploads")).is_empty() && names(&data.join("incoming")).is_empty());
+    for id in &ids {
+        tus.head(&path(id)).expect(404);
+    }
+    let again = server.post_json("/v1/captures", &order, &[]).expect(404);
+    assert_eq!(again.json()["pointer"], "/uploads/0");
+}
+
+#[test]
+fn a_zip_that_came_in_pieces_becomes_a_capture() {
+    let server = Server::start();
+    let tus = Tus::new(&server);
+    let content: Vec<(&str, Vec<u8>)> = (0..)
+        .zip(["images/a.png", "images/b.png", "images/c.png"])
+        .map(|(i, name)| (name, photograph(i)))
+        .collect();
+    let id = tus.upload("walk.zip", &zip(&content));
+    let order = json!({ "uploads": [id] });
+    let made = server
+        .post_json("/v1/captures", &order, &[])
+        .expect(201)
+        .json();
+    assert_eq!(made["accepted"], 3);
+    let kept = server.data.path().join("data/captures");
+    let kept = kept.join(made["id"].as_str().expect("id"));
+    assert_eq!(names(&kept), ["upload.zip"]);
+}
+
+#[test]
+fn uploads_become_a_job_at_most_once_for_a_key() {
+    let server = Server::start();
+    let tus = Tus::new(&server);
+    let ids = uploads(&tus, 4);
+    let order = json!({
+        "uploads": ids, "name": "walk", "preset": "preview", "options": { "adapter": "ok" },
+    });
+    let key = [("idempotency-key", "walk")];
+    let made = server.post_json("/v1/jobs", &order, &key).expect(202);
+    assert_eq!(made.header("idempotent-replayed"), "");
+    let job = made.json();
+    assert_eq!(
+        (&job["name"], &job["preset"]),
+        (&"walk".into(), &"preview".into())
+    );
+    // The answer was lost, and the uploads are used up.
+    let again = server.post_json("/v1/jobs", &order, &key).expect(202);
+    assert_eq!(again.header("idempotent-replayed"), "true");
+    assert_eq!(again.json()["id"], job["id"]);
+    let mut other = order.clone();
+    other["name"] = "another".into();
+    let refused = server.post_json("/v1/jobs", &other, &key).expect(422);
+    assert_eq!(refused.json()["code"], "key_reused");
+    server.post_json("/v1/jobs", &order, &[]).expect(404);
+    assert_eq!((count(&server, "captures"), count(&server, "jobs")), (1, 1));
+    server.wait_state(job["id"].as_str().expect("id"), "succeeded");
+}
+
+#[test]
+fn the_same_request_sent_at_a_time_makes_one_job() {
+    let server = Server::start();
+    let tus = Tus::new(&server);
+    let order = json!({ "uploads": uploads(&tus, 4), "options": { "adapter": "ok" } });
+    let key = [("idempotency-key", "walk")];
+    let jobs: Vec<Value> = std::thread::scope(|scope| {
+        let ask = || {
+            server
+                .post_json("/v1/jobs", &order, &key)
+                .expect(202)
+                .json()
+        };
+        let asked: Vec<_> = (0..4).map(|_| scope.spawn(ask)).collect();
+        let answers = asked.into_iter().map(|answer| answer.join().expect("202"));
+        answers.map(|job| job["id"].clone()).collect()
+    });
+    assert!(jobs.iter().all(|job| *job == jobs[0]), "{jobs:?}");
+    assert_eq!((count(&server, "captures"), count(&server, "jobs")), (1, 1));
+    let captures = server.data.path().join("data/captures");
+    assert_eq!(names(&captures).len(), 1, "files without a row");
+}
+
+#[test]
+fn uploads_stay_as_long_as_nothing_is_made_of_them() {
+    let server = Server::start_with(&[("FLED_FAKE_QUEUE", "1")]);
+    let tus = Tus::new(&server);
+    let ids = uploads(&tus, 4);
+    let half = tus.create("half.png", 100);
+    tus.patch(&half, 0, b"abc").expect(204);
+    let half = half.trim_start_matches("/v1/uploads/");
+    let text = tus.upload("notes.jpg", b"no photograph");
+    let refused = |uploads: Value, status: u16| {
+        let mut told = json!(null);
+        for path in ["/v1/captures", "/v1/jobs"] {
+            let order = json!({ "uploads": uploads });
+            told = server.post_json(path, &order, &[]).expect(status).json();
+        }
+        told
+    };
+    let unfinished = refused(json!([ids[0], half]), 409);
+    assert_eq!(unfinished["code"], "unfinished");
+    assert_eq!(unfinished["pointer"], "/uploads/1");
+    assert_eq!(
+        refused(json!([ids[0], "none"]), 404)["pointer"],
+        "/uploads/1"
+    );
+    assert_eq!(
+        refused(json!([ids[0], ids[0]]), 422)["pointer"],
+        "/uploads/1"
+    );
+    assert_eq!(
+        refused(json!([ids[0], "../fled.db"]), 404)["pointer"],
+        "/uploads/1"
+    );
+    refused(json!([]), 422);
+    refused(json!("none"), 422);
+    let few = refused(json!([ids[0], ids[1], text]), 422);
+    assert!(
+        few["capture"]["images"]
+            .as_array()
+            .is_some_and(|v| v.len() == 3)
+    );
+    let long = json!({ "uploads": ids, "name": "x".repeat(201) });
+    server.post_json("/v1/captures", &long, &[]).expect(422);
+    let both = json!({ "uploads": ids, "capture_id": "c" });
+    server.post_json("/v1/jobs", &both, &[]).expect(422);
+    let wrong = json!({ "uploads": ids, "options": { "rounds": "many" } });
+    server.post_json("/v1/jobs", &wrong, &[]).expect(422);
+    assert_eq!((count(&server, "captures"), count(&server, "jobs")), (0, 0));
+    let folder = server.data.path().join("data");
+    assert_eq!(names(&folder.join("uploads")).len(), 6);
+    assert!(names(&folder.join("incoming")).is_empty());
+    assert!(names(&folder.join("captures")).is_empty());
+    let order = json!({ "uploads": ids, "options": { "adapter": "slow:1000" } });
+    server.post_json("/v1/jobs", &order, &[]).expect(202);
+}
+
+#[test]
+fn a_job_for_which_there_is_no_room_takes_no_uploads() {
+    let server = Server::start();
+    let quotas = Quotas {
+        jobs: Some(1),
+        ..Quotas::default()
+    };
+    let (anna, _) = token_with(&server, "anna", USER, quotas);
+    let tus = Tus::of(&server, &anna);
+    let orders = [0, 1]
+        .map(|_| json!({ "uploads": uploads(&tus, 4), "options": { "adapter": "slow:1000" } }));
+    let headers = [("authorization", anna.as_str())];
+    // Both are looked at before one of them has its job.
+    let mut statuses = std::thread::scope(|scope| {
+        let asked = orders
+            .each_ref()
+            .map(|order| scope.spawn(|| server.post_json("/v1/jobs", order, &headers).status));
+        asked.map(|answer| answer.join().expect("an answer"))
+    });
+    statuses.sort_unstable();
+    assert_eq!(statuses, [202, 429]);
+    let data = server.data.path().join("data");
+    assert_eq!(names(&data.join("uploads")).len(), 4, "one may try again");
+    assert_eq!(names(&data.join("captures")).len(), 1);
+}
+
+#[test]
+fn an_upload_is_its_owners() {
+    let server = Server::start();
+    let nobodys = Tus::new(&server).upload("000.png", &photograph(0));
+    let (anna, _) = token_of("anna", &server, USER);
+    let (later, _) = token_of("anna", &server, "jobs:write");
+    let (ben, _) = token_of("ben", &server, USER);
+    let (admin, _) = token_of("root", &server, "admin");
+    let (reads, _) = token_of("anna", &server, "jobs:read,renders");
+    let ids = uploads(&Tus::of(&server, &anna), 4);
+    let order = json!({ "uploads": ids });
+    for (header, seen) in [(&ben, 404), (&reads, 403), (&admin, 200), (&later, 200)] {
+        Tus::of(&server, header).head(&path(&ids[0])).expect(seen);
+    }
+    let bens = Tus::of(&server, &ben);
+    bens.patch(&path(&ids[0]), 0, b"").expect(404);
+    bens.ask("DELETE", &path(&ids[0]), &[], b"").expect(404);
+    // Also for those who see it: it would count for them, or for nobody.
+    for header in [&ben, &admin] {
+        let headers = [("authorization", header.as_str())];
+        for path in ["/v1/captures", "/v1/jobs"] {
+            let refused = server.post_json(path, &order, &headers).expect(404);
+            assert_eq!(refused.json()["pointer"], "/uploads/0");
+        }
+    }
+    let headers = [("authorization", anna.as_str())];
+    let stolen = json!({ "uploads": [ids[0], ids[1], ids[2], nobodys] });
+    let refused = server.post_json("/v1/captures", &stolen, &headers);
+    assert_eq!(refused.expect(404).json()["pointer"], "/uploads/3");
+    Tus::of(&server, &anna).head(&path(&nobodys)).expect(404);
+    server
+        .post_json("/v1/captures", &order, &headers)
+        .expect(201);
+}
+
+#[test]
+fn uploads_count_for_their_owners_quota_once() {
+    let server = Server::start();
+    let bytes: usize = photographs(3).iter().map(|part| part.2.len()).sum();
+    let quotas = Quotas {
+        bytes: Some(bytes as u64),
+        ..Quotas::default()
+    };
+    let (anna, _) = token_with(&server, "anna", USER, quotas);
+    let tus = Tus::of(&server, &anna);
+    let headers = [("authorization", anna.as_str())];
+    let refused = tus.begin("a.png", bytes + 1).expect(507);
+    assert_eq!(refused.json()["code"], "quota_bytes");
+    // What is announced counts before it comes.
+    let announced = tus.create("a.png", bytes);
+    tus.begin("b.png", 1).expect(507);
+    let parts = photographs(3);
+    let refused = server.upload("/v1/captures", &parts, &headers);
+    assert_eq!(refused.expect(507).json()["code"], "quota_bytes");
+    tus.ask("DELETE", &announced, &[], b"").expect(204);
+    let ids = uploads(&tus, 3);
+    tus.begin("b.png", 1).expect(507);
+    // They fill the quota, and so does the capture that they become.
+    let order = json!({ "uploads": ids });
+    server
+        .post_json("/v1/captures", &order, &headers)
+        .expect(201);
+    tus.begin("b.png", 1).expect(507);
+}
+
+#[test]
+fn uploads_together_are_no_larger_than_one_may_be() {
+    let server = Server::start_with(&[("FLED_FAKE_UPLOAD_BYTES", "100000")]);
+    let tus = Tus::new(&server);
+    let ids = [0, 1].map(|_| tus.upload("a.zip", &[0; 60_000]));
+    let order = json!({ "uploads": ids });
+    let refused = server.post_json("/v1/captures", &order, &[]).expect(413);
+    assert_eq!(refused.json()["code"], "too_large");
+}
+
+#[test]
+fn an_upload_whose_file_is_lost_is_not_there() {
+    let mut server = Server::start();
+    let ids = uploads(&Tus::new(&server), 4);
+    let folder = server.data.path().join("data/uploads");
+    fs::remove_file(folder.join(&ids[1])).expect("removed");
+    let tus = Tus::new(&server);
+    tus.head(&path(&ids[1])).expect(404);
+    tus.patch(&path(&ids[1]), 0, b"").expect(404);
+    let order = json!({ "uploads": ids });
+    let refused = server.post_json("/v1/captures", &order, &[]).expect(404);
+    assert_eq!(refused.json()["pointer"], "/uploads/1");
+    server.restart();
+    let left = with_store(&server, async |store| store.ids("uploads").await);
+    let mut left: Vec<String> = left.expect("read").into_iter().collect();
+    left.sort();
+    assert_eq!(left, [&ids[0][..], &ids[2], &ids[3]]);
+}
+
+#[test]
+fn an_upload_without_a_row_is_kept_aside() {
+    let mut server = Server::start();
+    let tus = Tus::new(&server);
+    let (finished, empty) = (tus.upload("a.png", b"abc"), tus.create("b.png", 3));
+    let empty = empty.trim_start_matches("/v1/uploads/");
+    // As a database that is an older copy.
+    with_store(&server, async |store| {
+        store.forget_uploads().await.expect("forgotten");
+    });
+    server.restart();
+    let data = server.data.path().join("data");
+    assert!(names(&data.join("uploads")).is_empty());
+    let aside = names(&data.join("unnamed/uploads"));
+    assert_eq!(aside, [finished], "{empty} is nothing to lose");
+}
+
+#[test]
+fn a_backup_has_no_uploads() {
+    let server = Server::start();
+    let id = Tus::new(&server).upload("a.png", b"abc");
+    let mut other = Server::start();
+    other.kill();
+    let (from, to) = (
+        server.data.path().join("data"),
+        other.data.path().join("data"),
+    );
+    fs::remove_dir_all(&to).expect("removed");
+    let runtime = tokio::runtime::Builder::new_current_thread()
+        .enable_all()
+        .build()
+        .expect("runtime");
+    runtime
+        .block_on(fled_server::backup(&from, &to))
+        .expect("copied");
+    other.restart();
+    Tus::new(&other).head(&path(&id)).expect(404);
+    assert_eq!(Tus::new(&server).offset(&path(&id)), 3);
+}
