@@ -1,20 +1,50 @@
 // Chooses the page by the address behind `#` and keeps one page alive at a time.
 
+import { capturePage } from "./capture.js";
+import { capturesPage } from "./captures.js";
+import { nothing } from "./dom.js";
 import { jobPage } from "./job.js";
 import { listPage } from "./list.js";
 import { loginPage, session } from "./login.js";
 
 const main = document.getElementById("main");
 const logout = document.getElementById("logout");
+const pages = document.getElementById("pages");
 let leave = () => {};
 let isLockedOut = false;
 
+/** Pages by address; what is in brackets goes to the page. */
+const ROUTES = [
+  [/^(?:#?\/?)$/, listPage],
+  [/^#\/jobs\/([^/]+)$/, jobPage],
+  [/^#\/captures$/, capturesPage],
+  [/^#\/captures\/([^/]+)$/, capturePage],
+  [/^#\/captures\/([^/]+)\/from\/([^/]+)$/, capturePage],
+];
+
 function route() {
   leave();
+  leave = () => {};
   main.replaceChildren();
-  const job = location.hash.match(/^#\/jobs\/([0-9a-f-]+)$/);
-  if (isLockedOut) leave = loginPage(main, enter);
-  else leave = job ? jobPage(main, job[1]) : listPage(main);
+  document.title = "fled";
+  pages.hidden = isLockedOut;
+  for (const link of pages.children) {
+    const here = link.hash === (location.hash.startsWith("#/captures") ? "#/captures" : "#/");
+    if (here) link.setAttribute("aria-current", "page");
+    else link.removeAttribute("aria-current");
+  }
+  if (isLockedOut) {
+    leave = loginPage(main, enter);
+    return;
+  }
+  for (const [pattern, page] of ROUTES) {
+    const found = location.hash.match(pattern);
+    if (found) {
+      leave = page(main, ...found.slice(1));
+      return;
+    }
+  }
+  nothing(main, "There is no such page.");
 }
 
 /** Finds out whether this browser may look at anything. */
@@ -61,6 +91,14 @@ async function health() {
   }
 }
 
+// A file that is dropped where no page takes it would be opened in the page's place.
+for (const name of ["dragover", "drop"]) {
+  addEventListener(name, (event) => {
+    if (event.defaultPrevented || !event.dataTransfer?.types.includes("Files")) return;
+    event.preventDefault();
+    event.dataTransfer.dropEffect = "none";
+  });
+}
 addEventListener("hashchange", route);
 enter();
 health();

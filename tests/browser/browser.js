@@ -38,12 +38,13 @@ export class Browser {
    * Opens the page at `hash`, hands it to `judge(page, faults)` and fails when it had any fault in
    * the end. Leaves a picture of its last state, whatever came out: `screenshots/NAME.png`.
    */
-  async visit(name, hash, judge, viewport = DESKTOP) {
-    const context = await this.chromium.newContext({ viewport, acceptDownloads: true });
+  async visit(name, hash, judge, viewport = DESKTOP, further = {}) {
+    const context = await this.chromium.newContext({ viewport, acceptDownloads: true, ...further });
     context.setDefaultTimeout(PATIENCE);
     const page = await context.newPage();
     const faults = watch(page, this.base);
     if (process.env.WEB) await fromTree(page, this.base, process.env.WEB);
+    if (this.isReady) await page.route("**/readyz", (route) => route.fulfill({ json: { checks: [] } }));
     try {
       await page.goto(`${this.base}/${hash}`);
       await judge(page, faults);

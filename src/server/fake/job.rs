@@ -166,8 +166,14 @@ impl Job {
 
     fn names(&self) -> Result<Vec<String>, Box<dyn Error>> {
         let folder = self.capture.join("images");
+        // The real program leaves out what it cannot read.
+        let is_read = |path: &Path| -> bool {
+            let image: Result<Image, _> = Image::load_at_most(path, 16);
+            image.is_ok()
+        };
         let mut names: Vec<String> = fs::read_dir(folder)?
             .flatten()
+            .filter(|entry| is_read(&entry.path()))
             .filter_map(|entry| Some(entry.path().file_stem()?.to_str()?.to_owned()))
             .collect();
         names.sort();
@@ -200,6 +206,8 @@ impl Job {
             self.output.join("cameras.json"),
             serde_json::to_vec(&cameras)?,
         )?;
+        let drawing = r#"<svg xmlns="http://www.w3.org/2000/svg" width="400" height="200"/>"#;
+        fs::write(self.output.join("poses.svg"), drawing)?;
         for name in names {
             self.picture(&format!("inputs/{name}.jpg"), name, 0.15)?;
             self.picture(&format!("gt/{name}.jpg"), name, 1.0)?;
