@@ -5,7 +5,7 @@ import { h, s } from "./dom.js";
 const WIDTH = 420;
 const HEIGHT = 210;
 /** Lines of the grid at most, less one. */
-const TICKS = 4;
+const TICKS = 5;
 const MARGIN = { left: 42, right: 12, top: 8, bottom: 24 };
 
 /** A chart of `series`: [{ label, colour: 0..2, dashed, points: [[round, value], ...] }]; no value is above `most`. */

@@ -19,10 +19,15 @@ export function factList(report) {
     "delivered round": report.best_round,
     adapter: report.adapter,
     // Each photograph's place has a table of its own.
-    poses: report.poses && { ...report.poses, verdicts: undefined },
+    poses: report.poses && without(report.poses, "verdicts"),
     models: report.models,
     fallbacks: report.fallbacks?.length > 0 ? report.fallbacks : null,
   });
+}
+
+function without(values, name) {
+  const rest = Object.entries(values).filter(([key]) => key !== name);
+  return rest.length > 0 ? Object.fromEntries(rest) : null;
 }
 
 /** Every option of a job, one a line. */

@@ -27,6 +27,7 @@ export function gains(a, b) {
 }
 
 function gainTo(list, wanted) {
+  if (mean(list) >= wanted) return 1;
   let [low, high] = [1, MOST];
   for (let i = 0; i < HALVINGS; i++) {
     const middle = (low + high) / 2;

@@ -2,7 +2,7 @@
 
 import { chart } from "./chart.js";
 import { duration, h, plain } from "./dom.js";
-import { table } from "./table.js";
+import { told } from "./table.js";
 
 /** Against ground truth it is quality; against our own images it is only self-consistency. */
 export function metricCharts(rounds) {
@@ -51,5 +51,5 @@ function roundTable(rounds) {
   const cells = (round) => [round.round, duration(round.seconds), round.gaussians.toLocaleString(), round.steps.toLocaleString(),
     round.steps_per_second?.toFixed(1), round.noise_sigma?.render?.toFixed(4) ?? round.noise_sigma?.renders?.toFixed(4) ?? "",
     round.shake_px?.toFixed(2), round.pose_correction_px?.toFixed(2), round.worse_than_previous ? "worse than the round before" : ""];
-  return table(COLUMNS, rounds.map((round) => cells(round).map((text) => String(text ?? ""))));
+  return told(COLUMNS, rounds.map((round) => cells(round).map((text) => String(text ?? ""))));
 }

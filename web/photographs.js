@@ -1,7 +1,7 @@
 // What became of the photographs of a capture.
 
 import { count, h } from "./dom.js";
-import { table } from "./table.js";
+import { told } from "./table.js";
 
 const COLUMNS = [{ title: "Photograph" }, { title: "Size, px", class: "word" }, { title: "Focal length, px", class: "word" },
   { title: "Verdict" }, { title: "Warnings" }];
@@ -14,16 +14,13 @@ export const used = (capture) => `${capture.accepted} of ${count(capture.images.
 /** Every photograph; those that are not used come first, with the reason. */
 export function photographs(capture) {
   const images = [...capture.images].sort((a, b) => a.accepted - b.accepted);
-  const rows = images.map((image) => [
+  return told(COLUMNS, images.map((image) => [
     image.name,
     image.width > 0 ? `${image.width} × ${image.height}` : "",
     image.focal_px ? image.focal_px.toFixed(0) : "",
     image.accepted ? "used" : h("span", { class: "bad" }, `not used: ${image.reason ?? "rejected"}`),
     image.warnings.map((warning) => warning.message).join("; "),
-  ]);
-  // A column that says nothing of any photograph is left out.
-  const told = COLUMNS.map((_, i) => rows.some((row) => row[i] !== ""));
-  return table(COLUMNS.filter((_, i) => told[i]), rows.map((row) => row.filter((_, i) => told[i])));
+  ]));
 }
 
 /** What is worth knowing of all of them. */

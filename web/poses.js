@@ -1,7 +1,7 @@
 // Where the photographs were taken from: the picture, and what is said about each one's place.
 
 import { h } from "./dom.js";
-import { table as cards } from "./table.js";
+import { told } from "./table.js";
 
 const WORDS = {
   registered: "found",
@@ -48,6 +48,6 @@ const COLUMNS = [{ title: "Photograph" }, { title: "Place" }, { title: "Matches 
 
 function table(rows) {
   const number = (value) => (value === null || value === undefined ? "" : value.toFixed(2));
-  return cards(COLUMNS, rows.map((row) => [row.name, WORDS[row.status] ?? row.status,
+  return told(COLUMNS, rows.map((row) => [row.name, WORDS[row.status] ?? row.status,
     row.matches > 0 ? `${row.fitting} of ${row.matches}` : "", number(row.error_px), number(row.fit)]));
 }

@@ -14,11 +14,18 @@ export function table(columns, rows, properties = {}) {
     h("thead", { role: "rowgroup" }, head), h("tbody", { role: "rowgroup" }, rows.map((cells) => row(columns, cells))));
 }
 
+/** The same of rows that do not change: a column that says nothing in any of them is left out. */
+export function told(columns, rows) {
+  const says = columns.map((_, i) => rows.some((cells) => !isEmpty(cells[i])));
+  return table(columns.filter((_, i) => says[i]), rows.map((cells) => cells.filter((_, i) => says[i])));
+}
+
+const isEmpty = (cell) => cell === "" || cell === null || cell === undefined;
+
 /** One row of such a table. */
 export function row(columns, cells) {
   return h("tr", { role: "row" }, cells.map((cell, i) => {
-    const empty = cell === "" || cell === null || cell === undefined;
-    const style = `${columns[i].class ?? ""}${empty ? " empty" : ""}`;
-    return h("td", { role: "cell", class: style.trim(), "data-label": columns[i].title }, h("div", {}, cell));
+    const style = `${columns[i].class ?? ""}${isEmpty(cell) ? " empty" : ""}`;
+    return h("td", { role: "cell", class: style.trim(), "data-label": columns[i].title }, h("div", {}, isEmpty(cell) ? "" : cell));
   }));
 }
