@@ -32,12 +32,10 @@ export function captureWarnings(capture) {
 /** For a job's page: which photographs of its upload were left out, and why. */
 export function leftOut(capture) {
   const out = rejected(capture);
-  const warned = captureWarnings(capture);
-  if (out.length === 0 && !warned) return null;
-  const list = h("ul", { class: "plain" }, out.map((image) => h("li", {}, h("b", {}, image.name), `: ${image.reason ?? "rejected"}`)));
+  if (out.length === 0) return null;
   return [
-    out.length > 0 && h("p", {}, `${used(capture)}; ${out.length === 1 ? "this one is not" : "these are not"}:`),
-    out.length > 0 && list, warned,
+    h("p", {}, `${used(capture)}; ${out.length === 1 ? "this one is not" : "these are not"}:`),
+    h("ul", { class: "plain" }, out.map((image) => h("li", {}, h("b", {}, image.name), `: ${image.reason ?? "rejected"}`))),
     h("p", { class: "hint" }, h("a", { href: `#/captures/${capture.id}` }, "All photographs of this capture")),
-  ].filter(Boolean);
+  ];
 }
