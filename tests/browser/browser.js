@@ -50,11 +50,14 @@ export class Browser {
       await judge(page, faults);
       assert.deepEqual(faults, [], "faults of the page");
     } finally {
-      await page.screenshot({ path: join(SCREENSHOTS, `${name}.png`), fullPage: true });
+      await picture(page, name);
       await context.close();
     }
   }
 }
+
+/** A picture of a page as it is now: `screenshots/NAME.png`. */
+export const picture = (page, name) => page.screenshot({ path: join(SCREENSHOTS, `${name}.png`), fullPage: true });
 
 /** What goes wrong on a page from now on, a line each. */
 function watch(page, base) {

@@ -3,6 +3,7 @@
 import assert from "node:assert/strict";
 import { after, before } from "node:test";
 
+import { picture } from "./browser.js";
 import { Stand, both, button, part, provoked, seen } from "./played.js";
 import { until } from "./until.js";
 
@@ -46,7 +47,7 @@ both("a finished job is run again with other options from its page", async (widt
     await form.getByText("More options").click();
     await form.getByLabel("stereo", { exact: true }).uncheck();
     await form.getByLabel("noise", { exact: true }).selectOption("grid");
-    await page.screenshot({ path: `screenshots/page-options-${width}.png`, fullPage: true });
+    await picture(page, `page-options-${width}`);
     await form.getByLabel("Name").fill(`again ${width}`);
     await button(form, "Run").click();
     await seen(page.getByRole("heading", { level: 1 }), `again ${width}`);

@@ -5,7 +5,7 @@ import assert from "node:assert/strict";
 import { after, before, test } from "node:test";
 
 import { ticks } from "../../web/chart.js";
-import { loaded } from "./browser.js";
+import { loaded, picture } from "./browser.js";
 import { Stand, both, button, drop, part, provoked, seen, state } from "./played.js";
 import { until } from "./until.js";
 
@@ -187,7 +187,7 @@ both("deleting and cancelling a job ask first, and no is no", async (width) => {
     await dialog.waitFor({ state: "detached" });
     assert.equal((await server.job(id)).state, "cancelled");
     await button(page, "Delete").click();
-    await page.screenshot({ path: `screenshots/page-dialog-${width}.png` });
+    await picture(page, `page-dialog-${width}`);
     await button(page, "Delete it").click();
     await part(page, "Jobs").waitFor();
     await assert.rejects(server.job(id), /404/);
@@ -257,7 +257,7 @@ both("dropped files can be taken out again, one by one by keyboard", async (widt
     await page.keyboard.press("Enter");
     await page.getByText("1 file chosen").waitFor();
     assert.deepEqual(await page.locator(".files .path").allTextContents(), ["a.jpg"]);
-    await page.screenshot({ path: `screenshots/page-dropped-${width}.png` });
+    await picture(page, `page-dropped-${width}`);
     await button(page, "Take all out").click();
     await button(page, "Start").click();
     await seen(page.getByRole("alert"), "Choose photographs");

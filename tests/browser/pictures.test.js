@@ -4,7 +4,7 @@ import assert from "node:assert/strict";
 import { after, before, test } from "node:test";
 
 import { gains, mean } from "../../web/light.js";
-import { loaded } from "./browser.js";
+import { loaded, picture } from "./browser.js";
 import { Stand, both, button, part, seen } from "./played.js";
 import { until } from "./until.js";
 
@@ -83,7 +83,7 @@ both("the bar goes to its ends, and the picture is enlarged, moved and made whol
     assert.equal(await scale(root), "1.0 ×");
     await button(root, "Enlarge").click();
     await button(root, "Enlarge").click();
-    await page.screenshot({ path: `screenshots/page-enlarged-${width}.png`, fullPage: true });
+    await picture(page, `page-enlarged-${width}`);
     await button(root, "Whole picture").click();
     assert.equal(await scale(root), "1.0 ×");
     await slider.dblclick();
@@ -162,7 +162,7 @@ both("input and render are shown at the same brightness, and the page says how",
     const [below, top] = await filters();
     assert.equal(below, "");
     assert.match(top, /^brightness\(\d/);
-    await page.screenshot({ path: `screenshots/page-equal-${width}.png`, fullPage: true });
+    await picture(page, `page-equal-${width}`);
     // What is brightened is what is shown, also after another choice.
     await root.locator("figure", { hasText: "ground truth" }).getByRole("button").click();
     await until("now the render is the darker one", async () => (await filters())[1] === "");

@@ -46,14 +46,22 @@ export class Stand {
     return id;
   }
 
-  /** Visits a page; in the end nothing is wider than it. */
+  /** Visits a page; in the end nothing is wider than it and no box is empty. */
   visit(name, hash, judge, width = "desktop", further = {}) {
     const judged = async (page, faults) => {
       await judge(page, faults);
       assert.deepEqual(await overflowing(page), [], `wider than ${WIDTHS[width].width} px`);
+      assert.deepEqual(await emptyBoxes(page), [], "boxes with nothing but a title");
     };
     return this.browser.visit(`${name}-${width}`, hash, judged, WIDTHS[width], further);
   }
+}
+
+/** The titles of the parts of a page that show nothing else. */
+function emptyBoxes(page) {
+  return page.locator("main section:visible").evaluateAll((boxes) => boxes
+    .filter((box) => box.innerText.trim() === (box.querySelector("h2")?.innerText ?? "").trim())
+    .map((box) => box.innerText));
 }
 
 /** The same test at both widths. */
