@@ -103,7 +103,7 @@ function field(form, key, property) {
   } else input = h("input", { type: "text", spellcheck: false, autocomplete: "off", ...about });
   const problem = h("p", { class: "problem", id: `${id}-fault`, role: "alert" });
   const range = number && property.maximum !== undefined ? ` (${(property.minimum ?? 0).toLocaleString()} to ${property.maximum.toLocaleString()})` : "";
-  const meaning = h("span", {});
+  const meaning = h("span", { class: "meaning" });
   const description = h("p", { class: "hint", id: `${id}-about` }, prose((property.description ?? "") + range), meaning);
   const root = h("div", { class: "option" }, h("label", { htmlFor: id }, plain(key)), input, description, problem);
   let usual = null;
@@ -119,7 +119,9 @@ function field(form, key, property) {
   function mark() {
     root.classList.toggle("changed", differs());
     const chosen = words?.find(([word]) => word === input.value)?.[1];
-    meaning.replaceChildren(...(chosen ? prose(` ${plain(input.value)}: ${chosen}`) : []));
+    // What follows is for those who know the paper.
+    const [about] = (chosen ?? "").split("Differs from the paper");
+    meaning.replaceChildren(...(about ? [h("b", {}, plain(input.value)), ": ", ...prose(about)] : []));
   }
   input.addEventListener("input", () => { mark(); say(""); });
 
