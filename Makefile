@@ -54,9 +54,10 @@ test-widths: ## the kernels with subgroups of 4 and 16 instead of 8 invocations
 	for bits in 128 512; do LP_NATIVE_VECTOR_WIDTH=$$bits $(CARGO) test --release --locked --quiet -p fled-core --lib -- \
 	    splat:: noise:: shake::tests reconstruct::loss reconstruct::optimizer || exit 1; done
 
-# FLED=PROGRAM tests that one and builds none; CHROMIUM=PROGRAM is used in place of Debian's.
+# FLED=PROGRAM tests that one, with fled-fake beside it, and builds none; CHROMIUM=PROGRAM is used in place of Debian's.
 test-browser: setup onnxruntime matcher $(if $(FLED),,build) ## the dashboard in a real browser; needs Node 20 and npm
 	@$(if $(CHROMIUM),,tools/setup.sh chromium)
+	$(if $(FLED),,$(CARGO) build --release --locked -p fled-server --bin fled-fake)
 	cd tests/browser && npm ci --loglevel=error && \
 	    FLED=$(abspath $(or $(FLED),$(or $(CARGO_TARGET_DIR),target)/release/fled)) node --test *.test.js
 

@@ -4,6 +4,8 @@ import { h, s } from "./dom.js";
 
 const WIDTH = 420;
 const HEIGHT = 210;
+/** Lines of the grid at most, less one. */
+const TICKS = 5;
 const MARGIN = { left: 42, right: 12, top: 8, bottom: 24 };
 
 /** A chart of `series`: [{ label, colour: 0..2, dashed, points: [[round, value], ...] }]; no value is above `most`. */
@@ -19,11 +21,10 @@ export function chart(title, series, digits, most = Infinity) {
   };
   const y = (value) => MARGIN.top + (1 - (value - low) / (high - low)) * (HEIGHT - MARGIN.top - MARGIN.bottom);
   const svg = s("svg", { viewBox: `0 0 ${WIDTH} ${HEIGHT}`, role: "img", "aria-label": title });
-  for (let i = 0; i <= 4; i++) {
-    const value = low + (i / 4) * (high - low);
+  for (const [value, label] of ticks(low, high)) {
     svg.append(
       s("line", { class: "grid", x1: MARGIN.left, x2: WIDTH - MARGIN.right, y1: y(value), y2: y(value) }),
-      s("text", { x: MARGIN.left - 6, y: y(value) + 4, "text-anchor": "end" }, value.toFixed(digits)));
+      s("text", { class: "tick", x: MARGIN.left - 6, y: y(value) + 4, "text-anchor": "end" }, label));
   }
   for (const round of rounds) {
     svg.append(s("text", { x: x(round), y: HEIGHT - 6, "text-anchor": "middle" }, `round ${round}`));
@@ -39,6 +40,17 @@ export function chart(title, series, digits, most = Infinity) {
   }
   const legend = series.map((one) => h("span", {}, h("i", { class: `c${one.colour}${one.dashed ? " dashed" : ""}` }), one.label));
   return h("div", { class: "chart" }, h("h3", {}, title), svg, h("div", { class: "legend" }, legend));
+}
+
+/** Round values within a range, with as many decimals as tell them apart. */
+export function ticks(low, high) {
+  const rough = (high - low) / TICKS;
+  const power = 10 ** Math.floor(Math.log10(rough));
+  const step = [1, 2, 5, 10].map((factor) => factor * power).find((candidate) => candidate >= rough * (1 - 1e-9));
+  const decimals = Math.max(0, -Math.floor(Math.log10(step) + 1e-9));
+  const found = [];
+  for (let i = Math.ceil(low / step - 1e-9); i * step <= high + step * 1e-9; i++) found.push([i * step, (i * step).toFixed(decimals)]);
+  return found;
 }
 
 function range(values, most) {

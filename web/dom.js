@@ -13,28 +13,48 @@ export function s(tag, attributes = {}, ...children) {
 function fill(node, properties, children, svg = false) {
   for (const [name, value] of Object.entries(properties)) {
     if (name.startsWith("on")) node.addEventListener(name.slice(2), value);
-    else if (svg || name === "class" || name.includes("-")) node.setAttribute(name, value);
-    else if (value !== undefined) node[name] = value;
+    else if (value === undefined) continue;
+    else if (svg || name === "class" || name === "role" || name.includes("-")) node.setAttribute(name, value);
+    else node[name] = value;
   }
   node.append(...children.flat().filter((child) => child !== null && child !== undefined && child !== false));
   return node;
 }
 
-/** A GET or other request; a problem document becomes an Error with its words. */
-export async function api(path, options = {}) {
-  const response = await fetch(path, options);
-  if (response.ok) return response.status === 204 ? null : response.json();
-  throw new Error(await words(response));
+/** Replaces the children of a node that is drawn again and again; a link keeps the focus. */
+export function refill(node, ...children) {
+  const held = node.contains(document.activeElement) ? document.activeElement.getAttribute("href") : null;
+  node.replaceChildren(...children.flat());
+  if (held) [...node.querySelectorAll("a")].find((link) => link.getAttribute("href") === held)?.focus();
 }
 
-async function words(response) {
-  try {
-    const problem = await response.json();
-    return [problem.detail, problem.hint].filter(Boolean).join("\n");
-  } catch {
-    return `The server answered ${response.status}.`;
+/** What the server refused: its words, `status`, and `pointer` to the part at fault. */
+export class Refusal extends Error {
+  constructor(status, problem) {
+    super([problem?.detail ?? `The server answered ${status}.`, problem?.hint].filter(Boolean).join("\n"));
+    Object.assign(this, { status, detail: problem?.detail, pointer: problem?.pointer, capture: problem?.capture });
   }
 }
+
+/** The server's clock less ours, ms: times that it tells are compared with its own now. */
+let ahead = 0;
+/** `Date` has whole seconds; less than this is no difference, ms. */
+const SAME = 2000;
+
+export const serverNow = () => Date.now() + ahead;
+
+/** A GET or other request; a problem document becomes a `Refusal`. */
+export async function api(path, options = {}) {
+  const response = await fetch(path, options);
+  const date = Date.parse(response.headers.get("date"));
+  if (Math.abs(date - serverNow()) > SAME) ahead = date - Date.now();
+  if (response.ok) return response.status === 204 ? null : response.json();
+  throw new Refusal(response.status, await response.json().catch(() => null));
+}
+
+/** A request whose body is JSON. */
+export const send = (path, body, method = "POST") =>
+  api(path, { method, headers: { "Content-Type": "application/json" }, body: JSON.stringify(body) });
 
 /** 75 -> "1 min 15 s". */
 export function duration(seconds) {
@@ -46,18 +66,47 @@ export function duration(seconds) {
   return `${Math.floor(whole / 3600)} h ${Math.floor((whole % 3600) / 60)} min`;
 }
 
+/** 42 -> "0:42": for what counts up on the page. */
+export function stopwatch(seconds) {
+  const whole = Math.max(0, Math.floor(seconds));
+  const two = (part) => String(part).padStart(2, "0");
+  const [hours, minutes] = [Math.floor(whole / 3600), Math.floor((whole % 3600) / 60)];
+  return hours > 0 ? `${hours}:${two(minutes)}:${two(whole % 60)}` : `${minutes}:${two(whole % 60)}`;
+}
+
+/** 2,500 -> "2.5 kB". */
+export function size(bytes) {
+  if (bytes < 1000) return `${bytes} B`;
+  return bytes < 1e6 ? `${(bytes / 1e3).toFixed(1)} kB` : `${(bytes / 1e6).toFixed(1)} MB`;
+}
+
+/** "1 photograph", "2 photographs". */
+export const count = (number, word) => `${number.toLocaleString()} ${word}${number === 1 ? "" : "s"}`;
+
+/** When, as this browser writes it. */
+export const when = (time) => new Date(time).toLocaleString();
+
 /** A path with each part made safe for an address. */
 export const address = (path) => path.split("/").map(encodeURIComponent).join("/");
 
 /** "held_out" -> "held out". */
 export const plain = (word) => String(word).replaceAll("_", " ");
 
-/** The pill that shows a state. */
-export const pill = (job) => h("span", { class: `state ${job.state}` }, job.cancel_requested && job.state === "running" ? "cancelling" : job.state);
+/** A part of a page under a title; `show` fills and hides it. */
+export function section(title) {
+  const node = h("section", { hidden: true }, h("h2", {}, title));
+  node.content = h("div");
+  node.append(node.content);
+  return node;
+}
 
-/** What a job does now, in a few words. */
-export function doing(job) {
-  if (job.state !== "running") return job.error && job.state === "queued" ? "waits for another attempt" : "";
-  const round = job.round > 0 ? `round ${job.round} of ${job.rounds}` : "";
-  return [round, job.stage].filter(Boolean).join(", ") || "starts";
+export function show(node, ...content) {
+  const real = content.filter(Boolean);
+  node.hidden = real.length === 0;
+  if (real.length > 0) node.content.replaceChildren(...real.flat());
+}
+
+/** In place of a page: a sentence, and the way back. */
+export function nothing(main, words, href = "#/", where = "All jobs") {
+  main.replaceChildren(h("section", {}, h("p", { role: "alert" }, words), h("p", {}, h("a", { href }, where))));
 }

@@ -1,27 +1,65 @@
 // Chooses the page by the address behind `#` and keeps one page alive at a time.
 
+import { capturePage } from "./capture.js";
+import { capturesPage } from "./captures.js";
+import { nothing } from "./dom.js";
 import { jobPage } from "./job.js";
 import { listPage } from "./list.js";
 import { loginPage, session } from "./login.js";
+import { referencePage } from "./reference.js";
 import { link, openLink } from "./visitor.js";
 
 const main = document.getElementById("main");
 const logout = document.getElementById("logout");
-let leave = () => {};
+const pages = document.getElementById("pages");
+const none = () => {};
+let leave = none;
 let isLockedOut = false;
-// Who this browser is: `{ needed, scopes, job }`.
+/** Who this browser is. */
 let who = { needed: false, scopes: null, job: null };
+
+/** Pages by address; what is in brackets goes to the page. */
+const ROUTES = [
+  [/^(?:#?\/?)$/, listPage],
+  [/^#\/jobs\/([^/]+)$/, (main, id) => jobPage(main, who, id)],
+  [/^#\/captures$/, capturesPage],
+  [/^#\/captures\/([^/]+)$/, capturePage],
+  [/^#\/captures\/([^/]+)\/from\/([^/]+)$/, capturePage],
+  [/^#\/api$/, referencePage],
+];
 
 function route() {
   leave();
+  leave = none;
   main.replaceChildren();
-  const job = location.hash.match(/^#\/jobs\/([0-9a-f-]+)$/);
+  document.title = "fled";
+  const part = ["#/captures", "#/api"].find((page) => location.hash.startsWith(page)) ?? "#/";
+  pages.hidden = isLockedOut || who.job !== null;
+  for (const tab of pages.children) {
+    const here = tab.hash === part;
+    if (here) tab.setAttribute("aria-current", "page");
+    else tab.removeAttribute("aria-current");
+  }
+  leave = special() ?? leave;
+  if (leave !== none) return;
+  for (const [pattern, page] of ROUTES) {
+    const found = location.hash.match(pattern);
+    if (found) {
+      leave = page(main, ...found.slice(1));
+      return;
+    }
+  }
+  nothing(main, "There is no such page.");
+}
+
+/** The page that is shown whatever the address, where there is one. */
+function special() {
   const shared = link(location.hash);
-  if (shared) leave = openLink(main, shared, enter);
-  else if (isLockedOut) leave = loginPage(main, enter);
-  // Who came by a link sees its job wherever they go.
-  else if (who.job) leave = jobPage(main, who.job, who);
-  else leave = job ? jobPage(main, job[1], who) : listPage(main);
+  if (shared) return openLink(main, shared, enter);
+  if (location.hash === "#/api") return null;
+  if (isLockedOut) return loginPage(main, enter);
+  // Who came by a link to a job sees that job wherever they go.
+  return who.job === null ? null : jobPage(main, who, who.job);
 }
 
 /** Finds out whether this browser may look at anything. */
@@ -43,8 +81,8 @@ async function enter() {
 
 /** Sessions end while a page is open. */
 async function stay() {
-  const wasLockedOut = isLockedOut;
   if (link(location.hash)) return;
+  const wasLockedOut = isLockedOut;
   isLockedOut = await look();
   if (isLockedOut !== wasLockedOut) route();
 }
@@ -69,6 +107,14 @@ async function health() {
   }
 }
 
+// A file that is dropped where no page takes it would be opened in the page's place.
+for (const name of ["dragover", "drop"]) {
+  addEventListener(name, (event) => {
+    if (event.defaultPrevented || !event.dataTransfer?.types.includes("Files")) return;
+    event.preventDefault();
+    event.dataTransfer.dropEffect = "none";
+  });
+}
 addEventListener("hashchange", route);
 enter();
 health();

@@ -1,6 +1,7 @@
 // Where the photographs were taken from: the picture, and what is said about each one's place.
 
 import { h } from "./dom.js";
+import { told } from "./table.js";
 
 const WORDS = {
   registered: "found",
@@ -42,10 +43,11 @@ function summary(rows) {
   return `Each photograph's place: ${parts.filter(Boolean).join(", ")}`;
 }
 
+const COLUMNS = [{ title: "Photograph" }, { title: "Place" }, { title: "Matches that fit", class: "word" }, { title: "Error, px", class: "word" },
+  { title: "Fits its render", class: "word" }];
+
 function table(rows) {
-  const number = (value, digits) => h("td", { class: "number" }, value === null || value === undefined ? "" : value.toFixed(digits));
-  const head = ["photograph", "place", "matches that fit", "error, px", "fits its render"];
-  return h("div", { class: "scroll" }, h("table", {}, h("thead", {}, h("tr", {}, head.map((word) => h("th", {}, word)))),
-    h("tbody", {}, rows.map((row) => h("tr", { class: row.status }, h("td", {}, row.name), h("td", {}, WORDS[row.status] ?? row.status),
-      h("td", { class: "number" }, row.matches > 0 ? `${row.fitting} of ${row.matches}` : ""), number(row.error_px, 2), number(row.fit, 2))))));
+  const number = (value) => (value === null || value === undefined ? "" : value.toFixed(2));
+  return told(COLUMNS, rows.map((row) => [row.name, WORDS[row.status] ?? row.status,
+    row.matches > 0 ? `${row.fitting} of ${row.matches}` : "", number(row.error_px), number(row.fit)]));
 }

@@ -33,7 +33,7 @@ pub use backup::Attempted;
 pub use captures::CaptureRow;
 pub use events::EventRow;
 pub use idempotency::{Creation, Request, UsedUp};
-pub use jobs::{JobError, JobRow, NewJob, Room, ToldJob};
+pub use jobs::{JobError, JobFilter, JobRow, NewJob, Room, ToldJob};
 pub use lease::{Claim, Lease, Progress, Settlement};
 pub use results::{StageSeconds, WarningRow};
 pub use retry::{Change, Retry};

@@ -38,22 +38,26 @@ export class Browser {
    * Opens the page at `hash`, hands it to `judge(page, faults)` and fails when it had any fault in
    * the end. Leaves a picture of its last state, whatever came out: `screenshots/NAME.png`.
    */
-  async visit(name, hash, judge, viewport = DESKTOP) {
-    const context = await this.chromium.newContext({ viewport, acceptDownloads: true });
+  async visit(name, hash, judge, viewport = DESKTOP, further = {}) {
+    const context = await this.chromium.newContext({ viewport, acceptDownloads: true, ...further });
     context.setDefaultTimeout(PATIENCE);
     const page = await context.newPage();
     const faults = watch(page, this.base);
     if (process.env.WEB) await fromTree(page, this.base, process.env.WEB);
+    if (this.isReady) await page.route("**/readyz", (route) => route.fulfill({ json: { checks: [] } }));
     try {
       await page.goto(`${this.base}/${hash}`);
       await judge(page, faults);
       assert.deepEqual(faults, [], "faults of the page");
     } finally {
-      await page.screenshot({ path: join(SCREENSHOTS, `${name}.png`), fullPage: true });
+      await picture(page, name);
       await context.close();
     }
   }
 }
+
+/** A picture of a page as it is now: `screenshots/NAME.png`. */
+export const picture = (page, name) => page.screenshot({ path: join(SCREENSHOTS, `${name}.png`), fullPage: true });
 
 /** What goes wrong on a page from now on, a line each. */
 function watch(page, base) {

@@ -117,6 +117,7 @@ test("a folder that is chosen on the page becomes a job, which is cancelled", ()
     assert.deepEqual([job.name, job.preset], [UPLOADED, "preview"]);
     await seen(state(page), "running");
     await button(page, "Cancel").click();
+    await button(page, "Cancel it").click();
     await seen(state(page), "cancelled");
     assert.equal(await button(page, "Cancel").count(), 0);
     await button(page, "Try again").waitFor();
@@ -279,6 +280,7 @@ test("nothing is wider than a phone", async () => {
 test("a job that was cancelled runs again", async () =>
   browser.visit("again", `#/jobs/${await running()}`, async (page) => {
     await button(page, "Cancel").click();
+    await button(page, "Cancel it").click();
     await seen(state(page), "cancelled");
     await button(page, "Try again").click();
     await seen(state(page), "running");
@@ -289,6 +291,7 @@ test("a job that is deleted leaves the list", async () => {
   await finished();
   await browser.visit("deleted", await failed(), async (page) => {
     await button(page, "Delete").click();
+    await button(page, "Delete it").click();
     await row(page, FINISHED).waitFor();
     await until("its row is gone", async () => (await row(page, FAILED).count()) === 0);
   });

@@ -1,9 +1,9 @@
 // The real program as a server of its own: a free port, a folder that is gone afterwards.
 
 import { execFileSync, spawn } from "node:child_process";
-import { mkdtempSync, readdirSync, readFileSync, rmSync } from "node:fs";
+import { mkdtempSync, readdirSync, readFileSync, rmSync, writeFileSync } from "node:fs";
 import { tmpdir } from "node:os";
-import { join, relative } from "node:path";
+import { dirname, join, relative } from "node:path";
 import { createInterface } from "node:readline";
 
 import { until } from "./until.js";
@@ -22,7 +22,7 @@ const SMALL = {
 /** A program finds there what `make onnxruntime` has fetched. */
 const TOP = join(import.meta.dirname, "../..");
 
-/** SIGTERM may take so long, ms. */
+/** The end may take so long, ms. */
 const FAREWELL = 10_000;
 
 export class Server {
@@ -34,7 +34,7 @@ export class Server {
   }
 
   constructor(program, folder) {
-    Object.assign(this, { program, folder, said: [] });
+    Object.assign(this, { program, folder, said: [], farewell: "SIGTERM" });
   }
 
   async #serve(further, address = "127.0.0.1:0") {
@@ -49,6 +49,26 @@ export class Server {
       { cwd: TOP, env: environment, stdio: ["ignore", "ignore", "pipe"] },
     );
     this.base = await this.#address();
+  }
+
+  /**
+   * A server whose jobs are played, for the states of a page that a real job only passes. What a
+   * job does is planned by its option `adapter`; the name of a stage and the milliseconds of a
+   * tenth of it linger there.
+   */
+  static async played(program) {
+    const server = new Server(program, mkdtempSync(join(tmpdir(), "fled-played-")));
+    const fake = process.env.FLED_FAKE ?? join(dirname(program), "fled-fake");
+    const place = join(server.folder, "address");
+    const environment = { ...process.env, FLED_MODELS: join(server.folder, "models") };
+    const data = join(server.folder, "data");
+    server.child = spawn(fake, ["serve", data, place], { env: environment, stdio: "ignore" });
+    server.farewell = "SIGINT";
+    const found = () => {
+      try { return readFileSync(place, "utf8"); } catch { return null; }
+    };
+    server.base = `http://${await until("the played server listens", found)}`;
+    return server;
   }
 
   /** Stops the server and starts it with what it has, with further arguments. */
@@ -100,17 +120,24 @@ export class Server {
     if (child.exitCode === null && child.signalCode === null) {
       const ended = new Promise((resolve) => { child.once("exit", resolve); });
       const impatience = setTimeout(() => child.kill("SIGKILL"), FAREWELL);
-      child.kill("SIGTERM");
+      child.kill(this.farewell);
       await ended;
       clearTimeout(impatience);
     }
   }
 
   /** A folder of eight small dark photographs with their poses and their ground truth. */
-  capture() {
+  capture(size = "96x64") {
     const folder = join(this.folder, "capture");
-    const options = ["--views", "8", "--size", "96x64"];
+    const options = ["--views", "8", "--size", size];
     execFileSync(this.program, ["synth", folder, ...options], { stdio: "ignore" });
+    return folder;
+  }
+
+  /** The capture with a file among its photographs that is none. */
+  spoilt(size) {
+    const folder = this.capture(size);
+    writeFileSync(join(folder, "images", "broken.jpg"), "no photograph");
     return folder;
   }
 
@@ -130,6 +157,16 @@ export class Server {
   /** The job as the API shows it. */
   job(id) {
     return this.#json(`/v1/jobs/${id}`);
+  }
+
+  /** Waits until a job is so far as `probe` says of it. */
+  when(id, what, probe) {
+    return until(`job ${id} ${what}`, async () => probe(await this.job(id)));
+  }
+
+  /** Ends a job in whatever state it is. */
+  cancel(id) {
+    return this.#json(`/v1/jobs/${id}/cancel`, { method: "POST" });
   }
 
   /** The scores of a job as the API shows them. */

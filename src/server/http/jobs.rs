@@ -25,7 +25,7 @@ use super::uploaded::{self, JobOfUploads};
 use crate::app::App;
 use crate::jobs::state::JobState;
 use crate::removal::remove;
-use crate::store::{Creation, JobRow};
+use crate::store::{Creation, JobFilter, JobRow};
 
 /// Cancelling answers when the job is over, but not later than this.
 const CANCEL_PATIENCE: Duration = Duration::from_millis(2500);
@@ -87,6 +87,8 @@ pub struct JobForm {
 pub struct ListQuery {
     /// Of this state only.
     state: Option<JobState>,
+    /// Of this capture only.
+    capture_id: Option<String>,
     /// At most so many; default 50.
     #[param(minimum = 1, maximum = 200)]
     limit: Option<u32>,
@@ -291,14 +293,14 @@ pub async fn list(
     Extension(visitor): Extension<Visitor>,
 ) -> Result<axum::Json<Jobs>, Problem> {
     let limit = page_size(query.limit)?;
+    let only = JobFilter {
+        state: query.state,
+        capture: query.capture_id.as_deref(),
+        owner: visitor.sees_only(),
+    };
     let mut told = app
         .store
-        .jobs(
-            query.state,
-            limit + 1,
-            query.cursor.as_deref(),
-            visitor.sees_only(),
-        )
+        .jobs(only, limit + 1, query.cursor.as_deref())
         .await?;
     let more = told.len() > limit as usize;
     told.truncate(limit as usize);

@@ -74,6 +74,11 @@ pub struct Job {
     pub state: JobState,
     /// The stage that runs: poses, enhance, deblur, reconstruct, render, match or evaluate.
     pub stage: Option<String>,
+    /// When that stage began: RFC 3339; `null` when the job does not run or has told of none yet.
+    pub stage_started_at: Option<String>,
+    /// The place of a queued job among all that wait, 1 being the next; `null` for others. One that
+    /// waits for another attempt keeps its place and may be passed.
+    pub queue_position: Option<u32>,
     /// The round that runs or ran last, 1-based; 0 before the first.
     pub round: u32,
     /// Rounds planned.
@@ -154,6 +159,8 @@ impl Job {
             row,
             warnings,
             stages,
+            queue_position,
+            stage_started_at,
         } = told;
         Self {
             warnings: warnings
@@ -176,6 +183,8 @@ impl Job {
             capture_id: row.capture_id,
             state: row.state,
             stage: row.stage,
+            stage_started_at: stage_started_at.map(time),
+            queue_position,
             round: row.round,
             rounds: row.rounds,
             progress: row.progress,

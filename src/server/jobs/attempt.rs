@@ -360,8 +360,9 @@ fn closing_line(settlement: &Settlement) -> String {
                 error.code, error.detail
             )
         }
+        // The advice stands in the job's error, and the process has mostly said it, too.
         Settlement::Failed { error, .. } => {
-            format!("failed ({}): {} {}", error.code, error.detail, error.hint)
+            format!("failed ({}): {}", error.code, error.detail)
         }
     }
 }

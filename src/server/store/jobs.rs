@@ -95,6 +95,21 @@ pub struct ToldJob {
     pub warnings: Vec<WarningRow>,
     /// The time of every finished stage, by round and then in the order of the stages.
     pub stages: Vec<StageSeconds>,
+    /// Its place among the jobs that wait, 1-based; `None` when it does not wait.
+    pub queue_position: Option<u32>,
+    /// When the stage that runs began: milliseconds since 1970.
+    pub stage_started_at: Option<i64>,
+}
+
+/// Which jobs to list.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct JobFilter<'a> {
+    /// Of this state only.
+    pub state: Option<JobState>,
+    /// Of this capture only.
+    pub capture: Option<&'a str>,
+    /// Of this owner only.
+    pub owner: Option<&'a str>,
 }
 
 /// How many jobs there may be.
@@ -113,13 +128,24 @@ pub(super) enum Full {
     Quota,
 }
 
-/// Jobs with what they have told, in one statement however many they are.
+/// Jobs with what they have told, in one statement however many they are. The queue is in the order
+/// of `Store::claim`. What a stage began before the last change of state belongs to an attempt that
+/// is over: only the newest of both kinds of event counts.
 const TOLD: &str = "SELECT jobs.*,
     (SELECT json_group_array(json_object('code', code, 'message', message)
                              ORDER BY at, code, message)
      FROM warnings WHERE job_id = jobs.id) AS warnings,
     (SELECT json_group_array(json_object('stage', stage, 'round', round, 'seconds', seconds))
-     FROM stages WHERE job_id = jobs.id) AS stages
+     FROM stages WHERE job_id = jobs.id) AS stages,
+    CASE state WHEN 'queued' THEN
+        (SELECT COUNT(*) FROM jobs AS ahead WHERE ahead.state = 'queued'
+         AND (ahead.created_at, ahead.id) <= (jobs.created_at, jobs.id))
+    END AS queue_position,
+    CASE state WHEN 'running' THEN
+        (SELECT CASE kind WHEN 'stage_started' THEN at END FROM events
+         WHERE job_id = jobs.id AND kind IN ('stage_started', 'state')
+         ORDER BY seq DESC LIMIT 1)
+    END AS stage_started_at
     FROM jobs";
 
 impl Store {
@@ -135,28 +161,28 @@ impl Store {
         row.as_ref().map(from_row).transpose()
     }
 
-    /// The newest jobs older than `cursor`, newest first, of one state or of all,
-    /// of one owner or of all.
+    /// The newest jobs older than `cursor`, newest first.
     ///
     /// # Errors
     /// When the database refuses.
     pub async fn jobs(
         &self,
-        state: Option<JobState>,
+        only: JobFilter<'_>,
         limit: u32,
         cursor: Option<&str>,
-        owner: Option<&str>,
     ) -> Result<Vec<ToldJob>> {
         let page = format!(
             "{TOLD} WHERE (?1 IS NULL OR state = ?1) AND (?2 IS NULL OR id < ?2)
              AND (?4 IS NULL OR capture_id IN (SELECT id FROM captures WHERE owner = ?4))
+             AND (?5 IS NULL OR capture_id = ?5)
              ORDER BY id DESC LIMIT ?3"
         );
         let rows = sqlx::query(sqlx::AssertSqlSafe(page))
-            .bind(state.map(JobState::name))
+            .bind(only.state.map(JobState::name))
             .bind(cursor)
             .bind(limit)
-            .bind(owner)
+            .bind(only.owner)
+            .bind(only.capture)
             .fetch_all(&self.pool)
             .await?;
         rows.iter().map(told).collect()
@@ -330,6 +356,8 @@ fn told(row: &SqliteRow) -> Result<ToldJob> {
         row: from_row(row)?,
         warnings: list(row, "warnings")?,
         stages,
+        queue_position: row.try_get("queue_position")?,
+        stage_started_at: row.try_get("stage_started_at")?,
     })
 }
 

@@ -195,7 +195,11 @@ async fn a_key_gives_one_job_and_refuses_another_request() {
     assert!(matches!(create("b", "x").await, Creation::Replayed(job) if job.id == "a"));
     assert!(matches!(create("c", "y").await, Creation::KeyReused));
     assert_eq!(
-        store.jobs(None, 10, None, None).await.expect("list").len(),
+        store
+            .jobs(JobFilter::default(), 10, None)
+            .await
+            .expect("list")
+            .len(),
         1
     );
 }
@@ -419,4 +423,27 @@ async fn deaths_of_the_server_count_while_there_is_no_progress() {
         };
         store.release_all(settle).await.expect("released");
     }
+}
+
+#[tokio::test]
+async fn a_job_knows_its_place_in_the_queue_and_when_its_stage_began() {
+    let (_dir, store) = store().await;
+    for id in ["a", "b", "c"] {
+        create(&store, id).await;
+    }
+    let claim = store.claim("w", 60_000, &[]).await.expect("claim");
+    let lease = claim.expect("job").lease;
+    let told = async |id| store.told_job(id).await.expect("read").expect("job");
+    let places = [told("a").await, told("b").await, told("c").await];
+    assert_eq!(places.map(|j| j.queue_position), [None, Some(1), Some(2)]);
+    let (stage, round) = (Stage::Poses, 0);
+    let began = Event::StageStarted { stage, round };
+    store.record(&lease, &began).await.expect("record");
+    let at = told("a").await.stage_started_at;
+    assert!(at.is_some_and(|at| at <= now_ms()));
+    let settled = store.settle(&lease, &Settlement::Released).await;
+    settled.expect("settle");
+    store.claim("w", 60_000, &[]).await.expect("claim");
+    // The new attempt has begun none.
+    assert_eq!(told("a").await.stage_started_at, None);
 }

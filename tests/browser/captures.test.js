@@ -1,0 +1,129 @@
+// Captures and the form of options, at both widths, with played jobs.
+
+import assert from "node:assert/strict";
+import { after, before } from "node:test";
+
+import { picture } from "./browser.js";
+import { Stand, both, button, part, provoked, seen } from "./played.js";
+import { until } from "./until.js";
+
+let stand;
+let server;
+
+before(async () => {
+  stand = await Stand.start();
+  ({ server } = stand);
+});
+
+after(() => stand?.stop());
+
+const captureOf = async (id) => (await server.job(id)).capture_id;
+
+both("the captures are a page, from which each can be opened by keyboard", async (width) => {
+  await stand.finished();
+  await stand.visit("captures", "", async (page) => {
+    await page.getByRole("link", { name: "Captures" }).focus();
+    await page.keyboard.press("Enter");
+    const link = page.locator("tbody a").first();
+    await link.focus();
+    await page.keyboard.press("Enter");
+    await seen(page.getByText("photographs are used"), "8 of 9");
+    await part(page, "Photographs").waitFor();
+    await seen(part(page, "Photographs").locator("tbody tr").first(), "broken.jpg");
+    await seen(part(page, "Photographs").locator("tbody tr").nth(1), "240 × 160");
+    await seen(part(page, "Jobs").locator("tbody tr"), "a finished <b>job</b>");
+  }, width);
+});
+
+both("a finished job is run again with other options from its page", async (width) => {
+  const id = await stand.finished();
+  await stand.visit("again", `#/jobs/${id}`, async (page) => {
+    await page.getByRole("link", { name: "Run again with other options" }).click();
+    const form = part(page, "Run again with other options");
+    const steps = form.getByLabel("steps", { exact: true });
+    await until("the form has the job's options", async () => (await steps.inputValue()) === "40");
+    assert.equal(await form.getByLabel("Preset").inputValue(), "preview");
+    await steps.fill("50");
+    await form.getByText("More options").click();
+    await form.getByLabel("stereo", { exact: true }).uncheck();
+    await form.getByLabel("noise", { exact: true }).selectOption("grid");
+    await picture(page, `page-options-${width}`);
+    await form.getByLabel("Name").fill(`again ${width}`);
+    await button(form, "Run").click();
+    await seen(page.getByRole("heading", { level: 1 }), `again ${width}`);
+    const before = await server.job(id);
+    const now = await server.job(page.url().split("/").pop());
+    assert.equal(now.capture_id, before.capture_id);
+    assert.deepEqual(now.options, { ...before.options, steps: 50, stereo: false, noise: "grid" });
+  }, width);
+});
+
+both("what the server says of an option stands at its field, which has the focus", async (width) =>
+  stand.visit("bad-option", `#/captures/${await captureOf(await stand.finished())}`, async (page, faults) => {
+    const form = part(page, "Run again with other options");
+    for (const [name, value] of [["steps", "0"], ["deblur", "no such network"]]) {
+      const field = form.getByLabel(name, { exact: true });
+      const before = await field.inputValue().catch(() => "");
+      if (!(await field.isVisible())) await form.getByText("More options").click();
+      await field.fill(value);
+      await button(form, "Run").click();
+      const said = form.locator(".option", { has: page.getByLabel(name, { exact: true }) }).getByRole("alert");
+      await seen(said, value);
+      assert.equal(await field.getAttribute("aria-invalid"), "true");
+      assert.equal(await field.evaluate((node) => node === document.activeElement), true);
+      provoked(faults, 422);
+      await field.fill(before);
+      await said.waitFor({ state: "hidden" });
+    }
+    await form.getByLabel("steps", { exact: true }).fill("0");
+    await button(form, "Run").click();
+    await seen(form.getByRole("alert"), "steps");
+    provoked(faults, 422);
+  }, width));
+
+both("the form of a new job has the options of its preset, and sends those that differ", async (width) =>
+  stand.visit("new-options", "", async (page) => {
+    await page.getByText("Options", { exact: true }).click();
+    const size = page.getByLabel("size", { exact: true });
+    await until("standard", async () => (await size.inputValue()) === "560");
+    await page.getByLabel("Preset").selectOption("preview");
+    assert.equal(await size.inputValue(), "280");
+    await page.getByLabel("rounds", { exact: true }).fill("3");
+    await page.getByLabel("or a folder").setInputFiles(stand.folder);
+    await page.getByLabel("Name").fill(`with options ${width}`);
+    await button(page, "Start").click();
+    await seen(page.getByRole("heading", { level: 1 }), `with options ${width}`);
+    const { options, preset } = await server.job(page.url().split("/").pop());
+    assert.deepEqual([preset, options.rounds, options.size, options.steps], ["preview", 3, 280, 1000]);
+    await seen(part(page, "Photographs"), "broken.jpg");
+  }, width));
+
+both("a capture is deleted after a question, but not while a job uses it", async (width) => {
+  const name = `to be deleted ${width}`;
+  const id = await server.submit(stand.folder, name, { adapter: "few_poses" });
+  await server.reached(id, "failed");
+  const capture = await captureOf(id);
+  await stand.visit("delete-capture", `#/captures/${capture}`, async (page, faults) => {
+    const dialog = page.getByRole("dialog");
+    await part(page, "Jobs").locator("tbody tr").first().waitFor();
+    await button(page, "Delete").click();
+    await seen(dialog, "1 job of it is here");
+    await page.keyboard.press("Escape");
+    await dialog.waitFor({ state: "detached" });
+    await button(page, "Delete").click();
+    await button(page, "Delete it").click();
+    await seen(page.getByRole("alert"), "A job uses this capture.");
+    await seen(page.getByRole("alert"), "Delete its jobs first.");
+    provoked(faults, 409);
+
+    await page.getByRole("link", { name }).click();
+    await button(page, "Delete").click();
+    await button(page, "Delete it").click();
+    await part(page, "New job").waitFor();
+    await page.goto(`${server.base}/#/captures/${capture}`);
+    await button(page, "Delete").click();
+    await button(page, "Delete it").click();
+    await page.getByRole("heading", { name: "Captures", level: 1 }).waitFor();
+    await until("it is gone", async () => (await page.locator(`a[href="#/captures/${capture}"]`).count()) === 0);
+  }, width);
+});

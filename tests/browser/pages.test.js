@@ -1,0 +1,283 @@
+// Every page in every state, at the width of a phone and of a desk, light and dark, with the
+// keyboard. The jobs are played: see `Server.played`. Pictures are in screenshots/ afterwards.
+
+import assert from "node:assert/strict";
+import { after, before, test } from "node:test";
+
+import { ticks } from "../../web/chart.js";
+import { loaded, picture } from "./browser.js";
+import { Stand, both, button, drop, part, provoked, seen, state } from "./played.js";
+import { until } from "./until.js";
+
+const NOWHERE = "00000000-0000-7000-8000-000000000000";
+/** ms; ten of them are a stage, and a played job that is silent for 3 s is stopped. */
+const SLOWLY = 1500;
+/** Of a stage of 15 s, ms. */
+const ENOUGH = 5_000;
+
+let stand;
+let server;
+
+before(async () => {
+  stand = await Stand.start();
+  ({ server } = stand);
+});
+
+after(() => stand?.stop());
+
+let queued = null;
+
+/** Both of the server's workers are busy for a while yet, and three more jobs wait. */
+async function queue() {
+  queued = (await lasts(queued)) ? queued : await fill();
+  return queued;
+}
+
+/** Whether a queue is still as it was made, and stays so while a page is looked at. */
+async function lasts(made) {
+  if (!made) return false;
+  const [poses, training] = await Promise.all(made.busy.map((id) => server.job(id)));
+  if (poses.stage === "poses" && poses.state === "running" && training.stage === "reconstruct") {
+    if (Date.now() - Date.parse(poses.stage_started_at) < ENOUGH) return true;
+  }
+  for (const id of [...made.busy, ...made.waiting]) await server.cancel(id).catch(() => {});
+  return false;
+}
+
+async function fill() {
+  const submit = (name, plan) => server.submit(stand.folder, name, { adapter: plan, pose_source: "auto" });
+  const busy = [await submit("one that trains", `reconstruct:${SLOWLY}`), await submit("one that looks for poses", `poses:${SLOWLY}`)];
+  const waiting = [];
+  for (const name of ["first", "second", "third"]) waiting.push(await submit(`${name} in the queue`, "ok"));
+  await server.when(busy[0], "trains", (job) => job.stage === "reconstruct" && job.eta_seconds);
+  await server.when(busy[1], "finds poses", (job) => job.stage === "poses");
+  return { busy: busy.reverse(), waiting };
+}
+
+async function failed() {
+  const id = await stand.job("few_poses", "a failed job");
+  await server.reached(id, "failed");
+  return id;
+}
+
+async function cancelled() {
+  const id = await stand.job(`enhance:${SLOWLY}`, "a cancelled job");
+  await server.when(id, "runs", (job) => job.stage === "enhance");
+  if ((await server.job(id)).state !== "cancelled") await server.cancel(id);
+  await server.reached(id, "cancelled");
+  return id;
+}
+
+const STATES = {
+  finished: async () => `#/jobs/${await stand.finished()}`,
+  failed: async () => `#/jobs/${await failed()}`,
+  cancelled: async () => `#/jobs/${await cancelled()}`,
+  captures: async () => (await stand.finished(), "#/captures"),
+  capture: async () => `#/captures/${(await server.job(await stand.finished())).capture_id}`,
+  poses: async () => `#/jobs/${(await queue()).busy[0]}`,
+  training: async () => `#/jobs/${(await queue()).busy[1]}`,
+  queued: async () => `#/jobs/${(await queue()).waiting[2]}`,
+  list: async () => (await queue(), ""),
+  "unknown-job": () => `#/jobs/${NOWHERE}`,
+  "unknown-capture": () => `#/captures/${NOWHERE}`,
+  "unknown-page": () => "#/nowhere",
+};
+
+/** What is waited for before the picture is taken. */
+const SHOWN = {
+  finished: async (page) => {
+    await seen(part(page, "Novel view"), "azimuth 0°");
+    await part(page, "Files").waitFor();
+    // Pictures are fetched when they come near.
+    await page.locator(".shots").scrollIntoViewIfNeeded();
+    await until("thumbnails are there", () => loaded(page.locator(".shots img")));
+  },
+  captures: (page) => page.locator("tbody tr").first().waitFor(),
+  capture: (page) => part(page, "Jobs").locator("tbody tr").first().waitFor(),
+  list: (page) => page.locator("tbody tr").first().waitFor(),
+};
+
+for (const name of Object.keys(STATES)) {
+  both(`the page "${name}" fits, light and dark, and says nothing to the console`, async (width) => {
+    const address = await STATES[name]();
+    for (const colorScheme of ["dark", "light"]) {
+      await stand.visit(`page-${name}-${colorScheme}`, address, async (page, faults) => {
+        const shown = SHOWN[name] ?? (() => page.locator("h1, [role=alert]").first().waitFor());
+        await shown(page);
+        if (name.startsWith("unknown-") && name !== "unknown-page") provoked(faults, 404);
+      }, width, { colorScheme });
+    }
+  });
+}
+
+both("a job that waits tells its place in the queue", async (width) => {
+  const { waiting } = await queue();
+  await stand.visit("queued", `#/jobs/${waiting[1]}`, async (page) => {
+    await seen(state(page), "queued");
+    const { queue_position: place } = await server.job(waiting[1]);
+    await seen(page.locator(".now"), place === 1 ? "next in the queue" : `place ${place} in the queue`);
+    assert.equal((await server.job(waiting[2])).queue_position, place + 1);
+  }, width);
+});
+
+both("the search for poses tells the time that it took so far, and no share", async (width) => {
+  const { busy } = await queue();
+  assert.ok((await server.job(busy[0])).stage_started_at);
+  await stand.visit("poses", `#/jobs/${busy[0]}`, async (page) => {
+    await seen(page.locator(".now"), /poses · so far \d:\d\d; usually one to two minutes/);
+    const line = await page.locator(".now").textContent();
+    await until("the time goes on", async () => (await page.locator(".now").textContent()) !== line);
+    const bar = page.getByRole("progressbar", { name: "progress" });
+    assert.equal(await bar.getAttribute("value"), null);
+  }, width);
+});
+
+both("a job that trains tells its speed, what is left and the time of the stage", async (width) => {
+  const { busy } = await queue();
+  await stand.visit("training", `#/jobs/${busy[1]}`, async (page) => {
+    await seen(page.locator(".now"), /reconstruct · 25\.0 steps\/s · .* left · this stage \d:\d\d so far/);
+  }, width);
+});
+
+both("photographs that were left out stand on the job's page, with the reason", async (width) =>
+  stand.visit("left-out", `#/jobs/${await stand.finished()}`, async (page) => {
+    await seen(part(page, "Photographs"), "8 of 9 photographs are used");
+    await seen(part(page, "Photographs").locator("li"), /^broken\.jpg: .+/);
+    await part(page, "Photographs").getByRole("link").click();
+    await seen(part(page, "Photographs").locator("tbody tr").first(), /broken\.jpg.*not used: /);
+    assert.equal(await part(page, "Photographs").locator("tbody tr").count(), 9);
+  }, width));
+
+both("what is unknown is a sentence with a way back, and no empty box", async (width) => {
+  for (const [hash, words, link] of [
+    [`#/jobs/${NOWHERE}`, "There is no such job.", "All jobs"],
+    ["#/jobs/nonsense", "There is no such job.", "All jobs"],
+    [`#/captures/${NOWHERE}`, "There is no such capture.", "All captures"],
+    ["#/nowhere", "There is no such page.", "All jobs"],
+  ]) {
+    await stand.visit("unknown", hash, async (page, faults) => {
+      await seen(page.getByRole("alert"), words);
+      assert.equal(await page.locator("main section").count(), 1);
+      await page.getByRole("link", { name: link }).click();
+      await page.locator("main h1, main form").first().waitFor();
+      provoked(faults, 404);
+    }, width);
+  }
+});
+
+both("deleting and cancelling a job ask first, and no is no", async (width) => {
+  const id = await server.submit(stand.folder, `to be deleted ${width}`, { adapter: `poses:${SLOWLY}` });
+  await stand.visit("dialogs", `#/jobs/${id}`, async (page) => {
+    const dialog = page.getByRole("dialog");
+    await button(page, "Cancel").focus();
+    await page.keyboard.press("Enter");
+    await seen(dialog, "Cancel this job?");
+    await page.keyboard.press("Escape");
+    await dialog.waitFor({ state: "detached" });
+    assert.notEqual((await server.job(id)).state, "cancelled");
+    assert.equal(await button(page, "Cancel").evaluate((one) => one === document.activeElement), true);
+    await button(page, "Cancel").click();
+    await button(page, "Cancel it").click();
+    await seen(state(page), "cancelled");
+
+    await button(page, "Delete").click();
+    await seen(dialog, "the photographs stay");
+    // The harmless answer has the focus.
+    await page.keyboard.press("Enter");
+    await dialog.waitFor({ state: "detached" });
+    assert.equal((await server.job(id)).state, "cancelled");
+    await button(page, "Delete").click();
+    await picture(page, `page-dialog-${width}`);
+    await button(page, "Delete it").click();
+    await part(page, "Jobs").waitFor();
+    await assert.rejects(server.job(id), /404/);
+  }, width);
+});
+
+both("a failed job says once what happened and once what to do", async (width) => {
+  const id = await failed();
+  const { error } = await server.job(id);
+  await stand.visit("failed", `#/jobs/${id}`, async (page) => {
+    await seen(state(page), "failed");
+    const text = await page.locator("main > section").first().innerText();
+    for (const words of [error.detail, error.hint]) assert.equal(text.split(words).length, 2, words);
+  }, width);
+});
+
+both("options are a list and can all be read", async (width) =>
+  stand.visit("options", `#/jobs/${await stand.finished()}`, async (page) => {
+    const facts = part(page, "Facts");
+    await facts.getByText(/^All \d+ options$/).focus();
+    await page.keyboard.press("Enter");
+    const { options } = await server.job(await stand.finished());
+    const names = facts.locator("details dt");
+    assert.equal(await names.count(), Object.keys(options).length);
+    await seen(names, "pose source");
+  }, width));
+
+both("a word that is one word stays on one line in the list", async (width) => {
+  await stand.finished();
+  await stand.visit("badge", "", async (page) => {
+    const cell = page.locator("tbody td", { hasText: /^preview$/ }).first().locator("div");
+    const lines = await cell.evaluate((node) => {
+      const range = document.createRange();
+      range.selectNodeContents(node);
+      return new Set([...range.getClientRects()].map((box) => Math.round(box.top))).size;
+    });
+    assert.equal(lines, 1);
+  }, width);
+});
+
+test("the labels of a chart's grid differ, however close its values are", () => {
+  for (const [low, high] of [[0.4701, 0.4722], [0, 1], [20.1, 20.11], [3, 3000], [0.99, 1]]) {
+    const labels = ticks(low, high).map(([, label]) => label);
+    assert.ok(labels.length >= 2 && labels.length <= 6, labels.join());
+    assert.equal(new Set(labels).size, labels.length, labels.join());
+  }
+});
+
+both("the charts of a finished job repeat no label", async (width) =>
+  stand.visit("charts", `#/jobs/${await stand.finished()}`, async (page) => {
+    const charts = part(page, "Metrics by round").locator("svg");
+    await charts.first().waitFor();
+    for (const svg of await charts.all()) {
+      const labels = await svg.locator(".tick").allTextContents();
+      assert.ok(labels.length >= 2);
+      assert.equal(new Set(labels).size, labels.length, labels.join());
+    }
+  }, width));
+
+both("dropped files can be taken out again, one by one by keyboard", async (width) =>
+  stand.visit("dropped", "", async (page) => {
+    await drop(page, ".drop", [["a.jpg", "a"], ["b.jpg", "b"], ["c.jpg", "c"]]);
+    await page.getByText("3 files chosen").waitFor();
+    await button(page, "Take out b.jpg").focus();
+    await page.keyboard.press("Enter");
+    await page.getByText("2 files chosen").waitFor();
+    await page.keyboard.press("Enter");
+    await page.getByText("1 file chosen").waitFor();
+    assert.deepEqual(await page.locator(".files .path").allTextContents(), ["a.jpg"]);
+    await picture(page, `page-dropped-${width}`);
+    await button(page, "Take all out").click();
+    await button(page, "Start").click();
+    await seen(page.getByRole("alert"), "Choose photographs");
+  }, width));
+
+both("a drop beside the box is a drop, and on another page leaves it where it is", async (width) => {
+  await stand.visit("beside", "", async (page) => {
+    await drop(page, "header", [["a.jpg", "a"]]);
+    await page.getByText("1 file chosen").waitFor();
+  }, width);
+  await stand.visit("beside", "#/captures", async (page) => {
+    const refused = await page.evaluate(() => {
+      const data = new DataTransfer();
+      data.items.add(new File(["a"], "a.jpg"));
+      return ["dragover", "drop"].map((name) => {
+        const event = new DragEvent(name, { dataTransfer: data, bubbles: true, cancelable: true });
+        document.body.dispatchEvent(event);
+        return event.defaultPrevented;
+      });
+    });
+    assert.deepEqual(refused, [true, true]);
+  }, width);
+});

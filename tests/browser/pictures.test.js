@@ -1,0 +1,196 @@
+// The pictures of a view and the novel view: keyboard, touch, wheel and brightness, at both widths.
+
+import assert from "node:assert/strict";
+import { after, before, test } from "node:test";
+
+import { gains, mean } from "../../web/light.js";
+import { loaded, picture } from "./browser.js";
+import { Stand, both, button, part, seen } from "./played.js";
+import { until } from "./until.js";
+
+let stand;
+
+before(async () => { stand = await Stand.start(); });
+
+after(() => stand?.stop());
+
+/** Opens the part "Views" of a finished job, its pictures loaded. */
+async function views(name, width, judge, further = {}) {
+  const id = await stand.finished();
+  await stand.visit(name, `#/jobs/${id}`, async (page) => {
+    const root = part(page, "Views");
+    const slider = root.getByRole("slider");
+    await until("both sides are there", () => loaded(slider.locator("img")));
+    await part(page, "Files").waitFor();
+    await judge({ page, root, slider, at: async () => Number(await slider.getAttribute("aria-valuenow")) });
+  }, width, further);
+}
+
+const scale = (root) => root.locator(".tools .soft").textContent();
+
+both("thumbnails are reached by keyboard and put on either side", (width) =>
+  views("keyboard", width, async ({ page, root, slider }) => {
+    const shots = root.locator(".shot");
+    await shots.first().focus();
+    await page.keyboard.press("ArrowRight");
+    await page.keyboard.press("Enter");
+    await seen(slider.locator(".left"), "round 1, enhanced");
+    assert.equal(await shots.nth(1).evaluate((one) => one === document.activeElement), true);
+    await page.keyboard.press("End");
+    await page.keyboard.press("Shift+Enter");
+    await seen(slider.locator(".right"), "ground truth");
+    await page.keyboard.press("Home");
+    await button(root, "right").press("Enter");
+    await shots.first().press(" ");
+    await seen(slider.locator(".right"), "dark input");
+    await page.keyboard.press("ArrowDown");
+    assert.equal(await shots.first().evaluate((one) => one === document.activeElement), false);
+    assert.match(await shots.first().innerText(), /right/);
+    await until("the pictures are there", () => loaded(slider.locator("img")));
+  }));
+
+test("both sides are chosen by touch, and a finger that moves up scrolls the page", () =>
+  views("touch", "phone", async ({ root, slider }) => {
+    await button(root, "right").tap();
+    await root.locator("figure", { hasText: "round 1, deblurred" }).getByRole("button").tap();
+    await seen(slider.locator(".right"), "round 1, deblurred");
+    await button(root, "left").tap();
+    await root.locator("figure", { hasText: "ground truth" }).getByRole("button").tap();
+    await seen(slider.locator(".left"), "ground truth");
+    const action = (node) => getComputedStyle(node).touchAction;
+    assert.equal(await slider.evaluate(action), "pan-y");
+  }, { hasTouch: true, isMobile: true }));
+
+both("the bar goes to its ends, and the picture is enlarged, moved and made whole by keys", (width) =>
+  views("keys", width, async ({ page, root, slider, at }) => {
+    await slider.press("Home");
+    assert.equal(await at(), 0);
+    await slider.press("End");
+    assert.equal(await at(), 100);
+    await slider.press("ArrowLeft");
+    assert.equal(await at(), 95);
+    await slider.press("+");
+    assert.equal(await scale(root), "1.5 ×");
+    const moved = () => slider.locator("img").first().evaluate((image) => image.style.transform);
+    const before = await moved();
+    await slider.press("Shift+ArrowRight");
+    assert.notEqual(await moved(), before);
+    assert.equal(await at(), 95, "the bar stays");
+    await slider.press("-");
+    assert.equal(await scale(root), "1.0 ×");
+    await slider.press("+");
+    await slider.press("0");
+    assert.equal(await scale(root), "1.0 ×");
+    await button(root, "Enlarge").click();
+    await button(root, "Enlarge").click();
+    await picture(page, `page-enlarged-${width}`);
+    await button(root, "Whole picture").click();
+    assert.equal(await scale(root), "1.0 ×");
+    await slider.dblclick();
+    assert.equal(await scale(root), "2.3 ×");
+    assert.equal(await at(), 95, "a double click does not move the bar");
+    await slider.dblclick();
+    assert.equal(await scale(root), "1.0 ×");
+  }));
+
+both("what is enlarged is dragged, and the bar only where it is", (width) =>
+  views("drag", width, async ({ page, root, slider, at }) => {
+    await button(root, "Enlarge").click();
+    const before = await at();
+    const shift = () => slider.locator("img").first().evaluate((image) => image.style.transform);
+    const corner = await shift();
+    await slider.scrollIntoViewIfNeeded();
+    const box = await slider.boundingBox();
+    const drag = async (from, to) => {
+      await page.mouse.move(box.x + box.width * from, box.y + box.height / 2);
+      await page.mouse.down();
+      await page.mouse.move(box.x + box.width * to, box.y + box.height / 2, { steps: 3 });
+      await page.mouse.up();
+    };
+    await drag(0.25, 0.15);
+    assert.notEqual(await shift(), corner);
+    assert.equal(await at(), before);
+    await drag(0.5, 0.75);
+    assert.ok(Math.abs((await at()) - 75) <= 1, `the bar is at ${await at()}`);
+  }));
+
+both("the wheel scrolls the page over the pictures, and enlarges with Ctrl", (width) =>
+  views("wheel", width, async ({ page, root, slider }) => {
+    await over(page, slider);
+    await scrolls(page);
+    await over(page, slider);
+    await page.keyboard.down("Control");
+    await page.mouse.wheel(0, -100);
+    await page.keyboard.up("Control");
+    await until("it is enlarged", async () => (await scale(root)) === "1.2 ×");
+    // The last step out is the picture's, what comes after it the page's.
+    await page.mouse.wheel(0, 100);
+    await until("it is whole", async () => (await scale(root)) === "1.0 ×");
+    await scrolls(page);
+  }));
+
+both("the wheel over the novel view is the page's until one clicks into the view", (width) =>
+  views("novel-wheel", width, async ({ page }) => {
+    const novel = part(page, "Novel view");
+    const frame = novel.getByLabel("novel view, arrow keys turn");
+    await seen(novel, "distance 1.00");
+    await over(page, frame);
+    await scrolls(page);
+    await seen(novel, "distance 1.00");
+    await over(page, frame);
+    await page.mouse.down();
+    await page.mouse.up();
+    const before = await page.evaluate(() => scrollY);
+    await page.mouse.wheel(0, 100);
+    await seen(novel, "distance 1.08");
+    assert.equal(await page.evaluate(() => scrollY), before);
+    await page.mouse.move(2, 2);
+    await over(page, frame);
+    await scrolls(page);
+    await button(novel, "Turn right").press("Enter");
+    await seen(novel, "azimuth 10°");
+    await button(novel, "Reset").click();
+    await seen(novel, "azimuth 0°, elevation 0°, distance 1.00");
+  }));
+
+both("input and render are shown at the same brightness, and the page says how", (width) =>
+  views("equal", width, async ({ page, root, slider }) => {
+    const filters = () => slider.locator("img").evaluateAll((images) => images.map((image) => image.style.filter));
+    assert.deepEqual(await filters(), ["", ""]);
+    await root.getByLabel("Equal brightness").check();
+    await seen(root.getByRole("status"), /^dark input × \d+\.\d, so that both have the same mean/);
+    const [below, top] = await filters();
+    assert.equal(below, "");
+    assert.match(top, /^brightness\(\d/);
+    await picture(page, `page-equal-${width}`);
+    // What is brightened is what is shown, also after another choice.
+    await root.locator("figure", { hasText: "ground truth" }).getByRole("button").click();
+    await until("now the render is the darker one", async () => (await filters())[1] === "");
+    await root.getByLabel("Equal brightness").uncheck();
+    assert.deepEqual(await filters(), ["", ""]);
+  }));
+
+test("a gain gives the darker picture the mean of the brighter, though some of it becomes white", () => {
+  const dark = [0.01, 0.05, 0.1, 0.4];
+  const bright = [0.2, 0.5, 0.6, 0.9];
+  const [gain, other] = gains(dark, bright);
+  assert.equal(other, 1);
+  assert.ok(Math.abs(mean(dark, gain) - mean(bright)) < 1e-4);
+  assert.ok(gain > mean(bright) / mean(dark), "what is clipped is made up for");
+  assert.deepEqual(gains(bright, dark), [1, gain]);
+  assert.deepEqual(gains([0, 0], [0, 0]), [1, 1]);
+});
+
+/** Puts the pointer on the middle of an element. */
+async function over(page, locator) {
+  await locator.scrollIntoViewIfNeeded();
+  const box = await locator.boundingBox();
+  await page.mouse.move(box.x + box.width / 2, box.y + box.height / 2);
+}
+
+/** A turn of the wheel scrolls the page. */
+async function scrolls(page) {
+  const before = await page.evaluate(() => scrollY);
+  await page.mouse.wheel(0, 60);
+  await until("the page scrolls", async () => (await page.evaluate(() => scrollY)) > before);
+}

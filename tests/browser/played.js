@@ -1,0 +1,102 @@
+// What the tests of the pages share: a server of played jobs, both widths, parts of a page.
+
+import assert from "node:assert/strict";
+import { test } from "node:test";
+
+import { Browser, overflowing } from "./browser.js";
+import { Server } from "./server.js";
+
+/** px */
+export const WIDTHS = {
+  phone: { width: 390, height: 844 },
+  desktop: { width: 1400, height: 900 },
+};
+/** Of the made-up photographs. */
+const SIZE = "240x160";
+
+export class Stand {
+  static async start() {
+    const server = await Server.played(process.env.FLED);
+    const browser = await Browser.start(server.base);
+    // The played server says that it lacks a tool, which every page would report as a fault.
+    browser.isReady = true;
+    return new Stand(server, browser, server.spoilt(SIZE));
+  }
+
+  constructor(server, browser, folder) {
+    Object.assign(this, { server, browser, folder, jobs: new Map() });
+  }
+
+  async stop() {
+    await this.browser?.stop();
+    await this.server?.stop();
+  }
+
+  /** A job of a plan that several tests look at: the first of them submits it. Its id. */
+  job(plan, name = plan) {
+    const known = this.jobs.get(name) ?? this.server.submit(this.folder, name, { adapter: plan });
+    this.jobs.set(name, known);
+    return known;
+  }
+
+  /** A played job that has ended well. */
+  async finished() {
+    const id = await this.job("ok", "a finished <b>job</b>");
+    await this.server.reached(id, "succeeded");
+    return id;
+  }
+
+  /** Visits a page; in the end nothing is wider than it and no box is empty. */
+  visit(name, hash, judge, width = "desktop", further = {}) {
+    const judged = async (page, faults) => {
+      await judge(page, faults);
+      assert.deepEqual(await overflowing(page), [], `wider than ${WIDTHS[width].width} px`);
+      assert.deepEqual(await emptyBoxes(page), [], "boxes with nothing but a title");
+    };
+    return this.browser.visit(`${name}-${width}`, hash, judged, WIDTHS[width], further);
+  }
+}
+
+/** The titles of the parts of a page that show nothing else. */
+function emptyBoxes(page) {
+  return page.locator("main section:visible").evaluateAll((boxes) => boxes
+    .filter((box) => box.innerText.trim() === (box.querySelector("h2")?.innerText ?? "").trim())
+    .map((box) => box.innerText));
+}
+
+/** The same test at both widths. */
+export function both(name, judge) {
+  for (const width of Object.keys(WIDTHS)) {
+    test(`${name}, at ${WIDTHS[width].width} px`, () => judge(width));
+  }
+}
+
+/** Waits for an element with the text. */
+export const seen = (locator, text) => locator.filter({ hasText: text }).first().waitFor();
+
+export const state = (page) => page.locator("h1 + .state");
+
+export const button = (page, name) => page.getByRole("button", { name, exact: true });
+
+/** The part of a page under a title. */
+export function part(page, title) {
+  const heading = page.getByRole("heading", { name: title, exact: true, level: 2 });
+  return page.locator("section", { has: heading });
+}
+
+/** The faults are all answers of this status: what a test provoked. */
+export function provoked(faults, status) {
+  for (const fault of faults.splice(0)) assert.match(fault, new RegExp(`\\b${status}\\b`));
+}
+
+/** Drops files, by name and text, on an element. */
+export async function drop(page, selector, files) {
+  const transfer = await page.evaluateHandle((list) => {
+    const data = new DataTransfer();
+    for (const [name, text] of list) data.items.add(new File([text], name, { type: "image/jpeg" }));
+    return data;
+  }, files);
+  for (const event of ["dragover", "drop"]) {
+    await page.dispatchEvent(selector, event, { dataTransfer: transfer });
+  }
+}

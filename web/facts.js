@@ -1,0 +1,45 @@
+// How a job was run: time by stage, what was used, every option.
+
+import { duration, h, plain } from "./dom.js";
+
+const STAGES = ["poses", "enhance", "deblur", "reconstruct", "render", "match", "evaluate"];
+
+export function stageBars(stages) {
+  const rows = [...stages].sort((a, b) => a.round - b.round || STAGES.indexOf(a.stage) - STAGES.indexOf(b.stage));
+  const most = Math.max(...rows.map((row) => row.seconds));
+  return h("div", { class: "bars" }, rows.flatMap((row) => [
+    h("span", {}, row.round > 0 ? `${row.round} · ${row.stage}` : row.stage),
+    h("progress", { max: most || 1, value: row.seconds, "aria-label": row.stage }),
+    h("span", { class: "number" }, duration(row.seconds))]));
+}
+
+export function factList(report) {
+  return pairs({
+    registered: report.registered === undefined ? null : `${report.registered} of ${report.views} views`,
+    "delivered round": report.best_round,
+    adapter: report.adapter,
+    // Each photograph's place has a table of its own.
+    poses: report.poses && without(report.poses, "verdicts"),
+    models: report.models,
+    fallbacks: report.fallbacks?.length > 0 ? report.fallbacks : null,
+  });
+}
+
+function without(values, name) {
+  const rest = Object.entries(values).filter(([key]) => key !== name);
+  return rest.length > 0 ? Object.fromEntries(rest) : null;
+}
+
+/** Every option of a job, one a line. */
+export const optionList = (job) => h("details", {}, h("summary", {}, `All ${Object.keys(job.options).length} options`), pairs(job.options));
+
+/** Names and values; what a value holds is a list of its own. */
+function pairs(values) {
+  const real = Object.entries(values).filter(([, value]) => value !== null && value !== undefined && value !== "");
+  return h("dl", {}, real.flatMap(([name, value]) => [h("dt", {}, plain(name)), h("dd", {}, shown(value))]));
+}
+
+function shown(value) {
+  if (Array.isArray(value)) return h("ul", { class: "plain" }, value.map((one) => h("li", {}, shown(one))));
+  return typeof value === "object" ? pairs(value) : String(value);
+}

@@ -1,0 +1,38 @@
+// Two pictures at the same brightness: the darker one is brightened until their means agree.
+
+/** Side of the copy that is measured, px: a mean needs no more. */
+const SIDE = 64;
+/** More would show nothing but noise. */
+const MOST = 64;
+const HALVINGS = 24;
+
+/** Encoded values of a loaded picture, 0..=1, of all three channels. */
+export function values(image) {
+  const canvas = document.createElement("canvas");
+  canvas.width = SIDE;
+  canvas.height = SIDE;
+  const context = canvas.getContext("2d", { willReadFrequently: true });
+  context.drawImage(image, 0, 0, SIDE, SIDE);
+  const bytes = context.getImageData(0, 0, SIDE, SIDE).data;
+  return Float64Array.from({ length: SIDE * SIDE * 3 }, (_, i) => bytes[4 * Math.floor(i / 3) + (i % 3)] / 255);
+}
+
+/** The mean after a gain; what is brighter than white is white, as in `filter: brightness()`. */
+export const mean = (list, gain = 1) => list.reduce((sum, value) => sum + Math.min(1, value * gain), 0) / list.length;
+
+/** The gains, one of them 1, that give both pictures the mean of the brighter. */
+export function gains(a, b) {
+  const [first, second] = [mean(a), mean(b)];
+  return first < second ? [gainTo(a, second), 1] : [1, gainTo(b, first)];
+}
+
+function gainTo(list, wanted) {
+  if (mean(list) >= wanted) return 1;
+  let [low, high] = [1, MOST];
+  for (let i = 0; i < HALVINGS; i++) {
+    const middle = (low + high) / 2;
+    if (mean(list, middle) < wanted) low = middle;
+    else high = middle;
+  }
+  return (low + high) / 2;
+}

@@ -1,0 +1,41 @@
+// What became of the photographs of a capture.
+
+import { count, h } from "./dom.js";
+import { told } from "./table.js";
+
+const COLUMNS = [{ title: "Photograph" }, { title: "Size, px", class: "word" }, { title: "Focal length, px", class: "word" },
+  { title: "Verdict" }, { title: "Warnings" }];
+
+export const rejected = (capture) => capture.images.filter((image) => !image.accepted);
+
+/** "23 of 25 photographs are used". */
+export const used = (capture) => `${capture.accepted} of ${count(capture.images.length, "photograph")} ${capture.accepted === 1 ? "is" : "are"} used`;
+
+/** Every photograph; those that are not used come first, with the reason. */
+export function photographs(capture) {
+  const images = [...capture.images].sort((a, b) => a.accepted - b.accepted);
+  return told(COLUMNS, images.map((image) => [
+    image.name,
+    image.width > 0 ? `${image.width} × ${image.height}` : "",
+    image.focal_px ? image.focal_px.toFixed(0) : "",
+    image.accepted ? "used" : h("span", { class: "bad" }, `not used: ${image.reason ?? "rejected"}`),
+    image.warnings.map((warning) => warning.message).join("; "),
+  ]));
+}
+
+/** What is worth knowing of all of them. */
+export function captureWarnings(capture) {
+  if (capture.warnings.length === 0) return null;
+  return h("ul", { class: "plain" }, capture.warnings.map((warning) => h("li", {}, warning.message)));
+}
+
+/** For a job's page: which photographs of its upload were left out, and why. */
+export function leftOut(capture) {
+  const out = rejected(capture);
+  if (out.length === 0) return null;
+  return [
+    h("p", {}, `${used(capture)}; ${out.length === 1 ? "this one is not" : "these are not"}:`),
+    h("ul", { class: "plain" }, out.map((image) => h("li", {}, h("b", {}, image.name), `: ${image.reason ?? "rejected"}`))),
+    h("p", { class: "hint" }, h("a", { href: `#/captures/${capture.id}` }, "All photographs of this capture")),
+  ];
+}

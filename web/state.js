@@ -1,0 +1,57 @@
+// What a job does, in words.
+
+import { duration, h, plain, serverNow, stopwatch } from "./dom.js";
+
+export const isOver = (job) => ["succeeded", "failed", "cancelled"].includes(job.state);
+
+/** The word for its state. */
+export const stateWord = (job) => (job.cancel_requested && job.state === "running" ? "cancelling" : job.state);
+
+/** The pill that shows a state. */
+export const pill = (job) => h("span", { class: `state ${job.state}` }, stateWord(job));
+
+/** What a job does now, in a few words. */
+export function doing(job) {
+  if (job.state === "queued") return [place(job), job.error && "waits for another attempt"].filter(Boolean).join(", ");
+  if (job.state !== "running") return "";
+  const round = job.round > 0 ? `round ${job.round} of ${job.rounds}` : "";
+  return [round, job.stage].filter(Boolean).join(", ") || "starts";
+}
+
+function place({ queue_position: position }) {
+  if (!position) return "";
+  return position === 1 ? "next in the queue" : `place ${position} in the queue`;
+}
+
+/** The line beside a job's state; changes by the second while it runs. */
+export function progressLine(job) {
+  const runs = job.state === "running";
+  return [
+    doing(job),
+    runs && job.steps_per_second ? `${job.steps_per_second.toFixed(1)} steps/s` : "",
+    runs && job.eta_seconds ? `${duration(job.eta_seconds)} left` : "",
+    runs ? elapsed(job) : "",
+    job.attempts > 1 ? `attempt ${job.attempts}` : "",
+  ].filter(Boolean).join(" · ");
+}
+
+/** Structure from motion cannot say how far it is: what has passed, and what is usual. */
+function elapsed(job) {
+  if (!job.stage_started_at) return "";
+  const time = stopwatch((serverNow() - Date.parse(job.stage_started_at)) / 1000);
+  if (job.stage !== "poses") return `this stage ${time} so far`;
+  const given = job.options.pose_source === "given";
+  return given ? `so far ${time}` : `so far ${time}; usually one to two minutes`;
+}
+
+/** Sets a bar: one that knows nothing yet says so and does not stand at 0 %. */
+export function setBar(bar, job) {
+  if (job.state === "running" && job.progress === 0) bar.removeAttribute("value");
+  else bar.value = job.progress;
+}
+
+/** Why it failed: what happened, then what to do, which some failures have said already. */
+export function failure({ code, detail, hint }) {
+  const advice = hint && !detail.includes(hint.replace(/\.$/, "")) ? `\n${hint}` : "";
+  return `${plain(code)}: ${detail}${advice}`;
+}
