@@ -70,23 +70,6 @@ const CONTENT_SECURITY_POLICY: &str = "default-src 'none'; script-src 'self'; st
 
 /// Every route.
 pub fn router(app: Arc<App>) -> Router {
-    // The largest upload is checked while it streams; no handler buffers it.
-    let uploads = Router::new()
-        .route("/v1/captures", get(captures::list).post(captures::create))
-        .route("/v1/jobs", get(jobs::list).post(jobs::create))
-        .layer(DefaultBodyLimit::disable());
-    let pieces = Router::new()
-        .route(UPLOADS, post(tus::create).options(tus::options))
-        .route(
-            UPLOAD,
-            head(tus::head)
-                .patch(tus::patch)
-                .delete(tus::delete)
-                .post(tus::by_override)
-                .options(tus::options_of_one),
-        )
-        .route_layer(middleware::from_fn(tus::check_version))
-        .layer(DefaultBodyLimit::disable());
     let small = Router::new()
         .route(
             "/v1/captures/{id}",
@@ -108,8 +91,7 @@ pub fn router(app: Arc<App>) -> Router {
     let header = |name: HeaderName, value: &'static str| {
         SetResponseHeaderLayer::if_not_present(name, HeaderValue::from_static(value))
     };
-    uploads
-        .merge(pieces)
+    uploads()
         .merge(small)
         .fallback(async || Problem::not_found("page"))
         .method_not_allowed_fallback(async || {
@@ -154,6 +136,27 @@ fn of_a_job() -> Router<Arc<App>> {
         .route("/v1/jobs/{id}/render", get(render::get).post(render::post))
         .route("/v1/jobs/{id}/artifacts", get(artifacts::list))
         .route("/v1/jobs/{id}/artifacts/{*name}", get(artifacts::download))
+}
+
+/// What takes bodies of any size: the largest upload is checked while it streams; no handler
+/// buffers it.
+fn uploads() -> Router<Arc<App>> {
+    let pieces = Router::new()
+        .route(UPLOADS, post(tus::create).options(tus::options))
+        .route(
+            UPLOAD,
+            head(tus::head)
+                .patch(tus::patch)
+                .delete(tus::delete)
+                .post(tus::by_override)
+                .options(tus::options_of_one),
+        )
+        .route_layer(middleware::from_fn(tus::check_version));
+    Router::new()
+        .route("/v1/captures", get(captures::list).post(captures::create))
+        .route("/v1/jobs", get(jobs::list).post(jobs::create))
+        .merge(pieces)
+        .layer(DefaultBodyLimit::disable())
 }
 
 #[expect(clippy::needless_pass_by_value, reason = "the layer hands it over so")]

@@ -113,7 +113,7 @@ async fn make(
         let creation = store(&app, &placed, &order, &request, &visitor).await;
         // The uploads are still there where no job was made of them.
         if matches!(creation, Ok(Creation::Created(_))) {
-            placed.is_kept(&app).await;
+            placed.finish(&app).await;
         } else {
             placed.give_up().await;
         }

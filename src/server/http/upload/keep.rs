@@ -35,7 +35,7 @@ impl Placed<'_> {
     }
 
     /// What is left of uploads in pieces goes: the row was stored, and theirs are gone.
-    pub async fn is_kept(self, app: &App) -> CaptureRow {
+    pub async fn finish(self, app: &App) -> CaptureRow {
         for id in &self.uploads {
             remove_file(&app.data.upload(id)).await;
         }
@@ -68,7 +68,7 @@ impl Upload {
             stored?;
             return Err(Problem::not_found("upload").pointer("/uploads"));
         }
-        Ok(placed.is_kept(app).await)
+        Ok(placed.finish(app).await)
     }
 
     /// Moves the files to where those of captures lie, fsynced.
