@@ -88,6 +88,8 @@ const SHOWN = {
   finished: async (page) => {
     await seen(part(page, "Novel view"), "azimuth 0°");
     await part(page, "Files").waitFor();
+    // What is folded away may be wide, too.
+    await page.locator("details").evaluateAll((all) => all.forEach((one) => { one.open = true; }));
     // Pictures are fetched when they come near.
     await page.locator(".shots").scrollIntoViewIfNeeded();
     await until("thumbnails are there", () => loaded(page.locator(".shots img")));
