@@ -219,9 +219,9 @@ fn the_shake_is_found_again_in_a_noisy_photograph() {
         &noisy(&shaken(&sharp, &kernel, &response)),
         &response,
     );
-    // Far taps are dear, so a kernel comes out somewhat too small, and never too large.
+    // Far taps cost a little, so a kernel comes out slightly too small, and never too large.
     let wide = found.spread() / kernel.spread();
-    assert!((0.65..1.02).contains(&wide), "{wide} of the true spread");
+    assert!((0.85..1.02).contains(&wide), "{wide} of the true spread");
     assert!(
         found.centroid().iter().all(|c| c.abs() < 0.3),
         "{:?}",
