@@ -79,12 +79,12 @@ async function enter() {
   route();
 }
 
-/** Sessions end while a page is open. */
+/** Sessions end, and become others in another tab, while a page is open. */
 async function stay() {
   if (link(location.hash)) return;
-  const wasLockedOut = isLockedOut;
+  const before = `${isLockedOut} ${who.scopes} ${who.job}`;
   isLockedOut = await look();
-  if (isLockedOut !== wasLockedOut) route();
+  if (`${isLockedOut} ${who.scopes} ${who.job}` !== before) route();
 }
 
 logout.addEventListener("click", async () => {

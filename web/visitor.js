@@ -1,5 +1,6 @@
 // Whoever comes by a link to one job: `#/share/JOB/SECRET`.
 
+import { ask } from "./dialog.js";
 import { api, h } from "./dom.js";
 import { session } from "./login.js";
 
@@ -15,20 +16,29 @@ export function openLink(main, [job, secret], enter) {
   main.append(h("section", {}, line));
   open().catch((error) => {
     line.className = "problem";
-    line.textContent = `This link opens nothing: it has ended or is not whole.\n${error.message}`;
+    line.textContent = `This link does not open: it has ended or is not whole, or the server is busy.\n${error.message}`;
   });
 
   async function open() {
-    // Whoever sees the job already keeps the session that they have.
     const { needed, scopes } = await session();
-    const seen = !needed || (scopes !== null && (await fetch(`/v1/jobs/${job}`)).ok);
-    if (!seen) {
+    // Whoever sees the job already keeps the session that they have.
+    if (needed && (scopes === null || !(await seen()))) {
+      if (scopes !== null && !(await ask("Open this link?", "You are logged in, and that does not show this job. By the link you see it alone, until you log out.", "Open it", "Stay"))) {
+        location.hash = "#/";
+        return;
+      }
       const body = JSON.stringify({ token: secret });
       await api("/login", { method: "POST", headers: { "Content-Type": "application/json" }, body });
     }
     // Out of the address, and so out of the history and of what is copied from there.
     history.replaceState(null, "", `#/jobs/${job}`);
     enter();
+  }
+  /** Whether the session that this browser has shows the job. */
+  async function seen() {
+    const { ok, status } = await fetch(`/v1/jobs/${job}`);
+    if (!ok && ![401, 403, 404].includes(status)) throw new Error(`The server answered ${status}.`);
+    return ok;
   }
   return () => {};
 }

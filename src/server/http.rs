@@ -16,6 +16,7 @@ mod dashboard;
 mod events;
 mod extract;
 mod health;
+mod held;
 mod host;
 mod jobs;
 mod log;

@@ -85,9 +85,11 @@ fn sweep_files(app: &App, rows: &Named, age: Duration) -> Result<usize> {
             .is_some_and(|name| ids.contains(name))
     };
     let mut swept = 0;
-    // Of an upload that is empty nothing is lost.
+    // Of an upload that is empty nothing is lost, nor of one whose bytes a capture has: by a second
+    // name of the same file.
     swept += remove_from(&data.uploads(), age, |entry| {
-        !named(&rows.uploads, entry) && entry.metadata().is_ok_and(|about| about.len() == 0)
+        let is_spare = |about: Metadata| about.len() == 0 || about.nlink() > 1;
+        !named(&rows.uploads, entry) && entry.metadata().is_ok_and(is_spare)
     })?;
     for (from, ids) in [
         (data.captures(), &rows.captures),

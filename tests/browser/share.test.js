@@ -56,14 +56,14 @@ test("a link opens its job alone, until it is ended", async () => {
       await until("its pictures are there", () => loaded(visitor.locator("img")));
     }, PHONE);
     await page.reload();
-    await page.getByText("used").waitFor();
+    await page.getByText(/· used /).waitFor();
     await button(page, "End Anna").click();
     await button(page, "End Anna").waitFor({ state: "detached" });
     const opened = async () => (await fetch(`${server.base}/v1/jobs/${id}`, {
       headers: { Authorization: `Bearer ${link.split("/").pop()}` } })).status;
     await until("the link opens nothing", async () => (await opened()) === 401);
     await owner.visit("ended link", link.slice(server.base.length + 1), async (visitor, faults) => {
-      await visitor.getByText("This link opens nothing").waitFor();
+      await visitor.getByText("This link does not open").waitFor();
       assert.deepEqual(await overflowing(visitor), []);
       // Each refusal is reported by the browser itself, too.
       for (const fault of faults.splice(0)) assert.match(fault, /\b401\b/);

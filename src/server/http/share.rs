@@ -105,6 +105,7 @@ pub async fn create(
     };
     let secret = Secret::new().map_err(no_randomness)?;
     let now = now_ms();
+    let ends = now + i64::from(wanted.days) * DAY_MS;
     let share = NewShare {
         id: new_id().map_err(no_randomness)?,
         name: wanted.name,
@@ -112,7 +113,8 @@ pub async fn create(
         job: job.id.clone(),
         made_by: maker.id.clone(),
         scopes: SCOPES,
-        expires_at: now + i64::from(wanted.days) * DAY_MS,
+        // What somebody has for a time they give for no longer.
+        expires_at: maker.expires_at.map_or(ends, |end| ends.min(end)),
     };
     if !app.store.insert_share(&share, MOST).await? {
         let detail = format!("This job has {MOST} links that hold.");

@@ -23,6 +23,7 @@ use self::fields::{
 };
 use self::piece::Piece;
 use super::access::Visitor;
+use super::held::hold;
 use super::paths::UPLOADS;
 use super::problem::Problem;
 use super::upload::to_its_end;
@@ -261,16 +262,7 @@ fn overriding(headers: &HeaderMap) -> Option<Method> {
 
 /// The upload, from whoever had it. It is looked for after that: it may be deleted meanwhile.
 async fn taken(app: &App, id: &str) -> Result<(Hold, UploadRow), Problem> {
-    let hold = app.holders.take(id, app.limits.takeover).await;
-    let hold = hold.ok_or_else(|| {
-        Problem::new(
-            StatusCode::LOCKED,
-            "locked",
-            "Another request still writes to this upload.",
-        )
-        .hint("Try again in some seconds.")
-        .retry_after(1)
-    })?;
+    let hold = hold(app, id).await?;
     let row = app.store.upload(id).await?.ok_or_else(unknown)?;
     Ok((hold, row))
 }

@@ -23,6 +23,7 @@ use super::problem::{Problem, disk_full, too_large};
 use super::quota::over_quota;
 use crate::app::App;
 use crate::error::ServerError;
+use crate::holders::Hold;
 use crate::incoming::Incoming;
 use crate::intake::{self, CaptureReport, Refusal};
 
@@ -57,11 +58,13 @@ pub struct Upload {
 }
 
 /// Uploads in pieces that are used up when a capture is kept.
-#[derive(Clone, Debug, Default)]
+#[derive(Debug, Default)]
 struct Used {
     ids: Vec<String>,
     /// What they count for while they are there.
     bytes: u64,
+    /// Nobody writes to them meanwhile.
+    holds: Vec<Hold>,
 }
 
 /// Receives every part of a multipart body; `known` are the text fields that mean something, `most`

@@ -40,7 +40,7 @@ impl Store {
         let done = sqlx::query(
             "INSERT INTO uploads (id, owner, filename, metadata, length, created_at, expires_at)
              SELECT ?1, ?2, ?3, ?4, ?5, ?6, ?7 WHERE ?8 >
-             (SELECT COUNT(*) FROM uploads WHERE owner IS ?2 AND expires_at > ?6)",
+             (SELECT COUNT(*) FROM uploads WHERE owner IS ?2)",
         )
         .bind(&row.id)
         .bind(&row.owner)
@@ -95,18 +95,15 @@ impl Store {
         Ok(owns.fetch_one(&self.pool).await?)
     }
 
-    /// Bytes that all uploads of an owner have or will have.
+    /// Bytes that all uploads of an owner have or will have, expired ones whose file is still there
+    /// included.
     ///
     /// # Errors
     /// When the database refuses.
     pub async fn bytes_of_uploads(&self, owner: &str) -> Result<u64> {
-        let sum: i64 = sqlx::query_scalar(
-            "SELECT COALESCE(SUM(length), 0) FROM uploads WHERE owner = ? AND expires_at > ?",
-        )
-        .bind(owner)
-        .bind(now_ms())
-        .fetch_one(&self.pool)
-        .await?;
+        let sum = "SELECT COALESCE(SUM(length), 0) FROM uploads WHERE owner = ?";
+        let sum = sqlx::query_scalar(sum).bind(owner);
+        let sum: i64 = sum.fetch_one(&self.pool).await?;
         Ok(u64::try_from(sum).unwrap_or(0))
     }
 

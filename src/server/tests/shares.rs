@@ -7,7 +7,7 @@ use fled_server::token::{Secret, new_id};
 use fled_tests::Reply;
 use serde_json::{Value, json};
 use support::Server;
-use support::tokens::{token_of, with_store};
+use support::tokens::{token_of, token_until, with_store};
 
 const MAKES: &str = "jobs:read,jobs:write,renders";
 
@@ -158,6 +158,18 @@ fn a_link_ends_by_hand_with_its_time_its_maker_and_its_job() {
     let expired = kept(&server, &job, &admin_id, now - 1);
     let in_time = kept(&server, &job, &admin_id, now + 60_000);
     assert!(!holds(&expired) && holds(&in_time) && told() == 1);
+
+    let soon = now_ms() + 3_600_000;
+    let (short, _) = token_until(&server, "root", "admin", soon);
+    let made = make(&server, &job, &short, &json!({ "days": 30 }))
+        .expect(201)
+        .json();
+    let ends: jiff::Timestamp = made["expires_at"]
+        .as_str()
+        .expect("time")
+        .parse()
+        .expect("time");
+    assert_eq!(ends.as_millisecond(), soon, "no longer than its maker");
 
     let (last, _) = link(&server, &job, &admin);
     server

@@ -138,12 +138,18 @@ fn cookie(reply: &fled_tests::Reply) -> String {
 fn a_browser_logs_in_and_out_by_a_cookie() {
     let server = Server::start();
     let open = server.get("/login", &[]).expect(200).json();
-    assert_eq!(open, json!({ "needed": false, "scopes": null }));
+    assert_eq!(
+        open,
+        json!({ "needed": false, "scopes": null, "job": null })
+    );
     let (writes, _) = token_of("anna", &server, "jobs:read,jobs:write");
     let (_, job) = job_of(&server, &writes);
     let (header, id) = token_of("anna", &server, "jobs:read,renders");
     let locked = server.get("/login", &[]).expect(200).json();
-    assert_eq!(locked, json!({ "needed": true, "scopes": null }));
+    assert_eq!(
+        locked,
+        json!({ "needed": true, "scopes": null, "job": null })
+    );
     let secret = header.trim_start_matches("Bearer ");
     let own = ("origin", server.base.as_str());
     let wrong = json!({ "token": "fled_0" });
@@ -166,7 +172,7 @@ fn a_browser_logs_in_and_out_by_a_cookie() {
     let told = server.get("/login", &browser).expect(200).json();
     assert_eq!(
         told,
-        json!({ "needed": true, "scopes": "jobs:read,renders" })
+        json!({ "needed": true, "scopes": "jobs:read,renders", "job": null })
     );
     // What a page cannot send a header with: the event stream and pictures.
     for path in ["", "/events", "/render?azimuth=1", "/artifacts/scene.ply"] {

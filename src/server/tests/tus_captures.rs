@@ -3,12 +3,16 @@
 mod support;
 
 use std::fs;
+use std::io::Write;
+use std::net::TcpStream;
 use std::path::Path;
+use std::thread::sleep;
+use std::time::{Duration, Instant};
 
 use fled_server::store::Quotas;
 use serde_json::{Value, json};
 use support::tokens::{token_of, token_with, with_store};
-use support::tus::Tus;
+use support::tus::{Tus, status};
 use support::{Server, photograph, photographs, zip};
 
 /// All that a user needs.
@@ -370,4 +374,69 @@ fn a_backup_has_no_uploads() {
     other.restart();
     Tus::new(&other).head(&path(&id)).expect(404);
     assert_eq!(Tus::new(&server).offset(&path(&id)), 3);
+}
+
+#[test]
+fn poses_of_one_name_leave_each_others_uploads_as_they_are() {
+    let server = Server::start();
+    let tus = Tus::new(&server);
+    let mut ids = uploads(&tus, 3);
+    let files: [&[u8]; 2] = [b"a first file of poses, the longer one", b"a second"];
+    ids.extend(files.map(|content| tus.upload("sparse/0/cameras.bin", content)));
+    let order = json!({ "uploads": ids });
+    server.post_json("/v1/captures?dry_run", &order, &[]);
+    let folder = server.data.path().join("data/uploads");
+    for (id, content) in ids[3..].iter().zip(files) {
+        assert!(fs::read(folder.join(id)).expect("there") == content);
+        assert_eq!(tus.offset(&path(id)), content.len());
+    }
+}
+
+#[test]
+fn a_piece_that_does_not_end_changes_no_capture() {
+    let server = Server::start();
+    let tus = Tus::new(&server);
+    let mut ids = uploads(&tus, 2);
+    let photograph = photograph(2);
+    let last = tus.create("002.png", photograph.len());
+    let address = server.base.trim_start_matches("http://");
+    let mut stream = TcpStream::connect(address).expect("connect");
+    let length = photograph.len();
+    write!(
+        stream,
+        "PATCH {last} HTTP/1.1\r\nHost: {address}\r\nTus-Resumable: 1.0.0\r\n\
+         Content-Type: application/offset+octet-stream\r\nUpload-Offset: 0\r\n\
+         Transfer-Encoding: chunked\r\n\r\n{length:x}\r\n"
+    )
+    .expect("head");
+    stream.write_all(&photograph).expect("all of it");
+    stream.write_all(b"\r\n").expect("end of a chunk");
+    let file = server
+        .data
+        .path()
+        .join("data")
+        .join(last.trim_start_matches("/v1/"));
+    let start = Instant::now();
+    while fs::metadata(&file).expect("there").len() < length as u64 {
+        assert!(
+            start.elapsed() < Duration::from_secs(20),
+            "it does not come"
+        );
+        sleep(Duration::from_millis(10));
+    }
+    ids.push(last.trim_start_matches("/v1/uploads/").to_owned());
+    let made = server.post_json("/v1/captures", &json!({ "uploads": ids }), &[]);
+    let capture = made.expect(201).json()["id"].clone();
+    // One byte too many: what had been begun with is cut off.
+    let _ = stream.write_all(b"1\r\nx\r\n0\r\n\r\n");
+    assert_eq!(
+        status(&mut stream),
+        "409",
+        "another request has taken it over"
+    );
+    let kept = server.data.path().join("data/captures");
+    let kept = kept
+        .join(capture.as_str().expect("id"))
+        .join("images/002.png");
+    assert!(fs::read(kept).expect("there") == photograph);
 }

@@ -143,7 +143,7 @@ async fn with_first(app: &App, row: &UploadRow, first: Piece) -> Result<Stands, 
         app.store.forget_upload(&row.id, None).await?;
         remove_file(&app.data.upload(&row.id)).await;
     }
-    added
+    added.map_err(|problem| problem.hint("Nothing was begun: begin the upload again."))
 }
 
 fn too_many(app: &App) -> Problem {

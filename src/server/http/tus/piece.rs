@@ -50,8 +50,9 @@ enum Ended {
 ///
 /// # Errors
 /// 409 where it does not begin at the end of what there is, 413 where it is longer than the rest,
-/// 460 where its checksum is another, 507 where there is no space for it: of these nothing stays.
-/// 400 where the body breaks off, 409 where another takes over.
+/// 460 where its checksum is another: of these nothing stays. 400 where the body breaks off, 409
+/// where another takes over, 507 where there is no space for more: what came stays, unless it had a
+/// checksum.
 pub(super) async fn add(
     app: &App,
     hold: &Hold,
@@ -60,9 +61,7 @@ pub(super) async fn add(
 ) -> Result<Stands, Problem> {
     let (file, begin) = file::open(app, row).await?;
     if piece.offset != begin {
-        let detail = format!("There are {begin} bytes: a piece cannot begin at {}.", {
-            piece.offset
-        });
+        let detail = "The piece does not begin where the upload ends.";
         return Err(Problem::conflict("wrong_offset", detail)
             .hint("HEAD tells where the next piece begins."));
     }
@@ -72,6 +71,8 @@ pub(super) async fn add(
     }
     let is_empty = announced.exact() == Some(0) && piece.checksum.is_none();
     if is_empty {
+        // What is told is on the disk, also what a server left that was killed.
+        file::sync(app, row, &file).await?;
         let expires_at = row.expires_at;
         let offset = begin;
         return Ok(Stands { offset, expires_at });
@@ -205,7 +206,7 @@ fn taken_over() -> Problem {
 }
 
 fn stopping() -> Problem {
-    let detail = "The server stops; what has come of the piece is kept.";
+    let detail = "The server stops.";
     Problem::new(StatusCode::SERVICE_UNAVAILABLE, "stopping", detail)
         .hint("Try again: HEAD tells where to go on.")
         .retry_after(5)

@@ -3,7 +3,8 @@
 use std::collections::{BTreeMap, HashSet};
 use std::fs;
 use std::io;
-use std::path::{Path, PathBuf};
+use std::path::Path;
+use std::sync::Arc;
 
 use fled_core::capture::MAX_FILES;
 
@@ -11,19 +12,22 @@ use super::places::Places;
 use super::{Upload, Used, check_name};
 use crate::app::App;
 use crate::error::ServerError;
+use crate::holders::Hold;
 use crate::http::access::Visitor;
-use crate::http::problem::{Problem, too_large};
+use crate::http::held::hold;
+use crate::http::problem::{Problem, disk_full, too_large};
 use crate::http::quota::bytes_left_beside;
 use crate::store::UploadRow;
 
 /// Gathers finished uploads of the visitor's own, each under its file name, for a capture that is
-/// called `name`. They stay as they are until the capture is kept.
+/// called `name`. They stay as they are until the capture is kept, and until then nobody else has
+/// them: a piece that is still on its way would be written into the capture.
 ///
 /// # Errors
-/// 404 for those that are not there or somebody else's, 409 for unfinished ones, 413 when they are
+/// 423 for those that somebody else does not let go, 404 for those that are not there or somebody else's, 409 for unfinished ones, 413 when they are
 /// too large together, 422 for none, too many, or the same twice, 507 when there is no room.
 pub async fn gather(
-    app: &App,
+    app: &Arc<App>,
     ids: &[String],
     name: Option<String>,
     visitor: &Visitor,
@@ -32,6 +36,9 @@ pub async fn gather(
     if let Some(name) = &name {
         check_name(name)?;
     }
+    own(app, ids, visitor).await?;
+    let holds = hold_all(app, ids).await?;
+    // What was on its way then has come or gone.
     let rows = own(app, ids, visitor).await?;
     let bytes: u64 = rows.iter().map(|row| row.length).sum();
     if bytes > app.limits.max_upload_bytes {
@@ -49,10 +56,11 @@ pub async fn gather(
         used: Used {
             ids: ids.to_vec(),
             bytes,
+            holds,
         },
     };
-    let (from, dir) = (app.data.uploads(), upload.dir.clone());
-    tokio::task::spawn_blocking(move || link_all(&from, dir.path(), &rows))
+    let (app, dir) = (app.clone(), upload.dir.clone());
+    tokio::task::spawn_blocking(move || link_all(&app, dir.path(), &rows))
         .await
         .map_err(|_| Problem::internal())??;
     Ok(upload)
@@ -89,11 +97,23 @@ async fn own(app: &App, ids: &[String], visitor: &Visitor) -> Result<Vec<UploadR
     ids.iter().enumerate().map(own).collect()
 }
 
+/// All uploads for oneself, in an order that is the same for everybody: nobody has what another
+/// waits for who has what they wait for.
+async fn hold_all(app: &App, ids: &[String]) -> Result<Vec<Hold>, Problem> {
+    let mut ordered: Vec<&String> = ids.iter().collect();
+    ordered.sort();
+    let mut holds = Vec::with_capacity(ids.len());
+    for id in ordered {
+        holds.push(hold(app, id).await?);
+    }
+    Ok(holds)
+}
+
 /// Gives every file a second name in `dir`, as the names of its upload say.
-fn link_all(from: &Path, dir: &Path, rows: &[UploadRow]) -> Result<(), Problem> {
+fn link_all(app: &App, dir: &Path, rows: &[UploadRow]) -> Result<(), Problem> {
     let mut places = Places::default();
     for (at, row) in rows.iter().enumerate() {
-        let from = from.join(&row.id);
+        let from = app.data.upload(&row.id);
         let bytes = match fs::metadata(&from) {
             Err(error) if error.kind() == io::ErrorKind::NotFound => return Err(unknown(at)),
             about => about.map_err(ServerError::io(&from))?.len(),
@@ -103,20 +123,29 @@ fn link_all(from: &Path, dir: &Path, rows: &[UploadRow]) -> Result<(), Problem> 
         }
         let to = dir.join(places.place("images", &row.filename));
         match link(&from, &to) {
+            Ok(()) => {}
             Err(error) if error.kind() == io::ErrorKind::NotFound => return Err(unknown(at)),
-            linked => linked.map_err(ServerError::io(&to))?,
+            // The file system has no such thing, or is another.
+            Err(_) if app.has_no_space_for(bytes) => return Err(disk_full()),
+            Err(_) => fs::copy(&from, &to)
+                .map(drop)
+                .map_err(ServerError::io(&to))?,
         }
     }
     Ok(())
 }
 
-/// A second name for a file, or a copy where its file system has no such thing or is another.
-fn link(from: &Path, to: &PathBuf) -> io::Result<()> {
+/// A second name for a file. Of poses that are called the same the last ones count, as in one body;
+/// those before keep what they have, which they would not if `to` were written to.
+fn link(from: &Path, to: &Path) -> io::Result<()> {
     if let Some(folder) = to.parent() {
         fs::create_dir_all(folder)?;
     }
     match fs::hard_link(from, to) {
-        Err(error) if error.kind() != io::ErrorKind::NotFound => fs::copy(from, to).map(drop),
+        Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {
+            fs::remove_file(to)?;
+            fs::hard_link(from, to)
+        }
         linked => linked,
     }
 }

@@ -9,6 +9,7 @@ use super::Upload;
 use crate::app::App;
 use crate::data::{bytes_below, sync_directory};
 use crate::error::ServerError;
+use crate::holders::Hold;
 use crate::http::access::Visitor;
 use crate::http::problem::Problem;
 use crate::http::quota::{bytes_left_beside, over_quota};
@@ -25,6 +26,7 @@ pub struct Placed<'a> {
     /// The uploads in pieces that it was gathered from.
     pub uploads: Vec<String>,
     files: PathBuf,
+    _holds: Vec<Hold>,
     _turn: Option<MutexGuard<'a, ()>>,
 }
 
@@ -117,6 +119,7 @@ impl Upload {
             row,
             uploads: self.used.ids,
             files: to,
+            _holds: self.used.holds,
             _turn: turn,
         })
     }

@@ -18,13 +18,28 @@ pub fn token_of(name: &str, server: &Server, scopes: &str) -> (String, String) {
 
 /// The same with quotas.
 pub fn token_with(server: &Server, name: &str, scopes: &str, quotas: Quotas) -> (String, String) {
+    kept(server, name, scopes, quotas, None)
+}
+
+/// The same, which ends then, milliseconds since 1970.
+pub fn token_until(server: &Server, name: &str, scopes: &str, ends: i64) -> (String, String) {
+    kept(server, name, scopes, Quotas::default(), Some(ends))
+}
+
+fn kept(
+    server: &Server,
+    name: &str,
+    scopes: &str,
+    quotas: Quotas,
+    expires_at: Option<i64>,
+) -> (String, String) {
     let secret = Secret::new().expect("random");
     let token = NewToken {
         id: new_id().expect("random"),
         name: name.to_owned(),
         digest: secret.digest(),
         scopes: scopes.parse().expect("scopes"),
-        expires_at: None,
+        expires_at,
         quotas,
     };
     with_store(server, async |store| {
