@@ -1,11 +1,15 @@
 // The form that uploads photographs and starts a job.
 
-import { Refusal, count, h, size } from "./dom.js";
+import { begun } from "./begun.js";
+import { Refusal, api, count, h, size } from "./dom.js";
 import { takeDrops } from "./dropped.js";
 import { optionsForm } from "./options.js";
+import { sending } from "./sending.js";
 
 /** Rejected files that a refused upload names. */
 const NAMED = 8;
+/** Before, a rate says nothing, seconds. */
+const RATE_AFTER = 2;
 
 /** `{ root, leave }`. */
 export function startForm() {
@@ -13,7 +17,8 @@ export function startForm() {
   const folder = h("input", { type: "file", webkitdirectory: true });
   const name = h("input", { type: "text", placeholder: "optional", maxLength: 200 });
   const button = h("button", { class: "main", type: "submit" }, "Start");
-  const status = h("p", { class: "hint", role: "status" });
+  const status = h("span", { class: "hint", role: "status" });
+  const pause = h("button", { type: "button", hidden: true, onclick: toggle }, "Pause");
   const problem = h("p", { class: "problem", role: "alert" });
   const options = optionsForm();
   const chosen = chosenFiles();
@@ -28,7 +33,12 @@ export function startForm() {
       input.value = "";
     });
   }
-  const leave = takeDrops(drop, (dropped) => { problem.textContent = ""; chosen.add(dropped); });
+  const left = begun.count();
+  if (left > 0) {
+    drop.append(h("p", { class: "hint" }, `Of an upload that broke off the server has ${count(left, "file")}, in whole or in part: choose the same again, and what has come is not sent twice.`));
+  }
+  let [run, gone] = [null, false];
+  const leaveDrops = takeDrops(drop, (dropped) => { problem.textContent = ""; chosen.add(dropped); });
 
   async function submit(event) {
     event.preventDefault();
@@ -37,19 +47,46 @@ export function startForm() {
     button.disabled = true;
     try {
       const changed = options.chosen();
-      const fields = { name: name.value, preset: options.preset.value };
-      if (Object.keys(changed).length > 0) fields.options = JSON.stringify(changed);
-      const job = await upload(chosen.files(), fields, status);
-      location.hash = `#/jobs/${job.id}`;
+      const fields = { preset: options.preset.value, options: changed };
+      if (name.value) fields.name = name.value;
+      const sent = upload(chosen.files(), fields, (line, isSending) => {
+        if (!isPaused()) status.textContent = line;
+        pause.hidden = !isSending;
+      });
+      run = sent.run;
+      const job = await sent.job;
+      if (!gone) location.hash = `#/jobs/${job.id}`;
     } catch (error) {
+      if (gone) return;
       if (!options.fault(error)) problem.textContent = error.message;
       status.textContent = "";
     }
+    run = null;
+    pause.hidden = true;
+    pause.textContent = "Pause";
     button.disabled = false;
+  }
+
+  const isPaused = () => pause.textContent === "Go on";
+  function toggle() {
+    const wasPaused = isPaused();
+    pause.textContent = wasPaused ? "Pause" : "Go on";
+    if (wasPaused) run?.goOn();
+    else {
+      run?.pause();
+      status.textContent = "Paused.";
+    }
+  }
+
+  /** What has come stays with the server, and goes on when the same files are chosen. */
+  function leave() {
+    gone = true;
+    run?.stop();
+    leaveDrops();
   }
   const form = h("form", { onsubmit: submit, noValidate: true }, drop,
     h("label", {}, "Name", name), h("label", {}, "Preset", options.preset), button, chosen.root, options.root);
-  return { root: h("section", {}, h("h2", {}, "New job"), form, status, problem), leave };
+  return { root: h("section", {}, h("h2", {}, "New job"), form, h("p", { class: "row" }, status, pause), problem), leave };
 }
 
 /** What will be sent, by path; each can be taken out again. */
@@ -89,28 +126,51 @@ function chosenFiles() {
   };
 }
 
-/** Sends capture and job in one request, with progress. fetch() cannot tell upload progress yet. */
-function upload(files, fields, status) {
-  const body = new FormData();
-  for (const [key, value] of Object.entries(fields)) if (value) body.append(key, value);
-  for (const [path, file] of files) body.append("images", file, path);
-  const request = new XMLHttpRequest();
-  request.open("POST", "/v1/jobs");
-  // A double click or a repeated request must not start two jobs.
-  request.setRequestHeader("Idempotency-Key", crypto.randomUUID?.() ?? `${Date.now()}-${Math.random()}`);
-  request.responseType = "json";
-  request.upload.onprogress = (event) => {
-    const done = event.loaded / event.total;
-    status.textContent = done < 1 ? `Sending: ${Math.round(100 * done)} %` : "Looking at the photographs ...";
-  };
-  return new Promise((resolve, reject) => {
-    request.onload = () => {
-      if (request.status === 202) resolve(request.response);
-      else reject(withRejected(new Refusal(request.status, request.response)));
-    };
-    request.onerror = () => reject(new Error("The server does not answer."));
-    request.send(body);
+/** Sends the files, then asks for the job of them; `show(line, isSending)` hears how it goes. */
+function upload(files, fields, show) {
+  const began = performance.now();
+  let before = null;
+  const run = sending(files, ({ sent, total, files: done, waits }) => {
+    before ??= sent;
+    const share = total > 0 ? Math.floor((100 * sent) / total) : 100;
+    const seconds = (performance.now() - began) / 1000;
+    const rate = seconds > RATE_AFTER ? ` · ${size(Math.round((sent - before) / seconds))}/s` : "";
+    show(waits ? `${waits}, at ${share} %: it is tried again.`
+      : `Sending: ${share} %, ${done} of ${count(files.length, "file")}${rate}`, true);
   });
+  // A double click or a repeated request must not start two jobs.
+  const key = crypto.randomUUID?.() ?? `${Date.now()}-${Math.random()}`;
+  async function job() {
+    const uploads = await run.done;
+    show("Looking at the photographs ...", false);
+    try {
+      const made = await again(() => api("/v1/jobs", {
+        method: "POST",
+        headers: { "Content-Type": "application/json", "Idempotency-Key": key },
+        body: JSON.stringify({ uploads, ...fields }),
+      }));
+      begun.forget(files);
+      return made;
+    } catch (error) {
+      // What is gone on the server is sent anew the next time.
+      if (error.status === 404) begun.forget(files);
+      throw withRejected(error);
+    }
+  }
+  return { job: job(), run };
+}
+
+/** Once more, and again, where the server did not answer: the key makes it one request. */
+async function again(ask) {
+  for (const seconds of [1, 2, 5, 10]) {
+    try {
+      return await ask();
+    } catch (error) {
+      if (error instanceof Refusal) throw error;
+      await new Promise((resolve) => { setTimeout(resolve, 1000 * seconds); });
+    }
+  }
+  return ask().catch((error) => { throw error instanceof Refusal ? error : new Error("The server does not answer."); });
 }
 
 function withRejected(error) {

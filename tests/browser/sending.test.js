@@ -1,0 +1,110 @@
+// Photographs on their way: what happens to an upload when the connection, the page or the user
+// does not stay.
+
+import assert from "node:assert/strict";
+import { after, before, test } from "node:test";
+import { setTimeout as sleep } from "node:timers/promises";
+
+import { Stand, button, seen } from "./played.js";
+import { until } from "./until.js";
+
+const PIECES = "**/v1/uploads/*";
+
+let stand;
+
+before(async () => {
+  stand = await Stand.start();
+});
+
+after(() => stand?.stop());
+
+/** Chooses the photographs and a plan that ends well, and presses Start. */
+async function start(page) {
+  await page.getByLabel("or a folder").setInputFiles(stand.folder);
+  await page.getByText("files chosen").waitFor();
+  await button(page, "Start").click();
+}
+
+/** Every request about uploads from now on: `METHOD path`. */
+function requests(page) {
+  const list = [];
+  page.on("request", (request) => {
+    const { pathname } = new URL(request.url());
+    if (pathname.startsWith("/v1/uploads")) list.push(`${request.method()} ${pathname}`);
+  });
+  return list;
+}
+
+const of = (list, method) => list.filter((line) => line.startsWith(`${method} `));
+
+/** Waits until the page is a job's. */
+const arrived = (page) => page.waitForURL(/#\/jobs\/[0-9a-f-]{36}$/);
+
+/** What a lost connection leaves in the page's own log, and nothing else. */
+function lost(faults) {
+  for (const fault of faults.splice(0)) assert.match(fault, /ERR_(CONNECTION|FAILED|ABORTED)/);
+}
+
+test("an upload goes on by itself when the connection breaks", () =>
+  stand.visit("sending-broken", "", async (page, faults) => {
+    const asked = requests(page);
+    let broken = 0;
+    await page.route(PIECES, (route) => {
+      const breaks = route.request().method() === "PATCH" && broken < 4;
+      if (!breaks) return route.continue();
+      broken += 1;
+      return route.abort("connectionreset");
+    });
+    await start(page);
+    await seen(page.locator("[role=status]"), "The connection is lost");
+    await arrived(page);
+    assert.equal(broken, 4);
+    const files = of(asked, "POST").length;
+    assert.ok(files >= 8, "every file was begun once");
+    assert.equal(new Set(of(asked, "PATCH")).size, files);
+    assert.equal(await page.evaluate("localStorage.getItem('fled uploads')"), "{}");
+    lost(faults);
+  }));
+
+test("after a reload the same files go on where they were", () =>
+  stand.visit("sending-reloaded", "", async (page, faults) => {
+    const asked = requests(page);
+    let through = 0;
+    await page.route(PIECES, (route) => {
+      if (route.request().method() !== "PATCH") return route.continue();
+      through += 1;
+      return through <= 3 ? route.continue() : route.abort("connectionreset");
+    });
+    await start(page);
+    await seen(page.locator("[role=status]"), "The connection is lost");
+    await page.unroute(PIECES);
+    await page.reload();
+    await page.getByText("an upload that broke off").waitFor();
+    lost(faults);
+    const first = asked.splice(0);
+    await start(page);
+    await arrived(page);
+    const [begun, later] = [of(first, "POST").length, of(asked, "POST").length];
+    assert.ok(begun >= 4 && begun + later === new Set([...of(first, "PATCH"), ...of(asked, "PATCH")]).size, `${begun} and ${later}`);
+    const done = of(first, "PATCH").slice(0, 3);
+    for (const path of done) assert.ok(!asked.includes(path), `${path} was sent twice`);
+  }));
+
+test("an upload is paused and goes on", () =>
+  stand.visit("sending-paused", "", async (page, faults) => {
+    const asked = requests(page);
+    await page.route(PIECES, async (route) => {
+      await sleep(300);
+      await route.continue().catch(() => {});
+    });
+    await start(page);
+    await until("a piece is under way", () => of(asked, "PATCH").length > 0);
+    await button(page, "Pause").click();
+    await page.getByText("Paused.").waitFor();
+    const before = asked.length;
+    await sleep(1500);
+    assert.equal(asked.length, before, "nothing is sent while it is paused");
+    await button(page, "Go on").click();
+    await arrived(page);
+    lost(faults);
+  }, "phone"));
