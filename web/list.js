@@ -43,7 +43,8 @@ export function listPage(main) {
   const empty = h("p", { class: "hint", hidden: true }, "No job yet. Start with a folder of 20 to 60 overlapping photographs of a place in which nothing moves.");
   const more = h("button", { type: "button", hidden: true }, "Older jobs");
   const form = startForm();
-  main.append(form.root, h("section", {}, h("h2", {}, "Jobs"), jobs.root, empty, more));
+  const list = h("section", { hidden: true }, h("h2", {}, "Jobs"), jobs.root, empty, more);
+  main.append(form.root, list);
   let [limit, timer, gone] = [50, 0, false];
   more.addEventListener("click", () => { limit = Math.min(limit + 50, MOST); refresh(); });
 
@@ -53,6 +54,7 @@ export function listPage(main) {
       const page = await api(`/v1/jobs?limit=${limit}`);
       if (gone) return;
       jobs.update(page.jobs);
+      list.hidden = false;
       empty.hidden = page.jobs.length > 0;
       more.hidden = !page.next_cursor || limit >= MOST;
     } catch { /* The health line says so; the next round may succeed. */ }
