@@ -24,8 +24,9 @@ use crate::store::UploadRow;
 /// them: a piece that is still on its way would be written into the capture.
 ///
 /// # Errors
-/// 423 for those that somebody else does not let go, 404 for those that are not there or somebody else's, 409 for unfinished ones, 413 when they are
-/// too large together, 422 for none, too many, or the same twice, 507 when there is no room.
+/// 423 for those that somebody else does not let go, 404 for those that are not there or somebody
+/// else's, 409 for unfinished ones, 413 when they are too large together, 422 for none, too many,
+/// or the same twice, 507 when there is no room.
 pub async fn gather(
     app: &Arc<App>,
     ids: &[String],
