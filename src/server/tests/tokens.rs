@@ -134,22 +134,21 @@ fn cookie(reply: &fled_tests::Reply) -> String {
     set.split(';').next().expect("a cookie").to_owned()
 }
 
+/// What `/login` says of a browser that came by no link.
+fn who(needed: bool, scopes: Option<&str>) -> serde_json::Value {
+    json!({ "needed": needed, "scopes": scopes, "job": null })
+}
+
 #[test]
 fn a_browser_logs_in_and_out_by_a_cookie() {
     let server = Server::start();
     let open = server.get("/login", &[]).expect(200).json();
-    assert_eq!(
-        open,
-        json!({ "needed": false, "scopes": null, "job": null })
-    );
+    assert_eq!(open, who(false, None));
     let (writes, _) = token_of("anna", &server, "jobs:read,jobs:write");
     let (_, job) = job_of(&server, &writes);
     let (header, id) = token_of("anna", &server, "jobs:read,renders");
     let locked = server.get("/login", &[]).expect(200).json();
-    assert_eq!(
-        locked,
-        json!({ "needed": true, "scopes": null, "job": null })
-    );
+    assert_eq!(locked, who(true, None));
     let secret = header.trim_start_matches("Bearer ");
     let own = ("origin", server.base.as_str());
     let wrong = json!({ "token": "fled_0" });
@@ -170,10 +169,7 @@ fn a_browser_logs_in_and_out_by_a_cookie() {
     );
     let browser = [("cookie", session.as_str())];
     let told = server.get("/login", &browser).expect(200).json();
-    assert_eq!(
-        told,
-        json!({ "needed": true, "scopes": "jobs:read,renders", "job": null })
-    );
+    assert_eq!(told, who(true, Some("jobs:read,renders")));
     // What a page cannot send a header with: the event stream and pictures.
     for path in ["", "/events", "/render?azimuth=1", "/artifacts/scene.ply"] {
         server
