@@ -1,10 +1,11 @@
 #!/usr/bin/env python3
 """Makes the small photographs that the reader's golden tests look at.
 
-Run once, with the result committed: `pip install pillow tifffile imagecodecs numpy`, then
+Run once, with the result committed: `pip install pillow tifffile imagecodecs numpy`, Debian's libheif-examples, then
 `python tests/golden/photographs.py`. Each is 2 x 2 blocks of 16 px in the colours below.
 """
 
+import subprocess
 from pathlib import Path
 
 import numpy
@@ -34,6 +35,8 @@ def main() -> None:
     picture.convert("CMYK").save(OUT / "cmyk.jpg", quality=95)
     picture.save(OUT / "lossless.webp", lossless=True)
     picture.convert("CMYK").save(OUT / "cmyk.tif")
+    lossless = ["heif-enc", "--lossless", "-p", "chroma=444", OUT / "palette.png", "-o", OUT / "lossless.heic"]
+    subprocess.run(lossless, check=True)
     tifffile.imwrite(OUT / "deep.tif", rgb.astype(numpy.uint16) * 257, photometric="rgb", compression="zlib")
     # Stored a quarter turn to the left, with the orientation (6) that turns it back.
     exif = Image.Exif()

@@ -53,7 +53,7 @@ impl CaptureError {
     pub fn hint(&self) -> &'static str {
         match self {
             Self::NotACapture { .. } => {
-                "give a folder with JPEG, PNG, WebP or TIFF photographs, or a zip of one"
+                "give a folder with JPEG, PNG, WebP, TIFF or HEIC photographs, or a zip of one"
             }
             Self::Archive(_) => {
                 "zip the folder of photographs anew, without encryption, links or odd paths"

@@ -182,7 +182,7 @@ fn bad_files_are_rejected_by_themselves_and_the_rest_goes_on() {
         ("4.jpg", whole[..whole.len() / 2].to_vec()),
         ("5.jpg", Vec::new()),
         ("6.jpg", b"a text".to_vec()),
-        ("7.heic", b"\0\0\0\x18ftypheic\0\0\0\0mif1heic".to_vec()),
+        ("7.avif", b"\0\0\0\x18ftypavif\0\0\0\0mif1avif".to_vec()),
         ("8.jpg", jpeg(1)),
         (
             "9.png",
@@ -202,7 +202,7 @@ fn bad_files_are_rejected_by_themselves_and_the_rest_goes_on() {
         "cut short",
         "empty",
         "not a JPEG",
-        "HEIC",
+        "AVIF",
         "same picture as 1.jpg",
         "black",
     ];

@@ -3,8 +3,10 @@
 //! What each input becomes: grey is repeated in all three channels; palettes are looked up; alpha
 //! is composited over black, in the values as encoded; CMYK is converted without a profile; 16
 //! bits stay 16 bits deep (`v / 65535`); embedded colour profiles are ignored, values are taken
-//! as sRGB; EXIF orientation is applied once, here and nowhere else. Floating-point TIFF is
-//! refused, as its range and encoding are unknown.
+//! as sRGB; EXIF orientation is applied once, here and nowhere else, and HEIC's own in its stead.
+//! Floating-point TIFF is refused, as its range and encoding are unknown.
+
+mod heic;
 
 use std::fs::File;
 use std::io::{BufRead, BufReader, Read, Seek};
@@ -14,6 +16,7 @@ use std::path::{Path, PathBuf};
 use image::metadata::Orientation;
 use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader, Limits};
 
+use self::heic::Heic;
 use super::resize::{AreaAverage, at_most};
 use super::signature::{Kind, kind};
 use super::transfer::{linear_to_srgb, srgb_to_linear};
@@ -43,18 +46,16 @@ pub enum ImageError {
     /// The file has no bytes.
     #[error("the file is empty")]
     Empty,
-    /// A phone's HEIC, HEIF or AVIF.
-    #[error(
-        "HEIC and AVIF photographs are not read: export them as JPEG or PNG (on an iPhone: Settings, Camera, Formats, Most Compatible)"
-    )]
-    Heic,
+    /// An AVIF, or a sequence of pictures.
+    #[error("AVIF photographs and bursts are not read: export them as JPEG, PNG or HEIC")]
+    Avif,
     /// A camera's raw file.
     #[error(
         "camera raw files are not read: develop them to 16-bit TIFF or PNG, or to JPEG, with one setting for all"
     )]
     Raw,
     /// The bytes are no picture that is known.
-    #[error("not a JPEG, PNG, WebP or TIFF picture")]
+    #[error("not a JPEG, PNG, WebP, TIFF or HEIC picture")]
     UnknownFormat,
     /// The header promises more than is accepted.
     #[error("{width} x {height} px is more than the {} megapixels that are accepted", MAX_PIXELS / 1_000_000)]
@@ -93,7 +94,7 @@ pub enum ImageError {
 impl ImageError {
     /// Whether the format is known but not accepted (HTTP 415), as against a broken file.
     pub fn is_unsupported_format(&self) -> bool {
-        matches!(self, Self::Heic | Self::Raw | Self::Unsupported { .. })
+        matches!(self, Self::Avif | Self::Raw | Self::Unsupported { .. })
     }
 }
 
@@ -199,7 +200,15 @@ impl Opened {
             .map_err(io)?;
         let format = match kind(&head, path) {
             Kind::Readable(format) => format,
-            Kind::Heic => return Err(ImageError::Heic),
+            Kind::Heic => {
+                file.rewind().map_err(io)?;
+                let mut bytes = Vec::new();
+                file.read_to_end(&mut bytes).map_err(io)?;
+                let heic = Heic::open(bytes)?;
+                let beside = heic.bytes_beside();
+                return Self::with_decoder(Box::new(heic), beside);
+            }
+            Kind::Avif => return Err(ImageError::Avif),
             Kind::Raw => return Err(ImageError::Raw),
             Kind::Unknown => return Err(ImageError::UnknownFormat),
         };
@@ -220,8 +229,12 @@ impl Opened {
         let mut limits = Limits::default();
         limits.max_alloc = Some(MAX_DECODE_BYTES);
         reader.limits(limits);
-        let mut decoder: Box<dyn ImageDecoder> =
-            Box::new(reader.into_decoder().map_err(|error| told(&error))?);
+        let decoder = reader.into_decoder().map_err(|error| told(&error))?;
+        Self::with_decoder(Box::new(decoder), 0)
+    }
+
+    /// `beside`: bytes that decoding takes beside the samples.
+    fn with_decoder(mut decoder: Box<dyn ImageDecoder>, beside: u64) -> Result<Self, ImageError> {
         let (width, height) = decoder.dimensions();
         if u64::from(width) * u64::from(height) > MAX_PIXELS {
             return Err(ImageError::TooManyPixels { width, height });
@@ -234,6 +247,7 @@ impl Opened {
             2
         };
         let decoded_bytes = decoder.total_bytes().saturating_mul(copies);
+        let decoded_bytes = decoded_bytes.saturating_add(beside);
         let (width, height) = match orientation.to_exif() {
             5..=8 => (height as usize, width as usize),
             _ => (width as usize, height as usize),

@@ -10,8 +10,10 @@ use image::ImageFormat;
 pub(super) enum Kind {
     /// One that is decoded here.
     Readable(ImageFormat),
-    /// HEIC, HEIF or AVIF: a phone's own format.
+    /// HEIC: a phone's own format. Whether HEVC is inside, its boxes tell.
     Heic,
+    /// AVIF, or a sequence of pictures.
+    Avif,
     /// A camera's raw format.
     Raw,
     /// Nothing known.
@@ -48,8 +50,8 @@ fn foreign(head: &[u8]) -> Option<Kind> {
     if head.get(4..8) == Some(b"ftyp".as_slice()) {
         return Some(match head.get(8..12)? {
             b"crx " => Kind::Raw,
-            b"heic" | b"heix" | b"heim" | b"heis" | b"hevc" | b"hevx" | b"mif1" | b"msf1"
-            | b"heif" | b"avif" | b"avis" => Kind::Heic,
+            b"heic" | b"heix" | b"heim" | b"heis" | b"mif1" | b"mif2" | b"heif" => Kind::Heic,
+            b"hevc" | b"hevx" | b"msf1" | b"avif" | b"avis" => Kind::Avif,
             _ => Kind::Unknown,
         });
     }
@@ -101,6 +103,8 @@ mod tests {
     fn phone_and_raw_formats_are_told_by_their_bytes_whatever_their_name() {
         let heic = b"\0\0\0\x18ftypheic\0\0\0\0mif1heic";
         assert_eq!(kind(heic, Path::new("a.jpg")), Kind::Heic);
+        let avif = b"\0\0\0\x18ftypavif\0\0\0\0mif1avif";
+        assert_eq!(kind(avif, Path::new("a.heic")), Kind::Avif);
         assert_eq!(
             kind(b"\0\0\0\x18ftypcrx \0\0\0\x01", Path::new("a.jpg")),
             Kind::Raw

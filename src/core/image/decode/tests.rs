@@ -65,10 +65,10 @@ fn grey_alpha_and_sixteen_bits_have_their_defined_pixels() {
 #[test]
 fn golden_files_of_other_encoders_have_their_defined_pixels() {
     let folder = folder();
-    // Made once by tests/golden/photographs.py (Pillow, tifffile); 2 x 2 blocks of 16 px.
+    // Made once by tests/golden/photographs.py (Pillow, tifffile, libheif); 2 x 2 blocks of 16 px.
     let expected = [[200, 40, 40], [40, 200, 40], [40, 40, 200], [230, 230, 60]]
         .map(|c| c.map(|v| v as f32 / 255.0));
-    let files: [(&str, &[u8], f32); 7] = [
+    let files: [(&str, &[u8], f32); 8] = [
         (
             "palette.png",
             include_bytes!("../../../../tests/golden/photographs/palette.png"),
@@ -87,6 +87,11 @@ fn golden_files_of_other_encoders_have_their_defined_pixels() {
         (
             "lossless.webp",
             include_bytes!("../../../../tests/golden/photographs/lossless.webp"),
+            0.004,
+        ),
+        (
+            "lossless.heic",
+            include_bytes!("../../../../tests/golden/photographs/lossless.heic"),
             0.004,
         ),
         (
@@ -227,7 +232,11 @@ fn broken_files_are_errors_that_say_what_is_wrong() {
     ));
     assert!(matches!(
         load("phone.jpg", b"\0\0\0\x18ftypheic\0\0\0\0mif1heic...."),
-        ImageError::Heic
+        ImageError::Damaged { .. }
+    ));
+    assert!(matches!(
+        load("phone.jpg", b"\0\0\0\x18ftypavif\0\0\0\0mif1avif...."),
+        ImageError::Avif
     ));
     assert!(matches!(
         Image::load(folder.path()),

@@ -1,0 +1,207 @@
+//! A phone's HEIC, behind the interface of the other decoders.
+//!
+//! What a file's boxes promise is checked before a pixel is decoded: a photograph is one coded
+//! picture or a grid of them, and nothing larger than it says is made. Rotation, mirroring and
+//! clipping belong to the container and are done here; EXIF's orientation only repeats them.
+
+use heifer::heifer_isobmff::HeifFile;
+use heifer::heifer_isobmff::boxes::Property;
+use heifer::{Error, Options};
+use image::metadata::Orientation;
+use image::{ColorType, ImageDecoder, ImageResult};
+
+use super::ImageError;
+
+/// What may be coded beyond the picture on each side, px: codecs code whole blocks.
+const MARGIN: u64 = 64;
+/// A grid's tile, px, that may be larger than the picture.
+const TILE: u64 = 1 << 20;
+
+/// A photograph whose boxes were read; its pixels are decoded when they are asked for.
+pub(super) struct Heic {
+    bytes: Vec<u8>,
+    /// Upright, px.
+    size: (u32, u32),
+    is_deep: bool,
+    exif: Option<Vec<u8>>,
+}
+
+impl Heic {
+    /// Reads the boxes of a whole file.
+    ///
+    /// # Errors
+    /// [`ImageError::Unsupported`] for what is no photograph of a phone or camera, such as an
+    /// overlay or another codec, [`ImageError::Damaged`] for broken boxes.
+    pub(super) fn open(bytes: Vec<u8>) -> Result<Self, ImageError> {
+        let file = HeifFile::parse(&bytes).map_err(|error| told(&error.into()))?;
+        let coded = coded_picture(&file).map_err(|error| told(&error))?;
+        let size = upright_size(&file).map_err(|error| told(&error))?;
+        let config = file
+            .hevc_config(coded)
+            .map_err(|error| told(&error.into()))?;
+        let is_deep = config.is_some_and(|config| config.bit_depth_luma > 8);
+        // EXIF that cannot be read leaves the photograph as good as it was.
+        let exif = file.exif(file.primary_id).ok().flatten();
+        Ok(Self {
+            is_deep,
+            size,
+            exif,
+            bytes,
+        })
+    }
+
+    /// Bytes that decoding takes beside the samples: the file, the coded planes and an RGBA of them.
+    pub(super) fn bytes_beside(&self) -> u64 {
+        let pixels = u64::from(self.size.0) * u64::from(self.size.1);
+        let deep = if self.is_deep { 8 } else { 4 };
+        self.bytes.len() as u64 + pixels.saturating_mul(deep + 4)
+    }
+
+    fn options(&self) -> Options {
+        let (width, height) = (u64::from(self.size.0), u64::from(self.size.1));
+        Options {
+            // Photographs are decoded beside each other already.
+            max_threads: 1,
+            max_pixels: ((width + MARGIN) * (height + MARGIN)).max(TILE),
+        }
+    }
+
+    /// Decodes into interleaved samples without alpha, 8 or 16 bits deep.
+    fn decode(&self, out: &mut [u8]) -> Result<(), ImageError> {
+        if self.is_deep {
+            let picture = heifer::decode_with_options(&self.bytes, &self.options());
+            let picture = picture.map_err(|error| told(&error))?;
+            self.check((picture.width, picture.height))?;
+            let top = u32::from(picture.max_value());
+            let deep = |v: u16| ((u32::from(v) * 65_535 + top / 2) / top) as u16;
+            let pixels = picture.data.chunks_exact(4);
+            for (out, v) in out
+                .chunks_exact_mut(2)
+                .zip(pixels.flat_map(|pixel| over_black(pixel, top)))
+            {
+                out.copy_from_slice(&deep(v).to_ne_bytes());
+            }
+        } else {
+            let picture = heifer::decode_rgba8(&self.bytes, &self.options());
+            let picture = picture.map_err(|error| told(&error))?;
+            self.check((picture.width, picture.height))?;
+            let pixels = picture.data.chunks_exact(4);
+            let values = pixels.flat_map(|pixel| over_black(pixel, 255));
+            out.iter_mut()
+                .zip(values)
+                .for_each(|(out, v)| *out = v as u8);
+        }
+        Ok(())
+    }
+
+    fn check(&self, decoded: (u32, u32)) -> Result<(), ImageError> {
+        if decoded == self.size {
+            return Ok(());
+        }
+        Err(ImageError::Damaged {
+            message: format!(
+                "{} x {} px where its header says {} x {}",
+                decoded.0, decoded.1, self.size.0, self.size.1
+            ),
+        })
+    }
+}
+
+impl ImageDecoder for Heic {
+    fn dimensions(&self) -> (u32, u32) {
+        self.size
+    }
+
+    fn color_type(&self) -> ColorType {
+        if self.is_deep {
+            ColorType::Rgb16
+        } else {
+            ColorType::Rgb8
+        }
+    }
+
+    fn orientation(&mut self) -> ImageResult<Orientation> {
+        Ok(Orientation::NoTransforms)
+    }
+
+    fn exif_metadata(&mut self) -> ImageResult<Option<Vec<u8>>> {
+        Ok(self.exif.clone())
+    }
+
+    fn read_image(self, out: &mut [u8]) -> ImageResult<()> {
+        self.decode(out).map_err(|error| {
+            let hint = image::error::ImageFormatHint::Name("HEIC".to_owned());
+            // The words alone go on: the caller's error says the rest.
+            let words = match error {
+                ImageError::Damaged { message } | ImageError::Unsupported { message } => message,
+                other => other.to_string(),
+            };
+            image::ImageError::Decoding(image::error::DecodingError::new(hint, words))
+        })
+    }
+
+    fn read_image_boxed(self: Box<Self>, out: &mut [u8]) -> ImageResult<()> {
+        (*self).read_image(out)
+    }
+}
+
+/// The picture, or the first tile of the grid, that is coded.
+fn coded_picture(file: &HeifFile<'_>) -> Result<u32, Error> {
+    let kind = |id| file.item(id).map(|item| item.item_type.0);
+    if kind(file.primary_id)? == *b"hvc1" {
+        return Ok(file.primary_id);
+    }
+    let tiles = file.referenced_items(file.primary_id, b"dimg");
+    let mut is_grid = kind(file.primary_id)? == *b"grid";
+    for &tile in tiles {
+        is_grid &= kind(tile)? == *b"hvc1";
+    }
+    match tiles.first() {
+        Some(&first) if is_grid => Ok(first),
+        _ => Err(Error::Unsupported(
+            "neither a picture of HEVC nor a grid of such; export it as JPEG or PNG".to_owned(),
+        )),
+    }
+}
+
+/// Width and height after the container's turns.
+fn upright_size(file: &HeifFile<'_>) -> Result<(u32, u32), Error> {
+    let mut size = file
+        .image_size(file.primary_id)?
+        .ok_or(Error::Invalid("its size is missing"))?;
+    for property in file.item_properties(file.primary_id)? {
+        match *property {
+            Property::CleanAperture { width, height, .. } => {
+                let whole =
+                    |(over, under): (u32, u32)| (f64::from(over) / f64::from(under)).round();
+                size.0 = size.0.min(whole(width) as u32);
+                size.1 = size.1.min(whole(height) as u32);
+            }
+            Property::Rotation(quarters) if quarters % 2 == 1 => size = (size.1, size.0),
+            _ => (),
+        }
+    }
+    if size.0 == 0 || size.1 == 0 {
+        return Err(Error::Invalid("it has no pixels"));
+    }
+    Ok(size)
+}
+
+/// The colour of a straight-alpha pixel over black.
+fn over_black<T: Copy + Into<u32>>(pixel: &[T], top: u32) -> [u16; 3] {
+    let alpha = pixel[3].into();
+    [0, 1, 2].map(|channel| ((pixel[channel].into() * alpha + top / 2) / top) as u16)
+}
+
+fn told(error: &Error) -> ImageError {
+    let message = error.to_string();
+    match error {
+        Error::Unsupported(what) => ImageError::Unsupported {
+            message: what.clone(),
+        },
+        _ => ImageError::Damaged { message },
+    }
+}
+
+#[cfg(test)]
+mod tests;

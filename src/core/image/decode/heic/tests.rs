@@ -1,0 +1,173 @@
+use std::fs;
+use std::path::PathBuf;
+
+use exif::{Tag, Value};
+use heifer::{EncodeOptions, Metadata};
+use tempfile::TempDir;
+
+use super::super::{ImageError, read_header};
+use crate::image::exif::tests::block;
+use crate::image::{Image, Srgb};
+
+/// Red grows to the right, green downwards; bits per sample.
+fn ramp(width: u32, height: u32, bit_depth: u8) -> heifer::Image {
+    let top = (1_u32 << bit_depth) - 1;
+    let mut picture = heifer::Image::filled(width, height, bit_depth, [0, 0, 0, top as u16]);
+    for (i, pixel) in picture.data.chunks_exact_mut(4).enumerate() {
+        let (x, y) = (i as u32 % width, i as u32 / width);
+        pixel[0] = (x * top / (width - 1)) as u16;
+        pixel[1] = (y * top / (height - 1)) as u16;
+        pixel[2] = (top / 4) as u16;
+    }
+    picture
+}
+
+fn encoded(picture: &heifer::Image, metadata: &Metadata) -> Vec<u8> {
+    let options = EncodeOptions {
+        quality: 100,
+        max_threads: 1,
+    };
+    heifer::encode_with_metadata(picture, metadata, &options).expect("encoded")
+}
+
+fn file(folder: &TempDir, bytes: &[u8]) -> PathBuf {
+    let path = folder.path().join("phone.heic");
+    fs::write(&path, bytes).expect("written");
+    path
+}
+
+/// The largest difference from the ramp, share of white. Chroma is coded at half the pixels.
+fn error(image: &Image<Srgb>) -> f32 {
+    let (width, height) = (image.width(), image.height());
+    let mut worst = 0.0_f32;
+    for y in 2..height - 2 {
+        for x in 2..width - 2 {
+            let wanted = [
+                x as f32 / (width - 1) as f32,
+                y as f32 / (height - 1) as f32,
+                0.25,
+            ];
+            for (channel, wanted) in wanted.into_iter().enumerate() {
+                worst = worst.max((image.plane(channel)[y * width + x] - wanted).abs());
+            }
+        }
+    }
+    worst
+}
+
+#[test]
+fn a_phones_photograph_is_read_as_it_was_written_tiles_and_all() {
+    let folder = TempDir::new().expect("folder");
+    // Larger than a tile of the encoder, so this one is a grid.
+    for (width, height, depth) in [(96, 64, 8), (700, 300, 8), (96, 64, 10)] {
+        let path = file(
+            &folder,
+            &encoded(&ramp(width, height, depth), &Metadata::default()),
+        );
+        let header = read_header(&path).expect("header");
+        assert_eq!(
+            (header.width, header.height),
+            (width as usize, height as usize)
+        );
+        let image = Image::load(&path).expect("loaded");
+        let worst = error(&image);
+        assert!(worst < 0.03, "{width} x {height}, {depth} bits: {worst}");
+    }
+}
+
+#[test]
+fn ten_bits_stay_ten_bits() {
+    let folder = TempDir::new().expect("folder");
+    let path = file(&folder, &encoded(&ramp(512, 64, 10), &Metadata::default()));
+    let image = Image::load(&path).expect("loaded");
+    let row: Vec<u32> = image.plane(0)[32 * 512..33 * 512]
+        .iter()
+        .map(|v| (v * 65_535.0) as u32)
+        .collect();
+    let mut levels = row.clone();
+    levels.sort_unstable();
+    levels.dedup();
+    assert!(levels.len() > 300, "{} levels", levels.len());
+}
+
+#[test]
+fn its_focal_length_is_that_of_its_exif_and_its_orientation_there_turns_nothing() {
+    let folder = TempDir::new().expect("folder");
+    let exif = block(&[
+        (Tag::Orientation, Value::Short(vec![6])),
+        (Tag::FocalLengthIn35mmFilm, Value::Short(vec![26])),
+    ]);
+    let metadata = Metadata {
+        exif: Some(exif),
+        ..Metadata::default()
+    };
+    let path = file(&folder, &encoded(&ramp(96, 64, 8), &metadata));
+    let header = read_header(&path).expect("header");
+    assert_eq!((header.width, header.height), (96, 64));
+    let focal = header.focal_px.expect("a focal length");
+    assert!((focal - 26.0 / 43.266_615 * 96_f64.hypot(64.0)).abs() < 0.01);
+}
+
+/// The container's `irot` turns by quarters against the clock.
+#[test]
+fn the_containers_turn_is_applied_once() {
+    let folder = TempDir::new().expect("folder");
+    let mut bytes = encoded(&ramp(96, 64, 8), &Metadata::default());
+    let upright = Image::<Srgb>::load(&file(&folder, &bytes)).expect("loaded");
+    turn(&mut bytes);
+    let path = file(&folder, &bytes);
+    let header = read_header(&path).expect("header");
+    assert_eq!((header.width, header.height), (64, 96));
+    let turned = Image::<Srgb>::load(&path).expect("loaded");
+    // What was at the right of the first row is now at the top of the first column.
+    for x in 0..96 {
+        let (was, is) = (upright.plane(0)[x], turned.plane(0)[(95 - x) * 64]);
+        assert!((was - is).abs() < 1e-6, "{x}: {was} and {is}");
+    }
+}
+
+/// Makes the first `pixi` property, which decoders do without, into `irot` of a quarter.
+fn turn(bytes: &mut [u8]) {
+    let at = bytes
+        .windows(4)
+        .position(|window| window == b"pixi")
+        .expect("a pixi box");
+    bytes[at..at + 4].copy_from_slice(b"irot");
+    bytes[at + 4] = 1;
+}
+
+#[test]
+fn one_cut_short_or_with_another_codec_is_refused_with_a_reason() {
+    let folder = TempDir::new().expect("folder");
+    let whole = encoded(&ramp(96, 64, 8), &Metadata::default());
+    for share in [0.1, 0.5, 0.9, 0.99] {
+        let cut = &whole[..(whole.len() as f64 * share) as usize];
+        let outcome = Image::<Srgb>::load(&file(&folder, cut));
+        assert!(
+            matches!(outcome, Err(ImageError::Damaged { .. })),
+            "{share}: {outcome:?}"
+        );
+    }
+    let mut other = whole.clone();
+    let at = other.windows(4).position(|window| window == b"hvc1");
+    let at = at.expect("an item's type");
+    other[at..at + 4].copy_from_slice(b"av01");
+    let error = Image::<Srgb>::load(&file(&folder, &other)).expect_err("another codec");
+    assert!(error.is_unsupported_format(), "{error}");
+    assert!(error.to_string().contains("JPEG"), "{error}");
+}
+
+#[test]
+fn any_byte_may_be_wrong_without_harm() {
+    let folder = TempDir::new().expect("folder");
+    let whole = encoded(&ramp(96, 64, 8), &Metadata::default());
+    // The boxes, where sizes and counts lie, and a part of what is coded.
+    for at in 0..whole.len().min(900) {
+        for value in [0x00, 0x7f, 0xff] {
+            let mut bytes = whole.clone();
+            bytes[at] = value;
+            // Read or refused: neither a panic nor memory without end.
+            let _ = Image::<Srgb>::load(&file(&folder, &bytes));
+        }
+    }
+}
