@@ -49,6 +49,9 @@ pub enum ImageError {
     /// An AVIF, or a sequence of pictures.
     #[error("AVIF photographs and bursts are not read: export them as JPEG, PNG or HEIC")]
     Avif,
+    /// A video among photographs.
+    #[error("a video; one that comes alone, in no zip or folder, is taken apart into photographs")]
+    Video,
     /// A camera's raw file.
     #[error(
         "camera raw files are not read: develop them to 16-bit TIFF or PNG, or to JPEG, with one setting for all"
@@ -94,7 +97,10 @@ pub enum ImageError {
 impl ImageError {
     /// Whether the format is known but not accepted (HTTP 415), as against a broken file.
     pub fn is_unsupported_format(&self) -> bool {
-        matches!(self, Self::Avif | Self::Raw | Self::Unsupported { .. })
+        matches!(
+            self,
+            Self::Avif | Self::Video | Self::Raw | Self::Unsupported { .. }
+        )
     }
 }
 
@@ -202,6 +208,11 @@ impl Opened {
             Kind::Readable(format) => format,
             Kind::Heic => {
                 file.rewind().map_err(io)?;
+                if metadata.len() > heic::LONGEST {
+                    return Err(ImageError::Unsupported {
+                        message: "a HEIC of more than 128 MiB".to_owned(),
+                    });
+                }
                 let mut bytes = Vec::new();
                 file.read_to_end(&mut bytes).map_err(io)?;
                 let heic = Heic::open(bytes)?;
@@ -209,6 +220,7 @@ impl Opened {
                 return Self::with_decoder(Box::new(heic), beside);
             }
             Kind::Avif => return Err(ImageError::Avif),
+            Kind::Video => return Err(ImageError::Video),
             Kind::Raw => return Err(ImageError::Raw),
             Kind::Unknown => return Err(ImageError::UnknownFormat),
         };

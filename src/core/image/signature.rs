@@ -14,6 +14,8 @@ pub(super) enum Kind {
     Heic,
     /// AVIF, or a sequence of pictures.
     Avif,
+    /// MP4 or MOV.
+    Video,
     /// A camera's raw format.
     Raw,
     /// Nothing known.
@@ -52,6 +54,8 @@ fn foreign(head: &[u8]) -> Option<Kind> {
             b"crx " => Kind::Raw,
             b"heic" | b"heix" | b"heim" | b"heis" | b"mif1" | b"mif2" | b"heif" => Kind::Heic,
             b"hevc" | b"hevx" | b"msf1" | b"avif" | b"avis" => Kind::Avif,
+            b"qt  " | b"isom" | b"iso2" | b"iso4" | b"iso5" | b"iso6" | b"mp41" | b"mp42"
+            | b"avc1" | b"M4V " => Kind::Video,
             _ => Kind::Unknown,
         });
     }
@@ -103,6 +107,8 @@ mod tests {
     fn phone_and_raw_formats_are_told_by_their_bytes_whatever_their_name() {
         let heic = b"\0\0\0\x18ftypheic\0\0\0\0mif1heic";
         assert_eq!(kind(heic, Path::new("a.jpg")), Kind::Heic);
+        let video = b"\0\0\0\x14ftypqt  \0\0\0\0qt  ";
+        assert_eq!(kind(video, Path::new("a.mov")), Kind::Video);
         let avif = b"\0\0\0\x18ftypavif\0\0\0\0mif1avif";
         assert_eq!(kind(avif, Path::new("a.heic")), Kind::Avif);
         assert_eq!(

@@ -10,18 +10,25 @@ use heifer::{Error, Options};
 use image::metadata::Orientation;
 use image::{ColorType, ImageDecoder, ImageResult};
 
-use super::ImageError;
+use super::{ImageError, MAX_PIXELS};
 
 /// What may be coded beyond the picture on each side, px: codecs code whole blocks.
 const MARGIN: u64 = 64;
 /// A grid's tile, px, that may be larger than the picture.
 const TILE: u64 = 1 << 20;
+/// Longest file, bytes: it is read whole. 100 megapixels take 30 MiB.
+pub(super) const LONGEST: u64 = 128 << 20;
+/// Longest description of what a file holds, bytes. Phones write 5,000; reading it takes a time that
+/// grows with its square.
+const LONGEST_META: usize = 512 << 10;
 
 /// A photograph whose boxes were read; its pixels are decoded when they are asked for.
 pub(super) struct Heic {
     bytes: Vec<u8>,
     /// Upright, px.
     size: (u32, u32),
+    /// As it is coded: before cuts and turns, px.
+    coded: (u32, u32),
     is_deep: bool,
     exif: Option<Vec<u8>>,
 }
@@ -33,11 +40,18 @@ impl Heic {
     /// [`ImageError::Unsupported`] for what is no photograph of a phone or camera, such as an
     /// overlay or another codec, [`ImageError::Damaged`] for broken boxes.
     pub(super) fn open(bytes: Vec<u8>) -> Result<Self, ImageError> {
+        check_meta(&bytes)?;
         let file = HeifFile::parse(&bytes).map_err(|error| told(&error.into()))?;
-        let coded = coded_picture(&file).map_err(|error| told(&error))?;
-        let size = upright_size(&file).map_err(|error| told(&error))?;
+        let first = coded_picture(&file).map_err(|error| told(&error))?;
+        check_alpha(&file).map_err(|error| told(&error))?;
+        let whole = coded_size(&file, file.primary_id).map_err(|error| told(&error))?;
+        if u64::from(whole.0) * u64::from(whole.1) > MAX_PIXELS {
+            let (width, height) = whole;
+            return Err(ImageError::TooManyPixels { width, height });
+        }
+        let size = upright_size(&file, whole).map_err(|error| told(&error))?;
         let config = file
-            .hevc_config(coded)
+            .hevc_config(first)
             .map_err(|error| told(&error.into()))?;
         let is_deep = config.is_some_and(|config| config.bit_depth_luma > 8);
         // EXIF that cannot be read leaves the photograph as good as it was.
@@ -45,20 +59,22 @@ impl Heic {
         Ok(Self {
             is_deep,
             size,
+            coded: whole,
             exif,
             bytes,
         })
     }
 
-    /// Bytes that decoding takes beside the samples: the file, the coded planes and an RGBA of them.
+    /// Bytes that decoding takes beside the samples: the file, the coded planes, and RGBA before and
+    /// after a turn.
     pub(super) fn bytes_beside(&self) -> u64 {
-        let pixels = u64::from(self.size.0) * u64::from(self.size.1);
-        let deep = if self.is_deep { 8 } else { 4 };
-        self.bytes.len() as u64 + pixels.saturating_mul(deep + 4)
+        let rgba = if self.is_deep { 8 } else { 4 };
+        let pixels = u64::from(self.coded.0) * u64::from(self.coded.1);
+        self.bytes.len() as u64 + pixels.saturating_mul(2 * rgba + 6)
     }
 
     fn options(&self) -> Options {
-        let (width, height) = (u64::from(self.size.0), u64::from(self.size.1));
+        let (width, height) = (u64::from(self.coded.0), u64::from(self.coded.1));
         Options {
             // Photographs are decoded beside each other already.
             max_threads: 1,
@@ -145,30 +161,97 @@ impl ImageDecoder for Heic {
     }
 }
 
-/// The picture, or the first tile of the grid, that is coded.
-fn coded_picture(file: &HeifFile<'_>) -> Result<u32, Error> {
-    let kind = |id| file.item(id).map(|item| item.item_type.0);
-    if kind(file.primary_id)? == *b"hvc1" {
-        return Ok(file.primary_id);
+/// Refuses a file whose boxes say too much. Nothing of them is kept yet.
+fn check_meta(bytes: &[u8]) -> Result<(), ImageError> {
+    let mut at = 0;
+    while let Some(head) = bytes.get(at..at + 16) {
+        let short = u32::from_be_bytes([head[0], head[1], head[2], head[3]]);
+        let length = match short {
+            0 => bytes.len() - at,
+            1 => {
+                let long: [u8; 8] = head[8..].try_into().unwrap_or_default();
+                usize::try_from(u64::from_be_bytes(long)).unwrap_or(usize::MAX)
+            }
+            short => short as usize,
+        };
+        if head[4..8] == *b"meta" && length > LONGEST_META {
+            return Err(ImageError::Unsupported {
+                message: "more pictures in it than in a photograph".to_owned(),
+            });
+        }
+        at = at.saturating_add(length.max(8));
     }
-    let tiles = file.referenced_items(file.primary_id, b"dimg");
-    let mut is_grid = kind(file.primary_id)? == *b"grid";
-    for &tile in tiles {
-        is_grid &= kind(tile)? == *b"hvc1";
-    }
-    match tiles.first() {
-        Some(&first) if is_grid => Ok(first),
-        _ => Err(Error::Unsupported(
-            "neither a picture of HEVC nor a grid of such; export it as JPEG or PNG".to_owned(),
-        )),
-    }
+    Ok(())
 }
 
-/// Width and height after the container's turns.
-fn upright_size(file: &HeifFile<'_>) -> Result<(u32, u32), Error> {
-    let mut size = file
-        .image_size(file.primary_id)?
+/// The picture, or the first tile of the grid, that is coded.
+fn coded_picture(file: &HeifFile<'_>) -> Result<u32, Error> {
+    coded_below(file, file.primary_id)?.ok_or_else(|| {
+        Error::Unsupported(
+            "neither a picture of HEVC nor a grid of such; export it as JPEG or PNG".to_owned(),
+        )
+    })
+}
+
+/// Of a picture that is coded as one or as a grid, which item is coded first. `None` for another.
+fn coded_below(file: &HeifFile<'_>, id: u32) -> Result<Option<u32>, Error> {
+    let kind = |id| file.item(id).map(|item| item.item_type.0);
+    match &kind(id)? {
+        b"hvc1" => return Ok(Some(id)),
+        b"grid" => {}
+        _ => return Ok(None),
+    }
+    let tiles = file.referenced_items(id, b"dimg");
+    for &tile in tiles {
+        if kind(tile)? != *b"hvc1" {
+            return Ok(None);
+        }
+    }
+    let Some(&first) = tiles.first() else {
+        return Ok(None);
+    };
+    // Every tile is decoded, so none may lie beside the picture.
+    let grid = file.grid(id)?;
+    let (rows, columns) = (u64::from(grid.rows), u64::from(grid.columns));
+    let (width, height) = coded_size(file, first)?;
+    let is_filled = tiles.len() as u64 == rows * columns
+        && (columns - 1) * u64::from(width) < u64::from(grid.output_width)
+        && (rows - 1) * u64::from(height) < u64::from(grid.output_height);
+    if !is_filled {
+        return Err(Error::Invalid(
+            "its grid has other tiles than its size asks for",
+        ));
+    }
+    Ok(Some(first))
+}
+
+/// Whatever is said to be a picture's alpha is decoded, too.
+fn check_alpha(file: &HeifFile<'_>) -> Result<(), Error> {
+    for aux in file.referencing_items(file.primary_id, b"auxl") {
+        if coded_below(file, aux)?.is_none() {
+            return Err(Error::Unsupported(
+                "a picture beside it that is not coded by HEVC; export it as JPEG or PNG"
+                    .to_owned(),
+            ));
+        }
+    }
+    Ok(())
+}
+
+/// Width and height before the container's cuts and turns.
+fn coded_size(file: &HeifFile<'_>, id: u32) -> Result<(u32, u32), Error> {
+    let size = file
+        .image_size(id)?
         .ok_or(Error::Invalid("its size is missing"))?;
+    if size.0 == 0 || size.1 == 0 {
+        return Err(Error::Invalid("it has no pixels"));
+    }
+    Ok(size)
+}
+
+/// Width and height after the container's cuts and turns.
+fn upright_size(file: &HeifFile<'_>, coded: (u32, u32)) -> Result<(u32, u32), Error> {
+    let mut size = coded;
     for property in file.item_properties(file.primary_id)? {
         match *property {
             Property::CleanAperture { width, height, .. } => {

@@ -171,3 +171,30 @@ fn any_byte_may_be_wrong_without_harm() {
         }
     }
 }
+
+/// A grid is told by its item's data: version, flags, rows less one, columns less one, size.
+#[test]
+fn a_grid_with_tiles_beside_the_picture_is_refused() {
+    let folder = TempDir::new().expect("folder");
+    let whole = encoded(&ramp(700, 300, 8), &Metadata::default());
+    let told = [0, 0, 0, 1, 2, 188, 1, 44];
+    let at = whole.windows(8).position(|window| window == told);
+    let at = at.expect("one row of two tiles, 700 x 300");
+    for wrong in [[0, 0, 255, 255, 2, 188, 1, 44], [0, 0, 0, 1, 0, 100, 1, 44]] {
+        let mut bytes = whole.clone();
+        bytes[at..at + 8].copy_from_slice(&wrong);
+        let error = read_header(&file(&folder, &bytes)).expect_err("refused");
+        assert!(error.to_string().contains("tiles"), "{error}");
+    }
+}
+
+#[test]
+fn boxes_that_say_too_much_are_refused_before_they_are_read() {
+    let folder = TempDir::new().expect("folder");
+    let mut bytes = encoded(&ramp(96, 64, 8), &Metadata::default());
+    let at = bytes.windows(4).position(|window| window == b"meta");
+    let at = at.expect("a meta box") - 4;
+    bytes[at..at + 4].copy_from_slice(&(600_u32 << 10).to_be_bytes());
+    let error = read_header(&file(&folder, &bytes)).expect_err("refused");
+    assert!(error.to_string().contains("more pictures"), "{error}");
+}
