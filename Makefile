@@ -18,7 +18,7 @@ endif
 help: ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1\t\2/' | expand -t 22
 
-setup: ## Debian packages: COLMAP, a software Vulkan driver, pip (as root; else it says what to run)
+setup: ## Debian packages: COLMAP, ffmpeg, a software Vulkan driver, pip (as root; else it says what to run)
 	@tools/setup.sh
 
 onnxruntime: ## the ONNX Runtime library, from its PyPI wheel, into .onnxruntime/

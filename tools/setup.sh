@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
-# Installs what fled needs from Debian: COLMAP, the Vulkan loader, a software Vulkan driver, and pip to fetch the
-# ONNX Runtime library and the Python packages of the tools; and programs named as arguments whose package has their
-# name. Installs only what is missing; without root it prints the one line to run instead.
+# Installs what fled needs from Debian: COLMAP, ffmpeg, the Vulkan loader, a software Vulkan driver, and pip to fetch
+# the ONNX Runtime library and the Python packages of the tools; and programs named as arguments whose package has
+# their name. Installs only what is missing; without root it prints the one line to run instead.
 set -euo pipefail
 
 # Ordinary users do not have /sbin in their path.
@@ -12,6 +12,7 @@ command -v colmap >/dev/null || missing+=(colmap)
 compgen -G '/usr/share/vulkan/icd.d/*.json' >/dev/null || compgen -G '/etc/vulkan/icd.d/*.json' >/dev/null ||
     missing+=(mesa-vulkan-drivers)
 [[ $libraries == *libvulkan.so.1* ]] || missing+=(libvulkan1)
+command -v ffmpeg >/dev/null || missing+=(ffmpeg)
 python3 -m pip --version >/dev/null 2>&1 || missing+=(python3-pip)
 for program; do
     command -v "$program" >/dev/null || missing+=("$program")

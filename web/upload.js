@@ -13,7 +13,7 @@ const RATE_AFTER = 2;
 
 /** `{ root, leave }`. */
 export function startForm() {
-  const files = h("input", { type: "file", multiple: true, accept: "image/*,.zip,.tif,.tiff,.heic,.heif,.hif" });
+  const files = h("input", { type: "file", multiple: true, accept: "image/*,.zip,.tif,.tiff,.heic,.heif,.hif,.mp4,.mov,.m4v" });
   const folder = h("input", { type: "file", webkitdirectory: true });
   const name = h("input", { type: "text", placeholder: "optional", maxLength: 200 });
   const button = h("button", { class: "main", type: "submit" }, "Start");
@@ -23,7 +23,7 @@ export function startForm() {
   const options = optionsForm();
   const chosen = chosenFiles();
   const drop = h("div", { class: "drop" },
-    h("label", {}, "Photographs, or one zip", files),
+    h("label", {}, "Photographs, one zip, or a video (of which the 40 sharpest frames are taken)", files),
     h("label", {}, "or a folder (ground truth in gt/ is taken along)", folder),
     h("p", { class: "hint" }, "or drop them anywhere on this page"));
   for (const input of [files, folder]) {

@@ -12,6 +12,7 @@ mod entries;
 mod error;
 mod layout;
 mod photograph;
+pub mod video;
 
 use std::path::Path;
 

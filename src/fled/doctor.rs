@@ -3,6 +3,7 @@
 use std::convert::Infallible;
 use std::io::Write;
 use std::path::PathBuf;
+use std::process::Command;
 
 use fled_core::colmap::ColmapCli;
 use fled_core::deblur::manifest::{Manifest, Place};
@@ -32,6 +33,8 @@ pub struct Args {
     /// One line of JSON instead of a table.
     #[arg(long)]
     json: bool,
+    #[command(flatten)]
+    ffmpeg: tools::Ffmpeg,
     #[command(flatten)]
     tools: tools::Args,
 }
@@ -135,6 +138,7 @@ fn checks(args: &Args) -> Vec<Check> {
             "Set ORT_DYLIB_PATH; `fled models verify` says more about a network",
         ),
         Check::new("matcher", Ok::<_, Infallible>(matcher(args)), ""),
+        Check::new("ffmpeg", Ok::<_, Infallible>(ffmpeg(args)), ""),
         Check::new("disk", disk(args), "Free some space: a run may need 2 GiB"),
     ]
 }
@@ -145,6 +149,18 @@ fn matcher(args: &Args) -> String {
     let package = Package::embedded();
     package_state(&package, &args.tools.matcher_folders()).unwrap_or_else(|error| {
         format!("none, poses are found by COLMAP's own key points: {error}")
+    })
+}
+
+/// Who reads videos. A machine without it reads photographs.
+fn ffmpeg(args: &Args) -> String {
+    let said = Command::new(&args.ffmpeg.program).arg("-version").output();
+    let first = said.map(|said| {
+        let said = String::from_utf8_lossy(&said.stdout).into_owned();
+        said.lines().next().unwrap_or("it says nothing").to_owned()
+    });
+    first.unwrap_or_else(|error| {
+        format!("none, videos are not read (apt-get install ffmpeg): {error}")
     })
 }
 

@@ -1,13 +1,16 @@
 //! `fled run`: one capture, no server.
 
-use std::fs::OpenOptions;
-use std::path::PathBuf;
+use std::fs::{self, File, OpenOptions};
+use std::path::{Path, PathBuf};
 
+use clap::builder::RangedU64ValueParser;
 use fled_core::cancel::CancelToken;
-use fled_core::capture::Capture;
+use fled_core::capture::video::{self, FRAMES, MOST_FRAMES, VideoError, Wanted};
+use fled_core::capture::{Capture, MIN_VIEWS};
 use fled_core::event::{Event, ProgressSink};
 use fled_core::pipeline;
 use fled_core::pipeline::config::{Options, Preset};
+use fled_core::pipeline::error::ErrorKind;
 use fled_core::pipeline::workspace::Workspace;
 
 use crate::failure::{Failure, io};
@@ -17,7 +20,7 @@ use crate::tools;
 /// Arguments of `fled run`.
 #[derive(clap::Args)]
 pub struct Args {
-    /// A folder or zip of photographs.
+    /// A folder or zip of photographs, or a video (MP4, MOV).
     capture: PathBuf,
     /// Where the result goes.
     #[arg(long, value_name = "DIR")]
@@ -31,6 +34,10 @@ pub struct Args {
     /// A JSON object of options over the preset's, before any `--set`.
     #[arg(long, value_name = "FILE")]
     options: Option<PathBuf>,
+    /// Photographs to take of a video: of every stretch the sharpest frame.
+    #[arg(long, value_name = "N", default_value_t = FRAMES,
+        value_parser = RangedU64ValueParser::<usize>::from(MIN_VIEWS as u64..=MOST_FRAMES as u64))]
+    frames: usize,
     /// Events as JSON lines on standard output.
     #[arg(long)]
     json: bool,
@@ -38,6 +45,8 @@ pub struct Args {
     /// the deblurred views in full precision.
     #[arg(long)]
     discard_work: bool,
+    #[command(flatten)]
+    ffmpeg: tools::Ffmpeg,
     #[command(flatten)]
     tools: tools::Args,
 }
@@ -85,8 +94,14 @@ fn run(
     reporter: &mut Reporter,
     cancel: &CancelToken,
 ) -> Result<(), Failure> {
-    let capture = Capture::open(&args.capture, &workspace.folder().work().capture())
-        .map_err(pipeline::error::PipelineError::from)?;
+    let scratch = workspace.folder().work().capture();
+    let photographs = if args.capture.is_file() && video::is_video(&args.capture) {
+        &frames(args, &scratch, reporter, cancel)?
+    } else {
+        &args.capture
+    };
+    let capture =
+        Capture::open(photographs, &scratch).map_err(pipeline::error::PipelineError::from)?;
     for warning in &capture.warnings {
         reporter.warn(&warning.code, warning.message.clone());
     }
@@ -109,7 +124,7 @@ fn run(
 fn options(args: &Args) -> Result<Options, Failure> {
     let mut options = args.preset.options();
     if let Some(path) = &args.options {
-        let bytes = std::fs::read(path).map_err(io(path))?;
+        let bytes = fs::read(path).map_err(io(path))?;
         let overrides = serde_json::from_slice(&bytes)
             .map_err(|e| Failure::usage(format!("{}: {e}", path.display())))?;
         options = options.with_overrides(&overrides)?;
@@ -118,4 +133,55 @@ fn options(args: &Args) -> Result<Options, Failure> {
         options = options.with_assignment(assignment)?;
     }
     Ok(options)
+}
+
+/// The folder with the photographs taken of a video; one that is there already serves.
+fn frames(
+    args: &Args,
+    scratch: &Path,
+    reporter: &mut Reporter,
+    cancel: &CancelToken,
+) -> Result<PathBuf, Failure> {
+    let video = &args.capture;
+    let mut hasher = blake3::Hasher::new();
+    let file = File::open(video).map_err(io(video))?;
+    hasher.update_reader(file).map_err(io(video))?;
+    let digest = hasher.finalize().to_hex();
+    let folder = scratch.join(format!("frames-{}-{}", args.frames, &digest[..16]));
+    if folder.is_dir() {
+        return Ok(folder);
+    }
+    let unfinished = scratch.join("frames-unfinished");
+    if unfinished.exists() {
+        fs::remove_dir_all(&unfinished).map_err(io(&unfinished))?;
+    }
+    let name = video.file_name().unwrap_or_default().to_string_lossy();
+    let wanted = Wanted {
+        count: args.frames,
+        into: &unfinished,
+        stem: "frame",
+        room: u64::MAX,
+    };
+    let taken = video::take_frames(&args.ffmpeg.program, video, &wanted, cancel)?;
+    reporter.event(&Event::Log {
+        message: taken.told(&name),
+    });
+    fs::rename(&unfinished, &folder).map_err(io(&folder))?;
+    Ok(folder)
+}
+
+impl From<VideoError> for Failure {
+    fn from(error: VideoError) -> Self {
+        let kind = match error {
+            VideoError::Missing { .. } => ErrorKind::Environment,
+            VideoError::Timeout => ErrorKind::Timeout,
+            VideoError::Cancelled(_) => ErrorKind::Cancelled,
+            VideoError::Io { .. } | VideoError::NoRoom { .. } => ErrorKind::Io,
+            _ => ErrorKind::BadInput,
+        };
+        Self {
+            hint: error.hint().to_owned(),
+            ..Self::new(kind, error)
+        }
+    }
 }

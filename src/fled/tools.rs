@@ -45,6 +45,19 @@ pub struct Args {
     pub models: ModelFolder,
 }
 
+/// Where what reads videos lies.
+#[derive(clap::Args, Clone, Debug)]
+pub struct Ffmpeg {
+    /// The ffmpeg program, which reads videos.
+    #[arg(
+        long = "ffmpeg",
+        value_name = "PROGRAM",
+        default_value = "ffmpeg",
+        env = "FLED_FFMPEG"
+    )]
+    pub program: PathBuf,
+}
+
 /// Where networks that are not built in lie.
 #[derive(clap::Args, Clone, Debug)]
 pub struct ModelFolder {

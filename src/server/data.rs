@@ -24,6 +24,21 @@ pub struct DataDir {
     _lock: File,
 }
 
+/// Attempts to remove what an earlier server's ffmpeg may still write into. It ends where it finds
+/// its folder gone.
+const ATTEMPTS: u32 = 5;
+
+/// Removes a folder that others may still write into.
+fn clear(folder: &Path) -> io::Result<()> {
+    for _ in 1..ATTEMPTS {
+        match fs::remove_dir_all(folder) {
+            Err(error) if error.kind() == io::ErrorKind::DirectoryNotEmpty => {}
+            cleared => return cleared,
+        }
+    }
+    fs::remove_dir_all(folder)
+}
+
 impl DataDir {
     /// Creates what is missing, takes the lock and removes unfinished uploads, but those in pieces.
     ///
@@ -45,7 +60,7 @@ impl DataDir {
         let data = Self { root, _lock: lock };
         let incoming = data.incoming();
         if incoming.exists() {
-            fs::remove_dir_all(&incoming).map_err(ServerError::io(&incoming))?;
+            clear(&incoming).map_err(ServerError::io(&incoming))?;
         }
         for dir in [incoming, data.captures(), data.jobs(), data.uploads()] {
             fs::create_dir_all(&dir).map_err(ServerError::io(&dir))?;

@@ -97,7 +97,7 @@ test("an upload that is refused says why, and another can be tried", () =>
   browser.visit("upload-refused", "", async (page, faults) => {
     const path = join(server.folder, "notes.jpg");
     writeFileSync(path, "no photograph");
-    await page.getByLabel("Photographs, or one zip").setInputFiles(path);
+    await page.getByLabel("Photographs, one zip, or a video").setInputFiles(path);
     await button(page, "Start").click();
     await seen(page.getByRole("alert"), "notes.jpg");
     await until("the button can be pressed", () => button(page, "Start").isEnabled());

@@ -30,6 +30,9 @@ const DARK_MEAN_V: f32 = 0.02;
 /// A photograph this much less sharp than the capture's middle one is called blurred.
 const BLURRED_SHARE: f32 = 0.35;
 
+/// Why a video beside photographs is not used.
+const UNUSED_VIDEO: &str = "a video; one that is given by itself is taken apart into photographs";
+
 /// Longest of our own names.
 const LONGEST_NAME: usize = 40;
 
@@ -74,6 +77,10 @@ pub(super) fn assess(layout: &Layout, budget: &DecodeBudget) -> Assessed {
             Err(fault) => assessed.assessments.push(fault.assessment(entry)),
         }
     }
+    let unused = |entry| Fault::of(UNUSED_VIDEO.to_owned()).assessment(entry);
+    assessed
+        .assessments
+        .extend(layout.videos.iter().map(unused));
     assessed.attach_ground_truth(&layout.ground_truth, budget);
     assessed.warn_of_the_whole();
     assessed

@@ -14,7 +14,7 @@ pub const MIN_VIEWS: usize = 3;
 #[derive(Debug, thiserror::Error)]
 pub enum CaptureError {
     /// The path is neither a folder nor a zip.
-    #[error("{} is neither a folder of photographs nor a zip", path.display())]
+    #[error("{} is neither a folder of photographs, a zip nor a video", path.display())]
     NotACapture {
         /// The path.
         path: PathBuf,

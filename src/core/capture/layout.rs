@@ -8,6 +8,7 @@ use crate::image::named_like_a_photograph;
 
 use super::entries::{Entry, natural};
 use super::error::CaptureError;
+use super::video::is_video;
 
 /// Folders that mean something; none of them is a wrapper around the capture.
 const KNOWN_FOLDERS: [&str; 5] = ["images", "gt", "hl", "sparse", "sparse_gt"];
@@ -37,6 +38,8 @@ impl GivenPosesFile {
 pub(super) struct Layout {
     /// What claims to be a photograph, in natural order.
     pub(super) photographs: Vec<Entry>,
+    /// Videos beside them: listed, not used.
+    pub(super) videos: Vec<Entry>,
     /// Ground truth by lower-case stem; empty when there is none.
     pub(super) ground_truth: BTreeMap<String, Entry>,
     /// Poses.
@@ -63,6 +66,9 @@ impl Layout {
         } else {
             with_folder
         };
+        let beside = photographs.first().map_or("", Entry::folder).to_owned();
+        let is_beside = |entry: &&Entry| inside(entry, &beside) && is_video(&entry.file);
+        let videos = entries.iter().filter(is_beside).cloned().collect();
         let truth = photographs_in("gt");
         let truth = if truth.is_empty() {
             photographs_in("hl")
@@ -76,6 +82,7 @@ impl Layout {
         let (poses, pose_files) = find_poses(&entries);
         Self {
             photographs,
+            videos,
             ground_truth,
             poses,
             pose_files,

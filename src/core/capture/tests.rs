@@ -354,6 +354,23 @@ fn dark_blurred_and_odd_sized_photographs_are_accepted_with_a_warning_each() {
 }
 
 #[test]
+fn a_phones_videos_beside_its_photographs_are_listed_and_change_nothing() {
+    let photographs = [("1.jpg", jpeg(1)), ("2.jpg", jpeg(2)), ("3.jpg", jpeg(3))];
+    let alone = open_folder(&photographs).expect("a capture");
+    let video = [("2.MOV", b"\0\0\0\x14ftypqt  ".to_vec())];
+    let with_video = open_folder(&[&photographs[..], &video].concat()).expect("a capture");
+    assert_eq!(with_video.views.len(), 3);
+    assert_eq!(with_video.fingerprint, alone.fingerprint);
+    let last = with_video.assessments.last().expect("listed");
+    assert_eq!(last.name, "2.MOV");
+    assert!(
+        last.reason
+            .as_ref()
+            .is_some_and(|reason| reason.contains("by itself"))
+    );
+}
+
+#[test]
 fn a_path_that_is_no_capture_is_the_users_fault() {
     let folder = folder(&[("a.txt", b"text".to_vec())]);
     let open =

@@ -19,7 +19,7 @@ use crate::failure::Failure;
 /// Arguments of `fled submit`.
 #[derive(clap::Args)]
 pub struct Args {
-    /// A folder of photographs, or one zip.
+    /// A folder of photographs, one zip, or a video (MP4, MOV).
     capture: PathBuf,
     #[command(flatten)]
     remote: super::Args,
@@ -29,6 +29,9 @@ pub struct Args {
     /// One option over the preset's; may be repeated.
     #[arg(long = "set", value_name = "KEY=VALUE")]
     assignments: Vec<String>,
+    /// Photographs to take of a video; 40 when absent.
+    #[arg(long, value_name = "N")]
+    frames: Option<u32>,
     /// What to call it; the folder's name when absent.
     #[arg(long)]
     name: Option<String>,
@@ -82,11 +85,13 @@ fn fields(args: &Args) -> Result<Vec<(&'static str, String)>, Failure> {
         let path = args.capture.canonicalize().ok()?;
         Some(path.file_stem()?.to_string_lossy().into_owned())
     });
-    Ok(vec![
+    let frames = args.frames.map(|frames| ("frames", frames.to_string()));
+    let fields = [
         ("name", name.unwrap_or_default()),
         ("preset", args.preset.name().to_owned()),
         ("options", Value::Object(options).to_string()),
-    ])
+    ];
+    Ok(fields.into_iter().chain(frames).collect())
 }
 
 fn send(remote: &Remote, form: &Form, key: &str) -> Result<String, Fault> {

@@ -34,7 +34,7 @@ pub struct CreateQuery {
 #[serde(deny_unknown_fields)]
 #[expect(dead_code, reason = "it describes what is read part by part")]
 pub struct CaptureForm {
-    /// Photographs, or one zip.
+    /// Photographs, or one zip, or a video (MP4, MOV).
     #[schema(value_type = Vec<String>, format = Binary, min_items = 1)]
     images: Vec<Vec<u8>>,
     /// Ground truth, by the same names.
@@ -46,6 +46,8 @@ pub struct CaptureForm {
     /// What to call it.
     #[schema(max_length = 200)]
     name: Option<String>,
+    /// Photographs to take of a video, 3 to 500; 40 when absent.
+    frames: Option<String>,
 }
 
 /// Which captures to list.
@@ -110,10 +112,10 @@ async fn received(
         DefaultBodyLimit::max(SMALL).apply(&mut request);
         let Json(body) = Json::<CaptureOfUploads>::from_request(request, app).await?;
         upload::check_space(app)?;
-        return upload::gather(app, &body.uploads, body.name, visitor).await;
+        return upload::gather(app, &body.uploads, body.fields(), visitor).await;
     }
     let most = bytes_left(app, visitor).await?;
-    upload::receive(app, request, &["name"], most).await
+    upload::receive(app, request, &["name", "frames"], most).await
 }
 
 /// Lists captures, newest first.

@@ -62,7 +62,7 @@ pub enum JobOrder {
 #[serde(deny_unknown_fields)]
 #[expect(dead_code, reason = "it describes what is read part by part")]
 pub struct JobForm {
-    /// Photographs, or one zip.
+    /// Photographs, or one zip, or a video (MP4, MOV).
     #[schema(value_type = Vec<String>, format = Binary, min_items = 1)]
     images: Vec<Vec<u8>>,
     /// Ground truth, by the same names.
@@ -74,6 +74,8 @@ pub struct JobForm {
     /// What to call capture and job.
     #[schema(max_length = 200)]
     name: Option<String>,
+    /// Photographs to take of a video, 3 to 500; 40 when absent.
+    frames: Option<String>,
     /// `preview`, `standard` (default) or `paper`.
     preset: Option<String>,
     /// A JSON object: options over the preset's.
@@ -211,7 +213,8 @@ async fn from_upload(
         check_room(app, &visitor).await?;
         bytes_left(app, &visitor).await?
     };
-    let upload = upload::receive(app, request, &["name", "preset", "options"], most).await?;
+    let upload =
+        upload::receive(app, request, &["name", "frames", "preset", "options"], most).await?;
     let options = match upload
         .fields
         .get("options")

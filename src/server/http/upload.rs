@@ -4,6 +4,7 @@ mod ahead;
 mod gather;
 mod keep;
 mod places;
+mod videos;
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -45,7 +46,7 @@ const LOOK_AT_DISK: u64 = 32 << 20;
 #[derive(Debug)]
 pub struct Upload {
     dir: Arc<Incoming>,
-    /// Text fields: `name`, `preset`, `options`.
+    /// Text fields: `name`, `frames`, `preset`, `options`.
     pub fields: BTreeMap<String, String>,
     /// Identifies the content: names, fields and bytes.
     pub fingerprint: String,
@@ -219,9 +220,10 @@ impl Upload {
         if self.files == 0 {
             return Err(
                 Problem::unprocessable("bad_input", "The upload holds no file.")
-                    .hint("Send photographs as parts named `images`, or one zip."),
+                    .hint("Send photographs as parts named `images`, or one zip, or a video."),
             );
         }
+        let videos = self.take_frames(app).await?;
         // Those who look at the files hold the folder, also when the client hangs up.
         let dir = self.dir.clone();
         let unpacked = tokio::task::spawn_blocking(move || intake::unpacked_bytes(dir.path()))
@@ -240,7 +242,10 @@ impl Upload {
             .await
             .map_err(|_| Problem::internal())?
         {
-            Ok(report) => Ok(report),
+            Ok(mut report) => {
+                videos.add_to(&mut report);
+                Ok(report)
+            }
             Err(refusal) => Err(refused(*refusal)),
         }
     }

@@ -1,5 +1,6 @@
 //! Captures and jobs of uploads in pieces.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use serde::Deserialize;
@@ -18,21 +19,37 @@ use crate::store::{Creation, Request, UsedUp};
 #[derive(Clone, Debug, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct CaptureOfUploads {
-    /// Finished uploads, each the last part of its address: photographs, poses, or one zip. They
-    /// are used up.
+    /// Finished uploads, each the last part of its address: photographs, poses, one zip, or a
+    /// video. They are used up.
     #[schema(min_items = 1)]
     pub uploads: Vec<String>,
     /// What to call it.
     #[schema(max_length = 200)]
     pub name: Option<String>,
+    /// Photographs to take of a video; 40 when absent.
+    #[schema(minimum = 3, maximum = 500)]
+    pub frames: Option<u32>,
+}
+
+impl CaptureOfUploads {
+    /// As the text fields of a form say it.
+    pub fn fields(&self) -> BTreeMap<String, String> {
+        fields(self.name.as_ref(), self.frames)
+    }
+}
+
+fn fields(name: Option<&String>, frames: Option<u32>) -> BTreeMap<String, String> {
+    let frames = frames.map(|frames| ("frames".to_owned(), frames.to_string()));
+    let name = name.map(|name| ("name".to_owned(), name.clone()));
+    name.into_iter().chain(frames).collect()
 }
 
 /// A capture of uploads in pieces, and a job of it.
 #[derive(Clone, Debug, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct JobOfUploads {
-    /// Finished uploads, each the last part of its address: photographs, poses, or one zip. They
-    /// are used up.
+    /// Finished uploads, each the last part of its address: photographs, poses, one zip, or a
+    /// video. They are used up.
     #[schema(min_items = 1)]
     uploads: Vec<String>,
     /// `preview`, `standard` (default) or `paper`.
@@ -44,18 +61,24 @@ pub struct JobOfUploads {
     /// What to call capture and job.
     #[schema(max_length = 200)]
     name: Option<String>,
+    /// Photographs to take of a video; 40 when absent.
+    #[schema(minimum = 3, maximum = 500)]
+    frames: Option<u32>,
 }
 
 impl JobOfUploads {
     /// Identifies what is asked for: the uploads may be used up already.
     fn fingerprint(&self) -> String {
         let options = Value::Object(self.options.clone()).to_string();
+        let frames = self.frames.map(|frames| frames.to_string());
+        let frames = frames.unwrap_or_default();
         let parts = [
             "uploads",
             &self.uploads.join("\n"),
             self.preset.as_deref().unwrap_or_default(),
             &options,
             self.name.as_deref().unwrap_or_default(),
+            &frames,
         ];
         blake3::hash(parts.join("\n\n").as_bytes())
             .to_hex()
@@ -99,7 +122,8 @@ async fn make(
     check_room(app, &visitor).await?;
     let preset = body.preset.as_deref().filter(|preset| !preset.is_empty());
     let order = Order::new(app, preset, &body.options).await?;
-    let upload = gather(app, &body.uploads, body.name, &visitor).await?;
+    let fields = fields(body.name.as_ref(), body.frames);
+    let upload = gather(app, &body.uploads, fields, &visitor).await?;
     let report = upload.examine(app).await?;
     order.check_views(&report)?;
     let (app, key) = (app.clone(), request.key.map(str::to_owned));

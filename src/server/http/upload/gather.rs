@@ -19,8 +19,8 @@ use crate::http::problem::{Problem, disk_full, too_large};
 use crate::http::quota::bytes_left_beside;
 use crate::store::UploadRow;
 
-/// Gathers finished uploads of the visitor's own, each under its file name, for a capture that is
-/// called `name`. They stay as they are until the capture is kept, and until then nobody else has
+/// Gathers finished uploads of the visitor's own, each under its file name, for a capture with these
+/// text fields. They stay as they are until the capture is kept, and until then nobody else has
 /// them: a piece that is still on its way would be written into the capture.
 ///
 /// # Errors
@@ -30,11 +30,11 @@ use crate::store::UploadRow;
 pub async fn gather(
     app: &Arc<App>,
     ids: &[String],
-    name: Option<String>,
+    fields: BTreeMap<String, String>,
     visitor: &Visitor,
 ) -> Result<Upload, Problem> {
     check_list(ids)?;
-    if let Some(name) = &name {
+    if let Some(name) = fields.get("name") {
         check_name(name)?;
     }
     own(app, ids, visitor).await?;
@@ -50,7 +50,7 @@ pub async fn gather(
     let dir = app.uploads.begin(&incoming);
     let upload = Upload {
         dir: dir.map_err(ServerError::io(&incoming))?,
-        fields: BTreeMap::from_iter(name.map(|name| ("name".to_owned(), name))),
+        fields,
         fingerprint: String::new(),
         files: rows.len(),
         most,

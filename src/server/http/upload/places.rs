@@ -3,7 +3,14 @@
 use std::collections::{HashMap, HashSet};
 use std::path::{Path, PathBuf};
 
+use fled_core::capture::video::is_video;
+
 use crate::intake;
+
+/// Folder of the photographs.
+pub(super) const PHOTOGRAPHS: &str = "images";
+/// Folder of the videos that photographs are taken of.
+pub(super) const VIDEOS: &str = "video";
 
 /// Folder of a model that poses are measured with.
 const TRUE_POSES: &str = "sparse_gt";
@@ -54,6 +61,9 @@ impl Places {
         if lower.ends_with(".zip") && part != "gt" {
             return self.unique(Path::new(""), intake::ARCHIVE);
         }
+        if is_video(Path::new(&lower)) && part == PHOTOGRAPHS {
+            return self.unique(Path::new(VIDEOS), &safe_name(file));
+        }
         let is_truth = part == "gt"
             || ["gt", "hl"]
                 .iter()
@@ -92,7 +102,7 @@ impl Places {
 }
 
 fn folder_of(is_truth: bool) -> PathBuf {
-    PathBuf::from(if is_truth { "gt" } else { "images" })
+    PathBuf::from(if is_truth { "gt" } else { PHOTOGRAPHS })
 }
 
 /// The file name without what harms disks, command lines or logs. Otherwise as it was: poses that
