@@ -42,6 +42,12 @@ pub struct Args {
     /// counts as ten. 0 limits nobody.
     #[arg(long, value_name = "N", default_value_t = fled_server::Limits::default().rate)]
     rate: u32,
+    /// Tells webhooks of addresses of inner networks, too: whoever may make one can then have the
+    /// server knock at whatever it reaches.
+    #[arg(long)]
+    inner_webhooks: bool,
+    #[command(flatten)]
+    ffmpeg: tools::Ffmpeg,
     #[command(flatten)]
     models: tools::ModelFolder,
 }
@@ -62,6 +68,7 @@ pub fn main(args: &Args) -> Result<(), Failure> {
         ServeConfig::new(args.data.clone(), args.listen, args.workers).map_err(io(&args.data))?;
     config.hosts.clone_from(&args.hosts);
     config.open = args.open;
+    config.inner_webhooks = args.inner_webhooks;
     config.limits.rate = args.rate;
     let days = args.keep_days.map(u64::from);
     config.retention.age = days.map(|days| Duration::from_secs(days * 24 * 3600));
@@ -69,6 +76,7 @@ pub fn main(args: &Args) -> Result<(), Failure> {
     // Deblurred views in full precision are large; where other options want them they are made
     // again.
     config.job_command.push("--discard-work".into());
+    config.ffmpeg.clone_from(&args.ffmpeg.program);
     config.models = args.models.folders();
     for folder in &config.models {
         for command in [&mut config.job_command, &mut config.doctor_command] {

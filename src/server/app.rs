@@ -39,6 +39,8 @@ pub struct App {
     pub rates: Rates,
     /// Held while a capture is kept whose owner has a quota.
     pub keeping: tokio::sync::Mutex<()>,
+    /// Held while photographs are taken of a video.
+    pub filming: tokio::sync::Mutex<()>,
     /// What it counts about itself.
     pub telemetry: Telemetry,
     /// The jobs that run.
@@ -71,6 +73,7 @@ impl App {
             versions: watch::Sender::new(0),
             rates: Rates::new(limits.rate, limits.burst),
             keeping: tokio::sync::Mutex::default(),
+            filming: tokio::sync::Mutex::default(),
             telemetry: Telemetry::default(),
             running: Running::default(),
         }
@@ -87,6 +90,12 @@ impl App {
         self.data
             .free_bytes()
             .is_ok_and(|free| free < self.limits.min_free_bytes.saturating_add(bytes))
+    }
+
+    /// Bytes that may be written before less space is left than the server needs to go on.
+    pub fn free_space(&self) -> u64 {
+        let free = self.data.free_bytes().unwrap_or(u64::MAX);
+        free.saturating_sub(self.limits.min_free_bytes)
     }
 
     /// Tells every open event stream to look into the database.

@@ -29,6 +29,10 @@ pub struct ServeConfig {
     pub render_command: Vec<OsString>,
     /// Program and arguments of a process that judges the machine and prints JSON, see `/readyz`.
     pub doctor_command: Vec<OsString>,
+    /// Whether webhooks may be at addresses of inner networks.
+    pub inner_webhooks: bool,
+    /// The program that reads videos.
+    pub ffmpeg: PathBuf,
     /// Folders of networks that are not built in; the commands are told them too.
     pub models: Vec<PathBuf>,
     /// What it deletes of itself.
@@ -86,6 +90,8 @@ impl ServeConfig {
             job_command: command(&["run"]),
             render_command: command(&["render-worker"]),
             doctor_command: command(&["doctor", "--json"]),
+            inner_webhooks: false,
+            ffmpeg: "ffmpeg".into(),
             models: Vec::new(),
             retention: Retention::default(),
             limits: Limits::default(),

@@ -41,6 +41,7 @@ mod share;
 mod tus;
 mod upload;
 mod uploaded;
+mod webhooks;
 
 use std::any::Any;
 use std::sync::Arc;
@@ -59,7 +60,7 @@ use tower_http::trace::TraceLayer;
 
 use crate::app::App;
 use body_limit::SMALL;
-use paths::{UPLOAD, UPLOADS};
+use paths::{UPLOAD, UPLOADS, WEBHOOK, WEBHOOKS};
 
 pub use connections::serve as serve_connections;
 pub use openapi::document;
@@ -77,6 +78,7 @@ pub fn router(app: Arc<App>) -> Router {
             get(captures::show).delete(captures::delete),
         )
         .merge(of_a_job())
+        .merge(of_webhooks())
         .route("/v1/options", get(options::show))
         .route("/login", get(login::show).post(login::login))
         .route("/logout", post(login::logout))
@@ -137,6 +139,19 @@ fn of_a_job() -> Router<Arc<App>> {
         .route("/v1/jobs/{id}/render", get(render::get).post(render::post))
         .route("/v1/jobs/{id}/artifacts", get(artifacts::list))
         .route("/v1/jobs/{id}/artifacts/{*name}", get(artifacts::download))
+}
+
+/// Addresses that are told of jobs.
+fn of_webhooks() -> Router<Arc<App>> {
+    Router::new()
+        .route(WEBHOOKS, get(webhooks::list).post(webhooks::create))
+        .route(WEBHOOK, delete(webhooks::delete))
+        .route("/v1/webhooks/{id}/test", post(webhooks::test))
+        .route("/v1/webhooks/{id}/deliveries", get(webhooks::deliveries))
+        .route(
+            "/v1/webhooks/{id}/deliveries/{delivery}/redeliver",
+            post(webhooks::redeliver),
+        )
 }
 
 /// What takes bodies of any size: the largest upload is checked while it streams; no handler

@@ -25,6 +25,7 @@ mod sweep;
 mod telemetry;
 pub mod token;
 mod uploads;
+mod webhooks;
 mod wording;
 
 pub use backup::{Backup, backup};

@@ -19,6 +19,7 @@ use crate::http::{router, serve_connections};
 use crate::jobs::{kill_orphans, worker};
 use crate::store::{JobError, Settlement, Store};
 use crate::sweep;
+use crate::webhooks::keep_telling;
 
 /// Open requests get so long to end once the server stops.
 const FAREWELL: Duration = Duration::from_secs(5);
@@ -72,6 +73,7 @@ impl Server {
         }
         let mut tasks = JoinSet::new();
         tasks.spawn(sweep::keep_sweeping(app.clone()));
+        tasks.spawn(keep_telling(app.clone()));
         for index in 0..workers {
             tasks.spawn(worker::work(app.clone(), index));
         }

@@ -18,6 +18,7 @@ mod shares;
 mod tests;
 mod tokens;
 mod uploads;
+mod webhooks;
 
 use std::collections::HashSet;
 use std::path::Path;
@@ -40,9 +41,10 @@ pub use retry::{Change, Retry};
 pub use shares::{NewShare, ShareRow};
 pub use tokens::{NewToken, Quotas, TokenRow};
 pub use uploads::UploadRow;
+pub use webhooks::{DeliveryRow, Then, Tried, WebhookRow};
 
 /// Applied in order, each once, never edited after release.
-const MIGRATIONS: [(i64, &str, &str); 13] = [
+const MIGRATIONS: [(i64, &str, &str); 14] = [
     (
         1,
         "captures",
@@ -103,6 +105,11 @@ const MIGRATIONS: [(i64, &str, &str); 13] = [
         13,
         "shares",
         include_str!("../../migrations/0013_shares.sql"),
+    ),
+    (
+        14,
+        "webhooks",
+        include_str!("../../migrations/0014_webhooks.sql"),
     ),
 ];
 

@@ -17,12 +17,16 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 use crate::app::App;
 use crate::error::{Result, ServerError};
 use crate::expiry::expire;
+use crate::store::now_ms;
 use crate::uploads::{expire_uploads, forget_lost};
 
 /// Between two sweeps.
 const PERIOD: Duration = Duration::from_secs(3600);
 /// Poses that were found longer ago are found again, when they are wanted.
 const POSES_KEPT: Duration = Duration::from_secs(30 * 24 * 3600);
+
+/// What webhooks were told is known for so long, milliseconds.
+const DELIVERIES_KEPT_MS: i64 = 30 * 24 * 3600 * 1000;
 
 /// Captures, jobs and uploads without a row are kept aside for so long.
 const UNNAMED_KEPT: Duration = Duration::from_secs(30 * 24 * 3600);
@@ -36,6 +40,10 @@ pub async fn keep_sweeping(app: Arc<App>) {
         }
         if let Err(error) = sweep(&app, PERIOD).await {
             tracing::warn!(%error, "cannot look for files that nobody names");
+        }
+        let told_until = now_ms() - DELIVERIES_KEPT_MS;
+        if let Err(error) = app.store.forget_deliveries(told_until).await {
+            tracing::warn!(%error, "cannot forget what webhooks were told");
         }
         if let Err(error) = expire(&app).await {
             tracing::warn!(%error, "cannot delete what is kept no longer");

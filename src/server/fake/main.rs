@@ -56,6 +56,10 @@ fn serve(data: &Path, address_file: &Path) -> Result<(), Box<dyn std::error::Err
         job_command: command("run"),
         render_command: command("render-worker"),
         doctor_command: command("doctor"),
+        inner_webhooks: number("FLED_FAKE_INNER", 0)? > 0,
+        ffmpeg: std::env::var_os("FLED_FAKE_FFMPEG")
+            .unwrap_or_else(|| "ffmpeg".into())
+            .into(),
         models: std::env::var_os("FLED_MODELS")
             .into_iter()
             .map(Into::into)

@@ -14,7 +14,7 @@ use axum::response::{IntoResponse, Response};
 
 use super::allowance;
 use super::client::ClientAddress;
-use super::paths::{UPLOAD, UPLOADS};
+use super::paths::{UPLOAD, UPLOADS, WEBHOOK};
 use super::problem::Problem;
 use crate::app::App;
 use crate::rate::Client;
@@ -168,7 +168,7 @@ async fn own(app: &App, mut request: Request, visitor: Visitor) -> Result<Reques
 }
 
 /// What is somebody else's is not there. This is the one door of everything that an address names
-/// by the id of a capture, a job or an upload.
+/// by the id of a capture, a job, an upload or a webhook.
 async fn check_owner(
     app: &App,
     request: &mut Request,
@@ -178,21 +178,19 @@ async fn check_owner(
     if !path.contains("{id}") {
         return Ok(());
     }
-    let (is_job, is_upload) = (path.starts_with("/v1/jobs/"), path == UPLOAD);
-    let nothing = || {
-        Problem::not_found(match (is_job, is_upload) {
-            (true, _) => "job",
-            (_, true) => "upload",
-            _ => "capture",
-        })
+    let kind = match path {
+        UPLOAD => "upload",
+        path if path.starts_with("/v1/jobs/") => "job",
+        path if path.starts_with(WEBHOOK) => "webhook",
+        _ => "capture",
     };
+    let nothing = || Problem::not_found(kind);
     let id = named(request).await.ok_or_else(nothing)?;
-    let owns = if is_job {
-        app.store.owns_job(owner, &id).await?
-    } else if is_upload {
-        app.store.owns_upload(owner, &id).await?
-    } else {
-        app.store.owns_capture(owner, &id).await?
+    let owns = match kind {
+        "upload" => app.store.owns_upload(owner, &id).await?,
+        "job" => app.store.owns_job(owner, &id).await?,
+        "webhook" => app.store.owns_webhook(owner, &id).await?,
+        _ => app.store.owns_capture(owner, &id).await?,
     };
     if owns { Ok(()) } else { Err(nothing()) }
 }

@@ -9,7 +9,7 @@ use utoipa::{Modify, OpenApi as _};
 
 use super::{
     artifacts, captures, events, health, jobs, log, login, metrics, options, pin, render, retry,
-    rounds, share, tus,
+    rounds, share, tus, webhooks,
 };
 
 #[derive(utoipa::OpenApi)]
@@ -41,6 +41,12 @@ use super::{
         share::create,
         share::list,
         share::end,
+        webhooks::create,
+        webhooks::list,
+        webhooks::delete,
+        webhooks::test,
+        webhooks::deliveries,
+        webhooks::redeliver,
         events::stream,
         rounds::show,
         log::show,

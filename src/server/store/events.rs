@@ -3,7 +3,7 @@
 use serde_json::Value;
 use sqlx::{Row, Sqlite, Transaction};
 
-use super::{Store, now_ms};
+use super::{Store, now_ms, webhooks};
 use crate::error::{Result, ServerError};
 
 /// One event.
@@ -65,5 +65,5 @@ pub(super) async fn append(
     .bind(data.to_string())
     .execute(&mut **tx)
     .await?;
-    Ok(())
+    webhooks::tell(tx, job, kind, data).await
 }

@@ -1,0 +1,300 @@
+//! `/v1/webhooks`: addresses that are told of jobs.
+
+use std::fmt::Display;
+use std::sync::Arc;
+
+use axum::extract::{Extension, Path, State};
+use axum::http::{StatusCode, header};
+use axum::response::IntoResponse;
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+use utoipa::ToSchema;
+
+use super::access::Visitor;
+use super::extract::Json;
+use super::problem::Problem;
+use super::shapes::time;
+use crate::app::App;
+use crate::store::{DeliveryRow, TokenRow, WebhookRow, now_ms};
+use crate::token::{Scope, new_id};
+use crate::webhooks::{Secret, TYPES, USUAL, check_url, secret_text};
+
+/// Addresses that one owner may have.
+const MOST: u32 = 20;
+/// Deliveries that are listed.
+const LISTED: u32 = 100;
+
+/// An address to be told.
+#[derive(Debug, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct NewWebhook {
+    /// Where: `https://` or `http://`.
+    #[schema(max_length = 2000)]
+    url: String,
+    /// Of what: `job.queued`, `job.running`, `job.succeeded`, `job.failed`, `job.cancelled`,
+    /// `round.finished`. All but the first two when absent.
+    types: Option<Vec<String>>,
+}
+
+/// An address that is told of jobs.
+#[derive(Debug, Serialize, ToSchema)]
+pub struct Webhook {
+    /// Its public name.
+    id: String,
+    /// Where it is told.
+    url: String,
+    /// Of what.
+    types: Vec<String>,
+    /// When it was made, RFC 3339.
+    created_at: String,
+    /// Since when it has said that it is gone and is told nothing, RFC 3339.
+    gone_at: Option<String>,
+}
+
+/// An address, the one time that its secret is told.
+#[derive(Debug, Serialize, ToSchema)]
+pub struct MadeWebhook {
+    #[serde(flatten)]
+    webhook: Webhook,
+    /// What its deliveries are signed with, by Standard Webhooks: `whsec_` and base64.
+    secret: String,
+}
+
+/// Every address of the visitor's.
+#[derive(Debug, Serialize, ToSchema)]
+pub struct Webhooks {
+    /// Oldest first.
+    webhooks: Vec<Webhook>,
+}
+
+/// Something that an address is told.
+#[derive(Debug, Serialize, ToSchema)]
+pub struct Delivery {
+    /// `webhook-id`: the same in every attempt.
+    id: String,
+    /// What it tells.
+    r#type: String,
+    /// What is sent.
+    body: Value,
+    /// When it became true, RFC 3339.
+    created_at: String,
+    /// Attempts so far.
+    attempts: u32,
+    /// When it is tried next; absent when it arrived or was given up.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    next_at: Option<String>,
+    /// When it arrived.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    delivered_at: Option<String>,
+    /// What the last attempt came to: a status, or why there is none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    answer: Option<String>,
+}
+
+/// What an address was told last.
+#[derive(Debug, Serialize, ToSchema)]
+pub struct Deliveries {
+    /// Newest first, 100 at most.
+    deliveries: Vec<Delivery>,
+}
+
+/// The name of a delivery that is on its way.
+#[derive(Debug, Serialize, ToSchema)]
+pub struct OnItsWay {
+    /// `webhook-id`.
+    id: String,
+}
+
+/// Has an address told of the visitor's jobs, by Standard Webhooks 1.0.
+#[utoipa::path(post, path = "/v1/webhooks", operation_id = "create_webhook",
+    tag = "webhooks", request_body = NewWebhook,
+    responses(
+        (status = 201, description = "The address, with its secret, told this once", body = MadeWebhook, headers(("Location" = String))),
+        (status = 409, description = "There are as many as one may have", body = Problem, content_type = "application/problem+json"),
+        (status = 422, description = "Not an address, or a type that is not told", body = Problem, content_type = "application/problem+json")))]
+pub async fn create(
+    State(app): State<Arc<App>>,
+    Extension(visitor): Extension<Visitor>,
+    Json(wanted): Json<NewWebhook>,
+) -> Result<impl IntoResponse, Problem> {
+    let types = types(&wanted)?;
+    // What it is told is what others read.
+    let reads = |token: &TokenRow| token.scopes.allow(Scope::JobsRead);
+    if !visitor.token().is_none_or(reads) {
+        let detail = "This token does not allow `jobs:read`.";
+        return Err(Problem::new(StatusCode::FORBIDDEN, "missing_scope", detail));
+    }
+    check_url(&wanted.url).map_err(|reason| {
+        Problem::unprocessable("bad_url", format!("The address cannot be told: {reason}."))
+            .pointer("/url")
+    })?;
+    let secret = Secret::new().map_err(|error| unmade(&error))?;
+    let row = WebhookRow {
+        id: new_id().map_err(|error| unmade(&error))?,
+        url: wanted.url,
+        secret: secret.0,
+        types,
+        owner: visitor.owner().map(str::to_owned),
+        sees_all: visitor.sees_only().is_none(),
+        made_by: visitor.token().map(|token| token.id.clone()),
+        created_at: now_ms(),
+        gone_at: None,
+    };
+    if !app.store.insert_webhook(&row, MOST).await? {
+        let detail = format!("There are {MOST} webhooks already.");
+        return Err(Problem::conflict("too_many_webhooks", detail)
+            .hint("Delete those that nobody needs any more."));
+    }
+    let location = format!("/v1/webhooks/{}", row.id);
+    let made = MadeWebhook {
+        secret: secret_text(&row.secret),
+        webhook: told(row),
+    };
+    let answer = [(header::LOCATION, location)];
+    Ok((StatusCode::CREATED, answer, axum::Json(made)))
+}
+
+fn unmade(error: &dyn Display) -> Problem {
+    tracing::error!(%error, "no webhook can be made");
+    Problem::internal()
+}
+
+fn types(wanted: &NewWebhook) -> Result<Vec<String>, Problem> {
+    let Some(types) = &wanted.types else {
+        return Ok(USUAL.map(str::to_owned).to_vec());
+    };
+    let unknown = types.iter().position(|one| !TYPES.contains(&one.as_str()));
+    match unknown {
+        Some(at) => {
+            let detail = "Nothing of this type is told.";
+            Err(Problem::unprocessable("bad_type", detail)
+                .pointer(format!("/types/{at}"))
+                .hint(format!("Known are {}.", TYPES.join(", "))))
+        }
+        None if types.is_empty() => {
+            let detail = "Nothing would be told.";
+            Err(Problem::unprocessable("bad_type", detail).pointer("/types"))
+        }
+        None => Ok(types.clone()),
+    }
+}
+
+/// The addresses that are told. Their secrets are not told again.
+#[utoipa::path(get, path = "/v1/webhooks", operation_id = "list_webhooks", tag = "webhooks",
+    responses((status = 200, description = "Oldest first", body = Webhooks)))]
+pub async fn list(
+    State(app): State<Arc<App>>,
+    Extension(visitor): Extension<Visitor>,
+) -> Result<axum::Json<Webhooks>, Problem> {
+    let rows = app.store.webhooks(visitor.sees_only()).await?;
+    let webhooks = rows.into_iter().map(told).collect();
+    Ok(axum::Json(Webhooks { webhooks }))
+}
+
+/// Tells an address nothing more, and forgets what it was told.
+#[utoipa::path(delete, path = "/v1/webhooks/{id}", operation_id = "delete_webhook",
+    tag = "webhooks", params(("id" = String, Path)),
+    responses(
+        (status = 204, description = "It is told nothing more"),
+        (status = 404, description = "Unknown", body = Problem, content_type = "application/problem+json")))]
+pub async fn delete(
+    State(app): State<Arc<App>>,
+    Path(id): Path<String>,
+) -> Result<StatusCode, Problem> {
+    find(&app, &id).await?;
+    app.store.delete_webhook(&id).await?;
+    Ok(StatusCode::NO_CONTENT)
+}
+
+/// Sends an address something that means nothing, to see whether it arrives.
+#[utoipa::path(post, path = "/v1/webhooks/{id}/test", operation_id = "test_webhook",
+    tag = "webhooks", params(("id" = String, Path)),
+    responses(
+        (status = 202, description = "It is on its way", body = OnItsWay),
+        (status = 404, description = "Unknown", body = Problem, content_type = "application/problem+json"),
+        (status = 409, description = "The address has said that it is gone, or a test is on its way", body = Problem, content_type = "application/problem+json")))]
+pub async fn test(
+    State(app): State<Arc<App>>,
+    Path(id): Path<String>,
+) -> Result<impl IntoResponse, Problem> {
+    let row = find(&app, &id).await?;
+    check_not_gone(&row)?;
+    let id = app.store.test_webhook(&row.id).await?;
+    let id =
+        id.ok_or_else(|| Problem::conflict("on_its_way", "A test of this webhook is on its way."))?;
+    app.changed();
+    Ok((StatusCode::ACCEPTED, axum::Json(OnItsWay { id })))
+}
+
+/// What an address was told last, and what came of it.
+#[utoipa::path(get, path = "/v1/webhooks/{id}/deliveries", operation_id = "list_deliveries",
+    tag = "webhooks", params(("id" = String, Path)),
+    responses(
+        (status = 200, description = "Newest first, 100 at most", body = Deliveries),
+        (status = 404, description = "Unknown", body = Problem, content_type = "application/problem+json")))]
+pub async fn deliveries(
+    State(app): State<Arc<App>>,
+    Path(id): Path<String>,
+) -> Result<axum::Json<Deliveries>, Problem> {
+    let row = find(&app, &id).await?;
+    let rows = app.store.deliveries(&row.id, LISTED).await?;
+    let deliveries = rows.into_iter().map(delivery).collect();
+    Ok(axum::Json(Deliveries { deliveries }))
+}
+
+/// Sends a delivery once more, whether it arrived or was given up, and as often as at first.
+#[utoipa::path(post, path = "/v1/webhooks/{id}/deliveries/{delivery}/redeliver",
+    operation_id = "redeliver",
+    tag = "webhooks", params(("id" = String, Path), ("delivery" = String, Path)),
+    responses(
+        (status = 202, description = "It is on its way", body = OnItsWay),
+        (status = 404, description = "Unknown", body = Problem, content_type = "application/problem+json"),
+        (status = 409, description = "The address has said that it is gone", body = Problem, content_type = "application/problem+json")))]
+pub async fn redeliver(
+    State(app): State<Arc<App>>,
+    Path((id, delivery)): Path<(String, String)>,
+) -> Result<impl IntoResponse, Problem> {
+    let row = find(&app, &id).await?;
+    check_not_gone(&row)?;
+    if !app.store.redeliver(&row.id, &delivery).await? {
+        return Err(Problem::not_found("delivery"));
+    }
+    app.changed();
+    Ok((StatusCode::ACCEPTED, axum::Json(OnItsWay { id: delivery })))
+}
+
+async fn find(app: &App, id: &str) -> Result<WebhookRow, Problem> {
+    let row = app.store.webhook(id).await?;
+    row.ok_or_else(|| Problem::not_found("webhook"))
+}
+
+fn check_not_gone(row: &WebhookRow) -> Result<(), Problem> {
+    if row.gone_at.is_none() {
+        return Ok(());
+    }
+    let detail = "The address has answered 410: it is gone.";
+    Err(Problem::conflict("gone", detail).hint("Delete it and make it anew."))
+}
+
+fn told(row: WebhookRow) -> Webhook {
+    Webhook {
+        id: row.id,
+        url: row.url,
+        types: row.types,
+        created_at: time(row.created_at),
+        gone_at: row.gone_at.map(time),
+    }
+}
+
+fn delivery(row: DeliveryRow) -> Delivery {
+    Delivery {
+        id: row.id,
+        r#type: row.kind,
+        body: serde_json::from_str(&row.body).unwrap_or_default(),
+        created_at: time(row.created_at),
+        attempts: row.attempts,
+        next_at: row.next_at.map(time),
+        delivered_at: row.delivered_at.map(time),
+        answer: row.answer,
+    }
+}

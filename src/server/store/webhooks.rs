@@ -1,0 +1,394 @@
+//! Whom to tell of jobs, and what they are still to be told.
+
+use serde_json::Value;
+use sqlx::sqlite::SqliteRow;
+use sqlx::{Row, Sqlite, Transaction};
+
+use super::{Store, now_ms};
+use crate::error::{Result, ServerError};
+
+/// What a test delivery is called.
+pub const TEST: &str = "webhook.test";
+
+/// An address that is told of jobs.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct WebhookRow {
+    /// Its public name.
+    pub id: String,
+    /// Where it is told.
+    pub url: String,
+    /// What deliveries are signed with.
+    pub secret: Vec<u8>,
+    /// Types that it wants.
+    pub types: Vec<String>,
+    /// Whose jobs it is told of; `None` where nobody is asked for a token.
+    pub owner: Option<String>,
+    /// Whether it is told of everybody's.
+    pub sees_all: bool,
+    /// The token that made it.
+    pub made_by: Option<String>,
+    /// Milliseconds since 1970.
+    pub created_at: i64,
+    /// Since when its address says that it is gone.
+    pub gone_at: Option<i64>,
+}
+
+/// Something that an address is to be told, or was.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct DeliveryRow {
+    /// The same in every attempt.
+    pub id: String,
+    /// What it tells.
+    pub kind: String,
+    /// JSON, as it is signed and sent.
+    pub body: String,
+    /// Milliseconds since 1970.
+    pub created_at: i64,
+    /// Attempts so far.
+    pub attempts: u32,
+    /// When it is tried next; `None` when it arrived or was given up.
+    pub next_at: Option<i64>,
+    /// When it arrived.
+    pub delivered_at: Option<i64>,
+    /// What the last attempt came to.
+    pub answer: Option<String>,
+}
+
+/// What an attempt came to.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Tried {
+    /// In words.
+    pub answer: String,
+    /// How it goes on.
+    pub then: Then,
+}
+
+/// How it goes on after an attempt.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Then {
+    /// It arrived.
+    Arrived,
+    /// It is tried again then, milliseconds since 1970.
+    Again(i64),
+    /// It is given up.
+    GivenUp,
+    /// It is given up, and so is the address.
+    Gone,
+}
+
+impl Store {
+    /// Keeps an address, unless its owner has `most`. `Ok(false)` when they have.
+    ///
+    /// # Errors
+    /// When the database refuses.
+    pub async fn insert_webhook(&self, webhook: &WebhookRow, most: u32) -> Result<bool> {
+        let mut tx = self.pool.begin_with("BEGIN IMMEDIATE").await?;
+        let held: u32 = sqlx::query_scalar("SELECT count(*) FROM webhooks WHERE owner IS ?")
+            .bind(&webhook.owner)
+            .fetch_one(&mut *tx)
+            .await?;
+        if held >= most {
+            return Ok(false);
+        }
+        sqlx::query(
+            "INSERT INTO webhooks (id, url, secret, types, owner, sees_all, made_by, created_at)
+             VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
+        )
+        .bind(&webhook.id)
+        .bind(&webhook.url)
+        .bind(&webhook.secret)
+        .bind(Value::from(webhook.types.clone()).to_string())
+        .bind(&webhook.owner)
+        .bind(webhook.sees_all)
+        .bind(&webhook.made_by)
+        .bind(webhook.created_at)
+        .execute(&mut *tx)
+        .await?;
+        tx.commit().await?;
+        Ok(true)
+    }
+
+    /// The addresses of an owner, or all, oldest first.
+    ///
+    /// # Errors
+    /// When the database refuses.
+    pub async fn webhooks(&self, owner: Option<&str>) -> Result<Vec<WebhookRow>> {
+        let rows = sqlx::query(
+            "SELECT * FROM webhooks WHERE ?1 IS NULL OR owner = ?1 ORDER BY created_at, id",
+        )
+        .bind(owner)
+        .fetch_all(&self.pool)
+        .await?;
+        rows.iter().map(webhook).collect()
+    }
+
+    /// One address.
+    ///
+    /// # Errors
+    /// When the database refuses.
+    pub async fn webhook(&self, id: &str) -> Result<Option<WebhookRow>> {
+        let row = sqlx::query("SELECT * FROM webhooks WHERE id = ?")
+            .bind(id)
+            .fetch_optional(&self.pool)
+            .await?;
+        row.as_ref().map(webhook).transpose()
+    }
+
+    /// Whether an address is of this owner.
+    ///
+    /// # Errors
+    /// When the database refuses.
+    pub async fn owns_webhook(&self, owner: &str, id: &str) -> Result<bool> {
+        let row = self.webhook(id).await?;
+        Ok(row.is_some_and(|row| row.owner.as_deref() == Some(owner)))
+    }
+
+    /// Tells an address nothing more, and forgets what it was told.
+    ///
+    /// # Errors
+    /// When the database refuses.
+    pub async fn delete_webhook(&self, id: &str) -> Result<()> {
+        sqlx::query("DELETE FROM webhooks WHERE id = ?")
+            .bind(id)
+            .execute(&self.pool)
+            .await?;
+        Ok(())
+    }
+
+    /// Writes a delivery that only shows whether deliveries arrive; its name. `None` while one is on
+    /// its way.
+    ///
+    /// # Errors
+    /// When the database refuses.
+    pub async fn test_webhook(&self, webhook: &str) -> Result<Option<String>> {
+        let now = now_ms();
+        let id = format!("msg_{}", uuid::Uuid::now_v7());
+        let done = sqlx::query(
+            "INSERT INTO deliveries (id, webhook_id, type, body, created_at, next_at)
+             SELECT ?1, ?2, ?3, json_object('type', ?3, 'timestamp',
+                 strftime('%Y-%m-%dT%H:%M:%fZ', ?4 / 1000.0, 'unixepoch'),
+                 'data', json_object('webhook_id', ?2)), ?4, ?4
+             WHERE NOT EXISTS (SELECT 1 FROM deliveries
+                 WHERE webhook_id = ?2 AND type = ?3 AND next_at NOTNULL)",
+        )
+        .bind(&id)
+        .bind(webhook)
+        .bind(TEST)
+        .bind(now)
+        .execute(&self.pool)
+        .await?;
+        Ok((done.rows_affected() == 1).then_some(id))
+    }
+
+    /// What is to be tried now, with where and by what secret: of each address what has failed least,
+    /// and none of those in `busy`.
+    ///
+    /// # Errors
+    /// When the database refuses.
+    pub async fn due_deliveries(
+        &self,
+        busy: &[String],
+        limit: u32,
+    ) -> Result<Vec<(DeliveryRow, WebhookRow)>> {
+        let rows = sqlx::query(
+            "SELECT *, min(attempts * 100000000000000 + next_at) AS turn FROM deliveries
+             WHERE next_at <= ? AND webhook_id NOT IN (SELECT value FROM json_each(?))
+             GROUP BY webhook_id ORDER BY turn LIMIT ?",
+        )
+        .bind(now_ms())
+        .bind(Value::from(busy.to_vec()).to_string())
+        .bind(limit)
+        .fetch_all(&self.pool)
+        .await?;
+        let mut due = Vec::with_capacity(rows.len());
+        for row in &rows {
+            let id: String = row.try_get("webhook_id")?;
+            if let Some(webhook) = self.webhook(&id).await? {
+                due.push((delivery(row)?, webhook));
+            }
+        }
+        Ok(due)
+    }
+
+    /// When the next delivery is to be tried, but to addresses in `busy`.
+    ///
+    /// # Errors
+    /// When the database refuses.
+    pub async fn next_delivery(&self, busy: &[String]) -> Result<Option<i64>> {
+        let next = sqlx::query_scalar(
+            "SELECT min(next_at) FROM deliveries WHERE next_at NOTNULL
+             AND webhook_id NOT IN (SELECT value FROM json_each(?))",
+        );
+        let busy = Value::from(busy.to_vec()).to_string();
+        Ok(next.bind(busy).fetch_one(&self.pool).await?)
+    }
+
+    /// Whether an address may still be told: as long as the token holds that made it, or, where it
+    /// was made without one, as long as there is none.
+    ///
+    /// # Errors
+    /// When the database refuses.
+    pub async fn webhook_holds(&self, webhook: &WebhookRow) -> Result<bool> {
+        let holds = sqlx::query_scalar(
+            "SELECT CASE WHEN ?1 IS NULL
+                 THEN NOT EXISTS (SELECT 1 FROM tokens WHERE job_id IS NULL)
+                 ELSE EXISTS (SELECT 1 FROM tokens WHERE id = ?1 AND revoked_at IS NULL
+                     AND (expires_at IS NULL OR expires_at > ?2)) END",
+        );
+        let holds = holds.bind(&webhook.made_by).bind(now_ms());
+        Ok(holds.fetch_one(&self.pool).await?)
+    }
+
+    /// Notes what an attempt came to, unless it was asked for anew meanwhile.
+    ///
+    /// # Errors
+    /// When the database refuses.
+    pub async fn note_attempt(&self, delivery: &DeliveryRow, tried: &Tried) -> Result<()> {
+        let (next, arrived) = match tried.then {
+            Then::Arrived => (None, Some(now_ms())),
+            Then::Again(at) => (Some(at), None),
+            Then::GivenUp | Then::Gone => (None, None),
+        };
+        let mut tx = self.pool.begin_with("BEGIN IMMEDIATE").await?;
+        sqlx::query(
+            "UPDATE deliveries SET attempts = attempts + 1, next_at = ?, delivered_at = ?,
+             answer = ? WHERE id = ? AND attempts = ? AND next_at IS ?",
+        )
+        .bind(next)
+        .bind(arrived)
+        .bind(&tried.answer)
+        .bind(&delivery.id)
+        .bind(delivery.attempts)
+        .bind(delivery.next_at)
+        .execute(&mut *tx)
+        .await?;
+        if tried.then == Then::Gone {
+            sqlx::query(
+                "UPDATE webhooks SET gone_at = ?
+                 WHERE id = (SELECT webhook_id FROM deliveries WHERE id = ?)",
+            )
+            .bind(now_ms())
+            .bind(&delivery.id)
+            .execute(&mut *tx)
+            .await?;
+        }
+        tx.commit().await?;
+        Ok(())
+    }
+
+    /// What an address was told last, newest first.
+    ///
+    /// # Errors
+    /// When the database refuses.
+    pub async fn deliveries(&self, webhook: &str, limit: u32) -> Result<Vec<DeliveryRow>> {
+        let rows = sqlx::query(
+            "SELECT * FROM deliveries WHERE webhook_id = ? ORDER BY created_at DESC, id LIMIT ?",
+        )
+        .bind(webhook)
+        .bind(limit)
+        .fetch_all(&self.pool)
+        .await?;
+        rows.iter().map(delivery).collect()
+    }
+
+    /// Has a delivery tried at once, whatever became of it. `Ok(false)` when there is none.
+    ///
+    /// # Errors
+    /// When the database refuses.
+    pub async fn redeliver(&self, webhook: &str, id: &str) -> Result<bool> {
+        let done = sqlx::query(
+            "UPDATE deliveries SET next_at = ?, attempts = 0 WHERE id = ? AND webhook_id = ?",
+        )
+        .bind(now_ms())
+        .bind(id)
+        .bind(webhook)
+        .execute(&self.pool)
+        .await?;
+        Ok(done.rows_affected() == 1)
+    }
+
+    /// Forgets deliveries that are older than a time and are not tried any more.
+    ///
+    /// # Errors
+    /// When the database refuses.
+    pub async fn forget_deliveries(&self, before: i64) -> Result<()> {
+        sqlx::query("DELETE FROM deliveries WHERE created_at < ? AND next_at IS NULL")
+            .bind(before)
+            .execute(&self.pool)
+            .await?;
+        Ok(())
+    }
+}
+
+/// Writes what addresses are to be told of an event, inside the transaction that makes it true.
+pub(super) async fn tell(
+    tx: &mut Transaction<'static, Sqlite>,
+    job: &str,
+    kind: &str,
+    data: &Value,
+) -> Result<()> {
+    let told = match kind {
+        "state" => format!("job.{}", data["state"].as_str().unwrap_or_default()),
+        "round_finished" => "round.finished".to_owned(),
+        _ => return Ok(()),
+    };
+    sqlx::query(
+        "INSERT INTO deliveries (id, webhook_id, type, body, created_at, next_at)
+         SELECT 'msg_' || e.job_id || '_' || e.seq || '_' || w.id, w.id, ?2,
+             json_object('type', ?2, 'timestamp',
+                 strftime('%Y-%m-%dT%H:%M:%fZ', ?3 / 1000.0, 'unixepoch'),
+                 'data', json_patch(json_remove(e.data, '$.event'),
+                     json_object('job_id', j.id, 'capture_id', c.id, 'name', j.name))),
+             ?3, ?3
+         FROM webhooks w
+         JOIN jobs j ON j.id = ?1
+         JOIN captures c ON c.id = j.capture_id
+         JOIN events e ON e.job_id = j.id
+             AND e.seq = (SELECT max(seq) FROM events WHERE job_id = ?1)
+         WHERE w.gone_at IS NULL AND (w.sees_all = 1 OR w.owner IS c.owner)
+             AND EXISTS (SELECT 1 FROM json_each(w.types) WHERE value = ?2)
+             AND (CASE WHEN w.made_by IS NULL
+                 THEN NOT EXISTS (SELECT 1 FROM tokens WHERE job_id IS NULL)
+                 ELSE EXISTS (SELECT 1 FROM tokens t WHERE t.id = w.made_by
+                     AND t.revoked_at IS NULL AND (t.expires_at IS NULL OR t.expires_at > ?3))
+                 END)",
+    )
+    .bind(job)
+    .bind(told)
+    .bind(now_ms())
+    .execute(&mut **tx)
+    .await?;
+    Ok(())
+}
+
+fn webhook(row: &SqliteRow) -> Result<WebhookRow> {
+    let types: String = row.try_get("types")?;
+    let types = serde_json::from_str(&types).map_err(|error| ServerError::Damaged {
+        what: "webhook",
+        detail: error.to_string(),
+    })?;
+    Ok(WebhookRow {
+        id: row.try_get("id")?,
+        url: row.try_get("url")?,
+        secret: row.try_get("secret")?,
+        types,
+        owner: row.try_get("owner")?,
+        sees_all: row.try_get("sees_all")?,
+        made_by: row.try_get("made_by")?,
+        created_at: row.try_get("created_at")?,
+        gone_at: row.try_get("gone_at")?,
+    })
+}
+
+fn delivery(row: &SqliteRow) -> Result<DeliveryRow> {
+    Ok(DeliveryRow {
+        id: row.try_get("id")?,
+        kind: row.try_get("type")?,
+        body: row.try_get("body")?,
+        created_at: row.try_get("created_at")?,
+        attempts: row.try_get("attempts")?,
+        next_at: row.try_get("next_at")?,
+        delivered_at: row.try_get("delivered_at")?,
+        answer: row.try_get("answer")?,
+    })
+}

@@ -1,0 +1,434 @@
+//! Webhooks through a real server process: told, signed, told again, and not to inner networks.
+
+mod support;
+
+// The receiver that the documents give to others.
+#[path = "../../../docs/webhooks/genuine.rs"]
+mod genuine;
+
+use std::collections::BTreeMap;
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::{TcpListener, TcpStream};
+use std::process::{Child, Command, Stdio};
+use std::sync::mpsc::{Receiver, channel};
+use std::thread::sleep;
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+
+use serde_json::{Value, json};
+use support::tokens::token_of;
+use support::{Server, photographs};
+
+/// Whatever is waited for is there by then.
+const PATIENCE: Duration = Duration::from_secs(30);
+
+/// A request as it came.
+struct Told {
+    headers: BTreeMap<String, String>,
+    body: String,
+}
+
+impl Told {
+    fn json(&self) -> Value {
+        serde_json::from_str(&self.body).expect("JSON")
+    }
+
+    fn headers(&self) -> [&str; 3] {
+        ["webhook-id", "webhook-timestamp", "webhook-signature"].map(|name| &*self.headers[name])
+    }
+}
+
+/// Listens, and answers the n-th request with the n-th status, the last one for ever.
+fn listener(statuses: &'static [u16]) -> (String, Receiver<Told>) {
+    let listener = TcpListener::bind("127.0.0.1:0").expect("bound");
+    let url = format!("http://{}/hook", listener.local_addr().expect("an address"));
+    let (sender, receiver) = channel();
+    std::thread::spawn(move || {
+        for (at, stream) in listener.incoming().enumerate() {
+            let mut stream = stream.expect("a connection");
+            let Some(told) = read(&mut stream) else {
+                continue;
+            };
+            let status = statuses[at.min(statuses.len() - 1)];
+            let answer = format!(
+                "HTTP/1.1 {status} -\r\nlocation: http://127.0.0.1:1/\r\ncontent-length: 0\r\nconnection: close\r\n\r\n"
+            );
+            stream.write_all(answer.as_bytes()).expect("answered");
+            if sender.send(told).is_err() {
+                return;
+            }
+        }
+    });
+    (url, receiver)
+}
+
+fn read(stream: &mut TcpStream) -> Option<Told> {
+    let mut reader = BufReader::new(stream);
+    let mut line = String::new();
+    reader.read_line(&mut line).ok().filter(|&read| read > 0)?;
+    let mut headers = BTreeMap::new();
+    loop {
+        let mut line = String::new();
+        reader.read_line(&mut line).ok()?;
+        let Some((name, value)) = line.split_once(':') else {
+            break;
+        };
+        headers.insert(name.to_ascii_lowercase(), value.trim().to_owned());
+    }
+    let mut body = vec![0; headers.get("content-length")?.parse().ok()?];
+    reader.read_exact(&mut body).ok()?;
+    let body = String::from_utf8(body).expect("UTF-8");
+    Some(Told { headers, body })
+}
+
+fn server() -> Server {
+    Server::start_with(&[("FLED_FAKE_INNER", "1")])
+}
+
+/// An address that is told everything; its id and secret.
+fn hook(server: &Server, url: &str, types: Option<&[&str]>) -> (String, String) {
+    let mut wanted = json!({ "url": url });
+    if let Some(types) = types {
+        wanted["types"] = json!(types);
+    }
+    let made = server
+        .post_json("/v1/webhooks", &wanted, &[])
+        .expect(201)
+        .json();
+    let text = |name: &str| made[name].as_str().expect(name).to_owned();
+    (text("id"), text("secret"))
+}
+
+fn now() -> i64 {
+    let since = SystemTime::now()
+        .duration_since(UNIX_EPOCH)
+        .expect("after 1970");
+    since.as_secs() as i64
+}
+
+fn deliveries(server: &Server, hook: &str) -> Vec<Value> {
+    let path = format!("/v1/webhooks/{hook}/deliveries");
+    let told = server.get(&path, &[]).expect(200).json();
+    told["deliveries"].as_array().expect("deliveries").clone()
+}
+
+fn until<T>(what: &str, look: impl Fn() -> Option<T>) -> T {
+    let start = Instant::now();
+    loop {
+        if let Some(found) = look() {
+            return found;
+        }
+        assert!(start.elapsed() < PATIENCE, "{what}");
+        sleep(Duration::from_millis(50));
+    }
+}
+
+#[test]
+fn a_job_is_told_of_and_signed_by_what_is_wanted() {
+    let server = server();
+    let (url, told) = listener(&[204]);
+    let (_, secret) = hook(&server, &url, None);
+    let job = server.job("");
+    let mut types = Vec::new();
+    while !["job.succeeded", "round.finished"]
+        .iter()
+        .all(|one| types.contains(&(*one).to_owned()))
+    {
+        let told = told.recv_timeout(PATIENCE).expect("told");
+        assert!(
+            genuine::genuine(&secret, told.headers(), told.body.as_bytes(), now()),
+            "{:?}",
+            told.headers
+        );
+        assert!(told.headers["user-agent"].starts_with("fled/"));
+        let [id, sent, signature] = told.headers();
+        let other = format!("{} ", told.body);
+        for (headers, body) in [
+            ([id, sent, signature], &other),
+            (["msg_other", sent, signature], &told.body),
+            ([id, "1", signature], &told.body),
+            ([id, sent, "v1,AAAA"], &told.body),
+        ] {
+            assert!(!genuine::genuine(&secret, headers, body.as_bytes(), now()));
+        }
+        let event = told.json();
+        assert_eq!(event["data"]["job_id"], job.as_str());
+        assert!(
+            event["timestamp"]
+                .as_str()
+                .is_some_and(|time| time.ends_with('Z'))
+        );
+        if event["type"] == "round.finished" {
+            assert!(event["data"]["metrics"].is_object(), "{event}");
+        }
+        types.push(event["type"].as_str().expect("a type").to_owned());
+    }
+    assert!(!types.contains(&"job.running".to_owned()), "{types:?}");
+}
+
+#[test]
+fn what_did_not_arrive_is_told_again_under_the_same_name_also_by_a_server_that_died() {
+    let mut server = server();
+    let (url, told) = listener(&[500, 500, 200]);
+    let (id, _) = hook(&server, &url, None);
+    let test = format!("/v1/webhooks/{id}/test");
+    server.post_json(&test, &json!({}), &[]).expect(202);
+    let first = told.recv_timeout(PATIENCE).expect("told");
+    let tried = || {
+        let delivery = deliveries(&server, &id).pop()?;
+        delivery["answer"].is_string().then_some(delivery)
+    };
+    let delivery = until("the attempt is noted", tried);
+    assert!(delivery["delivered_at"].is_null(), "{delivery}");
+    server.kill();
+    server.restart_with(&[("FLED_FAKE_INNER", "1")]);
+    let second = told.recv_timeout(PATIENCE).expect("told again");
+    assert_eq!(first.headers["webhook-id"], second.headers["webhook-id"]);
+    assert_eq!(first.body, second.body);
+    // By hand it is told at once, whatever became of it.
+    let name = first.headers["webhook-id"].clone();
+    let path = format!("/v1/webhooks/{id}/deliveries/{name}/redeliver");
+    server.post_json(&path, &json!({}), &[]).expect(202);
+    told.recv_timeout(PATIENCE).expect("told at once");
+    until("it arrived", || {
+        let delivery = deliveries(&server, &id).pop()?;
+        delivery["delivered_at"].is_string().then_some(())
+    });
+}
+
+#[test]
+fn an_address_that_is_gone_is_told_nothing_more() {
+    let server = server();
+    let (url, told) = listener(&[410]);
+    let (id, _) = hook(&server, &url, Some(&["job.queued"]));
+    server.job("");
+    told.recv_timeout(PATIENCE).expect("told");
+    until("it is gone", || {
+        let hooks = server.get("/v1/webhooks", &[]).expect(200).json();
+        hooks["webhooks"][0]["gone_at"].is_string().then_some(())
+    });
+    server.job("");
+    assert_eq!(deliveries(&server, &id).len(), 1);
+    let test = format!("/v1/webhooks/{id}/test");
+    server.post_json(&test, &json!({}), &[]).expect(409);
+    let path = format!("/v1/webhooks/{id}");
+    server.ask("DELETE", &path, &[], b"").expect(204);
+    server.ask("DELETE", &path, &[], b"").expect(404);
+}
+
+#[test]
+fn inner_networks_are_not_knocked_at_and_nonsense_is_refused() {
+    let server = Server::start();
+    let (url, told) = listener(&[200]);
+    let (id, _) = hook(&server, &url, None);
+    let test = format!("/v1/webhooks/{id}/test");
+    server.post_json(&test, &json!({}), &[]).expect(202);
+    let answer = until("the attempt is noted", || {
+        let delivery = deliveries(&server, &id).pop()?;
+        delivery["answer"].as_str().map(str::to_owned)
+    });
+    assert!(answer.contains("inner network"), "{answer}");
+    assert!(told.try_recv().is_err(), "nothing came");
+    for (wanted, at) in [
+        (json!({ "url": "file:///etc/passwd" }), "/url"),
+        (json!({ "url": "https://me:secret@example.org/" }), "/url"),
+        (
+            json!({ "url": "https://example.org/", "types": ["job.lost"] }),
+            "/types/0",
+        ),
+        (
+            json!({ "url": "https://example.org/", "types": [] }),
+            "/types",
+        ),
+    ] {
+        let problem = server
+            .post_json("/v1/webhooks", &wanted, &[])
+            .expect(422)
+            .json();
+        assert_eq!(problem["pointer"], at, "{wanted}");
+    }
+    for _ in 1..20 {
+        hook(&server, "https://example.org/", None);
+    }
+    let wanted = json!({ "url": "https://example.org/" });
+    server.post_json("/v1/webhooks", &wanted, &[]).expect(409);
+}
+
+#[test]
+fn a_redirect_is_no_arrival_and_nobody_follows_it() {
+    let server = server();
+    let (url, told) = listener(&[302]);
+    let (id, _) = hook(&server, &url, None);
+    let test = format!("/v1/webhooks/{id}/test");
+    server.post_json(&test, &json!({}), &[]).expect(202);
+    told.recv_timeout(PATIENCE).expect("told");
+    let delivery = until("the attempt is noted", || {
+        let delivery = deliveries(&server, &id).pop()?;
+        delivery["answer"].is_string().then_some(delivery)
+    });
+    assert_eq!(delivery["answer"], "302");
+    assert!(delivery["next_at"].is_string(), "{delivery}");
+}
+
+/// Takes connections and says nothing.
+#[test]
+fn an_address_that_does_not_answer_holds_up_nobody_else() {
+    let server = server();
+    let silent = TcpListener::bind("127.0.0.1:0").expect("bound");
+    let address = silent.local_addr().expect("an address");
+    let (slow, _) = hook(
+        &server,
+        &format!("http://{address}/"),
+        Some(&["job.queued"]),
+    );
+    let (url, told) = listener(&[200]);
+    hook(&server, &url, Some(&["job.queued"]));
+    let begun = Instant::now();
+    for _ in 0..3 {
+        server.job("");
+        told.recv_timeout(PATIENCE).expect("told");
+    }
+    assert!(
+        begun.elapsed() < Duration::from_secs(14),
+        "{:?}",
+        begun.elapsed()
+    );
+    assert_eq!(deliveries(&server, &slow).len(), 3);
+}
+
+#[test]
+fn what_was_made_before_there_were_tokens_is_told_nothing_once_there_are() {
+    let server = server();
+    let (url, told) = listener(&[200]);
+    let (id, _) = hook(&server, &url, Some(&["job.queued"]));
+    let (admin, _) = token_of("root", &server, "admin");
+    let shown = [("authorization", &*admin)];
+    let made = |url: &str| {
+        let wanted = json!({ "url": url, "types": ["job.queued"] });
+        server
+            .post_json("/v1/webhooks", &wanted, &shown)
+            .expect(201);
+    };
+    let (other, others) = listener(&[200]);
+    made(&other);
+    let capture = server
+        .upload("/v1/captures", &photographs(4), &shown)
+        .expect(201)
+        .json();
+    let body = json!({ "capture_id": capture["id"], "preset": "preview" });
+    server.post_json("/v1/jobs", &body, &shown).expect(202);
+    others.recv_timeout(PATIENCE).expect("told");
+    assert!(told.try_recv().is_err(), "the older one is told nothing");
+    let path = format!("/v1/webhooks/{id}/deliveries");
+    let list = server.get(&path, &shown).expect(200).json();
+    assert_eq!(list["deliveries"], json!([]));
+    // Who may not read is told nothing either.
+    let reads_nothing = token_of("ben", &server, "jobs:write").0;
+    let wanted = json!({ "url": url });
+    let bens = [("authorization", &*reads_nothing)];
+    server.post_json("/v1/webhooks", &wanted, &bens).expect(403);
+}
+
+#[test]
+fn nobody_is_told_of_the_jobs_of_others() {
+    let server = server();
+    let everything = "jobs:read,jobs:write,renders";
+    let (ann, _) = token_of("ann", &server, everything);
+    let (ben, _) = token_of("ben", &server, everything);
+    let (url, told) = listener(&[200]);
+    let wanted = json!({ "url": url, "types": ["job.queued"] });
+    let anns = [("authorization", &*ann)];
+    let bens = [("authorization", &*ben)];
+    let made = server
+        .post_json("/v1/webhooks", &wanted, &anns)
+        .expect(201)
+        .json();
+    let id = made["id"].as_str().expect("an id");
+    let path = format!("/v1/webhooks/{id}/deliveries");
+    server.get(&path, &bens).expect(404);
+    let hooks = server.get("/v1/webhooks", &bens).expect(200).json();
+    assert_eq!(hooks["webhooks"], json!([]));
+    for who in [bens, anns] {
+        let capture = server
+            .upload("/v1/captures", &photographs(4), &who)
+            .expect(201)
+            .json();
+        let body = json!({ "capture_id": capture["id"], "preset": "preview" });
+        server.post_json("/v1/jobs", &body, &who).expect(202);
+    }
+    let told = told.recv_timeout(PATIENCE).expect("told");
+    let listed = server.get("/v1/jobs", &anns).expect(200).json();
+    assert_eq!(told.json()["data"]["job_id"], listed["jobs"][0]["id"]);
+    let deliveries = server.get(&path, &anns).expect(200).json();
+    assert_eq!(deliveries["deliveries"].as_array().map(Vec::len), Some(1));
+}
+
+/// A program that receives; it ends with the test.
+struct Program {
+    child: Child,
+    lines: Receiver<String>,
+}
+
+impl Program {
+    fn start(program: &str, file: &str, port: u16, secret: &str) -> Self {
+        let file = format!("{}/../../docs/webhooks/{file}", env!("CARGO_MANIFEST_DIR"));
+        let mut child = Command::new(program)
+            .arg(file)
+            .arg(port.to_string())
+            .env("FLED_WEBHOOK_SECRET", secret)
+            .stdout(Stdio::piped())
+            .spawn()
+            .expect(program);
+        let stdout = BufReader::new(child.stdout.take().expect("piped"));
+        let (sender, lines) = channel();
+        std::thread::spawn(move || {
+            for line in stdout.lines().map_while(Result::ok) {
+                let _ = sender.send(line);
+            }
+        });
+        until("it listens", || {
+            TcpStream::connect(("127.0.0.1", port)).ok()
+        });
+        Self { child, lines }
+    }
+}
+
+impl Drop for Program {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+#[test]
+fn the_receivers_of_the_documents_take_what_is_genuine_and_nothing_else() {
+    let server = server();
+    for (program, file) in [("python3", "receive.py"), ("node", "receive.mjs")] {
+        let free = TcpListener::bind("127.0.0.1:0").expect("bound");
+        let port = free.local_addr().expect("an address").port();
+        drop(free);
+        let url = format!("http://127.0.0.1:{port}/");
+        let (id, secret) = hook(&server, &url, Some(&["job.failed"]));
+        let receiver = Program::start(program, file, port, &secret);
+        let test = format!("/v1/webhooks/{id}/test");
+        server.post_json(&test, &json!({}), &[]).expect(202);
+        let line = receiver.lines.recv_timeout(PATIENCE).expect(file);
+        assert!(
+            line.starts_with("msg_") && line.contains("webhook.test"),
+            "{file}: {line}"
+        );
+        // With another secret it refuses, and nothing is printed.
+        drop(receiver);
+        let receiver = Program::start(
+            program,
+            file,
+            port,
+            "whsec_AAAAAAAAAAAAAAAAAAAAAAAAAAAAAAAA",
+        );
+        server.post_json(&test, &json!({}), &[]).expect(202);
+        until("it is refused", || {
+            let refused = |delivery: &Value| delivery["answer"] == "401";
+            deliveries(&server, &id).iter().any(refused).then_some(())
+        });
+        assert!(receiver.lines.try_recv().is_err(), "{file}");
+    }
+}

@@ -1,0 +1,170 @@
+//! Tells other programs of jobs, by Standard Webhooks 1.0.
+//!
+//! What is to be told lies in the database from the moment that it is true; here it is sent, again
+//! and again over a day until somebody says that it came. It may arrive twice, always under the
+//! same name.
+
+mod address;
+mod post;
+mod sign;
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use tokio::task::JoinSet;
+
+use crate::app::App;
+use crate::store::{DeliveryRow, Then, Tried, WebhookRow, now_ms};
+
+pub use post::check_url;
+pub use sign::{Secret, secret_text};
+
+/// What may be told.
+pub const TYPES: [&str; 6] = [
+    "job.queued",
+    "job.running",
+    "job.succeeded",
+    "job.failed",
+    "job.cancelled",
+    "round.finished",
+];
+/// What is told where nobody says what they want.
+pub const USUAL: [&str; 4] = [
+    "job.succeeded",
+    "job.failed",
+    "job.cancelled",
+    "round.finished",
+];
+
+/// Waits after the first attempts, seconds, as Standard Webhooks has them; after them it is given
+/// up, 28 hours after the event.
+const WAITS: [i64; 7] = [5, 300, 1_800, 7_200, 18_000, 36_000, 36_000];
+/// Deliveries that are sent at a time.
+const AT_ONCE: usize = 32;
+/// The longest time until the database is looked at again: a clock may have been set.
+const LOOK_EVERY: Duration = Duration::from_secs(60);
+/// After a fault of the database.
+const AFTER_FAULT: Duration = Duration::from_secs(5);
+
+/// Sends what is due until the server stops. Of what is on its way one at a time is for each
+/// address: one that is slow holds up itself alone.
+pub async fn keep_telling(app: Arc<App>) {
+    let mut changes = app.watch();
+    let mut on_their_way = JoinSet::new();
+    let mut busy: Vec<String> = Vec::new();
+    loop {
+        let wait = match send_due(&app, &mut busy, &mut on_their_way).await {
+            Ok(wait) => wait,
+            Err(error) => {
+                tracing::warn!(%error, "cannot look for what webhooks are to be told");
+                AFTER_FAULT
+            }
+        };
+        tokio::select! {
+            () = tokio::time::sleep(wait) => {}
+            _ = changes.changed() => {}
+            Some(Ok(webhook)) = on_their_way.join_next() => busy.retain(|one| *one != webhook),
+            // What is on its way is sent again at the next start.
+            () = app.shutdown.cancelled() => return,
+        }
+    }
+}
+
+/// Begins to send what is due, as far as there is room; how long there is nothing more to do.
+async fn send_due(
+    app: &Arc<App>,
+    busy: &mut Vec<String>,
+    on_their_way: &mut JoinSet<String>,
+) -> crate::error::Result<Duration> {
+    let room = AT_ONCE.saturating_sub(busy.len());
+    if room == 0 {
+        return Ok(LOOK_EVERY);
+    }
+    for (delivery, webhook) in app.store.due_deliveries(busy, room as u32).await? {
+        busy.push(webhook.id.clone());
+        let app = app.clone();
+        on_their_way.spawn(async move {
+            let tried = attempt(&app, &delivery, &webhook).await;
+            tracing::info!(
+                webhook = webhook.id,
+                delivery = delivery.id,
+                answer = tried.answer,
+                "told a webhook"
+            );
+            if let Err(error) = app.store.note_attempt(&delivery, &tried).await {
+                tracing::warn!(%error, "cannot note what a webhook was told");
+                tokio::time::sleep(AFTER_FAULT).await;
+            }
+            webhook.id
+        });
+    }
+    let next = app.store.next_delivery(busy).await?;
+    let wait = next.map_or(LOOK_EVERY, |next| {
+        Duration::from_millis(u64::try_from(next - now_ms()).unwrap_or_default())
+    });
+    Ok(wait.min(LOOK_EVERY))
+}
+
+async fn attempt(app: &App, delivery: &DeliveryRow, webhook: &WebhookRow) -> Tried {
+    let failed = |answer: String| Tried {
+        then: again(delivery.attempts),
+        answer,
+    };
+    let given_up = |answer: &str| Tried {
+        answer: answer.to_owned(),
+        then: Then::GivenUp,
+    };
+    if webhook.gone_at.is_some() {
+        return given_up("the address has said that it is gone");
+    }
+    match app.store.webhook_holds(webhook).await {
+        Ok(true) => {}
+        Ok(false) => return given_up("the token that made the webhook holds no more"),
+        Err(error) => return failed(error.to_string()),
+    }
+    let signed = sign::Signed::new(
+        &webhook.secret,
+        &delivery.id,
+        now_ms() / 1000,
+        &delivery.body,
+    );
+    let inner = app.config.inner_webhooks;
+    match post::post(webhook.url.clone(), signed, delivery.body.clone(), inner).await {
+        Ok(status @ 200..=299) => Tried {
+            answer: status.to_string(),
+            then: Then::Arrived,
+        },
+        Ok(410) => Tried {
+            answer: "410: the address is told nothing more".to_owned(),
+            then: Then::Gone,
+        },
+        Ok(status) => failed(status.to_string()),
+        Err(reason) => failed(reason),
+    }
+}
+
+/// How it goes on after one more attempt that failed.
+fn again(attempts_before: u32) -> Then {
+    let wait = WAITS.get(attempts_before as usize);
+    wait.map_or(Then::GivenUp, |seconds| {
+        Then::Again(now_ms() + seconds * 1000)
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_fails_is_tried_for_more_than_a_day_and_then_given_up() {
+        let mut hours = 0;
+        for attempts in 0..WAITS.len() as u32 {
+            match again(attempts) {
+                Then::Again(at) => hours += at - now_ms(),
+                then => panic!("after {attempts}: {then:?}"),
+            }
+        }
+        assert!(hours > 24 * 3_600_000, "{hours}");
+        assert_eq!(again(WAITS.len() as u32), Then::GivenUp);
+    }
+}
