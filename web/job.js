@@ -8,6 +8,7 @@ import { metricCharts } from "./metrics.js";
 import { novelView } from "./novel.js";
 import { leftOut } from "./photographs.js";
 import { poses } from "./poses.js";
+import { scenePanel } from "./scene.js";
 import { shares } from "./share.js";
 import { isOver } from "./state.js";
 import { comparison } from "./views.js";
@@ -28,12 +29,13 @@ export function jobPage(main, who, id) {
   const facts = section("Facts");
   const files = section("Files");
   const views = comparison(id);
+  const scene = scenePanel(id);
   const novel = novelView(id);
   const isVisitor = who.job !== null;
   // Where nobody needs a token, a link would mean nothing.
   const share = who.scopes !== null && !isVisitor ? shares(id) : null;
   const log = isVisitor ? null : logView(base);
-  main.append(head.root, problem, unused, warnings, metrics, views.root, novel.root, h("div", { class: "columns" }, times, facts), files,
+  main.append(head.root, problem, unused, warnings, scene.root, metrics, views.root, novel.root, h("div", { class: "columns" }, times, facts), files,
     ...[share, log].filter(Boolean).map((part) => part.root));
   share?.open();
 
@@ -83,11 +85,13 @@ export function jobPage(main, who, id) {
     const hasTruth = report.rounds.some((round) => round.records.some((record) => record.reference === "gt"));
     if (cameras) views.update(cameras, rounds, hasTruth);
     novel.update(rounds);
-    if (job.state === "succeeded") await showFiles();
+    const { artifacts } = await api(`${base}/artifacts`);
+    if (gone) return;
+    scene.update(cameras ?? [], artifacts, report.best_round);
+    if (job.state === "succeeded") showFiles(artifacts);
   }
 
-  async function showFiles() {
-    const { artifacts } = await api(`${base}/artifacts`);
+  function showFiles(artifacts) {
     const top = artifacts.filter((file) => !file.name.includes("/") || file.name.endsWith("scene.ply"));
     show(files, fileTable(base, top), h("p", { class: "hint" }, `${artifacts.length} files in all: `, h("a", { href: `${base}/artifacts` }, "list"), ", ",
       h("a", { href: `${base}/rounds?format=csv`, download: "rounds.csv" }, "metrics as CSV")));
@@ -115,6 +119,7 @@ export function jobPage(main, who, id) {
     clearTimeout(timer);
     stream?.close();
     head.leave();
+    scene.leave();
     log?.leave();
   };
 }

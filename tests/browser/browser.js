@@ -12,6 +12,8 @@ const SCREENSHOTS = join(import.meta.dirname, "screenshots");
 const ARGUMENTS = [
   "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
   "--disable-background-networking", "--disable-component-update", "--disable-sync",
+  // WebGL by software, as the scene in 3D wants it.
+  "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
 ];
 
 /** px */
@@ -63,6 +65,8 @@ export const picture = (page, name) => page.screenshot({ path: join(SCREENSHOTS,
 function watch(page, base) {
   const faults = [];
   page.on("console", (message) => {
+    // Without a GPU what WebGL draws is read back to be shown, and each time it warns of that.
+    if (message.text().includes("GL Driver Message (OpenGL, Performance")) return;
     if (["error", "warning"].includes(message.type())) {
       faults.push(`console: ${message.text()}`);
     }

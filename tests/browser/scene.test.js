@@ -1,0 +1,276 @@
+// The scene in 3D: the same picture as the server's own at the same camera, and a panel that is
+// opened, walked through by pointer, keys and fingers, and closed.
+
+import assert from "node:assert/strict";
+import { readFileSync, writeFileSync } from "node:fs";
+import { join } from "node:path";
+import { after, before, test } from "node:test";
+
+import { Browser, DESKTOP, PHONE, loaded, overflowing, picture } from "./browser.js";
+import { Stand } from "./played.js";
+import { Server } from "./server.js";
+import { until } from "./until.js";
+
+/** dB. Both draw by the same formulas, so what differs is rounding; see below what is foreign. */
+const ALIKE = 38;
+/** Another picture of the same scene is less like it than this, dB. */
+const FOREIGN = 30;
+
+let server;
+let browser;
+let id;
+
+before(async () => {
+  server = await Server.start(process.env.FLED);
+  browser = await Browser.start(server.base);
+  id = await server.submit(server.capture("240x160"), "a scene", { size: 240, steps: 60, cap: 2000 });
+  await server.reached(id, "succeeded");
+});
+
+after(async () => {
+  await browser?.stop();
+  await server?.stop();
+});
+
+const button = (page, name) => page.getByRole("button", { name });
+const frame = (page) => page.getByRole("application");
+const settled = (page) => page.locator(".frame[aria-busy=false]").waitFor();
+const choice = (page) => page.getByRole("combobox", { name: "photograph" });
+
+/** Opens the scene on the job's page and hands it over when it is shown. */
+const opened = (name, judge, viewport = DESKTOP, further = {}) =>
+  browser.visit(name, `#/jobs/${id}`, async (page, faults) => {
+    await button(page, /^Walk through the scene/).click();
+    await settled(page);
+    await judge(page, faults);
+    assert.deepEqual(await overflowing(page), []);
+  }, viewport, further);
+
+/** What the canvas shows, a PNG. */
+const shown = (page) => page.locator(".frame canvas").first().evaluate((canvas) =>
+  canvas.toDataURL("image/png").split(",")[1]);
+
+/** The same view as the server renders it, a PNG, by the page's own button. */
+async function rendered(page) {
+  const [download] = await Promise.all([page.waitForEvent("download"), button(page, /^This view as PNG/).click()]);
+  return readFileSync(await download.path()).toString("base64");
+}
+
+/** PSNR of two PNGs, dB; `turn` makes another picture of the second. */
+const psnr = (page, a, b, turn = "") => page.evaluate(async ([one, other, way]) => {
+  const pixels = async (text, how) => {
+    const bytes = Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
+    const image = await createImageBitmap(new Blob([bytes], { type: "image/png" }));
+    const { width, height } = image;
+    const context = new OffscreenCanvas(width, height).getContext("2d");
+    if (how === "flipped") context.setTransform(1, 0, 0, -1, 0, height);
+    if (how === "mirrored") context.setTransform(-1, 0, 0, 1, width, 0);
+    context.drawImage(image, 0, 0);
+    return { width, height, data: context.getImageData(0, 0, width, height).data };
+  };
+  const [first, second] = [await pixels(one, ""), await pixels(other, way)];
+  if (first.width !== second.width || first.height !== second.height) {
+    throw new Error(`${first.width} x ${first.height} against ${second.width} x ${second.height}`);
+  }
+  let [sum, light] = [0, 0];
+  for (let i = 0; i < first.data.length; i++) {
+    if (i % 4 === 3) continue;
+    sum += (first.data[i] - second.data[i]) ** 2;
+    light += second.data[i];
+  }
+  const values = 0.75 * first.data.length;
+  if (light / values < 8) throw new Error("the pictures are black");
+  return 10 * Math.log10(255 ** 2 / Math.max(sum / values, 1e-9));
+}, [a, b, turn]);
+
+test("at three cameras the picture is the server's own, the right way up", () =>
+  opened("scene-alike", async (page) => {
+    const pictures = [];
+    for (const at of ["0", "3", "7"]) {
+      await choice(page).selectOption(at);
+      await settled(page);
+      const [ours, theirs] = [await shown(page), await rendered(page)];
+      const alike = await psnr(page, ours, theirs);
+      test.diagnostic?.(`camera ${at}: ${alike.toFixed(1)} dB`);
+      console.log(`# camera ${at}: ${alike.toFixed(1)} dB`);
+      assert.ok(alike > ALIKE, `camera ${at}: ${alike} dB`);
+      for (const turn of ["flipped", "mirrored"]) {
+        const foreign = await psnr(page, ours, theirs, turn);
+        assert.ok(foreign < FOREIGN, `${turn}, camera ${at}: ${foreign} dB`);
+      }
+      for (const other of pictures) {
+        const foreign = await psnr(page, ours, other);
+        assert.ok(foreign < FOREIGN, `two cameras: ${foreign} dB`);
+      }
+      pictures.push(theirs);
+    }
+  }));
+
+test("where nobody stood it is the server's picture, too, on a fine screen and of another round", () =>
+  opened("scene-free", async (page) => {
+    await page.getByRole("slider", { name: "round" }).press("ArrowLeft");
+    await page.getByText("Round 1").waitFor();
+    await settled(page);
+    await frame(page).focus();
+    await page.keyboard.press("ArrowLeft", { delay: 200 });
+    await page.keyboard.press("KeyS", { delay: 300 });
+    await settled(page);
+    assert.equal(await choice(page).inputValue(), "-1");
+    const alike = await psnr(page, await shown(page), await rendered(page));
+    console.log(`# free view: ${alike.toFixed(1)} dB`);
+    assert.ok(alike > ALIKE, `${alike} dB`);
+  }, { width: 700, height: 800 }, { deviceScaleFactor: 2 }));
+
+test("one turns by dragging, shifts, comes nearer, and nothing is drawn while nothing changes", () =>
+  opened("scene-moves", async (page) => {
+    const box = await frame(page).boundingBox();
+    const middle = [box.x + box.width / 2, box.y + box.height / 2];
+    let before = await shown(page);
+    const changes = async (what, does) => {
+      await does();
+      await settled(page);
+      const now = await shown(page);
+      assert.notEqual(now, before, what);
+      before = now;
+    };
+    const drag = (which) => async () => {
+      await page.mouse.move(...middle);
+      await page.mouse.down({ button: which });
+      await page.mouse.move(middle[0] + 60, middle[1] + 20, { steps: 3 });
+      await page.mouse.up({ button: which });
+    };
+    await changes("turned", drag("left"));
+    await changes("shifted", drag("right"));
+    await changes("nearer", () => page.mouse.wheel(0, -200));
+    for (const key of ["KeyW", "KeyA", "KeyS", "KeyD", "KeyQ", "KeyE", "ArrowUp", "ArrowRight"]) {
+      await changes(key, () => page.keyboard.press(key, { delay: 120 }));
+    }
+    const frames = await page.evaluate(async () => {
+      const real = window.requestAnimationFrame;
+      let many = 0;
+      window.requestAnimationFrame = (does) => { many += 1; return real(does); };
+      await new Promise((resolve) => { setTimeout(resolve, 600); });
+      window.requestAnimationFrame = real;
+      return many;
+    });
+    assert.equal(frames, 0, "at rest");
+    await changes("reset", () => button(page, "Reset the view").click());
+    await button(page, "Next photograph").click();
+    await settled(page);
+    assert.equal(await choice(page).inputValue(), "5");
+    await button(page, "Previous photograph").click();
+    await settled(page);
+    assert.equal(await choice(page).inputValue(), "4");
+    assert.equal(await shown(page), before, "back where one was");
+  }));
+
+test("the wheel scrolls the page until the scene has the focus, and again after Escape", () =>
+  opened("scene-wheel", async (page) => {
+    const scrolled = () => page.evaluate(() => scrollY);
+    await page.keyboard.press("Escape");
+    await frame(page).hover();
+    const before = await scrolled();
+    await page.mouse.wheel(0, 60);
+    await until("the page scrolls", async () => (await scrolled()) > before);
+    await settled(page);
+    const picture = await shown(page);
+    const place = await scrolled();
+    await page.keyboard.down("Control");
+    await page.mouse.wheel(0, 60);
+    await page.keyboard.up("Control");
+    await until("it is farther", async () => (await shown(page)) !== picture);
+    await frame(page).click();
+    await page.mouse.wheel(0, 60);
+    await settled(page);
+    assert.equal(await scrolled(), place);
+  }));
+
+test("cameras are drawn as lines, and a click on one goes there", () =>
+  opened("scene-cameras", async (page) => {
+    await frame(page).focus();
+    await page.keyboard.press("KeyS", { delay: 1200 });
+    await page.getByLabel("Cameras").check();
+    await settled(page);
+    const lines = page.locator(".frame .lines");
+    const place = await lines.evaluate((canvas) => {
+      const { data, width } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
+      const painted = [];
+      for (let i = 3; i < data.length; i += 4) if (data[i] > 0) painted.push((i - 3) / 4);
+      return painted.length > 0 && { many: painted.length, width };
+    });
+    assert.ok(place.many > 100, "there are lines");
+    await picture(page, "page-scene-cameras");
+    await page.getByLabel("Cameras").uncheck();
+    await until("they are gone", async () => (await lines.isVisible()) === false);
+  }));
+
+test("fingers turn and pinch, and one that moves up scrolls until the scene is tapped", () =>
+  opened("scene-touch", async (page) => {
+    const action = () => frame(page).evaluate((node) => getComputedStyle(node).touchAction);
+    await page.locator("h1").tap();
+    await frame(page).evaluate((node) => node.blur());
+    assert.equal(await action(), "pan-y");
+    await frame(page).tap();
+    assert.equal(await action(), "none");
+    await settled(page);
+    const before = await shown(page);
+    const box = await frame(page).boundingBox();
+    const session = await page.context().newCDPSession(page);
+    const touch = (type, ...points) => session.send("Input.dispatchTouchEvent", { type,
+      touchPoints: points.map(([x, y], i) => ({ id: i, x: box.x + box.width * x, y: box.y + box.height * y })) });
+    await touch("touchStart", [0.4, 0.5]);
+    await touch("touchStart", [0.4, 0.5], [0.6, 0.5]);
+    await touch("touchMove", [0.3, 0.5], [0.7, 0.5]);
+    await touch("touchMove", [0.2, 0.5], [0.8, 0.5]);
+    await touch("touchEnd");
+    await settled(page);
+    assert.notEqual(await shown(page), before, "pinched");
+    await picture(page, "page-scene-phone");
+  }, PHONE, { hasTouch: true, isMobile: true }));
+
+test("it is closed, opened again, left, and gives its worker back", () =>
+  opened("scene-closed", async (page) => {
+    assert.equal(page.workers().length, 1);
+    await button(page, "Close the 3D view").click();
+    await until("the worker is gone", () => page.workers().length === 0);
+    await button(page, /^Walk through the scene/).press("Enter");
+    await settled(page);
+    await page.getByRole("link", { name: "Captures" }).click();
+    await until("the worker is gone", () => page.workers().length === 0);
+  }));
+
+test("a lost context says so, and the scene is opened again", () =>
+  opened("scene-lost", async (page) => {
+    await page.locator(".frame canvas").first().evaluate((canvas) =>
+      canvas.getContext("webgl2").getExtension("WEBGL_lose_context").loseContext());
+    await page.getByText("The graphics adapter has let go").waitFor();
+    await picture(page, "page-scene-lost");
+    await button(page, /^Walk through the scene/).click();
+    await settled(page);
+  }));
+
+test("without WebGL 2 the page says what to do, and nothing of it is loaded before", () =>
+  browser.visit("scene-none", `#/jobs/${id}`, async (page) => {
+    const asked = [];
+    page.on("request", (request) => asked.push(new URL(request.url()).pathname));
+    await page.addInitScript(() => { HTMLCanvasElement.prototype.getContext = () => null; });
+    await page.reload();
+    await button(page, /^Walk through the scene/).waitFor();
+    await until("the poster is there", () => loaded(page.locator(".poster img")));
+    assert.deepEqual(asked.filter((path) => /scene[._]/.test(path)), ["/assets/scene.js"]);
+    await button(page, /^Walk through the scene/).click();
+    await page.getByText("This browser has no WebGL 2").waitFor();
+    assert.deepEqual(await overflowing(page), []);
+  }));
+
+test("a file that is no scene is told in a sentence", async () => {
+  const stand = await Stand.start();
+  try {
+    await stand.visit("scene-foreign", `#/jobs/${await stand.finished()}`, async (page) => {
+      await button(page, /^Walk through the scene/).click();
+      await page.getByText("The scene cannot be shown. This is no PLY file").waitFor();
+    });
+  } finally {
+    await stand.stop();
+  }
+});

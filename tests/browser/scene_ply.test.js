@@ -1,0 +1,193 @@
+// The reader of scenes, the order of blending and the mathematics of the camera, without a browser.
+
+import assert from "node:assert/strict";
+import { test } from "node:test";
+
+import {
+  between, dot, fitted, looked, matrixOf, neared, orbited, poseOf, risen, surroundingsOf, walked,
+} from "../../web/scene_camera.js";
+import { request } from "../../web/scene_picture.js";
+import { GEOMETRY, SceneError, readHeader, readScene } from "../../web/scene_ply.js";
+import { sorter } from "../../web/scene_sort.js";
+
+const FIXED = ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2"];
+const LAST = ["opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"];
+
+/** The bytes of a scene whose n-th number of Gaussian i is `value(i, name, n)`. */
+function ply(count, degree, value, announced = count) {
+  const rest = Array.from({ length: 3 * ((degree + 1) ** 2 - 1) }, (_, n) => `f_rest_${n}`);
+  const names = [...FIXED, ...rest, ...LAST];
+  const lines = ["ply", "format binary_little_endian 1.0", `element vertex ${announced}`,
+    ...names.map((name) => `property float ${name}`), "end_header", ""];
+  const head = new TextEncoder().encode(lines.join("\n"));
+  const bytes = new Uint8Array(head.length + 4 * names.length * count);
+  bytes.set(head);
+  const view = new DataView(bytes.buffer, head.length);
+  for (let i = 0; i < count; i++) {
+    names.forEach((name, n) => view.setFloat32(4 * (i * names.length + n), value(i, name, n), true));
+  }
+  return bytes;
+}
+
+/** The same bytes as a body that comes in pieces. */
+const body = (bytes, piece = 997) => new ReadableStream({
+  start(stream) {
+    for (let at = 0; at < bytes.length; at += piece) stream.enqueue(bytes.slice(at, at + piece));
+    stream.close();
+  },
+});
+
+const read = (bytes, piece) => readScene(body(bytes, piece));
+const near = (a, b, what, by = 1e-6) => assert.ok(Math.abs(a - b) < by, `${what}: ${a}, not ${b}`);
+const same = (a, b, what, by) => a.forEach((value, k) => near(value, b[k], what, by));
+const plain = (i, name) => ({ rot_0: 1, x: i, y: 2, z: 3, opacity: 0 }[name] ?? 0);
+
+test("a scene of every degree is read in pieces of any size", async () => {
+  for (const degree of [0, 1, 2, 3]) {
+    const bytes = ply(5, degree, (i, name, n) => (i + 1) * 0.37 - n * 0.11);
+    const whole = await read(bytes, bytes.length);
+    for (const piece of [1, 64, 1500]) assert.deepEqual(await read(bytes, piece), whole);
+    assert.deepEqual([whole.count, whole.degree], [5, degree]);
+    same([...whole.geometry.subarray(GEOMETRY, GEOMETRY + 3)], [0.74, 0.63, 0.52], "mean");
+  }
+});
+
+test("colours of a coefficient lie together, though the file has one channel after the other", async () => {
+  const value = (i, name) => (name.startsWith("f_rest_") ? Number(name.slice(7)) : plain(i, name));
+  const { harmonics } = await read(ply(2, 2, value));
+  // 27 numbers fill seven texels; the second Gaussian begins with the eighth.
+  assert.deepEqual([...harmonics.subarray(28, 34)], [0, 0, 0, 0, 8, 16]);
+  assert.deepEqual([...harmonics.subarray(34, 37)], [1, 9, 17]);
+});
+
+test("scale and rotation become a covariance, the logit an opacity", async () => {
+  const turn = Math.sin(Math.PI / 4);
+  const shape = { scale_0: Math.log(3), scale_1: Math.log(2), rot_0: 2 * turn, rot_3: 2 * turn,
+    opacity: Math.log(3) };
+  const { geometry } = await read(ply(1, 0, (_, name) => shape[name] ?? 0));
+  // A quarter turn around z: the long axis lies along y.
+  same([...geometry.subarray(3, 10)], [0.75, 4, 0, 0, 9, 0, 1], "opacity and covariance", 1e-5);
+});
+
+test("a Gaussian with numbers that are none has no opacity and is not drawn", async () => {
+  const bad = { 1: "x", 2: "f_dc_1", 3: "rot_0" };
+  const value = (i, name) => (bad[i] !== name ? plain(i, name) : i === 3 ? 0 : NaN);
+  const { geometry } = await read(ply(5, 1, value));
+  assert.deepEqual([...sorter(geometry)([0, 0, 1, 0], 0.01)].sort(), [0, 4]);
+});
+
+test("what is no scene is refused in a sentence", async () => {
+  const bytes = ply(4, 1, plain);
+  const text = (words) => new TextEncoder().encode(words);
+  const head = "ply\nformat binary_little_endian 1.0\nelement vertex 3\n";
+  for (const [words, wrong] of [
+    ["This is no PLY file.", text("ply of round 2")],
+    ["This is no PLY file.", text("<!doctype html><title>a page</title>")],
+    ["it ends within its header", text("ply\nformat")],
+    ["cut short: 1 of 4 Gaussians lack", bytes.slice(0, -1)],
+    ["not binary little endian", text("ply\nformat ascii 1.0\nend_header\n")],
+    ['no number "opacity"', text(`${head}property float x\nproperty float y\nproperty float z\nend_header\n`)],
+    ["2 higher harmonics", text(`${head}property float f_rest_0\nproperty float f_rest_1\nend_header\n`)],
+    ['says "property list', text(`${head}property list uchar int vertex_indices\nend_header\n`)],
+    ["is empty", ply(0, 0, plain)],
+    ["too many", ply(1, 0, plain, 1e14)],
+    ["has no end", text(`ply\n${"comment x\n".repeat(10_000)}`)],
+  ]) {
+    await assert.rejects(read(wrong), (error) => {
+      assert.ok(error instanceof SceneError, `${words}: ${error.stack}`);
+      assert.ok(error.message.includes(words), error.message);
+      return true;
+    });
+  }
+  assert.equal(readHeader(text("pl")), null, "its end may still come");
+});
+
+test("the order is exact: the farthest first, none behind the near plane, equal ones reversed", () => {
+  const depths = [5, 0.02, -3, 5, 1e6, 5.0000005, 0.005, 4];
+  const geometry = new Float32Array(GEOMETRY * depths.length);
+  depths.forEach((z, i) => { geometry.set([0, 0, z, 0.5], GEOMETRY * i); });
+  const order = sorter(geometry);
+  assert.deepEqual([...order([0, 0, 1, 0], 0.01)], [4, 5, 3, 0, 7, 1]);
+  assert.deepEqual([...order([0, 0, -1, 1], 0.01)], [2, 6, 1], "from the other side");
+});
+
+const camera = (eye, name = "a") => ({ name, width: 200, height: 100, fx: 150, fy: 150, cx: 100, cy: 50,
+  world_to_camera: [[1, 0, 0, -eye[0]], [0, 1, 0, -eye[1]], [0, 0, 1, -eye[2]], [0, 0, 0, 1]] });
+const AROUND = { centre: [0, 0, 0], radius: 2, up: [0, -1, 0] };
+const START = poseOf(camera([0, 0, -2]), AROUND);
+
+test("a photograph's pose is its camera, and back", () => {
+  const rows = [[0, 0, 1, 0.5], [0, 1, 0, -2], [-1, 0, 0, 3], [0, 0, 0, 1]];
+  const pose = poseOf({ world_to_camera: rows }, AROUND);
+  assert.deepEqual(pose.eye, [3, 2, -0.5]);
+  matrixOf(pose).forEach((row, i) => same(row, rows[i], `row ${i}`));
+});
+
+test("one goes around what lies ahead and keeps looking at it", () => {
+  near(START.distance, 2, "how far it is");
+  const right = orbited(START, AROUND, Math.PI / 2, 0);
+  same(right.eye, [2, 0, 0], "to the right");
+  same(right.axes[2], [-1, 0, 0], "looking at it");
+  const above = orbited(START, AROUND, 0, Math.PI / 4);
+  assert.ok(above.eye[1] < -1.4, "up is against y");
+  near(dot(above.axes[2], above.eye), -2, "looking at it");
+  const steep = orbited(START, AROUND, 0, 3);
+  near(Math.asin(dot(steep.axes[2], AROUND.up)), (-85 * Math.PI) / 180, "not over the pole");
+  let pose = START;
+  for (let i = 0; i < 5000; i++) pose = orbited(pose, AROUND, 0.01, Math.sin(i) * 0.01);
+  for (const [i, j] of [[0, 1], [0, 2], [1, 2]]) near(dot(pose.axes[i], pose.axes[j]), 0, "square");
+  near(Math.hypot(...pose.eye), 2, "as far as before", 1e-4);
+});
+
+test("the head turns where one stands, feet walk where one looks", () => {
+  const right = looked(START, AROUND, Math.PI / 2, 0);
+  same(right.axes[2], [1, 0, 0], "looks right");
+  same(right.eye, START.eye, "where one stood");
+  assert.ok(looked(START, AROUND, 0, 0.5).axes[2][1] < 0, "looks up");
+  same(walked(right, [0, 0, 1]).eye, [1, 0, -2], "forward");
+  same(risen(right, AROUND, 1).eye, [0, -1, -2], "up");
+});
+
+test("one comes nearer, in the end through it, and goes no farther than far", () => {
+  const half = neared(START, AROUND, 0.5);
+  same(half.eye, [0, 0, -1], "half the way");
+  near(half.distance, 1, "it is nearer");
+  let pose = START;
+  for (let i = 0; i < 40; i++) pose = neared(pose, AROUND, 0.5);
+  assert.ok(pose.eye[2] > 1, "beyond");
+  for (let i = 0; i < 40; i++) pose = neared(pose, AROUND, 2);
+  assert.ok(Math.hypot(...pose.eye) < 100, "not beyond what is far");
+});
+
+test("a flight begins and ends where it should, square all the way", () => {
+  const there = orbited(START, AROUND, 1.2, 0.3);
+  assert.equal(between(START, there, 1), there);
+  same(between(START, there, 0).eye, START.eye, "the beginning");
+  const { axes } = between(START, there, 0.5);
+  for (const [i, j] of [[0, 1], [0, 2], [1, 2]]) near(dot(axes[i], axes[j]), 0, "square");
+});
+
+test("photographers stand around where their lines of sight meet", () => {
+  const ring = [-60, -30, 0, 30, 60].map((degrees) => {
+    const angle = (degrees * Math.PI) / 180;
+    const to = orbited(START, AROUND, angle, 0);
+    return { ...camera([0, 0, 0]), world_to_camera: matrixOf(to) };
+  });
+  const found = surroundingsOf(ring);
+  same(found.centre, [0, 0, 0], "the centre", 0.05);
+  same(found.up, [0, -1, 0], "up");
+  near(found.radius, 2, "the radius", 0.05);
+  const alone = surroundingsOf([camera([1, 2, 3])]);
+  assert.ok([...alone.centre, alone.radius].every(Number.isFinite), "one photograph will do");
+});
+
+test("all of a photograph is seen on a picture of another shape, and the server is asked for it", () => {
+  const k = fitted(camera([0, 0, 0]), 400, 400);
+  assert.deepEqual(k, { width: 400, height: 400, fx: 300, fy: 300, cx: 200, cy: 200 });
+  const off = fitted({ ...camera([0, 0, 0]), cx: 110 }, 400, 200);
+  assert.equal(off.cx, 220);
+  const asked = request({ round: 2, isDelivered: false }, START, fitted(camera([0, 0, 0]), 4096, 2048));
+  assert.deepEqual([asked.round, asked.format], [2, "png"]);
+  assert.deepEqual(asked.intrinsics, { width: 2048, height: 1024, fx: 1536, fy: 1536, cx: 1024, cy: 512 });
+  assert.equal("round" in request({ round: 2, isDelivered: true }, START, k), false);
+});

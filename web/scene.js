@@ -1,0 +1,82 @@
+// The scene in 3D on a job's page: a poster until somebody wants to walk. Only then the rest of it,
+// and the scene, are loaded.
+
+import { address, h, size } from "./dom.js";
+
+/** The part of a page for the scene of `job`: `{ root, update, leave }`. */
+export function scenePanel(job) {
+  const image = h("img", { alt: "", draggable: false });
+  const bytes = h("span", { class: "soft" });
+  const words = h("span", { class: "words" }, "Walk through the scene");
+  const poster = h("button", { type: "button", class: "poster", onclick: open },
+    h("span", { class: "frame" }, image, h("span", { class: "invitation" }, words, bytes)));
+  const place = h("div", {}, poster);
+  const problem = h("p", { class: "problem", role: "alert" });
+  const root = h("section", { class: "scene", hidden: true }, h("h2", {}, "Scene"), place, problem);
+  let [facts, view, isGone, isOpening] = [null, null, false, false];
+
+  async function open() {
+    if (isOpening) return;
+    isOpening = true;
+    problem.textContent = "";
+    words.textContent = "Opening…";
+    try {
+      const { openScene } = await import("./scene_view.js");
+      if (isGone) return;
+      view = await openScene(place, { job, ...facts, ended: close });
+      if (isGone) leave();
+    } catch (error) {
+      close(error.message);
+    }
+    isOpening = false;
+  }
+
+  function close(why) {
+    view?.leave();
+    view = null;
+    words.textContent = "Walk through the scene";
+    problem.textContent = why;
+    place.replaceChildren(poster);
+    if (!why) poster.focus();
+  }
+
+  function leave() {
+    isGone = true;
+    view?.leave();
+  }
+
+  image.addEventListener("error", () => { image.hidden = true; });
+  return {
+    root,
+    leave,
+    /** Of the cameras and files of the job; `best` is the round that is delivered. */
+    update(cameras, artifacts, best) {
+      const scenes = scenesOf(job, artifacts, best);
+      root.hidden = scenes.length === 0 || cameras.length === 0;
+      if (root.hidden) return;
+      const first = scenes.find((scene) => scene.isDelivered) ?? scenes.at(-1);
+      const start = cameras[Math.floor(cameras.length / 2)].name;
+      facts = { scenes, first, start };
+      bytes.textContent = size(first.bytes);
+      const path = `rounds/${first.round}/renders/${start}.jpg`;
+      const url = `/v1/jobs/${job}/artifacts/${address(path)}`;
+      const isThere = artifacts.some((file) => file.name === path);
+      if (isThere && image.getAttribute("src") !== url) image.src = url;
+      image.hidden = !isThere;
+      const { width, height } = cameras.find(({ name }) => name === start);
+      root.style.setProperty("--shape", width / height);
+      view?.update(scenes);
+    },
+  };
+}
+
+/** `{ round, url, bytes, isDelivered }` of every round whose scene is served. */
+function scenesOf(job, artifacts, best) {
+  const isOver = artifacts.some((file) => file.name === "scene.ply");
+  const scenes = artifacts.flatMap(({ name, bytes }) => {
+    const round = Number(name.match(/^rounds\/(\d+)\/scene\.ply$/)?.[1]);
+    const url = `/v1/jobs/${job}/artifacts/${name}`;
+    return round ? [{ round, url, bytes, isDelivered: isOver && round === best }] : [];
+  });
+  return scenes.sort((a, b) => a.round - b.round);
+}

@@ -1,0 +1,80 @@
+// The row of buttons below the scene.
+
+import { h } from "./dom.js";
+
+/**
+ * `does` has `jump(index)`, `reset`, `lines(isOn)`, `round(scene)`, `picture`, `close`; `stage` is
+ * what fills the screen. Answers `{ root, at(index), scenes(list, current), say(words) }`.
+ */
+export function sceneTools(cameras, stage, does) {
+  const press = (text, onclick, label = text) =>
+    h("button", { type: "button", "aria-label": label, title: label, onclick }, text);
+  const jump = () => does.jump(Number(choice.value));
+  const choice = h("select", { "aria-label": "photograph", onchange: jump },
+    h("option", { value: "-1" }, "free view"),
+    cameras.map(({ name, split }, i) => h("option", { value: String(i) },
+      split === "held_out" ? `${name} (held out)` : name)));
+  let last = 0;
+  const step = (by) => () => does.jump((last + by + cameras.length) % cameras.length);
+  const lines = h("input", { type: "checkbox", onchange: () => does.lines(lines.checked) });
+  const rounds = roundSlider(does.round);
+  const words = h("p", { class: "hint", role: "status" });
+  const picture = press("Save PNG", async () => {
+    picture.disabled = true;
+    await does.picture();
+    picture.disabled = false;
+  }, "This view as PNG, rendered by the server");
+  const full = press("Full screen", () => wide(stage));
+  full.hidden = !document.fullscreenEnabled;
+  const root = h("div", { class: "controls" },
+    h("div", { class: "row tools" },
+      h("div", { class: "row joint" }, press("‹", step(-1), "Previous photograph"), choice,
+        press("›", step(1), "Next photograph")),
+      press("Reset", does.reset, "Reset the view"),
+      h("label", { class: "check" }, lines, "Cameras"), rounds.root,
+      h("div", { class: "row push ends" }, picture, full,
+        press("Close", does.close, "Close the 3D view"))),
+    words);
+  return {
+    root,
+    /** One stands at a photograph's camera, or with -1 at none. */
+    at(index) {
+      if (index >= 0) last = index;
+      choice.value = String(index);
+    },
+    isOn: () => lines.checked,
+    scenes: rounds.set,
+    say: (text) => { words.textContent = text; },
+  };
+}
+
+function wide(stage) {
+  if (document.fullscreenElement) document.exitFullscreen();
+  // Refused in some frames and by some settings; the button then does nothing.
+  else stage.requestFullscreen().catch(() => {});
+}
+
+/** Which round's scene is shown; hidden where there is one. */
+function roundSlider(chosen) {
+  const input = h("input", { type: "range", min: "0", step: "1", "aria-label": "round" });
+  const label = h("span", {});
+  const root = h("label", { class: "check rounds" }, label, input);
+  let list = [];
+  const say = () => {
+    const { round, isDelivered } = list[input.value];
+    label.textContent = `Round ${round}${isDelivered ? ", delivered" : ""}`;
+    input.setAttribute("aria-valuetext", label.textContent);
+  };
+  input.addEventListener("input", say);
+  input.addEventListener("change", () => chosen(list[input.value]));
+  return {
+    root,
+    set(scenes, current) {
+      list = scenes;
+      root.hidden = scenes.length < 2;
+      input.max = String(scenes.length - 1);
+      input.value = String(Math.max(0, scenes.findIndex(({ url }) => url === current.url)));
+      say();
+    },
+  };
+}
