@@ -72,11 +72,14 @@ export function scenePanel(job) {
 
 /** `{ round, url, bytes, isDelivered }` of every round whose scene is served. */
 function scenesOf(job, artifacts, best) {
-  const isOver = artifacts.some((file) => file.name === "scene.ply");
-  const scenes = artifacts.flatMap(({ name, bytes }) => {
-    const round = Number(name.match(/^rounds\/(\d+)\/scene\.ply$/)?.[1]);
-    const url = `/v1/jobs/${job}/artifacts/${name}`;
-    return round ? [{ round, url, bytes, isDelivered: isOver && round === best }] : [];
-  });
-  return scenes.sort((a, b) => a.round - b.round);
+  const scenes = new Map();
+  for (const { name, bytes } of artifacts) {
+    const isDelivered = name === "scene.ply";
+    const found = name.match(/^rounds\/(\d+)\/scene\.ply$/);
+    const round = isDelivered ? best : found && Number(found[1]);
+    // The delivered scene is the copy of a round's.
+    if (!round || scenes.get(round)?.isDelivered) continue;
+    scenes.set(round, { round, bytes, isDelivered, url: `/v1/jobs/${job}/artifacts/${name}` });
+  }
+  return [...scenes.values()].sort((a, b) => a.round - b.round);
 }

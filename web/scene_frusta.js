@@ -3,7 +3,7 @@
 import { along, dot, poseOf } from "./scene_camera.js";
 
 /** How far ahead of its camera a frustum ends, in radii of the photographers' ring. */
-const DEPTH = 0.08;
+const DEPTH = 0.055;
 /** Nearer than this to the eye a line ends, in the same. */
 const NEAR = 0.002;
 /** So near to a camera's place a click means it, px. */

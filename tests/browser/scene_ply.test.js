@@ -9,25 +9,7 @@ import {
 import { request } from "../../web/scene_picture.js";
 import { GEOMETRY, SceneError, readHeader, readScene } from "../../web/scene_ply.js";
 import { sorter } from "../../web/scene_sort.js";
-
-const FIXED = ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2"];
-const LAST = ["opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"];
-
-/** The bytes of a scene whose n-th number of Gaussian i is `value(i, name, n)`. */
-function ply(count, degree, value, announced = count) {
-  const rest = Array.from({ length: 3 * ((degree + 1) ** 2 - 1) }, (_, n) => `f_rest_${n}`);
-  const names = [...FIXED, ...rest, ...LAST];
-  const lines = ["ply", "format binary_little_endian 1.0", `element vertex ${announced}`,
-    ...names.map((name) => `property float ${name}`), "end_header", ""];
-  const head = new TextEncoder().encode(lines.join("\n"));
-  const bytes = new Uint8Array(head.length + 4 * names.length * count);
-  bytes.set(head);
-  const view = new DataView(bytes.buffer, head.length);
-  for (let i = 0; i < count; i++) {
-    names.forEach((name, n) => view.setFloat32(4 * (i * names.length + n), value(i, name, n), true));
-  }
-  return bytes;
-}
+import { ply } from "./ply.js";
 
 /** The same bytes as a body that comes in pieces. */
 const body = (bytes, piece = 997) => new ReadableStream({
