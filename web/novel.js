@@ -19,7 +19,7 @@ export function novelView(job) {
   const root = h("section", { hidden: true },
     h("div", { class: "row" }, h("h2", {}, "Novel view"), h("label", { class: "push" }, "Round", choice)),
     frame, tools, caption,
-    h("p", { class: "hint" }, "Drag to turn, or use the arrow keys. Come nearer with + and −, with Ctrl and the wheel, or with the wheel after a click."));
+    h("p", { class: "hint" }, "Pictures from the server, on any machine. Drag to turn, or use the arrow keys. Come nearer with + and −, with Ctrl and the wheel, or with the wheel after a click."));
   const pose = { azimuth: 0, elevation: 0, distance: 1 };
   let [busy, again, shown] = [false, false, ""];
   // The wheel is the page's until one clicks into the view, and again when the pointer leaves it.

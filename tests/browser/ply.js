@@ -14,7 +14,9 @@ export function ply(count, degree, value, announced = count) {
   bytes.set(head);
   const view = new DataView(bytes.buffer, head.length);
   for (let i = 0; i < count; i++) {
-    names.forEach((name, n) => view.setFloat32(4 * (i * names.length + n), value(i, name, n), true));
+    names.forEach((name, n) => {
+      view.setFloat32(4 * (i * names.length + n), value(i, name, n), true);
+    });
   }
   return bytes;
 }
@@ -27,11 +29,11 @@ export function colourful(count, [x, y, z], radius) {
   let state = 1;
   // Of Numerical Recipes; the same scene each time.
   const random = () => (state = (1664525 * state + 1013904223) >>> 0) / 2 ** 32;
+  const three = (name, range) => Object.fromEntries([0, 1, 2].map((k) => [name + k, range]));
   const ranges = {
     x: [x - radius, x + radius], y: [y - radius, y + radius], z: [z - radius, z + radius],
     opacity: [-3, 6], rot_0: [-1, 1], rot_1: [-1, 1], rot_2: [-1, 1], rot_3: [-1, 1],
-    ...Object.fromEntries([0, 1, 2].map((k) => [`scale_${k}`, [radius / 500, radius / 12].map(Math.log)])),
-    ...Object.fromEntries([0, 1, 2].map((k) => [`f_dc_${k}`, [-1.5, 2]])),
+    ...three("scale_", [radius / 500, radius / 12].map(Math.log)), ...three("f_dc_", [-1.5, 2]),
   };
   return ply(count, 3, (_, name) => {
     const [low, high] = ranges[name] ?? [-0.4, 0.4];

@@ -34,7 +34,7 @@ test("a scene of every degree is read in pieces of any size", async () => {
   }
 });
 
-test("colours of a coefficient lie together, though the file has one channel after the other", async () => {
+test("colours of a coefficient lie together, unlike in the file", async () => {
   const value = (i, name) => (name.startsWith("f_rest_") ? Number(name.slice(7)) : plain(i, name));
   const { harmonics } = await read(ply(2, 2, value));
   // 27 numbers fill seven texels; the second Gaussian begins with the eighth.
@@ -61,16 +61,17 @@ test("a Gaussian with numbers that are none has no opacity and is not drawn", as
 test("what is no scene is refused in a sentence", async () => {
   const bytes = ply(4, 1, plain);
   const text = (words) => new TextEncoder().encode(words);
-  const head = "ply\nformat binary_little_endian 1.0\nelement vertex 3\n";
+  const header = (...properties) => text(["ply", "format binary_little_endian 1.0",
+    "element vertex 3", ...properties.map((one) => `property ${one}`), "end_header\n"].join("\n"));
   for (const [words, wrong] of [
     ["This is no PLY file.", text("ply of round 2")],
     ["This is no PLY file.", text("<!doctype html><title>a page</title>")],
     ["it ends within its header", text("ply\nformat")],
     ["cut short: 1 of 4 Gaussians lack", bytes.slice(0, -1)],
     ["not binary little endian", text("ply\nformat ascii 1.0\nend_header\n")],
-    ['no number "opacity"', text(`${head}property float x\nproperty float y\nproperty float z\nend_header\n`)],
-    ["2 higher harmonics", text(`${head}property float f_rest_0\nproperty float f_rest_1\nend_header\n`)],
-    ['says "property list', text(`${head}property list uchar int vertex_indices\nend_header\n`)],
+    ['no number "opacity"', header("float x", "float y", "float z")],
+    ["2 higher harmonics", header("float f_rest_0", "float f_rest_1")],
+    ['says "property list', header("list uchar int vertex_indices")],
     ["is empty", ply(0, 0, plain)],
     ["too many", ply(1, 0, plain, 1e14)],
     ["has no end", text(`ply\n${"comment x\n".repeat(10_000)}`)],
@@ -84,7 +85,7 @@ test("what is no scene is refused in a sentence", async () => {
   assert.equal(readHeader(text("pl")), null, "its end may still come");
 });
 
-test("the order is exact: the farthest first, none behind the near plane, equal ones reversed", () => {
+test("the farthest come first, none behind the near plane, equal ones reversed", () => {
   const depths = [5, 0.02, -3, 5, 1e6, 5.0000005, 0.005, 4];
   const geometry = new Float32Array(GEOMETRY * depths.length);
   depths.forEach((z, i) => { geometry.set([0, 0, z, 0.5], GEOMETRY * i); });
@@ -93,8 +94,10 @@ test("the order is exact: the farthest first, none behind the near plane, equal 
   assert.deepEqual([...order([0, 0, -1, 1], 0.01)], [2, 6, 1], "from the other side");
 });
 
-const camera = (eye, name = "a") => ({ name, width: 200, height: 100, fx: 150, fy: 150, cx: 100, cy: 50,
-  world_to_camera: [[1, 0, 0, -eye[0]], [0, 1, 0, -eye[1]], [0, 0, 1, -eye[2]], [0, 0, 0, 1]] });
+const camera = (eye) => ({
+  name: "a", width: 200, height: 100, fx: 150, fy: 150, cx: 100, cy: 50,
+  world_to_camera: [[1, 0, 0, -eye[0]], [0, 1, 0, -eye[1]], [0, 0, 1, -eye[2]], [0, 0, 0, 1]],
+});
 const AROUND = { centre: [0, 0, 0], radius: 2, up: [0, -1, 0] };
 const START = poseOf(camera([0, 0, -2]), AROUND);
 
@@ -163,13 +166,15 @@ test("photographers stand around where their lines of sight meet", () => {
   assert.ok([...alone.centre, alone.radius].every(Number.isFinite), "one photograph will do");
 });
 
-test("all of a photograph is seen on a picture of another shape, and the server is asked for it", () => {
+test("all of a photograph is seen on another shape, and asked for of the server", () => {
   const k = fitted(camera([0, 0, 0]), 400, 400);
   assert.deepEqual(k, { width: 400, height: 400, fx: 300, fy: 300, cx: 200, cy: 200 });
   const off = fitted({ ...camera([0, 0, 0]), cx: 110 }, 400, 200);
   assert.equal(off.cx, 220);
-  const asked = request({ round: 2, isDelivered: false }, START, fitted(camera([0, 0, 0]), 4096, 2048));
+  const large = fitted(camera([0, 0, 0]), 4096, 2048);
+  const asked = request({ round: 2, isDelivered: false }, START, large);
   assert.deepEqual([asked.round, asked.format], [2, "png"]);
-  assert.deepEqual(asked.intrinsics, { width: 2048, height: 1024, fx: 1536, fy: 1536, cx: 1024, cy: 512 });
+  assert.deepEqual(asked.intrinsics,
+    { width: 2048, height: 1024, fx: 1536, fy: 1536, cx: 1024, cy: 512 });
   assert.equal("round" in request({ round: 2, isDelivered: true }, START, k), false);
 });
