@@ -103,7 +103,9 @@ function squared([x, , z]) {
 
 /** The pose turned around `point`: `right` around `up`, then `upward` where it looks. */
 function turned(pose, up, point, right, upward) {
-  const level = unit(cross(pose.axes[2], up));
+  const across = cross(pose.axes[2], up);
+  // Who looks straight down, as from a drone, has no horizon.
+  const level = Math.hypot(...across) > 1e-3 ? unit(across) : pose.axes[0];
   const pitch = Math.asin(clamp(dot(pose.axes[2], up), -1, 1));
   // Who already looks steeper, as a photograph may, only comes back.
   const most = Math.max(STEEPEST, Math.abs(pitch));

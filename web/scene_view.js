@@ -53,6 +53,7 @@ class View {
   #last = 0;
   #rest = 0;
   #isSlow = false;
+  #isMoving = false;
   #source = null;
   #incoming = null;
   #sorted = "";
@@ -211,7 +212,9 @@ class View {
     this.#asked = 0;
     clearTimeout(this.#rest);
     const passed = time - this.#last;
-    if (passed < PAUSE) this.#isSlow = passed > SLOW || (this.#isSlow && passed > SLOW / 3);
+    if (this.#isMoving || passed < PAUSE) {
+      this.#isSlow = passed > SLOW || (this.#isSlow && passed > SLOW / 3);
+    }
     this.#last = time;
     const isHeld = this.controls.isHeld();
     if (isHeld) this.moved(this.controls.held(Math.min(LONGEST_STEP, passed) / 1000));
@@ -219,7 +222,8 @@ class View {
     this.#sort();
     if (!this.shown) return;
     this.#draw(this.#isSlow ? COARSE : 1);
-    if (isHeld || this.#flight) this.wake();
+    this.#isMoving = isHeld || this.#flight !== null;
+    if (this.#isMoving) this.wake();
     else this.#rest = setTimeout(() => this.#settle(), REST);
   }
 

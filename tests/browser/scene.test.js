@@ -7,7 +7,7 @@ import { join } from "node:path";
 import { after, before, test } from "node:test";
 
 import { surroundingsOf } from "../../web/scene_camera.js";
-import { Browser, DESKTOP, PHONE, loaded, overflowing, picture } from "./browser.js";
+import { Browser, PHONE, loaded, overflowing, picture } from "./browser.js";
 import { Stand } from "./played.js";
 import { colourful } from "./ply.js";
 import { Server } from "./server.js";
@@ -17,6 +17,9 @@ import { until } from "./until.js";
 const ALIKE = 48;
 /** Another picture of the same scene is less like it than this, dB. */
 const FOREIGN = 30;
+
+/** Software draws every pixel, px. */
+const SMALL = { width: 640, height: 700 };
 
 let server;
 let browser;
@@ -53,7 +56,7 @@ const settled = (page) => page.locator(".frame[aria-busy=false]").waitFor();
 const choice = (page) => page.getByRole("combobox", { name: "photograph" });
 
 /** Opens the scene on the job's page and hands it over when it is shown. */
-const opened = (name, judge, viewport = DESKTOP, further = {}) =>
+const opened = (name, judge, viewport = SMALL, further = {}) =>
   browser.visit(name, `#/jobs/${id}`, async (page, faults) => {
     await button(page, /Walk through the scene/).click();
     await settled(page);
@@ -142,7 +145,7 @@ test("where nobody stood it is the server's picture, too, on a fine screen", (co
     const alike = await psnr(page, await shown(page), await rendered(page));
     context.diagnostic(`free view: ${alike.toFixed(1)} dB`);
     assert.ok(alike > ALIKE, `${alike} dB`);
-  }, { width: 700, height: 800 }, { deviceScaleFactor: 2 }));
+  }, SMALL, { deviceScaleFactor: 2 }));
 
 test("one turns, shifts, comes nearer, and nothing is drawn while nothing changes", () =>
   opened("scene-moves", async (page) => {
@@ -276,13 +279,12 @@ test("a lost context says so, and the scene is opened again", () =>
 
 test("without WebGL 2 the page says what to do, and nothing of it is loaded before", () =>
   browser.visit("scene-none", `#/jobs/${id}`, async (page) => {
-    const asked = [];
-    page.on("request", (request) => asked.push(new URL(request.url()).pathname));
-    await page.addInitScript(() => { HTMLCanvasElement.prototype.getContext = () => null; });
-    await page.reload();
     await button(page, /Walk through the scene/).waitFor();
     await until("the poster is there", () => loaded(page.locator(".poster img")));
-    assert.deepEqual(asked.filter((path) => /scene[._]/.test(path)), ["/assets/scene.js"]);
+    const asked = await page.evaluate(() => performance.getEntriesByType("resource")
+      .map(({ name }) => new URL(name).pathname).filter((path) => /scene[._]/.test(path)));
+    assert.deepEqual(asked, ["/assets/scene.js"]);
+    await page.evaluate(() => { HTMLCanvasElement.prototype.getContext = () => null; });
     await button(page, /Walk through the scene/).click();
     await page.getByText("This browser has no WebGL 2").waitFor();
     assert.deepEqual(await overflowing(page), []);

@@ -124,6 +124,12 @@ test("one goes around what lies ahead and keeps looking at it", () => {
   near(Math.hypot(...pose.eye), 2, "as far as before", 1e-4);
 });
 
+test("one who looks straight down, as from a drone, looks up again", () => {
+  const down = orbited(START, { ...AROUND, up: [0, 0, -1] }, 0, 0);
+  const raised = looked(down, { ...AROUND, up: [0, 0, -1] }, 0, 0.5);
+  near(dot(raised.axes[2], START.axes[2]), Math.cos(0.5), "half a radian");
+});
+
 test("the head turns where one stands, feet walk where one looks", () => {
   const right = looked(START, AROUND, Math.PI / 2, 0);
   same(right.axes[2], [1, 0, 0], "looks right");

@@ -50,6 +50,8 @@ test("a link opens its job alone, until it is ended", async () => {
       for (const name of ["Delete", "Try again", "Make a link"]) assert.equal(await button(visitor, name).count(), 0, name);
       assert.equal(await visitor.getByRole("heading", { name: "Log", exact: true }).count(), 0);
       assert.deepEqual(await overflowing(visitor), []);
+      await visitor.getByRole("button", { name: "Walk through the scene" }).click();
+      await visitor.locator(".frame[aria-busy=false]").waitFor();
       // Wherever they go, they are at this job.
       await visitor.goto(`${server.base}/#/`);
       await visitor.getByRole("heading", { name: "for others" }).waitFor();
