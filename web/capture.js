@@ -13,7 +13,7 @@ export function capturePage(main, id, from) {
   const base = `/v1/captures/${id}`;
   const head = h("section", { hidden: true });
   const problem = h("p", { class: "problem", role: "alert" });
-  const jobs = jobTable();
+  const jobs = jobTable(() => refresh());
   const jobsPart = section("Jobs");
   const warnings = section("Warnings");
   const pictures = section("Photographs");
@@ -50,7 +50,8 @@ export function capturePage(main, id, from) {
       if (gone) return;
       of = page.jobs;
       jobs.update(of);
-      show(jobsPart, of.length > 0 && jobs.root);
+      // Shown anew it would lose the focus.
+      if (jobsPart.hidden === (of.length > 0)) show(jobsPart, of.length > 0 && jobs.root);
     } catch { /* The health line says so; the next round may succeed. */ }
     if (!gone) timer = setTimeout(refresh, REFRESH_MS);
   }

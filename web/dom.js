@@ -21,11 +21,18 @@ function fill(node, properties, children, svg = false) {
   return node;
 }
 
-/** Replaces the children of a node that is drawn again and again; a link keeps the focus. */
+/** What an element is known by when it is drawn again: a link by where it leads. */
+const keyOf = (element) => element.dataset.key ?? element.getAttribute("href");
+
+/**
+ * Replaces the children of a node that is drawn again and again; a link keeps the focus, and so
+ * does what has a `data-key`.
+ */
 export function refill(node, ...children) {
-  const held = node.contains(document.activeElement) ? document.activeElement.getAttribute("href") : null;
+  const held = node.contains(document.activeElement) ? keyOf(document.activeElement) : null;
   node.replaceChildren(...children.flat());
-  if (held) [...node.querySelectorAll("a")].find((link) => link.getAttribute("href") === held)?.focus();
+  if (!held) return;
+  [...node.querySelectorAll("a, [data-key]")].find((one) => keyOf(one) === held)?.focus({ preventScroll: true });
 }
 
 /** What the server refused: its words, `status`, and `pointer` to the part at fault. */

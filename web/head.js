@@ -1,5 +1,6 @@
 // The head of a job's page: where it stands, and what can be done with it.
 
+import { compareWith } from "./choose.js";
 import { ask } from "./dialog.js";
 import { api, h, when } from "./dom.js";
 import { failure, isOver, progressLine, setBar, stateWord } from "./state.js";
@@ -21,6 +22,8 @@ export function jobHead(base, refresh, who) {
   const error = h("p", { class: "problem" });
   const problem = h("p", { class: "problem", role: "alert" });
   const again = h("a", { class: "button" }, "Run again with other options");
+  const compare = action("Compare with…", () => compareWith(job));
+  compare.hidden = false;
   const buttons = {
     cancel: action("Cancel", () => api(`${base}/cancel`, { method: "POST" }), () =>
       ask("Cancel this job?", "What it has done stays, and it can be tried again.", "Cancel it", "Let it run")),
@@ -29,7 +32,7 @@ export function jobHead(base, refresh, who) {
       ask(`Delete the job “${job.name || "unnamed"}”?`, "Its scene, pictures and scores are gone then; the photographs stay.", "Delete it"), "danger"),
   };
   const root = h("section", { hidden: true },
-    h("div", { class: "row" }, title, state, line, !isVisitor && h("span", { class: "row push" }, buttons.cancel, buttons.retry, again, buttons.remove)),
+    h("div", { class: "row" }, title, state, line, !isVisitor && h("span", { class: "row push" }, buttons.cancel, buttons.retry, compare, again, buttons.remove)),
     isVisitor ? "" : keeping, facts, bar, error, problem);
   let [job, gone] = [null, false];
 

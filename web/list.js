@@ -1,6 +1,7 @@
 // The list of jobs, below the form that starts one.
 
 import { api, duration, h, plain, refill, when } from "./dom.js";
+import { selection } from "./selection.js";
 import { doing, pill, setBar } from "./state.js";
 import { row, table } from "./table.js";
 import { startForm } from "./upload.js";
@@ -9,13 +10,15 @@ const REFRESH_MS = 1500;
 /** The API's largest page. */
 const MOST = 200;
 
-const COLUMNS = [{ title: "Name" }, { title: "State" }, { title: "Progress" }, { title: "Now" },
+const COLUMNS = [{ title: "Mark", class: "pick", head: h("span", { class: "heard" }, "Mark") }, { title: "Name" }, { title: "State" }, { title: "Progress" }, { title: "Now" },
   { title: "Left", class: "word" }, { title: "Preset", class: "word" }, { title: "Created", class: "soft" }];
 
-/** Jobs as a table that is drawn again: `{ root, update(jobs) }`. */
-export function jobTable() {
-  const root = table(COLUMNS, []);
-  const body = root.tBodies[0];
+/** Jobs as a table that is drawn again, with a bar for those that are marked: `{ root, update(jobs) }`. */
+export function jobTable(refresh) {
+  const list = table(COLUMNS, []);
+  const marked = selection(refresh);
+  const root = h("div", { hidden: true }, list, marked.root);
+  const body = list.tBodies[0];
   let shown = "";
   return {
     root,
@@ -23,8 +26,10 @@ export function jobTable() {
       const now = JSON.stringify(jobs);
       if (now === shown) return;
       shown = now;
-      root.hidden = jobs.length === 0;
-      refill(body, jobs.map((job) => row(COLUMNS, cells(job))));
+      root.hidden = false;
+      list.hidden = jobs.length === 0;
+      refill(body, jobs.map((job) => row(COLUMNS, [marked.box(job), ...cells(job)])));
+      marked.update(jobs);
     },
   };
 }
@@ -38,8 +43,7 @@ function cells(job) {
 }
 
 export function listPage(main) {
-  const jobs = jobTable();
-  jobs.root.hidden = true;
+  const jobs = jobTable(() => refresh());
   const empty = h("p", { class: "hint", hidden: true }, "No job yet. Start with a folder of 20 to 60 overlapping photographs of a place in which nothing moves.");
   const more = h("button", { type: "button", hidden: true }, "Older jobs");
   const form = startForm();

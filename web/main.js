@@ -2,6 +2,7 @@
 
 import { capturePage } from "./capture.js";
 import { capturesPage } from "./captures.js";
+import { comparePage } from "./compare.js";
 import { nothing } from "./dom.js";
 import { jobPage } from "./job.js";
 import { listPage } from "./list.js";
@@ -22,6 +23,7 @@ let who = { needed: false, scopes: null, job: null };
 const ROUTES = [
   [/^(?:#?\/?)$/, listPage],
   [/^#\/jobs\/([^/]+)$/, (main, id) => jobPage(main, who, id)],
+  [/^#\/compare\/([^/]*)$/, comparePage],
   [/^#\/captures$/, capturesPage],
   [/^#\/captures\/([^/]+)$/, capturePage],
   [/^#\/captures\/([^/]+)\/from\/([^/]+)$/, capturePage],
@@ -42,8 +44,10 @@ function route() {
   }
   leave = special() ?? leave;
   if (leave !== none) return;
+  // What is behind `?` is the page's own.
+  const [path] = location.hash.split("?");
   for (const [pattern, page] of ROUTES) {
-    const found = location.hash.match(pattern);
+    const found = path.match(pattern);
     if (found) {
       leave = page(main, ...found.slice(1));
       return;

@@ -33,15 +33,20 @@ function lines(rounds, references, brightness) {
   for (const [colour, image, label] of [[0, "render", "rendered"], [1, "deblurred", "deblurred"], [2, "enhanced", "enhanced only"]]) {
     for (const [split, dashed] of [["held_out", false], ["train", true]]) {
       const records = rounds.flatMap((round) => {
-        const fits = round.records.filter((r) => r.image === image && r.split === split && references.includes(r.reference));
-        // Where the wanted brightness was not measured, the other one is better than nothing.
-        const record = fits.find((r) => r.brightness === brightness) ?? fits[0];
+        const record = recordOf(round, { image, split, references, brightness });
         return record ? [[round.round, record]] : [];
       });
       if (records.length > 0) series.push({ label: `${label}, ${plain(split)} (${records[0][1].views} views)`, colour, dashed, records });
     }
   }
   return series;
+}
+
+/** The scores in a round of one kind of picture; `undefined` where there are none. */
+export function recordOf(round, { image, split, references, brightness }) {
+  const fits = round.records.filter((r) => r.image === image && r.split === split && references.includes(r.reference));
+  // Where the wanted brightness was not measured, the other one is better than nothing.
+  return fits.find((r) => r.brightness === brightness) ?? fits[0];
 }
 
 const COLUMNS = ["Round", "Time", "Gaussians", "Steps", "Steps/s", "Noise of renders", "Shake found, px", "Cameras moved, px", "Note"]

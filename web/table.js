@@ -3,13 +3,13 @@
 import { h } from "./dom.js";
 
 /**
- * A table of `columns`: [{ title, class }] and `rows`: [[cell, ...], ...]. On a narrow page each row
+ * A table of `columns`: [{ title, class, head }] (`head` stands where a title is not enough) and `rows`: [[cell, ...], ...]. On a narrow page each row
  * is a card and each cell has its title in front, so the roles are said: as a card it is still a
  * table to whoever hears it.
  */
 export function table(columns, rows, properties = {}) {
   const head = h("tr", { role: "row" }, columns.map((column) =>
-    h("th", { role: "columnheader", class: column.class ?? "" }, column.title)));
+    h("th", { role: "columnheader", class: column.class ?? "" }, column.head ?? column.title)));
   return h("table", { class: "cards", role: "table", ...properties },
     h("thead", { role: "rowgroup" }, head), h("tbody", { role: "rowgroup" }, rows.map((cells) => row(columns, cells))));
 }

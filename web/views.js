@@ -69,7 +69,7 @@ export function comparison(job) {
  * The pictures of a view: one stop of the Tab key, arrow keys within. A press puts a picture on the
  * side that is chosen above them, with Shift on the other.
  */
-function thumbnails(chosen) {
+export function thumbnails(chosen) {
   let side = "left";
   const grid = h("div", { class: "shots", role: "group", "aria-label": "pictures of the view" });
   const sides = ["left", "right"].map((name) => h("button", { type: "button", "aria-pressed": String(name === side), onclick: () => choose(name) }, name));

@@ -1,0 +1,13 @@
+// What a page keeps in its address behind `?`: one can send it, and the way back leads to it.
+
+/** What the address says. */
+export const asked = () => new URLSearchParams(location.hash.split("?")[1] ?? "");
+
+/** Writes values into the address; what is empty is left out. No page is opened by that. */
+export function keep(values) {
+  const real = Object.entries(values).filter(([, value]) => value !== "" && value !== null);
+  const query = new URLSearchParams(real.map(([name, value]) => [name, String(value)])).toString();
+  const [path] = (location.hash || "#/").split("?");
+  const now = query ? `${path}?${query}` : path;
+  if (now !== location.hash) history.replaceState(history.state, "", now);
+}
