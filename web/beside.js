@@ -44,7 +44,7 @@ export function beside() {
 
   function fillRounds(value) {
     const most = Math.max(...entries.map((one) => one.rounds.length));
-    refill(round, [["", "the delivered or last one"], ...Array.from({ length: most }, (_, i) => [String(i + 1), String(i + 1)])], value);
+    refill(round, [["", "delivered or last"], ...Array.from({ length: most }, (_, i) => [String(i + 1), String(i + 1)])], value);
   }
 
   /** Views that both jobs have, those first that trained nothing. */

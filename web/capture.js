@@ -73,7 +73,7 @@ export function capturePage(main, id, from) {
   }
 
   open();
-  return () => { gone = true; clearTimeout(timer); };
+  return () => { gone = true; clearTimeout(timer); jobs.leave(); };
 }
 
 /** Another job of the same photographs. */

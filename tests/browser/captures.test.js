@@ -86,7 +86,7 @@ both("the form of a new job has the options of its preset, and sends those that 
     await page.getByText("Options", { exact: true }).click();
     const size = page.getByLabel("size", { exact: true });
     await until("standard", async () => (await size.inputValue()) === "560");
-    await page.getByLabel("Preset").selectOption("preview");
+    await part(page, "New job").getByLabel("Preset").selectOption("preview");
     assert.equal(await size.inputValue(), "280");
     await page.getByLabel("rounds", { exact: true }).fill("3");
     await page.getByLabel("or a folder").setInputFiles(stand.folder);

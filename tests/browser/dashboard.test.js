@@ -110,7 +110,7 @@ test("a folder that is chosen on the page becomes a job, which is cancelled", ()
   browser.visit("uploaded", "", async (page) => {
     await page.getByLabel("or a folder").setInputFiles(capture);
     await page.getByLabel("Name").fill(UPLOADED);
-    await page.getByLabel("Preset").selectOption("preview");
+    await part(page, "New job").getByLabel("Preset").selectOption("preview");
     await button(page, "Start").click();
     await seen(page.getByRole("heading", { level: 1 }), UPLOADED);
     const job = await server.job(page.url().split("/").pop());
