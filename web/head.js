@@ -4,6 +4,7 @@ import { compareWith } from "./choose.js";
 import { ask } from "./dialog.js";
 import { api, h, when } from "./dom.js";
 import { failure, isOver, progressLine, setBar, stateWord } from "./state.js";
+import { advice } from "./words.js";
 
 const SECOND_MS = 1000;
 
@@ -20,6 +21,7 @@ export function jobHead(base, refresh, who) {
   const facts = h("p", { class: "hint" });
   const bar = h("progress", { max: 1, value: 0, "aria-label": "progress" });
   const error = h("p", { class: "problem" });
+  const meaning = h("p", { class: "hint advice" });
   const problem = h("p", { class: "problem", role: "alert" });
   const again = h("a", { class: "button" }, "Run again with other options");
   const compare = action("Compare with…", () => compareWith(job));
@@ -33,7 +35,7 @@ export function jobHead(base, refresh, who) {
   };
   const root = h("section", { hidden: true },
     h("div", { class: "row" }, title, state, line, !isVisitor && h("span", { class: "row push" }, buttons.cancel, buttons.retry, compare, again, buttons.remove)),
-    isVisitor ? "" : keeping, facts, bar, error, problem);
+    isVisitor ? "" : keeping, facts, bar, error, meaning, problem);
   let [job, gone] = [null, false];
 
   async function removed() {
@@ -103,6 +105,7 @@ export function jobHead(base, refresh, who) {
       }
       setBar(bar, job);
       error.textContent = job.error ? failure(job.error) : "";
+      meaning.textContent = job.error ? advice(job.error) : "";
       root.hidden = false;
     },
     leave() { gone = true; clearInterval(timer); },

@@ -3,6 +3,7 @@
 import { chart } from "./chart.js";
 import { duration, h, plain } from "./dom.js";
 import { told } from "./table.js";
+import { meanings } from "./words.js";
 
 /** Against ground truth it is quality; against our own images it is only self-consistency. */
 export function metricCharts(rounds) {
@@ -19,12 +20,13 @@ export function metricCharts(rounds) {
       .filter((one) => one.points.length > 0);
     const psnr = references[0] === "gt" ? "psnr_cc_db" : "psnr_db";
     const title = psnr === "psnr_cc_db" ? "PSNR after colour fit, dB" : "PSNR, dB";
-    nodes.push(h("h3", {}, label), h("div", { class: "charts" }, chart(title, values(psnr), 1), chart("SSIM", values("ssim"), 2, 1)));
+    nodes.push(h("h3", {}, label), h("div", { class: "charts" }, chart(title, values(psnr), 1), chart("SSIM", values("ssim"), 2, 1)),
+      meanings(references[0] === "gt" ? ["psnr_cc", "ssim"] : ["own_psnr", "own_ssim"]));
   }
   if (!nodes.some((node) => node.textContent.includes("ground truth"))) {
     nodes.push(h("p", { class: "hint" }, "The capture has no ground truth: what is shown says how well the scene agrees with its own training images."));
   }
-  nodes.push(roundTable(rounds));
+  nodes.push(roundTable(rounds), meanings(["noise", "shake", "moved", "seconds", "gaussians"]));
   return nodes;
 }
 

@@ -1,5 +1,7 @@
 // What numbers and failures mean, in a sentence for people.
 
+import { h } from "./dom.js";
+
 /** Of scores: title, what is better, what it means, and how it is written. */
 export const METRICS = {
   psnr_cc: {
@@ -37,6 +39,24 @@ export const METRICS = {
   },
 };
 
+/** Of numbers that are told by round, and compared with nothing. */
+const OTHERS = {
+  shake: { title: "Shake found, px", better: null,
+    means: "How far the camera moved within a photograph, in pixels of the training size: a mean "
+      + "over all views." },
+  moved: { title: "Cameras moved, px", better: null,
+    means: "How far the cameras were corrected, as seen in the pictures: much more than a pixel "
+      + "means that their places were rough." },
+};
+
+/** Folded away beside numbers: what each of them means. */
+export function meanings(keys) {
+  const of = (key) => METRICS[key] ?? OTHERS[key];
+  return h("details", { class: "meanings" }, h("summary", {}, "What these numbers mean"),
+    h("dl", {}, keys.map(of).flatMap((metric) => [
+      h("dt", {}, metric.title), h("dd", {}, metric.means, " ", direction(metric))])));
+}
+
 /** "Higher is better." */
 export const direction = ({ better }) =>
   (better ? `${better === "higher" ? "Higher" : "Lower"} is better.` : "");
@@ -44,15 +64,14 @@ export const direction = ({ better }) =>
 /** What a failure's code means, and what one does about it. */
 const FAILURES = {
   bad_input: ["the photographs or an option cannot be used",
-    "Something about the photographs or the options cannot work: correct what is named and "
-    + "start it again."],
+    "What is named there cannot work; trying the same again will end the same way."],
   few_poses: ["too few photographs could be placed",
     "fled could not tell where enough of the photographs were taken from. More overlap and a "
     + "stiller camera help most; the same photographs will hardly do better."],
   oom_host: ["the machine ran out of memory",
-    "The job needed more memory than the machine has: run it again with a smaller size."],
+    "The job needed more memory than the machine has; the same again will end the same way."],
   oom_gpu: ["the GPU ran out of memory",
-    "The job needed more memory than the GPU has: run it again with a smaller size or cap."],
+    "The job needed more memory than the GPU has; the same again will end the same way."],
   device_lost: ["the GPU stopped answering",
     "The GPU's driver was reset, not by your photographs: try again, it goes on where it was."],
   io: ["a file could not be read or written",

@@ -206,6 +206,30 @@ both("a failed job says once what happened and once what to do", async (width) =
   }, width);
 });
 
+both("a failure is explained in a sentence, on the page and in the list", async (width) => {
+  await stand.visit("explained", `#/jobs/${await failed()}`, async (page) => {
+    await seen(page.locator(".advice"), "fled could not tell where enough of the photographs were taken from.");
+    await page.getByRole("link", { name: "Jobs" }).click();
+    await seen(page.locator("tr", { hasText: "a failed job" }), "too few photographs could be placed");
+  }, width);
+  await stand.visit("explained", `#/jobs/${await stand.finished()}`, async (page) => {
+    await seen(state(page), "succeeded");
+    assert.equal(await page.locator(".advice").isVisible(), false);
+  }, width);
+});
+
+both("what the scores mean is read by keyboard and by touch, where the scores are", async (width) =>
+  stand.visit("meanings", `#/jobs/${await stand.finished()}`, async (page) => {
+    const metrics = part(page, "Metrics by round");
+    const [truth, own] = [0, 1].map((i) => metrics.locator("details.meanings").nth(i));
+    await truth.locator("summary").focus();
+    await page.keyboard.press("Enter");
+    await seen(truth.locator("dd"), /colours agree \(psnr_cc\): .* Higher is better\./);
+    await seen(truth.locator("dd"), "a blur that PSNR forgives");
+    await own.locator("summary").tap();
+    await seen(own.locator("dd"), "agreement, not truth");
+  }, width, { hasTouch: true }));
+
 both("options are a list and can all be read", async (width) =>
   stand.visit("options", `#/jobs/${await stand.finished()}`, async (page) => {
     const facts = part(page, "Facts");
