@@ -4,7 +4,7 @@ import { address, h } from "./dom.js";
 import { called } from "./entries.js";
 import { asked, keep } from "./place.js";
 import { split } from "./split.js";
-import { thumbnails } from "./views.js";
+import { thumbnails } from "./strip.js";
 
 const KINDS = [["inputs", "dark input"], ["enhanced", "enhanced"], ["deblurred", "deblurred"], ["renders", "render"], ["gt", "ground truth"]];
 const hasRounds = (kind) => kind !== "inputs" && kind !== "gt";
@@ -18,7 +18,7 @@ export function beside() {
   const strip = thumbnails((side, key) => {
     (side === "left" ? left : right).value = key;
     chosen();
-  });
+  }, slider);
   const words = h("p", { class: "hint", role: "status" });
   const pictures = h("div", {}, slider.root, slider.tools);
   const field = (label, node) => h("label", {}, label, node);

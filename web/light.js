@@ -26,6 +26,12 @@ export function gains(a, b) {
   return first < second ? [gainTo(a, second), 1] : [1, gainTo(b, first)];
 }
 
+/** The gains that give each of several pictures the mean of the brightest. */
+export function level(lists) {
+  const wanted = Math.max(...lists.map((list) => mean(list)));
+  return lists.map((list) => gainTo(list, wanted));
+}
+
 function gainTo(list, wanted) {
   if (mean(list) >= wanted) return 1;
   let [low, high] = [1, MOST];

@@ -1,6 +1,7 @@
 // Two pictures on top of each other with a bar between them, enlarged together.
 
 import { h } from "./dom.js";
+import { at, gestures, zoomKey } from "./gestures.js";
 import { gains, values } from "./light.js";
 import { zoom } from "./zoom.js";
 
@@ -9,14 +10,16 @@ const LARGEST_HEIGHT = 560;
 /** So close to the bar one takes the bar, also in an enlarged picture, px. */
 const GRIP = 24;
 const STEP = 0.05;
-const PAN = 60;
 const IN = 1.5;
 /** Enlarged so far, one wants to see the pixels as they are. */
-const PIXELS = 4;
+export const PIXELS = 4;
 /** Two presses within this are a double click, ms. */
 const DOUBLE = 500;
 
-/** `{ root, tools, show(a, b) }`: `tools` are its buttons. */
+/**
+ * `{ root, tools, view, lit(follower), show(a, b) }`: `tools` are its buttons, `view` is how it is
+ * enlarged, and a follower of `lit` hears whether all is to be equally bright.
+ */
 export function split() {
   const below = picture("below");
   const top = picture("top");
@@ -26,7 +29,9 @@ export function split() {
     below.root, top.root, bar, left, right);
   const equal = h("input", { type: "checkbox" });
   const light = h("span", { class: "hint", role: "status" });
-  const view = zoom(root, draw);
+  const view = zoom();
+  const { isPinching } = gestures(root, view, () => view.scale() > 1);
+  const followers = [];
   let [share, drag] = [0.5, null];
   // Where the bar was before the presses that become a double click moved it.
   let before = { share, at: 0 };
@@ -64,47 +69,40 @@ export function split() {
     light.textContent = !equal.checked ? "" : gain > 1.01
       ? `${name} × ${gain.toFixed(1)}, so that both have the same mean. Its noise grows as much.` : "Both have the same mean as they are.";
   }
-  equal.addEventListener("change", balance);
+  equal.addEventListener("change", () => {
+    balance();
+    for (const follower of followers) follower(equal.checked);
+  });
 
-  const point = (event) => {
-    const box = root.getBoundingClientRect();
-    return [event.clientX - box.left, event.clientY - box.top, box.width];
-  };
   root.addEventListener("pointerdown", (event) => {
-    const [x, y, width] = point(event);
+    const [x, y] = at(root, event);
     if (event.timeStamp - before.at > DOUBLE) before = { share, at: event.timeStamp };
     root.setPointerCapture(event.pointerId);
-    const pans = view.scale() > 1 && Math.abs(x - share * width) > GRIP;
+    if (isPinching()) { place(before.share); return; }
+    const pans = view.scale() > 1 && Math.abs(x - share) * root.clientWidth > GRIP;
     drag = pans ? [x, y] : null;
-    if (!pans) place(x / width);
+    if (!pans) place(x);
   });
   root.addEventListener("pointermove", (event) => {
     if (!event.buttons) return;
-    const [x, y, width] = point(event);
-    if (!drag) { place(x / width); return; }
+    const [x, y] = at(root, event);
+    // Two fingers move the picture, and the one that is left begins where it is.
+    if (isPinching()) { drag = [x, y]; return; }
+    if (!drag) { place(x); return; }
     view.pan(x - drag[0], y - drag[1]);
     drag = [x, y];
   });
   root.addEventListener("dblclick", (event) => {
-    const [x, y] = point(event);
+    const [x, y] = at(root, event);
     place(before.share);
     if (view.scale() > 1) view.reset();
     else view.by(IN * IN, x, y);
   });
-  root.addEventListener("wheel", (event) => {
-    // The wheel is the page's, unless it is meant for the picture and still does something there.
-    if (!event.ctrlKey && view.scale() === 1) return;
-    const [x, y] = point(event);
-    if (view.by(event.deltaY > 0 ? 1 / 1.2 : 1.2, x, y) || event.ctrlKey) event.preventDefault();
-  }, { passive: false });
   root.addEventListener("keydown", (event) => {
-    if (event.ctrlKey || event.metaKey || event.altKey) return;
-    const [dx, dy] = { ArrowLeft: [1, 0], ArrowRight: [-1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] }[event.key] ?? [0, 0];
-    const keys = { Home: () => place(0), End: () => place(1), "+": () => view.by(IN), "=": () => view.by(IN), "-": () => view.by(1 / IN), 0: view.reset };
-    if (keys[event.key]) keys[event.key]();
-    else if (event.shiftKey && (dx || dy)) view.pan(dx * PAN, dy * PAN);
-    else if (dx) place(share - dx * STEP);
-    else return;
+    if (zoomKey(event, view) || event.ctrlKey || event.metaKey || event.altKey) return;
+    const keys = { Home: 0, End: 1, ArrowLeft: share - STEP, ArrowRight: share + STEP };
+    if (keys[event.key] === undefined) return;
+    place(keys[event.key]);
     event.preventDefault();
   });
   for (const { image } of [below, top]) image.addEventListener("load", balance);
@@ -113,9 +111,11 @@ export function split() {
     root.style.maxWidth = `${Math.min(720, (LARGEST_HEIGHT * below.image.naturalWidth) / below.image.naturalHeight)}px`;
   });
   place(0.5);
-  draw();
+  view.follow(draw);
   return {
     root,
+    view,
+    lit(follower) { followers.push(follower); },
     tools: h("div", { class: "row tools" }, farther, nearer, whole, level, h("label", { class: "check" }, equal, "Equal brightness"), light),
     show(a, b) {
       top.show(a);

@@ -2,17 +2,18 @@
 
 import { address, h } from "./dom.js";
 import { split } from "./split.js";
+import { thumbnails } from "./strip.js";
 
 /** Keeps the comparison up to date: `update(names, rounds, hasTruth)`. */
 export function comparison(job) {
   const choice = h("select", { "aria-label": "view" });
   const slider = split();
-  const shots = thumbnails(chosen);
+  const shots = thumbnails(chosen, slider);
   const root = h("section", { hidden: true },
     h("div", { class: "row" }, h("h2", {}, "Views"), h("label", { class: "push" }, "View", choice)),
     slider.root, slider.tools,
-    h("p", { class: "hint" }, "Drag the bar, or use the arrow keys, Home and End. Enlarge with + and −, a double click or Ctrl and the wheel; " +
-      "move what is enlarged by dragging it, or with Shift and the arrow keys."),
+    h("p", { class: "hint" }, "Drag the bar, or use the arrow keys, Home and End. Enlarge all pictures of the view with + and −, two fingers, a double click, " +
+      "or Ctrl and the wheel; move what is enlarged by dragging it, or with Shift and the arrow keys."),
     shots.root);
   let state = "";
   let facts = { names: [], rounds: [], hasTruth: false };
@@ -63,59 +64,4 @@ export function comparison(job) {
     rebuild();
   }
   return { root, update };
-}
-
-/**
- * The pictures of a view: one stop of the Tab key, arrow keys within. A press puts a picture on the
- * side that is chosen above them, with Shift on the other.
- */
-export function thumbnails(chosen) {
-  let side = "left";
-  const grid = h("div", { class: "shots", role: "group", "aria-label": "pictures of the view" });
-  const sides = ["left", "right"].map((name) => h("button", { type: "button", "aria-pressed": String(name === side), onclick: () => choose(name) }, name));
-  const root = h("div", {}, h("div", { class: "row sides", role: "group", "aria-label": "side" }, "Press a picture to see it on the", ...sides), grid);
-  const buttons = () => [...grid.querySelectorAll("button:not(:disabled)")];
-
-  function choose(name) {
-    side = name;
-    for (const button of sides) button.setAttribute("aria-pressed", String(button.textContent === name));
-  }
-
-  function shot(picture, i) {
-    const image = h("img", { src: picture.url, alt: "", loading: "lazy" });
-    const mark = h("span", { class: "mark" });
-    const button = h("button", { type: "button", class: "shot", tabIndex: i === 0 ? 0 : -1, onclick: press },
-      image, h("span", { class: "caption" }, picture.label, " ", mark));
-    function press(event) {
-      chosen(event.shiftKey === (side === "left") ? "right" : "left", picture.key);
-    }
-    image.addEventListener("error", () => { button.disabled = true; button.classList.add("missing"); });
-    const figure = h("figure", {}, button);
-    figure.say = (words) => { mark.textContent = words; figure.classList.toggle("chosen", words !== ""); };
-    figure.key = picture.key;
-    return figure;
-  }
-
-  grid.addEventListener("keydown", (event) => {
-    const all = buttons();
-    const at = all.indexOf(document.activeElement);
-    const columns = all.filter((one) => one.offsetTop === all[0].offsetTop).length;
-    const to = { ArrowLeft: at - 1, ArrowRight: at + 1, ArrowUp: at - columns, ArrowDown: at + columns, Home: 0, End: all.length - 1 }[event.key];
-    if (at < 0 || to === undefined) return;
-    event.preventDefault();
-    if (!all[to]) return;
-    all[at].tabIndex = -1;
-    all[to].tabIndex = 0;
-    all[to].focus();
-  });
-
-  return {
-    root,
-    fill(pictures) { grid.replaceChildren(...pictures.map(shot)); },
-    mark(left, right) {
-      for (const figure of grid.children) {
-        figure.say([figure.key === left && "left", figure.key === right && "right"].filter(Boolean).join(", "));
-      }
-    },
-  };
 }

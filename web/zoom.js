@@ -1,33 +1,37 @@
-// How far a picture is enlarged, and which part of it is seen.
+// How far the pictures of a view are enlarged, and which part of them is seen: in all the same.
 
 /** Enlarged by more, one sees pixels only. */
 const MOST = 8;
 
-/** `scale` from 1 on, and the shift of the picture's corner, px. */
-export function zoom(frame, changed) {
+/**
+ * `scale` from 1 on, and the shift of a picture's corner as a share of its frame, so that frames of
+ * every size show the same part. `follow` calls back at once and after each change.
+ */
+export function zoom() {
   let [scale, x, y] = [1, 0, 0];
+  const followers = [];
 
   function place(to, left, top) {
-    const { clientWidth: width, clientHeight: height } = frame;
     const before = [scale, x, y].join();
     scale = Math.min(MOST, Math.max(1, to));
     // The picture always fills its frame.
-    x = Math.min(0, Math.max(width * (1 - scale), left));
-    y = Math.min(0, Math.max(height * (1 - scale), top));
+    x = Math.min(0, Math.max(1 - scale, left));
+    y = Math.min(0, Math.max(1 - scale, top));
     if (before === [scale, x, y].join()) return false;
-    changed();
+    for (const follower of followers) follower();
     return true;
   }
 
   return {
     scale: () => scale,
-    transform: () => `translate(${x}px, ${y}px) scale(${scale})`,
+    transform: () => `translate(${100 * x}%, ${100 * y}%) scale(${scale})`,
     /** By a factor around a point of the frame, its middle when absent; whether anything changed. */
-    by(factor, px = frame.clientWidth / 2, py = frame.clientHeight / 2) {
+    by(factor, px = 0.5, py = 0.5) {
       const to = Math.min(MOST, Math.max(1, scale * factor));
       return place(to, px - ((px - x) * to) / scale, py - ((py - y) * to) / scale);
     },
     pan: (dx, dy) => place(scale, x + dx, y + dy),
     reset: () => place(1, 0, 0),
+    follow(follower) { followers.push(follower); follower(); },
   };
 }

@@ -170,6 +170,90 @@ both("input and render are shown at the same brightness, and the page says how",
     assert.deepEqual(await filters(), ["", ""]);
   }));
 
+/** How every picture of the view is enlarged and moved: one entry where all agree. */
+const shown = async (root) => [...new Set(await root.locator(".compare img, .shot img")
+  .evaluateAll((images) => images.map((image) => image.style.transform)))];
+
+both("enlarging one picture of a view enlarges all of them, the same part of each", (width) =>
+  views("together", width, async ({ page, root, slider }) => {
+    const frame = root.locator(".shot .frame").nth(1);
+    await frame.scrollIntoViewIfNeeded();
+    await until("thumbnails are there", () => loaded(root.locator(".shot img").nth(1)));
+    assert.equal((await shown(root)).length, 1);
+    await over(page, frame);
+    await scrolls(page);
+    await over(page, frame);
+    await page.keyboard.down("Control");
+    await page.mouse.wheel(0, -100);
+    await page.keyboard.up("Control");
+    await until("all are enlarged", async () => (await scale(root)) === "1.2 ×");
+    const [first, ...others] = await shown(root);
+    assert.deepEqual(others, []);
+    assert.match(first, /scale\(1\.2\)/);
+    // After a click the wheel is the picture's.
+    const left = await slider.locator(".left").textContent();
+    await over(page, frame);
+    await page.mouse.click(...await middle(frame));
+    await page.mouse.wheel(0, -100);
+    await until("further", async () => (await scale(root)) === "1.4 ×");
+    assert.notEqual(await slider.locator(".left").textContent(), left, "a click chooses");
+    const [before] = await shown(root);
+    const chosen = await slider.locator(".left").textContent();
+    const [x, y] = await middle(frame);
+    await page.mouse.move(x, y);
+    await page.mouse.down();
+    await page.mouse.move(x + 30, y + 10, { steps: 4 });
+    await page.mouse.up();
+    const moved = await shown(root);
+    assert.equal(moved.length, 1);
+    assert.notEqual(moved[0], before);
+    assert.equal(await slider.locator(".left").textContent(), chosen, "a drag chooses nothing");
+    await root.locator(".shot").first().press("+");
+    assert.equal(await scale(root), "2.2 ×");
+    await root.locator(".shot").first().press("0");
+    assert.deepEqual(await shown(root), ["translate(0%, 0%) scale(1)"]);
+  }));
+
+test("two fingers enlarge and move all pictures of a view", () =>
+  views("pinch", "phone", async ({ page, root, slider, at }) => {
+    const fingers = await page.context().newCDPSession(page);
+    const touch = (type, ...points) => fingers.send("Input.dispatchTouchEvent",
+      { type, touchPoints: points.map(([x, y], id) => ({ x, y, id })) });
+    const frames = { slider, thumbnail: root.locator(".shot .frame").first() };
+    for (const [name, frame] of Object.entries(frames)) {
+      await frame.scrollIntoViewIfNeeded();
+      const bar = await at();
+      const [x, y] = await middle(frame);
+      await touch("touchStart", [x - 15, y]);
+      await touch("touchStart", [x - 15, y], [x + 15, y]);
+      for (const far of [20, 25, 30]) await touch("touchMove", [x - far, y], [x + far, y]);
+      await touch("touchEnd");
+      await until(`enlarged by the ${name}`, async () => (await scale(root)) === "2.0 ×");
+      assert.equal((await shown(root)).length, 1);
+      if (name === "thumbnail") assert.equal(await at(), bar);
+      await button(root, "Whole picture").click();
+    }
+  }, { hasTouch: true, isMobile: true }));
+
+both("equal brightness holds for all pictures of the view", (width) =>
+  views("all-equal", width, async ({ page, root }) => {
+    const images = root.locator(".shot img");
+    for (const one of await images.all()) await one.scrollIntoViewIfNeeded();
+    await until("all are there", () => loaded(images));
+    await root.getByLabel("Equal brightness").check();
+    const gains = () => images.evaluateAll((all) => all.map((one) => Number(one.style.filter.match(/[\d.]+/)?.[0] ?? 1)));
+    const [dark, ...rest] = await gains();
+    assert.ok(dark > 2, `the input × ${dark}`);
+    assert.equal(rest.at(-1), 1, "the truth is the brightest");
+    assert.ok(rest[0] > 1 && rest[0] < dark);
+    await picture(page, `page-all-equal-${width}`);
+    await root.getByRole("combobox", { name: "view" }).selectOption("003");
+    for (const one of await images.all()) await one.scrollIntoViewIfNeeded();
+    await until("another view, too", async () => (await loaded(images)) && (await gains())[0] > 2);
+    await root.getByLabel("Equal brightness").uncheck();
+    assert.equal(Math.max(...await gains()), 1);
+  }));
+
 test("a gain gives the darker picture the mean of the brighter, though some of it becomes white", () => {
   const dark = [0.01, 0.05, 0.1, 0.4];
   const bright = [0.2, 0.5, 0.6, 0.9];
@@ -180,6 +264,12 @@ test("a gain gives the darker picture the mean of the brighter, though some of i
   assert.deepEqual(gains(bright, dark), [1, gain]);
   assert.deepEqual(gains([0, 0], [0, 0]), [1, 1]);
 });
+
+/** Of an element, px. */
+async function middle(locator) {
+  const box = await locator.boundingBox();
+  return [box.x + box.width / 2, box.y + box.height / 2];
+}
 
 /** Puts the pointer on the middle of an element. */
 async function over(page, locator) {

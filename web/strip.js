@@ -1,0 +1,119 @@
+// The pictures of a view in a row, enlarged and brightened together.
+
+import { h } from "./dom.js";
+import { at, gestures, zoomKey } from "./gestures.js";
+import { level, values } from "./light.js";
+import { PIXELS } from "./split.js";
+
+/** A press that moves by more is a drag, px. */
+const DRAG = 4;
+
+/**
+ * One stop of the Tab key, arrow keys within. A press puts a picture on the side of `slider` that
+ * is chosen above them, with Shift on the other: `chosen(side, key)`.
+ */
+export function thumbnails(chosen, slider) {
+  const { view } = slider;
+  let [side, isEqual] = ["left", false];
+  const grid = h("div", { class: "shots", role: "group", "aria-label": "pictures of the view" });
+  const sides = ["left", "right"].map((name) => h("button", { type: "button", "aria-pressed": String(name === side), onclick: () => choose(name) }, name));
+  const root = h("div", {}, h("div", { class: "row sides", role: "group", "aria-label": "side" }, "Press a picture to see it on the", ...sides), grid);
+  const buttons = () => [...grid.querySelectorAll("button:not(:disabled)")];
+  const images = () => [...grid.querySelectorAll("img")];
+
+  function choose(name) {
+    side = name;
+    for (const button of sides) button.setAttribute("aria-pressed", String(button.textContent === name));
+  }
+
+  function shot(picture, i) {
+    const image = h("img", { src: picture.url, alt: "", loading: "lazy", draggable: false });
+    const mark = h("span", { class: "mark" });
+    const frame = h("span", { class: "frame" }, image);
+    const button = h("button", { type: "button", class: "shot", tabIndex: i === 0 ? 0 : -1, onclick: press },
+      frame, h("span", { class: "caption" }, picture.label, " ", mark));
+    const dragged = drags(frame);
+    function press(event) {
+      if (dragged()) return;
+      chosen(event.shiftKey === (side === "left") ? "right" : "left", picture.key);
+    }
+    gestures(frame, view);
+    image.addEventListener("load", balance);
+    image.addEventListener("error", () => { button.disabled = true; button.classList.add("missing"); });
+    const figure = h("figure", {}, button);
+    figure.say = (words) => { mark.textContent = words; figure.classList.toggle("chosen", words !== ""); };
+    figure.key = picture.key;
+    return figure;
+  }
+
+  /** A mouse moves what is enlarged; says whether the last press was such a move. */
+  function drags(frame) {
+    let [from, first, moved] = [null, null, false];
+    frame.addEventListener("pointerdown", (event) => {
+      moved = false;
+      if (event.pointerType !== "mouse" || view.scale() === 1) return;
+      first = [event.clientX, event.clientY];
+      from = at(frame, event);
+      frame.setPointerCapture(event.pointerId);
+    });
+    frame.addEventListener("pointermove", (event) => {
+      if (!from || !event.buttons) return;
+      moved ||= Math.hypot(event.clientX - first[0], event.clientY - first[1]) > DRAG;
+      const to = at(frame, event);
+      view.pan(to[0] - from[0], to[1] - from[1]);
+      from = to;
+    });
+    frame.addEventListener("pointerup", () => { from = null; });
+    return () => { const was = moved; moved = false; return was; };
+  }
+
+  function draw() {
+    for (const image of images()) {
+      image.style.transform = view.transform();
+      image.classList.toggle("pixels", view.scale() >= PIXELS);
+    }
+  }
+
+  /** At equal brightness all have the mean of the brightest that is there. */
+  function balance() {
+    const ready = images().filter((image) => image.complete && image.naturalWidth > 0);
+    const gains = isEqual ? level(ready.map((image) => (image.light ??= values(image)))) : [];
+    ready.forEach((image, i) => { image.style.filter = gains[i] > 1 ? `brightness(${gains[i].toFixed(3)})` : ""; });
+  }
+
+  grid.addEventListener("keydown", (event) => {
+    if (zoomKey(event, view)) return;
+    const all = buttons();
+    const place = all.indexOf(document.activeElement);
+    const row = all.filter((one) => one.offsetTop === all[0].offsetTop).length;
+    // In a single row up and down lead on, too.
+    const columns = row === all.length ? 1 : row;
+    const to = { ArrowLeft: place - 1, ArrowRight: place + 1, ArrowUp: place - columns, ArrowDown: place + columns, Home: 0, End: all.length - 1 }[event.key];
+    if (place < 0 || to === undefined) return;
+    event.preventDefault();
+    if (!all[to]) return;
+    all[place].tabIndex = -1;
+    all[to].tabIndex = 0;
+    all[to].focus();
+  });
+  view.follow(draw);
+  slider.lit((equal) => { isEqual = equal; balance(); });
+
+  let known = "";
+  return {
+    root,
+    fill(pictures) {
+      // What is there already is not fetched again.
+      const now = JSON.stringify(pictures);
+      if (now === known) return;
+      known = now;
+      grid.replaceChildren(...pictures.map(shot));
+      draw();
+    },
+    mark(left, right) {
+      for (const figure of grid.children) {
+        figure.say([figure.key === left && "left", figure.key === right && "right"].filter(Boolean).join(", "));
+      }
+    },
+  };
+}
