@@ -1,7 +1,7 @@
 // Two to six jobs beside each other; the address names them.
 
 import { beside } from "./beside.js";
-import { count, duration, h, nothing, plain, refill, section, show } from "./dom.js";
+import { count, duration, folding, h, nothing, plain, refill, section, show } from "./dom.js";
 import { differences, sorted } from "./differences.js";
 import { MOST, addressOf, called, entry, isDone, look, nameOf, named, note, tag } from "./entries.js";
 import { best, cell, points, scores } from "./scores.js";
@@ -27,7 +27,7 @@ export function comparePage(main, list) {
   const options = section("Options that differ");
   const metrics = scores();
   const pictures = beside();
-  const times = section("Time by stage");
+  const times = folding("Time by stage");
   const warnings = section("Warnings");
   head.append(glance.root, notices);
   main.append(head, options, pictures.root, metrics.root, h("div", { class: "columns" }, times, warnings));
@@ -138,9 +138,12 @@ function timeTable(entries) {
   const stages = [...new Set(there.flatMap((one) => one.job.stages.map((stage) => stage.stage)))];
   const of = (one, name) => one.job.stages.filter((stage) => stage.stage === name).reduce((sum, stage) => sum + stage.seconds, 0);
   const line = (title, value) => h("tr", {}, h("th", { scope: "row" }, title), there.map((one) => h("td", { class: "number" }, value(one))));
-  return h("div", { class: "scroll", tabIndex: 0, role: "region", "aria-label": "time by stage" }, h("table", { class: "narrow" },
-    h("thead", {}, h("tr", {}, h("th", { scope: "col" }, "Stage"), there.map((one) => h("th", { scope: "col", class: "number" }, tag(one))))),
-    h("tbody", {}, stages.map((name) => line(name, (one) => duration(of(one, name)))), line("all", (one) => duration(total(one.job))))));
+  const titles = there.map((one) => h("th", { scope: "col", class: "number" }, tag(one)));
+  const times = h("table", { class: "narrow" },
+    h("thead", {}, h("tr", {}, h("th", { scope: "col" }, "Stage"), titles)),
+    h("tbody", {}, stages.map((name) => line(name, (one) => duration(of(one, name)))), line("all", (one) => duration(total(one.job)))));
+  const gist = there.map((one) => `${one.letter} ${duration(total(one.job))}`).join(", ");
+  return Object.assign(h("div", { class: "scroll", tabIndex: 0, role: "region", "aria-label": "time by stage" }, times), { gist });
 }
 
 /** Each warning once, with the jobs that have it. */

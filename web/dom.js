@@ -107,10 +107,26 @@ export function section(title) {
   return node;
 }
 
+/** Where a long page would be too long: a phone. */
+export const isNarrow = () => matchMedia("(max-width: 620px)").matches;
+
+/** A line that opens what is below it; it is open on a wide page. */
+export const fold = (title, ...content) =>
+  h("details", { class: "fold", open: !isNarrow() }, h("summary", {}, title), ...content);
+
+/** A `section` that is folded away on a phone, where its title also tells its content's `gist`. */
+export function folding(title) {
+  const gist = h("span", { class: "soft gist" });
+  const content = h("div");
+  const node = h("section", { hidden: true }, fold(h("span", {}, h("h2", {}, title), gist), content));
+  return Object.assign(node, { content, gist });
+}
+
 export function show(node, ...content) {
   const real = content.filter(Boolean);
   node.hidden = real.length === 0;
   if (real.length > 0) node.content.replaceChildren(...real.flat());
+  if (node.gist) node.gist.textContent = real.map((one) => one.gist).filter(Boolean).join(" · ");
 }
 
 /** In place of a page: a sentence, and the way back. */

@@ -7,15 +7,18 @@ const STAGES = ["poses", "enhance", "deblur", "reconstruct", "render", "match", 
 export function stageBars(stages) {
   const rows = [...stages].sort((a, b) => a.round - b.round || STAGES.indexOf(a.stage) - STAGES.indexOf(b.stage));
   const most = Math.max(...rows.map((row) => row.seconds));
-  return h("div", { class: "bars" }, rows.flatMap((row) => [
+  const all = rows.reduce((sum, row) => sum + row.seconds, 0);
+  const bars = h("div", { class: "bars" }, rows.flatMap((row) => [
     h("span", {}, row.round > 0 ? `${row.round} · ${row.stage}` : row.stage),
     h("progress", { max: most || 1, value: row.seconds, "aria-label": row.stage }),
     h("span", { class: "number" }, duration(row.seconds))]));
+  return Object.assign(bars, { gist: `${duration(all)} in all` });
 }
 
 export function factList(report) {
-  return pairs({
-    registered: report.registered === undefined ? null : `${report.registered} of ${report.views} views`,
+  const placed = report.registered === undefined ? null : `${report.registered} of ${report.views} views`;
+  const list = pairs({
+    registered: placed,
     "delivered round": report.best_round,
     adapter: report.adapter,
     // Each photograph's place has a table of its own.
@@ -23,6 +26,7 @@ export function factList(report) {
     models: report.models,
     fallbacks: report.fallbacks?.length > 0 ? report.fallbacks : null,
   });
+  return Object.assign(list, { gist: placed ? `${placed} placed` : "how it is run" });
 }
 
 function without(values, name) {

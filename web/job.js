@@ -1,6 +1,6 @@
 // One job, live.
 
-import { address, api, h, nothing, plain, section, show, size } from "./dom.js";
+import { address, api, count, fold, folding, h, nothing, plain, section, show, size } from "./dom.js";
 import { factList, optionList, stageBars } from "./facts.js";
 import { jobHead } from "./head.js";
 import { logView } from "./log.js";
@@ -25,8 +25,8 @@ export function jobPage(main, who, id) {
   const unused = section("Photographs");
   const warnings = section("Warnings");
   const metrics = section("Metrics by round");
-  const times = section("Time by stage");
-  const facts = section("Facts");
+  const times = folding("Time by stage");
+  const facts = folding("Facts");
   const files = section("Files");
   const views = comparison(id);
   const scene = scenePanel(id);
@@ -35,7 +35,8 @@ export function jobPage(main, who, id) {
   // Where nobody needs a token, a link would mean nothing.
   const share = who.scopes !== null && !isVisitor ? shares(id) : null;
   const log = isVisitor ? null : logView(base);
-  main.append(head.root, problem, unused, warnings, scene.root, metrics, views.root, novel.root, h("div", { class: "columns" }, times, facts), files,
+  // What matters comes first: on a phone the rest is far below.
+  main.append(head.root, problem, warnings, scene.root, views.root, metrics, files, novel.root, unused, h("div", { class: "columns" }, times, facts),
     ...[share, log].filter(Boolean).map((part) => part.root));
   share?.open();
 
@@ -93,7 +94,8 @@ export function jobPage(main, who, id) {
 
   function showFiles(artifacts) {
     const top = artifacts.filter((file) => !file.name.includes("/") || file.name.endsWith("scene.ply"));
-    show(files, fileTable(base, top), h("p", { class: "hint" }, `${artifacts.length} files in all: `, h("a", { href: `${base}/artifacts` }, "list"), ", ",
+    const [scene, rest] = [true, false].map((is) => top.filter((file) => (file.name === "scene.ply") === is));
+    show(files, fileTable(base, scene), rest.length > 0 && fold(count(rest.length, "further file"), fileTable(base, rest)), h("p", { class: "hint" }, `${artifacts.length} files in all: `, h("a", { href: `${base}/artifacts` }, "list"), ", ",
       h("a", { href: `${base}/rounds?format=csv`, download: "rounds.csv" }, "metrics as CSV")));
   }
 

@@ -1,13 +1,14 @@
 // The log of a job, as it grows.
 
-import { api, h } from "./dom.js";
+import { api, count, folding, h } from "./dom.js";
 
 const LOG_MS = 2000;
 
 export function logView(base) {
   const text = h("pre", { tabIndex: 0, "aria-label": "log" });
-  const root = h("section", { hidden: true }, h("h2", {}, "Log"), text);
-  let [offset, timer, active, busy, begun] = [0, 0, false, false, false];
+  const root = folding("Log");
+  root.content.append(text);
+  let [lines, offset, timer, active, busy, begun] = [0, 0, 0, false, false, false];
 
   async function read() {
     if (busy) return;
@@ -18,6 +19,8 @@ export function logView(base) {
         const page = await api(`${base}/log?offset=${offset}&limit=2000`);
         const below = text.scrollHeight - text.scrollTop - text.clientHeight < 30;
         if (page.lines.length > 0) text.append(`${page.lines.join("\n")}\n`);
+        lines += page.lines.length;
+        root.gist.textContent = count(lines, "line");
         // A job that waits has said nothing yet.
         root.hidden = text.textContent === "";
         if (below) text.scrollTop = text.scrollHeight;

@@ -1,7 +1,7 @@
 // The scores of a job, round by round.
 
 import { chart } from "./chart.js";
-import { duration, h, plain } from "./dom.js";
+import { duration, fold, h, plain } from "./dom.js";
 import { told } from "./table.js";
 import { meanings } from "./words.js";
 
@@ -18,15 +18,19 @@ export function metricCharts(rounds) {
     const values = (key) => series
       .map((one) => ({ ...one, points: one.records.map(([round, record]) => [round, record[key]]).filter(([, v]) => Number.isFinite(v)) }))
       .filter((one) => one.points.length > 0);
-    const psnr = references[0] === "gt" ? "psnr_cc_db" : "psnr_db";
+    const isTruth = references[0] === "gt";
+    const psnr = isTruth ? "psnr_cc_db" : "psnr_db";
     const title = psnr === "psnr_cc_db" ? "PSNR after colour fit, dB" : "PSNR, dB";
-    nodes.push(h("h3", {}, label), h("div", { class: "charts" }, chart(title, values(psnr), 1), chart("SSIM", values("ssim"), 2, 1)),
-      meanings(references[0] === "gt" ? ["psnr_cc", "ssim"] : ["own_psnr", "own_ssim"]));
+    const part = [h("div", { class: "charts" }, chart(title, values(psnr), 1), chart("SSIM", values("ssim"), 2, 1)),
+      meanings(isTruth ? ["psnr_cc", "ssim"] : ["own_psnr", "own_ssim"])];
+    // Where there is no truth the second group is the first.
+    if (nodes.length > 0) nodes.push(fold(label, ...part));
+    else nodes.push(h("h3", {}, label), ...part);
   }
   if (!nodes.some((node) => node.textContent.includes("ground truth"))) {
     nodes.push(h("p", { class: "hint" }, "The capture has no ground truth: what is shown says how well the scene agrees with its own training images."));
   }
-  nodes.push(roundTable(rounds), meanings(["noise", "shake", "moved", "seconds", "gaussians"]));
+  nodes.push(fold("round by round", roundTable(rounds), meanings(["noise", "shake", "moved", "seconds", "gaussians"])));
   return nodes;
 }
 

@@ -14,10 +14,10 @@ const DRAG = 4;
  */
 export function thumbnails(chosen, slider) {
   const { view } = slider;
-  let [side, isEqual] = ["left", false];
+  let [side, isEqual, isNear] = ["left", false, false];
   const grid = h("div", { class: "shots", role: "group", "aria-label": "pictures of the view" });
   const sides = ["left", "right"].map((name) => h("button", { type: "button", "aria-pressed": String(name === side), onclick: () => choose(name) }, name));
-  const root = h("div", {}, h("div", { class: "row sides", role: "group", "aria-label": "side" }, "Press a picture to see it on the", ...sides), grid);
+  const root = h("div", {}, h("div", { class: "row sides", role: "group", "aria-label": "side" }, "Press a picture for the", ...sides), grid);
   const buttons = () => [...grid.querySelectorAll("button:not(:disabled)")];
   const images = () => [...grid.querySelectorAll("img")];
 
@@ -27,7 +27,7 @@ export function thumbnails(chosen, slider) {
   }
 
   function shot(picture, i) {
-    const image = h("img", { src: picture.url, alt: "", loading: "lazy", draggable: false });
+    const image = h("img", { src: picture.url, alt: "", loading: isNear ? "eager" : "lazy", draggable: false });
     const mark = h("span", { class: "mark" });
     const frame = h("span", { class: "frame" }, image);
     const button = h("button", { type: "button", class: "shot", tabIndex: i === 0 ? 0 : -1, onclick: press },
@@ -96,6 +96,12 @@ export function thumbnails(chosen, slider) {
     all[to].tabIndex = 0;
     all[to].focus();
   });
+  // A row that is scrolled sideways is fetched as a whole, but not before it comes near.
+  new IntersectionObserver(([{ isIntersecting }]) => {
+    if (!isIntersecting) return;
+    isNear = true;
+    for (const image of images()) image.loading = "eager";
+  }, { rootMargin: "400px" }).observe(grid);
   view.follow(draw);
   slider.lit((equal) => { isEqual = equal; balance(); });
 

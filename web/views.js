@@ -1,6 +1,6 @@
 // The same view dark, enhanced, deblurred and rendered in every round, two of them side by side.
 
-import { address, h } from "./dom.js";
+import { address, fold, h } from "./dom.js";
 import { split } from "./split.js";
 import { thumbnails } from "./strip.js";
 
@@ -12,8 +12,8 @@ export function comparison(job) {
   const root = h("section", { hidden: true },
     h("div", { class: "row" }, h("h2", {}, "Views"), h("label", { class: "push" }, "View", choice)),
     slider.root, slider.tools,
-    h("p", { class: "hint" }, "Drag the bar, or use the arrow keys, Home and End. Enlarge all pictures of the view with + and −, two fingers, a double click, " +
-      "or Ctrl and the wheel; move what is enlarged by dragging it, or with Shift and the arrow keys."),
+    fold("How to look closer", h("p", { class: "hint" }, "Drag the bar, or use the arrow keys, Home and End. Enlarge all pictures of the view with + and −, two fingers, a double click, " +
+      "or Ctrl and the wheel; move what is enlarged by dragging it, or with Shift and the arrow keys.")),
     shots.root);
   let state = "";
   let facts = { names: [], rounds: [], hasTruth: false };

@@ -226,6 +226,7 @@ both("what the scores mean is read by keyboard and by touch, where the scores ar
     await page.keyboard.press("Enter");
     await seen(truth.locator("dd"), /colours agree \(psnr_cc\): .* Higher is better\./);
     await seen(truth.locator("dd"), "a blur that PSNR forgives");
+    await metrics.locator("details.fold").first().evaluate((one) => { one.open = true; });
     await own.locator("summary").tap();
     await seen(own.locator("dd"), "agreement, not truth");
   }, width, { hasTouch: true }));
@@ -233,10 +234,12 @@ both("what the scores mean is read by keyboard and by touch, where the scores ar
 both("options are a list and can all be read", async (width) =>
   stand.visit("options", `#/jobs/${await stand.finished()}`, async (page) => {
     const facts = part(page, "Facts");
+    await facts.waitFor();
+    await facts.locator("details").first().evaluate((one) => { one.open = true; });
     await facts.getByText(/^All \d+ options$/).focus();
     await page.keyboard.press("Enter");
     const { options } = await server.job(await stand.finished());
-    const names = facts.locator("details dt");
+    const names = facts.locator("details details dt");
     assert.equal(await names.count(), Object.keys(options).length);
     await seen(names, "pose source");
   }, width));
