@@ -17,14 +17,18 @@ const MARKS = [
   (a) => `M0 ${-1.3 * a}L${1.2 * a} ${a}H${-1.2 * a}Z`,
   (a) => `M0 ${-1.4 * a}L${1.4 * a} 0L0 ${1.4 * a}L${-1.4 * a} 0Z`,
   (a) => `M0 ${1.3 * a}L${1.2 * a} ${-a}H${-1.2 * a}Z`,
-  (a) => `M${-a} ${-a * 0.4}H${-a * 0.4}V${-a}H${a * 0.4}V${-a * 0.4}H${a}V${a * 0.4}`
-    + `H${a * 0.4}V${a}H${-a * 0.4}V${a * 0.4}H${-a}Z`,
+  (a) =>
+    `M${-a} ${-a * 0.4}H${-a * 0.4}V${-a}H${a * 0.4}V${-a * 0.4}H${a}V${a * 0.4}` +
+    `H${a * 0.4}V${a}H${-a * 0.4}V${a * 0.4}H${-a}Z`,
 ];
 
 /** A mark by itself, as in a legend. */
-export const mark = (number, style) => s("svg",
-  { class: `key ${style}`, viewBox: "-7 -7 14 14", width: 14, height: 14, "aria-hidden": "true" },
-  s("path", { class: `dot full ${style}`, d: MARKS[number](5) }));
+export const mark = (number, style) =>
+  s(
+    "svg",
+    { class: `key ${style}`, viewBox: "-7 -7 14 14", width: 14, height: 14, "aria-hidden": "true" },
+    s("path", { class: `dot full ${style}`, d: MARKS[number](5) }),
+  );
 
 /**
  * A chart of `series`: [{ label, colour: 0..2, dashed, points: [[round, value], ...] }]; `style`
@@ -35,16 +39,34 @@ export function chart(title, series, digits, most = Infinity) {
   const points = series.flatMap((one) => one.points);
   if (points.length === 0) return null;
   const rounds = [...new Set(points.map(([round]) => round))].sort((a, b) => a - b);
-  const scales = { x: across(rounds), y: up(range(points.map(([, value]) => value), most)) };
+  const scales = {
+    x: across(rounds),
+    y: up(
+      range(
+        points.map(([, value]) => value),
+        most,
+      ),
+    ),
+  };
   const svg = s("svg", { viewBox: `0 0 ${WIDTH} ${HEIGHT}`, role: "img", "aria-label": title });
   drawGrid(svg, rounds, scales);
   const rule = s("line", { class: "rule", y1: MARGIN.top, y2: HEIGHT - MARGIN.bottom });
   svg.append(rule);
   for (const one of series) drawLine(svg, one, scales, digits);
-  const plot = h("div", { class: "plot", tabIndex: 0, role: "group",
-    "aria-label": `${title}: arrow keys choose the round` }, svg);
+  const plot = h(
+    "div",
+    {
+      class: "plot",
+      tabIndex: 0,
+      role: "group",
+      "aria-label": `${title}: arrow keys choose the round`,
+    },
+    svg,
+  );
   const legend = legendOf(series, digits);
-  const shared = rounds.filter((round) => series.every((one) => one.points.some(([at]) => at === round)));
+  const shared = rounds.filter((round) =>
+    series.every((one) => one.points.some(([at]) => at === round)),
+  );
   pick(plot, rounds, shared.at(-1) ?? rounds.at(-1), scales.x, (round) => {
     rule.setAttribute("x1", scales.x(round));
     rule.setAttribute("x2", scales.x(round));
@@ -74,11 +96,24 @@ function up([low, high]) {
 function drawGrid(svg, rounds, { x, y }) {
   for (const [value, label] of ticks(y.low, y.high)) {
     svg.append(
-      s("line", { class: "grid", x1: MARGIN.left, x2: WIDTH - MARGIN.right, y1: y(value), y2: y(value) }),
-      s("text", { class: "tick", x: MARGIN.left - 6, y: y(value) + 4, "text-anchor": "end" }, label));
+      s("line", {
+        class: "grid",
+        x1: MARGIN.left,
+        x2: WIDTH - MARGIN.right,
+        y1: y(value),
+        y2: y(value),
+      }),
+      s(
+        "text",
+        { class: "tick", x: MARGIN.left - 6, y: y(value) + 4, "text-anchor": "end" },
+        label,
+      ),
+    );
   }
   for (const round of rounds) {
-    svg.append(s("text", { x: x(round), y: HEIGHT - 6, "text-anchor": "middle" }, `round ${round}`));
+    svg.append(
+      s("text", { x: x(round), y: HEIGHT - 6, "text-anchor": "middle" }, `round ${round}`),
+    );
   }
 }
 
@@ -87,11 +122,17 @@ function drawLine(svg, one, { x, y }, digits) {
   const path = one.points.map(([round, value], i) => `${i ? "L" : "M"}${x(round)} ${y(value)}`);
   svg.append(s("path", { class: `line ${styleOf(one)}${dashed}`, d: path.join("") }));
   for (const [round, value] of one.points) {
-    svg.append(s("path", {
-      class: `dot ${styleOf(one)}${one.dashed ? "" : " full"}`,
-      d: MARKS[one.mark ?? 0](SIZE - (one.mark ? 0 : 0.5)),
-      transform: `translate(${x(round)} ${y(value)})`,
-    }, s("title", {}, `${one.label}, round ${round}: ${value.toFixed(digits + 1)}`)));
+    svg.append(
+      s(
+        "path",
+        {
+          class: `dot ${styleOf(one)}${one.dashed ? "" : " full"}`,
+          d: MARKS[one.mark ?? 0](SIZE - (one.mark ? 0 : 0.5)),
+          transform: `translate(${x(round)} ${y(value)})`,
+        },
+        s("title", {}, `${one.label}, round ${round}: ${value.toFixed(digits + 1)}`),
+      ),
+    );
   }
 }
 
@@ -104,8 +145,12 @@ function legendOf(series, digits) {
     const sign = one.mark === undefined ? line : mark(one.mark, styleOf(one));
     return { one, value, node: h("span", {}, sign, one.label, " ", value) };
   });
-  const root = h("div", { class: "legend", "aria-live": "polite", "aria-atomic": "true" },
-    of, rows.map((row) => row.node));
+  const root = h(
+    "div",
+    { class: "legend", "aria-live": "polite", "aria-atomic": "true" },
+    of,
+    rows.map((row) => row.node),
+  );
   return {
     root,
     show(round) {
@@ -148,10 +193,13 @@ function pick(plot, rounds, first, x, chosen) {
 export function ticks(low, high) {
   const rough = (high - low) / TICKS;
   const power = 10 ** Math.floor(Math.log10(rough));
-  const step = [1, 2, 5, 10].map((factor) => factor * power).find((candidate) => candidate >= rough * (1 - 1e-9));
+  const step = [1, 2, 5, 10]
+    .map((factor) => factor * power)
+    .find((candidate) => candidate >= rough * (1 - 1e-9));
   const decimals = Math.max(0, -Math.floor(Math.log10(step) + 1e-9));
   const found = [];
-  for (let i = Math.ceil(low / step - 1e-9); i * step <= high + step * 1e-9; i++) found.push([i * step, (i * step).toFixed(decimals)]);
+  for (let i = Math.ceil(low / step - 1e-9); i * step <= high + step * 1e-9; i++)
+    found.push([i * step, (i * step).toFixed(decimals)]);
   return found;
 }
 

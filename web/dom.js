@@ -32,7 +32,8 @@ export function refill(node, ...children) {
   const held = node.contains(document.activeElement) ? keyOf(document.activeElement) : null;
   node.replaceChildren(...children.flat());
   if (!held) return;
-  [...node.querySelectorAll("a, [data-key]")].find((one) => keyOf(one) === held)?.focus({ preventScroll: true });
+  const same = [...node.querySelectorAll("a, [data-key]")].find((one) => keyOf(one) === held);
+  same?.focus({ preventScroll: true });
 }
 
 /** What the server refused: its words, `status`, and `pointer` to the part at fault. */
@@ -126,7 +127,8 @@ export function show(node, ...content) {
   const real = content.filter(Boolean);
   node.hidden = real.length === 0;
   if (real.length > 0) node.content.replaceChildren(...real.flat());
-  if (node.gist) node.gist.textContent = real.map((one) => one.gist).filter(Boolean).join(" · ");
+  if (!node.gist) return;
+  node.gist.textContent = real.map((one) => one.gist).filter(Boolean).join(" · ");
 }
 
 /** In place of a page: a sentence, and the way back. */

@@ -10,7 +10,14 @@ export const MOST = 6;
 
 /** The jobs that an address names, each once: `{ ids, left }`, `left` being those too many. */
 export function named(list) {
-  const ids = [...new Set(list.split(",").map((id) => id.trim()).filter(Boolean))];
+  const ids = [
+    ...new Set(
+      list
+        .split(",")
+        .map((id) => id.trim())
+        .filter(Boolean),
+    ),
+  ];
   return { ids: ids.slice(0, MOST), left: Math.max(0, ids.length - MOST) };
 }
 
@@ -19,8 +26,16 @@ export const addressOf = (ids) => `#/compare/${ids.map(encodeURIComponent).join(
 
 /** A job of a comparison: a letter and a style of its own from the first to the last look. */
 export const entry = (id, number) => ({
-  id, number, letter: "ABCDEF"[number], style: `k${number}`,
-  job: null, rounds: [], report: null, cameras: [], problem: "", seen: "",
+  id,
+  number,
+  letter: "ABCDEF"[number],
+  style: `k${number}`,
+  job: null,
+  rounds: [],
+  report: null,
+  cameras: [],
+  problem: "",
+  seen: "",
 });
 
 /** Asks the server again for what may have changed; whether anything has. */
@@ -37,9 +52,12 @@ export async function look(one) {
     }
   } catch (error) {
     // One that is gone stays gone; any other problem may pass, and what was there is kept.
-    if (error.status === 404) Object.assign(one, { job: null, rounds: [], report: null, cameras: [] });
-    one.problem = error.status === 404
-      ? "There is no such job: it was deleted, or the link is not whole." : error.message;
+    if (error.status === 404)
+      Object.assign(one, { job: null, rounds: [], report: null, cameras: [] });
+    one.problem =
+      error.status === 404
+        ? "There is no such job: it was deleted, or the link is not whole."
+        : error.message;
   }
   return before !== JSON.stringify([one.job, one.problem]);
 }
@@ -57,8 +75,8 @@ export const isDone = (one) => (one.job ? isOver(one.job) : one.problem !== "");
 export const nameOf = (one) => one.job?.name || (one.job ? "unnamed" : "a job that is not here");
 
 /** Mark and letter, and the name for whoever needs it said. */
-export const tag = (one) => h("span", { class: `tag ${one.style}` },
-  mark(one.number, one.style), h("b", {}, one.letter));
+export const tag = (one) =>
+  h("span", { class: `tag ${one.style}` }, mark(one.number, one.style), h("b", {}, one.letter));
 
 /** As words alone. */
 export const called = (one) => `${one.letter}, ${nameOf(one)}`;
@@ -66,13 +84,22 @@ export const called = (one) => `${one.letter}, ${nameOf(one)}`;
 /** What is missing of a job, in a sentence; nothing where all is there. */
 export function note({ job, problem, rounds }) {
   if (!job || problem) return problem;
-  const had = rounds.length > 0 ? `what is here is of ${count(rounds.length, "finished round")}` : "it finished no round";
+  const had =
+    rounds.length > 0
+      ? `what is here is of ${count(rounds.length, "finished round")}`
+      : "it finished no round";
   switch (job.state) {
-    case "queued": return `It waits, ${doing(job) || "for its turn"}: there is nothing to compare yet.`;
-    case "running": return rounds.length > 0
-      ? `It still runs (${doing(job)}): ${had}.` : `It still runs (${doing(job)}): no round is finished yet.`;
-    case "failed": return `It failed, because ${failed(job.error)}: ${had}.`;
-    case "cancelled": return `It was cancelled: ${had}.`;
-    default: return "";
+    case "queued":
+      return `It waits, ${doing(job) || "for its turn"}: there is nothing to compare yet.`;
+    case "running":
+      return rounds.length > 0
+        ? `It still runs (${doing(job)}): ${had}.`
+        : `It still runs (${doing(job)}): no round is finished yet.`;
+    case "failed":
+      return `It failed, because ${failed(job.error)}: ${had}.`;
+    case "cancelled":
+      return `It was cancelled: ${had}.`;
+    default:
+      return "";
   }
 }

@@ -16,7 +16,8 @@ export function stageBars(stages) {
 }
 
 export function factList(report) {
-  const placed = report.registered === undefined ? null : `${report.registered} of ${report.views} views`;
+  const placed = report.registered === undefined
+    ? null : `${report.registered} of ${report.views} views`;
   const list = pairs({
     registered: placed,
     "delivered round": report.best_round,

@@ -17,11 +17,15 @@ export function gestures(frame, view, isOwn = () => false) {
   const fingers = new Map();
   let isHeld = false;
 
-  frame.addEventListener("wheel", (event) => {
-    if (!event.ctrlKey && !isHeld && !isOwn()) return;
-    const changed = view.by(event.deltaY > 0 ? 1 / TURN : TURN, ...at(frame, event));
-    if (changed || event.ctrlKey) event.preventDefault();
-  }, { passive: false });
+  frame.addEventListener(
+    "wheel",
+    (event) => {
+      if (!event.ctrlKey && !isHeld && !isOwn()) return;
+      const changed = view.by(event.deltaY > 0 ? 1 / TURN : TURN, ...at(frame, event));
+      if (changed || event.ctrlKey) event.preventDefault();
+    },
+    { passive: false },
+  );
 
   frame.addEventListener("pointerdown", (event) => {
     if (event.pointerType === "mouse") isHeld = true;
@@ -39,17 +43,26 @@ export function gestures(frame, view, isOwn = () => false) {
   for (const name of ["pointerup", "pointercancel"]) {
     frame.addEventListener(name, (event) => fingers.delete(event.pointerId));
   }
-  frame.addEventListener("pointerleave", (event) => { if (!event.buttons) isHeld = false; });
+  frame.addEventListener("pointerleave", (event) => {
+    if (!event.buttons) isHeld = false;
+  });
   // Else the browser scrolls by two fingers and takes them away.
-  frame.addEventListener("touchmove", (event) => {
-    if (event.touches.length > 1 && event.cancelable) event.preventDefault();
-  }, { passive: false });
+  frame.addEventListener(
+    "touchmove",
+    (event) => {
+      if (event.touches.length > 1 && event.cancelable) event.preventDefault();
+    },
+    { passive: false },
+  );
 
   /** Two fingers: how far apart, and what is between them. */
   function pair() {
     if (fingers.size !== 2) return null;
     const [[ax, ay], [bx, by]] = fingers.values();
-    return { apart: Math.max(0.02, Math.hypot(ax - bx, ay - by)), middle: [(ax + bx) / 2, (ay + by) / 2] };
+    return {
+      apart: Math.max(0.02, Math.hypot(ax - bx, ay - by)),
+      middle: [(ax + bx) / 2, (ay + by) / 2],
+    };
   }
   return { isPinching: () => fingers.size > 1 };
 }
@@ -57,7 +70,12 @@ export function gestures(frame, view, isOwn = () => false) {
 /** What the keys + − 0 and Shift with arrows do in pictures; whether the key was one of them. */
 export function zoomKey(event, view) {
   const [step, enlarge] = [0.12, 1.5];
-  const to = { ArrowLeft: [step, 0], ArrowRight: [-step, 0], ArrowUp: [0, step], ArrowDown: [0, -step] }[event.key];
+  const to = {
+    ArrowLeft: [step, 0],
+    ArrowRight: [-step, 0],
+    ArrowUp: [0, step],
+    ArrowDown: [0, -step],
+  }[event.key];
   if (event.ctrlKey || event.metaKey || event.altKey) return false;
   if (event.key === "+" || event.key === "=") view.by(enlarge);
   else if (event.key === "-") view.by(1 / enlarge);

@@ -36,7 +36,8 @@ export function jobPage(main, who, id) {
   const share = who.scopes !== null && !isVisitor ? shares(id) : null;
   const log = isVisitor ? null : logView(base);
   // What matters comes first: on a phone the rest is far below.
-  main.append(head.root, problem, warnings, scene.root, views.root, metrics, files, novel.root, unused, h("div", { class: "columns" }, times, facts),
+  main.append(head.root, problem, warnings, scene.root, views.root, metrics, files, novel.root, unused,
+    h("div", { class: "columns" }, times, facts),
     ...[share, log].filter(Boolean).map((part) => part.root));
   share?.open();
 
@@ -94,8 +95,10 @@ export function jobPage(main, who, id) {
 
   function showFiles(artifacts) {
     const top = artifacts.filter((file) => !file.name.includes("/") || file.name.endsWith("scene.ply"));
-    const [scene, rest] = [true, false].map((is) => top.filter((file) => (file.name === "scene.ply") === is));
-    show(files, fileTable(base, scene), rest.length > 0 && fold(count(rest.length, "further file"), fileTable(base, rest)), h("p", { class: "hint" }, `${artifacts.length} files in all: `, h("a", { href: `${base}/artifacts` }, "list"), ", ",
+    const isScene = (file) => file.name === "scene.ply";
+    const rest = top.filter((file) => !isScene(file));
+    show(files, fileTable(base, top.filter(isScene)),
+      rest.length > 0 && fold(count(rest.length, "further file"), fileTable(base, rest)), h("p", { class: "hint" }, `${artifacts.length} files in all: `, h("a", { href: `${base}/artifacts` }, "list"), ", ",
       h("a", { href: `${base}/rounds?format=csv`, download: "rounds.csv" }, "metrics as CSV")));
   }
 

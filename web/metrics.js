@@ -21,7 +21,8 @@ export function metricCharts(rounds) {
     const isTruth = references[0] === "gt";
     const psnr = isTruth ? "psnr_cc_db" : "psnr_db";
     const title = psnr === "psnr_cc_db" ? "PSNR after colour fit, dB" : "PSNR, dB";
-    const part = [h("div", { class: "charts" }, chart(title, values(psnr), 1), chart("SSIM", values("ssim"), 2, 1)),
+    const part = [
+      h("div", { class: "charts" }, chart(title, values(psnr), 1), chart("SSIM", values("ssim"), 2, 1)),
       meanings(isTruth ? ["psnr_cc", "ssim"] : ["own_psnr", "own_ssim"])];
     // Where there is no truth the second group is the first.
     if (nodes.length > 0) nodes.push(fold(label, ...part));
@@ -30,7 +31,8 @@ export function metricCharts(rounds) {
   if (!nodes.some((node) => node.textContent.includes("ground truth"))) {
     nodes.push(h("p", { class: "hint" }, "The capture has no ground truth: what is shown says how well the scene agrees with its own training images."));
   }
-  nodes.push(fold("round by round", roundTable(rounds), meanings(["noise", "shake", "moved", "seconds", "gaussians"])));
+  nodes.push(fold("round by round", roundTable(rounds),
+    meanings(["noise", "shake", "moved", "seconds", "gaussians"])));
   return nodes;
 }
 

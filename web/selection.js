@@ -4,6 +4,8 @@ import { ask } from "./dialog.js";
 import { api, count, h } from "./dom.js";
 import { MOST, addressOf } from "./entries.js";
 
+const GONE = "Their scenes, pictures and scores are gone then; the photographs stay.";
+
 const nameOf = (job) => `“${job.name || "unnamed"}”`;
 
 /**
@@ -17,18 +19,19 @@ export function selection(refresh) {
   const remove = h("button", { type: "button", class: "danger", onclick: removeAll });
   const none = h("button", { type: "button", onclick: clear }, "Unmark all");
   const problem = h("p", { class: "problem", role: "alert" });
-  const root = h("div", { class: "marked", hidden: true, role: "region", "aria-label": "marked jobs" },
-    h("div", { class: "row" }, words, compare, remove, none), problem);
+  const root = h(
+    "div",
+    { class: "marked", hidden: true, role: "region", "aria-label": "marked jobs" },
+    h("div", { class: "row" }, words, compare, remove, none),
+    problem,
+  );
   let shown = [];
 
   function draw() {
     const jobs = [...chosen.values()];
     root.hidden = jobs.length === 0 && problem.textContent === "";
     const unseen = jobs.filter((job) => !shown.includes(job.id)).length;
-    words.textContent = jobs.length === 1 ? "1 job is marked; mark another to compare."
-      : jobs.length > MOST ? `${jobs.length} jobs are marked; at most ${MOST} can be compared.`
-        : jobs.length === 0 ? "" : `${jobs.length} jobs are marked.`;
-    if (unseen > 0) words.textContent += ` ${unseen === jobs.length ? "None of them is" : `${unseen} of them ${unseen === 1 ? "is" : "are"} not`} in the list below.`;
+    words.textContent = `${howMany(jobs.length)}${whereAre(unseen, jobs.length)}`;
     compare.hidden = jobs.length < 2 || jobs.length > MOST;
     compare.href = addressOf([...chosen.keys()]);
     compare.textContent = `Compare ${count(jobs.length, "job")}`;
@@ -46,12 +49,25 @@ export function selection(refresh) {
 
   async function removeAll() {
     const jobs = [...chosen.values()];
-    const [running, rest] = [jobs.filter((job) => job.state === "running"), jobs.filter((job) => job.state !== "running")];
-    const runs = running.length > 0 ? `\n${running.map(nameOf).join(", ")} ${running.length === 1 ? "runs" : "run"} and stay${running.length === 1 ? "s" : ""}: cancel first.` : "";
-    if (rest.length === 0) { problem.textContent = runs.trim(); return; }
-    const sure = await ask(`Delete ${count(rest.length, "job")}?`,
-      `${rest.map(nameOf).join("\n")}\nTheir scenes, pictures and scores are gone then; the photographs stay.${runs}`,
-      rest.length === 1 ? "Delete it" : "Delete them", rest.length === 1 ? "Keep it" : "Keep them");
+    const [running, rest] = [
+      jobs.filter((job) => job.state === "running"),
+      jobs.filter((job) => job.state !== "running"),
+    ];
+    const [run, stay] = running.length === 1 ? ["runs", "stays"] : ["run", "stay"];
+    const runs =
+      running.length > 0
+        ? `\n${running.map(nameOf).join(", ")} ${run} and ${stay}: cancel first.`
+        : "";
+    if (rest.length === 0) {
+      problem.textContent = runs.trim();
+      return;
+    }
+    const sure = await ask(
+      `Delete ${count(rest.length, "job")}?`,
+      `${rest.map(nameOf).join("\n")}\n${GONE}${runs}`,
+      rest.length === 1 ? "Delete it" : "Delete them",
+      rest.length === 1 ? "Keep it" : "Keep them",
+    );
     if (!sure) return;
     remove.disabled = true;
     const faults = [];
@@ -74,8 +90,13 @@ export function selection(refresh) {
   return {
     root,
     box(job) {
-      const box = h("input", { type: "checkbox", class: "mark", checked: chosen.has(job.id),
-        "data-key": `mark ${job.id}`, "aria-label": `Mark ${job.name || "unnamed"}` });
+      const box = h("input", {
+        type: "checkbox",
+        class: "mark",
+        checked: chosen.has(job.id),
+        "data-key": `mark ${job.id}`,
+        "aria-label": `Mark ${job.name || "unnamed"}`,
+      });
       box.addEventListener("change", () => {
         if (box.checked) chosen.set(job.id, job);
         else chosen.delete(job.id);
@@ -91,4 +112,19 @@ export function selection(refresh) {
       draw();
     },
   };
+}
+
+function howMany(number) {
+  if (number === 0) return "";
+  if (number === 1) return "1 job is marked; mark another to compare.";
+  return number > MOST
+    ? `${number} jobs are marked; at most ${MOST} can be compared.`
+    : `${number} jobs are marked.`;
+}
+
+/** Of marked jobs that a filter hides. */
+function whereAre(unseen, number) {
+  if (unseen === 0) return "";
+  if (unseen === number) return " None of them is in the list shown.";
+  return ` ${unseen} of them ${unseen === 1 ? "is" : "are"} not in the list shown.`;
 }

@@ -16,22 +16,48 @@ export function thumbnails(chosen, slider) {
   const { view } = slider;
   let [side, isEqual, isNear] = ["left", false, false];
   const grid = h("div", { class: "shots", role: "group", "aria-label": "pictures of the view" });
-  const sides = ["left", "right"].map((name) => h("button", { type: "button", "aria-pressed": String(name === side), onclick: () => choose(name) }, name));
-  const root = h("div", {}, h("div", { class: "row sides", role: "group", "aria-label": "side" }, "Press a picture for the", ...sides), grid);
+  const sides = ["left", "right"].map((name) =>
+    h(
+      "button",
+      { type: "button", "aria-pressed": String(name === side), onclick: () => choose(name) },
+      name,
+    ),
+  );
+  const root = h(
+    "div",
+    {},
+    h(
+      "div",
+      { class: "row sides", role: "group", "aria-label": "side" },
+      "Press a picture for the",
+      ...sides,
+    ),
+    grid,
+  );
   const buttons = () => [...grid.querySelectorAll("button:not(:disabled)")];
   const images = () => [...grid.querySelectorAll("img")];
 
   function choose(name) {
     side = name;
-    for (const button of sides) button.setAttribute("aria-pressed", String(button.textContent === name));
+    for (const button of sides)
+      button.setAttribute("aria-pressed", String(button.textContent === name));
   }
 
   function shot(picture, i) {
-    const image = h("img", { src: picture.url, alt: "", loading: isNear ? "eager" : "lazy", draggable: false });
+    const image = h("img", {
+      src: picture.url,
+      alt: "",
+      loading: isNear ? "eager" : "lazy",
+      draggable: false,
+    });
     const mark = h("span", { class: "mark" });
     const frame = h("span", { class: "frame" }, image);
-    const button = h("button", { type: "button", class: "shot", tabIndex: i === 0 ? 0 : -1, onclick: press },
-      frame, h("span", { class: "caption" }, picture.label, " ", mark));
+    const button = h(
+      "button",
+      { type: "button", class: "shot", tabIndex: i === 0 ? 0 : -1, onclick: press },
+      frame,
+      h("span", { class: "caption" }, picture.label, " ", mark),
+    );
     const dragged = drags(frame);
     function press(event) {
       if (dragged()) return;
@@ -39,9 +65,15 @@ export function thumbnails(chosen, slider) {
     }
     gestures(frame, view);
     image.addEventListener("load", balance);
-    image.addEventListener("error", () => { button.disabled = true; button.classList.add("missing"); });
+    image.addEventListener("error", () => {
+      button.disabled = true;
+      button.classList.add("missing");
+    });
     const figure = h("figure", {}, button);
-    figure.say = (words) => { mark.textContent = words; figure.classList.toggle("chosen", words !== ""); };
+    figure.say = (words) => {
+      mark.textContent = words;
+      figure.classList.toggle("chosen", words !== "");
+    };
     figure.key = picture.key;
     return figure;
   }
@@ -63,8 +95,14 @@ export function thumbnails(chosen, slider) {
       view.pan(to[0] - from[0], to[1] - from[1]);
       from = to;
     });
-    frame.addEventListener("pointerup", () => { from = null; });
-    return () => { const was = moved; moved = false; return was; };
+    frame.addEventListener("pointerup", () => {
+      from = null;
+    });
+    return () => {
+      const was = moved;
+      moved = false;
+      return was;
+    };
   }
 
   function draw() {
@@ -78,7 +116,9 @@ export function thumbnails(chosen, slider) {
   function balance() {
     const ready = images().filter((image) => image.complete && image.naturalWidth > 0);
     const gains = isEqual ? level(ready.map((image) => (image.light ??= values(image)))) : [];
-    ready.forEach((image, i) => { image.style.filter = gains[i] > 1 ? `brightness(${gains[i].toFixed(3)})` : ""; });
+    ready.forEach((image, i) => {
+      image.style.filter = gains[i] > 1 ? `brightness(${gains[i].toFixed(3)})` : "";
+    });
   }
 
   grid.addEventListener("keydown", (event) => {
@@ -88,7 +128,14 @@ export function thumbnails(chosen, slider) {
     const row = all.filter((one) => one.offsetTop === all[0].offsetTop).length;
     // In a single row up and down lead on, too.
     const columns = row === all.length ? 1 : row;
-    const to = { ArrowLeft: place - 1, ArrowRight: place + 1, ArrowUp: place - columns, ArrowDown: place + columns, Home: 0, End: all.length - 1 }[event.key];
+    const to = {
+      ArrowLeft: place - 1,
+      ArrowRight: place + 1,
+      ArrowUp: place - columns,
+      ArrowDown: place + columns,
+      Home: 0,
+      End: all.length - 1,
+    }[event.key];
     if (place < 0 || to === undefined) return;
     event.preventDefault();
     if (!all[to]) return;
@@ -97,13 +144,19 @@ export function thumbnails(chosen, slider) {
     all[to].focus();
   });
   // A row that is scrolled sideways is fetched as a whole, but not before it comes near.
-  new IntersectionObserver(([{ isIntersecting }]) => {
-    if (!isIntersecting) return;
-    isNear = true;
-    for (const image of images()) image.loading = "eager";
-  }, { rootMargin: "400px" }).observe(grid);
+  new IntersectionObserver(
+    ([{ isIntersecting }]) => {
+      if (!isIntersecting) return;
+      isNear = true;
+      for (const image of images()) image.loading = "eager";
+    },
+    { rootMargin: "400px" },
+  ).observe(grid);
   view.follow(draw);
-  slider.lit((equal) => { isEqual = equal; balance(); });
+  slider.lit((equal) => {
+    isEqual = equal;
+    balance();
+  });
 
   let known = "";
   return {
@@ -118,7 +171,11 @@ export function thumbnails(chosen, slider) {
     },
     mark(left, right) {
       for (const figure of grid.children) {
-        figure.say([figure.key === left && "left", figure.key === right && "right"].filter(Boolean).join(", "));
+        figure.say(
+          [figure.key === left && "left", figure.key === right && "right"]
+            .filter(Boolean)
+            .join(", "),
+        );
       }
     },
   };

@@ -10,14 +10,17 @@ export function thumbs() {
   const made = new Map();
   const waiting = [];
   let busy = 0;
-  const near = new IntersectionObserver((seen) => {
-    for (const { isIntersecting, target } of seen) {
-      if (!isIntersecting) continue;
-      near.unobserve(target);
-      waiting.push(target);
-      work();
-    }
-  }, { rootMargin: "200px" });
+  const near = new IntersectionObserver(
+    (seen) => {
+      for (const { isIntersecting, target } of seen) {
+        if (!isIntersecting) continue;
+        near.unobserve(target);
+        waiting.push(target);
+        work();
+      }
+    },
+    { rootMargin: "200px" },
+  );
 
   async function work() {
     if (busy >= AT_ONCE || waiting.length === 0) return;
@@ -32,7 +35,10 @@ export function thumbs() {
     if (!round) return "";
     const known = made.get(job.id);
     if (known?.round === round) return known;
-    const pair = Object.assign(h("span", { class: "pair" }), { round, load: () => fill(pair, job.id, round) });
+    const pair = Object.assign(h("span", { class: "pair" }), {
+      round,
+      load: () => fill(pair, job.id, round),
+    });
     made.set(job.id, pair);
     near.observe(pair);
     return pair;
@@ -43,7 +49,10 @@ export function thumbs() {
 /** The round to show: the delivered one, or the last that is finished; 0 before the first. */
 function restored(job) {
   if (job.state === "succeeded" && job.best_round) return job.best_round;
-  return Math.max(0, ...job.stages.filter((stage) => stage.stage === "evaluate").map((stage) => stage.round));
+  return Math.max(
+    0,
+    ...job.stages.filter((stage) => stage.stage === "evaluate").map((stage) => stage.round),
+  );
 }
 
 /** A view that trained nothing shows what the scene knows of itself. */
@@ -53,9 +62,16 @@ async function fill(pair, id, round) {
   const view = cameras.find((one) => one.split === "held_out") ?? cameras[0];
   if (!view) return;
   const picture = (path, alt) => {
-    const image = h("img", { src: `${base}/${address(`${path}/${view.name}.jpg`)}`, alt, loading: "lazy" });
+    const image = h("img", {
+      src: `${base}/${address(`${path}/${view.name}.jpg`)}`,
+      alt,
+      loading: "lazy",
+    });
     image.addEventListener("error", () => image.remove());
     return image;
   };
-  pair.append(picture("inputs", `photograph ${view.name}`), picture(`rounds/${round}/renders`, "restored"));
+  pair.append(
+    picture("inputs", `photograph ${view.name}`),
+    picture(`rounds/${round}/renders`, "restored"),
+  );
 }

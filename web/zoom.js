@@ -25,13 +25,16 @@ export function zoom() {
   return {
     scale: () => scale,
     transform: () => `translate(${100 * x}%, ${100 * y}%) scale(${scale})`,
-    /** By a factor around a point of the frame, its middle when absent; whether anything changed. */
+    /** By a factor around a point of the frame, else its middle; whether anything changed. */
     by(factor, px = 0.5, py = 0.5) {
       const to = Math.min(MOST, Math.max(1, scale * factor));
       return place(to, px - ((px - x) * to) / scale, py - ((py - y) * to) / scale);
     },
     pan: (dx, dy) => place(scale, x + dx, y + dy),
     reset: () => place(1, 0, 0),
-    follow(follower) { followers.push(follower); follower(); },
+    follow(follower) {
+      followers.push(follower);
+      follower();
+    },
   };
 }

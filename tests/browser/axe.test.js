@@ -10,6 +10,7 @@ import { Stand, button, part, provoked, seen, state } from "./played.js";
 import { Server } from "./server.js";
 
 const AXE = readFileSync(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf8");
+const NOWHERE = "00000000-0000-7000-8000-000000000000";
 const BAD = ["serious", "critical"];
 /** ms; ten of them are a stage. */
 const SLOWLY = 2500;
@@ -31,11 +32,20 @@ after(async () => {
 /** What is wrong on a page, a line each. */
 async function wrong(page) {
   // What is folded away is part of the page; what fades in or moves has no colour of its own yet.
-  await page.locator("details").evaluateAll((all) => all.forEach((one) => { one.open = true; }));
+  await page.locator("details").evaluateAll((all) =>
+    all.forEach((one) => {
+      one.open = true;
+    }),
+  );
   await page.evaluate(AXE);
-  const { violations } = await page.evaluate(() => globalThis.axe.run(document, { resultTypes: ["violations"] }));
-  return violations.filter(({ impact }) => BAD.includes(impact))
-    .flatMap(({ id, nodes }) => nodes.map((node) => `${id}: ${node.html.slice(0, 160)} ${node.any[0]?.message ?? ""}`));
+  const { violations } = await page.evaluate(() =>
+    globalThis.axe.run(document, { resultTypes: ["violations"] }),
+  );
+  return violations
+    .filter(({ impact }) => BAD.includes(impact))
+    .flatMap(({ id, nodes }) =>
+      nodes.map((node) => `${id}: ${node.html.slice(0, 160)} ${node.any[0]?.message ?? ""}`),
+    );
 }
 
 async function ended(plan, name, as) {
@@ -53,41 +63,63 @@ async function running() {
 }
 
 const PAGES = {
-  list: [async () => (await stand.finished(), await failed(), await running(), "#/?q=o"), async (page) => {
-    await page.getByRole("checkbox", { name: /^Mark/ }).first().check();
-    await page.getByRole("checkbox", { name: /^Mark/ }).nth(1).check();
-    await page.getByText("Options", { exact: true }).click();
-    await page.locator(".option").first().waitFor();
-    await page.locator(".pair img").first().waitFor();
-  }],
-  finished: [async () => `#/jobs/${await stand.finished()}`, async (page) => {
-    await seen(part(page, "Novel view"), "azimuth 0°");
-    await part(page, "Log").waitFor();
-  }],
+  list: [
+    async () => (await stand.finished(), await failed(), await running(), "#/?q=o"),
+    async (page) => {
+      await page.getByRole("checkbox", { name: /^Mark/ }).first().check();
+      await page.getByRole("checkbox", { name: /^Mark/ }).nth(1).check();
+      await page.getByText("Options", { exact: true }).click();
+      await page.locator(".option").first().waitFor();
+      await page.locator(".pair img").first().waitFor();
+    },
+  ],
+  finished: [
+    async () => `#/jobs/${await stand.finished()}`,
+    async (page) => {
+      await seen(part(page, "Novel view"), "azimuth 0°");
+      await part(page, "Log").waitFor();
+    },
+  ],
   failed: [async () => `#/jobs/${await failed()}`, (page) => seen(state(page), "failed")],
   running: [async () => `#/jobs/${await running()}`, (page) => seen(state(page), "running")],
-  "compare-with": [async () => `#/jobs/${await stand.finished()}`, async (page) => {
-    await button(page, "Compare with…").click();
-    await page.getByRole("dialog").waitFor();
-  }],
-  question: [async () => `#/jobs/${await stand.finished()}`, async (page) => {
-    await button(page, "Delete").click();
-    await page.getByRole("dialog").waitFor();
-  }],
-  captures: [async () => (await stand.finished(), "#/captures"), (page) => page.locator("tbody tr").first().waitFor()],
-  capture: [async () => `#/captures/${(await server.job(await stand.finished())).capture_id}`, async (page) => {
-    await part(page, "Jobs").locator("tbody tr").first().waitFor();
-    await page.locator(".option").first().waitFor();
-  }],
-  compare: [async () => {
-    const others = [];
-    for (let i = 0; i < 3; i++) others.push(await ended("ok", `another ${i}`, "succeeded"));
-    return `#/compare/${[await stand.finished(), ...others, await failed(), "00000000-0000-7000-8000-000000000000"].join(",")}`;
-  }, async (page, faults) => {
-    await page.getByRole("slider").waitFor();
-    await seen(page.locator("tbody tr"), "There is no such job");
-    provoked(faults, 404);
-  }],
+  "compare-with": [
+    async () => `#/jobs/${await stand.finished()}`,
+    async (page) => {
+      await button(page, "Compare with…").click();
+      await page.getByRole("dialog").waitFor();
+    },
+  ],
+  question: [
+    async () => `#/jobs/${await stand.finished()}`,
+    async (page) => {
+      await button(page, "Delete").click();
+      await page.getByRole("dialog").waitFor();
+    },
+  ],
+  captures: [
+    async () => (await stand.finished(), "#/captures"),
+    (page) => page.locator("tbody tr").first().waitFor(),
+  ],
+  capture: [
+    async () => `#/captures/${(await server.job(await stand.finished())).capture_id}`,
+    async (page) => {
+      await part(page, "Jobs").locator("tbody tr").first().waitFor();
+      await page.locator(".option").first().waitFor();
+    },
+  ],
+  compare: [
+    async () => {
+      const others = [];
+      for (let i = 0; i < 3; i++) others.push(await ended("ok", `another ${i}`, "succeeded"));
+      const ids = [await stand.finished(), ...others, await failed(), NOWHERE];
+      return `#/compare/${ids.join(",")}`;
+    },
+    async (page, faults) => {
+      await page.getByRole("slider").waitFor();
+      await seen(page.locator("tbody tr"), "There is no such job");
+      provoked(faults, 404);
+    },
+  ],
   api: [() => "#/api", (page) => page.locator("main details, main h2").first().waitFor()],
   nowhere: [() => "#/nowhere", (page) => page.getByRole("alert").waitFor()],
 };
@@ -95,12 +127,22 @@ const PAGES = {
 for (const [name, [address, shown]] of Object.entries(PAGES)) {
   test(`axe finds nothing serious on the page "${name}"`, async () => {
     const hash = await address();
-    for (const [width, colorScheme] of [["desktop", "dark"], ["desktop", "light"], ["phone", "light"]]) {
+    for (const [width, colorScheme] of [
+      ["desktop", "dark"],
+      ["desktop", "light"],
+      ["phone", "light"],
+    ]) {
       const further = { colorScheme, reducedMotion: "reduce" };
-      await stand.visit(`axe-${name}-${colorScheme}`, hash, async (page, faults) => {
-        await shown(page, faults);
-        assert.deepEqual(await wrong(page), [], `${width}, ${colorScheme}`);
-      }, width, further);
+      await stand.visit(
+        `axe-${name}-${colorScheme}`,
+        hash,
+        async (page, faults) => {
+          await shown(page, faults);
+          assert.deepEqual(await wrong(page), [], `${width}, ${colorScheme}`);
+        },
+        width,
+        further,
+      );
     }
   });
 }
@@ -110,11 +152,17 @@ test("axe finds nothing serious where a token is asked for", async () => {
   locked.token();
   const visitor = new Browser(locked.base, stand.browser.chromium);
   for (const colorScheme of ["dark", "light"]) {
-    await visitor.visit(`axe-login-${colorScheme}`, "", async (page) => {
-      await page.getByLabel("Token").waitFor();
-      await seen(page.locator("#health"), /^ready$/);
-      assert.deepEqual(await wrong(page), [], colorScheme);
-    }, { width: 1200, height: 900 }, { colorScheme });
+    await visitor.visit(
+      `axe-login-${colorScheme}`,
+      "",
+      async (page) => {
+        await page.getByLabel("Token").waitFor();
+        await seen(page.locator("#health"), /^ready$/);
+        assert.deepEqual(await wrong(page), [], colorScheme);
+      },
+      { width: 1200, height: 900 },
+      { colorScheme },
+    );
   }
 });
 

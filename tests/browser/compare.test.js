@@ -33,7 +33,12 @@ async function order(name, options) {
   const response = await fetch(`${server.base}/v1/jobs`, {
     method: "POST",
     headers: { "Content-Type": "application/json" },
-    body: JSON.stringify({ capture_id, name, preset: "preview", options: { ...given, ...options } }),
+    body: JSON.stringify({
+      capture_id,
+      name,
+      preset: "preview",
+      options: { ...given, ...options },
+    }),
   });
   assert.ok(response.ok, await response.clone().text());
   return (await response.json()).id;
@@ -55,140 +60,219 @@ async function failed() {
 
 /** Opens a comparison when its jobs are there. */
 const compare = (name, ids, judge, width, query = "", further = {}) =>
-  stand.visit(name, `#/compare/${ids.join(",")}${query}`, async (page, faults) => {
-    await page.getByRole("table", { name: "at a glance" }).locator("tbody tr").first().waitFor();
-    await judge(page, faults);
-  }, width, further);
+  stand.visit(
+    name,
+    `#/compare/${ids.join(",")}${query}`,
+    async (page, faults) => {
+      await page.getByRole("table", { name: "at a glance" }).locator("tbody tr").first().waitFor();
+      await judge(page, faults);
+    },
+    width,
+    further,
+  );
 
 const mark = (page, name) => page.getByRole("checkbox", { name: `Mark ${name}`, exact: true });
 
-both("jobs that are marked in the list are compared, by an address that holds them", async (width) => {
-  const [first, second] = await two();
-  await stand.visit("marked", "", async (page) => {
-    const bar = page.getByRole("region", { name: "marked jobs" });
-    await mark(page, HOSTILE).waitFor();
-    assert.equal(await bar.isVisible(), false);
-    await mark(page, HOSTILE).focus();
-    await page.keyboard.press("Space");
-    await seen(bar, "1 job is marked; mark another to compare.");
-    assert.equal(await bar.getByRole("link").isVisible(), false);
-    await mark(page, "a finished <b>job</b>").check();
-    await picture(page, `page-marked-${width}`);
-    await bar.getByRole("link", { name: "Compare 2 jobs" }).click();
-    await page.getByRole("heading", { name: "Compare 2 jobs" }).waitFor();
-    assert.equal(new URL(page.url()).hash, `#/compare/${second},${first}`);
-    // A reload would cut off what is still asked for.
-    const settled = () => loaded(page.getByRole("slider").locator("img"));
-    await until("all is there", settled);
-    await page.reload();
-    await seen(page.locator("tbody tr"), HOSTILE);
-    await until("all is there again", settled);
-  }, width);
-});
+both(
+  "jobs that are marked in the list are compared, by an address that holds them",
+  async (width) => {
+    const [first, second] = await two();
+    await stand.visit(
+      "marked",
+      "",
+      async (page) => {
+        const bar = page.getByRole("region", { name: "marked jobs" });
+        await mark(page, HOSTILE).waitFor();
+        assert.equal(await bar.isVisible(), false);
+        await mark(page, HOSTILE).focus();
+        await page.keyboard.press("Space");
+        await seen(bar, "1 job is marked; mark another to compare.");
+        assert.equal(await bar.getByRole("link").isVisible(), false);
+        await mark(page, "a finished <b>job</b>").check();
+        await picture(page, `page-marked-${width}`);
+        await bar.getByRole("link", { name: "Compare 2 jobs" }).click();
+        await page.getByRole("heading", { name: "Compare 2 jobs" }).waitFor();
+        assert.equal(new URL(page.url()).hash, `#/compare/${second},${first}`);
+        // A reload would cut off what is still asked for.
+        const settled = () => loaded(page.getByRole("slider").locator("img"));
+        await until("all is there", settled);
+        await page.reload();
+        await seen(page.locator("tbody tr"), HOSTILE);
+        await until("all is there again", settled);
+      },
+      width,
+    );
+  },
+);
 
 both("what differs is told, and what does not is folded away", async (width) => {
-  await compare("differ", await two(), async (page) => {
-    const options = part(page, "Options that differ");
-    const rows = await options.locator("table tbody tr").allInnerTexts();
-    assert.deepEqual(rows.map((text) => text.split(/\s/)[0]).sort(), ["rounds", "steps"]);
-    assert.match(rows.find((text) => text.startsWith("steps")), /40\s+60/);
-    const folded = options.locator("details");
-    assert.equal(await folded.locator("dl").isVisible(), false);
-    await folded.getByText(/options that are the same/).click();
-    await seen(folded.locator("dt"), "shake");
-  }, width);
+  await compare(
+    "differ",
+    await two(),
+    async (page) => {
+      const options = part(page, "Options that differ");
+      const rows = await options.locator("table tbody tr").allInnerTexts();
+      assert.deepEqual(rows.map((text) => text.split(/\s/)[0]).sort(), ["rounds", "steps"]);
+      assert.match(
+        rows.find((text) => text.startsWith("steps")),
+        /40\s+60/,
+      );
+      const folded = options.locator("details");
+      assert.equal(await folded.locator("dl").isVisible(), false);
+      await folded.getByText(/options that are the same/).click();
+      await seen(folded.locator("dt"), "shake");
+    },
+    width,
+  );
 });
 
 both("scores stand by round and job, the best of each round is marked", async (width) => {
-  await compare("scores", await two(), async (page) => {
-    const glance = page.getByRole("table", { name: "at a glance" });
-    assert.match(await glance.locator("tbody tr").nth(0).innerText(), /20\.50(?!\s*best)/);
-    assert.match(await glance.locator("tbody tr").nth(1).innerText(), /21\.50\s*best/);
-    const metrics = part(page, "Metrics by round");
-    const rows = metrics.getByRole("region", { name: "PSNR after colour fit, dB by round" }).locator("tbody tr");
-    assert.deepEqual((await rows.allInnerTexts()).map((text) => text.split(/\s+/).filter(Boolean)),
-      [["1", "19.50", "19.50"], ["2", "20.50", "20.50"], ["3", "21.50"]]);
-    await seen(metrics, "one decibel more is an error about a tenth smaller. Higher is better.");
-    await metrics.getByText("Self-consistency, noise, time and size").click();
-    await seen(metrics, "agreement, not truth");
-    await metrics.getByLabel("views that are scored").selectOption("train");
-    await seen(rows.first(), "21.00");
-    assert.equal(await metrics.locator("details.rest").evaluate((one) => one.open), true, "stays open");
-  }, width);
+  await compare(
+    "scores",
+    await two(),
+    async (page) => {
+      const glance = page.getByRole("table", { name: "at a glance" });
+      assert.match(await glance.locator("tbody tr").nth(0).innerText(), /20\.50(?!\s*best)/);
+      assert.match(await glance.locator("tbody tr").nth(1).innerText(), /21\.50\s*best/);
+      const metrics = part(page, "Metrics by round");
+      const rows = metrics
+        .getByRole("region", { name: "PSNR after colour fit, dB by round" })
+        .locator("tbody tr");
+      assert.deepEqual(
+        (await rows.allInnerTexts()).map((text) => text.split(/\s+/).filter(Boolean)),
+        [
+          ["1", "19.50", "19.50"],
+          ["2", "20.50", "20.50"],
+          ["3", "21.50"],
+        ],
+      );
+      await seen(metrics, "one decibel more is an error about a tenth smaller. Higher is better.");
+      await metrics.getByText("Self-consistency, noise, time and size").click();
+      await seen(metrics, "agreement, not truth");
+      await metrics.getByLabel("views that are scored").selectOption("train");
+      await seen(rows.first(), "21.00");
+      assert.equal(
+        await metrics.locator("details.rest").evaluate((one) => one.open),
+        true,
+        "stays open",
+      );
+    },
+    width,
+  );
 });
 
 both("a chart's values are read by keyboard and by pointer", async (width) => {
-  await compare("chart", await two(), async (page) => {
-    const plot = page.getByRole("group", { name: "PSNR after colour fit, dB: arrow keys choose the round" });
-    const legend = page.locator(".chart", { has: plot }).locator(".legend");
-    await seen(legend, /Round 2:.*A, a finished <b>job<\/b> 20\.50.*B, more <i>steps<\/i> 20\.50/);
-    await plot.press("ArrowLeft");
-    await seen(legend, /Round 1:.*19\.50/);
-    await plot.press("End");
-    await seen(legend, /Round 3:.*– .*21\.50|Round 3:.*–.*21\.50/);
-    const box = await plot.boundingBox();
-    await page.mouse.move(box.x + box.width * 0.15, box.y + box.height / 2);
-    await seen(legend, "Round 1:");
-    const styles = await plot.locator("path.line").evaluateAll((lines) => lines.map((line) => getComputedStyle(line).stroke));
-    assert.equal(new Set(styles).size, 2, "two colours");
-    const shapes = await plot.locator("path.dot").evaluateAll((dots) => dots.map((dot) => dot.getAttribute("d")));
-    assert.equal(new Set(shapes).size, 2, "and two shapes");
-  }, width);
+  await compare(
+    "chart",
+    await two(),
+    async (page) => {
+      const plot = page.getByRole("group", {
+        name: "PSNR after colour fit, dB: arrow keys choose the round",
+      });
+      const legend = page.locator(".chart", { has: plot }).locator(".legend");
+      await seen(
+        legend,
+        /Round 2:.*A, a finished <b>job<\/b> 20\.50.*B, more <i>steps<\/i> 20\.50/,
+      );
+      await plot.press("ArrowLeft");
+      await seen(legend, /Round 1:.*19\.50/);
+      await plot.press("End");
+      await seen(legend, /Round 3:.*– .*21\.50|Round 3:.*–.*21\.50/);
+      const box = await plot.boundingBox();
+      await page.mouse.move(box.x + box.width * 0.15, box.y + box.height / 2);
+      await seen(legend, "Round 1:");
+      const styles = await plot
+        .locator("path.line")
+        .evaluateAll((lines) => lines.map((line) => getComputedStyle(line).stroke));
+      assert.equal(new Set(styles).size, 2, "two colours");
+      const shapes = await plot
+        .locator("path.dot")
+        .evaluateAll((dots) => dots.map((dot) => dot.getAttribute("d")));
+      assert.equal(new Set(shapes).size, 2, "and two shapes");
+    },
+    width,
+  );
 });
 
 both("the same view of two jobs is side by side, as the address says", async (width) => {
   const [first, second] = await two();
-  await compare("beside", [first, second], async (page) => {
-    const pictures = part(page, "The same view side by side");
-    const slider = pictures.getByRole("slider");
-    await until("both are there", () => loaded(slider.locator("img")));
-    await seen(slider.locator(".left"), "A, a finished <b>job</b>, round 2");
-    await seen(slider.locator(".right"), `B, ${HOSTILE}, round 3`);
-    await pictures.getByLabel("view", { exact: true }).selectOption("003");
-    await pictures.getByLabel("picture", { exact: true }).selectOption("deblurred");
-    const sources = () => slider.locator("img").evaluateAll((images) => images.map((image) => new URL(image.src).pathname));
-    assert.deepEqual(await sources(), [
-      `/v1/jobs/${second}/artifacts/rounds/3/deblurred/003.jpg`,
-      `/v1/jobs/${first}/artifacts/rounds/2/deblurred/003.jpg`]);
-    await pictures.getByLabel("round", { exact: true }).selectOption("3");
-    await seen(pictures, /A, a finished <b>job<\/b> has no such picture \(deblurred\) of this view and round/);
-    assert.equal(await slider.isVisible(), false);
-    await pictures.getByLabel("picture", { exact: true }).selectOption("inputs");
-    await slider.waitFor();
-    assert.equal(await pictures.getByLabel("round", { exact: true }).isVisible(), false);
-    await pictures.getByLabel("right job").selectOption(first);
-    await seen(pictures, "Both sides show the same job.");
-    const { hash } = new URL(page.url());
-    assert.match(hash, /\?left=A&right=A&view=003&picture=inputs&round=3$/);
-    await page.reload();
-    await slider.waitFor();
-    assert.equal(await pictures.getByLabel("view", { exact: true }).inputValue(), "003");
-    assert.equal(await pictures.getByLabel("picture", { exact: true }).inputValue(), "inputs");
-    assert.equal(await pictures.getByLabel("right job").inputValue(), first);
-    await until("both are there", () => loaded(slider.locator("img")));
-  }, width);
+  await compare(
+    "beside",
+    [first, second],
+    async (page) => {
+      const pictures = part(page, "The same view side by side");
+      const slider = pictures.getByRole("slider");
+      await until("both are there", () => loaded(slider.locator("img")));
+      await seen(slider.locator(".left"), "A, a finished <b>job</b>, round 2");
+      await seen(slider.locator(".right"), `B, ${HOSTILE}, round 3`);
+      await pictures.getByLabel("view", { exact: true }).selectOption("003");
+      await pictures.getByLabel("picture", { exact: true }).selectOption("deblurred");
+      const sources = () =>
+        slider
+          .locator("img")
+          .evaluateAll((images) => images.map((image) => new URL(image.src).pathname));
+      assert.deepEqual(await sources(), [
+        `/v1/jobs/${second}/artifacts/rounds/3/deblurred/003.jpg`,
+        `/v1/jobs/${first}/artifacts/rounds/2/deblurred/003.jpg`,
+      ]);
+      await pictures.getByLabel("round", { exact: true }).selectOption("3");
+      await seen(
+        pictures,
+        /A, a finished <b>job<\/b> has no such picture \(deblurred\) of this view and round/,
+      );
+      assert.equal(await slider.isVisible(), false);
+      await pictures.getByLabel("picture", { exact: true }).selectOption("inputs");
+      await slider.waitFor();
+      assert.equal(await pictures.getByLabel("round", { exact: true }).isVisible(), false);
+      await pictures.getByLabel("right job").selectOption(first);
+      await seen(pictures, "Both sides show the same job.");
+      const { hash } = new URL(page.url());
+      assert.match(hash, /\?left=A&right=A&view=003&picture=inputs&round=3$/);
+      await page.reload();
+      await slider.waitFor();
+      assert.equal(await pictures.getByLabel("view", { exact: true }).inputValue(), "003");
+      assert.equal(await pictures.getByLabel("picture", { exact: true }).inputValue(), "inputs");
+      assert.equal(await pictures.getByLabel("right job").inputValue(), first);
+      await until("both are there", () => loaded(slider.locator("img")));
+    },
+    width,
+  );
 });
 
-both("a job that is gone, failed or runs is told in a sentence beside the others", async (width) => {
-  const [first] = await two();
-  const runs = await another(`one that runs ${width}`, { adapter: "reconstruct:1500" });
-  await server.when(runs, "trains", (job) => job.stage === "reconstruct");
-  const ids = [first, await failed(), runs, NOWHERE];
-  await compare("partly", ids, async (page, faults) => {
-    const rows = page.getByRole("table", { name: "at a glance" }).locator("tbody tr");
-    await seen(rows.nth(1), "It failed, because too few photographs could be placed: it finished no round.");
-    await seen(rows.nth(2), "It still runs (round 1 of 2, reconstruct): no round is finished yet.");
-    await seen(rows.nth(3), "There is no such job: it was deleted");
-    await seen(part(page, "The same view side by side"), "has no pictures yet");
-    await picture(page, `page-partly-${width}`);
-    await page.getByRole("link", { name: /^Take D, .* out of the comparison$/ }).click();
-    await page.getByRole("heading", { name: "Compare 3 jobs" }).waitFor();
-    await seen(rows.nth(2), "one that runs");
-    provoked(faults, 404);
-    await server.cancel(runs);
-    await seen(rows.nth(2), "It was cancelled");
-  }, width);
-});
+both(
+  "a job that is gone, failed or runs is told in a sentence beside the others",
+  async (width) => {
+    const [first] = await two();
+    const runs = await another(`one that runs ${width}`, { adapter: "reconstruct:1500" });
+    await server.when(runs, "trains", (job) => job.stage === "reconstruct");
+    const ids = [first, await failed(), runs, NOWHERE];
+    await compare(
+      "partly",
+      ids,
+      async (page, faults) => {
+        const rows = page.getByRole("table", { name: "at a glance" }).locator("tbody tr");
+        await seen(
+          rows.nth(1),
+          "It failed, because too few photographs could be placed: it finished no round.",
+        );
+        await seen(
+          rows.nth(2),
+          "It still runs (round 1 of 2, reconstruct): no round is finished yet.",
+        );
+        await seen(rows.nth(3), "There is no such job: it was deleted");
+        await seen(part(page, "The same view side by side"), "has no pictures yet");
+        await picture(page, `page-partly-${width}`);
+        await page.getByRole("link", { name: /^Take D, .* out of the comparison$/ }).click();
+        await page.getByRole("heading", { name: "Compare 3 jobs" }).waitFor();
+        await seen(rows.nth(2), "one that runs");
+        provoked(faults, 404);
+        await server.cancel(runs);
+        await seen(rows.nth(2), "It was cancelled");
+      },
+      width,
+    );
+  },
+);
 
 test("jobs of different captures are said to be so, and none is the best", async () => {
   const [, second] = await two();
@@ -209,9 +293,14 @@ test("six jobs are compared at most, and one is no comparison", async () => {
   await compare("six", [first, first, second, ...more], async (page) => {
     await page.getByRole("heading", { name: "Compare 6 jobs" }).waitFor();
     await seen(page.locator(".notices"), "The link names 1 job more");
-    const strip = part(page, "The same view side by side").getByRole("group", { name: "pictures of the view" });
+    const strip = part(page, "The same view side by side").getByRole("group", {
+      name: "pictures of the view",
+    });
     await strip.scrollIntoViewIfNeeded();
-    await until("all six pictures are there", async () => (await strip.locator("img").count()) === 6 && loaded(strip.locator("img")));
+    await until(
+      "all six pictures are there",
+      async () => (await strip.locator("img").count()) === 6 && loaded(strip.locator("img")),
+    );
   });
   await stand.visit("one", `#/compare/${first},${first}`, async (page) => {
     await seen(page.getByRole("alert"), "A comparison needs two to six jobs");
@@ -220,45 +309,58 @@ test("six jobs are compared at most, and one is no comparison", async () => {
 
 both("a job's page offers the others to compare with", async (width) => {
   const [first, second] = await two();
-  await stand.visit("compare-with", `#/jobs/${first}`, async (page) => {
-    await button(page, "Compare with…").click();
-    const dialog = page.getByRole("dialog");
-    assert.equal(await button(dialog, "Compare").isDisabled(), true);
-    await dialog.getByRole("checkbox", { name: HOSTILE }).check();
-    await picture(page, `page-compare-with-${width}`);
-    await button(dialog, "Compare").click();
-    await page.getByRole("heading", { name: "Compare 2 jobs" }).waitFor();
-    assert.equal(new URL(page.url()).hash, `#/compare/${first},${second}`);
-    assert.equal(await page.getByRole("dialog").count(), 0);
-  }, width);
+  await stand.visit(
+    "compare-with",
+    `#/jobs/${first}`,
+    async (page) => {
+      await button(page, "Compare with…").click();
+      const dialog = page.getByRole("dialog");
+      assert.equal(await button(dialog, "Compare").isDisabled(), true);
+      await dialog.getByRole("checkbox", { name: HOSTILE }).check();
+      await picture(page, `page-compare-with-${width}`);
+      await button(dialog, "Compare").click();
+      await page.getByRole("heading", { name: "Compare 2 jobs" }).waitFor();
+      assert.equal(new URL(page.url()).hash, `#/compare/${first},${second}`);
+      assert.equal(await page.getByRole("dialog").count(), 0);
+    },
+    width,
+  );
 });
 
-both("marked jobs are deleted after one question that names them; one that runs stays", async (width) => {
-  const names = [`old ${width}`, `<b>older</b> ${width}`];
-  const ids = [];
-  for (const name of names) ids.push(await another(name, { adapter: "few_poses" }));
-  await Promise.all(ids.map((id) => server.reached(id, "failed")));
-  const runs = await another(`busy ${width}`, { adapter: "reconstruct:1500" });
-  await server.when(runs, "trains", (job) => job.stage === "reconstruct");
-  const { capture_id: capture } = await server.job(runs);
-  await stand.visit("delete-marked", `#/captures/${capture}`, async (page) => {
-    for (const name of [...names, `busy ${width}`]) await mark(page, name).check();
-    const bar = page.getByRole("region", { name: "marked jobs" });
-    await button(bar, "Delete 3 jobs").click();
-    const dialog = page.getByRole("dialog", { name: "Delete 2 jobs?" });
-    for (const name of names) await seen(dialog, `“${name}”`);
-    await seen(dialog, `“busy ${width}” runs and stays: cancel first.`);
-    await picture(page, `page-delete-marked-${width}`);
-    await page.keyboard.press("Escape");
-    await dialog.waitFor({ state: "detached" });
-    await server.job(ids[0]);
-    await button(bar, "Delete 3 jobs").click();
-    await button(page, "Delete them").click();
-    await mark(page, names[0]).waitFor({ state: "detached" });
-    for (const id of ids) await assert.rejects(server.job(id), /404/);
-    assert.equal(await mark(page, `busy ${width}`).isChecked(), true);
-    await button(bar, "Unmark all").click();
-    await bar.waitFor({ state: "hidden" });
-  }, width);
-  await server.cancel(runs);
-});
+both(
+  "marked jobs are deleted after one question that names them; one that runs stays",
+  async (width) => {
+    const names = [`old ${width}`, `<b>older</b> ${width}`];
+    const ids = [];
+    for (const name of names) ids.push(await another(name, { adapter: "few_poses" }));
+    await Promise.all(ids.map((id) => server.reached(id, "failed")));
+    const runs = await another(`busy ${width}`, { adapter: "reconstruct:1500" });
+    await server.when(runs, "trains", (job) => job.stage === "reconstruct");
+    const { capture_id: capture } = await server.job(runs);
+    await stand.visit(
+      "delete-marked",
+      `#/captures/${capture}`,
+      async (page) => {
+        for (const name of [...names, `busy ${width}`]) await mark(page, name).check();
+        const bar = page.getByRole("region", { name: "marked jobs" });
+        await button(bar, "Delete 3 jobs").click();
+        const dialog = page.getByRole("dialog", { name: "Delete 2 jobs?" });
+        for (const name of names) await seen(dialog, `“${name}”`);
+        await seen(dialog, `“busy ${width}” runs and stays: cancel first.`);
+        await picture(page, `page-delete-marked-${width}`);
+        await page.keyboard.press("Escape");
+        await dialog.waitFor({ state: "detached" });
+        await server.job(ids[0]);
+        await button(bar, "Delete 3 jobs").click();
+        await button(page, "Delete them").click();
+        await mark(page, names[0]).waitFor({ state: "detached" });
+        for (const id of ids) await assert.rejects(server.job(id), /404/);
+        assert.equal(await mark(page, `busy ${width}`).isChecked(), true);
+        await button(bar, "Unmark all").click();
+        await bar.waitFor({ state: "hidden" });
+      },
+      width,
+    );
+    await server.cancel(runs);
+  },
+);

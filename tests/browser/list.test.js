@@ -1,4 +1,4 @@
-// The list of jobs: pictures, search, filters that the address keeps, pages, and what jobs wait for.
+// The list of jobs: pictures, search, filters in the address, pages, and what jobs wait for.
 
 import assert from "node:assert/strict";
 import { after, before, test } from "node:test";
@@ -21,86 +21,125 @@ after(() => stand?.stop());
 
 const names = (page) => page.locator("tbody tr a").allTextContents();
 
-const shows = (page, wanted) => until(`the list shows ${wanted}`, async () =>
-  JSON.stringify(await names(page)) === JSON.stringify(wanted));
+const shows = (page, wanted) =>
+  until(
+    `the list shows ${wanted}`,
+    async () => JSON.stringify(await names(page)) === JSON.stringify(wanted),
+  );
 
 const FINISHED = "a finished <b>job</b>";
 const FAILED = "a failed (job)";
 
 both("a finished job shows a photograph as it was and as it is restored", async (width) =>
-  stand.visit("thumbs", "", async (page) => {
-    const pair = page.locator("tr", { hasText: FINISHED }).locator(".pair img");
-    await until("both are there", async () => (await pair.count()) === 2 && loaded(pair));
-    const sources = await pair.evaluateAll((images) => images.map((one) => new URL(one.src).pathname));
-    assert.match(sources[0], /\/inputs\/000\.jpg$/);
-    assert.match(sources[1], /\/rounds\/2\/renders\/000\.jpg$/);
-    assert.equal(await page.locator("tr", { hasText: FAILED }).locator("img").count(), 0);
-    const first = await pair.first().elementHandle();
-    await page.getByLabel("Search").fill("finished");
-    await shows(page, [FINISHED]);
-    assert.equal(await first.evaluate((node) => node.isConnected), true, "drawn again, not fetched again");
-  }, width));
+  stand.visit(
+    "thumbs",
+    "",
+    async (page) => {
+      const pair = page.locator("tr", { hasText: FINISHED }).locator(".pair img");
+      await until("both are there", async () => (await pair.count()) === 2 && loaded(pair));
+      const sources = await pair.evaluateAll((images) =>
+        images.map((one) => new URL(one.src).pathname),
+      );
+      assert.match(sources[0], /\/inputs\/000\.jpg$/);
+      assert.match(sources[1], /\/rounds\/2\/renders\/000\.jpg$/);
+      assert.equal(await page.locator("tr", { hasText: FAILED }).locator("img").count(), 0);
+      const first = await pair.first().elementHandle();
+      await page.getByLabel("Search").fill("finished");
+      await shows(page, [FINISHED]);
+      assert.equal(
+        await first.evaluate((node) => node.isConnected),
+        true,
+        "drawn again, not fetched again",
+      );
+    },
+    width,
+  ),
+);
 
 both("jobs are searched and filtered, and the address keeps how", async (width) =>
-  stand.visit("search", "", async (page) => {
-    await shows(page, [FINISHED, FAILED]);
-    await page.getByLabel("Search").fill("FAILED (");
-    await shows(page, [FAILED]);
-    await seen(page.getByRole("status"), "1 of all 2 jobs matches.");
-    assert.equal(new URL(page.url()).hash, "#/?q=FAILED+%28");
-    await page.getByLabel("State").selectOption("succeeded");
-    await shows(page, []);
-    await seen(page.getByRole("status"), "None of all 1 job succeeded matches.");
-    await picture(page, `page-search-${width}`);
-    await button(page, "Show all jobs").click();
-    await shows(page, [FINISHED, FAILED]);
-    assert.equal(new URL(page.url()).hash, "#/");
-    const presets = page.getByRole("search").getByLabel("Preset");
-    await presets.selectOption("paper");
-    await shows(page, []);
-    await presets.selectOption("preview");
-    await page.getByLabel("State").selectOption("failed");
-    await shows(page, [FAILED]);
-    // The way back leads to what one saw.
-    await page.getByRole("link", { name: FAILED }).click();
-    await seen(page.locator("h1 + .state"), "failed");
-    await page.goBack();
-    await shows(page, [FAILED]);
-    assert.equal(await page.getByLabel("State").inputValue(), "failed");
-    assert.equal(new URL(page.url()).hash, "#/?state=failed&preset=preview");
-    await page.getByRole("link", { name: "Jobs" }).click();
-    await shows(page, [FINISHED, FAILED]);
-  }, width));
+  stand.visit(
+    "search",
+    "",
+    async (page) => {
+      await shows(page, [FINISHED, FAILED]);
+      await page.getByLabel("Search").fill("FAILED (");
+      await shows(page, [FAILED]);
+      await seen(page.getByRole("status"), "1 of all 2 jobs matches.");
+      assert.equal(new URL(page.url()).hash, "#/?q=FAILED+%28");
+      await page.getByLabel("State").selectOption("succeeded");
+      await shows(page, []);
+      await seen(page.getByRole("status"), "None of all 1 job succeeded matches.");
+      await picture(page, `page-search-${width}`);
+      await button(page, "Show all jobs").click();
+      await shows(page, [FINISHED, FAILED]);
+      assert.equal(new URL(page.url()).hash, "#/");
+      const presets = page.getByRole("search").getByLabel("Preset");
+      await presets.selectOption("paper");
+      await shows(page, []);
+      await presets.selectOption("preview");
+      await page.getByLabel("State").selectOption("failed");
+      await shows(page, [FAILED]);
+      // The way back leads to what one saw.
+      await page.getByRole("link", { name: FAILED }).click();
+      await seen(page.locator("h1 + .state"), "failed");
+      await page.goBack();
+      await shows(page, [FAILED]);
+      assert.equal(await page.getByLabel("State").inputValue(), "failed");
+      assert.equal(new URL(page.url()).hash, "#/?state=failed&preset=preview");
+      await page.getByRole("link", { name: "Jobs" }).click();
+      await shows(page, [FINISHED, FAILED]);
+    },
+    width,
+  ),
+);
 
 test("the failures' names are words for people", () =>
   stand.visit("failures", "", async (page) =>
-    seen(page.locator("tr", { hasText: FAILED }), "too few photographs could be placed")));
+    seen(page.locator("tr", { hasText: FAILED }), "too few photographs could be placed"),
+  ));
 
 /** Jobs that the server does not have, a page of the API at a time. */
 async function many(page, number) {
-  const { jobs: [one] } = await (await fetch(`${server.base}/v1/jobs?limit=1`)).json();
-  const jobs = Array.from({ length: number }, (_, i) => ({ ...one, id: `job-${i}`, name: `job ${i}`, state: "cancelled", stages: [], best_round: undefined }));
+  const {
+    jobs: [one],
+  } = await (await fetch(`${server.base}/v1/jobs?limit=1`)).json();
+  const jobs = Array.from({ length: number }, (_, i) => ({
+    ...one,
+    id: `job-${i}`,
+    name: `job ${i}`,
+    state: "cancelled",
+    stages: [],
+    best_round: undefined,
+  }));
   const asked = [];
   await page.route("**/v1/jobs?*", (route) => {
     const { searchParams: query } = new URL(route.request().url());
     asked.push(query.toString());
     const from = Number(query.get("cursor") ?? 0);
     const to = from + Number(query.get("limit"));
-    return route.fulfill({ json: { jobs: jobs.slice(from, to), next_cursor: to < number ? String(to) : null } });
+    return route.fulfill({
+      json: { jobs: jobs.slice(from, to), next_cursor: to < number ? String(to) : null },
+    });
   });
   return asked;
 }
 
-test("older jobs come by the API's pages, also beyond its largest, and the page says what it searched", () =>
+test("older jobs come by the API's pages, and the page says what it searched", () =>
   stand.visit("older", "#/captures", async (page) => {
     const asked = await many(page, 330);
     await page.getByRole("link", { name: "Jobs" }).click();
     await seen(page.getByRole("status"), "These are the 50 newest jobs.");
     await page.getByLabel("Search").fill("job 77");
-    await seen(page.getByRole("status"), "None of the 50 newest jobs matches. Older ones were not searched.");
+    await seen(
+      page.getByRole("status"),
+      "None of the 50 newest jobs matches. Older ones were not searched.",
+    );
     await button(page, "Search 50 older jobs").click();
     await shows(page, ["job 77"]);
-    await seen(page.getByRole("status"), "1 of the 100 newest jobs matches. Older ones were not searched.");
+    await seen(
+      page.getByRole("status"),
+      "1 of the 100 newest jobs matches. Older ones were not searched.",
+    );
     await page.getByLabel("Search").fill("");
     for (let known = 150; known <= 250; known += 50) {
       await button(page, "Older jobs").click();
@@ -115,29 +154,48 @@ test("older jobs come by the API's pages, also beyond its largest, and the page 
     assert.equal(await button(page, "Older jobs").isVisible(), false);
   }));
 
-both("a job that waits says what it waits for, and a mark stays where it has the focus", async (width) => {
-  const submit = (name, plan) => server.submit(stand.folder, name, { adapter: plan });
-  const ids = [await submit("busy 1", "reconstruct:1500"), await submit("busy 2", "reconstruct:1500"),
-    await submit("next one", "ok"), await submit("the last <i>one</i>", "ok")];
-  await server.when(ids[1], "trains", (job) => job.stage === "reconstruct");
-  await stand.visit("waits", "", async (page) => {
-    const row = (name) => page.locator("tr", { has: page.getByRole("link", { name, exact: true }) });
-    await seen(row("next one"), "next in the queue: starts when a running job ends");
-    await seen(row("the last <i>one</i>"), "place 2 in the queue, behind “next one”");
-    const mark = page.getByRole("checkbox", { name: "Mark next one" });
-    await mark.focus();
-    await page.keyboard.press("Space");
-    const bar = () => row("busy 1").getByRole("progressbar").evaluate((one) => one.value);
-    const before = await bar();
-    await until("the list is drawn again", async () => (await bar()) > before);
-    assert.equal(await mark.isChecked(), true);
-    assert.equal(await mark.evaluate((one) => one === document.activeElement), true);
-    await page.getByLabel("Search").fill("busy");
-    await seen(page.getByRole("region", { name: "marked jobs" }), "None of them is in the list below.");
-  }, width);
-  for (const id of ids) await server.cancel(id);
-  for (const id of ids) {
-    await server.reached(id, "cancelled");
-    await fetch(`${server.base}/v1/jobs/${id}`, { method: "DELETE" });
-  }
-});
+both(
+  "a job that waits says what it waits for, and a mark stays where it has the focus",
+  async (width) => {
+    const submit = (name, plan) => server.submit(stand.folder, name, { adapter: plan });
+    const ids = [
+      await submit("busy 1", "reconstruct:1500"),
+      await submit("busy 2", "reconstruct:1500"),
+      await submit("next one", "ok"),
+      await submit("the last <i>one</i>", "ok"),
+    ];
+    await server.when(ids[1], "trains", (job) => job.stage === "reconstruct");
+    await stand.visit(
+      "waits",
+      "",
+      async (page) => {
+        const row = (name) =>
+          page.locator("tr", { has: page.getByRole("link", { name, exact: true }) });
+        await seen(row("next one"), "next in the queue: starts when a running job ends");
+        await seen(row("the last <i>one</i>"), "place 2 in the queue, behind “next one”");
+        const mark = page.getByRole("checkbox", { name: "Mark next one" });
+        await mark.focus();
+        await page.keyboard.press("Space");
+        const bar = () =>
+          row("busy 1")
+            .getByRole("progressbar")
+            .evaluate((one) => one.value);
+        const before = await bar();
+        await until("the list is drawn again", async () => (await bar()) > before);
+        assert.equal(await mark.isChecked(), true);
+        assert.equal(await mark.evaluate((one) => one === document.activeElement), true);
+        await page.getByLabel("Search").fill("busy");
+        await seen(
+          page.getByRole("region", { name: "marked jobs" }),
+          "None of them is in the list shown.",
+        );
+      },
+      width,
+    );
+    for (const id of ids) await server.cancel(id);
+    for (const id of ids) {
+      await server.reached(id, "cancelled");
+      await fetch(`${server.base}/v1/jobs/${id}`, { method: "DELETE" });
+    }
+  },
+);

@@ -12,40 +12,61 @@ const LENGTH = 2800;
 
 let stand;
 
-before(async () => { stand = await Stand.start(); });
+before(async () => {
+  stand = await Stand.start();
+});
 
 after(() => stand?.stop());
 
-test("a finished job on a phone is a few screens: state, pictures, scores and the scene come first", async () => {
+test("a finished job is a few screens of a phone, what matters first", async () => {
   const id = await stand.finished();
-  await stand.browser.visit("phone-length", `#/jobs/${id}`, async (page) => {
-    await seen(part(page, "Novel view"), "azimuth 0°");
-    await seen(part(page, "Log").locator(".gist"), /\d+ lines/);
-    await until("it is as long as it gets", async () => {
-      const length = () => page.evaluate(() => document.documentElement.scrollHeight);
-      const before = await length();
-      await page.waitForTimeout(500);
-      return before === await length();
-    });
-    const length = await page.evaluate(() => document.documentElement.scrollHeight);
-    assert.ok(length < LENGTH, `${length} px`);
-    const top = async (locator) => (await locator.boundingBox()).y;
-    const order = [state(page), part(page, "Views").getByRole("slider"), part(page, "Metrics by round").locator("svg").first(),
-      page.getByRole("link", { name: "scene.ply", exact: true }), part(page, "Time by stage")];
-    const tops = [];
-    for (const one of order) tops.push(await top(one));
-    assert.deepEqual(tops, [...tops].sort((a, b) => a - b), "in this order");
-    assert.ok(tops[1] < PHONE.height, "the picture begins on the first screen");
-    // What is folded away is a press away.
-    for (const [title, words] of [["Time by stage", "2 · reconstruct"], ["Facts", "All 29 options"], ["Log", "round 2 is delivered"]]) {
-      const summary = part(page, title).locator("summary").first();
-      assert.notEqual(await summary.locator(".gist").textContent(), "");
-      assert.equal(await part(page, title).getByText(words).first().isVisible(), false);
-      await summary.tap();
-      await part(page, title).getByText(words).first().waitFor();
-    }
-    await part(page, "Files").locator("summary").tap();
-    await seen(part(page, "Files").locator("a"), "metrics.json");
-    assert.deepEqual(await overflowing(page), []);
-  }, PHONE, { hasTouch: true });
+  await stand.browser.visit(
+    "phone-length",
+    `#/jobs/${id}`,
+    async (page) => {
+      await seen(part(page, "Novel view"), "azimuth 0°");
+      await seen(part(page, "Log").locator(".gist"), /\d+ lines/);
+      await until("it is as long as it gets", async () => {
+        const length = () => page.evaluate(() => document.documentElement.scrollHeight);
+        const before = await length();
+        await page.waitForTimeout(500);
+        return before === (await length());
+      });
+      const length = await page.evaluate(() => document.documentElement.scrollHeight);
+      assert.ok(length < LENGTH, `${length} px`);
+      const top = async (locator) => (await locator.boundingBox()).y;
+      const order = [
+        state(page),
+        part(page, "Views").getByRole("slider"),
+        part(page, "Metrics by round").locator("svg").first(),
+        page.getByRole("link", { name: "scene.ply", exact: true }),
+        part(page, "Time by stage"),
+      ];
+      const tops = [];
+      for (const one of order) tops.push(await top(one));
+      assert.deepEqual(
+        tops,
+        [...tops].sort((a, b) => a - b),
+        "in this order",
+      );
+      assert.ok(tops[1] < PHONE.height, "the picture begins on the first screen");
+      // What is folded away is a press away.
+      for (const [title, words] of [
+        ["Time by stage", "2 · reconstruct"],
+        ["Facts", "All 29 options"],
+        ["Log", "round 2 is delivered"],
+      ]) {
+        const summary = part(page, title).locator("summary").first();
+        assert.notEqual(await summary.locator(".gist").textContent(), "");
+        assert.equal(await part(page, title).getByText(words).first().isVisible(), false);
+        await summary.tap();
+        await part(page, title).getByText(words).first().waitFor();
+      }
+      await part(page, "Files").locator("summary").tap();
+      await seen(part(page, "Files").locator("a"), "metrics.json");
+      assert.deepEqual(await overflowing(page), []);
+    },
+    PHONE,
+    { hasTouch: true },
+  );
 });
