@@ -25,7 +25,7 @@ const REFRESH_MS = 3000;
 const OTHER_PICTURES = ["size", "held_out"];
 
 export function comparePage(main, list) {
-  const { ids, left } = named(decodeURIComponent(list));
+  const { ids, left } = named(list);
   document.title = "compare · fled";
   if (ids.length < 2) {
     nothing(main, "A comparison needs two to six jobs: mark them in the list.");
@@ -48,7 +48,7 @@ export function comparePage(main, list) {
     metrics.root,
     h("div", { class: "columns" }, times, warnings),
   );
-  let [timer, gone] = [0, false];
+  let [timer, gone, drawn] = [0, false, ""];
 
   function draw() {
     const words = cautions(entries);
@@ -58,6 +58,10 @@ export function comparePage(main, list) {
     notices.hidden = words.length === 0;
     const isFair = isOneCapture(scored(entries));
     glance.update(isFair);
+    // Progress changes these by nothing: a chart that somebody reads stays as it is.
+    const results = JSON.stringify(entries.map((one) => [one.seen, one.isGone]));
+    if (results === drawn) return;
+    drawn = results;
     show(options, differences(entries));
     metrics.update(entries, isFair);
     pictures.update(entries);
@@ -67,10 +71,9 @@ export function comparePage(main, list) {
 
   async function refresh() {
     clearTimeout(timer);
-    const changes = await Promise.all(entries.filter((one) => !one.job || !isDone(one)).map(look));
+    const changes = await Promise.all(entries.filter((one) => !isDone(one)).map(look));
     if (gone) return;
     if (changes.some(Boolean)) draw();
-    // One that is gone is not asked for again.
     if (entries.some((one) => !isDone(one))) timer = setTimeout(refresh, REFRESH_MS);
   }
   refresh();

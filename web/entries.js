@@ -10,15 +10,18 @@ export const MOST = 6;
 
 /** The jobs that an address names, each once: `{ ids, left }`, `left` being those too many. */
 export function named(list) {
-  const ids = [
-    ...new Set(
-      list
-        .split(",")
-        .map((id) => id.trim())
-        .filter(Boolean),
-    ),
-  ];
+  const parts = list.split(",").map((part) => decoded(part).trim());
+  const ids = [...new Set(parts.filter(Boolean))];
   return { ids: ids.slice(0, MOST), left: Math.max(0, ids.length - MOST) };
+}
+
+/** Not every address that somebody types can be decoded. */
+function decoded(part) {
+  try {
+    return decodeURIComponent(part);
+  } catch {
+    return part;
+  }
 }
 
 /** The address of a comparison. */
@@ -36,6 +39,7 @@ export const entry = (id, number) => ({
   cameras: [],
   problem: "",
   seen: "",
+  isGone: false,
 });
 
 /** Asks the server again for what may have changed; whether anything has. */
@@ -52,12 +56,11 @@ export async function look(one) {
     }
   } catch (error) {
     // One that is gone stays gone; any other problem may pass, and what was there is kept.
-    if (error.status === 404)
-      Object.assign(one, { job: null, rounds: [], report: null, cameras: [] });
-    one.problem =
-      error.status === 404
-        ? "There is no such job: it was deleted, or the link is not whole."
-        : error.message;
+    one.problem = error.message;
+    if (error.status === 404) {
+      one.problem = "There is no such job: it was deleted, or the link is not whole.";
+      Object.assign(one, { job: null, rounds: [], report: null, cameras: [], isGone: true });
+    }
   }
   return before !== JSON.stringify([one.job, one.problem]);
 }
@@ -70,7 +73,8 @@ async function lookInside(one, base) {
 }
 
 /** Whether there is nothing more to come of it. */
-export const isDone = (one) => (one.job ? isOver(one.job) : one.problem !== "");
+export const isDone = (one) =>
+  one.isGone || (one.job !== null && isOver(one.job) && one.problem === "");
 
 export const nameOf = (one) => one.job?.name || (one.job ? "unnamed" : "a job that is not here");
 

@@ -34,7 +34,7 @@ export function jobHead(base, refresh, who) {
       ask(`Delete the job “${job.name || "unnamed"}”?`, "Its scene, pictures and scores are gone then; the photographs stay.", "Delete it"), "danger"),
   };
   const root = h("section", { hidden: true },
-    h("div", { class: "row" }, title, state, line, !isVisitor && 
+    h("div", { class: "row" }, title, state, line, !isVisitor &&
       h("span", { class: "row push" }, buttons.cancel, buttons.retry, compare, again, buttons.remove)),
     isVisitor ? "" : keeping, facts, bar, error, meaning, problem);
   let [job, gone] = [null, false];

@@ -274,6 +274,34 @@ both(
   },
 );
 
+test("a server that does not answer for a while is asked again", async () => {
+  const ids = await two();
+  await stand.visit("asked-again", `#/compare/${ids.join(",")}`, async (page, faults) => {
+    const rows = page.getByRole("table", { name: "at a glance" }).locator("tbody tr");
+    await rows.first().waitFor();
+    await until("all is there", () => loaded(page.getByRole("slider").locator("img")));
+    let isDown = true;
+    await page.route(`**/v1/jobs/${ids[1]}/rounds`, (route) =>
+      isDown
+        ? route.fulfill({ status: 503, json: { detail: "The server is busy." } })
+        : route.continue(),
+    );
+    await page.reload();
+    await seen(rows.nth(1), "The server is busy.");
+    isDown = false;
+    await seen(rows.nth(1), "21.50");
+    await until("all is there", () => loaded(page.getByRole("slider").locator("img")));
+    provoked(faults, 503);
+  });
+});
+
+test("an address that cannot be read is a sentence", () =>
+  stand.visit("unreadable", "#/compare/%,%E0%A4%A", async (page, faults) => {
+    await seen(page.locator("tbody tr"), "There is no such job");
+    await until("both are asked for", () => faults.length === 4);
+    provoked(faults, 404);
+  }));
+
 test("jobs of different captures are said to be so, and none is the best", async () => {
   const [, second] = await two();
   const other = await server.submit(stand.folder, "of others", { adapter: "ok" });
