@@ -11,6 +11,7 @@ import { poses } from "./poses.js";
 import { scenePanel } from "./scene.js";
 import { shares } from "./share.js";
 import { isOver } from "./state.js";
+import { trainingCurve } from "./training.js";
 import { comparison } from "./views.js";
 
 const EVENTS = ["state", "planned", "stage_started", "stage_finished", "progress", "round_finished", "warning"];
@@ -24,6 +25,7 @@ export function jobPage(main, who, id) {
   const problem = h("p", { class: "problem", role: "alert" });
   const unused = section("Photographs");
   const warnings = section("Warnings");
+  const training = trainingCurve();
   const metrics = section("Metrics by round");
   const times = folding("Time by stage");
   const facts = folding("Facts");
@@ -36,8 +38,8 @@ export function jobPage(main, who, id) {
   const share = who.scopes !== null && !isVisitor ? shares(id) : null;
   const log = isVisitor ? null : logView(base);
   // What matters comes first: on a phone the rest is far below.
-  main.append(head.root, problem, warnings, scene.root, views.root, metrics, files, novel.root, unused,
-    h("div", { class: "columns" }, times, facts),
+  main.append(head.root, problem, warnings, training.root, scene.root, views.root, metrics, files,
+    novel.root, unused, h("div", { class: "columns" }, times, facts),
     ...[share, log].filter(Boolean).map((part) => part.root));
   share?.open();
 
@@ -111,6 +113,7 @@ export function jobPage(main, who, id) {
         if (!queued) queued = setTimeout(() => { queued = 0; refresh(); }, 250);
       });
     }
+    stream.addEventListener("training_seen", (event) => training.see(JSON.parse(event.data)));
     stream.onerror = () => {
       if (stream?.readyState !== EventSource.CLOSED) return;
       stream = null;

@@ -88,6 +88,19 @@ pub enum Event {
         #[serde(default, skip_serializing_if = "Option::is_none")]
         steps_per_second: Option<f64>,
     },
+    /// How the training of a round goes, every 25 steps.
+    TrainingSeen {
+        /// Which round.
+        round: u32,
+        /// Steps done.
+        step: u32,
+        /// Steps in all.
+        steps: u32,
+        /// The loss of the last step's view: views differ, so it scatters about its course.
+        loss: f64,
+        /// Gaussians of the scene.
+        gaussians: u64,
+    },
     /// A stage ended well. `skipped`: an earlier run had finished it.
     StageFinished {
         /// Which stage.

@@ -1,7 +1,7 @@
 //! Images as planar `f32`, with their transfer function in the type.
 //!
-//! Reading takes JPEG, PNG, WebP, TIFF and HEIC of 8 to 16 bit, turned upright ([`decode`]); writing
-//! gives PNG and JPEG, whole or not at all ([`encode`]). Everything between stays `f32`.
+//! Reading takes JPEG, PNG, WebP, TIFF and HEIC of 8 to 16 bit, turned upright ([`decode`]);
+//! writing gives PNG and JPEG, whole or not at all ([`encode`]). Everything between stays `f32`.
 
 mod decode;
 mod encode;

@@ -28,7 +28,7 @@ pub use crate::shake::Response;
 pub use checkpoint::{Checkpoint, CheckpointError};
 pub use config::{Background, Densify, TrainConfig};
 pub use error::ReconstructError;
-pub use hooks::{CheckpointHook, ProgressHook, TrainHooks};
+pub use hooks::{CheckpointHook, ProgressHook, Seen, SeenHook, TrainHooks};
 pub use initialise::{Beginning, ExtentRule, Point, initialise, scene_depth, scene_extent};
 pub use registration::Registration;
 pub use schedule::Schedule;

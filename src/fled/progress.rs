@@ -87,9 +87,10 @@ fn advance(bar: &ProgressBar, event: &Event) {
 /// What an event adds to the log.
 fn lines(event: &Event) -> Vec<String> {
     let line = match event {
-        Event::StageStarted { .. } | Event::StageAdvanced { .. } | Event::Progress { .. } => {
-            return Vec::new();
-        }
+        Event::StageStarted { .. }
+        | Event::StageAdvanced { .. }
+        | Event::TrainingSeen { .. }
+        | Event::Progress { .. } => return Vec::new(),
         Event::RoundFinished { metrics } => return round_lines(metrics),
         Event::Planned { rounds, views } => format!("{views} views, {rounds} rounds"),
         Event::StageFinished {

@@ -4,17 +4,21 @@
 //! sharp each frame is, and once for those that were chosen.
 
 mod choose;
+mod error;
 mod ffmpeg;
 
 use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use self::choose::{Stretches, sharpness};
+use self::error::{MOST_IN_VIDEO, PATIENCE};
 use self::ffmpeg::{Ffmpeg, Output};
-use crate::cancel::{CancelToken, Cancelled};
+use crate::cancel::CancelToken;
 use crate::image::read_header;
+
+pub use self::error::VideoError;
 
 /// Frames that are taken when nobody says how many.
 pub const FRAMES: usize = 40;
@@ -22,95 +26,12 @@ pub const FRAMES: usize = 40;
 /// Most frames that are taken.
 pub const MOST_FRAMES: usize = 500;
 
-/// Most frames of a video: ten minutes at 60 a second.
-const MOST_IN_VIDEO: usize = 36_000;
-
 /// Frames of a larger video are brought down to this long side, px, by area: no preset trains on
 /// more, and noise is averaged.
 const LONG_SIDE: usize = 1920;
 
 /// Side of the square in which sharpness is measured, px. What is compared has one shape anyway.
 const MEASURED_SIDE: usize = 320;
-
-/// Most pixels of a frame that is decoded.
-const MOST_PIXELS: usize = 40_000_000;
-
-/// How long ffmpeg may take in all. Who waits for an answer to an upload waits ten minutes.
-const PATIENCE: Duration = Duration::from_secs(8 * 60);
-
-/// Why no photographs come of a video.
-#[derive(Debug, thiserror::Error)]
-pub enum VideoError {
-    /// There is no ffmpeg.
-    #[error("{program}: {reason}; videos are read by ffmpeg")]
-    Missing {
-        /// What was started.
-        program: String,
-        /// What the system said.
-        reason: String,
-    },
-    /// ffmpeg cannot read it.
-    #[error("the video cannot be read: {reason}")]
-    Unreadable {
-        /// The last that ffmpeg said.
-        reason: String,
-    },
-    /// It is too short.
-    #[error(
-        "the video has {frames} frames, at least {} are needed",
-        super::MIN_VIEWS
-    )]
-    TooShort {
-        /// How many it has.
-        frames: usize,
-    },
-    /// It is too long.
-    #[error("the video has more than {MOST_IN_VIDEO} frames")]
-    TooLong,
-    /// Its frames would take more than there is room for.
-    #[error("the photographs may take {bytes} bytes, more than there is room for")]
-    NoRoom {
-        /// What they may take.
-        bytes: u64,
-    },
-    /// ffmpeg took too long.
-    #[error("ffmpeg was stopped after {} minutes", PATIENCE.as_secs() / 60)]
-    Timeout,
-    /// Asked to stop.
-    #[error(transparent)]
-    Cancelled(#[from] Cancelled),
-    /// The file system failed.
-    #[error("{}: {source}", path.display())]
-    Io {
-        /// Where.
-        path: PathBuf,
-        /// What it said.
-        source: io::Error,
-    },
-}
-
-impl VideoError {
-    /// What to do about it.
-    pub fn hint(&self) -> &'static str {
-        match self {
-            Self::Missing { .. } => {
-                "install it (apt-get install ffmpeg), or give photographs of the video"
-            }
-            Self::Unreadable { .. } => "give it as MP4 or MOV that other players show, whole",
-            Self::TooShort { .. } => "walk around the scene, slowly, for half a minute or more",
-            Self::TooLong => "cut it: ten minutes at 60 frames a second are read",
-            Self::NoRoom { .. } => "ask for fewer frames, or make room",
-            Self::Timeout => "cut it into parts, or make it smaller",
-            Self::Cancelled(_) => "",
-            Self::Io { .. } => "check that the disk is not full",
-        }
-    }
-
-    fn io(path: &Path) -> impl FnOnce(io::Error) -> Self {
-        let path = path.to_owned();
-        move |source| Self::Io { path, source }
-    }
-}
 
 /// What is wanted of a video.
 #[derive(Clone, Copy, Debug)]

@@ -19,14 +19,14 @@ use super::tone::Tone;
 use super::views::View;
 use super::workspace::Workspace;
 use crate::camera::{Camera, Split};
-use crate::event::Stage;
+use crate::event::{Event, Stage};
 use crate::gaussians::{Gaussians, ply};
 use crate::image::Image;
 use crate::metrics;
 use crate::metrics::report::NoiseMapStatistics;
 use crate::poses::Poses;
 use crate::reconstruct::{
-    self, Beginning, Checkpoint, Registration, TrainConfig, TrainHooks, TrainStart, Trained,
+    self, Beginning, Checkpoint, Registration, Seen, TrainConfig, TrainHooks, TrainStart, Trained,
     TrainingView,
 };
 use crate::stereo::Stereo;
@@ -241,7 +241,7 @@ fn train(
     let views = training_views(material, Split::Train);
     let cancel = context.cancel;
     let path = context.workspace.folder().work().checkpoint();
-    // Both hooks tell the same context; the trainer calls one at a time.
+    // All hooks tell the same context; the trainer calls one at a time.
     let shared = RefCell::new(&mut *context);
     let mut progress = |done: u64, total: u64, rate: f64| {
         let progress = Advance {
@@ -262,10 +262,25 @@ fn train(
             context.sink.warn("checkpoint", message);
         }
     };
+    let mut show = |seen: Seen| {
+        let Seen {
+            step,
+            loss,
+            gaussians,
+        } = seen;
+        shared.borrow_mut().sink.event(&Event::TrainingSeen {
+            round: number,
+            step,
+            steps: config.steps,
+            loss,
+            gaussians: gaussians as u64,
+        });
+    };
     let mut hooks = TrainHooks {
         cancel,
         progress: &mut progress,
         checkpoint: Some(&mut keep),
+        seen: Some(&mut show),
     };
     let trained = reconstruct::train(gpu, &views, start, config, &mut hooks)?;
     for warning in &trained.warnings {

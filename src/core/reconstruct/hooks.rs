@@ -7,6 +7,19 @@ use crate::cancel::CancelToken;
 pub type ProgressHook<'a> = &'a mut dyn FnMut(u64, u64, f64);
 /// Takes a checkpoint, at least once a minute.
 pub type CheckpointHook<'a> = &'a mut dyn FnMut(&Checkpoint);
+/// Takes how training goes, every 25 steps.
+pub type SeenHook<'a> = &'a mut dyn FnMut(Seen);
+
+/// How training goes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Seen {
+    /// Steps done.
+    pub step: u32,
+    /// The loss of the last step's view: views differ, so it scatters about its course.
+    pub loss: f64,
+    /// Gaussians of the scene.
+    pub gaussians: usize,
+}
 
 /// Whom a round tells, and who may stop it.
 pub struct TrainHooks<'a> {
@@ -16,4 +29,6 @@ pub struct TrainHooks<'a> {
     pub progress: ProgressHook<'a>,
     /// `None`: no checkpoints are made.
     pub checkpoint: Option<CheckpointHook<'a>>,
+    /// `None`: nobody looks.
+    pub seen: Option<SeenHook<'a>>,
 }

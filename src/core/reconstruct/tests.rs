@@ -155,6 +155,7 @@ fn trained_on(
         cancel: &CancelToken::new(),
         progress: &mut |_, _, _| {},
         checkpoint: None,
+        seen: None,
     };
     train(gpu, views, start, config, &mut hooks).expect("trains")
 }
@@ -163,6 +164,32 @@ fn bytes(scene: &Gaussians) -> Vec<u8> {
     let mut bytes = Vec::new();
     ply::write_to(scene, &mut bytes).expect("written");
     bytes
+}
+
+#[test]
+fn who_looks_is_told_every_25_steps_and_changes_nothing() {
+    let scene = truth(60, 2);
+    let views = views_of(&scene, &[-0.1, 0.1], [64, 48]);
+    let config = config(60, 400);
+    let alone = trained(&views, start(&views, &scene, &config), &config);
+    let mut seen = Vec::new();
+    let mut hooks = TrainHooks {
+        cancel: &CancelToken::new(),
+        progress: &mut |_, _, _| {},
+        checkpoint: None,
+        seen: Some(&mut |one: Seen| seen.push(one)),
+    };
+    let begin = start(&views, &scene, &config);
+    let watched = train(fixtures::gpu(), &views, begin, &config, &mut hooks).expect("trains");
+    assert_eq!(bytes(&watched.gaussians), bytes(&alone.gaussians));
+    let steps: Vec<u32> = seen.iter().map(|one| one.step).collect();
+    assert_eq!(steps, [25, 50]);
+    for one in seen {
+        assert!(
+            one.loss > 0.0 && one.loss < 1.0 && one.gaussians > 0,
+            "{one:?}"
+        );
+    }
 }
 
 #[test]
@@ -262,6 +289,7 @@ fn an_overflow_of_the_intersections_is_repeated_in_larger_buffers() {
         cancel: &cancel,
         progress: &mut |_, _, _| {},
         checkpoint: None,
+        seen: None,
     };
     let grown = small.run(&mut hooks).expect("trains");
     let roomy = trained(&views, begin(), &config);

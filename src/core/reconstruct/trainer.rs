@@ -15,7 +15,8 @@ use super::forward_model::{ForwardModel, Purpose, largest};
 use super::level::Level;
 use super::optimizer::Optimizer;
 use super::{
-    Densify, ReconstructError, Schedule, TrainConfig, TrainHooks, TrainStart, Trained, TrainingView,
+    Densify, ReconstructError, Schedule, Seen, TrainConfig, TrainHooks, TrainStart, Trained,
+    TrainingView,
 };
 use crate::metrics::report::NoiseMapStatistics;
 use crate::noise::NoiseField;
@@ -30,6 +31,8 @@ const CHECKPOINT_EVERY: Duration = Duration::from_secs(30);
 const PROGRESS_EVERY: Duration = Duration::from_millis(250);
 /// Steps between looks at the noise map.
 const INSPECT: u32 = 100;
+/// Steps between two that are told of, at each of which nothing is in flight.
+const TOLD: u32 = 25;
 
 /// Steps whose count of intersections is not known yet, and those that must be repeated.
 #[derive(Default)]
@@ -133,6 +136,7 @@ impl<'a> Trainer<'a> {
                     if self.next > first && self.next.is_multiple_of(INSPECT) {
                         self.inspect_noise()?;
                     }
+                    self.show(first, hooks)?;
                     self.offer_checkpoint(hooks, &mut saved)?;
                     self.prepare(self.next, hooks.cancel)?;
                     prepared = true;
@@ -156,9 +160,29 @@ impl<'a> Trainer<'a> {
         }
     }
 
-    fn finish(self, begin: Instant) -> Result<Trained, ReconstructError> {
+    /// Tells how training goes, where somebody looks; nothing may be in flight.
+    fn show(&self, first: u32, hooks: &mut TrainHooks<'_>) -> Result<(), ReconstructError> {
+        let Some(seen) = &mut hooks.seen else {
+            return Ok(());
+        };
+        if self.next > first && self.next.is_multiple_of(TOLD) {
+            seen(Seen {
+                step: self.next,
+                loss: self.loss()?,
+                gaussians: self.model.pass.gaussians.count as usize,
+            });
+        }
+        Ok(())
+    }
+
+    /// The loss of the last step's view.
+    fn loss(&self) -> Result<f64, ReconstructError> {
         let last_view = &self.model.views[self.last_view];
-        let final_loss = self.level.loss(last_view).value()?.total;
+        Ok(self.level.loss(last_view).value()?.total)
+    }
+
+    fn finish(self, begin: Instant) -> Result<Trained, ReconstructError> {
+        let final_loss = self.loss()?;
         Ok(Trained {
             gaussians: self.model.pass.gaussians.download()?.without_unusable(),
             steps: u64::from(self.config.steps),
@@ -189,6 +213,7 @@ impl Trainer<'_> {
             cancel: &cancel,
             progress: &mut |_, _, _| {},
             checkpoint: Some(&mut keep),
+            seen: None,
         };
         self.run(&mut hooks).expect("trains");
         frozen.expect("a checkpoint after the step")

@@ -127,6 +127,15 @@ impl Job {
                     total: TICKS,
                     steps_per_second,
                 });
+                if stage == Stage::Reconstruct {
+                    tell(&Event::TrainingSeen {
+                        round,
+                        step: 25 * done as u32,
+                        steps: 25 * TICKS as u32,
+                        loss: 0.2 / (done as f64 + f64::from(round)),
+                        gaussians: 1000 * done,
+                    });
+                }
             }
             fs::write(mark, "")?;
         }

@@ -218,7 +218,9 @@ impl Attempt<'_> {
             told => {
                 // In the order in which they were said.
                 self.write_pending().await?;
-                self.log.line(&readable(&told));
+                if !matches!(told, Event::TrainingSeen { .. }) {
+                    self.log.line(&readable(&told));
+                }
                 self.app.store.record(&self.lease, &told).await?;
                 self.app.changed();
             }

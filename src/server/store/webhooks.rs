@@ -155,8 +155,8 @@ impl Store {
         Ok(())
     }
 
-    /// Writes a delivery that only shows whether deliveries arrive; its name. `None` while one is on
-    /// its way.
+    /// Writes a delivery that only shows whether deliveries arrive; its name. `None` while one is
+    /// on its way.
     ///
     /// # Errors
     /// When the database refuses.
@@ -180,8 +180,8 @@ impl Store {
         Ok((done.rows_affected() == 1).then_some(id))
     }
 
-    /// What is to be tried now, with where and by what secret: of each address what has failed least,
-    /// and none of those in `busy`.
+    /// What is to be tried now, with where and by what secret: of each address what has failed
+    /// least, and none of those in `busy`.
     ///
     /// # Errors
     /// When the database refuses.

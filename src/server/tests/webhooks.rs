@@ -416,6 +416,10 @@ fn the_receivers_of_the_documents_take_what_is_genuine_and_nothing_else() {
             line.starts_with("msg_") && line.contains("webhook.test"),
             "{file}: {line}"
         );
+        until("it arrived", || {
+            let delivery = deliveries(&server, &id).pop()?;
+            delivery["delivered_at"].is_string().then_some(())
+        });
         // With another secret it refuses, and nothing is printed.
         drop(receiver);
         let receiver = Program::start(

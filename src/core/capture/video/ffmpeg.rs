@@ -11,8 +11,11 @@ use std::time::{Duration, Instant};
 
 use process_wrap::std::{ChildWrapper, CommandWrap, ProcessGroup};
 
-use super::{MOST_PIXELS, VideoError};
+use super::error::VideoError;
 use crate::cancel::CancelToken;
+
+/// Most pixels of a frame that is decoded.
+const MOST_PIXELS: usize = 40_000_000;
 
 /// How often a cancel is looked for.
 const POLL: Duration = Duration::from_millis(50);

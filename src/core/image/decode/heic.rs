@@ -10,7 +10,7 @@ use heifer::{Error, Options};
 use image::metadata::Orientation;
 use image::{ColorType, ImageDecoder, ImageResult};
 
-use super::{ImageError, MAX_PIXELS};
+use super::error::{ImageError, MAX_PIXELS};
 
 /// What may be coded beyond the picture on each side, px: codecs code whole blocks.
 const MARGIN: u64 = 64;
@@ -18,8 +18,8 @@ const MARGIN: u64 = 64;
 const TILE: u64 = 1 << 20;
 /// Longest file, bytes: it is read whole. 100 megapixels take 30 MiB.
 pub(super) const LONGEST: u64 = 128 << 20;
-/// Longest description of what a file holds, bytes. Phones write 5,000; reading it takes a time that
-/// grows with its square.
+/// Longest description of what a file holds, bytes. Phones write 5,000; reading it takes a time
+/// that grows with its square.
 const LONGEST_META: usize = 512 << 10;
 
 /// A photograph whose boxes were read; its pixels are decoded when they are asked for.
@@ -65,8 +65,8 @@ impl Heic {
         })
     }
 
-    /// Bytes that decoding takes beside the samples: the file, the coded planes, and RGBA before and
-    /// after a turn.
+    /// Bytes that decoding takes beside the samples: the file, the coded planes, and RGBA before
+    /// and after a turn.
     pub(super) fn bytes_beside(&self) -> u64 {
         let rgba = if self.is_deep { 8 } else { 4 };
         let pixels = u64::from(self.coded.0) * u64::from(self.coded.1);

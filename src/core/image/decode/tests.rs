@@ -5,6 +5,7 @@ use crate::image::exif::tests::block;
 use ::exif::{Tag, Value};
 use image::{ExtendedColorType, ImageEncoder};
 use std::fs;
+use std::path::PathBuf;
 
 /// Writes bytes under a name and gives the path (the folder is kept alive by the caller).
 fn file(folder: &tempfile::TempDir, name: &str, bytes: &[u8]) -> PathBuf {

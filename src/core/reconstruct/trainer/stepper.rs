@@ -41,6 +41,7 @@ impl<'a> Stepper<'a> {
             cancel,
             progress: &mut |_, _, _| {},
             checkpoint: None,
+            seen: None,
         };
         self.0.train_to(last, &mut hooks)
     }

@@ -19,9 +19,9 @@ use crate::http::problem::{Problem, disk_full, too_large};
 use crate::http::quota::bytes_left_beside;
 use crate::store::UploadRow;
 
-/// Gathers finished uploads of the visitor's own, each under its file name, for a capture with these
-/// text fields. They stay as they are until the capture is kept, and until then nobody else has
-/// them: a piece that is still on its way would be written into the capture.
+/// Gathers finished uploads of the visitor's own, each under its file name, for a capture with
+/// these text fields. They stay as they are until the capture is kept, and until then nobody else
+/// has them: a piece that is still on its way would be written into the capture.
 ///
 /// # Errors
 /// 423 for those that somebody else does not let go, 404 for those that are not there or somebody

@@ -1,0 +1,85 @@
+//! Why no photographs come of a video, and what it may be.
+
+use std::io;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use crate::cancel::Cancelled;
+use crate::capture::error::MIN_VIEWS;
+
+/// Most frames of a video: ten minutes at 60 a second.
+pub(super) const MOST_IN_VIDEO: usize = 36_000;
+
+/// How long ffmpeg may take in all. Who waits for an answer to an upload waits ten minutes.
+pub(super) const PATIENCE: Duration = Duration::from_secs(8 * 60);
+
+/// Why no photographs come of a video.
+#[derive(Debug, thiserror::Error)]
+pub enum VideoError {
+    /// There is no ffmpeg.
+    #[error("{program}: {reason}; videos are read by ffmpeg")]
+    Missing {
+        /// What was started.
+        program: String,
+        /// What the system said.
+        reason: String,
+    },
+    /// ffmpeg cannot read it.
+    #[error("the video cannot be read: {reason}")]
+    Unreadable {
+        /// The last that ffmpeg said.
+        reason: String,
+    },
+    /// It is too short.
+    #[error("the video has {frames} frames, at least {} are needed", MIN_VIEWS)]
+    TooShort {
+        /// How many it has.
+        frames: usize,
+    },
+    /// It is too long.
+    #[error("the video has more than {MOST_IN_VIDEO} frames")]
+    TooLong,
+    /// Its frames would take more than there is room for.
+    #[error("the photographs may take {bytes} bytes, more than there is room for")]
+    NoRoom {
+        /// What they may take.
+        bytes: u64,
+    },
+    /// ffmpeg took too long.
+    #[error("ffmpeg was stopped after {} minutes", PATIENCE.as_secs() / 60)]
+    Timeout,
+    /// Asked to stop.
+    #[error(transparent)]
+    Cancelled(#[from] Cancelled),
+    /// The file system failed.
+    #[error("{}: {source}", path.display())]
+    Io {
+        /// Where.
+        path: PathBuf,
+        /// What it said.
+        source: io::Error,
+    },
+}
+
+impl VideoError {
+    /// What to do about it.
+    pub fn hint(&self) -> &'static str {
+        match self {
+            Self::Missing { .. } => {
+                "install it (apt-get install ffmpeg), or give photographs of the video"
+            }
+            Self::Unreadable { .. } => "give it as MP4 or MOV that other players show, whole",
+            Self::TooShort { .. } => "walk around the scene, slowly, for half a minute or more",
+            Self::TooLong => "cut it: ten minutes at 60 frames a second are read",
+            Self::NoRoom { .. } => "ask for fewer frames, or make room",
+            Self::Timeout => "cut it into parts, or make it smaller",
+            Self::Cancelled(_) => "",
+            Self::Io { .. } => "check that the disk is not full",
+        }
+    }
+
+    pub(super) fn io(path: &Path) -> impl FnOnce(io::Error) -> Self {
+        let path = path.to_owned();
+        move |source| Self::Io { path, source }
+    }
+}

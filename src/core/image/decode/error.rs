@@ -1,0 +1,82 @@
+//! Why a file is no picture, and how large one may be.
+
+use std::path::PathBuf;
+
+/// Most pixels of a photograph that is decoded. The largest cameras in use give 100 MP; decoding
+/// one takes 300 MB.
+pub const MAX_PIXELS: u64 = 100_000_000;
+
+/// Most bytes of a photograph's file: an uncompressed 16-bit TIFF of [`MAX_PIXELS`] fits.
+pub const MAX_FILE_BYTES: u64 = 640 << 20;
+
+/// Why a file could not be read or written as a picture.
+#[derive(Debug, thiserror::Error)]
+pub enum ImageError {
+    /// The file system failed.
+    #[error("{}: {source}", path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// What it said.
+        source: std::io::Error,
+    },
+    /// The file has no bytes.
+    #[error("the file is empty")]
+    Empty,
+    /// An AVIF, or a sequence of pictures.
+    #[error("AVIF photographs and bursts are not read: export them as JPEG, PNG or HEIC")]
+    Avif,
+    /// A video among photographs.
+    #[error("a video; one that comes alone, in no zip or folder, is taken apart into photographs")]
+    Video,
+    /// A camera's raw file.
+    #[error(
+        "camera raw files are not read: develop them to 16-bit TIFF or PNG, or to JPEG, with one setting for all"
+    )]
+    Raw,
+    /// The bytes are no picture that is known.
+    #[error("not a JPEG, PNG, WebP, TIFF or HEIC picture")]
+    UnknownFormat,
+    /// The header promises more than is accepted.
+    #[error("{width} x {height} px is more than the {} megapixels that are accepted", MAX_PIXELS / 1_000_000)]
+    TooManyPixels {
+        /// Width in the header.
+        width: u32,
+        /// Height in the header.
+        height: u32,
+    },
+    /// The file is longer than is accepted.
+    #[error("{bytes} bytes are more than the {MAX_FILE_BYTES} that are accepted")]
+    TooManyBytes {
+        /// The file's length.
+        bytes: u64,
+    },
+    /// A known format in a variant that is not read, such as floating-point TIFF.
+    #[error("a variant that is not read: {message}")]
+    Unsupported {
+        /// Which.
+        message: String,
+    },
+    /// A known format, but broken or cut short.
+    #[error("damaged or cut short: {message}")]
+    Damaged {
+        /// What the decoder said.
+        message: String,
+    },
+    /// The picture does not fit the format that it should be written in.
+    #[error("cannot be encoded: {message}")]
+    Encode {
+        /// What the encoder said.
+        message: String,
+    },
+}
+
+impl ImageError {
+    /// Whether the format is known but not accepted (HTTP 415), as against a broken file.
+    pub fn is_unsupported_format(&self) -> bool {
+        matches!(
+            self,
+            Self::Avif | Self::Video | Self::Raw | Self::Unsupported { .. }
+        )
+    }
+}
