@@ -8,7 +8,7 @@ import { Stand, part, seen, state } from "./played.js";
 import { until } from "./until.js";
 
 /** Of the page, px: some four screens. */
-const LENGTH = 2800;
+const LENGTH = 3000;
 
 let stand;
 
@@ -37,6 +37,7 @@ test("a finished job is a few screens of a phone, what matters first", async () 
       const top = async (locator) => (await locator.boundingBox()).y;
       const order = [
         state(page),
+        part(page, "Scene").getByRole("button"),
         part(page, "Views").getByRole("slider"),
         part(page, "Metrics by round").locator("svg").first(),
         page.getByRole("link", { name: "scene.ply", exact: true }),
@@ -49,7 +50,7 @@ test("a finished job is a few screens of a phone, what matters first", async () 
         [...tops].sort((a, b) => a - b),
         "in this order",
       );
-      assert.ok(tops[1] < PHONE.height, "the picture begins on the first screen");
+      assert.ok(tops[1] < PHONE.height, "the scene is on the first screen");
       // What is folded away is a press away.
       for (const [title, words] of [
         ["Time by stage", "2 · reconstruct"],
