@@ -7,7 +7,7 @@ const WIDTH = 860;
 const HEIGHT = 200;
 const MARGIN = { left: 52, right: 12, top: 8, bottom: 24 };
 /** What a new value counts for in the line: views differ, so their losses scatter about it. */
-const SHARE = 0.2;
+const SHARE = 0.3;
 /** Colours of the style sheet. */
 const COLOURS = 3;
 

@@ -12,7 +12,7 @@ before(async () => { stand = await Stand.start(); });
 after(() => stand?.stop());
 
 both("the loss is drawn step by step, and again after a reload", async (width) => {
-  const id = await stand.job("reconstruct", `trains at ${width}`);
+  const id = await stand.job("reconstruct:1500", `trains at ${width}`);
   await stand.visit("training", `#/jobs/${id}`, async (page) => {
     const training = part(page, "Training");
     const dots = () => training.locator("circle.seen").count();
