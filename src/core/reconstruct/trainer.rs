@@ -169,7 +169,7 @@ impl<'a> Trainer<'a> {
             seen(Seen {
                 step: self.next,
                 loss: self.loss()?,
-                gaussians: self.model.pass.gaussians.count as usize,
+                gaussians: self.model.pass.gaussians.count,
             });
         }
         Ok(())

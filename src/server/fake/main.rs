@@ -69,27 +69,7 @@ fn serve(data: &Path, address_file: &Path) -> Result<(), Box<dyn std::error::Err
             jobs: None,
             notice: milliseconds("FLED_FAKE_NOTICE_MS")?.unwrap_or_default(),
         },
-        limits: Limits {
-            lease: Duration::from_secs(5),
-            heartbeat: Duration::from_millis(500),
-            silence: Duration::from_secs(3),
-            progress_interval: Duration::from_millis(100),
-            retry_base: Duration::from_millis(50),
-            connections: number("FLED_FAKE_CONNECTIONS", 1024)? as usize,
-            header: Duration::from_millis(number("FLED_FAKE_HEADER_MS", 30_000)?),
-            stall: Duration::from_millis(number("FLED_FAKE_STALL_MS", 30_000)?),
-            render: Duration::from_secs(3),
-            rate: number("FLED_FAKE_RATE", 50)? as u32,
-            burst: number("FLED_FAKE_BURST", 1000)? as u32,
-            queue: number("FLED_FAKE_QUEUE", 200)? as u32,
-            io_retry_base: Duration::from_millis(50),
-            min_free_bytes: number("FLED_FAKE_MIN_FREE", 1 << 20)?,
-            max_upload_bytes: number("FLED_FAKE_UPLOAD_BYTES", 1 << 30)?,
-            max_uploads: number("FLED_FAKE_UPLOADS", 1000)? as u32,
-            upload_life: Duration::from_millis(number("FLED_FAKE_UPLOAD_MS", 60_000)?),
-            max_decoding_bytes: number("FLED_FAKE_DECODING", 1 << 30)?,
-            ..Limits::default()
-        },
+        limits: limits()?,
     };
     tokio::runtime::Runtime::new()?.block_on(async {
         let server = fled_server::Server::start(config).await?;
@@ -97,6 +77,31 @@ fn serve(data: &Path, address_file: &Path) -> Result<(), Box<dyn std::error::Err
         tokio::signal::ctrl_c().await?;
         server.stop().await;
         Ok(())
+    })
+}
+
+/// Short times, and what a test sets.
+fn limits() -> Result<Limits, std::num::ParseIntError> {
+    Ok(Limits {
+        lease: Duration::from_secs(5),
+        heartbeat: Duration::from_millis(500),
+        silence: Duration::from_secs(3),
+        progress_interval: Duration::from_millis(100),
+        retry_base: Duration::from_millis(50),
+        connections: number("FLED_FAKE_CONNECTIONS", 1024)? as usize,
+        header: Duration::from_millis(number("FLED_FAKE_HEADER_MS", 30_000)?),
+        stall: Duration::from_millis(number("FLED_FAKE_STALL_MS", 30_000)?),
+        render: Duration::from_secs(3),
+        rate: number("FLED_FAKE_RATE", 50)? as u32,
+        burst: number("FLED_FAKE_BURST", 1000)? as u32,
+        queue: number("FLED_FAKE_QUEUE", 200)? as u32,
+        io_retry_base: Duration::from_millis(50),
+        min_free_bytes: number("FLED_FAKE_MIN_FREE", 1 << 20)?,
+        max_upload_bytes: number("FLED_FAKE_UPLOAD_BYTES", 1 << 30)?,
+        max_uploads: number("FLED_FAKE_UPLOADS", 1000)? as u32,
+        upload_life: Duration::from_millis(number("FLED_FAKE_UPLOAD_MS", 60_000)?),
+        max_decoding_bytes: number("FLED_FAKE_DECODING", 1 << 30)?,
+        ..Limits::default()
     })
 }
 

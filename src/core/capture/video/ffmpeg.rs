@@ -35,10 +35,13 @@ pub(super) struct Ffmpeg<'a> {
     pub until: Instant,
 }
 
+/// Takes a piece, and says whether more is wanted.
+type Take<'a> = &'a mut dyn FnMut(&[u8]) -> bool;
+
 /// What becomes of its output.
 pub(super) enum Output<'a> {
     /// Standard output in pieces of so many bytes, until one is the last that is wanted.
-    Chunks(usize, &'a mut dyn FnMut(&[u8]) -> bool),
+    Chunks(usize, Take<'a>),
     /// Files in a folder, which it is started in.
     Folder(&'a Path),
 }
@@ -50,13 +53,14 @@ impl Ffmpeg<'_> {
     /// [`VideoError`]; nothing of the process is left then.
     pub(super) fn run(&self, arguments: &[String], output: Output<'_>) -> Result<(), VideoError> {
         let mut child = self.spawn(arguments, &output)?;
-        let (length, mut take): (usize, Box<dyn FnMut(&[u8]) -> bool>) = match output {
-            Output::Chunks(length, take) => (length, Box::new(take)),
-            Output::Folder(_) => (1, Box::new(|_| true)),
+        let mut drop_it = |_: &[u8]| true;
+        let (length, take): (usize, Take<'_>) = match output {
+            Output::Chunks(length, take) => (length, take),
+            Output::Folder(_) => (1, &mut drop_it),
         };
         let words = words(child.stderr().take());
         let chunks = chunks(child.stdout().take(), length);
-        let outcome = self.follow(child.as_mut(), &chunks, &mut take);
+        let outcome = self.follow(child.as_mut(), &chunks, take);
         if outcome.is_err() {
             // It may have ended; what counts is that nothing of it is left.
             let _ = child.kill();
@@ -117,7 +121,7 @@ impl Ffmpeg<'_> {
         &self,
         child: &mut dyn ChildWrapper,
         chunks: &Receiver<Vec<u8>>,
-        take: &mut dyn FnMut(&[u8]) -> bool,
+        take: Take<'_>,
     ) -> Result<bool, VideoError> {
         loop {
             self.cancel.check()?;

@@ -63,12 +63,13 @@ fn grey_alpha_and_sixteen_bits_have_their_defined_pixels() {
     ));
 }
 
+/// Of 16 px, 2 x 2 of them: made once by tests/golden/photographs.py (Pillow, tifffile, libheif).
+const BLOCKS: [[u8; 3]; 4] = [[200, 40, 40], [40, 200, 40], [40, 40, 200], [230, 230, 60]];
+
 #[test]
 fn golden_files_of_other_encoders_have_their_defined_pixels() {
     let folder = folder();
-    // Made once by tests/golden/photographs.py (Pillow, tifffile, libheif); 2 x 2 blocks of 16 px.
-    let expected = [[200, 40, 40], [40, 200, 40], [40, 40, 200], [230, 230, 60]]
-        .map(|c| c.map(|v| v as f32 / 255.0));
+    let expected = BLOCKS.map(|c| c.map(|v| f32::from(v) / 255.0));
     let files: [(&str, &[u8], f32); 8] = [
         (
             "palette.png",
