@@ -34,6 +34,9 @@ pub struct Capture {
     pub warnings: Vec<CaptureWarning>,
     /// Poses that were uploaded with it.
     pub poses: Option<GivenPosesFile>,
+    /// Every how many-th photograph is held out where the options leave it open: a file `hold=8`,
+    /// as published sets have it.
+    pub hold: Option<u32>,
     /// blake3 of names and contents: equal for equal captures wherever they lie.
     pub fingerprint: String,
 }
@@ -83,6 +86,7 @@ impl Capture {
             assessments: assessed.assessments,
             warnings: assessed.warnings,
             poses: layout.poses,
+            hold: layout.hold,
             fingerprint,
         })
     }

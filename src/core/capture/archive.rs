@@ -16,6 +16,7 @@ use crate::image::{MAX_FILE_BYTES, named_like_a_photograph};
 
 use super::entries::{Entry, is_hidden};
 use super::error::{ArchiveFault, CaptureError, MAX_FILES};
+use super::layout::hold;
 
 /// Most bytes of all files of an archive together, unpacked.
 pub const MAX_ARCHIVE_BYTES: u64 = 8 << 30;
@@ -34,7 +35,7 @@ const MAX_TOTAL_RATIO: u64 = 25;
 /// Archives up to this size, unpacked, may shrink by any factor.
 const TOTAL_RATIO_FREE_BYTES: u64 = 64 << 20;
 
-/// Files other than photographs that are unpacked, with the ends of their paths.
+/// Files other than photographs and `hold=N` that are unpacked, with the ends of their paths.
 const POSE_FILES: [&str; 8] = [
     "cameras.txt",
     "images.txt",
@@ -220,7 +221,8 @@ fn plays_a_role(name: &str) -> bool {
     let last = name.rsplit('/').next().unwrap_or(name);
     !name.split('/').any(is_hidden)
         && (named_like_a_photograph(Path::new(last))
-            || POSE_FILES.contains(&last.to_ascii_lowercase().as_str()))
+            || POSE_FILES.contains(&last.to_ascii_lowercase().as_str())
+            || hold(last).is_some())
 }
 
 fn unpack_all(

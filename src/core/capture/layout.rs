@@ -46,6 +46,8 @@ pub(super) struct Layout {
     pub(super) poses: Option<GivenPosesFile>,
     /// The files that hold the poses, for the fingerprint.
     pose_files: Vec<Entry>,
+    /// Every how many-th photograph the capture itself holds out.
+    pub(super) hold: Option<u32>,
 }
 
 impl Layout {
@@ -79,6 +81,7 @@ impl Layout {
             .into_iter()
             .map(|e| (e.stem().to_lowercase(), e))
             .collect();
+        let hold = entries.iter().find_map(|e| hold(&e.path));
         let (poses, pose_files) = find_poses(&entries);
         Self {
             photographs,
@@ -86,6 +89,7 @@ impl Layout {
             ground_truth,
             poses,
             pose_files,
+            hold,
         }
     }
 
@@ -104,8 +108,21 @@ impl Layout {
             hasher.update(entry.path.as_bytes());
             hasher.update(content.finalize().as_bytes());
         }
+        if let Some(hold) = self.hold {
+            hasher.update(format!("{HOLD}{hold}").as_bytes());
+        }
         Ok(hasher.finalize().to_hex().to_string())
     }
+}
+
+/// How the name of the file begins that says it, as the sets of Deblur-NeRF and ExBluRF have it.
+const HOLD: &str = "hold=";
+
+/// What an entry says about which photographs are held out: every n-th, from the first. Nothing is
+/// left to train on below 2.
+pub(super) fn hold(path: &str) -> Option<u32> {
+    let number = path.strip_prefix(HOLD)?.parse().ok()?;
+    (number >= 2).then_some(number)
 }
 
 /// Whether a file should be listed, accepted or not, among the photographs: by its extension, or

@@ -173,6 +173,36 @@ fn given_poses_are_found_in_order_of_preference_and_those_of_the_truth_are_not()
 }
 
 #[test]
+fn a_capture_says_which_photographs_it_holds_out_from_a_zip_too() {
+    let held = |name: &'static str| {
+        let photographs = ["images/a.jpg", "images/b.jpg", "images/c.jpg"];
+        let mut files: Vec<_> = (1..).map(jpeg).zip(photographs).collect();
+        files.push((Vec::new(), name));
+        let files: Vec<_> = files
+            .into_iter()
+            .map(|(bytes, name)| (name, bytes))
+            .collect();
+        let (folder, zip) = (
+            open_folder(&files).expect("a capture"),
+            open_zip(&zipped(&|writer| {
+                let mut pack = |(name, bytes): &(&str, Vec<u8>)| add(writer, name, bytes);
+                files.iter().for_each(&mut pack);
+            })),
+        );
+        let zip = zip.0.expect("a capture");
+        assert_eq!(
+            (folder.hold, &folder.fingerprint),
+            (zip.hold, &zip.fingerprint)
+        );
+        (folder.hold, folder.fingerprint)
+    };
+    let (nothing, without) = held("hold=one");
+    let (eighth, with) = held("hold=8");
+    assert_eq!((nothing, eighth, held("hold=1").0), (None, Some(8), None));
+    assert_ne!(without, with);
+}
+
+#[test]
 fn bad_files_are_rejected_by_themselves_and_the_rest_goes_on() {
     let whole = jpeg(4);
     let capture = open_folder(&[

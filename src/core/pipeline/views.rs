@@ -134,7 +134,7 @@ fn read(
     cancel: &CancelToken,
 ) -> Result<Vec<View>, PipelineError> {
     let names: Vec<&str> = poses.views.iter().map(|view| view.name.as_str()).collect();
-    let splits = splits(&options.held_out, &names)?;
+    let splits = splits(&options.held_out, capture.hold, &names)?;
     let training = splits
         .iter()
         .filter(|split| **split == Split::Train)
@@ -223,11 +223,16 @@ fn resample(image: &Image, width: usize, height: usize) -> Image {
     image.to_linear().resize_area(width, height).to_srgb()
 }
 
-/// The split of each view by the option `held_out`: `auto`, `none`, every n-th, or names.
+/// The split of each view by the option `held_out`: `auto`, `none`, every n-th, or names. `hold` is
+/// what the capture itself says for `auto`, at least 2.
 ///
 /// # Errors
 /// [`OptionsError`] for a number below 2 and for names that are no view's.
-pub fn splits(held_out: &str, names: &[&str]) -> Result<Vec<Split>, OptionsError> {
+pub fn splits(
+    held_out: &str,
+    hold: Option<u32>,
+    names: &[&str],
+) -> Result<Vec<Split>, OptionsError> {
     let every = |n: usize| -> Vec<Split> {
         (0..names.len())
             .map(|i| {
@@ -243,9 +248,10 @@ pub fn splits(held_out: &str, names: &[&str]) -> Result<Vec<Split>, OptionsError
         key: "held_out".to_owned(),
         message,
     };
-    match held_out {
-        "auto" if names.len() >= HELD_OUT_FROM => return Ok(every(8)),
-        "auto" | "none" => return Ok(vec![Split::Train; names.len()]),
+    match (held_out, hold) {
+        ("auto", Some(n)) => return Ok(every(n as usize)),
+        ("auto", None) if names.len() >= HELD_OUT_FROM => return Ok(every(8)),
+        ("auto" | "none", _) => return Ok(vec![Split::Train; names.len()]),
         _ => {}
     }
     if let Ok(n) = held_out.parse::<usize>() {
@@ -284,7 +290,7 @@ mod tests {
         let names: Vec<String> = (0..20).map(|i| format!("v{i}")).collect();
         let names: Vec<&str> = names.iter().map(String::as_str).collect();
         let held = |option: &str, names: &[&str]| -> Vec<usize> {
-            let splits = splits(option, names).expect("valid");
+            let splits = splits(option, None, names).expect("valid");
             (0..names.len())
                 .filter(|&i| splits[i] == Split::HeldOut)
                 .collect()
@@ -297,9 +303,21 @@ mod tests {
     }
 
     #[test]
+    fn what_a_capture_holds_out_itself_stands_where_the_options_leave_it_open() {
+        let held = |option: &str| {
+            let splits = splits(option, Some(3), &["a", "b", "c", "d", "e"]).expect("valid");
+            let held_out = splits.iter().map(|split| *split == Split::HeldOut);
+            held_out.collect::<Vec<_>>()
+        };
+        assert_eq!(held("auto"), [true, false, false, true, false]);
+        assert_eq!(held("b"), [false, true, false, false, false]);
+        assert_eq!(held("none"), [false; 5]);
+    }
+
+    #[test]
     fn a_held_out_option_that_cannot_be_is_refused() {
-        assert!(splits("1", &["a", "b"]).is_err());
-        assert!(splits("c", &["a", "b"]).is_err());
+        assert!(splits("1", None, &["a", "b"]).is_err());
+        assert!(splits("c", None, &["a", "b"]).is_err());
     }
 
     #[test]
