@@ -81,7 +81,7 @@ pub struct Options {
     pub dropout: f64,
     /// Train at 1/4, then 1/2, then full size.
     pub resolution_schedule: bool,
-    /// `auto` (the capture's `hold=N`, else every 8th of 12 and more), `none`, n, or names by comma.
+    /// `auto` (the capture's `hold=N`, else every 8th of 12 or more), `none`, n, or names by comma.
     #[serde(deserialize_with = "held_out")]
     #[schemars(with = "HeldOut")]
     pub held_out: String,
