@@ -13,7 +13,7 @@ endif
 
 .DEFAULT_GOAL := help
 .PHONY: help setup onnxruntime matcher venv build test test-python test-widths test-browser test-training
-.PHONY: test-openapi test-api test-peers tidy check lint demo bench gpu-pack gpu-check
+.PHONY: test-openapi test-types test-api test-peers tidy check lint demo bench gpu-pack gpu-check
 
 help: ## this list
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/  make \1\t\2/' | expand -t 22
@@ -33,7 +33,7 @@ venv: ## the Python packages of the tools and their tests, pinned, into .venv/
 build: ## the program: target/release/fled
 	$(CARGO) build --release --locked -p fled
 
-test: test-openapi setup onnxruntime matcher test-python ## every test but test-training and test-peers
+test: test-openapi test-types setup onnxruntime matcher test-python ## every test but test-training and test-peers
 	$(CARGO) test --release --locked --workspace
 	@$(MAKE) --no-print-directory test-widths test-api
 
@@ -44,6 +44,9 @@ test-python: venv ## the tools, and what of the recipe needs no PyTorch: some of
 test-openapi: ## openapi.yaml is what it says: OpenAPI 3.1
 	@$(PYTHON) tools/environment.py .venv-api tools/api-requirements.txt
 	.venv-api/bin/python -m openapi_spec_validator openapi.yaml
+
+test-types: ## the dashboard's scripts, held to the types that openapi.yaml promises; needs Node 20 and npm
+	cd tests/browser && npm ci --loglevel=error && npm run --silent types
 
 test-api: test-openapi ## a server with played jobs, held to openapi.yaml by requests that schemathesis makes up
 	$(CARGO) build --release --locked -p fled-server --bin fled-fake

@@ -21,6 +21,7 @@ export function capturePage(main, id, from) {
 
   async function open() {
     try {
+      /** @type {import("fled-api").Capture} */
       const capture = await api(base);
       if (gone) return;
       const again = againForm(capture);
@@ -46,6 +47,7 @@ export function capturePage(main, id, from) {
   async function refresh() {
     clearTimeout(timer);
     try {
+      /** @type {import("fled-api").Jobs} */
       const page = await api(`/v1/jobs?limit=200&capture_id=${id}`);
       if (gone) return;
       of = page.jobs;
@@ -76,7 +78,10 @@ export function capturePage(main, id, from) {
   return () => { gone = true; clearTimeout(timer); jobs.leave(); };
 }
 
-/** Another job of the same photographs. */
+/**
+ * Another job of the same photographs.
+ * @param {import("fled-api").Capture} capture
+ */
 function againForm(capture) {
   const options = optionsForm();
   const name = h("input", { type: "text", placeholder: capture.name || "optional", maxLength: 200 });
@@ -90,6 +95,7 @@ function againForm(capture) {
     try {
       const body = { capture_id: capture.id, preset: options.preset.value, options: options.chosen() };
       if (name.value) body.name = name.value;
+      /** @type {import("fled-api").Job} */
       const job = await send("/v1/jobs", body);
       location.hash = `#/jobs/${job.id}`;
     } catch (error) {
@@ -107,6 +113,7 @@ function againForm(capture) {
     /** The options of a job that there is. */
     async begin(id) {
       try {
+        /** @type {import("fled-api").Job} */
         const job = await api(`/v1/jobs/${id}`);
         name.value = job.name;
         await options.fill(job.preset, job.options);

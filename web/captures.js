@@ -22,6 +22,7 @@ export function capturesPage(main) {
 
   async function refresh() {
     try {
+      /** @type {import("fled-api").Captures} */
       const page = await api(`/v1/captures?limit=${limit}`);
       if (gone) return;
       refill(list.tBodies[0], page.captures.map((capture) => row(COLUMNS, cells(capture))));
@@ -36,6 +37,7 @@ export function capturesPage(main) {
   return () => { gone = true; };
 }
 
+/** @param {import("fled-api").Capture} capture */
 function cells(capture) {
   const out = rejected(capture).length;
   const warned = capture.images.filter((image) => image.warnings.length > 0).length;

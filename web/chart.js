@@ -203,6 +203,7 @@ export function ticks(low, high) {
   return found;
 }
 
+/** @returns {[number, number]} */
 function range(values, most) {
   const [low, high] = [Math.min(...values), Math.max(...values)];
   const room = (high - low) * 0.12 || Math.abs(high) * 0.05 || 1;

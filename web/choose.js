@@ -6,8 +6,12 @@ import { MOST, addressOf } from "./entries.js";
 /** As many of the newest are offered. */
 const OFFERED = 50;
 
-/** Asks for jobs, those of the same capture first, and goes to the comparison. */
+/**
+ * Asks for jobs, those of the same capture first, and goes to the comparison.
+ * @param {import("fled-api").Job} job
+ */
 export async function compareWith(job) {
+  /** @type {import("fled-api").Jobs[]} */
   const [same, newest] = await Promise.all([
     api(`/v1/jobs?limit=${OFFERED}&capture_id=${job.capture_id}`),
     api(`/v1/jobs?limit=${OFFERED}`),

@@ -1,11 +1,17 @@
 // Builds the page. Text from outside (names, log lines, warnings) only ever becomes a text node.
 
-/** An element with properties, attributes (`data-`, `aria-`, `class`) and children. */
+/**
+ * An element with properties, attributes (`data-`, `aria-`, `class`) and children.
+ * @returns {any} What the tag makes it.
+ */
 export function h(tag, properties = {}, ...children) {
   return fill(document.createElement(tag), properties, children);
 }
 
-/** The same for SVG. */
+/**
+ * The same for SVG.
+ * @returns {any} What the tag makes it.
+ */
 export function s(tag, attributes = {}, ...children) {
   return fill(document.createElementNS("http://www.w3.org/2000/svg", tag), attributes, children, true);
 }
@@ -36,8 +42,18 @@ export function refill(node, ...children) {
   same?.focus({ preventScroll: true });
 }
 
-/** What the server refused: its words, `status`, and `pointer` to the part at fault. */
+/**
+ * What the server refused: its words, `status`, `pointer` to the part at fault, and `wait`, the
+ * seconds until it may be asked again, where it says so.
+ */
 export class Refusal extends Error {
+  /** @type {number | undefined} */
+  wait;
+
+  /**
+   * @param {number} status
+   * @param {import("fled-api").Problem | null} problem Any other body is none.
+   */
   constructor(status, problem) {
     super([problem?.detail ?? `The server answered ${status}.`, problem?.hint].filter(Boolean).join("\n"));
     Object.assign(this, { status, detail: problem?.detail, pointer: problem?.pointer, capture: problem?.capture });
@@ -51,7 +67,12 @@ const SAME = 2000;
 
 export const serverNow = () => Date.now() + ahead;
 
-/** A GET or other request; a problem document becomes a `Refusal`. */
+/**
+ * A GET or other request; a problem document becomes a `Refusal`.
+ * @param {string} path
+ * @param {RequestInit} options
+ * @returns {Promise<any>} Of the type that the caller says.
+ */
 export async function api(path, options = {}) {
   const response = await fetch(path, options);
   const date = Date.parse(response.headers.get("date"));

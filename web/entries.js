@@ -33,7 +33,7 @@ export const entry = (id, number) => ({
   number,
   letter: "ABCDEF"[number],
   style: `k${number}`,
-  job: null,
+  job: /** @type {import("fled-api").Job | null} */ (null),
   rounds: [],
   report: null,
   cameras: [],

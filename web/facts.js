@@ -4,6 +4,7 @@ import { duration, h, plain } from "./dom.js";
 
 const STAGES = ["poses", "enhance", "deblur", "reconstruct", "render", "match", "evaluate"];
 
+/** @param {import("fled-api").StageTime[]} stages */
 export function stageBars(stages) {
   const rows = [...stages].sort((a, b) => a.round - b.round || STAGES.indexOf(a.stage) - STAGES.indexOf(b.stage));
   const most = Math.max(...rows.map((row) => row.seconds));
@@ -35,7 +36,10 @@ function without(values, name) {
   return rest.length > 0 ? Object.fromEntries(rest) : null;
 }
 
-/** Every option of a job, one a line. */
+/**
+ * Every option of a job, one a line.
+ * @param {import("fled-api").Job} job
+ */
 export const optionList = (job) => h("details", {}, h("summary", {}, `All ${Object.keys(job.options).length} options`), pairs(job.options));
 
 /** Names and values; what a value holds is a list of its own. */

@@ -37,7 +37,9 @@ export function jobHead(base, refresh, who) {
     h("div", { class: "row" }, title, state, line, !isVisitor &&
       h("span", { class: "row push" }, buttons.cancel, buttons.retry, compare, again, buttons.remove)),
     isVisitor ? "" : keeping, facts, bar, error, meaning, problem);
-  let [job, gone] = [null, false];
+  /** @type {import("fled-api").Job | null} */
+  let job = null;
+  let gone = false;
 
   async function removed() {
     await api(base, { method: "DELETE" });

@@ -48,6 +48,7 @@ export function jobPage(main, who, id) {
   async function refresh() {
     clearTimeout(timer);
     try {
+      /** @type {import("fled-api").Job} */
       const job = await api(base);
       if (gone) return;
       head.update(job);
@@ -74,6 +75,7 @@ export function jobPage(main, who, id) {
 
   /** What was left out of the upload: told once, it does not change. */
   async function showUnused(job) {
+    /** @type {import("fled-api").Capture | null} */
     const found = await api(`/v1/captures/${job.capture_id}`).catch(() => null);
     if (found && !gone) show(unused, leftOut(found));
   }
@@ -89,6 +91,7 @@ export function jobPage(main, who, id) {
     const hasTruth = report.rounds.some((round) => round.records.some((record) => record.reference === "gt"));
     if (cameras) views.update(cameras, rounds, hasTruth);
     novel.update(rounds);
+    /** @type {import("fled-api").Artifacts} */
     const { artifacts } = await api(`${base}/artifacts`);
     if (gone) return;
     scene.update(cameras ?? [], artifacts, report.best_round);

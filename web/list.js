@@ -150,6 +150,7 @@ async function pages(wanted, state) {
     const query = new URLSearchParams({ limit: String(Math.min(MOST, wanted - jobs.length)) });
     if (state) query.set("state", state);
     if (cursor) query.set("cursor", cursor);
+    /** @type {import("fled-api").Jobs} */
     const page = await api(`/v1/jobs?${query}`);
     jobs.push(...page.jobs);
     cursor = page.next_cursor;

@@ -16,6 +16,7 @@ export function logView(base) {
     clearTimeout(timer);
     try {
       for (let end = false; !end;) {
+        /** @type {import("fled-api").LogPage} */
         const page = await api(`${base}/log?offset=${offset}&limit=2000`);
         const below = text.scrollHeight - text.scrollTop - text.clientHeight < 30;
         if (page.lines.length > 0) text.append(`${page.lines.join("\n")}\n`);

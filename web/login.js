@@ -2,7 +2,10 @@
 
 import { api, h } from "./dom.js";
 
-/** Whether a token is needed, and what this browser's allows: `{ needed, scopes }`. */
+/**
+ * Whether a token is needed, and what this browser's allows.
+ * @returns {Promise<import("fled-api").Session>}
+ */
 export const session = () => api("/login");
 
 /** Shows the form; calls `done` when the token holds. */

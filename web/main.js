@@ -16,10 +16,16 @@ const pages = document.getElementById("pages");
 const none = () => {};
 let leave = none;
 let isLockedOut = false;
-/** Who this browser is. */
+/**
+ * Who this browser is.
+ * @type {import("fled-api").Session}
+ */
 let who = { needed: false, scopes: null, job: null };
 
-/** Pages by address; what is in brackets goes to the page. */
+/**
+ * Pages by address; what is in brackets goes to the page.
+ * @type {[RegExp, (main: HTMLElement, ...found: string[]) => () => void][]}
+ */
 const ROUTES = [
   [/^(?:#?\/?)$/, listPage],
   [/^#\/jobs\/([^/]+)$/, (main, id) => jobPage(main, who, id)],
@@ -37,7 +43,7 @@ function route() {
   document.title = "fled";
   const part = ["#/captures", "#/api"].find((page) => location.hash.startsWith(page)) ?? "#/";
   pages.hidden = isLockedOut || who.job !== null;
-  for (const tab of pages.children) {
+  for (const tab of pages.querySelectorAll("a")) {
     const here = tab.hash === part;
     if (here) tab.setAttribute("aria-current", "page");
     else tab.removeAttribute("aria-current");
@@ -100,6 +106,7 @@ async function health() {
   const place = document.getElementById("health");
   try {
     const response = await fetch("/readyz");
+    /** @type {import("fled-api").Readiness} */
     const { checks } = await response.json();
     const missing = checks.filter((check) => !check.ok);
     place.classList.toggle("bad", missing.length > 0);
@@ -112,7 +119,7 @@ async function health() {
 }
 
 // A file that is dropped where no page takes it would be opened in the page's place.
-for (const name of ["dragover", "drop"]) {
+for (const name of /** @type {const} */ (["dragover", "drop"])) {
   addEventListener(name, (event) => {
     if (event.defaultPrevented || !event.dataTransfer?.types.includes("Files")) return;
     event.preventDefault();

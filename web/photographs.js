@@ -6,14 +6,23 @@ import { told } from "./table.js";
 const COLUMNS = [{ title: "Photograph" }, { title: "Size, px", class: "word" }, { title: "Focal length, px", class: "word" },
   { title: "Verdict" }, { title: "Warnings" }];
 
+/** @typedef {import("fled-api").Capture} Capture */
+
+/** @param {Capture} capture */
 export const rejected = (capture) => capture.images.filter((image) => !image.accepted);
 
-/** "23 of 25 photographs are used". */
+/**
+ * "23 of 25 photographs are used".
+ * @param {Capture} capture
+ */
 export const used = (capture) => `${capture.accepted} of ${count(capture.images.length, "photograph")} ${capture.accepted === 1 ? "is" : "are"} used`;
 
-/** Every photograph; those that are not used come first, with the reason. */
+/**
+ * Every photograph; those that are not used come first, with the reason.
+ * @param {Capture} capture
+ */
 export function photographs(capture) {
-  const images = [...capture.images].sort((a, b) => a.accepted - b.accepted);
+  const images = [...capture.images].sort((a, b) => Number(a.accepted) - Number(b.accepted));
   return told(COLUMNS, images.map((image) => [
     image.name,
     image.width > 0 ? `${image.width} × ${image.height}` : "",
@@ -23,13 +32,19 @@ export function photographs(capture) {
   ]));
 }
 
-/** What is worth knowing of all of them. */
+/**
+ * What is worth knowing of all of them.
+ * @param {Capture} capture
+ */
 export function captureWarnings(capture) {
   if (capture.warnings.length === 0) return null;
   return h("ul", { class: "plain" }, capture.warnings.map((warning) => h("li", {}, warning.message)));
 }
 
-/** For a job's page: which photographs of its upload were left out, and why. */
+/**
+ * For a job's page: which photographs of its upload were left out, and why.
+ * @param {Capture} capture
+ */
 export function leftOut(capture) {
   const out = rejected(capture);
   if (out.length === 0) return null;

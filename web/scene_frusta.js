@@ -8,10 +8,11 @@ const DEPTH = 0.055;
 const NEAR = 0.002;
 /** So near to a camera's place a click means it, px. */
 const REACH = 14;
-/** Dark below light: they are seen on every ground. Colour and width, px. */
-const BELOW = ["#000a", 3];
-const LINE = ["#f2b84b", 1.3];
-const CHOSEN = ["#6cb6ff", 1.8];
+/**
+ * Dark below light: they are seen on every ground. Colour and width, px.
+ * @type {[string, number][]}
+ */
+const [BELOW, LINE, CHOSEN] = [["#000a", 3], ["#f2b84b", 1.3], ["#6cb6ff", 1.8]];
 
 /** The frusta of `cameras`: `draw` paints them, `at` says which one a click meets. */
 export function frusta(cameras, { radius }) {

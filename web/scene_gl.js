@@ -62,6 +62,7 @@ class Renderer {
     const [width, height] = [k.width, k.height].map((side) => Math.max(1, Math.round(side * part)));
     const target = this.#target?.bind(width, height) ? this.#target : null;
     if (!target) gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+    /** @type {[number, number]} */
     const size = target ? [width, height] : [k.width, k.height];
     gl.viewport(0, 0, ...size);
     gl.clearColor(0, 0, 0, 1);

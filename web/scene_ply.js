@@ -79,7 +79,11 @@ function names(degree) {
   return ["x", "y", "z", "opacity", ...number("scale", 3), ...number("rot", 4), ...colour];
 }
 
-/** Reads a scene from a body; `progress(bytes)` is told how much of it has come. */
+/**
+ * Reads a scene from a body; `progress(bytes)` is told how much of it has come.
+ * @param {ReadableStream<Uint8Array>} body
+ * @param {(bytes: number) => void} progress
+ */
 export async function readScene(body, progress = () => {}) {
   const reader = body.getReader();
   let [head, header, rows, filled, received] = [new Uint8Array(0), null, null, 0, 0];

@@ -61,7 +61,11 @@ class View {
   #isGone = false;
 
   constructor(job, cameras, scenes, ended) {
-    Object.assign(this, { job, cameras, scenes, ended, surroundings: surroundingsOf(cameras) });
+    this.job = job;
+    this.cameras = cameras;
+    this.scenes = scenes;
+    this.ended = ended;
+    this.surroundings = surroundingsOf(cameras);
     this.canvas = h("canvas", {});
     this.drawer = renderer(this.canvas);
     if (!this.drawer) throw new SceneError(NO_WEBGL);
@@ -178,6 +182,7 @@ class View {
   /** For the controls: a click on a camera's lines goes there. */
   clicked(x, y) {
     const scale = this.canvas.width / this.frame.clientWidth;
+    /** @type {[number, number]} */
     const place = [x * scale, y * scale];
     const index = this.tools.isOn() ? this.frusta.at(this.pose, this.shown, place, scale) : -1;
     if (index >= 0) this.jump(index);

@@ -15,13 +15,13 @@ async function load(url) {
   const scene = await readScene(response.body, (received) => postMessage({ received, total }));
   // The page gets the arrays themselves; what is sorted here needs its own.
   sort = sorter(scene.geometry.slice());
-  postMessage({ scene }, [scene.geometry.buffer, scene.harmonics.buffer]);
+  postMessage({ scene }, { transfer: [scene.geometry.buffer, scene.harmonics.buffer] });
 }
 
 onmessage = ({ data }) => {
   if (data.view) {
     const order = sort(data.view, data.near);
-    postMessage({ order }, [order.buffer]);
+    postMessage({ order }, { transfer: [order.buffer] });
     return;
   }
   load(data.url).catch((error) => {

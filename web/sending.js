@@ -31,7 +31,12 @@ export function sending(files, tell) {
     tell({ sent: bytes, total, files: finished, waits: paused ? "" : [...reasons].join(", ") });
   }
 
-  /** One request; rejects with `null` when there was no answer. */
+  /**
+   * One request; rejects with `null` when there was no answer.
+   * @param {Blob | null} body
+   * @param {(bytes: number) => void} onBytes
+   * @returns {Promise<XMLHttpRequest>}
+   */
   function ask(method, path, headers, body = null, onBytes = () => {}) {
     return new Promise((resolve, reject) => {
       if (paused || stopped) { reject(null); return; }

@@ -23,6 +23,7 @@ export function shares(job) {
     problem.textContent = "";
     try {
       const body = JSON.stringify({ name: name.value, days: Number(days.value) });
+      /** @type {import("fled-api").MadeShare} */
       const share = await api(base, { method: "POST", headers: { "Content-Type": "application/json" }, body });
       show(share);
       name.value = "";
@@ -65,6 +66,7 @@ export function shares(job) {
   }
 
   async function refresh() {
+    /** @type {import("fled-api").Shares} */
     const { shares } = await api(base);
     const used = (share) => (share.last_used_at ? `used ${day(share.last_used_at)}` : "not used");
     list.replaceChildren(...(shares.length === 0 ? [] : [h("ul", { class: "plain" }, shares.map((share) => h("li", { class: "row" },

@@ -64,7 +64,9 @@ export function split() {
   function balance() {
     const ready = [top, below].every(({ image }) => image.complete && image.naturalWidth > 0);
     const [a, b] = equal.checked && ready ? gains(values(top.image), values(below.image)) : [1, 1];
-    for (const [one, gain] of [[top, a], [below, b]]) one.image.style.filter = gain > 1 ? `brightness(${gain.toFixed(3)})` : "";
+    const brightened = (gain) => (gain > 1 ? `brightness(${gain.toFixed(3)})` : "");
+    top.image.style.filter = brightened(a);
+    below.image.style.filter = brightened(b);
     const [name, gain] = a > 1 ? [left.textContent, a] : [right.textContent, b];
     light.textContent = !equal.checked ? "" : gain > 1.01
       ? `${name} × ${gain.toFixed(1)}, so that both have the same mean. Its noise grows as much.` : "Both have the same mean as they are.";

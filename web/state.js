@@ -2,15 +2,27 @@
 
 import { duration, h, plain, serverNow, stopwatch } from "./dom.js";
 
+/** @typedef {import("fled-api").Job} Job */
+
+/** @param {Job} job */
 export const isOver = (job) => ["succeeded", "failed", "cancelled"].includes(job.state);
 
-/** The word for its state. */
+/**
+ * The word for its state.
+ * @param {Job} job
+ */
 export const stateWord = (job) => (job.cancel_requested && job.state === "running" ? "cancelling" : job.state);
 
-/** The pill that shows a state. */
+/**
+ * The pill that shows a state.
+ * @param {Job} job
+ */
 export const pill = (job) => h("span", { class: `state ${job.state}` }, stateWord(job));
 
-/** What a job does now, in a few words. */
+/**
+ * What a job does now, in a few words.
+ * @param {Job} job
+ */
 export function doing(job) {
   if (job.state === "queued") return [place(job), job.error && "waits for another attempt"].filter(Boolean).join(", ");
   if (job.state !== "running") return "";
@@ -18,12 +30,16 @@ export function doing(job) {
   return [round, job.stage].filter(Boolean).join(", ") || "starts";
 }
 
+/** @param {Job} job */
 function place({ queue_position: position }) {
   if (!position) return "";
   return position === 1 ? "next in the queue" : `place ${position} in the queue`;
 }
 
-/** The line beside a job's state; changes by the second while it runs. */
+/**
+ * The line beside a job's state; changes by the second while it runs.
+ * @param {Job} job
+ */
 export function progressLine(job) {
   const runs = job.state === "running";
   return [
@@ -35,7 +51,10 @@ export function progressLine(job) {
   ].filter(Boolean).join(" · ");
 }
 
-/** Structure from motion cannot say how far it is: what has passed, and what is usual. */
+/**
+ * Structure from motion cannot say how far it is: what has passed, and what is usual.
+ * @param {Job} job
+ */
 function elapsed(job) {
   if (!job.stage_started_at) return "";
   const time = stopwatch((serverNow() - Date.parse(job.stage_started_at)) / 1000);
@@ -44,13 +63,20 @@ function elapsed(job) {
   return given ? `so far ${time}` : `so far ${time}; usually one to two minutes`;
 }
 
-/** Sets a bar: one that knows nothing yet says so and does not stand at 0 %. */
+/**
+ * Sets a bar: one that knows nothing yet says so and does not stand at 0 %.
+ * @param {HTMLProgressElement} bar
+ * @param {Job} job
+ */
 export function setBar(bar, job) {
   if (job.state === "running" && job.progress === 0) bar.removeAttribute("value");
   else bar.value = job.progress;
 }
 
-/** Why it failed: what happened, then what to do, which some failures have said already. */
+/**
+ * Why it failed: what happened, then what to do, which some failures have said already.
+ * @param {import("fled-api").JobError} error
+ */
 export function failure({ code, detail, hint }) {
   const advice = hint && !detail.includes(hint.replace(/\.$/, "")) ? `\n${hint}` : "";
   return `${plain(code)}: ${detail}${advice}`;

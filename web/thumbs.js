@@ -46,7 +46,10 @@ export function thumbs() {
   return { pairOf, leave: () => near.disconnect() };
 }
 
-/** The round to show: the delivered one, or the last that is finished; 0 before the first. */
+/**
+ * The round to show: the delivered one, or the last that is finished; 0 before the first.
+ * @param {import("fled-api").Job} job
+ */
 function restored(job) {
   if (job.state === "succeeded" && job.best_round) return job.best_round;
   return Math.max(

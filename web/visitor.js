@@ -4,7 +4,10 @@ import { ask } from "./dialog.js";
 import { api, h } from "./dom.js";
 import { session } from "./login.js";
 
-/** What such an address names: `[job, secret]`; `null` for others. */
+/**
+ * What such an address names: the job and the link's secret; `null` for others.
+ * @returns {[string, string] | null}
+ */
 export function link(hash) {
   const found = hash.match(/^#\/share\/([0-9a-f-]+)\/(fled_[0-9a-f]+)$/);
   return found && [found[1], found[2]];
