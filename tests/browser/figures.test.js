@@ -1,0 +1,61 @@
+// What the first look at a page costs: bytes, requests, and time until something is there to read.
+
+import assert from "node:assert/strict";
+import { after, before, test } from "node:test";
+
+import { Stand, part, seen } from "./played.js";
+
+/** Of a page's own files, as they come over the line, without the pictures of a job. */
+const MOST_BYTES = 300_000;
+/** On two busy cores; an idle machine takes a twentieth of it, ms. */
+const LATEST_PAINT = 5000;
+
+let stand;
+
+before(async () => {
+  stand = await Stand.start();
+});
+
+after(() => stand?.stop());
+
+/** Bytes and times of a page as its browser counted them. */
+const figures = (page) => page.evaluate(() => {
+  const entries = performance.getEntriesByType("resource");
+  const [document] = performance.getEntriesByType("navigation");
+  const own = [document, ...entries.filter(({ name }) => new URL(name).pathname.startsWith("/assets/"))];
+  const sum = (key) => own.reduce((total, entry) => total + entry[key], 0);
+  const paint = performance.getEntriesByName("first-contentful-paint")[0]?.startTime;
+  return { files: own.length, bytes: sum("encodedBodySize"), sent: sum("transferSize"), paint };
+});
+
+const told = (name, { files, bytes, sent, paint }) =>
+  `${name}: ${files} files, ${(bytes / 1000).toFixed(0)} kB, of which ${(sent / 1000).toFixed(0)} kB were sent; ` +
+  `something to read after ${paint.toFixed(0)} ms`;
+
+const PAGES = {
+  "the list": async () => (await stand.finished(), "#/"),
+  "a finished job": async () => `#/jobs/${await stand.finished()}`,
+};
+const READY = {
+  "the list": (page) => page.locator("table a").first().waitFor(),
+  "a finished job": (page) => seen(part(page, "Novel view"), "azimuth 0°"),
+};
+
+for (const [name, where] of Object.entries(PAGES)) {
+  test(`${name} costs less than ${MOST_BYTES / 1000} kB, and hardly any when it is opened again`, async (t) => {
+    const hash = await where();
+    await stand.visit(`figures-${name.split(" ").pop()}`, hash, async (page) => {
+      await READY[name](page);
+      const first = await figures(page);
+      t.diagnostic(told(name, first));
+      assert.ok(first.files > 10, "the page's own files were counted");
+      assert.ok(first.bytes < MOST_BYTES, `${first.bytes} bytes`);
+      assert.ok(first.paint < LATEST_PAINT, `${first.paint} ms`);
+      await page.reload();
+      await READY[name](page);
+      const again = await figures(page);
+      t.diagnostic(told(`${name}, again`, again));
+      assert.ok(again.sent < first.sent / 3, `${again.sent} of ${first.sent} bytes were sent again`);
+    });
+  });
+}
