@@ -1,15 +1,18 @@
 //! `fled synth`: a capture that nobody photographed, with everything known about it.
 //!
-//! A room of textured boxes, spheres and walls is ray-cast in linear light along the path of a
+//! A room of textured boxes, balls and walls, or a furnished one, is ray-cast in linear light along the path of a
 //! shaking camera; the mean over the exposure is cut to darkness, given the noise of a sensor and
 //! stored in 8 bits, in the layout of a published data set ([`Layout`]): `images/` (dark, blurred),
 //! sharp, bright ones beside them, and the poses.
 
 mod error;
 mod layout;
+mod paint;
 mod path;
 mod room;
 mod sensor;
+mod shape;
+mod study;
 mod texture;
 
 use std::path::{Path, PathBuf};
@@ -44,9 +47,8 @@ pub struct SynthOptions {
     pub height: usize,
     /// Seed of path, shake and noise.
     pub seed: u64,
-    /// Which room. Everything that is measured is measured in room 0 with painted walls; a network
-    /// that learns from synthetic captures learns from others.
-    pub room: u64,
+    /// Which room.
+    pub room: RoomChoice,
     /// A folder of photographs that hang on all surfaces in place of painted patterns; every file
     /// in it is read.
     pub wallpapers: Option<PathBuf>,
@@ -68,12 +70,45 @@ impl Default for SynthOptions {
             width: 320,
             height: 180,
             seed: 0,
-            room: 0,
+            room: RoomChoice::Numbered(0),
             wallpapers: None,
             exposure: 0.05,
             blur: 9.0,
             noise: 0.02,
             layout: Layout::Lush,
+        }
+    }
+}
+
+/// Which room is photographed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum RoomChoice {
+    /// Painted boxes and balls. Everything that is measured is measured in room 0; a network that
+    /// learns from synthetic captures learns from others.
+    Numbered(u64),
+    /// A furnished room at dusk, to look at.
+    Study,
+}
+
+impl RoomChoice {
+    fn built(self) -> Room {
+        match self {
+            Self::Numbered(number) => Room::numbered(number),
+            Self::Study => study::study(),
+        }
+    }
+}
+
+impl std::str::FromStr for RoomChoice {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        match text {
+            "study" => Ok(Self::Study),
+            _ => text
+                .parse()
+                .map(Self::Numbered)
+                .map_err(|_| format!("`{text}` is neither `study` nor a number")),
         }
     }
 }
@@ -144,7 +179,7 @@ pub fn generate(options: &SynthOptions, out: &Path) -> Result<SynthSummary, Synt
         let path = out.join(folder);
         std::fs::create_dir_all(&path).map_err(|source| SynthError::Io { path, source })?;
     }
-    let room = Room::new(options.room, wallpapers);
+    let room = options.room.built().papered(wallpapers);
     let cameras = path::cameras(options.views, options.intrinsics(), options.seed);
     let named: Vec<(String, Camera)> = cameras
         .iter()

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use fled_core::pipeline::error::ErrorKind;
-use fled_core::synthetic::{self, Layout, SynthOptions};
+use fled_core::synthetic::{self, Layout, RoomChoice, SynthOptions};
 
 use crate::failure::Failure;
 
@@ -21,9 +21,9 @@ pub struct Args {
     /// Seed of the path, the shake and the noise.
     #[arg(long, default_value_t = 0)]
     seed: u64,
-    /// Which room; 0 is the one of the benchmarks.
-    #[arg(long, default_value_t = 0)]
-    room: u64,
+    /// Which room: `study`, a furnished one at dusk, or a number; 0 is the one of the benchmarks.
+    #[arg(long, default_value = "0")]
+    room: RoomChoice,
     /// Folder of photographs, and nothing else, that hang on all surfaces in place of painted
     /// patterns, at 2048 px at most.
     #[arg(long)]

@@ -172,7 +172,8 @@ fn options_out_of_range_are_refused_by_name() {
 #[test]
 fn other_rooms_are_others_and_the_same_every_time() {
     let dirs: Vec<_> = (0..4).map(|_| tempfile::tempdir().unwrap()).collect();
-    for (dir, room) in dirs.iter().zip([0, 5, 5, 6]) {
+    for (dir, number) in dirs.iter().zip([0, 5, 5, 6]) {
+        let room = RoomChoice::Numbered(number);
         generate(&SynthOptions { room, ..small(1) }, dir.path()).unwrap();
     }
     let bytes: Vec<_> = dirs
@@ -212,4 +213,44 @@ fn a_papered_room_shows_its_photographs() {
     std::fs::write(wallpapers.path().join("notes.txt"), "no photograph").unwrap();
     let error = generate(&wallpapered(), dir.path()).unwrap_err();
     assert!(error.to_string().contains("notes.txt"), "{error}");
+}
+
+#[test]
+fn the_furnished_room_is_lit_and_full_of_things_and_is_asked_for_by_name() {
+    let dir = tempfile::tempdir().unwrap();
+    let room: RoomChoice = "study".parse().unwrap();
+    assert_eq!(room, RoomChoice::Study);
+    assert_eq!("12".parse(), Ok(RoomChoice::Numbered(12)));
+    assert!(
+        "cellar"
+            .parse::<RoomChoice>()
+            .unwrap_err()
+            .contains("study")
+    );
+    let options = SynthOptions {
+        room,
+        width: 160,
+        height: 90,
+        ..small(1)
+    };
+    generate(&options, dir.path()).unwrap();
+    let image = load(dir.path(), "HL/001.png");
+    let values = image.data();
+    let share = |of: fn(f32) -> bool| {
+        values.iter().filter(|v| of(**v)).count() as f64 / values.len() as f64
+    };
+    let mean = values.iter().sum::<f32>() / values.len() as f32;
+    assert!((0.25..0.6).contains(&mean), "{mean}");
+    assert!(share(|v| v >= 0.999) < 0.05 && share(|v| v < 0.02) < 0.05);
+    // Edges everywhere: without them nothing finds its place in it.
+    let [w, h] = [image.width(), image.height()];
+    let green = image.plane(1);
+    let blocks = (0..h / 10).flat_map(|y| (0..w / 10).map(move |x| (10 * x, 10 * y)));
+    let is_plain = |(x, y): &(usize, usize)| {
+        let block = (0..100).map(|i| green[(y + i / 10) * w + x + i % 10]);
+        let (low, high) = block.fold((1.0_f32, 0.0_f32), |(l, h), v| (l.min(v), h.max(v)));
+        high - low < 0.06
+    };
+    let plain = blocks.clone().filter(is_plain).count();
+    assert!(plain * 10 < blocks.count(), "{plain} blocks show nothing");
 }

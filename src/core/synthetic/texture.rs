@@ -6,7 +6,7 @@ use glam::{DVec2, IVec2};
 use crate::image::{Image, Linear};
 
 /// A reproducible number in 0..1 of a cell and a salt.
-fn hash(cell: IVec2, salt: u32) -> f64 {
+pub(super) fn hash(cell: IVec2, salt: u32) -> f64 {
     let mut h = (cell.x as u32).wrapping_mul(0x9e37_79b1)
         ^ (cell.y as u32).wrapping_mul(0x85eb_ca77).rotate_left(13)
         ^ salt.wrapping_mul(0xc2b2_ae3d);
@@ -21,10 +21,27 @@ fn hash(cell: IVec2, salt: u32) -> f64 {
 }
 
 /// The cell of `p` in a grid of `size`, and the position in it, 0..1.
-fn cell(p: DVec2, size: f64) -> (IVec2, DVec2) {
+pub(super) fn cell(p: DVec2, size: f64) -> (IVec2, DVec2) {
     let scaled = p / size;
     let floor = scaled.floor();
     (floor.as_ivec2(), scaled - floor)
+}
+
+/// Values between 0 and 1 that change smoothly, by as much as one over a distance of 1.
+fn smooth(p: DVec2, salt: u32) -> f64 {
+    let (corner, inside) = cell(p, 1.0);
+    let share = inside * inside * (3.0 - 2.0 * inside);
+    let row = |y: i32| {
+        let at = |x: i32| hash(corner + IVec2::new(x, y), salt);
+        at(0) + share.x * (at(1) - at(0))
+    };
+    row(0) + share.y * (row(1) - row(0))
+}
+
+/// The same with detail down to an eighth: 0 to 1, rarely near either.
+pub(super) fn rough(p: DVec2, salt: u32) -> f64 {
+    let octave = |n: i32| smooth(p * 2f64.powi(n), salt.wrapping_add(n as u32)) * 0.5f64.powi(n);
+    (0..4).map(octave).sum::<f64>() / 1.875
 }
 
 /// One layer: in each cell a disc or a turned square of random place, size and tone, or nothing.
@@ -103,6 +120,20 @@ const WALLPAPER_WHITE: f64 = 0.9;
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn roughness_stays_within_its_bounds_and_has_no_steps() {
+        let at = |i: i32| rough(DVec2::new(0.01 * f64::from(i), 0.3), 5);
+        let values: Vec<f64> = (-500..500).map(at).collect();
+        assert!(values.iter().all(|v| (0.0..=1.0).contains(v)));
+        let steps = values.windows(2).map(|pair| (pair[1] - pair[0]).abs());
+        assert!(steps.fold(0.0, f64::max) < 0.05);
+        let (low, high) = (
+            values.iter().copied().fold(1.0, f64::min),
+            values.iter().copied().fold(0.0, f64::max),
+        );
+        assert!(low < 0.35 && high > 0.65, "{low} to {high}");
+    }
 
     #[test]
     fn wallpaper_has_no_seams_and_may_be_of_one_pixel() {
