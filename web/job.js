@@ -11,7 +11,7 @@ import { poses } from "./poses.js";
 import { scenePanel } from "./scene.js";
 import { shares } from "./share.js";
 import { isOver } from "./state.js";
-import { trainingCurve } from "./training.js";
+import { SEEN, trainingView } from "./training.js";
 import { comparison } from "./views.js";
 
 const EVENTS = ["state", "planned", "stage_started", "stage_finished", "progress", "round_finished", "warning"];
@@ -25,7 +25,7 @@ export function jobPage(main, who, id) {
   const problem = h("p", { class: "problem", role: "alert" });
   const unused = section("Photographs");
   const warnings = section("Warnings");
-  const training = trainingCurve();
+  const training = trainingView(base);
   const metrics = section("Metrics by round");
   const times = folding("Time by stage");
   const facts = folding("Facts");
@@ -56,7 +56,8 @@ export function jobPage(main, who, id) {
         job.warnings.map((warning) => h("li", {}, `${plain(warning.code)}: ${warning.message}`))));
       show(times, job.stages.length > 0 && stageBars(job.stages));
       log?.follow(!isOver(job));
-      if (!stream && !isOver(job)) listen();
+      if (isOver(job)) training.over();
+      else if (!stream) listen();
       if (job.state === "queued") timer = setTimeout(refresh, QUEUE_MS);
       if (!isVisitor) capture ??= showUnused(job);
       // Only rounds and states change these; a progress event does not.
@@ -113,7 +114,9 @@ export function jobPage(main, who, id) {
         if (!queued) queued = setTimeout(() => { queued = 0; refresh(); }, 250);
       });
     }
-    stream.addEventListener("training_seen", (event) => training.see(JSON.parse(event.data)));
+    for (const kind of SEEN) {
+      stream.addEventListener(kind, (event) => training.see(kind, JSON.parse(event.data)));
+    }
     stream.onerror = () => {
       if (stream?.readyState !== EventSource.CLOSED) return;
       stream = null;
@@ -128,6 +131,7 @@ export function jobPage(main, who, id) {
     stream?.close();
     head.leave();
     scene.leave();
+    training.over();
     log?.leave();
   };
 }
