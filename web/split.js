@@ -33,8 +33,8 @@ export function split() {
   const { isPinching } = gestures(root, view, () => view.scale() > 1);
   const followers = [];
   let [share, drag] = [0.5, null];
-  // Whether a side shows a difference, whose brightness is what it says.
-  let differs = false;
+  // Whether a side shows what says something by its brightness.
+  let isFixed = false;
   // Where the bar was before the presses that become a double click moved it.
   let before = { share, at: 0 };
 
@@ -64,11 +64,11 @@ export function split() {
   }
 
   function balance() {
-    const ready = !differs && [top, below].every(({ image }) => image.complete && image.naturalWidth > 0);
+    const ready = !isFixed && [top, below].every(({ image }) => image.complete && image.naturalWidth > 0);
     const [a, b] = equal.checked && ready ? gains(values(top.image), values(below.image)) : [1, 1];
     for (const [one, gain] of [[top, a], [below, b]]) one.image.style.filter = gain > 1 ? `brightness(${gain.toFixed(3)})` : "";
     const [name, gain] = a > 1 ? [left.textContent, a] : [right.textContent, b];
-    light.textContent = !equal.checked ? "" : differs ? "A difference stays as bright as it is." : gain > 1.01
+    light.textContent = !equal.checked ? "" : isFixed ? "A difference or a depth stays as bright as it is." : gain > 1.01
       ? `${name} × ${gain.toFixed(1)}, so that both have the same mean. Its noise grows as much.` : "Both have the same mean as they are.";
   }
   equal.addEventListener("change", () => {
@@ -120,7 +120,7 @@ export function split() {
     lit(follower) { followers.push(follower); },
     tools: h("div", { class: "row tools" }, farther, nearer, whole, level, h("label", { class: "check" }, equal, "Equal brightness"), light),
     show(a, b) {
-      differs = [a, b].some((one) => one.isDifference);
+      isFixed = [a, b].some((one) => one.isFixed);
       top.show(a);
       below.show(b);
       left.textContent = a.label;

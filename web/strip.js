@@ -75,7 +75,7 @@ export function thumbnails(chosen, slider) {
     gestures(frame, view);
     image.addEventListener("load", balance);
     image.addEventListener("error", miss);
-    image.isDifference = picture.isDifference === true;
+    image.isFixed = picture.isFixed === true;
     if (picture.make) {
       near.then(() => image.isConnected && picture.make()).then((url) => {
         if (url && image.isConnected) image.src = url;
@@ -125,11 +125,11 @@ export function thumbnails(chosen, slider) {
   }
 
   /**
-   * At equal brightness all have the mean of the brightest that is there, but for differences:
-   * their brightness is what they say.
+   * At equal brightness all have the mean of the brightest that is there, but for what says
+   * something by its brightness.
    */
   function balance() {
-    const isReady = (image) => image.complete && image.naturalWidth > 0 && !image.isDifference;
+    const isReady = (image) => image.complete && image.naturalWidth > 0 && !image.isFixed;
     const ready = images().filter(isReady);
     const gains = isEqual ? level(ready.map((image) => (image.light ??= values(image)))) : [];
     ready.forEach((image, i) => {

@@ -5,6 +5,9 @@ import { address, fold, h } from "./dom.js";
 import { split } from "./split.js";
 import { thumbnails } from "./strip.js";
 
+/** Of a picture of depth, px. */
+const DEPTH_WIDTH = 560;
+
 /** Keeps the comparison up to date: `update(names, rounds, hasTruth)`. */
 export function comparison(job) {
   const choice = h("select", { "aria-label": "view" });
@@ -36,6 +39,8 @@ export function comparison(job) {
       }
       if (!facts.hasTruth) list.push(differs(`${round}/difference`, `round ${round}, rendered − enhanced, × ${TIMES}`, [of("renders"), of("enhanced")]));
     }
+    const last = facts.rounds.at(-1);
+    if (last !== undefined) list.push(made(`${last}/depth`, `round ${last}, depth`, () => depth(name, last)));
     if (facts.hasTruth) {
       list.push(differs("difference", `restored − truth, × ${TIMES}`, [`restored/${name}.png`, `gt/${name}.jpg`]),
         shot("gt", "ground truth", `gt/${name}.jpg`));
@@ -43,16 +48,25 @@ export function comparison(job) {
     return list;
   }
 
-  /** A picture that is made here, once, when it is looked at. */
-  function differs(key, label, [a, b]) {
-    let made = null;
+  /** A picture that is made once, when it is looked at; its brightness says something. */
+  function made(key, label, make) {
+    let url = null;
     return {
       key,
       label,
-      isDifference: true,
-      make: () => (made ??= difference(at(a), at(b))),
-      forget: () => made?.then(URL.revokeObjectURL, () => {}),
+      isFixed: true,
+      make: () => (url ??= make()),
+      forget: () => url?.then(URL.revokeObjectURL, () => {}),
     };
+  }
+
+  const differs = (key, label, [a, b]) => made(key, label, () => difference(at(a), at(b)));
+
+  async function depth(view, round) {
+    const query = new URLSearchParams({ view, round, show: "depth", width: DEPTH_WIDTH });
+    const answer = await fetch(`/v1/jobs/${job}/render?${query}`);
+    if (!answer.ok) throw new Error(`${answer.status}`);
+    return URL.createObjectURL(await answer.blob());
   }
 
   function rebuild() {
@@ -89,7 +103,7 @@ export function comparison(job) {
     if (now === state || names.length === 0) return;
     state = now;
     facts = { names, rounds, hasTruth };
-    about.textContent = hasTruth ? TO_TRUTH : TO_ENHANCED;
+    about.textContent = `${hasTruth ? TO_TRUTH : TO_ENHANCED} Of depth, what is near is bright, what is far dark, and black where nothing is.`;
     const view = choice.value;
     choice.replaceChildren(...names.map((one) => h("option", { value: one.name, selected: one.name === view },
       one.split === "held_out" ? `${one.name} (held out)` : one.name)));

@@ -255,6 +255,20 @@ both("equal brightness holds for all pictures of the view", (width) =>
     assert.equal(Math.max(...await gains()), 1);
   }));
 
+both("depth is a picture that the server renders once the row of pictures is near", (width) =>
+  views("depth", width, async ({ page, root, slider }) => {
+    const depth = root.locator("figure", { hasText: "round 2, depth" });
+    await depth.scrollIntoViewIfNeeded();
+    await until("it is rendered", () => loaded(depth.locator("img")));
+    // The played depth is much brighter than the played view.
+    assert.ok((await brightness(depth.locator("img"))) > 0.85);
+    await depth.getByRole("button").click();
+    await seen(slider.locator(".left"), "round 2, depth");
+    if (width === "phone") await root.getByText("How to look closer").click();
+    await seen(root, "what is near is bright, what is far dark");
+    await picture(page, `page-depth-${width}`);
+  }));
+
 /** Mean of a picture as it is, 0..=1. */
 const brightness = (image) => image.evaluate((one) => {
   const canvas = new OffscreenCanvas(one.naturalWidth, one.naturalHeight);
@@ -277,7 +291,7 @@ both("what differs from the truth is a picture of its own, which no brightening 
     await seen(slider.locator(".left"), "restored − truth, × 4");
     await until("it is compared", () => loaded(slider.locator("img")));
     await root.getByLabel("Equal brightness").check();
-    await seen(root.getByRole("status"), "A difference stays as bright as it is.");
+    await seen(root.getByRole("status"), "A difference or a depth stays as bright as it is.");
     assert.equal(await made.locator("img").evaluate((one) => one.style.filter), "");
     if (width === "phone") await root.getByText("How to look closer").click();
     await picture(page, `page-difference-${width}`);

@@ -103,6 +103,10 @@ fn renders_come_while_the_job_trains_from_the_last_finished_round() {
         (160, 90),
         "the view's own size"
     );
+    let depth = render("view=001&format=png&round=1&show=depth").expect(200);
+    assert_ne!(depth.header("etag"), png.header("etag"));
+    assert_ne!(depth.body, png.body);
+    render("view=001&show=height").expect(400);
     render("view=nobody").expect(404);
     render("round=2").expect(404);
     render("width=99999").expect(422);
