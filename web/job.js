@@ -43,7 +43,7 @@ export function jobPage(main, who, id) {
     ...[share, log].filter(Boolean).map((part) => part.root));
   share?.open();
 
-  let [stream, timer, gone, cameras, capture, reported] = [null, 0, false, null, null, ""];
+  let [stream, timer, gone, cameras, placed, capture, reported] = [null, 0, false, null, 0, null, ""];
 
   async function refresh() {
     clearTimeout(timer);
@@ -85,14 +85,19 @@ export function jobPage(main, who, id) {
     show(metrics, report.rounds.length > 0 && metricCharts(report.rounds));
     show(facts, factList(report), optionList(job), report.registered !== undefined && poses(base, report));
     const rounds = report.rounds.map((round) => round.round);
+    const { artifacts } = await api(`${base}/artifacts`);
+    if (gone) return;
+    // A round may place views that had no place.
+    const isThere = artifacts.some(({ name }) => name === "cameras.json");
+    if (isThere && (!cameras || placed !== rounds.length)) {
+      [cameras, placed] = [await api(`${base}/artifacts/cameras.json`).catch(() => null), rounds.length];
+      if (gone) return;
+    }
+    scene.update(cameras ?? [], artifacts, report.best_round);
     if (rounds.length === 0) return;
-    if (!cameras) cameras = await api(`${base}/artifacts/cameras.json`).catch(() => null);
     const hasTruth = report.rounds.some((round) => round.records.some((record) => record.reference === "gt"));
     if (cameras) views.update(cameras, rounds, hasTruth);
     novel.update(rounds);
-    const { artifacts } = await api(`${base}/artifacts`);
-    if (gone) return;
-    scene.update(cameras ?? [], artifacts, report.best_round);
     if (job.state === "succeeded") showFiles(artifacts);
   }
 

@@ -242,6 +242,7 @@ impl Job {
             self.output.join("cameras.json"),
             serde_json::to_vec(&cameras)?,
         )?;
+        self.write_points()?;
         let drawing = r#"<svg xmlns="http://www.w3.org/2000/svg" width="400" height="200"/>"#;
         fs::write(self.output.join("poses.svg"), drawing)?;
         for name in &self.names {
@@ -251,6 +252,20 @@ impl Job {
                 self.picture(&folder.truth(name), name, 1.0)?;
             }
         }
+        Ok(())
+    }
+
+    /// Sparse points on a sphere around the middle.
+    fn write_points(&self) -> Outcome {
+        let point = |i: u32| {
+            let (turn, height) = (2.4 * f64::from(i), f64::from(i) / 200.0 - 1.0);
+            let away = (1.0 - height * height).sqrt();
+            serde_json::json!({ "position": [away * turn.cos(), height, away * turn.sin()],
+                "colour": [200, 160, 90], "error": 0.4, "track": 3 })
+        };
+        let points: Vec<_> = (0..400).map(point).collect();
+        let poses = serde_json::json!({ "views": [], "points": points });
+        fs::write(self.output.join("poses.json"), serde_json::to_vec(&poses)?)?;
         Ok(())
     }
 
