@@ -86,14 +86,12 @@ impl Depth {
         let last = all.len().saturating_sub(1) as f64;
         let at = |share: f64| all.get((share * last).round() as usize).copied();
         let (low, high) = (at(BEYOND).unwrap_or(0.0), at(1.0 - BEYOND).unwrap_or(1.0));
-        let grey = |depth: &Option<f32>| match depth {
-            Some(depth) => {
-                let share = (near(*depth) - low) / (high - low).max(f32::MIN_POSITIVE);
-                DARKEST + (1.0 - DARKEST) * share.clamp(0.0, 1.0)
-            }
-            None => 0.0,
+        let grey = |depth: f32| {
+            let share = (near(depth) - low) / (high - low).max(f32::MIN_POSITIVE);
+            DARKEST + (1.0 - DARKEST) * share.clamp(0.0, 1.0)
         };
-        let plane: Vec<f32> = self.values.iter().map(grey).collect();
+        let shades = self.values.iter().map(|depth| depth.map_or(0.0, grey));
+        let plane: Vec<f32> = shades.collect();
         Image::from_planar(self.width, self.height, plane.repeat(3))
     }
 }

@@ -226,7 +226,9 @@ impl Job {
             cx: 80.0,
             cy: 45.0,
         };
-        let cameras: Vec<NamedCamera> = (self.names.iter())
+        let cameras: Vec<NamedCamera> = self
+            .names
+            .iter()
             .enumerate()
             .map(|(i, name)| {
                 let eye = DVec3::new(i as f64 - 1.0, -0.5, -4.0);

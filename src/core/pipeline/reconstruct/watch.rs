@@ -75,7 +75,9 @@ impl<'a> Watch<'a> {
         let held_out: Vec<usize> = (0..views.len())
             .filter(|&view| views[view].split == Split::HeldOut)
             .collect();
-        let with_truth: Vec<usize> = (held_out.iter().copied())
+        let with_truth: Vec<usize> = held_out
+            .iter()
+            .copied()
             .filter(|&view| views[view].gt.is_some())
             .collect();
         let truth = !with_truth.is_empty();
