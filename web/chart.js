@@ -203,8 +203,11 @@ export function ticks(low, high) {
   return found;
 }
 
-/** @returns {[number, number]} */
-function range(values, most) {
+/**
+ * A range that holds the values with some room, and nothing above `most`.
+ * @returns {[number, number]}
+ */
+export function range(values, most) {
   const [low, high] = [Math.min(...values), Math.max(...values)];
   const room = (high - low) * 0.12 || Math.abs(high) * 0.05 || 1;
   return [low - room, Math.min(high + room, Math.max(most, high))];

@@ -11,7 +11,7 @@ import { poses } from "./poses.js";
 import { scenePanel } from "./scene.js";
 import { shares } from "./share.js";
 import { isOver } from "./state.js";
-import { trainingCurve } from "./training.js";
+import { SEEN, trainingView } from "./training.js";
 import { comparison } from "./views.js";
 
 const EVENTS = ["state", "planned", "stage_started", "stage_finished", "progress", "round_finished", "warning"];
@@ -25,7 +25,7 @@ export function jobPage(main, who, id) {
   const problem = h("p", { class: "problem", role: "alert" });
   const unused = section("Photographs");
   const warnings = section("Warnings");
-  const training = trainingCurve();
+  const training = trainingView(base);
   const metrics = section("Metrics by round");
   const times = folding("Time by stage");
   const facts = folding("Facts");
@@ -43,7 +43,7 @@ export function jobPage(main, who, id) {
     ...[share, log].filter(Boolean).map((part) => part.root));
   share?.open();
 
-  let [stream, timer, gone, cameras, capture, reported] = [null, 0, false, null, null, ""];
+  let [stream, timer, gone, cameras, placed, capture, reported] = [null, 0, false, null, 0, null, ""];
 
   async function refresh() {
     clearTimeout(timer);
@@ -57,7 +57,8 @@ export function jobPage(main, who, id) {
         job.warnings.map((warning) => h("li", {}, `${plain(warning.code)}: ${warning.message}`))));
       show(times, job.stages.length > 0 && stageBars(job.stages));
       log?.follow(!isOver(job));
-      if (!stream && !isOver(job)) listen();
+      if (isOver(job)) training.over();
+      else if (!stream) listen();
       if (job.state === "queued") timer = setTimeout(refresh, QUEUE_MS);
       if (!isVisitor) capture ??= showUnused(job);
       // Only rounds and states change these; a progress event does not.
@@ -86,15 +87,19 @@ export function jobPage(main, who, id) {
     show(metrics, report.rounds.length > 0 && metricCharts(report.rounds));
     show(facts, factList(report), optionList(job), report.registered !== undefined && poses(base, report));
     const rounds = report.rounds.map((round) => round.round);
+    const { artifacts } = await api(`${base}/artifacts`);
+    if (gone) return;
+    // A round may place views that had no place.
+    const isThere = artifacts.some(({ name }) => name === "cameras.json");
+    if (isThere && (!cameras || placed !== rounds.length)) {
+      [cameras, placed] = [await api(`${base}/artifacts/cameras.json`).catch(() => null), rounds.length];
+      if (gone) return;
+    }
+    scene.update(cameras ?? [], artifacts, report.best_round);
     if (rounds.length === 0) return;
-    if (!cameras) cameras = await api(`${base}/artifacts/cameras.json`).catch(() => null);
     const hasTruth = report.rounds.some((round) => round.records.some((record) => record.reference === "gt"));
     if (cameras) views.update(cameras, rounds, hasTruth);
     novel.update(rounds);
-    /** @type {import("fled-api").Artifacts} */
-    const { artifacts } = await api(`${base}/artifacts`);
-    if (gone) return;
-    scene.update(cameras ?? [], artifacts, report.best_round);
     if (job.state === "succeeded") showFiles(artifacts);
   }
 
@@ -116,7 +121,9 @@ export function jobPage(main, who, id) {
         if (!queued) queued = setTimeout(() => { queued = 0; refresh(); }, 250);
       });
     }
-    stream.addEventListener("training_seen", (event) => training.see(JSON.parse(event.data)));
+    for (const kind of SEEN) {
+      stream.addEventListener(kind, (event) => training.see(kind, JSON.parse(event.data)));
+    }
     stream.onerror = () => {
       if (stream?.readyState !== EventSource.CLOSED) return;
       stream = null;
@@ -131,6 +138,7 @@ export function jobPage(main, who, id) {
     stream?.close();
     head.leave();
     scene.leave();
+    training.over();
     log?.leave();
   };
 }

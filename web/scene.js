@@ -7,13 +7,16 @@ import { address, h, size } from "./dom.js";
 export function scenePanel(job) {
   const image = h("img", { alt: "", draggable: false });
   const bytes = h("span", { class: "soft" });
-  const words = h("span", { class: "words" }, "Walk through the scene");
+  const words = h("span", { class: "words" });
   const poster = h("button", { type: "button", class: "poster", onclick: open },
     h("span", { class: "frame" }, image, h("span", { class: "invitation" }, words, bytes)));
   const place = h("div", {}, poster);
   const problem = h("p", { class: "problem", role: "alert" });
   const root = h("section", { class: "scene", hidden: true }, h("h2", {}, "Scene"), place, problem);
   let [facts, view, isGone, isOpening] = [null, null, false, false];
+  const invite = () => {
+    words.textContent = facts?.first.isPoints ? "Look at cameras and points" : "Walk through the scene";
+  };
 
   async function open() {
     if (isOpening) return;
@@ -34,7 +37,7 @@ export function scenePanel(job) {
   function close(why) {
     view?.leave();
     view = null;
-    words.textContent = "Walk through the scene";
+    invite();
     problem.textContent = why;
     place.replaceChildren(poster);
     if (!why) poster.focus();
@@ -57,8 +60,9 @@ export function scenePanel(job) {
       const first = scenes.find((scene) => scene.isDelivered) ?? scenes.at(-1);
       const start = cameras[Math.floor(cameras.length / 2)].name;
       facts = { scenes, first, start };
+      if (!isOpening) invite();
       bytes.textContent = size(first.bytes);
-      const path = `rounds/${first.round}/renders/${start}.jpg`;
+      const path = first.isPoints ? "poses.svg" : `rounds/${first.round}/renders/${start}.jpg`;
       const url = `/v1/jobs/${job}/artifacts/${address(path)}`;
       const isThere = artifacts.some((file) => file.name === path);
       if (isThere && image.getAttribute("src") !== url) image.src = url;
@@ -70,10 +74,17 @@ export function scenePanel(job) {
   };
 }
 
-/** `{ round, url, bytes, isDelivered }` of every round whose scene is served. */
+/**
+ * `{ round, url, bytes, isDelivered, isPoints }` of every round whose scene is served, and before
+ * them of the sparse points of the poses, as round 0.
+ */
 function scenesOf(job, artifacts, best) {
   const scenes = new Map();
   for (const { name, bytes } of artifacts) {
+    if (name === "poses.json") {
+      scenes.set(0, { round: 0, bytes, isPoints: true, url: `/v1/jobs/${job}/artifacts/${name}` });
+      continue;
+    }
     const isDelivered = name === "scene.ply";
     const found = name.match(/^rounds\/(\d+)\/scene\.ply$/);
     const round = isDelivered ? best : found && Number(found[1]);

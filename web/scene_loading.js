@@ -4,10 +4,10 @@ import { NEAR } from "./scene_gl.js";
 import { SceneError } from "./scene_ply.js";
 
 /**
- * Fetches the scene at `url`. `progress(received, total)` in bytes, `total` may be `null`. Answers
+ * Fetches the scene at `url`, or where `isPoints` the sparse points of poses. `progress(received, total)` in bytes, `total` may be `null`. Answers
  * `{ scene, sort, end }`: `sort(row)` promises the order for a third row of world to camera.
  */
-export function loading(url, progress) {
+export function loading({ url, isPoints }, progress) {
   const worker = new Worker(new URL("./scene_worker.js", import.meta.url), { type: "module" });
   let ordered = null;
   const whole = new Promise((resolve, reject) => {
@@ -22,7 +22,7 @@ export function loading(url, progress) {
       reject(new SceneError(`The scene cannot be read here: ${event.message ?? "no worker"}.`));
     };
   });
-  worker.postMessage({ url: new URL(url, location.href).href });
+  worker.postMessage({ url: new URL(url, location.href).href, isPoints });
   return {
     whole,
     sort: (row) => new Promise((resolve) => {

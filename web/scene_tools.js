@@ -14,7 +14,7 @@ export function sceneTools(cameras, stage, does) {
     h("option", { value: "-1" }, "free view"),
     cameras.map(({ name, split }, i) => h("option", { value: String(i) },
       split === "held_out" ? `${name} (held out)` : name)));
-  let last = 0;
+  let [last, wasShown] = [0, false];
   const step = (by) => () => does.jump((last + by + cameras.length) % cameras.length);
   const lines = h("input", { type: "checkbox", onchange: () => does.lines(lines.checked) });
   const rounds = roundSlider(does.round);
@@ -43,7 +43,13 @@ export function sceneTools(cameras, stage, does) {
       choice.value = String(index);
     },
     isOn: () => lines.checked,
-    scenes: rounds.set,
+    scenes(list, current) {
+      // The server renders scenes; of points there is none. Their cameras are half of what they say.
+      picture.hidden = current.isPoints === true;
+      if (current.isPoints && !wasShown) lines.checked = true;
+      wasShown = true;
+      rounds.set(list, current);
+    },
     say: (text) => { words.textContent = text; },
   };
 }
@@ -61,8 +67,8 @@ function roundSlider(chosen) {
   const root = h("label", { class: "check rounds" }, label, input);
   let list = [];
   const say = () => {
-    const { round, isDelivered } = list[input.value];
-    label.textContent = `Round ${round}${isDelivered ? ", delivered" : ""}`;
+    const { round, isDelivered, isPoints } = list[input.value];
+    label.textContent = isPoints ? "Sparse points" : `Round ${round}${isDelivered ? ", delivered" : ""}`;
     input.setAttribute("aria-valuetext", label.textContent);
   };
   input.addEventListener("input", say);

@@ -1,7 +1,7 @@
 // The scene itself, in 3D: a canvas, what moves its camera, and the buttons below.
 
 import { api, count, h, size } from "./dom.js";
-import { between, fitted, matrixOf, poseOf, surroundingsOf } from "./scene_camera.js";
+import { between, fitted, matrixOf, neared, poseOf, surroundingsOf } from "./scene_camera.js";
 import { controls } from "./scene_controls.js";
 import { frusta } from "./scene_frusta.js";
 import { renderer } from "./scene_gl.js";
@@ -23,6 +23,8 @@ const REST = 180;
 const PAUSE = 400;
 /** A key that is held leads no farther in one frame, ms. */
 const LONGEST_STEP = 100;
+/** How far back one begins before points, of the way to the middle. */
+const BACK = 1.7;
 const KEYS = "Drag to turn, with the right button or Shift to shift. After a click the wheel comes "
   + "nearer, W A S D walk, Q and E sink and rise, the arrow keys look around, Escape lets go.";
 const FINGERS = "Tap the picture to take hold of it: one finger turns, two shift and come nearer. "
@@ -43,6 +45,14 @@ export async function openScene(place, { job, scenes, first, start, ended }) {
   place.replaceChildren(view.stage);
   view.begin(first, Math.max(0, cameras.findIndex(({ name }) => name === start)));
   return view;
+}
+
+/** What one sees, in a sentence. */
+function told({ isPoints }, content) {
+  if (!isPoints) return `The scene has ${count(content.count, "Gaussian")}.`;
+  const points = count(content.count, "sparse point");
+  return content.isGuessed ? `${points}, guessed: these poses came without any.`
+    : `${points}, by which the cameras were placed.`;
 }
 
 class View {
@@ -94,7 +104,10 @@ class View {
   begin(scene, start) {
     this.start = start;
     this.k = this.cameras[start];
-    this.#stand(poseOf(this.k, this.surroundings), start);
+    const pose = poseOf(this.k, this.surroundings);
+    // Points are few: one sees them best from behind the photographers, with their cameras.
+    if (scene.isPoints) this.#stand(neared(pose, this.surroundings, BACK), -1);
+    else this.#stand(pose, start);
     this.resizes.observe(this.frame);
     this.load(scene);
     this.frame.focus({ preventScroll: true });
@@ -111,7 +124,7 @@ class View {
     this.#incoming?.end();
     this.#busy(true);
     this.veil.textContent = this.#source ? "" : "Loading the scene…";
-    const incoming = loading(scene.url, (received, total) => this.#progress(received, total));
+    const incoming = loading(scene, (received, total) => this.#progress(received, total));
     this.#incoming = incoming;
     try {
       const content = await incoming.whole;
@@ -125,8 +138,7 @@ class View {
       [this.#sorted, this.#isSorting] = [row.join(), false];
       this.scene = scene;
       this.tools.scenes(this.scenes, scene);
-      this.tools.say(`${matchMedia("(pointer: coarse)").matches ? FINGERS : KEYS} The scene has ${
-        count(content.count, "Gaussian")}.`);
+      this.tools.say(`${matchMedia("(pointer: coarse)").matches ? FINGERS : KEYS} ${told(scene, content)}`);
       this.veil.textContent = "";
       this.wake();
     } catch (error) {

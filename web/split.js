@@ -33,6 +33,8 @@ export function split() {
   const { isPinching } = gestures(root, view, () => view.scale() > 1);
   const followers = [];
   let [share, drag] = [0.5, null];
+  // Whether a side shows what says something by its brightness.
+  let isFixed = false;
   // Where the bar was before the presses that become a double click moved it.
   let before = { share, at: 0 };
 
@@ -62,13 +64,13 @@ export function split() {
   }
 
   function balance() {
-    const ready = [top, below].every(({ image }) => image.complete && image.naturalWidth > 0);
+    const ready = !isFixed && [top, below].every(({ image }) => image.complete && image.naturalWidth > 0);
     const [a, b] = equal.checked && ready ? gains(values(top.image), values(below.image)) : [1, 1];
     const brightened = (gain) => (gain > 1 ? `brightness(${gain.toFixed(3)})` : "");
     top.image.style.filter = brightened(a);
     below.image.style.filter = brightened(b);
     const [name, gain] = a > 1 ? [left.textContent, a] : [right.textContent, b];
-    light.textContent = !equal.checked ? "" : gain > 1.01
+    light.textContent = !equal.checked ? "" : isFixed ? "A difference or a depth stays as bright as it is." : gain > 1.01
       ? `${name} × ${gain.toFixed(1)}, so that both have the same mean. Its noise grows as much.` : "Both have the same mean as they are.";
   }
   equal.addEventListener("change", () => {
@@ -120,6 +122,7 @@ export function split() {
     lit(follower) { followers.push(follower); },
     tools: h("div", { class: "row tools" }, farther, nearer, whole, level, h("label", { class: "check" }, equal, "Equal brightness"), light),
     show(a, b) {
+      isFixed = [a, b].some((one) => one.isFixed);
       top.show(a);
       below.show(b);
       left.textContent = a.label;

@@ -10,11 +10,16 @@ const DRAG = 4;
 
 /**
  * One stop of the Tab key, arrow keys within. A press puts a picture on the side of `slider` that
- * is chosen above them, with Shift on the other: `chosen(side, key)`.
+ * is chosen above them, with Shift on the other: `chosen(side, key)`. A picture without `url` has
+ * `make()`, which promises one and is asked when the row comes near.
  */
 export function thumbnails(chosen, slider) {
   const { view } = slider;
   let [side, isEqual, isNear] = ["left", false, false];
+  let come;
+  const near = new Promise((resolve) => {
+    come = resolve;
+  });
   const grid = h("div", { class: "shots", role: "group", "aria-label": "pictures of the view" });
   const sides = ["left", "right"].map((name) =>
     h(
@@ -58,6 +63,10 @@ export function thumbnails(chosen, slider) {
       frame,
       h("span", { class: "caption" }, picture.label, " ", mark),
     );
+    const miss = () => {
+      button.disabled = true;
+      button.classList.add("missing");
+    };
     const dragged = drags(frame);
     function press(event) {
       if (dragged()) return;
@@ -65,10 +74,13 @@ export function thumbnails(chosen, slider) {
     }
     gestures(frame, view);
     image.addEventListener("load", balance);
-    image.addEventListener("error", () => {
-      button.disabled = true;
-      button.classList.add("missing");
-    });
+    image.addEventListener("error", miss);
+    image.isFixed = picture.isFixed === true;
+    if (picture.make) {
+      near.then(() => image.isConnected && picture.make()).then((url) => {
+        if (url && image.isConnected) image.src = url;
+      }, miss);
+    }
     const figure = h("figure", {}, button);
     figure.say = (words) => {
       mark.textContent = words;
@@ -112,9 +124,13 @@ export function thumbnails(chosen, slider) {
     }
   }
 
-  /** At equal brightness all have the mean of the brightest that is there. */
+  /**
+   * At equal brightness all have the mean of the brightest that is there, but for what says
+   * something by its brightness.
+   */
   function balance() {
-    const ready = images().filter((image) => image.complete && image.naturalWidth > 0);
+    const isReady = (image) => image.complete && image.naturalWidth > 0 && !image.isFixed;
+    const ready = images().filter(isReady);
     const gains = isEqual ? level(ready.map((image) => (image.light ??= values(image)))) : [];
     ready.forEach((image, i) => {
       image.style.filter = gains[i] > 1 ? `brightness(${gains[i].toFixed(3)})` : "";
@@ -148,6 +164,7 @@ export function thumbnails(chosen, slider) {
     ([{ isIntersecting }]) => {
       if (!isIntersecting) return;
       isNear = true;
+      come();
       for (const image of images()) image.loading = "eager";
     },
     { rootMargin: "400px" },

@@ -76,9 +76,39 @@ const OTHERS = {
   },
 };
 
+/** Of scores while a job trains: of three views at most, at half their size. */
+const LIVE = {
+  live_psnr: {
+    title: "PSNR of held-out views",
+    better: "higher",
+    means:
+      "How close renders of views that train nothing are to the sharp truth once their colours " +
+      "agree, at half the size and before their cameras are corrected: a course to watch. The " +
+      "round's own scores come when it is finished.",
+  },
+  live_ssim: {
+    title: "SSIM of held-out views",
+    better: "higher",
+    means: "The same, of edges and textures, 1 being the same picture.",
+  },
+  live_own_psnr: {
+    title: "Self-consistency, PSNR",
+    better: "higher",
+    means:
+      "How well renders of views that train nothing, shaken as their photographs are, agree with " +
+      "these photographs as fled brightened them, at half the size: noise that is in them is no " +
+      "fault of the scene, and limits what can be reached.",
+  },
+  live_own_ssim: {
+    title: "Self-consistency, SSIM",
+    better: "higher",
+    means: "The same agreement, of edges and textures.",
+  },
+};
+
 /** Folded away beside numbers: what each of them means. */
 export function meanings(keys) {
-  const of = (key) => METRICS[key] ?? OTHERS[key];
+  const of = (key) => METRICS[key] ?? OTHERS[key] ?? LIVE[key];
   return h(
     "details",
     { class: "meanings" },

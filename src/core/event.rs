@@ -101,6 +101,36 @@ pub enum Event {
         /// Gaussians of the scene.
         gaussians: u64,
     },
+    /// How well the scene that trains meets views that were held out from it, every 100 steps or
+    /// more rarely, and after the last. Nothing is told where none is held out.
+    HeldOutSeen {
+        /// Which round.
+        round: u32,
+        /// Steps done.
+        step: u32,
+        /// Steps in all.
+        steps: u32,
+        /// Mean PSNR after an affine colour fit, dB, at half the size.
+        psnr_cc_db: f64,
+        /// Mean SSIM, at half the size.
+        ssim: f64,
+        /// Views that were compared.
+        views: u32,
+        /// Whether with ground truth. Else each render, shaken as its photograph is, with the view
+        /// that was enhanced from that photograph: self-consistency.
+        truth: bool,
+    },
+    /// There is a new picture of the scene that trains, about every ten seconds.
+    ViewSeen {
+        /// Which round.
+        round: u32,
+        /// Steps done.
+        step: u32,
+        /// From whose camera it is rendered.
+        view: String,
+        /// Whether that view was held out; else it trains.
+        held_out: bool,
+    },
     /// A stage ended well. `skipped`: an earlier run had finished it.
     StageFinished {
         /// Which stage.

@@ -20,6 +20,9 @@ pub struct Gaussians {
     pub sh_degree: u32,
 }
 
+/// Y_0^0, the constant harmonic.
+const Y00: f32 = 0.282_094_8;
+
 impl Gaussians {
     /// Number of Gaussians.
     pub fn len(&self) -> usize {
@@ -38,8 +41,6 @@ impl Gaussians {
         colour: impl Fn([f32; 3]) -> [f32; 3],
         slope: impl Fn([f32; 3]) -> [f32; 3],
     ) {
-        /// Y_0^0, the constant harmonic.
-        const Y00: f32 = 0.282_094_8;
         let row = 3 * self.coefficients();
         for sh in self.sh.chunks_exact_mut(row) {
             let base: [f32; 3] =
@@ -52,6 +53,18 @@ impl Gaussians {
                     *value * slope[i % 3]
                 };
             }
+        }
+    }
+
+    /// The same shapes in the colours that `colour` gives by index, from every side alike. They may
+    /// be brighter than white.
+    #[must_use]
+    pub fn coloured(&self, colour: impl Fn(usize) -> [f32; 3]) -> Self {
+        let colours = (0..self.len()).flat_map(|i| colour(i).map(|value| (value - 0.5) / Y00));
+        Self {
+            sh: colours.collect(),
+            sh_degree: 0,
+            ..self.clone()
         }
     }
 

@@ -1,5 +1,7 @@
 //! Images of a scene, without training it.
 
+mod depth;
+
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use fled_gpu::{Gpu, GpuError};
@@ -10,6 +12,7 @@ use crate::image::Image;
 use crate::splat::pass::{ForwardPass, PassRecording};
 use crate::splat::rasterize::SplatWork;
 use crate::splat::rows::DeviceGaussians;
+pub use depth::Depth;
 
 /// Rendering failed.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -123,6 +126,16 @@ impl Renderer {
         camera: &Camera,
     ) -> Result<Image, SplatError> {
         self.draw(scene, camera, scene.gaussians.sh_degree)
+    }
+
+    /// How far away what a camera sees is.
+    ///
+    /// # Errors
+    /// As [`Renderer::render`].
+    pub fn depth(&self, gaussians: &Gaussians, camera: &Camera) -> Result<Depth, SplatError> {
+        let unit = depth::unit(gaussians, camera);
+        let far = depth::as_colours(gaussians, camera, unit);
+        Ok(Depth::of(&self.render(&far, camera, 0)?, unit))
     }
 
     fn draw(

@@ -281,6 +281,11 @@ impl WorkFolder {
         self.root.join("training.checkpoint")
     }
 
+    /// What the scene that trains looks like, JPEG; there as long as it trains.
+    pub fn live_picture(&self) -> PathBuf {
+        self.root.join("training.jpg")
+    }
+
     /// A view's kept image, planar `f32`.
     pub fn kept(&self, images: KeptImages, round: u32, view: &str) -> PathBuf {
         self.root
@@ -342,6 +347,7 @@ mod tests {
             (work.found_poses(), "out/work/poses/found.json"),
             (work.late_views(), "out/work/late_views"),
             (work.checkpoint(), "out/work/training.checkpoint"),
+            (work.live_picture(), "out/work/training.jpg"),
             (
                 work.kept(KeptImages::Deblurred, 1, "a"),
                 "out/work/deblurred/1/a.f32",

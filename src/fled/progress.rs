@@ -90,6 +90,8 @@ fn lines(event: &Event) -> Vec<String> {
         Event::StageStarted { .. }
         | Event::StageAdvanced { .. }
         | Event::TrainingSeen { .. }
+        | Event::HeldOutSeen { .. }
+        | Event::ViewSeen { .. }
         | Event::Progress { .. } => return Vec::new(),
         Event::RoundFinished { metrics } => return round_lines(metrics),
         Event::Planned { rounds, views } => format!("{views} views, {rounds} rounds"),

@@ -35,6 +35,9 @@ pub struct Args {
     /// Width and height in px; default: the views' own.
     #[arg(long, value_parser = crate::synth::size)]
     size: Option<(usize, usize)>,
+    /// How far away it is instead of what it looks like: near is white, far dark.
+    #[arg(long)]
+    depth: bool,
     /// A round's scene instead of the delivered one.
     #[arg(long)]
     round: Option<u32>,
@@ -73,9 +76,14 @@ pub fn main(args: &Args) -> Result<(), Failure> {
     let gpu = Gpu::new(&args.adapter).map_err(|e| Failure::new(ErrorKind::Environment, e))?;
     let render = |e| Failure::from(PipelineError::from(e));
     let renderer = Renderer::new(&gpu);
-    let picture = renderer
-        .render(&gaussians, &camera, gaussians.sh_degree)
-        .map_err(render)?;
+    let picture = if args.depth {
+        let depth = renderer.depth(&gaussians, &camera).map_err(render)?;
+        depth.picture()
+    } else {
+        renderer
+            .render(&gaussians, &camera, gaussians.sh_degree)
+            .map_err(render)?
+    };
     picture
         .save(&args.output)
         .map_err(|e| Failure::new(ErrorKind::Io, e))

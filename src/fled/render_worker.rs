@@ -8,11 +8,11 @@ use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
 use fled_core::gaussians::ply;
-use fled_core::image::{EncodeFormat, write_atomic};
+use fled_core::image::{EncodeFormat, Image, write_atomic};
 use fled_core::pipeline::error::ErrorKind;
 use fled_core::render::{Renderer, UploadedGaussians};
 use fled_gpu::Gpu;
-use fled_server::render::{Format, RenderReply, RenderRequest};
+use fled_server::render::{Format, RenderReply, RenderRequest, Shown};
 
 use crate::failure::Failure;
 
@@ -90,6 +90,27 @@ impl Worker {
     }
 
     fn render(&mut self, request: &RenderRequest) -> Result<(), String> {
+        let image = match request.shown {
+            Shown::Colour => self.colour(request)?,
+            Shown::Depth => self.depth(request)?,
+        };
+        let format = match request.format {
+            Format::Jpeg => EncodeFormat::Jpeg(JPEG_QUALITY),
+            Format::Png => EncodeFormat::Png,
+            Format::Webp => EncodeFormat::Webp,
+        };
+        write_atomic(&request.out, &image.encode(format).map_err(words)?).map_err(words)
+    }
+
+    /// Drawn from other colours than those on the device, for each camera others.
+    fn depth(&self, request: &RenderRequest) -> Result<Image, String> {
+        let gaussians = ply::read(&request.scene).map_err(words)?;
+        let camera = request.camera.camera();
+        let depth = self.renderer.depth(&gaussians, &camera).map_err(words)?;
+        Ok(depth.picture())
+    }
+
+    fn colour(&mut self, request: &RenderRequest) -> Result<Image, String> {
         let stamp = Stamp::of(&request.scene).map_err(words)?;
         let known = self.scene.take().filter(|(known, _)| *known == stamp);
         let (_, scene) = self.scene.insert(match known {
@@ -99,15 +120,7 @@ impl Worker {
                 (stamp, self.renderer.upload(&gaussians).map_err(words)?)
             }
         });
-        let image = self
-            .renderer
-            .render_scene(scene, &request.camera.camera())
-            .map_err(words)?;
-        let format = match request.format {
-            Format::Jpeg => EncodeFormat::Jpeg(JPEG_QUALITY),
-            Format::Png => EncodeFormat::Png,
-            Format::Webp => EncodeFormat::Webp,
-        };
-        write_atomic(&request.out, &image.encode(format).map_err(words)?).map_err(words)
+        let camera = request.camera.camera();
+        self.renderer.render_scene(scene, &camera).map_err(words)
     }
 }

@@ -19,6 +19,7 @@ mod health;
 mod held;
 mod host;
 mod jobs;
+mod live;
 mod log;
 mod login;
 mod lookup;
@@ -135,6 +136,7 @@ fn of_a_job() -> Router<Arc<App>> {
         .route("/v1/jobs/{id}/shares/{share}", delete(share::end))
         .route("/v1/jobs/{id}/events", get(events::stream))
         .route("/v1/jobs/{id}/rounds", get(rounds::show))
+        .route("/v1/jobs/{id}/live", get(live::show))
         .route("/v1/jobs/{id}/log", get(log::show))
         .route("/v1/jobs/{id}/render", get(render::get).post(render::post))
         .route("/v1/jobs/{id}/artifacts", get(artifacts::list))

@@ -54,6 +54,19 @@ impl Format {
     }
 }
 
+/// What a render shows of a scene.
+#[derive(
+    Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize, utoipa::ToSchema,
+)]
+#[serde(rename_all = "snake_case")]
+pub enum Shown {
+    /// What it looks like.
+    #[default]
+    Colour,
+    /// How far away it is: near is white, far is dark.
+    Depth,
+}
+
 /// A line to the render process.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct RenderRequest {
@@ -61,6 +74,9 @@ pub struct RenderRequest {
     pub scene: PathBuf,
     /// Pose, intrinsics and size; the name and the split mean nothing here.
     pub camera: NamedCamera,
+    /// What it shows.
+    #[serde(default)]
+    pub shown: Shown,
     /// Format of the picture.
     pub format: Format,
     /// Where to write it.

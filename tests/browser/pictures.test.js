@@ -3,6 +3,7 @@
 import assert from "node:assert/strict";
 import { after, before, test } from "node:test";
 
+import { amplify } from "../../web/difference.js";
 import { gains, mean } from "../../web/light.js";
 import { loaded, picture } from "./browser.js";
 import { Stand, both, button, part, seen } from "./played.js";
@@ -253,6 +254,79 @@ both("equal brightness holds for all pictures of the view", (width) =>
     await root.getByLabel("Equal brightness").uncheck();
     assert.equal(Math.max(...await gains()), 1);
   }));
+
+both("depth is a picture that the server renders once the row of pictures is near", (width) =>
+  views("depth", width, async ({ page, root, slider }) => {
+    const depth = root.locator("figure", { hasText: "round 2, depth" });
+    await depth.scrollIntoViewIfNeeded();
+    await until("it is rendered", () => loaded(depth.locator("img")));
+    // The played depth is much brighter than the played view.
+    assert.ok((await brightness(depth.locator("img"))) > 0.85);
+    await depth.getByRole("button").click();
+    await seen(slider.locator(".left"), "round 2, depth");
+    if (width === "phone") await root.getByText("How to look closer").click();
+    await seen(root, "what is near is bright, what is far dark");
+    await picture(page, `page-depth-${width}`);
+  }));
+
+/** Mean of a picture as it is, 0..=1. */
+const brightness = (image) => image.evaluate((one) => {
+  const canvas = new OffscreenCanvas(one.naturalWidth, one.naturalHeight);
+  const context = canvas.getContext("2d");
+  context.drawImage(one, 0, 0);
+  const { data } = context.getImageData(0, 0, canvas.width, canvas.height);
+  return data.reduce((sum, value, i) => (i % 4 === 3 ? sum : sum + value), 0) / (0.75 * data.length * 255);
+});
+
+both("what differs from the truth is a picture of its own, which no brightening touches", (width) =>
+  views("difference", width, async ({ page, root, slider }) => {
+    const shot = (label) => root.locator("figure", { hasText: label });
+    const made = shot("restored − truth, × 4");
+    await made.scrollIntoViewIfNeeded();
+    await until("it is made", () => loaded(root.locator(".shot img")));
+    // The played render is the truth with nine tenths of its light.
+    const [far, truth] = [await brightness(made.locator("img")), await brightness(shot("ground truth").locator("img"))];
+    assert.ok(Math.abs(far - 0.4 * truth) < 0.03, `${far} of ${truth}`);
+    await made.getByRole("button").click();
+    await seen(slider.locator(".left"), "restored − truth, × 4");
+    await until("it is compared", () => loaded(slider.locator("img")));
+    await root.getByLabel("Equal brightness").check();
+    await seen(root.getByRole("status"), "A difference or a depth stays as bright as it is.");
+    assert.equal(await made.locator("img").evaluate((one) => one.style.filter), "");
+    if (width === "phone") await root.getByText("How to look closer").click();
+    await picture(page, `page-difference-${width}`);
+    // It is kept when another view is chosen, and made anew.
+    const before = await slider.locator(".top img").getAttribute("src");
+    await root.getByRole("combobox", { name: "view" }).selectOption("003");
+    await until("another one", async () => (await slider.locator(".top img").getAttribute("src")) !== before);
+    await until("which is there", () => loaded(slider.locator("img")));
+    await seen(slider.locator(".left"), "restored − truth, × 4");
+  }));
+
+both("without truth renders are compared with the enhanced photographs, and the page says so", async (width) => {
+  const { server } = stand;
+  const name = "one without truth";
+  const id = stand.jobs.get(name) ?? server.submit(stand.untrue(), name, { adapter: "ok" });
+  stand.jobs.set(name, id);
+  await server.reached(await id, "succeeded");
+  await stand.visit("difference-untrue", `#/jobs/${await id}`, async (page) => {
+    const root = part(page, "Views");
+    const made = root.locator("figure", { hasText: "round 2, rendered − enhanced, × 4" });
+    await made.scrollIntoViewIfNeeded();
+    await until("it is made", () => loaded(made.locator("img")));
+    assert.ok((await brightness(made.locator("img"))) > 0.02);
+    assert.equal(await root.locator("figure", { hasText: "truth" }).count(), 0);
+    if (width === "phone") await root.getByText("How to look closer").click();
+    await seen(root, "where they disagree and not which of them is wrong");
+    await part(page, "Files").waitFor();
+  }, width);
+});
+
+test("a difference is without sign and four times as bright, white where it is more", () => {
+  const one = Uint8ClampedArray.of(10, 20, 30, 9, 0, 0, 0, 0);
+  amplify(one, Uint8ClampedArray.of(5, 40, 30, 200, 255, 0, 1, 0));
+  assert.deepEqual([...one], [20, 80, 0, 255, 255, 0, 4, 255]);
+});
 
 test("a gain gives the darker picture the mean of the brighter, though some of it becomes white", () => {
   const dark = [0.01, 0.05, 0.1, 0.4];

@@ -1,6 +1,8 @@
 // What the tests of the pages share: a server of played jobs, both widths, parts of a page.
 
 import assert from "node:assert/strict";
+import { cpSync } from "node:fs";
+import { basename, join } from "node:path";
 import { test } from "node:test";
 
 import { Browser, overflowing } from "./browser.js";
@@ -37,6 +39,14 @@ export class Stand {
     const known = this.jobs.get(name) ?? this.server.submit(this.folder, name, { adapter: plan });
     this.jobs.set(name, known);
     return known;
+  }
+
+  /** The capture without its ground truth. */
+  untrue() {
+    const folder = join(this.server.folder, "untrue");
+    const filter = (path) => basename(path) !== "gt";
+    cpSync(this.folder, folder, { recursive: true, filter });
+    return folder;
   }
 
   /** A played job that has ended well. */

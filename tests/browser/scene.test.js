@@ -102,9 +102,11 @@ const psnr = (page, a, b, turn = "") => page.evaluate(async ([one, other, way]) 
   return 10 * Math.log10(255 ** 2 / Math.max(sum / values, 1e-9));
 }, [a, b, turn]);
 
-/** Chooses a round. */
+/** Chooses a round, the last or the first: before it are the sparse points. */
 async function round(page, key, words) {
-  await page.getByRole("slider", { name: "round" }).press(key);
+  const slider = page.getByRole("slider", { name: "round" });
+  await slider.press(key);
+  if (key === "Home") await slider.press("ArrowRight");
   await page.locator(".rounds", { hasText: words }).waitFor();
   await settled(page);
 }

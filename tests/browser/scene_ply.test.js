@@ -7,6 +7,7 @@ import {
   between, dot, fitted, looked, matrixOf, neared, orbited, poseOf, risen, surroundingsOf, walked,
 } from "../../web/scene_camera.js";
 import { request } from "../../web/scene_picture.js";
+import { pointsOf } from "../../web/scene_points.js";
 import { GEOMETRY, SceneError, readHeader, readScene } from "../../web/scene_ply.js";
 import { sorter } from "../../web/scene_sort.js";
 import { ply } from "./ply.js";
@@ -49,6 +50,23 @@ test("scale and rotation become a covariance, the logit an opacity", async () =>
   const { geometry } = await read(ply(1, 0, (_, name) => shape[name] ?? 0));
   // A quarter turn around z: the long axis lies along y.
   same([...geometry.subarray(3, 10)], [0.75, 4, 0, 0, 9, 0, 1], "opacity and covariance", 1e-5);
+});
+
+test("sparse points are small round Gaussians of their colour, however far a few lie off", () => {
+  const point = (x, track = 2) => ({ position: [x, 1, 2], colour: [255, 128, 0], track });
+  const near = [-2, -1, 0, 1, 2].map((x) => point(x));
+  const { count, degree, geometry, harmonics, isGuessed } = pointsOf({ points: near });
+  assert.deepEqual([count, degree, isGuessed], [5, 0, false]);
+  same([...geometry.subarray(GEOMETRY, GEOMETRY + 4)], [-1, 1, 2, 0.95], "place and opacity");
+  const round = [...geometry.subarray(4, 10)];
+  assert.ok(round[0] > 0 && round[0] < 1e-3, `a variance of ${round[0]}`);
+  same(round, [round[0], 0, 0, round[0], 0, round[0]], "round");
+  same([...harmonics.subarray(0, 3)].map((v) => 0.5 + 0.2820948 * v), [1, 128 / 255, 0], "colour");
+  const far = pointsOf({ points: [...near, point(1e6)] });
+  assert.ok(far.geometry[4] < 4 * round[0], `one far off makes it ${far.geometry[4]}`);
+  assert.equal(pointsOf({ points: [point(0, 0), point(1, 0)] }).isGuessed, true);
+  assert.throws(() => pointsOf({ points: [] }), SceneError);
+  assert.throws(() => pointsOf({}), SceneError);
 });
 
 test("a Gaussian with numbers that are none has no opacity and is not drawn", async () => {

@@ -3,6 +3,7 @@
 import assert from "node:assert/strict";
 import { after, before } from "node:test";
 
+import { loaded, picture } from "./browser.js";
 import { Stand, both, part, seen } from "./played.js";
 import { until } from "./until.js";
 
@@ -11,19 +12,78 @@ let stand;
 before(async () => { stand = await Stand.start(); });
 after(() => stand?.stop());
 
-both("the loss is drawn step by step, and again after a reload", async (width) => {
-  const id = await stand.job("reconstruct:1500", `trains at ${width}`);
-  await stand.visit("training", `#/jobs/${id}`, async (page) => {
-    const training = part(page, "Training");
-    const dots = () => training.locator("circle.seen").count();
-    await seen(training, /Round 1, step \d+ of 250: \d,000 Gaussians/);
+/** Steps come one in so many ms, so that one can look. */
+const PLAN = "reconstruct:1500";
+
+/** Opens the page of a job that trains as `options` say, and ends the job. */
+async function training(name, width, judge, { folder = stand.folder, options = {} } = {}) {
+  const { server } = stand;
+  const id = await server.submit(folder, `${name} at ${width}`, { adapter: PLAN, ...options });
+  try {
+    await stand.visit(name, `#/jobs/${id}`, (page) => judge(page, part(page, "Training"), id), width);
+  } finally {
+    // A test may have ended it already.
+    await server.cancel(id).catch(() => {});
+  }
+}
+
+/** The chart under a title. */
+const chart = (root, title) => root.locator(".chart", { has: root.page().getByRole("heading", { name: title, level: 3 }) });
+
+/** Titles of what is drawn, in order. */
+const drawn = (root) => root.locator("h3:visible").allInnerTexts();
+
+both("the loss is drawn step by step, and again after a reload", (width) =>
+  training("training", width, async (page, root) => {
+    const loss = chart(root, "Loss");
+    const dots = () => loss.locator("circle.seen").count();
+    await seen(root, /Round 1, step [\d,]+ of 1,000: \d,000 Gaussians/);
     const first = await dots();
     await until("more of it is seen", async () => (await dots()) > first);
     const before = await dots();
+    await until("nothing is being fetched", () => loaded(root.locator("figure img")));
     await page.reload();
-    await seen(training, "Gaussians");
+    await seen(root, "Gaussians");
     assert.ok(await dots() >= before, "what was told before the page is drawn, too");
-    assert.equal(await training.locator("path.line").count(), 1);
-    await seen(training, "round 1");
-  }, width);
-});
+    assert.equal(await loss.locator("path.line").count(), 1);
+    await seen(loss, "round 1");
+  }));
+
+both("held-out views are scored beside it, and one view is shown until the job ends", (width) =>
+  training("held-out", width, async (page, root, id) => {
+    const psnr = chart(root, "PSNR of 3 held-out views, dB");
+    const scores = () => psnr.locator("circle.score").count();
+    await until("scores come in", async () => (await scores()) > 2);
+    assert.deepEqual(await drawn(root), ["Loss", "One view", "PSNR of 3 held-out views, dB", "SSIM of 3 held-out views"]);
+    await seen(psnr.locator(".legend"), /round 1 \d\d\.\d\d/);
+    assert.equal(await root.getByText("agreement, not quality").isVisible(), false);
+    const view = root.locator("figure");
+    await seen(view.locator("figcaption"), /^000 \(held out\), round 1, step [\d,]+$/);
+    await until("it is there", () => loaded(view.locator("img")));
+    const [source, step] = [await view.locator("img").getAttribute("src"), await view.innerText()];
+    await until("a new one comes", async () => (await view.locator("img").getAttribute("src")) !== source);
+    await until("of a later step", async () => (await view.innerText()) !== step);
+    await root.getByText("What these numbers mean").click();
+    await seen(root, "sharp truth");
+    await picture(page, `page-held-out-${width}`);
+    await stand.server.cancel(id);
+    await view.waitFor({ state: "hidden" });
+    assert.ok((await scores()) > 2, "the curves stay");
+  }));
+
+both("without truth the page says that scores are of self-consistency", (width) =>
+  training("self-consistency", width, async (page, root) => {
+    await seen(root, "Self-consistency, PSNR of 3 held-out views, dB");
+    await seen(root, "agreement, not quality, since both can be wrong in the same way");
+    await root.getByText("What these numbers mean").click();
+    await seen(root, "shaken as their photographs are");
+    await picture(page, `page-self-consistency-${width}`);
+  }, { folder: stand.untrue() }));
+
+both("where no view is held out there are no scores, and the view that is shown trains", (width) =>
+  training("nothing-held-out", width, async (page, root) => {
+    await seen(root.locator("figcaption"), /^000 \(it trains\), round 1, step/);
+    await seen(root, "Gaussians");
+    assert.deepEqual(await drawn(root), ["Loss", "One view"]);
+    await picture(page, `page-nothing-held-out-${width}`);
+  }, { options: { held_out: "none" } }));

@@ -11,3 +11,4 @@ mod service;
 mod suite;
 mod support;
 mod unchanged;
+mod watched;

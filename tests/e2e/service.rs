@@ -285,23 +285,21 @@ fn check_views(server: &Server, job: &str) {
         psnr > 45.0,
         "the service and the pipeline render differently: {psnr:.1} dB"
     );
-    let query = format!("view={name}&width=60&height=90&format=png");
-    let by_service = server.picture(view(&query));
-    let file = server.folder.path().join("by_command.png");
-    let run = server
-        .folder
-        .path()
-        .join("data/jobs")
-        .join(job)
-        .join("output");
-    let mut command = fled();
-    command
-        .arg("render")
-        .arg(run)
-        .args(["--view", name, "--size", "60x90", "-o"]);
-    succeed(command.arg(&file));
-    let by_command = Image::load(&file).expect("a picture");
-    assert!(by_service == by_command, "the same question, two pictures");
+    let folder = server.folder.path();
+    let (run, file) = (
+        folder.join(format!("data/jobs/{job}/output")),
+        folder.join("by_command.png"),
+    );
+    for (show, flags) in [("colour", &[][..]), ("depth", &["--depth"])] {
+        let query = format!("view={name}&width=60&height=90&format=png&show={show}");
+        let by_service = server.picture(view(&query));
+        let mut command = fled();
+        command.arg("render").arg(&run).args(flags);
+        command.args(["--view", name, "--size", "60x90", "-o"]);
+        succeed(command.arg(&file));
+        let by_command = Image::load(&file).expect("a picture");
+        assert!(by_service == by_command, "{show}: two pictures");
+    }
 }
 
 #[test]

@@ -1,6 +1,7 @@
 //! V_i: training, from a checkpoint, the scene before, or the points.
 
 mod points;
+mod watch;
 
 use std::cell::RefCell;
 use std::path::Path;
@@ -26,10 +27,11 @@ use crate::metrics;
 use crate::metrics::report::NoiseMapStatistics;
 use crate::poses::Poses;
 use crate::reconstruct::{
-    self, Beginning, Checkpoint, Registration, Seen, TrainConfig, TrainHooks, TrainStart, Trained,
-    TrainingView,
+    self, Beginning, Checkpoint, Look, Registration, Response, Seen, TrainConfig, TrainHooks,
+    TrainStart, Trained, TrainingView,
 };
 use crate::stereo::Stereo;
+use watch::{Watch, Watched};
 
 /// The stamp of the checkpoint.
 const CHECKPOINT: &str = "checkpoint";
@@ -80,6 +82,10 @@ pub struct Material<'a> {
     pub views: &'a [View],
     /// D_i, or H_i where the shake explains it (`train_on`), in the order of the views.
     pub images: &'a [Image],
+    /// H_i, whatever it is trained on, for whoever watches.
+    pub enhanced: &'a [Image],
+    /// How light becomes values at the target brightness, for the same.
+    pub target: &'a Response,
     /// The sparse points.
     pub poses: &'a Poses,
     /// V_{i-1}, after the first round.
@@ -240,7 +246,9 @@ fn train(
     let number = material.round.number;
     let views = training_views(material, Split::Train);
     let cancel = context.cancel;
-    let path = context.workspace.folder().work().checkpoint();
+    let work = context.workspace.folder().work();
+    let (path, picture) = (work.checkpoint(), work.live_picture());
+    let mut watch = Watch::new(&watched(material), config.steps);
     // All hooks tell the same context; the trainer calls one at a time.
     let shared = RefCell::new(&mut *context);
     let mut progress = |done: u64, total: u64, rate: f64| {
@@ -263,31 +271,46 @@ fn train(
         }
     };
     let mut show = |seen: Seen| {
-        let Seen {
-            step,
-            loss,
-            gaussians,
-        } = seen;
-        shared.borrow_mut().sink.event(&Event::TrainingSeen {
-            round: number,
-            step,
-            steps: config.steps,
-            loss,
-            gaussians: gaussians as u64,
-        });
+        let event = training_seen(number, config.steps, seen);
+        shared.borrow_mut().sink.event(&event);
     };
+    let mut look = |look: &mut Look<'_>| watch.look(look, &mut shared.borrow_mut());
     let mut hooks = TrainHooks {
         cancel,
         progress: &mut progress,
         checkpoint: Some(&mut keep),
         seen: Some(&mut show),
+        look: Some(&mut look),
     };
-    let trained = reconstruct::train(gpu, &views, start, config, &mut hooks)?;
+    let trained = reconstruct::train(gpu, &views, start, config, &mut hooks);
+    // It shows a scene that trains, and none does any more.
+    let removed = context.workspace.remove(&picture);
+    let trained = trained?;
+    removed?;
     for warning in &trained.warnings {
         let message = format!("round {number}: {warning}");
         context.sink.warn("training", message);
     }
     Ok(trained)
+}
+
+fn watched<'a>(material: &Material<'a>) -> Watched<'a> {
+    Watched {
+        round: material.round,
+        views: material.views,
+        enhanced: material.enhanced,
+        target: material.target,
+    }
+}
+
+fn training_seen(round: u32, steps: u32, seen: Seen) -> Event {
+    Event::TrainingSeen {
+        round,
+        step: seen.step,
+        steps,
+        loss: seen.loss,
+        gaussians: seen.gaussians as u64,
+    }
 }
 
 fn keep_checkpoint(

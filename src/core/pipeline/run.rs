@@ -158,6 +158,8 @@ fn round(
         round,
         views,
         images: asked.options.trained_on(&enhanced[..], &deblurred),
+        enhanced: &enhanced,
+        target: &brightening.last().response,
         poses,
         before: before.map(Handover::predecessor), // V_{i-1}
     };
@@ -166,11 +168,10 @@ fn round(
     let renders = render(context, tools.gpu, round, views, &scene.gaussians)?; // R_i
     let fit = on.matching.options();
     let next = match_brightness(context, round, &renders, views, brightening, fit)?; // P_R
-    let unregistered = views::unregistered(asked.capture, poses);
     let finished = Finished {
         round,
         views,
-        unregistered: &unregistered,
+        unregistered: &views::unregistered(asked.capture, poses),
         images: RoundImages::new(&enhanced, &deblurred, &renders),
         scene: &scene,
         next: next.as_ref(),
@@ -195,8 +196,8 @@ fn round(
     };
     report::place(report, &poses);
     *ground = Ground::new(context, asked, tools, poses, views)?;
-    let again = ground.handed_over(context, tools, turn.index, handover)?;
-    Ok(Some(again))
+    let again = ground.handed_over(context, tools, turn.index, handover);
+    again.map(Some)
 }
 
 /// The poses and views of the next rounds, where this one's scene says that they are others.

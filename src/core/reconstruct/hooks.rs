@@ -1,6 +1,9 @@
 //! Whom a round tells, and who may stop it.
 
+use fled_gpu::GpuError;
+
 use super::checkpoint::Checkpoint;
+use super::look::Look;
 use crate::cancel::CancelToken;
 
 /// Takes done steps, all steps and steps per second.
@@ -9,6 +12,8 @@ pub type ProgressHook<'a> = &'a mut dyn FnMut(u64, u64, f64);
 pub type CheckpointHook<'a> = &'a mut dyn FnMut(&Checkpoint);
 /// Takes how training goes, every 25 steps.
 pub type SeenHook<'a> = &'a mut dyn FnMut(Seen);
+/// May look at the scene as it stands: every 25 steps or so, and after the last.
+pub type LookHook<'a> = &'a mut dyn FnMut(&mut Look<'_>) -> Result<(), GpuError>;
 
 /// How training goes.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -29,6 +34,8 @@ pub struct TrainHooks<'a> {
     pub progress: ProgressHook<'a>,
     /// `None`: no checkpoints are made.
     pub checkpoint: Option<CheckpointHook<'a>>,
-    /// `None`: nobody looks.
+    /// `None`: nobody is told.
     pub seen: Option<SeenHook<'a>>,
+    /// `None`: nobody looks at the scene. What trains is the same either way.
+    pub look: Option<LookHook<'a>>,
 }

@@ -156,6 +156,7 @@ fn trained_on(
         progress: &mut |_, _, _| {},
         checkpoint: None,
         seen: None,
+        look: None,
     };
     train(gpu, views, start, config, &mut hooks).expect("trains")
 }
@@ -178,6 +179,7 @@ fn who_looks_is_told_every_25_steps_and_changes_nothing() {
         progress: &mut |_, _, _| {},
         checkpoint: None,
         seen: Some(&mut |one: Seen| seen.push(one)),
+        look: None,
     };
     let begin = start(&views, &scene, &config);
     let watched = train(fixtures::gpu(), &views, begin, &config, &mut hooks).expect("trains");
@@ -190,6 +192,45 @@ fn who_looks_is_told_every_25_steps_and_changes_nothing() {
             "{one:?}"
         );
     }
+}
+
+#[test]
+fn who_looks_at_the_scene_sees_it_as_it_stands_and_changes_nothing() {
+    let scene = truth(60, 2);
+    let views = views_of(&scene, &[-0.1, 0.1], [64, 48]);
+    let config = config(60, 400);
+    let alone = trained(&views, start(&views, &scene, &config), &config);
+    // Larger than what trains: the splats touch more tiles than its buffers hold.
+    let camera = camera_at(0.3, 640, 480);
+    let mut seen = Vec::new();
+    let mut hooks = TrainHooks {
+        cancel: &CancelToken::new(),
+        progress: &mut |_, _, _| {},
+        checkpoint: None,
+        seen: None,
+        look: Some(&mut |look: &mut Look<'_>| {
+            let small = look.render(&views[0].camera)?;
+            assert_eq!((small.width(), small.height()), (64, 48));
+            seen.push((look.step, look.is_last, look.render(&camera)?));
+            Ok(())
+        }),
+    };
+    let begin = start(&views, &scene, &config);
+    let watched = train(fixtures::gpu(), &views, begin, &config, &mut hooks).expect("trains");
+    assert!(bytes(&watched.gaussians) == bytes(&alone.gaussians));
+    let steps: Vec<u32> = seen.iter().map(|(step, ..)| *step).collect();
+    assert!(
+        [25, 50, 60].iter().all(|step| steps.contains(step)),
+        "{steps:?}"
+    );
+    let lasts = seen.iter().filter(|(_, is_last, _)| *is_last);
+    let last: Vec<_> = lasts.collect();
+    assert_eq!((last.len(), last[0].0), (1, 60));
+    assert!(
+        last[0].2 == render(&watched.gaussians, &camera),
+        "as it is delivered"
+    );
+    assert!(seen[0].2 != last[0].2, "it has learnt since");
 }
 
 #[test]
@@ -290,6 +331,7 @@ fn an_overflow_of_the_intersections_is_repeated_in_larger_buffers() {
         progress: &mut |_, _, _| {},
         checkpoint: None,
         seen: None,
+        look: None,
     };
     let grown = small.run(&mut hooks).expect("trains");
     let roomy = trained(&views, begin(), &config);

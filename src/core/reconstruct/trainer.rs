@@ -13,6 +13,7 @@ use fled_gpu::{Buffer, Gpu};
 
 use super::forward_model::{ForwardModel, Purpose, largest};
 use super::level::Level;
+use super::look::{Look, Onlooker};
 use super::optimizer::Optimizer;
 use super::{
     Densify, ReconstructError, Schedule, Seen, TrainConfig, TrainHooks, TrainStart, Trained,
@@ -54,6 +55,7 @@ pub(super) struct Trainer<'a> {
     gradient: Buffer<f32>,
     noise: Option<NoiseField>,
     noise_seen: Vec<NoiseMapStatistics>,
+    onlooker: Onlooker,
     warnings: Vec<String>,
     next: u32,
     start_count: usize,
@@ -93,6 +95,7 @@ impl<'a> Trainer<'a> {
             level: Level::new(gpu, &model.views, divisor)?,
             noise: NoiseField::new(gpu, config.noise, config.seed, size)?,
             noise_seen: Vec::new(),
+            onlooker: Onlooker::default(),
             warnings: Vec::new(),
             next: 0,
             start_count: gaussians.len(),
@@ -131,12 +134,13 @@ impl<'a> Trainer<'a> {
                 if flight.redo.is_empty() {
                     self.check_finite()?;
                     if end {
-                        return Ok(());
+                        return self.look(first, hooks);
                     }
                     if self.next > first && self.next.is_multiple_of(INSPECT) {
                         self.inspect_noise()?;
                     }
                     self.show(first, hooks)?;
+                    self.look(first, hooks)?;
                     self.offer_checkpoint(hooks, &mut saved)?;
                     self.prepare(self.next, hooks.cancel)?;
                     prepared = true;
@@ -171,6 +175,24 @@ impl<'a> Trainer<'a> {
                 loss: self.loss()?,
                 gaussians: self.model.pass.gaussians.count,
             });
+        }
+        Ok(())
+    }
+
+    /// Lets whoever wants to look at the scene; nothing may be in flight.
+    fn look(&mut self, first: u32, hooks: &mut TrainHooks<'_>) -> Result<(), ReconstructError> {
+        let Some(look) = &mut hooks.look else {
+            return Ok(());
+        };
+        if self.next > first {
+            look(&mut Look {
+                step: self.next,
+                is_last: self.next == self.config.steps,
+                gpu: self.gpu,
+                gaussians: &self.model.pass.gaussians,
+                degree: self.schedule.degree(self.next - 1),
+                onlooker: &mut self.onlooker,
+            })?;
         }
         Ok(())
     }
@@ -214,6 +236,7 @@ impl Trainer<'_> {
             progress: &mut |_, _, _| {},
             checkpoint: Some(&mut keep),
             seen: None,
+            look: None,
         };
         self.run(&mut hooks).expect("trains");
         frozen.expect("a checkpoint after the step")

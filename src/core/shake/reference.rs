@@ -1,6 +1,7 @@
 //! The shake in `f64`, tap by tap: what the kernels mean.
 
 use super::{Response, SMOOTH_BEND, SMOOTH_WEIGHT, ShakeKernel};
+use crate::image::Image;
 
 /// A view's shake: its image's size in px, its kernel, its response.
 pub struct ReferenceShake<'a> {
@@ -10,6 +11,19 @@ pub struct ReferenceShake<'a> {
     pub kernel: &'a ShakeKernel,
     /// How light becomes values.
     pub response: &'a Response,
+}
+
+/// A render as its photograph is shaken.
+pub fn shaken_image(render: &Image, kernel: &ShakeKernel, response: &Response) -> Image {
+    let size = [render.width(), render.height()];
+    let values: Vec<f64> = render.data().iter().map(|&v| f64::from(v)).collect();
+    let shake = ReferenceShake {
+        size,
+        kernel,
+        response,
+    };
+    let shaken = shake.shaken(&values).into_iter();
+    Image::from_planar(size[0], size[1], shaken.map(|v| v as f32).collect())
 }
 
 impl ReferenceShake<'_> {

@@ -13,6 +13,7 @@ use fled_core::event::{Event, Stage};
 use fled_core::image::Image;
 use fled_core::metrics::{Brightness, ImageKind, Record, Reference, RoundMetrics};
 use fled_core::pipeline::config::Options;
+use fled_core::run_folder::{RoundPictures, RunFolder};
 use glam::DVec3;
 
 use crate::protocol::{say, tell};
@@ -29,6 +30,8 @@ struct Job {
     /// `word` or `word:milliseconds a tick`.
     plan: String,
     tick: Duration,
+    /// Of the photographs, by name.
+    names: Vec<String>,
     started: Instant,
 }
 
@@ -44,8 +47,10 @@ pub fn run(arguments: &[OsString]) -> Outcome {
         Some((plan, tick)) => (plan.to_owned(), tick.parse()?),
         None => (options.adapter.clone(), 2),
     };
+    let capture = PathBuf::from(&arguments[0]);
     let job = Job {
-        capture: PathBuf::from(&arguments[0]),
+        names: names(&capture)?,
+        capture,
         output: after("--out")?,
         options,
         plan,
@@ -59,10 +64,9 @@ impl Job {
     fn play(&self) -> Outcome {
         eprintln!("a line on standard error <script>alert(1)</script>");
         say("a line that is no event");
-        let names = self.names()?;
         tell(&Event::Planned {
             rounds: self.options.rounds,
-            views: names.len() as u32,
+            views: self.names.len() as u32,
         });
         match self.plan.as_str() {
             "few_poses" => {
@@ -83,7 +87,7 @@ impl Job {
             _ => {}
         }
         self.stage(Stage::Poses, 0)?;
-        self.write_cameras(&names)?;
+        self.write_cameras()?;
         let code = "low_confidence".to_owned();
         tell(&Event::Warning {
             code,
@@ -93,9 +97,9 @@ impl Job {
             for stage in &Stage::ALL[1..] {
                 self.stage(*stage, round)?;
             }
-            self.write_round(round, &names)?;
+            self.write_round(round)?;
             tell(&Event::RoundFinished {
-                metrics: Box::new(metrics(round)),
+                metrics: Box::new(metrics(round, self.has_truth())),
             });
             if self.plan == "crash-late" && self.first("crashed")? {
                 std::process::abort();
@@ -128,14 +132,11 @@ impl Job {
                     steps_per_second,
                 });
                 if stage == Stage::Reconstruct {
-                    tell(&Event::TrainingSeen {
-                        round,
-                        step: 25 * done as u32,
-                        steps: 25 * TICKS as u32,
-                        loss: 0.2 / (done as f64 + f64::from(round)),
-                        gaussians: 1000 * done,
-                    });
+                    self.show_training(round, done)?;
                 }
+            }
+            if stage == Stage::Reconstruct {
+                fs::remove_file(RunFolder::new(&self.output).work().live_picture())?;
             }
             fs::write(mark, "")?;
         }
@@ -155,6 +156,44 @@ impl Job {
         Ok(())
     }
 
+    /// What is told of a training to whoever watches it. Views are held out as the options say, and
+    /// compared with ground truth where the capture has it.
+    fn show_training(&self, round: u32, done: u64) -> Outcome {
+        let (step, steps) = (100 * done as u32, 100 * TICKS as u32);
+        let learnt = done as f64 + f64::from(round);
+        tell(&Event::TrainingSeen {
+            round,
+            step,
+            steps,
+            loss: 0.2 / learnt,
+            gaussians: 1000 * done,
+        });
+        let held_out = self.options.held_out != "none";
+        if held_out {
+            tell(&Event::HeldOutSeen {
+                round,
+                step,
+                steps,
+                psnr_cc_db: 28.0 - 16.0 / learnt,
+                ssim: 0.9 - 0.5 / learnt,
+                views: 3,
+                truth: self.has_truth(),
+            });
+        }
+        let Some(view) = self.names.first() else {
+            return Ok(());
+        };
+        let picture = RunFolder::new(&self.output).work().live_picture();
+        self.picture(&picture, view, 0.2 + 0.08 * done as f32)?;
+        tell(&Event::ViewSeen {
+            round,
+            step,
+            view: view.clone(),
+            held_out,
+        });
+        Ok(())
+    }
+
     /// A plan that is the name of a stage lingers in that one only.
     fn tick_of(&self, stage: Stage) -> Duration {
         let lingers = Stage::ALL.iter().any(|stage| stage.name() == self.plan);
@@ -165,6 +204,11 @@ impl Job {
         }
     }
 
+    /// Whether the capture brings ground truth.
+    fn has_truth(&self) -> bool {
+        self.capture.join("gt").exists()
+    }
+
     /// Whether this is the first time, over all attempts.
     fn first(&self, what: &str) -> Result<bool, Box<dyn Error>> {
         let mark = self.output.join(format!(".{what}"));
@@ -173,23 +217,7 @@ impl Job {
         Ok(first)
     }
 
-    fn names(&self) -> Result<Vec<String>, Box<dyn Error>> {
-        let folder = self.capture.join("images");
-        // The real program leaves out what it cannot read.
-        let is_read = |path: &Path| -> bool {
-            let image: Result<Image, _> = Image::load_at_most(path, 16);
-            image.is_ok()
-        };
-        let mut names: Vec<String> = fs::read_dir(folder)?
-            .flatten()
-            .filter(|entry| is_read(&entry.path()))
-            .filter_map(|entry| Some(entry.path().file_stem()?.to_str()?.to_owned()))
-            .collect();
-        names.sort();
-        Ok(names)
-    }
-
-    fn write_cameras(&self, names: &[String]) -> Outcome {
+    fn write_cameras(&self) -> Outcome {
         let k = Intrinsics {
             width: 160,
             height: 90,
@@ -198,7 +226,8 @@ impl Job {
             cx: 80.0,
             cy: 45.0,
         };
-        let cameras: Vec<NamedCamera> = names
+        let cameras: Vec<NamedCamera> = self
+            .names
             .iter()
             .enumerate()
             .map(|(i, name)| {
@@ -215,21 +244,50 @@ impl Job {
             self.output.join("cameras.json"),
             serde_json::to_vec(&cameras)?,
         )?;
+        self.write_points()?;
         let drawing = r#"<svg xmlns="http://www.w3.org/2000/svg" width="400" height="200"/>"#;
         fs::write(self.output.join("poses.svg"), drawing)?;
-        for name in names {
-            self.picture(&format!("inputs/{name}.jpg"), name, 0.15)?;
-            self.picture(&format!("gt/{name}.jpg"), name, 1.0)?;
+        for name in &self.names {
+            let folder = RunFolder::new(&self.output);
+            self.picture(&folder.input(name), name, 0.15)?;
+            if self.has_truth() {
+                self.picture(&folder.truth(name), name, 1.0)?;
+            }
         }
         Ok(())
     }
 
-    fn write_round(&self, round: u32, names: &[String]) -> Outcome {
+    /// Sparse points on a sphere around the middle.
+    fn write_points(&self) -> Outcome {
+        let point = |i: u32| {
+            let (turn, height) = (2.4 * f64::from(i), f64::from(i) / 200.0 - 1.0);
+            let away = (1.0 - height * height).sqrt();
+            serde_json::json!({ "position": [away * turn.cos(), height, away * turn.sin()],
+                "colour": [200, 160, 90], "error": 0.4, "track": 3 })
+        };
+        let points: Vec<_> = (0..400).map(point).collect();
+        let poses = serde_json::json!({ "views": [], "points": points });
+        fs::write(self.output.join("poses.json"), serde_json::to_vec(&poses)?)?;
+        Ok(())
+    }
+
+    fn write_round(&self, round: u32) -> Outcome {
+        let names = &self.names;
         for name in names {
             let gain = 0.6 + 0.15 * round as f32;
-            for kind in ["enhanced", "deblurred", "renders"] {
-                self.picture(&format!("rounds/{round}/{kind}/{name}.jpg"), name, gain)?;
+            for kind in RoundPictures::ALL {
+                let path = RunFolder::new(&self.output)
+                    .round(round)
+                    .picture(kind, name);
+                let less = if kind == RoundPictures::Enhanced {
+                    0.1
+                } else {
+                    0.0
+                };
+                self.picture(&path, name, gain - less)?;
             }
+            let restored = RunFolder::new(&self.output).restored_view(name);
+            self.picture(&restored, name, gain)?;
         }
         let scene = if self.plan == "bad_scene" {
             "crash"
@@ -253,17 +311,32 @@ impl Job {
     }
 
     /// The photograph with a gain, from where the capture has it.
-    fn picture(&self, to: &str, name: &str, gain: f32) -> Outcome {
-        let path = self.output.join(to);
+    fn picture(&self, path: &Path, name: &str, gain: f32) -> Outcome {
         fs::create_dir_all(path.parent().unwrap_or(Path::new(".")))?;
         let source = fs::read_dir(self.capture.join("images"))?
             .flatten()
             .find(|entry| entry.path().file_stem().is_some_and(|stem| stem == name))
             .ok_or("no photograph")?;
         let image: Image = Image::load_at_most(&source.path(), 280)?;
-        image.map(|v| (v * gain).min(1.0)).save(&path)?;
+        image.map(|v| (v * gain).min(1.0)).save(path)?;
         Ok(())
     }
+}
+
+/// The names of the photographs, in order; those are left out that cannot be read, as the real
+/// program does.
+fn names(capture: &Path) -> Result<Vec<String>, Box<dyn Error>> {
+    let is_read = |path: &Path| -> bool {
+        let image: Result<Image, _> = Image::load_at_most(path, 16);
+        image.is_ok()
+    };
+    let mut names: Vec<String> = fs::read_dir(capture.join("images"))?
+        .flatten()
+        .filter(|entry| is_read(&entry.path()))
+        .filter_map(|entry| Some(entry.path().file_stem()?.to_str()?.to_owned()))
+        .collect();
+    names.sort();
+    Ok(names)
 }
 
 fn fail(kind: &str, detail: &str, hint: &str) -> Outcome {
@@ -275,7 +348,7 @@ fn fail(kind: &str, detail: &str, hint: &str) -> Outcome {
     std::process::exit(3);
 }
 
-fn metrics(round: u32) -> RoundMetrics {
+fn metrics(round: u32, has_truth: bool) -> RoundMetrics {
     let gain = f64::from(round);
     let record = |split, image, psnr: f64, reference| Record {
         split,
@@ -309,6 +382,7 @@ fn metrics(round: u32) -> RoundMetrics {
                 ),
             ]
         })
+        .filter(|record| has_truth || record.reference != Reference::Gt)
         .collect();
     RoundMetrics {
         round,

@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use fled_core::image::Image;
-use fled_server::render::RenderRequest;
+use fled_server::render::{RenderRequest, Shown};
 use fled_server::{Limits, Retention, ServeConfig};
 use protocol::say;
 use rustix::process::{Resource, Rlimit, setrlimit};
@@ -116,7 +116,7 @@ fn number(name: &str, default: u64) -> Result<u64, std::num::ParseIntError> {
     std::env::var(name).map_or(Ok(default), |text| text.parse())
 }
 
-/// Draws the camera's azimuth as a shade. A scene that holds the word `crash` ends the
+/// Draws the camera's azimuth as a shade, and depth much brighter. A scene that holds the word `crash` ends the
 /// process, `refuse` is refused,
 /// `slow` takes its time.
 fn render_worker() -> Result<(), Box<dyn std::error::Error>> {
@@ -135,7 +135,11 @@ fn render_worker() -> Result<(), Box<dyn std::error::Error>> {
         }
         let k = request.camera.intrinsics;
         let turn = request.camera.world_to_camera[0][0] as f32;
-        let picture: Image = Image::new(k.width, k.height).map(|_| 0.3 + 0.3 * turn);
+        let shade = match request.shown {
+            Shown::Colour => 0.3 + 0.3 * turn,
+            Shown::Depth => 0.9,
+        };
+        let picture: Image = Image::new(k.width, k.height).map(|_| shade);
         let out = PathBuf::from(&request.out);
         let format = match request.format {
             fled_server::render::Format::Png => fled_core::image::EncodeFormat::Png,

@@ -34,9 +34,10 @@ const OPEN: [&str; 9] = [
     "/docs",
 ];
 /// What a link to a job opens: what there is to see of that job.
-const SHARED: [&str; 6] = [
+const SHARED: [&str; 7] = [
     "/v1/jobs/{id}",
     "/v1/jobs/{id}/events",
+    "/v1/jobs/{id}/live",
     "/v1/jobs/{id}/rounds",
     "/v1/jobs/{id}/render",
     "/v1/jobs/{id}/artifacts",

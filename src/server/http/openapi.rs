@@ -8,8 +8,8 @@ use utoipa::openapi::{Content, OpenApi, Ref, RefOr, Response, ResponseBuilder};
 use utoipa::{Modify, OpenApi as _};
 
 use super::{
-    artifacts, captures, events, health, jobs, log, login, metrics, options, pin, render, retry,
-    rounds, share, tus, webhooks,
+    artifacts, captures, events, health, jobs, live, log, login, metrics, options, pin, render,
+    retry, rounds, share, tus, webhooks,
 };
 
 #[derive(utoipa::OpenApi)]
@@ -48,6 +48,7 @@ use super::{
         webhooks::deliveries,
         webhooks::redeliver,
         events::stream,
+        live::show,
         rounds::show,
         log::show,
         render::get,

@@ -21,7 +21,7 @@ use super::problem::Problem;
 use crate::app::App;
 use crate::error::ServerError;
 use crate::jobs::state::JobState;
-use crate::render::{Format, RenderError, RenderRequest};
+use crate::render::{Format, RenderError, RenderRequest, Shown};
 use crate::wording::without_paths;
 
 /// Longest side of a render, px.
@@ -55,6 +55,9 @@ pub struct RenderQuery {
     round: Option<u32>,
     /// `jpeg` (default), `png` or `webp` (lossless).
     format: Option<Format>,
+    /// `colour` (default) or `depth`: grey, what is near white, what is far dark, black where
+    /// nothing is.
+    show: Option<Shown>,
 }
 
 /// A camera of the client's own.
@@ -71,6 +74,9 @@ pub struct RenderBody {
     round: Option<u32>,
     /// `jpeg` (default), `png` or `webp` (lossless).
     format: Option<Format>,
+    /// `colour` (default) or `depth`: grey, what is near white, what is far dark, black where
+    /// nothing is.
+    show: Option<Shown>,
 }
 
 /// A row of a matrix.
@@ -113,6 +119,7 @@ pub async fn get(
         round,
         camera,
         format: query.format.unwrap_or(Format::Jpeg),
+        shown: query.show.unwrap_or_default(),
     };
     picture(&app, &id, wanted, client, &headers).await
 }
@@ -153,6 +160,7 @@ pub async fn post(
         round,
         camera,
         format: body.format.unwrap_or(Format::Jpeg),
+        shown: body.show.unwrap_or_default(),
     };
     picture(&app, &id, wanted, client, &headers).await
 }
@@ -287,6 +295,7 @@ struct Wanted {
     round: Option<u32>,
     camera: NamedCamera,
     format: Format,
+    shown: Shown,
 }
 
 async fn picture(
@@ -296,14 +305,10 @@ async fn picture(
     client: ClientAddress,
     headers: &HeaderMap,
 ) -> Result<Response, Problem> {
-    let Wanted {
-        round,
-        camera,
-        format,
-    } = wanted;
-    check_camera(&camera)?;
-    let scene = app.data.output(id).scene_of(round);
-    let key = key(&scene, &camera, format).map_err(ServerError::io(&scene))?;
+    check_camera(&wanted.camera)?;
+    let scene = app.data.output(id).scene_of(wanted.round);
+    let key = key(&scene, &wanted).map_err(ServerError::io(&scene))?;
+    let format = wanted.format;
     let etag = format!("\"{key}\"");
     let common = [
         (header::ETAG, etag.clone()),
@@ -323,7 +328,8 @@ async fn picture(
     let out = cache.join(format!("{}.tmp", Uuid::now_v7()));
     let request = RenderRequest {
         scene,
-        camera,
+        camera: wanted.camera,
+        shown: wanted.shown,
         format,
         out: out.clone(),
     };
@@ -355,15 +361,17 @@ fn failed(error: &RenderError) -> Problem {
     .retry_after(RENDER_RETRY)
 }
 
-/// What a picture depends on: the scene's very file, the camera, the size and the format.
-fn key(scene: &FilePath, camera: &NamedCamera, format: Format) -> std::io::Result<String> {
+/// What a picture depends on: the scene's very file, the camera, the size, the format and what is
+/// shown.
+fn key(scene: &FilePath, wanted: &Wanted) -> std::io::Result<String> {
     let metadata = std::fs::metadata(scene)?;
     let mut hasher = blake3::Hasher::new();
     hasher.update(scene.as_os_str().as_encoded_bytes());
     hasher.update(format!("{:?}{}", metadata.modified()?, metadata.len()).as_bytes());
+    let (camera, format, shown) = (&wanted.camera, wanted.format, wanted.shown);
     hasher.update(
         format!(
-            "{:?}{:?}{format:?}",
+            "{:?}{:?}{format:?}{shown:?}",
             camera.intrinsics, camera.world_to_camera
         )
         .as_bytes(),

@@ -98,7 +98,19 @@ pub(super) async fn run(app: &App, claim: &Claim, cancel: Arc<Notify>) -> Result
         End::Stop(settlement) => settlement,
     };
     attempt.log.line(&closing_line(&settlement));
+    remove_live_picture(app, id).await;
     Ok(settlement)
+}
+
+/// Takes away the picture of a training that was stopped; one that ended well has done so itself.
+async fn remove_live_picture(app: &App, id: &str) {
+    let path = app.data.output(id).work().live_picture();
+    match tokio::fs::remove_file(&path).await {
+        Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
+            tracing::warn!(job = id, %error, "a picture of a training stays");
+        }
+        _ => {}
+    }
 }
 
 impl Attempt<'_> {
@@ -218,7 +230,7 @@ impl Attempt<'_> {
             told => {
                 // In the order in which they were said.
                 self.write_pending().await?;
-                if !matches!(told, Event::TrainingSeen { .. }) {
+                if !is_seen(&told) {
                     self.log.line(&readable(&told));
                 }
                 self.app.store.record(&self.lease, &told).await?;
@@ -310,6 +322,14 @@ fn ticks(period: Duration) -> Interval {
     let mut ticks = interval(period);
     ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
     ticks
+}
+
+/// Whether an event is for who watches a training: in the log there would be too many of them.
+fn is_seen(event: &Event) -> bool {
+    matches!(
+        event,
+        Event::TrainingSeen { .. } | Event::HeldOutSeen { .. } | Event::ViewSeen { .. }
+    )
 }
 
 fn readable(event: &Event) -> String {

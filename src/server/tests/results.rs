@@ -103,6 +103,10 @@ fn renders_come_while_the_job_trains_from_the_last_finished_round() {
         (160, 90),
         "the view's own size"
     );
+    let depth = render("view=001&format=png&round=1&show=depth").expect(200);
+    assert_ne!(depth.header("etag"), png.header("etag"));
+    assert_ne!(depth.body, png.body);
+    render("view=001&show=height").expect(400);
     render("view=nobody").expect(404);
     render("round=2").expect(404);
     render("width=99999").expect(422);
@@ -116,6 +120,59 @@ fn renders_come_while_the_job_trains_from_the_last_finished_round() {
         tag,
         "the delivered scene is another"
     );
+}
+
+#[test]
+fn a_training_is_seen_in_scores_and_a_picture_that_are_told_once_and_the_picture_goes_with_it() {
+    let server = Server::start();
+    let job = server.job("reconstruct:700");
+    let live = |tag: &str| {
+        let path = format!("/v1/jobs/{job}/live");
+        server.get(&path, &[("if-none-match", tag)])
+    };
+    server.wait(&job, "seen", |_| live("").status == 200);
+    // A new one comes in a while: now there is time to ask twice.
+    let first = live("").expect(200);
+    let picture = loop {
+        let picture = live("").expect(200);
+        if picture.header("etag") != first.header("etag") {
+            break picture;
+        }
+    };
+    assert_eq!(
+        (picture.header("content-type"), &picture.body[..2]),
+        ("image/jpeg", &[0xff, 0xd8][..])
+    );
+    assert_eq!(picture.header("cache-control"), "no-cache");
+    live(picture.header("etag")).expect(304);
+    let list = server.get(&format!("/v1/jobs/{job}/artifacts"), &[]);
+    assert!(!list.text().contains("training.jpg"), "it is no result");
+    server
+        .post(&format!("/v1/jobs/{job}/cancel"), b"", &[])
+        .expect(202);
+    server.wait_state(&job, "cancelled");
+    live("").expect(204);
+    let left = format!("data/jobs/{job}/output/work/training.jpg");
+    assert!(!server.data.path().join(left).exists());
+
+    let events = server.events(&job, 0, usize::MAX);
+    let told = |name: &str| -> Vec<_> {
+        let of_name = events.iter().filter(|(_, kind, _)| kind == name);
+        of_name.map(|(_, _, data)| data.clone()).collect()
+    };
+    let (scores, views) = (told("held_out_seen"), told("view_seen"));
+    assert!(views.len() >= 2 && scores.len() >= 2, "{events:?}");
+    assert_eq!(
+        scores[0],
+        json!({ "event": "held_out_seen", "round": 1, "step": 100, "steps": 1000,
+            "psnr_cc_db": 20.0, "ssim": 0.65, "views": 3, "truth": false })
+    );
+    assert_eq!(
+        views[0],
+        json!({ "event": "view_seen", "round": 1, "step": 100, "view": "000", "held_out": true })
+    );
+    let log = server.get(&format!("/v1/jobs/{job}/log"), &[]).expect(200);
+    assert!(!log.text().contains("Seen"), "{}", log.text());
 }
 
 #[test]

@@ -72,6 +72,9 @@ fn a_link_shows_its_job_and_nothing_else() {
         server.get(&of(&job, path), &with).expect(200);
         server.get(&of(&other, path), &with).expect(404);
     }
+    // It trains no more.
+    server.get(&of(&job, "/live"), &with).expect(204);
+    server.get(&of(&other, "/live"), &with).expect(404);
     let capture = server.get(&of(&job, ""), &with).json()["capture_id"].clone();
     let capture = format!("/v1/captures/{}", capture.as_str().expect("id"));
     let never = [

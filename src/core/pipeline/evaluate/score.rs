@@ -6,8 +6,8 @@ use crate::camera::Split;
 use crate::image::Image;
 use crate::metrics;
 use crate::pipeline::views::View;
-use crate::shake::reference::ReferenceShake;
-use crate::shake::{self, Response, ShakeKernel};
+use crate::shake::reference::shaken_image;
+use crate::shake::{self, Response};
 
 /// How a render explains its view, both at the target brightness.
 #[derive(Clone, Copy, Debug)]
@@ -26,7 +26,7 @@ pub struct Likeness {
 pub fn likenesses(renders: &[Image], target: &[Image], response: &Response) -> Vec<Likeness> {
     let of = |(render, view): (&Image, &Image)| {
         let kernel = shake::estimate(render, view, response);
-        let shaken = as_shaken(render, &kernel, response);
+        let shaken = shaken_image(render, &kernel, response);
         Likeness {
             shake_px: kernel.spread(),
             ssim: metrics::ssim(&shaken, view),
@@ -56,28 +56,11 @@ pub fn score(views: &[View], likenesses: &[Likeness]) -> f64 {
     compared.iter().sum::<f64>() / compared.len().max(1) as f64
 }
 
-/// The render, shaken by a kernel.
-fn as_shaken(render: &Image, kernel: &ShakeKernel, response: &Response) -> Image {
-    let size = [render.width(), render.height()];
-    let values: Vec<f64> = render.data().iter().map(|&v| f64::from(v)).collect();
-    let shaken = ReferenceShake {
-        size,
-        kernel,
-        response,
-    }
-    .shaken(&values);
-    Image::from_planar(
-        size[0],
-        size[1],
-        shaken.into_iter().map(|v| v as f32).collect(),
-    )
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::camera::{Camera, Intrinsics};
-    use crate::shake::Tap;
+    use crate::shake::{ShakeKernel, Tap};
     use glam::DVec3;
 
     const SIDE: usize = 64;
@@ -114,15 +97,7 @@ mod tests {
     }
 
     fn blurred(image: &Image, length: i32) -> Image {
-        let values: Vec<f64> = image.data().iter().map(|&v| f64::from(v)).collect();
-        let (size, response) = ([SIDE, SIDE], Response::srgb());
-        let shaken = ReferenceShake {
-            size,
-            kernel: &along(length),
-            response: &response,
-        }
-        .shaken(&values);
-        Image::from_planar(SIDE, SIDE, shaken.into_iter().map(|v| v as f32).collect())
+        shaken_image(image, &along(length), &Response::srgb())
     }
 
     #[test]

@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::register::Motion;
-use crate::shake::reference::ReferenceShake;
+use crate::shake::reference::shaken_image;
 use crate::shake::{ShakeKernel, Tap};
 
 #[test]
@@ -156,24 +156,7 @@ fn shaken(image: &Image, angle: f64, response: &Response) -> Image {
         }
     };
     let kernel = ShakeKernel::new((-3..=3).map(tap).collect());
-    let size = [image.width(), image.height()];
-    let reference = ReferenceShake {
-        size,
-        kernel: &kernel,
-        response,
-    };
-    let values = reference.shaken(
-        &image
-            .data()
-            .iter()
-            .map(|&v| f64::from(v))
-            .collect::<Vec<_>>(),
-    );
-    Image::from_planar(
-        size[0],
-        size[1],
-        values.into_iter().map(|v| v as f32).collect(),
-    )
+    shaken_image(image, &kernel, response)
 }
 
 #[test]

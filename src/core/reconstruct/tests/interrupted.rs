@@ -58,6 +58,7 @@ fn cancelling_stops_a_round_between_two_steps() {
         progress: &mut progress,
         checkpoint: None,
         seen: None,
+        look: None,
     };
     let begin = start(&views, &scene, &config);
     let outcome = train(fixtures::gpu(), &views, begin, &config, &mut hooks);
@@ -75,6 +76,7 @@ fn no_views_no_gaussians_and_a_foreign_checkpoint_are_refused() {
         progress: &mut |_, _, _| {},
         checkpoint: None,
         seen: None,
+        look: None,
     };
     let begin = start(&views, &scene, &plain);
     let mut refused = |views: &[TrainingView], start| {

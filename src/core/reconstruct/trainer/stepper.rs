@@ -42,6 +42,7 @@ impl<'a> Stepper<'a> {
             progress: &mut |_, _, _| {},
             checkpoint: None,
             seen: None,
+            look: None,
         };
         self.0.train_to(last, &mut hooks)
     }

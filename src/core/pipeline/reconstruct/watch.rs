@@ -1,0 +1,248 @@
+//! What one sees of a round while it trains: how well views that were held out are met, and a
+//! picture of one. Nothing of it reaches the scene.
+
+use std::time::{Duration, Instant};
+
+use fled_gpu::GpuError;
+use rayon::prelude::*;
+
+use crate::camera::{Camera, Split};
+use crate::enhance::spread_indices;
+use crate::event::Event;
+use crate::image::Image;
+use crate::metrics;
+use crate::pipeline::context::Context;
+use crate::pipeline::pictures;
+use crate::pipeline::round::Round;
+use crate::pipeline::views::View;
+use crate::reconstruct::Look;
+use crate::reconstruct::schedule::reduced_size;
+use crate::shake::reference::shaken_image;
+use crate::shake::{self, Response};
+
+/// Steps between scores.
+const SCORED: u32 = 100;
+/// Views that are scored.
+const MOST_VIEWS: usize = 3;
+/// They are compared at this part of their size: a quarter of the pixels.
+const PART: usize = 2;
+/// Time between pictures.
+const PICTURED: Duration = Duration::from_secs(10);
+/// Longer side of a picture at most, px.
+const PICTURE_SIDE: usize = 640;
+/// After each look of a kind so many times as long is trained: looking takes a hundredth of the
+/// time for each of the two kinds, however fast the device is.
+const REST: u32 = 100;
+
+/// The views of a round as they are looked at.
+#[derive(Clone, Copy)]
+pub struct Watched<'a> {
+    /// The round.
+    pub round: &'a Round,
+    /// All views.
+    pub views: &'a [View],
+    /// H_i, in their order.
+    pub enhanced: &'a [Image],
+    /// How light becomes the values of the target brightness, which ground truth has.
+    pub target: &'a Response,
+}
+
+/// Watches one round.
+pub struct Watch<'a> {
+    round: &'a Round,
+    target: &'a Response,
+    steps: u32,
+    compared: Vec<Compared>,
+    /// Whether with ground truth.
+    truth: bool,
+    /// Whose picture is made; `None` where one could not be written.
+    pictured: Option<&'a View>,
+    scores: Pace,
+    pictures: Pace,
+}
+
+/// A held-out view, reduced.
+struct Compared {
+    camera: Camera,
+    reference: Image,
+}
+
+impl<'a> Watch<'a> {
+    /// Of a round of so many steps. Where some held-out views have ground truth, those are
+    /// compared, with it; else all of them with their enhanced views.
+    pub fn new(watched: &Watched<'a>, steps: u32) -> Self {
+        let views = watched.views;
+        let held_out: Vec<usize> = (0..views.len())
+            .filter(|&view| views[view].split == Split::HeldOut)
+            .collect();
+        let with_truth: Vec<usize> = held_out
+            .iter()
+            .copied()
+            .filter(|&view| views[view].gt.is_some())
+            .collect();
+        let truth = !with_truth.is_empty();
+        let from = if truth { &with_truth } else { &held_out };
+        let compared = spread_indices(from.len(), MOST_VIEWS)
+            .into_iter()
+            .map(|place| {
+                let view = from[place];
+                let truth = views[view].gt.as_ref().filter(|_| truth);
+                Compared::new(&views[view], truth.unwrap_or(&watched.enhanced[view]))
+            })
+            .collect();
+        let pictured = held_out.first().copied().unwrap_or(views.len() / 2);
+        Self {
+            round: watched.round,
+            target: watched.target,
+            steps,
+            compared,
+            truth,
+            pictured: views.get(pictured),
+            scores: Pace::new(),
+            pictures: Pace::new(),
+        }
+    }
+
+    /// Scores and pictures that are due, told to whoever watches the run.
+    ///
+    /// # Errors
+    /// A device error.
+    pub fn look(&mut self, look: &mut Look<'_>, context: &mut Context<'_>) -> Result<(), GpuError> {
+        let scored = look.step.is_multiple_of(SCORED) && self.scores.is_due();
+        if !self.compared.is_empty() && (scored || look.is_last) {
+            let begin = Instant::now();
+            self.score(look, context)?;
+            self.scores.took(begin.elapsed(), Duration::ZERO);
+        }
+        if let Some(view) = self.pictured.filter(|_| self.pictures.is_due()) {
+            let begin = Instant::now();
+            self.picture(view, look, context)?;
+            self.pictures.took(begin.elapsed(), PICTURED);
+        }
+        Ok(())
+    }
+
+    fn score(&self, look: &mut Look<'_>, context: &mut Context<'_>) -> Result<(), GpuError> {
+        let mut renders = Vec::with_capacity(self.compared.len());
+        for compared in &self.compared {
+            renders.push(look.render(&compared.camera)?);
+        }
+        let scores: Vec<(f64, f64)> = renders
+            .par_iter()
+            .zip(&self.compared)
+            .map(|(render, compared)| self.compare(render, &compared.reference))
+            .collect();
+        let mean =
+            |of: fn(&(f64, f64)) -> f64| scores.iter().map(of).sum::<f64>() / scores.len() as f64;
+        let (psnr_cc_db, ssim) = (mean(|scores| scores.0), mean(|scores| scores.1));
+        // A scene that has gone to pieces has no score, and JSON no word for that.
+        if psnr_cc_db.is_finite() && ssim.is_finite() {
+            context.sink.event(&Event::HeldOutSeen {
+                round: self.round.number,
+                step: look.step,
+                steps: self.steps,
+                psnr_cc_db,
+                ssim,
+                views: scores.len() as u32,
+                truth: self.truth,
+            });
+        }
+        Ok(())
+    }
+
+    /// PSNR after a colour fit and SSIM of what the evaluation of a round compares: the render at
+    /// the target brightness with ground truth, or the render as shaken as its photograph is with
+    /// the enhanced view.
+    fn compare(&self, render: &Image, reference: &Image) -> (f64, f64) {
+        let response = &self.round.response;
+        let render = render.map(|value| value.clamp(0.0, 1.0));
+        let compared = if self.truth {
+            render.map(|value| self.target.value(response.light(f64::from(value))) as f32)
+        } else {
+            let kernel = shake::estimate(&render, reference, response);
+            shaken_image(&render, &kernel, response)
+        };
+        let psnr = metrics::psnr_colour_corrected(&compared, reference);
+        (psnr, metrics::ssim(&compared, reference))
+    }
+
+    fn picture(
+        &mut self,
+        view: &View,
+        look: &mut Look<'_>,
+        context: &mut Context<'_>,
+    ) -> Result<(), GpuError> {
+        let (width, height) = view.dark.size_at_most(PICTURE_SIDE);
+        let render = look.render(&view.camera.resized(width, height))?;
+        let round = self.round.number;
+        let path = context.workspace.folder().work().live_picture();
+        match pictures::preview(context.workspace, &path, &render) {
+            Ok(()) => context.sink.event(&Event::ViewSeen {
+                round,
+                step: look.step,
+                view: view.name.clone(),
+                held_out: view.split == Split::HeldOut,
+            }),
+            // A picture that cannot be written costs a look, not this run.
+            Err(error) => {
+                self.pictured = None;
+                let message = format!("round {round}: no more pictures of its training: {error}");
+                context.sink.warn("live_picture", message);
+            }
+        }
+        Ok(())
+    }
+}
+
+impl Compared {
+    fn new(view: &View, reference: &Image) -> Self {
+        let (width, height) = reduced_size(reference.width(), reference.height(), PART);
+        Self {
+            camera: view.camera.resized(width, height),
+            reference: reference.resize_area(width, height),
+        }
+    }
+}
+
+/// When to look again.
+struct Pace {
+    since: Instant,
+    rest: Duration,
+}
+
+impl Pace {
+    /// The first look is due at once.
+    fn new() -> Self {
+        Self {
+            since: Instant::now(),
+            rest: Duration::ZERO,
+        }
+    }
+
+    fn is_due(&self) -> bool {
+        self.since.elapsed() >= self.rest
+    }
+
+    /// A look took so long, and at least `rest` lies before the next.
+    fn took(&mut self, long: Duration, rest: Duration) {
+        (self.since, self.rest) = (Instant::now(), rest.max(REST * long));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn looking_takes_a_hundredth_of_the_time_or_less() {
+        let mut pace = Pace::new();
+        assert!(pace.is_due());
+        pace.took(Duration::from_secs(3), PICTURED);
+        assert_eq!(pace.rest, Duration::from_secs(300));
+        assert!(!pace.is_due());
+        pace.took(Duration::from_millis(1), PICTURED);
+        assert_eq!(pace.rest, PICTURED);
+        pace.took(Duration::ZERO, Duration::ZERO);
+        assert!(pace.is_due());
+    }
+}

@@ -1,0 +1,52 @@
+//! `/v1/jobs/{id}/live`: what the scene of a job looks like while it trains.
+
+use std::io::ErrorKind;
+use std::sync::Arc;
+
+use axum::extract::{Path, State};
+use axum::http::{HeaderMap, StatusCode, header};
+use axum::response::{IntoResponse, Response};
+
+use super::artifacts::is_known;
+use super::lookup::find;
+use super::problem::Problem;
+use crate::app::App;
+use crate::error::ServerError;
+use crate::jobs::state::JobState;
+
+/// Shows one view of the scene as it stood at the last `view_seen` event, which tells of which
+/// view and step. There is a new one about every ten seconds while the job trains.
+#[utoipa::path(get, path = "/v1/jobs/{id}/live", operation_id = "show_live_picture",
+    tag = "results", params(("id" = String, Path)),
+    responses(
+        (status = 200, description = "The picture", body = serde_json::Value, content_type = "image/jpeg"),
+        (status = 204, description = "Nothing trains now"),
+        (status = 304, description = "As you have it"),
+        (status = 404, description = "Unknown", body = Problem, content_type = "application/problem+json")))]
+pub async fn show(
+    State(app): State<Arc<App>>,
+    Path(id): Path<String>,
+    headers: HeaderMap,
+) -> Result<Response, Problem> {
+    let job = find(&app, &id).await?;
+    let path = app.data.output(&id).work().live_picture();
+    let nothing = || Ok(StatusCode::NO_CONTENT.into_response());
+    // What a process left that was killed shows no scene that trains.
+    if job.state != JobState::Running {
+        return nothing();
+    }
+    let picture = match tokio::fs::read(&path).await {
+        Ok(picture) => picture,
+        Err(error) if error.kind() == ErrorKind::NotFound => return nothing(),
+        Err(error) => return Err(ServerError::io(&path)(error).into()),
+    };
+    let etag = format!("\"{}\"", &blake3::hash(&picture).to_hex()[..32]);
+    let common = [
+        (header::ETAG, etag.clone()),
+        (header::CONTENT_TYPE, "image/jpeg".to_owned()),
+    ];
+    if is_known(&headers, &etag) {
+        return Ok((StatusCode::NOT_MODIFIED, common).into_response());
+    }
+    Ok((common, picture).into_response())
+}

@@ -1,0 +1,51 @@
+// Cameras and sparse points in 3D, as soon as there are poses.
+
+import assert from "node:assert/strict";
+import { after, before } from "node:test";
+
+import { picture } from "./browser.js";
+import { Stand, both, part, seen } from "./played.js";
+import { until } from "./until.js";
+
+let stand;
+
+before(async () => { stand = await Stand.start(); });
+after(() => stand?.stop());
+
+/** Share of the picture that a canvas holds which is not as its corner is. */
+const drawn = (canvas) => canvas.evaluate((one) => {
+  const copy = new OffscreenCanvas(one.width, one.height).getContext("2d");
+  copy.drawImage(one, 0, 0);
+  const { data } = copy.getImageData(0, 0, one.width, one.height);
+  const differs = (at) => [0, 1, 2, 3].some((k) => Math.abs(data[at + k] - data[k]) > 24);
+  let count = 0;
+  for (let at = 0; at < data.length; at += 4) count += differs(at) ? 1 : 0;
+  return (4 * count) / data.length;
+});
+
+both("before a scene is trained one sees the cameras and the sparse points", async (width) => {
+  const { server } = stand;
+  const plan = { adapter: "deblur:1500" };
+  const id = await server.submit(stand.folder, `points at ${width}`, plan);
+  try {
+    await stand.visit("points", `#/jobs/${id}`, async (page) => {
+      const root = part(page, "Scene");
+      await root.getByRole("button", { name: /^Look at cameras and points/ }).click();
+      await seen(root.getByRole("status"), "400 sparse points, by which the cameras were placed.");
+      await root.locator(".frame[aria-busy=false]").waitFor();
+      const [points, lines] = [root.locator("canvas").first(), root.locator("canvas.lines")];
+      await until("points are drawn", async () => (await drawn(points)) > 0.003);
+      assert.ok((await drawn(lines)) > 0.002, "the cameras");
+      assert.equal(await root.getByLabel("Cameras", { exact: true }).isChecked(), true);
+      assert.equal(await root.getByRole("button", { name: /as PNG/ }).isVisible(), false);
+      assert.equal(await root.getByRole("slider").isVisible(), false);
+      await picture(page, `page-points-${width}`);
+      await root.getByRole("button", { name: "Next photograph" }).click();
+      await root.locator(".frame[aria-busy=false]").waitFor();
+      await root.getByLabel("Cameras", { exact: true }).uncheck();
+      await lines.waitFor({ state: "hidden" });
+    }, width);
+  } finally {
+    await server.cancel(id);
+  }
+});
