@@ -1,5 +1,6 @@
 //! `fled`: dark, noisy, shaken photographs of a place to a 3D scene that one can walk around in.
 
+mod assess_worker;
 mod backup;
 mod bench;
 mod doctor;
@@ -17,6 +18,7 @@ mod synth;
 mod token;
 mod tools;
 
+use std::ffi::OsString;
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
@@ -73,11 +75,24 @@ enum Command {
     /// Renders what the service asks for on standard input.
     #[command(hide = true)]
     RenderWorker,
+    /// Looks at one upload for the service.
+    #[command(hide = true)]
+    AssessWorker,
+    /// Becomes a program that ends with the process that asks for it.
+    #[command(hide = true, name = fled_server::TETHER)]
+    Tether {
+        /// Who asks, the program and its arguments.
+        #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
+        command: Vec<OsString>,
+    },
 }
 
 fn main() -> ExitCode {
     silence_device_select();
     let cli = Cli::parse();
+    if let Command::Tether { command } = &cli.command {
+        return fled_server::become_tethered(command);
+    }
     if let Err(error) = fled_server::die_with_parent() {
         return Failure::new(ErrorKind::Internal, error).report();
     }
@@ -99,6 +114,9 @@ fn main() -> ExitCode {
         Command::Models(args) => models::main(&args),
         Command::Doctor(args) => doctor::main(&args),
         Command::RenderWorker => render_worker::main(),
+        Command::AssessWorker => assess_worker::main(),
+        // Done above: what it becomes has another parent.
+        Command::Tether { .. } => Ok(()),
     };
     match outcome {
         Ok(()) => ExitCode::SUCCESS,

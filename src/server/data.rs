@@ -24,8 +24,8 @@ pub struct DataDir {
     _lock: File,
 }
 
-/// Attempts to remove what an earlier server's ffmpeg may still write into. It ends where it finds
-/// its folder gone.
+/// Attempts to remove what a process of an earlier server may still write into: they end with it,
+/// but a moment after.
 const ATTEMPTS: u32 = 5;
 
 /// Removes a folder that others may still write into.

@@ -1,9 +1,11 @@
 //! The service: HTTP API, jobs, their store and the dashboard.
 //!
 //! The API never computes: a job runs in a child process of its own, renders come from another
-//! child, so that a crash of a driver or of a tool leaves the API standing.
+//! child, uploads are looked at by children, so that a crash of a driver, of a tool or of a decoder
+//! leaves the API standing.
 
 mod app;
+pub mod assessor;
 mod backup;
 mod config;
 pub mod data;
@@ -32,5 +34,5 @@ pub use backup::{Backup, backup};
 pub use config::{Limits, Retention, ServeConfig};
 pub use error::{Result, ServerError};
 pub use http::document as openapi_document;
-pub use jobs::process::die_with_parent;
+pub use jobs::tether::{TETHER, become_tethered, die_with_parent, tethered};
 pub use serve::{Server, serve};
