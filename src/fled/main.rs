@@ -6,6 +6,7 @@ mod bench;
 mod doctor;
 mod eval;
 mod failure;
+mod gc;
 mod models;
 mod progress;
 mod remote;
@@ -62,6 +63,8 @@ enum Command {
     Cancel(remote::cancel::Args),
     /// Copies the service's data directory while it is in use.
     Backup(backup::Args),
+    /// Frees what nobody wants in the service's data directory, and tells of it.
+    Gc(gc::Args),
     /// Makes, lists and ends the tokens by which the service is used.
     Token(token::Args),
     /// Measures what training and rendering cost on this machine, kernel by kernel.
@@ -108,6 +111,7 @@ fn main() -> ExitCode {
         Command::Retry(args) => remote::retry::main(&args),
         Command::Cancel(args) => remote::cancel::main(&args),
         Command::Backup(args) => backup::main(&args),
+        Command::Gc(args) => gc::main(&args),
         Command::Token(args) => token::main(&args),
         Command::Bench(args) => bench::main(&args),
         Command::Eval(args) => eval::main(&args),

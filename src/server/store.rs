@@ -6,6 +6,7 @@
 mod backup;
 mod captures;
 mod clock;
+mod compact;
 mod events;
 mod idempotency;
 mod jobs;
