@@ -31,6 +31,7 @@ export function comparison(job) {
 
   function pictures(name) {
     const shot = (key, label, path) => ({ key, label, url: at(path) });
+    /** @type {(ReturnType<typeof shot> | ReturnType<typeof made>)[]} */
     const list = [shot("inputs", "dark input", `inputs/${name}.jpg`)];
     for (const round of facts.rounds) {
       const of = (kind) => `rounds/${round}/${kind}/${name}.jpg`;
@@ -63,7 +64,7 @@ export function comparison(job) {
   const differs = (key, label, [a, b]) => made(key, label, () => difference(at(a), at(b)));
 
   async function depth(view, round) {
-    const query = new URLSearchParams({ view, round, show: "depth", width: DEPTH_WIDTH });
+    const query = new URLSearchParams({ view, round, show: "depth", width: String(DEPTH_WIDTH) });
     const answer = await fetch(`/v1/jobs/${job}/render?${query}`);
     if (!answer.ok) throw new Error(`${answer.status}`);
     return URL.createObjectURL(await answer.blob());

@@ -11,8 +11,10 @@ mod budget;
 mod entries;
 mod error;
 mod layout;
+mod look;
 mod photograph;
 pub mod video;
+mod watch;
 
 use std::path::Path;
 
@@ -22,6 +24,7 @@ pub use budget::DecodeBudget;
 pub use error::{ArchiveFault, CaptureError, MAX_FILES, MIN_VIEWS};
 pub use layout::GivenPosesFile;
 pub use photograph::{Assessment, CaptureView, CaptureWarning};
+pub use watch::{Look, Watch};
 
 /// A capture that can be worked on.
 #[derive(Clone, Debug, PartialEq)]
@@ -50,17 +53,17 @@ impl Capture {
     /// # Errors
     /// [`CaptureError`]; [`CaptureError::TooFew`] carries the assessments.
     pub fn open(path: &Path, scratch_dir: &Path) -> Result<Self, CaptureError> {
-        Self::open_within(path, scratch_dir, &DecodeBudget::default())
+        Self::open_watched(path, scratch_dir, &Watch::nobody())
     }
 
-    /// As [`Capture::open`], within a budget that others decode from as well.
+    /// As [`Capture::open`], while somebody watches.
     ///
     /// # Errors
     /// As [`Capture::open`].
-    pub fn open_within(
+    pub fn open_watched(
         path: &Path,
         scratch_dir: &Path,
-        budget: &DecodeBudget,
+        watch: &Watch<'_>,
     ) -> Result<Self, CaptureError> {
         let metadata = path.metadata().map_err(CaptureError::io(path))?;
         let entries = if metadata.is_dir() {
@@ -74,7 +77,7 @@ impl Capture {
         };
         let layout = layout::Layout::of(entries);
         let fingerprint = layout.fingerprint()?;
-        let assessed = assess::assess(&layout, budget);
+        let assessed = assess::assess(&layout, watch);
         if assessed.views.len() < MIN_VIEWS {
             return Err(CaptureError::TooFew {
                 accepted: assessed.views.len(),

@@ -1,10 +1,12 @@
 //! `fled`: dark, noisy, shaken photographs of a place to a 3D scene that one can walk around in.
 
+mod assess_worker;
 mod backup;
 mod bench;
 mod doctor;
 mod eval;
 mod failure;
+mod gc;
 mod models;
 mod progress;
 mod remote;
@@ -17,6 +19,7 @@ mod synth;
 mod token;
 mod tools;
 
+use std::ffi::OsString;
 use std::process::ExitCode;
 
 use clap::{Parser, Subcommand};
@@ -60,6 +63,8 @@ enum Command {
     Cancel(remote::cancel::Args),
     /// Copies the service's data directory while it is in use.
     Backup(backup::Args),
+    /// Frees what nobody wants in the service's data directory, and tells of it.
+    Gc(gc::Args),
     /// Makes, lists and ends the tokens by which the service is used.
     Token(token::Args),
     /// Measures what training and rendering cost on this machine, kernel by kernel.
@@ -73,11 +78,24 @@ enum Command {
     /// Renders what the service asks for on standard input.
     #[command(hide = true)]
     RenderWorker,
+    /// Looks at one upload for the service.
+    #[command(hide = true)]
+    AssessWorker,
+    /// Becomes a program that ends with the process that asks for it.
+    #[command(hide = true, name = fled_server::TETHER)]
+    Tether {
+        /// Who asks, the program and its arguments.
+        #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
+        command: Vec<OsString>,
+    },
 }
 
 fn main() -> ExitCode {
     silence_device_select();
     let cli = Cli::parse();
+    if let Command::Tether { command } = &cli.command {
+        return fled_server::become_tethered(command);
+    }
     if let Err(error) = fled_server::die_with_parent() {
         return Failure::new(ErrorKind::Internal, error).report();
     }
@@ -93,12 +111,16 @@ fn main() -> ExitCode {
         Command::Retry(args) => remote::retry::main(&args),
         Command::Cancel(args) => remote::cancel::main(&args),
         Command::Backup(args) => backup::main(&args),
+        Command::Gc(args) => gc::main(&args),
         Command::Token(args) => token::main(&args),
         Command::Bench(args) => bench::main(&args),
         Command::Eval(args) => eval::main(&args),
         Command::Models(args) => models::main(&args),
         Command::Doctor(args) => doctor::main(&args),
         Command::RenderWorker => render_worker::main(),
+        Command::AssessWorker => assess_worker::main(),
+        // Done above: what it becomes has another parent.
+        Command::Tether { .. } => Ok(()),
     };
     match outcome {
         Ok(()) => ExitCode::SUCCESS,

@@ -162,7 +162,8 @@ fn frames(
         stem: "frame",
         room: u64::MAX,
     };
-    let taken = video::take_frames(&args.ffmpeg.program, video, &wanted, cancel)?;
+    let ffmpeg = args.ffmpeg.command()?;
+    let taken = video::take_frames(&ffmpeg, video, &wanted, cancel)?;
     reporter.event(&Event::Log {
         message: taken.told(&name),
     });

@@ -58,6 +58,16 @@ pub struct Ffmpeg {
     pub program: PathBuf,
 }
 
+impl Ffmpeg {
+    /// What starts it so that it does not go on without this process.
+    ///
+    /// # Errors
+    /// [`Failure`] when the path of the running program is unknown.
+    pub fn command(&self) -> Result<Vec<OsString>, Failure> {
+        fled_server::tethered(&self.program).map_err(|e| Failure::new(ErrorKind::Internal, e))
+    }
+}
+
 /// Where networks that are not built in lie.
 #[derive(clap::Args, Clone, Debug)]
 pub struct ModelFolder {

@@ -1,11 +1,9 @@
 //! What handlers and workers share.
 
-use std::sync::Arc;
-
-use fled_core::capture::DecodeBudget;
 use tokio::sync::{Notify, watch};
 use tokio_util::sync::CancellationToken;
 
+use crate::assessor::Assessors;
 use crate::config::{Limits, ServeConfig};
 use crate::data::DataDir;
 use crate::holders::Holders;
@@ -31,8 +29,8 @@ pub struct App {
     pub uploads: Uploads,
     /// Who writes or reads which upload in pieces.
     pub holders: Holders,
-    /// What all uploads together may take while they are looked at.
-    pub decoding: Arc<DecodeBudget>,
+    /// The processes that look at uploads.
+    pub assessors: Assessors,
     /// The render process.
     pub renderers: Renderers,
     /// What each client may ask for.
@@ -62,7 +60,7 @@ impl App {
             renderers: Renderers::new(config.render_command.clone(), limits.render, limits.grace),
             uploads: Uploads::default(),
             holders: Holders::default(),
-            decoding: Arc::new(DecodeBudget::new(limits.max_decoding_bytes)),
+            assessors: Assessors::new(config.assess_command.clone(), limits),
             config,
             limits,
             data,

@@ -27,6 +27,8 @@ pub struct ServeConfig {
     pub job_command: Vec<OsString>,
     /// Program and arguments of the process that renders novel views.
     pub render_command: Vec<OsString>,
+    /// Program and arguments of the process that looks at one upload.
+    pub assess_command: Vec<OsString>,
     /// Program and arguments of a process that judges the machine and prints JSON, see `/readyz`.
     pub doctor_command: Vec<OsString>,
     /// Whether webhooks may be at addresses of inner networks.
@@ -89,6 +91,7 @@ impl ServeConfig {
             workers,
             job_command: command(&["run"]),
             render_command: command(&["render-worker"]),
+            assess_command: command(&["assess-worker"]),
             doctor_command: command(&["doctor", "--json"]),
             inner_webhooks: false,
             ffmpeg: "ffmpeg".into(),
@@ -144,6 +147,15 @@ pub struct Limits {
     pub takeover: Duration,
     /// Photographs of all uploads that are decoded at a time, bytes.
     pub max_decoding_bytes: u64,
+    /// Processes that look at uploads at a time; more uploads wait.
+    pub assessors: usize,
+    /// Address space of such a process, and of the one that reads a video, bytes. A frame of the
+    /// most pixels takes 120 MB in 10 bits, and decoders keep up to 17 and one for each thread.
+    pub assessing_bytes: u64,
+    /// An upload is looked at for so long at most; a video takes eight minutes of it.
+    pub assessing: Duration,
+    /// A photograph is looked at for so long at most. The largest take seconds.
+    pub photograph: Duration,
     /// Largest log of a job, bytes.
     pub max_log_bytes: u64,
     /// Connections at a time; fewer where descriptors are few.
@@ -192,6 +204,10 @@ impl Default for Limits {
             upload_life: Duration::from_secs(24 * 3600),
             takeover: Duration::from_secs(10),
             max_decoding_bytes: 1 << 30,
+            assessors: 32,
+            assessing_bytes: 4 << 30,
+            assessing: Duration::from_secs(20 * 60),
+            photograph: Duration::from_secs(120),
             max_log_bytes: 32 << 20,
             connections: 1024,
             header: Duration::from_secs(30),

@@ -20,12 +20,13 @@ use crate::error::{Result, ServerError};
 #[derive(Debug)]
 pub struct DataDir {
     root: PathBuf,
-    /// Held for the life of the server: the kernel frees it even after kill -9.
-    _lock: File,
+    /// Held for the life of the server: the kernel frees it even after kill -9. `None` where
+    /// another one has it.
+    lock: Option<File>,
 }
 
-/// Attempts to remove what an earlier server's ffmpeg may still write into. It ends where it finds
-/// its folder gone.
+/// Attempts to remove what a process of an earlier server may still write into: they end with it,
+/// but a moment after.
 const ATTEMPTS: u32 = 5;
 
 /// Removes a folder that others may still write into.
@@ -46,18 +47,10 @@ impl DataDir {
     /// [`ServerError::DataInUse`] while another server lives on it; [`ServerError::Io`] otherwise.
     pub fn open(root: &Path) -> Result<Self> {
         fs::create_dir_all(root).map_err(ServerError::io(root))?;
-        let root = root.canonicalize().map_err(ServerError::io(root))?;
-        let path = root.join("server.lock");
-        let lock = File::options()
-            .create(true)
-            .truncate(false)
-            .write(true)
-            .open(&path)
-            .map_err(ServerError::io(&path))?;
-        if flock(&lock, FlockOperation::NonBlockingLockExclusive).is_err() {
-            return Err(ServerError::DataInUse(root));
+        let data = Self::beside(root)?;
+        if !data.is_ours() {
+            return Err(ServerError::DataInUse(data.root));
         }
-        let data = Self { root, _lock: lock };
         let incoming = data.incoming();
         if incoming.exists() {
             clear(&incoming).map_err(ServerError::io(&incoming))?;
@@ -66,6 +59,35 @@ impl DataDir {
             fs::create_dir_all(&dir).map_err(ServerError::io(&dir))?;
         }
         Ok(data)
+    }
+
+    /// The directory as it is. Takes the lock where no server has it: until this is dropped none
+    /// starts.
+    ///
+    /// # Errors
+    /// [`ServerError::Io`] when it is not there or cannot be used.
+    pub fn beside(root: &Path) -> Result<Self> {
+        let root = root.canonicalize().map_err(ServerError::io(root))?;
+        let path = root.join("server.lock");
+        let lock = File::options()
+            .create(true)
+            .truncate(false)
+            .write(true)
+            .open(&path)
+            .map_err(ServerError::io(&path))?;
+        let ours = flock(&lock, FlockOperation::NonBlockingLockExclusive).is_ok();
+        let lock = ours.then_some(lock);
+        Ok(Self { root, lock })
+    }
+
+    /// Whether no server but this one, if it is one, works here.
+    pub fn is_ours(&self) -> bool {
+        self.lock.is_some()
+    }
+
+    /// All of it.
+    pub fn root(&self) -> &Path {
+        &self.root
     }
 
     /// The database file.

@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use fled_core::capture::{self, Capture, CaptureError, CaptureWarning, DecodeBudget};
+use fled_core::capture::{self, Capture, CaptureError, CaptureWarning, Watch};
 use fled_core::dataset::GivenPoses;
 use fled_core::poses::PosesError;
 use serde::{Deserialize, Serialize};
@@ -56,7 +56,7 @@ pub struct Warning {
 }
 
 /// Why an upload is no capture.
-#[derive(Debug)]
+#[derive(Debug, Serialize, Deserialize)]
 pub struct Refusal {
     /// What is wrong.
     pub detail: String,
@@ -71,18 +71,19 @@ pub struct Refusal {
 }
 
 /// Looks at what lies in `dir`: an archive alone, or the files of a capture folder. A zip stays a
-/// zip: only inside it do its files have their names.
+/// zip: only inside it do its files have their names. Decodes what strangers have sent: only for a
+/// process that may die of it.
 ///
 /// # Errors
 /// [`Refusal`] when it is no usable capture.
-pub fn examine(dir: &Path, budget: &DecodeBudget) -> Result<CaptureReport, Box<Refusal>> {
+pub fn examine(dir: &Path, watch: &Watch<'_>) -> Result<CaptureReport, Box<Refusal>> {
     let archive = dir.join(ARCHIVE);
     let opened = if archive.is_file() {
         if dir.read_dir().is_ok_and(|entries| entries.count() > 1) {
             return Err(mixed());
         }
         let scratch = dir.join(".examined");
-        let opened = opened(&archive, &scratch, budget);
+        let opened = opened(&archive, &scratch, watch);
         match fs::remove_dir_all(&scratch) {
             Err(source) if source.kind() != std::io::ErrorKind::NotFound => {
                 let path = scratch;
@@ -91,7 +92,7 @@ pub fn examine(dir: &Path, budget: &DecodeBudget) -> Result<CaptureReport, Box<R
             _ => opened,
         }
     } else {
-        opened(dir, dir, budget)
+        opened(dir, dir, watch)
     };
     let (capture, poses) = opened.map_err(|error| refuse(dir, error))?;
     if let Err(error) = poses {
@@ -108,9 +109,9 @@ pub fn examine(dir: &Path, budget: &DecodeBudget) -> Result<CaptureReport, Box<R
 fn opened(
     path: &Path,
     scratch: &Path,
-    budget: &DecodeBudget,
+    watch: &Watch<'_>,
 ) -> Result<(Capture, Result<(), PosesError>), CaptureError> {
-    let capture = Capture::open_within(path, scratch, budget)?;
+    let capture = Capture::open_watched(path, scratch, watch)?;
     let poses = match &capture.poses {
         None => Ok(()),
         Some(given) => GivenPoses::open(given.path()).and_then(|given| given.check()),

@@ -5,6 +5,7 @@ pub mod log;
 mod orphans;
 pub mod process;
 pub mod state;
+pub mod tether;
 pub mod worker;
 
 pub use orphans::kill_orphans;

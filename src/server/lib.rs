@@ -1,14 +1,17 @@
 //! The service: HTTP API, jobs, their store and the dashboard.
 //!
 //! The API never computes: a job runs in a child process of its own, renders come from another
-//! child, so that a crash of a driver or of a tool leaves the API standing.
+//! child, uploads are looked at by children, so that a crash of a driver, of a tool or of a decoder
+//! leaves the API standing.
 
 mod app;
+pub mod assessor;
 mod backup;
 mod config;
 pub mod data;
 pub mod error;
 mod expiry;
+mod gc;
 mod holders;
 mod http;
 mod incoming;
@@ -31,6 +34,7 @@ mod wording;
 pub use backup::{Backup, backup};
 pub use config::{Limits, Retention, ServeConfig};
 pub use error::{Result, ServerError};
+pub use gc::{Collected, GcOptions, Gone, gc};
 pub use http::document as openapi_document;
-pub use jobs::process::die_with_parent;
+pub use jobs::tether::{TETHER, become_tethered, die_with_parent, tethered};
 pub use serve::{Server, serve};

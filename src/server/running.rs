@@ -9,14 +9,27 @@ use crate::store::Lease;
 
 /// What rings to stop each running job, and under which epoch it runs.
 #[derive(Debug, Default)]
-pub struct Running(Mutex<HashMap<String, (i64, Arc<Notify>)>>);
+pub struct Running {
+    jobs: Mutex<HashMap<String, (i64, Arc<Notify>)>>,
+    claiming: tokio::sync::Mutex<()>,
+}
 
 impl Running {
-    /// Remembers that the job runs under this lease; what rings to stop it.
+    /// The right to claim a job. Held until it is among the running ones: were the server stopped
+    /// for longer than a lease between the two, another worker would claim it as well.
+    pub async fn claiming(&self) -> tokio::sync::MutexGuard<'_, ()> {
+        self.claiming.lock().await
+    }
+
+    /// Remembers that the job runs under this lease; what rings to stop it. A lease that another
+    /// worker has taken over meanwhile is not remembered.
     pub fn begin(&self, lease: &Lease) -> Arc<Notify> {
         let bell = Arc::new(Notify::new());
-        self.lock()
-            .insert(lease.job.clone(), (lease.epoch, bell.clone()));
+        let mut jobs = self.lock();
+        let known = jobs.get(&lease.job);
+        if known.is_none_or(|&(epoch, _)| epoch < lease.epoch) {
+            jobs.insert(lease.job.clone(), (lease.epoch, bell.clone()));
+        }
         bell
     }
 
@@ -46,7 +59,7 @@ impl Running {
     }
 
     fn lock(&self) -> MutexGuard<'_, HashMap<String, (i64, Arc<Notify>)>> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+        self.jobs.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
@@ -63,6 +76,8 @@ mod tests {
         let running = Running::default();
         running.begin(&lease(1));
         let bell = running.begin(&lease(2));
+        // Late: it was stopped between its claim and this.
+        running.begin(&lease(1));
         running.end(&lease(1));
         assert_eq!(running.jobs(), ["j"]);
         running.stop("j");

@@ -5,6 +5,8 @@
 
 mod backup;
 mod captures;
+mod clock;
+mod compact;
 mod events;
 mod idempotency;
 mod jobs;
@@ -22,7 +24,7 @@ mod webhooks;
 
 use std::collections::HashSet;
 use std::path::Path;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use sqlx::migrate::{Migration, MigrationType, Migrator};
 use sqlx::sqlite::{SqliteConnectOptions, SqliteJournalMode, SqlitePoolOptions, SqliteSynchronous};
@@ -32,6 +34,7 @@ use crate::error::Result;
 
 pub use backup::Attempted;
 pub use captures::CaptureRow;
+pub use clock::now_ms;
 pub use events::EventRow;
 pub use idempotency::{Creation, Request, UsedUp};
 pub use jobs::{JobError, JobFilter, JobRow, NewJob, Room, ToldJob};
@@ -123,6 +126,8 @@ const BUSY_TIMEOUT: Duration = Duration::from_secs(10);
 #[derive(Clone, Debug)]
 pub struct Store {
     pool: SqlitePool,
+    /// Leases are counted from here, on a clock that nobody sets: see [`Store::lease_clock`].
+    opened: Instant,
 }
 
 impl Store {
@@ -148,7 +153,20 @@ impl Store {
         Migrator::with_migrations(MIGRATIONS.into_iter().map(migration).collect())
             .run(&pool)
             .await?;
-        Ok(Self { pool })
+        Ok(Self::over(pool))
+    }
+
+    fn over(pool: SqlitePool) -> Self {
+        Self {
+            pool,
+            opened: Instant::now(),
+        }
+    }
+
+    /// Milliseconds on the clock of leases. It stands while the machine sleeps, and no step of the
+    /// time of day ends a lease. It begins anew with every server, which releases all leases first.
+    fn lease_clock(&self) -> i64 {
+        i64::try_from(self.opened.elapsed().as_millis()).unwrap_or(i64::MAX)
     }
 
     /// Whether the database answers and can be written.
@@ -193,9 +211,4 @@ async fn has_no_transaction(connection: &mut SqliteConnection) -> sqlx::Result<b
 fn migration((version, name, sql): (i64, &'static str, &'static str)) -> Migration {
     let sql: SqlStr = sql.into_sql_str();
     Migration::new(version, name.into(), MigrationType::Simple, sql, false)
-}
-
-/// Milliseconds since 1970.
-pub fn now_ms() -> i64 {
-    jiff::Timestamp::now().as_millisecond()
 }

@@ -221,7 +221,8 @@ pub fn file(name: &str, content: &[u8]) -> Part {
     ("images".to_owned(), Some(name.to_owned()), content.to_vec())
 }
 
-fn multipart(parts: &[Part]) -> Vec<u8> {
+/// The body of a form, whose parts are parted by `XXXX`.
+pub fn multipart(parts: &[Part]) -> Vec<u8> {
     let mut body = Vec::new();
     for (name, file, content) in parts {
         let file = file

@@ -2,33 +2,16 @@
 
 use std::collections::{BTreeMap, HashMap, HashSet};
 
-use rayon::prelude::*;
+use crate::image::Header;
 
-use crate::image::{Header, Image, ImageError, Srgb, read_header, srgb_to_linear};
-
-use super::budget::DecodeBudget;
 use super::entries::{Entry, stem};
 use super::layout::Layout;
+use super::look::{Eyes, Fault};
 use super::photograph::{Assessment, CaptureView, CaptureWarning};
+use super::watch::Watch;
 
 /// Below this many a capture is accepted with a warning.
 pub const FEW_VIEWS: usize = 12;
-
-/// Long side at which photographs are assessed, px: decoding dominates, so small is enough.
-const ASSESSED_SIDE: usize = 320;
-
-/// Photographs decoded at a time. Each holds its full size in 8 or 16 bit; the budget bounds what
-/// that comes to.
-const DECODED_AT_ONCE: usize = 2;
-
-/// Smallest side of a photograph: below it COLMAP finds hardly a feature.
-const SMALLEST_SIDE: usize = 64;
-
-/// A mean V below this share of white, sRGB, leaves a few grey levels of an 8-bit file.
-const DARK_MEAN_V: f32 = 0.02;
-
-/// A photograph this much less sharp than the capture's middle one is called blurred.
-const BLURRED_SHARE: f32 = 0.35;
 
 /// Why a video beside photographs is not used.
 const UNUSED_VIDEO: &str = "a video; one that is given by itself is taken apart into photographs";
@@ -43,19 +26,11 @@ pub(super) struct Assessed {
     pub(super) warnings: Vec<CaptureWarning>,
 }
 
-/// What was seen in one photograph.
-struct Seen {
-    header: Header,
-    /// blake3 of the small picture: equal pictures are equal whatever wraps them.
-    picture: [u8; 32],
-    mean_v: f32,
-    /// Gradient energy relative to brightness: comparable within one capture only.
-    sharpness: f32,
-}
-
 /// Assesses every photograph, then the capture.
-pub(super) fn assess(layout: &Layout, budget: &DecodeBudget) -> Assessed {
-    let seen = look_at_all(&layout.photographs, budget);
+pub(super) fn assess(layout: &Layout, watch: &Watch<'_>) -> Assessed {
+    let truths = layout.ground_truth.values();
+    let eyes = Eyes::open(watch, layout.photographs.iter().chain(truths));
+    let seen = eyes.look_at_all(&layout.photographs);
     let typical = median(seen.iter().flatten().map(|seen| seen.sharpness).collect());
     let mut assessed = Assessed {
         views: Vec::new(),
@@ -81,171 +56,14 @@ pub(super) fn assess(layout: &Layout, budget: &DecodeBudget) -> Assessed {
     assessed
         .assessments
         .extend(layout.videos.iter().map(unused));
-    assessed.attach_ground_truth(&layout.ground_truth, budget);
+    assessed.attach_ground_truth(&layout.ground_truth, &eyes);
     assessed.warn_of_the_whole();
     assessed
-}
-
-fn look_at_all(photographs: &[Entry], budget: &DecodeBudget) -> Vec<Result<Seen, Fault>> {
-    let look = |entry| look_at(entry, budget);
-    on_few_threads(|| photographs.par_iter().map(look).collect())
-}
-
-/// Runs parallel work on so few threads that decoded photographs stay within bounds.
-fn on_few_threads<T: Send>(work: impl FnOnce() -> T + Send) -> T {
-    match rayon::ThreadPoolBuilder::new()
-        .num_threads(DECODED_AT_ONCE)
-        .build()
-    {
-        Ok(pool) => pool.install(work),
-        // No threads of its own to be had: the shared ones do it.
-        Err(_) => work(),
-    }
-}
-
-/// Why a photograph is not used.
-struct Fault {
-    reason: String,
-    unsupported_format: bool,
-    header: Option<Header>,
-}
-
-impl Fault {
-    fn of(reason: String) -> Self {
-        Self {
-            reason,
-            unsupported_format: false,
-            header: None,
-        }
-    }
-
-    fn assessment(self, entry: &Entry) -> Assessment {
-        Assessment {
-            name: entry.name().to_owned(),
-            accepted: false,
-            reason: Some(self.reason),
-            unsupported_format: self.unsupported_format,
-            width: self.header.as_ref().map_or(0, |header| header.width),
-            height: self.header.as_ref().map_or(0, |header| header.height),
-            focal_px: self.header.and_then(|header| header.focal_px),
-            warnings: Vec::new(),
-        }
-    }
-}
-
-impl From<ImageError> for Fault {
-    fn from(error: ImageError) -> Self {
-        let reason = match &error {
-            // The path would be one of ours.
-            ImageError::Io { source, .. } => format!("cannot be read: {source}"),
-            error => error.to_string(),
-        };
-        Self {
-            unsupported_format: error.is_unsupported_format(),
-            ..Self::of(reason)
-        }
-    }
-}
-
-fn look_at(entry: &Entry, budget: &DecodeBudget) -> Result<Seen, Fault> {
-    let header = read_header(&entry.file)?;
-    let reject = |reason: String| {
-        Err(Fault {
-            header: Some(header.clone()),
-            ..Fault::of(reason)
-        })
-    };
-    if header.width.min(header.height) < SMALLEST_SIDE {
-        return reject(format!(
-            "{} x {} px: each side must have at least {SMALLEST_SIDE}",
-            header.width, header.height
-        ));
-    }
-    let share = budget.take(header.decoded_bytes);
-    let small = match Image::load_at_most(&entry.file, ASSESSED_SIDE) {
-        Ok(small) => small,
-        Err(error) => {
-            return Err(Fault {
-                header: Some(header),
-                ..Fault::from(error)
-            });
-        }
-    };
-    drop(share);
-    let bytes: Vec<u8> = small.data().iter().flat_map(|v| v.to_le_bytes()).collect();
-    let v = small.pixels();
-    let mean_v = (0..v).map(|i| largest(&small, i)).sum::<f32>() / v as f32;
-    let (low, high) = small
-        .data()
-        .iter()
-        .fold((f32::MAX, f32::MIN), |(l, h), &v| (l.min(v), h.max(v)));
-    if high - low < 1.5 / 255.0 {
-        let colour = if high < 1.5 / 255.0 {
-            "black"
-        } else {
-            "one colour"
-        };
-        return reject(format!("nothing is seen: the whole picture is {colour}"));
-    }
-    let sharpness = sharpness(&small);
-    Ok(Seen {
-        header,
-        picture: *blake3::hash(&bytes).as_bytes(),
-        mean_v,
-        sharpness,
-    })
-}
-
-fn largest(image: &Image<Srgb>, i: usize) -> f32 {
-    image.plane(0)[i]
-        .max(image.plane(1)[i])
-        .max(image.plane(2)[i])
-}
-
-/// Mean squared gradient of linear luma over the squared mean: independent of exposure. At a
-/// long side of 320 px most of the noise is averaged away in photographs of usual size.
-fn sharpness(small: &Image<Srgb>) -> f32 {
-    let luma: Vec<f32> = small.luma().into_iter().map(srgb_to_linear).collect();
-    let (width, height) = (small.width(), small.height());
-    let mean = (luma.iter().sum::<f32>() / luma.len() as f32).max(1e-6);
-    let mut energy = 0.0;
-    for y in 0..height - 1 {
-        for x in 0..width - 1 {
-            let here = luma[y * width + x];
-            let (dx, dy) = (
-                luma[y * width + x + 1] - here,
-                luma[(y + 1) * width + x] - here,
-            );
-            energy += f64::from(dx * dx + dy * dy);
-        }
-    }
-    energy as f32 / luma.len() as f32 / (mean * mean)
 }
 
 fn median(mut values: Vec<f32>) -> f32 {
     values.sort_by(f32::total_cmp);
     values.get(values.len() / 2).copied().unwrap_or_default()
-}
-
-impl Seen {
-    fn warnings(&self, typical_sharpness: f32) -> Vec<CaptureWarning> {
-        let mut warnings = Vec::new();
-        if self.mean_v < DARK_MEAN_V {
-            let levels = self.mean_v * 255.0;
-            warnings.push(CaptureWarning::new(
-                "dark",
-                format!("very dark: the mean level is {levels:.1} of 255, most detail is noise"),
-            ));
-        }
-        if self.sharpness < BLURRED_SHARE * typical_sharpness {
-            let share = 100.0 * self.sharpness / typical_sharpness;
-            warnings.push(CaptureWarning::new(
-                "blurred",
-                format!("much more blurred than the others: {share:.0} % of the usual sharpness"),
-            ));
-        }
-        warnings
-    }
 }
 
 impl Assessed {
@@ -284,20 +102,12 @@ impl Assessed {
     }
 
     /// Gives each view the ground truth of its stem, where that has the view's shape.
-    fn attach_ground_truth(
-        &mut self,
-        ground_truth: &BTreeMap<String, Entry>,
-        budget: &DecodeBudget,
-    ) {
+    fn attach_ground_truth(&mut self, ground_truth: &BTreeMap<String, Entry>, eyes: &Eyes<'_>) {
         if ground_truth.is_empty() {
             return;
         }
-        let find = |view: &CaptureView| {
-            ground_truth
-                .get(&stem(&view.original_name).to_lowercase())
-                .map(|entry| (entry, is_truth_of(view, entry, budget)))
-        };
-        let found: Vec<_> = on_few_threads(|| self.views.par_iter().map(find).collect());
+        let find = |view: &CaptureView| ground_truth.get(&stem(&view.original_name).to_lowercase());
+        let found = eyes.truths(&self.views, find);
         let (mut missing, mut unusable) = (Vec::new(), Vec::new());
         for (view, found) in self.views.iter_mut().zip(found) {
             match found {
@@ -349,17 +159,6 @@ impl Assessed {
                 .push(CaptureWarning::new("mixed_sizes", message));
         }
     }
-}
-
-/// Whether ground truth has a view's proportions, within 1 %, and is whole: a broken one must
-/// show now, not when the scene is measured.
-fn is_truth_of(view: &CaptureView, entry: &Entry, budget: &DecodeBudget) -> bool {
-    let Ok(header) = read_header(&entry.file) else {
-        return false;
-    };
-    let ratio = (header.width * view.height) as f64 / (header.height * view.width) as f64;
-    let _share = budget.take(header.decoded_bytes);
-    (ratio - 1.0).abs() < 0.01 && Image::load_at_most(&entry.file, ASSESSED_SIDE).is_ok()
 }
 
 /// Our own names for the accepted photographs of these names, in the order of their assessments.

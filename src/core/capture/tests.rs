@@ -1,5 +1,6 @@
 //! Captures of every shape, good and bad.
 
+mod watched;
 mod zips;
 
 use super::*;

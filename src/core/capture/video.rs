@@ -7,6 +7,7 @@ mod choose;
 mod error;
 mod ffmpeg;
 
+use std::ffi::OsString;
 use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
@@ -74,18 +75,19 @@ pub fn is_video(path: &Path) -> bool {
     extension.is_some_and(|extension| known.iter().any(|one| one.eq_ignore_ascii_case(extension)))
 }
 
-/// Writes the sharpest frames of `video` as PNG files.
+/// Writes the sharpest frames of `video` as PNG files. `command` is ffmpeg, or what starts it with
+/// the arguments that follow; one that ends with 127 has not found it, as with shells.
 ///
 /// # Errors
 /// [`VideoError`]; what was written by then stays.
 pub fn take_frames(
-    program: &Path,
+    command: &[OsString],
     video: &Path,
     wanted: &Wanted<'_>,
     cancel: &CancelToken,
 ) -> Result<Taken, VideoError> {
     let ffmpeg = Ffmpeg {
-        program,
+        command,
         video,
         cancel,
         until: Instant::now() + PATIENCE,

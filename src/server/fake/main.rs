@@ -9,28 +9,38 @@ mod protocol;
 use std::ffi::OsString;
 use std::io::{self, BufRead};
 use std::path::{Path, PathBuf};
+use std::process::ExitCode;
 use std::time::Duration;
 
 use fled_core::image::Image;
+use fled_server::assessor::{AssessReply, AssessRequest, assess};
 use fled_server::render::{RenderRequest, Shown};
-use fled_server::{Limits, Retention, ServeConfig};
+use fled_server::{Limits, Retention, ServeConfig, TETHER, become_tethered};
 use protocol::say;
 use rustix::process::{Resource, Rlimit, setrlimit};
 
-fn main() -> Result<(), Box<dyn std::error::Error>> {
-    fled_server::die_with_parent()?;
+fn main() -> Result<ExitCode, Box<dyn std::error::Error>> {
     let arguments: Vec<OsString> = std::env::args_os().skip(1).collect();
+    if arguments.first().is_some_and(|verb| verb == TETHER) {
+        return Ok(become_tethered(&arguments[1..]));
+    }
+    fled_server::die_with_parent()?;
+    play(&arguments).map(|()| ExitCode::SUCCESS)
+}
+
+fn play(arguments: &[OsString]) -> Result<(), Box<dyn std::error::Error>> {
     match arguments.first().and_then(|verb| verb.to_str()) {
         Some("serve") => serve(Path::new(&arguments[1]), Path::new(&arguments[2])),
         Some("run") => job::run(&arguments[1..]),
         Some("render-worker") => render_worker(),
+        Some("assess-worker") => assess_worker(),
         Some("doctor") => {
             say(
                 r#"{"checks":[{"name":"adapter","ok":true,"detail":"played"},{"name":"colmap","ok":false,"detail":"no /usr/bin/colmap","hint":"apt-get install colmap"}]}"#,
             );
             Ok(())
         }
-        _ => Err("one of serve, run, render-worker, doctor".into()),
+        _ => Err("one of serve, run, render-worker, assess-worker, doctor".into()),
     }
 }
 
@@ -55,6 +65,7 @@ fn serve(data: &Path, address_file: &Path) -> Result<(), Box<dyn std::error::Err
         workers: 2,
         job_command: command("run"),
         render_command: command("render-worker"),
+        assess_command: command("assess-worker"),
         doctor_command: command("doctor"),
         inner_webhooks: number("FLED_FAKE_INNER", 0)? > 0,
         ffmpeg: std::env::var_os("FLED_FAKE_FFMPEG")
@@ -101,6 +112,8 @@ fn limits() -> Result<Limits, std::num::ParseIntError> {
         max_uploads: number("FLED_FAKE_UPLOADS", 1000)? as u32,
         upload_life: Duration::from_millis(number("FLED_FAKE_UPLOAD_MS", 60_000)?),
         max_decoding_bytes: number("FLED_FAKE_DECODING", 1 << 30)?,
+        assessing_bytes: number("FLED_FAKE_ASSESSING", 4 << 30)?,
+        photograph: Duration::from_millis(number("FLED_FAKE_PHOTOGRAPH_MS", 60_000)?),
         ..Limits::default()
     })
 }
@@ -150,4 +163,25 @@ fn render_worker() -> Result<(), Box<dyn std::error::Error>> {
         say(r#"{"ok":true}"#);
     }
     Ok(())
+}
+
+/// Looks at an upload as the real one does, but dies of a photograph that is called `crash.png` and
+/// looks at `endless.png` for ever.
+fn assess_worker() -> Result<(), Box<dyn std::error::Error>> {
+    let mut input = io::stdin().lock();
+    let mut line = String::new();
+    input.read_line(&mut line)?;
+    let request: AssessRequest = serde_json::from_str(&line)?;
+    for name in ["crash.png", "endless.png"] {
+        if request.dir.join("images").join(name).exists() {
+            say(&serde_json::to_string(&AssessReply::Begins(
+                name.to_owned(),
+            ))?);
+            if name == "crash.png" {
+                std::process::abort();
+            }
+            std::thread::sleep(Duration::from_secs(600));
+        }
+    }
+    Ok(assess(&request, &mut input)?)
 }

@@ -1,6 +1,7 @@
 //! Multipart uploads: streamed to disk under names of our own, fsynced, examined, moved into place.
 
 mod ahead;
+mod assess;
 mod gather;
 mod keep;
 mod places;
@@ -26,7 +27,6 @@ use crate::app::App;
 use crate::error::ServerError;
 use crate::holders::Hold;
 use crate::incoming::Incoming;
-use crate::intake::{self, CaptureReport, Refusal};
 
 pub use gather::gather;
 pub use keep::Placed;
@@ -211,46 +211,6 @@ fn unknown_field(part: &str, known: &[&str]) -> Problem {
     .hint(format!("Known here: {}.", known.join(", ")))
 }
 
-impl Upload {
-    /// Judges the files; the photographs that cannot be used stay listed with the reason.
-    ///
-    /// # Errors
-    /// 422 with the assessments when too few photographs can be used.
-    pub async fn examine(&self, app: &App) -> Result<CaptureReport, Problem> {
-        if self.files == 0 {
-            return Err(
-                Problem::unprocessable("bad_input", "The upload holds no file.")
-                    .hint("Send photographs as parts named `images`, or one zip, or a video."),
-            );
-        }
-        let videos = self.take_frames(app).await?;
-        // Those who look at the files hold the folder, also when the client hangs up.
-        let dir = self.dir.clone();
-        let unpacked = tokio::task::spawn_blocking(move || intake::unpacked_bytes(dir.path()))
-            .await
-            .map_err(|_| Problem::internal())?
-            .map_err(|refusal| refused(*refusal))?;
-        if app.has_no_space_for(unpacked) {
-            return Err(disk_full());
-        }
-        if self.most.is_some_and(|most| unpacked > most) {
-            return Err(over_quota());
-        }
-        let (dir, budget) = (self.dir.clone(), app.decoding.clone());
-        let look = move || intake::examine(dir.path(), &budget);
-        match tokio::task::spawn_blocking(look)
-            .await
-            .map_err(|_| Problem::internal())?
-        {
-            Ok(mut report) => {
-                videos.add_to(&mut report);
-                Ok(report)
-            }
-            Err(refusal) => Err(refused(*refusal)),
-        }
-    }
-}
-
 /// Does `work` to its end, also when the client hangs up: what has begun to be kept is kept.
 ///
 /// # Errors
@@ -261,22 +221,6 @@ pub async fn to_its_end<T: Send + 'static>(
     tokio::spawn(work)
         .await
         .unwrap_or_else(|_| Err(Problem::internal()))
-}
-
-fn refused(refusal: Refusal) -> Problem {
-    if refusal.is_ours {
-        tracing::error!(refusal.detail, "cannot examine an upload");
-        return Problem::internal();
-    }
-    let (status, code) = if refusal.unsupported_format {
-        (StatusCode::UNSUPPORTED_MEDIA_TYPE, "unsupported_format")
-    } else {
-        (StatusCode::UNPROCESSABLE_ENTITY, "bad_input")
-    };
-    let capture = serde_json::to_value(&refusal.report).unwrap_or_default();
-    Problem::new(status, code, refusal.detail)
-        .hint(refusal.hint)
-        .capture(capture)
 }
 
 /// # Errors

@@ -5,7 +5,7 @@ use std::io;
 use std::process::{ExitStatus, Stdio};
 use std::time::Duration;
 
-use rustix::process::{Pid, Signal, getppid, kill_process_group, set_parent_process_death_signal};
+use rustix::process::{Pid, Signal, kill_process_group};
 use tokio::io::{AsyncBufReadExt, AsyncRead, AsyncReadExt, BufReader};
 use tokio::process::{Child, ChildStdin, Command};
 use tokio::sync::mpsc;
@@ -197,26 +197,6 @@ async fn read_lines(
             return;
         }
     }
-}
-
-/// Asks the kernel to end this process when the server that started it ends, however it ends.
-/// Does nothing in a process that no server has started.
-///
-/// # Errors
-/// When that server is gone already, or the kernel refuses.
-pub fn die_with_parent() -> io::Result<()> {
-    let Some(parent) = std::env::var_os(PARENT_VARIABLE) else {
-        return Ok(());
-    };
-    set_parent_process_death_signal(Some(Signal::KILL))?;
-    // The server may have ended before the kernel was asked.
-    let now = getppid().map(|pid| pid.as_raw_nonzero().get().to_string());
-    if now.is_some_and(|now| *parent == *now) {
-        return Ok(());
-    }
-    Err(io::Error::other(
-        "the server that started this process is gone",
-    ))
 }
 
 #[cfg(test)]

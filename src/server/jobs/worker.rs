@@ -4,6 +4,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use fled_core::pipeline::error::ErrorKind;
+use tokio::sync::Notify;
 
 use super::attempt;
 use crate::app::App;
@@ -30,13 +31,10 @@ pub async fn work(app: Arc<App>, index: usize) {
             continue;
         }
         was_full = false;
-        let lease_ms = i64::try_from(app.limits.lease.as_millis()).unwrap_or(i64::MAX);
-        // A worker of this very server that has not been heard of was suspended with it: its job
-        // runs, whatever the clock says.
-        match app.store.claim(&owner, lease_ms, &app.running.jobs()).await {
-            Ok(Some(claim)) => {
+        match take(&app, &owner).await {
+            Ok(Some((claim, cancel))) => {
                 app.changed();
-                if let Err(error) = run(&app, &claim).await {
+                if let Err(error) = run(&app, &claim, cancel).await {
                     tracing::error!(%error, job = claim.job.id, "an attempt was dropped");
                     pause(&app, RECOVERY).await;
                 }
@@ -63,10 +61,25 @@ async fn pause(app: &App, time: Duration) {
     }
 }
 
-async fn run(app: &App, claim: &Claim) -> Result<()> {
+/// Claims a job, and what rings to stop it.
+async fn take(app: &App, owner: &str) -> Result<Option<(Claim, Arc<Notify>)>> {
+    let lease_ms = i64::try_from(app.limits.lease.as_millis()).unwrap_or(i64::MAX);
+    let _alone = app.running.claiming().await;
+    // A worker of this very server that has not been heard of was stopped with it: its job runs,
+    // however long ago its lease ran out.
+    let claim = app
+        .store
+        .claim(owner, lease_ms, &app.running.jobs())
+        .await?;
+    Ok(claim.map(|claim| {
+        let cancel = app.running.begin(&claim.lease);
+        (claim, cancel)
+    }))
+}
+
+async fn run(app: &App, claim: &Claim, cancel: Arc<Notify>) -> Result<()> {
     let id = &claim.job.id;
     tracing::info!(job = id, attempt = claim.job.attempts, "job begins");
-    let cancel = app.running.begin(&claim.lease);
     let outcome = attempt::run(app, claim, cancel).await;
     app.running.end(&claim.lease);
     let settlement = match outcome {

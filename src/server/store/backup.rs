@@ -29,9 +29,7 @@ impl Store {
             .filename(path)
             .busy_timeout(BUSY_TIMEOUT);
         let pool = SqlitePoolOptions::new().max_connections(1);
-        Ok(Self {
-            pool: pool.connect_with(options).await?,
-        })
+        Ok(Self::over(pool.connect_with(options).await?))
     }
 
     /// Copies the database, as it is at one moment, to a file that is not there yet.

@@ -82,12 +82,13 @@ impl Store {
         let waiting = sqlx::query_as::<_, (String, String)>(
             "SELECT id, state FROM jobs
              WHERE (state = 'queued' AND not_before <= ?1)
-                OR (state = 'running' AND lease_until < ?1
+                OR (state = 'running' AND lease_until < ?3
                     AND id NOT IN (SELECT value FROM json_each(?2)))
              ORDER BY created_at, id LIMIT 1",
         )
         .bind(now)
         .bind(json!(running).to_string())
+        .bind(self.lease_clock())
         .fetch_optional(&mut *tx)
         .await?;
         let Some((id, state)) = waiting else {
@@ -100,7 +101,7 @@ impl Store {
                 detail: format!("job {id} is {state} and cannot be claimed"),
             })?;
         let row = sqlx::query(
-            "UPDATE jobs SET state = ?1, epoch = epoch + 1, lease_owner = ?2, lease_until = ?3 + ?4,
+            "UPDATE jobs SET state = ?1, epoch = epoch + 1, lease_owner = ?2, lease_until = ?4,
                     attempts = attempts + 1, started_at = COALESCE(started_at, ?3), finished_at = NULL,
                     steps_per_second = NULL, eta_seconds = NULL,
                     error_code = NULL, error_detail = NULL, error_hint = NULL
@@ -109,7 +110,7 @@ impl Store {
         .bind(next.name())
         .bind(owner)
         .bind(now)
-        .bind(lease_ms)
+        .bind(self.lease_clock().saturating_add(lease_ms))
         .bind(&id)
         .fetch_one(&mut *tx)
         .await?;
@@ -137,7 +138,7 @@ impl Store {
         let row = sqlx::query(
             "UPDATE jobs SET lease_until = ? WHERE id = ? AND epoch = ? AND state = 'running' RETURNING cancel_requested",
         )
-        .bind(now_ms() + lease_ms)
+        .bind(self.lease_clock().saturating_add(lease_ms))
         .bind(&lease.job)
         .bind(lease.epoch)
         .fetch_optional(&self.pool)

@@ -2,6 +2,8 @@
 
 use std::time::Duration;
 
+use sqlx::{Sqlite, Transaction};
+
 use super::Store;
 use crate::config::Retention;
 use crate::error::Result;
@@ -72,6 +74,22 @@ impl Store {
     /// # Errors
     /// When the database refuses.
     pub async fn delete_expired(&self, now: i64) -> Result<Expired> {
+        let (tx, expired) = self.expiring(now).await?;
+        tx.commit().await?;
+        Ok(expired)
+    }
+
+    /// What [`Store::delete_expired`] would delete.
+    ///
+    /// # Errors
+    /// When the database refuses.
+    pub async fn expired(&self, now: i64) -> Result<Expired> {
+        let (tx, expired) = self.expiring(now).await?;
+        tx.rollback().await?;
+        Ok(expired)
+    }
+
+    async fn expiring(&self, now: i64) -> Result<(Transaction<'static, Sqlite>, Expired)> {
         let mut tx = self.pool.begin_with("BEGIN IMMEDIATE").await?;
         let jobs = sqlx::query_scalar(
             "DELETE FROM jobs WHERE expires_at <= ? AND pinned = 0
@@ -87,8 +105,7 @@ impl Store {
         .bind(now)
         .fetch_all(&mut *tx)
         .await?;
-        tx.commit().await?;
-        Ok(Expired { jobs, captures })
+        Ok((tx, Expired { jobs, captures }))
     }
 
     /// Keeps a job for ever, or no longer than others. `Ok(false)` when there is none.

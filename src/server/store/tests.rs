@@ -1,3 +1,5 @@
+mod clocks;
+
 use std::collections::BTreeMap;
 
 use fled_core::event::{Event, Stage};
@@ -370,21 +372,6 @@ async fn a_disk_that_was_full_disables_no_connection() {
         let told = store.job("waits").await.expect("read").expect("job");
         assert_eq!(told.progress, 0.5);
     }
-}
-
-#[tokio::test]
-async fn a_job_that_runs_here_is_not_taken_over_whatever_the_clock_says() {
-    let (_dir, store) = store().await;
-    create(&store, "j").await;
-    let claim = store.claim("one", -1, &[]).await.expect("claim");
-    let claim = claim.expect("the job");
-    let running = ["j".to_owned()];
-    let stolen = store.claim("two", -1, &running).await.expect("claim");
-    assert!(stolen.is_none(), "its lease has run out, but it runs");
-    store
-        .heartbeat(&claim.lease, 60_000)
-        .await
-        .expect("it goes on");
 }
 
 #[tokio::test]

@@ -4,9 +4,7 @@ mod support;
 
 use std::io::{ErrorKind, Write};
 use std::net::TcpStream;
-use std::thread;
 
-use image::{ExtendedColorType, ImageEncoder};
 use support::{Server, file, photographs, text};
 
 const MIB: u64 = 1 << 20;
@@ -56,29 +54,6 @@ fn pour(server: &Server, head: &[u8], bytes: u64) {
             outcome => outcome.expect("send"),
         }
     }
-}
-
-#[test]
-fn uploads_share_one_budget_for_decoding() {
-    // 25 megapixels of 16-bit RGBA: 200 MB decoded, 200 kB as a file.
-    let samples = vec![0; 5000 * 5000 * 8];
-    let mut png = Vec::new();
-    image::codecs::png::PngEncoder::new(&mut png)
-        .write_image(&samples, 5000, 5000, ExtendedColorType::Rgba16)
-        .expect("encode");
-    drop(samples);
-    let server = Server::start_with(&[("FLED_FAKE_DECODING", &(220 * MIB).to_string())]);
-    let parts: Vec<_> = (0..2).map(|i| file(&format!("{i}.png"), &png)).collect();
-    thread::scope(|scope| {
-        for _ in 0..3 {
-            scope.spawn(|| server.upload("/v1/captures", &parts, &[]).expect(422));
-        }
-    });
-    let peak = server.peak_memory() / MIB;
-    assert!(
-        peak < 320,
-        "{peak} MiB for pictures of 190 MiB, one at a time"
-    );
 }
 
 #[test]

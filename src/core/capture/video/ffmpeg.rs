@@ -3,9 +3,10 @@
 //! The file may be hostile: only the demuxer of MP4 and MOV is let at it, which opens no other
 //! file, nothing but files can be opened, and sizes and time are bounded.
 
+use std::ffi::OsString;
 use std::io::Read;
 use std::path::{Path, absolute};
-use std::process::{Command, Stdio};
+use std::process::{Command, ExitStatus, Stdio};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, sync_channel};
 use std::time::{Duration, Instant};
 
@@ -26,9 +27,13 @@ const CODECS: &str = "h264,hevc,mpeg4,vp9,libvpx-vp9,av1,libdav1d,libaom-av1,mjp
 /// Bytes of what ffmpeg says that are kept.
 const TAIL: usize = 4096;
 
+/// What programs that start another end with when there is none. ffmpeg does not.
+const NOT_FOUND: i32 = 127;
+
 /// A program and what it reads.
 pub(super) struct Ffmpeg<'a> {
-    pub program: &'a Path,
+    /// The program, and arguments before ours where it is one that starts ffmpeg.
+    pub command: &'a [OsString],
     pub video: &'a Path,
     pub cancel: &'a CancelToken,
     /// When its time is over.
@@ -66,13 +71,23 @@ impl Ffmpeg<'_> {
             let _ = child.kill();
         }
         drop(chunks);
-        if outcome? {
+        let Some(status) = outcome?.filter(|status| !status.success()) else {
             return Ok(());
-        }
+        };
         let said = words.recv_timeout(Duration::from_secs(1));
-        Err(VideoError::Unreadable {
-            reason: last_line(&said.unwrap_or_default(), self.video),
-        })
+        let reason = last_line(&said.unwrap_or_default(), self.video);
+        if status.code() == Some(NOT_FOUND) {
+            return Err(self.missing(reason));
+        }
+        Err(VideoError::Unreadable { reason })
+    }
+
+    fn missing(&self, reason: String) -> VideoError {
+        let program = self.command.last().map(|program| program.to_string_lossy());
+        VideoError::Missing {
+            program: program.unwrap_or_default().into_owned(),
+            reason,
+        }
     }
 
     fn spawn(
@@ -83,8 +98,12 @@ impl Ffmpeg<'_> {
         let pixels = MOST_PIXELS.to_string();
         // Where it is started is another folder, and a name may begin like an option.
         let video = absolute(self.video).map_err(VideoError::io(self.video))?;
-        let mut command = Command::new(self.program);
+        let Some((program, first)) = self.command.split_first() else {
+            return Err(self.missing("no program is named".to_owned()));
+        };
+        let mut command = Command::new(program);
         command
+            .args(first)
             .args(["-nostdin", "-hide_banner", "-loglevel", "error", "-xerror"])
             .args([
                 "-threads",
@@ -110,19 +129,16 @@ impl Ffmpeg<'_> {
         CommandWrap::from(command)
             .wrap(ProcessGroup::leader())
             .spawn()
-            .map_err(|source| VideoError::Missing {
-                program: self.program.display().to_string(),
-                reason: source.to_string(),
-            })
+            .map_err(|source| self.missing(source.to_string()))
     }
 
-    /// Whether it ended well, or was stopped because no more is wanted.
+    /// How it ended; `None` where it was stopped because no more is wanted.
     fn follow(
         &self,
         child: &mut dyn ChildWrapper,
         chunks: &Receiver<Vec<u8>>,
         take: Take<'_>,
-    ) -> Result<bool, VideoError> {
+    ) -> Result<Option<ExitStatus>, VideoError> {
         loop {
             self.cancel.check()?;
             if Instant::now() > self.until {
@@ -131,12 +147,14 @@ impl Ffmpeg<'_> {
             match chunks.recv_timeout(POLL) {
                 Ok(chunk) if !take(&chunk) => {
                     let _ = child.kill();
-                    return Ok(true);
+                    return Ok(None);
                 }
                 Ok(_) | Err(RecvTimeoutError::Timeout) => {}
                 Err(RecvTimeoutError::Disconnected) => {
-                    if let Some(status) = child.try_wait().map_err(VideoError::io(self.program))? {
-                        return Ok(status.success());
+                    let ended = child.try_wait();
+                    let status = ended.map_err(VideoError::io(self.video))?;
+                    if status.is_some() {
+                        return Ok(status);
                     }
                     std::thread::sleep(POLL);
                 }

@@ -21,9 +21,13 @@ fn made(folder: &TempDir, name: &str, further: &[&str]) -> PathBuf {
     path
 }
 
+fn ffmpeg() -> Vec<OsString> {
+    vec!["ffmpeg".into()]
+}
+
 fn taken(video: &Path, count: usize, into: &Path) -> Result<Taken, VideoError> {
     let wanted = wanted(count, into);
-    take_frames(Path::new("ffmpeg"), video, &wanted, &CancelToken::new())
+    take_frames(&ffmpeg(), video, &wanted, &CancelToken::new())
 }
 
 fn wanted(count: usize, into: &Path) -> Wanted<'_> {
@@ -133,16 +137,21 @@ fn without_ffmpeg_it_says_so_and_a_cancelled_reading_ends() {
     let folder = TempDir::new().expect("folder");
     let video = made(&folder, "whole.mp4", &[]);
     let cancel = CancelToken::new();
-    let none = Path::new("no-such-ffmpeg");
     let wanted = wanted(5, folder.path());
-    let error = take_frames(none, &video, &wanted, &cancel);
-    assert!(
-        matches!(error, Err(VideoError::Missing { .. })),
-        "{error:?}"
-    );
+    let none: [&[&str]; 2] = [
+        &["no-such-ffmpeg"],
+        &["sh", "-c", "exec no-such-ffmpeg", "sh"],
+    ];
+    for command in none {
+        let command: Vec<OsString> = command.iter().map(OsString::from).collect();
+        let error = take_frames(&command, &video, &wanted, &cancel);
+        assert!(
+            matches!(error, Err(VideoError::Missing { .. })),
+            "{error:?}"
+        );
+    }
     cancel.cancel();
-    let ffmpeg = Path::new("ffmpeg");
-    let error = take_frames(ffmpeg, &video, &wanted, &cancel);
+    let error = take_frames(&ffmpeg(), &video, &wanted, &cancel);
     assert!(matches!(error, Err(VideoError::Cancelled(_))), "{error:?}");
 }
 
@@ -171,7 +180,7 @@ fn hundreds_of_frames_are_taken_and_no_more_than_there_is_room_for() {
     let mut small = wanted(250, &into);
     small.room = 250 * 64 * 36 * 3 - 1;
     let cancel = CancelToken::new();
-    let error = take_frames(Path::new("ffmpeg"), &video, &small, &cancel).expect_err("no room");
+    let error = take_frames(&ffmpeg(), &video, &small, &cancel).expect_err("no room");
     assert!(matches!(error, VideoError::NoRoom { .. }), "{error}");
 }
 

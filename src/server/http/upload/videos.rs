@@ -4,53 +4,37 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use axum::http::StatusCode;
-use fled_core::cancel::CancelToken;
 use fled_core::capture::MIN_VIEWS;
-use fled_core::capture::video::{FRAMES, MOST_FRAMES, VideoError, Wanted, take_frames};
+use fled_core::capture::video::{FRAMES, MOST_FRAMES};
+use tokio::sync::MutexGuard;
 
 use super::Upload;
 use super::places::{PHOTOGRAPHS, VIDEOS};
 use crate::app::App;
+use crate::assessor::{Filming, VideoFault, VideoFaultKind};
 use crate::error::ServerError;
-use crate::http::problem::{Problem, disk_full};
-use crate::http::quota::over_quota;
-use crate::intake::{ARCHIVE, Assessment, CaptureReport, Warning};
+use crate::http::problem::Problem;
+use crate::intake::{ARCHIVE, Assessment};
 
 /// An upload waits so long for the videos of others, seconds.
 const TURN_S: u32 = 60;
 
-/// What is told of videos, beside what is told of photographs.
+/// The videos of an upload.
 #[derive(Debug, Default)]
 pub(super) struct Videos {
-    unused: Vec<Assessment>,
-    warnings: Vec<Warning>,
-}
-
-impl Videos {
-    /// Adds it to what is told.
-    pub(super) fn add_to(self, report: &mut CaptureReport) {
-        report.images.extend(self.unused);
-        report.warnings.extend(self.warnings);
-    }
-}
-
-/// Stops the reading of a video when nobody waits for it any more.
-struct UntilDropped(CancelToken);
-
-impl Drop for UntilDropped {
-    fn drop(&mut self) {
-        self.0.cancel();
-    }
+    /// The one that photographs are taken of.
+    pub(super) used: Option<Filming>,
+    /// What is told of the others.
+    pub(super) unused: Vec<Assessment>,
 }
 
 impl Upload {
-    /// Makes photographs of the video that came, where nothing else came: a phone writes a short
-    /// one beside every photograph. The video stays beside the photographs.
+    /// What becomes of the videos that came. Photographs are taken of one where nothing else came:
+    /// a phone writes a short one beside every photograph. The video stays beside its photographs.
     ///
     /// # Errors
-    /// 415 where there is no ffmpeg, 422 for a video that cannot be read and for several, 503 while
-    /// those of others are read, 507 when there is no room.
-    pub(super) async fn take_frames(&self, app: &App) -> Result<Videos, Problem> {
+    /// 422 for several.
+    pub(super) fn videos(&self, app: &App) -> Result<Videos, Problem> {
         let (dir, into) = (self.dir.path(), self.dir.path().join(PHOTOGRAPHS));
         let videos = files(&dir.join(VIDEOS))?;
         if videos.is_empty() {
@@ -58,55 +42,22 @@ impl Upload {
         }
         if dir.join(ARCHIVE).is_file() || !files(&into)?.is_empty() {
             let unused = videos.iter().map(|video| unused(video)).collect();
-            return Ok(Videos {
-                unused,
-                ..Videos::default()
-            });
+            return Ok(Videos { used: None, unused });
         }
         let [video] = &videos[..] else {
             let detail = format!("There are {} videos.", videos.len());
             return Err(Problem::unprocessable("bad_input", detail)
                 .hint("Send one: a capture is one walk. Each of the others makes its own."));
         };
-        let count = self.frames()?;
-        // Each takes processors and a process; uploads wait for each other, for a while.
-        let turn =
-            tokio::time::timeout(Duration::from_secs(TURN_S.into()), app.filming.lock()).await;
-        let _turn = turn.map_err(|_| busy())?;
-        let name = name_of(video);
-        let until_dropped = UntilDropped(CancelToken::new());
-        let cancel = until_dropped.0.clone();
-        let room = app.free_space().min(self.most.unwrap_or(u64::MAX));
-        let (dir, program) = (self.dir.clone(), app.config.ffmpeg.clone());
-        let video = video.clone();
-        let work = move || {
-            // Who looks at the files holds the folder, also when the client hangs up.
-            let _dir = dir;
-            let stem = video.file_stem().unwrap_or_default().to_string_lossy();
-            let wanted = Wanted {
-                count,
-                into: &into,
-                stem: &stem,
-                room,
-            };
-            take_frames(&program, &video, &wanted, &cancel)
-        };
-        let taken = tokio::task::spawn_blocking(work)
-            .await
-            .map_err(|_| Problem::internal())?;
-        let taken = match taken {
-            Err(VideoError::NoRoom { .. }) if self.most.is_some_and(|most| most <= room) => {
-                return Err(over_quota());
-            }
-            Err(VideoError::NoRoom { .. }) => return Err(disk_full()),
-            taken => taken.map_err(|error| refused(&error, &name))?,
-        };
+        let used = Some(Filming {
+            file: video.clone(),
+            into,
+            frames: self.frames()?,
+            ffmpeg: app.config.ffmpeg.clone(),
+        });
         Ok(Videos {
-            warnings: vec![Warning {
-                code: "video".to_owned(),
-                message: taken.told(&name),
-            }],
-            ..Videos::default()
+            used,
+            unused: Vec::new(),
         })
     }
 
@@ -141,7 +92,7 @@ fn files(folder: &Path) -> Result<Vec<PathBuf>, Problem> {
     Ok(files)
 }
 
-fn name_of(video: &Path) -> String {
+pub(super) fn name_of(video: &Path) -> String {
     let name = video.file_name().unwrap_or_default();
     name.to_string_lossy().into_owned()
 }
@@ -158,6 +109,17 @@ fn unused(video: &Path) -> Assessment {
     }
 }
 
+/// The right to read a video: each takes processors and a process, so uploads wait for each other,
+/// for a while.
+///
+/// # Errors
+/// 503 while those of others are read.
+pub(super) async fn turn(app: &App) -> Result<MutexGuard<'_, ()>, Problem> {
+    let patience = Duration::from_secs(TURN_S.into());
+    let turn = tokio::time::timeout(patience, app.filming.lock()).await;
+    turn.map_err(|_| busy())
+}
+
 fn busy() -> Problem {
     let detail = "The videos of others are being read.";
     Problem::new(StatusCode::SERVICE_UNAVAILABLE, "busy", detail)
@@ -165,14 +127,16 @@ fn busy() -> Problem {
         .retry_after(TURN_S)
 }
 
-fn refused(error: &VideoError, name: &str) -> Problem {
-    let problem = match error {
-        VideoError::Io { .. } => {
-            tracing::error!(%error, "cannot take frames of a video");
+/// The answer where no photographs came of the video that is called `name`.
+pub(super) fn not_filmed(fault: &VideoFault, name: &str) -> Problem {
+    let detail = &fault.detail;
+    let problem = match fault.kind {
+        VideoFaultKind::Ours => {
+            tracing::error!(detail, "cannot take frames of a video");
             return Problem::internal();
         }
-        VideoError::Missing { .. } => {
-            tracing::warn!(%error, "a video came");
+        VideoFaultKind::Missing => {
+            tracing::warn!(detail, "a video came");
             let detail = format!("{name}: videos are not read here, there is no ffmpeg.");
             Problem::new(
                 StatusCode::UNSUPPORTED_MEDIA_TYPE,
@@ -180,7 +144,9 @@ fn refused(error: &VideoError, name: &str) -> Problem {
                 detail,
             )
         }
-        error => Problem::unprocessable("bad_input", format!("{name}: {error}.")),
+        VideoFaultKind::NoRoom | VideoFaultKind::Video => {
+            Problem::unprocessable("bad_input", format!("{name}: {detail}."))
+        }
     };
-    problem.hint(error.hint())
+    problem.hint(fault.hint.clone())
 }

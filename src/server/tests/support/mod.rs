@@ -5,6 +5,8 @@
 pub mod tokens;
 pub mod tus;
 
+use std::io::Write;
+use std::net::TcpStream;
 use std::ops::Deref;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command};
@@ -84,6 +86,38 @@ impl Server {
         1024 * peak.trim().parse::<u64>().expect("a number")
     }
 
+    /// The id of the server's process.
+    pub fn pid(&self) -> u32 {
+        self.child.id()
+    }
+
+    /// What /proc has of the processes that the server has started.
+    pub fn children(&self) -> Vec<PathBuf> {
+        let parent = format!("PPid:\t{}\n", self.child.id());
+        let is_child = |process: &PathBuf| {
+            let status = std::fs::read_to_string(process.join("status"));
+            status.is_ok_and(|status| status.contains(&parent))
+        };
+        let processes = std::fs::read_dir("/proc").expect("Linux").flatten();
+        let processes = processes.map(|process| process.path());
+        processes.filter(is_child).collect()
+    }
+
+    /// Sends a whole multipart body and waits for nothing; dropped, the client hangs up.
+    pub fn begin_upload(&self, path: &str, parts: &[Part]) -> TcpStream {
+        let address = self.base.trim_start_matches("http://");
+        let body = fled_tests::multipart(parts);
+        let mut stream = TcpStream::connect(address).expect("connect");
+        let head = format!(
+            "POST {path} HTTP/1.1\r\nHost: {address}\r\nContent-Length: {}\r\n\
+             Content-Type: multipart/form-data; boundary=XXXX\r\n\r\n",
+            body.len()
+        );
+        stream.write_all(head.as_bytes()).expect("head");
+        stream.write_all(&body).expect("body");
+        stream
+    }
+
     /// A capture of `n` different photographs; its id.
     pub fn capture(&self, n: usize) -> String {
         let reply = self
@@ -161,7 +195,7 @@ fn packed(files: &[(&str, Vec<u8>)], method: zip::CompressionMethod) -> Vec<u8> 
     for (name, content) in files {
         let options = zip::write::SimpleFileOptions::default().compression_method(method);
         writer.start_file(*name, options).expect("entry");
-        std::io::Write::write_all(&mut writer, content).expect("content");
+        writer.write_all(content).expect("content");
     }
     writer.finish().expect("zip").into_inner()
 }

@@ -1,0 +1,257 @@
+//! What is seen in one photograph.
+
+use rayon::prelude::*;
+
+use crate::image::{Header, Image, ImageError, Srgb, read_header, srgb_to_linear};
+
+use super::budget::DecodeBudget;
+use super::entries::Entry;
+use super::photograph::{Assessment, CaptureView, CaptureWarning};
+use super::watch::{Look, Watch};
+
+/// Long side at which photographs are assessed, px: decoding dominates, so small is enough.
+const ASSESSED_SIDE: usize = 320;
+
+/// Photographs decoded at a time. Each holds its full size in 8 or 16 bit; the budget bounds what
+/// that comes to.
+const DECODED_AT_ONCE: usize = 2;
+
+/// Smallest side of a photograph: below it COLMAP finds hardly a feature.
+const SMALLEST_SIDE: usize = 64;
+
+/// A mean V below this share of white, sRGB, leaves a few grey levels of an 8-bit file.
+const DARK_MEAN_V: f32 = 0.02;
+
+/// A photograph this much less sharp than the capture's middle one is called blurred.
+const BLURRED_SHARE: f32 = 0.35;
+/// What was seen in one photograph.
+pub(super) struct Seen {
+    pub(super) header: Header,
+    /// blake3 of the small picture: equal pictures are equal whatever wraps them.
+    pub(super) picture: [u8; 32],
+    mean_v: f32,
+    /// Gradient energy relative to brightness: comparable within one capture only.
+    pub(super) sharpness: f32,
+}
+
+/// Why a photograph is not used.
+pub(super) struct Fault {
+    reason: String,
+    unsupported_format: bool,
+    header: Option<Header>,
+}
+
+impl Fault {
+    pub(super) fn of(reason: String) -> Self {
+        Self {
+            reason,
+            unsupported_format: false,
+            header: None,
+        }
+    }
+
+    pub(super) fn assessment(self, entry: &Entry) -> Assessment {
+        Assessment {
+            name: entry.name().to_owned(),
+            accepted: false,
+            reason: Some(self.reason),
+            unsupported_format: self.unsupported_format,
+            width: self.header.as_ref().map_or(0, |header| header.width),
+            height: self.header.as_ref().map_or(0, |header| header.height),
+            focal_px: self.header.and_then(|header| header.focal_px),
+            warnings: Vec::new(),
+        }
+    }
+}
+
+impl From<ImageError> for Fault {
+    fn from(error: ImageError) -> Self {
+        let reason = match &error {
+            // The path would be one of ours.
+            ImageError::Io { source, .. } => format!("cannot be read: {source}"),
+            error => error.to_string(),
+        };
+        Self {
+            unsupported_format: error.is_unsupported_format(),
+            ..Self::of(reason)
+        }
+    }
+}
+
+/// What looks at the photographs of one capture.
+pub(super) struct Eyes<'a> {
+    budget: DecodeBudget,
+    tell: &'a (dyn Fn(Look<'_>) + Sync),
+}
+
+impl<'a> Eyes<'a> {
+    /// Asks for the memory that the largest of `all` take.
+    pub(super) fn open<'b>(watch: &Watch<'a>, all: impl Iterator<Item = &'b Entry>) -> Self {
+        let read = |entry: &Entry| watched(watch.tell, entry, || read_header(&entry.file));
+        let mut bytes: Vec<u64> = all
+            .map(|entry| read(entry).map_or(0, |header| header.decoded_bytes))
+            .collect();
+        bytes.sort_unstable_by(|a, b| b.cmp(a));
+        let largest = bytes.iter().take(DECODED_AT_ONCE).sum();
+        Self {
+            budget: (watch.lend)(largest),
+            tell: watch.tell,
+        }
+    }
+
+    /// Looks at every photograph.
+    pub(super) fn look_at_all(&self, photographs: &[Entry]) -> Vec<Result<Seen, Fault>> {
+        on_few_threads(|| {
+            photographs
+                .par_iter()
+                .map(|one| self.look_at(one))
+                .collect()
+        })
+    }
+
+    fn header(&self, entry: &Entry) -> Result<Header, ImageError> {
+        watched(self.tell, entry, || read_header(&entry.file))
+    }
+
+    /// The picture, small, once there is memory to decode it.
+    fn small(&self, entry: &Entry, header: &Header) -> Result<Image<Srgb>, ImageError> {
+        let _share = self.budget.take(header.decoded_bytes);
+        watched(self.tell, entry, || {
+            Image::load_at_most(&entry.file, ASSESSED_SIDE)
+        })
+    }
+
+    fn look_at(&self, entry: &Entry) -> Result<Seen, Fault> {
+        let header = self.header(entry)?;
+        let reject = |reason: String| {
+            Err(Fault {
+                header: Some(header.clone()),
+                ..Fault::of(reason)
+            })
+        };
+        if header.width.min(header.height) < SMALLEST_SIDE {
+            return reject(format!(
+                "{} x {} px: each side must have at least {SMALLEST_SIDE}",
+                header.width, header.height
+            ));
+        }
+        let small = match self.small(entry, &header) {
+            Ok(small) => small,
+            Err(error) => {
+                return Err(Fault {
+                    header: Some(header),
+                    ..Fault::from(error)
+                });
+            }
+        };
+        let bytes: Vec<u8> = small.data().iter().flat_map(|v| v.to_le_bytes()).collect();
+        let v = small.pixels();
+        let mean_v = (0..v).map(|i| largest(&small, i)).sum::<f32>() / v as f32;
+        let (low, high) = small
+            .data()
+            .iter()
+            .fold((f32::MAX, f32::MIN), |(l, h), &v| (l.min(v), h.max(v)));
+        if high - low < 1.5 / 255.0 {
+            let colour = if high < 1.5 / 255.0 {
+                "black"
+            } else {
+                "one colour"
+            };
+            return reject(format!("nothing is seen: the whole picture is {colour}"));
+        }
+        let sharpness = sharpness(&small);
+        Ok(Seen {
+            header,
+            picture: *blake3::hash(&bytes).as_bytes(),
+            mean_v,
+            sharpness,
+        })
+    }
+
+    /// Which views have ground truth among `find`'s, and whether it has a view's proportions,
+    /// within 1 %, and is whole: a broken one must show now, not when the scene is measured.
+    pub(super) fn truths<'b>(
+        &self,
+        views: &[CaptureView],
+        find: impl Fn(&CaptureView) -> Option<&'b Entry> + Sync,
+    ) -> Vec<Option<(&'b Entry, bool)>> {
+        let look = |view| find(view).map(|entry| (entry, self.is_truth_of(view, entry)));
+        on_few_threads(|| views.par_iter().map(look).collect())
+    }
+
+    fn is_truth_of(&self, view: &CaptureView, entry: &Entry) -> bool {
+        let Ok(header) = self.header(entry) else {
+            return false;
+        };
+        let ratio = (header.width * view.height) as f64 / (header.height * view.width) as f64;
+        (ratio - 1.0).abs() < 0.01 && self.small(entry, &header).is_ok()
+    }
+}
+
+/// Does the work on a photograph, and tells when it begins and ends.
+fn watched<T>(tell: &dyn Fn(Look<'_>), entry: &Entry, work: impl FnOnce() -> T) -> T {
+    tell(Look::Begins(entry.name()));
+    let done = work();
+    tell(Look::Ended(entry.name()));
+    done
+}
+
+/// Runs parallel work on so few threads that decoded photographs stay within bounds.
+fn on_few_threads<T: Send>(work: impl FnOnce() -> T + Send) -> T {
+    match rayon::ThreadPoolBuilder::new()
+        .num_threads(DECODED_AT_ONCE)
+        .build()
+    {
+        Ok(pool) => pool.install(work),
+        // No threads of its own to be had: the shared ones do it.
+        Err(_) => work(),
+    }
+}
+
+fn largest(image: &Image<Srgb>, i: usize) -> f32 {
+    image.plane(0)[i]
+        .max(image.plane(1)[i])
+        .max(image.plane(2)[i])
+}
+
+/// Mean squared gradient of linear luma over the squared mean: independent of exposure. At a
+/// long side of 320 px most of the noise is averaged away in photographs of usual size.
+fn sharpness(small: &Image<Srgb>) -> f32 {
+    let luma: Vec<f32> = small.luma().into_iter().map(srgb_to_linear).collect();
+    let (width, height) = (small.width(), small.height());
+    let mean = (luma.iter().sum::<f32>() / luma.len() as f32).max(1e-6);
+    let mut energy = 0.0;
+    for y in 0..height - 1 {
+        for x in 0..width - 1 {
+            let here = luma[y * width + x];
+            let (dx, dy) = (
+                luma[y * width + x + 1] - here,
+                luma[(y + 1) * width + x] - here,
+            );
+            energy += f64::from(dx * dx + dy * dy);
+        }
+    }
+    energy as f32 / luma.len() as f32 / (mean * mean)
+}
+
+impl Seen {
+    /// What the user should know about it, where the capture's middle one is so sharp.
+    pub(super) fn warnings(&self, typical_sharpness: f32) -> Vec<CaptureWarning> {
+        let mut warnings = Vec::new();
+        if self.mean_v < DARK_MEAN_V {
+            let levels = self.mean_v * 255.0;
+            warnings.push(CaptureWarning::new(
+                "dark",
+                format!("very dark: the mean level is {levels:.1} of 255, most detail is noise"),
+            ));
+        }
+        if self.sharpness < BLURRED_SHARE * typical_sharpness {
+            let share = 100.0 * self.sharpness / typical_sharpness;
+            warnings.push(CaptureWarning::new(
+                "blurred",
+                format!("much more blurred than the others: {share:.0} % of the usual sharpness"),
+            ));
+        }
+        warnings
+    }
+}

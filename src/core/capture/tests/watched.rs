@@ -1,0 +1,52 @@
+//! Who watches while photographs are looked at.
+
+use std::cell::Cell;
+use std::sync::Mutex;
+
+use super::{folder, jpeg, picture};
+use crate::capture::{Capture, DecodeBudget, Look, Watch};
+use crate::image::EncodeFormat;
+
+#[test]
+fn who_watches_lends_memory_for_the_two_largest_and_hears_of_every_photograph() {
+    let png = |width, height| {
+        let picture = picture(7, width, height).encode(EncodeFormat::Png);
+        picture.expect("encoded")
+    };
+    let files = [
+        ("images/a.png", png(100, 90)),
+        ("images/b.png", png(200, 100)),
+        ("images/c.jpg", jpeg(3)),
+        ("images/d.jpg", b"no picture".to_vec()),
+        ("gt/c.png", png(96, 64)),
+    ];
+    let folder = folder(&files);
+    let asked = Cell::new(0);
+    let told = Mutex::new(Vec::new());
+    let watch = Watch {
+        lend: &|bytes| {
+            asked.set(bytes);
+            DecodeBudget::new(bytes)
+        },
+        tell: &|look| {
+            let (name, step) = match look {
+                Look::Begins(name) => (name.to_owned(), 1),
+                Look::Ended(name) => (name.to_owned(), -1),
+            };
+            told.lock().expect("told").push((name, step));
+        },
+    };
+    let capture = folder.path().join("capture");
+    let opened = Capture::open_watched(&capture, &folder.path().join("scratch"), &watch);
+    assert_eq!(opened.expect("a capture").views.len(), 3);
+    assert!(asked.get() >= 3 * (200 * 100 + 100 * 90), "{}", asked.get());
+    assert!(asked.get() < 3 * (200 * 100 + 100 * 90 + 96 * 64));
+    let told = told.into_inner().expect("told");
+    for name in ["a.png", "b.png", "c.jpg", "d.jpg", "c.png"] {
+        let of_it = told.iter().filter(|(found, _)| found == name);
+        let steps: Vec<i32> = of_it.map(|(_, step)| *step).collect();
+        assert!(!steps.is_empty(), "{name} was not told");
+        assert_eq!(steps.iter().sum::<i32>(), 0, "{name} has no end");
+        assert!(steps.chunks(2).all(|pair| pair == [1, -1]), "{name}");
+    }
+}

@@ -1,0 +1,23 @@
+//! `fled assess-worker`: looks at one upload for the service. What is in it may end this process,
+//! and not the service.
+
+use std::io::{self, BufRead};
+
+use fled_core::pipeline::error::ErrorKind;
+
+use crate::failure::Failure;
+
+/// Reads what is asked for on standard input and tells what it sees on standard output.
+///
+/// # Errors
+/// [`Failure`] when the service is gone or asks for something else.
+pub fn main() -> Result<(), Failure> {
+    let mut input = io::stdin().lock();
+    let mut line = String::new();
+    let read = input.read_line(&mut line);
+    read.map_err(|error| Failure::new(ErrorKind::Io, error))?;
+    let request = serde_json::from_str(&line);
+    let request = request.map_err(|error| Failure::new(ErrorKind::BadInput, error))?;
+    fled_server::assessor::assess(&request, &mut input)
+        .map_err(|error| Failure::new(ErrorKind::Io, error))
+}

@@ -1,0 +1,81 @@
+//! `fled gc`: frees what nobody wants in the service's data directory, and tells of it.
+
+use std::io::Write;
+use std::path::PathBuf;
+use std::time::Duration;
+
+use fled_core::pipeline::error::ErrorKind;
+use fled_server::GcOptions;
+
+use crate::failure::Failure;
+
+const DAY: Duration = Duration::from_secs(24 * 3600);
+
+/// Arguments of `fled gc`.
+#[derive(clap::Args)]
+pub struct Args {
+    /// The service's data directory. It may be in use.
+    #[arg(long, value_name = "DIR", default_value = "data")]
+    data: PathBuf,
+    /// Only says what would go.
+    #[arg(long)]
+    dry_run: bool,
+    /// Days for which captures, jobs and uploads are kept in `unnamed/`.
+    #[arg(long, value_name = "DAYS", default_value_t = 30)]
+    unnamed_days: u32,
+    /// Days for which found poses and rendered views are kept, which can be made again.
+    #[arg(long, value_name = "DAYS", default_value_t = 30)]
+    cache_days: u32,
+}
+
+/// Frees what nobody wants.
+///
+/// # Errors
+/// [`Failure`] where there is no data directory of this version, or something cannot be removed.
+pub fn main(args: &Args) -> Result<(), Failure> {
+    if !args.data.join("fled.db").is_file() {
+        let detail = format!(
+            "{} holds no fled.db: it is no data directory",
+            args.data.display()
+        );
+        return Err(Failure::usage(detail));
+    }
+    let options = GcOptions {
+        dry_run: args.dry_run,
+        unnamed: DAY * args.unnamed_days,
+        caches: DAY * args.cache_days,
+    };
+    let (mut count, mut bytes) = (0, 0);
+    let mut out = std::io::stdout();
+    let mut told = Ok(());
+    let mut tell = |gone: &fled_server::Gone| {
+        count += 1;
+        bytes += gone.bytes;
+        let size = megabytes(gone.bytes);
+        let line = writeln!(out, "{size:>12}  {}  {}", gone.path.display(), gone.why);
+        told = line.and(std::mem::replace(&mut told, Ok(())));
+    };
+    let runtime =
+        tokio::runtime::Runtime::new().map_err(|e| Failure::new(ErrorKind::Internal, e))?;
+    let done = runtime
+        .block_on(fled_server::gc(&args.data, &options, &mut tell))
+        .map_err(|error| Failure::new(ErrorKind::Io, error))?;
+    told.map_err(|error| Failure::new(ErrorKind::Io, error))?;
+    let verb = if args.dry_run { "would free" } else { "freed" };
+    eprintln!(
+        "{count} things: {verb} {}, and {} of the database",
+        megabytes(bytes),
+        megabytes(done.database)
+    );
+    if done.beside_server {
+        eprintln!(
+            "A server is running here: what has changed within the hour, unfinished uploads and \
+             the database's own room are left to it."
+        );
+    }
+    Ok(())
+}
+
+fn megabytes(bytes: u64) -> String {
+    format!("{:.1} MB", bytes as f64 / 1e6)
+}

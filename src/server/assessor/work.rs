@@ -1,0 +1,128 @@
+//! What the process does that looks at one upload.
+
+use std::cell::RefCell;
+use std::io::{self, BufRead, Write};
+
+use fled_core::cancel::CancelToken;
+use fled_core::capture::video::{VideoError, Wanted, take_frames};
+use fled_core::capture::{DecodeBudget, Look, Watch};
+use rustix::process::{Resource, Rlimit, setrlimit};
+
+use super::words::{AssessReply, AssessRequest, Filming, VideoFault, VideoFaultKind};
+use crate::intake::{self, CaptureReport};
+use crate::jobs::tether::tethered;
+
+/// Looks at the upload and says what is seen on standard output; `answers` are the service's.
+///
+/// # Errors
+/// When the service is gone, or the system sets no limits.
+pub fn assess(request: &AssessRequest, answers: &mut dyn BufRead) -> io::Result<()> {
+    limit(request.memory)?;
+    if let Some(video) = &request.video {
+        match film(video, request.room) {
+            Ok(told) => say(&AssessReply::Filmed(told))?,
+            Err(error) => return say(&AssessReply::NotFilmed(fault(&error))),
+        }
+    }
+    match intake::unpacked_bytes(&request.dir) {
+        Ok(bytes) if bytes > request.room => return say(&AssessReply::NoRoom),
+        Ok(_) => {}
+        Err(refusal) => return say(&AssessReply::Refused(*refusal)),
+    }
+    let answers = RefCell::new(answers);
+    let watch = Watch {
+        lend: &|bytes| DecodeBudget::new(borrow(bytes, &mut **answers.borrow_mut())),
+        tell: &|look| {
+            let reply = match look {
+                Look::Begins(name) => AssessReply::Begins(name.to_owned()),
+                Look::Ended(name) => AssessReply::Ended(name.to_owned()),
+            };
+            // Nobody listens any more: the service is gone, and so will be this process.
+            let _ = say(&reply);
+        },
+    };
+    let (report, last) = match intake::examine(&request.dir, &watch) {
+        Ok(mut report) => {
+            let last = AssessReply::Accepted {
+                accepted: report.accepted,
+                warnings: std::mem::take(&mut report.warnings),
+            };
+            (report, last)
+        }
+        Err(mut refusal) => {
+            let accepted = refusal.report.accepted;
+            let report = std::mem::take(&mut refusal.report);
+            refusal.report.accepted = accepted;
+            (report, AssessReply::Refused(*refusal))
+        }
+    };
+    say_images(report)?;
+    say(&last)
+}
+
+/// No more memory than this, for what is started here as well, and no picture of it on the disk
+/// where that ends badly.
+fn limit(memory: u64) -> io::Result<()> {
+    let to = |bytes| Rlimit {
+        current: Some(bytes),
+        maximum: Some(bytes),
+    };
+    setrlimit(Resource::As, to(memory))?;
+    setrlimit(Resource::Core, to(0))?;
+    Ok(())
+}
+
+fn film(video: &Filming, room: u64) -> Result<String, VideoError> {
+    let name = video.file.file_name().unwrap_or_default().to_string_lossy();
+    let stem = video.file.file_stem().unwrap_or_default().to_string_lossy();
+    let wanted = Wanted {
+        count: video.frames,
+        into: &video.into,
+        stem: &stem,
+        room,
+    };
+    // It must not go on when this process is ended.
+    let command = tethered(&video.ffmpeg).map_err(|source| VideoError::Io {
+        path: "the running program".into(),
+        source,
+    })?;
+    let taken = take_frames(&command, &video.file, &wanted, &CancelToken::new())?;
+    Ok(taken.told(&name))
+}
+
+fn fault(error: &VideoError) -> VideoFault {
+    VideoFault {
+        kind: match error {
+            VideoError::Missing { .. } => VideoFaultKind::Missing,
+            VideoError::NoRoom { .. } => VideoFaultKind::NoRoom,
+            VideoError::Io { .. } => VideoFaultKind::Ours,
+            _ => VideoFaultKind::Video,
+        },
+        detail: error.to_string(),
+        hint: error.hint().to_owned(),
+    }
+}
+
+/// Asks for memory and waits for it. Bytes.
+fn borrow(bytes: u64, answers: &mut dyn BufRead) -> u64 {
+    let mut answer = String::new();
+    let asked = say(&AssessReply::Needs(bytes)).and_then(|()| answers.read_line(&mut answer));
+    match asked.map(|_| answer.trim().parse()) {
+        Ok(Ok(bytes)) => bytes,
+        // The service is gone, and so will be this process; what is least is one at a time.
+        _ => 0,
+    }
+}
+
+fn say_images(report: CaptureReport) -> io::Result<()> {
+    let mut images = report.images.into_iter();
+    images.try_for_each(|image| say(&AssessReply::Image(image)))
+}
+
+/// One line, at once.
+fn say(reply: &AssessReply) -> io::Result<()> {
+    let line = serde_json::to_string(reply)?;
+    let mut out = io::stdout().lock();
+    writeln!(out, "{line}")?;
+    out.flush()
+}

@@ -1,0 +1,118 @@
+//! What is made of what was seen in an upload.
+
+use std::time::Duration;
+
+use axum::http::StatusCode;
+
+use super::Upload;
+use super::videos::{name_of, not_filmed, turn};
+use crate::app::App;
+use crate::assessor::{AssessError, AssessRequest, VideoFaultKind};
+use crate::http::problem::{Problem, disk_full};
+use crate::http::quota::over_quota;
+use crate::intake::{CaptureReport, Refusal, Warning};
+
+/// What to do about a photograph that a process died of.
+const SAVE_ANEW: &str = "Leave it out, or save it anew: smaller, as JPEG or PNG.";
+
+impl Upload {
+    /// Has the files looked at; the photographs that cannot be used stay listed with the reason.
+    ///
+    /// # Errors
+    /// 422 with the assessments when too few photographs can be used, and for photographs that
+    /// whoever looks at them dies of; 415 for a video where there is no ffmpeg, 422 for one that
+    /// cannot be read, 503 while those of others are read; 507 when there is no room.
+    pub async fn examine(&self, app: &App) -> Result<CaptureReport, Problem> {
+        if self.files == 0 {
+            return Err(
+                Problem::unprocessable("bad_input", "The upload holds no file.")
+                    .hint("Send photographs as parts named `images`, or one zip, or a video."),
+            );
+        }
+        let videos = self.videos(app)?;
+        let name = videos.used.as_ref().map(|video| name_of(&video.file));
+        let turn = match &name {
+            Some(_) => Some(turn(app).await?),
+            None => None,
+        };
+        let free = app.free_space();
+        let request = AssessRequest {
+            dir: self.dir.path().to_owned(),
+            video: videos.used,
+            room: free.min(self.most.unwrap_or(u64::MAX)),
+            memory: app.limits.assessing_bytes,
+        };
+        let seen = app.assessors.assess(self.dir.clone(), &request, turn).await;
+        let no_room = || match self.most {
+            Some(most) if most <= free => over_quota(),
+            _ => disk_full(),
+        };
+        let seen = seen.map_err(|error| match error {
+            AssessError::NoRoom => no_room(),
+            AssessError::Video(fault) if fault.kind == VideoFaultKind::NoRoom => no_room(),
+            AssessError::Video(fault) => not_filmed(&fault, name.as_deref().unwrap_or_default()),
+            AssessError::Refused(refusal) => refused(*refusal),
+            error => unseen(error, app),
+        })?;
+        let mut report = seen.report;
+        report.images.extend(videos.unused);
+        report.warnings.extend(seen.filmed.map(|message| Warning {
+            code: "video".to_owned(),
+            message,
+        }));
+        Ok(report)
+    }
+}
+
+fn refused(refusal: Refusal) -> Problem {
+    if refusal.is_ours {
+        tracing::error!(refusal.detail, "cannot examine an upload");
+        return Problem::internal();
+    }
+    let (status, code) = if refusal.unsupported_format {
+        (StatusCode::UNSUPPORTED_MEDIA_TYPE, "unsupported_format")
+    } else {
+        (StatusCode::UNPROCESSABLE_ENTITY, "bad_input")
+    };
+    let capture = serde_json::to_value(&refusal.report).unwrap_or_default();
+    Problem::new(status, code, refusal.detail)
+        .hint(refusal.hint)
+        .capture(capture)
+}
+
+/// The answer where the process that was to look at the upload did not come to its end.
+fn unseen(error: AssessError, app: &App) -> Problem {
+    let minutes = |time: Duration| time.as_secs().div_ceil(60);
+    let (detail, hint) = match error {
+        AssessError::Died { names, status } if names.is_empty() => (
+            format!("What looked at the upload died of it ({status})."),
+            "Send photographs as they are, not in a zip, to learn which it is.".to_owned(),
+        ),
+        AssessError::Died { names, status } => (
+            format!(
+                "{}: what looked at it died of it ({status}). Memory may not have sufficed.",
+                names.join(" or ")
+            ),
+            SAVE_ANEW.to_owned(),
+        ),
+        AssessError::Endless { name } => (
+            format!(
+                "{name}: it was looked at for {} s without an end.",
+                app.limits.photograph.as_secs()
+            ),
+            SAVE_ANEW.to_owned(),
+        ),
+        AssessError::Slow => (
+            format!(
+                "The upload could not be looked at within {} minutes.",
+                minutes(app.limits.assessing)
+            ),
+            "Send fewer or smaller photographs.".to_owned(),
+        ),
+        error => {
+            tracing::error!(?error, "cannot look at an upload");
+            return Problem::internal();
+        }
+    };
+    Problem::unprocessable("bad_input", detail).hint(hint)
+}

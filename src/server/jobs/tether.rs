@@ -1,0 +1,81 @@
+//! Processes that end when the one that started them ends, however it ends.
+
+use std::ffi::{OsStr, OsString};
+use std::io;
+use std::os::unix::process::CommandExt;
+use std::path::{Path, absolute};
+use std::process::{Command, ExitCode};
+
+use rustix::process::{Signal, getppid, set_parent_process_death_signal};
+
+use super::process::PARENT_VARIABLE;
+
+/// The word by which a program of ours is asked to become another: see [`become_tethered`].
+pub const TETHER: &str = "tether";
+
+/// What shells end with where a program is not there, and where it cannot be started.
+const NOT_FOUND: u8 = 127;
+const NOT_STARTED: u8 = 126;
+
+/// Asks the kernel to end this process when the server that started it ends, however it ends.
+/// Does nothing in a process that no server has started.
+///
+/// # Errors
+/// When that server is gone already, or the kernel refuses.
+pub fn die_with_parent() -> io::Result<()> {
+    match std::env::var_os(PARENT_VARIABLE) {
+        Some(parent) => die_with(&parent),
+        None => Ok(()),
+    }
+}
+
+fn die_with(parent: &OsStr) -> io::Result<()> {
+    set_parent_process_death_signal(Some(Signal::KILL))?;
+    // It may have ended before the kernel was asked.
+    let now = getppid().map(|pid| pid.as_raw_nonzero().get().to_string());
+    if now.is_some_and(|now| *parent == *now) {
+        return Ok(());
+    }
+    Err(io::Error::other("what started this process is gone"))
+}
+
+/// A command that starts `program`, with the arguments that follow, in a process that ends with
+/// this one. Must be used by a thread that lives as long as that process may: the kernel looks at
+/// the thread.
+///
+/// # Errors
+/// When the path of the running program is unknown.
+pub fn tethered(program: &Path) -> io::Result<Vec<OsString>> {
+    let own = std::env::current_exe()?;
+    // A bare name is looked for where programs lie; a path holds from any folder.
+    let program = match program.components().count() {
+        0 | 1 => program.to_owned(),
+        _ => absolute(program)?,
+    };
+    let parent = std::process::id().to_string();
+    Ok(vec![
+        own.into(),
+        TETHER.into(),
+        parent.into(),
+        program.into(),
+    ])
+}
+
+/// Becomes the program that [`tethered`] named, whose `arguments` follow [`TETHER`]. Returns only
+/// when that fails, with what shells end with then.
+pub fn become_tethered(arguments: &[OsString]) -> ExitCode {
+    let [parent, program, arguments @ ..] = arguments else {
+        eprintln!("whom to end with, a program and its arguments are wanted");
+        return ExitCode::FAILURE;
+    };
+    // What asks the kernel survives the change of program.
+    let error = match die_with(parent) {
+        Ok(()) => Command::new(program).args(arguments).exec(),
+        Err(error) => error,
+    };
+    eprintln!("{error}");
+    ExitCode::from(match error.kind() {
+        io::ErrorKind::NotFound => NOT_FOUND,
+        _ => NOT_STARTED,
+    })
+}

@@ -1,0 +1,57 @@
+//! Room that a database gives back.
+
+use sqlx::Row;
+
+use super::{MIGRATIONS, Store};
+use crate::error::{Result, ServerError};
+
+impl Store {
+    /// Whether its schema is the one of this program: another one means other things.
+    ///
+    /// # Errors
+    /// [`ServerError::Damaged`] where it is not.
+    pub async fn check_version(&self) -> Result<()> {
+        let applied =
+            sqlx::query("SELECT COALESCE(MAX(version), 0) AS version FROM _sqlx_migrations")
+                .fetch_one(&self.pool)
+                .await?;
+        let version: i64 = applied.try_get("version")?;
+        let known = MIGRATIONS.last().map_or(0, |(version, ..)| *version);
+        if version == known {
+            return Ok(());
+        }
+        Err(ServerError::Damaged {
+            what: "schema",
+            detail: format!(
+                "it is of version {version}, this program knows {known}: start the server of this \
+                 program once, or use the program of that version"
+            ),
+        })
+    }
+
+    /// Bytes that nothing is kept in.
+    ///
+    /// # Errors
+    /// When the database refuses.
+    pub async fn unused_bytes(&self) -> Result<u64> {
+        let pages: i64 = sqlx::query_scalar("PRAGMA freelist_count")
+            .fetch_one(&self.pool)
+            .await?;
+        let size: i64 = sqlx::query_scalar("PRAGMA page_size")
+            .fetch_one(&self.pool)
+            .await?;
+        Ok(u64::try_from(pages.saturating_mul(size)).unwrap_or(0))
+    }
+
+    /// Writes the database anew without what nothing is kept in, and ends its log. Nobody else may
+    /// use it meanwhile.
+    ///
+    /// # Errors
+    /// When the disk has no room for both, or somebody uses it.
+    pub async fn compact(&self) -> Result<()> {
+        for statement in ["VACUUM", "PRAGMA wal_checkpoint(TRUNCATE)"] {
+            sqlx::query(statement).execute(&self.pool).await?;
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,171 @@
+//! What is freed by hand, beside a server and without one.
+
+mod support;
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::Path;
+use std::time::Duration;
+
+use fled_server::{Collected, GcOptions, gc};
+use support::Server;
+
+const DAY: Duration = Duration::from_secs(24 * 3600);
+
+/// What would go now, or goes.
+const LOOK: GcOptions = GcOptions {
+    dry_run: true,
+    unnamed: Duration::ZERO,
+    caches: Duration::ZERO,
+};
+const DO: GcOptions = GcOptions {
+    dry_run: false,
+    ..LOOK
+};
+
+/// What was told of each path, and the rest.
+fn collect(data: &Path, options: &GcOptions) -> (BTreeMap<String, (u64, &'static str)>, Collected) {
+    let mut told = BTreeMap::new();
+    let mut tell = |gone: &fled_server::Gone| {
+        let path = gone.path.to_string_lossy().into_owned();
+        let before = told.insert(path, (gone.bytes, gone.why));
+        assert!(before.is_none(), "told twice: {gone:?}");
+    };
+    let runtime = tokio::runtime::Builder::new_current_thread()
+        .enable_all()
+        .build()
+        .expect("runtime");
+    let done = runtime.block_on(gc(data, options, &mut tell));
+    (told, done.expect("collected"))
+}
+
+fn write(path: &Path, bytes: usize) {
+    fs::create_dir_all(path.parent().expect("a folder")).expect("made");
+    fs::write(path, vec![7; bytes]).expect("written");
+}
+
+#[test]
+fn what_is_freed_is_told_before_and_nothing_else_goes() {
+    let mut server = Server::start();
+    let (kept, expired) = (server.job("ok"), server.job("ok"));
+    for job in [&kept, &expired] {
+        server.wait_state(job, "succeeded");
+    }
+    server.put(&format!("/v1/jobs/{kept}/pin"));
+    server
+        .get(&format!("/v1/jobs/{kept}/render?azimuth=3"), &[])
+        .expect(200);
+    let marks = [("FLED_FAKE_KEEP_MS", "1"), ("FLED_FAKE_NOTICE_MS", "300")];
+    server.restart_with(&marks);
+    server.kill();
+    std::thread::sleep(Duration::from_millis(400));
+    let data = server.data.path().join("data");
+    write(&data.join("captures/left/images/a.jpg"), 1000);
+    write(&data.join("unnamed/jobs/old/log.txt"), 2000);
+    write(&data.join("cache/poses.json"), 3000);
+    write(&data.join("incoming/half/images/a.jpg"), 4000);
+    let (would, _) = collect(&data, &LOOK);
+    let bytes = |path: &str| would.get(path).map(|(bytes, _)| *bytes);
+    assert_eq!(bytes("captures/left"), Some(0), "{would:#?}");
+    assert_eq!(bytes("unnamed/jobs/old"), Some(2000));
+    assert_eq!(bytes("cache/poses.json"), Some(3000));
+    assert_eq!(bytes("incoming/half"), Some(4000));
+    assert!(bytes(&format!("jobs/{expired}")).is_some_and(|bytes| bytes > 10_000));
+    let render = format!("jobs/{kept}/renders/");
+    assert!(would.keys().any(|path| path.starts_with(&render)));
+    assert!(would.keys().all(|path| data.join(path).exists()), "a look");
+    let (done, collected) = collect(&data, &DO);
+    assert_eq!(done, would);
+    assert!(!collected.beside_server);
+    for path in done.keys() {
+        assert!(!data.join(path).exists(), "{path} is there");
+    }
+    assert!(data.join("unnamed/captures/left/images/a.jpg").is_file());
+    let (then, _) = collect(&data, &DO);
+    let then: Vec<&str> = then.keys().map(String::as_str).collect();
+    assert_eq!(then, ["unnamed/captures/left"]);
+    server.restart();
+    server
+        .get(&format!("/v1/jobs/{kept}/artifacts/scene.ply"), &[])
+        .expect(200);
+    server.get(&format!("/v1/jobs/{expired}"), &[]).expect(404);
+}
+
+#[test]
+fn the_database_gives_its_room_back_where_no_server_runs() {
+    let mut server = Server::start();
+    for _ in 0..3 {
+        let job = server.job("ok");
+        server.wait_state(&job, "succeeded");
+        server.delete(&format!("/v1/jobs/{job}")).expect(204);
+    }
+    let data = server.data.path().join("data");
+    let (_, beside) = collect(&data, &DO);
+    assert_eq!((beside.beside_server, beside.database), (true, 0));
+    server.kill();
+    let bytes = || {
+        fs::metadata(data.join("fled.db"))
+            .expect("a database")
+            .len()
+    };
+    let (_, alone) = collect(&data, &DO);
+    assert!(!alone.beside_server && alone.database > 0, "{alone:?}");
+    let log = fs::metadata(data.join("fled.db-wal")).map_or(0, |log| log.len());
+    assert_eq!(log, 0, "its log has ended");
+    assert!(bytes() < 1 << 20, "{}", bytes());
+    server.restart();
+    server.capture(3);
+}
+
+#[test]
+fn beside_a_server_nothing_goes_that_may_be_in_the_making() {
+    let server = Server::start();
+    let job = server.job("ok");
+    server.wait_state(&job, "succeeded");
+    server
+        .get(&format!("/v1/jobs/{job}/render?azimuth=3"), &[])
+        .expect(200);
+    let data = server.data.path().join("data");
+    // An upload that is moved into its place, and one that grows: neither has a row yet.
+    for young in [
+        "captures/young/a.jpg",
+        "incoming/young/a.jpg",
+        "uploads/young",
+        "cache/a.json",
+    ] {
+        write(&data.join(young), 10);
+    }
+    let (told, collected) = collect(&data, &DO);
+    assert!(collected.beside_server && told.is_empty(), "{told:#?}");
+    let old = GcOptions {
+        unnamed: 30 * DAY,
+        ..DO
+    };
+    let (told, _) = collect(&data, &old);
+    assert!(told.is_empty(), "{told:#?}");
+}
+
+#[test]
+fn where_there_is_no_database_or_another_one_nothing_is_nameless() {
+    let mut server = Server::start();
+    let capture = server.capture(3);
+    server.kill();
+    let data = server.data.path().join("data");
+    let refused = |data: &Path| {
+        let runtime = tokio::runtime::Builder::new_current_thread()
+            .enable_all()
+            .build()
+            .expect("runtime");
+        runtime
+            .block_on(gc(data, &DO, &mut |gone| panic!("{gone:?}")))
+            .is_err()
+    };
+    let database = data.join("fled.db");
+    let aside = data.join("aside.db");
+    fs::rename(&database, &aside).expect("moved");
+    assert!(refused(&data));
+    assert!(!database.exists(), "made by looking");
+    fs::write(&database, "").expect("written");
+    assert!(refused(&data), "an empty one");
+    assert!(data.join("captures").join(&capture).is_dir());
+}
