@@ -63,7 +63,7 @@ test("sparse points are small round Gaussians of their colour, however far a few
   same(round, [round[0], 0, 0, round[0], 0, round[0]], "round");
   same([...harmonics.subarray(0, 3)].map((v) => 0.5 + 0.2820948 * v), [1, 128 / 255, 0], "colour");
   const far = pointsOf({ points: [...near, point(1e6)] });
-  assert.ok(far.geometry[4] < 4 * round[0], `one far off makes it ${far.geometry[4]}`);
+  assert.ok(far.geometry[4] < 5 * round[0], `one far off makes it ${far.geometry[4]}`);
   assert.equal(pointsOf({ points: [point(0, 0), point(1, 0)] }).isGuessed, true);
   assert.throws(() => pointsOf({ points: [] }), SceneError);
   assert.throws(() => pointsOf({}), SceneError);

@@ -129,9 +129,8 @@ fn number(name: &str, default: u64) -> Result<u64, std::num::ParseIntError> {
     std::env::var(name).map_or(Ok(default), |text| text.parse())
 }
 
-/// Draws the camera's azimuth as a shade, and depth much brighter. A scene that holds the word `crash` ends the
-/// process, `refuse` is refused,
-/// `slow` takes its time.
+/// Draws the camera's azimuth as a shade, and depth much brighter. A scene that holds the word
+/// `crash` ends the process, `refuse` is refused, `slow` takes its time.
 fn render_worker() -> Result<(), Box<dyn std::error::Error>> {
     for line in io::stdin().lock().lines() {
         let request: RenderRequest = serde_json::from_str(&line?)?;

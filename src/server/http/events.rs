@@ -52,8 +52,8 @@ pub struct StreamEvent {
 }
 
 /// Streams what happens to a job: `state`, `planned`, `stage_started`, `stage_finished`,
-/// `progress`, `training_seen`, `held_out_seen`, `view_seen`, `round_finished`, `warning`. Ends with
-/// the job; 204 when there is nothing more to come.
+/// `progress`, `training_seen`, `held_out_seen`, `view_seen`, `round_finished`, `warning`. Ends
+/// with the job; 204 when there is nothing more to come.
 #[utoipa::path(get, path = "/v1/jobs/{id}/events", operation_id = "stream_events", tag = "jobs",
     params(("id" = String, Path), StreamQuery,
         ("Last-Event-ID" = Option<i64>, Header, minimum = 0, description = "Number of the last event received; what follows it is sent")),
