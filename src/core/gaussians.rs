@@ -1,6 +1,10 @@
 //! The scene: 3D Gaussians as a structure of arrays, in the parameterisation that is trained.
 
+pub mod compressed;
 pub mod ply;
+
+/// Y_0^0, the constant harmonic.
+pub(crate) const Y00: f32 = 0.282_094_8;
 
 /// N Gaussians. Every array holds N rows, row-major.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -38,8 +42,6 @@ impl Gaussians {
         colour: impl Fn([f32; 3]) -> [f32; 3],
         slope: impl Fn([f32; 3]) -> [f32; 3],
     ) {
-        /// Y_0^0, the constant harmonic.
-        const Y00: f32 = 0.282_094_8;
         let row = 3 * self.coefficients();
         for sh in self.sh.chunks_exact_mut(row) {
             let base: [f32; 3] =

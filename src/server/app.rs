@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use fled_core::capture::DecodeBudget;
-use tokio::sync::{Notify, watch};
+use tokio::sync::{Notify, Semaphore, watch};
 use tokio_util::sync::CancellationToken;
 
 use crate::config::{Limits, ServeConfig};
@@ -15,6 +15,7 @@ use crate::render::Renderers;
 use crate::running::Running;
 use crate::store::Store;
 use crate::telemetry::Telemetry;
+use crate::videos::turns::Turns;
 
 /// The state of a server.
 #[derive(Debug)]
@@ -41,6 +42,10 @@ pub struct App {
     pub keeping: tokio::sync::Mutex<()>,
     /// Held while photographs are taken of a video.
     pub filming: tokio::sync::Mutex<()>,
+    /// The videos that wait or are made.
+    pub videos: Turns,
+    /// Turns at making exports.
+    pub exporting: Arc<Semaphore>,
     /// What it counts about itself.
     pub telemetry: Telemetry,
     /// The jobs that run.
@@ -74,6 +79,8 @@ impl App {
             rates: Rates::new(limits.rate, limits.burst),
             keeping: tokio::sync::Mutex::default(),
             filming: tokio::sync::Mutex::default(),
+            videos: Turns::default(),
+            exporting: Arc::new(Semaphore::new(limits.exports)),
             telemetry: Telemetry::default(),
             running: Running::default(),
         }

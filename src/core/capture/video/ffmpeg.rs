@@ -5,7 +5,7 @@
 
 use std::io::Read;
 use std::path::{Path, absolute};
-use std::process::{Command, Stdio};
+use std::process::Stdio;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, sync_channel};
 use std::time::{Duration, Instant};
 
@@ -13,6 +13,7 @@ use process_wrap::std::{ChildWrapper, CommandWrap, ProcessGroup};
 
 use super::error::VideoError;
 use crate::cancel::CancelToken;
+use crate::ffmpeg::{Words, command};
 
 /// Most pixels of a frame that is decoded.
 const MOST_PIXELS: usize = 40_000_000;
@@ -22,9 +23,6 @@ const POLL: Duration = Duration::from_millis(50);
 
 /// What phones and cameras write into MP4 and MOV, as ffmpeg calls its decoders.
 const CODECS: &str = "h264,hevc,mpeg4,vp9,libvpx-vp9,av1,libdav1d,libaom-av1,mjpeg,prores,dnxhd";
-
-/// Bytes of what ffmpeg says that are kept.
-const TAIL: usize = 4096;
 
 /// A program and what it reads.
 pub(super) struct Ffmpeg<'a> {
@@ -58,7 +56,7 @@ impl Ffmpeg<'_> {
             Output::Chunks(length, take) => (length, take),
             Output::Folder(_) => (1, &mut drop_it),
         };
-        let words = words(child.stderr().take());
+        let words = Words::of(child.stderr().take());
         let chunks = chunks(child.stdout().take(), length);
         let outcome = self.follow(child.as_mut(), &chunks, take);
         if outcome.is_err() {
@@ -69,9 +67,8 @@ impl Ffmpeg<'_> {
         if outcome? {
             return Ok(());
         }
-        let said = words.recv_timeout(Duration::from_secs(1));
         Err(VideoError::Unreadable {
-            reason: last_line(&said.unwrap_or_default(), self.video),
+            reason: words.last_line(self.video),
         })
     }
 
@@ -83,9 +80,8 @@ impl Ffmpeg<'_> {
         let pixels = MOST_PIXELS.to_string();
         // Where it is started is another folder, and a name may begin like an option.
         let video = absolute(self.video).map_err(VideoError::io(self.video))?;
-        let mut command = Command::new(self.program);
+        let mut command = command(self.program);
         command
-            .args(["-nostdin", "-hide_banner", "-loglevel", "error", "-xerror"])
             .args([
                 "-threads",
                 "2",
@@ -155,30 +151,4 @@ fn chunks(stream: Option<impl Read + Send + 'static>, length: usize) -> Receiver
         });
     }
     receiver
-}
-
-/// The last that it says, once it has said it all.
-fn words(stream: Option<impl Read + Send + 'static>) -> Receiver<String> {
-    let (sender, receiver) = sync_channel(1);
-    if let Some(mut stream) = stream {
-        std::thread::spawn(move || {
-            let (mut said, mut buffer) = (Vec::new(), [0; 1024]);
-            while let Ok(count @ 1..) = stream.read(&mut buffer) {
-                said.extend_from_slice(&buffer[..count]);
-                let excess = said.len().saturating_sub(TAIL);
-                said.drain(..excess);
-            }
-            // Nobody listens where it ended well.
-            let _ = sender.send(String::from_utf8_lossy(&said).into_owned());
-        });
-    }
-    receiver
-}
-
-/// The last line, without where the file lies.
-fn last_line(said: &str, video: &Path) -> String {
-    let path = absolute(video).unwrap_or_else(|_| video.to_owned());
-    let said = said.replace(&path.display().to_string(), "it");
-    let last = said.lines().map(str::trim).rfind(|line| !line.is_empty());
-    last.unwrap_or("ffmpeg said nothing").to_owned()
 }
