@@ -49,6 +49,11 @@ class SplatTransform(unittest.TestCase):
         self.assertEqual(len(self.objections("2.25", "2.2501")), 1)
         self.assertEqual(len(self.objections("0.880797", "2")), 1)
 
+    def test_slack_is_given_where_it_is_said_and_no_further(self):
+        summary = peers.read_summary(SUMMARY.replace("0.880797", "0.884").replace("2.25", "2.253"))
+        self.assertEqual(len(peers.objections(summary, *self.ours, {"opacity": 0.004})), 1)
+        self.assertEqual(len(peers.objections(summary, *self.ours, {"opacity": 0.002})), 2)
+
     def test_what_is_no_number_is_condemned(self):
         self.assertEqual(len(self.objections("| 1      | 0    | 0    |", "| 1      | 1    | 0    |")), 3)
 

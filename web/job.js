@@ -1,6 +1,7 @@
 // One job, live.
 
 import { address, api, count, fold, folding, h, nothing, plain, section, show, size } from "./dom.js";
+import { exportList } from "./exports.js";
 import { factList, optionList, stageBars } from "./facts.js";
 import { jobHead } from "./head.js";
 import { logView } from "./log.js";
@@ -12,6 +13,7 @@ import { scenePanel } from "./scene.js";
 import { shares } from "./share.js";
 import { isOver } from "./state.js";
 import { SEEN, trainingView } from "./training.js";
+import { videos } from "./videos.js";
 import { comparison } from "./views.js";
 
 const EVENTS = ["state", "planned", "stage_started", "stage_finished", "progress", "round_finished", "warning"];
@@ -21,6 +23,7 @@ const QUEUE_MS = 3000;
 /** The page of job `id` for whoever `who` is: who came by a link to it only looks. */
 export function jobPage(main, who, id) {
   const base = `/v1/jobs/${id}`;
+  const isVisitor = who.job !== null;
   const head = jobHead(base, refresh, who);
   const problem = h("p", { class: "problem", role: "alert" });
   const unused = section("Photographs");
@@ -30,16 +33,17 @@ export function jobPage(main, who, id) {
   const times = folding("Time by stage");
   const facts = folding("Facts");
   const files = section("Files");
+  const filmed = videos(id, isVisitor);
+  const exported = folding("For other programs");
   const views = comparison(id);
   const scene = scenePanel(id);
   const novel = novelView(id);
-  const isVisitor = who.job !== null;
   // Where nobody needs a token, a link would mean nothing.
   const share = who.scopes !== null && !isVisitor ? shares(id) : null;
   const log = isVisitor ? null : logView(base);
   // What matters comes first: on a phone the rest is far below.
   main.append(head.root, problem, warnings, training.root, scene.root, views.root, metrics, files,
-    novel.root, unused, h("div", { class: "columns" }, times, facts),
+    exported, novel.root, filmed.root, unused, h("div", { class: "columns" }, times, facts),
     ...[share, log].filter(Boolean).map((part) => part.root));
   share?.open();
 
@@ -100,7 +104,10 @@ export function jobPage(main, who, id) {
     const hasTruth = report.rounds.some((round) => round.records.some((record) => record.reference === "gt"));
     if (cameras) views.update(cameras, rounds, hasTruth);
     novel.update(rounds);
-    if (job.state === "succeeded") showFiles(artifacts);
+    if (job.state !== "succeeded") return;
+    showFiles(artifacts);
+    filmed.open(cameras ?? []);
+    show(exported, await exportList(base));
   }
 
   function showFiles(artifacts) {
@@ -139,6 +146,7 @@ export function jobPage(main, who, id) {
     head.leave();
     scene.leave();
     training.over();
+    filmed.leave();
     log?.leave();
   };
 }

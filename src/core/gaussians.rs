@@ -1,6 +1,10 @@
 //! The scene: 3D Gaussians as a structure of arrays, in the parameterisation that is trained.
 
+pub mod compressed;
 pub mod ply;
+
+/// Y_0^0, the constant harmonic.
+pub(crate) const Y00: f32 = 0.282_094_8;
 
 /// N Gaussians. Every array holds N rows, row-major.
 #[derive(Clone, Debug, Default, PartialEq)]

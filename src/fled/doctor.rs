@@ -152,7 +152,7 @@ fn matcher(args: &Args) -> String {
     })
 }
 
-/// Who reads videos. A machine without it reads photographs.
+/// Who reads and writes videos. A machine without it reads photographs.
 fn ffmpeg(args: &Args) -> String {
     let said = Command::new(&args.ffmpeg.program).arg("-version").output();
     let first = said.map(|said| {
@@ -160,7 +160,7 @@ fn ffmpeg(args: &Args) -> String {
         said.lines().next().unwrap_or("it says nothing").to_owned()
     });
     first.unwrap_or_else(|error| {
-        format!("none, videos are not read (apt-get install ffmpeg): {error}")
+        format!("none, videos are neither read nor made (apt-get install ffmpeg): {error}")
     })
 }
 

@@ -5,6 +5,7 @@ mod backup;
 mod bench;
 mod doctor;
 mod eval;
+mod export;
 mod failure;
 mod gc;
 mod models;
@@ -18,6 +19,7 @@ mod suite;
 mod synth;
 mod token;
 mod tools;
+mod video;
 
 use std::ffi::OsString;
 use std::process::ExitCode;
@@ -47,6 +49,10 @@ enum Command {
     Poses(run::Args),
     /// Renders a view of a finished run.
     Render(render::Args),
+    /// Makes a video of a finished run's scene.
+    Video(video::Args),
+    /// Hands a finished run's result on: restored views, a COLMAP model, a compressed scene.
+    Export(export::Args),
     /// Makes a dark, shaken capture with ground truth.
     Synth(synth::Args),
     /// The HTTP service with its dashboard and workers.
@@ -103,6 +109,8 @@ fn main() -> ExitCode {
         Command::Run(args) => run::main(&args, run::Extent::Whole),
         Command::Poses(args) => run::main(&args, run::Extent::Poses),
         Command::Render(args) => render::main(&args),
+        Command::Video(args) => video::main(&args),
+        Command::Export(args) => export::main(&args),
         Command::Synth(args) => synth::main(&args),
         Command::Serve(args) => serve::main(&args),
         Command::Submit(args) => remote::submit::main(&args),

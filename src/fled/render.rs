@@ -89,7 +89,11 @@ pub fn main(args: &Args) -> Result<(), Failure> {
         .map_err(|e| Failure::new(ErrorKind::Io, e))
 }
 
-fn read_cameras(path: &Path) -> Result<Vec<NamedCamera>, Failure> {
+/// The cameras of a run's views.
+///
+/// # Errors
+/// [`Failure`] when the file is not there or is none.
+pub fn read_cameras(path: &Path) -> Result<Vec<NamedCamera>, Failure> {
     let bytes = std::fs::read(path).map_err(io(path))?;
     serde_json::from_slice(&bytes)
         .map_err(|e| Failure::new(ErrorKind::BadInput, format!("{}: {e}", path.display())))

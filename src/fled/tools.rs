@@ -45,10 +45,10 @@ pub struct Args {
     pub models: ModelFolder,
 }
 
-/// Where what reads videos lies.
+/// Where what reads and writes videos lies.
 #[derive(clap::Args, Clone, Debug)]
 pub struct Ffmpeg {
-    /// The ffmpeg program, which reads videos.
+    /// The ffmpeg program, which reads and writes videos.
     #[arg(
         long = "ffmpeg",
         value_name = "PROGRAM",

@@ -1,6 +1,8 @@
 //! What handlers and workers share.
 
-use tokio::sync::{Notify, watch};
+use std::sync::Arc;
+
+use tokio::sync::{Notify, Semaphore, watch};
 use tokio_util::sync::CancellationToken;
 
 use crate::assessor::Assessors;
@@ -13,6 +15,7 @@ use crate::render::Renderers;
 use crate::running::Running;
 use crate::store::Store;
 use crate::telemetry::Telemetry;
+use crate::videos::turns::Turns;
 
 /// The state of a server.
 #[derive(Debug)]
@@ -39,6 +42,10 @@ pub struct App {
     pub keeping: tokio::sync::Mutex<()>,
     /// Held while photographs are taken of a video.
     pub filming: tokio::sync::Mutex<()>,
+    /// The videos that wait or are made.
+    pub videos: Turns,
+    /// Turns at making exports.
+    pub exporting: Arc<Semaphore>,
     /// What it counts about itself.
     pub telemetry: Telemetry,
     /// The jobs that run.
@@ -72,6 +79,8 @@ impl App {
             rates: Rates::new(limits.rate, limits.burst),
             keeping: tokio::sync::Mutex::default(),
             filming: tokio::sync::Mutex::default(),
+            videos: Turns::default(),
+            exporting: Arc::new(Semaphore::new(limits.exports)),
             telemetry: Telemetry::default(),
             running: Running::default(),
         }

@@ -14,8 +14,9 @@ use crate::data::sync_directories;
 use crate::error::{Result, ServerError};
 use crate::store::{Attempted, Store};
 
-/// What at the top of a job's folder is not copied: novel views are rendered again when wanted.
-const RENDERS: &str = "renders";
+/// What at the top of a job's folder is not copied: novel views and videos are made again when
+/// wanted, and change while the job does not.
+const MADE_AGAIN: [&str; 2] = ["renders", "videos"];
 
 /// What was copied.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -127,7 +128,7 @@ fn make_empty(to: &Path) -> Result<()> {
 /// Copies one folder and gives its bytes; `None` where it is not there, or no longer.
 fn copied(data: &Path, to: &Path, folder: &Path) -> Result<Option<u64>> {
     let (from, to) = (data.join(folder), to.join(folder));
-    match copy_tree(&from, &to, Some(RENDERS)) {
+    match copy_tree(&from, &to, &MADE_AGAIN) {
         Ok(bytes) => Ok(Some(bytes)),
         Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
         Err(error) => Err(ServerError::io(&from)(error)),
@@ -135,7 +136,7 @@ fn copied(data: &Path, to: &Path, folder: &Path) -> Result<Option<u64>> {
 }
 
 /// All but what is called `but` at the top.
-fn copy_tree(from: &Path, to: &Path, but: Option<&str>) -> io::Result<u64> {
+fn copy_tree(from: &Path, to: &Path, but: &[&str]) -> io::Result<u64> {
     fs::create_dir_all(to)?;
     let mut bytes = 0;
     for entry in fs::read_dir(from)? {
@@ -143,8 +144,8 @@ fn copy_tree(from: &Path, to: &Path, but: Option<&str>) -> io::Result<u64> {
         let name = entry.file_name();
         let (from, to) = (entry.path(), to.join(&name));
         if entry.file_type()?.is_dir() {
-            if but.is_none_or(|but| name != but) {
-                bytes += copy_tree(&from, &to, None)?;
+            if !but.iter().any(|but| name == *but) {
+                bytes += copy_tree(&from, &to, &[])?;
             }
         } else {
             bytes += fs::copy(&from, &to)?;

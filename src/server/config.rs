@@ -29,11 +29,14 @@ pub struct ServeConfig {
     pub render_command: Vec<OsString>,
     /// Program and arguments of the process that looks at one upload.
     pub assess_command: Vec<OsString>,
+    /// Program and first arguments of the process that makes a video; the result and the plan of
+    /// `fled video` follow.
+    pub video_command: Vec<OsString>,
     /// Program and arguments of a process that judges the machine and prints JSON, see `/readyz`.
     pub doctor_command: Vec<OsString>,
     /// Whether webhooks may be at addresses of inner networks.
     pub inner_webhooks: bool,
-    /// The program that reads videos.
+    /// The program that reads and writes videos.
     pub ffmpeg: PathBuf,
     /// Folders of networks that are not built in; the commands are told them too.
     pub models: Vec<PathBuf>,
@@ -92,6 +95,7 @@ impl ServeConfig {
             job_command: command(&["run"]),
             render_command: command(&["render-worker"]),
             assess_command: command(&["assess-worker"]),
+            video_command: command(&["video"]),
             doctor_command: command(&["doctor", "--json"]),
             inner_webhooks: false,
             ffmpeg: "ffmpeg".into(),
@@ -168,6 +172,12 @@ pub struct Limits {
     pub render: Duration,
     /// Renders kept for a job.
     pub kept_renders: usize,
+    /// Exports that are made at a time; more are refused.
+    pub exports: usize,
+    /// Videos that a job may have.
+    pub videos_of_job: usize,
+    /// Videos that may wait, of all jobs.
+    pub videos: usize,
 }
 
 impl Limits {
@@ -214,6 +224,9 @@ impl Default for Limits {
             stall: Duration::from_secs(30),
             render: Duration::from_secs(90),
             kept_renders: 400,
+            exports: 4,
+            videos_of_job: 20,
+            videos: 50,
         }
     }
 }

@@ -3,7 +3,7 @@
 //! ```text
 //! fled.db  server.lock  incoming/<upload>/  captures/<id>/  cache/<fingerprint>.json
 //! uploads/<id>  unnamed/{captures,jobs,uploads}/<id>
-//! jobs/<id>/{options.json, process, log.txt, output/, renders/}
+//! jobs/<id>/{options.json, process, log.txt, output/, renders/, videos/}
 //! ```
 //! Files are named by capture and job, not by content.
 
@@ -155,6 +155,11 @@ impl DataDir {
     /// Rendered novel views.
     pub fn renders(&self, id: &str) -> PathBuf {
         self.job(id).join("renders")
+    }
+
+    /// Videos of the result.
+    pub fn videos(&self, id: &str) -> PathBuf {
+        self.job(id).join("videos")
     }
 
     /// Free bytes of the file system.

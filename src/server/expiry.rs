@@ -20,6 +20,7 @@ pub async fn expire(app: &App) -> Result<usize> {
     let expired = app.store.delete_expired(now).await?;
     for id in &expired.jobs {
         tracing::info!(job = id, "deleted: it was kept as long as jobs are");
+        app.videos.stop_all(id);
         remove(&app.data.job(id)).await;
     }
     for id in &expired.captures {

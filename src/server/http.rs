@@ -14,6 +14,7 @@ mod client;
 mod connections;
 mod dashboard;
 mod events;
+mod exports;
 mod extract;
 mod health;
 mod held;
@@ -37,11 +38,13 @@ mod render;
 mod retry;
 mod room;
 mod rounds;
+mod sent;
 mod shapes;
 mod share;
 mod tus;
 mod upload;
 mod uploaded;
+mod videos;
 mod webhooks;
 
 use std::any::Any;
@@ -61,7 +64,7 @@ use tower_http::trace::TraceLayer;
 
 use crate::app::App;
 use body_limit::SMALL;
-use paths::{UPLOAD, UPLOADS, WEBHOOK, WEBHOOKS};
+use paths::{EXPORT, EXPORTS, UPLOAD, UPLOADS, VIDEO, VIDEOS, WEBHOOK, WEBHOOKS};
 
 pub use connections::serve as serve_connections;
 pub use openapi::document;
@@ -69,7 +72,7 @@ pub use problem::Problem;
 
 /// Only what the server itself sends may run or be shown; nobody may frame it.
 const CONTENT_SECURITY_POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; \
-    img-src 'self' blob:; connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
+    img-src 'self' blob:; media-src 'self'; connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
 
 /// Every route.
 pub fn router(app: Arc<App>) -> Router {
@@ -141,6 +144,10 @@ fn of_a_job() -> Router<Arc<App>> {
         .route("/v1/jobs/{id}/render", get(render::get).post(render::post))
         .route("/v1/jobs/{id}/artifacts", get(artifacts::list))
         .route("/v1/jobs/{id}/artifacts/{*name}", get(artifacts::download))
+        .route(EXPORTS, get(exports::list))
+        .route(EXPORT, get(exports::download))
+        .route(VIDEOS, get(videos::list).post(videos::create))
+        .route(VIDEO, get(videos::show).delete(videos::delete))
 }
 
 /// Addresses that are told of jobs.

@@ -28,6 +28,7 @@ mod sweep;
 mod telemetry;
 pub mod token;
 mod uploads;
+pub mod videos;
 mod webhooks;
 mod wording;
 

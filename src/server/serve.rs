@@ -19,6 +19,7 @@ use crate::http::{router, serve_connections};
 use crate::jobs::{kill_orphans, worker};
 use crate::store::{JobError, Settlement, Store};
 use crate::sweep;
+use crate::videos::maker::{keep_making, take_up};
 use crate::webhooks::keep_telling;
 
 /// Open requests get so long to end once the server stops.
@@ -71,9 +72,11 @@ impl Server {
         if let Err(error) = expire(&app).await {
             tracing::warn!(%error, "cannot delete what is kept no longer");
         }
+        take_up(&app).await?;
         let mut tasks = JoinSet::new();
         tasks.spawn(sweep::keep_sweeping(app.clone()));
         tasks.spawn(keep_telling(app.clone()));
+        tasks.spawn(keep_making(app.clone()));
         for index in 0..workers {
             tasks.spawn(worker::work(app.clone(), index));
         }

@@ -80,6 +80,8 @@ function watch(page, base) {
     const reason = request.failure()?.errorText;
     // A page that is left closes its stream of events.
     if (request.resourceType() === "eventsource" && reason === "net::ERR_ABORTED") return;
+    // A player breaks a request off once it knows which part of the file it wants next.
+    if (request.resourceType() === "media" && reason === "net::ERR_ABORTED") return;
     faults.push(`failed: ${request.url()}: ${reason}`);
   });
   page.on("response", (response) => {

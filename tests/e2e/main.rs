@@ -2,6 +2,7 @@
 
 mod command_line;
 mod downloads;
+mod handed_on;
 mod job;
 mod late_views;
 mod models;

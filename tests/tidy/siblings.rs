@@ -27,13 +27,19 @@ const SHARED: [&str; 9] = [
 ];
 
 /// Every other import that is allowed, with its reason beside it.
-const ALLOWED: [(&str, &[&str]); 11] = [
+const ALLOWED: [(&str, &[&str]); 14] = [
     // The pipeline drives all others.
     ("pipeline", &["*"]),
     // The bench measures what the others do.
     ("bench", &["*"]),
     // The evaluation judges what a run left with whatever judges.
     ("evaluation", &["*"]),
+    // ffmpeg reads the videos of captures, and writes those of results, whose run says from where
+    // one may look.
+    ("capture", &["ffmpeg"]),
+    ("video", &["ffmpeg", "run_folder"]),
+    // What is handed on is read from a run's folder; a COLMAP model is one of its forms.
+    ("export", &["poses", "run_folder"]),
     // Training is made of rasterisation, noise field, shake and registration, keeps Gaussians off
     // what stereo finds free, and reports what the field learnt.
     (

@@ -73,6 +73,14 @@ impl Orbit {
         Camera::look_at(self.fitted(width, height), eye, self.centre, -up)
     }
 
+    /// Where a camera stands around the centre, degrees to the right of the middle of the
+    /// photographers, -180 to 180.
+    pub fn azimuth_of(&self, camera: &Camera) -> f64 {
+        let [_, right, towards] = self.axes;
+        let place = camera.centre() - self.centre;
+        place.dot(right).atan2(place.dot(towards)).to_degrees()
+    }
+
     /// The photograph's field of view on an image of another shape: all of it is seen.
     fn fitted(&self, width: usize, height: usize) -> Intrinsics {
         let k = &self.intrinsics;
@@ -170,6 +178,7 @@ mod tests {
         let right = orbit.camera(20.0, 0.0, 1.0, (200, 100));
         let moved = front.world_to_camera.transform_point3(right.centre());
         assert!(moved.x > 0.5, "a positive azimuth goes right: {moved}");
+        assert!((orbit.azimuth_of(&right) - 20.0).abs() < 1e-9);
         let high = orbit.camera(0.0, 20.0, 2.0, (200, 100));
         let moved = front.world_to_camera.transform_point3(high.centre());
         assert!(moved.y < -0.5, "a positive elevation goes up: {moved}");

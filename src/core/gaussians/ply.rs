@@ -114,6 +114,25 @@ pub fn read(path: &Path) -> Result<Gaussians, PlyError> {
     header.decode(&body).map_err(format)
 }
 
+/// How many Gaussians a scene's file holds, and the degree of their harmonics, by its header.
+///
+/// # Errors
+/// As [`read`].
+pub fn read_extent(path: &Path) -> Result<(usize, u32), PlyError> {
+    let fault = |source| PlyError::Io {
+        path: path.to_owned(),
+        source,
+    };
+    let format = |message: String| PlyError::Format {
+        path: path.to_owned(),
+        message,
+    };
+    let mut file = BufReader::new(File::open(path).map_err(fault)?);
+    let header = read_header(&mut file).map_err(fault)?.map_err(format)?;
+    let degree = header.sh_degree().map_err(format)?;
+    Ok((header.count, degree as u32))
+}
+
 /// The vertex element of a PLY header.
 struct Header {
     count: usize,
@@ -188,14 +207,7 @@ impl Header {
                 body.len()
             ));
         }
-        let rest = self
-            .properties
-            .iter()
-            .filter(|(name, ..)| name.starts_with("f_rest_"))
-            .count();
-        let sh_degree = (0..=3)
-            .find(|degree| 3 * ((degree + 1) * (degree + 1) - 1) == rest)
-            .ok_or_else(|| format!("{rest} higher harmonics fit no degree"))?;
+        let sh_degree = self.sh_degree()?;
         let mut offsets = Vec::new();
         for name in property_names((sh_degree + 1) * (sh_degree + 1)) {
             if !matches!(name.as_str(), "nx" | "ny" | "nz") {
@@ -211,6 +223,17 @@ impl Header {
             push(&mut out, &row);
         }
         Ok(out)
+    }
+
+    fn sh_degree(&self) -> Result<usize, String> {
+        let rest = self
+            .properties
+            .iter()
+            .filter(|(name, ..)| name.starts_with("f_rest_"))
+            .count();
+        (0..=3)
+            .find(|degree| 3 * ((degree + 1) * (degree + 1) - 1) == rest)
+            .ok_or_else(|| format!("{rest} higher harmonics fit no degree"))
     }
 
     fn offset(&self, name: &str) -> Result<usize, String> {

@@ -38,6 +38,11 @@ impl SparseModel {
         text::write(self, dir)
     }
 
+    /// The three text files, by name.
+    pub fn text_files(&self) -> [(&'static str, String); 3] {
+        text::files(self)
+    }
+
     /// Writes the three binary files.
     ///
     /// # Errors

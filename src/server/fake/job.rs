@@ -10,16 +10,20 @@ use std::time::{Duration, Instant};
 
 use fled_core::camera::{Camera, Intrinsics, NamedCamera, Split};
 use fled_core::event::{Event, Stage};
+use fled_core::gaussians::{Gaussians, ply};
 use fled_core::image::Image;
 use fled_core::metrics::{Brightness, ImageKind, Record, Reference, RoundMetrics};
 use fled_core::pipeline::config::Options;
 use fled_core::run_folder::{RoundPictures, RunFolder};
 use glam::DVec3;
 
-use crate::protocol::{say, tell};
+use crate::protocol::{argument, say, tell};
 
 /// Ticks of a stage, each a `StageAdvanced`.
 const TICKS: u64 = 10;
+
+/// Gaussians of a real scene.
+const BALLS: usize = 1000;
 
 type Outcome = Result<(), Box<dyn Error>>;
 
@@ -36,12 +40,7 @@ struct Job {
 }
 
 pub fn run(arguments: &[OsString]) -> Outcome {
-    let after = |name: &str| {
-        let at = arguments.iter().position(|argument| argument == name);
-        at.and_then(|at| arguments.get(at + 1))
-            .map(PathBuf::from)
-            .ok_or(format!("{name} is missing"))
-    };
+    let after = |name| argument(arguments, name);
     let options: Options = serde_json::from_slice(&fs::read(after("--options")?)?)?;
     let (plan, tick) = match options.adapter.split_once(':') {
         Some((plan, tick)) => (plan.to_owned(), tick.parse()?),
@@ -106,7 +105,7 @@ impl Job {
             }
         }
         let scene = format!("ply of round {}", self.options.rounds);
-        fs::write(self.output.join("scene.ply"), scene)?;
+        self.write_scene("scene.ply", &scene)?;
         tell(&Event::Finished {
             best_round: self.options.rounds,
             seconds: self.started.elapsed().as_secs_f64(),
@@ -289,12 +288,15 @@ impl Job {
             let restored = RunFolder::new(&self.output).restored_view(name);
             self.picture(&restored, name, gain)?;
         }
+        let cameras = self.output.join("cameras.json");
+        let of_round = self.output.join(format!("rounds/{round}/cameras.json"));
+        fs::copy(cameras, of_round)?;
         let scene = if self.plan == "bad_scene" {
             "crash"
         } else {
             "ply"
         };
-        fs::write(self.output.join(format!("rounds/{round}/scene.ply")), scene)?;
+        self.write_scene(&format!("rounds/{round}/scene.ply"), scene)?;
         let verdict = |name| {
             serde_json::json!({ "name": name, "status": "registered", "matches": 40,
                 "fitting": 38, "error_px": 0.5 })
@@ -308,6 +310,24 @@ impl Job {
             serde_json::to_vec(&report)?,
         )?;
         Ok(())
+    }
+
+    /// A few words, or a real scene of grey balls, where the plan asks for `splats`.
+    fn write_scene(&self, name: &str, words: &str) -> Outcome {
+        let path = self.output.join(name);
+        if self.plan != "splats" {
+            return Ok(fs::write(path, words)?);
+        }
+        let place = |i: usize| [i % 10, i / 10 % 10, i / 100].map(|n| n as f32 / 5.0 - 1.0);
+        let scene = Gaussians {
+            means: (0..BALLS).map(place).collect(),
+            quats: vec![[1.0, 0.0, 0.0, 0.0]; BALLS],
+            log_scales: vec![[-3.0; 3]; BALLS],
+            opacity_logits: vec![2.0; BALLS],
+            sh: vec![0.0; 3 * BALLS],
+            sh_degree: 0,
+        };
+        Ok(ply::write(&scene, &path)?)
     }
 
     /// The photograph with a gain, from where the capture has it.

@@ -5,6 +5,7 @@
 
 mod job;
 mod protocol;
+mod video;
 
 use std::ffi::OsString;
 use std::io::{self, BufRead};
@@ -34,13 +35,14 @@ fn play(arguments: &[OsString]) -> Result<(), Box<dyn std::error::Error>> {
         Some("run") => job::run(&arguments[1..]),
         Some("render-worker") => render_worker(),
         Some("assess-worker") => assess_worker(),
+        Some("video") => video::make(&arguments[1..]),
         Some("doctor") => {
             say(
                 r#"{"checks":[{"name":"adapter","ok":true,"detail":"played"},{"name":"colmap","ok":false,"detail":"no /usr/bin/colmap","hint":"apt-get install colmap"}]}"#,
             );
             Ok(())
         }
-        _ => Err("one of serve, run, render-worker, assess-worker, doctor".into()),
+        _ => Err("one of serve, run, render-worker, assess-worker, video, doctor".into()),
     }
 }
 
@@ -66,6 +68,7 @@ fn serve(data: &Path, address_file: &Path) -> Result<(), Box<dyn std::error::Err
         job_command: command("run"),
         render_command: command("render-worker"),
         assess_command: command("assess-worker"),
+        video_command: command("video"),
         doctor_command: command("doctor"),
         inner_webhooks: number("FLED_FAKE_INNER", 0)? > 0,
         ffmpeg: std::env::var_os("FLED_FAKE_FFMPEG")
@@ -134,7 +137,8 @@ fn number(name: &str, default: u64) -> Result<u64, std::num::ParseIntError> {
 fn render_worker() -> Result<(), Box<dyn std::error::Error>> {
     for line in io::stdin().lock().lines() {
         let request: RenderRequest = serde_json::from_str(&line?)?;
-        let scene = std::fs::read_to_string(&request.scene)?;
+        let scene = std::fs::read(&request.scene)?;
+        let scene = String::from_utf8_lossy(&scene);
         if scene.contains("crash") {
             std::process::exit(139);
         }

@@ -14,7 +14,7 @@ use axum::response::{IntoResponse, Response};
 
 use super::allowance;
 use super::client::ClientAddress;
-use super::paths::{UPLOAD, UPLOADS, WEBHOOK};
+use super::paths::{EXPORT, EXPORTS, UPLOAD, UPLOADS, VIDEO, VIDEOS, WEBHOOK};
 use super::problem::Problem;
 use crate::app::App;
 use crate::rate::Client;
@@ -34,7 +34,7 @@ const OPEN: [&str; 9] = [
     "/docs",
 ];
 /// What a link to a job opens: what there is to see of that job.
-const SHARED: [&str; 7] = [
+const SHARED: [&str; 11] = [
     "/v1/jobs/{id}",
     "/v1/jobs/{id}/events",
     "/v1/jobs/{id}/live",
@@ -42,6 +42,10 @@ const SHARED: [&str; 7] = [
     "/v1/jobs/{id}/render",
     "/v1/jobs/{id}/artifacts",
     "/v1/jobs/{id}/artifacts/{*name}",
+    EXPORTS,
+    EXPORT,
+    VIDEOS,
+    VIDEO,
 ];
 /// The cookie that stands for a token.
 pub(super) const COOKIE: &str = "fled_session";
@@ -351,6 +355,8 @@ mod tests {
                 assert_eq!(needed(Some(uploads), method), Some(Scope::JobsWrite));
             }
         }
+        assert_eq!(needed(Some(VIDEOS), get), Some(Scope::JobsRead));
+        assert_eq!(needed(Some(VIDEOS), post), Some(Scope::JobsWrite));
         assert_eq!(needed(Some("/metrics"), get), Some(Scope::Admin));
         assert_eq!(needed(Some("/of/tomorrow"), get), Some(Scope::JobsRead));
     }

@@ -1,25 +1,22 @@
 //! `/v1/jobs/{id}/artifacts`: what a job has written, whole or in ranges, each with its digest.
 
 use std::fs;
-use std::io::{self, SeekFrom};
+use std::io;
 use std::path::{Path as FilePath, PathBuf};
 use std::sync::Arc;
 use std::time::UNIX_EPOCH;
 
-use axum::body::Body;
 use axum::extract::{Path, State};
-use axum::http::{HeaderMap, StatusCode, header};
-use axum::response::{IntoResponse, IntoResponseParts, Response};
+use axum::http::HeaderMap;
+use axum::response::Response;
 use fled_core::run_folder::RunFolder;
 use serde::Serialize;
 use sha2::{Digest, Sha256};
-use tokio::io::{AsyncReadExt, AsyncSeekExt};
-use tokio_util::io::ReaderStream;
 use utoipa::ToSchema;
 
 use super::lookup::find;
 use super::problem::Problem;
-use super::range::{Wanted, wanted};
+use super::sent::Sent;
 use crate::app::App;
 use crate::error::ServerError;
 
@@ -102,49 +99,13 @@ pub async fn download(
     let file = Stored::open(&app, &id, &name)
         .await?
         .ok_or_else(|| Problem::not_found("artifact"))?;
-    let etag = format!("\"{}\"", file.sha256);
-    let common = [
-        (header::ETAG, etag.clone()),
-        (header::ACCEPT_RANGES, "bytes".to_owned()),
-        (header::CONTENT_TYPE, media_type(&name).to_owned()),
-        // A file of a job must not become a page of this site.
-        (
-            header::CONTENT_SECURITY_POLICY,
-            "default-src 'none'; sandbox".to_owned(),
-        ),
-    ];
-    if is_known(&headers, &etag) {
-        return Ok((StatusCode::NOT_MODIFIED, common).into_response());
-    }
-    let (start, length) = match wanted(&headers, file.bytes, &etag) {
-        Wanted::All => (0, file.bytes),
-        Wanted::Part { start, length } => (start, length),
-        Wanted::Impossible => {
-            let problem = Problem::new(
-                StatusCode::RANGE_NOT_SATISFIABLE,
-                "bad_range",
-                "The range is beyond the end.",
-            );
-            return Ok((
-                [(header::CONTENT_RANGE, format!("bytes */{}", file.bytes))],
-                problem,
-            )
-                .into_response());
-        }
+    let sent = Sent {
+        etag: format!("\"{}\"", file.sha256),
+        path: file.path,
+        bytes: file.bytes,
+        media_type: media_type(&name),
     };
-    file.send(start, length, common).await
-}
-
-/// Whether the client has this very content already.
-pub(super) fn is_known(headers: &HeaderMap, etag: &str) -> bool {
-    headers
-        .get(header::IF_NONE_MATCH)
-        .and_then(|value| value.to_str().ok())
-        .is_some_and(|tags| {
-            tags.split(',').any(
-                |tag| matches!(tag.trim().trim_start_matches("W/"), t if t == etag || t == "*"),
-            )
-        })
+    sent.answer(&headers).await
 }
 
 /// A file with its digest.
@@ -193,39 +154,6 @@ impl Stored {
             bytes,
             sha256,
         }))
-    }
-
-    /// The answer with `length` bytes from `start` on.
-    async fn send(
-        &self,
-        start: u64,
-        length: u64,
-        headers: impl IntoResponseParts,
-    ) -> Result<Response, Problem> {
-        let mut source = tokio::fs::File::open(&self.path)
-            .await
-            .map_err(ServerError::io(&self.path))?;
-        source
-            .seek(SeekFrom::Start(start))
-            .await
-            .map_err(ServerError::io(&self.path))?;
-        let body = Body::from_stream(ReaderStream::with_capacity(source.take(length), 1 << 16));
-        let whole = length == self.bytes;
-        let status = if whole {
-            StatusCode::OK
-        } else {
-            StatusCode::PARTIAL_CONTENT
-        };
-        let length_header = [(header::CONTENT_LENGTH, length.to_string())];
-        let mut response = (status, headers, length_header, body).into_response();
-        if !whole {
-            let range = format!("bytes {start}-{}/{}", start + length - 1, self.bytes);
-            response.headers_mut().insert(
-                header::CONTENT_RANGE,
-                range.parse().map_err(|_| Problem::internal())?,
-            );
-        }
-        Ok(response)
     }
 }
 

@@ -375,6 +375,7 @@ pub async fn delete(
     if !app.store.delete_job(&id).await? {
         return Err(Problem::conflict("running", "The job runs.").hint("Cancel it first."));
     }
+    app.videos.stop_all(&id);
     remove(&app.data.job(&id)).await;
     app.changed();
     Ok(StatusCode::NO_CONTENT)

@@ -8,8 +8,8 @@ use utoipa::openapi::{Content, OpenApi, Ref, RefOr, Response, ResponseBuilder};
 use utoipa::{Modify, OpenApi as _};
 
 use super::{
-    artifacts, captures, events, health, jobs, live, log, login, metrics, options, pin, render,
-    retry, rounds, share, tus, webhooks,
+    artifacts, captures, events, exports, health, jobs, live, log, login, metrics, options, pin,
+    render, retry, rounds, share, tus, videos, webhooks,
 };
 
 #[derive(utoipa::OpenApi)]
@@ -55,6 +55,13 @@ use super::{
         render::post,
         artifacts::list,
         artifacts::download,
+        exports::list,
+        exports::download,
+        videos::create,
+        videos::list,
+        videos::show,
+        videos::download,
+        videos::delete,
         options::show,
         login::show,
         login::login,

@@ -8,3 +8,11 @@ pub(super) const UPLOAD: &str = "/v1/uploads/{id}";
 pub(super) const WEBHOOKS: &str = "/v1/webhooks";
 /// One of them.
 pub(super) const WEBHOOK: &str = "/v1/webhooks/{id}";
+/// The forms in which a job's result can be had.
+pub(super) const EXPORTS: &str = "/v1/jobs/{id}/exports";
+/// One of them.
+pub(super) const EXPORT: &str = "/v1/jobs/{id}/exports/{name}";
+/// The videos of a job's result.
+pub(super) const VIDEOS: &str = "/v1/jobs/{id}/videos";
+/// One of them, and its file where `.mp4` follows its id.
+pub(super) const VIDEO: &str = "/v1/jobs/{id}/videos/{video}";

@@ -13,11 +13,11 @@ use serde::Deserialize;
 use utoipa::{IntoParams, ToSchema};
 use uuid::Uuid;
 
-use super::artifacts::is_known;
 use super::client::ClientAddress;
 use super::extract::{Json, Object, Query};
 use super::lookup::find;
 use super::problem::Problem;
+use super::sent::is_known;
 use crate::app::App;
 use crate::error::ServerError;
 use crate::jobs::state::JobState;

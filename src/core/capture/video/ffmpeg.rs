@@ -6,7 +6,7 @@
 use std::ffi::OsString;
 use std::io::Read;
 use std::path::{Path, absolute};
-use std::process::{Command, ExitStatus, Stdio};
+use std::process::{ExitStatus, Stdio};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, sync_channel};
 use std::time::{Duration, Instant};
 
@@ -14,6 +14,7 @@ use process_wrap::std::{ChildWrapper, CommandWrap, ProcessGroup};
 
 use super::error::VideoError;
 use crate::cancel::CancelToken;
+use crate::ffmpeg::{Words, command};
 
 /// Most pixels of a frame that is decoded.
 const MOST_PIXELS: usize = 40_000_000;
@@ -23,9 +24,6 @@ const POLL: Duration = Duration::from_millis(50);
 
 /// What phones and cameras write into MP4 and MOV, as ffmpeg calls its decoders.
 const CODECS: &str = "h264,hevc,mpeg4,vp9,libvpx-vp9,av1,libdav1d,libaom-av1,mjpeg,prores,dnxhd";
-
-/// Bytes of what ffmpeg says that are kept.
-const TAIL: usize = 4096;
 
 /// What programs that start another end with when there is none. ffmpeg does not.
 const NOT_FOUND: i32 = 127;
@@ -63,7 +61,7 @@ impl Ffmpeg<'_> {
             Output::Chunks(length, take) => (length, take),
             Output::Folder(_) => (1, &mut drop_it),
         };
-        let words = words(child.stderr().take());
+        let words = Words::of(child.stderr().take());
         let chunks = chunks(child.stdout().take(), length);
         let outcome = self.follow(child.as_mut(), &chunks, take);
         if outcome.is_err() {
@@ -74,8 +72,7 @@ impl Ffmpeg<'_> {
         let Some(status) = outcome?.filter(|status| !status.success()) else {
             return Ok(());
         };
-        let said = words.recv_timeout(Duration::from_secs(1));
-        let reason = last_line(&said.unwrap_or_default(), self.video);
+        let reason = words.last_line(self.video);
         if status.code() == Some(NOT_FOUND) {
             return Err(self.missing(reason));
         }
@@ -101,10 +98,8 @@ impl Ffmpeg<'_> {
         let Some((program, first)) = self.command.split_first() else {
             return Err(self.missing("no program is named".to_owned()));
         };
-        let mut command = Command::new(program);
+        let mut command = command(program, first);
         command
-            .args(first)
-            .args(["-nostdin", "-hide_banner", "-loglevel", "error", "-xerror"])
             .args([
                 "-threads",
                 "2",
@@ -173,30 +168,4 @@ fn chunks(stream: Option<impl Read + Send + 'static>, length: usize) -> Receiver
         });
     }
     receiver
-}
-
-/// The last that it says, once it has said it all.
-fn words(stream: Option<impl Read + Send + 'static>) -> Receiver<String> {
-    let (sender, receiver) = sync_channel(1);
-    if let Some(mut stream) = stream {
-        std::thread::spawn(move || {
-            let (mut said, mut buffer) = (Vec::new(), [0; 1024]);
-            while let Ok(count @ 1..) = stream.read(&mut buffer) {
-                said.extend_from_slice(&buffer[..count]);
-                let excess = said.len().saturating_sub(TAIL);
-                said.drain(..excess);
-            }
-            // Nobody listens where it ended well.
-            let _ = sender.send(String::from_utf8_lossy(&said).into_owned());
-        });
-    }
-    receiver
-}
-
-/// The last line, without where the file lies.
-fn last_line(said: &str, video: &Path) -> String {
-    let path = absolute(video).unwrap_or_else(|_| video.to_owned());
-    let said = said.replace(&path.display().to_string(), "it");
-    let last = said.lines().map(str::trim).rfind(|line| !line.is_empty());
-    last.unwrap_or("ffmpeg said nothing").to_owned()
 }

@@ -74,6 +74,38 @@ impl ModelImage {
 }
 
 impl SparseModel {
+    /// A model of posed images and coloured points that nobody matched: views with equal
+    /// intrinsics share a camera.
+    pub fn of_views(
+        views: impl IntoIterator<Item = (String, Camera)>,
+        points: impl IntoIterator<Item = ([f64; 3], [u8; 3])>,
+    ) -> Self {
+        let mut model = Self::default();
+        for (id, (name, camera)) in (1..).zip(views) {
+            let next = model.cameras.len() as u32 + 1;
+            let own = ModelCamera::pinhole(next, &camera.intrinsics);
+            let same = model
+                .cameras
+                .iter()
+                .find(|known| known.lens() == own.lens());
+            let camera_id = same.map_or(next, |known| known.id);
+            let image = ModelImage::posed(id, camera_id, name, &camera);
+            if camera_id == next {
+                model.cameras.push(own);
+            }
+            model.images.push(image);
+        }
+        let point = |(id, (position, colour))| ModelPoint {
+            id,
+            position,
+            colour,
+            error: 0.0,
+            track: Vec::new(),
+        };
+        model.points = (1..).zip(points).map(point).collect();
+        model
+    }
+
     /// The camera of an image.
     pub fn camera_of(&self, image: &ModelImage) -> &ModelCamera {
         let camera = self

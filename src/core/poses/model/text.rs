@@ -174,58 +174,59 @@ fn point(fields: &mut Fields<'_>) -> Result<ModelPoint, PosesError> {
 }
 
 pub(super) fn write(model: &SparseModel, dir: &Path) -> Result<(), PosesError> {
-    let save = |name: &str, text: String| {
-        let file = dir.join(name);
-        std::fs::write(&file, text).map_err(PosesError::io(&file))
-    };
     std::fs::create_dir_all(dir).map_err(PosesError::io(dir))?;
-    save(
-        "cameras.txt",
-        format_rows(
-            "# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]",
-            &model.cameras,
-            |out, c| {
-                let _ = write!(out, "{} {} {} {}", c.id, c.model.name(), c.width, c.height);
-                for p in &c.params {
-                    let _ = write!(out, " {p}");
-                }
-            },
-        ),
-    )?;
-    let header = "# IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME\n# POINTS2D[] as (X, Y, POINT3D_ID)";
-    save(
-        "images.txt",
-        format_rows(header, &model.images, |out, i| {
-            let ([w, x, y, z], [a, b, c]) = (i.rotation, i.translation);
-            let _ = writeln!(
-                out,
-                "{} {w} {x} {y} {z} {a} {b} {c} {} {}",
-                i.id, i.camera_id, i.name
-            );
-            let keypoint = |(x, y, point): &(f64, f64, Option<u64>)| match point {
-                Some(point) => format!("{x} {y} {point}"),
-                None => format!("{x} {y} -1"),
-            };
-            out.push_str(
-                &i.keypoints
-                    .iter()
-                    .map(keypoint)
-                    .collect::<Vec<_>>()
-                    .join(" "),
-            );
-        }),
-    )?;
-    let header = "# POINT3D_ID, X, Y, Z, R, G, B, ERROR, TRACK[] as (IMAGE_ID, POINT2D_IDX)";
-    save(
-        "points3D.txt",
-        format_rows(header, &model.points, |out, p| {
-            let ([x, y, z], [r, g, b]) = (p.position, p.colour);
-            let _ = write!(out, "{} {x} {y} {z} {r} {g} {b} {}", p.id, p.error);
-            for (image, index) in &p.track {
-                let _ = write!(out, " {image} {index}");
+    for (name, text) in files(model) {
+        let file = dir.join(name);
+        std::fs::write(&file, text).map_err(PosesError::io(&file))?;
+    }
+    Ok(())
+}
+
+/// The three files, by name.
+pub(super) fn files(model: &SparseModel) -> [(&'static str, String); 3] {
+    let cameras = format_rows(
+        "# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]",
+        &model.cameras,
+        |out, c| {
+            let _ = write!(out, "{} {} {} {}", c.id, c.model.name(), c.width, c.height);
+            for p in &c.params {
+                let _ = write!(out, " {p}");
             }
-        }),
-    )
+        },
+    );
+    let header = "# IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME\n# POINTS2D[] as (X, Y, POINT3D_ID)";
+    let images = format_rows(header, &model.images, |out, i| {
+        let ([w, x, y, z], [a, b, c]) = (i.rotation, i.translation);
+        let _ = writeln!(
+            out,
+            "{} {w} {x} {y} {z} {a} {b} {c} {} {}",
+            i.id, i.camera_id, i.name
+        );
+        let keypoint = |(x, y, point): &(f64, f64, Option<u64>)| match point {
+            Some(point) => format!("{x} {y} {point}"),
+            None => format!("{x} {y} -1"),
+        };
+        out.push_str(
+            &i.keypoints
+                .iter()
+                .map(keypoint)
+                .collect::<Vec<_>>()
+                .join(" "),
+        );
+    });
+    let header = "# POINT3D_ID, X, Y, Z, R, G, B, ERROR, TRACK[] as (IMAGE_ID, POINT2D_IDX)";
+    let points = format_rows(header, &model.points, |out, p| {
+        let ([x, y, z], [r, g, b]) = (p.position, p.colour);
+        let _ = write!(out, "{} {x} {y} {z} {r} {g} {b} {}", p.id, p.error);
+        for (image, index) in &p.track {
+            let _ = write!(out, " {image} {index}");
+        }
+    });
+    [
+        ("cameras.txt", cameras),
+        ("images.txt", images),
+        ("points3D.txt", points),
+    ]
 }
 
 fn format_rows<T>(header: &str, rows: &[T], row: impl Fn(&mut String, &T)) -> String {

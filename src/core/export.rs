@@ -1,0 +1,292 @@
+//! A finished result in the forms in which others go on with it: its pictures, its cameras with
+//! them, its scene at a fraction of its size.
+//!
+//! Each is written from its beginning to its end, so that whoever takes it may pass it on while it
+//! is made. What is missing is told before that.
+
+mod error;
+
+use std::fs::{self, File};
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+
+use zip::ZipWriter;
+use zip::write::{SimpleFileOptions, StreamWriter};
+
+use crate::camera::NamedCamera;
+use crate::gaussians::{Gaussians, Y00, compressed, ply};
+use crate::poses::model::SparseModel;
+use crate::run_folder::{RoundPictures, RunFolder};
+
+pub use error::ExportError;
+
+/// Level of what is packed: pictures are packed already, so the fastest is as good as the best.
+const LEVEL: i64 = 1;
+
+/// What a camera or a point takes in a COLMAP model, packed, bytes: more or less.
+const ROW: u64 = 40;
+
+/// A form in which a result is handed on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Export {
+    /// The restored views as a zip.
+    Restored,
+    /// The restored views and a COLMAP model of the corrected cameras as a zip.
+    Colmap,
+    /// The scene as compressed PLY.
+    CompressedScene,
+}
+
+impl Export {
+    /// Every form.
+    pub const ALL: [Self; 3] = [Self::Restored, Self::Colmap, Self::CompressedScene];
+
+    /// The name of its file.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Restored => "restored.zip",
+            Self::Colmap => "colmap.zip",
+            Self::CompressedScene => "scene.compressed.ply",
+        }
+    }
+
+    /// What it is, and for whom.
+    pub fn about(self) -> &'static str {
+        match self {
+            Self::Restored => "Every view restored: rendered from the scene at the view's camera.",
+            Self::Colmap => {
+                "The restored views with their corrected cameras and points of the scene, as a \
+                 COLMAP model: other trainers go on from it."
+            }
+            Self::CompressedScene => {
+                "The scene at a quarter of its size or less, rounded by less than one sees: for \
+                 SuperSplat, PlayCanvas and other viewers."
+            }
+        }
+    }
+
+    /// Finds what it is made of: of the delivered round, or of one that is finished.
+    ///
+    /// # Errors
+    /// [`ExportError`] where that is not there or cannot be read.
+    pub fn prepare(self, run: &RunFolder, round: Option<u32>) -> Result<Prepared, ExportError> {
+        let scene = run.scene_of(round);
+        Ok(Prepared(match self {
+            Self::Restored => Content::Pictures(pictures(run, round)?),
+            Self::Colmap => {
+                let cameras = cameras(run, round)?;
+                let views = with_pictures(&cameras, pictures(run, round)?)?;
+                let (gaussians, _) = ply::read_extent(&scene)?;
+                Content::Colmap {
+                    views,
+                    scene,
+                    gaussians,
+                }
+            }
+            Self::CompressedScene => {
+                let (gaussians, sh_degree) = ply::read_extent(&scene)?;
+                let bytes = compressed::bytes_of(gaussians, sh_degree);
+                Content::Scene { scene, bytes }
+            }
+        }))
+    }
+}
+
+impl FromStr for Export {
+    type Err = String;
+
+    fn from_str(name: &str) -> Result<Self, String> {
+        let found = Self::ALL.into_iter().find(|export| export.name() == name);
+        found.ok_or_else(|| {
+            let names = Self::ALL.map(Self::name).join(", ");
+            format!("`{name}` is none of {names}")
+        })
+    }
+}
+
+/// A picture on the disk.
+#[derive(Debug)]
+struct Picture {
+    path: PathBuf,
+    /// Without folders.
+    file_name: String,
+    bytes: u64,
+}
+
+#[derive(Debug)]
+enum Content {
+    Pictures(Vec<Picture>),
+    Colmap {
+        views: Vec<(NamedCamera, Picture)>,
+        scene: PathBuf,
+        gaussians: usize,
+    },
+    Scene {
+        scene: PathBuf,
+        bytes: u64,
+    },
+}
+
+/// An export that is there to be written.
+#[derive(Debug)]
+pub struct Prepared(Content);
+
+impl Prepared {
+    /// How many bytes it will have, more or less.
+    pub fn bytes(&self) -> u64 {
+        match &self.0 {
+            Content::Pictures(pictures) => pictures.iter().map(|picture| picture.bytes).sum(),
+            Content::Colmap {
+                views, gaussians, ..
+            } => {
+                let pictures: u64 = views.iter().map(|(_, picture)| picture.bytes).sum();
+                pictures + ROW * (views.len() + gaussians) as u64
+            }
+            Content::Scene { bytes, .. } => *bytes,
+        }
+    }
+
+    /// Writes it.
+    ///
+    /// # Errors
+    /// [`ExportError`]; what was written by then is not whole.
+    pub fn write(&self, out: impl Write) -> Result<(), ExportError> {
+        match &self.0 {
+            Content::Pictures(pictures) => {
+                let mut archive = Archive::new(out);
+                for picture in pictures {
+                    archive.picture("", picture)?;
+                }
+                archive.finish()
+            }
+            Content::Colmap { views, scene, .. } => {
+                let mut archive = Archive::new(out);
+                let named = views
+                    .iter()
+                    .map(|(camera, picture)| (picture.file_name.clone(), camera.camera()));
+                let scene = ply::read(scene)?;
+                let model = SparseModel::of_views(named, points(&scene));
+                for (name, text) in model.text_files() {
+                    let mut text = text.as_bytes();
+                    archive.entry(&format!("sparse/0/{name}"), &mut text)?;
+                }
+                for (_, picture) in views {
+                    archive.picture("images/", picture)?;
+                }
+                archive.finish()
+            }
+            Content::Scene { scene, .. } => {
+                let mut out = io::BufWriter::new(out);
+                compressed::write_to(&ply::read(scene)?, &mut out).map_err(ExportError::Write)
+            }
+        }
+    }
+}
+
+/// A zip whose entries are packed as they are passed on.
+struct Archive<W: Write>(ZipWriter<StreamWriter<W>>);
+
+impl<W: Write> Archive<W> {
+    fn new(out: W) -> Self {
+        Self(ZipWriter::new_stream(out))
+    }
+
+    fn entry(&mut self, name: &str, content: &mut impl io::Read) -> Result<(), ExportError> {
+        // Packed although pictures gain nothing by it: of what is not, readers that cannot seek
+        // do not see the end.
+        let options = SimpleFileOptions::default().compression_level(Some(LEVEL));
+        let begun = self.0.start_file(name, options).map_err(io::Error::from);
+        begun
+            .and_then(|()| io::copy(content, &mut self.0))
+            .map_err(ExportError::Write)?;
+        Ok(())
+    }
+
+    fn picture(&mut self, folder: &str, picture: &Picture) -> Result<(), ExportError> {
+        let mut file = File::open(&picture.path).map_err(ExportError::io(&picture.path))?;
+        self.entry(&format!("{folder}{}", picture.file_name), &mut file)
+    }
+
+    fn finish(self) -> Result<(), ExportError> {
+        let finished = self.0.finish().map_err(io::Error::from);
+        let mut out = finished.map_err(ExportError::Write)?.into_inner();
+        out.flush().map_err(ExportError::Write)
+    }
+}
+
+/// The restored views, or the renders of a round, by name.
+fn pictures(run: &RunFolder, round: Option<u32>) -> Result<Vec<Picture>, ExportError> {
+    let folder = match round {
+        Some(round) => run.round(round).pictures(RoundPictures::Renders),
+        None => run.restored(),
+    };
+    let mut pictures = Vec::new();
+    for entry in fs::read_dir(&folder).map_err(ExportError::io(&folder))? {
+        let entry = entry.map_err(ExportError::io(&folder))?;
+        let path = entry.path();
+        let about = entry.metadata().map_err(ExportError::io(&path))?;
+        let Ok(file_name) = entry.file_name().into_string() else {
+            continue;
+        };
+        // Names of files that are being written begin with a dot.
+        if about.is_file() && !file_name.starts_with('.') {
+            pictures.push(Picture {
+                path,
+                file_name,
+                bytes: about.len(),
+            });
+        }
+    }
+    pictures.sort_by(|a, b| a.file_name.cmp(&b.file_name));
+    if pictures.is_empty() {
+        return Err(ExportError::NoPictures(folder));
+    }
+    Ok(pictures)
+}
+
+fn cameras(run: &RunFolder, round: Option<u32>) -> Result<Vec<NamedCamera>, ExportError> {
+    let path = match round {
+        Some(round) => run.round(round).cameras(),
+        None => run.cameras(),
+    };
+    let text = fs::read(&path).map_err(ExportError::io(&path))?;
+    serde_json::from_slice(&text).map_err(|source| ExportError::Cameras { path, source })
+}
+
+/// Each camera with its view's picture; a view without one trains nothing.
+fn with_pictures(
+    cameras: &[NamedCamera],
+    pictures: Vec<Picture>,
+) -> Result<Vec<(NamedCamera, Picture)>, ExportError> {
+    let folder = pictures.first().and_then(|picture| picture.path.parent());
+    let folder = folder.map(Path::to_owned).unwrap_or_default();
+    let mut views = Vec::with_capacity(pictures.len());
+    for picture in pictures {
+        let stem = picture.path.file_stem().unwrap_or_default();
+        let camera = cameras.iter().find(|camera| stem == camera.name.as_str());
+        if let Some(camera) = camera {
+            views.push((camera.clone(), picture));
+        }
+    }
+    if views.is_empty() {
+        return Err(ExportError::NoPictures(folder));
+    }
+    Ok(views)
+}
+
+/// The middles of what is rather opaque than not, with its base colour.
+fn points(scene: &Gaussians) -> Vec<([f64; 3], [u8; 3])> {
+    let row = 3 * scene.coefficients();
+    let is_solid = |&index: &usize| scene.is_usable(index) && scene.opacity_logits[index] > 0.0;
+    let point = |index: usize| {
+        let sh = &scene.sh[index * row..][..3];
+        let colour = |channel: usize| (0.5 + Y00 * sh[channel]).clamp(0.0, 1.0) * 255.0;
+        let colour = std::array::from_fn(|channel| colour(channel).round() as u8);
+        (scene.means[index].map(f64::from), colour)
+    };
+    (0..scene.len()).filter(is_solid).map(point).collect()
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,167 @@
+use std::borrow::Cow;
+use std::io::{Cursor, Read};
+
+use glam::DVec3;
+use tempfile::TempDir;
+use zip::ZipArchive;
+use zip::result::ZipResult;
+
+use super::*;
+use crate::camera::{Camera, Intrinsics, Split};
+use crate::image::Image;
+
+/// A result of three views, of one round, with two solid Gaussians and a faint one.
+fn result() -> (TempDir, RunFolder) {
+    let folder = TempDir::new().expect("folder");
+    let run = RunFolder::new(folder.path());
+    let k = Intrinsics {
+        width: 8,
+        height: 6,
+        fx: 9.5,
+        fy: 9.25,
+        cx: 4.0,
+        cy: 3.125,
+    };
+    let camera = |index: usize, name: &str| {
+        let eye = DVec3::new(index as f64, 0.5, -3.0);
+        let mut camera = Camera::look_at(k, eye, DVec3::ZERO, DVec3::Y);
+        camera.intrinsics.fx += (index / 2) as f64;
+        NamedCamera::new(name, &camera, Split::Train)
+    };
+    let names = ["a", "b b", "c", "unseen"];
+    let cameras: Vec<NamedCamera> = (0..).zip(names).map(|(i, name)| camera(i, name)).collect();
+    let scene = Gaussians {
+        means: vec![[0.0; 3], [1.0, 2.0, 3.0], [9.0; 3]],
+        quats: vec![[1.0, 0.0, 0.0, 0.0]; 3],
+        log_scales: vec![[-2.0; 3]; 3],
+        opacity_logits: vec![2.0, 1.0, -3.0],
+        sh: vec![0.5 / Y00, 0.0, -9.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+        sh_degree: 0,
+    };
+    for name in &names[..3] {
+        let picture: Image = Image::new(8, 6).map(|_| 0.5);
+        for path in [
+            run.restored_view(name),
+            run.round(1).picture(RoundPictures::Renders, name),
+        ] {
+            fs::create_dir_all(path.parent().expect("a folder")).expect("made");
+            picture.save(&path).expect("saved");
+        }
+    }
+    fs::write(run.restored().join(".half.png"), "unfinished").expect("written");
+    for path in [run.cameras(), run.round(1).cameras()] {
+        fs::write(path, serde_json::to_vec(&cameras).expect("JSON")).expect("written");
+    }
+    for path in [run.scene(), run.round(1).scene()] {
+        ply::write(&scene, &path).expect("written");
+    }
+    (folder, run)
+}
+
+fn written(export: Export, run: &RunFolder, round: Option<u32>) -> Vec<u8> {
+    let prepared = export.prepare(run, round).expect("it is there");
+    let mut bytes = Vec::new();
+    prepared.write(&mut bytes).expect("written");
+    bytes
+}
+
+fn named(name: ZipResult<Cow<'_, str>>) -> String {
+    name.expect("a name").into_owned()
+}
+
+fn names(bytes: &[u8]) -> Vec<String> {
+    let archive = ZipArchive::new(Cursor::new(bytes)).expect("a zip");
+    let mut names: Vec<String> = archive.file_names().map(named).collect();
+    names.sort();
+    names
+}
+
+#[test]
+fn restored_views_are_in_the_zip_as_they_are_on_the_disk() {
+    let (_folder, run) = result();
+    let bytes = written(Export::Restored, &run, None);
+    assert_eq!(names(&bytes), ["a.png", "b b.png", "c.png"]);
+    let mut archive = ZipArchive::new(Cursor::new(&bytes)).expect("a zip");
+    let mut content = Vec::new();
+    let mut file = archive.by_name("b b.png").expect("there");
+    file.read_to_end(&mut content).expect("read");
+    let on_disk = fs::read(run.restored_view("b b")).expect("read");
+    assert!(content == on_disk);
+    let of_round = written(Export::Restored, &run, Some(1));
+    assert_eq!(names(&of_round), ["a.jpg", "b b.jpg", "c.jpg"]);
+}
+
+#[test]
+fn a_zip_can_be_read_by_who_cannot_seek() {
+    let (_folder, run) = result();
+    let bytes = written(Export::Restored, &run, None);
+    let mut stream = &bytes[..];
+    let mut found = Vec::new();
+    while let Some(mut file) = zip::read::read_zipfile_from_stream(&mut stream).expect("an entry") {
+        io::copy(&mut file, &mut io::sink()).expect("read");
+        found.push(named(file.name()));
+    }
+    assert_eq!(found, ["a.png", "b b.png", "c.png"]);
+}
+
+#[test]
+fn the_colmap_model_has_the_cameras_of_the_pictures_beside_it() {
+    let (_folder, run) = result();
+    let bytes = written(Export::Colmap, &run, None);
+    let out = TempDir::new().expect("folder");
+    let mut archive = ZipArchive::new(Cursor::new(&bytes)).expect("a zip");
+    archive.extract(out.path()).expect("extracted");
+    let model = SparseModel::read(&out.path().join("sparse/0")).expect("a model");
+    assert_eq!(model.cameras.len(), 2, "views of one lens share a camera");
+    let cameras = cameras(&run, None).expect("cameras");
+    assert_eq!(
+        model.images.len(),
+        3,
+        "a view without a picture is left out"
+    );
+    for (image, own) in model.images.iter().zip(&cameras) {
+        assert_eq!(image.name, format!("{}.png", own.name));
+        assert!(out.path().join("images").join(&image.name).is_file());
+        let (theirs, ours) = (image.world_to_camera(), own.camera().world_to_camera);
+        assert!(theirs.abs_diff_eq(ours, 1e-12), "{theirs} {ours}");
+        assert_eq!(model.camera_of(image).lens().intrinsics, own.intrinsics);
+    }
+    let points: Vec<_> = model
+        .points
+        .iter()
+        .map(|p| (p.position, p.colour))
+        .collect();
+    let expected = [
+        ([0.0; 3], [255, 128, 0]),
+        ([1.0, 2.0, 3.0], [128, 128, 128]),
+    ];
+    assert_eq!(points, expected, "a faint Gaussian is no point");
+}
+
+#[test]
+fn the_compressed_scene_is_as_large_as_it_was_said_to_be() {
+    let (_folder, run) = result();
+    let said = Export::CompressedScene
+        .prepare(&run, Some(1))
+        .expect("there");
+    let bytes = written(Export::CompressedScene, &run, Some(1));
+    let end = b"end_header\n";
+    let at = bytes.windows(end.len()).position(|w| w == end);
+    let body = bytes.len() - at.expect("a header") - end.len();
+    assert_eq!(body as u64, said.bytes());
+}
+
+#[test]
+fn what_is_not_there_is_told_before_anything_is_written() {
+    let (_folder, run) = result();
+    for export in Export::ALL {
+        let error = export.prepare(&run, Some(2)).expect_err("no such round");
+        assert!(error.is_missing(), "{error}");
+        assert_eq!(export.name().parse(), Ok(export));
+    }
+    fs::write(run.cameras(), "[{").expect("written");
+    let error = Export::Colmap.prepare(&run, None).expect_err("damaged");
+    assert!(!error.is_missing() && error.to_string().contains("cameras.json"));
+    let unknown = "scene.spz".parse::<Export>().expect_err("unknown");
+    assert!(unknown.contains("scene.compressed.ply"), "{unknown}");
+}

@@ -1,0 +1,222 @@
+//! Scenes as compressed PLY files: PlayCanvas' layout, which SuperSplat, Babylon.js, Spark and
+//! other viewers read. 16 bytes a Gaussian and one for each higher harmonic, where the full layout
+//! has 68 and four.
+//!
+//! Each 256 Gaussians share the ranges in which their numbers are counted. They are sorted along a
+//! curve that keeps neighbours together, so that such a range is small, and how far off a number
+//! may be does not depend on the world's scale.
+
+use std::io::{self, Write};
+
+use super::{Gaussians, Y00};
+
+/// Gaussians that share their ranges.
+const CHUNK: usize = 256;
+
+/// What a chunk's ranges are of, in the order of the file.
+const RANGES: [[&str; 3]; 3] = [
+    ["x", "y", "z"],
+    ["scale_x", "scale_y", "scale_z"],
+    ["r", "g", "b"],
+];
+
+/// Bits of a coordinate along the curve: 63 in all.
+const CURVE_BITS: u32 = 21;
+
+/// Higher harmonics are kept between plus and minus this.
+const LARGEST_HARMONIC: f32 = 4.0;
+
+/// Bytes that so many Gaussians take, but for the header.
+pub fn bytes_of(count: usize, sh_degree: u32) -> u64 {
+    let harmonics = 3 * ((sh_degree + 1) * (sh_degree + 1) - 1);
+    let ranges = 4 * 2 * RANGES.as_flattened().len();
+    (count * (16 + harmonics as usize) + count.div_ceil(CHUNK) * ranges) as u64
+}
+
+/// Writes the file's bytes; Gaussians that are not [usable](Gaussians::is_usable) are left out.
+///
+/// # Errors
+/// Those of the writer.
+pub fn write_to(gaussians: &Gaussians, out: &mut impl Write) -> io::Result<()> {
+    let order = along_curve(gaussians);
+    out.write_all(header(order.len(), gaussians.coefficients()).as_bytes())?;
+    let chunks: Vec<Chunk> = order
+        .chunks(CHUNK)
+        .map(|rows| Chunk::of(gaussians, rows))
+        .collect();
+    for range in chunks.iter().flat_map(|chunk| &chunk.ranges) {
+        for value in range.least.iter().chain(&range.greatest) {
+            out.write_all(&value.to_le_bytes())?;
+        }
+    }
+    for (chunk, rows) in chunks.iter().zip(order.chunks(CHUNK)) {
+        for word in rows.iter().flat_map(|&row| chunk.pack(gaussians, row)) {
+            out.write_all(&word.to_le_bytes())?;
+        }
+    }
+    let row = 3 * gaussians.coefficients();
+    for index in order {
+        let higher = &gaussians.sh[index * row + 3..(index + 1) * row];
+        for channel in 0..3 {
+            let bytes: Vec<u8> = higher.iter().skip(channel).step_by(3).map(byte).collect();
+            out.write_all(&bytes)?;
+        }
+    }
+    out.flush()
+}
+
+fn header(count: usize, coefficients: usize) -> String {
+    let mut lines = vec![
+        "ply".to_owned(),
+        "format binary_little_endian 1.0".to_owned(),
+        format!("element chunk {}", count.div_ceil(CHUNK)),
+    ];
+    for names in RANGES {
+        for end in ["min", "max"] {
+            lines.extend(names.map(|name| format!("property float {end}_{name}")));
+        }
+    }
+    lines.push(format!("element vertex {count}"));
+    let packed = ["position", "rotation", "scale", "color"];
+    lines.extend(packed.map(|name| format!("property uint packed_{name}")));
+    if coefficients > 1 {
+        lines.push(format!("element sh {count}"));
+        let higher = 3 * (coefficients - 1);
+        lines.extend((0..higher).map(|n| format!("property uchar f_rest_{n}")));
+    }
+    lines.push("end_header\n".to_owned());
+    lines.join("\n")
+}
+
+/// A higher harmonic as one of 256 steps.
+fn byte(value: &f32) -> u8 {
+    let share = value / (2.0 * LARGEST_HARMONIC) + 0.5;
+    // A cast keeps what is below or above at the ends.
+    (share * 256.0) as u8
+}
+
+/// Indices of the usable Gaussians along Morton's curve: what is near on it is near in space.
+fn along_curve(gaussians: &Gaussians) -> Vec<usize> {
+    let usable: Vec<usize> = (0..gaussians.len())
+        .filter(|&index| gaussians.is_usable(index))
+        .collect();
+    let bounds = Range::of(usable.iter().map(|&index| gaussians.means[index]));
+    let mut keyed: Vec<(u64, usize)> = usable
+        .into_iter()
+        .map(|index| {
+            let shares = bounds.shares(gaussians.means[index]);
+            let [x, y, z] = shares.map(|share| spread(unorm(share, CURVE_BITS)));
+            (x | y << 1 | z << 2, index)
+        })
+        .collect();
+    keyed.sort_unstable();
+    keyed.into_iter().map(|(_, index)| index).collect()
+}
+
+/// The bits of a number with two empty ones behind each.
+fn spread(value: u32) -> u64 {
+    (0..CURVE_BITS).fold(0, |spread, bit| {
+        spread | u64::from(value >> bit & 1) << (3 * bit)
+    })
+}
+
+/// A share of one as a whole number of so many bits.
+fn unorm(share: f64, bits: u32) -> u32 {
+    let most = (1_u32 << bits) - 1;
+    (share.clamp(0.0, 1.0) * f64::from(most)).round() as u32
+}
+
+/// Least and greatest of three numbers.
+struct Range {
+    least: [f32; 3],
+    greatest: [f32; 3],
+}
+
+impl Range {
+    fn of(rows: impl Iterator<Item = [f32; 3]>) -> Self {
+        let nothing = Self {
+            least: [f32::INFINITY; 3],
+            greatest: [f32::NEG_INFINITY; 3],
+        };
+        rows.fold(nothing, |range, row| Self {
+            least: std::array::from_fn(|i| range.least[i].min(row[i])),
+            greatest: std::array::from_fn(|i| range.greatest[i].max(row[i])),
+        })
+    }
+
+    /// Where numbers lie in their ranges, 0 to 1.
+    fn shares(&self, values: [f32; 3]) -> [f64; 3] {
+        std::array::from_fn(|i| {
+            let (least, greatest) = (f64::from(self.least[i]), f64::from(self.greatest[i]));
+            let width = greatest - least;
+            let above = f64::from(values[i]) - least;
+            if width > 0.0 { above / width } else { 0.0 }
+        })
+    }
+}
+
+/// The ranges of some Gaussians: means, scales, colours.
+struct Chunk {
+    ranges: [Range; 3],
+}
+
+impl Chunk {
+    fn of(gaussians: &Gaussians, rows: &[usize]) -> Self {
+        let of = |values: &dyn Fn(usize) -> [f32; 3]| Range::of(rows.iter().map(|&r| values(r)));
+        Self {
+            ranges: [
+                of(&|row| gaussians.means[row]),
+                of(&|row| gaussians.log_scales[row]),
+                of(&|row| colour(gaussians, row)),
+            ],
+        }
+    }
+
+    /// Mean, rotation, scales, colour with opacity.
+    fn pack(&self, gaussians: &Gaussians, row: usize) -> [u32; 4] {
+        let [means, scales, colours] = &self.ranges;
+        let [r, g, b] = colours.shares(colour(gaussians, row));
+        let opacity = 1.0 / (1.0 + (-f64::from(gaussians.opacity_logits[row])).exp());
+        // Readers take the logarithm of what is left on both sides.
+        let opacity = unorm(opacity, 8).clamp(1, 254);
+        let rgb = [r, g, b].map(|share| unorm(share, 8));
+        [
+            pack_11_10_11(means.shares(gaussians.means[row])),
+            pack_rotation(gaussians.quats[row]),
+            pack_11_10_11(scales.shares(gaussians.log_scales[row])),
+            rgb[0] << 24 | rgb[1] << 16 | rgb[2] << 8 | opacity,
+        ]
+    }
+}
+
+/// The base colour, sRGB, not clamped.
+fn colour(gaussians: &Gaussians, row: usize) -> [f32; 3] {
+    let at = row * 3 * gaussians.coefficients();
+    std::array::from_fn(|channel| 0.5 + Y00 * gaussians.sh[at + channel])
+}
+
+fn pack_11_10_11([x, y, z]: [f64; 3]) -> u32 {
+    unorm(x, 11) << 21 | unorm(y, 10) << 11 | unorm(z, 11)
+}
+
+/// Which of w, x, y, z is the largest, then the three others, which are below the root of a half.
+fn pack_rotation(quat: [f32; 4]) -> u32 {
+    let quat = quat.map(f64::from);
+    let largest = (1..4).fold(0, |best, i| {
+        if quat[i].abs() > quat[best].abs() {
+            i
+        } else {
+            best
+        }
+    });
+    // A rotation is that of its negative, too: the largest is positive and need not be told.
+    let length = quat.iter().map(|q| q * q).sum::<f64>().sqrt() * quat[largest].signum();
+    let others = (0..4).filter(|&i| i != largest);
+    others.fold(largest as u32, |packed, i| {
+        let share = quat[i] / length * std::f64::consts::FRAC_1_SQRT_2 + 0.5;
+        packed << 10 | unorm(share, 10)
+    })
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,178 @@
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64Mcg;
+
+use super::*;
+
+/// Gaussians in a cube of this side, of harmonics of this degree.
+fn scene(count: usize, side: f32, sh_degree: u32) -> Gaussians {
+    let mut random = Pcg64Mcg::seed_from_u64(7);
+    let mut number = |from: f32, to: f32| random.random_range(from..to);
+    let row = 3 * ((sh_degree + 1) * (sh_degree + 1)) as usize;
+    let mut scene = Gaussians {
+        sh_degree,
+        ..Gaussians::default()
+    };
+    for _ in 0..count {
+        scene.means.push([0; 3].map(|_| number(0.0, side)));
+        scene.quats.push([0; 4].map(|_| number(-1.0, 1.0)));
+        scene.log_scales.push([0; 3].map(|_| number(-7.0, -1.0)));
+        scene.opacity_logits.push(number(-5.0, 5.0));
+        scene.sh.extend((0..row).map(|_| number(-1.5, 1.5)));
+    }
+    scene
+}
+
+/// The file that holds the scene: what follows its header, and the header.
+fn written(scene: &Gaussians) -> (String, Vec<u8>) {
+    let mut bytes = Vec::new();
+    write_to(scene, &mut bytes).expect("written");
+    let end = b"end_header\n";
+    let at = bytes.windows(end.len()).position(|w| w == end);
+    let body = bytes.split_off(at.expect("a header") + end.len());
+    (String::from_utf8(bytes).expect("text"), body)
+}
+
+/// Reads it as PlayCanvas' tools do: what is packed, of so many Gaussians with so many harmonics.
+fn read(body: &[u8], count: usize, coefficients: usize) -> Gaussians {
+    let chunks = count.div_ceil(CHUNK);
+    let word = |at: usize| u32::from_le_bytes(body[4 * at..][..4].try_into().expect("four"));
+    let lerp = |chunk: usize, of: usize, share: [f32; 3]| -> [f32; 3] {
+        std::array::from_fn(|i| {
+            let end = |which: usize| f32::from_bits(word(18 * chunk + 6 * of + 3 * which + i));
+            end(0) * (1.0 - share[i]) + end(1) * share[i]
+        })
+    };
+    let part = |word: u32, shift: u32, bits: u32| {
+        (word >> shift & ((1 << bits) - 1)) as f32 / ((1 << bits) - 1) as f32
+    };
+    let thirds = |word: u32| [part(word, 21, 11), part(word, 11, 10), part(word, 0, 11)];
+    let mut scene = Gaussians {
+        sh_degree: coefficients.isqrt() as u32 - 1,
+        ..Gaussians::default()
+    };
+    let higher = 3 * (coefficients - 1);
+    for index in 0..count {
+        let (chunk, at) = (index / CHUNK, 18 * chunks + 4 * index);
+        scene.means.push(lerp(chunk, 0, thirds(word(at))));
+        scene.log_scales.push(lerp(chunk, 1, thirds(word(at + 2))));
+        let rotation = word(at + 1);
+        let others = [20, 10, 0].map(|shift| (part(rotation, shift, 10) - 0.5) * 2_f32.sqrt());
+        let squares: f32 = others.iter().map(|q| q * q).sum();
+        let mut quat = others.to_vec();
+        quat.insert((rotation >> 30) as usize, (1.0 - squares).max(0.0).sqrt());
+        scene.quats.push(quat.try_into().expect("four"));
+        let packed = word(at + 3);
+        let rgb = [24, 16, 8].map(|shift| part(packed, shift, 8));
+        let base = lerp(chunk, 2, rgb).map(|value| (value - 0.5) / Y00);
+        let opacity = part(packed, 0, 8);
+        scene.opacity_logits.push((opacity / (1.0 - opacity)).ln());
+        let bytes = &body[4 * (18 * chunks + 4 * count) + higher * index..][..higher];
+        let value = |channel: usize, n: usize| {
+            let byte = bytes[channel * (coefficients - 1) + n];
+            ((f32::from(byte) + 0.5) / 256.0 - 0.5) * 8.0
+        };
+        scene.sh.extend(base);
+        let rest = (0..coefficients - 1).flat_map(|n| [0, 1, 2].map(|c| value(c, n)));
+        scene.sh.extend(rest);
+    }
+    scene
+}
+
+fn normalised(quat: [f32; 4]) -> [f32; 4] {
+    let length = quat.iter().map(|q| q * q).sum::<f32>().sqrt();
+    quat.map(|q| q / length)
+}
+
+/// The largest difference of each part: means, scales, colours, opacities, rotations, harmonics.
+fn differences(a: &Gaussians, b: &Gaussians) -> [f32; 6] {
+    let most = |pairs: &mut dyn Iterator<Item = (f32, f32)>| {
+        pairs.map(|(a, b)| (a - b).abs()).fold(0.0, f32::max)
+    };
+    let flat = |a: &[[f32; 3]], b: &[[f32; 3]]| {
+        let pairs = a.as_flattened().iter().zip(b.as_flattened());
+        most(&mut pairs.map(|(a, b)| (*a, *b)))
+    };
+    let sigmoid = |logit: f32| 1.0 / (1.0 + (-logit).exp());
+    let opacities = a.opacity_logits.iter().zip(&b.opacity_logits);
+    let cosine = |(a, b): (&[f32; 4], &[f32; 4])| {
+        let (a, b) = (normalised(*a), normalised(*b));
+        (0..4).map(|i| a[i] * b[i]).sum::<f32>().abs().min(1.0)
+    };
+    let turns = a.quats.iter().zip(&b.quats).map(cosine);
+    let row = 3 * a.coefficients();
+    let sh = a.sh.iter().zip(&b.sh).enumerate();
+    let of = |base: bool| {
+        let pairs = sh.clone().filter(move |(i, _)| (i % row < 3) == base);
+        most(&mut pairs.map(|(_, (a, b))| (*a, *b)))
+    };
+    [
+        flat(&a.means, &b.means),
+        flat(&a.log_scales, &b.log_scales),
+        Y00 * of(true),
+        most(&mut opacities.map(|(a, b)| (sigmoid(*a), sigmoid(*b)))),
+        // Radians.
+        2.0 * turns.fold(1.0, f32::min).acos(),
+        of(false),
+    ]
+}
+
+#[test]
+fn what_is_read_back_differs_by_no_more_than_half_a_step() {
+    for degree in 0..=3 {
+        let scene = scene(1000, 8.0, degree);
+        let (header, body) = written(&scene);
+        assert!(header.contains("element chunk 4\n") && header.contains("element vertex 1000\n"));
+        assert_eq!(header.contains("element sh 1000\n"), degree > 0);
+        assert_eq!(body.len() as u64, bytes_of(1000, degree));
+        let expected = scene.select(&along_curve(&scene));
+        let back = read(&body, 1000, scene.coefficients());
+        let found = differences(&expected, &back);
+        // Half a step of 10 bits of the cube, of the scales and of eight bits of the colours; a
+        // step of 10 bits of a rotation; half a step of 8.
+        let bounds = [
+            8.0 / 2046.0,
+            6.0 / 2046.0,
+            3.0 * Y00 / 510.0,
+            1.0 / 510.0,
+            0.006,
+            1.0 / 64.0,
+        ];
+        for (found, bound) in found.iter().zip(bounds) {
+            assert!(*found <= bound * 1.01, "degree {degree}: {found} > {bound}");
+        }
+    }
+}
+
+#[test]
+fn one_that_is_far_away_costs_its_own_chunk_and_no_other() {
+    let mut scene = scene(2000, 1.0, 0);
+    scene.means[77] = [1e4, -1e4, 1e4];
+    let expected = scene.select(&along_curve(&scene));
+    let back = read(&written(&scene).1, 2000, 1);
+    let is_off = |(a, b): (&[f32; 3], &[f32; 3])| (0..3).any(|i| (a[i] - b[i]).abs() > 1e-3);
+    let off = expected.means.iter().zip(&back.means);
+    let off = off.filter(|pair| is_off(*pair)).count();
+    assert!((1..=CHUNK).contains(&off), "{off} are off");
+}
+
+#[test]
+fn what_is_no_number_is_left_out_and_nothing_is_a_file_too() {
+    let mut scene = scene(10, 1.0, 1);
+    scene.means[3][1] = f32::NAN;
+    let (header, body) = written(&scene);
+    assert!(header.contains("element vertex 9\n"));
+    assert_eq!(body.len() as u64, bytes_of(9, 1));
+    let (header, body) = written(&Gaussians::default());
+    assert!(header.contains("element vertex 0\n") && body.is_empty());
+}
+
+#[test]
+fn opacities_and_harmonics_beyond_the_ends_stay_numbers() {
+    let mut scene = scene(2, 1.0, 1);
+    scene.opacity_logits = vec![-60.0, 60.0];
+    scene.sh[4] = 1e9;
+    scene.sh[5] = -1e9;
+    let back = read(&written(&scene).1, 2, 4);
+    assert!(back.opacity_logits.iter().all(|logit| logit.is_finite()));
+    assert!(back.sh.iter().all(|value| value.abs() <= 5.4));
+}

@@ -1,0 +1,64 @@
+//! `fled export`: a finished result in the forms in which others go on with it.
+
+use std::fs::{self, File};
+use std::path::PathBuf;
+
+use fled_core::export::{Export, ExportError};
+use fled_core::pipeline::error::ErrorKind;
+use fled_core::run_folder::RunFolder;
+
+use crate::failure::{Failure, io};
+
+/// Arguments of `fled export`.
+#[derive(clap::Args)]
+pub struct Args {
+    /// Output folder of `fled run`.
+    run: PathBuf,
+    /// restored.zip, colmap.zip or scene.compressed.ply.
+    #[arg(value_name = "FORM")]
+    export: Export,
+    /// Where it goes; default: a file of that name, here.
+    #[arg(short, long, value_name = "FILE")]
+    output: Option<PathBuf>,
+    /// A round's instead of the delivered one's.
+    #[arg(long)]
+    round: Option<u32>,
+}
+
+/// Writes one export.
+///
+/// # Errors
+/// [`Failure`] when the run lacks what it is made of, or the file cannot be written.
+pub fn main(args: &Args) -> Result<(), Failure> {
+    let run = RunFolder::new(&args.run);
+    let prepared = args.export.prepare(&run, args.round)?;
+    let output = args.output.clone();
+    let output = output.unwrap_or_else(|| args.export.name().into());
+    let temporary = output.with_added_extension("tmp");
+    let file = File::create(&temporary).map_err(io(&temporary))?;
+    if let Err(error) = prepared.write(&file) {
+        // Half a file is nobody's; that it may stay is the lesser fault.
+        let _ = fs::remove_file(&temporary);
+        return Err(error.into());
+    }
+    fs::rename(&temporary, &output).map_err(io(&output))
+}
+
+impl From<ExportError> for Failure {
+    fn from(error: ExportError) -> Self {
+        let missing = error.is_missing();
+        let kind = match error {
+            ExportError::Write(_) => ErrorKind::Io,
+            _ => ErrorKind::BadInput,
+        };
+        let failure = Self::new(kind, error);
+        if missing {
+            return Self {
+                hint: "name the output folder of a `fled run` that has finished, or a round of it"
+                    .to_owned(),
+                ..failure
+            };
+        }
+        failure
+    }
+}

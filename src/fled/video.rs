@@ -1,0 +1,216 @@
+//! `fled video`: a video of a finished run's scene.
+
+use std::io::Write;
+use std::path::PathBuf;
+
+use fled_core::cancel::{CancelToken, Cancelled};
+use fled_core::gaussians::ply;
+use fled_core::pipeline::error::{ErrorKind, PipelineError};
+use fled_core::render::Renderer;
+use fled_core::run_folder::RunFolder;
+use fled_core::video::{self, EncodeError, Kind, Plan, PlanError, Target};
+use fled_gpu::Gpu;
+use fled_server::videos::protocol::VideoEvent;
+use indicatif::ProgressBar;
+use rustix::process::setpriority_process;
+
+use crate::failure::{Failure, io};
+use crate::progress::overall_bar;
+use crate::render::read_cameras;
+use crate::tools;
+
+/// The least that the system gives a process beside others.
+const BACKGROUND: i32 = 19;
+
+/// Arguments of `fled video`.
+#[derive(clap::Args)]
+pub struct Args {
+    /// Output folder of `fled run`.
+    run: PathBuf,
+    /// Where the video goes: .mp4.
+    #[arg(short, long, value_name = "FILE")]
+    output: PathBuf,
+    #[command(flatten)]
+    way: Way,
+    /// How far around in all; 360 is once around, less a swing to both sides and back. Default: as
+    /// far as the photographers stood.
+    #[arg(long, requires = "orbit")]
+    degrees: Option<f64>,
+    /// Height above the photographers, degrees; with --orbit.
+    #[arg(long, allow_negative_numbers = true, requires = "orbit")]
+    elevation: Option<f64>,
+    /// Distance from the scene's middle as a multiple of the cameras' median; with --orbit.
+    #[arg(long, requires = "orbit")]
+    distance: Option<f64>,
+    /// How long it is, up to 60 s [default: 8].
+    #[arg(long, value_name = "S", conflicts_with = "plan")]
+    seconds: Option<f64>,
+    /// Pictures a second, up to 30 [default: 24].
+    #[arg(long, value_name = "N", conflicts_with = "plan")]
+    fps: Option<u32>,
+    /// Width and height in px, up to 1920; default: the views' own.
+    #[arg(long, value_parser = crate::synth::size, conflicts_with = "plan")]
+    size: Option<(usize, usize)>,
+    /// A round's scene instead of the delivered one.
+    #[arg(long, conflicts_with = "plan")]
+    round: Option<u32>,
+    /// Part of an adapter's name, or auto.
+    #[arg(long, default_value = "auto")]
+    adapter: String,
+    /// Progress as JSON lines on standard output.
+    #[arg(long)]
+    json: bool,
+    /// Gives way to whatever else the machine does.
+    #[arg(long)]
+    background: bool,
+    #[command(flatten)]
+    ffmpeg: tools::Ffmpeg,
+}
+
+/// Which way the camera goes.
+#[derive(clap::Args)]
+#[group(required = true, multiple = false)]
+struct Way {
+    /// Around the middle of the scene.
+    #[arg(long)]
+    orbit: bool,
+    /// Through the cameras of the photographs, in their order.
+    #[arg(long)]
+    cameras: bool,
+    /// As a JSON file says, which is the body of `POST /v1/jobs/ID/videos`: a path of poses, too.
+    #[arg(long, value_name = "FILE")]
+    plan: Option<PathBuf>,
+}
+
+/// Makes the video.
+///
+/// # Errors
+/// [`Failure`] when the run, ffmpeg or the adapter is not there.
+pub fn main(args: &Args) -> Result<(), Failure> {
+    if args.background {
+        setpriority_process(None, BACKGROUND).map_err(|e| Failure::new(ErrorKind::Internal, e))?;
+    }
+    let cancel = tools::cancel_on_signals()?;
+    let outcome = make(args, &cancel);
+    if let Err(failure) = &outcome
+        && args.json
+    {
+        tell(&VideoEvent::Failed {
+            detail: failure.detail.clone(),
+            hint: failure.hint.clone(),
+        });
+    }
+    outcome
+}
+
+fn make(args: &Args, cancel: &CancelToken) -> Result<(), Failure> {
+    let run = RunFolder::new(&args.run);
+    let plan = plan(args)?;
+    let cameras = plan.cameras(&read_cameras(&run.cameras())?)?;
+    let scene = run.scene_of(plan.round);
+    let gaussians = ply::read(&scene).map_err(|e| Failure::from(PipelineError::from(e)))?;
+    let gpu = Gpu::new(&args.adapter).map_err(|e| Failure::new(ErrorKind::Environment, e))?;
+    let renderer = Renderer::new(&gpu);
+    let scene = renderer.upload(&gaussians).map_err(PipelineError::from)?;
+    drop(gaussians);
+    let target = Target {
+        program: &args.ffmpeg.program,
+        file: &args.output,
+        fps: plan.fps(),
+    };
+    let progress = Progress::new(args.json, cameras.len());
+    video::write(&target, &cameras, |number, camera| {
+        cancel.check()?;
+        progress.show(number);
+        let picture = renderer.render_scene(&scene, camera);
+        Ok::<_, Failure>(picture.map_err(PipelineError::from)?)
+    })?;
+    progress.show(cameras.len());
+    Ok(())
+}
+
+fn plan(args: &Args) -> Result<Plan, Failure> {
+    if let Some(path) = &args.way.plan {
+        let bytes = std::fs::read(path).map_err(io(path))?;
+        let unreadable = |e| Failure::usage(format!("{}: {e}", path.display()));
+        return serde_json::from_slice(&bytes).map_err(unreadable);
+    }
+    let kind = if args.way.cameras {
+        Kind::Cameras
+    } else {
+        Kind::Orbit
+    };
+    Ok(Plan {
+        seconds: args.seconds,
+        fps: args.fps,
+        width: args.size.map(|(width, _)| width),
+        height: args.size.map(|(_, height)| height),
+        round: args.round,
+        degrees: args.degrees,
+        elevation: args.elevation,
+        distance: args.distance,
+        ..Plan::new(kind)
+    })
+}
+
+/// How far it has come: a bar for people, lines for programs.
+struct Progress {
+    bar: Option<ProgressBar>,
+    total: usize,
+}
+
+impl Progress {
+    fn new(json: bool, total: usize) -> Self {
+        let bar = (!json).then(overall_bar);
+        Self { bar, total }
+    }
+
+    fn show(&self, done: usize) {
+        match &self.bar {
+            Some(bar) => {
+                bar.set_position((1000 * done / self.total) as u64);
+                bar.set_message(format!("{done} of {} pictures", self.total));
+                if done == self.total {
+                    bar.finish_and_clear();
+                }
+            }
+            None => tell(&VideoEvent::Rendered {
+                done: done as u32,
+                total: self.total as u32,
+            }),
+        }
+    }
+}
+
+fn tell(event: &VideoEvent) {
+    if let Ok(line) = serde_json::to_string(event) {
+        let mut out = std::io::stdout().lock();
+        // Nobody reads any more: whoever asked for it has gone, and ends this process as well.
+        let _ = writeln!(out, "{line}").and_then(|()| out.flush());
+    }
+}
+
+impl From<PlanError> for Failure {
+    fn from(error: PlanError) -> Self {
+        Self::usage(error)
+    }
+}
+
+impl From<EncodeError> for Failure {
+    fn from(error: EncodeError) -> Self {
+        let kind = match error {
+            EncodeError::Missing { .. } => ErrorKind::Environment,
+            EncodeError::Refused { .. } | EncodeError::Io { .. } => ErrorKind::Io,
+        };
+        Self {
+            hint: error.hint().to_owned(),
+            ..Self::new(kind, error)
+        }
+    }
+}
+
+impl From<Cancelled> for Failure {
+    fn from(error: Cancelled) -> Self {
+        Self::new(ErrorKind::Cancelled, error)
+    }
+}

@@ -1,0 +1,80 @@
+//! A played video: as long and as large as a real one, but of a plain picture that changes.
+//!
+//! What becomes of it is planned by its pictures a second: with 5 each takes a tenth of a second,
+//! with 7 it fails, with 9 the process dies.
+
+use std::error::Error;
+use std::ffi::OsString;
+use std::fs;
+use std::path::Path;
+use std::thread::sleep;
+use std::time::Duration;
+
+use fled_core::camera::{Camera, NamedCamera};
+use fled_core::image::Image;
+use fled_core::video::{EncodeError, Plan, Target, write};
+use fled_server::videos::protocol::VideoEvent;
+
+use crate::protocol::{argument, say};
+
+pub fn make(arguments: &[OsString]) -> Result<(), Box<dyn Error>> {
+    let plan: Plan = serde_json::from_slice(&fs::read(argument(arguments, "--plan")?)?)?;
+    let views = Path::new(&arguments[0]).join("cameras.json");
+    let views: Vec<NamedCamera> = serde_json::from_slice(&fs::read(views)?)?;
+    let cameras = plan.cameras(&views)?;
+    let (program, file) = (
+        argument(arguments, "--ffmpeg")?,
+        argument(arguments, "--output")?,
+    );
+    let target = Target {
+        program: &program,
+        file: &file,
+        fps: plan.fps(),
+    };
+    let total = cameras.len() as u32;
+    let picture = |number: usize, camera: &Camera| {
+        match plan.fps() {
+            5 => sleep(Duration::from_millis(100)),
+            7 => {
+                let path = file.display();
+                let reason = format!("planned for {path}");
+                return Err(EncodeError::Refused { reason });
+            }
+            9 => std::process::abort(),
+            _ => {}
+        }
+        let done = number as u32 + 1;
+        tell(&VideoEvent::Rendered { done, total });
+        Ok(drawn(camera, number as f32 / total as f32))
+    };
+    let outcome = write(&target, &cameras, picture);
+    if let Err(error) = &outcome {
+        tell(&VideoEvent::Failed {
+            detail: error.to_string(),
+            hint: error.hint().to_owned(),
+        });
+    }
+    Ok(outcome?)
+}
+
+/// A field with a bright bar that wanders from left to right.
+fn drawn(camera: &Camera, share: f32) -> Image {
+    let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
+    let mut picture = Image::new(width, height);
+    for y in 0..height {
+        for x in 0..width {
+            let (x_share, y_share) = (x as f32 / width as f32, y as f32 / height as f32);
+            let bar = if (x_share - share).abs() < 0.05 {
+                0.5
+            } else {
+                0.0
+            };
+            picture.set(x, y, [0.2 + bar, 0.2 + 0.3 * y_share, 0.3 + bar]);
+        }
+    }
+    picture
+}
+
+fn tell(event: &VideoEvent) {
+    say(&serde_json::to_string(event).expect("events are plain data"));
+}

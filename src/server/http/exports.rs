@@ -1,0 +1,187 @@
+//! `/v1/jobs/{id}/exports`: a finished result in the forms in which others go on with it, made
+//! while it is sent.
+
+use std::io::{self, Write};
+use std::sync::Arc;
+
+use axum::body::{Body, Bytes};
+use axum::extract::{Path, State};
+use axum::http::{StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use fled_core::export::{Export, ExportError, Prepared};
+use futures::stream::poll_fn;
+use serde::{Deserialize, Serialize};
+use tokio::sync::mpsc;
+use utoipa::{IntoParams, ToSchema};
+
+use super::extract::Query;
+use super::lookup::finished;
+use super::problem::Problem;
+use crate::app::App;
+use crate::wording::without_paths;
+
+/// Bytes that are sent at once.
+const PIECE: usize = 1 << 16;
+
+/// Pieces that wait for a client who is slower than we are.
+const WAITING: usize = 4;
+
+/// After so many seconds one of those that are being made may have ended.
+const RETRY: u32 = 10;
+
+/// Of what.
+#[derive(Debug, Deserialize, IntoParams)]
+#[into_params(parameter_in = Query)]
+#[serde(deny_unknown_fields)]
+pub struct ExportQuery {
+    /// Of which round; default: the delivered one.
+    round: Option<u32>,
+}
+
+/// A form in which a result can be had.
+#[derive(Debug, Serialize, ToSchema)]
+pub struct ExportForm {
+    /// The last part of its address.
+    name: &'static str,
+    /// What it is, and for whom.
+    about: &'static str,
+    /// How large it will be, more or less.
+    bytes: u64,
+}
+
+/// The forms in which a result can be had.
+#[derive(Debug, Serialize, ToSchema)]
+pub struct Exports {
+    /// Those that can be made of what is there.
+    exports: Vec<ExportForm>,
+}
+
+/// Lists the forms in which the result can be had.
+#[utoipa::path(get, path = "/v1/jobs/{id}/exports", operation_id = "list_exports",
+    tag = "results", params(("id" = String, Path), ExportQuery),
+    responses(
+        (status = 200, description = "The forms", body = Exports),
+        (status = 404, description = "Unknown job, or no such round yet", body = Problem, content_type = "application/problem+json"),
+        (status = 409, description = "The job is not finished", body = Problem, content_type = "application/problem+json")))]
+pub async fn list(
+    State(app): State<Arc<App>>,
+    Path(id): Path<String>,
+    Query(query): Query<ExportQuery>,
+) -> Result<axum::Json<Exports>, Problem> {
+    let round = finished(&app, &id, query.round).await?;
+    let output = app.data.output(&id);
+    let exports = tokio::task::spawn_blocking(move || {
+        let form = |export: Export| match export.prepare(&output, round) {
+            Ok(prepared) => Some(ExportForm {
+                name: export.name(),
+                about: export.about(),
+                bytes: prepared.bytes(),
+            }),
+            Err(error) => {
+                tracing::info!(%error, export = export.name(), "there is no such export");
+                None
+            }
+        };
+        Export::ALL.into_iter().filter_map(form).collect()
+    });
+    let exports = exports.await.map_err(|_| Problem::internal())?;
+    Ok(axum::Json(Exports { exports }))
+}
+
+/// Sends the result in one form. It is made while it is sent: its length is not told, and there
+/// are no ranges.
+#[utoipa::path(get, path = "/v1/jobs/{id}/exports/{name}", operation_id = "download_export",
+    tag = "results",
+    params(("id" = String, Path), ("name" = String, Path, description = "As listed"), ExportQuery),
+    responses(
+        (status = 200, description = "The file", body = serde_json::Value, content_type = "*/*"),
+        (status = 404, description = "Unknown job or form, or no such round yet", body = Problem, content_type = "application/problem+json"),
+        (status = 409, description = "The job is not finished, or lacks what it is made of", body = Problem, content_type = "application/problem+json"),
+        (status = 503, description = "Too many are being made", body = Problem, content_type = "application/problem+json")))]
+pub async fn download(
+    State(app): State<Arc<App>>,
+    Path((id, name)): Path<(String, String)>,
+    Query(query): Query<ExportQuery>,
+) -> Result<Response, Problem> {
+    let export: Export = name
+        .parse()
+        .map_err(|known: String| Problem::not_found("export").hint(format!("{known}.")))?;
+    let round = finished(&app, &id, query.round).await?;
+    // A scene is held whole while it is compressed.
+    let turn = app.exporting.clone().try_acquire_owned();
+    let turn = turn.map_err(|_| busy())?;
+    let output = app.data.output(&id);
+    let prepared = tokio::task::spawn_blocking(move || export.prepare(&output, round));
+    let prepared = prepared.await.map_err(|_| Problem::internal())?;
+    let prepared = prepared.map_err(|error| refused(&error))?;
+    let (sender, mut pieces) = mpsc::channel(WAITING);
+    tokio::task::spawn_blocking(move || {
+        make(&prepared, &sender, &id);
+        drop(turn);
+    });
+    let headers = [
+        (header::CONTENT_TYPE, media_type(export).to_owned()),
+        (
+            header::CONTENT_DISPOSITION,
+            format!("attachment; filename=\"{}\"", export.name()),
+        ),
+    ];
+    let body = Body::from_stream(poll_fn(move |context| pieces.poll_recv(context)));
+    Ok((headers, body).into_response())
+}
+
+/// Writes it into the answer; what fails breaks the answer off, so that nobody takes it for whole.
+fn make(prepared: &Prepared, pieces: &mpsc::Sender<io::Result<Bytes>>, job: &str) {
+    let pipe = io::BufWriter::with_capacity(PIECE, Pipe(pieces));
+    match prepared.write(pipe) {
+        Ok(()) => {}
+        // The client has gone.
+        Err(ExportError::Write(_)) if pieces.is_closed() => {}
+        Err(error) => {
+            tracing::error!(%error, job, "an export broke off");
+            // Where the client has gone as well, nobody is to be told.
+            let _ = pieces.blocking_send(Err(io::Error::other("the export broke off")));
+        }
+    }
+}
+
+struct Pipe<'a>(&'a mpsc::Sender<io::Result<Bytes>>);
+
+impl Write for Pipe<'_> {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let piece = Bytes::copy_from_slice(&bytes[..bytes.len().min(PIECE)]);
+        let length = piece.len();
+        let gone = |_| io::Error::from(io::ErrorKind::BrokenPipe);
+        self.0.blocking_send(Ok(piece)).map_err(gone)?;
+        Ok(length)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+fn media_type(export: Export) -> &'static str {
+    match export {
+        Export::Restored | Export::Colmap => "application/zip",
+        Export::CompressedScene => "application/octet-stream",
+    }
+}
+
+fn busy() -> Problem {
+    let detail = "Too many exports are being made.";
+    Problem::new(StatusCode::SERVICE_UNAVAILABLE, "busy", detail)
+        .hint("Try again in a moment.")
+        .retry_after(RETRY)
+}
+
+fn refused(error: &ExportError) -> Problem {
+    if error.is_missing() {
+        let detail = "This job lacks what that is made of.";
+        return Problem::conflict("no_export", detail)
+            .hint("Run the capture in a new job; `artifacts` lists what there is.");
+    }
+    tracing::error!(%error, "an export failed");
+    let detail = without_paths(&format!("The result cannot be read: {error}."));
+    Problem::conflict("no_export", detail).hint("Run the capture in a new job.")
+}

@@ -1,0 +1,393 @@
+//! `/v1/jobs/{id}/videos`: videos of a result, made one at a time in the background.
+
+use std::io::ErrorKind;
+use std::process::Stdio;
+use std::sync::Arc;
+
+use axum::extract::{Extension, Path, State};
+use axum::http::{HeaderMap, StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use fled_core::camera::NamedCamera;
+use fled_core::video::{Key, Kind, Plan, PlanError};
+use serde::{Deserialize, Serialize};
+use tokio::process::Command;
+use utoipa::ToSchema;
+use uuid::Uuid;
+
+use super::access::Visitor;
+use super::extract::{Json, Object};
+use super::lookup::{find, finished};
+use super::problem::Problem;
+use super::quota::bytes_left;
+use super::render::MatrixRow;
+use super::sent::Sent;
+use super::shapes::time;
+use super::upload;
+use crate::app::App;
+use crate::error::{Result as ServerResult, ServerError};
+use crate::store::now_ms;
+use crate::videos::record::{Record, VideoFault, VideoFolder, VideoState, videos_of};
+use crate::videos::turns::Ticket;
+
+/// After so many seconds one of those that wait may have been made.
+const RETRY: u32 = 60;
+
+/// Behind an id: the file itself.
+const EXTENSION: &str = ".mp4";
+
+/// Which way the camera goes.
+#[derive(ToSchema)]
+#[serde(rename_all = "snake_case")]
+#[expect(dead_code, reason = "it describes what is read as the core's")]
+pub enum VideoKind {
+    /// Around the middle of the scene.
+    Orbit,
+    /// Through the cameras of the photographs, in their order.
+    Cameras,
+    /// Through given poses.
+    Path,
+}
+
+/// A pose on a path.
+#[derive(Debug, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct VideoPose {
+    /// Rigid, row-major, 4x4; OpenCV axes: x right, y down, z forward.
+    #[schema(value_type = Vec<MatrixRow>, min_items = 4, max_items = 4)]
+    world_to_camera: [[f64; 4]; 4],
+    /// How long the way from the pose before takes, 0.05 or more; of the first it means nothing.
+    #[serde(default)]
+    seconds: f64,
+}
+
+/// A video to be made.
+#[derive(Debug, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct CreateVideo {
+    /// Which way the camera goes.
+    #[schema(value_type = VideoKind)]
+    kind: Kind,
+    /// How long it is; default 8. The poses of a path say so themselves.
+    #[schema(minimum = 1, maximum = 60)]
+    seconds: Option<f64>,
+    /// Pictures a second; default 24.
+    #[schema(minimum = 1, maximum = 30)]
+    fps: Option<u32>,
+    /// px, an odd one is one less; default: the views', or in proportion to `height`.
+    #[schema(minimum = 64, maximum = 1920)]
+    width: Option<usize>,
+    /// px, an odd one is one less; default: the views', or in proportion to `width`.
+    #[schema(minimum = 64, maximum = 1920)]
+    height: Option<usize>,
+    /// Of which round; default: the delivered one.
+    round: Option<u32>,
+    /// Of an orbit, how far around in all: 360 is once around, less a swing to both sides and back;
+    /// default: as far as the photographers stood.
+    #[schema(minimum = 1, maximum = 360)]
+    degrees: Option<f64>,
+    /// Of an orbit, degrees above the photographers; default 0.
+    #[schema(minimum = -60, maximum = 60)]
+    elevation: Option<f64>,
+    /// Of an orbit, times the photographers' median distance from the middle; default 1.
+    #[schema(minimum = 0.1, maximum = 10)]
+    distance: Option<f64>,
+    /// Of a path, 2 to 100 poses.
+    #[schema(value_type = Option<Vec<VideoPose>>, min_items = 2, max_items = 100)]
+    poses: Option<Vec<Object<VideoPose>>>,
+}
+
+impl CreateVideo {
+    fn plan(self) -> Plan {
+        let key = |Object(pose): Object<VideoPose>| Key {
+            world_to_camera: pose.world_to_camera,
+            seconds: pose.seconds,
+        };
+        Plan {
+            kind: self.kind,
+            seconds: self.seconds,
+            fps: self.fps,
+            width: self.width,
+            height: self.height,
+            round: self.round,
+            degrees: self.degrees,
+            elevation: self.elevation,
+            distance: self.distance,
+            poses: self.poses.map(|poses| poses.into_iter().map(key).collect()),
+        }
+    }
+}
+
+/// A video as answered.
+#[derive(Debug, Serialize, ToSchema)]
+pub struct Video {
+    /// UUID v7. Its file is at this id with `.mp4` behind it.
+    id: String,
+    /// Where it stands.
+    state: VideoState,
+    /// Which way the camera goes.
+    #[schema(value_type = VideoKind)]
+    kind: Kind,
+    /// Of which round; `null`: the delivered one.
+    round: Option<u32>,
+    /// How long it is.
+    seconds: f64,
+    /// Pictures a second.
+    fps: u32,
+    /// px
+    width: usize,
+    /// px
+    height: usize,
+    /// How much of it is made, 0 to 1.
+    progress: f64,
+    /// How many others come before it, while it waits.
+    ahead: Option<usize>,
+    /// When it was asked for: RFC 3339.
+    created_at: String,
+    /// When it was over: RFC 3339.
+    finished_at: Option<String>,
+    /// How large it is.
+    bytes: Option<u64>,
+    /// Why it failed.
+    error: Option<VideoFault>,
+}
+
+/// The videos of a job.
+#[derive(Debug, Serialize, ToSchema)]
+pub struct Videos {
+    /// Newest first.
+    videos: Vec<Video>,
+}
+
+impl Video {
+    fn told(app: &App, job: &str, record: Record) -> Self {
+        let ticket = Ticket {
+            job: job.to_owned(),
+            id: record.id.clone(),
+        };
+        let progress = match record.state {
+            VideoState::Succeeded => 1.0,
+            VideoState::Running => app.videos.progress(&ticket).unwrap_or(0.0),
+            VideoState::Queued | VideoState::Failed => 0.0,
+        };
+        Self {
+            state: record.state,
+            kind: record.plan.kind,
+            round: record.plan.round,
+            seconds: record.plan.seconds(),
+            fps: record.plan.fps(),
+            width: record.width,
+            height: record.height,
+            progress,
+            ahead: app.videos.before(&ticket),
+            created_at: time(record.created_at),
+            finished_at: record.finished_at.map(time),
+            bytes: record.bytes,
+            error: record.error,
+            id: record.id,
+        }
+    }
+}
+
+/// Makes a video of a finished result, in the background: one at a time, and jobs come first.
+#[utoipa::path(post, path = "/v1/jobs/{id}/videos", operation_id = "create_video",
+    tag = "results", params(("id" = String, Path)),
+    request_body = CreateVideo,
+    responses(
+        (status = 202, description = "Accepted, on disk", body = Video, headers(("Location" = String))),
+        (status = 404, description = "Unknown job, or no such round yet", body = Problem, content_type = "application/problem+json"),
+        (status = 409, description = "The job is not finished, or has as many videos as one may have", body = Problem, content_type = "application/problem+json"),
+        (status = 422, description = "Not a video", body = Problem, content_type = "application/problem+json"),
+        (status = 503, description = "There is no ffmpeg, or too many videos wait", body = Problem, content_type = "application/problem+json")))]
+pub async fn create(
+    State(app): State<Arc<App>>,
+    Path(job): Path<String>,
+    Extension(visitor): Extension<Visitor>,
+    Json(body): Json<CreateVideo>,
+) -> Result<Response, Problem> {
+    let plan = body.plan();
+    plan.check().map_err(|error| bad_plan(&error))?;
+    finished(&app, &job, plan.round).await?;
+    let views = views(&app, &job).await?;
+    let cameras = plan.cameras(&views).map_err(|error| bad_plan(&error))?;
+    let size = cameras.first().map(|camera| camera.intrinsics);
+    let size = size.ok_or_else(Problem::internal)?;
+    upload::check_space(&app)?;
+    bytes_left(&app, &visitor).await?;
+    check_ffmpeg(&app).await?;
+    if app.videos.len() >= app.limits.videos {
+        return Err(busy());
+    }
+    let record = Record {
+        id: Uuid::now_v7().to_string(),
+        state: VideoState::Queued,
+        plan,
+        width: size.width,
+        height: size.height,
+        created_at: now_ms(),
+        finished_at: None,
+        attempts: 0,
+        bytes: None,
+        error: None,
+    };
+    let folder = folder(&app, &job, &record.id)?;
+    let known = videos_of(&app.data, &job)?.len();
+    if known >= app.limits.videos_of_job {
+        return Err(too_many(known));
+    }
+    std::fs::create_dir_all(folder.path()).map_err(ServerError::io(folder.path()))?;
+    folder.save(&record)?;
+    app.videos.add(Ticket {
+        job: job.clone(),
+        id: record.id.clone(),
+    });
+    let location = format!("/v1/jobs/{job}/videos/{}", record.id);
+    let video = Video::told(&app, &job, record);
+    let headers = [(header::LOCATION, location)];
+    Ok((StatusCode::ACCEPTED, headers, axum::Json(video)).into_response())
+}
+
+/// Lists the videos of a job.
+#[utoipa::path(get, path = "/v1/jobs/{id}/videos", operation_id = "list_videos",
+    tag = "results", params(("id" = String, Path)),
+    responses(
+        (status = 200, description = "The videos", body = Videos),
+        (status = 404, description = "Unknown", body = Problem, content_type = "application/problem+json")))]
+pub async fn list(
+    State(app): State<Arc<App>>,
+    Path(job): Path<String>,
+) -> Result<axum::Json<Videos>, Problem> {
+    find(&app, &job).await?;
+    let records = videos_of(&app.data, &job)?;
+    let told = |record| Video::told(&app, &job, record);
+    let videos = records.into_iter().map(told).collect();
+    Ok(axum::Json(Videos { videos }))
+}
+
+/// Shows a video: state and progress.
+#[utoipa::path(get, path = "/v1/jobs/{id}/videos/{video}", operation_id = "show_video",
+    tag = "results", params(("id" = String, Path), ("video" = String, Path)),
+    responses(
+        (status = 200, description = "The video's state", body = Video),
+        (status = 404, description = "Unknown", body = Problem, content_type = "application/problem+json")))]
+pub async fn show(
+    state: State<Arc<App>>,
+    Path((job, video)): Path<(String, String)>,
+    headers: HeaderMap,
+) -> Result<Response, Problem> {
+    if let Some(id) = video.strip_suffix(EXTENSION) {
+        let address = Path((job, id.to_owned()));
+        return download(state, address, headers).await;
+    }
+    let State(app) = state;
+    let record = known(&app, &job, &video).await?.1;
+    Ok(axum::Json(Video::told(&app, &job, record)).into_response())
+}
+
+/// Sends a video, H.264 in MP4, whole or the range asked for.
+#[utoipa::path(get, path = "/v1/jobs/{id}/videos/{video}.mp4", operation_id = "download_video",
+    tag = "results", params(("id" = String, Path), ("video" = String, Path),
+        ("Range" = Option<String>, Header, description = "One range of bytes")),
+    responses(
+        (status = 200, description = "The video", body = serde_json::Value, content_type = "video/mp4"),
+        (status = 206, description = "The range", body = serde_json::Value, content_type = "video/mp4"),
+        (status = 304, description = "As you have it"),
+        (status = 404, description = "Unknown", body = Problem, content_type = "application/problem+json"),
+        (status = 409, description = "It is not made, or not yet", body = Problem, content_type = "application/problem+json"),
+        (status = 416, description = "Beyond the end", body = Problem, content_type = "application/problem+json")))]
+pub async fn download(
+    State(app): State<Arc<App>>,
+    Path((job, id)): Path<(String, String)>,
+    headers: HeaderMap,
+) -> Result<Response, Problem> {
+    let (folder, record) = known(&app, &job, &id).await?;
+    let Some(bytes) = record.bytes else {
+        let detail = if record.state.is_over() {
+            "This video was not made."
+        } else {
+            "This video is not made yet."
+        };
+        return Err(Problem::conflict("no_video_yet", detail)
+            .hint("Without `.mp4` this address says where it stands."));
+    };
+    let sent = Sent {
+        path: folder.video(),
+        bytes,
+        // What has an id does not change.
+        etag: format!("\"{id}\""),
+        media_type: "video/mp4",
+    };
+    sent.answer(&headers).await
+}
+
+/// Deletes a video; one that waits or is made is made no further.
+#[utoipa::path(delete, path = "/v1/jobs/{id}/videos/{video}", operation_id = "delete_video",
+    tag = "results", params(("id" = String, Path), ("video" = String, Path)),
+    responses(
+        (status = 204, description = "Deleted"),
+        (status = 404, description = "Unknown", body = Problem, content_type = "application/problem+json")))]
+pub async fn delete(
+    State(app): State<Arc<App>>,
+    Path((job, id)): Path<(String, String)>,
+) -> Result<StatusCode, Problem> {
+    let (folder, _) = known(&app, &job, &id).await?;
+    app.videos.stop(&Ticket { job, id });
+    folder.remove()?;
+    Ok(StatusCode::NO_CONTENT)
+}
+
+/// A video of a job, or 404.
+async fn known(app: &App, job: &str, id: &str) -> Result<(VideoFolder, Record), Problem> {
+    find(app, job).await?;
+    let folder = folder(app, job, id)?;
+    let record = folder.load()?;
+    let record = record.ok_or_else(|| Problem::not_found("video"))?;
+    Ok((folder, record))
+}
+
+fn folder(app: &App, job: &str, id: &str) -> Result<VideoFolder, Problem> {
+    VideoFolder::of(&app.data, job, id).ok_or_else(|| Problem::not_found("video"))
+}
+
+async fn views(app: &App, job: &str) -> ServerResult<Vec<NamedCamera>> {
+    let path = app.data.output(job).cameras();
+    let text = tokio::fs::read(&path)
+        .await
+        .map_err(ServerError::io(&path))?;
+    serde_json::from_slice(&text).map_err(|error| ServerError::Damaged {
+        what: "cameras.json",
+        detail: error.to_string(),
+    })
+}
+
+/// Told now and not by a video that fails: whoever runs the server must install it.
+async fn check_ffmpeg(app: &App) -> Result<(), Problem> {
+    let mut command = Command::new(&app.config.ffmpeg);
+    command.arg("-version");
+    command.stdin(Stdio::null()).stdout(Stdio::null());
+    match command.stderr(Stdio::null()).status().await {
+        Err(error) if error.kind() == ErrorKind::NotFound => {
+            let detail = "Videos are not made here: there is no ffmpeg.";
+            let problem = Problem::new(StatusCode::SERVICE_UNAVAILABLE, "no_ffmpeg", detail);
+            Err(problem.hint("Whoever runs the server installs it: apt-get install ffmpeg."))
+        }
+        // Whatever else is wrong with it, it says so itself.
+        _ => Ok(()),
+    }
+}
+
+fn bad_plan(error: &PlanError) -> Problem {
+    let pointer = format!("/{}", error.field);
+    Problem::unprocessable("bad_input", format!("{}.", error.message)).pointer(pointer)
+}
+
+fn busy() -> Problem {
+    let detail = "Too many videos wait to be made.";
+    Problem::new(StatusCode::SERVICE_UNAVAILABLE, "busy", detail)
+        .hint("Try again when some are made.")
+        .retry_after(RETRY)
+}
+
+fn too_many(count: usize) -> Problem {
+    let detail = format!("This job has {count} videos, as many as one may have.");
+    Problem::conflict("too_many_videos", detail).hint("Delete some of them first.")
+}

@@ -1,0 +1,122 @@
+//! What others go on from, through a real server process.
+
+mod support;
+
+use std::io::Cursor;
+
+use fled_tests::Reply;
+use serde_json::json;
+use support::Server;
+use support::tokens::token_of;
+use zip::ZipArchive;
+
+const FORMS: [&str; 3] = ["restored.zip", "colmap.zip", "scene.compressed.ply"];
+
+fn names(reply: &Reply) -> Vec<String> {
+    let archive = ZipArchive::new(Cursor::new(&reply.body)).expect("a zip");
+    let mut names: Vec<String> = archive
+        .file_names()
+        .map(|name| name.expect("a name").into_owned())
+        .collect();
+    names.sort();
+    names
+}
+
+#[test]
+fn a_finished_job_is_had_in_every_form_that_is_listed() {
+    let server = Server::start();
+    let job = server.job("splats");
+    server.wait_state(&job, "succeeded");
+    let get = |path: &str| server.get(&format!("/v1/jobs/{job}/exports{path}"), &[]);
+    let list = get("").expect(200).json();
+    let exports = list["exports"].as_array().expect("a list");
+    let listed: Vec<&str> = exports.iter().filter_map(|e| e["name"].as_str()).collect();
+    assert_eq!(listed, FORMS);
+    for export in exports {
+        let name = export["name"].as_str().expect("a name");
+        let reply = get(&format!("/{name}")).expect(200);
+        let said = export["bytes"].as_u64().expect("a number");
+        let sent = reply.body.len() as u64;
+        assert!(said / 2 < sent && sent < 2 * said, "{name}: {said}, {sent}");
+        let disposition = reply.header("content-disposition").to_owned();
+        assert_eq!(disposition, format!("attachment; filename=\"{name}\""));
+    }
+    let restored = names(&get("/restored.zip"));
+    assert_eq!(restored, ["000.png", "001.png", "002.png", "003.png"]);
+    let of_round = names(&get("/restored.zip?round=1").expect(200));
+    assert_eq!(of_round, ["000.jpg", "001.jpg", "002.jpg", "003.jpg"]);
+    let colmap = names(&get("/colmap.zip"));
+    for name in [
+        "images/003.png",
+        "sparse/0/cameras.txt",
+        "sparse/0/images.txt",
+    ] {
+        assert!(colmap.iter().any(|one| one == name), "{name} in {colmap:?}");
+    }
+    let scene = get("/scene.compressed.ply");
+    assert!(
+        scene
+            .body
+            .starts_with(b"ply\nformat binary_little_endian 1.0\nelement chunk 4\n")
+    );
+    get("/scene.spz").expect(404);
+    get("/restored.zip?round=9").expect(404);
+    get("/restored.zip?rounds=1").expect(400);
+}
+
+#[test]
+fn a_job_that_runs_is_refused_but_for_its_finished_rounds() {
+    let server = Server::start();
+    let job = server.job("slow:40");
+    server.wait(&job, "running", |shown| shown["state"] == "running");
+    let get = |path: &str| server.get(&format!("/v1/jobs/{job}/exports{path}"), &[]);
+    for path in ["", "/restored.zip"] {
+        let problem = get(path).expect(409).json();
+        assert_eq!(problem["code"], "not_finished");
+        let detail = problem["detail"].as_str().expect("a detail");
+        assert!(detail.contains("running"), "{detail}");
+    }
+    server.wait(&job, "in round 2", |shown| shown["round"] == 2);
+    assert_eq!(names(&get("/restored.zip?round=1").expect(200)).len(), 4);
+    get("/restored.zip?round=2").expect(404);
+}
+
+#[test]
+fn what_cannot_be_made_says_so_before_it_is_sent() {
+    let server = Server::start();
+    let job = server.job("ok");
+    server.wait_state(&job, "succeeded");
+    let path = format!("/v1/jobs/{job}/exports");
+    let list = server.get(&path, &[]).expect(200).json();
+    let exports = list["exports"].as_array().expect("a list");
+    assert_eq!(exports.len(), 1, "its scene is none: {exports:?}");
+    let scene = server.get(&format!("{path}/scene.compressed.ply"), &[]);
+    let problem = scene.expect(409).json();
+    assert_eq!(problem["code"], "no_export");
+    let text = problem.to_string();
+    let data = server.data.path().display().to_string();
+    assert!(!text.contains(&data), "{text}");
+}
+
+#[test]
+fn a_link_shows_exports_and_a_stranger_sees_none() {
+    let server = Server::start();
+    let job = server.job("splats");
+    server.wait_state(&job, "succeeded");
+    let (admin, _) = token_of("root", &server, "admin");
+    let shares = format!("/v1/jobs/{job}/shares");
+    let made = server.post_json(&shares, &json!({}), &[("authorization", &admin)]);
+    let made = made.expect(201).json();
+    let link = format!("Bearer {}", made["token"].as_str().expect("a token"));
+    let (stranger, _) = token_of("anna", &server, "jobs:read,jobs:write");
+    let get = |path: &str, who: &str| {
+        let path = format!("/v1/jobs/{job}/exports{path}");
+        server.get(&path, &[("authorization", who)]).status
+    };
+    for path in ["", "/restored.zip", "/scene.compressed.ply"] {
+        assert_eq!(get(path, &link), 200, "{path}");
+        assert_eq!(get(path, &stranger), 404, "{path}");
+        let nobody = server.get(&format!("/v1/jobs/{job}/exports{path}"), &[]);
+        nobody.expect(401);
+    }
+}

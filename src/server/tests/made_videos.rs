@@ -1,0 +1,262 @@
+//! Videos of results, through a real server process and ffmpeg.
+
+mod support;
+
+use std::time::{Duration, Instant};
+
+use fled_tests::Reply;
+use serde_json::{Value, json};
+use support::tokens::token_of;
+use support::{Server, gone};
+
+/// A video of a few pictures may take so long beside other tests.
+const PATIENCE: Duration = Duration::from_secs(30);
+
+/// A server with a job that has ended well; the address of its videos.
+fn stand() -> (Server, String, String) {
+    let server = Server::start();
+    let job = server.job("ok");
+    server.wait_state(&job, "succeeded");
+    let path = format!("/v1/jobs/{job}/videos");
+    (server, job, path)
+}
+
+/// Small ones: what they show is not judged here.
+fn order(fps: u32, seconds: f64) -> Value {
+    json!({ "kind": "orbit", "fps": fps, "seconds": seconds, "width": 128 })
+}
+
+fn id(reply: Reply) -> String {
+    let made = reply.expect(202).json();
+    made["id"].as_str().expect("an id").to_owned()
+}
+
+fn wait(server: &Server, path: &str, what: &str, is: impl Fn(&Value) -> bool) -> Value {
+    let start = Instant::now();
+    loop {
+        let shown = server.get(path, &[]).expect(200).json();
+        if is(&shown) {
+            return shown;
+        }
+        assert!(start.elapsed() < PATIENCE, "not {what}: {shown:#}");
+        std::thread::sleep(Duration::from_millis(20));
+    }
+}
+
+fn wait_state(server: &Server, path: &str, state: &str) -> Value {
+    wait(server, path, state, |shown| shown["state"] == state)
+}
+
+#[test]
+fn a_video_is_made_and_sent_whole_and_in_ranges() {
+    let (server, job, videos) = stand();
+    let reply = server.post_json(&videos, &order(10, 1.0), &[]).expect(202);
+    let path = reply.header("location").to_owned();
+    let made = id(reply);
+    assert_eq!(path, format!("{videos}/{made}"));
+    let shown = wait_state(&server, &path, "succeeded");
+    // The views have 160 x 90 px.
+    assert_eq!(
+        (&shown["width"], &shown["height"], &shown["progress"]),
+        (&json!(128), &json!(72), &json!(1.0))
+    );
+    let file = format!("{path}.mp4");
+    let whole = server.get(&file, &[]).expect(200);
+    assert_eq!(whole.header("content-type"), "video/mp4");
+    assert_eq!(json!(whole.body.len()), shown["bytes"]);
+    assert_eq!(&whole.body[4..8], b"ftyp");
+    let part = server.get(&file, &[("range", "bytes=4-7")]).expect(206);
+    assert_eq!(part.body, b"ftyp");
+    let tag = whole.header("etag").to_owned();
+    server.get(&file, &[("if-none-match", &tag)]).expect(304);
+    server
+        .get(&file, &[("range", "bytes=99999999-")])
+        .expect(416);
+    let list = server.get(&videos, &[]).expect(200).json();
+    assert_eq!(list["videos"], json!([shown]));
+    server.delete(&path).expect(204);
+    for gone in [&path, &file] {
+        server.get(gone, &[]).expect(404);
+    }
+    server.delete(&path).expect(404);
+    let folder = server
+        .data
+        .path()
+        .join("data/jobs")
+        .join(&job)
+        .join("videos");
+    assert!(!folder.join(&made).exists());
+}
+
+#[test]
+fn videos_wait_for_each_other_and_are_stopped_where_they_wait_and_where_they_run() {
+    let (server, job, videos) = stand();
+    let of = |seconds| id(server.post_json(&videos, &order(5, seconds), &[]));
+    let (first, second, third) = (of(20.0), of(20.0), of(1.0));
+    let path = |id: &str| format!("{videos}/{id}");
+    let half = |shown: &Value| shown["progress"].as_f64().is_some_and(|p| p > 0.01);
+    let shown = wait(&server, &path(&first), "under way", half);
+    assert_eq!(shown["state"], "running");
+    server
+        .get(&format!("{}.mp4", path(&first)), &[])
+        .expect(409);
+    let ahead = |id: &str| server.get(&path(id), &[]).expect(200).json()["ahead"].clone();
+    assert_eq!((ahead(&second), ahead(&third)), (json!(1), json!(2)));
+    server.delete(&path(&second)).expect(204);
+    assert_eq!(ahead(&third), json!(1));
+    server.delete(&path(&first)).expect(204);
+    wait_state(&server, &path(&third), "succeeded");
+    assert!(gone(&job), "nothing of the first goes on");
+    let folder = server
+        .data
+        .path()
+        .join("data/jobs")
+        .join(&job)
+        .join("videos");
+    let left = std::fs::read_dir(folder).expect("read").count();
+    assert_eq!(left, 1);
+}
+
+#[test]
+fn a_video_begins_anew_after_the_server_was_killed() {
+    let (mut server, _, videos) = stand();
+    let slow = format!(
+        "{videos}/{}",
+        id(server.post_json(&videos, &order(5, 3.0), &[]))
+    );
+    let next = format!(
+        "{videos}/{}",
+        id(server.post_json(&videos, &order(10, 1.0), &[]))
+    );
+    let begun = |shown: &Value| shown["progress"].as_f64().is_some_and(|p| p > 0.1);
+    wait(&server, &slow, "under way", begun);
+    server.restart();
+    let shown = server.get(&slow, &[]).expect(200).json();
+    assert_ne!(shown["state"], "succeeded");
+    wait_state(&server, &slow, "succeeded");
+    wait_state(&server, &next, "succeeded");
+    let whole = server.get(&format!("{slow}.mp4"), &[]).expect(200);
+    assert_eq!(&whole.body[4..8], b"ftyp");
+}
+
+#[test]
+fn a_video_that_fails_says_why_and_the_next_is_made() {
+    let (server, _, videos) = stand();
+    let of = |fps| {
+        format!(
+            "{videos}/{}",
+            id(server.post_json(&videos, &order(fps, 1.0), &[]))
+        )
+    };
+    let (refused, dead, good) = (of(7), of(9), of(10));
+    let shown = wait_state(&server, &refused, "failed");
+    let detail = shown["error"]["detail"].as_str().expect("a detail");
+    assert!(detail.ends_with("planned for video.mp4"), "{detail}");
+    let shown = wait_state(&server, &dead, "failed");
+    let detail = shown["error"]["detail"].as_str().expect("a detail");
+    assert!(detail.contains("died"), "{detail}");
+    wait_state(&server, &good, "succeeded");
+    server.get(&format!("{dead}.mp4"), &[]).expect(409);
+}
+
+#[test]
+fn what_makes_no_video_says_why() {
+    let (server, job, videos) = stand();
+    let post = |body: &Value| server.post_json(&videos, body, &[]);
+    for (body, pointer) in [
+        (json!({ "kind": "orbit", "seconds": 100 }), "/seconds"),
+        (json!({ "kind": "cameras", "degrees": 90 }), "/degrees"),
+        (json!({ "kind": "path" }), "/poses"),
+        (json!({ "kind": "orbit", "width": 5000 }), "/width"),
+    ] {
+        let problem = post(&body).expect(422).json();
+        assert_eq!(problem["pointer"], pointer, "{body}");
+    }
+    post(&json!({ "kind": "spiral" })).expect(422);
+    post(&json!({ "kind": "orbit", "colour": "red" })).expect(422);
+    post(&json!({ "kind": "path", "poses": [[[1]], 2] })).expect(422);
+    post(&json!({ "kind": "orbit", "round": 9 })).expect(404);
+    for id in [
+        "none",
+        "..",
+        "%2e%2e",
+        "01234567-89ab-7def-8123-456789abcdef",
+    ] {
+        server.get(&format!("{videos}/{id}"), &[]).expect(404);
+    }
+    for _ in 0..20 {
+        id(post(&order(7, 1.0)));
+    }
+    assert_eq!(
+        post(&order(7, 1.0)).expect(409).json()["code"],
+        "too_many_videos"
+    );
+    let unfinished = server.job("slow:100");
+    let path = format!("/v1/jobs/{unfinished}/videos");
+    let early = server.post_json(&path, &order(10, 1.0), &[]).expect(409);
+    assert_eq!(early.json()["code"], "not_finished");
+    server.delete(&format!("/v1/jobs/{job}")).expect(204);
+    server.get(&videos, &[]).expect(404);
+}
+
+#[test]
+fn a_server_without_ffmpeg_says_what_to_install() {
+    let server = Server::start_with(&[("FLED_FAKE_FFMPEG", "no-such-ffmpeg")]);
+    let job = server.job("ok");
+    server.wait_state(&job, "succeeded");
+    let path = format!("/v1/jobs/{job}/videos");
+    let problem = server
+        .post_json(&path, &order(10, 1.0), &[])
+        .expect(503)
+        .json();
+    assert_eq!(problem["code"], "no_ffmpeg");
+    let hint = problem["hint"].as_str().expect("a hint");
+    assert!(hint.contains("apt-get install ffmpeg"), "{hint}");
+}
+
+#[test]
+fn a_video_goes_with_its_job_while_it_is_made() {
+    let (server, job, videos) = stand();
+    let path = format!(
+        "{videos}/{}",
+        id(server.post_json(&videos, &order(5, 20.0), &[]))
+    );
+    let begun = |shown: &Value| shown["progress"].as_f64().is_some_and(|p| p > 0.01);
+    wait(&server, &path, "under way", begun);
+    server.delete(&format!("/v1/jobs/{job}")).expect(204);
+    assert!(gone(&job), "it is made no further");
+    assert!(!server.data.path().join("data/jobs").join(&job).exists());
+}
+
+#[test]
+fn a_link_shows_videos_and_makes_none() {
+    let (server, job, videos) = stand();
+    let path = format!(
+        "{videos}/{}",
+        id(server.post_json(&videos, &order(10, 1.0), &[]))
+    );
+    wait_state(&server, &path, "succeeded");
+    let (admin, _) = token_of("root", &server, "admin");
+    let shares = format!("/v1/jobs/{job}/shares");
+    let made = server.post_json(&shares, &json!({}), &[("authorization", &admin)]);
+    let made = made.expect(201).json();
+    let link = format!("Bearer {}", made["token"].as_str().expect("a token"));
+    let with = [("authorization", link.as_str())];
+    let file = format!("{path}.mp4");
+    for seen in [&videos, &path, &file] {
+        server.get(seen, &with).expect(200);
+    }
+    server
+        .post_json(&videos, &order(10, 1.0), &with)
+        .expect(403);
+    server.delete_as(&path, &with).expect(403);
+    let (stranger, _) = token_of("anna", &server, "jobs:read,jobs:write");
+    let with = [("authorization", stranger.as_str())];
+    for hidden in [&videos, &path, &file] {
+        server.get(hidden, &with).expect(404);
+    }
+    server
+        .post_json(&videos, &order(10, 1.0), &with)
+        .expect(404);
+    server.delete_as(&path, &with).expect(404);
+}

@@ -1,0 +1,125 @@
+// Videos and exports of a finished job: made, played, fetched, deleted with a question asked.
+
+import assert from "node:assert/strict";
+import { readFileSync } from "node:fs";
+import { after, before, test } from "node:test";
+
+import { picture } from "./browser.js";
+import { Stand, both, button, part, provoked, seen } from "./played.js";
+import { until } from "./until.js";
+
+let stand;
+let server;
+
+before(async () => {
+  stand = await Stand.start();
+  ({ server } = stand);
+});
+
+after(() => stand?.stop());
+
+/** A job of its own, so that no test finds another's videos. */
+async function finished(name) {
+  const id = await stand.job("splats", name);
+  await server.reached(id, "succeeded");
+  return id;
+}
+
+/** Asks for a video by the API: with 5 pictures a second it is slow, with 7 it fails. */
+async function ask(id, body) {
+  const headers = { "Content-Type": "application/json" };
+  const order = { method: "POST", headers, body: JSON.stringify({ kind: "orbit", ...body }) };
+  const response = await fetch(`${server.base}/v1/jobs/${id}/videos`, order);
+  assert.equal(response.status, 202);
+}
+
+/** The section, unfolded: on a phone it is folded away. */
+async function opened(page, title) {
+  const section = part(page, title);
+  await section.waitFor();
+  await section.locator("details").evaluate((one) => { one.open = true; });
+  return section;
+}
+
+both("a video is asked for, made, played, fetched and deleted", async (width) => {
+  const id = await finished(`filmed ${width}`);
+  await stand.visit("video", `#/jobs/${id}`, async (page) => {
+    const section = await opened(page, "Videos");
+    await section.getByLabel("Length").selectOption("4");
+    await section.getByLabel("Long side").selectOption("640");
+    // By keyboard alone.
+    await section.getByLabel("Long side").focus();
+    await page.keyboard.press("Tab");
+    await page.keyboard.press("Enter");
+    const player = section.locator("video");
+    await player.waitFor();
+    await seen(section, "Around the scene, 4 s, 640 × 360 px");
+    const state = () => player.evaluate((one) => ({ error: one.error?.message, ready: one.readyState, wide: one.videoWidth, seconds: one.duration }));
+    await until("the player knows it", async () => (await state()).ready >= 1);
+    assert.deepEqual({ ...(await state()), ready: 4 }, { error: undefined, ready: 4, wide: 640, seconds: 4 });
+    await player.evaluate((one) => { one.muted = true; return one.play(); });
+    await until("it plays", async () => (await player.evaluate((one) => one.currentTime)) > 0.5);
+    await player.evaluate((one) => { one.pause(); one.currentTime = 2; });
+    await until("it is where one wants it", async () => (await player.evaluate((one) => !one.seeking && one.readyState >= 2)));
+    const [download] = await Promise.all([page.waitForEvent("download"), section.getByRole("link", { name: "Download" }).click()]);
+    assert.equal(download.suggestedFilename(), "orbit-640x360.mp4");
+    assert.equal(readFileSync(await download.path()).subarray(4, 8).toString(), "ftyp");
+    await picture(page, `video-made-${width}`);
+    await button(section, "Delete").click();
+    await button(page, "Keep it").click();
+    assert.equal(await player.count(), 1);
+    await button(section, "Delete").click();
+    await button(page, "Delete it").click();
+    await player.waitFor({ state: "detached" });
+  }, width);
+});
+
+both("videos that are made, wait and failed say so, and one is cancelled", async (width) => {
+  const id = await finished(`waiting ${width}`);
+  await ask(id, { fps: 7 });
+  await ask(id, { fps: 5, seconds: 60, width: 128 });
+  await ask(id, { fps: 5, seconds: 2, width: 128, kind: "cameras" });
+  await stand.visit("videos-waiting", `#/jobs/${id}`, async (page) => {
+    const section = await opened(page, "Videos");
+    await seen(section, "It was not made: ffmpeg wrote no video: planned for video.mp4");
+    await seen(section.locator("li"), "waits for 1 other video");
+    const running = section.locator("li", { hasText: "Around the scene, 60 s" });
+    await seen(running, /[1-9]\d* %/);
+    await picture(page, `videos-running-${width}`);
+    await button(running, "Cancel").click();
+    await running.waitFor({ state: "detached" });
+    await section.locator("video").waitFor();
+    assert.equal(await section.locator("li").count(), 2);
+  }, width);
+});
+
+test("a server that cannot make one says what to do", async () => {
+  const id = await finished("refused");
+  await stand.visit("video-refused", `#/jobs/${id}`, async (page, faults) => {
+    const section = await opened(page, "Videos");
+    await page.route("**/videos", (route) => (route.request().method() === "POST"
+      ? route.fulfill({ status: 503, contentType: "application/problem+json", json: {
+        detail: "Videos are not made here: there is no ffmpeg.", hint: "Whoever runs the server installs it." } })
+      : route.continue()));
+    await button(section, "Make a video").click();
+    await seen(section.getByRole("alert"), "there is no ffmpeg.\nWhoever runs the server installs it.");
+    assert.ok(await button(section, "Make a video").isEnabled());
+    provoked(faults, 503);
+  });
+});
+
+both("what other programs go on from is fetched from the page", async (width) => {
+  const id = await finished(`exported ${width}`);
+  await stand.visit("exports", `#/jobs/${id}`, async (page) => {
+    const section = await opened(page, "For other programs");
+    const begins = { "restored.zip": "PK", "colmap.zip": "PK", "scene.compressed.ply": "ply\nformat" };
+    for (const [name, begin] of Object.entries(begins)) {
+      const link = section.getByRole("link", { name, exact: true });
+      const [download] = await Promise.all([page.waitForEvent("download"), link.click()]);
+      assert.equal(download.suggestedFilename(), name);
+      const content = readFileSync(await download.path());
+      assert.equal(content.subarray(0, begin.length).toString(), begin);
+    }
+    await seen(section.locator("li"), /about \d+\.\d kB/);
+  }, width);
+});

@@ -1,0 +1,116 @@
+//! What a finished run is handed on as: videos and exports.
+
+use std::path::Path;
+use std::process::{Command, Output};
+
+use fled_core::poses::model::SparseModel;
+use serde_json::json;
+
+use crate::support::{code, fled, json, said, small_capture, small_run, succeed};
+
+fn made(arguments: &[&str], run: &Path, out: &Path) -> Output {
+    let mut command = fled();
+    command.arg(arguments[0]).arg(run).args(&arguments[1..]);
+    command
+        .arg("--output")
+        .arg(out)
+        .output()
+        .expect("it starts")
+}
+
+/// Codec, width, height, pixel format, pictures.
+fn probed(video: &Path) -> String {
+    let entries = "stream=codec_name,width,height,pix_fmt,nb_read_frames";
+    let output = Command::new("ffprobe")
+        .args(["-v", "error", "-count_frames", "-of", "csv=p=0"])
+        .args(["-show_entries", entries])
+        .arg(video)
+        .output()
+        .expect("ffmpeg, which `make setup` installs");
+    String::from_utf8_lossy(&output.stdout).trim().to_owned()
+}
+
+#[test]
+fn a_finished_run_becomes_videos_and_what_others_go_on_with() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let run = folder.path().join("out");
+    succeed(&mut small_run(&small_capture(folder.path()), &run, 1));
+    let video = folder.path().join("a.mp4");
+    let plan = folder.path().join("plan.json");
+    let cameras = json(&run.join("cameras.json"));
+    let pose = |i: usize, seconds: f64| json!({ "world_to_camera": cameras[i]["world_to_camera"], "seconds": seconds });
+    let path = json!({ "kind": "path", "fps": 10, "poses": [pose(0, 0.0), pose(9, 1.5)] });
+    std::fs::write(&plan, path.to_string()).expect("written");
+    let plan = plan.display().to_string();
+    for (way, expected) in [
+        (
+            &["video", "--orbit", "--seconds", "1", "--degrees", "30"][..],
+            "h264,128,80,yuv420p,24",
+        ),
+        (
+            &[
+                "video",
+                "--cameras",
+                "--seconds",
+                "1",
+                "--fps",
+                "5",
+                "--size",
+                "96x96",
+                "--json",
+            ],
+            "h264,96,96,yuv420p,5",
+        ),
+        (&["video", "--plan", &plan], "h264,128,80,yuv420p,15"),
+    ] {
+        let output = made(way, &run, &video);
+        assert_eq!(code(&output), 0, "{way:?}: {}", said(&output));
+        assert_eq!(probed(&video), expected, "{way:?}");
+        let lines = String::from_utf8_lossy(&output.stdout).into_owned();
+        let last = lines.lines().last().unwrap_or_default();
+        let is_told = last == r#"{"rendered":{"done":5,"total":5}}"#;
+        assert_eq!(is_told, way.contains(&"--json"), "{lines}");
+    }
+    let model = folder.path().join("colmap.zip");
+    let output = made(&["export", "colmap.zip"], &run, &model);
+    assert_eq!(code(&output), 0, "{}", said(&output));
+    let unpacked = folder.path().join("colmap");
+    let unzip = ["-m", "zipfile", "-e"];
+    let mut python = Command::new("python3");
+    succeed(python.args(unzip).arg(&model).arg(&unpacked));
+    let read = SparseModel::read(&unpacked.join("sparse/0")).expect("a model");
+    assert_eq!(Some(read.images.len()), cameras.as_array().map(Vec::len));
+    assert!(read.points.len() > 100, "{} points", read.points.len());
+    let small = folder.path().join("small.ply");
+    let output = made(
+        &["export", "scene.compressed.ply", "--round", "1"],
+        &run,
+        &small,
+    );
+    assert_eq!(code(&output), 0, "{}", said(&output));
+    let size = |path: &Path| path.metadata().expect("there").len();
+    assert!(4 * size(&small) < size(&run.join("scene.ply")) + 4000);
+}
+
+#[test]
+fn what_cannot_be_handed_on_says_why() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let out = folder.path().join("a.mp4");
+    let nothing = folder.path().join("nothing");
+    let output = made(&["video", "--orbit"], &nothing, &out);
+    assert_eq!(code(&output), 1, "{}", said(&output));
+    assert!(said(&output).contains("cameras.json"), "{}", said(&output));
+    let output = made(&["export", "restored.zip"], &nothing, &out);
+    assert_eq!(code(&output), 3, "{}", said(&output));
+    assert!(said(&output).contains("has finished"), "{}", said(&output));
+    for wrong in [
+        &["video"][..],
+        &["video", "--orbit", "--cameras"],
+        &["video", "--cameras", "--degrees", "9"],
+        &["export", "scene.spz"],
+    ] {
+        let output = made(wrong, &nothing, &out);
+        assert_eq!(code(&output), 2, "{wrong:?}: {}", said(&output));
+    }
+    assert!(!out.exists());
+}
