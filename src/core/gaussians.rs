@@ -24,9 +24,6 @@ pub struct Gaussians {
     pub sh_degree: u32,
 }
 
-/// Y_0^0, the constant harmonic.
-const Y00: f32 = 0.282_094_8;
-
 impl Gaussians {
     /// Number of Gaussians.
     pub fn len(&self) -> usize {

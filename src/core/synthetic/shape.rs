@@ -5,11 +5,13 @@ use glam::{DMat3, DVec2, DVec3};
 /// A solid.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Shape {
-    /// An axis-aligned box in its own frame, turned about the vertical.
+    /// An axis-aligned box in its own frame, turned about the vertical; made by [`Shape::block`].
     Block {
         centre: DVec3,
         half: DVec3,
         turn: f64,
+        /// From its own frame to the world.
+        frame: DMat3,
     },
     /// A ball.
     Ball { centre: DVec3, radius: f64 },
@@ -39,6 +41,16 @@ pub(super) struct Hit {
 }
 
 impl Shape {
+    /// A box of such `half` sides, turned about the vertical.
+    pub fn block(centre: DVec3, half: DVec3, turn: f64) -> Self {
+        Self::Block {
+            centre,
+            half,
+            turn,
+            frame: DMat3::from_rotation_y(turn),
+        }
+    }
+
     /// The first meeting in front of the origin.
     pub fn meet(&self, origin: DVec3, ray: DVec3) -> Option<Hit> {
         match *self {
@@ -61,8 +73,12 @@ impl Shape {
                 hit.normal = -hit.normal;
                 Some(hit)
             }
-            Self::Block { centre, half, turn } => {
-                let frame = DMat3::from_rotation_y(turn);
+            Self::Block {
+                centre,
+                half,
+                frame,
+                ..
+            } => {
                 let (origin, ray) = (
                     frame.transpose() * (origin - centre),
                     frame.transpose() * ray,

@@ -22,11 +22,7 @@ pub(super) fn study() -> Room {
         half: DVec3::new(3.4, 1.6, 3.6),
     };
     let walls = vec![builder.solid(walls, Paint::Walls, [0.5; 3])];
-    let mut groups = vec![Group {
-        centre: DVec3::ZERO,
-        radius: f64::INFINITY,
-        solids: walls,
-    }];
+    let mut groups = vec![Group::everywhere(walls)];
     type Piece = fn(&mut Builder);
     let pieces: [Piece; 11] = [
         seats::rug,
@@ -48,7 +44,7 @@ pub(super) fn study() -> Room {
     Room {
         groups,
         lamps: lamps(),
-        ambient: DVec3::new(0.085, 0.09, 0.115),
+        ambient: DVec3::new(0.115, 0.12, 0.15),
         scale: 0.35,
         wallpapers: Vec::new(),
     }
@@ -63,9 +59,9 @@ fn lamps() -> Vec<Lamp> {
         white_at,
     };
     vec![
-        lamp([-2.25, -0.42, 1.0], [1.0, 0.74, 0.46], 1.15),
+        lamp([-2.25, -0.42, 1.0], [1.0, 0.74, 0.46], 1.3),
         lamp([2.35, 0.16, 2.5], [1.0, 0.7, 0.4], 0.5),
-        lamp([0.6, -1.6, -1.9], [1.0, 0.86, 0.68], 1.9),
+        lamp([0.6, -1.6, -1.9], [1.0, 0.86, 0.68], 2.3),
         lamp([1.55, -0.6, 2.6], [0.55, 0.62, 1.0], 0.75),
     ]
 }
@@ -81,7 +77,8 @@ mod tests {
         let solids = |room: &Room| -> Vec<Solid> {
             room.groups
                 .iter()
-                .flat_map(|group| group.solids.clone())
+                .flat_map(Group::solids)
+                .copied()
                 .collect()
         };
         assert_eq!(

@@ -16,8 +16,8 @@ use flate2::Compression;
 use flate2::write::GzEncoder;
 use rust_embed::RustEmbed;
 
-use super::artifacts::is_known;
 use super::problem::Problem;
+use super::sent::is_known;
 
 #[derive(RustEmbed)]
 #[folder = "../../web"]

@@ -7,9 +7,9 @@ use axum::extract::{Path, State};
 use axum::http::{HeaderMap, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 
-use super::artifacts::is_known;
 use super::lookup::find;
 use super::problem::Problem;
+use super::sent::is_known;
 use crate::app::App;
 use crate::error::ServerError;
 use crate::jobs::state::JobState;

@@ -54,11 +54,7 @@ impl Builder {
         paint: Paint,
         base: [f64; 3],
     ) {
-        let shape = Shape::Block {
-            centre: DVec3::from(centre),
-            half: DVec3::from(half),
-            turn,
-        };
+        let shape = Shape::block(DVec3::from(centre), DVec3::from(half), turn);
         self.add(shape, paint, base);
     }
 

@@ -56,17 +56,17 @@ pub(super) fn pictures(b: &mut Builder) {
         Paint::Landscape,
         gilt,
     );
-    let right = Shape::Block {
-        centre: DVec3::new(3.36, -0.35, 0.6),
-        half: DVec3::new(0.62, 0.46, 0.035),
-        turn: FRAC_PI_2,
-    };
+    let right = Shape::block(
+        DVec3::new(3.36, -0.35, 0.6),
+        DVec3::new(0.62, 0.46, 0.035),
+        FRAC_PI_2,
+    );
     b.add(right, Paint::Fields, WALNUT);
-    let left = Shape::Block {
-        centre: DVec3::new(-3.36, -0.5, 1.1),
-        half: DVec3::new(0.55, 0.7, 0.035),
-        turn: FRAC_PI_2,
-    };
+    let left = Shape::block(
+        DVec3::new(-3.36, -0.5, 1.1),
+        DVec3::new(0.55, 0.7, 0.035),
+        FRAC_PI_2,
+    );
     b.add(left, Paint::Landscape, gilt);
     // A clock with its pendulum between shelf and window.
     b.block([-0.05, 0.45, 2.8], [0.16, 0.34, 0.08], Paint::Wood(1), OAK);
