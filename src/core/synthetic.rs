@@ -1,9 +1,9 @@
 //! `fled synth`: a capture that nobody photographed, with everything known about it.
 //!
-//! A room of textured boxes, balls and walls, or a furnished one, is ray-cast in linear light along the path of a
-//! shaking camera; the mean over the exposure is cut to darkness, given the noise of a sensor and
-//! stored in 8 bits, in the layout of a published data set ([`Layout`]): `images/` (dark, blurred),
-//! sharp, bright ones beside them, and the poses.
+//! A room of textured boxes, balls and walls, or a furnished one, is ray-cast in linear light along
+//! the path of a shaking camera; the mean over the exposure is cut to darkness, given the noise of
+//! a sensor and stored in 8 bits, in the layout of a published data set ([`Layout`]): `images/`
+//! (dark, blurred), sharp, bright ones beside them, and the poses.
 
 mod error;
 mod layout;
