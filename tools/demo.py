@@ -205,7 +205,7 @@ def main():
     FOLDER.mkdir(exist_ok=True)
     shutil.rmtree(CAPTURE, ignore_errors=True)
     print("Making a dark, shaken capture with ground truth", flush=True)
-    subprocess.run([arguments.fled, "synth", CAPTURE], check=True)
+    subprocess.run([arguments.fled, "synth", CAPTURE, "--room", "study"], check=True)
     with Service(arguments.fled) as service:
         print(f"The service listens on http://{service.address}", flush=True)
         drop_leftovers(service)

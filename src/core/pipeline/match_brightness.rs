@@ -1,7 +1,7 @@
 //! P_R: the curves that bring a round's renders to the next round's brightness and to the target's.
 
-use super::config::Options;
 use super::context::Context;
+use super::dependencies::Dependencies;
 use super::enhance::{Brightened, Brightening};
 use super::error::PipelineError;
 use super::guide;
@@ -37,12 +37,13 @@ pub fn match_brightness(
     renders: &[Image],
     views: &[View],
     brightening: &Brightening,
-    options: &Options,
+    depends_on: &Dependencies,
 ) -> Result<Option<Next>, PipelineError> {
     let Some(following) = brightening.after(round) else {
         return Ok(None);
     };
     context.stage(Stage::Match, round.number, |_| {
+        let options = depends_on.options();
         let (scope, seed) = (options.lut_scope, options.seed);
         let renders: Vec<&Image> = renders.iter().collect();
         let towards = |wanted: &[Image]| tone::search(scope, seed, &renders, wanted);

@@ -166,8 +166,7 @@ fn round(
     let scene = reconstruct(context, tools.gpu, &material, &on.reconstruct)?; // V_i
     views::place(context, round.number, views, &scene.training.cameras)?;
     let renders = render(context, tools.gpu, round, views, &scene.gaussians)?; // R_i
-    let fit = on.matching.options();
-    let next = match_brightness(context, round, &renders, views, brightening, fit)?; // P_R
+    let next = match_brightness(context, round, &renders, views, brightening, &on.matching)?; // P_R
     let finished = Finished {
         round,
         views,
@@ -254,8 +253,8 @@ impl Ground {
         } = self;
         let round = &brightening.rounds[index];
         let renders = render(context, tools.gpu, round, views, &handover.scene.gaussians)?;
-        let fit = handover.depends_on.matching.options();
-        let next = match_brightness(context, round, &renders, views, brightening, fit)?;
+        let on = &handover.depends_on.matching;
+        let next = match_brightness(context, round, &renders, views, brightening, on)?;
         Ok(Handover {
             next: next.unwrap_or(handover.next),
             ..handover
