@@ -353,7 +353,7 @@ mod tests {
         let solids = &mut room.groups[0].solids;
         solids
             .iter_mut()
-            .for_each(|solid| solid.coat.paint = Paint::Glow);
+            .for_each(|(_, solid)| solid.coat.paint = Paint::Glow);
         assert!(room.lamp_light(BEHIND_A_BLOCK, UP).x > 0.3);
     }
 
