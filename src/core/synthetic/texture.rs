@@ -132,7 +132,7 @@ mod tests {
             values.iter().copied().fold(1.0, f64::min),
             values.iter().copied().fold(0.0, f64::max),
         );
-        assert!(low < 0.35 && high > 0.65, "{low} to {high}");
+        assert!(low < 0.45 && high > 0.65, "{low} to {high}");
     }
 
     #[test]
