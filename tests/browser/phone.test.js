@@ -8,7 +8,7 @@ import { Stand, part, seen, state } from "./played.js";
 import { until } from "./until.js";
 
 /** Of the page, px: some four screens. */
-const LENGTH = 3000;
+const LENGTH = 3200;
 
 let stand;
 
