@@ -34,13 +34,13 @@ pub struct Args {
     way: Way,
     /// How far around in all; 360 is once around, less a swing to both sides and back. Default: as
     /// far as the photographers stood.
-    #[arg(long, requires = "orbit")]
+    #[arg(long, conflicts_with_all = ["cameras", "plan"])]
     degrees: Option<f64>,
     /// Height above the photographers, degrees; with --orbit.
-    #[arg(long, allow_negative_numbers = true, requires = "orbit")]
+    #[arg(long, allow_negative_numbers = true, conflicts_with_all = ["cameras", "plan"])]
     elevation: Option<f64>,
     /// Distance from the scene's middle as a multiple of the cameras' median; with --orbit.
-    #[arg(long, requires = "orbit")]
+    #[arg(long, conflicts_with_all = ["cameras", "plan"])]
     distance: Option<f64>,
     /// How long it is, up to 60 s [default: 8].
     #[arg(long, value_name = "S", conflicts_with = "plan")]
