@@ -86,7 +86,7 @@ fn first_held_out(out: &Path) -> Value {
 fn without_truth_scores_are_of_self_consistency_and_without_held_out_views_there_are_none() {
     let folder = tempfile::tempdir().expect("temporary folder");
     let capture = small_capture(folder.path());
-    fs::remove_dir_all(capture.join("gt")).expect("ground truth");
+    fs::remove_dir_all(capture.join("HL")).expect("ground truth");
     let names = ["held_out_seen", "view_seen"];
     let own = told(&capture, &folder.path().join("own"), &[], &names);
     let scores: Vec<_> = own
