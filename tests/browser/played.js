@@ -44,7 +44,7 @@ export class Stand {
   /** The capture without its ground truth. */
   untrue() {
     const folder = join(this.server.folder, "untrue");
-    const filter = (path) => basename(path) !== "gt";
+    const filter = (path) => !["gt", "HL"].includes(basename(path));
     cpSync(this.folder, folder, { recursive: true, filter });
     return folder;
   }
