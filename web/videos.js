@@ -116,7 +116,7 @@ function entry(base, video, remove) {
   const words = `${WAYS[video.kind]?.[0] ?? "Along a path"}, ${Math.round(10 * video.seconds) / 10} s, ${video.width} × ${video.height} px`;
   const line = h("span", { class: "soft now", role: "status" });
   const bar = h("progress", { max: 1, "aria-label": `progress of the video ${words}` });
-  const file = `${base}/${video.id}.mp4`;
+  const file = `${base}/${video.id}/file`;
   const end = (label, style) => remove && h("button", { type: "button", class: style, onclick: remove }, label);
   const head = (...more) => h("div", { class: "row" }, h("span", {}, words), h("span", { class: "soft" }, when(video.created_at)), line, h("span", { class: "row push" }, ...more.filter(Boolean)));
   if (video.state === "succeeded") {

@@ -64,7 +64,7 @@ use tower_http::trace::TraceLayer;
 
 use crate::app::App;
 use body_limit::SMALL;
-use paths::{EXPORT, EXPORTS, UPLOAD, UPLOADS, VIDEO, VIDEOS, WEBHOOK, WEBHOOKS};
+use paths::{EXPORT, EXPORTS, UPLOAD, UPLOADS, VIDEO, VIDEO_FILE, VIDEOS, WEBHOOK, WEBHOOKS};
 
 pub use connections::serve as serve_connections;
 pub use openapi::document;
@@ -148,6 +148,7 @@ fn of_a_job() -> Router<Arc<App>> {
         .route(EXPORT, get(exports::download))
         .route(VIDEOS, get(videos::list).post(videos::create))
         .route(VIDEO, get(videos::show).delete(videos::delete))
+        .route(VIDEO_FILE, get(videos::download))
 }
 
 /// Addresses that are told of jobs.

@@ -14,7 +14,7 @@ use axum::response::{IntoResponse, Response};
 
 use super::allowance;
 use super::client::ClientAddress;
-use super::paths::{EXPORT, EXPORTS, UPLOAD, UPLOADS, VIDEO, VIDEOS, WEBHOOK};
+use super::paths::{EXPORT, EXPORTS, UPLOAD, UPLOADS, VIDEO, VIDEO_FILE, VIDEOS, WEBHOOK};
 use super::problem::Problem;
 use crate::app::App;
 use crate::rate::Client;
@@ -34,7 +34,7 @@ const OPEN: [&str; 9] = [
     "/docs",
 ];
 /// What a link to a job opens: what there is to see of that job.
-const SHARED: [&str; 11] = [
+const SHARED: [&str; 12] = [
     "/v1/jobs/{id}",
     "/v1/jobs/{id}/events",
     "/v1/jobs/{id}/live",
@@ -46,6 +46,7 @@ const SHARED: [&str; 11] = [
     EXPORT,
     VIDEOS,
     VIDEO,
+    VIDEO_FILE,
 ];
 /// The cookie that stands for a token.
 pub(super) const COOKIE: &str = "fled_session";

@@ -14,5 +14,7 @@ pub(super) const EXPORTS: &str = "/v1/jobs/{id}/exports";
 pub(super) const EXPORT: &str = "/v1/jobs/{id}/exports/{name}";
 /// The videos of a job's result.
 pub(super) const VIDEOS: &str = "/v1/jobs/{id}/videos";
-/// One of them, and its file where `.mp4` follows its id.
+/// One of them.
 pub(super) const VIDEO: &str = "/v1/jobs/{id}/videos/{video}";
+/// Its file.
+pub(super) const VIDEO_FILE: &str = "/v1/jobs/{id}/videos/{video}/file";

@@ -32,9 +32,6 @@ use crate::videos::turns::Ticket;
 /// After so many seconds one of those that wait may have been made.
 const RETRY: u32 = 60;
 
-/// Behind an id: the file itself.
-const EXTENSION: &str = ".mp4";
-
 /// Which way the camera goes.
 #[derive(ToSchema)]
 #[serde(rename_all = "snake_case")]
@@ -120,7 +117,7 @@ impl CreateVideo {
 /// A video as answered.
 #[derive(Debug, Serialize, ToSchema)]
 pub struct Video {
-    /// UUID v7. Its file is at this id with `.mp4` behind it.
+    /// UUID v7. Its file is at this id with `/file` behind it.
     id: String,
     /// Where it stands.
     state: VideoState,
@@ -270,21 +267,15 @@ pub async fn list(
         (status = 200, description = "The video's state", body = Video),
         (status = 404, description = "Unknown", body = Problem, content_type = "application/problem+json")))]
 pub async fn show(
-    state: State<Arc<App>>,
+    State(app): State<Arc<App>>,
     Path((job, video)): Path<(String, String)>,
-    headers: HeaderMap,
-) -> Result<Response, Problem> {
-    if let Some(id) = video.strip_suffix(EXTENSION) {
-        let address = Path((job, id.to_owned()));
-        return download(state, address, headers).await;
-    }
-    let State(app) = state;
+) -> Result<axum::Json<Video>, Problem> {
     let record = known(&app, &job, &video).await?.1;
-    Ok(axum::Json(Video::told(&app, &job, record)).into_response())
+    Ok(axum::Json(Video::told(&app, &job, record)))
 }
 
 /// Sends a video, H.264 in MP4, whole or the range asked for.
-#[utoipa::path(get, path = "/v1/jobs/{id}/videos/{video}.mp4", operation_id = "download_video",
+#[utoipa::path(get, path = "/v1/jobs/{id}/videos/{video}/file", operation_id = "download_video",
     tag = "results", params(("id" = String, Path), ("video" = String, Path),
         ("Range" = Option<String>, Header, description = "One range of bytes")),
     responses(
@@ -307,7 +298,7 @@ pub async fn download(
             "This video is not made yet."
         };
         return Err(Problem::conflict("no_video_yet", detail)
-            .hint("Without `.mp4` this address says where it stands."));
+            .hint("The address without `/file` says where it stands."));
     };
     let sent = Sent {
         path: folder.video(),

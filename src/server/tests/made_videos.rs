@@ -60,7 +60,7 @@ fn a_video_is_made_and_sent_whole_and_in_ranges() {
         (&shown["width"], &shown["height"], &shown["progress"]),
         (&json!(128), &json!(72), &json!(1.0))
     );
-    let file = format!("{path}.mp4");
+    let file = format!("{path}/file");
     let whole = server.get(&file, &[]).expect(200);
     assert_eq!(whole.header("content-type"), "video/mp4");
     assert_eq!(json!(whole.body.len()), shown["bytes"]);
@@ -98,7 +98,7 @@ fn videos_wait_for_each_other_and_are_stopped_where_they_wait_and_where_they_run
     let shown = wait(&server, &path(&first), "under way", half);
     assert_eq!(shown["state"], "running");
     server
-        .get(&format!("{}.mp4", path(&first)), &[])
+        .get(&format!("{}/file", path(&first)), &[])
         .expect(409);
     let ahead = |id: &str| server.get(&path(id), &[]).expect(200).json()["ahead"].clone();
     assert_eq!((ahead(&second), ahead(&third)), (json!(1), json!(2)));
@@ -135,7 +135,7 @@ fn a_video_begins_anew_after_the_server_was_killed() {
     assert_ne!(shown["state"], "succeeded");
     wait_state(&server, &slow, "succeeded");
     wait_state(&server, &next, "succeeded");
-    let whole = server.get(&format!("{slow}.mp4"), &[]).expect(200);
+    let whole = server.get(&format!("{slow}/file"), &[]).expect(200);
     assert_eq!(&whole.body[4..8], b"ftyp");
 }
 
@@ -156,7 +156,7 @@ fn a_video_that_fails_says_why_and_the_next_is_made() {
     let detail = shown["error"]["detail"].as_str().expect("a detail");
     assert!(detail.contains("died"), "{detail}");
     wait_state(&server, &good, "succeeded");
-    server.get(&format!("{dead}.mp4"), &[]).expect(409);
+    server.get(&format!("{dead}/file"), &[]).expect(409);
 }
 
 #[test]
@@ -242,7 +242,7 @@ fn a_link_shows_videos_and_makes_none() {
     let made = made.expect(201).json();
     let link = format!("Bearer {}", made["token"].as_str().expect("a token"));
     let with = [("authorization", link.as_str())];
-    let file = format!("{path}.mp4");
+    let file = format!("{path}/file");
     for seen in [&videos, &path, &file] {
         server.get(seen, &with).expect(200);
     }
