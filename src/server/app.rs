@@ -46,6 +46,8 @@ pub struct App {
     pub videos: Turns,
     /// Turns at making exports.
     pub exporting: Arc<Semaphore>,
+    /// Turns at fetching captures.
+    pub fetching: Arc<Semaphore>,
     /// What it counts about itself.
     pub telemetry: Telemetry,
     /// The jobs that run.
@@ -81,6 +83,7 @@ impl App {
             filming: tokio::sync::Mutex::default(),
             videos: Turns::default(),
             exporting: Arc::new(Semaphore::new(limits.exports)),
+            fetching: Arc::new(Semaphore::new(limits.fetching)),
             telemetry: Telemetry::default(),
             running: Running::default(),
         }

@@ -69,6 +69,8 @@ use paths::{EXPORT, EXPORTS, UPLOAD, UPLOADS, VIDEO, VIDEO_FILE, VIDEOS, WEBHOOK
 pub use connections::serve as serve_connections;
 pub use openapi::document;
 pub use problem::Problem;
+#[doc(hidden)]
+pub use tus::read_headers as read_tus_headers;
 
 /// Only what the server itself sends may run or be shown; nobody may frame it.
 const CONTENT_SECURITY_POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; \

@@ -17,6 +17,7 @@ mod http;
 mod incoming;
 mod intake;
 pub mod jobs;
+mod outside;
 mod rate;
 mod readiness;
 mod removal;
@@ -37,5 +38,8 @@ pub use config::{Limits, Retention, ServeConfig};
 pub use error::{Result, ServerError};
 pub use gc::{Collected, GcOptions, Gone, gc};
 pub use http::document as openapi_document;
+#[doc(hidden)]
+pub use http::read_tus_headers;
 pub use jobs::tether::{TETHER, become_tethered, die_with_parent, tethered};
+pub use outside::Origin;
 pub use serve::{Server, serve};

@@ -4,7 +4,6 @@
 //! and again over a day until somebody says that it came. It may arrive twice, always under the
 //! same name.
 
-mod address;
 mod post;
 mod sign;
 
@@ -16,7 +15,6 @@ use tokio::task::JoinSet;
 use crate::app::App;
 use crate::store::{DeliveryRow, Then, Tried, WebhookRow, now_ms};
 
-pub use post::check_url;
 pub use sign::{Secret, secret_text};
 
 /// What may be told.

@@ -71,6 +71,11 @@ fn serve(data: &Path, address_file: &Path) -> Result<(), Box<dyn std::error::Err
         video_command: command("video"),
         doctor_command: command("doctor"),
         inner_webhooks: number("FLED_FAKE_INNER", 0)? > 0,
+        import_from: std::env::var("FLED_FAKE_IMPORT_FROM")
+            .unwrap_or_default()
+            .split_whitespace()
+            .map(str::parse)
+            .collect::<Result<_, _>>()?,
         ffmpeg: std::env::var_os("FLED_FAKE_FFMPEG")
             .unwrap_or_else(|| "ffmpeg".into())
             .into(),
@@ -116,6 +121,7 @@ fn limits() -> Result<Limits, std::num::ParseIntError> {
         upload_life: Duration::from_millis(number("FLED_FAKE_UPLOAD_MS", 60_000)?),
         max_decoding_bytes: number("FLED_FAKE_DECODING", 1 << 30)?,
         assessing_bytes: number("FLED_FAKE_ASSESSING", 4 << 30)?,
+        fetching: number("FLED_FAKE_FETCHING", 8)? as usize,
         photograph: Duration::from_millis(number("FLED_FAKE_PHOTOGRAPH_MS", 60_000)?),
         ..Limits::default()
     })

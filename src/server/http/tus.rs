@@ -21,6 +21,7 @@ use self::fields::{
     CHECKSUM_ALGORITHM, EXPIRES, EXTENSION, LENGTH, MAX_SIZE, METADATA, METHOD_OVERRIDE, OFFSET,
     RESUMABLE, VERSION, VERSIONS, expires, is_piece, number,
 };
+use self::metadata::Metadata;
 use self::piece::Piece;
 use super::access::Visitor;
 use super::held::hold;
@@ -77,6 +78,21 @@ pub(super) async fn check_version(request: Request, next: Next) -> Response {
     );
     let hint = "Send `Tus-Resumable: 1.0.0`.";
     ([(VERSIONS, VERSION)], problem.hint(hint)).into_response()
+}
+
+/// Reads all that a request can say in headers: for fuzzers.
+///
+/// # Errors
+/// 400 where one of them cannot be read.
+#[doc(hidden)]
+pub fn read_headers(headers: &HeaderMap) -> Result<(), Problem> {
+    let metadata = Metadata::of(headers);
+    let checksum = Checksum::of(headers);
+    let numbers = [LENGTH, OFFSET].map(|name| number(headers, &name));
+    is_piece(headers);
+    metadata?;
+    checksum?;
+    numbers.into_iter().try_for_each(|number| number.map(drop))
 }
 
 /// Says what of the protocol there is.

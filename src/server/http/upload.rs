@@ -2,6 +2,8 @@
 
 mod ahead;
 mod assess;
+mod budget;
+mod fetch;
 mod gather;
 mod keep;
 mod places;
@@ -20,6 +22,7 @@ use tokio::fs::{self, File};
 use tokio::io::AsyncWriteExt;
 
 use self::ahead::Ahead;
+use self::budget::Budget;
 use self::places::Places;
 use super::problem::{Problem, disk_full, too_large};
 use super::quota::over_quota;
@@ -28,6 +31,7 @@ use crate::error::ServerError;
 use crate::holders::Hold;
 use crate::incoming::Incoming;
 
+pub use fetch::fetch;
 pub use gather::gather;
 pub use keep::Placed;
 
@@ -99,12 +103,9 @@ pub async fn receive(
         used: Used::default(),
     };
     let mut receiver = Receiver {
-        app,
         ahead: ahead.clone(),
         hasher: blake3::Hasher::new(),
-        bytes: 0,
-        looked: 0,
-        most,
+        budget: Budget::new(app, most),
         places: Places::default(),
     };
     while let Some(field) = body.next_field().await.map_err(|error| broken(&error))? {
@@ -246,12 +247,9 @@ fn broken(error: &MultipartError) -> Problem {
 }
 
 struct Receiver<'a> {
-    app: &'a App,
     ahead: Arc<Ahead>,
     hasher: blake3::Hasher,
-    bytes: u64,
-    looked: u64,
-    most: Option<u64>,
+    budget: Budget<'a>,
     places: Places,
 }
 
@@ -297,17 +295,6 @@ impl Receiver<'_> {
 
     fn count(&mut self, bytes: usize) -> Result<(), Problem> {
         self.ahead.taken(bytes);
-        self.bytes += bytes as u64;
-        if self.bytes > self.app.limits.max_upload_bytes {
-            return Err(too_large("The upload is too large."));
-        }
-        if self.most.is_some_and(|most| self.bytes > most) {
-            return Err(over_quota());
-        }
-        if self.bytes - self.looked > LOOK_AT_DISK {
-            self.looked = self.bytes;
-            check_space(self.app)?;
-        }
-        Ok(())
+        self.budget.count(bytes)
     }
 }

@@ -11,30 +11,45 @@ use super::access::Visitor;
 use super::order::Order;
 use super::problem::Problem;
 use super::room::check_room;
-use super::upload::{Placed, check_space, gather, to_its_end};
+use super::upload::{Placed, Upload, check_space, fetch, gather, to_its_end};
 use crate::app::App;
 use crate::store::{Creation, Request, UsedUp};
 
-/// A capture of uploads in pieces.
+/// A capture of what is not sent with the request: either `uploads` or `urls`.
 #[derive(Clone, Debug, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct CaptureOfUploads {
     /// Finished uploads, each the last part of its address: photographs, poses, one zip, or a
     /// video. They are used up.
     #[schema(min_items = 1)]
-    pub uploads: Vec<String>,
+    uploads: Option<Vec<String>>,
+    /// Addresses that the server fetches such files from, where whoever runs it allows theirs.
+    #[schema(min_items = 1)]
+    urls: Option<Vec<String>>,
     /// What to call it.
     #[schema(max_length = 200)]
-    pub name: Option<String>,
+    name: Option<String>,
     /// Photographs to take of a video; 40 when absent.
     #[schema(minimum = 3, maximum = 500)]
-    pub frames: Option<u32>,
+    frames: Option<u32>,
 }
 
 impl CaptureOfUploads {
-    /// As the text fields of a form say it.
-    pub fn fields(&self) -> BTreeMap<String, String> {
-        fields(self.name.as_ref(), self.frames)
+    /// Brings the files together.
+    ///
+    /// # Errors
+    /// Those of [`gather`] and [`fetch`]; 422 when there is neither or both.
+    pub(super) async fn bring(self, app: &Arc<App>, visitor: &Visitor) -> Result<Upload, Problem> {
+        check_space(app)?;
+        let fields = fields(self.name.as_ref(), self.frames);
+        match (&self.uploads, &self.urls) {
+            (Some(uploads), None) => gather(app, uploads, fields, visitor).await,
+            (None, Some(urls)) => fetch(app, urls, fields, visitor).await,
+            _ => Err(Problem::unprocessable(
+                "bad_input",
+                "The JSON body has to name either `uploads` or `urls`.",
+            )),
+        }
     }
 }
 

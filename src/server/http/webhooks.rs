@@ -15,9 +15,10 @@ use super::extract::Json;
 use super::problem::Problem;
 use super::shapes::time;
 use crate::app::App;
+use crate::outside::check_url;
 use crate::store::{DeliveryRow, TokenRow, WebhookRow, now_ms};
 use crate::token::{Scope, new_id};
-use crate::webhooks::{Secret, TYPES, USUAL, check_url, secret_text};
+use crate::webhooks::{Secret, TYPES, USUAL, secret_text};
 
 /// Addresses that one owner may have.
 const MOST: u32 = 20;

@@ -1,0 +1,160 @@
+//! Requests that the server makes itself, of addresses that somebody else names.
+//!
+//! What it reaches others may not: addresses of inner networks are refused after a name is
+//! resolved, and what is connected to is what was looked at.
+
+mod address;
+mod origin;
+
+use std::fmt::Debug;
+use std::time::Duration;
+
+use ureq::config::{Config, ConfigBuilder};
+use ureq::http::Uri;
+use ureq::typestate::AgentScope;
+use ureq::unversioned::resolver::{DefaultResolver, ResolvedSocketAddrs, Resolver};
+use ureq::unversioned::transport::{DefaultConnector, NextTimeout};
+use ureq::{Agent, Error};
+
+use self::address::is_outer;
+
+pub use origin::Origin;
+
+/// Longest address, characters.
+const LONGEST: usize = 2000;
+/// What an inner address is refused with.
+pub const INNER: &str = "the name stands for an address of an inner network";
+
+/// Whether an address is one that can be asked, by its looks.
+///
+/// # Errors
+/// What is wrong with it.
+pub fn check_url(url: &str) -> Result<Uri, &'static str> {
+    if url.len() > LONGEST {
+        return Err("it is longer than 2,000 characters");
+    }
+    let uri: Uri = url.parse().map_err(|_| "it is no URL")?;
+    if !matches!(uri.scheme_str(), Some("http" | "https")) {
+        return Err("it begins with neither https:// nor http://");
+    }
+    let authority = uri.authority().ok_or("it names no host")?;
+    if authority.as_str().contains('@') {
+        return Err("it holds a user's name or password");
+    }
+    if authority.host().is_empty() {
+        return Err("it names no host");
+    }
+    Ok(uri)
+}
+
+/// What asks, each request within `patience`. `inner`: whether addresses of inner networks are
+/// asked, too. Redirects are not followed: another address is another question.
+pub fn agent(patience: Duration, inner: bool) -> Agent {
+    let config = settings().timeout_global(Some(patience)).build();
+    Agent::with_parts(config, DefaultConnector::default(), Outer { inner })
+}
+
+/// The same for what is long: each piece of it has to come within `stall`, all of it within
+/// `patience`.
+pub fn patient_agent(patience: Duration, stall: Duration, inner: bool) -> Agent {
+    let config = settings()
+        .timeout_global(Some(patience))
+        .timeout_connect(Some(stall))
+        .timeout_recv_response(Some(stall))
+        .timeout_per_read(Some(stall))
+        .build();
+    Agent::with_parts(config, DefaultConnector::default(), Outer { inner })
+}
+
+fn settings() -> ConfigBuilder<AgentScope> {
+    Agent::config_builder()
+        .http_status_as_error(false)
+        .max_redirects(0)
+        .proxy(None)
+        .user_agent(concat!("fled/", env!("CARGO_PKG_VERSION")))
+}
+
+/// Why nothing came, in words.
+pub fn reason(error: &Error) -> String {
+    match error {
+        Error::Other(error) => error.to_string(),
+        error => error.to_string(),
+    }
+}
+
+/// Finds addresses as everybody does, and leaves out those of inner networks.
+#[derive(Debug)]
+struct Outer {
+    inner: bool,
+}
+
+impl Resolver for Outer {
+    fn resolve(
+        &self,
+        uri: &Uri,
+        config: &Config,
+        timeout: NextTimeout,
+    ) -> Result<ResolvedSocketAddrs, Error> {
+        let found = DefaultResolver::default().resolve(uri, config, timeout)?;
+        if self.inner {
+            return Ok(found);
+        }
+        let mut outer = self.empty();
+        for &address in found.iter().filter(|address| is_outer(address.ip())) {
+            outer.push(address);
+        }
+        if outer.is_empty() {
+            return Err(Error::Other(INNER.into()));
+        }
+        Ok(outer)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_plain_addresses_of_the_web_are_taken() {
+        for good in [
+            "https://example.org/hook?a=b",
+            "http://example.org:8080/",
+            "https://[2606:4700::1]/",
+        ] {
+            assert!(check_url(good).is_ok(), "{good}");
+        }
+        let long = format!("https://example.org/{}", "a".repeat(LONGEST));
+        for bad in [
+            "",
+            "/hook",
+            "example.org",
+            "ftp://example.org/",
+            "file:///etc/passwd",
+            "https://user:secret@example.org/",
+            "https://",
+            "not a url",
+            &long,
+        ] {
+            assert!(check_url(bad).is_err(), "{bad}");
+        }
+    }
+
+    #[test]
+    fn names_and_numbers_of_inner_networks_are_refused_however_they_are_written() {
+        let inner = [
+            "http://localhost:1/",
+            "http://127.0.0.1:1/",
+            "http://[::1]:1/",
+            "http://0.0.0.0:1/",
+            "http://2130706433:1/",
+            "http://0x7f.1:1/",
+            "http://[::ffff:127.0.0.1]:1/",
+            "http://169.254.169.254/latest",
+        ];
+        let agent = agent(Duration::from_secs(5), false);
+        for url in inner {
+            let error = agent.get(url).call().expect_err(url);
+            assert_eq!(reason(&error), INNER, "{url}");
+        }
+    }
+}
