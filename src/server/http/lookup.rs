@@ -1,7 +1,11 @@
 //! The job that an address names, and what of it is finished.
 
+use fled_core::camera::NamedCamera;
+use fled_core::run_folder::RunFolder;
+
 use super::problem::Problem;
 use crate::app::App;
+use crate::error::ServerError;
 use crate::jobs::state::JobState;
 use crate::store::JobRow;
 
@@ -37,4 +41,21 @@ fn not_finished(state: JobState) -> Problem {
     };
     let detail = format!("The job is {} and has no result yet.", state.name());
     Problem::conflict("not_finished", detail).hint(hint)
+}
+
+/// The cameras of a finished job, or 409 where somebody has taken their file away.
+pub(super) async fn cameras_of(output: &RunFolder) -> Result<Vec<NamedCamera>, Problem> {
+    let path = output.cameras();
+    let text = tokio::fs::read(&path).await.map_err(|source| {
+        if source.kind() == std::io::ErrorKind::NotFound {
+            return Problem::conflict("no_cameras", "The cameras of this job are not there.")
+                .hint("Run the capture in a new job.");
+        }
+        ServerError::io(&path)(source).into()
+    })?;
+    let cameras = serde_json::from_slice(&text).map_err(|error| ServerError::Damaged {
+        what: "cameras.json",
+        detail: error.to_string(),
+    });
+    Ok(cameras?)
 }

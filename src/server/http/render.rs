@@ -15,7 +15,7 @@ use uuid::Uuid;
 
 use super::client::ClientAddress;
 use super::extract::{Json, Object, Query};
-use super::lookup::find;
+use super::lookup::{cameras_of, find};
 use super::problem::Problem;
 use super::sent::is_known;
 use crate::app::App;
@@ -198,19 +198,9 @@ async fn camera(output: &RunFolder, query: &RenderQuery) -> Result<NamedCamera, 
     for side in [query.width, query.height].into_iter().flatten() {
         check_size((side, side))?;
     }
-    let path = output.cameras();
-    let text = tokio::fs::read(&path).await.map_err(|source| {
-        if source.kind() == std::io::ErrorKind::NotFound {
-            return Problem::conflict("no_cameras", "The cameras of this job are not there.")
-                .hint("Send a camera of your own by POST, or run the capture in a new job.");
-        }
-        ServerError::io(&path)(source).into()
+    let cameras = cameras_of(output).await.map_err(|problem| {
+        problem.hint("Send a camera of your own by POST, or run the capture in a new job.")
     })?;
-    let cameras: Vec<NamedCamera> =
-        serde_json::from_slice(&text).map_err(|error| ServerError::Damaged {
-            what: "cameras.json",
-            detail: error.to_string(),
-        })?;
     let size = PictureSize {
         width: query.width,
         height: query.height,

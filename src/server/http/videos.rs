@@ -7,7 +7,6 @@ use std::sync::Arc;
 use axum::extract::{Extension, Path, State};
 use axum::http::{HeaderMap, StatusCode, header};
 use axum::response::{IntoResponse, Response};
-use fled_core::camera::NamedCamera;
 use fled_core::video::{Key, Kind, Plan, PlanError};
 use serde::{Deserialize, Serialize};
 use tokio::process::Command;
@@ -16,7 +15,7 @@ use uuid::Uuid;
 
 use super::access::Visitor;
 use super::extract::{Json, Object};
-use super::lookup::{find, finished};
+use super::lookup::{cameras_of, find, finished};
 use super::problem::Problem;
 use super::quota::bytes_left;
 use super::render::MatrixRow;
@@ -24,7 +23,7 @@ use super::sent::Sent;
 use super::shapes::time;
 use super::upload;
 use crate::app::App;
-use crate::error::{Result as ServerResult, ServerError};
+use crate::error::ServerError;
 use crate::store::now_ms;
 use crate::videos::record::{Record, VideoFault, VideoFolder, VideoState, videos_of};
 use crate::videos::turns::Ticket;
@@ -204,7 +203,7 @@ pub async fn create(
     let plan = body.plan();
     plan.check().map_err(|error| bad_plan(&error))?;
     finished(&app, &job, plan.round).await?;
-    let views = views(&app, &job).await?;
+    let views = cameras_of(&app.data.output(&job)).await?;
     let cameras = plan.cameras(&views).map_err(|error| bad_plan(&error))?;
     let size = cameras.first().map(|camera| camera.intrinsics);
     let size = size.ok_or_else(Problem::internal)?;
@@ -337,17 +336,6 @@ async fn known(app: &App, job: &str, id: &str) -> Result<(VideoFolder, Record), 
 
 fn folder(app: &App, job: &str, id: &str) -> Result<VideoFolder, Problem> {
     VideoFolder::of(&app.data, job, id).ok_or_else(|| Problem::not_found("video"))
-}
-
-async fn views(app: &App, job: &str) -> ServerResult<Vec<NamedCamera>> {
-    let path = app.data.output(job).cameras();
-    let text = tokio::fs::read(&path)
-        .await
-        .map_err(ServerError::io(&path))?;
-    serde_json::from_slice(&text).map_err(|error| ServerError::Damaged {
-        what: "cameras.json",
-        detail: error.to_string(),
-    })
 }
 
 /// Told now and not by a video that fails: whoever runs the server must install it.

@@ -170,6 +170,10 @@ fn a_camera_that_sees_nothing_is_none_and_lost_cameras_are_told() {
     std::fs::remove_file(output.join("cameras.json")).expect("removed");
     let problem = server.get(&path, &[]).expect(409).json();
     assert_eq!(problem["code"], "no_cameras");
+    let videos = format!("/v1/jobs/{job}/videos");
+    let orbit = json!({ "kind": "orbit", "seconds": 1 });
+    let problem = server.post_json(&videos, &orbit, &[]).expect(409).json();
+    assert_eq!(problem["code"], "no_cameras");
 }
 
 #[test]
