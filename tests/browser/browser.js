@@ -7,7 +7,8 @@ import { chromium } from "playwright-core";
 
 import { PATIENCE } from "./until.js";
 
-const SCREENSHOTS = join(import.meta.dirname, "screenshots");
+/** The folder of the pictures. */
+export const SCREENSHOTS = join(import.meta.dirname, "screenshots");
 
 const ARGUMENTS = [
   "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
@@ -128,3 +129,14 @@ export async function loaded(locator) {
   const sizes = await locator.evaluateAll((images) => images.map((image) => image.naturalWidth));
   return sizes.length > 0 && sizes.every((size) => size > 0);
 }
+
+/** Share of the picture that a canvas holds which is not as its corner is. */
+export const drawn = (canvas) => canvas.evaluate((one) => {
+  const copy = new OffscreenCanvas(one.width, one.height).getContext("2d");
+  copy.drawImage(one, 0, 0);
+  const { data } = copy.getImageData(0, 0, one.width, one.height);
+  const differs = (at) => [0, 1, 2, 3].some((k) => Math.abs(data[at + k] - data[k]) > 24);
+  let count = 0;
+  for (let at = 0; at < data.length; at += 4) count += differs(at) ? 1 : 0;
+  return (4 * count) / data.length;
+});

@@ -4,7 +4,7 @@ import assert from "node:assert/strict";
 import { after, before } from "node:test";
 
 import { picture } from "./browser.js";
-import { Stand, both, button, part, provoked, seen } from "./played.js";
+import { Stand, again, both, button, part, provoked, seen } from "./played.js";
 import { until } from "./until.js";
 
 let stand;
@@ -38,12 +38,9 @@ both("the captures are a page, from which each can be opened by keyboard", async
 both("a finished job is run again with other options from its page", async (width) => {
   const id = await stand.finished();
   await stand.visit("again", `#/jobs/${id}`, async (page) => {
-    await page.getByRole("link", { name: "Run again with other options" }).click();
-    const form = part(page, "Run again with other options");
-    const steps = form.getByLabel("steps", { exact: true });
-    await until("the form has the job's options", async () => (await steps.inputValue()) === "40");
+    const form = await again(page, "40");
     assert.equal(await form.getByLabel("Preset").inputValue(), "preview");
-    await steps.fill("50");
+    await form.getByLabel("steps", { exact: true }).fill("50");
     await form.getByText("More options").click();
     await form.getByLabel("stereo", { exact: true }).uncheck();
     await form.getByLabel("noise", { exact: true }).selectOption("grid");

@@ -7,6 +7,7 @@ import { test } from "node:test";
 
 import { Browser, overflowing } from "./browser.js";
 import { Server } from "./server.js";
+import { until } from "./until.js";
 
 /** px */
 export const WIDTHS = {
@@ -94,16 +95,44 @@ export function part(page, title) {
   return page.locator("section", { has: heading });
 }
 
+/** The same where it may be folded away, unfolded. */
+export async function opened(page, title) {
+  const section = part(page, title);
+  await section.waitFor();
+  await section.locator("details").evaluate((one) => { one.open = true; });
+  return section;
+}
+
+/** The chart under a title. */
+export const chart = (root, title) => root.locator(".chart", { has: root.page().getByRole("heading", { name: title, level: 3 }) });
+
+/** The form that runs a finished job's photographs again, with its options: so many `steps`. */
+export async function again(page, steps) {
+  await page.getByRole("link", { name: "Run again with other options" }).click();
+  const form = part(page, "Run again with other options");
+  const field = form.getByLabel("steps", { exact: true });
+  await until("the form has the job's options", async () => (await field.inputValue()) === steps);
+  return form;
+}
+
+/** Plays a video until it has moved: what the browser knows of it. */
+export async function plays(player) {
+  await until("the player knows it", () => player.evaluate((one) => one.readyState >= 1));
+  await player.evaluate((one) => { one.muted = true; return one.play(); });
+  await until("it plays", () => player.evaluate((one) => one.currentTime > 0.5));
+  return player.evaluate((one) => ({ error: one.error?.message, wide: one.videoWidth, seconds: one.duration }));
+}
+
 /** The faults are all answers of this status: what a test provoked. */
 export function provoked(faults, status) {
   for (const fault of faults.splice(0)) assert.match(fault, new RegExp(`\\b${status}\\b`));
 }
 
-/** Drops files, by name and text, on an element. */
+/** Drops files, by name and text or bytes, on an element. */
 export async function drop(page, selector, files) {
   const transfer = await page.evaluateHandle((list) => {
     const data = new DataTransfer();
-    for (const [name, text] of list) data.items.add(new File([text], name, { type: "image/jpeg" }));
+    for (const [name, content] of list) data.items.add(new File([content], name, { type: "image/jpeg" }));
     return data;
   }, files);
   for (const event of ["dragover", "drop"]) {

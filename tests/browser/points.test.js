@@ -3,7 +3,7 @@
 import assert from "node:assert/strict";
 import { after, before } from "node:test";
 
-import { picture } from "./browser.js";
+import { drawn, picture } from "./browser.js";
 import { Stand, both, part, seen } from "./played.js";
 import { until } from "./until.js";
 
@@ -11,17 +11,6 @@ let stand;
 
 before(async () => { stand = await Stand.start(); });
 after(() => stand?.stop());
-
-/** Share of the picture that a canvas holds which is not as its corner is. */
-const drawn = (canvas) => canvas.evaluate((one) => {
-  const copy = new OffscreenCanvas(one.width, one.height).getContext("2d");
-  copy.drawImage(one, 0, 0);
-  const { data } = copy.getImageData(0, 0, one.width, one.height);
-  const differs = (at) => [0, 1, 2, 3].some((k) => Math.abs(data[at + k] - data[k]) > 24);
-  let count = 0;
-  for (let at = 0; at < data.length; at += 4) count += differs(at) ? 1 : 0;
-  return (4 * count) / data.length;
-});
 
 both("before a scene is trained one sees the cameras and the sparse points", async (width) => {
   const { server } = stand;

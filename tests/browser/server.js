@@ -126,10 +126,10 @@ export class Server {
     }
   }
 
-  /** A folder of eight small dark photographs with their poses and their ground truth. */
-  capture(size = "96x64") {
+  /** A folder of small dark photographs with their poses and their ground truth. */
+  capture(size = "96x64", views = 8, room = "0") {
     const folder = join(this.folder, "capture");
-    const options = ["--views", "8", "--size", size];
+    const options = ["--views", String(views), "--size", size, "--room", room];
     execFileSync(this.program, ["synth", folder, ...options], { stdio: "ignore" });
     return folder;
   }
@@ -160,8 +160,8 @@ export class Server {
   }
 
   /** Waits until a job is so far as `probe` says of it. */
-  when(id, what, probe) {
-    return until(`job ${id} ${what}`, async () => probe(await this.job(id)));
+  when(id, what, probe, patience) {
+    return until(`job ${id} ${what}`, async () => probe(await this.job(id)), patience);
   }
 
   /** Ends a job in whatever state it is. */
@@ -175,11 +175,8 @@ export class Server {
   }
 
   /** Waits until a job is over, in `state`. */
-  async reached(id, state) {
-    const name = await until(`job ${id} is over`, async () => {
-      const job = await this.job(id);
-      return job.finished_at && job.state;
-    });
+  async reached(id, state, patience) {
+    const name = await this.when(id, "is over", (job) => job.finished_at && job.state, patience);
     if (name !== state) {
       const { error } = await this.job(id);
       throw new Error(`the job is ${name}, not ${state}: ${JSON.stringify(error)}`);

@@ -4,7 +4,7 @@ import assert from "node:assert/strict";
 import { after, before } from "node:test";
 
 import { loaded, picture } from "./browser.js";
-import { Stand, both, part, seen } from "./played.js";
+import { Stand, both, chart, part, seen } from "./played.js";
 import { until } from "./until.js";
 
 let stand;
@@ -26,9 +26,6 @@ async function training(name, width, judge, { folder = stand.folder, options = {
     await server.cancel(id).catch(() => {});
   }
 }
-
-/** The chart under a title. */
-const chart = (root, title) => root.locator(".chart", { has: root.page().getByRole("heading", { name: title, level: 3 }) });
 
 /** Titles of what is drawn, in order. */
 const drawn = (root) => root.locator("h3:visible").allInnerTexts();

@@ -5,7 +5,7 @@ import { readFileSync } from "node:fs";
 import { after, before, test } from "node:test";
 
 import { picture } from "./browser.js";
-import { Stand, both, button, part, provoked, seen } from "./played.js";
+import { Stand, both, button, opened, plays, provoked, seen } from "./played.js";
 import { until } from "./until.js";
 
 let stand;
@@ -33,14 +33,6 @@ async function ask(id, body) {
   assert.equal(response.status, 202);
 }
 
-/** The section, unfolded: on a phone it is folded away. */
-async function opened(page, title) {
-  const section = part(page, title);
-  await section.waitFor();
-  await section.locator("details").evaluate((one) => { one.open = true; });
-  return section;
-}
-
 both("a video is asked for, made, played, fetched and deleted", async (width) => {
   const id = await finished(`filmed ${width}`);
   await stand.visit("video", `#/jobs/${id}`, async (page) => {
@@ -54,11 +46,7 @@ both("a video is asked for, made, played, fetched and deleted", async (width) =>
     const player = section.locator("video");
     await player.waitFor();
     await seen(section, "Around the scene, 4 s, 640 × 360 px");
-    const state = () => player.evaluate((one) => ({ error: one.error?.message, ready: one.readyState, wide: one.videoWidth, seconds: one.duration }));
-    await until("the player knows it", async () => (await state()).ready >= 1);
-    assert.deepEqual({ ...(await state()), ready: 4 }, { error: undefined, ready: 4, wide: 640, seconds: 4 });
-    await player.evaluate((one) => { one.muted = true; return one.play(); });
-    await until("it plays", async () => (await player.evaluate((one) => one.currentTime)) > 0.5);
+    assert.deepEqual(await plays(player), { error: undefined, wide: 640, seconds: 4 });
     await player.evaluate((one) => { one.pause(); one.currentTime = 2; });
     await until("it is where one wants it", async () => (await player.evaluate((one) => !one.seeking && one.readyState >= 2)));
     const [download] = await Promise.all([page.waitForEvent("download"), section.getByRole("link", { name: "Download" }).click()]);

@@ -1,0 +1,92 @@
+// A film of a page: what its browser shows, at a speed at which one can follow. Playwright's own
+// recorder wants an ffmpeg that it downloads, and runs in real time: waits would be most of it.
+
+import { spawn } from "node:child_process";
+import { once } from "node:events";
+import { join } from "node:path";
+
+import { SCREENSHOTS, picture } from "./browser.js";
+
+/** Pictures a second. */
+const RATE = 10;
+/** So many times as fast is what is only waited for. */
+const FAST = 10;
+/** What is looked at stands still for so long, s. */
+const STILL = 2;
+
+export class Film {
+  /** Films the page from now on: `screenshots/NAME.mp4`. */
+  static async start(page, name) {
+    const film = new Film(page, join(SCREENSHOTS, `${name}.mp4`));
+    const size = page.viewportSize();
+    // For a picture of the whole page the browser makes its window as high as the page.
+    const onFrame = ({ data, viewportHeight }) => viewportHeight === size.height && film.#take(data);
+    await page.screencast.start({ onFrame, size, quality: 90 });
+    return film;
+  }
+
+  #last = null;
+  #since = performance.now();
+  #speed = 1;
+  /** Of the film, s, and what of it is written, pictures. */
+  #length = 0;
+  #written = 0;
+
+  constructor(page, path) {
+    this.page = page;
+    this.path = path;
+    const from = ["-f", "image2pipe", "-framerate", String(RATE), "-c:v", "mjpeg", "-i", "-"];
+    // Sizes that are odd, and colours that not every player knows, would be refused.
+    const as = ["-vf", "crop=trunc(iw/2)*2:trunc(ih/2)*2,format=yuv420p", "-c:v", "libx264"];
+    const options = ["-v", "error", "-y", ...from, ...as, "-preset", "veryfast", path];
+    this.ffmpeg = spawn("ffmpeg", options, { stdio: ["pipe", "ignore", "inherit"] });
+    this.ended = once(this.ffmpeg, "exit");
+  }
+
+  /** Goes on to now with what was shown until now. */
+  #advance(seconds) {
+    this.#length += seconds;
+    this.#since = performance.now();
+    for (; this.#last && this.#written < this.#length * RATE; this.#written += 1) {
+      this.ffmpeg.stdin.write(this.#last);
+    }
+  }
+
+  #pass() {
+    this.#advance((performance.now() - this.#since) / 1000 / this.#speed);
+  }
+
+  #take(shown) {
+    this.#pass();
+    this.#last = shown;
+  }
+
+  /** Waits, which the film shows faster. */
+  async fast(wait) {
+    this.#pass();
+    this.#speed = FAST;
+    try {
+      return await wait();
+    } finally {
+      this.#pass();
+      this.#speed = 1;
+    }
+  }
+
+  /** What is on the page now stays for a while, and is a picture: `screenshots/NAME.png`. */
+  async still(name) {
+    this.#take(await this.page.screenshot({ type: "jpeg", quality: 90 }));
+    this.#advance(STILL);
+    await picture(this.page, name);
+  }
+
+  /** Ends the film; its seconds. */
+  async stop() {
+    await this.page.screencast.stop();
+    this.#pass();
+    this.ffmpeg.stdin.end();
+    const [code] = await this.ended;
+    if (code !== 0) throw new Error(`ffmpeg ended with ${code}: there is no ${this.path}`);
+    return this.#length;
+  }
+}

@@ -1,0 +1,220 @@
+// A walk of somebody who comes with photographs, step by step with real jobs: nothing is played,
+// and poses are searched for. screenshots/walk.mp4 is the film of it, walk-1.png and so on are what
+// each step leaves on the page.
+
+import assert from "node:assert/strict";
+import { existsSync, readFileSync, readdirSync } from "node:fs";
+import { join } from "node:path";
+import { after, before, test } from "node:test";
+
+import { Browser, drawn, loaded } from "./browser.js";
+import { Film } from "./film.js";
+import { again, button, chart, drop, opened, part, plays, seen, state } from "./played.js";
+import { Server } from "./server.js";
+import { until } from "./until.js";
+
+/** Alone on two cores the longest wait is a minute, ms. */
+const LONG = 600_000;
+
+const FIRST = "Study at dusk";
+const SECOND = "Study, without kernels";
+/** A round trains for some twenty seconds, so that one can look. */
+const OPTIONS = { size: 240, steps: 600 };
+const BROKEN = 12;
+
+let server;
+let browser;
+let photographs;
+/** The ids of both jobs. */
+let first;
+let second;
+
+before(async () => {
+  server = await Server.start(process.env.FLED);
+  browser = await Browser.start(server.base);
+  photographs = taken(server.capture("240x160", 25, "study"));
+});
+
+after(async () => {
+  await browser?.stop();
+  await server?.stop();
+});
+
+/** As a camera names them, one of them cut off in the middle: `[name, bytes]`. */
+function taken(capture) {
+  const folder = join(capture, "images");
+  return readdirSync(folder).sort().map((name, i) => {
+    const bytes = new Uint8Array(readFileSync(join(folder, name)));
+    return [name, i === BROKEN ? bytes.slice(0, bytes.length / 2) : bytes];
+  });
+}
+
+const idOf = (page) => page.url().split("/").pop();
+
+async function dropped(page) {
+  await drop(page, "main", photographs);
+  await page.getByText("25 files chosen").waitFor();
+  await page.getByLabel("Name").fill(FIRST);
+  await part(page, "New job").getByLabel("Preset").selectOption("preview");
+  await page.getByText("Options", { exact: true }).click();
+  for (const [name, value] of Object.entries(OPTIONS)) {
+    await page.getByLabel(name, { exact: true }).fill(String(value));
+  }
+}
+
+async function accepted(page) {
+  await button(page, "Start").click();
+  await seen(page.getByRole("heading", { level: 1 }), FIRST);
+  first = idOf(page);
+  const root = part(page, "Photographs");
+  await seen(root, "24 of 25 photographs are used; this one is not:");
+  await seen(root.locator("li"), /^012\.png: damaged or cut short: /);
+  assert.equal(await root.locator("li").count(), 1);
+  await seen(state(page), "running");
+}
+
+async function posed(page, film) {
+  await seen(page.locator(".now"), /poses · so far \d:\d\d; usually one to two minutes/);
+  const root = part(page, "Scene");
+  const poster = root.getByRole("button", { name: /^Look at cameras and points/ });
+  await film.fast(() => poster.waitFor({ timeout: LONG }));
+  await poster.click();
+  await seen(root.getByRole("status"), /[\d,]+ sparse points, by which the cameras were placed\./);
+  await settled(page);
+  await until("points are drawn", async () => (await drawn(root.locator("canvas").first())) > 0.003);
+  assert.ok((await drawn(root.locator("canvas.lines"))) > 0.002, "the cameras");
+  assert.deepEqual((await server.rounds(first)).rounds, [], "there is no scene yet");
+}
+
+async function curved(page, film) {
+  const root = part(page, "Training");
+  const psnr = chart(root, "Self-consistency, PSNR of 3 held-out views, dB");
+  const scores = () => psnr.locator("circle.score").count();
+  await film.fast(() => until("scores come in", async () => (await scores()) > 1, LONG));
+  await seen(psnr.locator(".legend"), /round 1 \d\d\.\d\d/);
+  await until("one view is shown", () => loaded(root.locator("figure img")));
+  const { state: name, stage } = await server.job(first);
+  assert.deepEqual([name, stage], ["running", "reconstruct"]);
+}
+
+const settled = (page) => page.locator(".frame[aria-busy=false]").waitFor();
+
+/** What the scene's canvas shows. */
+const shown = (page) => page.locator(".frame canvas").first().evaluate((one) => one.toDataURL());
+
+async function flown(page, film) {
+  const trains = (job) => job.round === 2 && job.stage === "reconstruct";
+  await film.fast(() => server.when(first, "trains round 2", trains, LONG));
+  await page.getByRole("slider", { name: "round" }).press("ArrowRight");
+  await page.locator(".rounds", { hasText: "Round 1" }).waitFor();
+  await settled(page);
+  await page.getByLabel("Cameras", { exact: true }).uncheck();
+  await page.getByRole("button", { name: "Next photograph" }).click();
+  await settled(page);
+  const pictures = new Set([await shown(page)]);
+  await page.getByRole("application").focus();
+  for (const key of ["KeyW", "ArrowLeft", "KeyD"]) {
+    await page.keyboard.press(key, { delay: 400 });
+    await settled(page);
+    pictures.add(await shown(page));
+  }
+  assert.equal(pictures.size, 4, "each time one sees something else");
+  const share = await drawn(page.locator(".frame canvas").first());
+  assert.ok(share > 0.1, `a scene fills the frame, not ${share} of it`);
+  const { state: name, round, stage } = await server.job(first);
+  assert.deepEqual([name, round, stage], ["running", 2, "reconstruct"]);
+}
+
+async function finished(page, film) {
+  await film.fast(() => server.reached(first, "succeeded", LONG));
+  await seen(state(page), "succeeded");
+  const metrics = part(page, "Metrics by round");
+  await seen(metrics, "The capture has no ground truth");
+  await until("both rounds are told", async () => (await metrics.locator("tbody tr").count()) === 2);
+  await seen(page.locator(".rounds"), "Round 1");
+  await button(page, "Close the 3D view").click();
+  const views = part(page, "Views");
+  await views.scrollIntoViewIfNeeded();
+  await until("the view is there", () => loaded(views.getByRole("slider").locator("img")));
+}
+
+async function repeated(page, film) {
+  const form = await again(page, String(OPTIONS.steps));
+  await form.getByLabel("steps", { exact: true }).fill("200");
+  await form.getByText("More options").click();
+  await form.getByLabel("shake", { exact: true }).selectOption("off");
+  await form.getByLabel("Name").fill(SECOND);
+  await button(form, "Run").click();
+  await seen(page.getByRole("heading", { level: 1 }), SECOND);
+  second = idOf(page);
+  await film.fast(() => server.reached(second, "succeeded", LONG));
+  await seen(state(page), "succeeded");
+}
+
+async function compared(page) {
+  await button(page, "Compare with…").click();
+  const dialog = page.getByRole("dialog");
+  await dialog.getByRole("checkbox", { name: FIRST }).check();
+  await button(dialog, "Compare").click();
+  await page.getByRole("heading", { name: "Compare 2 jobs" }).waitFor();
+  const rows = part(page, "Options that differ").locator("table tbody tr");
+  await rows.first().waitFor();
+  const texts = await rows.allInnerTexts();
+  assert.deepEqual(texts.map((text) => text.trim().split(/\s+/)).sort(),
+    [["shake", "off", "kernel"], ["steps", "200", "600"]]);
+  const slider = part(page, "The same view side by side").getByRole("slider");
+  await until("both sides are there", () => loaded(slider.locator("img")));
+}
+
+async function filmed(page, film) {
+  await page.getByRole("link", { name: "Jobs" }).click();
+  await page.getByRole("link", { name: FIRST, exact: true }).click();
+  const section = await opened(page, "Videos");
+  await section.getByLabel("Length").selectOption("4");
+  await section.getByLabel("Long side").selectOption("640");
+  await button(section, "Make a video").click();
+  const player = section.locator("video");
+  await film.fast(() => player.waitFor({ timeout: LONG }));
+  assert.deepEqual(await plays(player), { error: undefined, wide: 640, seconds: 4 });
+  const file = await fetch(server.base + (await player.getAttribute("src")));
+  const bytes = Buffer.from(await file.arrayBuffer());
+  assert.equal(bytes.subarray(4, 8).toString(), "ftyp");
+  assert.ok(bytes.length > 20_000, `${bytes.length} bytes`);
+}
+
+async function deleted(page, film) {
+  const folder = join(server.folder, "data", "jobs", first);
+  assert.ok(existsSync(folder));
+  const dialog = page.getByRole("dialog", { name: `Delete the job “${FIRST}”?` });
+  await button(page, "Delete").first().click();
+  await seen(dialog, "the photographs stay");
+  await film.still("walk-asked");
+  await button(dialog, "Keep it").click();
+  await dialog.waitFor({ state: "detached" });
+  assert.equal((await server.job(first)).state, "succeeded");
+  await button(page, "Delete").first().click();
+  await button(dialog, "Delete it").click();
+  await page.getByRole("link", { name: SECOND, exact: true }).waitFor();
+  assert.equal(await page.getByRole("link", { name: FIRST, exact: true }).count(), 0);
+  await assert.rejects(server.job(first), /404/);
+  assert.ok(!existsSync(folder), "its files are gone");
+  const pair = page.locator(".pair img");
+  await until("pictures of the other are there", () => loaded(pair));
+}
+
+const STEPS = [dropped, accepted, posed, curved, flown, finished, repeated, compared, filmed, deleted];
+
+test("photographs are dropped, become a scene that is walked through, and leave nothing", (t) =>
+  browser.visit("walk", "", async (page) => {
+    const film = await Film.start(page, "walk");
+    try {
+      for (const [i, step] of STEPS.entries()) {
+        const began = performance.now();
+        await step(page, film);
+        await film.still(`walk-${i + 1}-${step.name}`);
+        t.diagnostic(`${step.name}: ${((performance.now() - began) / 1000).toFixed(1)} s`);
+      }
+    } finally {
+      t.diagnostic(`the film has ${(await film.stop()).toFixed(0)} s`);
+    }
+  }));
