@@ -48,7 +48,11 @@ function pairs(values) {
   return h("dl", {}, real.flatMap(([name, value]) => [h("dt", {}, plain(name)), h("dd", {}, shown(value))]));
 }
 
+/** Of a number that was measured: more of them say nothing. */
+const DIGITS = 4;
+
 function shown(value) {
+  if (typeof value === "number" && !Number.isInteger(value)) return String(Number(value.toPrecision(DIGITS)));
   if (Array.isArray(value)) return h("ul", { class: "plain" }, value.map((one) => h("li", {}, shown(one))));
   return typeof value === "object" ? pairs(value) : String(value);
 }

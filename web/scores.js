@@ -27,6 +27,8 @@ const VALUES = {
 };
 /** Told first; the rest is folded away. */
 const FIRST = ["psnr_cc", "ssim"];
+/** Agreement with oneself, and grain that may have gone with the detail, make none the best. */
+const UNJUDGED = ["own_psnr", "own_ssim", "noise"];
 
 /** `[[round, value], ...]` of a score, rounds that lack it left out. */
 export const points = (entry, key, of) =>
@@ -160,12 +162,12 @@ function block(key, entries, of, isFair) {
     points,
   }));
   const most = key.endsWith("ssim") ? 1 : Infinity;
-  const drawn = chart(metric.title, series, Math.max(0, metric.digits - 1), most);
+  const drawn = chart(metric.title, series, metric.digits - 1, most);
   return h(
     "div",
     { class: "score" },
     drawn,
-    byRound(metric, there, isFair),
+    byRound(metric, there, isFair && !UNJUDGED.includes(key)),
     h("p", { class: "hint" }, metric.means, " ", direction(metric)),
   );
 }
