@@ -2,16 +2,21 @@
 //! focal)] row-major, then near and far depth. R and t go from camera to world; R's columns are
 //! the camera's down, right and backward axes.
 
+use std::fs::File;
+use std::io::Read;
 use std::path::Path;
 
 use glam::{DMat3, DMat4, DVec3};
-use ndarray::Array2;
+use ndarray::{Array2, ArrayView2};
+use ndarray_npy::ViewNpyExt;
 
 use super::PosesError;
 use crate::camera::{Camera, Intrinsics};
 
 /// Columns of the file.
 const COLUMNS: usize = 17;
+/// No capture's file is larger, bytes: it holds half a million cameras.
+const LARGEST: u64 = 64 << 20;
 
 /// A camera with the depths between which its scene lies.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -29,8 +34,13 @@ pub struct BoundedCamera {
 /// # Errors
 /// [`PosesError::BadFile`] when it is no such array or a row is no camera.
 pub fn read_poses_bounds(file: &Path) -> Result<Vec<BoundedCamera>, PosesError> {
-    let array: Array2<f64> =
-        ndarray_npy::read_npy(file).map_err(|e| PosesError::bad_file(file, e.to_string()))?;
+    let bad_file = |reason: String| PosesError::bad_file(file, reason);
+    let bytes = Aligned::read(file)?;
+    if !holds_its_header(bytes.as_ref()) {
+        return Err(bad_file("it is cut short, or no array".to_owned()));
+    }
+    let array = ArrayView2::<f64>::view_npy(bytes.as_ref());
+    let array = array.map_err(|error| bad_file(error.to_string()))?;
     if array.ncols() != COLUMNS {
         return Err(PosesError::bad_file(
             file,
@@ -42,6 +52,49 @@ pub fn read_poses_bounds(file: &Path) -> Result<Vec<BoundedCamera>, PosesError> 
     rows.enumerate()
         .map(|(index, row)| camera(&row).ok_or_else(|| bad(index)))
         .collect()
+}
+
+/// Whether the header is as long as it says it is. Who reads it takes memory for that first.
+fn holds_its_header(bytes: &[u8]) -> bool {
+    let (start, length) = match bytes.get(6) {
+        Some(1) => (10, bytes.get(8..10)),
+        _ => (12, bytes.get(8..12)),
+    };
+    let Some(length) = length else { return false };
+    let length = length
+        .iter()
+        .rev()
+        .fold(0, |sum, byte| sum * 256 + usize::from(*byte));
+    start + length <= bytes.len()
+}
+
+/// A file where its numbers can be read from where they lie: what its header says of their count
+/// takes no memory.
+struct Aligned {
+    words: Vec<u64>,
+    length: usize,
+}
+
+impl Aligned {
+    fn read(path: &Path) -> Result<Self, PosesError> {
+        let mut file = File::open(path).map_err(PosesError::io(path))?;
+        let length = file.metadata().map_err(PosesError::io(path))?.len();
+        if length > LARGEST {
+            let reason = format!("{length} bytes, more than any capture has cameras for");
+            return Err(PosesError::bad_file(path, reason));
+        }
+        let length = length as usize;
+        let mut words = vec![0; length.div_ceil(size_of::<u64>())];
+        let bytes = &mut bytemuck::cast_slice_mut(&mut words)[..length];
+        file.read_exact(bytes).map_err(PosesError::io(path))?;
+        Ok(Self { words, length })
+    }
+}
+
+impl AsRef<[u8]> for Aligned {
+    fn as_ref(&self) -> &[u8] {
+        &bytemuck::cast_slice(&self.words)[..self.length]
+    }
 }
 
 fn camera(row: &[f64]) -> Option<BoundedCamera> {
@@ -162,6 +215,35 @@ mod tests {
             (array[[0, 4]], array[[0, 9]], array[[0, 14]]),
             (180.0, 320.0, 277.0)
         );
+    }
+
+    #[test]
+    fn a_header_that_promises_more_than_there_is_takes_no_memory() {
+        let dir = tempfile::tempdir().unwrap();
+        let file = dir.path().join("poses_bounds.npy");
+        write_poses_bounds(&file, &[row()]).unwrap();
+        let good = std::fs::read(&file).unwrap();
+        let refused = |bytes: &[u8]| {
+            std::fs::write(&file, bytes).unwrap();
+            read_poses_bounds(&file).is_err()
+        };
+        assert!(!refused(&good));
+        // 2^50 rows, in the place of one and of the padding at the header's end.
+        let (one, many) = (&b"(1, 17)"[..], &b"(1125899906842624, 17)"[..]);
+        let at = good.windows(7).position(|part| part == one).unwrap();
+        let end = good.iter().position(|&byte| byte == b'\n').unwrap();
+        let rest = &good[at + one.len()..end - (many.len() - one.len())];
+        let absurd = [&good[..at], many, rest, &good[end..]].concat();
+        assert_eq!(absurd.len(), good.len());
+        assert!(refused(&absurd));
+        // A header of 4 GiB.
+        let mut long = good.clone();
+        long[6] = 2;
+        long[8..12].fill(0xff);
+        assert!(refused(&long));
+        for length in [0, 5, 9, 11, good.len() - 1] {
+            assert!(refused(&good[..length]), "{length} bytes");
+        }
     }
 
     #[test]
