@@ -161,7 +161,7 @@ async function compared(page) {
   await rows.first().waitFor();
   const texts = await rows.allInnerTexts();
   assert.deepEqual(texts.map((text) => text.trim().split(/\s+/)).sort(),
-    [["shake", "off", "kernel"], ["steps", "200", "600"]]);
+    [["shake", "off", "late"], ["steps", "200", "600"]]);
   const slider = part(page, "The same view side by side").getByRole("slider");
   await until("both sides are there", () => loaded(slider.locator("img")));
 }

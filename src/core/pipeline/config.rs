@@ -1,5 +1,7 @@
 //! The options of a run: flat keys, the same in `--set`, in a job's JSON and in `config.json`.
 
+mod shake;
+
 use std::fmt;
 use std::str::FromStr;
 
@@ -9,6 +11,7 @@ use serde::{Deserialize, Serialize};
 use crate::deblur::NetworkChoice;
 pub use crate::noise::NoiseMode;
 pub use crate::reconstruct::{Background, Densify, ExtentRule};
+pub use shake::{ShakeModel, TrainOn};
 
 /// How a run is configured. Defaults are those of the `standard` preset.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -134,28 +137,6 @@ pub enum Guide {
     None,
 }
 
-/// What explains the shake that deblurring leaves in the views.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum ShakeModel {
-    /// A kernel a view, found from the renders, so that the scene itself stays sharp.
-    Kernel,
-    /// Nothing: the scene is as blurred as the views, as in the paper.
-    Off,
-}
-
-/// Which views the scene is trained on.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum TrainOn {
-    /// The enhanced views when `shake` explains them, else the deblurred ones.
-    Auto,
-    /// The deblurred views, as in the paper.
-    Deblurred,
-    /// The enhanced views, shaken and noisy as they are.
-    Enhanced,
-}
-
 /// How rounds after the first start.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
@@ -216,7 +197,7 @@ impl Preset {
             enhance: NetworkChoice::Curve,
             guide: Guide::Render,
             noise: NoiseMode::Off,
-            shake: ShakeModel::Kernel,
+            shake: ShakeModel::Late,
             train_on: TrainOn::Auto,
             refine_poses: true,
             late_views: true,
@@ -265,20 +246,30 @@ impl Preset {
 }
 
 impl Options {
-    /// Whether the scene is trained on the enhanced views. Differs from the paper where `shake` is
-    /// `kernel`: what a network leaves of the blur, and the halos that it adds, are no kernel, and
-    /// to sharpen twice is to overdo it.
-    pub fn trains_on_enhanced(&self) -> bool {
+    /// Whether kernels explain the shake of the views in a round.
+    pub fn explains_shake(&self, round: u32) -> bool {
+        self.shake.explains(round, self.rounds)
+    }
+
+    /// Whether the scene is trained on the enhanced views in a round. Differs from the paper where
+    /// kernels explain the shake: what a network leaves of the blur, and the halos that it adds,
+    /// are no kernel, and to sharpen twice is to overdo it.
+    pub fn trains_on_enhanced(&self, round: u32) -> bool {
         match self.train_on {
-            TrainOn::Auto => self.shake == ShakeModel::Kernel,
+            TrainOn::Auto => self.explains_shake(round),
             TrainOn::Deblurred => false,
             TrainOn::Enhanced => true,
         }
     }
 
-    /// Those of H and D that the scene is trained on.
-    pub fn trained_on<'a, T: ?Sized>(&self, enhanced: &'a T, deblurred: &'a T) -> &'a T {
-        if self.trains_on_enhanced() {
+    /// Those of H and D that the scene of a round is trained on.
+    pub fn trained_on<'a, T: ?Sized>(
+        &self,
+        round: u32,
+        enhanced: &'a T,
+        deblurred: &'a T,
+    ) -> &'a T {
+        if self.trains_on_enhanced(round) {
             enhanced
         } else {
             deblurred

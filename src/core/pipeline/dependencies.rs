@@ -31,6 +31,7 @@ const MATCH: &[&str] = &["lut_scope", "seed"];
 const LATE_VIEWS: &[&str] = &["size", "shake", "refine_poses", "lut_scope", "seed"];
 /// Training, and the registration of held-out views.
 const RECONSTRUCT: &[&str] = &[
+    "rounds",
     "steps",
     "noise",
     "shake",
@@ -168,7 +169,7 @@ impl RunDependencies {
                 Dependencies::on(&self.given, DEBLUR, &facts)
             }
         };
-        let images = self.given.trained_on(&self.enhance, &deblur);
+        let images = self.given.trained_on(round, &self.enhance, &deblur);
         let before = before.map_or("", |before| before.reconstruct.fingerprint());
         let facts = [images.fingerprint(), &self.adapter, &number, before];
         let reconstruct = Dependencies::on(&self.given, RECONSTRUCT, &facts);

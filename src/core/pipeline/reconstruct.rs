@@ -11,7 +11,7 @@ use std::time::Instant;
 use fled_gpu::Gpu;
 use serde::{Deserialize, Serialize};
 
-use super::config::{NoiseMode, Options, ShakeModel, Start};
+use super::config::{NoiseMode, Options, Start};
 use super::context::{Advance, Context};
 use super::dependencies::Dependencies;
 use super::error::PipelineError;
@@ -135,7 +135,7 @@ fn train_config(material: &Material<'_>, options: &Options) -> TrainConfig {
     let round = material.round;
     let cameras: Vec<Camera> = material.views.iter().map(|view| view.camera).collect();
     let points = points::as_given(material.poses);
-    let shaken = options.shake == ShakeModel::Kernel;
+    let shaken = options.explains_shake(round.number);
     TrainConfig {
         steps: options.steps,
         cap: options.cap as usize,

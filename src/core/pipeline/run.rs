@@ -157,7 +157,9 @@ fn round(
     let material = Material {
         round,
         views,
-        images: asked.options.trained_on(&enhanced[..], &deblurred),
+        images: asked
+            .options
+            .trained_on(round.number, &enhanced[..], &deblurred),
         enhanced: &enhanced,
         target: &brightening.last().response,
         poses,
@@ -305,10 +307,10 @@ fn begin<'a>(
     for (option, network) in tools.networks().named() {
         sink.log(format!("{option}: {} on {}", network.id, network.provider));
     }
-    let trained_on = if options.trains_on_enhanced() {
-        "enhanced"
-    } else {
-        "deblurred"
+    let trained_on = match [1, 2].map(|round| options.trains_on_enhanced(round)) {
+        [true, _] => "enhanced",
+        [false, true] if options.rounds > 1 => "deblurred, and after round 1 on the enhanced",
+        [false, _] => "deblurred",
     };
     sink.log(format!("the scene is trained on the {trained_on} views"));
     for fallback in &tools.fallbacks {

@@ -4,28 +4,57 @@ use super::*;
 
 #[test]
 fn what_shake_explains_is_not_deblurred_for_training_unless_asked_for() {
-    let standard = Preset::Standard.options();
-    assert!(standard.trains_on_enhanced());
+    let standard = Options {
+        shake: ShakeModel::Kernel,
+        ..Preset::Standard.options()
+    };
+    assert!(standard.trains_on_enhanced(1));
     assert!(
         !Options {
             shake: ShakeModel::Off,
             ..standard.clone()
         }
-        .trains_on_enhanced()
+        .trains_on_enhanced(1)
     );
     assert!(
         !Options {
             train_on: TrainOn::Deblurred,
             ..standard.clone()
         }
-        .trains_on_enhanced()
+        .trains_on_enhanced(1)
     );
     let forced = Options {
         train_on: TrainOn::Enhanced,
         shake: ShakeModel::Off,
         ..standard
     };
-    assert!(forced.trains_on_enhanced() && !Preset::Paper.options().trains_on_enhanced());
+    assert!(forced.trains_on_enhanced(1) && !Preset::Paper.options().trains_on_enhanced(1));
+}
+
+#[test]
+fn late_kernels_leave_the_first_round_to_the_network() {
+    let late = Options {
+        shake: ShakeModel::Late,
+        ..Options::default()
+    };
+    assert_eq!(
+        [1, 2, 3].map(|round| late.explains_shake(round)),
+        [false, true, true]
+    );
+    assert_eq!(
+        [1, 2].map(|round| late.trains_on_enhanced(round)),
+        [false, true]
+    );
+    let one = Options {
+        rounds: 1,
+        ..late.clone()
+    };
+    assert!(
+        one.explains_shake(1),
+        "there is no second round to leave it to"
+    );
+    assert_eq!(*late.trained_on(1, "H", "D"), *"D");
+    assert_eq!(*late.trained_on(2, "H", "D"), *"H");
 }
 
 #[test]
