@@ -4,6 +4,7 @@ mod command_line;
 mod downloads;
 mod handed_on;
 mod job;
+mod kills;
 mod late_views;
 mod models;
 mod networks;

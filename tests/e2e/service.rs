@@ -4,14 +4,14 @@ use std::fs;
 use std::io::{BufRead, BufReader};
 use std::ops::Deref;
 use std::path::Path;
-use std::process::{Child, Command, Stdio};
+use std::process::{Child, Stdio};
 use std::time::Duration;
 
 use fled_core::image::{EncodeFormat, Image};
 use fled_tests::{Client, Part, Reply, file, gone, pids_of, text};
 use serde_json::{Value, json};
 
-use crate::support::{fled, small_capture, succeed};
+use crate::support::{fled, kill, small_capture, succeed};
 
 /// A small job takes seconds alone, but tests run beside each other.
 const PATIENCE: Duration = Duration::from_secs(300);
@@ -49,19 +49,19 @@ impl Server {
     }
 
     /// kill -9, and nothing else.
-    fn kill(&mut self) {
+    pub fn kill(&mut self) {
         // Gone already is as good.
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
 
-    fn restart(&mut self) {
+    pub fn restart(&mut self) {
         self.kill();
         (self.child, self.client) = serve(self.folder.path());
     }
 
     /// Sends a small capture with its poses and ground truth; the job's id.
-    fn submit(&self) -> String {
+    pub fn submit(&self) -> String {
         let capture = small_capture(self.folder.path());
         let mut parts = folder_parts(&capture);
         let options = json!({
@@ -347,13 +347,7 @@ fn a_job_whose_process_is_killed_is_taken_up_again_and_finishes() {
     server.wait_for_training(&job, 2);
     let processes = pids_of(&job);
     assert!(!processes.is_empty(), "no process carries the job's mark");
-    for process in processes {
-        let status = Command::new("kill")
-            .args(["-9", &process.to_string()])
-            .status()
-            .expect("kill starts");
-        assert!(status.success());
-    }
+    processes.into_iter().for_each(kill);
     let done = server.wait(&job, "over", |shown| shown["finished_at"].is_string());
     assert_eq!(
         (&done["state"], &done["attempts"]),

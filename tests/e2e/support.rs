@@ -86,6 +86,14 @@ pub fn kill_at(run: &mut Command, moment: &str) {
     assert!(seen, "the run ended before {moment}");
 }
 
+/// kill -9; who is gone already is as good as killed.
+pub fn kill(process: u32) {
+    let status = Command::new("kill")
+        .args(["-9", &process.to_string()])
+        .status();
+    status.expect("kill starts");
+}
+
 /// A JSON file.
 pub fn json(path: &Path) -> serde_json::Value {
     let bytes = std::fs::read(path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));

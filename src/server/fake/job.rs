@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::error::Error;
 use std::ffi::OsString;
 use std::fs;
+use std::io;
 use std::path::{Path, PathBuf};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
@@ -56,7 +57,13 @@ pub fn run(arguments: &[OsString]) -> Outcome {
         tick: Duration::from_millis(tick),
         started: Instant::now(),
     };
-    job.play()
+    job.play().or_else(|error| {
+        // As the real one tells faults of its disk.
+        if error.is::<io::Error>() {
+            return fail("io", &error.to_string(), "Free some space.");
+        }
+        Err(error)
+    })
 }
 
 impl Job {

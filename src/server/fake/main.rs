@@ -114,7 +114,7 @@ fn limits() -> Result<Limits, std::num::ParseIntError> {
         rate: number("FLED_FAKE_RATE", 50)? as u32,
         burst: number("FLED_FAKE_BURST", 1000)? as u32,
         queue: number("FLED_FAKE_QUEUE", 200)? as u32,
-        io_retry_base: Duration::from_millis(50),
+        io_retry_base: Duration::from_millis(number("FLED_FAKE_IO_RETRY_MS", 50)?),
         min_free_bytes: number("FLED_FAKE_MIN_FREE", 1 << 20)?,
         max_upload_bytes: number("FLED_FAKE_UPLOAD_BYTES", 1 << 30)?,
         max_uploads: number("FLED_FAKE_UPLOADS", 1000)? as u32,

@@ -24,13 +24,14 @@ use tokio::io::AsyncWriteExt;
 use self::ahead::Ahead;
 use self::budget::Budget;
 use self::places::Places;
-use super::problem::{Problem, disk_full, too_large};
+use super::problem::{Problem, too_large};
 use super::quota::over_quota;
 use crate::app::App;
 use crate::error::ServerError;
 use crate::holders::Hold;
 use crate::incoming::Incoming;
 
+pub use budget::check_space;
 pub use fetch::fetch;
 pub use gather::gather;
 pub use keep::Placed;
@@ -43,8 +44,6 @@ const LONGEST_NAME: usize = 200;
 pub(super) const LONGEST_FILE_NAME: usize = 1024;
 /// Names of the parts that are files.
 const FILE_PARTS: [&str; 3] = ["images", "gt", "poses"];
-/// Between two looks at the free space of the disk, bytes.
-const LOOK_AT_DISK: u64 = 32 << 20;
 
 /// A complete upload in its own directory, not yet a capture. Dropped unused, it is removed.
 #[derive(Debug)]
@@ -222,15 +221,6 @@ pub async fn to_its_end<T: Send + 'static>(
     tokio::spawn(work)
         .await
         .unwrap_or_else(|_| Err(Problem::internal()))
-}
-
-/// # Errors
-/// 507 when less space is left than the server needs to go on.
-pub fn check_space(app: &App) -> Result<(), Problem> {
-    if app.is_disk_full() {
-        return Err(disk_full());
-    }
-    Ok(())
 }
 
 fn broken(error: &MultipartError) -> Problem {

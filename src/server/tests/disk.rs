@@ -2,11 +2,16 @@
 
 mod support;
 
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::Write;
+use std::path::PathBuf;
+use std::process::Command;
 use std::thread::sleep;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use serde_json::json;
-use support::{Server, deflated, file, text};
+use support::{Server, deflated, file, photographs, text};
 
 /// More than any disk has.
 const NO_SPACE: [(&str, &str); 1] = [("FLED_FAKE_MIN_FREE", "1152921504606846976")];
@@ -50,6 +55,87 @@ fn a_zip_is_unpacked_only_where_there_is_space_for_it() {
     let parts = [file("walk.zip", &deflated(&files))];
     let refused = server.upload("/v1/captures?dry_run", &parts, &[]);
     assert_eq!(refused.expect(507).json()["code"], "disk_full");
+}
+
+/// What a disk of its own holds besides what fills it, bytes.
+const DISK: u64 = 48 << 20;
+
+/// As often as somebody says by `FLED_FILLS`; CI fills it a few times.
+#[test]
+fn a_disk_that_is_full_for_a_while_loses_nothing() {
+    let allowed = Command::new("unshare")
+        .args(["--map-root-user", "--mount", "true"])
+        .status();
+    if !allowed.is_ok_and(|status| status.success()) {
+        eprintln!("left out: `unshare --map-root-user --mount` is not allowed here");
+        return;
+    }
+    let fills: u32 = std::env::var("FLED_FILLS").map_or(6, |n| n.parse().expect("FLED_FILLS"));
+    let server = Server::start_on_disk(DISK, &[("FLED_FAKE_IO_RETRY_MS", "700")]);
+    let calm = server.job("ok");
+    server.wait_state(&calm, "succeeded");
+    let capture = server.show(&calm)["capture_id"].clone();
+    let order =
+        json!({ "capture_id": capture, "preset": "preview", "options": { "adapter": "slow:15" } });
+    let expected = scene(&server, &calm);
+    let mut met = BTreeMap::<String, u32>::new();
+    for fill in 0..fills {
+        let job = server.post_json("/v1/jobs", &order, &[]).expect(202).json();
+        let job = job["id"].as_str().expect("id").to_owned();
+        // Over all stages, and before it begins.
+        sleep(Duration::from_millis(u64::from(fill) * 137 % 1100));
+        let stage = server.show(&job)["stage"].to_string();
+        let filler = fill_up(&server);
+        let end = Instant::now() + Duration::from_millis(600);
+        while Instant::now() < end {
+            for path in ["/livez", "/v1/jobs", "/v1/captures"] {
+                server.get(path, &[]).expect(200);
+            }
+            let refused = server.post_json("/v1/jobs", &order, &[]);
+            assert_eq!(refused.expect(507).json()["code"], "disk_full");
+            server
+                .upload("/v1/captures", &photographs(3), &[])
+                .expect(507);
+            sleep(Duration::from_millis(20));
+        }
+        std::fs::remove_file(filler).expect("removed");
+        server.wait_state(&job, "succeeded");
+        assert_eq!(scene(&server, &job), expected);
+        let ids: Vec<i64> = server
+            .events(&job, 0, usize::MAX)
+            .iter()
+            .map(|event| event.0)
+            .collect();
+        assert_eq!(
+            ids,
+            (1..=ids.len() as i64).collect::<Vec<_>>(),
+            "a gap or a duplicate"
+        );
+        // What the fill refused is taken now.
+        server.capture(3);
+        *met.entry(stage).or_default() += 1;
+    }
+    server.get("/v1/jobs", &[]).expect(200);
+    eprintln!("filled {fills} times, by stage: {met:?}");
+}
+
+/// Leaves not a byte of the server's disk; the file that takes it.
+fn fill_up(server: &Server) -> PathBuf {
+    let path = server.seen().join("filler");
+    let mut file = File::create(&path).expect("made");
+    for piece in [1 << 20, 1 << 12, 1] {
+        while file.write_all(&vec![0; piece]).is_ok() {}
+    }
+    path
+}
+
+fn scene(server: &Server, job: &str) -> Vec<u8> {
+    let path = server
+        .seen()
+        .join("jobs")
+        .join(job)
+        .join("output/scene.ply");
+    std::fs::read(path).expect("a scene")
 }
 
 fn free_bytes(path: &std::path::Path) -> u64 {

@@ -1,9 +1,11 @@
 //! How many bytes a capture may still bring.
 
-use super::{LOOK_AT_DISK, check_space};
 use crate::app::App;
-use crate::http::problem::{Problem, too_large};
+use crate::http::problem::{Problem, disk_full, too_large};
 use crate::http::quota::over_quota;
+
+/// Between two looks at the free space of the disk, bytes.
+const LOOK_AT_DISK: u64 = 32 << 20;
 
 /// Counts what comes against every limit there is.
 pub(super) struct Budget<'a> {
@@ -54,4 +56,13 @@ impl<'a> Budget<'a> {
         }
         Ok(())
     }
+}
+
+/// # Errors
+/// 507 when less space is left than the server needs to go on.
+pub fn check_space(app: &App) -> Result<(), Problem> {
+    if app.is_disk_full() {
+        return Err(disk_full());
+    }
+    Ok(())
 }

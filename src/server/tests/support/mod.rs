@@ -18,6 +18,7 @@ use fled_tests::Client;
 pub use fled_tests::{Part, file, gone, processes_of, text};
 use serde_json::json;
 
+const PROGRAM: &str = env!("CARGO_BIN_EXE_fled-fake");
 /// A job may take so long.
 const PATIENCE: Duration = Duration::from_secs(30);
 
@@ -49,12 +50,38 @@ impl Server {
     /// With limits that `fled-fake` reads from its environment.
     pub fn start_with(limits: &[(&str, &str)]) -> Self {
         let data = tempfile::tempdir().expect("temporary directory");
-        let (child, base) = spawn(data.path(), limits);
+        let child = spawn(data.path(), limits);
+        Self::of(data, child)
+    }
+
+    /// With a disk of its own of so many bytes, which nobody else sees: what it has lies below
+    /// [`Server::seen`].
+    pub fn start_on_disk(bytes: u64, limits: &[(&str, &str)]) -> Self {
+        let data = tempfile::tempdir().expect("temporary directory");
+        let disk = data.path().join("data");
+        std::fs::create_dir(&disk).expect("a folder");
+        let mount = format!("mount -t tmpfs -o size={bytes} none \"$0\" && exec \"$@\"");
+        let mut command = Command::new("unshare");
+        command.args(["--map-root-user", "--mount", "sh", "-c", &mount]);
+        command.arg(&disk).arg(PROGRAM);
+        let child = spawn_by(command, data.path(), limits);
+        Self::of(data, child)
+    }
+
+    fn of(data: tempfile::TempDir, (child, base): (Child, String)) -> Self {
+        let client = Client::new(base, PATIENCE);
         Self {
             data,
             child,
-            client: Client::new(base, PATIENCE),
+            client,
         }
+    }
+
+    /// Its data as it sees them.
+    pub fn seen(&self) -> PathBuf {
+        let root = format!("/proc/{}/root", self.child.id());
+        let path = self.data.path().join("data");
+        Path::new(&root).join(path.strip_prefix("/").expect("absolute"))
     }
 
     /// kill -9, and nothing else.
@@ -137,10 +164,12 @@ impl Server {
 }
 
 fn spawn(data: &Path, limits: &[(&str, &str)]) -> (Child, String) {
+    spawn_by(Command::new(PROGRAM), data, limits)
+}
+
+fn spawn_by(mut command: Command, data: &Path, limits: &[(&str, &str)]) -> (Child, String) {
     let file = data.join("address");
     let _ = std::fs::remove_file(&file);
-    let program = PathBuf::from(env!("CARGO_BIN_EXE_fled-fake"));
-    let mut command = Command::new(program);
     command
         .arg("serve")
         .arg(data.join("data"))
