@@ -157,9 +157,7 @@ fn round(
     let material = Material {
         round,
         views,
-        images: asked
-            .options
-            .trained_on(round.number, &enhanced[..], &deblurred),
+        images: Options::trained_on(asked.options, round.number, &enhanced[..], &deblurred),
         enhanced: &enhanced,
         target: &brightening.last().response,
         poses,
