@@ -6,7 +6,10 @@ mod readers;
 use std::fs;
 use std::path::Path;
 
-fn read_all(name: &str, least: usize, read: fn(&[u8])) {
+/// Takes whatever bytes there are.
+type Reader = fn(&[u8]);
+
+fn read_all(name: &str, least: usize, read: Reader) {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR"))
         .join("fuzz/corpus")
         .join(name);
@@ -25,7 +28,7 @@ fn read_all(name: &str, least: usize, read: fn(&[u8])) {
 
 #[test]
 fn every_reader_stands_what_fuzzers_have_kept() {
-    let readers: [(&str, fn(&[u8])); 6] = [
+    let readers: [(&str, Reader); 6] = [
         ("zip", readers::zip),
         ("exif", readers::exif),
         ("ply", readers::ply),
