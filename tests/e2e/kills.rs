@@ -1,4 +1,4 @@
-//! Random kills of a server and of its jobs' processes while they really train.
+//! Kills of a server and of its jobs' processes while they really train.
 //!
 //! `FLED_KILLS=20 cargo test --release -p fled --test e2e kills -- --nocapture` kills more often
 //! than CI does. Kills of what plays its jobs, by the hundred, are fled-server's.
@@ -30,7 +30,11 @@ fn a_job_that_is_killed_again_and_again_ends_with_the_scene_of_one_that_is_left_
     assert_eq!(expected.len(), 2, "one of each round");
     let (mut done, mut jobs, mut repeated) = (0, 0, Duration::ZERO);
     while done < kills {
-        let order = json!({ "capture_id": shown["capture_id"], "preset": shown["preset"], "options": shown["options"] });
+        let order = json!({
+            "capture_id": shown["capture_id"],
+            "preset": shown["preset"],
+            "options": shown["options"],
+        });
         let reply = server.post_json("/v1/jobs", &order, &[]).expect(202);
         let job = reply.json()["id"].as_str().expect("id").to_owned();
         jobs += 1;
