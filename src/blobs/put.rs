@@ -1,0 +1,234 @@
+//! Keeping bytes.
+
+use std::fs::File;
+use std::io::{Cursor, Read};
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use object_store::{MultipartUpload, ObjectStoreExt, PutPayload};
+use tokio::sync::OwnedSemaphorePermit;
+use tokio::task::{JoinError, JoinSet};
+
+use crate::blob::{Blob, Stamp, blocking, hash_file};
+use crate::error::{BlobError, Result};
+use crate::store::{Blobs, UPLOADING_MIB, age_of};
+
+/// Up to here bytes are sent in one request, from memory.
+const SMALL: u64 = 16 << 20;
+
+/// Bytes of a part of what is larger.
+const PART: u64 = 8 << 20;
+
+/// Parts that an upload may have; S3 takes 10 000.
+const PARTS: u64 = 9_000;
+
+/// How old a blob may be that is not sent again. The collector deletes what nobody named for 24
+/// hours, and whoever keeps a blob names it only afterwards: half a day is left for that.
+const FRESH: Duration = Duration::from_secs(12 * 60 * 60);
+
+impl Blobs {
+    /// Keeps what is in a file now. Nothing is sent when the store has it since less than twelve
+    /// hours. Reads a large file twice, and holds little of it in memory.
+    ///
+    /// # Errors
+    /// [`BlobError::Changed`] when it was written to meanwhile, then nothing is kept;
+    /// [`BlobError::Io`] when it cannot be read or is no regular file; [`BlobError::Store`].
+    pub async fn put(&self, path: &Path) -> Result<Blob> {
+        let file = path.to_owned();
+        let bytes = blocking(move || length(&file)).await?;
+        let file = path.to_owned();
+        if bytes <= SMALL {
+            let _room = self.room(bytes).await?;
+            let (read, blob) = blocking(move || read_small(&file)).await?;
+            if !self.has_fresh(&blob).await? {
+                self.send_whole(&blob, read).await?;
+            }
+            return Ok(blob);
+        }
+        let blob = blocking(move || hash_file(&file)).await?;
+        if self.has_fresh(&blob).await? {
+            return Ok(blob);
+        }
+        let source = File::open(path).map_err(BlobError::io(path))?;
+        self.send_parts(Reading::of(source, path), &blob).await?;
+        Ok(blob)
+    }
+
+    /// Keeps `bytes`, as [`Blobs::put`] does.
+    ///
+    /// # Errors
+    /// [`BlobError::Store`].
+    pub async fn put_bytes(&self, bytes: Vec<u8>) -> Result<Blob> {
+        let named = blocking(move || Ok((Blob::of(&bytes), bytes)));
+        let (blob, bytes) = named.await?;
+        if self.has_fresh(&blob).await? {
+            return Ok(blob);
+        }
+        if blob.bytes <= SMALL {
+            let _room = self.room(blob.bytes).await?;
+            self.send_whole(&blob, bytes).await?;
+        } else {
+            let reading = Reading::of(Cursor::new(bytes), Path::new("memory"));
+            self.send_parts(reading, &blob).await?;
+        }
+        Ok(blob)
+    }
+
+    /// Waits until that much may be held in memory and sent.
+    async fn room(&self, bytes: u64) -> Result<OwnedSemaphorePermit> {
+        let mib = u32::try_from(bytes.div_ceil(1 << 20)).unwrap_or(u32::MAX);
+        let mib = mib.clamp(1, UPLOADING_MIB);
+        let room = self.uploading().acquire_many_owned(mib).await;
+        room.map_err(|_| BlobError::Stopping)
+    }
+
+    /// Whether nothing need be sent.
+    async fn has_fresh(&self, blob: &Blob) -> Result<bool> {
+        let found = self.look(&blob.digest).await?;
+        Ok(found.is_some_and(|object| object.size == blob.bytes && age_of(&object) < FRESH))
+    }
+
+    async fn send_whole(&self, blob: &Blob, bytes: Vec<u8>) -> Result<()> {
+        let key = self.key(&blob.digest);
+        let sent = self.store().put(&key, PutPayload::from(bytes)).await;
+        sent.map_err(|error| self.failed("write a blob", error))?;
+        Ok(())
+    }
+
+    async fn send_parts<R>(&self, reading: Reading<R>, blob: &Blob) -> Result<()>
+    where
+        R: Read + Send + 'static,
+    {
+        let key = self.key(&blob.digest);
+        let upload = self.store().put_multipart(&key).await;
+        let mut upload = upload.map_err(|error| self.failed("begin a blob", error))?;
+        let mut parts = JoinSet::new();
+        let mut sent = self
+            .read_and_send(upload.as_mut(), &mut parts, reading, blob)
+            .await;
+        if sent.is_ok() {
+            let completed = upload.complete().await;
+            sent = completed
+                .map(|_| ())
+                .map_err(|error| self.failed("complete a blob", error));
+        }
+        if sent.is_err() {
+            parts.shutdown().await;
+            if let Err(error) = upload.abort().await {
+                tracing::warn!(%error, location = self.location(), "parts of a blob remain");
+            }
+        }
+        sent
+    }
+
+    /// Sends all parts. Whatever was read in between is not what the first reading saw is
+    /// [`BlobError::Changed`], while nothing of it is visible yet.
+    async fn read_and_send<R>(
+        &self,
+        upload: &mut dyn MultipartUpload,
+        parts: &mut JoinSet<object_store::Result<()>>,
+        mut reading: Reading<R>,
+        blob: &Blob,
+    ) -> Result<()>
+    where
+        R: Read + Send + 'static,
+    {
+        let size = PART.max(blob.bytes / PARTS + 1);
+        while reading.bytes <= blob.bytes {
+            let room = self.room(size).await?;
+            let (so_far, part) = blocking(move || reading.next(size)).await?;
+            reading = so_far;
+            if part.is_empty() {
+                break;
+            }
+            let sending = upload.put_part(PutPayload::from(part));
+            // Tasks, because they must get on while this one waits for room.
+            parts.spawn(async move {
+                let sent = sending.await;
+                drop(room);
+                sent
+            });
+            while let Some(part) = parts.try_join_next() {
+                self.arrived(part)?;
+            }
+        }
+        while let Some(part) = parts.join_next().await {
+            self.arrived(part)?;
+        }
+        if reading.named() == *blob {
+            Ok(())
+        } else {
+            Err(BlobError::Changed(reading.path))
+        }
+    }
+
+    fn arrived(&self, part: Result<object_store::Result<()>, JoinError>) -> Result<()> {
+        match part {
+            Ok(sent) => sent.map_err(|error| self.failed("write a part of a blob", error)),
+            Err(error) => match error.try_into_panic() {
+                Ok(panic) => std::panic::resume_unwind(panic),
+                Err(_) => Err(BlobError::Stopping),
+            },
+        }
+    }
+}
+
+/// Bytes of a regular file. Of anything else, a pipe for example, one could read for ever.
+fn length(path: &Path) -> Result<u64> {
+    let metadata = std::fs::metadata(path).map_err(BlobError::io(path))?;
+    if !metadata.is_file() {
+        let error = std::io::Error::other("it is no regular file");
+        return Err(BlobError::io(path)(error));
+    }
+    Ok(metadata.len())
+}
+
+/// What is in a small file.
+fn read_small(path: &Path) -> Result<(Vec<u8>, Blob)> {
+    let mut file = File::open(path).map_err(BlobError::io(path))?;
+    let before = file.metadata().map_err(BlobError::io(path))?;
+    let mut bytes = Vec::with_capacity(usize::try_from(before.len().min(SMALL)).unwrap_or(0));
+    let mut limited = (&mut file).take(SMALL + 1);
+    let read = limited.read_to_end(&mut bytes);
+    read.map_err(BlobError::io(path))?;
+    let after = file.metadata().map_err(BlobError::io(path))?;
+    if Stamp::of(&before) != Stamp::of(&after) || bytes.len() as u64 != after.len() {
+        return Err(BlobError::Changed(path.to_owned()));
+    }
+    let blob = Blob::of(&bytes);
+    Ok((bytes, blob))
+}
+
+/// A source that is read part by part, and what was read of it.
+struct Reading<R> {
+    source: R,
+    path: PathBuf,
+    hasher: blake3::Hasher,
+    bytes: u64,
+}
+
+impl<R: Read> Reading<R> {
+    fn of(source: R, path: &Path) -> Self {
+        Self {
+            source,
+            path: path.to_owned(),
+            hasher: blake3::Hasher::new(),
+            bytes: 0,
+        }
+    }
+
+    /// The next part; it is short only at the end. Blocks.
+    fn next(mut self, size: u64) -> Result<(Self, Vec<u8>)> {
+        let mut part = Vec::with_capacity(usize::try_from(size).unwrap_or(0));
+        let mut limited = (&mut self.source).take(size);
+        let read = limited.read_to_end(&mut part);
+        read.map_err(BlobError::io(&self.path))?;
+        self.hasher.update(&part);
+        self.bytes += part.len() as u64;
+        Ok((self, part))
+    }
+
+    fn named(&self) -> Blob {
+        Blob::named(self.hasher.finalize(), self.bytes)
+    }
+}
