@@ -9,7 +9,7 @@ use utoipa::{Modify, OpenApi as _};
 
 use super::{
     artifacts, captures, events, exports, health, jobs, live, log, login, metrics, options, pin,
-    render, retry, rounds, share, tus, videos, webhooks, workers,
+    render, retry, rounds, share, tus, videos, webhooks,
 };
 
 #[derive(utoipa::OpenApi)]
@@ -69,7 +69,6 @@ use super::{
         health::live,
         health::ready,
         metrics::show,
-        workers::list,
         show,
         show_json,
         docs
