@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Installs what fled needs from Debian: COLMAP, ffmpeg, the Vulkan loader, a software Vulkan driver, and pip to fetch
 # the ONNX Runtime library and the Python packages of the tools; and programs named as arguments whose package has
-# their name. Installs only what is missing; without root it prints the one line to run instead.
+# their name, `postgresql` among them, which Debian does not put on the path. Installs only what is missing; without root it prints the one line to run instead.
 set -euo pipefail
 
 # Ordinary users do not have /sbin in their path.
@@ -15,6 +15,7 @@ compgen -G '/usr/share/vulkan/icd.d/*.json' >/dev/null || compgen -G '/etc/vulka
 command -v ffmpeg >/dev/null || missing+=(ffmpeg)
 python3 -m pip --version >/dev/null 2>&1 || missing+=(python3-pip)
 for program; do
+    [[ $program == postgresql ]] && compgen -G '/usr/lib/postgresql/*/bin/initdb' >/dev/null && continue
     command -v "$program" >/dev/null || missing+=("$program")
 done
 ((${#missing[@]})) || exit 0

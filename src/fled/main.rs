@@ -15,11 +15,13 @@ mod render;
 mod render_worker;
 mod run;
 mod serve;
+mod shared;
 mod suite;
 mod synth;
 mod token;
 mod tools;
 mod video;
+mod worker;
 
 use std::ffi::OsString;
 use std::process::ExitCode;
@@ -57,6 +59,8 @@ enum Command {
     Synth(synth::Args),
     /// The HTTP service with its dashboard and workers.
     Serve(serve::Args),
+    /// Works on the jobs of a service whose database and files many machines share.
+    Worker(worker::Args),
     /// Sends a capture to a service, watches the job and fetches its result.
     Submit(remote::submit::Args),
     /// Shows what a job of a service does until it is over.
@@ -113,6 +117,7 @@ fn main() -> ExitCode {
         Command::Export(args) => export::main(&args),
         Command::Synth(args) => synth::main(&args),
         Command::Serve(args) => serve::main(&args),
+        Command::Worker(args) => worker::main(&args),
         Command::Submit(args) => remote::submit::main(&args),
         Command::Watch(args) => remote::watch::main(&args),
         Command::Fetch(args) => remote::fetch::main(&args),

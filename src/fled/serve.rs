@@ -1,16 +1,16 @@
 //! `fled serve`: the API, the dashboard and the workers.
 
-use std::io::IsTerminal;
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::time::Duration;
 
 use fled_core::pipeline::error::ErrorKind;
 use fled_server::{Origin, ServeConfig};
-use tracing_subscriber::EnvFilter;
 
 use crate::failure::{Failure, io};
+use crate::shared::{Shared, commands, log};
 use crate::tools;
+use crate::worker::about;
 
 /// Arguments of `fled serve`.
 #[derive(clap::Args)]
@@ -18,6 +18,8 @@ pub struct Args {
     /// Where captures, jobs and the database are kept.
     #[arg(long, value_name = "DIR", default_value = "data")]
     data: PathBuf,
+    #[command(flatten)]
+    shared: Shared,
     /// Address to listen on. Others than this machine's own need a token (`fled token create`).
     #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:8080")]
     listen: SocketAddr,
@@ -28,7 +30,7 @@ pub struct Args {
     /// and proxies send as Host. May be repeated.
     #[arg(long = "host", value_name = "NAME")]
     hosts: Vec<String>,
-    /// Jobs run at once.
+    /// Jobs run at once. With 0 others work, by `fled worker`.
     #[arg(long, value_name = "N", default_value_t = 1)]
     workers: usize,
     /// Deletes jobs that ended so many days ago, and captures so old that have no job. A week
@@ -61,13 +63,7 @@ pub struct Args {
 /// # Errors
 /// [`Failure`] when the data directory or the address cannot be used.
 pub fn main(args: &Args) -> Result<(), Failure> {
-    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("info"));
-    let colours = std::io::stderr().is_terminal();
-    tracing_subscriber::fmt()
-        .with_env_filter(filter)
-        .with_ansi(colours)
-        .with_writer(std::io::stderr)
-        .init();
+    log();
     let mut config =
         ServeConfig::new(args.data.clone(), args.listen, args.workers).map_err(io(&args.data))?;
     config.hosts.clone_from(&args.hosts);
@@ -78,16 +74,11 @@ pub fn main(args: &Args) -> Result<(), Failure> {
     let days = args.keep_days.map(u64::from);
     config.retention.age = days.map(|days| Duration::from_secs(days * 24 * 3600));
     config.retention.jobs = args.keep_jobs;
-    // Deblurred views in full precision are large; where other options want them they are made
-    // again.
-    config.job_command.push("--discard-work".into());
-    config.ffmpeg.clone_from(&args.ffmpeg.program);
-    config.models = args.models.folders();
-    for folder in &config.models {
-        for command in [&mut config.job_command, &mut config.doctor_command] {
-            command.extend(["--models".into(), folder.into()]);
-        }
+    args.shared.tell(&mut config);
+    if args.shared.database.is_some() && args.workers > 0 {
+        config.about = Some(about("auto", args.workers));
     }
+    commands(&mut config, &args.ffmpeg, &args.models);
     let runtime =
         tokio::runtime::Runtime::new().map_err(|e| Failure::new(ErrorKind::Internal, e))?;
     runtime

@@ -1,7 +1,7 @@
 //! `fled token`: who may use the service.
 
 use std::io::Write;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use fled_core::pipeline::error::ErrorKind;
 use fled_server::ServerError;
@@ -61,6 +61,14 @@ struct Data {
     /// The service's data directory. It may be in use.
     #[arg(long = "data", value_name = "DIR", default_value = "data")]
     dir: PathBuf,
+    /// The service's database where it is not in --data: postgres://USER:PASSWORD@HOST/NAME.
+    #[arg(
+        long = "db",
+        value_name = "URL",
+        env = "FLED_DB",
+        hide_env_values = true
+    )]
+    database: Option<String>,
 }
 
 /// Makes, lists or ends tokens.
@@ -74,14 +82,13 @@ pub fn main(args: &Args) -> Result<(), Failure> {
     runtime.block_on(async {
         match &args.command {
             Command::Create(args) => create(args).await,
-            Command::List { data } => list(&data.dir).await,
-            Command::Revoke { data, id } => revoke(&data.dir, id).await,
+            Command::List { data } => list(data).await,
+            Command::Revoke { data, id } => revoke(data, id).await,
         }
     })
 }
 
 async fn create(args: &Create) -> Result<(), Failure> {
-    let dir = &args.data.dir;
     let scopes: Scopes = args.scope.parse().map_err(wrong)?;
     let expires_at = args.expires.as_deref().map(expiry);
     let expires_at = expires_at.transpose().map_err(wrong)?;
@@ -92,8 +99,7 @@ async fn create(args: &Create) -> Result<(), Failure> {
     };
     let secret = Secret::new().map_err(wrong)?;
     let id = new_id().map_err(wrong)?;
-    std::fs::create_dir_all(dir).map_err(io(dir))?;
-    let store = open(dir).await?;
+    let store = open(&args.data).await?;
     let token = NewToken {
         id,
         name: args.name.clone(),
@@ -111,8 +117,8 @@ async fn create(args: &Create) -> Result<(), Failure> {
     say(secret.reveal())
 }
 
-async fn list(dir: &Path) -> Result<(), Failure> {
-    let store = existing(dir).await?;
+async fn list(data: &Data) -> Result<(), Failure> {
+    let store = existing(data).await?;
     let tokens = store.tokens().await.map_err(failed)?;
     store.close().await;
     if tokens.is_empty() {
@@ -148,8 +154,8 @@ fn line(token: &TokenRow, now: i64) -> String {
     )
 }
 
-async fn revoke(dir: &Path, id: &str) -> Result<(), Failure> {
-    let store = existing(dir).await?;
+async fn revoke(data: &Data, id: &str) -> Result<(), Failure> {
+    let store = existing(data).await?;
     let ended = store.revoke_token(id).await.map_err(failed)?;
     store.close().await;
     if !ended {
@@ -162,19 +168,27 @@ async fn revoke(dir: &Path, id: &str) -> Result<(), Failure> {
 }
 
 /// The store of a directory that a server has used or a token was made for.
-async fn existing(dir: &Path) -> Result<Store, Failure> {
-    if !dir.join("fled.db").is_file() {
+async fn existing(data: &Data) -> Result<Store, Failure> {
+    let dir = &data.dir;
+    if data.database.is_none() && !dir.join("fled.db").is_file() {
         let detail = format!(
             "{} holds no fled.db: it is no data directory",
             dir.display()
         );
         return Err(Failure::usage(detail));
     }
-    open(dir).await
+    open(data).await
 }
 
-async fn open(dir: &Path) -> Result<Store, Failure> {
-    Store::open(&dir.join("fled.db")).await.map_err(failed)
+async fn open(data: &Data) -> Result<Store, Failure> {
+    let store = match &data.database {
+        Some(url) => Store::at(url).await,
+        None => {
+            std::fs::create_dir_all(&data.dir).map_err(io(&data.dir))?;
+            Store::open(&data.dir.join("fled.db")).await
+        }
+    };
+    store.map_err(failed)
 }
 
 fn wrong(error: TokenError) -> Failure {

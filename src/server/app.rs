@@ -10,6 +10,7 @@ use crate::config::{Limits, ServeConfig};
 use crate::data::DataDir;
 use crate::holders::Holders;
 use crate::incoming::Uploads;
+use crate::mirror::Mirror;
 use crate::rate::Rates;
 use crate::render::Renderers;
 use crate::running::Running;
@@ -28,6 +29,10 @@ pub struct App {
     pub data: DataDir,
     /// The database.
     pub store: Store,
+    /// Copies of what many machines share.
+    pub mirror: Mirror,
+    /// What this installation is called among those that share a database.
+    pub worker: String,
     /// The uploads that are under way.
     pub uploads: Uploads,
     /// Who writes or reads which upload in pieces.
@@ -63,7 +68,13 @@ pub struct App {
 
 impl App {
     /// Puts a server's parts together.
-    pub fn new(config: ServeConfig, data: DataDir, store: Store) -> Self {
+    pub fn new(
+        config: ServeConfig,
+        data: DataDir,
+        store: Store,
+        mirror: Mirror,
+        worker: String,
+    ) -> Self {
         let limits = config.limits;
         Self {
             renderers: Renderers::new(config.render_command.clone(), limits.render, limits.grace),
@@ -74,6 +85,8 @@ impl App {
             limits,
             data,
             store,
+            mirror,
+            worker,
             readiness: tokio::sync::Mutex::default(),
             wake: Notify::new(),
             shutdown: CancellationToken::new(),

@@ -160,7 +160,7 @@ mod tests {
     use serde_json::json;
 
     use super::*;
-    use crate::store::{CaptureRow, NewJob, Room};
+    use crate::store::{CaptureRow, Needs, NewJob, Room};
 
     const ROOM: Room<'static> = Room {
         queue: 9,
@@ -178,7 +178,7 @@ mod tests {
             owner: None,
             expires_at: None,
         };
-        store.insert_capture(&capture).await.expect("kept");
+        store.insert_capture(&capture, &[]).await.expect("kept");
         for id in ids {
             let job = NewJob {
                 id: (*id).to_owned(),
@@ -187,6 +187,8 @@ mod tests {
                 preset: "preview".to_owned(),
                 options: json!({}),
                 rounds: 1,
+                needs: Needs::default(),
+                priority: 0,
             };
             store.create_job(&job, None, "", ROOM).await.expect("made");
             store.request_cancel(id).await.expect("cancelled");

@@ -10,12 +10,21 @@ use fled_core::capture::MAX_FILES;
 use fled_core::pipeline::error::ErrorKind;
 
 use crate::outside::Origin;
+use crate::store::About;
 
 /// What `fled serve` is told.
 #[derive(Clone, Debug)]
 pub struct ServeConfig {
     /// Everything the server keeps: database, captures, jobs.
     pub data: PathBuf,
+    /// The database that many machines share, `postgres://..`; the one in `data` where absent.
+    pub database: Option<String>,
+    /// The store of files that they share, a directory or `s3://BUCKET/PREFIX`; `data` is then only
+    /// this machine's copy.
+    pub files: Option<String>,
+    /// What this machine says of itself to the others, and by what it is given jobs; where absent
+    /// it takes any.
+    pub about: Option<About>,
     /// Where it listens; port 0 takes a free one.
     pub listen: SocketAddr,
     /// Whether it may listen to other machines although there is no token.
@@ -92,6 +101,9 @@ impl ServeConfig {
         };
         Ok(Self {
             data,
+            database: None,
+            files: None,
+            about: None,
             listen,
             open: false,
             hosts: Vec::new(),
@@ -125,6 +137,13 @@ pub struct Limits {
     pub wall: Duration,
     /// Between SIGTERM and SIGKILL. Cancelling promises two seconds in all.
     pub grace: Duration,
+    /// A worker that could not say for so long that it lives ends its job: before others have it.
+    pub unheard: Duration,
+    /// How often a worker puts what its job has made into a shared store of files, besides after
+    /// every stage.
+    pub publish: Duration,
+    /// How often somebody looks by themselves into a database that others change, too.
+    pub look: Duration,
     /// Least time between two stored progress reports of a job.
     pub progress_interval: Duration,
     /// Wait before the first retry; each further one is four times as long.
@@ -206,6 +225,9 @@ impl Default for Limits {
         Self {
             lease: Duration::from_secs(30),
             heartbeat: Duration::from_secs(10),
+            unheard: Duration::from_secs(25),
+            publish: Duration::from_secs(20),
+            look: Duration::from_secs(5),
             silence: Duration::from_secs(20 * 60),
             wall: Duration::from_secs(48 * 3600),
             grace: Duration::from_millis(1000),

@@ -90,6 +90,25 @@ impl DataDir {
         &self.root
     }
 
+    /// What this installation is called among those that share a database: made up once, so that it
+    /// finds its own jobs again after a restart.
+    ///
+    /// # Errors
+    /// [`ServerError::Io`] when it cannot be kept.
+    pub fn worker(&self) -> Result<String> {
+        let path = self.root.join("worker");
+        match fs::read_to_string(&path) {
+            Ok(name) if !name.trim().is_empty() => return Ok(name.trim().to_owned()),
+            Err(error) if error.kind() != io::ErrorKind::NotFound => {
+                return Err(ServerError::io(&path)(error));
+            }
+            _ => {}
+        }
+        let name = uuid::Uuid::now_v7().to_string();
+        write_atomically(&path, name.as_bytes()).map_err(ServerError::io(&path))?;
+        Ok(name)
+    }
+
     /// The database file.
     pub fn database(&self) -> PathBuf {
         self.root.join("fled.db")

@@ -21,6 +21,35 @@ pub enum ServerError {
     /// The schema could not be brought up to date.
     #[error("database schema: {0}")]
     Migration(#[from] sqlx::migrate::MigrateError),
+    /// A program of a later version has changed the schema.
+    #[error(
+        "the database is of schema {version}, and this program knows {known}: a newer fled has \
+         used it. Start that version, or restore a backup from before"
+    )]
+    NewerSchema {
+        /// What the database has.
+        version: i64,
+        /// What the program knows.
+        known: i64,
+    },
+    /// What `--db` names is no database.
+    #[error(
+        "--db is no usable database: {detail}. Give `postgres://USER:PASSWORD@HOST/DATABASE` or \
+         `sqlite:FILE`"
+    )]
+    BadDatabase {
+        /// Why.
+        detail: String,
+    },
+    /// Machines that share a database share files, too.
+    #[error(
+        "a database that many machines use needs a store of files that they share: give \
+         --store DIR or --store s3://BUCKET/PREFIX"
+    )]
+    NoFiles,
+    /// The store of files refused.
+    #[error("store of files: {0}")]
+    Blobs(Box<fled_blobs::BlobError>),
     /// Another server holds the data directory.
     #[error("{0} is in use by another server; stop it or choose another --data")]
     DataInUse(PathBuf),
@@ -43,7 +72,34 @@ pub enum ServerError {
     LeaseLost(String),
 }
 
+impl From<fled_blobs::BlobError> for ServerError {
+    fn from(error: fled_blobs::BlobError) -> Self {
+        Self::Blobs(Box::new(error))
+    }
+}
+
 impl ServerError {
+    /// Whether it is a fault of a database that is away, and may be back soon.
+    pub fn passes(&self) -> bool {
+        let Self::Database(error) = self else {
+            return false;
+        };
+        match error {
+            sqlx::Error::Io(_)
+            | sqlx::Error::Tls(_)
+            | sqlx::Error::Protocol(_)
+            | sqlx::Error::PoolTimedOut
+            | sqlx::Error::WorkerCrashed => true,
+            // Connections, resources, whoever runs it, deadlocks, locks that were waited for.
+            sqlx::Error::Database(error) => error.code().is_some_and(|code| {
+                ["08", "53", "57", "40", "55P03", "25P03"]
+                    .iter()
+                    .any(|class| code.starts_with(class))
+            }),
+            _ => false,
+        }
+    }
+
     /// An [`ServerError::Io`] about `path`, for `map_err`.
     pub fn io(path: &Path) -> impl FnOnce(io::Error) -> Self + '_ {
         move |source| Self::Io {

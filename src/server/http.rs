@@ -12,6 +12,7 @@ mod body_limit;
 mod captures;
 mod client;
 mod connections;
+mod copies;
 mod dashboard;
 mod events;
 mod exports;
@@ -46,6 +47,7 @@ mod upload;
 mod uploaded;
 mod videos;
 mod webhooks;
+mod workers;
 
 use std::any::Any;
 use std::sync::Arc;
@@ -64,7 +66,9 @@ use tower_http::trace::TraceLayer;
 
 use crate::app::App;
 use body_limit::SMALL;
-use paths::{EXPORT, EXPORTS, UPLOAD, UPLOADS, VIDEO, VIDEO_FILE, VIDEOS, WEBHOOK, WEBHOOKS};
+use paths::{
+    EXPORT, EXPORTS, UPLOAD, UPLOADS, VIDEO, VIDEO_FILE, VIDEOS, WEBHOOK, WEBHOOKS, WORKERS,
+};
 
 pub use connections::serve as serve_connections;
 pub use openapi::document;
@@ -90,6 +94,7 @@ pub fn router(app: Arc<App>) -> Router {
         .route("/logout", post(login::logout))
         .route("/livez", get(health::live))
         .route("/metrics", get(metrics::show))
+        .route(WORKERS, get(workers::list))
         .route("/readyz", get(health::ready))
         .route("/openapi.yaml", get(openapi::show))
         .route("/openapi.json", get(openapi::show_json))
@@ -110,6 +115,7 @@ pub fn router(app: Arc<App>) -> Router {
                 "This address does not do that.",
             )
         })
+        .layer(middleware::from_fn_with_state(app.clone(), copies::bring))
         .layer(middleware::from_fn_with_state(app.clone(), access::check))
         // Another site's page must not start or delete jobs with a visitor's browser.
         .layer(CsrfLayer::new())

@@ -1,6 +1,8 @@
 //! Jobs: their states, and the workers that run them as child processes.
 
 mod attempt;
+mod beat;
+mod deaths;
 pub mod log;
 mod orphans;
 pub mod process;
@@ -8,4 +10,5 @@ pub mod state;
 pub mod tether;
 pub mod worker;
 
+pub use deaths::after_death;
 pub use orphans::kill_orphans;

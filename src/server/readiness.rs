@@ -26,6 +26,7 @@ struct Doctor {
 /// Judges everything.
 pub async fn checks(app: &App) -> Vec<Check> {
     let mut checks = vec![database(app).await, disk(app)];
+    checks.extend(files(app).await);
     // Concurrent callers wait for one judgement instead of starting several.
     let mut remembered = app.readiness.lock().await;
     if remembered
@@ -65,6 +66,28 @@ async fn database(app: &App) -> Check {
             .map_or("Check the data directory's permissions and space.", |()| "")
             .to_owned(),
     }
+}
+
+/// The store of files, where machines share one.
+async fn files(app: &App) -> Option<Check> {
+    let outcome = app.mirror.blobs()?.check().await;
+    Some(Check {
+        name: "store".to_owned(),
+        ok: outcome.is_ok(),
+        detail: match &outcome {
+            Ok(()) => "answers and can be written".to_owned(),
+            Err(error) => {
+                tracing::error!(%error, "the store of files cannot be used");
+                without_paths(&error.to_string())
+            }
+        },
+        hint: outcome
+            .map_or(
+                "Check the store that --store names and its credentials.",
+                |()| "",
+            )
+            .to_owned(),
+    })
 }
 
 fn disk(app: &App) -> Check {

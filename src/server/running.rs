@@ -53,6 +53,11 @@ impl Running {
         }
     }
 
+    /// Whether the job runs here.
+    pub fn has(&self, job: &str) -> bool {
+        self.lock().contains_key(job)
+    }
+
     /// The jobs that run.
     pub fn jobs(&self) -> Vec<String> {
         self.lock().keys().cloned().collect()

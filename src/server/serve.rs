@@ -5,19 +5,21 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 
-use fled_core::pipeline::error::ErrorKind;
+use fled_blobs::Blobs;
 use tokio::net::TcpListener;
 use tokio::signal::unix::{SignalKind, signal};
 use tokio::task::JoinSet;
 
 use crate::app::App;
-use crate::config::{Limits, ServeConfig};
+use crate::config::ServeConfig;
 use crate::data::DataDir;
 use crate::error::{Result, ServerError};
 use crate::expiry::expire;
 use crate::http::{router, serve_connections};
-use crate::jobs::{kill_orphans, worker};
-use crate::store::{JobError, Settlement, Store};
+use crate::jobs::{after_death, kill_orphans, worker};
+use crate::mirror::Mirror;
+use crate::others;
+use crate::store::{Engine, Store};
 use crate::sweep;
 use crate::videos::maker::{keep_making, take_up};
 use crate::webhooks::keep_telling;
@@ -28,7 +30,8 @@ const FAREWELL: Duration = Duration::from_secs(5);
 /// A running server.
 #[derive(Debug)]
 pub struct Server {
-    address: SocketAddr,
+    /// `None` of one that only works.
+    address: Option<SocketAddr>,
     app: Arc<App>,
     tasks: JoinSet<()>,
 }
@@ -39,21 +42,8 @@ impl Server {
     /// # Errors
     /// When the directory is in use or unusable, or the address is taken.
     pub async fn start(config: ServeConfig) -> Result<Self> {
-        let data = DataDir::open(&config.data)?;
-        let store = Store::open(&data.database()).await?;
-        guard(&config, &store).await?;
-        let limits = config.limits;
-        let left = store
-            .release_all(|deaths| after_death(&limits, deaths))
-            .await?;
-        if !left.is_empty() {
-            let orphans = kill_orphans(&left);
-            tracing::info!(
-                jobs = left.len(),
-                orphans,
-                "jobs of an earlier server go on"
-            );
-        }
+        let opened = open(&config).await?;
+        guard(&config, &opened.store).await?;
         let name = config.listen.to_string();
         let listener = TcpListener::bind(config.listen)
             .await
@@ -61,25 +51,16 @@ impl Server {
         let address = listener
             .local_addr()
             .map_err(ServerError::io(Path::new(&name)))?;
-        let workers = config.workers;
-        let app = Arc::new(App::new(config, data, store));
-        // Before there are workers and requests: what has no row now will never have one.
-        let swept = sweep::sweep(&app, Duration::ZERO).await?;
-        if swept > 0 {
-            tracing::info!(swept, "leftovers of an earlier server are out of the way");
-        }
+        let app = opened.app(config).await?;
         // A disk that is too full to be written must not keep the server from starting.
         if let Err(error) = expire(&app).await {
             tracing::warn!(%error, "cannot delete what is kept no longer");
         }
         take_up(&app).await?;
         let mut tasks = JoinSet::new();
-        tasks.spawn(sweep::keep_sweeping(app.clone()));
         tasks.spawn(keep_telling(app.clone()));
         tasks.spawn(keep_making(app.clone()));
-        for index in 0..workers {
-            tasks.spawn(worker::work(app.clone(), index));
-        }
+        spawn_workers(&app, &mut tasks);
         let (limits, shutdown) = (app.limits, app.shutdown.clone());
         tasks.spawn(serve_connections(
             listener,
@@ -88,14 +69,30 @@ impl Server {
             shutdown,
         ));
         Ok(Self {
-            address,
+            address: Some(address),
             app,
             tasks,
         })
     }
 
-    /// Where it listens.
-    pub fn address(&self) -> SocketAddr {
+    /// Opens the data directory and the database and works, without an API of its own.
+    ///
+    /// # Errors
+    /// When one of them is in use or unusable.
+    pub async fn start_worker(config: ServeConfig) -> Result<Self> {
+        let opened = open(&config).await?;
+        let app = opened.app(config).await?;
+        let mut tasks = JoinSet::new();
+        spawn_workers(&app, &mut tasks);
+        Ok(Self {
+            address: None,
+            app,
+            tasks,
+        })
+    }
+
+    /// Where it listens, if it does.
+    pub fn address(&self) -> Option<SocketAddr> {
         self.address
     }
 
@@ -108,7 +105,99 @@ impl Server {
         }
         self.tasks.shutdown().await;
         self.app.renderers.stop().await;
+        if self.app.config.about.is_some()
+            && let Err(error) = self
+                .app
+                .store
+                .forget_workers(Some(&self.app.worker), 0)
+                .await
+        {
+            tracing::warn!(%error, "the others will take this worker for lost for a while");
+        }
         self.app.store.close().await;
+    }
+}
+
+/// What a process holds before it works.
+struct Opened {
+    data: DataDir,
+    store: Store,
+    mirror: Mirror,
+    worker: String,
+}
+
+/// Opens what a configuration names, and takes up what an earlier process here has left.
+async fn open(config: &ServeConfig) -> Result<Opened> {
+    let data = DataDir::open(&config.data)?;
+    let store = match &config.database {
+        Some(url) => Store::at(url).await?,
+        None => Store::open(&data.database()).await?,
+    };
+    let blobs = match &config.files {
+        Some(place) => {
+            let blobs = Blobs::open(place)?;
+            blobs.check().await?;
+            tracing::info!(store = blobs.location(), "files are shared");
+            Some(blobs)
+        }
+        None if store.engine() == Engine::Postgres => return Err(ServerError::NoFiles),
+        None => None,
+    };
+    let worker = data.worker()?;
+    let limits = config.limits;
+    let left = match store.engine() {
+        // Nobody else uses it.
+        Engine::Sqlite => {
+            store
+                .release_all(|deaths| after_death(&limits, deaths))
+                .await?
+        }
+        Engine::Postgres => {
+            store
+                .release_of(&worker, |deaths| after_death(&limits, deaths))
+                .await?
+        }
+    };
+    if !left.is_empty() {
+        let orphans = kill_orphans(&left);
+        tracing::info!(
+            jobs = left.len(),
+            orphans,
+            "jobs of an earlier server go on"
+        );
+    }
+    Ok(Opened {
+        data,
+        store,
+        mirror: Mirror::new(blobs),
+        worker,
+    })
+}
+
+impl Opened {
+    async fn app(self, config: ServeConfig) -> Result<Arc<App>> {
+        let app = App::new(config, self.data, self.store, self.mirror, self.worker);
+        let app = Arc::new(app);
+        // Before there are workers and requests: what has no row now will never have one.
+        let swept = sweep::sweep(&app, Duration::ZERO).await?;
+        if swept > 0 {
+            tracing::info!(swept, "leftovers of an earlier server are out of the way");
+        }
+        Ok(app)
+    }
+}
+
+/// Begins what every process does that works on jobs.
+fn spawn_workers(app: &Arc<App>, tasks: &mut JoinSet<()>) {
+    tasks.spawn(sweep::keep_sweeping(app.clone()));
+    if app.store.engine() == Engine::Postgres {
+        tasks.spawn(others::keep_hearing(app.clone()));
+    }
+    if app.config.about.is_some() {
+        tasks.spawn(others::keep_being_seen(app.clone()));
+    }
+    for index in 0..app.config.workers {
+        tasks.spawn(worker::work(app.clone(), index));
     }
 }
 
@@ -129,34 +218,30 @@ async fn guard(config: &ServeConfig, store: &Store) -> Result<()> {
     Ok(())
 }
 
-/// What becomes of a job whose server has died so many times in a row without its progress. Memory
-/// that runs out takes the server as well as the job: such a job must not start for ever.
-fn after_death(limits: &Limits, deaths: u32) -> Settlement {
-    let again = deaths < limits.deaths_without_progress;
-    // At once after the first, as after a restart by hand.
-    let wait = match deaths {
-        0 | 1 => 0,
-        _ => limits.retry_wait_ms(ErrorKind::Internal, deaths - 1),
-    };
-    Settlement::Failed {
-        error: JobError {
-            code: ErrorKind::Internal.name().to_owned(),
-            detail: format!("the server died while this job ran, {deaths} times without progress"),
-            hint: "Memory may have run out: try a smaller `size` or `cap`, or another machine."
-                .to_owned(),
-        },
-        retry_in_ms: again.then_some(wait),
-        failures: deaths,
-    }
-}
-
 /// Serves until SIGINT or SIGTERM.
 ///
 /// # Errors
 /// When the server cannot start.
 pub async fn serve(config: ServeConfig) -> Result<()> {
     let server = Server::start(config).await?;
-    tracing::info!("listening on http://{}", server.address());
+    if let Some(address) = server.address() {
+        tracing::info!("listening on http://{address}");
+    }
+    until_told(server).await
+}
+
+/// Works until SIGINT or SIGTERM; what runs then goes back to the queue.
+///
+/// # Errors
+/// When the worker cannot start.
+pub async fn work(config: ServeConfig) -> Result<()> {
+    let server = Server::start_worker(config).await?;
+    tracing::info!(worker = server.app.worker, "working");
+    until_told(server).await
+}
+
+/// Waits for a signal, and stops.
+async fn until_told(server: Server) -> Result<()> {
     let io = |source| ServerError::Io {
         path: "signals".into(),
         source,

@@ -1,19 +1,26 @@
-//! Every SQL statement of the service, behind one type.
+//! Every SQL statement of the service, behind one type, for SQLite and for PostgreSQL.
 //!
-//! Writes that must not be lost are single transactions on a database in WAL mode with full
+//! Writes that must not be lost are single transactions, on SQLite in WAL mode with full
 //! synchronisation: once a call returns, its effect survives a power cut.
 
 mod backup;
 mod captures;
 mod clock;
 mod compact;
+mod effects;
+mod engine;
 mod events;
+mod files;
 mod idempotency;
 mod jobs;
 mod lease;
+mod listen;
+mod migrations;
+mod outbox;
 mod results;
 mod retention;
 mod retry;
+mod say;
 mod sessions;
 mod shares;
 #[cfg(test)]
@@ -21,152 +28,116 @@ mod tests;
 mod tokens;
 mod uploads;
 mod webhooks;
+mod workers;
 
 use std::collections::HashSet;
 use std::path::Path;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
-use sqlx::migrate::{Migration, MigrationType, Migrator};
-use sqlx::sqlite::{SqliteConnectOptions, SqliteJournalMode, SqlitePoolOptions, SqliteSynchronous};
-use sqlx::{Connection, SqlSafeStr, SqlStr, SqliteConnection, SqlitePool};
+use sqlx::AnyPool;
 
-use crate::error::Result;
+use crate::error::{Result, ServerError};
+use engine::Tx;
 
 pub use backup::Attempted;
 pub use captures::CaptureRow;
 pub use clock::now_ms;
+pub use effects::{Progress, Settlement};
+pub use engine::Engine;
 pub use events::EventRow;
+pub use files::by_path;
 pub use idempotency::{Creation, Request, UsedUp};
-pub use jobs::{JobError, JobFilter, JobRow, NewJob, Room, ToldJob};
-pub use lease::{Claim, Lease, Progress, Settlement};
+pub use jobs::{JobError, JobFilter, JobRow, Needs, NewJob, Room, ToldJob};
+pub use lease::{Claim, Lease, Machine};
+pub use listen::Heard;
 pub use results::{StageSeconds, WarningRow};
 pub use retry::{Change, Retry};
 pub use shares::{NewShare, ShareRow};
 pub use tokens::{NewToken, Quotas, TokenRow};
 pub use uploads::UploadRow;
 pub use webhooks::{DeliveryRow, Then, Tried, WebhookRow};
-
-/// Applied in order, each once, never edited after release.
-const MIGRATIONS: [(i64, &str, &str); 14] = [
-    (
-        1,
-        "captures",
-        include_str!("../../migrations/0001_captures.sql"),
-    ),
-    (2, "jobs", include_str!("../../migrations/0002_jobs.sql")),
-    (
-        3,
-        "events",
-        include_str!("../../migrations/0003_events.sql"),
-    ),
-    (
-        4,
-        "results",
-        include_str!("../../migrations/0004_results.sql"),
-    ),
-    (
-        5,
-        "idempotency",
-        include_str!("../../migrations/0005_idempotency.sql"),
-    ),
-    (
-        6,
-        "artifacts",
-        include_str!("../../migrations/0006_artifacts.sql"),
-    ),
-    (
-        7,
-        "tokens",
-        include_str!("../../migrations/0007_tokens.sql"),
-    ),
-    (
-        8,
-        "sessions",
-        include_str!("../../migrations/0008_sessions.sql"),
-    ),
-    (
-        9,
-        "owners",
-        include_str!("../../migrations/0009_owners.sql"),
-    ),
-    (
-        10,
-        "quotas",
-        include_str!("../../migrations/0010_quotas.sql"),
-    ),
-    (
-        11,
-        "retention",
-        include_str!("../../migrations/0011_retention.sql"),
-    ),
-    (
-        12,
-        "uploads",
-        include_str!("../../migrations/0012_uploads.sql"),
-    ),
-    (
-        13,
-        "shares",
-        include_str!("../../migrations/0013_shares.sql"),
-    ),
-    (
-        14,
-        "webhooks",
-        include_str!("../../migrations/0014_webhooks.sql"),
-    ),
-];
-
-/// Connections to the database at most.
-const CONNECTIONS: u32 = 6;
-
-/// How long a writer waits for another before it gives up.
-const BUSY_TIMEOUT: Duration = Duration::from_secs(10);
+pub use workers::{About, WorkerRow};
 
 /// The database. Cheap to clone.
 #[derive(Clone, Debug)]
 pub struct Store {
-    pool: SqlitePool,
+    pool: AnyPool,
+    engine: Engine,
+    /// Where PostgreSQL is.
+    url: Option<String>,
     /// Leases are counted from here, on a clock that nobody sets: see [`Store::lease_clock`].
     opened: Instant,
 }
 
 impl Store {
-    /// Opens or creates the database at `path` and brings its schema up to date.
+    /// Opens or creates the database file at `path` and brings its schema up to date.
     ///
     /// # Errors
-    /// When the file cannot be opened or a migration fails.
+    /// When the file cannot be opened, a migration fails, or a newer program has been at it.
     pub async fn open(path: &Path) -> Result<Self> {
-        let options = SqliteConnectOptions::new()
-            .filename(path)
-            .create_if_missing(true)
-            .journal_mode(SqliteJournalMode::Wal)
-            // Full costs little here (measured 1,800 against 3,200 write transactions a second)
-            // and makes an answered request survive a power cut.
-            .synchronous(SqliteSynchronous::Full)
-            .foreign_keys(true)
-            .busy_timeout(BUSY_TIMEOUT);
-        let pool = SqlitePoolOptions::new()
-            .max_connections(CONNECTIONS)
-            .after_release(|connection, _| Box::pin(has_no_transaction(connection)))
-            .connect_with(options)
-            .await?;
-        Migrator::with_migrations(MIGRATIONS.into_iter().map(migration).collect())
-            .run(&pool)
-            .await?;
-        Ok(Self::over(pool))
+        let pool = engine::sqlite(path, true, engine::CONNECTIONS).await?;
+        engine::migrate(&pool, Engine::Sqlite).await?;
+        Ok(Self::over(pool, Engine::Sqlite, None))
     }
 
-    fn over(pool: SqlitePool) -> Self {
+    /// Opens the database that `--db` names: `postgres://..`, or `sqlite:FILE`.
+    ///
+    /// # Errors
+    /// As [`Store::open`]; [`ServerError::BadDatabase`] where it names neither.
+    pub async fn at(url: &str) -> Result<Self> {
+        if let Some(path) = url.strip_prefix("sqlite:") {
+            return Self::open(Path::new(path)).await;
+        }
+        if !url.starts_with("postgres://") && !url.starts_with("postgresql://") {
+            return Err(ServerError::BadDatabase {
+                detail: "it begins with neither `postgres://` nor `sqlite:`".to_owned(),
+            });
+        }
+        let pool = engine::postgres(url).await?;
+        engine::migrate(&pool, Engine::Postgres).await?;
+        Ok(Self::over(pool, Engine::Postgres, Some(url.to_owned())))
+    }
+
+    fn over(pool: AnyPool, engine: Engine, url: Option<String>) -> Self {
         Self {
             pool,
+            engine,
+            url,
             opened: Instant::now(),
         }
     }
 
-    /// Milliseconds on the clock of leases. It stands while the machine sleeps, and no step of the
-    /// time of day ends a lease. It begins anew with every server, which releases all leases first.
-    fn lease_clock(&self) -> i64 {
-        i64::try_from(self.opened.elapsed().as_millis()).unwrap_or(i64::MAX)
+    /// Which database it is.
+    pub fn engine(&self) -> Engine {
+        self.engine
+    }
+
+    /// A transaction that looks at many rows before it writes: one at a time.
+    async fn write(&self) -> Result<Tx> {
+        engine::begin(&self.pool, self.engine, true).await
+    }
+
+    /// A transaction about rows that it locks by itself.
+    async fn begin(&self) -> Result<Tx> {
+        engine::begin(&self.pool, self.engine, false).await
+    }
+
+    /// Milliseconds on the clock of leases. With SQLite it stands while the machine sleeps, no step
+    /// of the time of day ends a lease, and it begins anew with every server, which releases all
+    /// leases first. With PostgreSQL it is the database's, whatever the machines' clocks say.
+    fn lease_clock(&self, tx: &Tx) -> i64 {
+        match self.engine {
+            Engine::Sqlite => i64::try_from(self.opened.elapsed().as_millis()).unwrap_or(i64::MAX),
+            Engine::Postgres => tx.now,
+        }
+    }
+
+    /// Milliseconds since 1970 by the clock that all who use this database share.
+    ///
+    /// # Errors
+    /// When the database refuses.
+    pub async fn now(&self) -> Result<i64> {
+        engine::shared_now(&self.pool, self.engine).await
     }
 
     /// Whether the database answers and can be written.
@@ -174,13 +145,7 @@ impl Store {
     /// # Errors
     /// When it does not.
     pub async fn check(&self) -> Result<()> {
-        // An immediate transaction takes the write lock, which a read would not.
-        self.pool
-            .begin_with("BEGIN IMMEDIATE")
-            .await?
-            .rollback()
-            .await?;
-        Ok(())
+        self.write().await?.rollback().await
     }
 
     /// The id of every row of `captures`, `jobs` or `uploads`.
@@ -197,18 +162,4 @@ impl Store {
     pub async fn close(&self) {
         self.pool.close().await;
     }
-}
-
-/// Whether a connection may serve again. On a full disk SQLite rolls a transaction back by itself;
-/// sqlx, which counts transactions, then fails to roll it back and counts it for ever. Such a
-/// connection would begin none any more.
-async fn has_no_transaction(connection: &mut SqliteConnection) -> sqlx::Result<bool> {
-    // A dropped transaction is rolled back by the connection's thread: after the answer it is.
-    connection.ping().await?;
-    Ok(!connection.is_in_transaction())
-}
-
-fn migration((version, name, sql): (i64, &'static str, &'static str)) -> Migration {
-    let sql: SqlStr = sql.into_sql_str();
-    Migration::new(version, name.into(), MigrationType::Simple, sql, false)
 }

@@ -14,6 +14,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use crate::app::App;
+use crate::copies::collect;
 use crate::error::{Result, ServerError};
 use crate::expiry::expire;
 use crate::store::now_ms;
@@ -48,6 +49,11 @@ pub async fn keep_sweeping(app: Arc<App>) {
         let told_until = now_ms() - DELIVERIES_KEPT_MS;
         if let Err(error) = app.store.forget_deliveries(told_until).await {
             tracing::warn!(%error, "cannot forget what webhooks were told");
+        }
+        match collect(&app).await {
+            Ok(0) => {}
+            Ok(deleted) => tracing::info!(deleted, "blobs that no file has are gone"),
+            Err(error) => tracing::warn!(%error, "cannot look for blobs that no file has"),
         }
         if let Err(error) = expire(&app).await {
             tracing::warn!(%error, "cannot delete what is kept no longer");

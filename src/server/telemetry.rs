@@ -1,6 +1,7 @@
 //! What the server counts about itself, for Prometheus.
 
 use std::fmt;
+use std::sync::atomic::AtomicU64;
 use std::time::Duration;
 
 use prometheus_client::encoding::{EncodeLabelSet, text};
@@ -31,6 +32,29 @@ struct Route {
 }
 
 #[derive(Clone, Debug, Hash, PartialEq, Eq, EncodeLabelSet)]
+struct Worker {
+    worker: String,
+    host: String,
+}
+
+/// What is read when somebody asks.
+#[derive(Debug, Default)]
+pub struct Now<'a> {
+    /// Jobs of each state.
+    pub jobs: Vec<(&'a str, i64)>,
+    /// Of the data directory.
+    pub free_bytes: Option<u64>,
+    /// Seconds since the lease that was extended longest ago; 0 where nothing runs.
+    pub lease_age: f64,
+    /// Seconds that the oldest job waits; 0 where none does.
+    pub waiting: f64,
+    /// Workers of each state.
+    pub workers: Vec<(&'a str, i64)>,
+    /// A worker, its machine, and steps a second of all that it trains.
+    pub steps: Vec<(String, String, f64)>,
+}
+
+#[derive(Clone, Debug, Hash, PartialEq, Eq, EncodeLabelSet)]
 struct State {
     state: String,
 }
@@ -42,6 +66,10 @@ pub struct Telemetry {
     seconds: Family<Route, Histogram, fn() -> Histogram>,
     jobs: Family<State, Gauge>,
     free: Gauge,
+    lease_age: Gauge<f64, AtomicU64>,
+    waiting: Gauge<f64, AtomicU64>,
+    workers: Family<State, Gauge>,
+    steps: Family<Worker, Gauge<f64, AtomicU64>>,
 }
 
 impl fmt::Debug for Telemetry {
@@ -71,12 +99,40 @@ impl Default for Telemetry {
             Unit::Bytes,
             free.clone(),
         );
+        let (lease_age, waiting) = (Gauge::default(), Gauge::default());
+        let (workers, steps) = (Family::default(), Family::default());
+        registry.register_with_unit(
+            "lease_age",
+            "Time since the running job that was heard of longest ago was heard of",
+            Unit::Seconds,
+            lease_age.clone(),
+        );
+        registry.register_with_unit(
+            "queue_wait",
+            "Time that the oldest queued job has waited",
+            Unit::Seconds,
+            waiting.clone(),
+        );
+        registry.register(
+            "workers",
+            "Workers that there are, by state",
+            workers.clone(),
+        );
+        registry.register(
+            "worker_steps_per_second",
+            "Training speed of a worker",
+            steps.clone(),
+        );
         Self {
             registry,
             requests,
             seconds,
             jobs,
             free,
+            lease_age,
+            waiting,
+            workers,
+            steps,
         }
     }
 }
@@ -93,17 +149,29 @@ impl Telemetry {
             .observe(took.as_secs_f64());
     }
 
-    /// Everything as OpenMetrics text, with the jobs of each state and the free space as they are
-    /// now.
-    pub fn text(&self, jobs: &[(&str, i64)], free_bytes: Option<u64>) -> String {
-        for (state, count) in jobs {
-            let state = State {
-                state: (*state).to_owned(),
-            };
-            self.jobs.get_or_create(&state).set(*count);
+    /// Everything as OpenMetrics text, with what is as it is now.
+    pub fn text(&self, now: &Now<'_>) -> String {
+        for (family, counts) in [(&self.jobs, &now.jobs), (&self.workers, &now.workers)] {
+            for (state, count) in counts {
+                let state = State {
+                    state: (*state).to_owned(),
+                };
+                family.get_or_create(&state).set(*count);
+            }
         }
-        if let Some(free) = free_bytes {
+        if let Some(free) = now.free_bytes {
             self.free.set(i64::try_from(free).unwrap_or(i64::MAX));
+        }
+        self.lease_age.set(now.lease_age);
+        self.waiting.set(now.waiting);
+        // Those that went are told of no more.
+        self.steps.clear();
+        for (worker, host, speed) in &now.steps {
+            let worker = Worker {
+                worker: worker.clone(),
+                host: host.clone(),
+            };
+            self.steps.get_or_create(&worker).set(*speed);
         }
         let mut told = String::new();
         match text::encode(&mut told, &self.registry) {
@@ -129,13 +197,21 @@ mod tests {
         for _ in 0..3 {
             telemetry.answered(&answered, Duration::from_millis(7));
         }
-        let told = telemetry.text(&[("queued", 2), ("running", 0)], Some(5));
+        let told = telemetry.text(&Now {
+            jobs: vec![("queued", 2), ("running", 0)],
+            free_bytes: Some(5),
+            waiting: 1.5,
+            steps: vec![("w".to_owned(), "machine".to_owned(), 12.5)],
+            ..Now::default()
+        });
         for line in [
             "fled_requests_total{method=\"GET\",route=\"/v1/jobs/{id}\",status=\"200\"} 3",
             "fled_request_seconds_bucket{le=\"0.002\",route=\"/v1/jobs/{id}\"} 0",
             "fled_request_seconds_bucket{le=\"0.01\",route=\"/v1/jobs/{id}\"} 3",
             "fled_jobs{state=\"queued\"} 2",
             "fled_disk_free_bytes 5",
+            "fled_queue_wait_seconds 1.5",
+            "fled_worker_steps_per_second{worker=\"w\",host=\"machine\"} 12.5",
         ] {
             assert!(told.lines().any(|told| told == line), "{line}\n{told}");
         }

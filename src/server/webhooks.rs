@@ -78,7 +78,11 @@ async fn send_due(
     if room == 0 {
         return Ok(LOOK_EVERY);
     }
-    for (delivery, webhook) in app.store.due_deliveries(busy, room as u32).await? {
+    for (mut delivery, webhook) in app.store.due_deliveries(busy, room as u32).await? {
+        // Others that share the database find it due, too.
+        if !app.store.take_delivery(&mut delivery).await? {
+            continue;
+        }
         busy.push(webhook.id.clone());
         let app = app.clone();
         on_their_way.spawn(async move {

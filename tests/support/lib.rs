@@ -1,10 +1,14 @@
 //! What tests of the service share: an HTTP client with the API's habits.
 
+mod postgres;
+
 use std::io::{BufRead, BufReader};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
 use serde_json::Value;
+
+pub use postgres::Postgres;
 
 /// One answer may take so long.
 const PATIENCE: Duration = Duration::from_secs(30);

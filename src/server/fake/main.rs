@@ -59,12 +59,18 @@ fn serve(data: &Path, address_file: &Path) -> Result<(), Box<dyn std::error::Err
     let command = |verb: &str| vec![program.clone().into_os_string(), verb.into()];
     let config = ServeConfig {
         data: data.to_owned(),
+        database: std::env::var("FLED_FAKE_DB").ok(),
+        files: std::env::var("FLED_FAKE_STORE").ok(),
+        about: std::env::var("FLED_FAKE_ABOUT")
+            .ok()
+            .map(|about| serde_json::from_str(&about))
+            .transpose()?,
         listen: std::env::var("FLED_FAKE_LISTEN")
             .unwrap_or_else(|_| "127.0.0.1:0".to_owned())
             .parse()?,
         open: false,
         hosts: vec!["fled.test".to_owned()],
-        workers: 2,
+        workers: number("FLED_FAKE_WORKERS", 2)? as usize,
         job_command: command("run"),
         render_command: command("render-worker"),
         assess_command: command("assess-worker"),
@@ -91,8 +97,13 @@ fn serve(data: &Path, address_file: &Path) -> Result<(), Box<dyn std::error::Err
         limits: limits()?,
     };
     tokio::runtime::Runtime::new()?.block_on(async {
-        let server = fled_server::Server::start(config).await?;
-        std::fs::write(address_file, server.address().to_string())?;
+        // A worker tells that it is there by an empty file.
+        let server = match std::env::var_os("FLED_FAKE_WORKER") {
+            Some(_) => fled_server::Server::start_worker(config).await?,
+            None => fled_server::Server::start(config).await?,
+        };
+        let address = server.address().map(|address| address.to_string());
+        std::fs::write(address_file, address.unwrap_or_default())?;
         tokio::signal::ctrl_c().await?;
         server.stop().await;
         Ok(())
@@ -104,6 +115,9 @@ fn limits() -> Result<Limits, std::num::ParseIntError> {
     Ok(Limits {
         lease: Duration::from_secs(5),
         heartbeat: Duration::from_millis(500),
+        unheard: Duration::from_secs(4),
+        publish: Duration::from_millis(500),
+        look: Duration::from_millis(500),
         silence: Duration::from_secs(3),
         progress_interval: Duration::from_millis(100),
         retry_base: Duration::from_millis(50),

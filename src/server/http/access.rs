@@ -14,7 +14,7 @@ use axum::response::{IntoResponse, Response};
 
 use super::allowance;
 use super::client::ClientAddress;
-use super::paths::{EXPORT, EXPORTS, UPLOAD, UPLOADS, VIDEO, VIDEO_FILE, VIDEOS, WEBHOOK};
+use super::paths::{EXPORT, EXPORTS, UPLOAD, UPLOADS, VIDEO, VIDEO_FILE, VIDEOS, WEBHOOK, WORKERS};
 use super::problem::Problem;
 use crate::app::App;
 use crate::rate::Client;
@@ -236,7 +236,7 @@ fn needed(path: Option<&str>, method: &Method) -> Option<Scope> {
         (UPLOADS | UPLOAD, _) => Scope::JobsWrite,
         ("/v1/jobs/{id}/render", _) => Scope::Renders,
         // It tells of everybody.
-        ("/metrics", _) => Scope::Admin,
+        ("/metrics" | WORKERS, _) => Scope::Admin,
         (_, &Method::GET | &Method::HEAD) => Scope::JobsRead,
         _ => Scope::JobsWrite,
     })

@@ -193,7 +193,11 @@ async fn from_json(
         .to_string();
     let order = Order::new(app, body.preset.as_deref(), &body.options).await?;
     order.check_views(&report(&capture))?;
-    let job = order.job(&capture.id, body.name.as_deref().unwrap_or(&capture.name))?;
+    let job = order.job(
+        app,
+        &capture.id,
+        body.name.as_deref().unwrap_or(&capture.name),
+    )?;
     Ok(app
         .store
         .create_job(&job, key, &fingerprint, visitor.room(app.limits.queue))
@@ -240,7 +244,7 @@ async fn from_upload(
     let (app, key) = (app.clone(), key.map(str::to_owned));
     upload::to_its_end(async move {
         let capture = upload.keep(&app, &report, &visitor).await?;
-        let job = order.job(&capture.id, &capture.name)?;
+        let job = order.job(&app, &capture.id, &capture.name)?;
         let room = visitor.room(app.limits.queue);
         let creation = app
             .store

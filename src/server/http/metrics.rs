@@ -11,7 +11,7 @@ use axum::response::{IntoResponse, Response};
 use super::allowance::is_reading;
 use super::problem::Problem;
 use crate::app::App;
-use crate::telemetry::Answered;
+use crate::telemetry::{Answered, Now};
 
 /// OpenMetrics 1.0.
 const MEDIA_TYPE: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
@@ -27,7 +27,28 @@ pub async fn show(State(app): State<Arc<App>>) -> Result<Response, Problem> {
         .iter()
         .map(|(state, count)| (state.name(), *count))
         .collect();
-    let told = app.telemetry.text(&jobs, app.data.free_bytes().ok());
+    let waits = app.store.waits(app.limits.lease).await?;
+    let workers = app.store.workers().await?;
+    let lost_before = app.store.now().await? - waits.lease_ms;
+    let lost = workers.iter().filter(|w| w.seen_at < lost_before).count();
+    let count = |n: usize| i64::try_from(n).unwrap_or(i64::MAX);
+    let told = app.telemetry.text(&Now {
+        jobs,
+        free_bytes: app.data.free_bytes().ok(),
+        lease_age: waits.lease_age,
+        waiting: waits.waiting,
+        workers: vec![
+            ("works", count(workers.len() - lost)),
+            ("lost", count(lost)),
+        ],
+        steps: workers
+            .into_iter()
+            .map(|worker| {
+                let speed = worker.running.iter().filter_map(|(_, speed)| *speed).sum();
+                (worker.id, worker.about.host, speed)
+            })
+            .collect(),
+    });
     Ok(([(header::CONTENT_TYPE, MEDIA_TYPE)], told).into_response())
 }
 

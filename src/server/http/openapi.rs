@@ -9,7 +9,7 @@ use utoipa::{Modify, OpenApi as _};
 
 use super::{
     artifacts, captures, events, exports, health, jobs, live, log, login, metrics, options, pin,
-    render, retry, rounds, share, tus, videos, webhooks,
+    render, retry, rounds, share, tus, videos, webhooks, workers,
 };
 
 #[derive(utoipa::OpenApi)]
@@ -69,6 +69,7 @@ use super::{
         health::live,
         health::ready,
         metrics::show,
+        workers::list,
         show,
         show_json,
         docs

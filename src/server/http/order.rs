@@ -14,7 +14,10 @@ use uuid::Uuid;
 use super::problem::Problem;
 use crate::app::App;
 use crate::intake::CaptureReport;
-use crate::store::{JobRow, NewJob};
+use crate::store::{Engine, JobRow, Needs, NewJob};
+
+/// Memory of a machine that is given a job of the preset `paper`, bytes.
+const PAPER_MEMORY: u64 = 12 << 30;
 
 /// Longest part of an adapter's name, characters.
 const LONGEST_ADAPTER: usize = 200;
@@ -115,15 +118,31 @@ impl Order {
     ///
     /// # Errors
     /// 500 when the options cannot be written.
-    pub(super) fn job(&self, capture: &str, name: &str) -> Result<NewJob, Problem> {
+    pub(super) fn job(&self, app: &App, capture: &str, name: &str) -> Result<NewJob, Problem> {
         Ok(NewJob {
             id: Uuid::now_v7().to_string(),
             name: name.chars().take(200).collect(),
             capture_id: capture.to_owned(),
             preset: self.preset.name().to_owned(),
             rounds: self.options.rounds,
+            needs: self.needs(app),
+            priority: 0,
             options: serde_json::to_value(&self.options).map_err(|_| Problem::internal())?,
         })
+    }
+}
+
+impl Order {
+    /// What a machine must have to be given the job, where there are many to choose from: training
+    /// to the paper's letter takes days without a GPU.
+    fn needs(&self, app: &App) -> Needs {
+        match (app.store.engine(), self.preset) {
+            (Engine::Postgres, Preset::Paper) => Needs {
+                gpu: true,
+                memory: PAPER_MEMORY,
+            },
+            _ => Needs::default(),
+        }
     }
 }
 

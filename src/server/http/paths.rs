@@ -18,3 +18,5 @@ pub(super) const VIDEOS: &str = "/v1/jobs/{id}/videos";
 pub(super) const VIDEO: &str = "/v1/jobs/{id}/videos/{video}";
 /// Its file.
 pub(super) const VIDEO_FILE: &str = "/v1/jobs/{id}/videos/{video}/file";
+/// The machines that work.
+pub(super) const WORKERS: &str = "/v1/workers";

@@ -31,6 +31,25 @@ pub(super) async fn bytes_left_beside(
     let Some((owner, most)) = visitor.quota_bytes() else {
         return Ok(None);
     };
+    let held = if app.mirror.blobs().is_some() {
+        app.store.bytes_of(owner).await?
+    } else {
+        bytes_here(app, owner).await?
+    };
+    let held = held
+        + app
+            .store
+            .bytes_of_uploads(owner)
+            .await?
+            .saturating_sub(uploads);
+    match most.checked_sub(held).filter(|left| *left > 0) {
+        Some(left) => Ok(Some(left)),
+        None => Err(over_quota()),
+    }
+}
+
+/// Bytes of an owner's captures and results in the data directory.
+async fn bytes_here(app: &App, owner: &str) -> Result<u64, Problem> {
     let (captures, jobs) = app.store.belongings(owner).await?;
     let captures = captures.iter().map(|id| app.data.capture(id));
     let folders: Vec<PathBuf> = captures
@@ -43,17 +62,7 @@ pub(super) async fn bytes_left_beside(
                 .map_err(ServerError::io(folder))
         })
     });
-    let held: u64 = held.await.map_err(|_| Problem::internal())??;
-    let held = held
-        + app
-            .store
-            .bytes_of_uploads(owner)
-            .await?
-            .saturating_sub(uploads);
-    match most.checked_sub(held).filter(|left| *left > 0) {
-        Some(left) => Ok(Some(left)),
-        None => Err(over_quota()),
-    }
+    Ok(held.await.map_err(|_| Problem::internal())??)
 }
 
 /// 507: what is there, or what is to come, is more than the owner may have.

@@ -87,7 +87,7 @@ async fn changed(
     if order.asks_for(&row.options) {
         return Ok(None);
     }
-    let job = order.job(&capture.id, &row.name)?;
+    let job = order.job(app, &capture.id, &row.name)?;
     Ok(Some(Change {
         options: job.options,
         rounds: job.rounds,

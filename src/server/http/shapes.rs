@@ -6,7 +6,7 @@ use utoipa::ToSchema;
 
 use crate::intake::{CaptureReport, Warning};
 use crate::jobs::state::JobState;
-use crate::store::{CaptureRow, ToldJob};
+use crate::store::{CaptureRow, JobRow, ToldJob};
 
 /// A capture as answered: its assessments and how many photographs can be used.
 #[derive(Clone, Debug, Serialize, ToSchema)]
@@ -79,6 +79,8 @@ pub struct Job {
     /// The place of a queued job among all that wait, 1 being the next; `null` for others. One that
     /// waits for another attempt keeps its place and may be passed.
     pub queue_position: Option<u32>,
+    /// What a machine must have that a queued job waits for; `null` where any will do.
+    pub waits_for: Option<String>,
     /// The round that runs or ran last, 1-based; 0 before the first.
     pub round: u32,
     /// Rounds planned.
@@ -178,6 +180,7 @@ impl Job {
                     seconds: stage.seconds,
                 })
                 .collect(),
+            waits_for: waits_for(&row),
             id: row.id,
             name: row.name,
             capture_id: row.capture_id,
@@ -207,6 +210,15 @@ impl Job {
             expires_at: row.expires_at.map(time),
         }
     }
+}
+
+/// What a machine must have that a job waits for.
+fn waits_for(row: &JobRow) -> Option<String> {
+    let queued = row.state == JobState::Queued;
+    (queued && row.needs.gpu).then(|| {
+        let memory = row.needs.memory >> 30;
+        format!("a worker with a GPU and {memory} GiB of memory")
+    })
 }
 
 /// RFC 3339 in UTC.

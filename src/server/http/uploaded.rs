@@ -168,9 +168,10 @@ async fn store(
     request: &Request<'_>,
     visitor: &Visitor,
 ) -> Result<Creation, Problem> {
-    let job = order.job(&placed.row.id, &placed.row.name)?;
+    let job = order.job(app, &placed.row.id, &placed.row.name)?;
     let used = UsedUp {
         capture: &placed.row,
+        files: &placed.kept,
         uploads: &placed.uploads,
     };
     let room = visitor.room(app.limits.queue);

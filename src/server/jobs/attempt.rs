@@ -10,9 +10,11 @@ use fled_core::pipeline::error::ErrorKind;
 use tokio::sync::Notify;
 use tokio::time::{Instant, Interval, MissedTickBehavior, interval, sleep_until};
 
+use super::beat::{Beat, Pulse};
 use super::log::LogWriter;
 use super::process::{Group, Happening, JOB_VARIABLE, Line};
 use crate::app::App;
+use crate::copies;
 use crate::data::{sync_directories, write_atomically};
 use crate::error::{Result, ServerError};
 use crate::intake;
@@ -56,6 +58,9 @@ pub(super) struct Attempt<'a> {
 /// [`ServerError::LeaseLost`] when another worker has taken the job over; the process is ended.
 pub(super) async fn run(app: &App, claim: &Claim, cancel: Arc<Notify>) -> Result<Settlement> {
     let id = &claim.job.id;
+    // From the first moment: what is fetched may take longer than a lease.
+    let mut beat = Beat::begin(app, claim.lease.clone());
+    copies::prepare_job(app, id, &claim.job.capture_id).await?;
     let output = app.data.output(id).root().to_owned();
     tokio::fs::create_dir_all(&output)
         .await
@@ -91,7 +96,7 @@ pub(super) async fn run(app: &App, claim: &Claim, cancel: Arc<Notify>) -> Result
     };
     // The job's process reads nothing; an open pipe would only hold a descriptor.
     drop(group.stdin.take());
-    let outcome = attempt.watch(&mut group, &cancel).await;
+    let outcome = attempt.watch(&mut group, &cancel, &mut beat).await;
     group.stop(app.limits.grace).await;
     let settlement = match outcome? {
         End::Exited(status) => attempt.settle(status).await?,
@@ -99,6 +104,7 @@ pub(super) async fn run(app: &App, claim: &Claim, cancel: Arc<Notify>) -> Result
     };
     attempt.log.line(&closing_line(&settlement));
     remove_live_picture(app, id).await;
+    copies::publish(app, &claim.lease, true).await?;
     Ok(settlement)
 }
 
@@ -115,11 +121,11 @@ async fn remove_live_picture(app: &App, id: &str) {
 
 impl Attempt<'_> {
     /// Takes the process's lines and keeps the lease until the process ends or has to.
-    async fn watch(&mut self, group: &mut Group, cancel: &Notify) -> Result<End> {
+    async fn watch(&mut self, group: &mut Group, cancel: &Notify, beat: &mut Beat) -> Result<End> {
         let limits = self.app.limits;
         let wall = Instant::now() + limits.wall;
         let mut silence = Instant::now() + limits.silence;
-        let mut heartbeat = ticks(limits.heartbeat);
+        let mut publish = ticks(limits.publish);
         let mut flush = ticks(limits.progress_interval);
         let mut exited: Option<(ExitStatus, Instant)> = None;
         loop {
@@ -137,12 +143,11 @@ impl Attempt<'_> {
                         None => return self.exit(group).await,
                     },
                 },
-                _ = heartbeat.tick() => {
-                    let lease_ms = i64::try_from(limits.lease.as_millis()).unwrap_or(i64::MAX);
-                    if self.app.store.heartbeat(&self.lease, lease_ms).await? {
-                        return Ok(End::Stop(Settlement::Stopped));
-                    }
-                }
+                pulse = beat.next() => match pulse {
+                    Pulse::Cancel => return Ok(End::Stop(Settlement::Stopped)),
+                    Pulse::Lost => return Err(ServerError::LeaseLost(self.lease.job.clone())),
+                },
+                _ = publish.tick() => self.publish().await?,
                 _ = flush.tick() => self.write_pending().await?,
                 () = cancel.notified() => return Ok(End::Stop(Settlement::Stopped)),
                 () = self.app.shutdown.cancelled() => return Ok(End::Stop(Settlement::Released)),
@@ -230,6 +235,9 @@ impl Attempt<'_> {
             told => {
                 // In the order in which they were said.
                 self.write_pending().await?;
+                if is_milestone(&told) {
+                    self.publish().await?;
+                }
                 if !is_seen(&told) {
                     self.log.line(&readable(&told));
                 }
@@ -238,6 +246,19 @@ impl Attempt<'_> {
             }
         }
         Ok(())
+    }
+
+    /// Puts what there is so far into a shared store of files. One that is away for a while does
+    /// not end the attempt: the end, which has to be published, waits for it.
+    async fn publish(&self) -> Result<()> {
+        match copies::publish(self.app, &self.lease, false).await {
+            Err(ServerError::LeaseLost(job)) => Err(ServerError::LeaseLost(job)),
+            Err(error) => {
+                tracing::warn!(%error, job = self.lease.job, "its files are published later");
+                Ok(())
+            }
+            Ok(()) => Ok(()),
+        }
     }
 
     async fn write_pending(&mut self) -> Result<()> {
@@ -329,6 +350,14 @@ fn is_seen(event: &Event) -> bool {
     matches!(
         event,
         Event::TrainingSeen { .. } | Event::HeldOutSeen { .. } | Event::ViewSeen { .. }
+    )
+}
+
+/// Whether others may ask for files once they have heard of this.
+fn is_milestone(event: &Event) -> bool {
+    matches!(
+        event,
+        Event::StageFinished { .. } | Event::RoundFinished { .. }
     )
 }
 

@@ -7,9 +7,10 @@ use fled_core::pipeline::error::ErrorKind;
 use tokio::sync::Notify;
 
 use super::attempt;
+use super::deaths::after_death;
 use crate::app::App;
 use crate::error::{Result, ServerError};
-use crate::store::{Claim, JobError, Settlement};
+use crate::store::{Claim, Engine, JobError, Machine, Settlement};
 
 /// How often an idle worker looks for retries that have become due and for leases that ran out.
 const IDLE: Duration = Duration::from_millis(500);
@@ -19,8 +20,12 @@ const RECOVERY: Duration = Duration::from_secs(2);
 /// Runs jobs until the server stops. Never gives up: a fault of the database or the disk is
 /// logged and tried again.
 pub async fn work(app: Arc<App>, index: usize) {
-    let owner = format!("{}-{index}", std::process::id());
+    let owner = format!("{}/{index}", app.worker);
     let mut was_full = false;
+    let idle = match app.store.engine() {
+        Engine::Sqlite => IDLE,
+        Engine::Postgres => app.limits.look,
+    };
     while !app.shutdown.is_cancelled() {
         if app.is_disk_full() {
             if !was_full {
@@ -42,7 +47,7 @@ pub async fn work(app: Arc<App>, index: usize) {
             Ok(None) => {
                 tokio::select! {
                     () = app.wake.notified() => {}
-                    () = tokio::time::sleep(IDLE) => {}
+                    () = tokio::time::sleep(idle) => {}
                     () = app.shutdown.cancelled() => {}
                 }
             }
@@ -67,14 +72,40 @@ async fn take(app: &App, owner: &str) -> Result<Option<(Claim, Arc<Notify>)>> {
     let _alone = app.running.claiming().await;
     // A worker of this very server that has not been heard of was stopped with it: its job runs,
     // however long ago its lease ran out.
+    if app.store.engine() == Engine::Postgres {
+        release_expired(app).await?;
+    }
+    let machine = app
+        .config
+        .about
+        .as_ref()
+        .map_or(Machine::ANY, |about| Machine {
+            has_gpu: about.has_gpu,
+            memory: about.memory,
+        });
     let claim = app
         .store
-        .claim(owner, lease_ms, &app.running.jobs())
+        .claim_fit(owner, lease_ms, &app.running.jobs(), machine)
         .await?;
     Ok(claim.map(|claim| {
         let cancel = app.running.begin(&claim.lease);
         (claim, cancel)
     }))
+}
+
+/// Jobs whose worker is dead, frozen or cut off wait again.
+async fn release_expired(app: &App) -> Result<()> {
+    let released = app
+        .store
+        .release_expired(|deaths| after_death(&app.limits, deaths))
+        .await?;
+    for job in &released {
+        tracing::warn!(job, "its worker was not heard of any more: it waits again");
+    }
+    if !released.is_empty() {
+        app.changed();
+    }
+    Ok(())
 }
 
 async fn run(app: &App, claim: &Claim, cancel: Arc<Notify>) -> Result<()> {

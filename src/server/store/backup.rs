@@ -5,9 +5,8 @@ use std::path::Path;
 
 use serde_json::json;
 use sqlx::Row;
-use sqlx::sqlite::{SqliteConnectOptions, SqlitePoolOptions};
 
-use super::{BUSY_TIMEOUT, Store, events};
+use super::{Engine, Store, engine, events};
 use crate::error::Result;
 use crate::jobs::state::JobState;
 
@@ -25,11 +24,8 @@ impl Store {
     /// # Errors
     /// When there is none.
     pub async fn as_it_is(path: &Path) -> Result<Self> {
-        let options = SqliteConnectOptions::new()
-            .filename(path)
-            .busy_timeout(BUSY_TIMEOUT);
-        let pool = SqlitePoolOptions::new().max_connections(1);
-        Ok(Self::over(pool.connect_with(options).await?))
+        let pool = engine::sqlite(path, false, 1).await?;
+        Ok(Self::over(pool, Engine::Sqlite, None))
     }
 
     /// Copies the database, as it is at one moment, to a file that is not there yet.
@@ -52,7 +48,7 @@ impl Store {
         let rows = sqlx::query("SELECT id, state, epoch FROM jobs")
             .fetch_all(&self.pool)
             .await?;
-        let attempted = |row: &sqlx::sqlite::SqliteRow| {
+        let attempted = |row: &sqlx::any::AnyRow| {
             let state: String = row.try_get("state")?;
             let job = Attempted {
                 epoch: row.try_get("epoch")?,
@@ -68,10 +64,10 @@ impl Store {
     /// # Errors
     /// When the database refuses.
     pub async fn forget_capture(&self, id: &str) -> Result<()> {
-        let mut tx = self.pool.begin_with("BEGIN IMMEDIATE").await?;
+        let mut tx = self.write().await?;
         for forget in [
-            "DELETE FROM jobs WHERE capture_id = ?",
-            "DELETE FROM captures WHERE id = ?",
+            "DELETE FROM jobs WHERE capture_id = $1",
+            "DELETE FROM captures WHERE id = $1",
         ] {
             sqlx::query(forget).bind(id).execute(&mut *tx).await?;
         }
@@ -84,9 +80,9 @@ impl Store {
     /// # Errors
     /// When the database refuses.
     pub async fn begin_anew(&self, id: &str) -> Result<bool> {
-        let mut tx = self.pool.begin_with("BEGIN IMMEDIATE").await?;
+        let mut tx = self.write().await?;
         for table in ["rounds", "stages", "warnings", "artifacts"] {
-            let forget = format!("DELETE FROM {table} WHERE job_id = ?");
+            let forget = format!("DELETE FROM {table} WHERE job_id = $1");
             sqlx::query(sqlx::AssertSqlSafe(forget))
                 .bind(id)
                 .execute(&mut *tx)
@@ -96,7 +92,7 @@ impl Store {
             "UPDATE jobs SET state = 'queued', stage = NULL, round = 0, progress = 0,
              finished_at = NULL, best_round = NULL, error_code = NULL, error_detail = NULL,
              error_hint = NULL, cancel_requested = 0, failures = 0, failed_at = 0, not_before = 0,
-             lease_owner = NULL, lease_until = 0, expires_at = NULL WHERE id = ?",
+             lease_owner = NULL, lease_until = 0, expires_at = NULL WHERE id = $1",
         )
         .bind(id)
         .execute(&mut *tx)

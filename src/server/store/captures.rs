@@ -1,10 +1,12 @@
 //! Captures.
 
-use sqlx::sqlite::SqliteRow;
-use sqlx::{Row, SqliteConnection};
+use fled_blobs::Kept;
+use sqlx::any::AnyRow;
+use sqlx::{AnyConnection, Row};
 
-use super::Store;
+use super::engine::Cells;
 use super::uploads::use_up;
+use super::{Store, files};
 use crate::error::{Result, ServerError};
 
 /// A stored capture.
@@ -27,22 +29,31 @@ pub struct CaptureRow {
 }
 
 impl Store {
-    /// Stores a capture whose files are already on disk.
+    /// Stores a capture whose files are already on disk, or in the store of files, as named.
     ///
     /// # Errors
     /// When the database refuses.
-    pub async fn insert_capture(&self, row: &CaptureRow) -> Result<()> {
-        insert(&mut *self.pool.acquire().await?, row).await
+    pub async fn insert_capture(&self, row: &CaptureRow, files: &[Kept]) -> Result<()> {
+        let mut tx = self.write().await?;
+        insert(&mut tx, row).await?;
+        files::insert_of_capture(&mut tx, &row.id, files).await?;
+        tx.commit().await
     }
 
-    /// Stores a capture whose files are already on disk, and forgets the uploads that it is made
+    /// The same, and forgets the uploads that it is made
     /// of. `Ok(false)`, and nothing done, when one of them is not there any more.
     ///
     /// # Errors
     /// When the database refuses.
-    pub async fn insert_capture_of(&self, row: &CaptureRow, uploads: &[String]) -> Result<bool> {
-        let mut tx = self.pool.begin_with("BEGIN IMMEDIATE").await?;
+    pub async fn insert_capture_of(
+        &self,
+        row: &CaptureRow,
+        files: &[Kept],
+        uploads: &[String],
+    ) -> Result<bool> {
+        let mut tx = self.write().await?;
         insert(&mut tx, row).await?;
+        files::insert_of_capture(&mut tx, &row.id, files).await?;
         if !use_up(&mut tx, uploads).await? {
             return Ok(false);
         }
@@ -55,7 +66,7 @@ impl Store {
     /// # Errors
     /// When the database refuses.
     pub async fn capture(&self, id: &str) -> Result<Option<CaptureRow>> {
-        let row = sqlx::query("SELECT * FROM captures WHERE id = ?")
+        let row = sqlx::query("SELECT * FROM captures WHERE id = $1")
             .bind(id)
             .fetch_optional(&self.pool)
             .await?;
@@ -73,11 +84,11 @@ impl Store {
         owner: Option<&str>,
     ) -> Result<Vec<CaptureRow>> {
         let rows = sqlx::query(
-            "SELECT * FROM captures WHERE (?1 IS NULL OR id < ?1) AND (?3 IS NULL OR owner = ?3)
-             ORDER BY id DESC LIMIT ?2",
+            "SELECT * FROM captures WHERE ($1 IS NULL OR id < $1) AND ($3 IS NULL OR owner = $3)
+             ORDER BY id DESC LIMIT $2",
         )
         .bind(cursor)
-        .bind(limit)
+        .bind(i64::from(limit))
         .bind(owner)
         .fetch_all(&self.pool)
         .await?;
@@ -89,9 +100,9 @@ impl Store {
     /// # Errors
     /// When the database refuses.
     pub async fn owns_capture(&self, owner: &str, id: &str) -> Result<bool> {
-        let owns = "SELECT EXISTS (SELECT 1 FROM captures WHERE id = ? AND owner = ?)";
-        let owns = sqlx::query_scalar(owns).bind(id).bind(owner);
-        Ok(owns.fetch_one(&self.pool).await?)
+        let owns = "SELECT id FROM captures WHERE id = $1 AND owner = $2";
+        let owns = sqlx::query(owns).bind(id).bind(owner);
+        Ok(owns.fetch_optional(&self.pool).await?.is_some())
     }
 
     /// Whether there is such a job of this owner: of a capture of theirs.
@@ -99,12 +110,10 @@ impl Store {
     /// # Errors
     /// When the database refuses.
     pub async fn owns_job(&self, owner: &str, id: &str) -> Result<bool> {
-        let owns = "SELECT EXISTS (
-                SELECT 1 FROM jobs JOIN captures ON captures.id = jobs.capture_id
-                WHERE jobs.id = ? AND captures.owner = ?
-            )";
-        let owns = sqlx::query_scalar(owns).bind(id).bind(owner);
-        Ok(owns.fetch_one(&self.pool).await?)
+        let owns = "SELECT jobs.id FROM jobs JOIN captures ON captures.id = jobs.capture_id
+                WHERE jobs.id = $1 AND captures.owner = $2";
+        let owns = sqlx::query(owns).bind(id).bind(owner);
+        Ok(owns.fetch_optional(&self.pool).await?.is_some())
     }
 
     /// The ids of an owner's captures, and those of the jobs of them.
@@ -112,13 +121,13 @@ impl Store {
     /// # Errors
     /// When the database refuses.
     pub async fn belongings(&self, owner: &str) -> Result<(Vec<String>, Vec<String>)> {
-        let captures = sqlx::query_scalar("SELECT id FROM captures WHERE owner = ?")
+        let captures = sqlx::query_scalar("SELECT id FROM captures WHERE owner = $1")
             .bind(owner)
             .fetch_all(&self.pool)
             .await?;
         let jobs = sqlx::query_scalar(
             "SELECT jobs.id FROM jobs JOIN captures ON captures.id = jobs.capture_id
-             WHERE captures.owner = ?",
+             WHERE captures.owner = $1",
         )
         .bind(owner)
         .fetch_all(&self.pool)
@@ -132,7 +141,7 @@ impl Store {
     /// When the database refuses.
     pub async fn delete_capture(&self, id: &str) -> Result<bool> {
         let done = sqlx::query(
-            "DELETE FROM captures WHERE id = ?1 AND NOT EXISTS (SELECT 1 FROM jobs WHERE capture_id = ?1)",
+            "DELETE FROM captures WHERE id = $1 AND NOT EXISTS (SELECT 1 FROM jobs WHERE capture_id = $1)",
         )
         .bind(id)
         .execute(&self.pool)
@@ -141,14 +150,14 @@ impl Store {
     }
 }
 
-pub(super) async fn insert(connection: &mut SqliteConnection, row: &CaptureRow) -> Result<()> {
+pub(super) async fn insert(connection: &mut AnyConnection, row: &CaptureRow) -> Result<()> {
     sqlx::query(
         "INSERT INTO captures (id, name, accepted, report, created_at, owner)
-         VALUES (?, ?, ?, ?, ?, ?)",
+         VALUES ($1, $2, $3, $4, $5, $6)",
     )
     .bind(&row.id)
     .bind(&row.name)
-    .bind(row.accepted)
+    .bind(i64::from(row.accepted))
     .bind(row.report.to_string())
     .bind(row.created_at)
     .bind(&row.owner)
@@ -157,7 +166,7 @@ pub(super) async fn insert(connection: &mut SqliteConnection, row: &CaptureRow) 
     Ok(())
 }
 
-fn from_row(row: &SqliteRow) -> Result<CaptureRow> {
+fn from_row(row: &AnyRow) -> Result<CaptureRow> {
     let report: String = row.try_get("report")?;
     let report = serde_json::from_str(&report).map_err(|error| ServerError::Damaged {
         what: "capture report",
@@ -166,7 +175,7 @@ fn from_row(row: &SqliteRow) -> Result<CaptureRow> {
     Ok(CaptureRow {
         id: row.try_get("id")?,
         name: row.try_get("name")?,
-        accepted: row.try_get("accepted")?,
+        accepted: row.count("accepted")?,
         report,
         created_at: row.try_get("created_at")?,
         owner: row.try_get("owner")?,

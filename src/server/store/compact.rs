@@ -2,7 +2,7 @@
 
 use sqlx::Row;
 
-use super::{MIGRATIONS, Store};
+use super::{Engine, Store, migrations};
 use crate::error::{Result, ServerError};
 
 impl Store {
@@ -16,7 +16,11 @@ impl Store {
                 .fetch_one(&self.pool)
                 .await?;
         let version: i64 = applied.try_get("version")?;
-        let known = MIGRATIONS.last().map_or(0, |(version, ..)| *version);
+        let known = match self.engine {
+            Engine::Sqlite => migrations::SQLITE.last(),
+            Engine::Postgres => migrations::POSTGRES.last(),
+        };
+        let known = known.map_or(0, |(version, ..)| *version);
         if version == known {
             return Ok(());
         }

@@ -1,9 +1,9 @@
 //! The event log of a job: appended in the transaction of the effect it tells of.
 
 use serde_json::Value;
-use sqlx::{Row, Sqlite, Transaction};
+use sqlx::Row;
 
-use super::{Store, now_ms, webhooks};
+use super::{Store, Tx, listen, outbox};
 use crate::error::{Result, ServerError};
 
 /// One event.
@@ -24,11 +24,11 @@ impl Store {
     /// When the database refuses.
     pub async fn events_after(&self, job: &str, seq: i64, limit: u32) -> Result<Vec<EventRow>> {
         let rows = sqlx::query(
-            "SELECT seq, kind, data FROM events WHERE job_id = ? AND seq > ? ORDER BY seq LIMIT ?",
+            "SELECT seq, kind, data FROM events WHERE job_id = $1 AND seq > $2 ORDER BY seq LIMIT $3",
         )
         .bind(job)
         .bind(seq)
-        .bind(limit)
+        .bind(i64::from(limit))
         .fetch_all(&self.pool)
         .await?;
         rows.iter()
@@ -49,21 +49,17 @@ impl Store {
 }
 
 /// Appends an event inside the transaction that makes it true.
-pub(super) async fn append(
-    tx: &mut Transaction<'static, Sqlite>,
-    job: &str,
-    kind: &str,
-    data: &Value,
-) -> Result<()> {
+pub(super) async fn append(tx: &mut Tx, job: &str, kind: &str, data: &Value) -> Result<()> {
     sqlx::query(
         "INSERT INTO events (job_id, seq, at, kind, data)
-         SELECT ?1, COALESCE(MAX(seq), 0) + 1, ?2, ?3, ?4 FROM events WHERE job_id = ?1",
+         SELECT $1, COALESCE(MAX(seq), 0) + 1, $2, $3, $4 FROM events WHERE job_id = $1",
     )
     .bind(job)
-    .bind(now_ms())
+    .bind(tx.now)
     .bind(kind)
     .bind(data.to_string())
     .execute(&mut **tx)
     .await?;
-    webhooks::tell(tx, job, kind, data).await
+    outbox::tell(tx, job, kind, data).await?;
+    listen::tell(tx, job).await
 }

@@ -1,11 +1,12 @@
 //! Creating a job, at most once for a client's key.
 
-use sqlx::{Row, Sqlite, Transaction};
+use fled_blobs::Kept;
+use sqlx::Row;
 
 use super::captures::{self, CaptureRow};
 use super::jobs::{Full, JobRow, NewJob, Room, full, insert, read, unfinished, waiting};
 use super::uploads::use_up;
-use super::{Store, now_ms};
+use super::{Store, Tx, files};
 use crate::error::{Result, ServerError};
 
 /// What became of a request to create a job.
@@ -37,6 +38,8 @@ pub struct Request<'a> {
 pub struct UsedUp<'a> {
     /// What becomes of them.
     pub capture: &'a CaptureRow,
+    /// Its files in the store of files, if there is one.
+    pub files: &'a [Kept],
     /// Their ids.
     pub uploads: &'a [String],
 }
@@ -55,9 +58,9 @@ impl Store {
     /// # Errors
     /// When the database refuses.
     pub async fn knows_key(&self, key: &str) -> Result<bool> {
-        let known = "SELECT EXISTS (SELECT 1 FROM idempotency WHERE key = ?)";
-        let known = sqlx::query_scalar(known).bind(key);
-        Ok(known.fetch_one(&self.pool).await?)
+        let known = "SELECT job_id FROM idempotency WHERE key = $1";
+        let known = sqlx::query(known).bind(key);
+        Ok(known.fetch_optional(&self.pool).await?.is_some())
     }
 
     /// How many jobs of an owner wait or run.
@@ -73,7 +76,7 @@ impl Store {
     /// # Errors
     /// When the database refuses.
     pub async fn answered(&self, request: &Request<'_>) -> Result<Option<Creation>> {
-        seen(&mut self.pool.begin().await?, request).await
+        seen(&mut self.begin().await?, request).await
     }
 
     /// Creates a job where there is room for it; with a key, at most once.
@@ -90,7 +93,7 @@ impl Store {
         room: Room<'_>,
     ) -> Result<Creation> {
         // Immediate: two requests with one key queue here instead of both finding it unused.
-        let mut tx = self.pool.begin_with("BEGIN IMMEDIATE").await?;
+        let mut tx = self.write().await?;
         let request = Request { key, fingerprint };
         if let Some(seen) = seen(&mut tx, &request).await? {
             return Ok(seen);
@@ -115,11 +118,12 @@ impl Store {
         request: &Request<'_>,
         room: Room<'_>,
     ) -> Result<Option<Creation>> {
-        let mut tx = self.pool.begin_with("BEGIN IMMEDIATE").await?;
+        let mut tx = self.write().await?;
         if let Some(seen) = seen(&mut tx, request).await? {
             return Ok(Some(seen));
         }
         captures::insert(&mut tx, used.capture).await?;
+        files::insert_of_capture(&mut tx, &used.capture.id, used.files).await?;
         if !use_up(&mut tx, used.uploads).await? {
             return Ok(None);
         }
@@ -132,14 +136,11 @@ impl Store {
 }
 
 /// What a request of this key has made already, if it has a key.
-async fn seen(
-    tx: &mut Transaction<'static, Sqlite>,
-    request: &Request<'_>,
-) -> Result<Option<Creation>> {
+async fn seen(tx: &mut Tx, request: &Request<'_>) -> Result<Option<Creation>> {
     let Some(key) = request.key else {
         return Ok(None);
     };
-    let seen = sqlx::query("SELECT fingerprint, job_id FROM idempotency WHERE key = ?")
+    let seen = sqlx::query("SELECT fingerprint, job_id FROM idempotency WHERE key = $1")
         .bind(key)
         .fetch_optional(&mut **tx)
         .await?;
@@ -154,7 +155,7 @@ async fn seen(
 
 /// Inserts a job and its key. Only what becomes [`Creation::Created`] is to be committed.
 async fn create(
-    tx: &mut Transaction<'static, Sqlite>,
+    tx: &mut Tx,
     job: &NewJob,
     request: &Request<'_>,
     room: Room<'_>,
@@ -167,12 +168,12 @@ async fn create(
     }
     if let Some(key) = request.key {
         sqlx::query(
-            "INSERT INTO idempotency (key, fingerprint, job_id, created_at) VALUES (?, ?, ?, ?)",
+            "INSERT INTO idempotency (key, fingerprint, job_id, created_at) VALUES ($1, $2, $3, $4)",
         )
         .bind(key)
         .bind(request.fingerprint)
         .bind(&job.id)
-        .bind(now_ms())
+        .bind(tx.now)
         .execute(&mut **tx)
         .await?;
     }

@@ -1,13 +1,13 @@
 //! Jobs as rows: creation, reading, and what users ask of them.
 
 use fled_core::event::Stage;
-use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
-use sqlx::sqlite::{SqliteExecutor, SqliteRow};
-use sqlx::{Row, Sqlite, Transaction};
+use sqlx::any::AnyRow;
+use sqlx::{AnyExecutor, Row};
 
-use super::results::{StageSeconds, WarningRow};
-use super::{Store, events, now_ms};
+use super::engine::{Cells, counted};
+use super::results::{StageSeconds, WarningRow, stages_of, warnings_of};
+use super::{Store, Tx, events};
 use crate::error::{Result, ServerError};
 use crate::jobs::state::{JobState, Transition};
 
@@ -26,6 +26,10 @@ pub struct NewJob {
     pub options: Value,
     /// Rounds that the options ask for.
     pub rounds: u32,
+    /// What a machine must have to be given it.
+    pub needs: Needs,
+    /// Higher goes first.
+    pub priority: i64,
 }
 
 /// Why a job failed.
@@ -84,6 +88,21 @@ pub struct JobRow {
     pub pinned: bool,
     /// When it will be deleted.
     pub expires_at: Option<i64>,
+    /// What a machine must have to be given it.
+    pub needs: Needs,
+    /// Higher goes first.
+    pub priority: i64,
+    /// Whose lease it is under: a worker and which of its turns.
+    pub worker: Option<String>,
+}
+
+/// What a machine must have to be given a job.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Needs {
+    /// A GPU, and not a processor that plays one.
+    pub gpu: bool,
+    /// Bytes of memory.
+    pub memory: u64,
 }
 
 /// A job with what it has told so far.
@@ -128,18 +147,14 @@ pub(super) enum Full {
     Quota,
 }
 
-/// Jobs with what they have told, in one statement however many they are. The queue is in the order
-/// of `Store::claim`. What a stage began before the last change of state belongs to an attempt that
-/// is over: only the newest of both kinds of event counts.
+/// Jobs with where they stand. The queue is in the order of `Store::claim`, but for the turns of
+/// its owners. What a stage began before the last change of state belongs to an attempt that is
+/// over: only the newest of both kinds of event counts.
 const TOLD: &str = "SELECT jobs.*,
-    (SELECT json_group_array(json_object('code', code, 'message', message)
-                             ORDER BY at, code, message)
-     FROM warnings WHERE job_id = jobs.id) AS warnings,
-    (SELECT json_group_array(json_object('stage', stage, 'round', round, 'seconds', seconds))
-     FROM stages WHERE job_id = jobs.id) AS stages,
     CASE state WHEN 'queued' THEN
         (SELECT COUNT(*) FROM jobs AS ahead WHERE ahead.state = 'queued'
-         AND (ahead.created_at, ahead.id) <= (jobs.created_at, jobs.id))
+         AND (-ahead.priority, ahead.created_at, ahead.id)
+             <= (-jobs.priority, jobs.created_at, jobs.id))
     END AS queue_position,
     CASE state WHEN 'running' THEN
         (SELECT CASE kind WHEN 'stage_started' THEN at END FROM events
@@ -154,7 +169,7 @@ impl Store {
     /// # Errors
     /// When the database refuses.
     pub async fn job(&self, id: &str) -> Result<Option<JobRow>> {
-        let row = sqlx::query("SELECT * FROM jobs WHERE id = ?")
+        let row = sqlx::query("SELECT * FROM jobs WHERE id = $1")
             .bind(id)
             .fetch_optional(&self.pool)
             .await?;
@@ -172,20 +187,20 @@ impl Store {
         cursor: Option<&str>,
     ) -> Result<Vec<ToldJob>> {
         let page = format!(
-            "{TOLD} WHERE (?1 IS NULL OR state = ?1) AND (?2 IS NULL OR id < ?2)
-             AND (?4 IS NULL OR capture_id IN (SELECT id FROM captures WHERE owner = ?4))
-             AND (?5 IS NULL OR capture_id = ?5)
-             ORDER BY id DESC LIMIT ?3"
+            "{TOLD} WHERE ($1 IS NULL OR state = $1) AND ($2 IS NULL OR id < $2)
+             AND ($4 IS NULL OR capture_id IN (SELECT id FROM captures WHERE owner = $4))
+             AND ($5 IS NULL OR capture_id = $5)
+             ORDER BY id DESC LIMIT $3"
         );
         let rows = sqlx::query(sqlx::AssertSqlSafe(page))
             .bind(only.state.map(JobState::name))
             .bind(cursor)
-            .bind(limit)
+            .bind(i64::from(limit))
             .bind(only.owner)
             .bind(only.capture)
             .fetch_all(&self.pool)
             .await?;
-        rows.iter().map(told).collect()
+        self.told(&rows).await
     }
 
     /// The job of this id, with what it has told.
@@ -193,12 +208,34 @@ impl Store {
     /// # Errors
     /// When the database refuses.
     pub async fn told_job(&self, id: &str) -> Result<Option<ToldJob>> {
-        let one = format!("{TOLD} WHERE id = ?");
+        let one = format!("{TOLD} WHERE id = $1");
         let row = sqlx::query(sqlx::AssertSqlSafe(one))
             .bind(id)
             .fetch_optional(&self.pool)
             .await?;
-        row.as_ref().map(told).transpose()
+        let rows: Vec<AnyRow> = row.into_iter().collect();
+        Ok(self.told(&rows).await?.pop())
+    }
+
+    /// What jobs have told, in two statements however many they are.
+    async fn told(&self, rows: &[AnyRow]) -> Result<Vec<ToldJob>> {
+        let jobs: Vec<JobRow> = rows.iter().map(from_row).collect::<Result<_>>()?;
+        let ids: Vec<&str> = jobs.iter().map(|job| job.id.as_str()).collect();
+        let ids = json!(ids).to_string();
+        let mut warnings = warnings_of(&self.pool, self.engine, &ids).await?;
+        let mut stages = stages_of(&self.pool, self.engine, &ids).await?;
+        let told = jobs.into_iter().zip(rows).map(|(job, row)| {
+            let mut stages = stages.remove(&job.id).unwrap_or_default();
+            stages.sort_by_key(|told: &StageSeconds| (told.round, place(&told.stage)));
+            Ok(ToldJob {
+                warnings: warnings.remove(&job.id).unwrap_or_default(),
+                stages,
+                queue_position: row.count_if_any("queue_position")?,
+                stage_started_at: row.try_get("stage_started_at")?,
+                row: job,
+            })
+        });
+        told.collect()
     }
 
     /// How many jobs there are of every state.
@@ -227,7 +264,7 @@ impl Store {
     /// # Errors
     /// When the database refuses.
     pub async fn request_cancel(&self, id: &str) -> Result<Option<JobState>> {
-        let mut tx = self.pool.begin_with("BEGIN IMMEDIATE").await?;
+        let mut tx = self.write().await?;
         let next = change(&mut tx, id, Transition::CancelRequested).await?;
         tx.commit().await?;
         Ok(next)
@@ -238,7 +275,7 @@ impl Store {
     /// # Errors
     /// When the database refuses.
     pub async fn delete_job(&self, id: &str) -> Result<bool> {
-        let done = sqlx::query("DELETE FROM jobs WHERE id = ? AND state <> 'running'")
+        let done = sqlx::query("DELETE FROM jobs WHERE id = $1 AND state <> 'running'")
             .bind(id)
             .execute(&self.pool)
             .await?;
@@ -248,7 +285,7 @@ impl Store {
 
 /// Moves a job on; `None` when it is gone or its state does not allow the transition.
 pub(super) async fn change(
-    tx: &mut Transaction<'static, Sqlite>,
+    tx: &mut Tx,
     id: &str,
     transition: Transition,
 ) -> Result<Option<JobState>> {
@@ -258,22 +295,22 @@ pub(super) async fn change(
     let Some(next) = job.state.after(transition) else {
         return Ok(None);
     };
-    let finished = next.is_terminal().then(now_ms);
+    let finished = next.is_terminal().then_some(tx.now);
     if matches!(transition, Transition::Retried | Transition::Changed) {
         sqlx::query(
                 "UPDATE jobs SET cancel_requested = 0, error_code = NULL, error_detail = NULL, error_hint = NULL,
-                 failures = 0, not_before = 0, expires_at = NULL WHERE id = ?",
+                 failures = 0, not_before = 0, expires_at = NULL WHERE id = $1",
             )
             .bind(id)
             .execute(&mut **tx)
             .await?;
     } else {
-        sqlx::query("UPDATE jobs SET cancel_requested = 1 WHERE id = ?")
+        sqlx::query("UPDATE jobs SET cancel_requested = 1 WHERE id = $1")
             .bind(id)
             .execute(&mut **tx)
             .await?;
     }
-    sqlx::query("UPDATE jobs SET state = ?, finished_at = ? WHERE id = ?")
+    sqlx::query("UPDATE jobs SET state = $1, finished_at = $2 WHERE id = $3")
         .bind(next.name())
         .bind(finished)
         .bind(id)
@@ -286,25 +323,22 @@ pub(super) async fn change(
 }
 
 /// How many jobs wait for a worker.
-pub(super) async fn waiting(executor: impl SqliteExecutor<'_>) -> Result<u32> {
+pub(super) async fn waiting(executor: impl AnyExecutor<'_>) -> Result<u32> {
     let count = sqlx::query_scalar("SELECT COUNT(*) FROM jobs WHERE state = 'queued'");
-    Ok(count.fetch_one(executor).await?)
+    counted(count.fetch_one(executor).await?)
 }
 
 /// How many jobs of an owner wait or run.
-pub(super) async fn unfinished(executor: impl SqliteExecutor<'_>, owner: &str) -> Result<u32> {
+pub(super) async fn unfinished(executor: impl AnyExecutor<'_>, owner: &str) -> Result<u32> {
     let count = sqlx::query_scalar(
         "SELECT COUNT(*) FROM jobs JOIN captures ON captures.id = jobs.capture_id
-         WHERE jobs.state IN ('queued', 'running') AND captures.owner = ?",
+         WHERE jobs.state IN ('queued', 'running') AND captures.owner = $1",
     );
-    Ok(count.bind(owner).fetch_one(executor).await?)
+    counted(count.bind(owner).fetch_one(executor).await?)
 }
 
 /// Where there is no room for the jobs that there are, one that was just queued among them.
-pub(super) async fn full(
-    tx: &mut Transaction<'static, Sqlite>,
-    room: Room<'_>,
-) -> Result<Option<Full>> {
+pub(super) async fn full(tx: &mut Tx, room: Room<'_>) -> Result<Option<Full>> {
     if waiting(&mut **tx).await? > room.queue {
         return Ok(Some(Full::Queue));
     }
@@ -315,17 +349,22 @@ pub(super) async fn full(
     Ok((theirs > most).then_some(Full::Quota))
 }
 
-pub(super) async fn insert(tx: &mut Transaction<'static, Sqlite>, job: &NewJob) -> Result<()> {
+pub(super) async fn insert(tx: &mut Tx, job: &NewJob) -> Result<()> {
     sqlx::query(
-        "INSERT INTO jobs (id, name, capture_id, preset, options, rounds, created_at) VALUES (?, ?, ?, ?, ?, ?, ?)",
+        "INSERT INTO jobs (id, name, capture_id, preset, options, rounds, created_at,
+                           needs_gpu, needs_memory, priority)
+         VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10)",
     )
     .bind(&job.id)
     .bind(&job.name)
     .bind(&job.capture_id)
     .bind(&job.preset)
     .bind(job.options.to_string())
-    .bind(job.rounds)
-    .bind(now_ms())
+    .bind(i64::from(job.rounds))
+    .bind(tx.now)
+    .bind(i64::from(job.needs.gpu))
+    .bind(i64::try_from(job.needs.memory).unwrap_or(i64::MAX))
+    .bind(job.priority)
     .execute(&mut **tx)
     .await?;
     events::append(
@@ -337,40 +376,21 @@ pub(super) async fn insert(tx: &mut Transaction<'static, Sqlite>, job: &NewJob) 
     .await
 }
 
-pub(super) async fn read(
-    tx: &mut Transaction<'static, Sqlite>,
-    id: &str,
-) -> Result<Option<JobRow>> {
-    let row = sqlx::query("SELECT * FROM jobs WHERE id = ?")
+pub(super) async fn read(tx: &mut Tx, id: &str) -> Result<Option<JobRow>> {
+    let row = format!("SELECT * FROM jobs WHERE id = $1{}", tx.engine.locking());
+    let row = sqlx::query(sqlx::AssertSqlSafe(row))
         .bind(id)
         .fetch_optional(&mut **tx)
         .await?;
     row.as_ref().map(from_row).transpose()
 }
 
-fn told(row: &SqliteRow) -> Result<ToldJob> {
-    let mut stages: Vec<StageSeconds> = list(row, "stages")?;
-    let place = |name: &str| Stage::ALL.iter().position(|stage| stage.name() == name);
-    stages.sort_by_key(|told| (told.round, place(&told.stage)));
-    Ok(ToldJob {
-        row: from_row(row)?,
-        warnings: list(row, "warnings")?,
-        stages,
-        queue_position: row.try_get("queue_position")?,
-        stage_started_at: row.try_get("stage_started_at")?,
-    })
+/// Where a stage stands among the stages.
+fn place(name: &str) -> Option<usize> {
+    Stage::ALL.iter().position(|stage| stage.name() == name)
 }
 
-/// A column that holds a JSON list.
-fn list<T: DeserializeOwned>(row: &SqliteRow, column: &'static str) -> Result<Vec<T>> {
-    let text: String = row.try_get(column)?;
-    serde_json::from_str(&text).map_err(|error| ServerError::Damaged {
-        what: column,
-        detail: error.to_string(),
-    })
-}
-
-pub(super) fn from_row(row: &SqliteRow) -> Result<JobRow> {
+pub(super) fn from_row(row: &AnyRow) -> Result<JobRow> {
     let options: String = row.try_get("options")?;
     let state: String = row.try_get("state")?;
     let code: Option<String> = row.try_get("error_code")?;
@@ -400,19 +420,25 @@ pub(super) fn from_row(row: &SqliteRow) -> Result<JobRow> {
             detail: state,
         })?,
         stage: row.try_get("stage")?,
-        round: row.try_get("round")?,
-        rounds: row.try_get("rounds")?,
+        round: row.count("round")?,
+        rounds: row.count("rounds")?,
         progress: row.try_get("progress")?,
         steps_per_second: row.try_get("steps_per_second")?,
         eta_seconds: row.try_get("eta_seconds")?,
         error,
-        best_round: row.try_get("best_round")?,
-        attempts: row.try_get("attempts")?,
-        cancel_requested: row.try_get("cancel_requested")?,
+        best_round: row.count_if_any("best_round")?,
+        attempts: row.count("attempts")?,
+        cancel_requested: row.flag("cancel_requested")?,
         created_at: row.try_get("created_at")?,
         started_at: row.try_get("started_at")?,
         finished_at: row.try_get("finished_at")?,
-        pinned: row.try_get("pinned")?,
+        pinned: row.flag("pinned")?,
         expires_at: row.try_get("expires_at")?,
+        needs: Needs {
+            gpu: row.flag("needs_gpu")?,
+            memory: row.try_get::<i64, _>("needs_memory")?.unsigned_abs(),
+        },
+        priority: row.try_get("priority")?,
+        worker: row.try_get("lease_owner")?,
     })
 }

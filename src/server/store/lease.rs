@@ -1,13 +1,14 @@
 //! What a worker does with a job: claim, report, settle. Every write but the claim begins by
 //! checking the epoch, so that a worker whose lease was taken over changes nothing.
 
-use fled_core::event::{Event, Stage};
-use serde_json::{Value, json};
-use sqlx::sqlite::SqliteRow;
-use sqlx::{Row, Sqlite, Transaction};
+use serde_json::json;
+use sqlx::Row;
+use sqlx::any::AnyRow;
 
-use super::jobs::{JobError, JobRow, from_row, read};
-use super::{Store, events, now_ms};
+use super::effects::{Settlement, settle};
+use super::engine::{Cells, Tx};
+use super::jobs::{JobRow, from_row};
+use super::{Engine, Store, events};
 use crate::error::{Result, ServerError};
 use crate::jobs::state::{JobState, Transition};
 
@@ -29,44 +30,26 @@ pub struct Claim {
     pub job: JobRow,
 }
 
-/// How an attempt ended.
-#[derive(Clone, Debug, PartialEq)]
-pub enum Settlement {
-    /// The job is done.
-    Finished {
-        /// The delivered round.
-        best_round: u32,
-    },
-    /// It failed for good, or is queued again after `retry_in_ms`.
-    Failed {
-        /// Why.
-        error: JobError,
-        /// Milliseconds until the next attempt.
-        retry_in_ms: Option<i64>,
-        /// Failures in a row without progress, this one included.
-        failures: u32,
-    },
-    /// It was stopped on request.
-    Stopped,
-    /// It goes back to the queue, as the server stops.
-    Released,
+/// What a machine has that looks for work.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Machine {
+    /// Whether it has a GPU, and not a processor that plays one.
+    pub has_gpu: bool,
+    /// Bytes of memory.
+    pub memory: u64,
 }
 
-/// Progress of a running job, as shown.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Progress {
-    /// Stage, round, units done and in all.
-    pub stage: Option<(Stage, u32, u64, u64)>,
-    /// Training speed.
-    pub steps_per_second: Option<f64>,
-    /// 0..=1 of the whole job, when known anew.
-    pub progress: Option<f64>,
-    /// Seconds left, when known anew.
-    pub eta_seconds: Option<f64>,
+impl Machine {
+    /// One that takes any job: the only one there is.
+    pub const ANY: Self = Self {
+        has_gpu: true,
+        memory: u64::MAX,
+    };
 }
 
 impl Store {
-    /// Takes the oldest job that waits or whose lease has run out, but none of `running`.
+    /// Takes a job that waits or whose lease has run out, but none of `running`, on a machine that
+    /// takes any.
     ///
     /// # Errors
     /// When the database refuses.
@@ -76,21 +59,35 @@ impl Store {
         lease_ms: i64,
         running: &[String],
     ) -> Result<Option<Claim>> {
-        let now = now_ms();
-        let mut tx = self.pool.begin_with("BEGIN IMMEDIATE").await?;
-        // The transaction holds the write lock: no two workers can take the same job.
-        let waiting = sqlx::query_as::<_, (String, String)>(
-            "SELECT id, state FROM jobs
-             WHERE (state = 'queued' AND not_before <= ?1)
-                OR (state = 'running' AND lease_until < ?3
-                    AND id NOT IN (SELECT value FROM json_each(?2)))
-             ORDER BY created_at, id LIMIT 1",
-        )
-        .bind(now)
-        .bind(json!(running).to_string())
-        .bind(self.lease_clock())
-        .fetch_optional(&mut *tx)
-        .await?;
+        self.claim_fit(owner, lease_ms, running, Machine::ANY).await
+    }
+
+    /// The same on a machine that has just so much: of the highest priority, of the owner of whom
+    /// the fewest run, the oldest.
+    ///
+    /// # Errors
+    /// When the database refuses.
+    pub async fn claim_fit(
+        &self,
+        owner: &str,
+        lease_ms: i64,
+        running: &[String],
+        machine: Machine,
+    ) -> Result<Option<Claim>> {
+        let mut tx = self.begin().await?;
+        let now = tx.now;
+        let clock = self.lease_clock(&tx);
+        // No two workers can take the same job: on SQLite there is one writer, on PostgreSQL a row
+        // that somebody else looks at is passed over.
+        let waiting = next_job(self.engine);
+        let waiting = sqlx::query_as::<_, (String, String)>(sqlx::AssertSqlSafe(waiting))
+            .bind(now)
+            .bind(json!(running).to_string())
+            .bind(clock)
+            .bind(i64::from(machine.has_gpu))
+            .bind(i64::try_from(machine.memory).unwrap_or(i64::MAX))
+            .fetch_optional(&mut *tx)
+            .await?;
         let Some((id, state)) = waiting else {
             return Ok(None);
         };
@@ -101,16 +98,16 @@ impl Store {
                 detail: format!("job {id} is {state} and cannot be claimed"),
             })?;
         let row = sqlx::query(
-            "UPDATE jobs SET state = ?1, epoch = epoch + 1, lease_owner = ?2, lease_until = ?4,
-                    attempts = attempts + 1, started_at = COALESCE(started_at, ?3), finished_at = NULL,
+            "UPDATE jobs SET state = $1, epoch = epoch + 1, told = 0, lease_owner = $2, lease_until = $4,
+                    attempts = attempts + 1, started_at = COALESCE(started_at, $3), finished_at = NULL,
                     steps_per_second = NULL, eta_seconds = NULL,
                     error_code = NULL, error_detail = NULL, error_hint = NULL
-             WHERE id = ?5 RETURNING *",
+             WHERE id = $5 RETURNING *",
         )
         .bind(next.name())
         .bind(owner)
         .bind(now)
-        .bind(self.lease_clock().saturating_add(lease_ms))
+        .bind(clock.saturating_add(lease_ms))
         .bind(&id)
         .fetch_one(&mut *tx)
         .await?;
@@ -135,89 +132,22 @@ impl Store {
     /// # Errors
     /// [`ServerError::LeaseLost`] when another worker has it.
     pub async fn heartbeat(&self, lease: &Lease, lease_ms: i64) -> Result<bool> {
+        let mut tx = self.begin().await?;
+        let until = self.lease_clock(&tx).saturating_add(lease_ms);
         let row = sqlx::query(
-            "UPDATE jobs SET lease_until = ? WHERE id = ? AND epoch = ? AND state = 'running' RETURNING cancel_requested",
+            "UPDATE jobs SET lease_until = $1 WHERE id = $2 AND epoch = $3 AND state = 'running'
+             RETURNING cancel_requested",
         )
-        .bind(self.lease_clock().saturating_add(lease_ms))
+        .bind(until)
         .bind(&lease.job)
         .bind(lease.epoch)
-        .fetch_optional(&self.pool)
+        .fetch_optional(&mut *tx)
         .await?;
-        match row {
-            Some(row) => Ok(row.try_get("cancel_requested")?),
-            None => Err(ServerError::LeaseLost(lease.job.clone())),
-        }
-    }
-
-    /// Stores what an event of the job's process says.
-    ///
-    /// # Errors
-    /// [`ServerError::LeaseLost`] when another worker has the job.
-    pub async fn record(&self, lease: &Lease, event: &Event) -> Result<()> {
-        let mut tx = self.fenced(lease).await?;
-        apply(&mut tx, &lease.job, event).await?;
-        let data = serde_json::to_value(event).map_err(|error| ServerError::Damaged {
-            what: "event",
-            detail: error.to_string(),
-        })?;
-        let kind = data["event"].as_str().unwrap_or("event").to_owned();
-        events::append(&mut tx, &lease.job, &kind, &data).await?;
+        let Some(row) = row else {
+            return Err(ServerError::LeaseLost(lease.job.clone()));
+        };
         tx.commit().await?;
-        Ok(())
-    }
-
-    /// Stores progress and tells of it.
-    ///
-    /// # Errors
-    /// [`ServerError::LeaseLost`] when another worker has the job.
-    pub async fn advance(&self, lease: &Lease, progress: &Progress) -> Result<()> {
-        let mut tx = self.fenced(lease).await?;
-        let stage = progress.stage;
-        let row = sqlx::query(
-            "UPDATE jobs SET stage = COALESCE(?, stage), round = COALESCE(?, round), steps_per_second = ?,
-                    progress = MAX(progress, COALESCE(?, progress)), eta_seconds = COALESCE(?, eta_seconds)
-             WHERE id = ? RETURNING stage, round, progress, eta_seconds",
-        )
-        .bind(stage.map(|(stage, ..)| stage.name()))
-        .bind(stage.map(|(_, round, ..)| round))
-        .bind(progress.steps_per_second)
-        .bind(progress.progress)
-        .bind(progress.eta_seconds)
-        .bind(&lease.job)
-        .fetch_one(&mut *tx)
-        .await?;
-        let mut data = json!({
-            "stage": row.try_get::<Option<String>, _>("stage")?,
-            "round": row.try_get::<u32, _>("round")?,
-            "progress": row.try_get::<f64, _>("progress")?,
-        });
-        if let Some((_, _, done, total)) = stage {
-            data["done"] = done.into();
-            data["total"] = total.into();
-        }
-        if let Some(eta) = row.try_get::<Option<f64>, _>("eta_seconds")? {
-            data["eta_seconds"] = eta.into();
-        }
-        if let Some(rate) = progress.steps_per_second {
-            data["steps_per_second"] = rate.into();
-        }
-        events::append(&mut tx, &lease.job, "progress", &data).await?;
-        tx.commit().await?;
-        Ok(())
-    }
-
-    /// Ends an attempt.
-    ///
-    /// # Errors
-    /// [`ServerError::LeaseLost`] when another worker has the job.
-    pub async fn settle(&self, lease: &Lease, settlement: &Settlement) -> Result<JobState> {
-        let mut tx = self.fenced(lease).await?;
-        settle(&mut tx, &lease.job, settlement).await?;
-        let state = read(&mut tx, &lease.job)
-            .await?
-            .map_or(JobState::Queued, |job| job.state);
-        tx.commit().await?;
-        Ok(state)
+        row.flag("cancel_requested")
     }
 
     /// Failures in a row without progress, counting one that happens now.
@@ -225,7 +155,7 @@ impl Store {
     /// # Errors
     /// When the database refuses.
     pub async fn count_failure(&self, lease: &Lease) -> Result<u32> {
-        let row = sqlx::query("SELECT failures, progress, failed_at FROM jobs WHERE id = ?")
+        let row = sqlx::query("SELECT failures, progress, failed_at FROM jobs WHERE id = $1")
             .bind(&lease.job)
             .fetch_one(&self.pool)
             .await?;
@@ -243,185 +173,137 @@ impl Store {
         &self,
         settle_death: impl Fn(u32) -> Settlement,
     ) -> Result<Vec<String>> {
-        let mut tx = self.pool.begin_with("BEGIN IMMEDIATE").await?;
-        let rows = sqlx::query(
-            "SELECT id, cancel_requested, failures, progress, failed_at FROM jobs
-             WHERE state = 'running'",
-        )
-        .fetch_all(&mut *tx)
-        .await?;
-        let mut released = Vec::new();
-        for row in rows {
-            let id: String = row.try_get("id")?;
-            let settlement = if row.try_get("cancel_requested")? {
-                Settlement::Stopped
-            } else {
-                settle_death(failures_with_this(&row)?)
-            };
-            settle(&mut tx, &id, &settlement).await?;
-            // The old epoch must not write any more, should its worker still breathe.
-            sqlx::query("UPDATE jobs SET epoch = epoch + 1 WHERE id = ?")
-                .bind(&id)
-                .execute(&mut *tx)
-                .await?;
-            released.push(id);
-        }
-        tx.commit().await?;
-        Ok(released)
+        let tx = self.write().await?;
+        release(tx, "", None, None, settle_death).await
     }
 
-    /// A transaction that has checked the epoch, and holds the write lock since.
-    async fn fenced(&self, lease: &Lease) -> Result<Transaction<'static, Sqlite>> {
-        let mut tx = self.pool.begin().await?;
-        let done = sqlx::query(
-            "UPDATE jobs SET epoch = epoch WHERE id = ? AND epoch = ? AND state = 'running'",
+    /// The same with the leases of one worker, which has just started and runs nothing.
+    ///
+    /// # Errors
+    /// When the database refuses.
+    pub async fn release_of(
+        &self,
+        worker: &str,
+        settle_death: impl Fn(u32) -> Settlement,
+    ) -> Result<Vec<String>> {
+        let tx = self.write().await?;
+        let of = "AND lease_owner LIKE $1";
+        release(tx, of, Some(format!("{worker}/%")), None, settle_death).await
+    }
+
+    /// The same with the leases that have run out: their workers are dead, frozen or cut off.
+    ///
+    /// # Errors
+    /// When the database refuses.
+    pub async fn release_expired(
+        &self,
+        settle_death: impl Fn(u32) -> Settlement,
+    ) -> Result<Vec<String>> {
+        let now = self.now().await?;
+        let any: i64 = sqlx::query_scalar(
+            "SELECT COUNT(*) FROM jobs WHERE state = 'running' AND lease_until < $1",
         )
-        .bind(&lease.job)
-        .bind(lease.epoch)
-        .execute(&mut *tx)
+        .bind(now)
+        .fetch_one(&self.pool)
         .await?;
-        if done.rows_affected() == 1 {
-            Ok(tx)
-        } else {
-            Err(ServerError::LeaseLost(lease.job.clone()))
+        if any == 0 {
+            return Ok(Vec::new());
+        }
+        let tx = self.write().await?;
+        let clock = self.lease_clock(&tx);
+        release(tx, "AND lease_until < $1", None, Some(clock), settle_death).await
+    }
+
+    /// A transaction that has checked the epoch, and holds the job since.
+    pub(super) async fn fenced(&self, lease: &Lease) -> Result<Tx> {
+        Ok(self.fenced_with_told(lease).await?.0)
+    }
+
+    /// The same, with the number of the last thing that was told under the lease.
+    pub(super) async fn fenced_with_told(&self, lease: &Lease) -> Result<(Tx, i64)> {
+        let mut tx = self.begin().await?;
+        let held = format!(
+            "SELECT told FROM jobs WHERE id = $1 AND epoch = $2 AND state = 'running'{}",
+            tx.engine.locking()
+        );
+        let told = sqlx::query_scalar(sqlx::AssertSqlSafe(held))
+            .bind(&lease.job)
+            .bind(lease.epoch)
+            .fetch_optional(&mut *tx)
+            .await?;
+        match told {
+            Some(told) => Ok((tx, told)),
+            None => Err(ServerError::LeaseLost(lease.job.clone())),
         }
     }
+}
+
+/// Asks for the job that is next, and makes its row this transaction's: of the time $1, none of $2,
+/// with leases that end before $3, on a machine with GPU $4 and memory $5.
+fn next_job(engine: Engine) -> String {
+    format!(
+        "WITH busy AS (
+                SELECT captures.owner AS owner, COUNT(*) AS jobs
+                FROM jobs JOIN captures ON captures.id = jobs.capture_id
+                WHERE jobs.state = 'running' GROUP BY captures.owner
+             )
+             SELECT jobs.id, jobs.state FROM jobs
+             JOIN captures ON captures.id = jobs.capture_id
+             LEFT JOIN busy ON busy.owner IS NOT DISTINCT FROM captures.owner
+             WHERE ((jobs.state = 'queued' AND jobs.not_before <= $1)
+                 OR (jobs.state = 'running' AND jobs.lease_until < $3
+                     AND jobs.id NOT IN ({listed})))
+             AND jobs.needs_gpu <= $4 AND jobs.needs_memory <= $5
+             ORDER BY jobs.priority DESC, COALESCE(busy.jobs, 0), jobs.created_at, jobs.id
+             LIMIT 1{skipping}",
+        listed = engine.listed("$2"),
+        skipping = engine.skipping(),
+    )
+}
+
+/// Settles what runs, `of` whom, as after a death.
+async fn release(
+    mut tx: Tx,
+    of: &str,
+    worker: Option<String>,
+    clock: Option<i64>,
+    settle_death: impl Fn(u32) -> Settlement,
+) -> Result<Vec<String>> {
+    let running = format!(
+        "SELECT id, cancel_requested, failures, progress, failed_at FROM jobs
+         WHERE state = 'running' {of} ORDER BY id{}",
+        tx.engine.locking()
+    );
+    let mut running = sqlx::query(sqlx::AssertSqlSafe(running));
+    if let Some(worker) = worker {
+        running = running.bind(worker);
+    } else if let Some(clock) = clock {
+        running = running.bind(clock);
+    }
+    let rows = running.fetch_all(&mut *tx).await?;
+    let mut released = Vec::new();
+    for row in rows {
+        let id: String = row.try_get("id")?;
+        let settlement = if row.flag("cancel_requested")? {
+            Settlement::Stopped
+        } else {
+            settle_death(failures_with_this(&row)?)
+        };
+        settle(&mut tx, &id, &settlement).await?;
+        // The old epoch must not write any more, should its worker still breathe.
+        sqlx::query("UPDATE jobs SET epoch = epoch + 1 WHERE id = $1")
+            .bind(&id)
+            .execute(&mut *tx)
+            .await?;
+        released.push(id);
+    }
+    tx.commit().await?;
+    Ok(released)
 }
 
 /// Failures in a row without progress, counting one that happens now.
-fn failures_with_this(row: &SqliteRow) -> Result<u32> {
-    let before: u32 = row.try_get("failures")?;
+fn failures_with_this(row: &AnyRow) -> Result<u32> {
+    let before = row.count("failures")?;
     let advanced = row.try_get::<f64, _>("progress")? > row.try_get::<f64, _>("failed_at")? + 1e-3;
     Ok(if advanced { 1 } else { before + 1 })
-}
-
-/// The effect of an event on the job's row and its results.
-async fn apply(tx: &mut Transaction<'static, Sqlite>, job: &str, event: &Event) -> Result<()> {
-    let query = match event {
-        Event::Planned { rounds, .. } => sqlx::query("UPDATE jobs SET rounds = ? WHERE id = ?")
-            .bind(*rounds)
-            .bind(job),
-        Event::StageStarted { stage, round } => sqlx::query(
-            "UPDATE jobs SET stage = ?, round = ?, steps_per_second = NULL WHERE id = ?",
-        )
-        .bind(stage.name())
-        .bind(*round)
-        .bind(job),
-        Event::StageFinished {
-            stage,
-            round,
-            seconds,
-            skipped,
-        } => sqlx::query(if *skipped {
-            // It was found on disk; the attempt that made it has told its time.
-            "INSERT OR IGNORE INTO stages (job_id, stage, round, seconds) VALUES (?, ?, ?, ?)"
-        } else {
-            "INSERT OR REPLACE INTO stages (job_id, stage, round, seconds) VALUES (?, ?, ?, ?)"
-        })
-        .bind(job)
-        .bind(stage.name())
-        .bind(*round)
-        .bind(*seconds),
-        Event::RoundFinished { metrics } => {
-            let json = serde_json::to_string(metrics).map_err(|error| ServerError::Damaged {
-                what: "round",
-                detail: error.to_string(),
-            })?;
-            sqlx::query("INSERT OR REPLACE INTO rounds (job_id, round, metrics) VALUES (?, ?, ?)")
-                .bind(job)
-                .bind(metrics.round)
-                .bind(json)
-        }
-        Event::Warning { code, message } => sqlx::query(
-            "INSERT OR IGNORE INTO warnings (job_id, code, message, at) VALUES (?, ?, ?, ?)",
-        )
-        .bind(job)
-        .bind(code.clone())
-        .bind(message.clone())
-        .bind(now_ms()),
-        _ => return Ok(()),
-    };
-    query.execute(&mut **tx).await?;
-    Ok(())
-}
-
-async fn settle(
-    tx: &mut Transaction<'static, Sqlite>,
-    job: &str,
-    settlement: &Settlement,
-) -> Result<()> {
-    let transition = match settlement {
-        Settlement::Finished { .. } => Transition::Finished,
-        Settlement::Failed { retry_in_ms, .. } => Transition::Failed {
-            retry: retry_in_ms.is_some(),
-        },
-        Settlement::Stopped => Transition::Stopped,
-        Settlement::Released => Transition::Released,
-    };
-    let next = JobState::Running
-        .after(transition)
-        .ok_or_else(|| ServerError::Damaged {
-            what: "job state",
-            detail: format!("{transition:?}"),
-        })?;
-    let finished = next.is_terminal().then(now_ms);
-    sqlx::query(
-        "UPDATE jobs SET state = ?, finished_at = ?, lease_owner = NULL, lease_until = 0,
-                steps_per_second = NULL, eta_seconds = NULL WHERE id = ?",
-    )
-    .bind(next.name())
-    .bind(finished)
-    .bind(job)
-    .execute(&mut **tx)
-    .await?;
-    let mut data = json!({ "state": next.name() });
-    match settlement {
-        Settlement::Finished { best_round } => {
-            sqlx::query(
-                "UPDATE jobs SET progress = 1, best_round = ?, stage = NULL, failures = 0 WHERE id = ?",
-            )
-            .bind(*best_round)
-            .bind(job)
-            .execute(&mut **tx)
-            .await?;
-            data["best_round"] = (*best_round).into();
-        }
-        Settlement::Failed {
-            error,
-            retry_in_ms,
-            failures,
-        } => {
-            store_failure(tx, job, error, *retry_in_ms, *failures).await?;
-            data["error"] = error_json(error);
-            data["retry_in_ms"] = (*retry_in_ms).into();
-        }
-        Settlement::Stopped | Settlement::Released => {}
-    }
-    events::append(tx, job, "state", &data).await
-}
-
-async fn store_failure(
-    tx: &mut Transaction<'static, Sqlite>,
-    job: &str,
-    error: &JobError,
-    retry_in_ms: Option<i64>,
-    failures: u32,
-) -> Result<()> {
-    sqlx::query(
-        "UPDATE jobs SET error_code = ?, error_detail = ?, error_hint = ?, failures = ?, failed_at = progress,
-                not_before = ? WHERE id = ?",
-    )
-    .bind(&error.code)
-    .bind(&error.detail)
-    .bind(&error.hint)
-    .bind(failures)
-    .bind(retry_in_ms.map_or(0, |wait| now_ms() + wait))
-    .bind(job)
-    .execute(&mut **tx)
-    .await?;
-    Ok(())
-}
-
-fn error_json(error: &JobError) -> Value {
-    json!({ "code": error.code, "detail": error.detail, "hint": error.hint })
 }

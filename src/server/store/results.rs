@@ -1,14 +1,16 @@
 //! What a job has shown: rounds, stage times, warnings, digests.
 
-use serde::Deserialize;
-use serde_json::Value;
-use sqlx::Row;
+use std::collections::HashMap;
 
-use super::Store;
+use serde_json::Value;
+use sqlx::{AnyPool, Row};
+
+use super::engine::Cells;
+use super::{Engine, Store};
 use crate::error::{Result, ServerError};
 
 /// The time of one stage of one round.
-#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct StageSeconds {
     /// Its name.
     pub stage: String,
@@ -19,7 +21,7 @@ pub struct StageSeconds {
 }
 
 /// Something the user should know.
-#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub struct WarningRow {
     /// Stable code.
     pub code: String,
@@ -33,17 +35,16 @@ impl Store {
     /// # Errors
     /// When the database refuses.
     pub async fn rounds(&self, job: &str) -> Result<Vec<Value>> {
-        let rows = sqlx::query("SELECT metrics FROM rounds WHERE job_id = ? ORDER BY round")
+        let rows = sqlx::query("SELECT metrics FROM rounds WHERE job_id = $1 ORDER BY round")
             .bind(job)
             .fetch_all(&self.pool)
             .await?;
         rows.iter()
             .map(|row| {
-                serde_json::from_str(row.try_get("metrics")?).map_err(|error| {
-                    ServerError::Damaged {
-                        what: "round",
-                        detail: error.to_string(),
-                    }
+                let metrics: String = row.try_get("metrics")?;
+                serde_json::from_str(&metrics).map_err(|error| ServerError::Damaged {
+                    what: "round",
+                    detail: error.to_string(),
                 })
             })
             .collect()
@@ -61,7 +62,7 @@ impl Store {
         modified_ns: i64,
     ) -> Result<Option<String>> {
         Ok(sqlx::query_scalar(
-            "SELECT sha256 FROM artifacts WHERE job_id = ? AND name = ? AND bytes = ? AND modified_ns = ?",
+            "SELECT sha256 FROM artifacts WHERE job_id = $1 AND name = $2 AND bytes = $3 AND modified_ns = $4",
         )
         .bind(job)
         .bind(name)
@@ -82,7 +83,10 @@ impl Store {
         sha256: &str,
     ) -> Result<()> {
         sqlx::query(
-            "INSERT OR REPLACE INTO artifacts (job_id, name, bytes, modified_ns, sha256) VALUES (?, ?, ?, ?, ?)",
+            "INSERT INTO artifacts (job_id, name, bytes, modified_ns, sha256)
+             VALUES ($1, $2, $3, $4, $5)
+             ON CONFLICT (job_id, name) DO UPDATE SET bytes = excluded.bytes,
+             modified_ns = excluded.modified_ns, sha256 = excluded.sha256",
         )
         .bind(job)
         .bind(name)
@@ -93,4 +97,56 @@ impl Store {
         .await?;
         Ok(())
     }
+}
+
+/// The warnings of these jobs, a JSON list of ids, oldest first, by job.
+pub(super) async fn warnings_of(
+    pool: &AnyPool,
+    engine: Engine,
+    ids: &str,
+) -> Result<HashMap<String, Vec<WarningRow>>> {
+    let all = format!(
+        "SELECT job_id, code, message FROM warnings WHERE job_id IN ({})
+         ORDER BY at, code, message",
+        engine.listed("$1")
+    );
+    let rows = sqlx::query(sqlx::AssertSqlSafe(all))
+        .bind(ids)
+        .fetch_all(pool)
+        .await?;
+    let mut warnings: HashMap<String, Vec<WarningRow>> = HashMap::new();
+    for row in rows {
+        let of_job = warnings.entry(row.try_get("job_id")?).or_default();
+        of_job.push(WarningRow {
+            code: row.try_get("code")?,
+            message: row.try_get("message")?,
+        });
+    }
+    Ok(warnings)
+}
+
+/// The time of every finished stage of these jobs, in no order, by job.
+pub(super) async fn stages_of(
+    pool: &AnyPool,
+    engine: Engine,
+    ids: &str,
+) -> Result<HashMap<String, Vec<StageSeconds>>> {
+    let all = format!(
+        "SELECT job_id, stage, round, seconds FROM stages WHERE job_id IN ({})",
+        engine.listed("$1")
+    );
+    let rows = sqlx::query(sqlx::AssertSqlSafe(all))
+        .bind(ids)
+        .fetch_all(pool)
+        .await?;
+    let mut stages: HashMap<String, Vec<StageSeconds>> = HashMap::new();
+    for row in rows {
+        let of_job = stages.entry(row.try_get("job_id")?).or_default();
+        of_job.push(StageSeconds {
+            stage: row.try_get("stage")?,
+            round: row.count("round")?,
+            seconds: row.try_get("seconds")?,
+        });
+    }
+    Ok(stages)
 }

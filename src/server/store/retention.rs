@@ -2,9 +2,7 @@
 
 use std::time::Duration;
 
-use sqlx::{Sqlite, Transaction};
-
-use super::Store;
+use super::{Store, Tx};
 use crate::config::Retention;
 use crate::error::Result;
 
@@ -26,7 +24,7 @@ impl Store {
     pub async fn mark_expiring(&self, retention: &Retention, now: i64) -> Result<()> {
         let notice = milliseconds(retention.notice);
         let age = retention.age.map(milliseconds);
-        let mut tx = self.pool.begin_with("BEGIN IMMEDIATE").await?;
+        let mut tx = self.write().await?;
         sqlx::query(
             "WITH ended AS (
                 SELECT jobs.id AS id, jobs.finished_at AS finished_at, ROW_NUMBER() OVER (
@@ -37,27 +35,27 @@ impl Store {
                 AND jobs.state IN ('succeeded', 'failed', 'cancelled')
             ), due AS (
                 SELECT id FROM ended
-                WHERE (?3 IS NOT NULL AND place > ?3)
-                OR (?4 IS NOT NULL AND finished_at + ?4 <= ?1 + ?2)
+                WHERE ($3 IS NOT NULL AND place > $3)
+                OR ($4 IS NOT NULL AND finished_at + $4 <= $1 + $2)
             )
             UPDATE jobs SET expires_at =
-                CASE WHEN id IN (SELECT id FROM due) THEN COALESCE(expires_at, ?1 + ?2) END
+                CASE WHEN id IN (SELECT id FROM due) THEN COALESCE(expires_at, $1 + $2) END
             WHERE expires_at IS NOT NULL OR id IN (SELECT id FROM due)",
         )
         .bind(now)
         .bind(notice)
-        .bind(retention.jobs)
+        .bind(retention.jobs.map(i64::from))
         .bind(age)
         .execute(&mut *tx)
         .await?;
         sqlx::query(
             "WITH due AS (
                 SELECT id FROM captures
-                WHERE ?3 IS NOT NULL AND created_at + ?3 <= ?1 + ?2
+                WHERE $3 IS NOT NULL AND created_at + $3 <= $1 + $2
                 AND NOT EXISTS (SELECT 1 FROM jobs WHERE capture_id = captures.id)
             )
             UPDATE captures SET expires_at =
-                CASE WHEN id IN (SELECT id FROM due) THEN COALESCE(expires_at, ?1 + ?2) END
+                CASE WHEN id IN (SELECT id FROM due) THEN COALESCE(expires_at, $1 + $2) END
             WHERE expires_at IS NOT NULL OR id IN (SELECT id FROM due)",
         )
         .bind(now)
@@ -89,17 +87,17 @@ impl Store {
         Ok(expired)
     }
 
-    async fn expiring(&self, now: i64) -> Result<(Transaction<'static, Sqlite>, Expired)> {
-        let mut tx = self.pool.begin_with("BEGIN IMMEDIATE").await?;
+    async fn expiring(&self, now: i64) -> Result<(Tx, Expired)> {
+        let mut tx = self.write().await?;
         let jobs = sqlx::query_scalar(
-            "DELETE FROM jobs WHERE expires_at <= ? AND pinned = 0
+            "DELETE FROM jobs WHERE expires_at <= $1 AND pinned = 0
              AND state IN ('succeeded', 'failed', 'cancelled') RETURNING id",
         )
         .bind(now)
         .fetch_all(&mut *tx)
         .await?;
         let captures = sqlx::query_scalar(
-            "DELETE FROM captures WHERE expires_at <= ?
+            "DELETE FROM captures WHERE expires_at <= $1
              AND NOT EXISTS (SELECT 1 FROM jobs WHERE capture_id = captures.id) RETURNING id",
         )
         .bind(now)
@@ -113,8 +111,8 @@ impl Store {
     /// # Errors
     /// When the database refuses.
     pub async fn pin_job(&self, id: &str, pinned: bool) -> Result<bool> {
-        let done = sqlx::query("UPDATE jobs SET pinned = ?, expires_at = NULL WHERE id = ?")
-            .bind(pinned)
+        let done = sqlx::query("UPDATE jobs SET pinned = $1, expires_at = NULL WHERE id = $2")
+            .bind(i64::from(pinned))
             .bind(id)
             .execute(&self.pool)
             .await?;
@@ -131,7 +129,7 @@ mod tests {
     use serde_json::json;
 
     use super::*;
-    use crate::store::{CaptureRow, NewJob, Room, now_ms};
+    use crate::store::{CaptureRow, Needs, NewJob, Room, now_ms};
 
     const DAY: i64 = 24 * 3600 * 1000;
     const KEPT: Retention = Retention {
@@ -150,7 +148,7 @@ mod tests {
             expires_at: None,
             owner: owner.map(str::to_owned),
         };
-        store.insert_capture(&row).await.expect("kept");
+        store.insert_capture(&row, &[]).await.expect("kept");
     }
 
     /// A job that was cancelled, each of the calls a moment later than the one before.
@@ -162,6 +160,8 @@ mod tests {
             preset: "preview".to_owned(),
             options: json!({}),
             rounds: 1,
+            needs: Needs::default(),
+            priority: 0,
         };
         let room = Room {
             queue: 100,
@@ -172,17 +172,17 @@ mod tests {
         tokio::time::sleep(Duration::from_millis(2)).await;
     }
 
-    async fn store() -> (tempfile::TempDir, Store) {
-        let dir = tempfile::tempdir().expect("temporary directory");
-        let store = Store::open(&dir.path().join("fled.db")).await;
-        let store = store.expect("open");
-        capture(&store, "anna's", Some("anna")).await;
-        capture(&store, "ben's", Some("ben")).await;
-        for id in ["a1", "a2", "a3"] {
-            ended(&store, id, "anna's").await;
+    async fn stores() -> [(tempfile::TempDir, Store); 2] {
+        let stores = crate::store::tests::of_each().await;
+        for (_, store) in &stores {
+            capture(store, "anna's", Some("anna")).await;
+            capture(store, "ben's", Some("ben")).await;
+            for id in ["a1", "a2", "a3"] {
+                ended(store, id, "anna's").await;
+            }
+            ended(store, "b1", "ben's").await;
         }
-        ended(&store, "b1", "ben's").await;
-        (dir, store)
+        stores
     }
 
     async fn expires(store: &Store, id: &str) -> Option<i64> {
@@ -196,63 +196,66 @@ mod tests {
 
     #[tokio::test]
     async fn the_oldest_beyond_the_number_of_each_owner_go_after_the_notice() {
-        let (_dir, store) = store().await;
-        let now = now_ms();
-        store.mark_expiring(&KEPT, now).await.expect("marked");
-        assert_eq!(expires(&store, "a1").await, Some(now + 7 * DAY));
-        for kept in ["a2", "a3", "b1"] {
-            assert_eq!(expires(&store, kept).await, None, "{kept}");
+        for (_dir, store) in stores().await {
+            let now = now_ms();
+            store.mark_expiring(&KEPT, now).await.expect("marked");
+            assert_eq!(expires(&store, "a1").await, Some(now + 7 * DAY));
+            for kept in ["a2", "a3", "b1"] {
+                assert_eq!(expires(&store, kept).await, None, "{kept}");
+            }
+            store.mark_expiring(&KEPT, now + DAY).await.expect("marked");
+            assert_eq!(expires(&store, "a1").await, Some(now + 7 * DAY), "as told");
+            let early = store.delete_expired(now + 7 * DAY - 1).await;
+            assert_eq!(early.expect("none"), Expired::default());
+            let gone = store.delete_expired(now + 7 * DAY).await.expect("one");
+            assert_eq!(gone.jobs, ["a1"]);
+            assert!(gone.captures.is_empty());
         }
-        store.mark_expiring(&KEPT, now + DAY).await.expect("marked");
-        assert_eq!(expires(&store, "a1").await, Some(now + 7 * DAY), "as told");
-        let early = store.delete_expired(now + 7 * DAY - 1).await;
-        assert_eq!(early.expect("none"), Expired::default());
-        let gone = store.delete_expired(now + 7 * DAY).await.expect("one");
-        assert_eq!(gone.jobs, ["a1"]);
-        assert!(gone.captures.is_empty());
     }
 
     #[tokio::test]
     async fn what_is_pinned_stays_and_what_begins_again_has_its_time_again() {
-        let (_dir, store) = store().await;
-        let now = now_ms();
-        let old = now + 24 * DAY;
-        store.mark_expiring(&KEPT, old).await.expect("marked");
-        assert_eq!(expires(&store, "b1").await, Some(old + 7 * DAY));
-        assert!(store.pin_job("b1", true).await.expect("pinned"));
-        assert!(!store.pin_job("none", true).await.expect("asked"));
-        let room = Room {
-            queue: 100,
-            of_owner: None,
-        };
-        store.retry("a1", room, None).await.expect("again");
-        assert_eq!(expires(&store, "a1").await, None);
-        store.mark_expiring(&KEPT, old + DAY).await.expect("marked");
-        let gone = store.delete_expired(old + 9 * DAY).await.expect("two");
-        assert_eq!(gone.jobs, ["a2", "a3"]);
-        store.mark_expiring(&KEPT, old + DAY).await.expect("marked");
-        assert_eq!(expires(&store, "b1").await, None, "it is pinned");
-        store.pin_job("b1", false).await.expect("let go");
-        store.mark_expiring(&KEPT, old + DAY).await.expect("marked");
-        assert_eq!(expires(&store, "b1").await, Some(old + 8 * DAY));
-        let all = Retention::default();
-        store.mark_expiring(&all, old + DAY).await.expect("marked");
-        assert_eq!(expires(&store, "b1").await, None, "all is kept now");
+        for (_dir, store) in stores().await {
+            let now = now_ms();
+            let old = now + 24 * DAY;
+            store.mark_expiring(&KEPT, old).await.expect("marked");
+            assert_eq!(expires(&store, "b1").await, Some(old + 7 * DAY));
+            assert!(store.pin_job("b1", true).await.expect("pinned"));
+            assert!(!store.pin_job("none", true).await.expect("asked"));
+            let room = Room {
+                queue: 100,
+                of_owner: None,
+            };
+            store.retry("a1", room, None).await.expect("again");
+            assert_eq!(expires(&store, "a1").await, None);
+            store.mark_expiring(&KEPT, old + DAY).await.expect("marked");
+            let gone = store.delete_expired(old + 9 * DAY).await.expect("two");
+            assert_eq!(gone.jobs, ["a2", "a3"]);
+            store.mark_expiring(&KEPT, old + DAY).await.expect("marked");
+            assert_eq!(expires(&store, "b1").await, None, "it is pinned");
+            store.pin_job("b1", false).await.expect("let go");
+            store.mark_expiring(&KEPT, old + DAY).await.expect("marked");
+            assert_eq!(expires(&store, "b1").await, Some(old + 8 * DAY));
+            let all = Retention::default();
+            store.mark_expiring(&all, old + DAY).await.expect("marked");
+            assert_eq!(expires(&store, "b1").await, None, "all is kept now");
+        }
     }
 
     #[tokio::test]
     async fn a_capture_goes_by_age_and_not_before_its_jobs() {
-        let (_dir, store) = store().await;
-        let old = now_ms() + 40 * DAY;
-        store.mark_expiring(&KEPT, old).await.expect("marked");
-        let gone = store.delete_expired(old + 8 * DAY).await.expect("jobs");
-        assert_eq!((gone.jobs.len(), gone.captures.len()), (4, 0));
-        store
-            .mark_expiring(&KEPT, old + 8 * DAY)
-            .await
-            .expect("marked");
-        ended(&store, "a4", "anna's").await;
-        let gone = store.delete_expired(old + 15 * DAY).await.expect("one");
-        assert_eq!(gone.captures, ["ben's"]);
+        for (_dir, store) in stores().await {
+            let old = now_ms() + 40 * DAY;
+            store.mark_expiring(&KEPT, old).await.expect("marked");
+            let gone = store.delete_expired(old + 8 * DAY).await.expect("jobs");
+            assert_eq!((gone.jobs.len(), gone.captures.len()), (4, 0));
+            store
+                .mark_expiring(&KEPT, old + 8 * DAY)
+                .await
+                .expect("marked");
+            ended(&store, "a4", "anna's").await;
+            let gone = store.delete_expired(old + 15 * DAY).await.expect("one");
+            assert_eq!(gone.captures, ["ben's"]);
+        }
     }
 }

@@ -1,12 +1,10 @@
 //! Jobs that ended and are to go on.
 
-use serde_json::Value;
-use sqlx::{Sqlite, Transaction};
-
-use super::Store;
 use super::jobs::{Full, Room, change, full};
+use super::{Store, Tx};
 use crate::error::Result;
 use crate::jobs::state::Transition;
+use serde_json::Value;
 
 /// What became of a request to queue a job again.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -41,7 +39,7 @@ impl Store {
             None => Transition::Retried,
             Some(_) => Transition::Changed,
         };
-        let mut tx = self.pool.begin_with("BEGIN IMMEDIATE").await?;
+        let mut tx = self.write().await?;
         if change(&mut tx, id, transition).await?.is_none() {
             return Ok(Retry::WrongState);
         }
@@ -59,22 +57,22 @@ impl Store {
 }
 
 /// Gives a job other options. What it has shown is forgotten: what is still true is told again.
-async fn apply(tx: &mut Transaction<'static, Sqlite>, id: &str, other: &Change) -> Result<()> {
+async fn apply(tx: &mut Tx, id: &str, other: &Change) -> Result<()> {
     sqlx::query(
-        "UPDATE jobs SET options = ?, rounds = ?, round = 0, progress = 0, best_round = NULL,
-         failed_at = 0 WHERE id = ?",
+        "UPDATE jobs SET options = $1, rounds = $2, round = 0, progress = 0, best_round = NULL,
+         failed_at = 0 WHERE id = $3",
     )
     .bind(other.options.to_string())
-    .bind(other.rounds)
+    .bind(i64::from(other.rounds))
     .bind(id)
     .execute(&mut **tx)
     .await?;
     for forget in [
-        "DELETE FROM rounds WHERE job_id = ?",
-        "DELETE FROM stages WHERE job_id = ?",
+        "DELETE FROM rounds WHERE job_id = $1",
+        "DELETE FROM stages WHERE job_id = $1",
         // Poses that are used again warn no second time.
-        "DELETE FROM warnings WHERE job_id = ?1 AND at > (
-            SELECT MIN(at) FROM events WHERE job_id = ?1 AND kind = 'stage_finished'
+        "DELETE FROM warnings WHERE job_id = $1 AND at > (
+            SELECT MIN(at) FROM events WHERE job_id = $1 AND kind = 'stage_finished'
         )",
     ] {
         sqlx::query(forget).bind(id).execute(&mut **tx).await?;
@@ -87,13 +85,16 @@ mod tests {
     use serde_json::json;
 
     use super::*;
-    use crate::store::{CaptureRow, NewJob};
+    use crate::store::{CaptureRow, Needs, NewJob};
 
     #[tokio::test]
     async fn a_job_that_ended_goes_on_with_other_options() {
-        let dir = tempfile::tempdir().expect("temporary directory");
-        let path = dir.path().join("fled.db");
-        let store = Store::open(&path).await.expect("open");
+        for (_dir, store) in crate::store::tests::of_each().await {
+            goes_on(&store).await;
+        }
+    }
+
+    async fn goes_on(store: &Store) {
         let capture = CaptureRow {
             id: "c".to_owned(),
             name: "a capture".to_owned(),
@@ -103,7 +104,7 @@ mod tests {
             owner: Some("anna".to_owned()),
             expires_at: None,
         };
-        store.insert_capture(&capture).await.expect("kept");
+        store.insert_capture(&capture, &[]).await.expect("kept");
         let job = NewJob {
             id: "j".to_owned(),
             name: "a job".to_owned(),
@@ -111,6 +112,8 @@ mod tests {
             preset: "preview".to_owned(),
             options: json!({ "cap": 1 }),
             rounds: 2,
+            needs: Needs::default(),
+            priority: 0,
         };
         let room = Room {
             queue: 9,

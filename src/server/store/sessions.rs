@@ -20,13 +20,13 @@ impl Store {
         expires_at: i64,
     ) -> Result<()> {
         let now = now_ms();
-        let mut tx = self.pool.begin_with("BEGIN IMMEDIATE").await?;
-        sqlx::query("DELETE FROM sessions WHERE expires_at <= ?")
+        let mut tx = self.write().await?;
+        sqlx::query("DELETE FROM sessions WHERE expires_at <= $1")
             .bind(now)
             .execute(&mut *tx)
             .await?;
         sqlx::query(
-            "INSERT INTO sessions (digest, token_id, created_at, expires_at) VALUES (?, ?, ?, ?)",
+            "INSERT INTO sessions (digest, token_id, created_at, expires_at) VALUES ($1, $2, $3, $4)",
         )
         .bind(digest.as_slice())
         .bind(token)
@@ -46,7 +46,7 @@ impl Store {
         let row = sqlx::query(
             "SELECT sessions.digest AS session, tokens.digest AS token
              FROM sessions JOIN tokens ON tokens.id = sessions.token_id
-             WHERE sessions.digest = ? AND sessions.expires_at > ?",
+             WHERE sessions.digest = $1 AND sessions.expires_at > $2",
         )
         .bind(digest.as_slice())
         .bind(now_ms())
@@ -66,7 +66,7 @@ impl Store {
     /// # Errors
     /// When the database refuses.
     pub async fn end_session(&self, digest: &Digest) -> Result<()> {
-        sqlx::query("DELETE FROM sessions WHERE digest = ?")
+        sqlx::query("DELETE FROM sessions WHERE digest = $1")
             .bind(digest.as_slice())
             .execute(&self.pool)
             .await?;

@@ -1,7 +1,7 @@
 //! Links to one job: tokens that open that job alone.
 
 use sqlx::Row;
-use sqlx::sqlite::SqliteRow;
+use sqlx::any::AnyRow;
 
 use super::{Store, now_ms};
 use crate::error::Result;
@@ -41,8 +41,8 @@ pub struct ShareRow {
     pub last_used_at: Option<i64>,
 }
 
-/// Links of a job, `?` twice: the job, and now.
-const THAT_HOLD: &str = "FROM tokens WHERE job_id = ? AND revoked_at IS NULL AND expires_at > ?
+/// Links of a job; the parameters are the job, and now.
+const THAT_HOLD: &str = "FROM tokens WHERE job_id = $1 AND revoked_at IS NULL AND expires_at > $2
      AND NOT EXISTS (SELECT 1 FROM tokens AS maker
                      WHERE maker.id = tokens.made_by AND maker.revoked_at IS NOT NULL)";
 
@@ -53,20 +53,20 @@ impl Store {
     /// When the database refuses; also for a job or a token that is not there.
     pub async fn insert_share(&self, share: &NewShare, most: u32) -> Result<bool> {
         let now = now_ms();
-        let mut tx = self.pool.begin_with("BEGIN IMMEDIATE").await?;
+        let mut tx = self.write().await?;
         let count = sqlx::AssertSqlSafe(format!("SELECT count(*) {THAT_HOLD}"));
-        let held: u32 = sqlx::query_scalar(count)
+        let held: i64 = sqlx::query_scalar(count)
             .bind(&share.job)
             .bind(now)
             .fetch_one(&mut *tx)
             .await?;
-        if held >= most {
+        if held >= i64::from(most) {
             return Ok(false);
         }
         sqlx::query(
             "INSERT INTO tokens
              (id, name, digest, scopes, created_at, expires_at, job_id, made_by)
-             VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
+             VALUES ($1, $2, $3, $4, $5, $6, $7, $8)",
         )
         .bind(&share.id)
         .bind(&share.name)
@@ -102,7 +102,7 @@ impl Store {
     /// When the database refuses.
     pub async fn end_share(&self, job: &str, id: &str) -> Result<bool> {
         let done = sqlx::query(
-            "UPDATE tokens SET revoked_at = ? WHERE id = ? AND job_id = ? AND revoked_at IS NULL",
+            "UPDATE tokens SET revoked_at = $1 WHERE id = $2 AND job_id = $3 AND revoked_at IS NULL",
         )
         .bind(now_ms())
         .bind(id)
@@ -113,7 +113,7 @@ impl Store {
     }
 }
 
-fn from_row(row: &SqliteRow) -> Result<ShareRow> {
+fn from_row(row: &AnyRow) -> Result<ShareRow> {
     Ok(ShareRow {
         id: row.try_get("id")?,
         name: row.try_get("name")?,

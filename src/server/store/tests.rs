@@ -6,15 +6,38 @@ use fled_core::event::{Event, Stage};
 use proptest::prelude::*;
 use serde_json::json;
 
+use super::engine::CONNECTIONS;
 use super::*;
 use crate::error::ServerError;
 use crate::jobs::state::{JobState, Transition};
 
-async fn store() -> (tempfile::TempDir, Store) {
+/// A database file, and what removes it.
+pub(super) async fn in_a_file() -> (tempfile::TempDir, Store) {
     let dir = tempfile::tempdir().expect("temporary directory");
     let store = Store::open(&dir.path().join("fled.db"))
         .await
         .expect("fresh database");
+    (dir, store)
+}
+
+/// A database of a server's.
+pub(super) async fn of_a_server() -> (tempfile::TempDir, Store) {
+    let dir = tempfile::tempdir().expect("temporary directory");
+    let url = fled_tests::Postgres::shared().database();
+    (dir, Store::at(&url).await.expect("fresh database"))
+}
+
+/// One of each, for tests that do not care.
+pub(super) async fn of_each() -> [(tempfile::TempDir, Store); 2] {
+    [in_a_file().await, of_a_server().await]
+}
+
+async fn store() -> (tempfile::TempDir, Store) {
+    with_capture(in_a_file().await).await
+}
+
+async fn with_capture(fresh: (tempfile::TempDir, Store)) -> (tempfile::TempDir, Store) {
+    let (dir, store) = fresh;
     let capture = CaptureRow {
         owner: None,
         expires_at: None,
@@ -24,7 +47,7 @@ async fn store() -> (tempfile::TempDir, Store) {
         report: json!({}),
         created_at: 1,
     };
-    store.insert_capture(&capture).await.expect("insert");
+    store.insert_capture(&capture, &[]).await.expect("insert");
     (dir, store)
 }
 
@@ -43,6 +66,8 @@ fn new_job(id: &str) -> NewJob {
         preset: "preview".to_owned(),
         options: json!({}),
         rounds: 2,
+        needs: Needs::default(),
+        priority: 0,
     }
 }
 
@@ -67,262 +92,28 @@ fn failed(retry_in_ms: Option<i64>) -> Settlement {
     }
 }
 
-#[tokio::test]
-async fn a_worker_that_lost_its_lease_writes_nothing() {
-    let (_dir, store) = store().await;
-    create(&store, "j").await;
-    let old = store
-        .claim("one", -1, &[])
-        .await
-        .expect("claim")
-        .expect("job");
-    let new = store
-        .claim("two", 60_000, &[])
-        .await
-        .expect("claim")
-        .expect("its lease has run out");
-    assert_eq!(new.job.attempts, 2);
-    let before = store.events_after("j", 0, 100).await.expect("events");
-    let event = Event::StageStarted {
-        stage: Stage::Poses,
-        round: 0,
-    };
-    let lost = |r: Result<()>| assert!(matches!(r, Err(ServerError::LeaseLost(_))), "{r:?}");
-    lost(store.record(&old.lease, &event).await);
-    lost(store.advance(&old.lease, &Progress::default()).await);
-    lost(
-        store
-            .settle(&old.lease, &Settlement::Stopped)
-            .await
-            .map(drop),
-    );
-    lost(store.heartbeat(&old.lease, 1000).await.map(drop));
-    assert_eq!(
-        store.events_after("j", 0, 100).await.expect("events"),
-        before
-    );
-    assert_eq!(
-        store.job("j").await.expect("read").expect("job").state,
-        JobState::Running
-    );
-    store
-        .record(&new.lease, &event)
-        .await
-        .expect("the new lease writes");
-}
+/// What holds of every database.
+mod sqlite {
+    use super::*;
 
-#[tokio::test]
-async fn two_workers_never_claim_the_same_job_and_the_oldest_goes_first() {
-    let (_dir, store) = store().await;
-    let mut expected = Vec::new();
-    for i in 0..20 {
-        create(&store, &format!("j{i:02}")).await;
-        expected.push(format!("j{i:02}"));
+    async fn store() -> (tempfile::TempDir, Store) {
+        with_capture(in_a_file().await).await
     }
-    let mut claims = tokio::task::JoinSet::new();
-    for worker in 0..4 {
-        let store = store.clone();
-        claims.spawn(async move {
-            let mut mine = Vec::new();
-            while let Some(claim) = store
-                .claim(&worker.to_string(), 60_000, &[])
-                .await
-                .expect("claim")
-            {
-                mine.push(claim.job.id);
-            }
-            mine
-        });
+
+    include!("tests/suite.rs");
+    include!("tests/machines.rs");
+}
+
+/// The same.
+mod postgres {
+    use super::*;
+
+    async fn store() -> (tempfile::TempDir, Store) {
+        with_capture(of_a_server().await).await
     }
-    let all = claims.join_all().await;
-    assert!(
-        all.iter().all(|mine| mine.is_sorted()),
-        "oldest first: {all:?}"
-    );
-    let mut all: Vec<String> = all.into_iter().flatten().collect();
-    all.sort();
-    assert_eq!(all, expected);
-}
 
-#[tokio::test]
-async fn a_restart_queues_what_ran_and_cancels_what_was_to_be_stopped() {
-    let (_dir, store) = store().await;
-    create(&store, "a").await;
-    create(&store, "b").await;
-    let a = store
-        .claim("one", 60_000, &[])
-        .await
-        .expect("claim")
-        .expect("a");
-    store
-        .claim("one", 60_000, &[])
-        .await
-        .expect("claim")
-        .expect("b");
-    store.request_cancel("b").await.expect("cancel");
-    assert_eq!(
-        store
-            .release_all(|_| Settlement::Released)
-            .await
-            .expect("release"),
-        ["a", "b"]
-    );
-    assert_eq!(
-        store.job("a").await.expect("read").expect("a").state,
-        JobState::Queued
-    );
-    assert_eq!(
-        store.job("b").await.expect("read").expect("b").state,
-        JobState::Cancelled
-    );
-    assert!(
-        store.settle(&a.lease, &Settlement::Stopped).await.is_err(),
-        "the old worker is fenced off"
-    );
-}
-
-#[tokio::test]
-async fn a_key_gives_one_job_and_refuses_another_request() {
-    let (_dir, store) = store().await;
-    let create = |id: &'static str, print: &'static str| {
-        let store = store.clone();
-        async move {
-            store
-                .create_job(&new_job(id), Some("key"), print, room(100))
-                .await
-                .expect("create")
-        }
-    };
-    assert!(matches!(create("a", "x").await, Creation::Created(job) if job.id == "a"));
-    assert!(matches!(create("b", "x").await, Creation::Replayed(job) if job.id == "a"));
-    assert!(matches!(create("c", "y").await, Creation::KeyReused));
-    assert_eq!(
-        store
-            .jobs(JobFilter::default(), 10, None)
-            .await
-            .expect("list")
-            .len(),
-        1
-    );
-}
-
-#[tokio::test]
-async fn failures_count_only_while_there_is_no_progress() {
-    let (_dir, store) = store().await;
-    create(&store, "j").await;
-    for (progress, expected) in [(0.0, 1), (0.0, 2), (0.4, 1), (0.4, 2), (0.4, 3)] {
-        let claim = store
-            .claim("one", 60_000, &[])
-            .await
-            .expect("claim")
-            .expect("job");
-        let step = Progress {
-            progress: Some(progress),
-            ..Default::default()
-        };
-        store.advance(&claim.lease, &step).await.expect("advance");
-        let failures = store.count_failure(&claim.lease).await.expect("count");
-        assert_eq!(failures, expected, "at {progress}");
-        let Settlement::Failed { error, .. } = failed(None) else {
-            unreachable!()
-        };
-        let settlement = Settlement::Failed {
-            error,
-            retry_in_ms: Some(-1),
-            failures,
-        };
-        assert_eq!(
-            store
-                .settle(&claim.lease, &settlement)
-                .await
-                .expect("settle"),
-            JobState::Queued
-        );
-    }
-}
-
-#[tokio::test]
-async fn deleting_a_job_takes_its_rows_and_a_used_capture_stays() {
-    let (_dir, store) = store().await;
-    create(&store, "j").await;
-    assert!(!store.delete_capture("c").await.expect("refused"));
-    let claim = store
-        .claim("one", 60_000, &[])
-        .await
-        .expect("claim")
-        .expect("job");
-    assert!(!store.delete_job("j").await.expect("a running job stays"));
-    store
-        .settle(&claim.lease, &Settlement::Finished { best_round: 2 })
-        .await
-        .expect("settle");
-    assert!(store.delete_job("j").await.expect("delete"));
-    assert!(
-        store
-            .events_after("j", 0, 10)
-            .await
-            .expect("events")
-            .is_empty()
-    );
-    assert!(store.delete_capture("c").await.expect("free now"));
-}
-
-/// Applies `transition` through the store as a worker and the API would; what the store answers
-/// must be what the pure function says.
-async fn drive(store: &Store, leases: &mut BTreeMap<&str, Lease>, transition: Transition) {
-    let settle = |settlement| {
-        let (store, lease) = (store.clone(), leases.get("j").cloned());
-        async move {
-            if let Some(lease) = lease {
-                drop(store.settle(&lease, &settlement).await);
-            }
-        }
-    };
-    match transition {
-        // A negative lease has run out at once, so that `Claimed` can happen to a running job.
-        Transition::Claimed => {
-            if let Some(claim) = store.claim("w", -1, &[]).await.expect("claim") {
-                leases.insert("j", claim.lease);
-            }
-        }
-        Transition::Released => settle(Settlement::Released).await,
-        Transition::Finished => settle(Settlement::Finished { best_round: 1 }).await,
-        Transition::Failed { retry } => settle(failed(retry.then_some(-1))).await,
-        Transition::Stopped => settle(Settlement::Stopped).await,
-        Transition::CancelRequested => drop(store.request_cancel("j").await.expect("cancel")),
-        Transition::Retried => drop(store.retry("j", room(9), None).await.expect("retry")),
-        Transition::Changed => {
-            let other = Change {
-                options: json!({}),
-                rounds: 1,
-            };
-            store
-                .retry("j", room(9), Some(&other))
-                .await
-                .expect("retry");
-        }
-    }
-}
-
-proptest! {
-    #![proptest_config(ProptestConfig::with_cases(24))]
-    #[test]
-    fn the_database_follows_the_state_machine(
-        transitions in proptest::collection::vec(crate::jobs::state::any_transition(), 1..16),
-    ) {
-        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().expect("runtime");
-        runtime.block_on(async {
-            let (_dir, store) = store().await;
-            create(&store, "j").await;
-            let (mut model, mut leases) = (JobState::Queued, BTreeMap::new());
-            for transition in transitions {
-                drive(&store, &mut leases, transition).await;
-                model = model.after(transition).unwrap_or(model);
-                let stored = store.job("j").await.expect("read").expect("job").state;
-                assert_eq!(stored, model, "after {transition:?}");
-            }
-        });
-    }
+    include!("tests/suite.rs");
+    include!("tests/machines.rs");
 }
 
 /// Lets every connection of the pool grow the database to `pages` at most.
@@ -372,65 +163,4 @@ async fn a_disk_that_was_full_disables_no_connection() {
         let told = store.job("waits").await.expect("read").expect("job");
         assert_eq!(told.progress, 0.5);
     }
-}
-
-#[tokio::test]
-async fn the_queue_takes_so_many_and_no_more() {
-    let (_dir, store) = store().await;
-    for (id, expected) in [("a", true), ("b", true), ("c", false)] {
-        let outcome = store.create_job(&new_job(id), None, "", room(2)).await;
-        let created = matches!(outcome.expect("answered"), Creation::Created(_));
-        assert_eq!(created, expected, "{id}");
-    }
-    assert_eq!(store.waiting().await.expect("count"), 2);
-}
-
-#[tokio::test]
-async fn deaths_of_the_server_count_while_there_is_no_progress() {
-    let (_dir, store) = store().await;
-    create(&store, "j").await;
-    for (progress, expected) in [(0.0, 1), (0.0, 2), (0.5, 1), (0.5, 2)] {
-        let claim = store.claim("one", 60_000, &[]).await.expect("claim");
-        let step = Progress {
-            progress: Some(progress),
-            ..Default::default()
-        };
-        let lease = claim.expect("the job").lease;
-        store.advance(&lease, &step).await.expect("advance");
-        let settle = |deaths| {
-            assert_eq!(deaths, expected, "at {progress}");
-            let Settlement::Failed { error, .. } = failed(None) else {
-                unreachable!()
-            };
-            Settlement::Failed {
-                error,
-                retry_in_ms: Some(-1),
-                failures: deaths,
-            }
-        };
-        store.release_all(settle).await.expect("released");
-    }
-}
-
-#[tokio::test]
-async fn a_job_knows_its_place_in_the_queue_and_when_its_stage_began() {
-    let (_dir, store) = store().await;
-    for id in ["a", "b", "c"] {
-        create(&store, id).await;
-    }
-    let claim = store.claim("w", 60_000, &[]).await.expect("claim");
-    let lease = claim.expect("job").lease;
-    let told = async |id| store.told_job(id).await.expect("read").expect("job");
-    let places = [told("a").await, told("b").await, told("c").await];
-    assert_eq!(places.map(|j| j.queue_position), [None, Some(1), Some(2)]);
-    let (stage, round) = (Stage::Poses, 0);
-    let began = Event::StageStarted { stage, round };
-    store.record(&lease, &began).await.expect("record");
-    let at = told("a").await.stage_started_at;
-    assert!(at.is_some_and(|at| at <= now_ms()));
-    let settled = store.settle(&lease, &Settlement::Released).await;
-    settled.expect("settle");
-    store.claim("w", 60_000, &[]).await.expect("claim");
-    // The new attempt has begun none.
-    assert_eq!(told("a").await.stage_started_at, None);
 }

@@ -1,9 +1,10 @@
 //! Tokens, as digests.
 
 use sqlx::Row;
-use sqlx::sqlite::SqliteRow;
+use sqlx::any::AnyRow;
 use subtle::ConstantTimeEq;
 
+use super::engine::Cells;
 use super::{Store, now_ms};
 use crate::error::{Result, ServerError};
 use crate::token::{Digest, Scopes};
@@ -86,7 +87,7 @@ impl Store {
         sqlx::query(
             "INSERT INTO tokens
              (id, name, digest, scopes, created_at, expires_at, quota_bytes, quota_jobs)
-             VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
+             VALUES ($1, $2, $3, $4, $5, $6, $7, $8)",
         )
         .bind(&token.id)
         .bind(&token.name)
@@ -101,7 +102,7 @@ impl Store {
                 .bytes
                 .map(|bytes| i64::try_from(bytes).unwrap_or(i64::MAX)),
         )
-        .bind(token.quotas.jobs)
+        .bind(token.quotas.jobs.map(i64::from))
         .execute(&self.pool)
         .await?;
         Ok(())
@@ -124,8 +125,8 @@ impl Store {
     /// # Errors
     /// When the database refuses.
     pub async fn has_tokens(&self) -> Result<bool> {
-        let any = sqlx::query_scalar("SELECT EXISTS (SELECT 1 FROM tokens)");
-        Ok(any.fetch_one(&self.pool).await?)
+        let any = sqlx::query("SELECT id FROM tokens LIMIT 1");
+        Ok(any.fetch_optional(&self.pool).await?.is_some())
     }
 
     /// Ends a token. `Ok(false)` when there is none of this name that was not ended before.
@@ -134,7 +135,7 @@ impl Store {
     /// When the database refuses.
     pub async fn revoke_token(&self, id: &str) -> Result<bool> {
         let done =
-            sqlx::query("UPDATE tokens SET revoked_at = ? WHERE id = ? AND revoked_at IS NULL")
+            sqlx::query("UPDATE tokens SET revoked_at = $1 WHERE id = $2 AND revoked_at IS NULL")
                 .bind(now_ms())
                 .bind(id)
                 .execute(&self.pool)
@@ -149,7 +150,7 @@ impl Store {
     /// When the database refuses.
     pub async fn token_that_holds(&self, digest: &Digest) -> Result<Option<TokenRow>> {
         let row = sqlx::query(
-            "SELECT * FROM tokens WHERE digest = ? AND NOT EXISTS (
+            "SELECT * FROM tokens WHERE digest = $1 AND NOT EXISTS (
                  SELECT 1 FROM tokens AS maker
                  WHERE maker.id = tokens.made_by AND maker.revoked_at IS NOT NULL)",
         )
@@ -167,7 +168,7 @@ impl Store {
             .last_used_at
             .is_none_or(|last| now - last >= NOTED_EVERY)
         {
-            let noted = sqlx::query("UPDATE tokens SET last_used_at = ? WHERE id = ?")
+            let noted = sqlx::query("UPDATE tokens SET last_used_at = $1 WHERE id = $2")
                 .bind(now)
                 .bind(&token.id)
                 .execute(&self.pool)
@@ -181,7 +182,7 @@ impl Store {
     }
 }
 
-fn from_row(row: &SqliteRow) -> Result<TokenRow> {
+fn from_row(row: &AnyRow) -> Result<TokenRow> {
     let scopes: String = row.try_get("scopes")?;
     let scopes = scopes.parse().map_err(|error| ServerError::Damaged {
         what: "token",
@@ -199,7 +200,7 @@ fn from_row(row: &SqliteRow) -> Result<TokenRow> {
             bytes: row
                 .try_get::<Option<i64>, _>("quota_bytes")?
                 .map(i64::unsigned_abs),
-            jobs: row.try_get("quota_jobs")?,
+            jobs: row.count_if_any("quota_jobs")?,
         },
         job: row.try_get("job_id")?,
     })

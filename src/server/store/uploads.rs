@@ -3,10 +3,10 @@
 use std::collections::HashMap;
 
 use serde_json::json;
-use sqlx::sqlite::SqliteRow;
-use sqlx::{Row, SqliteConnection};
+use sqlx::Row;
+use sqlx::any::AnyRow;
 
-use super::{Store, now_ms};
+use super::{Store, Tx, now_ms};
 use crate::error::{Result, ServerError};
 
 /// An upload in pieces, unfinished or not yet made a capture of.
@@ -39,8 +39,8 @@ impl Store {
     pub async fn insert_upload(&self, row: &UploadRow, most: u32) -> Result<bool> {
         let done = sqlx::query(
             "INSERT INTO uploads (id, owner, filename, metadata, length, created_at, expires_at)
-             SELECT ?1, ?2, ?3, ?4, ?5, ?6, ?7 WHERE ?8 >
-             (SELECT COUNT(*) FROM uploads WHERE owner IS ?2)",
+             SELECT $1, $2, $3, $4, $5, $6, $7 WHERE $8 >
+             (SELECT COUNT(*) FROM uploads WHERE owner IS NOT DISTINCT FROM $2)",
         )
         .bind(&row.id)
         .bind(&row.owner)
@@ -49,7 +49,7 @@ impl Store {
         .bind(signed(row.length))
         .bind(row.created_at)
         .bind(row.expires_at)
-        .bind(most)
+        .bind(i64::from(most))
         .execute(&self.pool)
         .await?;
         Ok(done.rows_affected() == 1)
@@ -60,7 +60,7 @@ impl Store {
     /// # Errors
     /// When the database refuses.
     pub async fn upload(&self, id: &str) -> Result<Option<UploadRow>> {
-        let row = sqlx::query("SELECT * FROM uploads WHERE id = ? AND expires_at > ?")
+        let row = sqlx::query("SELECT * FROM uploads WHERE id = $1 AND expires_at > $2")
             .bind(id)
             .bind(now_ms())
             .fetch_optional(&self.pool)
@@ -73,14 +73,15 @@ impl Store {
     /// # Errors
     /// When the database refuses.
     pub async fn uploads(&self, ids: &[String]) -> Result<HashMap<String, UploadRow>> {
-        let rows = sqlx::query(
-            "SELECT * FROM uploads WHERE id IN (SELECT value FROM json_each(?))
-             AND expires_at > ?",
-        )
-        .bind(json!(ids).to_string())
-        .bind(now_ms())
-        .fetch_all(&self.pool)
-        .await?;
+        let these = format!(
+            "SELECT * FROM uploads WHERE id IN ({}) AND expires_at > $2",
+            self.engine.listed("$1")
+        );
+        let rows = sqlx::query(sqlx::AssertSqlSafe(these))
+            .bind(json!(ids).to_string())
+            .bind(now_ms())
+            .fetch_all(&self.pool)
+            .await?;
         let by_id = |row| from_row(row).map(|row| (row.id.clone(), row));
         rows.iter().map(by_id).collect()
     }
@@ -90,9 +91,9 @@ impl Store {
     /// # Errors
     /// When the database refuses.
     pub async fn owns_upload(&self, owner: &str, id: &str) -> Result<bool> {
-        let owns = "SELECT EXISTS (SELECT 1 FROM uploads WHERE id = ? AND owner = ?)";
-        let owns = sqlx::query_scalar(owns).bind(id).bind(owner);
-        Ok(owns.fetch_one(&self.pool).await?)
+        let owns = "SELECT id FROM uploads WHERE id = $1 AND owner = $2";
+        let owns = sqlx::query(owns).bind(id).bind(owner);
+        Ok(owns.fetch_optional(&self.pool).await?.is_some())
     }
 
     /// Bytes that all uploads of an owner have or will have, expired ones whose file is still there
@@ -101,7 +102,7 @@ impl Store {
     /// # Errors
     /// When the database refuses.
     pub async fn bytes_of_uploads(&self, owner: &str) -> Result<u64> {
-        let sum = "SELECT COALESCE(SUM(length), 0) FROM uploads WHERE owner = ?";
+        let sum = "SELECT CAST(COALESCE(SUM(length), 0) AS BIGINT) FROM uploads WHERE owner = $1";
         let sum = sqlx::query_scalar(sum).bind(owner);
         let sum: i64 = sum.fetch_one(&self.pool).await?;
         Ok(u64::try_from(sum).unwrap_or(0))
@@ -118,7 +119,7 @@ impl Store {
         judged: Option<u64>,
         expires_at: i64,
     ) -> Result<bool> {
-        let done = sqlx::query("UPDATE uploads SET judged = ?, expires_at = ? WHERE id = ?")
+        let done = sqlx::query("UPDATE uploads SET judged = $1, expires_at = $2 WHERE id = $3")
             .bind(judged.map(signed))
             .bind(expires_at)
             .bind(id)
@@ -134,7 +135,7 @@ impl Store {
     /// When the database refuses.
     pub async fn forget_upload(&self, id: &str, by: Option<i64>) -> Result<bool> {
         let done =
-            sqlx::query("DELETE FROM uploads WHERE id = ?1 AND (?2 IS NULL OR expires_at <= ?2)")
+            sqlx::query("DELETE FROM uploads WHERE id = $1 AND ($2 IS NULL OR expires_at <= $2)")
                 .bind(id)
                 .bind(by)
                 .execute(&self.pool)
@@ -147,7 +148,7 @@ impl Store {
     /// # Errors
     /// When the database refuses.
     pub async fn expired_uploads(&self, by: i64) -> Result<Vec<String>> {
-        let expired = sqlx::query_scalar("SELECT id FROM uploads WHERE expires_at <= ?").bind(by);
+        let expired = sqlx::query_scalar("SELECT id FROM uploads WHERE expires_at <= $1").bind(by);
         Ok(expired.fetch_all(&self.pool).await?)
     }
 
@@ -163,15 +164,19 @@ impl Store {
 }
 
 /// Forgets these uploads, if all of them are there.
-pub(super) async fn use_up(tx: &mut SqliteConnection, ids: &[String]) -> Result<bool> {
-    let done = sqlx::query("DELETE FROM uploads WHERE id IN (SELECT value FROM json_each(?))")
+pub(super) async fn use_up(tx: &mut Tx, ids: &[String]) -> Result<bool> {
+    let these = format!(
+        "DELETE FROM uploads WHERE id IN ({})",
+        tx.engine.listed("$1")
+    );
+    let done = sqlx::query(sqlx::AssertSqlSafe(these))
         .bind(json!(ids).to_string())
-        .execute(tx)
+        .execute(&mut **tx)
         .await?;
     Ok(done.rows_affected() == ids.len() as u64)
 }
 
-fn from_row(row: &SqliteRow) -> Result<UploadRow> {
+fn from_row(row: &AnyRow) -> Result<UploadRow> {
     let judged: Option<i64> = row.try_get("judged")?;
     Ok(UploadRow {
         id: row.try_get("id")?,

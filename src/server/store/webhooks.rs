@@ -1,11 +1,13 @@
 //! Whom to tell of jobs, and what they are still to be told.
 
-use serde_json::Value;
-use sqlx::sqlite::SqliteRow;
-use sqlx::{Row, Sqlite, Transaction};
+use serde_json::{Value, json};
+use sqlx::Row;
+use sqlx::any::AnyRow;
 
-use super::{Store, now_ms};
-use crate::error::{Result, ServerError};
+use super::engine::{Cells, counted};
+use super::outbox::{body, typed};
+use super::{Engine, Store, now_ms};
+use crate::error::Result;
 
 /// What a test delivery is called.
 pub const TEST: &str = "webhook.test";
@@ -76,30 +78,34 @@ pub enum Then {
     Gone,
 }
 
+/// A delivery is on its way for so long at most, milliseconds: an attempt takes less.
+const ON_ITS_WAY_MS: i64 = 120_000;
+
 impl Store {
     /// Keeps an address, unless its owner has `most`. `Ok(false)` when they have.
     ///
     /// # Errors
     /// When the database refuses.
     pub async fn insert_webhook(&self, webhook: &WebhookRow, most: u32) -> Result<bool> {
-        let mut tx = self.pool.begin_with("BEGIN IMMEDIATE").await?;
-        let held: u32 = sqlx::query_scalar("SELECT count(*) FROM webhooks WHERE owner IS ?")
-            .bind(&webhook.owner)
-            .fetch_one(&mut *tx)
-            .await?;
-        if held >= most {
+        let mut tx = self.write().await?;
+        let held =
+            sqlx::query_scalar("SELECT count(*) FROM webhooks WHERE owner IS NOT DISTINCT FROM $1")
+                .bind(&webhook.owner)
+                .fetch_one(&mut *tx)
+                .await?;
+        if counted(held)? >= most {
             return Ok(false);
         }
         sqlx::query(
             "INSERT INTO webhooks (id, url, secret, types, owner, sees_all, made_by, created_at)
-             VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
+             VALUES ($1, $2, $3, $4, $5, $6, $7, $8)",
         )
         .bind(&webhook.id)
         .bind(&webhook.url)
-        .bind(&webhook.secret)
+        .bind(webhook.secret.as_slice())
         .bind(Value::from(webhook.types.clone()).to_string())
         .bind(&webhook.owner)
-        .bind(webhook.sees_all)
+        .bind(i64::from(webhook.sees_all))
         .bind(&webhook.made_by)
         .bind(webhook.created_at)
         .execute(&mut *tx)
@@ -114,7 +120,7 @@ impl Store {
     /// When the database refuses.
     pub async fn webhooks(&self, owner: Option<&str>) -> Result<Vec<WebhookRow>> {
         let rows = sqlx::query(
-            "SELECT * FROM webhooks WHERE ?1 IS NULL OR owner = ?1 ORDER BY created_at, id",
+            "SELECT * FROM webhooks WHERE $1 IS NULL OR owner = $1 ORDER BY created_at, id",
         )
         .bind(owner)
         .fetch_all(&self.pool)
@@ -127,7 +133,7 @@ impl Store {
     /// # Errors
     /// When the database refuses.
     pub async fn webhook(&self, id: &str) -> Result<Option<WebhookRow>> {
-        let row = sqlx::query("SELECT * FROM webhooks WHERE id = ?")
+        let row = sqlx::query("SELECT * FROM webhooks WHERE id = $1")
             .bind(id)
             .fetch_optional(&self.pool)
             .await?;
@@ -148,7 +154,7 @@ impl Store {
     /// # Errors
     /// When the database refuses.
     pub async fn delete_webhook(&self, id: &str) -> Result<()> {
-        sqlx::query("DELETE FROM webhooks WHERE id = ?")
+        sqlx::query("DELETE FROM webhooks WHERE id = $1")
             .bind(id)
             .execute(&self.pool)
             .await?;
@@ -165,16 +171,15 @@ impl Store {
         let id = format!("msg_{}", uuid::Uuid::now_v7());
         let done = sqlx::query(
             "INSERT INTO deliveries (id, webhook_id, type, body, created_at, next_at)
-             SELECT ?1, ?2, ?3, json_object('type', ?3, 'timestamp',
-                 strftime('%Y-%m-%dT%H:%M:%fZ', ?4 / 1000.0, 'unixepoch'),
-                 'data', json_object('webhook_id', ?2)), ?4, ?4
+             SELECT $1, $2, $3, $5, $4, $4
              WHERE NOT EXISTS (SELECT 1 FROM deliveries
-                 WHERE webhook_id = ?2 AND type = ?3 AND next_at NOTNULL)",
+                 WHERE webhook_id = $2 AND type = $3 AND next_at IS NOT NULL)",
         )
         .bind(&id)
         .bind(webhook)
         .bind(TEST)
         .bind(now)
+        .bind(body(TEST, now, &json!({ "webhook_id": webhook })))
         .execute(&self.pool)
         .await?;
         Ok((done.rows_affected() == 1).then_some(id))
@@ -190,16 +195,21 @@ impl Store {
         busy: &[String],
         limit: u32,
     ) -> Result<Vec<(DeliveryRow, WebhookRow)>> {
-        let rows = sqlx::query(
-            "SELECT *, min(attempts * 100000000000000 + next_at) AS turn FROM deliveries
-             WHERE next_at <= ? AND webhook_id NOT IN (SELECT value FROM json_each(?))
-             GROUP BY webhook_id ORDER BY turn LIMIT ?",
-        )
-        .bind(now_ms())
-        .bind(Value::from(busy.to_vec()).to_string())
-        .bind(limit)
-        .fetch_all(&self.pool)
-        .await?;
+        let due = format!(
+            "SELECT * FROM (
+                SELECT deliveries.*, attempts * 100000000000000 + next_at AS turn, ROW_NUMBER() OVER (
+                    PARTITION BY webhook_id ORDER BY attempts * 100000000000000 + next_at, id
+                ) AS place FROM deliveries
+                WHERE next_at <= $1 AND webhook_id NOT IN ({})
+             ) AS waiting WHERE place = 1 ORDER BY turn LIMIT $3",
+            self.engine.listed("$2")
+        );
+        let rows = sqlx::query(sqlx::AssertSqlSafe(due))
+            .bind(now_ms())
+            .bind(Value::from(busy.to_vec()).to_string())
+            .bind(i64::from(limit))
+            .fetch_all(&self.pool)
+            .await?;
         let mut due = Vec::with_capacity(rows.len());
         for row in &rows {
             let id: String = row.try_get("webhook_id")?;
@@ -215,10 +225,12 @@ impl Store {
     /// # Errors
     /// When the database refuses.
     pub async fn next_delivery(&self, busy: &[String]) -> Result<Option<i64>> {
-        let next = sqlx::query_scalar(
-            "SELECT min(next_at) FROM deliveries WHERE next_at NOTNULL
-             AND webhook_id NOT IN (SELECT value FROM json_each(?))",
+        let next = format!(
+            "SELECT min(next_at) FROM deliveries WHERE next_at IS NOT NULL
+             AND webhook_id NOT IN ({})",
+            self.engine.listed("$1")
         );
+        let next = sqlx::query_scalar(sqlx::AssertSqlSafe(next));
         let busy = Value::from(busy.to_vec()).to_string();
         Ok(next.bind(busy).fetch_one(&self.pool).await?)
     }
@@ -230,13 +242,39 @@ impl Store {
     /// When the database refuses.
     pub async fn webhook_holds(&self, webhook: &WebhookRow) -> Result<bool> {
         let holds = sqlx::query_scalar(
-            "SELECT CASE WHEN ?1 IS NULL
-                 THEN NOT EXISTS (SELECT 1 FROM tokens WHERE job_id IS NULL)
-                 ELSE EXISTS (SELECT 1 FROM tokens WHERE id = ?1 AND revoked_at IS NULL
-                     AND (expires_at IS NULL OR expires_at > ?2)) END",
+            "SELECT CASE WHEN $1 IS NULL
+                 THEN (SELECT CASE WHEN COUNT(*) = 0 THEN 1 ELSE 0 END FROM tokens
+                       WHERE job_id IS NULL)
+                 ELSE (SELECT COUNT(*) FROM tokens WHERE id = $1 AND revoked_at IS NULL
+                       AND (expires_at IS NULL OR expires_at > $2)) END",
         );
         let holds = holds.bind(&webhook.made_by).bind(now_ms());
-        Ok(holds.fetch_one(&self.pool).await?)
+        let holds: i64 = holds.fetch_one(&self.pool).await?;
+        Ok(holds > 0)
+    }
+
+    /// Takes a delivery for a while, so that nobody else sends it, too; whoever dies meanwhile
+    /// leaves it due. `Ok(false)` when somebody else has taken it. With SQLite there is nobody.
+    ///
+    /// # Errors
+    /// When the database refuses.
+    pub async fn take_delivery(&self, delivery: &mut DeliveryRow) -> Result<bool> {
+        if self.engine == Engine::Sqlite {
+            return Ok(true);
+        }
+        let until = self.now().await? + ON_ITS_WAY_MS;
+        let done = sqlx::query(
+            "UPDATE deliveries SET next_at = $1 WHERE id = $2 AND attempts = $3
+             AND next_at IS NOT DISTINCT FROM $4",
+        )
+        .bind(until)
+        .bind(&delivery.id)
+        .bind(i64::from(delivery.attempts))
+        .bind(delivery.next_at)
+        .execute(&self.pool)
+        .await?;
+        delivery.next_at = Some(until);
+        Ok(done.rows_affected() == 1)
     }
 
     /// Notes what an attempt came to, unless it was asked for anew meanwhile.
@@ -249,23 +287,24 @@ impl Store {
             Then::Again(at) => (Some(at), None),
             Then::GivenUp | Then::Gone => (None, None),
         };
-        let mut tx = self.pool.begin_with("BEGIN IMMEDIATE").await?;
+        let mut tx = self.write().await?;
         sqlx::query(
-            "UPDATE deliveries SET attempts = attempts + 1, next_at = ?, delivered_at = ?,
-             answer = ? WHERE id = ? AND attempts = ? AND next_at IS ?",
+            "UPDATE deliveries SET attempts = attempts + 1, next_at = $1, delivered_at = $2,
+             answer = $3 WHERE id = $4 AND attempts = $5
+             AND next_at IS NOT DISTINCT FROM $6",
         )
         .bind(next)
         .bind(arrived)
         .bind(&tried.answer)
         .bind(&delivery.id)
-        .bind(delivery.attempts)
+        .bind(i64::from(delivery.attempts))
         .bind(delivery.next_at)
         .execute(&mut *tx)
         .await?;
         if tried.then == Then::Gone {
             sqlx::query(
-                "UPDATE webhooks SET gone_at = ?
-                 WHERE id = (SELECT webhook_id FROM deliveries WHERE id = ?)",
+                "UPDATE webhooks SET gone_at = $1
+                 WHERE id = (SELECT webhook_id FROM deliveries WHERE id = $2)",
             )
             .bind(now_ms())
             .bind(&delivery.id)
@@ -282,10 +321,10 @@ impl Store {
     /// When the database refuses.
     pub async fn deliveries(&self, webhook: &str, limit: u32) -> Result<Vec<DeliveryRow>> {
         let rows = sqlx::query(
-            "SELECT * FROM deliveries WHERE webhook_id = ? ORDER BY created_at DESC, id LIMIT ?",
+            "SELECT * FROM deliveries WHERE webhook_id = $1 ORDER BY created_at DESC, id LIMIT $2",
         )
         .bind(webhook)
-        .bind(limit)
+        .bind(i64::from(limit))
         .fetch_all(&self.pool)
         .await?;
         rows.iter().map(delivery).collect()
@@ -297,7 +336,7 @@ impl Store {
     /// When the database refuses.
     pub async fn redeliver(&self, webhook: &str, id: &str) -> Result<bool> {
         let done = sqlx::query(
-            "UPDATE deliveries SET next_at = ?, attempts = 0 WHERE id = ? AND webhook_id = ?",
+            "UPDATE deliveries SET next_at = $1, attempts = 0 WHERE id = $2 AND webhook_id = $3",
         )
         .bind(now_ms())
         .bind(id)
@@ -312,7 +351,7 @@ impl Store {
     /// # Errors
     /// When the database refuses.
     pub async fn forget_deliveries(&self, before: i64) -> Result<()> {
-        sqlx::query("DELETE FROM deliveries WHERE created_at < ? AND next_at IS NULL")
+        sqlx::query("DELETE FROM deliveries WHERE created_at < $1 AND next_at IS NULL")
             .bind(before)
             .execute(&self.pool)
             .await?;
@@ -320,73 +359,27 @@ impl Store {
     }
 }
 
-/// Writes what addresses are to be told of an event, inside the transaction that makes it true.
-pub(super) async fn tell(
-    tx: &mut Transaction<'static, Sqlite>,
-    job: &str,
-    kind: &str,
-    data: &Value,
-) -> Result<()> {
-    let told = match kind {
-        "state" => format!("job.{}", data["state"].as_str().unwrap_or_default()),
-        "round_finished" => "round.finished".to_owned(),
-        _ => return Ok(()),
-    };
-    sqlx::query(
-        "INSERT INTO deliveries (id, webhook_id, type, body, created_at, next_at)
-         SELECT 'msg_' || e.job_id || '_' || e.seq || '_' || w.id, w.id, ?2,
-             json_object('type', ?2, 'timestamp',
-                 strftime('%Y-%m-%dT%H:%M:%fZ', ?3 / 1000.0, 'unixepoch'),
-                 'data', json_patch(json_remove(e.data, '$.event'),
-                     json_object('job_id', j.id, 'capture_id', c.id, 'name', j.name))),
-             ?3, ?3
-         FROM webhooks w
-         JOIN jobs j ON j.id = ?1
-         JOIN captures c ON c.id = j.capture_id
-         JOIN events e ON e.job_id = j.id
-             AND e.seq = (SELECT max(seq) FROM events WHERE job_id = ?1)
-         WHERE w.gone_at IS NULL AND (w.sees_all = 1 OR w.owner IS c.owner)
-             AND EXISTS (SELECT 1 FROM json_each(w.types) WHERE value = ?2)
-             AND (CASE WHEN w.made_by IS NULL
-                 THEN NOT EXISTS (SELECT 1 FROM tokens WHERE job_id IS NULL)
-                 ELSE EXISTS (SELECT 1 FROM tokens t WHERE t.id = w.made_by
-                     AND t.revoked_at IS NULL AND (t.expires_at IS NULL OR t.expires_at > ?3))
-                 END)",
-    )
-    .bind(job)
-    .bind(told)
-    .bind(now_ms())
-    .execute(&mut **tx)
-    .await?;
-    Ok(())
-}
-
-fn webhook(row: &SqliteRow) -> Result<WebhookRow> {
-    let types: String = row.try_get("types")?;
-    let types = serde_json::from_str(&types).map_err(|error| ServerError::Damaged {
-        what: "webhook",
-        detail: error.to_string(),
-    })?;
+fn webhook(row: &AnyRow) -> Result<WebhookRow> {
     Ok(WebhookRow {
         id: row.try_get("id")?,
         url: row.try_get("url")?,
         secret: row.try_get("secret")?,
-        types,
+        types: typed(row)?,
         owner: row.try_get("owner")?,
-        sees_all: row.try_get("sees_all")?,
+        sees_all: row.flag("sees_all")?,
         made_by: row.try_get("made_by")?,
         created_at: row.try_get("created_at")?,
         gone_at: row.try_get("gone_at")?,
     })
 }
 
-fn delivery(row: &SqliteRow) -> Result<DeliveryRow> {
+fn delivery(row: &AnyRow) -> Result<DeliveryRow> {
     Ok(DeliveryRow {
         id: row.try_get("id")?,
         kind: row.try_get("type")?,
         body: row.try_get("body")?,
         created_at: row.try_get("created_at")?,
-        attempts: row.try_get("attempts")?,
+        attempts: row.count("attempts")?,
         next_at: row.try_get("next_at")?,
         delivered_at: row.try_get("delivered_at")?,
         answer: row.try_get("answer")?,

@@ -11,6 +11,7 @@ use super::protocol::VideoEvent;
 use super::record::{Record, VideoFault, VideoFolder, VideoState, videos_of};
 use super::turns::Ticket;
 use crate::app::App;
+use crate::copies::publish_videos;
 use crate::error::{Result, ServerError};
 use crate::jobs::kill_orphans;
 use crate::jobs::process::{Group, Happening, JOB_VARIABLE, Line};
@@ -116,7 +117,8 @@ async fn make(app: &App, ticket: &Ticket, bell: &Notify) -> Result<()> {
         group.stop(app.limits.grace).await;
         end
     };
-    settle(&folder, record, end).await
+    settle(&folder, record, end).await?;
+    publish_videos(app, &ticket.job).await
 }
 
 fn begin(app: &App, ticket: &Ticket, folder: &VideoFolder, record: &Record) -> Result<Group> {

@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use fled_blobs::Kept;
 use tokio::sync::MutexGuard;
 use uuid::Uuid;
 
@@ -25,6 +26,8 @@ pub struct Placed<'a> {
     pub row: CaptureRow,
     /// The uploads in pieces that it was gathered from.
     pub uploads: Vec<String>,
+    /// Its files in a shared store of files.
+    pub kept: Vec<Kept>,
     files: PathBuf,
     _holds: Vec<Hold>,
     _turn: Option<MutexGuard<'a, ()>>,
@@ -59,10 +62,11 @@ impl Upload {
     ) -> Result<CaptureRow, Problem> {
         let placed = self.place(app, report, visitor).await?;
         let stored = if placed.uploads.is_empty() {
-            app.store.insert_capture(&placed.row).await.map(|()| true)
+            let stored = app.store.insert_capture(&placed.row, &placed.kept);
+            stored.await.map(|()| true)
         } else {
             app.store
-                .insert_capture_of(&placed.row, &placed.uploads)
+                .insert_capture_of(&placed.row, &placed.kept, &placed.uploads)
                 .await
         };
         if !matches!(stored, Ok(true)) {
@@ -115,8 +119,16 @@ impl Upload {
             .await
             .map_err(|_| Problem::internal())?
             .map_err(ServerError::io(self.dir.path()))?;
+        let kept = match app.mirror.keep_capture(&to).await {
+            Ok(kept) => kept,
+            Err(error) => {
+                remove(&to).await;
+                return Err(error.into());
+            }
+        };
         Ok(Placed {
             row,
+            kept,
             uploads: self.used.ids,
             files: to,
             _holds: self.used.holds,

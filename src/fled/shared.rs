@@ -1,0 +1,60 @@
+//! What machines share that work together: arguments of `fled serve`, `fled worker` and others.
+
+use std::io::IsTerminal;
+
+use fled_server::ServeConfig;
+use tracing_subscriber::EnvFilter;
+
+use crate::tools;
+
+/// The database and the store of files.
+#[derive(clap::Args, Clone, Debug)]
+pub struct Shared {
+    /// The database: sqlite:FILE, or postgres://USER:PASSWORD@HOST/NAME, which any number of
+    /// machines share. A file in --data when absent.
+    #[arg(
+        long = "db",
+        value_name = "URL",
+        env = "FLED_DB",
+        hide_env_values = true
+    )]
+    pub database: Option<String>,
+    /// Where files are kept that machines share: a directory, or s3://BUCKET/PREFIX with
+    /// credentials by the usual AWS_ variables. --data is then this machine's copy. With
+    /// PostgreSQL it is needed.
+    #[arg(long = "store", value_name = "PLACE", env = "FLED_STORE")]
+    pub files: Option<String>,
+}
+
+impl Shared {
+    /// Tells a server.
+    pub fn tell(&self, config: &mut ServeConfig) {
+        config.database.clone_from(&self.database);
+        config.files.clone_from(&self.files);
+    }
+}
+
+/// Logs to standard error, what `RUST_LOG` asks for.
+pub fn log() {
+    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("info"));
+    let colours = std::io::stderr().is_terminal();
+    tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_ansi(colours)
+        .with_writer(std::io::stderr)
+        .init();
+}
+
+/// What a server and a worker start, and where their networks are.
+pub fn commands(config: &mut ServeConfig, ffmpeg: &tools::Ffmpeg, models: &tools::ModelFolder) {
+    // Deblurred views in full precision are large; where other options want them they are made
+    // again.
+    config.job_command.push("--discard-work".into());
+    config.ffmpeg.clone_from(&ffmpeg.program);
+    config.models = models.folders();
+    for folder in &config.models {
+        for command in [&mut config.job_command, &mut config.doctor_command] {
+            command.extend(["--models".into(), folder.into()]);
+        }
+    }
+}

@@ -1,0 +1,85 @@
+//! `fled worker`: works on the jobs of a service whose database and files many machines share.
+
+use std::path::PathBuf;
+
+use fled_core::pipeline::error::ErrorKind;
+use fled_gpu::{DeviceType, Gpu};
+use fled_server::ServeConfig;
+use fled_server::store::About;
+
+use crate::failure::{Failure, io};
+use crate::shared::{Shared, commands, log};
+use crate::tools;
+
+/// Arguments of `fled worker`.
+#[derive(clap::Args)]
+pub struct Args {
+    /// This machine's copies of captures and results; they are fetched again where they are gone.
+    #[arg(long, value_name = "DIR", default_value = "worker")]
+    data: PathBuf,
+    #[command(flatten)]
+    shared: Shared,
+    /// Jobs run at once.
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    jobs: usize,
+    /// Part of an adapter's name, or auto: what this machine says that it trains on.
+    #[arg(long, default_value = "auto")]
+    adapter: String,
+    #[command(flatten)]
+    ffmpeg: tools::Ffmpeg,
+    #[command(flatten)]
+    models: tools::ModelFolder,
+}
+
+/// Works until SIGINT or SIGTERM; what runs then goes back to the queue with what is done of it.
+///
+/// # Errors
+/// [`Failure`] when the data directory, the database or the store cannot be used.
+pub fn main(args: &Args) -> Result<(), Failure> {
+    log();
+    if args.shared.database.is_none() {
+        return Err(Failure::new(
+            ErrorKind::BadInput,
+            "a worker needs the service's database: --db postgres://.. and --store",
+        ));
+    }
+    let nowhere = std::net::SocketAddr::from(([127, 0, 0, 1], 0));
+    let mut config =
+        ServeConfig::new(args.data.clone(), nowhere, args.jobs).map_err(io(&args.data))?;
+    args.shared.tell(&mut config);
+    config.about = Some(about(&args.adapter, args.jobs));
+    commands(&mut config, &args.ffmpeg, &args.models);
+    let runtime =
+        tokio::runtime::Runtime::new().map_err(|e| Failure::new(ErrorKind::Internal, e))?;
+    runtime
+        .block_on(fled_server::work(config))
+        .map_err(|e| Failure::new(ErrorKind::Io, e))
+}
+
+/// What this machine has.
+pub fn about(adapter: &str, jobs: usize) -> About {
+    let found = Gpu::new(adapter);
+    let found = found.as_ref().map(Gpu::describe).ok();
+    let host = std::fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default();
+    About {
+        host: host.trim().to_owned(),
+        version: env!("CARGO_PKG_VERSION").to_owned(),
+        adapter: found.map(ToString::to_string),
+        has_gpu: found.is_some_and(|adapter| {
+            !matches!(adapter.device_type, DeviceType::Cpu | DeviceType::Other)
+        }),
+        cores: std::thread::available_parallelism().map_or(1, |cores| cores.get() as u32),
+        memory: memory().unwrap_or(0),
+        jobs: jobs as u32,
+    }
+}
+
+/// Bytes of this machine's memory, where it says so.
+fn memory() -> Option<u64> {
+    let told = std::fs::read_to_string("/proc/meminfo").ok()?;
+    let line = told
+        .lines()
+        .find_map(|line| line.strip_prefix("MemTotal:"))?;
+    let kib: u64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
+    Some(kib * 1024)
+}

@@ -1,0 +1,66 @@
+//! Files of a job or a capture that others have made, before a handler looks for them here.
+
+use std::sync::Arc;
+
+use axum::RequestExt;
+use axum::extract::{MatchedPath, RawPathParams, Request, State};
+use axum::http::Method;
+use axum::middleware::Next;
+use axum::response::{IntoResponse, Response};
+
+use super::paths::{EXPORT, EXPORTS, VIDEO, VIDEO_FILE, VIDEOS};
+use super::problem::Problem;
+use crate::app::App;
+use crate::copies::{fetch_job, publish_videos};
+
+/// What is read from the files of a job.
+const OF_FILES: [&str; 11] = [
+    "/v1/jobs/{id}/rounds",
+    "/v1/jobs/{id}/live",
+    "/v1/jobs/{id}/log",
+    "/v1/jobs/{id}/render",
+    "/v1/jobs/{id}/artifacts",
+    "/v1/jobs/{id}/artifacts/{*name}",
+    EXPORTS,
+    EXPORT,
+    VIDEOS,
+    VIDEO,
+    VIDEO_FILE,
+];
+
+/// Fetches what has changed of a job's files, where they are shared.
+pub(super) async fn bring(
+    State(app): State<Arc<App>>,
+    mut request: Request,
+    next: Next,
+) -> Response {
+    if app.mirror.blobs().is_none() {
+        return next.run(request).await;
+    }
+    let route = request.extensions().get::<MatchedPath>();
+    let route = route.map_or("", MatchedPath::as_str).to_owned();
+    if !OF_FILES.contains(&route.as_str()) {
+        return next.run(request).await;
+    }
+    let Some(id) = id_of(&mut request).await else {
+        return next.run(request).await;
+    };
+    if let Err(error) = fetch_job(&app, &id).await {
+        return Problem::from(error).into_response();
+    }
+    let deletes = request.method() == Method::DELETE;
+    let answer = next.run(request).await;
+    if deletes
+        && route == VIDEO
+        && let Err(error) = publish_videos(&app, &id).await
+    {
+        return Problem::from(error).into_response();
+    }
+    answer
+}
+
+async fn id_of(request: &mut Request) -> Option<String> {
+    let params = request.extract_parts::<RawPathParams>().await.ok()?;
+    let id = params.iter().find(|(name, _)| *name == "id")?;
+    Some(id.1.to_owned())
+}

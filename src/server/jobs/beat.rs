@@ -1,0 +1,85 @@
+//! A worker's signs of life, apart from its work: neither a slow store of files nor a full pipe may
+//! keep it from extending its lease.
+
+use tokio::sync::mpsc;
+use tokio::task::JoinHandle;
+use tokio::time::{Instant, MissedTickBehavior, interval};
+
+use crate::app::App;
+use crate::config::Limits;
+use crate::error::ServerError;
+use crate::store::{Lease, Store};
+
+/// What a sign of life was answered.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Pulse {
+    /// Somebody asked to stop the job.
+    Cancel,
+    /// Another worker has it, or may have it soon: nobody has heard of this one for too long.
+    Lost,
+}
+
+/// Signs of life, until it is dropped.
+#[derive(Debug)]
+pub(super) struct Beat {
+    told: mpsc::Receiver<Pulse>,
+    task: JoinHandle<()>,
+}
+
+impl Beat {
+    /// Begins to extend a lease that was just taken.
+    pub(super) fn begin(app: &App, lease: Lease) -> Self {
+        let (tell, told) = mpsc::channel(1);
+        let task = tokio::spawn(beat(app.store.clone(), app.limits, lease, tell));
+        Self { told, task }
+    }
+
+    /// Waits for what ends the work.
+    pub(super) async fn next(&mut self) -> Pulse {
+        self.told.recv().await.unwrap_or(Pulse::Lost)
+    }
+}
+
+impl Drop for Beat {
+    fn drop(&mut self) {
+        self.task.abort();
+    }
+}
+
+async fn beat(store: Store, limits: Limits, lease: Lease, tell: mpsc::Sender<Pulse>) {
+    let lease_ms = i64::try_from(limits.lease.as_millis()).unwrap_or(i64::MAX);
+    let mut ticks = interval(limits.heartbeat);
+    ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    let mut heard = Instant::now();
+    loop {
+        ticks.tick().await;
+        let asked = Instant::now();
+        let left = limits.unheard.saturating_sub(heard.elapsed());
+        let answer = tokio::time::timeout(left, store.heartbeat(&lease, lease_ms)).await;
+        let pulse = match answer {
+            Ok(Ok(false)) => {
+                // The lease counts from before it was extended.
+                heard = asked;
+                continue;
+            }
+            Ok(Ok(true)) => Pulse::Cancel,
+            Ok(Err(ServerError::LeaseLost(_))) => Pulse::Lost,
+            Ok(Err(error)) if heard.elapsed() < limits.unheard => {
+                tracing::warn!(%error, job = lease.job, "a lease is not extended");
+                // Sooner than at the next beat: it may be the last.
+                ticks.reset_after(limits.heartbeat / 10);
+                continue;
+            }
+            Ok(Err(_)) | Err(_) => {
+                tracing::error!(
+                    job = lease.job,
+                    "nobody hears of this worker: its job ends here"
+                );
+                Pulse::Lost
+            }
+        };
+        if tell.send(pulse).await.is_err() {
+            return;
+        }
+    }
+}

@@ -1,0 +1,27 @@
+//! Jobs whose worker died.
+
+use fled_core::pipeline::error::ErrorKind;
+
+use crate::config::Limits;
+use crate::store::{JobError, Settlement};
+
+/// What becomes of a job whose server has died so many times in a row without its progress. Memory
+/// that runs out takes the server as well as the job: such a job must not start for ever.
+pub fn after_death(limits: &Limits, deaths: u32) -> Settlement {
+    let again = deaths < limits.deaths_without_progress;
+    // At once after the first, as after a restart by hand.
+    let wait = match deaths {
+        0 | 1 => 0,
+        _ => limits.retry_wait_ms(ErrorKind::Internal, deaths - 1),
+    };
+    Settlement::Failed {
+        error: JobError {
+            code: ErrorKind::Internal.name().to_owned(),
+            detail: format!("the server died while this job ran, {deaths} times without progress"),
+            hint: "Memory may have run out: try a smaller `size` or `cap`, or another machine."
+                .to_owned(),
+        },
+        retry_in_ms: again.then_some(wait),
+        failures: deaths,
+    }
+}

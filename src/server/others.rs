@@ -1,0 +1,75 @@
+//! The other processes that share the database: hearing of what they do, and being seen by them.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use crate::app::App;
+use crate::error::Result;
+
+/// A worker that was not heard of for so long is forgotten, milliseconds.
+const FORGOTTEN_MS: i64 = 24 * 3600 * 1000;
+
+/// Rings this process's bells when somebody else changes a job, until the server stops. What it is
+/// told is a hint: it looks by itself every few seconds, too.
+pub async fn keep_hearing(app: Arc<App>) {
+    while !app.shutdown.is_cancelled() {
+        if let Err(error) = hear(&app).await {
+            tracing::warn!(%error, "cannot listen to the database: looking by itself");
+        }
+        tokio::select! {
+            () = tokio::time::sleep(app.limits.look) => {}
+            () = app.shutdown.cancelled() => {}
+        }
+        ring(&app);
+    }
+}
+
+async fn hear(app: &App) -> Result<()> {
+    let Some(mut heard) = app.store.listen().await? else {
+        return Ok(());
+    };
+    // What happened while nobody listened.
+    ring(app);
+    loop {
+        tokio::select! {
+            told = heard.next() => told?,
+            () = tokio::time::sleep(app.limits.look) => {}
+            () = app.shutdown.cancelled() => return Ok(()),
+        }
+        ring(app);
+    }
+}
+
+fn ring(app: &App) {
+    app.changed();
+    // Of the workers here one is enough for one job, and each looks by itself, too.
+    app.wake.notify_one();
+}
+
+/// Says again and again that this worker is there.
+pub async fn keep_being_seen(app: Arc<App>) {
+    let Some(about) = app.config.about.clone() else {
+        return;
+    };
+    let mut every = tokio::time::interval(app.limits.heartbeat.max(Duration::from_millis(1)));
+    loop {
+        tokio::select! {
+            _ = every.tick() => {}
+            () = app.shutdown.cancelled() => {
+                // Until what runs has ended, and the worker is gone.
+                if let Err(error) = app.store.see_worker(&app.worker, &about, true).await {
+                    tracing::warn!(%error, "cannot say that this worker stops");
+                }
+                return;
+            }
+        }
+        let seen = async {
+            app.store.see_worker(&app.worker, &about, false).await?;
+            let before = app.store.now().await? - FORGOTTEN_MS;
+            app.store.forget_workers(None, before).await
+        };
+        if let Err(error) = seen.await {
+            tracing::warn!(%error, "cannot say that this worker is there");
+        }
+    }
+}

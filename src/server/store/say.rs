@@ -1,0 +1,158 @@
+//! What a worker tells of its job: each in a transaction that begins with the epoch, and said again
+//! where the database was away and its answer is lost. The job counts what was told under a lease:
+//! what had been done although nobody heard of it is not done twice.
+
+use std::time::{Duration, Instant};
+
+use fled_blobs::Kept;
+use fled_core::event::Event;
+use sqlx::Row;
+
+use super::effects::{Progress, Settlement, advance, apply, settle};
+use super::jobs::read;
+use super::lease::Lease;
+use super::{Engine, Store, events, files};
+use crate::error::{Result, ServerError};
+use crate::jobs::state::JobState;
+
+/// A database that is away is asked again for so long: not longer than a worker may go on without
+/// being heard of.
+const PATIENCE: Duration = Duration::from_secs(20);
+
+/// Between two attempts.
+const PAUSE: Duration = Duration::from_millis(500);
+
+/// One thing to tell.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Saying<'a> {
+    /// What the job's process said.
+    Event(&'a Event),
+    /// How far it is.
+    Progress(&'a Progress),
+    /// Files that are in the store now, and paths of some that are no more.
+    Files(&'a [Kept], &'a [String]),
+}
+
+impl Store {
+    /// Stores what an event of the job's process says.
+    ///
+    /// # Errors
+    /// [`ServerError::LeaseLost`] when another worker has the job.
+    pub async fn record(&self, lease: &Lease, event: &Event) -> Result<()> {
+        self.say(lease, Saying::Event(event)).await
+    }
+
+    /// Stores progress and tells of it.
+    ///
+    /// # Errors
+    /// [`ServerError::LeaseLost`] when another worker has the job.
+    pub async fn advance(&self, lease: &Lease, progress: &Progress) -> Result<()> {
+        self.say(lease, Saying::Progress(progress)).await
+    }
+
+    /// Ends an attempt.
+    ///
+    /// # Errors
+    /// [`ServerError::LeaseLost`] when another worker has the job.
+    pub async fn settle(&self, lease: &Lease, settlement: &Settlement) -> Result<JobState> {
+        let begun = Instant::now();
+        loop {
+            let error = match self.settle_once(lease, settlement).await {
+                // What was answered by a cut connection may have been done.
+                Err(ServerError::LeaseLost(job)) => return self.settled_by_us(lease, job).await,
+                Err(error) if self.may_pass(&error, begun) => error,
+                settled => return settled,
+            };
+            tracing::warn!(%error, job = lease.job, "an attempt is settled again");
+            tokio::time::sleep(PAUSE).await;
+        }
+    }
+
+    async fn settle_once(&self, lease: &Lease, settlement: &Settlement) -> Result<JobState> {
+        let mut tx = self.fenced(lease).await?;
+        settle(&mut tx, &lease.job, settlement).await?;
+        let state = read(&mut tx, &lease.job)
+            .await?
+            .map_or(JobState::Queued, |job| job.state);
+        tx.commit().await?;
+        Ok(state)
+    }
+
+    /// Where a job stands that ran under this lease, if nobody has had it since.
+    async fn settled_by_us(&self, lease: &Lease, job: String) -> Result<JobState> {
+        let row = sqlx::query("SELECT state, epoch FROM jobs WHERE id = $1")
+            .bind(&job)
+            .fetch_optional(&self.pool)
+            .await?;
+        let Some(row) = row else {
+            return Err(ServerError::LeaseLost(job));
+        };
+        let state: String = row.try_get("state")?;
+        let state = JobState::from_name(&state).filter(|&state| state != JobState::Running);
+        let ours = row.try_get::<i64, _>("epoch")? == lease.epoch;
+        match state {
+            Some(state) if ours => Ok(state),
+            _ => Err(ServerError::LeaseLost(job)),
+        }
+    }
+
+    /// Names what a worker has put into the store of files, and forgets what is gone.
+    ///
+    /// # Errors
+    /// [`ServerError::LeaseLost`] when another worker has the job.
+    pub async fn keep_files(&self, lease: &Lease, kept: &[Kept], gone: &[String]) -> Result<()> {
+        self.say(lease, Saying::Files(kept, gone)).await
+    }
+
+    /// Tells one thing, once. A lease is one worker's, which tells one thing after the other.
+    async fn say(&self, lease: &Lease, saying: Saying<'_>) -> Result<()> {
+        let begun = Instant::now();
+        // How much had been told before this.
+        let mut before = None;
+        loop {
+            let error = match self.say_once(lease, saying, &mut before).await {
+                Err(error) if self.may_pass(&error, begun) => error,
+                said => return said,
+            };
+            tracing::warn!(%error, job = lease.job, "the database is away: told again");
+            tokio::time::sleep(PAUSE).await;
+        }
+    }
+
+    pub(super) async fn say_once(
+        &self,
+        lease: &Lease,
+        saying: Saying<'_>,
+        before: &mut Option<i64>,
+    ) -> Result<()> {
+        let (mut tx, told) = self.fenced_with_told(lease).await?;
+        if *before.get_or_insert(told) != told {
+            // The transaction whose answer was lost has been done.
+            return Ok(());
+        }
+        match saying {
+            Saying::Event(event) => {
+                apply(&mut tx, &lease.job, event).await?;
+                let data = serde_json::to_value(event).map_err(|error| ServerError::Damaged {
+                    what: "event",
+                    detail: error.to_string(),
+                })?;
+                let kind = data["event"].as_str().unwrap_or("event").to_owned();
+                events::append(&mut tx, &lease.job, &kind, &data).await?;
+            }
+            Saying::Progress(progress) => advance(&mut tx, &lease.job, progress).await?,
+            Saying::Files(kept, gone) => files::change(&mut tx, &lease.job, kept, gone).await?,
+        }
+        sqlx::query("UPDATE jobs SET told = told + 1 WHERE id = $1")
+            .bind(&lease.job)
+            .execute(&mut *tx)
+            .await?;
+        tx.commit().await
+    }
+
+    /// Whether a fault is one of a shared database that is away for a while, and there is patience
+    /// left. A file does not go away, and waits by itself for whoever writes into it.
+    fn may_pass(&self, error: &ServerError, since: Instant) -> bool {
+        self.engine == Engine::Postgres && since.elapsed() < PATIENCE && error.passes()
+    }
+}
