@@ -1,0 +1,179 @@
+//! Many machines: replicas of the API and workers as processes of their own, with a PostgreSQL and
+//! a store of files of the test's own.
+
+use std::collections::HashSet;
+use std::path::PathBuf;
+use std::process::{Child, Command};
+use std::thread::sleep;
+use std::time::{Duration, Instant};
+
+use fled_tests::{Client, Postgres};
+use serde_json::{Value, json};
+
+use super::{Server, photographs};
+
+const PROGRAM: &str = env!("CARGO_BIN_EXE_fled-fake");
+/// A job may take so long, through everything that happens to it.
+pub const PATIENCE: Duration = Duration::from_secs(60);
+/// Stages of such a job take 0.3 s each.
+pub const SLOW: &str = "slow:30";
+
+pub type Events = Vec<(i64, String, Value)>;
+
+/// One process: a replica or a worker.
+pub struct Machine {
+    pub folder: PathBuf,
+    child: Child,
+}
+
+impl Drop for Machine {
+    fn drop(&mut self) {
+        self.kill();
+    }
+}
+
+impl Machine {
+    pub fn kill(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+
+    pub fn signal(&self, signal: &str) {
+        let sent = Command::new("kill")
+            .args([signal, &self.child.id().to_string()])
+            .status();
+        assert!(sent.expect("kill runs").success());
+    }
+}
+
+/// All of them, and what they share.
+pub struct Farm {
+    pub postgres: Postgres,
+    pub url: String,
+    pub root: tempfile::TempDir,
+}
+
+impl Farm {
+    pub fn new() -> Self {
+        let postgres = Postgres::start();
+        Self {
+            url: postgres.database(),
+            postgres,
+            root: tempfile::tempdir().expect("temporary directory"),
+        }
+    }
+
+    pub fn store(&self) -> PathBuf {
+        self.root.path().join("store")
+    }
+
+    /// Begins a process, or begins it again.
+    pub fn start(&self, name: &str, more: &[(&str, &str)]) -> (Machine, String) {
+        let folder = self.root.path().join(name);
+        std::fs::create_dir_all(&folder).expect("a folder");
+        let told = folder.join("address");
+        let _ = std::fs::remove_file(&told);
+        let child = Command::new(PROGRAM)
+            .arg("serve")
+            .arg(folder.join("data"))
+            .arg(&told)
+            .env("FLED_MODELS", folder.join("models"))
+            .env("FLED_FAKE_DB", &self.url)
+            .env("FLED_FAKE_STORE", self.store())
+            .envs(more.iter().copied())
+            .spawn()
+            .expect("starts");
+        let begun = Instant::now();
+        while !told.is_file() {
+            assert!(begun.elapsed() < PATIENCE, "{name} does not start");
+            sleep(Duration::from_millis(10));
+        }
+        // Its words are there a moment after its name.
+        sleep(Duration::from_millis(20));
+        let address = std::fs::read_to_string(&told).expect("told");
+        (Machine { folder, child }, format!("http://{address}"))
+    }
+
+    /// A replica of the API, which works on nothing.
+    pub fn replica(&self, name: &str) -> (Machine, Client) {
+        let (machine, base) = self.start(name, &[("FLED_FAKE_WORKERS", "0")]);
+        (machine, Client::new(base, PATIENCE))
+    }
+
+    pub fn worker(&self, name: &str) -> Machine {
+        let about = json!({ "host": name, "version": "1", "adapter": null, "has_gpu": false,
+                            "cores": 2, "memory": 1_000_000_000, "jobs": 1 });
+        let about = about.to_string();
+        let worker = [
+            ("FLED_FAKE_WORKER", "1"),
+            ("FLED_FAKE_WORKERS", "1"),
+            ("FLED_FAKE_ABOUT", about.as_str()),
+        ];
+        self.start(name, &worker).0
+    }
+}
+
+/// A job of the plan; its id.
+pub fn order(api: &Client, plan: &str) -> String {
+    let capture = api.upload("/v1/captures", &photographs(4), &[]).expect(201);
+    let body = json!({ "capture_id": capture.json()["id"], "preset": "preview",
+                       "options": { "adapter": plan } });
+    let made = api.post_json("/v1/jobs", &body, &[]).expect(202);
+    made.json()["id"].as_str().expect("id").to_owned()
+}
+
+/// What a job that nothing happens to leaves.
+pub fn expected() -> Vec<u8> {
+    let server = Server::start();
+    let job = server.job("ok");
+    server.wait_state(&job, "succeeded");
+    scene(&server, &job)
+}
+
+pub fn scene(api: &Client, job: &str) -> Vec<u8> {
+    let path = format!("/v1/jobs/{job}/artifacts/scene.ply");
+    api.get(&path, &[]).expect(200).body
+}
+
+/// What must hold of the events of a job that succeeded, whatever happened to its workers.
+pub fn check(events: &Events) {
+    let seqs: Vec<i64> = events.iter().map(|(seq, ..)| *seq).collect();
+    assert!(seqs.iter().copied().eq(1..=seqs.len() as i64), "{seqs:?}");
+    let mut state = "";
+    let mut done = HashSet::new();
+    for (seq, kind, data) in events {
+        let running = state == "running";
+        match kind.as_str() {
+            "state" => {
+                let next = data["state"].as_str().expect("a state");
+                let follows = match next {
+                    "queued" => state.is_empty() || running,
+                    "running" => state == "queued",
+                    "succeeded" => running,
+                    _ => false,
+                };
+                assert!(follows, "{seq}: {next} after {state}");
+                state = next;
+            }
+            "stage_finished" if data["skipped"] == false => {
+                let stage = (data["stage"].to_string(), data["round"].to_string());
+                assert!(running && done.insert(stage), "{seq}: done twice: {data}");
+            }
+            _ => assert!(running, "{seq}: {kind} while {state}"),
+        }
+    }
+    assert_eq!(state, "succeeded");
+}
+
+/// Waits until a job is in its middle.
+pub fn in_the_middle(api: &Client, job: &str) {
+    api.wait(job, "is in its middle", |shown| {
+        shown["state"] == "running" && shown["progress"].as_f64().is_some_and(|done| done > 0.3)
+    });
+}
+
+pub fn succeeds(api: &Client, job: &str, scene_of_calm: &[u8]) {
+    api.wait_state(job, "succeeded");
+    check(&api.events(job, 0, usize::MAX));
+    assert!(scene(api, job) == scene_of_calm, "another scene");
+}
