@@ -34,7 +34,7 @@ build: ## the program: target/release/fled
 	$(CARGO) build --release --locked -p fled
 
 test: test-openapi test-types setup onnxruntime matcher test-python ## every test but test-training and test-peers
-	@tools/setup.sh postgresql
+	@tools/setup.sh postgresql faketime
 	$(CARGO) test --release --locked --workspace
 	@$(MAKE) --no-print-directory test-widths test-api
 

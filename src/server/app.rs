@@ -11,6 +11,7 @@ use crate::data::DataDir;
 use crate::holders::Holders;
 use crate::incoming::Uploads;
 use crate::mirror::Mirror;
+use crate::point::Point;
 use crate::rate::Rates;
 use crate::render::Renderers;
 use crate::running::Running;
@@ -119,6 +120,13 @@ impl App {
     pub fn free_space(&self) -> u64 {
         let free = self.data.free_bytes().unwrap_or(u64::MAX);
         free.saturating_sub(self.limits.min_free_bytes)
+    }
+
+    /// Says what a worker has just done.
+    pub fn pass(&self, point: Point) {
+        if let Some(watcher) = self.config.watcher {
+            watcher(point);
+        }
     }
 
     /// Tells every open event stream to look into the database.

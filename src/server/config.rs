@@ -10,6 +10,7 @@ use fled_core::capture::MAX_FILES;
 use fled_core::pipeline::error::ErrorKind;
 
 use crate::outside::Origin;
+use crate::point::Point;
 use crate::store::About;
 
 /// What `fled serve` is told.
@@ -55,6 +56,8 @@ pub struct ServeConfig {
     pub models: Vec<PathBuf>,
     /// What it deletes of itself.
     pub retention: Retention,
+    /// Is told what a worker has just done; it may end the process. Only tests have one.
+    pub watcher: Option<fn(Point)>,
     /// Times and sizes.
     pub limits: Limits,
 }
@@ -118,6 +121,7 @@ impl ServeConfig {
             ffmpeg: "ffmpeg".into(),
             models: Vec::new(),
             retention: Retention::default(),
+            watcher: None,
             limits: Limits::default(),
         })
     }

@@ -16,6 +16,7 @@ use fled_blobs::{Blobs, pull, push};
 use crate::app::App;
 use crate::error::{Result, ServerError};
 use crate::mirror::Copy;
+use crate::point::Point;
 use crate::removal::remove;
 use crate::store::{Lease, by_path};
 
@@ -135,9 +136,11 @@ pub async fn publish(app: &App, lease: &Lease, at_end: bool) -> Result<()> {
         if pushed.kept.is_empty() && pushed.gone.is_empty() {
             return Ok(());
         }
+        app.pass(Point::Stored);
         app.store
             .keep_files(lease, &pushed.kept, &pushed.gone)
             .await?;
+        app.pass(Point::Named);
         return Ok(());
     }
     if at_end {
@@ -169,7 +172,8 @@ pub async fn publish_videos(app: &App, job: &str) -> Result<()> {
     Ok(())
 }
 
-/// Deletes blobs that no file has had for a day. Returns how many.
+/// Deletes blobs that no file has had for a day, and what uploads of blobs left that broke off.
+/// Returns how many.
 ///
 /// # Errors
 /// When the database or the store refuses.
@@ -177,14 +181,14 @@ pub async fn collect(app: &App) -> Result<usize> {
     let Some(blobs) = app.mirror.blobs() else {
         return Ok(0);
     };
-    let mut deleted = 0;
+    let mut deleted = blobs.sweep_unfinished(UNNAMED).await?;
     let old = blobs.older_than(UNNAMED).await?;
     for some in old.chunks(ASKED) {
         let digests: Vec<String> = some.iter().map(|blob| blob.digest.clone()).collect();
         let named: HashSet<String> = app.store.named(&digests).await?.into_iter().collect();
         for digest in digests.iter().filter(|digest| !named.contains(*digest)) {
-            blobs.delete(digest).await?;
-            deleted += 1;
+            // It may have been put again since it was listed, and is named in a moment.
+            deleted += usize::from(blobs.delete_older(digest, UNNAMED).await?);
         }
     }
     Ok(deleted)

@@ -100,6 +100,18 @@ impl ServerError {
         }
     }
 
+    /// Whether a shared store of files refused or did not answer.
+    pub fn is_of_the_store(&self) -> bool {
+        use fled_blobs::BlobError;
+        let Self::Blobs(error) = self else {
+            return false;
+        };
+        matches!(
+            **error,
+            BlobError::Store { .. } | BlobError::BrokenOff { .. } | BlobError::NotReady { .. }
+        )
+    }
+
     /// An [`ServerError::Io`] about `path`, for `map_err`.
     pub fn io(path: &Path) -> impl FnOnce(io::Error) -> Self + '_ {
         move |source| Self::Io {

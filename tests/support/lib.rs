@@ -1,6 +1,7 @@
 //! What tests of the service share: an HTTP client with the API's habits.
 
 mod postgres;
+mod s3;
 
 use std::io::{BufRead, BufReader};
 use std::thread::sleep;
@@ -9,6 +10,7 @@ use std::time::{Duration, Instant};
 use serde_json::Value;
 
 pub use postgres::Postgres;
+pub use s3::{Fault, S3};
 
 /// One answer may take so long.
 const PATIENCE: Duration = Duration::from_secs(30);

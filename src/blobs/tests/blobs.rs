@@ -28,7 +28,7 @@ async fn round_trip(blobs: &Blobs, bytes: usize) {
 async fn each_kind(test: impl AsyncFn(Blobs, &Path)) {
     let (dir, blobs) = directory();
     test(blobs, dir.path()).await;
-    let server = Server::start().await;
+    let server = Server::start();
     test(server.blobs(PATIENCE), &server.objects()).await;
 }
 
@@ -47,7 +47,7 @@ async fn files_come_back_as_they_were() {
 async fn large_files_go_in_parts() {
     let (_dir, blobs) = directory();
     round_trip(&blobs, 40 << 20).await;
-    let server = Server::start().await;
+    let server = Server::start();
     round_trip(&server.blobs(PATIENCE), 40 << 20).await;
     assert_eq!(server.count("POST "), 2);
     assert_eq!(server.count("PUT "), 5);

@@ -53,13 +53,13 @@ async fn damaged_blobs_in_a_directory_are_refused() {
 
 #[tokio::test]
 async fn damaged_blobs_in_a_bucket_are_refused() {
-    let server = Server::start().await;
+    let server = Server::start();
     damage(&server.blobs(PATIENCE), &server.objects()).await;
 }
 
 #[tokio::test]
 async fn what_was_damaged_on_the_way_is_asked_for_once_more() {
-    let server = Server::start().await;
+    let server = Server::start();
     let blobs = server.blobs(PATIENCE);
     let blob = blobs.put_bytes(noise(7, 2 << 20)).await.unwrap();
     let work = tempfile::tempdir().unwrap();

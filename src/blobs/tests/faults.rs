@@ -16,7 +16,7 @@ const SIZE: usize = 3 * MIB;
 
 #[tokio::test]
 async fn refusals_are_waited_out() {
-    let server = Server::start().await;
+    let server = Server::start();
     let blobs = server.blobs(PATIENCE);
     let work = tempfile::tempdir().unwrap();
     let to = work.path().join("to");
@@ -33,7 +33,7 @@ async fn refusals_are_waited_out() {
 
 #[tokio::test]
 async fn a_rest_is_asked_for_where_it_was_cut() {
-    let server = Server::start().await;
+    let server = Server::start();
     let blob = server.blobs(PATIENCE).put_bytes(noise(9, SIZE)).await;
     let (blob, blobs) = (blob.unwrap(), server.hasty_blobs(PATIENCE));
     let work = tempfile::tempdir().unwrap();
@@ -49,7 +49,7 @@ async fn a_rest_is_asked_for_where_it_was_cut() {
 
 #[tokio::test]
 async fn a_transfer_that_breaks_off_begins_again() {
-    let server = Server::start().await;
+    let server = Server::start();
     let blob = server.blobs(PATIENCE).put_bytes(noise(10, SIZE)).await;
     // Without patience object_store does not ask for the rest.
     let (blob, blobs) = (blob.unwrap(), server.hasty_blobs(Duration::ZERO));
@@ -68,7 +68,7 @@ async fn a_transfer_that_breaks_off_begins_again() {
 
 #[tokio::test]
 async fn a_transfer_that_never_comes_through_leaves_no_file() {
-    let server = Server::start().await;
+    let server = Server::start();
     let blobs = server.blobs(Duration::ZERO);
     let blob = blobs.put_bytes(noise(11, SIZE)).await.unwrap();
     let work = tempfile::tempdir().unwrap();
@@ -87,7 +87,7 @@ async fn a_transfer_that_never_comes_through_leaves_no_file() {
 
 #[tokio::test]
 async fn who_gives_up_waiting_leaves_no_file() {
-    let server = Server::start().await;
+    let server = Server::start();
     let blobs = server.blobs(PATIENCE);
     let blob = blobs.put_bytes(noise(12, SIZE)).await.unwrap();
     let work = tempfile::tempdir().unwrap();
@@ -103,7 +103,7 @@ async fn who_gives_up_waiting_leaves_no_file() {
 
 #[tokio::test]
 async fn a_part_that_is_refused_ends_the_upload() {
-    let server = Server::start().await;
+    let server = Server::start();
     let blobs = server.blobs(PATIENCE);
     let parts = AtomicUsize::new(0);
     server.misbehave(move |request| {
@@ -123,7 +123,7 @@ async fn a_part_that_is_refused_ends_the_upload() {
 
 #[tokio::test]
 async fn slow_answers_are_waited_for() {
-    let server = Server::start().await;
+    let server = Server::start();
     let blobs = server.hasty_blobs(PATIENCE);
     let work = tempfile::tempdir().unwrap();
     let to = work.path().join("to");
@@ -168,7 +168,7 @@ async fn a_server_that_is_not_there_is_said_so() {
 
 #[tokio::test]
 async fn a_server_that_does_not_answer_is_not_ready() {
-    let server = Server::start().await;
+    let server = Server::start();
     let blobs = server.blobs(Duration::from_secs(60));
     server.misbehave(|_| Fault::Late(Duration::from_secs(60)));
     let began = Instant::now();
@@ -179,7 +179,7 @@ async fn a_server_that_does_not_answer_is_not_ready() {
 
 #[tokio::test]
 async fn wrong_credentials_and_buckets_are_said_so() {
-    let server = Server::start().await;
+    let server = Server::start();
     let wrong = [("AWS_SECRET_ACCESS_KEY", "wrong password")];
     let stranger = server.blobs_with("bucket", &wrong, PATIENCE);
     // This server makes a bucket for whoever writes to it: only a list can tell.

@@ -73,7 +73,7 @@ impl Folder {
 
 #[tokio::test]
 async fn push_finds_what_is_new_changed_and_gone() {
-    let server = Server::start().await;
+    let server = Server::start();
     let blobs = server.blobs(PATIENCE);
     let mut folder = Folder::new();
     let path = folder.dir.path().to_owned();
@@ -108,7 +108,7 @@ async fn push_finds_what_is_new_changed_and_gone() {
 
 #[tokio::test]
 async fn what_a_new_process_has_not_seen_is_hashed_but_not_sent() {
-    let server = Server::start().await;
+    let server = Server::start();
     let blobs = server.blobs(PATIENCE);
     let mut folder = Folder::new();
     write(folder.dir.path(), "a", &noise(1, 17 << 20));
@@ -173,7 +173,7 @@ async fn an_absent_folder_is_not_an_empty_one() {
 /// A file is replaced while its upload is under way, and another one vanishes.
 #[tokio::test]
 async fn what_changes_meanwhile_waits_for_the_next_time() {
-    let server = Server::start().await;
+    let server = Server::start();
     let blobs = server.blobs(PATIENCE);
     let mut folder = Folder::new();
     let path = folder.dir.path().to_owned();
@@ -198,7 +198,7 @@ async fn what_changes_meanwhile_waits_for_the_next_time() {
 
 #[tokio::test]
 async fn eight_are_under_way_at_once() {
-    let server = Server::start().await;
+    let server = Server::start();
     let blobs = server.blobs(PATIENCE);
     server.misbehave(|_| Fault::Late(Duration::from_millis(60)));
     let mut folder = Folder::new();
@@ -219,7 +219,7 @@ async fn eight_are_under_way_at_once() {
 
 #[tokio::test]
 async fn pull_fetches_what_differs_and_nothing_else() {
-    let server = Server::start().await;
+    let server = Server::start();
     let blobs = server.blobs(PATIENCE);
     let mut origin = Folder::new();
     for (path, bytes) in [("a", "a"), ("b/c", "c"), ("b/d", ""), ("e", "e")] {
@@ -323,7 +323,7 @@ async fn pull_replaces_links_without_following_them() {
 /// While transfers break off, whoever looks sees the old file, the new one, or none.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn pull_leaves_no_half_file() {
-    let server = Server::start().await;
+    let server = Server::start();
     let blobs = server.blobs(Duration::ZERO);
     let (old, new) = (noise(1, 2 << 20), noise(2, 3 << 20));
     let blob = blobs.put_bytes(new.clone()).await.unwrap();

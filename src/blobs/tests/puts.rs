@@ -14,7 +14,7 @@ const MIB: usize = 1 << 20;
 
 #[tokio::test]
 async fn what_is_there_is_not_sent_again() {
-    let server = Server::start().await;
+    let server = Server::start();
     let blobs = server.blobs(PATIENCE);
     for (bytes, requests) in [(100, 1), (17 * MIB, 3)] {
         let before = server.count("PUT ");
@@ -63,7 +63,7 @@ async fn only_regular_files_are_put() {
 /// A file that is written to between the two readings of it.
 #[tokio::test]
 async fn a_large_file_that_changes_is_not_kept() {
-    let server = Server::start().await;
+    let server = Server::start();
     let blobs = server.blobs(PATIENCE);
     let dir = tempfile::tempdir().unwrap();
     // Changed within, longer, shorter.

@@ -3,6 +3,7 @@
 //! `serve DATA ADDRESS_FILE` starts it; the other arguments are what it starts itself. What a job
 //! does is planned by its option `adapter`, the only free word that no part of the service reads.
 
+mod death;
 mod job;
 mod protocol;
 mod video;
@@ -94,6 +95,7 @@ fn serve(data: &Path, address_file: &Path) -> Result<(), Box<dyn std::error::Err
             jobs: None,
             notice: milliseconds("FLED_FAKE_NOTICE_MS")?.unwrap_or_default(),
         },
+        watcher: death::planned()?,
         limits: limits()?,
     };
     tokio::runtime::Runtime::new()?.block_on(async {

@@ -146,13 +146,30 @@ impl From<ServerError> for Problem {
             &error,
             ServerError::Io { source, .. } if source.kind() == std::io::ErrorKind::StorageFull
         );
-        if full { disk_full() } else { Self::internal() }
+        if full {
+            disk_full()
+        } else if error.passes() || error.is_of_the_store() {
+            away()
+        } else {
+            Self::internal()
+        }
     }
 }
 
 /// 413: more than is taken.
 pub fn too_large(detail: &str) -> Problem {
     Problem::new(StatusCode::PAYLOAD_TOO_LARGE, "too_large", detail)
+}
+
+/// 503: what the server shares with others does not answer.
+fn away() -> Problem {
+    Problem::new(
+        StatusCode::SERVICE_UNAVAILABLE,
+        "unavailable",
+        "The server's database or its store of files does not answer.",
+    )
+    .hint("Try again in a few seconds; /readyz says what is missing.")
+    .retry_after(5)
 }
 
 /// 507: the disk is (nearly) full.

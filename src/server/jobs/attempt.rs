@@ -18,6 +18,7 @@ use crate::copies;
 use crate::data::{sync_directories, write_atomically};
 use crate::error::{Result, ServerError};
 use crate::intake;
+use crate::point::Point;
 use crate::store::{Claim, JobError, Lease, Progress, Settlement};
 use crate::wording::without_paths;
 
@@ -61,6 +62,7 @@ pub(super) async fn run(app: &App, claim: &Claim, cancel: Arc<Notify>) -> Result
     // From the first moment: what is fetched may take longer than a lease.
     let mut beat = Beat::begin(app, claim.lease.clone());
     copies::prepare_job(app, id, &claim.job.capture_id).await?;
+    app.pass(Point::Fetched);
     let output = app.data.output(id).root().to_owned();
     tokio::fs::create_dir_all(&output)
         .await
@@ -96,8 +98,10 @@ pub(super) async fn run(app: &App, claim: &Claim, cancel: Arc<Notify>) -> Result
     };
     // The job's process reads nothing; an open pipe would only hold a descriptor.
     drop(group.stdin.take());
+    app.pass(Point::Started);
     let outcome = attempt.watch(&mut group, &cancel, &mut beat).await;
     group.stop(app.limits.grace).await;
+    app.pass(Point::Ended);
     let settlement = match outcome? {
         End::Exited(status) => attempt.settle(status).await?,
         End::Stop(settlement) => settlement,
@@ -105,6 +109,7 @@ pub(super) async fn run(app: &App, claim: &Claim, cancel: Arc<Notify>) -> Result
     attempt.log.line(&closing_line(&settlement));
     remove_live_picture(app, id).await;
     copies::publish(app, &claim.lease, true).await?;
+    app.pass(Point::Published);
     Ok(settlement)
 }
 
@@ -150,7 +155,10 @@ impl Attempt<'_> {
                 _ = publish.tick() => self.publish().await?,
                 _ = flush.tick() => self.write_pending().await?,
                 () = cancel.notified() => return Ok(End::Stop(Settlement::Stopped)),
-                () = self.app.shutdown.cancelled() => return Ok(End::Stop(Settlement::Released)),
+                () = self.app.shutdown.cancelled() => {
+                    self.app.pass(Point::Stopping);
+                    return Ok(End::Stop(Settlement::Released));
+                }
                 () = sleep_until(silence) => return self.timed_out("said nothing", limits.silence).await,
                 () = sleep_until(drained) => match exited {
                     Some((status, _)) => return Ok(End::Exited(status)),
@@ -242,6 +250,7 @@ impl Attempt<'_> {
                     self.log.line(&readable(&told));
                 }
                 self.app.store.record(&self.lease, &told).await?;
+                self.app.pass(Point::Told);
                 self.app.changed();
             }
         }
@@ -264,6 +273,7 @@ impl Attempt<'_> {
     async fn write_pending(&mut self) -> Result<()> {
         if let Some(progress) = self.pending.take() {
             self.app.store.advance(&self.lease, &progress).await?;
+            self.app.pass(Point::Advanced);
             self.app.changed();
         }
         Ok(())

@@ -8,6 +8,7 @@ use tokio::time::{Instant, MissedTickBehavior, interval};
 use crate::app::App;
 use crate::config::Limits;
 use crate::error::ServerError;
+use crate::point::Point;
 use crate::store::{Lease, Store};
 
 /// What a sign of life was answered.
@@ -30,7 +31,8 @@ impl Beat {
     /// Begins to extend a lease that was just taken.
     pub(super) fn begin(app: &App, lease: Lease) -> Self {
         let (tell, told) = mpsc::channel(1);
-        let task = tokio::spawn(beat(app.store.clone(), app.limits, lease, tell));
+        let watcher = app.config.watcher;
+        let task = tokio::spawn(beat(app.store.clone(), app.limits, watcher, lease, tell));
         Self { told, task }
     }
 
@@ -46,7 +48,13 @@ impl Drop for Beat {
     }
 }
 
-async fn beat(store: Store, limits: Limits, lease: Lease, tell: mpsc::Sender<Pulse>) {
+async fn beat(
+    store: Store,
+    limits: Limits,
+    watcher: Option<fn(Point)>,
+    lease: Lease,
+    tell: mpsc::Sender<Pulse>,
+) {
     let lease_ms = i64::try_from(limits.lease.as_millis()).unwrap_or(i64::MAX);
     let mut ticks = interval(limits.heartbeat);
     ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
@@ -60,6 +68,9 @@ async fn beat(store: Store, limits: Limits, lease: Lease, tell: mpsc::Sender<Pul
             Ok(Ok(false)) => {
                 // The lease counts from before it was extended.
                 heard = asked;
+                if let Some(watcher) = watcher {
+                    watcher(Point::Extended);
+                }
                 continue;
             }
             Ok(Ok(true)) => Pulse::Cancel,

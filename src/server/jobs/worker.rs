@@ -10,6 +10,7 @@ use super::attempt;
 use super::deaths::after_death;
 use crate::app::App;
 use crate::error::{Result, ServerError};
+use crate::point::Point;
 use crate::store::{Claim, Engine, JobError, Machine, Settlement};
 
 /// How often an idle worker looks for retries that have become due and for leases that ran out.
@@ -38,6 +39,7 @@ pub async fn work(app: Arc<App>, index: usize) {
         was_full = false;
         match take(&app, &owner).await {
             Ok(Some((claim, cancel))) => {
+                app.pass(Point::Claimed);
                 app.changed();
                 if let Err(error) = run(&app, &claim, cancel).await {
                     tracing::error!(%error, job = claim.job.id, "an attempt was dropped");
@@ -132,6 +134,7 @@ async fn run(app: &App, claim: &Claim, cancel: Arc<Notify>) -> Result<()> {
         other => other,
     };
     let state = app.store.settle(&claim.lease, &settlement).await?;
+    app.pass(Point::Settled);
     tracing::info!(job = id, state = state.name(), "attempt settled");
     app.changed();
     Ok(())

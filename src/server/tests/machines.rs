@@ -92,10 +92,13 @@ fn a_database_and_a_store_that_are_away_for_a_while_lose_nothing() {
     let calm = expected();
     let (_api, api) = farm.replica("api");
     let _worker = farm.worker("worker");
-    for away in [Duration::from_secs(2), Duration::from_secs(9)] {
+    for away in [Duration::from_secs(2), Duration::from_secs(20)] {
         let job = order(&api, SLOW);
         in_the_middle(&api, &job);
         farm.postgres.kill();
+        let refused = api.get(&format!("/v1/jobs/{job}"), &[]).expect(503);
+        assert_eq!(refused.json()["code"], "unavailable");
+        assert!(!refused.header("retry-after").is_empty());
         sleep(away);
         farm.postgres.begin();
         // Connections that were cut are noticed when they are used.
@@ -117,14 +120,23 @@ fn a_database_and_a_store_that_are_away_for_a_while_lose_nothing() {
 }
 
 #[test]
-fn forty_jobs_on_three_workers_that_are_killed_at_random_are_all_done_once() {
+fn jobs_on_workers_that_are_killed_at_random_are_all_done_once() {
+    // FLED_FARM="200 4 120" is the long run: jobs, workers, seconds.
+    let asked = std::env::var("FLED_FARM").unwrap_or_else(|_| "40 3 20".to_owned());
+    let asked: Vec<u64> = asked
+        .split(' ')
+        .map(|n| n.parse().expect("a number"))
+        .collect();
+    let [jobs, count, seconds] = asked[..] else {
+        panic!("three numbers");
+    };
     let farm = Farm::new();
     let calm = expected();
     let (_api, api) = farm.replica("api");
-    let mut workers: Vec<Machine> = (0..3).map(|i| farm.worker(&format!("w{i}"))).collect();
+    let mut workers: Vec<Machine> = (0..count).map(|i| farm.worker(&format!("w{i}"))).collect();
     let capture = api.upload("/v1/captures", &photographs(4), &[]).expect(201);
     let capture = capture.json()["id"].clone();
-    let jobs: Vec<String> = (0..40)
+    let made: Vec<String> = (0..jobs)
         .map(|_| {
             let body = json!({ "capture_id": capture, "preset": "preview",
                                "options": { "adapter": "slow:4" } });
@@ -135,22 +147,22 @@ fn forty_jobs_on_three_workers_that_are_killed_at_random_are_all_done_once() {
     let mut dice: u64 = 7;
     let begun = Instant::now();
     let mut kills = 0;
-    while begun.elapsed() < Duration::from_secs(20) {
+    while begun.elapsed() < Duration::from_secs(seconds) {
         dice = dice.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
         sleep(Duration::from_millis(300 + (dice >> 33) % 900));
-        let which = ((dice >> 40) % 3) as usize;
+        let which = ((dice >> 40) % count) as usize;
         workers[which].kill();
         workers[which] = farm.worker(&format!("w{which}"));
         kills += 1;
     }
-    assert!(kills > 10, "{kills}");
-    for job in &jobs {
+    assert!(kills > seconds / 2, "{kills}");
+    for job in &made {
         succeeds(&api, job, &calm);
     }
     let told = farm.postgres.psql(
         "fled_0",
         "SELECT COUNT(*) FROM events WHERE kind = 'state' AND data LIKE '%succeeded%'",
     );
-    assert_eq!(told.as_deref(), Ok("40"), "each is done once");
+    assert_eq!(told, Ok(jobs.to_string()), "each is done once");
     eprintln!("{kills} kills, {:.0} s", begun.elapsed().as_secs_f64());
 }

@@ -7,7 +7,7 @@ use std::process::{Child, Command};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
-use fled_tests::{Client, Postgres};
+use fled_tests::{Client, Postgres, S3};
 use serde_json::{Value, json};
 
 use super::{Server, photographs};
@@ -38,6 +38,20 @@ impl Machine {
         let _ = self.child.wait();
     }
 
+    /// The id of its process.
+    pub fn pid(&self) -> u32 {
+        self.child.id()
+    }
+
+    /// Waits until it has died by itself.
+    pub fn dies(&mut self) {
+        let begun = Instant::now();
+        while self.child.try_wait().expect("a child").is_none() {
+            assert!(begun.elapsed() < PATIENCE, "it lives");
+            sleep(Duration::from_millis(10));
+        }
+    }
+
     pub fn signal(&self, signal: &str) {
         let sent = Command::new("kill")
             .args([signal, &self.child.id().to_string()])
@@ -51,6 +65,8 @@ pub struct Farm {
     pub postgres: Postgres,
     pub url: String,
     pub root: tempfile::TempDir,
+    /// Where files are; a folder in `root` where absent.
+    pub bucket: Option<S3>,
 }
 
 impl Farm {
@@ -60,6 +76,16 @@ impl Farm {
             url: postgres.database(),
             postgres,
             root: tempfile::tempdir().expect("temporary directory"),
+            bucket: None,
+        }
+    }
+
+    /// With a bucket for its files.
+    pub fn with_bucket() -> Self {
+        let bucket = Some(S3::start());
+        Self {
+            bucket,
+            ..Self::new()
         }
     }
 
@@ -69,20 +95,31 @@ impl Farm {
 
     /// Begins a process, or begins it again.
     pub fn start(&self, name: &str, more: &[(&str, &str)]) -> (Machine, String) {
+        self.start_by(&[], name, more)
+    }
+
+    /// The same by a program that sets it into a world of its own.
+    pub fn start_by(&self, by: &[&str], name: &str, more: &[(&str, &str)]) -> (Machine, String) {
         let folder = self.root.path().join(name);
         std::fs::create_dir_all(&folder).expect("a folder");
         let told = folder.join("address");
         let _ = std::fs::remove_file(&told);
-        let child = Command::new(PROGRAM)
+        let mut words = by.iter().copied().chain([PROGRAM]);
+        let mut command = Command::new(words.next().unwrap_or(PROGRAM));
+        command
+            .args(words)
             .arg("serve")
             .arg(folder.join("data"))
             .arg(&told)
             .env("FLED_MODELS", folder.join("models"))
-            .env("FLED_FAKE_DB", &self.url)
-            .env("FLED_FAKE_STORE", self.store())
-            .envs(more.iter().copied())
-            .spawn()
-            .expect("starts");
+            .env("FLED_FAKE_DB", &self.url);
+        match &self.bucket {
+            Some(bucket) => command
+                .envs(bucket.settings())
+                .env("FLED_FAKE_STORE", "s3://bucket/farm"),
+            None => command.env("FLED_FAKE_STORE", self.store()),
+        };
+        let child = command.envs(more.iter().copied()).spawn().expect("starts");
         let begun = Instant::now();
         while !told.is_file() {
             assert!(begun.elapsed() < PATIENCE, "{name} does not start");
@@ -101,6 +138,11 @@ impl Farm {
     }
 
     pub fn worker(&self, name: &str) -> Machine {
+        self.worker_by(&[], name, &[])
+    }
+
+    /// A worker in a world of its own, told more.
+    pub fn worker_by(&self, by: &[&str], name: &str, more: &[(&str, &str)]) -> Machine {
         let about = json!({ "host": name, "version": "1", "adapter": null, "has_gpu": false,
                             "cores": 2, "memory": 1_000_000_000, "jobs": 1 });
         let about = about.to_string();
@@ -109,7 +151,8 @@ impl Farm {
             ("FLED_FAKE_WORKERS", "1"),
             ("FLED_FAKE_ABOUT", about.as_str()),
         ];
-        self.start(name, &worker).0
+        let told: Vec<_> = worker.iter().chain(more).copied().collect();
+        self.start_by(by, name, &told).0
     }
 }
 

@@ -1,0 +1,36 @@
+//! A worker that is killed at a moment of its choice.
+
+use std::sync::OnceLock;
+use std::sync::atomic::{AtomicU32, Ordering};
+
+use fled_server::Point;
+use rustix::process::{Signal, getpid, kill_process};
+
+/// What it has to have done, and how often.
+static PLAN: OnceLock<(Point, u32)> = OnceLock::new();
+static PASSED: AtomicU32 = AtomicU32::new(0);
+
+/// What `FLED_FAKE_DIE_AT` asks for: `named`, or `named:3` where it is the third time.
+pub fn planned() -> Result<Option<fn(Point)>, Box<dyn std::error::Error>> {
+    let Ok(plan) = std::env::var("FLED_FAKE_DIE_AT") else {
+        return Ok(None);
+    };
+    let (name, times) = plan.split_once(':').unwrap_or((&plan, "1"));
+    let point = Point::ALL
+        .into_iter()
+        .find(|point| point.to_string() == name);
+    let point = point.ok_or_else(|| format!("no such point: {name}"))?;
+    PLAN.get_or_init(|| (point, times.parse().unwrap_or(1)));
+    Ok(Some(pass))
+}
+
+fn pass(point: Point) {
+    let Some(&(planned, times)) = PLAN.get() else {
+        return;
+    };
+    if point == planned && PASSED.fetch_add(1, Ordering::Relaxed) + 1 == times {
+        // As the kernel does it when memory runs out: nothing is tidied up.
+        let _ = kill_process(getpid(), Signal::KILL);
+        std::thread::park();
+    }
+}

@@ -1,0 +1,208 @@
+//! What the service does in a second, with SQLite and with PostgreSQL. Prints the figures of
+//! docs/results.md, and fails where one is far from them.
+
+mod support;
+
+use std::io::{Read, Write};
+use std::net::TcpStream;
+use std::thread::{sleep, spawn};
+use std::time::{Duration, Instant};
+
+use fled_server::store::{Settlement, Store};
+use fled_tests::Client;
+use sqlx::any::{AnyPoolOptions, install_default_drivers};
+use support::Server;
+use support::farm::{Farm, order};
+
+/// Jobs of a large installation.
+const MANY: usize = 100_000;
+/// Claims that are timed.
+const CLAIMS: usize = 1000;
+/// Who claims at once.
+const CLAIMERS: usize = 8;
+
+/// Numbers from 1 on.
+fn numbers(url: &str, upto: usize) -> String {
+    if url.starts_with("postgres") {
+        return format!("WITH t AS (SELECT n FROM generate_series(1, {upto}) AS n)");
+    }
+    format!("WITH RECURSIVE t(n) AS (SELECT 1 UNION ALL SELECT n + 1 FROM t WHERE n < {upto})")
+}
+
+/// Copies of a job that is there already, in a state.
+async fn copy(url: &str, job: &str, count: usize, state: &str) {
+    install_default_drivers();
+    let pool = AnyPoolOptions::new().connect(url).await.expect("connect");
+    let copies = format!(
+        "{} INSERT INTO jobs (id, name, capture_id, preset, options, state, rounds, progress,
+             created_at, started_at, finished_at)
+         SELECT '{state}-' || CAST(1000000 + n AS TEXT), name, capture_id, preset, options,
+             '{state}', rounds, progress, created_at + n, started_at, finished_at
+         FROM jobs, t WHERE id = '{job}'",
+        numbers(url, count)
+    );
+    let made = sqlx::query(sqlx::AssertSqlSafe(copies))
+        .execute(&pool)
+        .await;
+    assert_eq!(made.expect("copied").rows_affected(), count as u64);
+    sqlx::query("ANALYZE")
+        .execute(&pool)
+        .await
+        .expect("analysed");
+    pool.close().await;
+}
+
+/// Claims and settlements a second, by eight at once, with many jobs in the table.
+fn claims(url: &str, job: &str) -> f64 {
+    let runtime = tokio::runtime::Runtime::new().expect("a runtime");
+    runtime.block_on(async {
+        copy(url, job, CLAIMS, "queued").await;
+        let store = Store::at(url).await.expect("open");
+        let begun = Instant::now();
+        let claimers = (0..CLAIMERS).map(|name| {
+            let store = store.clone();
+            tokio::spawn(async move {
+                let mut mine = 0;
+                loop {
+                    let claim = store
+                        .claim(&name.to_string(), 60_000, &[])
+                        .await
+                        .expect("asks");
+                    let Some(claim) = claim else {
+                        return mine;
+                    };
+                    let settled = store.settle(&claim.lease, &Settlement::Stopped).await;
+                    settled.expect("settled");
+                    mine += 1;
+                }
+            })
+        });
+        let claimers: Vec<_> = claimers.collect();
+        let mut all = 0;
+        for claimer in claimers {
+            all += claimer.await.expect("ends");
+        }
+        assert_eq!(all, CLAIMS);
+        let rate = CLAIMS as f64 / begun.elapsed().as_secs_f64();
+        store.close().await;
+        rate
+    })
+}
+
+/// The 50th and the 99th percentile of a page of the list, milliseconds.
+fn list(api: &Client) -> (f64, f64) {
+    let mut page = "/v1/jobs".to_owned();
+    let mut took: Vec<f64> = (0..400)
+        .map(|_| {
+            let begun = Instant::now();
+            let listed = api.get(&page, &[]).expect(200);
+            let took = begun.elapsed().as_secs_f64() * 1000.0;
+            let listed = listed.json();
+            assert!(
+                listed["jobs"]
+                    .as_array()
+                    .is_some_and(|jobs| jobs.len() >= 20)
+            );
+            let next = listed["next_cursor"]
+                .as_str()
+                .expect("there is more")
+                .to_owned();
+            page = format!("/v1/jobs?cursor={next}");
+            took
+        })
+        .collect();
+    took.sort_by(f64::total_cmp);
+    (took[200], took[396])
+}
+
+/// Seconds of a processor that a process has used.
+fn used(pid: u32) -> f64 {
+    let told = std::fs::read_to_string(format!("/proc/{pid}/stat")).expect("it lives");
+    let after = told.rsplit_once(')').expect("a name").1;
+    let fields: Vec<&str> = after.split_whitespace().collect();
+    let ticks: f64 = [fields[11], fields[12]]
+        .iter()
+        .map(|field| field.parse::<f64>().expect("a number"))
+        .sum();
+    ticks / 100.0
+}
+
+/// The share of a core that a replica uses for 200 streams of the events of a job that runs.
+fn streams(api: &Client, pid: u32, job: &str) -> f64 {
+    let address = api.base.trim_start_matches("http://");
+    let path = format!("/v1/jobs/{job}/events");
+    let open: Vec<TcpStream> = (0..200)
+        .map(|_| {
+            let mut stream = TcpStream::connect(address).expect("connect");
+            let head = format!("GET {path} HTTP/1.1\r\nHost: {address}\r\n\r\n");
+            stream.write_all(head.as_bytes()).expect("asked");
+            let mut reader = stream.try_clone().expect("a socket");
+            spawn(move || {
+                let mut bytes = [0; 4096];
+                while reader.read(&mut bytes).is_ok_and(|read| read > 0) {}
+            });
+            stream
+        })
+        .collect();
+    // Past what each is told first: all that happened before.
+    sleep(Duration::from_secs(2));
+    let (before, begun) = (used(pid), Instant::now());
+    sleep(Duration::from_secs(8));
+    let share = (used(pid) - before) / begun.elapsed().as_secs_f64();
+    drop(open);
+    share
+}
+
+fn tell(store: &str, claims: f64, (median, worst): (f64, f64), share: f64) {
+    eprintln!(
+        "{store}: {claims:.0} claims/s, list of {MANY} jobs p50 {median:.1} ms p99 {worst:.1} ms, \
+         200 streams {:.1} % of a core",
+        100.0 * share
+    );
+    assert!(claims > 50.0, "{claims}");
+    assert!(worst < 100.0, "{worst}");
+    assert!(share < 0.2, "{share}");
+}
+
+#[test]
+fn sqlite_serves_a_hundred_thousand_jobs_and_two_hundred_streams() {
+    let free = [("FLED_FAKE_RATE", "0")];
+    let mut server = Server::start_with(&free);
+    let job = server.job("ok");
+    server.wait_state(&job, "succeeded");
+    server.kill();
+    let url = format!(
+        "sqlite:{}",
+        server.data.path().join("data/fled.db").display()
+    );
+    let runtime = tokio::runtime::Runtime::new().expect("a runtime");
+    runtime.block_on(copy(&url, &job, MANY, "succeeded"));
+    let claims = claims(&url, &job);
+    server.restart_with(&free);
+    let list = list(&server);
+    let running = server.job("slow:600");
+    server.wait(&running, "runs", |shown| shown["state"] == "running");
+    let share = streams(&server, server.pid(), &running);
+    tell("SQLite", claims, list, share);
+}
+
+#[test]
+fn postgresql_serves_a_hundred_thousand_jobs_and_two_hundred_streams() {
+    let farm = Farm::new();
+    let free = [("FLED_FAKE_WORKERS", "0"), ("FLED_FAKE_RATE", "0")];
+    let (machine, base) = farm.start("api", &free);
+    let api = Client::new(base, Duration::from_secs(30));
+    let worker = farm.worker("worker");
+    let job = order(&api, "ok");
+    api.wait_state(&job, "succeeded");
+    drop(worker);
+    let runtime = tokio::runtime::Runtime::new().expect("a runtime");
+    runtime.block_on(copy(&farm.url, &job, MANY, "succeeded"));
+    let claims = claims(&farm.url, &job);
+    let list = list(&api);
+    let _worker = farm.worker("worker");
+    let running = order(&api, "slow:600");
+    api.wait(&running, "runs", |shown| shown["state"] == "running");
+    let share = streams(&api, machine.pid(), &running);
+    tell("PostgreSQL", claims, list, share);
+}
