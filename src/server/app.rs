@@ -16,6 +16,7 @@ use crate::rate::Rates;
 use crate::render::Renderers;
 use crate::running::Running;
 use crate::store::Store;
+use crate::tails::Tails;
 use crate::telemetry::Telemetry;
 use crate::videos::turns::Turns;
 
@@ -56,6 +57,8 @@ pub struct App {
     pub fetching: Arc<Semaphore>,
     /// What it counts about itself.
     pub telemetry: Telemetry,
+    /// The newest events of jobs that are watched.
+    pub tails: Tails,
     /// The jobs that run.
     pub running: Running,
     /// The last judgement of the machine.
@@ -99,6 +102,7 @@ impl App {
             exporting: Arc::new(Semaphore::new(limits.exports)),
             fetching: Arc::new(Semaphore::new(limits.fetching)),
             telemetry: Telemetry::default(),
+            tails: Tails::default(),
             running: Running::default(),
         }
     }

@@ -30,6 +30,7 @@ mod running;
 mod serve;
 pub mod store;
 mod sweep;
+mod tails;
 mod telemetry;
 pub mod token;
 mod uploads;

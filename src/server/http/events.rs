@@ -1,7 +1,7 @@
 //! `/v1/jobs/{id}/events`: server-sent events out of the database.
 //!
-//! The stream never carries a payload from memory: it is told that something changed and reads
-//! what follows the last number sent. So nothing is lost, doubled or out of order, whether the
+//! Nobody hands a stream what to send: it is told that something changed and asks for what follows
+//! the last number sent, which one read for all streams of the job brings (`tails.rs`). So nothing is lost, doubled or out of order, whether the
 //! client reconnects, the server restarts or both.
 
 use std::convert::Infallible;
@@ -22,10 +22,8 @@ use super::extract::Query;
 use super::lookup::find;
 use super::problem::Problem;
 use crate::app::App;
-use crate::store::EventRow;
+use crate::tails::{Tail, Told};
 
-/// Rows read at once.
-const BATCH: u32 = 200;
 /// How long a stream may go on after its token has ended.
 const ACCESS_CHECK: Duration = Duration::from_secs(5);
 
@@ -85,8 +83,8 @@ pub async fn stream(
         return Ok(StatusCode::NO_CONTENT.into_response());
     }
     let cursor = Cursor {
+        tail: app.tails.of(&id),
         app,
-        id,
         last,
         versions,
         batch: Vec::new().into_iter(),
@@ -124,10 +122,10 @@ async fn known(app: &App, id: &str, last: Option<i64>) -> Result<i64, Problem> {
 
 struct Cursor {
     app: Arc<App>,
-    id: String,
+    tail: Arc<Tail>,
     last: i64,
     versions: watch::Receiver<u64>,
-    batch: std::vec::IntoIter<EventRow>,
+    batch: std::vec::IntoIter<Arc<Told>>,
     /// By which the client was let in, and when that was last so.
     headers: HeaderMap,
     checked: Instant,
@@ -136,22 +134,22 @@ struct Cursor {
 impl Cursor {
     fn into_stream(self) -> impl Stream<Item = Result<Event, Infallible>> {
         futures::stream::unfold(self, async |mut cursor| {
-            let row = cursor.next().await?;
+            let told = cursor.next().await?;
             let event = Event::default()
-                .id(row.seq.to_string())
-                .event(row.kind)
-                .data(row.data.to_string());
+                .id(told.seq.to_string())
+                .event(&told.kind)
+                .data(&told.data);
             Some((Ok(event), cursor))
         })
     }
 
     /// The next event; `None` when the job is over, is gone, the token has ended, or the server
     /// stops.
-    async fn next(&mut self) -> Option<EventRow> {
+    async fn next(&mut self) -> Option<Arc<Told>> {
         loop {
-            if let Some(row) = self.batch.next() {
-                self.last = row.seq;
-                return Some(row);
+            if let Some(told) = self.batch.next() {
+                self.last = told.seq;
+                return Some(told);
             }
             if self.checked.elapsed() >= ACCESS_CHECK {
                 if !access::holds(&self.app, &self.headers).await.ok()? {
@@ -159,18 +157,12 @@ impl Cursor {
                 }
                 self.checked = Instant::now();
             }
-            self.versions.mark_unchanged();
-            // The state is read before the events: an end that comes in between has its event read.
-            let job = self.app.store.job(&self.id).await.ok()??;
-            let rows = self
-                .app
-                .store
-                .events_after(&self.id, self.last, BATCH)
-                .await
-                .ok()?;
+            let version = *self.versions.borrow_and_update();
+            let next = self.tail.after(&self.app.store, self.last, version);
+            let next = next.await.ok()?;
             let until_check = ACCESS_CHECK.saturating_sub(self.checked.elapsed());
-            if rows.is_empty() {
-                if job.state.is_terminal() {
+            if next.events.is_empty() {
+                if next.is_all {
                     return None;
                 }
                 tokio::select! {
@@ -179,7 +171,7 @@ impl Cursor {
                     () = self.app.shutdown.cancelled() => return None,
                 }
             }
-            self.batch = rows.into_iter();
+            self.batch = next.events.into_iter();
         }
     }
 }

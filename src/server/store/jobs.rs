@@ -186,20 +186,26 @@ impl Store {
         limit: u32,
         cursor: Option<&str>,
     ) -> Result<Vec<ToldJob>> {
-        let page = format!(
-            "{TOLD} WHERE ($1 IS NULL OR state = $1) AND ($2 IS NULL OR id < $2)
-             AND ($4 IS NULL OR capture_id IN (SELECT id FROM captures WHERE owner = $4))
-             AND ($5 IS NULL OR capture_id = $5)
-             ORDER BY id DESC LIMIT $3"
-        );
-        let rows = sqlx::query(sqlx::AssertSqlSafe(page))
-            .bind(only.state.map(JobState::name))
-            .bind(cursor)
-            .bind(i64::from(limit))
-            .bind(only.owner)
-            .bind(only.capture)
-            .fetch_all(&self.pool)
-            .await?;
+        // Only what is asked for: a condition that may be none keeps PostgreSQL from its indices.
+        let conditions = [
+            (cursor, "id < #"),
+            (only.state.map(JobState::name), "state = #"),
+            (only.capture, "capture_id = #"),
+            (
+                only.owner,
+                "capture_id IN (SELECT id FROM captures WHERE owner = #)",
+            ),
+        ];
+        let mut page = format!("{TOLD} WHERE TRUE");
+        let mut bound = Vec::new();
+        for (value, condition) in conditions.iter().filter_map(|(v, c)| Some(((*v)?, c))) {
+            bound.push(value);
+            page = page + " AND " + &condition.replace('#', &format!("${}", bound.len()));
+        }
+        let page = format!("{page} ORDER BY id DESC LIMIT {limit}");
+        let page = sqlx::query(sqlx::AssertSqlSafe(page));
+        let page = bound.into_iter().fold(page, |page, value| page.bind(value));
+        let rows = page.fetch_all(&self.pool).await?;
         self.told(&rows).await
     }
 

@@ -1,0 +1,237 @@
+//! The newest events of jobs that are being watched. However many streams there are of a job, what
+//! it tells is read from the database once in this process; each still asks for what follows the
+//! last number that it has sent.
+
+use std::collections::{HashMap, VecDeque};
+use std::sync::{Arc, Mutex, PoisonError, Weak};
+
+use crate::error::Result;
+use crate::store::{EventRow, Store};
+
+/// Events read at once, and kept of a job that is watched.
+const RECENT: usize = 200;
+
+/// An event as it is sent.
+#[derive(Debug, PartialEq, Eq)]
+pub struct Told {
+    /// 1, 2, 3 ...
+    pub seq: i64,
+    /// Its name.
+    pub kind: String,
+    /// JSON.
+    pub data: String,
+}
+
+impl From<EventRow> for Told {
+    fn from(row: EventRow) -> Self {
+        Self {
+            seq: row.seq,
+            kind: row.kind,
+            data: row.data.to_string(),
+        }
+    }
+}
+
+/// What follows a number.
+#[derive(Debug, Default, PartialEq, Eq)]
+pub struct Next {
+    /// In order; none of them is missing.
+    pub events: Vec<Arc<Told>>,
+    /// Whether nothing comes after these: the job has ended or is gone.
+    pub is_all: bool,
+}
+
+/// The jobs that are watched.
+#[derive(Debug, Default)]
+pub struct Tails {
+    jobs: Mutex<HashMap<String, Weak<Tail>>>,
+}
+
+impl Tails {
+    /// The tail of a job, shared by all who hold it.
+    pub fn of(&self, job: &str) -> Arc<Tail> {
+        let mut jobs = self.jobs.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(tail) = jobs.get(job).and_then(Weak::upgrade) {
+            return tail;
+        }
+        jobs.retain(|_, tail| tail.strong_count() > 0);
+        let tail = Arc::new(Tail {
+            job: job.to_owned(),
+            recent: tokio::sync::Mutex::default(),
+        });
+        jobs.insert(job.to_owned(), Arc::downgrade(&tail));
+        tail
+    }
+}
+
+/// The newest events of one job.
+#[derive(Debug)]
+pub struct Tail {
+    job: String,
+    recent: tokio::sync::Mutex<Option<Recent>>,
+}
+
+#[derive(Debug)]
+struct Recent {
+    /// What had changed when it was read.
+    version: Option<u64>,
+    /// `events` are all that follow this number.
+    start: i64,
+    events: VecDeque<Arc<Told>>,
+    is_over: bool,
+}
+
+impl Recent {
+    fn last(&self) -> i64 {
+        self.events.back().map_or(self.start, |told| told.seq)
+    }
+}
+
+impl Tail {
+    /// The events after `seq`, as of `version` of what the database has, or later.
+    ///
+    /// # Errors
+    /// When the database refuses.
+    pub async fn after(&self, store: &Store, seq: i64, version: u64) -> Result<Next> {
+        let mut recent = self.recent.lock().await;
+        let recent = recent.get_or_insert_with(|| Recent {
+            version: None,
+            start: seq,
+            events: VecDeque::new(),
+            is_over: false,
+        });
+        if recent.version.is_none_or(|read| read < version) {
+            self.read(store, recent, version).await?;
+        }
+        if seq < recent.start {
+            // Far behind: it catches up by itself.
+            let rows = store.events_after(&self.job, seq, RECENT as u32).await?;
+            let events = rows.into_iter().map(|row| Arc::new(row.into())).collect();
+            return Ok(Next {
+                events,
+                is_all: false,
+            });
+        }
+        let events: Vec<_> = recent
+            .events
+            .iter()
+            .filter(|told| told.seq > seq)
+            .cloned()
+            .collect();
+        let is_all = recent.is_over && recent.version.is_some();
+        Ok(Next { events, is_all })
+    }
+
+    async fn read(&self, store: &Store, recent: &mut Recent, version: u64) -> Result<()> {
+        // The state is read before the events: an end that comes in between has its event read.
+        let job = store.job(&self.job).await?;
+        let is_over = job.is_none_or(|job| job.state.is_terminal());
+        let last = recent.last();
+        let rows = store.events_after(&self.job, last, RECENT as u32).await?;
+        // There may be more of them, which the next look takes.
+        recent.version = (rows.len() < RECENT).then_some(version);
+        recent.is_over = is_over;
+        recent
+            .events
+            .extend(rows.into_iter().map(|row| Arc::new(row.into())));
+        while recent.events.len() > RECENT {
+            recent.start = recent
+                .events
+                .pop_front()
+                .map_or(recent.start, |told| told.seq);
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+    use crate::store::{CaptureRow, Creation, Needs, NewJob, Room, Settlement};
+
+    async fn store() -> (tempfile::TempDir, Store) {
+        let dir = tempfile::tempdir().expect("temporary directory");
+        let store = Store::open(&dir.path().join("fled.db"))
+            .await
+            .expect("open");
+        (dir, store)
+    }
+
+    fn seqs(next: &Next) -> Vec<i64> {
+        next.events.iter().map(|told| told.seq).collect()
+    }
+
+    #[tokio::test]
+    async fn a_stream_that_is_behind_misses_nothing_and_the_end_comes_last() {
+        let (_dir, store) = store().await;
+        let capture = CaptureRow {
+            owner: None,
+            expires_at: None,
+            id: "c".to_owned(),
+            name: "a capture".to_owned(),
+            accepted: 3,
+            report: json!({}),
+            created_at: 1,
+        };
+        store.insert_capture(&capture, &[]).await.expect("capture");
+        let job = NewJob {
+            id: "j".into(),
+            name: "j".into(),
+            capture_id: "c".into(),
+            preset: "preview".into(),
+            options: json!({}),
+            rounds: 1,
+            needs: Needs::default(),
+            priority: 0,
+        };
+        let room = Room {
+            queue: 9,
+            of_owner: None,
+        };
+        let made = store.create_job(&job, None, "", room).await.expect("made");
+        assert!(matches!(made, Creation::Created(_)));
+        let claim = store
+            .claim("w", 60_000, &[])
+            .await
+            .expect("claim")
+            .expect("job");
+        let event = |round| fled_core::event::Event::StageStarted {
+            stage: fled_core::event::Stage::Deblur,
+            round,
+        };
+        let tails = Tails::default();
+        let (ahead, behind) = (tails.of("j"), tails.of("j"));
+        assert!(Arc::ptr_eq(&ahead, &behind), "one reads for both");
+        assert_eq!(seqs(&ahead.after(&store, 1, 1).await.expect("read")), [2]);
+        for round in 0..500 {
+            store
+                .record(&claim.lease, &event(round))
+                .await
+                .expect("told");
+        }
+        // What has not changed as far as this process knows is not read again.
+        let next = ahead.after(&store, 2, 1).await.expect("read");
+        assert_eq!(next, Next::default());
+        store
+            .settle(&claim.lease, &Settlement::Stopped)
+            .await
+            .expect("settled");
+        for (tail, from) in [(ahead, 2), (behind, 0)] {
+            let mut had = from;
+            loop {
+                let next = tail.after(&store, had, 2).await.expect("read");
+                for seq in seqs(&next) {
+                    assert_eq!(seq, had + 1, "no gap");
+                    had = seq;
+                }
+                if next.is_all {
+                    break;
+                }
+                assert!(!next.events.is_empty(), "there is more after {had}");
+            }
+            assert_eq!(had, 503);
+        }
+    }
+}
