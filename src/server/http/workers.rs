@@ -42,6 +42,8 @@ pub struct Running {
 /// All that were heard of within a day.
 #[derive(Debug, Serialize, ToSchema)]
 pub struct Workers {
+    /// The database's clock, which all these times are by: RFC 3339.
+    now: String,
     /// By name. Empty where the server works alone.
     workers: Vec<Worker>,
 }
@@ -57,7 +59,10 @@ pub async fn list(State(app): State<Arc<App>>) -> Result<axum::Json<Workers>, Pr
         .into_iter()
         .map(|row| worker(row, now - lease))
         .collect();
-    Ok(axum::Json(Workers { workers }))
+    Ok(axum::Json(Workers {
+        now: time(now),
+        workers,
+    }))
 }
 
 fn worker(row: WorkerRow, lost_before: i64) -> Worker {
