@@ -3,6 +3,7 @@
 import { compareWith } from "./choose.js";
 import { ask } from "./dialog.js";
 import { api, h, when } from "./dom.js";
+import { seesAll } from "./login.js";
 import { failure, isOver, progressLine, setBar, stateWord } from "./state.js";
 import { advice } from "./words.js";
 
@@ -20,6 +21,7 @@ export function jobHead(base, refresh, who) {
   const keeping = h("p", { class: "row" });
   const facts = h("p", { class: "hint" });
   const bar = h("progress", { max: 1, value: 0, "aria-label": "progress" });
+  const needs = h("p", { class: "needs", hidden: true });
   const error = h("p", { class: "problem" });
   const meaning = h("p", { class: "hint advice" });
   const problem = h("p", { class: "problem", role: "alert" });
@@ -36,7 +38,7 @@ export function jobHead(base, refresh, who) {
   const root = h("section", { hidden: true },
     h("div", { class: "row" }, title, state, line, !isVisitor &&
       h("span", { class: "row push" }, buttons.cancel, buttons.retry, compare, again, buttons.remove)),
-    isVisitor ? "" : keeping, facts, bar, error, meaning, problem);
+    isVisitor ? "" : keeping, facts, bar, needs, error, meaning, problem);
   /** @type {import("fled-api").Job | null} */
   let job = null;
   let gone = false;
@@ -81,6 +83,18 @@ export function jobHead(base, refresh, who) {
     else keeping.replaceChildren();
   }
 
+  /** What a machine must have that a waiting job is given to. */
+  let needed = "";
+  function showNeeds() {
+    const now = job.waits_for ?? "";
+    if (now === needed) return;
+    needed = now;
+    needs.hidden = !now;
+    if (!now) return;
+    needs.replaceChildren(`It waits for ${now}. Jobs that need less may start before it.`);
+    if (seesAll(who)) needs.append(" ", h("a", { href: "#/workers" }, "See the workers"));
+  }
+
   function showLine() {
     if (job) line.textContent = progressLine(job);
   }
@@ -102,6 +116,7 @@ export function jobHead(base, refresh, who) {
       again.hidden = !isOver(job);
       again.href = `#/captures/${job.capture_id}/from/${job.id}`;
       showKeeping();
+      showNeeds();
       if (first) {
         facts.append(`${job.preset} · created ${when(job.created_at)}`);
         if (!isVisitor) facts.append(" · ", h("a", { href: `#/captures/${job.capture_id}` }, "its photographs"));

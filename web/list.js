@@ -88,13 +88,15 @@ function now(job, known) {
 function waits(job, known) {
   const place = doing(job);
   if (job.queue_position === 1) {
+    if (job.waits_for) return `${place}: starts when ${job.waits_for} is free`;
     const runs = known.some((other) => other.state === "running");
     return runs ? `${place}: starts when a running job ends` : place;
   }
   const before = known.find(
     (other) => job.queue_position > 1 && other.queue_position === job.queue_position - 1,
   );
-  return before ? `${place}, behind “${before.name || "unnamed"}”` : place;
+  const behind = before ? `${place}, behind “${before.name || "unnamed"}”` : place;
+  return job.waits_for ? `${behind}; needs ${job.waits_for}` : behind;
 }
 
 /** What is searched for: `{ root, values(), clear() }`; `changed(anew)`: whether to ask again. */

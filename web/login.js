@@ -8,6 +8,13 @@ import { api, h } from "./dom.js";
  */
 export const session = () => api("/login");
 
+/**
+ * Whether somebody may see everything, of everybody.
+ * @param {import("fled-api").Session} who
+ */
+export const seesAll = ({ needed, scopes }) =>
+  !needed || (scopes ?? "").split(",").includes("admin");
+
 /** Shows the form; calls `done` when the token holds. */
 export function loginPage(main, done) {
   const token = h("input", { type: "password", autocomplete: "current-password", required: true, size: 40 });

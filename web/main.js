@@ -6,13 +6,15 @@ import { comparePage } from "./compare.js";
 import { nothing } from "./dom.js";
 import { jobPage } from "./job.js";
 import { listPage } from "./list.js";
-import { loginPage, session } from "./login.js";
+import { loginPage, seesAll, session } from "./login.js";
 import { referencePage } from "./reference.js";
 import { link, openLink } from "./visitor.js";
+import { areWorkers, workersPage } from "./workers.js";
 
 const main = document.getElementById("main");
 const logout = document.getElementById("logout");
 const pages = document.getElementById("pages");
+const workers = document.getElementById("workers");
 const none = () => {};
 let leave = none;
 let isLockedOut = false;
@@ -33,6 +35,7 @@ const ROUTES = [
   [/^#\/captures$/, capturesPage],
   [/^#\/captures\/([^/]+)$/, capturePage],
   [/^#\/captures\/([^/]+)\/from\/([^/]+)$/, capturePage],
+  [/^#\/workers$/, (main) => workersPage(main, who)],
   [/^#\/api$/, referencePage],
 ];
 
@@ -41,7 +44,7 @@ function route() {
   leave = none;
   main.replaceChildren();
   document.title = "fled";
-  const part = ["#/captures", "#/api"].find((page) => location.hash.startsWith(page)) ?? "#/";
+  const part = ["#/captures", "#/workers", "#/api"].find((page) => location.hash.startsWith(page)) ?? "#/";
   pages.hidden = isLockedOut || who.job !== null;
   for (const tab of pages.querySelectorAll("a")) {
     const here = tab.hash === part;
@@ -87,6 +90,18 @@ async function look() {
 async function enter() {
   isLockedOut = await look();
   route();
+  linkWorkers();
+}
+
+/** The workers' page has a link where there are any, for those who may see them. */
+async function linkWorkers() {
+  const asking = who;
+  try {
+    const isShown = seesAll(asking) && (await areWorkers());
+    if (asking === who) workers.hidden = !isShown;
+  } catch {
+    // The server does not answer; the health line says so.
+  }
 }
 
 /** Sessions end, and become others in another tab, while a page is open. */
@@ -95,6 +110,7 @@ async function stay() {
   const before = `${isLockedOut} ${who.scopes} ${who.job}`;
   isLockedOut = await look();
   if (`${isLockedOut} ${who.scopes} ${who.job}` !== before) route();
+  linkWorkers();
 }
 
 logout.addEventListener("click", async () => {

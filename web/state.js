@@ -24,8 +24,7 @@ export const pill = (job) => h("span", { class: `state ${job.state}` }, stateWor
  * @param {Job} job
  */
 export function doing(job) {
-  const waits = job.waits_for ? `waits for ${job.waits_for}` : "";
-  if (job.state === "queued") return [place(job), waits, job.error && "waits for another attempt"].filter(Boolean).join(", ");
+  if (job.state === "queued") return [place(job), job.error && "waits for another attempt"].filter(Boolean).join(", ");
   if (job.state !== "running") return "";
   const round = job.round > 0 ? `round ${job.round} of ${job.rounds}` : "";
   return [round, job.stage].filter(Boolean).join(", ") || "starts";

@@ -6,6 +6,7 @@ import { createRequire } from "node:module";
 import { after, before, test } from "node:test";
 
 import { Browser } from "./browser.js";
+import { machines, tell, tellJobs } from "./machines.js";
 import { Stand, button, part, provoked, seen, state } from "./played.js";
 import { Server } from "./server.js";
 
@@ -118,6 +119,18 @@ const PAGES = {
       await page.getByRole("slider").waitFor();
       await seen(page.locator("tbody tr"), "There is no such job");
       provoked(faults, 404);
+    },
+  ],
+  workers: [
+    () => "#/workers",
+    async (page) => {
+      const job = await server.job(await stand.finished());
+      const runs = { ...job, state: "running", stage: "reconstruct", progress: 0.4 };
+      const waits = { ...job, state: "queued", queue_position: 1, waits_for: "a worker with a GPU" };
+      await tellJobs(page, { running: [runs], queued: [waits] });
+      await tell(page, () => machines([job.id, NOWHERE]));
+      await page.locator(".workers progress").waitFor();
+      await seen(part(page, "Waiting"), "1 job waits for a worker with a GPU");
     },
   ],
   api: [() => "#/api", (page) => page.locator("main details, main h2").first().waitFor()],

@@ -18,8 +18,9 @@ export const WIDTHS = {
 const SIZE = "240x160";
 
 export class Stand {
-  static async start() {
-    const server = await Server.played(process.env.FLED);
+  /** `further` is added to the server's environment. */
+  static async start(further = {}) {
+    const server = await Server.played(process.env.FLED, further);
     const browser = await Browser.start(server.base);
     // The played server says that it lacks a tool, which every page would report as a fault.
     browser.isReady = true;

@@ -54,13 +54,14 @@ export class Server {
   /**
    * A server whose jobs are played, for the states of a page that a real job only passes. What a
    * job does is planned by its option `adapter`; the name of a stage and the milliseconds of a
-   * tenth of it linger there.
+   * tenth of it linger there. What `further` holds is added to its environment.
    */
-  static async played(program) {
+  static async played(program, further = {}) {
     const server = new Server(program, mkdtempSync(join(tmpdir(), "fled-played-")));
     const fake = process.env.FLED_FAKE ?? join(dirname(program), "fled-fake");
     const place = join(server.folder, "address");
-    const environment = { ...process.env, FLED_MODELS: join(server.folder, "models") };
+    const models = join(server.folder, "models");
+    const environment = { ...process.env, FLED_MODELS: models, ...further };
     const data = join(server.folder, "data");
     server.child = spawn(fake, ["serve", data, place], { env: environment, stdio: "ignore" });
     server.farewell = "SIGINT";
@@ -99,12 +100,12 @@ export class Server {
     });
   }
 
-  /** A token that may do everything; from the first one on the server asks for it. */
-  token() {
+  /** A token that may do everything, or less; from the first one on the server asks for it. */
+  token(scope = "admin") {
     const data = join(this.folder, "data");
     const said = execFileSync(
       this.program,
-      ["token", "create", "--data", data, "--scope", "admin", "--name", "browser"],
+      ["token", "create", "--data", data, "--scope", scope, "--name", "browser"],
       { encoding: "utf8" },
     );
     return said.match(/fled_[0-9a-f]{64}/)[0];

@@ -1,0 +1,281 @@
+// The page of workers: who sees it, what it says of each, and how it keeps up.
+
+import assert from "node:assert/strict";
+import { after, afterEach, before, test } from "node:test";
+
+import { Browser, picture } from "./browser.js";
+import { change, machines, tell } from "./machines.js";
+import { Stand, both, button, part, seen } from "./played.js";
+import { Server } from "./server.js";
+import { until } from "./until.js";
+
+const HOST = "here <i>1</i>";
+const ABOUT = {
+  host: HOST,
+  version: "0.9.0",
+  adapter: null,
+  has_gpu: false,
+  cores: 8,
+  memory: 16 * 2 ** 30,
+  jobs: 2,
+};
+/** ms; ten of them are a stage. After three seconds without a word a job is taken for dead. */
+const SLOWLY = 1500;
+/** The page asks every five seconds. */
+const ROUND_MS = 5500;
+
+let stand;
+let server;
+
+before(async () => {
+  stand = await Stand.start({ FLED_FAKE_ABOUT: JSON.stringify(ABOUT) });
+  ({ server } = stand);
+});
+
+after(() => stand?.stop());
+
+/** What a test has left, whatever came of it, would keep the next one waiting. */
+afterEach(async () => {
+  for (const state of ["queued", "running"]) {
+    const { jobs } = await (await fetch(`${server.base}/v1/jobs?state=${state}`)).json();
+    for (const { id } of jobs) await server.cancel(id);
+    for (const { id } of jobs) await server.reached(id, "cancelled");
+  }
+});
+
+/** The row of a worker. */
+const row = (page, host) => page.locator(".workers tbody tr", { hasText: host });
+
+const tab = (page) => page.getByRole("navigation").getByRole("link", { name: "Workers" });
+
+/** What a page asks from now on whose address has this. */
+function questions(page, what) {
+  const asked = [];
+  page.on("request", (request) => {
+    if (request.url().includes(what)) asked.push(request.url());
+  });
+  return asked;
+}
+
+/** Has the page be hidden, or seen again, for its scripts. */
+const hide = (page, isHidden) =>
+  page.evaluate((hidden) => {
+    Object.defineProperty(document, "hidden", { value: hidden, configurable: true });
+    document.dispatchEvent(new Event("visibilitychange"));
+  }, isHidden);
+
+async function busy(name) {
+  const id = await stand.job(`reconstruct:${SLOWLY}`, name);
+  await server.when(id, "trains", (job) => job.stage === "reconstruct" && job.steps_per_second);
+  return id;
+}
+
+both("a worker says what it is and does, and its jobs are a link away", async (width) => {
+  const id = await busy(`busy <b>${width}</b>`);
+  await stand.visit(
+    "workers",
+    "",
+    async (page) => {
+      await tab(page).click();
+      const it = row(page, HOST);
+      await it.waitFor();
+      assert.equal(await tab(page).getAttribute("aria-current"), "page");
+      for (const words of ["works", "no GPU", "8 cores · 16 GiB", "0.9.0", /\d s ago/, "there for"]) {
+        await seen(it, words);
+      }
+      await seen(it, /round \d of 2, reconstruct · \d+\.\d steps\/s/);
+      await seen(it, "1 of 2 at once");
+      await seen(page.locator("main"), "1 worker works. 1 job runs, there is room for 1 more job.");
+      const times = await it.locator("time").evaluateAll((all) =>
+        all.map((one) => [new Date(one.dateTime).toLocaleString(), one.title]),
+      );
+      assert.equal(times.length, 2);
+      for (const [exact, title] of times) assert.equal(title, exact);
+      await picture(page, `page-workers-${width}`);
+      await it.getByRole("link", { name: `busy <b>${width}</b>` }).click();
+      await page.waitForURL(`**/#/jobs/${id}`);
+      await page.goBack();
+      await seen(row(page, HOST), "busy");
+    },
+    width,
+  );
+});
+
+test("an idle worker waits for a job, and nothing waits for it", () =>
+  stand.visit("workers-idle", "#/workers", async (page) => {
+    await seen(row(page, HOST), "waits for a job");
+    await seen(row(page, HOST), "nothing");
+    await seen(part(page, "Waiting"), "No job waits.");
+    assert.equal(await page.title(), "workers · fled");
+  }));
+
+both("what stops, what is lost and what differs is said in words", async (width) => {
+  const id = await busy(`of three ${width}`);
+  await stand.visit(
+    "workers-states",
+    "#/api",
+    async (page) => {
+      const told = machines([id, "0199a3c4-0000-7000-8000-00000000aaaa"]);
+      await tell(page, () => told);
+      await tab(page).click();
+      const text = async (host) => (await row(page, host).innerText()).replace(/\s+/g, " ");
+      await row(page, "plain").waitFor();
+      assert.deepEqual(
+        await page.locator(".workers strong").allTextContents(),
+        ["gpu-2", "gpu-10", "old.rack-7.basement.example.org", "plain", "soft"],
+      );
+      await seen(page.getByText("5 workers:"), "3 work, 1 stops, 1 is lost. 2 jobs run, there is room for 4 more jobs.");
+      await seen(page.getByText("versions differ"), "0.9.0 on 3, 0.10.0 on 1.");
+      assert.match(await text("gpu-10"), /4 s ago there for 2 h/);
+      assert.match(await text("gpu-10"), /job 0199a3c4-0000-7000-8000-00000000aaaa/);
+      assert.match(await text("gpu-2"), /takes no more jobs.* version 0\.10\.0 ?differs/);
+      assert.match(
+        await text("old.rack"),
+        /not heard of since .*; its jobs go to others.* version 0\.8\.1 30 min ago there for 3 days/,
+      );
+      assert.match(await text("plain"), /no GPU 1 core · memory not known version 0\.9\.0 4 s/);
+      assert.match(await text("soft"), /no GPU: llvmpipe .* 16 cores · 8 GiB version 0\.9\.0/);
+      await picture(page, `page-workers-states-${width}`);
+    },
+    width,
+  );
+});
+
+test("it keeps up with focus, selection and scroll where they are, and rests while it is hidden", async () => {
+  const id = await busy("kept in sight");
+  await stand.visit(
+    "workers-fresh",
+    "#/workers",
+    async (page) => {
+      let told = machines([id]);
+      await tell(page, () => told);
+      // The head asks for the workers, too, for its link.
+      const asked = questions(page, "/v1/jobs?state=queued");
+      const link = row(page, "gpu-10").getByRole("link");
+      await link.focus();
+      const at = await row(page, "soft").elementHandle();
+      await page.evaluate(() => scrollTo(0, document.documentElement.scrollHeight));
+      await page.evaluate((one) => getSelection().selectAllChildren(one), at);
+      const place = () => page.evaluate((one) => [scrollY, one.getBoundingClientRect().top], at);
+      const before = await place();
+      assert.ok(before[0] > 0, "the page is long enough to be scrolled");
+      told = machines([id]);
+      told.workers[0].running[0].steps_per_second = 77.7;
+      told.workers[1].state = "works";
+      await seen(row(page, "gpu-10"), "77.7 steps/s");
+      await seen(row(page, "gpu-2"), "waits for a job");
+      assert.equal(await link.evaluate((one) => one === document.activeElement), true);
+      assert.equal(await at.evaluate((one) => one.isConnected), true);
+      assert.match(await page.evaluate(() => String(getSelection())), /soft/);
+      assert.deepEqual(await place(), before);
+      // One that goes takes its row along; the others' stay.
+      told = { ...told, workers: told.workers.filter(({ host }) => host !== "plain") };
+      await until("it is gone", async () => (await row(page, "plain").count()) === 0);
+      assert.equal(await at.evaluate((one) => one.isConnected), true);
+      await hide(page, true);
+      const had = asked.length;
+      await page.waitForTimeout(2 * ROUND_MS);
+      assert.equal(asked.length, had, "nobody looks");
+      await hide(page, false);
+      await until("it asks at once", () => asked.length === had + 1, 2000);
+      await until("and again", () => asked.length === had + 2);
+      await page.getByRole("link", { name: "API", exact: true }).click();
+      await page.waitForTimeout(ROUND_MS);
+      assert.equal(asked.length, had + 2, "the page is left");
+    },
+    "desktop",
+    { viewport: { width: 1400, height: 480 } },
+  );
+});
+
+test("what the server refuses is told, what was there stays, and it goes on by itself", () =>
+  stand.visit("workers-away", "#/workers", async (page, faults) => {
+    await row(page, HOST).waitFor();
+    const alert = page.locator("main").getByRole("alert");
+    const detail = "The database does not answer.";
+    await page.route("**/v1/workers", (route) => route.fulfill({ status: 500, json: { detail } }));
+    await seen(alert, detail);
+    await seen(alert, "What is shown is of");
+    assert.equal(await row(page, HOST).count(), 1);
+    await page.unroute("**/v1/workers");
+    await page.route("**/v1/workers", (route) => route.abort());
+    await seen(alert, "The server does not answer.");
+    await page.unroute("**/v1/workers");
+    // What is empty is no alert.
+    await until("it is said no more", async () => (await alert.count()) === 0);
+    // Answered with 500 or not at all.
+    for (const fault of faults.splice(0)) assert.match(fault, /\b500\b|ERR_FAILED/);
+  }));
+
+both("jobs that need more than any worker say so on their page, in the list and among what waits", async (width) => {
+  const needs = "a worker with a GPU and 12 GiB of memory";
+  await busy(`busy 1 ${width}`);
+  await busy(`busy 2 ${width}`);
+  const big = await server.submit(stand.folder, "a <u>big</u> one", { adapter: "ok" });
+  await server.submit(stand.folder, "a small one", { adapter: "ok" });
+  const needy = (job) => (job.id === big && job.state === "queued" ? { ...job, waits_for: needs } : job);
+  await stand.visit(
+    "workers-waits",
+    "#/workers",
+    async (page) => {
+      await change(page, "**/v1/jobs?*", (list) => ({ ...list, jobs: list.jobs.map(needy) }));
+      await change(page, `**/v1/jobs/${big}`, needy);
+      const waiting = part(page, "Waiting");
+      await seen(waiting.locator("li"), `1 job waits for ${needs}: a <u>big</u> one`);
+      await seen(waiting.locator("li"), "1 job waits for any worker: a small one");
+      await waiting.getByRole("link", { name: "a <u>big</u> one" }).click();
+      await seen(page.locator("main"), `It waits for ${needs}. Jobs that need less may start before it.`);
+      await picture(page, `page-needs-${width}`);
+      await page.getByRole("link", { name: "See the workers" }).click();
+      await waiting.getByRole("link", { name: "All that wait" }).click();
+      const inList = (name) => page.locator(".jobs tbody tr", { hasText: name });
+      await seen(inList("big"), `next in the queue: starts when ${needs} is free`);
+      await seen(inList("a small one"), "place 2 in the queue, behind “a <u>big</u> one”");
+      assert.equal(await inList("busy").count(), 0, "the list is filtered");
+    },
+    width,
+  );
+});
+
+test("where a server works alone no link leads there, and the page says why it is empty", async () => {
+  const alone = await Stand.start();
+  try {
+    await alone.visit("workers-alone", "#/captures", async (page) => {
+      await page.getByRole("heading", { level: 1 }).waitFor();
+      await page.waitForLoadState("networkidle");
+      assert.equal(await tab(page).count(), 0);
+      await page.evaluate(() => { location.hash = "#/workers"; });
+      await seen(page.locator("main"), "it runs every job itself");
+      assert.equal(await page.locator("table:visible").count(), 0);
+      await tell(page, () => machines());
+      await seen(row(page, "soft"), "waits for a job");
+      assert.equal(await page.getByText("it runs every job itself").isVisible(), false);
+    });
+  } finally {
+    await alone.stop();
+  }
+});
+
+test("who may not see everything is not asked, and is told what that needs", async () => {
+  const locked = await Server.start(process.env.FLED);
+  try {
+    const [token, admin] = [locked.token("jobs:read"), locked.token()];
+    const visitor = new Browser(locked.base, stand.browser.chromium);
+    await visitor.visit("workers-denied", "#/workers", async (page) => {
+      const asked = questions(page, "/v1/workers");
+      await page.getByLabel("Token").fill(token);
+      await button(page, "Log in").click();
+      await seen(page.locator("main"), "Only a token with the scope “admin” shows the workers.");
+      assert.equal(await tab(page).count(), 0);
+      assert.deepEqual(asked, []);
+      await tell(page, () => machines());
+      await button(page, "Log out").click();
+      await page.getByLabel("Token").fill(admin);
+      await button(page, "Log in").click();
+      await row(page, "soft").waitFor();
+      await tab(page).waitFor();
+    });
+  } finally {
+    await locked.stop();
+  }
+});
