@@ -195,7 +195,7 @@ pub async fn collect(app: &App) -> Result<usize> {
 }
 
 /// Whether a file of a job's folder is for others: what renders and processes leave is not.
-fn is_kept(path: &str) -> bool {
+pub fn is_kept(path: &str) -> bool {
     path == "log.txt" || path.starts_with("output/") || is_video(path)
 }
 

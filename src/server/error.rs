@@ -50,6 +50,9 @@ pub enum ServerError {
     /// The store of files refused.
     #[error("store of files: {0}")]
     Blobs(Box<fled_blobs::BlobError>),
+    /// An installation was not moved.
+    #[error("nothing was moved: {0}")]
+    NotMoved(String),
     /// Another server holds the data directory.
     #[error("{0} is in use by another server; stop it or choose another --data")]
     DataInUse(PathBuf),

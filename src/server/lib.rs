@@ -19,6 +19,7 @@ mod incoming;
 mod intake;
 pub mod jobs;
 mod mirror;
+mod moving;
 mod others;
 mod outside;
 mod point;
@@ -46,6 +47,7 @@ pub use http::document as openapi_document;
 #[doc(hidden)]
 pub use http::read_tus_headers;
 pub use jobs::tether::{TETHER, become_tethered, die_with_parent, tethered};
+pub use moving::{Exported, Import, Imported, export, import};
 pub use outside::Origin;
 pub use point::Point;
 pub use serve::{Server, serve, work};

@@ -20,9 +20,11 @@ mod outbox;
 mod results;
 mod retention;
 mod retry;
+mod rows;
 mod say;
 mod sessions;
 mod shares;
+mod tables;
 #[cfg(test)]
 mod tests;
 mod tokens;
@@ -52,7 +54,9 @@ pub use lease::{Claim, Lease, Machine};
 pub use listen::Heard;
 pub use results::{StageSeconds, WarningRow};
 pub use retry::{Change, Retry};
+pub use rows::{Intake, Snapshot};
 pub use shares::{NewShare, ShareRow};
+pub use tables::{TABLES, Table};
 pub use tokens::{NewToken, Quotas, TokenRow};
 pub use uploads::UploadRow;
 pub use webhooks::{DeliveryRow, Then, Tried, WebhookRow};
@@ -88,13 +92,22 @@ impl Store {
         if let Some(path) = url.strip_prefix("sqlite:") {
             return Self::open(Path::new(path)).await;
         }
+        let store = Self::at_as_it_is(url).await?;
+        engine::migrate(&store.pool, Engine::Postgres).await?;
+        Ok(store)
+    }
+
+    /// Connects to a PostgreSQL, and leaves its schema as it is.
+    ///
+    /// # Errors
+    /// When there is none; [`ServerError::BadDatabase`] where that is not its address.
+    pub async fn at_as_it_is(url: &str) -> Result<Self> {
         if !url.starts_with("postgres://") && !url.starts_with("postgresql://") {
             return Err(ServerError::BadDatabase {
                 detail: "it begins with neither `postgres://` nor `sqlite:`".to_owned(),
             });
         }
         let pool = engine::postgres(url).await?;
-        engine::migrate(&pool, Engine::Postgres).await?;
         Ok(Self::over(pool, Engine::Postgres, Some(url.to_owned())))
     }
 

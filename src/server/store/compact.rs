@@ -6,6 +6,15 @@ use super::{Engine, Store, migrations};
 use crate::error::{Result, ServerError};
 
 impl Store {
+    /// The schema that this program knows.
+    pub fn schema(&self) -> i64 {
+        let known = match self.engine {
+            Engine::Sqlite => migrations::SQLITE.last(),
+            Engine::Postgres => migrations::POSTGRES.last(),
+        };
+        known.map_or(0, |(version, ..)| *version)
+    }
+
     /// Whether its schema is the one of this program: another one means other things.
     ///
     /// # Errors
@@ -16,11 +25,7 @@ impl Store {
                 .fetch_one(&self.pool)
                 .await?;
         let version: i64 = applied.try_get("version")?;
-        let known = match self.engine {
-            Engine::Sqlite => migrations::SQLITE.last(),
-            Engine::Postgres => migrations::POSTGRES.last(),
-        };
-        let known = known.map_or(0, |(version, ..)| *version);
+        let known = self.schema();
         if version == known {
             return Ok(());
         }
