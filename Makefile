@@ -60,7 +60,7 @@ test-widths: ## the kernels with subgroups of 4 and 16 instead of 8 invocations
 
 # FLED=PROGRAM tests that one, with fled-fake beside it, and builds none; CHROMIUM=PROGRAM is used in place of Debian's.
 test-browser: setup onnxruntime matcher $(if $(FLED),,build) ## the dashboard in a real browser; needs Node 20 and npm
-	@$(if $(CHROMIUM),,tools/setup.sh chromium)
+	@tools/setup.sh postgresql $(if $(CHROMIUM),,chromium)
 	$(if $(FLED),,$(CARGO) build --release --locked -p fled-server --bin fled-fake)
 	cd tests/browser && npm ci --loglevel=error && \
 	    FLED=$(abspath $(or $(FLED),$(or $(CARGO_TARGET_DIR),target)/release/fled)) node --test *.test.js

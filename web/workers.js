@@ -132,7 +132,7 @@ function summary(workers) {
   const room = working.reduce((sum, one) => sum + Math.max(0, one.jobs - one.running.length), 0);
   const rest = room > 0 ? `there is room for ${count(room, "more job")}` : "there is no room for more";
   const runs = [...working, ...stopping].reduce((sum, one) => sum + one.running.length, 0);
-  const run = `${count(runs, "job")} ${runs === 1 ? "runs" : "run"}`;
+  const run = `${runs === 0 ? "No job" : count(runs, "job")} ${runs > 1 ? "run" : "runs"}`;
   return `${start}. ${run}, ${rest}.`;
 }
 

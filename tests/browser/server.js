@@ -25,6 +25,9 @@ const TOP = join(import.meta.dirname, "../..");
 /** The end may take so long, ms. */
 const FAREWELL = 10_000;
 
+/** The program beside another whose jobs are played. */
+export const fake = (program) => process.env.FLED_FAKE ?? join(dirname(program), "fled-fake");
+
 export class Server {
   /** Starts `program serve` with further arguments; resolves once it listens. */
   static async start(program, further = []) {
@@ -58,12 +61,11 @@ export class Server {
    */
   static async played(program, further = {}) {
     const server = new Server(program, mkdtempSync(join(tmpdir(), "fled-played-")));
-    const fake = process.env.FLED_FAKE ?? join(dirname(program), "fled-fake");
     const place = join(server.folder, "address");
     const models = join(server.folder, "models");
     const environment = { ...process.env, FLED_MODELS: models, ...further };
     const data = join(server.folder, "data");
-    server.child = spawn(fake, ["serve", data, place], { env: environment, stdio: "ignore" });
+    server.child = spawn(fake(program), ["serve", data, place], { env: environment, stdio: "ignore" });
     server.farewell = "SIGINT";
     const found = () => {
       try { return readFileSync(place, "utf8"); } catch { return null; }
@@ -143,10 +145,10 @@ export class Server {
   }
 
   /** Submits a small job of the capture with further options; its id. */
-  async submit(capture, name, options = {}) {
+  async submit(capture, name, options = {}, preset = "preview") {
     const body = new FormData();
     body.append("name", name);
-    body.append("preset", "preview");
+    body.append("preset", preset);
     body.append("options", JSON.stringify({ ...SMALL, ...options }));
     for (const path of files(capture)) {
       body.append("images", new Blob([readFileSync(path)]), relative(capture, path));
