@@ -10,7 +10,7 @@ use fled_core::capture::MAX_FILES;
 use fled_core::pipeline::error::ErrorKind;
 
 use crate::outside::Origin;
-use crate::point::Point;
+use crate::point::Watcher;
 use crate::store::About;
 
 /// What `fled serve` is told.
@@ -56,8 +56,8 @@ pub struct ServeConfig {
     pub models: Vec<PathBuf>,
     /// What it deletes of itself.
     pub retention: Retention,
-    /// Is told what a worker has just done; it may end the process. Only tests have one.
-    pub watcher: Option<fn(Point)>,
+    /// Of the workers. Only tests have one.
+    pub watcher: Option<Watcher>,
     /// Times and sizes.
     pub limits: Limits,
 }

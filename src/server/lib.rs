@@ -49,5 +49,5 @@ pub use http::read_tus_headers;
 pub use jobs::tether::{TETHER, become_tethered, die_with_parent, tethered};
 pub use moving::{Exported, Import, Imported, export, import};
 pub use outside::Origin;
-pub use point::Point;
+pub use point::{Point, Watcher};
 pub use serve::{Server, serve, work};

@@ -3,6 +3,9 @@
 
 use std::fmt;
 
+/// Is told what a worker has just done; it may end the process.
+pub type Watcher = fn(Point);
+
 /// What a worker has just done for a job.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Point {

@@ -151,21 +151,11 @@ mod tests {
     use super::*;
     use crate::store::{CaptureRow, Creation, Needs, NewJob, Room, Settlement};
 
-    async fn store() -> (tempfile::TempDir, Store) {
+    async fn with_a_job() -> (tempfile::TempDir, Store) {
         let dir = tempfile::tempdir().expect("temporary directory");
         let store = Store::open(&dir.path().join("fled.db"))
             .await
             .expect("open");
-        (dir, store)
-    }
-
-    fn seqs(next: &Next) -> Vec<i64> {
-        next.events.iter().map(|told| told.seq).collect()
-    }
-
-    #[tokio::test]
-    async fn a_stream_that_is_behind_misses_nothing_and_the_end_comes_last() {
-        let (_dir, store) = store().await;
         let capture = CaptureRow {
             owner: None,
             expires_at: None,
@@ -192,6 +182,16 @@ mod tests {
         };
         let made = store.create_job(&job, None, "", room).await.expect("made");
         assert!(matches!(made, Creation::Created(_)));
+        (dir, store)
+    }
+
+    fn seqs(next: &Next) -> Vec<i64> {
+        next.events.iter().map(|told| told.seq).collect()
+    }
+
+    #[tokio::test]
+    async fn a_stream_that_is_behind_misses_nothing_and_the_end_comes_last() {
+        let (_dir, store) = with_a_job().await;
         let claim = store
             .claim("w", 60_000, &[])
             .await

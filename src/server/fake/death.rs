@@ -3,7 +3,7 @@
 use std::sync::OnceLock;
 use std::sync::atomic::{AtomicU32, Ordering};
 
-use fled_server::Point;
+use fled_server::{Point, Watcher};
 use rustix::process::{Signal, getpid, kill_process};
 
 /// What it has to have done, and how often.
@@ -11,7 +11,7 @@ static PLAN: OnceLock<(Point, u32)> = OnceLock::new();
 static PASSED: AtomicU32 = AtomicU32::new(0);
 
 /// What `FLED_FAKE_DIE_AT` asks for: `named`, or `named:3` where it is the third time.
-pub fn planned() -> Result<Option<fn(Point)>, Box<dyn std::error::Error>> {
+pub fn planned() -> Result<Option<Watcher>, String> {
     let Ok(plan) = std::env::var("FLED_FAKE_DIE_AT") else {
         return Ok(None);
     };

@@ -17,7 +17,7 @@ use std::time::Duration;
 use fled_core::image::Image;
 use fled_server::assessor::{AssessReply, AssessRequest, assess};
 use fled_server::render::{RenderRequest, Shown};
-use fled_server::{Limits, Retention, ServeConfig, TETHER, become_tethered};
+use fled_server::{Limits, Origin, Retention, ServeConfig, TETHER, become_tethered};
 use protocol::say;
 use rustix::process::{Resource, Rlimit, setrlimit};
 
@@ -78,11 +78,7 @@ fn serve(data: &Path, address_file: &Path) -> Result<(), Box<dyn std::error::Err
         video_command: command("video"),
         doctor_command: command("doctor"),
         inner_webhooks: number("FLED_FAKE_INNER", 0)? > 0,
-        import_from: std::env::var("FLED_FAKE_IMPORT_FROM")
-            .unwrap_or_default()
-            .split_whitespace()
-            .map(str::parse)
-            .collect::<Result<_, _>>()?,
+        import_from: origins()?,
         ffmpeg: std::env::var_os("FLED_FAKE_FFMPEG")
             .unwrap_or_else(|| "ffmpeg".into())
             .into(),
@@ -110,6 +106,13 @@ fn serve(data: &Path, address_file: &Path) -> Result<(), Box<dyn std::error::Err
         server.stop().await;
         Ok(())
     })
+}
+
+/// Servers that captures may be fetched from.
+fn origins() -> Result<Vec<Origin>, Box<dyn std::error::Error>> {
+    let all = std::env::var("FLED_FAKE_IMPORT_FROM").unwrap_or_default();
+    let all = all.split_whitespace().map(str::parse);
+    Ok(all.collect::<Result<_, _>>()?)
 }
 
 /// Short times, and what a test sets.

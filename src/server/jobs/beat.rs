@@ -8,7 +8,7 @@ use tokio::time::{Instant, MissedTickBehavior, interval};
 use crate::app::App;
 use crate::config::Limits;
 use crate::error::ServerError;
-use crate::point::Point;
+use crate::point::{Point, Watcher};
 use crate::store::{Lease, Store};
 
 /// What a sign of life was answered.
@@ -51,7 +51,7 @@ impl Drop for Beat {
 async fn beat(
     store: Store,
     limits: Limits,
-    watcher: Option<fn(Point)>,
+    watcher: Option<Watcher>,
     lease: Lease,
     tell: mpsc::Sender<Pulse>,
 ) {

@@ -204,7 +204,7 @@ impl Store {
         }
         let page = format!("{page} ORDER BY id DESC LIMIT {limit}");
         let page = sqlx::query(sqlx::AssertSqlSafe(page));
-        let page = bound.into_iter().fold(page, |page, value| page.bind(value));
+        let page = bound.into_iter().fold(page, sqlx::query::Query::bind);
         let rows = page.fetch_all(&self.pool).await?;
         self.told(&rows).await
     }

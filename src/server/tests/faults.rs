@@ -277,7 +277,7 @@ fn a_bucket_that_fails_is_slow_or_cuts_blobs_in_their_middle_loses_nothing() {
     let counted = gets.clone();
     bucket.misbehave(move |request| {
         let is_blob = request.starts_with("GET") && request.contains("/blobs/");
-        if is_blob && counted.fetch_add(1, Ordering::Relaxed) % 2 == 0 {
+        if is_blob && counted.fetch_add(1, Ordering::Relaxed).is_multiple_of(2) {
             Fault::CutAfter(60)
         } else {
             Fault::None
