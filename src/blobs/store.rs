@@ -24,6 +24,7 @@ use uuid::Uuid;
 use crate::blob::{Blob, blocking, expect_digest, is_digest};
 use crate::error::{BlobError, Result};
 use crate::folder::AT_ONCE;
+use crate::remote::Service;
 
 /// How long a request may make no progress.
 const SILENCE: Duration = Duration::from_secs(30);
@@ -50,6 +51,9 @@ struct Shared {
     location: String,
     /// Where it is a directory.
     directory: Option<PathBuf>,
+    /// How often a large blob is sent that does not arrive. A bucket is sent parts, each of them
+    /// again and again; a directory does not break off.
+    sendings: u32,
     uploading: Arc<Semaphore>,
     /// The name of this process's probe, so that what breaks off leaves one and not thousands.
     probe: Mutex<Uuid>,
@@ -113,8 +117,7 @@ impl Blobs {
         }
         let refused = |error: &dyn fmt::Display| BlobError::Location(error.to_string());
         let prefix = Key::parse(prefix).map_err(|error| refused(&error))?;
-        // Whoever uses TLS must have chosen who computes it; fled's other clients choose the same.
-        let _already_chosen = rustls::crypto::ring::default_provider().install_default();
+        choose_tls();
         let mut builder = AmazonS3Builder::new()
             .with_retry(retries(patience))
             .with_client_options(timeouts())
@@ -134,13 +137,38 @@ impl Blobs {
         Ok(Self::of(Arc::new(store), prefix, location, None))
     }
 
+    /// Blobs of a service that is asked for them at `address`, `http://..` or `https://..`, which
+    /// stands before `/<digest>`. Both clients say who asks; `patient` minds no silence. A service
+    /// that is away is asked again for a minute.
+    pub fn of_service(brisk: reqwest::Client, patient: reqwest::Client, address: &str) -> Self {
+        let service = Service {
+            brisk,
+            patient,
+            address: address.to_owned(),
+            patience: PATIENCE,
+        };
+        let location = service.to_string();
+        Self::with_sendings(5, Arc::new(service), Key::default(), location, None)
+    }
+
     fn of(
         store: Arc<dyn ObjectStore>,
         prefix: Key,
         location: String,
         directory: Option<PathBuf>,
     ) -> Self {
+        Self::with_sendings(1, store, prefix, location, directory)
+    }
+
+    fn with_sendings(
+        sendings: u32,
+        store: Arc<dyn ObjectStore>,
+        prefix: Key,
+        location: String,
+        directory: Option<PathBuf>,
+    ) -> Self {
         let shared = Shared {
+            sendings,
             store,
             prefix,
             location,
@@ -276,6 +304,10 @@ impl Blobs {
         self.shared.store.as_ref()
     }
 
+    pub(crate) fn sendings(&self) -> u32 {
+        self.shared.sendings
+    }
+
     pub(crate) fn uploading(&self) -> Arc<Semaphore> {
         self.shared.uploading.clone()
     }
@@ -313,6 +345,11 @@ impl Blobs {
             detail,
         }
     }
+}
+
+/// Whoever uses TLS must have chosen who computes it; fled's other clients choose the same.
+pub fn choose_tls() {
+    let _already_chosen = rustls::crypto::ring::default_provider().install_default();
 }
 
 /// How long ago an object was written; nothing where the clock of the store is ahead.
