@@ -10,7 +10,7 @@ pub mod retry;
 pub mod submit;
 pub mod watch;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use fled_core::pipeline::error::ErrorKind;
@@ -110,11 +110,7 @@ impl Remote {
     /// # Errors
     /// [`Failure`] for a token that cannot be read.
     pub fn new(args: &Args) -> Result<Self, Failure> {
-        let token = match &args.token_file {
-            Some(path) => Some(std::fs::read_to_string(path).map_err(io(path))?),
-            None => std::env::var(TOKEN).ok(),
-        };
-        let token = token.map(|token| token.trim().to_owned());
+        let token = token(args.token_file.as_deref())?;
         let agent = |silence| -> Agent {
             Agent::config_builder()
                 .http_status_as_error(false)
@@ -128,9 +124,7 @@ impl Remote {
             patient: agent(ANSWER),
             brisk: agent(STALL),
             base: args.server.trim_end_matches('/').to_owned(),
-            bearer: token
-                .filter(|token| !token.is_empty())
-                .map(|token| format!("Bearer {token}")),
+            bearer: token.map(|token| format!("Bearer {token}")),
             patience: Duration::from_secs(args.patience),
         })
     }
@@ -255,6 +249,19 @@ impl Remote {
             wrong_use: false,
         }
     }
+}
+
+/// The token in this file, or in the variable that holds one.
+///
+/// # Errors
+/// [`Failure`] when the file cannot be read.
+pub fn token(file: Option<&Path>) -> Result<Option<String>, Failure> {
+    let token = match file {
+        Some(path) => Some(std::fs::read_to_string(path).map_err(io(path))?),
+        None => std::env::var(TOKEN).ok(),
+    };
+    let token = token.map(|token| token.trim().to_owned());
+    Ok(token.filter(|token| !token.is_empty()))
 }
 
 fn read_json<T: DeserializeOwned>(mut response: Response<Body>) -> Result<T, Fault> {

@@ -1,13 +1,16 @@
-//! `fled worker`: works on the jobs of a service whose database and files many machines share.
+//! `fled worker`: works on the jobs of a service whose database and files many machines share, or
+//! of one that is reached by HTTP alone.
 
 use std::path::PathBuf;
 
 use fled_core::pipeline::error::ErrorKind;
 use fled_gpu::{DeviceType, Gpu};
-use fled_server::ServeConfig;
 use fled_server::store::About;
+use fled_server::token::Secret;
+use fled_server::{ServeConfig, Service};
 
 use crate::failure::{Failure, io};
+use crate::remote::token;
 use crate::shared::{Shared, commands, log};
 use crate::tools;
 
@@ -19,6 +22,19 @@ pub struct Args {
     data: PathBuf,
     #[command(flatten)]
     shared: Shared,
+    /// The service, where its database cannot be reached from here: https://HOST, or
+    /// http://ADDRESS:PORT in a network that nobody else listens to. Files go the same way.
+    #[arg(
+        long,
+        value_name = "URL",
+        env = "FLED_API",
+        conflicts_with_all = ["database", "files"]
+    )]
+    api: Option<String>,
+    /// A file that holds a token of the scope worker for --api; without it the variable FLED_TOKEN
+    /// does, where one is needed.
+    #[arg(long, value_name = "FILE", requires = "api")]
+    token_file: Option<PathBuf>,
     /// Jobs run at once.
     #[arg(long, value_name = "N", default_value_t = 1)]
     jobs: usize,
@@ -37,16 +53,22 @@ pub struct Args {
 /// [`Failure`] when the data directory, the database or the store cannot be used.
 pub fn main(args: &Args) -> Result<(), Failure> {
     log();
-    if args.shared.database.is_none() {
-        return Err(Failure::new(
-            ErrorKind::BadInput,
-            "a worker needs the service's database: --db postgres://.. and --store",
+    if args.shared.database.is_none() && args.api.is_none() {
+        return Err(Failure::usage(
+            "a worker needs the service's database and files, --db postgres://.. and --store, or \
+             the service itself: --api https://..",
         ));
     }
     let nowhere = std::net::SocketAddr::from(([127, 0, 0, 1], 0));
     let mut config =
         ServeConfig::new(args.data.clone(), nowhere, args.jobs).map_err(io(&args.data))?;
     args.shared.tell(&mut config);
+    if let Some(url) = &args.api {
+        config.service = Some(Service {
+            url: url.clone(),
+            token: token(args.token_file.as_deref())?.map(|token| Secret::shown(&token)),
+        });
+    }
     config.about = Some(about(&args.adapter, args.jobs));
     commands(&mut config, &args.ffmpeg, &args.models);
     let runtime =

@@ -7,11 +7,11 @@ use tokio_util::sync::CancellationToken;
 
 use crate::assessor::Assessors;
 use crate::config::{Limits, ServeConfig};
+use crate::coordinator::Coordinator;
 use crate::data::DataDir;
 use crate::holders::Holders;
 use crate::incoming::Uploads;
 use crate::mirror::Mirror;
-use crate::point::Point;
 use crate::rate::Rates;
 use crate::render::Renderers;
 use crate::running::Running;
@@ -19,22 +19,23 @@ use crate::store::Store;
 use crate::tails::Tails;
 use crate::telemetry::Telemetry;
 use crate::videos::turns::Turns;
+use crate::workshop::{Lookers, Workshop};
 
 /// The state of a server.
 #[derive(Debug)]
 pub struct App {
     /// The set-up.
-    pub config: ServeConfig,
+    pub config: Arc<ServeConfig>,
     /// Times and sizes.
     pub limits: Limits,
     /// The files.
-    pub data: DataDir,
+    pub data: Arc<DataDir>,
     /// The database.
     pub store: Store,
     /// Copies of what many machines share.
-    pub mirror: Mirror,
+    pub mirror: Arc<Mirror>,
     /// What this installation is called among those that share a database.
-    pub worker: String,
+    pub worker: Arc<str>,
     /// The uploads that are under way.
     pub uploads: Uploads,
     /// Who writes or reads which upload in pieces.
@@ -60,14 +61,14 @@ pub struct App {
     /// The newest events of jobs that are watched.
     pub tails: Tails,
     /// The jobs that run.
-    pub running: Running,
+    pub running: Arc<Running>,
     /// The last judgement of the machine.
     pub readiness: tokio::sync::Mutex<Option<crate::readiness::Remembered>>,
     /// Rung when a job may be waiting.
-    pub wake: Notify,
+    pub wake: Arc<Notify>,
     /// Raised when the server stops.
     pub shutdown: CancellationToken,
-    versions: watch::Sender<u64>,
+    lookers: Lookers,
 }
 
 impl App {
@@ -85,16 +86,16 @@ impl App {
             uploads: Uploads::default(),
             holders: Holders::default(),
             assessors: Assessors::new(config.assess_command.clone(), limits),
-            config,
+            config: Arc::new(config),
             limits,
-            data,
+            data: Arc::new(data),
             store,
-            mirror,
-            worker,
+            mirror: Arc::new(mirror),
+            worker: worker.into(),
             readiness: tokio::sync::Mutex::default(),
-            wake: Notify::new(),
+            wake: Arc::default(),
             shutdown: CancellationToken::new(),
-            versions: watch::Sender::new(0),
+            lookers: Lookers::default(),
             rates: Rates::new(limits.rate, limits.burst),
             keeping: tokio::sync::Mutex::default(),
             filming: tokio::sync::Mutex::default(),
@@ -103,7 +104,23 @@ impl App {
             fetching: Arc::new(Semaphore::new(limits.fetching)),
             telemetry: Telemetry::default(),
             tails: Tails::default(),
-            running: Running::default(),
+            running: Arc::default(),
+        }
+    }
+
+    /// What its workers need of it.
+    pub fn workshop(&self) -> Workshop {
+        Workshop {
+            config: self.config.clone(),
+            limits: self.limits,
+            data: self.data.clone(),
+            coordinator: Coordinator::Own(self.store.clone(), Box::new(self.limits)),
+            mirror: self.mirror.clone(),
+            worker: self.worker.clone(),
+            running: self.running.clone(),
+            wake: self.wake.clone(),
+            shutdown: self.shutdown.clone(),
+            lookers: self.lookers.clone(),
         }
     }
 
@@ -126,20 +143,13 @@ impl App {
         free.saturating_sub(self.limits.min_free_bytes)
     }
 
-    /// Says what a worker has just done.
-    pub fn pass(&self, point: Point) {
-        if let Some(watcher) = self.config.watcher {
-            watcher(point);
-        }
-    }
-
     /// Tells every open event stream to look into the database.
     pub fn changed(&self) {
-        self.versions.send_modify(|version| *version += 1);
+        self.lookers.call();
     }
 
     /// Sees every [`App::changed`] from now on.
     pub fn watch(&self) -> watch::Receiver<u64> {
-        self.versions.subscribe()
+        self.lookers.join()
     }
 }

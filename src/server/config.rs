@@ -12,6 +12,16 @@ use fled_core::pipeline::error::ErrorKind;
 use crate::outside::Origin;
 use crate::point::Watcher;
 use crate::store::About;
+use crate::token::Secret;
+
+/// A service that a worker works for without its database.
+#[derive(Clone, Debug)]
+pub struct Service {
+    /// Its address, `https://..` or `http://..`.
+    pub url: String,
+    /// A token of the scope `worker`, where it asks for one.
+    pub token: Option<Secret>,
+}
 
 /// What `fled serve` is told.
 #[derive(Clone, Debug)]
@@ -23,6 +33,9 @@ pub struct ServeConfig {
     /// The store of files that they share, a directory or `s3://BUCKET/PREFIX`; `data` is then only
     /// this machine's copy.
     pub files: Option<String>,
+    /// The service to work for, where this is a worker that may not see its database; it has the
+    /// files, too.
+    pub service: Option<Service>,
     /// What this machine says of itself to the others, and by what it is given jobs; where absent
     /// it takes any.
     pub about: Option<About>,
@@ -106,6 +119,7 @@ impl ServeConfig {
             data,
             database: None,
             files: None,
+            service: None,
             about: None,
             listen,
             open: false,

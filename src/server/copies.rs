@@ -8,17 +8,19 @@
 use std::collections::{BTreeMap, HashSet};
 use std::os::unix::fs::MetadataExt;
 use std::path::Path;
-use std::time::Duration;
+use std::time::{Duration, SystemTime};
 use std::{fs, io};
 
-use fled_blobs::{Blobs, pull, push};
+use fled_blobs::{Blobs, Kept, pull, push};
 
 use crate::app::App;
+use crate::coordinator::Assignment;
 use crate::error::{Result, ServerError};
 use crate::mirror::Copy;
 use crate::point::Point;
 use crate::removal::remove;
-use crate::store::{Lease, by_path};
+use crate::store::{Lease, Saying, by_path};
+use crate::workshop::Workshop;
 
 /// Blobs that no file has had for so long are deleted.
 const UNNAMED: Duration = Duration::from_secs(24 * 3600);
@@ -34,28 +36,6 @@ const ASKED: usize = 500;
 
 /// Path, and what changes when a file is written.
 type Look = BTreeMap<String, (u64, i64, i64, u64)>;
-
-/// Fetches the files of a capture that are not here.
-///
-/// # Errors
-/// When the database, the store or the disk refuses.
-pub async fn fetch_capture(app: &App, id: &str) -> Result<()> {
-    let Some(blobs) = app.mirror.blobs() else {
-        return Ok(());
-    };
-    let copy = app.mirror.folder(id);
-    let mut copy = copy.lock().await;
-    if copy.version.is_some() {
-        // A capture never changes.
-        return Ok(());
-    }
-    let files = app.store.capture_files(id).await?;
-    pull(blobs, &files, &app.data.capture(id), None, &mut copy.seen).await?;
-    if !files.is_empty() {
-        copy.version = Some(0);
-    }
-    Ok(())
-}
 
 /// Fetches what has changed of a job since it was fetched last; nothing of one that runs here.
 ///
@@ -74,32 +54,88 @@ pub async fn fetch_job(app: &App, id: &str) -> Result<()> {
     if version.is_none() || version == copy.version {
         return Ok(());
     }
-    bring(app, blobs, id, &mut copy).await
+    if let Some(files) = app.store.job_files(id).await? {
+        bring(blobs, &app.data.job(id), files, &mut copy).await?;
+    }
+    Ok(())
 }
 
 /// Makes a job's folder what the store says, before a worker begins or goes on with it: what an
 /// earlier attempt here has left, and never told of, goes.
 ///
 /// # Errors
-/// When the database, the store or the disk refuses.
-pub async fn prepare_job(app: &App, id: &str, capture: &str) -> Result<()> {
-    let Some(blobs) = app.mirror.blobs() else {
+/// When whoever gives the job, the store or the disk refuses.
+pub async fn prepare_job(work: &Workshop, job: &Assignment) -> Result<()> {
+    let Some(blobs) = work.mirror.blobs() else {
         return Ok(());
     };
-    fetch_capture(app, capture).await?;
-    let copy = app.mirror.folder(id);
+    let copy = work.mirror.folder(&job.capture);
     let mut copy = copy.lock().await;
-    bring(app, blobs, id, &mut copy).await
+    let folder = work.data.capture(&job.capture);
+    // A capture never changes.
+    if copy.version.is_none() {
+        let files = work.coordinator.capture_files(job).await?;
+        pull(blobs, &files, &folder, None, &mut copy.seen).await?;
+        if !files.is_empty() {
+            copy.version = Some(0);
+        }
+    }
+    used_now(&folder).map_err(ServerError::io(&folder))?;
+    drop(copy);
+    let copy = work.mirror.folder(&job.lease.job);
+    let mut copy = copy.lock().await;
+    if let Some(files) = work.coordinator.job_files(&job.lease).await? {
+        bring(blobs, &work.data.job(&job.lease.job), files, &mut copy).await?;
+    }
+    Ok(())
 }
 
-async fn bring(app: &App, blobs: &Blobs, id: &str, copy: &mut Copy) -> Result<()> {
-    let Some((version, files)) = app.store.job_files(id).await? else {
-        return Ok(());
-    };
-    let folder = app.data.job(id);
-    pull(blobs, &files, &folder, Some(&is_the_jobs), &mut copy.seen).await?;
+async fn bring(
+    blobs: &Blobs,
+    folder: &Path,
+    (version, files): (i64, Vec<Kept>),
+    copy: &mut Copy,
+) -> Result<()> {
+    pull(blobs, &files, folder, Some(&is_the_jobs), &mut copy.seen).await?;
     copy.version = Some(version);
     Ok(())
+}
+
+/// Notes on a folder when it was used last.
+fn used_now(folder: &Path) -> io::Result<()> {
+    match fs::File::open(folder) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(()),
+        folder => folder?.set_modified(SystemTime::now()),
+    }
+}
+
+/// Removes copies of jobs and captures that nothing has used for so long. Returns how many went.
+///
+/// # Errors
+/// When the data directory cannot be read.
+pub async fn remove_unused(work: &Workshop, age: Duration) -> Result<usize> {
+    let mut removed = 0;
+    for folder in [work.data.captures(), work.data.jobs()] {
+        let entries = fs::read_dir(&folder).map_err(ServerError::io(&folder))?;
+        for entry in entries {
+            let path = entry.map_err(ServerError::io(&folder))?.path();
+            let Some(id) = path.file_name().and_then(|name| name.to_str()) else {
+                continue;
+            };
+            let copy = work.mirror.folder(id);
+            let mut copy = copy.lock().await;
+            let is_old = |used: SystemTime| used.elapsed().is_ok_and(|unused| unused > age);
+            let used = fs::metadata(&path).and_then(|about| about.modified());
+            if work.running.has(id) || !used.is_ok_and(is_old) {
+                continue;
+            }
+            remove(&path).await;
+            *copy = Copy::default();
+            work.mirror.forget(id);
+            removed += 1;
+        }
+    }
+    Ok(removed)
 }
 
 /// Puts what a job has made so far into the store and names it, under the job's lease. `at_end`
@@ -107,17 +143,17 @@ async fn bring(app: &App, blobs: &Blobs, id: &str, copy: &mut Copy) -> Result<()
 ///
 /// # Errors
 /// [`ServerError::LeaseLost`] when another worker has the job; else when the store refuses.
-pub async fn publish(app: &App, lease: &Lease, at_end: bool) -> Result<()> {
-    let Some(blobs) = app.mirror.blobs() else {
+pub async fn publish(work: &Workshop, lease: &Lease, at_end: bool) -> Result<()> {
+    let Some(blobs) = work.mirror.blobs() else {
         return Ok(());
     };
-    let copy = app.mirror.folder(&lease.job);
+    let copy = work.mirror.folder(&lease.job);
     let mut copy = copy.lock().await;
-    let Some((_, files)) = app.store.job_files(&lease.job).await? else {
+    let Some((_, files)) = work.coordinator.job_files(lease).await? else {
         return Err(ServerError::LeaseLost(lease.job.clone()));
     };
     let known = by_path(files);
-    let folder = app.data.job(&lease.job);
+    let folder = work.data.job(&lease.job);
     let still = folder.join("still");
     for _ in 0..LOOKS {
         // Of one moment: a file that was written after another must not be named without it.
@@ -136,11 +172,10 @@ pub async fn publish(app: &App, lease: &Lease, at_end: bool) -> Result<()> {
         if pushed.kept.is_empty() && pushed.gone.is_empty() {
             return Ok(());
         }
-        app.pass(Point::Stored);
-        app.store
-            .keep_files(lease, &pushed.kept, &pushed.gone)
-            .await?;
-        app.pass(Point::Named);
+        work.pass(Point::Stored);
+        let names = Saying::Files(&pushed.kept, &pushed.gone);
+        work.coordinator.tell(lease, names).await?;
+        work.pass(Point::Named);
         return Ok(());
     }
     if at_end {

@@ -1,13 +1,11 @@
-//! The other processes that share the database: hearing of what they do, and being seen by them.
+//! The other processes that work together: hearing of what they do, and being seen by them.
 
 use std::sync::Arc;
 use std::time::Duration;
 
 use crate::app::App;
 use crate::error::Result;
-
-/// A worker that was not heard of for so long is forgotten, milliseconds.
-const FORGOTTEN_MS: i64 = 24 * 3600 * 1000;
+use crate::workshop::Workshop;
 
 /// Rings this process's bells when somebody else changes a job, until the server stops. What it is
 /// told is a hint: it looks by itself every few seconds, too.
@@ -47,28 +45,24 @@ fn ring(app: &App) {
 }
 
 /// Says again and again that this worker is there.
-pub async fn keep_being_seen(app: Arc<App>) {
-    let Some(about) = app.config.about.clone() else {
+pub async fn keep_being_seen(work: Workshop) {
+    let Some(about) = &work.config.about else {
         return;
     };
-    let mut every = tokio::time::interval(app.limits.heartbeat.max(Duration::from_millis(1)));
+    let see = |draining| work.coordinator.see(&work.worker, about, draining);
+    let mut every = tokio::time::interval(work.limits.heartbeat.max(Duration::from_millis(1)));
     loop {
         tokio::select! {
             _ = every.tick() => {}
-            () = app.shutdown.cancelled() => {
+            () = work.shutdown.cancelled() => {
                 // Until what runs has ended, and the worker is gone.
-                if let Err(error) = app.store.see_worker(&app.worker, &about, true).await {
+                if let Err(error) = see(true).await {
                     tracing::warn!(%error, "cannot say that this worker stops");
                 }
                 return;
             }
         }
-        let seen = async {
-            app.store.see_worker(&app.worker, &about, false).await?;
-            let before = app.store.now().await? - FORGOTTEN_MS;
-            app.store.forget_workers(None, before).await
-        };
-        if let Err(error) = seen.await {
+        if let Err(error) = see(false).await {
             tracing::warn!(%error, "cannot say that this worker is there");
         }
     }

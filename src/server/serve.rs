@@ -12,9 +12,11 @@ use tokio::task::JoinSet;
 
 use crate::app::App;
 use crate::config::ServeConfig;
+use crate::coordinator::milliseconds;
 use crate::data::DataDir;
 use crate::error::{Result, ServerError};
 use crate::expiry::expire;
+use crate::far;
 use crate::http::{router, serve_connections};
 use crate::jobs::{after_death, kill_orphans, worker};
 use crate::mirror::Mirror;
@@ -23,16 +25,22 @@ use crate::store::{Engine, Store};
 use crate::sweep;
 use crate::videos::maker::{keep_making, take_up};
 use crate::webhooks::keep_telling;
+use crate::workshop::Workshop;
 
 /// Open requests get so long to end once the server stops.
 const FAREWELL: Duration = Duration::from_secs(5);
+/// What a worker's jobs have made is put into the store before it goes, within this: who stops it
+/// mostly waits for half a minute.
+const HANDING_IN: Duration = Duration::from_secs(25);
 
 /// A running server.
 #[derive(Debug)]
 pub struct Server {
     /// `None` of one that only works.
     address: Option<SocketAddr>,
-    app: Arc<App>,
+    /// `None` of one that has no database.
+    app: Option<Arc<App>>,
+    workshop: Workshop,
     tasks: JoinSet<()>,
 }
 
@@ -60,7 +68,7 @@ impl Server {
         let mut tasks = JoinSet::new();
         tasks.spawn(keep_telling(app.clone()));
         tasks.spawn(keep_making(app.clone()));
-        spawn_workers(&app, &mut tasks);
+        let workshop = spawn_workers(&app, &mut tasks);
         let (limits, shutdown) = (app.limits, app.shutdown.clone());
         tasks.spawn(serve_connections(
             listener,
@@ -70,23 +78,33 @@ impl Server {
         ));
         Ok(Self {
             address: Some(address),
-            app,
+            app: Some(app),
+            workshop,
             tasks,
         })
     }
 
-    /// Opens the data directory and the database and works, without an API of its own.
+    /// Opens the data directory and the database, or waits for the service, and works, without an
+    /// API of its own.
     ///
     /// # Errors
-    /// When one of them is in use or unusable.
+    /// When one of them is in use or unusable, or the service refuses this worker.
     pub async fn start_worker(config: ServeConfig) -> Result<Self> {
-        let opened = open(&config).await?;
-        let app = opened.app(config).await?;
         let mut tasks = JoinSet::new();
-        spawn_workers(&app, &mut tasks);
+        let (app, workshop) = if let Some(service) = config.service.clone() {
+            let workshop = far::open(config, &service).await?;
+            tasks.spawn(far::keep_tidy(workshop.clone()));
+            spawn_turns(&workshop, &mut tasks);
+            (None, workshop)
+        } else {
+            let app = open(&config).await?.app(config).await?;
+            let workshop = spawn_workers(&app, &mut tasks);
+            (Some(app), workshop)
+        };
         Ok(Self {
             address: None,
             app,
+            workshop,
             tasks,
         })
     }
@@ -98,23 +116,23 @@ impl Server {
 
     /// Stops: running jobs are interrupted and go back to the queue, open requests may end.
     pub async fn stop(mut self) {
-        self.app.shutdown.cancel();
+        let work = &self.workshop;
+        work.shutdown.cancel();
+        let patience = self.address.map_or(HANDING_IN, |_| FAREWELL);
         let ended = async { while self.tasks.join_next().await.is_some() {} };
-        if tokio::time::timeout(FAREWELL, ended).await.is_err() {
-            tracing::warn!("requests were still open");
+        if tokio::time::timeout(patience, ended).await.is_err() {
+            tracing::warn!("requests or jobs were still open");
         }
         self.tasks.shutdown().await;
-        self.app.renderers.stop().await;
-        if self.app.config.about.is_some()
-            && let Err(error) = self
-                .app
-                .store
-                .forget_workers(Some(&self.app.worker), 0)
-                .await
+        if let Some(app) = &self.app {
+            app.renderers.stop().await;
+        }
+        if work.config.about.is_some()
+            && let Err(error) = work.coordinator.forget(&work.worker).await
         {
             tracing::warn!(%error, "the others will take this worker for lost for a while");
         }
-        self.app.store.close().await;
+        work.coordinator.close().await;
     }
 }
 
@@ -145,19 +163,16 @@ async fn open(config: &ServeConfig) -> Result<Opened> {
     };
     let worker = data.worker()?;
     let limits = config.limits;
-    let left = match store.engine() {
-        // Nobody else uses it.
-        Engine::Sqlite => {
-            store
-                .release_all(|deaths| after_death(&limits, deaths))
-                .await?
-        }
-        Engine::Postgres => {
-            store
-                .release_of(&worker, |deaths| after_death(&limits, deaths))
-                .await?
-        }
+    let settle = |deaths| after_death(&limits, deaths);
+    let left = if store.engine() == Engine::Sqlite && blobs.is_none() {
+        // Nobody else works for it.
+        store.release_all(settle).await?
+    } else {
+        store.release_of(&worker, settle).await?
     };
+    if store.engine() == Engine::Sqlite {
+        store.renew_leases(milliseconds(limits.lease)).await?;
+    }
     if !left.is_empty() {
         let orphans = kill_orphans(&left);
         tracing::info!(
@@ -187,17 +202,24 @@ impl Opened {
     }
 }
 
-/// Begins what every process does that works on jobs.
-fn spawn_workers(app: &Arc<App>, tasks: &mut JoinSet<()>) {
+/// Begins what every process does that has the database and may work on jobs.
+fn spawn_workers(app: &Arc<App>, tasks: &mut JoinSet<()>) -> Workshop {
     tasks.spawn(sweep::keep_sweeping(app.clone()));
     if app.store.engine() == Engine::Postgres {
         tasks.spawn(others::keep_hearing(app.clone()));
     }
-    if app.config.about.is_some() {
-        tasks.spawn(others::keep_being_seen(app.clone()));
+    let workshop = app.workshop();
+    spawn_turns(&workshop, tasks);
+    workshop
+}
+
+/// Begins what every worker does.
+fn spawn_turns(work: &Workshop, tasks: &mut JoinSet<()>) {
+    if work.config.about.is_some() {
+        tasks.spawn(others::keep_being_seen(work.clone()));
     }
-    for index in 0..app.config.workers {
-        tasks.spawn(worker::work(app.clone(), index));
+    for turn in 0..u32::try_from(work.config.workers).unwrap_or(u32::MAX) {
+        tasks.spawn(worker::work(work.clone(), turn));
     }
 }
 
@@ -236,7 +258,7 @@ pub async fn serve(config: ServeConfig) -> Result<()> {
 /// When the worker cannot start.
 pub async fn work(config: ServeConfig) -> Result<()> {
     let server = Server::start_worker(config).await?;
-    tracing::info!(worker = server.app.worker, "working");
+    tracing::info!(worker = %server.workshop.worker, "working");
     until_told(server).await
 }
 

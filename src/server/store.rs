@@ -55,6 +55,7 @@ pub use listen::Heard;
 pub use results::{StageSeconds, WarningRow};
 pub use retry::{Change, Retry};
 pub use rows::{Intake, Snapshot};
+pub use say::Saying;
 pub use shares::{NewShare, ShareRow};
 pub use tables::{TABLES, Table};
 pub use tokens::{NewToken, Quotas, TokenRow};

@@ -25,12 +25,20 @@ pub enum Scope {
     JobsWrite,
     /// To have views rendered.
     Renders,
+    /// To work on everybody's jobs, and nothing else.
+    Worker,
     /// Everything, of everybody.
     Admin,
 }
 
 impl Scope {
-    const ALL: [Self; 4] = [Self::JobsRead, Self::JobsWrite, Self::Renders, Self::Admin];
+    const ALL: [Self; 5] = [
+        Self::JobsRead,
+        Self::JobsWrite,
+        Self::Renders,
+        Self::Worker,
+        Self::Admin,
+    ];
 
     /// As it is written.
     pub fn name(self) -> &'static str {
@@ -38,6 +46,7 @@ impl Scope {
             Self::JobsRead => "jobs:read",
             Self::JobsWrite => "jobs:write",
             Self::Renders => "renders",
+            Self::Worker => "worker",
             Self::Admin => "admin",
         }
     }
@@ -84,7 +93,7 @@ impl FromStr for Scopes {
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
 pub enum TokenError {
     /// There is no such scope.
-    #[error("`{0}` is no scope: jobs:read, jobs:write, renders, admin")]
+    #[error("`{0}` is no scope: jobs:read, jobs:write, renders, worker, admin")]
     UnknownScope(String),
     /// Not a time from now.
     #[error("`{0}` is no time to hold: say 90d, 12h or 1y")]
@@ -98,6 +107,7 @@ pub enum TokenError {
 }
 
 /// A token as its holder has it. It is shown once and kept nowhere.
+#[derive(Clone)]
 pub struct Secret(String);
 
 impl Secret {
@@ -107,6 +117,11 @@ impl Secret {
     /// [`TokenError::NoRandomness`].
     pub fn new() -> Result<Self, TokenError> {
         Ok(Self(format!("{PREFIX}{}", hex(&random::<BYTES>()?))))
+    }
+
+    /// One that its holder shows.
+    pub fn shown(token: &str) -> Self {
+        Self(token.to_owned())
     }
 
     /// What is kept of it.

@@ -17,7 +17,8 @@ use std::time::Duration;
 use fled_core::image::Image;
 use fled_server::assessor::{AssessReply, AssessRequest, assess};
 use fled_server::render::{RenderRequest, Shown};
-use fled_server::{Limits, Origin, Retention, ServeConfig, TETHER, become_tethered};
+use fled_server::token::Secret;
+use fled_server::{Limits, Origin, Retention, ServeConfig, Service, TETHER, become_tethered};
 use protocol::say;
 use rustix::process::{Resource, Rlimit, setrlimit};
 
@@ -49,19 +50,13 @@ fn play(arguments: &[OsString]) -> Result<(), Box<dyn std::error::Error>> {
 
 fn serve(data: &Path, address_file: &Path) -> Result<(), Box<dyn std::error::Error>> {
     let program = std::env::current_exe()?;
-    let descriptors = number("FLED_FAKE_DESCRIPTORS", 0)?;
-    if descriptors > 0 {
-        let limit = Rlimit {
-            current: Some(descriptors),
-            maximum: Some(descriptors),
-        };
-        setrlimit(Resource::Nofile, limit)?;
-    }
+    limit_descriptors()?;
     let command = |verb: &str| vec![program.clone().into_os_string(), verb.into()];
     let config = ServeConfig {
         data: data.to_owned(),
         database: std::env::var("FLED_FAKE_DB").ok(),
         files: std::env::var("FLED_FAKE_STORE").ok(),
+        service: service(),
         about: std::env::var("FLED_FAKE_ABOUT")
             .ok()
             .map(|about| serde_json::from_str(&about))
@@ -113,6 +108,28 @@ fn origins() -> Result<Vec<Origin>, Box<dyn std::error::Error>> {
     let all = std::env::var("FLED_FAKE_IMPORT_FROM").unwrap_or_default();
     let all = all.split_whitespace().map(str::parse);
     Ok(all.collect::<Result<_, _>>()?)
+}
+
+/// As few files may be open at a time as a test says.
+fn limit_descriptors() -> Result<(), Box<dyn std::error::Error>> {
+    let descriptors = number("FLED_FAKE_DESCRIPTORS", 0)?;
+    if descriptors > 0 {
+        let limit = Rlimit {
+            current: Some(descriptors),
+            maximum: Some(descriptors),
+        };
+        setrlimit(Resource::Nofile, limit)?;
+    }
+    Ok(())
+}
+
+/// Whom a worker works for that has no database.
+fn service() -> Option<Service> {
+    let token = std::env::var("FLED_FAKE_TOKEN").ok();
+    Some(Service {
+        url: std::env::var("FLED_FAKE_API").ok()?,
+        token: token.map(|token| Secret::shown(&token)),
+    })
 }
 
 /// Short times, and what a test sets.

@@ -8,8 +8,8 @@ use utoipa::openapi::{Content, OpenApi, Ref, RefOr, Response, ResponseBuilder};
 use utoipa::{Modify, OpenApi as _};
 
 use super::{
-    artifacts, captures, events, exports, health, jobs, live, log, login, metrics, options, pin,
-    render, retry, rounds, share, tus, videos, webhooks, workers,
+    artifacts, blobs, captures, events, exports, health, jobs, live, log, login, metrics, options,
+    pin, render, retry, rounds, share, tus, videos, webhooks, work, workers,
 };
 
 #[derive(utoipa::OpenApi)]
@@ -70,6 +70,19 @@ use super::{
         health::ready,
         metrics::show,
         workers::list,
+        work::present,
+        work::gone,
+        work::release,
+        work::claim,
+        work::heartbeat,
+        work::told,
+        work::failures,
+        work::settle,
+        work::files,
+        work::capture,
+        blobs::get,
+        blobs::head,
+        blobs::put,
         show,
         show_json,
         docs

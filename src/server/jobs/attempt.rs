@@ -13,14 +13,15 @@ use tokio::time::{Instant, Interval, MissedTickBehavior, interval, sleep_until};
 use super::beat::{Beat, Pulse};
 use super::log::LogWriter;
 use super::process::{Group, Happening, JOB_VARIABLE, Line};
-use crate::app::App;
+use crate::coordinator::Assignment;
 use crate::copies;
 use crate::data::{sync_directories, write_atomically};
 use crate::error::{Result, ServerError};
 use crate::intake;
 use crate::point::Point;
-use crate::store::{Claim, JobError, Lease, Progress, Settlement};
+use crate::store::{JobError, Lease, Progress, Saying, Settlement};
 use crate::wording::without_paths;
+use crate::workshop::Workshop;
 
 /// After its process has ended, what others of the group still write is awaited so long.
 const DRAIN: Duration = Duration::from_secs(2);
@@ -46,7 +47,7 @@ enum LastWords {
 }
 
 pub(super) struct Attempt<'a> {
-    app: &'a App,
+    work: &'a Workshop,
     lease: Lease,
     log: LogWriter,
     pending: Option<Progress>,
@@ -57,65 +58,68 @@ pub(super) struct Attempt<'a> {
 ///
 /// # Errors
 /// [`ServerError::LeaseLost`] when another worker has taken the job over; the process is ended.
-pub(super) async fn run(app: &App, claim: &Claim, cancel: Arc<Notify>) -> Result<Settlement> {
-    let id = &claim.job.id;
+pub(super) async fn run(
+    work: &Workshop,
+    job: &Assignment,
+    cancel: Arc<Notify>,
+) -> Result<Settlement> {
+    let id = &job.lease.job;
     // From the first moment: what is fetched may take longer than a lease.
-    let mut beat = Beat::begin(app, claim.lease.clone());
-    copies::prepare_job(app, id, &claim.job.capture_id).await?;
-    app.pass(Point::Fetched);
-    let output = app.data.output(id).root().to_owned();
+    let mut beat = Beat::begin(work, job.lease.clone());
+    copies::prepare_job(work, job).await?;
+    work.pass(Point::Fetched);
+    let output = work.data.output(id).root().to_owned();
     tokio::fs::create_dir_all(&output)
         .await
         .map_err(ServerError::io(&output))?;
-    let options = app.data.job(id).join("options.json");
-    write_atomically(&options, claim.job.options.to_string().as_bytes())
+    let options = work.data.job(id).join("options.json");
+    write_atomically(&options, job.options.to_string().as_bytes())
         .map_err(ServerError::io(&options))?;
-    let path = app.data.log(id);
-    let log = LogWriter::open(&path, app.limits.max_log_bytes).map_err(ServerError::io(&path))?;
+    let path = work.data.log(id);
+    let log = LogWriter::open(&path, work.limits.max_log_bytes).map_err(ServerError::io(&path))?;
     let mut attempt = Attempt {
-        app,
-        lease: claim.lease.clone(),
+        work,
+        lease: job.lease.clone(),
         log,
         pending: None,
         last_words: None,
     };
-    attempt
-        .log
-        .line(&format!("attempt {} begins", claim.job.attempts));
+    attempt.log.line(&format!("attempt {} begins", job.attempt));
     let arguments: Vec<OsString> = vec![
-        intake::source(app.data.capture(&claim.job.capture_id)).into(),
+        intake::source(work.data.capture(&job.capture)).into(),
         "--out".into(),
         output.into(),
         "--options".into(),
         options.into(),
         "--cache".into(),
-        app.data.cache().into(),
+        work.data.cache().into(),
         "--json".into(),
     ];
-    let mut group = match Group::spawn(&app.config.job_command, &arguments, &[(JOB_VARIABLE, id)]) {
+    let mut group = match Group::spawn(&work.config.job_command, &arguments, &[(JOB_VARIABLE, id)])
+    {
         Ok(group) => group,
         Err(error) => return attempt.not_started(&error).await,
     };
     // The job's process reads nothing; an open pipe would only hold a descriptor.
     drop(group.stdin.take());
-    app.pass(Point::Started);
+    work.pass(Point::Started);
     let outcome = attempt.watch(&mut group, &cancel, &mut beat).await;
-    group.stop(app.limits.grace).await;
-    app.pass(Point::Ended);
+    group.stop(work.limits.grace).await;
+    work.pass(Point::Ended);
     let settlement = match outcome? {
         End::Exited(status) => attempt.settle(status).await?,
         End::Stop(settlement) => settlement,
     };
     attempt.log.line(&closing_line(&settlement));
-    remove_live_picture(app, id).await;
-    copies::publish(app, &claim.lease, true).await?;
-    app.pass(Point::Published);
+    remove_live_picture(work, id).await;
+    copies::publish(work, &job.lease, true).await?;
+    work.pass(Point::Published);
     Ok(settlement)
 }
 
 /// Takes away the picture of a training that was stopped; one that ended well has done so itself.
-async fn remove_live_picture(app: &App, id: &str) {
-    let path = app.data.output(id).work().live_picture();
+async fn remove_live_picture(work: &Workshop, id: &str) {
+    let path = work.data.output(id).work().live_picture();
     match tokio::fs::remove_file(&path).await {
         Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
             tracing::warn!(job = id, %error, "a picture of a training stays");
@@ -127,7 +131,7 @@ async fn remove_live_picture(app: &App, id: &str) {
 impl Attempt<'_> {
     /// Takes the process's lines and keeps the lease until the process ends or has to.
     async fn watch(&mut self, group: &mut Group, cancel: &Notify, beat: &mut Beat) -> Result<End> {
-        let limits = self.app.limits;
+        let limits = self.work.limits;
         let wall = Instant::now() + limits.wall;
         let mut silence = Instant::now() + limits.silence;
         let mut publish = ticks(limits.publish);
@@ -155,8 +159,8 @@ impl Attempt<'_> {
                 _ = publish.tick() => self.publish().await?,
                 _ = flush.tick() => self.write_pending().await?,
                 () = cancel.notified() => return Ok(End::Stop(Settlement::Stopped)),
-                () = self.app.shutdown.cancelled() => {
-                    self.app.pass(Point::Stopping);
+                () = self.work.shutdown.cancelled() => {
+                    self.work.pass(Point::Stopping);
                     return Ok(End::Stop(Settlement::Released));
                 }
                 () = sleep_until(silence) => return self.timed_out("said nothing", limits.silence).await,
@@ -249,9 +253,8 @@ impl Attempt<'_> {
                 if !is_seen(&told) {
                     self.log.line(&readable(&told));
                 }
-                self.app.store.record(&self.lease, &told).await?;
-                self.app.pass(Point::Told);
-                self.app.changed();
+                self.tell(Saying::Event(&told)).await?;
+                self.work.pass(Point::Told);
             }
         }
         Ok(())
@@ -260,7 +263,7 @@ impl Attempt<'_> {
     /// Puts what there is so far into a shared store of files. One that is away for a while does
     /// not end the attempt: the end, which has to be published, waits for it.
     async fn publish(&self) -> Result<()> {
-        match copies::publish(self.app, &self.lease, false).await {
+        match copies::publish(self.work, &self.lease, false).await {
             Err(ServerError::LeaseLost(job)) => Err(ServerError::LeaseLost(job)),
             Err(error) => {
                 tracing::warn!(%error, job = self.lease.job, "its files are published later");
@@ -270,11 +273,16 @@ impl Attempt<'_> {
         }
     }
 
+    async fn tell(&self, saying: Saying<'_>) -> Result<()> {
+        self.work.coordinator.tell(&self.lease, saying).await?;
+        self.work.changed();
+        Ok(())
+    }
+
     async fn write_pending(&mut self) -> Result<()> {
         if let Some(progress) = self.pending.take() {
-            self.app.store.advance(&self.lease, &progress).await?;
-            self.app.pass(Point::Advanced);
-            self.app.changed();
+            self.tell(Saying::Progress(&progress)).await?;
+            self.work.pass(Point::Advanced);
         }
         Ok(())
     }
@@ -304,7 +312,7 @@ impl Attempt<'_> {
 
     /// Makes the names of the results survive a power cut, as the word that they are there will.
     async fn sync_output(&self) -> Result<()> {
-        let output = self.app.data.output(&self.lease.job).root().to_owned();
+        let output = self.work.data.output(&self.lease.job).root().to_owned();
         let synced = {
             let output = output.clone();
             tokio::task::spawn_blocking(move || sync_directories(&output)).await
@@ -326,9 +334,9 @@ impl Attempt<'_> {
 
     /// Decides between another attempt and the end.
     async fn failure(&self, kind: ErrorKind, detail: String, hint: String) -> Result<Settlement> {
-        let failures = self.app.store.count_failure(&self.lease).await?;
-        let retry = kind.retryable() && failures < self.app.limits.attempts_without_progress;
-        let wait = self.app.limits.retry_wait_ms(kind, failures);
+        let failures = self.work.coordinator.count_failure(&self.lease).await?;
+        let retry = kind.retryable() && failures < self.work.limits.attempts_without_progress;
+        let wait = self.work.limits.retry_wait_ms(kind, failures);
         // With paths: for whoever runs the server.
         tracing::warn!(
             job = self.lease.job,

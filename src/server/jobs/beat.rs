@@ -5,11 +5,12 @@ use tokio::sync::mpsc;
 use tokio::task::JoinHandle;
 use tokio::time::{Instant, MissedTickBehavior, interval};
 
-use crate::app::App;
 use crate::config::Limits;
+use crate::coordinator::Coordinator;
 use crate::error::ServerError;
 use crate::point::{Point, Watcher};
-use crate::store::{Lease, Store};
+use crate::store::Lease;
+use crate::workshop::Workshop;
 
 /// What a sign of life was answered.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -29,10 +30,11 @@ pub(super) struct Beat {
 
 impl Beat {
     /// Begins to extend a lease that was just taken.
-    pub(super) fn begin(app: &App, lease: Lease) -> Self {
+    pub(super) fn begin(work: &Workshop, lease: Lease) -> Self {
         let (tell, told) = mpsc::channel(1);
-        let watcher = app.config.watcher;
-        let task = tokio::spawn(beat(app.store.clone(), app.limits, watcher, lease, tell));
+        let watcher = work.config.watcher;
+        let coordinator = work.coordinator.clone();
+        let task = tokio::spawn(beat(coordinator, work.limits, watcher, lease, tell));
         Self { told, task }
     }
 
@@ -49,13 +51,12 @@ impl Drop for Beat {
 }
 
 async fn beat(
-    store: Store,
+    coordinator: Coordinator,
     limits: Limits,
     watcher: Option<Watcher>,
     lease: Lease,
     tell: mpsc::Sender<Pulse>,
 ) {
-    let lease_ms = i64::try_from(limits.lease.as_millis()).unwrap_or(i64::MAX);
     let mut ticks = interval(limits.heartbeat);
     ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
     let mut heard = Instant::now();
@@ -63,7 +64,7 @@ async fn beat(
         ticks.tick().await;
         let asked = Instant::now();
         let left = limits.unheard.saturating_sub(heard.elapsed());
-        let answer = tokio::time::timeout(left, store.heartbeat(&lease, lease_ms)).await;
+        let answer = tokio::time::timeout(left, coordinator.heartbeat(&lease)).await;
         let pulse = match answer {
             Ok(Ok(false)) => {
                 // The lease counts from before it was extended.

@@ -16,6 +16,8 @@ const LONGEST_LINE: u64 = 4 << 20;
 const QUEUE: usize = 256;
 /// The variable that marks every process of a job, also those it starts.
 pub const JOB_VARIABLE: &str = "FLED_JOB_ID";
+/// What opens a service is not for the jobs that strangers send it.
+const SECRETS: [&str; 2] = ["FLED_TOKEN", "FLED_DB"];
 /// The variable that tells a child who started it, so that it can end when that one is gone.
 pub const PARENT_VARIABLE: &str = "FLED_PARENT_PID";
 
@@ -71,6 +73,9 @@ impl Group {
             // Vulkan loaders look for a desktop there and call its absence an error, in the log of
             // every job.
             command.env("XDG_RUNTIME_DIR", std::env::temp_dir());
+        }
+        for secret in SECRETS {
+            command.env_remove(secret);
         }
         let mut child = command
             .args(first)

@@ -7,77 +7,72 @@ use fled_core::pipeline::error::ErrorKind;
 use tokio::sync::Notify;
 
 use super::attempt;
-use super::deaths::after_death;
-use crate::app::App;
+use crate::coordinator::Assignment;
 use crate::error::{Result, ServerError};
 use crate::point::Point;
-use crate::store::{Claim, Engine, JobError, Machine, Settlement};
+use crate::store::{JobError, Machine, Settlement};
+use crate::workshop::Workshop;
 
-/// How often an idle worker looks for retries that have become due and for leases that ran out.
-const IDLE: Duration = Duration::from_millis(500);
 /// After a fault of the database or the disk.
 const RECOVERY: Duration = Duration::from_secs(2);
 
 /// Runs jobs until the server stops. Never gives up: a fault of the database or the disk is
 /// logged and tried again.
-pub async fn work(app: Arc<App>, index: usize) {
-    let owner = format!("{}/{index}", app.worker);
+pub async fn work(work: Workshop, turn: u32) {
     let mut was_full = false;
-    let idle = match app.store.engine() {
-        Engine::Sqlite => IDLE,
-        Engine::Postgres => app.limits.look,
-    };
-    while !app.shutdown.is_cancelled() {
-        if app.is_disk_full() {
+    let idle = work.coordinator.idle(&work.limits);
+    while !work.shutdown.is_cancelled() {
+        if work.is_disk_full() {
             if !was_full {
                 tracing::warn!("the disk is full: waiting jobs begin when there is space again");
             }
             was_full = true;
-            pause(&app, RECOVERY).await;
+            pause(&work, RECOVERY).await;
             continue;
         }
         was_full = false;
-        match take(&app, &owner).await {
-            Ok(Some((claim, cancel))) => {
-                app.pass(Point::Claimed);
-                app.changed();
-                if let Err(error) = run(&app, &claim, cancel).await {
-                    tracing::error!(%error, job = claim.job.id, "an attempt was dropped");
-                    pause(&app, RECOVERY).await;
+        match take(&work, turn).await {
+            Ok(Some((job, cancel))) => {
+                work.pass(Point::Claimed);
+                work.changed();
+                if let Err(error) = run(&work, &job, cancel).await {
+                    tracing::error!(%error, job = job.lease.job, "an attempt was dropped");
+                    pause(&work, RECOVERY).await;
                 }
             }
             Ok(None) => {
                 tokio::select! {
-                    () = app.wake.notified() => {}
+                    () = work.wake.notified() => {}
                     () = tokio::time::sleep(idle) => {}
-                    () = app.shutdown.cancelled() => {}
+                    () = work.shutdown.cancelled() => {}
                 }
             }
             Err(error) => {
                 tracing::error!(%error, "cannot look for work");
-                pause(&app, RECOVERY).await;
+                pause(&work, RECOVERY).await;
             }
         }
     }
 }
 
-async fn pause(app: &App, time: Duration) {
+async fn pause(work: &Workshop, time: Duration) {
     tokio::select! {
         () = tokio::time::sleep(time) => {}
-        () = app.shutdown.cancelled() => {}
+        () = work.shutdown.cancelled() => {}
     }
 }
 
 /// Claims a job, and what rings to stop it.
-async fn take(app: &App, owner: &str) -> Result<Option<(Claim, Arc<Notify>)>> {
-    let lease_ms = i64::try_from(app.limits.lease.as_millis()).unwrap_or(i64::MAX);
-    let _alone = app.running.claiming().await;
-    // A worker of this very server that has not been heard of was stopped with it: its job runs,
-    // however long ago its lease ran out.
-    if app.store.engine() == Engine::Postgres {
-        release_expired(app).await?;
+async fn take(work: &Workshop, turn: u32) -> Result<Option<(Assignment, Arc<Notify>)>> {
+    let _alone = work.running.claiming().await;
+    let released = work.coordinator.release_expired().await?;
+    for job in &released {
+        tracing::warn!(job, "its worker was not heard of any more: it waits again");
     }
-    let machine = app
+    if !released.is_empty() {
+        work.changed();
+    }
+    let machine = work
         .config
         .about
         .as_ref()
@@ -85,58 +80,41 @@ async fn take(app: &App, owner: &str) -> Result<Option<(Claim, Arc<Notify>)>> {
             has_gpu: about.has_gpu,
             memory: about.memory,
         });
-    let claim = app
-        .store
-        .claim_fit(owner, lease_ms, &app.running.jobs(), machine)
-        .await?;
-    Ok(claim.map(|claim| {
-        let cancel = app.running.begin(&claim.lease);
-        (claim, cancel)
+    let turn = (&*work.worker, turn);
+    let running = work.running.jobs();
+    let claim = work.coordinator.claim(turn, &running, machine).await?;
+    Ok(claim.map(|job| {
+        let cancel = work.running.begin(&job.lease);
+        (job, cancel)
     }))
 }
 
-/// Jobs whose worker is dead, frozen or cut off wait again.
-async fn release_expired(app: &App) -> Result<()> {
-    let released = app
-        .store
-        .release_expired(|deaths| after_death(&app.limits, deaths))
-        .await?;
-    for job in &released {
-        tracing::warn!(job, "its worker was not heard of any more: it waits again");
-    }
-    if !released.is_empty() {
-        app.changed();
-    }
-    Ok(())
-}
-
-async fn run(app: &App, claim: &Claim, cancel: Arc<Notify>) -> Result<()> {
-    let id = &claim.job.id;
-    tracing::info!(job = id, attempt = claim.job.attempts, "job begins");
-    let outcome = attempt::run(app, claim, cancel).await;
-    app.running.end(&claim.lease);
+async fn run(work: &Workshop, job: &Assignment, cancel: Arc<Notify>) -> Result<()> {
+    let id = &job.lease.job;
+    tracing::info!(job = id, attempt = job.attempt, "job begins");
+    let outcome = attempt::run(work, job, cancel).await;
+    work.running.end(&job.lease);
     let settlement = match outcome {
         Ok(settlement) => settlement,
         Err(ServerError::LeaseLost(job)) => return Err(ServerError::LeaseLost(job)),
         Err(error) => {
             tracing::error!(%error, job = id, "the server failed an attempt");
-            io_failure(app, claim, &error).await?
+            io_failure(work, job, &error).await?
         }
     };
     // A cancel that came while the process was ending by itself is honoured all the same.
-    let cancelled = app
-        .store
-        .job(id)
-        .await?
-        .is_some_and(|job| job.cancel_requested);
     let settlement = match settlement {
-        Settlement::Failed { .. } | Settlement::Released if cancelled => Settlement::Stopped,
+        Settlement::Failed { .. } | Settlement::Released
+            if work.coordinator.heartbeat(&job.lease).await? =>
+        {
+            Settlement::Stopped
+        }
         other => other,
     };
-    let state = app.store.settle(&claim.lease, &settlement).await?;
-    app.pass(Point::Settled);
+    let state = work.coordinator.settle(&job.lease, &settlement).await?;
+    work.pass(Point::Settled);
     tracing::info!(job = id, state = state.name(), "attempt settled");
-    app.changed();
+    work.changed();
     Ok(())
 }
 
@@ -145,15 +123,17 @@ fn told(error: &ServerError) -> String {
     match error {
         ServerError::Io { source, .. } => format!("a file of the job: {source}"),
         ServerError::Database(_) => "the server's database refused".to_owned(),
+        ServerError::Away { .. } => "the worker did not reach the server".to_owned(),
+        ServerError::Refused { .. } => "the server refused what the worker told it".to_owned(),
         other => other.to_string(),
     }
 }
 
 /// The settlement of an attempt that the disk or the database ended.
-async fn io_failure(app: &App, claim: &Claim, error: &ServerError) -> Result<Settlement> {
-    let failures = app.store.count_failure(&claim.lease).await?;
-    let retry = failures < app.limits.attempts_without_progress;
-    let wait = app.limits.retry_wait_ms(ErrorKind::Io, failures);
+async fn io_failure(work: &Workshop, job: &Assignment, error: &ServerError) -> Result<Settlement> {
+    let failures = work.coordinator.count_failure(&job.lease).await?;
+    let retry = failures < work.limits.attempts_without_progress;
+    let wait = work.limits.retry_wait_ms(ErrorKind::Io, failures);
     let error = JobError {
         code: ErrorKind::Io.name().to_owned(),
         detail: told(error),

@@ -1,6 +1,7 @@
 //! What is told of a job changes its rows, inside the transaction that makes it true.
 
 use fled_core::event::{Event, Stage};
+use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use sqlx::Row;
 
@@ -14,7 +15,8 @@ use crate::jobs::state::{JobState, Transition};
 const UNKNOWN: f64 = -1.0;
 
 /// How an attempt ended.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Settlement {
     /// The job is done.
     Finished {
@@ -37,7 +39,7 @@ pub enum Settlement {
 }
 
 /// Progress of a running job, as shown.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Progress {
     /// Stage, round, units done and in all.
     pub stage: Option<(Stage, u32, u64, u64)>,

@@ -1,6 +1,7 @@
 //! Jobs as rows: creation, reading, and what users ask of them.
 
 use fled_core::event::Stage;
+use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use sqlx::any::AnyRow;
 use sqlx::{AnyExecutor, Row};
@@ -33,7 +34,7 @@ pub struct NewJob {
 }
 
 /// Why a job failed.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct JobError {
     /// Name of an error kind.
     pub code: String,

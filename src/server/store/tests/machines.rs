@@ -12,7 +12,7 @@ async fn what_is_told_again_because_its_answer_was_lost_is_told_once() {
     };
     // As `say` does it: the first transaction is done, and its answer does not come.
     let mut before = None;
-    let saying = say::Saying::Event(&warning);
+    let saying = Saying::Event(&warning);
     store.say_once(&lease, saying, &mut before).await.expect("told");
     store.say_once(&lease, saying, &mut before).await.expect("known");
     let events = store.events_after("j", 0, 9).await.expect("events");

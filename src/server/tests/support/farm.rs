@@ -2,7 +2,7 @@
 //! a store of files of the test's own.
 
 use std::collections::HashSet;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::{Child, Command};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
@@ -100,35 +100,16 @@ impl Farm {
 
     /// The same by a program that sets it into a world of its own.
     pub fn start_by(&self, by: &[&str], name: &str, more: &[(&str, &str)]) -> (Machine, String) {
-        let folder = self.root.path().join(name);
-        std::fs::create_dir_all(&folder).expect("a folder");
-        let told = folder.join("address");
-        let _ = std::fs::remove_file(&told);
-        let mut words = by.iter().copied().chain([PROGRAM]);
-        let mut command = Command::new(words.next().unwrap_or(PROGRAM));
-        command
-            .args(words)
-            .arg("serve")
-            .arg(folder.join("data"))
-            .arg(&told)
-            .env("FLED_MODELS", folder.join("models"))
-            .env("FLED_FAKE_DB", &self.url);
+        let store = self.store();
+        let mut shared = vec![("FLED_FAKE_DB", self.url.as_str())];
         match &self.bucket {
-            Some(bucket) => command
-                .envs(bucket.settings())
-                .env("FLED_FAKE_STORE", "s3://bucket/farm"),
-            None => command.env("FLED_FAKE_STORE", self.store()),
-        };
-        let child = command.envs(more.iter().copied()).spawn().expect("starts");
-        let begun = Instant::now();
-        while !told.is_file() {
-            assert!(begun.elapsed() < PATIENCE, "{name} does not start");
-            sleep(Duration::from_millis(10));
+            Some(bucket) => {
+                shared.extend(bucket.settings());
+                shared.push(("FLED_FAKE_STORE", "s3://bucket/farm"));
+            }
+            None => shared.push(("FLED_FAKE_STORE", store.to_str().expect("UTF-8"))),
         }
-        // Its words are there a moment after its name.
-        sleep(Duration::from_millis(20));
-        let address = std::fs::read_to_string(&told).expect("told");
-        (Machine { folder, child }, format!("http://{address}"))
+        begin_by(by, self.root.path(), name, &[&shared, more].concat())
     }
 
     /// A replica of the API, which works on nothing.
@@ -143,9 +124,7 @@ impl Farm {
 
     /// A worker in a world of its own, told more.
     pub fn worker_by(&self, by: &[&str], name: &str, more: &[(&str, &str)]) -> Machine {
-        let about = json!({ "host": name, "version": "1", "adapter": null, "has_gpu": false,
-                            "cores": 2, "memory": 1_000_000_000, "jobs": 1 });
-        let about = about.to_string();
+        let about = about(name);
         let worker = [
             ("FLED_FAKE_WORKER", "1"),
             ("FLED_FAKE_WORKERS", "1"),
@@ -154,6 +133,45 @@ impl Farm {
         let told: Vec<_> = worker.iter().chain(more).copied().collect();
         self.start_by(by, name, &told).0
     }
+}
+
+/// Begins a process with a folder of its own below `root`, or begins it again; its address.
+pub fn begin(root: &Path, name: &str, more: &[(&str, &str)]) -> (Machine, String) {
+    begin_by(&[], root, name, more)
+}
+
+/// The same by a program that sets it into a world of its own.
+fn begin_by(by: &[&str], root: &Path, name: &str, more: &[(&str, &str)]) -> (Machine, String) {
+    let folder = root.join(name);
+    std::fs::create_dir_all(&folder).expect("a folder");
+    let told = folder.join("address");
+    let _ = std::fs::remove_file(&told);
+    let mut words = by.iter().copied().chain([PROGRAM]);
+    let child = Command::new(words.next().unwrap_or(PROGRAM))
+        .args(words)
+        .arg("serve")
+        .arg(folder.join("data"))
+        .arg(&told)
+        .env("FLED_MODELS", folder.join("models"))
+        .envs(more.iter().copied())
+        .spawn()
+        .expect("starts");
+    let begun = Instant::now();
+    while !told.is_file() {
+        assert!(begun.elapsed() < PATIENCE, "{name} does not start");
+        sleep(Duration::from_millis(10));
+    }
+    // Its words are there a moment after its name.
+    sleep(Duration::from_millis(20));
+    let address = std::fs::read_to_string(&told).expect("told");
+    (Machine { folder, child }, format!("http://{address}"))
+}
+
+/// What a worker says of itself in the environment of its process.
+pub fn about(name: &str) -> String {
+    json!({ "host": name, "version": "1", "adapter": null, "has_gpu": false,
+            "cores": 2, "memory": 1_000_000_000, "jobs": 1 })
+    .to_string()
 }
 
 /// A job of the plan; its id.
