@@ -92,11 +92,6 @@ impl Remote {
         })
     }
 
-    /// Its address.
-    pub fn address(&self) -> &str {
-        &self.base
-    }
-
     /// The files that it keeps.
     pub fn blobs(&self) -> Blobs {
         self.blobs.clone()

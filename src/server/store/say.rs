@@ -138,7 +138,7 @@ impl Store {
         before: &mut Option<i64>,
     ) -> Result<()> {
         let (mut tx, told) = self.fenced_with_told(lease).await?;
-        if *before.get_or_insert(told) != told {
+        if told > *before.get_or_insert(told) {
             // The transaction whose answer was lost has been done.
             return Ok(());
         }

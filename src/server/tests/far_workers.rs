@@ -200,6 +200,28 @@ fn a_far_worker_that_is_killed_or_frozen_loses_its_job_and_nothing_else() {
 }
 
 #[test]
+fn a_far_worker_that_is_told_to_stop_gives_its_job_back() {
+    let calm = expected();
+    let service = Service::start(None);
+    let api = &service.api;
+    let first = service.worker("first");
+    let job = order(api, SLOW);
+    in_the_middle(api, &job);
+    first.signal("-INT");
+    let shown = api.wait(&job, "waits again", |shown| shown["state"] == "queued");
+    assert!(shown["error"].is_null(), "{shown}");
+    let begun = Instant::now();
+    let workers = || api.get("/v1/workers", &[]).expect(200).json()["workers"].clone();
+    while workers() != json!([]) {
+        assert!(begun.elapsed() < PATIENCE, "it has not said that it goes");
+        sleep(Duration::from_millis(50));
+    }
+    let _second = service.worker("second");
+    succeeds(api, &job, &calm);
+    assert_eq!(api.show(&job)["attempts"], 2);
+}
+
+#[test]
 fn a_service_that_is_killed_and_comes_back_goes_on_with_its_far_workers() {
     let calm = expected();
     let postgres = Postgres::start();
