@@ -18,6 +18,7 @@ use crate::running::Running;
 use crate::store::Store;
 use crate::tails::Tails;
 use crate::telemetry::Telemetry;
+use crate::traces::Traces;
 use crate::videos::turns::Turns;
 use crate::workshop::{Lookers, Workshop};
 
@@ -60,6 +61,8 @@ pub struct App {
     pub telemetry: Telemetry,
     /// The newest events of jobs that are watched.
     pub tails: Tails,
+    /// Whom it tells what it does, and when.
+    pub traces: Traces,
     /// The jobs that run.
     pub running: Arc<Running>,
     /// The last judgement of the machine.
@@ -79,6 +82,7 @@ impl App {
         store: Store,
         mirror: Mirror,
         worker: String,
+        traces: Traces,
     ) -> Self {
         let limits = config.limits;
         Self {
@@ -104,6 +108,7 @@ impl App {
             fetching: Arc::new(Semaphore::new(limits.fetching)),
             telemetry: Telemetry::default(),
             tails: Tails::default(),
+            traces,
             running: Arc::default(),
         }
     }
@@ -121,6 +126,7 @@ impl App {
             wake: self.wake.clone(),
             shutdown: self.shutdown.clone(),
             lookers: self.lookers.clone(),
+            traces: self.traces.clone(),
         }
     }
 

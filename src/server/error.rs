@@ -50,6 +50,9 @@ pub enum ServerError {
     /// The store of files refused.
     #[error("store of files: {0}")]
     Blobs(Box<fled_blobs::BlobError>),
+    /// The variables of OpenTelemetry cannot be followed.
+    #[error("traces cannot be sent: {0}")]
+    Traces(String),
     /// An installation was not moved.
     #[error("nothing was moved: {0}")]
     NotMoved(String),

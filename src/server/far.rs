@@ -11,6 +11,7 @@ use crate::error::{Result, ServerError};
 use crate::jobs::kill_orphans;
 use crate::mirror::Mirror;
 use crate::sweep::PERIOD;
+use crate::traces::Traces;
 use crate::workshop::{Lookers, Workshop};
 
 /// Copies that nothing has used for so long are removed.
@@ -25,6 +26,7 @@ pub async fn open(config: ServeConfig, service: &Service) -> Result<Workshop> {
     if config.about.is_none() {
         return Err(ServerError::Nameless);
     }
+    let traces = Traces::from_environment()?;
     let data = DataDir::open(&config.data)?;
     let remote = Remote::new(service)?;
     let worker = data.worker()?;
@@ -38,7 +40,8 @@ pub async fn open(config: ServeConfig, service: &Service) -> Result<Workshop> {
             "jobs of an earlier worker go on"
         );
     }
-    Ok(workshop(config, data, remote, &worker))
+    let workshop = workshop(config, data, remote, &worker);
+    Ok(Workshop { traces, ..workshop })
 }
 
 fn workshop(config: ServeConfig, data: DataDir, remote: Remote, worker: &str) -> Workshop {
@@ -53,6 +56,7 @@ fn workshop(config: ServeConfig, data: DataDir, remote: Remote, worker: &str) ->
         running: Default::default(),
         wake: Default::default(),
         shutdown: Default::default(),
+        traces: Traces::default(),
         lookers: Lookers::default(),
     }
 }

@@ -36,6 +36,7 @@ mod sweep;
 mod tails;
 mod telemetry;
 pub mod token;
+mod traces;
 mod uploads;
 pub mod videos;
 mod webhooks;

@@ -23,6 +23,7 @@ use crate::mirror::Mirror;
 use crate::others;
 use crate::store::{Engine, Store};
 use crate::sweep;
+use crate::traces::Traces;
 use crate::videos::maker::{keep_making, take_up};
 use crate::webhooks::keep_telling;
 use crate::workshop::Workshop;
@@ -133,6 +134,7 @@ impl Server {
             tracing::warn!(%error, "the others will take this worker for lost for a while");
         }
         work.coordinator.close().await;
+        work.traces.stop().await;
     }
 }
 
@@ -142,10 +144,12 @@ struct Opened {
     store: Store,
     mirror: Mirror,
     worker: String,
+    traces: Traces,
 }
 
 /// Opens what a configuration names, and takes up what an earlier process here has left.
 async fn open(config: &ServeConfig) -> Result<Opened> {
+    let traces = Traces::from_environment()?;
     let data = DataDir::open(&config.data)?;
     let store = match &config.database {
         Some(url) => Store::at(url).await?,
@@ -186,12 +190,14 @@ async fn open(config: &ServeConfig) -> Result<Opened> {
         store,
         mirror: Mirror::new(blobs),
         worker,
+        traces,
     })
 }
 
 impl Opened {
     async fn app(self, config: ServeConfig) -> Result<Arc<App>> {
-        let app = App::new(config, self.data, self.store, self.mirror, self.worker);
+        let (data, store, mirror) = (self.data, self.store, self.mirror);
+        let app = App::new(config, data, store, mirror, self.worker, self.traces);
         let app = Arc::new(app);
         // Before there are workers and requests: what has no row now will never have one.
         let swept = sweep::sweep(&app, Duration::ZERO).await?;

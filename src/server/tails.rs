@@ -175,6 +175,7 @@ mod tests {
             rounds: 1,
             needs: Needs::default(),
             priority: 0,
+            traceparent: None,
         };
         let room = Room {
             queue: 9,

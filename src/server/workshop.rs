@@ -11,6 +11,7 @@ use crate::data::DataDir;
 use crate::mirror::Mirror;
 use crate::point::Point;
 use crate::running::Running;
+use crate::traces::Traces;
 
 /// What a worker needs for its jobs. Cheap to clone.
 #[derive(Clone, Debug)]
@@ -33,6 +34,8 @@ pub struct Workshop {
     pub wake: Arc<Notify>,
     /// Raised when the process stops.
     pub shutdown: CancellationToken,
+    /// Whom it tells what it does, and when.
+    pub traces: Traces,
     /// Who looks at jobs here.
     pub lookers: Lookers,
 }

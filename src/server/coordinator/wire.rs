@@ -29,6 +29,11 @@ pub struct Assignment {
     pub options: Value,
     /// Claims so far, this one included.
     pub attempt: u32,
+    /// Name of its preset.
+    pub preset: String,
+    /// The trace of the request that made it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub traceparent: Option<String>,
 }
 
 impl From<Claim> for Assignment {
@@ -38,6 +43,8 @@ impl From<Claim> for Assignment {
             capture: claim.job.capture_id,
             options: claim.job.options,
             attempt: claim.job.attempts,
+            preset: claim.job.preset,
+            traceparent: claim.job.traceparent,
         }
     }
 }

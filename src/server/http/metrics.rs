@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use axum::extract::{MatchedPath, Request, State};
-use axum::http::header;
+use axum::http::{Method, header};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 
@@ -13,6 +13,7 @@ use super::paths::WORK;
 use super::problem::Problem;
 use crate::app::App;
 use crate::telemetry::{Answered, Now};
+use crate::traces::RequestTrace;
 
 /// OpenMetrics 1.0.
 const MEDIA_TYPE: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
@@ -62,7 +63,7 @@ pub(super) async fn count(State(app): State<Arc<App>>, request: Request, next: N
     let route = request.extensions().get::<MatchedPath>();
     let route = route.map_or("none", MatchedPath::as_str).to_owned();
     let id = request.headers().get(REQUEST_ID).cloned();
-    let answer = next.run(request).await;
+    let answer = answer(&app, &route, request, next).await;
     let took = began.elapsed();
     let status = answer.status();
     let id = id.as_ref().and_then(|id| id.to_str().ok());
@@ -75,15 +76,34 @@ pub(super) async fn count(State(app): State<Arc<App>>, request: Request, next: N
     }
     let answered = Answered {
         // Anybody may make up methods.
-        method: match method.as_str() {
-            known @ ("GET" | "HEAD" | "POST" | "PUT" | "PATCH" | "DELETE" | "OPTIONS") => {
-                known.to_owned()
-            }
-            _ => "other".to_owned(),
-        },
+        method: known(&method).to_owned(),
         route,
         status: code,
     };
     app.telemetry.answered(&answered, took);
     answer
+}
+
+/// Answers, and tells of it who asks for traces.
+async fn answer(app: &App, route: &str, request: Request, next: Next) -> Response {
+    let Some(trace) = begin(app, route, &request) else {
+        return next.run(request).await;
+    };
+    let answer = trace.around(next.run(request)).await;
+    trace.end(answer.status().as_u16());
+    answer
+}
+
+fn begin(app: &App, route: &str, request: &Request) -> Option<RequestTrace> {
+    let header = |name: &str| request.headers().get(name)?.to_str().ok();
+    let (id, parent) = (header(REQUEST_ID), header("traceparent"));
+    let method = known(request.method());
+    app.traces.request(method, route, id, parent)
+}
+
+/// A method; anybody may make up others.
+fn known(method: &Method) -> &'static str {
+    const KNOWN: [&str; 7] = ["GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS"];
+    let known = KNOWN.iter().find(|known| method == **known);
+    known.copied().unwrap_or("other")
 }

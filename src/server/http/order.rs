@@ -15,6 +15,7 @@ use super::problem::Problem;
 use crate::app::App;
 use crate::intake::CaptureReport;
 use crate::store::{Engine, JobRow, Needs, NewJob};
+use crate::traces::current;
 
 /// Memory of a machine that is given a job of the preset `paper`, bytes.
 const PAPER_MEMORY: u64 = 12 << 30;
@@ -26,6 +27,8 @@ const LONGEST_ADAPTER: usize = 200;
 pub(super) struct Order {
     preset: Preset,
     options: Options,
+    /// Of the request: what it goes on by itself does not know it any more.
+    traceparent: Option<String>,
 }
 
 impl Order {
@@ -81,7 +84,11 @@ impl Order {
         tokio::task::spawn_blocking(check)
             .await
             .map_err(|_| Problem::internal())??;
-        Ok(Self { preset, options })
+        Ok(Self {
+            preset,
+            options,
+            traceparent: current(),
+        })
     }
 
     /// Whether these are the options already, as an older build may have written them.
@@ -127,6 +134,7 @@ impl Order {
             rounds: self.options.rounds,
             needs: self.needs(app),
             priority: 0,
+            traceparent: self.traceparent.clone(),
             options: serde_json::to_value(&self.options).map_err(|_| Problem::internal())?,
         })
     }

@@ -20,6 +20,7 @@ use crate::error::{Result, ServerError};
 use crate::intake;
 use crate::point::Point;
 use crate::store::{JobError, Lease, Progress, Saying, Settlement};
+use crate::traces::AttemptTrace;
 use crate::wording::without_paths;
 use crate::workshop::Workshop;
 
@@ -52,6 +53,7 @@ pub(super) struct Attempt<'a> {
     log: LogWriter,
     pending: Option<Progress>,
     last_words: Option<LastWords>,
+    trace: &'a mut AttemptTrace,
 }
 
 /// Runs the job's process to its end and says how to settle the job. Does not settle it.
@@ -62,6 +64,7 @@ pub(super) async fn run(
     work: &Workshop,
     job: &Assignment,
     cancel: Arc<Notify>,
+    trace: &mut AttemptTrace,
 ) -> Result<Settlement> {
     let id = &job.lease.job;
     // From the first moment: what is fetched may take longer than a lease.
@@ -83,6 +86,7 @@ pub(super) async fn run(
         log,
         pending: None,
         last_words: None,
+        trace,
     };
     attempt.log.line(&format!("attempt {} begins", job.attempt));
     let arguments: Vec<OsString> = vec![
@@ -253,6 +257,7 @@ impl Attempt<'_> {
                 if !is_seen(&told) {
                     self.log.line(&readable(&told));
                 }
+                self.trace.told(&told);
                 self.tell(Saying::Event(&told)).await?;
                 self.work.pass(Point::Told);
             }

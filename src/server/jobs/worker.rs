@@ -11,6 +11,7 @@ use crate::coordinator::Assignment;
 use crate::error::{Result, ServerError};
 use crate::point::Point;
 use crate::store::{JobError, Machine, Settlement};
+use crate::traces::AttemptTrace;
 use crate::workshop::Workshop;
 
 /// After a fault of the database or the disk.
@@ -92,7 +93,8 @@ async fn take(work: &Workshop, turn: u32) -> Result<Option<(Assignment, Arc<Noti
 async fn run(work: &Workshop, job: &Assignment, cancel: Arc<Notify>) -> Result<()> {
     let id = &job.lease.job;
     tracing::info!(job = id, attempt = job.attempt, "job begins");
-    let outcome = attempt::run(work, job, cancel).await;
+    let mut trace = AttemptTrace::begin(&work.traces, job, &work.worker);
+    let outcome = attempt::run(work, job, cancel, &mut trace).await;
     work.running.end(&job.lease);
     let settlement = match outcome {
         Ok(settlement) => settlement,
@@ -113,6 +115,7 @@ async fn run(work: &Workshop, job: &Assignment, cancel: Arc<Notify>) -> Result<(
     };
     let state = work.coordinator.settle(&job.lease, &settlement).await?;
     work.pass(Point::Settled);
+    trace.end(&settlement);
     tracing::info!(job = id, state = state.name(), "attempt settled");
     work.changed();
     Ok(())

@@ -4,7 +4,8 @@ use fled_blobs::Kept;
 use sqlx::Row;
 
 use super::captures::{self, CaptureRow};
-use super::jobs::{Full, JobRow, NewJob, Room, full, insert, read, unfinished, waiting};
+use super::jobs::{JobRow, NewJob, insert, read};
+use super::room::{Full, Room, full, unfinished, waiting};
 use super::uploads::use_up;
 use super::{Store, Tx, files};
 use crate::error::{Result, ServerError};

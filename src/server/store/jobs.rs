@@ -3,10 +3,10 @@
 use fled_core::event::Stage;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
+use sqlx::Row;
 use sqlx::any::AnyRow;
-use sqlx::{AnyExecutor, Row};
 
-use super::engine::{Cells, counted};
+use super::engine::Cells;
 use super::results::{StageSeconds, WarningRow, stages_of, warnings_of};
 use super::{Store, Tx, events};
 use crate::error::{Result, ServerError};
@@ -31,6 +31,8 @@ pub struct NewJob {
     pub needs: Needs,
     /// Higher goes first.
     pub priority: i64,
+    /// The trace that it belongs to, as `traceparent`.
+    pub traceparent: Option<String>,
 }
 
 /// Why a job failed.
@@ -95,6 +97,8 @@ pub struct JobRow {
     pub priority: i64,
     /// Whose lease it is under: a worker and which of its turns.
     pub worker: Option<String>,
+    /// The trace that it belongs to, as `traceparent`.
+    pub traceparent: Option<String>,
 }
 
 /// What a machine must have to be given a job.
@@ -130,22 +134,6 @@ pub struct JobFilter<'a> {
     pub capture: Option<&'a str>,
     /// Of this owner only.
     pub owner: Option<&'a str>,
-}
-
-/// How many jobs there may be.
-#[derive(Clone, Copy, Debug)]
-pub struct Room<'a> {
-    /// Of everybody, that wait.
-    pub queue: u32,
-    /// An owner, and how many of theirs may wait or run.
-    pub of_owner: Option<(&'a str, u32)>,
-}
-
-/// Where there is no room for a job.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Full {
-    Queue,
-    Quota,
 }
 
 /// Jobs with where they stand. The queue is in the order of `Store::claim`, but for the turns of
@@ -329,38 +317,11 @@ pub(super) async fn change(
     Ok(Some(next))
 }
 
-/// How many jobs wait for a worker.
-pub(super) async fn waiting(executor: impl AnyExecutor<'_>) -> Result<u32> {
-    let count = sqlx::query_scalar("SELECT COUNT(*) FROM jobs WHERE state = 'queued'");
-    counted(count.fetch_one(executor).await?)
-}
-
-/// How many jobs of an owner wait or run.
-pub(super) async fn unfinished(executor: impl AnyExecutor<'_>, owner: &str) -> Result<u32> {
-    let count = sqlx::query_scalar(
-        "SELECT COUNT(*) FROM jobs JOIN captures ON captures.id = jobs.capture_id
-         WHERE jobs.state IN ('queued', 'running') AND captures.owner = $1",
-    );
-    counted(count.bind(owner).fetch_one(executor).await?)
-}
-
-/// Where there is no room for the jobs that there are, one that was just queued among them.
-pub(super) async fn full(tx: &mut Tx, room: Room<'_>) -> Result<Option<Full>> {
-    if waiting(&mut **tx).await? > room.queue {
-        return Ok(Some(Full::Queue));
-    }
-    let Some((owner, most)) = room.of_owner else {
-        return Ok(None);
-    };
-    let theirs = unfinished(&mut **tx, owner).await?;
-    Ok((theirs > most).then_some(Full::Quota))
-}
-
 pub(super) async fn insert(tx: &mut Tx, job: &NewJob) -> Result<()> {
     sqlx::query(
         "INSERT INTO jobs (id, name, capture_id, preset, options, rounds, created_at,
-                           needs_gpu, needs_memory, priority)
-         VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10)",
+                           needs_gpu, needs_memory, priority, traceparent)
+         VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, $11)",
     )
     .bind(&job.id)
     .bind(&job.name)
@@ -372,6 +333,7 @@ pub(super) async fn insert(tx: &mut Tx, job: &NewJob) -> Result<()> {
     .bind(i64::from(job.needs.gpu))
     .bind(i64::try_from(job.needs.memory).unwrap_or(i64::MAX))
     .bind(job.priority)
+    .bind(&job.traceparent)
     .execute(&mut **tx)
     .await?;
     events::append(
@@ -447,5 +409,6 @@ pub(super) fn from_row(row: &AnyRow) -> Result<JobRow> {
         },
         priority: row.try_get("priority")?,
         worker: row.try_get("lease_owner")?,
+        traceparent: row.try_get("traceparent")?,
     })
 }

@@ -1,7 +1,7 @@
 //! How the schemas of both databases come about.
 
 /// Applied in order to SQLite, each once, never edited after release.
-pub(super) const SQLITE: [(i64, &str, &str); 15] = [
+pub(super) const SQLITE: [(i64, &str, &str); 16] = [
     (
         1,
         "captures",
@@ -73,11 +73,23 @@ pub(super) const SQLITE: [(i64, &str, &str); 15] = [
         "machines",
         include_str!("../../../migrations/0015_machines.sql"),
     ),
+    (
+        16,
+        "traces",
+        include_str!("../../../migrations/0016_traces.sql"),
+    ),
 ];
 
 /// The same to PostgreSQL: its first is all that SQLite came to by then, and bears the same number.
-pub(super) const POSTGRES: [(i64, &str, &str); 1] = [(
-    15,
-    "everything",
-    include_str!("../../../migrations/postgres/0015_everything.sql"),
-)];
+pub(super) const POSTGRES: [(i64, &str, &str); 2] = [
+    (
+        15,
+        "everything",
+        include_str!("../../../migrations/postgres/0015_everything.sql"),
+    ),
+    (
+        16,
+        "traces",
+        include_str!("../../../migrations/postgres/0016_traces.sql"),
+    ),
+];

@@ -1,6 +1,7 @@
 //! Jobs that ended and are to go on.
 
-use super::jobs::{Full, Room, change, full};
+use super::jobs::change;
+use super::room::{Full, Room, full};
 use super::{Store, Tx};
 use crate::error::Result;
 use crate::jobs::state::Transition;
@@ -40,13 +41,18 @@ impl Store {
             Some(_) => Transition::Changed,
         };
         let mut tx = self.write().await?;
-        if change(&mut tx, id, transition).await?.is_none() {
-            return Ok(Retry::WrongState);
-        }
-        match full(&mut tx, room).await? {
-            Some(Full::Queue) => return Ok(Retry::QueueFull),
-            Some(Full::Quota) => return Ok(Retry::OverQuota),
-            None => {}
+        let refused = if change(&mut tx, id, transition).await?.is_none() {
+            Some(Retry::WrongState)
+        } else {
+            full(&mut tx, room).await?.map(|full| match full {
+                Full::Queue => Retry::QueueFull,
+                Full::Quota => Retry::OverQuota,
+            })
+        };
+        if let Some(refused) = refused {
+            // Now, and not when the connection is used again: until then the job is locked.
+            tx.rollback().await?;
+            return Ok(refused);
         }
         if let Some(other) = other {
             apply(&mut tx, id, other).await?;
@@ -114,6 +120,7 @@ mod tests {
             rounds: 2,
             needs: Needs::default(),
             priority: 0,
+            traceparent: None,
         };
         let room = Room {
             queue: 9,

@@ -68,6 +68,7 @@ fn new_job(id: &str) -> NewJob {
         rounds: 2,
         needs: Needs::default(),
         priority: 0,
+        traceparent: None,
     }
 }
 

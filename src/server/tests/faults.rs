@@ -1,5 +1,5 @@
 //! What may happen to one of many machines, each at a moment that is chosen: its death, the cut of
-//! its network, a clock that is wrong, a bucket that fails. The job ends as if nothing had happened.
+//! its network, a wrong clock, a bucket that fails. The job ends as if nothing had happened.
 
 mod support;
 
