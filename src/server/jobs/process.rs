@@ -16,8 +16,15 @@ const LONGEST_LINE: u64 = 4 << 20;
 const QUEUE: usize = 256;
 /// The variable that marks every process of a job, also those it starts.
 pub const JOB_VARIABLE: &str = "FLED_JOB_ID";
-/// What opens a service is not for the jobs that strangers send it.
-const SECRETS: [&str; 2] = ["FLED_TOKEN", "FLED_DB"];
+/// What opens a service is not for the programs that look at what strangers send it.
+const SECRETS: [&str; 6] = [
+    "FLED_TOKEN",
+    "FLED_DB",
+    "AWS_ACCESS_KEY_ID",
+    "AWS_SECRET_ACCESS_KEY",
+    "AWS_SESSION_TOKEN",
+    "OTEL_EXPORTER_OTLP_HEADERS",
+];
 /// The variable that tells a child who started it, so that it can end when that one is gone.
 pub const PARENT_VARIABLE: &str = "FLED_PARENT_PID";
 
