@@ -29,12 +29,17 @@ async fn hear(app: &App) -> Result<()> {
     // What happened while nobody listened.
     ring(app);
     loop {
-        tokio::select! {
-            told = heard.next() => told?,
-            () = tokio::time::sleep(app.limits.look) => {}
+        let waits = tokio::select! {
+            waits = heard.next() => waits?,
+            () = tokio::time::sleep(app.limits.look) => true,
             () = app.shutdown.cancelled() => return Ok(()),
+        };
+        if waits {
+            ring(app);
+        } else {
+            // A thousand jobs that run tell something every second: nothing for idle workers.
+            app.changed();
         }
-        ring(app);
     }
 }
 

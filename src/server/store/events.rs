@@ -5,6 +5,7 @@ use sqlx::Row;
 
 use super::{Store, Tx, listen, outbox};
 use crate::error::{Result, ServerError};
+use crate::jobs::state::JobState;
 
 /// One event.
 #[derive(Clone, Debug, PartialEq)]
@@ -61,5 +62,6 @@ pub(super) async fn append(tx: &mut Tx, job: &str, kind: &str, data: &Value) -> 
     .execute(&mut **tx)
     .await?;
     outbox::tell(tx, job, kind, data).await?;
-    listen::tell(tx, job).await
+    let waits = kind == "state" && data["state"] == JobState::Queued.name();
+    listen::tell(tx, job, waits).await
 }

@@ -8,19 +8,20 @@ use crate::error::Result;
 
 /// The channel on which changes of jobs are told.
 const CHANNEL: &str = "fled_jobs";
+/// What is told where a job waits. Of all else that happens no worker need hear.
+const WAITING: &str = "waiting";
 
 /// Whoever listens.
 #[derive(Debug)]
 pub struct Heard(PgListener);
 
 impl Heard {
-    /// Waits until somebody has changed a job.
+    /// Waits until somebody has changed a job, and says whether one waits since.
     ///
     /// # Errors
     /// When the connection is lost: what was told meanwhile is, too.
-    pub async fn next(&mut self) -> Result<()> {
-        self.0.recv().await?;
-        Ok(())
+    pub async fn next(&mut self) -> Result<bool> {
+        Ok(self.0.recv().await?.payload() == WAITING)
     }
 }
 
@@ -39,12 +40,12 @@ impl Store {
     }
 }
 
-/// Tells everybody, once the transaction is true.
-pub(super) async fn tell(tx: &mut Tx, job: &str) -> Result<()> {
+/// Tells everybody that a job has changed, or that it waits, once the transaction is true.
+pub(super) async fn tell(tx: &mut Tx, job: &str, waits: bool) -> Result<()> {
     if tx.engine == Engine::Postgres {
         sqlx::query("SELECT pg_notify($1, $2)")
             .bind(CHANNEL)
-            .bind(job)
+            .bind(if waits { WAITING } else { job })
             .execute(&mut **tx)
             .await?;
     }
