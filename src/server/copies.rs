@@ -50,12 +50,14 @@ pub async fn fetch_job(app: &App, id: &str) -> Result<()> {
     }
     let copy = app.mirror.folder(id);
     let mut copy = copy.lock().await;
+    let folder = app.data.job(id);
+    used_now(&folder).map_err(ServerError::io(&folder))?;
     let version = app.store.files_version(id).await?;
     if version.is_none() || version == copy.version {
         return Ok(());
     }
     if let Some(files) = app.store.job_files(id).await? {
-        bring(blobs, &app.data.job(id), files, &mut copy).await?;
+        bring(blobs, &folder, files, &mut copy).await?;
     }
     Ok(())
 }
@@ -188,11 +190,11 @@ pub async fn publish(work: &Workshop, lease: &Lease, at_end: bool) -> Result<()>
     Ok(())
 }
 
-/// The same of files that are made of a result, such as its videos, by whoever made them.
+/// The same of a video that is made of a result, or is deleted, by whoever did so.
 ///
 /// # Errors
 /// When the database, the store or the disk refuses.
-pub async fn publish_videos(app: &App, job: &str) -> Result<()> {
+pub async fn publish_video(app: &App, job: &str, video: &str) -> Result<()> {
     let Some(blobs) = app.mirror.blobs() else {
         return Ok(());
     };
@@ -202,7 +204,10 @@ pub async fn publish_videos(app: &App, job: &str) -> Result<()> {
         return Ok(());
     };
     let known = by_path(files);
-    let pushed = push(blobs, &app.data.job(job), &is_video, &known, &mut copy.seen).await?;
+    // Of others nothing is said: they may be somebody else's, who has them.
+    let folder = format!("videos/{video}/");
+    let is_its = |path: &str| path.starts_with(&folder);
+    let pushed = push(blobs, &app.data.job(job), &is_its, &known, &mut copy.seen).await?;
     app.store.add_files(job, &pushed.kept, &pushed.gone).await?;
     Ok(())
 }
@@ -236,7 +241,7 @@ pub fn is_kept(path: &str) -> bool {
 
 /// Whether a file is there because the job made it: no other may be there. Videos that are being
 /// made here have no name yet.
-fn is_the_jobs(path: &str) -> bool {
+pub fn is_the_jobs(path: &str) -> bool {
     is_kept(path) && !is_video(path)
 }
 

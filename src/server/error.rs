@@ -53,6 +53,13 @@ pub enum ServerError {
     /// The variables of OpenTelemetry cannot be followed.
     #[error("traces cannot be sent: {0}")]
     Traces(String),
+    /// A store of files was given to an installation that has its files elsewhere.
+    #[error(
+        "capture {0} has no files in the store that --store names: this installation keeps them in \
+         its data directory. Leave --store out, or move it: fled db export --data DIR --to FILE, \
+         then fled db import --data DIR --db sqlite:NEW/fled.db --store PLACE FILE"
+    )]
+    NotInStore(String),
     /// An installation was not moved.
     #[error("nothing was moved: {0}")]
     NotMoved(String),

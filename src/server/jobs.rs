@@ -8,6 +8,7 @@ mod orphans;
 pub mod process;
 pub mod state;
 pub mod tether;
+mod words;
 pub mod worker;
 
 pub use deaths::after_death;

@@ -3,9 +3,14 @@
 use std::sync::Arc;
 use std::time::Duration;
 
+use tokio::time::MissedTickBehavior;
+
 use crate::app::App;
 use crate::error::Result;
 use crate::workshop::Workshop;
+
+/// Between two looks of all streams, whatever is heard.
+const BELL: Duration = Duration::from_millis(50);
 
 /// Rings this process's bells when somebody else changes a job, until the server stops. What it is
 /// told is a hint: it looks by itself every few seconds, too.
@@ -28,17 +33,24 @@ async fn hear(app: &App) -> Result<()> {
     };
     // What happened while nobody listened.
     ring(app);
+    let mut look = tokio::time::interval(app.limits.look);
+    let mut bell = tokio::time::interval(BELL);
+    bell.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    let mut has_changed = false;
     loop {
-        let waits = tokio::select! {
-            waits = heard.next() => waits?,
-            () = tokio::time::sleep(app.limits.look) => true,
+        tokio::select! {
+            // Of a thousand jobs that run something is heard all the time, which is no work for
+            // those who wait for some.
+            waits = heard.next() => match waits? {
+                true => ring(app),
+                false => has_changed = true,
+            },
+            _ = bell.tick(), if has_changed => {
+                has_changed = false;
+                app.changed();
+            }
+            _ = look.tick() => ring(app),
             () = app.shutdown.cancelled() => return Ok(()),
-        };
-        if waits {
-            ring(app);
-        } else {
-            // A thousand jobs that run tell something every second: nothing for idle workers.
-            app.changed();
         }
     }
 }

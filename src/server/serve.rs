@@ -69,7 +69,7 @@ impl Server {
         let mut tasks = JoinSet::new();
         tasks.spawn(keep_telling(app.clone()));
         tasks.spawn(keep_making(app.clone()));
-        let workshop = spawn_workers(&app, &mut tasks);
+        let workshop = spawn_workers(&app, &mut tasks, true);
         let (limits, shutdown) = (app.limits, app.shutdown.clone());
         tasks.spawn(serve_connections(
             listener,
@@ -99,7 +99,7 @@ impl Server {
             (None, workshop)
         } else {
             let app = open(&config).await?.app(config).await?;
-            let workshop = spawn_workers(&app, &mut tasks);
+            let workshop = spawn_workers(&app, &mut tasks, false);
             (Some(app), workshop)
         };
         Ok(Self {
@@ -165,6 +165,12 @@ async fn open(config: &ServeConfig) -> Result<Opened> {
         None if store.engine() == Engine::Postgres => return Err(ServerError::NoFiles),
         None => None,
     };
+    // What is here would be taken for a copy of nothing, and removed.
+    if blobs.is_some()
+        && let Some(capture) = store.capture_without_files().await?
+    {
+        return Err(ServerError::NotInStore(capture));
+    }
     let worker = data.worker()?;
     let limits = config.limits;
     let settle = |deaths| after_death(&limits, deaths);
@@ -209,12 +215,15 @@ impl Opened {
 }
 
 /// Begins what every process does that has the database and may work on jobs.
-fn spawn_workers(app: &Arc<App>, tasks: &mut JoinSet<()>) -> Workshop {
-    tasks.spawn(sweep::keep_sweeping(app.clone()));
+fn spawn_workers(app: &Arc<App>, tasks: &mut JoinSet<()>, serves: bool) -> Workshop {
+    tasks.spawn(sweep::keep_sweeping(app.clone(), serves));
     if app.store.engine() == Engine::Postgres {
         tasks.spawn(others::keep_hearing(app.clone()));
     }
     let workshop = app.workshop();
+    if app.store.engine() == Engine::Postgres {
+        tasks.spawn(far::keep_tidy(workshop.clone()));
+    }
     spawn_turns(&workshop, tasks);
     workshop
 }
@@ -288,8 +297,38 @@ async fn until_told(server: Server) -> Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::store::{NewToken, Quotas};
+    use crate::store::{CaptureRow, NewToken, Quotas};
     use crate::token::Secret;
+
+    #[tokio::test]
+    async fn a_directory_that_has_its_files_itself_is_not_taken_for_a_copy() {
+        let dir = tempfile::tempdir().expect("temporary directory");
+        let store = Store::open(&dir.path().join("fled.db"))
+            .await
+            .expect("open");
+        let capture = CaptureRow {
+            owner: None,
+            expires_at: None,
+            id: "c".to_owned(),
+            name: "a capture".to_owned(),
+            accepted: 3,
+            report: serde_json::json!({}),
+            created_at: 1,
+        };
+        store.insert_capture(&capture, &[]).await.expect("insert");
+        store.close().await;
+        let listen = ([127, 0, 0, 1], 0).into();
+        let mut config = ServeConfig::new(dir.path().into(), listen, 0).expect("a program");
+        config.files = Some(dir.path().join("store").display().to_string());
+        let refused = Server::start(config.clone()).await;
+        assert!(
+            matches!(&refused, Err(ServerError::NotInStore(id)) if id == "c"),
+            "{refused:?}"
+        );
+        config.files = None;
+        let server = Server::start(config).await.expect("as it was");
+        server.stop().await;
+    }
 
     #[tokio::test]
     async fn strangers_are_let_in_by_a_token_or_on_purpose_only() {

@@ -36,8 +36,9 @@ pub const AGES: Ages = Ages {
     renders: None,
 };
 
-/// Sweeps now and then until the server stops.
-pub async fn keep_sweeping(app: Arc<App>) {
+/// Sweeps now and then until the server stops. What all share is left to those who serve: a worker
+/// knows nothing of what is to be kept.
+pub async fn keep_sweeping(app: Arc<App>, serves: bool) {
     loop {
         tokio::select! {
             () = tokio::time::sleep(PERIOD) => {}
@@ -45,6 +46,9 @@ pub async fn keep_sweeping(app: Arc<App>) {
         }
         if let Err(error) = sweep(&app, PERIOD).await {
             tracing::warn!(%error, "cannot look for files that nobody names");
+        }
+        if !serves {
+            continue;
         }
         let told_until = now_ms() - DELIVERIES_KEPT_MS;
         if let Err(error) = app.store.forget_deliveries(told_until).await {

@@ -11,7 +11,7 @@ use axum::response::{IntoResponse, Response};
 use super::paths::{EXPORT, EXPORTS, VIDEO, VIDEO_FILE, VIDEOS};
 use super::problem::Problem;
 use crate::app::App;
-use crate::copies::{fetch_job, publish_videos};
+use crate::copies::{fetch_job, publish_video};
 
 /// What is read from the files of a job.
 const OF_FILES: [&str; 11] = [
@@ -42,9 +42,10 @@ pub(super) async fn bring(
     if !OF_FILES.contains(&route.as_str()) {
         return next.run(request).await;
     }
-    let Some(id) = id_of(&mut request).await else {
+    let Some(id) = param(&mut request, "id").await else {
         return next.run(request).await;
     };
+    let video = param(&mut request, "video").await;
     if let Err(error) = fetch_job(&app, &id).await {
         return Problem::from(error).into_response();
     }
@@ -52,15 +53,16 @@ pub(super) async fn bring(
     let answer = next.run(request).await;
     if deletes
         && route == VIDEO
-        && let Err(error) = publish_videos(&app, &id).await
+        && let Some(video) = video
+        && let Err(error) = publish_video(&app, &id, &video).await
     {
         return Problem::from(error).into_response();
     }
     answer
 }
 
-async fn id_of(request: &mut Request) -> Option<String> {
+async fn param(request: &mut Request, wanted: &str) -> Option<String> {
     let params = request.extract_parts::<RawPathParams>().await.ok()?;
-    let id = params.iter().find(|(name, _)| *name == "id")?;
-    Some(id.1.to_owned())
+    let (_, value) = params.iter().find(|(name, _)| *name == wanted)?;
+    Some(value.to_owned())
 }

@@ -20,6 +20,7 @@ use crate::coordinator::{
     Assignment, Failures, Files, NamedFile, Present, Pulse, Released, Settled, Standing, Told,
     Under, VERSION, VERSION_HEADER, Wanted, What, milliseconds, see,
 };
+use crate::copies::is_the_jobs;
 use crate::error::Result;
 use crate::jobs::after_death;
 use crate::store::{Engine, Lease, Saying};
@@ -193,10 +194,25 @@ pub async fn told(
         }
         What::Files { kept, gone } => {
             let kept: Vec<Kept> = kept.into_iter().map(Kept::from).collect();
+            if let Some(bad) = kept.iter().find(|file| !is_a_jobs(file)) {
+                let detail = format!("{:?} is no file of a job, or has no digest.", bad.path);
+                return Err(Problem::unprocessable("bad_file", detail));
+            }
             say(&app, &lease, told.before, Saying::Files(&kept, &gone)).await?;
         }
     }
     Ok(StatusCode::NO_CONTENT)
+}
+
+/// Whether a job makes such files, and the blob has a name: what is told is fetched by others.
+fn is_a_jobs(file: &Kept) -> bool {
+    let is_name = |name: &str| !["", ".", ".."].contains(&name) && !name.contains('\0');
+    let digit = |byte: u8| byte.is_ascii_digit() || (b'a'..=b'f').contains(&byte);
+    let digest = &file.blob.digest;
+    is_the_jobs(&file.path)
+        && file.path.split('/').all(is_name)
+        && digest.len() == 64
+        && digest.bytes().all(digit)
 }
 
 async fn say(app: &App, lease: &Lease, before: i64, saying: Saying<'_>) -> Result<()> {

@@ -5,7 +5,7 @@ use std::process::ExitStatus;
 use std::sync::Arc;
 use std::time::Duration;
 
-use fled_core::event::{Event, Stage};
+use fled_core::event::Event;
 use fled_core::pipeline::error::ErrorKind;
 use tokio::sync::Notify;
 use tokio::time::{Instant, Interval, MissedTickBehavior, interval, sleep_until};
@@ -13,6 +13,7 @@ use tokio::time::{Instant, Interval, MissedTickBehavior, interval, sleep_until};
 use super::beat::{Beat, Pulse};
 use super::log::LogWriter;
 use super::process::{Group, Happening, JOB_VARIABLE, Line};
+use super::words::{closing_line, is_milestone, is_seen, readable};
 use crate::coordinator::Assignment;
 use crate::copies;
 use crate::data::{sync_directories, write_atomically};
@@ -33,6 +34,13 @@ enum End {
     Exited(ExitStatus),
     /// It has to be stopped.
     Stop(Settlement),
+}
+
+/// What an attempt has to do next.
+enum Due {
+    Line(Line),
+    Publishing,
+    Progress,
 }
 
 /// What a job's process has told about its end.
@@ -121,6 +129,21 @@ pub(super) async fn run(
     Ok(settlement)
 }
 
+/// Waits for what ends an attempt from outside.
+async fn stopped(work: &Workshop, job: &str, cancel: &Notify, beat: &mut Beat) -> Result<End> {
+    tokio::select! {
+        pulse = beat.next() => match pulse {
+            Pulse::Cancel => Ok(End::Stop(Settlement::Stopped)),
+            Pulse::Lost => Err(ServerError::LeaseLost(job.to_owned())),
+        },
+        () = cancel.notified() => Ok(End::Stop(Settlement::Stopped)),
+        () = work.shutdown.cancelled() => {
+            work.pass(Point::Stopping);
+            Ok(End::Stop(Settlement::Released))
+        }
+    }
+}
+
 /// Takes away the picture of a training that was stopped; one that ended well has done so itself.
 async fn remove_live_picture(work: &Workshop, id: &str) {
     let path = work.data.output(id).work().live_picture();
@@ -135,7 +158,8 @@ async fn remove_live_picture(work: &Workshop, id: &str) {
 impl Attempt<'_> {
     /// Takes the process's lines and keeps the lease until the process ends or has to.
     async fn watch(&mut self, group: &mut Group, cancel: &Notify, beat: &mut Beat) -> Result<End> {
-        let limits = self.work.limits;
+        let (work, job) = (self.work, self.lease.job.clone());
+        let limits = work.limits;
         let wall = Instant::now() + limits.wall;
         let mut silence = Instant::now() + limits.silence;
         let mut publish = ticks(limits.publish);
@@ -143,36 +167,44 @@ impl Attempt<'_> {
         let mut exited: Option<(ExitStatus, Instant)> = None;
         loop {
             let drained = exited.map_or(wall, |(_, at)| at + DRAIN);
-            tokio::select! {
+            let due = tokio::select! {
                 happening = group.next() => match happening.map_err(|source| ServerError::Io { path: "job".into(), source })? {
                     Happening::Line(line) => {
                         silence = Instant::now() + limits.silence;
-                        self.take(line).await?;
+                        Due::Line(line)
                     }
-                    Happening::Ended(status) => exited = Some((status, Instant::now())),
+                    Happening::Ended(status) => {
+                        exited = Some((status, Instant::now()));
+                        continue;
+                    }
                     // Nothing can be told any more.
                     Happening::Closed => match exited {
                         Some((status, _)) => return Ok(End::Exited(status)),
                         None => return self.exit(group).await,
                     },
                 },
-                pulse = beat.next() => match pulse {
-                    Pulse::Cancel => return Ok(End::Stop(Settlement::Stopped)),
-                    Pulse::Lost => return Err(ServerError::LeaseLost(self.lease.job.clone())),
-                },
-                _ = publish.tick() => self.publish().await?,
-                _ = flush.tick() => self.write_pending().await?,
-                () = cancel.notified() => return Ok(End::Stop(Settlement::Stopped)),
-                () = self.work.shutdown.cancelled() => {
-                    self.work.pass(Point::Stopping);
-                    return Ok(End::Stop(Settlement::Released));
-                }
+                end = stopped(work, &job, cancel, beat) => return end,
+                _ = publish.tick() => Due::Publishing,
+                _ = flush.tick() => Due::Progress,
                 () = sleep_until(silence) => return self.timed_out("said nothing", limits.silence).await,
                 () = sleep_until(drained) => match exited {
                     Some((status, _)) => return Ok(End::Exited(status)),
                     None => return self.timed_out("ran", limits.wall).await,
                 },
+            };
+            // However slow a database or a store of files is, what ends the work is heard.
+            tokio::select! {
+                done = self.follow(due) => done?,
+                end = stopped(work, &job, cancel, beat) => return end,
             }
+        }
+    }
+
+    async fn follow(&mut self, due: Due) -> Result<()> {
+        match due {
+            Due::Line(line) => self.take(line).await,
+            Due::Publishing => self.publish().await,
+            Due::Progress => self.write_pending().await,
         }
     }
 
@@ -366,77 +398,4 @@ fn ticks(period: Duration) -> Interval {
     let mut ticks = interval(period);
     ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
     ticks
-}
-
-/// Whether an event is for who watches a training: in the log there would be too many of them.
-fn is_seen(event: &Event) -> bool {
-    matches!(
-        event,
-        Event::TrainingSeen { .. } | Event::HeldOutSeen { .. } | Event::ViewSeen { .. }
-    )
-}
-
-/// Whether others may ask for files once they have heard of this.
-fn is_milestone(event: &Event) -> bool {
-    matches!(
-        event,
-        Event::StageFinished { .. } | Event::RoundFinished { .. }
-    )
-}
-
-fn readable(event: &Event) -> String {
-    match event {
-        Event::Planned { rounds, views } => format!("planned {rounds} rounds of {views} views"),
-        Event::StageStarted { stage, round } => format!("{} begins", place(*stage, *round)),
-        Event::StageFinished {
-            stage,
-            round,
-            seconds,
-            skipped,
-        } => {
-            let how = if *skipped { "found done" } else { "done" };
-            format!("{} {how}, {seconds:.1} s", place(*stage, *round))
-        }
-        Event::RoundFinished { metrics } => {
-            format!(
-                "round {} done, {:.1} s, {} Gaussians",
-                metrics.round, metrics.seconds, metrics.gaussians
-            )
-        }
-        Event::Warning { code, message } => format!("warning {code}: {message}"),
-        other => format!("{other:?}"),
-    }
-}
-
-/// A stage in the log; the poses belong to no round.
-fn place(stage: Stage, round: u32) -> String {
-    if round == 0 {
-        stage.name().to_owned()
-    } else {
-        format!("round {round}: {}", stage.name())
-    }
-}
-
-fn closing_line(settlement: &Settlement) -> String {
-    match settlement {
-        Settlement::Finished { best_round } => format!("finished; round {best_round} is delivered"),
-        Settlement::Stopped => "cancelled".to_owned(),
-        Settlement::Released => {
-            "interrupted: the server stops; the job goes on after its restart".to_owned()
-        }
-        Settlement::Failed {
-            error,
-            retry_in_ms: Some(wait),
-            ..
-        } => {
-            format!(
-                "failed ({}): {}; again in {wait} ms",
-                error.code, error.detail
-            )
-        }
-        // The advice stands in the job's error, and the process has mostly said it, too.
-        Settlement::Failed { error, .. } => {
-            format!("failed ({}): {}", error.code, error.detail)
-        }
-    }
 }

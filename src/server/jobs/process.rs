@@ -16,15 +16,9 @@ const LONGEST_LINE: u64 = 4 << 20;
 const QUEUE: usize = 256;
 /// The variable that marks every process of a job, also those it starts.
 pub const JOB_VARIABLE: &str = "FLED_JOB_ID";
-/// What opens a service is not for the programs that look at what strangers send it.
-const SECRETS: [&str; 6] = [
-    "FLED_TOKEN",
-    "FLED_DB",
-    "AWS_ACCESS_KEY_ID",
-    "AWS_SECRET_ACCESS_KEY",
-    "AWS_SESSION_TOKEN",
-    "OTEL_EXPORTER_OTLP_HEADERS",
-];
+/// How variables begin that open what a service uses: not for programs that look at what strangers
+/// send it.
+const SECRETS: [&str; 5] = ["FLED_TOKEN", "FLED_DB", "AWS_", "PG", "OTEL_EXPORTER_OTLP"];
 /// The variable that tells a child who started it, so that it can end when that one is gone.
 pub const PARENT_VARIABLE: &str = "FLED_PARENT_PID";
 
@@ -81,8 +75,11 @@ impl Group {
             // every job.
             command.env("XDG_RUNTIME_DIR", std::env::temp_dir());
         }
-        for secret in SECRETS {
-            command.env_remove(secret);
+        for (name, _) in std::env::vars_os() {
+            let told = name.to_string_lossy();
+            if SECRETS.iter().any(|secret| told.starts_with(secret)) {
+                command.env_remove(name);
+            }
         }
         let mut child = command
             .args(first)

@@ -24,6 +24,19 @@ impl Store {
         rows.iter().map(kept).collect()
     }
 
+    /// A capture that has no files in the store of files, if there is one.
+    ///
+    /// # Errors
+    /// When the database refuses.
+    pub async fn capture_without_files(&self) -> Result<Option<String>> {
+        let one = sqlx::query_scalar(
+            "SELECT id FROM captures WHERE NOT EXISTS (
+                 SELECT 1 FROM capture_files WHERE capture_files.capture_id = captures.id
+             ) LIMIT 1",
+        );
+        Ok(one.fetch_optional(&self.pool).await?)
+    }
+
     /// The files of a job and the version of them; `None` where there is no such job.
     ///
     /// # Errors

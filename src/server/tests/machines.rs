@@ -120,6 +120,22 @@ fn a_database_and_a_store_that_are_away_for_a_while_lose_nothing() {
 }
 
 #[test]
+fn an_upload_in_pieces_outlives_the_start_of_other_machines() {
+    let farm = Farm::new();
+    let (_one, one) = farm.replica("one");
+    let headers = [
+        ("tus-resumable", "1.0.0"),
+        ("upload-length", "10"),
+        ("upload-metadata", "filename d2Fsay5wbmc="),
+    ];
+    let begun = one.ask("POST", "/v1/uploads", &headers, b"").expect(201);
+    let upload = begun.header("location").to_owned();
+    let _worker = farm.worker("worker");
+    let _two = farm.replica("two");
+    one.ask("HEAD", &upload, &headers[..1], b"").expect(200);
+}
+
+#[test]
 fn jobs_on_workers_that_are_killed_at_random_are_all_done_once() {
     // FLED_FARM="200 4 120" is the long run: jobs, workers, seconds.
     let asked = std::env::var("FLED_FARM").unwrap_or_else(|_| "40 3 20".to_owned());

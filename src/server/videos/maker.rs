@@ -11,7 +11,7 @@ use super::protocol::VideoEvent;
 use super::record::{Record, VideoFault, VideoFolder, VideoState, videos_of};
 use super::turns::Ticket;
 use crate::app::App;
-use crate::copies::publish_videos;
+use crate::copies::publish_video;
 use crate::error::{Result, ServerError};
 use crate::jobs::kill_orphans;
 use crate::jobs::process::{Group, Happening, JOB_VARIABLE, Line};
@@ -118,7 +118,11 @@ async fn make(app: &App, ticket: &Ticket, bell: &Notify) -> Result<()> {
         end
     };
     settle(&folder, record, end).await?;
-    publish_videos(app, &ticket.job).await
+    match folder.load()? {
+        Some(record) if record.state.is_over() => publish_video(app, &ticket.job, &ticket.id).await,
+        // It is made again.
+        _ => Ok(()),
+    }
 }
 
 fn begin(app: &App, ticket: &Ticket, folder: &VideoFolder, record: &Record) -> Result<Group> {
