@@ -96,7 +96,10 @@ fn serve(data: &Path, address_file: &Path) -> Result<(), Box<dyn std::error::Err
             None => fled_server::Server::start(config).await?,
         };
         let address = server.address().map(|address| address.to_string());
-        std::fs::write(address_file, address.unwrap_or_default())?;
+        // Whole, once it is there.
+        let beside = address_file.with_extension("tmp");
+        std::fs::write(&beside, address.unwrap_or_default())?;
+        std::fs::rename(beside, address_file)?;
         tokio::signal::ctrl_c().await?;
         server.stop().await;
         Ok(())

@@ -161,8 +161,6 @@ fn begin_by(by: &[&str], root: &Path, name: &str, more: &[(&str, &str)]) -> (Mac
         assert!(begun.elapsed() < PATIENCE, "{name} does not start");
         sleep(Duration::from_millis(10));
     }
-    // Its words are there a moment after its name.
-    sleep(Duration::from_millis(20));
     let address = std::fs::read_to_string(&told).expect("told");
     (Machine { folder, child }, format!("http://{address}"))
 }
