@@ -8,8 +8,9 @@ use std::path::{Path, PathBuf};
 pub enum BlobError {
     /// No store can be opened at that location.
     #[error(
-        "the location of the blobs is refused: {0}; give s3://bucket/prefix, with AWS_ACCESS_KEY_ID, \
-         AWS_SECRET_ACCESS_KEY, AWS_REGION and AWS_ENDPOINT in the environment, or a directory"
+        "the location of the blobs is refused: {0}; give s3://bucket/prefix, with \
+         AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY, AWS_REGION and AWS_ENDPOINT in the \
+         environment, or a directory"
     )]
     Location(String),
     /// The store refused or did not answer, after all retries.
