@@ -1,7 +1,8 @@
 //! `fled worker`: works on the jobs of a service whose database and files many machines share, or
 //! of one that is reached by HTTP alone.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
 
 use fled_core::pipeline::error::ErrorKind;
 use fled_gpu::{DeviceType, Gpu};
@@ -69,7 +70,7 @@ pub fn main(args: &Args) -> Result<(), Failure> {
             token: token(args.token_file.as_deref())?.map(|token| Secret::shown(&token)),
         });
     }
-    config.about = Some(about(&args.adapter, args.jobs));
+    config.about = Some(about(&args.adapter, args.jobs, &args.ffmpeg.program));
     commands(&mut config, &args.ffmpeg, &args.models);
     let runtime =
         tokio::runtime::Runtime::new().map_err(|e| Failure::new(ErrorKind::Internal, e))?;
@@ -79,9 +80,10 @@ pub fn main(args: &Args) -> Result<(), Failure> {
 }
 
 /// What this machine has.
-pub fn about(adapter: &str, jobs: usize) -> About {
+pub fn about(adapter: &str, jobs: usize, ffmpeg: &Path) -> About {
     let found = Gpu::new(adapter);
     let found = found.as_ref().map(Gpu::describe).ok();
+    let renders = found.is_some();
     let host = std::fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default();
     About {
         host: host.trim().to_owned(),
@@ -93,7 +95,17 @@ pub fn about(adapter: &str, jobs: usize) -> About {
         cores: std::thread::available_parallelism().map_or(1, |cores| cores.get() as u32),
         memory: memory().unwrap_or(0),
         jobs: jobs as u32,
+        renders,
+        films: renders && answers(ffmpeg),
     }
+}
+
+/// Whether there is such a program.
+fn answers(program: &Path) -> bool {
+    let mut command = Command::new(program);
+    command.arg("-version").stdin(Stdio::null());
+    let silent = command.stdout(Stdio::null()).stderr(Stdio::null());
+    silent.status().is_ok_and(|status| status.success())
 }
 
 /// Bytes of this machine's memory, where it says so.

@@ -9,11 +9,13 @@ use crate::assessor::Assessors;
 use crate::config::{Limits, ServeConfig};
 use crate::coordinator::Coordinator;
 use crate::data::DataDir;
+use crate::errands::bells::Bells;
+use crate::errands::unwilling::Unwilling;
 use crate::holders::Holders;
 use crate::incoming::Uploads;
 use crate::mirror::Mirror;
 use crate::rate::Rates;
-use crate::render::Renderers;
+use crate::render::{self, Renderers};
 use crate::running::Running;
 use crate::store::Store;
 use crate::tails::Tails;
@@ -44,7 +46,13 @@ pub struct App {
     /// The processes that look at uploads.
     pub assessors: Assessors,
     /// The render process.
-    pub renderers: Renderers,
+    pub renderers: Arc<Renderers>,
+    /// Rung when somebody asks for something, or answers.
+    pub bells: Arc<Bells>,
+    /// Workers that did not do what they were asked.
+    pub unwilling: Unwilling,
+    /// Turns at asking workers for views.
+    pub asking: render::turns::Turns,
     /// What each client may ask for.
     pub rates: Rates,
     /// Held while a capture is kept whose owner has a quota.
@@ -74,6 +82,11 @@ pub struct App {
     lookers: Lookers,
 }
 
+/// Views that are asked of workers at a time; with those who wait for it.
+const ASKED_AT_ONCE: usize = 8;
+/// More are refused.
+const MOST_ASKED: usize = 64;
+
 impl App {
     /// Puts a server's parts together.
     pub fn new(
@@ -86,7 +99,10 @@ impl App {
     ) -> Self {
         let limits = config.limits;
         Self {
-            renderers: Renderers::new(config.render_command.clone(), limits.render, limits.grace),
+            renderers: Renderers::of(&config).into(),
+            bells: Arc::default(),
+            unwilling: Unwilling::default(),
+            asking: render::turns::Turns::new(MOST_ASKED, ASKED_AT_ONCE),
             uploads: Uploads::default(),
             holders: Holders::default(),
             assessors: Assessors::new(config.assess_command.clone(), limits),
@@ -121,6 +137,8 @@ impl App {
             data: self.data.clone(),
             coordinator: Coordinator::Own(self.store.clone(), Box::new(self.limits)),
             mirror: self.mirror.clone(),
+            renderers: self.renderers.clone(),
+            bells: self.bells.clone(),
             worker: self.worker.clone(),
             running: self.running.clone(),
             wake: self.wake.clone(),

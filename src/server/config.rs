@@ -162,6 +162,9 @@ pub struct Limits {
     pub publish: Duration,
     /// How often somebody looks by themselves into a database that others change, too.
     pub look: Duration,
+    /// A worker that does something for a replica and was not heard of for so long is not waited
+    /// for; nor is one that has not begun in a third of it.
+    pub errand: Duration,
     /// Least time between two stored progress reports of a job.
     pub progress_interval: Duration,
     /// Wait before the first retry; each further one is four times as long.
@@ -246,6 +249,7 @@ impl Default for Limits {
             unheard: Duration::from_secs(25),
             publish: Duration::from_secs(20),
             look: Duration::from_secs(5),
+            errand: Duration::from_secs(10),
             silence: Duration::from_secs(20 * 60),
             wall: Duration::from_secs(48 * 3600),
             grace: Duration::from_millis(1000),

@@ -1,6 +1,7 @@
 //! Who gives a worker its jobs and hears what becomes of them: the database, or a service that is
 //! reached by HTTP and asks its database.
 
+mod errand;
 mod remote;
 mod wire;
 
@@ -9,11 +10,12 @@ use std::time::Duration;
 use fled_blobs::Kept;
 
 use crate::config::Limits;
-use crate::error::Result;
+use crate::error::{Result, ServerError};
 use crate::jobs::after_death;
 use crate::jobs::state::JobState;
 use crate::store::{About, Engine, Lease, Machine, Saying, Settlement, Store};
 
+pub use errand::{Awaited, Errand, Kind, Outcome, Share, Task, Willing};
 pub use remote::Remote;
 pub use wire::{
     Assignment, Failures, Files, LEASE_LOST, NamedFile, Present, Pulse, Released, Settled,
@@ -23,6 +25,8 @@ pub use wire::{
 /// How often an idle worker looks into a file for retries that have become due and for leases that
 /// ran out.
 const IDLE: Duration = Duration::from_millis(500);
+/// Between two questions of which the service has already waited for the answer.
+const PAUSE: Duration = Duration::from_millis(50);
 /// A worker that was not heard of for so long is forgotten, milliseconds.
 const FORGOTTEN_MS: i64 = 24 * 3600 * 1000;
 
@@ -169,6 +173,50 @@ impl Coordinator {
         }
     }
 
+    /// Takes up what a replica asks of a worker. A service is waited for while it has nothing.
+    ///
+    /// # Errors
+    /// When the database or the service refuses.
+    pub async fn next_errand(&self, worker: &str, kind: Kind) -> Result<Option<Errand>> {
+        match self {
+            Self::Own(store, limits) => take_errand(store, limits, worker, kind).await,
+            Self::Far(remote) => remote.next_errand(worker, kind).await,
+        }
+    }
+
+    /// How long a worker that found none waits before it looks again by itself.
+    pub fn errand_pause(&self, limits: &Limits) -> Duration {
+        match self {
+            Self::Own(..) => limits.look,
+            Self::Far(_) => PAUSE,
+        }
+    }
+
+    /// A worker still does it; whether somebody still waits for it. Asks once.
+    ///
+    /// # Errors
+    /// When the database or the service refuses.
+    pub async fn extend_errand(&self, worker: &str, id: &str, share: Share) -> Result<bool> {
+        match self {
+            Self::Own(store, limits) => {
+                let (share, life) = ((share.done, share.total), milliseconds(limits.errand));
+                store.extend_errand(id, worker, share, life).await
+            }
+            Self::Far(remote) => remote.extend_errand(worker, id, share).await,
+        }
+    }
+
+    /// Says what came of it.
+    ///
+    /// # Errors
+    /// When the database or the service refuses.
+    pub async fn answer_errand(&self, worker: &str, id: &str, outcome: &Outcome) -> Result<()> {
+        match self {
+            Self::Own(store, _) => answer_errand(store, worker, id, outcome).await.map(drop),
+            Self::Far(remote) => remote.answer_errand(worker, id, outcome).await,
+        }
+    }
+
     /// Ends what is held open.
     pub async fn close(&self) {
         if let Self::Own(store, _) = self {
@@ -185,6 +233,43 @@ pub async fn see(store: &Store, worker: &str, about: &About, draining: bool) -> 
     store.see_worker(worker, about, draining).await?;
     let before = store.now().await? - FORGOTTEN_MS;
     store.forget_workers(None, before).await
+}
+
+/// Takes up what a worker is asked for, out of the database.
+///
+/// # Errors
+/// When the database refuses, or holds what nobody understands.
+pub async fn take_errand(
+    store: &Store,
+    limits: &Limits,
+    worker: &str,
+    kind: Kind,
+) -> Result<Option<Errand>> {
+    let life = milliseconds(limits.errand);
+    let taken = store.take_errand((worker, kind.name()), life).await?;
+    let errand = taken.map(|(_, errand)| serde_json::from_str(&errand));
+    errand.transpose().map_err(|error| damaged(&error))
+}
+
+/// Says in the database what came of it; whether somebody waits for it.
+///
+/// # Errors
+/// When the database refuses.
+pub async fn answer_errand(
+    store: &Store,
+    worker: &str,
+    id: &str,
+    outcome: &Outcome,
+) -> Result<bool> {
+    let told = serde_json::to_string(outcome).map_err(|error| damaged(&error))?;
+    store.answer_errand(id, worker, &told).await
+}
+
+fn damaged(error: &serde_json::Error) -> ServerError {
+    ServerError::Damaged {
+        what: "errand",
+        detail: error.to_string(),
+    }
 }
 
 /// As databases count.

@@ -104,27 +104,44 @@ async fn bring(
 }
 
 /// Notes on a folder when it was used last.
-fn used_now(folder: &Path) -> io::Result<()> {
+///
+/// # Errors
+/// When that cannot be noted.
+pub fn used_now(folder: &Path) -> io::Result<()> {
     match fs::File::open(folder) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(()),
         folder => folder?.set_modified(SystemTime::now()),
     }
 }
 
-/// Removes copies of jobs and captures that nothing has used for so long. Returns how many went.
+/// What the copy of a job's scenes is called that a worker makes views of.
+pub fn scene_copy(job: &str) -> String {
+    format!("scenes/{job}")
+}
+
+/// Removes copies of jobs, captures and scenes that nothing has used for so long. Returns how many went.
 ///
 /// # Errors
 /// When the data directory cannot be read.
 pub async fn remove_unused(work: &Workshop, age: Duration) -> Result<usize> {
     let mut removed = 0;
-    for folder in [work.data.captures(), work.data.jobs()] {
+    let scenes = work.data.scenes();
+    for folder in [work.data.captures(), work.data.jobs(), scenes.clone()] {
+        if folder == scenes && !folder.exists() {
+            continue;
+        }
         let entries = fs::read_dir(&folder).map_err(ServerError::io(&folder))?;
         for entry in entries {
             let path = entry.map_err(ServerError::io(&folder))?.path();
             let Some(id) = path.file_name().and_then(|name| name.to_str()) else {
                 continue;
             };
-            let copy = work.mirror.folder(id);
+            let name = if folder == scenes {
+                scene_copy(id)
+            } else {
+                id.to_owned()
+            };
+            let copy = work.mirror.folder(&name);
             let mut copy = copy.lock().await;
             let is_old = |used: SystemTime| used.elapsed().is_ok_and(|unused| unused > age);
             let used = fs::metadata(&path).and_then(|about| about.modified());
@@ -133,7 +150,7 @@ pub async fn remove_unused(work: &Workshop, age: Duration) -> Result<usize> {
             }
             remove(&path).await;
             *copy = Copy::default();
-            work.mirror.forget(id);
+            work.mirror.forget(&name);
             removed += 1;
         }
     }
@@ -232,6 +249,12 @@ pub async fn collect(app: &App) -> Result<usize> {
         }
     }
     Ok(deleted)
+}
+
+/// What a file below a job's folder is called there.
+pub fn below(folder: &Path, path: &Path) -> String {
+    let name = path.strip_prefix(folder).unwrap_or(path);
+    name.to_string_lossy().into_owned()
 }
 
 /// Whether a file of a job's folder is for others: what renders and processes leave is not.

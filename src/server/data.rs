@@ -3,6 +3,7 @@
 //! ```text
 //! fled.db  server.lock  incoming/<upload>/  captures/<id>/  cache/<fingerprint>.json
 //! uploads/<id>  unnamed/{captures,jobs,uploads}/<id>
+//! scenes/<job>/output/..  errands/<id>/
 //! jobs/<id>/{options.json, process, log.txt, output/, renders/, videos/}
 //! ```
 //! Files are named by capture and job, not by content.
@@ -54,6 +55,10 @@ impl DataDir {
         let incoming = data.incoming();
         if incoming.exists() {
             clear(&incoming).map_err(ServerError::io(&incoming))?;
+        }
+        let errands = data.root.join("errands");
+        if errands.exists() {
+            clear(&errands).map_err(ServerError::io(&errands))?;
         }
         for dir in [incoming, data.captures(), data.jobs(), data.uploads()] {
             fs::create_dir_all(&dir).map_err(ServerError::io(&dir))?;
@@ -151,6 +156,21 @@ impl DataDir {
             .map_or(unnamed.clone(), |kind| unnamed.join(kind))
     }
 
+    /// Scenes of which this worker makes views for others.
+    pub fn scenes(&self) -> PathBuf {
+        self.root.join("scenes")
+    }
+
+    /// The files of a job that such views need; `None` for what is no id of one.
+    pub fn scene(&self, job: &str) -> Option<PathBuf> {
+        is_id(job).then(|| self.scenes().join(job))
+    }
+
+    /// Where something is made that a replica asks for; `None` for what is no id.
+    pub fn errand(&self, id: &str) -> Option<PathBuf> {
+        is_id(id).then(|| self.root.join("errands").join(id))
+    }
+
     /// What jobs of one capture share: its poses.
     pub fn cache(&self) -> PathBuf {
         self.root.join("cache")
@@ -189,6 +209,11 @@ impl DataDir {
         let stat = statvfs(&self.root)?;
         Ok(stat.f_bavail * stat.f_frsize)
     }
+}
+
+/// Whether it is an id as the service makes them, and no path.
+pub fn is_id(text: &str) -> bool {
+    uuid::Uuid::try_parse(text).is_ok_and(|parsed| parsed.to_string() == text)
 }
 
 /// Writes a whole file so that after a crash either the old or the new one is there.

@@ -10,6 +10,7 @@ use crate::data::DataDir;
 use crate::error::{Result, ServerError};
 use crate::jobs::kill_orphans;
 use crate::mirror::Mirror;
+use crate::render::Renderers;
 use crate::sweep::PERIOD;
 use crate::traces::Traces;
 use crate::workshop::{Lookers, Workshop};
@@ -48,9 +49,10 @@ fn workshop(config: ServeConfig, data: DataDir, remote: Remote, worker: &str) ->
     let mirror = Mirror::new(Some(remote.blobs()));
     Workshop {
         limits: config.limits,
-        config: config.into(),
         data: data.into(),
         coordinator: Coordinator::Far(remote),
+        renderers: Renderers::of(&config).into(),
+        bells: Default::default(),
         mirror: mirror.into(),
         worker: worker.into(),
         running: Default::default(),
@@ -58,6 +60,7 @@ fn workshop(config: ServeConfig, data: DataDir, remote: Remote, worker: &str) ->
         shutdown: Default::default(),
         traces: Traces::default(),
         lookers: Lookers::default(),
+        config: config.into(),
     }
 }
 

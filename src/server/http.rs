@@ -15,6 +15,7 @@ mod client;
 mod connections;
 mod copies;
 mod dashboard;
+mod errands;
 mod events;
 mod exports;
 mod extract;
@@ -70,8 +71,8 @@ use crate::app::App;
 use body_limit::SMALL;
 use paths::{
     EXPORT, EXPORTS, UPLOAD, UPLOADS, VIDEO, VIDEO_FILE, VIDEOS, WEBHOOK, WEBHOOKS, WORK_BLOB,
-    WORK_CAPTURE, WORK_CLAIM, WORK_FAILURES, WORK_FILES, WORK_HEARTBEAT, WORK_RELEASE, WORK_SETTLE,
-    WORK_TOLD, WORK_WORKER, WORKERS,
+    WORK_CAPTURE, WORK_CLAIM, WORK_ERRAND, WORK_ERRANDS, WORK_FAILURES, WORK_FILES, WORK_HEARTBEAT,
+    WORK_OUTCOME, WORK_RELEASE, WORK_SETTLE, WORK_TOLD, WORK_WORKER, WORKERS,
 };
 
 pub use connections::serve as serve_connections;
@@ -170,6 +171,9 @@ fn of_work(app: &Arc<App>) -> Router<Arc<App>> {
         .route(WORK_WORKER, put(work::present).delete(work::gone))
         .route(WORK_RELEASE, post(work::release))
         .route(WORK_CLAIM, post(work::claim))
+        .route(WORK_ERRAND, post(errands::next))
+        .route(WORK_ERRANDS, put(errands::extend))
+        .route(WORK_OUTCOME, post(errands::answer))
         .route(WORK_HEARTBEAT, post(work::heartbeat))
         .route(WORK_TOLD, post(work::told))
         .route(WORK_FAILURES, get(work::failures))

@@ -11,6 +11,7 @@ mod config;
 mod coordinator;
 mod copies;
 pub mod data;
+mod errands;
 pub mod error;
 mod expiry;
 mod far;

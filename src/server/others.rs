@@ -7,6 +7,7 @@ use tokio::time::MissedTickBehavior;
 
 use crate::app::App;
 use crate::error::Result;
+use crate::store::News;
 use crate::workshop::Workshop;
 
 /// Between two looks of all streams, whatever is heard.
@@ -41,9 +42,10 @@ async fn hear(app: &App) -> Result<()> {
         tokio::select! {
             // Of a thousand jobs that run something is heard all the time, which is no work for
             // those who wait for some.
-            waits = heard.next() => match waits? {
-                true => ring(app),
-                false => has_changed = true,
+            news = heard.next() => match news? {
+                News::Waiting => ring(app),
+                News::Changed => has_changed = true,
+                News::Bell(bell) => app.bells.ring(&bell),
             },
             _ = bell.tick(), if has_changed => {
                 has_changed = false;

@@ -12,8 +12,9 @@ use tokio::task::JoinSet;
 
 use crate::app::App;
 use crate::config::ServeConfig;
-use crate::coordinator::milliseconds;
+use crate::coordinator::{Kind, milliseconds};
 use crate::data::DataDir;
+use crate::errands::keep_doing;
 use crate::error::{Result, ServerError};
 use crate::expiry::expire;
 use crate::far;
@@ -39,8 +40,6 @@ const HANDING_IN: Duration = Duration::from_secs(25);
 pub struct Server {
     /// `None` of one that only works.
     address: Option<SocketAddr>,
-    /// `None` of one that has no database.
-    app: Option<Arc<App>>,
     workshop: Workshop,
     tasks: JoinSet<()>,
 }
@@ -79,7 +78,6 @@ impl Server {
         ));
         Ok(Self {
             address: Some(address),
-            app: Some(app),
             workshop,
             tasks,
         })
@@ -92,19 +90,17 @@ impl Server {
     /// When one of them is in use or unusable, or the service refuses this worker.
     pub async fn start_worker(config: ServeConfig) -> Result<Self> {
         let mut tasks = JoinSet::new();
-        let (app, workshop) = if let Some(service) = config.service.clone() {
+        let workshop = if let Some(service) = config.service.clone() {
             let workshop = far::open(config, &service).await?;
             tasks.spawn(far::keep_tidy(workshop.clone()));
             spawn_turns(&workshop, &mut tasks);
-            (None, workshop)
+            workshop
         } else {
             let app = open(&config).await?.app(config).await?;
-            let workshop = spawn_workers(&app, &mut tasks, false);
-            (Some(app), workshop)
+            spawn_workers(&app, &mut tasks, false)
         };
         Ok(Self {
             address: None,
-            app,
             workshop,
             tasks,
         })
@@ -125,9 +121,7 @@ impl Server {
             tracing::warn!("requests or jobs were still open");
         }
         self.tasks.shutdown().await;
-        if let Some(app) = &self.app {
-            app.renderers.stop().await;
-        }
+        work.renderers.stop().await;
         if work.config.about.is_some()
             && let Err(error) = work.coordinator.forget(&work.worker).await
         {
@@ -230,8 +224,13 @@ fn spawn_workers(app: &Arc<App>, tasks: &mut JoinSet<()>, serves: bool) -> Works
 
 /// Begins what every worker does.
 fn spawn_turns(work: &Workshop, tasks: &mut JoinSet<()>) {
-    if work.config.about.is_some() {
+    if let Some(about) = &work.config.about {
         tasks.spawn(others::keep_being_seen(work.clone()));
+        for (does, kind) in [(about.renders, Kind::View), (about.films, Kind::Video)] {
+            if does {
+                tasks.spawn(keep_doing(work.clone(), kind));
+            }
+        }
     }
     for turn in 0..u32::try_from(work.config.workers).unwrap_or(u32::MAX) {
         tasks.spawn(worker::work(work.clone(), turn));

@@ -17,7 +17,6 @@ use crate::app::App;
 use crate::copies::collect;
 use crate::error::{Result, ServerError};
 use crate::expiry::expire;
-use crate::store::now_ms;
 use crate::uploads::{expire_uploads, forget_lost};
 
 pub use leftovers::{Ages, Named, Why, rules};
@@ -27,6 +26,9 @@ pub const PERIOD: Duration = Duration::from_secs(3600);
 
 /// What webhooks were told is known for so long, milliseconds.
 pub const DELIVERIES_KEPT_MS: i64 = 30 * 24 * 3600 * 1000;
+
+/// Nobody waits for a view or a video so long, milliseconds.
+const ERRANDS_KEPT_MS: i64 = 24 * 3600 * 1000;
 
 /// How long things stay where nobody says otherwise.
 pub const AGES: Ages = Ages {
@@ -50,9 +52,11 @@ pub async fn keep_sweeping(app: Arc<App>, serves: bool) {
         if !serves {
             continue;
         }
-        let told_until = now_ms() - DELIVERIES_KEPT_MS;
-        if let Err(error) = app.store.forget_deliveries(told_until).await {
+        if let Err(error) = forget_deliveries(&app).await {
             tracing::warn!(%error, "cannot forget what webhooks were told");
+        }
+        if let Err(error) = app.store.forget_errands(ERRANDS_KEPT_MS).await {
+            tracing::warn!(%error, "cannot forget what was asked of workers");
         }
         match collect(&app).await {
             Ok(0) => {}
@@ -63,6 +67,11 @@ pub async fn keep_sweeping(app: Arc<App>, serves: bool) {
             tracing::warn!(%error, "cannot delete what is kept no longer");
         }
     }
+}
+
+async fn forget_deliveries(app: &App) -> Result<()> {
+    let told_until = app.store.now().await? - DELIVERIES_KEPT_MS;
+    app.store.forget_deliveries(told_until).await.map(drop)
 }
 
 /// Moves captures, jobs and uploads that have no row aside, and removes uploads and renders that

@@ -5,6 +5,7 @@
 //! jobs/<job>/videos/<id>/{video.json, plan.json, video.mp4}
 //! ```
 
+pub mod film;
 pub mod maker;
 pub mod protocol;
 pub mod record;

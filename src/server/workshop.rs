@@ -8,8 +8,10 @@ use tokio_util::sync::CancellationToken;
 use crate::config::{Limits, ServeConfig};
 use crate::coordinator::Coordinator;
 use crate::data::DataDir;
+use crate::errands::bells::Bells;
 use crate::mirror::Mirror;
 use crate::point::Point;
+use crate::render::Renderers;
 use crate::running::Running;
 use crate::traces::Traces;
 
@@ -26,6 +28,10 @@ pub struct Workshop {
     pub coordinator: Coordinator,
     /// Copies of what many machines share.
     pub mirror: Arc<Mirror>,
+    /// What renders views here.
+    pub renderers: Arc<Renderers>,
+    /// Rung when somebody asks for something.
+    pub bells: Arc<Bells>,
     /// What this installation is called among the workers.
     pub worker: Arc<str>,
     /// The jobs that run.

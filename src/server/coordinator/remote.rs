@@ -15,6 +15,7 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use uuid::Uuid;
 
+use super::errand::{Awaited, Errand, Kind, Outcome, Share, Willing};
 use super::wire::{
     Assignment, Failures, Files, LEASE_LOST, Present, Pulse, Released, Settled, Standing, Told,
     Under, VERSION, VERSION_HEADER, Wanted,
@@ -239,6 +240,40 @@ impl Remote {
         let files: Files = self.look(lease, &path).await?;
         let kept = files.files.into_iter().map(Kept::from).collect();
         Ok((files.version, kept))
+    }
+
+    /// Takes up what is asked of a worker; waits a while for something.
+    ///
+    /// # Errors
+    /// As [`Remote::begin`].
+    pub async fn next_errand(&self, worker: &str, kind: Kind) -> Result<Option<Errand>> {
+        let path = format!("workers/{worker}/errand");
+        let willing = Willing { kind };
+        let answer = self.send(Method::POST, &path, Some(&willing)).await?;
+        if answer.status() == StatusCode::NO_CONTENT {
+            return Ok(None);
+        }
+        self.read(answer).await.map(Some)
+    }
+
+    /// A worker still does it; whether somebody waits for it. Asks once.
+    ///
+    /// # Errors
+    /// As [`Remote::begin`].
+    pub async fn extend_errand(&self, worker: &str, id: &str, share: Share) -> Result<bool> {
+        let path = format!("workers/{worker}/errands/{id}");
+        let awaited: Awaited = self.json(Method::PUT, &path, Some(&share)).await?;
+        Ok(awaited.awaited)
+    }
+
+    /// Says what came of it.
+    ///
+    /// # Errors
+    /// As [`Remote::begin`].
+    pub async fn answer_errand(&self, worker: &str, id: &str, outcome: &Outcome) -> Result<()> {
+        let path = format!("workers/{worker}/errands/{id}/outcome");
+        let ask = || self.send(Method::POST, &path, Some(outcome));
+        self.persist(ask).await.map(drop)
     }
 
     /// What the service knows of a job, to whom has its lease.

@@ -143,6 +143,7 @@ fn limits() -> Result<Limits, std::num::ParseIntError> {
         unheard: Duration::from_secs(4),
         publish: Duration::from_millis(500),
         look: Duration::from_millis(500),
+        errand: Duration::from_millis(1500),
         silence: Duration::from_secs(3),
         progress_interval: Duration::from_millis(100),
         retry_base: Duration::from_millis(50),

@@ -8,8 +8,8 @@ use utoipa::openapi::{Content, OpenApi, Ref, RefOr, Response, ResponseBuilder};
 use utoipa::{Modify, OpenApi as _};
 
 use super::{
-    artifacts, blobs, captures, events, exports, health, jobs, live, log, login, metrics, options,
-    pin, render, retry, rounds, share, tus, videos, webhooks, work, workers,
+    artifacts, blobs, captures, errands, events, exports, health, jobs, live, log, login, metrics,
+    options, pin, render, retry, rounds, share, tus, videos, webhooks, work, workers,
 };
 
 #[derive(utoipa::OpenApi)]
@@ -80,6 +80,9 @@ use super::{
         work::settle,
         work::files,
         work::capture,
+        errands::next,
+        errands::extend,
+        errands::answer,
         blobs::get,
         blobs::head,
         blobs::put,

@@ -26,6 +26,12 @@ pub(super) const WORK_WORKER: &str = "/v1/work/workers/{worker}";
 pub(super) const WORK_RELEASE: &str = "/v1/work/workers/{worker}/release";
 /// It wants a job.
 pub(super) const WORK_CLAIM: &str = "/v1/work/workers/{worker}/claim";
+/// It wants something else to do.
+pub(super) const WORK_ERRAND: &str = "/v1/work/workers/{worker}/errand";
+/// It does it.
+pub(super) const WORK_ERRANDS: &str = "/v1/work/workers/{worker}/errands/{errand}";
+/// It has done it.
+pub(super) const WORK_OUTCOME: &str = "/v1/work/workers/{worker}/errands/{errand}/outcome";
 /// It lives.
 pub(super) const WORK_HEARTBEAT: &str = "/v1/work/jobs/{job}/heartbeat";
 /// It tells of its job.

@@ -19,6 +19,7 @@ use super::lookup::{cameras_of, find};
 use super::problem::Problem;
 use super::sent::is_known;
 use crate::app::App;
+use crate::errands::render;
 use crate::error::ServerError;
 use crate::jobs::state::JobState;
 use crate::render::{Format, RenderError, RenderRequest, Shown};
@@ -27,6 +28,8 @@ use crate::wording::without_paths;
 /// Longest side of a render, px.
 const LONGEST_SIDE: usize = 2048;
 
+/// Says who has rendered a picture, where it was not there yet: `worker` or `server`.
+const RENDERED_BY: &str = "fled-rendered-by";
 /// After so many seconds a render may go better.
 const RENDER_RETRY: u32 = 5;
 /// Largest number of a camera: px, or units of the world.
@@ -323,17 +326,20 @@ async fn picture(
         format,
         out: out.clone(),
     };
-    if let Err(error) = app.renderers.render(client.0, &request).await {
-        drop(tokio::fs::remove_file(&out).await);
-        return Err(failed(&error));
-    }
+    let by = match render(app, id, client.0, &request).await {
+        Ok(by) => by,
+        Err(error) => {
+            drop(tokio::fs::remove_file(&out).await);
+            return Err(failed(&error));
+        }
+    };
     let bytes = tokio::fs::read(&out).await.map_err(ServerError::io(&out))?;
     tokio::fs::rename(&out, &cached)
         .await
         .map_err(ServerError::io(&cached))?;
     let kept = app.limits.kept_renders;
     drop(tokio::task::spawn_blocking(move || trim(&cache, kept)));
-    Ok((common, Body::from(bytes)).into_response())
+    Ok((common, [(RENDERED_BY, by)], Body::from(bytes)).into_response())
 }
 
 fn failed(error: &RenderError) -> Problem {

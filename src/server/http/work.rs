@@ -57,7 +57,7 @@ fn minor(version: &str) -> &str {
 }
 
 /// A worker's name for itself, which is a UUID: others would mean more in a lease.
-fn name(worker: &str) -> Result<String, Problem> {
+pub(super) fn name(worker: &str) -> Result<String, Problem> {
     let name: Result<Uuid, _> = worker.parse();
     let bad = |_| Problem::unprocessable("bad_input", "A worker's name has to be a UUID.");
     name.map(|name| name.to_string()).map_err(bad)

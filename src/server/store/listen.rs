@@ -8,6 +8,8 @@ use crate::error::Result;
 
 /// The channel on which changes of jobs are told.
 const CHANNEL: &str = "fled_jobs";
+/// The channel on which names of bells are told, for those who ask and do errands.
+const BELLS: &str = "fled_errands";
 /// What is told where a job waits. Of all else that happens no worker need hear.
 const WAITING: &str = "waiting";
 
@@ -15,13 +17,29 @@ const WAITING: &str = "waiting";
 #[derive(Debug)]
 pub struct Heard(PgListener);
 
+/// What somebody has told.
+#[derive(Debug)]
+pub enum News {
+    /// A job has changed.
+    Changed,
+    /// A job waits since then.
+    Waiting,
+    /// Whoever waits for this bell has something to do.
+    Bell(String),
+}
+
 impl Heard {
-    /// Waits until somebody has changed a job, and says whether one waits since.
+    /// Waits until somebody has told something.
     ///
     /// # Errors
     /// When the connection is lost: what was told meanwhile is, too.
-    pub async fn next(&mut self) -> Result<bool> {
-        Ok(self.0.recv().await?.payload() == WAITING)
+    pub async fn next(&mut self) -> Result<News> {
+        let told = self.0.recv().await?;
+        Ok(match (told.channel(), told.payload()) {
+            (BELLS, bell) => News::Bell(bell.to_owned()),
+            (_, WAITING) => News::Waiting,
+            _ => News::Changed,
+        })
     }
 }
 
@@ -35,17 +53,26 @@ impl Store {
             return Ok(None);
         };
         let mut listener = PgListener::connect(url).await?;
-        listener.listen(CHANNEL).await?;
+        listener.listen_all([CHANNEL, BELLS]).await?;
         Ok(Some(Heard(listener)))
     }
 }
 
 /// Tells everybody that a job has changed, or that it waits, once the transaction is true.
 pub(super) async fn tell(tx: &mut Tx, job: &str, waits: bool) -> Result<()> {
+    notify(tx, CHANNEL, if waits { WAITING } else { job }).await
+}
+
+/// Rings a bell in every process, once the transaction is true.
+pub(super) async fn ring(tx: &mut Tx, bell: &str) -> Result<()> {
+    notify(tx, BELLS, bell).await
+}
+
+async fn notify(tx: &mut Tx, channel: &str, words: &str) -> Result<()> {
     if tx.engine == Engine::Postgres {
         sqlx::query("SELECT pg_notify($1, $2)")
-            .bind(CHANNEL)
-            .bind(if waits { WAITING } else { job })
+            .bind(channel)
+            .bind(words)
             .execute(&mut **tx)
             .await?;
     }

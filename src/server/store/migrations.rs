@@ -1,7 +1,7 @@
 //! How the schemas of both databases come about.
 
 /// Applied in order to SQLite, each once, never edited after release.
-pub(super) const SQLITE: [(i64, &str, &str); 16] = [
+pub(super) const SQLITE: [(i64, &str, &str); 17] = [
     (
         1,
         "captures",
@@ -78,10 +78,15 @@ pub(super) const SQLITE: [(i64, &str, &str); 16] = [
         "traces",
         include_str!("../../../migrations/0016_traces.sql"),
     ),
+    (
+        17,
+        "errands",
+        include_str!("../../../migrations/0017_errands.sql"),
+    ),
 ];
 
 /// The same to PostgreSQL: its first is all that SQLite came to by then, and bears the same number.
-pub(super) const POSTGRES: [(i64, &str, &str); 2] = [
+pub(super) const POSTGRES: [(i64, &str, &str); 3] = [
     (
         15,
         "everything",
@@ -91,5 +96,10 @@ pub(super) const POSTGRES: [(i64, &str, &str); 2] = [
         16,
         "traces",
         include_str!("../../../migrations/postgres/0016_traces.sql"),
+    ),
+    (
+        17,
+        "errands",
+        include_str!("../../../migrations/postgres/0017_errands.sql"),
     ),
 ];

@@ -54,8 +54,9 @@ pub const TABLES: [Table; 15] = [
     stays("uploads"),
 ];
 
-/// What has no meaning elsewhere and is not told of: who works says so again by itself.
-pub(super) const PASSING: [&str; 1] = ["workers"];
+/// What has no meaning elsewhere and is not told of: who works says so again by itself, and who
+/// asked for a picture asks again.
+pub(super) const PASSING: [&str; 2] = ["workers", "errands"];
 
 /// What a cell holds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -28,6 +28,12 @@ pub struct About {
     pub memory: u64,
     /// Jobs that it runs at once.
     pub jobs: u32,
+    /// Whether it renders views for the others.
+    #[serde(default)]
+    pub renders: bool,
+    /// Whether it makes videos of them: it has ffmpeg.
+    #[serde(default)]
+    pub films: bool,
 }
 
 /// A worker as it was last heard of.

@@ -1,37 +1,25 @@
-//! Makes videos, one after the other, each by a child process that gives way to jobs.
+//! Makes videos, one after the other, each by a child process that gives way to jobs, or
+//! by a worker.
 
-use std::ffi::OsString;
-use std::process::ExitStatus;
 use std::sync::Arc;
 
 use tokio::sync::Notify;
-use tokio::time::{Instant, sleep_until};
 
-use super::protocol::VideoEvent;
-use super::record::{Record, VideoFault, VideoFolder, VideoState, videos_of};
+use super::film::{End, Film};
+use super::record::{MadeBy, Record, VideoFault, VideoFolder, VideoState, videos_of};
 use super::turns::Ticket;
 use crate::app::App;
-use crate::copies::publish_video;
+use crate::coordinator::Task;
+use crate::copies::{below, publish_video};
+use crate::errands::{Asked, ask};
 use crate::error::{Result, ServerError};
 use crate::jobs::kill_orphans;
-use crate::jobs::process::{Group, Happening, JOB_VARIABLE, Line};
 use crate::removal::remove_file;
 use crate::store::now_ms;
-use crate::wording::without_paths;
 
 /// A video during which the server has died so often is not begun again: memory that runs out
 /// takes the server as well.
 const MOST_ATTEMPTS: u32 = 3;
-
-/// How the making of a video ended.
-enum End {
-    Made,
-    Failed(VideoFault),
-    /// Whoever stopped it has removed it.
-    Stopped,
-    /// The server stops: it is begun anew by the next one.
-    Interrupted,
-}
 
 /// Lets the videos that an earlier server had not finished wait again.
 ///
@@ -109,13 +97,7 @@ async fn make(app: &App, ticket: &Ticket, bell: &Notify) -> Result<()> {
         record.attempts += 1;
         record.state = VideoState::Running;
         folder.save(&record)?;
-        let mut group = match begin(app, ticket, &folder, &record) {
-            Ok(group) => group,
-            Err(error) => return settle(&folder, record, not_begun(&error)).await,
-        };
-        let end = watch(app, &mut group, bell).await;
-        group.stop(app.limits.grace).await;
-        end
+        made(app, ticket, &folder, &mut record, bell).await
     };
     settle(&folder, record, end).await?;
     match folder.load()? {
@@ -125,90 +107,64 @@ async fn make(app: &App, ticket: &Ticket, bell: &Notify) -> Result<()> {
     }
 }
 
-fn begin(app: &App, ticket: &Ticket, folder: &VideoFolder, record: &Record) -> Result<Group> {
-    let plan = folder.plan();
-    let text = serde_json::to_vec(&record.plan).unwrap_or_default();
-    std::fs::write(&plan, text).map_err(ServerError::io(&plan))?;
-    let output = app.data.output(&ticket.job).root().to_owned();
-    let arguments: Vec<OsString> = vec![
-        output.into(),
-        "--plan".into(),
-        plan.clone().into(),
-        "--output".into(),
-        folder.video().into(),
-        "--ffmpeg".into(),
-        app.config.ffmpeg.clone().into(),
-        "--json".into(),
-        "--background".into(),
-    ];
-    let command = &app.config.video_command;
-    let mark = [(JOB_VARIABLE, ticket.job.as_str())];
-    let mut group = Group::spawn(command, &arguments, &mark).map_err(ServerError::io(&plan))?;
-    // It reads nothing; an open pipe would only hold a descriptor.
-    drop(group.stdin.take());
-    Ok(group)
-}
-
-/// Takes its lines until it ends or has to.
-async fn watch(app: &App, group: &mut Group, bell: &Notify) -> End {
-    let mut last_words = None;
-    let mut silence = Instant::now() + app.limits.silence;
-    loop {
-        tokio::select! {
-            happening = group.next() => match happening {
-                Ok(Happening::Line(line)) => {
-                    silence = Instant::now() + app.limits.silence;
-                    take(app, line, &mut last_words);
-                }
-                // Its last lines may still come.
-                Ok(Happening::Ended(_)) => {}
-                Ok(Happening::Closed) => return ended(group.wait().await, last_words),
-                Err(error) => return not_begun(&error),
-            },
-            () = bell.notified() => return End::Stopped,
-            () = app.shutdown.cancelled() => return End::Interrupted,
-            () = sleep_until(silence) => {
-                let detail = format!("it said nothing for {} s", app.limits.silence.as_secs());
-                let hint = "Ask for a smaller one.".to_owned();
-                return End::Failed(VideoFault { detail, hint });
-            }
+/// Makes it here, or lets a worker make it.
+async fn made(
+    app: &App,
+    ticket: &Ticket,
+    folder: &VideoFolder,
+    record: &mut Record,
+    bell: &Notify,
+) -> End {
+    match by_worker(app, ticket, folder, record, bell).await {
+        Ok(Some(end)) => {
+            record.made_by = Some(MadeBy::Worker);
+            return end;
         }
+        Ok(None) => {}
+        Err(error) => tracing::warn!(%error, video = ticket.id, "no worker made it: made here"),
     }
+    record.made_by = Some(MadeBy::Server);
+    let output = app.data.output(&ticket.job);
+    let film = Film {
+        config: &app.config,
+        job: &ticket.job,
+        output: output.root(),
+        plan: &record.plan,
+        plan_file: &folder.plan(),
+        video: &folder.video(),
+    };
+    let advance = |done, total| app.videos.advance(done, total);
+    film.make(bell, &app.shutdown, advance).await
 }
 
-fn take(app: &App, line: Line, last_words: &mut Option<VideoFault>) {
-    match line {
-        Line::Output(text) => match serde_json::from_str(&text) {
-            Ok(VideoEvent::Rendered { done, total }) => app.videos.advance(done, total),
-            Ok(VideoEvent::Failed { detail, hint }) => {
-                *last_words = Some(VideoFault { detail, hint });
-            }
-            Err(_) => tracing::info!(text, "video process"),
-        },
-        Line::Error(text) => tracing::info!(text, "video process"),
-    }
-}
-
-fn ended(status: std::io::Result<ExitStatus>, last_words: Option<VideoFault>) -> End {
-    match (status, last_words) {
-        (Ok(status), None) if status.success() => End::Made,
-        (_, Some(VideoFault { detail, hint })) => End::Failed(VideoFault {
-            detail: without_paths(&detail),
-            hint: without_paths(&hint),
-        }),
-        (Ok(status), None) => End::Failed(VideoFault {
-            detail: format!("the process that made it died: {status}"),
-            hint: "Try again; the server's log may say more.".to_owned(),
-        }),
-        (Err(error), None) => not_begun(&error),
-    }
-}
-
-fn not_begun(error: &dyn std::fmt::Display) -> End {
-    End::Failed(VideoFault {
-        detail: without_paths(&format!("the process that makes it cannot be run: {error}")),
-        hint: "The server's log may say more.".to_owned(),
-    })
+/// `None` where no worker does it.
+async fn by_worker(
+    app: &App,
+    ticket: &Ticket,
+    folder: &VideoFolder,
+    record: &Record,
+    bell: &Notify,
+) -> Result<Option<End>> {
+    let (root, output) = (app.data.job(&ticket.job), app.data.output(&ticket.job));
+    let files = [output.scene_of(record.plan.round), output.cameras()];
+    let files = files.map(|path| below(&root, &path));
+    let plan = Box::new(record.plan.clone());
+    let task = Task::Video { plan };
+    let advance = |done, total| app.videos.advance(done, total);
+    let asked = tokio::select! {
+        asked = ask(app, &ticket.job, &files, &task, advance) => asked?,
+        () = bell.notified() => return Ok(Some(End::Stopped)),
+        () = app.shutdown.cancelled() => return Ok(Some(End::Interrupted)),
+    };
+    let (blob, blobs) = match (asked, app.mirror.blobs()) {
+        (Asked::Made(blob), Some(blobs)) => (blob, blobs),
+        (Asked::Refused { detail, hint }, _) => {
+            return Ok(Some(End::Failed(VideoFault { detail, hint })));
+        }
+        (Asked::Made(_) | Asked::Nobody, _) => return Ok(None),
+    };
+    blobs.fetch(&blob, &folder.video()).await?;
+    Ok(Some(End::Made))
 }
 
 /// Keeps what came of it.

@@ -8,7 +8,7 @@ use fled_core::video::Plan;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use crate::data::{DataDir, write_atomically};
+use crate::data::{DataDir, is_id, write_atomically};
 use crate::error::{Result, ServerError};
 
 /// Where a video stands.
@@ -41,6 +41,16 @@ pub struct VideoFault {
     pub hint: String,
 }
 
+/// Where a video was made.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum MadeBy {
+    /// Where it was asked for.
+    Server,
+    /// By a worker.
+    Worker,
+}
+
 /// What is known of a video.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Record {
@@ -60,6 +70,9 @@ pub struct Record {
     pub finished_at: Option<i64>,
     /// How often it was begun.
     pub attempts: u32,
+    /// Where it was made.
+    #[serde(default)]
+    pub made_by: Option<MadeBy>,
     /// How large it is.
     pub bytes: Option<u64>,
     /// Why it failed.
@@ -73,8 +86,7 @@ pub struct VideoFolder(PathBuf);
 impl VideoFolder {
     /// Of a job's video, whether it exists or not; `None` for what is no id of one.
     pub fn of(data: &DataDir, job: &str, id: &str) -> Option<Self> {
-        let is_id = uuid::Uuid::try_parse(id).is_ok_and(|parsed| parsed.to_string() == id);
-        is_id.then(|| Self(data.videos(job).join(id)))
+        is_id(id).then(|| Self(data.videos(job).join(id)))
     }
 
     /// The folder itself.

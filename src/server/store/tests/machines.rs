@@ -145,3 +145,44 @@ async fn workers_are_seen_with_what_they_do_until_they_go() {
     store.forget_workers(Some("two"), 0).await.expect("gone");
     assert_eq!(store.workers().await.expect("workers").len(), 1);
 }
+
+#[tokio::test]
+async fn an_errand_is_taken_by_whom_it_is_for_and_answered_once() {
+    let (_dir, store) = store().await;
+    let ask = async |id: &str| {
+        let asked = store.ask_errand(id, ("one", "view"), r#"{"a":1}"#);
+        asked.await.expect("asked");
+    };
+    ask("a").await;
+    ask("b").await;
+    for other in [("two", "view"), ("one", "video")] {
+        let taken = store.take_errand(other, 60_000).await.expect("looked");
+        assert_eq!(taken, None);
+    }
+    assert_eq!(store.errand("a").await.expect("read"), Some(ErrandState::Asked));
+    let take = async |life| store.take_errand(("one", "view"), life).await.expect("looked");
+    assert_eq!(take(60_000).await, Some(("a".to_owned(), r#"{"a":1}"#.to_owned())));
+    assert!(!store.withdraw_untaken("a").await.expect("looked"), "it is taken");
+    assert!(store.withdraw_untaken("b").await.expect("looked"));
+    assert_eq!(take(60_000).await, None);
+    let extend = async |worker, life| {
+        let extended = store.extend_errand("a", worker, (1, 4), life);
+        extended.await.expect("said")
+    };
+    assert!(!extend("two", 60_000).await, "another's");
+    for (life, is_lost) in [(60_000, false), (-1000, true)] {
+        assert!(extend("one", life).await);
+        let taken = ErrandState::Taken { is_lost, done: 1, total: 4 };
+        assert_eq!(store.errand("a").await.expect("read"), Some(taken));
+    }
+    let answer = async |outcome| store.answer_errand("a", "one", outcome).await.expect("said");
+    assert!(answer(r#""x""#).await);
+    assert!(!answer(r#""y""#).await, "the first holds");
+    assert!(!extend("one", 60_000).await);
+    let answered = ErrandState::Answered(r#""x""#.to_owned());
+    assert_eq!(store.errand("a").await.expect("read"), Some(answered));
+    store.forget_errands(60_000).await.expect("forgotten");
+    assert!(store.errand("a").await.expect("read").is_some(), "it is young");
+    store.withdraw_errand("a").await.expect("gone");
+    assert_eq!(store.errand("a").await.expect("read"), None);
+}
