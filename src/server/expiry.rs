@@ -3,14 +3,13 @@
 use crate::app::App;
 use crate::error::Result;
 use crate::removal::remove;
-use crate::store::now_ms;
 
 /// Marks what will go and deletes what was marked for long enough. Returns how much was deleted.
 ///
 /// # Errors
 /// When the database refuses.
 pub async fn expire(app: &App) -> Result<usize> {
-    let now = now_ms();
+    let now = app.store.now().await?;
     let marked = app.store.mark_expiring(&app.config.retention, now).await;
     // Where nothing may be deleted any more, what was marked is not deleted either.
     if app.config.retention.is_off() {

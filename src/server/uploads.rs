@@ -5,14 +5,14 @@ use std::io;
 use crate::app::App;
 use crate::error::{Result, ServerError};
 use crate::removal::remove_file;
-use crate::store::{Engine, now_ms};
+use crate::store::Engine;
 
 /// Deletes uploads of which nothing has come for long. Returns how many.
 ///
 /// # Errors
 /// When the database refuses.
 pub async fn expire_uploads(app: &App) -> Result<usize> {
-    let now = now_ms();
+    let now = app.store.now().await?;
     let mut gone = 0;
     for id in app.store.expired_uploads(now).await? {
         // A piece that has taken longer than that is no reason.

@@ -101,8 +101,9 @@ async fn send_due(
         });
     }
     let next = app.store.next_delivery(busy).await?;
+    let now = app.store.now().await?;
     let wait = next.map_or(LOOK_EVERY, |next| {
-        Duration::from_millis(u64::try_from(next - now_ms()).unwrap_or_default())
+        Duration::from_millis(u64::try_from(next - now).unwrap_or_default())
     });
     Ok(wait.min(LOOK_EVERY))
 }
@@ -148,9 +149,7 @@ async fn attempt(app: &App, delivery: &DeliveryRow, webhook: &WebhookRow) -> Tri
 /// How it goes on after one more attempt that failed.
 fn again(attempts_before: u32) -> Then {
     let wait = WAITS.get(attempts_before as usize);
-    wait.map_or(Then::GivenUp, |seconds| {
-        Then::Again(now_ms() + seconds * 1000)
-    })
+    wait.map_or(Then::GivenUp, |seconds| Then::After(seconds * 1000))
 }
 
 #[cfg(test)]
@@ -162,7 +161,7 @@ mod tests {
         let mut hours = 0;
         for attempts in 0..WAITS.len() as u32 {
             match again(attempts) {
-                Then::Again(at) => hours += at - now_ms(),
+                Then::After(wait_ms) => hours += wait_ms,
                 then => panic!("after {attempts}: {then:?}"),
             }
         }

@@ -6,7 +6,7 @@ use serde_json::json;
 use sqlx::Row;
 use sqlx::any::AnyRow;
 
-use super::{Store, Tx, now_ms};
+use super::{Store, Tx};
 use crate::error::{Result, ServerError};
 
 /// An upload in pieces, unfinished or not yet made a capture of.
@@ -62,7 +62,7 @@ impl Store {
     pub async fn upload(&self, id: &str) -> Result<Option<UploadRow>> {
         let row = sqlx::query("SELECT * FROM uploads WHERE id = $1 AND expires_at > $2")
             .bind(id)
-            .bind(now_ms())
+            .bind(self.now().await?)
             .fetch_optional(&self.pool)
             .await?;
         row.as_ref().map(from_row).transpose()
@@ -79,7 +79,7 @@ impl Store {
         );
         let rows = sqlx::query(sqlx::AssertSqlSafe(these))
             .bind(json!(ids).to_string())
-            .bind(now_ms())
+            .bind(self.now().await?)
             .fetch_all(&self.pool)
             .await?;
         let by_id = |row| from_row(row).map(|row| (row.id.clone(), row));

@@ -6,7 +6,7 @@ use sqlx::any::AnyRow;
 
 use super::engine::{Cells, counted};
 use super::outbox::{body, typed};
-use super::{Engine, Store, now_ms};
+use super::{Engine, Store};
 use crate::error::Result;
 
 /// What a test delivery is called.
@@ -70,8 +70,8 @@ pub struct Tried {
 pub enum Then {
     /// It arrived.
     Arrived,
-    /// It is tried again then, milliseconds since 1970.
-    Again(i64),
+    /// It is tried again after so long, milliseconds.
+    After(i64),
     /// It is given up.
     GivenUp,
     /// It is given up, and so is the address.
@@ -167,7 +167,7 @@ impl Store {
     /// # Errors
     /// When the database refuses.
     pub async fn test_webhook(&self, webhook: &str) -> Result<Option<String>> {
-        let now = now_ms();
+        let now = self.now().await?;
         let id = format!("msg_{}", uuid::Uuid::now_v7());
         let done = sqlx::query(
             "INSERT INTO deliveries (id, webhook_id, type, body, created_at, next_at)
@@ -205,7 +205,7 @@ impl Store {
             self.engine.listed("$2")
         );
         let rows = sqlx::query(sqlx::AssertSqlSafe(due))
-            .bind(now_ms())
+            .bind(self.now().await?)
             .bind(Value::from(busy.to_vec()).to_string())
             .bind(i64::from(limit))
             .fetch_all(&self.pool)
@@ -248,7 +248,7 @@ impl Store {
                  ELSE (SELECT COUNT(*) FROM tokens WHERE id = $1 AND revoked_at IS NULL
                        AND (expires_at IS NULL OR expires_at > $2)) END",
         );
-        let holds = holds.bind(&webhook.made_by).bind(now_ms());
+        let holds = holds.bind(&webhook.made_by).bind(self.now().await?);
         let holds: i64 = holds.fetch_one(&self.pool).await?;
         Ok(holds > 0)
     }
@@ -282,12 +282,13 @@ impl Store {
     /// # Errors
     /// When the database refuses.
     pub async fn note_attempt(&self, delivery: &DeliveryRow, tried: &Tried) -> Result<()> {
+        let mut tx = self.write().await?;
+        let now = tx.now;
         let (next, arrived) = match tried.then {
-            Then::Arrived => (None, Some(now_ms())),
-            Then::Again(at) => (Some(at), None),
+            Then::Arrived => (None, Some(now)),
+            Then::After(wait_ms) => (Some(now + wait_ms), None),
             Then::GivenUp | Then::Gone => (None, None),
         };
-        let mut tx = self.write().await?;
         sqlx::query(
             "UPDATE deliveries SET attempts = attempts + 1, next_at = $1, delivered_at = $2,
              answer = $3 WHERE id = $4 AND attempts = $5
@@ -306,7 +307,7 @@ impl Store {
                 "UPDATE webhooks SET gone_at = $1
                  WHERE id = (SELECT webhook_id FROM deliveries WHERE id = $2)",
             )
-            .bind(now_ms())
+            .bind(now)
             .bind(&delivery.id)
             .execute(&mut *tx)
             .await?;
@@ -338,7 +339,7 @@ impl Store {
         let done = sqlx::query(
             "UPDATE deliveries SET next_at = $1, attempts = 0 WHERE id = $2 AND webhook_id = $3",
         )
-        .bind(now_ms())
+        .bind(self.now().await?)
         .bind(id)
         .bind(webhook)
         .execute(&self.pool)

@@ -20,7 +20,7 @@ use crate::http::problem::{Problem, disk_full, too_large};
 use crate::http::quota::{bytes_left, over_quota};
 use crate::http::upload::to_its_end;
 use crate::removal::remove_file;
-use crate::store::{UploadRow, now_ms};
+use crate::store::UploadRow;
 
 /// After so many seconds there may be room for one more.
 const RETRY: u32 = 60;
@@ -61,8 +61,8 @@ pub(super) async fn begin(
         metadata: metadata.sent,
         length,
         judged: None,
-        created_at: now_ms(),
-        expires_at: life(app),
+        created_at: app.store.now().await?,
+        expires_at: life(app).await?,
     };
     keep(app, visitor, &row).await?;
     let mut begun = Begun {

@@ -12,7 +12,7 @@ use crate::app::App;
 use crate::error::ServerError;
 use crate::holders::Hold;
 use crate::http::problem::{Problem, disk_full, too_large};
-use crate::store::{UploadRow, now_ms};
+use crate::store::UploadRow;
 
 /// Between two looks at the free space of the disk, bytes.
 const LOOK_AT_DISK: u64 = 32 << 20;
@@ -82,7 +82,7 @@ pub(super) async fn add(
     }
     if piece.checksum.is_some() {
         // A server that dies meanwhile must not count what it has not judged.
-        let expires_at = life(app);
+        let expires_at = life(app).await?;
         app.store
             .touch_upload(&row.id, Some(begin), expires_at)
             .await?;
@@ -100,9 +100,9 @@ pub(super) async fn add(
 }
 
 /// A time so far from now as an upload lives after its last byte, milliseconds since 1970.
-pub(super) fn life(app: &App) -> i64 {
+pub(super) async fn life(app: &App) -> crate::error::Result<i64> {
     let life = i64::try_from(app.limits.upload_life.as_millis()).unwrap_or(i64::MAX / 4);
-    now_ms() + life
+    Ok(app.store.now().await? + life)
 }
 
 struct Writer<'a> {
@@ -130,7 +130,7 @@ impl Writer<'_> {
         }
         file::sync(self.app, self.row, &self.file).await?;
         let offset = file::length(self.app, self.row, &self.file).await?;
-        let expires_at = life(self.app);
+        let expires_at = life(self.app).await?;
         let touched = self.app.store.touch_upload(&self.row.id, None, expires_at);
         if !touched.await? {
             return Err(Problem::not_found("upload"));

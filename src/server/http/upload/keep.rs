@@ -16,7 +16,7 @@ use crate::http::problem::Problem;
 use crate::http::quota::{bytes_left_beside, over_quota};
 use crate::intake::CaptureReport;
 use crate::removal::{remove, remove_file};
-use crate::store::{CaptureRow, now_ms};
+use crate::store::CaptureRow;
 
 /// An upload whose files lie where those of captures lie, and whose row is still to be stored.
 /// Nobody else's look at the quota ends before it is dropped.
@@ -102,7 +102,7 @@ impl Upload {
                 .unwrap_or_else(default_name),
             accepted: report.accepted,
             report: serde_json::to_value(report).unwrap_or_default(),
-            created_at: now_ms(),
+            created_at: app.store.now().await?,
             owner: visitor.owner().map(str::to_owned),
             expires_at: None,
         };
