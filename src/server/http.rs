@@ -33,6 +33,7 @@ mod order;
 mod page;
 mod paths;
 mod pin;
+mod priority;
 mod problem;
 mod quota;
 mod range;
