@@ -14,7 +14,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use crate::app::App;
-use crate::copies::collect;
+use crate::collector::collect;
 use crate::error::{Result, ServerError};
 use crate::expiry::expire;
 use crate::store::now_ms;
@@ -54,7 +54,10 @@ pub async fn keep_sweeping(app: Arc<App>, serves: bool) {
         if let Err(error) = app.store.forget_deliveries(told_until).await {
             tracing::warn!(%error, "cannot forget what webhooks were told");
         }
-        match collect(&app).await {
+        let Some(blobs) = app.mirror.blobs() else {
+            continue;
+        };
+        match collect(&app.store, blobs).await {
             Ok(0) => {}
             Ok(deleted) => tracing::info!(deleted, "blobs that no file has are gone"),
             Err(error) => tracing::warn!(%error, "cannot look for blobs that no file has"),
