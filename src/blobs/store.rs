@@ -220,12 +220,14 @@ impl Blobs {
         Ok(())
     }
 
-    /// Every blob that was last written longer ago than `age`, by the clock of the store.
+    /// Every blob whose digest begins with this byte and that was last written longer ago than
+    /// `age`, by the clock of the store. One byte at a time: a store has more blobs than a process
+    /// has memory for.
     ///
     /// # Errors
     /// [`BlobError::Store`] when they cannot be listed.
-    pub async fn older_than(&self, age: Duration) -> Result<Vec<Blob>> {
-        let folder = self.below("blobs");
+    pub async fn older_than(&self, first: u8, age: Duration) -> Result<Vec<Blob>> {
+        let folder = self.below("blobs").join(format!("{first:02x}"));
         let mut listed = self.store().list(Some(&folder));
         let mut old = Vec::new();
         while let Some(object) = listed.next().await {

@@ -44,6 +44,15 @@ fn set_age(file: &Path, age: Duration) {
     file.set_modified(SystemTime::now() - age).unwrap();
 }
 
+/// All blobs that are older, whatever their digests begin with.
+async fn older_than(blobs: &Blobs, age: Duration) -> Vec<Blob> {
+    let mut old = Vec::new();
+    for first in 0..=u8::MAX {
+        old.extend(blobs.older_than(first, age).await.unwrap());
+    }
+    old
+}
+
 fn age(file: &Path) -> Duration {
     let modified = file.metadata().unwrap().modified().unwrap();
     modified.elapsed().unwrap_or_default()

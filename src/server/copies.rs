@@ -5,7 +5,7 @@
 //! the store, before it tells of it. Whoever answers a request fetches what has changed since.
 //! Without such a store all this does nothing: the data directory is what is true.
 
-use std::collections::{BTreeMap, HashSet};
+use std::collections::BTreeMap;
 use std::os::unix::fs::MetadataExt;
 use std::path::Path;
 use std::time::{Duration, SystemTime};
@@ -22,17 +22,11 @@ use crate::removal::remove;
 use crate::store::{Lease, Saying, by_path};
 use crate::workshop::Workshop;
 
-/// Blobs that no file has had for so long are deleted.
-const UNNAMED: Duration = Duration::from_secs(24 * 3600);
-
 /// Looks at a folder that changes, until one is of one moment.
 const LOOKS: u32 = 5;
 
 /// Between two looks.
 const PAUSE: Duration = Duration::from_millis(20);
-
-/// Digests that the database is asked about at once.
-const ASKED: usize = 500;
 
 /// Path, and what changes when a file is written.
 type Look = BTreeMap<String, (u64, i64, i64, u64)>;
@@ -227,28 +221,6 @@ pub async fn publish_video(app: &App, job: &str, video: &str) -> Result<()> {
     let pushed = push(blobs, &app.data.job(job), &is_its, &known, &mut copy.seen).await?;
     app.store.add_files(job, &pushed.kept, &pushed.gone).await?;
     Ok(())
-}
-
-/// Deletes blobs that no file has had for a day, and what uploads of blobs left that broke off.
-/// Returns how many.
-///
-/// # Errors
-/// When the database or the store refuses.
-pub async fn collect(app: &App) -> Result<usize> {
-    let Some(blobs) = app.mirror.blobs() else {
-        return Ok(0);
-    };
-    let mut deleted = blobs.sweep_unfinished(UNNAMED).await?;
-    let old = blobs.older_than(UNNAMED).await?;
-    for some in old.chunks(ASKED) {
-        let digests: Vec<String> = some.iter().map(|blob| blob.digest.clone()).collect();
-        let named: HashSet<String> = app.store.named(&digests).await?.into_iter().collect();
-        for digest in digests.iter().filter(|digest| !named.contains(*digest)) {
-            // It may have been put again since it was listed, and is named in a moment.
-            deleted += usize::from(blobs.delete_older(digest, UNNAMED).await?);
-        }
-    }
-    Ok(deleted)
 }
 
 /// What a file below a job's folder is called there.

@@ -34,6 +34,7 @@ mod order;
 mod page;
 mod paths;
 mod pin;
+mod priority;
 mod problem;
 mod quota;
 mod range;

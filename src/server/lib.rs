@@ -7,6 +7,7 @@
 mod app;
 pub mod assessor;
 mod backup;
+mod collector;
 mod config;
 mod coordinator;
 mod copies;

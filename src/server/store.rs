@@ -3,6 +3,7 @@
 //! Writes that must not be lost are single transactions, on SQLite in WAL mode with full
 //! synchronisation: once a call returns, its effect survives a power cut.
 
+mod alone;
 mod backup;
 mod captures;
 mod clock;
@@ -28,7 +29,7 @@ mod sessions;
 mod shares;
 mod tables;
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;
 mod tokens;
 mod uploads;
 mod webhooks;
@@ -43,6 +44,7 @@ use sqlx::AnyPool;
 use crate::error::{Result, ServerError};
 use engine::Tx;
 
+pub use alone::Alone;
 pub use backup::Attempted;
 pub use captures::CaptureRow;
 pub use clock::now_ms;

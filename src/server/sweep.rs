@@ -14,7 +14,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use crate::app::App;
-use crate::copies::collect;
+use crate::collector::collect;
 use crate::error::{Result, ServerError};
 use crate::expiry::expire;
 use crate::uploads::{expire_uploads, forget_lost};
@@ -58,13 +58,16 @@ pub async fn keep_sweeping(app: Arc<App>, serves: bool) {
         if let Err(error) = app.store.forget_errands(ERRANDS_KEPT_MS).await {
             tracing::warn!(%error, "cannot forget what was asked of workers");
         }
-        match collect(&app).await {
+        if let Err(error) = expire(&app).await {
+            tracing::warn!(%error, "cannot delete what is kept no longer");
+        }
+        let Some(blobs) = app.mirror.blobs() else {
+            continue;
+        };
+        match collect(&app.store, blobs).await {
             Ok(0) => {}
             Ok(deleted) => tracing::info!(deleted, "blobs that no file has are gone"),
             Err(error) => tracing::warn!(%error, "cannot look for blobs that no file has"),
-        }
-        if let Err(error) = expire(&app).await {
-            tracing::warn!(%error, "cannot delete what is kept no longer");
         }
     }
 }

@@ -5,7 +5,7 @@ use std::path::Path;
 use std::time::Duration;
 
 use super::server::Server;
-use super::{HOUR, age, directory, names, noise, object, set_age};
+use super::{HOUR, age, directory, names, noise, object, older_than, set_age};
 use crate::{Blob, BlobError, Blobs};
 
 const PATIENCE: Duration = Duration::from_secs(5);
@@ -70,7 +70,7 @@ async fn bytes_are_kept_like_files() {
 #[tokio::test]
 async fn only_what_is_old_is_listed() {
     each_kind(async |blobs, objects| {
-        assert_eq!(blobs.older_than(Duration::ZERO).await.unwrap(), []);
+        assert_eq!(older_than(&blobs, Duration::ZERO).await, []);
         let old = blobs.put_bytes(b"old".to_vec()).await.unwrap();
         let new = blobs.put_bytes(b"new".to_vec()).await.unwrap();
         set_age(&object(objects, &old), 25 * HOUR);
@@ -83,14 +83,40 @@ async fn only_what_is_old_is_listed() {
             set_age(&stray, 25 * HOUR);
         }
         assert_eq!(
-            blobs.older_than(24 * HOUR).await.unwrap(),
+            older_than(&blobs, 24 * HOUR).await,
             std::slice::from_ref(&old)
         );
-        let mut all = blobs.older_than(22 * HOUR).await.unwrap();
+        let mut all = older_than(&blobs, 22 * HOUR).await;
         all.sort();
         let mut both = [old, new];
         both.sort();
         assert_eq!(all, both);
+    })
+    .await;
+}
+
+#[tokio::test]
+async fn what_is_old_is_found_prefix_by_prefix() {
+    each_kind(async |blobs, objects| {
+        let mut old = Vec::new();
+        for seed in 0..200 {
+            let blob = blobs.put_bytes(noise(seed, 9)).await.unwrap();
+            if seed % 4 > 0 {
+                set_age(&object(objects, &blob), 25 * HOUR);
+                old.push(blob);
+            }
+        }
+        let mut found = Vec::new();
+        for first in 0..=u8::MAX {
+            let some = blobs.older_than(first, 24 * HOUR).await.unwrap();
+            let begins = format!("{first:02x}");
+            let fits = |blob: &Blob| blob.digest.starts_with(&begins);
+            assert!(some.iter().all(fits), "{some:?} for {begins}");
+            found.extend(some);
+        }
+        found.sort();
+        old.sort();
+        assert_eq!(found, old, "all that are old, once, and no other");
     })
     .await;
 }
@@ -203,7 +229,7 @@ async fn what_broke_off_in_a_directory_is_swept() {
     }
     set_age(&whole, 25 * HOUR);
     set_age(&old, 25 * HOUR);
-    assert_eq!(blobs.older_than(Duration::ZERO).await.unwrap(), [blob]);
+    assert_eq!(older_than(&blobs, Duration::ZERO).await, [blob]);
     assert_eq!(blobs.sweep_unfinished(24 * HOUR).await.unwrap(), 1);
     assert!(whole.exists() && new.exists() && !old.exists());
     assert!(age(&whole) > 24 * HOUR);

@@ -369,7 +369,7 @@ fn all_of_it_can_move_between_threads() {
     expect_send(blobs.put(dir.path()));
     expect_send(blobs.put_bytes(Vec::new()));
     expect_send(blobs.fetch(&blob, dir.path()));
-    expect_send(blobs.older_than(HOUR));
+    expect_send(blobs.older_than(0, HOUR));
     expect_send(blobs.delete(""));
     expect_send(blobs.delete_older("", HOUR));
     expect_send(blobs.sweep_unfinished(HOUR));

@@ -32,6 +32,10 @@ pub struct Args {
     /// Photographs to take of a video; 40 when absent.
     #[arg(long, value_name = "N")]
     frames: Option<u32>,
+    /// Goes before jobs of a lower number that wait, -100 to 100; above 0 needs scope `admin`.
+    #[arg(long, value_name = "N", allow_negative_numbers = true,
+        value_parser = clap::value_parser!(i64).range(-100..=100))]
+    priority: Option<i64>,
     /// What to call it; the folder's name when absent.
     #[arg(long)]
     name: Option<String>,
@@ -86,12 +90,13 @@ fn fields(args: &Args) -> Result<Vec<(&'static str, String)>, Failure> {
         Some(path.file_stem()?.to_string_lossy().into_owned())
     });
     let frames = args.frames.map(|frames| ("frames", frames.to_string()));
+    let priority = args.priority.map(|n| ("priority", n.to_string()));
     let fields = [
         ("name", name.unwrap_or_default()),
         ("preset", args.preset.name().to_owned()),
         ("options", Value::Object(options).to_string()),
     ];
-    Ok(fields.into_iter().chain(frames).collect())
+    Ok(fields.into_iter().chain(frames).chain(priority).collect())
 }
 
 fn send(remote: &Remote, form: &Form, key: &str) -> Result<String, Fault> {

@@ -7,7 +7,7 @@ use axum::extract::{DefaultBodyLimit, Extension, FromRequest, Path, Request, Sta
 use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use serde::Deserialize;
-use serde_json::{Map, Value};
+use serde_json::{Map, Number, Value};
 use utoipa::{IntoParams, ToSchema};
 
 use super::access::Visitor;
@@ -16,6 +16,7 @@ use super::extract::{Json, Query, typed};
 use super::lookup::find;
 use super::order::Order;
 use super::page::page_size;
+use super::priority::Priority;
 use super::problem::Problem;
 use super::quota::bytes_left;
 use super::room::{check_room, over_quota_jobs, queue_full};
@@ -44,6 +45,10 @@ pub struct CreateJob {
     options: Map<String, Value>,
     /// The user's name for it; the capture's when absent.
     name: Option<String>,
+    /// From -100 to 100: of two jobs that wait the higher one goes first; 0 when absent. Above 0
+    /// needs `admin`, where there are tokens.
+    #[schema(value_type = Option<i32>, minimum = -100, maximum = 100)]
+    priority: Option<Number>,
 }
 
 /// A job of a capture that there is, or of uploads in pieces.
@@ -80,6 +85,8 @@ pub struct JobForm {
     preset: Option<String>,
     /// A JSON object: options over the preset's.
     options: Option<String>,
+    /// From -100 to 100; 0 when absent. Above 0 needs `admin`, where there are tokens.
+    priority: Option<String>,
 }
 
 /// Which jobs to list.
@@ -181,7 +188,8 @@ async fn from_json(
         only.is_none() || capture.owner.as_deref() == only
     });
     let capture = capture.ok_or_else(|| Problem::not_found("capture").pointer("/capture_id"))?;
-    let options = Value::Object(body.options.clone()).to_string();
+    let priority = Priority::asked(body.priority.as_ref(), visitor)?;
+    let options = priority.beside(&body.options);
     let parts = [
         &body.capture_id,
         body.preset.as_deref().unwrap_or_default(),
@@ -191,7 +199,7 @@ async fn from_json(
     let fingerprint = blake3::hash(parts.join("\n").as_bytes())
         .to_hex()
         .to_string();
-    let order = Order::new(app, body.preset.as_deref(), &body.options).await?;
+    let order = Order::new(app, body.preset.as_deref(), &body.options, priority).await?;
     order.check_views(&report(&capture))?;
     let job = order.job(
         app,
@@ -217,8 +225,8 @@ async fn from_upload(
         check_room(app, &visitor).await?;
         bytes_left(app, &visitor).await?
     };
-    let upload =
-        upload::receive(app, request, &["name", "frames", "preset", "options"], most).await?;
+    let fields = ["name", "frames", "preset", "options", "priority"];
+    let upload = upload::receive(app, request, &fields, most).await?;
     let options = match upload
         .fields
         .get("options")
@@ -237,8 +245,9 @@ async fn from_upload(
         .cloned()
         .filter(|preset| !preset.is_empty());
     let fingerprint = upload.fingerprint.clone();
+    let priority = Priority::field(upload.fields.get("priority"), &visitor)?;
     // Options are checked before the photographs: a typo is told at once.
-    let order = Order::new(app, preset.as_deref(), &options).await?;
+    let order = Order::new(app, preset.as_deref(), &options, priority).await?;
     let report = upload.examine(app).await?;
     order.check_views(&report)?;
     let (app, key) = (app.clone(), key.map(str::to_owned));

@@ -11,6 +11,7 @@ use serde::Deserialize;
 use serde_json::{Map, Value};
 use uuid::Uuid;
 
+use super::priority::Priority;
 use super::problem::Problem;
 use crate::app::App;
 use crate::intake::CaptureReport;
@@ -27,6 +28,7 @@ const LONGEST_ADAPTER: usize = 200;
 pub(super) struct Order {
     preset: Preset,
     options: Options,
+    priority: Priority,
     /// Of the request: what it goes on by itself does not know it any more.
     traceparent: Option<String>,
 }
@@ -38,6 +40,7 @@ impl Order {
         app: &App,
         preset: Option<&str>,
         options: &Map<String, Value>,
+        priority: Priority,
     ) -> Result<Self, Problem> {
         let preset: Preset = preset
             .unwrap_or(Preset::Standard.name())
@@ -47,7 +50,7 @@ impl Order {
             .options()
             .with_overrides(options)
             .map_err(|error| bad_option(&error))?;
-        Self::checked(app, preset, options).await
+        Self::checked(app, preset, options, priority).await
     }
 
     /// What is asked of a job that there is, over the options that it has.
@@ -68,10 +71,15 @@ impl Order {
         let options = before
             .with_overrides(options)
             .map_err(|error| bad_option(&error))?;
-        Self::checked(app, preset, options).await
+        Self::checked(app, preset, options, Priority::of(row.priority)).await
     }
 
-    async fn checked(app: &App, preset: Preset, options: Options) -> Result<Self, Problem> {
+    async fn checked(
+        app: &App,
+        preset: Preset,
+        options: Options,
+        priority: Priority,
+    ) -> Result<Self, Problem> {
         check_words(&options)?;
         // It reads the networks' files.
         let (folders, checked) = (app.config.models.clone(), options.clone());
@@ -87,6 +95,7 @@ impl Order {
         Ok(Self {
             preset,
             options,
+            priority,
             traceparent: current(),
         })
     }
@@ -133,7 +142,7 @@ impl Order {
             preset: self.preset.name().to_owned(),
             rounds: self.options.rounds,
             needs: self.needs(app),
-            priority: 0,
+            priority: self.priority.number(),
             traceparent: self.traceparent.clone(),
             options: serde_json::to_value(&self.options).map_err(|_| Problem::internal())?,
         })

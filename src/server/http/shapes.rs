@@ -79,6 +79,8 @@ pub struct Job {
     /// The place of a queued job among all that wait, 1 being the next; `null` for others. One that
     /// waits for another attempt keeps its place and may be passed.
     pub queue_position: Option<u32>,
+    /// Of two jobs that wait the higher one goes first.
+    pub priority: i64,
     /// What a machine must have that a queued job waits for; `null` where any will do.
     pub waits_for: Option<String>,
     /// The round that runs or ran last, 1-based; 0 before the first.
@@ -188,6 +190,7 @@ impl Job {
             stage: row.stage,
             stage_started_at: stage_started_at.map(time),
             queue_position,
+            priority: row.priority,
             round: row.round,
             rounds: row.rounds,
             progress: row.progress,

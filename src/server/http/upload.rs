@@ -49,7 +49,7 @@ const FILE_PARTS: [&str; 3] = ["images", "gt", "poses"];
 #[derive(Debug)]
 pub struct Upload {
     dir: Arc<Incoming>,
-    /// Text fields: `name`, `frames`, `preset`, `options`.
+    /// Text fields: `name`, `frames`, `preset`, `options`, `priority`.
     pub fields: BTreeMap<String, String>,
     /// Identifies the content: names, fields and bytes.
     pub fingerprint: String,

@@ -4,11 +4,12 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use serde::Deserialize;
-use serde_json::{Map, Value};
+use serde_json::{Map, Number, Value};
 use utoipa::ToSchema;
 
 use super::access::Visitor;
 use super::order::Order;
+use super::priority::Priority;
 use super::problem::Problem;
 use super::room::check_room;
 use super::upload::{Placed, Upload, check_space, fetch, gather, to_its_end};
@@ -79,12 +80,16 @@ pub struct JobOfUploads {
     /// Photographs to take of a video; 40 when absent.
     #[schema(minimum = 3, maximum = 500)]
     frames: Option<u32>,
+    /// From -100 to 100: of two jobs that wait the higher one goes first; 0 when absent. Above 0
+    /// needs `admin`, where there are tokens.
+    #[schema(value_type = Option<i32>, minimum = -100, maximum = 100)]
+    priority: Option<Number>,
 }
 
 impl JobOfUploads {
     /// Identifies what is asked for: the uploads may be used up already.
-    fn fingerprint(&self) -> String {
-        let options = Value::Object(self.options.clone()).to_string();
+    fn fingerprint(&self, priority: Priority) -> String {
+        let options = priority.beside(&self.options);
         let frames = self.frames.map(|frames| frames.to_string());
         let frames = frames.unwrap_or_default();
         let parts = [
@@ -111,7 +116,8 @@ pub(super) async fn create_job(
     key: Option<&str>,
     visitor: Visitor,
 ) -> Result<Creation, Problem> {
-    let fingerprint = body.fingerprint();
+    let priority = Priority::asked(body.priority.as_ref(), &visitor)?;
+    let fingerprint = body.fingerprint(priority);
     let request = Request {
         key,
         fingerprint: &fingerprint,
@@ -120,7 +126,7 @@ pub(super) async fn create_job(
     if let Some(seen) = app.store.answered(&request).await? {
         return Ok(seen);
     }
-    match make(app, body, &request, visitor).await {
+    match make(app, body, priority, &request, visitor).await {
         // The first one may have used them up meanwhile.
         Err(problem) => app.store.answered(&request).await?.ok_or(problem),
         made => made,
@@ -130,13 +136,14 @@ pub(super) async fn create_job(
 async fn make(
     app: &Arc<App>,
     body: JobOfUploads,
+    priority: Priority,
     request: &Request<'_>,
     visitor: Visitor,
 ) -> Result<Creation, Problem> {
     check_space(app)?;
     check_room(app, &visitor).await?;
     let preset = body.preset.as_deref().filter(|preset| !preset.is_empty());
-    let order = Order::new(app, preset, &body.options).await?;
+    let order = Order::new(app, preset, &body.options, priority).await?;
     let fields = fields(body.name.as_ref(), body.frames);
     let upload = gather(app, &body.uploads, fields, &visitor).await?;
     let report = upload.examine(app).await?;

@@ -21,14 +21,14 @@ pub(super) async fn in_a_file() -> (tempfile::TempDir, Store) {
 }
 
 /// A database of a server's.
-pub(super) async fn of_a_server() -> (tempfile::TempDir, Store) {
+pub(crate) async fn of_a_server() -> (tempfile::TempDir, Store) {
     let dir = tempfile::tempdir().expect("temporary directory");
     let url = fled_tests::Postgres::shared().database();
     (dir, Store::at(&url).await.expect("fresh database"))
 }
 
 /// One of each, for tests that do not care.
-pub(super) async fn of_each() -> [(tempfile::TempDir, Store); 2] {
+pub(crate) async fn of_each() -> [(tempfile::TempDir, Store); 2] {
     [in_a_file().await, of_a_server().await]
 }
 

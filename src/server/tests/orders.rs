@@ -2,11 +2,13 @@
 
 mod support;
 
-use serde_json::json;
-use support::Server;
+use fled_tests::Reply;
+use serde_json::{Value, json};
+use support::tokens::{token, token_of};
+use support::{Server, photographs, text};
 
 /// The problem with an order of these options.
-fn refused(server: &Server, options: &serde_json::Value) -> serde_json::Value {
+fn refused(server: &Server, options: &Value) -> Value {
     let order = json!({ "capture_id": server.capture(3), "options": options });
     let reply = server.post_json("/v1/jobs", &order, &[]);
     reply.expect(422).json()
@@ -15,7 +17,7 @@ fn refused(server: &Server, options: &serde_json::Value) -> serde_json::Value {
 #[test]
 fn an_unknown_option_is_refused_with_a_pointer_to_it() {
     let server = Server::start();
-    let post = |options: serde_json::Value| refused(&server, &options);
+    let post = |options: Value| refused(&server, &options);
     assert_eq!(post(json!({ "turbo": true }))["pointer"], "/options/turbo");
     assert_eq!(post(json!({ "rounds": 99 }))["pointer"], "/options/rounds");
     assert_eq!(
@@ -27,7 +29,7 @@ fn an_unknown_option_is_refused_with_a_pointer_to_it() {
 #[test]
 fn an_unknown_network_is_refused_with_the_known_ones() {
     let server = Server::start();
-    let post = |options: serde_json::Value| refused(&server, &options);
+    let post = |options: Value| refused(&server, &options);
     let networks = post(json!({ "deblur": "/etc/hostname" }));
     assert_eq!(networks["pointer"], "/options/deblur");
     assert!(
@@ -114,4 +116,130 @@ fn a_damaged_network_is_told_before_the_job() {
         !refused.to_string().contains("manifest.json"),
         "no paths of the server: {refused:#}"
     );
+}
+
+fn id(reply: &Reply) -> String {
+    reply.json()["id"].as_str().expect("id").to_owned()
+}
+
+/// An order of this priority.
+fn urgent(capture: &str, priority: &Value) -> Value {
+    json!({ "capture_id": capture, "options": { "adapter": "ok" }, "priority": priority })
+}
+
+#[test]
+fn jobs_that_wait_are_taken_by_their_priority() {
+    let server = Server::start_with(&[("FLED_FAKE_WORKERS", "1")]);
+    let capture = server.capture(3);
+    let busy = server.job("slow:300");
+    server.wait_state(&busy, "running");
+    let ask = |priority: i64| {
+        let order = urgent(&capture, &json!(priority));
+        let made = server.post_json("/v1/jobs", &order, &[]).expect(202);
+        assert_eq!(made.json()["priority"], priority);
+        id(&made)
+    };
+    let [least, none, most] = [-100, 0, 100].map(ask);
+    let mut parts = photographs(3);
+    parts.push(text("options", r#"{"adapter":"ok"}"#));
+    parts.push(text("priority", "7"));
+    let form = id(&server.upload("/v1/jobs", &parts, &[]).expect(202));
+    let order = [most, form, none, least];
+    let job = |id: &str| {
+        server
+            .get(&format!("/v1/jobs/{id}"), &[])
+            .expect(200)
+            .json()
+    };
+    let places = order.each_ref().map(|id| job(id)["queue_position"].clone());
+    assert_eq!(places, [1, 2, 3, 4].map(Value::from));
+    server
+        .post(&format!("/v1/jobs/{busy}/cancel"), b"", &[])
+        .expect(202);
+    let began = order.each_ref().map(|id| {
+        server.wait_state(id, "succeeded");
+        job(id)["started_at"].as_str().expect("a time").to_owned()
+    });
+    assert!(began.is_sorted(), "{began:?}");
+    // It keeps what it was given.
+    let options = json!({ "options": { "rounds": 1 } });
+    let again = server.post_json(&format!("/v1/jobs/{}/retry", order[3]), &options, &[]);
+    assert_eq!(again.expect(202).json()["priority"], -100);
+}
+
+#[test]
+fn what_is_no_priority_is_refused_with_a_pointer_to_it() {
+    let server = Server::start();
+    let capture = server.capture(3);
+    for bad in [json!(101), json!(-101), json!(1.5), json!(1e30)] {
+        let refused = server
+            .post_json("/v1/jobs", &urgent(&capture, &bad), &[])
+            .expect(422);
+        assert_eq!(refused.json()["pointer"], "/priority", "{bad}");
+        assert_eq!(refused.json()["code"], "bad_input", "{bad}");
+    }
+    server
+        .post_json("/v1/jobs", &urgent(&capture, &json!("high")), &[])
+        .expect(422);
+    let uploads = json!({ "uploads": ["none"], "priority": 101 });
+    let refused = server.post_json("/v1/jobs", &uploads, &[]).expect(422);
+    assert_eq!(refused.json()["pointer"], "/priority");
+    for bad in ["urgent", "1.0", "101"] {
+        let mut parts = photographs(3);
+        parts.push(text("priority", bad));
+        let refused = server.upload("/v1/jobs", &parts, &[]).expect(422);
+        assert_eq!(refused.json()["pointer"], "/priority", "{bad}");
+    }
+    assert_eq!(
+        server.get("/v1/jobs", &[]).expect(200).json()["jobs"],
+        json!([])
+    );
+}
+
+#[test]
+fn only_an_admin_goes_before_all_others() {
+    let server = Server::start();
+    let (anna, _) = token_of("anna", &server, "jobs:read,jobs:write");
+    let (admin, _) = token(&server, "admin");
+    let anna = [("authorization", anna.as_str())];
+    let capture = id(&server
+        .upload("/v1/captures", &photographs(3), &anna)
+        .expect(201));
+    let ask = |priority: i64, header: &[(&str, &str)]| {
+        let order = urgent(&capture, &json!(priority));
+        server.post_json("/v1/jobs", &order, header)
+    };
+    let refused = ask(1, &anna).expect(403).json();
+    assert_eq!(refused["code"], "missing_scope");
+    assert_eq!(refused["pointer"], "/priority");
+    assert!(
+        refused["detail"]
+            .as_str()
+            .is_some_and(|text| text.contains("admin"))
+    );
+    assert!(
+        refused["hint"]
+            .as_str()
+            .is_some_and(|text| text.contains("0 or less"))
+    );
+    let mut parts = photographs(3);
+    parts.push(text("priority", "1"));
+    server.upload("/v1/jobs", &parts, &anna).expect(403);
+    let uploads = json!({ "uploads": ["none"], "priority": 1 });
+    server.post_json("/v1/jobs", &uploads, &anna).expect(403);
+    ask(0, &anna).expect(202);
+    ask(-100, &anna).expect(202);
+    ask(100, &[("authorization", &admin)]).expect(202);
+}
+
+#[test]
+fn another_priority_is_another_request() {
+    let server = Server::start();
+    let capture = server.capture(3);
+    let key = [("idempotency-key", "one")];
+    let ask = |priority: &Value| server.post_json("/v1/jobs", &urgent(&capture, priority), &key);
+    let job = id(&ask(&json!(-5)).expect(202));
+    assert_eq!(id(&ask(&json!(-5)).expect(202)), job, "replayed");
+    assert_eq!(ask(&json!(5)).expect(422).json()["code"], "key_reused");
+    assert_eq!(ask(&Value::Null).expect(422).json()["code"], "key_reused");
 }

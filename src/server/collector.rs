@@ -1,0 +1,166 @@
+//! Deletes what the shared store of files has and no row names.
+
+use std::collections::HashSet;
+use std::time::Duration;
+
+use fled_blobs::Blobs;
+
+use crate::error::Result;
+use crate::store::Store;
+
+/// Blobs that no file has had for so long are deleted.
+const UNNAMED: Duration = Duration::from_secs(24 * 3600);
+
+/// Digests that the database is asked about at once.
+const ASKED: usize = 500;
+
+/// Deletes blobs that no file has had for a day, and what uploads of blobs left that broke off.
+/// Returns how many. Does nothing while another process does so: each would list the whole store
+/// for what the other deletes.
+///
+/// # Errors
+/// When the database or the store refuses.
+pub async fn collect(store: &Store, blobs: &Blobs) -> Result<usize> {
+    let Some(alone) = store.collecting().await? else {
+        tracing::debug!("another process looks for blobs that no file has");
+        return Ok(0);
+    };
+    let deleted = collect_all(store, blobs).await;
+    alone.end().await;
+    deleted
+}
+
+async fn collect_all(store: &Store, blobs: &Blobs) -> Result<usize> {
+    let mut deleted = blobs.sweep_unfinished(UNNAMED).await?;
+    for first in 0..=u8::MAX {
+        let old = blobs.older_than(first, UNNAMED).await?;
+        for some in old.chunks(ASKED) {
+            let digests: Vec<String> = some.iter().map(|blob| blob.digest.clone()).collect();
+            let named: HashSet<String> = store.named(&digests).await?.into_iter().collect();
+            for digest in digests.iter().filter(|digest| !named.contains(*digest)) {
+                // It may have been put again since it was listed, and is named in a moment.
+                deleted += usize::from(blobs.delete_older(digest, UNNAMED).await?);
+            }
+        }
+    }
+    Ok(deleted)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::fs::File;
+    use std::path::{Path, PathBuf};
+    use std::time::SystemTime;
+
+    use fled_blobs::{Blob, Kept};
+    use serde_json::json;
+
+    use super::*;
+    use crate::store::CaptureRow;
+    use crate::store::tests::{of_a_server, of_each};
+
+    const HOUR: Duration = Duration::from_secs(3600);
+
+    struct Place {
+        dir: tempfile::TempDir,
+        blobs: Blobs,
+    }
+
+    impl Place {
+        fn new() -> Self {
+            let dir = tempfile::tempdir().expect("temporary directory");
+            let blobs = Blobs::open(dir.path().to_str().expect("UTF-8")).expect("a store");
+            Self { dir, blobs }
+        }
+
+        fn file(&self, blob: &Blob) -> PathBuf {
+            let folder = self.dir.path().join("blobs").join(&blob.digest[..2]);
+            folder.join(&blob.digest)
+        }
+
+        /// A blob that is so old.
+        async fn put(&self, content: String, age: Duration) -> Blob {
+            let blob = self
+                .blobs
+                .put_bytes(content.into_bytes())
+                .await
+                .expect("put");
+            set_age(&self.file(&blob), age);
+            blob
+        }
+    }
+
+    fn set_age(file: &Path, age: Duration) {
+        let file = File::options().write(true).open(file).expect("is there");
+        file.set_modified(SystemTime::now() - age).expect("set");
+    }
+
+    #[tokio::test]
+    async fn what_is_old_and_has_no_name_goes_and_nothing_else() {
+        for (_dir, store) in of_each().await {
+            let place = Place::new();
+            let mut stay = Vec::new();
+            for number in 0..3 {
+                let named = place.put(format!("named {number}"), 25 * HOUR).await;
+                stay.push(named);
+            }
+            let kept = |blob: &Blob| Kept {
+                path: blob.digest.clone(),
+                blob: blob.clone(),
+            };
+            let kept: Vec<Kept> = stay.iter().map(kept).collect();
+            let capture = CaptureRow {
+                id: "c".to_owned(),
+                name: "a capture".to_owned(),
+                accepted: 3,
+                report: json!({}),
+                created_at: 1,
+                owner: None,
+                expires_at: None,
+            };
+            store.insert_capture(&capture, &kept).await.expect("kept");
+            let mut go = Vec::new();
+            for number in 0..40 {
+                stay.push(place.put(format!("young {number}"), 23 * HOUR).await);
+                go.push(place.put(format!("old {number}"), 25 * HOUR).await);
+            }
+            // What an upload left that broke off.
+            let part = place
+                .file(&stay[0])
+                .with_file_name(format!("{}#1", stay[0].digest));
+            std::fs::write(&part, "part").expect("written");
+            set_age(&part, 25 * HOUR);
+            assert_eq!(collect(&store, &place.blobs).await.expect("collected"), 41);
+            assert!(stay.iter().all(|blob| place.file(blob).exists()));
+            assert!(!go.iter().any(|blob| place.file(blob).exists()));
+            assert!(!part.exists());
+            assert_eq!(collect(&store, &place.blobs).await.expect("collected"), 0);
+        }
+    }
+
+    #[tokio::test]
+    async fn of_two_processes_one_collects() {
+        let (_dir, store) = of_a_server().await;
+        let place = Place::new();
+        let blob = place.put("old".to_owned(), 25 * HOUR).await;
+        let collected = async || collect(&store, &place.blobs).await.expect("collected");
+        let other = store.collecting().await.expect("asked").expect("free");
+        assert_eq!(collected().await, 0, "the other one does it");
+        assert!(place.file(&blob).exists());
+        other.end().await;
+        assert_eq!(collected().await, 1);
+        // Given back at its end.
+        let other = store.collecting().await.expect("asked").expect("free");
+        // One that breaks off halfway holds nobody up: the database sees its connection go.
+        drop(other);
+        place.put("old".to_owned(), 25 * HOUR).await;
+        let began = std::time::Instant::now();
+        while collected().await == 0 {
+            assert!(
+                began.elapsed() < Duration::from_secs(10),
+                "nobody may collect"
+            );
+            tokio::time::sleep(Duration::from_millis(20)).await;
+        }
+    }
+}
