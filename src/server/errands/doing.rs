@@ -91,6 +91,10 @@ async fn make(
     progress: &Progress,
     stop: &Notify,
 ) -> Result<Outcome> {
+    if work.is_disk_full() {
+        let detail = "the worker's disk is full".to_owned();
+        return Ok(Outcome::Failed { detail });
+    }
     let making = work.data.errand(&errand.id).ok_or_else(|| bad("id"))?;
     let scene = work.data.scene(&errand.job).ok_or_else(|| bad("job"))?;
     fetch(work, errand, &scene).await?;

@@ -201,3 +201,52 @@ fn a_video_outlives_its_worker_and_ends_with_who_wants_it() {
         std::thread::sleep(Duration::from_millis(20));
     }
 }
+
+#[test]
+fn a_video_is_shown_by_every_replica_and_deleted_by_any() {
+    let farm = Farm::new();
+    let (_one, one) = farm.replica("one");
+    let (_two, two) = farm.replica("two");
+    let _worker = farm.worker("worker");
+    let job = result(&one);
+    let video = film(&one, &job, 10, 1.0);
+    let shown = ended(&one, &video);
+    assert_eq!(shown["state"], "succeeded", "{shown:#}");
+    let file = format!("{video}/file");
+    let begun = Instant::now();
+    // It is named a moment after it is finished.
+    while two.get(&video, &[]).status == 404 {
+        assert!(begun.elapsed() < Duration::from_secs(5), "never seen");
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    assert_eq!(two.get(&video, &[]).expect(200).json(), shown);
+    let at_two = two.get(&file, &[]).expect(200).body;
+    assert!(at_two == one.get(&file, &[]).expect(200).body);
+    two.delete(&video).expect(204);
+    two.get(&video, &[]).expect(404);
+    let (_three, three) = farm.replica("three");
+    three.get(&file, &[]).expect(404);
+}
+
+#[test]
+fn workers_keep_nothing_alive_that_is_kept_no_longer() {
+    let farm = Farm::new();
+    let (api, at) = farm.replica("api");
+    let _worker = farm.worker("worker");
+    let job = result(&at);
+    assert_eq!(view(&at, &job, 10).header(BY), "worker");
+    drop(api);
+    // It marks what will go when it starts, and deletes what was marked at the next start.
+    let kept = [
+        ("FLED_FAKE_WORKERS", "0"),
+        ("FLED_FAKE_KEEP_MS", "0"),
+    ];
+    drop(farm.start("api", &kept));
+    let (_api, base) = farm.start("api", &kept);
+    let at = Client::new(base, PATIENCE);
+    at.get(&format!("/v1/jobs/{job}"), &[]).expect(404);
+    at.get(&format!("/v1/jobs/{job}/render"), &[]).expect(404);
+    // The worker goes on with others; here nothing goes before the next start.
+    let next = result(&at);
+    assert_eq!(view(&at, &next, 10).header(BY), "worker");
+}
