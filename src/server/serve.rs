@@ -30,8 +30,8 @@ use crate::workshop::Workshop;
 
 /// Open requests get so long to end once the server stops.
 const FAREWELL: Duration = Duration::from_secs(5);
-/// What a worker's jobs have made is put into the store before it goes, within this: who stops it
-/// mostly waits for half a minute.
+/// Jobs that run here save what they are at and put it into the store before a process goes, within
+/// this: who stops it mostly waits for half a minute.
 const HANDING_IN: Duration = Duration::from_secs(25);
 
 /// A running server.
@@ -42,6 +42,9 @@ pub struct Server {
     /// `None` of one that has no database.
     app: Option<Arc<App>>,
     workshop: Workshop,
+    /// Those who work on jobs.
+    turns: JoinSet<()>,
+    /// All others.
     tasks: JoinSet<()>,
 }
 
@@ -69,7 +72,8 @@ impl Server {
         let mut tasks = JoinSet::new();
         tasks.spawn(keep_telling(app.clone()));
         tasks.spawn(keep_making(app.clone()));
-        let workshop = spawn_workers(&app, &mut tasks, true);
+        let workshop = spawn_shared(&app, &mut tasks, true);
+        let turns = spawn_turns(&workshop, &mut tasks);
         let (limits, shutdown) = (app.limits, app.shutdown.clone());
         tasks.spawn(serve_connections(
             listener,
@@ -81,6 +85,7 @@ impl Server {
             address: Some(address),
             app: Some(app),
             workshop,
+            turns,
             tasks,
         })
     }
@@ -95,17 +100,18 @@ impl Server {
         let (app, workshop) = if let Some(service) = config.service.clone() {
             let workshop = far::open(config, &service).await?;
             tasks.spawn(far::keep_tidy(workshop.clone()));
-            spawn_turns(&workshop, &mut tasks);
             (None, workshop)
         } else {
             let app = open(&config).await?.app(config).await?;
-            let workshop = spawn_workers(&app, &mut tasks, false);
+            let workshop = spawn_shared(&app, &mut tasks, false);
             (Some(app), workshop)
         };
+        let turns = spawn_turns(&workshop, &mut tasks);
         Ok(Self {
             address: None,
             app,
             workshop,
+            turns,
             tasks,
         })
     }
@@ -119,12 +125,9 @@ impl Server {
     pub async fn stop(mut self) {
         let work = &self.workshop;
         work.shutdown.cancel();
-        let patience = self.address.map_or(HANDING_IN, |_| FAREWELL);
-        let ended = async { while self.tasks.join_next().await.is_some() {} };
-        if tokio::time::timeout(patience, ended).await.is_err() {
-            tracing::warn!("requests or jobs were still open");
-        }
-        self.tasks.shutdown().await;
+        let jobs = end(&mut self.turns, HANDING_IN, "jobs");
+        let requests = end(&mut self.tasks, FAREWELL, "requests");
+        tokio::join!(jobs, requests);
         if let Some(app) = &self.app {
             app.renderers.stop().await;
         }
@@ -214,8 +217,17 @@ impl Opened {
     }
 }
 
-/// Begins what every process does that has the database and may work on jobs.
-fn spawn_workers(app: &Arc<App>, tasks: &mut JoinSet<()>, serves: bool) -> Workshop {
+/// Waits for tasks to end, and ends those that do not.
+async fn end(tasks: &mut JoinSet<()>, patience: Duration, what: &str) {
+    let ended = async { while tasks.join_next().await.is_some() {} };
+    if tokio::time::timeout(patience, ended).await.is_err() {
+        tracing::warn!("{what} were still open");
+    }
+    tasks.shutdown().await;
+}
+
+/// Begins what every process does that has the database.
+fn spawn_shared(app: &Arc<App>, tasks: &mut JoinSet<()>, serves: bool) -> Workshop {
     tasks.spawn(sweep::keep_sweeping(app.clone(), serves));
     if app.store.engine() == Engine::Postgres {
         tasks.spawn(others::keep_hearing(app.clone()));
@@ -224,18 +236,19 @@ fn spawn_workers(app: &Arc<App>, tasks: &mut JoinSet<()>, serves: bool) -> Works
     if app.store.engine() == Engine::Postgres {
         tasks.spawn(far::keep_tidy(workshop.clone()));
     }
-    spawn_turns(&workshop, tasks);
     workshop
 }
 
-/// Begins what every worker does.
-fn spawn_turns(work: &Workshop, tasks: &mut JoinSet<()>) {
+/// Begins to work on jobs, as many at once as it is told, and to be seen doing so.
+fn spawn_turns(work: &Workshop, tasks: &mut JoinSet<()>) -> JoinSet<()> {
+    let mut turns = JoinSet::new();
     if work.config.about.is_some() {
         tasks.spawn(others::keep_being_seen(work.clone()));
     }
     for turn in 0..u32::try_from(work.config.workers).unwrap_or(u32::MAX) {
-        tasks.spawn(worker::work(work.clone(), turn));
+        turns.spawn(worker::work(work.clone(), turn));
     }
+    turns
 }
 
 /// Tells who may use the server.
