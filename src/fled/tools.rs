@@ -317,7 +317,8 @@ fn open_networks(
     ))
 }
 
-/// A token that SIGINT and SIGTERM raise. A second signal ends the process at once.
+/// A token that SIGINT and SIGTERM raise. SIGINT after that ends the process at once. SIGTERM does
+/// not: who stops a service may tell each of its processes, and the service tells its jobs, too.
 ///
 /// # Errors
 /// [`Failure`] when the handlers cannot be installed.
@@ -340,12 +341,9 @@ pub fn cancel_on_signals() -> Result<CancelToken, Failure> {
         .map_err(internal)?;
     std::thread::spawn(move || {
         runtime.block_on(async {
-            let wait =
-                async || tokio::select! { _ = interrupt.recv() => {}, _ = terminate.recv() => {} };
-            let mut wait = wait;
-            wait().await;
+            tokio::select! { _ = interrupt.recv() => {}, _ = terminate.recv() => {} }
             raised.cancel();
-            wait().await;
+            interrupt.recv().await;
             std::process::exit(1);
         });
     });

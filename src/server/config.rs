@@ -155,6 +155,8 @@ pub struct Limits {
     pub wall: Duration,
     /// Between SIGTERM and SIGKILL. Cancelling promises two seconds in all.
     pub grace: Duration,
+    /// The same where the server stops and not the job: a training saves the step that it is in.
+    pub draining: Duration,
     /// A worker that could not say for so long that it lives ends its job: before others have it.
     pub unheard: Duration,
     /// How often a worker puts what its job has made into a shared store of files, besides after
@@ -253,6 +255,7 @@ impl Default for Limits {
             silence: Duration::from_secs(20 * 60),
             wall: Duration::from_secs(48 * 3600),
             grace: Duration::from_millis(1000),
+            draining: Duration::from_secs(10),
             progress_interval: Duration::from_secs(1),
             retry_base: Duration::from_secs(2),
             io_retry_base: Duration::from_secs(60),

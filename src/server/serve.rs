@@ -31,8 +31,8 @@ use crate::workshop::Workshop;
 
 /// Open requests get so long to end once the server stops.
 const FAREWELL: Duration = Duration::from_secs(5);
-/// What a worker's jobs have made is put into the store before it goes, within this: who stops it
-/// mostly waits for half a minute.
+/// Jobs that run here save what they are at and put it into the store before a process goes, within
+/// this: who stops it mostly waits for half a minute.
 const HANDING_IN: Duration = Duration::from_secs(25);
 
 /// A running server.
@@ -41,6 +41,9 @@ pub struct Server {
     /// `None` of one that only works.
     address: Option<SocketAddr>,
     workshop: Workshop,
+    /// Those who work on jobs.
+    turns: JoinSet<()>,
+    /// All others.
     tasks: JoinSet<()>,
 }
 
@@ -68,7 +71,8 @@ impl Server {
         let mut tasks = JoinSet::new();
         tasks.spawn(keep_telling(app.clone()));
         tasks.spawn(keep_making(app.clone()));
-        let workshop = spawn_workers(&app, &mut tasks, true);
+        let workshop = spawn_shared(&app, &mut tasks, true);
+        let turns = spawn_turns(&workshop, &mut tasks);
         let (limits, shutdown) = (app.limits, app.shutdown.clone());
         tasks.spawn(serve_connections(
             listener,
@@ -79,6 +83,7 @@ impl Server {
         Ok(Self {
             address: Some(address),
             workshop,
+            turns,
             tasks,
         })
     }
@@ -93,15 +98,16 @@ impl Server {
         let workshop = if let Some(service) = config.service.clone() {
             let workshop = far::open(config, &service).await?;
             tasks.spawn(far::keep_tidy(workshop.clone()));
-            spawn_turns(&workshop, &mut tasks);
             workshop
         } else {
             let app = open(&config).await?.app(config).await?;
-            spawn_workers(&app, &mut tasks, false)
+            spawn_shared(&app, &mut tasks, false)
         };
+        let turns = spawn_turns(&workshop, &mut tasks);
         Ok(Self {
             address: None,
             workshop,
+            turns,
             tasks,
         })
     }
@@ -115,12 +121,9 @@ impl Server {
     pub async fn stop(mut self) {
         let work = &self.workshop;
         work.shutdown.cancel();
-        let patience = self.address.map_or(HANDING_IN, |_| FAREWELL);
-        let ended = async { while self.tasks.join_next().await.is_some() {} };
-        if tokio::time::timeout(patience, ended).await.is_err() {
-            tracing::warn!("requests or jobs were still open");
-        }
-        self.tasks.shutdown().await;
+        let jobs = end(&mut self.turns, HANDING_IN, "jobs");
+        let requests = end(&mut self.tasks, FAREWELL, "requests");
+        tokio::join!(jobs, requests);
         work.renderers.stop().await;
         if work.config.about.is_some()
             && let Err(error) = work.coordinator.forget(&work.worker).await
@@ -208,8 +211,17 @@ impl Opened {
     }
 }
 
-/// Begins what every process does that has the database and may work on jobs.
-fn spawn_workers(app: &Arc<App>, tasks: &mut JoinSet<()>, serves: bool) -> Workshop {
+/// Waits for tasks to end, and ends those that do not.
+async fn end(tasks: &mut JoinSet<()>, patience: Duration, what: &str) {
+    let ended = async { while tasks.join_next().await.is_some() {} };
+    if tokio::time::timeout(patience, ended).await.is_err() {
+        tracing::warn!("{what} were still open");
+    }
+    tasks.shutdown().await;
+}
+
+/// Begins what every process does that has the database.
+fn spawn_shared(app: &Arc<App>, tasks: &mut JoinSet<()>, serves: bool) -> Workshop {
     tasks.spawn(sweep::keep_sweeping(app.clone(), serves));
     if app.store.engine() == Engine::Postgres {
         tasks.spawn(others::keep_hearing(app.clone()));
@@ -218,23 +230,25 @@ fn spawn_workers(app: &Arc<App>, tasks: &mut JoinSet<()>, serves: bool) -> Works
     if app.store.engine() == Engine::Postgres {
         tasks.spawn(far::keep_tidy(workshop.clone()));
     }
-    spawn_turns(&workshop, tasks);
     workshop
 }
 
-/// Begins what every worker does.
-fn spawn_turns(work: &Workshop, tasks: &mut JoinSet<()>) {
+/// Begins to work on jobs, as many at once as it is told, and on what replicas ask for, and to be
+/// seen doing so.
+fn spawn_turns(work: &Workshop, tasks: &mut JoinSet<()>) -> JoinSet<()> {
+    let mut turns = JoinSet::new();
     if let Some(about) = &work.config.about {
         tasks.spawn(others::keep_being_seen(work.clone()));
         for (does, kind) in [(about.renders, Kind::View), (about.films, Kind::Video)] {
             if does {
-                tasks.spawn(keep_doing(work.clone(), kind));
+                turns.spawn(keep_doing(work.clone(), kind));
             }
         }
     }
     for turn in 0..u32::try_from(work.config.workers).unwrap_or(u32::MAX) {
-        tasks.spawn(worker::work(work.clone(), turn));
+        turns.spawn(worker::work(work.clone(), turn));
     }
+    turns
 }
 
 /// Tells who may use the server.

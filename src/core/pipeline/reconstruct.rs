@@ -263,11 +263,18 @@ fn train(
     };
     let mut keep = |checkpoint: &Checkpoint| {
         let context = &mut *shared.borrow_mut();
-        let kept = keep_checkpoint(context.workspace, &path, checkpoint, depends_on);
-        // A checkpoint that cannot be written costs time after a crash, not this run.
-        if let Err(error) = kept {
-            let message = format!("round {number}: {error}");
-            context.sink.warn("checkpoint", message);
+        match keep_checkpoint(context.workspace, &path, checkpoint, depends_on) {
+            Ok(()) if cancel.is_cancelled() => {
+                let step = checkpoint.step;
+                let message = format!("round {number}: stopped at step {step}");
+                context.sink.log(message);
+            }
+            Ok(()) => {}
+            // A checkpoint that cannot be written costs time after a crash, not this run.
+            Err(error) => {
+                let message = format!("round {number}: {error}");
+                context.sink.warn("checkpoint", message);
+            }
         }
     };
     let mut show = |seen: Seen| {

@@ -8,7 +8,7 @@ use crate::cancel::CancelToken;
 
 /// Takes done steps, all steps and steps per second.
 pub type ProgressHook<'a> = &'a mut dyn FnMut(u64, u64, f64);
-/// Takes a checkpoint, at least once a minute.
+/// Takes a checkpoint: at least once a minute, and when the round is asked to stop.
 pub type CheckpointHook<'a> = &'a mut dyn FnMut(&Checkpoint);
 /// Takes how training goes, every 25 steps.
 pub type SeenHook<'a> = &'a mut dyn FnMut(Seen);
@@ -28,7 +28,8 @@ pub struct Seen {
 
 /// Whom a round tells, and who may stop it.
 pub struct TrainHooks<'a> {
-    /// Checked between submissions.
+    /// Checked between submissions. The step that runs is finished, and where somebody takes
+    /// checkpoints they get one of it.
     pub cancel: &'a CancelToken,
     /// About four times a second.
     pub progress: ProgressHook<'a>,

@@ -1,12 +1,13 @@
 //! The loop over the steps of a round.
 
 mod between;
+mod flight;
+mod kept;
 mod population;
 mod saved;
 mod step;
 mod stepper;
 
-use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
 use fled_gpu::{Buffer, Gpu};
@@ -19,9 +20,12 @@ use super::{
     Densify, ReconstructError, Schedule, Seen, TrainConfig, TrainHooks, TrainStart, Trained,
     TrainingView,
 };
+use crate::cancel::Cancelled;
 use crate::metrics::report::NoiseMapStatistics;
 use crate::noise::NoiseField;
-use crate::splat::rasterize::{Backward, PendingCounts, Specialisation};
+use crate::splat::rasterize::{Backward, Specialisation};
+use flight::Flight;
+use kept::Kept;
 pub use stepper::Stepper;
 
 /// Steps in flight.
@@ -34,13 +38,6 @@ const PROGRESS_EVERY: Duration = Duration::from_millis(250);
 const INSPECT: u32 = 100;
 /// Steps between two that are told of, at each of which nothing is in flight.
 const TOLD: u32 = 25;
-
-/// Steps whose count of intersections is not known yet, and those that must be repeated.
-#[derive(Default)]
-struct Flight {
-    pending: VecDeque<(u32, PendingCounts)>,
-    redo: VecDeque<u32>,
-}
 
 /// Everything a round holds.
 pub(super) struct Trainer<'a> {
@@ -61,6 +58,7 @@ pub(super) struct Trainer<'a> {
     start_count: usize,
     last_view: usize,
     checkpoint_every: Duration,
+    progress_every: Duration,
 }
 
 impl<'a> Trainer<'a> {
@@ -101,6 +99,7 @@ impl<'a> Trainer<'a> {
             start_count: gaussians.len(),
             last_view: 0,
             checkpoint_every: CHECKPOINT_EVERY,
+            progress_every: PROGRESS_EVERY,
             model,
             gpu,
             config,
@@ -119,44 +118,49 @@ impl<'a> Trainer<'a> {
         self.finish(begin)
     }
 
-    /// Trains up to the step `last`, at most the round's number, and leaves nothing in flight.
+    /// Trains up to the step `last`, at most the round's number, and leaves nothing in flight. Who
+    /// is asked to stop hands over a checkpoint after the step that runs, or where that has to be
+    /// repeated after the next that has not.
     fn train_to(&mut self, last: u32, hooks: &mut TrainHooks<'_>) -> Result<(), ReconstructError> {
         let begin = Instant::now();
         let first = self.next;
-        let (mut told, mut saved) = (begin, begin);
+        let (mut told, mut kept) = (begin, Kept::now(first));
         let mut flight = Flight::default();
-        let mut prepared = false;
         loop {
-            hooks.cancel.check()?;
+            let is_asked = hooks.cancel.is_cancelled();
+            if is_asked && hooks.checkpoint.is_none() {
+                return Err(Cancelled.into());
+            }
             let end = self.next == last;
-            if end || (!prepared && self.is_sync(self.next)) {
+            if end || self.is_sync(self.next) {
                 self.settle(&mut flight, 0)?;
                 if flight.redo.is_empty() {
                     self.check_finite()?;
+                    if !end && self.next > first && self.next.is_multiple_of(INSPECT) {
+                        self.inspect_noise()?;
+                    }
+                    if is_asked {
+                        return Err(self.stop(hooks, &kept)?.into());
+                    }
                     if end {
                         return self.look(first, hooks);
                     }
-                    if self.next > first && self.next.is_multiple_of(INSPECT) {
-                        self.inspect_noise()?;
-                    }
                     self.show(first, hooks)?;
                     self.look(first, hooks)?;
-                    self.offer_checkpoint(hooks, &mut saved)?;
-                    self.prepare(self.next, hooks.cancel)?;
-                    prepared = true;
+                    self.offer_checkpoint(hooks, &mut kept)?;
+                    self.prepare_or_stop(hooks, &kept)?;
                 }
+            } else if is_asked && flight.is_done()? {
+                return Err(self.stop(hooks, &kept)?.into());
             }
             let step = flight.redo.pop_front().unwrap_or_else(|| {
-                prepared = false;
                 self.next += 1;
                 self.next - 1
             });
             self.submit(step)?;
-            flight
-                .pending
-                .push_back((step, self.model.pass.buffers().counts()?));
+            flight.begin(step, self.model.pass.buffers().counts()?);
             self.settle(&mut flight, IN_FLIGHT - 1)?;
-            if told.elapsed() >= PROGRESS_EVERY {
+            if told.elapsed() >= self.progress_every {
                 told = Instant::now();
                 let rate = f64::from(self.next - first) / begin.elapsed().as_secs_f64();
                 (hooks.progress)(u64::from(self.next), u64::from(self.config.steps), rate);
@@ -240,6 +244,37 @@ impl Trainer<'_> {
         };
         self.run(&mut hooks).expect("trains");
         frozen.expect("a checkpoint after the step")
+    }
+
+    /// Trains until so many steps are done, is asked to stop, by whoever looks between two steps or
+    /// when a step is told of, and returns what is handed over.
+    pub(super) fn stopped_at(mut self, step: u32, between: bool) -> Vec<super::Checkpoint> {
+        let mut kept = Vec::new();
+        let cancel = crate::cancel::CancelToken::new();
+        self.progress_every = Duration::ZERO;
+        let mut keep = |checkpoint: &super::Checkpoint| kept.push(checkpoint.clone());
+        let mut hooks = TrainHooks {
+            cancel: &cancel,
+            progress: &mut |done, _, _| {
+                if !between && done >= u64::from(step) {
+                    cancel.cancel();
+                }
+            },
+            checkpoint: Some(&mut keep),
+            seen: None,
+            look: Some(&mut |look| {
+                if between && look.step >= step {
+                    cancel.cancel();
+                }
+                Ok(())
+            }),
+        };
+        let outcome = self.run(&mut hooks);
+        assert!(
+            matches!(outcome, Err(ReconstructError::Cancelled(_))),
+            "it ended"
+        );
+        kept
     }
 
     /// The same with room for so many intersections.

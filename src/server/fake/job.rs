@@ -19,6 +19,7 @@ use fled_core::run_folder::{RoundPictures, RunFolder};
 use glam::DVec3;
 
 use crate::protocol::{argument, say, tell};
+use crate::saved::Saved;
 
 /// Ticks of a stage, each a `StageAdvanced`.
 const TICKS: u64 = 10;
@@ -38,6 +39,8 @@ struct Job {
     /// Of the photographs, by name.
     names: Vec<String>,
     started: Instant,
+    /// What a training goes on from, where the plan is `saves`.
+    saved: Option<Saved>,
 }
 
 pub fn run(arguments: &[OsString]) -> Outcome {
@@ -48,10 +51,14 @@ pub fn run(arguments: &[OsString]) -> Outcome {
         None => (options.adapter.clone(), 2),
     };
     let capture = PathBuf::from(&arguments[0]);
+    let output = after("--out")?;
+    let checkpoint = RunFolder::new(&output).work().checkpoint();
+    let saved = (plan == "saves").then(|| Saved::new(checkpoint));
     let job = Job {
+        saved: saved.transpose()?,
         names: names(&capture)?,
         capture,
-        output: after("--out")?,
+        output,
         options,
         plan,
         tick: Duration::from_millis(tick),
@@ -127,7 +134,9 @@ impl Job {
         let skipped = mark.exists();
         let start = Instant::now();
         if !skipped {
-            for done in 1..=TICKS {
+            let saved = self.saved.as_ref().filter(|_| stage == Stage::Reconstruct);
+            let first = saved.map_or(Ok(0), Saved::step)?;
+            for done in first + 1..=TICKS {
                 sleep(self.tick_of(stage));
                 let steps_per_second = (stage == Stage::Reconstruct).then_some(25.0);
                 tell(&Event::StageAdvanced {
@@ -140,7 +149,9 @@ impl Job {
                 if stage == Stage::Reconstruct {
                     self.show_training(round, done)?;
                 }
+                saved.map_or(Ok(()), |saved| saved.done(done))?;
             }
+            saved.map_or(Ok(()), Saved::forget)?;
             if stage == Stage::Reconstruct {
                 fs::remove_file(RunFolder::new(&self.output).work().live_picture())?;
             }
@@ -200,10 +211,12 @@ impl Job {
         Ok(())
     }
 
-    /// A plan that is the name of a stage lingers in that one only.
+    /// A plan that is the name of a stage lingers in it alone; one that saves does in training.
     fn tick_of(&self, stage: Stage) -> Duration {
-        let lingers = Stage::ALL.iter().any(|stage| stage.name() == self.plan);
-        if lingers && stage.name() != self.plan {
+        let trains = self.saved.as_ref().map(|_| Stage::Reconstruct.name());
+        let plan = trains.unwrap_or(&self.plan);
+        let lingers = Stage::ALL.iter().any(|stage| stage.name() == plan);
+        if lingers && stage.name() != plan {
             Duration::from_millis(2)
         } else {
             self.tick

@@ -6,6 +6,7 @@
 mod death;
 mod job;
 mod protocol;
+mod saved;
 mod video;
 
 use std::ffi::OsString;

@@ -116,7 +116,13 @@ pub(super) async fn run(
     drop(group.stdin.take());
     work.pass(Point::Started);
     let outcome = attempt.watch(&mut group, &cancel, &mut beat).await;
-    group.stop(work.limits.grace).await;
+    if let Ok(End::Stop(Settlement::Released)) = outcome {
+        // Others go on with what it has: it may save the step that it is in.
+        group.stop(work.limits.draining).await;
+        attempt.hear_out(&mut group).await;
+    } else {
+        group.stop(work.limits.grace).await;
+    }
     work.pass(Point::Ended);
     let settlement = match outcome? {
         End::Exited(status) => attempt.settle(status).await?,
@@ -197,6 +203,21 @@ impl Attempt<'_> {
                 done = self.follow(due) => done?,
                 end = stopped(work, &job, cancel, beat) => return end,
             }
+        }
+    }
+
+    /// Takes down what a process that is gone has last said: its events are nobody's any more.
+    async fn hear_out(&mut self, group: &mut Group) {
+        while let Ok(Some(line)) = tokio::time::timeout(DRAIN, group.next_line()).await {
+            let text = match line {
+                Line::Error(text) => text,
+                Line::Output(text) => match serde_json::from_str::<Event>(&text) {
+                    Ok(Event::Log { message }) => message,
+                    Ok(_) => continue,
+                    Err(_) => text,
+                },
+            };
+            self.log.line(&text);
         }
     }
 

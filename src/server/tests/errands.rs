@@ -237,10 +237,7 @@ fn workers_keep_nothing_alive_that_is_kept_no_longer() {
     assert_eq!(view(&at, &job, 10).header(BY), "worker");
     drop(api);
     // It marks what will go when it starts, and deletes what was marked at the next start.
-    let kept = [
-        ("FLED_FAKE_WORKERS", "0"),
-        ("FLED_FAKE_KEEP_MS", "0"),
-    ];
+    let kept = [("FLED_FAKE_WORKERS", "0"), ("FLED_FAKE_KEEP_MS", "0")];
     drop(farm.start("api", &kept));
     let (_api, base) = farm.start("api", &kept);
     let at = Client::new(base, PATIENCE);

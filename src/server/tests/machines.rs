@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use fled_tests::Client;
 use serde_json::json;
 use support::farm::{
-    Farm, Machine, PATIENCE, SLOW, check, expected, in_the_middle, order, scene, succeeds,
+    Farm, Machine, PATIENCE, SLOW, begin, check, expected, in_the_middle, order, scene, succeeds,
 };
 use support::{gone, photographs};
 
@@ -184,4 +184,79 @@ fn jobs_on_workers_that_are_killed_at_random_are_all_done_once() {
     );
     assert_eq!(told, Ok(jobs.to_string()), "each is done once");
     eprintln!("{kills} kills, {:.0} s", begun.elapsed().as_secs_f64());
+}
+
+/// Waits until a job that trains has done three steps: one more than it saves by the clock.
+fn trains(api: &Client, job: &str) {
+    let mut seen = 0;
+    loop {
+        let (seq, kind, data) = api.events(job, seen, 1).remove(0);
+        if kind == "training_seen" && data["step"].as_u64() >= Some(300) {
+            return;
+        }
+        seen = seq;
+    }
+}
+
+/// The steps that a job's log tells of in these words.
+fn steps(api: &Client, job: &str, words: &str) -> Vec<u64> {
+    let log = api.get(&format!("/v1/jobs/{job}/log"), &[]).expect(200);
+    let text = log.text();
+    let told = text.split(words).skip(1);
+    let digits = told.map(|rest| rest.split(|c: char| !c.is_ascii_digit()).next());
+    digits
+        .map(|step| step.and_then(|step| step.parse().ok()).expect("a step"))
+        .collect()
+}
+
+#[test]
+fn a_worker_that_is_told_to_stop_lets_its_job_save_the_step_it_is_in() {
+    let farm = Farm::new();
+    let calm = expected();
+    let (_api, api) = farm.replica("api");
+    // For longer than a job that is cancelled has.
+    let mut first = farm.worker_by(&[], "first", &[("FLED_FAKE_SAVING_MS", "2500")]);
+    let job = order(&api, "saves:300");
+    trains(&api, &job);
+    first.signal("-INT");
+    api.wait_state(&job, "queued");
+    first.dies();
+    let stopped = steps(&api, &job, "stopped at step ");
+    assert!(stopped.len() == 1 && stopped[0] > 2, "{stopped:?}");
+    let _second = farm.worker("second");
+    succeeds(&api, &job, &calm);
+    assert_eq!(steps(&api, &job, "resumed at step "), stopped);
+    assert_eq!(api.show(&job)["attempts"], 2);
+}
+
+#[test]
+fn a_server_that_works_lets_its_job_save_and_a_cancelled_one_does_not_wait_for_it() {
+    let root = tempfile::tempdir().expect("temporary directory");
+    // For longer than open requests have.
+    let slow = [("FLED_FAKE_SAVING_MS", "6000")];
+    let (mut server, base) = begin(root.path(), "server", &slow);
+    let api = Client::new(base, PATIENCE);
+    let job = order(&api, "saves:300");
+    trains(&api, &job);
+    server.signal("-INT");
+    server.dies();
+    let (_server, base) = begin(root.path(), "server", &slow);
+    let api = Client::new(base, PATIENCE);
+    api.wait(&job, "goes on", |shown| shown["attempts"] == 2);
+    api.wait_state(&job, "succeeded");
+    let stopped = steps(&api, &job, "stopped at step ");
+    assert!(stopped.len() == 1 && stopped[0] > 2, "{stopped:?}");
+    assert_eq!(steps(&api, &job, "resumed at step "), stopped);
+
+    let job = order(&api, "saves:300");
+    trains(&api, &job);
+    let begun = Instant::now();
+    let cancelled = api.post(&format!("/v1/jobs/{job}/cancel"), b"", &[]);
+    assert_eq!(cancelled.expect(202).json()["state"], "cancelled");
+    assert!(begun.elapsed() < Duration::from_millis(2500));
+    // What it had before is whole.
+    api.post(&format!("/v1/jobs/{job}/retry"), b"", &[])
+        .expect(202);
+    api.wait_state(&job, "succeeded");
+    assert_eq!(steps(&api, &job, "resumed at step "), [2]);
 }

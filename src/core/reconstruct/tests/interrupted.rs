@@ -46,6 +46,96 @@ fn resumes(views: &[TrainingView], scene: &Gaussians, config: &TrainConfig) {
 }
 
 #[test]
+fn a_round_that_is_stopped_goes_on_from_the_step_it_was_in_to_the_same_bytes() {
+    let scene = truth(120, 2);
+    let views = views_of(&scene, &[-0.3, 0.0, 0.3], [64, 48]);
+    let config = TrainConfig {
+        resolution_schedule: true,
+        noise: NoiseMode::Grid,
+        shake: Some(Response::srgb()),
+        refine_poses: Some(3.0),
+        view_colour: true,
+        ..config(150, 400)
+    };
+    let begin = || {
+        let begin = start(&views, &scene, &config);
+        trainer::Trainer::new(fixtures::gpu(), &views, begin, &config).expect("made")
+    };
+    let undisturbed = trained(&views, start(&views, &scene, &config), &config);
+    let goes_on = |checkpoint: &Checkpoint, stop: u32| {
+        let thawed = Checkpoint::from_bytes(&checkpoint.to_bytes()).expect("a checkpoint");
+        let resumed = trained(&views, TrainStart::Resume(thawed), &config);
+        assert!(
+            bytes(&resumed.gaussians) == bytes(&undisturbed.gaussians),
+            "stopped at {stop}"
+        );
+        assert_eq!(resumed.cameras, undisturbed.cameras, "stopped at {stop}");
+    };
+    // None is due by the clock; 100 is where the noise map is looked at.
+    for stop in [1, 37, 74, 75, 76, 100, 149, 150] {
+        let kept = begin().stopped_at(stop, false);
+        let steps: Vec<u32> = kept.iter().map(|checkpoint| checkpoint.step).collect();
+        assert_eq!(steps, [stop]);
+        goes_on(&kept[0], stop);
+    }
+    // In the midst of what is done between two steps.
+    for stop in [45, 60, 75, 90] {
+        let kept = begin().stopped_at(stop, true);
+        assert_eq!(kept.len(), 1, "stopped at {stop}");
+        goes_on(&kept[0], stop);
+    }
+    // Nothing is new in what was just begun.
+    let first = begin().stopped_at(37, false).remove(0);
+    let resume = TrainStart::Resume(first);
+    let again = trainer::Trainer::new(fixtures::gpu(), &views, resume, &config).expect("made");
+    let cancel = CancelToken::new();
+    cancel.cancel();
+    let mut kept = 0;
+    let mut hooks = TrainHooks {
+        cancel: &cancel,
+        progress: &mut |_, _, _| {},
+        checkpoint: Some(&mut |_| kept += 1),
+        seen: None,
+        look: None,
+    };
+    let outcome = again.run(&mut hooks);
+    assert!(matches!(outcome, Err(ReconstructError::Cancelled(_))));
+    assert_eq!(kept, 0);
+}
+
+#[test]
+fn a_round_that_is_stopped_at_a_step_that_has_to_be_repeated_ends_in_the_same_bytes() {
+    let scene = truth(120, 2);
+    let views = views_of(&scene, &[-0.3, 0.3], [64, 48]);
+    let config = config(40, 400);
+    let begin = || {
+        let begin = start(&views, &scene, &config);
+        let trainer = trainer::Trainer::new(fixtures::gpu(), &views, begin, &config);
+        trainer.expect("made").with_intersections(50)
+    };
+    let cancel = CancelToken::new();
+    let mut hooks = TrainHooks {
+        cancel: &cancel,
+        progress: &mut |_, _, _| {},
+        checkpoint: None,
+        seen: None,
+        look: None,
+    };
+    let undisturbed = begin().run(&mut hooks).expect("trains");
+    let mut went_on = 0;
+    for stop in 1..8 {
+        let kept = begin().stopped_at(stop, false).remove(0);
+        went_on += kept.step - stop;
+        let resumed = trained(&views, TrainStart::Resume(kept), &config);
+        assert!(
+            bytes(&resumed.gaussians) == bytes(&undisturbed.gaussians),
+            "stopped at {stop}"
+        );
+    }
+    assert!(went_on > 0, "no step had to be repeated");
+}
+
+#[test]
 fn cancelling_stops_a_round_between_two_steps() {
     let scene = truth(60, 2);
     let views = views_of(&scene, &[0.0], [64, 48]);

@@ -1,18 +1,17 @@
 //! Between steps: what is done there, when, and what is looked after.
 
-use std::time::Instant;
-
 use fled_gpu::GpuError;
 
 use super::Trainer;
-use crate::cancel::CancelToken;
+use super::kept::Kept;
+use crate::cancel::{CancelToken, Cancelled};
 use crate::metrics::report::NoiseMapStatistics;
 use crate::reconstruct::level::Level;
-use crate::reconstruct::{ReconstructError, TrainHooks};
+use crate::reconstruct::{Checkpoint, ReconstructError, TrainHooks};
 use crate::shake::Shake;
 
-/// Every so many steps the device is left to finish. What depends on finished steps (growing
-/// buffers, checkpoints) happens there alone, so that an interruption changes nothing.
+/// Every so many steps the device is left to finish. What depends on finished steps (densifying,
+/// checkpoints now and then) happens there alone, so that an interruption changes nothing.
 const SYNC: u32 = 25;
 /// A round fails when more than this share of all Gaussians' updates was not finite.
 const NON_FINITE_LIMIT: f64 = 1e-3;
@@ -28,12 +27,28 @@ impl Trainer<'_> {
             || divisor != self.level.divisor
     }
 
-    /// What happens between steps, in the order in which one builds on the other.
-    pub(super) fn prepare(
+    /// [`Self::prepare`]. Who is asked to stop in the midst of what takes long hands over what was
+    /// before it: it is done again, whole.
+    pub(super) fn prepare_or_stop(
         &mut self,
-        step: u32,
-        cancel: &CancelToken,
+        hooks: &mut TrainHooks<'_>,
+        kept: &Kept,
     ) -> Result<(), ReconstructError> {
+        let step = self.next;
+        let takes_long =
+            self.matches_colours(step) || self.estimates_shake(step) || self.refines_poses(step);
+        let is_newer = step > kept.step && hooks.checkpoint.is_some();
+        let before = (takes_long && is_newer).then(|| self.checkpoint());
+        let before = before.transpose()?;
+        let prepared = self.prepare(step, hooks.cancel);
+        if let (Err(ReconstructError::Cancelled(_)), Some(before)) = (&prepared, &before) {
+            hand_over(hooks, before);
+        }
+        prepared
+    }
+
+    /// What happens between steps, in the order in which one builds on the other.
+    fn prepare(&mut self, step: u32, cancel: &CancelToken) -> Result<(), ReconstructError> {
         let divisor = self.schedule.divisor(step);
         if divisor != self.level.divisor {
             self.set_level(divisor)?;
@@ -114,14 +129,31 @@ impl Trainer<'_> {
     pub(super) fn offer_checkpoint(
         &self,
         hooks: &mut TrainHooks<'_>,
-        saved: &mut Instant,
+        kept: &mut Kept,
     ) -> Result<(), ReconstructError> {
-        if let Some(hook) = &mut hooks.checkpoint
-            && saved.elapsed() >= self.checkpoint_every
-        {
-            hook(&self.checkpoint()?);
-            *saved = Instant::now();
+        if hooks.checkpoint.is_some() && kept.at.elapsed() >= self.checkpoint_every {
+            hand_over(hooks, &self.checkpoint()?);
+            *kept = Kept::now(self.next);
         }
         Ok(())
+    }
+
+    /// Hands over the state before the step `next`, where it is newer than what is kept. All steps
+    /// before it are done, and what belongs between the two is not.
+    pub(super) fn stop(
+        &self,
+        hooks: &mut TrainHooks<'_>,
+        kept: &Kept,
+    ) -> Result<Cancelled, ReconstructError> {
+        if self.next > kept.step && hooks.checkpoint.is_some() {
+            hand_over(hooks, &self.checkpoint()?);
+        }
+        Ok(Cancelled)
+    }
+}
+
+fn hand_over(hooks: &mut TrainHooks<'_>, checkpoint: &Checkpoint) {
+    if let Some(hook) = &mut hooks.checkpoint {
+        hook(checkpoint);
     }
 }

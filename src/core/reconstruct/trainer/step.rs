@@ -3,7 +3,8 @@
 use fled_gpu::{GpuError, Recorder};
 use rand::RngExt;
 
-use super::{Flight, Trainer};
+use super::Trainer;
+use super::flight::Flight;
 use crate::noise::{IntersectionLimit, NoiseMode, OFF_SHARE};
 use crate::reconstruct::optimizer::{SlotGradients, StepUniform};
 use crate::reconstruct::schedule::Stream;
@@ -113,11 +114,7 @@ impl Trainer<'_> {
     /// Waits until at most `left` steps are in flight. A step whose intersections did not fit has
     /// changed nothing: it is repeated in larger buffers.
     pub(super) fn settle(&mut self, flight: &mut Flight, left: usize) -> Result<(), GpuError> {
-        while flight.pending.len() > left {
-            let Some((step, counts)) = flight.pending.pop_front() else {
-                break;
-            };
-            let counts = counts.wait()?;
+        while let Some((step, counts)) = flight.land(left)? {
             if counts.overflowed() {
                 flight.redo.push_back(step);
                 if self.noise_acts(step)

@@ -1,0 +1,82 @@
+//! Checkpoints of a training that is played: one now and then, and one when it is asked to stop.
+
+use std::error::Error;
+use std::fs;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::{sleep, spawn};
+use std::time::Duration;
+
+use fled_core::event::Event;
+use tokio::signal::unix::{SignalKind, signal};
+
+use crate::protocol::tell;
+
+/// The step after which the only one is made that nobody asks for.
+const BY_THE_CLOCK: u64 = 2;
+
+/// What a training goes on from.
+pub struct Saved {
+    path: PathBuf,
+    asked: Arc<AtomicBool>,
+    /// How long it takes to write one that is asked for.
+    takes: Duration,
+}
+
+impl Saved {
+    /// In this file. From now on the process ends by itself when it is asked to.
+    pub fn new(path: PathBuf) -> Result<Self, Box<dyn Error>> {
+        let asked = Arc::new(AtomicBool::new(false));
+        let raised = asked.clone();
+        let runtime = tokio::runtime::Builder::new_current_thread()
+            .enable_io()
+            .build()?;
+        let mut told = runtime.block_on(async { signal(SignalKind::terminate()) })?;
+        spawn(move || {
+            runtime.block_on(told.recv());
+            raised.store(true, Ordering::Relaxed);
+        });
+        let takes = std::env::var("FLED_FAKE_SAVING_MS").unwrap_or_else(|_| "0".to_owned());
+        Ok(Self {
+            path,
+            asked,
+            takes: Duration::from_millis(takes.parse()?),
+        })
+    }
+
+    /// Steps that are done before it goes on.
+    pub fn step(&self) -> Result<u64, Box<dyn Error>> {
+        let Ok(saved) = fs::read_to_string(&self.path) else {
+            return Ok(0);
+        };
+        let message = format!("resumed at step {saved}");
+        tell(&Event::Log { message });
+        Ok(saved.parse()?)
+    }
+
+    /// Takes note of a step; ends the process where it is asked to.
+    pub fn done(&self, step: u64) -> Result<(), Box<dyn Error>> {
+        let is_asked = self.asked.load(Ordering::Relaxed);
+        if is_asked {
+            sleep(self.takes);
+        }
+        if is_asked || step == BY_THE_CLOCK {
+            fs::create_dir_all(self.path.parent().ok_or("no folder")?)?;
+            let beside = self.path.with_extension("tmp");
+            fs::write(&beside, step.to_string())?;
+            fs::rename(beside, &self.path)?;
+        }
+        if is_asked {
+            let message = format!("stopped at step {step}");
+            tell(&Event::Log { message });
+            std::process::exit(1);
+        }
+        Ok(())
+    }
+
+    /// Takes it away: the training is over.
+    pub fn forget(&self) -> Result<(), Box<dyn Error>> {
+        Ok(fs::remove_file(&self.path)?)
+    }
+}
