@@ -113,7 +113,8 @@ pub fn scene_copy(job: &str) -> String {
     format!("scenes/{job}")
 }
 
-/// Removes copies of jobs, captures and scenes that nothing has used for so long. Returns how many went.
+/// Removes copies of jobs, captures and scenes that nothing has used for so long. Returns how
+/// many went.
 ///
 /// # Errors
 /// When the data directory cannot be read.
