@@ -15,7 +15,7 @@ use crate::jobs::after_death;
 use crate::jobs::state::JobState;
 use crate::store::{About, Engine, Lease, Machine, Saying, Settlement, Store};
 
-pub use errand::{Awaited, Errand, Kind, Outcome, Share, Task, Willing};
+pub use errand::{Awaited, Errand, Headway, Kind, Outcome, Task, Willing};
 pub use remote::Remote;
 pub use wire::{
     Assignment, Failures, Files, LEASE_LOST, NamedFile, Present, Pulse, Released, Settled,
@@ -196,13 +196,13 @@ impl Coordinator {
     ///
     /// # Errors
     /// When the database or the service refuses.
-    pub async fn extend_errand(&self, worker: &str, id: &str, share: Share) -> Result<bool> {
+    pub async fn extend_errand(&self, worker: &str, id: &str, headway: Headway) -> Result<bool> {
         match self {
             Self::Own(store, limits) => {
-                let (share, life) = ((share.done, share.total), milliseconds(limits.errand));
-                store.extend_errand(id, worker, share, life).await
+                let (headway, life) = ((headway.done, headway.total), milliseconds(limits.errand));
+                store.extend_errand(id, worker, headway, life).await
             }
-            Self::Far(remote) => remote.extend_errand(worker, id, share).await,
+            Self::Far(remote) => remote.extend_errand(worker, id, headway).await,
         }
     }
 

@@ -11,6 +11,7 @@ use crate::render::{Format, Shown};
 /// What is asked for: a worker does one of each at a time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
+#[schema(as = ErrandKind)]
 pub enum Kind {
     /// A picture.
     View,
@@ -83,7 +84,7 @@ pub struct Willing {
 
 /// How far a worker is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
-pub struct Share {
+pub struct Headway {
     /// So many pictures are done.
     pub done: u32,
     /// Of so many; 0 where that is not known.

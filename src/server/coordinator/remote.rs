@@ -15,7 +15,7 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use uuid::Uuid;
 
-use super::errand::{Awaited, Errand, Kind, Outcome, Share, Willing};
+use super::errand::{Awaited, Errand, Headway, Kind, Outcome, Willing};
 use super::wire::{
     Assignment, Failures, Files, LEASE_LOST, Present, Pulse, Released, Settled, Standing, Told,
     Under, VERSION, VERSION_HEADER, Wanted,
@@ -260,9 +260,9 @@ impl Remote {
     ///
     /// # Errors
     /// As [`Remote::begin`].
-    pub async fn extend_errand(&self, worker: &str, id: &str, share: Share) -> Result<bool> {
+    pub async fn extend_errand(&self, worker: &str, id: &str, headway: Headway) -> Result<bool> {
         let path = format!("workers/{worker}/errands/{id}");
-        let awaited: Awaited = self.json(Method::PUT, &path, Some(&share)).await?;
+        let awaited: Awaited = self.json(Method::PUT, &path, Some(&headway)).await?;
         Ok(awaited.awaited)
     }
 

@@ -11,7 +11,7 @@ use fled_core::video::Plan;
 use tokio::sync::Notify;
 use tokio::time::MissedTickBehavior;
 
-use crate::coordinator::{Errand, Kind, Outcome, Share, Task};
+use crate::coordinator::{Errand, Headway, Kind, Outcome, Task};
 use crate::copies::{scene_copy, used_now};
 use crate::error::{Result, ServerError};
 use crate::removal::remove;
@@ -63,8 +63,8 @@ async fn do_one(work: &Workshop, errand: &Errand) {
         tokio::select! {
             made = &mut making => break made,
             _ = ticks.tick() => {
-                let share = progress.share();
-                match work.coordinator.extend_errand(&work.worker, &errand.id, share).await {
+                let headway = progress.headway();
+                match work.coordinator.extend_errand(&work.worker, &errand.id, headway).await {
                     Ok(true) => {}
                     Ok(false) => stop.notify_one(),
                     Err(error) => tracing::warn!(%error, "cannot say how far it is"),
@@ -226,8 +226,8 @@ impl Progress {
         self.total.store(total, Ordering::Relaxed);
     }
 
-    fn share(&self) -> Share {
-        Share {
+    fn headway(&self) -> Headway {
+        Headway {
             done: self.done.load(Ordering::Relaxed),
             total: self.total.load(Ordering::Relaxed),
         }

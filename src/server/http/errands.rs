@@ -15,7 +15,7 @@ use super::problem::Problem;
 use super::work::name;
 use crate::app::App;
 use crate::coordinator::{
-    Awaited, Errand, Outcome, Share, Willing, answer_errand, milliseconds, take_errand,
+    Awaited, Errand, Headway, Outcome, Willing, answer_errand, milliseconds, take_errand,
 };
 use crate::store::errands_bell;
 
@@ -57,16 +57,19 @@ pub async fn next(
 /// A worker still does it, and so far it is.
 #[utoipa::path(put, path = "/v1/work/workers/{worker}/errands/{errand}",
     operation_id = "extend_errand", tag = "work",
-    params(("worker" = String, Path), ("errand" = String, Path)), request_body = Share,
+    params(("worker" = String, Path), ("errand" = String, Path)), request_body = Headway,
     responses((status = 200, description = "Whether to go on", body = Awaited)))]
 pub async fn extend(
     State(app): State<Arc<App>>,
     Path((worker, errand)): Path<(String, String)>,
-    Json(share): Json<Share>,
+    Json(headway): Json<Headway>,
 ) -> Result<Answer<Awaited>, Problem> {
-    let (share, life) = ((share.done, share.total), milliseconds(app.limits.errand));
+    let (headway, life) = (
+        (headway.done, headway.total),
+        milliseconds(app.limits.errand),
+    );
     let worker = name(&worker)?;
-    let awaited = app.store.extend_errand(&errand, &worker, share, life);
+    let awaited = app.store.extend_errand(&errand, &worker, headway, life);
     let awaited = awaited.await?;
     Ok(Answer(Awaited { awaited }))
 }
