@@ -83,6 +83,8 @@ function watch(page, base) {
     if (request.resourceType() === "eventsource" && reason === "net::ERR_ABORTED") return;
     // A player breaks a request off once it knows which part of the file it wants next.
     if (request.resourceType() === "media" && reason === "net::ERR_ABORTED") return;
+    // The tab's icon is dropped where the page goes on to another address before it has come.
+    if (request.url() === `${base}/assets/icon.svg` && reason === "net::ERR_ABORTED") return;
     faults.push(`failed: ${request.url()}: ${reason}`);
   });
   page.on("response", (response) => {
