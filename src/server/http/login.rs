@@ -15,7 +15,6 @@ use super::access::{bad_token, session, token_of};
 use super::extract::Json;
 use super::problem::Problem;
 use crate::app::App;
-use crate::store::now_ms;
 use crate::token::{Secret, digest};
 
 /// A session lasts so long, seconds.
@@ -83,7 +82,7 @@ pub async fn login(
     })?;
     // Whoever logs in anew leaves no old session behind.
     end(&app, &headers).await?;
-    let ends = now_ms() + LASTS * 1000;
+    let ends = app.store.now().await? + LASTS * 1000;
     app.store
         .insert_session(&secret.digest(), &token.id, ends)
         .await?;

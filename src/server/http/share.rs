@@ -14,7 +14,7 @@ use super::lookup::find;
 use super::problem::Problem;
 use super::shapes::time;
 use crate::app::App;
-use crate::store::{NewShare, ShareRow, TokenRow, now_ms};
+use crate::store::{NewShare, ShareRow, TokenRow};
 use crate::token::{Scope, Secret, new_id};
 
 /// What a link allows: to see, and to look around.
@@ -104,7 +104,7 @@ pub async fn create(
         Problem::internal()
     };
     let secret = Secret::new().map_err(no_randomness)?;
-    let now = now_ms();
+    let now = app.store.now().await?;
     let ends = now + i64::from(wanted.days) * DAY_MS;
     let share = NewShare {
         id: new_id().map_err(no_randomness)?,

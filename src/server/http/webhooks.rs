@@ -16,7 +16,7 @@ use super::problem::Problem;
 use super::shapes::time;
 use crate::app::App;
 use crate::outside::check_url;
-use crate::store::{DeliveryRow, TokenRow, WebhookRow, now_ms};
+use crate::store::{DeliveryRow, TokenRow, WebhookRow};
 use crate::token::{Scope, new_id};
 use crate::webhooks::{Secret, TYPES, USUAL, secret_text};
 
@@ -138,7 +138,7 @@ pub async fn create(
         owner: visitor.owner().map(str::to_owned),
         sees_all: visitor.sees_only().is_none(),
         made_by: visitor.token().map(|token| token.id.clone()),
-        created_at: now_ms(),
+        created_at: app.store.now().await?,
         gone_at: None,
     };
     if !app.store.insert_webhook(&row, MOST).await? {

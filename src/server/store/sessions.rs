@@ -3,8 +3,8 @@
 use sqlx::Row;
 use subtle::ConstantTimeEq;
 
+use super::Store;
 use super::tokens::TokenRow;
-use super::{Store, now_ms};
 use crate::error::Result;
 use crate::token::Digest;
 
@@ -19,7 +19,7 @@ impl Store {
         token: &str,
         expires_at: i64,
     ) -> Result<()> {
-        let now = now_ms();
+        let now = self.now().await?;
         let mut tx = self.write().await?;
         sqlx::query("DELETE FROM sessions WHERE expires_at <= $1")
             .bind(now)
@@ -49,7 +49,7 @@ impl Store {
              WHERE sessions.digest = $1 AND sessions.expires_at > $2",
         )
         .bind(digest.as_slice())
-        .bind(now_ms())
+        .bind(self.now().await?)
         .fetch_optional(&self.pool)
         .await?;
         let Some(row) = row else { return Ok(None) };
@@ -77,6 +77,7 @@ impl Store {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::store::now_ms;
     use crate::store::{NewToken, Quotas};
     use crate::token::Secret;
 

@@ -3,7 +3,7 @@
 use sqlx::Row;
 use sqlx::any::AnyRow;
 
-use super::{Store, now_ms};
+use super::Store;
 use crate::error::Result;
 use crate::token::Digest;
 
@@ -52,7 +52,7 @@ impl Store {
     /// # Errors
     /// When the database refuses; also for a job or a token that is not there.
     pub async fn insert_share(&self, share: &NewShare, most: u32) -> Result<bool> {
-        let now = now_ms();
+        let now = self.now().await?;
         let mut tx = self.write().await?;
         let count = sqlx::AssertSqlSafe(format!("SELECT count(*) {THAT_HOLD}"));
         let held: i64 = sqlx::query_scalar(count)
@@ -90,7 +90,7 @@ impl Store {
         let all = format!("SELECT * {THAT_HOLD} ORDER BY created_at DESC, id");
         let rows = sqlx::query(sqlx::AssertSqlSafe(all))
             .bind(job)
-            .bind(now_ms())
+            .bind(self.now().await?)
             .fetch_all(&self.pool)
             .await?;
         rows.iter().map(from_row).collect()
@@ -104,7 +104,7 @@ impl Store {
         let done = sqlx::query(
             "UPDATE tokens SET revoked_at = $1 WHERE id = $2 AND job_id = $3 AND revoked_at IS NULL",
         )
-        .bind(now_ms())
+        .bind(self.now().await?)
         .bind(id)
         .bind(job)
         .execute(&self.pool)

@@ -4,8 +4,8 @@ use sqlx::Row;
 use sqlx::any::AnyRow;
 use subtle::ConstantTimeEq;
 
+use super::Store;
 use super::engine::Cells;
-use super::{Store, now_ms};
 use crate::error::{Result, ServerError};
 use crate::token::{Digest, Scopes};
 
@@ -93,7 +93,7 @@ impl Store {
         .bind(&token.name)
         .bind(token.digest.as_slice())
         .bind(token.scopes.to_string())
-        .bind(now_ms())
+        .bind(self.now().await?)
         .bind(token.expires_at)
         // More bytes than the database can count are no limit.
         .bind(
@@ -136,7 +136,7 @@ impl Store {
     pub async fn revoke_token(&self, id: &str) -> Result<bool> {
         let done =
             sqlx::query("UPDATE tokens SET revoked_at = $1 WHERE id = $2 AND revoked_at IS NULL")
-                .bind(now_ms())
+                .bind(self.now().await?)
                 .bind(id)
                 .execute(&self.pool)
                 .await?;
@@ -159,7 +159,7 @@ impl Store {
         .await?;
         let Some(row) = row else { return Ok(None) };
         let kept: Vec<u8> = row.try_get("digest")?;
-        let now = now_ms();
+        let now = self.now().await?;
         let token = from_row(&row)?;
         if !bool::from(kept.ct_eq(digest)) || !token.holds(now) {
             return Ok(None);
@@ -209,6 +209,7 @@ fn from_row(row: &AnyRow) -> Result<TokenRow> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::store::now_ms;
     use crate::token::Secret;
 
     #[tokio::test]
