@@ -221,8 +221,8 @@ impl Blobs {
     }
 
     /// Every blob whose digest begins with this byte and that was last written longer ago than
-    /// `age`, by the clock of the store. One byte at a time: a store has more blobs than a process
-    /// has memory for.
+    /// `age`, by this machine's clock against the store's. One byte at a time: a store has more
+    /// blobs than a process has memory for.
     ///
     /// # Errors
     /// [`BlobError::Store`] when they cannot be listed.

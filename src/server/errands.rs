@@ -11,6 +11,6 @@ mod doing;
 pub mod unwilling;
 mod view;
 
-pub use asking::{Asked, ask};
+pub use asking::ask;
 pub use doing::keep_doing;
 pub use view::render;

@@ -124,7 +124,14 @@ impl Server {
         let jobs = end(&mut self.turns, HANDING_IN, "jobs");
         let requests = end(&mut self.tasks, FAREWELL, "requests");
         tokio::join!(jobs, requests);
-        work.renderers.stop().await;
+        // A picture that is being made is not waited for: its process ends with this one.
+        let grace = work.limits.grace;
+        if tokio::time::timeout(grace, work.renderers.stop())
+            .await
+            .is_err()
+        {
+            tracing::info!("a picture was still being made");
+        }
         if work.config.about.is_some()
             && let Err(error) = work.coordinator.forget(&work.worker).await
         {
@@ -241,7 +248,7 @@ fn spawn_turns(work: &Workshop, tasks: &mut JoinSet<()>) -> JoinSet<()> {
         tasks.spawn(others::keep_being_seen(work.clone()));
         for (does, kind) in [(about.renders, Kind::View), (about.films, Kind::Video)] {
             if does {
-                turns.spawn(keep_doing(work.clone(), kind));
+                tasks.spawn(keep_doing(work.clone(), kind));
             }
         }
     }

@@ -109,14 +109,7 @@ pub enum Outcome {
         /// How many bytes.
         bytes: u64,
     },
-    /// Nobody can make it.
-    Refused {
-        /// What happened.
-        detail: String,
-        /// What to do; empty where nobody knows.
-        hint: String,
-    },
-    /// This worker cannot, another may.
+    /// This worker cannot; another may, or whoever asked.
     Failed {
         /// What happened.
         detail: String,

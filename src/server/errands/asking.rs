@@ -10,7 +10,7 @@ use uuid::Uuid;
 use crate::app::App;
 use crate::coordinator::{Errand, Kind, NamedFile, Outcome, Task, milliseconds};
 use crate::error::{Result, ServerError};
-use crate::store::{ErrandState, Store, WorkerRow};
+use crate::store::{ErrandState, Store, WorkerRow, errands_bell};
 
 /// Between two looks, whatever rings.
 const LOOK: Duration = Duration::from_millis(250);
@@ -19,23 +19,8 @@ const CHOSEN: usize = 2;
 /// Most bytes of a picture that a worker may have made.
 const LARGEST_PICTURE: u64 = 64 << 20;
 
-/// What became of a question.
-#[derive(Debug)]
-pub enum Asked {
-    /// A file, in the store.
-    Made(Blob),
-    /// It cannot be made.
-    Refused {
-        /// What happened.
-        detail: String,
-        /// What to do; empty where nobody knows.
-        hint: String,
-    },
-    /// No worker does it.
-    Nobody,
-}
-
-/// Lets workers make something of these files of a job, where this replica has workers to ask.
+/// Lets workers make something of these files of a job; what they have made is in the store then.
+/// `None` where none does it: who asks does it then.
 ///
 /// # Errors
 /// When the database refuses.
@@ -45,20 +30,20 @@ pub async fn ask(
     files: &[String],
     task: &Task,
     advance: impl Fn(u32, u32),
-) -> Result<Asked> {
+) -> Result<Option<Blob>> {
     // Who works on jobs has what it needs.
     if app.mirror.blobs().is_none() || app.config.workers > 0 {
-        return Ok(Asked::Nobody);
+        return Ok(None);
     }
     let workers = willing(app, job, task.kind()).await?;
     if workers.is_empty() {
-        return Ok(Asked::Nobody);
+        return Ok(None);
     }
     let mut named = Vec::new();
     for path in files {
         match app.store.job_file(job, path).await? {
             Some(file) => named.push(NamedFile::from(file)),
-            None => return Ok(Asked::Nobody),
+            None => return Ok(None),
         }
     }
     for worker in workers.iter().take(CHOSEN) {
@@ -70,23 +55,24 @@ pub async fn ask(
         };
         match ask_one(app, worker, &errand, &advance).await? {
             Some(Outcome::Made { digest, bytes }) if fits(app, task.kind(), bytes) => {
-                return Ok(Asked::Made(Blob { digest, bytes }));
+                return Ok(Some(Blob { digest, bytes }));
             }
-            Some(Outcome::Refused { detail, hint }) => {
-                return Ok(Asked::Refused { detail, hint });
-            }
-            outcome => {
+            Some(outcome) => {
                 tracing::warn!(
                     worker,
                     job,
                     ?outcome,
-                    "a worker did not do what it was asked"
+                    "a worker cannot do what it was asked"
                 );
-                app.unwilling.note(worker);
+            }
+            None => {
+                tracing::warn!(worker, job, "a worker does not do what it was asked");
+                app.unwilling
+                    .note(&errands_bell(worker, task.kind().name()));
             }
         }
     }
-    Ok(Asked::Nobody)
+    Ok(None)
 }
 
 /// Whether there is room for what a worker has made.
@@ -104,7 +90,8 @@ async fn willing(app: &App, job: &str, kind: Kind) -> Result<Vec<String>> {
             Kind::Video => worker.about.films,
         };
         let is_there = !worker.draining && worker.seen_at >= heard;
-        does && is_there && !app.unwilling.has(&worker.id, app.limits.lease)
+        let bell = errands_bell(&worker.id, kind.name());
+        does && is_there && !app.unwilling.has(&bell, app.limits.lease)
     });
     workers.sort_by_cached_key(|worker| (Reverse(worker.about.has_gpu), rank(job, worker)));
     Ok(workers.into_iter().map(|worker| worker.id).collect())
@@ -152,17 +139,18 @@ async fn ask_one(
     app.store
         .ask_errand(&errand.id, (worker, kind), &told)
         .await?;
-    app.bells.ring(&crate::store::errands_bell(worker, kind));
-    answer(app, &errand.id, &bell, advance).await
+    app.bells.ring(&errands_bell(worker, kind));
+    answer(app, (worker, kind), &errand.id, &bell, advance).await
 }
 
 async fn answer(
     app: &App,
+    of: (&str, &str),
     id: &str,
     bell: &Notify,
     advance: impl Fn(u32, u32),
 ) -> Result<Option<Outcome>> {
-    let asked = Instant::now();
+    let mut idle = Instant::now();
     loop {
         match app.store.errand(id).await? {
             Some(ErrandState::Answered(outcome)) => {
@@ -172,8 +160,12 @@ async fn answer(
             Some(ErrandState::Taken { is_lost: true, .. }) | None => return Ok(None),
             Some(ErrandState::Taken { done, total, .. }) => advance(done, total),
             Some(ErrandState::Asked) => {
+                // Who does another comes to this one after it.
+                if app.store.is_on_errand(of).await? {
+                    idle = Instant::now();
+                }
                 let patience = app.limits.errand / 3;
-                if asked.elapsed() > patience && app.store.withdraw_untaken(id).await? {
+                if idle.elapsed() > patience && app.store.withdraw_untaken(id).await? {
                     return Ok(None);
                 }
             }

@@ -15,7 +15,7 @@ use crate::coordinator::{Errand, Headway, Kind, Outcome, Task};
 use crate::copies::{scene_copy, used_now};
 use crate::error::{Result, ServerError};
 use crate::removal::remove;
-use crate::render::{RenderError, RenderRequest};
+use crate::render::RenderRequest;
 use crate::store::errands_bell;
 use crate::videos::film::{End, Film};
 use crate::wording::without_paths;
@@ -149,11 +149,7 @@ async fn view(work: &Workshop, errand: &Errand, folder: &Path, making: &Path) ->
     let client = IpAddr::from(Ipv4Addr::LOCALHOST);
     match work.renderers.render(client, &request).await {
         Ok(()) => put(work, &out).await,
-        Err(RenderError::Refused(detail)) => Ok(Outcome::Refused {
-            detail: without_paths(&detail),
-            hint: String::new(),
-        }),
-        Err(error @ (RenderError::Busy | RenderError::Process(_))) => Ok(Outcome::Failed {
+        Err(error) => Ok(Outcome::Failed {
             detail: without_paths(&error.to_string()),
         }),
     }
@@ -180,9 +176,8 @@ async fn video(
     let advance = |done, total| progress.note(done, total);
     match film.make(stop, &work.shutdown, advance).await {
         End::Made => put(work, &file).await,
-        End::Failed(fault) => Ok(Outcome::Refused {
+        End::Failed(fault) => Ok(Outcome::Failed {
             detail: fault.detail,
-            hint: fault.hint,
         }),
         End::Stopped => Ok(not_awaited()),
         End::Interrupted => Ok(Outcome::Failed {

@@ -2,11 +2,11 @@
 
 use std::net::IpAddr;
 
-use super::asking::{Asked, ask};
+use super::asking::ask;
 use crate::app::App;
 use crate::coordinator::Task;
 use crate::copies::below;
-use crate::error::ServerError;
+use crate::error::Result;
 use crate::render::{RenderError, RenderRequest};
 
 /// Lets a worker render it, or renders it here; who did.
@@ -19,45 +19,23 @@ pub async fn render(
     client: IpAddr,
     request: &RenderRequest,
 ) -> Result<&'static str, RenderError> {
-    match tokio::time::timeout(app.limits.render, by_worker(app, job, client, request)).await {
+    let turn = app.asking.take(client).await.ok_or(RenderError::Busy)?;
+    match tokio::time::timeout(app.limits.render, by_worker(app, job, request)).await {
         Ok(Ok(true)) => return Ok("worker"),
         Ok(Ok(false)) => {}
-        Ok(Err(ByWorker::Render(error))) => return Err(error),
-        Ok(Err(ByWorker::Server(error))) => {
-            tracing::warn!(%error, "no worker rendered a view: rendered here");
-        }
+        Ok(Err(error)) => tracing::warn!(%error, "no worker rendered a view: rendered here"),
         Err(_) => tracing::warn!("the workers take too long over a view: rendered here"),
     }
+    drop(turn);
     app.renderers.render(client, request).await?;
     Ok("server")
 }
 
-/// Why no worker rendered it.
-enum ByWorker {
-    /// It is to be told.
-    Render(RenderError),
-    /// Another way may do.
-    Server(ServerError),
-}
-
-impl<E: Into<ServerError>> From<E> for ByWorker {
-    fn from(error: E) -> Self {
-        Self::Server(error.into())
-    }
-}
-
 /// `false` where no worker does such things.
-async fn by_worker(
-    app: &App,
-    job: &str,
-    client: IpAddr,
-    request: &RenderRequest,
-) -> Result<bool, ByWorker> {
+async fn by_worker(app: &App, job: &str, request: &RenderRequest) -> Result<bool> {
     let Some(blobs) = app.mirror.blobs() else {
         return Ok(false);
     };
-    let turn = app.asking.take(client).await;
-    let _turn = turn.ok_or(ByWorker::Render(RenderError::Busy))?;
     let scene = below(&app.data.job(job), &request.scene);
     let task = Task::View {
         scene: scene.clone(),
@@ -66,11 +44,8 @@ async fn by_worker(
         format: request.format,
     };
     match ask(app, job, &[scene], &task, |_, _| ()).await? {
-        Asked::Made(blob) => blobs.fetch(&blob, &request.out).await?,
-        Asked::Refused { detail, .. } => {
-            return Err(ByWorker::Render(RenderError::Refused(detail)));
-        }
-        Asked::Nobody => return Ok(false),
+        Some(blob) => blobs.fetch(&blob, &request.out).await?,
+        None => return Ok(false),
     }
     Ok(true)
 }

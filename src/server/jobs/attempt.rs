@@ -77,7 +77,9 @@ pub(super) async fn run(
     let id = &job.lease.job;
     // From the first moment: what is fetched may take longer than a lease.
     let mut beat = Beat::begin(work, job.lease.clone());
-    copies::prepare_job(work, job).await?;
+    if !is_prepared(work, job).await? {
+        return Ok(Settlement::Released);
+    }
     work.pass(Point::Fetched);
     let output = work.data.output(id).root().to_owned();
     tokio::fs::create_dir_all(&output)
@@ -133,6 +135,15 @@ pub(super) async fn run(
     copies::publish(work, &job.lease, true).await?;
     work.pass(Point::Published);
     Ok(settlement)
+}
+
+/// Fetches what a job begins with; `false` where the worker stops meanwhile: what it has fetched
+/// is whole, and nothing is made yet.
+async fn is_prepared(work: &Workshop, job: &Assignment) -> Result<bool> {
+    tokio::select! {
+        prepared = copies::prepare_job(work, job) => prepared.map(|()| true),
+        () = work.shutdown.cancelled() => Ok(false),
+    }
 }
 
 /// Waits for what ends an attempt from outside.
@@ -354,8 +365,13 @@ impl Attempt<'_> {
                 Ok(Settlement::Finished { best_round })
             }
             Some(LastWords::Failed { kind, detail, hint }) => {
+                let kind = ErrorKind::from_name(&kind);
+                // Whoever stops a whole service may tell every process of it.
+                if kind == Some(ErrorKind::Cancelled) && self.work.shutdown.is_cancelled() {
+                    return Ok(Settlement::Released);
+                }
                 // Nobody asked through us: some other hand stopped the process.
-                let kind = ErrorKind::from_name(&kind).filter(|&kind| kind != ErrorKind::Cancelled);
+                let kind = kind.filter(|&kind| kind != ErrorKind::Cancelled);
                 self.failure(kind.unwrap_or(ErrorKind::Internal), detail, hint)
                     .await
             }

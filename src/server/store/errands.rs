@@ -162,6 +162,20 @@ impl Store {
         }))
     }
 
+    /// Whether a worker does something of a kind now, and is not lost over it.
+    ///
+    /// # Errors
+    /// When the database refuses.
+    pub async fn is_on_errand(&self, (worker, kind): (&str, &str)) -> Result<bool> {
+        let busy = sqlx::query_scalar(
+            "SELECT COUNT(*) FROM errands WHERE worker = $1 AND kind = $2 AND taken_until >= $3
+             AND outcome IS NULL",
+        );
+        let busy = busy.bind(worker).bind(kind).bind(self.now().await?);
+        let busy: i64 = busy.fetch_one(&self.pool).await?;
+        Ok(busy > 0)
+    }
+
     /// Asks for it no more, unless a worker has taken it up; whether that is so.
     ///
     /// # Errors

@@ -86,11 +86,11 @@ fn is_made_by_workers(api: &Client, worker: &Machine) {
     assert_eq!(shown["made_by"], "worker");
     let file = api.get(&format!("{video}/file"), &[]).expect(200);
     assert_eq!(&file.body[4..8], b"ftyp");
-    // One that cannot be made says why, and nobody tries again.
+    // One that a worker cannot make the replica tries itself, and says why it cannot be made.
     let shown = ended(api, &film(api, &job, 7, 1.0));
     assert_eq!(
         (&shown["state"], &shown["made_by"]),
-        (&json!("failed"), &json!("worker"))
+        (&json!("failed"), &json!("server"))
     );
     let detail = shown["error"]["detail"].as_str().expect("words");
     assert!(
@@ -246,4 +246,25 @@ fn workers_keep_nothing_alive_that_is_kept_no_longer() {
     // The worker goes on with others; here nothing goes before the next start.
     let next = result(&at);
     assert_eq!(view(&at, &next, 10).header(BY), "worker");
+}
+
+#[test]
+fn who_is_busy_is_waited_for() {
+    let farm = Farm::new();
+    let (_one, one) = farm.replica("one");
+    let (_two, two) = farm.replica("two");
+    let worker = farm.worker("worker");
+    let job = result(&one);
+    // 5 a second take a tenth of a second each: in all longer than anybody would be waited for.
+    let first = film(&one, &job, 5, 4.0);
+    under_way(&one, &first);
+    assert_eq!(makes(&worker), 1);
+    let second = film(&two, &job, 10, 1.0);
+    // Views are another matter.
+    assert_eq!(view(&two, &job, 40).header(BY), "worker");
+    for (api, video) in [(&one, &first), (&two, &second)] {
+        let shown = ended(api, video);
+        assert_eq!(shown["state"], "succeeded", "{shown:#}");
+        assert_eq!(shown["made_by"], "worker", "{shown:#}");
+    }
 }

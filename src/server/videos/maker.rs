@@ -11,7 +11,7 @@ use super::turns::Ticket;
 use crate::app::App;
 use crate::coordinator::Task;
 use crate::copies::{below, publish_video};
-use crate::errands::{Asked, ask};
+use crate::errands::ask;
 use crate::error::{Result, ServerError};
 use crate::jobs::kill_orphans;
 use crate::removal::remove_file;
@@ -151,20 +151,19 @@ async fn by_worker(
     let plan = Box::new(record.plan.clone());
     let task = Task::Video { plan };
     let advance = |done, total| app.videos.advance(done, total);
-    let asked = tokio::select! {
-        asked = ask(app, &ticket.job, &files, &task, advance) => asked?,
-        () = bell.notified() => return Ok(Some(End::Stopped)),
-        () = app.shutdown.cancelled() => return Ok(Some(End::Interrupted)),
+    let made = async {
+        let asked = ask(app, &ticket.job, &files, &task, advance).await?;
+        let (Some(blob), Some(blobs)) = (asked, app.mirror.blobs()) else {
+            return Ok(None);
+        };
+        blobs.fetch(&blob, &folder.video()).await?;
+        Ok(Some(End::Made))
     };
-    let (blob, blobs) = match (asked, app.mirror.blobs()) {
-        (Asked::Made(blob), Some(blobs)) => (blob, blobs),
-        (Asked::Refused { detail, hint }, _) => {
-            return Ok(Some(End::Failed(VideoFault { detail, hint })));
-        }
-        (Asked::Made(_) | Asked::Nobody, _) => return Ok(None),
-    };
-    blobs.fetch(&blob, &folder.video()).await?;
-    Ok(Some(End::Made))
+    tokio::select! {
+        made = made => made,
+        () = bell.notified() => Ok(Some(End::Stopped)),
+        () = app.shutdown.cancelled() => Ok(Some(End::Interrupted)),
+    }
 }
 
 /// Keeps what came of it.
@@ -192,9 +191,9 @@ async fn settle(folder: &VideoFolder, mut record: Record, end: End) -> Result<()
             record.finished_at = Some(now_ms());
         }
     }
-    if folder.path().is_dir() {
+    if folder.load()?.is_some() {
         return folder.save(&record);
     }
-    // Deleted with its job meanwhile.
-    Ok(())
+    // Deleted meanwhile, alone or with its job.
+    folder.remove().map(drop)
 }
