@@ -8,7 +8,7 @@ use std::sync::{Arc, Mutex};
 use std::task::{Context, Poll};
 use std::time::Duration;
 
-use futures::Stream;
+use futures::{Stream, StreamExt};
 use hyper::body::Incoming;
 use hyper::header::CONTENT_LENGTH;
 use hyper::{Method, Request, Response, StatusCode};
@@ -191,7 +191,10 @@ async fn answer(state: &State, request: Request<Incoming>) -> Response<Body> {
     }
     let is_head = request.method() == Method::HEAD;
     let answer = match fault {
-        Fault::Status(status) => Ok(refusal(status)),
+        Fault::Status(status) => {
+            read_all(request.into_body()).await;
+            Ok(refusal(status))
+        }
         _ => state.service.call(request.map(Body::from)).await,
     };
     state.now.fetch_sub(1, Ordering::Relaxed);
@@ -201,6 +204,12 @@ async fn answer(state: &State, request: Request<Incoming>) -> Response<Body> {
     } else {
         spoil(answer, fault)
     }
+}
+
+/// What is left unread resets the connection, and the answer may be lost with it.
+async fn read_all(body: Incoming) {
+    let mut body = Body::from(body);
+    while let Some(Ok(_)) = body.next().await {}
 }
 
 fn refusal(status: u16) -> Response<Body> {
