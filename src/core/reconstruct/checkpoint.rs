@@ -8,7 +8,7 @@ use crate::splat::rows::{GEOMETRY_ROW, GeometryRow, sh_row, unpack_gaussians};
 /// First bytes of a checkpoint.
 const MAGIC: [u8; 8] = *b"fledckpt";
 /// Raised whenever the layout or the meaning changes.
-const VERSION: u32 = 5;
+const VERSION: u32 = 6;
 
 /// Arrays of numbers that a checkpoint holds.
 const ARRAYS: usize = 8;
@@ -36,6 +36,8 @@ pub struct Checkpoint {
     pub intersections: u32,
     /// Non-finite gradients dropped so far.
     pub non_finite: u32,
+    /// Wall seconds that it took so far.
+    pub seconds: f64,
     /// Rows of geometry, [count, 12].
     pub geometry: Vec<f32>,
     /// Adam's moments of the geometry, [count, 2, 12].
@@ -65,6 +67,7 @@ struct Header {
     sh_degree: u32,
     intersections: u32,
     non_finite: u32,
+    seconds: f64,
     lengths: [u64; ARRAYS],
 }
 
@@ -92,6 +95,7 @@ impl Checkpoint {
             sh_degree: self.sh_degree,
             intersections: self.intersections,
             non_finite: self.non_finite,
+            seconds: self.seconds,
             lengths: arrays.map(|a| a.len() as u64),
         };
         let mut bytes = bytemuck::bytes_of(&header).to_vec();
@@ -141,6 +145,7 @@ impl Checkpoint {
             sh_degree: header.sh_degree,
             intersections: header.intersections,
             non_finite: header.non_finite,
+            seconds: header.seconds,
             geometry,
             geometry_moments,
             sh,
@@ -229,6 +234,7 @@ mod tests {
             sh_degree: 1,
             intersections: 4_000,
             non_finite: 1,
+            seconds: 7.5,
             geometry: ramp(36),
             geometry_moments: ramp(72),
             sh: ramp(36),
@@ -259,7 +265,7 @@ mod tests {
         assert_eq!(refused(&changed), "damaged");
         let mut newer = bytes.clone();
         newer[16] += 1;
-        assert!(refused(&newer).starts_with("version 6"));
+        assert!(refused(&newer).starts_with("version 7"));
         assert_eq!(refused(&[0; 200]), "not a checkpoint");
         let odd = Checkpoint {
             sh_degree: 2,

@@ -11,7 +11,7 @@ pub struct Trained {
     pub gaussians: Gaussians,
     /// Optimiser steps of the round.
     pub steps: u64,
-    /// Wall seconds of this process.
+    /// Wall seconds of all processes that trained it, as far as checkpoints tell.
     pub seconds: f64,
     /// Gradients that were not finite and were dropped.
     pub non_finite_gradients: u64,

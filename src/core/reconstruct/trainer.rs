@@ -57,6 +57,10 @@ pub(super) struct Trainer<'a> {
     next: u32,
     start_count: usize,
     last_view: usize,
+    /// Wall seconds that earlier processes trained.
+    seconds_before: f64,
+    /// When this one began to.
+    begun: Instant,
     checkpoint_every: Duration,
     progress_every: Duration,
 }
@@ -98,6 +102,8 @@ impl<'a> Trainer<'a> {
             next: 0,
             start_count: gaussians.len(),
             last_view: 0,
+            seconds_before: 0.0,
+            begun: Instant::now(),
             checkpoint_every: CHECKPOINT_EVERY,
             progress_every: PROGRESS_EVERY,
             model,
@@ -113,9 +119,9 @@ impl<'a> Trainer<'a> {
 
     /// Trains to the last step.
     pub(super) fn run(mut self, hooks: &mut TrainHooks<'_>) -> Result<Trained, ReconstructError> {
-        let begin = Instant::now();
+        self.begun = Instant::now();
         self.train_to(self.config.steps, hooks)?;
-        self.finish(begin)
+        self.finish()
     }
 
     /// Trains up to the step `last`, at most the round's number, and leaves nothing in flight. Who
@@ -207,12 +213,17 @@ impl<'a> Trainer<'a> {
         Ok(self.level.loss(last_view).value()?.total)
     }
 
-    fn finish(self, begin: Instant) -> Result<Trained, ReconstructError> {
+    /// Wall seconds that the round has taken, in all processes.
+    fn seconds(&self) -> f64 {
+        self.seconds_before + self.begun.elapsed().as_secs_f64()
+    }
+
+    fn finish(self) -> Result<Trained, ReconstructError> {
         let final_loss = self.loss()?;
         Ok(Trained {
             gaussians: self.model.pass.gaussians.download()?.without_unusable(),
             steps: u64::from(self.config.steps),
-            seconds: begin.elapsed().as_secs_f64(),
+            seconds: self.seconds(),
             non_finite_gradients: u64::from(self.optimizer.counters.read()?[0]),
             noise: mean_statistics(&self.noise_seen),
             shake_px: self.model.mean_spread(),

@@ -65,6 +65,7 @@ fn a_round_that_is_stopped_goes_on_from_the_step_it_was_in_to_the_same_bytes() {
     let goes_on = |checkpoint: &Checkpoint, stop: u32| {
         let thawed = Checkpoint::from_bytes(&checkpoint.to_bytes()).expect("a checkpoint");
         let resumed = trained(&views, TrainStart::Resume(thawed), &config);
+        assert!(checkpoint.seconds > 0.0 && resumed.seconds > checkpoint.seconds);
         assert!(
             bytes(&resumed.gaussians) == bytes(&undisturbed.gaussians),
             "stopped at {stop}"

@@ -18,6 +18,7 @@ impl Trainer<'_> {
             sh_degree: gaussians.sh_degree,
             intersections: self.model.pass.buffers().sizes().intersections as u32,
             non_finite: self.optimizer.counters.read()?[0],
+            seconds: self.seconds(),
             geometry: gaussians.geometry.read(count)?,
             geometry_moments: self.optimizer.geometry_moments.read(count)?,
             sh: gaussians.sh.read(count)?,
@@ -47,6 +48,7 @@ impl Trainer<'_> {
                 .map_err(|error| ReconstructError::Noise(error.to_string()))?;
         }
         self.start_count = checkpoint.start_count as usize;
+        self.seconds_before = checkpoint.seconds;
         self.next = checkpoint.step;
         // The level in use before this step: `prepare` changes it where the undisturbed round does.
         let divisor = self.schedule.divisor(self.next.saturating_sub(1));
