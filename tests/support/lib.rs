@@ -160,10 +160,15 @@ impl Client {
         }
     }
 
-    /// Waits until the job is in the state.
+    /// Waits until the job is in the state; not when it is over in another.
     #[track_caller]
     pub fn wait_state(&self, job: &str, state: &str) -> Value {
-        self.wait(job, state, |shown| shown["state"] == state)
+        let is_over = |shown: &Value| shown["finished_at"].is_string();
+        let shown = self.wait(job, state, |shown| {
+            shown["state"] == state || is_over(shown)
+        });
+        assert_eq!(shown["state"], state, "{shown:#}");
+        shown
     }
 
     /// The events after a number until the stream ends or there are `most`: (number, name,
