@@ -60,6 +60,13 @@ pub enum ServerError {
          then fled db import --data DIR --db sqlite:NEW/fled.db --store PLACE FILE"
     )]
     NotInStore(String),
+    /// Two databases delete, or would, what is in a store of files.
+    #[error(
+        "another database uses {0}, too, so that nothing is deleted there any more: give each a \
+         store of its own, then say which of them this one belongs to: \
+         fled db own --db URL --store PLACE"
+    )]
+    Disputed(String),
     /// An installation was not moved.
     #[error("nothing was moved: {0}")]
     NotMoved(String),
@@ -136,6 +143,15 @@ impl ServerError {
             }),
             _ => false,
         }
+    }
+
+    /// Whether a row was to name another that is gone, or one was to go that others name: somebody
+    /// else was faster. SQLite has one who writes at a time, and never says so.
+    pub fn is_of_a_name(&self) -> bool {
+        let Self::Database(sqlx::Error::Database(error)) = self else {
+            return false;
+        };
+        error.is_foreign_key_violation()
     }
 
     /// Whether a shared store of files refused or did not answer.

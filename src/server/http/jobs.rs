@@ -206,10 +206,15 @@ async fn from_json(
         &capture.id,
         body.name.as_deref().unwrap_or(&capture.name),
     )?;
-    Ok(app
+    let made = app
         .store
         .create_job(&job, key, &fingerprint, visitor.room(app.limits.queue))
-        .await?)
+        .await;
+    made.map_err(|error| match error.is_of_a_name() {
+        // It was deleted since it was found.
+        true => Problem::not_found("capture").pointer("/capture_id"),
+        false => error.into(),
+    })
 }
 
 async fn from_upload(

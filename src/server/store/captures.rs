@@ -145,8 +145,13 @@ impl Store {
         )
         .bind(id)
         .execute(&self.pool)
-        .await?;
-        Ok(done.rows_affected() == 1)
+        .await
+        .map_err(ServerError::from);
+        match done {
+            // A job of it was made since the look.
+            Err(error) if error.is_of_a_name() => Ok(false),
+            done => Ok(done?.rows_affected() == 1),
+        }
     }
 }
 

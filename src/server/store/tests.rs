@@ -12,7 +12,7 @@ use crate::error::ServerError;
 use crate::jobs::state::{JobState, Transition};
 
 /// A database file, and what removes it.
-pub(super) async fn in_a_file() -> (tempfile::TempDir, Store) {
+pub(crate) async fn in_a_file() -> (tempfile::TempDir, Store) {
     let dir = tempfile::tempdir().expect("temporary directory");
     let store = Store::open(&dir.path().join("fled.db"))
         .await
@@ -115,6 +115,36 @@ mod postgres {
 
     include!("tests/suite.rs");
     include!("tests/machines.rs");
+}
+
+#[tokio::test]
+async fn a_capture_that_is_deleted_while_a_job_of_it_is_made_stays_or_is_not_found() {
+    let (_dir, store) = with_capture(of_a_server().await).await;
+    // A job is made, and not true yet.
+    let mut tx = store.write().await.expect("begun");
+    jobs::insert(&mut tx, &new_job("j")).await.expect("made");
+    let (deleting, copy) = (store.clone(), store.clone());
+    let deleted = tokio::spawn(async move { deleting.delete_capture("c").await });
+    tokio::time::sleep(std::time::Duration::from_millis(300)).await;
+    assert!(!deleted.is_finished(), "it waits for the job");
+    tx.commit().await.expect("true");
+    assert!(!deleted.await.expect("ended").expect("answered"));
+    assert!(store.delete_job("j").await.expect("deleted"));
+    // The other way round.
+    let mut tx = store.begin().await.expect("begun");
+    sqlx::query("DELETE FROM captures WHERE id = 'c'")
+        .execute(&mut *tx)
+        .await
+        .expect("deleted");
+    let made = tokio::spawn(async move {
+        let made = copy.create_job(&new_job("k"), None, "", room(9)).await;
+        made.map(drop)
+    });
+    tokio::time::sleep(std::time::Duration::from_millis(300)).await;
+    assert!(!made.is_finished(), "it waits for the capture");
+    tx.commit().await.expect("true");
+    let refused = made.await.expect("ended").expect_err("no capture");
+    assert!(refused.is_of_a_name(), "{refused}");
 }
 
 /// Lets every connection of the pool grow the database to `pages` at most.
