@@ -7,6 +7,7 @@ mod blob;
 mod error;
 mod fetch;
 mod folder;
+mod mark;
 mod pull;
 mod push;
 mod put;

@@ -1,7 +1,7 @@
 //! Where blobs are kept: a directory that all machines share, or a bucket.
 //!
 //! ```text
-//! <prefix>/blobs/ab/<64 digits that begin with ab>   <prefix>/probes/<id>
+//! <prefix>/blobs/ab/<64 digits that begin with ab>   <prefix>/probes/<id>   <prefix>/mark
 //! ```
 //! What breaks off leaves no blob: an object appears whole or not at all. What it may leave is
 //! swept in a directory ([`Blobs::sweep_unfinished`]). In a bucket it is the parts of an upload,
@@ -320,7 +320,7 @@ impl Blobs {
         self.below("blobs").join(folder).join(digest.to_owned())
     }
 
-    fn below(&self, name: &'static str) -> Key {
+    pub(crate) fn below(&self, name: &'static str) -> Key {
         self.shared.prefix.clone().join(name)
     }
 

@@ -22,10 +22,13 @@ enum Command {
     /// Brings such a file into an empty database, and the files of the data directory that it was
     /// made of into a store of files. All of it, or nothing: it may be done again.
     Import(ImportArgs),
+    /// Says that a store of files belongs to this database, after another was found to use it, or
+    /// the database was restored from a backup. What this one does not name is deleted there.
+    Own(Own),
 }
 
 #[derive(clap::Args)]
-struct Export {
+struct Here {
     /// The service's data directory.
     #[arg(long, value_name = "DIR", default_value = "data")]
     data: PathBuf,
@@ -37,6 +40,12 @@ struct Export {
         hide_env_values = true
     )]
     database: Option<String>,
+}
+
+#[derive(clap::Args)]
+struct Export {
+    #[command(flatten)]
+    here: Here,
     /// A new file. It has the secrets of webhooks in it.
     #[arg(long, value_name = "FILE")]
     to: PathBuf,
@@ -64,7 +73,16 @@ struct ImportArgs {
     file: PathBuf,
 }
 
-/// Writes or reads the file.
+#[derive(clap::Args)]
+struct Own {
+    #[command(flatten)]
+    here: Here,
+    /// The store: a directory, or s3://BUCKET/PREFIX with credentials by the usual AWS_ variables.
+    #[arg(long = "store", value_name = "PLACE", env = "FLED_STORE")]
+    files: String,
+}
+
+/// Writes or reads the file, or marks a store.
 ///
 /// # Errors
 /// [`Failure`] when a server works there, a database is not empty, the file is damaged, or
@@ -76,18 +94,35 @@ pub fn main(args: &Args) -> Result<(), Failure> {
     match &args.command {
         Command::Export(args) => runtime.block_on(export(args)),
         Command::Import(args) => runtime.block_on(import(args)),
+        Command::Own(args) => runtime.block_on(own(args)),
     }
 }
 
-async fn export(args: &Export) -> Result<(), Failure> {
-    let database = args.database.as_deref();
-    if database.is_none() && !args.data.join("fled.db").is_file() {
-        return Err(Failure::usage(format!(
-            "{} holds no fled.db: it is no data directory",
-            args.data.display()
-        )));
+impl Here {
+    /// The database that is named; where none is, one must be in the data directory: none is made.
+    fn database(&self) -> Result<Option<&str>, Failure> {
+        let database = self.database.as_deref();
+        if database.is_none() && !self.data.join("fled.db").is_file() {
+            return Err(Failure::usage(format!(
+                "{} holds no fled.db: it is no data directory",
+                self.data.display()
+            )));
+        }
+        Ok(database)
     }
-    let done = fled_server::export(&args.data, database, &args.to).await;
+}
+
+async fn own(args: &Own) -> Result<(), Failure> {
+    let database = args.here.database()?;
+    let place = fled_server::own(&args.here.data, database, &args.files).await;
+    let place = place.map_err(|error| failed(&error))?;
+    eprintln!("{place} belongs to this database");
+    Ok(())
+}
+
+async fn export(args: &Export) -> Result<(), Failure> {
+    let database = args.here.database()?;
+    let done = fled_server::export(&args.here.data, database, &args.to).await;
     let done = done.map_err(|error| failed(&error))?;
     eprintln!("{} rows are in {}", done.rows, args.to.display());
     if done.uploads > 0 {

@@ -1,11 +1,17 @@
 //! Deletes what the shared store of files has and no row names.
+//!
+//! Two databases that use one store, one of them a copy of the other for example, would each delete
+//! what only the other names. So each look leaves its id in the store and finds there the id of the
+//! last, which must have been this database's own. Else neither looks any more, until somebody says
+//! which of them the store belongs to: nothing goes within a day, and within a day each has looked.
 
 use std::collections::HashSet;
 use std::time::Duration;
 
 use fled_blobs::Blobs;
+use uuid::Uuid;
 
-use crate::error::Result;
+use crate::error::{Result, ServerError};
 use crate::store::Store;
 
 /// Blobs that no file has had for so long are deleted.
@@ -14,13 +20,17 @@ const UNNAMED: Duration = Duration::from_secs(24 * 3600);
 /// Digests that the database is asked about at once.
 const ASKED: usize = 500;
 
+/// What stands in a store in which nothing is deleted.
+const DISPUTED: &str = "disputed";
+
 /// Deletes blobs that no file has had for a day, and what uploads of blobs left that broke off.
 /// Returns how many. Does nothing while another process does so: each would list the whole store
 /// for what the other deletes.
 ///
 /// # Errors
-/// When the database or the store refuses.
+/// As [`claim`].
 pub async fn collect(store: &Store, blobs: &Blobs) -> Result<usize> {
+    claim(store, blobs).await?;
     let Some(alone) = store.collecting().await? else {
         tracing::debug!("another process looks for blobs that no file has");
         return Ok(0);
@@ -28,6 +38,40 @@ pub async fn collect(store: &Store, blobs: &Blobs) -> Result<usize> {
     let deleted = collect_all(store, blobs).await;
     alone.end().await;
     deleted
+}
+
+/// Sees that no other database deletes what is in the store, and says there that this one does.
+///
+/// # Errors
+/// [`ServerError::Disputed`] where another does; when the database or the store refuses.
+pub async fn claim(store: &Store, blobs: &Blobs) -> Result<()> {
+    let mark = blobs.mark().await?;
+    if let Some(mark) = &mark
+        && !store.has_collected(mark).await?
+    {
+        if mark != DISPUTED {
+            blobs.set_mark(DISPUTED).await?;
+        }
+        return Err(ServerError::Disputed(blobs.location().to_owned()));
+    }
+    mark_as_own(store, blobs, mark.as_deref()).await
+}
+
+/// Says in the store that it belongs to this database, whatever stands there.
+///
+/// # Errors
+/// When the database or the store refuses.
+pub async fn own(store: &Store, blobs: &Blobs) -> Result<()> {
+    let mark = blobs.mark().await?;
+    mark_as_own(store, blobs, mark.as_deref()).await
+}
+
+async fn mark_as_own(store: &Store, blobs: &Blobs, found: Option<&str>) -> Result<()> {
+    let id = Uuid::now_v7().to_string();
+    // Here first: wherever this breaks off, and whoever else of this database does the same now,
+    // what stands in the store is known here.
+    store.note_collection(&id, found).await?;
+    Ok(blobs.set_mark(&id).await?)
 }
 
 async fn collect_all(store: &Store, blobs: &Blobs) -> Result<usize> {
@@ -136,6 +180,66 @@ mod tests {
             assert!(!part.exists());
             assert_eq!(collect(&store, &place.blobs).await.expect("collected"), 0);
         }
+    }
+
+    #[tokio::test]
+    async fn of_two_databases_neither_deletes_what_the_other_names() {
+        let [(_file, file), (_server, server)] = of_each().await;
+        let place = Place::new();
+        let old = async || place.put("old".to_owned(), 25 * HOUR).await;
+        let blob = old().await;
+        let is_there = || place.file(&blob).exists();
+        let refused = async |store: &Store| {
+            let refused = collect(store, &place.blobs).await;
+            assert!(
+                matches!(refused, Err(ServerError::Disputed(_))),
+                "{refused:?}"
+            );
+        };
+        // It knows its own marks, also of looks that did not come so far as to leave theirs.
+        claim(&file, &place.blobs).await.expect("nobody's");
+        for _ in 0..40 {
+            let mark = place.blobs.mark().await.expect("read");
+            let id = Uuid::now_v7().to_string();
+            let noted = file.note_collection(&id, mark.as_deref()).await;
+            noted.expect("noted");
+        }
+        claim(&file, &place.blobs).await.expect("its own");
+        refused(&server).await;
+        assert!(is_there());
+        // The first learns of it, too.
+        refused(&file).await;
+        refused(&server).await;
+        assert!(is_there());
+        own(&server, &place.blobs).await.expect("said so");
+        assert_eq!(collect(&server, &place.blobs).await.expect("its own"), 1);
+        assert!(!is_there());
+        old().await;
+        refused(&file).await;
+        refused(&server).await;
+        assert!(is_there());
+    }
+
+    #[tokio::test]
+    async fn a_copy_of_a_database_is_another_database() {
+        let (dir, store) = crate::store::tests::in_a_file().await;
+        let place = Place::new();
+        let blob = place.put("old".to_owned(), 25 * HOUR).await;
+        claim(&store, &place.blobs).await.expect("nobody's");
+        store.close().await;
+        let [first, copy] = ["fled.db", "copy.db"].map(|name| dir.path().join(name));
+        std::fs::copy(&first, &copy).expect("copied");
+        let [first, copy] = [Store::open(&first).await, Store::open(&copy).await];
+        let [first, copy] = [first.expect("open"), copy.expect("open")];
+        claim(&first, &place.blobs).await.expect("its own");
+        for store in [&copy, &first] {
+            let refused = collect(store, &place.blobs).await;
+            assert!(
+                matches!(refused, Err(ServerError::Disputed(_))),
+                "{refused:?}"
+            );
+        }
+        assert!(place.file(&blob).exists());
     }
 
     #[tokio::test]

@@ -4,6 +4,7 @@
 use std::collections::HashMap;
 use std::io;
 use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use fled_blobs::{Blobs, Kept, Seen, push};
@@ -14,6 +15,7 @@ use crate::error::{Result, ServerError};
 #[derive(Debug, Default)]
 pub struct Mirror {
     blobs: Option<Blobs>,
+    disputed: AtomicBool,
     folders: Mutex<HashMap<String, Arc<tokio::sync::Mutex<Copy>>>>,
 }
 
@@ -31,13 +33,23 @@ impl Mirror {
     pub fn new(blobs: Option<Blobs>) -> Self {
         Self {
             blobs,
-            folders: Mutex::default(),
+            ..Self::default()
         }
     }
 
     /// The store of files, where there is one.
     pub fn blobs(&self) -> Option<&Blobs> {
         self.blobs.as_ref()
+    }
+
+    /// Whether another database was last seen to use the store, too.
+    pub fn is_disputed(&self) -> bool {
+        self.disputed.load(Ordering::Relaxed)
+    }
+
+    /// Notes that.
+    pub fn note_disputed(&self, disputed: bool) {
+        self.disputed.store(disputed, Ordering::Relaxed);
     }
 
     /// What is known of a folder, by the id of its job or capture; for one at a time.

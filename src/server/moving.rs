@@ -13,6 +13,7 @@ use std::path::{Path, PathBuf};
 use fled_blobs::Blobs;
 use serde_json::Value;
 
+use crate::collector;
 use crate::data::DataDir;
 use crate::error::{Result, ServerError};
 use crate::store::{Engine, Intake, Snapshot, Store, TABLES, Table};
@@ -60,6 +61,28 @@ pub struct Import {
     pub database: String,
     /// The store of files.
     pub files: String,
+}
+
+/// Says in a store of files that it belongs to the database in the data directory, or to
+/// `database`: what that does not name is deleted there. Servers may work meanwhile. Returns where
+/// the store is.
+///
+/// # Errors
+/// When the database or the store refuses.
+pub async fn own(data: &Path, database: Option<&str>, files: &str) -> Result<String> {
+    let store = match database {
+        Some(url) if !url.starts_with("sqlite:") => Store::at_as_it_is(url).await?,
+        database => {
+            let path = database.and_then(|url| url.strip_prefix("sqlite:"));
+            let path = path.map_or_else(|| data.join("fled.db"), PathBuf::from);
+            Store::as_it_is(&path).await?
+        }
+    };
+    store.check_version().await?;
+    let blobs = Blobs::open(files)?;
+    collector::own(&store, &blobs).await?;
+    store.close().await;
+    Ok(blobs.location().to_owned())
 }
 
 /// Writes all rows of the database in the data directory, or of `database`, to the file `to`, which

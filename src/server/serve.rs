@@ -67,6 +67,7 @@ impl Server {
         if let Err(error) = expire(&app).await {
             tracing::warn!(%error, "cannot delete what is kept no longer");
         }
+        sweep::look_whose_store(&app).await;
         take_up(&app).await?;
         let mut tasks = JoinSet::new();
         tasks.spawn(keep_telling(app.clone()));

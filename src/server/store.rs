@@ -7,6 +7,7 @@ mod alone;
 mod backup;
 mod captures;
 mod clock;
+mod collections;
 mod compact;
 mod effects;
 mod engine;

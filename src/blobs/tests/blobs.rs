@@ -55,6 +55,22 @@ async fn large_files_go_in_parts() {
 }
 
 #[tokio::test]
+async fn a_mark_is_what_was_written_last() {
+    each_kind(async |blobs, _| {
+        assert_eq!(blobs.mark().await.unwrap(), None);
+        for mark in ["one", "another"] {
+            blobs.set_mark(mark).await.unwrap();
+            assert_eq!(blobs.mark().await.unwrap().as_deref(), Some(mark));
+        }
+        // It is no blob, and nothing that broke off.
+        assert_eq!(older_than(&blobs, Duration::ZERO).await, []);
+        assert_eq!(blobs.sweep_unfinished(Duration::ZERO).await.unwrap(), 0);
+        assert_eq!(blobs.mark().await.unwrap().as_deref(), Some("another"));
+    })
+    .await;
+}
+
+#[tokio::test]
 async fn bytes_are_kept_like_files() {
     each_kind(async |blobs, objects| {
         for bytes in [0, 5, 20 << 20] {

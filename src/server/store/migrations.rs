@@ -1,7 +1,7 @@
 //! How the schemas of both databases come about.
 
 /// Applied in order to SQLite, each once, never edited after release.
-pub(super) const SQLITE: [(i64, &str, &str); 17] = [
+pub(super) const SQLITE: [(i64, &str, &str); 18] = [
     (
         1,
         "captures",
@@ -83,10 +83,15 @@ pub(super) const SQLITE: [(i64, &str, &str); 17] = [
         "errands",
         include_str!("../../../migrations/0017_errands.sql"),
     ),
+    (
+        18,
+        "collections",
+        include_str!("../../../migrations/0018_collections.sql"),
+    ),
 ];
 
 /// The same to PostgreSQL: its first is all that SQLite came to by then, and bears the same number.
-pub(super) const POSTGRES: [(i64, &str, &str); 3] = [
+pub(super) const POSTGRES: [(i64, &str, &str); 4] = [
     (
         15,
         "everything",
@@ -101,5 +106,10 @@ pub(super) const POSTGRES: [(i64, &str, &str); 3] = [
         17,
         "errands",
         include_str!("../../../migrations/postgres/0017_errands.sql"),
+    ),
+    (
+        18,
+        "collections",
+        include_str!("../../../migrations/postgres/0018_collections.sql"),
     ),
 ];
