@@ -131,13 +131,14 @@ async fn ask_one(
 ) -> Result<Option<Outcome>> {
     let told = serde_json::to_string(errand).map_err(|error| damaged(&error))?;
     let kind = errand.task.kind().name();
+    let life = milliseconds(app.limits.errand);
     let bell = app.bells.of(&errand.id);
     let _question = Question {
         store: app.store.clone(),
         id: errand.id.clone(),
     };
     app.store
-        .ask_errand(&errand.id, (worker, kind), &told)
+        .ask_errand(&errand.id, (worker, kind), &told, life)
         .await?;
     app.bells.ring(&errands_bell(worker, kind));
     answer(app, (worker, kind), &errand.id, &bell, advance).await
@@ -150,8 +151,13 @@ async fn answer(
     bell: &Notify,
     advance: impl Fn(u32, u32),
 ) -> Result<Option<Outcome>> {
-    let mut idle = Instant::now();
+    let (mut idle, mut said) = (Instant::now(), Instant::now());
     loop {
+        if said.elapsed() > app.limits.errand / 4 {
+            said = Instant::now();
+            let life = milliseconds(app.limits.errand);
+            app.store.want_errand(id, life).await?;
+        }
         match app.store.errand(id).await? {
             Some(ErrandState::Answered(outcome)) => {
                 let outcome = serde_json::from_str(&outcome);

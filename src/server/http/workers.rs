@@ -25,8 +25,10 @@ pub struct Worker {
     started_at: String,
     /// When it was last heard of: RFC 3339.
     seen_at: String,
-    /// What it does.
+    /// The jobs that it runs.
     running: Vec<Running>,
+    /// What it makes for who asks, besides: `view`, `video`.
+    making: Vec<String>,
 }
 
 /// A job that a worker runs.
@@ -84,5 +86,6 @@ fn worker(row: WorkerRow, lost_before: i64) -> Worker {
                 steps_per_second,
             })
             .collect(),
+        making: row.making,
     }
 }

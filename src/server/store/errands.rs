@@ -32,7 +32,8 @@ pub fn errands_bell(worker: &str, kind: &str) -> String {
 }
 
 impl Store {
-    /// Asks a worker. `errand` is JSON.
+    /// Asks a worker. `errand` is JSON. It is waited for as long as [`Store::want_errand`] says so
+    /// once in `life_ms`.
     ///
     /// # Errors
     /// When the database refuses.
@@ -41,25 +42,43 @@ impl Store {
         id: &str,
         (worker, kind): (&str, &str),
         errand: &str,
+        life_ms: i64,
     ) -> Result<()> {
         let mut tx = self.begin().await?;
         let now = tx.now;
         sqlx::query(
-            "INSERT INTO errands (id, worker, kind, errand, asked_at) VALUES ($1, $2, $3, $4, $5)",
+            "INSERT INTO errands (id, worker, kind, errand, asked_at, wanted_until)
+             VALUES ($1, $2, $3, $4, $5, $6)",
         )
         .bind(id)
         .bind(worker)
         .bind(kind)
         .bind(errand)
         .bind(now)
+        .bind(now + life_ms)
         .execute(&mut *tx)
         .await?;
         ring(&mut tx, &errands_bell(worker, kind)).await?;
         tx.commit().await
     }
 
-    /// Takes up the oldest that a worker is asked for, of a kind; its id and what it is. It is
-    /// taken for lost when it is not heard of for `life_ms`.
+    /// Who asked still waits for it.
+    ///
+    /// # Errors
+    /// When the database refuses.
+    pub async fn want_errand(&self, id: &str, life_ms: i64) -> Result<()> {
+        let mut tx = self.begin().await?;
+        let until = tx.now + life_ms;
+        sqlx::query("UPDATE errands SET wanted_until = $1 WHERE id = $2")
+            .bind(until)
+            .bind(id)
+            .execute(&mut *tx)
+            .await?;
+        tx.commit().await
+    }
+
+    /// Takes up the oldest that a worker is asked for, of a kind, and that somebody waits for; its
+    /// id and what it is. The worker is taken for lost when it is not heard of for `life_ms`.
     ///
     /// # Errors
     /// When the database refuses.
@@ -70,9 +89,10 @@ impl Store {
     ) -> Result<Option<(String, String)>> {
         let oldest = sqlx::query_as(
             "SELECT id, errand FROM errands
-             WHERE worker = $1 AND kind = $2 AND taken_until IS NULL ORDER BY asked_at, id LIMIT 1",
+             WHERE worker = $1 AND kind = $2 AND taken_until IS NULL AND wanted_until >= $3
+             ORDER BY asked_at, id LIMIT 1",
         );
-        let oldest = oldest.bind(worker).bind(kind);
+        let oldest = oldest.bind(worker).bind(kind).bind(self.now().await?);
         // Mostly there is none: nothing is locked then.
         let oldest: Option<(String, String)> = oldest.fetch_optional(&self.pool).await?;
         let Some((id, errand)) = oldest else {
@@ -92,7 +112,8 @@ impl Store {
         Ok((taken.rows_affected() == 1).then_some((id, errand)))
     }
 
-    /// A worker still does it, and so far it is. `false` where nobody waits for it any more.
+    /// A worker still does it, and so far it is. `false` where nobody waits for it any more, or who
+    /// did was not heard of for too long.
     ///
     /// # Errors
     /// When the database refuses.
@@ -104,16 +125,18 @@ impl Store {
         life_ms: i64,
     ) -> Result<bool> {
         let mut tx = self.begin().await?;
-        let until = tx.now + life_ms;
+        let now = tx.now;
+        let until = now + life_ms;
         let extended = sqlx::query(
             "UPDATE errands SET taken_until = $1, done = $2, total = $3
-             WHERE id = $4 AND worker = $5 AND outcome IS NULL",
+             WHERE id = $4 AND worker = $5 AND outcome IS NULL AND wanted_until >= $6",
         )
         .bind(until)
         .bind(i64::from(done))
         .bind(i64::from(total))
         .bind(id)
         .bind(worker)
+        .bind(now)
         .execute(&mut *tx)
         .await?;
         tx.commit().await?;
@@ -174,6 +197,14 @@ impl Store {
         let busy = busy.bind(worker).bind(kind).bind(self.now().await?);
         let busy: i64 = busy.fetch_one(&self.pool).await?;
         Ok(busy > 0)
+    }
+
+    /// What workers do now and are not lost over: which of them, and of which kind.
+    pub(super) async fn errands_under_way(&self) -> Result<Vec<(String, String)>> {
+        let taken = "SELECT worker, kind FROM errands WHERE taken_until >= $1 AND outcome IS NULL
+             ORDER BY worker, kind";
+        let taken = sqlx::query_as(taken).bind(self.now().await?);
+        Ok(taken.fetch_all(&self.pool).await?)
     }
 
     /// Asks for it no more, unless a worker has taken it up; whether that is so.

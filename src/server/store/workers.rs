@@ -51,6 +51,8 @@ pub struct WorkerRow {
     pub seen_at: i64,
     /// The jobs that it runs, with their speed of training in steps a second.
     pub running: Vec<(String, Option<f64>)>,
+    /// What it does for replicas besides: `view`, `video`.
+    pub making: Vec<String>,
 }
 
 impl Store {
@@ -117,6 +119,12 @@ impl Store {
                 }
             }
         }
+        for (of, kind) in self.errands_under_way().await? {
+            let its = workers.iter_mut().find(|worker| worker.id == of);
+            if let Some(worker) = its {
+                worker.making.push(kind);
+            }
+        }
         Ok(workers)
     }
 }
@@ -177,5 +185,6 @@ fn worker(row: &AnyRow) -> Result<WorkerRow> {
         started_at: row.try_get("started_at")?,
         seen_at: row.try_get("seen_at")?,
         running: Vec::new(),
+        making: Vec::new(),
     })
 }

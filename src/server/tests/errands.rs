@@ -195,11 +195,35 @@ fn a_video_outlives_its_worker_and_ends_with_who_wants_it() {
         std::thread::sleep(Duration::from_millis(500));
     };
     api.delete(&video).expect(204);
+    stops(&worker);
+}
+
+/// Waits until a worker makes nothing any more, long before all pictures are there.
+fn stops(worker: &Machine) {
     let begun = Instant::now();
-    while makes(&worker) > 0 {
-        assert!(begun.elapsed() < Duration::from_secs(5), "it is still made");
+    while makes(worker) > 0 {
+        assert!(begun.elapsed() < Duration::from_secs(8), "it is still made");
         std::thread::sleep(Duration::from_millis(20));
     }
+}
+
+#[test]
+fn a_replica_that_dies_leaves_nothing_to_be_made() {
+    let farm = Farm::new();
+    let (mut replica, api) = farm.replica("api");
+    let worker = farm.worker("worker");
+    let job = result(&api);
+    let video = film(&api, &job, 5, 30.0);
+    under_way(&api, &video);
+    // Longer than it may be silent: it says that it waits.
+    std::thread::sleep(Duration::from_secs(4));
+    assert_eq!(makes(&worker), 1);
+    replica.kill();
+    stops(&worker);
+    // Begun again, it does not wait for what it asked before.
+    let (_replica, api) = farm.replica("api");
+    under_way(&api, &video);
+    assert_eq!(makes(&worker), 1);
 }
 
 #[test]

@@ -142,6 +142,14 @@ async fn workers_are_seen_with_what_they_do_until_they_go() {
     let told: Vec<_> = told.collect();
     assert_eq!(told, [("one", true, 1), ("two", false, 0)]);
     assert_eq!(workers[0].about, about);
+    store.ask_errand("e", ("two", "video"), "{}", 60_000).await.expect("asked");
+    let making = async || store.workers().await.expect("workers").pop().expect("two").making;
+    assert!(making().await.is_empty(), "it is only asked");
+    for (life, shown) in [(60_000, vec!["video"]), (-1000, vec![])] {
+        store.take_errand(("two", "video"), 60_000).await.expect("taken");
+        store.extend_errand("e", "two", (0, 0), life).await.expect("said");
+        assert_eq!(making().await, shown);
+    }
     store.forget_workers(Some("two"), 0).await.expect("gone");
     assert_eq!(store.workers().await.expect("workers").len(), 1);
 }
@@ -150,7 +158,7 @@ async fn workers_are_seen_with_what_they_do_until_they_go() {
 async fn an_errand_is_taken_by_whom_it_is_for_and_answered_once() {
     let (_dir, store) = store().await;
     let ask = async |id: &str| {
-        let asked = store.ask_errand(id, ("one", "view"), r#"{"a":1}"#);
+        let asked = store.ask_errand(id, ("one", "view"), r#"{"a":1}"#, 60_000);
         asked.await.expect("asked");
     };
     ask("a").await;
@@ -174,6 +182,14 @@ async fn an_errand_is_taken_by_whom_it_is_for_and_answered_once() {
         assert!(extend("one", life).await);
         let taken = ErrandState::Taken { is_lost, done: 1, total: 4 };
         assert_eq!(store.errand("a").await.expect("read"), Some(taken));
+    }
+    // Who asks may be gone.
+    for (life, is_wanted) in [(-1000, false), (60_000, true)] {
+        store.want_errand("a", life).await.expect("said");
+        assert_eq!(extend("one", 60_000).await, is_wanted);
+        store.ask_errand("c", ("one", "view"), "{}", life).await.expect("asked");
+        assert_eq!(take(60_000).await.is_some(), is_wanted);
+        store.withdraw_errand("c").await.expect("gone");
     }
     let answer = async |outcome| store.answer_errand("a", "one", outcome).await.expect("said");
     assert!(answer(r#""x""#).await);
