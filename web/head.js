@@ -4,6 +4,7 @@ import { compareWith } from "./choose.js";
 import { ask } from "./dialog.js";
 import { api, h, when } from "./dom.js";
 import { seesAll } from "./login.js";
+import { priorityField } from "./priority.js";
 import { failure, isOver, progressLine, setBar, stateWord } from "./state.js";
 import { advice } from "./words.js";
 
@@ -19,6 +20,7 @@ export function jobHead(base, refresh, who) {
   const state = h("span", { class: "state" });
   const line = h("span", { class: "soft now" });
   const keeping = h("p", { class: "row" });
+  const priority = priorityField(base, refresh, who);
   const facts = h("p", { class: "hint" });
   const bar = h("progress", { max: 1, value: 0, "aria-label": "progress" });
   const needs = h("p", { class: "needs", hidden: true });
@@ -38,7 +40,7 @@ export function jobHead(base, refresh, who) {
   const root = h("section", { hidden: true },
     h("div", { class: "row" }, title, state, line, !isVisitor &&
       h("span", { class: "row push" }, buttons.cancel, buttons.retry, compare, again, buttons.remove)),
-    isVisitor ? "" : keeping, facts, bar, needs, error, meaning, problem);
+    isVisitor ? "" : keeping, isVisitor ? "" : priority.root, facts, bar, needs, error, meaning, problem);
   /** @type {import("fled-api").Job | null} */
   let job = null;
   let gone = false;
@@ -116,6 +118,7 @@ export function jobHead(base, refresh, who) {
       again.hidden = !isOver(job);
       again.href = `#/captures/${job.capture_id}/from/${job.id}`;
       showKeeping();
+      priority.update(job);
       showNeeds();
       if (first) {
         facts.append(`${job.preset} · created ${when(job.created_at)}`);

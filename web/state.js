@@ -24,11 +24,14 @@ export const pill = (job) => h("span", { class: `state ${job.state}` }, stateWor
  * @param {Job} job
  */
 export function doing(job) {
-  if (job.state === "queued") return [place(job), job.error && "waits for another attempt"].filter(Boolean).join(", ");
+  if (job.state === "queued") return [place(job), urgency(job), job.error && "waits for another attempt"].filter(Boolean).join(", ");
   if (job.state !== "running") return "";
   const round = job.round > 0 ? `round ${job.round} of ${job.rounds}` : "";
   return [round, job.stage].filter(Boolean).join(", ") || "starts";
 }
+
+/** @param {Job} job */
+const urgency = ({ priority }) => (priority ? `priority ${priority}` : "");
 
 /** @param {Job} job */
 function place({ queue_position: position }) {

@@ -34,6 +34,7 @@ mod order;
 mod page;
 mod paths;
 mod pin;
+mod prioritize;
 mod priority;
 mod problem;
 mod quota;
@@ -149,6 +150,7 @@ fn of_a_job() -> Router<Arc<App>> {
         .route("/v1/jobs/{id}", get(jobs::show).delete(jobs::delete))
         .route("/v1/jobs/{id}/cancel", post(jobs::cancel))
         .route("/v1/jobs/{id}/retry", post(retry::retry))
+        .route("/v1/jobs/{id}/priority", put(prioritize::prioritize))
         .route("/v1/jobs/{id}/pin", put(pin::pin).delete(pin::unpin))
         .route("/v1/jobs/{id}/shares", get(share::list).post(share::create))
         .route("/v1/jobs/{id}/shares/{share}", delete(share::end))

@@ -3,7 +3,7 @@
 import assert from "node:assert/strict";
 import { after, before, test } from "node:test";
 
-import { loaded, picture } from "./browser.js";
+import { loaded, overflowing, picture } from "./browser.js";
 import { Stand, both, button, seen } from "./played.js";
 import { until } from "./until.js";
 
@@ -189,6 +189,18 @@ both(
           page.getByRole("region", { name: "marked jobs" }),
           "None of them is in the list shown.",
         );
+        await page.getByLabel("Search").fill("");
+        await row("the last <i>one</i>").getByRole("link").click();
+        const priority = page.getByLabel("Priority");
+        await priority.fill("200");
+        await priority.press("Enter");
+        assert.equal((await server.job(ids[3])).priority, 0, "no such number is sent");
+        await priority.fill("5");
+        await priority.press("Enter");
+        await seen(page.locator("main"), "next in the queue, priority 5");
+        assert.equal((await server.job(ids[3])).priority, 5);
+        assert.deepEqual(await overflowing(page), []);
+        await picture(page, `page-priority-${width}`);
       },
       width,
     );

@@ -9,7 +9,7 @@ use utoipa::{Modify, OpenApi as _};
 
 use super::{
     artifacts, blobs, captures, errands, events, exports, health, jobs, live, log, login, metrics,
-    options, pin, render, retry, rounds, share, tus, videos, webhooks, work, workers,
+    options, pin, prioritize, render, retry, rounds, share, tus, videos, webhooks, work, workers,
 };
 
 #[derive(utoipa::OpenApi)]
@@ -38,6 +38,7 @@ use super::{
         jobs::delete,
         pin::pin,
         pin::unpin,
+        prioritize::prioritize,
         share::create,
         share::list,
         share::end,

@@ -104,7 +104,8 @@ pub struct Pinhole {
 #[utoipa::path(get, path = "/v1/jobs/{id}/render", operation_id = "render_view",
     tag = "results", params(("id" = String, Path), RenderQuery),
     responses(
-        (status = 200, description = "The picture", body = serde_json::Value, content_type = "image/*"),
+        (status = 200, description = "The picture", body = serde_json::Value, content_type = "image/*",
+            headers(("Fled-Rendered-By" = String, description = "`worker` or `server`; nothing where the picture was there"))),
         (status = 304, description = "As you have it"),
         (status = 404, description = "Unknown job, view or round", body = Problem, content_type = "application/problem+json"),
         (status = 409, description = "No round is finished yet", body = Problem, content_type = "application/problem+json"),
@@ -132,7 +133,8 @@ pub async fn get(
     tag = "results", params(("id" = String, Path)),
     request_body = RenderBody,
     responses(
-        (status = 200, description = "The picture", body = serde_json::Value, content_type = "image/*"),
+        (status = 200, description = "The picture", body = serde_json::Value, content_type = "image/*",
+            headers(("Fled-Rendered-By" = String, description = "`worker` or `server`; nothing where the picture was there"))),
         (status = 404, description = "Unknown job or round", body = Problem, content_type = "application/problem+json"),
         (status = 409, description = "No round is finished yet", body = Problem, content_type = "application/problem+json"),
         (status = 422, description = "Not a camera", body = Problem, content_type = "application/problem+json")))]

@@ -265,6 +265,18 @@ impl Store {
         Ok(next)
     }
 
+    /// Gives a job that is not over another place among those that wait. `Ok(false)` when it is
+    /// over or gone.
+    ///
+    /// # Errors
+    /// When the database refuses.
+    pub async fn prioritize_job(&self, id: &str, priority: i64) -> Result<bool> {
+        let place = "UPDATE jobs SET priority = $1
+             WHERE id = $2 AND state IN ('queued', 'running')";
+        let done = sqlx::query(place).bind(priority).bind(id);
+        Ok(done.execute(&self.pool).await?.rows_affected() == 1)
+    }
+
     /// Deletes a job that is not running, with all its rows. `Ok(false)` when it runs or is gone.
     ///
     /// # Errors

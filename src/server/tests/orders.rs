@@ -168,6 +168,50 @@ fn jobs_that_wait_are_taken_by_their_priority() {
 }
 
 #[test]
+fn a_job_that_waits_is_given_another_priority() {
+    let server = Server::start_with(&[("FLED_FAKE_WORKERS", "1")]);
+    let busy = server.job("slow:300");
+    server.wait_state(&busy, "running");
+    let [first, second] = ["ok", "ok"].map(|plan| server.job(plan));
+    let set = |job: &str, body: Value| {
+        let path = format!("/v1/jobs/{job}/priority");
+        let header = ("content-type", "application/json");
+        server.ask("PUT", &path, &[header], body.to_string().as_bytes())
+    };
+    let place = |job: &str| {
+        let shown = server.get(&format!("/v1/jobs/{job}"), &[]).expect(200);
+        shown.json()["queue_position"].clone()
+    };
+    assert_eq!((place(&first), place(&second)), (json!(1), json!(2)));
+    let shown = set(&second, json!({ "priority": 3 })).expect(200).json();
+    assert_eq!(
+        (&shown["priority"], &shown["queue_position"]),
+        (&json!(3), &json!(1))
+    );
+    assert_eq!((place(&first), place(&second)), (json!(2), json!(1)));
+    for bad in [
+        json!({ "priority": 101 }),
+        json!({ "priority": 0.5 }),
+        json!({}),
+        json!({ "urgency": 1 }),
+    ] {
+        set(&second, bad).expect(422);
+    }
+    set("none", json!({ "priority": 1 })).expect(404);
+    // What runs keeps running.
+    set(&busy, json!({ "priority": -3 })).expect(200);
+    let cancel = format!("/v1/jobs/{busy}/cancel");
+    server.post(&cancel, b"", &[]).expect(202);
+    let began = [&second, &first].map(|job| {
+        let done = server.wait_state(job, "succeeded");
+        done["started_at"].as_str().expect("a time").to_owned()
+    });
+    assert!(began.is_sorted(), "{began:?}");
+    let refused = set(&second, json!({ "priority": 1 })).expect(409).json();
+    assert_eq!(refused["code"], "wrong_state");
+}
+
+#[test]
 fn what_is_no_priority_is_refused_with_a_pointer_to_it() {
     let server = Server::start();
     let capture = server.capture(3);

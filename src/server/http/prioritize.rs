@@ -1,0 +1,53 @@
+//! `/v1/jobs/{id}/priority`: jobs that wait are given another place.
+
+use std::sync::Arc;
+
+use axum::extract::{Extension, Path, State};
+use serde::Deserialize;
+use serde_json::Number;
+use utoipa::ToSchema;
+
+use super::access::Visitor;
+use super::extract::Json;
+use super::jobs::told;
+use super::lookup::find;
+use super::priority::Priority;
+use super::problem::Problem;
+use super::shapes::Job;
+use crate::app::App;
+
+/// How urgent a job is to be.
+#[derive(Clone, Debug, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct SetPriority {
+    /// From -100 to 100: of two jobs that wait the higher one goes first. Above 0 needs `admin`,
+    /// where there are tokens.
+    #[schema(value_type = i32, minimum = -100, maximum = 100)]
+    priority: Number,
+}
+
+/// Lets a job that waits go before others, or after them. One that runs goes on; the priority
+/// counts when it has to wait again.
+#[utoipa::path(put, path = "/v1/jobs/{id}/priority", operation_id = "prioritize_job",
+    tag = "jobs", params(("id" = String, Path)), request_body = SetPriority,
+    responses(
+        (status = 200, description = "It has this priority", body = Job),
+        (status = 404, description = "Unknown", body = Problem, content_type = "application/problem+json"),
+        (status = 409, description = "It is over", body = Problem, content_type = "application/problem+json"),
+        (status = 422, description = "No priority", body = Problem, content_type = "application/problem+json")))]
+pub async fn prioritize(
+    State(app): State<Arc<App>>,
+    Path(id): Path<String>,
+    Extension(visitor): Extension<Visitor>,
+    Json(body): Json<SetPriority>,
+) -> Result<axum::Json<Job>, Problem> {
+    let row = find(&app, &id).await?;
+    let priority = Priority::asked(Some(&body.priority), &visitor)?;
+    if !app.store.prioritize_job(&id, priority.number()).await? {
+        let detail = format!("The job is {}: it waits for nothing.", row.state.name());
+        return Err(Problem::conflict("wrong_state", detail)
+            .hint("Only jobs that are queued or run have a place among others."));
+    }
+    app.changed();
+    Ok(axum::Json(told(&app, &id).await?))
+}
