@@ -2,8 +2,9 @@
 //!
 //! Two databases that use one store, one of them a copy of the other for example, would each delete
 //! what only the other names. So each look leaves its id in the store and finds there the id of the
-//! last, which must have been this database's own. Else neither looks any more, until somebody says
-//! which of them the store belongs to: nothing goes within a day, and within a day each has looked.
+//! last, which must have been this database's own. Else neither deletes any more, until somebody
+//! says which of them the store belongs to. That holds as long as servers of both run: one that is
+//! stopped cannot say that it is still there.
 
 use std::collections::HashSet;
 use std::time::Duration;
@@ -28,7 +29,7 @@ const DISPUTED: &str = "disputed";
 /// for what the other deletes.
 ///
 /// # Errors
-/// As [`claim`].
+/// As [`claim`]; also when it turns out halfway.
 pub async fn collect(store: &Store, blobs: &Blobs) -> Result<usize> {
     claim(store, blobs).await?;
     let Some(alone) = store.collecting().await? else {
@@ -45,6 +46,12 @@ pub async fn collect(store: &Store, blobs: &Blobs) -> Result<usize> {
 /// # Errors
 /// [`ServerError::Disputed`] where another does; when the database or the store refuses.
 pub async fn claim(store: &Store, blobs: &Blobs) -> Result<()> {
+    let mark = expect_own(store, blobs).await?;
+    mark_as_own(store, blobs, mark.as_deref()).await
+}
+
+/// The mark in the store, which is this database's own or not there; another one is disputed.
+async fn expect_own(store: &Store, blobs: &Blobs) -> Result<Option<String>> {
     let mark = blobs.mark().await?;
     if let Some(mark) = &mark
         && !store.has_collected(mark).await?
@@ -54,7 +61,7 @@ pub async fn claim(store: &Store, blobs: &Blobs) -> Result<()> {
         }
         return Err(ServerError::Disputed(blobs.location().to_owned()));
     }
-    mark_as_own(store, blobs, mark.as_deref()).await
+    Ok(mark)
 }
 
 /// Says in the store that it belongs to this database, whatever stands there.
@@ -77,6 +84,8 @@ async fn mark_as_own(store: &Store, blobs: &Blobs, found: Option<&str>) -> Resul
 async fn collect_all(store: &Store, blobs: &Blobs) -> Result<usize> {
     let mut deleted = blobs.sweep_unfinished(UNNAMED).await?;
     for first in 0..=u8::MAX {
+        // It takes as long as it takes, and another database may have begun meanwhile.
+        expect_own(store, blobs).await?;
         let old = blobs.older_than(first, UNNAMED).await?;
         for some in old.chunks(ASKED) {
             let digests: Vec<String> = some.iter().map(|blob| blob.digest.clone()).collect();
@@ -231,15 +240,29 @@ mod tests {
         std::fs::copy(&first, &copy).expect("copied");
         let [first, copy] = [Store::open(&first).await, Store::open(&copy).await];
         let [first, copy] = [first.expect("open"), copy.expect("open")];
-        claim(&first, &place.blobs).await.expect("its own");
-        for store in [&copy, &first] {
-            let refused = collect(store, &place.blobs).await;
+        // Whoever looks second sees that the other did.
+        for [one, other] in [[&first, &copy], [&copy, &first]] {
+            own(&first, &place.blobs).await.expect("said so");
+            let mark = place.blobs.mark().await.expect("read").expect("a mark");
+            if !copy.has_collected(&mark).await.expect("asked") {
+                copy.note_collection(&mark, None).await.expect("copied");
+            }
+            claim(one, &place.blobs).await.expect("as far as it knows");
+            for store in [other, one] {
+                let refused = collect(store, &place.blobs).await;
+                assert!(
+                    matches!(refused, Err(ServerError::Disputed(_))),
+                    "{refused:?}"
+                );
+            }
+            // Also one that is in the middle of it.
+            let refused = collect_all(one, &place.blobs).await;
             assert!(
                 matches!(refused, Err(ServerError::Disputed(_))),
                 "{refused:?}"
             );
+            assert!(place.file(&blob).exists());
         }
-        assert!(place.file(&blob).exists());
     }
 
     #[tokio::test]

@@ -62,8 +62,8 @@ pub enum ServerError {
     NotInStore(String),
     /// Two databases delete, or would, what is in a store of files.
     #[error(
-        "another database uses {0}, too, so that nothing is deleted there any more: give each a \
-         store of its own, then say which of them this one belongs to: \
+        "another database uses {0}, too, or this one was restored: nothing is deleted there any \
+         more. Give each a store of its own, then say which of them this one belongs to: \
          fled db own --db URL --store PLACE"
     )]
     Disputed(String),
@@ -146,7 +146,7 @@ impl ServerError {
     }
 
     /// Whether a row was to name another that is gone, or one was to go that others name: somebody
-    /// else was faster. SQLite has one who writes at a time, and never says so.
+    /// else was faster.
     pub fn is_of_a_name(&self) -> bool {
         let Self::Database(sqlx::Error::Database(error)) = self else {
             return false;

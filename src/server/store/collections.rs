@@ -3,8 +3,8 @@
 use super::Store;
 use crate::error::Result;
 
-/// So many of the newest are known.
-const KNOWN: i64 = 16;
+/// All of so many milliseconds are known: as many replicas as there may be note theirs at one time.
+const KNOWN_MS: i64 = 7 * 24 * 3600 * 1000;
 
 impl Store {
     /// Whether a look of this name was this database's.
@@ -17,8 +17,8 @@ impl Store {
         Ok(known > 0)
     }
 
-    /// Notes one that begins, and the mark that it has found. That one stays known however many
-    /// follow that do not come so far as to replace it.
+    /// Notes one that begins, and the mark that it has found. That one stays known for as long as
+    /// none that follows comes so far as to replace it.
     ///
     /// # Errors
     /// When the database refuses.
@@ -32,11 +32,13 @@ impl Store {
             .execute(&mut *tx)
             .await?;
         sqlx::query(
-            "DELETE FROM collections WHERE id <> $1 AND id NOT IN
-             (SELECT id FROM collections ORDER BY begun_at DESC, id DESC LIMIT $2)",
+            "DELETE FROM collections WHERE id <> $1 AND id <> $2
+             AND (begun_at < $3 OR begun_at > $4)",
         )
+        .bind(id)
         .bind(found.unwrap_or_default())
-        .bind(KNOWN)
+        .bind(now - KNOWN_MS)
+        .bind(now + KNOWN_MS)
         .execute(&mut *tx)
         .await?;
         tx.commit().await

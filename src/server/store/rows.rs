@@ -192,6 +192,8 @@ impl Intake {
 
 async fn has_rows(tx: &mut Tx) -> Result<Option<&'static str>> {
     let names = TABLES.iter().map(|table| table.name);
+    // A server that was only started leaves its mark; marks of two are those of both.
+    let names = names.filter(|name| *name != "collections");
     for name in names.chain(super::tables::PASSING) {
         let any = format!("SELECT COUNT(*) FROM (SELECT 1 AS one FROM {name} LIMIT 1) AS found");
         let any: i64 = sqlx::query_scalar(sqlx::AssertSqlSafe(any))
