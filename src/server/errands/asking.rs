@@ -16,6 +16,9 @@ use crate::store::{ErrandState, Store, WorkerRow, errands_bell};
 const LOOK: Duration = Duration::from_millis(250);
 /// So many workers are asked for one thing.
 const CHOSEN: usize = 2;
+/// Who does not say for so many times as long as a worker may be silent that it waits is gone. A
+/// stall of the database has both be silent, and must not end what both go on with.
+const PATIENCE: i64 = 2;
 /// Most bytes of a picture that a worker may have made.
 const LARGEST_PICTURE: u64 = 64 << 20;
 
@@ -131,7 +134,7 @@ async fn ask_one(
 ) -> Result<Option<Outcome>> {
     let told = serde_json::to_string(errand).map_err(|error| damaged(&error))?;
     let kind = errand.task.kind().name();
-    let life = milliseconds(app.limits.errand);
+    let life = PATIENCE * milliseconds(app.limits.errand);
     let bell = app.bells.of(&errand.id);
     let _question = Question {
         store: app.store.clone(),
@@ -155,7 +158,7 @@ async fn answer(
     loop {
         if said.elapsed() > app.limits.errand / 4 {
             said = Instant::now();
-            let life = milliseconds(app.limits.errand);
+            let life = PATIENCE * milliseconds(app.limits.errand);
             app.store.want_errand(id, life).await?;
         }
         match app.store.errand(id).await? {

@@ -3,7 +3,7 @@
 use std::net::{IpAddr, Ipv4Addr};
 use std::path::Path;
 use std::sync::atomic::{AtomicU32, Ordering};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use fled_blobs::{Kept, pull};
 use fled_core::run_folder::RunFolder;
@@ -59,15 +59,22 @@ async fn do_one(work: &Workshop, errand: &Errand) {
     tokio::pin!(making);
     let mut ticks = tokio::time::interval(work.limits.errand / 4);
     ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    let mut heard = Instant::now();
     let outcome = loop {
         tokio::select! {
             made = &mut making => break made,
             _ = ticks.tick() => {
                 let headway = progress.headway();
                 match work.coordinator.extend_errand(&work.worker, &errand.id, headway).await {
-                    Ok(true) => {}
+                    Ok(true) => heard = Instant::now(),
                     Ok(false) => stop.notify_one(),
-                    Err(error) => tracing::warn!(%error, "cannot say how far it is"),
+                    Err(error) => {
+                        tracing::warn!(%error, "cannot say how far it is");
+                        // Who asked takes it for lost by now, or is gone.
+                        if heard.elapsed() > work.limits.errand {
+                            stop.notify_one();
+                        }
+                    }
                 }
             }
         }

@@ -202,7 +202,10 @@ fn a_video_outlives_its_worker_and_ends_with_who_wants_it() {
 fn stops(worker: &Machine) {
     let begun = Instant::now();
     while makes(worker) > 0 {
-        assert!(begun.elapsed() < Duration::from_secs(8), "it is still made");
+        assert!(
+            begun.elapsed() < Duration::from_secs(10),
+            "it is still made"
+        );
         std::thread::sleep(Duration::from_millis(20));
     }
 }
@@ -213,10 +216,10 @@ fn a_replica_that_dies_leaves_nothing_to_be_made() {
     let (mut replica, api) = farm.replica("api");
     let worker = farm.worker("worker");
     let job = result(&api);
-    let video = film(&api, &job, 5, 30.0);
+    let video = film(&api, &job, 5, 60.0);
     under_way(&api, &video);
     // Longer than it may be silent: it says that it waits.
-    std::thread::sleep(Duration::from_secs(4));
+    std::thread::sleep(Duration::from_secs(5));
     assert_eq!(makes(&worker), 1);
     replica.kill();
     stops(&worker);
@@ -224,6 +227,17 @@ fn a_replica_that_dies_leaves_nothing_to_be_made() {
     let (_replica, api) = farm.replica("api");
     under_way(&api, &video);
     assert_eq!(makes(&worker), 1);
+}
+
+#[test]
+fn a_service_that_dies_leaves_nothing_to_be_made() {
+    let root = tempfile::tempdir().expect("temporary directory");
+    let (mut service, api, worker) = far(root.path());
+    let job = result(&api);
+    under_way(&api, &film(&api, &job, 5, 60.0));
+    assert_eq!(makes(&worker), 1);
+    service.kill();
+    stops(&worker);
 }
 
 #[test]
