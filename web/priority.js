@@ -21,11 +21,13 @@ export function priorityField(base, changed, who) {
     problem);
   /** What the server has. */
   let known = 0;
+  let asks = false;
 
   field.addEventListener("change", async () => {
     problem.textContent = "";
     if (!field.reportValidity()) return;
     const wanted = field.valueAsNumber;
+    asks = true;
     try {
       await send(`${base}/priority`, { priority: wanted }, "PUT");
       known = wanted;
@@ -34,6 +36,7 @@ export function priorityField(base, changed, who) {
       problem.textContent = fault.message;
       field.value = String(known);
     }
+    asks = false;
   });
 
   return {
@@ -42,10 +45,9 @@ export function priorityField(base, changed, who) {
     update(job) {
       root.hidden = job.state !== "queued";
       // Who types has not said yet what they mean.
-      if (field === document.activeElement && field.value !== String(known)) return;
-      if (known === job.priority && field.value !== "") return;
+      if (asks || (field === document.activeElement && field.value !== String(known))) return;
       known = job.priority;
-      field.value = String(known);
+      if (field.value !== String(known)) field.value = String(known);
     },
   };
 }

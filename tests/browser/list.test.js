@@ -192,13 +192,18 @@ both(
         await page.getByLabel("Search").fill("");
         await row("the last <i>one</i>").getByRole("link").click();
         const priority = page.getByLabel("Priority");
+        const sent = [];
+        page.on("request", (request) => request.method() === "PUT" && sent.push(request.postData()));
         await priority.fill("200");
         await priority.press("Enter");
-        assert.equal((await server.job(ids[3])).priority, 0, "no such number is sent");
+        await priority.blur();
+        await until("what cannot be goes", async () => (await priority.inputValue()) === "0");
+        assert.deepEqual(sent, [], "it is not asked for");
         await priority.fill("5");
         await priority.press("Enter");
         await seen(page.locator("main"), "next in the queue, priority 5");
         assert.equal((await server.job(ids[3])).priority, 5);
+        assert.deepEqual(sent, ['{"priority":5}']);
         assert.deepEqual(await overflowing(page), []);
         await picture(page, `page-priority-${width}`);
       },

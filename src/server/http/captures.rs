@@ -185,9 +185,12 @@ pub async fn delete(
         .await?
         .ok_or_else(|| Problem::not_found("capture"))?;
     if !app.store.delete_capture(&row.id).await? {
-        return Err(
-            Problem::conflict("in_use", "A job uses this capture.").hint("Delete its jobs first.")
-        );
+        let is_there = app.store.capture(&row.id).await?.is_some();
+        return Err(match is_there {
+            true => Problem::conflict("in_use", "A job uses this capture.")
+                .hint("Delete its jobs first."),
+            false => Problem::not_found("capture"),
+        });
     }
     remove(&app.data.capture(&row.id)).await;
     Ok(StatusCode::NO_CONTENT)

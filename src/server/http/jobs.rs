@@ -24,6 +24,7 @@ use super::shapes::{Job, Jobs, report};
 use super::upload;
 use super::uploaded::{self, JobOfUploads};
 use crate::app::App;
+use crate::error::ServerError;
 use crate::jobs::state::JobState;
 use crate::removal::remove;
 use crate::store::{Creation, JobFilter, JobRow};
@@ -210,11 +211,15 @@ async fn from_json(
         .store
         .create_job(&job, key, &fingerprint, visitor.room(app.limits.queue))
         .await;
-    made.map_err(|error| match error.is_of_a_name() {
-        // It was deleted since it was found.
-        true => Problem::not_found("capture").pointer("/capture_id"),
+    made.map_err(not_made)
+}
+
+/// Why there is no job of a capture, which may have been deleted since it was there.
+fn not_made(error: ServerError) -> Problem {
+    match error.is_of_a_name() {
+        true => Problem::not_found("capture"),
         false => error.into(),
-    })
+    }
 }
 
 async fn from_upload(
@@ -271,7 +276,7 @@ async fn from_upload(
         {
             remove(&app.data.capture(&capture.id)).await;
         }
-        Ok(creation?)
+        creation.map_err(not_made)
     })
     .await
 }

@@ -41,9 +41,10 @@ pub async fn prioritize(
     Extension(visitor): Extension<Visitor>,
     Json(body): Json<SetPriority>,
 ) -> Result<axum::Json<Job>, Problem> {
-    let row = find(&app, &id).await?;
+    find(&app, &id).await?;
     let priority = Priority::asked(Some(&body.priority), &visitor)?;
     if !app.store.prioritize_job(&id, priority.number()).await? {
+        let row = find(&app, &id).await?;
         let detail = format!("The job is {}: it waits for nothing.", row.state.name());
         return Err(Problem::conflict("wrong_state", detail)
             .hint("Only jobs that are queued or run have a place among others."));
