@@ -23,7 +23,25 @@ pub struct DataDir {
     root: PathBuf,
     /// Held for the life of the server: the kernel frees it even after kill -9. `None` where
     /// another one has it.
-    lock: Option<File>,
+    lock: Option<Lock>,
+}
+
+/// The lock on an open file. A process that is being started has the file open, too, for a moment,
+/// so that closing it here would not yet free it.
+#[derive(Debug)]
+struct Lock(File);
+
+impl Lock {
+    fn take(file: File) -> Option<Self> {
+        let taken = flock(&file, FlockOperation::NonBlockingLockExclusive);
+        taken.is_ok().then_some(Self(file))
+    }
+}
+
+impl Drop for Lock {
+    fn drop(&mut self) {
+        let _ = flock(&self.0, FlockOperation::Unlock);
+    }
 }
 
 /// Attempts to remove what a process of an earlier server may still write into: they end with it,
@@ -80,8 +98,7 @@ impl DataDir {
             .write(true)
             .open(&path)
             .map_err(ServerError::io(&path))?;
-        let ours = flock(&lock, FlockOperation::NonBlockingLockExclusive).is_ok();
-        let lock = ours.then_some(lock);
+        let lock = Lock::take(lock);
         Ok(Self { root, lock })
     }
 
@@ -286,6 +303,9 @@ mod tests {
             DataDir::open(dir.path()),
             Err(ServerError::DataInUse(_))
         ));
+        // As a process has it that is being started just then.
+        let lock = first.lock.as_ref().expect("its own");
+        let _inherited = lock.0.try_clone().expect("open");
         drop(first);
         DataDir::open(dir.path()).expect("free again");
     }
