@@ -76,8 +76,8 @@ async fn files(app: &App) -> Option<Check> {
         ok: outcome.is_ok(),
         detail: match &outcome {
             Ok(()) if app.mirror.is_disputed() => {
-                "answers and can be written; another database uses it, too: nothing is deleted \
-                 there (the server's log says more)"
+                "answers and can be written; another database uses it, too, or this one was \
+                 restored: nothing is deleted there (the server's log says more)"
                     .to_owned()
             }
             Ok(()) => "answers and can be written".to_owned(),

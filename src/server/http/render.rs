@@ -105,7 +105,8 @@ pub struct Pinhole {
     tag = "results", params(("id" = String, Path), RenderQuery),
     responses(
         (status = 200, description = "The picture", body = serde_json::Value, content_type = "image/*",
-            headers(("Fled-Rendered-By" = String, description = "`worker` or `server`; nothing where the picture was there"))),
+            headers(("Fled-Rendered-By" = String,
+                description = "`worker` or `server`; nothing where the picture was there"))),
         (status = 304, description = "As you have it"),
         (status = 404, description = "Unknown job, view or round", body = Problem, content_type = "application/problem+json"),
         (status = 409, description = "No round is finished yet", body = Problem, content_type = "application/problem+json"),
@@ -134,7 +135,8 @@ pub async fn get(
     request_body = RenderBody,
     responses(
         (status = 200, description = "The picture", body = serde_json::Value, content_type = "image/*",
-            headers(("Fled-Rendered-By" = String, description = "`worker` or `server`; nothing where the picture was there"))),
+            headers(("Fled-Rendered-By" = String,
+                description = "`worker` or `server`; nothing where the picture was there"))),
         (status = 404, description = "Unknown job or round", body = Problem, content_type = "application/problem+json"),
         (status = 409, description = "No round is finished yet", body = Problem, content_type = "application/problem+json"),
         (status = 422, description = "Not a camera", body = Problem, content_type = "application/problem+json")))]
