@@ -1,8 +1,9 @@
-//! Brightening: the tone curve E(I; alpha, gamma), the brightness of each round, and the search
+//! Brightening: the tone curve E(I; P), the brightness of each round, and the search
 //! that maps a render to the next round's brightness.
 //!
-//! alpha is the clip limit of contrast-limited histogram equalisation with one tile on HSV's V,
-//! gamma an exponent on all channels: together one monotone table of 256 entries ([`ToneCurve`]).
+//! By default a longer exposure: stops in linear light. In the paper's family alpha is the clip
+//! limit of contrast-limited histogram equalisation with one tile on HSV's V, gamma an exponent on
+//! all channels: together one monotone table of 256 entries. Either is a [`ToneCurve`].
 //! Always applied to the original dark images or to renders, in `f32`, never step upon step.
 
 mod anchors;
@@ -14,4 +15,4 @@ mod target;
 pub use anchors::{Anchor, MAX_ALPHA, MIN_GAMMA, TargetError, anchors};
 pub use curve::{BINS, Histogram, ToneCurve};
 pub use matching::{Match, match_anchor, spread_indices};
-pub use target::{AUTO_MEAN_V, resolve_target};
+pub use target::{Target, resolve_target};

@@ -18,6 +18,8 @@ mod subject;
 pub mod suite;
 mod truth;
 
+use std::path::Path;
+
 use fled_gpu::Gpu;
 
 use crate::camera::Camera;
@@ -50,6 +52,8 @@ pub struct Request<'a> {
     pub truth: &'a Truth,
     /// The run whose scene says what two training views see; most often the judged one itself.
     pub seen_from: &'a Subject,
+    /// Folder of pictures named like the test views, white where they are scored; `None`: all over.
+    pub masks: Option<&'a Path>,
     /// Whether only views between two training views, by the order of their names, are test views.
     pub inside: bool,
     /// The device.
@@ -94,20 +98,30 @@ pub fn evaluate(request: Request<'_>) -> Result<Judged, EvaluationError> {
     let renderer = Renderer::new(request.gpu);
     let scene = renderer.upload(&subject.gaussians)?;
     let registered = register(&request, &renderer, &scene, &views)?;
-    let masks = seen_masks(&request, &names, &renderer)?;
+    let seen = seen_masks(&request, &names, &renderer)?;
+    let scored = placed.iter().zip(&views).map(|(placed, view)| {
+        let photograph = &view.photograph;
+        let everything = || Mask::full(photograph.width(), photograph.height());
+        let given = request
+            .masks
+            .map(|folder| placed.mask(folder, subject.size()));
+        given.unwrap_or_else(|| Ok(everything()))
+    });
+    let scored = scored.collect::<Result<Vec<_>, _>>()?;
     let mut judge = Judge {
         renderer: &renderer,
         scene: &scene,
         lpips: request.lpips,
     };
     let (mut rows, mut pictures) = (Vec::new(), Vec::new());
-    for ((view, camera), mask) in views.into_iter().zip(&registered).zip(&masks) {
+    let masks = scored.iter().zip(&seen);
+    for ((view, camera), (scored, seen)) in views.into_iter().zip(&registered).zip(masks) {
         request.cancel.check()?;
-        let (mapped, _) = judge.scores(&view, &view.camera, mask)?;
-        let (scores, render) = judge.scores(&view, camera, mask)?;
+        let (mapped, _) = judge.scores(&view, &view.camera, scored, seen)?;
+        let (scores, render) = judge.scores(&view, camera, scored, seen)?;
         rows.push(TestView {
             nearest: subject.nearest(camera).to_owned(),
-            seen: mask.share(),
+            seen: seen.share(),
             moved_px: moved_px(&view.camera, camera, subject.depth()),
             mapped,
             registered: scores,
@@ -152,12 +166,19 @@ impl Judge<'_> {
         &mut self,
         view: &TruthView,
         camera: &Camera,
-        mask: &Mask,
+        scored: &Mask,
+        seen: &Mask,
     ) -> Result<(ViewScores, Image), EvaluationError> {
         let render = self.renderer.render_scene(self.scene, camera)?;
-        let mut scores = score::scores(&render, &view.photograph, mask);
+        let truth = &view.photograph;
+        let scores = score::scores(&render, truth, scored, seen);
+        let mut scores = scores.ok_or_else(|| EvaluationError::NothingScored {
+            view: view.name.clone(),
+        })?;
         if let Some(lpips) = &mut self.lpips {
-            scores.all.lpips_squeeze = Some(lpips.distance(&render, &view.photograph)?);
+            // What is not scored looks right.
+            let image = scored.composite(&render, truth);
+            scores.all.lpips_squeeze = Some(lpips.distance(&image, truth)?);
         }
         Ok((scores, render))
     }
@@ -182,6 +203,7 @@ fn register(
                 name: view.name.clone(),
                 camera: *camera,
                 image: fit.apply(&view.photograph),
+                has_kernel: false,
                 noise_sigma: 0.0,
             });
         }

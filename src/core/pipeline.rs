@@ -14,6 +14,7 @@ mod deliver;
 mod dependencies;
 mod enhance;
 mod evaluate;
+mod explained;
 mod guide;
 mod late_views;
 mod match_brightness;

@@ -28,6 +28,9 @@ pub struct Args {
     /// Where the verdict goes; default: evaluation/ in the run's folder.
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
+    /// Folder of PNG files named like the test views: only where they are white is scored.
+    #[arg(long, value_name = "DIR")]
+    masks: Option<PathBuf>,
     /// Tests only on photographs that lie between two training views in the order of their names.
     #[arg(long)]
     inside: bool,
@@ -90,6 +93,7 @@ fn judge(args: &Args, run: &Path, truth: &Path) -> Result<(), Failure> {
         subject: &subject,
         truth: &truth,
         seen_from: seen_from.as_ref().unwrap_or(&subject),
+        masks: args.masks.as_deref(),
         inside: args.inside,
         gpu: &gpu,
         lpips: lpips.as_mut(),

@@ -65,6 +65,7 @@ impl Workload {
             let camera = camera(index, size);
             let image = renderer.render_scene(&uploaded, &camera)?;
             Ok(TrainingView {
+                has_kernel: true,
                 name: index.to_string(),
                 camera,
                 image,
@@ -94,6 +95,7 @@ impl Workload {
             let file = folder.join("restored").join(format!("{}.png", named.name));
             let image = Image::load(&file)?.resize_area(k.width, k.height);
             Ok(TrainingView {
+                has_kernel: true,
                 name: named.name.clone(),
                 camera: named.camera(),
                 image,

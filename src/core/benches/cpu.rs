@@ -72,7 +72,7 @@ fn tone_curve_from_a_histogram(bencher: Bencher<'_, '_>) {
     bencher.bench(|| {
         ToneCurve::new(
             black_box(&histogram),
-            Anchor {
+            Anchor::Equalised {
                 alpha: 10.0,
                 gamma: 0.8,
             },
@@ -83,13 +83,7 @@ fn tone_curve_from_a_histogram(bencher: Bencher<'_, '_>) {
 #[divan::bench]
 fn tone_curve_over_an_image(bencher: Bencher<'_, '_>) {
     let dark = image(0.2);
-    let curve = ToneCurve::new(
-        &Histogram::of(&dark),
-        Anchor {
-            alpha: 10.0,
-            gamma: 0.8,
-        },
-    );
+    let curve = ToneCurve::new(&Histogram::of(&dark), Anchor::exposure(3.5));
     bencher
         .counter(ItemsCount::new(PIXELS))
         .bench(|| curve.apply(black_box(&dark)));
@@ -122,7 +116,7 @@ fn psnr_after_a_colour_fit(bencher: Bencher<'_, '_>) {
 fn match_by_differential_evolution(bencher: Bencher<'_, '_>) {
     let (render, target) = (image(0.3), image(0.8));
     let histogram = Histogram::of(&render);
-    bencher.bench(|| match_anchor(&[(&render, &target)], &histogram, 0));
+    bencher.bench(|| match_anchor(&[(&render, &target)], &histogram, Anchor::exposure(0.0), 0));
 }
 
 #[divan::bench(sample_count = 10)]

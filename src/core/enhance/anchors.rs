@@ -1,6 +1,10 @@
-//! The brightness of each round: geometric steps to the target.
+//! The brightness of each round: even steps to the target.
 
+use std::fmt;
 use std::str::FromStr;
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
 
 /// Above this clip limit nothing changes any more; the paper's bound.
 pub const MAX_ALPHA: f64 = 15.0;
@@ -8,11 +12,11 @@ pub const MAX_ALPHA: f64 = 15.0;
 /// The paper's lower bound of gamma.
 pub const MIN_GAMMA: f64 = 0.3;
 
-/// P_0: nearly the identity, gain 1.12. 0.1 because 0 has no logarithm.
-pub(super) const FIRST: Anchor = Anchor {
-    alpha: 0.1,
-    gamma: 1.0,
-};
+/// Alpha of the paper's P_0, which is nearly the identity (gain 1.12): 0 has no logarithm.
+pub(super) const FIRST_ALPHA: f64 = 0.1;
+
+/// Bounds of an exposure that a user may ask for, stops.
+const STOPS: std::ops::RangeInclusive<f64> = -4.0..=16.0;
 
 /// Published (gamma, alpha) of the LuSh-NeRF scenes.
 const PRESETS: [(&str, f64, f64); 10] = [
@@ -28,13 +32,101 @@ const PRESETS: [(&str, f64, f64); 10] = [
     ("signboard", 0.5, 10.0),
 ];
 
-/// One brightness P = (alpha, gamma).
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Anchor {
-    /// Clip limit of the equalisation; 0: no equalisation.
-    pub alpha: f64,
-    /// Exponent on all channels; below 1 brightens.
-    pub gamma: f64,
+/// One brightness P.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(untagged, from = "Written")]
+pub enum Anchor {
+    /// A longer exposure: a gain in linear light with a soft shoulder for highlights.
+    ///
+    /// Differs from the paper: its curves, even the closest one, leave brightened views 27 to 35
+    /// dB from a longer exposure, where this leaves 42 to 48 (docs/decisions/target.md).
+    Exposure {
+        /// Stops: the gain is `2^ev`.
+        ev: f64,
+        /// Light taken off after the gain, white being 1. Fitted for renders; 0 for photographs.
+        black: f64,
+    },
+    /// The paper's family: clip-limited equalisation of the histogram, then an exponent.
+    Equalised {
+        /// Clip limit; 0: no equalisation.
+        alpha: f64,
+        /// Exponent on all channels; below 1 brightens.
+        gamma: f64,
+    },
+}
+
+/// The forms in which an anchor is read.
+#[derive(Deserialize, JsonSchema)]
+#[serde(untagged)]
+enum Written {
+    Exposure {
+        ev: f64,
+        black: f64,
+    },
+    Equalised {
+        alpha: f64,
+        gamma: f64,
+    },
+    /// Alpha and gamma in reports of earlier versions.
+    Pair([f64; 2]),
+}
+
+impl From<Written> for Anchor {
+    fn from(written: Written) -> Self {
+        match written {
+            Written::Exposure { ev, black } => Self::Exposure { ev, black },
+            Written::Equalised { alpha, gamma } | Written::Pair([alpha, gamma]) => {
+                Self::Equalised { alpha, gamma }
+            }
+        }
+    }
+}
+
+impl Anchor {
+    /// A gain of so many stops.
+    pub fn exposure(ev: f64) -> Self {
+        Self::Exposure { ev, black: 0.0 }
+    }
+
+    /// The anchor in the middle of several of one family.
+    ///
+    /// # Panics
+    /// When there is none, or they are of two families: faults of the caller.
+    pub fn mean(anchors: &[Self]) -> Self {
+        let mean = |number: fn(&Self) -> f64| {
+            anchors.iter().map(number).sum::<f64>() / anchors.len() as f64
+        };
+        let (first, second) = (
+            mean(|anchor| anchor.numbers()[0]),
+            mean(|anchor| anchor.numbers()[1]),
+        );
+        match anchors.first().expect("an anchor or more") {
+            Self::Exposure { .. } => Self::Exposure {
+                ev: first,
+                black: second,
+            },
+            Self::Equalised { .. } => Self::Equalised {
+                alpha: first,
+                gamma: second,
+            },
+        }
+    }
+
+    fn numbers(self) -> [f64; 2] {
+        match self {
+            Self::Exposure { ev, black } => [ev, black],
+            Self::Equalised { alpha, gamma } => [alpha, gamma],
+        }
+    }
+}
+
+impl fmt::Display for Anchor {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Exposure { ev, .. } => write!(f, "{ev:+.2} EV"),
+            Self::Equalised { alpha, gamma } => write!(f, "alpha {alpha:.3}, gamma {gamma:.3}"),
+        }
+    }
 }
 
 /// A target that cannot be read.
@@ -45,32 +137,31 @@ pub struct TargetError {
     reason: String,
 }
 
-/// P_1..P_N: `alpha_i = 0.1^(1-i/N) alpha_N^(i/N)`, `gamma_i = gamma_N^(i/N)`. Geometric, as that
-/// gives even steps of brightness. An alpha_N of 0 stays 0 in every round.
+/// P_1..P_N. Exposures rise by equal stops. In the paper's family
+/// `alpha_i = 0.1^(1-i/N) alpha_N^(i/N)`, `gamma_i = gamma_N^(i/N)`: geometric, as that gives even
+/// steps of brightness; an alpha_N of 0 stays 0 in every round.
 ///
 /// # Panics
 /// When `rounds` is 0: a fault of the caller.
 pub fn anchors(rounds: u32, target: Anchor) -> Vec<Anchor> {
     assert!(rounds > 0, "at least one round");
-    (1..=rounds)
-        .map(|i| match i {
-            i if i == rounds => target,
-            i => {
-                let share = f64::from(i) / f64::from(rounds);
-                let alpha = FIRST.alpha.powf(1.0 - share) * target.alpha.powf(share);
-                Anchor {
-                    alpha,
-                    gamma: target.gamma.powf(share),
-                }
-            }
-        })
+    let before_last = |share: f64| match target {
+        Anchor::Exposure { ev, .. } => Anchor::exposure(share * ev),
+        Anchor::Equalised { alpha, gamma } => Anchor::Equalised {
+            alpha: FIRST_ALPHA.powf(1.0 - share) * alpha.powf(share),
+            gamma: gamma.powf(share),
+        },
+    };
+    (1..rounds)
+        .map(|i| before_last(f64::from(i) / f64::from(rounds)))
+        .chain([target])
         .collect()
 }
 
 impl FromStr for Anchor {
     type Err = TargetError;
 
-    /// Reads `alpha,gamma` or a LuSh scene's name.
+    /// Reads stops (`+3.5EV`), `alpha,gamma`, or a LuSh scene's name.
     fn from_str(text: &str) -> Result<Self, TargetError> {
         let fault = |reason: &str| TargetError {
             text: text.to_owned(),
@@ -80,28 +171,33 @@ impl FromStr for Anchor {
             .iter()
             .find(|preset| preset.0.eq_ignore_ascii_case(text))
         {
-            return Ok(Self { alpha, gamma });
+            return Ok(Self::Equalised { alpha, gamma });
         }
         let unreadable = || {
             let names: Vec<_> = PRESETS.iter().map(|preset| preset.0).collect();
             fault(&format!(
-                "expected `auto`, `alpha,gamma` such as `10,0.8`, or one of {}",
+                "expected `auto`, stops such as `+3.5EV`, `auto-paper`, `alpha,gamma` such as \
+                 `10,0.8`, or one of {}",
                 names.join(", ")
             ))
         };
-        let (alpha, gamma) = text.split_once(',').ok_or_else(unreadable)?;
         let number = |text: &str| text.trim().parse::<f64>().map_err(|_| unreadable());
-        let anchor = Self {
-            alpha: number(alpha)?,
-            gamma: number(gamma)?,
-        };
-        if !(0.0..=100.0).contains(&anchor.alpha) {
+        if let Some(stops) = text.to_ascii_lowercase().strip_suffix("ev") {
+            let ev = number(stops)?;
+            if !STOPS.contains(&ev) {
+                return Err(fault("stops must be in -4..=16"));
+            }
+            return Ok(Self::exposure(ev));
+        }
+        let (alpha, gamma) = text.split_once(',').ok_or_else(unreadable)?;
+        let (alpha, gamma) = (number(alpha)?, number(gamma)?);
+        if !(0.0..=100.0).contains(&alpha) {
             return Err(fault("alpha must be in 0..=100 (above 15 nothing changes)"));
         }
-        if !(0.05..=4.0).contains(&anchor.gamma) {
+        if !(0.05..=4.0).contains(&gamma) {
             return Err(fault("gamma must be in 0.05..=4"));
         }
-        Ok(anchor)
+        Ok(Self::Equalised { alpha, gamma })
     }
 }
 
@@ -110,36 +206,55 @@ mod tests {
     use super::*;
 
     #[test]
-    fn two_rounds_to_ten_and_point_eight_pass_one_and_its_root() {
-        let steps = anchors(
-            2,
-            Anchor {
-                alpha: 10.0,
-                gamma: 0.8,
-            },
-        );
-        assert!(
-            (steps[0].alpha - 1.0).abs() < 1e-12 && (steps[0].gamma - 0.8_f64.sqrt()).abs() < 1e-12
-        );
+    fn exposures_rise_by_equal_stops() {
         assert_eq!(
-            steps[1],
-            Anchor {
-                alpha: 10.0,
-                gamma: 0.8
-            }
+            anchors(3, Anchor::exposure(3.0)),
+            [1.0, 2.0, 3.0].map(Anchor::exposure)
         );
     }
 
     #[test]
+    fn two_rounds_to_ten_and_point_eight_pass_one_and_its_root() {
+        let target = Anchor::Equalised {
+            alpha: 10.0,
+            gamma: 0.8,
+        };
+        let steps = anchors(2, target);
+        let [alpha, gamma] = steps[0].numbers();
+        assert!((alpha - 1.0).abs() < 1e-12 && (gamma - 0.8_f64.sqrt()).abs() < 1e-12);
+        assert_eq!(steps[1], target);
+    }
+
+    #[test]
     fn a_target_without_equalisation_has_none_in_any_round() {
-        let steps = anchors(
-            3,
-            Anchor {
-                alpha: 0.0,
-                gamma: 0.25,
+        let target = Anchor::Equalised {
+            alpha: 0.0,
+            gamma: 0.25,
+        };
+        let steps = anchors(3, target);
+        assert!(steps.iter().all(|anchor| anchor.numbers()[0] == 0.0));
+        assert!((steps[0].numbers()[1] - 0.25_f64.powf(1.0 / 3.0)).abs() < 1e-12);
+    }
+
+    #[test]
+    fn anchors_are_read_as_written_and_as_pairs_of_earlier_versions() {
+        for anchor in [
+            Anchor::Exposure {
+                ev: 3.5,
+                black: 0.01,
             },
-        );
-        assert!(steps.iter().all(|anchor| anchor.alpha == 0.0));
-        assert!((steps[0].gamma - 0.25_f64.powf(1.0 / 3.0)).abs() < 1e-12);
+            Anchor::Equalised {
+                alpha: 10.0,
+                gamma: 0.8,
+            },
+        ] {
+            let written = serde_json::to_string(&anchor).expect("JSON");
+            assert_eq!(
+                serde_json::from_str::<Anchor>(&written).expect("reads"),
+                anchor
+            );
+        }
+        let pair: Anchor = serde_json::from_str("[10.0, 0.8]").expect("a pair");
+        assert_eq!(pair.numbers(), [10.0, 0.8]);
     }
 }

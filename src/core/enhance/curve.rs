@@ -1,6 +1,6 @@
-//! The histogram of V and the tone curve that it gives.
+//! Tone curves: a longer exposure, and the paper's, which the histogram of V gives.
 
-use crate::image::{Image, Srgb};
+use crate::image::{Image, Srgb, linear_to_srgb, srgb_to_linear};
 
 use super::Anchor;
 
@@ -10,6 +10,23 @@ pub const BINS: usize = 256;
 
 /// Below this V an image holds no hue worth keeping; keeps the gain finite.
 const SMALLEST_V: f32 = 1e-4;
+
+/// Light above which an exposure bends, white being 1. Up to here it is exactly a gain; what comes
+/// to 1 stays within 0.015 of it, so that what the photographs clip stays white.
+const SHOULDER: f32 = 0.85;
+
+/// What an exposure makes of light after the gain: the identity, then a parabola that reaches 1
+/// with slope 0.
+fn shoulder(light: f32) -> f32 {
+    let end = 2.0 - SHOULDER;
+    if light <= SHOULDER {
+        light
+    } else if light >= end {
+        1.0
+    } else {
+        light - (light - SHOULDER).powi(2) / (2.0 * (end - SHOULDER))
+    }
+}
 
 /// Where a V between 0 and 1 falls: the lower of its two bins and the share of the upper one.
 /// What is not a number counts as black.
@@ -83,6 +100,18 @@ impl Histogram {
         }
     }
 
+    /// The V that such a share of the pixels below `end` does not exceed; 0 without any.
+    pub fn quantile_below(&self, share: f64, end: f64) -> f64 {
+        let below = &self.bins[..=(end.clamp(0.0, 1.0) * (BINS - 1) as f64) as usize];
+        let wanted = share * below.iter().sum::<f64>();
+        let mut sum = 0.0;
+        let reached = below.iter().position(|count| {
+            sum += count;
+            sum > 0.0 && sum >= wanted
+        });
+        reached.unwrap_or(0) as f64 / (BINS - 1) as f64
+    }
+
     /// The table of the equalisation with clip limit `alpha` (method 1): entries in 0..=1,
     /// ascending. `None` for alpha = 0 and where nothing was counted.
     fn equalisation(&self, alpha: f64) -> Option<[f32; BINS]> {
@@ -101,55 +130,79 @@ impl Histogram {
     }
 }
 
-/// E(.; alpha, gamma) for one histogram: a monotone curve on V that keeps hue and saturation,
-/// then an exponent.
+/// V' of a table, before the exponent.
+fn equalised(table: &[f32; BINS], v: f32) -> f32 {
+    let (low, share) = bin(v);
+    table[low] + share * (table[low + 1] - table[low])
+}
+
+/// E(.; P): a monotone curve.
 #[derive(Clone, Debug, PartialEq)]
-pub struct ToneCurve {
-    table: Option<Box<[f32; BINS]>>,
-    gamma: f32,
+pub struct ToneCurve(Family);
+
+#[derive(Clone, Debug, PartialEq)]
+enum Family {
+    /// On each channel.
+    Exposure { gain: f32, black: f32 },
+    /// For one histogram: a table on V that keeps hue and saturation, then an exponent.
+    Equalised {
+        table: Option<Box<[f32; BINS]>>,
+        gamma: f32,
+    },
 }
 
 impl ToneCurve {
-    /// The curve of an anchor over a histogram: pooled for one tone in the whole scene, of one
-    /// image for the paper's reading.
+    /// The curve of an anchor. The paper's family needs a histogram: pooled for one tone in the
+    /// whole scene, of one image for the paper's reading.
     pub fn new(histogram: &Histogram, anchor: Anchor) -> Self {
-        Self {
-            table: histogram.equalisation(anchor.alpha).map(Box::new),
-            gamma: anchor.gamma as f32,
-        }
+        Self(match anchor {
+            Anchor::Exposure { ev, black } => Family::Exposure {
+                gain: ev.exp2() as f32,
+                black: black as f32,
+            },
+            Anchor::Equalised { alpha, gamma } => Family::Equalised {
+                table: histogram.equalisation(alpha).map(Box::new),
+                gamma: gamma as f32,
+            },
+        })
     }
 
-    /// The equalisation's V' before the exponent.
-    fn equalised(&self, v: f32) -> f32 {
-        let Some(table) = &self.table else { return v };
-        let (low, share) = bin(v);
-        table[low] + share * (table[low + 1] - table[low])
-    }
-
-    /// What all channels of a colour are multiplied with before the exponent.
+    /// What all channels of a colour are multiplied with first.
     pub(super) fn gain(&self, v: f32) -> f32 {
-        if self.table.is_some() {
-            self.equalised(v) / v.max(SMALLEST_V)
-        } else {
-            1.0
+        match &self.0 {
+            Family::Equalised {
+                table: Some(table), ..
+            } => equalised(table, v) / v.max(SMALLEST_V),
+            _ => 1.0,
         }
     }
 
-    /// The exponent on a value, clipped first.
-    pub(super) fn power(&self, value: f32) -> f32 {
-        value.clamp(0.0, 1.0).powf(self.gamma)
+    /// What a channel becomes after [`ToneCurve::gain`], clipped to 0..=1.
+    pub(super) fn channel(&self, value: f32) -> f32 {
+        match self.0 {
+            Family::Exposure { gain, black } => {
+                let light = gain * srgb_to_linear(value.max(0.0)) - black;
+                linear_to_srgb(shoulder(light.max(0.0)))
+            }
+            Family::Equalised { gamma, .. } => value.clamp(0.0, 1.0).powf(gamma),
+        }
     }
 
     /// What V becomes, in 0..=1: monotone.
     pub fn map_v(&self, v: f32) -> f32 {
-        self.power(self.equalised(v))
+        match &self.0 {
+            Family::Equalised {
+                table: Some(table), ..
+            } => self.channel(equalised(table, v)),
+            _ => self.channel(v),
+        }
     }
 
     /// What a colour becomes, each channel in 0..=1. Takes any finite colour: negative channels
     /// end at 0.
     pub fn apply_colour(&self, rgb: [f32; 3]) -> [f32; 3] {
         let gain = self.gain(value(rgb));
-        rgb.map(|channel| self.power(channel * gain))
+        rgb.map(|channel| self.channel(channel * gain))
     }
 
     /// How strongly each channel answers to a small change of that channel alone, at a colour:
@@ -183,236 +236,4 @@ impl ToneCurve {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use proptest::prelude::*;
-
-    const ANCHOR: Anchor = Anchor {
-        alpha: 10.0,
-        gamma: 0.8,
-    };
-
-    /// The grey picture of tests/golden/clahe.py: a linear congruence, squared twice to be dark,
-    /// then one pixel of every value.
-    fn golden_values() -> Vec<u8> {
-        let mut state = 1_u32;
-        let dark = (0..3072 - 256).map(|_| {
-            state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-            let uniform = state >> 16;
-            let squared = (uniform * uniform) >> 16;
-            ((((u64::from(squared) * u64::from(squared)) >> 16) * 200) >> 16) as u8
-        });
-        dark.collect::<Vec<_>>()
-            .into_iter()
-            .chain(0..=255)
-            .collect()
-    }
-
-    /// The same table in whole numbers, as OpenCV computes it: the excess is spread in whole
-    /// counts, the remainder at even distances.
-    fn integer_table(values: &[u8], alpha: f64) -> [u8; BINS] {
-        let mut counts = [0_i64; BINS];
-        values.iter().for_each(|&v| counts[v as usize] += 1);
-        let total = values.len() as i64;
-        let limit = ((alpha * total as f64 / BINS as f64) as i64).max(1);
-        let excess: i64 = counts.iter().map(|c| (c - limit).max(0)).sum();
-        counts
-            .iter_mut()
-            .for_each(|c| *c = (*c).min(limit) + excess / BINS as i64);
-        let remainder = (excess % BINS as i64) as usize;
-        if let Some(step) = BINS.checked_div(remainder) {
-            (0..BINS)
-                .step_by(step)
-                .take(remainder)
-                .for_each(|k| counts[k] += 1);
-        }
-        let scale = 255.0_f32 / total as f32;
-        let mut sum = 0;
-        counts.map(|count| {
-            sum += count;
-            (sum as f32 * scale).round_ties_even().min(255.0) as u8
-        })
-    }
-
-    #[test]
-    fn the_integer_table_is_opencvs_bit_for_bit_and_the_float_table_follows_it() {
-        let golden: serde_json::Value =
-            serde_json::from_str(include_str!("../../../tests/golden/clahe.json")).expect("JSON");
-        let values = golden_values();
-        let data: Vec<f32> = (0..3)
-            .flat_map(|_| values.iter().map(|&v| f32::from(v) / 255.0))
-            .collect();
-        let histogram = Histogram::of(&Image::from_planar(64, 48, data));
-        for (name, expected) in golden.as_object().expect("one table an alpha") {
-            let alpha: f64 = name.parse().expect("a number");
-            let expected: Vec<u8> = serde_json::from_value(expected.clone()).expect("256 numbers");
-            assert_eq!(
-                integer_table(&values, alpha).as_slice(),
-                expected,
-                "alpha {alpha}"
-            );
-            let float = histogram.equalisation(alpha).expect("a table");
-            let worst = float
-                .iter()
-                .zip(&expected)
-                .map(|(f, &e)| (f * 255.0 - f32::from(e)).abs());
-            // What whole counts cost: half a step, the limit's fraction in each bin, and up to 64
-            // counts of the remainder that come early (r - r^2 / 256 at r = 128).
-            let limit = (alpha * values.len() as f64 / BINS as f64).max(1.0);
-            let counts = 64.0 + BINS as f32 * limit.fract() as f32;
-            let allowed = 0.5 + counts * 255.0 / values.len() as f32;
-            let worst = worst.fold(0.0, f32::max);
-            assert!(worst <= allowed, "alpha {alpha}: {worst} of {allowed}");
-        }
-    }
-
-    /// The photograph of tests/golden/tone_curve.py.
-    fn golden_photograph() -> Image<Srgb> {
-        let (mut state, mut photograph) = (7_u32, Image::new(16, 8));
-        for pixel in 0..16 * 8 {
-            let rgb = [0; 3].map(|_| {
-                state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-                let uniform = f64::from(state >> 8) / f64::from(1 << 24);
-                (0.4 * uniform * uniform) as f32
-            });
-            photograph.set(pixel % 16, pixel / 16, rgb);
-        }
-        photograph
-    }
-
-    #[test]
-    fn networks_are_trained_on_photographs_through_the_same_curve() {
-        let golden: serde_json::Value =
-            serde_json::from_str(include_str!("../../../tests/golden/tone_curve.json"))
-                .expect("JSON");
-        let photograph = golden_photograph();
-        let histogram = Histogram::of(&photograph);
-        for curve in golden["curves"].as_array().expect("a list") {
-            let number = |key: &str| curve[key].as_f64().expect("a number");
-            let anchor = Anchor {
-                alpha: number("alpha"),
-                gamma: number("gamma"),
-            };
-            let values: Vec<f32> =
-                serde_json::from_value(curve["values"].clone()).expect("numbers");
-            let bright = ToneCurve::new(&histogram, anchor).apply(&photograph);
-            for (pixel, expected) in values.chunks_exact(3).enumerate() {
-                let found = bright.get(pixel % 16, pixel / 16);
-                let apart = found
-                    .iter()
-                    .zip(expected)
-                    .map(|(a, b)| (a - b).abs())
-                    .fold(0.0, f32::max);
-                assert!(
-                    apart <= 1e-6,
-                    "{anchor:?}, pixel {pixel}: {found:?} and {expected:?}"
-                );
-            }
-        }
-        let expected: [f64; 2] =
-            serde_json::from_value(golden["automatic"].clone()).expect("two numbers");
-        let found = super::super::resolve_target("auto", &histogram).expect("a target");
-        assert!(
-            (found.alpha - expected[0]).abs() <= 1e-6 && (found.gamma - expected[1]).abs() <= 1e-6
-        );
-    }
-
-    #[test]
-    fn a_single_value_keeps_its_limit_and_spreads_the_rest_evenly() {
-        let grey = 51.0 / 255.0;
-        let histogram = Histogram::of(&Image::from_planar(16, 16, vec![grey; 3 * 256]));
-        let table = histogram.equalisation(10.0).expect("a table");
-        let even = 246.0 / 256.0 / 256.0;
-        assert!((table[0] - even).abs() < 1e-6);
-        assert!((table[50] - 51.0 * even).abs() < 1e-5);
-        assert!((table[52] - (53.0 * even + 10.0 / 256.0)).abs() < 1e-5);
-        assert!((table[255] - 1.0).abs() < 1e-6);
-    }
-
-    #[test]
-    fn hue_and_saturation_survive_the_equalisation() {
-        let image = Image::from_planar(2, 1, vec![0.1, 0.02, 0.05, 0.01, 0.025, 0.015]);
-        let curve = ToneCurve::new(
-            &Histogram::of(&image),
-            Anchor {
-                alpha: 10.0,
-                gamma: 1.0,
-            },
-        );
-        let [r, g, b] = curve.apply_colour([0.1, 0.05, 0.025]);
-        assert!(r > 0.2 && (g / r - 0.5).abs() < 1e-5 && (b / r - 0.25).abs() < 1e-5);
-    }
-
-    #[test]
-    fn alpha_zero_is_the_exponent_alone() {
-        let image = Image::from_planar(1, 1, vec![0.25, 0.5, 0.04]);
-        let curve = ToneCurve::new(
-            &Histogram::of(&image),
-            Anchor {
-                alpha: 0.0,
-                gamma: 0.5,
-            },
-        );
-        let colour = curve.apply_colour([0.25, 0.5, 0.04]);
-        assert!((colour[0] - 0.5).abs() < 1e-6 && (colour[2] - 0.2).abs() < 1e-6);
-    }
-
-    #[test]
-    fn black_images_and_images_without_a_number_stay_finite() {
-        for data in [vec![0.0; 12], vec![f32::NAN; 12], vec![-1.0; 12]] {
-            let image = Image::from_planar(2, 2, data);
-            let curve = ToneCurve::new(&Histogram::of(&image), ANCHOR);
-            assert!(curve.apply_colour([0.0; 3]).iter().all(|v| v.is_finite()));
-            assert!(
-                curve
-                    .apply_colour([0.3, 0.2, 0.1])
-                    .iter()
-                    .all(|v| v.is_finite())
-            );
-        }
-        let nothing = ToneCurve::new(&Histogram::pooled([]), ANCHOR);
-        assert!(nothing.apply_colour([0.3, 0.2, 0.1])[0].is_finite());
-    }
-
-    #[test]
-    fn the_slope_is_the_derivative_of_the_curve() {
-        let image = Image::from_planar(1, 1, vec![0.25, 0.5, 0.04]);
-        let curve = ToneCurve::new(
-            &Histogram::of(&image),
-            Anchor {
-                alpha: 0.0,
-                gamma: 0.5,
-            },
-        );
-        assert!(
-            (curve.slope([0.25; 3])[1] - 1.0).abs() < 1e-3,
-            "{:?}",
-            curve.slope([0.25; 3])
-        );
-    }
-
-    proptest! {
-        #[test]
-        fn the_curve_is_monotone_and_stays_in_range(
-            values in prop::collection::vec(0.0_f32..1.0, 30),
-            alpha in 0.0_f64..15.0,
-            gamma in 0.3_f64..1.0,
-        ) {
-            let image = Image::from_planar(5, 2, values);
-            let curve = ToneCurve::new(&Histogram::of(&image), Anchor { alpha, gamma });
-            let mapped: Vec<f32> = (0..=1000).map(|i| curve.map_v(i as f32 / 1000.0)).collect();
-            prop_assert!(mapped.windows(2).all(|pair| pair[1] >= pair[0] - 1e-6));
-            prop_assert!(mapped.iter().all(|v| (0.0..=1.0).contains(v)));
-        }
-
-        #[test]
-        fn pooling_weighs_every_pixel_the_same(values in prop::collection::vec(0.0_f32..1.0, 24)) {
-            let image = Image::from_planar(4, 2, values);
-            let histogram = Histogram::pooled([&image, &image]);
-            prop_assert!((histogram.total() - 16.0).abs() < 1e-6);
-            let once = Histogram::of(&image);
-            let mut bins = once.bins().iter().zip(histogram.bins());
-            prop_assert!(bins.all(|(a, b)| (2.0 * a - b).abs() < 1e-9));
-        }
-    }
-}
+mod tests;

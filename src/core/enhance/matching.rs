@@ -14,6 +14,11 @@ use super::curve::value;
 use super::evolution::Evolution;
 use super::{Anchor, Histogram, MAX_ALPHA, MIN_GAMMA, ToneCurve};
 
+/// Most stops between two rounds, or between dark photographs and a network's brightening.
+const STOPS: (f64, f64) = (-1.0, 12.0);
+/// Light that may be taken off or added, white being 1.
+const BLACK: f64 = 0.05;
+
 /// Images are compared at a quarter of their size, and never above this long side.
 const MAX_SIDE: usize = 112;
 
@@ -39,8 +44,8 @@ pub struct Match {
 }
 
 /// The anchor whose curve over `histogram` brings the renders closest to the images of the next
-/// round. `pairs` are (render, target) of equal size, a few for the scene (see
-/// [`spread_indices`]) or one view; `histogram` is the one that the curve will be built with,
+/// round, of the family of `like`. `pairs` are (render, target) of equal size, a few for the scene
+/// (see [`spread_indices`]) or one view; `histogram` is the one that the curve will be built with,
 /// so that the curve tried is the curve used. The same seed gives the same answer.
 ///
 /// # Panics
@@ -48,6 +53,7 @@ pub struct Match {
 pub fn match_anchor(
     pairs: &[(&Image<Srgb>, &Image<Srgb>)],
     histogram: &Histogram,
+    like: Anchor,
     seed: u64,
 ) -> Match {
     assert!(!pairs.is_empty(), "nothing to match");
@@ -55,9 +61,15 @@ pub fn match_anchor(
         .iter()
         .map(|(render, target)| Pair::new(render, target))
         .collect();
-    let anchor_at = |point: [f64; 2]| Anchor {
-        alpha: point[0] * MAX_ALPHA,
-        gamma: MIN_GAMMA + point[1] * (1.0 - MIN_GAMMA),
+    let anchor_at = |[first, second]: [f64; 2]| match like {
+        Anchor::Exposure { .. } => Anchor::Exposure {
+            ev: STOPS.0 + first * (STOPS.1 - STOPS.0),
+            black: BLACK * (2.0 * second - 1.0),
+        },
+        Anchor::Equalised { .. } => Anchor::Equalised {
+            alpha: first * MAX_ALPHA,
+            gamma: MIN_GAMMA + second * (1.0 - MIN_GAMMA),
+        },
     };
     let best = Evolution::PAPER.minimise(seed, |point| {
         cost(&scenes, &ToneCurve::new(histogram, anchor_at(point)))
@@ -184,11 +196,11 @@ fn cost(pairs: &[Pair], curve: &ToneCurve) -> f64 {
     squares / samples + (1.0 - ssim) + (1.0 - correlation(&histogram, &target_histogram))
 }
 
-/// A tone curve with its powers in a table over the square root of the value, where even gamma
+/// A tone curve with its channels in a table over the square root of the value, where even gamma
 /// 0.3 bends little: a power a channel would take most of the search's time.
 struct FastCurve<'a> {
     curve: &'a ToneCurve,
-    powers: Vec<f32>,
+    channels: Vec<f32>,
 }
 
 impl<'a> FastCurve<'a> {
@@ -198,8 +210,8 @@ impl<'a> FastCurve<'a> {
         let root = |i: usize| i as f32 / Self::STEPS as f32;
         Self {
             curve,
-            powers: (0..=Self::STEPS)
-                .map(|i| curve.power(root(i) * root(i)))
+            channels: (0..=Self::STEPS)
+                .map(|i| curve.channel(root(i) * root(i)))
                 .collect(),
         }
     }
@@ -209,7 +221,8 @@ impl<'a> FastCurve<'a> {
         rgb.map(|channel| {
             let position = (channel * gain).clamp(0.0, 1.0).sqrt() * Self::STEPS as f32;
             let low = (position as usize).min(Self::STEPS - 1);
-            self.powers[low] + (position - low as f32) * (self.powers[low + 1] - self.powers[low])
+            self.channels[low]
+                + (position - low as f32) * (self.channels[low + 1] - self.channels[low])
         })
     }
 }
@@ -326,25 +339,28 @@ mod tests {
     fn a_known_anchor_is_recovered_and_a_wrong_one_would_be_noticed() {
         let views: Vec<_> = [0.0, 1.0, 2.5].map(|phase| scene(200, 120, phase)).into();
         let histogram = Histogram::pooled(&views);
-        for known in [(0.8, 0.9), (3.0, 0.6), (8.0, 0.45), (0.3, 0.35)] {
-            let known = Anchor {
-                alpha: known.0,
-                gamma: known.1,
-            };
+        let equalised = [(0.8, 0.9), (3.0, 0.6), (8.0, 0.45), (0.3, 0.35)]
+            .map(|(alpha, gamma)| Anchor::Equalised { alpha, gamma });
+        let exposures = [(0.5, 0.0), (1.9, 0.01), (3.0, -0.02)]
+            .map(|(ev, black)| Anchor::Exposure { ev, black });
+        for known in equalised.into_iter().chain(exposures) {
             let truth = ToneCurve::new(&histogram, known);
             let targets: Vec<_> = views.iter().map(|view| truth.apply(view)).collect();
             let pairs: Vec<_> = views.iter().zip(&targets).collect();
-            let found = match_anchor(&pairs, &histogram, 7);
+            let found = match_anchor(&pairs, &histogram, known, 7);
             let off = distance(&views[1], &truth, &ToneCurve::new(&histogram, found.anchor));
             assert!(off < 0.01, "{known:?}: {found:?} is off by {off}");
-            let other = if known.gamma > 0.65 { MIN_GAMMA } else { 1.0 };
-            let wrong = ToneCurve::new(
-                &histogram,
-                Anchor {
-                    gamma: other,
-                    ..known
+            let wrong = match known {
+                Anchor::Equalised { alpha, gamma } => Anchor::Equalised {
+                    alpha,
+                    gamma: if gamma > 0.65 { MIN_GAMMA } else { 1.0 },
                 },
-            );
+                Anchor::Exposure { ev, black } => Anchor::Exposure {
+                    ev: ev + 1.0,
+                    black,
+                },
+            };
+            let wrong = ToneCurve::new(&histogram, wrong);
             assert!(distance(&views[1], &truth, &wrong) > 0.05, "{known:?}");
         }
     }
@@ -353,15 +369,9 @@ mod tests {
     fn a_seed_repeats_its_search() {
         let view = scene(160, 90, 0.0);
         let histogram = Histogram::of(&view);
-        let target = ToneCurve::new(
-            &histogram,
-            Anchor {
-                alpha: 2.0,
-                gamma: 0.7,
-            },
-        )
-        .apply(&view);
-        let run = |seed| match_anchor(&[(&view, &target)], &histogram, seed);
+        let known = Anchor::exposure(1.3);
+        let target = ToneCurve::new(&histogram, known).apply(&view);
+        let run = |seed| match_anchor(&[(&view, &target)], &histogram, known, seed);
         assert_eq!(run(3), run(3));
         assert_ne!(run(3), run(4));
     }
@@ -370,7 +380,12 @@ mod tests {
     fn black_and_tiny_images_are_matched_without_a_fault() {
         for (width, height) in [(1, 1), (5, 40), (64, 64)] {
             let black = Image::new(width, height);
-            let found = match_anchor(&[(&black, &black)], &Histogram::of(&black), 1);
+            let found = match_anchor(
+                &[(&black, &black)],
+                &Histogram::of(&black),
+                Anchor::exposure(1.0),
+                1,
+            );
             assert!(found.cost.is_finite(), "{width}x{height}: {found:?}");
         }
     }
@@ -379,14 +394,15 @@ mod tests {
     fn the_quick_curve_is_the_curve() {
         let view = scene(64, 64, 0.3);
         for anchor in [
-            Anchor {
+            Anchor::Equalised {
                 alpha: 10.0,
                 gamma: 0.3,
             },
-            Anchor {
+            Anchor::Equalised {
                 alpha: 0.0,
                 gamma: 0.5,
             },
+            Anchor::exposure(2.5),
         ] {
             let curve = ToneCurve::new(&Histogram::of(&view), anchor);
             let fast = FastCurve::new(&curve);

@@ -1,40 +1,99 @@
 //! The brightness that the last round ends at.
 
-use super::anchors::{Anchor, FIRST, MAX_ALPHA, MIN_GAMMA, TargetError};
+use std::str::FromStr;
+
+use super::anchors::{Anchor, FIRST_ALPHA, MAX_ALPHA, MIN_GAMMA, TargetError};
 use super::curve::{Histogram, ToneCurve};
 use crate::image::{linear_to_srgb, srgb_to_linear};
 
-/// Mean of V that the `auto` target aims at, pooled over all views.
-pub const AUTO_MEAN_V: f64 = 0.45;
+/// Means of V, pooled over all views, between which the `auto` target stays: those of photographs
+/// of eleven scenes lie in 0.46 to 0.67.
+const MEAN_V: std::ops::RangeInclusive<f64> = 0.42..=0.58;
 
-/// Steps of alpha, on a geometric scale, among which the `auto` target chooses.
-const AUTO_ALPHAS: u32 = 60;
+/// Share of the pixels that the `auto` target leaves below white, those that the photographs clip
+/// themselves apart.
+const BELOW_WHITE: f64 = 0.99;
 
-/// The longest exposure that the `auto` target makes up for.
-const MOST_EXPOSURE: f64 = 4096.0;
+/// V from which on a photograph has clipped itself.
+const CLIPPED: f64 = 0.98;
 
-/// The target P_N of the option `target`: `auto`, `alpha,gamma`, or the name of a LuSh scene.
-/// `dark` is the pooled histogram of the dark originals.
+/// Mean of V that the `auto-paper` target aims at, pooled over all views.
+const PAPER_MEAN_V: f64 = 0.45;
+
+/// Steps of alpha, on a geometric scale, among which the `auto-paper` target chooses.
+const PAPER_ALPHAS: u32 = 60;
+
+/// The longest exposure that a target makes up for, stops.
+const MOST_STOPS: f64 = 12.0;
+
+/// The paper's P_0, nearly the identity.
+const FIRST_PAPER: Anchor = Anchor::Equalised {
+    alpha: FIRST_ALPHA,
+    gamma: 1.0,
+};
+
+/// The target P_N of the option `target`: `auto`, `auto-paper`, stops, `alpha,gamma`, or the name
+/// of a LuSh scene. `dark` is the pooled histogram of the dark originals.
 ///
 /// # Errors
 /// [`TargetError`] when the text is none of these or out of range.
 pub fn resolve_target(target: &str, dark: &Histogram) -> Result<Anchor, TargetError> {
-    let text = target.trim();
-    if text.eq_ignore_ascii_case("auto") {
-        return Ok(automatic(dark));
+    match Target::from_str(target)? {
+        Target::Automatic => Ok(automatic(dark)),
+        Target::AutomaticPaper => Ok(automatic_paper(dark)),
+        Target::Fixed(anchor) => Ok(anchor),
     }
-    text.parse()
 }
 
-/// The anchor whose curve is closest to a longer exposure. Not at alpha 10 with gamma to
-/// fit: of all curves with the wanted mean the steepest crush what is dark and lift its noise; a
-/// longer exposure is what the dark photograph lacks. So: the gain of light that brings the mean of
-/// V to [`AUTO_MEAN_V`], and of the anchors that bring it there too the one with the least squared
-/// difference over the histogram. Where no anchor in range reaches the mean, as near to it as they
-/// come. What is bright enough already is left nearly alone.
+/// What the option `target` may say.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Target {
+    /// The exposure that a photographer would have chosen.
+    Automatic,
+    /// The anchor of the paper's family that is closest to a longer exposure.
+    AutomaticPaper,
+    /// The one that is named.
+    Fixed(Anchor),
+}
+
+impl FromStr for Target {
+    type Err = TargetError;
+
+    fn from_str(text: &str) -> Result<Self, TargetError> {
+        match text.trim() {
+            text if text.eq_ignore_ascii_case("auto") => Ok(Self::Automatic),
+            text if text.eq_ignore_ascii_case("auto-paper") => Ok(Self::AutomaticPaper),
+            text => text.parse().map(Self::Fixed),
+        }
+    }
+}
+
+/// The exposure at which a hundredth of the pixels reach white, as long as the mean of V stays in
+/// [`MEAN_V`]: lamps in a dark street may clip, and what has no highlights is not made bright by
+/// force. What is brighter already is left alone.
 fn automatic(dark: &Histogram) -> Anchor {
-    if dark.mean_of(|v| v) >= AUTO_MEAN_V {
-        return FIRST;
+    let exposed = |ev: f64| {
+        let curve = ToneCurve::new(dark, Anchor::exposure(ev));
+        dark.mean_through(&curve)
+    };
+    let stops_to = |mean: f64| bisect(0.0, MOST_STOPS, |ev| exposed(ev) <= mean);
+    let brightest = f64::from(srgb_to_linear(
+        dark.quantile_below(BELOW_WHITE, CLIPPED) as f32
+    ));
+    let to_white = -brightest.max(f64::MIN_POSITIVE).log2();
+    let (least, most) = (stops_to(*MEAN_V.start()), stops_to(*MEAN_V.end()));
+    Anchor::exposure(to_white.clamp(least, most))
+}
+
+/// The anchor of the paper's family whose curve is closest to a longer exposure. Not at alpha 10
+/// with gamma to fit: of all curves with the wanted mean the steepest crush what is dark and lift
+/// its noise; a longer exposure is what the dark photograph lacks. So: the gain of light that
+/// brings the mean of V to [`PAPER_MEAN_V`], and of the anchors that bring it there too the one
+/// with the least squared difference over the histogram. Where no anchor in range reaches the mean,
+/// as near to it as they come. What is bright enough already is left nearly alone.
+fn automatic_paper(dark: &Histogram) -> Anchor {
+    if dark.mean_of(|v| v) >= PAPER_MEAN_V {
+        return FIRST_PAPER;
     }
     let exposed = |gain: f64| {
         move |v: f64| {
@@ -44,25 +103,26 @@ fn automatic(dark: &Histogram) -> Anchor {
             .min(1.0)
         }
     };
-    let exponent = bisect(0.0, MOST_EXPOSURE.ln(), |e| {
-        dark.mean_of(exposed(e.exp())) <= AUTO_MEAN_V
+    let stops = bisect(0.0, MOST_STOPS, |ev| {
+        dark.mean_of(exposed(ev.exp2())) <= PAPER_MEAN_V
     });
-    let wanted = exposed(exponent.exp());
-    let candidates = (0..=AUTO_ALPHAS).map(|k| {
-        let share = f64::from(k) / f64::from(AUTO_ALPHAS);
-        let alpha = FIRST.alpha * (MAX_ALPHA / FIRST.alpha).powf(share);
-        let mean = |gamma| dark.mean_through(&ToneCurve::new(dark, Anchor { alpha, gamma }));
-        let gamma = bisect(1.0, MIN_GAMMA, |gamma| mean(gamma) <= AUTO_MEAN_V);
-        let anchor = Anchor { alpha, gamma };
+    let wanted = exposed(stops.exp2());
+    let candidates = (0..=PAPER_ALPHAS).map(|k| {
+        let share = f64::from(k) / f64::from(PAPER_ALPHAS);
+        let alpha = FIRST_ALPHA * (MAX_ALPHA / FIRST_ALPHA).powf(share);
+        let mean =
+            |gamma| dark.mean_through(&ToneCurve::new(dark, Anchor::Equalised { alpha, gamma }));
+        let gamma = bisect(1.0, MIN_GAMMA, |gamma| mean(gamma) <= PAPER_MEAN_V);
+        let anchor = Anchor::Equalised { alpha, gamma };
         let curve = ToneCurve::new(dark, anchor);
         let difference = dark.mean_of(|v| (f64::from(curve.map_v(v as f32)) - wanted(v)).powi(2));
         // A thousandth is what bisection leaves; beyond it the mean comes first.
-        let missed = (mean(gamma) - AUTO_MEAN_V).abs();
+        let missed = (mean(gamma) - PAPER_MEAN_V).abs();
         (if missed < 1e-3 { 0.0 } else { missed }, difference, anchor)
     });
     candidates
         .min_by(|a, b| a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1)))
-        .map_or(FIRST, |(_, _, anchor)| anchor)
+        .map_or(FIRST_PAPER, |(_, _, anchor)| anchor)
 }
 
 /// The point between `holds` and `fails` where a condition that holds on the side of `holds`
@@ -94,43 +154,84 @@ mod tests {
         Histogram::of(&Image::from_planar(64, 64, data))
     }
 
+    fn mean(histogram: &Histogram, target: Anchor) -> f64 {
+        histogram.mean_through(&ToneCurve::new(histogram, target))
+    }
+
+    /// A picture of every level, and the same at a fifteenth of the light.
+    fn bright_and_dark() -> (Image, Image) {
+        let levels = (0..3 * 4096).map(|i| ((i * 7919) % 4099) as f32 / 4099.0);
+        let bright = Image::from_planar(64, 64, levels.collect());
+        let light = bright.to_linear().data().iter().map(|v| v / 15.0).collect();
+        (
+            bright,
+            Image::<Linear>::from_planar(64, 64, light).to_srgb(),
+        )
+    }
+
     #[test]
-    fn the_automatic_target_brings_the_mean_to_its_aim() {
+    fn the_automatic_target_undoes_a_short_exposure() {
+        let (bright, dark) = bright_and_dark();
+        let histogram = Histogram::of(&dark);
+        let target = resolve_target("auto", &histogram).expect("auto");
+        let Anchor::Exposure { ev, .. } = target else {
+            panic!("{target:?}");
+        };
+        // V of three independent channels has a mean of 0.75: the limit of the mean holds.
+        assert!(ev < 15.0_f64.log2() && mean(&histogram, target) < 0.581);
+        let out = ToneCurve::new(&histogram, Anchor::exposure(15.0_f64.log2())).apply(&dark);
+        let apart = out.data().iter().zip(bright.data());
+        let worst = apart.map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+        assert!(worst < 0.01, "{worst}");
+    }
+
+    #[test]
+    fn the_automatic_target_reaches_white_with_a_hundredth_of_the_pixels() {
+        // A hundredth at a tenth of the light, the rest at a fortieth: 3.3 stops to white.
+        let value = |light: f32| linear_to_srgb(light);
+        let plane = |_| (0..1000).map(|i| value(if i % 50 == 0 { 0.1 } else { 0.025 }));
+        let data = (0..3).flat_map(plane).collect();
+        let histogram = Histogram::of(&Image::from_planar(100, 10, data));
+        let Anchor::Exposure { ev, black } = automatic(&histogram) else {
+            panic!("the paper's family");
+        };
+        assert!((ev - 10.0_f64.log2()).abs() < 0.05 && black == 0.0, "{ev}");
+    }
+
+    #[test]
+    fn lamps_that_are_clipped_already_keep_no_street_dark() {
+        let value = |i: usize| if i % 10 == 0 { 1.0 } else { 0.04 };
+        let histogram = Histogram::of(&Image::from_planar(
+            100,
+            10,
+            (0..3).flat_map(|_| (0..1000).map(value)).collect(),
+        ));
+        let target = automatic(&histogram);
+        assert!(mean(&histogram, target) > 0.41, "{target:?}");
+    }
+
+    #[test]
+    fn the_papers_automatic_target_brings_the_mean_to_its_aim() {
         for level in [0.02, 0.05, 0.2, 0.6, 1.0] {
             let histogram = dark(level);
-            let target = resolve_target("auto", &histogram).expect("auto");
-            let mean = histogram.mean_through(&ToneCurve::new(&histogram, target));
+            let target = resolve_target("auto-paper", &histogram).expect("auto-paper");
+            let mean = mean(&histogram, target);
             assert!(
-                target == FIRST || (mean - AUTO_MEAN_V).abs() < 1e-3,
+                target == FIRST_PAPER || (mean - PAPER_MEAN_V).abs() < 1e-3,
                 "{level}: {target:?} gives {mean}"
             );
-            assert_eq!(target == FIRST, level == 1.0);
-            assert!(
-                (MIN_GAMMA..=1.0).contains(&target.gamma)
-                    && (0.1..=MAX_ALPHA).contains(&target.alpha)
-            );
+            assert_eq!(target == FIRST_PAPER, level == 1.0);
         }
     }
 
     #[test]
-    fn the_automatic_target_is_closer_to_a_longer_exposure_than_the_steepest_curve() {
-        let bright = Image::from_planar(
-            64,
-            64,
-            (0..3 * 4096)
-                .map(|i| ((i * 7919) % 4099) as f32 / 4099.0)
-                .collect(),
-        );
-        let light = bright.to_linear();
-        let dark =
-            Image::<Linear>::from_planar(64, 64, light.data().iter().map(|v| v / 15.0).collect())
-                .to_srgb();
+    fn the_papers_automatic_target_is_closer_to_a_longer_exposure_than_the_steepest_curve() {
+        let (bright, dark) = bright_and_dark();
         let histogram = Histogram::of(&dark);
-        let target = resolve_target("auto", &histogram).expect("auto");
-        let steep = |gamma| Anchor { alpha: 10.0, gamma };
-        let mean = |anchor| histogram.mean_through(&ToneCurve::new(&histogram, anchor));
+        let target = resolve_target("auto-paper", &histogram).expect("auto-paper");
+        let steep = |gamma| Anchor::Equalised { alpha: 10.0, gamma };
         let steepest = steep(bisect(1.0, MIN_GAMMA, |gamma| {
-            mean(steep(gamma)) <= AUTO_MEAN_V
+            mean(&histogram, steep(gamma)) <= PAPER_MEAN_V
         }));
         // Best gain against the bright picture, whose mean is not the target's.
         let error = |anchor: Anchor| {
@@ -154,34 +255,26 @@ mod tests {
     }
 
     #[test]
-    fn pictures_that_are_bright_already_are_left_nearly_alone() {
-        let data = vec![0.8; 3 * 64];
-        let histogram = Histogram::of(&Image::from_planar(8, 8, data));
-        let target = resolve_target("auto", &histogram).expect("auto");
-        assert!(
-            target.gamma == 1.0 && (target.alpha - 0.1).abs() < 1e-9,
-            "{target:?}"
-        );
+    fn pictures_that_are_bright_already_are_left_alone() {
+        let histogram = Histogram::of(&Image::from_planar(8, 8, vec![0.8; 3 * 64]));
+        let target = |text| resolve_target(text, &histogram).expect("a target");
+        assert_eq!(target("auto"), Anchor::exposure(0.0));
+        assert_eq!(target("auto-paper"), FIRST_PAPER);
     }
 
     #[test]
-    fn targets_are_read_as_pairs_and_names_and_refused_with_the_known_ones() {
+    fn targets_are_read_as_stops_pairs_and_names_and_refused_with_the_known_ones() {
         let histogram = dark(0.1);
-        assert_eq!(
-            resolve_target("10, 0.8", &histogram),
-            Ok(Anchor {
-                alpha: 10.0,
-                gamma: 0.8
-            })
-        );
-        assert_eq!(
-            resolve_target("Car", &histogram),
-            Ok(Anchor {
-                alpha: 0.0,
-                gamma: 0.25
-            })
-        );
-        for wrong in ["", "bright", "10", "10,0", "-1,0.5", "nan,1", "10,0.8,3"] {
+        for (text, alpha, gamma) in [("10, 0.8", 10.0, 0.8), ("Car", 0.0, 0.25)] {
+            let expected = Anchor::Equalised { alpha, gamma };
+            assert_eq!(resolve_target(text, &histogram), Ok(expected));
+        }
+        for (text, ev) in [("+3.5EV", 3.5), ("2 ev", 2.0), ("-1ev", -1.0)] {
+            assert_eq!(resolve_target(text, &histogram), Ok(Anchor::exposure(ev)));
+        }
+        for wrong in [
+            "", "bright", "10", "10,0", "-1,0.5", "nan,1", "10,0.8,3", "ev", "40EV", "nanEV",
+        ] {
             assert!(resolve_target(wrong, &histogram).is_err(), "{wrong}");
         }
         assert!(

@@ -45,6 +45,18 @@ pub enum EvaluationError {
         /// The view.
         view: String,
     },
+    /// A test view has no mask.
+    #[error("{} is missing: every test view needs a mask of its name", path.display())]
+    NoMask {
+        /// Where it was looked for.
+        path: PathBuf,
+    },
+    /// A mask without a white pixel.
+    #[error("the mask of `{view}` is black: there is nothing to score")]
+    NothingScored {
+        /// The view.
+        view: String,
+    },
     /// Every sharp photograph trained the scene, or lies outside of those that did.
     #[error("no sharp photograph is left to test on: all of them trained")]
     NoTestViews,
@@ -86,6 +98,9 @@ impl EvaluationError {
                 "The sharp photographs must include those of the capture, named alike."
             }
             Self::NoTestViews => "Leave photographs out of the capture, or hold views out.",
+            Self::NoMask { .. } | Self::NothingScored { .. } => {
+                "Put a PNG of each test view there, white where it is to be scored."
+            }
             Self::Lpips(_) => "Name lpips-squeeze.onnx with --lpips, or leave it away.",
         };
         hint.to_owned()

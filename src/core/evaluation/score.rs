@@ -12,17 +12,23 @@ const FINE_SIGMA: f32 = 1.5;
 /// With a smaller share of the pixels there is nothing to score.
 const LEAST_SHARE: f64 = 0.05;
 
-/// Both scores of a render, without LPIPS.
-pub(super) fn scores(render: &Image, truth: &Image, mask: &Mask) -> ViewScores {
-    let everything = Mask::full(render.width(), render.height());
-    let (all, seen) = rayon::join(
-        || within(render, truth, &everything),
-        || within(render, truth, mask),
+/// The scores of a render over the pixels of `scored`, and over those of them that two training
+/// views see, without LPIPS. `None` where nothing is scored.
+pub(super) fn scores(
+    render: &Image,
+    truth: &Image,
+    scored: &Mask,
+    seen: &Mask,
+) -> Option<ViewScores> {
+    let seen = seen.and(scored);
+    let (all, within_seen) = rayon::join(
+        || within(render, truth, scored),
+        || within(render, truth, &seen),
     );
-    ViewScores {
-        all: all.expect("a full mask has pixels"),
-        seen: seen.filter(|_| mask.share() >= LEAST_SHARE),
-    }
+    Some(ViewScores {
+        all: all?,
+        seen: within_seen.filter(|_| seen.share() >= LEAST_SHARE),
+    })
 }
 
 /// Over the pixels of a mask; `None` where it has none.
@@ -132,7 +138,8 @@ mod tests {
             };
         }
         let mask = Mask::full(60, 48);
-        let [coarse, grainy] = [coarse, grainy].map(|image| scores(&image, &truth, &mask).all);
+        let [coarse, grainy] =
+            [coarse, grainy].map(|image| scores(&image, &truth, &mask, &mask).expect("pixels").all);
         assert!(coarse.psnr_fine_db > coarse.psnr_cc_db + 12.0, "{coarse:?}");
         assert!(
             (grainy.psnr_fine_db - grainy.psnr_cc_db).abs() < 1.0,
@@ -148,7 +155,11 @@ mod tests {
             (30..60).for_each(|x| render.set(x, y, [0.0; 3]));
         }
         let left = (0..60 * 48).map(|i| i % 60 < 24).collect();
-        let scores = scores(&render, &truth, &Mask::new(60, 48, left));
+        let everything = Mask::full(60, 48);
+        let left = Mask::new(60, 48, left);
+        let scores = scores(&render, &truth, &everything, &left).expect("pixels");
+        let inside = super::scores(&render, &truth, &left, &everything).expect("pixels");
+        assert_eq!(Some(inside.all), scores.seen);
         let seen = scores.seen.expect("two fifths are seen");
         assert!(
             scores.all.psnr_db < 15.0 && seen.psnr_db > 99.0,
@@ -156,7 +167,9 @@ mod tests {
         );
         assert!(scores.all.ssim < 0.7 && seen.ssim > 0.999, "{scores:?}");
         let hardly = (0..60 * 48).map(|i| i < 20).collect();
-        let hardly = super::scores(&render, &truth, &Mask::new(60, 48, hardly));
-        assert!(hardly.seen.is_none());
+        let hardly = super::scores(&render, &truth, &everything, &Mask::new(60, 48, hardly));
+        assert!(hardly.expect("pixels").seen.is_none());
+        let nothing = Mask::new(60, 48, vec![false; 60 * 48]);
+        assert!(super::scores(&render, &truth, &nothing, &everything).is_none());
     }
 }

@@ -41,6 +41,21 @@ impl Mask {
         Self::new(width, height, vec![true; width * height])
     }
 
+    /// The pixels that both hold.
+    pub(super) fn and(&self, other: &Self) -> Self {
+        let both = self.holds.iter().zip(&other.holds).map(|(a, b)| *a && *b);
+        Self::new(self.width, self.height, both.collect())
+    }
+
+    /// `image`, with the pixels of `other` where the mask holds none.
+    pub(super) fn composite(&self, image: &Image, other: &Image) -> Image {
+        let holds = self.holds.iter().cycle();
+        let values = image.data().iter().zip(other.data()).zip(holds);
+        let values =
+            values.map(|((inside, outside), holds)| if *holds { *inside } else { *outside });
+        Image::from_planar(self.width, self.height, values.collect())
+    }
+
     /// Whether it holds a pixel.
     pub(super) fn holds(&self, x: usize, y: usize) -> bool {
         self.holds[y * self.width + x]

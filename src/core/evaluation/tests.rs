@@ -95,6 +95,7 @@ fn judge(subject: &Subject, truth: &Truth, inside: bool) -> Result<Evaluation, E
         subject,
         truth,
         seen_from: subject,
+        masks: None,
         inside,
         gpu: fixtures::gpu(),
         lpips: None,

@@ -17,6 +17,7 @@ use crate::poses::align::Similarity;
 use crate::poses::{Lens, PoseRequest, PoseView, PosedView, Poses, Sfm};
 
 use super::error::EvaluationError;
+use super::seen::Mask;
 use super::subject::Subject;
 
 /// Fewer shared cameras do not say how two worlds lie to each other.
@@ -49,6 +50,28 @@ impl Placed<'_> {
         let k = &self.posed.camera.intrinsics;
         let (width, height) = working_size(k.width, k.height, size);
         self.posed.camera.resized(width, height)
+    }
+
+    /// The white pixels of the picture in `folder` that is named like the photograph, at the
+    /// working size.
+    ///
+    /// # Errors
+    /// [`EvaluationError::NoMask`]; a picture that cannot be read.
+    pub(super) fn mask(&self, folder: &Path, size: usize) -> Result<Mask, EvaluationError> {
+        let original = Path::new(&self.photograph.original_name);
+        let stem = original.file_stem().unwrap_or(original.as_os_str());
+        let file = folder.join(stem).with_extension("png");
+        if !file.exists() {
+            return Err(EvaluationError::NoMask { path: file });
+        }
+        let picture = CaptureView {
+            file,
+            gt: None,
+            ..self.photograph.clone()
+        };
+        let mask = views::view(&picture, &self.posed, Split::HeldOut, size)?.dark;
+        let holds = mask.plane(0).iter().map(|&v| v > 0.5).collect();
+        Ok(Mask::new(mask.width(), mask.height(), holds))
     }
 
     /// The photograph at the working size.

@@ -6,6 +6,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::camera::Split;
+use crate::enhance::Anchor;
 
 /// Which image was judged.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -86,6 +87,9 @@ pub struct ViewScore {
     /// Root mean square distance that the shake between render and brightened view moves its light,
     /// px of the working size.
     pub shake_px: Option<f64>,
+    /// Whether that shake is told from none: then a kernel may explain it in the next round.
+    #[serde(default)]
+    pub is_shaken: Option<bool>,
     /// Correlation of its structures with those of its render, shaken as it is: near 1 where the
     /// view stands where its pose says, near 0 where it does not.
     #[serde(default)]
@@ -125,23 +129,26 @@ pub struct RoundMetrics {
     /// was off.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub noise_map: Option<NoiseMapStatistics>,
-    /// Root mean square distance that the shake found in a training view moves its light, mean over
-    /// the views, px of the working size; `None` when it was not looked for.
+    /// Training views whose shake a kernel explained; the others were trained on deblurred.
+    #[serde(default)]
+    pub kernels: u32,
+    /// Root mean square distance that the shake found in those views moves their light, mean over
+    /// the views, px of the working size; `None` where no kernel was looked for.
     pub shake_px: Option<f64>,
     /// Mean way that the correction of the cameras moved the middle of the images in this round,
     /// px; `null` when they stand where the poses say.
     pub pose_correction_px: Option<f64>,
     /// Gradients that were not finite and were dropped.
     pub non_finite_gradients: u64,
-    /// alpha and gamma of the round's anchor.
-    pub anchor: [f64; 2],
-    /// alpha and gamma fitted to map this round's renders to the next anchor, one a view or one in
+    /// The round's brightness.
+    pub anchor: Anchor,
+    /// What was fitted to map this round's renders to the next brightness, one a view or one in
     /// all.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub matched: Vec<[f64; 2]>,
-    /// What rounds are compared by: SSIM of the renders at the target brightness, each first shaken
-    /// as its view is, against the views at that brightness; of held-out views where there are any.
-    /// `None` in reports of earlier versions.
+    pub matched: Vec<Anchor>,
+    /// What rounds are compared by: PSNR (dB) of the renders at the target brightness, each first
+    /// shaken as its view is, against the views at that brightness; of held-out views where there
+    /// are any. SSIM, below 1, in reports of earlier versions, or `None`.
     #[serde(default)]
     pub score: Option<f64>,
     /// Whether the round was judged worse than the one before it.

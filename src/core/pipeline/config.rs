@@ -26,7 +26,8 @@ pub struct Options {
     /// Longest side of the working images, px; never above the original.
     #[schemars(range(min = 64, max = 4096))]
     pub size: u32,
-    /// Target brightness: `auto`, `alpha,gamma`, or the name of a LuSh scene.
+    /// Target brightness: `auto`, stops such as `+3.5EV`, or of the paper's curves `auto-paper`,
+    /// `alpha,gamma` or the name of a LuSh scene.
     pub target: String,
     /// One tone table for the scene or one a view.
     pub lut_scope: LutScope,
@@ -204,7 +205,7 @@ impl Preset {
             start: Start::Warm,
             densify: Densify::Mcmc,
             fill_up: 1_000,
-            stereo: true,
+            stereo: false,
             extent: ExtentRule::Scene,
             view_colour: false,
             cap: 30_000,
@@ -226,6 +227,7 @@ impl Preset {
             },
             Self::Standard => standard,
             Self::Paper => Options {
+                target: "auto-paper".to_owned(),
                 steps: 10_000,
                 size: 1120,
                 cap: 200_000,
@@ -235,7 +237,6 @@ impl Preset {
                 train_on: TrainOn::Deblurred,
                 refine_poses: false,
                 late_views: false,
-                stereo: false,
                 background: Background::Black,
                 lut_scope: LutScope::Image,
                 sh_degree: 3,
@@ -246,34 +247,20 @@ impl Preset {
 }
 
 impl Options {
-    /// Whether kernels explain the shake of the views in a round.
-    pub fn explains_shake(&self, round: u32) -> bool {
-        self.shake.explains(round, self.rounds)
-    }
-
-    /// Whether the scene is trained on the enhanced views in a round. Differs from the paper where
-    /// kernels explain the shake: what a network leaves of the blur, and the halos that it adds,
+    /// Whether a view is trained on as it was enhanced, not deblurred. Differs from the paper where
+    /// a kernel explains its shake: what a network leaves of the blur, and the halos that it adds,
     /// are no kernel, and to sharpen twice is to overdo it.
-    pub fn trains_on_enhanced(&self, round: u32) -> bool {
+    pub fn trains_on_enhanced(&self, explained: bool) -> bool {
         match self.train_on {
-            TrainOn::Auto => self.explains_shake(round),
+            TrainOn::Auto => explained,
             TrainOn::Deblurred => false,
             TrainOn::Enhanced => true,
         }
     }
 
-    /// Those of H and D that the scene of a round is trained on.
-    pub fn trained_on<'a, T: ?Sized>(
-        &self,
-        round: u32,
-        enhanced: &'a T,
-        deblurred: &'a T,
-    ) -> &'a T {
-        if self.trains_on_enhanced(round) {
-            enhanced
-        } else {
-            deblurred
-        }
+    /// Whether no view is trained on deblurred, whatever is found in it.
+    pub fn never_trains_on_deblurred(&self) -> bool {
+        self.trains_on_enhanced(self.shake == ShakeModel::Kernel)
     }
 }
 

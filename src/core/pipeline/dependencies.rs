@@ -169,7 +169,11 @@ impl RunDependencies {
                 Dependencies::on(&self.given, DEBLUR, &facts)
             }
         };
-        let images = self.given.trained_on(round, &self.enhance, &deblur);
+        let images = if self.given.never_trains_on_deblurred() {
+            &self.enhance
+        } else {
+            &deblur
+        };
         let before = before.map_or("", |before| before.reconstruct.fingerprint());
         let facts = [images.fingerprint(), &self.adapter, &number, before];
         let reconstruct = Dependencies::on(&self.given, RECONSTRUCT, &facts);

@@ -68,10 +68,7 @@ pub fn plan(
         Some(images) => vec![nearest(context, options, &dark, images); options.rounds as usize],
         None => {
             let target = target(options, &dark)?;
-            context.sink.log(format!(
-                "target brightness: alpha {:.3}, gamma {:.3}",
-                target.alpha, target.gamma
-            ));
+            context.sink.log(format!("target brightness: {target}"));
             enhance::anchors(options.rounds, target)
         }
     };
@@ -133,11 +130,16 @@ fn nearest(
     dark: &[&Image],
     images: &[Image],
 ) -> Anchor {
-    let fitted = tone::search(options.lut_scope, options.seed, dark, images);
-    let anchor = tone::mean(&fitted);
+    let fitted = tone::search(
+        options.lut_scope,
+        Anchor::exposure(0.0),
+        options.seed,
+        dark,
+        images,
+    );
+    let anchor = Anchor::mean(&fitted);
     context.sink.log(format!(
-        "the curve nearest to the network's brightening: alpha {:.3}, gamma {:.3}",
-        anchor.alpha, anchor.gamma
+        "the exposure nearest to the network's brightening: {anchor}"
     ));
     anchor
 }

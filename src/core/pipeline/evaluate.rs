@@ -28,8 +28,8 @@ use images::TargetImages;
 pub use images::RoundImages;
 pub use score::likenesses;
 
-/// How much lower a round's score must be for the round to count as worse than the one before.
-const WORSE_BY: f64 = 0.01;
+/// How much lower a round's score must be for the round to count as worse than the one before, dB.
+const WORSE_BY: f64 = 0.05;
 
 /// A finished round.
 #[derive(Clone, Copy)]
@@ -146,14 +146,12 @@ fn measure(
         records: records::records(views, &comparisons),
         views: by_view::rows(views, unregistered, &comparisons, &likenesses),
         noise_map: training.noise,
+        kernels: training.kernels,
         shake_px: training.shake_px,
         pose_correction_px: training.pose_correction_px,
         non_finite_gradients: training.non_finite_gradients,
-        anchor: [round.anchor.alpha, round.anchor.gamma],
-        matched: matched
-            .iter()
-            .map(|anchor| [anchor.alpha, anchor.gamma])
-            .collect(),
+        anchor: round.anchor,
+        matched: matched.to_vec(),
         score: Some(score),
         worse_than_previous: before.is_some_and(|before| score < before - WORSE_BY),
     }

@@ -290,6 +290,7 @@ mod tests {
             psnr_cc_db: None,
             ssim: None,
             shake_px: None,
+            is_shaken: None,
             fit: Some(*fit),
         };
         views.iter().map(row).collect()

@@ -46,7 +46,7 @@ pub fn match_brightness(
         let options = depends_on.options();
         let (scope, seed) = (options.lut_scope, options.seed);
         let renders: Vec<&Image> = renders.iter().collect();
-        let towards = |wanted: &[Image]| tone::search(scope, seed, &renders, wanted);
+        let towards = |wanted: &[Image]| tone::search(scope, round.anchor, seed, &renders, wanted);
         let enhanced = brightening.brighten(following, views);
         let matched = towards(&enhanced);
         let to_next = Tone::fit(scope, &renders, &matched);

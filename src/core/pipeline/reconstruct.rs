@@ -56,7 +56,10 @@ pub struct Training {
     pub non_finite_gradients: u64,
     /// What the noise field learnt.
     pub noise: Option<NoiseMapStatistics>,
-    /// Mean shake of the training views, px.
+    /// Training views with a kernel.
+    #[serde(default)]
+    pub kernels: u32,
+    /// Their mean shake, px.
     pub shake_px: Option<f64>,
     /// Of all views, in their order.
     pub cameras: Vec<Camera>,
@@ -80,8 +83,10 @@ pub struct Material<'a> {
     pub round: &'a Round,
     /// All views, with their cameras and splits.
     pub views: &'a [View],
-    /// D_i, or H_i where the shake explains it (`train_on`), in the order of the views.
+    /// D_i, or H_i where a kernel explains the shake (`train_on`), in the order of the views.
     pub images: &'a [Image],
+    /// Which views have a kernel, in the same order.
+    pub explained: &'a [bool],
     /// H_i, whatever it is trained on, for whoever watches.
     pub enhanced: &'a [Image],
     /// How light becomes values at the target brightness, for the same.
@@ -135,7 +140,10 @@ fn train_config(material: &Material<'_>, options: &Options) -> TrainConfig {
     let round = material.round;
     let cameras: Vec<Camera> = material.views.iter().map(|view| view.camera).collect();
     let points = points::as_given(material.poses);
-    let shaken = options.explains_shake(round.number);
+    let training = material.views.iter().zip(material.explained);
+    let shaken = training
+        .filter(|(view, _)| view.split == Split::Train)
+        .any(|(_, explained)| *explained);
     TrainConfig {
         steps: options.steps,
         cap: options.cap as usize,
@@ -364,6 +372,7 @@ fn with_cameras(
         steps_per_second: trained.steps as f64 / seconds,
         non_finite_gradients: trained.non_finite_gradients,
         noise: trained.noise.filter(|_| config.noise != NoiseMode::Off),
+        kernels: trained.kernels,
         shake_px: trained.shake_px,
         cameras,
         pose_correction_px,
@@ -380,8 +389,10 @@ fn training_views(material: &Material<'_>, split: Split) -> Vec<TrainingView> {
         .views
         .iter()
         .zip(material.images)
-        .filter(|(view, _)| view.split == split)
-        .map(|(view, image)| TrainingView {
+        .zip(material.explained)
+        .filter(|((view, _), _)| view.split == split)
+        .map(|((view, image), &has_kernel)| TrainingView {
+            has_kernel,
             name: view.name.clone(),
             camera: view.camera,
             image: image.clone(),

@@ -8,6 +8,7 @@ use super::dependencies::{RoundDependencies, RunDependencies};
 use super::enhance::{self, Brightening, enhance};
 use super::error::PipelineError;
 use super::evaluate::{Finished, RoundImages, evaluate};
+use super::explained::{self, explained, training_images};
 use super::late_views::{FinishedRound, changed_views, late_views, with_fits};
 use super::match_brightness::{Next, match_brightness};
 use super::plan::Plan;
@@ -154,10 +155,14 @@ fn round(
         guides: before.filter(|_| on.is_guided).map(Handover::guides), // HR
     };
     let deblurred = deblur(context, tools.deblurrer, round, blurred, &on.deblur)?; // D_i
+    let explained = explained(asked.options, round.number, views, report.rounds.last());
+    explained::tell(context, asked.options, round.number, views, &explained);
+    let images = training_images(asked.options, &explained, &enhanced, &deblurred);
     let material = Material {
         round,
         views,
-        images: Options::trained_on(asked.options, round.number, &enhanced[..], &deblurred),
+        images: &images,
+        explained: &explained,
         enhanced: &enhanced,
         target: &brightening.last().response,
         poses,
@@ -305,12 +310,6 @@ fn begin<'a>(
     for (option, network) in tools.networks().named() {
         sink.log(format!("{option}: {} on {}", network.id, network.provider));
     }
-    let trained_on = match [1, 2].map(|round| options.trains_on_enhanced(round)) {
-        [true, _] => "enhanced",
-        [false, true] if options.rounds > 1 => "deblurred, and after round 1 on the enhanced",
-        [false, _] => "deblurred",
-    };
-    sink.log(format!("the scene is trained on the {trained_on} views"));
     for fallback in &tools.fallbacks {
         sink.warn("fallback", fallback.clone());
     }

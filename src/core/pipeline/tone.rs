@@ -28,7 +28,7 @@ impl Tone {
             LutScope::Scene => vec![ToneCurve::new(&pooled, anchors[0])],
             LutScope::Image => images.iter().enumerate().map(of_image).collect(),
         };
-        let scene = ToneCurve::new(&pooled, mean(anchors));
+        let scene = ToneCurve::new(&pooled, Anchor::mean(anchors));
         Self { curves, scene }
     }
 
@@ -52,30 +52,28 @@ impl Tone {
     }
 }
 
-/// The anchor in the middle of several.
-pub fn mean(anchors: &[Anchor]) -> Anchor {
-    let mean = |of: fn(&Anchor) -> f64| anchors.iter().map(of).sum::<f64>() / anchors.len() as f64;
-    Anchor {
-        alpha: mean(|anchor| anchor.alpha),
-        gamma: mean(|anchor| anchor.gamma),
-    }
-}
-
-/// The anchors for which E(R; P) looks like `wanted`: one search over a few views, or one a view.
-pub fn search(scope: LutScope, seed: u64, images: &[&Image], wanted: &[Image]) -> Vec<Anchor> {
+/// The anchors for which E(R; P) looks like `wanted`, of the family of `like`: one search over a
+/// few views, or one a view.
+pub fn search(
+    scope: LutScope,
+    like: Anchor,
+    seed: u64,
+    images: &[&Image],
+    wanted: &[Image],
+) -> Vec<Anchor> {
     match scope {
         LutScope::Scene => {
             let few = enhance::spread_indices(images.len(), SEARCHED_VIEWS);
             let pairs: Vec<_> = few.into_iter().map(|i| (images[i], &wanted[i])).collect();
             let pooled = Histogram::pooled(images.iter().copied());
-            vec![enhance::match_anchor(&pairs, &pooled, seed).anchor]
+            vec![enhance::match_anchor(&pairs, &pooled, like, seed).anchor]
         }
         LutScope::Image => images
             .par_iter()
             .zip(wanted)
             .map(|(image, wanted)| {
                 let histogram = Histogram::of(image);
-                enhance::match_anchor(&[(image, wanted)], &histogram, seed).anchor
+                enhance::match_anchor(&[(image, wanted)], &histogram, like, seed).anchor
             })
             .collect(),
     }

@@ -85,6 +85,7 @@ fn views_of(scene: &Gaussians, angles: &[f64], size: [usize; 2]) -> Vec<Training
     let view = |(n, &angle): (usize, &f64)| {
         let camera = camera_at(angle, size[0], size[1]);
         TrainingView {
+            has_kernel: true,
             name: format!("{n}"),
             camera,
             image: render(scene, &camera),

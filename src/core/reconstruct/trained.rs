@@ -20,6 +20,8 @@ pub struct Trained {
     /// Mean [`ShakeKernel::spread`](crate::shake::ShakeKernel::spread) over the views, px; `None`
     /// when shake was off.
     pub shake_px: Option<f64>,
+    /// Views with a kernel.
+    pub kernels: u32,
     /// The views' cameras, in their order, corrected or as given.
     pub cameras: Vec<Camera>,
     /// What the user should know.

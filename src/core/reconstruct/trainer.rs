@@ -227,6 +227,7 @@ impl<'a> Trainer<'a> {
             non_finite_gradients: u64::from(self.optimizer.counters.read()?[0]),
             noise: mean_statistics(&self.noise_seen),
             shake_px: self.model.mean_spread(),
+            kernels: self.model.explained(),
             cameras: self.model.cameras(),
             warnings: self.warnings,
             final_loss,

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use fled_core::capture::view_names;
 use fled_core::deblur::NetworkChoice;
 use fled_core::deblur::manifest::{Manifest, Place, Role};
-use fled_core::enhance::Anchor;
+use fled_core::enhance::Target;
 use fled_core::pipeline::config::{NetworkOption, Options, OptionsError, Preset};
 use serde::Deserialize;
 use serde_json::{Map, Value};
@@ -165,16 +165,13 @@ impl Order {
 
 /// Options in words of their own, which the job would read only after it has found the poses.
 fn check_words(options: &Options) -> Result<(), Problem> {
-    let target = options.target.trim();
-    if !target.eq_ignore_ascii_case("auto") {
-        let parsed: Result<Anchor, _> = target.parse();
-        parsed.map_err(|error| {
-            bad_option(&OptionsError {
-                key: "target".to_owned(),
-                message: error.to_string(),
-            })
-        })?;
-    }
+    let target: Result<Target, _> = options.target.parse();
+    target.map_err(|error| {
+        bad_option(&OptionsError {
+            key: "target".to_owned(),
+            message: error.to_string(),
+        })
+    })?;
     if options.adapter.chars().count() > LONGEST_ADAPTER {
         return Err(bad_option(&OptionsError {
             key: "adapter".to_owned(),

@@ -9,8 +9,8 @@ use serde::{Deserialize, Serialize};
 pub enum ShakeModel {
     /// A kernel a view, found from the renders, so that the scene itself stays sharp.
     Kernel,
-    /// The same, but where there are several rounds the first is trained on the deblurred views:
-    /// kernels are then found from renders that are right already.
+    /// From the second round on, and only of views whose kernel tells shake from none in the
+    /// renders of the round before; all others are trained deblurred.
     Late,
     /// Nothing: the scene is as blurred as the views, as in the paper.
     Off,
@@ -20,7 +20,7 @@ pub enum ShakeModel {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum TrainOn {
-    /// The enhanced views when `shake` explains them, else the deblurred ones.
+    /// The enhanced view where a kernel explains its shake, else the deblurred one.
     Auto,
     /// The deblurred views, as in the paper.
     Deblurred,
@@ -29,11 +29,12 @@ pub enum TrainOn {
 }
 
 impl ShakeModel {
-    /// Whether kernels explain the shake in one of so many rounds.
-    pub fn explains(self, round: u32, rounds: u32) -> bool {
+    /// Whether a kernel explains the shake of a view in a round. `tells`: whether the kernel found
+    /// for it in the round before told shake from none.
+    pub fn explains(self, round: u32, tells: bool) -> bool {
         match self {
             Self::Kernel => true,
-            Self::Late => round > 1 || rounds == 1,
+            Self::Late => round > 1 && tells,
             Self::Off => false,
         }
     }

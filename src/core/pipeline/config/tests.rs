@@ -3,58 +3,25 @@
 use super::*;
 
 #[test]
-fn what_shake_explains_is_not_deblurred_for_training_unless_asked_for() {
-    let standard = Options {
-        shake: ShakeModel::Kernel,
-        ..Preset::Standard.options()
+fn what_a_kernel_explains_is_not_deblurred_for_training_unless_asked_for() {
+    let with = |shake, train_on| Options {
+        shake,
+        train_on,
+        ..Options::default()
     };
-    assert!(standard.trains_on_enhanced(1));
-    assert!(
-        !Options {
-            shake: ShakeModel::Off,
-            ..standard.clone()
-        }
-        .trains_on_enhanced(1)
-    );
-    assert!(
-        !Options {
-            train_on: TrainOn::Deblurred,
-            ..standard.clone()
-        }
-        .trains_on_enhanced(1)
-    );
-    let forced = Options {
-        train_on: TrainOn::Enhanced,
-        shake: ShakeModel::Off,
-        ..standard
-    };
-    assert!(forced.trains_on_enhanced(1) && !Preset::Paper.options().trains_on_enhanced(1));
+    let auto = with(ShakeModel::Late, TrainOn::Auto);
+    assert!(auto.trains_on_enhanced(true) && !auto.trains_on_enhanced(false));
+    assert!(!auto.never_trains_on_deblurred());
+    assert!(with(ShakeModel::Kernel, TrainOn::Auto).never_trains_on_deblurred());
+    assert!(!with(ShakeModel::Kernel, TrainOn::Deblurred).trains_on_enhanced(true));
+    assert!(with(ShakeModel::Off, TrainOn::Enhanced).trains_on_enhanced(false));
 }
 
 #[test]
-fn late_kernels_leave_the_first_round_to_the_network() {
-    let late = Options {
-        shake: ShakeModel::Late,
-        ..Options::default()
-    };
-    assert_eq!(
-        [1, 2, 3].map(|round| late.explains_shake(round)),
-        [false, true, true]
-    );
-    assert_eq!(
-        [1, 2].map(|round| late.trains_on_enhanced(round)),
-        [false, true]
-    );
-    let one = Options {
-        rounds: 1,
-        ..late.clone()
-    };
-    assert!(
-        one.explains_shake(1),
-        "there is no second round to leave it to"
-    );
-    assert_eq!(*late.trained_on(1, "H", "D"), *"D");
-    assert_eq!(*late.trained_on(2, "H", "D"), *"H");
+fn late_kernels_wait_for_the_second_round_and_for_views_that_tell() {
+    let late = |round, tells| ShakeModel::Late.explains(round, tells);
+    assert!(!late(1, true) && !late(2, false) && late(2, true));
+    assert!(ShakeModel::Kernel.explains(1, false) && !ShakeModel::Off.explains(2, true));
 }
 
 #[test]

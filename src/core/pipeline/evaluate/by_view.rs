@@ -44,6 +44,7 @@ fn registered(
         psnr_cc_db: scores.map(|scores| scores.psnr_cc_db),
         ssim: scores.map(|scores| scores.ssim),
         shake_px: Some(likenesses[index].shake_px),
+        is_shaken: Some(likenesses[index].is_shaken),
         fit: Some(likenesses[index].fit),
     }
 }
@@ -58,6 +59,7 @@ fn without_pose(name: &str) -> ViewScore {
         psnr_cc_db: None,
         ssim: None,
         shake_px: None,
+        is_shaken: None,
         fit: None,
     }
 }
@@ -121,7 +123,8 @@ mod tests {
         ];
         let likenesses = [0.5, 2.0].map(|shake_px| Likeness {
             shake_px,
-            ssim: 0.9,
+            is_shaken: shake_px > 1.0,
+            psnr_db: 20.0,
             fit: 0.8,
         });
         let rows = rows(&views, &["c".to_owned()], &comparisons, &likenesses);

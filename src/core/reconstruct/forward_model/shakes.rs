@@ -13,7 +13,7 @@ use crate::shake::{self, DeviceKernel, ShakeKernel};
 const AT_ONCE: usize = 8;
 
 impl ForwardModel<'_> {
-    /// Solves for the kernels of all views anew.
+    /// Solves anew for the kernels of all views that may have one.
     pub(in crate::reconstruct) fn estimate_shake(
         &mut self,
         degree: u32,
@@ -22,7 +22,9 @@ impl ForwardModel<'_> {
         let Some(response) = self.shake.as_ref().map(|shake| shake.response().clone()) else {
             return Ok(());
         };
-        let all: Vec<usize> = (0..self.views.len()).collect();
+        let all: Vec<usize> = (0..self.views.len())
+            .filter(|&view| self.views[view].given().has_kernel)
+            .collect();
         for some in all.chunks(AT_ONCE) {
             cancel.check()?;
             let mut renders = Vec::with_capacity(some.len());
@@ -65,11 +67,21 @@ impl ForwardModel<'_> {
         kernels.map(DeviceKernel::kernel)
     }
 
-    /// Mean [`ShakeKernel::spread`] over the views, px; `None` where nothing is taken for shaken.
+    /// Mean [`ShakeKernel::spread`] over the views that may have a kernel, px; `None` without any.
     pub(in crate::reconstruct) fn mean_spread(&self) -> Option<f64> {
         self.shake.as_ref()?;
-        let sum = self.kernels().map(ShakeKernel::spread).sum::<f64>();
-        Some(sum / self.views.len() as f64)
+        let views = self.views.iter().zip(self.kernels());
+        let spreads: Vec<f64> = views
+            .filter(|(view, _)| view.given().has_kernel)
+            .map(|(_, kernel)| kernel.spread())
+            .collect();
+        (!spreads.is_empty()).then(|| spreads.iter().sum::<f64>() / spreads.len() as f64)
+    }
+
+    /// Views whose shake a kernel explains.
+    pub(in crate::reconstruct) fn explained(&self) -> u32 {
+        let views = self.views.iter().filter(|view| view.given().has_kernel);
+        self.shake.as_ref().map_or(0, |_| views.count() as u32)
     }
 
     /// The kernels as numbers, for a checkpoint; none where nothing is taken for shaken.

@@ -98,6 +98,7 @@ fn cameras_that_stand_wrong_are_corrected_in_training_and_held_out_ones_after_it
         let off = |k: f64| 0.012 * (2.3 * n as f64 + k).sin();
         let twist = [off(0.0), off(1.7), 0.0, 0.0, 0.0, 0.0].map(|x| x as f32);
         TrainingView {
+            has_kernel: true,
             camera: Motion { twist }.moved(&view.camera),
             ..view.clone()
         }
