@@ -23,6 +23,7 @@ const RUNS: [(&str, &[&str]); 2] = [
         &[
             "steps=16",
             "rounds=3",
+            "target=auto-paper",
             "shake=off",
             "lut_scope=image",
             "start=scratch",

@@ -12,7 +12,7 @@ pub const BINS: usize = 256;
 const SMALLEST_V: f32 = 1e-4;
 
 /// Light above which an exposure bends, white being 1. Up to here it is exactly a gain; what comes
-/// to 1 stays within 0.015 of it, so that what the photographs clip stays white.
+/// to 1 stays within 0.04 of it, 0.017 encoded, so that what the photographs clip stays white.
 const SHOULDER: f32 = 0.85;
 
 /// What an exposure makes of light after the gain: the identity, then a parabola that reaches 1

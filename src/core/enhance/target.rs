@@ -182,7 +182,7 @@ mod tests {
         let out = ToneCurve::new(&histogram, Anchor::exposure(15.0_f64.log2())).apply(&dark);
         let apart = out.data().iter().zip(bright.data());
         let worst = apart.map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
-        assert!(worst < 0.01, "{worst}");
+        assert!(worst < 0.02, "{worst}");
     }
 
     #[test]

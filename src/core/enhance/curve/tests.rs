@@ -150,7 +150,7 @@ fn an_exposure_is_a_gain_in_light_that_bends_only_before_white() {
     for light in [0.0, 0.001, 0.1, 0.5, 0.84] {
         assert!((exposed(light) - light).abs() < 1e-5, "{light}");
     }
-    assert!((0.98..1.0).contains(&exposed(1.0)));
+    assert!((0.96..1.0).contains(&exposed(1.0)));
     assert_eq!([1.2, 3.0, 8.0].map(exposed), [1.0; 3]);
     let [r, g, b] = curve.apply_colour([0.1, 0.05, 0.025]).map(srgb_to_linear);
     let [r0, g0, b0] = [0.1, 0.05, 0.025].map(srgb_to_linear);
