@@ -37,7 +37,7 @@ pub use truth::Truth;
 
 use report::{Evaluation, TestView, ViewScores};
 use seen::{Mask, Witnesses};
-use truth::TruthView;
+use truth::{Placed, TruthView};
 
 /// Registration is repeated until no camera moves further than this, px, ...
 const SETTLED_PX: f64 = 0.05;
@@ -99,15 +99,7 @@ pub fn evaluate(request: Request<'_>) -> Result<Judged, EvaluationError> {
     let scene = renderer.upload(&subject.gaussians)?;
     let registered = register(&request, &renderer, &scene, &views)?;
     let seen = seen_masks(&request, &names, &renderer)?;
-    let scored = placed.iter().zip(&views).map(|(placed, view)| {
-        let photograph = &view.photograph;
-        let everything = || Mask::full(photograph.width(), photograph.height());
-        let given = request
-            .masks
-            .map(|folder| placed.mask(folder, subject.size()));
-        given.unwrap_or_else(|| Ok(everything()))
-    });
-    let scored = scored.collect::<Result<Vec<_>, _>>()?;
+    let scored = scored_masks(&request, &placed, &views)?;
     let mut judge = Judge {
         renderer: &renderer,
         scene: &scene,
@@ -219,6 +211,22 @@ fn register(
         }
     }
     Ok(cameras)
+}
+
+/// Where each test view is scored.
+fn scored_masks(
+    request: &Request<'_>,
+    placed: &[Placed<'_>],
+    views: &[TruthView],
+) -> Result<Vec<Mask>, EvaluationError> {
+    let mask = |(placed, view): (&Placed<'_>, &TruthView)| match request.masks {
+        Some(folder) => placed.mask(folder, request.subject.size()),
+        None => Ok(Mask::full(
+            view.photograph.width(),
+            view.photograph.height(),
+        )),
+    };
+    placed.iter().zip(views).map(mask).collect()
 }
 
 /// What at least two training views of `seen_from` see, a mask a test view.

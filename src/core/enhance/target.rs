@@ -200,7 +200,7 @@ mod tests {
 
     #[test]
     fn lamps_that_are_clipped_already_keep_no_street_dark() {
-        let value = |i: usize| if i % 10 == 0 { 1.0 } else { 0.04 };
+        let value = |i: usize| if i.is_multiple_of(10) { 1.0 } else { 0.04 };
         let histogram = Histogram::of(&Image::from_planar(
             100,
             10,

@@ -131,6 +131,10 @@ struct Turn<'a> {
 }
 
 /// One round, after the one before it; what it hands to the next, which may stand on other ground.
+#[expect(
+    clippy::too_many_lines,
+    reason = "a round of Algorithm 1, a call a stage: split it shows less"
+)]
 fn round(
     context: &mut Context<'_>,
     tools: &mut Tools<'_>,
@@ -139,14 +143,11 @@ fn round(
     report: &mut Report,
 ) -> Result<Option<Handover>, PipelineError> {
     let (asked, before) = (turn.asked, turn.before);
-    let Ground {
-        poses,
-        depends_on,
-        views,
-        brightening,
-    } = ground;
+    let (poses, views, brightening) = (&ground.poses, &mut ground.views, &ground.brightening);
     let round = &brightening.rounds[turn.index];
-    let on = depends_on.round(round.number, before.map(|before| &before.depends_on));
+    let on = ground
+        .depends_on
+        .round(round.number, before.map(|before| &before.depends_on));
     let brightened = before.map(|before| before.next.enhanced.clone());
     let enhanced = enhance(context, round, views, brightening, brightened)?; // H_i
     let blurred = Blurred {
@@ -194,7 +195,14 @@ fn round(
         scene: &handover.scene,
         metrics: report.rounds.last().expect("the round was added"),
     };
-    let Some((poses, views)) = join(context, asked, tools, &finished, &handover, depends_on)?
+    let Some((poses, views)) = join(
+        context,
+        asked,
+        tools,
+        &finished,
+        &handover,
+        &ground.depends_on,
+    )?
     else {
         return Ok(Some(handover));
     };
