@@ -83,7 +83,7 @@ enum Command {
     /// Measures what training and rendering cost on this machine, kernel by kernel.
     Bench(bench::Args),
     /// Judges a finished run by sharp photographs that it did not train on.
-    Eval(eval::Args),
+    Eval(Box<eval::Args>),
     /// Lists, checks, adds and fetches deblurring networks.
     Models(models::Args),
     /// Says what this machine has and lacks, and what to do about it.
