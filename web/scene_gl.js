@@ -56,8 +56,13 @@ class Renderer {
     this.#count = order.length;
   }
 
-  /** The scene from `pose`; intrinsics `k` of the canvas's size, `part` of its pixels a side. */
-  draw(pose, k, part = 1) {
+  /** Whether it can show the scene at another exposure: it needs room for light above white. */
+  get exposes() {
+    return this.#target !== null;
+  }
+
+  /** The scene from `pose`; intrinsics `k` of the canvas's size, `part` of its pixels a side, `ev` stops brighter. */
+  draw(pose, k, part = 1, ev = 0) {
     const gl = this.#gl;
     const [width, height] = [k.width, k.height].map((side) => Math.max(1, Math.round(side * part)));
     const target = this.#target?.bind(width, height) ? this.#target : null;
@@ -68,7 +73,7 @@ class Renderer {
     gl.clearColor(0, 0, 0, 1);
     gl.clear(gl.COLOR_BUFFER_BIT);
     if (this.#scene && this.#count > 0) this.#blend(pose, k, size);
-    if (target) this.#show(k);
+    if (target) this.#show(k, ev);
   }
 
   #blend(pose, k, [width, height]) {
@@ -99,7 +104,7 @@ class Renderer {
     gl.disableVertexAttribArray(index);
   }
 
-  #show(k) {
+  #show(k, ev) {
     const gl = this.#gl;
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
     gl.viewport(0, 0, k.width, k.height);
@@ -108,6 +113,7 @@ class Renderer {
     gl.bindTexture(gl.TEXTURE_2D, this.#target.texture);
     gl.uniform1i(at.image, 0);
     gl.uniform2f(at.size, k.width, k.height);
+    gl.uniform1f(at.gain, 2 ** ev);
     gl.drawArrays(gl.TRIANGLES, 0, 3);
   }
 

@@ -6,8 +6,8 @@ import { matrixOf } from "./scene_camera.js";
 /** The server renders no larger pictures, px. */
 const LONGEST = 2048;
 
-/** What `POST /v1/jobs/{id}/render` takes for a pose with intrinsics `k`. */
-export function request(scene, pose, k) {
+/** What `POST /v1/jobs/{id}/render` takes for a pose with intrinsics `k`, `ev` stops brighter. */
+export function request(scene, pose, k, ev = 0) {
   const scale = Math.min(1, LONGEST / Math.max(k.width, k.height));
   const side = (length) => Math.max(16, Math.round(length * scale));
   const [width, height] = [side(k.width), side(k.height)];
@@ -18,14 +18,15 @@ export function request(scene, pose, k) {
     // The delivered scene has no number.
     ...(scene.isDelivered ? {} : { round: scene.round }),
     format: "png",
+    ev,
   };
 }
 
 /** Fetches the picture and has the browser save it. */
-export async function savedPicture(job, scene, pose, k) {
+export async function savedPicture(job, scene, pose, k, ev) {
   const response = await fetch(`/v1/jobs/${job}/render`, {
     method: "POST", headers: { "Content-Type": "application/json" },
-    body: JSON.stringify(request(scene, pose, k)),
+    body: JSON.stringify(request(scene, pose, k, ev)),
   });
   if (!response.ok) throw new Refusal(response.status, await response.json().catch(() => null));
   const href = URL.createObjectURL(await response.blob());

@@ -125,7 +125,17 @@ void main() {
 export const SHOWING = `${HEAD}
 uniform sampler2D image;
 uniform vec2 size;
+// Of light; 1 leaves every value as it is.
+uniform float gain;
 out vec4 pixel;
+vec3 light(vec3 value) {
+  return mix(value / 12.92, pow((value + 0.055) / 1.055, vec3(2.4)), step(0.04045, value));
+}
+vec3 encoded(vec3 light) {
+  return mix(12.92 * light, 1.055 * pow(light, vec3(1.0 / 2.4)) - 0.055, step(0.0031308, light));
+}
 void main() {
-  pixel = vec4(clamp(texture(image, gl_FragCoord.xy / size).rgb, 0.0, 1.0), 1.0);
+  vec3 shown = max(texture(image, gl_FragCoord.xy / size).rgb, 0.0);
+  if (gain != 1.0) shown = encoded(gain * light(shown));
+  pixel = vec4(min(shown, 1.0), 1.0);
 }`;

@@ -3,8 +3,9 @@
 import { h } from "./dom.js";
 
 /**
- * `does` has `jump(index)`, `reset`, `lines(isOn)`, `round(scene)`, `picture`, `close`; `stage` is
- * what fills the screen. Answers `{ root, at(index), scenes(list, current), say(words) }`.
+ * `does` has `jump(index)`, `reset`, `lines(isOn)`, `exposure` or null where there is none,
+ * `round(scene)`, `picture`, `close`; `stage` is what fills the screen. Answers `{ root, at(index),
+ * isOn(), ev(), scenes(list, current), say(words) }`.
  */
 export function sceneTools(cameras, stage, does) {
   const press = (text, onclick, label = text) =>
@@ -17,6 +18,7 @@ export function sceneTools(cameras, stage, does) {
   let [last, wasShown] = [0, false];
   const step = (by) => () => does.jump((last + by + cameras.length) % cameras.length);
   const lines = h("input", { type: "checkbox", onchange: () => does.lines(lines.checked) });
+  const exposure = exposureSlider(does.exposure);
   const rounds = roundSlider(does.round);
   const words = h("p", { class: "hint", role: "status" });
   const picture = press("Save PNG", async () => {
@@ -31,7 +33,8 @@ export function sceneTools(cameras, stage, does) {
       h("div", { class: "row joint" }, press("‹", step(-1), "Previous photograph"), choice,
         press("›", step(1), "Next photograph")),
       press("Reset", does.reset, "Reset the view"),
-      h("label", { class: "check" }, lines, "Cameras"), rounds.root,
+      h("label", { class: "check" }, lines, "Cameras"), exposure.root,
+      rounds.root,
       h("div", { class: "row push ends" }, picture, full,
         press("Close", does.close, "Close the 3D view"))),
     words);
@@ -43,6 +46,8 @@ export function sceneTools(cameras, stage, does) {
       choice.value = String(index);
     },
     isOn: () => lines.checked,
+    /** Stops brighter than the scene. */
+    ev: exposure.stops,
     scenes(list, current) {
       // The server renders scenes; of points there is none. Their cameras are half of what they say.
       picture.hidden = current.isPoints === true;
@@ -58,6 +63,24 @@ function wide(stage) {
   if (document.fullscreenElement) document.exitFullscreen();
   // Refused in some frames and by some settings; the button then does nothing.
   else stage.requestFullscreen().catch(() => {});
+}
+
+/** How bright the scene is shown, in stops; a double click is 0 again. */
+function exposureSlider(changed) {
+  const input = h("input", { type: "range", min: "-3", max: "3", step: "0.25", value: "0",
+    "aria-label": "exposure" });
+  const label = h("span", {});
+  const stops = () => (changed ? Number(input.value) : 0);
+  const say = () => {
+    const value = stops();
+    label.textContent = `${value > 0 ? "+" : ""}${value.toFixed(2).replace("-", "−")} EV`;
+    input.setAttribute("aria-valuetext", label.textContent);
+  };
+  const set = () => { say(); changed?.(); };
+  input.addEventListener("input", set);
+  input.addEventListener("dblclick", () => { input.value = "0"; set(); });
+  say();
+  return { root: h("label", { class: "check exposure", hidden: !changed }, label, input), stops };
 }
 
 /** Which round's scene is shown; hidden where there is one. */

@@ -90,6 +90,7 @@ class View {
       jump: (index) => this.jump(index),
       reset: () => this.jump(this.start),
       lines: () => this.wake(),
+      exposure: this.drawer.exposes ? () => this.wake() : null,
       round: (scene) => this.load(scene),
       picture: () => this.save(),
       close: () => this.ended(""),
@@ -258,7 +259,7 @@ class View {
   }
 
   #draw(part) {
-    this.drawer.draw(this.pose, this.shown, part);
+    this.drawer.draw(this.pose, this.shown, part, this.tools.ev());
     const context = this.lines.getContext("2d");
     this.lines.hidden = !this.tools.isOn();
     if (!this.lines.hidden) this.frusta.draw(context, this.pose, this.shown, this.#chosen);
@@ -285,7 +286,7 @@ class View {
   /** The server renders this very view. */
   async save() {
     try {
-      await savedPicture(this.job, this.scene, this.pose, this.shown);
+      await savedPicture(this.job, this.scene, this.pose, this.shown, this.tools.ev());
     } catch (error) {
       this.tools.say(`There is no picture. ${error.message}`);
     }

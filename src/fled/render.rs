@@ -38,6 +38,10 @@ pub struct Args {
     /// How far away it is instead of what it looks like: near is white, far dark.
     #[arg(long)]
     depth: bool,
+    /// Brighter by so many stops, in light; darker where negative.
+    #[arg(long, default_value_t = 0.0, allow_negative_numbers = true, value_parser = stops,
+        conflicts_with = "depth")]
+    ev: f64,
     /// A round's scene instead of the delivered one.
     #[arg(long)]
     round: Option<u32>,
@@ -45,6 +49,9 @@ pub struct Args {
     #[arg(long, default_value = "auto")]
     adapter: String,
 }
+
+/// Most stops that a view is brightened or darkened by.
+const MOST_STOPS: f64 = 16.0;
 
 /// Where the camera stands.
 #[derive(clap::Args)]
@@ -83,10 +90,23 @@ pub fn main(args: &Args) -> Result<(), Failure> {
         renderer
             .render(&gaussians, &camera, gaussians.sh_degree)
             .map_err(render)?
+            .exposed(args.ev)
     };
     picture
         .save(&args.output)
         .map_err(|e| Failure::new(ErrorKind::Io, e))
+}
+
+/// Reads stops of exposure.
+///
+/// # Errors
+/// What is no number or beyond [`MOST_STOPS`].
+pub fn stops(text: &str) -> Result<f64, String> {
+    let ev: f64 = text.parse().map_err(|_| format!("`{text}` is no number"))?;
+    if ev.abs() <= MOST_STOPS {
+        return Ok(ev);
+    }
+    Err(format!("stops are within -{MOST_STOPS} and {MOST_STOPS}"))
 }
 
 /// The cameras of a run's views.

@@ -91,7 +91,7 @@ impl Worker {
 
     fn render(&mut self, request: &RenderRequest) -> Result<(), String> {
         let image = match request.shown {
-            Shown::Colour => self.colour(request)?,
+            Shown::Colour => self.colour(request)?.exposed(request.ev),
             Shown::Depth => self.depth(request)?,
         };
         let format = match request.format {

@@ -51,6 +51,10 @@ pub struct Args {
     /// Width and height in px, up to 1920; default: the views' own.
     #[arg(long, value_parser = crate::synth::size, conflicts_with = "plan")]
     size: Option<(usize, usize)>,
+    /// Brighter by so many stops, in light; darker where negative.
+    #[arg(long, default_value_t = 0.0, allow_negative_numbers = true,
+        value_parser = crate::render::stops)]
+    ev: f64,
     /// A round's scene instead of the delivered one.
     #[arg(long, conflicts_with = "plan")]
     round: Option<u32>,
@@ -123,7 +127,7 @@ fn make(args: &Args, cancel: &CancelToken) -> Result<(), Failure> {
         cancel.check()?;
         progress.show(number);
         let picture = renderer.render_scene(&scene, camera);
-        Ok::<_, Failure>(picture.map_err(PipelineError::from)?)
+        Ok::<_, Failure>(picture.map_err(PipelineError::from)?.exposed(args.ev))
     })?;
     progress.show(cameras.len());
     Ok(())

@@ -78,6 +78,9 @@ pub struct RenderRequest {
     /// What it shows.
     #[serde(default)]
     pub shown: Shown,
+    /// Brighter by so many stops, in light; no depth is.
+    #[serde(default)]
+    pub ev: f64,
     /// Format of the picture.
     pub format: Format,
     /// Where to write it.

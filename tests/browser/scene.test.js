@@ -136,6 +136,24 @@ for (const [key, words] of [["Home", "Round 1"], ["End", "Round 2"]]) {
     }));
 }
 
+test("a stop brighter or two darker it is the server's picture, too", (context) =>
+  opened("scene-exposure", async (page) => {
+    await round(page, "Home", "Round 1");
+    const slider = page.getByRole("slider", { name: "exposure" });
+    const before = await shown(page);
+    for (const [ev, words] of [["1", "+1.00 EV"], ["-2", "−2.00 EV"]]) {
+      await slider.fill(ev);
+      await page.locator(".exposure", { hasText: words }).waitFor();
+      await settled(page);
+      const [ours, theirs] = [await shown(page), await rendered(page)];
+      const alike = await psnr(page, ours, theirs);
+      context.diagnostic(`${words}: ${alike.toFixed(1)} dB`);
+      assert.ok(alike > ALIKE, `${words}: ${alike} dB`);
+      const foreign = await psnr(page, ours, before);
+      assert.ok(foreign < FOREIGN, `${words} is as without: ${foreign} dB`);
+    }
+  }));
+
 test("where nobody stood it is the server's picture, too, on a fine screen", (context) =>
   opened("scene-free", async (page) => {
     await round(page, "Home", "Round 1");

@@ -35,6 +35,19 @@ impl Image<Srgb> {
     }
 }
 
+impl Image<Srgb> {
+    /// The picture exposed by so many stops more: a gain of `2^ev` in linear light. Nothing is
+    /// clipped; at 0 it is the same, bit for bit.
+    #[must_use]
+    pub fn exposed(self, ev: f64) -> Self {
+        if ev == 0.0 {
+            return self;
+        }
+        let gain = ev.exp2() as f32;
+        self.map(|value| linear_to_srgb(gain * srgb_to_linear(value)))
+    }
+}
+
 impl Image<Linear> {
     /// The same picture, sRGB-encoded.
     pub fn to_srgb(&self) -> Image<Srgb> {
@@ -49,6 +62,17 @@ impl Image<Linear> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_stop_doubles_the_light_and_none_changes_nothing() {
+        let image = Image::<Srgb>::from_planar(1, 1, vec![0.02, 0.4, 0.9]);
+        assert_eq!(image.clone().exposed(0.0), image);
+        let light = |image: &Image<Srgb>| image.to_linear().data().to_vec();
+        let brighter = light(&image.clone().exposed(1.0));
+        for (before, after) in light(&image).iter().zip(brighter) {
+            assert!((after / before - 2.0).abs() < 1e-4, "{before} {after}");
+        }
+    }
 
     #[test]
     fn the_transfer_function_has_the_published_values_and_an_inverse() {

@@ -55,6 +55,9 @@ pub enum Task {
         camera: Box<NamedCamera>,
         /// What it shows.
         shown: Shown,
+        /// Brighter by so many stops.
+        #[serde(default)]
+        ev: f64,
         /// The file format.
         format: Format,
     },

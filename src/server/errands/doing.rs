@@ -135,6 +135,7 @@ async fn view(work: &Workshop, errand: &Errand, folder: &Path, making: &Path) ->
         scene,
         camera,
         shown,
+        ev,
         format,
     } = &errand.task
     else {
@@ -149,6 +150,7 @@ async fn view(work: &Workshop, errand: &Errand, folder: &Path, making: &Path) ->
         scene: folder.join(scene),
         camera: (**camera).clone(),
         shown: *shown,
+        ev: *ev,
         format: *format,
         out: out.clone(),
     };

@@ -41,6 +41,7 @@ async fn by_worker(app: &App, job: &str, request: &RenderRequest) -> Result<bool
         scene: scene.clone(),
         camera: Box::new(request.camera.clone()),
         shown: request.shown,
+        ev: request.ev,
         format: request.format,
     };
     match ask(app, job, &[scene], &task, |_, _| ()).await? {

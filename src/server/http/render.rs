@@ -34,6 +34,8 @@ const RENDERED_BY: &str = "fled-rendered-by";
 const RENDER_RETRY: u32 = 5;
 /// Largest number of a camera: px, or units of the world.
 const LARGEST_NUMBER: f64 = 1e6;
+/// Most stops that a view is brightened or darkened by.
+const MOST_STOPS: f64 = 16.0;
 /// Shortest focal length, in sides of the picture: almost 180 degrees wide.
 const SHORTEST_FOCAL: f64 = 1e-3;
 
@@ -61,6 +63,8 @@ pub struct RenderQuery {
     /// `colour` (default) or `depth`: grey, what is near white, what is far dark, black where
     /// nothing is.
     show: Option<Shown>,
+    /// Brighter by so many stops, in light; from -16 to 16, default 0.
+    ev: Option<f64>,
 }
 
 /// A camera of the client's own.
@@ -80,6 +84,8 @@ pub struct RenderBody {
     /// `colour` (default) or `depth`: grey, what is near white, what is far dark, black where
     /// nothing is.
     show: Option<Shown>,
+    /// Brighter by so many stops, in light; from -16 to 16, default 0.
+    ev: Option<f64>,
 }
 
 /// A row of a matrix.
@@ -125,6 +131,7 @@ pub async fn get(
         camera,
         format: query.format.unwrap_or(Format::Jpeg),
         shown: query.show.unwrap_or_default(),
+        ev: check_stops(query.ev)?,
     };
     picture(&app, &id, wanted, client, &headers).await
 }
@@ -168,6 +175,7 @@ pub async fn post(
         camera,
         format: body.format.unwrap_or(Format::Jpeg),
         shown: body.show.unwrap_or_default(),
+        ev: check_stops(body.ev)?,
     };
     picture(&app, &id, wanted, client, &headers).await
 }
@@ -259,6 +267,18 @@ fn check_size((width, height): (usize, usize)) -> Result<(), Problem> {
     ))
 }
 
+/// The stops that are asked for.
+fn check_stops(ev: Option<f64>) -> Result<f64, Problem> {
+    let ev = ev.unwrap_or(0.0);
+    if ev.abs() <= MOST_STOPS {
+        return Ok(ev);
+    }
+    Err(Problem::unprocessable(
+        "bad_input",
+        format!("{ev} stops are not within -{MOST_STOPS} and {MOST_STOPS}."),
+    ))
+}
+
 /// Whether numbers make a camera: finite, positive focal lengths, a rotation.
 fn check_camera(camera: &NamedCamera) -> Result<(), Problem> {
     let k = &camera.intrinsics;
@@ -293,6 +313,7 @@ struct Wanted {
     camera: NamedCamera,
     format: Format,
     shown: Shown,
+    ev: f64,
 }
 
 async fn picture(
@@ -327,6 +348,7 @@ async fn picture(
         scene,
         camera: wanted.camera,
         shown: wanted.shown,
+        ev: wanted.ev,
         format,
         out: out.clone(),
     };
@@ -368,10 +390,10 @@ fn key(scene: &FilePath, wanted: &Wanted) -> std::io::Result<String> {
     let mut hasher = blake3::Hasher::new();
     hasher.update(scene.as_os_str().as_encoded_bytes());
     hasher.update(format!("{:?}{}", metadata.modified()?, metadata.len()).as_bytes());
-    let (camera, format, shown) = (&wanted.camera, wanted.format, wanted.shown);
+    let (camera, format, shown, ev) = (&wanted.camera, wanted.format, wanted.shown, wanted.ev);
     hasher.update(
         format!(
-            "{:?}{:?}{format:?}{shown:?}",
+            "{:?}{:?}{format:?}{shown:?}{ev:?}",
             camera.intrinsics, camera.world_to_camera
         )
         .as_bytes(),
