@@ -27,7 +27,7 @@ both("before a scene is trained one sees the cameras and the sparse points", asy
       assert.ok((await drawn(lines)) > 0.002, "the cameras");
       assert.equal(await root.getByLabel("Cameras", { exact: true }).isChecked(), true);
       assert.equal(await root.getByRole("button", { name: /as PNG/ }).isVisible(), false);
-      assert.equal(await root.getByRole("slider").isVisible(), false);
+      assert.equal(await root.getByRole("slider", { name: "round" }).isVisible(), false);
       await picture(page, `page-points-${width}`);
       await root.getByRole("button", { name: "Next photograph" }).click();
       await root.locator(".frame[aria-busy=false]").waitFor();
