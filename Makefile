@@ -33,10 +33,17 @@ venv: ## the Python packages of the tools and their tests, pinned, into .venv/
 build: ## the program: target/release/fled
 	$(CARGO) build --release --locked -p fled
 
-test: test-openapi test-types setup onnxruntime matcher test-python ## every test but test-training and test-peers
-	@tools/setup.sh postgresql faketime
+test: test-openapi test-types setup onnxruntime matcher test-python ## every test but test-nightly, test-browser, test-training and test-peers
+	@tools/setup.sh postgresql
 	$(CARGO) test --release --locked --workspace
-	@$(MAKE) --no-print-directory test-widths test-api
+	@$(MAKE) --no-print-directory test-api FLED=$${CARGO_TARGET_DIR:-target}/release/fled
+
+# What waits long or needs a machine for itself: random kills, outages, throughput, a film of the page.
+test-nightly: setup onnxruntime matcher build test-widths ## the tests that CI leaves out
+	@tools/setup.sh postgresql faketime $(if $(CHROMIUM),,chromium)
+	$(CARGO) test --release --locked -p fled-server --tests -- --ignored
+	cd tests/browser && npm ci --loglevel=error && \
+	    FLED=$(abspath $(or $(CARGO_TARGET_DIR),target)/release/fled) node --test walk.nightly.js
 
 test-python: venv ## the tools, and what of the recipe needs no PyTorch: some of it shares its numbers with Rust's tests
 	$(VENV) -m unittest discover --start-directory tools
@@ -50,8 +57,8 @@ test-types: ## the dashboard's scripts, held to the types that openapi.yaml prom
 	cd tests/browser && npm ci --loglevel=error && npm run --silent types
 
 test-api: test-openapi ## a server with played jobs, held to openapi.yaml by requests that schemathesis makes up
-	$(CARGO) build --release --locked -p fled-server --bin fled-fake
-	.venv-api/bin/python tools/check_api.py $${CARGO_TARGET_DIR:-target}/release/fled-fake
+	$(if $(FLED),,$(CARGO) build --release --locked -p fled-server --bin fled-fake)
+	.venv-api/bin/python tools/check_api.py $(dir $(or $(FLED),$(or $(CARGO_TARGET_DIR),target)/release/fled))fled-fake
 
 # Mesa's software driver takes its subgroups to be as wide as this, whatever the processor has.
 test-widths: ## the kernels with subgroups of 4 and 16 instead of 8 invocations
@@ -63,7 +70,7 @@ test-browser: setup onnxruntime matcher $(if $(FLED),,build) ## the dashboard in
 	@tools/setup.sh postgresql $(if $(CHROMIUM),,chromium)
 	$(if $(FLED),,$(CARGO) build --release --locked -p fled-server --bin fled-fake)
 	cd tests/browser && npm ci --loglevel=error && \
-	    FLED=$(abspath $(or $(FLED),$(or $(CARGO_TARGET_DIR),target)/release/fled)) node --test *.test.js
+	    FLED=$(abspath $(or $(FLED),$(or $(CARGO_TARGET_DIR),target)/release/fled)) node --test --test-concurrency=2 *.test.js
 
 # TORCH=PYTHON has the packages already and saves their installation.
 test-training: matcher ## what of the recipe needs PyTorch (6 GB into training/venv/), its README's photographs and a C compiler

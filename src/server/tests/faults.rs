@@ -18,6 +18,7 @@ use support::farm::{Farm, Machine, PATIENCE, SLOW, expected, in_the_middle, orde
 use support::{gone, photographs};
 
 #[test]
+#[ignore = "make test-nightly"]
 fn a_worker_that_dies_at_any_point_of_an_attempt_loses_nothing_and_does_nothing_twice() {
     let farm = Farm::new();
     let calm = expected();
@@ -57,6 +58,7 @@ fn a_worker_that_dies_at_any_point_of_an_attempt_loses_nothing_and_does_nothing_
 }
 
 #[test]
+#[ignore = "make test-nightly"]
 fn workers_whose_clocks_are_an_hour_ahead_and_behind_work_and_take_over_as_others_do() {
     let farm = Farm::new();
     let calm = expected();
@@ -207,6 +209,7 @@ fn ip(words: &str) -> bool {
 }
 
 #[test]
+#[ignore = "make test-nightly"]
 fn a_worker_whose_network_is_cut_ends_its_job_by_itself_and_works_again_afterwards() {
     let Some(wire) = Wire::new() else {
         eprintln!("left out: this user may make no network of its own (ip netns)");
@@ -250,6 +253,7 @@ fn a_worker_whose_network_is_cut_ends_its_job_by_itself_and_works_again_afterwar
 }
 
 #[test]
+#[ignore = "make test-nightly"]
 fn a_bucket_that_fails_is_slow_or_cuts_blobs_in_their_middle_loses_nothing() {
     let farm = Farm::with_bucket();
     let bucket = farm.bucket.as_ref().expect("a bucket");

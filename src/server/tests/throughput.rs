@@ -179,6 +179,7 @@ fn tell(store: &str, claims: f64, [few, many]: [(f64, f64); 2], share: f64) {
 }
 
 #[test]
+#[ignore = "make test-nightly"]
 fn sqlite_serves_a_hundred_thousand_jobs_and_two_hundred_streams() {
     let mut server = Server::start_with(&[("FLED_FAKE_RATE", "0")]);
     let job = server.job("ok");
@@ -197,6 +198,7 @@ fn sqlite_serves_a_hundred_thousand_jobs_and_two_hundred_streams() {
 }
 
 #[test]
+#[ignore = "make test-nightly"]
 fn postgresql_serves_a_hundred_thousand_jobs_and_two_hundred_streams() {
     let farm = Farm::new();
     let free = [("FLED_FAKE_WORKERS", "0"), ("FLED_FAKE_RATE", "0")];
