@@ -295,6 +295,8 @@ both("dropped files can be taken out again, one by one by keyboard", async (widt
 
 both("a drop beside the box is a drop, and on another page leaves it where it is", async (width) => {
   await stand.visit("beside", "", async (page) => {
+    // The header stands before the page listens.
+    await page.getByLabel("Name").waitFor();
     await drop(page, "header", [["a.jpg", "a"]]);
     await page.getByText("1 file chosen").waitFor();
   }, width);
