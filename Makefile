@@ -12,7 +12,7 @@ export NODEVICE_SELECT := 1
 endif
 
 .DEFAULT_GOAL := help
-.PHONY: help setup onnxruntime matcher venv build test test-python test-widths test-browser test-training
+.PHONY: help setup onnxruntime matcher venv build test test-python test-widths test-nightly test-browser test-training
 .PHONY: test-openapi test-types test-api test-peers tidy check lint demo bench gpu-pack gpu-check
 
 help: ## this list
