@@ -195,7 +195,7 @@ function workerRow() {
     root,
     /** @param {Worker} worker */
     update(worker, known) {
-      root.classList.toggle("idle", worker.running.length + worker.making.length === 0);
+      root.classList.toggle("idle", worker.running.length === 0);
       const drawn = [named, stands, runs, machine, heard];
       drawn.forEach((draw, i) => put(i, draw(worker, known)));
     },
@@ -219,8 +219,8 @@ function stands({ state, seen_at: seen, running }) {
 }
 
 /** @param {Worker} worker */
-function runs({ running, making, jobs: most, state }, { jobs }) {
-  const all = [...running.map((one) => run(one, jobs.get(one.job_id))), ...making.map(made)];
+function runs({ running, jobs: most, state }, { jobs }) {
+  const all = running.map((one) => run(one, jobs.get(one.job_id)));
   if (all.length === 0) return ["nothing"];
   const list = h("ul", { class: "bare" }, all.map((one) => h("li", {}, one)));
   return state === "works" && most > 1 ? [list, small(`${running.length} of ${most} at once`)] : [list];
@@ -239,9 +239,6 @@ function run({ job_id: id, steps_per_second: speed }, job) {
   setBar(bar, job);
   return [link, bar, small(words.join(" · "))];
 }
-
-/** What somebody waits for besides jobs. */
-const made = (kind) => [`makes a ${kind}`];
 
 const GIB = 2 ** 30;
 

@@ -45,17 +45,13 @@ impl From<BlobError> for Failed {
 impl Blobs {
     /// Fetches a blob into the file `to`, and creates the folders above it. What stood there
     /// before stands there until all of the blob is on the disk and was compared with its digest.
+    /// The stamp is of the file that was written.
     ///
     /// # Errors
     /// [`BlobError::Missing`] when there is no such blob, [`BlobError::Damaged`] when it has other
     /// bytes than its name says, [`BlobError::BrokenOff`] when it does not come through,
     /// [`BlobError::Store`], [`BlobError::Digest`], or [`BlobError::Io`] when it cannot be written.
-    pub async fn fetch(&self, blob: &Blob, to: &Path) -> Result<()> {
-        self.fetch_stamped(blob, to).await.map(|_| ())
-    }
-
-    /// As [`Blobs::fetch`]; the stamp is of the file that was written.
-    pub(crate) async fn fetch_stamped(&self, blob: &Blob, to: &Path) -> Result<Stamp> {
+    pub(crate) async fn fetch(&self, blob: &Blob, to: &Path) -> Result<Stamp> {
         expect_digest(&blob.digest)?;
         let (mut broken, mut damaged) = (0, 0);
         loop {

@@ -1,7 +1,6 @@
-//! Files as blobs: named by what is in them, kept in a directory that all machines share, in an S3
-//! bucket, or by a service that is asked by HTTP. What a blob is for, a database says that this
-//! crate knows nothing of; the files of a machine are a cache of both, and [`push`] and [`pull`]
-//! keep the two alike.
+//! Files as blobs: named by what is in them, kept in a directory that all machines share or in an
+//! S3 bucket. What a blob is for, a database says that this crate knows nothing of; the files of a
+//! machine are a cache of both, and [`push`] and [`pull`] keep the two alike.
 
 mod blob;
 mod error;
@@ -11,8 +10,6 @@ mod mark;
 mod pull;
 mod push;
 mod put;
-mod read;
-mod remote;
 mod seen;
 mod store;
 #[cfg(test)]
@@ -23,7 +20,5 @@ pub use error::{BlobError, Result};
 pub use folder::Kept;
 pub use pull::{Pulled, pull};
 pub use push::{Pushed, push};
-pub use read::{Found, Pieces};
-pub use remote::AGE;
 pub use seen::Seen;
-pub use store::{Blobs, choose_tls};
+pub use store::Blobs;

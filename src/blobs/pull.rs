@@ -45,7 +45,7 @@ struct Present {
 ///
 /// # Errors
 /// [`BlobError::Damaged`] when a path could lead out of the folder, or stands there twice, before
-/// anything is done; whatever [`Blobs::fetch`] says, with the files fetched until then in place.
+/// anything is done; whatever a fetch says that failed, with the files fetched until then in place.
 pub async fn pull(
     blobs: &Blobs,
     kept: &[Kept],
@@ -147,7 +147,7 @@ async fn bring(blobs: Blobs, absent: Absent) -> Result<Present> {
     }
     let (root, target) = (folder, file.clone());
     blocking(move || expect_no_links(&root, &target)).await?;
-    let stamp = blobs.fetch_stamped(&kept.blob, &file).await?;
+    let stamp = blobs.fetch(&kept.blob, &file).await?;
     Ok(Present {
         kept,
         stamp,

@@ -22,10 +22,6 @@ const PART: u64 = 8 << 20;
 /// Parts that an upload may have; S3 takes 10 000.
 const PARTS: u64 = 9_000;
 
-/// Half of the wait before what broke off is sent again; before each other time it is twice as
-/// long as before the last.
-const WAIT: Duration = Duration::from_secs(1);
-
 /// How old a blob may be that is not sent again. The collector deletes what nobody named for 24
 /// hours, and whoever keeps a blob names it only afterwards: half a day is left for that.
 const FRESH: Duration = Duration::from_secs(12 * 60 * 60);
@@ -53,19 +49,9 @@ impl Blobs {
         if self.has_fresh(&blob).await? {
             return Ok(blob);
         }
-        let mut sendings = 0;
-        loop {
-            let source = File::open(path).map_err(BlobError::io(path))?;
-            let sent = self.send_parts(Reading::of(source, path), &blob).await;
-            sendings += 1;
-            match sent {
-                Err(error @ BlobError::Store { .. }) if sendings < self.sendings() => {
-                    tracing::info!(%error, digest = blob.digest, "a blob is sent again");
-                    tokio::time::sleep(WAIT * (1 << sendings)).await;
-                }
-                sent => return sent.map(|()| blob),
-            }
-        }
+        let source = File::open(path).map_err(BlobError::io(path))?;
+        self.send_parts(Reading::of(source, path), &blob).await?;
+        Ok(blob)
     }
 
     /// Keeps `bytes`, as [`Blobs::put`] does.

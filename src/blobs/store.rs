@@ -24,7 +24,6 @@ use uuid::Uuid;
 use crate::blob::{Blob, blocking, expect_digest, is_digest};
 use crate::error::{BlobError, Result};
 use crate::folder::AT_ONCE;
-use crate::remote::Service;
 
 /// How long a request may make no progress.
 const SILENCE: Duration = Duration::from_secs(30);
@@ -51,9 +50,6 @@ struct Shared {
     location: String,
     /// Where it is a directory.
     directory: Option<PathBuf>,
-    /// How often a large blob is sent that does not arrive. A bucket is sent parts, each of them
-    /// again and again; a directory does not break off.
-    sendings: u32,
     uploading: Arc<Semaphore>,
     /// The name of this process's probe, so that what breaks off leaves one and not thousands.
     probe: Mutex<Uuid>,
@@ -137,38 +133,13 @@ impl Blobs {
         Ok(Self::of(Arc::new(store), prefix, location, None))
     }
 
-    /// Blobs of a service that is asked for them at `address`, `http://..` or `https://..`, which
-    /// stands before `/<digest>`. Both clients say who asks; `patient` minds no silence. A service
-    /// that is away is asked again for a minute.
-    pub fn of_service(brisk: reqwest::Client, patient: reqwest::Client, address: &str) -> Self {
-        let service = Service {
-            brisk,
-            patient,
-            address: address.to_owned(),
-            patience: PATIENCE,
-        };
-        let location = service.to_string();
-        Self::with_sendings(5, Arc::new(service), Key::default(), location, None)
-    }
-
     fn of(
         store: Arc<dyn ObjectStore>,
         prefix: Key,
         location: String,
         directory: Option<PathBuf>,
     ) -> Self {
-        Self::with_sendings(1, store, prefix, location, directory)
-    }
-
-    fn with_sendings(
-        sendings: u32,
-        store: Arc<dyn ObjectStore>,
-        prefix: Key,
-        location: String,
-        directory: Option<PathBuf>,
-    ) -> Self {
         let shared = Shared {
-            sendings,
             store,
             prefix,
             location,
@@ -306,10 +277,6 @@ impl Blobs {
         self.shared.store.as_ref()
     }
 
-    pub(crate) fn sendings(&self) -> u32 {
-        self.shared.sendings
-    }
-
     pub(crate) fn uploading(&self) -> Arc<Semaphore> {
         self.shared.uploading.clone()
     }
@@ -350,7 +317,7 @@ impl Blobs {
 }
 
 /// Whoever uses TLS must have chosen who computes it; fled's other clients choose the same.
-pub fn choose_tls() {
+fn choose_tls() {
     let _already_chosen = rustls::crypto::ring::default_provider().install_default();
 }
 

@@ -255,7 +255,7 @@ impl Remote {
 ///
 /// # Errors
 /// [`Failure`] when the file cannot be read.
-pub fn token(file: Option<&Path>) -> Result<Option<String>, Failure> {
+fn token(file: Option<&Path>) -> Result<Option<String>, Failure> {
     let token = match file {
         Some(path) => Some(std::fs::read_to_string(path).map_err(io(path))?),
         None => std::env::var(TOKEN).ok(),

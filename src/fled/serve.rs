@@ -76,7 +76,7 @@ pub fn main(args: &Args) -> Result<(), Failure> {
     config.retention.jobs = args.keep_jobs;
     args.shared.tell(&mut config);
     if args.shared.database.is_some() && args.workers > 0 {
-        config.about = Some(about("auto", args.workers, &args.ffmpeg.program));
+        config.about = Some(about("auto", args.workers));
     }
     commands(&mut config, &args.ffmpeg, &args.models);
     let runtime =

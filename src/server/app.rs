@@ -7,38 +7,35 @@ use tokio_util::sync::CancellationToken;
 
 use crate::assessor::Assessors;
 use crate::config::{Limits, ServeConfig};
-use crate::coordinator::Coordinator;
 use crate::data::DataDir;
-use crate::errands::bells::Bells;
-use crate::errands::unwilling::Unwilling;
 use crate::holders::Holders;
 use crate::incoming::Uploads;
 use crate::mirror::Mirror;
+use crate::point::Point;
 use crate::rate::Rates;
-use crate::render::{self, Renderers};
+use crate::render::Renderers;
 use crate::running::Running;
 use crate::store::Store;
 use crate::tails::Tails;
 use crate::telemetry::Telemetry;
 use crate::traces::Traces;
 use crate::videos::turns::Turns;
-use crate::workshop::{Lookers, Workshop};
 
 /// The state of a server.
 #[derive(Debug)]
 pub struct App {
     /// The set-up.
-    pub config: Arc<ServeConfig>,
+    pub config: ServeConfig,
     /// Times and sizes.
     pub limits: Limits,
     /// The files.
-    pub data: Arc<DataDir>,
+    pub data: DataDir,
     /// The database.
     pub store: Store,
     /// Copies of what many machines share.
-    pub mirror: Arc<Mirror>,
+    pub mirror: Mirror,
     /// What this installation is called among those that share a database.
-    pub worker: Arc<str>,
+    pub worker: String,
     /// The uploads that are under way.
     pub uploads: Uploads,
     /// Who writes or reads which upload in pieces.
@@ -46,13 +43,7 @@ pub struct App {
     /// The processes that look at uploads.
     pub assessors: Assessors,
     /// The render process.
-    pub renderers: Arc<Renderers>,
-    /// Rung when somebody asks for something, or answers.
-    pub bells: Arc<Bells>,
-    /// Workers that did not do what they were asked.
-    pub unwilling: Unwilling,
-    /// Turns at asking workers for views.
-    pub asking: render::turns::Turns,
+    pub renderers: Renderers,
     /// What each client may ask for.
     pub rates: Rates,
     /// Held while a capture is kept whose owner has a quota.
@@ -72,20 +63,15 @@ pub struct App {
     /// Whom it tells what it does, and when.
     pub traces: Traces,
     /// The jobs that run.
-    pub running: Arc<Running>,
+    pub running: Running,
     /// The last judgement of the machine.
     pub readiness: tokio::sync::Mutex<Option<crate::readiness::Remembered>>,
     /// Rung when a job may be waiting.
-    pub wake: Arc<Notify>,
+    pub wake: Notify,
     /// Raised when the server stops.
     pub shutdown: CancellationToken,
-    lookers: Lookers,
+    versions: watch::Sender<u64>,
 }
-
-/// Views that are asked of workers at a time; with those who wait for it.
-const ASKED_AT_ONCE: usize = 8;
-/// More are refused.
-const MOST_ASKED: usize = 64;
 
 impl App {
     /// Puts a server's parts together.
@@ -99,23 +85,20 @@ impl App {
     ) -> Self {
         let limits = config.limits;
         Self {
-            renderers: Renderers::of(&config).into(),
-            bells: Arc::default(),
-            unwilling: Unwilling::default(),
-            asking: render::turns::Turns::new(MOST_ASKED, ASKED_AT_ONCE),
+            renderers: Renderers::new(config.render_command.clone(), limits.render, limits.grace),
             uploads: Uploads::default(),
             holders: Holders::default(),
             assessors: Assessors::new(config.assess_command.clone(), limits),
-            config: Arc::new(config),
+            config,
             limits,
-            data: Arc::new(data),
+            data,
             store,
-            mirror: Arc::new(mirror),
-            worker: worker.into(),
+            mirror,
+            worker,
             readiness: tokio::sync::Mutex::default(),
-            wake: Arc::default(),
+            wake: Notify::new(),
             shutdown: CancellationToken::new(),
-            lookers: Lookers::default(),
+            versions: watch::Sender::new(0),
             rates: Rates::new(limits.rate, limits.burst),
             keeping: tokio::sync::Mutex::default(),
             filming: tokio::sync::Mutex::default(),
@@ -125,26 +108,7 @@ impl App {
             telemetry: Telemetry::default(),
             tails: Tails::default(),
             traces,
-            running: Arc::default(),
-        }
-    }
-
-    /// What its workers need of it.
-    pub fn workshop(&self) -> Workshop {
-        Workshop {
-            config: self.config.clone(),
-            limits: self.limits,
-            data: self.data.clone(),
-            coordinator: Coordinator::Own(self.store.clone(), Box::new(self.limits)),
-            mirror: self.mirror.clone(),
-            renderers: self.renderers.clone(),
-            bells: self.bells.clone(),
-            worker: self.worker.clone(),
-            running: self.running.clone(),
-            wake: self.wake.clone(),
-            shutdown: self.shutdown.clone(),
-            lookers: self.lookers.clone(),
-            traces: self.traces.clone(),
+            running: Running::default(),
         }
     }
 
@@ -167,13 +131,20 @@ impl App {
         free.saturating_sub(self.limits.min_free_bytes)
     }
 
+    /// Says what a worker has just done.
+    pub fn pass(&self, point: Point) {
+        if let Some(watcher) = self.config.watcher {
+            watcher(point);
+        }
+    }
+
     /// Tells every open event stream to look into the database.
     pub fn changed(&self) {
-        self.lookers.call();
+        self.versions.send_modify(|version| *version += 1);
     }
 
     /// Sees every [`App::changed`] from now on.
     pub fn watch(&self) -> watch::Receiver<u64> {
-        self.lookers.join()
+        self.versions.subscribe()
     }
 }

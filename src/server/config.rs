@@ -12,16 +12,6 @@ use fled_core::pipeline::error::ErrorKind;
 use crate::outside::Origin;
 use crate::point::Watcher;
 use crate::store::About;
-use crate::token::Secret;
-
-/// A service that a worker works for without its database.
-#[derive(Clone, Debug)]
-pub struct Service {
-    /// Its address, `https://..` or `http://..`.
-    pub url: String,
-    /// A token of the scope `worker`, where it asks for one.
-    pub token: Option<Secret>,
-}
 
 /// What `fled serve` is told.
 #[derive(Clone, Debug)]
@@ -33,9 +23,6 @@ pub struct ServeConfig {
     /// The store of files that they share, a directory or `s3://BUCKET/PREFIX`; `data` is then only
     /// this machine's copy.
     pub files: Option<String>,
-    /// The service to work for, where this is a worker that may not see its database; it has the
-    /// files, too.
-    pub service: Option<Service>,
     /// What this machine says of itself to the others, and by what it is given jobs; where absent
     /// it takes any.
     pub about: Option<About>,
@@ -119,7 +106,6 @@ impl ServeConfig {
             data,
             database: None,
             files: None,
-            service: None,
             about: None,
             listen,
             open: false,
@@ -164,9 +150,6 @@ pub struct Limits {
     pub publish: Duration,
     /// How often somebody looks by themselves into a database that others change, too.
     pub look: Duration,
-    /// A worker that does something for a replica and was not heard of for so long is not waited
-    /// for; nor is one that has not begun in a third of it.
-    pub errand: Duration,
     /// Least time between two stored progress reports of a job.
     pub progress_interval: Duration,
     /// Wait before the first retry; each further one is four times as long.
@@ -232,6 +215,11 @@ pub struct Limits {
 }
 
 impl Limits {
+    /// How long a lease holds, as databases count.
+    pub fn lease_ms(&self) -> i64 {
+        i64::try_from(self.lease.as_millis()).unwrap_or(i64::MAX)
+    }
+
     /// Milliseconds until the next attempt after so many failures in a row without progress.
     pub fn retry_wait_ms(&self, kind: ErrorKind, failures: u32) -> i64 {
         let base = match kind {
@@ -251,7 +239,6 @@ impl Default for Limits {
             unheard: Duration::from_secs(25),
             publish: Duration::from_secs(20),
             look: Duration::from_secs(5),
-            errand: Duration::from_secs(10),
             silence: Duration::from_secs(20 * 60),
             wall: Duration::from_secs(48 * 3600),
             grace: Duration::from_millis(1000),

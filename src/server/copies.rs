@@ -14,13 +14,11 @@ use std::{fs, io};
 use fled_blobs::{Blobs, Kept, pull, push};
 
 use crate::app::App;
-use crate::coordinator::Assignment;
 use crate::error::{Result, ServerError};
 use crate::mirror::Copy;
 use crate::point::Point;
 use crate::removal::remove;
-use crate::store::{Lease, Saying, by_path};
-use crate::workshop::Workshop;
+use crate::store::{Claim, Lease, by_path};
 
 /// Looks at a folder that changes, until one is of one moment.
 const LOOKS: u32 = 5;
@@ -60,17 +58,18 @@ pub async fn fetch_job(app: &App, id: &str) -> Result<()> {
 /// earlier attempt here has left, and never told of, goes.
 ///
 /// # Errors
-/// When whoever gives the job, the store or the disk refuses.
-pub async fn prepare_job(work: &Workshop, job: &Assignment) -> Result<()> {
-    let Some(blobs) = work.mirror.blobs() else {
+/// When the database, the store or the disk refuses.
+pub async fn prepare_job(app: &App, claim: &Claim) -> Result<()> {
+    let Some(blobs) = app.mirror.blobs() else {
         return Ok(());
     };
-    let copy = work.mirror.folder(&job.capture);
+    let (job, capture) = (&claim.job.id, &claim.job.capture_id);
+    let copy = app.mirror.folder(capture);
     let mut copy = copy.lock().await;
-    let folder = work.data.capture(&job.capture);
+    let folder = app.data.capture(capture);
     // A capture never changes.
     if copy.version.is_none() {
-        let files = work.coordinator.capture_files(job).await?;
+        let files = app.store.capture_files(capture).await?;
         pull(blobs, &files, &folder, None, &mut copy.seen).await?;
         if !files.is_empty() {
             copy.version = Some(0);
@@ -78,10 +77,10 @@ pub async fn prepare_job(work: &Workshop, job: &Assignment) -> Result<()> {
     }
     used_now(&folder).map_err(ServerError::io(&folder))?;
     drop(copy);
-    let copy = work.mirror.folder(&job.lease.job);
+    let copy = app.mirror.folder(job);
     let mut copy = copy.lock().await;
-    if let Some(files) = work.coordinator.job_files(&job.lease).await? {
-        bring(blobs, &work.data.job(&job.lease.job), files, &mut copy).await?;
+    if let Some(files) = app.store.job_files(job).await? {
+        bring(blobs, &app.data.job(job), files, &mut copy).await?;
     }
     Ok(())
 }
@@ -98,54 +97,36 @@ async fn bring(
 }
 
 /// Notes on a folder when it was used last.
-///
-/// # Errors
-/// When that cannot be noted.
-pub fn used_now(folder: &Path) -> io::Result<()> {
+fn used_now(folder: &Path) -> io::Result<()> {
     match fs::File::open(folder) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(()),
         folder => folder?.set_modified(SystemTime::now()),
     }
 }
 
-/// What the copy of a job's scenes is called that a worker makes views of.
-pub fn scene_copy(job: &str) -> String {
-    format!("scenes/{job}")
-}
-
-/// Removes copies of jobs, captures and scenes that nothing has used for so long. Returns how
-/// many went.
+/// Removes copies of jobs and captures that nothing has used for so long. Returns how many went.
 ///
 /// # Errors
 /// When the data directory cannot be read.
-pub async fn remove_unused(work: &Workshop, age: Duration) -> Result<usize> {
+pub async fn remove_unused(app: &App, age: Duration) -> Result<usize> {
     let mut removed = 0;
-    let scenes = work.data.scenes();
-    for folder in [work.data.captures(), work.data.jobs(), scenes.clone()] {
-        if folder == scenes && !folder.exists() {
-            continue;
-        }
+    for folder in [app.data.captures(), app.data.jobs()] {
         let entries = fs::read_dir(&folder).map_err(ServerError::io(&folder))?;
         for entry in entries {
             let path = entry.map_err(ServerError::io(&folder))?.path();
             let Some(id) = path.file_name().and_then(|name| name.to_str()) else {
                 continue;
             };
-            let name = if folder == scenes {
-                scene_copy(id)
-            } else {
-                id.to_owned()
-            };
-            let copy = work.mirror.folder(&name);
+            let copy = app.mirror.folder(id);
             let mut copy = copy.lock().await;
             let is_old = |used: SystemTime| used.elapsed().is_ok_and(|unused| unused > age);
             let used = fs::metadata(&path).and_then(|about| about.modified());
-            if work.running.has(id) || !used.is_ok_and(is_old) {
+            if app.running.has(id) || !used.is_ok_and(is_old) {
                 continue;
             }
             remove(&path).await;
             *copy = Copy::default();
-            work.mirror.forget(&name);
+            app.mirror.forget(id);
             removed += 1;
         }
     }
@@ -157,17 +138,17 @@ pub async fn remove_unused(work: &Workshop, age: Duration) -> Result<usize> {
 ///
 /// # Errors
 /// [`ServerError::LeaseLost`] when another worker has the job; else when the store refuses.
-pub async fn publish(work: &Workshop, lease: &Lease, at_end: bool) -> Result<()> {
-    let Some(blobs) = work.mirror.blobs() else {
+pub async fn publish(app: &App, lease: &Lease, at_end: bool) -> Result<()> {
+    let Some(blobs) = app.mirror.blobs() else {
         return Ok(());
     };
-    let copy = work.mirror.folder(&lease.job);
+    let copy = app.mirror.folder(&lease.job);
     let mut copy = copy.lock().await;
-    let Some((_, files)) = work.coordinator.job_files(lease).await? else {
+    let Some((_, files)) = app.store.job_files(&lease.job).await? else {
         return Err(ServerError::LeaseLost(lease.job.clone()));
     };
     let known = by_path(files);
-    let folder = work.data.job(&lease.job);
+    let folder = app.data.job(&lease.job);
     let still = folder.join("still");
     for _ in 0..LOOKS {
         // Of one moment: a file that was written after another must not be named without it.
@@ -186,10 +167,11 @@ pub async fn publish(work: &Workshop, lease: &Lease, at_end: bool) -> Result<()>
         if pushed.kept.is_empty() && pushed.gone.is_empty() {
             return Ok(());
         }
-        work.pass(Point::Stored);
-        let names = Saying::Files(&pushed.kept, &pushed.gone);
-        work.coordinator.tell(lease, names).await?;
-        work.pass(Point::Named);
+        app.pass(Point::Stored);
+        app.store
+            .keep_files(lease, &pushed.kept, &pushed.gone)
+            .await?;
+        app.pass(Point::Named);
         return Ok(());
     }
     if at_end {
@@ -224,12 +206,6 @@ pub async fn publish_video(app: &App, job: &str, video: &str) -> Result<()> {
     Ok(())
 }
 
-/// What a file below a job's folder is called there.
-pub fn below(folder: &Path, path: &Path) -> String {
-    let name = path.strip_prefix(folder).unwrap_or(path);
-    name.to_string_lossy().into_owned()
-}
-
 /// Whether a file of a job's folder is for others: what renders and processes leave is not.
 pub fn is_kept(path: &str) -> bool {
     path == "log.txt" || path.starts_with("output/") || is_video(path)
@@ -237,7 +213,7 @@ pub fn is_kept(path: &str) -> bool {
 
 /// Whether a file is there because the job made it: no other may be there. Videos that are being
 /// made here have no name yet.
-pub fn is_the_jobs(path: &str) -> bool {
+fn is_the_jobs(path: &str) -> bool {
     is_kept(path) && !is_video(path)
 }
 
@@ -310,4 +286,45 @@ fn look_below(root: &Path, dir: &Path, look: &mut Look) -> io::Result<()> {
         }
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::ServeConfig;
+    use crate::data::DataDir;
+    use crate::mirror::Mirror;
+    use crate::store::Store;
+    use crate::traces::Traces;
+
+    #[tokio::test]
+    async fn only_copies_that_nothing_uses_for_long_go() {
+        let dir = tempfile::tempdir().expect("temporary directory");
+        let nowhere = ([127, 0, 0, 1], 0).into();
+        let config = ServeConfig::new(dir.path().into(), nowhere, 1).expect("a program");
+        let data = DataDir::open(dir.path()).expect("free");
+        let store = Store::open(&data.database()).await.expect("open");
+        let (mirror, traces) = (Mirror::default(), Traces::default());
+        let app = App::new(config, data, store, mirror, "w".to_owned(), traces);
+        let age = Duration::from_secs(3600);
+        let old = SystemTime::now() - 2 * age;
+        let folders = [
+            (app.data.capture("old"), true),
+            (app.data.capture("new"), false),
+            (app.data.job("old"), true),
+            (app.data.job("runs"), true),
+        ];
+        for (folder, is_old) in &folders {
+            fs::create_dir(folder).expect("made");
+            if *is_old {
+                let folder = fs::File::open(folder).expect("opened");
+                folder.set_modified(old).expect("set");
+            }
+        }
+        let job = "runs".to_owned();
+        app.running.begin(&Lease { job, epoch: 1 });
+        assert_eq!(remove_unused(&app, age).await.expect("read"), 2);
+        let left = folders.map(|(folder, _)| folder.exists());
+        assert_eq!(left, [false, true, false, true]);
+    }
 }

@@ -3,7 +3,6 @@
 //! ```text
 //! fled.db  server.lock  incoming/<upload>/  captures/<id>/  cache/<fingerprint>.json
 //! uploads/<id>  unnamed/{captures,jobs,uploads}/<id>
-//! scenes/<job>/output/..  errands/<id>/
 //! jobs/<id>/{options.json, process, log.txt, output/, renders/, videos/}
 //! ```
 //! Files are named by capture and job, not by content.
@@ -73,10 +72,6 @@ impl DataDir {
         let incoming = data.incoming();
         if incoming.exists() {
             clear(&incoming).map_err(ServerError::io(&incoming))?;
-        }
-        let errands = data.root.join("errands");
-        if errands.exists() {
-            clear(&errands).map_err(ServerError::io(&errands))?;
         }
         for dir in [incoming, data.captures(), data.jobs(), data.uploads()] {
             fs::create_dir_all(&dir).map_err(ServerError::io(&dir))?;
@@ -171,21 +166,6 @@ impl DataDir {
         let unnamed = self.root.join("unnamed");
         kept.file_name()
             .map_or(unnamed.clone(), |kind| unnamed.join(kind))
-    }
-
-    /// Scenes of which this worker makes views for others.
-    pub fn scenes(&self) -> PathBuf {
-        self.root.join("scenes")
-    }
-
-    /// The files of a job that such views need; `None` for what is no id of one.
-    pub fn scene(&self, job: &str) -> Option<PathBuf> {
-        is_id(job).then(|| self.scenes().join(job))
-    }
-
-    /// Where something is made that a replica asks for; `None` for what is no id.
-    pub fn errand(&self, id: &str) -> Option<PathBuf> {
-        is_id(id).then(|| self.root.join("errands").join(id))
     }
 
     /// What jobs of one capture share: its poses.

@@ -70,30 +70,6 @@ pub enum ServerError {
     /// An installation was not moved.
     #[error("nothing was moved: {0}")]
     NotMoved(String),
-    /// What `--api` names is no service's address.
-    #[error("--api is no usable address: {0}. Give `https://HOST` or `http://ADDRESS:PORT`")]
-    BadService(String),
-    /// The service that a worker works for does not answer, or is not well.
-    #[error("{service}: {detail}")]
-    Away {
-        /// Its address.
-        service: String,
-        /// What was met.
-        detail: String,
-    },
-    /// The service that a worker works for says no.
-    #[error("{service}: {detail}")]
-    Refused {
-        /// Its address.
-        service: String,
-        /// The name of the problem.
-        code: String,
-        /// Why, and what to do about it.
-        detail: String,
-    },
-    /// A worker that reaches a service by HTTP says what machine it is.
-    #[error("a worker needs to say what machine it is")]
-    Nameless,
     /// Another server holds the data directory.
     #[error("{0} is in use by another server; stop it or choose another --data")]
     DataInUse(PathBuf),
@@ -123,11 +99,10 @@ impl From<fled_blobs::BlobError> for ServerError {
 }
 
 impl ServerError {
-    /// Whether it is a fault of a database or a service that is away, and may be back soon.
+    /// Whether it is a fault of a database that is away, and may be back soon.
     pub fn passes(&self) -> bool {
-        let error = match self {
-            Self::Database(error) => error,
-            other => return matches!(other, Self::Away { .. }),
+        let Self::Database(error) = self else {
+            return false;
         };
         match error {
             sqlx::Error::Io(_)

@@ -8,14 +8,12 @@
 mod access;
 mod allowance;
 mod artifacts;
-mod blobs;
 mod body_limit;
 mod captures;
 mod client;
 mod connections;
 mod copies;
 mod dashboard;
-mod errands;
 mod events;
 mod exports;
 mod extract;
@@ -51,7 +49,6 @@ mod upload;
 mod uploaded;
 mod videos;
 mod webhooks;
-mod work;
 mod workers;
 
 use std::any::Any;
@@ -72,9 +69,7 @@ use tower_http::trace::TraceLayer;
 use crate::app::App;
 use body_limit::SMALL;
 use paths::{
-    EXPORT, EXPORTS, UPLOAD, UPLOADS, VIDEO, VIDEO_FILE, VIDEOS, WEBHOOK, WEBHOOKS, WORK_BLOB,
-    WORK_CAPTURE, WORK_CLAIM, WORK_ERRAND, WORK_ERRANDS, WORK_FAILURES, WORK_FILES, WORK_HEARTBEAT,
-    WORK_OUTCOME, WORK_RELEASE, WORK_SETTLE, WORK_TOLD, WORK_WORKER, WORKERS,
+    EXPORT, EXPORTS, UPLOAD, UPLOADS, VIDEO, VIDEO_FILE, VIDEOS, WEBHOOK, WEBHOOKS, WORKERS,
 };
 
 pub use connections::serve as serve_connections;
@@ -114,7 +109,6 @@ pub fn router(app: Arc<App>) -> Router {
     };
     uploads()
         .merge(small)
-        .merge(of_work(&app))
         .fallback(async || Problem::not_found("page"))
         .method_not_allowed_fallback(async || {
             Problem::new(
@@ -166,31 +160,6 @@ fn of_a_job() -> Router<Arc<App>> {
         .route(VIDEOS, get(videos::list).post(videos::create))
         .route(VIDEO, get(videos::show).delete(videos::delete))
         .route(VIDEO_FILE, get(videos::download))
-}
-
-/// What workers ask that reach the service by HTTP alone.
-fn of_work(app: &Arc<App>) -> Router<Arc<App>> {
-    Router::new()
-        .route(WORK_WORKER, put(work::present).delete(work::gone))
-        .route(WORK_RELEASE, post(work::release))
-        .route(WORK_CLAIM, post(work::claim))
-        .route(WORK_ERRAND, post(errands::next))
-        .route(WORK_ERRANDS, put(errands::extend))
-        .route(WORK_OUTCOME, post(errands::answer))
-        .route(WORK_HEARTBEAT, post(work::heartbeat))
-        .route(WORK_TOLD, post(work::told))
-        .route(WORK_FAILURES, get(work::failures))
-        .route(WORK_SETTLE, post(work::settle))
-        .route(WORK_FILES, get(work::files))
-        .route(WORK_CAPTURE, get(work::capture))
-        // Names of all files of a job, at most.
-        .layer(DefaultBodyLimit::max(16 * SMALL))
-        .merge(
-            Router::new()
-                .route(WORK_BLOB, get(blobs::get).head(blobs::head).put(blobs::put))
-                .layer(DefaultBodyLimit::disable()),
-        )
-        .route_layer(middleware::from_fn_with_state(app.clone(), work::check))
 }
 
 /// Addresses that are told of jobs.

@@ -8,13 +8,14 @@ use tokio::time::MissedTickBehavior;
 use crate::app::App;
 use crate::error::Result;
 use crate::store::News;
-use crate::workshop::Workshop;
 
 /// Between two looks of all streams, whatever is heard.
 const BELL: Duration = Duration::from_millis(50);
+/// A worker that was not heard of for so long is forgotten, milliseconds.
+const FORGOTTEN_MS: i64 = 24 * 3600 * 1000;
 
-/// Rings this process's bells when somebody else changes a job, until the server stops. What it is
-/// told is a hint: it looks by itself every few seconds, too.
+/// Wakes who waits in this process when somebody else changes a job, until the server stops. What
+/// it is told is a hint: it looks by itself every few seconds, too.
 pub async fn keep_hearing(app: Arc<App>) {
     while !app.shutdown.is_cancelled() {
         if let Err(error) = hear(&app).await {
@@ -45,7 +46,6 @@ async fn hear(app: &App) -> Result<()> {
             news = heard.next() => match news? {
                 News::Waiting => ring(app),
                 News::Changed => has_changed = true,
-                News::Bell(bell) => app.bells.ring(&bell),
             },
             _ = bell.tick(), if has_changed => {
                 has_changed = false;
@@ -63,17 +63,21 @@ fn ring(app: &App) {
     app.wake.notify_one();
 }
 
-/// Says again and again that this worker is there.
-pub async fn keep_being_seen(work: Workshop) {
-    let Some(about) = &work.config.about else {
+/// Says again and again that this worker is there, and forgets those that have not been for long.
+pub async fn keep_being_seen(app: Arc<App>) {
+    let Some(about) = &app.config.about else {
         return;
     };
-    let see = |draining| work.coordinator.see(&work.worker, about, draining);
-    let mut every = tokio::time::interval(work.limits.heartbeat.max(Duration::from_millis(1)));
+    let see = async |draining| {
+        app.store.see_worker(&app.worker, about, draining).await?;
+        let before = app.store.now().await? - FORGOTTEN_MS;
+        app.store.forget_workers(None, before).await
+    };
+    let mut every = tokio::time::interval(app.limits.heartbeat.max(Duration::from_millis(1)));
     loop {
         tokio::select! {
             _ = every.tick() => {}
-            () = work.shutdown.cancelled() => {
+            () = app.shutdown.cancelled() => {
                 // Until what runs has ended, and the worker is gone.
                 if let Err(error) = see(true).await {
                     tracing::warn!(%error, "cannot say that this worker stops");

@@ -3,7 +3,7 @@
 //! Rendering needs the GPU's driver; in a process of its own a fault of the driver costs one
 //! picture and not the service.
 
-pub mod turns;
+mod turns;
 
 use std::ffi::OsString;
 use std::net::IpAddr;
@@ -17,7 +17,6 @@ use tokio::io::AsyncWriteExt;
 use tokio::sync::{Mutex, oneshot};
 
 use self::turns::Turns;
-use crate::config::ServeConfig;
 use crate::jobs::process::{Group, Line};
 
 /// Requests at a time, with the one that is being done; more are refused.
@@ -122,19 +121,14 @@ pub struct Renderers {
 }
 
 impl Renderers {
-    /// As a server is set up. Nothing is started before the first request.
-    pub fn of(config: &ServeConfig) -> Self {
-        let limits = config.limits;
-        Self::new(config.render_command.clone(), limits.render, limits.grace)
-    }
-
-    fn new(command: Vec<OsString>, timeout: Duration, grace: Duration) -> Self {
+    /// Nothing is started before the first request.
+    pub fn new(command: Vec<OsString>, timeout: Duration, grace: Duration) -> Self {
         Self {
             command,
             timeout,
             grace,
             process: Arc::default(),
-            turns: Turns::new(QUEUE, 1),
+            turns: Turns::new(QUEUE),
         }
     }
 

@@ -12,12 +12,9 @@ use tokio::task::JoinSet;
 
 use crate::app::App;
 use crate::config::ServeConfig;
-use crate::coordinator::{Kind, milliseconds};
 use crate::data::DataDir;
-use crate::errands::keep_doing;
 use crate::error::{Result, ServerError};
 use crate::expiry::expire;
-use crate::far;
 use crate::http::{router, serve_connections};
 use crate::jobs::{after_death, kill_orphans, worker};
 use crate::mirror::Mirror;
@@ -27,7 +24,6 @@ use crate::sweep;
 use crate::traces::Traces;
 use crate::videos::maker::{keep_making, take_up};
 use crate::webhooks::keep_telling;
-use crate::workshop::Workshop;
 
 /// Open requests get so long to end once the server stops.
 const FAREWELL: Duration = Duration::from_secs(5);
@@ -40,7 +36,7 @@ const HANDING_IN: Duration = Duration::from_secs(25);
 pub struct Server {
     /// `None` of one that only works.
     address: Option<SocketAddr>,
-    workshop: Workshop,
+    app: Arc<App>,
     /// Those who work on jobs.
     turns: JoinSet<()>,
     /// All others.
@@ -72,8 +68,7 @@ impl Server {
         let mut tasks = JoinSet::new();
         tasks.spawn(keep_telling(app.clone()));
         tasks.spawn(keep_making(app.clone()));
-        let workshop = spawn_shared(&app, &mut tasks, true);
-        let turns = spawn_turns(&workshop, &mut tasks);
+        let turns = spawn_shared(&app, &mut tasks, true);
         let (limits, shutdown) = (app.limits, app.shutdown.clone());
         tasks.spawn(serve_connections(
             listener,
@@ -83,31 +78,23 @@ impl Server {
         ));
         Ok(Self {
             address: Some(address),
-            workshop,
+            app,
             turns,
             tasks,
         })
     }
 
-    /// Opens the data directory and the database, or waits for the service, and works, without an
-    /// API of its own.
+    /// Opens the data directory and the database and works, without an API of its own.
     ///
     /// # Errors
-    /// When one of them is in use or unusable, or the service refuses this worker.
+    /// When one of them is in use or unusable.
     pub async fn start_worker(config: ServeConfig) -> Result<Self> {
         let mut tasks = JoinSet::new();
-        let workshop = if let Some(service) = config.service.clone() {
-            let workshop = far::open(config, &service).await?;
-            tasks.spawn(far::keep_tidy(workshop.clone()));
-            workshop
-        } else {
-            let app = open(&config).await?.app(config).await?;
-            spawn_shared(&app, &mut tasks, false)
-        };
-        let turns = spawn_turns(&workshop, &mut tasks);
+        let app = open(&config).await?.app(config).await?;
+        let turns = spawn_shared(&app, &mut tasks, false);
         Ok(Self {
             address: None,
-            workshop,
+            app,
             turns,
             tasks,
         })
@@ -120,26 +107,26 @@ impl Server {
 
     /// Stops: running jobs are interrupted and go back to the queue, open requests may end.
     pub async fn stop(mut self) {
-        let work = &self.workshop;
-        work.shutdown.cancel();
+        let app = &self.app;
+        app.shutdown.cancel();
         let jobs = end(&mut self.turns, HANDING_IN, "jobs");
         let requests = end(&mut self.tasks, FAREWELL, "requests");
         tokio::join!(jobs, requests);
         // A picture that is being made is not waited for: its process ends with this one.
-        let grace = work.limits.grace;
-        if tokio::time::timeout(grace, work.renderers.stop())
+        let grace = app.limits.grace;
+        if tokio::time::timeout(grace, app.renderers.stop())
             .await
             .is_err()
         {
             tracing::info!("a picture was still being made");
         }
-        if work.config.about.is_some()
-            && let Err(error) = work.coordinator.forget(&work.worker).await
+        if app.config.about.is_some()
+            && let Err(error) = app.store.forget_workers(Some(&app.worker), 0).await
         {
             tracing::warn!(%error, "the others will take this worker for lost for a while");
         }
-        work.coordinator.close().await;
-        work.traces.stop().await;
+        app.store.close().await;
+        app.traces.stop().await;
     }
 }
 
@@ -179,15 +166,11 @@ async fn open(config: &ServeConfig) -> Result<Opened> {
     let worker = data.worker()?;
     let limits = config.limits;
     let settle = |deaths| after_death(&limits, deaths);
-    let left = if store.engine() == Engine::Sqlite && blobs.is_none() {
-        // Nobody else works for it.
-        store.release_all(settle).await?
-    } else {
-        store.release_of(&worker, settle).await?
+    let left = match store.engine() {
+        // Nobody else uses it.
+        Engine::Sqlite => store.release_all(settle).await?,
+        Engine::Postgres => store.release_of(&worker, settle).await?,
     };
-    if store.engine() == Engine::Sqlite {
-        store.renew_leases(milliseconds(limits.lease)).await?;
-    }
     if !left.is_empty() {
         let orphans = kill_orphans(&left);
         tracing::info!(
@@ -228,33 +211,19 @@ async fn end(tasks: &mut JoinSet<()>, patience: Duration, what: &str) {
     tasks.shutdown().await;
 }
 
-/// Begins what every process does that has the database.
-fn spawn_shared(app: &Arc<App>, tasks: &mut JoinSet<()>, serves: bool) -> Workshop {
+/// Begins what every process does: to be seen by the others, and to work on jobs, as many at once
+/// as it is told.
+fn spawn_shared(app: &Arc<App>, tasks: &mut JoinSet<()>, serves: bool) -> JoinSet<()> {
     tasks.spawn(sweep::keep_sweeping(app.clone(), serves));
     if app.store.engine() == Engine::Postgres {
         tasks.spawn(others::keep_hearing(app.clone()));
     }
-    let workshop = app.workshop();
-    if app.store.engine() == Engine::Postgres {
-        tasks.spawn(far::keep_tidy(workshop.clone()));
+    if app.config.about.is_some() {
+        tasks.spawn(others::keep_being_seen(app.clone()));
     }
-    workshop
-}
-
-/// Begins to work on jobs, as many at once as it is told, and on what replicas ask for, and to be
-/// seen doing so.
-fn spawn_turns(work: &Workshop, tasks: &mut JoinSet<()>) -> JoinSet<()> {
     let mut turns = JoinSet::new();
-    if let Some(about) = &work.config.about {
-        tasks.spawn(others::keep_being_seen(work.clone()));
-        for (does, kind) in [(about.renders, Kind::View), (about.films, Kind::Video)] {
-            if does {
-                tasks.spawn(keep_doing(work.clone(), kind));
-            }
-        }
-    }
-    for turn in 0..u32::try_from(work.config.workers).unwrap_or(u32::MAX) {
-        turns.spawn(worker::work(work.clone(), turn));
+    for turn in 0..u32::try_from(app.config.workers).unwrap_or(u32::MAX) {
+        turns.spawn(worker::work(app.clone(), turn));
     }
     turns
 }
@@ -294,7 +263,7 @@ pub async fn serve(config: ServeConfig) -> Result<()> {
 /// When the worker cannot start.
 pub async fn work(config: ServeConfig) -> Result<()> {
     let server = Server::start_worker(config).await?;
-    tracing::info!(worker = %server.workshop.worker, "working");
+    tracing::info!(worker = server.app.worker, "working");
     until_told(server).await
 }
 

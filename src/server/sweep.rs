@@ -15,8 +15,10 @@ use std::time::Duration;
 
 use crate::app::App;
 use crate::collector::{claim, collect};
+use crate::copies::remove_unused;
 use crate::error::{Result, ServerError};
 use crate::expiry::expire;
+use crate::store::Engine;
 use crate::uploads::{expire_uploads, forget_lost};
 
 pub use leftovers::{Ages, Named, Why, rules};
@@ -27,8 +29,8 @@ pub const PERIOD: Duration = Duration::from_secs(3600);
 /// What webhooks were told is known for so long, milliseconds.
 pub const DELIVERIES_KEPT_MS: i64 = 30 * 24 * 3600 * 1000;
 
-/// Nobody waits for a view or a video so long, milliseconds.
-const ERRANDS_KEPT_MS: i64 = 24 * 3600 * 1000;
+/// Copies that nothing has used for so long are removed.
+const UNUSED: Duration = Duration::from_secs(7 * 24 * 3600);
 
 /// How long things stay where nobody says otherwise.
 pub const AGES: Ages = Ages {
@@ -42,6 +44,9 @@ pub const AGES: Ages = Ages {
 /// knows nothing of what is to be kept.
 pub async fn keep_sweeping(app: Arc<App>, serves: bool) {
     loop {
+        if app.store.engine() == Engine::Postgres {
+            remove_copies(&app).await;
+        }
         tokio::select! {
             () = tokio::time::sleep(PERIOD) => {}
             () = app.shutdown.cancelled() => return,
@@ -55,15 +60,20 @@ pub async fn keep_sweeping(app: Arc<App>, serves: bool) {
         if let Err(error) = forget_deliveries(&app).await {
             tracing::warn!(%error, "cannot forget what webhooks were told");
         }
-        if let Err(error) = app.store.forget_errands(ERRANDS_KEPT_MS).await {
-            tracing::warn!(%error, "cannot forget what was asked of workers");
-        }
         if let Err(error) = expire(&app).await {
             tracing::warn!(%error, "cannot delete what is kept no longer");
         }
         if let Some(blobs) = app.mirror.blobs() {
             told(&app, collect(&app.store, blobs).await);
         }
+    }
+}
+
+async fn remove_copies(app: &App) {
+    match remove_unused(app, UNUSED).await {
+        Ok(0) => {}
+        Ok(removed) => tracing::info!(removed, "copies that were not used for a week are gone"),
+        Err(error) => tracing::warn!(%error, "cannot look for copies that are not used"),
     }
 }
 

@@ -25,20 +25,12 @@ pub enum Scope {
     JobsWrite,
     /// To have views rendered.
     Renders,
-    /// To work on everybody's jobs, and nothing else.
-    Worker,
     /// Everything, of everybody.
     Admin,
 }
 
 impl Scope {
-    const ALL: [Self; 5] = [
-        Self::JobsRead,
-        Self::JobsWrite,
-        Self::Renders,
-        Self::Worker,
-        Self::Admin,
-    ];
+    const ALL: [Self; 4] = [Self::JobsRead, Self::JobsWrite, Self::Renders, Self::Admin];
 
     /// As it is written.
     pub fn name(self) -> &'static str {
@@ -46,17 +38,22 @@ impl Scope {
             Self::JobsRead => "jobs:read",
             Self::JobsWrite => "jobs:write",
             Self::Renders => "renders",
-            Self::Worker => "worker",
             Self::Admin => "admin",
         }
     }
 }
 
-/// What a token allows. Never nothing.
+/// What a token allows.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Scopes(Vec<Scope>);
 
 impl Scopes {
+    /// Those of a stored token: a scope that this program does not have allows nothing.
+    pub fn stored(names: &str) -> Self {
+        let of_name = |name| Scope::ALL.into_iter().find(|scope| scope.name() == name);
+        Self(names.split(',').filter_map(of_name).collect())
+    }
+
     /// Whether this is allowed; `admin` is allowed everything.
     pub fn allow(&self, scope: Scope) -> bool {
         self.0.contains(&scope) || self.0.contains(&Scope::Admin)
@@ -65,6 +62,9 @@ impl Scopes {
 
 impl fmt::Display for Scopes {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if self.0.is_empty() {
+            return f.write_str("nothing");
+        }
         let names: Vec<_> = self.0.iter().map(|scope| scope.name()).collect();
         f.write_str(&names.join(","))
     }
@@ -93,7 +93,7 @@ impl FromStr for Scopes {
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
 pub enum TokenError {
     /// There is no such scope.
-    #[error("`{0}` is no scope: jobs:read, jobs:write, renders, worker, admin")]
+    #[error("`{0}` is no scope: jobs:read, jobs:write, renders, admin")]
     UnknownScope(String),
     /// Not a time from now.
     #[error("`{0}` is no time to hold: say 90d, 12h or 1y")]
@@ -117,11 +117,6 @@ impl Secret {
     /// [`TokenError::NoRandomness`].
     pub fn new() -> Result<Self, TokenError> {
         Ok(Self(format!("{PREFIX}{}", hex(&random::<BYTES>()?))))
-    }
-
-    /// One that its holder shows.
-    pub fn shown(token: &str) -> Self {
-        Self(token.to_owned())
     }
 
     /// What is kept of it.
@@ -233,6 +228,9 @@ mod tests {
         for none in ["", "jobs", "jobs:read,", "Admin"] {
             assert!(none.parse::<Scopes>().is_err(), "{none:?}");
         }
+        let stored = Scopes::stored("worker,renders");
+        assert_eq!(stored.to_string(), "renders");
+        assert_eq!(Scopes::stored("worker").to_string(), "nothing");
     }
 
     #[test]

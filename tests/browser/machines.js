@@ -19,7 +19,6 @@ function machine(at, host, further) {
     started_at: at(3 * 86400),
     seen_at: at(4),
     running: [],
-    making: [],
     ...further,
   };
 }
@@ -37,7 +36,7 @@ export function machines([one, other, third] = []) {
         running: [...runs(one, 41.27), ...runs(other, null)],
         started_at: at(7500),
       }),
-      machine(at, "gpu-2", { state: "stops", running: runs(third, 3.5), making: ["video"], version: "0.10.0" }),
+      machine(at, "gpu-2", { state: "stops", running: runs(third, 3.5), version: "0.10.0" }),
       machine(at, "old.rack-7.basement.example.org", { state: "lost", seen_at: at(1800), version: "0.8.1" }),
       machine(at, "plain", { adapter: null, has_gpu: false, cores: 1, memory: 0 }),
       machine(at, "soft", { adapter: "llvmpipe (LLVM 19.1.7, 256 bits)", has_gpu: false, memory: 8 * GIB }),

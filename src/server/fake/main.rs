@@ -18,8 +18,7 @@ use std::time::Duration;
 use fled_core::image::Image;
 use fled_server::assessor::{AssessReply, AssessRequest, assess};
 use fled_server::render::{RenderRequest, Shown};
-use fled_server::token::Secret;
-use fled_server::{Limits, Origin, Retention, ServeConfig, Service, TETHER, become_tethered};
+use fled_server::{Limits, Origin, Retention, ServeConfig, TETHER, become_tethered};
 use protocol::say;
 use rustix::process::{Resource, Rlimit, setrlimit};
 
@@ -57,7 +56,6 @@ fn serve(data: &Path, address_file: &Path) -> Result<(), Box<dyn std::error::Err
         data: data.to_owned(),
         database: std::env::var("FLED_FAKE_DB").ok(),
         files: std::env::var("FLED_FAKE_STORE").ok(),
-        service: service(),
         about: std::env::var("FLED_FAKE_ABOUT")
             .ok()
             .map(|about| serde_json::from_str(&about))
@@ -127,15 +125,6 @@ fn limit_descriptors() -> Result<(), Box<dyn std::error::Error>> {
     Ok(())
 }
 
-/// Whom a worker works for that has no database.
-fn service() -> Option<Service> {
-    let token = std::env::var("FLED_FAKE_TOKEN").ok();
-    Some(Service {
-        url: std::env::var("FLED_FAKE_API").ok()?,
-        token: token.map(|token| Secret::shown(&token)),
-    })
-}
-
 /// Short times, and what a test sets.
 fn limits() -> Result<Limits, std::num::ParseIntError> {
     Ok(Limits {
@@ -144,7 +133,6 @@ fn limits() -> Result<Limits, std::num::ParseIntError> {
         unheard: Duration::from_secs(4),
         publish: Duration::from_millis(500),
         look: Duration::from_millis(500),
-        errand: Duration::from_millis(1500),
         silence: Duration::from_secs(3),
         progress_interval: Duration::from_millis(100),
         retry_base: Duration::from_millis(50),

@@ -14,9 +14,7 @@ use axum::response::{IntoResponse, Response};
 
 use super::allowance;
 use super::client::ClientAddress;
-use super::paths::{
-    EXPORT, EXPORTS, UPLOAD, UPLOADS, VIDEO, VIDEO_FILE, VIDEOS, WEBHOOK, WORK, WORKERS,
-};
+use super::paths::{EXPORT, EXPORTS, UPLOAD, UPLOADS, VIDEO, VIDEO_FILE, VIDEOS, WEBHOOK, WORKERS};
 use super::problem::Problem;
 use crate::app::App;
 use crate::rate::Client;
@@ -127,9 +125,7 @@ pub(super) async fn check(State(app): State<Arc<App>>, request: Request, next: N
         Some(needed) => admit(&app, request.headers(), needed).await.map(Some),
         None => Ok(None),
     };
-    // Whoever works here may ask as often as its jobs need.
-    let works = admission.is_ok() && path.is_some_and(|path| path.starts_with(WORK));
-    let client = client(&request, &admission).filter(|_| !works);
+    let client = client(&request, &admission);
     let left = client.and_then(|client| app.rates.take(&client, cost));
     let mut answer = match (left.and_then(|left| left.wait), admission) {
         (Some(wait), _) => allowance::used_up(wait),
@@ -241,7 +237,6 @@ fn needed(path: Option<&str>, method: &Method) -> Option<Scope> {
         ("/v1/jobs/{id}/render", _) => Scope::Renders,
         // It tells of everybody.
         ("/metrics" | WORKERS, _) => Scope::Admin,
-        (path, _) if path.starts_with(WORK) => Scope::Worker,
         (_, &Method::GET | &Method::HEAD) => Scope::JobsRead,
         _ => Scope::JobsWrite,
     })
@@ -338,7 +333,6 @@ fn unauthorized(code: &'static str, detail: &str) -> Problem {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::http::paths::{WORK_BLOB, WORK_CLAIM, WORK_FILES, WORK_TOLD};
 
     #[test]
     fn what_is_not_known_to_be_open_needs_a_scope() {
@@ -366,11 +360,6 @@ mod tests {
         assert_eq!(needed(Some(VIDEOS), post), Some(Scope::JobsWrite));
         assert_eq!(needed(Some("/metrics"), get), Some(Scope::Admin));
         assert_eq!(needed(Some("/of/tomorrow"), get), Some(Scope::JobsRead));
-        for work in [WORK_BLOB, WORK_CLAIM, WORK_FILES, WORK_TOLD] {
-            for method in [get, post, &Method::PUT, &Method::HEAD, &Method::OPTIONS] {
-                assert_eq!(needed(Some(work), method), Some(Scope::Worker));
-            }
-        }
     }
 
     #[test]

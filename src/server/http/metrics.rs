@@ -9,7 +9,6 @@ use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 
 use super::allowance::is_reading;
-use super::paths::WORK;
 use super::problem::Problem;
 use crate::app::App;
 use crate::telemetry::{Answered, Now};
@@ -54,8 +53,8 @@ pub async fn show(State(app): State<Arc<App>>) -> Result<Response, Problem> {
     Ok(([(header::CONTENT_TYPE, MEDIA_TYPE)], told).into_response())
 }
 
-/// Counts an answer and logs it: what changes something or fails at `info`, the rest at `debug`, as
-/// what workers tell every second. Addresses are logged without their query, tokens never.
+/// Counts an answer and logs it: what changes something or fails at `info`, the rest at `debug`.
+/// Addresses are logged without their query, tokens never.
 pub(super) async fn count(State(app): State<Arc<App>>, request: Request, next: Next) -> Response {
     let began = Instant::now();
     let method = request.method().clone();
@@ -69,7 +68,7 @@ pub(super) async fn count(State(app): State<Arc<App>>, request: Request, next: N
     let id = id.as_ref().and_then(|id| id.to_str().ok());
     let (code, ms) = (status.as_u16(), took.as_secs_f64() * 1000.0);
     let failed = status.is_client_error() || status.is_server_error();
-    if (is_reading(&method) || path.starts_with(WORK)) && !failed {
+    if is_reading(&method) && !failed {
         tracing::debug!(%method, path, code, ms, id, "answered");
     } else {
         tracing::info!(%method, path, code, ms, id, "answered");

@@ -8,8 +8,8 @@ use utoipa::openapi::{Content, OpenApi, Ref, RefOr, Response, ResponseBuilder};
 use utoipa::{Modify, OpenApi as _};
 
 use super::{
-    artifacts, blobs, captures, errands, events, exports, health, jobs, live, log, login, metrics,
-    options, pin, prioritize, render, retry, rounds, share, tus, videos, webhooks, work, workers,
+    artifacts, captures, events, exports, health, jobs, live, log, login, metrics, options, pin,
+    prioritize, render, retry, rounds, share, tus, videos, webhooks, workers,
 };
 
 #[derive(utoipa::OpenApi)]
@@ -71,22 +71,6 @@ use super::{
         health::ready,
         metrics::show,
         workers::list,
-        work::present,
-        work::gone,
-        work::release,
-        work::claim,
-        work::heartbeat,
-        work::told,
-        work::failures,
-        work::settle,
-        work::files,
-        work::capture,
-        errands::next,
-        errands::extend,
-        errands::answer,
-        blobs::get,
-        blobs::head,
-        blobs::put,
         show,
         show_json,
         docs

@@ -7,7 +7,6 @@ use serde::Serialize;
 use serde_json::Value;
 use utoipa::ToSchema;
 
-use crate::coordinator::LEASE_LOST;
 use crate::error::ServerError;
 
 /// Why a request was not done. Boxed where it can be: it is the error of every handler.
@@ -142,9 +141,6 @@ impl IntoResponse for Problem {
 
 impl From<ServerError> for Problem {
     fn from(error: ServerError) -> Self {
-        if let ServerError::LeaseLost(_) = error {
-            return Self::conflict(LEASE_LOST, "This lease is over: the job is another's.");
-        }
         tracing::error!(%error, "a request failed");
         let full = matches!(
             &error,

@@ -19,7 +19,6 @@ use super::lookup::{cameras_of, find};
 use super::problem::Problem;
 use super::sent::is_known;
 use crate::app::App;
-use crate::errands::render;
 use crate::error::ServerError;
 use crate::jobs::state::JobState;
 use crate::render::{Format, RenderError, RenderRequest, Shown};
@@ -28,8 +27,6 @@ use crate::wording::without_paths;
 /// Longest side of a render, px.
 const LONGEST_SIDE: usize = 2048;
 
-/// Says who has rendered a picture, where it was not there yet: `worker` or `server`.
-const RENDERED_BY: &str = "fled-rendered-by";
 /// After so many seconds a render may go better.
 const RENDER_RETRY: u32 = 5;
 /// Largest number of a camera: px, or units of the world.
@@ -110,9 +107,7 @@ pub struct Pinhole {
 #[utoipa::path(get, path = "/v1/jobs/{id}/render", operation_id = "render_view",
     tag = "results", params(("id" = String, Path), RenderQuery),
     responses(
-        (status = 200, description = "The picture", body = serde_json::Value, content_type = "image/*",
-            headers(("Fled-Rendered-By" = String,
-                description = "`worker` or `server`; nothing where the picture was there"))),
+        (status = 200, description = "The picture", body = serde_json::Value, content_type = "image/*"),
         (status = 304, description = "As you have it"),
         (status = 404, description = "Unknown job, view or round", body = Problem, content_type = "application/problem+json"),
         (status = 409, description = "No round is finished yet", body = Problem, content_type = "application/problem+json"),
@@ -141,9 +136,7 @@ pub async fn get(
     tag = "results", params(("id" = String, Path)),
     request_body = RenderBody,
     responses(
-        (status = 200, description = "The picture", body = serde_json::Value, content_type = "image/*",
-            headers(("Fled-Rendered-By" = String,
-                description = "`worker` or `server`; nothing where the picture was there"))),
+        (status = 200, description = "The picture", body = serde_json::Value, content_type = "image/*"),
         (status = 404, description = "Unknown job or round", body = Problem, content_type = "application/problem+json"),
         (status = 409, description = "No round is finished yet", body = Problem, content_type = "application/problem+json"),
         (status = 422, description = "Not a camera", body = Problem, content_type = "application/problem+json")))]
@@ -352,20 +345,17 @@ async fn picture(
         format,
         out: out.clone(),
     };
-    let by = match render(app, id, client.0, &request).await {
-        Ok(by) => by,
-        Err(error) => {
-            drop(tokio::fs::remove_file(&out).await);
-            return Err(failed(&error));
-        }
-    };
+    if let Err(error) = app.renderers.render(client.0, &request).await {
+        drop(tokio::fs::remove_file(&out).await);
+        return Err(failed(&error));
+    }
     let bytes = tokio::fs::read(&out).await.map_err(ServerError::io(&out))?;
     tokio::fs::rename(&out, &cached)
         .await
         .map_err(ServerError::io(&cached))?;
     let kept = app.limits.kept_renders;
     drop(tokio::task::spawn_blocking(move || trim(&cache, kept)));
-    Ok((common, [(RENDERED_BY, by)], Body::from(bytes)).into_response())
+    Ok((common, Body::from(bytes)).into_response())
 }
 
 fn failed(error: &RenderError) -> Problem {

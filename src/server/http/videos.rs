@@ -25,7 +25,7 @@ use super::upload;
 use crate::app::App;
 use crate::error::ServerError;
 use crate::store::now_ms;
-use crate::videos::record::{MadeBy, Record, VideoFault, VideoFolder, VideoState, videos_of};
+use crate::videos::record::{Record, VideoFault, VideoFolder, VideoState, videos_of};
 use crate::videos::turns::Ticket;
 
 /// After so many seconds one of those that wait may have been made.
@@ -141,8 +141,6 @@ pub struct Video {
     created_at: String,
     /// When it was over: RFC 3339.
     finished_at: Option<String>,
-    /// Where it was made: by the server, or by a worker.
-    made_by: Option<MadeBy>,
     /// How large it is.
     bytes: Option<u64>,
     /// Why it failed.
@@ -179,7 +177,6 @@ impl Video {
             ahead: app.videos.before(&ticket),
             created_at: time(record.created_at),
             finished_at: record.finished_at.map(time),
-            made_by: record.made_by,
             bytes: record.bytes,
             error: record.error,
             id: record.id,
@@ -225,7 +222,6 @@ pub async fn create(
         created_at: now_ms(),
         finished_at: None,
         attempts: 0,
-        made_by: None,
         bytes: None,
         error: None,
     };

@@ -27,8 +27,6 @@ pub struct Worker {
     seen_at: String,
     /// The jobs that it runs.
     running: Vec<Running>,
-    /// What it makes for who asks, besides: `view`, `video`.
-    making: Vec<String>,
 }
 
 /// A job that a worker runs.
@@ -55,11 +53,10 @@ pub struct Workers {
     responses((status = 200, description = "All of them", body = Workers)))]
 pub async fn list(State(app): State<Arc<App>>) -> Result<axum::Json<Workers>, Problem> {
     let now = app.store.now().await?;
-    let lease = i64::try_from(app.limits.lease.as_millis()).unwrap_or(i64::MAX);
     let workers = app.store.workers().await?;
     let workers = workers
         .into_iter()
-        .map(|row| worker(row, now - lease))
+        .map(|row| worker(row, now - app.limits.lease_ms()))
         .collect();
     Ok(axum::Json(Workers {
         now: time(now),
@@ -86,6 +83,5 @@ fn worker(row: WorkerRow, lost_before: i64) -> Worker {
                 steps_per_second,
             })
             .collect(),
-        making: row.making,
     }
 }

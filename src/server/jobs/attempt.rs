@@ -14,16 +14,15 @@ use super::beat::{Beat, Pulse};
 use super::log::LogWriter;
 use super::process::{Group, Happening, JOB_VARIABLE, Line};
 use super::words::{closing_line, is_milestone, is_seen, readable};
-use crate::coordinator::Assignment;
+use crate::app::App;
 use crate::copies;
 use crate::data::{sync_directories, write_atomically};
 use crate::error::{Result, ServerError};
 use crate::intake;
 use crate::point::Point;
-use crate::store::{JobError, Lease, Progress, Saying, Settlement};
+use crate::store::{Claim, JobError, Lease, Progress, Settlement};
 use crate::traces::AttemptTrace;
 use crate::wording::without_paths;
-use crate::workshop::Workshop;
 
 /// After its process has ended, what others of the group still write is awaited so long.
 const DRAIN: Duration = Duration::from_secs(2);
@@ -56,7 +55,7 @@ enum LastWords {
 }
 
 pub(super) struct Attempt<'a> {
-    work: &'a Workshop,
+    app: &'a App,
     lease: Lease,
     log: LogWriter,
     pending: Option<Progress>,
@@ -69,101 +68,101 @@ pub(super) struct Attempt<'a> {
 /// # Errors
 /// [`ServerError::LeaseLost`] when another worker has taken the job over; the process is ended.
 pub(super) async fn run(
-    work: &Workshop,
-    job: &Assignment,
+    app: &App,
+    claim: &Claim,
     cancel: Arc<Notify>,
     trace: &mut AttemptTrace,
 ) -> Result<Settlement> {
-    let id = &job.lease.job;
+    let (lease, job, id) = (&claim.lease, &claim.job, &claim.job.id);
     // From the first moment: what is fetched may take longer than a lease.
-    let mut beat = Beat::begin(work, job.lease.clone());
-    if !is_prepared(work, job).await? {
+    let mut beat = Beat::begin(app, lease.clone());
+    if !is_prepared(app, claim).await? {
         return Ok(Settlement::Released);
     }
-    work.pass(Point::Fetched);
-    let output = work.data.output(id).root().to_owned();
+    app.pass(Point::Fetched);
+    let output = app.data.output(id).root().to_owned();
     tokio::fs::create_dir_all(&output)
         .await
         .map_err(ServerError::io(&output))?;
-    let options = work.data.job(id).join("options.json");
+    let options = app.data.job(id).join("options.json");
     write_atomically(&options, job.options.to_string().as_bytes())
         .map_err(ServerError::io(&options))?;
-    let path = work.data.log(id);
-    let log = LogWriter::open(&path, work.limits.max_log_bytes).map_err(ServerError::io(&path))?;
+    let log = app.data.log(id);
+    let log = LogWriter::open(&log, app.limits.max_log_bytes).map_err(ServerError::io(&log))?;
     let mut attempt = Attempt {
-        work,
-        lease: job.lease.clone(),
+        app,
+        lease: lease.clone(),
         log,
         pending: None,
         last_words: None,
         trace,
     };
-    attempt.log.line(&format!("attempt {} begins", job.attempt));
+    let begins = format!("attempt {} begins", job.attempts);
+    attempt.log.line(&begins);
     let arguments: Vec<OsString> = vec![
-        intake::source(work.data.capture(&job.capture)).into(),
+        intake::source(app.data.capture(&job.capture_id)).into(),
         "--out".into(),
         output.into(),
         "--options".into(),
         options.into(),
         "--cache".into(),
-        work.data.cache().into(),
+        app.data.cache().into(),
         "--json".into(),
     ];
-    let mut group = match Group::spawn(&work.config.job_command, &arguments, &[(JOB_VARIABLE, id)])
-    {
+    let mut group = match Group::spawn(&app.config.job_command, &arguments, &[(JOB_VARIABLE, id)]) {
         Ok(group) => group,
         Err(error) => return attempt.not_started(&error).await,
     };
     // The job's process reads nothing; an open pipe would only hold a descriptor.
     drop(group.stdin.take());
-    work.pass(Point::Started);
+    app.pass(Point::Started);
     let outcome = attempt.watch(&mut group, &cancel, &mut beat).await;
     if let Ok(End::Stop(Settlement::Released)) = outcome {
         // Others go on with what it has: it may save the step that it is in.
-        group.stop(work.limits.draining).await;
+        group.stop(app.limits.draining).await;
         attempt.hear_out(&mut group).await;
     } else {
-        group.stop(work.limits.grace).await;
+        group.stop(app.limits.grace).await;
     }
-    work.pass(Point::Ended);
+    app.pass(Point::Ended);
     let settlement = match outcome? {
         End::Exited(status) => attempt.settle(status).await?,
         End::Stop(settlement) => settlement,
     };
     attempt.log.line(&closing_line(&settlement));
-    remove_live_picture(work, id).await;
-    copies::publish(work, &job.lease, true).await?;
-    work.pass(Point::Published);
+    remove_live_picture(app, id).await;
+    copies::publish(app, lease, true).await?;
+    app.pass(Point::Published);
     Ok(settlement)
 }
 
 /// Fetches what a job begins with; `false` where the worker stops meanwhile: what it has fetched
 /// is whole, and nothing is made yet.
-async fn is_prepared(work: &Workshop, job: &Assignment) -> Result<bool> {
+async fn is_prepared(app: &App, claim: &Claim) -> Result<bool> {
     tokio::select! {
-        prepared = copies::prepare_job(work, job) => prepared.map(|()| true),
-        () = work.shutdown.cancelled() => Ok(false),
+        prepared = copies::prepare_job(app, claim) => prepared.map(|()| true),
+        () = app.shutdown.cancelled() => Ok(false),
     }
 }
 
 /// Waits for what ends an attempt from outside.
-async fn stopped(work: &Workshop, job: &str, cancel: &Notify, beat: &mut Beat) -> Result<End> {
+async fn stopped(app: &App, job: &str, cancel: &Notify, beat: &mut Beat) -> Result<End> {
     tokio::select! {
         pulse = beat.next() => match pulse {
             Pulse::Cancel => Ok(End::Stop(Settlement::Stopped)),
             Pulse::Lost => Err(ServerError::LeaseLost(job.to_owned())),
         },
         () = cancel.notified() => Ok(End::Stop(Settlement::Stopped)),
-        () = work.shutdown.cancelled() => {
-            work.pass(Point::Stopping);
+        () = app.shutdown.cancelled() => {
+            app.pass(Point::Stopping);
             Ok(End::Stop(Settlement::Released))
         }
     }
 }
 
 /// Takes away the picture of a training that was stopped; one that ended well has done so itself.
-async fn remove_live_picture(work: &Workshop, id: &str) {
-    let path = work.data.output(id).work().live_picture();
+async fn remove_live_picture(app: &App, id: &str) {
+    let path = app.data.output(id).work().live_picture();
     match tokio::fs::remove_file(&path).await {
         Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
             tracing::warn!(job = id, %error, "a picture of a training stays");
@@ -175,8 +174,8 @@ async fn remove_live_picture(work: &Workshop, id: &str) {
 impl Attempt<'_> {
     /// Takes the process's lines and keeps the lease until the process ends or has to.
     async fn watch(&mut self, group: &mut Group, cancel: &Notify, beat: &mut Beat) -> Result<End> {
-        let (work, job) = (self.work, self.lease.job.clone());
-        let limits = work.limits;
+        let (app, job) = (self.app, self.lease.job.clone());
+        let limits = app.limits;
         let wall = Instant::now() + limits.wall;
         let mut silence = Instant::now() + limits.silence;
         let mut publish = ticks(limits.publish);
@@ -200,7 +199,7 @@ impl Attempt<'_> {
                         None => return self.exit(group).await,
                     },
                 },
-                end = stopped(work, &job, cancel, beat) => return end,
+                end = stopped(app, &job, cancel, beat) => return end,
                 _ = publish.tick() => Due::Publishing,
                 _ = flush.tick() => Due::Progress,
                 () = sleep_until(silence) => return self.timed_out("said nothing", limits.silence).await,
@@ -212,7 +211,7 @@ impl Attempt<'_> {
             // However slow a database or a store of files is, what ends the work is heard.
             tokio::select! {
                 done = self.follow(due) => done?,
-                end = stopped(work, &job, cancel, beat) => return end,
+                end = stopped(app, &job, cancel, beat) => return end,
             }
         }
     }
@@ -322,8 +321,9 @@ impl Attempt<'_> {
                     self.log.line(&readable(&told));
                 }
                 self.trace.told(&told);
-                self.tell(Saying::Event(&told)).await?;
-                self.work.pass(Point::Told);
+                self.app.store.record(&self.lease, &told).await?;
+                self.app.changed();
+                self.app.pass(Point::Told);
             }
         }
         Ok(())
@@ -332,7 +332,7 @@ impl Attempt<'_> {
     /// Puts what there is so far into a shared store of files. One that is away for a while does
     /// not end the attempt: the end, which has to be published, waits for it.
     async fn publish(&self) -> Result<()> {
-        match copies::publish(self.work, &self.lease, false).await {
+        match copies::publish(self.app, &self.lease, false).await {
             Err(ServerError::LeaseLost(job)) => Err(ServerError::LeaseLost(job)),
             Err(error) => {
                 tracing::warn!(%error, job = self.lease.job, "its files are published later");
@@ -342,16 +342,11 @@ impl Attempt<'_> {
         }
     }
 
-    async fn tell(&self, saying: Saying<'_>) -> Result<()> {
-        self.work.coordinator.tell(&self.lease, saying).await?;
-        self.work.changed();
-        Ok(())
-    }
-
     async fn write_pending(&mut self) -> Result<()> {
         if let Some(progress) = self.pending.take() {
-            self.tell(Saying::Progress(&progress)).await?;
-            self.work.pass(Point::Advanced);
+            self.app.store.advance(&self.lease, &progress).await?;
+            self.app.changed();
+            self.app.pass(Point::Advanced);
         }
         Ok(())
     }
@@ -367,7 +362,7 @@ impl Attempt<'_> {
             Some(LastWords::Failed { kind, detail, hint }) => {
                 let kind = ErrorKind::from_name(&kind);
                 // Whoever stops a whole service may tell every process of it.
-                if kind == Some(ErrorKind::Cancelled) && self.work.shutdown.is_cancelled() {
+                if kind == Some(ErrorKind::Cancelled) && self.app.shutdown.is_cancelled() {
                     return Ok(Settlement::Released);
                 }
                 // Nobody asked through us: some other hand stopped the process.
@@ -386,7 +381,7 @@ impl Attempt<'_> {
 
     /// Makes the names of the results survive a power cut, as the word that they are there will.
     async fn sync_output(&self) -> Result<()> {
-        let output = self.work.data.output(&self.lease.job).root().to_owned();
+        let output = self.app.data.output(&self.lease.job).root().to_owned();
         let synced = {
             let output = output.clone();
             tokio::task::spawn_blocking(move || sync_directories(&output)).await
@@ -408,9 +403,9 @@ impl Attempt<'_> {
 
     /// Decides between another attempt and the end.
     async fn failure(&self, kind: ErrorKind, detail: String, hint: String) -> Result<Settlement> {
-        let failures = self.work.coordinator.count_failure(&self.lease).await?;
-        let retry = kind.retryable() && failures < self.work.limits.attempts_without_progress;
-        let wait = self.work.limits.retry_wait_ms(kind, failures);
+        let failures = self.app.store.count_failure(&self.lease).await?;
+        let retry = kind.retryable() && failures < self.app.limits.attempts_without_progress;
+        let wait = self.app.limits.retry_wait_ms(kind, failures);
         // With paths: for whoever runs the server.
         tracing::warn!(
             job = self.lease.job,

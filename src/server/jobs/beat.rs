@@ -5,12 +5,11 @@ use tokio::sync::mpsc;
 use tokio::task::JoinHandle;
 use tokio::time::{Instant, MissedTickBehavior, interval};
 
+use crate::app::App;
 use crate::config::Limits;
-use crate::coordinator::Coordinator;
 use crate::error::ServerError;
 use crate::point::{Point, Watcher};
-use crate::store::Lease;
-use crate::workshop::Workshop;
+use crate::store::{Lease, Store};
 
 /// What a sign of life was answered.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -30,11 +29,10 @@ pub(super) struct Beat {
 
 impl Beat {
     /// Begins to extend a lease that was just taken.
-    pub(super) fn begin(work: &Workshop, lease: Lease) -> Self {
+    pub(super) fn begin(app: &App, lease: Lease) -> Self {
         let (tell, told) = mpsc::channel(1);
-        let watcher = work.config.watcher;
-        let coordinator = work.coordinator.clone();
-        let task = tokio::spawn(beat(coordinator, work.limits, watcher, lease, tell));
+        let watcher = app.config.watcher;
+        let task = tokio::spawn(beat(app.store.clone(), app.limits, watcher, lease, tell));
         Self { told, task }
     }
 
@@ -51,7 +49,7 @@ impl Drop for Beat {
 }
 
 async fn beat(
-    coordinator: Coordinator,
+    store: Store,
     limits: Limits,
     watcher: Option<Watcher>,
     lease: Lease,
@@ -64,7 +62,8 @@ async fn beat(
         ticks.tick().await;
         let asked = Instant::now();
         let left = limits.unheard.saturating_sub(heard.elapsed());
-        let answer = tokio::time::timeout(left, coordinator.heartbeat(&lease)).await;
+        let extended = store.heartbeat(&lease, limits.lease_ms());
+        let answer = tokio::time::timeout(left, extended).await;
         let pulse = match answer {
             Ok(Ok(false)) => {
                 // The lease counts from before it was extended.

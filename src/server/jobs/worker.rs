@@ -6,74 +6,78 @@ use std::time::Duration;
 use fled_core::pipeline::error::ErrorKind;
 use tokio::sync::Notify;
 
-use super::attempt;
-use crate::coordinator::Assignment;
+use super::{after_death, attempt};
+use crate::app::App;
 use crate::error::{Result, ServerError};
 use crate::point::Point;
-use crate::store::{JobError, Machine, Settlement};
+use crate::store::{Claim, Engine, JobError, Machine, Settlement};
 use crate::traces::AttemptTrace;
-use crate::workshop::Workshop;
 
+/// How often an idle worker looks into a file for retries that have become due.
+const IDLE: Duration = Duration::from_millis(500);
 /// After a fault of the database or the disk.
 const RECOVERY: Duration = Duration::from_secs(2);
 
 /// Runs jobs until the server stops. Never gives up: a fault of the database or the disk is
 /// logged and tried again.
-pub async fn work(work: Workshop, turn: u32) {
+pub async fn work(app: Arc<App>, turn: u32) {
     let mut was_full = false;
-    let idle = work.coordinator.idle(&work.limits);
-    while !work.shutdown.is_cancelled() {
-        if work.is_disk_full() {
+    let idle = match app.store.engine() {
+        Engine::Sqlite => IDLE,
+        Engine::Postgres => app.limits.look,
+    };
+    while !app.shutdown.is_cancelled() {
+        if app.is_disk_full() {
             if !was_full {
                 tracing::warn!("the disk is full: waiting jobs begin when there is space again");
             }
             was_full = true;
-            pause(&work, RECOVERY).await;
+            pause(&app, RECOVERY).await;
             continue;
         }
         was_full = false;
-        match take(&work, turn).await {
-            Ok(Some((job, cancel))) => {
-                work.pass(Point::Claimed);
-                work.changed();
-                if let Err(error) = run(&work, &job, cancel).await {
-                    tracing::error!(%error, job = job.lease.job, "an attempt was dropped");
-                    pause(&work, RECOVERY).await;
+        match take(&app, turn).await {
+            Ok(Some((claim, cancel))) => {
+                app.pass(Point::Claimed);
+                app.changed();
+                if let Err(error) = run(&app, &claim, cancel).await {
+                    tracing::error!(%error, job = claim.job.id, "an attempt was dropped");
+                    pause(&app, RECOVERY).await;
                 }
             }
             Ok(None) => {
                 tokio::select! {
-                    () = work.wake.notified() => {}
+                    () = app.wake.notified() => {}
                     () = tokio::time::sleep(idle) => {}
-                    () = work.shutdown.cancelled() => {}
+                    () = app.shutdown.cancelled() => {}
                 }
             }
             Err(error) => {
                 tracing::error!(%error, "cannot look for work");
-                pause(&work, RECOVERY).await;
+                pause(&app, RECOVERY).await;
             }
         }
     }
 }
 
-async fn pause(work: &Workshop, time: Duration) {
+async fn pause(app: &App, time: Duration) {
     tokio::select! {
         () = tokio::time::sleep(time) => {}
-        () = work.shutdown.cancelled() => {}
+        () = app.shutdown.cancelled() => {}
     }
 }
 
 /// Claims a job, and what rings to stop it.
-async fn take(work: &Workshop, turn: u32) -> Result<Option<(Assignment, Arc<Notify>)>> {
-    let _alone = work.running.claiming().await;
-    let released = work.coordinator.release_expired().await?;
+async fn take(app: &App, turn: u32) -> Result<Option<(Claim, Arc<Notify>)>> {
+    let _alone = app.running.claiming().await;
+    let released = release_expired(app).await?;
     for job in &released {
         tracing::warn!(job, "its worker was not heard of any more: it waits again");
     }
     if !released.is_empty() {
-        work.changed();
+        app.changed();
     }
-    let machine = work
+    let machine = app
         .config
         .about
         .as_ref()
@@ -81,43 +85,55 @@ async fn take(work: &Workshop, turn: u32) -> Result<Option<(Assignment, Arc<Noti
             has_gpu: about.has_gpu,
             memory: about.memory,
         });
-    let turn = (&*work.worker, turn);
-    let running = work.running.jobs();
-    let claim = work.coordinator.claim(turn, &running, machine).await?;
-    Ok(claim.map(|job| {
-        let cancel = work.running.begin(&job.lease);
-        (job, cancel)
+    let owner = format!("{}/{turn}", app.worker);
+    let (lease, running) = (app.limits.lease_ms(), app.running.jobs());
+    let claim = app.store.claim_fit(&owner, lease, &running, machine);
+    Ok(claim.await?.map(|claim| {
+        let cancel = app.running.begin(&claim.lease);
+        (claim, cancel)
     }))
 }
 
-async fn run(work: &Workshop, job: &Assignment, cancel: Arc<Notify>) -> Result<()> {
-    let id = &job.lease.job;
-    tracing::info!(job = id, attempt = job.attempt, "job begins");
-    let mut trace = AttemptTrace::begin(&work.traces, job, &work.worker);
-    let outcome = attempt::run(work, job, cancel, &mut trace).await;
-    work.running.end(&job.lease);
+/// Jobs whose worker is dead, frozen or cut off wait again, where workers share a database. With
+/// SQLite there is one process: its jobs run, however long ago their leases ran out.
+async fn release_expired(app: &App) -> Result<Vec<String>> {
+    match app.store.engine() {
+        Engine::Sqlite => Ok(Vec::new()),
+        Engine::Postgres => {
+            let settle = |deaths| after_death(&app.limits, deaths);
+            app.store.release_expired(settle).await
+        }
+    }
+}
+
+async fn run(app: &App, claim: &Claim, cancel: Arc<Notify>) -> Result<()> {
+    let (lease, id) = (&claim.lease, &claim.job.id);
+    tracing::info!(job = id, attempt = claim.job.attempts, "job begins");
+    let mut trace = AttemptTrace::begin(&app.traces, &claim.job, &app.worker);
+    let outcome = attempt::run(app, claim, cancel, &mut trace).await;
+    app.running.end(lease);
     let settlement = match outcome {
         Ok(settlement) => settlement,
         Err(ServerError::LeaseLost(job)) => return Err(ServerError::LeaseLost(job)),
         Err(error) => {
             tracing::error!(%error, job = id, "the server failed an attempt");
-            io_failure(work, job, &error).await?
+            io_failure(app, claim, &error).await?
         }
     };
     // A cancel that came while the process was ending by itself is honoured all the same.
     let settlement = match settlement {
         Settlement::Failed { .. } | Settlement::Released
-            if work.coordinator.heartbeat(&job.lease).await? =>
+            if app.store.heartbeat(lease, app.limits.lease_ms()).await? =>
         {
             Settlement::Stopped
         }
         other => other,
     };
-    let state = work.coordinator.settle(&job.lease, &settlement).await?;
-    work.pass(Point::Settled);
+    let state = app.store.settle(lease, &settlement).await?;
+    app.pass(Point::Settled);
     trace.end(&settlement);
     tracing::info!(job = id, state = state.name(), "attempt settled");
-    work.changed();
+    app.changed();
     Ok(())
 }
 
@@ -126,17 +142,15 @@ fn told(error: &ServerError) -> String {
     match error {
         ServerError::Io { source, .. } => format!("a file of the job: {source}"),
         ServerError::Database(_) => "the server's database refused".to_owned(),
-        ServerError::Away { .. } => "the worker did not reach the server".to_owned(),
-        ServerError::Refused { .. } => "the server refused what the worker told it".to_owned(),
         other => other.to_string(),
     }
 }
 
 /// The settlement of an attempt that the disk or the database ended.
-async fn io_failure(work: &Workshop, job: &Assignment, error: &ServerError) -> Result<Settlement> {
-    let failures = work.coordinator.count_failure(&job.lease).await?;
-    let retry = failures < work.limits.attempts_without_progress;
-    let wait = work.limits.retry_wait_ms(ErrorKind::Io, failures);
+async fn io_failure(app: &App, claim: &Claim, error: &ServerError) -> Result<Settlement> {
+    let failures = app.store.count_failure(&claim.lease).await?;
+    let retry = failures < app.limits.attempts_without_progress;
+    let wait = app.limits.retry_wait_ms(ErrorKind::Io, failures);
     let error = JobError {
         code: ErrorKind::Io.name().to_owned(),
         detail: told(error),

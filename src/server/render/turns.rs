@@ -1,4 +1,4 @@
-//! Whose turn it is: a few at a time, and the clients in a circle.
+//! Whose turn it is: one at a time, and the clients in a circle.
 //!
 //! Whoever asks for many pictures waits for their own: another client's first is made next.
 
@@ -10,15 +10,14 @@ use tokio::sync::oneshot;
 
 /// The turns at one thing. Cheap to clone.
 #[derive(Clone, Debug)]
-pub struct Turns {
+pub(super) struct Turns {
     most: usize,
-    at_once: usize,
     queue: Arc<Mutex<Queue>>,
 }
 
 #[derive(Debug, Default)]
 struct Queue {
-    taken: usize,
+    is_taken: bool,
     /// Who waits, in the order of their next turns; nobody is in it twice or with nothing.
     clients: VecDeque<Waiting>,
 }
@@ -31,14 +30,13 @@ struct Waiting {
 
 /// A turn; dropped, it goes on to the next.
 #[derive(Debug)]
-pub struct Turn(Turns);
+pub(super) struct Turn(Turns);
 
 impl Turns {
-    /// `most` have or await a turn at a time, `at_once` of them have one.
-    pub fn new(most: usize, at_once: usize) -> Self {
+    /// `most` have or await a turn at a time.
+    pub(super) fn new(most: usize) -> Self {
         Self {
             most,
-            at_once,
             queue: Arc::default(),
         }
     }
@@ -47,11 +45,11 @@ impl Turns {
     ///
     /// `None` when too many wait: at once, or later, when this client has asked for more than its
     /// share and another wants its place.
-    pub async fn take(&self, client: IpAddr) -> Option<Turn> {
+    pub(super) async fn take(&self, client: IpAddr) -> Option<Turn> {
         let awaited = {
             let mut queue = self.lock();
-            if queue.taken < self.at_once {
-                queue.taken += 1;
+            if !queue.is_taken {
+                queue.is_taken = true;
                 return Some(Turn(self.clone()));
             }
             queue.forget_gone();
@@ -73,7 +71,7 @@ impl Drop for Turn {
         let next = {
             let mut queue = self.0.lock();
             let next = queue.pop();
-            queue.taken -= usize::from(next.is_none());
+            queue.is_taken = next.is_some();
             next
         };
         if let Some(next) = next {
@@ -87,7 +85,7 @@ impl Queue {
     /// Who has a turn or waits for one.
     fn len(&self) -> usize {
         let waiting: usize = self.clients.iter().map(|waiting| waiting.asked.len()).sum();
-        waiting + self.taken
+        waiting + usize::from(self.is_taken)
     }
 
     fn forget_gone(&mut self) {
@@ -161,7 +159,7 @@ mod tests {
 
     #[test]
     fn clients_take_turns_and_each_keeps_its_order() {
-        let turns = Turns::new(8, 1);
+        let turns = Turns::new(8);
         let Poll::Ready(Some(mut turn)) = poll(pin!(turns.take(client(1)))) else {
             panic!("it is free");
         };
@@ -189,7 +187,7 @@ mod tests {
 
     #[test]
     fn a_full_queue_makes_room_for_those_who_have_least() {
-        let turns = Turns::new(4, 1);
+        let turns = Turns::new(4);
         let turn = poll(pin!(turns.take(client(1))));
         let mut many: Vec<_> = (0..3).map(|_| Box::pin(turns.take(client(1)))).collect();
         assert!(many.iter_mut().all(waits));
@@ -213,29 +211,8 @@ mod tests {
     }
 
     #[test]
-    fn as_many_have_a_turn_as_may() {
-        let turns = Turns::new(3, 2);
-        let mut two = [(); 2].map(|()| poll(pin!(turns.take(client(1)))));
-        assert!(two.iter().all(|turn| matches!(turn, Poll::Ready(Some(_)))));
-        let mut third = Box::pin(turns.take(client(1)));
-        assert!(waits(&mut third));
-        let fourth = poll(pin!(turns.take(client(1))));
-        assert!(matches!(fourth, Poll::Ready(None)));
-        two[1] = Poll::Pending;
-        let came = poll(third.as_mut());
-        assert!(matches!(came, Poll::Ready(Some(_))));
-        drop((came, two));
-        let again = [(); 2].map(|()| poll(pin!(turns.take(client(2)))));
-        assert!(
-            again
-                .iter()
-                .all(|turn| matches!(turn, Poll::Ready(Some(_))))
-        );
-    }
-
-    #[test]
     fn a_turn_is_not_lost_with_those_who_go() {
-        let turns = Turns::new(4, 1);
+        let turns = Turns::new(4);
         let turn = poll(pin!(turns.take(client(1))));
         let mut gone = Box::pin(turns.take(client(1)));
         let mut told = Box::pin(turns.take(client(2)));

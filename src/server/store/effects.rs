@@ -1,7 +1,6 @@
 //! What is told of a job changes its rows, inside the transaction that makes it true.
 
 use fled_core::event::{Event, Stage};
-use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use sqlx::Row;
 
@@ -15,8 +14,7 @@ use crate::jobs::state::{JobState, Transition};
 const UNKNOWN: f64 = -1.0;
 
 /// How an attempt ended.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
+#[derive(Clone, Debug, PartialEq)]
 pub enum Settlement {
     /// The job is done.
     Finished {
@@ -39,7 +37,7 @@ pub enum Settlement {
 }
 
 /// Progress of a running job, as shown.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Progress {
     /// Stage, round, units done and in all.
     pub stage: Option<(Stage, u32, u64, u64)>,

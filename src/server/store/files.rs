@@ -52,17 +52,6 @@ impl Store {
         Ok(Some((version, files?)))
     }
 
-    /// One file of a job, where the store has it.
-    ///
-    /// # Errors
-    /// When the database refuses.
-    pub async fn job_file(&self, id: &str, path: &str) -> Result<Option<Kept>> {
-        let file = "SELECT path, digest, bytes FROM job_files WHERE job_id = $1 AND path = $2";
-        let row = sqlx::query(file).bind(id).bind(path);
-        let row = row.fetch_optional(&self.pool).await?;
-        row.as_ref().map(kept).transpose()
-    }
-
     /// The version of a job's files: it grows with every change of them.
     ///
     /// # Errors

@@ -1,7 +1,6 @@
 //! Jobs as rows: creation, reading, and what users ask of them.
 
 use fled_core::event::Stage;
-use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 use sqlx::Row;
 use sqlx::any::AnyRow;
@@ -36,7 +35,7 @@ pub struct NewJob {
 }
 
 /// Why a job failed.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub struct JobError {
     /// Name of an error kind.
     pub code: String,

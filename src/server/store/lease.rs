@@ -1,11 +1,9 @@
 //! What a worker does with a job: claim, report, settle. Every write but the claim begins by
 //! checking the epoch, so that a worker whose lease was taken over changes nothing.
 
-use serde::{Deserialize, Serialize};
 use serde_json::json;
 use sqlx::Row;
 use sqlx::any::AnyRow;
-use utoipa::ToSchema;
 
 use super::effects::{Settlement, settle};
 use super::engine::{Cells, Tx};
@@ -15,7 +13,7 @@ use crate::error::{Result, ServerError};
 use crate::jobs::state::{JobState, Transition};
 
 /// The right to write about a running job.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Lease {
     /// The job.
     pub job: String,
@@ -129,41 +127,6 @@ impl Store {
         Ok(Some(Claim { lease, job }))
     }
 
-    /// The job that a lease of exactly this name is of: what somebody was given who did not hear of
-    /// it.
-    ///
-    /// # Errors
-    /// When the database refuses.
-    pub async fn claim_of(&self, owner: &str) -> Result<Option<Claim>> {
-        let given = "SELECT * FROM jobs WHERE state = 'running' AND lease_owner = $1";
-        let row = sqlx::query(given)
-            .bind(owner)
-            .fetch_optional(&self.pool)
-            .await?;
-        let Some(row) = row else { return Ok(None) };
-        let job = from_row(&row)?;
-        let lease = Lease {
-            job: job.id.clone(),
-            epoch: row.try_get("epoch")?,
-        };
-        Ok(Some(Claim { lease, job }))
-    }
-
-    /// The capture of the job that this lease is of, and how much was told under it.
-    ///
-    /// # Errors
-    /// [`ServerError::LeaseLost`] when another worker has it.
-    pub async fn held(&self, lease: &Lease) -> Result<(String, i64)> {
-        let held = "SELECT capture_id, told FROM jobs
-             WHERE id = $1 AND epoch = $2 AND state = 'running'";
-        let held = sqlx::query_as(held)
-            .bind(&lease.job)
-            .bind(lease.epoch)
-            .fetch_optional(&self.pool)
-            .await?;
-        held.ok_or_else(|| ServerError::LeaseLost(lease.job.clone()))
-    }
-
     /// Extends the lease and says whether somebody asked to stop the job.
     ///
     /// # Errors
@@ -227,29 +190,12 @@ impl Store {
         release(tx, Of::Worker(worker), settle_death).await
     }
 
-    /// Leaves to their workers what runs under other leases, for as long as one holds: the clock of
-    /// leases has begun anew, and nobody could say meanwhile that they live.
-    ///
-    /// # Errors
-    /// When the database refuses.
-    pub async fn renew_leases(&self, lease_ms: i64) -> Result<()> {
-        let mut tx = self.write().await?;
-        let until = self.lease_clock(&tx).saturating_add(lease_ms);
-        sqlx::query("UPDATE jobs SET lease_until = $1 WHERE state = 'running'")
-            .bind(until)
-            .execute(&mut *tx)
-            .await?;
-        tx.commit().await
-    }
-
-    /// As [`Store::release_all`] with the leases that have run out, but of none of `running`: their
-    /// workers are dead, frozen or cut off.
+    /// The same with the leases that have run out: their workers are dead, frozen or cut off.
     ///
     /// # Errors
     /// When the database refuses.
     pub async fn release_expired(
         &self,
-        running: &[String],
         settle_death: impl Fn(u32) -> Settlement,
     ) -> Result<Vec<String>> {
         let now = self.now().await?;
@@ -264,7 +210,7 @@ impl Store {
         }
         let tx = self.write().await?;
         let clock = self.lease_clock(&tx);
-        release(tx, Of::Before(clock, running), settle_death).await
+        release(tx, Of::Before(clock), settle_death).await
     }
 
     /// A transaction that has checked the epoch, and holds the job since.
@@ -320,8 +266,8 @@ enum Of<'a> {
     All,
     /// This worker's.
     Worker(&'a str),
-    /// What ran out before this, but these jobs.
-    Before(i64, &'a [String]),
+    /// What ran out before this.
+    Before(i64),
 }
 
 /// Settles what runs, `of` whom, as after a death.
@@ -331,12 +277,9 @@ async fn release(
     settle_death: impl Fn(u32) -> Settlement,
 ) -> Result<Vec<String>> {
     let whose = match of {
-        Of::All => String::new(),
-        Of::Worker(_) => "AND lease_owner LIKE $1".to_owned(),
-        Of::Before(..) => {
-            let listed = tx.engine.listed("$2");
-            format!("AND lease_until < $1 AND id NOT IN ({listed})")
-        }
+        Of::All => "",
+        Of::Worker(_) => "AND lease_owner LIKE $1",
+        Of::Before(_) => "AND lease_until < $1",
     };
     let running = format!(
         "SELECT id, cancel_requested, failures, progress, failed_at FROM jobs
@@ -347,7 +290,7 @@ async fn release(
     let running = match of {
         Of::All => running,
         Of::Worker(worker) => running.bind(format!("{worker}/%")),
-        Of::Before(clock, but) => running.bind(clock).bind(json!(but).to_string()),
+        Of::Before(clock) => running.bind(clock),
     };
     let rows = running.fetch_all(&mut *tx).await?;
     let mut released = Vec::new();

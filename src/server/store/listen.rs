@@ -8,8 +8,6 @@ use crate::error::Result;
 
 /// The channel on which changes of jobs are told.
 const CHANNEL: &str = "fled_jobs";
-/// The channel on which names of bells are told, for those who ask and do errands.
-const BELLS: &str = "fled_errands";
 /// What is told where a job waits. Of all else that happens no worker need hear.
 const WAITING: &str = "waiting";
 
@@ -24,8 +22,6 @@ pub enum News {
     Changed,
     /// A job waits since then.
     Waiting,
-    /// Whoever waits for this bell has something to do.
-    Bell(String),
 }
 
 impl Heard {
@@ -35,9 +31,8 @@ impl Heard {
     /// When the connection is lost: what was told meanwhile is, too.
     pub async fn next(&mut self) -> Result<News> {
         let told = self.0.recv().await?;
-        Ok(match (told.channel(), told.payload()) {
-            (BELLS, bell) => News::Bell(bell.to_owned()),
-            (_, WAITING) => News::Waiting,
+        Ok(match told.payload() {
+            WAITING => News::Waiting,
             _ => News::Changed,
         })
     }
@@ -53,26 +48,17 @@ impl Store {
             return Ok(None);
         };
         let mut listener = PgListener::connect(url).await?;
-        listener.listen_all([CHANNEL, BELLS]).await?;
+        listener.listen(CHANNEL).await?;
         Ok(Some(Heard(listener)))
     }
 }
 
 /// Tells everybody that a job has changed, or that it waits, once the transaction is true.
 pub(super) async fn tell(tx: &mut Tx, job: &str, waits: bool) -> Result<()> {
-    notify(tx, CHANNEL, if waits { WAITING } else { job }).await
-}
-
-/// Rings a bell in every process, once the transaction is true.
-pub(super) async fn ring(tx: &mut Tx, bell: &str) -> Result<()> {
-    notify(tx, BELLS, bell).await
-}
-
-async fn notify(tx: &mut Tx, channel: &str, words: &str) -> Result<()> {
     if tx.engine == Engine::Postgres {
         sqlx::query("SELECT pg_notify($1, $2)")
-            .bind(channel)
-            .bind(words)
+            .bind(CHANNEL)
+            .bind(if waits { WAITING } else { job })
             .execute(&mut **tx)
             .await?;
     }

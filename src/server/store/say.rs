@@ -24,7 +24,7 @@ const PAUSE: Duration = Duration::from_millis(500);
 
 /// One thing to tell.
 #[derive(Clone, Copy, Debug)]
-pub enum Saying<'a> {
+pub(super) enum Saying<'a> {
     /// What the job's process said.
     Event(&'a Event),
     /// How far it is.
@@ -104,20 +104,8 @@ impl Store {
         self.say(lease, Saying::Files(kept, gone)).await
     }
 
-    /// Tells one thing of which it is known how much was told before it under the lease: done
-    /// already, it is not done again. Tells it to the database once.
-    ///
-    /// # Errors
-    /// [`ServerError::LeaseLost`] when another worker has the job.
-    pub async fn say_after(&self, lease: &Lease, before: i64, saying: Saying<'_>) -> Result<()> {
-        self.say_once(lease, saying, &mut Some(before)).await
-    }
-
     /// Tells one thing, once. A lease is one worker's, which tells one thing after the other.
-    ///
-    /// # Errors
-    /// [`ServerError::LeaseLost`] when another worker has the job.
-    pub async fn say(&self, lease: &Lease, saying: Saying<'_>) -> Result<()> {
+    async fn say(&self, lease: &Lease, saying: Saying<'_>) -> Result<()> {
         let begun = Instant::now();
         // How much had been told before this.
         let mut before = None;

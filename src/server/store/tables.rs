@@ -55,8 +55,8 @@ pub const TABLES: [Table; 16] = [
     stays("uploads"),
 ];
 
-/// What has no meaning elsewhere and is not told of: who works says so again by itself, and who
-/// asked for a picture asks again.
+/// What has no meaning elsewhere and is not told of: who works says so again by itself, and nobody
+/// writes errands.
 pub(super) const PASSING: [&str; 2] = ["workers", "errands"];
 
 /// What a cell holds.

@@ -6,7 +6,7 @@ use subtle::ConstantTimeEq;
 
 use super::Store;
 use super::engine::Cells;
-use crate::error::{Result, ServerError};
+use crate::error::Result;
 use crate::token::{Digest, Scopes};
 
 /// The use of a token is noted at most so often, milliseconds: a read is no reason to write.
@@ -184,14 +184,10 @@ impl Store {
 
 fn from_row(row: &AnyRow) -> Result<TokenRow> {
     let scopes: String = row.try_get("scopes")?;
-    let scopes = scopes.parse().map_err(|error| ServerError::Damaged {
-        what: "token",
-        detail: format!("{error}"),
-    })?;
     Ok(TokenRow {
         id: row.try_get("id")?,
         name: row.try_get("name")?,
-        scopes,
+        scopes: Scopes::stored(&scopes),
         created_at: row.try_get("created_at")?,
         expires_at: row.try_get("expires_at")?,
         revoked_at: row.try_get("revoked_at")?,

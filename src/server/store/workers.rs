@@ -28,12 +28,6 @@ pub struct About {
     pub memory: u64,
     /// Jobs that it runs at once.
     pub jobs: u32,
-    /// Whether it renders views for the others.
-    #[serde(default)]
-    pub renders: bool,
-    /// Whether it makes videos of them: it has ffmpeg.
-    #[serde(default)]
-    pub films: bool,
 }
 
 /// A worker as it was last heard of.
@@ -51,8 +45,6 @@ pub struct WorkerRow {
     pub seen_at: i64,
     /// The jobs that it runs, with their speed of training in steps a second.
     pub running: Vec<(String, Option<f64>)>,
-    /// What it does for replicas besides: `view`, `video`.
-    pub making: Vec<String>,
 }
 
 impl Store {
@@ -119,12 +111,6 @@ impl Store {
                 }
             }
         }
-        for (of, kind) in self.errands_under_way().await? {
-            let its = workers.iter_mut().find(|worker| worker.id == of);
-            if let Some(worker) = its {
-                worker.making.push(kind);
-            }
-        }
         Ok(workers)
     }
 }
@@ -185,6 +171,5 @@ fn worker(row: &AnyRow) -> Result<WorkerRow> {
         started_at: row.try_get("started_at")?,
         seen_at: row.try_get("seen_at")?,
         running: Vec::new(),
-        making: Vec::new(),
     })
 }

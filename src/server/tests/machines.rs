@@ -48,6 +48,40 @@ fn a_job_that_is_posted_at_one_replica_is_made_by_a_worker_and_seen_at_another()
 }
 
 #[test]
+fn a_replica_that_has_nothing_of_a_job_makes_its_views_and_videos() {
+    let farm = Farm::new();
+    let (mut one, api) = farm.replica("one");
+    let _worker = farm.worker("worker");
+    let job = order(&api, "ok");
+    api.wait_state(&job, "succeeded");
+    let film = json!({ "kind": "orbit", "fps": 5, "seconds": 8.0, "width": 128 });
+    let videos = format!("/v1/jobs/{job}/videos");
+    let begun = api.post_json(&videos, &film, &[]).expect(202);
+    let begun = begun.header("location").to_owned();
+    one.kill();
+    // It takes the video up, and its copy of what that shows is lost.
+    std::fs::remove_dir_all(one.folder.join("data/jobs").join(&job).join("output")).expect("there");
+    let (_one, api) = farm.replica("one");
+    let (_two, two) = farm.replica("two");
+    let asked = two.post_json(&videos, &film, &[]).expect(202);
+    let asked = asked.header("location").to_owned();
+    let view = format!("/v1/jobs/{job}/render?azimuth=30&format=png");
+    assert!(api.get(&view, &[]).expect(200).body == two.get(&view, &[]).expect(200).body);
+    for (replica, video) in [(&api, &begun), (&two, &asked)] {
+        let since = Instant::now();
+        while replica.get(video, &[]).expect(200).json()["state"] != "succeeded" {
+            assert!(since.elapsed() < PATIENCE, "{video} is not made");
+            sleep(Duration::from_millis(50));
+        }
+        // Each is seen at both.
+        for replica in [&api, &two] {
+            let file = replica.get(&format!("{video}/file"), &[]).expect(200);
+            assert_eq!(&file.body[4..8], b"ftyp");
+        }
+    }
+}
+
+#[test]
 fn a_worker_that_is_killed_frozen_or_cut_off_loses_its_job_and_nothing_else() {
     let farm = Farm::new();
     let calm = expected();

@@ -7,8 +7,7 @@ use opentelemetry::{Context, KeyValue};
 use opentelemetry_sdk::trace::{SdkTracer, Span as SdkSpan};
 
 use super::{Traces, parent};
-use crate::coordinator::Assignment;
-use crate::store::Settlement;
+use crate::store::{JobRow, Settlement};
 
 /// An attempt, where anybody asks for traces. One that is dropped has lost its lease.
 #[derive(Debug)]
@@ -24,13 +23,13 @@ struct Under {
 
 impl AttemptTrace {
     /// Begins the span of an attempt.
-    pub fn begin(traces: &Traces, job: &Assignment, worker: &str) -> Self {
+    pub fn begin(traces: &Traces, job: &JobRow, worker: &str) -> Self {
         let begin = |tracer: &SdkTracer| {
             let parent = parent::of(job.traceparent.as_deref());
             let span = tracer.span_builder("attempt").with_attributes([
-                KeyValue::new("fled.job", job.lease.job.clone()),
+                KeyValue::new("fled.job", job.id.clone()),
                 KeyValue::new("fled.preset", job.preset.clone()),
-                KeyValue::new("fled.attempt", i64::from(job.attempt)),
+                KeyValue::new("fled.attempt", i64::from(job.attempts)),
                 KeyValue::new("fled.worker", worker.to_owned()),
             ]);
             let span = span.start_with_context(tracer, &parent);

@@ -1,17 +1,15 @@
 //! The child process that makes a video, from its start to its end.
 
 use std::ffi::OsString;
-use std::path::Path;
 use std::process::ExitStatus;
 
-use fled_core::video::Plan;
 use tokio::sync::Notify;
 use tokio::time::{Instant, sleep_until};
-use tokio_util::sync::CancellationToken;
 
 use super::protocol::VideoEvent;
-use super::record::VideoFault;
-use crate::config::ServeConfig;
+use super::record::{Record, VideoFault, VideoFolder};
+use super::turns::Ticket;
+use crate::app::App;
 use crate::jobs::process::{Group, Happening, JOB_VARIABLE, Line};
 use crate::wording::without_paths;
 
@@ -28,96 +26,85 @@ pub enum End {
     Interrupted,
 }
 
-/// A video to be made.
-#[derive(Debug)]
-pub struct Film<'a> {
-    /// What starts the process.
-    pub config: &'a ServeConfig,
-    /// Whose result it shows.
-    pub job: &'a str,
-    /// The result.
-    pub output: &'a Path,
-    /// Its way and its pictures.
-    pub plan: &'a Plan,
-    /// Where the process reads that.
-    pub plan_file: &'a Path,
-    /// Where the video goes.
-    pub video: &'a Path,
+/// Makes a video in its folder, unless it is stopped.
+pub async fn film(
+    app: &App,
+    ticket: &Ticket,
+    folder: &VideoFolder,
+    record: &Record,
+    stop: &Notify,
+) -> End {
+    let mut group = match begin(app, ticket, folder, record) {
+        Ok(group) => group,
+        Err(error) => return not_begun(&error),
+    };
+    let end = tokio::select! {
+        end = watch(app, &mut group) => end,
+        () = stop.notified() => End::Stopped,
+        () = app.shutdown.cancelled() => End::Interrupted,
+    };
+    group.stop(app.limits.grace).await;
+    end
 }
 
-impl Film<'_> {
-    /// Makes it, unless it is stopped; `advance` hears how many pictures of how many are done.
-    pub async fn make(
-        &self,
-        stop: &Notify,
-        shutdown: &CancellationToken,
-        advance: impl Fn(u32, u32),
-    ) -> End {
-        let mut group = match self.begin() {
-            Ok(group) => group,
-            Err(error) => return not_begun(&error),
-        };
-        let end = tokio::select! {
-            end = self.watch(&mut group, advance) => end,
-            () = stop.notified() => End::Stopped,
-            () = shutdown.cancelled() => End::Interrupted,
-        };
-        group.stop(self.config.limits.grace).await;
-        end
-    }
+fn begin(
+    app: &App,
+    ticket: &Ticket,
+    folder: &VideoFolder,
+    record: &Record,
+) -> std::io::Result<Group> {
+    let plan = folder.plan();
+    let text = serde_json::to_vec(&record.plan).unwrap_or_default();
+    std::fs::write(&plan, text)?;
+    let output = app.data.output(&ticket.job).root().to_owned();
+    let arguments: Vec<OsString> = vec![
+        output.into(),
+        "--plan".into(),
+        plan.into(),
+        "--output".into(),
+        folder.video().into(),
+        "--ffmpeg".into(),
+        app.config.ffmpeg.clone().into(),
+        "--json".into(),
+        "--background".into(),
+    ];
+    let mark = [(JOB_VARIABLE, ticket.job.as_str())];
+    let mut group = Group::spawn(&app.config.video_command, &arguments, &mark)?;
+    // It reads nothing; an open pipe would only hold a descriptor.
+    drop(group.stdin.take());
+    Ok(group)
+}
 
-    fn begin(&self) -> std::io::Result<Group> {
-        let text = serde_json::to_vec(self.plan).unwrap_or_default();
-        std::fs::write(self.plan_file, text)?;
-        let arguments: Vec<OsString> = vec![
-            self.output.into(),
-            "--plan".into(),
-            self.plan_file.into(),
-            "--output".into(),
-            self.video.into(),
-            "--ffmpeg".into(),
-            self.config.ffmpeg.clone().into(),
-            "--json".into(),
-            "--background".into(),
-        ];
-        let mark = [(JOB_VARIABLE, self.job)];
-        let mut group = Group::spawn(&self.config.video_command, &arguments, &mark)?;
-        // It reads nothing; an open pipe would only hold a descriptor.
-        drop(group.stdin.take());
-        Ok(group)
-    }
-
-    /// Takes its lines until it ends or has to.
-    async fn watch(&self, group: &mut Group, advance: impl Fn(u32, u32)) -> End {
-        let mut last_words = None;
-        let limit = self.config.limits.silence;
-        let mut silence = Instant::now() + limit;
-        loop {
-            tokio::select! {
-                happening = group.next() => match happening {
-                    Ok(Happening::Line(line)) => {
-                        silence = Instant::now() + limit;
-                        take(line, &advance, &mut last_words);
-                    }
-                    // Its last lines may still come.
-                    Ok(Happening::Ended(_)) => {}
-                    Ok(Happening::Closed) => return ended(group.wait().await, last_words),
-                    Err(error) => return not_begun(&error),
-                },
-                () = sleep_until(silence) => {
-                    let detail = format!("it said nothing for {} s", limit.as_secs());
-                    let hint = "Ask for a smaller one.".to_owned();
-                    return End::Failed(VideoFault { detail, hint });
+/// Takes its lines until it ends or has to.
+async fn watch(app: &App, group: &mut Group) -> End {
+    let mut last_words = None;
+    let limit = app.limits.silence;
+    let mut silence = Instant::now() + limit;
+    loop {
+        tokio::select! {
+            happening = group.next() => match happening {
+                Ok(Happening::Line(line)) => {
+                    silence = Instant::now() + limit;
+                    take(app, line, &mut last_words);
                 }
+                // Its last lines may still come.
+                Ok(Happening::Ended(_)) => {}
+                Ok(Happening::Closed) => return ended(group.wait().await, last_words),
+                Err(error) => return not_begun(&error),
+            },
+            () = sleep_until(silence) => {
+                let detail = format!("it said nothing for {} s", limit.as_secs());
+                let hint = "Ask for a smaller one.".to_owned();
+                return End::Failed(VideoFault { detail, hint });
             }
         }
     }
 }
 
-fn take(line: Line, advance: &impl Fn(u32, u32), last_words: &mut Option<VideoFault>) {
+fn take(app: &App, line: Line, last_words: &mut Option<VideoFault>) {
     match line {
         Line::Output(text) => match serde_json::from_str(&text) {
-            Ok(VideoEvent::Rendered { done, total }) => advance(done, total),
+            Ok(VideoEvent::Rendered { done, total }) => app.videos.advance(done, total),
             Ok(VideoEvent::Failed { detail, hint }) => {
                 *last_words = Some(VideoFault { detail, hint });
             }

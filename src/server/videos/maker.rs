@@ -1,21 +1,19 @@
-//! Makes videos, one after the other, each by a child process that gives way to jobs, or
-//! by a worker.
+//! Makes videos, one after the other, each by a child process that gives way to jobs.
 
 use std::sync::Arc;
 
 use tokio::sync::Notify;
 
-use super::film::{End, Film};
-use super::record::{MadeBy, Record, VideoFault, VideoFolder, VideoState, videos_of};
+use super::film::{End, film};
+use super::record::{Record, VideoFault, VideoFolder, VideoState, videos_of};
 use super::turns::Ticket;
 use crate::app::App;
-use crate::coordinator::Task;
-use crate::copies::{below, publish_video};
-use crate::errands::ask;
+use crate::copies::{fetch_job, publish_video};
 use crate::error::{Result, ServerError};
 use crate::jobs::kill_orphans;
 use crate::removal::remove_file;
 use crate::store::now_ms;
+use crate::wording::without_paths;
 
 /// A video during which the server has died so often is not begun again: memory that runs out
 /// takes the server as well.
@@ -97,7 +95,7 @@ async fn make(app: &App, ticket: &Ticket, bell: &Notify) -> Result<()> {
         record.attempts += 1;
         record.state = VideoState::Running;
         folder.save(&record)?;
-        made(app, ticket, &folder, &mut record, bell).await
+        made(app, ticket, &folder, &record, bell).await
     };
     settle(&folder, record, end).await?;
     match folder.load()? {
@@ -107,63 +105,26 @@ async fn make(app: &App, ticket: &Ticket, bell: &Notify) -> Result<()> {
     }
 }
 
-/// Makes it here, or lets a worker make it.
+/// Fetches what it shows, where others have made that, and makes it.
 async fn made(
-    app: &App,
-    ticket: &Ticket,
-    folder: &VideoFolder,
-    record: &mut Record,
-    bell: &Notify,
-) -> End {
-    match by_worker(app, ticket, folder, record, bell).await {
-        Ok(Some(end)) => {
-            record.made_by = Some(MadeBy::Worker);
-            return end;
-        }
-        Ok(None) => {}
-        Err(error) => tracing::warn!(%error, video = ticket.id, "no worker made it: made here"),
-    }
-    record.made_by = Some(MadeBy::Server);
-    let output = app.data.output(&ticket.job);
-    let film = Film {
-        config: &app.config,
-        job: &ticket.job,
-        output: output.root(),
-        plan: &record.plan,
-        plan_file: &folder.plan(),
-        video: &folder.video(),
-    };
-    let advance = |done, total| app.videos.advance(done, total);
-    film.make(bell, &app.shutdown, advance).await
-}
-
-/// `None` where no worker does it.
-async fn by_worker(
     app: &App,
     ticket: &Ticket,
     folder: &VideoFolder,
     record: &Record,
     bell: &Notify,
-) -> Result<Option<End>> {
-    let (root, output) = (app.data.job(&ticket.job), app.data.output(&ticket.job));
-    let files = [output.scene_of(record.plan.round), output.cameras()];
-    let files = files.map(|path| below(&root, &path));
-    let plan = Box::new(record.plan.clone());
-    let task = Task::Video { plan };
-    let advance = |done, total| app.videos.advance(done, total);
-    let made = async {
-        let asked = ask(app, &ticket.job, &files, &task, advance).await?;
-        let (Some(blob), Some(blobs)) = (asked, app.mirror.blobs()) else {
-            return Ok(None);
-        };
-        blobs.fetch(&blob, &folder.video()).await?;
-        Ok(Some(End::Made))
+) -> End {
+    let fetched = tokio::select! {
+        fetched = fetch_job(app, &ticket.job) => fetched,
+        () = bell.notified() => return End::Stopped,
+        () = app.shutdown.cancelled() => return End::Interrupted,
     };
-    tokio::select! {
-        made = made => made,
-        () = bell.notified() => Ok(Some(End::Stopped)),
-        () = app.shutdown.cancelled() => Ok(Some(End::Interrupted)),
+    if let Err(error) = fetched {
+        return End::Failed(VideoFault {
+            detail: without_paths(&format!("the scene cannot be fetched: {error}")),
+            hint: "Ask for it again once /readyz says that the store of files answers.".to_owned(),
+        });
     }
+    film(app, ticket, folder, record, bell).await
 }
 
 /// Keeps what came of it.

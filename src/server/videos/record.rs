@@ -41,16 +41,6 @@ pub struct VideoFault {
     pub hint: String,
 }
 
-/// Where a video was made.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum MadeBy {
-    /// Where it was asked for.
-    Server,
-    /// By a worker.
-    Worker,
-}
-
 /// What is known of a video.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Record {
@@ -70,9 +60,6 @@ pub struct Record {
     pub finished_at: Option<i64>,
     /// How often it was begun.
     pub attempts: u32,
-    /// Where it was made.
-    #[serde(default)]
-    pub made_by: Option<MadeBy>,
     /// How large it is.
     pub bytes: Option<u64>,
     /// Why it failed.

@@ -12,7 +12,7 @@ async fn what_is_told_again_because_its_answer_was_lost_is_told_once() {
     };
     // As `say` does it: the first transaction is done, and its answer does not come.
     let mut before = None;
-    let saying = Saying::Event(&warning);
+    let saying = say::Saying::Event(&warning);
     store.say_once(&lease, saying, &mut before).await.expect("told");
     store.say_once(&lease, saying, &mut before).await.expect("known");
     let events = store.events_after("j", 0, 9).await.expect("events");
@@ -142,14 +142,6 @@ async fn workers_are_seen_with_what_they_do_until_they_go() {
     let told: Vec<_> = told.collect();
     assert_eq!(told, [("one", true, 1), ("two", false, 0)]);
     assert_eq!(workers[0].about, about);
-    store.ask_errand("e", ("two", "video"), "{}", 60_000).await.expect("asked");
-    let making = async || store.workers().await.expect("workers").pop().expect("two").making;
-    assert!(making().await.is_empty(), "it is only asked");
-    for (life, shown) in [(60_000, vec!["video"]), (-1000, vec![])] {
-        store.take_errand(("two", "video"), 60_000).await.expect("taken");
-        store.extend_errand("e", "two", (0, 0), life).await.expect("said");
-        assert_eq!(making().await, shown);
-    }
     store.forget_workers(Some("two"), 0).await.expect("gone");
     assert_eq!(store.workers().await.expect("workers").len(), 1);
 }
@@ -180,53 +172,4 @@ async fn marks_are_known_for_a_week_and_the_last_as_long_as_it_is_the_last() {
     set("UPDATE collections SET begun_at = begun_at + 1400000000").await;
     note("d", Some("c")).await;
     assert_eq!(known().await, ["c", "d"]);
-}
-
-#[tokio::test]
-async fn an_errand_is_taken_by_whom_it_is_for_and_answered_once() {
-    let (_dir, store) = store().await;
-    let ask = async |id: &str| {
-        let asked = store.ask_errand(id, ("one", "view"), r#"{"a":1}"#, 60_000);
-        asked.await.expect("asked");
-    };
-    ask("a").await;
-    ask("b").await;
-    for other in [("two", "view"), ("one", "video")] {
-        let taken = store.take_errand(other, 60_000).await.expect("looked");
-        assert_eq!(taken, None);
-    }
-    assert_eq!(store.errand("a").await.expect("read"), Some(ErrandState::Asked));
-    let take = async |life| store.take_errand(("one", "view"), life).await.expect("looked");
-    assert_eq!(take(60_000).await, Some(("a".to_owned(), r#"{"a":1}"#.to_owned())));
-    assert!(!store.withdraw_untaken("a").await.expect("looked"), "it is taken");
-    assert!(store.withdraw_untaken("b").await.expect("looked"));
-    assert_eq!(take(60_000).await, None);
-    let extend = async |worker, life| {
-        let extended = store.extend_errand("a", worker, (1, 4), life);
-        extended.await.expect("said")
-    };
-    assert!(!extend("two", 60_000).await, "another's");
-    for (life, is_lost) in [(60_000, false), (-1000, true)] {
-        assert!(extend("one", life).await);
-        let taken = ErrandState::Taken { is_lost, done: 1, total: 4 };
-        assert_eq!(store.errand("a").await.expect("read"), Some(taken));
-    }
-    // Who asks may be gone.
-    for (life, is_wanted) in [(-1000, false), (60_000, true)] {
-        store.want_errand("a", life).await.expect("said");
-        assert_eq!(extend("one", 60_000).await, is_wanted);
-        store.ask_errand("c", ("one", "view"), "{}", life).await.expect("asked");
-        assert_eq!(take(60_000).await.is_some(), is_wanted);
-        store.withdraw_errand("c").await.expect("gone");
-    }
-    let answer = async |outcome| store.answer_errand("a", "one", outcome).await.expect("said");
-    assert!(answer(r#""x""#).await);
-    assert!(!answer(r#""y""#).await, "the first holds");
-    assert!(!extend("one", 60_000).await);
-    let answered = ErrandState::Answered(r#""x""#.to_owned());
-    assert_eq!(store.errand("a").await.expect("read"), Some(answered));
-    store.forget_errands(60_000).await.expect("forgotten");
-    assert!(store.errand("a").await.expect("read").is_some(), "it is young");
-    store.withdraw_errand("a").await.expect("gone");
-    assert_eq!(store.errand("a").await.expect("read"), None);
 }

@@ -166,10 +166,9 @@ fn begin_by(by: &[&str], root: &Path, name: &str, more: &[(&str, &str)]) -> (Mac
 }
 
 /// What a worker says of itself in the environment of its process.
-pub fn about(name: &str) -> String {
+fn about(name: &str) -> String {
     json!({ "host": name, "version": "1", "adapter": null, "has_gpu": false,
-            "cores": 2, "memory": 1_000_000_000, "jobs": 1,
-            "renders": true, "films": true })
+            "cores": 2, "memory": 1_000_000_000, "jobs": 1 })
     .to_string()
 }
 
