@@ -1,6 +1,6 @@
-// Encodes position and viewing direction of one cell of the chunk an invocation.
-// Reads nothing but the camera. Writes encoded [count, encoded_stride] and the last 28 columns of
-// features [count, 156]. Dispatch: count.
+// Encodes position and viewing direction of one pixel of the chunk an invocation.
+// Reads nothing but the camera. Writes encoded [count, 64] and the last 28 columns of features
+// [count, 156]. Dispatch: count.
 // x = (2 u / W - 1, 2 v / H - 1, 2 * 16 / 63 - 1), d = R^T K^-1 (u, v, 1) normalised; gamma(x) =
 // (x, sin 2^k x, cos 2^k x).
 #import shared/grid.wgsl
@@ -8,6 +8,8 @@
 
 const WIDTH: u32 = 32;
 
+// Floats a row of the encoded positions.
+const ENCODED_STRIDE: u32 = 64u;
 // Floats a row of the features, the first of the direction's encoding, and its octaves.
 const FEATURE_STRIDE: u32 = 156u;
 const DIRECTION: u32 = 128u;
@@ -40,9 +42,8 @@ fn main(
     if index >= chunk.count {
         return;
     }
-    let cell = chunk.first + index;
-    let pixel = (vec2<f32>(f32(cell % field.columns), f32(cell / field.columns)) + 0.5)
-        * f32(field.scale);
+    let at_pixel = chunk.first + index;
+    let pixel = vec2<f32>(f32(at_pixel % field.width), f32(at_pixel / field.width)) + 0.5;
     let size = vec2<f32>(f32(field.width), f32(field.height));
     let position = vec3<f32>(2.0 * pixel / size - 1.0, 32.0 / 63.0 - 1.0);
     let camera = vec3<f32>((pixel - field.centre) / field.focal, 1.0);
@@ -50,7 +51,7 @@ fn main(
         + field.row_z.xyz * camera.z;
     let direction = normalize(world);
 
-    var at = index * field.encoded_stride;
+    var at = index * ENCODED_STRIDE;
     store_encoded(at, position);
     var frequency = 1.0;
     for (var k = 0u; k < field.octaves; k++) {

@@ -1,4 +1,4 @@
-// The derivative by the input of one fully connected layer, for 8 cells x 8 inputs an invocation.
+// The derivative by the input of one fully connected layer, for 8 pixels x 8 inputs an invocation.
 // Reads delta [count, output_stride] (the derivative before the relu of the layer), parameters,
 // input [count, input_stride]. Writes input_delta [count, input_stride]. Dispatch: ceil(count / 8)
 // ceil(inputs / 2).

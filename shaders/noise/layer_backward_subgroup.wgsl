@@ -1,4 +1,4 @@
-// The derivative by the input of one fully connected layer, for 16 cells a subgroup and 4 inputs a
+// The derivative by the input of one fully connected layer, for 16 pixels a subgroup and 4 inputs a
 // lane; as layer_forward_subgroup.wgsl.
 // Reads delta [count, output_stride] (the derivative before the relu of the layer), parameters,
 // input [count, input_stride]. Writes input_delta [count, input_stride]. Dispatch: a workgroup for

@@ -1,4 +1,4 @@
-// One fully connected layer for 8 cells x 8 outputs an invocation.
+// One fully connected layer for 8 pixels x 8 outputs an invocation.
 // Reads input [count, input_stride], parameters. Writes output [count, output_stride]. Rows past
 // count, up to a multiple of 8, are written with nothing of meaning. Dispatch: ceil(count / 8)
 // ceil(outputs / 2).

@@ -1,9 +1,9 @@
-// One fully connected layer for 16 cells a subgroup and 4 outputs a lane: a lane loads two cells'
+// One fully connected layer for 16 pixels a subgroup and 4 outputs a lane: a lane loads two pixels'
 // inputs, and all lanes get them from it. What layer_forward.wgsl does where a load costs more than
 // an exchange.
 // Reads input [count, input_stride], parameters. Writes output [count, output_stride]. Rows past
 // count, up to a multiple of 16, are written with nothing of meaning. Dispatch: a workgroup for 16
-// cells and 32 outputs.
+// pixels and 32 outputs.
 // output = relu(input W + b), or without the relu.
 #import shared/grid.wgsl
 #import shared/noise.wgsl

@@ -1,4 +1,4 @@
-// The derivatives of 8 x 8 weights of one layer over one segment of the chunk's cells an
+// The derivatives of 8 x 8 weights of one layer over one segment of the chunk's pixels an
 // invocation, and of 8 biases where its inputs are the first.
 // Reads delta [count, output_stride], input [count, input_stride]. Writes gradients [segments,
 // parameters]; chunks after the first add to them. Dispatch: segments ceil(inputs / 2) ceil(outputs

@@ -1,6 +1,6 @@
-// The derivatives of the weights of one layer over all of the chunk's cells, for 16 inputs a
+// The derivatives of the weights of one layer over all of the chunk's pixels, for 16 inputs a
 // subgroup and 4 outputs a lane, and of the biases where its inputs are the first: a lane loads one
-// cell's inputs, and all lanes get them from it.
+// pixel's inputs, and all lanes get them from it.
 // Reads delta [count, output_stride], input [count, input_stride]. Writes gradients [parameters];
 // chunks after the first add to them. Dispatch: a workgroup for 16 inputs and 32 outputs.
 // dW = input^T delta, db = sum delta.
@@ -30,10 +30,10 @@ fn add_block(at: u32, block: mat4x4<f32>) {
     }
 }
 
-// The derivative of a cell; cells past the last have none.
-fn delta_of(cell: u32, column: u32) -> vec4<f32> {
-    let d = delta[min(cell, chunk.count - 1u) * layer.output_stride + column];
-    return select(vec4<f32>(0.0), d, cell < chunk.count);
+// The derivative of a pixel; pixels past the last have none.
+fn delta_of(pixel: u32, column: u32) -> vec4<f32> {
+    let d = delta[min(pixel, chunk.count - 1u) * layer.output_stride + column];
+    return select(vec4<f32>(0.0), d, pixel < chunk.count);
 }
 
 // How four inputs meet four outputs.

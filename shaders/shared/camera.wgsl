@@ -16,18 +16,14 @@ struct CameraUniform {
     tiles: vec2<u32>,
     // Centre of projection, world units.
     position: vec3<f32>,
-    // Which Gaussians are dropped is drawn from this.
-    draw: u32,
-    // Active degree of the spherical harmonics and the number of Gaussians.
+    // Active degree of the spherical harmonics.
     sh_degree: u32,
+    // What shines through where the splats leave room.
+    background: vec3<f32>,
+    // Number of Gaussians.
     count: u32,
     // Splats nearer than this are culled, world units.
     near: f32,
     // Vectors in a row of harmonics of the allocated degree.
     sh_row: u32,
-    // What shines through where the splats leave room.
-    background: vec3<f32>,
-    // Share of the Gaussians that are dropped; the opacity of the others is divided by what is
-    // left.
-    dropout: f32,
 }

@@ -2,12 +2,10 @@
 // harmonics, depth key, and the exact number of tiles it touches (0 when culled).
 // Reads geometry [part, 12], sh [part, sh_row]. Writes projected [count, 3], tile_counts [count],
 // depth_keys [count]. Dispatch: the part's rows.
-// Sigma' = J W Sigma W^T J^T + 0.3 I, opacity = sigmoid(logit) / (1 - dropout), colour = max(0.5 +
-// sum sh Y(d), 0).
+// Sigma' = J W Sigma W^T J^T + 0.3 I, opacity = sigmoid(logit), colour = max(0.5 + sum sh Y(d), 0).
 #import shared/gaussian_rows.wgsl
 #import shared/grid.wgsl
 #import shared/part.wgsl
-#import shared/random.wgsl
 #import shared/tiles.wgsl
 
 const WIDTH: u32 = 64;
@@ -52,11 +50,11 @@ fn main(
     tile_counts[i] = 0u;
     depth_keys[i] = 0xffffffffu;
     let g = load_geometry(row);
-    if (!geometry_usable(g) || uniform4(camera.draw, 0u, i).x < camera.dropout) {
+    if (!geometry_usable(g)) {
         return;
     }
     let shape = shape_of(g);
-    let opacity = shape.opacity / (1.0 - camera.dropout);
+    let opacity = shape.opacity;
     let p = project_shape(g.mean, shape, camera);
     let limit = exponent_limit(opacity);
     if (!p.usable || limit < 0.0) {

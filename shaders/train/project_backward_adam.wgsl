@@ -50,7 +50,7 @@ struct SlotSum {
     mean: vec2<f32>,
     conic: vec3<f32>,
     colour: vec3<f32>,
-    // By the logit of the opacity, dropout and all.
+    // By the logit of the opacity.
     logit: f32,
 }
 

@@ -6,12 +6,11 @@
 //! [`train`](crate::reconstruct::train); rendering is [`Renderer`](crate::render::Renderer). Steps
 //! a second are measured without timestamps; afterwards some steps more are made with a timestamp
 //! around every dispatch. Two small kernels measure what the device can do at all, in the same
-//! minutes, so that a kernel's share of it means the same on a machine that is shared with others.
-//! What a kernel has to move and to compute follows from counts ([`model`]).
+//! minutes, so that a kernel's time in theirs means the same on a machine that is shared with
+//! others.
 
 mod error;
 mod measure;
-pub mod model;
 mod options;
 pub mod report;
 mod subject;
@@ -47,19 +46,14 @@ struct Extras {
 }
 
 impl Extras {
-    /// Nothing, each mode of the noise field, and what the presets `preview` and `standard` train
-    /// with.
-    const ALL: [Self; 4] = [
+    /// Nothing, what the presets `preview` and `standard` train with, and what `paper` does.
+    const ALL: [Self; 3] = [
         Self {
             noise: NoiseMode::Off,
             shake: false,
         },
         Self {
-            noise: NoiseMode::Grid,
-            shake: false,
-        },
-        Self {
-            noise: NoiseMode::Grid,
+            noise: NoiseMode::Off,
             shake: true,
         },
         Self {
@@ -71,7 +65,6 @@ impl Extras {
     fn name(self) -> String {
         let noise = match self.noise {
             NoiseMode::Off => "off",
-            NoiseMode::Grid => "grid",
             NoiseMode::Paper => "paper",
         };
         format!(
@@ -192,7 +185,8 @@ impl Bench<'_> {
         let gaussians = workload.gaussians.clone();
         let case = self.case(name, "train", || {
             let stepper = Stepper::new(self.gpu, &workload.views, gaussians, &config, FIRST)?;
-            Ok(Training::new(stepper, workload, self.cancel))
+            let cancel = self.cancel;
+            Ok(Training { stepper, cancel })
         })?;
         Ok(Case {
             noise: Some(extras.noise),
@@ -234,10 +228,7 @@ fn config(workload: &Workload, extras: Extras) -> TrainConfig {
         resolution_schedule: false,
         warm: true,
         background: Background::Black,
-        dropout: 0.0,
         densify: Densify::Mcmc,
-        stereo: None,
-        view_colour: false,
         seed: 0,
         extent: workload.extent,
     }

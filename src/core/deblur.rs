@@ -3,8 +3,6 @@
 //! A [`Restorer`] is a network in ONNX Runtime, or [`Identity`] where none is wanted. What they
 //! are given and what they return are sRGB-encoded images in 0..=1 of the same size.
 
-mod blend;
-mod by_guide;
 mod choice;
 mod error;
 pub mod golden;
@@ -14,8 +12,6 @@ mod open;
 mod overlay;
 mod tiling;
 
-pub use blend::Blend;
-pub use by_guide::ByGuide;
 pub use choice::NetworkChoice;
 pub use error::DeblurError;
 pub use golden::Golden;
@@ -30,20 +26,16 @@ pub trait Restorer: Send {
     /// The restored view, of the size of `blurry`, every value finite and in 0..=1.
     ///
     /// `guide` is the view with the detail of its clean render of the same size and brightness;
-    /// without one a guided network is fed `blurry` twice.
+    /// without one a guided network is fed `blurry` twice, and a network without channels for a
+    /// guide does without.
     ///
     /// # Errors
-    /// [`DeblurError::GuideSize`] when the sizes differ, [`DeblurError::GuideUnsupported`] when the
-    /// network has no channels for a guide, [`DeblurError::Inference`] when it cannot be run.
+    /// [`DeblurError::GuideSize`] when the sizes differ, [`DeblurError::Inference`] when it cannot
+    /// be run.
     fn restore(&mut self, blurry: &Image, guide: Option<&Image>) -> Result<Image, DeblurError>;
 
     /// What it is, for the report of the run.
     fn describe(&self) -> RestorerInfo;
-
-    /// What views without a guide go through, when that is another network.
-    fn unguided(&self) -> Option<RestorerInfo> {
-        None
-    }
 
     /// Sentences about what went wrong without ending the run, since the last call.
     fn take_warnings(&mut self) -> Vec<String> {

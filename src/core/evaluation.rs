@@ -196,7 +196,6 @@ fn register(
                 camera: *camera,
                 image: fit.apply(&view.photograph),
                 has_kernel: false,
-                noise_sigma: 0.0,
             });
         }
         let registration = Registration::new(request.gpu, &photographs, &subject.gaussians, None)?;

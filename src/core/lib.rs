@@ -37,6 +37,5 @@ pub mod render;
 pub mod run_folder;
 pub mod shake;
 pub mod splat;
-pub mod stereo;
 pub mod synthetic;
 pub mod video;

@@ -1,20 +1,16 @@
-//! The noise field: a small network that explains what is smooth over an image and is no part of
-//! the scene (black level, cast, exposure), so that the splats need not.
+//! The paper's noise field: a small network that explains what of an image is no part of the scene,
+//! so that the splats need not.
 //!
 //! ```no_run
-//! # use fled_core::{camera::Camera, noise::{NoiseField, NoiseMode}};
-//! # use fled_core::noise::IntersectionLimit;
+//! # use fled_core::{camera::Camera, noise::{IntersectionLimit, NoiseField}};
 //! # fn step(
-//! #     gpu: &fled_gpu::Gpu, camera: &Camera, sigma: f32, limit: &IntersectionLimit<'_>,
+//! #     gpu: &fled_gpu::Gpu, camera: &Camera, limit: &IntersectionLimit<'_>,
 //! # ) -> Result<(), fled_gpu::GpuError> {
 //! # let buffer = || gpu.create::<f32>("image", 3 * 280 * 160);
 //! # let (render, prediction, gradient) = (buffer()?, buffer()?, buffer()?);
-//! // Once a round; sizes up to this one. `None` when the mode is `Off`.
-//! let Some(mut field) = NoiseField::new(gpu, NoiseMode::Grid, 0, [280, 160])? else {
-//!     return Ok(());
-//! };
-//! // Every step from `OFF_SHARE` of the round on; before, the render itself is the prediction.
-//! field.begin_step(camera, sigma)?; // the camera at the size that is trained
+//! // Once a round; sizes up to this one.
+//! let mut field = NoiseField::new(gpu, 0, [280, 160])?;
+//! field.begin_step(camera)?; // at the size that is trained
 //! let mut recorder = gpu.recorder();
 //! field.record_forward(&mut recorder, &render, &prediction)?;  // prediction = render + n
 //! // ... the loss of `prediction` writes `gradient`; the splats' backward takes it too ...
@@ -41,7 +37,6 @@ mod mode;
 mod network;
 pub mod reference;
 mod state;
-mod work;
 
 use std::ops::Range;
 
@@ -53,40 +48,26 @@ pub use inspection::{CORRELATION_LIMIT, Inspection, LEAST_GUARDED_SPREAD};
 pub use intersection_limit::IntersectionLimit;
 use kernels::{AdamUniform, ChunkUniform, NoiseUniform};
 pub use mode::NoiseMode;
-use mode::cell_side;
 use network::{LAYERS, Network};
 pub use state::StateError;
-pub use work::NoiseWork;
 
-/// Share of a round's steps, from the first on, without a noise field in mode `Grid`.
-pub const OFF_SHARE: f64 = 0.1;
-
-/// Largest amplitude, and the paper's only one.
-const MOST: f32 = 0.1;
-/// Smallest amplitude of mode `Grid`.
-const LEAST: f32 = 0.02;
+/// The noise is at most this.
+const AMPLITUDE: f32 = 0.1;
 /// Adam's rate falls by `DECAY` every `DECAY_STEPS` steps.
 const RATE: f64 = 1e-4;
 const DECAY: f64 = 0.95;
 const DECAY_STEPS: u64 = 100;
-/// Most cells whose activations are kept at once: 2 x 3.5 KiB a cell.
-const CHUNK_GRID: usize = 16_384;
-const CHUNK_PAPER: usize = 4_096;
-/// Parts of the cells whose weight gradients are summed apart; a GPU needs the invocations.
+/// Most pixels whose activations are kept at once: 2 x 3.5 KiB a pixel.
+const CHUNK: usize = 4_096;
+/// Parts of the pixels whose weight gradients are summed apart; a GPU needs the invocations.
 const SEGMENTS_ON_CPU: u32 = 1;
 const SEGMENTS_ON_GPU: u32 = 16;
 
 /// Lanes of a subgroup of the kernels that exchange what they load: lavapipe's.
 const LANES: usize = 8;
 
-/// `clamp(3 sigma, 0.02, 0.1)`: the bound of the noise of a view whose measured noise is `sigma`.
-pub fn amplitude(sigma: f32) -> f32 {
-    (3.0 * sigma).clamp(LEAST, MOST)
-}
-
 /// The network, its optimiser and its buffers.
 pub struct NoiseField {
-    mode: NoiseMode,
     network: Network,
     /// Product of the halvings of the guard.
     restraint: f32,
@@ -94,36 +75,21 @@ pub struct NoiseField {
     segments: u32,
     /// Whether the layers' kernels exchange what they load over a subgroup.
     exchanges: bool,
-    chunk_cells: usize,
-    most_cells: usize,
+    chunk_pixels: usize,
+    most_pixels: usize,
     current: NoiseUniform,
     buffers: Buffers,
 }
 
 impl NoiseField {
-    /// A new field for images of at most `size` = [width, height] px; `None` in mode `Off`.
+    /// A new field for images of at most `size` = [width, height] px.
     ///
     /// # Errors
     /// A device error, out of memory above all.
-    pub fn new(
-        gpu: &Gpu,
-        mode: NoiseMode,
-        seed: u64,
-        size: [usize; 2],
-    ) -> Result<Option<Self>, GpuError> {
-        let octaves = match mode {
-            NoiseMode::Off => return Ok(None),
-            NoiseMode::Grid => 8,
-            NoiseMode::Paper => 10,
-        };
-        let network = Network::new(octaves);
-        let cell = cell_side(mode) as usize;
-        let most_cells = size[0].div_ceil(cell) * size[1].div_ceil(cell);
-        let chunk_cells = most_cells.min(if mode == NoiseMode::Grid {
-            CHUNK_GRID
-        } else {
-            CHUNK_PAPER
-        });
+    pub fn new(gpu: &Gpu, seed: u64, size: [usize; 2]) -> Result<Self, GpuError> {
+        let network = Network::new();
+        let most_pixels = size[0] * size[1];
+        let chunk_pixels = most_pixels.min(CHUNK);
         let on_cpu = gpu.describe().device_type == DeviceType::Cpu;
         let exchanges = on_cpu && gpu.describe().subgroup == Some((LANES as u32, LANES as u32));
         let segments = if on_cpu {
@@ -131,44 +97,30 @@ impl NoiseField {
         } else {
             SEGMENTS_ON_GPU
         };
-        let buffers = Buffers::new(gpu, &network, most_cells, chunk_cells, segments)?;
-        buffers.parameters.write(bytemuck::cast_slice(
-            &network.initial(seed, mode == NoiseMode::Paper),
-        ))?;
-        let current = NoiseUniform::default();
-        let (restraint, step) = (1.0, 0);
-        Ok(Some(Self {
-            mode,
+        let buffers = Buffers::new(gpu, &network, most_pixels, chunk_pixels, segments)?;
+        let initial = network.initial(seed);
+        buffers.parameters.write(bytemuck::cast_slice(&initial))?;
+        Ok(Self {
             network,
-            restraint,
-            step,
+            restraint: 1.0,
+            step: 0,
             segments,
             exchanges,
-            chunk_cells,
-            most_cells,
-            current,
+            chunk_pixels,
+            most_pixels,
+            current: NoiseUniform::default(),
             buffers,
-        }))
+        })
     }
 
-    /// Sets the view and its noise for what is submitted next, and counts the step.
+    /// Sets the view for what is submitted next, and counts the step.
     ///
     /// # Errors
     /// [`GpuError::Validation`] when the image is larger than the field was made for; a device
     /// error.
-    pub fn begin_step(&mut self, camera: &Camera, sigma: f32) -> Result<(), GpuError> {
-        let bound = if self.mode == NoiseMode::Paper {
-            MOST
-        } else {
-            amplitude(sigma)
-        };
-        let uniform = NoiseUniform::new(
-            camera,
-            self.mode,
-            self.network.octaves,
-            self.restraint * bound,
-        );
-        if uniform.cells() > self.most_cells {
+    pub fn begin_step(&mut self, camera: &Camera) -> Result<(), GpuError> {
+        let uniform = NoiseUniform::new(camera, self.restraint * AMPLITUDE);
+        if uniform.pixels() > self.most_pixels {
             let (width, height) = (uniform.width, uniform.height);
             return Err(GpuError::Validation(format!(
                 "a noise field made too small for {width}x{height}"
@@ -176,8 +128,8 @@ impl NoiseField {
         }
         self.current = uniform;
         self.buffers.field.write(&[uniform])?;
-        for (chunk, cells) in self.buffers.chunks.iter().zip(self.chunks()) {
-            chunk.write(&[ChunkUniform::new(&cells)])?;
+        for (chunk, pixels) in self.buffers.chunks.iter().zip(self.chunks()) {
+            chunk.write(&[ChunkUniform::new(&pixels)])?;
         }
         self.step += 1;
         Ok(())
@@ -205,18 +157,11 @@ impl NoiseField {
             self.record_network(recorder, chunk)?;
         }
         let b = &self.buffers;
-        let cells = self.current.cells();
         let raw = &b.outputs[LAYERS - 1];
-        recorder.dispatch_items(&kernels::ACTIVATE, &[&b.field, raw, &b.values], cells)?;
-        if self.mode == NoiseMode::Grid {
-            let weighted = kernels::REDUCE.with(&[("WEIGHTED", 1)]);
-            recorder.dispatch_groups(&weighted, &[&b.field, &b.values, &b.mean], 1)?;
-        }
-        let pixels = self.current.pixels();
         recorder.dispatch_items(
             &kernels::COMPOSE,
-            &[&b.field, &b.values, &b.mean, render, prediction],
-            pixels,
+            &[&b.field, raw, render, prediction],
+            self.current.pixels(),
         )
     }
 
@@ -262,43 +207,25 @@ impl NoiseField {
     ) -> Result<(), GpuError> {
         self.check_length(&[gradient])?;
         let b = &self.buffers;
-        let cells = self.current.cells();
-        recorder.dispatch_items(
-            &kernels::GATHER,
-            &[&b.field, &b.values, &b.mean, gradient, &b.cell_gradient],
-            cells,
-        )?;
-        if self.mode == NoiseMode::Grid {
-            recorder.dispatch_groups(
-                &kernels::REDUCE,
-                &[&b.field, &b.cell_gradient, &b.total],
-                1,
-            )?;
-        }
+        let raw = &b.outputs[LAYERS - 1];
         let chunks = self.chunks();
-        for (chunk, cells) in chunks.iter().enumerate() {
+        for (chunk, pixels) in chunks.iter().enumerate() {
             if chunks.len() > 1 {
                 // The activations are those of the last chunk of the forward.
                 self.record_network(recorder, chunk)?;
             }
+            let delta = &b.deltas[LAYERS - 1];
             recorder.dispatch_items(
                 &kernels::OUTPUT_DELTA,
-                &[
-                    &b.field,
-                    &b.chunks[chunk],
-                    &b.values,
-                    &b.cell_gradient,
-                    &b.total,
-                    &b.deltas[LAYERS - 1],
-                ],
-                cells.len(),
+                &[&b.field, &b.chunks[chunk], raw, gradient, delta],
+                pixels.len(),
             )?;
-            self.record_layers_backward(recorder, chunk, cells.len())?;
+            self.record_layers_backward(recorder, chunk, pixels.len())?;
         }
         Ok(())
     }
 
-    /// Encoding and network for one chunk of cells.
+    /// Encoding and network for one chunk of pixels.
     fn record_network(&self, recorder: &mut Recorder, chunk: usize) -> Result<(), GpuError> {
         let b = &self.buffers;
         let count = self.chunks()[chunk].len();
@@ -388,12 +315,12 @@ impl NoiseField {
         Ok(inspection)
     }
 
-    /// The cells of each chunk.
+    /// The pixels of each chunk.
     fn chunks(&self) -> Vec<Range<usize>> {
-        let cells = self.current.cells();
-        (0..cells)
-            .step_by(self.chunk_cells)
-            .map(|first| first..(first + self.chunk_cells).min(cells))
+        let pixels = self.current.pixels();
+        (0..pixels)
+            .step_by(self.chunk_pixels)
+            .map(|first| first..(first + self.chunk_pixels).min(pixels))
             .collect()
     }
 

@@ -4,7 +4,6 @@
 //! host waits for nothing but the count of intersections of the step before last.
 
 pub mod checkpoint;
-mod colour;
 mod config;
 pub mod densify;
 mod error;
@@ -30,7 +29,7 @@ pub use checkpoint::{Checkpoint, CheckpointError};
 pub use config::{Background, Densify, TrainConfig};
 pub use error::ReconstructError;
 pub use hooks::{CheckpointHook, LookHook, ProgressHook, Seen, SeenHook, TrainHooks};
-pub use initialise::{Beginning, ExtentRule, Point, initialise, scene_depth, scene_extent};
+pub use initialise::{Point, initialise, scene_depth, scene_extent};
 pub use look::Look;
 pub use registration::Registration;
 pub use schedule::Schedule;

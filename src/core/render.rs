@@ -10,7 +10,7 @@ use crate::camera::Camera;
 use crate::gaussians::Gaussians;
 use crate::image::Image;
 use crate::splat::pass::{ForwardPass, PassRecording};
-use crate::splat::rasterize::SplatWork;
+use crate::splat::rasterize::SplatCounts;
 use crate::splat::rows::DeviceGaussians;
 pub use depth::Depth;
 
@@ -48,17 +48,16 @@ struct Drawing {
 }
 
 impl UploadedGaussians {
-    /// How much the last image had to sort and blend; `None` before the first. Waits for the
-    /// device.
+    /// How much the last image had to blend; `None` before the first. Waits for the device.
     ///
     /// # Errors
     /// A device error.
-    pub fn work(&self) -> Result<Option<SplatWork>, SplatError> {
+    pub fn counts(&self) -> Result<Option<SplatCounts>, SplatError> {
         let drawing = self.drawing();
-        let work = drawing
+        let counts = drawing
             .as_ref()
-            .map(|drawing| drawing.pass.buffers().work());
-        Ok(work.transpose()?)
+            .map(|drawing| drawing.pass.buffers().counts()?.wait());
+        Ok(counts.transpose()?)
     }
 
     fn drawing(&self) -> MutexGuard<'_, Option<Drawing>> {

@@ -167,7 +167,7 @@ fn ffmpeg(args: &Args) -> String {
 /// The default network, opened, and whether the files of the user's own are what they were: no job
 /// need choose them, so they are told and no fault of the machine.
 fn models(open: &deblur::OpenOptions<'_>) -> Result<String, DeblurError> {
-    let opened = deblur::open(&NetworkChoice::Default, &NetworkChoice::Same, open)?;
+    let opened = deblur::open(&NetworkChoice::Default, open)?;
     let info = opened.deblurrer.describe();
     let mut found = format!("{} on {}, sha256 {}", info.id, info.provider, info.sha256);
     for fallback in opened.fallbacks {

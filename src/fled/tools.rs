@@ -306,10 +306,9 @@ fn open_networks(
         search: &search,
         models: &args.models.folders(),
         threads: 0,
-        blend: options.guide == Guide::Blend,
         unguided: options.guide == Guide::None || options.rounds == 1,
     };
-    let deblurrer = deblur::open(&options.deblur, &options.deblur_unguided, &open);
+    let deblurrer = deblur::open(&options.deblur, &open);
     let enhancer = deblur::open_enhancer(&options.enhance, &open);
     Ok((
         deblurrer.map_err(PipelineError::from)?,

@@ -43,8 +43,8 @@ both("a finished job is run again with other options from its page", async (widt
     assert.equal(await form.getByLabel("Preset").inputValue(), "preview");
     await form.getByLabel("steps", { exact: true }).fill("50");
     await form.getByText("More options").click();
-    await form.getByLabel("stereo", { exact: true }).uncheck();
-    await form.getByLabel("noise", { exact: true }).selectOption("grid");
+    await form.getByLabel("late views", { exact: true }).uncheck();
+    await form.getByLabel("noise", { exact: true }).selectOption("paper");
     await picture(page, `page-options-${width}`);
     await form.getByLabel("Name").fill(`again ${width}`);
     await button(form, "Run").click();
@@ -52,7 +52,7 @@ both("a finished job is run again with other options from its page", async (widt
     const before = await server.job(id);
     const now = await server.job(page.url().split("/").pop());
     assert.equal(now.capture_id, before.capture_id);
-    assert.deepEqual(now.options, { ...before.options, steps: 50, stereo: false, noise: "grid" });
+    assert.deepEqual(now.options, { ...before.options, steps: 50, late_views: false, noise: "paper" });
   }, width);
 });
 

@@ -29,7 +29,6 @@ const RUNS: [(&str, &[&str]); 2] = [
             "start=scratch",
             "noise=paper",
             "densify=classic",
-            "view_colour=true",
         ],
     ),
 ];

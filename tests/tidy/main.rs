@@ -2,13 +2,8 @@
 //! a function from sources to faults, with a test that feeds it a fault.
 
 mod boundaries;
-mod circles;
 mod columns;
 mod comments;
-mod imports;
-mod modules;
 mod oracles;
 mod shaders;
-mod siblings;
-mod sizes;
 mod sources;

@@ -6,10 +6,10 @@ use std::time::Instant;
 use fled_gpu::Gpu;
 
 use super::error::BenchError;
-use super::model::Work;
 use super::options::Budget;
 use super::subject::Subject;
 use crate::cancel::CancelToken;
+use crate::splat::rasterize::SplatCounts;
 
 /// Steps before anything counts: kernels are compiled and buffers grown in them.
 const WARM_UP: u32 = 3;
@@ -26,7 +26,8 @@ pub(super) struct Measured {
     pub(super) seconds: f64,
     /// `None` where the device has no timestamps.
     pub(super) profiled: Option<Profiled>,
-    pub(super) work: Work,
+    /// Of the step whose number of intersections is the middle one: views differ a little.
+    pub(super) counts: Option<SplatCounts>,
 }
 
 /// Medians over the steps with timestamps.
@@ -55,10 +56,10 @@ pub(super) fn measure(
     let begin = Instant::now();
     subject.repeat(steps)?;
     let seconds = begin.elapsed().as_secs_f64();
-    let mut works = vec![subject.work()?];
+    let mut counts = Vec::from_iter(subject.counts()?);
     let mut profiled = None;
     if gpu.describe().timestamps {
-        let outcome = profile(gpu, subject, (budget, least), cancel, &mut works);
+        let outcome = profile(gpu, subject, (budget, least), cancel, &mut counts);
         gpu.profile(false);
         profiled = Some(outcome?);
     }
@@ -66,7 +67,7 @@ pub(super) fn measure(
         steps,
         seconds,
         profiled,
-        work: middle(works),
+        counts: middle(counts),
     })
 }
 
@@ -96,7 +97,7 @@ fn profile(
     subject: &mut impl Subject,
     (budget, least): (Budget, u32),
     cancel: &CancelToken,
-    works: &mut Vec<Work>,
+    counts: &mut Vec<SplatCounts>,
 ) -> Result<Profiled, BenchError> {
     let begin = Instant::now();
     let (mut walls, mut sums) = (Vec::new(), Vec::new());
@@ -118,7 +119,7 @@ fn profile(
                 .push((time.total.as_secs_f64(), time.dispatches));
         }
         gpu.profile(false);
-        works.push(subject.work()?);
+        counts.extend(subject.counts()?);
         steps += 1;
     }
     Ok(Profiled {
@@ -157,11 +158,9 @@ pub(super) fn median(mut values: Vec<f64>) -> f64 {
     values.get(values.len() / 2).copied().unwrap_or_default()
 }
 
-/// The step whose number of intersections is the middle one: views differ a little.
-fn middle(mut works: Vec<Work>) -> Work {
-    works.sort_by_key(|work| work.splat.map_or(0, |splat| splat.intersections));
-    let at = works.len() / 2;
-    works.swap_remove(at)
+fn middle(mut counts: Vec<SplatCounts>) -> Option<SplatCounts> {
+    counts.sort_by_key(|one| one.intersections);
+    counts.get(counts.len() / 2).copied()
 }
 
 #[cfg(test)]

@@ -5,14 +5,14 @@ use std::collections::BTreeMap;
 use fled_gpu::Gpu;
 use serde::Serialize;
 
-use super::measure::{Measured, median};
+use super::measure::{Measured, Profiled, median};
 use super::options::BenchOptions;
 use super::yardstick::Yardstick;
 use crate::metrics;
 use crate::noise::NoiseMode;
 
 /// Version of the shape of the JSON.
-const FORMAT: u32 = 1;
+const FORMAT: u32 = 2;
 
 /// The whole of a bench.
 #[derive(Clone, Debug, Serialize)]
@@ -77,20 +77,10 @@ pub struct Case {
     pub noise: Option<NoiseMode>,
     /// Whether the shake of the views is explained, when something is trained.
     pub shake: Option<bool>,
-    /// Taps of the kernel by which the view of the middle step is shaken.
-    pub taps: Option<usize>,
-    /// Gaussians of the scene.
-    pub gaussians: Option<usize>,
-    /// Pixels of the image.
-    pub pixels: Option<usize>,
-    /// Keys that were sorted by themselves.
-    pub keys: Option<usize>,
     /// Gaussians that touch a tile, in the middle one of the measured steps.
     pub visible: Option<usize>,
     /// Pairs of a splat and a tile, in the same step.
     pub intersections: Option<usize>,
-    /// Pairs of a pixel and a splat that blending evaluated.
-    pub blended_pairs: Option<usize>,
     /// Steps, images or sorts a second, without timestamps.
     pub steps_per_second: f64,
     /// The reciprocal, ms.
@@ -121,14 +111,10 @@ pub struct KernelRow {
     pub share: f64,
     /// Dispatches a step.
     pub dispatches: u64,
-    /// Bytes it has to move a step; `None` where nobody counts.
-    pub bytes: Option<u64>,
-    /// Floating-point operations it has to make a step; `None` where nobody counts.
-    pub operations: Option<u64>,
-    /// Share of the measured bandwidth that `bytes` in that time are. Above 1 where caches help.
-    pub bandwidth_share: Option<f64>,
-    /// Share of the measured arithmetic.
-    pub arithmetic_share: Option<f64>,
+    /// Its time over that in which the yardstick that copies reads and writes a megabyte.
+    pub copies: f64,
+    /// Its time over that in which the yardstick of arithmetic makes a million operations.
+    pub fmas: f64,
 }
 
 /// A whole job, from the photographs to the result.
@@ -172,14 +158,9 @@ impl Report {
     pub(super) fn relate(&mut self) {
         let yardsticks = &self.yardsticks;
         for row in self.cases.iter_mut().flat_map(|case| &mut case.kernels) {
-            let share = |amount: Option<u64>, giga: f64| {
-                let possible = giga * 1e9 * row.milliseconds / 1e3;
-                amount
-                    .filter(|_| possible > 0.0)
-                    .map(|amount| amount as f64 / possible)
-            };
-            row.bandwidth_share = share(row.bytes, yardsticks.copy_gb_per_second);
-            row.arithmetic_share = share(row.operations, yardsticks.fma_gflops);
+            // 10^9 a second are a million in a millisecond.
+            row.copies = row.milliseconds * yardsticks.copy_gb_per_second;
+            row.fmas = row.milliseconds * yardsticks.fma_gflops;
         }
         self.peak_resident_bytes = peak_resident();
     }
@@ -215,8 +196,7 @@ impl Case {
         measured: &Measured,
         gpu_peak_bytes: u64,
     ) -> Self {
-        let work = &measured.work;
-        let some = |value: usize| (value > 0).then_some(value);
+        let counts = measured.counts;
         let profiled = measured.profiled.as_ref();
         let milliseconds = 1e3 * measured.seconds / f64::from(measured.steps.max(1));
         Self {
@@ -224,13 +204,8 @@ impl Case {
             task,
             noise: None,
             shake: None,
-            taps: work.taps,
-            gaussians: some(work.gaussians),
-            pixels: some(work.pixels),
-            keys: some(work.keys),
-            visible: work.splat.map(|splat| splat.visible),
-            intersections: work.splat.map(|splat| splat.intersections),
-            blended_pairs: work.splat.map(|splat| splat.pairs()),
+            visible: counts.map(|counts| counts.visible),
+            intersections: counts.map(|counts| counts.intersections),
             steps_per_second: 1e3 / milliseconds,
             milliseconds,
             steps: measured.steps,
@@ -238,33 +213,20 @@ impl Case {
             profiled_milliseconds: profiled.map(|profiled| 1e3 * profiled.wall),
             kernel_milliseconds: profiled.map(|profiled| 1e3 * profiled.kernels),
             gpu_peak_bytes,
-            kernels: kernels(measured),
+            kernels: profiled.map_or_else(Vec::new, kernels),
         }
     }
 }
 
-fn kernels(measured: &Measured) -> Vec<KernelRow> {
-    let Some(profiled) = &measured.profiled else {
-        return Vec::new();
-    };
+fn kernels(profiled: &Profiled) -> Vec<KernelRow> {
     let sum: f64 = profiled.rows.iter().map(|row| row.1).sum();
-    let row = |&(kernel, seconds, dispatches): &(&'static str, f64, u64)| {
-        // A kernel that runs in few steps (relocation) has no typical step to be related to.
-        let cost = if dispatches > 0 {
-            measured.work.cost(kernel)
-        } else {
-            Default::default()
-        };
-        KernelRow {
-            kernel,
-            milliseconds: 1e3 * seconds,
-            share: if sum > 0.0 { seconds / sum } else { 0.0 },
-            dispatches,
-            bytes: cost.bytes,
-            operations: cost.operations,
-            bandwidth_share: None,
-            arithmetic_share: None,
-        }
+    let row = |&(kernel, seconds, dispatches): &(&'static str, f64, u64)| KernelRow {
+        kernel,
+        milliseconds: 1e3 * seconds,
+        share: if sum > 0.0 { seconds / sum } else { 0.0 },
+        dispatches,
+        copies: 0.0,
+        fmas: 0.0,
     };
     profiled.rows.iter().map(row).collect()
 }

@@ -5,13 +5,13 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
 use super::error::BenchError;
-use super::model::Work;
 use super::workload::Workload;
 use crate::cancel::CancelToken;
 use crate::image::Image;
 use crate::reconstruct::Stepper;
 use crate::reconstruct::loss::{Loss, upload_target};
 use crate::render::{Renderer, UploadedGaussians};
+use crate::splat::rasterize::SplatCounts;
 use crate::splat::sort::{Counters, FIXED, RadixSort, SCAN, SortParameters};
 
 /// Bits of the keys that are sorted by themselves, as of depths.
@@ -22,29 +22,16 @@ pub(super) trait Subject {
     /// Does it `times` times and waits for the last.
     fn repeat(&mut self, times: u32) -> Result<(), BenchError>;
 
-    /// What the last time had to do.
-    fn work(&self) -> Result<Work, BenchError>;
+    /// What the last time had to blend, where it blended.
+    fn counts(&self) -> Result<Option<SplatCounts>, BenchError> {
+        Ok(None)
+    }
 }
 
 /// Steps of training.
 pub(super) struct Training<'a> {
-    stepper: Stepper<'a>,
-    workload: &'a Workload,
-    cancel: &'a CancelToken,
-}
-
-impl<'a> Training<'a> {
-    pub(super) fn new(
-        stepper: Stepper<'a>,
-        workload: &'a Workload,
-        cancel: &'a CancelToken,
-    ) -> Self {
-        Self {
-            stepper,
-            workload,
-            cancel,
-        }
-    }
+    pub(super) stepper: Stepper<'a>,
+    pub(super) cancel: &'a CancelToken,
 }
 
 impl Subject for Training<'_> {
@@ -52,15 +39,8 @@ impl Subject for Training<'_> {
         Ok(self.stepper.advance(times, self.cancel)?)
     }
 
-    fn work(&self) -> Result<Work, BenchError> {
-        let splat = Some(self.stepper.splat_work()?);
-        let (noise, taps) = (self.stepper.noise_work(), self.stepper.taps());
-        Ok(Work {
-            splat,
-            noise,
-            taps,
-            ..self.workload.work()
-        })
+    fn counts(&self) -> Result<Option<SplatCounts>, BenchError> {
+        Ok(Some(self.stepper.counts()?))
     }
 }
 
@@ -92,11 +72,8 @@ impl Subject for Rendering<'_> {
         Ok(())
     }
 
-    fn work(&self) -> Result<Work, BenchError> {
-        Ok(Work {
-            splat: self.scene.work()?,
-            ..self.workload.work()
-        })
+    fn counts(&self) -> Result<Option<SplatCounts>, BenchError> {
+        Ok(self.scene.counts()?)
     }
 }
 
@@ -104,7 +81,6 @@ impl Subject for Rendering<'_> {
 pub(super) struct Similarity {
     gpu: Gpu,
     recording: Recording,
-    pixels: usize,
 }
 
 impl Similarity {
@@ -126,7 +102,6 @@ impl Similarity {
         Ok(Self {
             gpu: gpu.clone(),
             recording: recorder.finish(),
-            pixels: width * height,
         })
     }
 }
@@ -135,21 +110,12 @@ impl Subject for Similarity {
     fn repeat(&mut self, times: u32) -> Result<(), BenchError> {
         again(&self.gpu, &self.recording, times)
     }
-
-    fn work(&self) -> Result<Work, BenchError> {
-        Ok(Work {
-            pixels: self.pixels,
-            ..Work::default()
-        })
-    }
 }
 
 /// The radix sort of random keys.
 pub(super) struct Sorting {
     gpu: Gpu,
     recording: Recording,
-    keys: usize,
-    passes: usize,
 }
 
 impl Sorting {
@@ -167,8 +133,6 @@ impl Sorting {
         Ok(Self {
             gpu: gpu.clone(),
             recording: recorder.finish(),
-            keys,
-            passes: sort.passes(),
         })
     }
 }
@@ -176,14 +140,6 @@ impl Sorting {
 impl Subject for Sorting {
     fn repeat(&mut self, times: u32) -> Result<(), BenchError> {
         again(&self.gpu, &self.recording, times)
-    }
-
-    fn work(&self) -> Result<Work, BenchError> {
-        Ok(Work {
-            keys: self.keys,
-            key_passes: self.passes,
-            ..Work::default()
-        })
     }
 }
 

@@ -6,15 +6,13 @@ use super::report::{Case, JobTimes, KernelRow, Report};
 use crate::event::Stage;
 
 /// The columns, with their widths in `row`.
-const HEAD: [&str; 8] = [
+const HEAD: [&str; 6] = [
     "",
     "ms a step",
     "share",
     "dispatches",
-    "MB",
-    "Mop",
-    "of the bandwidth",
-    "of the arithmetic",
+    "in MB copied",
+    "in Mop made",
 ];
 
 impl Report {
@@ -80,8 +78,6 @@ fn case_lines(case: &Case) -> String {
     let counts = [
         ("visible", case.visible),
         ("intersections", case.intersections),
-        ("blended pairs", case.blended_pairs),
-        ("taps", case.taps),
     ];
     let counts: String = counts
         .iter()
@@ -104,19 +100,13 @@ fn case_lines(case: &Case) -> String {
 }
 
 fn kernel_line(kernel: &KernelRow) -> String {
-    let amount =
-        |value: Option<u64>| value.map_or(unknown(), |value| format!("{:.2}", value as f64 / 1e6));
-    let share =
-        |value: Option<f64>| value.map_or(unknown(), |value| format!("{:.1} %", 100.0 * value));
     row(&[
         format!("  {}", kernel.kernel),
         format!("{:.3}", kernel.milliseconds),
-        share(Some(kernel.share)),
+        format!("{:.1} %", 100.0 * kernel.share),
         kernel.dispatches.to_string(),
-        amount(kernel.bytes),
-        amount(kernel.operations),
-        share(kernel.bandwidth_share),
-        share(kernel.arithmetic_share),
+        format!("{:.2}", kernel.copies),
+        format!("{:.1}", kernel.fmas),
     ])
 }
 
@@ -152,19 +142,15 @@ fn job_lines(job: &JobTimes) -> String {
     out
 }
 
-fn row(cells: &[String; 8]) -> String {
+fn row(cells: &[String; 6]) -> String {
     let [name, rest @ ..] = cells;
-    let widths = [10, 9, 12, 10, 11, 18, 19];
+    let widths = [10, 9, 12, 14, 13];
     let rest: String = rest
         .iter()
         .zip(widths)
         .map(|(cell, width)| format!("{cell:>width$}"))
         .collect();
     format!("{name:<34}{rest}\n")
-}
-
-fn unknown() -> String {
-    "-".to_owned()
 }
 
 fn megabytes(bytes: u64) -> String {

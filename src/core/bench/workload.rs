@@ -9,11 +9,10 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
 use super::error::BenchError;
-use super::model::Work;
 use crate::camera::{Camera, Intrinsics, NamedCamera, Split};
 use crate::gaussians::{Gaussians, ply};
 use crate::image::{Image, Linear};
-use crate::reconstruct::{ExtentRule, Point, TrainingView, scene_extent};
+use crate::reconstruct::{Point, TrainingView, scene_extent};
 use crate::render::Renderer;
 
 /// Degree of the harmonics in synthetic scenes: the paper's.
@@ -29,9 +28,6 @@ const BOX: [f64; 3] = [1.6, 0.95, 1.0];
 const SCALE: f64 = 0.024;
 /// Length of the shake of a shaken view, as a share of its width: 5 px at 280.
 const SHAKEN: f64 = 0.018;
-/// Standard deviation of the noise that the training views are said to have; it bounds the noise
-/// field.
-const NOISE_SIGMA: f32 = 0.01;
 
 /// A scene with the views it is trained on.
 pub struct Workload {
@@ -69,7 +65,6 @@ impl Workload {
                 name: index.to_string(),
                 camera,
                 image,
-                noise_sigma: NOISE_SIGMA,
             })
         };
         let views = (0..VIEWS).map(view).collect::<Result<_, _>>()?;
@@ -99,7 +94,6 @@ impl Workload {
                 name: named.name.clone(),
                 camera: named.camera(),
                 image,
-                noise_sigma: NOISE_SIGMA,
             })
         };
         let trained = cameras.iter().filter(|named| named.split == Split::Train);
@@ -133,7 +127,7 @@ impl Workload {
                 colour: [0; 3],
             })
             .collect();
-        let extent = scene_extent(&cameras, &points, ExtentRule::Scene);
+        let extent = scene_extent(&cameras, &points);
         Self {
             name,
             views,
@@ -148,21 +142,6 @@ impl Workload {
             .first()
             .map(|view| view.camera)
             .ok_or(BenchError::Empty("view"))
-    }
-
-    /// The part of the work that is known before anything runs.
-    pub(super) fn work(&self) -> Work {
-        let pixels = self
-            .views
-            .first()
-            .map_or(0, |view| view.image.width() * view.image.height());
-        let (gaussians, coefficients) = (self.gaussians.len(), self.gaussians.coefficients());
-        Work {
-            gaussians,
-            coefficients,
-            pixels,
-            ..Work::default()
-        }
     }
 }
 

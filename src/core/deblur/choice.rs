@@ -8,14 +8,13 @@ use serde::{Deserialize, Serialize};
 pub(super) const DEFAULT: &str = "default";
 /// No network: a view is returned as it is.
 pub(super) const IDENTITY: &str = "identity";
-const SAME: &str = "same";
 const CURVE: &str = "curve";
 
 /// The words that are no network's name.
-pub(super) const RESERVED: [&str; 4] = [DEFAULT, IDENTITY, SAME, CURVE];
+pub(super) const RESERVED: [&str; 3] = [DEFAULT, IDENTITY, CURVE];
 
-/// The value of the options `deblur`, `deblur_unguided` and `enhance`; which of the words each of
-/// them takes is the options' to say. Written and read as one string.
+/// The value of the options `deblur` and `enhance`; which of the words each of them takes is the
+/// options' to say. Written and read as one string.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(from = "String", into = "String")]
 pub enum NetworkChoice {
@@ -23,8 +22,6 @@ pub enum NetworkChoice {
     Default,
     /// None: views stay as they are.
     Identity,
-    /// The one that `deblur` means.
-    Same,
     /// None: the tone curve brightens.
     Curve,
     /// A manifest's id, or the path of an ONNX file.
@@ -37,7 +34,6 @@ impl NetworkChoice {
         match self {
             Self::Default => DEFAULT,
             Self::Identity => IDENTITY,
-            Self::Same => SAME,
             Self::Curve => CURVE,
             Self::Named(name) => name,
         }
@@ -54,7 +50,6 @@ impl From<String> for NetworkChoice {
         match text.as_str() {
             DEFAULT => Self::Default,
             IDENTITY => Self::Identity,
-            SAME => Self::Same,
             CURVE => Self::Curve,
             _ => Self::Named(text),
         }

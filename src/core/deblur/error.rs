@@ -86,14 +86,6 @@ pub enum DeblurError {
         /// Width and height of the guide, px.
         guide: (usize, usize),
     },
-    /// The network has three input channels.
-    #[error(
-        "network {id} takes no guide; use `guide=blend` or `guide=none`, or a network with 6 channels"
-    )]
-    GuideUnsupported {
-        /// Manifest id or file name.
-        id: String,
-    },
     /// Running the network failed.
     #[error("network {id} failed on {width}x{height} px: {detail}")]
     Inference {

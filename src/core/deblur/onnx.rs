@@ -239,14 +239,9 @@ impl Onnx {
         width: usize,
         height: usize,
     ) -> Result<Output, DeblurError> {
-        let images = match (self.form.channels, guide) {
-            (6, guide) => vec![blurry, guide.unwrap_or(blurry)],
-            (_, None) => vec![blurry],
-            (_, Some(_)) => {
-                return Err(DeblurError::GuideUnsupported {
-                    id: self.model.id.clone(),
-                });
-            }
+        let images = match self.form.channels {
+            6 => vec![blurry, guide.unwrap_or(blurry)],
+            _ => vec![blurry],
         };
         let input = tiling::cut(&images, tile, width, height);
         let values =

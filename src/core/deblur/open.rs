@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use crate::deblur::manifest::{Entry, Manifest, Model};
-use crate::deblur::{Blend, ByGuide, DeblurError, Identity, NetworkChoice, Onnx, Restorer};
+use crate::deblur::{DeblurError, Identity, NetworkChoice, Onnx, Restorer};
 use crate::inference::{Runtime, runtime};
 
 /// Where to look and how to run.
@@ -17,82 +17,25 @@ pub struct OpenOptions<'a> {
     pub models: &'a [PathBuf],
     /// Threads that work on one view; 0 leaves it to the library.
     pub threads: usize,
-    /// Feed the guide in the view's place instead of both.
-    pub blend: bool,
     /// The run never gives a guide, so there is nothing to say about how it would be taken.
     pub unguided: bool,
 }
 
 /// A deblurrer, and what is not as it was asked for.
 pub struct Opened {
-    /// Takes a guide in every case.
+    /// Leaves a guide aside that it has no channels for.
     pub deblurrer: Box<dyn Restorer>,
     /// One sentence for each thing used in place of another; belongs into the report.
     pub fallbacks: Vec<String>,
 }
 
-/// Opens what the options mean: `unguided` may be [`NetworkChoice::Same`]. The default is a larger
-/// network where CUDA runs it ([`Manifest::default_on_cuda`]). A network that takes no guide and is
-/// to be given one is wrapped in [`Blend`], and says so.
+/// Opens what the option means. The default is a larger network where CUDA runs it
+/// ([`Manifest::default_on_cuda`]). A network that takes no guide and is to be given one says so.
 ///
 /// # Errors
 /// Any [`DeblurError`] of finding the library, finding the file, or loading it. Never falls back
 /// to [`Identity`] by itself.
-pub fn open(
-    deblur: &NetworkChoice,
-    unguided: &NetworkChoice,
-    options: &OpenOptions<'_>,
-) -> Result<Opened, DeblurError> {
-    let guided = open_one(deblur, options)?;
-    if *unguided == NetworkChoice::Same || unguided == deblur {
-        return Ok(guided);
-    }
-    // Never given a guide, so there is nothing to say about how it would take one.
-    let first = open_one(
-        unguided,
-        &OpenOptions {
-            blend: true,
-            ..*options
-        },
-    )?;
-    let deblurrer = Box::new(ByGuide::new(first.deblurrer, guided.deblurrer));
-    Ok(Opened {
-        deblurrer,
-        fallbacks: [first.fallbacks, guided.fallbacks].concat(),
-    })
-}
-
-/// Opens the network that the option `enhance` means; `None` for `curve`.
-///
-/// # Errors
-/// As [`open`]; [`DeblurError::ModelUnusable`] when it wants a guide.
-pub fn open_enhancer(
-    enhance: &NetworkChoice,
-    options: &OpenOptions<'_>,
-) -> Result<Option<Opened>, DeblurError> {
-    if *enhance == NetworkChoice::Curve {
-        return Ok(None);
-    }
-    // Never given a guide, so there is nothing to say about how it would take one.
-    let opened = open_one(
-        enhance,
-        &OpenOptions {
-            blend: true,
-            ..*options
-        },
-    )?;
-    let info = opened.deblurrer.describe();
-    if info.channels == 6 {
-        let detail = "it wants a guide; one that brightens takes 3 channels".to_owned();
-        return Err(DeblurError::ModelUnusable {
-            id: info.id,
-            detail,
-        });
-    }
-    Ok(Some(opened))
-}
-
-fn open_one(choice: &NetworkChoice, options: &OpenOptions<'_>) -> Result<Opened, DeblurError> {
+pub fn open(choice: &NetworkChoice, options: &OpenOptions<'_>) -> Result<Opened, DeblurError> {
     if *choice == NetworkChoice::Identity {
         return Ok(Opened {
             deblurrer: Box::new(Identity),
@@ -115,24 +58,45 @@ fn open_one(choice: &NetworkChoice, options: &OpenOptions<'_>) -> Result<Opened,
             .transpose()
     })?;
     let (network, mut fallbacks) = load(&runtime, larger.transpose(), &model, options.threads)?;
-    let network: Box<dyn Restorer> = Box::new(network);
     let info = network.describe();
-    let takes_guide = info.channels == 6;
-    if !takes_guide && !options.blend && !options.unguided {
+    if info.channels != 6 && !options.unguided {
         fallbacks.push(format!(
-            "network {} takes no guide: rounds after the first feed it the guide in the view's place",
+            "network {} takes no guide: rounds after the first restore their views without one",
             info.id
         ));
     }
-    let deblurrer = if takes_guide && !options.blend {
-        network
-    } else {
-        Box::new(Blend::new(network))
-    };
     Ok(Opened {
-        deblurrer,
+        deblurrer: Box::new(network),
         fallbacks,
     })
+}
+
+/// Opens the network that the option `enhance` means; `None` for `curve`.
+///
+/// # Errors
+/// As [`open`]; [`DeblurError::ModelUnusable`] when it wants a guide.
+pub fn open_enhancer(
+    enhance: &NetworkChoice,
+    options: &OpenOptions<'_>,
+) -> Result<Option<Opened>, DeblurError> {
+    if *enhance == NetworkChoice::Curve {
+        return Ok(None);
+    }
+    // Never given a guide, so there is nothing to say about how it would take one.
+    let unguided = OpenOptions {
+        unguided: true,
+        ..*options
+    };
+    let opened = open(enhance, &unguided)?;
+    let info = opened.deblurrer.describe();
+    if info.channels == 6 {
+        let detail = "it wants a guide; one that brightens takes 3 channels".to_owned();
+        return Err(DeblurError::ModelUnusable {
+            id: info.id,
+            detail,
+        });
+    }
+    Ok(Some(opened))
 }
 
 /// What is tried before the network that `choice` means.

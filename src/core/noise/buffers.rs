@@ -12,14 +12,10 @@ pub(super) struct Buffers {
     pub(super) layers: Vec<Buffer<LayerUniform>>,
     pub(super) adam: Buffer<AdamUniform>,
     pub(super) encoded: Buffer<[f32; 4]>,
-    /// Output of each layer for the cells of a chunk; the last one's, for all cells.
+    /// Output of each layer for the pixels of a chunk; the last one's, for all pixels.
     pub(super) outputs: Vec<Buffer<[f32; 4]>>,
     /// Derivative by each layer's output before its ReLU.
     pub(super) deltas: Vec<Buffer<[f32; 4]>>,
-    pub(super) values: Buffer<[f32; 4]>,
-    pub(super) mean: Buffer<[f32; 4]>,
-    pub(super) cell_gradient: Buffer<[f32; 4]>,
-    pub(super) total: Buffer<[f32; 4]>,
     pub(super) gradients: Buffer<[f32; 4]>,
     pub(super) parameters: Buffer<[f32; 4]>,
     pub(super) moments: Buffer<[f32; 4]>,
@@ -29,13 +25,13 @@ impl Buffers {
     pub(super) fn new(
         gpu: &Gpu,
         network: &Network,
-        cells: usize,
+        pixels: usize,
         chunk: usize,
         segments: u32,
     ) -> Result<Self, GpuError> {
-        // Layers work on 8 or 16 cells at once and write rows past the last; a chunk ends at a
+        // Layers work on 8 or 16 pixels at once and write rows past the last; a chunk ends at a
         // multiple of 16.
-        let (rows, all_rows) = (chunk.next_multiple_of(16), cells.next_multiple_of(16));
+        let (rows, all_rows) = (chunk.next_multiple_of(16), pixels.next_multiple_of(16));
         let last = LAYERS - 1;
         let output = |layer: usize, rows: usize, all_rows: usize| {
             let rows = if layer == last { all_rows } else { rows };
@@ -45,7 +41,7 @@ impl Buffers {
         let layers = network.layers.iter();
         Ok(Self {
             field: gpu.create("noise field", 1)?,
-            chunks: (0..cells.div_ceil(chunk))
+            chunks: (0..pixels.div_ceil(chunk))
                 .map(|_| gpu.create("noise chunk", 1))
                 .collect::<Result<_, _>>()?,
             layers: layers
@@ -64,10 +60,6 @@ impl Buffers {
             deltas: (0..LAYERS)
                 .map(|l| output(l, rows, rows))
                 .collect::<Result<_, _>>()?,
-            values: gpu.create("noise values", cells)?,
-            mean: gpu.create("noise mean", 1)?,
-            cell_gradient: gpu.create("noise cell gradient", cells)?,
-            total: gpu.create("noise gradient total", 1)?,
             gradients: gpu.create("noise gradients", segments as usize * parameters)?,
             parameters: gpu.create("noise parameters", parameters)?,
             moments: gpu.create("noise moments", 2 * parameters)?,

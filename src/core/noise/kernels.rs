@@ -6,8 +6,7 @@ use bytemuck::{Pod, Zeroable};
 use fled_gpu::{Binding, Kernel, read, read_write, uniform};
 
 use super::intersection_limit::IntersectionLimit;
-use super::mode::{NoiseMode, PENALTY, cell_side};
-use super::network::Layer;
+use super::network::{Layer, OCTAVES};
 use crate::camera::Camera;
 
 pub(super) const ENCODE: Kernel = Kernel::new(
@@ -31,35 +30,13 @@ pub(super) const LAYER_FORWARD: Kernel = Kernel::new("noise/layer_forward", LAYE
 pub(super) const LAYER_FORWARD_SUBGROUP: Kernel =
     Kernel::new("noise/layer_forward_subgroup", LAYER_FORWARD_BINDINGS);
 
-pub(super) const ACTIVATE: Kernel = Kernel::new(
-    "noise/activate",
-    &[uniform("field"), read("raw"), read_write("values")],
-);
-
-pub(super) const REDUCE: Kernel = Kernel::new(
-    "noise/reduce",
-    &[uniform("field"), read("values"), read_write("total")],
-);
-
 pub(super) const COMPOSE: Kernel = Kernel::new(
     "noise/compose",
     &[
         uniform("field"),
-        read("values"),
-        read("mean"),
+        read("raw"),
         read("render"),
         read_write("prediction"),
-    ],
-);
-
-pub(super) const GATHER: Kernel = Kernel::new(
-    "noise/gather",
-    &[
-        uniform("field"),
-        read("values"),
-        read("mean"),
-        read("gradient"),
-        read_write("cell_gradient"),
     ],
 );
 
@@ -68,9 +45,8 @@ pub(super) const OUTPUT_DELTA: Kernel = Kernel::new(
     &[
         uniform("field"),
         uniform("chunk"),
-        read("values"),
-        read("cell_gradient"),
-        read("total"),
+        read("raw"),
+        read("gradient"),
         read_write("delta"),
     ],
 );
@@ -121,49 +97,26 @@ pub(super) struct NoiseUniform {
     pub(super) centre: [f32; 2],
     pub(super) width: u32,
     pub(super) height: u32,
-    pub(super) columns: u32,
-    pub(super) rows: u32,
-    pub(super) scale: u32,
-    pub(super) octaves: u32,
-    pub(super) encoded_stride: u32,
-    pub(super) centred: u32,
     pub(super) amplitude: f32,
-    pub(super) penalty: f32,
-    pub(super) padding: [u32; 2],
+    pub(super) octaves: u32,
 }
 
 impl NoiseUniform {
-    pub(super) fn new(camera: &Camera, mode: NoiseMode, octaves: usize, amplitude: f32) -> Self {
+    pub(super) fn new(camera: &Camera, amplitude: f32) -> Self {
         let rows = camera.world_to_camera.transpose();
         let row = |v: glam::DVec4| [v.x as f32, v.y as f32, v.z as f32, 0.0];
         let k = &camera.intrinsics;
-        let scale = cell_side(mode);
-        let (width, height) = (k.width as u32, k.height as u32);
-        let (columns, cell_rows) = (width.div_ceil(scale), height.div_ceil(scale));
-        let centred = u32::from(mode == NoiseMode::Grid);
-        let values = 3.0 * f64::from(columns) * f64::from(cell_rows);
         Self {
             row_x: row(rows.x_axis),
             row_y: row(rows.y_axis),
             row_z: row(rows.z_axis),
             focal: [k.fx as f32, k.fy as f32],
             centre: [k.cx as f32, k.cy as f32],
-            width,
-            height,
-            columns,
-            rows: cell_rows,
-            scale,
-            octaves: octaves as u32,
-            encoded_stride: super::network::encoded_width(octaves) as u32,
-            centred,
+            width: k.width as u32,
+            height: k.height as u32,
             amplitude,
-            penalty: (f64::from(centred) * 2.0 * PENALTY / values) as f32,
-            padding: [0; 2],
+            octaves: OCTAVES as u32,
         }
-    }
-
-    pub(super) fn cells(&self) -> usize {
-        self.columns as usize * self.rows as usize
     }
 
     pub(super) fn pixels(&self) -> usize {
@@ -181,10 +134,10 @@ pub(super) struct ChunkUniform {
 }
 
 impl ChunkUniform {
-    pub(super) fn new(cells: &Range<usize>) -> Self {
+    pub(super) fn new(pixels: &Range<usize>) -> Self {
         Self {
-            first: cells.start as u32,
-            count: cells.len() as u32,
+            first: pixels.start as u32,
+            count: pixels.len() as u32,
             padding: [0; 2],
         }
     }

@@ -8,6 +8,8 @@ pub(super) const LAYERS: usize = 7;
 pub(super) const FEATURE_LAYER: usize = 4;
 /// Width of the hidden layers.
 pub(super) const HIDDEN: usize = 128;
+/// Octaves of the position's encoding.
+pub(super) const OCTAVES: usize = 10;
 /// Octaves of the direction's encoding.
 pub(super) const DIRECTION_OCTAVES: usize = 4;
 
@@ -25,7 +27,7 @@ pub(super) struct Layer {
     pub(super) biases4: usize,
     pub(super) relu: bool,
     pub(super) input_relu: bool,
-    /// Whether its output is kept for all cells, not only for a chunk.
+    /// Whether its output is kept for all pixels, not only for a chunk.
     pub(super) whole: bool,
 }
 
@@ -44,7 +46,6 @@ impl Layer {
 /// All layers.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Network {
-    pub(super) octaves: usize,
     pub(super) layers: Vec<Layer>,
 }
 
@@ -53,16 +54,11 @@ pub(super) fn encoding(octaves: usize) -> usize {
     3 + 6 * octaves
 }
 
-/// Floats a row of the encoded positions: a multiple of 4.
-pub(super) fn encoded_width(octaves: usize) -> usize {
-    encoding(octaves).next_multiple_of(4)
-}
-
 impl Network {
-    pub(super) fn new(octaves: usize) -> Self {
+    pub(super) fn new() -> Self {
         let features = HIDDEN + encoding(DIRECTION_OCTAVES);
         let shapes = [
-            (encoding(octaves), HIDDEN),
+            (encoding(OCTAVES), HIDDEN),
             (HIDDEN, HIDDEN),
             (HIDDEN, HIDDEN),
             (HIDDEN, HIDDEN),
@@ -95,7 +91,6 @@ impl Network {
             }
         });
         Self {
-            octaves,
             layers: layers.collect(),
         }
     }
@@ -107,13 +102,11 @@ impl Network {
             .map_or(0, |last| last.biases4 + last.outputs4)
     }
 
-    /// Weights and biases uniform in +-1/sqrt(inputs), [4 parameters]; the last layer is zero
-    /// unless asked for, so that the noise starts at nothing.
-    pub(super) fn initial(&self, seed: u64, last_layer: bool) -> Vec<f32> {
+    /// Weights and biases uniform in +-1/sqrt(inputs), [4 parameters].
+    pub(super) fn initial(&self, seed: u64) -> Vec<f32> {
         let mut random = rand_pcg::Pcg64Mcg::seed_from_u64(seed ^ 0x006e_6f69_7365);
         let mut parameters = vec![0.0; 4 * self.parameters()];
-        let count = if last_layer { LAYERS } else { LAYERS - 1 };
-        for layer in &self.layers[..count] {
+        for layer in &self.layers {
             let bound = 1.0 / (layer.inputs as f32).sqrt();
             for output in 0..layer.outputs {
                 for input in 0..layer.inputs {
@@ -132,7 +125,7 @@ mod tests {
 
     #[test]
     fn the_paper_s_network_has_84_419_parameters_and_none_share_a_place() {
-        let network = Network::new(10);
+        let network = Network::new();
         assert_eq!(
             network
                 .layers
@@ -141,24 +134,14 @@ mod tests {
                 .sum::<usize>(),
             84_419
         );
-        let filled = network
-            .initial(3, true)
-            .iter()
-            .filter(|&&p| p != 0.0)
-            .count();
+        let filled = network.initial(3).iter().filter(|&&p| p != 0.0).count();
         assert!((84_410..=84_419).contains(&filled), "{filled}");
     }
 
     #[test]
     fn the_same_seed_gives_the_same_start_and_another_seed_another() {
-        let network = Network::new(8);
-        assert_eq!(network.initial(1, false), network.initial(1, false));
-        assert_ne!(network.initial(1, false), network.initial(2, false));
-        let last = &network.layers[LAYERS - 1];
-        assert!(
-            network.initial(1, false)[4 * last.weights4..]
-                .iter()
-                .all(|&p| p == 0.0)
-        );
+        let network = Network::new();
+        assert_eq!(network.initial(1), network.initial(1));
+        assert_ne!(network.initial(1), network.initial(2));
     }
 }

@@ -2,17 +2,17 @@
 
 use fled_gpu::GpuError;
 
-use super::{NoiseField, NoiseMode};
+use super::NoiseField;
 
 /// First number of a state: the version of its layout.
-const VERSION: f32 = 1.0;
-/// Numbers before the parameters: version, mode, step, restraint.
-const HEADER: usize = 4;
+const VERSION: f32 = 2.0;
+/// Numbers before the parameters: version, step, restraint.
+const HEADER: usize = 3;
 
 /// A state that cannot be taken up.
 #[derive(Debug, thiserror::Error)]
 pub enum StateError {
-    /// The numbers are no state of this version, mode and network.
+    /// The numbers are no state of this version and network.
     #[error("not the state of such a noise field: {0}")]
     Format(&'static str),
     /// The device failed.
@@ -28,33 +28,25 @@ impl NoiseField {
     /// A device error.
     pub fn save(&self) -> Result<Vec<f32>, GpuError> {
         // Steps are far below 2^24, up to which f32 counts exactly.
-        let mut state = vec![
-            VERSION,
-            self.mode_number(),
-            self.step as f32,
-            self.restraint,
-        ];
+        let mut state = vec![VERSION, self.step as f32, self.restraint];
         for buffer in [&self.buffers.parameters, &self.buffers.moments] {
             state.extend(buffer.read()?.as_flattened());
         }
         Ok(state)
     }
 
-    /// Takes up a state of [`NoiseField::save`] of the same mode.
+    /// Takes up a state of [`NoiseField::save`].
     ///
     /// # Errors
     /// [`StateError::Format`] for other numbers, of which nothing is taken; a device error.
     pub fn restore(&mut self, state: &[f32]) -> Result<(), StateError> {
         let parameters = 4 * self.network.parameters();
-        let (&[version, mode, step, restraint], numbers) = state
+        let (&[version, step, restraint], numbers) = state
             .split_first_chunk::<HEADER>()
             .filter(|(_, numbers)| numbers.len() == 3 * parameters)
             .ok_or(StateError::Format("the length differs"))?;
         if version != VERSION {
             return Err(StateError::Format("another version"));
-        }
-        if mode != self.mode_number() {
-            return Err(StateError::Format("another mode"));
         }
         let (values, moments) = numbers.split_at(parameters);
         self.buffers
@@ -64,13 +56,5 @@ impl NoiseField {
         self.step = step as u64;
         self.restraint = restraint;
         Ok(())
-    }
-
-    fn mode_number(&self) -> f32 {
-        if self.mode == NoiseMode::Paper {
-            1.0
-        } else {
-            0.0
-        }
     }
 }

@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::deblur::NetworkChoice;
 pub use crate::noise::NoiseMode;
-pub use crate::reconstruct::{Background, Densify, ExtentRule};
+pub use crate::reconstruct::{Background, Densify};
 pub use shake::{ShakeModel, TrainOn};
 
 /// How a run is configured. Defaults are those of the `standard` preset.
@@ -34,10 +34,6 @@ pub struct Options {
     /// `default`, a manifest id, `identity`, or, on the command line only, a path to an ONNX file.
     #[schemars(with = "String")]
     pub deblur: NetworkChoice,
-    /// The network for views without a guide, those of round 1: `same` as `deblur`, or chosen
-    /// likewise.
-    #[schemars(with = "String")]
-    pub deblur_unguided: NetworkChoice,
     /// What brightens: `curve`, step by step; or, as a baseline, a network of 3 channels, chosen as
     /// `deblur` is, that is given each dark photograph and whose brightness then serves every
     /// round.
@@ -61,17 +57,6 @@ pub struct Options {
     pub start: Start,
     /// How Gaussians come and go.
     pub densify: Densify,
-    /// With fewer sparse points than this, random ones are added.
-    #[schemars(range(max = 1_000_000))]
-    pub fill_up: u32,
-    /// Whether the views are compared plane by plane: the scene then begins with points that
-    /// several agree on, and nothing stays where they see through.
-    pub stereo: bool,
-    /// The length that rates of the means are measured in.
-    pub extent: ExtentRule,
-    /// Whether differences of exposure and cast between the views are taken out before the scene
-    /// explains them.
-    pub view_colour: bool,
     /// Most Gaussians.
     #[schemars(range(min = 100, max = 5_000_000))]
     pub cap: u32,
@@ -80,11 +65,6 @@ pub struct Options {
     pub sh_degree: u32,
     /// What training renders the splats before; views are delivered before black.
     pub background: Background,
-    /// Share of the Gaussians that steps at the end of a round go without.
-    #[schemars(range(min = 0.0, max = 0.5))]
-    pub dropout: f64,
-    /// Train at 1/4, then 1/2, then full size.
-    pub resolution_schedule: bool,
     /// `auto` (the capture's `hold=N`, else every 8th of 12 or more), `none`, n, or names by comma.
     #[serde(deserialize_with = "held_out")]
     #[schemars(with = "HeldOut")]
@@ -132,8 +112,6 @@ pub enum Guide {
     /// A guided network is fed the view and, as its guide, the view with detail of the previous
     /// round's render.
     Render,
-    /// The network is fed that guide in the view's place.
-    Blend,
     /// No guide.
     None,
 }
@@ -194,7 +172,6 @@ impl Preset {
             target: "auto".to_owned(),
             lut_scope: LutScope::Scene,
             deblur: NetworkChoice::Default,
-            deblur_unguided: NetworkChoice::Same,
             enhance: NetworkChoice::Curve,
             guide: Guide::Render,
             noise: NoiseMode::Off,
@@ -204,15 +181,9 @@ impl Preset {
             late_views: true,
             start: Start::Warm,
             densify: Densify::Mcmc,
-            fill_up: 1_000,
-            stereo: false,
-            extent: ExtentRule::Scene,
-            view_colour: false,
             cap: 30_000,
             sh_degree: 2,
             background: Background::Random,
-            dropout: 0.0,
-            resolution_schedule: true,
             held_out: "auto".to_owned(),
             pose_source: PoseSource::Auto,
             seed: 0,
@@ -354,6 +325,16 @@ impl Options {
         Ok(current)
     }
 
+    /// Those of stored options that there are. An older build may have stored others.
+    pub fn known(stored: &serde_json::Value) -> serde_json::Map<String, serde_json::Value> {
+        let all = serde_json::to_value(Self::default()).unwrap_or_default();
+        let stored = stored.as_object().into_iter().flatten();
+        stored
+            .filter(|(key, _)| all.get(key).is_some())
+            .map(|(key, value)| (key.clone(), value.clone()))
+            .collect()
+    }
+
     /// The options with one `key=value` of the command line laid over them. Values are read as
     /// JSON where they are JSON of the field's type, else as a string.
     ///
@@ -373,12 +354,11 @@ impl Options {
     }
 
     /// The options that name networks.
-    pub fn networks(&self) -> [NetworkOption<'_>; 3] {
-        use NetworkChoice::{Curve, Identity, Same};
+    pub fn networks(&self) -> [NetworkOption<'_>; 2] {
+        use NetworkChoice::{Curve, Identity};
         let option = |key, choice, words| NetworkOption { key, choice, words };
         [
             option("deblur", &self.deblur, &[Identity]),
-            option("deblur_unguided", &self.deblur_unguided, &[Same, Identity]),
             option("enhance", &self.enhance, &[Curve]),
         ]
     }
@@ -387,25 +367,13 @@ impl Options {
         within("rounds", self.rounds, 1, 8)?;
         within("steps", self.steps, 1, 200_000)?;
         within("size", self.size, 64, 4096)?;
-        if !(0.0..=0.5).contains(&self.dropout) {
-            return Err(fault(
-                "dropout",
-                &format!("{} is not in 0..=0.5", self.dropout),
-            ));
-        }
         self.networks().iter().try_for_each(NetworkOption::check)?;
         if self.enhance != NetworkChoice::Curve && self.target != "auto" {
             let message =
                 "a network that brightens decides the brightness: leave `target` at `auto`";
             return Err(fault("target", &message));
         }
-        if self.guide == Guide::None && self.deblur_unguided != NetworkChoice::Same {
-            let message =
-                "with `guide=none` no view is ever guided: choose the network by `deblur`";
-            return Err(fault("deblur_unguided", &message));
-        }
         within("cap", self.cap, 100, 5_000_000)?;
-        within("fill_up", self.fill_up, 0, 1_000_000)?;
         within("sh_degree", self.sh_degree, 0, 3)
     }
 }

@@ -38,15 +38,9 @@ const RECONSTRUCT: &[&str] = &[
     "refine_poses",
     "start",
     "densify",
-    "fill_up",
-    "stereo",
-    "extent",
-    "view_colour",
     "cap",
     "sh_degree",
     "background",
-    "dropout",
-    "resolution_schedule",
     "held_out",
     "seed",
 ];
@@ -96,7 +90,7 @@ impl PosesDependencies {
     /// Of the capture with this fingerprint and a source of poses that describes itself so.
     pub fn new(options: &Options, capture: &str, source: &str, networks: &Networks) -> Self {
         let first = Dependencies::on(options, POSES, &[capture, source]);
-        let network = of_network(networks.unguided());
+        let network = of_network(&networks.deblur);
         let facts = [first.fingerprint(), &network];
         let second = Dependencies::on(options, POSES_OF_DEBLURRED, &facts);
         Self { first, second }
@@ -156,15 +150,14 @@ impl RunDependencies {
     pub fn round(&self, round: u32, before: Option<&RoundDependencies>) -> RoundDependencies {
         let guided_by = before.filter(|_| self.given.guide != Guide::None);
         let number = round.to_string();
+        let network = of_network(&self.networks.deblur);
         let deblur = match guided_by {
             Some(before) => {
-                let network = of_network(&self.networks.deblur);
                 let guides = before.matching.fingerprint();
                 let facts = [self.enhance.fingerprint(), &network, &number, guides];
                 Dependencies::on(&self.given, DEBLUR_GUIDED, &facts)
             }
             None => {
-                let network = of_network(self.networks.unguided());
                 let facts = [self.enhance.fingerprint(), &network, &number];
                 Dependencies::on(&self.given, DEBLUR, &facts)
             }

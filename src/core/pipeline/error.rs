@@ -219,9 +219,7 @@ impl PipelineError {
 
 fn deblur_kind(error: &DeblurError) -> ErrorKind {
     match error {
-        DeblurError::UnknownModel { .. } | DeblurError::GuideUnsupported { .. } => {
-            ErrorKind::BadInput
-        }
+        DeblurError::UnknownModel { .. } => ErrorKind::BadInput,
         DeblurError::Runtime(_)
         | DeblurError::ModelFileMissing { .. }
         | DeblurError::ManifestUnreadable { .. }

@@ -29,7 +29,6 @@ impl Plan {
         let (views, megapixels) = (views as f64, pixels as f64 / 1e6);
         let noise = match options.noise {
             NoiseMode::Off => 1.0,
-            NoiseMode::Grid => 1.2,
             NoiseMode::Paper => 30.0,
         };
         let splats = f64::from(options.cap) / 1e5;

@@ -187,7 +187,7 @@ fn find(
         return Ok(first?);
     }
     // 0: nothing would be deblurred.
-    let has_network = tools.networks().unguided().channels > 0;
+    let has_network = tools.networks().deblur.channels > 0;
     let best = if has_network {
         let message = format!("poses: rung {RUNG}, the ladder once more on deblurred photographs");
         context.sink.log(message);

@@ -5,13 +5,11 @@ mod watch;
 
 use std::cell::RefCell;
 use std::path::Path;
-use std::sync::Arc;
-use std::time::Instant;
 
 use fled_gpu::Gpu;
 use serde::{Deserialize, Serialize};
 
-use super::config::{NoiseMode, Options, Start};
+use super::config::{Options, Start};
 use super::context::{Advance, Context};
 use super::dependencies::Dependencies;
 use super::error::PipelineError;
@@ -23,14 +21,12 @@ use crate::camera::{Camera, Split};
 use crate::event::{Event, Stage};
 use crate::gaussians::{Gaussians, ply};
 use crate::image::Image;
-use crate::metrics;
 use crate::metrics::report::NoiseMapStatistics;
 use crate::poses::Poses;
 use crate::reconstruct::{
-    self, Beginning, Checkpoint, Look, Registration, Response, Seen, TrainConfig, TrainHooks,
-    TrainStart, Trained, TrainingView,
+    self, Checkpoint, Look, Registration, Response, Seen, TrainConfig, TrainHooks, TrainStart,
+    Trained, TrainingView,
 };
-use crate::stereo::Stereo;
 use watch::{Watch, Watched};
 
 /// The stamp of the checkpoint.
@@ -120,11 +116,7 @@ pub fn reconstruct(
         })
     };
     let make = |context: &mut Context<'_>| {
-        let options = depends_on.options();
-        let config = TrainConfig {
-            stereo: stereo(context, material, options)?,
-            ..train_config(material, options)
-        };
+        let config = train_config(material, depends_on.options());
         let start = train_start(context, material, &config, depends_on)?;
         let trained = train(context, gpu, material, start, &config, depends_on)?;
         let scene = with_cameras(context, gpu, material, trained, &config)?;
@@ -153,15 +145,12 @@ fn train_config(material: &Material<'_>, options: &Options) -> TrainConfig {
         refine_poses: options
             .refine_poses
             .then(|| reconstruct::scene_depth(&cameras, &points)),
-        resolution_schedule: options.resolution_schedule,
+        resolution_schedule: true,
         warm: round.number > 1 && options.start == Start::Warm,
         background: options.background,
-        dropout: options.dropout,
         densify: options.densify,
-        stereo: None,
-        view_colour: options.view_colour,
         seed: options.seed.wrapping_add(u64::from(round.number) << 32),
-        extent: reconstruct::scene_extent(&cameras, &points, options.extent),
+        extent: reconstruct::scene_extent(&cameras, &points),
     }
 }
 
@@ -183,42 +172,10 @@ fn train_start(
         return Ok(TrainStart::Fresh(gaussians));
     }
     let cameras: Vec<Camera> = material.views.iter().map(|view| view.camera).collect();
-    let mut points = points::coloured(material.poses, material.views, material.images);
-    if let Some(stereo) = &config.stereo {
-        let dense = points::dense(stereo, points.len(), config.cap);
-        let (round, more, sparse) = (material.round.number, dense.len(), points.len());
-        let line = format!("round {round}: {more} dense points beside {sparse} of the poses");
-        context.sink.log(line);
-        points.extend(dense);
-    }
-    let beginning = Beginning {
-        cap: config.cap,
-        fill_up: options.fill_up as usize,
-    };
-    Ok(TrainStart::Fresh(reconstruct::initialise(
-        &points,
-        &cameras,
-        beginning,
-        &config.schedule(),
-    )))
-}
-
-/// What the views agree on about depth, where the options want to know.
-fn stereo(
-    context: &mut Context<'_>,
-    material: &Material<'_>,
-    options: &Options,
-) -> Result<Option<Arc<Stereo>>, PipelineError> {
-    if !options.stereo {
-        return Ok(None);
-    }
-    let begin = Instant::now();
-    let (poses, views, images) = (material.poses, material.views, material.images);
-    let stereo = points::stereo(poses, views, images, context.cancel)?;
-    let (round, seconds) = (material.round.number, begin.elapsed().as_secs_f64());
-    let line = format!("round {round}: depths of the views compared in {seconds:.1} s");
-    context.sink.log(line);
-    Ok(Some(Arc::new(stereo)))
+    let points = points::coloured(material.poses, material.views, material.images);
+    let (cap, schedule) = (config.cap, config.schedule());
+    let first = reconstruct::initialise(&points, &cameras, cap, &schedule);
+    Ok(TrainStart::Fresh(first))
 }
 
 fn checkpoint(
@@ -371,7 +328,7 @@ fn with_cameras(
         steps: trained.steps,
         steps_per_second: trained.steps as f64 / seconds,
         non_finite_gradients: trained.non_finite_gradients,
-        noise: trained.noise.filter(|_| config.noise != NoiseMode::Off),
+        noise: trained.noise,
         kernels: trained.kernels,
         shake_px: trained.shake_px,
         cameras,
@@ -396,7 +353,6 @@ fn training_views(material: &Material<'_>, split: Split) -> Vec<TrainingView> {
             name: view.name.clone(),
             camera: view.camera,
             image: image.clone(),
-            noise_sigma: metrics::noise_sigma(image) as f32,
         })
         .collect()
 }

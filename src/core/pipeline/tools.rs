@@ -16,7 +16,7 @@ pub struct Tools<'a> {
     pub sfm: &'a dyn Sfm,
     /// Who finds matches between photographs and renders, for late views; `None`: none are found.
     pub matching: Option<&'a dyn Matching>,
-    /// The deblurring network, with the wrapping that the option `guide` asks for.
+    /// The deblurring network.
     pub deblurrer: &'a mut dyn Restorer,
     /// The network that brightens in place of the tone curve: a baseline.
     pub enhancer: Option<&'a mut dyn Restorer>,
@@ -32,7 +32,6 @@ impl Tools<'_> {
     pub(super) fn networks(&self) -> Networks {
         Networks {
             deblur: self.deblurrer.describe(),
-            deblur_unguided: self.deblurrer.unguided(),
             enhance: self.enhancer.as_ref().map(|enhancer| enhancer.describe()),
         }
     }
@@ -41,29 +40,16 @@ impl Tools<'_> {
 /// The networks of a run, by the option that chose them.
 #[derive(Clone, Debug)]
 pub(super) struct Networks {
-    /// Restores views with a guide, and those without where no other does.
+    /// Restores views.
     pub deblur: RestorerInfo,
-    /// Restores views without a guide, where it is another network.
-    pub deblur_unguided: Option<RestorerInfo>,
     /// Brightens in place of the tone curve.
     pub enhance: Option<RestorerInfo>,
 }
 
 impl Networks {
-    /// What views without a guide go through.
-    pub fn unguided(&self) -> &RestorerInfo {
-        self.deblur_unguided.as_ref().unwrap_or(&self.deblur)
-    }
-
     /// Each network with the name of its option.
     pub fn named(&self) -> impl Iterator<Item = (&'static str, &RestorerInfo)> {
-        let unguided = self.deblur_unguided.as_ref();
-        [
-            ("deblur", Some(&self.deblur)),
-            ("deblur_unguided", unguided),
-        ]
-        .into_iter()
-        .chain([("enhance", self.enhance.as_ref())])
-        .filter_map(|(option, network)| Some((option, network?)))
+        let enhance = self.enhance.as_ref().map(|network| ("enhance", network));
+        [("deblur", &self.deblur)].into_iter().chain(enhance)
     }
 }

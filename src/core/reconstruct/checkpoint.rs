@@ -8,10 +8,10 @@ use crate::splat::rows::{GEOMETRY_ROW, GeometryRow, sh_row, unpack_gaussians};
 /// First bytes of a checkpoint.
 const MAGIC: [u8; 8] = *b"fledckpt";
 /// Raised whenever the layout or the meaning changes.
-const VERSION: u32 = 6;
+const VERSION: u32 = 7;
 
 /// Arrays of numbers that a checkpoint holds.
-const ARRAYS: usize = 8;
+const ARRAYS: usize = 7;
 /// Bytes of the hash behind them.
 const HASH: usize = 32;
 
@@ -52,8 +52,6 @@ pub struct Checkpoint {
     pub shake: Vec<f32>,
     /// The views' motions, [views, 6].
     pub motions: Vec<f32>,
-    /// Exposure and cast of the views, [views, 6].
-    pub colours: Vec<f32>,
 }
 
 #[repr(C)]
@@ -116,7 +114,6 @@ impl Checkpoint {
             &self.noise,
             &self.shake,
             &self.motions,
-            &self.colours,
         ]
     }
 
@@ -136,7 +133,6 @@ impl Checkpoint {
             noise,
             shake,
             motions,
-            colours,
         ] = arrays(rest, &header.lengths)?;
         let out = Self {
             fingerprint: header.fingerprint,
@@ -153,7 +149,6 @@ impl Checkpoint {
             noise,
             shake,
             motions,
-            colours,
         };
         if out.consistent() {
             Ok(out)
@@ -242,7 +237,6 @@ mod tests {
             noise: ramp(5),
             shake: ramp(4),
             motions: ramp(12),
-            colours: ramp(12),
         }
     }
 
@@ -265,7 +259,7 @@ mod tests {
         assert_eq!(refused(&changed), "damaged");
         let mut newer = bytes.clone();
         newer[16] += 1;
-        assert!(refused(&newer).starts_with("version 7"));
+        assert!(refused(&newer).starts_with("version 8"));
         assert_eq!(refused(&[0; 200]), "not a checkpoint");
         let odd = Checkpoint {
             sh_degree: 2,

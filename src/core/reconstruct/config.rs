@@ -1,14 +1,11 @@
 //! What a round is trained with.
 
-use std::sync::Arc;
-
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::schedule::Schedule;
 use crate::noise::NoiseMode;
 use crate::shake::Response;
-use crate::stereo::Stereo;
 
 /// What training renders the splats before. Delivered views have a black background.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -29,8 +26,6 @@ pub enum Densify {
     Mcmc,
     /// Clone, split and prune by gradients, as first published; at most the cap.
     Classic,
-    /// No change of the number of Gaussians.
-    Off,
 }
 
 /// What a round is trained with.
@@ -56,15 +51,8 @@ pub struct TrainConfig {
     pub warm: bool,
     /// What lies behind the splats.
     pub background: Background,
-    /// Share of the Gaussians that a step at the end of the round goes without; it grows from
-    /// nothing. Against floaters that only few views see.
-    pub dropout: f64,
     /// How Gaussians come and go.
     pub densify: Densify,
-    /// What the views agree on about depth: MCMC moves Gaussians away from where nothing can be.
-    pub stereo: Option<Arc<Stereo>>,
-    /// Take differences of exposure and cast between the views out of their images.
-    pub view_colour: bool,
     /// Seed of everything random.
     pub seed: u64,
     /// [`scene_extent`](super::scene_extent), world units.

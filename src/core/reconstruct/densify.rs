@@ -44,16 +44,10 @@ fn opacity(row: &GeometryRow) -> f32 {
     }
 }
 
-/// Decides a densification of `rows`: every dead Gaussian moves, also one whose place is known to
-/// be free, and the scene grows to `target` rows. Sources are drawn in proportion to opacity.
-pub fn plan(
-    rows: &[GeometryRow],
-    target: usize,
-    is_free: impl Fn([f32; 3]) -> bool + Sync,
-    random: &mut impl Rng,
-) -> Plan {
-    let weight = |row: &GeometryRow| if is_free(row.mean) { 0.0 } else { opacity(row) };
-    let opacities: Vec<_> = rows.par_iter().map(weight).collect();
+/// Decides a densification of `rows`: every dead Gaussian moves, and the scene grows to `target`
+/// rows. Sources are drawn in proportion to opacity.
+pub fn plan(rows: &[GeometryRow], target: usize, random: &mut impl Rng) -> Plan {
+    let opacities: Vec<_> = rows.par_iter().map(opacity).collect();
     let dead: Vec<_> = (0..rows.len())
         .filter(|&i| opacities[i] <= MIN_OPACITY)
         .collect();
@@ -178,7 +172,7 @@ mod tests {
         let mut rows: Vec<_> = (0..40).map(|_| row(0.6)).collect();
         rows[3] = row(0.001);
         rows[5].mean[0] = f32::NAN;
-        let plan = plan(&rows, 44, |_| false, &mut Pcg64::seed_from_u64(1));
+        let plan = plan(&rows, 44, &mut Pcg64::seed_from_u64(1));
         let targets: Vec<_> = plan
             .moves
             .iter()
@@ -197,18 +191,8 @@ mod tests {
     }
 
     #[test]
-    fn what_floats_moves_and_nothing_moves_onto_it() {
-        let mut rows: Vec<_> = (0..20).map(|_| row(0.6)).collect();
-        rows[7].mean = [0.0, 0.0, 9.0];
-        let plan = plan(&rows, 20, |at| at[2] > 1.0, &mut Pcg64::seed_from_u64(1));
-        assert_eq!(plan.relocated, 1);
-        assert!(plan.moves.iter().any(|[to, from]| *to == 7 && *from != 7));
-        assert!(plan.moves.iter().all(|[_, from]| *from != 7));
-    }
-
-    #[test]
     fn without_a_living_gaussian_nothing_happens() {
-        let plan = plan(&[row(0.001); 5], 9, |_| false, &mut Pcg64::seed_from_u64(1));
+        let plan = plan(&[row(0.001); 5], 9, &mut Pcg64::seed_from_u64(1));
         assert_eq!(
             plan,
             Plan {
@@ -225,7 +209,7 @@ mod tests {
         rows[1] = row(0.01);
         rows[2] = row(0.01);
         rows[3] = row(0.01);
-        let plan = plan(&rows, 120, |_| false, &mut Pcg64::seed_from_u64(2));
+        let plan = plan(&rows, 120, &mut Pcg64::seed_from_u64(2));
         let copies = plan.moves.iter().filter(|[_, source]| *source == 0).count() as u32;
         assert!(copies <= MOST_COPIES, "{copies}");
         assert!(plan.shapes.iter().flatten().all(|v| v.is_finite()));

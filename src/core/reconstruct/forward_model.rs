@@ -1,8 +1,7 @@
 //! How the scene becomes the photographs: its Gaussians, drawn from where each view was taken,
-//! shaken and coloured as each view is. What is not known of the views is learnt here, from renders
+//! shaken as each view is. What is not known of the views is learnt here, from renders
 //! of the scene as it stands.
 
-mod colours;
 mod poses;
 mod shakes;
 
@@ -38,7 +37,7 @@ pub(super) struct Purpose<'r> {
 }
 
 impl<'a> ForwardModel<'a> {
-    /// The views at full resolution, still, in the scene's colours, where they were given.
+    /// The views at full resolution, still, where they were given.
     pub(super) fn new(
         gpu: &Gpu,
         views: &'a [TrainingView],

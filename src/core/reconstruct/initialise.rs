@@ -5,8 +5,6 @@ use glam::DVec3;
 use rand::seq::SliceRandom;
 use rand::{Rng, RngExt};
 use rayon::prelude::*;
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
 
 use super::schedule::{Schedule, Stream};
 use crate::camera::Camera;
@@ -30,38 +28,18 @@ const SCALE_CEILING: f64 = 0.1;
 /// Constant harmonic.
 const SH0: f32 = 0.282_094_8;
 
-/// How many Gaussians a scene begins with.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Beginning {
-    /// Most in all.
-    pub cap: usize,
-    /// With fewer points than this, random ones are added in the cameras' frusta between the 5th
-    /// and 95th percentile of depth. Filling up to 20,000 whatever there is costs more than 1 dB
-    /// against what grows from sparse points; only where there are hardly any do random ones help.
-    pub fill_up: usize,
-}
+/// With fewer points than this, random ones are added in the cameras' frusta between the 5th and
+/// 95th percentile of depth. Filling up to 20,000 whatever there is costs more than 1 dB against
+/// what grows from sparse points; only where there are hardly any do random ones help.
+const FILL_UP: usize = 1_000;
 
-/// The length that rates and noise are measured in.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum ExtentRule {
-    /// The larger of the cameras' own and a quarter of the points' median depth: cameras that face
-    /// forward stand close together.
-    Scene,
-    /// 1.1 times the radius of the cameras, as first published.
-    Cameras,
-}
-
-/// Length that rates and noise are measured in, world units. 1 when there is nothing to measure.
-pub fn scene_extent(cameras: &[Camera], points: &[Point], rule: ExtentRule) -> f64 {
-    let of_cameras = 1.1 * camera_radius(cameras);
-    let extent = match rule {
-        ExtentRule::Cameras => of_cameras,
-        ExtentRule::Scene => {
-            let depths = visible_depths(cameras, points);
-            of_cameras.max(0.25 * depths.get(depths.len() / 2).copied().unwrap_or(0.0))
-        }
-    };
+/// Length that rates and noise are measured in, world units: the larger of 1.1 times the radius of
+/// the cameras, as first published, and a quarter of the points' median depth, because cameras that
+/// face forward stand close together. 1 when there is nothing to measure.
+pub fn scene_extent(cameras: &[Camera], points: &[Point]) -> f64 {
+    let depths = visible_depths(cameras, points);
+    let depth = depths.get(depths.len() / 2).copied().unwrap_or(0.0);
+    let extent = (1.1 * camera_radius(cameras)).max(0.25 * depth);
     if extent > 0.0 { extent } else { 1.0 }
 }
 
@@ -92,45 +70,49 @@ fn visible_depths(cameras: &[Camera], points: &[Point]) -> Vec<f64> {
 }
 
 /// Gaussians of degree `schedule.sh_degree` at `points`: scale from the three nearest neighbours,
-/// opacity 0.5, the point's colour; at most `room.cap`. Points that are not finite are left out.
+/// opacity 0.5, the point's colour; at most `cap`. Points that are not finite are left out.
 pub fn initialise(
     points: &[Point],
     cameras: &[Camera],
-    room: Beginning,
+    cap: usize,
     schedule: &Schedule,
 ) -> Gaussians {
-    let Beginning { cap, fill_up } = room;
     let mut random = schedule.generator(Stream::FirstPoints, 0);
     let finite = |p: &&Point| p.position.iter().all(|v| v.is_finite());
     let mut all: Vec<Point> = points.iter().filter(finite).copied().collect();
     all.shuffle(&mut random);
     all.truncate(cap);
-    let extent = scene_extent(cameras, &all, ExtentRule::Scene);
+    let extent = scene_extent(cameras, &all);
     // Without a single point half of the cap lies anywhere, and the rest goes to where the error
     // is.
     let wanted = if all.is_empty() {
         cap / 2
     } else {
-        fill_up.min(cap)
+        FILL_UP.min(cap)
     };
     let missing = wanted.saturating_sub(all.len());
     all.extend(random_points(&all, cameras, missing, &mut random));
+    let scene = gaussians_at(&all, extent);
+    scene.with_sh_degree(schedule.sh_degree)
+}
+
+/// One Gaussian a point, of degree 0.
+pub(super) fn gaussians_at(points: &[Point], extent: f64) -> Gaussians {
     let (low, high) = (SCALE_FLOOR * extent, SCALE_CEILING * extent);
-    let log_scales = neighbour_distances(&all)
+    let log_scales = neighbour_distances(points)
         .into_iter()
         .map(|d| [d.clamp(low, high).ln() as f32; 3]);
-    let flat = Gaussians {
-        means: all.iter().map(|p| p.position).collect(),
-        quats: vec![[1.0, 0.0, 0.0, 0.0]; all.len()],
+    Gaussians {
+        means: points.iter().map(|p| p.position).collect(),
+        quats: vec![[1.0, 0.0, 0.0, 0.0]; points.len()],
         log_scales: log_scales.collect(),
-        opacity_logits: vec![OPACITY_LOGIT; all.len()],
-        sh: all
+        opacity_logits: vec![OPACITY_LOGIT; points.len()],
+        sh: points
             .iter()
             .flat_map(|p| p.colour.map(|v| (f32::from(v) / 255.0 - 0.5) / SH0))
             .collect(),
         sh_degree: 0,
-    };
-    flat.with_sh_degree(schedule.sh_degree)
+    }
 }
 
 /// Points uniform over the images and in inverse depth, coloured like their nearest sparse point.
@@ -258,10 +240,6 @@ mod tests {
         seed: 1,
     };
 
-    fn filled(cap: usize) -> Beginning {
-        Beginning { cap, fill_up: 200 }
-    }
-
     fn points(count: usize) -> Vec<Point> {
         let mut random = Random::new(4);
         (0..count)
@@ -288,34 +266,18 @@ mod tests {
     #[test]
     fn few_points_are_filled_up_in_front_of_the_cameras_and_many_are_cut_to_the_cap() {
         let camera = viewpoint(80, 60).camera;
-        let few = initialise(&points(50), &[camera], filled(400), &PLAN);
-        assert_eq!((few.len(), few.sh_degree, few.sh.len()), (200, 2, 200 * 27));
+        let few = initialise(&points(50), &[camera], 4_000, &PLAN);
+        let (count, numbers) = (few.len(), few.sh.len());
+        assert_eq!((count, few.sh_degree, numbers), (1_000, 2, 1_000 * 27));
         let seen = |mean: &[f32; 3]| camera.project(DVec3::from(mean.map(f64::from))).is_some();
         assert!(few.means[50..].iter().all(seen));
-        assert_eq!(
-            initialise(&points(500), &[camera], filled(400), &PLAN).len(),
-            400
-        );
-        assert!((0..200).all(|i| few.is_usable(i)));
-        let sparse = Beginning {
-            cap: 400,
-            fill_up: 0,
-        };
-        assert_eq!(
-            initialise(&points(50), &[camera], sparse, &PLAN).means,
-            few.means[..50]
-        );
-        assert_eq!(
-            initialise(&[], &[camera], sparse, &PLAN).len(),
-            200,
-            "a scene needs something"
-        );
-        let narrow = Beginning {
-            cap: 100,
-            fill_up: 200,
-        };
-        assert_eq!(initialise(&points(50), &[camera], narrow, &PLAN).len(), 100);
-        assert_eq!(few, initialise(&points(50), &[camera], filled(400), &PLAN));
+        assert!((0..1_000).all(|i| few.is_usable(i)));
+        let held = |points: &[Point], cap| initialise(points, &[camera], cap, &PLAN).len();
+        assert_eq!(held(&points(5_000), 4_000), 4_000);
+        assert_eq!(held(&points(2_000), 4_000), 2_000);
+        assert_eq!(held(&[], 4_000), 2_000, "a scene needs something");
+        assert_eq!(held(&points(50), 100), 100);
+        assert_eq!(few, initialise(&points(50), &[camera], 4_000, &PLAN));
     }
 
     #[test]
@@ -323,26 +285,21 @@ mod tests {
         let mut other = viewpoint(80, 60).camera;
         other.intrinsics.cx += 1.0;
         let cameras = [viewpoint(80, 60).camera, other];
-        let by = |rule| scene_extent(&cameras, &points(200), rule);
-        assert!(by(ExtentRule::Scene) > 0.1, "{}", by(ExtentRule::Scene));
-        assert_eq!(
-            by(ExtentRule::Cameras),
-            1.0,
-            "cameras at one place measure nothing"
-        );
+        let extent = scene_extent(&cameras, &points(200));
+        assert!(extent > 0.1, "{extent}");
     }
 
     #[test]
     fn without_points_the_cameras_alone_decide() {
         let camera = viewpoint(80, 60).camera;
-        assert_eq!(initialise(&[], &[camera], filled(40), &PLAN).len(), 20);
-        assert!(initialise(&[], &[], filled(40), &PLAN).is_empty());
-        assert_eq!(scene_extent(&[camera], &[], ExtentRule::Scene), 1.0);
+        assert_eq!(initialise(&[], &[camera], 40, &PLAN).len(), 20);
+        assert!(initialise(&[], &[], 40, &PLAN).is_empty());
+        assert_eq!(scene_extent(&[camera], &[]), 1.0);
         let poisoned = [Point {
             position: [f32::NAN, 0.0, 0.0],
             colour: [0; 3],
         }];
-        assert!((0..20).all(|i| initialise(&poisoned, &[camera], filled(40), &PLAN).is_usable(i)));
+        assert!((0..20).all(|i| initialise(&poisoned, &[camera], 40, &PLAN).is_usable(i)));
     }
 
     #[test]
@@ -353,7 +310,7 @@ mod tests {
                 colour: [255, 51, 0],
             }],
             &[],
-            filled(10),
+            10,
             &PLAN,
         );
         let colour = [0, 1, 2].map(|c| 0.5 + SH0 * scene.sh[c]);

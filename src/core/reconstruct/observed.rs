@@ -3,8 +3,7 @@
 use fled_gpu::{Buffer, Gpu, GpuError};
 
 use super::TrainingView;
-use super::colour::ViewColour;
-use super::loss::{pack_target, upload_target};
+use super::loss::upload_target;
 use super::schedule::reduced_size;
 use crate::camera::Camera;
 use crate::image::Image;
@@ -19,8 +18,6 @@ pub(super) struct Observed<'a> {
     camera: Camera,
     /// From the camera as it was given to where the view was taken from.
     motion: Motion,
-    /// Exposure and cast.
-    colour: ViewColour,
     /// How it is shaken; `None` where nothing is taken for shaken.
     pub(super) kernel: Option<DeviceKernel>,
     /// The photograph as the loss reads it; made when it is first asked for.
@@ -35,7 +32,6 @@ impl<'a> Observed<'a> {
         Self {
             camera: given.camera,
             motion: Motion::default(),
-            colour: ViewColour::default(),
             target: None,
             recording: None,
             given,
@@ -91,29 +87,11 @@ impl<'a> Observed<'a> {
         self.given.image.resize_area(width, height)
     }
 
-    /// The photograph in the colours of the scene.
-    pub(super) fn photograph_in_scene_colours(&self) -> Image {
-        self.colour.undone(&self.photograph())
-    }
-
-    pub(super) fn colour(&self) -> ViewColour {
-        self.colour
-    }
-
-    /// Takes the photograph for one of this exposure and cast. Recordings stay valid.
-    pub(super) fn set_colour(&mut self, colour: ViewColour) -> Result<(), GpuError> {
-        self.colour = colour;
-        match &self.target {
-            Some(target) => target.write(&pack_target(&self.photograph_in_scene_colours())),
-            None => Ok(()),
-        }
-    }
-
-    /// What the loss compares with: the photograph in the colours of the scene.
+    /// What the loss compares with.
     pub(super) fn target(&mut self, gpu: &Gpu) -> Result<Buffer<u32>, GpuError> {
         let target = match self.target.take() {
             Some(target) => target,
-            None => upload_target(gpu, &self.photograph_in_scene_colours())?,
+            None => upload_target(gpu, &self.photograph())?,
         };
         Ok(self.target.insert(target).clone())
     }

@@ -34,8 +34,6 @@ const POSE_CORRECTIONS: u32 = 5;
 /// They are corrected from this share of the round on, in a warm round from the second.
 const POSES_FROM: f64 = 0.39;
 const WARM_POSES_FROM: f64 = 0.19;
-/// The colours of the views are matched so many times a round, less one.
-const COLOUR_MATCHES: u32 = 10;
 /// Exploration noise stops at this share of the round.
 const NOISE_END: f64 = 0.9;
 
@@ -49,8 +47,6 @@ pub enum Stream {
     Densification = 2,
     /// What a round begins with.
     FirstPoints = 3,
-    /// Which Gaussians a step goes without.
-    Dropout = 4,
     /// The colour behind the splats.
     Background = 5,
 }
@@ -146,11 +142,6 @@ impl Schedule {
             POSES_FROM
         };
         step.is_multiple_of(interval) && self.share(step) >= from
-    }
-
-    /// Whether the colours of the views are matched before `step`: every tenth of the round.
-    pub fn matches_colours(&self, step: u32) -> bool {
-        step > 0 && step.is_multiple_of((self.steps / COLOUR_MATCHES).max(1))
     }
 
     /// Whether opacities are reset before `step` in classic densification: never in its last half.
@@ -266,7 +257,6 @@ mod tests {
             Stream::ViewOrder,
             Stream::Densification,
             Stream::FirstPoints,
-            Stream::Dropout,
             Stream::Background,
         ];
         let first = |stream, moment| PLAN.generator(stream, moment).random::<u64>();

@@ -89,7 +89,6 @@ fn views_of(scene: &Gaussians, angles: &[f64], size: [usize; 2]) -> Vec<Training
             name: format!("{n}"),
             camera,
             image: render(scene, &camera),
-            noise_sigma: 0.01,
         }
     };
     angles.iter().enumerate().map(view).collect()
@@ -106,10 +105,7 @@ fn config(steps: u32, cap: usize) -> TrainConfig {
         resolution_schedule: false,
         warm: false,
         background: Background::Black,
-        dropout: 0.0,
         densify: Densify::Mcmc,
-        stereo: None,
-        view_colour: false,
         seed: 3,
         extent: 1.0,
     }
@@ -129,17 +125,10 @@ fn points_of(scene: &Gaussians) -> Vec<Point> {
 }
 
 fn start(views: &[TrainingView], scene: &Gaussians, config: &TrainConfig) -> TrainStart {
-    let cameras: Vec<_> = views.iter().map(|v| v.camera).collect();
-    let beginning = Beginning {
-        cap: config.cap,
-        fill_up: 0,
-    };
-    TrainStart::Fresh(initialise(
-        &points_of(scene),
-        &cameras,
-        beginning,
-        &config.schedule(),
-    ))
+    let (points, cameras) = (points_of(scene), views.iter().map(|v| v.camera));
+    let extent = scene_extent(&cameras.collect::<Vec<_>>(), &points);
+    let first = initialise::gaussians_at(&points, extent);
+    TrainStart::Fresh(first.with_sh_degree(config.sh_degree))
 }
 
 fn trained(views: &[TrainingView], start: TrainStart, config: &TrainConfig) -> Trained {
@@ -319,10 +308,7 @@ fn a_scene_larger_than_a_binding_trains_in_parts_to_the_same_bytes() {
 fn an_overflow_of_the_intersections_is_repeated_in_larger_buffers() {
     let scene = truth(120, 2);
     let views = views_of(&scene, &[-0.3, 0.3], [64, 48]);
-    let config = TrainConfig {
-        densify: Densify::Off,
-        ..config(60, 400)
-    };
+    let config = config(60, 120);
     let begin = || start(&views, &scene, &config);
     let small = trainer::Trainer::new(fixtures::gpu(), &views, begin(), &config).expect("made");
     let small = small.with_intersections(50);
@@ -393,7 +379,7 @@ fn relocation_keeps_the_image_of_an_isolated_splat() {
     let rows = pack_geometry(&scene);
     let schedule = config(1, 2).schedule();
     let mut random = schedule.generator(schedule::Stream::Densification, 0);
-    let plan = densify::plan(&rows, 2, |_| false, &mut random);
+    let plan = densify::plan(&rows, 2, &mut random);
     let device = DeviceGaussians::upload(fixtures::gpu(), &scene, 0).expect("uploaded");
     let optimizer = optimizer::Optimizer::new(fixtures::gpu(), &device, false).expect("created");
     optimizer

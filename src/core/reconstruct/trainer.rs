@@ -22,7 +22,7 @@ use super::{
 };
 use crate::cancel::Cancelled;
 use crate::metrics::report::NoiseMapStatistics;
-use crate::noise::NoiseField;
+use crate::noise::{NoiseField, NoiseMode};
 use crate::splat::rasterize::{Backward, Specialisation};
 use flight::Flight;
 use kept::Kept;
@@ -76,10 +76,9 @@ impl<'a> Trainer<'a> {
             TrainStart::Fresh(gaussians) => (gaussians.with_sh_degree(config.sh_degree), None),
             TrainStart::Resume(checkpoint) => (checkpoint.gaussians(), Some(checkpoint)),
         };
-        let grows = config.densify != Densify::Off;
         let purpose = Purpose {
             shake: config.shake.as_ref(),
-            capacity: if grows { config.cap } else { 0 }.max(gaussians.len()),
+            capacity: config.cap.max(gaussians.len()),
             gradients: true,
         };
         let mut model = ForwardModel::new(gpu, views, &gaussians, purpose)?;
@@ -95,7 +94,9 @@ impl<'a> Trainer<'a> {
             prediction: gpu.create("prediction", values)?,
             gradient: gpu.create("image gradient", values)?,
             level: Level::new(gpu, &model.views, divisor)?,
-            noise: NoiseField::new(gpu, config.noise, config.seed, size)?,
+            noise: (config.noise == NoiseMode::Paper)
+                .then(|| NoiseField::new(gpu, config.seed, size))
+                .transpose()?,
             noise_seen: Vec::new(),
             onlooker: Onlooker::default(),
             warnings: Vec::new(),

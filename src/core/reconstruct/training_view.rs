@@ -14,6 +14,4 @@ pub struct TrainingView {
     pub image: Image,
     /// Whether a kernel may explain its shake, where the round has kernels at all.
     pub has_kernel: bool,
-    /// Its measured noise, 0..=1; bounds the noise field.
-    pub noise_sigma: f32,
 }

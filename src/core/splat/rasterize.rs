@@ -9,7 +9,6 @@ mod blending;
 mod buffers;
 mod order;
 mod slots;
-mod work;
 
 use fled_gpu::{Buffer, GpuError, Kernel, Recorder};
 
@@ -19,7 +18,6 @@ pub use buffers::{PendingCounts, SplatBuffers, SplatCounts, SplatSizes};
 pub use slots::SlotRows;
 #[cfg(test)]
 pub(crate) use slots::gradient;
-pub use work::SplatWork;
 
 /// Sums of an intersection.
 pub const SLOT_ROW: usize = 9;

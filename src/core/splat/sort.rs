@@ -160,11 +160,6 @@ impl RadixSort {
         })
     }
 
-    /// Passes of a digit each.
-    pub fn passes(&self) -> usize {
-        self.passes.len()
-    }
-
     /// Keys to be sorted.
     pub fn keys(&self) -> &Buffer<u32> {
         &self.keys[0]

@@ -32,20 +32,18 @@ pub struct CameraUniform {
     pub tiles: [u32; 2],
     /// Centre of projection, world units.
     pub position: [f32; 3],
-    /// Which Gaussians are dropped is drawn from this.
-    pub draw: u32,
     /// Active degree of the spherical harmonics.
     pub sh_degree: u32,
+    /// What shines through where the splats leave room, RGB as in the image.
+    pub background: [f32; 3],
     /// Number of Gaussians.
     pub count: u32,
     /// Near plane, world units.
     pub near: f32,
     /// Vectors of four in a row of harmonics.
     pub sh_row: u32,
-    /// What shines through where the splats leave room, RGB as in the image.
-    pub background: [f32; 3],
-    /// Share of the Gaussians that are dropped; the opacity of the others makes up for them.
-    pub dropout: f32,
+    /// The shader's alignment.
+    pub padding: [u32; 2],
 }
 
 impl CameraUniform {
@@ -66,13 +64,12 @@ impl CameraUniform {
             size: [k.width as u32, k.height as u32],
             tiles: [tiles(k.width), tiles(k.height)],
             position: centre.to_array().map(|x| x as f32),
-            draw: 0,
             sh_degree: active.min(allocated),
             count: count as u32,
             near,
             sh_row: (3 * (allocated + 1) * (allocated + 1)).div_ceil(4),
             background: [0.0; 3],
-            dropout: 0.0,
+            padding: [0; 2],
         }
     }
 
@@ -80,15 +77,5 @@ impl CameraUniform {
     #[must_use]
     pub fn before(self, background: [f32; 3]) -> Self {
         Self { background, ..self }
-    }
-
-    /// The same without a `share` of the Gaussians, below 1, drawn from `draw`.
-    #[must_use]
-    pub fn dropping(self, share: f32, draw: u32) -> Self {
-        Self {
-            dropout: share,
-            draw,
-            ..self
-        }
     }
 }

@@ -7,7 +7,6 @@ use fled_core::deblur::NetworkChoice;
 use fled_core::deblur::manifest::{Manifest, Place, Role};
 use fled_core::enhance::Target;
 use fled_core::pipeline::config::{NetworkOption, Options, OptionsError, Preset};
-use serde::Deserialize;
 use serde_json::{Map, Value};
 use uuid::Uuid;
 
@@ -62,14 +61,15 @@ impl Order {
         row: &JobRow,
         options: &Map<String, Value>,
     ) -> Result<Self, Problem> {
-        let damaged = |error: &dyn std::fmt::Display| {
-            tracing::error!(%error, job = row.id, "its options are damaged");
+        let preset: Preset = row.preset.parse().map_err(|error: OptionsError| {
+            tracing::error!(%error, job = row.id, "its preset is damaged");
             Problem::internal()
-        };
-        let preset: Preset = row.preset.parse().map_err(|e: OptionsError| damaged(&e))?;
-        let before = Options::deserialize(&row.options).map_err(|e| damaged(&e))?;
-        let options = before
-            .with_overrides(options)
+        })?;
+        // A value that an older build took may have to be replaced.
+        let mut all = Options::known(&row.options);
+        all.extend(options.clone());
+        let options = Options::default()
+            .with_overrides(&all)
             .map_err(|error| bad_option(&error))?;
         Self::checked(app, preset, options, Priority::of(row.priority)).await
     }
@@ -102,7 +102,8 @@ impl Order {
 
     /// Whether these are the options already, as an older build may have written them.
     pub(super) fn asks_for(&self, options: &Value) -> bool {
-        Options::deserialize(options).is_ok_and(|options| options == self.options)
+        let stored = Options::default().with_overrides(&Options::known(options));
+        stored.is_ok_and(|stored| stored == self.options)
     }
 
     /// Holds what the options say of views against the capture's.

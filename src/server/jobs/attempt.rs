@@ -6,7 +6,9 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use fled_core::event::Event;
+use fled_core::pipeline::config::Options;
 use fled_core::pipeline::error::ErrorKind;
+use serde_json::Value;
 use tokio::sync::Notify;
 use tokio::time::{Instant, Interval, MissedTickBehavior, interval, sleep_until};
 
@@ -85,8 +87,9 @@ pub(super) async fn run(
         .await
         .map_err(ServerError::io(&output))?;
     let options = app.data.job(id).join("options.json");
-    write_atomically(&options, job.options.to_string().as_bytes())
-        .map_err(ServerError::io(&options))?;
+    // An older build may have stored options that there are no more.
+    let known = Value::Object(Options::known(&job.options));
+    write_atomically(&options, known.to_string().as_bytes()).map_err(ServerError::io(&options))?;
     let log = app.data.log(id);
     let log = LogWriter::open(&log, app.limits.max_log_bytes).map_err(ServerError::io(&log))?;
     let mut attempt = Attempt {

@@ -317,3 +317,65 @@ fn a_job_that_succeeded_goes_on_with_other_options() {
     let events = server.events(&job, last, usize::MAX);
     assert_eq!(events[0].1, "state", "the stream goes on: {events:?}");
 }
+
+#[test]
+fn a_job_with_options_that_only_an_older_build_knows_is_shown_and_goes_on() {
+    let mut server = Server::start();
+    let job = server.job("ok");
+    server.wait_state(&job, "succeeded");
+    server.kill();
+    let mut options = server_options(&server, &job, None);
+    options["dropout"] = json!(0.0);
+    options["noise"] = json!("grid");
+    server_options(&server, &job, Some(&options));
+    server.restart();
+    assert_eq!(server.show(&job)["options"], options);
+    let path = format!("/v1/jobs/{job}/retry");
+    let retry = |options| server.post_json(&path, &json!({ "options": options }), &[]);
+    let gone = retry(json!({ "cap": 4321 })).expect(422).json();
+    assert_eq!(gone["pointer"], "/options/noise");
+    let again = json!({ "cap": 4321, "noise": "off" });
+    let queued = retry(again).expect(202).json();
+    assert_eq!(queued["options"]["dropout"], json!(null));
+    server.wait_state(&job, "succeeded");
+
+    server.kill();
+    options["noise"] = json!("off");
+    server_options(&server, &job, Some(&options));
+    let url = format!("sqlite://{}", server.data.path().join("fled.db").display());
+    on_database(&url, "UPDATE jobs SET state = 'queued', finished_at = NULL");
+    server.restart();
+    server.wait_state(&job, "succeeded");
+}
+
+/// The options that are stored of a job, after they were replaced where there are others.
+fn server_options(
+    server: &Server,
+    job: &str,
+    other: Option<&serde_json::Value>,
+) -> serde_json::Value {
+    let url = format!("sqlite://{}", server.data.path().join("fled.db").display());
+    if let Some(other) = other {
+        let order = format!("UPDATE jobs SET options = '{other}' WHERE id = '{job}'");
+        on_database(&url, &order);
+    }
+    let rows = on_database(
+        &url,
+        &format!("SELECT options FROM jobs WHERE id = '{job}'"),
+    );
+    serde_json::from_str(&rows[0]).expect("JSON")
+}
+
+/// The first column of what a statement answers.
+fn on_database(url: &str, statement: &str) -> Vec<String> {
+    sqlx::any::install_default_drivers();
+    let runtime = tokio::runtime::Runtime::new().expect("a runtime");
+    runtime.block_on(async {
+        let pool = sqlx::any::AnyPoolOptions::new().connect(url).await;
+        let pool = pool.expect("connected");
+        let statement = sqlx::AssertSqlSafe(statement.to_owned());
+        let rows = sqlx::query_scalar(statement).fetch_all(&pool).await;
+        pool.close().await;
+        rows.expect("answered")
+    })
+}

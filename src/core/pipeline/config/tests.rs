@@ -44,9 +44,9 @@ fn assignments_take_numbers_words_and_booleans() {
     );
     assert!(
         !options
-            .with_assignment("resolution_schedule=false")
+            .with_assignment("late_views=false")
             .expect("valid")
-            .resolution_schedule
+            .late_views
     );
     assert_eq!(
         options
@@ -88,25 +88,14 @@ fn an_unknown_key_or_bad_value_names_the_key() {
     );
     assert_eq!(
         options
-            .with_assignment("dropout=0.6")
-            .expect_err("range")
+            .with_assignment("dropout=0.1")
+            .expect_err("gone")
             .key,
         "dropout"
     );
     assert_eq!(
         options.with_assignment("noise=loud").expect_err("enum").key,
         "noise"
-    );
-    let unguided = Options {
-        guide: Guide::None,
-        ..options.clone()
-    };
-    assert_eq!(
-        unguided
-            .with_assignment("deblur_unguided=a")
-            .expect_err("both")
-            .key,
-        "deblur_unguided"
     );
     let aimed = Options {
         target: "10,0.8".to_owned(),
@@ -116,4 +105,15 @@ fn an_unknown_key_or_bad_value_names_the_key() {
         aimed.with_assignment("enhance=a").expect_err("both").key,
         "target"
     );
+}
+
+#[test]
+fn of_stored_options_those_are_known_that_there_are() {
+    let stored = serde_json::json!({ "rounds": 3, "dropout": 0.0, "view_colour": false });
+    let known = Options::known(&stored);
+    assert_eq!(serde_json::json!(known), serde_json::json!({ "rounds": 3 }));
+    let options = Options::default().with_overrides(&known).expect("valid");
+    assert_eq!(options.rounds, 3);
+    let whole = serde_json::to_value(&options).expect("JSON");
+    assert_eq!(serde_json::json!(Options::known(&whole)), whole);
 }

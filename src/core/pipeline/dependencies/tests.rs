@@ -5,7 +5,7 @@ use crate::pipeline::config::{ShakeModel, TrainOn};
 
 /// Which results a change of each option makes stale, in the order of Algorithm 1. Options without
 /// any act through the tools that they choose, or choose among results (`train_on`).
-const STALE: [(&str, &[&str]); 29] = [
+const STALE: [(&str, &[&str]); 22] = [
     ("rounds", &["enhance", "deblur", "reconstruct", "guided"]),
     ("steps", &["reconstruct", "guided"]),
     (
@@ -15,7 +15,6 @@ const STALE: [(&str, &[&str]); 29] = [
     ("target", &["enhance", "deblur", "reconstruct", "guided"]),
     ("lut_scope", &["enhance", "deblur", "reconstruct", "guided"]),
     ("deblur", &[]),
-    ("deblur_unguided", &[]),
     ("enhance", &[]),
     ("guide", &["guided"]),
     ("noise", &["reconstruct", "guided"]),
@@ -25,15 +24,9 @@ const STALE: [(&str, &[&str]); 29] = [
     ("late_views", &[]),
     ("start", &["reconstruct", "guided"]),
     ("densify", &["reconstruct", "guided"]),
-    ("fill_up", &["reconstruct", "guided"]),
-    ("stereo", &["reconstruct", "guided"]),
-    ("extent", &["reconstruct", "guided"]),
-    ("view_colour", &["reconstruct", "guided"]),
     ("cap", &["reconstruct", "guided"]),
     ("sh_degree", &["reconstruct", "guided"]),
     ("background", &["reconstruct", "guided"]),
-    ("dropout", &["reconstruct", "guided"]),
-    ("resolution_schedule", &["reconstruct", "guided"]),
     ("held_out", &["reconstruct", "guided"]),
     ("pose_source", &["poses"]),
     (
@@ -46,20 +39,18 @@ const STALE: [(&str, &[&str]); 29] = [
 /// Another valid value of every option.
 fn other(option: &str) -> Value {
     match option {
-        "rounds" | "steps" | "size" | "fill_up" | "cap" | "seed" => json!(777),
+        "rounds" | "steps" | "size" | "cap" | "seed" => json!(777),
         "sh_degree" => json!(1),
-        "dropout" => json!(0.25),
         "target" => json!("10,0.8"),
         "lut_scope" => json!("image"),
-        "deblur" | "deblur_unguided" | "enhance" => json!("mine"),
+        "deblur" | "enhance" => json!("mine"),
         "guide" => json!("none"),
-        "noise" => json!("grid"),
-        "shake" | "densify" => json!("off"),
+        "noise" => json!("paper"),
+        "shake" => json!("off"),
+        "densify" => json!("classic"),
         "train_on" => json!("enhanced"),
-        "refine_poses" | "late_views" | "resolution_schedule" => json!(false),
-        "view_colour" | "stereo" => json!(true),
+        "refine_poses" | "late_views" => json!(false),
         "start" => json!("scratch"),
-        "extent" => json!("cameras"),
         "background" => json!("black"),
         "held_out" => json!("5"),
         "pose_source" => json!("colmap"),
@@ -78,10 +69,9 @@ fn network(id: &str) -> RestorerInfo {
     }
 }
 
-fn networks(deblur: &str, unguided: Option<&str>, enhance: Option<&str>) -> Networks {
+fn networks(deblur: &str, enhance: Option<&str>) -> Networks {
     Networks {
         deblur: network(deblur),
-        deblur_unguided: unguided.map(network),
         enhance: enhance.map(network),
     }
 }
@@ -152,7 +142,7 @@ const LISTED: [&str; 6] = [
 #[test]
 fn every_option_makes_stale_what_reads_it_and_what_follows_and_nothing_else() {
     let options = Options::default();
-    let all = networks("one", None, None);
+    let all = networks("one", None);
     let before = results(&options, &all);
     let names = options.names();
     assert_eq!(names.len(), STALE.len(), "an option is missing above");
@@ -181,15 +171,11 @@ fn another_network_leaves_the_poses_and_what_is_trained_on_enhanced_views() {
         shake: ShakeModel::Kernel,
         ..Options::default()
     };
-    let before = results(&options, &networks("one", None, None));
+    let before = results(&options, &networks("one", None));
     let after = |networks| stale(&before, &results(&options, &networks));
-    let all = after(networks("two", None, None));
+    let all = after(networks("two", None));
     assert_eq!(all, ["poses of deblurred", "deblur", "guided", "run"]);
-    let unguided = after(networks("one", Some("two"), None));
-    assert_eq!(unguided, ["poses of deblurred", "deblur", "run"]);
-    let guided = after(networks("two", Some("one"), None));
-    assert_eq!(guided, ["guided", "run"]);
-    let brightened = after(networks("one", None, Some("two")));
+    let brightened = after(networks("one", Some("two")));
     assert!(brightened.contains(&"enhance") && !brightened.contains(&"views"));
 }
 
@@ -201,8 +187,8 @@ fn another_network_makes_a_scene_stale_that_is_trained_on_deblurred_views() {
     };
     // By default the first round is.
     for options in [deblurred, Options::default()] {
-        let before = results(&options, &networks("one", None, None));
-        let after = results(&options, &networks("one", Some("two"), None));
+        let before = results(&options, &networks("one", None));
+        let after = results(&options, &networks("two", None));
         let stale = stale(&before, &after);
         assert!(stale.contains(&"reconstruct"), "{stale:?}");
         assert!(stale.contains(&"guided"), "guided by that scene: {stale:?}");
@@ -223,7 +209,7 @@ fn a_stage_sees_the_defaults_in_place_of_options_that_it_does_not_name() {
 
 #[test]
 fn a_round_depends_on_the_one_before_it() {
-    let one = networks("one", None, None);
+    let one = networks("one", None);
     let adapter = "adapter".to_owned();
     let run = RunDependencies::new(&Options::default(), "capture", &found(), one, adapter);
     let first = run.round(1, None);

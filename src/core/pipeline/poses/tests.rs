@@ -3,7 +3,7 @@ use std::cell::RefCell;
 use super::*;
 use crate::camera::{Camera, Intrinsics};
 use crate::cancel::CancelToken;
-use crate::deblur::{ByGuide, DeblurError, Identity, Restorer, RestorerInfo};
+use crate::deblur::{DeblurError, Identity, Restorer, RestorerInfo};
 use crate::event::{Event, Silent};
 use crate::image::Image;
 use crate::pipeline::plan::Plan;
@@ -137,11 +137,7 @@ fn found_with(
 
 #[test]
 fn what_the_ladder_cannot_place_is_deblurred_once_and_asked_about_again() {
-    let mut networks = ByGuide::new(
-        Box::new(Grey(0.5, Vec::new())),
-        Box::new(Grey(0.75, Vec::new())),
-    );
-    let (found, warnings, asked) = found_with(&mut networks);
+    let (found, warnings, asked) = found_with(&mut Grey(0.5, Vec::new()));
     let found = found.expect("placed on bright copies");
     assert_eq!((found.rung, found.registered), (Some(RUNG), 3));
     let asked: Vec<_> = asked
@@ -169,7 +165,6 @@ fn what_the_ladder_cannot_place_is_deblurred_once_and_asked_about_again() {
             "as the original"
         );
     }
-    // Of the network that was used: none of these views has a guide.
     assert_eq!(
         warnings,
         ["a", "b", "c"].map(|name| format!("poses: {name}: is 0.5 now"))
@@ -248,7 +243,6 @@ fn only_what_no_network_had_a_hand_in_serves_every_network() {
             id: id.to_owned(),
             ..Identity.describe()
         },
-        deblur_unguided: None,
         enhance: None,
     };
     let depends_on =

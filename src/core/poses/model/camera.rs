@@ -18,9 +18,8 @@ pub struct ModelCamera {
     pub params: Vec<f64>,
 }
 
-/// COLMAP's camera models that we can undistort.
+/// COLMAP's camera models that we can undistort, by COLMAP's names.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[expect(missing_docs, reason = "the names are COLMAP's, in CameraModel::NAMES")]
 pub enum CameraModel {
     SimplePinhole,
     Pinhole,

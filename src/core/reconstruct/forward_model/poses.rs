@@ -95,7 +95,7 @@ impl ForwardModel<'_> {
             .try_into()
             .map_err(|_| GpuError::Validation("six probes".to_owned()))?;
         Ok(Probed {
-            photograph: self.views[view].photograph_in_scene_colours(),
+            photograph: self.views[view].photograph(),
             render,
             probed,
             probes,

@@ -34,7 +34,7 @@ impl ForwardModel<'_> {
             }
             let photographs: Vec<Image> = some
                 .iter()
-                .map(|&view| self.views[view].photograph_in_scene_colours())
+                .map(|&view| self.views[view].photograph())
                 .collect();
             let kernels: Vec<ShakeKernel> = renders
                 .par_iter()

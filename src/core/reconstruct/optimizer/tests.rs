@@ -191,36 +191,6 @@ fn gradients_of_every_parameter_equal_the_reference() {
 }
 
 #[test]
-fn opacities_that_make_up_for_dropped_gaussians_have_the_gradient_of_that() {
-    let bench = Bench::new(fixtures::gaussians(100, 1, 4), 1);
-    let whole = bench.gradients();
-    let camera = bench.projection.camera.read().expect("read")[0];
-    bench
-        .projection
-        .camera
-        .write(&[camera.dropping(0.2, 7)])
-        .expect("written");
-    // The same gradient by an opacity that is a quarter larger: v is that opacity times the
-    // gradient by it.
-    let mut colours = bench.rows.colours.read().expect("read");
-    colours.iter_mut().for_each(|row| row[3] *= 1.25);
-    bench.rows.colours.write(&colours).expect("written");
-    for (dropping, whole) in bench.gradients().iter().zip(&whole) {
-        for (n, (a, b)) in dropping.iter().zip(whole).enumerate() {
-            let factor = if n == column::OPACITY_LOGIT {
-                1.25
-            } else {
-                1.0
-            };
-            assert!(
-                (a - factor * b).abs() <= 1e-6 + 1e-5 * b.abs(),
-                "{n}: {a} {b}"
-            );
-        }
-    }
-}
-
-#[test]
 fn the_first_update_and_its_moments_equal_scalar_adam() {
     let bench = Bench::new(fixtures::gaussians(60, 1, 9), 1);
     let gradients = bench.gradients();

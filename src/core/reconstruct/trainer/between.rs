@@ -23,7 +23,6 @@ impl Trainer<'_> {
             || self.densifies(step)
             || self.estimates_shake(step)
             || self.refines_poses(step)
-            || self.matches_colours(step)
             || divisor != self.level.divisor
     }
 
@@ -35,8 +34,7 @@ impl Trainer<'_> {
         kept: &Kept,
     ) -> Result<(), ReconstructError> {
         let step = self.next;
-        let takes_long =
-            self.matches_colours(step) || self.estimates_shake(step) || self.refines_poses(step);
+        let takes_long = self.estimates_shake(step) || self.refines_poses(step);
         let is_newer = step > kept.step && hooks.checkpoint.is_some();
         let before = (takes_long && is_newer).then(|| self.checkpoint());
         let before = before.transpose()?;
@@ -54,9 +52,6 @@ impl Trainer<'_> {
             self.set_level(divisor)?;
         }
         let degree = self.schedule.degree(step);
-        if self.matches_colours(step) {
-            self.model.match_colours(degree, cancel)?;
-        }
         if self.estimates_shake(step) {
             self.model.estimate_shake(degree, cancel)?;
         }
@@ -86,10 +81,6 @@ impl Trainer<'_> {
         self.config.refine_poses.is_some() && self.schedule.refines_poses(step)
     }
 
-    fn matches_colours(&self, step: u32) -> bool {
-        self.config.view_colour && self.schedule.matches_colours(step)
-    }
-
     pub(super) fn check_finite(&self) -> Result<(), ReconstructError> {
         let dropped = u64::from(self.optimizer.counters.read()?[0]);
         let updates = f64::from(self.config.steps) * self.model.pass.gaussians.count as f64;
@@ -105,8 +96,7 @@ impl Trainer<'_> {
     /// Looks at the noise map of the last step, before the checkpoint: the guard's verdict belongs
     /// to it.
     pub(super) fn inspect_noise(&mut self) -> Result<(), GpuError> {
-        let acts = self.noise_acts(self.next - 1);
-        let Some(noise) = self.noise.as_mut().filter(|_| acts) else {
+        let Some(noise) = &mut self.noise else {
             return Ok(());
         };
         let render = &self.model.pass.buffers().image;

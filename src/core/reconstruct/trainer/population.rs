@@ -14,8 +14,7 @@ const WARM_GROWTH: f64 = 0.05;
 
 impl Trainer<'_> {
     pub(super) fn densifies(&self, step: u32) -> bool {
-        self.config.densify != Densify::Off && self.schedule.densifies(step)
-            || self.resets_opacities(step)
+        self.schedule.densifies(step) || self.resets_opacities(step)
     }
 
     fn resets_opacities(&self, step: u32) -> bool {
@@ -25,7 +24,6 @@ impl Trainer<'_> {
     pub(super) fn densify(&mut self, step: u32) -> Result<(), GpuError> {
         let rows = self.model.pass.gaussians.read_geometry()?;
         match self.config.densify {
-            Densify::Off => Ok(()),
             Densify::Mcmc => self.relocate(&rows, step),
             Densify::Classic => self.clone_and_split(&rows, step),
         }
@@ -42,9 +40,7 @@ impl Trainer<'_> {
         let random = &mut self
             .schedule
             .generator(Stream::Densification, u64::from(step));
-        let stereo = self.config.stereo.as_deref();
-        let is_free = |place| stereo.is_some_and(|stereo| stereo.is_free(place));
-        let plan = densify::plan(rows, target, is_free, random);
+        let plan = densify::plan(rows, target, random);
         let gaussians = &mut self.model.pass.gaussians;
         self.optimizer.relocate(self.gpu, gaussians, &plan)?;
         gaussians.count = plan.count;

@@ -29,7 +29,6 @@ impl Trainer<'_> {
                 .map_or(Ok(Vec::new()), NoiseField::save)?,
             shake: self.model.save_kernels(),
             motions: self.model.save_motions(),
-            colours: self.model.save_colours(),
         })
     }
 
@@ -55,7 +54,6 @@ impl Trainer<'_> {
         self.set_level(divisor)?;
         self.model.restore_kernels(&checkpoint.shake)?;
         self.model.restore_motions(&checkpoint.motions)?;
-        self.model.restore_colours(&checkpoint.colours)?;
         self.model
             .pass
             .set_room(checkpoint.intersections as usize)?;

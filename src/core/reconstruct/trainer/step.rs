@@ -5,7 +5,7 @@ use rand::RngExt;
 
 use super::Trainer;
 use super::flight::Flight;
-use crate::noise::{IntersectionLimit, NoiseMode, OFF_SHARE};
+use crate::noise::IntersectionLimit;
 use crate::reconstruct::optimizer::{SlotGradients, StepUniform};
 use crate::reconstruct::schedule::Stream;
 use crate::reconstruct::{Background, Densify};
@@ -16,16 +16,16 @@ impl Trainer<'_> {
         let index = self.schedule.view(step, self.model.views.len());
         self.write_numbers(step, index)?;
         self.last_view = index;
-        if self.noise_acts(step) {
+        if self.noise.is_some() {
             // The noise field's numbers change where it is recorded.
-            return self.record(index, true)?.submit().map(|_| ());
+            return self.record(index)?.submit().map(|_| ());
         }
         let pass = &self.model.pass;
         let kept = self.model.views[index].recording.take();
         let recording = match kept.filter(|kept| pass.serves(kept)) {
             Some(recording) => recording,
             None => {
-                let recorder = self.record(index, false)?;
+                let recorder = self.record(index)?;
                 self.model.pass.keep(recorder)
             }
         };
@@ -37,12 +37,9 @@ impl Trainer<'_> {
     /// Writes what differs between two steps of one view.
     fn write_numbers(&self, step: u32, view: usize) -> Result<(), GpuError> {
         let (schedule, pass) = (&self.schedule, &self.model.pass);
-        let mut random = schedule.generator(Stream::Dropout, u64::from(step));
-        let dropped = schedule.share(step) as f32 * self.config.dropout as f32;
         let camera = pass
             .seen_from(self.model.views[view].camera(), schedule.degree(step))
-            .before(self.background(step))
-            .dropping(dropped, random.random());
+            .before(self.background(step));
         let mcmc = self.config.densify == Densify::Mcmc;
         let (count, extent) = (pass.gaussians.count, self.config.extent);
         let mut numbers = StepUniform::new(schedule, step, count, extent, mcmc);
@@ -63,12 +60,7 @@ impl Trainer<'_> {
         }
     }
 
-    pub(super) fn noise_acts(&self, step: u32) -> bool {
-        let late = self.schedule.share(step) >= OFF_SHARE;
-        self.noise.is_some() && (self.config.noise == NoiseMode::Paper || late)
-    }
-
-    fn record(&mut self, index: usize, noisy: bool) -> Result<Recorder, GpuError> {
+    fn record(&mut self, index: usize) -> Result<Recorder, GpuError> {
         let target = self.model.views[index].target(self.gpu)?;
         let (pass, view) = (&self.model.pass, &self.model.views[index]);
         let (buffers, loss) = (pass.buffers(), self.level.loss(view));
@@ -80,8 +72,8 @@ impl Trainer<'_> {
             clean = shake.blurred();
         }
         match &mut self.noise {
-            Some(noise) if noisy => {
-                noise.begin_step(view.camera(), view.given().noise_sigma)?;
+            Some(noise) => {
+                noise.begin_step(view.camera())?;
                 noise.record_forward(&mut recorder, clean, &self.prediction)?;
                 loss.record(&mut recorder, &self.prediction, &target, &self.gradient)?;
                 let (counters, total_at) = buffers.totals();
@@ -92,7 +84,7 @@ impl Trainer<'_> {
                 };
                 noise.record_backward(&mut recorder, &self.gradient, &limit)?;
             }
-            _ => loss.record(&mut recorder, clean, &target, &self.gradient)?,
+            None => loss.record(&mut recorder, clean, &target, &self.gradient)?,
         }
         let mut by_render = &self.gradient;
         if let Some((shake, kernel)) = shaken {
@@ -117,9 +109,7 @@ impl Trainer<'_> {
         while let Some((step, counts)) = flight.land(left)? {
             if counts.overflowed() {
                 flight.redo.push_back(step);
-                if self.noise_acts(step)
-                    && let Some(noise) = &mut self.noise
-                {
+                if let Some(noise) = &mut self.noise {
                     noise.take_back_step();
                 }
                 self.model.pass.make_room(&counts)?;

@@ -5,9 +5,8 @@ use fled_gpu::{Gpu, GpuError};
 use super::Trainer;
 use crate::cancel::CancelToken;
 use crate::gaussians::Gaussians;
-use crate::noise::NoiseWork;
 use crate::reconstruct::{ReconstructError, TrainConfig, TrainHooks, TrainStart, TrainingView};
-use crate::splat::rasterize::SplatWork;
+use crate::splat::rasterize::SplatCounts;
 
 /// The loop of [`train`](crate::reconstruct::train) itself, stopped and gone on with: what is
 /// measured is what runs. Makes no checkpoints.
@@ -53,22 +52,11 @@ impl<'a> Stepper<'a> {
         self.0.model.pass.gaussians.download().expect("read")
     }
 
-    /// How much the last step had to sort and blend; reads it back from the device.
+    /// How much the last step had to blend; reads it back from the device.
     ///
     /// # Errors
     /// A device error.
-    pub fn splat_work(&self) -> Result<SplatWork, GpuError> {
-        self.0.model.pass.buffers().work()
-    }
-
-    /// Taps of the kernel by which the last step's view is shaken; `None` when shake is off.
-    pub fn taps(&self) -> Option<usize> {
-        let kernel = self.0.model.views[self.0.last_view].kernel.as_ref()?;
-        Some(kernel.kernel().taps().len())
-    }
-
-    /// How much the noise field works in a step; `None` when it is off.
-    pub fn noise_work(&self) -> Option<NoiseWork> {
-        self.0.noise.as_ref().map(crate::noise::NoiseField::work)
+    pub fn counts(&self) -> Result<SplatCounts, GpuError> {
+        self.0.model.pass.buffers().counts()?.wait()
     }
 }

@@ -29,7 +29,7 @@ fn relocates(gpu: &Gpu, parts: usize) {
         .write(&vec![1.0; 24 * 56])
         .expect("written");
     let rows = pack_geometry(&gaussians);
-    let plan = densify::plan(&rows, 22, |_| false, &mut Pcg64::seed_from_u64(3));
+    let plan = densify::plan(&rows, 22, &mut Pcg64::seed_from_u64(3));
     optimizer.relocate(gpu, &device, &plan).expect("relocated");
     device.count = plan.count;
     let after = device.download().expect("read");
