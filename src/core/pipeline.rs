@@ -27,6 +27,7 @@ mod report;
 mod restore;
 mod round;
 mod run;
+mod shaken;
 mod tone;
 mod tools;
 pub(crate) mod views;

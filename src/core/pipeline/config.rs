@@ -167,7 +167,7 @@ impl Preset {
     pub fn options(self) -> Options {
         let standard = Options {
             rounds: 2,
-            steps: 2_000,
+            steps: 1_000,
             size: 560,
             target: "auto".to_owned(),
             lut_scope: LutScope::Scene,
@@ -191,7 +191,6 @@ impl Preset {
         };
         match self {
             Self::Preview => Options {
-                steps: 1_000,
                 size: 280,
                 cap: 10_000,
                 ..standard
@@ -229,9 +228,10 @@ impl Options {
         }
     }
 
-    /// Whether no view is trained on deblurred, whatever is found in it.
-    pub fn never_trains_on_deblurred(&self) -> bool {
-        self.trains_on_enhanced(self.shake == ShakeModel::Kernel)
+    /// Whether no view needs the network: none is trained on deblurred, and no kernel waits for what
+    /// deblurring tells.
+    pub fn needs_no_network(&self) -> bool {
+        self.shake != ShakeModel::Late && self.trains_on_enhanced(self.shake == ShakeModel::Kernel)
     }
 }
 

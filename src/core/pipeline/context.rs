@@ -174,6 +174,11 @@ impl<'a> Context<'a> {
         self.plan.finish(stage, skipped, self.sink);
     }
 
+    /// Notes that so many rounds are made, not as many as were planned.
+    pub fn plan_rounds(&mut self, rounds: u32) {
+        self.plan.set_rounds(rounds);
+    }
+
     /// Tells how far a stage of countable units is.
     pub fn advance(&mut self, stage: Stage, round: u32, progress: Advance) {
         let Advance {

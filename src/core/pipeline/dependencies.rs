@@ -162,7 +162,7 @@ impl RunDependencies {
                 Dependencies::on(&self.given, DEBLUR, &facts)
             }
         };
-        let images = if self.given.never_trains_on_deblurred() {
+        let images = if self.given.needs_no_network() {
             &self.enhance
         } else {
             &deblur

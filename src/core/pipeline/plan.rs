@@ -54,6 +54,11 @@ impl Plan {
         }
     }
 
+    /// Fewer rounds than were planned: what is left is less.
+    pub fn set_rounds(&mut self, rounds: u32) {
+        self.rounds = rounds;
+    }
+
     fn weight(&self, stage: Stage) -> f64 {
         if stage == Stage::Poses {
             return self.poses_left;

@@ -32,6 +32,7 @@ pub fn begin(options: &Options, tools: &Tools<'_>, networks: &Networks, poses: &
         best_round: 1,
         registered: poses.registered as u32,
         views: poses.total as u32,
+        shaken_views: None,
         stages: BTreeMap::new(),
         adapter: tools.gpu.describe().to_string(),
         models: models.collect(),

@@ -8,7 +8,7 @@ use super::dependencies::{RoundDependencies, RunDependencies};
 use super::enhance::{self, Brightening, enhance};
 use super::error::PipelineError;
 use super::evaluate::{Finished, RoundImages, evaluate};
-use super::explained::{self, explained, training_images};
+use super::explained::{self, explained, trained_deblurred, training_images};
 use super::late_views::{FinishedRound, changed_views, late_views, with_fits};
 use super::match_brightness::{Next, match_brightness};
 use super::plan::Plan;
@@ -16,6 +16,7 @@ use super::poses::{poses, publish};
 use super::reconstruct::{Material, Predecessor, TrainedScene, reconstruct};
 use super::render::render;
 use super::report;
+use super::shaken::{self, Shaken};
 use super::tools::Tools;
 use super::views::{self, View};
 use super::workspace::Workspace;
@@ -99,10 +100,28 @@ pub fn run(
     publish(workspace, &poses)?;
     let mut report = report::begin(options, tools, depends_on.networks(), &poses);
     let views = views::load(context, capture, &poses, options)?;
-    let asked = Asked { capture, options };
+    let shaken = None;
+    let asked = Asked {
+        capture,
+        options,
+        shaken,
+    };
     let mut ground = Ground::new(context, asked, tools, poses, views)?;
+    let on = &ground.depends_on;
+    let (views, brightening) = (&ground.views, &ground.brightening);
+    let shaken = shaken::shaken(context, tools, options, views, brightening, on)?;
+    report.shaken_views = shaken.as_ref().map(Shaken::count);
+    let in_effect = shaken::in_effect(context, options, shaken.as_ref(), &ground.poses);
+    let asked = Asked {
+        capture,
+        options: &in_effect,
+        shaken: shaken.as_ref(),
+    };
+    if in_effect != *options {
+        ground = Ground::new(context, asked, tools, ground.poses, ground.views)?;
+    }
     let mut before: Option<Handover> = None;
-    for index in 0..options.rounds as usize {
+    for index in 0..in_effect.rounds as usize {
         let turn = Turn {
             asked,
             index,
@@ -119,6 +138,8 @@ pub fn run(
 struct Asked<'a> {
     capture: &'a Capture,
     options: &'a Options,
+    /// Which views are told shaken, where that decides anything.
+    shaken: Option<&'a Shaken>,
 }
 
 /// Which round of it is made, after which.
@@ -156,9 +177,11 @@ fn round(
         guides: before.filter(|_| on.is_guided).map(Handover::guides), // HR
     };
     let deblurred = deblur(context, tools.deblurrer, round, blurred, &on.deblur)?; // D_i
-    let explained = explained(asked.options, round.number, views, report.rounds.last());
-    explained::tell(context, asked.options, round.number, views, &explained);
-    let images = training_images(asked.options, &explained, &enhanced, &deblurred);
+    let known = report.rounds.last().map(|before| &before.views[..]);
+    let explained = explained(asked.options, views, asked.shaken, known);
+    let takes_d = trained_deblurred(asked.options, round, &explained, &enhanced, &deblurred);
+    explained::tell(context, round.number, views, &explained, &takes_d);
+    let images = training_images(&takes_d, &enhanced, &deblurred);
     let material = Material {
         round,
         views,

@@ -9,8 +9,8 @@ use serde::{Deserialize, Serialize};
 pub enum ShakeModel {
     /// A kernel a view, found from the renders, so that the scene itself stays sharp.
     Kernel,
-    /// From the second round on, and only of views whose kernel tells shake from none in the
-    /// renders of the round before; all others are trained deblurred.
+    /// A kernel for views that are told shaken alone: from the second round on, by the renders of
+    /// the round before; where most views are still, from the first.
     Late,
     /// Nothing: the scene is as blurred as the views, as in the paper.
     Off,
@@ -29,12 +29,12 @@ pub enum TrainOn {
 }
 
 impl ShakeModel {
-    /// Whether a kernel explains the shake of a view in a round. `tells`: whether the kernel found
-    /// for it in the round before told shake from none.
-    pub fn explains(self, round: u32, tells: bool) -> bool {
+    /// Whether a kernel explains the shake of a view. `tells`: whether what is known of it before
+    /// the round tells shake from none.
+    pub fn explains(self, tells: bool) -> bool {
         match self {
             Self::Kernel => true,
-            Self::Late => round > 1 && tells,
+            Self::Late => tells,
             Self::Off => false,
         }
     }

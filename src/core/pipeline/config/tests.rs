@@ -11,17 +11,18 @@ fn what_a_kernel_explains_is_not_deblurred_for_training_unless_asked_for() {
     };
     let auto = with(ShakeModel::Late, TrainOn::Auto);
     assert!(auto.trains_on_enhanced(true) && !auto.trains_on_enhanced(false));
-    assert!(!auto.never_trains_on_deblurred());
-    assert!(with(ShakeModel::Kernel, TrainOn::Auto).never_trains_on_deblurred());
+    assert!(!auto.needs_no_network());
+    assert!(with(ShakeModel::Kernel, TrainOn::Auto).needs_no_network());
+    assert!(with(ShakeModel::Off, TrainOn::Enhanced).needs_no_network());
+    assert!(!with(ShakeModel::Late, TrainOn::Enhanced).needs_no_network());
     assert!(!with(ShakeModel::Kernel, TrainOn::Deblurred).trains_on_enhanced(true));
     assert!(with(ShakeModel::Off, TrainOn::Enhanced).trains_on_enhanced(false));
 }
 
 #[test]
-fn late_kernels_wait_for_the_second_round_and_for_views_that_tell() {
-    let late = |round, tells| ShakeModel::Late.explains(round, tells);
-    assert!(!late(1, true) && !late(2, false) && late(2, true));
-    assert!(ShakeModel::Kernel.explains(1, false) && !ShakeModel::Off.explains(2, true));
+fn late_kernels_are_for_views_that_tell() {
+    assert!(ShakeModel::Late.explains(true) && !ShakeModel::Late.explains(false));
+    assert!(ShakeModel::Kernel.explains(false) && !ShakeModel::Off.explains(true));
 }
 
 #[test]

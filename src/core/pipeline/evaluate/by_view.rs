@@ -124,7 +124,7 @@ mod tests {
         let likenesses = [0.5, 2.0].map(|shake_px| Likeness {
             shake_px,
             is_shaken: shake_px > 1.0,
-            psnr_db: 20.0,
+            psnr_cc_db: 20.0,
             fit: 0.8,
         });
         let rows = rows(&views, &["c".to_owned()], &comparisons, &likenesses);

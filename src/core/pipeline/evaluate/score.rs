@@ -16,8 +16,10 @@ pub struct Likeness {
     pub shake_px: f64,
     /// Whether that shake is told from none.
     pub is_shaken: bool,
-    /// PSNR of the render, shaken as the view is, against the view, dB.
-    pub psnr_db: f64,
+    /// Colour-fitted PSNR of the render, shaken as the view is, against the view, dB: a round's
+    /// brightness is matched to the target's by a curve, and what the curve misses is no fault of
+    /// the scene.
+    pub psnr_cc_db: f64,
     /// Correlation of the two: whether the view stands where its pose says.
     pub fit: f64,
 }
@@ -32,7 +34,7 @@ pub fn likenesses(renders: &[Image], target: &[Image], response: &Response) -> V
         Likeness {
             shake_px: kernel.spread(),
             is_shaken: kernel.tells(),
-            psnr_db: metrics::psnr(&shaken, view),
+            psnr_cc_db: metrics::psnr_colour_corrected(&shaken, view),
             fit: metrics::correlation(&shaken, view),
         }
     };
@@ -48,7 +50,7 @@ pub fn score(views: &[View], likenesses: &[Likeness]) -> f64 {
         let pairs = views.iter().zip(likenesses);
         pairs
             .filter(|(view, _)| view.split == split && !view.is_late)
-            .map(|(_, likeness)| likeness.psnr_db)
+            .map(|(_, likeness)| likeness.psnr_cc_db)
             .collect()
     };
     let held_out = of(Split::HeldOut);

@@ -1,0 +1,182 @@
+//! Whether a capture is shaken at all, told before anything is trained.
+//!
+//! A network that deblurs takes a shake out of a shaken view and nothing but noise out of a still
+//! one: the kernel that leads back from its result to the view is a path there and a dot here. On
+//! the cells of docs/results.md it tells all views at 4.4 px and none without shake, under noise
+//! too; of the museum's photographs, by a careful hand, it tells none.
+
+use std::collections::BTreeSet;
+
+use rayon::prelude::*;
+
+use super::config::{Options, ShakeModel, TrainOn};
+use super::context::Context;
+use super::dependencies::RunDependencies;
+use super::enhance::Brightening;
+use super::error::PipelineError;
+use super::restore::Restoration;
+use super::tools::Tools;
+use super::views::View;
+use crate::deblur::NetworkChoice;
+use crate::event::{Event, Stage};
+use crate::image::Image;
+use crate::poses::Poses;
+use crate::run_folder::KeptImages;
+use crate::shake::{self, Response};
+
+/// Of every view, whether deblurring took a shake out of it that is told from none.
+pub fn told(enhanced: &[Image], deblurred: &[Image], response: &Response) -> Vec<bool> {
+    let pairs = enhanced.par_iter().zip(deblurred);
+    pairs
+        .map(|(view, sharper)| shake::estimate(sharper, view, response).tells())
+        .collect()
+}
+
+/// Whether a run with these options asks before the rounds: only where kernels and the network both
+/// have to be earned.
+fn asks(options: &Options) -> bool {
+    options.shake == ShakeModel::Late
+        && options.train_on == TrainOn::Auto
+        && options.deblur != NetworkChoice::Identity
+}
+
+/// The views that are told shaken, of those with a pose.
+#[derive(Clone, Debug)]
+pub struct Shaken {
+    /// Their names.
+    told: BTreeSet<String>,
+    /// All of them.
+    views: usize,
+}
+
+impl Shaken {
+    /// The views of these names, of so many.
+    pub fn of<'a>(told: impl Iterator<Item = &'a str>, views: usize) -> Self {
+        Self {
+            told: told.map(str::to_owned).collect(),
+            views,
+        }
+    }
+
+    /// Whether this view is one of them.
+    pub fn tells(&self, view: &View) -> bool {
+        self.told.contains(&view.name)
+    }
+
+    /// How many they are.
+    pub fn count(&self) -> u32 {
+        self.told.len() as u32
+    }
+
+    /// Whether more than half of the views are still: a scene of them is sharp, and shows the shake
+    /// of the few from the first round on.
+    pub fn is_mostly_still(&self) -> bool {
+        2 * self.told.len() < self.views
+    }
+}
+
+/// Which views are told shaken at the target brightness: a stage before the rounds. `None` where
+/// the options leave nothing to decide.
+///
+/// # Errors
+/// [`PipelineError::Deblur`], [`PipelineError::Io`], [`PipelineError::Cancelled`].
+pub fn shaken(
+    context: &mut Context<'_>,
+    tools: &mut Tools<'_>,
+    options: &Options,
+    views: &[View],
+    brightening: &Brightening,
+    depends_on: &RunDependencies,
+) -> Result<Option<Shaken>, PipelineError> {
+    if !asks(options) {
+        return Ok(None);
+    }
+    let restoration = Restoration {
+        stage: Stage::Deblur,
+        round: 0,
+        kept: KeptImages::Deblurred,
+        views,
+        images: &brightening.target,
+        guides: None,
+    };
+    let on = depends_on.round(0, None).deblur;
+    let deblurred = restoration.by(tools.deblurrer, context, &on)?;
+    let response = &brightening.last().response;
+    let told = told(&brightening.target, &deblurred, response);
+    let told = views.iter().zip(told).filter(|(_, told)| *told);
+    let shaken = Shaken::of(told.map(|(view, _)| &view.name[..]), views.len());
+    let (count, all) = (shaken.count(), shaken.views);
+    let line = format!("{count} of {all} views are told shaken");
+    context.sink.log(line);
+    Ok(Some(shaken))
+}
+
+/// The options of a capture that is mostly still: plain splatting of the enhanced views, with a
+/// kernel for the few that are shaken. More than one round is made only for photographs that have
+/// no pose yet, which the scene of the first may place. The cameras stay: found from sharp
+/// photographs, they are better than what renders of a noisy scene make of them.
+fn of_a_still_capture(options: &Options, all_have_poses: bool) -> Options {
+    let is_complete = all_have_poses || !options.late_views;
+    Options {
+        rounds: if is_complete { 1 } else { options.rounds },
+        train_on: TrainOn::Enhanced,
+        refine_poses: false,
+        ..options.clone()
+    }
+}
+
+/// The options that the rounds are made with; the user is told where they are not the ones asked
+/// for.
+pub fn in_effect(
+    context: &mut Context<'_>,
+    options: &Options,
+    shaken: Option<&Shaken>,
+    poses: &Poses,
+) -> Options {
+    if !shaken.is_some_and(Shaken::is_mostly_still) {
+        return options.clone();
+    }
+    let still = of_a_still_capture(options, poses.registered == poses.total);
+    let rounds = still.rounds;
+    let line = format!(
+        "the capture is mostly still: plain splatting of enhanced views, rounds: {rounds}, \
+         cameras as found"
+    );
+    context.sink.log(line);
+    let views = poses.registered as u32;
+    context.sink.event(&Event::Planned { rounds, views });
+    context.plan_rounds(rounds);
+    still
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_capture_is_mostly_still_with_fewer_than_half_shaken() {
+        let names = ["a", "b", "c", "d"];
+        let with = |shaken, views| Shaken::of(names[..shaken].iter().copied(), views);
+        assert!(with(0, 3).is_mostly_still() && with(3, 7).is_mostly_still());
+        assert!(!with(4, 8).is_mostly_still());
+    }
+
+    #[test]
+    fn a_still_capture_is_splatted_plainly_unless_photographs_lack_a_pose() {
+        let options = Options::default();
+        let still = of_a_still_capture(&options, true);
+        assert_eq!((still.rounds, still.refine_poses), (1, false));
+        assert_eq!(still.train_on, TrainOn::Enhanced);
+        let more = of_a_still_capture(&options, false);
+        assert_eq!(more.rounds, options.rounds);
+        let asked = |change: fn(&mut Options)| {
+            let mut options = Options::default();
+            change(&mut options);
+            asks(&options)
+        };
+        assert!(asked(|_| {}));
+        assert!(!asked(|options| options.shake = ShakeModel::Kernel));
+        assert!(!asked(|options| options.train_on = TrainOn::Deblurred));
+        assert!(!asked(|options| options.deblur = NetworkChoice::Identity));
+    }
+}
