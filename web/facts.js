@@ -22,6 +22,7 @@ export function factList(report) {
   const list = pairs({
     registered: placed,
     "delivered round": report.best_round,
+    shake: shake(report),
     adapter: report.adapter,
     // Each photograph's place has a table of its own.
     poses: report.poses && without(report.poses, "verdicts"),
@@ -29,6 +30,13 @@ export function factList(report) {
     fallbacks: report.fallbacks?.length > 0 ? report.fallbacks : null,
   });
   return Object.assign(list, { gist: placed ? `${placed} placed` : "how it is run" });
+}
+
+/** What the look at the shake before the rounds came to. */
+function shake({ shaken_views: shaken, registered }) {
+  if (shaken === undefined || shaken === null) return null;
+  const way = 2 * shaken < registered ? ", so they are splatted plainly, in one round" : "";
+  return `${shaken} of ${registered} views are told shaken${way}`;
 }
 
 function without(values, name) {

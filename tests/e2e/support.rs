@@ -37,7 +37,7 @@ pub fn fled() -> Command {
     command
 }
 
-/// `fled run` at a size that takes seconds. Points are kept beside the capture: COLMAP draws others
+/// `fled run` at a size that takes seconds. Every round is made, shaken or not. Points are kept beside the capture: COLMAP draws others
 /// each time.
 pub fn small_run(capture: &Path, out: &Path, rounds: u32) -> Command {
     let mut command = fled();
@@ -53,6 +53,7 @@ pub fn small_run(capture: &Path, out: &Path, rounds: u32) -> Command {
         "steps=120",
         "cap=1500",
         "pose_source=given",
+        "train_on=deblurred",
         &format!("rounds={rounds}"),
     ] {
         command.args(["--set", set]);

@@ -174,9 +174,11 @@ impl<'a> Context<'a> {
         self.plan.finish(stage, skipped, self.sink);
     }
 
-    /// Notes that so many rounds are made, not as many as were planned.
-    pub fn plan_rounds(&mut self, rounds: u32) {
+    /// Tells that another number of rounds is made than was planned.
+    pub fn plan_rounds(&mut self, rounds: u32, views: usize) {
         self.plan.set_rounds(rounds);
+        let views = views as u32;
+        self.sink.event(&Event::Planned { rounds, views });
     }
 
     /// Tells how far a stage of countable units is.

@@ -35,6 +35,7 @@ const RECONSTRUCT: &[&str] = &[
     "steps",
     "noise",
     "shake",
+    "train_on",
     "refine_poses",
     "start",
     "densify",
@@ -97,9 +98,19 @@ impl PosesDependencies {
     }
 }
 
+/// How bright the rounds are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Levels {
+    /// Each brighter than the one before, the last as bright as the target.
+    Rising,
+    /// All as bright as the target.
+    Target,
+}
+
 /// What the stages of the rounds depend on.
 #[derive(Clone, Debug)]
 pub struct RunDependencies {
+    levels: Levels,
     given: Options,
     networks: Networks,
     adapter: String,
@@ -128,12 +139,31 @@ impl RunDependencies {
         let facts = [views.fingerprint(), &brightener.unwrap_or_default()];
         let enhance = Dependencies::on(options, ENHANCE, &facts);
         Self {
+            levels: Levels::Rising,
             given: options.clone(),
             networks,
             adapter,
             views,
             enhance,
         }
+    }
+
+    /// Of a run whose rounds are so bright.
+    pub fn with_levels(self, levels: Levels) -> Self {
+        if levels == Levels::Rising {
+            return self;
+        }
+        let facts = [self.enhance.fingerprint(), "at the target"];
+        Self {
+            levels,
+            enhance: Dependencies::on(&self.given, ENHANCE, &facts),
+            ..self
+        }
+    }
+
+    /// How bright the rounds are.
+    pub fn levels(&self) -> Levels {
+        self.levels
     }
 
     /// The networks of the run.

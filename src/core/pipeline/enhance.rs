@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use super::config::{Options, OptionsError};
 use super::context::Context;
-use super::dependencies::RunDependencies;
+use super::dependencies::{Levels, RunDependencies};
 use super::error::PipelineError;
 use super::restore::Restoration;
 use super::round::Round;
@@ -69,7 +69,10 @@ pub fn plan(
         None => {
             let target = target(options, &dark)?;
             context.sink.log(format!("target brightness: {target}"));
-            enhance::anchors(options.rounds, target)
+            match dependencies.levels() {
+                Levels::Rising => enhance::anchors(options.rounds, target),
+                Levels::Target => vec![target; options.rounds as usize],
+            }
         }
     };
     let round = |(number, anchor)| {

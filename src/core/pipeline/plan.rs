@@ -54,7 +54,7 @@ impl Plan {
         }
     }
 
-    /// Fewer rounds than were planned: what is left is less.
+    /// Another number of rounds than was planned.
     pub fn set_rounds(&mut self, rounds: u32) {
         self.rounds = rounds;
     }

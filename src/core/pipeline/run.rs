@@ -4,7 +4,7 @@ use super::config::Options;
 use super::context::Context;
 use super::deblur::{Blurred, deblur};
 use super::deliver::{deliver, delivered};
-use super::dependencies::{RoundDependencies, RunDependencies};
+use super::dependencies::{Levels, RoundDependencies, RunDependencies};
 use super::enhance::{self, Brightening, enhance};
 use super::error::PipelineError;
 use super::evaluate::{Finished, RoundImages, evaluate};
@@ -111,13 +111,17 @@ pub fn run(
     let (views, brightening) = (&ground.views, &ground.brightening);
     let shaken = shaken::shaken(context, tools, options, views, brightening, on)?;
     report.shaken_views = shaken.as_ref().map(Shaken::count);
-    let in_effect = shaken::in_effect(context, options, shaken.as_ref(), &ground.poses);
+    let in_effect = shaken::in_effect(options, shaken.as_ref());
     let asked = Asked {
         capture,
         options: &in_effect,
         shaken: shaken.as_ref(),
     };
-    if in_effect != *options {
+    if asked.is_still() {
+        context
+            .sink
+            .log("most of them are still: plain splatting".to_owned());
+        context.plan_rounds(1, ground.views.len());
         ground = Ground::new(context, asked, tools, ground.poses, ground.views)?;
     }
     let mut before: Option<Handover> = None;
@@ -128,6 +132,9 @@ pub fn run(
             before: before.as_ref(),
         };
         before = round(context, tools, turn, &mut ground, &mut report)?;
+        if before.is_none() {
+            break;
+        }
     }
     deliver(context, &mut report, &whole)?;
     Ok(Outcome { report })
@@ -140,6 +147,14 @@ struct Asked<'a> {
     options: &'a Options,
     /// Which views are told shaken, where that decides anything.
     shaken: Option<&'a Shaken>,
+}
+
+impl Asked<'_> {
+    /// Whether the rounds are of plain splatting, at the target brightness. There is another only
+    /// when the one before has found a photograph its place or shown that it stands in a wrong one.
+    fn is_still(&self) -> bool {
+        self.shaken.is_some_and(Shaken::is_mostly_still)
+    }
 }
 
 /// Which round of it is made, after which.
@@ -195,7 +210,11 @@ fn round(
     let scene = reconstruct(context, tools.gpu, &material, &on.reconstruct)?; // V_i
     views::place(context, round.number, views, &scene.training.cameras)?;
     let renders = render(context, tools.gpu, round, views, &scene.gaussians)?; // R_i
-    let next = match_brightness(context, round, &renders, views, brightening, &on.matching)?; // P_R
+    let next = if asked.is_still() {
+        None
+    } else {
+        match_brightness(context, round, &renders, views, brightening, &on.matching)? // P_R
+    };
     let finished = Finished {
         round,
         views,
@@ -207,32 +226,26 @@ fn round(
     let metrics = evaluate(context, &finished, brightening, report.rounds.last())?;
     publish(context.workspace, &with_fits(poses, &metrics))?;
     report::add_round(context, report, metrics)?;
-    let Some(next) = next else { return Ok(None) };
-    let handover = Handover::new(next, scene, on);
+    if turn.index + 1 == asked.options.rounds as usize {
+        return Ok(None);
+    }
     let finished = FinishedRound {
         capture: asked.capture,
         poses,
         round,
         views,
         renders: &renders,
-        scene: &handover.scene,
+        scene: &scene,
         metrics: report.rounds.last().expect("the round was added"),
     };
-    let Some((poses, views)) = join(
-        context,
-        asked,
-        tools,
-        &finished,
-        &handover,
-        &ground.depends_on,
-    )?
+    let Some((poses, views)) = join(context, asked, tools, &finished, &on, &ground.depends_on)?
     else {
-        return Ok(Some(handover));
+        return Ok(next.map(|next| Handover::new(next, scene, on)));
     };
     report::place(report, &poses);
+    context.plan_rounds(asked.options.rounds, views.len());
     *ground = Ground::new(context, asked, tools, poses, views)?;
-    let again = ground.handed_over(context, tools, turn.index, handover);
-    again.map(Some)
+    ground.hand_over(context, tools, turn.index, scene, on)
 }
 
 /// The poses and views of the next rounds, where this one's scene says that they are others.
@@ -241,14 +254,14 @@ fn join(
     asked: Asked<'_>,
     tools: &Tools<'_>,
     finished: &FinishedRound<'_>,
-    handover: &Handover,
+    on: &RoundDependencies,
     depends_on: &RunDependencies,
 ) -> Result<Option<(Poses, Vec<View>)>, PipelineError> {
     if !asked.options.late_views {
         return Ok(None);
     }
     let by = tools.matching.map(Matching::describe).unwrap_or_default();
-    let on = handover.depends_on.late_views(depends_on, &by);
+    let on = on.late_views(depends_on, &by);
     let Some(poses) = late_views(context, tools, finished, &on)? else {
         return Ok(None);
     };
@@ -267,6 +280,11 @@ impl Ground {
         views: Vec<View>,
     ) -> Result<Self, PipelineError> {
         let depends_on = RunDependencies::of(asked.options, asked.capture, &poses, tools);
+        let depends_on = depends_on.with_levels(if asked.is_still() {
+            Levels::Target
+        } else {
+            Levels::Rising
+        });
         let brightening = enhance::plan(context, &views, &depends_on, tools)?;
         Ok(Self {
             poses,
@@ -277,24 +295,21 @@ impl Ground {
     }
 
     /// What a round hands to the next over these views, in place of those that it was made over.
-    fn handed_over(
+    fn hand_over(
         &self,
         context: &mut Context<'_>,
         tools: &Tools<'_>,
         index: usize,
-        handover: Handover,
-    ) -> Result<Handover, PipelineError> {
+        scene: TrainedScene,
+        on: RoundDependencies,
+    ) -> Result<Option<Handover>, PipelineError> {
         let Self {
             views, brightening, ..
         } = self;
         let round = &brightening.rounds[index];
-        let renders = render(context, tools.gpu, round, views, &handover.scene.gaussians)?;
-        let on = &handover.depends_on.matching;
-        let next = match_brightness(context, round, &renders, views, brightening, on)?;
-        Ok(Handover {
-            next: next.unwrap_or(handover.next),
-            ..handover
-        })
+        let renders = render(context, tools.gpu, round, views, &scene.gaussians)?;
+        let next = match_brightness(context, round, &renders, views, brightening, &on.matching)?;
+        Ok(next.map(|next| Handover::new(next, scene, on)))
     }
 }
 

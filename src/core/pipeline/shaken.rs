@@ -18,9 +18,8 @@ use super::restore::Restoration;
 use super::tools::Tools;
 use super::views::View;
 use crate::deblur::NetworkChoice;
-use crate::event::{Event, Stage};
+use crate::event::Stage;
 use crate::image::Image;
-use crate::poses::Poses;
 use crate::run_folder::KeptImages;
 use crate::shake::{self, Response};
 
@@ -111,42 +110,18 @@ pub fn shaken(
     Ok(Some(shaken))
 }
 
-/// The options of a capture that is mostly still: plain splatting of the enhanced views, with a
-/// kernel for the few that are shaken. More than one round is made only for photographs that have
-/// no pose yet, which the scene of the first may place. The cameras stay: found from sharp
+/// The options that the rounds are made with. A capture that is mostly still is splatted plainly:
+/// enhanced views, with a kernel for the few that are shaken. Its cameras stay: found from sharp
 /// photographs, they are better than what renders of a noisy scene make of them.
-fn of_a_still_capture(options: &Options, all_have_poses: bool) -> Options {
-    let is_complete = all_have_poses || !options.late_views;
+pub fn in_effect(options: &Options, shaken: Option<&Shaken>) -> Options {
+    if !shaken.is_some_and(Shaken::is_mostly_still) {
+        return options.clone();
+    }
     Options {
-        rounds: if is_complete { 1 } else { options.rounds },
         train_on: TrainOn::Enhanced,
         refine_poses: false,
         ..options.clone()
     }
-}
-
-/// The options that the rounds are made with; the user is told where they are not the ones asked
-/// for.
-pub fn in_effect(
-    context: &mut Context<'_>,
-    options: &Options,
-    shaken: Option<&Shaken>,
-    poses: &Poses,
-) -> Options {
-    if !shaken.is_some_and(Shaken::is_mostly_still) {
-        return options.clone();
-    }
-    let still = of_a_still_capture(options, poses.registered == poses.total);
-    let rounds = still.rounds;
-    let line = format!(
-        "the capture is mostly still: plain splatting of enhanced views, rounds: {rounds}, \
-         cameras as found"
-    );
-    context.sink.log(line);
-    let views = poses.registered as u32;
-    context.sink.event(&Event::Planned { rounds, views });
-    context.plan_rounds(rounds);
-    still
 }
 
 #[cfg(test)]
@@ -162,13 +137,14 @@ mod tests {
     }
 
     #[test]
-    fn a_still_capture_is_splatted_plainly_unless_photographs_lack_a_pose() {
+    fn only_where_kernels_and_network_are_to_be_earned_is_anything_decided() {
         let options = Options::default();
-        let still = of_a_still_capture(&options, true);
-        assert_eq!((still.rounds, still.refine_poses), (1, false));
+        let still = in_effect(&options, Some(&Shaken::of(["a"].into_iter(), 3)));
         assert_eq!(still.train_on, TrainOn::Enhanced);
-        let more = of_a_still_capture(&options, false);
-        assert_eq!(more.rounds, options.rounds);
+        assert!(!still.refine_poses);
+        let shaken = Shaken::of(["a", "b"].into_iter(), 3);
+        assert_eq!(in_effect(&options, Some(&shaken)), options);
+        assert_eq!(in_effect(&options, None), options);
         let asked = |change: fn(&mut Options)| {
             let mut options = Options::default();
             change(&mut options);

@@ -4,7 +4,7 @@ use super::*;
 use crate::pipeline::config::{ShakeModel, TrainOn};
 
 /// Which results a change of each option makes stale, in the order of Algorithm 1. Options without
-/// any act through the tools that they choose, or choose among results (`train_on`).
+/// any act through the tools that they choose.
 const STALE: [(&str, &[&str]); 22] = [
     ("rounds", &["enhance", "deblur", "reconstruct", "guided"]),
     ("steps", &["reconstruct", "guided"]),
@@ -220,4 +220,22 @@ fn a_round_depends_on_the_one_before_it() {
         assert_ne!(a.reconstruct.fingerprint(), b.reconstruct.fingerprint());
         assert_ne!(a.deblur.fingerprint(), b.deblur.fingerprint());
     }
+}
+
+#[test]
+fn rounds_at_the_target_depend_on_other_things_than_rising_ones() {
+    let one = networks("one", None);
+    let adapter = "adapter".to_owned();
+    let run = RunDependencies::new(&Options::default(), "capture", &found(), one, adapter);
+    let rising = run.clone().with_levels(Levels::Rising).round(1, None);
+    assert_eq!(
+        rising.deblur.fingerprint(),
+        run.round(1, None).deblur.fingerprint()
+    );
+    let level = run.with_levels(Levels::Target).round(1, None);
+    assert_ne!(level.deblur.fingerprint(), rising.deblur.fingerprint());
+    assert_ne!(
+        level.reconstruct.fingerprint(),
+        rising.reconstruct.fingerprint()
+    );
 }
