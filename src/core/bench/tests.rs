@@ -90,7 +90,7 @@ fn a_step_of_training_blends_and_updates_and_what_it_explains_adds_its_kernels()
     assert!(
         has(&render, "splat/rasterize") && !render.iter().any(|name| name.starts_with("train/"))
     );
-    assert!(shake.contains(&"shake/blur_backward") && noise.contains(&"noise/layer_forward"));
+    assert!(has(&shake, "shake/blur_backward") && has(&noise, "noise/layer_forward"));
     assert!(!has(&off, "noise/") && !has(&off, "shake/") && !has(&noise, "shake/"));
     let mut sort = kernels(5);
     sort.sort_unstable();
