@@ -18,7 +18,6 @@ use crate::running::Running;
 use crate::store::Store;
 use crate::tails::Tails;
 use crate::telemetry::Telemetry;
-use crate::traces::Traces;
 use crate::videos::turns::Turns;
 
 /// The state of a server.
@@ -60,8 +59,6 @@ pub struct App {
     pub telemetry: Telemetry,
     /// The newest events of jobs that are watched.
     pub tails: Tails,
-    /// Whom it tells what it does, and when.
-    pub traces: Traces,
     /// The jobs that run.
     pub running: Running,
     /// The last judgement of the machine.
@@ -81,7 +78,6 @@ impl App {
         store: Store,
         mirror: Mirror,
         worker: String,
-        traces: Traces,
     ) -> Self {
         let limits = config.limits;
         Self {
@@ -107,7 +103,6 @@ impl App {
             fetching: Arc::new(Semaphore::new(limits.fetching)),
             telemetry: Telemetry::default(),
             tails: Tails::default(),
-            traces,
             running: Running::default(),
         }
     }

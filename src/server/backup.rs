@@ -189,7 +189,6 @@ mod tests {
                 rounds: 1,
                 needs: Needs::default(),
                 priority: 0,
-                traceparent: None,
             };
             store.create_job(&job, None, "", ROOM).await.expect("made");
             store.request_cancel(id).await.expect("cancelled");

@@ -295,7 +295,6 @@ mod tests {
     use crate::data::DataDir;
     use crate::mirror::Mirror;
     use crate::store::Store;
-    use crate::traces::Traces;
 
     #[tokio::test]
     async fn only_copies_that_nothing_uses_for_long_go() {
@@ -304,8 +303,8 @@ mod tests {
         let config = ServeConfig::new(dir.path().into(), nowhere, 1).expect("a program");
         let data = DataDir::open(dir.path()).expect("free");
         let store = Store::open(&data.database()).await.expect("open");
-        let (mirror, traces) = (Mirror::default(), Traces::default());
-        let app = App::new(config, data, store, mirror, "w".to_owned(), traces);
+        let mirror = Mirror::default();
+        let app = App::new(config, data, store, mirror, "w".to_owned());
         let age = Duration::from_secs(3600);
         let old = SystemTime::now() - 2 * age;
         let folders = [

@@ -50,9 +50,6 @@ pub enum ServerError {
     /// The store of files refused.
     #[error("store of files: {0}")]
     Blobs(Box<fled_blobs::BlobError>),
-    /// The variables of OpenTelemetry cannot be followed.
-    #[error("traces cannot be sent: {0}")]
-    Traces(String),
     /// A store of files was given to an installation that has its files elsewhere.
     #[error(
         "capture {0} has no files in the store that --store names: this installation keeps them in \

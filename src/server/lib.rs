@@ -35,7 +35,6 @@ mod sweep;
 mod tails;
 mod telemetry;
 pub mod token;
-mod traces;
 mod uploads;
 pub mod videos;
 mod webhooks;

@@ -21,7 +21,6 @@ use crate::mirror::Mirror;
 use crate::others;
 use crate::store::{Engine, Store};
 use crate::sweep;
-use crate::traces::Traces;
 use crate::videos::maker::{keep_making, take_up};
 use crate::webhooks::keep_telling;
 
@@ -126,7 +125,6 @@ impl Server {
             tracing::warn!(%error, "the others will take this worker for lost for a while");
         }
         app.store.close().await;
-        app.traces.stop().await;
     }
 }
 
@@ -136,12 +134,10 @@ struct Opened {
     store: Store,
     mirror: Mirror,
     worker: String,
-    traces: Traces,
 }
 
 /// Opens what a configuration names, and takes up what an earlier process here has left.
 async fn open(config: &ServeConfig) -> Result<Opened> {
-    let traces = Traces::from_environment()?;
     let data = DataDir::open(&config.data)?;
     let store = match &config.database {
         Some(url) => Store::at(url).await?,
@@ -184,14 +180,13 @@ async fn open(config: &ServeConfig) -> Result<Opened> {
         store,
         mirror: Mirror::new(blobs),
         worker,
-        traces,
     })
 }
 
 impl Opened {
     async fn app(self, config: ServeConfig) -> Result<Arc<App>> {
         let (data, store, mirror) = (self.data, self.store, self.mirror);
-        let app = App::new(config, data, store, mirror, self.worker, self.traces);
+        let app = App::new(config, data, store, mirror, self.worker);
         let app = Arc::new(app);
         // Before there are workers and requests: what has no row now will never have one.
         let swept = sweep::sweep(&app, Duration::ZERO).await?;

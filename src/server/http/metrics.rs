@@ -12,7 +12,6 @@ use super::allowance::is_reading;
 use super::problem::Problem;
 use crate::app::App;
 use crate::telemetry::{Answered, Now};
-use crate::traces::RequestTrace;
 
 /// OpenMetrics 1.0.
 const MEDIA_TYPE: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
@@ -62,7 +61,7 @@ pub(super) async fn count(State(app): State<Arc<App>>, request: Request, next: N
     let route = request.extensions().get::<MatchedPath>();
     let route = route.map_or("none", MatchedPath::as_str).to_owned();
     let id = request.headers().get(REQUEST_ID).cloned();
-    let answer = answer(&app, &route, request, next).await;
+    let answer = next.run(request).await;
     let took = began.elapsed();
     let status = answer.status();
     let id = id.as_ref().and_then(|id| id.to_str().ok());
@@ -81,23 +80,6 @@ pub(super) async fn count(State(app): State<Arc<App>>, request: Request, next: N
     };
     app.telemetry.answered(&answered, took);
     answer
-}
-
-/// Answers, and tells of it who asks for traces.
-async fn answer(app: &App, route: &str, request: Request, next: Next) -> Response {
-    let Some(trace) = begin(app, route, &request) else {
-        return next.run(request).await;
-    };
-    let answer = trace.around(next.run(request)).await;
-    trace.end(answer.status().as_u16());
-    answer
-}
-
-fn begin(app: &App, route: &str, request: &Request) -> Option<RequestTrace> {
-    let header = |name: &str| request.headers().get(name)?.to_str().ok();
-    let (id, parent) = (header(REQUEST_ID), header("traceparent"));
-    let method = known(request.method());
-    app.traces.request(method, route, id, parent)
 }
 
 /// A method; anybody may make up others.

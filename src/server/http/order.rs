@@ -15,7 +15,6 @@ use super::problem::Problem;
 use crate::app::App;
 use crate::intake::CaptureReport;
 use crate::store::{Engine, JobRow, Needs, NewJob};
-use crate::traces::current;
 
 /// Memory of a machine that is given a job of the preset `paper`, bytes.
 const PAPER_MEMORY: u64 = 12 << 30;
@@ -28,8 +27,6 @@ pub(super) struct Order {
     preset: Preset,
     options: Options,
     priority: Priority,
-    /// Of the request: what it goes on by itself does not know it any more.
-    traceparent: Option<String>,
 }
 
 impl Order {
@@ -96,7 +93,6 @@ impl Order {
             preset,
             options,
             priority,
-            traceparent: current(),
         })
     }
 
@@ -144,7 +140,6 @@ impl Order {
             rounds: self.options.rounds,
             needs: self.needs(app),
             priority: self.priority.number(),
-            traceparent: self.traceparent.clone(),
             options: serde_json::to_value(&self.options).map_err(|_| Problem::internal())?,
         })
     }

@@ -23,7 +23,6 @@ use crate::error::{Result, ServerError};
 use crate::intake;
 use crate::point::Point;
 use crate::store::{Claim, JobError, Lease, Progress, Settlement};
-use crate::traces::AttemptTrace;
 use crate::wording::without_paths;
 
 /// After its process has ended, what others of the group still write is awaited so long.
@@ -62,19 +61,13 @@ pub(super) struct Attempt<'a> {
     log: LogWriter,
     pending: Option<Progress>,
     last_words: Option<LastWords>,
-    trace: &'a mut AttemptTrace,
 }
 
 /// Runs the job's process to its end and says how to settle the job. Does not settle it.
 ///
 /// # Errors
 /// [`ServerError::LeaseLost`] when another worker has taken the job over; the process is ended.
-pub(super) async fn run(
-    app: &App,
-    claim: &Claim,
-    cancel: Arc<Notify>,
-    trace: &mut AttemptTrace,
-) -> Result<Settlement> {
+pub(super) async fn run(app: &App, claim: &Claim, cancel: Arc<Notify>) -> Result<Settlement> {
     let (lease, job, id) = (&claim.lease, &claim.job, &claim.job.id);
     // From the first moment: what is fetched may take longer than a lease.
     let mut beat = Beat::begin(app, lease.clone());
@@ -98,7 +91,6 @@ pub(super) async fn run(
         log,
         pending: None,
         last_words: None,
-        trace,
     };
     let begins = format!("attempt {} begins", job.attempts);
     attempt.log.line(&begins);
@@ -323,7 +315,6 @@ impl Attempt<'_> {
                 if !is_seen(&told) {
                     self.log.line(&readable(&told));
                 }
-                self.trace.told(&told);
                 self.app.store.record(&self.lease, &told).await?;
                 self.app.changed();
                 self.app.pass(Point::Told);

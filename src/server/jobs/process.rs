@@ -18,7 +18,7 @@ const QUEUE: usize = 256;
 pub const JOB_VARIABLE: &str = "FLED_JOB_ID";
 /// How variables begin that open what a service uses: not for programs that look at what strangers
 /// send it.
-const SECRETS: [&str; 5] = ["FLED_TOKEN", "FLED_DB", "AWS_", "PG", "OTEL_EXPORTER_OTLP"];
+const SECRETS: [&str; 4] = ["FLED_TOKEN", "FLED_DB", "AWS_", "PG"];
 /// The variable that tells a child who started it, so that it can end when that one is gone.
 pub const PARENT_VARIABLE: &str = "FLED_PARENT_PID";
 

@@ -11,7 +11,6 @@ use crate::app::App;
 use crate::error::{Result, ServerError};
 use crate::point::Point;
 use crate::store::{Claim, Engine, JobError, Machine, Settlement};
-use crate::traces::AttemptTrace;
 
 /// How often an idle worker looks into a file for retries that have become due.
 const IDLE: Duration = Duration::from_millis(500);
@@ -109,8 +108,7 @@ async fn release_expired(app: &App) -> Result<Vec<String>> {
 async fn run(app: &App, claim: &Claim, cancel: Arc<Notify>) -> Result<()> {
     let (lease, id) = (&claim.lease, &claim.job.id);
     tracing::info!(job = id, attempt = claim.job.attempts, "job begins");
-    let mut trace = AttemptTrace::begin(&app.traces, &claim.job, &app.worker);
-    let outcome = attempt::run(app, claim, cancel, &mut trace).await;
+    let outcome = attempt::run(app, claim, cancel).await;
     app.running.end(lease);
     let settlement = match outcome {
         Ok(settlement) => settlement,
@@ -131,7 +129,6 @@ async fn run(app: &App, claim: &Claim, cancel: Arc<Notify>) -> Result<()> {
     };
     let state = app.store.settle(lease, &settlement).await?;
     app.pass(Point::Settled);
-    trace.end(&settlement);
     tracing::info!(job = id, state = state.name(), "attempt settled");
     app.changed();
     Ok(())

@@ -30,8 +30,6 @@ pub struct NewJob {
     pub needs: Needs,
     /// Higher goes first.
     pub priority: i64,
-    /// The trace that it belongs to, as `traceparent`.
-    pub traceparent: Option<String>,
 }
 
 /// Why a job failed.
@@ -96,8 +94,6 @@ pub struct JobRow {
     pub priority: i64,
     /// Whose lease it is under: a worker and which of its turns.
     pub worker: Option<String>,
-    /// The trace that it belongs to, as `traceparent`.
-    pub traceparent: Option<String>,
 }
 
 /// What a machine must have to be given a job.
@@ -331,8 +327,8 @@ pub(super) async fn change(
 pub(super) async fn insert(tx: &mut Tx, job: &NewJob) -> Result<()> {
     sqlx::query(
         "INSERT INTO jobs (id, name, capture_id, preset, options, rounds, created_at,
-                           needs_gpu, needs_memory, priority, traceparent)
-         VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10, $11)",
+                           needs_gpu, needs_memory, priority)
+         VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10)",
     )
     .bind(&job.id)
     .bind(&job.name)
@@ -344,7 +340,6 @@ pub(super) async fn insert(tx: &mut Tx, job: &NewJob) -> Result<()> {
     .bind(i64::from(job.needs.gpu))
     .bind(i64::try_from(job.needs.memory).unwrap_or(i64::MAX))
     .bind(job.priority)
-    .bind(&job.traceparent)
     .execute(&mut **tx)
     .await?;
     events::append(
@@ -420,6 +415,5 @@ pub(super) fn from_row(row: &AnyRow) -> Result<JobRow> {
         },
         priority: row.try_get("priority")?,
         worker: row.try_get("lease_owner")?,
-        traceparent: row.try_get("traceparent")?,
     })
 }

@@ -162,7 +162,6 @@ mod tests {
             rounds: 1,
             needs: Needs::default(),
             priority: 0,
-            traceparent: None,
         };
         let room = Room {
             queue: 100,

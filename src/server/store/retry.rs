@@ -120,7 +120,6 @@ mod tests {
             rounds: 2,
             needs: Needs::default(),
             priority: 0,
-            traceparent: None,
         };
         let room = Room {
             queue: 9,

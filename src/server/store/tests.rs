@@ -68,7 +68,6 @@ fn new_job(id: &str) -> NewJob {
         rounds: 2,
         needs: Needs::default(),
         priority: 0,
-        traceparent: None,
     }
 }
 
