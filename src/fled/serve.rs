@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use fled_core::pipeline::error::ErrorKind;
-use fled_server::{Origin, ServeConfig};
+use fled_server::ServeConfig;
 
 use crate::failure::{Failure, io};
 use crate::shared::{Shared, commands, log};
@@ -48,10 +48,6 @@ pub struct Args {
     /// server knock at whatever it reaches.
     #[arg(long)]
     inner_webhooks: bool,
-    /// A server that captures may be fetched from, as https://photographs.example.org; may be
-    /// repeated. Of an inner network it is one only by its address: http://10.0.0.5:9000.
-    #[arg(long = "import-from", value_name = "URL")]
-    import_from: Vec<Origin>,
     #[command(flatten)]
     ffmpeg: tools::Ffmpeg,
     #[command(flatten)]
@@ -69,7 +65,6 @@ pub fn main(args: &Args) -> Result<(), Failure> {
     config.hosts.clone_from(&args.hosts);
     config.open = args.open;
     config.inner_webhooks = args.inner_webhooks;
-    config.import_from.clone_from(&args.import_from);
     config.limits.rate = args.rate;
     let days = args.keep_days.map(u64::from);
     config.retention.age = days.map(|days| Duration::from_secs(days * 24 * 3600));

@@ -53,8 +53,6 @@ pub struct App {
     pub videos: Turns,
     /// Turns at making exports.
     pub exporting: Arc<Semaphore>,
-    /// Turns at fetching captures.
-    pub fetching: Arc<Semaphore>,
     /// What it counts about itself.
     pub telemetry: Telemetry,
     /// The newest events of jobs that are watched.
@@ -100,7 +98,6 @@ impl App {
             filming: tokio::sync::Mutex::default(),
             videos: Turns::default(),
             exporting: Arc::new(Semaphore::new(limits.exports)),
-            fetching: Arc::new(Semaphore::new(limits.fetching)),
             telemetry: Telemetry::default(),
             tails: Tails::default(),
             running: Running::default(),

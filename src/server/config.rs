@@ -9,7 +9,6 @@ use std::time::Duration;
 use fled_core::capture::MAX_FILES;
 use fled_core::pipeline::error::ErrorKind;
 
-use crate::outside::Origin;
 use crate::point::Watcher;
 use crate::store::About;
 
@@ -48,8 +47,6 @@ pub struct ServeConfig {
     pub doctor_command: Vec<OsString>,
     /// Whether webhooks may be at addresses of inner networks.
     pub inner_webhooks: bool,
-    /// Servers that captures may be fetched from; without any nothing is.
-    pub import_from: Vec<Origin>,
     /// The program that reads and writes videos.
     pub ffmpeg: PathBuf,
     /// Folders of networks that are not built in; the commands are told them too.
@@ -117,7 +114,6 @@ impl ServeConfig {
             video_command: command(&["video"]),
             doctor_command: command(&["doctor", "--json"]),
             inner_webhooks: false,
-            import_from: Vec::new(),
             ffmpeg: "ffmpeg".into(),
             models: Vec::new(),
             retention: Retention::default(),
@@ -190,10 +186,6 @@ pub struct Limits {
     pub assessing: Duration,
     /// A photograph is looked at for so long at most. The largest take seconds.
     pub photograph: Duration,
-    /// Captures that are fetched at a time; more are refused.
-    pub fetching: usize,
-    /// All files of a capture are fetched within this.
-    pub fetching_time: Duration,
     /// Largest log of a job, bytes.
     pub max_log_bytes: u64,
     /// Connections at a time; fewer where descriptors are few.
@@ -261,8 +253,6 @@ impl Default for Limits {
             assessing_bytes: 4 << 30,
             assessing: Duration::from_secs(20 * 60),
             photograph: Duration::from_secs(120),
-            fetching: 8,
-            fetching_time: Duration::from_secs(30 * 60),
             max_log_bytes: 32 << 20,
             connections: 1024,
             header: Duration::from_secs(30),

@@ -49,6 +49,5 @@ pub use http::document as openapi_document;
 pub use http::read_tus_headers;
 pub use jobs::tether::{TETHER, become_tethered, die_with_parent, tethered};
 pub use moving::{Exported, Import, Imported, export, import, own};
-pub use outside::Origin;
 pub use point::{Point, Watcher};
 pub use serve::{Server, serve, work};

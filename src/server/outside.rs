@@ -4,21 +4,17 @@
 //! resolved, and what is connected to is what was looked at.
 
 mod address;
-mod origin;
 
 use std::fmt::Debug;
 use std::time::Duration;
 
-use ureq::config::{Config, ConfigBuilder};
+use ureq::config::Config;
 use ureq::http::Uri;
-use ureq::typestate::AgentScope;
 use ureq::unversioned::resolver::{DefaultResolver, ResolvedSocketAddrs, Resolver};
 use ureq::unversioned::transport::{DefaultConnector, NextTimeout};
 use ureq::{Agent, Error};
 
 use self::address::is_outer;
-
-pub use origin::Origin;
 
 /// Longest address, characters.
 const LONGEST: usize = 2000;
@@ -50,28 +46,14 @@ pub fn check_url(url: &str) -> Result<Uri, &'static str> {
 /// What asks, each request within `patience`. `inner`: whether addresses of inner networks are
 /// asked, too. Redirects are not followed: another address is another question.
 pub fn agent(patience: Duration, inner: bool) -> Agent {
-    let config = settings().timeout_global(Some(patience)).build();
-    Agent::with_parts(config, DefaultConnector::default(), Outer { inner })
-}
-
-/// The same for what is long: each piece of it has to come within `stall`, all of it within
-/// `patience`.
-pub fn patient_agent(patience: Duration, stall: Duration, inner: bool) -> Agent {
-    let config = settings()
-        .timeout_global(Some(patience))
-        .timeout_connect(Some(stall))
-        .timeout_recv_response(Some(stall))
-        .timeout_per_read(Some(stall))
-        .build();
-    Agent::with_parts(config, DefaultConnector::default(), Outer { inner })
-}
-
-fn settings() -> ConfigBuilder<AgentScope> {
-    Agent::config_builder()
+    let config = Agent::config_builder()
         .http_status_as_error(false)
         .max_redirects(0)
         .proxy(None)
         .user_agent(concat!("fled/", env!("CARGO_PKG_VERSION")))
+        .timeout_global(Some(patience))
+        .build();
+    Agent::with_parts(config, DefaultConnector::default(), Outer { inner })
 }
 
 /// Why nothing came, in words.

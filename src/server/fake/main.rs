@@ -18,7 +18,7 @@ use std::time::Duration;
 use fled_core::image::Image;
 use fled_server::assessor::{AssessReply, AssessRequest, assess};
 use fled_server::render::{RenderRequest, Shown};
-use fled_server::{Limits, Origin, Retention, ServeConfig, TETHER, become_tethered};
+use fled_server::{Limits, Retention, ServeConfig, TETHER, become_tethered};
 use protocol::say;
 use rustix::process::{Resource, Rlimit, setrlimit};
 
@@ -72,7 +72,6 @@ fn serve(data: &Path, address_file: &Path) -> Result<(), Box<dyn std::error::Err
         video_command: command("video"),
         doctor_command: command("doctor"),
         inner_webhooks: number("FLED_FAKE_INNER", 0)? > 0,
-        import_from: origins()?,
         ffmpeg: std::env::var_os("FLED_FAKE_FFMPEG")
             .unwrap_or_else(|| "ffmpeg".into())
             .into(),
@@ -103,13 +102,6 @@ fn serve(data: &Path, address_file: &Path) -> Result<(), Box<dyn std::error::Err
         server.stop().await;
         Ok(())
     })
-}
-
-/// Servers that captures may be fetched from.
-fn origins() -> Result<Vec<Origin>, Box<dyn std::error::Error>> {
-    let all = std::env::var("FLED_FAKE_IMPORT_FROM").unwrap_or_default();
-    let all = all.split_whitespace().map(str::parse);
-    Ok(all.collect::<Result<_, _>>()?)
 }
 
 /// As few files may be open at a time as a test says.
@@ -150,7 +142,6 @@ fn limits() -> Result<Limits, std::num::ParseIntError> {
         upload_life: Duration::from_millis(number("FLED_FAKE_UPLOAD_MS", 60_000)?),
         max_decoding_bytes: number("FLED_FAKE_DECODING", 1 << 30)?,
         assessing_bytes: number("FLED_FAKE_ASSESSING", 4 << 30)?,
-        fetching: number("FLED_FAKE_FETCHING", 8)? as usize,
         photograph: Duration::from_millis(number("FLED_FAKE_PHOTOGRAPH_MS", 60_000)?),
         deaths_without_progress: number("FLED_FAKE_DEATHS", 5)? as u32,
         ..Limits::default()

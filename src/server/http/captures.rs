@@ -63,7 +63,7 @@ pub struct ListQuery {
 }
 
 /// Uploads photographs: parts named `images`, or one zip; optionally `gt`, poses and `name`. Or
-/// makes a capture of uploads in pieces, or of files that the server fetches itself.
+/// makes a capture of uploads in pieces.
 #[utoipa::path(post, path = "/v1/captures", operation_id = "create_capture",
     tag = "captures", params(CreateQuery),
     request_body(content(
@@ -74,8 +74,8 @@ pub struct ListQuery {
         (status = 201, description = "Stored, on disk", body = Capture),
         (status = 404, description = "Unknown upload", body = Problem, content_type = "application/problem+json"),
         (status = 409, description = "Unfinished upload", body = Problem, content_type = "application/problem+json"),
-        (status = 422, description = "Too few usable photographs, or an address that is not fetched from", body = Problem, content_type = "application/problem+json"),
-        (status = 503, description = "As many captures are fetched as may be at a time", body = Problem, content_type = "application/problem+json"),
+        (status = 422, description = "Too few usable photographs", body = Problem, content_type = "application/problem+json"),
+        (status = 503, description = "As many videos are read as may be at a time", body = Problem, content_type = "application/problem+json"),
         (status = 507, description = "The disk is full", body = Problem, content_type = "application/problem+json")))]
 pub async fn create(
     State(app): State<Arc<App>>,

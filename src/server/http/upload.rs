@@ -3,7 +3,6 @@
 mod ahead;
 mod assess;
 mod budget;
-mod fetch;
 mod gather;
 mod keep;
 mod places;
@@ -32,7 +31,6 @@ use crate::holders::Hold;
 use crate::incoming::Incoming;
 
 pub use budget::check_space;
-pub use fetch::fetch;
 pub use gather::gather;
 pub use keep::Placed;
 

@@ -12,21 +12,18 @@ use super::order::Order;
 use super::priority::Priority;
 use super::problem::Problem;
 use super::room::check_room;
-use super::upload::{Placed, Upload, check_space, fetch, gather, to_its_end};
+use super::upload::{Placed, Upload, check_space, gather, to_its_end};
 use crate::app::App;
 use crate::store::{Creation, Request, UsedUp};
 
-/// A capture of what is not sent with the request: either `uploads` or `urls`.
+/// A capture of uploads in pieces.
 #[derive(Clone, Debug, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct CaptureOfUploads {
     /// Finished uploads, each the last part of its address: photographs, poses, one zip, or a
     /// video. They are used up.
     #[schema(min_items = 1)]
-    uploads: Option<Vec<String>>,
-    /// Addresses that the server fetches such files from, where whoever runs it allows theirs.
-    #[schema(min_items = 1)]
-    urls: Option<Vec<String>>,
+    uploads: Vec<String>,
     /// What to call it.
     #[schema(max_length = 200)]
     name: Option<String>,
@@ -39,18 +36,11 @@ impl CaptureOfUploads {
     /// Brings the files together.
     ///
     /// # Errors
-    /// Those of [`gather`] and [`fetch`]; 422 when there is neither or both.
+    /// Those of [`gather`].
     pub(super) async fn bring(self, app: &Arc<App>, visitor: &Visitor) -> Result<Upload, Problem> {
         check_space(app)?;
         let fields = fields(self.name.as_ref(), self.frames);
-        match (&self.uploads, &self.urls) {
-            (Some(uploads), None) => gather(app, uploads, fields, visitor).await,
-            (None, Some(urls)) => fetch(app, urls, fields, visitor).await,
-            _ => Err(Problem::unprocessable(
-                "bad_input",
-                "The JSON body has to name either `uploads` or `urls`.",
-            )),
-        }
+        gather(app, &self.uploads, fields, visitor).await
     }
 }
 
