@@ -4,6 +4,7 @@ use std::fs;
 
 use fled_core::gaussians::ply;
 use fled_core::image::Image;
+use fled_core::synthetic::{SynthOptions, generate};
 
 use crate::support::{fled, json, kill_at, small_capture, small_run, succeed};
 
@@ -53,6 +54,35 @@ fn a_dark_capture_becomes_a_scene_with_metrics_of_every_round() {
         .count();
     assert_eq!(restored, 12);
     assert_eq!(json(&out.join("config.json"))["rounds"], 2);
+}
+
+#[test]
+fn a_capture_without_shake_is_splatted_plainly_in_one_round_and_done_once() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let capture = folder.path().join("capture");
+    let still = SynthOptions {
+        views: 12,
+        width: 256,
+        height: 160,
+        seed: 3,
+        blur: 0.0,
+        ..SynthOptions::default()
+    };
+    generate(&still, &capture).expect("a synthetic capture");
+    let out = folder.path().join("out");
+    let run = || {
+        let mut run = small_run(&capture, &out, 2);
+        String::from_utf8(succeed(run.args(["--set", "train_on=auto"])).stderr).expect("UTF-8")
+    };
+    let log = run();
+    assert!(log.contains("0 of 12 views are told shaken"), "{log}");
+    let report = json(&out.join("metrics.json"));
+    assert_eq!(report["shaken_views"], 0);
+    assert_eq!(report["config"]["rounds"], 2, "what was asked for");
+    let rounds = report["rounds"].as_array().expect("rounds");
+    assert_eq!((rounds.len(), &rounds[0]["kernels"]), (1, &0.into()));
+    assert!(out.join("scene.ply").exists());
+    assert!(run().contains("its result stands"));
 }
 
 #[test]

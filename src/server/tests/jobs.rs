@@ -342,7 +342,10 @@ fn a_job_with_options_that_only_an_older_build_knows_is_shown_and_goes_on() {
     server.kill();
     options["noise"] = json!("off");
     server_options(&server, &job, Some(&options));
-    let url = format!("sqlite://{}", server.data.path().join("fled.db").display());
+    let url = format!(
+        "sqlite://{}",
+        server.data.path().join("data/fled.db").display()
+    );
     on_database(&url, "UPDATE jobs SET state = 'queued', finished_at = NULL");
     server.restart();
     server.wait_state(&job, "succeeded");
@@ -354,7 +357,10 @@ fn server_options(
     job: &str,
     other: Option<&serde_json::Value>,
 ) -> serde_json::Value {
-    let url = format!("sqlite://{}", server.data.path().join("fled.db").display());
+    let url = format!(
+        "sqlite://{}",
+        server.data.path().join("data/fled.db").display()
+    );
     if let Some(other) = other {
         let order = format!("UPDATE jobs SET options = '{other}' WHERE id = '{job}'");
         on_database(&url, &order);
