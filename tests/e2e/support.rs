@@ -37,8 +37,8 @@ pub fn fled() -> Command {
     command
 }
 
-/// `fled run` at a size that takes seconds. Every round is made, shaken or not. Points are kept beside the capture: COLMAP draws others
-/// each time.
+/// `fled run` at a size that takes seconds. Every round is made, shaken or not. Points are kept
+/// beside the capture: COLMAP draws others each time.
 pub fn small_run(capture: &Path, out: &Path, rounds: u32) -> Command {
     let mut command = fled();
     command

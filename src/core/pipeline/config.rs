@@ -228,8 +228,8 @@ impl Options {
         }
     }
 
-    /// Whether no view needs the network: none is trained on deblurred, and no kernel waits for what
-    /// deblurring tells.
+    /// Whether no view needs the network: none is trained on deblurred, and no kernel waits for
+    /// what deblurring tells.
     pub fn needs_no_network(&self) -> bool {
         self.shake != ShakeModel::Late && self.trains_on_enhanced(self.shake == ShakeModel::Kernel)
     }
