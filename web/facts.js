@@ -35,8 +35,8 @@ export function factList(report) {
 /** What the look at the shake before the rounds came to. */
 function shake({ shaken_views: shaken, registered }) {
   if (shaken === undefined || shaken === null) return null;
-  const way = 2 * shaken < registered ? ", so they are splatted plainly, in one round" : "";
-  return `${shaken} of ${registered} views are told shaken${way}`;
+  const way = 2 * shaken < registered ? ", so the run is plain splatting" : "";
+  return `${shaken} of ${registered} views are shaken${way}`;
 }
 
 function without(values, name) {

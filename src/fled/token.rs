@@ -39,7 +39,7 @@ enum Command {
 struct Create {
     #[command(flatten)]
     data: Data,
-    /// What it allows, with commas: jobs:read, jobs:write, renders, admin (everything).
+    /// Its scopes, separated by commas: jobs:read, jobs:write, renders, admin (everything).
     #[arg(long, value_name = "SCOPES")]
     scope: String,
     /// How long it holds, as 90d or 12h. For ever when absent.

@@ -4,9 +4,10 @@ use std::fs;
 
 use fled_core::gaussians::ply;
 use fled_core::image::Image;
-use fled_core::synthetic::{SynthOptions, generate};
 
-use crate::support::{fled, json, kill_at, small_capture, small_run, succeed};
+use crate::support::{
+    fled, json, kill_at, small_capture, small_capture_shaken_by, small_run, succeed,
+};
 
 #[test]
 fn a_dark_capture_becomes_a_scene_with_metrics_of_every_round() {
@@ -59,23 +60,14 @@ fn a_dark_capture_becomes_a_scene_with_metrics_of_every_round() {
 #[test]
 fn a_capture_without_shake_is_splatted_plainly_in_one_round_and_done_once() {
     let folder = tempfile::tempdir().expect("temporary folder");
-    let capture = folder.path().join("capture");
-    let still = SynthOptions {
-        views: 12,
-        width: 256,
-        height: 160,
-        seed: 3,
-        blur: 0.0,
-        ..SynthOptions::default()
-    };
-    generate(&still, &capture).expect("a synthetic capture");
+    let capture = small_capture_shaken_by(folder.path(), 0.0);
     let out = folder.path().join("out");
     let run = || {
         let mut run = small_run(&capture, &out, 2);
         String::from_utf8(succeed(run.args(["--set", "train_on=auto"])).stderr).expect("UTF-8")
     };
     let log = run();
-    assert!(log.contains("0 of 12 views are told shaken"), "{log}");
+    assert!(log.contains("0 of 12 views are shaken"), "{log}");
     let report = json(&out.join("metrics.json"));
     assert_eq!(report["shaken_views"], 0);
     assert_eq!(report["config"]["rounds"], 2, "what was asked for");

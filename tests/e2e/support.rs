@@ -9,15 +9,20 @@ use fled_core::synthetic::{SynthOptions, generate};
 /// The binary under test.
 const FLED: &str = env!("CARGO_BIN_EXE_fled");
 
-/// A capture of 12 small views with true poses, made once a test.
+/// A capture of 12 small, shaken views with true poses, made once a test.
 pub fn small_capture(folder: &Path) -> PathBuf {
+    small_capture_shaken_by(folder, 3.0)
+}
+
+/// The same, shaken by at most so many px.
+pub fn small_capture_shaken_by(folder: &Path, blur: f64) -> PathBuf {
     let capture = folder.join("capture");
     let options = SynthOptions {
         views: 12,
         width: 128,
         height: 80,
         seed: 3,
-        blur: 3.0,
+        blur,
         ..SynthOptions::default()
     };
     generate(&options, &capture).expect("a synthetic capture");

@@ -22,7 +22,7 @@ pub(super) trait Subject {
     /// Does it `times` times and waits for the last.
     fn repeat(&mut self, times: u32) -> Result<(), BenchError>;
 
-    /// What the last time had to blend, where it blended.
+    /// Counts of the splats that the last run blended, where it blended any.
     fn counts(&self) -> Result<Option<SplatCounts>, BenchError> {
         Ok(None)
     }

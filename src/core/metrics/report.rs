@@ -177,10 +177,10 @@ pub struct Report {
     pub registered: u32,
     /// Views in the capture.
     pub views: u32,
-    /// Views that are told shaken before the rounds: deblurring took a shake out of them. With
-    /// fewer than half the rounds are of plain splatting: `rounds=1` where every photograph has a
-    /// pose, `train_on=enhanced` and `refine_poses=false`, whatever `config` says. Absent: the
-    /// options left nothing to decide.
+    /// Views found shaken before the rounds: deblurring took a shake out of them. With fewer than
+    /// half, the run is plain splatting whatever `config` says: `train_on=enhanced`,
+    /// `refine_poses=false`, and one round, or another after one that changed the poses. Absent:
+    /// the options left nothing to decide.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub shaken_views: Option<u32>,
     /// Wall seconds by stage.

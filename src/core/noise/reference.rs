@@ -13,7 +13,7 @@ pub struct ReferenceNoise<'a> {
     camera: &'a Camera,
 }
 
-/// What the forward of one pixel leaves for its backward.
+/// Values of one pixel's forward pass that its backward pass needs.
 struct Pixel {
     /// Input of every layer.
     inputs: Vec<Vec<f64>>,

@@ -10,7 +10,7 @@ use crate::image::Image;
 use crate::metrics::report::ViewScore;
 
 /// Of every view, in their order, whether a kernel explains its shake in a round. `shaken`: what
-/// was told before the rounds; `before`: what the renders of the round before tell.
+/// was found before the rounds; `before`: what the renders of the round before tell.
 pub fn explained(
     options: &Options,
     views: &[View],
@@ -31,8 +31,8 @@ pub fn explained(
 }
 
 /// Of every view, in their order, whether a round trains on D in place of H. A view that has no
-/// kernel is deblurred where the network took a shake out of it: out of a still view it takes
-/// texture (asclepius and fox lose 1.2 dB by it), and its halos are no kernel.
+/// kernel is deblurred where the network took a shake out of it. Out of a still view it takes
+/// texture: fox loses 1.2 dB by it (docs/results.md).
 pub fn trained_deblurred(
     options: &Options,
     round: &Round,

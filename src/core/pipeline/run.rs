@@ -120,7 +120,7 @@ pub fn run(
     if asked.is_still() {
         context
             .sink
-            .log("most of them are still: plain splatting".to_owned());
+            .log("most views are still: one round of plain splatting, cameras as found".to_owned());
         context.plan_rounds(1, ground.views.len());
         ground = Ground::new(context, asked, tools, ground.poses, ground.views)?;
     }
@@ -145,7 +145,7 @@ pub fn run(
 struct Asked<'a> {
     capture: &'a Capture,
     options: &'a Options,
-    /// Which views are told shaken, where that decides anything.
+    /// The views found shaken, where that decides anything.
     shaken: Option<&'a Shaken>,
 }
 

@@ -87,7 +87,7 @@ impl<'a> Observed<'a> {
         self.given.image.resize_area(width, height)
     }
 
-    /// What the loss compares with.
+    /// The image that the loss compares with.
     pub(super) fn target(&mut self, gpu: &Gpu) -> Result<Buffer<u32>, GpuError> {
         let target = match self.target.take() {
             Some(target) => target,

@@ -34,7 +34,7 @@ pub struct CameraUniform {
     pub position: [f32; 3],
     /// Active degree of the spherical harmonics.
     pub sh_degree: u32,
-    /// What shines through where the splats leave room, RGB as in the image.
+    /// Colour behind the splats, RGB as in the image.
     pub background: [f32; 3],
     /// Number of Gaussians.
     pub count: u32,

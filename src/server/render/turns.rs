@@ -1,6 +1,6 @@
-//! Whose turn it is: one at a time, and the clients in a circle.
+//! A fair queue of renders: one at a time, the clients in turn.
 //!
-//! Whoever asks for many pictures waits for their own: another client's first is made next.
+//! A client that asks for many pictures waits for its own: another client's first is made next.
 
 use std::collections::VecDeque;
 use std::net::IpAddr;

@@ -266,7 +266,7 @@ enum Of<'a> {
     All,
     /// This worker's.
     Worker(&'a str),
-    /// What ran out before this.
+    /// Leases that ran out before this, ms since 1970.
     Before(i64),
 }
 

@@ -55,8 +55,8 @@ pub const TABLES: [Table; 16] = [
     stays("uploads"),
 ];
 
-/// What has no meaning elsewhere and is not told of: who works says so again by itself, and nobody
-/// writes errands.
+/// Tables that are not moved: workers register again by themselves, and nothing writes errands any
+/// more.
 pub(super) const PASSING: [&str; 2] = ["workers", "errands"];
 
 /// What a cell holds.

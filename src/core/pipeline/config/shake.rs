@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 pub enum ShakeModel {
     /// A kernel a view, found from the renders, so that the scene itself stays sharp.
     Kernel,
-    /// A kernel for views that are told shaken alone: from the second round on, by the renders of
+    /// A kernel only for views that are found shaken: from the second round on, by the renders of
     /// the round before; where most views are still, from the first.
     Late,
     /// Nothing: the scene is as blurred as the views, as in the paper.
