@@ -33,10 +33,14 @@ export function factList(report) {
 }
 
 /** What the look at the shake before the rounds came to. */
-function shake({ shaken_views: shaken, registered }) {
+function shake({ shaken_views: shaken, capture_shake: capture, registered }) {
   if (shaken === undefined || shaken === null) return null;
-  const way = 2 * shaken < registered ? ", so the run is plain splatting" : "";
-  return `${shaken} of ${registered} views are shaken${way}`;
+  const ways = {
+    still: ", so the run is plain splatting",
+    soft: " and most are a little soft, so the scene is trained as the network deblurs them",
+    shaken: ", so kernels explain their shake",
+  };
+  return `${shaken} of ${registered} views are shaken${ways[capture] ?? ""}`;
 }
 
 function without(values, name) {

@@ -166,6 +166,20 @@ pub struct NoiseMapStatistics {
     pub correlation: f64,
 }
 
+/// What a capture is as a whole, found before anything is trained.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum CaptureShake {
+    /// The run is plain splatting: one round with the steps of all, cameras as found, and a kernel
+    /// for the few shaken views. Another round follows only where late views change the poses.
+    Still,
+    /// The views are a little softer than the scene: it is trained as the network deblurs them,
+    /// without kernels.
+    Soft,
+    /// A kernel explains the shake of every view that has one, from the second round on.
+    Shaken,
+}
+
 /// The whole of `metrics.json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Report {
@@ -177,12 +191,13 @@ pub struct Report {
     pub registered: u32,
     /// Views in the capture.
     pub views: u32,
-    /// Views found shaken before the rounds: deblurring took a shake out of them. With fewer than
-    /// half, the run is plain splatting whatever `config` says: `train_on=enhanced`,
-    /// `refine_poses=false`, and one round, or another after one that changed the poses. Absent:
-    /// the options left nothing to decide.
+    /// Views found shaken before the rounds: deblurring took a shake out of them. Absent: the
+    /// options left nothing to decide.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub shaken_views: Option<u32>,
+    /// What that makes of the capture, and so of the rounds.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub capture_shake: Option<CaptureShake>,
     /// Wall seconds by stage.
     pub stages: BTreeMap<String, f64>,
     /// The GPU adapter and its driver.

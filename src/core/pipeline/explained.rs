@@ -7,7 +7,7 @@ use super::shaken::{self, Shaken};
 use super::views::View;
 use crate::camera::Split;
 use crate::image::Image;
-use crate::metrics::report::ViewScore;
+use crate::metrics::report::{CaptureShake, ViewScore};
 
 /// Of every view, in their order, whether a kernel explains its shake in a round. `shaken`: what
 /// was found before the rounds; `before`: what the renders of the round before tell.
@@ -22,7 +22,7 @@ pub fn explained(
             let row = before.iter().find(|row| row.name == view.name);
             row.and_then(|row| row.is_shaken).unwrap_or(false)
         }
-        None => shaken.is_some_and(|shaken| shaken.is_mostly_still() && shaken.tells(view)),
+        None => shaken.is_some_and(|shaken| shaken.verdict() == CaptureShake::Still && shaken.tells(view)),
     };
     views
         .iter()
@@ -30,37 +30,62 @@ pub fn explained(
         .collect()
 }
 
-/// Of every view, in their order, whether a round trains on D in place of H. A view that has no
-/// kernel is deblurred where the network took a shake out of it. Out of a still view it takes
-/// texture: fox loses 1.2 dB by it (docs/results.md).
-pub fn trained_deblurred(
+/// What a view is trained on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum TrainedOn {
+    /// H.
+    Enhanced,
+    /// D.
+    Deblurred,
+    /// Their mean: half the noise of H, and half of what deblurring makes up in D.
+    Mean,
+}
+
+/// Of every view, in their order, what a round trains it on. A view that has no kernel is deblurred
+/// where the network took a shake out of it; else it is the mean of both, which is better than
+/// either (docs/decisions/shake.md).
+pub fn trained_on(
     options: &Options,
     round: &Round,
     explained: &[bool],
     enhanced: &[Image],
     deblurred: &[Image],
-) -> Vec<bool> {
+) -> Vec<TrainedOn> {
     let is_earned = options.shake == ShakeModel::Late && options.train_on == TrainOn::Auto;
     let told = is_earned.then(|| shaken::told(enhanced, deblurred, &round.response));
     let of = |(index, &explained): (usize, &bool)| {
-        let told = told.as_ref().is_none_or(|told| told[index]);
-        !options.trains_on_enhanced(explained) && told
+        if options.trains_on_enhanced(explained) {
+            TrainedOn::Enhanced
+        } else if told.as_ref().is_none_or(|told| told[index]) {
+            TrainedOn::Deblurred
+        } else {
+            TrainedOn::Mean
+        }
     };
     explained.iter().enumerate().map(of).collect()
 }
 
-/// Those of H and D that the views are trained on.
+/// The images that the views are trained on.
 pub fn training_images(
-    trained_deblurred: &[bool],
+    trained_on: &[TrainedOn],
     enhanced: &[Image],
     deblurred: &[Image],
 ) -> Vec<Image> {
-    let pairs = enhanced.iter().zip(deblurred).zip(trained_deblurred);
-    pairs
-        .map(|((enhanced, deblurred), &is_deblurred)| {
-            if is_deblurred { deblurred } else { enhanced }.clone()
-        })
-        .collect()
+    let of = |((enhanced, deblurred), on): ((&Image, &Image), &TrainedOn)| match on {
+        TrainedOn::Enhanced => enhanced.clone(),
+        TrainedOn::Deblurred => deblurred.clone(),
+        TrainedOn::Mean => mean(enhanced, deblurred),
+    };
+    let pairs = enhanced.iter().zip(deblurred);
+    pairs.zip(trained_on).map(of).collect()
+}
+
+fn mean(one: &Image, other: &Image) -> Image {
+    let mut mean = one.clone();
+    for (value, other) in mean.data_mut().iter_mut().zip(other.data()) {
+        *value = 0.5 * (*value + other);
+    }
+    mean
 }
 
 /// Tells what the views of a round are trained on.
@@ -69,20 +94,19 @@ pub fn tell(
     round: u32,
     views: &[View],
     explained: &[bool],
-    trained_deblurred: &[bool],
+    trained_on: &[TrainedOn],
 ) {
-    let count = |of: &[bool]| {
-        let pairs = views.iter().zip(of);
-        pairs
-            .filter(|(view, of)| view.split == Split::Train && **of)
-            .count()
-    };
-    let all = count(&vec![true; views.len()]);
-    let (kernels, deblurred) = (count(explained), count(trained_deblurred));
-    let enhanced = all - deblurred;
+    let trained = |index: &usize| views[*index].split == Split::Train;
+    let trained: Vec<usize> = (0..views.len()).filter(trained).collect();
+    let on = |kind| trained.iter().filter(|&&i| trained_on[i] == kind).count();
     let line = format!(
-        "{all} views train: {enhanced} enhanced, {kernels} of them through a kernel of their \
-         shake, and {deblurred} deblurred"
+        "{} views train: {} enhanced, {} of them through a kernel of their shake, {} deblurred, \
+         and {} as the mean of both",
+        trained.len(),
+        on(TrainedOn::Enhanced),
+        trained.iter().filter(|&&i| explained[i]).count(),
+        on(TrainedOn::Deblurred),
+        on(TrainedOn::Mean),
     );
     context.sink.log(format!("round {round}: {line}"));
 }
@@ -142,7 +166,10 @@ mod tests {
     fn a_kernel_is_for_the_few_that_are_told_shaken_then_for_those_that_renders_tell() {
         let options = Options::default();
         let views = ["a", "b", "c"].map(view);
-        let told = |names: &[&str]| Shaken::of(names.iter().copied(), views.len());
+        let told = |names: &[&str]| {
+            let ratio = |view: &View| f64::from(u8::from(names.contains(&&view.name[..])));
+            Shaken::of(views.iter().map(|view| (&view.name[..], ratio(view))))
+        };
         let first = |names: &[&str]| explained(&options, &views, Some(&told(names)), None);
         assert_eq!(first(&["b"]), [false, true, false]);
         assert_eq!(
@@ -168,21 +195,32 @@ mod tests {
     }
 
     #[test]
-    fn views_train_deblurred_where_the_network_took_a_shake_out_of_them() {
+    fn views_train_deblurred_where_the_network_took_a_shake_out_of_them_else_as_the_mean() {
+        use TrainedOn::{Deblurred, Enhanced, Mean};
         let dark = sharp();
         let anchor = Anchor::exposure(0.0);
         let round = Round::new(1, anchor, Tone::fit(LutScope::Scene, &[&dark], &[anchor]));
         let (enhanced, deblurred) = ([along_x(&sharp()), sharp()], [sharp(), sharp()]);
         let of = |options: &Options, explained: [bool; 2]| {
-            trained_deblurred(options, &round, &explained, &enhanced, &deblurred)
+            trained_on(options, &round, &explained, &enhanced, &deblurred)
         };
         let auto = Options::default();
-        assert_eq!(of(&auto, [false, false]), [true, false]);
-        assert_eq!(of(&auto, [true, true]), [false, false]);
+        assert_eq!(of(&auto, [false, false]), [Deblurred, Mean]);
+        assert_eq!(of(&auto, [true, true]), [Enhanced, Enhanced]);
         let paper = Options {
             train_on: TrainOn::Deblurred,
             ..auto
         };
-        assert_eq!(of(&paper, [false, true]), [true, true]);
+        assert_eq!(of(&paper, [false, true]), [Deblurred, Deblurred]);
+    }
+
+    #[test]
+    fn the_images_are_the_enhanced_the_deblurred_and_their_mean() {
+        let [dark, bright] = [0.2, 0.6].map(|value| sharp().map(|_| value));
+        let of = |on| training_images(&[on], std::slice::from_ref(&dark), &[bright.clone()]);
+        let value = |on| of(on)[0].data()[7];
+        assert_eq!(value(TrainedOn::Enhanced), 0.2);
+        assert_eq!(value(TrainedOn::Deblurred), 0.6);
+        assert!((value(TrainedOn::Mean) - 0.4).abs() < 1e-6);
     }
 }

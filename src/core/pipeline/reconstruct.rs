@@ -79,7 +79,7 @@ pub struct Material<'a> {
     pub round: &'a Round,
     /// All views, with their cameras and splits.
     pub views: &'a [View],
-    /// D_i, or H_i where a kernel explains the shake (`train_on`), in the order of the views.
+    /// H_i, D_i or their mean (`train_on`), in the order of the views.
     pub images: &'a [Image],
     /// Which views have a kernel, in the same order.
     pub explained: &'a [bool],

@@ -33,6 +33,7 @@ pub fn begin(options: &Options, tools: &Tools<'_>, networks: &Networks, poses: &
         registered: poses.registered as u32,
         views: poses.total as u32,
         shaken_views: None,
+        capture_shake: None,
         stages: BTreeMap::new(),
         adapter: tools.gpu.describe().to_string(),
         models: models.collect(),

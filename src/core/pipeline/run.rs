@@ -8,7 +8,7 @@ use super::dependencies::{Levels, RoundDependencies, RunDependencies};
 use super::enhance::{self, Brightening, enhance};
 use super::error::PipelineError;
 use super::evaluate::{Finished, RoundImages, evaluate};
-use super::explained::{self, explained, trained_deblurred, training_images};
+use super::explained::{self, explained, trained_on, training_images};
 use super::late_views::{FinishedRound, changed_views, late_views, with_fits};
 use super::match_brightness::{Next, match_brightness};
 use super::plan::Plan;
@@ -24,7 +24,7 @@ use crate::cancel::CancelToken;
 use crate::capture::Capture;
 use crate::event::{Event, ProgressSink};
 use crate::image::Image;
-use crate::metrics::Report;
+use crate::metrics::{CaptureShake, Report};
 use crate::poses::Poses;
 use crate::poses::matching::Matching;
 
@@ -111,6 +111,7 @@ pub fn run(
     let (views, brightening) = (&ground.views, &ground.brightening);
     let shaken = shaken::shaken(context, tools, options, views, brightening, on)?;
     report.shaken_views = shaken.as_ref().map(Shaken::count);
+    report.capture_shake = shaken.as_ref().map(Shaken::verdict);
     let in_effect = shaken::in_effect(options, shaken.as_ref());
     let asked = Asked {
         capture,
@@ -118,9 +119,6 @@ pub fn run(
         shaken: shaken.as_ref(),
     };
     if asked.is_still() {
-        context
-            .sink
-            .log("most views are still: one round of plain splatting, cameras as found".to_owned());
         context.plan_rounds(1, ground.views.len());
         ground = Ground::new(context, asked, tools, ground.poses, ground.views)?;
     }
@@ -153,7 +151,7 @@ impl Asked<'_> {
     /// Whether the rounds are of plain splatting, at the target brightness. There is another only
     /// when the one before has found a photograph its place or shown that it stands in a wrong one.
     fn is_still(&self) -> bool {
-        self.shaken.is_some_and(Shaken::is_mostly_still)
+        self.shaken.map(Shaken::verdict) == Some(CaptureShake::Still)
     }
 }
 
@@ -194,9 +192,9 @@ fn round(
     let deblurred = deblur(context, tools.deblurrer, round, blurred, &on.deblur)?; // D_i
     let known = report.rounds.last().map(|before| &before.views[..]);
     let explained = explained(asked.options, views, asked.shaken, known);
-    let takes_d = trained_deblurred(asked.options, round, &explained, &enhanced, &deblurred);
-    explained::tell(context, round.number, views, &explained, &takes_d);
-    let images = training_images(&takes_d, &enhanced, &deblurred);
+    let trained = trained_on(asked.options, round, &explained, &enhanced, &deblurred);
+    explained::tell(context, round.number, views, &explained, &trained);
+    let images = training_images(&trained, &enhanced, &deblurred);
     let material = Material {
         round,
         views,

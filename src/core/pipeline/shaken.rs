@@ -19,28 +19,40 @@ use super::views::View;
 use crate::deblur::NetworkChoice;
 use crate::event::Stage;
 use crate::image::Image;
+use crate::metrics::CaptureShake;
 use crate::run_folder::KeptImages;
 use crate::shake::{self, Response};
 
 /// Elongation of the kernel from D to H from which a view is shaken, px, at a longer side of
-/// [`TOLD_SIDE`]. Still views reach 0.54 at 280 px, 0.91 at 420 and 1.33 at 560; three in four of
-/// those shaken by 4.4 px at 560 have 1.4 and more at every size (docs/decisions/shake.md).
+/// [`TOLD_SIDE`] (docs/decisions/shake.md).
 const TOLD_FROM: f64 = 1.5;
 const TOLD_SIDE: f64 = 560.0;
+/// The middle elongation, as a share of that, from which the views have a shake that the network
+/// is better at than the scene.
+const SOFT_FROM: f64 = 0.57;
+/// The share of shaken views from which kernels pay.
+const SHAKEN_SHARE: f64 = 0.65;
 
-/// The same in images of any size. A shake grows with the image and noise does not: the root lies
-/// between the two.
-fn told_from(longer_side: usize) -> f64 {
-    TOLD_FROM * (longer_side as f64 / TOLD_SIDE).sqrt()
+/// The length in images of any size. A shake grows with the image and noise does not: the root
+/// lies between the two.
+fn at_size(length: f64, longer_side: usize) -> f64 {
+    length * (longer_side as f64 / TOLD_SIDE).sqrt()
+}
+
+/// Of every view, the elongation of the kernel that leads from its deblurred image back to it, as a
+/// multiple of that from which it is shaken.
+fn elongations(enhanced: &[Image], deblurred: &[Image], response: &Response) -> Vec<f64> {
+    let of = |(view, sharper): (&Image, &Image)| {
+        let kernel = shake::estimate(sharper, view, response);
+        kernel.elongation() / at_size(TOLD_FROM, view.width().max(view.height()))
+    };
+    enhanced.par_iter().zip(deblurred).map(of).collect()
 }
 
 /// Of every view, whether deblurring took a shake out of it that differs from none.
 pub fn told(enhanced: &[Image], deblurred: &[Image], response: &Response) -> Vec<bool> {
-    let is_shaken = |(view, sharper): (&Image, &Image)| {
-        let kernel = shake::estimate(sharper, view, response);
-        kernel.elongation() >= told_from(view.width().max(view.height()))
-    };
-    enhanced.par_iter().zip(deblurred).map(is_shaken).collect()
+    let elongations = elongations(enhanced, deblurred, response);
+    elongations.into_iter().map(|ratio| ratio >= 1.0).collect()
 }
 
 /// Whether a run with these options asks before the rounds: only where kernels and the network both
@@ -56,17 +68,27 @@ fn asks(options: &Options) -> bool {
 pub struct Shaken {
     /// Their names.
     told: BTreeSet<String>,
-    /// All of them.
-    views: usize,
+    /// What that makes of the capture.
+    verdict: CaptureShake,
 }
 
 impl Shaken {
-    /// The views of these names, of so many.
-    pub fn of<'a>(told: impl Iterator<Item = &'a str>, views: usize) -> Self {
-        Self {
-            told: told.map(str::to_owned).collect(),
-            views,
-        }
+    /// Of views with these names and elongations, multiples of that from which a view is shaken.
+    pub fn of<'a>(views: impl Iterator<Item = (&'a str, f64)>) -> Self {
+        let views: Vec<_> = views.collect();
+        let told = views.iter().filter(|(_, ratio)| *ratio >= 1.0);
+        let told: BTreeSet<_> = told.map(|(name, _)| (*name).to_owned()).collect();
+        let mut ratios: Vec<_> = views.iter().map(|(_, ratio)| *ratio).collect();
+        ratios.sort_by(f64::total_cmp);
+        let middle = ratios.get(ratios.len() / 2).copied().unwrap_or(0.0);
+        let verdict = if told.len() as f64 >= SHAKEN_SHARE * views.len() as f64 {
+            CaptureShake::Shaken
+        } else if middle >= SOFT_FROM {
+            CaptureShake::Soft
+        } else {
+            CaptureShake::Still
+        };
+        Self { told, verdict }
     }
 
     /// Whether this view is one of them.
@@ -79,10 +101,9 @@ impl Shaken {
         self.told.len() as u32
     }
 
-    /// Whether more than half of the views are still: a scene of them is sharp, and shows the shake
-    /// of the few from the first round on.
-    pub fn is_mostly_still(&self) -> bool {
-        2 * self.told.len() < self.views
+    /// What the capture is as a whole.
+    pub fn verdict(&self) -> CaptureShake {
+        self.verdict
     }
 }
 
@@ -113,36 +134,48 @@ pub fn shaken(
     let on = depends_on.round(0, None).deblur;
     let deblurred = restoration.by(tools.deblurrer, context, &on)?;
     let response = &brightening.last().response;
-    let told = told(&brightening.target, &deblurred, response);
-    let told = views.iter().zip(told).filter(|(_, told)| *told);
-    let shaken = Shaken::of(told.map(|(view, _)| &view.name[..]), views.len());
-    let (count, all) = (shaken.count(), shaken.views);
-    let line = format!("{count} of {all} views are shaken");
-    context.sink.log(line);
+    let ratios = elongations(&brightening.target, &deblurred, response);
+    let shaken = Shaken::of(views.iter().map(|view| &view.name[..]).zip(ratios));
+    let told = format!("{} of {} views are shaken", shaken.count(), views.len());
+    let done = match shaken.verdict() {
+        CaptureShake::Still => "one round of plain splatting, cameras as found",
+        CaptureShake::Soft => "trained as the network deblurs them, without kernels",
+        CaptureShake::Shaken => "kernels explain their shake from the second round on",
+    };
+    context.sink.log(format!("{told}: {done}"));
     Ok(Some(shaken))
 }
 
-/// The options that the rounds are made with. A capture that is mostly still is splatted plainly:
-/// enhanced views, with a kernel for the few that are shaken. Its cameras stay as found: correcting
-/// them cost 0.2 to 0.5 dB on both museum captures (docs/decisions/cameras.md).
+/// The options that the rounds are made with.
+///
+/// A still capture is splatted plainly in one round with the steps of all. Its cameras stay as
+/// found: correcting them cost 0.2 to 0.5 dB on both museum captures (docs/decisions/cameras.md).
 pub fn in_effect(options: &Options, shaken: Option<&Shaken>) -> Options {
-    if !shaken.is_some_and(Shaken::is_mostly_still) {
-        return options.clone();
+    let mut options = options.clone();
+    match shaken.map(Shaken::verdict) {
+        Some(CaptureShake::Still) => {
+            options.refine_poses = false;
+            options.steps = options.steps.saturating_mul(options.rounds);
+        }
+        Some(CaptureShake::Soft) => options.shake = ShakeModel::Off,
+        Some(CaptureShake::Shaken) | None => {}
     }
-    Options {
-        train_on: TrainOn::Enhanced,
-        refine_poses: false,
-        ..options.clone()
-    }
+    options
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
+    /// Views with these ratios.
+    fn of(ratios: &[f64]) -> Shaken {
+        let names = ["a", "b", "c", "d", "e", "f"];
+        Shaken::of(names.into_iter().zip(ratios.iter().copied()))
+    }
+
     #[test]
     fn a_smaller_image_is_shaken_by_fewer_pixels() {
-        let at = [280, 420, 560].map(told_from);
+        let at = [280, 420, 560].map(|side| at_size(TOLD_FROM, side));
         assert!(
             (0.98..1.26).contains(&at[0]),
             "fox, and the room of `fled synth`"
@@ -155,22 +188,28 @@ mod tests {
     }
 
     #[test]
-    fn a_capture_is_mostly_still_with_fewer_than_half_shaken() {
-        let names = ["a", "b", "c", "d"];
-        let with = |shaken, views| Shaken::of(names[..shaken].iter().copied(), views);
-        assert!(with(0, 3).is_mostly_still() && with(3, 7).is_mostly_still());
-        assert!(!with(4, 8).is_mostly_still());
+    fn two_thirds_of_the_views_make_a_capture_shaken_and_their_middle_makes_it_soft() {
+        assert_eq!(of(&[1.0, 1.2, 0.1]).verdict(), CaptureShake::Shaken);
+        assert_eq!(of(&[1.0, 1.2, 0.5, 0.7, 0.6]).verdict(), CaptureShake::Soft);
+        assert_eq!(of(&[0.7, 0.6, 0.5]).verdict(), CaptureShake::Soft);
+        assert_eq!(of(&[0.5, 0.4, 1.5]).verdict(), CaptureShake::Still);
+        assert_eq!(of(&[0.5, 0.4, 1.5]).count(), 1);
     }
 
     #[test]
-    fn only_where_kernels_and_network_are_to_be_earned_is_anything_decided() {
+    fn the_rounds_of_a_capture_are_what_its_shake_asks_for() {
         let options = Options::default();
-        let still = in_effect(&options, Some(&Shaken::of(["a"].into_iter(), 3)));
-        assert_eq!(still.train_on, TrainOn::Enhanced);
+        let still = in_effect(&options, Some(&of(&[0.1, 0.2, 1.0])));
         assert!(!still.refine_poses);
-        let shaken = Shaken::of(["a", "b"].into_iter(), 3);
-        assert_eq!(in_effect(&options, Some(&shaken)), options);
+        assert_eq!(still.steps, options.steps * options.rounds);
+        let soft = in_effect(&options, Some(&of(&[0.6, 0.7])));
+        assert_eq!(soft.shake, ShakeModel::Off);
+        assert_eq!(in_effect(&options, Some(&of(&[1.0, 1.1]))), options);
         assert_eq!(in_effect(&options, None), options);
+    }
+
+    #[test]
+    fn shake_is_looked_for_only_where_it_decides_anything() {
         let asked = |change: fn(&mut Options)| {
             let mut options = Options::default();
             change(&mut options);

@@ -20,7 +20,8 @@ pub enum ShakeModel {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum TrainOn {
-    /// The enhanced view where a kernel explains its shake, else the deblurred one.
+    /// The enhanced view where a kernel explains its shake, the deblurred one where deblurring took
+    /// a shake out of it, else the mean of both.
     Auto,
     /// The deblurred views, as in the paper.
     Deblurred,
