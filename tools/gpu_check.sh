@@ -54,7 +54,7 @@ part() {
 # The modules whose tests run kernels. Other tests look for files of the repository. A quick check leaves out whole
 # trainings.
 kernels() {
-    local modules=(splat:: noise:: shake:: render:: bench::yardstick reconstruct::loss reconstruct::optimizer)
+    local modules=(splat:: noise:: shake:: render:: bench::roofline reconstruct::loss reconstruct::optimizer)
     [[ $quick ]] || modules+=(bench:: reconstruct:: agreement::)
     "$work/fled-gpu-tests" && "$work/fled-core-tests" "${modules[@]}"
 }

@@ -1,4 +1,4 @@
-// The yardstick of arithmetic: three independent chains of fused multiply-adds, 4 wide, an
+// The roofline of arithmetic: three independent chains of fused multiply-adds, 4 wide, an
 // invocation. More would not fit the registers of a CPU.
 // Reads size. Writes sums [4 count], so that nothing can be left out. Dispatch: count.
 // x <- a x + b: FMAS a round, 8 operations each, `rounds` rounds an invocation.
@@ -7,14 +7,14 @@
 const WIDTH: u32 = 64;
 const FMAS: u32 = 24;
 
-struct YardstickUniform {
+struct RooflineUniform {
     count: u32,
     rounds: u32,
     factor: f32,
     offset: f32,
 }
 
-@group(0) @binding(0) var<uniform> size: YardstickUniform;
+@group(0) @binding(0) var<uniform> size: RooflineUniform;
 @group(0) @binding(1) var<storage, read_write> sums: array<vec4<f32>>;
 
 @compute @workgroup_size(WIDTH)

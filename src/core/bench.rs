@@ -13,10 +13,10 @@ mod error;
 mod measure;
 mod options;
 pub mod report;
+mod roofline;
 mod subject;
 mod table;
 mod workload;
-mod yardstick;
 
 use fled_gpu::Gpu;
 
@@ -261,13 +261,13 @@ pub fn run(
     };
     let plans = Plan::all(options);
     let mut report = Report::new(Machine::of(gpu), options);
-    report.yardsticks.add(yardstick::measure(gpu)?);
+    report.roofline.add(roofline::measure(gpu)?);
     for (done, plan) in plans.iter().enumerate() {
         cancel.check()?;
         progress(done, plans.len(), &plan.name());
         report.cases.push(plan.measure(&bench)?);
     }
-    report.yardsticks.add(yardstick::measure(gpu)?);
+    report.roofline.add(roofline::measure(gpu)?);
     report.relate();
     Ok(report)
 }
@@ -300,7 +300,7 @@ pub fn run_scene(
     let name = format!("render {}", workload.name);
     progress(total - 1, total, &name);
     report.cases.push(bench.render(name, workload)?);
-    report.yardsticks.add(yardstick::measure(gpu)?);
+    report.roofline.add(roofline::measure(gpu)?);
     report.relate();
     Ok(())
 }

@@ -1,4 +1,4 @@
-//! Runs judged by sharp photographs that they never saw: the yardstick of every claim about
+//! Runs judged by sharp photographs that they never saw: the measure of every claim about
 //! quality.
 //!
 //! The photographs come with poses of their own. The cameras that trained stand in both worlds, and
@@ -7,9 +7,9 @@
 //! the sharp photograph while the scene stays as it is. The second decides about the scene, the
 //! difference of the two about the poses.
 
+mod elongated;
 mod error;
 mod lpips;
-mod needles;
 mod page;
 pub mod report;
 mod score;
@@ -131,7 +131,7 @@ pub fn evaluate(request: Request<'_>) -> Result<Judged, EvaluationError> {
         tied_views: tie.views,
         camera_error: tie.error,
         gaussians: subject.gaussians.len(),
-        needles: needles::count(subject),
+        elongated: elongated::count(subject),
         size: subject.size(),
         adapter: request.gpu.describe().to_string(),
         lpips_network: judge.lpips.map(|lpips| lpips.checksum().to_owned()),

@@ -17,7 +17,9 @@ mod golden;
 pub use correlation::correlation;
 pub use noise::{clipped_share, mean_v, noise_sigma, sharpness};
 pub use psnr::{ColourFit, decibels, noise_ceiling, psnr, psnr_colour_corrected};
-pub use report::{Brightness, CaptureShake, ImageKind, Record, Reference, Report, RoundMetrics, ViewScore};
+pub use report::{
+    Brightness, CaptureShake, ImageKind, Record, Reference, Report, RoundMetrics, ViewScore,
+};
 pub use ssim::{ssim, ssim_where};
 
 use crate::image::Image;

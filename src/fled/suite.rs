@@ -7,11 +7,11 @@ use std::io::ErrorKind::NotFound;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use fled_core::evaluation::suite::carry_out::{Hands, carry_out};
 use fled_core::evaluation::suite::error::SuiteError;
 use fled_core::evaluation::suite::file::{Selection, Suite};
-use fled_core::evaluation::suite::laboratory::Laboratory;
 use fled_core::evaluation::suite::records::Records;
+use fled_core::evaluation::suite::runner::{Hands, run};
+use fled_core::evaluation::suite::setup::Setup;
 use fled_core::evaluation::suite::summary::Summary;
 use fled_core::pipeline::error::{ErrorKind, PipelineError};
 
@@ -63,22 +63,22 @@ pub struct Args {
 pub fn main(args: &Args) -> Result<(), Failure> {
     let suite = suite(args)?;
     let program = Program::own(&args.tools)?;
-    let mut laboratory = Laboratory::open(
+    let mut setup = Setup::open(
         program.path(),
         machine(&program)?,
         args.tools.models.folders(),
     )?;
-    laboratory.poses.clone_from(&args.tools.cache);
+    setup.poses.clone_from(&args.tools.cache);
     let records = Records::new(&args.out);
     let runs = if args.finished {
-        carry_out(&suite, &laboratory, &records, None)?
+        run(&suite, &setup, &records, None)?
     } else {
         let cancel = tools::cancel_on_signals()?;
         let hands = Hands {
             start: &mut |words| program.run(words, &cancel),
             tell: &mut |text| eprintln!("{text}"),
         };
-        carry_out(&suite, &laboratory, &records, Some(hands))?
+        run(&suite, &setup, &records, Some(hands))?
     };
     let summary = Summary::new(&suite, runs);
     std::io::stdout()

@@ -7,7 +7,7 @@ use serde::Serialize;
 
 use super::measure::{Measured, Profiled, median};
 use super::options::BenchOptions;
-use super::yardstick::Yardstick;
+use super::roofline::Peak;
 use crate::metrics;
 use crate::noise::NoiseMode;
 
@@ -26,7 +26,7 @@ pub struct Report {
     /// What was asked for.
     pub options: BenchOptions,
     /// What the device can do at all.
-    pub yardsticks: Yardsticks,
+    pub roofline: Roofline,
     /// In the order in which they ran.
     pub cases: Vec<Case>,
     /// A whole job on a capture.
@@ -56,14 +56,14 @@ pub struct Machine {
 
 /// What the device can do at all: medians of what was measured before, between and after the cases.
 #[derive(Clone, Debug, Default, Serialize)]
-pub struct Yardsticks {
+pub struct Roofline {
     /// Arithmetic of a kernel of fused multiply-adds, 10^9 operations a second (a multiply-add is
     /// two).
     pub fma_gflops: f64,
     /// Bytes that a kernel that copies reads and writes, 10^9 a second.
     pub copy_gb_per_second: f64,
     #[serde(skip)]
-    all: Vec<Yardstick>,
+    all: Vec<Peak>,
 }
 
 /// One case.
@@ -111,9 +111,9 @@ pub struct KernelRow {
     pub share: f64,
     /// Dispatches a step.
     pub dispatches: u64,
-    /// Its time over that in which the yardstick that copies reads and writes a megabyte.
+    /// Its time over that in which the roofline kernel that copies reads and writes a megabyte.
     pub copies: f64,
-    /// Its time over that in which the yardstick of arithmetic makes a million operations.
+    /// Its time over that in which the roofline kernel of arithmetic makes a million operations.
     pub fmas: f64,
 }
 
@@ -147,20 +147,20 @@ impl Report {
             fled: env!("CARGO_PKG_VERSION"),
             machine,
             options: options.clone(),
-            yardsticks: Yardsticks::default(),
+            roofline: Roofline::default(),
             cases: Vec::new(),
             job: None,
             peak_resident_bytes: None,
         }
     }
 
-    /// Relates every kernel to the yardsticks, and notes the process's memory.
+    /// Relates every kernel to the roofline, and notes the process's memory.
     pub(super) fn relate(&mut self) {
-        let yardsticks = &self.yardsticks;
+        let roofline = &self.roofline;
         for row in self.cases.iter_mut().flat_map(|case| &mut case.kernels) {
             // 10^9 a second are a million in a millisecond.
-            row.copies = row.milliseconds * yardsticks.copy_gb_per_second;
-            row.fmas = row.milliseconds * yardsticks.fma_gflops;
+            row.copies = row.milliseconds * roofline.copy_gb_per_second;
+            row.fmas = row.milliseconds * roofline.fma_gflops;
         }
         self.peak_resident_bytes = peak_resident();
     }
@@ -181,8 +181,8 @@ impl Machine {
     }
 }
 
-impl Yardsticks {
-    pub(super) fn add(&mut self, found: Yardstick) {
+impl Roofline {
+    pub(super) fn add(&mut self, found: Peak) {
         self.all.push(found);
         self.fma_gflops = median(self.all.iter().map(|one| one.operations / 1e9).collect());
         self.copy_gb_per_second = median(self.all.iter().map(|one| one.bytes / 1e9).collect());

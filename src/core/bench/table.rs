@@ -40,7 +40,7 @@ impl Report {
 }
 
 fn head(report: &Report) -> String {
-    let (machine, yardsticks) = (&report.machine, &report.yardsticks);
+    let (machine, roofline) = (&report.machine, &report.roofline);
     let subgroup = match machine.subgroup {
         Some((least, most)) if least == most => format!("subgroups of {least}"),
         Some((least, most)) => format!("subgroups of {least} to {most}"),
@@ -66,8 +66,8 @@ fn head(report: &Report) -> String {
     line(
         &mut out,
         format_args!(
-            "yardsticks: {:.1} GFLOP/s, {:.2} GB/s\n",
-            yardsticks.fma_gflops, yardsticks.copy_gb_per_second
+            "roofline: {:.1} GFLOP/s, {:.2} GB/s\n",
+            roofline.fma_gflops, roofline.copy_gb_per_second
         ),
     );
     out

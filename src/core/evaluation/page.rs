@@ -114,14 +114,14 @@ fn cells(scores: Option<&Scores>) -> String {
 /// The verdict to read, Markdown: the worst view first.
 pub fn table(evaluation: &Evaluation) -> String {
     let mut text = format!(
-        "{} test views at {} px, {} training views, {} Gaussians, {} needles; cameras {:.2} % \
+        "{} test views at {} px, {} training views, {} Gaussians, {} of them elongated; cameras {:.2} % \
          apart\n\n| view | seen | psnr_cc, registered | as mapped | of what two views see | finer \
          than 3 px | SSIM | LPIPS | moved, px |\n|---|---|---|---|---|---|---|---|---|\n",
         evaluation.views.len(),
         evaluation.size,
         evaluation.training_views,
         evaluation.gaussians,
-        evaluation.needles,
+        evaluation.elongated,
         100.0 * evaluation.camera_error
     );
     for view in worst_first(evaluation) {

@@ -15,9 +15,9 @@ pub struct Evaluation {
     pub camera_error: f64,
     /// Gaussians of the scene.
     pub gaussians: usize,
-    /// Of them needles: the longest axis over ten times the middle one, and seen longer than 5 px
+    /// Of them elongated: the longest axis over ten times the middle one, and seen longer than 5 px
     /// by the nearest training view.
-    pub needles: usize,
+    pub elongated: usize,
     /// Longest side of the pictures compared, px.
     pub size: usize,
     /// The adapter that rendered.

@@ -207,14 +207,14 @@ fn the_lens_is_the_one_that_the_run_found() {
 }
 
 #[test]
-fn needles_are_counted_where_a_view_sees_their_length() {
+fn elongated_gaussians_are_counted_where_a_view_sees_their_length() {
     let mut subject = subject();
-    let before = needles::count(&subject);
+    let before = elongated::count(&subject);
     subject.gaussians.means[0] = [0.0; 3];
     subject.gaussians.opacity_logits[0] = 0.0;
     subject.gaussians.log_scales[0] = [0.2_f32.ln(), 0.01_f32.ln(), 0.01_f32.ln()];
-    assert_eq!(needles::count(&subject), before + 1);
+    assert_eq!(elongated::count(&subject), before + 1);
     // A tenth as long it is 3 px.
     subject.gaussians.log_scales[0] = [0.02_f32.ln(), 0.001_f32.ln(), 0.001_f32.ln()];
-    assert_eq!(needles::count(&subject), before);
+    assert_eq!(elongated::count(&subject), before);
 }

@@ -22,7 +22,8 @@ pub fn explained(
             let row = before.iter().find(|row| row.name == view.name);
             row.and_then(|row| row.is_shaken).unwrap_or(false)
         }
-        None => shaken.is_some_and(|shaken| shaken.verdict() == CaptureShake::Still && shaken.tells(view)),
+        None => shaken
+            .is_some_and(|shaken| shaken.verdict() == CaptureShake::Still && shaken.tells(view)),
     };
     views
         .iter()

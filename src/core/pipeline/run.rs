@@ -67,7 +67,7 @@ impl Handover {
 }
 
 /// What the rounds are made from; late views change it from one to the next.
-struct Ground {
+struct RoundState {
     poses: Poses,
     depends_on: RunDependencies,
     /// L.
@@ -106,9 +106,9 @@ pub fn run(
         options,
         shaken,
     };
-    let mut ground = Ground::new(context, asked, tools, poses, views)?;
-    let on = &ground.depends_on;
-    let (views, brightening) = (&ground.views, &ground.brightening);
+    let mut state = RoundState::new(context, asked, tools, poses, views)?;
+    let on = &state.depends_on;
+    let (views, brightening) = (&state.views, &state.brightening);
     let shaken = shaken::shaken(context, tools, options, views, brightening, on)?;
     report.shaken_views = shaken.as_ref().map(Shaken::count);
     report.capture_shake = shaken.as_ref().map(Shaken::verdict);
@@ -119,8 +119,8 @@ pub fn run(
         shaken: shaken.as_ref(),
     };
     if asked.is_still() {
-        context.plan_rounds(1, ground.views.len());
-        ground = Ground::new(context, asked, tools, ground.poses, ground.views)?;
+        context.plan_rounds(1, state.views.len());
+        state = RoundState::new(context, asked, tools, state.poses, state.views)?;
     }
     let mut before: Option<Handover> = None;
     for index in 0..in_effect.rounds as usize {
@@ -129,7 +129,7 @@ pub fn run(
             index,
             before: before.as_ref(),
         };
-        before = round(context, tools, turn, &mut ground, &mut report)?;
+        before = round(context, tools, turn, &mut state, &mut report)?;
         if before.is_none() {
             break;
         }
@@ -164,7 +164,7 @@ struct Turn<'a> {
     before: Option<&'a Handover>,
 }
 
-/// One round, after the one before it; what it hands to the next, which may stand on other ground.
+/// One round, after the one before it; what it hands to the next, which may have another state.
 #[expect(
     clippy::too_many_lines,
     reason = "a round of Algorithm 1, a call a stage: split it shows less"
@@ -173,13 +173,13 @@ fn round(
     context: &mut Context<'_>,
     tools: &mut Tools<'_>,
     turn: Turn<'_>,
-    ground: &mut Ground,
+    state: &mut RoundState,
     report: &mut Report,
 ) -> Result<Option<Handover>, PipelineError> {
     let (asked, before) = (turn.asked, turn.before);
-    let (poses, views, brightening) = (&ground.poses, &mut ground.views, &ground.brightening);
+    let (poses, views, brightening) = (&state.poses, &mut state.views, &state.brightening);
     let round = &brightening.rounds[turn.index];
-    let on = ground
+    let on = state
         .depends_on
         .round(round.number, before.map(|before| &before.depends_on));
     let brightened = before.map(|before| before.next.enhanced.clone());
@@ -236,14 +236,14 @@ fn round(
         scene: &scene,
         metrics: report.rounds.last().expect("the round was added"),
     };
-    let Some((poses, views)) = join(context, asked, tools, &finished, &on, &ground.depends_on)?
+    let Some((poses, views)) = join(context, asked, tools, &finished, &on, &state.depends_on)?
     else {
         return Ok(next.map(|next| Handover::new(next, scene, on)));
     };
     report::place(report, &poses);
     context.plan_rounds(asked.options.rounds, views.len());
-    *ground = Ground::new(context, asked, tools, poses, views)?;
-    ground.hand_over(context, tools, turn.index, scene, on)
+    *state = RoundState::new(context, asked, tools, poses, views)?;
+    state.hand_over(context, tools, turn.index, scene, on)
 }
 
 /// The poses and views of the next rounds, where this one's scene says that they are others.
@@ -268,7 +268,7 @@ fn join(
     Ok(Some((poses, views)))
 }
 
-impl Ground {
+impl RoundState {
     /// What rounds over these views are made from.
     fn new(
         context: &mut Context<'_>,

@@ -59,8 +59,8 @@ pub struct RowScores {
     pub lpips_squeeze: Option<f64>,
     /// PSNR of what is finer than 3 px, dB.
     pub psnr_fine_db: f64,
-    /// Gaussians that are needles.
-    pub needles: f64,
+    /// Gaussians that are elongated.
+    pub elongated: f64,
     /// Gaussians.
     pub gaussians: f64,
     /// Optimiser steps of all rounds.
@@ -193,7 +193,7 @@ impl RowScores {
             ssim: registered.all.ssim,
             lpips_squeeze: registered.all.lpips_squeeze,
             psnr_fine_db: registered.all.psnr_fine_db,
-            needles: evaluation.needles as f64,
+            elongated: evaluation.elongated as f64,
             gaussians: evaluation.gaussians as f64,
             steps: judged.steps as f64,
             training_seconds: judged.training_seconds,
@@ -214,7 +214,7 @@ impl RowScores {
             ssim: always(|of| of.ssim)?,
             lpips_squeeze: where_there(|of| of.lpips_squeeze),
             psnr_fine_db: always(|of| of.psnr_fine_db)?,
-            needles: always(|of| of.needles)?,
+            elongated: always(|of| of.elongated)?,
             gaussians: always(|of| of.gaussians)?,
             steps: always(|of| of.steps)?,
             training_seconds: always(|of| of.training_seconds)?,

@@ -34,7 +34,7 @@ pub fn evaluation(views: &[(&str, f64)]) -> Evaluation {
         tied_views: 12,
         camera_error: 0.01,
         gaussians: 900,
-        needles: 7,
+        elongated: 7,
         size: 128,
         adapter: "none".to_owned(),
         lpips_network: None,

@@ -8,11 +8,11 @@ use std::path::{Path, PathBuf};
 use serde_json::{Value, json};
 
 use super::made_up::evaluation;
-use crate::evaluation::suite::carry_out::{Hands, carry_out};
 use crate::evaluation::suite::error::SuiteError;
 use crate::evaluation::suite::file::Suite;
-use crate::evaluation::suite::laboratory::Laboratory;
 use crate::evaluation::suite::records::Records;
+use crate::evaluation::suite::runner::{Hands, run};
+use crate::evaluation::suite::setup::Setup;
 use crate::evaluation::suite::summary::Summary;
 
 /// A folder with a program, captures and a suite, and who pretends to run them.
@@ -104,9 +104,9 @@ impl Pretended {
             let suite = Suite::read(&path)?;
             let program = self.top().join("program");
             let (machine, models) = (self.machine.clone(), self.models.clone());
-            let laboratory = Laboratory::open(&program, machine, models)?;
+            let setup = Setup::open(&program, machine, models)?;
             let records = Records::new(self.top().join("out"));
-            let runs = carry_out(&suite, &laboratory, &records, hands)?;
+            let runs = run(&suite, &setup, &records, hands)?;
             Ok(Summary::new(&suite, runs))
         })();
         (outcome, said)

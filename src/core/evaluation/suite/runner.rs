@@ -11,9 +11,9 @@ use serde::de::DeserializeOwned;
 use super::content::checksum;
 use super::error::SuiteError;
 use super::file::{CaptureEntry, Configuration, Suite};
-use super::laboratory::{EvaluationOrder, Laboratory, RunFacts, RunOrder};
 use super::outcome::{Judged, Outcome, SuiteRun, steps, training_seconds};
 use super::records::{Kind, Records};
+use super::setup::{EvaluationOrder, RunFacts, RunOrder, Setup};
 use crate::evaluation::report::Evaluation;
 use crate::metrics::Report;
 use crate::run_folder::RunFolder;
@@ -40,15 +40,15 @@ pub struct Hands<'a> {
 ///
 /// # Errors
 /// [`SuiteError`], before the first run where anything can be known by then.
-pub fn carry_out(
+pub fn run(
     suite: &Suite,
-    laboratory: &Laboratory,
+    setup: &Setup,
     records: &Records,
     hands: Option<Hands<'_>>,
 ) -> Result<Vec<SuiteRun>, SuiteError> {
     let mut carrier = Carrier {
         suite,
-        laboratory,
+        setup,
         records,
         hands,
         made: BTreeMap::new(),
@@ -110,7 +110,7 @@ struct Made {
 
 struct Carrier<'a, 'h> {
     suite: &'a Suite,
-    laboratory: &'a Laboratory,
+    setup: &'a Setup,
     records: &'a Records,
     hands: Option<Hands<'h>>,
     made: BTreeMap<(String, String, u64), Made>,
@@ -140,11 +140,11 @@ impl Carrier<'_, '_> {
                     configuration,
                     seed: 0,
                 };
-                let order = Laboratory::order(self.suite, capture, configuration, (0, None))?;
-                self.laboratory.run_facts(&order, &place.title())?;
+                let order = Setup::order(self.suite, capture, configuration, (0, None))?;
+                self.setup.run_facts(&order, &place.title())?;
             }
             let order = self.evaluation_order(capture);
-            self.laboratory.evaluation_facts(&order, ("", None))?;
+            self.setup.evaluation_facts(&order, ("", None))?;
         }
         Ok(())
     }
@@ -156,8 +156,8 @@ impl Carrier<'_, '_> {
             return Ok(self.lacking("the runs are not there from which its steps follow"));
         };
         let (capture, of) = (place.capture, place.configuration);
-        let order = Laboratory::order(self.suite, capture, of, (place.seed, steps))?;
-        let facts = self.laboratory.run_facts(&order, &place.title())?;
+        let order = Setup::order(self.suite, capture, of, (place.seed, steps))?;
+        let facts = self.setup.run_facts(&order, &place.title())?;
         let name = Records::name(&facts);
         let report = match self.run(place, &order, &facts)? {
             Some(Outcome::Finished(report)) => report,
@@ -200,8 +200,8 @@ impl Carrier<'_, '_> {
         };
         let rate = steps(&rate.report) as f64 / training_seconds(&rate.report);
         let (capture, configuration) = (place.capture, place.configuration);
-        let order = Laboratory::order(self.suite, capture, configuration, (place.seed, None))?;
-        let facts = self.laboratory.run_facts(&order, &place.title())?;
+        let order = Setup::order(self.suite, capture, configuration, (place.seed, None))?;
+        let facts = self.setup.run_facts(&order, &place.title())?;
         let a_round = training_seconds(&time.report) * rate / f64::from(facts.options.rounds);
         let rounded = (a_round / STEPS_ROUNDED_TO).round() * STEPS_ROUNDED_TO;
         Ok(Some(Some(rounded.max(STEPS_ROUNDED_TO) as u64)))
@@ -216,14 +216,14 @@ impl Carrier<'_, '_> {
         let folder = self.records.folder(Kind::Run, &Records::name(facts));
         let poses = facts.poses.clone();
         let poses = poses.unwrap_or_else(|| self.records.poses(&facts.program));
-        let laboratory = self.laboratory;
+        let setup = self.setup;
         let task = Task {
             kind: Kind::Run,
             title: place.title(),
             words: order.words(&folder, &poses),
             result: RunFolder::new(&folder).metrics(),
             folder: folder.clone(),
-            changed: &|| laboratory.changed(facts, order),
+            changed: &|| setup.changed(facts, order),
         };
         let outcome = self.done(&task, facts)?;
         if let (Some(Outcome::Finished(_)), Some(_)) = (&outcome, &self.hands) {
@@ -258,7 +258,7 @@ impl Carrier<'_, '_> {
             adapter: of.options.adapter.clone(),
             ..self.evaluation_order(place.capture)
         };
-        let facts = self.laboratory.evaluation_facts(&order, (run, seen_from))?;
+        let facts = self.setup.evaluation_facts(&order, (run, seen_from))?;
         let folder = self
             .records
             .folder(Kind::Evaluation, &Records::name(&facts));

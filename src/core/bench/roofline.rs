@@ -28,24 +28,24 @@ const REPEATS: usize = 7;
 
 /// Operations and bytes a second.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Yardstick {
+pub(super) struct Peak {
     /// Operations a second; a fused multiply-add is two.
     pub(super) operations: f64,
     /// Bytes read and written a second.
     pub(super) bytes: f64,
 }
 
-/// `YardstickUniform` of shaders/bench.
+/// `RooflineUniform` of shaders/bench.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Pod, Zeroable)]
-struct YardstickUniform {
+struct RooflineUniform {
     count: u32,
     rounds: u32,
     factor: f32,
     offset: f32,
 }
 
-impl YardstickUniform {
+impl RooflineUniform {
     fn new(count: usize, rounds: u32) -> Self {
         // Chains run towards 500: neither overflow nor numbers that are slow for being small.
         Self {
@@ -57,19 +57,19 @@ impl YardstickUniform {
     }
 }
 
-pub(super) fn measure(gpu: &Gpu) -> Result<Yardstick, GpuError> {
-    Ok(Yardstick {
+pub(super) fn measure(gpu: &Gpu) -> Result<Peak, GpuError> {
+    Ok(Peak {
         operations: arithmetic(gpu)?,
         bytes: bandwidth(gpu)?,
     })
 }
 
 fn arithmetic(gpu: &Gpu) -> Result<f64, GpuError> {
-    let sums: Buffer<[f32; 4]> = gpu.create("yardstick", INVOCATIONS)?;
+    let sums: Buffer<[f32; 4]> = gpu.create("roofline", INVOCATIONS)?;
     let mut rounds = 16;
     let size = gpu.upload(
-        "yardstick size",
-        &[YardstickUniform::new(INVOCATIONS, rounds)],
+        "roofline size",
+        &[RooflineUniform::new(INVOCATIONS, rounds)],
     )?;
     let mut recorder = gpu.recorder();
     recorder.dispatch_items(&FMA, &[&size, &sums], INVOCATIONS)?;
@@ -77,7 +77,7 @@ fn arithmetic(gpu: &Gpu) -> Result<f64, GpuError> {
     seconds(gpu, &recording)?;
     while rounds < MOST_ROUNDS && seconds(gpu, &recording)? < LONG_ENOUGH {
         rounds *= 2;
-        size.write(&[YardstickUniform::new(INVOCATIONS, rounds)])?;
+        size.write(&[RooflineUniform::new(INVOCATIONS, rounds)])?;
     }
     let operations = 2 * 4 * FMAS * u64::from(rounds) * INVOCATIONS as u64;
     Ok(operations as f64 / typical(gpu, &recording)?)
@@ -85,9 +85,9 @@ fn arithmetic(gpu: &Gpu) -> Result<f64, GpuError> {
 
 fn bandwidth(gpu: &Gpu) -> Result<f64, GpuError> {
     let count = (COPIED.min(gpu.describe().max_binding) / 16) as usize;
-    let source: Buffer<[f32; 4]> = gpu.create("yardstick source", count)?;
-    let copied: Buffer<[f32; 4]> = gpu.create("yardstick copy", count)?;
-    let size = gpu.upload("yardstick size", &[YardstickUniform::new(count, 0)])?;
+    let source: Buffer<[f32; 4]> = gpu.create("roofline source", count)?;
+    let copied: Buffer<[f32; 4]> = gpu.create("roofline copy", count)?;
+    let size = gpu.upload("roofline size", &[RooflineUniform::new(count, 0)])?;
     let mut recorder = gpu.recorder();
     recorder.dispatch_items(&COPY, &[&size, &source, &copied], count)?;
     let recording = recorder.finish();
@@ -126,13 +126,13 @@ mod tests {
     }
 
     #[test]
-    fn the_yardsticks_have_the_layout_and_the_length_of_their_shaders() {
+    fn the_uniform_has_the_layout_of_the_shaders() {
         let (_, fma) = FMA.reflect().expect("valid");
         let (_, copy) = COPY.reflect().expect("valid");
         assert_eq!(fma.constant("FMAS"), Some(FMAS as f64));
         for found in [fma, copy] {
-            let size = found.structure("YardstickUniform").expect("declared").size as usize;
-            assert_eq!(size, size_of::<YardstickUniform>());
+            let size = found.structure("RooflineUniform").expect("declared").size as usize;
+            assert_eq!(size, size_of::<RooflineUniform>());
         }
     }
 
@@ -150,7 +150,7 @@ mod tests {
             .expect("uploaded");
         let copied: Buffer<[f32; 4]> = gpu.create("copied", 5).expect("created");
         let size = gpu
-            .upload("size", &[YardstickUniform::new(4, 0)])
+            .upload("size", &[RooflineUniform::new(4, 0)])
             .expect("uploaded");
         let mut recorder = gpu.recorder();
         recorder

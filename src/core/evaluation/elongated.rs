@@ -12,11 +12,11 @@ const LEAST_PX: f64 = 5.0;
 /// Fainter ones are not seen.
 const LEAST_OPACITY: f32 = 0.05;
 
-/// Needles of a scene.
+/// Elongated Gaussians of a scene.
 pub(super) fn count(subject: &Subject) -> usize {
     let scene = &subject.gaussians;
     let cameras: Vec<Camera> = subject.training().map(|(_, camera)| camera).collect();
-    let is_needle = |&i: &usize| {
+    let is_elongated = |&i: &usize| {
         let mut axes = scene.log_scales[i];
         axes.sort_by(f32::total_cmp);
         let opacity = 1.0 / (1.0 + (-scene.opacity_logits[i]).exp());
@@ -29,7 +29,7 @@ pub(super) fn count(subject: &Subject) -> usize {
         let finest = seen.fold(f64::INFINITY, f64::min);
         length / finest >= LEAST_PX
     };
-    (0..scene.len()).filter(is_needle).count()
+    (0..scene.len()).filter(is_elongated).count()
 }
 
 /// World units a pixel at a point that a camera's picture shows.

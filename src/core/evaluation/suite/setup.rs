@@ -125,7 +125,7 @@ impl EvaluationOrder {
 
 /// A build of the program on a machine.
 #[derive(Debug)]
-pub struct Laboratory {
+pub struct Setup {
     program: PathBuf,
     /// Hash of the program when it was opened.
     pub checksum: String,
@@ -137,7 +137,7 @@ pub struct Laboratory {
     known: RefCell<BTreeMap<PathBuf, String>>,
 }
 
-impl Laboratory {
+impl Setup {
     /// The build at `program`; `machine` is what it says of what computes, and `models` are the
     /// folders of its networks.
     ///
