@@ -1,7 +1,7 @@
 """PSNR and SSIM tables of ONNX deblurring networks, on held-out photographs and on captures with ground truth.
 
     python evaluate.py ../models/small-u2w16.onnx other.onnx --captures DIR --crops crops
-    python evaluate.py ../models/*.onnx --gates                  # fails when a network is not good enough to be shipped
+    python evaluate.py ../models/small-u2w16.onnx --gates        # fails when a network is not good enough to be shipped
     python evaluate.py ../models/small-u2w16.onnx --told         # beside a filter that is told the shake
 """
 

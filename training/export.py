@@ -1,6 +1,6 @@
-"""Write a checkpoint as ONNX with its golden output, check it against PyTorch, and enter its checksum in the manifest.
+"""Write a checkpoint as ONNX with its golden output, and check it against PyTorch.
 
-    python export.py run/small-u2w16/checkpoint.pt ../models/small-u2w16.onnx --manifest ../models/manifest.json
+    python export.py run/small-u2w16/checkpoint.pt ../models/small-u2w16.onnx
 """
 
 import argparse
@@ -12,8 +12,8 @@ import onnxruntime
 import torch
 from onnx import numpy_helper
 
-import manifest
 import onnx_graph
+import self_test
 from network import EPSILON, Network, grown
 
 TOLERANCE = 1e-5
@@ -130,7 +130,7 @@ def largest_difference(model, network):
 
 def golden(network):
     """What the network makes of the self-test's images, as the file's content."""
-    pair = torch.from_numpy(manifest.self_test_images())[None]
+    pair = torch.from_numpy(self_test.images())[None]
     with torch.no_grad():
         return network(pair)[0].numpy().astype("<f4").tobytes()
 
@@ -141,7 +141,6 @@ def main():
     parser.add_argument("output", type=Path)
     parser.add_argument("--raw", action="store_true", help="the raw weights instead of their moving average")
     parser.add_argument("--mix", nargs=2, metavar=("CHECKPOINT", "SHARE"), help="an ancestor (its average, or an exported file), and its share of the mean")
-    parser.add_argument("--manifest", type=Path)
     options = parser.parse_args()
     torch.set_num_threads(1)
     network, state = load(options.checkpoint, options.raw)
@@ -156,8 +155,6 @@ def main():
         raise SystemExit("the exported network differs from the trained one")
     options.output.write_bytes(model.SerializeToString())
     options.output.with_suffix(".golden").write_bytes(golden(network))
-    if options.manifest:
-        manifest.enter(options.manifest, options.output)
 
 
 if __name__ == "__main__":

@@ -4,8 +4,6 @@ Folded: the layer norm carries no affine part, the gate is two branches, and the
 their last convolutions. What is trained is exactly what is exported.
 """
 
-import zlib
-
 import torch
 import torch.nn.functional as F
 from torch import nn
@@ -104,10 +102,9 @@ class Network(nn.Module):
 
 
 def grown(network, state):
-    """The state with which `network` does what a network of fewer blocks, smaller kernels or a part of the width did with `state`.
+    """The state with which `network` does what a network of fewer blocks or smaller kernels did with `state`.
 
-    Kernels get a rim of zeros; what a new block or the gist adds begins as zero; channels are copied. Raises ValueError for
-    a width that is no multiple of the old one.
+    Kernels get a rim of zeros; what a new block or the gist adds begins as zero. Raises ValueError for another width.
     """
     grown = {}
     for name, fresh in network.state_dict().items():
@@ -118,29 +115,12 @@ def grown(network, state):
             continue
         if old.dim() == 4 and (rim := (fresh.shape[-1] - old.shape[-1]) // 2) > 0:
             old = F.pad(old, (rim,) * 4)
-        grown[name] = old if old.shape == fresh.shape else widened(old, fresh.shape, name)
+        if old.shape != fresh.shape:
+            raise ValueError(f"{name} is {list(old.shape)}, here {list(fresh.shape)}")
+        grown[name] = old
     if lost := state.keys() - grown.keys():
         raise ValueError(f"there is no place for {sorted(lost)[0]}")
     return grown
-
-
-# How far the weights of a channel's copies lie apart, in parts of their layer's root mean square: alike they would stay alike.
-APART = 0.5
-
-
-def widened(old, shape, name):
-    """Weights of `shape` for copies of all channels, in and out, that together do what `old` did (Chen et al., Net2Net, 2016)."""
-    copies = [wide // narrow for wide, narrow in zip(shape, old.shape)]
-    if [count * narrow for count, narrow in zip(copies, old.shape)] != list(shape) or any(count > 1 for count in copies[2:]):
-        raise ValueError(f"{name} is {list(old.shape)}, here {list(shape)}")
-    wide = old.repeat(*copies)
-    if old.dim() < 2 or copies[1] == 1:
-        return wide
-    # The inputs' copies are alike, so only the sum of their weights counts. Drawn by the name: the ancestor of a trained
-    # network can be made again (export.py --mix).
-    drawn = torch.randn(shape, generator=torch.Generator().manual_seed(zlib.crc32(name.encode())))
-    apart = APART * old.square().mean().sqrt() * drawn.unflatten(1, (copies[1], old.shape[1]))
-    return (wide.unflatten(1, (copies[1], old.shape[1])) / copies[1] + apart - apart.mean(1, keepdim=True)).flatten(1, 2)
 
 
 # Errors below these (37 dB) are good enough: what is nearly clean already must not outweigh what is blurred.

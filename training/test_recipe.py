@@ -2,7 +2,6 @@
 
 import importlib.util
 import json
-import tempfile
 import unittest
 from pathlib import Path
 
@@ -10,7 +9,7 @@ import numpy as np
 
 import degrade
 import lens
-import manifest
+import self_test
 import tone_curve
 
 
@@ -127,23 +126,14 @@ class Lens(unittest.TestCase):
             lens.undistorted(ramps, dict(bent, distortion=dict(model="fisheye", radial=[0.1, 0, 0, 0])), bent["intrinsics"])
 
 
-class Manifest(unittest.TestCase):
+class SelfTest(unittest.TestCase):
     def test_the_images_of_the_self_test_are_the_products(self):
-        images = manifest.self_test_images()
-        self.assertEqual(images.shape, (6, manifest.SIDE, manifest.SIDE))
+        images = self_test.images()
+        self.assertEqual(images.shape, (6, self_test.SIDE, self_test.SIDE))
         # As golden.rs has them: column 5 and row 20 lie in different squares, 5 and 3 in one.
         np.testing.assert_allclose(images[:3, 20, 5], [0.2 + 2.5 / 64, 0.2 + 10 / 64, 0.7 - 0.5 * 100 / 4096], atol=1e-6)
         np.testing.assert_allclose(images[:3, 3, 5], [0.4 + 2.5 / 64, 0.4 + 1.5 / 64, 0.7 - 0.5 * 15 / 4096], atol=1e-6)
         np.testing.assert_allclose(images[3:, 5, 20], images[:3, 20, 5], atol=1e-7)
-
-    def test_the_manifest_gets_size_and_checksum(self):
-        with tempfile.TemporaryDirectory() as folder:
-            model, listing = Path(folder) / "a.onnx", Path(folder) / "manifest.json"
-            model.write_bytes(b"abc")
-            listing.write_text('{"models": [{"file": "a.onnx", "sha256": null, "bytes": null, "id": 1}]}')
-            manifest.enter(listing, model)
-            self.assertIn('"bytes": 3,', listing.read_text())
-            self.assertIn("ba7816bf", listing.read_text())
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """Train the guided deblurring network within a time budget.
 
     python train.py --minutes 240 --run run/small-u2w16
-    python train.py --device cuda --width 32 --middle 3 --batch 16 --workers 15 --minutes 20 --piece 9 --run run/medium-u2w32
+    python train.py --device cuda --batch 16 --workers 15 --minutes 20 --piece 9 --run run/small-u2w16
 
 Started again with the same --run it goes on from the last checkpoint. On a CPU the budget is of the learning process's
 own CPU time, so that other work on the machine changes when it ends more than how far it comes; on a GPU it is of the clock.
@@ -48,13 +48,12 @@ def arguments():
     parser.add_argument("--minutes", type=float, default=240, help="budget over all restarts")
     parser.add_argument("--piece", type=float, help="stop after so many minutes by the clock, to be started again")
     parser.add_argument("--device", default="cpu", help="cpu or cuda")
-    parser.add_argument("--start", type=Path, help="begin with the weights of this checkpoint (its average) or exported ONNX file, also of one with fewer blocks, smaller kernels or a part of the width")
+    parser.add_argument("--start", type=Path, help="begin with the weights of this checkpoint (its average) or exported ONNX file, also of one with fewer blocks or smaller kernels")
     parser.add_argument("--renders", type=Path, help="folder made by renders.py: guides that are real renders")
     parser.add_argument("--batch", type=int, default=2, help="patches of 256 px a step")
     parser.add_argument("--rate", type=float, default=1.5e-3, help="peak learning rate")
     parser.add_argument("--muon", action="store_true", help="Muon for the matrices: a step costs a seventh more at width 16, half as much again at 32")
     parser.add_argument("--width", type=int, default=16)
-    parser.add_argument("--middle", type=int, default=2)
     parser.add_argument("--frequency", type=float, default=0.1, help="weight of the spectra in the loss")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--workers", type=int, default=1, help="processes that make patches")
@@ -80,7 +79,7 @@ class Trainer:
         self.options = options
         torch.manual_seed(options.seed)
         self.path = options.run / "checkpoint.pt"
-        network = Network(options.width, middle=options.middle)
+        network = Network(options.width)
         if options.start and not self.path.exists():
             # Only here: a machine that continues its own run needs no ONNX.
             from export import weights

@@ -5,21 +5,20 @@
 
 mod choice;
 mod error;
-pub mod golden;
-pub mod manifest;
+mod golden;
+mod model;
 mod onnx;
 mod open;
-mod overlay;
 mod tiling;
 
 pub use choice::NetworkChoice;
 pub use error::DeblurError;
-pub use golden::Golden;
+pub use model::{BUILT_IN, Model, network_names};
 pub use onnx::Onnx;
 pub use open::{OpenOptions, Opened, open, open_enhancer};
-pub use overlay::install;
 
 use crate::image::Image;
+use golden::Golden;
 
 /// Makes one image of another: removes blur and noise from a view, or brightens it.
 pub trait Restorer: Send {
@@ -46,7 +45,7 @@ pub trait Restorer: Send {
 /// The facts of a deblurrer.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RestorerInfo {
-    /// Manifest id, file name, or `identity`.
+    /// [`BUILT_IN`], a file name, or `identity`.
     pub id: String,
     /// Of the model file, lower-case hexadecimal; empty without a file.
     pub sha256: String,

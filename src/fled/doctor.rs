@@ -6,7 +6,6 @@ use std::path::PathBuf;
 use std::process::Command;
 
 use fled_core::colmap::ColmapCli;
-use fled_core::deblur::manifest::{Manifest, Place};
 use fled_core::deblur::{self, DeblurError, NetworkChoice};
 use fled_core::features::weights::Package;
 use fled_core::inference::runtime;
@@ -15,7 +14,6 @@ use fled_gpu::Gpu;
 use serde::Serialize;
 
 use crate::failure::Failure;
-use crate::models::package_state;
 use crate::tools;
 
 /// Free space below which a run of 60 photographs may not finish, bytes.
@@ -111,7 +109,6 @@ fn checks(args: &Args) -> Vec<Check> {
     let open = deblur::OpenOptions {
         runtime: args.tools.onnxruntime.as_deref(),
         search: &search,
-        models: &args.tools.models.folders(),
         ..deblur::OpenOptions::default()
     };
     let model = models(&open);
@@ -132,11 +129,7 @@ fn checks(args: &Args) -> Vec<Check> {
             runtime,
             "make onnxruntime, or set ORT_DYLIB_PATH",
         ),
-        Check::new(
-            "models",
-            model,
-            "Set ORT_DYLIB_PATH; `fled models verify` says more about a network",
-        ),
+        Check::new("models", model, "Set ORT_DYLIB_PATH"),
         Check::new("matcher", Ok::<_, Infallible>(matcher(args)), ""),
         Check::new("ffmpeg", Ok::<_, Infallible>(ffmpeg(args)), ""),
         Check::new("disk", disk(args), "Free some space: a run may need 2 GiB"),
@@ -146,8 +139,8 @@ fn checks(args: &Args) -> Vec<Check> {
 /// The weights that find and match key points. A machine without them is no faulty one: COLMAP has
 /// key points of its own.
 fn matcher(args: &Args) -> String {
-    let package = Package::embedded();
-    package_state(&package, &args.tools.matcher_folders()).unwrap_or_else(|error| {
+    let state = Package::embedded().state(&args.tools.matcher_folders());
+    state.unwrap_or_else(|error| {
         format!("none, poses are found by COLMAP's own key points: {error}")
     })
 }
@@ -164,22 +157,13 @@ fn ffmpeg(args: &Args) -> String {
     })
 }
 
-/// The default network, opened, and whether the files of the user's own are what they were: no job
-/// need choose them, so they are told and no fault of the machine.
+/// The default network, opened.
 fn models(open: &deblur::OpenOptions<'_>) -> Result<String, DeblurError> {
     let opened = deblur::open(&NetworkChoice::Default, open)?;
     let info = opened.deblurrer.describe();
     let mut found = format!("{} on {}, sha256 {}", info.id, info.provider, info.sha256);
     for fallback in opened.fallbacks {
         found = format!("{found}; {fallback}");
-    }
-    for entry in Manifest::known(open.models)?.models {
-        if let Place::File(_) = entry.place(open.models) {
-            let state = entry
-                .load(open.models)
-                .map_or_else(|e| format!("DAMAGED: {e}"), |_| "here".to_owned());
-            found = format!("{found}; {} {state}", entry.id);
-        }
     }
     Ok(found)
 }

@@ -84,7 +84,7 @@ enum Command {
     Bench(bench::Args),
     /// Judges a finished run by sharp photographs that it did not train on.
     Eval(Box<eval::Args>),
-    /// Lists, checks, adds and fetches deblurring networks.
+    /// Lists the deblurring networks and checks them.
     Models(models::Args),
     /// Says what this machine has and lacks, and what to do about it.
     Doctor(doctor::Args),

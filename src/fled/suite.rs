@@ -135,7 +135,6 @@ impl From<SuiteError> for Failure {
         match error {
             SuiteError::Wrong(_) | SuiteError::Options { .. } => Self::usage(error),
             SuiteError::Io { error: ref why, .. } if why.kind() == NotFound => Self::usage(error),
-            SuiteError::Network(error) => PipelineError::from(error).into(),
             SuiteError::Cancelled(error) => PipelineError::from(error).into(),
             SuiteError::Io { .. } | SuiteError::Record { .. } | SuiteError::Changed { .. } => {
                 Self::new(ErrorKind::Io, error)

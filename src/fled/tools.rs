@@ -71,30 +71,17 @@ impl Ffmpeg {
 /// Where networks that are not built in lie.
 #[derive(clap::Args, Clone, Debug)]
 pub struct ModelFolder {
-    /// Folder of networks that are not built in; default: fled/models in the user's data directory.
-    #[arg(
-        long = "models",
-        global = true,
-        value_name = "DIR",
-        env = "FLED_MODELS"
-    )]
+    /// Folder of ONNX files that are networks by their names; default: fled/models in the user's
+    /// data directory.
+    #[arg(long = "models", value_name = "DIR", env = "FLED_MODELS")]
     folder: Option<PathBuf>,
 }
 
 impl ModelFolder {
-    /// Folders that hold files of known networks.
+    /// Folders that hold networks.
     pub fn folders(&self) -> Vec<PathBuf> {
         let own = || data_home().map(|home| home.join("fled/models"));
         self.folder.clone().or_else(own).into_iter().collect()
-    }
-
-    /// The folder into which networks go.
-    ///
-    /// # Errors
-    /// [`Failure`] without a home directory.
-    pub fn first(&self) -> Result<PathBuf, Failure> {
-        let none = || Failure::usage("there is no home directory: name a folder with --models DIR");
-        self.folders().into_iter().next().ok_or_else(none)
     }
 }
 

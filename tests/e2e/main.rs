@@ -1,7 +1,6 @@
 //! The whole product through its binary: captures made here, real stages, real processes.
 
 mod command_line;
-mod downloads;
 mod handed_on;
 mod job;
 mod kills;

@@ -113,17 +113,6 @@ pub fn network(name: &str) -> PathBuf {
         .join(format!("{name}.onnx"))
 }
 
-/// `fled models`, with the networks in `folder`.
-pub fn models(folder: &Path, arguments: &[&str]) -> Output {
-    let mut command = fled();
-    command
-        .arg("models")
-        .args(arguments)
-        .arg("--models")
-        .arg(folder);
-    command.output().expect("the binary starts")
-}
-
 /// The exit status.
 pub fn code(output: &Output) -> i32 {
     output.status.code().expect("not killed")

@@ -48,11 +48,12 @@ def main():
     weights = [("most", np.array(0.75, np.float32)), ("rest", np.array(0.25, np.float32))]
     save("mix6", parts, slices + weights, channels=6)
 
-    # Refuses sides that are no multiple of 16.
-    save("blocks16", [
-        node("SpaceToDepth", ["view"], "blocks", blocksize=16),
-        node("DepthToSpace", ["blocks"], blocksize=16, mode="DCR"),
-    ])
+    # Refuse sides that are no multiple of their number.
+    for side in (16, 32):
+        save(f"blocks{side}", [
+            node("SpaceToDepth", ["view"], "blocks", blocksize=side),
+            node("DepthToSpace", ["blocks"], blocksize=side, mode="DCR"),
+        ])
 
     # A mean over 3x3 pixels with zeros outside: dark at the edges of what it is given.
     box = np.zeros((3, 3, 3, 3), np.float32)

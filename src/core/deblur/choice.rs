@@ -4,27 +4,24 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
-/// The manifest's default network.
+/// The built-in network.
 pub(super) const DEFAULT: &str = "default";
 /// No network: a view is returned as it is.
 pub(super) const IDENTITY: &str = "identity";
 const CURVE: &str = "curve";
-
-/// The words that are no network's name.
-pub(super) const RESERVED: [&str; 3] = [DEFAULT, IDENTITY, CURVE];
 
 /// The value of the options `deblur` and `enhance`; which of the words each of them takes is the
 /// options' to say. Written and read as one string.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(from = "String", into = "String")]
 pub enum NetworkChoice {
-    /// The network that the manifest calls the default.
+    /// The built-in network.
     Default,
     /// None: views stay as they are.
     Identity,
     /// None: the tone curve brightens.
     Curve,
-    /// A manifest's id, or the path of an ONNX file.
+    /// The built-in network's id, or the name or path of an ONNX file.
     Named(String),
 }
 
@@ -77,13 +74,14 @@ mod tests {
 
     #[test]
     fn every_choice_is_written_as_it_is_read() {
-        for text in RESERVED.into_iter().chain(["small-u2w16", "a/b.onnx", ""]) {
+        const WORDS: [&str; 3] = [DEFAULT, IDENTITY, CURVE];
+        for text in WORDS.into_iter().chain(["small-u2w16", "a/b.onnx", ""]) {
             let choice = NetworkChoice::from(text.to_owned());
             assert_eq!(choice.as_str(), text);
             assert_eq!(String::from(choice.clone()), text);
             assert_eq!(
                 matches!(choice, NetworkChoice::Named(_)),
-                !RESERVED.contains(&text)
+                !WORDS.contains(&text)
             );
         }
     }

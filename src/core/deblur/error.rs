@@ -10,29 +10,13 @@ pub enum DeblurError {
     /// There is no ONNX Runtime.
     #[error(transparent)]
     Runtime(#[from] RuntimeError),
-    /// Neither a manifest id nor a file.
+    /// Neither the built-in network nor a file.
     #[error("`{choice}` is no ONNX file and no known network; known are {known}")]
     UnknownModel {
         /// What was asked for.
         choice: String,
-        /// Manifest ids, separated by commas.
+        /// Names of networks, separated by commas.
         known: String,
-    },
-    /// The manifest knows the network, but its file is not here.
-    #[error("the file of network {id} was not found. {advice}")]
-    ModelFileMissing {
-        /// Manifest id.
-        id: String,
-        /// Where to get it and where to put it.
-        advice: String,
-    },
-    /// The user's list of networks is damaged.
-    #[error("{}: {detail}; mend it, or remove it", path.display())]
-    ManifestUnreadable {
-        /// The overlay.
-        path: PathBuf,
-        /// What is wrong with it.
-        detail: String,
     },
     /// The file could not be read.
     #[error("cannot read the network {}: {source}", path.display())]
@@ -42,30 +26,10 @@ pub enum DeblurError {
         /// Why.
         source: std::io::Error,
     },
-    /// The file or the list could not be written.
-    #[error("cannot keep the network at {}: {source}", path.display())]
-    ModelNotKept {
-        /// Where it should have gone.
-        path: PathBuf,
-        /// Why.
-        source: std::io::Error,
-    },
-    /// The file is not the one that the manifest names.
-    #[error(
-        "network {id} is damaged or another file: sha256 is {actual}, the manifest says {expected}"
-    )]
-    ModelChecksum {
-        /// Manifest id.
-        id: String,
-        /// From the manifest.
-        expected: String,
-        /// Of the file.
-        actual: String,
-    },
     /// ONNX Runtime refuses the file, or its inputs and outputs are not ours.
     #[error("network {id} cannot be used: {detail}")]
     ModelUnusable {
-        /// Manifest id or file name.
+        /// The built-in network's id, or a file name.
         id: String,
         /// What is wrong with it.
         detail: String,
@@ -73,7 +37,7 @@ pub enum DeblurError {
     /// The network loads but does not compute what it should on this machine.
     #[error("network {id} failed its self-test: {detail}")]
     SelfTest {
-        /// Manifest id or file name.
+        /// The built-in network's id, or a file name.
         id: String,
         /// What was seen.
         detail: String,
@@ -89,7 +53,7 @@ pub enum DeblurError {
     /// Running the network failed.
     #[error("network {id} failed on {width}x{height} px: {detail}")]
     Inference {
-        /// Manifest id or file name.
+        /// The built-in network's id, or a file name.
         id: String,
         /// Of the tile, px.
         width: usize,

@@ -8,11 +8,14 @@ use ort::value::TensorRef;
 use form::Form;
 
 use crate::deblur::golden::{self, Golden};
-use crate::deblur::manifest::Model;
-use crate::deblur::tiling::{self, Join, Tile};
+use crate::deblur::model::Model;
+use crate::deblur::tiling::{self, Join, TILE, Tile};
 use crate::deblur::{DeblurError, Restorer, RestorerInfo, same_size};
 use crate::image::Image;
 use crate::inference::{Graph, Provider, Runtime, session};
+
+/// Both sides of what a network is fed are a multiple of this, px.
+const MULTIPLE: usize = 16;
 
 /// A deblurring network with three or six input channels and images of any size.
 pub struct Onnx {
@@ -30,7 +33,9 @@ impl Onnx {
     /// for all of the network. `threads` is how many work on one view; 0 leaves it to the library.
     ///
     /// # Errors
-    /// As [`Onnx::load_on`] of the CPU.
+    /// [`DeblurError::ModelUnusable`] when the library or the provider refuses the file or its
+    /// input and output are not images of dynamic size, [`DeblurError::SelfTest`] when its values
+    /// are not those that it is known to return or make no sense.
     pub fn load(
         runtime: &Runtime,
         model: &Model,
@@ -50,10 +55,7 @@ impl Onnx {
 
     /// Loads a network on CUDA, whose library has to be there. The second value says when a part of
     /// it is left to the CPU.
-    ///
-    /// # Errors
-    /// As [`Onnx::load_on`].
-    pub fn load_on_cuda(
+    fn load_on_cuda(
         runtime: &Runtime,
         model: &Model,
         threads: usize,
@@ -83,12 +85,7 @@ impl Onnx {
     }
 
     /// Loads a network on one provider and tests it on a small image.
-    ///
-    /// # Errors
-    /// [`DeblurError::ModelUnusable`] when the library or the provider refuses the file or its
-    /// input and output are not images of dynamic size, [`DeblurError::SelfTest`] when its values
-    /// are not those that it is known to return or make no sense.
-    pub fn load_on(
+    fn load_on(
         runtime: &Runtime,
         model: &Model,
         provider: Provider,
@@ -115,7 +112,7 @@ impl Onnx {
             weights: None,
         };
         let session = session(runtime, &graph, provider, alone, threads).map_err(&unusable)?;
-        let form = Form::of(&session, model).map_err(&unusable)?;
+        let form = Form::of(&session).map_err(&unusable)?;
         let model = model.without_bytes();
         let mut network = Self {
             session,
@@ -129,10 +126,7 @@ impl Onnx {
     }
 
     /// What the network makes of the self-test's image.
-    ///
-    /// # Errors
-    /// [`DeblurError::Inference`], or [`DeblurError::SelfTest`] when it is not finite.
-    pub fn golden(&mut self) -> Result<Golden, DeblurError> {
+    fn golden(&mut self) -> Result<Golden, DeblurError> {
         let (view, guide) = (golden::view(), golden::guide());
         let tile = Tile {
             x: 0,
@@ -200,8 +194,7 @@ impl Onnx {
             width: golden::SIDE,
             height: golden::SIDE,
         };
-        let side = tiling::padded(golden::SIDE, self.model.multiple, self.model.minimum_side);
-        let (width, height) = (side + self.model.multiple, side + 2 * self.model.multiple);
+        let (width, height) = (golden::SIDE + MULTIPLE, golden::SIDE + 2 * MULTIPLE);
         let guide = (self.form.channels == 6).then_some(&guide);
         self.run_padded(&view, guide, tile, width, height)
             .map(drop)
@@ -212,7 +205,7 @@ impl Onnx {
     fn unfit(&self, error: DeblurError) -> DeblurError {
         match error {
             DeblurError::Inference { width, height, detail, .. } => self.failed(format!(
-                "{width}x{height} px do not fit it: {detail}; `fled models add FILE` takes --multiple and --minimum-side"
+                "{width}x{height} px do not fit it, sides of every multiple of {MULTIPLE} px have to: {detail}"
             )),
             other => other,
         }
@@ -225,8 +218,7 @@ impl Onnx {
         guide: Option<&Image>,
         tile: Tile,
     ) -> Result<Output, DeblurError> {
-        let width = tiling::padded(tile.width, self.model.multiple, self.model.minimum_side);
-        let height = tiling::padded(tile.height, self.model.multiple, self.model.minimum_side);
+        let [width, height] = [tile.width, tile.height].map(|side| side.next_multiple_of(MULTIPLE));
         self.run_padded(blurry, guide, tile, width, height)
     }
 
@@ -301,7 +293,7 @@ impl Restorer for Onnx {
         same_size(blurry, guide)?;
         let (width, height) = (blurry.width(), blurry.height());
         let mut join = Join::new(width, height);
-        for tile in tiling::plan(width, height, self.model.tile) {
+        for tile in tiling::plan(width, height) {
             let output = self.run(blurry, guide, tile)?;
             match self.judge(&output, tile) {
                 Ok(()) => join.add(tile, &output.values, output.width, output.height),
@@ -322,10 +314,8 @@ impl Restorer for Onnx {
             provider: self.provider.name().to_owned(),
             channels: self.form.channels,
             feeding: format!(
-                "sides of a multiple of {}, at least {} px, tiles of {} px, values in {:?}, output `{}`",
-                self.model.multiple,
-                self.model.minimum_side,
-                self.model.tile,
+                "sides of a multiple of {MULTIPLE}, at least {MULTIPLE} px, tiles of {TILE} px, \
+                 values in {:?}, output `{}`",
                 self.model.range,
                 self.session.outputs()[self.form.output].name()
             ),

@@ -2,9 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::deblur::manifest::{Entry, Manifest, Model};
-use crate::deblur::{DeblurError, Identity, NetworkChoice, Onnx, Restorer};
-use crate::inference::{Runtime, runtime};
+use crate::deblur::{DeblurError, Identity, Model, NetworkChoice, Onnx, Restorer};
+use crate::inference::runtime;
 
 /// Where to look and how to run.
 #[derive(Clone, Copy, Debug, Default)]
@@ -13,7 +12,7 @@ pub struct OpenOptions<'a> {
     pub runtime: Option<&'a Path>,
     /// Files and directories to look for the library in, best first, before the system's loader.
     pub search: &'a [PathBuf],
-    /// Directories that hold files of known networks.
+    /// Folders of networks that may be named by their files' names.
     pub models: &'a [PathBuf],
     /// Threads that work on one view; 0 leaves it to the library.
     pub threads: usize,
@@ -29,8 +28,7 @@ pub struct Opened {
     pub fallbacks: Vec<String>,
 }
 
-/// Opens what the option means. The default is a larger network where CUDA runs it
-/// ([`Manifest::default_on_cuda`]). A network that takes no guide and is to be given one says so.
+/// Opens what the option means. A network that takes no guide and is to be given one says so.
 ///
 /// # Errors
 /// Any [`DeblurError`] of finding the library, finding the file, or loading it. Never falls back
@@ -43,21 +41,10 @@ pub fn open(choice: &NetworkChoice, options: &OpenOptions<'_>) -> Result<Opened,
         });
     }
     // An unknown network is told before a library that is missing.
-    let model = Manifest::ask(options.models, |known| {
-        known.resolve(choice.as_str(), options.models)
-    })??;
+    let model = Model::find(choice.as_str(), options.models)?;
     let runtime = runtime::load(options.runtime, options.search)?;
-    let larger = Manifest::ask(options.models, |known| {
-        let larger = larger(known, choice, runtime.has_cuda());
-        larger
-            .map(|entry| {
-                entry
-                    .load(options.models)
-                    .map_err(|error| (entry.id.clone(), error))
-            })
-            .transpose()
-    })?;
-    let (network, mut fallbacks) = load(&runtime, larger.transpose(), &model, options.threads)?;
+    let (network, said) = Onnx::load(&runtime, &model, options.threads)?;
+    let mut fallbacks = Vec::from_iter(said);
     let info = network.describe();
     if info.channels != 6 && !options.unguided {
         fallbacks.push(format!(
@@ -97,43 +84,4 @@ pub fn open_enhancer(
         });
     }
     Ok(Some(opened))
-}
-
-/// What is tried before the network that `choice` means.
-pub(super) fn larger<'a>(
-    known: &'a Manifest,
-    choice: &NetworkChoice,
-    cuda: bool,
-) -> Option<&'a Entry> {
-    known
-        .default_on_cuda()
-        .filter(|_| *choice == NetworkChoice::Default && cuda)
-}
-
-/// The larger network if CUDA runs it, else `model`; and what is not as it should be. A failure
-/// comes with the network's id.
-pub(super) fn load(
-    runtime: &Runtime,
-    larger: Option<Result<Model, (String, DeblurError)>>,
-    model: &Model,
-    threads: usize,
-) -> Result<(Onnx, Vec<String>), DeblurError> {
-    let mut fallbacks = Vec::new();
-    if let Some(larger) = larger {
-        let tried = larger.and_then(|larger| {
-            Onnx::load_on_cuda(runtime, &larger, threads)
-                .map_err(|error| (larger.id.clone(), error))
-        });
-        match tried {
-            Ok((network, in_part)) => return Ok((network, Vec::from_iter(in_part))),
-            Err((id, error)) => {
-                fallbacks.push(format!(
-                    "network {id}, the default on CUDA, cannot be used: {error}"
-                ));
-            }
-        }
-    }
-    let (network, said) = Onnx::load(runtime, model, threads)?;
-    fallbacks.extend(said);
-    Ok((network, fallbacks))
 }

@@ -6,6 +6,9 @@ use crate::image::Image;
 /// needs about 400 MiB.
 pub const WHOLE: usize = 1_500_000;
 
+/// Side of a tile of larger views, px.
+pub const TILE: usize = 1024;
+
 /// Length over which neighbouring tiles fade into each other, px.
 pub const FEATHER: usize = 96;
 
@@ -22,10 +25,10 @@ pub struct Tile {
     pub height: usize,
 }
 
-/// The tiles of a view of `width` x `height`: one up to [`WHOLE`] pixels and half more than a tile
-/// has, else tiles of at most `side` px, evenly spread, that overlap by at least [`FEATHER`].
-pub fn plan(width: usize, height: usize, side: usize) -> Vec<Tile> {
-    if width * height <= WHOLE.min(3 * side * side / 2) {
+/// The tiles of a view of `width` x `height`: one up to [`WHOLE`] pixels, else tiles of at most
+/// [`TILE`] px, evenly spread, that overlap by at least [`FEATHER`].
+pub fn plan(width: usize, height: usize) -> Vec<Tile> {
+    if width * height <= WHOLE {
         return vec![Tile {
             x: 0,
             y: 0,
@@ -34,8 +37,8 @@ pub fn plan(width: usize, height: usize, side: usize) -> Vec<Tile> {
         }];
     }
     let mut tiles = Vec::new();
-    for (y, tile_height) in spans(height, side) {
-        tiles.extend(spans(width, side).into_iter().map(|(x, width)| Tile {
+    for (y, tile_height) in spans(height) {
+        tiles.extend(spans(width).into_iter().map(|(x, width)| Tile {
             x,
             y,
             width,
@@ -46,14 +49,13 @@ pub fn plan(width: usize, height: usize, side: usize) -> Vec<Tile> {
 }
 
 /// Starts and lengths that cover `0..length`.
-fn spans(length: usize, side: usize) -> Vec<(usize, usize)> {
-    if length <= side {
+fn spans(length: usize) -> Vec<(usize, usize)> {
+    if length <= TILE {
         return vec![(0, length)];
     }
-    let side = side.max(2 * FEATHER);
-    let gaps = (length - side).div_ceil(side - FEATHER);
+    let gaps = (length - TILE).div_ceil(TILE - FEATHER);
     (0..=gaps)
-        .map(|i| ((length - side) * i / gaps, side))
+        .map(|i| ((length - TILE) * i / gaps, TILE))
         .collect()
 }
 
@@ -84,11 +86,6 @@ fn reflect(position: usize, length: usize) -> usize {
     }
     let folded = position % (2 * (length - 1));
     folded.min(2 * (length - 1) - folded)
-}
-
-/// The length to which a side is padded: at least `minimum`, a multiple of `multiple`.
-pub fn padded(length: usize, multiple: usize, minimum: usize) -> usize {
-    length.max(minimum).next_multiple_of(multiple)
 }
 
 /// Weighted sums of tiles.
@@ -164,19 +161,13 @@ mod tests {
 
     #[test]
     fn small_views_are_one_tile_and_large_ones_are_covered_with_overlap() {
-        assert_eq!(plan(1120, 640, 1024).len(), 1);
-        assert!(
-            plan(560, 315, 256)
-                .iter()
-                .all(|tile| tile.width <= 256 && tile.height <= 256),
-            "small tiles are kept to"
-        );
+        assert_eq!(plan(1120, 640).len(), 1);
         for (width, height) in [(2400, 1600), (1025, 3000), (1500, 1001)] {
-            let tiles = plan(width, height, 1024);
+            let tiles = plan(width, height);
             assert!(
                 tiles
                     .iter()
-                    .all(|tile| tile.width <= 1024 && tile.height <= 1024)
+                    .all(|tile| tile.width <= TILE && tile.height <= TILE)
             );
             let columns: Vec<Tile> = tiles.iter().copied().filter(|tile| tile.y == 0).collect();
             assert_eq!(
@@ -196,8 +187,8 @@ mod tests {
     fn cutting_and_joining_returns_the_view() {
         let view = gradient(1700, 1100);
         let mut join = Join::new(1700, 1100);
-        for tile in plan(1700, 1100, 512) {
-            let (width, height) = (padded(tile.width, 16, 16), padded(tile.height, 16, 16));
+        for tile in plan(1700, 1100) {
+            let [width, height] = [tile.width, tile.height].map(|side| side.next_multiple_of(16));
             join.add(tile, &cut(&[&view], tile, width, height), width, height);
         }
         let joined = join.finish();
@@ -214,10 +205,7 @@ mod tests {
     fn padding_mirrors_without_repeating_the_edge() {
         let indices: Vec<usize> = (0..8).map(|i| reflect(i, 3)).collect();
         assert_eq!(indices, [0, 1, 2, 1, 0, 1, 2, 1]);
-        assert_eq!(
-            (reflect(5, 1), padded(50, 16, 16), padded(50, 16, 384)),
-            (0, 64, 384)
-        );
+        assert_eq!(reflect(5, 1), 0);
     }
 
     #[test]

@@ -31,7 +31,8 @@ pub struct Options {
     pub target: String,
     /// One tone table for the scene or one a view.
     pub lut_scope: LutScope,
-    /// `default`, a manifest id, `identity`, or, on the command line only, a path to an ONNX file.
+    /// `default`, `small-u2w16`, `identity`, the name of an ONNX file in the folder of networks,
+    /// or, on the command line only, a path to one.
     #[schemars(with = "String")]
     pub deblur: NetworkChoice,
     /// What brightens: `curve`, step by step; or, as a baseline, a network of 3 channels, chosen as

@@ -221,11 +221,7 @@ fn deblur_kind(error: &DeblurError) -> ErrorKind {
     match error {
         DeblurError::UnknownModel { .. } => ErrorKind::BadInput,
         DeblurError::Runtime(_)
-        | DeblurError::ModelFileMissing { .. }
-        | DeblurError::ManifestUnreadable { .. }
-        | DeblurError::ModelNotKept { .. }
         | DeblurError::ModelUnreadable { .. }
-        | DeblurError::ModelChecksum { .. }
         | DeblurError::ModelUnusable { .. }
         | DeblurError::SelfTest { .. } => ErrorKind::Environment,
         DeblurError::GuideSize { .. } | DeblurError::Inference { .. } => ErrorKind::Internal,

@@ -3,8 +3,7 @@
 use std::path::PathBuf;
 
 use fled_core::capture::view_names;
-use fled_core::deblur::NetworkChoice;
-use fled_core::deblur::manifest::{Manifest, Place, Role};
+use fled_core::deblur::{BUILT_IN, NetworkChoice, network_names};
 use fled_core::enhance::Target;
 use fled_core::pipeline::config::{NetworkOption, Options, OptionsError, Preset};
 use serde_json::{Map, Value};
@@ -78,7 +77,7 @@ impl Order {
         priority: Priority,
     ) -> Result<Self, Problem> {
         check_words(&options)?;
-        // It reads the networks' files.
+        // It reads the folder of networks.
         let (folders, checked) = (app.config.models.clone(), options.clone());
         let check = move || {
             let networks = checked.networks().into_iter();
@@ -179,48 +178,28 @@ fn check_words(options: &Options) -> Result<(), Problem> {
 
 /// Networks are chosen by name: a path would let a client probe the files of the server.
 fn check_network(folders: &[PathBuf], option: NetworkOption<'_>) -> Result<(), Problem> {
-    let answer = Manifest::ask(folders, |known| check_among(known, folders, option));
-    answer.map_err(|error| {
-        tracing::error!(%error, "the list of networks cannot be read");
-        Problem::internal()
-    })?
-}
-
-fn check_among(
-    known: &Manifest,
-    folders: &[PathBuf],
-    option: NetworkOption<'_>,
-) -> Result<(), Problem> {
-    let (key, choice) = (option.key, option.choice.as_str());
     let refused = |message: String| {
         bad_option(&OptionsError {
-            key: key.to_owned(),
+            key: option.key.to_owned(),
             message,
         })
     };
-    match known.find(choice) {
-        Some(entry) if entry.place(folders) == Place::Missing => {
-            let message = format!("the file of network `{choice}` is not on this server");
-            let hint = format!("Whoever runs the server gets it by: fled models fetch {choice}.");
-            Err(refused(message).hint(hint))
-        }
-        Some(entry) if key == "enhance" && entry.role == Role::Guided => Err(refused(format!(
+    let (choice, names) = (option.choice.as_str(), network_names(folders));
+    let built_in = choice == BUILT_IN || *option.choice == NetworkChoice::Default;
+    if built_in && option.key == "enhance" {
+        return Err(refused(format!(
             "network `{choice}` wants a guide; one that brightens has 3 channels"
-        ))),
-        Some(entry) => entry.load(folders).map(drop).map_err(|error| {
-            // With a path of the server: for its log.
-            tracing::error!(%error, "a network that a job asks for cannot be used");
-            refused(format!("network `{choice}` is damaged on this server")).hint(format!(
-                "Whoever runs the server sees more by: fled models verify {choice}."
-            ))
-        }),
-        None => {
-            let words = option.words.iter().map(NetworkChoice::as_str);
-            let known = words.chain(known.choices()).collect::<Vec<_>>().join(", ");
-            Err(refused(format!("`{choice}` is none of {known}"))
-                .hint("Whoever runs the server can add a file: fled models add FILE --id NAME."))
-        }
+        )));
     }
+    if built_in || names.iter().any(|name| name == choice) {
+        return Ok(());
+    }
+    let words = option.words.iter().chain([&NetworkChoice::Default]);
+    let words = words.map(NetworkChoice::as_str);
+    let known: Vec<_> = words.chain(names.iter().map(String::as_str)).collect();
+    let message = format!("`{choice}` is none of {}", known.join(", "));
+    Err(refused(message)
+        .hint("Whoever runs the server can put an ONNX file into its folder of networks."))
 }
 
 fn bad_option(error: &OptionsError) -> Problem {

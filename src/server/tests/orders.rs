@@ -39,13 +39,6 @@ fn an_unknown_network_is_refused_with_the_known_ones() {
             .is_some_and(|text| text.contains("identity")),
         "{networks:#}"
     );
-    let networks = post(json!({ "deblur": "nafnet-gopro-w32" }));
-    assert!(
-        networks["hint"]
-            .as_str()
-            .is_some_and(|hint| hint.contains("fled models fetch nafnet-gopro-w32")),
-        "known, but its file is not here: {networks:#}"
-    );
     let enhance = post(json!({ "enhance": "identity" }));
     assert!(
         enhance["detail"]
@@ -90,33 +83,29 @@ fn an_order_that_is_none_is_refused() {
 }
 
 #[test]
-fn a_damaged_network_is_told_before_the_job() {
+fn a_file_in_the_folder_of_networks_is_chosen_by_its_name_and_none_outside_it() {
     let server = Server::start();
-    let entry = json!({
-        "id": "mine", "role": "single", "file": "mine.onnx", "url": null, "sha256": "0".repeat(64), "bytes": 7, "licence": "MIT",
-        "channels": 3, "order": ["blurry"], "multiple": 16, "minimum_side": 16, "tile": 1024, "range": [-1.0, 2.0],
-        "input": null, "output": null, "default": false, "verified": true,
-    });
     let models = server.data.path().join("models");
     std::fs::create_dir_all(&models).expect("folder");
-    std::fs::write(
-        models.join("manifest.json"),
-        json!({ "models": [entry] }).to_string(),
-    )
-    .expect("written");
-    std::fs::write(models.join("mine.onnx"), "content").expect("written");
-    let refused = refused(&server, &json!({ "deblur": "mine" }));
-    assert_eq!(refused["pointer"], "/options/deblur");
-    assert!(
-        refused["detail"]
-            .as_str()
-            .is_some_and(|text| text.contains("damaged")),
-        "{refused:#}"
-    );
-    assert!(
-        !refused.to_string().contains("manifest.json"),
-        "no paths of the server: {refused:#}"
-    );
+    for name in ["mine.onnx", "notes.txt", "../outside.onnx"] {
+        std::fs::write(models.join(name), "content").expect("written");
+    }
+    let capture = server.capture(3);
+    for choice in ["outside.onnx", "../outside.onnx", "notes.txt", "mine"] {
+        let options = json!({ "deblur": choice });
+        let order = json!({ "capture_id": capture, "options": options });
+        let problem = server.post_json("/v1/jobs", &order, &[]).expect(422).json();
+        assert_eq!(problem["pointer"], "/options/deblur");
+        assert!(
+            problem["detail"]
+                .as_str()
+                .is_some_and(|text| text.ends_with("identity, default, small-u2w16, mine.onnx")),
+            "{problem:#}"
+        );
+    }
+    let options = json!({ "deblur": "mine.onnx", "adapter": "ok" });
+    let order = json!({ "capture_id": capture, "options": options });
+    server.post_json("/v1/jobs", &order, &[]).expect(202);
 }
 
 fn id(reply: &Reply) -> String {

@@ -3,8 +3,6 @@
 use ort::session::Session;
 use ort::value::{Outlet, TensorElementType, ValueType};
 
-use crate::deblur::manifest::Model;
-
 /// What of a file's input and outputs is used.
 pub(super) struct Form {
     /// Of the input.
@@ -14,9 +12,8 @@ pub(super) struct Form {
 }
 
 impl Form {
-    /// By the file, checked against what is known of it, with everything else about the input and
-    /// output that must hold.
-    pub(super) fn of(session: &Session, model: &Model) -> Result<Self, String> {
+    /// By the file, with everything about the input and output that must hold.
+    pub(super) fn of(session: &Session) -> Result<Self, String> {
         let (inputs, outputs) = (session.inputs(), session.outputs());
         let ([input], [_, ..]) = (inputs, outputs) else {
             let (inputs, outputs) = (inputs.len(), outputs.len());
@@ -24,32 +21,8 @@ impl Form {
                 "it has {inputs} inputs and {outputs} outputs; one image each is expected"
             ));
         };
-        if let Some(name) = model.input.as_ref().filter(|name| *name != input.name()) {
-            return Err(format!(
-                "its input is `{}`; `{name}` is asked for by the manifest",
-                input.name()
-            ));
-        }
-        let named = |name: &String| {
-            outputs
-                .iter()
-                .position(|output| output.name() == name)
-                .ok_or_else(|| {
-                    let names: Vec<_> = outputs
-                        .iter()
-                        .map(|output| format!("`{}`", output.name()))
-                        .collect();
-                    format!(
-                        "its outputs are {}; `{name}` is asked for, by the manifest or --output",
-                        names.join(", ")
-                    )
-                })
-        };
-        let output = model
-            .output
-            .as_ref()
-            .map_or_else(|| the_picture(outputs), named)?;
-        let channels = channels(input.dtype(), outputs[output].dtype(), model.channels)?;
+        let output = the_picture(outputs)?;
+        let channels = channels(input.dtype(), outputs[output].dtype())?;
         Ok(Self { channels, output })
     }
 }
@@ -68,7 +41,7 @@ fn the_picture(outputs: &[Outlet]) -> Result<usize, String> {
             .map(|&at| format!("`{}`", outputs[at].name()))
             .collect();
         return Err(format!(
-            "its outputs {} may each be the restored view: say which by `fled models add FILE --output NAME`",
+            "its outputs {} may each be the restored view: leave one of them in the file",
             names.join(", ")
         ));
     }
@@ -76,8 +49,8 @@ fn the_picture(outputs: &[Outlet]) -> Result<usize, String> {
     Ok(pictures.first().copied().unwrap_or(0))
 }
 
-/// Input channels by the file, checked against the manifest's.
-fn channels(input: &ValueType, output: &ValueType, expected: Option<u32>) -> Result<u32, String> {
+/// Input channels by the file.
+fn channels(input: &ValueType, output: &ValueType) -> Result<u32, String> {
     let input_shape = image_shape(input).map_err(|detail| format!("its input {detail}"))?;
     let output_shape = image_shape(output).map_err(|detail| format!("its output {detail}"))?;
     if !matches!(output_shape[1], 3 | -1) {
@@ -92,18 +65,10 @@ fn channels(input: &ValueType, output: &ValueType, expected: Option<u32>) -> Res
             input_shape[3], input_shape[2]
         ));
     }
-    match (input_shape[1], expected) {
-        (-1, Some(expected)) => Ok(expected),
-        (-1, None) => Err("the file does not say how many channels it takes".to_owned()),
-        (found @ (3 | 6), expected)
-            if expected.is_none_or(|expected| i64::from(expected) == found) =>
-        {
-            Ok(found as u32)
-        }
-        (found, Some(expected)) => Err(format!(
-            "it takes {found} channels, the manifest says {expected}"
-        )),
-        (found, None) => Err(format!(
+    match input_shape[1] {
+        -1 => Err("the file does not say how many channels it takes".to_owned()),
+        found @ (3 | 6) => Ok(found as u32),
+        found => Err(format!(
             "it takes {found} channels; 3 (a view) or 6 (view and guide) are usable"
         )),
     }

@@ -1,8 +1,6 @@
 use std::path::{Path, PathBuf};
 
 use super::*;
-use crate::deblur::manifest::Manifest;
-use crate::deblur::open::{larger, load};
 use crate::deblur::{NetworkChoice, OpenOptions, open};
 use crate::inference::runtime;
 
@@ -18,7 +16,7 @@ fn named(name: &str) -> NetworkChoice {
 }
 
 fn network(choice: &str) -> Result<Onnx, DeblurError> {
-    let model = Manifest::embedded().resolve(choice, &[]).expect("present");
+    let model = Model::find(choice, &[]).expect("present");
     Onnx::load_on(&runtime::for_tests(), &model, Provider::Cpu, 1)
 }
 
@@ -84,28 +82,13 @@ fn sides_are_padded_to_a_multiple_and_cropped_back() {
     let mut network = network(&file("blocks16.onnx")).expect("loads");
     let view = waves(50, 37, 0.0);
     assert!(worst(&network.restore(&view, None).expect("padded"), &view) < 1e-6);
-    network.model.multiple = 1;
-    let refused = network
-        .restore(&view, None)
-        .expect_err("the network needs multiples of 16");
-    assert!(
-        matches!(
-            refused,
-            DeblurError::Inference {
-                width: 50,
-                height: 37,
-                ..
-            }
-        ),
-        "{refused}"
-    );
 }
 
 #[test]
 fn a_view_in_tiles_shows_no_seams() {
     let mut network = network(&file("box3.onnx")).expect("loads");
     let view = waves(1696, 896, 0.0);
-    assert!(tiling::plan(1696, 896, network.model.tile).len() > 1);
+    assert!(tiling::plan(1696, 896).len() > 1);
     let tiled = network.restore(&view, None).expect("runs");
     let whole = Tile {
         x: 0,
@@ -141,6 +124,7 @@ fn networks_that_are_not_ours_are_refused_with_the_reason() {
         ("four_channels.onnx", "4 channels"),
         ("half_precision.onnx", "32-bit floats"),
         ("unknown_channels.onnx", "how many channels"),
+        ("two_outputs3.onnx", "`coarse`, `restored` may each be"),
     ] {
         let refused = network(&file(name)).err().expect("refused").to_string();
         assert!(
@@ -157,75 +141,12 @@ fn networks_that_are_not_ours_are_refused_with_the_reason() {
 }
 
 #[test]
-fn the_manifest_says_which_of_several_outputs_is_the_view() {
-    let known = Manifest::embedded()
-        .resolve(&file("two_outputs3.onnx"), &[])
-        .expect("present");
-    let named = |input: &str, output: &str| {
-        let model = Model {
-            input: Some(input.to_owned()),
-            output: Some(output.to_owned()),
-            ..known.clone()
-        };
-        Onnx::load_on(&runtime::for_tests(), &model, Provider::Cpu, 1)
-    };
-    let view = waves(32, 32, 0.0);
-    let mut network_of_restored = named("view", "restored").expect("loads");
-    let restored = network_of_restored.restore(&view, None).expect("runs");
-    assert!(worst(&restored, &view) < 1e-6);
-    let coarse = named("view", "coarse").expect("loads").describe().feeding;
-    assert_ne!(
-        coarse,
-        network_of_restored.describe().feeding,
-        "results of one are not taken for the other's"
-    );
-    let refused = network(&file("two_outputs3.onnx"))
-        .err()
-        .expect("either may be meant")
-        .to_string();
-    assert!(
-        refused.contains("`coarse`, `restored`") && refused.contains("--output"),
-        "{refused}"
-    );
-    for (input, output, reason) in [
-        (
-            "view",
-            "sharp",
-            "outputs are `coarse`, `restored`; `sharp` is asked for",
-        ),
-        ("image", "restored", "input is `view`; `image` is asked for"),
-    ] {
-        let refused = named(input, output)
-            .err()
-            .expect("another file")
-            .to_string();
-        assert!(refused.contains(reason), "{refused}");
-    }
-}
-
-#[test]
 fn the_self_test_finds_sides_that_do_not_fit() {
-    let known = Manifest::embedded()
-        .resolve(&file("blocks16.onnx"), &[])
-        .expect("present");
-    let of = |multiple: usize| {
-        Onnx::load_on(
-            &runtime::for_tests(),
-            &Model {
-                multiple,
-                ..known.clone()
-            },
-            Provider::Cpu,
-            1,
-        )
-        .err()
-    };
-    assert!(of(16).is_none() && of(32).is_none());
-    // The golden image's 64 px fit both; 72 do not.
-    let refused = of(8).expect("72 is no multiple of 16");
+    // The golden image's 64 px fit; 80 do not.
+    let refused = network(&file("blocks32.onnx")).err().expect("refused");
     assert!(matches!(refused, DeblurError::SelfTest { .. }), "{refused}");
     assert!(
-        refused.to_string().contains("72x80 px do not fit it"),
+        refused.to_string().contains("80x96 px do not fit it"),
         "{refused}"
     );
 }
@@ -290,23 +211,15 @@ fn a_network_without_channels_for_a_guide_does_without_and_says_so() {
 }
 
 #[test]
-fn the_built_in_networks_return_here_what_they_returned_where_they_were_trained() {
+fn the_built_in_network_returns_here_what_it_returned_where_it_was_trained() {
     let runtime = runtime::for_tests();
-    for id in ["small-u2w16", "medium-u2w32"] {
-        let model = Manifest::embedded().resolve(id, &[]).expect("built in");
-        let known = model.golden.clone().expect("a golden output");
-        let mut network =
-            Onnx::load_on(&runtime, &model, Provider::Cpu, 1).expect("passes its self-test");
-        // PyTorch and ONNX Runtime on another kind of processor: far inside what the self-test
-        // allows.
-        assert!(
-            known.difference(network.golden().expect("runs").values()) < 1e-4,
-            "{id}"
-        );
-    }
-    let model = Manifest::embedded()
-        .resolve("default", &[])
-        .expect("built in");
+    let model = Model::find("default", &[]).expect("built in");
+    let known = model.golden.clone().expect("a golden output");
+    let mut network =
+        Onnx::load_on(&runtime, &model, Provider::Cpu, 1).expect("passes its self-test");
+    assert_eq!(network.describe().channels, 6);
+    // PyTorch and ONNX Runtime on another kind of processor: far inside what the self-test allows.
+    assert!(known.difference(network.golden().expect("runs").values()) < 1e-4);
     let swapped = Golden::new(golden::view().data().to_vec()).expect("of the right size");
     let wrong = Model {
         golden: Some(swapped),
@@ -322,22 +235,10 @@ fn the_built_in_networks_return_here_what_they_returned_where_they_were_trained(
 }
 
 #[test]
-fn the_larger_network_is_for_who_asks_for_the_default_and_has_cuda() {
-    let known = Manifest::embedded();
-    let tried = |choice, cuda| larger(&known, &choice, cuda).map(|entry| entry.id.as_str());
-    let small = NetworkChoice::Named("small-u2w16".to_owned());
-    assert_eq!(tried(NetworkChoice::Default, true), Some("medium-u2w32"));
-    assert_eq!(tried(NetworkChoice::Default, false), None);
-    assert_eq!(tried(small, true), None);
-}
-
-#[test]
 fn cuda_that_is_there_and_does_not_work_is_said_and_the_processor_used() {
     let folder = tempfile::tempdir().expect("temporary directory");
     let runtime = runtime::as_if_in(folder.path());
-    let model = Manifest::embedded()
-        .resolve(&file("identity3.onnx"), &[])
-        .expect("present");
+    let model = Model::find(&file("identity3.onnx"), &[]).expect("present");
     let (network, said) = Onnx::load(&runtime, &model, 1).expect("loads");
     assert_eq!(
         (network.describe().provider.as_str(), said),
@@ -352,28 +253,4 @@ fn cuda_that_is_there_and_does_not_work_is_said_and_the_processor_used() {
             .is_some_and(|text| text.contains("CUDA cannot be used")),
         "{said:?}"
     );
-    let larger = Manifest::embedded()
-        .resolve("medium-u2w32", &[])
-        .expect("built in");
-    let (network, said) = load(&runtime, Some(Ok(larger)), &model, 1).expect("loads");
-    let info = network.describe();
-    assert_eq!(
-        (info.id.as_str(), info.provider.as_str()),
-        ("identity3.onnx", "cpu")
-    );
-    assert!(
-        said[0].contains("network medium-u2w32, the default on CUDA, cannot be used"),
-        "{said:?}"
-    );
-    assert!(
-        said[1].contains("CUDA cannot be used, the CPU is"),
-        "{said:?}"
-    );
-    let damaged = DeblurError::UnknownModel {
-        choice: "larger".to_owned(),
-        known: String::new(),
-    };
-    let damaged = Err(("larger".to_owned(), damaged));
-    let (_, said) = load(&runtime, Some(damaged), &model, 1).expect("no fault of this one");
-    assert_eq!(said.len(), 2, "{said:?}");
 }

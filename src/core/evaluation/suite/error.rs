@@ -3,7 +3,6 @@
 use std::path::{Path, PathBuf};
 
 use crate::cancel::Cancelled;
-use crate::deblur::DeblurError;
 use crate::pipeline::config::OptionsError;
 
 /// Why a suite cannot be carried out. A run that fails is none of these: it is recorded, and the
@@ -21,9 +20,6 @@ pub enum SuiteError {
         /// The option and what is wrong with it.
         error: OptionsError,
     },
-    /// The manifest of the networks.
-    #[error(transparent)]
-    Network(#[from] DeblurError),
     /// Reading or writing.
     #[error("{}: {error}", path.display())]
     Io {

@@ -11,8 +11,8 @@ use serde_json::{Value, json};
 use super::content::checksum;
 use super::error::SuiteError;
 use super::file::{CaptureEntry, Configuration, OptionSet, Suite};
-use crate::deblur::manifest::Manifest;
-use crate::pipeline::config::{NetworkOption, Options, Preset};
+use crate::deblur::Model;
+use crate::pipeline::config::{Options, Preset};
 
 /// All that decides what a run becomes.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -188,7 +188,7 @@ impl Setup {
     ///
     /// # Errors
     /// [`SuiteError::Options`] for options that no run can have, [`SuiteError::Wrong`] for a
-    /// network whose content is not known, [`SuiteError::Io`].
+    /// network that is not there, [`SuiteError::Io`].
     pub fn run_facts(&self, order: &RunOrder, of: &str) -> Result<RunFacts, SuiteError> {
         let options = options(order, of)?;
         Ok(RunFacts {
@@ -257,29 +257,17 @@ impl Setup {
 
     /// Hash of every network that an option names.
     fn networks(&self, options: &Options) -> Result<BTreeMap<String, String>, SuiteError> {
-        let manifest = Manifest::known(&self.models)?;
         let named = options
             .networks()
             .into_iter()
             .filter(|o| o.choice.is_network());
         named
-            .map(|option| Ok((option.key.to_owned(), network(&manifest, option)?)))
+            .map(|option| {
+                let wrong = |error| SuiteError::Wrong(format!("`{}`: {error}", option.key));
+                let model = Model::find(option.choice.as_str(), &self.models).map_err(wrong)?;
+                Ok((option.key.to_owned(), model.sha256))
+            })
             .collect()
-    }
-}
-
-fn network(manifest: &Manifest, option: NetworkOption<'_>) -> Result<String, SuiteError> {
-    let (key, name) = (option.key, option.choice.as_str());
-    match manifest.find(name) {
-        Some(entry) => entry.sha256.clone().ok_or_else(|| {
-            SuiteError::Wrong(format!(
-                "`{key}`: the checksum of `{name}` is not known; name its file instead"
-            ))
-        }),
-        None if Path::new(name).is_file() => checksum(Path::new(name)),
-        None => Err(SuiteError::Wrong(format!(
-            "`{key}`: `{name}` is neither a known network nor a file"
-        ))),
     }
 }
 

@@ -234,7 +234,7 @@ fn what_no_run_can_have_is_told_before_the_first() {
     );
     let network = wrong(&|c| c["set"] = json!({"deblur": "no-such-network"}));
     assert!(
-        network.contains("`deblur`: `no-such-network` is neither"),
+        network.contains("`deblur`: `no-such-network` is no ONNX file"),
         "{network}"
     );
     let truth = wrong(&|c| c["captures"][1]["truth"] = json!("nowhere"));
