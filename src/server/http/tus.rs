@@ -1,7 +1,6 @@
 //! `/v1/uploads`: uploads in pieces that go on where they broke off, by the tus protocol 1.0.0
-//! with its extensions creation, creation-with-upload, expiration, checksum and termination.
+//! with its extensions creation, creation-with-upload, expiration and termination.
 
-mod checksum;
 mod create;
 mod fields;
 mod file;
@@ -16,10 +15,9 @@ use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use utoipa::ToSchema;
 
-use self::checksum::{ALGORITHMS, Checksum};
 use self::fields::{
-    CHECKSUM_ALGORITHM, EXPIRES, EXTENSION, LENGTH, MAX_SIZE, METADATA, METHOD_OVERRIDE, OFFSET,
-    RESUMABLE, VERSION, VERSIONS, expires, is_piece, number,
+    EXPIRES, EXTENSION, LENGTH, MAX_SIZE, METADATA, METHOD_OVERRIDE, OFFSET, RESUMABLE, VERSION,
+    VERSIONS, expires, is_piece, number,
 };
 use self::metadata::Metadata;
 use self::piece::Piece;
@@ -34,7 +32,7 @@ use crate::removal::remove_file;
 use crate::store::UploadRow;
 
 /// What of the protocol there is besides its core.
-const EXTENSIONS: &str = "creation,creation-with-upload,expiration,checksum,termination";
+const EXTENSIONS: &str = "creation,creation-with-upload,expiration,termination";
 
 /// Bytes of a file.
 #[derive(ToSchema)]
@@ -87,11 +85,9 @@ pub(super) async fn check_version(request: Request, next: Next) -> Response {
 #[doc(hidden)]
 pub fn read_headers(headers: &HeaderMap) -> Result<(), Problem> {
     let metadata = Metadata::of(headers);
-    let checksum = Checksum::of(headers);
     let numbers = [LENGTH, OFFSET].map(|name| number(headers, &name));
     is_piece(headers);
     metadata?;
-    checksum?;
     numbers.into_iter().try_for_each(|number| number.map(drop))
 }
 
@@ -99,13 +95,12 @@ pub fn read_headers(headers: &HeaderMap) -> Result<(), Problem> {
 #[utoipa::path(options, path = "/v1/uploads", operation_id = "upload_options", tag = "uploads",
     responses((status = 204, description = "What is spoken here", headers(
         ("Tus-Resumable" = String), ("Tus-Version" = String), ("Tus-Extension" = String),
-        ("Tus-Max-Size" = u64), ("Tus-Checksum-Algorithm" = String)))))]
+        ("Tus-Max-Size" = u64)))))]
 pub async fn options(State(app): State<Arc<App>>) -> Response {
-    let told: [(HeaderName, String); 4] = [
+    let told: [(HeaderName, String); 3] = [
         (VERSIONS, VERSION.to_owned()),
         (EXTENSION, EXTENSIONS.to_owned()),
         (MAX_SIZE, app.limits.max_upload_bytes.to_string()),
-        (CHECKSUM_ALGORITHM, ALGORITHMS.to_owned()),
     ];
     (StatusCode::NO_CONTENT, told).into_response()
 }
@@ -115,7 +110,7 @@ pub async fn options(State(app): State<Arc<App>>) -> Response {
     tag = "uploads", params(("id" = String, Path)),
     responses((status = 204, description = "What is spoken here", headers(
         ("Tus-Resumable" = String), ("Tus-Version" = String), ("Tus-Extension" = String),
-        ("Tus-Max-Size" = u64), ("Tus-Checksum-Algorithm" = String)))))]
+        ("Tus-Max-Size" = u64)))))]
 pub async fn options_of_one(app: State<Arc<App>>) -> Response {
     options(app).await
 }
@@ -125,14 +120,12 @@ pub async fn options_of_one(app: State<Arc<App>>) -> Response {
     params(
         ("Tus-Resumable" = String, Header, pattern = "^1\\.0\\.0$", description = "1.0.0"),
         ("Upload-Length" = u64, Header, description = "Bytes of the file"),
-        ("Upload-Metadata" = String, Header, max_length = 8192, description = "Keys with values in base64, split by commas; `filename` must be there"),
-        ("Upload-Checksum" = Option<String>, Header, description = "Of the first piece: `sha1` or `sha256`, a space, the digest in base64")),
+        ("Upload-Metadata" = String, Header, max_length = 8192, description = "Keys with values in base64, split by commas; `filename` must be there")),
     request_body(content = Option<Bytes>, content_type = "application/offset+octet-stream"),
     responses(
         (status = 201, description = "It has begun", headers(("Location" = String),
             ("Upload-Offset" = u64), ("Upload-Expires" = String), ("Tus-Resumable" = String))),
         (status = 412, description = "Another version of tus: `Tus-Version` says which", body = Problem, content_type = "application/problem+json", headers(("Tus-Version" = String))),
-        (status = 460, description = "The first piece has another checksum: nothing was begun", body = Problem, content_type = "application/problem+json"),
         (status = 507, description = "The disk is full, or there is no room in the quota", body = Problem, content_type = "application/problem+json")))]
 pub async fn create(
     State(app): State<Arc<App>>,
@@ -180,13 +173,11 @@ pub async fn head(
     Ok(told.into_response())
 }
 
-/// Adds a piece to an upload. What came of it stays when the connection breaks, unless it has a
-/// checksum.
+/// Adds a piece to an upload. What came of it stays when the connection breaks.
 #[utoipa::path(patch, path = "/v1/uploads/{id}", operation_id = "continue_upload", tag = "uploads",
     params(("id" = String, Path),
         ("Tus-Resumable" = String, Header, pattern = "^1\\.0\\.0$", description = "1.0.0"),
-        ("Upload-Offset" = u64, Header, description = "Where the piece begins: at the end of what there is"),
-        ("Upload-Checksum" = Option<String>, Header, description = "`sha1` or `sha256`, a space, the digest in base64")),
+        ("Upload-Offset" = u64, Header, description = "Where the piece begins: at the end of what there is")),
     request_body(content = Bytes, content_type = "application/offset+octet-stream"),
     responses(
         (status = 204, description = "It is on the disk", headers(("Upload-Offset" = u64),
@@ -195,7 +186,6 @@ pub async fn head(
         (status = 409, description = "It does not begin at the end of what there is, or another request has taken over", body = Problem, content_type = "application/problem+json"),
         (status = 412, description = "Another version of tus: `Tus-Version` says which", body = Problem, content_type = "application/problem+json", headers(("Tus-Version" = String))),
         (status = 423, description = "Whoever sends a piece does not let go: try again", body = Problem, content_type = "application/problem+json"),
-        (status = 460, description = "It has another checksum: nothing of it stays", body = Problem, content_type = "application/problem+json"),
         (status = 507, description = "The disk is full", body = Problem, content_type = "application/problem+json")))]
 pub async fn patch(
     State(app): State<Arc<App>>,
@@ -208,7 +198,6 @@ pub async fn patch(
     }
     let piece = Piece {
         offset: number(&parts.headers, &OFFSET)?,
-        checksum: Checksum::of(&parts.headers)?,
         body,
     };
     let stands = to_its_end(async move {

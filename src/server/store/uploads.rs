@@ -22,8 +22,6 @@ pub struct UploadRow {
     pub metadata: String,
     /// Bytes that it will have.
     pub length: u64,
-    /// Bytes that count, while what lies behind them waits for its checksum; `None` where all do.
-    pub judged: Option<u64>,
     /// Milliseconds since 1970.
     pub created_at: i64,
     /// The same: when it goes, unless more of it comes.
@@ -108,19 +106,12 @@ impl Store {
         Ok(u64::try_from(sum).unwrap_or(0))
     }
 
-    /// Notes that more of an upload comes, and how many bytes of it count meanwhile; `None` for
-    /// all that lie there. `Ok(false)` when there is none.
+    /// Notes that more of an upload has come: it expires later. `Ok(false)` when there is none.
     ///
     /// # Errors
     /// When the database refuses.
-    pub async fn touch_upload(
-        &self,
-        id: &str,
-        judged: Option<u64>,
-        expires_at: i64,
-    ) -> Result<bool> {
-        let done = sqlx::query("UPDATE uploads SET judged = $1, expires_at = $2 WHERE id = $3")
-            .bind(judged.map(signed))
+    pub async fn touch_upload(&self, id: &str, expires_at: i64) -> Result<bool> {
+        let done = sqlx::query("UPDATE uploads SET expires_at = $1 WHERE id = $2")
             .bind(expires_at)
             .bind(id)
             .execute(&self.pool)
@@ -177,14 +168,12 @@ pub(super) async fn use_up(tx: &mut Tx, ids: &[String]) -> Result<bool> {
 }
 
 fn from_row(row: &AnyRow) -> Result<UploadRow> {
-    let judged: Option<i64> = row.try_get("judged")?;
     Ok(UploadRow {
         id: row.try_get("id")?,
         owner: row.try_get("owner")?,
         filename: row.try_get("filename")?,
         metadata: row.try_get("metadata")?,
         length: unsigned(row.try_get("length")?)?,
-        judged: judged.map(unsigned).transpose()?,
         created_at: row.try_get("created_at")?,
         expires_at: row.try_get("expires_at")?,
     })

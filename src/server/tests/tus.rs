@@ -39,7 +39,6 @@ fn options_say_what_is_spoken_and_need_no_token() {
             ("tus-resumable", "1.0.0"),
             ("tus-version", "1.0.0"),
             ("tus-max-size", "1073741824"),
-            ("tus-checksum-algorithm", "sha1,sha256"),
         ] {
             assert_eq!(told.header(name), value, "{name}");
         }
@@ -47,7 +46,6 @@ fn options_say_what_is_spoken_and_need_no_token() {
             "creation",
             "creation-with-upload",
             "expiration",
-            "checksum",
             "termination",
         ] {
             let mut told = told.header("tus-extension").split(',');
@@ -210,41 +208,7 @@ fn the_first_piece_may_come_with_the_request_that_begins() {
     begin(&[], b"abc").expect(415);
     begin(&[("content-type", "text/plain")], b"abc").expect(415);
     begin(&[PIECE], b"abcdef").expect(413);
-    let other = ("upload-checksum", "sha1 qZk+NkcGgWq6PiVxeFDCbJzQ2J0=");
-    begin(&[PIECE, other], b"abd").expect(460);
     assert_eq!(files(&server), 1, "nothing was begun");
-    begin(&[PIECE, other], b"abc").expect(201);
-}
-
-#[test]
-fn a_piece_that_is_not_what_was_sent_leaves_nothing() {
-    let server = Server::start();
-    let tus = Tus::new(&server);
-    let path = tus.create("a.png", 14);
-    let patch = |offset, body: &[u8], sum: &str| {
-        tus.patch_with(&path, offset, body, &[("upload-checksum", sum)])
-    };
-    tus.patch(&path, 0, b"abc").expect(204);
-    let sha1 = "sha1 Kq5sNclPz7QV2+lfQIuc6R7oRu0=";
-    let refused = patch(3, b"hello worle", sha1).expect(460);
-    assert_eq!(refused.json()["code"], "checksum_mismatch");
-    assert_eq!(tus.offset(&path), 3);
-    for unknown in ["md5 XrY7u+Ae7tCTyyK7j1rNww==", "sha1", "sha1 !", ""] {
-        patch(3, b"hello world", unknown).expect(400);
-    }
-    // Half of it cannot be judged.
-    let further = format!("Upload-Offset: 3\r\nUpload-Checksum: {sha1}\r\n");
-    let stream = tus.hanging(&path, &further, 11, b"hello");
-    wait_for_bytes(&server, &path, 8);
-    drop(stream);
-    assert_eq!(tus.offset(&path), 3);
-    patch(3, b"hello world", sha1).expect(204);
-    assert_eq!(tus.offset(&path), 14);
-    let path = tus.create("b.png", 11);
-    let sha256 = "sha256 uU0nuZNNPgilLlLX2n2r+sSE7+N6U4DukIj3rOLvzek=";
-    let sum = [("upload-checksum", sha256)];
-    tus.patch_with(&path, 0, b"hello worle", &sum).expect(460);
-    tus.patch_with(&path, 0, b"hello world", &sum).expect(204);
 }
 
 #[test]
@@ -343,38 +307,23 @@ fn an_upload_expires_a_while_after_its_last_byte() {
 fn a_killed_server_knows_what_it_had_of_an_upload() {
     let mut server = Server::start();
     let content: Vec<u8> = (0..3_000_000_u32).map(|i| (i % 251) as u8).collect();
-    let (plain, judged) = {
-        let tus = Tus::new(&server);
-        let plain = tus.create("plain.png", content.len());
-        let judged = tus.create("judged.png", content.len());
-        for path in [&plain, &judged] {
-            tus.patch(path, 0, &content[..1000]).expect(204);
-        }
-        (plain, judged)
-    };
     let tus = Tus::new(&server);
+    let path = tus.create("a.png", content.len());
+    tus.patch(&path, 0, &content[..1000]).expect(204);
     let some = &content[1000..1_500_000];
     let rest = content.len() - 1000;
-    let offset = "Upload-Offset: 1000\r\n";
-    let sum = format!("{offset}Upload-Checksum: sha1 Kq5sNclPz7QV2+lfQIuc6R7oRu0=\r\n");
-    let streams = [
-        tus.hanging(&plain, offset, rest, some),
-        tus.hanging(&judged, &sum, rest, some),
-    ];
-    for path in [&plain, &judged] {
-        wait_for_bytes(&server, path, 100_000);
-    }
+    let stream = tus.hanging(&path, "Upload-Offset: 1000\r\n", rest, some);
+    wait_for_bytes(&server, &path, 100_000);
     server.kill();
-    drop(streams);
+    drop(stream);
     server.restart();
     let tus = Tus::new(&server);
-    assert_eq!(tus.offset(&judged), 1000, "nobody has judged the rest");
-    let offset = tus.offset(&plain);
-    let file = plain.replace("/v1/uploads/", "data/uploads/");
+    let offset = tus.offset(&path);
+    let file = path.replace("/v1/uploads/", "data/uploads/");
     let file = server.data.path().join(file);
     let there = fs::read(&file).expect("there");
     assert!(offset >= 100_000 && there == content[..offset], "{offset}");
-    tus.patch(&plain, offset, &content[offset..]).expect(204);
+    tus.patch(&path, offset, &content[offset..]).expect(204);
     assert!(fs::read(&file).expect("there") == content);
 }
 

@@ -8,7 +8,6 @@ use axum::http::{HeaderMap, StatusCode};
 use tokio::fs::File;
 use uuid::Uuid;
 
-use super::checksum::Checksum;
 use super::fields::{CONCAT, DEFER_LENGTH, LENGTH, bad, is_piece, number, other_type};
 use super::metadata::Metadata;
 use super::piece::{self, Piece, Stands, life};
@@ -60,7 +59,6 @@ pub(super) async fn begin(
         filename: metadata.filename,
         metadata: metadata.sent,
         length,
-        judged: None,
         created_at: app.store.now().await?,
         expires_at: life(app).await?,
     };
@@ -92,18 +90,13 @@ fn length(headers: &HeaderMap) -> Result<u64, Problem> {
 
 /// The piece in the body of a request that begins an upload.
 fn first(headers: &HeaderMap, body: Body) -> Result<Option<Piece>, Problem> {
-    let checksum = Checksum::of(headers)?;
-    if body.is_end_stream() && checksum.is_none() {
+    if body.is_end_stream() {
         return Ok(None);
     }
-    if !body.is_end_stream() && !is_piece(headers) {
+    if !is_piece(headers) {
         return Err(other_type());
     }
-    Ok(Some(Piece {
-        offset: 0,
-        checksum,
-        body,
-    }))
+    Ok(Some(Piece { offset: 0, body }))
 }
 
 /// Makes the upload: its empty file, then its row.

@@ -12,13 +12,11 @@ pub(super) const RESUMABLE: HeaderName = HeaderName::from_static("tus-resumable"
 pub(super) const VERSIONS: HeaderName = HeaderName::from_static("tus-version");
 pub(super) const EXTENSION: HeaderName = HeaderName::from_static("tus-extension");
 pub(super) const MAX_SIZE: HeaderName = HeaderName::from_static("tus-max-size");
-pub(super) const CHECKSUM_ALGORITHM: HeaderName = HeaderName::from_static("tus-checksum-algorithm");
 pub(super) const LENGTH: HeaderName = HeaderName::from_static("upload-length");
 pub(super) const DEFER_LENGTH: HeaderName = HeaderName::from_static("upload-defer-length");
 pub(super) const CONCAT: HeaderName = HeaderName::from_static("upload-concat");
 pub(super) const OFFSET: HeaderName = HeaderName::from_static("upload-offset");
 pub(super) const METADATA: HeaderName = HeaderName::from_static("upload-metadata");
-pub(super) const CHECKSUM: HeaderName = HeaderName::from_static("upload-checksum");
 pub(super) const EXPIRES: HeaderName = HeaderName::from_static("upload-expires");
 pub(super) const METHOD_OVERRIDE: HeaderName = HeaderName::from_static("x-http-method-override");
 

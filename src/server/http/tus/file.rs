@@ -9,8 +9,7 @@ use crate::error::ServerError;
 use crate::http::problem::Problem;
 use crate::store::UploadRow;
 
-/// Opens the file of an upload that nobody else has; with it how many bytes of it count. What a
-/// server that was killed has left of a piece, and never held against its checksum, goes.
+/// Opens the file of an upload that nobody else has; with it how many bytes it has.
 ///
 /// # Errors
 /// 404 where it is not there.
@@ -22,13 +21,6 @@ pub(super) async fn open(app: &App, row: &UploadRow) -> Result<(File, u64), Prob
         }
         file => file.map_err(ServerError::io(&path))?,
     };
-    if let Some(judged) = row.judged {
-        cut(app, row, &file, judged).await?;
-        sync(app, row, &file).await?;
-        app.store
-            .touch_upload(&row.id, None, row.expires_at)
-            .await?;
-    }
     let bytes = length(app, row, &file).await?;
     Ok((file, bytes))
 }

@@ -6,7 +6,6 @@ use futures::StreamExt;
 use tokio::fs::File;
 use tokio::io::AsyncWriteExt;
 
-use super::checksum::Checksum;
 use super::file;
 use crate::app::App;
 use crate::error::ServerError;
@@ -21,8 +20,6 @@ const LOOK_AT_DISK: u64 = 32 << 20;
 pub(super) struct Piece {
     /// Where the client takes the end to be.
     pub(super) offset: u64,
-    /// What it promises of the body.
-    pub(super) checksum: Option<Checksum>,
     pub(super) body: Body,
 }
 
@@ -49,10 +46,9 @@ enum Ended {
 /// disk when this returns, and no more comes.
 ///
 /// # Errors
-/// 409 where it does not begin at the end of what there is, 413 where it is longer than the rest,
-/// 460 where its checksum is another: of these nothing stays. 400 where the body breaks off, 409
-/// where another takes over, 507 where there is no space for more: what came stays, unless it had a
-/// checksum.
+/// 409 where it does not begin at the end of what there is, 413 where it is longer than the rest:
+/// of these nothing stays. 400 where the body breaks off, 409 where another takes over, 507 where
+/// there is no space for more: what came stays.
 pub(super) async fn add(
     app: &App,
     hold: &Hold,
@@ -69,8 +65,7 @@ pub(super) async fn add(
     if announced.lower() > row.length.saturating_sub(begin) {
         return Err(beyond());
     }
-    let is_empty = announced.exact() == Some(0) && piece.checksum.is_none();
-    if is_empty {
+    if announced.exact() == Some(0) {
         // What is told is on the disk, also what a server left that was killed.
         file::sync(app, row, &file).await?;
         let expires_at = row.expires_at;
@@ -80,13 +75,6 @@ pub(super) async fn add(
     if app.has_no_space_for(announced.lower()) {
         return Err(disk_full());
     }
-    if piece.checksum.is_some() {
-        // A server that dies meanwhile must not count what it has not judged.
-        let expires_at = life(app).await?;
-        app.store
-            .touch_upload(&row.id, Some(begin), expires_at)
-            .await?;
-    }
     let writer = Writer {
         app,
         row,
@@ -94,7 +82,6 @@ pub(super) async fn add(
         begin,
         at: begin,
         looked: begin,
-        checksum: piece.checksum,
     };
     writer.write(piece.body, hold).await
 }
@@ -112,7 +99,6 @@ struct Writer<'a> {
     begin: u64,
     at: u64,
     looked: u64,
-    checksum: Option<Checksum>,
 }
 
 impl Writer<'_> {
@@ -123,20 +109,17 @@ impl Writer<'_> {
             let path = self.app.data.upload(&self.row.id);
             ended = ended.and(Err(ServerError::io(&path)(error)));
         }
-        let whole = matches!(ended, Ok(Ended::Whole));
-        let holds = self.checksum.take().map(|sum| whole && sum.holds());
-        if holds == Some(false) || matches!(ended, Ok(Ended::TooLong)) {
+        if matches!(ended, Ok(Ended::TooLong)) {
             file::cut(self.app, self.row, &self.file, self.begin).await?;
         }
         file::sync(self.app, self.row, &self.file).await?;
         let offset = file::length(self.app, self.row, &self.file).await?;
         let expires_at = life(self.app).await?;
-        let touched = self.app.store.touch_upload(&self.row.id, None, expires_at);
+        let touched = self.app.store.touch_upload(&self.row.id, expires_at);
         if !touched.await? {
             return Err(Problem::not_found("upload"));
         }
         match ended? {
-            Ended::Whole if holds == Some(false) => Err(mismatch()),
             Ended::Whole => Ok(Stands { offset, expires_at }),
             Ended::TooLong => Err(beyond()),
             Ended::Broken(error) => Err(broken(&error)),
@@ -164,9 +147,6 @@ impl Writer<'_> {
             if chunk.len() as u64 > self.row.length.saturating_sub(self.at) {
                 return Ok(Ended::TooLong);
             }
-            if let Some(checksum) = &mut self.checksum {
-                checksum.update(&chunk);
-            }
             let written = self.file.write_all(&chunk).await;
             if let Err(error) = written {
                 return Err(ServerError::io(&self.app.data.upload(&self.row.id))(error));
@@ -185,13 +165,6 @@ impl Writer<'_> {
 fn beyond() -> Problem {
     too_large("The piece is longer than the rest of the upload.")
         .hint("`Upload-Length` was the whole; HEAD tells how much of it there is.")
-}
-
-fn mismatch() -> Problem {
-    // The number is the protocol's own.
-    let status = StatusCode::from_u16(460).unwrap_or(StatusCode::UNPROCESSABLE_ENTITY);
-    let detail = "The piece has another checksum: nothing of it was kept.";
-    Problem::new(status, "checksum_mismatch", detail).hint("Send it again.")
 }
 
 fn broken(error: &str) -> Problem {

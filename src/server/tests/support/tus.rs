@@ -53,18 +53,8 @@ impl<'a> Tus<'a> {
     }
 
     pub fn patch(&self, path: &str, offset: usize, body: &[u8]) -> Reply {
-        self.patch_with(path, offset, body, &[])
-    }
-
-    pub fn patch_with(
-        &self,
-        path: &str,
-        offset: usize,
-        body: &[u8],
-        further: &[(&str, &str)],
-    ) -> Reply {
         let offset = offset.to_string();
-        let headers = [further, &[PIECE, ("upload-offset", &*offset)]].concat();
+        let headers = [PIECE, ("upload-offset", &*offset)];
         self.ask("PATCH", path, &headers, body)
     }
 
