@@ -1,4 +1,4 @@
-//! A few words in a store for whoever deletes there.
+//! A few words in a store: whose it is.
 
 use object_store::{ObjectStoreExt, PutPayload};
 

@@ -23,7 +23,6 @@ use uuid::Uuid;
 
 use crate::blob::{Blob, blocking, expect_digest, is_digest};
 use crate::error::{BlobError, Result};
-use crate::folder::AT_ONCE;
 
 /// How long a request may make no progress.
 const SILENCE: Duration = Duration::from_secs(30);
@@ -215,24 +214,15 @@ impl Blobs {
         Ok(old)
     }
 
-    /// One of these that is not there, if one is not.
+    /// Whether no blob is there.
     ///
     /// # Errors
-    /// [`BlobError::Digest`] or [`BlobError::Store`].
-    pub async fn lacks(&self, blobs: Vec<Blob>) -> Result<Option<Blob>> {
-        let looks = blobs.into_iter().map(async |blob| {
-            expect_digest(&blob.digest)?;
-            let found = self.look(&blob.digest).await?;
-            let is_there = found.is_some_and(|object| object.size == blob.bytes);
-            Ok((!is_there).then_some(blob))
-        });
-        let mut looks = futures::stream::iter(looks).buffer_unordered(AT_ONCE);
-        while let Some(lacking) = looks.next().await {
-            if let Some(lacking) = lacking? {
-                return Ok(Some(lacking));
-            }
-        }
-        Ok(None)
+    /// [`BlobError::Store`] when they cannot be listed.
+    pub async fn is_empty(&self) -> Result<bool> {
+        let first = self.store().list(Some(&self.below("blobs"))).next().await;
+        let first = first.transpose();
+        let first = first.map_err(|error| self.failed("list the blobs", error))?;
+        Ok(first.is_none())
     }
 
     /// Removes a blob, if it is there.

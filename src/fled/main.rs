@@ -3,12 +3,12 @@
 mod assess_worker;
 mod backup;
 mod bench;
-mod db;
 mod doctor;
 mod eval;
 mod export;
 mod failure;
 mod gc;
+mod migrate;
 mod models;
 mod progress;
 mod remote;
@@ -74,8 +74,8 @@ enum Command {
     Cancel(remote::cancel::Args),
     /// Copies the service's data directory while it is in use.
     Backup(backup::Args),
-    /// Moves the service to another database, and its files to a store that machines share.
-    Db(db::Args),
+    /// Moves the service to PostgreSQL, and its files to a store that machines share.
+    Migrate(migrate::Args),
     /// Frees what nobody wants in the service's data directory, and tells of it.
     Gc(gc::Args),
     /// Makes, lists and ends the tokens by which the service is used.
@@ -127,7 +127,7 @@ fn main() -> ExitCode {
         Command::Retry(args) => remote::retry::main(&args),
         Command::Cancel(args) => remote::cancel::main(&args),
         Command::Backup(args) => backup::main(&args),
-        Command::Db(args) => db::main(&args),
+        Command::Migrate(args) => migrate::main(&args),
         Command::Gc(args) => gc::main(&args),
         Command::Token(args) => token::main(&args),
         Command::Bench(args) => bench::main(&args),

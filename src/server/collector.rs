@@ -1,16 +1,12 @@
 //! Deletes what the shared store of files has and no row names.
 //!
-//! Two databases that use one store, one of them a copy of the other for example, would each delete
-//! what only the other names. So each look leaves its id in the store and finds there the id of the
-//! last, which must have been this database's own. Else neither deletes any more, until somebody
-//! says which of them the store belongs to. That holds as long as servers of both run: one that is
-//! stopped cannot say that it is still there.
+//! Of two databases that use one store each would delete what only the other names. So a store has
+//! the identity of the database that used it first, and servers of another are refused.
 
 use std::collections::HashSet;
 use std::time::Duration;
 
 use fled_blobs::Blobs;
-use uuid::Uuid;
 
 use crate::error::{Result, ServerError};
 use crate::store::Store;
@@ -21,15 +17,12 @@ const UNNAMED: Duration = Duration::from_secs(24 * 3600);
 /// Digests that the database is asked about at once.
 const ASKED: usize = 500;
 
-/// What stands in a store in which nothing is deleted.
-const DISPUTED: &str = "disputed";
-
 /// Deletes blobs that no file has had for a day, and what uploads of blobs left that broke off.
 /// Returns how many. Does nothing while another process does so: each would list the whole store
 /// for what the other deletes.
 ///
 /// # Errors
-/// As [`claim`]; also when it turns out halfway.
+/// As [`claim`].
 pub async fn collect(store: &Store, blobs: &Blobs) -> Result<usize> {
     claim(store, blobs).await?;
     let Some(alone) = store.collecting().await? else {
@@ -41,51 +34,21 @@ pub async fn collect(store: &Store, blobs: &Blobs) -> Result<usize> {
     deleted
 }
 
-/// Sees that no other database deletes what is in the store, and says there that this one does.
+/// Sees that the store is this database's, and says so there where it is nobody's yet.
 ///
 /// # Errors
-/// [`ServerError::Disputed`] where another does; when the database or the store refuses.
+/// [`ServerError::StoreOfAnother`] where it is another's; when the database or the store refuses.
 pub async fn claim(store: &Store, blobs: &Blobs) -> Result<()> {
-    let mark = expect_own(store, blobs).await?;
-    mark_as_own(store, blobs, mark.as_deref()).await
-}
-
-/// The mark in the store, which is this database's own or not there; another one is disputed.
-async fn expect_own(store: &Store, blobs: &Blobs) -> Result<Option<String>> {
-    let mark = blobs.mark().await?;
-    if let Some(mark) = &mark
-        && !store.has_collected(mark).await?
-    {
-        if mark != DISPUTED {
-            blobs.set_mark(DISPUTED).await?;
-        }
-        return Err(ServerError::Disputed(blobs.location().to_owned()));
+    match blobs.mark().await? {
+        Some(mark) if store.is_known_as(&mark).await? => Ok(()),
+        Some(_) => Err(ServerError::StoreOfAnother(blobs.location().to_owned())),
+        None => Ok(blobs.set_mark(&store.identity().await?).await?),
     }
-    Ok(mark)
-}
-
-/// Says in the store that it belongs to this database, whatever stands there.
-///
-/// # Errors
-/// When the database or the store refuses.
-pub async fn own(store: &Store, blobs: &Blobs) -> Result<()> {
-    let mark = blobs.mark().await?;
-    mark_as_own(store, blobs, mark.as_deref()).await
-}
-
-async fn mark_as_own(store: &Store, blobs: &Blobs, found: Option<&str>) -> Result<()> {
-    let id = Uuid::now_v7().to_string();
-    // Here first: wherever this breaks off, and whoever else of this database does the same now,
-    // what stands in the store is known here.
-    store.note_collection(&id, found).await?;
-    Ok(blobs.set_mark(&id).await?)
 }
 
 async fn collect_all(store: &Store, blobs: &Blobs) -> Result<usize> {
     let mut deleted = blobs.sweep_unfinished(UNNAMED).await?;
     for first in 0..=u8::MAX {
-        // It takes as long as it takes, and another database may have begun meanwhile.
-        expect_own(store, blobs).await?;
         let old = blobs.older_than(first, UNNAMED).await?;
         for some in old.chunks(ASKED) {
             let digests: Vec<String> = some.iter().map(|blob| blob.digest.clone()).collect();
@@ -192,77 +155,22 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn of_two_databases_neither_deletes_what_the_other_names() {
+    async fn nothing_is_deleted_in_the_store_of_another_database() {
         let [(_file, file), (_server, server)] = of_each().await;
         let place = Place::new();
-        let old = async || place.put("old".to_owned(), 25 * HOUR).await;
-        let blob = old().await;
-        let is_there = || place.file(&blob).exists();
-        let refused = async |store: &Store| {
-            let refused = collect(store, &place.blobs).await;
-            assert!(
-                matches!(refused, Err(ServerError::Disputed(_))),
-                "{refused:?}"
-            );
-        };
-        // It knows its own marks, also of looks that did not come so far as to leave theirs.
-        claim(&file, &place.blobs).await.expect("nobody's");
-        for _ in 0..40 {
-            let mark = place.blobs.mark().await.expect("read");
-            let id = Uuid::now_v7().to_string();
-            let noted = file.note_collection(&id, mark.as_deref()).await;
-            noted.expect("noted");
-        }
-        claim(&file, &place.blobs).await.expect("its own");
-        refused(&server).await;
-        assert!(is_there());
-        // The first learns of it, too.
-        refused(&file).await;
-        refused(&server).await;
-        assert!(is_there());
-        own(&server, &place.blobs).await.expect("said so");
-        assert_eq!(collect(&server, &place.blobs).await.expect("its own"), 1);
-        assert!(!is_there());
-        old().await;
-        refused(&file).await;
-        refused(&server).await;
-        assert!(is_there());
-    }
-
-    #[tokio::test]
-    async fn a_copy_of_a_database_is_another_database() {
-        let (dir, store) = crate::store::tests::in_a_file().await;
-        let place = Place::new();
         let blob = place.put("old".to_owned(), 25 * HOUR).await;
-        claim(&store, &place.blobs).await.expect("nobody's");
-        store.close().await;
-        let [first, copy] = ["fled.db", "copy.db"].map(|name| dir.path().join(name));
-        std::fs::copy(&first, &copy).expect("copied");
-        let [first, copy] = [Store::open(&first).await, Store::open(&copy).await];
-        let [first, copy] = [first.expect("open"), copy.expect("open")];
-        // Whoever looks second sees that the other did.
-        for [one, other] in [[&first, &copy], [&copy, &first]] {
-            own(&first, &place.blobs).await.expect("said so");
-            let mark = place.blobs.mark().await.expect("read").expect("a mark");
-            if !copy.has_collected(&mark).await.expect("asked") {
-                copy.note_collection(&mark, None).await.expect("copied");
-            }
-            claim(one, &place.blobs).await.expect("as far as it knows");
-            for store in [other, one] {
-                let refused = collect(store, &place.blobs).await;
-                assert!(
-                    matches!(refused, Err(ServerError::Disputed(_))),
-                    "{refused:?}"
-                );
-            }
-            // Also one that is in the middle of it.
-            let refused = collect_all(one, &place.blobs).await;
-            assert!(
-                matches!(refused, Err(ServerError::Disputed(_))),
-                "{refused:?}"
-            );
-            assert!(place.file(&blob).exists());
+        for _ in 0..2 {
+            claim(&file, &place.blobs)
+                .await
+                .expect("nobody's, or its own");
         }
+        let refused = collect(&server, &place.blobs).await;
+        assert!(
+            matches!(refused, Err(ServerError::StoreOfAnother(_))),
+            "{refused:?}"
+        );
+        assert!(place.file(&blob).exists());
+        assert_eq!(collect(&file, &place.blobs).await.expect("its own"), 1);
     }
 
     #[tokio::test]

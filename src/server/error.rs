@@ -53,17 +53,18 @@ pub enum ServerError {
     /// A store of files was given to an installation that has its files elsewhere.
     #[error(
         "capture {0} has no files in the store that --store names: this installation keeps them in \
-         its data directory. Leave --store out, or move it: fled db export --data DIR --to FILE, \
-         then fled db import --data DIR --db sqlite:NEW/fled.db --store PLACE FILE"
+         its data directory. Leave --store out, or move it to PostgreSQL: fled migrate --data \
+         DIR --db postgres://.. --store PLACE"
     )]
     NotInStore(String),
-    /// Two databases delete, or would, what is in a store of files.
+    /// A store of files is another database's.
     #[error(
-        "another database uses {0}, too, or this one was restored: nothing is deleted there any \
-         more. Give each a store of its own, then say which of them this one belongs to: \
-         fled db own --db URL --store PLACE"
+        "{0} belongs to another database, and this one would delete there what that one names: \
+         give this one a store of its own by --store. Where it takes the other's place, stop all \
+         servers and workers of the other and delete the object `mark` in the store: the next \
+         start makes it anew"
     )]
-    Disputed(String),
+    StoreOfAnother(String),
     /// An installation was not moved.
     #[error("nothing was moved: {0}")]
     NotMoved(String),

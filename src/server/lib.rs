@@ -19,8 +19,8 @@ mod http;
 mod incoming;
 mod intake;
 pub mod jobs;
+mod migrate;
 mod mirror;
-mod moving;
 mod others;
 mod outside;
 mod point;
@@ -48,6 +48,6 @@ pub use http::document as openapi_document;
 #[doc(hidden)]
 pub use http::read_tus_headers;
 pub use jobs::tether::{TETHER, become_tethered, die_with_parent, tethered};
-pub use moving::{Exported, Import, Imported, export, import, own};
+pub use migrate::{Migrated, migrate};
 pub use point::{Point, Watcher};
 pub use serve::{Server, serve, work};

@@ -4,7 +4,6 @@
 use std::collections::HashMap;
 use std::io;
 use std::path::Path;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use fled_blobs::{Blobs, Kept, Seen, push};
@@ -15,7 +14,6 @@ use crate::error::{Result, ServerError};
 #[derive(Debug, Default)]
 pub struct Mirror {
     blobs: Option<Blobs>,
-    disputed: AtomicBool,
     folders: Mutex<HashMap<String, Arc<tokio::sync::Mutex<Copy>>>>,
 }
 
@@ -40,16 +38,6 @@ impl Mirror {
     /// The store of files, where there is one.
     pub fn blobs(&self) -> Option<&Blobs> {
         self.blobs.as_ref()
-    }
-
-    /// Whether another database was last seen to use the store, too.
-    pub fn is_disputed(&self) -> bool {
-        self.disputed.load(Ordering::Relaxed)
-    }
-
-    /// Notes that.
-    pub fn note_disputed(&self, disputed: bool) {
-        self.disputed.store(disputed, Ordering::Relaxed);
     }
 
     /// What is known of a folder, by the id of its job or capture; for one at a time.

@@ -75,11 +75,6 @@ async fn files(app: &App) -> Option<Check> {
         name: "store".to_owned(),
         ok: outcome.is_ok(),
         detail: match &outcome {
-            Ok(()) if app.mirror.is_disputed() => {
-                "answers and can be written; another database uses it, too, or this one was \
-                 restored: nothing is deleted there (the server's log says more)"
-                    .to_owned()
-            }
             Ok(()) => "answers and can be written".to_owned(),
             Err(error) => {
                 tracing::error!(%error, "the store of files cannot be used");

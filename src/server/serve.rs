@@ -11,6 +11,7 @@ use tokio::signal::unix::{SignalKind, signal};
 use tokio::task::JoinSet;
 
 use crate::app::App;
+use crate::collector::claim;
 use crate::config::ServeConfig;
 use crate::data::DataDir;
 use crate::error::{Result, ServerError};
@@ -62,7 +63,6 @@ impl Server {
         if let Err(error) = expire(&app).await {
             tracing::warn!(%error, "cannot delete what is kept no longer");
         }
-        sweep::look_whose_store(&app).await;
         take_up(&app).await?;
         let mut tasks = JoinSet::new();
         tasks.spawn(keep_telling(app.clone()));
@@ -153,11 +153,12 @@ async fn open(config: &ServeConfig) -> Result<Opened> {
         None if store.engine() == Engine::Postgres => return Err(ServerError::NoFiles),
         None => None,
     };
-    // What is here would be taken for a copy of nothing, and removed.
-    if blobs.is_some()
-        && let Some(capture) = store.capture_without_files().await?
-    {
-        return Err(ServerError::NotInStore(capture));
+    if let Some(blobs) = &blobs {
+        // What is here would be taken for a copy of nothing, and removed.
+        if let Some(capture) = store.capture_without_files().await? {
+            return Err(ServerError::NotInStore(capture));
+        }
+        claim(&store, blobs).await?;
     }
     let worker = data.worker()?;
     let limits = config.limits;
@@ -313,6 +314,42 @@ mod tests {
         config.files = None;
         let server = Server::start(config).await.expect("as it was");
         server.stop().await;
+    }
+
+    #[tokio::test]
+    async fn a_store_of_files_serves_the_database_that_came_first_and_no_other() {
+        let dir = tempfile::tempdir().expect("temporary directory");
+        let store = dir.path().join("store");
+        let config = |name: &str| {
+            let listen = ([127, 0, 0, 1], 0).into();
+            let config = ServeConfig::new(dir.path().join(name), listen, 0);
+            let mut config = config.expect("a program");
+            config.files = Some(store.display().to_string());
+            config
+        };
+        for _ in 0..2 {
+            let first = Server::start(config("first")).await.expect("its own");
+            let refused = [
+                Server::start(config("second")).await,
+                Server::start_worker(config("second")).await,
+            ];
+            for refused in refused {
+                let refused = refused.map(drop).expect_err("another database");
+                assert!(matches!(refused, ServerError::StoreOfAnother(_)));
+                let words = refused.to_string();
+                assert!(words.contains("--store") && words.contains("delete the object `mark`"));
+            }
+            first.stop().await;
+        }
+        // As the words advise where one takes the other's place.
+        std::fs::remove_file(store.join("mark")).expect("there was one");
+        let second = Server::start(config("second")).await.expect("its own now");
+        second.stop().await;
+        let refused = Server::start(config("first")).await;
+        assert!(
+            matches!(refused, Err(ServerError::StoreOfAnother(_))),
+            "{refused:?}"
+        );
     }
 
     #[tokio::test]

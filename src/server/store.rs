@@ -7,13 +7,14 @@ mod alone;
 mod backup;
 mod captures;
 mod clock;
-mod collections;
 mod compact;
+mod copy;
 mod effects;
 mod engine;
 mod events;
 mod files;
 mod idempotency;
+mod identity;
 mod jobs;
 mod lease;
 mod listen;
@@ -23,11 +24,9 @@ mod results;
 mod retention;
 mod retry;
 mod room;
-mod rows;
 mod say;
 mod sessions;
 mod shares;
-mod tables;
 #[cfg(test)]
 pub(crate) mod tests;
 mod tokens;
@@ -59,9 +58,7 @@ pub use listen::{Heard, News};
 pub use results::{StageSeconds, WarningRow};
 pub use retry::{Change, Retry};
 pub use room::Room;
-pub use rows::{Intake, Snapshot};
 pub use shares::{NewShare, ShareRow};
-pub use tables::{TABLES, Table};
 pub use tokens::{NewToken, Quotas, TokenRow};
 pub use uploads::UploadRow;
 pub use webhooks::{DeliveryRow, Then, Tried, WebhookRow};
@@ -97,22 +94,13 @@ impl Store {
         if let Some(path) = url.strip_prefix("sqlite:") {
             return Self::open(Path::new(path)).await;
         }
-        let store = Self::at_as_it_is(url).await?;
-        engine::migrate(&store.pool, Engine::Postgres).await?;
-        Ok(store)
-    }
-
-    /// Connects to a PostgreSQL, and leaves its schema as it is.
-    ///
-    /// # Errors
-    /// When there is none; [`ServerError::BadDatabase`] where that is not its address.
-    pub async fn at_as_it_is(url: &str) -> Result<Self> {
         if !url.starts_with("postgres://") && !url.starts_with("postgresql://") {
             return Err(ServerError::BadDatabase {
                 detail: "it begins with neither `postgres://` nor `sqlite:`".to_owned(),
             });
         }
         let pool = engine::postgres(url).await?;
+        engine::migrate(&pool, Engine::Postgres).await?;
         Ok(Self::over(pool, Engine::Postgres, Some(url.to_owned())))
     }
 

@@ -14,7 +14,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use crate::app::App;
-use crate::collector::{claim, collect};
+use crate::collector::collect;
 use crate::copies::remove_unused;
 use crate::error::{Result, ServerError};
 use crate::expiry::expire;
@@ -64,7 +64,11 @@ pub async fn keep_sweeping(app: Arc<App>, serves: bool) {
             tracing::warn!(%error, "cannot delete what is kept no longer");
         }
         if let Some(blobs) = app.mirror.blobs() {
-            told(&app, collect(&app.store, blobs).await);
+            match collect(&app.store, blobs).await {
+                Ok(0) => {}
+                Ok(deleted) => tracing::info!(deleted, "blobs that no file has are gone"),
+                Err(error) => tracing::warn!(%error, "cannot look for blobs that no file has"),
+            }
         }
     }
 }
@@ -74,26 +78,6 @@ async fn remove_copies(app: &App) {
         Ok(0) => {}
         Ok(removed) => tracing::info!(removed, "copies that were not used for a week are gone"),
         Err(error) => tracing::warn!(%error, "cannot look for copies that are not used"),
-    }
-}
-
-/// Sees whether the store of files is another database's. That one is told of it, so that it does
-/// not wait for the next look.
-pub async fn look_whose_store(app: &App) {
-    if let Some(blobs) = app.mirror.blobs() {
-        told(app, claim(&app.store, blobs).await.map(|()| 0));
-    }
-}
-
-fn told(app: &App, collected: Result<usize>) {
-    let disputed = matches!(collected, Err(ServerError::Disputed(_)));
-    if disputed || collected.is_ok() {
-        app.mirror.note_disputed(disputed);
-    }
-    match collected {
-        Ok(0) => {}
-        Ok(deleted) => tracing::info!(deleted, "blobs that no file has are gone"),
-        Err(error) => tracing::warn!(%error, "cannot look for blobs that no file has"),
     }
 }
 

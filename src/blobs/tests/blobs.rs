@@ -64,8 +64,11 @@ async fn a_mark_is_what_was_written_last() {
         }
         // It is no blob, and nothing that broke off.
         assert_eq!(older_than(&blobs, Duration::ZERO).await, []);
+        assert!(blobs.is_empty().await.unwrap());
         assert_eq!(blobs.sweep_unfinished(Duration::ZERO).await.unwrap(), 0);
         assert_eq!(blobs.mark().await.unwrap().as_deref(), Some("another"));
+        blobs.put_bytes(b"one".to_vec()).await.unwrap();
+        assert!(!blobs.is_empty().await.unwrap());
     })
     .await;
 }

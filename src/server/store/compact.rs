@@ -7,7 +7,7 @@ use crate::error::{Result, ServerError};
 
 impl Store {
     /// The schema that this program knows.
-    pub fn schema(&self) -> i64 {
+    fn schema(&self) -> i64 {
         let known = match self.engine {
             Engine::Sqlite => migrations::SQLITE.last(),
             Engine::Postgres => migrations::POSTGRES.last(),

@@ -8,9 +8,7 @@ use std::path::Path;
 use std::time::Duration;
 
 use fled_server::{Collected, GcOptions, gc};
-use fled_tests::Client;
 use support::Server;
-use support::farm::{PATIENCE, begin};
 
 const DAY: Duration = Duration::from_secs(24 * 3600);
 
@@ -170,60 +168,4 @@ fn where_there_is_no_database_or_another_one_nothing_is_nameless() {
     fs::write(&database, "").expect("written");
     assert!(refused(&data), "an empty one");
     assert!(data.join("captures").join(&capture).is_dir());
-}
-
-/// What a server says of its store of files.
-fn of_the_store(base: &str) -> String {
-    let ready = Client::new(base.to_owned(), PATIENCE).get("/readyz", &[]);
-    let ready = ready.json();
-    let checks = ready["checks"].as_array().expect("checks");
-    let store = checks.iter().find(|check| check["name"] == "store");
-    let detail = &store.expect("it has one")["detail"];
-    detail.as_str().expect("words").to_owned()
-}
-
-#[test]
-fn a_copy_of_a_database_with_the_same_store_is_told_of_until_one_is_said_to_own_it() {
-    let root = tempfile::tempdir().expect("temporary directory");
-    let store = root.path().join("store").display().to_string();
-    let told = [
-        ("FLED_FAKE_STORE", store.as_str()),
-        ("FLED_FAKE_WORKERS", "0"),
-    ];
-    let start = |name: &str| begin(root.path(), name, &told);
-    let says = |base: &str, is_disputed: bool| {
-        let detail = of_the_store(base);
-        assert_eq!(detail.contains("another database"), is_disputed, "{detail}");
-    };
-    let (first, base) = start("first");
-    says(&base, false);
-    drop(first);
-    let data = ["first", "copy"].map(|name| root.path().join(name).join("data"));
-    fs::create_dir_all(&data[1]).expect("made");
-    for entry in fs::read_dir(&data[0]).expect("its data") {
-        let entry = entry.expect("an entry");
-        let name = entry.file_name();
-        if name.to_string_lossy().starts_with("fled.db") {
-            fs::copy(entry.path(), data[1].join(name)).expect("copied");
-        }
-    }
-    // It knows its own marks.
-    let (first, base) = start("first");
-    says(&base, false);
-    let (copy, at_copy) = start("copy");
-    says(&at_copy, true);
-    drop((first, copy));
-    let (first, base) = start("first");
-    says(&base, true);
-    drop(first);
-    let runtime = tokio::runtime::Builder::new_current_thread()
-        .enable_all()
-        .build()
-        .expect("runtime");
-    let owned = runtime.block_on(fled_server::own(&data[0], None, &store));
-    assert!(owned.expect("owned").ends_with("/store"));
-    let (_first, base) = start("first");
-    says(&base, false);
-    let (_copy, at_copy) = start("copy");
-    says(&at_copy, true);
 }

@@ -145,31 +145,3 @@ async fn workers_are_seen_with_what_they_do_until_they_go() {
     store.forget_workers(Some("two"), 0).await.expect("gone");
     assert_eq!(store.workers().await.expect("workers").len(), 1);
 }
-
-#[tokio::test]
-async fn marks_are_known_for_a_week_and_the_last_as_long_as_it_is_the_last() {
-    let (_dir, store) = store().await;
-    let note = async |id: &str, found| store.note_collection(id, found).await.expect("noted");
-    let known = async || {
-        let mut known = Vec::new();
-        for id in ["a", "b", "c", "d"] {
-            if store.has_collected(id).await.expect("asked") {
-                known.push(id);
-            }
-        }
-        known
-    };
-    let set = async |change: &'static str| {
-        sqlx::query(change).execute(&store.pool).await.expect("changed");
-    };
-    note("a", None).await;
-    note("b", None).await;
-    assert_eq!(known().await, ["a", "b"]);
-    set("UPDATE collections SET begun_at = begun_at - 700000000").await;
-    note("c", Some("b")).await;
-    assert_eq!(known().await, ["b", "c"]);
-    // A clock that goes back leaves what is noted now.
-    set("UPDATE collections SET begun_at = begun_at + 1400000000").await;
-    note("d", Some("c")).await;
-    assert_eq!(known().await, ["c", "d"]);
-}

@@ -1,0 +1,75 @@
+//! `fled migrate`: moves the service to PostgreSQL, and its files to a store that machines share.
+
+use std::path::PathBuf;
+
+use fled_core::pipeline::error::ErrorKind;
+use fled_server::ServerError;
+
+use crate::failure::Failure;
+use crate::shared::log;
+
+/// Arguments of `fled migrate`.
+#[derive(clap::Args)]
+pub struct Args {
+    /// The service's data directory. No server may use it meanwhile.
+    #[arg(long, value_name = "DIR", default_value = "data")]
+    data: PathBuf,
+    /// The new database, empty: postgres://USER:PASSWORD@HOST/NAME.
+    #[arg(
+        long = "db",
+        value_name = "URL",
+        env = "FLED_DB",
+        hide_env_values = true
+    )]
+    database: String,
+    /// Where files are kept that machines share, empty: a directory, or s3://BUCKET/PREFIX with
+    /// credentials by the usual AWS_ variables.
+    #[arg(long = "store", value_name = "PLACE", env = "FLED_STORE")]
+    files: String,
+}
+
+/// Copies rows and files.
+///
+/// # Errors
+/// [`Failure`] when a server uses the data directory, the database or the store is not empty, or
+/// something cannot be read or written; the database has no rows then.
+pub fn main(args: &Args) -> Result<(), Failure> {
+    log();
+    if !args.data.join("fled.db").is_file() {
+        let detail = format!(
+            "{} holds no fled.db: it is no data directory",
+            args.data.display()
+        );
+        return Err(Failure::usage(detail));
+    }
+    let runtime =
+        tokio::runtime::Runtime::new().map_err(|e| Failure::new(ErrorKind::Internal, e))?;
+    let done = runtime
+        .block_on(fled_server::migrate(
+            &args.data,
+            &args.database,
+            &args.files,
+        ))
+        .map_err(|error| failed(&error))?;
+    eprintln!(
+        "{} rows are in the database, {} files, {:.1} MB, in the store",
+        done.rows,
+        done.files,
+        done.bytes as f64 / 1e6
+    );
+    for (left, what) in [(done.uploads, "uploads"), (done.videos, "videos")] {
+        if left > 0 {
+            eprintln!("{left} unfinished {what} stay behind");
+        }
+    }
+    Ok(())
+}
+
+fn failed(error: &ServerError) -> Failure {
+    let mut failure = Failure::new(ErrorKind::Io, error);
+    if matches!(error, ServerError::NotMoved(_) | ServerError::DataInUse(_)) {
+        failure.kind = ErrorKind::BadInput;
+        failure.hint = String::new();
+    }
+    failure
+}

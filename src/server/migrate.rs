@@ -1,0 +1,145 @@
+//! From a data directory with SQLite to PostgreSQL and a store of files: files first, then all rows
+//! in one transaction, so that no row names what is not there.
+
+use std::collections::HashMap;
+use std::path::Path;
+
+use fled_blobs::{Blobs, Kept, Seen, push};
+
+use crate::collector::claim;
+use crate::config::Limits;
+use crate::copies::is_kept;
+use crate::data::DataDir;
+use crate::error::{Result, ServerError};
+use crate::jobs::{after_death, kill_orphans};
+use crate::store::Store;
+use crate::videos::record::videos_of;
+
+/// What was copied.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Migrated {
+    /// Rows.
+    pub rows: usize,
+    /// Files of captures and jobs.
+    pub files: usize,
+    /// Bytes of them.
+    pub bytes: u64,
+    /// Uploads of which no capture is made yet: they stay behind.
+    pub uploads: usize,
+    /// Videos that are not finished: likewise.
+    pub videos: usize,
+}
+
+/// Copies all rows of the data directory's database to the PostgreSQL at `database`, and its files
+/// to the store `files`. What ran when its server was killed waits again, as after its next start;
+/// nothing else is changed in the data directory.
+///
+/// # Errors
+/// [`ServerError::DataInUse`] while a server works there, [`ServerError::NotMoved`] where database
+/// or store are not empty or files are missing; when something cannot be read or written. The
+/// database has no rows then.
+pub async fn migrate(data: &Path, database: &str, files: &str) -> Result<Migrated> {
+    if database.starts_with("sqlite:") {
+        let words = "--db names a file of SQLite: give postgres://USER:PASSWORD@HOST/NAME";
+        return Err(ServerError::NotMoved(words.to_owned()));
+    }
+    let data = DataDir::open(data)?;
+    let source = Store::open(&data.database()).await?;
+    let target = Store::at(database).await?;
+    target.expect_no_rows().await?;
+    let blobs = Blobs::open(files)?;
+    blobs.check().await?;
+    if !blobs.is_empty().await? {
+        return Err(ServerError::NotMoved(format!(
+            "{} has files already, of another service or of an attempt that broke off: empty it or \
+             give another place",
+            blobs.location()
+        )));
+    }
+    claim(&target, &blobs).await?;
+    let settle = |deaths| after_death(&Limits::default(), deaths);
+    kill_orphans(&source.release_all(settle).await?);
+    let mut done = Migrated {
+        uploads: source.ids("uploads").await?.len(),
+        ..Migrated::default()
+    };
+    let of_captures = keep_captures(&source, &data, &blobs).await?;
+    let of_jobs = keep_jobs(&source, &data, &blobs, &mut done).await?;
+    done.rows = target.copy_from(&source, &of_captures, &of_jobs).await?;
+    for (_, file) in of_captures.iter().chain(&of_jobs) {
+        done.files += 1;
+        done.bytes += file.blob.bytes;
+    }
+    source.close().await;
+    target.close().await;
+    Ok(done)
+}
+
+/// Puts the files of all captures into the store.
+async fn keep_captures(
+    source: &Store,
+    data: &DataDir,
+    blobs: &Blobs,
+) -> Result<Vec<(String, Kept)>> {
+    let mut kept = Vec::new();
+    for id in source.ids("captures").await? {
+        if !source.capture_files(&id).await?.is_empty() {
+            return Err(ServerError::NotMoved(format!(
+                "the files of capture {id} are in a store already: only a service that keeps them \
+                 in its data directory can be moved"
+            )));
+        }
+        let files = keep(blobs, &data.capture(&id), &|_| true).await?;
+        if files.is_empty() {
+            return Err(ServerError::NotMoved(format!(
+                "{} has no files of capture {id}: delete the capture at the server and try again",
+                data.root().display()
+            )));
+        }
+        kept.extend(files.into_iter().map(|file| (id.clone(), file)));
+    }
+    Ok(kept)
+}
+
+/// Puts what others may see of all jobs into the store.
+async fn keep_jobs(
+    source: &Store,
+    data: &DataDir,
+    blobs: &Blobs,
+    done: &mut Migrated,
+) -> Result<Vec<(String, Kept)>> {
+    let mut kept = Vec::new();
+    let jobs = source.ids("jobs").await?;
+    let total = jobs.len();
+    for (at, id) in jobs.into_iter().enumerate() {
+        if at % 50 == 0 {
+            tracing::info!("the files of {at} of {total} jobs are in the store");
+        }
+        let videos = videos_of(data, &id)?.into_iter();
+        let unfinished = videos.filter(|video| !video.state.is_over());
+        let unfinished: Vec<String> = unfinished
+            .map(|video| format!("videos/{}/", video.id))
+            .collect();
+        done.videos += unfinished.len();
+        let wanted =
+            |path: &str| is_kept(path) && !unfinished.iter().any(|video| path.starts_with(video));
+        let files = keep(blobs, &data.job(&id), &wanted).await?;
+        kept.extend(files.into_iter().map(|file| (id.clone(), file)));
+    }
+    Ok(kept)
+}
+
+async fn keep(
+    blobs: &Blobs,
+    folder: &Path,
+    wanted: &(dyn Fn(&str) -> bool + Send + Sync),
+) -> Result<Vec<Kept>> {
+    let pushed = push(blobs, folder, wanted, &HashMap::new(), &mut Seen::default()).await?;
+    if pushed.skipped > 0 {
+        return Err(ServerError::NotMoved(format!(
+            "{} has files that change, or whose names are no UTF-8",
+            folder.display()
+        )));
+    }
+    Ok(pushed.kept)
+}
