@@ -22,7 +22,7 @@ const PART: u64 = 8 << 20;
 /// Parts that an upload may have; S3 takes 10 000.
 const PARTS: u64 = 9_000;
 
-/// How old a blob may be that is not sent again. The collector deletes what nobody named for 24
+/// How old a blob may be that is not sent again. The janitor deletes what nobody named for 24
 /// hours, and whoever keeps a blob names it only afterwards: half a day is left for that.
 const FRESH: Duration = Duration::from_secs(12 * 60 * 60);
 

@@ -3,8 +3,8 @@
 //! ```text
 //! <prefix>/blobs/ab/<64 digits that begin with ab>   <prefix>/probes/<id>   <prefix>/mark
 //! ```
-//! What breaks off leaves no blob: an object appears whole or not at all. What it may leave is
-//! swept in a directory ([`Blobs::sweep_unfinished`]). In a bucket it is the parts of an upload,
+//! What breaks off leaves no blob: an object appears whole or not at all. What it may leave goes
+//! from a directory by [`Blobs::delete_unfinished`]. In a bucket it is the parts of an upload,
 //! which nobody lists; a lifecycle rule with `AbortIncompleteMultipartUpload` removes them.
 
 use std::fmt;
@@ -226,10 +226,7 @@ impl Blobs {
     }
 
     /// Removes a blob, if it is there.
-    ///
-    /// # Errors
-    /// [`BlobError::Digest`] or [`BlobError::Store`].
-    pub async fn delete(&self, digest: &str) -> Result<()> {
+    pub(crate) async fn delete(&self, digest: &str) -> Result<()> {
         expect_digest(digest)?;
         match self.store().delete(&self.key(digest)).await {
             Ok(()) | Err(object_store::Error::NotFound { .. }) => Ok(()),
@@ -252,15 +249,15 @@ impl Blobs {
     }
 
     /// Removes what uploads that broke off longer ago than `age` left in a directory, and says how
-    /// many files that were. In a bucket there is nothing to sweep, see the head of this file.
+    /// many files that were. In a bucket there is nothing to delete, see the head of this file.
     ///
     /// # Errors
     /// [`BlobError::Io`] when the directory cannot be read.
-    pub async fn sweep_unfinished(&self, age: Duration) -> Result<usize> {
+    pub async fn delete_unfinished(&self, age: Duration) -> Result<usize> {
         let Some(directory) = self.shared.directory.clone() else {
             return Ok(0);
         };
-        blocking(move || sweep(&directory.join("blobs"), age)).await
+        blocking(move || delete_unfinished(&directory.join("blobs"), age)).await
     }
 
     pub(crate) fn store(&self) -> &dyn ObjectStore {
@@ -345,8 +342,8 @@ fn timeouts() -> ClientOptions {
 }
 
 /// Removes old `<name>#<number>`, as `object_store` calls files that it has not renamed yet.
-fn sweep(blobs: &Path, age: Duration) -> Result<usize> {
-    let mut swept = 0;
+fn delete_unfinished(blobs: &Path, age: Duration) -> Result<usize> {
+    let mut deleted = 0;
     for folder in entries(blobs)? {
         for path in entries(&folder)? {
             let name = path.file_name().unwrap_or_default().to_string_lossy();
@@ -359,11 +356,11 @@ fn sweep(blobs: &Path, age: Duration) -> Result<usize> {
                 written.is_ok_and(|time| time.elapsed().is_ok_and(|elapsed| elapsed > age))
             };
             if unfinished && old() && std::fs::remove_file(&path).is_ok() {
-                swept += 1;
+                deleted += 1;
             }
         }
     }
-    Ok(swept)
+    Ok(deleted)
 }
 
 /// What is in a directory; nothing where there is none.

@@ -15,9 +15,9 @@ use fled_blobs::{Blobs, Kept, pull, push};
 
 use crate::app::App;
 use crate::error::{Result, ServerError};
+use crate::janitor::remove;
 use crate::mirror::Copy;
 use crate::point::Point;
-use crate::removal::remove;
 use crate::store::{Claim, Lease, by_path};
 
 /// Looks at a folder that changes, until one is of one moment.
@@ -102,35 +102,6 @@ fn used_now(folder: &Path) -> io::Result<()> {
         Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(()),
         folder => folder?.set_modified(SystemTime::now()),
     }
-}
-
-/// Removes copies of jobs and captures that nothing has used for so long. Returns how many went.
-///
-/// # Errors
-/// When the data directory cannot be read.
-pub async fn remove_unused(app: &App, age: Duration) -> Result<usize> {
-    let mut removed = 0;
-    for folder in [app.data.captures(), app.data.jobs()] {
-        let entries = fs::read_dir(&folder).map_err(ServerError::io(&folder))?;
-        for entry in entries {
-            let path = entry.map_err(ServerError::io(&folder))?.path();
-            let Some(id) = path.file_name().and_then(|name| name.to_str()) else {
-                continue;
-            };
-            let copy = app.mirror.folder(id);
-            let mut copy = copy.lock().await;
-            let is_old = |used: SystemTime| used.elapsed().is_ok_and(|unused| unused > age);
-            let used = fs::metadata(&path).and_then(|about| about.modified());
-            if app.running.has(id) || !used.is_ok_and(is_old) {
-                continue;
-            }
-            remove(&path).await;
-            *copy = Copy::default();
-            app.mirror.forget(id);
-            removed += 1;
-        }
-    }
-    Ok(removed)
 }
 
 /// Puts what a job has made so far into the store and names it, under the job's lease. `at_end`
@@ -286,44 +257,4 @@ fn look_below(root: &Path, dir: &Path, look: &mut Look) -> io::Result<()> {
         }
     }
     Ok(())
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::config::ServeConfig;
-    use crate::data::DataDir;
-    use crate::mirror::Mirror;
-    use crate::store::Store;
-
-    #[tokio::test]
-    async fn only_copies_that_nothing_uses_for_long_go() {
-        let dir = tempfile::tempdir().expect("temporary directory");
-        let nowhere = ([127, 0, 0, 1], 0).into();
-        let config = ServeConfig::new(dir.path().into(), nowhere, 1).expect("a program");
-        let data = DataDir::open(dir.path()).expect("free");
-        let store = Store::open(&data.database()).await.expect("open");
-        let mirror = Mirror::default();
-        let app = App::new(config, data, store, mirror, "w".to_owned());
-        let age = Duration::from_secs(3600);
-        let old = SystemTime::now() - 2 * age;
-        let folders = [
-            (app.data.capture("old"), true),
-            (app.data.capture("new"), false),
-            (app.data.job("old"), true),
-            (app.data.job("runs"), true),
-        ];
-        for (folder, is_old) in &folders {
-            fs::create_dir(folder).expect("made");
-            if *is_old {
-                let folder = fs::File::open(folder).expect("opened");
-                folder.set_modified(old).expect("set");
-            }
-        }
-        let job = "runs".to_owned();
-        app.running.begin(&Lease { job, epoch: 1 });
-        assert_eq!(remove_unused(&app, age).await.expect("read"), 2);
-        let left = folders.map(|(folder, _)| folder.exists());
-        assert_eq!(left, [false, true, false, true]);
-    }
 }

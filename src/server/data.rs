@@ -43,23 +43,8 @@ impl Drop for Lock {
     }
 }
 
-/// Attempts to remove what a process of an earlier server may still write into: they end with it,
-/// but a moment after.
-const ATTEMPTS: u32 = 5;
-
-/// Removes a folder that others may still write into.
-fn clear(folder: &Path) -> io::Result<()> {
-    for _ in 1..ATTEMPTS {
-        match fs::remove_dir_all(folder) {
-            Err(error) if error.kind() == io::ErrorKind::DirectoryNotEmpty => {}
-            cleared => return cleared,
-        }
-    }
-    fs::remove_dir_all(folder)
-}
-
 impl DataDir {
-    /// Creates what is missing, takes the lock and removes unfinished uploads, but those in pieces.
+    /// Creates what is missing and takes the lock.
     ///
     /// # Errors
     /// [`ServerError::DataInUse`] while another server lives on it; [`ServerError::Io`] otherwise.
@@ -69,11 +54,12 @@ impl DataDir {
         if !data.is_ours() {
             return Err(ServerError::DataInUse(data.root));
         }
-        let incoming = data.incoming();
-        if incoming.exists() {
-            clear(&incoming).map_err(ServerError::io(&incoming))?;
-        }
-        for dir in [incoming, data.captures(), data.jobs(), data.uploads()] {
+        for dir in [
+            data.incoming(),
+            data.captures(),
+            data.jobs(),
+            data.uploads(),
+        ] {
             fs::create_dir_all(&dir).map_err(ServerError::io(&dir))?;
         }
         Ok(data)
@@ -288,16 +274,5 @@ mod tests {
         let _inherited = lock.0.try_clone().expect("open");
         drop(first);
         DataDir::open(dir.path()).expect("free again");
-    }
-
-    #[test]
-    fn an_unfinished_upload_is_gone_after_a_restart() {
-        let dir = tempfile::tempdir().expect("temporary directory");
-        let data = DataDir::open(dir.path()).expect("free");
-        let upload = data.incoming().join("u");
-        fs::create_dir(&upload).expect("create");
-        drop(data);
-        DataDir::open(dir.path()).expect("free");
-        assert!(!upload.exists());
     }
 }

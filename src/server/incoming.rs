@@ -8,8 +8,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use uuid::Uuid;
 
-/// Attempts at removing a folder: a write that was under way may put a file into it meanwhile.
-const ATTEMPTS: u32 = 3;
+use crate::janitor::delete;
 
 /// The uploads that are under way.
 #[derive(Clone, Debug, Default)]
@@ -58,14 +57,9 @@ impl Incoming {
 
 impl Drop for Incoming {
     fn drop(&mut self) {
-        for _ in 0..ATTEMPTS {
-            match fs::remove_dir_all(&self.path) {
-                Err(error) if error.kind() != io::ErrorKind::NotFound => {
-                    tracing::debug!(%error, "an upload's folder is removed again");
-                }
-                // Also when it was moved into place.
-                _ => break,
-            }
+        // It is not there when it was moved into place.
+        if let Err(error) = delete(&self.path) {
+            tracing::debug!(%error, "an upload's folder waits for the janitor");
         }
         self.uploads.lock().remove(&self.path);
     }

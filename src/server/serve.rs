@@ -11,17 +11,15 @@ use tokio::signal::unix::{SignalKind, signal};
 use tokio::task::JoinSet;
 
 use crate::app::App;
-use crate::collector::claim;
 use crate::config::ServeConfig;
 use crate::data::DataDir;
 use crate::error::{Result, ServerError};
-use crate::expiry::expire;
 use crate::http::{router, serve_connections};
+use crate::janitor;
 use crate::jobs::{after_death, kill_orphans, worker};
 use crate::mirror::Mirror;
 use crate::others;
 use crate::store::{Engine, Store};
-use crate::sweep;
 use crate::videos::maker::{keep_making, take_up};
 use crate::webhooks::keep_telling;
 
@@ -58,11 +56,7 @@ impl Server {
         let address = listener
             .local_addr()
             .map_err(ServerError::io(Path::new(&name)))?;
-        let app = opened.app(config).await?;
-        // A disk that is too full to be written must not keep the server from starting.
-        if let Err(error) = expire(&app).await {
-            tracing::warn!(%error, "cannot delete what is kept no longer");
-        }
+        let app = opened.app(config, true).await;
         take_up(&app).await?;
         let mut tasks = JoinSet::new();
         tasks.spawn(keep_telling(app.clone()));
@@ -89,7 +83,7 @@ impl Server {
     /// When one of them is in use or unusable.
     pub async fn start_worker(config: ServeConfig) -> Result<Self> {
         let mut tasks = JoinSet::new();
-        let app = open(&config).await?.app(config).await?;
+        let app = open(&config).await?.app(config, false).await;
         let turns = spawn_shared(&app, &mut tasks, false);
         Ok(Self {
             address: None,
@@ -158,7 +152,7 @@ async fn open(config: &ServeConfig) -> Result<Opened> {
         if let Some(capture) = store.capture_without_files().await? {
             return Err(ServerError::NotInStore(capture));
         }
-        claim(&store, blobs).await?;
+        janitor::claim(&store, blobs).await?;
     }
     let worker = data.worker()?;
     let limits = config.limits;
@@ -185,16 +179,11 @@ async fn open(config: &ServeConfig) -> Result<Opened> {
 }
 
 impl Opened {
-    async fn app(self, config: ServeConfig) -> Result<Arc<App>> {
+    async fn app(self, config: ServeConfig, serves: bool) -> Arc<App> {
         let (data, store, mirror) = (self.data, self.store, self.mirror);
-        let app = App::new(config, data, store, mirror, self.worker);
-        let app = Arc::new(app);
-        // Before there are workers and requests: what has no row now will never have one.
-        let swept = sweep::sweep(&app, Duration::ZERO).await?;
-        if swept > 0 {
-            tracing::info!(swept, "leftovers of an earlier server are out of the way");
-        }
-        Ok(app)
+        let app = Arc::new(App::new(config, data, store, mirror, self.worker));
+        janitor::clean(app.clone(), serves, Duration::ZERO).await;
+        app
     }
 }
 
@@ -210,7 +199,7 @@ async fn end(tasks: &mut JoinSet<()>, patience: Duration, what: &str) {
 /// Begins what every process does: to be seen by the others, and to work on jobs, as many at once
 /// as it is told.
 fn spawn_shared(app: &Arc<App>, tasks: &mut JoinSet<()>, serves: bool) -> JoinSet<()> {
-    tasks.spawn(sweep::keep_sweeping(app.clone(), serves));
+    tasks.spawn(janitor::keep_clean(app.clone(), serves));
     if app.store.engine() == Engine::Postgres {
         tasks.spawn(others::keep_hearing(app.clone()));
     }

@@ -65,7 +65,7 @@ async fn a_mark_is_what_was_written_last() {
         // It is no blob, and nothing that broke off.
         assert_eq!(older_than(&blobs, Duration::ZERO).await, []);
         assert!(blobs.is_empty().await.unwrap());
-        assert_eq!(blobs.sweep_unfinished(Duration::ZERO).await.unwrap(), 0);
+        assert_eq!(blobs.delete_unfinished(Duration::ZERO).await.unwrap(), 0);
         assert_eq!(blobs.mark().await.unwrap().as_deref(), Some("another"));
         blobs.put_bytes(b"one".to_vec()).await.unwrap();
         assert!(!blobs.is_empty().await.unwrap());
@@ -237,7 +237,7 @@ fn locations_are_read() {
 }
 
 #[tokio::test]
-async fn what_broke_off_in_a_directory_is_swept() {
+async fn what_broke_off_in_a_directory_is_deleted() {
     let (dir, blobs) = directory();
     let blob = blobs.put_bytes(b"whole".to_vec()).await.unwrap();
     let whole = object(dir.path(), &blob);
@@ -249,9 +249,9 @@ async fn what_broke_off_in_a_directory_is_swept() {
     set_age(&whole, 25 * HOUR);
     set_age(&old, 25 * HOUR);
     assert_eq!(older_than(&blobs, Duration::ZERO).await, [blob]);
-    assert_eq!(blobs.sweep_unfinished(24 * HOUR).await.unwrap(), 1);
+    assert_eq!(blobs.delete_unfinished(24 * HOUR).await.unwrap(), 1);
     assert!(whole.exists() && new.exists() && !old.exists());
     assert!(age(&whole) > 24 * HOUR);
     let (_dir, fresh) = directory();
-    assert_eq!(fresh.sweep_unfinished(Duration::ZERO).await.unwrap(), 0);
+    assert_eq!(fresh.delete_unfinished(Duration::ZERO).await.unwrap(), 0);
 }

@@ -372,6 +372,6 @@ fn all_of_it_can_move_between_threads() {
     expect_send(blobs.older_than(0, HOUR));
     expect_send(blobs.delete(""));
     expect_send(blobs.delete_older("", HOUR));
-    expect_send(blobs.sweep_unfinished(HOUR));
+    expect_send(blobs.delete_unfinished(HOUR));
     expect_send(blobs.check());
 }

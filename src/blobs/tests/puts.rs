@@ -29,7 +29,7 @@ async fn what_is_there_is_not_sent_again() {
 }
 
 #[tokio::test]
-async fn what_the_collector_may_soon_take_is_sent_again() {
+async fn what_the_janitor_may_soon_take_is_sent_again() {
     let (dir, blobs) = directory();
     let file = dir.path().join("file");
     for bytes in [100, 17 * MIB] {

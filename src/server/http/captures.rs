@@ -18,7 +18,7 @@ use super::shapes::{Capture, Captures};
 use super::upload::{self, Upload};
 use super::uploaded::CaptureOfUploads;
 use crate::app::App;
-use crate::removal::remove;
+use crate::janitor::remove;
 
 /// How to take an upload.
 #[derive(Debug, Deserialize, IntoParams)]

@@ -25,8 +25,8 @@ use super::upload;
 use super::uploaded::{self, JobOfUploads};
 use crate::app::App;
 use crate::error::ServerError;
+use crate::janitor::remove;
 use crate::jobs::state::JobState;
-use crate::removal::remove;
 use crate::store::{Creation, JobFilter, JobRow};
 
 /// Cancelling answers when the job is over, but not later than this.

@@ -28,7 +28,7 @@ use super::problem::Problem;
 use super::upload::to_its_end;
 use crate::app::App;
 use crate::holders::Hold;
-use crate::removal::remove_file;
+use crate::janitor::remove;
 use crate::store::UploadRow;
 
 /// What of the protocol there is besides its core.
@@ -230,7 +230,7 @@ pub async fn delete(
         if !app.store.forget_upload(&row.id, None).await? {
             return Err(unknown());
         }
-        remove_file(&app.data.upload(&row.id)).await;
+        remove(&app.data.upload(&row.id)).await;
         Ok(StatusCode::NO_CONTENT)
     })
     .await

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use super::{Store, Tx};
+use super::Store;
 use crate::config::Retention;
 use crate::error::Result;
 
@@ -67,27 +67,11 @@ impl Store {
         Ok(())
     }
 
-    /// Deletes the rows of what was marked and whose time has come.
+    /// Deletes the rows of what was marked and whose time has come; in a dry run none of them.
     ///
     /// # Errors
     /// When the database refuses.
-    pub async fn delete_expired(&self, now: i64) -> Result<Expired> {
-        let (tx, expired) = self.expiring(now).await?;
-        tx.commit().await?;
-        Ok(expired)
-    }
-
-    /// What [`Store::delete_expired`] would delete.
-    ///
-    /// # Errors
-    /// When the database refuses.
-    pub async fn expired(&self, now: i64) -> Result<Expired> {
-        let (tx, expired) = self.expiring(now).await?;
-        tx.rollback().await?;
-        Ok(expired)
-    }
-
-    async fn expiring(&self, now: i64) -> Result<(Tx, Expired)> {
+    pub async fn delete_expired(&self, now: i64, dry_run: bool) -> Result<Expired> {
         let mut tx = self.write().await?;
         let jobs = sqlx::query_scalar(
             "DELETE FROM jobs WHERE expires_at <= $1 AND pinned = 0
@@ -103,7 +87,12 @@ impl Store {
         .bind(now)
         .fetch_all(&mut *tx)
         .await?;
-        Ok((tx, Expired { jobs, captures }))
+        if dry_run {
+            tx.rollback().await?;
+        } else {
+            tx.commit().await?;
+        }
+        Ok(Expired { jobs, captures })
     }
 
     /// Keeps a job for ever, or no longer than others. `Ok(false)` when there is none.
@@ -205,9 +194,12 @@ mod tests {
             }
             store.mark_expiring(&KEPT, now + DAY).await.expect("marked");
             assert_eq!(expires(&store, "a1").await, Some(now + 7 * DAY), "as told");
-            let early = store.delete_expired(now + 7 * DAY - 1).await;
+            let early = store.delete_expired(now + 7 * DAY - 1, false).await;
             assert_eq!(early.expect("none"), Expired::default());
-            let gone = store.delete_expired(now + 7 * DAY).await.expect("one");
+            let gone = store
+                .delete_expired(now + 7 * DAY, false)
+                .await
+                .expect("one");
             assert_eq!(gone.jobs, ["a1"]);
             assert!(gone.captures.is_empty());
         }
@@ -229,7 +221,10 @@ mod tests {
             store.retry("a1", room, None).await.expect("again");
             assert_eq!(expires(&store, "a1").await, None);
             store.mark_expiring(&KEPT, old + DAY).await.expect("marked");
-            let gone = store.delete_expired(old + 9 * DAY).await.expect("two");
+            let gone = store
+                .delete_expired(old + 9 * DAY, false)
+                .await
+                .expect("two");
             assert_eq!(gone.jobs, ["a2", "a3"]);
             store.mark_expiring(&KEPT, old + DAY).await.expect("marked");
             assert_eq!(expires(&store, "b1").await, None, "it is pinned");
@@ -247,14 +242,20 @@ mod tests {
         for (_dir, store) in stores().await {
             let old = now_ms() + 40 * DAY;
             store.mark_expiring(&KEPT, old).await.expect("marked");
-            let gone = store.delete_expired(old + 8 * DAY).await.expect("jobs");
+            let gone = store
+                .delete_expired(old + 8 * DAY, false)
+                .await
+                .expect("jobs");
             assert_eq!((gone.jobs.len(), gone.captures.len()), (4, 0));
             store
                 .mark_expiring(&KEPT, old + 8 * DAY)
                 .await
                 .expect("marked");
             ended(&store, "a4", "anna's").await;
-            let gone = store.delete_expired(old + 15 * DAY).await.expect("one");
+            let gone = store
+                .delete_expired(old + 15 * DAY, false)
+                .await
+                .expect("one");
             assert_eq!(gone.captures, ["ben's"]);
         }
     }

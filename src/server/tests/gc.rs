@@ -23,6 +23,14 @@ const DO: GcOptions = GcOptions {
     ..LOOK
 };
 
+fn wait<T>(future: impl Future<Output = T>) -> T {
+    let runtime = tokio::runtime::Builder::new_current_thread()
+        .enable_all()
+        .build()
+        .expect("runtime");
+    runtime.block_on(future)
+}
+
 /// What was told of each path, and the rest.
 fn collect(data: &Path, options: &GcOptions) -> (BTreeMap<String, (u64, &'static str)>, Collected) {
     let mut told = BTreeMap::new();
@@ -31,11 +39,7 @@ fn collect(data: &Path, options: &GcOptions) -> (BTreeMap<String, (u64, &'static
         let before = told.insert(path, (gone.bytes, gone.why));
         assert!(before.is_none(), "told twice: {gone:?}");
     };
-    let runtime = tokio::runtime::Builder::new_current_thread()
-        .enable_all()
-        .build()
-        .expect("runtime");
-    let done = runtime.block_on(gc(data, options, &mut tell));
+    let done = wait(gc(data, options, &mut tell));
     (told, done.expect("collected"))
 }
 
@@ -151,15 +155,7 @@ fn where_there_is_no_database_or_another_one_nothing_is_nameless() {
     let capture = server.capture(3);
     server.kill();
     let data = server.data.path().join("data");
-    let refused = |data: &Path| {
-        let runtime = tokio::runtime::Builder::new_current_thread()
-            .enable_all()
-            .build()
-            .expect("runtime");
-        runtime
-            .block_on(gc(data, &DO, &mut |gone| panic!("{gone:?}")))
-            .is_err()
-    };
+    let refused = |data: &Path| wait(gc(data, &DO, &mut |gone| panic!("{gone:?}"))).is_err();
     let database = data.join("fled.db");
     let aside = data.join("aside.db");
     fs::rename(&database, &aside).expect("moved");

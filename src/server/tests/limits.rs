@@ -214,7 +214,10 @@ fn a_job_says_that_it_will_go_and_goes_unless_it_is_pinned() {
     assert!(server.show(&stays)["expires_at"].is_null());
     // Nobody lives for a week here: the notice of what was told is over at once.
     with_store(&server, async |store| {
-        let gone = store.delete_expired(i64::MAX).await.expect("deleted");
+        let gone = store
+            .delete_expired(i64::MAX, false)
+            .await
+            .expect("deleted");
         assert_eq!(gone.jobs, std::slice::from_ref(&goes));
     });
     server.get(&format!("/v1/jobs/{goes}"), &[]).expect(404);

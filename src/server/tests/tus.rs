@@ -299,7 +299,7 @@ fn an_upload_expires_a_while_after_its_last_byte() {
     assert_eq!(tus.offset(&sent), 2);
     assert_eq!(files(&server), 2);
     server.restart_with(&short);
-    assert_eq!(files(&server), 1, "the expired one is swept");
+    assert_eq!(files(&server), 1, "the expired one is gone");
     assert_eq!(Tus::new(&server).offset(&sent), 2);
 }
 

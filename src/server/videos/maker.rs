@@ -10,8 +10,8 @@ use super::turns::Ticket;
 use crate::app::App;
 use crate::copies::{fetch_job, publish_video};
 use crate::error::{Result, ServerError};
+use crate::janitor::remove;
 use crate::jobs::kill_orphans;
-use crate::removal::remove_file;
 use crate::store::now_ms;
 use crate::wording::without_paths;
 
@@ -146,7 +146,7 @@ async fn settle(folder: &VideoFolder, mut record: Record, end: End) -> Result<()
         End::Failed(error) => {
             tracing::warn!(video = record.id, error.detail, "a video failed");
             // Of a process that died.
-            remove_file(&folder.video().with_added_extension("tmp")).await;
+            remove(&folder.video().with_added_extension("tmp")).await;
             record.state = VideoState::Failed;
             record.error = Some(error);
             record.finished_at = Some(now_ms());

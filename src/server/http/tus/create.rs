@@ -18,7 +18,7 @@ use crate::http::access::Visitor;
 use crate::http::problem::{Problem, disk_full, too_large};
 use crate::http::quota::{bytes_left, over_quota};
 use crate::http::upload::to_its_end;
-use crate::removal::remove_file;
+use crate::janitor::remove;
 use crate::store::UploadRow;
 
 /// After so many seconds there may be room for one more.
@@ -122,7 +122,7 @@ async fn keep(app: &App, visitor: &Visitor, row: &UploadRow) -> Result<(), Probl
         Err(error) => Err(error),
     };
     if !matches!(kept, Ok(true)) {
-        remove_file(&path).await;
+        remove(&path).await;
     }
     if kept? { Ok(()) } else { Err(too_many(app)) }
 }
@@ -134,7 +134,7 @@ async fn with_first(app: &App, row: &UploadRow, first: Piece) -> Result<Stands, 
     let added = piece::add(app, &hold, row, first).await;
     if added.is_err() {
         app.store.forget_upload(&row.id, None).await?;
-        remove_file(&app.data.upload(&row.id)).await;
+        remove(&app.data.upload(&row.id)).await;
     }
     added.map_err(|problem| problem.hint("Nothing was begun: begin the upload again."))
 }

@@ -15,7 +15,7 @@ use crate::http::access::Visitor;
 use crate::http::problem::Problem;
 use crate::http::quota::{bytes_left_beside, over_quota};
 use crate::intake::CaptureReport;
-use crate::removal::{remove, remove_file};
+use crate::janitor::remove;
 use crate::store::CaptureRow;
 
 /// An upload whose files lie where those of captures lie, and whose row is still to be stored.
@@ -42,7 +42,7 @@ impl Placed<'_> {
     /// What is left of uploads in pieces goes: the row was stored, and theirs are gone.
     pub async fn finish(self, app: &App) -> CaptureRow {
         for id in &self.uploads {
-            remove_file(&app.data.upload(id)).await;
+            remove(&app.data.upload(id)).await;
         }
         self.row
     }

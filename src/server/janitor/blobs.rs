@@ -1,4 +1,4 @@
-//! Deletes what the shared store of files has and no row names.
+//! The rule for what the shared store of files has and no row names.
 //!
 //! Of two databases that use one store each would delete what only the other names. So a store has
 //! the identity of the database that used it first, and servers of another are refused.
@@ -8,14 +8,23 @@ use std::time::Duration;
 
 use fled_blobs::Blobs;
 
+use crate::app::App;
 use crate::error::{Result, ServerError};
 use crate::store::Store;
 
 /// Blobs that no file has had for so long are deleted.
-const UNNAMED: Duration = Duration::from_secs(24 * 3600);
+const UNNAMED: Duration = super::DAY;
 
 /// Digests that the database is asked about at once.
 const ASKED: usize = 500;
+
+/// Follows the rule where there is a store of files.
+pub(super) async fn follow(app: &App) -> Result<usize> {
+    match app.mirror.blobs() {
+        Some(blobs) => collect(&app.store, blobs).await,
+        None => Ok(0),
+    }
+}
 
 /// Deletes blobs that no file has had for a day, and what uploads of blobs left that broke off.
 /// Returns how many. Does nothing while another process does so: each would list the whole store
@@ -23,7 +32,7 @@ const ASKED: usize = 500;
 ///
 /// # Errors
 /// As [`claim`].
-pub async fn collect(store: &Store, blobs: &Blobs) -> Result<usize> {
+async fn collect(store: &Store, blobs: &Blobs) -> Result<usize> {
     claim(store, blobs).await?;
     let Some(alone) = store.collecting().await? else {
         tracing::debug!("another process looks for blobs that no file has");
@@ -47,7 +56,7 @@ pub async fn claim(store: &Store, blobs: &Blobs) -> Result<()> {
 }
 
 async fn collect_all(store: &Store, blobs: &Blobs) -> Result<usize> {
-    let mut deleted = blobs.sweep_unfinished(UNNAMED).await?;
+    let mut deleted = blobs.delete_unfinished(UNNAMED).await?;
     for first in 0..=u8::MAX {
         let old = blobs.older_than(first, UNNAMED).await?;
         for some in old.chunks(ASKED) {
@@ -77,6 +86,13 @@ mod tests {
 
     const HOUR: Duration = Duration::from_secs(3600);
 
+    fn assert_disputed(refused: Result<usize>) {
+        assert!(
+            matches!(refused, Err(ServerError::Disputed(_))),
+            "{refused:?}"
+        );
+    }
+
     struct Place {
         dir: tempfile::TempDir,
         blobs: Blobs,
@@ -96,11 +112,8 @@ mod tests {
 
         /// A blob that is so old.
         async fn put(&self, content: String, age: Duration) -> Blob {
-            let blob = self
-                .blobs
-                .put_bytes(content.into_bytes())
-                .await
-                .expect("put");
+            let blob = self.blobs.put_bytes(content.into_bytes()).await;
+            let blob = blob.expect("put");
             set_age(&self.file(&blob), age);
             blob
         }
@@ -116,15 +129,11 @@ mod tests {
         for (_dir, store) in of_each().await {
             let place = Place::new();
             let mut stay = Vec::new();
-            for number in 0..3 {
-                let named = place.put(format!("named {number}"), 25 * HOUR).await;
-                stay.push(named);
-            }
-            let kept = |blob: &Blob| Kept {
-                path: blob.digest.clone(),
-                blob: blob.clone(),
-            };
-            let kept: Vec<Kept> = stay.iter().map(kept).collect();
+            stay.push(place.put("named".to_owned(), 25 * HOUR).await);
+            let kept = [Kept {
+                path: "a.jpg".to_owned(),
+                blob: stay[0].clone(),
+            }];
             let capture = CaptureRow {
                 id: "c".to_owned(),
                 name: "a capture".to_owned(),
@@ -141,9 +150,8 @@ mod tests {
                 go.push(place.put(format!("old {number}"), 25 * HOUR).await);
             }
             // What an upload left that broke off.
-            let part = place
-                .file(&stay[0])
-                .with_file_name(format!("{}#1", stay[0].digest));
+            let part = format!("{}#1", stay[0].digest);
+            let part = place.file(&stay[0]).with_file_name(part);
             std::fs::write(&part, "part").expect("written");
             set_age(&part, 25 * HOUR);
             assert_eq!(collect(&store, &place.blobs).await.expect("collected"), 41);

@@ -1,0 +1,227 @@
+//! The rules for what lies in a data directory.
+
+use std::collections::HashSet;
+use std::fs::{self, DirEntry, Metadata};
+use std::io::{self, ErrorKind};
+use std::os::unix::fs::MetadataExt;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+
+use super::{Gone, Janitor, Name, Rule};
+use crate::data::bytes_below;
+use crate::error::{Result, ServerError};
+
+/// Attempts at a folder that others may still write into: processes of an earlier server end with
+/// it, but a moment after, and so does a write of a client that hangs up.
+const ATTEMPTS: u32 = 5;
+
+impl Janitor<'_> {
+    /// What goes by a rule of files.
+    pub(super) async fn find(&self, rule: Name) -> Result<Vec<PathBuf>> {
+        let (data, mut found) = (self.data, Vec::new());
+        let mut add = |dir: &Path, age: Duration, goes: &dyn Fn(&DirEntry) -> bool| {
+            let old = find(dir, age.max(self.made), goes);
+            old.map(|old| found.extend(old))
+                .map_err(ServerError::io(dir))
+        };
+        // What gets a row after this is younger than `made`, or nothing gets one meanwhile.
+        let ids = async |kind| self.store.ids(kind).await;
+        match rule {
+            Name::SpareUploads => {
+                // Of an upload that is empty nothing is lost, nor of one whose bytes a capture has:
+                // by a second name of the same file.
+                let uploads = ids("uploads").await?;
+                let is_spare = |about: Metadata| about.len() == 0 || about.nlink() > 1;
+                add(&data.uploads(), Duration::ZERO, &|entry| {
+                    !is_named(&uploads, entry) && entry.metadata().is_ok_and(is_spare)
+                })?;
+            }
+            Name::OldOrphans => {
+                for dir in [data.captures(), data.jobs(), data.uploads()] {
+                    add(&data.unnamed(&dir), self.orphans, &|_| true)?;
+                }
+            }
+            Name::Orphans => {
+                for (kind, dir) in [
+                    ("captures", data.captures()),
+                    ("jobs", data.jobs()),
+                    ("uploads", data.uploads()),
+                ] {
+                    let ids = ids(kind).await?;
+                    add(&dir, Duration::ZERO, &|entry| !is_named(&ids, entry))?;
+                }
+            }
+            Name::Unfinished => {
+                // Only its server knows which uploads are under way.
+                if data.is_ours() {
+                    let uses = |path: &Path| self.app.is_some_and(|app| app.uploads.uses(path));
+                    add(&data.incoming(), Duration::ZERO, &|entry| {
+                        !uses(&entry.path())
+                    })?;
+                }
+                let is_half = |path: PathBuf| path.extension().is_some_and(|end| end == "tmp");
+                for id in ids("jobs").await? {
+                    add(&data.renders(&id), Duration::ZERO, &|entry| {
+                        is_half(entry.path())
+                    })?;
+                }
+            }
+            Name::Caches => {
+                add(&data.cache(), self.caches, &|_| true)?;
+                // A server keeps what it has rendered.
+                if self.app.is_none() {
+                    for id in ids("jobs").await? {
+                        add(&data.renders(&id), self.caches, &|_| true)?;
+                    }
+                }
+            }
+            _ => {}
+        }
+        Ok(found)
+    }
+
+    /// Removes something or moves it aside, and tells of it. Whether it went.
+    pub(super) fn remove(&mut self, rule: &Rule, path: PathBuf) -> bool {
+        if self.told.iter().any(|told| path.starts_with(told)) {
+            return false;
+        }
+        let is_orphan = matches!(rule.name, Name::Orphans);
+        let bytes = if is_orphan { Ok(0) } else { bytes_of(&path) };
+        let gone = bytes.and_then(|bytes| match path.parent() {
+            _ if self.dry_run => Ok(bytes),
+            Some(dir) if is_orphan => move_aside(&path, &self.data.unnamed(dir)).map(|()| bytes),
+            _ => delete(&path).map(|()| bytes),
+        });
+        match gone.map_err(ServerError::io(&path)) {
+            Err(error) => {
+                self.fail(rule, error);
+                false
+            }
+            Ok(bytes) => {
+                tracing::info!(path = %path.display(), bytes, why = rule.what, "removed");
+                let below = path.strip_prefix(self.data.root()).unwrap_or(&path);
+                (self.tell)(&Gone {
+                    path: below.to_owned(),
+                    bytes,
+                    why: rule.what,
+                });
+                self.told.push(path);
+                true
+            }
+        }
+    }
+}
+
+fn is_named(ids: &HashSet<String>, entry: &DirEntry) -> bool {
+    let name = entry.file_name();
+    name.to_str().is_some_and(|name| ids.contains(name))
+}
+
+/// What goes from a folder and has not changed for `age`; nothing of one that is not there.
+fn find(dir: &Path, age: Duration, goes: &dyn Fn(&DirEntry) -> bool) -> io::Result<Vec<PathBuf>> {
+    let entries = match fs::read_dir(dir) {
+        Err(error) if error.kind() == ErrorKind::NotFound => return Ok(Vec::new()),
+        entries => entries?,
+    };
+    let mut found = Vec::new();
+    for entry in entries {
+        let entry = entry?;
+        // One that cannot be looked at went meanwhile.
+        let is_old = |about: Metadata| !changed_within(&about, age);
+        if entry.metadata().is_ok_and(is_old) && goes(&entry) {
+            found.push(entry.path());
+        }
+    }
+    Ok(found)
+}
+
+/// Whether something was written or moved here within `age`.
+fn changed_within(metadata: &Metadata, age: Duration) -> bool {
+    let changed = UNIX_EPOCH + Duration::from_secs(u64::try_from(metadata.ctime()).unwrap_or(0));
+    // A clock that was set back makes things young, and they stay.
+    let old = SystemTime::now()
+        .duration_since(changed)
+        .unwrap_or_default();
+    old < age
+}
+
+/// Moves something where nothing is lost that is there already.
+fn move_aside(path: &Path, aside: &Path) -> io::Result<()> {
+    fs::create_dir_all(aside)?;
+    let name = path.file_name().unwrap_or_default();
+    let mut to = aside.join(name);
+    for copy in 2.. {
+        if !to.exists() {
+            break;
+        }
+        to = aside.join(name).with_added_extension(copy.to_string());
+    }
+    fs::rename(path, &to)?;
+    tracing::warn!(
+        from = %path.display(),
+        to = %to.display(),
+        "moved aside for 30 days: the database does not name it. If the database is an older copy, \
+         stop the server, put the right one in place and move this back; photographs can also be \
+         uploaded again from here"
+    );
+    Ok(())
+}
+
+/// Removes a file or a folder, if it is there.
+///
+/// # Errors
+/// When the disk refuses.
+pub fn delete(path: &Path) -> io::Result<()> {
+    let mut attempts = 1..ATTEMPTS;
+    loop {
+        let deleted = fs::symlink_metadata(path).and_then(|about| match about.is_dir() {
+            true => fs::remove_dir_all(path),
+            false => fs::remove_file(path),
+        });
+        match deleted {
+            Err(error) if error.kind() == ErrorKind::NotFound => return Ok(()),
+            Err(error)
+                if error.kind() == ErrorKind::DirectoryNotEmpty && attempts.next().is_some() => {}
+            deleted => return deleted,
+        }
+    }
+}
+
+/// What is free once this is gone: nothing of a file that has another name, or is gone.
+fn bytes_of(path: &Path) -> io::Result<u64> {
+    match fs::symlink_metadata(path) {
+        Err(error) if error.kind() == ErrorKind::NotFound => Ok(0),
+        Ok(about) if about.is_dir() => bytes_below(path),
+        Ok(about) => Ok(if about.nlink() > 1 { 0 } else { about.len() }),
+        Err(error) => Err(error),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_what_has_not_changed_for_long_and_is_not_wanted_goes() {
+        let dir = tempfile::tempdir().expect("temporary directory");
+        let (place, aside) = (dir.path().join("place"), dir.path().join("aside"));
+        let find = |hours: u64| {
+            let age = Duration::from_secs(hours * 3600);
+            find(&place, age, &|entry| entry.file_name() != "named").expect("read")
+        };
+        assert!(find(0).is_empty(), "there is no such folder");
+        fs::create_dir_all(place.join("named")).expect("made");
+        for _ in 0..2 {
+            fs::create_dir(place.join("lost")).expect("made");
+            assert!(find(1).is_empty());
+            let found = find(0);
+            assert_eq!(found, [place.join("lost")]);
+            move_aside(&found[0], &aside).expect("moved");
+        }
+        assert!(aside.join("lost").exists() && aside.join("lost.2").exists());
+        for path in [&aside, &aside, &place.join("none")] {
+            delete(path).expect("deleted");
+            assert!(!path.exists());
+        }
+    }
+}
