@@ -9,7 +9,7 @@ use fled_core::poses::PosesError;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use crate::wording::without_paths;
+use crate::redaction::without_paths;
 
 /// The name under which an uploaded zip is stored.
 pub const ARCHIVE: &str = "upload.zip";

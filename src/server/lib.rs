@@ -24,6 +24,7 @@ mod outside;
 mod point;
 mod rate;
 mod readiness;
+mod redaction;
 pub mod render;
 mod running;
 mod serve;
@@ -33,7 +34,6 @@ mod telemetry;
 pub mod token;
 pub mod videos;
 mod webhooks;
-mod wording;
 
 pub use backup::{Backup, backup};
 pub use config::{Limits, Retention, ServeConfig};

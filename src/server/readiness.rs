@@ -9,7 +9,7 @@ use serde::Deserialize;
 
 use crate::app::App;
 use crate::jobs::process::{Group, Line};
-use crate::wording::without_paths;
+use crate::redaction::without_paths;
 pub use check::{Check, Remembered};
 
 /// How long a judgement of the machine is believed.

@@ -18,7 +18,7 @@ use super::extract::Query;
 use super::lookup::finished;
 use super::problem::Problem;
 use crate::app::App;
-use crate::wording::without_paths;
+use crate::redaction::without_paths;
 
 /// Bytes that are sent at once.
 const PIECE: usize = 1 << 16;

@@ -22,8 +22,8 @@ use crate::data::{sync_directories, write_atomically};
 use crate::error::{Result, ServerError};
 use crate::intake;
 use crate::point::Point;
+use crate::redaction::without_paths;
 use crate::store::{Claim, JobError, Lease, Progress, Settlement};
-use crate::wording::without_paths;
 
 /// After its process has ended, what others of the group still write is awaited so long.
 const DRAIN: Duration = Duration::from_secs(2);

@@ -11,7 +11,7 @@ use super::record::{Record, VideoFault, VideoFolder};
 use super::turns::Ticket;
 use crate::app::App;
 use crate::jobs::process::{Group, Happening, JOB_VARIABLE, Line};
-use crate::wording::without_paths;
+use crate::redaction::without_paths;
 
 /// How the making of a video ended.
 #[derive(Debug)]

@@ -12,8 +12,8 @@ use crate::copies::{fetch_job, publish_video};
 use crate::error::{Result, ServerError};
 use crate::janitor::remove;
 use crate::jobs::kill_orphans;
+use crate::redaction::without_paths;
 use crate::store::now_ms;
-use crate::wording::without_paths;
 
 /// A video during which the server has died so often is not begun again: memory that runs out
 /// takes the server as well.
