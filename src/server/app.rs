@@ -8,10 +8,10 @@ use tokio_util::sync::CancellationToken;
 use crate::assessor::Assessors;
 use crate::config::{Limits, ServeConfig};
 use crate::data::DataDir;
+use crate::failpoint::Failpoint;
 use crate::holders::Holders;
 use crate::incoming::Uploads;
 use crate::mirror::Mirror;
-use crate::point::Point;
 use crate::rate::Rates;
 use crate::render::Renderers;
 use crate::running::Running;
@@ -124,9 +124,9 @@ impl App {
     }
 
     /// Says what a worker has just done.
-    pub fn pass(&self, point: Point) {
+    pub fn pass(&self, failpoint: Failpoint) {
         if let Some(watcher) = self.config.watcher {
-            watcher(point);
+            watcher(failpoint);
         }
     }
 

@@ -9,7 +9,7 @@ use std::time::Duration;
 use fled_core::capture::MAX_FILES;
 use fled_core::pipeline::error::ErrorKind;
 
-use crate::point::Watcher;
+use crate::failpoint::Watcher;
 use crate::store::About;
 
 /// What `fled serve` is told.

@@ -15,9 +15,9 @@ use fled_blobs::{Blobs, Kept, pull, push};
 
 use crate::app::App;
 use crate::error::{Result, ServerError};
+use crate::failpoint::Failpoint;
 use crate::janitor::remove;
 use crate::mirror::Copy;
-use crate::point::Point;
 use crate::store::{Claim, Lease, by_path};
 
 /// Looks at a folder that changes, until one is of one moment.
@@ -138,11 +138,11 @@ pub async fn publish(app: &App, lease: &Lease, at_end: bool) -> Result<()> {
         if pushed.kept.is_empty() && pushed.gone.is_empty() {
             return Ok(());
         }
-        app.pass(Point::Stored);
+        app.pass(Failpoint::Stored);
         app.store
             .keep_files(lease, &pushed.kept, &pushed.gone)
             .await?;
-        app.pass(Point::Named);
+        app.pass(Failpoint::Named);
         return Ok(());
     }
     if at_end {

@@ -3,11 +3,11 @@
 use std::sync::OnceLock;
 use std::sync::atomic::{AtomicU32, Ordering};
 
-use fled_server::{Point, Watcher};
+use fled_server::{Failpoint, Watcher};
 use rustix::process::{Signal, getpid, kill_process};
 
 /// What it has to have done, and how often.
-static PLAN: OnceLock<(Point, u32)> = OnceLock::new();
+static PLAN: OnceLock<(Failpoint, u32)> = OnceLock::new();
 static PASSED: AtomicU32 = AtomicU32::new(0);
 
 /// What `FLED_FAKE_DIE_AT` asks for: `named`, or `named:3` where it is the third time.
@@ -16,19 +16,19 @@ pub fn planned() -> Result<Option<Watcher>, String> {
         return Ok(None);
     };
     let (name, times) = plan.split_once(':').unwrap_or((&plan, "1"));
-    let point = Point::ALL
+    let failpoint = Failpoint::ALL
         .into_iter()
-        .find(|point| point.to_string() == name);
-    let point = point.ok_or_else(|| format!("no such point: {name}"))?;
-    PLAN.get_or_init(|| (point, times.parse().unwrap_or(1)));
+        .find(|failpoint| failpoint.to_string() == name);
+    let failpoint = failpoint.ok_or_else(|| format!("no such failpoint: {name}"))?;
+    PLAN.get_or_init(|| (failpoint, times.parse().unwrap_or(1)));
     Ok(Some(pass))
 }
 
-fn pass(point: Point) {
+fn pass(failpoint: Failpoint) {
     let Some(&(planned, times)) = PLAN.get() else {
         return;
     };
-    if point == planned && PASSED.fetch_add(1, Ordering::Relaxed) + 1 == times {
+    if failpoint == planned && PASSED.fetch_add(1, Ordering::Relaxed) + 1 == times {
         // As the kernel does it when memory runs out: nothing is tidied up.
         let _ = kill_process(getpid(), Signal::KILL);
         std::thread::park();

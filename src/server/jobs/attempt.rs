@@ -20,8 +20,8 @@ use crate::app::App;
 use crate::copies;
 use crate::data::{sync_directories, write_atomically};
 use crate::error::{Result, ServerError};
+use crate::failpoint::Failpoint;
 use crate::intake;
-use crate::point::Point;
 use crate::redaction::without_paths;
 use crate::store::{Claim, JobError, Lease, Progress, Settlement};
 
@@ -74,7 +74,7 @@ pub(super) async fn run(app: &App, claim: &Claim, cancel: Arc<Notify>) -> Result
     if !is_prepared(app, claim).await? {
         return Ok(Settlement::Released);
     }
-    app.pass(Point::Fetched);
+    app.pass(Failpoint::Fetched);
     let output = app.data.output(id).root().to_owned();
     tokio::fs::create_dir_all(&output)
         .await
@@ -110,7 +110,7 @@ pub(super) async fn run(app: &App, claim: &Claim, cancel: Arc<Notify>) -> Result
     };
     // The job's process reads nothing; an open pipe would only hold a descriptor.
     drop(group.stdin.take());
-    app.pass(Point::Started);
+    app.pass(Failpoint::Started);
     let outcome = attempt.watch(&mut group, &cancel, &mut beat).await;
     if let Ok(End::Stop(Settlement::Released)) = outcome {
         // Others go on with what it has: it may save the step that it is in.
@@ -119,7 +119,7 @@ pub(super) async fn run(app: &App, claim: &Claim, cancel: Arc<Notify>) -> Result
     } else {
         group.stop(app.limits.grace).await;
     }
-    app.pass(Point::Ended);
+    app.pass(Failpoint::Ended);
     let settlement = match outcome? {
         End::Exited(status) => attempt.settle(status).await?,
         End::Stop(settlement) => settlement,
@@ -127,7 +127,7 @@ pub(super) async fn run(app: &App, claim: &Claim, cancel: Arc<Notify>) -> Result
     attempt.log.line(&closing_line(&settlement));
     remove_live_picture(app, id).await;
     copies::publish(app, lease, true).await?;
-    app.pass(Point::Published);
+    app.pass(Failpoint::Published);
     Ok(settlement)
 }
 
@@ -149,7 +149,7 @@ async fn stopped(app: &App, job: &str, cancel: &Notify, beat: &mut Beat) -> Resu
         },
         () = cancel.notified() => Ok(End::Stop(Settlement::Stopped)),
         () = app.shutdown.cancelled() => {
-            app.pass(Point::Stopping);
+            app.pass(Failpoint::Stopping);
             Ok(End::Stop(Settlement::Released))
         }
     }
@@ -317,7 +317,7 @@ impl Attempt<'_> {
                 }
                 self.app.store.record(&self.lease, &told).await?;
                 self.app.changed();
-                self.app.pass(Point::Told);
+                self.app.pass(Failpoint::Told);
             }
         }
         Ok(())
@@ -340,7 +340,7 @@ impl Attempt<'_> {
         if let Some(progress) = self.pending.take() {
             self.app.store.advance(&self.lease, &progress).await?;
             self.app.changed();
-            self.app.pass(Point::Advanced);
+            self.app.pass(Failpoint::Advanced);
         }
         Ok(())
     }

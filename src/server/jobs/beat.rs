@@ -8,7 +8,7 @@ use tokio::time::{Instant, MissedTickBehavior, interval};
 use crate::app::App;
 use crate::config::Limits;
 use crate::error::ServerError;
-use crate::point::{Point, Watcher};
+use crate::failpoint::{Failpoint, Watcher};
 use crate::store::{Lease, Store};
 
 /// What a sign of life was answered.
@@ -69,7 +69,7 @@ async fn beat(
                 // The lease counts from before it was extended.
                 heard = asked;
                 if let Some(watcher) = watcher {
-                    watcher(Point::Extended);
+                    watcher(Failpoint::Extended);
                 }
                 continue;
             }

@@ -9,7 +9,7 @@ use tokio::sync::Notify;
 use super::{after_death, attempt};
 use crate::app::App;
 use crate::error::{Result, ServerError};
-use crate::point::Point;
+use crate::failpoint::Failpoint;
 use crate::store::{Claim, Engine, JobError, Machine, Settlement};
 
 /// How often an idle worker looks into a file for retries that have become due.
@@ -37,7 +37,7 @@ pub async fn work(app: Arc<App>, turn: u32) {
         was_full = false;
         match take(&app, turn).await {
             Ok(Some((claim, cancel))) => {
-                app.pass(Point::Claimed);
+                app.pass(Failpoint::Claimed);
                 app.changed();
                 if let Err(error) = run(&app, &claim, cancel).await {
                     tracing::error!(%error, job = claim.job.id, "an attempt was dropped");
@@ -128,7 +128,7 @@ async fn run(app: &App, claim: &Claim, cancel: Arc<Notify>) -> Result<()> {
         other => other,
     };
     let state = app.store.settle(lease, &settlement).await?;
-    app.pass(Point::Settled);
+    app.pass(Failpoint::Settled);
     tracing::info!(job = id, state = state.name(), "attempt settled");
     app.changed();
     Ok(())

@@ -11,7 +11,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::thread::{sleep, spawn};
 use std::time::{Duration, Instant};
 
-use fled_server::Point;
+use fled_server::Failpoint;
 use fled_tests::{Fault, processes_of};
 use serde_json::json;
 use support::farm::{Farm, Machine, PATIENCE, SLOW, expected, in_the_middle, order, succeeds};
@@ -23,17 +23,17 @@ fn a_worker_that_dies_at_any_point_of_an_attempt_loses_nothing_and_does_nothing_
     let farm = Farm::new();
     let calm = expected();
     let (_api, api) = farm.replica("api");
-    for (index, point) in Point::ALL.into_iter().enumerate() {
+    for (index, point) in Failpoint::ALL.into_iter().enumerate() {
         let times = match point {
-            Point::Extended => 2,
-            Point::Told | Point::Advanced | Point::Stored | Point::Named => 4,
+            Failpoint::Extended => 2,
+            Failpoint::Told | Failpoint::Advanced | Failpoint::Stored | Failpoint::Named => 4,
             _ => 1,
         };
         let plan = format!("{point}:{times}");
         let name = format!("worker-{index}");
         let mut worker = farm.worker_by(&[], &name, &[("FLED_FAKE_DIE_AT", &plan)]);
         let job = order(&api, "slow:12");
-        if point == Point::Stopping {
+        if point == Failpoint::Stopping {
             in_the_middle(&api, &job);
             worker.signal("-INT");
         }
@@ -47,7 +47,7 @@ fn a_worker_that_dies_at_any_point_of_an_attempt_loses_nothing_and_does_nothing_
         };
         let _heir = farm.worker(&heir);
         succeeds(&api, &job, &calm);
-        let attempts = if point == Point::Settled { 1 } else { 2 };
+        let attempts = if point == Failpoint::Settled { 1 } else { 2 };
         assert_eq!(api.show(&job)["attempts"], attempts, "{point}");
     }
     let told = farm.postgres.psql(

@@ -4,11 +4,11 @@
 use std::fmt;
 
 /// Is told what a worker has just done; it may end the process.
-pub type Watcher = fn(Point);
+pub type Watcher = fn(Failpoint);
 
 /// What a worker has just done for a job.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Point {
+pub enum Failpoint {
     /// It has the lease, and nothing else.
     Claimed,
     /// The capture and what was made of the job before lie here.
@@ -35,7 +35,7 @@ pub enum Point {
     Settled,
 }
 
-impl Point {
+impl Failpoint {
     /// Each of them, in the order in which an attempt comes by.
     pub const ALL: [Self; 12] = [
         Self::Claimed,
@@ -53,7 +53,7 @@ impl Point {
     ];
 }
 
-impl fmt::Display for Point {
+impl fmt::Display for Failpoint {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{}", format!("{self:?}").to_lowercase())
     }
