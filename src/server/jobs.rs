@@ -1,8 +1,8 @@
 //! Jobs: their states, and the workers that run them as child processes.
 
 mod attempt;
-mod beat;
 mod deaths;
+mod heartbeat;
 pub mod log;
 mod orphans;
 pub mod process;

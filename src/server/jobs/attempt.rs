@@ -12,7 +12,7 @@ use serde_json::Value;
 use tokio::sync::Notify;
 use tokio::time::{Instant, Interval, MissedTickBehavior, interval, sleep_until};
 
-use super::beat::{Beat, Pulse};
+use super::heartbeat::{Heartbeat, Pulse};
 use super::log::LogWriter;
 use super::process::{Group, Happening, JOB_VARIABLE, Line};
 use super::words::{closing_line, is_milestone, is_seen, readable};
@@ -70,7 +70,7 @@ pub(super) struct Attempt<'a> {
 pub(super) async fn run(app: &App, claim: &Claim, cancel: Arc<Notify>) -> Result<Settlement> {
     let (lease, job, id) = (&claim.lease, &claim.job, &claim.job.id);
     // From the first moment: what is fetched may take longer than a lease.
-    let mut beat = Beat::begin(app, lease.clone());
+    let mut heartbeat = Heartbeat::begin(app, lease.clone());
     if !is_prepared(app, claim).await? {
         return Ok(Settlement::Released);
     }
@@ -111,7 +111,7 @@ pub(super) async fn run(app: &App, claim: &Claim, cancel: Arc<Notify>) -> Result
     // The job's process reads nothing; an open pipe would only hold a descriptor.
     drop(group.stdin.take());
     app.pass(Failpoint::Started);
-    let outcome = attempt.watch(&mut group, &cancel, &mut beat).await;
+    let outcome = attempt.watch(&mut group, &cancel, &mut heartbeat).await;
     if let Ok(End::Stop(Settlement::Released)) = outcome {
         // Others go on with what it has: it may save the step that it is in.
         group.stop(app.limits.draining).await;
@@ -141,9 +141,9 @@ async fn is_prepared(app: &App, claim: &Claim) -> Result<bool> {
 }
 
 /// Waits for what ends an attempt from outside.
-async fn stopped(app: &App, job: &str, cancel: &Notify, beat: &mut Beat) -> Result<End> {
+async fn stopped(app: &App, job: &str, cancel: &Notify, heartbeat: &mut Heartbeat) -> Result<End> {
     tokio::select! {
-        pulse = beat.next() => match pulse {
+        pulse = heartbeat.next() => match pulse {
             Pulse::Cancel => Ok(End::Stop(Settlement::Stopped)),
             Pulse::Lost => Err(ServerError::LeaseLost(job.to_owned())),
         },
@@ -168,7 +168,12 @@ async fn remove_live_picture(app: &App, id: &str) {
 
 impl Attempt<'_> {
     /// Takes the process's lines and keeps the lease until the process ends or has to.
-    async fn watch(&mut self, group: &mut Group, cancel: &Notify, beat: &mut Beat) -> Result<End> {
+    async fn watch(
+        &mut self,
+        group: &mut Group,
+        cancel: &Notify,
+        heartbeat: &mut Heartbeat,
+    ) -> Result<End> {
         let (app, job) = (self.app, self.lease.job.clone());
         let limits = app.limits;
         let wall = Instant::now() + limits.wall;
@@ -194,7 +199,7 @@ impl Attempt<'_> {
                         None => return self.exit(group).await,
                     },
                 },
-                end = stopped(app, &job, cancel, beat) => return end,
+                end = stopped(app, &job, cancel, heartbeat) => return end,
                 _ = publish.tick() => Due::Publishing,
                 _ = flush.tick() => Due::Progress,
                 () = sleep_until(silence) => return self.timed_out("said nothing", limits.silence).await,
@@ -206,7 +211,7 @@ impl Attempt<'_> {
             // However slow a database or a store of files is, what ends the work is heard.
             tokio::select! {
                 done = self.follow(due) => done?,
-                end = stopped(app, &job, cancel, beat) => return end,
+                end = stopped(app, &job, cancel, heartbeat) => return end,
             }
         }
     }

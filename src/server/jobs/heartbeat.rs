@@ -22,17 +22,23 @@ pub(super) enum Pulse {
 
 /// Signs of life, until it is dropped.
 #[derive(Debug)]
-pub(super) struct Beat {
+pub(super) struct Heartbeat {
     told: mpsc::Receiver<Pulse>,
     task: JoinHandle<()>,
 }
 
-impl Beat {
+impl Heartbeat {
     /// Begins to extend a lease that was just taken.
     pub(super) fn begin(app: &App, lease: Lease) -> Self {
         let (tell, told) = mpsc::channel(1);
         let watcher = app.config.watcher;
-        let task = tokio::spawn(beat(app.store.clone(), app.limits, watcher, lease, tell));
+        let task = tokio::spawn(heartbeat(
+            app.store.clone(),
+            app.limits,
+            watcher,
+            lease,
+            tell,
+        ));
         Self { told, task }
     }
 
@@ -42,13 +48,13 @@ impl Beat {
     }
 }
 
-impl Drop for Beat {
+impl Drop for Heartbeat {
     fn drop(&mut self) {
         self.task.abort();
     }
 }
 
-async fn beat(
+async fn heartbeat(
     store: Store,
     limits: Limits,
     watcher: Option<Watcher>,
@@ -77,7 +83,7 @@ async fn beat(
             Ok(Err(ServerError::LeaseLost(_))) => Pulse::Lost,
             Ok(Err(error)) if heard.elapsed() < limits.unheard => {
                 tracing::warn!(%error, job = lease.job, "a lease is not extended");
-                // Sooner than at the next beat: it may be the last.
+                // Sooner than at the next heartbeat: it may be the last.
                 ticks.reset_after(limits.heartbeat / 10);
                 continue;
             }
