@@ -95,8 +95,8 @@ enum Command {
     #[command(hide = true)]
     AssessWorker,
     /// Becomes a program that ends with the process that asks for it.
-    #[command(hide = true, name = fled_server::TETHER)]
-    Tether {
+    #[command(hide = true, name = fled_server::GUARD)]
+    Guard {
         /// Who asks, the program and its arguments.
         #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
         command: Vec<OsString>,
@@ -106,8 +106,8 @@ enum Command {
 fn main() -> ExitCode {
     silence_device_select();
     let cli = Cli::parse();
-    if let Command::Tether { command } = &cli.command {
-        return fled_server::become_tethered(command);
+    if let Command::Guard { command } = &cli.command {
+        return fled_server::become_guarded(command);
     }
     if let Err(error) = fled_server::die_with_parent() {
         return Failure::new(ErrorKind::Internal, error).report();
@@ -137,7 +137,7 @@ fn main() -> ExitCode {
         Command::RenderWorker => render_worker::main(),
         Command::AssessWorker => assess_worker::main(),
         // Done above: what it becomes has another parent.
-        Command::Tether { .. } => Ok(()),
+        Command::Guard { .. } => Ok(()),
     };
     match outcome {
         Ok(()) => ExitCode::SUCCESS,

@@ -64,7 +64,7 @@ impl Ffmpeg {
     /// # Errors
     /// [`Failure`] when the path of the running program is unknown.
     pub fn command(&self) -> Result<Vec<OsString>, Failure> {
-        fled_server::tethered(&self.program).map_err(|e| Failure::new(ErrorKind::Internal, e))
+        fled_server::guarded(&self.program).map_err(|e| Failure::new(ErrorKind::Internal, e))
     }
 }
 

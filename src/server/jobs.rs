@@ -5,9 +5,9 @@ mod deaths;
 mod heartbeat;
 pub mod log;
 mod orphans;
+pub mod parent_death;
 pub mod process;
 pub mod state;
-pub mod tether;
 mod words;
 pub mod worker;
 

@@ -43,6 +43,6 @@ pub use http::document as openapi_document;
 #[doc(hidden)]
 pub use http::read_tus_headers;
 pub use janitor::{Collected, GcOptions, Gone, gc};
-pub use jobs::tether::{TETHER, become_tethered, die_with_parent, tethered};
 pub use migrate::{Migrated, migrate};
+pub use jobs::parent_death::{GUARD, become_guarded, die_with_parent, guarded};
 pub use serve::{Server, serve, work};

@@ -10,7 +10,7 @@ use rustix::process::{Resource, Rlimit, setrlimit};
 
 use super::words::{AssessReply, AssessRequest, Filming, VideoFault, VideoFaultKind};
 use crate::intake::{self, CaptureReport};
-use crate::jobs::tether::tethered;
+use crate::jobs::parent_death::guarded;
 
 /// Looks at the upload and says what is seen on standard output; `answers` are the service's.
 ///
@@ -82,7 +82,7 @@ fn film(video: &Filming, room: u64) -> Result<String, VideoError> {
         room,
     };
     // It must not go on when this process is ended.
-    let command = tethered(&video.ffmpeg).map_err(|source| VideoError::Io {
+    let command = guarded(&video.ffmpeg).map_err(|source| VideoError::Io {
         path: "the running program".into(),
         source,
     })?;

@@ -18,14 +18,14 @@ use std::time::Duration;
 use fled_core::image::Image;
 use fled_server::assessor::{AssessReply, AssessRequest, assess};
 use fled_server::render::{RenderRequest, Shown};
-use fled_server::{Limits, Retention, ServeConfig, TETHER, become_tethered};
+use fled_server::{GUARD, Limits, Retention, ServeConfig, become_guarded};
 use protocol::say;
 use rustix::process::{Resource, Rlimit, setrlimit};
 
 fn main() -> Result<ExitCode, Box<dyn std::error::Error>> {
     let arguments: Vec<OsString> = std::env::args_os().skip(1).collect();
-    if arguments.first().is_some_and(|verb| verb == TETHER) {
-        return Ok(become_tethered(&arguments[1..]));
+    if arguments.first().is_some_and(|verb| verb == GUARD) {
+        return Ok(become_guarded(&arguments[1..]));
     }
     fled_server::die_with_parent()?;
     play(&arguments).map(|()| ExitCode::SUCCESS)

@@ -10,8 +10,8 @@ use rustix::process::{Signal, getppid, set_parent_process_death_signal};
 
 use super::process::PARENT_VARIABLE;
 
-/// The word by which a program of ours is asked to become another: see [`become_tethered`].
-pub const TETHER: &str = "tether";
+/// The word by which a program of ours is asked to become another: see [`become_guarded`].
+pub const GUARD: &str = "guard";
 
 /// What shells end with where a program is not there, and where it cannot be started.
 const NOT_FOUND: u8 = 127;
@@ -45,7 +45,7 @@ fn die_with(parent: &OsStr) -> io::Result<()> {
 ///
 /// # Errors
 /// When the path of the running program is unknown.
-pub fn tethered(program: &Path) -> io::Result<Vec<OsString>> {
+pub fn guarded(program: &Path) -> io::Result<Vec<OsString>> {
     let own = std::env::current_exe()?;
     // A bare name is looked for where programs lie; a path holds from any folder.
     let program = match program.components().count() {
@@ -55,15 +55,15 @@ pub fn tethered(program: &Path) -> io::Result<Vec<OsString>> {
     let parent = std::process::id().to_string();
     Ok(vec![
         own.into(),
-        TETHER.into(),
+        GUARD.into(),
         parent.into(),
         program.into(),
     ])
 }
 
-/// Becomes the program that [`tethered`] named, whose `arguments` follow [`TETHER`]. Returns only
+/// Becomes the program that [`guarded`] named, whose `arguments` follow [`GUARD`]. Returns only
 /// when that fails, with what shells end with then.
-pub fn become_tethered(arguments: &[OsString]) -> ExitCode {
+pub fn become_guarded(arguments: &[OsString]) -> ExitCode {
     let [parent, program, arguments @ ..] = arguments else {
         eprintln!("whom to end with, a program and its arguments are wanted");
         return ExitCode::FAILURE;
