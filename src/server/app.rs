@@ -8,6 +8,7 @@ use tokio_util::sync::CancellationToken;
 use crate::assessor::Assessors;
 use crate::config::{Limits, ServeConfig};
 use crate::data::DataDir;
+use crate::event_feed::EventFeeds;
 use crate::failpoint::Failpoint;
 use crate::holders::Holders;
 use crate::incoming::Uploads;
@@ -16,7 +17,6 @@ use crate::rate::Rates;
 use crate::render::Renderers;
 use crate::running::Running;
 use crate::store::Store;
-use crate::tails::Tails;
 use crate::telemetry::Telemetry;
 use crate::videos::turns::Turns;
 
@@ -56,7 +56,7 @@ pub struct App {
     /// What it counts about itself.
     pub telemetry: Telemetry,
     /// The newest events of jobs that are watched.
-    pub tails: Tails,
+    pub feeds: EventFeeds,
     /// The jobs that run.
     pub running: Running,
     /// The last judgement of the machine.
@@ -99,7 +99,7 @@ impl App {
             videos: Turns::default(),
             exporting: Arc::new(Semaphore::new(limits.exports)),
             telemetry: Telemetry::default(),
-            tails: Tails::default(),
+            feeds: EventFeeds::default(),
             running: Running::default(),
         }
     }

@@ -1,7 +1,7 @@
 //! `/v1/jobs/{id}/events`: server-sent events out of the database.
 //!
 //! Nobody hands a stream what to send: it is told that something changed and asks for what follows
-//! the last number sent, which one read for all streams of the job brings (`tails.rs`). So nothing
+//! the last number sent, which one read for all streams of the job brings (`event_feed.rs`). So nothing
 //! is lost, doubled or out of order, whether the client reconnects, the server restarts or both.
 
 use std::convert::Infallible;
@@ -22,7 +22,7 @@ use super::extract::Query;
 use super::lookup::find;
 use super::problem::Problem;
 use crate::app::App;
-use crate::tails::{Tail, Told};
+use crate::event_feed::{EventFeed, FeedEvent};
 
 /// How long a stream may go on after its token has ended.
 const ACCESS_CHECK: Duration = Duration::from_secs(5);
@@ -83,7 +83,7 @@ pub async fn stream(
         return Ok(StatusCode::NO_CONTENT.into_response());
     }
     let cursor = Cursor {
-        tail: app.tails.of(&id),
+        feed: app.feeds.of(&id),
         app,
         last,
         versions,
@@ -122,10 +122,10 @@ async fn known(app: &App, id: &str, last: Option<i64>) -> Result<i64, Problem> {
 
 struct Cursor {
     app: Arc<App>,
-    tail: Arc<Tail>,
+    feed: Arc<EventFeed>,
     last: i64,
     versions: watch::Receiver<u64>,
-    batch: std::vec::IntoIter<Arc<Told>>,
+    batch: std::vec::IntoIter<Arc<FeedEvent>>,
     /// By which the client was let in, and when that was last so.
     headers: HeaderMap,
     checked: Instant,
@@ -145,7 +145,7 @@ impl Cursor {
 
     /// The next event; `None` when the job is over, is gone, the token has ended, or the server
     /// stops.
-    async fn next(&mut self) -> Option<Arc<Told>> {
+    async fn next(&mut self) -> Option<Arc<FeedEvent>> {
         loop {
             if let Some(told) = self.batch.next() {
                 self.last = told.seq;
@@ -158,7 +158,7 @@ impl Cursor {
                 self.checked = Instant::now();
             }
             let version = *self.versions.borrow_and_update();
-            let next = self.tail.after(&self.app.store, self.last, version);
+            let next = self.feed.after(&self.app.store, self.last, version);
             let next = next.await.ok()?;
             let until_check = ACCESS_CHECK.saturating_sub(self.checked.elapsed());
             if next.events.is_empty() {

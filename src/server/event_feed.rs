@@ -13,7 +13,7 @@ const RECENT: usize = 200;
 
 /// An event as it is sent.
 #[derive(Debug, PartialEq, Eq)]
-pub struct Told {
+pub struct FeedEvent {
     /// 1, 2, 3 ...
     pub seq: i64,
     /// Its name.
@@ -22,7 +22,7 @@ pub struct Told {
     pub data: String,
 }
 
-impl From<EventRow> for Told {
+impl From<EventRow> for FeedEvent {
     fn from(row: EventRow) -> Self {
         Self {
             seq: row.seq,
@@ -36,37 +36,37 @@ impl From<EventRow> for Told {
 #[derive(Debug, Default, PartialEq, Eq)]
 pub struct Next {
     /// In order; none of them is missing.
-    pub events: Vec<Arc<Told>>,
+    pub events: Vec<Arc<FeedEvent>>,
     /// Whether nothing comes after these: the job has ended or is gone.
     pub is_all: bool,
 }
 
 /// The jobs that are watched.
 #[derive(Debug, Default)]
-pub struct Tails {
-    jobs: Mutex<HashMap<String, Weak<Tail>>>,
+pub struct EventFeeds {
+    jobs: Mutex<HashMap<String, Weak<EventFeed>>>,
 }
 
-impl Tails {
-    /// The tail of a job, shared by all who hold it.
-    pub fn of(&self, job: &str) -> Arc<Tail> {
+impl EventFeeds {
+    /// The feed of a job, shared by all who hold it.
+    pub fn of(&self, job: &str) -> Arc<EventFeed> {
         let mut jobs = self.jobs.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(tail) = jobs.get(job).and_then(Weak::upgrade) {
-            return tail;
+        if let Some(feed) = jobs.get(job).and_then(Weak::upgrade) {
+            return feed;
         }
-        jobs.retain(|_, tail| tail.strong_count() > 0);
-        let tail = Arc::new(Tail {
+        jobs.retain(|_, feed| feed.strong_count() > 0);
+        let feed = Arc::new(EventFeed {
             job: job.to_owned(),
             recent: tokio::sync::Mutex::default(),
         });
-        jobs.insert(job.to_owned(), Arc::downgrade(&tail));
-        tail
+        jobs.insert(job.to_owned(), Arc::downgrade(&feed));
+        feed
     }
 }
 
 /// The newest events of one job.
 #[derive(Debug)]
-pub struct Tail {
+pub struct EventFeed {
     job: String,
     recent: tokio::sync::Mutex<Option<Recent>>,
 }
@@ -77,17 +77,17 @@ struct Recent {
     version: Option<u64>,
     /// `events` are all that follow this number.
     start: i64,
-    events: VecDeque<Arc<Told>>,
+    events: VecDeque<Arc<FeedEvent>>,
     is_over: bool,
 }
 
 impl Recent {
     fn last(&self) -> i64 {
-        self.events.back().map_or(self.start, |told| told.seq)
+        self.events.back().map_or(self.start, |event| event.seq)
     }
 }
 
-impl Tail {
+impl EventFeed {
     /// The events after `seq`, as of `version` of what the database has, or later.
     ///
     /// # Errors
@@ -115,7 +115,7 @@ impl Tail {
         let events: Vec<_> = recent
             .events
             .iter()
-            .filter(|told| told.seq > seq)
+            .filter(|event| event.seq > seq)
             .cloned()
             .collect();
         let is_all = recent.is_over && recent.version.is_some();
@@ -138,7 +138,7 @@ impl Tail {
             recent.start = recent
                 .events
                 .pop_front()
-                .map_or(recent.start, |told| told.seq);
+                .map_or(recent.start, |event| event.seq);
         }
         Ok(())
     }
@@ -186,7 +186,7 @@ mod tests {
     }
 
     fn seqs(next: &Next) -> Vec<i64> {
-        next.events.iter().map(|told| told.seq).collect()
+        next.events.iter().map(|event| event.seq).collect()
     }
 
     #[tokio::test]
@@ -201,8 +201,8 @@ mod tests {
             stage: fled_core::event::Stage::Deblur,
             round,
         };
-        let tails = Tails::default();
-        let (ahead, behind) = (tails.of("j"), tails.of("j"));
+        let feeds = EventFeeds::default();
+        let (ahead, behind) = (feeds.of("j"), feeds.of("j"));
         assert!(Arc::ptr_eq(&ahead, &behind), "one reads for both");
         assert_eq!(seqs(&ahead.after(&store, 1, 1).await.expect("read")), [2]);
         for round in 0..500 {
@@ -218,10 +218,10 @@ mod tests {
             .settle(&claim.lease, &Settlement::Stopped)
             .await
             .expect("settled");
-        for (tail, from) in [(ahead, 2), (behind, 0)] {
+        for (feed, from) in [(ahead, 2), (behind, 0)] {
             let mut had = from;
             loop {
-                let next = tail.after(&store, had, 2).await.expect("read");
+                let next = feed.after(&store, had, 2).await.expect("read");
                 for seq in seqs(&next) {
                     assert_eq!(seq, had + 1, "no gap");
                     had = seq;
