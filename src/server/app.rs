@@ -61,7 +61,7 @@ pub struct App {
     pub running: Running,
     /// The last judgement of the machine.
     pub readiness: tokio::sync::Mutex<Option<crate::readiness::Remembered>>,
-    /// Rung when a job may be waiting.
+    /// Notified when a job may be waiting.
     pub wake: Notify,
     /// Raised when the server stops.
     pub shutdown: CancellationToken,

@@ -7,7 +7,7 @@ use tokio::sync::Notify;
 
 use crate::store::Lease;
 
-/// What rings to stop each running job, and under which epoch it runs.
+/// The notifier that stops each running job, and under which epoch it runs.
 #[derive(Debug, Default)]
 pub struct Running {
     jobs: Mutex<HashMap<String, (i64, Arc<Notify>)>>,
@@ -21,16 +21,16 @@ impl Running {
         self.claiming.lock().await
     }
 
-    /// Remembers that the job runs under this lease; what rings to stop it. A lease that another
+    /// Remembers that the job runs under this lease; the notifier that stops it. A lease that another
     /// worker has taken over meanwhile is not remembered.
     pub fn begin(&self, lease: &Lease) -> Arc<Notify> {
-        let bell = Arc::new(Notify::new());
+        let notifier = Arc::new(Notify::new());
         let mut jobs = self.lock();
         let known = jobs.get(&lease.job);
         if known.is_none_or(|&(epoch, _)| epoch < lease.epoch) {
-            jobs.insert(lease.job.clone(), (lease.epoch, bell.clone()));
+            jobs.insert(lease.job.clone(), (lease.epoch, notifier.clone()));
         }
-        bell
+        notifier
     }
 
     /// Forgets a job that no longer runs under this lease. Another worker that has taken it over
@@ -47,9 +47,9 @@ impl Running {
 
     /// Stops the job's process, when a worker of this server runs it.
     pub fn stop(&self, job: &str) {
-        if let Some((_, bell)) = self.lock().get(job) {
+        if let Some((_, notifier)) = self.lock().get(job) {
             // Remembered until it is awaited, so that no order of events loses it.
-            bell.notify_one();
+            notifier.notify_one();
         }
     }
 
@@ -80,13 +80,13 @@ mod tests {
         };
         let running = Running::default();
         running.begin(&lease(1));
-        let bell = running.begin(&lease(2));
+        let notifier = running.begin(&lease(2));
         // Late: it was stopped between its claim and this.
         running.begin(&lease(1));
         running.end(&lease(1));
         assert_eq!(running.jobs(), ["j"]);
         running.stop("j");
-        bell.notified().await;
+        notifier.notified().await;
         running.end(&lease(2));
         assert!(running.jobs().is_empty());
     }

@@ -66,7 +66,7 @@ async fn pause(app: &App, time: Duration) {
     }
 }
 
-/// Claims a job, and what rings to stop it.
+/// Claims a job, and the notifier that stops it.
 async fn take(app: &App, turn: u32) -> Result<Option<(Claim, Arc<Notify>)>> {
     let _alone = app.running.claiming().await;
     let released = release_expired(app).await?;

@@ -62,18 +62,18 @@ fn unfinished(app: &App, jobs: impl IntoIterator<Item = String>) -> Vec<Ticket> 
 /// Makes videos until the server stops.
 pub async fn keep_making(app: Arc<App>) {
     loop {
-        let (ticket, bell) = tokio::select! {
+        let (ticket, notifier) = tokio::select! {
             next = app.videos.next() => next,
             () = app.shutdown.cancelled() => return,
         };
-        if let Err(error) = make(&app, &ticket, &bell).await {
+        if let Err(error) = make(&app, &ticket, &notifier).await {
             tracing::error!(%error, job = ticket.job, video = ticket.id, "a video was dropped");
         }
         app.videos.end();
     }
 }
 
-async fn make(app: &App, ticket: &Ticket, bell: &Notify) -> Result<()> {
+async fn make(app: &App, ticket: &Ticket, notifier: &Notify) -> Result<()> {
     let Some(folder) = VideoFolder::of(&app.data, &ticket.job, &ticket.id) else {
         return Ok(());
     };
@@ -95,7 +95,7 @@ async fn make(app: &App, ticket: &Ticket, bell: &Notify) -> Result<()> {
         record.attempts += 1;
         record.state = VideoState::Running;
         folder.save(&record)?;
-        made(app, ticket, &folder, &record, bell).await
+        made(app, ticket, &folder, &record, notifier).await
     };
     settle(&folder, record, end).await?;
     match folder.load()? {
@@ -111,11 +111,11 @@ async fn made(
     ticket: &Ticket,
     folder: &VideoFolder,
     record: &Record,
-    bell: &Notify,
+    notifier: &Notify,
 ) -> End {
     let fetched = tokio::select! {
         fetched = fetch_job(app, &ticket.job) => fetched,
-        () = bell.notified() => return End::Stopped,
+        () = notifier.notified() => return End::Stopped,
         () = app.shutdown.cancelled() => return End::Interrupted,
     };
     if let Err(error) = fetched {
@@ -124,7 +124,7 @@ async fn made(
             hint: "Ask for it again once /readyz says that the store of files answers.".to_owned(),
         });
     }
-    film(app, ticket, folder, record, bell).await
+    film(app, ticket, folder, record, notifier).await
 }
 
 /// Keeps what came of it.

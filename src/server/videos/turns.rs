@@ -18,8 +18,8 @@ pub struct Ticket {
 #[derive(Debug)]
 struct Current {
     ticket: Ticket,
-    /// Rings to stop it.
-    bell: Arc<Notify>,
+    /// Stops it.
+    notifier: Arc<Notify>,
     /// Pictures that are rendered, of so many.
     rendered: (u32, u32),
 }
@@ -49,7 +49,7 @@ impl Turns {
         self.wake.notify_one();
     }
 
-    /// The next one, once there is one, and what rings to stop it.
+    /// The next one, once there is one, and the notifier that stops it.
     pub async fn next(&self) -> (Ticket, Arc<Notify>) {
         loop {
             if let Some(next) = self.begin() {
@@ -62,13 +62,13 @@ impl Turns {
     fn begin(&self) -> Option<(Ticket, Arc<Notify>)> {
         let (waiting, current) = &mut *self.lock();
         let ticket = waiting.pop_front()?;
-        let bell = Arc::new(Notify::new());
+        let notifier = Arc::new(Notify::new());
         *current = Some(Current {
             ticket: ticket.clone(),
-            bell: bell.clone(),
+            notifier: notifier.clone(),
             rendered: (0, 0),
         });
-        Some((ticket, bell))
+        Some((ticket, notifier))
     }
 
     /// Notes how far the one that is made has come.
@@ -113,7 +113,7 @@ impl Turns {
         waiting.retain(|one| !is_meant(one));
         if let Some(current) = current.as_ref().filter(|one| is_meant(&one.ticket)) {
             // Remembered until it is awaited, so that no order of events loses it.
-            current.bell.notify_one();
+            current.notifier.notify_one();
         }
     }
 
@@ -139,7 +139,7 @@ mod tests {
         for (job, id) in [("j", "1"), ("j", "2"), ("k", "3"), ("j", "4")] {
             turns.add(ticket(job, id));
         }
-        let (first, bell) = turns.next().await;
+        let (first, notifier) = turns.next().await;
         assert_eq!(first, ticket("j", "1"));
         turns.advance(3, 4);
         assert_eq!(turns.progress(&first), Some(0.75));
@@ -148,7 +148,7 @@ mod tests {
         turns.stop(&ticket("j", "2"));
         assert_eq!((turns.before(&ticket("k", "3")), turns.len()), (Some(1), 3));
         turns.stop_all("j");
-        bell.notified().await;
+        notifier.notified().await;
         turns.end();
         assert_eq!(turns.next().await.0, ticket("k", "3"));
         turns.end();
