@@ -20,11 +20,11 @@ mod lease;
 mod listen;
 mod migrations;
 mod outbox;
+mod report;
 mod results;
 mod retention;
 mod retry;
 mod room;
-mod say;
 mod sessions;
 mod shares;
 #[cfg(test)]

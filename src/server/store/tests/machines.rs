@@ -12,9 +12,9 @@ async fn what_is_told_again_because_its_answer_was_lost_is_told_once() {
     };
     // As `say` does it: the first transaction is done, and its answer does not come.
     let mut before = None;
-    let saying = say::Saying::Event(&warning);
-    store.say_once(&lease, saying, &mut before).await.expect("told");
-    store.say_once(&lease, saying, &mut before).await.expect("known");
+    let report = report::Report::Event(&warning);
+    store.report_once(&lease, report, &mut before).await.expect("told");
+    store.report_once(&lease, report, &mut before).await.expect("known");
     let events = store.events_after("j", 0, 9).await.expect("events");
     assert_eq!(events.iter().filter(|event| event.kind == "warning").count(), 1);
     let settled = store.settle(&lease, &Settlement::Finished { best_round: 1 }).await;

@@ -24,7 +24,7 @@ const PAUSE: Duration = Duration::from_millis(500);
 
 /// One thing to tell.
 #[derive(Clone, Copy, Debug)]
-pub(super) enum Saying<'a> {
+pub(super) enum Report<'a> {
     /// What the job's process said.
     Event(&'a Event),
     /// How far it is.
@@ -39,7 +39,7 @@ impl Store {
     /// # Errors
     /// [`ServerError::LeaseLost`] when another worker has the job.
     pub async fn record(&self, lease: &Lease, event: &Event) -> Result<()> {
-        self.say(lease, Saying::Event(event)).await
+        self.report(lease, Report::Event(event)).await
     }
 
     /// Stores progress and tells of it.
@@ -47,7 +47,7 @@ impl Store {
     /// # Errors
     /// [`ServerError::LeaseLost`] when another worker has the job.
     pub async fn advance(&self, lease: &Lease, progress: &Progress) -> Result<()> {
-        self.say(lease, Saying::Progress(progress)).await
+        self.report(lease, Report::Progress(progress)).await
     }
 
     /// Ends an attempt.
@@ -101,28 +101,28 @@ impl Store {
     /// # Errors
     /// [`ServerError::LeaseLost`] when another worker has the job.
     pub async fn keep_files(&self, lease: &Lease, kept: &[Kept], gone: &[String]) -> Result<()> {
-        self.say(lease, Saying::Files(kept, gone)).await
+        self.report(lease, Report::Files(kept, gone)).await
     }
 
     /// Tells one thing, once. A lease is one worker's, which tells one thing after the other.
-    async fn say(&self, lease: &Lease, saying: Saying<'_>) -> Result<()> {
+    async fn report(&self, lease: &Lease, report: Report<'_>) -> Result<()> {
         let begun = Instant::now();
         // How much had been told before this.
         let mut before = None;
         loop {
-            let error = match self.say_once(lease, saying, &mut before).await {
+            let error = match self.report_once(lease, report, &mut before).await {
                 Err(error) if self.may_pass(&error, begun) => error,
-                said => return said,
+                reported => return reported,
             };
             tracing::warn!(%error, job = lease.job, "the database is away: told again");
             tokio::time::sleep(PAUSE).await;
         }
     }
 
-    pub(super) async fn say_once(
+    pub(super) async fn report_once(
         &self,
         lease: &Lease,
-        saying: Saying<'_>,
+        report: Report<'_>,
         before: &mut Option<i64>,
     ) -> Result<()> {
         let (mut tx, told) = self.fenced_with_told(lease).await?;
@@ -130,8 +130,8 @@ impl Store {
             // The transaction whose answer was lost has been done.
             return Ok(());
         }
-        match saying {
-            Saying::Event(event) => {
+        match report {
+            Report::Event(event) => {
                 apply(&mut tx, &lease.job, event).await?;
                 let data = serde_json::to_value(event).map_err(|error| ServerError::Damaged {
                     what: "event",
@@ -140,8 +140,8 @@ impl Store {
                 let kind = data["event"].as_str().unwrap_or("event").to_owned();
                 events::append(&mut tx, &lease.job, &kind, &data).await?;
             }
-            Saying::Progress(progress) => advance(&mut tx, &lease.job, progress).await?,
-            Saying::Files(kept, gone) => files::change(&mut tx, &lease.job, kept, gone).await?,
+            Report::Progress(progress) => advance(&mut tx, &lease.job, progress).await?,
+            Report::Files(kept, gone) => files::change(&mut tx, &lease.job, kept, gone).await?,
         }
         sqlx::query("UPDATE jobs SET told = told + 1 WHERE id = $1")
             .bind(&lease.job)
