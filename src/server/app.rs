@@ -6,13 +6,13 @@ use tokio::sync::{Notify, Semaphore, watch};
 use tokio_util::sync::CancellationToken;
 
 use crate::assessor::Assessors;
+use crate::blob_cache::BlobCache;
 use crate::config::{Limits, ServeConfig};
 use crate::data::DataDir;
 use crate::event_feed::EventFeeds;
 use crate::failpoint::Failpoint;
 use crate::holders::Holders;
 use crate::incoming::Uploads;
-use crate::mirror::Mirror;
 use crate::rate::Rates;
 use crate::render::Renderers;
 use crate::running::Running;
@@ -32,7 +32,7 @@ pub struct App {
     /// The database.
     pub store: Store,
     /// Copies of what many machines share.
-    pub mirror: Mirror,
+    pub blob_cache: BlobCache,
     /// What this installation is called among those that share a database.
     pub worker: String,
     /// The uploads that are under way.
@@ -74,7 +74,7 @@ impl App {
         config: ServeConfig,
         data: DataDir,
         store: Store,
-        mirror: Mirror,
+        blob_cache: BlobCache,
         worker: String,
     ) -> Self {
         let limits = config.limits;
@@ -87,7 +87,7 @@ impl App {
             limits,
             data,
             store,
-            mirror,
+            blob_cache,
             worker,
             readiness: tokio::sync::Mutex::default(),
             wake: Notify::new(),

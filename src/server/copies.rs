@@ -14,10 +14,10 @@ use std::{fs, io};
 use fled_blobs::{Blobs, Kept, pull, push};
 
 use crate::app::App;
+use crate::blob_cache::Copy;
 use crate::error::{Result, ServerError};
 use crate::failpoint::Failpoint;
 use crate::janitor::remove;
-use crate::mirror::Copy;
 use crate::store::{Claim, Lease, by_path};
 
 /// Looks at a folder that changes, until one is of one moment.
@@ -34,13 +34,13 @@ type Look = BTreeMap<String, (u64, i64, i64, u64)>;
 /// # Errors
 /// When the database, the store or the disk refuses.
 pub async fn fetch_job(app: &App, id: &str) -> Result<()> {
-    let Some(blobs) = app.mirror.blobs() else {
+    let Some(blobs) = app.blob_cache.blobs() else {
         return Ok(());
     };
     if app.running.has(id) {
         return Ok(());
     }
-    let copy = app.mirror.folder(id);
+    let copy = app.blob_cache.folder(id);
     let mut copy = copy.lock().await;
     let folder = app.data.job(id);
     used_now(&folder).map_err(ServerError::io(&folder))?;
@@ -60,11 +60,11 @@ pub async fn fetch_job(app: &App, id: &str) -> Result<()> {
 /// # Errors
 /// When the database, the store or the disk refuses.
 pub async fn prepare_job(app: &App, claim: &Claim) -> Result<()> {
-    let Some(blobs) = app.mirror.blobs() else {
+    let Some(blobs) = app.blob_cache.blobs() else {
         return Ok(());
     };
     let (job, capture) = (&claim.job.id, &claim.job.capture_id);
-    let copy = app.mirror.folder(capture);
+    let copy = app.blob_cache.folder(capture);
     let mut copy = copy.lock().await;
     let folder = app.data.capture(capture);
     // A capture never changes.
@@ -77,7 +77,7 @@ pub async fn prepare_job(app: &App, claim: &Claim) -> Result<()> {
     }
     used_now(&folder).map_err(ServerError::io(&folder))?;
     drop(copy);
-    let copy = app.mirror.folder(job);
+    let copy = app.blob_cache.folder(job);
     let mut copy = copy.lock().await;
     if let Some(files) = app.store.job_files(job).await? {
         bring(blobs, &app.data.job(job), files, &mut copy).await?;
@@ -110,10 +110,10 @@ fn used_now(folder: &Path) -> io::Result<()> {
 /// # Errors
 /// [`ServerError::LeaseLost`] when another worker has the job; else when the store refuses.
 pub async fn publish(app: &App, lease: &Lease, at_end: bool) -> Result<()> {
-    let Some(blobs) = app.mirror.blobs() else {
+    let Some(blobs) = app.blob_cache.blobs() else {
         return Ok(());
     };
-    let copy = app.mirror.folder(&lease.job);
+    let copy = app.blob_cache.folder(&lease.job);
     let mut copy = copy.lock().await;
     let Some((_, files)) = app.store.job_files(&lease.job).await? else {
         return Err(ServerError::LeaseLost(lease.job.clone()));
@@ -160,10 +160,10 @@ pub async fn publish(app: &App, lease: &Lease, at_end: bool) -> Result<()> {
 /// # Errors
 /// When the database, the store or the disk refuses.
 pub async fn publish_video(app: &App, job: &str, video: &str) -> Result<()> {
-    let Some(blobs) = app.mirror.blobs() else {
+    let Some(blobs) = app.blob_cache.blobs() else {
         return Ok(());
     };
-    let copy = app.mirror.folder(job);
+    let copy = app.blob_cache.folder(job);
     let mut copy = copy.lock().await;
     let Some((_, files)) = app.store.job_files(job).await? else {
         return Ok(());

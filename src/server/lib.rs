@@ -7,6 +7,7 @@
 mod app;
 pub mod assessor;
 mod backup;
+mod blob_cache;
 mod config;
 mod copies;
 pub mod data;
@@ -20,8 +21,7 @@ mod incoming;
 mod intake;
 mod janitor;
 pub mod jobs;
-mod migrate;
-mod mirror;
+pub use migrate::{Migrated, migrate};
 mod others;
 mod rate;
 mod readiness;

@@ -70,7 +70,7 @@ async fn database(app: &App) -> Check {
 
 /// The store of files, where machines share one.
 async fn files(app: &App) -> Option<Check> {
-    let outcome = app.mirror.blobs()?.check().await;
+    let outcome = app.blob_cache.blobs()?.check().await;
     Some(Check {
         name: "store".to_owned(),
         ok: outcome.is_ok(),

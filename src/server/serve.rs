@@ -11,13 +11,13 @@ use tokio::signal::unix::{SignalKind, signal};
 use tokio::task::JoinSet;
 
 use crate::app::App;
+use crate::blob_cache::BlobCache;
 use crate::config::ServeConfig;
 use crate::data::DataDir;
 use crate::error::{Result, ServerError};
 use crate::http::{router, serve_connections};
 use crate::janitor;
 use crate::jobs::{after_death, kill_orphans, worker};
-use crate::mirror::Mirror;
 use crate::others;
 use crate::store::{Engine, Store};
 use crate::videos::maker::{keep_making, take_up};
@@ -126,7 +126,7 @@ impl Server {
 struct Opened {
     data: DataDir,
     store: Store,
-    mirror: Mirror,
+    blob_cache: BlobCache,
     worker: String,
 }
 
@@ -173,15 +173,15 @@ async fn open(config: &ServeConfig) -> Result<Opened> {
     Ok(Opened {
         data,
         store,
-        mirror: Mirror::new(blobs),
+        blob_cache: BlobCache::new(blobs),
         worker,
     })
 }
 
 impl Opened {
     async fn app(self, config: ServeConfig, serves: bool) -> Arc<App> {
-        let (data, store, mirror) = (self.data, self.store, self.mirror);
-        let app = Arc::new(App::new(config, data, store, mirror, self.worker));
+        let (data, store, blob_cache) = (self.data, self.store, self.blob_cache);
+        let app = Arc::new(App::new(config, data, store, blob_cache, self.worker));
         janitor::clean(app.clone(), serves, Duration::ZERO).await;
         app
     }

@@ -34,7 +34,7 @@ pub(super) async fn bring(
     mut request: Request,
     next: Next,
 ) -> Response {
-    if app.mirror.blobs().is_none() {
+    if app.blob_cache.blobs().is_none() {
         return next.run(request).await;
     }
     let route = request.extensions().get::<MatchedPath>();

@@ -31,7 +31,7 @@ pub(super) async fn bytes_left_beside(
     let Some((owner, most)) = visitor.quota_bytes() else {
         return Ok(None);
     };
-    let held = if app.mirror.blobs().is_some() {
+    let held = if app.blob_cache.blobs().is_some() {
         app.store.bytes_of(owner).await?
     } else {
         bytes_here(app, owner).await?

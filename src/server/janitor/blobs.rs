@@ -20,7 +20,7 @@ const ASKED: usize = 500;
 
 /// Follows the rule where there is a store of files.
 pub(super) async fn follow(app: &App) -> Result<usize> {
-    match app.mirror.blobs() {
+    match app.blob_cache.blobs() {
         Some(blobs) => collect(&app.store, blobs).await,
         None => Ok(0),
     }

@@ -5,8 +5,8 @@ use std::time::{Duration, SystemTime};
 
 use super::remove;
 use crate::app::App;
+use crate::blob_cache::Copy;
 use crate::error::{Result, ServerError};
-use crate::mirror::Copy;
 
 /// Removes copies of jobs and captures that nothing has used for so long. Returns how many went.
 ///
@@ -21,7 +21,7 @@ pub(super) async fn remove_unused(app: &App, age: Duration) -> Result<usize> {
             let Some(id) = path.file_name().and_then(|name| name.to_str()) else {
                 continue;
             };
-            let copy = app.mirror.folder(id);
+            let copy = app.blob_cache.folder(id);
             let mut copy = copy.lock().await;
             let is_old = |used: SystemTime| used.elapsed().is_ok_and(|unused| unused > age);
             let used = fs::metadata(&path).and_then(|about| about.modified());
@@ -30,7 +30,7 @@ pub(super) async fn remove_unused(app: &App, age: Duration) -> Result<usize> {
             }
             remove(&path).await;
             *copy = Copy::default();
-            app.mirror.forget(id);
+            app.blob_cache.forget(id);
             removed += 1;
         }
     }
@@ -40,9 +40,9 @@ pub(super) async fn remove_unused(app: &App, age: Duration) -> Result<usize> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::blob_cache::BlobCache;
     use crate::config::ServeConfig;
     use crate::data::DataDir;
-    use crate::mirror::Mirror;
     use crate::store::{Lease, Store};
 
     #[tokio::test]
@@ -52,8 +52,8 @@ mod tests {
         let config = ServeConfig::new(dir.path().into(), nowhere, 1).expect("a program");
         let data = DataDir::open(dir.path()).expect("free");
         let store = Store::open(&data.database()).await.expect("open");
-        let mirror = Mirror::default();
-        let app = App::new(config, data, store, mirror, "w".to_owned());
+        let blob_cache = BlobCache::default();
+        let app = App::new(config, data, store, blob_cache, "w".to_owned());
         let age = Duration::from_secs(3600);
         let old = SystemTime::now() - 2 * age;
         let folders = [

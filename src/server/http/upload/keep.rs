@@ -119,7 +119,7 @@ impl Upload {
             .await
             .map_err(|_| Problem::internal())?
             .map_err(ServerError::io(self.dir.path()))?;
-        let kept = match app.mirror.keep_capture(&to).await {
+        let kept = match app.blob_cache.keep_capture(&to).await {
             Ok(kept) => kept,
             Err(error) => {
                 remove(&to).await;

@@ -12,7 +12,7 @@ use crate::error::{Result, ServerError};
 
 /// This machine's copies of what lies in the store of files.
 #[derive(Debug, Default)]
-pub struct Mirror {
+pub struct BlobCache {
     blobs: Option<Blobs>,
     folders: Mutex<HashMap<String, Arc<tokio::sync::Mutex<Copy>>>>,
 }
@@ -26,7 +26,7 @@ pub struct Copy {
     pub seen: Seen,
 }
 
-impl Mirror {
+impl BlobCache {
     /// Copies of what lies in `blobs`, or no copies.
     pub fn new(blobs: Option<Blobs>) -> Self {
         Self {
