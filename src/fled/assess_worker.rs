@@ -18,6 +18,6 @@ pub fn main() -> Result<(), Failure> {
     read.map_err(|error| Failure::new(ErrorKind::Io, error))?;
     let request = serde_json::from_str(&line);
     let request = request.map_err(|error| Failure::new(ErrorKind::BadInput, error))?;
-    fled_server::assessor::assess(&request, &mut input)
+    fled_server::validator::assess(&request, &mut input)
         .map_err(|error| Failure::new(ErrorKind::Io, error))
 }

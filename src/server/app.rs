@@ -5,7 +5,6 @@ use std::sync::Arc;
 use tokio::sync::{Notify, Semaphore, watch};
 use tokio_util::sync::CancellationToken;
 
-use crate::assessor::Assessors;
 use crate::blob_cache::BlobCache;
 use crate::config::{Limits, ServeConfig};
 use crate::data::DataDir;
@@ -18,6 +17,7 @@ use crate::render::Renderers;
 use crate::running::Running;
 use crate::store::Store;
 use crate::telemetry::Telemetry;
+use crate::validator::Validators;
 use crate::videos::turns::Turns;
 
 /// The state of a server.
@@ -40,7 +40,7 @@ pub struct App {
     /// Who writes or reads which upload in pieces.
     pub holders: Holders,
     /// The processes that look at uploads.
-    pub assessors: Assessors,
+    pub validators: Validators,
     /// The render process.
     pub renderers: Renderers,
     /// What each client may ask for.
@@ -82,7 +82,7 @@ impl App {
             renderers: Renderers::new(config.render_command.clone(), limits.render, limits.grace),
             uploads: Uploads::default(),
             holders: Holders::default(),
-            assessors: Assessors::new(config.assess_command.clone(), limits),
+            validators: Validators::new(config.assess_command.clone(), limits),
             config,
             limits,
             data,

@@ -178,7 +178,7 @@ pub struct Limits {
     /// Photographs of all uploads that are decoded at a time, bytes.
     pub max_decoding_bytes: u64,
     /// Processes that look at uploads at a time; more uploads wait.
-    pub assessors: usize,
+    pub validators: usize,
     /// Address space of such a process, and of the one that reads a video, bytes. A frame of the
     /// most pixels takes 120 MB in 10 bits, and decoders keep up to 17 and one for each thread.
     pub assessing_bytes: u64,
@@ -249,7 +249,7 @@ impl Default for Limits {
             upload_life: Duration::from_secs(24 * 3600),
             takeover: Duration::from_secs(10),
             max_decoding_bytes: 1 << 30,
-            assessors: 32,
+            validators: 32,
             assessing_bytes: 4 << 30,
             assessing: Duration::from_secs(20 * 60),
             photograph: Duration::from_secs(120),

@@ -5,7 +5,6 @@
 //! leaves the API standing.
 
 mod app;
-pub mod assessor;
 mod backup;
 mod blob_cache;
 mod config;
@@ -18,7 +17,6 @@ mod failpoint;
 mod holders;
 mod http;
 mod incoming;
-mod intake;
 mod janitor;
 pub mod jobs;
 pub use migrate::{Migrated, migrate};
@@ -32,6 +30,8 @@ mod serve;
 pub mod store;
 mod telemetry;
 pub mod token;
+mod validation;
+pub mod validator;
 pub mod videos;
 mod webhooks;
 

@@ -16,8 +16,8 @@ use std::process::ExitCode;
 use std::time::Duration;
 
 use fled_core::image::Image;
-use fled_server::assessor::{AssessReply, AssessRequest, assess};
 use fled_server::render::{RenderRequest, Shown};
+use fled_server::validator::{AssessReply, AssessRequest, assess};
 use fled_server::{GUARD, Limits, Retention, ServeConfig, become_guarded};
 use protocol::say;
 use rustix::process::{Resource, Rlimit, setrlimit};

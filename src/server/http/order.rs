@@ -12,8 +12,8 @@ use uuid::Uuid;
 use super::priority::Priority;
 use super::problem::Problem;
 use crate::app::App;
-use crate::intake::CaptureReport;
 use crate::store::{Engine, JobRow, Needs, NewJob};
+use crate::validation::CaptureReport;
 
 /// Memory of a machine that is given a job of the preset `paper`, bytes.
 const PAPER_MEMORY: u64 = 12 << 30;

@@ -4,9 +4,9 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use utoipa::ToSchema;
 
-use crate::intake::{CaptureReport, Warning};
 use crate::jobs::state::JobState;
 use crate::store::{CaptureRow, JobRow, ToldJob};
+use crate::validation::{CaptureReport, Warning};
 
 /// A capture as answered: its assessments and how many photographs can be used.
 #[derive(Clone, Debug, Serialize, ToSchema)]

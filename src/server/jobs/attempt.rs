@@ -21,9 +21,9 @@ use crate::copies;
 use crate::data::{sync_directories, write_atomically};
 use crate::error::{Result, ServerError};
 use crate::failpoint::Failpoint;
-use crate::intake;
 use crate::redaction::without_paths;
 use crate::store::{Claim, JobError, Lease, Progress, Settlement};
+use crate::validation;
 
 /// After its process has ended, what others of the group still write is awaited so long.
 const DRAIN: Duration = Duration::from_secs(2);
@@ -95,7 +95,7 @@ pub(super) async fn run(app: &App, claim: &Claim, cancel: Arc<Notify>) -> Result
     let begins = format!("attempt {} begins", job.attempts);
     attempt.log.line(&begins);
     let arguments: Vec<OsString> = vec![
-        intake::source(app.data.capture(&job.capture_id)).into(),
+        validation::source(app.data.capture(&job.capture_id)).into(),
         "--out".into(),
         output.into(),
         "--options".into(),

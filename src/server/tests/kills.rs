@@ -33,7 +33,7 @@ enum Target {
     Server,
     Job,
     Renderer,
-    Assessor,
+    Validator,
 }
 
 impl Target {
@@ -72,7 +72,7 @@ impl Dice {
             0..=3 => Target::Server,
             4 | 5 => Target::Job,
             6 | 7 => Target::Renderer,
-            _ => Target::Assessor,
+            _ => Target::Validator,
         }
     }
 }
@@ -173,7 +173,7 @@ impl Ordeal {
                 }
                 Target::Job => kill(&pids_of(&job)),
                 Target::Renderer => self.kill_renderer(),
-                Target::Assessor => self.kill_assessor(),
+                Target::Validator => self.kill_validator(),
             };
             if target.stops_the_job() {
                 let now = progress(&self.server.show(&job));
@@ -272,7 +272,7 @@ impl Ordeal {
     }
 
     /// While it looks at an upload.
-    fn kill_assessor(&mut self) -> bool {
+    fn kill_validator(&mut self) -> bool {
         let client = self.server.begin_upload("/v1/captures", &photographs(40));
         let start = Instant::now();
         let mut killed = false;

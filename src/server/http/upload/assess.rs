@@ -7,10 +7,10 @@ use axum::http::StatusCode;
 use super::Upload;
 use super::videos::{name_of, not_filmed, turn};
 use crate::app::App;
-use crate::assessor::{AssessError, AssessRequest, VideoFaultKind};
 use crate::http::problem::{Problem, disk_full};
 use crate::http::quota::over_quota;
-use crate::intake::{CaptureReport, Refusal, Warning};
+use crate::validation::{CaptureReport, Refusal, Warning};
+use crate::validator::{AssessError, AssessRequest, VideoFaultKind};
 
 /// What to do about a photograph that a process died of.
 const SAVE_ANEW: &str = "Leave it out, or save it anew: smaller, as JPEG or PNG.";
@@ -42,7 +42,10 @@ impl Upload {
             room: free.min(self.most.unwrap_or(u64::MAX)),
             memory: app.limits.assessing_bytes,
         };
-        let seen = app.assessors.assess(self.dir.clone(), &request, turn).await;
+        let seen = app
+            .validators
+            .assess(self.dir.clone(), &request, turn)
+            .await;
         let no_room = || match self.most {
             Some(most) if most <= free => over_quota(),
             _ => disk_full(),

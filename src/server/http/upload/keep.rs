@@ -14,9 +14,9 @@ use crate::holders::Hold;
 use crate::http::access::Visitor;
 use crate::http::problem::Problem;
 use crate::http::quota::{bytes_left_beside, over_quota};
-use crate::intake::CaptureReport;
 use crate::janitor::remove;
 use crate::store::CaptureRow;
+use crate::validation::CaptureReport;
 
 /// An upload whose files lie where those of captures lie, and whose row is still to be stored.
 /// Nobody else's look at the quota ends before it is dropped.

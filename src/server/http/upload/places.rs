@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use fled_core::capture::video::is_video;
 
-use crate::intake;
+use crate::validation;
 
 /// Folder of the photographs.
 pub(super) const PHOTOGRAPHS: &str = "images";
@@ -59,7 +59,7 @@ impl Places {
             return Path::new(if is_truth { TRUE_POSES } else { "sparse" }).join(name);
         }
         if lower.ends_with(".zip") && part != "gt" {
-            return self.unique(Path::new(""), intake::ARCHIVE);
+            return self.unique(Path::new(""), validation::ARCHIVE);
         }
         if is_video(Path::new(&lower)) && part == PHOTOGRAPHS {
             return self.unique(Path::new(VIDEOS), &safe_name(file));

@@ -11,10 +11,10 @@ use tokio::sync::MutexGuard;
 use super::Upload;
 use super::places::{PHOTOGRAPHS, VIDEOS};
 use crate::app::App;
-use crate::assessor::{Filming, VideoFault, VideoFaultKind};
 use crate::error::ServerError;
 use crate::http::problem::Problem;
-use crate::intake::{ARCHIVE, Assessment};
+use crate::validation::{ARCHIVE, Assessment};
+use crate::validator::{Filming, VideoFault, VideoFaultKind};
 
 /// An upload waits so long for the videos of others, seconds.
 const TURN_S: u32 = 60;

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
 
-use crate::intake::{Assessment, Refusal, Warning};
+use crate::validation::{Assessment, Refusal, Warning};
 
 /// An upload that is to be looked at: the only line to the process but for the answer to
 /// [`AssessReply::Needs`], the bytes that it may decode at a time.

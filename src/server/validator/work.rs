@@ -9,8 +9,8 @@ use fled_core::capture::{DecodeBudget, Look, Watch};
 use rustix::process::{Resource, Rlimit, setrlimit};
 
 use super::words::{AssessReply, AssessRequest, Filming, VideoFault, VideoFaultKind};
-use crate::intake::{self, CaptureReport};
 use crate::jobs::parent_death::guarded;
+use crate::validation::{self, CaptureReport};
 
 /// Looks at the upload and says what is seen on standard output; `answers` are the service's.
 ///
@@ -24,7 +24,7 @@ pub fn assess(request: &AssessRequest, answers: &mut dyn BufRead) -> io::Result<
             Err(error) => return say(&AssessReply::NotFilmed(fault(&error))),
         }
     }
-    match intake::unpacked_bytes(&request.dir) {
+    match validation::unpacked_bytes(&request.dir) {
         Ok(bytes) if bytes > request.room => return say(&AssessReply::NoRoom),
         Ok(_) => {}
         Err(refusal) => return say(&AssessReply::Refused(*refusal)),
@@ -41,7 +41,7 @@ pub fn assess(request: &AssessRequest, answers: &mut dyn BufRead) -> io::Result<
             let _ = say(&reply);
         },
     };
-    let (report, last) = match intake::examine(&request.dir, &watch) {
+    let (report, last) = match validation::examine(&request.dir, &watch) {
         Ok(mut report) => {
             let last = AssessReply::Accepted {
                 accepted: report.accepted,

@@ -20,8 +20,8 @@ use tokio::time::{Instant, timeout_at};
 
 use crate::config::Limits;
 use crate::incoming::Incoming;
-use crate::intake::{CaptureReport, Refusal};
 use crate::jobs::process::{Group, Line};
+use crate::validation::{CaptureReport, Refusal};
 
 pub use words::{AssessReply, AssessRequest, Filming, VideoFault, VideoFaultKind};
 pub use work::assess;
@@ -70,7 +70,7 @@ pub struct Seen {
 
 /// Who starts the processes and lends them memory.
 #[derive(Debug)]
-pub struct Assessors {
+pub struct Validators {
     command: Vec<OsString>,
     limits: Limits,
     /// Processes at a time.
@@ -79,14 +79,14 @@ pub struct Assessors {
     memory: Semaphore,
 }
 
-impl Assessors {
+impl Validators {
     /// Nothing is started before the first upload.
     pub fn new(command: Vec<OsString>, limits: Limits) -> Self {
         let pieces = pieces(limits.max_decoding_bytes);
         Self {
             command,
             limits,
-            processes: Semaphore::new(limits.assessors),
+            processes: Semaphore::new(limits.validators),
             memory: Semaphore::new(pieces as usize),
         }
     }
@@ -109,7 +109,7 @@ impl Assessors {
             .send(&serde_json::to_string(request).map_err(process_error)?)
             .await?;
         Conversation {
-            assessors: self,
+            validators: self,
             process,
             turn,
             memory: None,
@@ -124,7 +124,7 @@ impl Assessors {
 
 /// One process and what it has said so far.
 struct Conversation<'a> {
-    assessors: &'a Assessors,
+    validators: &'a Validators,
     process: Process,
     turn: Option<MutexGuard<'a, ()>>,
     memory: Option<SemaphorePermit<'a>>,
@@ -138,7 +138,7 @@ struct Conversation<'a> {
 impl Conversation<'_> {
     async fn hold(mut self) -> Result<Seen, AssessError> {
         loop {
-            let patience = self.assessors.limits.photograph;
+            let patience = self.validators.limits.photograph;
             let oldest = self.begun.iter().map(|(_, since)| *since + patience).min();
             let until = oldest.map_or(self.until, |oldest| oldest.min(self.until));
             let Ok(line) = timeout_at(until, self.process.line()).await else {
@@ -187,10 +187,10 @@ impl Conversation<'_> {
 
     /// Lends memory, who asks first first. What is more than there is, is all of it.
     async fn lend(&mut self, bytes: u64) -> Result<(), AssessError> {
-        let limits = &self.assessors.limits;
+        let limits = &self.validators.limits;
         let asked = Instant::now();
         let wanted = pieces(bytes.min(limits.max_decoding_bytes));
-        let lent = self.assessors.memory.acquire_many(wanted);
+        let lent = self.validators.memory.acquire_many(wanted);
         self.memory = Some(lent.await.map_err(closed)?);
         // Others' time is not its own.
         self.until += asked.elapsed();
@@ -200,7 +200,7 @@ impl Conversation<'_> {
     }
 
     fn late(&self) -> AssessError {
-        let patience = self.assessors.limits.photograph;
+        let patience = self.validators.limits.photograph;
         let is_late = |(_, since): &&(String, Instant)| since.elapsed() >= patience;
         match self.begun.iter().find(is_late) {
             Some((name, _)) => AssessError::Endless { name: name.clone() },
