@@ -1,5 +1,5 @@
-//! This machine's copies of what lies in a shared store of files: which there are, and what is
-//! known of them.
+//! This machine's cache of what lies in a shared store of files: which copies there are, and what
+//! is known of them.
 
 use std::collections::HashMap;
 use std::io;

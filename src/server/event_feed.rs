@@ -1,5 +1,5 @@
-//! The newest events of jobs that are being watched. However many streams there are of a job, what
-//! it tells is read from the database once in this process; each still asks for what follows the
+//! The event feeds of jobs that are being watched. However many streams there are of a job, what
+//! it reports is read from the database once in this process; each still asks for what follows the
 //! last number that it has sent.
 
 use std::collections::{HashMap, VecDeque};

@@ -1,4 +1,4 @@
-//! Moments in the life of an attempt. What happens when a worker dies at one of them is what the
+//! Failpoints in the life of an attempt. What happens when a worker dies at one of them is what the
 //! tests of many machines ask.
 
 use std::fmt;

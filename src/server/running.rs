@@ -21,8 +21,8 @@ impl Running {
         self.claiming.lock().await
     }
 
-    /// Remembers that the job runs under this lease; the notifier that stops it. A lease that another
-    /// worker has taken over meanwhile is not remembered.
+    /// Remembers that the job runs under this lease, and returns the notifier that stops it. A
+    /// lease that another worker has taken over meanwhile is not remembered.
     pub fn begin(&self, lease: &Lease) -> Arc<Notify> {
         let notifier = Arc::new(Notify::new());
         let mut jobs = self.lock();

@@ -1,4 +1,4 @@
-//! Takes an upload in: looks at it with the eyes of the pipeline, and reports.
+//! Validates an upload: looks at it with the eyes of the pipeline, and reports.
 
 use std::fs;
 use std::path::{Path, PathBuf};

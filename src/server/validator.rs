@@ -1,4 +1,4 @@
-//! The processes that look at uploads, one for each.
+//! The processes that validate uploads, one for each.
 //!
 //! What is decoded comes from strangers, and so may crash a decoder, keep it busy for ever or make
 //! it ask for all memory there is. In a process of its own, with limits, that costs its upload and

@@ -1,8 +1,9 @@
 //! `/v1/jobs/{id}/events`: server-sent events out of the database.
 //!
 //! Nobody hands a stream what to send: it is told that something changed and asks for what follows
-//! the last number sent, which one read for all streams of the job brings (`event_feed.rs`). So nothing
-//! is lost, doubled or out of order, whether the client reconnects, the server restarts or both.
+//! the last number sent, which one read for all streams of the job brings (`event_feed.rs`). So
+//! nothing is lost, doubled or out of order, whether the client reconnects, the server restarts or
+//! both.
 
 use std::convert::Infallible;
 use std::sync::Arc;

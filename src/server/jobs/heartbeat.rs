@@ -1,4 +1,4 @@
-//! A worker's signs of life, apart from its work: neither a slow store of files nor a full pipe may
+//! A worker's heartbeats, apart from its work: neither a slow store of files nor a full pipe may
 //! keep it from extending its lease.
 
 use tokio::sync::mpsc;
@@ -11,7 +11,7 @@ use crate::error::ServerError;
 use crate::failpoint::{Failpoint, Watcher};
 use crate::store::{Lease, Store};
 
-/// What a sign of life was answered.
+/// What a heartbeat was answered.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Pulse {
     /// Somebody asked to stop the job.
@@ -20,7 +20,7 @@ pub(super) enum Pulse {
     Lost,
 }
 
-/// Signs of life, until it is dropped.
+/// Heartbeats, until it is dropped.
 #[derive(Debug)]
 pub(super) struct Heartbeat {
     told: mpsc::Receiver<Pulse>,

@@ -1,4 +1,5 @@
-//! Processes that end when the one that started them ends, however it ends.
+//! The guard against a parent's death: processes end when the one that started them ends, however
+//! it ends.
 
 use std::ffi::{OsStr, OsString};
 use std::io;

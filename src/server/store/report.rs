@@ -1,6 +1,6 @@
-//! What a worker tells of its job: each in a transaction that begins with the epoch, and said again
-//! where the database was away and its answer is lost. The job counts what was told under a lease:
-//! what had been done although nobody heard of it is not done twice.
+//! What a worker reports of its job: each report in a transaction that begins with the epoch, and
+//! sent again where the database was away and its answer is lost. The job counts the reports of a
+//! lease: what had been done although nobody heard of it is not done twice.
 
 use std::time::{Duration, Instant};
 
@@ -22,7 +22,7 @@ const PATIENCE: Duration = Duration::from_secs(20);
 /// Between two attempts.
 const PAUSE: Duration = Duration::from_millis(500);
 
-/// One thing to tell.
+/// One thing to report.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Report<'a> {
     /// What the job's process said.
@@ -104,7 +104,7 @@ impl Store {
         self.report(lease, Report::Files(kept, gone)).await
     }
 
-    /// Tells one thing, once. A lease is one worker's, which tells one thing after the other.
+    /// Reports one thing, once. A lease is one worker's, which reports one thing after the other.
     async fn report(&self, lease: &Lease, report: Report<'_>) -> Result<()> {
         let begun = Instant::now();
         // How much had been told before this.
@@ -114,7 +114,7 @@ impl Store {
                 Err(error) if self.may_pass(&error, begun) => error,
                 reported => return reported,
             };
-            tracing::warn!(%error, job = lease.job, "the database is away: told again");
+            tracing::warn!(%error, job = lease.job, "the database is away: reported again");
             tokio::time::sleep(PAUSE).await;
         }
     }

@@ -23,22 +23,22 @@ fn a_worker_that_dies_at_any_point_of_an_attempt_loses_nothing_and_does_nothing_
     let farm = Farm::new();
     let calm = expected();
     let (_api, api) = farm.replica("api");
-    for (index, point) in Failpoint::ALL.into_iter().enumerate() {
-        let times = match point {
+    for (index, failpoint) in Failpoint::ALL.into_iter().enumerate() {
+        let times = match failpoint {
             Failpoint::Extended => 2,
             Failpoint::Told | Failpoint::Advanced | Failpoint::Stored | Failpoint::Named => 4,
             _ => 1,
         };
-        let plan = format!("{point}:{times}");
+        let plan = format!("{failpoint}:{times}");
         let name = format!("worker-{index}");
         let mut worker = farm.worker_by(&[], &name, &[("FLED_FAKE_DIE_AT", &plan)]);
         let job = order(&api, "slow:12");
-        if point == Failpoint::Stopping {
+        if failpoint == Failpoint::Stopping {
             in_the_middle(&api, &job);
             worker.signal("-INT");
         }
         worker.dies();
-        assert!(gone(&job), "{point}: its process ends with it");
+        assert!(gone(&job), "{failpoint}: its process ends with it");
         // Itself, back at once, or another, when its lease has ended.
         let heir = if index % 2 == 0 {
             name
@@ -47,8 +47,12 @@ fn a_worker_that_dies_at_any_point_of_an_attempt_loses_nothing_and_does_nothing_
         };
         let _heir = farm.worker(&heir);
         succeeds(&api, &job, &calm);
-        let attempts = if point == Failpoint::Settled { 1 } else { 2 };
-        assert_eq!(api.show(&job)["attempts"], attempts, "{point}");
+        let attempts = if failpoint == Failpoint::Settled {
+            1
+        } else {
+            2
+        };
+        assert_eq!(api.show(&job)["attempts"], attempts, "{failpoint}");
     }
     let told = farm.postgres.psql(
         "fled_0",
