@@ -123,7 +123,7 @@ struct Janitor<'a> {
     app: Option<&'a App>,
     /// Whether it removes what all share: a worker does not know what is to be kept.
     serves: bool,
-    /// Only tells.
+    /// Only reports.
     dry_run: bool,
     /// Files that have changed within this stay, whatever the rule.
     made: Duration,
@@ -131,9 +131,9 @@ struct Janitor<'a> {
     orphans: Duration,
     /// How long is kept what is made again when it is wanted.
     caches: Duration,
-    tell: &'a mut dyn FnMut(&Gone),
-    /// What it has told of: in a dry run it is still there.
-    told: Vec<PathBuf>,
+    report: &'a mut dyn FnMut(&Gone),
+    /// What it has reported: in a dry run it is still there.
+    reported: Vec<PathBuf>,
     /// The first thing that went wrong.
     failed: Option<ServerError>,
 }
@@ -149,7 +149,7 @@ pub async fn keep_clean(app: Arc<App>, serves: bool) {
 }
 
 /// Follows the rules. Files that have changed within `made` stay; before there are workers and
-/// requests that is nothing: what has no row then will never have one. What goes wrong is told in
+/// requests that is nothing: what has no row then will never have one. What goes wrong is in
 /// the log, and keeps no server from starting.
 pub async fn clean(app: Arc<App>, serves: bool, made: Duration) {
     let runtime = tokio::runtime::Handle::current();
@@ -163,8 +163,8 @@ pub async fn clean(app: Arc<App>, serves: bool, made: Duration) {
             made,
             orphans: 30 * DAY,
             caches: 30 * DAY,
-            tell: &mut |_| {},
-            told: Vec::new(),
+            report: &mut |_| {},
+            reported: Vec::new(),
             failed: None,
         };
         runtime.block_on(async {
@@ -212,7 +212,7 @@ impl Janitor<'_> {
         Ok(gone.filter(|gone| *gone).count())
     }
 
-    /// A server marks first, so that nothing goes that it has not told of for a while.
+    /// A server marks first, so that nothing goes that it has not announced for a while.
     async fn expired(&mut self, rule: &Rule, app: Option<&App>, now: i64) -> Result<Vec<PathBuf>> {
         if let Some(app) = app {
             let retention = &app.config.retention;
@@ -268,7 +268,7 @@ impl Janitor<'_> {
 }
 
 /// Removes the file or the folder of something that is no longer in the database. Its loss of name
-/// is what counts; what cannot be removed is told to the operator.
+/// is what counts; what cannot be removed is in the log.
 pub async fn remove(path: &Path) {
     let from = path.to_owned();
     let removed = tokio::task::spawn_blocking(move || delete(&from)).await;

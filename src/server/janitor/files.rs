@@ -80,9 +80,9 @@ impl Janitor<'_> {
         Ok(found)
     }
 
-    /// Removes something or moves it aside, and tells of it. Whether it went.
+    /// Removes something or moves it aside, and reports it. Whether it went.
     pub(super) fn remove(&mut self, rule: &Rule, path: PathBuf) -> bool {
-        if self.told.iter().any(|told| path.starts_with(told)) {
+        if self.reported.iter().any(|gone| path.starts_with(gone)) {
             return false;
         }
         let is_orphan = matches!(rule.name, Name::Orphans);
@@ -90,7 +90,10 @@ impl Janitor<'_> {
         let gone = bytes.and_then(|bytes| match path.parent() {
             _ if self.dry_run => Ok(bytes),
             Some(dir) if is_orphan => move_aside(&path, &self.data.unnamed(dir)).map(|()| bytes),
-            _ => delete(&path).map(|()| bytes),
+            _ => delete(&path).map(|()| {
+                tracing::info!(path = %path.display(), bytes, why = rule.what, "removed");
+                bytes
+            }),
         });
         match gone.map_err(ServerError::io(&path)) {
             Err(error) => {
@@ -98,14 +101,13 @@ impl Janitor<'_> {
                 false
             }
             Ok(bytes) => {
-                tracing::info!(path = %path.display(), bytes, why = rule.what, "removed");
                 let below = path.strip_prefix(self.data.root()).unwrap_or(&path);
-                (self.tell)(&Gone {
+                (self.report)(&Gone {
                     path: below.to_owned(),
                     bytes,
                     why: rule.what,
                 });
-                self.told.push(path);
+                self.reported.push(path);
                 true
             }
         }

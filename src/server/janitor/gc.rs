@@ -1,4 +1,4 @@
-//! The rules, followed by hand, and told.
+//! The rules, followed by hand, with a report.
 //!
 //! Beside a server only what it does not hold in its memory is touched, and nothing that has
 //! changed within the hour.
@@ -15,7 +15,7 @@ use crate::store::Store;
 /// What is to be done.
 #[derive(Clone, Copy, Debug)]
 pub struct GcOptions {
-    /// Tell only.
+    /// Only report.
     pub dry_run: bool,
     /// How long what was moved aside is kept.
     pub unnamed: Duration,
@@ -43,7 +43,7 @@ pub struct Collected {
     pub database: u64,
 }
 
-/// Frees what nobody wants in the data directory `root` and tells of each thing.
+/// Frees what nobody wants in the data directory `root` and reports each thing.
 ///
 /// # Errors
 /// When there is no database in it, or one of another version; after all that can go has gone, also
@@ -51,7 +51,7 @@ pub struct Collected {
 pub async fn gc(
     root: &Path,
     options: &GcOptions,
-    tell: &mut dyn FnMut(&Gone),
+    report: &mut dyn FnMut(&Gone),
 ) -> Result<Collected> {
     let database = root.join("fled.db");
     // Without one all would be nameless.
@@ -73,8 +73,8 @@ pub async fn gc(
         },
         orphans: options.unnamed,
         caches: options.caches,
-        tell,
-        told: Vec::new(),
+        report,
+        reported: Vec::new(),
         failed: None,
     };
     janitor.follow_all().await;
