@@ -19,7 +19,7 @@ mod http;
 mod incoming;
 mod janitor;
 pub mod jobs;
-pub use migrate::{Migrated, migrate};
+mod migrate;
 mod others;
 mod rate;
 mod readiness;
@@ -43,6 +43,6 @@ pub use http::document as openapi_document;
 #[doc(hidden)]
 pub use http::read_tus_headers;
 pub use janitor::{Collected, GcOptions, Gone, gc};
-pub use migrate::{Migrated, migrate};
 pub use jobs::parent_death::{GUARD, become_guarded, die_with_parent, guarded};
+pub use migrate::{Migrated, migrate};
 pub use serve::{Server, serve, work};

@@ -6,11 +6,11 @@ use std::path::Path;
 
 use fled_blobs::{Blobs, Kept, Seen, push};
 
-use crate::collector::claim;
 use crate::config::Limits;
 use crate::copies::is_kept;
 use crate::data::DataDir;
 use crate::error::{Result, ServerError};
+use crate::janitor::claim;
 use crate::jobs::{after_death, kill_orphans};
 use crate::store::Store;
 use crate::videos::record::videos_of;

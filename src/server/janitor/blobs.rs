@@ -86,13 +86,6 @@ mod tests {
 
     const HOUR: Duration = Duration::from_secs(3600);
 
-    fn assert_disputed(refused: Result<usize>) {
-        assert!(
-            matches!(refused, Err(ServerError::Disputed(_))),
-            "{refused:?}"
-        );
-    }
-
     struct Place {
         dir: tempfile::TempDir,
         blobs: Blobs,
