@@ -41,8 +41,7 @@ test: test-openapi test-types setup onnxruntime matcher test-python ## every tes
 # What waits long or needs a machine for itself: random kills, outages, throughput, a film of the page.
 test-nightly: setup onnxruntime matcher build test-widths ## the tests that CI leaves out
 	@tools/setup.sh postgresql faketime $(if $(CHROMIUM),,chromium)
-	$(CARGO) test --release --locked --workspace --test faults --test kills --test machines --test throughput -- \
-	    --ignored --test-threads 1
+	$(CARGO) test --release --locked --workspace --test it -- --ignored --test-threads 1
 	cd tests/browser && npm ci --loglevel=error && \
 	    FLED=$(abspath $(or $(CARGO_TARGET_DIR),target)/release/fled) node --test walk.nightly.js
 

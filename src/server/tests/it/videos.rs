@@ -1,14 +1,12 @@
 //! Videos in place of photographs, through a real server process and ffmpeg.
 
-mod support;
-
 use std::process::Command;
 
+use crate::support::tokens::token_with;
+use crate::support::tus::Tus;
+use crate::support::{Server, file, photographs, text};
 use fled_server::store::Quotas;
 use serde_json::json;
-use support::tokens::token_with;
-use support::tus::Tus;
-use support::{Server, file, photographs, text};
 
 /// A video of 60 frames that differ.
 fn video() -> Vec<u8> {

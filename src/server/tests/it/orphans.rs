@@ -1,7 +1,5 @@
 //! What is left on the disk by clients that hang up and servers that die, through a real process.
 
-mod support;
-
 use std::fs;
 use std::io::Write;
 use std::net::TcpStream;
@@ -9,7 +7,7 @@ use std::path::Path;
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
-use support::{Server, deflated, photograph};
+use crate::support::{Server, deflated, photograph};
 
 fn names(folder: &Path) -> Vec<String> {
     let entries = fs::read_dir(folder).expect("folder").flatten();

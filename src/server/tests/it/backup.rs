@@ -1,12 +1,10 @@
 //! A copy of the data directory while a server works in it, and a server started on the copy.
 
-mod support;
-
 use std::fs;
 use std::path::Path;
 
+use crate::support::Server;
 use fled_server::{Backup, backup};
-use support::Server;
 
 fn copy(from: &Path, to: &Path) -> fled_server::Result<Backup> {
     let runtime = tokio::runtime::Builder::new_current_thread()

@@ -1,11 +1,9 @@
 //! Uploads that want more memory than they get, through a real server process.
 
-mod support;
-
 use std::io::{ErrorKind, Write};
 use std::net::TcpStream;
 
-use support::{Server, file, photographs, text};
+use crate::support::{Server, file, photographs, text};
 
 const MIB: u64 = 1 << 20;
 
@@ -59,7 +57,7 @@ fn pour(server: &Server, head: &[u8], bytes: u64) {
 #[test]
 fn names_parts_and_fields_are_bounded() {
     let server = Server::start();
-    let refused = |path: &str, more: support::Part, pointer: &str| {
+    let refused = |path: &str, more: crate::support::Part, pointer: &str| {
         let mut parts = photographs(3);
         parts.push(more);
         let problem = server.upload(path, &parts, &[]).expect(422).json();

@@ -1,7 +1,5 @@
 //! A disk without space, through a real server process.
 
-mod support;
-
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::Write;
@@ -10,8 +8,8 @@ use std::process::Command;
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
+use crate::support::{Server, deflated, file, photographs, text};
 use serde_json::json;
-use support::{Server, deflated, file, photographs, text};
 
 /// More than any disk has.
 const NO_SPACE: [(&str, &str); 1] = [("FLED_FAKE_MIN_FREE", "1152921504606846976")];

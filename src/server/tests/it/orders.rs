@@ -1,11 +1,9 @@
 //! What is asked of a job, and when it is refused, through a real server process.
 
-mod support;
-
+use crate::support::tokens::{token, token_of};
+use crate::support::{Server, photographs, text};
 use fled_tests::Reply;
 use serde_json::{Value, json};
-use support::tokens::{token, token_of};
-use support::{Server, photographs, text};
 
 /// The problem with an order of these options.
 fn refused(server: &Server, options: &Value) -> Value {

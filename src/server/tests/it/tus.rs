@@ -1,15 +1,13 @@
 //! Uploads in pieces by the tus protocol, through a real server process.
 
-mod support;
-
 use std::fs;
 use std::io::Write;
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
-use support::Server;
-use support::tokens::token_of;
-use support::tus::{NAMED, PIECE, Tus, base64, status};
+use crate::support::Server;
+use crate::support::tokens::token_of;
+use crate::support::tus::{NAMED, PIECE, Tus, base64, status};
 
 /// How many files of uploads there are.
 fn files(server: &Server) -> usize {

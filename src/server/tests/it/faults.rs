@@ -1,8 +1,6 @@
 //! What may happen to one of many machines, each at a moment that is chosen: its death, the cut of
 //! its network, a wrong clock, a bucket that fails. The job ends as if nothing had happened.
 
-mod support;
-
 use std::fs;
 use std::io::{Read, Write};
 use std::net::{Ipv4Addr, TcpListener, TcpStream};
@@ -11,11 +9,13 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::thread::{sleep, spawn};
 use std::time::{Duration, Instant};
 
+use crate::support::farm::{
+    Farm, Machine, PATIENCE, SLOW, expected, in_the_middle, order, succeeds,
+};
+use crate::support::{gone, photographs};
 use fled_server::Failpoint;
 use fled_tests::{Fault, processes_of};
 use serde_json::json;
-use support::farm::{Farm, Machine, PATIENCE, SLOW, expected, in_the_middle, order, succeeds};
-use support::{gone, photographs};
 
 #[test]
 #[ignore = "make test-nightly"]

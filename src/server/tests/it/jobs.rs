@@ -1,11 +1,9 @@
 //! Jobs through a real server process: how they end, fail, are stopped, and survive kill -9.
 
-mod support;
-
 use std::time::{Duration, Instant};
 
+use crate::support::{Server, gone, photographs, processes_of, text};
 use serde_json::json;
-use support::{Server, gone, photographs, processes_of, text};
 
 #[test]
 fn a_job_goes_from_upload_to_results() {

@@ -1,17 +1,15 @@
 //! A service that moves from SQLite and its data directory to PostgreSQL and a store of files.
 
-mod support;
-
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
+use crate::support::Server;
+use crate::support::tokens::token;
+use crate::support::tus::Tus;
 use fled_server::{Migrated, Result, ServerError, migrate};
 use fled_tests::{Client, Postgres};
 use serde_json::{Value, json};
-use support::Server;
-use support::tokens::token;
-use support::tus::Tus;
 
 /// What is there to move, and what was there to see.
 struct Old {

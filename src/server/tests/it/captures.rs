@@ -1,11 +1,9 @@
 //! Uploads through a real server process: what is taken, what is refused, where it lies.
 
-mod support;
-
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
-use support::{Server, file, photograph, photographs, text, zip};
+use crate::support::{Server, file, photograph, photographs, text, zip};
 
 #[test]
 fn bad_files_are_listed_and_the_rest_goes_on_until_too_few_remain() {

@@ -1,16 +1,14 @@
 //! What may happen to many machines: replicas and workers are killed, frozen and cut off.
 
-mod support;
-
 use std::thread::{sleep, spawn};
 use std::time::{Duration, Instant};
 
-use fled_tests::Client;
-use serde_json::json;
-use support::farm::{
+use crate::support::farm::{
     Farm, Machine, PATIENCE, SLOW, begin, check, expected, in_the_middle, order, scene, succeeds,
 };
-use support::{gone, photographs};
+use crate::support::{gone, photographs};
+use fled_tests::Client;
+use serde_json::json;
 
 #[test]
 fn a_job_that_is_posted_at_one_replica_is_made_by_a_worker_and_seen_at_another() {

@@ -1,13 +1,11 @@
 //! Links to one job, through a real server process.
 
-mod support;
-
+use crate::support::Server;
+use crate::support::tokens::{token_of, token_until, with_store};
 use fled_server::store::{NewShare, now_ms};
 use fled_server::token::{Secret, new_id};
 use fled_tests::Reply;
 use serde_json::{Value, json};
-use support::Server;
-use support::tokens::{token_of, token_until, with_store};
 
 const MAKES: &str = "jobs:read,jobs:write,renders";
 
@@ -97,7 +95,7 @@ fn a_link_shows_its_job_and_nothing_else() {
         .delete_as(&of(&job, &format!("/shares/{id}")), &with)
         .expect(403);
     make(&server, &job, &link, &json!({})).expect(403);
-    let upload = server.upload("/v1/captures", &support::photographs(3), &with);
+    let upload = server.upload("/v1/captures", &crate::support::photographs(3), &with);
     upload.expect(403);
     server
         .get(&of(&job, ""), &[("authorization", &admin)])
@@ -219,7 +217,7 @@ fn nobody_gives_by_a_link_what_they_do_not_have() {
     let server = Server::start();
     let (all, _) = token_of("anna", &server, MAKES);
     let with = [("authorization", all.as_str())];
-    let capture = server.upload("/v1/captures", &support::photographs(3), &with);
+    let capture = server.upload("/v1/captures", &crate::support::photographs(3), &with);
     let capture = capture.expect(201).json()["id"].clone();
     let order = json!({ "capture_id": capture, "options": { "adapter": "ok" } });
     let job = server

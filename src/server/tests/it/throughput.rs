@@ -1,18 +1,16 @@
 //! What the service does in a second, with SQLite and with PostgreSQL. Prints the figures of
 //! docs/results.md, and fails where one is far from them.
 
-mod support;
-
 use std::io::{Read, Write};
 use std::net::TcpStream;
 use std::thread::{sleep, spawn};
 use std::time::{Duration, Instant};
 
+use crate::support::Server;
+use crate::support::farm::{Farm, order};
 use fled_server::store::{Settlement, Store};
 use fled_tests::Client;
 use sqlx::any::{AnyPoolOptions, install_default_drivers};
-use support::Server;
-use support::farm::{Farm, order};
 
 /// Jobs of a large installation.
 const MANY: usize = 100_000;

@@ -1,13 +1,11 @@
 //! Clients that keep the server waiting, through a real server process.
 
-mod support;
-
 use std::io::{Read, Write};
 use std::net::TcpStream;
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
-use support::Server;
+use crate::support::Server;
 
 fn connect(server: &Server) -> TcpStream {
     let address = server.base.trim_start_matches("http://");

@@ -1,9 +1,7 @@
 //! Files and renders of a job through a real server process.
 
-mod support;
-
+use crate::support::Server;
 use serde_json::json;
-use support::Server;
 
 #[test]
 fn results_come_whole_in_ranges_and_not_at_all_when_known() {

@@ -3,8 +3,6 @@
 //! `FLED_KILLS=200 cargo test --release -p fled-server --test kills -- --nocapture` kills more
 //! often than CI does; both print a table.
 
-mod support;
-
 use std::collections::BTreeMap;
 use std::fs;
 use std::io::Read;
@@ -14,9 +12,9 @@ use std::process::Command;
 use std::thread::{JoinHandle, scope, sleep, spawn};
 use std::time::{Duration, Instant};
 
+use crate::support::{Server, gone, photographs};
 use fled_tests::{Client, pids_of};
 use serde_json::Value;
-use support::{Server, gone, photographs};
 
 /// Kills where nobody says how many.
 const KILLS: usize = 20;

@@ -1,13 +1,11 @@
 //! What others go on from, through a real server process.
 
-mod support;
-
 use std::io::Cursor;
 
+use crate::support::Server;
+use crate::support::tokens::token_of;
 use fled_tests::Reply;
 use serde_json::json;
-use support::Server;
-use support::tokens::token_of;
 use zip::ZipArchive;
 
 const FORMS: [&str; 3] = ["restored.zip", "colmap.zip", "scene.compressed.ply"];

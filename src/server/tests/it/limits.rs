@@ -1,15 +1,13 @@
 //! How much one client may have and ask for, through a real server process.
 
-mod support;
-
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
+use crate::support::tokens::{token, token_of, token_with, with_store};
+use crate::support::{Server, photographs, text};
 use fled_server::store::Quotas;
 use fled_tests::Reply;
 use serde_json::json;
-use support::tokens::{token, token_of, token_with, with_store};
-use support::{Server, photographs, text};
 
 /// All that a user needs.
 const USER: &str = "jobs:read,jobs:write,renders";

@@ -1,7 +1,5 @@
 //! Captures and jobs of uploads in pieces, through a real server process.
 
-mod support;
-
 use std::fs;
 use std::io::Write;
 use std::net::TcpStream;
@@ -9,11 +7,11 @@ use std::path::Path;
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
+use crate::support::tokens::{token_of, token_with, with_store};
+use crate::support::tus::{Tus, status};
+use crate::support::{Server, photograph, photographs, zip};
 use fled_server::store::Quotas;
 use serde_json::{Value, json};
-use support::tokens::{token_of, token_with, with_store};
-use support::tus::{Tus, status};
-use support::{Server, photograph, photographs, zip};
 
 /// All that a user needs.
 const USER: &str = "jobs:read,jobs:write,renders";

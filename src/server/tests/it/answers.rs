@@ -1,10 +1,8 @@
 //! Requests that are wrong in ways of their own, through a real server process: each is answered
 //! with what is wrong, none with 500, none with a path of the server.
 
-mod support;
-
+use crate::support::{Server, file, photographs, text, zip};
 use serde_json::{Value, json};
-use support::{Server, file, photographs, text, zip};
 
 const CAMERA_FOCAL: f64 = 50.0;
 

@@ -1,14 +1,12 @@
 //! What is freed by hand, beside a server and without one.
 
-mod support;
-
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
 use std::time::Duration;
 
+use crate::support::Server;
 use fled_server::{Collected, GcOptions, gc};
-use support::Server;
 
 const DAY: Duration = Duration::from_secs(24 * 3600);
 

@@ -1,9 +1,7 @@
 //! Webhooks through a real server process: told, signed, told again, and not to inner networks.
 
-mod support;
-
 // The receiver that the documents give to others.
-#[path = "../../../docs/webhooks/genuine.rs"]
+#[path = "../../../../docs/webhooks/genuine.rs"]
 mod genuine;
 
 use std::collections::BTreeMap;
@@ -14,9 +12,9 @@ use std::sync::mpsc::{Receiver, channel};
 use std::thread::sleep;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
+use crate::support::tokens::token_of;
+use crate::support::{Server, photographs};
 use serde_json::{Value, json};
-use support::tokens::token_of;
-use support::{Server, photographs};
 
 /// Whatever is waited for is there by then.
 const PATIENCE: Duration = Duration::from_secs(30);

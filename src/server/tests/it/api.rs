@@ -1,8 +1,6 @@
 //! The API as a whole through a real server process: whose pages may call it, lists, health.
 
-mod support;
-
-use support::{Server, photographs, text};
+use crate::support::{Server, photographs, text};
 
 #[test]
 fn another_sites_page_cannot_start_jobs() {

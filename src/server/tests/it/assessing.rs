@@ -1,15 +1,13 @@
 //! Uploads that end, hold up or overload whoever looks at them, through a real server process.
 
-mod support;
-
 use std::fs;
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use std::thread::{scope, sleep};
 use std::time::{Duration, Instant};
 
+use crate::support::{Part, Server, file, photograph, photographs};
 use image::{ExtendedColorType, ImageEncoder};
-use support::{Part, Server, file, photograph, photographs};
 
 const MIB: u64 = 1 << 20;
 

@@ -1,13 +1,11 @@
 //! Videos of results, through a real server process and ffmpeg.
 
-mod support;
-
 use std::time::{Duration, Instant};
 
+use crate::support::tokens::token_of;
+use crate::support::{Server, gone};
 use fled_tests::Reply;
 use serde_json::{Value, json};
-use support::tokens::token_of;
-use support::{Server, gone};
 
 /// A video of a few pictures may take so long beside other tests.
 const PATIENCE: Duration = Duration::from_secs(30);

@@ -1,14 +1,12 @@
 //! More than the server can do at a time, through a real server process.
 
-mod support;
-
 use std::io::{Read, Write};
 use std::net::TcpStream;
 use std::thread::{scope, sleep};
 use std::time::{Duration, Instant};
 
+use crate::support::Server;
 use serde_json::json;
-use support::Server;
 
 /// A finished job whose scene takes 700 ms a picture.
 fn slow_scene(server: &Server) -> String {
@@ -89,7 +87,7 @@ fn a_full_queue_is_told_and_when_to_try_again() {
     let refused = submit().expect(503);
     assert_eq!(refused.header("retry-after"), "60");
     assert_eq!(refused.json()["code"], "queue_full");
-    let parts = support::photographs(1);
+    let parts = crate::support::photographs(1);
     server.upload("/v1/jobs", &parts, &[]).expect(503);
     let id = waiting["id"].as_str().expect("id");
     server

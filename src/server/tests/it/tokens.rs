@@ -1,13 +1,11 @@
 //! Who may do what, through a real server process.
 
-mod support;
-
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
+use crate::support::tokens::{token, token_of, with_store};
+use crate::support::{Server, photographs};
 use serde_json::json;
-use support::tokens::{token, token_of, with_store};
-use support::{Server, photographs};
 
 /// A capture and a finished job of whoever has the token, which sees and starts jobs.
 fn job_of(server: &Server, header: &str) -> (String, String) {

@@ -1,0 +1,31 @@
+//! The service through real server processes: one binary, so that it links once and waits overlap.
+
+mod answers;
+mod api;
+mod assessing;
+mod backup;
+mod captures;
+mod connections;
+mod disk;
+mod exports;
+mod faults;
+mod gc;
+mod jobs;
+mod kills;
+mod limits;
+mod load;
+mod machines;
+mod made_videos;
+mod memory;
+mod migrate;
+mod orders;
+mod orphans;
+mod results;
+mod shares;
+mod support;
+mod throughput;
+mod tokens;
+mod tus;
+mod tus_captures;
+mod videos;
+mod webhooks;
