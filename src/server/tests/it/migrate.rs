@@ -118,12 +118,12 @@ fn look(api: &Client, paths: Vec<String>, admin: &str) -> Vec<(String, Vec<u8>)>
 }
 
 /// Where it moves to.
-struct New {
+struct Target {
     postgres: Postgres,
     root: tempfile::TempDir,
 }
 
-impl New {
+impl Target {
     fn new() -> Self {
         Self {
             postgres: Postgres::start(),
@@ -198,7 +198,7 @@ fn succeeds(api: &Client, job: &str, admin: &str) -> String {
 #[test]
 fn a_server_on_postgres_answers_as_the_one_that_moved_and_does_what_waited() {
     let old = Old::new();
-    let new = New::new();
+    let new = Target::new();
     let url = new.postgres.database();
     let done = new.migrate(&old.data(), &url, "store").expect("moved");
     assert!(
@@ -234,7 +234,7 @@ fn a_server_on_postgres_answers_as_the_one_that_moved_and_does_what_waited() {
 #[test]
 fn what_cannot_move_leaves_no_row_and_the_old_server_goes_on() {
     let mut old = Old::new();
-    let new = New::new();
+    let new = Target::new();
     let url = new.postgres.database();
     let data = old.data();
     refused(new.migrate(&data, "sqlite:other.db", "none"), "postgres://");
