@@ -25,8 +25,8 @@ pub use saved::{parse, save};
 pub const MOST_TAPS: usize = 96;
 
 /// Weight of the total variation of the sharp render, beside 0.8 of the mean absolute error. What
-/// the shake hides from every view is otherwise free: it grows into elongated Gaussians, and the kernels with
-/// it.
+/// the shake hides from every view is otherwise free: it grows into elongated Gaussians, and the
+/// kernels with it.
 const SMOOTH_WEIGHT: f64 = 0.05;
 /// Differences well below this count by their square: smooth shading is free. `BEND` of the shader.
 const SMOOTH_BEND: f64 = 0.02;
