@@ -181,6 +181,11 @@ impl<'a> Context<'a> {
         self.sink.event(&Event::Planned { rounds, views });
     }
 
+    /// Notes that rounds have so many times as many steps as were planned.
+    pub fn multiply_steps(&mut self, times: f64) {
+        self.plan.multiply_steps(times);
+    }
+
     /// Tells how far a stage of countable units is.
     pub fn advance(&mut self, stage: Stage, round: u32, progress: Advance) {
         let Advance {

@@ -59,6 +59,14 @@ impl Plan {
         self.rounds = rounds;
     }
 
+    /// Rounds of so many times as many steps as were planned.
+    pub fn multiply_steps(&mut self, times: f64) {
+        let train = self.round.iter_mut();
+        for (_, weight) in train.filter(|(stage, _)| *stage == Stage::Reconstruct) {
+            *weight *= times;
+        }
+    }
+
     fn weight(&self, stage: Stage) -> f64 {
         if stage == Stage::Poses {
             return self.poses_left;
@@ -151,5 +159,17 @@ mod tests {
         }
         assert!(seen.windows(2).all(|pair| pair[0] <= pair[1]), "{seen:?}");
         assert!((seen.last().expect("some") - 1.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn one_round_with_the_steps_of_two_is_planned_to_train_as_long() {
+        let options = Options::default();
+        let two = Plan::new(&options, 20, 45_000);
+        let mut one = two.clone();
+        one.set_rounds(1);
+        one.multiply_steps(2.0);
+        let training = |plan: &Plan| f64::from(plan.rounds) * plan.weight(Stage::Reconstruct);
+        assert!((training(&one) - training(&two)).abs() < 1e-9);
+        assert!(one.total() < two.total());
     }
 }

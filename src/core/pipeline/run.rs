@@ -120,6 +120,7 @@ pub fn run(
     };
     if asked.is_still() {
         context.plan_rounds(1, state.views.len());
+        context.multiply_steps(f64::from(in_effect.steps) / f64::from(options.steps));
         state = RoundState::new(context, asked, tools, state.poses, state.views)?;
     }
     let mut before: Option<Handover> = None;
