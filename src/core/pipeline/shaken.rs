@@ -31,7 +31,7 @@ const TOLD_SIDE: f64 = 560.0;
 /// is better at than the scene.
 const SOFT_FROM: f64 = 0.57;
 /// The share of shaken views from which kernels pay.
-const SHAKEN_SHARE: f64 = 0.65;
+const SHAKEN_SHARE: f64 = 0.6;
 
 /// The length in images of any size. A shake grows with the image and noise does not: the root
 /// lies between the two.
@@ -188,7 +188,7 @@ mod tests {
     }
 
     #[test]
-    fn two_thirds_of_the_views_make_a_capture_shaken_and_their_middle_makes_it_soft() {
+    fn three_in_five_views_make_a_capture_shaken_and_their_middle_makes_it_soft() {
         assert_eq!(of(&[1.0, 1.2, 0.1]).verdict(), CaptureShake::Shaken);
         assert_eq!(of(&[1.0, 1.2, 0.5, 0.7, 0.6]).verdict(), CaptureShake::Soft);
         assert_eq!(of(&[0.7, 0.6, 0.5]).verdict(), CaptureShake::Soft);
