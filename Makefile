@@ -70,7 +70,7 @@ test-browser: setup onnxruntime matcher $(if $(FLED),,build) ## the dashboard in
 	@tools/setup.sh postgresql $(if $(CHROMIUM),,chromium)
 	$(if $(FLED),,$(CARGO) build --release --locked -p fled-server --bin fled-fake)
 	cd tests/browser && npm ci --loglevel=error && \
-	    FLED=$(abspath $(or $(FLED),$(or $(CARGO_TARGET_DIR),target)/release/fled)) node --test *.test.js
+	    FLED=$(abspath $(or $(FLED),$(or $(CARGO_TARGET_DIR),target)/release/fled)) node --test --test-concurrency 2 *.test.js
 
 # TORCH=PYTHON has the packages already and saves their installation.
 test-training: matcher ## what of the recipe needs PyTorch (6 GB into training/venv/), its README's photographs and a C compiler
