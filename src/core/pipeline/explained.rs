@@ -217,8 +217,8 @@ mod tests {
 
     #[test]
     fn the_images_are_the_enhanced_the_deblurred_and_their_mean() {
-        let [dark, bright] = [0.2, 0.6].map(|value| sharp().map(|_| value));
-        let of = |on| training_images(&[on], std::slice::from_ref(&dark), &[bright.clone()]);
+        let [dark, bright] = [0.2, 0.6].map(|value| [sharp().map(|_| value)]);
+        let of = |on| training_images(&[on], &dark, &bright);
         let value = |on| of(on)[0].data()[7];
         assert_eq!(value(TrainedOn::Enhanced), 0.2);
         assert_eq!(value(TrainedOn::Deblurred), 0.6);
