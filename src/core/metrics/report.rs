@@ -166,7 +166,7 @@ pub struct NoiseMapStatistics {
     pub correlation: f64,
 }
 
-/// What a capture is as a whole, found before anything is trained.
+/// The shake of a capture as a whole, found before anything is trained.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum CaptureShake {
@@ -195,7 +195,7 @@ pub struct Report {
     /// options left nothing to decide.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub shaken_views: Option<u32>,
-    /// What that makes of the capture, and so of the rounds.
+    /// The verdict on the capture as a whole, which decides how the rounds are made.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub capture_shake: Option<CaptureShake>,
     /// Wall seconds by stage.

@@ -44,7 +44,7 @@ pub enum TrainedOn {
 
 /// Of every view, in their order, what a round trains it on. A view that has no kernel is deblurred
 /// where the network took a shake out of it; else it is the mean of both, which is better than
-/// either (docs/decisions/shake.md).
+/// the enhanced view alone (docs/decisions/shake.md).
 pub fn trained_on(
     options: &Options,
     round: &Round,

@@ -27,8 +27,8 @@ use crate::shake::{self, Response};
 /// [`TOLD_SIDE`] (docs/decisions/shake.md).
 const TOLD_FROM: f64 = 1.5;
 const TOLD_SIDE: f64 = 560.0;
-/// The middle elongation, as a share of that, from which the views have a shake that the network
-/// is better at than the scene.
+/// The median elongation, as a share of that, from which the network makes up for a shake that is
+/// too small for kernels.
 const SOFT_FROM: f64 = 0.57;
 /// The share of shaken views from which kernels pay.
 const SHAKEN_SHARE: f64 = 0.6;
@@ -68,7 +68,7 @@ fn asks(options: &Options) -> bool {
 pub struct Shaken {
     /// Their names.
     told: BTreeSet<String>,
-    /// What that makes of the capture.
+    /// The verdict on the capture as a whole.
     verdict: CaptureShake,
 }
 
@@ -101,7 +101,7 @@ impl Shaken {
         self.told.len() as u32
     }
 
-    /// What the capture is as a whole.
+    /// The verdict on the capture as a whole.
     pub fn verdict(&self) -> CaptureShake {
         self.verdict
     }
@@ -149,7 +149,8 @@ pub fn shaken(
 /// The options that the rounds are made with.
 ///
 /// A still capture is splatted plainly in one round with the steps of all. Its cameras stay as
-/// found: correcting them cost 0.2 to 0.5 dB on both museum captures (docs/decisions/cameras.md).
+/// found: correcting them costs one museum capture 0.3 to 0.6 dB and changes the other little
+/// (docs/decisions/cameras.md).
 pub fn in_effect(options: &Options, shaken: Option<&Shaken>) -> Options {
     let mut options = options.clone();
     match shaken.map(Shaken::verdict) {
