@@ -79,12 +79,10 @@ function watch(page, base) {
   });
   page.on("requestfailed", (request) => {
     const reason = request.failure()?.errorText;
-    // A page that is left closes its stream of events.
-    if (request.resourceType() === "eventsource" && reason === "net::ERR_ABORTED") return;
-    // A player breaks a request off once it knows which part of the file it wants next.
-    if (request.resourceType() === "media" && reason === "net::ERR_ABORTED") return;
-    // The tab's icon is dropped where the page goes on to another address before it has come.
-    if (request.url() === `${base}/assets/icon.svg` && reason === "net::ERR_ABORTED") return;
+    // The page itself breaks a request off: it goes to another address, shows another picture, or
+    // its player wants another part of the file. What the server or the network breaks has another
+    // reason.
+    if (reason === "net::ERR_ABORTED") return;
     faults.push(`failed: ${request.url()}: ${reason}`);
   });
   page.on("response", (response) => {

@@ -70,13 +70,19 @@ test("after a reload the same files go on where they were", () =>
   stand.visit("sending-reloaded", "", async (page, faults) => {
     const asked = requests(page);
     let through = 0;
+    const broken = new Set();
     await page.route(PIECES, (route) => {
       if (route.request().method() !== "PATCH") return route.continue();
       through += 1;
-      return through <= 3 ? route.continue() : route.abort("connectionreset");
+      if (through <= 3) return route.continue();
+      broken.add(route.request().url());
+      return route.abort("connectionreset");
     });
     await start(page);
     await seen(page.locator("[role=status]"), "The connection is lost");
+    // Three files are sent at once: when each of three is broken off, no answer is under way that
+    // the reload would lose.
+    await until("all three are broken off", () => broken.size === 3);
     await page.unroute(PIECES);
     await page.reload();
     await page.getByText("an upload that broke off").waitFor();
