@@ -12,6 +12,7 @@ use fled_core::pipeline;
 use fled_core::pipeline::config::{Options, Preset};
 use fled_core::pipeline::error::ErrorKind;
 use fled_core::pipeline::workspace::Workspace;
+use serde_json::{Map, Value};
 
 use crate::failure::{Failure, io};
 use crate::progress::Reporter;
@@ -125,14 +126,27 @@ fn options(args: &Args) -> Result<Options, Failure> {
     let mut options = args.preset.options();
     if let Some(path) = &args.options {
         let bytes = fs::read(path).map_err(io(path))?;
-        let overrides = serde_json::from_slice(&bytes)
+        let mut overrides: Map<String, Value> = serde_json::from_slice(&bytes)
             .map_err(|e| Failure::usage(format!("{}: {e}", path.display())))?;
+        overrides.retain(|key, _| !is_retired(key));
         options = options.with_overrides(&overrides)?;
     }
     for assignment in &args.assignments {
-        options = options.with_assignment(assignment)?;
+        let key = assignment.split('=').next().unwrap_or_default();
+        if !is_retired(key) {
+            options = options.with_assignment(assignment)?;
+        }
     }
     Ok(options)
+}
+
+/// Whether the option is one of earlier builds, after a warning.
+fn is_retired(key: &str) -> bool {
+    let retired = Options::is_retired(key);
+    if retired {
+        eprintln!("warning: fled no longer has the option `{key}`; it is ignored");
+    }
+    retired
 }
 
 /// The folder with the photographs taken of a video; one that is there already serves.

@@ -75,16 +75,18 @@ fn an_adapter_that_is_not_there_exits_with_four_and_the_failure_is_an_event() {
 }
 
 #[test]
-fn a_missing_model_exits_with_three_and_says_which_are_known() {
+fn a_missing_model_exits_with_three_after_a_retired_option_is_ignored() {
     let folder = tempfile::tempdir().expect("temporary folder");
     let capture = small_capture(folder.path());
     let mut run = small_run(&capture, &folder.path().join("out"), 1);
     let output = run
-        .args(["--set", "deblur=no-such-network"])
+        .args(["--set", "dropout=0.1", "--set", "deblur=no-such-network"])
         .output()
         .expect("the binary starts");
     assert_eq!(code(&output), 3);
-    assert!(String::from_utf8_lossy(&output.stderr).contains("small-u2w16"));
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(said.contains("no longer has the option `dropout`"), "{said}");
+    assert!(said.contains("small-u2w16"), "{said}");
 }
 
 #[test]

@@ -300,7 +300,24 @@ impl NetworkOption<'_> {
     }
 }
 
+/// Options of earlier builds.
+const RETIRED: [&str; 7] = [
+    "deblur_unguided",
+    "dropout",
+    "extent",
+    "fill_up",
+    "resolution_schedule",
+    "stereo",
+    "view_colour",
+];
+
 impl Options {
+    /// Whether an earlier build had an option of this name, so that scripts written for it can be
+    /// run with a warning.
+    pub fn is_retired(key: &str) -> bool {
+        RETIRED.contains(&key)
+    }
+
     /// The options with `overrides` (a JSON object of flat keys) laid over them, each checked.
     ///
     /// # Errors

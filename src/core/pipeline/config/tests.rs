@@ -77,6 +77,14 @@ fn every_nth_view_may_be_a_number_or_a_string_in_json() {
 }
 
 #[test]
+fn no_option_is_retired() {
+    let all = serde_json::to_value(Options::default()).expect("JSON");
+    for key in all.as_object().expect("object").keys() {
+        assert!(!Options::is_retired(key), "{key}");
+    }
+}
+
+#[test]
 fn an_unknown_key_or_bad_value_names_the_key() {
     let options = Options::default();
     assert_eq!(
