@@ -1,15 +1,15 @@
 // Chooses the page by the address behind `#` and keeps one page alive at a time.
 
-import { capturePage } from "./capture.js";
-import { capturesPage } from "./captures.js";
-import { comparePage } from "./compare.js";
-import { nothing } from "./dom.js";
-import { jobPage } from "./job.js";
-import { listPage } from "./list.js";
-import { loginPage, seesAll, session } from "./login.js";
-import { referencePage } from "./reference.js";
-import { link, openLink } from "./visitor.js";
-import { areWorkers, workersPage } from "./workers.js";
+import { capturePage } from "./pages/capture.js";
+import { capturesPage } from "./pages/captures.js";
+import { comparePage } from "./compare/compare.js";
+import { nothing } from "./lib/dom.js";
+import { jobPage } from "./job/job.js";
+import { listPage } from "./pages/list.js";
+import { loginPage, seesAll, session } from "./lib/login.js";
+import { referencePage } from "./pages/reference.js";
+import { link, openLink } from "./pages/visitor.js";
+import { areWorkers, workersPage } from "./pages/workers.js";
 
 const main = document.getElementById("main");
 const logout = document.getElementById("logout");

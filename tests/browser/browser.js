@@ -1,7 +1,7 @@
 // Debian's Chromium, and pages that write down whatever goes wrong on them.
 
 import assert from "node:assert/strict";
-import { basename, join } from "node:path";
+import { join } from "node:path";
 
 import { chromium } from "playwright-core";
 
@@ -97,7 +97,8 @@ function watch(page, base) {
 async function fromTree(page, base, folder) {
   const own = (url) => url.origin === base && /^\/(assets\/.*)?$/.test(url.pathname);
   await page.route(own, (route) => {
-    const name = basename(new URL(route.request().url()).pathname) || "index.html";
+    const { pathname } = new URL(route.request().url());
+    const name = pathname.replace(/^\/(assets\/)?/, "") || "index.html";
     return route.fulfill({ path: join(folder, name) });
   });
 }

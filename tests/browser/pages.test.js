@@ -4,7 +4,7 @@
 import assert from "node:assert/strict";
 import { after, before, test } from "node:test";
 
-import { ticks } from "../../web/chart.js";
+import { ticks } from "../../web/lib/chart.js";
 import { loaded, picture } from "./browser.js";
 import { Stand, both, button, drop, part, provoked, seen, state } from "./played.js";
 import { until } from "./until.js";

@@ -3,8 +3,8 @@
 import assert from "node:assert/strict";
 import { after, before, test } from "node:test";
 
-import { amplify } from "../../web/difference.js";
-import { gains, mean } from "../../web/light.js";
+import { amplify } from "../../web/lib/difference.js";
+import { gains, mean } from "../../web/lib/light.js";
 import { loaded, picture } from "./browser.js";
 import { Stand, both, button, part, seen } from "./played.js";
 import { until } from "./until.js";

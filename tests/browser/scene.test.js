@@ -6,7 +6,7 @@ import { readFileSync, writeFileSync } from "node:fs";
 import { join } from "node:path";
 import { after, before, test } from "node:test";
 
-import { surroundingsOf } from "../../web/scene_camera.js";
+import { surroundingsOf } from "../../web/scene/camera.js";
 import { Browser, PHONE, loaded, overflowing, picture } from "./browser.js";
 import { Stand } from "./played.js";
 import { colourful } from "./ply.js";
@@ -303,7 +303,7 @@ test("without WebGL 2 the page says what to do, and nothing of it is loaded befo
     await until("the poster is there", () => loaded(page.locator(".poster img")));
     const asked = await page.evaluate(() => performance.getEntriesByType("resource")
       .map(({ name }) => new URL(name).pathname).filter((path) => /scene[._]/.test(path)));
-    assert.deepEqual(asked, ["/assets/scene.js"]);
+    assert.deepEqual(asked, ["/assets/scene/panel.js"]);
     await page.evaluate(() => { HTMLCanvasElement.prototype.getContext = () => null; });
     await button(page, /Walk through the scene/).click();
     await page.getByText("This browser has no WebGL 2").waitFor();

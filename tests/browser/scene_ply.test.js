@@ -5,11 +5,11 @@ import { test } from "node:test";
 
 import {
   between, dot, fitted, looked, matrixOf, neared, orbited, poseOf, risen, surroundingsOf, walked,
-} from "../../web/scene_camera.js";
-import { request } from "../../web/scene_picture.js";
-import { pointsOf } from "../../web/scene_points.js";
-import { GEOMETRY, SceneError, readHeader, readScene } from "../../web/scene_ply.js";
-import { sorter } from "../../web/scene_sort.js";
+} from "../../web/scene/camera.js";
+import { request } from "../../web/scene/picture.js";
+import { pointsOf } from "../../web/scene/points.js";
+import { GEOMETRY, SceneError, readHeader, readScene } from "../../web/scene/ply.js";
+import { sorter } from "../../web/scene/sort.js";
 import { ply } from "./ply.js";
 
 /** The same bytes as a body that comes in pieces. */

@@ -1,0 +1,59 @@
+// Options of several jobs: those that differ, and folded away those that do not.
+
+import { count, h, plain } from "../lib/dom.js";
+import { nameOf, tag } from "./entries.js";
+import { table } from "../lib/table.js";
+
+const written = (value) =>
+  value === undefined ? "not known then" : Array.isArray(value) ? value.join(", ") : String(value);
+
+/** `{ differing, shared }`: names of options, `preset` before them, by whether all jobs agree. */
+export function sorted(jobs) {
+  const names = [...new Set(jobs.flatMap((job) => Object.keys(job.options)))].sort();
+  const agree = (name) => new Set(jobs.map((job) => written(valueOf(job, name)))).size === 1;
+  const all = ["preset", ...names];
+  return { differing: all.filter((name) => !agree(name)), shared: all.filter(agree) };
+}
+
+const valueOf = (job, name) => (name === "preset" ? job.preset : job.options[name]);
+
+/** Nodes for a section; `null` where fewer than two jobs are there. */
+export function differences(entries) {
+  const there = entries.filter((one) => one.job);
+  if (there.length < 2) return null;
+  const { differing, shared } = sorted(there.map((one) => one.job));
+  const columns = [
+    { title: "Option" },
+    ...there.map((one) => ({
+      title: one.letter,
+      head: h("span", { class: "who" }, tag(one), " ", nameOf(one)),
+    })),
+  ];
+  const rows = differing.map((name) => [
+    h("b", {}, plain(name)),
+    ...there.map((one) => plain(written(valueOf(one.job, name)))),
+  ]);
+  return [
+    rows.length > 0
+      ? table(columns, rows)
+      : h("p", {}, "They have the same preset and the same options."),
+    shared.length > 0 &&
+      h(
+        "details",
+        {},
+        h(
+          "summary",
+          {},
+          `${count(shared.length, "option")} that ${shared.length === 1 ? "is" : "are"} the same`,
+        ),
+        h(
+          "dl",
+          {},
+          shared.flatMap((name) => [
+            h("dt", {}, plain(name)),
+            h("dd", {}, plain(written(valueOf(there[0].job, name)))),
+          ]),
+        ),
+      ),
+  ].filter(Boolean);
+}

@@ -1,0 +1,208 @@
+// Scores of several jobs: a curve a job, and a table by round with the best one marked.
+
+import { chart } from "../lib/chart.js";
+import { h, plain } from "../lib/dom.js";
+import { called, tag } from "./entries.js";
+import { recordOf } from "../job/metrics.js";
+import { METRICS, direction } from "../lib/words.js";
+
+const TRUTH = { references: ["gt"], brightness: "final" };
+const OWN = { image: "render", references: ["deblurred"], brightness: "native" };
+const IMAGES = [
+  ["render", "renders"],
+  ["deblurred", "deblurred views"],
+  ["enhanced", "enhanced views"],
+];
+const SPLITS = ["held_out", "train"];
+
+/** Where each score stands in a round; `of` says which pictures are meant. */
+const VALUES = {
+  psnr_cc: (round, of) => recordOf(round, { ...TRUTH, ...of })?.psnr_cc_db,
+  ssim: (round, of) => recordOf(round, { ...TRUTH, ...of })?.ssim,
+  own_psnr: (round, of) => recordOf(round, { ...of, ...OWN })?.psnr_db,
+  own_ssim: (round, of) => recordOf(round, { ...of, ...OWN })?.ssim,
+  noise: (round) => round.noise_sigma?.render ?? round.noise_sigma?.renders,
+  seconds: (round) => round.seconds,
+  gaussians: (round) => round.gaussians,
+};
+/** Told first; the rest is folded away. */
+const FIRST = ["psnr_cc", "ssim"];
+/** Agreement with oneself, and grain that may have gone with the detail, make none the best. */
+const UNJUDGED = ["own_psnr", "own_ssim", "noise"];
+
+/** `[[round, value], ...]` of a score, rounds that lack it left out. */
+export const points = (entry, key, of) =>
+  entry.rounds
+    .map((round) => [round.round, VALUES[key](round, of)])
+    .filter(([, value]) => Number.isFinite(value));
+
+/** Tells the best of values; those that share it are all best, and of one alone none is. */
+export function best(values, metric) {
+  const real = values.filter(Number.isFinite);
+  const written = (value) => value.toFixed(metric.digits);
+  if (!metric.better || new Set(real.map(written)).size < 2) return () => false;
+  const wanted = metric.better === "higher" ? Math.max(...real) : Math.min(...real);
+  return (value) => Number.isFinite(value) && written(value) === written(wanted);
+}
+
+/** A value as it is written, marked where it is the best. */
+export function cell(value, metric, isBest) {
+  if (!Number.isFinite(value)) return "";
+  const text =
+    metric.digits > 0 ? value.toFixed(metric.digits) : Math.round(value).toLocaleString();
+  return isBest ? h("span", { class: "best" }, text, h("span", { class: "badge" }, "best")) : text;
+}
+
+/** `{ root, update(entries, isFair) }`; nothing is marked as best where that is not fair. */
+export function scores() {
+  const choice = (label, options) =>
+    h(
+      "select",
+      { "aria-label": label, onchange: draw },
+      options.map(([value, text]) => h("option", { value }, text)),
+    );
+  const image = choice("pictures that are scored", IMAGES);
+  const split = choice(
+    "views that are scored",
+    SPLITS.map((name) => [name, name === "train" ? "trained on" : plain(name)]),
+  );
+  const body = h("div");
+  const root = h(
+    "section",
+    { hidden: true },
+    h(
+      "div",
+      { class: "row" },
+      h("h2", {}, "Metrics by round"),
+      h(
+        "span",
+        { class: "row push" },
+        h("label", {}, "Pictures", image),
+        h("label", {}, "Views", split),
+      ),
+    ),
+    body,
+  );
+  let [entries, isFair, begun] = [[], true, false];
+
+  function draw() {
+    const of = { image: image.value, split: split.value };
+    const blocks = Object.keys(METRICS).map((key) => [key, block(key, entries, of, isFair)]);
+    const real = blocks.filter(([, node]) => node);
+    const [first, rest] = [
+      real.filter(([key]) => FIRST.includes(key)),
+      real.filter(([key]) => !FIRST.includes(key)),
+    ];
+    const wasOpen = body.querySelector("details.rest")?.open ?? first.length === 0;
+    const blank = first.length === 0 ? lack(entries, of) : "";
+    body.replaceChildren(
+      h("p", { class: "hint", hidden: !blank }, blank),
+      h(
+        "div",
+        { class: "charts" },
+        first.map(([, node]) => node),
+      ),
+      rest.length > 0
+        ? h(
+            "details",
+            { class: "rest", open: wasOpen },
+            h("summary", {}, "Self-consistency, noise, time and size"),
+            h(
+              "div",
+              { class: "charts" },
+              rest.map(([, node]) => node),
+            ),
+          )
+        : "",
+    );
+  }
+
+  return {
+    root,
+    update(now, fair) {
+      [entries, isFair] = [now, fair];
+      root.hidden = !entries.some((one) => one.rounds.length > 0);
+      if (root.hidden) return;
+      if (!begun) {
+        begun = true;
+        const held = entries.some(
+          (one) =>
+            points(one, "psnr_cc", { image: "render", split: "held_out" }).length > 0 ||
+            points(one, "own_psnr", { split: "held_out" }).length > 0,
+        );
+        split.value = held ? "held_out" : "train";
+      }
+      draw();
+    },
+  };
+}
+
+/** Why there is no score against the truth. */
+function lack(entries, of) {
+  const others = SPLITS.some((split) =>
+    entries.some((one) => points(one, "psnr_cc", { image: of.image, split }).length > 0),
+  );
+  return others
+    ? "Of these views there are no scores: choose the others above."
+    : "No capture here has ground truth: what is left says how well each scene agrees with its " +
+        "own training images, not which is better.";
+}
+
+/** Curve, table and words of one score; `null` where no job has it. */
+function block(key, entries, of, isFair) {
+  const metric = METRICS[key];
+  const there = entries
+    .map((one) => ({ one, points: points(one, key, of) }))
+    .filter((row) => row.points.length > 0);
+  if (there.length === 0) return null;
+  const series = there.map(({ one, points }) => ({
+    label: called(one),
+    style: one.style,
+    mark: one.number,
+    points,
+  }));
+  const most = key.endsWith("ssim") ? 1 : Infinity;
+  const drawn = chart(metric.title, series, metric.digits - 1, most);
+  return h(
+    "div",
+    { class: "score" },
+    drawn,
+    byRound(metric, there, isFair && !UNJUDGED.includes(key)),
+    h("p", { class: "hint" }, metric.means, " ", direction(metric)),
+  );
+}
+
+function byRound(metric, there, isFair) {
+  const rounds = [...new Set(there.flatMap((row) => row.points.map(([round]) => round)))].sort(
+    (a, b) => a - b,
+  );
+  const rows = rounds.map((round) => {
+    const values = there.map((row) => row.points.find(([at]) => at === round)?.[1]);
+    const isBest = isFair ? best(values, metric) : () => false;
+    return h(
+      "tr",
+      {},
+      h("th", { scope: "row" }, String(round)),
+      values.map((value) => h("td", { class: "number" }, cell(value, metric, isBest(value)))),
+    );
+  });
+  return h(
+    "div",
+    { class: "scroll", tabIndex: 0, role: "region", "aria-label": `${metric.title} by round` },
+    h(
+      "table",
+      { class: "narrow" },
+      h(
+        "thead",
+        {},
+        h(
+          "tr",
+          {},
+          h("th", { scope: "col" }, "Round"),
+          there.map(({ one }) => h("th", { scope: "col", class: "number" }, tag(one))),
+        ),
+      ),
+      h("tbody", {}, rows),
+    ),
+  );
+}

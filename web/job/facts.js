@@ -1,0 +1,70 @@
+// How a job was run: time by stage, what was used, every option.
+
+import { duration, h, plain } from "../lib/dom.js";
+
+const STAGES = ["poses", "enhance", "deblur", "reconstruct", "render", "match", "evaluate"];
+
+/** @param {import("fled-api").StageTime[]} stages */
+export function stageBars(stages) {
+  const rows = [...stages].sort((a, b) => a.round - b.round || STAGES.indexOf(a.stage) - STAGES.indexOf(b.stage));
+  const most = Math.max(...rows.map((row) => row.seconds));
+  const all = rows.reduce((sum, row) => sum + row.seconds, 0);
+  const bars = h("div", { class: "bars" }, rows.flatMap((row) => [
+    h("span", {}, row.round > 0 ? `${row.round} · ${row.stage}` : row.stage),
+    h("progress", { max: most || 1, value: row.seconds, "aria-label": row.stage }),
+    h("span", { class: "number" }, duration(row.seconds))]));
+  return Object.assign(bars, { gist: `${duration(all)} in all` });
+}
+
+export function factList(report) {
+  const placed = report.registered === undefined
+    ? null : `${report.registered} of ${report.views} views`;
+  const list = pairs({
+    registered: placed,
+    "delivered round": report.best_round,
+    shake: shake(report),
+    adapter: report.adapter,
+    // Each photograph's place has a table of its own.
+    poses: report.poses && without(report.poses, "verdicts"),
+    models: report.models,
+    fallbacks: report.fallbacks?.length > 0 ? report.fallbacks : null,
+  });
+  return Object.assign(list, { gist: placed ? `${placed} placed` : "how it is run" });
+}
+
+/** What the look at the shake before the rounds came to. */
+function shake({ shaken_views: shaken, capture_shake: capture, registered }) {
+  if (shaken === undefined || shaken === null) return null;
+  const ways = {
+    still: ", so the run is plain splatting",
+    soft: " and most are a little soft, so the scene is trained as the network deblurs them",
+    shaken: ", so kernels explain their shake",
+  };
+  return `${shaken} of ${registered} views are shaken${ways[capture] ?? ""}`;
+}
+
+function without(values, name) {
+  const rest = Object.entries(values).filter(([key]) => key !== name);
+  return rest.length > 0 ? Object.fromEntries(rest) : null;
+}
+
+/**
+ * Every option of a job, one a line.
+ * @param {import("fled-api").Job} job
+ */
+export const optionList = (job) => h("details", {}, h("summary", {}, `All ${Object.keys(job.options).length} options`), pairs(job.options));
+
+/** Names and values; what a value holds is a list of its own. */
+function pairs(values) {
+  const real = Object.entries(values).filter(([, value]) => value !== null && value !== undefined && value !== "");
+  return h("dl", {}, real.flatMap(([name, value]) => [h("dt", {}, plain(name)), h("dd", {}, shown(value))]));
+}
+
+/** Of a number that was measured: more of them say nothing. */
+const DIGITS = 4;
+
+function shown(value) {
+  if (typeof value === "number" && !Number.isInteger(value)) return String(Number(value.toPrecision(DIGITS)));
+  if (Array.isArray(value)) return h("ul", { class: "plain" }, value.map((one) => h("li", {}, shown(one))));
+  return typeof value === "object" ? pairs(value) : String(value);
+}

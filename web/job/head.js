@@ -1,0 +1,134 @@
+// The head of a job's page: where it stands, and what can be done with it.
+
+import { compareWith } from "../compare/choose.js";
+import { ask } from "../lib/dialog.js";
+import { api, h, when } from "../lib/dom.js";
+import { seesAll } from "../lib/login.js";
+import { priorityField } from "./priority.js";
+import { failure, isOver, progressLine, setBar, stateWord } from "../lib/state.js";
+import { advice } from "../lib/words.js";
+
+const SECOND_MS = 1000;
+
+/**
+ * `{ root, update(job), leave }`; `refresh` asks the server again after something was done. Who came
+ * by a link to the job can do nothing with it.
+ */
+export function jobHead(base, refresh, who) {
+  const isVisitor = who.job !== null;
+  const title = h("h1");
+  const state = h("span", { class: "state" });
+  const line = h("span", { class: "soft now" });
+  const keeping = h("p", { class: "row" });
+  const priority = priorityField(base, refresh, who);
+  const facts = h("p", { class: "hint" });
+  const bar = h("progress", { max: 1, value: 0, "aria-label": "progress" });
+  const needs = h("p", { class: "needs", hidden: true });
+  const error = h("p", { class: "problem" });
+  const meaning = h("p", { class: "hint advice" });
+  const problem = h("p", { class: "problem", role: "alert" });
+  const again = h("a", { class: "button" }, "Run again with other options");
+  const compare = action("Compare with…", () => compareWith(job));
+  compare.hidden = false;
+  const buttons = {
+    cancel: action("Cancel", () => api(`${base}/cancel`, { method: "POST" }), () =>
+      ask("Cancel this job?", "What it has done stays, and it can be tried again.", "Cancel it", "Let it run")),
+    retry: action("Try again", () => api(`${base}/retry`, { method: "POST" })),
+    remove: action("Delete", removed, (job) =>
+      ask(`Delete the job “${job.name || "unnamed"}”?`, "Its scene, pictures and scores are gone then; the photographs stay.", "Delete it"), "danger"),
+  };
+  const root = h("section", { hidden: true },
+    h("div", { class: "row" }, title, state, line, !isVisitor &&
+      h("span", { class: "row push" }, buttons.cancel, buttons.retry, compare, again, buttons.remove)),
+    isVisitor ? "" : keeping, isVisitor ? "" : priority.root, facts, bar, needs, error, meaning, problem);
+  /** @type {import("fled-api").Job | null} */
+  let job = null;
+  let gone = false;
+
+  async function removed() {
+    await api(base, { method: "DELETE" });
+    location.hash = "#/";
+  }
+
+  /** A button that asks where there is a question, then acts. */
+  function action(label, act, question, style = "") {
+    const button = h("button", { type: "button", class: style, hidden: true }, label);
+    button.addEventListener("click", async () => {
+      if (question && !(await question(job))) return;
+      button.disabled = true;
+      problem.textContent = "";
+      try {
+        await act();
+        if (!gone && job && location.hash.includes(job.id)) await refresh();
+      } catch (fault) {
+        problem.textContent = fault.message;
+      }
+      button.disabled = false;
+    });
+    return button;
+  }
+
+  /** What the server will do with the job of itself, and how to keep it. */
+  let kept = "";
+  function showKeeping() {
+    const now = `${job.pinned} ${job.expires_at}`;
+    if (now === kept) return;
+    kept = now;
+    const pin = (label, method) => {
+      const button = action(label, () => api(`${base}/pin`, { method }));
+      button.hidden = false;
+      return button;
+    };
+    keeping.className = `row ${job.pinned ? "hint" : "problem"}`;
+    if (job.pinned) keeping.replaceChildren("Kept until you delete it.", pin("Keep no longer than others", "DELETE"));
+    else if (job.expires_at) keeping.replaceChildren(`This job will be deleted on ${when(job.expires_at)}.`, pin("Keep it", "PUT"));
+    else keeping.replaceChildren();
+  }
+
+  /** What a machine must have that a waiting job is given to. */
+  let needed = "";
+  function showNeeds() {
+    const now = job.waits_for ?? "";
+    if (now === needed) return;
+    needed = now;
+    needs.hidden = !now;
+    if (!now) return;
+    needs.replaceChildren(`It waits for ${now}. Jobs that need less may start before it.`);
+    if (seesAll(who)) needs.append(" ", h("a", { href: "#/workers" }, "See the workers"));
+  }
+
+  function showLine() {
+    if (job) line.textContent = progressLine(job);
+  }
+  const timer = setInterval(showLine, SECOND_MS);
+
+  return {
+    root,
+    update(now) {
+      const first = job === null;
+      job = now;
+      title.textContent = job.name || "unnamed";
+      document.title = `${job.name || "job"} · fled`;
+      state.className = `state ${job.state}`;
+      state.textContent = stateWord(job);
+      showLine();
+      buttons.cancel.hidden = isOver(job);
+      buttons.retry.hidden = !["failed", "cancelled"].includes(job.state);
+      buttons.remove.hidden = job.state === "running";
+      again.hidden = !isOver(job);
+      again.href = `#/captures/${job.capture_id}/from/${job.id}`;
+      showKeeping();
+      priority.update(job);
+      showNeeds();
+      if (first) {
+        facts.append(`${job.preset} · created ${when(job.created_at)}`);
+        if (!isVisitor) facts.append(" · ", h("a", { href: `#/captures/${job.capture_id}` }, "its photographs"));
+      }
+      setBar(bar, job);
+      error.textContent = job.error ? failure(job.error) : "";
+      meaning.textContent = job.error ? advice(job.error) : "";
+      root.hidden = false;
+    },
+    leave() { gone = true; clearInterval(timer); },
+  };
+}

@@ -1,0 +1,157 @@
+// One job, live.
+
+import { address, api, count, fold, folding, h, nothing, plain, section, show, size } from "../lib/dom.js";
+import { exportList } from "./exports.js";
+import { factList, optionList, stageBars } from "./facts.js";
+import { jobHead } from "./head.js";
+import { logView } from "./log.js";
+import { metricCharts } from "./metrics.js";
+import { novelView } from "./novel.js";
+import { leftOut } from "../lib/photographs.js";
+import { poses } from "./poses.js";
+import { scenePanel } from "../scene/panel.js";
+import { shares } from "./share.js";
+import { isOver } from "../lib/state.js";
+import { SEEN, trainingView } from "./training.js";
+import { videos } from "./videos.js";
+import { comparison } from "./views.js";
+
+const EVENTS = ["state", "planned", "stage_started", "stage_finished", "progress", "round_finished", "warning"];
+/** Its place in the queue changes by what other jobs do, of which its own events tell nothing. */
+const QUEUE_MS = 3000;
+
+/** The page of job `id` for whoever `who` is: who came by a link to it only looks. */
+export function jobPage(main, who, id) {
+  const base = `/v1/jobs/${id}`;
+  const isVisitor = who.job !== null;
+  const head = jobHead(base, refresh, who);
+  const problem = h("p", { class: "problem", role: "alert" });
+  const unused = section("Photographs");
+  const warnings = section("Warnings");
+  const training = trainingView(base);
+  const metrics = section("Metrics by round");
+  const times = folding("Time by stage");
+  const facts = folding("Facts");
+  const files = section("Files");
+  const filmed = videos(id, isVisitor);
+  const exported = folding("For other programs");
+  const views = comparison(id);
+  const scene = scenePanel(id);
+  const novel = novelView(id);
+  // Where nobody needs a token, a link would mean nothing.
+  const share = who.scopes !== null && !isVisitor ? shares(id) : null;
+  const log = isVisitor ? null : logView(base);
+  // What matters comes first: on a phone the rest is far below.
+  main.append(head.root, problem, warnings, training.root, scene.root, views.root, metrics, files,
+    exported, novel.root, filmed.root, unused, h("div", { class: "columns" }, times, facts),
+    ...[share, log].filter(Boolean).map((part) => part.root));
+  share?.open();
+
+  let [stream, timer, gone, cameras, placed, capture, reported] = [null, 0, false, null, 0, null, ""];
+
+  async function refresh() {
+    clearTimeout(timer);
+    try {
+      /** @type {import("fled-api").Job} */
+      const job = await api(base);
+      if (gone) return;
+      head.update(job);
+      problem.textContent = "";
+      show(warnings, job.warnings.length > 0 && h("ul", { class: "plain" },
+        job.warnings.map((warning) => h("li", {}, `${plain(warning.code)}: ${warning.message}`))));
+      show(times, job.stages.length > 0 && stageBars(job.stages));
+      log?.follow(!isOver(job));
+      if (isOver(job)) training.over();
+      else if (!stream) listen();
+      if (job.state === "queued") timer = setTimeout(refresh, QUEUE_MS);
+      if (!isVisitor) capture ??= showUnused(job);
+      // Only rounds and states change these; a progress event does not.
+      const report = `${job.state} ${job.attempts} ${job.stages.length}`;
+      if (report !== reported) {
+        reported = report;
+        await showResults(job);
+      }
+    } catch (error) {
+      if (gone) return;
+      if (error.status === 404) nothing(main, "There is no such job.");
+      else problem.textContent = error.message;
+    }
+  }
+
+  /** What was left out of the upload: told once, it does not change. */
+  async function showUnused(job) {
+    /** @type {import("fled-api").Capture | null} */
+    const found = await api(`/v1/captures/${job.capture_id}`).catch(() => null);
+    if (found && !gone) show(unused, leftOut(found));
+  }
+
+  async function showResults(job) {
+    const report = await api(`${base}/rounds`);
+    if (gone) return;
+    show(metrics, report.rounds.length > 0 && metricCharts(report.rounds));
+    show(facts, factList(report), optionList(job), report.registered !== undefined && poses(base, report));
+    const rounds = report.rounds.map((round) => round.round);
+    const { artifacts } = await api(`${base}/artifacts`);
+    if (gone) return;
+    // A round may place views that had no place.
+    const isThere = artifacts.some(({ name }) => name === "cameras.json");
+    if (isThere && (!cameras || placed !== rounds.length)) {
+      [cameras, placed] = [await api(`${base}/artifacts/cameras.json`).catch(() => null), rounds.length];
+      if (gone) return;
+    }
+    scene.update(cameras ?? [], artifacts, report.best_round);
+    if (rounds.length === 0) return;
+    const hasTruth = report.rounds.some((round) => round.records.some((record) => record.reference === "gt"));
+    if (cameras) views.update(cameras, rounds, hasTruth);
+    novel.update(rounds);
+    if (job.state !== "succeeded") return;
+    showFiles(artifacts);
+    filmed.open(cameras ?? []);
+    show(exported, await exportList(base));
+  }
+
+  function showFiles(artifacts) {
+    const top = artifacts.filter((file) => !file.name.includes("/") || file.name.endsWith("scene.ply"));
+    const isScene = (file) => file.name === "scene.ply";
+    const rest = top.filter((file) => !isScene(file));
+    show(files, fileTable(base, top.filter(isScene)),
+      rest.length > 0 && fold(count(rest.length, "further file"), fileTable(base, rest)), h("p", { class: "hint" }, `${artifacts.length} files in all: `, h("a", { href: `${base}/artifacts` }, "list"), ", ",
+      h("a", { href: `${base}/rounds?format=csv`, download: "rounds.csv" }, "metrics as CSV")));
+  }
+
+  function listen() {
+    stream = new EventSource(`${base}/events`);
+    let queued = 0;
+    for (const name of EVENTS) {
+      stream.addEventListener(name, () => {
+        // The whole history comes at first: one refresh is enough for many events.
+        if (!queued) queued = setTimeout(() => { queued = 0; refresh(); }, 250);
+      });
+    }
+    for (const kind of SEEN) {
+      stream.addEventListener(kind, (event) => training.see(kind, JSON.parse(event.data)));
+    }
+    stream.onerror = () => {
+      if (stream?.readyState !== EventSource.CLOSED) return;
+      stream = null;
+      if (!gone) refresh();
+    };
+  }
+
+  refresh();
+  return () => {
+    gone = true;
+    clearTimeout(timer);
+    stream?.close();
+    head.leave();
+    scene.leave();
+    training.over();
+    filmed.leave();
+    log?.leave();
+  };
+}
+
+const fileTable = (base, list) => h("table", {}, h("tbody", {}, list.map((file) => h("tr", {},
+  h("td", {}, h("a", { href: `${base}/artifacts/${address(file.name)}`, download: file.name.split("/").pop() }, file.name)),
+  h("td", { class: "number" }, size(file.bytes)),
+  h("td", { class: "wide soft" }, `sha256 ${file.sha256.slice(0, 16)}…`)))));

@@ -1,0 +1,53 @@
+// Where the photographs were taken from: the picture, and what is said about each one's place.
+
+import { h } from "../lib/dom.js";
+import { told } from "../lib/table.js";
+
+const WORDS = {
+  registered: "found",
+  given: "as given: its matches place it nowhere",
+  late: "placed by the scene",
+  doubtful: "left out: stronger matches say otherwise",
+  taken_out: "taken out: it does not look like the scene there",
+  not_found: "not found",
+};
+
+export function poses(base, report) {
+  const image = h("img", { src: `${base}/artifacts/poses.svg`, alt: "cameras and sparse points from above", loading: "lazy" });
+  const figure = h("figure", { class: "poses" }, image, h("figcaption", {}, "Where the photographs were taken from"));
+  // An older run has left no such file.
+  image.addEventListener("error", () => image.remove());
+  const rows = places(report);
+  if (rows.length > 0) figure.append(h("details", {}, h("summary", {}, summary(rows)), table(rows)));
+  return figure;
+}
+
+/** A row a photograph: what structure from motion said, and how it fits the last scene. */
+function places(report) {
+  const verdicts = report.poses?.verdicts ?? [];
+  const views = report.rounds.at(-1)?.views ?? [];
+  const names = new Set([...verdicts, ...views].map((row) => row.name));
+  const of = (rows, name) => rows.find((row) => row.name === name);
+  return [...names].sort().map((name) => {
+    const [verdict, view] = [of(verdicts, name), of(views, name)];
+    const status = verdict?.status ?? (view?.registered ? "registered" : "not_found");
+    return { name, status, ...verdict, fit: view?.fit ?? verdict?.fit };
+  });
+}
+
+function summary(rows) {
+  const count = (...states) => rows.filter((row) => states.includes(row.status)).length;
+  const late = count("late");
+  const parts = [`${count("registered", "given")} found`, late > 0 && `${late} placed by the scene`,
+    count("doubtful", "taken_out", "not_found") > 0 && `${count("doubtful", "taken_out", "not_found")} without a place`];
+  return `Each photograph's place: ${parts.filter(Boolean).join(", ")}`;
+}
+
+const COLUMNS = [{ title: "Photograph" }, { title: "Place" }, { title: "Matches that fit", class: "word" }, { title: "Error, px", class: "word" },
+  { title: "Fits its render", class: "word" }];
+
+function table(rows) {
+  const number = (value) => (value === null || value === undefined ? "" : value.toFixed(2));
+  return told(COLUMNS, rows.map((row) => [row.name, WORDS[row.status] ?? row.status,
+    row.matches > 0 ? `${row.fitting} of ${row.matches}` : "", number(row.error_px), number(row.fit)]));
+}

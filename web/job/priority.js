@@ -1,0 +1,53 @@
+// Which of the jobs that wait goes first.
+
+import { h, send } from "../lib/dom.js";
+import { seesAll } from "../lib/login.js";
+
+/** As far as it goes, up and down. */
+const MOST = 100;
+
+/**
+ * The field that says how urgent a job that waits is: `{ root, update(job) }`. `changed` is called
+ * when the server has taken another number.
+ */
+export function priorityField(base, changed, who) {
+  // Above 0 it goes before everybody's, which is not for everybody to say.
+  const most = seesAll(who) ? MOST : 0;
+  const field = h("input", { type: "number", min: -MOST, max: most, step: 1, required: true });
+  const problem = h("span", { class: "problem", role: "alert" });
+  const root = h("p", { class: "row priority", hidden: true },
+    h("label", {}, "Priority", field),
+    h("span", { class: "hint" }, "Of the jobs that wait the one of the highest number goes first."),
+    problem);
+  /** What the server has. */
+  let known = 0;
+  let asks = false;
+
+  field.addEventListener("change", async () => {
+    problem.textContent = "";
+    if (!field.reportValidity()) return;
+    const wanted = field.valueAsNumber;
+    asks = true;
+    try {
+      await send(`${base}/priority`, { priority: wanted }, "PUT");
+      known = wanted;
+      await changed();
+    } catch (fault) {
+      problem.textContent = fault.message;
+      field.value = String(known);
+    }
+    asks = false;
+  });
+
+  return {
+    root,
+    /** @param {import("fled-api").Job} job */
+    update(job) {
+      root.hidden = job.state !== "queued";
+      // Who types has not said yet what they mean.
+      if (asks || (field === document.activeElement && field.value !== String(known))) return;
+      known = job.priority;
+      if (field.value !== String(known)) field.value = String(known);
+    },
+  };
+}

@@ -1,0 +1,91 @@
+// Links that open one job to whoever has them.
+
+import { api, h } from "../lib/dom.js";
+
+/** The section of a job's page where links are made and ended. */
+export function shares(job) {
+  const base = `/v1/jobs/${job}/shares`;
+  const problem = h("p", { class: "problem", role: "alert" });
+  const made = h("div");
+  const list = h("div");
+  const name = h("input", { type: "text", maxLength: 100, placeholder: "for whom" });
+  const days = h("select", {}, [[1, "a day"], [7, "a week"], [30, "30 days"], [365, "a year"]]
+    .map(([value, label]) => h("option", { value: String(value), selected: value === 30 }, label)));
+  const button = h("button", { type: "submit" }, "Make a link");
+  const root = h("section", { hidden: true }, h("h2", {}, "Share"),
+    h("p", { class: "hint" }, "A link shows this job to whoever has it: pictures, files and novel views, nothing else."),
+    h("form", { class: "row", onsubmit: make }, h("label", {}, "Name ", name), h("label", {}, "Holds for ", days), button),
+    made, list, problem);
+
+  async function make(event) {
+    event.preventDefault();
+    button.disabled = true;
+    problem.textContent = "";
+    try {
+      const body = JSON.stringify({ name: name.value, days: Number(days.value) });
+      /** @type {import("fled-api").MadeShare} */
+      const share = await api(base, { method: "POST", headers: { "Content-Type": "application/json" }, body });
+      show(share);
+      name.value = "";
+      await refresh();
+    } catch (error) {
+      problem.textContent = error.message;
+    }
+    button.disabled = false;
+  }
+
+  /** The link itself, the one time that the server tells it. */
+  function show(share) {
+    const address = h("input", { type: "text", readOnly: true, size: 60, value: location.origin + share.path, "aria-label": "link" });
+    const copy = h("button", { type: "button", onclick: copied }, "Copy");
+    async function copied() {
+      address.select();
+      try {
+        await navigator.clipboard.writeText(address.value);
+        copy.textContent = "Copied";
+      } catch {
+        // Without TLS a page may not reach the clipboard; what is selected can be copied by hand.
+        copy.textContent = "Press Ctrl+C";
+      }
+    }
+    made.replaceChildren(h("p", { class: "row" }, address, copy), h("p", { class: "hint" }, "Copy it now: it is not shown again."));
+    address.select();
+  }
+
+  async function end(share, event) {
+    event.target.disabled = true;
+    problem.textContent = "";
+    try {
+      await api(`${base}/${share.id}`, { method: "DELETE" });
+      made.replaceChildren();
+      await refresh();
+    } catch (error) {
+      problem.textContent = error.message;
+      event.target.disabled = false;
+    }
+  }
+
+  async function refresh() {
+    /** @type {import("fled-api").Shares} */
+    const { shares } = await api(base);
+    const used = (share) => (share.last_used_at ? `used ${day(share.last_used_at)}` : "not used");
+    list.replaceChildren(...(shares.length === 0 ? [] : [h("ul", { class: "plain" }, shares.map((share) => h("li", { class: "row" },
+      h("strong", {}, share.name || "a link"), h("span", { class: "soft" }, `until ${day(share.expires_at)} · ${used(share)}`),
+      h("button", { type: "button", "aria-label": `End ${share.name || "the link"}`, onclick: (event) => end(share, event) }, "End"))))]));
+  }
+
+  return {
+    root,
+    /** Where nobody needs a token, links would mean nothing: the section stays hidden. */
+    async open() {
+      root.hidden = false;
+      try {
+        await refresh();
+      } catch (error) {
+        problem.textContent = error.message;
+      }
+    },
+  };
+}
+
+const day = (time) => new Date(time).toLocaleDateString();

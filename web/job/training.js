@@ -1,0 +1,190 @@
+// How a job trains, while it does: its loss, how well views that were held out are met, and what
+// one view looks like.
+
+import { h, s, section, show } from "../lib/dom.js";
+import { range, ticks } from "../lib/chart.js";
+import { meanings } from "../lib/words.js";
+
+const WIDTH = 420;
+const HEIGHT = 200;
+const MARGIN = { left: 46, right: 12, top: 8, bottom: 24 };
+/** What a new loss counts for in its line: views differ, so their losses scatter about it. */
+const SHARE = 0.3;
+/** Of the losses one in so many may lie above the chart: a first one presses the rest flat. */
+const BEYOND = 0.02;
+/** Colours of the style sheet. */
+const COLOURS = 3;
+
+/**
+ * `{ root, see, over }` of the job at `base`: `see(kind, told)` takes what an event of its stream
+ * says, `over` takes the picture away.
+ */
+export function trainingView(base) {
+  const root = section("Training");
+  const loss = curve("Loss", 4, true);
+  const scores = { psnr_cc_db: curve("", 2, false), ssim: curve("", 3, false, 1) };
+  const picture = livePicture(base);
+  const status = h("p", { class: "hint" });
+  const agreement = h("p", { class: "hint", hidden: true },
+    "Self-consistency says how well the scene agrees with photographs that fled enhanced itself: agreement, not quality, since both can be wrong in the same way.");
+  const words = h("div");
+  const grid = h("div", { class: "live" }, loss.root, picture.root, scores.psnr_cc_db.root, scores.ssim.root);
+  let [last, named, frame] = [null, null, 0];
+
+  const kinds = {
+    training_seen(told) {
+      if (typeof told.loss !== "number") return;
+      loss.add(told, told.loss);
+      last = told;
+    },
+    held_out_seen(told) {
+      for (const [key, chart] of Object.entries(scores)) chart.add(told, told[key]);
+      if (named !== told.truth) name(told);
+    },
+    view_seen: picture.see,
+  };
+
+  /** What the scores are of: with truth something else than without. */
+  function name({ truth, views }) {
+    named = truth;
+    const of = `${views} held-out view${views === 1 ? "" : "s"}`;
+    const what = truth ? "" : "Self-consistency, ";
+    scores.psnr_cc_db.title(`${what}PSNR of ${of}, dB`);
+    scores.ssim.title(`${what}SSIM of ${of}`);
+    agreement.hidden = truth;
+    words.replaceChildren(meanings(truth ? ["live_psnr", "live_ssim"] : ["live_own_psnr", "live_own_ssim"]));
+  }
+
+  function see(kind, told) {
+    kinds[kind]?.(told);
+    // The whole history comes at once at first.
+    if (!frame) frame = requestAnimationFrame(() => { frame = 0; draw(); });
+  }
+
+  function draw() {
+    if (!last) return;
+    if (root.hidden) show(root, grid, agreement, status, words);
+    for (const chart of [loss, ...Object.values(scores)]) chart.draw(last.steps);
+    status.textContent = `Round ${last.round}, step ${last.step.toLocaleString("en")} of ${last.steps.toLocaleString("en")}: ` +
+      `${last.gaussians.toLocaleString("en")} Gaussians. The loss says how far renders are from the views that train; each dot is one view, the line their course.`;
+  }
+
+  return { root, see, over: picture.over };
+}
+
+/** Names of the events that `see` takes. */
+export const SEEN = ["training_seen", "held_out_seen", "view_seen"];
+
+/**
+ * Values by step, a line a round: `{ root, title, add, draw }`; hidden as long as there are none.
+ * Values that scatter are dots beside the line of their course, and begin at 0.
+ */
+function curve(name, digits, scatters, most = Infinity) {
+  /** Values by step, by round: an attempt that goes on from a checkpoint tells some twice. */
+  const rounds = new Map();
+  const heading = h("h3", {}, name);
+  const [place, legend] = [h("div"), h("div", { class: "legend" })];
+  const root = h("div", { class: "chart training", hidden: true }, heading, place, legend);
+  return {
+    root,
+    title(text) { heading.textContent = text; },
+    add({ round, step }, value) {
+      if (typeof value !== "number") return;
+      if (!rounds.has(round)) rounds.set(round, new Map());
+      rounds.get(round).set(step, value);
+      root.hidden = false;
+    },
+    draw(steps) {
+      if (root.hidden) return;
+      const lines = [...rounds].sort(([a], [b]) => a - b)
+        .map(([round, values]) => [round, [...values].sort(([a], [b]) => a - b)]);
+      place.replaceChildren(plot(heading.textContent, lines, steps, { scatters, most }));
+      legend.replaceChildren(...lines.map(([round, points]) =>
+        h("span", {}, h("i", { class: colour(round) }), `round ${round} `, h("b", {}, points.at(-1)[1].toFixed(digits)))));
+    },
+  };
+}
+
+const colour = (round) => `c${(round - 1) % COLOURS}`;
+
+function plot(name, lines, steps, { scatters, most }) {
+  const values = lines.flatMap(([, points]) => points.map(([, value]) => value));
+  const [low, high] = scatters ? [0, 1.15 * highest(values)] : range(values, most);
+  const x = (step) => MARGIN.left + (step / steps) * (WIDTH - MARGIN.left - MARGIN.right);
+  const y = (value) => MARGIN.top + (1 - (Math.min(value, high) - low) / (high - low)) * (HEIGHT - MARGIN.top - MARGIN.bottom);
+  const svg = s("svg", { viewBox: `0 0 ${WIDTH} ${HEIGHT}`, role: "img", "aria-label": `${name}, by step` });
+  for (const [value, label] of ticks(low, high)) {
+    svg.append(
+      s("line", { class: "grid", x1: MARGIN.left, x2: WIDTH - MARGIN.right, y1: y(value), y2: y(value) }),
+      s("text", { class: "tick", x: MARGIN.left - 6, y: y(value) + 4, "text-anchor": "end" }, label));
+  }
+  for (const [step, label] of ticks(0, steps)) {
+    const end = x(step) > WIDTH - 2 * MARGIN.right;
+    svg.append(s("text", { x: end ? WIDTH - 2 : x(step), y: HEIGHT - 6, "text-anchor": end ? "end" : "middle" }, Number(label).toLocaleString("en")));
+  }
+  for (const [round, points] of lines) {
+    const dot = `${scatters ? "seen" : "score"} ${colour(round)}`;
+    for (const [step, value] of points) svg.append(s("circle", { class: dot, cx: x(step), cy: y(value), r: scatters ? 2 : 3 }));
+    svg.append(s("path", { class: `line ${colour(round)}`, d: course(points, x, y, scatters ? SHARE : 1) }));
+  }
+  return svg;
+}
+
+const highest = (values) => values.toSorted((a, b) => a - b)[Math.floor((1 - BEYOND) * (values.length - 1))];
+
+/** A line through points; with a smaller `share` it follows them slowly. */
+function course(points, x, y, share) {
+  let mean = points[0]?.[1];
+  return points.map(([step, value], i) => {
+    mean += (value - mean) * Math.max(share, 1 / (i + 1));
+    return `${i ? "L" : "M"}${x(step).toFixed(1)} ${y(mean).toFixed(1)}`;
+  }).join("");
+}
+
+/** The last picture of the scene that trains: `{ root, see, over }`. */
+function livePicture(base) {
+  const image = h("img", { alt: "" });
+  const caption = h("figcaption");
+  const root = h("figure", { class: "seen", hidden: true }, h("h3", {}, "One view"), image, caption);
+  let [wanted, busy, shown, isOver] = [null, false, "", false];
+
+  function see(told) {
+    wanted = told;
+    if (busy || isOver) return;
+    busy = true;
+    // Of a whole history only the last is there.
+    requestAnimationFrame(load);
+  }
+
+  async function load() {
+    while (wanted && !isOver) {
+      const told = wanted;
+      wanted = null;
+      // One that does not come is followed by the next.
+      const answer = await fetch(`${base}/live`).catch(() => null);
+      if (answer?.status === 200 && !isOver) await put(URL.createObjectURL(await answer.blob()), told);
+    }
+    busy = false;
+  }
+
+  async function put(url, told) {
+    image.src = url;
+    image.alt = `render of the view ${told.view}`;
+    caption.textContent = `${told.view} (${told.held_out ? "held out" : "it trains"}), round ${told.round}, step ${told.step.toLocaleString("en")}`;
+    root.hidden = false;
+    await image.decode().catch(() => {});
+    if (shown) URL.revokeObjectURL(shown);
+    shown = url;
+  }
+
+  return {
+    root,
+    see,
+    over() {
+      isOver = true;
+      root.hidden = true;
+      if (shown) URL.revokeObjectURL(shown);
+      shown = "";
+    },
+  };
+}

@@ -1,0 +1,120 @@
+// The same view dark, enhanced, deblurred and rendered in every round, two of them side by side.
+
+import { TIMES, difference } from "../lib/difference.js";
+import { address, fold, h } from "../lib/dom.js";
+import { split } from "../lib/split.js";
+import { thumbnails } from "../lib/strip.js";
+
+/** Of a picture of depth, px. */
+const DEPTH_WIDTH = 560;
+
+/** Keeps the comparison up to date: `update(names, rounds, hasTruth)`. */
+export function comparison(job) {
+  const choice = h("select", { "aria-label": "view" });
+  const slider = split();
+  const shots = thumbnails(chosen, slider);
+  const about = h("p", { class: "hint" });
+  const root = h("section", { hidden: true },
+    h("div", { class: "row" }, h("h2", {}, "Views"), h("label", { class: "push" }, "View", choice)),
+    slider.root, slider.tools,
+    fold("How to look closer", h("p", { class: "hint" }, "Drag the bar, or use the arrow keys, Home and End. Enlarge all pictures of the view with + and −, two fingers, a double click, " +
+      "or Ctrl and the wheel; move what is enlarged by dragging it, or with Shift and the arrow keys."), about),
+    shots.root);
+  let state = "";
+  let facts = { names: [], rounds: [], hasTruth: false };
+  // What is compared, by kind: kept when another view is chosen.
+  const sides = { left: "inputs", right: null };
+  let [all, drawn] = [[], 0];
+  choice.addEventListener("change", rebuild);
+
+  const at = (path) => `/v1/jobs/${job}/artifacts/${address(path)}`;
+
+  function pictures(name) {
+    const shot = (key, label, path) => ({ key, label, url: at(path) });
+    /** @type {(ReturnType<typeof shot> | ReturnType<typeof made>)[]} */
+    const list = [shot("inputs", "dark input", `inputs/${name}.jpg`)];
+    for (const round of facts.rounds) {
+      const of = (kind) => `rounds/${round}/${kind}/${name}.jpg`;
+      for (const [kind, label] of [["enhanced", "enhanced"], ["deblurred", "deblurred"], ["renders", "rendered"]]) {
+        list.push(shot(`${round}/${kind}`, `round ${round}, ${label}`, of(kind)));
+      }
+      if (!facts.hasTruth) list.push(differs(`${round}/difference`, `round ${round}, rendered − enhanced, × ${TIMES}`, [of("renders"), of("enhanced")]));
+    }
+    const last = facts.rounds.at(-1);
+    if (last !== undefined) list.push(made(`${last}/depth`, `round ${last}, depth`, () => depth(name, last)));
+    if (facts.hasTruth) {
+      list.push(differs("difference", `restored − truth, × ${TIMES}`, [`restored/${name}.png`, `gt/${name}.jpg`]),
+        shot("gt", "ground truth", `gt/${name}.jpg`));
+    }
+    return list;
+  }
+
+  /** A picture that is made once, when it is looked at; its brightness says something. */
+  function made(key, label, make) {
+    let url = null;
+    return {
+      key,
+      label,
+      isFixed: true,
+      make: () => (url ??= make()),
+      forget: () => url?.then(URL.revokeObjectURL, () => {}),
+    };
+  }
+
+  const differs = (key, label, [a, b]) => made(key, label, () => difference(at(a), at(b)));
+
+  async function depth(view, round) {
+    const query = new URLSearchParams({ view, round, show: "depth", width: String(DEPTH_WIDTH) });
+    const answer = await fetch(`/v1/jobs/${job}/render?${query}`);
+    if (!answer.ok) throw new Error(`${answer.status}`);
+    return URL.createObjectURL(await answer.blob());
+  }
+
+  function rebuild() {
+    const before = all;
+    all = pictures(choice.value);
+    shots.fill(all);
+    for (const picture of before) picture.forget?.();
+    draw();
+  }
+
+  async function draw() {
+    const find = (key) => all.find((picture) => picture.key === key);
+    const left = find(sides.left) ?? all[0];
+    const right = find(sides.right) ?? find(`${facts.rounds.at(-1)}/renders`) ?? all.at(-1);
+    shots.mark(left.key, right.key);
+    drawn += 1;
+    const now = drawn;
+    if (left.make || right.make) {
+      // One that cannot be made is crossed out among the others.
+      const urls = await Promise.all([left, right].map((one) => one.url ?? one.make())).catch(() => null);
+      if (urls && now === drawn) slider.show({ ...left, url: urls[0] }, { ...right, url: urls[1] });
+      return;
+    }
+    slider.show(left, right);
+  }
+
+  function chosen(side, key) {
+    sides[side] = key;
+    draw();
+  }
+
+  function update(names, rounds, hasTruth) {
+    const now = JSON.stringify([names, rounds, hasTruth]);
+    if (now === state || names.length === 0) return;
+    state = now;
+    facts = { names, rounds, hasTruth };
+    about.textContent = `${hasTruth ? TO_TRUTH : TO_ENHANCED} Of depth, what is near is bright, what is far dark, and black where nothing is.`;
+    const view = choice.value;
+    choice.replaceChildren(...names.map((one) => h("option", { value: one.name, selected: one.name === view },
+      one.split === "held_out" ? `${one.name} (held out)` : one.name)));
+    root.hidden = false;
+    rebuild();
+  }
+  return { root, update };
+}
+
+const TO_TRUTH = `The difference is that of the best round's render, at its final brightness, to the ground truth: without sign, ${TIMES} times as bright. ` +
+  "What is black agrees; a colour or brightness that is off as a whole shows, too.";
+const TO_ENHANCED = `Without ground truth a difference is that of a round's render to the enhanced photograph: without sign, ${TIMES} times as bright. ` +
+  "The photograph is noisy and shaken and the render is not, so it says where they disagree and not which of them is wrong.";

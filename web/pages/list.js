@@ -1,0 +1,252 @@
+// The list of jobs, below the form that starts one.
+
+import { api, count, duration, h, refill, when } from "../lib/dom.js";
+import { asked, keep } from "../lib/place.js";
+import { selection } from "./selection.js";
+import { doing, pill, setBar } from "../lib/state.js";
+import { row, table } from "../lib/table.js";
+import { thumbs } from "./thumbs.js";
+import { startForm } from "../upload/upload.js";
+import { failed } from "../lib/words.js";
+
+const REFRESH_MS = 1500;
+/** Where many are shown, they are asked for less often. */
+const MANY_MS = 6000;
+/** The API's largest page. */
+const MOST = 200;
+/** Jobs that are shown at first, and more each time. */
+const PAGE = 50;
+
+const STATES = ["queued", "running", "succeeded", "failed", "cancelled"];
+const PRESETS = ["preview", "standard", "paper"];
+
+const COLUMNS = [
+  { title: "Mark", class: "pick", head: h("span", { class: "heard" }, "Mark") },
+  { title: "Picture", class: "pictured", head: h("span", { class: "heard" }, "Picture") },
+  { title: "Name" },
+  { title: "State" },
+  { title: "Progress" },
+  { title: "Now" },
+  { title: "Preset", class: "word" },
+  { title: "Created", class: "soft" },
+];
+
+/**
+ * Jobs as a table that is drawn again, with a bar for those that are marked:
+ * `{ root, update(jobs, known), leave }`; `known` are those whose places in the queue are known.
+ */
+export function jobTable(refresh) {
+  const list = table(COLUMNS, []);
+  list.classList.add("jobs");
+  const marked = selection(refresh);
+  const pictures = thumbs();
+  const root = h("div", { hidden: true }, list, marked.root);
+  const body = list.tBodies[0];
+  let shown = "";
+  return {
+    root,
+    update(jobs, known = jobs) {
+      const now = JSON.stringify([jobs, known.map((job) => job.queue_position)]);
+      if (now === shown) return;
+      shown = now;
+      root.hidden = false;
+      list.hidden = jobs.length === 0;
+      refill(
+        body,
+        jobs.map((job) =>
+          row(COLUMNS, [marked.box(job), pictures.pairOf(job), ...cells(job, known)]),
+        ),
+      );
+      marked.update(jobs);
+    },
+    leave: () => pictures.leave(),
+  };
+}
+
+function cells(job, known) {
+  const bar = h("progress", { max: 1, "aria-label": "progress" });
+  setBar(bar, job);
+  return [
+    h("a", { href: `#/jobs/${job.id}` }, job.name || "unnamed"),
+    pill(job),
+    bar,
+    now(job, known),
+    job.preset,
+    when(job.created_at),
+  ];
+}
+
+/** What a job does, waits for or failed by. */
+function now(job, known) {
+  if (job.state === "queued") return waits(job, known);
+  const left =
+    job.state === "running" && job.eta_seconds ? ` · ${duration(job.eta_seconds)} left` : "";
+  return doing(job) + left || (job.error ? failed(job.error) : "");
+}
+
+/** Its place, and what must end before it begins, as far as the list knows. */
+function waits(job, known) {
+  const place = doing(job);
+  if (job.queue_position === 1) {
+    if (job.waits_for) return `${place}: starts when ${job.waits_for} is free`;
+    const runs = known.some((other) => other.state === "running");
+    return runs ? `${place}: starts when a running job ends` : place;
+  }
+  const before = known.find(
+    (other) => job.queue_position > 1 && other.queue_position === job.queue_position - 1,
+  );
+  const behind = before ? `${place}, behind “${before.name || "unnamed"}”` : place;
+  return job.waits_for ? `${behind}; needs ${job.waits_for}` : behind;
+}
+
+/** What is searched for: `{ root, values(), clear() }`; `changed(anew)`: whether to ask again. */
+function filters(changed) {
+  const wanted = asked();
+  const search = h("input", {
+    type: "search",
+    placeholder: "a part of its name",
+    value: wanted.get("q") ?? "",
+    maxLength: 200,
+  });
+  const choice = (words, all, name) =>
+    h(
+      "select",
+      {},
+      [["", all], ...words.map((word) => [word, word])].map(([value, text]) =>
+        h("option", { value, selected: value === (wanted.get(name) ?? "") }, text),
+      ),
+    );
+  const state = choice(STATES, "every state", "state");
+  const preset = choice(PRESETS, "every preset", "preset");
+  const values = () => ({ q: search.value.trim(), state: state.value, preset: preset.value });
+  const say = (anew) => {
+    keep(values());
+    changed(anew);
+  };
+  search.addEventListener("input", () => say(false));
+  preset.addEventListener("change", () => say(false));
+  state.addEventListener("change", () => say(true));
+  const field = (label, node) => h("label", {}, label, node);
+  const root = h(
+    "form",
+    { class: "filters", role: "search", onsubmit: (event) => event.preventDefault() },
+    field("Search", search),
+    field("State", state),
+    field("Preset", preset),
+  );
+  return {
+    root,
+    values,
+    clear() {
+      for (const one of [search, state, preset]) one.value = "";
+      say(true);
+      search.focus();
+    },
+  };
+}
+
+/** Pages of the API until there are `wanted` jobs: `{ jobs, isAll }`. */
+async function pages(wanted, state) {
+  const jobs = [];
+  for (let cursor = ""; ;) {
+    const query = new URLSearchParams({ limit: String(Math.min(MOST, wanted - jobs.length)) });
+    if (state) query.set("state", state);
+    if (cursor) query.set("cursor", cursor);
+    /** @type {import("fled-api").Jobs} */
+    const page = await api(`/v1/jobs?${query}`);
+    jobs.push(...page.jobs);
+    cursor = page.next_cursor;
+    if (!cursor || jobs.length >= wanted) return { jobs, isAll: !cursor };
+  }
+}
+
+/** How much was searched, in a sentence. */
+function searched(found, { jobs, isAll }, { q, state, preset }) {
+  const of = state
+    ? `${jobs.length === 1 ? "job" : "jobs"} ${state}`
+    : jobs.length === 1
+      ? "job"
+      : "jobs";
+  const all = isAll
+    ? `all ${jobs.length.toLocaleString()} ${of}`
+    : `the ${jobs.length.toLocaleString()} newest ${of}`;
+  if (!q && !preset) return isAll ? `${jobs.length.toLocaleString()} ${of}.` : `These are ${all}.`;
+  const rest = isAll ? "" : " Older ones were not searched.";
+  const some = found === 0 ? "None" : found.toLocaleString();
+  return `${some} of ${all} ${found > 1 ? "match" : "matches"}.${rest}`;
+}
+
+export function listPage(main) {
+  const jobs = jobTable(() => refresh());
+  const empty = h(
+    "p",
+    { class: "hint", hidden: true },
+    "No job yet. Start with a folder of 20 to 60 overlapping photographs of a place in which " +
+      "nothing moves.",
+  );
+  const extent = h("span", { class: "hint", role: "status" });
+  const more = h("button", { type: "button", hidden: true }, "Older jobs");
+  const every = h(
+    "button",
+    { type: "button", hidden: true, onclick: () => filter.clear() },
+    "Show all jobs",
+  );
+  const form = startForm();
+  const filter = filters((anew) => (anew ? refresh() : draw()));
+  const list = h(
+    "section",
+    { hidden: true },
+    h("h2", {}, "Jobs"),
+    filter.root,
+    empty,
+    h("p", { class: "row extent" }, extent, more, every),
+    jobs.root,
+  );
+  main.append(form.root, list);
+  let [wanted, timer, gone, asks, had] = [PAGE, 0, false, 0, { jobs: [], isAll: true }];
+  more.addEventListener("click", () => {
+    wanted += PAGE;
+    refresh();
+  });
+
+  function draw() {
+    const { q, state, preset } = filter.values();
+    const isFiltered = Boolean(q || state || preset);
+    const shown = had.jobs.filter(
+      (job) =>
+        (!preset || job.preset === preset) &&
+        (job.name || "unnamed").toLowerCase().includes(q.toLowerCase()),
+    );
+    jobs.update(shown, had.jobs);
+    list.hidden = false;
+    const isNone = had.jobs.length === 0 && !isFiltered;
+    empty.hidden = !isNone;
+    filter.root.hidden = isNone;
+    extent.textContent = isNone ? "" : searched(shown.length, had, { q, state, preset });
+    more.hidden = had.isAll;
+    more.textContent = q || preset ? `Search ${count(PAGE, "older job")}` : "Older jobs";
+    every.hidden = !isFiltered;
+  }
+
+  async function refresh() {
+    clearTimeout(timer);
+    const mine = ++asks;
+    try {
+      const found = await pages(wanted, filter.values().state);
+      // An answer that comes after that to a later question is old.
+      if (gone || mine !== asks) return;
+      had = found;
+      draw();
+    } catch {
+      /* The health line says so; the next round may succeed. */
+    }
+    if (!gone && mine === asks) timer = setTimeout(refresh, wanted > MOST ? MANY_MS : REFRESH_MS);
+  }
+  refresh();
+  return () => {
+    gone = true;
+    clearTimeout(timer);
+    form.leave();
+    jobs.leave();
+  };
+}

@@ -1,0 +1,130 @@
+// Jobs that are marked in a list, and what is done with all of them.
+
+import { ask } from "../lib/dialog.js";
+import { api, count, h } from "../lib/dom.js";
+import { MOST, addressOf } from "../compare/entries.js";
+
+const GONE = "Their scenes, pictures and scores are gone then; the photographs stay.";
+
+const nameOf = (job) => `“${job.name || "unnamed"}”`;
+
+/**
+ * `{ root, box(job), update(jobs) }`: a bar that is there while a job is marked, and the mark of a
+ * job. `refresh` asks the server again after jobs were deleted.
+ */
+export function selection(refresh) {
+  const chosen = new Map();
+  const words = h("span", { role: "status" });
+  const compare = h("a", { class: "button main" });
+  const remove = h("button", { type: "button", class: "danger", onclick: removeAll });
+  const none = h("button", { type: "button", onclick: clear }, "Unmark all");
+  const problem = h("p", { class: "problem", role: "alert" });
+  const root = h(
+    "div",
+    { class: "marked", hidden: true, role: "region", "aria-label": "marked jobs" },
+    h("div", { class: "row" }, words, compare, remove, none),
+    problem,
+  );
+  let shown = [];
+
+  function draw() {
+    const jobs = [...chosen.values()];
+    root.hidden = jobs.length === 0 && problem.textContent === "";
+    const unseen = jobs.filter((job) => !shown.includes(job.id)).length;
+    words.textContent = `${howMany(jobs.length)}${whereAre(unseen, jobs.length)}`;
+    compare.hidden = jobs.length < 2 || jobs.length > MOST;
+    compare.href = addressOf([...chosen.keys()]);
+    compare.textContent = `Compare ${count(jobs.length, "job")}`;
+    remove.hidden = jobs.length === 0;
+    none.hidden = jobs.length === 0;
+    remove.textContent = `Delete ${count(jobs.length, "job")}`;
+  }
+
+  function clear() {
+    chosen.clear();
+    problem.textContent = "";
+    for (const box of root.parentNode.querySelectorAll("input.mark")) box.checked = false;
+    draw();
+  }
+
+  async function removeAll() {
+    const jobs = [...chosen.values()];
+    const [running, rest] = [
+      jobs.filter((job) => job.state === "running"),
+      jobs.filter((job) => job.state !== "running"),
+    ];
+    const [run, stay] = running.length === 1 ? ["runs", "stays"] : ["run", "stay"];
+    const runs =
+      running.length > 0
+        ? `\n${running.map(nameOf).join(", ")} ${run} and ${stay}: cancel first.`
+        : "";
+    if (rest.length === 0) {
+      problem.textContent = runs.trim();
+      return;
+    }
+    const sure = await ask(
+      `Delete ${count(rest.length, "job")}?`,
+      `${rest.map(nameOf).join("\n")}\n${GONE}${runs}`,
+      rest.length === 1 ? "Delete it" : "Delete them",
+      rest.length === 1 ? "Keep it" : "Keep them",
+    );
+    if (!sure) return;
+    remove.disabled = true;
+    const faults = [];
+    for (const job of rest) {
+      try {
+        await api(`/v1/jobs/${job.id}`, { method: "DELETE" });
+        chosen.delete(job.id);
+      } catch (error) {
+        // Somebody else deleted it: that is what was wanted.
+        if (error.status === 404) chosen.delete(job.id);
+        else faults.push(`${nameOf(job)} is not deleted: ${error.message}`);
+      }
+    }
+    problem.textContent = faults.join("\n");
+    remove.disabled = false;
+    await refresh();
+    draw();
+  }
+
+  return {
+    root,
+    box(job) {
+      const box = h("input", {
+        type: "checkbox",
+        class: "mark",
+        checked: chosen.has(job.id),
+        "data-key": `mark ${job.id}`,
+        "aria-label": `Mark ${job.name || "unnamed"}`,
+      });
+      box.addEventListener("change", () => {
+        if (box.checked) chosen.set(job.id, job);
+        else chosen.delete(job.id);
+        problem.textContent = "";
+        draw();
+      });
+      return box;
+    },
+    /** What the list shows now. */
+    update(jobs) {
+      shown = jobs.map((job) => job.id);
+      for (const job of jobs) if (chosen.has(job.id)) chosen.set(job.id, job);
+      draw();
+    },
+  };
+}
+
+function howMany(number) {
+  if (number === 0) return "";
+  if (number === 1) return "1 job is marked; mark another to compare.";
+  return number > MOST
+    ? `${number} jobs are marked; at most ${MOST} can be compared.`
+    : `${number} jobs are marked.`;
+}
+
+/** Of marked jobs that a filter hides. */
+function whereAre(unseen, number) {
+  if (unseen === 0) return "";
+  if (unseen === number) return " None of them is in the list shown.";
+  return ` ${unseen} of them ${unseen === 1 ? "is" : "are"} not in the list shown.`;
+}

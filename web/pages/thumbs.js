@@ -1,0 +1,80 @@
+// A job at a glance: one of its photographs, dark as it was, and the same view restored.
+
+import { address, api, h } from "../lib/dom.js";
+
+/** So many are asked for at once: a list must not take the whole of what a client may ask. */
+const AT_ONCE = 3;
+
+/** Makes the pair of a job; it is asked for when it comes near, and the same when drawn again. */
+export function thumbs() {
+  const made = new Map();
+  const waiting = [];
+  let busy = 0;
+  const near = new IntersectionObserver(
+    (seen) => {
+      for (const { isIntersecting, target } of seen) {
+        if (!isIntersecting) continue;
+        near.unobserve(target);
+        waiting.push(target);
+        work();
+      }
+    },
+    { rootMargin: "200px" },
+  );
+
+  async function work() {
+    if (busy >= AT_ONCE || waiting.length === 0) return;
+    busy += 1;
+    await waiting.shift().load();
+    busy -= 1;
+    work();
+  }
+
+  function pairOf(job) {
+    const round = restored(job);
+    if (!round) return "";
+    const known = made.get(job.id);
+    if (known?.round === round) return known;
+    const pair = Object.assign(h("span", { class: "pair" }), {
+      round,
+      load: () => fill(pair, job.id, round),
+    });
+    made.set(job.id, pair);
+    near.observe(pair);
+    return pair;
+  }
+  return { pairOf, leave: () => near.disconnect() };
+}
+
+/**
+ * The round to show: the delivered one, or the last that is finished; 0 before the first.
+ * @param {import("fled-api").Job} job
+ */
+function restored(job) {
+  if (job.state === "succeeded" && job.best_round) return job.best_round;
+  return Math.max(
+    0,
+    ...job.stages.filter((stage) => stage.stage === "evaluate").map((stage) => stage.round),
+  );
+}
+
+/** A view that trained nothing shows what the scene knows of itself. */
+async function fill(pair, id, round) {
+  const base = `/v1/jobs/${id}/artifacts`;
+  const cameras = await api(`${base}/cameras.json`).catch(() => []);
+  const view = cameras.find((one) => one.split === "held_out") ?? cameras[0];
+  if (!view) return;
+  const picture = (path, alt) => {
+    const image = h("img", {
+      src: `${base}/${address(`${path}/${view.name}.jpg`)}`,
+      alt,
+      loading: "lazy",
+    });
+    image.addEventListener("error", () => image.remove());
+    return image;
+  };
+  pair.append(
+    picture("inputs", `photograph ${view.name}`),
+    picture(`rounds/${round}/renders`, "restored"),
+  );
+}

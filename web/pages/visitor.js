@@ -1,0 +1,47 @@
+// Whoever comes by a link to one job: `#/share/JOB/SECRET`.
+
+import { ask } from "../lib/dialog.js";
+import { api, h } from "../lib/dom.js";
+import { session } from "../lib/login.js";
+
+/**
+ * What such an address names: the job and the link's secret; `null` for others.
+ * @returns {[string, string] | null}
+ */
+export function link(hash) {
+  const found = hash.match(/^#\/share\/([0-9a-f-]+)\/(fled_[0-9a-f]+)$/);
+  return found && [found[1], found[2]];
+}
+
+/** Opens the job of a link, then shows its page; `enter` looks again at who one is. */
+export function openLink(main, [job, secret], enter) {
+  const line = h("p", { class: "hint", role: "status" }, "Opening the job…");
+  main.append(h("section", {}, line));
+  open().catch((error) => {
+    line.className = "problem";
+    line.textContent = `This link does not open: it has ended or is not whole, or the server is busy.\n${error.message}`;
+  });
+
+  async function open() {
+    const { needed, scopes } = await session();
+    // Whoever sees the job already keeps the session that they have.
+    if (needed && (scopes === null || !(await seen()))) {
+      if (scopes !== null && !(await ask("Open this link?", "You are logged in, and that does not show this job. By the link you see it alone, until you log out.", "Open it", "Stay"))) {
+        location.hash = "#/";
+        return;
+      }
+      const body = JSON.stringify({ token: secret });
+      await api("/login", { method: "POST", headers: { "Content-Type": "application/json" }, body });
+    }
+    // Out of the address, and so out of the history and of what is copied from there.
+    history.replaceState(null, "", `#/jobs/${job}`);
+    enter();
+  }
+  /** Whether the session that this browser has shows the job. */
+  async function seen() {
+    const { ok, status } = await fetch(`/v1/jobs/${job}`);
+    if (!ok && ![401, 403, 404].includes(status)) throw new Error(`The server answered ${status}.`);
+    return ok;
+  }
+  return () => {};
+}

@@ -1,0 +1,48 @@
+// What waits, and for which machine.
+
+import { count, h, refill } from "../lib/dom.js";
+
+/** Jobs of a group that are named; the list has them all. */
+const NAMED = 5;
+
+/** The section of jobs that wait: `{ root, update(page, isSeen) }`. */
+export function waitingList() {
+  const content = h("div");
+  const root = h("section", { class: "waiting", hidden: true }, h("h2", {}, "Waiting"), content);
+  let shown = "";
+  return {
+    root,
+    /** @param {import("fled-api").Jobs} page */
+    update(page, isSeen) {
+      root.hidden = !isSeen && page.jobs.length === 0;
+      const nodes = drawn(page);
+      const now = nodes.map((node) => node.outerHTML).join();
+      if (now !== shown) refill(content, nodes);
+      shown = now;
+    },
+  };
+}
+
+/** @param {import("fled-api").Jobs} page */
+function drawn({ jobs, next_cursor: next }) {
+  if (jobs.length === 0) return [h("p", { class: "hint" }, "No job waits.")];
+  const groups = new Map();
+  for (const job of jobs.toSorted((a, b) => a.queue_position - b.queue_position)) {
+    const wanted = job.waits_for ?? "any worker";
+    groups.set(wanted, [...(groups.get(wanted) ?? []), job]);
+  }
+  const list = h("ul", { class: "bare" }, [...groups].map(group));
+  const all = next ? `All that wait; told here are the ${jobs.length} newest` : "All that wait";
+  return [list, h("p", {}, h("a", { href: "#/?state=queued" }, all))];
+}
+
+/** How many wait for the same, and the first of them. */
+function group([wanted, jobs]) {
+  const links = jobs.slice(0, NAMED).flatMap((job, i) => [
+    i > 0 && ", ",
+    h("a", { href: `#/jobs/${job.id}` }, job.name || "unnamed"),
+  ]);
+  const rest = jobs.length > NAMED ? ` and ${(jobs.length - NAMED).toLocaleString()} more` : "";
+  const wait = jobs.length === 1 ? "waits" : "wait";
+  return h("li", {}, `${count(jobs.length, "job")} ${wait} for ${wanted}: `, links, rest);
+}

@@ -1,0 +1,266 @@
+// The machines that work, for those who may see everything: what each is, and what it does.
+
+import { Refusal, api, count, h, refill, when } from "../lib/dom.js";
+import { seesAll } from "../lib/login.js";
+import { doing, setBar } from "../lib/state.js";
+import { row, table } from "../lib/table.js";
+import { waitingList } from "./waiting.js";
+
+/** @typedef {import("fled-api").Worker} Worker */
+/** @typedef {import("fled-api").Job} Job */
+
+const REFRESH_MS = 5000;
+/** The API's largest page. */
+const MOST = 200;
+
+const COLUMNS = [
+  { title: "Worker" },
+  { title: "State" },
+  { title: "Runs", class: "runs" },
+  { title: "Machine" },
+  { title: "Heard of", class: "seen" },
+];
+
+const DENIED =
+  "Only a token with the scope “admin” shows the workers. Whoever runs the server makes one; log " +
+  "out, and log in with it.";
+const NONE =
+  "No worker was heard of within a day. Where one server works alone, that is as it should be: it " +
+  "runs every job itself. Where machines share a database and a store of files, no job runs until " +
+  "a worker is started:";
+
+/** @returns {Promise<import("fled-api").Workers>} */
+const ask = () => api("/v1/workers");
+
+/** Whether there are any, for somebody who may see them. */
+export const areWorkers = async () => (await ask()).workers.length > 0;
+
+/** The page, anew every few seconds while it is seen. */
+export function workersPage(main, who) {
+  document.title = "workers · fled";
+  const gist = h("p", { class: "hint" });
+  const versions = h("p", { class: "notices" });
+  const why = h("div", { class: "hint", hidden: true });
+  const problem = h("p", { class: "problem", role: "alert" });
+  const list = workerTable();
+  const waiting = waitingList();
+  const parts = [h("h1", {}, "Workers"), gist, versions, why, list.root, problem];
+  main.append(h("section", {}, parts), waiting.root);
+  let [timer, gone, asks, asked] = [0, false, 0, ""];
+
+  function without(...words) {
+    for (const part of [gist, versions, list.root]) part.hidden = true;
+    if (why.hidden) why.replaceChildren(...words);
+    why.hidden = false;
+  }
+
+  function draw({ now, workers }, jobs) {
+    asked = when(now);
+    say(problem, "");
+    if (workers.length === 0) {
+      without(NONE, h("pre", {}, "fled worker --data DIR --db postgres://… --store s3://…"));
+      return;
+    }
+    why.hidden = true;
+    gist.hidden = false;
+    say(gist, summary(workers));
+    const differing = versionsOf(workers);
+    versions.hidden = differing.size < 2;
+    say(versions, versions.hidden ? "" : versionWords(differing));
+    list.update(workers, { now: Date.parse(now), jobs, usual: usual(differing) });
+  }
+
+  async function refresh() {
+    clearTimeout(timer);
+    const mine = ++asks;
+    const isOld = () => gone || mine !== asks;
+    try {
+      const [told, running, queued] = await Promise.all([ask(), jobsOf("running"), jobsOf("queued")]);
+      if (isOld()) return;
+      draw(told, new Map(running.jobs.map((job) => [job.id, job])));
+      waiting.update(queued, told.workers.length > 0);
+    } catch (error) {
+      if (isOld()) return;
+      const words = error instanceof Refusal ? error.message : "The server does not answer.";
+      say(problem, asked ? `${words}\nWhat is shown is of ${asked}.` : words);
+    }
+    if (!document.hidden) timer = setTimeout(refresh, REFRESH_MS);
+  }
+  /** Nobody looks at what is hidden; whoever comes back sees what is so now. */
+  function turn() {
+    clearTimeout(timer);
+    if (!document.hidden) refresh();
+  }
+
+  if (!seesAll(who)) {
+    without(DENIED);
+    return () => {};
+  }
+  document.addEventListener("visibilitychange", turn);
+  refresh();
+  return () => {
+    gone = true;
+    clearTimeout(timer);
+    document.removeEventListener("visibilitychange", turn);
+  };
+}
+
+/** @returns {Promise<import("fled-api").Jobs>} */
+const jobsOf = (state) => api(`/v1/jobs?state=${state}&limit=${MOST}`);
+
+/** Words that are told again only when they are others. */
+function say(node, words) {
+  if (node.textContent !== words) node.textContent = words;
+}
+
+/** How many there are and what they have room for. */
+function summary(workers) {
+  const of = (state) => workers.filter((worker) => worker.state === state);
+  const [working, stopping, lost] = ["works", "stops", "lost"].map(of);
+  const states = [
+    [working.length, "works", "work"],
+    [stopping.length, "stops", "stop"],
+    [lost.length, "is lost", "are lost"],
+  ].filter(([number]) => Number(number) > 0);
+  const [first] = states;
+  const all = count(workers.length, "worker");
+  const stand = states.map(([number, one, many]) => `${number} ${number === 1 ? one : many}`);
+  const start =
+    states.length > 1
+      ? `${all}: ${stand.join(", ")}`
+      : `${all} ${workers.length === 1 ? first[1] : first[2]}`;
+  const room = working.reduce((sum, one) => sum + Math.max(0, one.jobs - one.running.length), 0);
+  const rest = room > 0 ? `there is room for ${count(room, "more job")}` : "there is no room for more";
+  const runs = [...working, ...stopping].reduce((sum, one) => sum + one.running.length, 0);
+  const run = `${runs === 0 ? "No job" : count(runs, "job")} ${runs > 1 ? "run" : "runs"}`;
+  return `${start}. ${run}, ${rest}.`;
+}
+
+/** How many workers there are of each version; what a lost one had says nothing of now. */
+function versionsOf(workers) {
+  const counts = new Map();
+  for (const { version, state } of workers) {
+    if (state !== "lost") counts.set(version, (counts.get(version) ?? 0) + 1);
+  }
+  return counts;
+}
+
+const versionWords = (counts) =>
+  `The workers' versions differ: ${[...counts]
+    .sort(([, a], [, b]) => b - a)
+    .map(([version, number]) => `${version} on ${number}`)
+    .join(", ")}.`;
+
+/** The version that more have than any other; none where no other differs from it. */
+function usual(counts) {
+  const [first, second] = [...counts].sort(([, a], [, b]) => b - a);
+  return second && first[1] > second[1] ? first[0] : null;
+}
+
+/** Workers as a table whose rows stay, so that focus, selection and scroll do: `{ root, update }`. */
+function workerTable() {
+  const root = table(COLUMNS, [], { hidden: true });
+  root.classList.add("workers");
+  const [body] = root.tBodies;
+  const rows = new Map();
+  return {
+    root,
+    update(workers, known) {
+      root.hidden = false;
+      const sorted = workers.toSorted(
+        (a, b) => a.host.localeCompare(b.host, "en", { numeric: true }) || (a.id < b.id ? -1 : 1),
+      );
+      for (const { id } of sorted) if (!rows.has(id)) rows.set(id, workerRow());
+      const wanted = sorted.map(({ id }) => rows.get(id).root);
+      const isOther = (one, i) => body.rows[i] !== one;
+      if (body.rows.length !== wanted.length || wanted.some(isOther)) refill(body, wanted);
+      for (const id of rows.keys()) if (!workers.some((one) => one.id === id)) rows.delete(id);
+      for (const worker of sorted) rows.get(worker.id).update(worker, known);
+    },
+  };
+}
+
+function workerRow() {
+  const cells = COLUMNS.map(() => h("div"));
+  const shown = [];
+  const root = row(COLUMNS, cells);
+  /** Draws a cell where what it shows is other than before. */
+  const put = (i, nodes) => {
+    const now = nodes.map((node) => node.outerHTML ?? node).join();
+    if (shown[i] === now) return;
+    shown[i] = now;
+    refill(cells[i], nodes);
+  };
+  return {
+    root,
+    /** @param {Worker} worker */
+    update(worker, known) {
+      root.classList.toggle("idle", worker.running.length === 0);
+      const drawn = [named, stands, runs, machine, heard];
+      drawn.forEach((draw, i) => put(i, draw(worker, known)));
+    },
+  };
+}
+
+const small = (...content) => h("div", { class: "soft small" }, ...content);
+
+/** @param {Worker} worker */
+const named = ({ host, id }) => [h("strong", {}, host || "unnamed"), small(id)];
+
+/** @param {Worker} worker */
+function stands({ state, seen_at: seen, running }) {
+  const words = {
+    works: running.length > 0 ? "" : "waits for a job",
+    stops: "takes no more jobs",
+    lost: `not heard of since ${when(seen)}; its jobs go to others`,
+  };
+  const label = h("span", { class: `state ${state}` }, state);
+  return words[state] ? [label, small(words[state])] : [label];
+}
+
+/** @param {Worker} worker */
+function runs({ running, jobs: most, state }, { jobs }) {
+  const all = running.map((one) => run(one, jobs.get(one.job_id)));
+  if (all.length === 0) return ["nothing"];
+  const list = h("ul", { class: "bare" }, all.map((one) => h("li", {}, one)));
+  return state === "works" && most > 1 ? [list, small(`${running.length} of ${most} at once`)] : [list];
+}
+
+/**
+ * @param {import("fled-api").Running} one
+ * @param {Job | undefined} job Where it is not among those that run, it has just begun or ended.
+ */
+function run({ job_id: id, steps_per_second: speed }, job) {
+  const name = job ? job.name || "unnamed" : `job ${id}`;
+  const link = h("a", { href: `#/jobs/${id}` }, name);
+  const words = [job && doing(job), speed && `${speed.toFixed(1)} steps/s`].filter(Boolean);
+  if (!job) return [link, small(words.join(" · "))];
+  const bar = h("progress", { max: 1, "aria-label": `progress of ${name}` });
+  setBar(bar, job);
+  return [link, bar, small(words.join(" · "))];
+}
+
+const GIB = 2 ** 30;
+
+/** @param {Worker} worker */
+function machine({ adapter, has_gpu: hasGpu, cores, memory, version, state }, { usual }) {
+  const drawer = hasGpu ? (adapter ?? "a GPU") : adapter ? `no GPU: ${adapter}` : "no GPU";
+  const size = memory > 0 ? `${Number((memory / GIB).toFixed(1))} GiB` : "memory not known";
+  const differs = usual !== null && version !== usual && state !== "lost";
+  const mark = differs && h("span", { class: "badge differs" }, "differs");
+  return [drawer, small(`${count(cores, "core")} · ${size}`), small(`version ${version}`, mark)];
+}
+
+/** @param {Worker} worker */
+function heard({ seen_at: seen, started_at: started }, { now }) {
+  const passed = (time) => age((now - Date.parse(time)) / 1000);
+  const at = (time, words) => h("time", { dateTime: time, title: when(time) }, words);
+  return [at(seen, `${passed(seen)} ago`), small("there for ", at(started, passed(started)))];
+}
+
+/** 75 -> "75 s", 7,500 -> "2 h": one number, as it is read at a glance. */
+function age(seconds) {
+  const units = [[86400, "days"], [3600, "h"], [60, "min"]];
+  const [length, unit] = units.find(([length]) => seconds >= 2 * Number(length)) ?? [1, "s"];
+  return `${Math.max(0, Math.floor(seconds / Number(length)))} ${unit}`;
+}

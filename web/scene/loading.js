@@ -1,0 +1,34 @@
+// A scene in its worker: fetched, read, and sorted for one view after another.
+
+import { NEAR } from "./gl.js";
+import { SceneError } from "./ply.js";
+
+/**
+ * Fetches the scene at `url`, or where `isPoints` the sparse points of poses. `progress(received, total)` in bytes, `total` may be `null`. Answers
+ * `{ scene, sort, end }`: `sort(row)` promises the order for a third row of world to camera.
+ */
+export function loading({ url, isPoints }, progress) {
+  const worker = new Worker(new URL("./worker.js", import.meta.url), { type: "module" });
+  let ordered = null;
+  const whole = new Promise((resolve, reject) => {
+    worker.onmessage = ({ data }) => {
+      if (data.scene) resolve(data.scene);
+      else if (data.order) ordered(data.order);
+      else if (data.problem) reject(new SceneError(data.problem));
+      else progress(data.received, data.total);
+    };
+    worker.onerror = (event) => {
+      event.preventDefault();
+      reject(new SceneError(`The scene cannot be read here: ${event.message ?? "no worker"}.`));
+    };
+  });
+  worker.postMessage({ url: new URL(url, location.href).href, isPoints });
+  return {
+    whole,
+    sort: (row) => new Promise((resolve) => {
+      ordered = resolve;
+      worker.postMessage({ view: row, near: NEAR });
+    }),
+    end: () => worker.terminate(),
+  };
+}

@@ -1,0 +1,96 @@
+// The scene in 3D on a job's page: a poster until somebody wants to walk. Only then the rest of it,
+// and the scene, are loaded.
+
+import { address, h, size } from "../lib/dom.js";
+
+/** The part of a page for the scene of `job`: `{ root, update, leave }`. */
+export function scenePanel(job) {
+  const image = h("img", { alt: "", draggable: false });
+  const bytes = h("span", { class: "soft" });
+  const words = h("span", { class: "words" });
+  const poster = h("button", { type: "button", class: "poster", onclick: open },
+    h("span", { class: "frame" }, image, h("span", { class: "invitation" }, words, bytes)));
+  const place = h("div", {}, poster);
+  const problem = h("p", { class: "problem", role: "alert" });
+  const root = h("section", { class: "scene", hidden: true }, h("h2", {}, "Scene"), place, problem);
+  let [facts, view, isGone, isOpening] = [null, null, false, false];
+  const invite = () => {
+    words.textContent = facts?.first.isPoints ? "Look at cameras and points" : "Walk through the scene";
+  };
+
+  async function open() {
+    if (isOpening) return;
+    isOpening = true;
+    problem.textContent = "";
+    words.textContent = "Opening…";
+    try {
+      const { openScene } = await import("./view.js");
+      if (isGone) return;
+      view = await openScene(place, { job, ...facts, ended: close });
+      if (isGone) leave();
+    } catch (error) {
+      close(error.message);
+    }
+    isOpening = false;
+  }
+
+  function close(why) {
+    view?.leave();
+    view = null;
+    invite();
+    problem.textContent = why;
+    place.replaceChildren(poster);
+    if (!why) poster.focus();
+  }
+
+  function leave() {
+    isGone = true;
+    view?.leave();
+  }
+
+  image.addEventListener("error", () => { image.hidden = true; });
+  return {
+    root,
+    leave,
+    /** Of the cameras and files of the job; `best` is the round that is delivered. */
+    update(cameras, artifacts, best) {
+      const scenes = scenesOf(job, artifacts, best);
+      root.hidden = scenes.length === 0 || cameras.length === 0;
+      if (root.hidden) return;
+      const first = scenes.find((scene) => scene.isDelivered) ?? scenes.at(-1);
+      const start = cameras[Math.floor(cameras.length / 2)].name;
+      facts = { scenes, first, start };
+      if (!isOpening) invite();
+      bytes.textContent = size(first.bytes);
+      const path = first.isPoints ? "poses.svg" : `rounds/${first.round}/renders/${start}.jpg`;
+      const url = `/v1/jobs/${job}/artifacts/${address(path)}`;
+      const isThere = artifacts.some((file) => file.name === path);
+      if (isThere && image.getAttribute("src") !== url) image.src = url;
+      image.hidden = !isThere;
+      const { width, height } = cameras.find(({ name }) => name === start);
+      root.style.setProperty("--shape", width / height);
+      view?.update(scenes);
+    },
+  };
+}
+
+/**
+ * `{ round, url, bytes, isDelivered, isPoints }` of every round whose scene is served, and before
+ * them of the sparse points of the poses, as round 0.
+ */
+function scenesOf(job, artifacts, best) {
+  const scenes = new Map();
+  for (const { name, bytes } of artifacts) {
+    if (name === "poses.json") {
+      scenes.set(0, { round: 0, bytes, isPoints: true, url: `/v1/jobs/${job}/artifacts/${name}` });
+      continue;
+    }
+    const isDelivered = name === "scene.ply";
+    const found = name.match(/^rounds\/(\d+)\/scene\.ply$/);
+    const round = isDelivered ? best : found && Number(found[1]);
+    // The delivered scene is the copy of a round's.
+    if (!round || scenes.get(round)?.isDelivered) continue;
+    scenes.set(round, { round, bytes, isDelivered, url: `/v1/jobs/${job}/artifacts/${name}` });
+  }
+  return [...scenes.values()].sort((a, b) => a.round - b.round);
+}

@@ -1,0 +1,109 @@
+// The row of buttons below the scene.
+
+import { h } from "../lib/dom.js";
+
+/**
+ * `does` has `jump(index)`, `reset`, `lines(isOn)`, `exposure` or null where there is none,
+ * `round(scene)`, `picture`, `close`; `stage` is what fills the screen. Answers `{ root, at(index),
+ * isOn(), ev(), scenes(list, current), say(words) }`.
+ */
+export function sceneTools(cameras, stage, does) {
+  const press = (text, onclick, label = text) =>
+    h("button", { type: "button", "aria-label": label, title: label, onclick }, text);
+  const jump = () => does.jump(Number(choice.value));
+  const choice = h("select", { "aria-label": "photograph", onchange: jump },
+    h("option", { value: "-1" }, "free view"),
+    cameras.map(({ name, split }, i) => h("option", { value: String(i) },
+      split === "held_out" ? `${name} (held out)` : name)));
+  let [last, wasShown] = [0, false];
+  const step = (by) => () => does.jump((last + by + cameras.length) % cameras.length);
+  const lines = h("input", { type: "checkbox", onchange: () => does.lines(lines.checked) });
+  const exposure = exposureSlider(does.exposure);
+  const rounds = roundSlider(does.round);
+  const words = h("p", { class: "hint", role: "status" });
+  const picture = press("Save PNG", async () => {
+    picture.disabled = true;
+    await does.picture();
+    picture.disabled = false;
+  }, "This view as PNG, rendered by the server");
+  const full = press("Full screen", () => wide(stage));
+  full.hidden = !document.fullscreenEnabled;
+  const root = h("div", { class: "controls" },
+    h("div", { class: "row tools" },
+      h("div", { class: "row joint" }, press("‹", step(-1), "Previous photograph"), choice,
+        press("›", step(1), "Next photograph")),
+      press("Reset", does.reset, "Reset the view"),
+      h("label", { class: "check" }, lines, "Cameras"), exposure.root,
+      rounds.root,
+      h("div", { class: "row push ends" }, picture, full,
+        press("Close", does.close, "Close the 3D view"))),
+    words);
+  return {
+    root,
+    /** One stands at a photograph's camera, or with -1 at none. */
+    at(index) {
+      if (index >= 0) last = index;
+      choice.value = String(index);
+    },
+    isOn: () => lines.checked,
+    /** Stops brighter than the scene. */
+    ev: exposure.stops,
+    scenes(list, current) {
+      // The server renders scenes; of points there is none. Their cameras are half of what they say.
+      picture.hidden = current.isPoints === true;
+      if (current.isPoints && !wasShown) lines.checked = true;
+      wasShown = true;
+      rounds.set(list, current);
+    },
+    say: (text) => { words.textContent = text; },
+  };
+}
+
+function wide(stage) {
+  if (document.fullscreenElement) document.exitFullscreen();
+  // Refused in some frames and by some settings; the button then does nothing.
+  else stage.requestFullscreen().catch(() => {});
+}
+
+/** How bright the scene is shown, in stops; a double click is 0 again. */
+function exposureSlider(changed) {
+  const input = h("input", { type: "range", min: "-3", max: "3", step: "0.25", value: "0",
+    "aria-label": "exposure" });
+  const label = h("span", {});
+  const stops = () => (changed ? Number(input.value) : 0);
+  const say = () => {
+    const value = stops();
+    label.textContent = `${value > 0 ? "+" : ""}${value.toFixed(2).replace("-", "−")} EV`;
+    input.setAttribute("aria-valuetext", label.textContent);
+  };
+  const set = () => { say(); changed?.(); };
+  input.addEventListener("input", set);
+  input.addEventListener("dblclick", () => { input.value = "0"; set(); });
+  say();
+  return { root: h("label", { class: "check exposure", hidden: !changed }, label, input), stops };
+}
+
+/** Which round's scene is shown; hidden where there is one. */
+function roundSlider(chosen) {
+  const input = h("input", { type: "range", min: "0", step: "1", "aria-label": "round" });
+  const label = h("span", {});
+  const root = h("label", { class: "check rounds" }, label, input);
+  let list = [];
+  const say = () => {
+    const { round, isDelivered, isPoints } = list[input.value];
+    label.textContent = isPoints ? "Sparse points" : `Round ${round}${isDelivered ? ", delivered" : ""}`;
+    input.setAttribute("aria-valuetext", label.textContent);
+  };
+  input.addEventListener("input", say);
+  input.addEventListener("change", () => chosen(list[input.value]));
+  return {
+    root,
+    set(scenes, current) {
+      list = scenes;
+      root.hidden = scenes.length < 2;
+      input.max = String(scenes.length - 1);
+      input.value = String(Math.max(0, scenes.findIndex(({ url }) => url === current.url)));
+      say();
+    },
+  };
+}

@@ -1,0 +1,307 @@
+// The scene itself, in 3D: a canvas, what moves its camera, and the buttons below.
+
+import { api, count, h, size } from "../lib/dom.js";
+import { between, fitted, matrixOf, neared, poseOf, surroundingsOf } from "./camera.js";
+import { controls } from "./controls.js";
+import { frusta } from "./frusta.js";
+import { renderer } from "./gl.js";
+import { loading } from "./loading.js";
+import { SceneError } from "./ply.js";
+import { sceneTools } from "./tools.js";
+import { savedPicture } from "./picture.js";
+
+/** Pixels of the canvas a CSS pixel, at most: more cost more than one sees. */
+const FINEST = 2;
+/** From one photograph to the next, ms. */
+const FLIGHT = 450;
+/** Frames slower than this while one moves are drawn coarser, ms. */
+const SLOW = 70;
+const COARSE = 0.5;
+/** So long after the last movement the picture is drawn in full, ms. */
+const REST = 180;
+/** A pause between frames that says nothing about their speed, ms. */
+const PAUSE = 400;
+/** A key that is held leads no farther in one frame, ms. */
+const LONGEST_STEP = 100;
+/** How far back one begins before points, of the way to the middle. */
+const BACK = 1.7;
+const KEYS = "Drag to turn, with the right button or Shift to shift. After a click the wheel comes "
+  + "nearer, W A S D walk, Q and E sink and rise, the arrow keys look around, Escape lets go.";
+const FINGERS = "Tap the picture to take hold of it: one finger turns, two shift and come nearer. "
+  + "Tap beside it to let go.";
+const NO_WEBGL = "This browser has no WebGL 2, which the 3D view needs. Switch on hardware "
+  + "acceleration in its settings, or look at the pictures from the server below.";
+const LOST = "The graphics adapter has let go of the picture, as it does when it is overloaded or "
+  + "the machine has slept. Open the scene again.";
+
+/**
+ * Opens the scene of a job in `place`. `scenes` are `{ round, url, isDelivered }`, `first` the one
+ * to begin with and `start` the name of the camera. `ended(words)` is called when it closes by
+ * itself, with the reason, or is closed. Throws a `SceneError` where the browser cannot.
+ */
+export async function openScene(place, { job, scenes, first, start, ended }) {
+  const cameras = await api(`/v1/jobs/${job}/artifacts/cameras.json`);
+  const view = new View(job, cameras, scenes, ended);
+  place.replaceChildren(view.stage);
+  view.begin(first, Math.max(0, cameras.findIndex(({ name }) => name === start)));
+  return view;
+}
+
+/** What one sees, in a sentence. */
+function told({ isPoints }, content) {
+  if (!isPoints) return `The scene has ${count(content.count, "Gaussian")}.`;
+  const points = count(content.count, "sparse point");
+  return content.isGuessed ? `${points}, guessed: these poses came without any.`
+    : `${points}, by which the cameras were placed.`;
+}
+
+class View {
+  pose = null;
+  #chosen = -1;
+  #flight = null;
+  #asked = 0;
+  #last = 0;
+  #rest = 0;
+  #isSlow = false;
+  #isMoving = false;
+  #source = null;
+  #incoming = null;
+  #sorted = "";
+  #isSorting = false;
+  #isGone = false;
+
+  constructor(job, cameras, scenes, ended) {
+    this.job = job;
+    this.cameras = cameras;
+    this.scenes = scenes;
+    this.ended = ended;
+    this.surroundings = surroundingsOf(cameras);
+    this.canvas = h("canvas", {});
+    this.drawer = renderer(this.canvas);
+    if (!this.drawer) throw new SceneError(NO_WEBGL);
+    this.lines = h("canvas", { class: "lines" });
+    this.veil = h("div", { class: "veil", role: "status" });
+    this.frame = h("div", {
+      class: "frame", tabIndex: 0, role: "application",
+      "aria-label": "the scene in 3D: arrow keys look around, W A S D walk, Q and E sink and rise",
+    }, this.canvas, this.lines, this.veil);
+    this.stage = h("div", { class: "stage" }, h("div", { class: "band" }, this.frame));
+    this.tools = sceneTools(cameras, this.stage, {
+      jump: (index) => this.jump(index),
+      reset: () => this.jump(this.start),
+      lines: () => this.wake(),
+      exposure: this.drawer.exposes ? () => this.wake() : null,
+      round: (scene) => this.load(scene),
+      picture: () => this.save(),
+      close: () => this.ended(""),
+    });
+    this.stage.append(this.tools.root);
+    this.frusta = frusta(cameras, this.surroundings);
+    this.controls = controls(this.frame, this);
+    this.canvas.addEventListener("webglcontextlost", () => this.#isGone || this.ended(LOST));
+    this.resizes = new ResizeObserver(() => this.#resize());
+  }
+
+  begin(scene, start) {
+    this.start = start;
+    this.k = this.cameras[start];
+    const pose = poseOf(this.k, this.surroundings);
+    // Points are few: one sees them best from behind the photographers, with their cameras.
+    if (scene.isPoints) this.#stand(neared(pose, this.surroundings, BACK), -1);
+    else this.#stand(pose, start);
+    this.resizes.observe(this.frame);
+    this.load(scene);
+    this.frame.focus({ preventScroll: true });
+  }
+
+  /** Takes note of the scenes that there are by now. */
+  update(scenes) {
+    this.scenes = scenes;
+    if (this.scene) this.tools.scenes(scenes, this.scene);
+  }
+
+  /** Shows another scene from the same camera. */
+  async load(scene) {
+    this.#incoming?.end();
+    this.#busy(true);
+    this.veil.textContent = this.#source ? "" : "Loading the scene…";
+    const incoming = loading(scene, (received, total) => this.#progress(received, total));
+    this.#incoming = incoming;
+    try {
+      const content = await incoming.whole;
+      const row = matrixOf(this.pose)[2];
+      const order = await incoming.sort(row);
+      if (this.#isGone || this.#incoming !== incoming) return;
+      this.drawer.load(content);
+      this.drawer.sort(order);
+      this.#source?.end();
+      [this.#source, this.#incoming] = [incoming, null];
+      [this.#sorted, this.#isSorting] = [row.join(), false];
+      this.scene = scene;
+      this.tools.scenes(this.scenes, scene);
+      this.tools.say(`${matchMedia("(pointer: coarse)").matches ? FINGERS : KEYS} ${told(scene, content)}`);
+      this.veil.textContent = "";
+      this.wake();
+    } catch (error) {
+      if (!this.#isGone && this.#incoming === incoming) this.#refused(error, incoming);
+    }
+  }
+
+  #refused(error, incoming) {
+    incoming.end();
+    this.#incoming = null;
+    const words = error instanceof SceneError ? error.message : String(error);
+    if (!this.#source) this.ended(`The scene cannot be shown. ${words}`);
+    else {
+      this.tools.scenes(this.scenes, this.scene);
+      this.tools.say(`The other scene cannot be shown. ${words}`);
+      this.wake();
+    }
+  }
+
+  #progress(received, total) {
+    const share = total ? `${Math.round((100 * received) / total)} % of ${size(total)}`
+      : size(received);
+    const words = `Loading the scene: ${share}`;
+    if (this.#source) this.tools.say(words);
+    else this.veil.textContent = words;
+  }
+
+  /** Goes to a photograph's camera. */
+  jump(index) {
+    if (index < 0) return;
+    const to = poseOf(this.cameras[index], this.surroundings);
+    const isStill = matchMedia("(prefers-reduced-motion: reduce)").matches;
+    this.#flight = isStill ? null : { from: this.pose, to, since: performance.now() };
+    this.k = this.cameras[index];
+    this.#fit();
+    this.#stand(isStill ? to : this.pose, index);
+  }
+
+  /** Stands somewhere else, at the camera `chosen` or, with -1, at none. */
+  #stand(pose, chosen) {
+    this.pose = pose;
+    this.#chosen = chosen;
+    this.tools.at(chosen);
+    this.wake();
+  }
+
+  /** For the controls: one has moved by hand. */
+  moved(pose) {
+    this.#flight = null;
+    this.#stand(pose, -1);
+  }
+
+  /** For the controls: a click on a camera's lines goes there. */
+  clicked(x, y) {
+    const scale = this.canvas.width / this.frame.clientWidth;
+    /** @type {[number, number]} */
+    const place = [x * scale, y * scale];
+    const index = this.tools.isOn() ? this.frusta.at(this.pose, this.shown, place, scale) : -1;
+    if (index >= 0) this.jump(index);
+  }
+
+  focal = () => (this.shown.fx * this.frame.clientWidth) / this.canvas.width;
+
+  #resize() {
+    const fine = Math.min(FINEST, devicePixelRatio);
+    const side = (length) => Math.max(1, Math.round(length * fine));
+    const [width, height] = [side(this.frame.clientWidth), side(this.frame.clientHeight)];
+    if (this.canvas.width === width && this.canvas.height === height && this.shown) return;
+    for (const canvas of [this.canvas, this.lines]) Object.assign(canvas, { width, height });
+    this.#fit();
+    // At once: a canvas of another size is empty.
+    this.#draw(1);
+    this.wake();
+  }
+
+  #fit() {
+    this.shown = fitted(this.k, this.canvas.width, this.canvas.height);
+  }
+
+  /** Draws soon. Nothing is drawn while nothing changes. */
+  wake() {
+    if (this.#isGone || this.#asked) return;
+    this.#busy(true);
+    this.#asked = requestAnimationFrame((time) => this.#step(time));
+  }
+
+  #step(time) {
+    this.#asked = 0;
+    clearTimeout(this.#rest);
+    const passed = time - this.#last;
+    if (this.#isMoving || passed < PAUSE) {
+      this.#isSlow = passed > SLOW || (this.#isSlow && passed > SLOW / 3);
+    }
+    this.#last = time;
+    const isHeld = this.controls.isHeld();
+    if (isHeld) this.moved(this.controls.held(Math.min(LONGEST_STEP, passed) / 1000));
+    if (this.#flight) this.#fly(time);
+    this.#sort();
+    if (!this.shown) return;
+    this.#draw(this.#isSlow ? COARSE : 1);
+    this.#isMoving = isHeld || this.#flight !== null;
+    if (this.#isMoving) this.wake();
+    else this.#rest = setTimeout(() => this.#settle(), REST);
+  }
+
+  #fly(time) {
+    const { from, to, since } = this.#flight;
+    const part = Math.min(1, Math.max(0, (time - since) / FLIGHT));
+    this.pose = between(from, to, part * part * (3 - 2 * part));
+    if (part === 1) this.#flight = null;
+  }
+
+  #settle() {
+    if (this.#isGone || this.#isSorting || this.#asked) return;
+    if (this.#isSlow) this.#draw(1);
+    this.#busy(this.#incoming !== null);
+  }
+
+  #draw(part) {
+    this.drawer.draw(this.pose, this.shown, part, this.tools.ev());
+    const context = this.lines.getContext("2d");
+    this.lines.hidden = !this.tools.isOn();
+    if (!this.lines.hidden) this.frusta.draw(context, this.pose, this.shown, this.#chosen);
+  }
+
+  /** The order of blending for where one stands; one request at a time. */
+  #sort() {
+    const row = matrixOf(this.pose)[2];
+    if (!this.#source || this.#isSorting || row.join() === this.#sorted) return;
+    const source = this.#source;
+    this.#isSorting = true;
+    source.sort(row).then((order) => {
+      if (this.#isGone || this.#source !== source) return;
+      this.drawer.sort(order);
+      [this.#isSorting, this.#sorted] = [false, row.join()];
+      this.wake();
+    });
+  }
+
+  #busy(isBusy) {
+    this.frame.setAttribute("aria-busy", String(isBusy));
+  }
+
+  /** The server renders this very view. */
+  async save() {
+    try {
+      await savedPicture(this.job, this.scene, this.pose, this.shown, this.tools.ev());
+    } catch (error) {
+      this.tools.say(`There is no picture. ${error.message}`);
+    }
+  }
+
+  /** Gives everything back. */
+  leave() {
+    this.#isGone = true;
+    cancelAnimationFrame(this.#asked);
+    clearTimeout(this.#rest);
+    this.resizes.disconnect();
+    this.controls.leave();
+    this.#incoming?.end();
+    this.#source?.end();
+    this.drawer.free();
+    this.stage.remove();
+  }
+}

@@ -1,0 +1,34 @@
+// Beside the page, so that it stays quick: fetches and reads a scene, and sorts it for each view.
+
+import { SceneError, readScene } from "./ply.js";
+import { pointsOf } from "./points.js";
+import { sorter } from "./sort.js";
+
+let sort = null;
+
+async function load(url, isPoints) {
+  const response = await fetch(url);
+  if (!response.ok) {
+    const problem = await response.json().catch(() => null);
+    throw new SceneError(problem?.detail ?? `The server answered ${response.status}.`);
+  }
+  const total = Number(response.headers.get("content-length")) || null;
+  const scene = isPoints ? pointsOf(await response.json())
+    : await readScene(response.body, (received) => postMessage({ received, total }));
+  // The page gets the arrays themselves; what is sorted here needs its own.
+  sort = sorter(scene.geometry.slice());
+  postMessage({ scene }, { transfer: [scene.geometry.buffer, scene.harmonics.buffer] });
+}
+
+onmessage = ({ data }) => {
+  if (data.view) {
+    const order = sort(data.view, data.near);
+    postMessage({ order }, { transfer: [order.buffer] });
+    return;
+  }
+  load(data.url, data.isPoints).catch((error) => {
+    const words = error instanceof SceneError ? error.message
+      : `The scene did not come whole: ${error.message}.`;
+    postMessage({ problem: words });
+  });
+};

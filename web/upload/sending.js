@@ -1,0 +1,210 @@
+// Files on their way to the server, in pieces that go on where they broke off: tus 1.0.
+
+import { Refusal } from "../lib/dom.js";
+import { begun } from "./begun.js";
+
+const UPLOADS = "/v1/uploads";
+const TYPE = "application/offset+octet-stream";
+/** Bytes of a piece: what is lost at most when the connection is. */
+const PIECE = 8 << 20;
+/** Files that are sent at a time. */
+const AT_ONCE = 3;
+/** After so many seconds it is tried again, the longer the more often it failed. */
+const WAITS = [1, 2, 5, 10, 20, 30];
+/** Answers after which it goes better later: somebody else has the upload, too many requests, a proxy. */
+const LATER = [408, 409, 423, 429, 460, 502, 503, 504];
+
+/**
+ * Sends `[path, file]` pairs. `done` has their ids; `tell({ sent, total, files, waits })` hears of
+ * every step, in bytes and files; `waits` says why nothing goes on, where it does not.
+ */
+export function sending(files, tell) {
+  const total = files.reduce((sum, [, file]) => sum + file.size, 0);
+  const sent = new Map();
+  const requests = new Set();
+  const sleepers = new Set();
+  const reasons = new Set();
+  let [paused, stopped, finished] = [false, false, 0];
+
+  function told() {
+    const bytes = [...sent.values()].reduce((sum, part) => sum + part, 0);
+    tell({ sent: bytes, total, files: finished, waits: paused ? "" : [...reasons].join(", ") });
+  }
+
+  /**
+   * One request; rejects with `null` when there was no answer.
+   * @param {Blob | null} body
+   * @param {(bytes: number) => void} onBytes
+   * @returns {Promise<XMLHttpRequest>}
+   */
+  function ask(method, path, headers, body = null, onBytes = () => {}) {
+    return new Promise((resolve, reject) => {
+      if (paused || stopped) { reject(null); return; }
+      const request = new XMLHttpRequest();
+      request.open(method, path);
+      for (const [name, value] of Object.entries(headers)) request.setRequestHeader(name, value);
+      request.upload.onprogress = (event) => onBytes(event.loaded);
+      request.onloadend = () => {
+        requests.delete(request);
+        if (request.status === 0) reject(null);
+        else if (request.status < 300) resolve(request);
+        else reject(refusal(request));
+      };
+      requests.add(request);
+      request.send(body);
+    });
+  }
+
+  const passes = (fault) => fault === null || LATER.includes(fault.status);
+
+  /** Returns when nothing is paused. */
+  async function running() {
+    while (paused && !stopped) await sleep(Infinity);
+    if (stopped) throw new Error("The upload was stopped.");
+  }
+
+  /** Waits until it may go better, after it failed so often. */
+  async function waitOut(fault, failures) {
+    if (paused || stopped) return;
+    const why = fault === null ? "The connection is lost" : "The server is busy";
+    reasons.add(why);
+    told();
+    await sleep(1000 * (fault?.wait ?? WAITS[Math.min(failures, WAITS.length - 1)]));
+    reasons.delete(why);
+  }
+
+  /** Does `step` until it is answered. */
+  async function insist(step) {
+    for (let failures = 0; ; failures += 1) {
+      await running();
+      try {
+        return await step();
+      } catch (fault) {
+        if (!passes(fault)) throw fault;
+        await waitOut(fault, failures);
+      }
+    }
+  }
+
+  /** Ends early when it goes on by hand, or when the browser finds a connection. */
+  function sleep(ms) {
+    return new Promise((resolve) => {
+      const wake = () => { clearTimeout(timer); sleepers.delete(wake); resolve(); };
+      const timer = Number.isFinite(ms) ? setTimeout(wake, ms) : 0;
+      sleepers.add(wake);
+    });
+  }
+  const wakeAll = () => { for (const wake of [...sleepers]) wake(); };
+
+  async function sendFile([path, file]) {
+    const at = (bytes) => { sent.set(path, bytes); told(); };
+    let id = begun.find(path, file);
+    let offset = id ? await reached(id, file) : null;
+    let failures = 0;
+    for (;;) {
+      if (offset === null) {
+        id = await insist(() => begin(path, file));
+        begun.keep(path, file, id);
+        offset = 0;
+      }
+      at(offset);
+      if (offset >= file.size) break;
+      try {
+        offset = await piece(id, file, offset, at);
+        failures = 0;
+      } catch (fault) {
+        if (!passes(fault) && fault.status !== 404) throw fault;
+        await waitOut(fault, failures);
+        failures += 1;
+        // A part of the piece may have come.
+        offset = await reached(id, file);
+      }
+    }
+    finished += 1;
+    told();
+    return id;
+  }
+
+  async function begin(path, file) {
+    const metadata = `filename ${base64(path)}`;
+    const headers = { "Tus-Resumable": "1.0.0", "Upload-Length": String(file.size), "Upload-Metadata": metadata };
+    const answer = await ask("POST", UPLOADS, headers);
+    return answer.getResponseHeader("Location").split("/").pop();
+  }
+
+  /** How much of a file has come; `null` where its upload is gone. */
+  async function reached(id, file) {
+    try {
+      const answer = await insist(() => ask("HEAD", `${UPLOADS}/${id}`, { "Tus-Resumable": "1.0.0" }));
+      const [length, offset] = ["Upload-Length", "Upload-Offset"].map((name) => Number(answer.getResponseHeader(name)));
+      return length === file.size ? offset : null;
+    } catch (fault) {
+      if (fault.status === 404) return null;
+      throw fault;
+    }
+  }
+
+  /** Sends one piece; where the file is then. */
+  async function piece(id, file, offset, at) {
+    const body = file.slice(offset, offset + PIECE);
+    const headers = { "Tus-Resumable": "1.0.0", "Upload-Offset": String(offset), "Content-Type": TYPE };
+    const answer = await ask("PATCH", `${UPLOADS}/${id}`, headers, body, (loaded) => at(offset + Math.min(loaded, body.size)));
+    return Number(answer.getResponseHeader("Upload-Offset"));
+  }
+
+  async function all() {
+    const ids = new Array(files.length);
+    let next = 0;
+    const worker = async () => {
+      while (next < files.length) {
+        const own = next;
+        next += 1;
+        ids[own] = await sendFile(files[own]);
+      }
+    };
+    try {
+      await Promise.all(Array.from({ length: AT_ONCE }, worker));
+    } catch (fault) {
+      stop();
+      throw fault;
+    }
+    return ids;
+  }
+
+  function stop() {
+    stopped = true;
+    for (const request of requests) request.abort();
+    wakeAll();
+    removeEventListener("online", wakeAll);
+  }
+  addEventListener("online", wakeAll);
+
+  return {
+    done: all().finally(() => removeEventListener("online", wakeAll)),
+    stop,
+    pause() {
+      paused = true;
+      for (const request of requests) request.abort();
+      told();
+    },
+    goOn() {
+      paused = false;
+      wakeAll();
+      told();
+    },
+  };
+}
+
+/** What an answer says that is none wanted. */
+function refusal(request) {
+  let problem = null;
+  try {
+    problem = JSON.parse(request.responseText);
+  } catch { /* A proxy's words are no problem document. */ }
+  const fault = new Refusal(request.status, problem);
+  const wait = Number(request.getResponseHeader("Retry-After"));
+  if (wait > 0) fault.wait = wait;
+  return fault;
+}
+
+const base64 = (text) => btoa(String.fromCharCode(...new TextEncoder().encode(text)));

@@ -1,0 +1,182 @@
+// The form that uploads photographs and starts a job.
+
+import { begun } from "./begun.js";
+import { Refusal, api, count, h, size } from "../lib/dom.js";
+import { takeDrops } from "./dropped.js";
+import { optionsForm } from "./options.js";
+import { sending } from "./sending.js";
+
+/** Rejected files that a refused upload names. */
+const NAMED = 8;
+/** Before, a rate says nothing, seconds. */
+const RATE_AFTER = 2;
+
+/** `{ root, leave }`. */
+export function startForm() {
+  const files = h("input", { type: "file", multiple: true, accept: "image/*,.zip,.tif,.tiff,.heic,.heif,.hif,.mp4,.mov,.m4v" });
+  const folder = h("input", { type: "file", webkitdirectory: true });
+  const name = h("input", { type: "text", placeholder: "optional", maxLength: 200 });
+  const button = h("button", { class: "main", type: "submit" }, "Start");
+  const status = h("span", { class: "hint", role: "status" });
+  const pause = h("button", { type: "button", hidden: true, onclick: toggle }, "Pause");
+  const problem = h("p", { class: "problem", role: "alert" });
+  const options = optionsForm();
+  const chosen = chosenFiles();
+  const drop = h("div", { class: "drop" },
+    h("label", {}, "Photographs, one zip, or a video (of which the 40 sharpest frames are taken)", files),
+    h("label", {}, "or a folder (ground truth in gt/ is taken along)", folder),
+    h("p", { class: "hint" }, "or drop them anywhere on this page"));
+  for (const input of [files, folder]) {
+    input.addEventListener("change", () => {
+      chosen.add([...input.files].map((file) => [file.webkitRelativePath || file.name, file]));
+      // The list below holds them now, and what was taken out can be chosen again.
+      input.value = "";
+    });
+  }
+  const left = begun.count();
+  if (left > 0) {
+    drop.append(h("p", { class: "hint" }, `Of an upload that broke off the server has ${count(left, "file")}, in whole or in part: choose the same again, and what has come is not sent twice.`));
+  }
+  let [run, gone] = [null, false];
+  const leaveDrops = takeDrops(drop, (dropped) => { problem.textContent = ""; chosen.add(dropped); });
+
+  async function submit(event) {
+    event.preventDefault();
+    problem.textContent = "";
+    if (chosen.files().length === 0) { problem.textContent = "Choose photographs, a zip or a folder first."; return; }
+    button.disabled = true;
+    try {
+      const changed = options.chosen();
+      const fields = { preset: options.preset.value, options: changed };
+      if (name.value) fields.name = name.value;
+      const sent = upload(chosen.files(), fields, (line, isSending) => {
+        if (!isPaused()) status.textContent = line;
+        pause.hidden = !isSending;
+      });
+      run = sent.run;
+      const job = await sent.job;
+      if (!gone) location.hash = `#/jobs/${job.id}`;
+    } catch (error) {
+      if (gone) return;
+      if (!options.fault(error)) problem.textContent = error.message;
+      status.textContent = "";
+    }
+    run = null;
+    pause.hidden = true;
+    pause.textContent = "Pause";
+    button.disabled = false;
+  }
+
+  const isPaused = () => pause.textContent === "Go on";
+  function toggle() {
+    const wasPaused = isPaused();
+    pause.textContent = wasPaused ? "Pause" : "Go on";
+    if (wasPaused) run?.goOn();
+    else {
+      run?.pause();
+      status.textContent = "Paused.";
+    }
+  }
+
+  /** What has come stays with the server, and goes on when the same files are chosen. */
+  function leave() {
+    gone = true;
+    run?.stop();
+    leaveDrops();
+  }
+  const form = h("form", { onsubmit: submit, noValidate: true }, drop,
+    h("label", {}, "Name", name), h("label", {}, "Preset", options.preset), button, chosen.root, options.root);
+  return { root: h("section", {}, h("h2", {}, "New job"), form, h("p", { class: "row" }, status, pause), problem), leave };
+}
+
+/** What will be sent, by path; each can be taken out again. */
+function chosenFiles() {
+  const held = new Map();
+  const words = h("span", { role: "status" });
+  const list = h("ul", { class: "files", tabIndex: 0, "aria-label": "chosen files" });
+  const all = h("button", { type: "button", onclick: () => { held.clear(); draw(); } }, "Take all out");
+  const root = h("div", { class: "picked", hidden: true }, h("div", { class: "row" }, words, all), list);
+
+  function draw() {
+    const bytes = [...held.values()].reduce((sum, file) => sum + file.size, 0);
+    words.textContent = held.size === 0 ? "" : `${count(held.size, "file")} chosen, ${size(bytes)}`;
+    root.hidden = held.size === 0;
+    list.replaceChildren(...[...held].map(([path, file]) => h("li", {},
+      h("span", { class: "path" }, path), h("span", { class: "soft" }, size(file.size)),
+      h("button", { type: "button", "aria-label": `Take out ${path}`, onclick: () => takeOut(path) }, "Take out"))));
+  }
+
+  function takeOut(path) {
+    const at = [...held.keys()].indexOf(path);
+    held.delete(path);
+    draw();
+    // Whoever takes out several by keyboard goes on where they were.
+    const buttons = list.querySelectorAll("button");
+    buttons[Math.min(at, buttons.length - 1)]?.focus();
+  }
+
+  return {
+    root,
+    files: () => [...held],
+    add(files) {
+      // Hidden files are what systems leave in folders.
+      for (const [path, file] of files) if (!path.split("/").some((part) => part.startsWith("."))) held.set(path, file);
+      draw();
+    },
+  };
+}
+
+/** Sends the files, then asks for the job of them; `show(line, isSending)` hears how it goes. */
+function upload(files, fields, show) {
+  const began = performance.now();
+  let before = null;
+  const run = sending(files, ({ sent, total, files: done, waits }) => {
+    before ??= sent;
+    const share = total > 0 ? Math.floor((100 * sent) / total) : 100;
+    const seconds = (performance.now() - began) / 1000;
+    const rate = seconds > RATE_AFTER ? ` · ${size(Math.round((sent - before) / seconds))}/s` : "";
+    show(waits ? `${waits}, at ${share} %: it is tried again.`
+      : `Sending: ${share} %, ${done} of ${count(files.length, "file")}${rate}`, true);
+  });
+  // A double click or a repeated request must not start two jobs.
+  const key = crypto.randomUUID?.() ?? `${Date.now()}-${Math.random()}`;
+  async function job() {
+    const uploads = await run.done;
+    show("Looking at the photographs ...", false);
+    try {
+      const made = await again(() => api("/v1/jobs", {
+        method: "POST",
+        headers: { "Content-Type": "application/json", "Idempotency-Key": key },
+        body: JSON.stringify({ uploads, ...fields }),
+      }));
+      begun.forget(files);
+      return made;
+    } catch (error) {
+      // What is gone on the server is sent anew the next time.
+      if (error.status === 404) begun.forget(files);
+      throw withRejected(error);
+    }
+  }
+  return { job: job(), run };
+}
+
+/** Once more, and again, where the server did not answer: the key makes it one request. */
+async function again(ask) {
+  for (const seconds of [1, 2, 5, 10]) {
+    try {
+      return await ask();
+    } catch (error) {
+      if (error instanceof Refusal) throw error;
+      await new Promise((resolve) => { setTimeout(resolve, 1000 * seconds); });
+    }
+  }
+  return ask().catch((error) => { throw error instanceof Refusal ? error : new Error("The server does not answer."); });
+}
+
+function withRejected(error) {
+  const rejected = (error.capture?.images ?? []).filter((image) => !image.accepted);
+  const lines = rejected.slice(0, NAMED).map((image) => `${image.name}: ${image.reason ?? "rejected"}`);
+  if (rejected.length > NAMED) lines.push(`and ${rejected.length - NAMED} more`);
+  error.message = [error.message, ...lines].join("\n");
+  return error;
+}
