@@ -54,9 +54,10 @@ part() {
 # The modules whose tests run kernels. Other tests look for files of the repository. A quick check leaves out whole
 # trainings.
 kernels() {
-    local modules=(splat:: noise:: shake:: render:: bench::roofline reconstruct::loss reconstruct::optimizer)
-    [[ $quick ]] || modules+=(bench:: reconstruct:: agreement::)
-    "$work/fled-gpu-tests" && "$work/fled-core-tests" "${modules[@]}"
+    local modules=(splat:: noise:: shake:: render:: reconstruct::loss reconstruct::optimizer)
+    [[ $quick ]] || modules+=(reconstruct:: agreement::)
+    "$work/fled-gpu-tests" && "$work/fled-core-tests" "${modules[@]}" &&
+        "$work/fled-lab-tests" "bench::${quick:+roofline}"
 }
 
 # Which of the blending kernels is the fastest here; `Specialisation::for_adapter` has the choice.

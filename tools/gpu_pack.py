@@ -19,7 +19,7 @@ TOP = Path(__file__).resolve().parent.parent
 FOLDER = TOP / "gpu-check"
 LIBRARY = TOP / ".onnxruntime" / "libonnxruntime.so"
 # Crates whose tests run kernels.
-TESTED = ("fled-core", "fled-gpu")
+TESTED = ("fled-core", "fled-gpu", "fled-lab")
 # Some ways to such a machine carry no more.
 MOST_BYTES = 60_000_000
 # Dark, a little shaken, and small: the job is to show that everything runs.

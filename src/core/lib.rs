@@ -9,7 +9,6 @@
 
 #[cfg(test)]
 mod agreement;
-pub mod bench;
 pub mod camera;
 pub mod cancel;
 pub mod capture;
@@ -17,7 +16,6 @@ pub mod colmap;
 pub mod dataset;
 pub mod deblur;
 pub mod enhance;
-pub mod evaluation;
 pub mod event;
 pub mod export;
 pub mod features;

@@ -20,7 +20,7 @@ mod late_views;
 mod match_brightness;
 mod pictures;
 mod plan;
-pub(crate) mod poses;
+pub mod poses;
 mod reconstruct;
 mod render;
 mod report;
@@ -30,7 +30,7 @@ mod run;
 mod shaken;
 mod tone;
 mod tools;
-pub(crate) mod views;
+pub mod views;
 
 pub mod config;
 pub mod error;

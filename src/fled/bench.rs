@@ -3,8 +3,6 @@
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use fled_core::bench::report::JobTimes;
-use fled_core::bench::{self, BenchError, BenchOptions, Budget, MOST_STEPS, Workload};
 use fled_core::cancel::CancelToken;
 use fled_core::capture::Capture;
 use fled_core::event::Event;
@@ -14,6 +12,8 @@ use fled_core::pipeline::workspace::Workspace;
 use fled_core::pipeline::{self};
 use fled_core::reconstruct::ReconstructError;
 use fled_gpu::Gpu;
+use fled_lab::bench::report::JobTimes;
+use fled_lab::bench::{self, BenchError, BenchOptions, Budget, MOST_STEPS, Workload};
 
 use crate::failure::{Failure, io};
 use crate::{synth, tools};

@@ -2,12 +2,12 @@
 
 use std::path::{Path, PathBuf};
 
-use fled_core::evaluation::{self, EvaluationError, Lpips, Request, Subject, Truth};
 use fled_core::inference::runtime;
 use fled_core::metrics::Report;
 use fled_core::pipeline::error::ErrorKind;
 use fled_core::run_folder::RunFolder;
 use fled_gpu::Gpu;
+use fled_lab::evaluation::{self, EvaluationError, Lpips, Request, Subject, Truth};
 
 use crate::failure::{Failure, io};
 use crate::{suite, tools};

@@ -7,13 +7,13 @@ use std::io::ErrorKind::NotFound;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use fled_core::evaluation::suite::error::SuiteError;
-use fled_core::evaluation::suite::file::{Selection, Suite};
-use fled_core::evaluation::suite::records::Records;
-use fled_core::evaluation::suite::runner::{Hands, run};
-use fled_core::evaluation::suite::setup::Setup;
-use fled_core::evaluation::suite::summary::Summary;
 use fled_core::pipeline::error::{ErrorKind, PipelineError};
+use fled_lab::evaluation::suite::error::SuiteError;
+use fled_lab::evaluation::suite::file::{Selection, Suite};
+use fled_lab::evaluation::suite::records::Records;
+use fled_lab::evaluation::suite::runner::{Hands, run};
+use fled_lab::evaluation::suite::setup::Setup;
+use fled_lab::evaluation::suite::summary::Summary;
 
 use crate::failure::{Failure, io};
 use crate::tools;

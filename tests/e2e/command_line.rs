@@ -85,7 +85,10 @@ fn a_missing_model_exits_with_three_after_a_retired_option_is_ignored() {
         .expect("the binary starts");
     assert_eq!(code(&output), 3);
     let said = String::from_utf8_lossy(&output.stderr);
-    assert!(said.contains("no longer has the option `dropout`"), "{said}");
+    assert!(
+        said.contains("no longer has the option `dropout`"),
+        "{said}"
+    );
     assert!(said.contains("small-u2w16"), "{said}");
 }
 

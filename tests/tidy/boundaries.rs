@@ -22,7 +22,7 @@ const BOUNDARIES: [Boundary; 6] = [
         reason: "only fled-gpu knows wgpu",
     },
     Boundary {
-        within: &["src/core/", "src/gpu/"],
+        within: &["src/core/", "src/lab/", "src/gpu/"],
         except: &[],
         words: &[
             "axum", "sqlx", "tokio", "hyper", "tower", "clap", "reqwest", "ureq", "rusqlite",
@@ -30,13 +30,13 @@ const BOUNDARIES: [Boundary; 6] = [
         reason: "the core has no HTTP, no SQL, no async runtime and no command line",
     },
     Boundary {
-        within: &["src/core/"],
+        within: &["src/core/", "src/lab/"],
         except: &[],
         words: &["env::var", "env::var_os", "env::vars", "env::set_var"],
         reason: "the core takes what it needs as arguments",
     },
     Boundary {
-        within: &["src/core/"],
+        within: &["src/core/", "src/lab/"],
         except: &[
             "src/core/inference/",
             "src/core/deblur/onnx",

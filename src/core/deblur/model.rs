@@ -21,8 +21,8 @@ const USUAL_RANGE: [f32; 2] = [-1.0, 2.0];
 pub struct Model {
     /// [`BUILT_IN`] or a file name.
     pub(super) id: String,
-    /// Of `bytes`.
-    pub(crate) sha256: String,
+    /// Of the ONNX file, in hexadecimal digits.
+    pub sha256: String,
     /// The ONNX file.
     pub(super) bytes: Vec<u8>,
     /// Least and greatest sane output for input in 0..=1.

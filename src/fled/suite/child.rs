@@ -9,7 +9,7 @@ use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::Duration;
 
 use fled_core::cancel::CancelToken;
-use fled_core::evaluation::suite::error::SuiteError;
+use fled_lab::evaluation::suite::error::SuiteError;
 use fled_server::jobs::process::PARENT_VARIABLE;
 use rustix::process::{Pid, Signal, kill_process};
 

@@ -11,8 +11,8 @@ use serde_json::{Value, json};
 use super::content::checksum;
 use super::error::SuiteError;
 use super::file::{CaptureEntry, Configuration, OptionSet, Suite};
-use crate::deblur::Model;
-use crate::pipeline::config::{Options, Preset};
+use fled_core::deblur::Model;
+use fled_core::pipeline::config::{Options, Preset};
 
 /// All that decides what a run becomes.
 #[derive(Clone, Debug, PartialEq, Serialize)]

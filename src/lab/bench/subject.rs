@@ -6,13 +6,13 @@ use rand_pcg::Pcg64;
 
 use super::error::BenchError;
 use super::workload::Workload;
-use crate::cancel::CancelToken;
-use crate::image::Image;
-use crate::reconstruct::Stepper;
-use crate::reconstruct::loss::{Loss, upload_target};
-use crate::render::{Renderer, UploadedGaussians};
-use crate::splat::rasterize::SplatCounts;
-use crate::splat::sort::{Counters, FIXED, RadixSort, SCAN, SortParameters};
+use fled_core::cancel::CancelToken;
+use fled_core::image::Image;
+use fled_core::reconstruct::Stepper;
+use fled_core::reconstruct::loss::{Loss, upload_target};
+use fled_core::render::{Renderer, UploadedGaussians};
+use fled_core::splat::rasterize::SplatCounts;
+use fled_core::splat::sort::{Counters, FIXED, RadixSort, SCAN, SortParameters};
 
 /// Bits of the keys that are sorted by themselves, as of depths.
 const KEY_BITS: u32 = 32;

@@ -6,10 +6,10 @@ use rayon::prelude::*;
 
 use super::error::EvaluationError;
 use super::subject::Subject;
-use crate::camera::Camera;
-use crate::gaussians::Gaussians;
-use crate::image::Image;
-use crate::render::Renderer;
+use fled_core::camera::Camera;
+use fled_core::gaussians::Gaussians;
+use fled_core::image::Image;
+use fled_core::render::Renderer;
 
 /// Training views that must see a pixel.
 const LEAST_VIEWS: usize = 2;

@@ -3,7 +3,7 @@
 //! clock.
 //!
 //! A case is the product's own code, not a copy of it: training is [`Stepper`], the loop of
-//! [`train`](crate::reconstruct::train); rendering is [`Renderer`](crate::render::Renderer). Steps
+//! [`train`](fled_core::reconstruct::train); rendering is [`Renderer`](fled_core::render::Renderer). Steps
 //! a second are measured without timestamps; afterwards some steps more are made with a timestamp
 //! around every dispatch. Two small kernels measure what the device can do at all, in the same
 //! minutes, so that a kernel's time in theirs means the same on a machine that is shared with
@@ -20,10 +20,10 @@ mod workload;
 
 use fled_gpu::Gpu;
 
-use crate::cancel::CancelToken;
-use crate::noise::NoiseMode;
-use crate::reconstruct::{Background, Densify, Response, Stepper, TrainConfig};
 pub use error::BenchError;
+use fled_core::cancel::CancelToken;
+use fled_core::noise::NoiseMode;
+use fled_core::reconstruct::{Background, Densify, Response, Stepper, TrainConfig};
 pub use options::{BenchOptions, Budget, MOST_STEPS};
 use report::{Case, Machine, Report};
 use subject::{Rendering, Similarity, Sorting, Subject, Training};

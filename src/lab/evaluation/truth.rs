@@ -4,17 +4,17 @@ use std::path::Path;
 
 use glam::DVec3;
 
-use crate::camera::{Camera, Split};
-use crate::cancel::CancelToken;
-use crate::capture::{Capture, CaptureError, CaptureView};
-use crate::dataset::GivenPoses;
-use crate::event::Silent;
-use crate::image::Image;
-use crate::pipeline::error::PipelineError;
-use crate::pipeline::poses::pose_view;
-use crate::pipeline::views::{self, working_size};
-use crate::poses::align::Similarity;
-use crate::poses::{Lens, PoseRequest, PoseView, PosedView, Poses, Sfm};
+use fled_core::camera::{Camera, Split};
+use fled_core::cancel::CancelToken;
+use fled_core::capture::{Capture, CaptureError, CaptureView};
+use fled_core::dataset::GivenPoses;
+use fled_core::event::Silent;
+use fled_core::image::Image;
+use fled_core::pipeline::error::PipelineError;
+use fled_core::pipeline::poses::pose_view;
+use fled_core::pipeline::views::{self, working_size};
+use fled_core::poses::align::Similarity;
+use fled_core::poses::{Lens, PoseRequest, PoseView, PosedView, Poses, Sfm};
 
 use super::error::EvaluationError;
 use super::seen::Mask;

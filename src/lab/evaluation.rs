@@ -22,12 +22,12 @@ use std::path::Path;
 
 use fled_gpu::Gpu;
 
-use crate::camera::Camera;
-use crate::cancel::CancelToken;
-use crate::image::Image;
-use crate::metrics;
-use crate::reconstruct::{Registration, TrainingView};
-use crate::render::{Renderer, UploadedGaussians};
+use fled_core::camera::Camera;
+use fled_core::cancel::CancelToken;
+use fled_core::image::Image;
+use fled_core::metrics;
+use fled_core::reconstruct::{Registration, TrainingView};
+use fled_core::render::{Renderer, UploadedGaussians};
 
 pub use error::EvaluationError;
 pub use lpips::Lpips;

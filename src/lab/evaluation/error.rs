@@ -2,10 +2,10 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::cancel::Cancelled;
-use crate::pipeline::error::{ErrorKind, PipelineError};
-use crate::reconstruct::ReconstructError;
-use crate::render::SplatError;
+use fled_core::cancel::Cancelled;
+use fled_core::pipeline::error::{ErrorKind, PipelineError};
+use fled_core::reconstruct::ReconstructError;
+use fled_core::render::SplatError;
 
 /// Why there is no verdict.
 #[derive(Debug, thiserror::Error)]

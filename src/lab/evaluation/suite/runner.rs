@@ -15,8 +15,8 @@ use super::outcome::{Judged, Outcome, SuiteRun, steps, training_seconds};
 use super::records::{Kind, Records};
 use super::setup::{EvaluationOrder, RunFacts, RunOrder, Setup};
 use crate::evaluation::report::Evaluation;
-use crate::metrics::Report;
-use crate::run_folder::RunFolder;
+use fled_core::metrics::Report;
+use fled_core::run_folder::RunFolder;
 
 /// Steps that follow from a time are rounded to a multiple of this: the clock is no better.
 const STEPS_ROUNDED_TO: f64 = 100.0;

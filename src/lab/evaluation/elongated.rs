@@ -3,7 +3,7 @@
 use glam::DVec3;
 
 use super::subject::Subject;
-use crate::camera::Camera;
+use fled_core::camera::Camera;
 
 /// The longest axis over the middle one.
 const ELONGATION: f32 = 10.0;

@@ -4,11 +4,11 @@ use std::path::Path;
 
 use serde::de::DeserializeOwned;
 
-use crate::camera::{Camera, NamedCamera, Split};
-use crate::gaussians::{Gaussians, ply};
-use crate::poses::{Lens, Poses};
-use crate::reconstruct::{Point, scene_depth};
-use crate::run_folder::RunFolder;
+use fled_core::camera::{Camera, NamedCamera, Split};
+use fled_core::gaussians::{Gaussians, ply};
+use fled_core::poses::{Lens, Poses};
+use fled_core::reconstruct::{Point, scene_depth};
+use fled_core::run_folder::RunFolder;
 
 use super::error::EvaluationError;
 

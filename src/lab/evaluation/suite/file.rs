@@ -8,7 +8,7 @@ use serde::de::DeserializeOwned;
 use serde_json::{Map, Value};
 
 use super::error::SuiteError;
-use crate::pipeline::config::Preset;
+use fled_core::pipeline::config::Preset;
 
 /// Options of a run: flat keys, as `fled run --options` takes them.
 pub type OptionSet = Map<String, Value>;

@@ -1,16 +1,19 @@
 //! A made-up scene, judged by its own renders in another world.
 
 use std::path::Path;
+use std::sync::OnceLock;
 
 use glam::{DQuat, DVec3};
 
 use super::*;
-use crate::camera::{Intrinsics, NamedCamera, Split};
-use crate::capture::CaptureView;
-use crate::poses::align::Similarity;
-use crate::poses::{Distortion, Lens, PosedView, Poses};
-use crate::register::{Motion, probes};
-use crate::splat::fixtures;
+use fled_core::camera::{Intrinsics, NamedCamera, Split};
+use fled_core::capture::CaptureView;
+use fled_core::gaussians::Gaussians;
+use fled_core::poses::align::Similarity;
+use fled_core::poses::{Distortion, Lens, PosedView, Poses};
+use fled_core::register::{Motion, probes};
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64Mcg;
 
 const SIZE: [usize; 2] = [120, 90];
 
@@ -48,10 +51,36 @@ fn poses() -> Poses {
     }
 }
 
+/// The one device of the tests. A missing adapter fails them.
+fn gpu() -> &'static Gpu {
+    static GPU: OnceLock<Gpu> = OnceLock::new();
+    GPU.get_or_init(|| Gpu::new("auto").expect("GPU tests need a Vulkan adapter; lavapipe will do"))
+}
+
+/// A cloud of Gaussians around the origin.
+fn gaussians() -> Gaussians {
+    let mut random = Pcg64Mcg::seed_from_u64(7);
+    let mut signed = || random.random_range(-1.0..1.0_f32);
+    let mut cloud = Gaussians {
+        sh_degree: 1,
+        ..Gaussians::default()
+    };
+    for _ in 0..400 {
+        cloud
+            .means
+            .push([1.8, 1.2, 1.0].map(|size| size * signed()));
+        cloud.log_scales.push([0; 3].map(|_| signed() - 2.6));
+        cloud.quats.push([0; 4].map(|_| signed()));
+        cloud.opacity_logits.push(2.0 * signed());
+        cloud.sh.extend((0..12).map(|_| 0.4 * signed()));
+    }
+    cloud
+}
+
 /// The run: its scene and every second camera.
 fn subject() -> Subject {
     let every_second = cameras().into_iter().step_by(2).collect();
-    Subject::new(fixtures::gaussians(400, 1, 7), every_second, poses())
+    Subject::new(gaussians(), every_second, poses())
 }
 
 /// Renders of the scene as photographs of another world; `moved` is where they were really taken.
@@ -61,7 +90,7 @@ fn truth(folder: &Path, moved: impl Fn(usize, &Camera) -> Camera) -> Truth {
         rotation: DQuat::from_scaled_axis(DVec3::new(0.3, -0.8, 0.2)),
         translation: DVec3::new(4.0, -1.0, 2.0),
     };
-    let renderer = Renderer::new(fixtures::gpu());
+    let renderer = Renderer::new(gpu());
     let scene = renderer.upload(&subject().gaussians).expect("uploads");
     let views = cameras().into_iter().enumerate().map(|(index, named)| {
         let camera = named.camera();
@@ -97,7 +126,7 @@ fn judge(subject: &Subject, truth: &Truth, inside: bool) -> Result<Evaluation, E
         seen_from: subject,
         masks: None,
         inside,
-        gpu: fixtures::gpu(),
+        gpu: gpu(),
         lpips: None,
         cancel: &CancelToken::default(),
     })?;
@@ -197,7 +226,7 @@ fn the_lens_is_the_one_that_the_run_found() {
     }
     let judged = |poses| {
         let every_second = cameras().into_iter().step_by(2).collect();
-        let subject = Subject::new(fixtures::gaussians(400, 1, 7), every_second, poses);
+        let subject = Subject::new(gaussians(), every_second, poses);
         judge(&subject, &truth, false)
     };
     let found = judged(other).expect("judged").mapped.all.psnr_db;

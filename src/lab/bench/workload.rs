@@ -9,11 +9,11 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
 
 use super::error::BenchError;
-use crate::camera::{Camera, Intrinsics, NamedCamera, Split};
-use crate::gaussians::{Gaussians, ply};
-use crate::image::{Image, Linear};
-use crate::reconstruct::{Point, TrainingView, scene_extent};
-use crate::render::Renderer;
+use fled_core::camera::{Camera, Intrinsics, NamedCamera, Split};
+use fled_core::gaussians::{Gaussians, ply};
+use fled_core::image::{Image, Linear};
+use fled_core::reconstruct::{Point, TrainingView, scene_extent};
+use fled_core::render::Renderer;
 
 /// Degree of the harmonics in synthetic scenes: the paper's.
 const SH_DEGREE: u32 = 3;

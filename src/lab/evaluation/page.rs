@@ -6,9 +6,9 @@ use std::path::Path;
 use super::error::EvaluationError;
 use super::report::{Evaluation, Scores, TestView, ViewScores};
 use super::{Judged, Pictures};
-use crate::image::{EncodeFormat, Image, write_atomic};
-use crate::pipeline::error::PipelineError;
-use crate::run_folder::{RoundPictures, RunFolder};
+use fled_core::image::{EncodeFormat, Image, write_atomic};
+use fled_core::pipeline::error::PipelineError;
+use fled_core::run_folder::{RoundPictures, RunFolder};
 
 /// Writes `evaluation.json`, `evaluation.csv`, `index.html` and its pictures into a folder.
 /// `round` is the delivered one, whose brightened views the page shows.

@@ -3,7 +3,7 @@
 use std::fmt::Write;
 
 use super::report::{Case, JobTimes, KernelRow, Report};
-use crate::event::Stage;
+use fled_core::event::Stage;
 
 /// The columns, with their widths in `row`.
 const HEAD: [&str; 6] = [

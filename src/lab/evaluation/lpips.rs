@@ -3,8 +3,8 @@
 use std::path::Path;
 
 use super::error::EvaluationError;
-use crate::image::Image;
-use crate::inference::{Graph, Input, Network, Provider, Runtime, digest, session};
+use fled_core::image::Image;
+use fled_core::inference::{Graph, Input, Network, Provider, Runtime, digest, session};
 
 /// How ImageNet's pictures are normalised: mean and deviation, a channel.
 const IMAGENET: [(f32, f32); 3] = [(0.485, 0.229), (0.456, 0.224), (0.406, 0.225)];

@@ -3,11 +3,11 @@
 use fled_gpu::GpuError;
 
 use super::options::MOST_STEPS;
-use crate::cancel::Cancelled;
-use crate::gaussians::ply::PlyError;
-use crate::image::ImageError;
-use crate::reconstruct::ReconstructError;
-use crate::render::SplatError;
+use fled_core::cancel::Cancelled;
+use fled_core::gaussians::ply::PlyError;
+use fled_core::image::ImageError;
+use fled_core::reconstruct::ReconstructError;
+use fled_core::render::SplatError;
 
 /// Why nothing was measured.
 #[derive(Debug, thiserror::Error)]

@@ -2,8 +2,8 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::cancel::Cancelled;
-use crate::pipeline::config::OptionsError;
+use fled_core::cancel::Cancelled;
+use fled_core::pipeline::config::OptionsError;
 
 /// Why a suite cannot be carried out. A run that fails is none of these: it is recorded, and the
 /// others go on.

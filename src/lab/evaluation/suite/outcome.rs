@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::evaluation::report::Evaluation;
-use crate::metrics::Report;
+use fled_core::metrics::Report;
 
 /// What was asked for, or why there is none.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -74,6 +74,6 @@ pub fn steps(report: &Report) -> u64 {
 /// Seconds that all rounds trained.
 pub fn training_seconds(report: &Report) -> f64 {
     let seconds =
-        |round: &crate::metrics::RoundMetrics| round.steps as f64 / round.steps_per_second;
+        |round: &fled_core::metrics::RoundMetrics| round.steps as f64 / round.steps_per_second;
     report.rounds.iter().map(seconds).sum()
 }

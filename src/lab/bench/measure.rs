@@ -8,8 +8,8 @@ use fled_gpu::Gpu;
 use super::error::BenchError;
 use super::options::Budget;
 use super::subject::Subject;
-use crate::cancel::CancelToken;
-use crate::splat::rasterize::SplatCounts;
+use fled_core::cancel::CancelToken;
+use fled_core::splat::rasterize::SplatCounts;
 
 /// Steps before anything counts: kernels are compiled and buffers grown in them.
 const WARM_UP: u32 = 3;

@@ -8,8 +8,8 @@ use serde::Serialize;
 use super::measure::{Measured, Profiled, median};
 use super::options::BenchOptions;
 use super::roofline::Peak;
-use crate::metrics;
-use crate::noise::NoiseMode;
+use fled_core::metrics;
+use fled_core::noise::NoiseMode;
 
 /// Version of the shape of the JSON.
 const FORMAT: u32 = 2;

@@ -4,8 +4,8 @@ use rayon::prelude::*;
 
 use super::report::{Scores, ViewScores};
 use super::seen::Mask;
-use crate::image::Image;
-use crate::metrics::{self, ColourFit};
+use fled_core::image::Image;
+use fled_core::metrics::{self, ColourFit};
 
 /// Standard deviation of the Gaussian that takes what is finer than 3 px out of a picture, px.
 const FINE_SIGMA: f32 = 1.5;
