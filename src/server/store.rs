@@ -1,7 +1,7 @@
 //! Every SQL statement of the service, behind one type, for SQLite and for PostgreSQL.
 //!
-//! Writes that must not be lost are single transactions, on SQLite in WAL mode with full
-//! synchronisation: once a call returns, its effect survives a power cut.
+//! Writes that must not be lost are single transactions. SQLite runs in WAL mode with full
+//! synchronisation, so once a call returns, its effect survives a power cut.
 
 mod alone;
 mod backup;
@@ -69,9 +69,9 @@ pub use workers::{About, WorkerRow};
 pub struct Store {
     pool: AnyPool,
     engine: Engine,
-    /// Where PostgreSQL is.
+    /// The URL of the PostgreSQL database.
     url: Option<String>,
-    /// Leases are counted from here, on a clock that nobody sets: see [`Store::lease_clock`].
+    /// The origin of the SQLite lease clock, which is monotonic: see [`Store::lease_clock`].
     opened: Instant,
 }
 
@@ -79,7 +79,8 @@ impl Store {
     /// Opens or creates the database file at `path` and brings its schema up to date.
     ///
     /// # Errors
-    /// When the file cannot be opened, a migration fails, or a newer program has been at it.
+    /// When the file cannot be opened, a migration fails, or a newer version has migrated the
+    /// schema.
     pub async fn open(path: &Path) -> Result<Self> {
         let pool = engine::sqlite(path, true, engine::CONNECTIONS).await?;
         engine::migrate(&pool, Engine::Sqlite).await?;
@@ -89,7 +90,7 @@ impl Store {
     /// Opens the database that `--db` names: `postgres://..`, or `sqlite:FILE`.
     ///
     /// # Errors
-    /// As [`Store::open`]; [`ServerError::BadDatabase`] where it names neither.
+    /// As [`Store::open`]; [`ServerError::BadDatabase`] if the URL has neither scheme.
     pub async fn at(url: &str) -> Result<Self> {
         if let Some(path) = url.strip_prefix("sqlite:") {
             return Self::open(Path::new(path)).await;
@@ -113,24 +114,25 @@ impl Store {
         }
     }
 
-    /// Which database it is.
+    /// The database engine.
     pub fn engine(&self) -> Engine {
         self.engine
     }
 
-    /// A transaction that looks at many rows before it writes: one at a time.
+    /// Begins a transaction that reads many rows before it writes. Only one runs at a time.
     async fn write(&self) -> Result<Tx> {
         engine::begin(&self.pool, self.engine, true).await
     }
 
-    /// A transaction about rows that it locks by itself.
+    /// Begins a transaction that locks the rows it touches.
     async fn begin(&self) -> Result<Tx> {
         engine::begin(&self.pool, self.engine, false).await
     }
 
-    /// Milliseconds on the clock of leases. With SQLite it stands while the machine sleeps, no step
-    /// of the time of day ends a lease, and it begins anew with every server, which releases all
-    /// leases first. With PostgreSQL it is the database's, whatever the machines' clocks say.
+    /// Milliseconds on the lease clock. With SQLite the clock is monotonic: it stops while the
+    /// machine sleeps, ignores changes to the time of day, and restarts with each server, which
+    /// first releases all leases. With PostgreSQL it is the database's clock and does not depend on
+    /// the machines' clocks.
     fn lease_clock(&self, tx: &Tx) -> i64 {
         match self.engine {
             Engine::Sqlite => i64::try_from(self.opened.elapsed().as_millis()).unwrap_or(i64::MAX),
@@ -138,15 +140,15 @@ impl Store {
         }
     }
 
-    /// Milliseconds since 1970 by the clock that all who use this database share.
+    /// Milliseconds since 1970 on the clock shared by all processes that use this database.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn now(&self) -> Result<i64> {
         engine::shared_now(&self.pool, self.engine).await
     }
 
-    /// Whether the database answers and can be written.
+    /// Checks that the database answers and accepts writes.
     ///
     /// # Errors
     /// When it does not.
@@ -157,7 +159,7 @@ impl Store {
     /// The id of every row of `captures`, `jobs` or `uploads`.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn ids(&self, table: &'static str) -> Result<HashSet<String>> {
         let all = sqlx::AssertSqlSafe(format!("SELECT id FROM {table}"));
         let ids: Vec<String> = sqlx::query_scalar(all).fetch_all(&self.pool).await?;

@@ -1,4 +1,4 @@
-//! What one of all processes that share a database does at a time.
+//! Work that only one of the processes sharing a database does at a time.
 
 use sqlx::postgres::{PgConnectOptions, PgConnection};
 use sqlx::{ConnectOptions, Connection, Executor};
@@ -6,32 +6,32 @@ use sqlx::{ConnectOptions, Connection, Executor};
 use super::Store;
 use crate::error::Result;
 
-/// Held by who collects what nobody names.
+/// Advisory lock of the process that collects unnamed blobs.
 const COLLECTING: i64 = 0x66_6c65_6402;
 
-/// Nobody else does it, until this is dropped. It excludes nobody for sure: whoever loses the
-/// database loses it without being told, so what is done under it is right when two do it, too.
+/// The turn to collect, held until dropped. It is not a strict lock: a process that loses its
+/// connection loses the turn without notice, so the work must stay correct if two processes do it.
 #[derive(Debug)]
 pub struct Alone(Option<PgConnection>);
 
 impl Store {
-    /// The turn to collect; `None` while another process has it. With SQLite there is no other.
+    /// Takes the turn to collect; `None` while another process has it. With SQLite there is no
+    /// other process.
     ///
-    /// The lock is a session's, on a connection of its own and not one of the pool: that one would
-    /// have to be unlocked on every way out, also when what is done under it is dropped halfway,
-    /// and would come back with the lock where it is not. With this connection the lock goes,
-    /// however it ends. One of a transaction would not do: no transaction may wait for a store of
-    /// files for long.
+    /// The lock belongs to the session of a dedicated connection and goes with it, however it ends.
+    /// On a pooled connection it would need an unlock on every exit path, even when the work is
+    /// dropped halfway, and the connection could return to the pool with the lock still held. A
+    /// transaction's lock would not do: no transaction may wait long for a blob store.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn collecting(&self) -> Result<Option<Alone>> {
         let Some(url) = &self.url else {
             return Ok(Some(Alone(None)));
         };
         let options: PgConnectOptions = url.parse()?;
         let mut connection = options.connect().await?;
-        // It says nothing for minutes, and a machine that is cut off must not keep the turn.
+        // The connection is idle for minutes, and a machine that is cut off must not keep the turn.
         let told = "SET tcp_keepalives_idle = 30; SET tcp_keepalives_interval = 10;
             SET tcp_keepalives_count = 3";
         connection.execute(told).await?;
@@ -48,10 +48,10 @@ impl Store {
 }
 
 impl Alone {
-    /// Lets another have it, at once; dropped, it is free as soon as the database notices.
+    /// Releases the turn at once. If dropped instead, it is free once the database notices.
     pub async fn end(self) {
         if let Some(connection) = self.0 {
-            // One that is lost has lost the lock, too.
+            // A lost connection has lost the lock too.
             let _ = connection.close().await;
         }
     }

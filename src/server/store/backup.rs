@@ -1,4 +1,4 @@
-//! What a backup asks of a database and of its copy.
+//! Database operations of a backup.
 
 use std::collections::HashMap;
 use std::path::Path;
@@ -10,28 +10,28 @@ use super::{Engine, Store, engine, events};
 use crate::error::Result;
 use crate::jobs::state::JobState;
 
-/// How often a job was begun and whether it is over: as long as this is the same, so are its files.
+/// A job's epoch and whether it is over: as long as both are unchanged, so are its files.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Attempted {
     epoch: i64,
-    /// It succeeded, failed or was cancelled.
+    /// Whether it succeeded, failed or was cancelled.
     pub is_over: bool,
 }
 
 impl Store {
-    /// Opens a database that may be in use, and leaves its schema as it is.
+    /// Opens a database that may be in use, without migrating its schema.
     ///
     /// # Errors
-    /// When there is none.
+    /// When the file does not exist.
     pub async fn as_it_is(path: &Path) -> Result<Self> {
         let pool = engine::sqlite(path, false, 1).await?;
         Ok(Self::over(pool, Engine::Sqlite, None))
     }
 
-    /// Copies the database, as it is at one moment, to a file that is not there yet.
+    /// Copies a consistent snapshot of the database to a new file.
     ///
     /// # Errors
-    /// When the disk refuses.
+    /// When the file cannot be written.
     pub async fn copy_to(&self, path: &Path) -> Result<()> {
         sqlx::query("VACUUM INTO ?")
             .bind(path.to_string_lossy().as_ref())
@@ -40,10 +40,10 @@ impl Store {
         Ok(())
     }
 
-    /// Where every job stands.
+    /// Returns the epoch and completion of every job.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn attempted(&self) -> Result<HashMap<String, Attempted>> {
         let rows = sqlx::query("SELECT id, state, epoch FROM jobs")
             .fetch_all(&self.pool)
@@ -62,7 +62,7 @@ impl Store {
     /// Removes a capture with its jobs.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn forget_capture(&self, id: &str) -> Result<()> {
         let mut tx = self.write().await?;
         for forget in [
@@ -75,10 +75,10 @@ impl Store {
         Ok(())
     }
 
-    /// Queues a job whose files are not there. `Ok(false)` when there is none.
+    /// Queues a job whose files are missing. `Ok(false)` if the job does not exist.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn begin_anew(&self, id: &str) -> Result<bool> {
         let mut tx = self.write().await?;
         for table in ["rounds", "stages", "warnings", "artifacts"] {

@@ -22,17 +22,17 @@ pub struct CaptureRow {
     pub report: serde_json::Value,
     /// Milliseconds since 1970.
     pub created_at: i64,
-    /// Whose it is, and so its jobs; `None` where nobody was asked for a token.
+    /// Its owner, and that of its jobs; `None` if the service had no tokens.
     pub owner: Option<String>,
-    /// When it will be deleted, unless a job is made of it.
+    /// When it will be deleted, unless a job uses it.
     pub expires_at: Option<i64>,
 }
 
 impl Store {
-    /// Stores a capture whose files are already on disk, or in the store of files, as named.
+    /// Inserts a capture whose files are already on disk, or in the blob store as named.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn insert_capture(&self, row: &CaptureRow, files: &[Kept]) -> Result<()> {
         let mut tx = self.write().await?;
         insert(&mut tx, row).await?;
@@ -40,11 +40,11 @@ impl Store {
         tx.commit().await
     }
 
-    /// The same, and forgets the uploads that it is made
-    /// of. `Ok(false)`, and nothing done, when one of them is not there any more.
+    /// Like [`Store::insert_capture`], and deletes the uploads it is made of. `Ok(false)`, without
+    /// effect, if one of them is gone.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn insert_capture_of(
         &self,
         row: &CaptureRow,
@@ -61,10 +61,10 @@ impl Store {
         Ok(true)
     }
 
-    /// The capture of this id.
+    /// Returns the capture with this id.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn capture(&self, id: &str) -> Result<Option<CaptureRow>> {
         let row = sqlx::query("SELECT * FROM captures WHERE id = $1")
             .bind(id)
@@ -73,10 +73,10 @@ impl Store {
         row.as_ref().map(from_row).transpose()
     }
 
-    /// The newest captures older than `cursor`, newest first, of one owner or of all.
+    /// Returns the newest captures older than `cursor`, newest first, of one owner or of all.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn captures(
         &self,
         limit: u32,
@@ -95,20 +95,20 @@ impl Store {
         rows.iter().map(from_row).collect()
     }
 
-    /// Whether there is such a capture of this owner.
+    /// Returns whether `owner` has this capture.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn owns_capture(&self, owner: &str, id: &str) -> Result<bool> {
         let owns = "SELECT id FROM captures WHERE id = $1 AND owner = $2";
         let owns = sqlx::query(owns).bind(id).bind(owner);
         Ok(owns.fetch_optional(&self.pool).await?.is_some())
     }
 
-    /// Whether there is such a job of this owner: of a capture of theirs.
+    /// Returns whether `owner` has this job, through its capture.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn owns_job(&self, owner: &str, id: &str) -> Result<bool> {
         let owns = "SELECT jobs.id FROM jobs JOIN captures ON captures.id = jobs.capture_id
                 WHERE jobs.id = $1 AND captures.owner = $2";
@@ -116,10 +116,10 @@ impl Store {
         Ok(owns.fetch_optional(&self.pool).await?.is_some())
     }
 
-    /// The ids of an owner's captures, and those of the jobs of them.
+    /// Returns the ids of an owner's captures and of their jobs.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn belongings(&self, owner: &str) -> Result<(Vec<String>, Vec<String>)> {
         let captures = sqlx::query_scalar("SELECT id FROM captures WHERE owner = $1")
             .bind(owner)
@@ -135,10 +135,10 @@ impl Store {
         Ok((captures, jobs))
     }
 
-    /// Deletes a capture that no job names. `Ok(false)` when a job does.
+    /// Deletes a capture without jobs. `Ok(false)` if it has a job.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn delete_capture(&self, id: &str) -> Result<bool> {
         let done = sqlx::query(
             "DELETE FROM captures WHERE id = $1 AND NOT EXISTS (SELECT 1 FROM jobs WHERE capture_id = $1)",
@@ -148,7 +148,7 @@ impl Store {
         .await
         .map_err(ServerError::from);
         match done {
-            // A job of it was made since the look.
+            // A job of it was created after the check.
             Err(error) if error.is_of_a_name() => Ok(false),
             done => Ok(done?.rows_affected() == 1),
         }

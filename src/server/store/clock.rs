@@ -1,4 +1,4 @@
-//! The time of day, which somebody may set at any time.
+//! The time of day, which can be set at any time.
 
 /// Milliseconds since 1970.
 pub fn now_ms() -> i64 {
@@ -13,7 +13,7 @@ thread_local! {
     static STEP: std::cell::Cell<i64> = const { std::cell::Cell::new(0) };
 }
 
-/// Sets the clock of this thread's test forward or back.
+/// Moves the clock of the current test thread by `milliseconds`, which may be negative.
 #[cfg(test)]
 pub(super) fn step(milliseconds: i64) {
     STEP.set(STEP.get() + milliseconds);

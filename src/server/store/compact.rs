@@ -1,4 +1,4 @@
-//! Room that a database gives back.
+//! Compaction of a database.
 
 use sqlx::Row;
 
@@ -6,7 +6,7 @@ use super::{Engine, Store, migrations};
 use crate::error::{Result, ServerError};
 
 impl Store {
-    /// The schema that this program knows.
+    /// The schema version of this program.
     fn schema(&self) -> i64 {
         let known = match self.engine {
             Engine::Sqlite => migrations::SQLITE.last(),
@@ -15,10 +15,10 @@ impl Store {
         known.map_or(0, |(version, ..)| *version)
     }
 
-    /// Whether its schema is the one of this program: another one means other things.
+    /// Checks that the schema is of this program's version.
     ///
     /// # Errors
-    /// [`ServerError::Damaged`] where it is not.
+    /// [`ServerError::Damaged`] if it is not.
     pub async fn check_version(&self) -> Result<()> {
         let applied =
             sqlx::query("SELECT COALESCE(MAX(version), 0) AS version FROM _sqlx_migrations")
@@ -38,10 +38,10 @@ impl Store {
         })
     }
 
-    /// Bytes that nothing is kept in.
+    /// Returns the bytes of unused pages.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn unused_bytes(&self) -> Result<u64> {
         let pages: i64 = sqlx::query_scalar("PRAGMA freelist_count")
             .fetch_one(&self.pool)
@@ -52,11 +52,11 @@ impl Store {
         Ok(u64::try_from(pages.saturating_mul(size)).unwrap_or(0))
     }
 
-    /// Writes the database anew without what nothing is kept in, and ends its log. Nobody else may
-    /// use it meanwhile.
+    /// Rewrites the database without unused pages and truncates its log. No other process may use
+    /// it meanwhile.
     ///
     /// # Errors
-    /// When the disk has no room for both, or somebody uses it.
+    /// When the disk lacks space for both copies, or the database is in use.
     pub async fn compact(&self) -> Result<()> {
         for statement in ["VACUUM", "PRAGMA wal_checkpoint(TRUNCATE)"] {
             sqlx::query(statement).execute(&self.pool).await?;

@@ -1,4 +1,4 @@
-//! All rows of a database of SQLite, copied into an empty one of PostgreSQL.
+//! Copy of all rows of an SQLite database into an empty PostgreSQL one.
 
 use fled_blobs::Kept;
 use futures::StreamExt;
@@ -9,7 +9,7 @@ use sqlx::{Column, Row, ValueRef};
 use super::{Store, Tx};
 use crate::error::{Result, ServerError};
 
-/// Tables that are copied: none names rows of one that comes after it.
+/// Tables to copy, in an order in which none refers to a later one.
 const COPIED: [&str; 14] = [
     "captures",
     "jobs",
@@ -27,24 +27,24 @@ const COPIED: [&str; 14] = [
     "job_files",
 ];
 
-/// Rows that are inserted at once.
+/// Rows per insert.
 const ROWS: usize = 500;
 
 impl Store {
-    /// Sees that there is nothing in this database yet.
+    /// Checks that this database is empty.
     ///
     /// # Errors
-    /// [`ServerError::NotMoved`] where a table has rows; when the database refuses.
+    /// [`ServerError::NotMoved`] if a table has rows; when a database operation fails.
     pub async fn expect_no_rows(&self) -> Result<()> {
         expect_no_rows(&mut self.begin().await?).await
     }
 
-    /// Copies all rows of `source`, and names the files of its captures and jobs, which are in the
-    /// store of files, in one transaction. Returns how many rows `source` has.
+    /// Copies all rows of `source` and names the files of its captures and jobs, which are in the
+    /// blob store, in one transaction. Returns the number of rows of `source`.
     ///
     /// # Errors
-    /// [`ServerError::NotMoved`] where this database has rows; when one of the two refuses. Nothing
-    /// is copied then.
+    /// [`ServerError::NotMoved`] if this database has rows; when an operation of either database
+    /// fails. Nothing is copied then.
     pub async fn copy_from(
         &self,
         source: &Self,
@@ -55,7 +55,7 @@ impl Store {
         expect_no_rows(&mut to).await?;
         let mut copied = 0;
         for table in COPIED {
-            // A link is a token that another one has made.
+            // A share link refers to the token that created it.
             let order = match table {
                 "tokens" => " ORDER BY made_by IS NOT NULL",
                 _ => "",
@@ -111,7 +111,7 @@ fn name(owner: &str, id: &str, file: &Kept) -> Map<String, Value> {
     ])
 }
 
-/// Inserts rows of the same columns.
+/// Inserts rows with the same columns.
 async fn insert(tx: &mut Tx, table: &str, rows: &[Map<String, Value>]) -> Result<()> {
     let columns = rows.first().into_iter().flat_map(Map::keys);
     let columns: Vec<&str> = columns.map(String::as_str).collect();
@@ -127,7 +127,7 @@ async fn insert(tx: &mut Tx, table: &str, rows: &[Map<String, Value>]) -> Result
     Ok(())
 }
 
-/// A row by its columns, as PostgreSQL reads it from JSON.
+/// A row by column, as PostgreSQL reads it from JSON.
 fn cells(row: &AnyRow) -> Result<Map<String, Value>> {
     let mut cells = Map::new();
     for (at, column) in row.columns().iter().enumerate() {
@@ -155,12 +155,12 @@ mod tests {
     use crate::store::Engine;
     use crate::store::tests::of_each;
 
-    /// Tables that are not copied: pieces of uploads and workers are of one machine, an identity of
-    /// one database, and nothing writes errands any more.
+    /// Tables that are not copied: pieces of uploads and workers belong to one machine, an identity
+    /// to one database, and nothing writes errands any more.
     const LEFT: [&str; 4] = ["uploads", "workers", "collections", "errands"];
 
     #[tokio::test]
-    async fn every_table_is_copied_or_left_and_has_the_same_columns_in_both_databases() {
+    async fn both_databases_have_the_same_tables_and_columns() {
         let mut known: BTreeSet<String> = COPIED.map(str::to_owned).into();
         known.extend(LEFT.map(str::to_owned));
         let mut described = Vec::new();

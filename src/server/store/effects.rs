@@ -1,4 +1,4 @@
-//! What is told of a job changes its rows, inside the transaction that makes it true.
+//! Effects of events on a job's rows, inside the transaction that records the event.
 
 use fled_core::event::{Event, Stage};
 use serde_json::{Value, json};
@@ -10,7 +10,7 @@ use super::jobs::JobError;
 use crate::error::{Result, ServerError};
 use crate::jobs::state::{JobState, Transition};
 
-/// A time, speed or share that is not known.
+/// Stands for an unknown time, speed or fraction.
 const UNKNOWN: f64 = -1.0;
 
 /// How an attempt ended.
@@ -30,26 +30,26 @@ pub enum Settlement {
         /// Failures in a row without progress, this one included.
         failures: u32,
     },
-    /// It was stopped on request.
+    /// It was cancelled on request.
     Stopped,
-    /// It goes back to the queue, as the server stops.
+    /// It goes back to the queue because the server stops.
     Released,
 }
 
-/// Progress of a running job, as shown.
+/// Displayed progress of a running job.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Progress {
-    /// Stage, round, units done and in all.
+    /// Stage, round, units done and units in total.
     pub stage: Option<(Stage, u32, u64, u64)>,
-    /// Training speed.
+    /// Training speed in steps per second.
     pub steps_per_second: Option<f64>,
-    /// 0..=1 of the whole job, when known anew.
+    /// Fraction of the whole job, 0..=1, if updated.
     pub progress: Option<f64>,
-    /// Seconds left, when known anew.
+    /// Seconds left, if updated.
     pub eta_seconds: Option<f64>,
 }
 
-/// The effect of an event on the job's row and its results.
+/// Applies an event to the job's row and results.
 pub(super) async fn apply(tx: &mut Tx, job: &str, event: &Event) -> Result<()> {
     let query = match event {
         Event::Planned { rounds, .. } => sqlx::query("UPDATE jobs SET rounds = $1 WHERE id = $2")
@@ -67,7 +67,7 @@ pub(super) async fn apply(tx: &mut Tx, job: &str, event: &Event) -> Result<()> {
             seconds,
             skipped,
         } => sqlx::query(if *skipped {
-            // It was found on disk; the attempt that made it has told its time.
+            // It was found on disk; the attempt that made it has recorded its time.
             "INSERT INTO stages (job_id, stage, round, seconds) VALUES ($1, $2, $3, $4)
              ON CONFLICT DO NOTHING"
         } else {
@@ -105,7 +105,7 @@ pub(super) async fn apply(tx: &mut Tx, job: &str, event: &Event) -> Result<()> {
     Ok(())
 }
 
-/// The end of an attempt.
+/// Ends an attempt.
 pub(super) async fn settle(tx: &mut Tx, job: &str, settlement: &Settlement) -> Result<()> {
     let transition = match settlement {
         Settlement::Finished { .. } => Transition::Finished,
@@ -183,7 +183,7 @@ fn error_json(error: &JobError) -> Value {
     json!({ "code": error.code, "detail": error.detail, "hint": error.hint })
 }
 
-/// The effect of progress on the job's row, and its event.
+/// Applies progress to the job's row and appends its event.
 pub(super) async fn advance(tx: &mut Tx, job: &str, progress: &Progress) -> Result<()> {
     let stage = progress.stage;
     let row = sqlx::query(
@@ -195,7 +195,7 @@ pub(super) async fn advance(tx: &mut Tx, job: &str, progress: &Progress) -> Resu
     )
     .bind(stage.map(|(stage, ..)| stage.name()))
     .bind(stage.map(|(_, round, ..)| i64::from(round)))
-    // Not NULL: sqlx 0.9 declares a missing f64 to PostgreSQL as an f32, and so what comes next.
+    // Not NULL: sqlx 0.9 declares a missing f64 to PostgreSQL as an f32, and so the next value.
     .bind(progress.steps_per_second.unwrap_or(UNKNOWN))
     .bind(progress.progress.unwrap_or(UNKNOWN))
     .bind(progress.eta_seconds.unwrap_or(UNKNOWN))

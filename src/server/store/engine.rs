@@ -1,5 +1,5 @@
-//! The two databases behind the store: SQLite, which is a file, and PostgreSQL, which many machines
-//! share. One text of SQL serves both; what differs stands here.
+//! The two databases behind the store: SQLite, a file, and PostgreSQL, shared by many machines.
+//! Both run the same SQL; this module holds the differences.
 
 use std::fmt;
 use std::ops::{Deref, DerefMut};
@@ -17,32 +17,31 @@ use super::clock::now_ms;
 use super::migrations::{POSTGRES, SQLITE};
 use crate::error::{Result, ServerError};
 
-/// Connections to a database file at most.
+/// Maximum connections to a database file.
 pub(super) const CONNECTIONS: u32 = 6;
 
-/// Connections of a process to a database that many share: what PostgreSQL allows by default, 100,
+/// Maximum connections of one process to a shared database: PostgreSQL's default limit of 100
 /// serves a dozen processes.
 const SHARED_CONNECTIONS: u32 = 8;
 
-/// How long a writer waits for another before it gives up, and whoever needs a connection for one.
+/// How long to wait for another writer, or for a connection.
 const BUSY_TIMEOUT: Duration = Duration::from_secs(10);
 
-/// What a connection to SQLite is told first. Full synchronisation costs little here (measured
-/// 1,800 against 3,200 write transactions a second) and makes an answered request survive a power
-/// cut.
+/// Settings of each SQLite connection. Full synchronisation costs little here (measured 1,800
+/// against 3,200 write transactions a second) and makes an answered request survive a power cut.
 const PRAGMAS: &str = "PRAGMA busy_timeout = 10000; PRAGMA journal_mode = WAL;
     PRAGMA synchronous = FULL; PRAGMA foreign_keys = ON;";
 
-/// Held by a transaction of PostgreSQL that looks at many rows before it writes: as on SQLite,
-/// there is one at a time. Not by a worker's transactions about its own job, which hold that job's
-/// row.
+/// Advisory lock of a PostgreSQL transaction that reads many rows before it writes: as on SQLite,
+/// only one runs at a time. A worker's transactions on its own job do not take it; they lock that
+/// job's row.
 const WRITERS: i64 = 0x66_6c65_6401;
 
-/// Milliseconds since 1970 by the clock of PostgreSQL, which all machines share.
+/// Milliseconds since 1970 on PostgreSQL's clock, which all machines share.
 const ITS_CLOCK: &str =
     "SELECT CAST(FLOOR(EXTRACT(EPOCH FROM clock_timestamp()) * 1000) AS BIGINT)";
 
-/// Which database it is.
+/// A database engine.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Engine {
     /// A file.
@@ -61,7 +60,7 @@ impl fmt::Display for Engine {
 }
 
 impl Engine {
-    /// The rows of a JSON list that is bound as a text, for `IN (..)`.
+    /// Returns a query for the elements of a JSON list bound as text, for `IN (..)`.
     pub(super) fn listed(self, parameter: &str) -> String {
         match self {
             Self::Sqlite => format!("SELECT value FROM json_each({parameter})"),
@@ -71,7 +70,7 @@ impl Engine {
         }
     }
 
-    /// What makes a row that is read this transaction's until it ends. SQLite has one writer.
+    /// The clause that locks the rows read until the transaction ends. SQLite has one writer.
     pub(super) fn locking(self) -> &'static str {
         match self {
             Self::Sqlite => "",
@@ -79,7 +78,7 @@ impl Engine {
         }
     }
 
-    /// The same, where rows that are another's are passed over.
+    /// The same, but skips rows that another transaction has locked.
     pub(super) fn skipping(self) -> &'static str {
         match self {
             Self::Sqlite => "",
@@ -88,13 +87,13 @@ impl Engine {
     }
 }
 
-/// A transaction that writes. Dropped, it is rolled back.
+/// A write transaction. Dropping it rolls it back.
 #[derive(Debug)]
 pub(super) struct Tx {
     inner: Transaction<'static, Any>,
-    /// Of which database.
+    /// The engine of its database.
     pub(super) engine: Engine,
-    /// When it began, milliseconds since 1970, by the one clock that its writers share.
+    /// When it began, in milliseconds since 1970 on the clock that all writers share.
     pub(super) now: i64,
 }
 
@@ -122,11 +121,11 @@ impl DerefMut for Tx {
     }
 }
 
-/// Begins a transaction; an `exclusive` one is the only one of its kind until it ends.
+/// Begins a transaction. Only one `exclusive` transaction runs at a time.
 pub(super) async fn begin(pool: &AnyPool, engine: Engine, exclusive: bool) -> Result<Tx> {
     let (inner, now) = match engine {
-        // An immediate transaction takes the write lock at once, not when it first writes: two that
-        // had read by then could not both write.
+        // An immediate transaction takes the write lock at once and not at its first write: of two
+        // that have already read, only one could write.
         Engine::Sqlite => (pool.begin_with("BEGIN IMMEDIATE").await?, now_ms()),
         Engine::Postgres => {
             let mut tx = pool.begin().await?;
@@ -143,7 +142,7 @@ pub(super) async fn begin(pool: &AnyPool, engine: Engine, exclusive: bool) -> Re
     Ok(Tx { inner, engine, now })
 }
 
-/// The time by the clock that all who use the database share.
+/// Milliseconds since 1970 on the clock that all users of the database share.
 pub(super) async fn shared_now(pool: &AnyPool, engine: Engine) -> Result<i64> {
     match engine {
         Engine::Sqlite => Ok(now_ms()),
@@ -151,7 +150,7 @@ pub(super) async fn shared_now(pool: &AnyPool, engine: Engine) -> Result<i64> {
     }
 }
 
-/// Connects to a file of SQLite; makes it where `create`.
+/// Connects to an SQLite file, and creates it if `create` is set.
 pub(super) async fn sqlite(path: &Path, create: bool, connections: u32) -> Result<AnyPool> {
     let mode = if create { "rwc" } else { "rw" };
     let name = percent_encoding::utf8_percent_encode(
@@ -166,7 +165,7 @@ pub(super) async fn sqlite(path: &Path, create: bool, connections: u32) -> Resul
         .acquire_timeout(BUSY_TIMEOUT * 3)
         .after_connect(move |connection, _| {
             Box::pin(async move {
-                // A database that is only looked at keeps its ways.
+                // A database that is only read keeps its settings.
                 let told = if create {
                     PRAGMAS
                 } else {
@@ -186,7 +185,7 @@ pub(super) async fn postgres(url: &str) -> Result<AnyPool> {
         .acquire_timeout(BUSY_TIMEOUT)
         .after_connect(|connection, _| {
             Box::pin(async move {
-                // Whoever is cut off must not hold its rows for long.
+                // A client that lost its connection must not hold its locks for long.
                 let told =
                     "SET lock_timeout = '10s'; SET idle_in_transaction_session_timeout = '20s';
                     SET tcp_user_timeout = '20s'";
@@ -224,22 +223,23 @@ fn migration(&(version, name, sql): &(i64, &'static str, &'static str)) -> Migra
     Migration::new(version, name.into(), MigrationType::Simple, sql, false)
 }
 
-/// Whether a connection may serve again. On a full disk SQLite rolls a transaction back by itself;
-/// sqlx, which counts transactions, then fails to roll it back and counts it for ever. Such a
-/// connection would begin none any more.
+/// Returns whether a connection can be reused. On a full disk SQLite rolls back a transaction by
+/// itself; sqlx, which counts transactions, then fails to roll it back and counts it forever. Such
+/// a connection can begin no further transaction.
 async fn has_no_transaction(connection: &mut AnyConnection) -> sqlx::Result<bool> {
-    // A dropped transaction is rolled back by the connection's thread: after the answer it is.
+    // The connection's thread rolls back a dropped transaction; it has done so once it answers the
+    // ping.
     connection.ping().await?;
     Ok(!connection.is_in_transaction())
 }
 
-/// Cells of a row that are other numbers than the databases know.
+/// Row cells whose types the databases lack.
 pub(super) trait Cells {
-    /// A number that is not negative.
+    /// A non-negative number.
     fn count(&self, column: &str) -> Result<u32>;
-    /// The same, or nothing.
+    /// A non-negative number or NULL.
     fn count_if_any(&self, column: &str) -> Result<Option<u32>>;
-    /// 0 or 1.
+    /// A boolean, stored as 0 or 1.
     fn flag(&self, column: &str) -> Result<bool>;
 }
 
@@ -258,7 +258,7 @@ impl Cells for AnyRow {
     }
 }
 
-/// A number that is not negative.
+/// Converts a non-negative number.
 pub(super) fn counted(number: i64) -> Result<u32> {
     u32::try_from(number).map_err(|error| ServerError::Damaged {
         what: "number",

@@ -1,4 +1,4 @@
-//! The event log of a job: appended in the transaction of the effect it tells of.
+//! The event log of a job. Events are appended in the transaction of their effect.
 
 use serde_json::Value;
 use sqlx::Row;
@@ -10,7 +10,7 @@ use crate::jobs::state::JobState;
 /// One event.
 #[derive(Clone, Debug, PartialEq)]
 pub struct EventRow {
-    /// 1, 2, 3 ... without a gap in a job.
+    /// 1, 2, 3 ... without gaps within a job.
     pub seq: i64,
     /// Its name in the stream.
     pub kind: String,
@@ -19,10 +19,10 @@ pub struct EventRow {
 }
 
 impl Store {
-    /// The events of a job after `seq`, in order.
+    /// Returns the events of a job after `seq`, in order.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn events_after(&self, job: &str, seq: i64, limit: u32) -> Result<Vec<EventRow>> {
         let rows = sqlx::query(
             "SELECT seq, kind, data FROM events WHERE job_id = $1 AND seq > $2 ORDER BY seq LIMIT $3",
@@ -49,7 +49,7 @@ impl Store {
     }
 }
 
-/// Appends an event inside the transaction that makes it true.
+/// Appends an event inside the transaction of its effect.
 pub(super) async fn append(tx: &mut Tx, job: &str, kind: &str, data: &Value) -> Result<()> {
     sqlx::query(
         "INSERT INTO events (job_id, seq, at, kind, data)

@@ -1,5 +1,5 @@
-//! Which files captures and jobs have in the store of files. A server that keeps its files in its
-//! own directory has none here.
+//! Names of the files that captures and jobs have in the blob store. A server that keeps its files
+//! in its data directory has none here.
 
 use std::collections::HashMap;
 
@@ -10,24 +10,24 @@ use sqlx::{AnyConnection, Row};
 use super::{Store, Tx};
 use crate::error::{Result, ServerError};
 
-/// Files in one statement at most.
+/// Maximum files in one statement.
 const AT_ONCE: usize = 200;
 
 impl Store {
-    /// The files of a capture.
+    /// Returns the files of a capture.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn capture_files(&self, id: &str) -> Result<Vec<Kept>> {
         let files = "SELECT path, digest, bytes FROM capture_files WHERE capture_id = $1";
         let rows = sqlx::query(files).bind(id).fetch_all(&self.pool).await?;
         rows.iter().map(kept).collect()
     }
 
-    /// A capture that has no files in the store of files, if there is one.
+    /// Returns a capture without files in the blob store, if there is one.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn capture_without_files(&self) -> Result<Option<String>> {
         let one = sqlx::query_scalar(
             "SELECT id FROM captures WHERE NOT EXISTS (
@@ -37,12 +37,13 @@ impl Store {
         Ok(one.fetch_optional(&self.pool).await?)
     }
 
-    /// The files of a job and the version of them; `None` where there is no such job.
+    /// Returns the files of a job and their version; `None` if the job does not exist.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn job_files(&self, id: &str) -> Result<Option<(i64, Vec<Kept>)>> {
-        // The version first: files that change meanwhile are newer, and are asked for again.
+        // Version first: files that change in between are newer, and the next check fetches them
+        // again.
         let Some(version) = self.files_version(id).await? else {
             return Ok(None);
         };
@@ -52,20 +53,20 @@ impl Store {
         Ok(Some((version, files?)))
     }
 
-    /// The version of a job's files: it grows with every change of them.
+    /// Returns the version of a job's files, which grows with every change.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn files_version(&self, id: &str) -> Result<Option<i64>> {
         let version = sqlx::query_scalar("SELECT files_version FROM jobs WHERE id = $1").bind(id);
         Ok(version.fetch_optional(&self.pool).await?)
     }
 
-    /// Names files that are no worker's, such as videos of a result, and forgets what is gone.
-    /// `Ok(false)`, and nothing done, where the job is gone.
+    /// Names files that no worker has written, such as videos of a result, and removes the names in
+    /// `gone`. `Ok(false)`, without effect, if the job is gone.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn add_files(&self, job: &str, kept: &[Kept], gone: &[String]) -> Result<bool> {
         let mut tx = self.begin().await?;
         let locked = format!("SELECT id FROM jobs WHERE id = $1{}", tx.engine.locking());
@@ -81,10 +82,10 @@ impl Store {
         Ok(true)
     }
 
-    /// Bytes that the files of these captures and jobs of an owner have in the store.
+    /// Total bytes in the blob store of an owner's captures and jobs.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn bytes_of(&self, owner: &str) -> Result<u64> {
         let sum: i64 = sqlx::query_scalar(
             "SELECT CAST(COALESCE(SUM(bytes), 0) AS BIGINT) FROM (
@@ -102,10 +103,10 @@ impl Store {
         Ok(u64::try_from(sum).unwrap_or(0))
     }
 
-    /// Those of these digests that some file has.
+    /// Returns those of these digests that belong to a file.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn named(&self, digests: &[String]) -> Result<Vec<String>> {
         let listed = self.engine.listed("$1");
         let named = format!(
@@ -118,7 +119,7 @@ impl Store {
     }
 }
 
-/// The files of a new capture.
+/// Inserts the files of a new capture.
 pub(super) async fn insert_of_capture(
     connection: &mut AnyConnection,
     capture: &str,
@@ -168,7 +169,7 @@ pub(super) async fn change(tx: &mut Tx, job: &str, kept: &[Kept], gone: &[String
     Ok(())
 }
 
-/// What is known of a job's files, by path.
+/// Indexes a job's files by path.
 pub fn by_path(files: Vec<Kept>) -> HashMap<String, Blob> {
     files
         .into_iter()

@@ -1,4 +1,4 @@
-//! Creating a job, at most once for a client's key.
+//! Creation of jobs, at most once per idempotency key.
 
 use fled_blobs::Kept;
 use sqlx::Row;
@@ -10,82 +10,82 @@ use super::uploads::use_up;
 use super::{Store, Tx, files};
 use crate::error::{Result, ServerError};
 
-/// What became of a request to create a job.
+/// Outcome of a request to create a job.
 #[derive(Clone, Debug)]
 pub enum Creation {
     /// A new job.
     Created(JobRow),
-    /// The job that the same request had already created.
+    /// The job that an earlier, identical request created.
     Replayed(JobRow),
     /// The key belongs to another request.
     KeyReused,
-    /// As many jobs wait as may.
+    /// The queue is full.
     QueueFull,
-    /// Its owner has as many jobs as their quota allows.
+    /// Its owner's quota of jobs is used up.
     OverQuota,
 }
 
-/// A request to create a job, as it is told from others.
+/// A request to create a job, with what identifies it.
 #[derive(Clone, Copy, Debug)]
 pub struct Request<'a> {
-    /// The client's key for it.
+    /// The client's idempotency key.
     pub key: Option<&'a str>,
-    /// Identifies what it asks for: the same key with another one is refused.
+    /// Identifies the content of the request: a key reused with another fingerprint is refused.
     pub fingerprint: &'a str,
 }
 
-/// A capture that uploads become.
+/// A capture made of uploads.
 #[derive(Clone, Copy, Debug)]
 pub struct UsedUp<'a> {
-    /// What becomes of them.
+    /// The capture.
     pub capture: &'a CaptureRow,
-    /// Its files in the store of files, if there is one.
+    /// Its files in the blob store, if there is one.
     pub files: &'a [Kept],
-    /// Their ids.
+    /// Ids of the uploads.
     pub uploads: &'a [String],
 }
 
 impl Store {
-    /// How many jobs wait for a worker.
+    /// Counts the queued jobs.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn waiting(&self) -> Result<u32> {
         waiting(&self.pool).await
     }
 
-    /// Whether a request of this key has made a job.
+    /// Returns whether a request with this key has created a job.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn knows_key(&self, key: &str) -> Result<bool> {
         let known = "SELECT job_id FROM idempotency WHERE key = $1";
         let known = sqlx::query(known).bind(key);
         Ok(known.fetch_optional(&self.pool).await?.is_some())
     }
 
-    /// How many jobs of an owner wait or run.
+    /// Counts an owner's queued and running jobs.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn unfinished(&self, owner: &str) -> Result<u32> {
         unfinished(&self.pool, owner).await
     }
 
-    /// What became of a request of this key, if there was one.
+    /// Returns the outcome of an earlier request with this key, if there was one.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn answered(&self, request: &Request<'_>) -> Result<Option<Creation>> {
         seen(&mut self.begin().await?, request).await
     }
 
-    /// Creates a job where there is room for it; with a key, at most once.
+    /// Creates a job if there is room for it; with a key, at most once.
     ///
-    /// `fingerprint` identifies the request: the same key with another one is refused.
+    /// `fingerprint` identifies the request: a key reused with another fingerprint is refused.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn create_job(
         &self,
         job: &NewJob,
@@ -106,12 +106,12 @@ impl Store {
         Ok(creation)
     }
 
-    /// The same with the job's capture, whose files are already on disk, and of which nothing is
-    /// kept where there is no job. The uploads that it is made of are forgotten; `Ok(None)`, and
-    /// nothing done, when one of them is not there any more.
+    /// Like [`Store::create_job`], together with the job's capture, whose files are already on
+    /// disk. Without a job no row of the capture is kept. Deletes the uploads it is made of;
+    /// `Ok(None)`, without effect, if one of them is gone.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn create_job_of(
         &self,
         used: UsedUp<'_>,
@@ -136,7 +136,7 @@ impl Store {
     }
 }
 
-/// What a request of this key has made already, if it has a key.
+/// Returns what an earlier request with this key created, if it has a key.
 async fn seen(tx: &mut Tx, request: &Request<'_>) -> Result<Option<Creation>> {
     let Some(key) = request.key else {
         return Ok(None);
@@ -154,7 +154,7 @@ async fn seen(tx: &mut Tx, request: &Request<'_>) -> Result<Option<Creation>> {
     Ok(Some(Creation::Replayed(row.ok_or_else(|| missing(&id))?)))
 }
 
-/// Inserts a job and its key. Only what becomes [`Creation::Created`] is to be committed.
+/// Inserts a job and its key. Commit only a [`Creation::Created`].
 async fn create(
     tx: &mut Tx,
     job: &NewJob,

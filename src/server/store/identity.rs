@@ -1,5 +1,5 @@
-//! The identity of this database, by which a store of files knows whose it is. Programs before this
-//! one gave a new one to every look for blobs, whence the name of the table.
+//! The identity of this database, by which a blob store knows its owner. Earlier versions gave a
+//! new one to every collection of blobs, hence the name of the table.
 
 use uuid::Uuid;
 
@@ -7,10 +7,10 @@ use super::Store;
 use crate::error::Result;
 
 impl Store {
-    /// The identity of this database, made up when it is first asked for.
+    /// Returns the identity of this database, and creates it on first use.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn identity(&self) -> Result<String> {
         let mut tx = self.write().await?;
         let known = "SELECT id FROM collections ORDER BY begun_at DESC, id DESC LIMIT 1";
@@ -28,10 +28,10 @@ impl Store {
         Ok(identity)
     }
 
-    /// Whether this is an identity of this database.
+    /// Returns whether `identity` has been an identity of this database.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn is_known_as(&self, identity: &str) -> Result<bool> {
         let known = sqlx::query_scalar("SELECT COUNT(*) FROM collections WHERE id = $1");
         let known: i64 = known.bind(identity).fetch_one(&self.pool).await?;
@@ -44,7 +44,7 @@ mod tests {
     use crate::store::tests::of_each;
 
     #[tokio::test]
-    async fn a_database_keeps_its_identity_and_knows_those_of_earlier_programs() {
+    async fn a_database_keeps_its_identity_and_recognises_earlier_ones() {
         for (_dir, store) in of_each().await {
             let first = store.identity().await.expect("made up");
             assert_eq!(store.identity().await.expect("kept"), first);

@@ -1,4 +1,4 @@
-//! Jobs as rows: creation, reading, and what users ask of them.
+//! Job rows: creation, reads, and user requests.
 
 use fled_core::event::Stage;
 use serde_json::{Value, json};
@@ -24,11 +24,11 @@ pub struct NewJob {
     pub preset: String,
     /// Complete options.
     pub options: Value,
-    /// Rounds that the options ask for.
+    /// Rounds that the options request.
     pub rounds: u32,
-    /// What a machine must have to be given it.
+    /// What a machine needs to run it.
     pub needs: Needs,
-    /// Higher goes first.
+    /// Higher values go first.
     pub priority: i64,
 }
 
@@ -56,17 +56,17 @@ pub struct JobRow {
     pub preset: String,
     /// Complete options.
     pub options: Value,
-    /// Where it stands.
+    /// Its state.
     pub state: JobState,
-    /// The stage that runs or ran last.
+    /// The current or last stage.
     pub stage: Option<String>,
-    /// The round that runs or ran last; 0 before the first.
+    /// The current or last round; 0 before the first.
     pub round: u32,
     /// Rounds planned.
     pub rounds: u32,
     /// 0..=1.
     pub progress: f64,
-    /// Training speed, when training.
+    /// Training speed in steps per second, while training.
     pub steps_per_second: Option<f64>,
     /// Estimated seconds left.
     pub eta_seconds: Option<f64>,
@@ -76,7 +76,7 @@ pub struct JobRow {
     pub best_round: Option<u32>,
     /// Claims so far.
     pub attempts: u32,
-    /// Whether somebody asked to stop it.
+    /// Whether cancellation was requested.
     pub cancel_requested: bool,
     /// Milliseconds since 1970.
     pub created_at: i64,
@@ -84,56 +84,56 @@ pub struct JobRow {
     pub started_at: Option<i64>,
     /// End of the last attempt in a terminal state.
     pub finished_at: Option<i64>,
-    /// Whether it is kept, whatever the server deletes of itself.
+    /// Whether it is exempt from automatic deletion.
     pub pinned: bool,
     /// When it will be deleted.
     pub expires_at: Option<i64>,
-    /// What a machine must have to be given it.
+    /// What a machine needs to run it.
     pub needs: Needs,
-    /// Higher goes first.
+    /// Higher values go first.
     pub priority: i64,
-    /// Whose lease it is under: a worker and which of its turns.
+    /// The owner of its lease: a worker and one of its slots.
     pub worker: Option<String>,
 }
 
-/// What a machine must have to be given a job.
+/// What a machine needs to run a job.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Needs {
-    /// A GPU, and not a processor that plays one.
+    /// A hardware GPU, not a software renderer.
     pub gpu: bool,
     /// Bytes of memory.
     pub memory: u64,
 }
 
-/// A job with what it has told so far.
+/// A job with everything it has reported so far.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ToldJob {
     /// Its row.
     pub row: JobRow,
     /// Its warnings, oldest first.
     pub warnings: Vec<WarningRow>,
-    /// The time of every finished stage, by round and then in the order of the stages.
+    /// The duration of every finished stage, by round and then in stage order.
     pub stages: Vec<StageSeconds>,
-    /// Its place among the jobs that wait, 1-based; `None` when it does not wait.
+    /// Its place in the queue, 1-based; `None` if it is not queued.
     pub queue_position: Option<u32>,
-    /// When the stage that runs began: milliseconds since 1970.
+    /// When the current stage began, in milliseconds since 1970.
     pub stage_started_at: Option<i64>,
 }
 
 /// Which jobs to list.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct JobFilter<'a> {
-    /// Of this state only.
+    /// Jobs in this state.
     pub state: Option<JobState>,
-    /// Of this capture only.
+    /// Jobs of this capture.
     pub capture: Option<&'a str>,
-    /// Of this owner only.
+    /// Jobs of this owner.
     pub owner: Option<&'a str>,
 }
 
-/// Jobs with where they stand. The queue is in the order of `Store::claim`, but for the turns of
-/// its owners. What a stage began before the last change of state belongs to an attempt that is
-/// over: only the newest of both kinds of event counts.
+/// Jobs with their queue position and current stage. The queue has the order of `Store::claim`,
+/// except for the turns of owners. A stage that began before the last state change belongs to an
+/// earlier attempt, so only the newest event of both kinds counts.
 const TOLD: &str = "SELECT jobs.*,
     CASE state WHEN 'queued' THEN
         (SELECT COUNT(*) FROM jobs AS ahead WHERE ahead.state = 'queued'
@@ -148,10 +148,10 @@ const TOLD: &str = "SELECT jobs.*,
     FROM jobs";
 
 impl Store {
-    /// The job of this id.
+    /// Returns the job with this id.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn job(&self, id: &str) -> Result<Option<JobRow>> {
         let row = sqlx::query("SELECT * FROM jobs WHERE id = $1")
             .bind(id)
@@ -163,14 +163,15 @@ impl Store {
     /// The newest jobs older than `cursor`, newest first.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn jobs(
         &self,
         only: JobFilter<'_>,
         limit: u32,
         cursor: Option<&str>,
     ) -> Result<Vec<ToldJob>> {
-        // Only what is asked for: a condition that may be none keeps PostgreSQL from its indices.
+        // Only the requested conditions: an optional condition keeps PostgreSQL from using its
+        // indices.
         let conditions = [
             (cursor, "id < #"),
             (only.state.map(JobState::name), "state = #"),
@@ -193,10 +194,10 @@ impl Store {
         self.told(&rows).await
     }
 
-    /// The job of this id, with what it has told.
+    /// Returns the job with this id and everything it has reported.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn told_job(&self, id: &str) -> Result<Option<ToldJob>> {
         let one = format!("{TOLD} WHERE id = $1");
         let row = sqlx::query(sqlx::AssertSqlSafe(one))
@@ -207,7 +208,7 @@ impl Store {
         Ok(self.told(&rows).await?.pop())
     }
 
-    /// What jobs have told, in two statements however many they are.
+    /// Adds what the jobs have reported, in two statements for any number of jobs.
     async fn told(&self, rows: &[AnyRow]) -> Result<Vec<ToldJob>> {
         let jobs: Vec<JobRow> = rows.iter().map(from_row).collect::<Result<_>>()?;
         let ids: Vec<&str> = jobs.iter().map(|job| job.id.as_str()).collect();
@@ -228,10 +229,10 @@ impl Store {
         told.collect()
     }
 
-    /// How many jobs there are of every state.
+    /// Counts the jobs in each state.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn jobs_by_state(&self) -> Result<Vec<(JobState, i64)>> {
         let rows = sqlx::query("SELECT state, COUNT(*) AS jobs FROM jobs GROUP BY state")
             .fetch_all(&self.pool)
@@ -248,11 +249,11 @@ impl Store {
         Ok(counts.to_vec())
     }
 
-    /// Asks for a job to be stopped: at once when it waits, else through its worker.
-    /// `Ok(None)` when it is over already or does not exist.
+    /// Requests the cancellation of a job: a queued job stops at once, a running one through its
+    /// worker. `Ok(None)` if it is over or does not exist.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn request_cancel(&self, id: &str) -> Result<Option<JobState>> {
         let mut tx = self.write().await?;
         let next = change(&mut tx, id, Transition::CancelRequested).await?;
@@ -260,11 +261,10 @@ impl Store {
         Ok(next)
     }
 
-    /// Gives a job that is not over another place among those that wait. `Ok(false)` when it is
-    /// over or gone.
+    /// Changes the priority of a job that is not over. `Ok(false)` if it is over or does not exist.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn prioritize_job(&self, id: &str, priority: i64) -> Result<bool> {
         let place = "UPDATE jobs SET priority = $1
              WHERE id = $2 AND state IN ('queued', 'running')";
@@ -272,10 +272,11 @@ impl Store {
         Ok(done.execute(&self.pool).await?.rows_affected() == 1)
     }
 
-    /// Deletes a job that is not running, with all its rows. `Ok(false)` when it runs or is gone.
+    /// Deletes a job that is not running, with all its rows. `Ok(false)` if it runs or does not
+    /// exist.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn delete_job(&self, id: &str) -> Result<bool> {
         let done = sqlx::query("DELETE FROM jobs WHERE id = $1 AND state <> 'running'")
             .bind(id)
@@ -285,7 +286,7 @@ impl Store {
     }
 }
 
-/// Moves a job on; `None` when it is gone or its state does not allow the transition.
+/// Applies a transition to a job; `None` if the job is gone or its state does not allow it.
 pub(super) async fn change(
     tx: &mut Tx,
     id: &str,
@@ -360,7 +361,7 @@ pub(super) async fn read(tx: &mut Tx, id: &str) -> Result<Option<JobRow>> {
     row.as_ref().map(from_row).transpose()
 }
 
-/// Where a stage stands among the stages.
+/// The position of a stage in stage order.
 fn place(name: &str) -> Option<usize> {
     Stage::ALL.iter().position(|stage| stage.name() == name)
 }

@@ -1,5 +1,5 @@
-//! What a worker does with a job: claim, report, settle. Every write but the claim begins by
-//! checking the epoch, so that a worker whose lease was taken over changes nothing.
+//! Leases: claim, heartbeat and release. Every write except the claim first checks the epoch, so a
+//! worker whose lease was taken over changes nothing.
 
 use serde_json::json;
 use sqlx::Row;
@@ -12,12 +12,12 @@ use super::{Engine, Store, events};
 use crate::error::{Result, ServerError};
 use crate::jobs::state::{JobState, Transition};
 
-/// The right to write about a running job.
+/// The right to write to a running job.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Lease {
     /// The job.
     pub job: String,
-    /// Grows with every claim.
+    /// Increases with every claim.
     pub epoch: i64,
 }
 
@@ -30,17 +30,17 @@ pub struct Claim {
     pub job: JobRow,
 }
 
-/// What a machine has that looks for work.
+/// Resources of a machine that claims jobs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Machine {
-    /// Whether it has a GPU, and not a processor that plays one.
+    /// Whether it has a hardware GPU, not a software renderer.
     pub has_gpu: bool,
     /// Bytes of memory.
     pub memory: u64,
 }
 
 impl Machine {
-    /// One that takes any job: the only one there is.
+    /// A machine that fits any job, for a deployment with a single machine.
     pub const ANY: Self = Self {
         has_gpu: true,
         memory: u64::MAX,
@@ -48,11 +48,11 @@ impl Machine {
 }
 
 impl Store {
-    /// Takes a job that waits or whose lease has run out, but none of `running`, on a machine that
-    /// takes any.
+    /// Claims a queued job, or one whose lease has expired and that is not in `running`, for a
+    /// machine that fits any job.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn claim(
         &self,
         owner: &str,
@@ -62,11 +62,11 @@ impl Store {
         self.claim_fit(owner, lease_ms, running, Machine::ANY).await
     }
 
-    /// The same on a machine that has just so much: of the highest priority, of the owner of whom
-    /// the fewest run, the oldest.
+    /// Like [`Store::claim`] for a machine with limited resources. Chooses by highest priority,
+    /// then the owner with the fewest running jobs, then age, oldest first.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn claim_fit(
         &self,
         owner: &str,
@@ -77,8 +77,8 @@ impl Store {
         let mut tx = self.begin().await?;
         let now = tx.now;
         let clock = self.lease_clock(&tx);
-        // No two workers can take the same job: on SQLite there is one writer, on PostgreSQL a row
-        // that somebody else looks at is passed over.
+        // Two workers cannot take the same job: SQLite has one writer, and PostgreSQL skips rows
+        // that another transaction has locked.
         let waiting = next_job(self.engine);
         let waiting = sqlx::query_as::<_, (String, String)>(sqlx::AssertSqlSafe(waiting))
             .bind(now)
@@ -127,10 +127,10 @@ impl Store {
         Ok(Some(Claim { lease, job }))
     }
 
-    /// Extends the lease and says whether somebody asked to stop the job.
+    /// Extends the lease and returns whether cancellation was requested.
     ///
     /// # Errors
-    /// [`ServerError::LeaseLost`] when another worker has it.
+    /// [`ServerError::LeaseLost`] if another worker has the job.
     pub async fn heartbeat(&self, lease: &Lease, lease_ms: i64) -> Result<bool> {
         let mut tx = self.begin().await?;
         let until = self.lease_clock(&tx).saturating_add(lease_ms);
@@ -150,10 +150,10 @@ impl Store {
         row.flag("cancel_requested")
     }
 
-    /// Failures in a row without progress, counting one that happens now.
+    /// Counts the consecutive failures without progress, including one that happens now.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn count_failure(&self, lease: &Lease) -> Result<u32> {
         let row = sqlx::query("SELECT failures, progress, failed_at FROM jobs WHERE id = $1")
             .bind(&lease.job)
@@ -162,13 +162,13 @@ impl Store {
         failures_with_this(&row)
     }
 
-    /// Queues again (or, where that was asked, cancels) what runs under any lease. Only for a
-    /// server that has just started and holds the data directory alone: an earlier one died while
-    /// these ran. That counts as a failure of theirs, and they may be why; `settle_death` says
-    /// what follows from so many without progress. Returns the jobs.
+    /// Queues again, or cancels if requested, all running jobs. Only for a server that has just
+    /// started and holds the data directory alone: an earlier server died while they ran. The death
+    /// counts as a failure of each job, since a job may be its cause; `settle_death` maps the
+    /// number of failures without progress to a settlement. Returns the jobs.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn release_all(
         &self,
         settle_death: impl Fn(u32) -> Settlement,
@@ -177,10 +177,11 @@ impl Store {
         release(tx, Of::All, settle_death).await
     }
 
-    /// The same with the leases of one worker, which has just started and runs nothing.
+    /// Like [`Store::release_all`], for the leases of one worker that has just started and runs
+    /// nothing.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn release_of(
         &self,
         worker: &str,
@@ -190,10 +191,10 @@ impl Store {
         release(tx, Of::Worker(worker), settle_death).await
     }
 
-    /// The same with the leases that have run out: their workers are dead, frozen or cut off.
+    /// Like [`Store::release_all`], for expired leases: their workers are dead, frozen or cut off.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn release_expired(
         &self,
         settle_death: impl Fn(u32) -> Settlement,
@@ -213,12 +214,12 @@ impl Store {
         release(tx, Of::Before(clock), settle_death).await
     }
 
-    /// A transaction that has checked the epoch, and holds the job since.
+    /// Begins a transaction that has checked the epoch and locked the job.
     pub(super) async fn fenced(&self, lease: &Lease) -> Result<Tx> {
         Ok(self.fenced_with_told(lease).await?.0)
     }
 
-    /// The same, with the number of the last thing that was told under the lease.
+    /// Like [`Store::fenced`], and returns the number of reports under the lease so far.
     pub(super) async fn fenced_with_told(&self, lease: &Lease) -> Result<(Tx, i64)> {
         let mut tx = self.begin().await?;
         let held = format!(
@@ -237,8 +238,8 @@ impl Store {
     }
 }
 
-/// Asks for the job that is next, and makes its row this transaction's: of the time $1, none of $2,
-/// with leases that end before $3, on a machine with GPU $4 and memory $5.
+/// Query that selects and locks the next job: at time $1, not one of $2, with leases that end
+/// before $3, on a machine with GPU $4 and memory $5.
 fn next_job(engine: Engine) -> String {
     format!(
         "WITH busy AS (
@@ -260,17 +261,17 @@ fn next_job(engine: Engine) -> String {
     )
 }
 
-/// Whose leases are released.
+/// Leases to release.
 #[derive(Clone, Copy)]
 enum Of<'a> {
     All,
     /// This worker's.
     Worker(&'a str),
-    /// Leases that ran out before this, ms since 1970.
+    /// Leases that ended before this lease clock time, in milliseconds.
     Before(i64),
 }
 
-/// Settles what runs, `of` whom, as after a death.
+/// Settles the running jobs of `of` as after a death.
 async fn release(
     mut tx: Tx,
     of: Of<'_>,
@@ -302,7 +303,7 @@ async fn release(
             settle_death(failures_with_this(&row)?)
         };
         settle(&mut tx, &id, &settlement).await?;
-        // The old epoch must not write any more, should its worker still breathe.
+        // The old epoch must not write any more, in case its worker is still alive.
         sqlx::query("UPDATE jobs SET epoch = epoch + 1 WHERE id = $1")
             .bind(&id)
             .execute(&mut *tx)
@@ -313,7 +314,7 @@ async fn release(
     Ok(released)
 }
 
-/// Failures in a row without progress, counting one that happens now.
+/// Consecutive failures without progress, including one that happens now.
 fn failures_with_this(row: &AnyRow) -> Result<u32> {
     let before = row.count("failures")?;
     let advanced = row.try_get::<f64, _>("progress")? > row.try_get::<f64, _>("failed_at")? + 1e-3;

@@ -1,34 +1,34 @@
-//! Being told that something changed: PostgreSQL tells everybody who shares it. What it tells is a
-//! hint; what is true stands in the tables.
+//! Notifications of changes: PostgreSQL notifies every process that shares the database. A
+//! notification is a hint; the tables hold the truth.
 
 use sqlx::postgres::PgListener;
 
 use super::{Engine, Store, Tx};
 use crate::error::Result;
 
-/// The channel on which changes of jobs are told.
+/// The channel for changes of jobs.
 const CHANNEL: &str = "fled_jobs";
-/// What is told where a job waits. Of all else that happens no worker need hear.
+/// The payload for a queued job. Workers can ignore all others.
 const WAITING: &str = "waiting";
 
-/// Whoever listens.
+/// A subscription to changes of jobs.
 #[derive(Debug)]
 pub struct Heard(PgListener);
 
-/// What somebody has told.
+/// A notification.
 #[derive(Debug)]
 pub enum News {
     /// A job has changed.
     Changed,
-    /// A job waits since then.
+    /// A job was queued.
     Waiting,
 }
 
 impl Heard {
-    /// Waits until somebody has told something.
+    /// Waits for the next notification.
     ///
     /// # Errors
-    /// When the connection is lost: what was told meanwhile is, too.
+    /// When the connection is lost. Notifications sent meanwhile are lost too.
     pub async fn next(&mut self) -> Result<News> {
         let told = self.0.recv().await?;
         Ok(match told.payload() {
@@ -39,10 +39,10 @@ impl Heard {
 }
 
 impl Store {
-    /// Listens for changes of jobs; `None` where only this process makes them.
+    /// Subscribes to changes of jobs; `None` if only this process makes them.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn listen(&self) -> Result<Option<Heard>> {
         let Some(url) = &self.url else {
             return Ok(None);
@@ -53,7 +53,7 @@ impl Store {
     }
 }
 
-/// Tells everybody that a job has changed, or that it waits, once the transaction is true.
+/// Notifies all listeners, on commit, that a job has changed or is queued.
 pub(super) async fn tell(tx: &mut Tx, job: &str, waits: bool) -> Result<()> {
     if tx.engine == Engine::Postgres {
         sqlx::query("SELECT pg_notify($1, $2)")

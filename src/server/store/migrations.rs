@@ -1,6 +1,6 @@
-//! How the schemas of both databases come about.
+//! Migrations of both databases.
 
-/// Applied in order to SQLite, each once, never edited after release.
+/// SQLite migrations, applied in order, each once, and never edited after release.
 pub(super) const SQLITE: [(i64, &str, &str); 18] = [
     (
         1,
@@ -90,7 +90,8 @@ pub(super) const SQLITE: [(i64, &str, &str); 18] = [
     ),
 ];
 
-/// The same to PostgreSQL: its first is all that SQLite came to by then, and bears the same number.
+/// PostgreSQL migrations. The first one holds everything up to SQLite's migration of the same
+/// number.
 pub(super) const POSTGRES: [(i64, &str, &str); 4] = [
     (
         15,

@@ -1,4 +1,4 @@
-//! What addresses are still to be told.
+//! The webhook outbox.
 
 use serde_json::{Value, json};
 use sqlx::Row;
@@ -7,7 +7,7 @@ use sqlx::any::AnyRow;
 use super::engine::Tx;
 use crate::error::{Result, ServerError};
 
-/// Writes what addresses are to be told of an event, inside the transaction that makes it true.
+/// Inserts the webhook deliveries of an event, inside the transaction of its effect.
 pub(super) async fn tell(tx: &mut Tx, job: &str, kind: &str, data: &Value) -> Result<()> {
     let told = match kind {
         "state" => format!("job.{}", data["state"].as_str().unwrap_or_default()),
@@ -62,13 +62,13 @@ pub(super) async fn tell(tx: &mut Tx, job: &str, kind: &str, data: &Value) -> Re
     Ok(())
 }
 
-/// What is sent.
+/// The body of a delivery.
 pub(super) fn body(kind: &str, at: i64, data: &Value) -> String {
     let at = jiff::Timestamp::from_millisecond(at).unwrap_or(jiff::Timestamp::UNIX_EPOCH);
     json!({ "type": kind, "timestamp": format!("{at:.3}"), "data": data }).to_string()
 }
 
-/// The types that an address wants.
+/// The event types that a webhook subscribes to.
 pub(super) fn typed(row: &AnyRow) -> Result<Vec<String>> {
     let types: String = row.try_get("types")?;
     serde_json::from_str(&types).map_err(|error| ServerError::Damaged {

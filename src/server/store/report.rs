@@ -1,6 +1,6 @@
-//! What a worker reports of its job: each report in a transaction that begins with the epoch, and
-//! sent again where the database was away and its answer is lost. The job counts the reports of a
-//! lease: what had been done although nobody heard of it is not done twice.
+//! Reports of a worker on its job. Each is a transaction that first checks the epoch, and is
+//! repeated if the database was away and its answer is lost. The job counts the reports under a
+//! lease, so that a report whose answer was lost is not applied twice.
 
 use std::time::{Duration, Instant};
 
@@ -15,26 +15,25 @@ use super::{Engine, Store, events, files};
 use crate::error::{Result, ServerError};
 use crate::jobs::state::JobState;
 
-/// A database that is away is asked again for so long: not longer than a worker may go on without
-/// being heard of.
+/// How long to retry while the database is away: no longer than a worker may run without contact.
 const PATIENCE: Duration = Duration::from_secs(20);
 
-/// Between two attempts.
+/// Pause between two attempts.
 const PAUSE: Duration = Duration::from_millis(500);
 
 /// One thing to report.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Report<'a> {
-    /// What the job's process said.
+    /// An event of the job's process.
     Event(&'a Event),
-    /// How far it is.
+    /// The progress of the job.
     Progress(&'a Progress),
-    /// Files that are in the store now, and paths of some that are no more.
+    /// Files now in the blob store, and paths of files that are gone.
     Files(&'a [Kept], &'a [String]),
 }
 
 impl Store {
-    /// Stores what an event of the job's process says.
+    /// Records an event of the job's process.
     ///
     /// # Errors
     /// [`ServerError::LeaseLost`] when another worker has the job.
@@ -42,7 +41,7 @@ impl Store {
         self.report(lease, Report::Event(event)).await
     }
 
-    /// Stores progress and tells of it.
+    /// Records progress and its event.
     ///
     /// # Errors
     /// [`ServerError::LeaseLost`] when another worker has the job.
@@ -58,7 +57,8 @@ impl Store {
         let begun = Instant::now();
         loop {
             let error = match self.settle_once(lease, settlement).await {
-                // What was answered by a cut connection may have been done.
+                // The answer of a cut connection may be lost although its transaction was
+                // committed.
                 Err(ServerError::LeaseLost(job)) => return self.settled_by_us(lease, job).await,
                 Err(error) if self.may_pass(&error, begun) => error,
                 settled => return settled,
@@ -78,7 +78,7 @@ impl Store {
         Ok(state)
     }
 
-    /// Where a job stands that ran under this lease, if nobody has had it since.
+    /// The state of a job that ran under this lease, if no other worker has claimed it since.
     async fn settled_by_us(&self, lease: &Lease, job: String) -> Result<JobState> {
         let row = sqlx::query("SELECT state, epoch FROM jobs WHERE id = $1")
             .bind(&job)
@@ -96,7 +96,7 @@ impl Store {
         }
     }
 
-    /// Names what a worker has put into the store of files, and forgets what is gone.
+    /// Names files that a worker has put into the blob store, and removes the names in `gone`.
     ///
     /// # Errors
     /// [`ServerError::LeaseLost`] when another worker has the job.
@@ -104,10 +104,10 @@ impl Store {
         self.report(lease, Report::Files(kept, gone)).await
     }
 
-    /// Reports one thing, once. A lease is one worker's, which reports one thing after the other.
+    /// Applies one report, once. A lease belongs to one worker, whose reports are sequential.
     async fn report(&self, lease: &Lease, report: Report<'_>) -> Result<()> {
         let begun = Instant::now();
-        // How much had been told before this.
+        // The number of reports before this one.
         let mut before = None;
         loop {
             let error = match self.report_once(lease, report, &mut before).await {
@@ -127,7 +127,7 @@ impl Store {
     ) -> Result<()> {
         let (mut tx, told) = self.fenced_with_told(lease).await?;
         if told > *before.get_or_insert(told) {
-            // The transaction whose answer was lost has been done.
+            // The transaction whose answer was lost was committed.
             return Ok(());
         }
         match report {
@@ -150,8 +150,8 @@ impl Store {
         tx.commit().await
     }
 
-    /// Whether a fault is one of a shared database that is away for a while, and there is patience
-    /// left. A file does not go away, and waits by itself for whoever writes into it.
+    /// Returns whether an error may pass because a shared database is briefly away, and there is
+    /// patience left. A database file does not go away, and SQLite itself waits for other writers.
     fn may_pass(&self, error: &ServerError, since: Instant) -> bool {
         self.engine == Engine::Postgres && since.elapsed() < PATIENCE && error.passes()
     }

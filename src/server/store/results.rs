@@ -1,4 +1,4 @@
-//! What a job has shown: rounds, stage times, warnings, digests.
+//! Results of a job: rounds, stage times, warnings, digests.
 
 use std::collections::HashMap;
 
@@ -9,7 +9,7 @@ use super::engine::Cells;
 use super::{Engine, Store};
 use crate::error::{Result, ServerError};
 
-/// The time of one stage of one round.
+/// The duration of one stage of one round.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StageSeconds {
     /// Its name.
@@ -30,10 +30,10 @@ pub struct WarningRow {
 }
 
 impl Store {
-    /// The metrics of every finished round, in order.
+    /// Returns the metrics of every finished round, in order.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn rounds(&self, job: &str) -> Result<Vec<Value>> {
         let rows = sqlx::query("SELECT metrics FROM rounds WHERE job_id = $1 ORDER BY round")
             .bind(job)
@@ -50,10 +50,10 @@ impl Store {
             .collect()
     }
 
-    /// The remembered digest of a result file of this size and modification time.
+    /// Returns the cached digest of a result file of this size and modification time.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn digest(
         &self,
         job: &str,
@@ -72,10 +72,10 @@ impl Store {
         .await?)
     }
 
-    /// Remembers the digest of a result file.
+    /// Caches the digest of a result file.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn remember_digest(
         &self,
         job: &str,
@@ -99,7 +99,7 @@ impl Store {
     }
 }
 
-/// The warnings of these jobs, a JSON list of ids, oldest first, by job.
+/// Returns the warnings of the jobs in the JSON list `ids`, by job, oldest first.
 pub(super) async fn warnings_of(
     pool: &AnyPool,
     engine: Engine,
@@ -125,7 +125,7 @@ pub(super) async fn warnings_of(
     Ok(warnings)
 }
 
-/// The time of every finished stage of these jobs, in no order, by job.
+/// Returns the duration of every finished stage of the jobs in `ids`, by job, in no order.
 pub(super) async fn stages_of(
     pool: &AnyPool,
     engine: Engine,

@@ -1,4 +1,4 @@
-//! What goes by itself: first it is marked, then it is deleted.
+//! Retention: jobs and captures are first marked, then deleted.
 
 use std::time::Duration;
 
@@ -6,21 +6,21 @@ use super::Store;
 use crate::config::Retention;
 use crate::error::Result;
 
-/// What was deleted: ids of jobs and of captures.
+/// Ids of deleted jobs and captures.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Expired {
-    /// Their folders are to be removed.
+    /// Jobs whose folders are to be removed.
     pub jobs: Vec<String>,
-    /// The same of captures.
+    /// Captures whose folders are to be removed.
     pub captures: Vec<String>,
 }
 
 impl Store {
-    /// Marks what is due within the notice with the time at which it goes, and unmarks what is not
-    /// due any more: because it was pinned, has begun again, or the server keeps more now.
+    /// Marks what becomes due within the notice with its time of deletion, and unmarks what is no
+    /// longer due because it was pinned, was queued again, or the server's retention has grown.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn mark_expiring(&self, retention: &Retention, now: i64) -> Result<()> {
         let notice = milliseconds(retention.notice);
         let age = retention.age.map(milliseconds);
@@ -67,10 +67,10 @@ impl Store {
         Ok(())
     }
 
-    /// Deletes the rows of what was marked and whose time has come; in a dry run none of them.
+    /// Deletes the rows that were marked and have expired; a dry run deletes none but returns them.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn delete_expired(&self, now: i64, dry_run: bool) -> Result<Expired> {
         let mut tx = self.write().await?;
         let jobs = sqlx::query_scalar(
@@ -95,10 +95,10 @@ impl Store {
         Ok(Expired { jobs, captures })
     }
 
-    /// Keeps a job for ever, or no longer than others. `Ok(false)` when there is none.
+    /// Pins or unpins a job. `Ok(false)` if it does not exist.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn pin_job(&self, id: &str, pinned: bool) -> Result<bool> {
         let done = sqlx::query("UPDATE jobs SET pinned = $1, expires_at = NULL WHERE id = $2")
             .bind(i64::from(pinned))
@@ -140,7 +140,7 @@ mod tests {
         store.insert_capture(&row, &[]).await.expect("kept");
     }
 
-    /// A job that was cancelled, each of the calls a moment later than the one before.
+    /// Creates a cancelled job; each call gives a later time than the one before.
     async fn ended(store: &Store, id: &str, capture: &str) {
         let job = NewJob {
             id: id.to_owned(),
@@ -184,7 +184,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn the_oldest_beyond_the_number_of_each_owner_go_after_the_notice() {
+    async fn each_owners_oldest_excess_jobs_expire_after_the_notice() {
         for (_dir, store) in stores().await {
             let now = now_ms();
             store.mark_expiring(&KEPT, now).await.expect("marked");
@@ -206,7 +206,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn what_is_pinned_stays_and_what_begins_again_has_its_time_again() {
+    async fn a_pinned_job_stays_and_a_retried_one_expires_later() {
         for (_dir, store) in stores().await {
             let now = now_ms();
             let old = now + 24 * DAY;
@@ -238,7 +238,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_capture_goes_by_age_and_not_before_its_jobs() {
+    async fn a_capture_expires_by_age_and_not_before_its_jobs() {
         for (_dir, store) in stores().await {
             let old = now_ms() + 40 * DAY;
             store.mark_expiring(&KEPT, old).await.expect("marked");

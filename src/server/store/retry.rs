@@ -1,4 +1,4 @@
-//! Jobs that ended and are to go on.
+//! Retries of finished jobs.
 
 use super::jobs::change;
 use super::room::{Full, Room, full};
@@ -7,34 +7,34 @@ use crate::error::Result;
 use crate::jobs::state::Transition;
 use serde_json::Value;
 
-/// What became of a request to queue a job again.
+/// Outcome of a request to queue a job again.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Retry {
-    /// It waits.
+    /// It is queued.
     Queued,
-    /// It has not ended, has succeeded and no option changes, or is gone.
+    /// It has not ended, has succeeded without a change of options, or is gone.
     WrongState,
-    /// As many jobs wait as may.
+    /// The queue is full.
     QueueFull,
-    /// Its owner has as many jobs as their quota allows.
+    /// Its owner's quota of jobs is used up.
     OverQuota,
 }
 
-/// Other options for a job.
+/// New options for a job.
 #[derive(Clone, Debug)]
 pub struct Change {
     /// Complete options.
     pub options: Value,
-    /// Rounds that they ask for.
+    /// Rounds that they request.
     pub rounds: u32,
 }
 
 impl Store {
-    /// Queues a job that ended again, where there is room for it: one that failed or was cancelled
-    /// as it was, any with other options.
+    /// Queues a finished job again if there is room. Without `other` it must have failed or been
+    /// cancelled; with other options any finished job is accepted.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn retry(&self, id: &str, room: Room<'_>, other: Option<&Change>) -> Result<Retry> {
         let transition = match other {
             None => Transition::Retried,
@@ -50,7 +50,7 @@ impl Store {
             })
         };
         if let Some(refused) = refused {
-            // Now, and not when the connection is used again: until then the job is locked.
+            // Roll back now, not when the connection is reused: until then the job stays locked.
             tx.rollback().await?;
             return Ok(refused);
         }
@@ -62,7 +62,7 @@ impl Store {
     }
 }
 
-/// Gives a job other options. What it has shown is forgotten: what is still true is told again.
+/// Sets the options of a job and deletes its results. Those that remain true are reported again.
 async fn apply(tx: &mut Tx, id: &str, other: &Change) -> Result<()> {
     sqlx::query(
         "UPDATE jobs SET options = $1, rounds = $2, round = 0, progress = 0, best_round = NULL,
@@ -76,7 +76,7 @@ async fn apply(tx: &mut Tx, id: &str, other: &Change) -> Result<()> {
     for forget in [
         "DELETE FROM rounds WHERE job_id = $1",
         "DELETE FROM stages WHERE job_id = $1",
-        // Poses that are used again warn no second time.
+        // Reused poses do not warn again.
         "DELETE FROM warnings WHERE job_id = $1 AND at > (
             SELECT MIN(at) FROM events WHERE job_id = $1 AND kind = 'stage_finished'
         )",
@@ -94,7 +94,7 @@ mod tests {
     use crate::store::{CaptureRow, Needs, NewJob};
 
     #[tokio::test]
-    async fn a_job_that_ended_goes_on_with_other_options() {
+    async fn a_finished_job_can_be_retried_with_other_options() {
         for (_dir, store) in crate::store::tests::of_each().await {
             goes_on(&store).await;
         }

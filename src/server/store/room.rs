@@ -1,4 +1,4 @@
-//! Whether one more job may wait.
+//! Room for one more job.
 
 use sqlx::AnyExecutor;
 
@@ -6,29 +6,29 @@ use super::Tx;
 use super::engine::counted;
 use crate::error::Result;
 
-/// How many jobs there may be.
+/// Limits on the number of jobs.
 #[derive(Clone, Copy, Debug)]
 pub struct Room<'a> {
-    /// Of everybody, that wait.
+    /// Queued jobs of all owners.
     pub queue: u32,
-    /// An owner, and how many of theirs may wait or run.
+    /// An owner, and their limit of queued and running jobs.
     pub of_owner: Option<(&'a str, u32)>,
 }
 
-/// Where there is no room for a job.
+/// The limit that is exceeded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Full {
     Queue,
     Quota,
 }
 
-/// How many jobs wait for a worker.
+/// Counts the queued jobs.
 pub(super) async fn waiting(executor: impl AnyExecutor<'_>) -> Result<u32> {
     let count = sqlx::query_scalar("SELECT COUNT(*) FROM jobs WHERE state = 'queued'");
     counted(count.fetch_one(executor).await?)
 }
 
-/// How many jobs of an owner wait or run.
+/// Counts an owner's queued and running jobs.
 pub(super) async fn unfinished(executor: impl AnyExecutor<'_>, owner: &str) -> Result<u32> {
     let count = sqlx::query_scalar(
         "SELECT COUNT(*) FROM jobs JOIN captures ON captures.id = jobs.capture_id
@@ -37,7 +37,7 @@ pub(super) async fn unfinished(executor: impl AnyExecutor<'_>, owner: &str) -> R
     counted(count.bind(owner).fetch_one(executor).await?)
 }
 
-/// Where there is no room for the jobs that there are, one that was just queued among them.
+/// The limit that the existing jobs exceed, including the one just inserted.
 pub(super) async fn full(tx: &mut Tx, room: Room<'_>) -> Result<Option<Full>> {
     if waiting(&mut **tx).await? > room.queue {
         return Ok(Some(Full::Queue));

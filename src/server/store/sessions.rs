@@ -1,4 +1,4 @@
-//! Sessions of browsers, as digests.
+//! Browser sessions, stored as digests.
 
 use sqlx::Row;
 use subtle::ConstantTimeEq;
@@ -9,10 +9,10 @@ use crate::error::Result;
 use crate::token::Digest;
 
 impl Store {
-    /// Keeps a session of a token, and forgets those that are over.
+    /// Stores a session of a token and deletes expired sessions.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn insert_session(
         &self,
         digest: &Digest,
@@ -38,10 +38,10 @@ impl Store {
         Ok(())
     }
 
-    /// The token of a session, if both hold now. The token's use is noted.
+    /// Returns the token of a session if both are valid now, and records the use of the token.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn token_of_session(&self, digest: &Digest) -> Result<Option<TokenRow>> {
         let row = sqlx::query(
             "SELECT sessions.digest AS session, tokens.digest AS token
@@ -64,7 +64,7 @@ impl Store {
     /// Ends a session.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn end_session(&self, digest: &Digest) -> Result<()> {
         sqlx::query("DELETE FROM sessions WHERE digest = $1")
             .bind(digest.as_slice())
@@ -82,7 +82,7 @@ mod tests {
     use crate::token::Secret;
 
     #[tokio::test]
-    async fn a_session_holds_no_longer_than_its_token() {
+    async fn a_session_is_valid_no_longer_than_its_token() {
         let dir = tempfile::tempdir().expect("temporary directory");
         let store = Store::open(&dir.path().join("fled.db"))
             .await

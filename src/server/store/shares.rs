@@ -1,4 +1,4 @@
-//! Links to one job: tokens that open that job alone.
+//! Share links: tokens that give access to one job.
 
 use sqlx::Row;
 use sqlx::any::AnyRow;
@@ -7,50 +7,50 @@ use super::Store;
 use crate::error::Result;
 use crate::token::Digest;
 
-/// A link to be kept.
+/// A share link to be created.
 #[derive(Clone, Debug)]
 pub struct NewShare {
     /// Its public name.
     pub id: String,
-    /// Whom or what it is for, in the maker's words.
+    /// Its recipient or purpose, as given by its creator.
     pub name: String,
-    /// Of its secret.
+    /// Digest of its secret.
     pub digest: Digest,
-    /// The job that it opens.
+    /// The job it opens.
     pub job: String,
-    /// The token that makes it.
+    /// The token that creates it.
     pub made_by: String,
     /// What it allows.
     pub scopes: &'static str,
-    /// Until when, milliseconds since 1970.
+    /// Expiry, in milliseconds since 1970.
     pub expires_at: i64,
 }
 
-/// A kept link.
+/// A stored share link.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ShareRow {
     /// Its public name.
     pub id: String,
-    /// Whom or what it is for.
+    /// Its recipient or purpose.
     pub name: String,
     /// Milliseconds since 1970.
     pub created_at: i64,
-    /// Until when it holds.
+    /// Expiry, in milliseconds since 1970.
     pub expires_at: i64,
-    /// When it was last used, to a minute.
+    /// When it was last used, to the minute.
     pub last_used_at: Option<i64>,
 }
 
-/// Links of a job; the parameters are the job, and now.
+/// The valid links of a job. The parameters are the job and the current time.
 const THAT_HOLD: &str = "FROM tokens WHERE job_id = $1 AND revoked_at IS NULL AND expires_at > $2
      AND NOT EXISTS (SELECT 1 FROM tokens AS maker
                      WHERE maker.id = tokens.made_by AND maker.revoked_at IS NOT NULL)";
 
 impl Store {
-    /// Keeps a link, unless its job has `most` that hold. `Ok(false)` when it has.
+    /// Inserts a link unless its job has `most` valid ones, which returns `Ok(false)`.
     ///
     /// # Errors
-    /// When the database refuses; also for a job or a token that is not there.
+    /// When a database operation fails, or the job or token does not exist.
     pub async fn insert_share(&self, share: &NewShare, most: u32) -> Result<bool> {
         let now = self.now().await?;
         let mut tx = self.write().await?;
@@ -82,10 +82,10 @@ impl Store {
         Ok(true)
     }
 
-    /// The links of a job that hold, newest first.
+    /// Returns the valid links of a job, newest first.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn shares(&self, job: &str) -> Result<Vec<ShareRow>> {
         let all = format!("SELECT * {THAT_HOLD} ORDER BY created_at DESC, id");
         let rows = sqlx::query(sqlx::AssertSqlSafe(all))
@@ -96,10 +96,10 @@ impl Store {
         rows.iter().map(from_row).collect()
     }
 
-    /// Ends a link of a job. `Ok(false)` when there is none of this name that was not ended before.
+    /// Revokes a link of a job. `Ok(false)` if it does not exist or was revoked before.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn end_share(&self, job: &str, id: &str) -> Result<bool> {
         let done = sqlx::query(
             "UPDATE tokens SET revoked_at = $1 WHERE id = $2 AND job_id = $3 AND revoked_at IS NULL",

@@ -11,7 +11,7 @@ use super::*;
 use crate::error::ServerError;
 use crate::jobs::state::{JobState, Transition};
 
-/// A database file, and what removes it.
+/// A database file, and the guard that removes it.
 pub(crate) async fn in_a_file() -> (tempfile::TempDir, Store) {
     let dir = tempfile::tempdir().expect("temporary directory");
     let store = Store::open(&dir.path().join("fled.db"))
@@ -20,14 +20,14 @@ pub(crate) async fn in_a_file() -> (tempfile::TempDir, Store) {
     (dir, store)
 }
 
-/// A database of a server's.
+/// A database on a server.
 pub(crate) async fn of_a_server() -> (tempfile::TempDir, Store) {
     let dir = tempfile::tempdir().expect("temporary directory");
     let url = fled_tests::Postgres::shared().database();
     (dir, Store::at(&url).await.expect("fresh database"))
 }
 
-/// One of each, for tests that do not care.
+/// One database of each engine.
 pub(crate) async fn of_each() -> [(tempfile::TempDir, Store); 2] {
     [in_a_file().await, of_a_server().await]
 }
@@ -92,7 +92,7 @@ fn failed(retry_in_ms: Option<i64>) -> Settlement {
     }
 }
 
-/// What holds of every database.
+/// Tests that every database must pass.
 mod sqlite {
     use super::*;
 
@@ -104,7 +104,6 @@ mod sqlite {
     include!("tests/machines.rs");
 }
 
-/// The same.
 mod postgres {
     use super::*;
 
@@ -117,9 +116,9 @@ mod postgres {
 }
 
 #[tokio::test]
-async fn a_capture_that_is_deleted_while_a_job_of_it_is_made_stays_or_is_not_found() {
+async fn deleting_a_capture_waits_for_the_creation_of_its_job() {
     let (_dir, store) = with_capture(of_a_server().await).await;
-    // A job is made, and not true yet.
+    // A job has been created but not committed.
     let mut tx = store.write().await.expect("begun");
     jobs::insert(&mut tx, &new_job("j")).await.expect("made");
     let (deleting, copy) = (store.clone(), store.clone());
@@ -146,7 +145,7 @@ async fn a_capture_that_is_deleted_while_a_job_of_it_is_made_stays_or_is_not_fou
     assert!(refused.is_of_a_name(), "{refused}");
 }
 
-/// Lets every connection of the pool grow the database to `pages` at most.
+/// Limits the database to `pages` pages on every connection of the pool.
 async fn allow_pages(store: &Store, pages: u32) {
     let mut all = Vec::new();
     for _ in 0..CONNECTIONS {
@@ -161,10 +160,10 @@ async fn allow_pages(store: &Store, pages: u32) {
 }
 
 #[tokio::test]
-async fn a_disk_that_was_full_disables_no_connection() {
+async fn a_full_disk_disables_no_connection() {
     let (_dir, store) = store().await;
     create(&store, "waits").await;
-    // SQLite gives up at this page as it does on a full disk: it rolls back by itself.
+    // SQLite fails at this page as on a full disk: it rolls back by itself.
     allow_pages(&store, 1).await;
     let large = NewJob {
         options: json!({ "deblur": "x".repeat(1 << 20) }),
@@ -172,7 +171,7 @@ async fn a_disk_that_was_full_disables_no_connection() {
     };
     let refused = store.create_job(&large, None, "", room(100)).await;
     assert!(refused.is_err(), "1 MiB into no free page");
-    // By every connection; one that was replaced has no limit, and a job's id is used once.
+    // On every connection; a replaced one has no limit, and a job's id is used only once.
     for _ in 0..CONNECTIONS {
         drop(store.create_job(&large, None, "", room(100)).await);
     }
@@ -188,7 +187,7 @@ async fn a_disk_that_was_full_disables_no_connection() {
         ..Default::default()
     };
     store.advance(&claim.lease, &step).await.expect("advance");
-    // Seen by other connections: it was no savepoint in a transaction that never ends.
+    // Read on other connections: it was no savepoint in a transaction that never ends.
     for _ in 0..CONNECTIONS {
         let told = store.job("waits").await.expect("read").expect("job");
         assert_eq!(told.progress, 0.5);

@@ -1,4 +1,4 @@
-//! Tokens, as digests.
+//! Tokens, stored as digests.
 
 use sqlx::Row;
 use sqlx::any::AnyRow;
@@ -9,36 +9,36 @@ use super::engine::Cells;
 use crate::error::Result;
 use crate::token::{Digest, Scopes};
 
-/// The use of a token is noted at most so often, milliseconds: a read is no reason to write.
+/// Minimum time between records of a token's use, in milliseconds: reads should not cause writes.
 const NOTED_EVERY: i64 = 60_000;
 
-/// A token to be kept.
+/// A token to be created.
 #[derive(Clone, Debug)]
 pub struct NewToken {
     /// Its public name.
     pub id: String,
     /// The user's name for it.
     pub name: String,
-    /// Of the token itself.
+    /// Digest of the token itself.
     pub digest: Digest,
     /// What it allows.
     pub scopes: Scopes,
-    /// Until when, milliseconds since 1970; `None` for ever.
+    /// Expiry, in milliseconds since 1970; `None` for never.
     pub expires_at: Option<i64>,
-    /// What its holder may have.
+    /// Limits for its owner.
     pub quotas: Quotas,
 }
 
-/// How much the holder of a token may have; `None` for no limit but the server's own.
+/// Limits for the owner of a token; `None` leaves only the server's own limit.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Quotas {
-    /// Captures and results of its owner, bytes.
+    /// Bytes of the owner's captures and results.
     pub bytes: Option<u64>,
-    /// Jobs of its owner that wait or run.
+    /// The owner's queued and running jobs.
     pub jobs: Option<u32>,
 }
 
-/// A kept token.
+/// A stored token.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct TokenRow {
     /// Its public name.
@@ -49,21 +49,21 @@ pub struct TokenRow {
     pub scopes: Scopes,
     /// Milliseconds since 1970.
     pub created_at: i64,
-    /// Until when it holds; `None` for ever.
+    /// Expiry, in milliseconds since 1970; `None` for never.
     pub expires_at: Option<i64>,
-    /// Since when it holds no more.
+    /// When it was revoked.
     pub revoked_at: Option<i64>,
-    /// When it was last shown, to a minute.
+    /// When it was last used, to the minute.
     pub last_used_at: Option<i64>,
-    /// What its holder may have.
+    /// Limits for its owner.
     pub quotas: Quotas,
-    /// The only job that it opens, where it is a link to one.
+    /// The only job it opens, if it is a share link.
     pub job: Option<String>,
 }
 
 impl TokenRow {
-    /// Whose what it uploads is: a new token of the same name sees it too. A link is nobody's but
-    /// its own, whatever it is called.
+    /// The owner of its uploads: its name, so that a new token of the same name sees them too. A
+    /// share link owns only its own, whatever its name.
     pub fn owner(&self) -> &str {
         if self.name.is_empty() || self.job.is_some() {
             &self.id
@@ -72,17 +72,17 @@ impl TokenRow {
         }
     }
 
-    /// Whether it holds at a time, milliseconds since 1970.
+    /// Returns whether it is valid at `now`, in milliseconds since 1970.
     pub fn holds(&self, now: i64) -> bool {
         self.revoked_at.is_none() && self.expires_at.is_none_or(|end| now < end)
     }
 }
 
 impl Store {
-    /// Keeps a token.
+    /// Inserts a token.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn insert_token(&self, token: &NewToken) -> Result<()> {
         sqlx::query(
             "INSERT INTO tokens
@@ -95,7 +95,7 @@ impl Store {
         .bind(token.scopes.to_string())
         .bind(self.now().await?)
         .bind(token.expires_at)
-        // More bytes than the database can count are no limit.
+        // More bytes than the database can count are unlimited.
         .bind(
             token
                 .quotas
@@ -108,10 +108,10 @@ impl Store {
         Ok(())
     }
 
-    /// Every token there ever was, oldest first, without the links to jobs.
+    /// Returns all tokens ever created, oldest first, except share links.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn tokens(&self) -> Result<Vec<TokenRow>> {
         let rows = sqlx::query("SELECT * FROM tokens WHERE job_id IS NULL ORDER BY created_at, id")
             .fetch_all(&self.pool)
@@ -119,20 +119,20 @@ impl Store {
         rows.iter().map(from_row).collect()
     }
 
-    /// Whether there ever was a token. One that was revoked or has expired counts: its end must not
-    /// open the service to those who have none. A link is made by a token.
+    /// Returns whether any token was ever created. Revoked and expired tokens count: their end must
+    /// not open the service to everyone. A share link needs a token to create it.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn has_tokens(&self) -> Result<bool> {
         let any = sqlx::query("SELECT id FROM tokens LIMIT 1");
         Ok(any.fetch_optional(&self.pool).await?.is_some())
     }
 
-    /// Ends a token. `Ok(false)` when there is none of this name that was not ended before.
+    /// Revokes a token. `Ok(false)` if it does not exist or was revoked before.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn revoke_token(&self, id: &str) -> Result<bool> {
         let done =
             sqlx::query("UPDATE tokens SET revoked_at = $1 WHERE id = $2 AND revoked_at IS NULL")
@@ -143,11 +143,11 @@ impl Store {
         Ok(done.rows_affected() == 1)
     }
 
-    /// The token of this digest, if it holds now, and the one that made it is not revoked. Its use
-    /// is noted.
+    /// Returns the token with this digest if it is valid now and its creator is not revoked.
+    /// Records its use.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn token_that_holds(&self, digest: &Digest) -> Result<Option<TokenRow>> {
         let row = sqlx::query(
             "SELECT * FROM tokens WHERE digest = $1 AND NOT EXISTS (
@@ -173,7 +173,7 @@ impl Store {
                 .bind(&token.id)
                 .execute(&self.pool)
                 .await;
-            // A full disk must not lock anybody out.
+            // A full disk must not lock anyone out.
             if let Err(error) = noted {
                 tracing::warn!(%error, "the use of a token is not noted");
             }

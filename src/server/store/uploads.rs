@@ -1,4 +1,4 @@
-//! Uploads in pieces.
+//! Resumable uploads.
 
 use std::collections::HashMap;
 
@@ -9,31 +9,31 @@ use sqlx::any::AnyRow;
 use super::{Store, Tx};
 use crate::error::{Result, ServerError};
 
-/// An upload in pieces, unfinished or not yet made a capture of.
+/// A resumable upload, unfinished or not yet part of a capture.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct UploadRow {
     /// UUID v7.
     pub id: String,
-    /// Whose it is; `None` where nobody was asked for a token.
+    /// Its owner; `None` if the service had no tokens.
     pub owner: Option<String>,
-    /// What its file is called, as sent.
+    /// Its file name, as sent.
     pub filename: String,
     /// `Upload-Metadata`, as sent.
     pub metadata: String,
-    /// Bytes that it will have.
+    /// Total bytes.
     pub length: u64,
     /// Milliseconds since 1970.
     pub created_at: i64,
-    /// The same: when it goes, unless more of it comes.
+    /// When it expires unless more data arrives, in milliseconds since 1970.
     pub expires_at: i64,
 }
 
 impl Store {
-    /// Keeps an upload whose empty file is on the disk, where its owner has fewer than `most`.
-    /// `Ok(false)` where not.
+    /// Inserts an upload whose empty file is on disk, if its owner has fewer than `most`; otherwise
+    /// `Ok(false)`.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn insert_upload(&self, row: &UploadRow, most: u32) -> Result<bool> {
         let done = sqlx::query(
             "INSERT INTO uploads (id, owner, filename, metadata, length, created_at, expires_at)
@@ -53,10 +53,10 @@ impl Store {
         Ok(done.rows_affected() == 1)
     }
 
-    /// The upload of this id, unless it has expired.
+    /// Returns the upload with this id unless it has expired.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn upload(&self, id: &str) -> Result<Option<UploadRow>> {
         let row = sqlx::query("SELECT * FROM uploads WHERE id = $1 AND expires_at > $2")
             .bind(id)
@@ -66,10 +66,10 @@ impl Store {
         row.as_ref().map(from_row).transpose()
     }
 
-    /// Those of these uploads that there are, by id.
+    /// Returns the unexpired uploads among `ids`, by id.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn uploads(&self, ids: &[String]) -> Result<HashMap<String, UploadRow>> {
         let these = format!(
             "SELECT * FROM uploads WHERE id IN ({}) AND expires_at > $2",
@@ -84,21 +84,20 @@ impl Store {
         rows.iter().map(by_id).collect()
     }
 
-    /// Whether there is such an upload of this owner.
+    /// Returns whether `owner` has this upload.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn owns_upload(&self, owner: &str, id: &str) -> Result<bool> {
         let owns = "SELECT id FROM uploads WHERE id = $1 AND owner = $2";
         let owns = sqlx::query(owns).bind(id).bind(owner);
         Ok(owns.fetch_optional(&self.pool).await?.is_some())
     }
 
-    /// Bytes that all uploads of an owner have or will have, expired ones whose file is still there
-    /// included.
+    /// Total bytes of all uploads of an owner, including expired ones whose files still exist.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn bytes_of_uploads(&self, owner: &str) -> Result<u64> {
         let sum = "SELECT CAST(COALESCE(SUM(length), 0) AS BIGINT) FROM uploads WHERE owner = $1";
         let sum = sqlx::query_scalar(sum).bind(owner);
@@ -106,10 +105,10 @@ impl Store {
         Ok(u64::try_from(sum).unwrap_or(0))
     }
 
-    /// Notes that more of an upload has come: it expires later. `Ok(false)` when there is none.
+    /// Postpones the expiry of an upload. `Ok(false)` if the upload does not exist.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn touch_upload(&self, id: &str, expires_at: i64) -> Result<bool> {
         let done = sqlx::query("UPDATE uploads SET expires_at = $1 WHERE id = $2")
             .bind(expires_at)
@@ -119,11 +118,11 @@ impl Store {
         Ok(done.rows_affected() == 1)
     }
 
-    /// Forgets an upload; with `by`, only if it has expired by then. `Ok(false)` when
-    /// there is none.
+    /// Deletes an upload; with `by`, only if it has expired by then. `Ok(false)` if no row was
+    /// deleted.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn forget_upload(&self, id: &str, by: Option<i64>) -> Result<bool> {
         let done =
             sqlx::query("DELETE FROM uploads WHERE id = $1 AND ($2 IS NULL OR expires_at <= $2)")
@@ -134,19 +133,19 @@ impl Store {
         Ok(done.rows_affected() == 1)
     }
 
-    /// The ids of uploads that have expired by then.
+    /// Returns the ids of uploads that have expired by `by`.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn expired_uploads(&self, by: i64) -> Result<Vec<String>> {
         let expired = sqlx::query_scalar("SELECT id FROM uploads WHERE expires_at <= $1").bind(by);
         Ok(expired.fetch_all(&self.pool).await?)
     }
 
-    /// Forgets every upload: in a copy that has none of their files.
+    /// Deletes all uploads, for a copy that lacks their files.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn forget_uploads(&self) -> Result<()> {
         let forget = sqlx::query("DELETE FROM uploads");
         forget.execute(&self.pool).await?;
@@ -154,7 +153,7 @@ impl Store {
     }
 }
 
-/// Forgets these uploads, if all of them are there.
+/// Deletes these uploads and returns whether all of them existed.
 pub(super) async fn use_up(tx: &mut Tx, ids: &[String]) -> Result<bool> {
     let these = format!(
         "DELETE FROM uploads WHERE id IN ({})",
@@ -179,7 +178,7 @@ fn from_row(row: &AnyRow) -> Result<UploadRow> {
     })
 }
 
-/// No upload is as long as a signed number cannot tell.
+/// No upload is longer than an `i64` can hold.
 fn signed(bytes: u64) -> i64 {
     i64::try_from(bytes).unwrap_or(i64::MAX)
 }

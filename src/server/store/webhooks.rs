@@ -1,4 +1,4 @@
-//! Whom to tell of jobs, and what they are still to be told.
+//! Webhooks and their deliveries.
 
 use serde_json::{Value, json};
 use sqlx::Row;
@@ -9,83 +9,83 @@ use super::outbox::{body, typed};
 use super::{Engine, Store};
 use crate::error::Result;
 
-/// What a test delivery is called.
+/// The type of a test delivery.
 pub const TEST: &str = "webhook.test";
 
-/// An address that is told of jobs.
+/// A webhook.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct WebhookRow {
     /// Its public name.
     pub id: String,
-    /// Where it is told.
+    /// Where deliveries are sent.
     pub url: String,
-    /// What deliveries are signed with.
+    /// The key that signs deliveries.
     pub secret: Vec<u8>,
-    /// Types that it wants.
+    /// Event types that it subscribes to.
     pub types: Vec<String>,
-    /// Whose jobs it is told of; `None` where nobody is asked for a token.
+    /// Whose jobs it is notified of; `None` if the service had no tokens.
     pub owner: Option<String>,
-    /// Whether it is told of everybody's.
+    /// Whether it is notified of every owner's jobs.
     pub sees_all: bool,
-    /// The token that made it.
+    /// The token that created it.
     pub made_by: Option<String>,
     /// Milliseconds since 1970.
     pub created_at: i64,
-    /// Since when its address says that it is gone.
+    /// When its endpoint answered that it is gone.
     pub gone_at: Option<i64>,
 }
 
-/// Something that an address is to be told, or was.
+/// A pending or past delivery.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct DeliveryRow {
-    /// The same in every attempt.
+    /// Its id, the same in every attempt.
     pub id: String,
-    /// What it tells.
+    /// Its event type.
     pub kind: String,
-    /// JSON, as it is signed and sent.
+    /// JSON, as signed and sent.
     pub body: String,
     /// Milliseconds since 1970.
     pub created_at: i64,
-    /// Attempts so far.
+    /// Number of attempts so far.
     pub attempts: u32,
-    /// When it is tried next; `None` when it arrived or was given up.
+    /// When it is tried next; `None` once it has arrived or was abandoned.
     pub next_at: Option<i64>,
     /// When it arrived.
     pub delivered_at: Option<i64>,
-    /// What the last attempt came to.
+    /// Outcome of the last attempt.
     pub answer: Option<String>,
 }
 
-/// What an attempt came to.
+/// Outcome of an attempt.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Tried {
-    /// In words.
+    /// A description.
     pub answer: String,
-    /// How it goes on.
+    /// What happens next.
     pub then: Then,
 }
 
-/// How it goes on after an attempt.
+/// What happens after an attempt.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Then {
     /// It arrived.
     Arrived,
-    /// It is tried again after so long, milliseconds.
+    /// It is retried after this many milliseconds.
     After(i64),
-    /// It is given up.
+    /// It is abandoned.
     GivenUp,
-    /// It is given up, and so is the address.
+    /// It is abandoned, and the webhook is disabled.
     Gone,
 }
 
-/// A delivery is on its way for so long at most, milliseconds: an attempt takes less.
+/// How long a delivery stays claimed, in milliseconds: longer than any attempt.
 const ON_ITS_WAY_MS: i64 = 120_000;
 
 impl Store {
-    /// Keeps an address, unless its owner has `most`. `Ok(false)` when they have.
+    /// Inserts a webhook unless its owner has `most` already, which returns `Ok(false)`.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn insert_webhook(&self, webhook: &WebhookRow, most: u32) -> Result<bool> {
         let mut tx = self.write().await?;
         let held =
@@ -114,10 +114,10 @@ impl Store {
         Ok(true)
     }
 
-    /// The addresses of an owner, or all, oldest first.
+    /// Returns the webhooks of an owner, or all, oldest first.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn webhooks(&self, owner: Option<&str>) -> Result<Vec<WebhookRow>> {
         let rows = sqlx::query(
             "SELECT * FROM webhooks WHERE $1 IS NULL OR owner = $1 ORDER BY created_at, id",
@@ -128,10 +128,10 @@ impl Store {
         rows.iter().map(webhook).collect()
     }
 
-    /// One address.
+    /// Returns the webhook with this id.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn webhook(&self, id: &str) -> Result<Option<WebhookRow>> {
         let row = sqlx::query("SELECT * FROM webhooks WHERE id = $1")
             .bind(id)
@@ -140,19 +140,19 @@ impl Store {
         row.as_ref().map(webhook).transpose()
     }
 
-    /// Whether an address is of this owner.
+    /// Returns whether `owner` has this webhook.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn owns_webhook(&self, owner: &str, id: &str) -> Result<bool> {
         let row = self.webhook(id).await?;
         Ok(row.is_some_and(|row| row.owner.as_deref() == Some(owner)))
     }
 
-    /// Tells an address nothing more, and forgets what it was told.
+    /// Deletes a webhook and its deliveries.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn delete_webhook(&self, id: &str) -> Result<()> {
         sqlx::query("DELETE FROM webhooks WHERE id = $1")
             .bind(id)
@@ -161,11 +161,10 @@ impl Store {
         Ok(())
     }
 
-    /// Writes a delivery that only shows whether deliveries arrive; its name. `None` while one is
-    /// on its way.
+    /// Inserts a test delivery and returns its id; `None` while another one is pending.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn test_webhook(&self, webhook: &str) -> Result<Option<String>> {
         let now = self.now().await?;
         let id = format!("msg_{}", uuid::Uuid::now_v7());
@@ -185,11 +184,11 @@ impl Store {
         Ok((done.rows_affected() == 1).then_some(id))
     }
 
-    /// What is to be tried now, with where and by what secret: of each address what has failed
-    /// least, and none of those in `busy`.
+    /// Returns due deliveries with their webhooks: for each webhook outside `busy`, the delivery
+    /// with the fewest attempts.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn due_deliveries(
         &self,
         busy: &[String],
@@ -220,10 +219,10 @@ impl Store {
         Ok(due)
     }
 
-    /// When the next delivery is to be tried, but to addresses in `busy`.
+    /// When the next delivery is due, except to webhooks in `busy`.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn next_delivery(&self, busy: &[String]) -> Result<Option<i64>> {
         let next = format!(
             "SELECT min(next_at) FROM deliveries WHERE next_at IS NOT NULL
@@ -235,11 +234,11 @@ impl Store {
         Ok(next.bind(busy).fetch_one(&self.pool).await?)
     }
 
-    /// Whether an address may still be told: as long as the token holds that made it, or, where it
-    /// was made without one, as long as there is none.
+    /// Returns whether a webhook may still receive deliveries: its token must be valid. A webhook
+    /// created without a token is valid while the service has no tokens.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn webhook_holds(&self, webhook: &WebhookRow) -> Result<bool> {
         let holds = sqlx::query_scalar(
             "SELECT CASE WHEN $1 IS NULL
@@ -253,11 +252,12 @@ impl Store {
         Ok(holds > 0)
     }
 
-    /// Takes a delivery for a while, so that nobody else sends it, too; whoever dies meanwhile
-    /// leaves it due. `Ok(false)` when somebody else has taken it. With SQLite there is nobody.
+    /// Claims a delivery for a while, so that no other process sends it too; after a crash it is
+    /// due again. `Ok(false)` if another process has claimed it. With SQLite there is no other
+    /// process.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn take_delivery(&self, delivery: &mut DeliveryRow) -> Result<bool> {
         if self.engine == Engine::Sqlite {
             return Ok(true);
@@ -277,10 +277,10 @@ impl Store {
         Ok(done.rows_affected() == 1)
     }
 
-    /// Notes what an attempt came to, unless it was asked for anew meanwhile.
+    /// Records the outcome of an attempt, unless a redelivery was requested meanwhile.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn note_attempt(&self, delivery: &DeliveryRow, tried: &Tried) -> Result<()> {
         let mut tx = self.write().await?;
         let now = tx.now;
@@ -316,10 +316,10 @@ impl Store {
         Ok(())
     }
 
-    /// What an address was told last, newest first.
+    /// Returns the latest deliveries to a webhook, newest first.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn deliveries(&self, webhook: &str, limit: u32) -> Result<Vec<DeliveryRow>> {
         let rows = sqlx::query(
             "SELECT * FROM deliveries WHERE webhook_id = $1 ORDER BY created_at DESC, id LIMIT $2",
@@ -331,10 +331,11 @@ impl Store {
         rows.iter().map(delivery).collect()
     }
 
-    /// Has a delivery tried at once, whatever became of it. `Ok(false)` when there is none.
+    /// Schedules a delivery to be sent at once, whatever its outcome. `Ok(false)` if it does not
+    /// exist.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn redeliver(&self, webhook: &str, id: &str) -> Result<bool> {
         let done = sqlx::query(
             "UPDATE deliveries SET next_at = $1, attempts = 0 WHERE id = $2 AND webhook_id = $3",
@@ -347,10 +348,10 @@ impl Store {
         Ok(done.rows_affected() == 1)
     }
 
-    /// Forgets deliveries that are older than a time and are not tried any more.
+    /// Deletes deliveries that were created before `before` and are no longer pending.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn forget_deliveries(&self, before: i64) -> Result<()> {
         sqlx::query("DELETE FROM deliveries WHERE created_at < $1 AND next_at IS NULL")
             .bind(before)

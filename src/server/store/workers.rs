@@ -1,4 +1,4 @@
-//! The machines that work.
+//! Worker machines.
 
 use std::time::Duration;
 
@@ -33,25 +33,25 @@ pub struct About {
 /// A worker as it was last heard of.
 #[derive(Clone, Debug, PartialEq)]
 pub struct WorkerRow {
-    /// Its name for itself: the same after a restart.
+    /// The name it gives itself, the same after a restart.
     pub id: String,
-    /// What it says of itself.
+    /// What it reports about itself.
     pub about: About,
     /// Whether it takes no more jobs.
     pub draining: bool,
-    /// Since when it works, milliseconds since 1970.
+    /// When it started, in milliseconds since 1970.
     pub started_at: i64,
-    /// When it was last heard of.
+    /// When it was last seen, in milliseconds since 1970.
     pub seen_at: i64,
-    /// The jobs that it runs, with their speed of training in steps a second.
+    /// The jobs that it runs, with their training speed in steps per second.
     pub running: Vec<(String, Option<f64>)>,
 }
 
 impl Store {
-    /// Notes that a worker is there.
+    /// Records that a worker is present.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn see_worker(&self, id: &str, about: &About, draining: bool) -> Result<()> {
         let now = self.now().await?;
         let about = serde_json::to_string(about).map_err(|error| ServerError::Damaged {
@@ -73,10 +73,10 @@ impl Store {
         Ok(())
     }
 
-    /// Forgets a worker that went, or those that were not heard of since `before`.
+    /// Deletes a worker that has left, and all that were last seen before `before`.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn forget_workers(&self, id: Option<&str>, before: i64) -> Result<()> {
         sqlx::query("DELETE FROM workers WHERE id = $1 OR seen_at < $2")
             .bind(id)
@@ -86,10 +86,10 @@ impl Store {
         Ok(())
     }
 
-    /// The workers, by name.
+    /// Returns all workers, by name.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn workers(&self) -> Result<Vec<WorkerRow>> {
         let rows = sqlx::query("SELECT * FROM workers ORDER BY id")
             .fetch_all(&self.pool)
@@ -118,19 +118,19 @@ impl Store {
 /// How long jobs wait, and how old leases are.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Waits {
-    /// Seconds since the lease that was extended longest ago; 0 where nothing runs.
+    /// Seconds since the least recently extended lease was extended; 0 if no job runs.
     pub lease_age: f64,
-    /// Seconds that the oldest job waits; 0 where none does.
+    /// Seconds that the oldest queued job has waited; 0 if none waits.
     pub waiting: f64,
-    /// A lease, milliseconds.
+    /// Duration of a lease, in milliseconds.
     pub lease_ms: i64,
 }
 
 impl Store {
-    /// How long jobs wait, and how old leases are.
+    /// Returns how long jobs wait and how old leases are.
     ///
     /// # Errors
-    /// When the database refuses.
+    /// When a database operation fails.
     pub async fn waits(&self, lease: Duration) -> Result<Waits> {
         let tx = self.begin().await?;
         let (now, clock) = (tx.now, self.lease_clock(&tx));
@@ -152,7 +152,7 @@ impl Store {
     }
 }
 
-/// Whether a lease, which names a worker and one of its turns, is this worker's.
+/// Returns whether a lease, which names a worker and one of its slots, belongs to this worker.
 fn is_of(owner: &str, worker: &str) -> bool {
     owner
         .strip_prefix(worker)

@@ -8,7 +8,7 @@ use crate::store::clock::step;
 const HOUR_MS: i64 = 3_600_000;
 
 #[tokio::test]
-async fn a_job_that_runs_here_is_not_taken_over_whatever_the_clock_says() {
+async fn a_job_running_here_is_not_taken_over() {
     let (_dir, store) = store().await;
     create(&store, "j").await;
     let claim = store.claim("one", -1, &[]).await.expect("claim");
@@ -23,13 +23,13 @@ async fn a_job_that_runs_here_is_not_taken_over_whatever_the_clock_says() {
 }
 
 #[tokio::test]
-async fn a_clock_that_is_set_forward_ends_no_lease() {
+async fn setting_the_clock_forward_ends_no_lease() {
     let (_dir, store) = store().await;
     create(&store, "j").await;
     let claim = store.claim("one", 30_000, &[]).await.expect("claim");
     let claim = claim.expect("the job");
     step(HOUR_MS);
-    // The other worker has not heard yet that the first one runs it.
+    // The other worker does not know yet that the first one runs it.
     let stolen = store.claim("two", 30_000, &[]).await.expect("claim");
     assert!(stolen.is_none(), "taken from who has it");
     store
@@ -39,7 +39,7 @@ async fn a_clock_that_is_set_forward_ends_no_lease() {
 }
 
 #[tokio::test]
-async fn a_clock_that_is_set_back_holds_up_no_job_that_nobody_runs() {
+async fn setting_the_clock_back_keeps_no_expired_lease() {
     let (_dir, store) = store().await;
     create(&store, "j").await;
     let dropped = store.claim("one", 1, &[]).await.expect("claim");

@@ -1,7 +1,7 @@
-// Tests of what machines that share a database need of it: included once for each database.
+// Tests of databases shared by several machines, included once per database.
 
 #[tokio::test]
-async fn what_is_told_again_because_its_answer_was_lost_is_told_once() {
+async fn a_repeated_report_is_applied_once() {
     let (_dir, store) = store().await;
     create(&store, "j").await;
     let claim = store.claim("w", 60_000, &[]).await.expect("claim");
@@ -10,7 +10,7 @@ async fn what_is_told_again_because_its_answer_was_lost_is_told_once() {
         code: "dark".to_owned(),
         message: "dark".to_owned(),
     };
-    // As `say` does it: the first transaction is done, and its answer does not come.
+    // As in `report`: the first transaction commits, but its answer is lost.
     let mut before = None;
     let report = report::Report::Event(&warning);
     store.report_once(&lease, report, &mut before).await.expect("told");
@@ -26,7 +26,7 @@ async fn what_is_told_again_because_its_answer_was_lost_is_told_once() {
 }
 
 #[tokio::test]
-async fn a_job_waits_for_a_machine_that_is_fit_and_owners_have_turns() {
+async fn jobs_wait_for_a_fitting_machine_and_owners_take_turns() {
     let (_dir, store) = store().await;
     for owner in ["anna", "ben"] {
         let capture = CaptureRow {
@@ -71,7 +71,7 @@ async fn a_job_waits_for_a_machine_that_is_fit_and_owners_have_turns() {
 }
 
 #[tokio::test]
-async fn files_are_named_by_who_has_the_job_and_go_with_it() {
+async fn only_the_lease_holder_names_files_and_they_go_with_the_job() {
     let (_dir, store) = store().await;
     create(&store, "j").await;
     let file = |path: &str, digest: &str| fled_blobs::Kept {
@@ -104,7 +104,7 @@ async fn files_are_named_by_who_has_the_job_and_go_with_it() {
 }
 
 #[tokio::test]
-async fn leases_that_ran_out_are_deaths_and_others_are_left_alone() {
+async fn only_the_leases_of_the_restarted_worker_are_released() {
     let (_dir, store) = store().await;
     for id in ["a", "b"] {
         create(&store, id).await;
@@ -125,7 +125,7 @@ async fn leases_that_ran_out_are_deaths_and_others_are_left_alone() {
 }
 
 #[tokio::test]
-async fn workers_are_seen_with_what_they_do_until_they_go() {
+async fn workers_are_listed_with_their_jobs_until_they_leave() {
     let (_dir, store) = store().await;
     create(&store, "j").await;
     let about = About {

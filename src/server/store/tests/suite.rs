@@ -1,4 +1,4 @@
-// Tests of what every database must do: included once for each.
+// Tests for every database, included once per database.
 
 #[tokio::test]
 async fn a_worker_that_lost_its_lease_writes_nothing() {
@@ -78,7 +78,7 @@ async fn two_workers_never_claim_the_same_job_and_the_oldest_goes_first() {
 }
 
 #[tokio::test]
-async fn a_restart_queues_what_ran_and_cancels_what_was_to_be_stopped() {
+async fn a_restart_requeues_running_jobs_and_finishes_cancellations() {
     let (_dir, store) = store().await;
     create(&store, "a").await;
     create(&store, "b").await;
@@ -115,7 +115,7 @@ async fn a_restart_queues_what_ran_and_cancels_what_was_to_be_stopped() {
 }
 
 #[tokio::test]
-async fn a_key_gives_one_job_and_refuses_another_request() {
+async fn a_key_creates_one_job_and_refuses_another_request() {
     let (_dir, store) = store().await;
     let create = |id: &'static str, print: &'static str| {
         let store = store.clone();
@@ -140,7 +140,7 @@ async fn a_key_gives_one_job_and_refuses_another_request() {
 }
 
 #[tokio::test]
-async fn failures_count_only_while_there_is_no_progress() {
+async fn progress_resets_the_count_of_failures() {
     let (_dir, store) = store().await;
     create(&store, "j").await;
     for (progress, expected) in [(0.0, 1), (0.0, 2), (0.4, 1), (0.4, 2), (0.4, 3)] {
@@ -175,7 +175,7 @@ async fn failures_count_only_while_there_is_no_progress() {
 }
 
 #[tokio::test]
-async fn deleting_a_job_takes_its_rows_and_a_used_capture_stays() {
+async fn deleting_a_job_deletes_its_rows_but_a_used_capture_stays() {
     let (_dir, store) = store().await;
     create(&store, "j").await;
     assert!(!store.delete_capture("c").await.expect("refused"));
@@ -200,8 +200,8 @@ async fn deleting_a_job_takes_its_rows_and_a_used_capture_stays() {
     assert!(store.delete_capture("c").await.expect("free now"));
 }
 
-/// Applies `transition` through the store as a worker and the API would; what the store answers
-/// must be what the pure function says.
+/// Applies `transition` through the store as a worker and the API would. The stored state must
+/// match that of the pure function.
 async fn drive(store: &Store, leases: &mut BTreeMap<&str, Lease>, transition: Transition) {
     let settle = |settlement| {
         let (store, lease) = (store.clone(), leases.get("j").cloned());
@@ -212,7 +212,7 @@ async fn drive(store: &Store, leases: &mut BTreeMap<&str, Lease>, transition: Tr
         }
     };
     match transition {
-        // A negative lease has run out at once, so that `Claimed` can happen to a running job.
+        // A negative lease expires at once, so that `Claimed` can happen to a running job.
         Transition::Claimed => {
             if let Some(claim) = store.claim("w", -1, &[]).await.expect("claim") {
                 leases.insert("j", claim.lease);
@@ -259,7 +259,7 @@ proptest! {
 }
 
 #[tokio::test]
-async fn the_queue_takes_so_many_and_no_more() {
+async fn the_queue_refuses_jobs_beyond_its_limit() {
     let (_dir, store) = store().await;
     for (id, expected) in [("a", true), ("b", true), ("c", false)] {
         let outcome = store.create_job(&new_job(id), None, "", room(2)).await;
@@ -270,7 +270,7 @@ async fn the_queue_takes_so_many_and_no_more() {
 }
 
 #[tokio::test]
-async fn deaths_of_the_server_count_while_there_is_no_progress() {
+async fn progress_resets_the_count_of_server_deaths() {
     let (_dir, store) = store().await;
     create(&store, "j").await;
     for (progress, expected) in [(0.0, 1), (0.0, 2), (0.5, 1), (0.5, 2)] {
@@ -297,7 +297,7 @@ async fn deaths_of_the_server_count_while_there_is_no_progress() {
 }
 
 #[tokio::test]
-async fn a_job_knows_its_place_in_the_queue_and_when_its_stage_began() {
+async fn a_job_knows_its_queue_position_and_when_its_stage_began() {
     let (_dir, store) = store().await;
     for id in ["a", "b", "c"] {
         create(&store, id).await;
@@ -315,6 +315,6 @@ async fn a_job_knows_its_place_in_the_queue_and_when_its_stage_began() {
     let settled = store.settle(&lease, &Settlement::Released).await;
     settled.expect("settle");
     store.claim("w", 60_000, &[]).await.expect("claim");
-    // The new attempt has begun none.
+    // The new attempt has not begun a stage.
     assert_eq!(told("a").await.stage_started_at, None);
 }
