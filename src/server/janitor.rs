@@ -1,10 +1,10 @@
-//! Removes what nobody wants any more: one list of rules, which a server follows at its start and
-//! every hour, and `fled gc` by hand.
+//! The janitor, which removes expired and unneeded files and rows. A server applies its rules at
+//! its start and every hour; `fled gc` applies them by hand.
 //!
-//! Files and rows cannot change together: a server that dies between the two leaves files without
-//! a row, never a row without files. A database that was restored from an older copy names less
-//! than there is, too. So orphans, which are captures, jobs and uploads without a row, are kept
-//! aside for a while before they go.
+//! Files and rows cannot change together: a server that dies between the two leaves files without a
+//! row, never a row without files. A database restored from an older backup also names fewer files
+//! than exist. So orphans, which are captures, jobs and uploads without a row, are moved aside for
+//! a while before they are deleted.
 
 mod blobs;
 mod copies;
@@ -24,10 +24,10 @@ pub use blobs::claim;
 pub use files::delete;
 pub use gc::{Collected, GcOptions, Gone, gc};
 
-/// Between two rounds. What has changed within it stays: what is being made has no row yet.
+/// Time between two rounds. Files changed within it stay: what is being created has no row yet.
 const PERIOD: Duration = Duration::from_secs(3600);
 const DAY: Duration = Duration::from_secs(24 * 3600);
-/// What webhooks were told is known for so long, milliseconds.
+/// How long past webhook deliveries are kept, in milliseconds.
 const DELIVERIES_KEPT_MS: i64 = 30 * 24 * 3600 * 1000;
 
 #[derive(Clone, Copy, Debug)]
@@ -47,13 +47,13 @@ enum Name {
 
 struct Rule {
     name: Name,
-    /// What goes.
+    /// Why it removes something.
     what: &'static str,
-    /// When the rule is followed at all.
+    /// Whether the rule applies.
     when: fn(&Janitor<'_>) -> bool,
 }
 
-/// In the order in which they are followed.
+/// The rules in the order of their application.
 static RULES: [Rule; 11] = [
     Rule {
         name: Name::Expired,
@@ -63,13 +63,13 @@ static RULES: [Rule; 11] = [
     Rule {
         name: Name::ExpiredUploads,
         what: "an upload of which nothing more came",
-        // Only its server knows which of them are under way.
+        // Only this directory's server knows which uploads are in progress.
         when: |at| at.data.is_ours(),
     },
     Rule {
         name: Name::LostUploads,
         what: "an upload whose file is not there",
-        // Others' lie elsewhere; rows of those that are lost go with their time.
+        // The files of other machines' uploads lie elsewhere; rows of lost ones expire.
         when: |at| at.app.is_some() && at.store.engine() == Engine::Sqlite,
     },
     Rule {
@@ -110,35 +110,35 @@ static RULES: [Rule; 11] = [
     Rule {
         name: Name::Blobs,
         what: "a blob that no file has",
-        // The whole store is listed for it, which no start waits for.
+        // It lists the whole blob store, which would delay a start.
         when: |at| at.serves && !at.made.is_zero(),
     },
 ];
 
-/// One round.
+/// One round of the janitor.
 struct Janitor<'a> {
     data: &'a DataDir,
     store: &'a Store,
-    /// The server that it is of; `None` of `fled gc`.
+    /// The server; `None` for `fled gc`.
     app: Option<&'a App>,
-    /// Whether it removes what all share: a worker does not know what is to be kept.
+    /// Whether it removes shared things: a worker does not know what to keep.
     serves: bool,
     /// Only reports.
     dry_run: bool,
-    /// Files that have changed within this stay, whatever the rule.
+    /// Files changed within this time stay, whatever the rule.
     made: Duration,
-    /// How long orphans are kept aside.
+    /// How long orphans are kept.
     orphans: Duration,
-    /// How long is kept what is made again when it is wanted.
+    /// How long caches are kept, whose files can be recreated.
     caches: Duration,
     report: &'a mut dyn FnMut(&Gone),
-    /// What it has reported: in a dry run it is still there.
+    /// Paths reported so far. In a dry run they still exist.
     reported: Vec<PathBuf>,
-    /// The first thing that went wrong.
+    /// The first error.
     failed: Option<ServerError>,
 }
 
-/// Follows the rules every hour until the server stops.
+/// Applies the rules every hour until the server stops.
 pub async fn keep_clean(app: Arc<App>, serves: bool) {
     loop {
         tokio::select! {
@@ -148,9 +148,9 @@ pub async fn keep_clean(app: Arc<App>, serves: bool) {
     }
 }
 
-/// Follows the rules. Files that have changed within `made` stay; before there are workers and
-/// requests that is nothing: what has no row then will never have one. What goes wrong is in
-/// the log, and keeps no server from starting.
+/// Applies the rules once. Files changed within `made` stay; before workers and requests start,
+/// that is zero, because what has no row then never gets one. Errors are logged and do not keep a
+/// server from starting.
 pub async fn clean(app: Arc<App>, serves: bool, made: Duration) {
     let runtime = tokio::runtime::Handle::current();
     let round = move || {
@@ -174,7 +174,7 @@ pub async fn clean(app: Arc<App>, serves: bool, made: Duration) {
             }
         });
     };
-    // It waits for the disk, which no other task may wait for.
+    // It blocks on the disk.
     if let Err(error) = tokio::task::spawn_blocking(round).await {
         tracing::error!(%error, "the janitor broke off");
     }
@@ -193,7 +193,7 @@ impl Janitor<'_> {
         }
     }
 
-    /// How many things went.
+    /// Returns the number of removed things.
     async fn follow(&mut self, rule: &Rule) -> Result<usize> {
         let now = self.store.now().await?;
         let found = match (rule.name, self.app) {
@@ -212,15 +212,15 @@ impl Janitor<'_> {
         Ok(gone.filter(|gone| *gone).count())
     }
 
-    /// A server marks first, so that nothing goes that it has not announced for a while.
+    /// A server marks first, so that nothing is deleted without notice.
     async fn expired(&mut self, rule: &Rule, app: Option<&App>, now: i64) -> Result<Vec<PathBuf>> {
         if let Some(app) = app {
             let retention = &app.config.retention;
-            // Deleting is what helps where the disk is too full to mark.
+            // Even if the disk is too full to mark, deletion helps.
             if let Err(error) = self.store.mark_expiring(retention, now).await {
                 self.fail(rule, error);
             }
-            // Where nothing may be deleted any more, what was marked is not deleted either.
+            // With retention off, rows marked earlier are not deleted either.
             if retention.is_off() {
                 return Ok(Vec::new());
             }
@@ -238,7 +238,7 @@ impl Janitor<'_> {
     async fn expired_uploads(&self, app: Option<&App>, now: i64) -> Result<Vec<PathBuf>> {
         let mut found = Vec::new();
         for id in self.store.expired_uploads(now).await? {
-            // A piece that has taken longer than that is no reason.
+            // An upload whose current piece outlasts its expiry is kept.
             let is_held = app.is_some_and(|app| app.holders.has(&id));
             if !is_held && (self.dry_run || self.store.forget_upload(&id, Some(now)).await?) {
                 found.push(self.data.upload(&id));
@@ -247,7 +247,7 @@ impl Janitor<'_> {
         Ok(found)
     }
 
-    /// The file of an upload is made before its row and goes after it.
+    /// The file of an upload is created before its row and deleted after it.
     async fn forget_lost_uploads(&self) -> Result<usize> {
         let mut lost = 0;
         for id in self.store.ids("uploads").await? {
@@ -267,8 +267,8 @@ impl Janitor<'_> {
     }
 }
 
-/// Removes the file or the folder of something that is no longer in the database. Its loss of name
-/// is what counts; what cannot be removed is in the log.
+/// Removes the file or folder of something no longer in the database. An error is only logged:
+/// without a row it is already deleted.
 pub async fn remove(path: &Path) {
     let from = path.to_owned();
     let removed = tokio::task::spawn_blocking(move || delete(&from)).await;

@@ -1,7 +1,8 @@
-//! The rule for what the shared store of files has and no row names.
+//! The rule for blobs in the shared blob store that no row names.
 //!
-//! Of two databases that use one store each would delete what only the other names. So a store has
-//! the identity of the database that used it first, and servers of another are refused.
+//! If two databases used one blob store, each would delete blobs that only the other names. So a
+//! blob store carries the identity of the database that used it first, and refuses servers of any
+//! other.
 
 use std::collections::HashSet;
 use std::time::Duration;
@@ -12,13 +13,13 @@ use crate::app::App;
 use crate::error::{Result, ServerError};
 use crate::store::Store;
 
-/// Blobs that no file has had for so long are deleted.
+/// How long a blob must have been unnamed before it is deleted.
 const UNNAMED: Duration = super::DAY;
 
-/// Digests that the database is asked about at once.
+/// Digests per query.
 const ASKED: usize = 500;
 
-/// Follows the rule where there is a store of files.
+/// Applies the rule if there is a blob store.
 pub(super) async fn follow(app: &App) -> Result<usize> {
     match app.blob_cache.blobs() {
         Some(blobs) => collect(&app.store, blobs).await,
@@ -26,9 +27,9 @@ pub(super) async fn follow(app: &App) -> Result<usize> {
     }
 }
 
-/// Deletes blobs that no file has had for a day, and what uploads of blobs left that broke off.
-/// Returns how many. Does nothing while another process does so: each would list the whole store
-/// for what the other deletes.
+/// Deletes blobs that no file has had for a day, and remains of interrupted uploads to the blob
+/// store. Returns how many. Does nothing while another process collects, since both would list the
+/// whole store.
 ///
 /// # Errors
 /// As [`claim`].
@@ -43,10 +44,11 @@ async fn collect(store: &Store, blobs: &Blobs) -> Result<usize> {
     deleted
 }
 
-/// Sees that the store is this database's, and says so there where it is nobody's yet.
+/// Checks that the blob store belongs to this database, and marks a store without an owner.
 ///
 /// # Errors
-/// [`ServerError::StoreOfAnother`] where it is another's; when the database or the store refuses.
+/// [`ServerError::StoreOfAnother`] if it belongs to another; when the database or the blob store
+/// fails.
 pub async fn claim(store: &Store, blobs: &Blobs) -> Result<()> {
     match blobs.mark().await? {
         Some(mark) if store.is_known_as(&mark).await? => Ok(()),
@@ -63,7 +65,7 @@ async fn collect_all(store: &Store, blobs: &Blobs) -> Result<usize> {
             let digests: Vec<String> = some.iter().map(|blob| blob.digest.clone()).collect();
             let named: HashSet<String> = store.named(&digests).await?.into_iter().collect();
             for digest in digests.iter().filter(|digest| !named.contains(*digest)) {
-                // It may have been put again since it was listed, and is named in a moment.
+                // It may have been put again since it was listed, and be named in a moment.
                 deleted += usize::from(blobs.delete_older(digest, UNNAMED).await?);
             }
         }
@@ -103,7 +105,7 @@ mod tests {
             folder.join(&blob.digest)
         }
 
-        /// A blob that is so old.
+        /// Puts a blob of this age.
         async fn put(&self, content: String, age: Duration) -> Blob {
             let blob = self.blobs.put_bytes(content.into_bytes()).await;
             let blob = blob.expect("put");
@@ -118,7 +120,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn what_is_old_and_has_no_name_goes_and_nothing_else() {
+    async fn only_old_unnamed_blobs_are_deleted() {
         for (_dir, store) in of_each().await {
             let place = Place::new();
             let mut stay = Vec::new();
@@ -142,7 +144,7 @@ mod tests {
                 stay.push(place.put(format!("young {number}"), 23 * HOUR).await);
                 go.push(place.put(format!("old {number}"), 25 * HOUR).await);
             }
-            // What an upload left that broke off.
+            // The remains of an interrupted upload.
             let part = format!("{}#1", stay[0].digest);
             let part = place.file(&stay[0]).with_file_name(part);
             std::fs::write(&part, "part").expect("written");
@@ -156,7 +158,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn nothing_is_deleted_in_the_store_of_another_database() {
+    async fn nothing_is_deleted_in_another_databases_store() {
         let [(_file, file), (_server, server)] = of_each().await;
         let place = Place::new();
         let blob = place.put("old".to_owned(), 25 * HOUR).await;
@@ -175,7 +177,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn of_two_processes_one_collects() {
+    async fn only_one_of_two_processes_collects() {
         let (_dir, store) = of_a_server().await;
         let place = Place::new();
         let blob = place.put("old".to_owned(), 25 * HOUR).await;
@@ -185,9 +187,9 @@ mod tests {
         assert!(place.file(&blob).exists());
         other.end().await;
         assert_eq!(collected().await, 1);
-        // Given back at its end.
+        // The turn was given back at the end.
         let other = store.collecting().await.expect("asked").expect("free");
-        // One that breaks off halfway holds nobody up: the database sees its connection go.
+        // A process that stops halfway blocks no other: the database notices the lost connection.
         drop(other);
         place.put("old".to_owned(), 25 * HOUR).await;
         let began = std::time::Instant::now();

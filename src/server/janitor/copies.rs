@@ -1,4 +1,4 @@
-//! The rule for this machine's copies of what lies in a store of files that many machines share.
+//! The rule for this machine's blob cache.
 
 use std::fs;
 use std::time::{Duration, SystemTime};
@@ -8,7 +8,7 @@ use crate::app::App;
 use crate::blob_cache::Copy;
 use crate::error::{Result, ServerError};
 
-/// Removes copies of jobs and captures that nothing has used for so long. Returns how many went.
+/// Removes cached jobs and captures that have been unused for `age`. Returns how many.
 ///
 /// # Errors
 /// When the data directory cannot be read.
@@ -46,7 +46,7 @@ mod tests {
     use crate::store::{Lease, Store};
 
     #[tokio::test]
-    async fn only_copies_that_nothing_uses_for_long_go() {
+    async fn only_long_unused_cached_folders_are_removed() {
         let dir = tempfile::tempdir().expect("temporary directory");
         let nowhere = ([127, 0, 0, 1], 0).into();
         let config = ServeConfig::new(dir.path().into(), nowhere, 1).expect("a program");

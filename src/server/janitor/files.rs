@@ -1,4 +1,4 @@
-//! The rules for what lies in a data directory.
+//! The rules for files in a data directory.
 
 use std::collections::HashSet;
 use std::fs::{self, DirEntry, Metadata};
@@ -11,12 +11,12 @@ use super::{Gone, Janitor, Name, Rule};
 use crate::data::bytes_below;
 use crate::error::{Result, ServerError};
 
-/// Attempts at a folder that others may still write into: processes of an earlier server end with
-/// it, but a moment after, and so does a write of a client that hangs up.
+/// Attempts to delete a folder that may still be written to: the processes of an earlier server end
+/// with it, but a moment later, as does a write of a client that hangs up.
 const ATTEMPTS: u32 = 5;
 
 impl Janitor<'_> {
-    /// What goes by a rule of files.
+    /// Returns the paths that a file rule removes.
     pub(super) async fn find(&self, rule: Name) -> Result<Vec<PathBuf>> {
         let (data, mut found) = (self.data, Vec::new());
         let mut add = |dir: &Path, age: Duration, goes: &dyn Fn(&DirEntry) -> bool| {
@@ -28,8 +28,8 @@ impl Janitor<'_> {
         let ids = async |kind| self.store.ids(kind).await;
         match rule {
             Name::SpareUploads => {
-                // Of an upload that is empty nothing is lost, nor of one whose bytes a capture has:
-                // by a second name of the same file.
+                // An empty upload holds no data, and the bytes of a hard-linked one belong to a
+                // capture.
                 let uploads = ids("uploads").await?;
                 let is_spare = |about: Metadata| about.len() == 0 || about.nlink() > 1;
                 add(&data.uploads(), Duration::ZERO, &|entry| {
@@ -52,7 +52,7 @@ impl Janitor<'_> {
                 }
             }
             Name::Unfinished => {
-                // Only its server knows which uploads are under way.
+                // Only this directory's server knows which uploads are in progress.
                 if data.is_ours() {
                     let uses = |path: &Path| self.app.is_some_and(|app| app.uploads.uses(path));
                     add(&data.incoming(), Duration::ZERO, &|entry| {
@@ -68,7 +68,7 @@ impl Janitor<'_> {
             }
             Name::Caches => {
                 add(&data.cache(), self.caches, &|_| true)?;
-                // A server keeps what it has rendered.
+                // A server keeps its renders.
                 if self.app.is_none() {
                     for id in ids("jobs").await? {
                         add(&data.renders(&id), self.caches, &|_| true)?;
@@ -80,7 +80,7 @@ impl Janitor<'_> {
         Ok(found)
     }
 
-    /// Removes something or moves it aside, and reports it. Whether it went.
+    /// Removes something or moves it aside, and reports it. Returns whether it is gone.
     pub(super) fn remove(&mut self, rule: &Rule, path: PathBuf) -> bool {
         if self.reported.iter().any(|gone| path.starts_with(gone)) {
             return false;
@@ -119,7 +119,8 @@ fn is_named(ids: &HashSet<String>, entry: &DirEntry) -> bool {
     name.to_str().is_some_and(|name| ids.contains(name))
 }
 
-/// What goes from a folder and has not changed for `age`; nothing of one that is not there.
+/// Returns the entries of a folder that match `goes` and have not changed for `age`; nothing if the
+/// folder does not exist.
 fn find(dir: &Path, age: Duration, goes: &dyn Fn(&DirEntry) -> bool) -> io::Result<Vec<PathBuf>> {
     let entries = match fs::read_dir(dir) {
         Err(error) if error.kind() == ErrorKind::NotFound => return Ok(Vec::new()),
@@ -128,7 +129,7 @@ fn find(dir: &Path, age: Duration, goes: &dyn Fn(&DirEntry) -> bool) -> io::Resu
     let mut found = Vec::new();
     for entry in entries {
         let entry = entry?;
-        // One that cannot be looked at went meanwhile.
+        // An entry without metadata was removed meanwhile.
         let is_old = |about: Metadata| !changed_within(&about, age);
         if entry.metadata().is_ok_and(is_old) && goes(&entry) {
             found.push(entry.path());
@@ -137,17 +138,17 @@ fn find(dir: &Path, age: Duration, goes: &dyn Fn(&DirEntry) -> bool) -> io::Resu
     Ok(found)
 }
 
-/// Whether something was written or moved here within `age`.
+/// Returns whether a file was written or moved here within `age`.
 fn changed_within(metadata: &Metadata, age: Duration) -> bool {
     let changed = UNIX_EPOCH + Duration::from_secs(u64::try_from(metadata.ctime()).unwrap_or(0));
-    // A clock that was set back makes things young, and they stay.
+    // A clock that was set back makes files young, and they stay.
     let old = SystemTime::now()
         .duration_since(changed)
         .unwrap_or_default();
     old < age
 }
 
-/// Moves something where nothing is lost that is there already.
+/// Moves something aside without overwriting anything.
 fn move_aside(path: &Path, aside: &Path) -> io::Result<()> {
     fs::create_dir_all(aside)?;
     let name = path.file_name().unwrap_or_default();
@@ -172,7 +173,7 @@ fn move_aside(path: &Path, aside: &Path) -> io::Result<()> {
 /// Removes a file or a folder, if it is there.
 ///
 /// # Errors
-/// When the disk refuses.
+/// When the file system refuses.
 pub fn delete(path: &Path) -> io::Result<()> {
     let mut attempts = 1..ATTEMPTS;
     loop {
@@ -189,7 +190,7 @@ pub fn delete(path: &Path) -> io::Result<()> {
     }
 }
 
-/// What is free once this is gone: nothing of a file that has another name, or is gone.
+/// Bytes freed by its removal: none for a file that has another hard link or is gone.
 fn bytes_of(path: &Path) -> io::Result<u64> {
     match fs::symlink_metadata(path) {
         Err(error) if error.kind() == ErrorKind::NotFound => Ok(0),
@@ -204,7 +205,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn only_what_has_not_changed_for_long_and_is_not_wanted_goes() {
+    fn only_old_unneeded_files_are_removed() {
         let dir = tempfile::tempdir().expect("temporary directory");
         let (place, aside) = (dir.path().join("place"), dir.path().join("aside"));
         let find = |hours: u64| {

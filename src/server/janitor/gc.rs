@@ -1,7 +1,7 @@
-//! The rules, followed by hand, with a report.
+//! The janitor's rules applied by hand, with a report.
 //!
-//! Beside a server only what it does not hold in its memory is touched, and nothing that has
-//! changed within the hour.
+//! Beside a running server it leaves alone what that server knows only in memory and what has
+//! changed within the last hour.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -12,49 +12,49 @@ use crate::data::DataDir;
 use crate::error::{Result, ServerError};
 use crate::store::Store;
 
-/// What is to be done.
+/// Options of [`gc`].
 #[derive(Clone, Copy, Debug)]
 pub struct GcOptions {
     /// Only report.
     pub dry_run: bool,
-    /// How long what was moved aside is kept.
+    /// How long orphans are kept.
     pub unnamed: Duration,
-    /// How long poses and novel views are kept that can be made again.
+    /// How long cached poses and novel views are kept.
     pub caches: Duration,
 }
 
-/// Something that goes, or would go.
+/// Something that was or would be removed.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Gone {
-    /// Where it lies, below the data directory.
+    /// Its path below the data directory.
     pub path: PathBuf,
-    /// Bytes that are free then; none of what is moved aside.
+    /// Bytes freed; 0 for what is moved aside.
     pub bytes: u64,
-    /// Why, in words.
+    /// The reason.
     pub why: &'static str,
 }
 
-/// What came of it.
+/// The outcome of [`gc`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Collected {
-    /// Whether a server worked there: what it alone knows about stays.
+    /// Whether a server was running: what only that server knows about stays.
     pub beside_server: bool,
-    /// Bytes that the database gave back, or would.
+    /// Bytes freed by compacting the database, or that would be.
     pub database: u64,
 }
 
-/// Frees what nobody wants in the data directory `root` and reports each thing.
+/// Removes what is no longer needed in the data directory `root`, and reports each thing.
 ///
 /// # Errors
-/// When there is no database in it, or one of another version; after all that can go has gone, also
-/// when the database or the disk refused.
+/// When `root` has no database or one of another schema version. A failed removal or query is
+/// returned after everything else has been removed.
 pub async fn gc(
     root: &Path,
     options: &GcOptions,
     report: &mut dyn FnMut(&Gone),
 ) -> Result<Collected> {
     let database = root.join("fled.db");
-    // Without one all would be nameless.
+    // Without a database everything would be an orphan.
     fs::metadata(&database).map_err(ServerError::io(&database))?;
     let data = DataDir::beside(root)?;
     let store = Store::as_it_is(&data.database()).await?;
@@ -65,7 +65,7 @@ pub async fn gc(
         app: None,
         serves: true,
         dry_run: options.dry_run,
-        // Where no server works nothing is being made.
+        // Without a server nothing is being created.
         made: if data.is_ours() {
             Duration::ZERO
         } else {
@@ -97,7 +97,7 @@ pub async fn gc(
     })
 }
 
-/// The database with its log.
+/// Bytes of the database with its log.
 fn database_bytes(data: &DataDir) -> u64 {
     let database = data.database();
     let log = database.with_extension("db-wal");

@@ -25,25 +25,25 @@ use crate::redaction::without_paths;
 use crate::store::{Claim, JobError, Lease, Progress, Settlement};
 use crate::validation;
 
-/// After its process has ended, what others of the group still write is awaited so long.
+/// How long to wait, after the process has ended, for output of others in its group.
 const DRAIN: Duration = Duration::from_secs(2);
 
-/// Why the attempt leaves its loop.
+/// Why an attempt's loop ends.
 enum End {
     /// The process ended by itself.
     Exited(ExitStatus),
-    /// It has to be stopped.
+    /// The process has to be stopped.
     Stop(Settlement),
 }
 
-/// What an attempt has to do next.
+/// The next action of an attempt.
 enum Due {
     Line(Line),
     Publishing,
     Progress,
 }
 
-/// What a job's process has told about its end.
+/// What a job's process reported about its end.
 enum LastWords {
     Finished {
         best_round: u32,
@@ -63,13 +63,13 @@ pub(super) struct Attempt<'a> {
     last_words: Option<LastWords>,
 }
 
-/// Runs the job's process to its end and says how to settle the job. Does not settle it.
+/// Runs the job's process to its end and returns how to settle the job, without settling it.
 ///
 /// # Errors
-/// [`ServerError::LeaseLost`] when another worker has taken the job over; the process is ended.
+/// [`ServerError::LeaseLost`] if another worker has taken over the job; the process is stopped.
 pub(super) async fn run(app: &App, claim: &Claim, cancel: Arc<Notify>) -> Result<Settlement> {
     let (lease, job, id) = (&claim.lease, &claim.job, &claim.job.id);
-    // From the first moment: what is fetched may take longer than a lease.
+    // From the start: fetching files may take longer than a lease.
     let mut heartbeat = Heartbeat::begin(app, lease.clone());
     if !is_prepared(app, claim).await? {
         return Ok(Settlement::Released);
@@ -80,7 +80,7 @@ pub(super) async fn run(app: &App, claim: &Claim, cancel: Arc<Notify>) -> Result
         .await
         .map_err(ServerError::io(&output))?;
     let options = app.data.job(id).join("options.json");
-    // An older build may have stored options that there are no more.
+    // An older build may have stored options that no longer exist.
     let known = Value::Object(Options::known(&job.options));
     write_atomically(&options, known.to_string().as_bytes()).map_err(ServerError::io(&options))?;
     let log = app.data.log(id);
@@ -108,12 +108,12 @@ pub(super) async fn run(app: &App, claim: &Claim, cancel: Arc<Notify>) -> Result
         Ok(group) => group,
         Err(error) => return attempt.not_started(&error).await,
     };
-    // The job's process reads nothing; an open pipe would only hold a descriptor.
+    // The job's process reads no input; an open pipe would only hold a descriptor.
     drop(group.stdin.take());
     app.pass(Failpoint::Started);
     let outcome = attempt.watch(&mut group, &cancel, &mut heartbeat).await;
     if let Ok(End::Stop(Settlement::Released)) = outcome {
-        // Others go on with what it has: it may save the step that it is in.
+        // Another worker continues from its files: let it save the current step.
         group.stop(app.limits.draining).await;
         attempt.hear_out(&mut group).await;
     } else {
@@ -131,8 +131,8 @@ pub(super) async fn run(app: &App, claim: &Claim, cancel: Arc<Notify>) -> Result
     Ok(settlement)
 }
 
-/// Fetches what a job begins with; `false` where the worker stops meanwhile: what it has fetched
-/// is whole, and nothing is made yet.
+/// Fetches the files that a job starts with; `false` if the worker stops meanwhile. Fetched files
+/// are complete, and nothing has been created yet.
 async fn is_prepared(app: &App, claim: &Claim) -> Result<bool> {
     tokio::select! {
         prepared = copies::prepare_job(app, claim) => prepared.map(|()| true),
@@ -140,7 +140,7 @@ async fn is_prepared(app: &App, claim: &Claim) -> Result<bool> {
     }
 }
 
-/// Waits for what ends an attempt from outside.
+/// Waits for an external event that ends an attempt.
 async fn stopped(app: &App, job: &str, cancel: &Notify, heartbeat: &mut Heartbeat) -> Result<End> {
     tokio::select! {
         pulse = heartbeat.next() => match pulse {
@@ -155,7 +155,7 @@ async fn stopped(app: &App, job: &str, cancel: &Notify, heartbeat: &mut Heartbea
     }
 }
 
-/// Takes away the picture of a training that was stopped; one that ended well has done so itself.
+/// Removes the preview of a stopped training; a successful one has removed its own.
 async fn remove_live_picture(app: &App, id: &str) {
     let path = app.data.output(id).work().live_picture();
     match tokio::fs::remove_file(&path).await {
@@ -167,7 +167,8 @@ async fn remove_live_picture(app: &App, id: &str) {
 }
 
 impl Attempt<'_> {
-    /// Takes the process's lines and keeps the lease until the process ends or has to.
+    /// Handles the output of the process and keeps the lease until the process ends or must be
+    /// stopped.
     async fn watch(
         &mut self,
         group: &mut Group,
@@ -193,7 +194,7 @@ impl Attempt<'_> {
                         exited = Some((status, Instant::now()));
                         continue;
                     }
-                    // Nothing can be told any more.
+                    // No more output can follow.
                     Happening::Closed => match exited {
                         Some((status, _)) => return Ok(End::Exited(status)),
                         None => return self.exit(group).await,
@@ -208,7 +209,8 @@ impl Attempt<'_> {
                     None => return self.timed_out("ran", limits.wall).await,
                 },
             };
-            // However slow a database or a store of files is, what ends the work is heard.
+            // However slow the database or the blob store is, events that end the attempt are
+            // handled.
             tokio::select! {
                 done = self.follow(due) => done?,
                 end = stopped(app, &job, cancel, heartbeat) => return end,
@@ -216,7 +218,7 @@ impl Attempt<'_> {
         }
     }
 
-    /// Takes down what a process that is gone has last said: its events are nobody's any more.
+    /// Logs the remaining output of a stopped process; its events no longer count.
     async fn hear_out(&mut self, group: &mut Group) {
         while let Ok(Some(line)) = tokio::time::timeout(DRAIN, group.next_line()).await {
             let text = match line {
@@ -275,7 +277,7 @@ impl Attempt<'_> {
         };
         match serde_json::from_str::<Event>(&text) {
             Ok(event) => self.event(event).await,
-            // Tools that print where they should not; worth keeping, not worth failing.
+            // Output of tools on the wrong stream: worth keeping, not worth failing.
             Err(_) => {
                 self.log.line(&text);
                 Ok(())
@@ -312,7 +314,7 @@ impl Attempt<'_> {
                 self.last_words = Some(LastWords::Failed { kind, detail, hint });
             }
             told => {
-                // In the order in which they were said.
+                // In order of arrival.
                 self.write_pending().await?;
                 if is_milestone(&told) {
                     self.publish().await?;
@@ -328,8 +330,8 @@ impl Attempt<'_> {
         Ok(())
     }
 
-    /// Puts what there is so far into a shared store of files. One that is away for a while does
-    /// not end the attempt: the end, which has to be published, waits for it.
+    /// Publishes the files so far to a shared blob store. If the store is away for a while, the
+    /// attempt goes on; its end, which must be published, waits for the store.
     async fn publish(&self) -> Result<()> {
         match copies::publish(self.app, &self.lease, false).await {
             Err(ServerError::LeaseLost(job)) => Err(ServerError::LeaseLost(job)),
@@ -350,7 +352,7 @@ impl Attempt<'_> {
         Ok(())
     }
 
-    /// How a process that ended by itself is settled.
+    /// Decides how to settle a process that ended by itself.
     async fn settle(&mut self, status: ExitStatus) -> Result<Settlement> {
         self.write_pending().await?;
         match self.last_words.take() {
@@ -360,11 +362,11 @@ impl Attempt<'_> {
             }
             Some(LastWords::Failed { kind, detail, hint }) => {
                 let kind = ErrorKind::from_name(&kind);
-                // Whoever stops a whole service may tell every process of it.
+                // Stopping the whole service may signal every process.
                 if kind == Some(ErrorKind::Cancelled) && self.app.shutdown.is_cancelled() {
                     return Ok(Settlement::Released);
                 }
-                // Nobody asked through us: some other hand stopped the process.
+                // Not requested through this server: something else stopped the process.
                 let kind = kind.filter(|&kind| kind != ErrorKind::Cancelled);
                 self.failure(kind.unwrap_or(ErrorKind::Internal), detail, hint)
                     .await
@@ -378,7 +380,8 @@ impl Attempt<'_> {
         }
     }
 
-    /// Makes the names of the results survive a power cut, as the word that they are there will.
+    /// Makes the directory entries of the results durable, as the database row that reports them
+    /// will be.
     async fn sync_output(&self) -> Result<()> {
         let output = self.app.data.output(&self.lease.job).root().to_owned();
         let synced = {
@@ -400,12 +403,12 @@ impl Attempt<'_> {
         .await
     }
 
-    /// Decides between another attempt and the end.
+    /// Decides between another attempt and failure.
     async fn failure(&self, kind: ErrorKind, detail: String, hint: String) -> Result<Settlement> {
         let failures = self.app.store.count_failure(&self.lease).await?;
         let retry = kind.retryable() && failures < self.app.limits.attempts_without_progress;
         let wait = self.app.limits.retry_wait_ms(kind, failures);
-        // With paths: for whoever runs the server.
+        // With paths, for the operator.
         tracing::warn!(
             job = self.lease.job,
             kind = kind.name(),

@@ -5,11 +5,11 @@ use fled_core::pipeline::error::ErrorKind;
 use crate::config::Limits;
 use crate::store::{JobError, Settlement};
 
-/// What becomes of a job whose server has died so many times in a row without its progress. Memory
-/// that runs out takes the server as well as the job: such a job must not start for ever.
+/// Settles a job whose server has died this many times in a row without progress. Running out of
+/// memory kills the server along with the job, so such a job must not restart forever.
 pub fn after_death(limits: &Limits, deaths: u32) -> Settlement {
     let again = deaths < limits.deaths_without_progress;
-    // At once after the first, as after a restart by hand.
+    // Immediately after the first death, as after a manual restart.
     let wait = match deaths {
         0 | 1 => 0,
         _ => limits.retry_wait_ms(ErrorKind::Internal, deaths - 1),

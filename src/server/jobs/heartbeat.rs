@@ -1,5 +1,5 @@
-//! A worker's heartbeats, apart from its work: neither a slow store of files nor a full pipe may
-//! keep it from extending its lease.
+//! A worker's heartbeat. It runs in a task of its own, so that neither a slow blob store nor a full
+//! pipe delays the extension of the lease.
 
 use tokio::sync::mpsc;
 use tokio::task::JoinHandle;
@@ -11,16 +11,16 @@ use crate::error::ServerError;
 use crate::failpoint::{Failpoint, Watcher};
 use crate::store::{Lease, Store};
 
-/// What a heartbeat was answered.
+/// The outcome of a heartbeat that ends the work.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Pulse {
-    /// Somebody asked to stop the job.
+    /// Cancellation was requested.
     Cancel,
-    /// Another worker has it, or may have it soon: nobody has heard of this one for too long.
+    /// Another worker has the job, or may claim it soon: no heartbeat got through for too long.
     Lost,
 }
 
-/// Heartbeats, until it is dropped.
+/// A task that sends heartbeats until dropped.
 #[derive(Debug)]
 pub(super) struct Heartbeat {
     told: mpsc::Receiver<Pulse>,
@@ -28,7 +28,7 @@ pub(super) struct Heartbeat {
 }
 
 impl Heartbeat {
-    /// Begins to extend a lease that was just taken.
+    /// Starts to extend a lease that was just claimed.
     pub(super) fn begin(app: &App, lease: Lease) -> Self {
         let (tell, told) = mpsc::channel(1);
         let watcher = app.config.watcher;
@@ -42,7 +42,7 @@ impl Heartbeat {
         Self { told, task }
     }
 
-    /// Waits for what ends the work.
+    /// Waits for a pulse that ends the work.
     pub(super) async fn next(&mut self) -> Pulse {
         self.told.recv().await.unwrap_or(Pulse::Lost)
     }
@@ -72,7 +72,7 @@ async fn heartbeat(
         let answer = tokio::time::timeout(left, extended).await;
         let pulse = match answer {
             Ok(Ok(false)) => {
-                // The lease counts from before it was extended.
+                // The lease counts from before the request to extend it.
                 heard = asked;
                 if let Some(watcher) = watcher {
                     watcher(Failpoint::Extended);
@@ -83,7 +83,7 @@ async fn heartbeat(
             Ok(Err(ServerError::LeaseLost(_))) => Pulse::Lost,
             Ok(Err(error)) if heard.elapsed() < limits.unheard => {
                 tracing::warn!(%error, job = lease.job, "a lease is not extended");
-                // Sooner than at the next heartbeat: it may be the last.
+                // Sooner than the next heartbeat, which may be the last.
                 ticks.reset_after(limits.heartbeat / 10);
                 continue;
             }

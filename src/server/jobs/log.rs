@@ -4,7 +4,7 @@ use std::fs::File;
 use std::io::{self, BufRead, BufReader, Seek, SeekFrom, Write};
 use std::path::Path;
 
-/// Appends lines with the time until the log is full.
+/// Appends timestamped lines until the log is full.
 #[derive(Debug)]
 pub struct LogWriter {
     file: File,
@@ -22,8 +22,7 @@ impl LogWriter {
         Ok(Self { file, left })
     }
 
-    /// Appends one line; a full log takes no more. A log that cannot be written does not stop a
-    /// job.
+    /// Appends one line, unless the log is full. A log that cannot be written does not stop a job.
     pub fn line(&mut self, text: &str) {
         if self.left == 0 {
             return;
@@ -44,16 +43,16 @@ impl LogWriter {
 /// A page of a log.
 #[derive(Debug, PartialEq, Eq)]
 pub struct Page {
-    /// Whole lines.
+    /// Complete lines.
     pub lines: Vec<String>,
-    /// Where the next page begins, bytes.
+    /// Offset of the next page, in bytes.
     pub next_offset: u64,
     /// Whether there is nothing more for now.
     pub end: bool,
 }
 
-/// Reads at most `limit` whole lines from `offset` bytes on; a log that does not exist yet is
-/// empty, and behind its end there is nothing.
+/// Reads at most `limit` complete lines starting at `offset` bytes. A log that does not exist yet
+/// is empty, and an offset past the end reads nothing.
 ///
 /// # Errors
 /// When the log cannot be read.
@@ -69,7 +68,7 @@ pub fn read_page(path: &Path, offset: u64, limit: usize) -> io::Result<Page> {
         }
         Err(error) => return Err(error),
     };
-    // A file system refuses to seek to the farthest numbers.
+    // File systems refuse to seek to very large offsets.
     let offset = offset.min(file.metadata()?.len());
     file.seek(SeekFrom::Start(offset))?;
     let mut reader = BufReader::new(file);
@@ -82,7 +81,7 @@ pub fn read_page(path: &Path, offset: u64, limit: usize) -> io::Result<Page> {
     while page.lines.len() < limit {
         bytes.clear();
         reader.read_until(b'\n', &mut bytes)?;
-        // A line without its end is still being written.
+        // A line without its newline is still being written.
         if bytes.last() != Some(&b'\n') {
             page.end = true;
             break;
@@ -102,7 +101,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn pages_join_without_gap_and_a_half_written_line_waits() {
+    fn pages_join_without_gaps_and_skip_an_unfinished_line() {
         let dir = tempfile::tempdir().expect("temporary directory");
         let path = dir.path().join("log.txt");
         assert!(read_page(&path, 0, 5).expect("no log yet").end);

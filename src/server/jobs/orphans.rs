@@ -1,7 +1,7 @@
-//! Ends what a killed server has left running.
+//! Kills processes that a killed server has left running.
 //!
-//! A job's process asks the kernel to end it with its server, but what it has started itself
-//! (COLMAP) may go on, write into the job's directory and use the machine.
+//! A job's process asks the kernel to end it with its server, but processes that it has started,
+//! such as COLMAP, may go on, write into the job's directory and use the machine.
 
 use std::fs;
 use std::path::Path;
@@ -10,7 +10,7 @@ use rustix::process::{Pid, Signal, kill_process};
 
 use super::process::JOB_VARIABLE;
 
-/// Kills every process that carries the mark of one of `jobs`. Returns how many.
+/// Kills every process marked with one of `jobs`. Returns how many.
 pub fn kill_orphans(jobs: &[String]) -> usize {
     let Ok(processes) = fs::read_dir("/proc") else {
         return 0;

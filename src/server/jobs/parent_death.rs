@@ -1,5 +1,5 @@
-//! The guard against a parent's death: processes end when the one that started them ends, however
-//! it ends.
+//! The guard against a parent's death: a process ends when the one that started it ends, however it
+//! ends.
 
 use std::ffi::{OsStr, OsString};
 use std::io;
@@ -11,18 +11,18 @@ use rustix::process::{Signal, getppid, set_parent_process_death_signal};
 
 use super::process::PARENT_VARIABLE;
 
-/// The word by which a program of ours is asked to become another: see [`become_guarded`].
+/// The subcommand that makes this program become another one: see [`become_guarded`].
 pub const GUARD: &str = "guard";
 
-/// What shells end with where a program is not there, and where it cannot be started.
+/// Exit codes that shells use if a program is not found, or cannot be started.
 const NOT_FOUND: u8 = 127;
 const NOT_STARTED: u8 = 126;
 
-/// Asks the kernel to end this process when the server that started it ends, however it ends.
-/// Does nothing in a process that no server has started.
+/// Asks the kernel to end this process when the server that started it ends, however it ends. Does
+/// nothing in a process that no server started.
 ///
 /// # Errors
-/// When that server is gone already, or the kernel refuses.
+/// When that server is already gone, or the kernel refuses.
 pub fn die_with_parent() -> io::Result<()> {
     match std::env::var_os(PARENT_VARIABLE) {
         Some(parent) => die_with(&parent),
@@ -32,7 +32,7 @@ pub fn die_with_parent() -> io::Result<()> {
 
 fn die_with(parent: &OsStr) -> io::Result<()> {
     set_parent_process_death_signal(Some(Signal::KILL))?;
-    // It may have ended before the kernel was asked.
+    // It may have ended before the request.
     let now = getppid().map(|pid| pid.as_raw_nonzero().get().to_string());
     if now.is_some_and(|now| *parent == *now) {
         return Ok(());
@@ -40,15 +40,15 @@ fn die_with(parent: &OsStr) -> io::Result<()> {
     Err(io::Error::other("what started this process is gone"))
 }
 
-/// A command that starts `program`, with the arguments that follow, in a process that ends with
-/// this one. Must be used by a thread that lives as long as that process may: the kernel looks at
+/// Returns a command that starts `program`, with the arguments that follow, in a process that ends
+/// with this one. Start it from a thread that lives as long as that process may: the kernel watches
 /// the thread.
 ///
 /// # Errors
 /// When the path of the running program is unknown.
 pub fn guarded(program: &Path) -> io::Result<Vec<OsString>> {
     let own = std::env::current_exe()?;
-    // A bare name is looked for where programs lie; a path holds from any folder.
+    // A bare name is looked up in `PATH`; a path must be valid from any directory.
     let program = match program.components().count() {
         0 | 1 => program.to_owned(),
         _ => absolute(program)?,
@@ -62,14 +62,14 @@ pub fn guarded(program: &Path) -> io::Result<Vec<OsString>> {
     ])
 }
 
-/// Becomes the program that [`guarded`] named, whose `arguments` follow [`GUARD`]. Returns only
-/// when that fails, with what shells end with then.
+/// Becomes the program that [`guarded`] named, whose `arguments` follow [`GUARD`]. Returns only on
+/// failure, with the exit code of a shell.
 pub fn become_guarded(arguments: &[OsString]) -> ExitCode {
     let [parent, program, arguments @ ..] = arguments else {
         eprintln!("whom to end with, a program and its arguments are wanted");
         return ExitCode::FAILURE;
     };
-    // What asks the kernel survives the change of program.
+    // The death signal survives `exec`.
     let error = match die_with(parent) {
         Ok(()) => Command::new(program).args(arguments).exec(),
         Err(error) => error,

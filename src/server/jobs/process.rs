@@ -10,16 +10,16 @@ use tokio::io::{AsyncBufReadExt, AsyncRead, AsyncReadExt, BufReader};
 use tokio::process::{Child, ChildStdin, Command};
 use tokio::sync::mpsc;
 
-/// Longer lines are cut: a runaway tool must not fill memory.
+/// Longer lines are truncated: a runaway tool must not fill memory.
 const LONGEST_LINE: u64 = 4 << 20;
-/// Lines waiting to be taken; a full queue slows the child down.
+/// Buffered lines; a full queue slows the child down.
 const QUEUE: usize = 256;
-/// The variable that marks every process of a job, also those it starts.
+/// The variable that marks every process of a job, including those it starts.
 pub const JOB_VARIABLE: &str = "FLED_JOB_ID";
-/// How variables begin that open what a service uses: not for programs that look at what strangers
-/// send it.
+/// Prefixes of variables that hold credentials of the service. Programs that read untrusted uploads
+/// must not see them.
 const SECRETS: [&str; 4] = ["FLED_TOKEN", "FLED_DB", "AWS_", "PG"];
-/// The variable that tells a child who started it, so that it can end when that one is gone.
+/// The variable that names the parent's process id to a child, so that it can end with its parent.
 pub const PARENT_VARIABLE: &str = "FLED_PARENT_PID";
 
 /// A line of output.
@@ -31,18 +31,18 @@ pub enum Line {
     Error(String),
 }
 
-/// What a child has done.
+/// An event of a child process.
 #[derive(Debug)]
 pub enum Happening {
     /// It wrote a line.
     Line(Line),
     /// Both outputs are closed.
     Closed,
-    /// It ended; others of its group may still write. Told once.
+    /// It ended; others in its group may still write. Returned once.
     Ended(ExitStatus),
 }
 
-/// A running child and everything it has started.
+/// A running child and all processes it has started.
 #[derive(Debug)]
 pub struct Group {
     child: Child,
@@ -71,8 +71,8 @@ impl Group {
             .ok_or_else(|| io::Error::new(io::ErrorKind::InvalidInput, "empty command"))?;
         let mut command = Command::new(program);
         if std::env::var_os("XDG_RUNTIME_DIR").is_none() {
-            // Vulkan loaders look for a desktop there and call its absence an error, in the log of
-            // every job.
+            // Vulkan loaders look for a desktop there and report its absence as an error in the log
+            // of every job.
             command.env("XDG_RUNTIME_DIR", std::env::temp_dir());
         }
         for (name, _) in std::env::vars_os() {
@@ -117,15 +117,15 @@ impl Group {
         self.pid.as_raw_nonzero().get()
     }
 
-    /// The next line, `None` once both outputs are closed. Loses nothing when dropped.
+    /// Returns the next line, or `None` once both outputs are closed. Cancel-safe.
     pub async fn next_line(&mut self) -> Option<Line> {
         self.lines.recv().await
     }
 
-    /// The next thing that happens. Loses nothing when dropped.
+    /// Returns the next event. Cancel-safe.
     ///
     /// # Errors
-    /// When the operating system does not tell the exit status.
+    /// When the operating system does not report the exit status.
     pub async fn next(&mut self) -> io::Result<Happening> {
         tokio::select! {
             biased;
@@ -137,15 +137,15 @@ impl Group {
         }
     }
 
-    /// The exit status, once the process (not the group) has ended. Loses nothing when dropped.
+    /// Returns the exit status once the process (not the group) has ended. Cancel-safe.
     ///
     /// # Errors
-    /// When the operating system does not say.
+    /// When the operating system does not report the exit status.
     pub async fn wait(&mut self) -> io::Result<ExitStatus> {
         self.child.wait().await
     }
 
-    /// Asks the group to end, and ends it after `grace`. Returns once the process is gone.
+    /// Asks the group to end, and kills it after `grace`. Returns once the process is gone.
     pub async fn stop(&mut self, grace: Duration) {
         self.signal(Signal::TERM);
         if tokio::time::timeout(grace, self.child.wait())
@@ -157,12 +157,12 @@ impl Group {
                 tracing::warn!(%error, pid = self.pid(), "cannot wait for a stopped process");
             }
         }
-        // What the process has started and left behind.
+        // Processes that it has started and left behind.
         self.signal(Signal::KILL);
     }
 
     fn signal(&self, signal: Signal) {
-        // An empty group is no fault: everything in it has ended already.
+        // An empty group is no error: all its processes have ended.
         let _ = kill_process_group(self.pid, signal);
     }
 }
@@ -192,7 +192,7 @@ async fn read_lines(
             Ok(_) => {}
         }
         let whole = bytes.last() == Some(&b'\n');
-        // The rest of a line that was cut is dropped.
+        // The rest of a truncated line is dropped.
         let rest = std::mem::replace(&mut cut, !whole);
         if rest {
             continue;
@@ -222,7 +222,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn both_outputs_are_read_and_the_status_is_told() {
+    async fn both_outputs_and_the_exit_status_are_reported() {
         let mut group =
             Group::spawn(&shell("echo a; echo b >&2; exit 3"), &[], &[]).expect("start");
         let mut lines = Vec::new();
@@ -236,7 +236,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn stopping_ends_grandchildren_and_those_who_ignore_the_polite_signal() {
+    async fn stopping_kills_grandchildren_that_ignore_sigterm() {
         let script = "trap '' TERM; sleep 60 & echo $!; wait; wait";
         let mut group = Group::spawn(&shell(script), &[], &[]).expect("start");
         let Some(Line::Output(grandchild)) = group.next_line().await else {

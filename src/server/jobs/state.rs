@@ -1,5 +1,5 @@
-//! The life of a job. [`JobState::after`] alone decides what a job becomes; SQL only asks where it
-//! stands.
+//! The state machine of a job. [`JobState::after`] alone decides the next state; SQL only checks
+//! the current one.
 
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
@@ -20,27 +20,27 @@ pub enum JobState {
     Cancelled,
 }
 
-/// What can happen to a job.
+/// An event that may change a job's state.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Transition {
-    /// A worker took it, or took it over after its lease had run out.
+    /// A worker claimed it, or took it over after its lease had expired.
     Claimed,
-    /// Its worker let go of it unfinished: the server stopped or was restarted.
+    /// Its worker released it unfinished: the server stopped or was restarted.
     Released,
-    /// Its process ended well.
+    /// Its process succeeded.
     Finished,
-    /// Its process failed; `retry` when another attempt may help.
+    /// Its process failed; `retry` if another attempt may help.
     Failed {
         /// Whether it is queued again.
         retry: bool,
     },
-    /// Somebody asked to stop it.
+    /// Cancellation was requested.
     CancelRequested,
-    /// Its process was stopped because somebody had asked.
+    /// Its process was stopped on request.
     Stopped,
-    /// Somebody asked to run it again.
+    /// A retry was requested.
     Retried,
-    /// Somebody asked to run it again with other options.
+    /// A retry with other options was requested.
     Changed,
 }
 
@@ -54,7 +54,7 @@ impl JobState {
         Self::Cancelled,
     ];
 
-    /// The state after `transition`; `None` when it cannot happen in this state.
+    /// The state after `transition`; `None` if the transition is not allowed in this state.
     pub fn after(self, transition: Transition) -> Option<Self> {
         use Transition::{
             CancelRequested, Changed, Claimed, Failed, Finished, Released, Retried, Stopped,
@@ -73,7 +73,7 @@ impl JobState {
         }
     }
 
-    /// Whether nothing more happens unless somebody asks.
+    /// Returns whether the state is final unless a retry is requested.
     pub fn is_terminal(self) -> bool {
         matches!(self, Self::Succeeded | Self::Failed | Self::Cancelled)
     }
@@ -89,7 +89,7 @@ impl JobState {
         }
     }
 
-    /// The state of this name.
+    /// Returns the state with this name.
     pub fn from_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|state| state.name() == name)
     }
@@ -119,7 +119,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_terminal_state_is_left_by_a_retry_and_success_only_by_other_options(
+        fn only_a_retry_leaves_a_terminal_state(
             transitions in proptest::collection::vec(any_transition(), 0..40),
         ) {
             let mut state = JobState::Queued;
@@ -139,7 +139,7 @@ mod tests {
         }
 
         #[test]
-        fn from_anywhere_unfinished_a_job_can_still_be_cancelled_and_finished(
+        fn any_unfinished_job_can_still_be_cancelled_or_finished(
             transitions in proptest::collection::vec(any_transition(), 0..40),
         ) {
             let step = |state: JobState, by| state.after(by).unwrap_or(state);

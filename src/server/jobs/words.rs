@@ -1,10 +1,10 @@
-//! What of an attempt stands in its log, and what of it is heard by others.
+//! The text of a job's log, and the events that other parts of the server use.
 
 use fled_core::event::{Event, Stage};
 
 use crate::store::Settlement;
 
-/// Whether an event is for who watches a training: in the log there would be too many of them.
+/// Returns whether an event is only for live viewers: they are too many for the log.
 pub(super) fn is_seen(event: &Event) -> bool {
     matches!(
         event,
@@ -12,7 +12,7 @@ pub(super) fn is_seen(event: &Event) -> bool {
     )
 }
 
-/// Whether others may ask for files once they have heard of this.
+/// Returns whether clients may request files once they have seen this event.
 pub(super) fn is_milestone(event: &Event) -> bool {
     matches!(
         event,
@@ -44,7 +44,7 @@ pub(super) fn readable(event: &Event) -> String {
     }
 }
 
-/// A stage in the log; the poses belong to no round.
+/// A stage as the log names it; the poses belong to no round.
 fn place(stage: Stage, round: u32) -> String {
     if round == 0 {
         stage.name().to_owned()
@@ -70,7 +70,7 @@ pub(super) fn closing_line(settlement: &Settlement) -> String {
                 error.code, error.detail
             )
         }
-        // The advice stands in the job's error, and the process has mostly said it, too.
+        // The hint is in the job's error, and the process has usually printed it.
         Settlement::Failed { error, .. } => {
             format!("failed ({}): {}", error.code, error.detail)
         }

@@ -1,4 +1,4 @@
-//! Workers: each takes one job after the other.
+//! Workers, each of which runs one job at a time.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -12,13 +12,13 @@ use crate::error::{Result, ServerError};
 use crate::failpoint::Failpoint;
 use crate::store::{Claim, Engine, JobError, Machine, Settlement};
 
-/// How often an idle worker looks into a file for retries that have become due.
+/// How often an idle worker polls a database file for due retries.
 const IDLE: Duration = Duration::from_millis(500);
-/// After a fault of the database or the disk.
+/// Pause after a database or disk error.
 const RECOVERY: Duration = Duration::from_secs(2);
 
-/// Runs jobs until the server stops. Never gives up: a fault of the database or the disk is
-/// logged and tried again.
+/// Runs jobs until the server stops. Never gives up: database and disk errors are logged and
+/// retried.
 pub async fn work(app: Arc<App>, turn: u32) {
     let mut was_full = false;
     let idle = match app.store.engine() {
@@ -66,7 +66,7 @@ async fn pause(app: &App, time: Duration) {
     }
 }
 
-/// Claims a job, and the notifier that stops it.
+/// Claims a job, and returns the notifier that cancels it.
 async fn take(app: &App, turn: u32) -> Result<Option<(Claim, Arc<Notify>)>> {
     let _alone = app.running.claiming().await;
     let released = release_expired(app).await?;
@@ -93,8 +93,8 @@ async fn take(app: &App, turn: u32) -> Result<Option<(Claim, Arc<Notify>)>> {
     }))
 }
 
-/// Jobs whose worker is dead, frozen or cut off wait again, where workers share a database. With
-/// SQLite there is one process: its jobs run, however long ago their leases ran out.
+/// Queues again the jobs whose worker is dead, frozen or cut off, where workers share a database.
+/// With SQLite there is one process: its jobs run even if their leases have expired.
 async fn release_expired(app: &App) -> Result<Vec<String>> {
     match app.store.engine() {
         Engine::Sqlite => Ok(Vec::new()),
@@ -118,7 +118,7 @@ async fn run(app: &App, claim: &Claim, cancel: Arc<Notify>) -> Result<()> {
             io_failure(app, claim, &error).await?
         }
     };
-    // A cancel that came while the process was ending by itself is honoured all the same.
+    // A cancellation that arrived while the process was ending is still honoured.
     let settlement = match settlement {
         Settlement::Failed { .. } | Settlement::Released
             if app.store.heartbeat(lease, app.limits.lease_ms()).await? =>
@@ -134,7 +134,7 @@ async fn run(app: &App, claim: &Claim, cancel: Arc<Notify>) -> Result<()> {
     Ok(())
 }
 
-/// A fault in words without paths: where the server keeps its files is in its log only.
+/// An error message without paths, which only the server's log may contain.
 fn told(error: &ServerError) -> String {
     match error {
         ServerError::Io { source, .. } => format!("a file of the job: {source}"),
@@ -143,7 +143,7 @@ fn told(error: &ServerError) -> String {
     }
 }
 
-/// The settlement of an attempt that the disk or the database ended.
+/// The settlement of an attempt that ended with a disk or database error.
 async fn io_failure(app: &App, claim: &Claim, error: &ServerError) -> Result<Settlement> {
     let failures = app.store.count_failure(&claim.lease).await?;
     let retry = failures < app.limits.attempts_without_progress;
