@@ -78,7 +78,7 @@ pub use problem::Problem;
 #[doc(hidden)]
 pub use tus::read_headers as read_tus_headers;
 
-/// Only what the server itself sends may run or be shown; nobody may frame it.
+/// Only the server's own content may run or be shown; no other page may frame it.
 const CONTENT_SECURITY_POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; \
     img-src 'self' blob:; media-src 'self'; connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
 
@@ -119,7 +119,7 @@ pub fn router(app: Arc<App>) -> Router {
         })
         .layer(middleware::from_fn_with_state(app.clone(), copies::bring))
         .layer(middleware::from_fn_with_state(app.clone(), access::check))
-        // Another site's page must not start or delete jobs with a visitor's browser.
+        // Another site's page must not start or delete jobs through a visitor's browser.
         .layer(CsrfLayer::new())
         .layer(middleware::from_fn_with_state(app.clone(), host::check))
         .layer(CatchPanicLayer::custom(panicked))
@@ -162,7 +162,7 @@ fn of_a_job() -> Router<Arc<App>> {
         .route(VIDEO_FILE, get(videos::download))
 }
 
-/// Addresses that are told of jobs.
+/// Every route of webhooks.
 fn of_webhooks() -> Router<Arc<App>> {
     Router::new()
         .route(WEBHOOKS, get(webhooks::list).post(webhooks::create))
@@ -175,7 +175,7 @@ fn of_webhooks() -> Router<Arc<App>> {
         )
 }
 
-/// What takes bodies of any size: the largest upload is checked while it streams; no handler
+/// Routes that take bodies of any size: the largest upload is checked while it streams; no handler
 /// buffers it.
 fn uploads() -> Router<Arc<App>> {
     let pieces = Router::new()

@@ -1,8 +1,7 @@
-//! Who may do what.
+//! Authorisation of requests.
 //!
-//! As long as there is no token, whoever reaches the server may do everything; it then listens to
-//! its own machine only, unless it was told otherwise. From the first token on, everything of the
-//! API needs one.
+//! As long as no token exists, everyone who reaches the server may do everything; by default it
+//! then listens on its own machine only. From the first token on, the whole API needs one.
 
 use std::sync::Arc;
 
@@ -21,7 +20,8 @@ use crate::rate::Client;
 use crate::store::{Quotas, Room, TokenRow};
 use crate::token::{Scope, digest};
 
-/// What anybody may see: whether the server lives, its description, and the page without its data.
+/// Routes open to everyone: whether the server is alive, its description, and the page without its
+/// data.
 const OPEN: [&str; 9] = [
     "/",
     "/assets/{*name}",
@@ -33,7 +33,7 @@ const OPEN: [&str; 9] = [
     "/openapi.json",
     "/docs",
 ];
-/// What a link to a job opens: what there is to see of that job.
+/// Routes that a share link opens: everything that shows its job.
 const SHARED: [&str; 12] = [
     "/v1/jobs/{id}",
     "/v1/jobs/{id}/events",
@@ -51,38 +51,38 @@ const SHARED: [&str; 12] = [
 /// The cookie that stands for a token.
 pub(super) const COOKIE: &str = "fled_session";
 
-/// Who asks. Every request to the API has it.
+/// The client of a request and what it may access. Every request to the API has one.
 #[derive(Clone, Debug)]
 pub(super) struct Visitor {
     owner: Option<String>,
     sees_all: bool,
     quotas: Quotas,
-    /// The token that is shown; `None` where nobody is asked for one.
+    /// The presented token; `None` if no token is required.
     token: Option<TokenRow>,
 }
 
 impl Visitor {
-    /// The token that they show; `None` where nobody is asked for one.
+    /// The presented token; `None` if no token is required.
     pub(super) fn token(&self) -> Option<&TokenRow> {
         self.token.as_ref()
     }
 
-    /// The only job that they see, where they came by a link to one.
+    /// The only job they can see, if they presented a share link.
     fn only_job(&self) -> Option<&str> {
         self.token()?.job.as_deref()
     }
 
-    /// Whose what they upload is; `None` where nobody is asked for a token.
+    /// The owner of their uploads; `None` if no token is required.
     pub(super) fn owner(&self) -> Option<&str> {
         self.owner.as_deref()
     }
 
-    /// Whose captures and jobs alone they see; `None` for those who see all.
+    /// The owner whose captures and jobs are all they can see; `None` if they see all.
     pub(super) fn sees_only(&self) -> Option<&str> {
         self.owner().filter(|_| !self.sees_all)
     }
 
-    /// How many jobs there may be when they start one, where `queue` may wait.
+    /// Limits for a new job of theirs, with at most `queue` queued jobs.
     pub(super) fn room(&self, queue: u32) -> Room<'_> {
         Room {
             queue,
@@ -90,15 +90,15 @@ impl Visitor {
         }
     }
 
-    /// Whose captures and results may take how many bytes; `None` for no limit.
+    /// The owner and their limit in bytes for captures and results; `None` for no limit.
     pub(super) fn quota_bytes(&self) -> Option<(&str, u64)> {
         self.owner().zip(self.quotas.bytes)
     }
 }
 
-/// Who may not do what they ask.
+/// A refused request.
 struct Refused {
-    /// Whose token they show, where it holds.
+    /// The owner of the presented token, if it is valid.
     owner: Option<String>,
     problem: Problem,
 }
@@ -112,7 +112,7 @@ impl<T: Into<Problem>> From<T> for Refused {
     }
 }
 
-/// Lets those pass who may, as often as they may.
+/// Lets authorised requests pass, within their rate limit.
 pub(super) async fn check(State(app): State<Arc<App>>, request: Request, next: Next) -> Response {
     let path = request.extensions().get::<MatchedPath>().cloned();
     let path = path.as_ref().map(MatchedPath::as_str);
@@ -142,8 +142,7 @@ pub(super) async fn check(State(app): State<Arc<App>>, request: Request, next: N
     answer
 }
 
-/// Who a request is counted for; `None` where nobody is: this machine's own user, as long as there
-/// is no token.
+/// The client that a request counts for; `None` for a user on this machine while no token exists.
 fn client(request: &Request, admission: &Result<Option<Visitor>, Refused>) -> Option<Client> {
     let owner = match admission {
         Ok(visitor) => visitor.as_ref().and_then(Visitor::owner),
@@ -160,7 +159,7 @@ fn client(request: &Request, admission: &Result<Option<Visitor>, Refused>) -> Op
     }
 }
 
-/// A request with who asks, if what it names is theirs.
+/// Adds the visitor to a request, if they may access what it names.
 async fn own(app: &App, mut request: Request, visitor: Visitor) -> Result<Request, Problem> {
     let path = request.extensions().get::<MatchedPath>().cloned();
     if let (Some(path), Some(owner)) = (path, visitor.sees_only()) {
@@ -173,8 +172,8 @@ async fn own(app: &App, mut request: Request, visitor: Visitor) -> Result<Reques
     Ok(request)
 }
 
-/// What is somebody else's is not there. This is the one door of everything that an address names
-/// by the id of a capture, a job, an upload or a webhook.
+/// Checks the owner; what belongs to another owner is reported as not found. This is the only check
+/// of paths that name a capture, a job, an upload or a webhook by id.
 async fn check_owner(
     app: &App,
     request: &mut Request,
@@ -201,7 +200,7 @@ async fn check_owner(
     if owns { Ok(()) } else { Err(nothing()) }
 }
 
-/// A link opens its job and nothing else.
+/// Checks that a share link accesses only its own job.
 async fn check_shared(request: &mut Request, path: &str, job: &str) -> Result<(), Problem> {
     if !SHARED.contains(&path) {
         let detail = "A link to a job shows that job and allows nothing else.";
@@ -215,27 +214,27 @@ async fn check_shared(request: &mut Request, path: &str, job: &str) -> Result<()
     }
 }
 
-/// The id in an address, decoded as the handler will decode it.
+/// The id in a path, decoded as the handler will decode it.
 async fn named(request: &mut Request) -> Option<String> {
     let parts: RawPathParams = request.extract_parts().await.ok()?;
     let id = parts.iter().find(|(name, _)| *name == "id");
     id.map(|(_, id)| id.to_owned())
 }
 
-/// What a request needs; `None` where anybody may.
+/// The scope that a request needs; `None` if it is open to everyone.
 fn needed(path: Option<&str>, method: &Method) -> Option<Scope> {
-    // No route at all: there is nothing to see.
+    // An unknown route has nothing to protect.
     let path = path?;
     if OPEN.contains(&path) {
         return None;
     }
     Some(match (path, method) {
-        // What is spoken there, and no more.
+        // The tus protocol's discovery, nothing else.
         (UPLOADS | UPLOAD, &Method::OPTIONS) => return None,
-        // Who goes on with an upload asks first how much of it there is.
+        // To resume an upload a client first asks for its offset.
         (UPLOADS | UPLOAD, _) => Scope::JobsWrite,
         ("/v1/jobs/{id}/render", _) => Scope::Renders,
-        // It tells of everybody.
+        // They reveal data of all owners.
         ("/metrics" | WORKERS, _) => Scope::Admin,
         (_, &Method::GET | &Method::HEAD) => Scope::JobsRead,
         _ => Scope::JobsWrite,
@@ -274,13 +273,13 @@ async fn admit(app: &App, headers: &HeaderMap, needed: Scope) -> Result<Visitor,
     })
 }
 
-/// Whether those headers would still let somebody in: an answer may take longer than a token holds.
+/// Returns whether these headers still grant access: an answer may outlast the validity of a token.
 pub(super) async fn holds(app: &App, headers: &HeaderMap) -> Result<bool, Problem> {
     Ok(!app.store.has_tokens().await? || token_of(app, headers).await?.is_some())
 }
 
-/// The token that a request shows or that its session stands for, if it holds. A header wins: who
-/// sends one does not mean the cookie.
+/// Returns the valid token that a request presents or that its session stands for. A header takes
+/// precedence over the cookie.
 pub(super) async fn token_of(app: &App, headers: &HeaderMap) -> Result<Option<TokenRow>, Problem> {
     Ok(if headers.contains_key(header::AUTHORIZATION) {
         match bearer(headers) {
@@ -307,13 +306,13 @@ pub(super) fn session(headers: &HeaderMap) -> Option<&str> {
     })
 }
 
-/// 401: this one does not hold.
+/// 401: the token or session is not valid.
 pub(super) fn bad_token() -> Problem {
     let detail = "This token or session is unknown, revoked or has expired.";
     unauthorized("bad_token", detail).hint("Ask whoever runs the server for a new token.")
 }
 
-/// The token that a request shows, in the one place where it is not written into logs.
+/// Returns the bearer token of a request. No other place reads it, and it is never logged.
 fn bearer(headers: &HeaderMap) -> Option<&str> {
     let mut values = headers.get_all(header::AUTHORIZATION).iter();
     let value = values.next()?.to_str().ok()?;
@@ -335,7 +334,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_not_known_to_be_open_needs_a_scope() {
+    fn unlisted_routes_need_a_scope() {
         let (get, post) = (&Method::GET, &Method::POST);
         for open in OPEN {
             assert_eq!(needed(Some(open), get), None);

@@ -1,6 +1,6 @@
-//! What is told of a client's allowance: how much is left, and 429 when that is not enough.
+//! Rate limit headers of an answer, and 429 if the limit is exceeded.
 //!
-//! Fields of draft-ietf-httpapi-ratelimit-headers-10.
+//! Implements draft-ietf-httpapi-ratelimit-headers-10.
 
 use std::num::NonZeroU32;
 use std::time::Duration;
@@ -15,7 +15,7 @@ use crate::rate::{Allowance, PIECE, READ, WRITE};
 const POLICY: HeaderName = HeaderName::from_static("ratelimit-policy");
 const LIMIT: HeaderName = HeaderName::from_static("ratelimit");
 
-/// What a request takes from the allowance.
+/// The cost of a request.
 pub(super) fn cost(path: Option<&str>, method: &Method) -> NonZeroU32 {
     match path {
         _ if is_reading(method) => READ,
@@ -24,12 +24,12 @@ pub(super) fn cost(path: Option<&str>, method: &Method) -> NonZeroU32 {
     }
 }
 
-/// Whether a method changes nothing.
+/// Returns whether a method is read-only.
 pub(super) fn is_reading(method: &Method) -> bool {
     matches!(*method, Method::GET | Method::HEAD | Method::OPTIONS)
 }
 
-/// Adds to an answer what is left.
+/// Adds the remaining allowance to the headers of an answer.
 pub(super) fn tell(allowance: &Allowance, headers: &mut HeaderMap) {
     let (most, window) = (allowance.most, seconds(allowance.window));
     let (left, whole_in) = (allowance.left, seconds(allowance.whole_in));
@@ -44,7 +44,7 @@ pub(super) fn tell(allowance: &Allowance, headers: &mut HeaderMap) {
     }
 }
 
-/// 429: not before `wait` has passed.
+/// 429: retry after `wait`.
 pub(super) fn used_up(wait: Duration) -> Response {
     Problem::new(
         StatusCode::TOO_MANY_REQUESTS,
@@ -56,7 +56,7 @@ pub(super) fn used_up(wait: Duration) -> Response {
     .into_response()
 }
 
-/// Whole seconds, never too few.
+/// Whole seconds, rounded up.
 fn seconds(time: Duration) -> u32 {
     time.as_secs_f64().ceil() as u32
 }
@@ -66,7 +66,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_left_is_told_in_whole_seconds() {
+    fn the_remaining_allowance_is_reported_in_whole_seconds() {
         let allowance = Allowance {
             most: 1000,
             left: 7,

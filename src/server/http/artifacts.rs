@@ -1,4 +1,4 @@
-//! `/v1/jobs/{id}/artifacts`: what a job has written, whole or in ranges, each with its digest.
+//! `/v1/jobs/{id}/artifacts`: the files of a job, whole or in ranges, each with its digest.
 
 use std::fs;
 use std::io;
@@ -66,7 +66,7 @@ pub async fn list(
     names.sort();
     let mut artifacts = Vec::with_capacity(names.len());
     for name in names {
-        // A file may go between listing and reading: the job is at work.
+        // A file of a running job may disappear between listing and reading.
         if let Some(file) = Stored::open(&app, &id, &name).await? {
             artifacts.push(Artifact {
                 bytes: file.bytes,
@@ -116,7 +116,7 @@ struct Stored {
 }
 
 impl Stored {
-    /// `None` when there is no such file below the job's output.
+    /// Opens a file; `None` if it does not exist below the job's output.
     async fn open(app: &App, id: &str, name: &str) -> Result<Option<Self>, Problem> {
         let output = app.data.output(id).root().to_owned();
         let Some(path) = inside(&output, name) else {
@@ -167,12 +167,12 @@ fn sha256(path: &FilePath) -> io::Result<String> {
         .collect())
 }
 
-/// The file of this name, when it really lies below `output` and is no private one.
+/// Resolves a public file name, if it really lies below `output`.
 fn inside(output: &FilePath, name: &str) -> Option<PathBuf> {
     if !RunFolder::is_public(name) {
         return None;
     }
-    // Resolved: a link inside must not lead out.
+    // Canonicalised: a symbolic link must not lead out.
     let (root, path) = (
         output.canonicalize().ok()?,
         output.join(name).canonicalize().ok()?,
@@ -221,7 +221,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn no_name_leads_out_of_the_output() {
+    fn no_name_escapes_the_output() {
         let dir = tempfile::tempdir().expect("temporary directory");
         let output = dir.path().join("output");
         fs::create_dir_all(output.join("rounds")).expect("create");

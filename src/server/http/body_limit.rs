@@ -1,4 +1,4 @@
-//! How large a request may be.
+//! Limits on the size of request bodies.
 
-/// Most bytes of a small body: of everything but uploads.
+/// Maximum bytes of a body that is not an upload.
 pub(super) const SMALL: usize = 1 << 20;

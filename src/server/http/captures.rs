@@ -102,7 +102,7 @@ pub async fn create(
     Ok((StatusCode::CREATED, [(header::LOCATION, location)], body).into_response())
 }
 
-/// What is sent with the request, or was uploaded before.
+/// Receives the upload of the request, or takes earlier uploads.
 async fn received(
     app: &Arc<App>,
     mut request: Request,

@@ -1,17 +1,16 @@
-//! Who asks, as far as the network tells.
+//! The address of a client.
 
 use std::net::{IpAddr, Ipv6Addr};
 
-/// Bits of an IPv6 address that name a network: whoever has one has 2^64 addresses.
+/// Bits of an IPv6 address that name a network, whose owner has 2^64 addresses.
 const NETWORK_BITS: u32 = 64;
 
-/// By what the clients of the server are told apart: an IPv4 address, or an IPv6 network. Every
-/// request has it.
+/// Identifies a client by its IPv4 address or IPv6 network. Every request has one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct ClientAddress(pub(super) IpAddr);
 
 impl ClientAddress {
-    /// Of the other end of a connection.
+    /// The address at the other end of a connection.
     pub(super) fn of(address: IpAddr) -> Self {
         Self(match address.to_canonical() {
             IpAddr::V6(address) => {

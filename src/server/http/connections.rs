@@ -1,8 +1,8 @@
-//! Connections: how many, and how long each may keep the server waiting.
+//! Limits on the number of connections and on how long each may keep the server waiting.
 //!
-//! A client that says nothing, or very little, costs a descriptor and a place. So headers, bodies
-//! and answers have to move, and when all places are taken the connection that has been idle
-//! longest makes room for a new one.
+//! A silent or very slow client costs a descriptor and a place. So headers, bodies and answers have
+//! to progress, and when all places are taken, the connection that has been idle longest makes room
+//! for a new one.
 
 mod pace;
 
@@ -33,13 +33,13 @@ use pace::{PacedBody, PacedStream};
 
 /// Descriptors that the server needs besides connections: database, logs, pipes of children.
 const DESCRIPTORS: u64 = 64;
-/// After a connection could not be taken, mostly for want of descriptors.
+/// Pause after a failed accept, which is mostly due to a lack of descriptors.
 const RECOVERY: Duration = Duration::from_millis(100);
-/// What is told when every place is taken by a request that is being answered.
+/// The answer when every place is taken by an active request.
 const FULL: &[u8] = b"HTTP/1.1 503 Service Unavailable\r\nRetry-After: 5\r\n\
     Connection: close\r\nContent-Length: 0\r\n\r\n";
 
-/// Takes connections until `shutdown`, then lets open requests end.
+/// Accepts connections until `shutdown`, then lets open requests end.
 pub async fn serve(
     listener: TcpListener,
     router: Router,
@@ -51,7 +51,7 @@ pub async fn serve(
     loop {
         let accepted = tokio::select! {
             accepted = listener.accept() => accepted,
-            // Ended ones are forgotten at once, or the set would grow for ever.
+            // Remove ended ones at once, or the set would grow forever.
             Some(_) = open.join_next() => continue,
             () = shutdown.cancelled() => break,
         };
@@ -65,11 +65,11 @@ pub async fn serve(
         };
         let Some(place) = places.take() else {
             tracing::warn!(%address, "a connection is refused: all are in use");
-            // To a socket that has sent nothing yet a few bytes always go.
+            // A few bytes always fit into a socket that has sent nothing yet.
             drop(stream.try_write(FULL));
             continue;
         };
-        // Answers of a few lines must not wait for the acknowledgement of those before.
+        // Short answers must not wait for the acknowledgement of earlier ones.
         if let Err(error) = stream.set_nodelay(true) {
             tracing::debug!(%error, "cannot set TCP_NODELAY");
         }
@@ -83,8 +83,8 @@ pub async fn serve(
     while open.join_next().await.is_some() {}
 }
 
-/// Places for connections: as many as asked for, as far as descriptors go. A connection may open a
-/// file beside itself.
+/// The number of places: as many as requested, as far as descriptors allow. A connection may open a
+/// file in addition to its socket.
 fn places(asked: usize) -> usize {
     let descriptors = getrlimit(Resource::Nofile).current.unwrap_or(u64::MAX);
     let possible = descriptors.saturating_sub(DESCRIPTORS) / 2;
@@ -136,7 +136,7 @@ async fn converse(
     }
 }
 
-/// The places that there are for connections, and who has them.
+/// The places for connections.
 #[derive(Debug)]
 struct Places {
     most: usize,
@@ -145,10 +145,10 @@ struct Places {
     next: AtomicU64,
 }
 
-/// What a connection is doing.
+/// The state of a connection.
 #[derive(Debug)]
 struct State {
-    /// Requests that are being answered.
+    /// Requests in progress.
     busy: AtomicUsize,
     /// Milliseconds between [`Places::began`] and the end of the last request.
     idle_since: AtomicU64,
@@ -156,7 +156,7 @@ struct State {
     leave: CancellationToken,
 }
 
-/// A place, free again when dropped.
+/// A place, freed when dropped.
 struct Place {
     number: u64,
     state: Arc<State>,
@@ -173,7 +173,7 @@ impl Places {
         }
     }
 
-    /// A free place, or that of the connection that has been idle longest; `None` when none is.
+    /// Takes a free place, or that of the connection idle longest; `None` if all are busy.
     fn take(self: &Arc<Self>) -> Option<Place> {
         let mut taken = self.taken.lock().unwrap_or_else(PoisonError::into_inner);
         if taken.len() >= self.most {
@@ -221,7 +221,7 @@ impl State {
     }
 }
 
-/// A request that is being answered, until the last byte of its answer is sent.
+/// A request in progress, until the last byte of its answer is sent.
 struct Busy(Arc<State>);
 
 impl Busy {
@@ -238,7 +238,7 @@ impl Drop for Busy {
     }
 }
 
-/// The body of an answer that keeps its connection busy.
+/// The body of an answer, which keeps its connection busy.
 struct Held {
     body: Body,
     _busy: Busy,

@@ -1,4 +1,4 @@
-//! Files of a job or a capture that others have made, before a handler looks for them here.
+//! Files of a job made on other machines, fetched before a handler reads them here.
 
 use std::sync::Arc;
 
@@ -13,7 +13,7 @@ use super::problem::Problem;
 use crate::app::App;
 use crate::copies::{fetch_job, publish_video};
 
-/// What is read from the files of a job.
+/// Routes that read the files of a job.
 const OF_FILES: [&str; 11] = [
     "/v1/jobs/{id}/rounds",
     "/v1/jobs/{id}/live",
@@ -28,7 +28,7 @@ const OF_FILES: [&str; 11] = [
     VIDEO_FILE,
 ];
 
-/// Fetches what has changed of a job's files, where they are shared.
+/// Fetches the changed files of a job from a shared blob store.
 pub(super) async fn bring(
     State(app): State<Arc<App>>,
     mut request: Request,

@@ -1,8 +1,8 @@
-//! The dashboard: plain files, embedded, no outside address.
+//! The dashboard: plain embedded files, without external resources.
 //!
-//! A page is some fifty small modules. They go out deflated, and a browser that has them asks with
-//! their tags and is answered without them: so a page that is opened again costs no bytes, and one
-//! of another build is never shown with old scripts.
+//! A page consists of some fifty small modules. They are sent compressed, and a browser that has
+//! them revalidates by their tags: reopening a page transfers no file again, and a page of another
+//! build is never shown with old scripts.
 
 use std::borrow::Cow;
 use std::collections::HashMap;
@@ -27,11 +27,11 @@ use super::sent::is_known;
 #[include = "*.svg"]
 struct Web;
 
-/// A file in both forms.
+/// A file, plain and compressed.
 struct Asset {
     plain: Cow<'static, [u8]>,
     gzipped: Vec<u8>,
-    /// Of its content, in hexadecimal digits.
+    /// Digest of its content, in hexadecimal.
     digest: String,
 }
 
@@ -49,12 +49,12 @@ static ASSETS: LazyLock<HashMap<String, Asset>> = LazyLock::new(|| {
     Web::iter().filter_map(asset).collect()
 });
 
-/// The page; it finds out by itself what to show.
+/// The page, which decides by itself what to show.
 pub async fn index(headers: HeaderMap) -> Response {
     file("index.html", &headers)
 }
 
-/// Its style and scripts.
+/// Its styles and scripts.
 pub async fn asset(Path(name): Path<String>, headers: HeaderMap) -> Response {
     file(&name, &headers)
 }
@@ -64,7 +64,7 @@ fn file(name: &str, headers: &HeaderMap) -> Response {
         return Problem::not_found("file").into_response();
     };
     let is_gzipped = takes_gzip(headers);
-    // Of one content two forms: each has a tag of its own.
+    // The two forms of a file need different tags.
     let form = if is_gzipped { "gzip" } else { "plain" };
     let etag = format!("\"{}-{form}\"", asset.digest);
     let common: [(HeaderName, &str); 3] = [
@@ -91,7 +91,7 @@ fn media_type(name: &str) -> &'static str {
     }
 }
 
-/// Whether a client says that it takes gzip, and not with a weight of nothing.
+/// Returns whether a client accepts gzip with a non-zero weight.
 fn takes_gzip(headers: &HeaderMap) -> bool {
     let accepted = headers.get_all(header::ACCEPT_ENCODING).iter();
     let words = accepted.filter_map(|value| value.to_str().ok());
@@ -129,7 +129,7 @@ mod tests {
     }
 
     #[test]
-    fn every_file_is_the_same_in_both_forms_and_deflated_a_third_in_all() {
+    fn gzip_keeps_every_file_and_halves_their_size() {
         for asset in ASSETS.values() {
             let mut read = Vec::new();
             GzDecoder::new(asset.gzipped.as_slice())
@@ -143,7 +143,7 @@ mod tests {
     }
 
     #[test]
-    fn gzip_goes_to_those_who_take_it() {
+    fn gzip_is_sent_only_to_clients_that_accept_it() {
         for taken in ["gzip", "br, GZIP;q=0.5", "deflate,gzip; q=1"] {
             assert!(takes_gzip(&accepting(taken)), "{taken}");
         }
@@ -154,7 +154,7 @@ mod tests {
     }
 
     #[test]
-    fn who_has_a_file_is_not_sent_it_again_and_has_no_other_form_of_it() {
+    fn a_cached_file_is_revalidated_by_form() {
         let gzip = file("main.js", &accepting("gzip"));
         assert_eq!(gzip.headers()[header::CONTENT_ENCODING], "gzip");
         let etag = gzip.headers()[header::ETAG].clone();

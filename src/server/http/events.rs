@@ -1,9 +1,8 @@
 //! `/v1/jobs/{id}/events`: server-sent events out of the database.
 //!
-//! Nobody hands a stream what to send: it is told that something changed and asks for what follows
-//! the last number sent, which one read for all streams of the job brings (`event_feed.rs`). So
-//! nothing is lost, doubled or out of order, whether the client reconnects, the server restarts or
-//! both.
+//! Streams receive no events directly: a stream is notified of a change and reads the events after
+//! the last number it sent, in one read for all streams of the job (`event_feed.rs`). So nothing is
+//! lost, duplicated or reordered, whether the client reconnects, the server restarts or both.
 
 use std::convert::Infallible;
 use std::sync::Arc;
@@ -25,7 +24,7 @@ use super::problem::Problem;
 use crate::app::App;
 use crate::event_feed::{EventFeed, FeedEvent};
 
-/// How long a stream may go on after its token has ended.
+/// How long a stream may outlast the validity of its token.
 const ACCESS_CHECK: Duration = Duration::from_secs(5);
 
 /// From where to stream.
@@ -66,7 +65,7 @@ pub async fn stream(
     Query(query): Query<StreamQuery>,
     headers: HeaderMap,
 ) -> Result<Response, Problem> {
-    // Watching begins before the first look, or a change between the two would be missed.
+    // Watch before the first read, or a change between the two would be missed.
     let versions = app.watch();
     let job = find(&app, &id).await?;
     let last = match headers.get("last-event-id") {
@@ -76,11 +75,11 @@ pub async fn stream(
             .and_then(|text| text.trim().parse().ok()),
         None => Some(query.after.unwrap_or(0)),
     };
-    // No number at all, in whichever place it stands.
+    // An invalid number is rejected wherever it stands.
     let last = last.filter(|_| query.after.is_none_or(|after| after >= 0));
     let last = known(&app, &id, last).await?;
     if job.state.is_terminal() && app.store.events_after(&id, last, 1).await?.is_empty() {
-        // The only answer after which a browser does not connect again.
+        // The only answer after which a browser does not reconnect.
         return Ok(StatusCode::NO_CONTENT.into_response());
     }
     let cursor = Cursor {
@@ -98,7 +97,7 @@ pub async fn stream(
         .into_response())
 }
 
-/// The number of an event that the job has told; 0 is before the first.
+/// Checks that `last` is the number of an event of the job; 0 is before the first.
 async fn known(app: &App, id: &str, last: Option<i64>) -> Result<i64, Problem> {
     if last == Some(0) {
         return Ok(0);
@@ -127,7 +126,7 @@ struct Cursor {
     last: i64,
     versions: watch::Receiver<u64>,
     batch: std::vec::IntoIter<Arc<FeedEvent>>,
-    /// By which the client was let in, and when that was last so.
+    /// The headers that authorised the client, and when they were last checked.
     headers: HeaderMap,
     checked: Instant,
 }
@@ -144,8 +143,8 @@ impl Cursor {
         })
     }
 
-    /// The next event; `None` when the job is over, is gone, the token has ended, or the server
-    /// stops.
+    /// Returns the next event; `None` when the job is over or gone, the token is no longer valid,
+    /// or the server stops.
     async fn next(&mut self) -> Option<Arc<FeedEvent>> {
         loop {
             if let Some(told) = self.batch.next() {

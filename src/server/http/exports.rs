@@ -1,5 +1,5 @@
-//! `/v1/jobs/{id}/exports`: a finished result in the forms in which others go on with it, made
-//! while it is sent.
+//! `/v1/jobs/{id}/exports`: a finished result in the formats of other programs, created while it is
+//! sent.
 
 use std::io::{self, Write};
 use std::sync::Arc;
@@ -20,13 +20,13 @@ use super::problem::Problem;
 use crate::app::App;
 use crate::redaction::without_paths;
 
-/// Bytes that are sent at once.
+/// Bytes per chunk.
 const PIECE: usize = 1 << 16;
 
-/// Pieces that wait for a client who is slower than we are.
+/// Chunks buffered for a slow client.
 const WAITING: usize = 4;
 
-/// After so many seconds one of those that are being made may have ended.
+/// Seconds after which one of the running exports may have ended.
 const RETRY: u32 = 10;
 
 /// Of what.
@@ -107,7 +107,7 @@ pub async fn download(
         .parse()
         .map_err(|known: String| Problem::not_found("export").hint(format!("{known}.")))?;
     let round = finished(&app, &id, query.round).await?;
-    // A scene is held whole while it is compressed.
+    // Compression holds a whole scene in memory.
     let turn = app.exporting.clone().try_acquire_owned();
     let turn = turn.map_err(|_| busy())?;
     let output = app.data.output(&id);
@@ -130,16 +130,17 @@ pub async fn download(
     Ok((headers, body).into_response())
 }
 
-/// Writes it into the answer; what fails breaks the answer off, so that nobody takes it for whole.
+/// Writes the export into the answer. An error aborts the answer, so that it is not taken for
+/// complete.
 fn make(prepared: &Prepared, pieces: &mpsc::Sender<io::Result<Bytes>>, job: &str) {
     let pipe = io::BufWriter::with_capacity(PIECE, Pipe(pieces));
     match prepared.write(pipe) {
         Ok(()) => {}
-        // The client has gone.
+        // The client has disconnected.
         Err(ExportError::Write(_)) if pieces.is_closed() => {}
         Err(error) => {
             tracing::error!(%error, job, "an export broke off");
-            // Where the client has gone as well, nobody is to be told.
+            // If the client has disconnected as well, the error needs no receiver.
             let _ = pieces.blocking_send(Err(io::Error::other("the export broke off")));
         }
     }

@@ -1,4 +1,4 @@
-//! Extractors whose refusals are problem documents.
+//! Extractors whose rejections are problem documents.
 
 use std::fmt;
 use std::marker::PhantomData;
@@ -31,16 +31,16 @@ impl<T: DeserializeOwned, S: Send + Sync> FromRequest<S> for Json<T> {
     }
 }
 
-/// What a JSON object stands for that was read without a look at its meaning.
+/// Deserialises a JSON object that was read untyped.
 ///
 /// # Errors
-/// 422 when it does not stand for that.
+/// 422 if it does not match the type.
 pub fn typed<T: DeserializeOwned>(body: Map<String, Value>) -> Result<T, Problem> {
     serde_json::from_value(Value::Object(body))
         .map_err(|error| Problem::unprocessable("bad_input", format!("The JSON body: {error}")))
 }
 
-/// A JSON object. By itself serde takes an array for a struct, field by field.
+/// A JSON object. On its own, serde accepts an array for a struct, field by field.
 #[derive(Debug)]
 pub struct Object<T>(pub T);
 

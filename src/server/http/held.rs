@@ -1,4 +1,4 @@
-//! An upload in pieces, from whoever has it.
+//! Exclusive access to resumable uploads.
 
 use axum::http::StatusCode;
 
@@ -6,10 +6,10 @@ use super::problem::Problem;
 use crate::app::App;
 use crate::holders::Hold;
 
-/// The upload for oneself: whoever writes to it is told to stop, and has let go.
+/// Locks an upload: asks its current writer to stop, and waits until it has.
 ///
 /// # Errors
-/// 423 when they do not.
+/// 423 if the writer does not stop.
 pub(super) async fn hold(app: &App, id: &str) -> Result<Hold, Problem> {
     let hold = app.holders.take(id, app.limits.takeover).await;
     hold.ok_or_else(|| {

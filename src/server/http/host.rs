@@ -1,6 +1,6 @@
-//! By which names the server may be called.
+//! The host names of the server.
 //!
-//! A page of another site can have its own name point at this machine (DNS rebinding): for the
+//! A page of another site can make its own name point at this machine (DNS rebinding): for the
 //! browser its requests then stay within one origin, and no rule about origins stops them. They
 //! still carry that name.
 
@@ -16,7 +16,7 @@ use axum::response::{IntoResponse, Response};
 use super::problem::Problem;
 use crate::app::App;
 
-/// Refuses requests that call the server by a name that is not its own.
+/// Refuses requests whose host name is not the server's own.
 pub(super) async fn check(State(app): State<Arc<App>>, request: Request, next: Next) -> Response {
     if is_known(request.uri(), request.headers(), &app.config.hosts) {
         return next.run(request).await;
@@ -30,8 +30,8 @@ pub(super) async fn check(State(app): State<Arc<App>>, request: Request, next: N
     .into_response()
 }
 
-/// Whether every name that a request gives the server is one of its own. Addresses are: no other
-/// site has one for its name. No name at all is no browser's.
+/// Returns whether every host name of a request is the server's own. IP addresses are: no other
+/// site has one for its name. A request without a host name comes from no browser.
 fn is_known(uri: &Uri, headers: &HeaderMap, hosts: &[String]) -> bool {
     let named = headers.get_all(header::HOST).iter();
     let named = named.map(|value| value.to_str().ok()?.parse::<Authority>().ok());
@@ -56,7 +56,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn addresses_localhost_and_given_names_are_known_and_nothing_else() {
+    fn only_addresses_localhost_and_given_names_are_known() {
         let hosts = ["fled.example.org".to_owned()];
         let known = |host: &str| {
             let mut headers = HeaderMap::new();

@@ -29,7 +29,7 @@ use crate::janitor::remove;
 use crate::jobs::state::JobState;
 use crate::store::{Creation, JobFilter, JobRow};
 
-/// Cancelling answers when the job is over, but not later than this.
+/// How long a cancellation waits for the job to be over before it answers.
 const CANCEL_PATIENCE: Duration = Duration::from_millis(2500);
 
 /// A job to be made.
@@ -174,7 +174,7 @@ async fn from_json(
     key: Option<&str>,
     visitor: &Visitor,
 ) -> Result<Creation, Problem> {
-    // Accepted is accepted: a job that the disk cannot hold is refused now.
+    // An accepted job must be stored: one that the disk cannot hold is refused now.
     upload::check_space(app)?;
     if !is_known(app, key).await? {
         bytes_left(app, visitor).await?;
@@ -183,7 +183,7 @@ async fn from_json(
         upload::check_name(name)?;
     }
     let capture = app.store.capture(&body.capture_id).await?;
-    // Somebody else's is not there. A job is whose its capture is.
+    // Another owner's capture is reported as not found. A job belongs to its capture's owner.
     let capture = capture.filter(|capture| {
         let only = visitor.sees_only();
         only.is_none() || capture.owner.as_deref() == only
@@ -214,7 +214,7 @@ async fn from_json(
     made.map_err(not_made)
 }
 
-/// Why there is no job of a capture, which may have been deleted since it was there.
+/// Why a job was not created: its capture may have been deleted since the check.
 fn not_made(error: ServerError) -> Problem {
     match error.is_of_a_name() {
         true => Problem::not_found("capture"),
@@ -228,7 +228,7 @@ async fn from_upload(
     key: Option<&str>,
     visitor: Visitor,
 ) -> Result<Creation, Problem> {
-    // Told before gigabytes are sent; a request that is repeated has its job and needs no room.
+    // Check before gigabytes are sent; a repeated request has its job and needs no room.
     let most = if is_known(app, key).await? {
         None
     } else {
@@ -256,7 +256,7 @@ async fn from_upload(
         .filter(|preset| !preset.is_empty());
     let fingerprint = upload.fingerprint.clone();
     let priority = Priority::field(upload.fields.get("priority"), &visitor)?;
-    // Options are checked before the photographs: a typo is told at once.
+    // Check options before the photographs, so that a typo is reported at once.
     let order = Order::new(app, preset.as_deref(), &options, priority).await?;
     let report = upload.examine(app).await?;
     order.check_views(&report)?;
@@ -269,8 +269,8 @@ async fn from_upload(
             .store
             .create_job(&job, key.as_deref(), &fingerprint, room)
             .await;
-        // The job of the first request has its own capture, and one without a job was not asked
-        // for: this copy was for nothing.
+        // A replayed request already has a job with its own capture, and a refused one must not
+        // leave a capture without a job: delete this copy.
         if !matches!(creation, Ok(Creation::Created(_)))
             && app.store.delete_capture(&capture.id).await?
         {
@@ -281,7 +281,7 @@ async fn from_upload(
     .await
 }
 
-/// Whether a request of this key has made a job already.
+/// Returns whether a request with this key has created a job.
 async fn is_known(app: &App, key: Option<&str>) -> Result<bool, Problem> {
     Ok(match key {
         Some(key) => app.store.knows_key(key).await?,
@@ -289,14 +289,14 @@ async fn is_known(app: &App, key: Option<&str>) -> Result<bool, Problem> {
     })
 }
 
-/// The key that the client chose, apart from those of other owners.
+/// The client's idempotency key, kept apart from those of other owners.
 fn idempotency_key(headers: &HeaderMap, visitor: &Visitor) -> Result<Option<String>, Problem> {
     let Some(value) = headers.get("idempotency-key") else {
         return Ok(None);
     };
     match value.to_str() {
         Ok(key) if !key.is_empty() && key.len() <= 255 => Ok(Some(match visitor.owner() {
-            // No key of a client's has a line break.
+            // A header value contains no line break.
             Some(owner) => format!("{owner}\n{key}"),
             None => key.to_owned(),
         })),
@@ -375,7 +375,7 @@ pub async fn cancel(
         }
         Ok::<(), Problem>(())
     };
-    // Not ended in time: the job says that it is to be cancelled, and will be.
+    // On a timeout the answer shows the requested cancellation, which will follow.
     if let Ok(outcome) = tokio::time::timeout(CANCEL_PATIENCE, ended).await {
         outcome?;
     }
@@ -411,7 +411,7 @@ pub(super) fn over(row: &JobRow) -> Problem {
     )
 }
 
-/// The job as answered, or 404.
+/// Returns the job as answered, or 404.
 pub(super) async fn told(app: &App, id: &str) -> Result<Job, Problem> {
     let told = app.store.told_job(id).await?;
     told.map(Job::from_told)

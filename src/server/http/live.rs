@@ -1,4 +1,4 @@
-//! `/v1/jobs/{id}/live`: what the scene of a job looks like while it trains.
+//! `/v1/jobs/{id}/live`: a preview of a job's scene while it trains.
 
 use std::io::ErrorKind;
 use std::sync::Arc;
@@ -31,7 +31,7 @@ pub async fn show(
     let job = find(&app, &id).await?;
     let path = app.data.output(&id).work().live_picture();
     let nothing = || Ok(StatusCode::NO_CONTENT.into_response());
-    // What a process left that was killed shows no scene that trains.
+    // The preview that a killed process left behind is outdated.
     if job.state != JobState::Running {
         return nothing();
     }

@@ -14,7 +14,7 @@ use crate::app::App;
 use crate::error::ServerError;
 use crate::jobs::log::read_page;
 
-/// Most lines of a page.
+/// Maximum lines of a page.
 const LARGEST_PAGE: usize = 5000;
 
 /// Which part of the log.
@@ -57,7 +57,7 @@ pub async fn show(
     let (offset, limit) = (query.offset.unwrap_or(0), query.limit.unwrap_or(1000));
     within(limit, LARGEST_PAGE)?;
     if offset > i64::MAX as u64 {
-        // Nothing is as long, and not every client can tell such a number from another.
+        // No log is that long, and not every client can represent such a number exactly.
         return Err(Problem::unprocessable("bad_input", "No log is as long.").pointer("/offset"));
     }
     let read = {

@@ -1,7 +1,7 @@
 //! `/login` and `/logout`: a browser's session in place of a token.
 //!
-//! A page cannot keep a token where no script can read it, and streams and pictures send no header.
-//! So the token is shown once, and a cookie that no script sees takes its place.
+//! A page cannot store a token out of reach of scripts, and event streams and images send no
+//! header. So the token is presented once and replaced by a cookie that no script can read.
 
 use std::sync::Arc;
 
@@ -17,7 +17,7 @@ use super::problem::Problem;
 use crate::app::App;
 use crate::token::{Secret, digest};
 
-/// A session lasts so long, seconds.
+/// How long a session lasts, in seconds.
 const LASTS: i64 = 7 * 24 * 3600;
 
 /// A token that is shown for a session.
@@ -80,7 +80,7 @@ pub async fn login(
         tracing::error!(%error, "no session can be begun");
         Problem::internal()
     })?;
-    // Whoever logs in anew leaves no old session behind.
+    // A new login leaves no old session behind.
     end(&app, &headers).await?;
     let ends = app.store.now().await? + LASTS * 1000;
     app.store
@@ -104,9 +104,9 @@ async fn end(app: &App, headers: &HeaderMap) -> Result<(), Problem> {
     Ok(())
 }
 
-/// Done, with the cookie.
+/// 204 with the session cookie.
 fn answer(headers: &HeaderMap, session: &str, seconds: i64) -> Response {
-    // Only a proxy knows whether the browser speaks TLS; one that lies harms itself.
+    // Only a proxy knows whether the browser uses TLS; one that lies harms only itself.
     let is_tls = headers
         .get("x-forwarded-proto")
         .is_some_and(|scheme| scheme.as_bytes() == b"https");

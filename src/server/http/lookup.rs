@@ -1,4 +1,4 @@
-//! The job that an address names, and what of it is finished.
+//! Lookup of a job by the id in a path, and of its finished results.
 
 use fled_core::camera::NamedCamera;
 use fled_core::run_folder::RunFolder;
@@ -9,7 +9,7 @@ use crate::error::ServerError;
 use crate::jobs::state::JobState;
 use crate::store::JobRow;
 
-/// The job, or 404.
+/// Returns the job, or 404.
 pub(super) async fn find(app: &App, id: &str) -> Result<JobRow, Problem> {
     app.store
         .job(id)
@@ -17,7 +17,7 @@ pub(super) async fn find(app: &App, id: &str) -> Result<JobRow, Problem> {
         .ok_or_else(|| Problem::not_found("job"))
 }
 
-/// The round that is asked for, if it is finished, or `None`, if the job is.
+/// Returns the requested round if it is finished, or `None` for the result of a finished job.
 pub(super) async fn finished(
     app: &App,
     id: &str,
@@ -43,7 +43,7 @@ fn not_finished(state: JobState) -> Problem {
     Problem::conflict("not_finished", detail).hint(hint)
 }
 
-/// The cameras of a finished job, or 409 where somebody has taken their file away.
+/// Returns the cameras of a finished job, or 409 if their file has been removed.
 pub(super) async fn cameras_of(output: &RunFolder) -> Result<Vec<NamedCamera>, Problem> {
     let path = output.cameras();
     let text = tokio::fs::read(&path).await.map_err(|source| {

@@ -1,4 +1,4 @@
-//! `/metrics`, the count of every answer, and the access log.
+//! `/metrics`, the request counter, and the access log.
 
 use std::sync::Arc;
 use std::time::Instant;
@@ -15,7 +15,7 @@ use crate::telemetry::{Answered, Now};
 
 /// OpenMetrics 1.0.
 const MEDIA_TYPE: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
-/// Names an answer in the log and to the client.
+/// Identifies an answer in the log and to the client.
 const REQUEST_ID: &str = "x-request-id";
 
 /// What the server counts about itself: requests and their times, jobs by state, free space.
@@ -52,8 +52,8 @@ pub async fn show(State(app): State<Arc<App>>) -> Result<Response, Problem> {
     Ok(([(header::CONTENT_TYPE, MEDIA_TYPE)], told).into_response())
 }
 
-/// Counts an answer and logs it: what changes something or fails at `info`, the rest at `debug`.
-/// Addresses are logged without their query, tokens never.
+/// Counts an answer and logs it: changes and failures at `info`, the rest at `debug`. Paths are
+/// logged without their query, tokens never.
 pub(super) async fn count(State(app): State<Arc<App>>, request: Request, next: Next) -> Response {
     let began = Instant::now();
     let method = request.method().clone();
@@ -73,7 +73,7 @@ pub(super) async fn count(State(app): State<Arc<App>>, request: Request, next: N
         tracing::info!(%method, path, code, ms, id, "answered");
     }
     let answered = Answered {
-        // Anybody may make up methods.
+        // Clients may send invented methods.
         method: known(&method).to_owned(),
         route,
         status: code,
@@ -82,7 +82,7 @@ pub(super) async fn count(State(app): State<Arc<App>>, request: Request, next: N
     answer
 }
 
-/// A method; anybody may make up others.
+/// The name of a method; clients may invent others.
 fn known(method: &Method) -> &'static str {
     const KNOWN: [&str; 7] = ["GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS"];
     let known = KNOWN.iter().find(|known| method == **known);

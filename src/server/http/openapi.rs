@@ -1,4 +1,4 @@
-//! `/openapi.yaml`: generated from the handlers, checked in, compared by a test.
+//! `/openapi.yaml`: generated from the handlers, checked in, and compared by a test.
 
 use axum::http::header;
 use axum::response::{IntoResponse, Redirect};
@@ -75,19 +75,19 @@ use super::{
         show_json,
         docs
     ),
-    // What only a query names is not found by itself.
+    // A schema that only a query names is not found automatically.
     components(schemas(rounds::Form)),
     modifiers(&Refusals)
 )]
 struct Api;
 
-/// Name of the way to say who one is.
+/// Name of the security scheme.
 const TOKEN: &str = "token";
 
-/// Every request can be refused so.
+/// A refusal that every request may get.
 const UNKNOWN_HOST: (&str, &str) = ("421", "Called by a name that is not the server's");
 
-/// Adds to every operation how its request can be refused before its handler sees it.
+/// Adds to every operation the refusals that precede its handler.
 struct Refusals;
 
 impl Modify for Refusals {
@@ -109,7 +109,7 @@ impl Modify for Refusals {
             for operation in operations.into_iter().flatten() {
                 refuse(operation, path);
             }
-            // They tell what is spoken to everybody.
+            // Discovery is open to everyone.
             if let Some(operation) = &mut item.options {
                 let answers = &mut operation.responses.responses;
                 answers.insert(UNKNOWN_HOST.0.to_owned(), problem(UNKNOWN_HOST.1).into());
@@ -140,7 +140,7 @@ fn refuse(operation: &mut Operation, path: &str) {
         refusals.push(("403", "The token does not allow this"));
         refusals.push(("429", "Too many requests: `Retry-After` says when again"));
         let needs = SecurityRequirement::new::<_, [&str; 0], &str>(TOKEN, []);
-        // Nothing is needed as long as there is no token.
+        // No token is required while none exists.
         operation.security = Some(vec![SecurityRequirement::default(), needs]);
         refusals.push(("default", "Any other problem"));
     }
@@ -158,10 +158,10 @@ fn problem(description: &str) -> Response {
         .build()
 }
 
-/// The description of the API.
+/// Returns the OpenAPI document as YAML.
 ///
 /// # Panics
-/// Never: the document is made of plain data.
+/// Never: plain data can always be serialised.
 pub fn document() -> String {
     Api::openapi()
         .to_yaml()
@@ -224,7 +224,7 @@ mod tests {
     }
 
     #[test]
-    fn the_description_can_be_followed_by_a_program() {
+    fn the_document_is_consistent() {
         let api = serde_json::to_value(Api::openapi()).expect("plain data");
         let mut ids = HashSet::new();
         for (path, method, operation) in operations(&api) {
@@ -265,7 +265,7 @@ mod tests {
 
     /// `FLED_WRITE_OPENAPI=1 cargo test --release -p fled-server openapi` writes the file.
     #[test]
-    fn the_checked_in_description_is_that_of_the_handlers() {
+    fn the_checked_in_document_matches_the_handlers() {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../openapi.yaml");
         if std::env::var_os("FLED_WRITE_OPENAPI").is_some() {
             std::fs::write(&path, document()).expect("write");

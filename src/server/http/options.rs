@@ -17,7 +17,7 @@ pub async fn show() -> Result<Json<Value>, Problem> {
         let options = serde_json::to_value(preset.options()).map_err(|_| Problem::internal())?;
         presets.insert(preset.name().to_owned(), options);
     }
-    // An unknown keyword is allowed in a schema and ignored by validators.
+    // JSON Schema allows unknown keywords, and validators ignore them.
     schema["presets"] = Value::Object(presets);
     Ok(Json(schema))
 }
@@ -27,7 +27,7 @@ mod tests {
     use super::*;
 
     #[tokio::test]
-    async fn the_schema_names_its_draft_and_every_preset_fills_every_option() {
+    async fn the_schema_names_its_draft_and_presets_set_every_option() {
         let Json(schema) = show().await.expect("schema");
         assert_eq!(
             schema["$schema"],

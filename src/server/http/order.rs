@@ -1,4 +1,4 @@
-//! What is asked of a job, held against what can be done.
+//! Validation of a job's options.
 
 use std::path::PathBuf;
 
@@ -15,13 +15,13 @@ use crate::app::App;
 use crate::store::{Engine, JobRow, Needs, NewJob};
 use crate::validation::CaptureReport;
 
-/// Memory of a machine that is given a job of the preset `paper`, bytes.
+/// Memory of a machine that may run a job of the preset `paper`, in bytes.
 const PAPER_MEMORY: u64 = 12 << 30;
 
-/// Longest part of an adapter's name, characters.
+/// Maximum characters of a fragment of an adapter's name.
 const LONGEST_ADAPTER: usize = 200;
 
-/// What is asked of a job, checked, before there is a capture for it.
+/// The validated options of a job that has no capture yet.
 pub(super) struct Order {
     preset: Preset,
     options: Options,
@@ -30,7 +30,7 @@ pub(super) struct Order {
 
 impl Order {
     /// # Errors
-    /// 422 with a pointer to the option that cannot be.
+    /// 422 with a pointer to the invalid option.
     pub(super) async fn new(
         app: &App,
         preset: Option<&str>,
@@ -48,7 +48,7 @@ impl Order {
         Self::checked(app, preset, options, priority).await
     }
 
-    /// What is asked of a job that there is, over the options that it has.
+    /// Validates new options for an existing job, on top of those it has.
     ///
     /// # Errors
     /// As [`Order::new`].
@@ -61,7 +61,7 @@ impl Order {
             tracing::error!(%error, job = row.id, "its preset is damaged");
             Problem::internal()
         })?;
-        // A value that an older build took may have to be replaced.
+        // The request may replace a value that only an older build accepted.
         let mut all = Options::known(&row.options);
         all.extend(options.clone());
         let options = Options::default()
@@ -77,7 +77,7 @@ impl Order {
         priority: Priority,
     ) -> Result<Self, Problem> {
         check_words(&options)?;
-        // It reads the folder of networks.
+        // It reads the networks folder.
         let (folders, checked) = (app.config.models.clone(), options.clone());
         let check = move || {
             let networks = checked.networks().into_iter();
@@ -95,16 +95,16 @@ impl Order {
         })
     }
 
-    /// Whether these are the options already, as an older build may have written them.
+    /// Returns whether the stored options, possibly of an older build, are the same.
     pub(super) fn asks_for(&self, options: &Value) -> bool {
         let stored = Options::default().with_overrides(&Options::known(options));
         stored.is_ok_and(|stored| stored == self.options)
     }
 
-    /// Holds what the options say of views against the capture's.
+    /// Checks the options that name views against those of the capture.
     ///
     /// # Errors
-    /// 422 for held-out views that the capture has not.
+    /// 422 for held-out views that the capture lacks.
     pub(super) fn check_views(&self, report: &CaptureReport) -> Result<(), Problem> {
         let held_out = self.options.held_out.as_str();
         let refused = |message: String| {
@@ -126,10 +126,10 @@ impl Order {
         }
     }
 
-    /// The job for a capture.
+    /// Creates the job for a capture.
     ///
     /// # Errors
-    /// 500 when the options cannot be written.
+    /// 500 if the options cannot be serialised.
     pub(super) fn job(&self, app: &App, capture: &str, name: &str) -> Result<NewJob, Problem> {
         Ok(NewJob {
             id: Uuid::now_v7().to_string(),
@@ -145,8 +145,8 @@ impl Order {
 }
 
 impl Order {
-    /// What a machine must have to be given the job, where there are many to choose from: training
-    /// to the paper's letter takes days without a GPU.
+    /// What a machine needs to run the job, where there are several: training exactly as in the
+    /// paper takes days without a GPU.
     fn needs(&self, app: &App) -> Needs {
         match (app.store.engine(), self.preset) {
             (Engine::Postgres, Preset::Paper) => Needs {
@@ -158,7 +158,7 @@ impl Order {
     }
 }
 
-/// Options in words of their own, which the job would read only after it has found the poses.
+/// Checks options with a syntax of their own, which the job would parse only after the poses.
 fn check_words(options: &Options) -> Result<(), Problem> {
     let target: Result<Target, _> = options.target.parse();
     target.map_err(|error| {
@@ -176,7 +176,7 @@ fn check_words(options: &Options) -> Result<(), Problem> {
     Ok(())
 }
 
-/// Networks are chosen by name: a path would let a client probe the files of the server.
+/// Checks that a network is chosen by name: a path would let a client probe the server's files.
 fn check_network(folders: &[PathBuf], option: NetworkOption<'_>) -> Result<(), Problem> {
     let refused = |message: String| {
         bad_option(&OptionsError {
@@ -203,7 +203,7 @@ fn check_network(folders: &[PathBuf], option: NetworkOption<'_>) -> Result<(), P
 }
 
 fn bad_option(error: &OptionsError) -> Problem {
-    // RFC 6901: the two characters that a pointer gives a meaning.
+    // RFC 6901: the two special characters of a JSON pointer.
     let key = error.key.replace('~', "~0").replace('/', "~1");
     Problem::unprocessable("bad_option", error.to_string())
         .pointer(format!("/options/{key}"))

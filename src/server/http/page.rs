@@ -1,16 +1,16 @@
-//! How much of a list is asked for at a time.
+//! Page sizes of lists.
 
 use super::problem::Problem;
 
-/// Most items of a page of captures or jobs.
+/// Maximum captures or jobs on a page.
 pub(super) const LARGEST_PAGE: u32 = 200;
-/// Items of a page where nobody says how many.
+/// Default items on a page.
 const PAGE: u32 = 50;
 
-/// How many items of a list to answer.
+/// The number of items to return.
 ///
 /// # Errors
-/// 422 for none or too many: a client that counts on its number would miss the rest.
+/// 422 for zero or too many: a client that relies on its number would miss the rest.
 pub(super) fn page_size(limit: Option<u32>) -> Result<u32, Problem> {
     let limit = limit.unwrap_or(PAGE);
     within(limit as usize, LARGEST_PAGE as usize)?;

@@ -1,4 +1,4 @@
-//! `/v1/jobs/{id}/pin`: jobs that the server does not delete of itself.
+//! `/v1/jobs/{id}/pin`: exempts a job from automatic deletion.
 
 use std::sync::Arc;
 

@@ -1,4 +1,4 @@
-//! `/v1/jobs/{id}/priority`: jobs that wait are given another place.
+//! `/v1/jobs/{id}/priority`: changes the place of a job in the queue.
 
 use std::sync::Arc;
 

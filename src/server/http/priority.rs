@@ -1,4 +1,4 @@
-//! What goes first among the jobs that wait, as far as who asks may say.
+//! Priorities of jobs, as far as the client may set them.
 
 use axum::http::StatusCode;
 use serde_json::{Map, Number, Value};
@@ -7,19 +7,19 @@ use super::access::Visitor;
 use super::problem::Problem;
 use crate::token::Scope;
 
-/// As far as it goes, up and down.
+/// Maximum absolute value of a priority.
 const MOST: i64 = 100;
 
-/// How urgent a job is: of two that wait the one of the higher number is given to a worker first.
+/// The priority of a job: of two queued jobs, a worker gets the one with the higher number first.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Priority(i64);
 
 impl Priority {
-    /// Of the number in a request, which may have none. Everybody may let others go first; who
-    /// could go before all others would, so that takes `admin` from the first token on.
+    /// Parses the optional number of a request. Everyone may lower a priority; raising it above 0
+    /// requires `admin` once a token exists, since otherwise everyone would.
     ///
     /// # Errors
-    /// 422 for a number that is none of ours, 403 for one above 0 without `admin`.
+    /// 422 for a number out of range, 403 for one above 0 without `admin`.
     pub(super) fn asked(number: Option<&Number>, visitor: &Visitor) -> Result<Self, Problem> {
         let Some(number) = number else {
             return Ok(Self::default());
@@ -32,7 +32,7 @@ impl Priority {
         Ok(Self(priority))
     }
 
-    /// Of the field of a form.
+    /// Parses the field of a form.
     ///
     /// # Errors
     /// As [`Priority::asked`].
@@ -43,18 +43,18 @@ impl Priority {
         Self::asked(number.as_ref(), visitor)
     }
 
-    /// Of a job that there is.
+    /// The stored priority of a job.
     pub(super) fn of(stored: i64) -> Self {
         Self(stored)
     }
 
-    /// As it is stored.
+    /// The number as stored.
     pub(super) fn number(self) -> i64 {
         self.0
     }
 
-    /// These options and the priority in one line that stands for no others. A request that asks
-    /// for none is what it was before there were any: keys are remembered longer than a program.
+    /// The options and the priority in one unambiguous line. Priority 0 adds nothing, because
+    /// idempotency keys stored before priorities existed must still match.
     pub(super) fn beside(self, options: &Map<String, Value>) -> String {
         let options = Value::Object(options.clone());
         match self.0 {

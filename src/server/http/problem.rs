@@ -85,7 +85,7 @@ impl Problem {
         self
     }
 
-    /// 404: there is no such thing.
+    /// 404: it does not exist.
     pub fn not_found(what: &str) -> Self {
         Self::new(
             StatusCode::NOT_FOUND,
@@ -94,7 +94,7 @@ impl Problem {
         )
     }
 
-    /// 409: not in this state.
+    /// 409: not allowed in this state.
     pub fn conflict(code: &'static str, detail: impl Into<String>) -> Self {
         Self::new(StatusCode::CONFLICT, code, detail)
     }
@@ -104,7 +104,7 @@ impl Problem {
         Self::new(StatusCode::UNPROCESSABLE_ENTITY, code, detail)
     }
 
-    /// 500: our fault; the log says more than the client may know.
+    /// 500: the server's fault; the log contains more than the client may know.
     pub fn internal() -> Self {
         Self::new(
             StatusCode::INTERNAL_SERVER_ERROR,
@@ -125,7 +125,7 @@ impl IntoResponse for Problem {
                 .insert(header::RETRY_AFTER, seconds.into());
         }
         if status == StatusCode::UNAUTHORIZED {
-            // How to say who one is.
+            // How to authenticate.
             let challenge = HeaderValue::from_static("Bearer realm=\"fled\"");
             response
                 .headers_mut()
@@ -156,12 +156,12 @@ impl From<ServerError> for Problem {
     }
 }
 
-/// 413: more than is taken.
+/// 413: more than the limit.
 pub fn too_large(detail: &str) -> Problem {
     Problem::new(StatusCode::PAYLOAD_TOO_LARGE, "too_large", detail)
 }
 
-/// 503: what the server shares with others does not answer.
+/// 503: the shared database or blob store does not answer.
 fn away() -> Problem {
     Problem::new(
         StatusCode::SERVICE_UNAVAILABLE,

@@ -1,4 +1,4 @@
-//! What the captures, results and uploads of one owner may take on the disk.
+//! Quotas of an owner's captures, results and uploads on disk.
 
 use std::path::PathBuf;
 
@@ -10,19 +10,18 @@ use crate::app::App;
 use crate::data::bytes_below;
 use crate::error::ServerError;
 
-/// How many bytes more a visitor may have; `None` where nothing but the disk says.
+/// Bytes left in a visitor's quota; `None` if only the disk limits them.
 ///
 /// # Errors
-/// 507 when there are none.
+/// 507 if none are left.
 pub(super) async fn bytes_left(app: &App, visitor: &Visitor) -> Result<Option<u64>, Problem> {
     bytes_left_beside(app, visitor, 0).await
 }
 
-/// The same where so many bytes of their uploads are not counted: they are to become what this is
-/// asked for.
+/// Like [`bytes_left`], without counting `uploads` bytes of uploads that are about to be used.
 ///
 /// # Errors
-/// 507 when there are none.
+/// 507 if none are left.
 pub(super) async fn bytes_left_beside(
     app: &App,
     visitor: &Visitor,
@@ -65,7 +64,7 @@ async fn bytes_here(app: &App, owner: &str) -> Result<u64, Problem> {
     Ok(held.await.map_err(|_| Problem::internal())??)
 }
 
-/// 507: what is there, or what is to come, is more than the owner may have.
+/// 507: existing or future data exceeds the owner's quota.
 pub(super) fn over_quota() -> Problem {
     Problem::new(
         StatusCode::INSUFFICIENT_STORAGE,

@@ -2,7 +2,7 @@
 
 use axum::http::{HeaderMap, header};
 
-/// What part of a file is wanted.
+/// The requested part of a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Wanted {
     /// Everything.
@@ -14,15 +14,15 @@ pub enum Wanted {
         /// Number of bytes.
         length: u64,
     },
-    /// Nothing that exists.
+    /// A range beyond the end.
     Impossible,
 }
 
-/// Reads `Range` and `If-Range` for a file of `size` bytes. What cannot be understood, several
-/// ranges included, is answered with the whole file, as the standard allows.
+/// Parses `Range` and `If-Range` for a file of `size` bytes. Anything unsupported, including
+/// several ranges, yields the whole file, as the standard allows.
 pub fn wanted(headers: &HeaderMap, size: u64, etag: &str) -> Wanted {
     let text = |name| headers.get(name).and_then(|value| value.to_str().ok());
-    // The client's part is of another version: it gets the whole new one.
+    // The client has part of another version: send the whole new one.
     if text(header::IF_RANGE).is_some_and(|tag| tag != etag) {
         return Wanted::All;
     }
@@ -66,7 +66,7 @@ mod tests {
     }
 
     #[test]
-    fn ranges_are_cut_at_the_end_and_odd_ones_ignored() {
+    fn ranges_are_clipped_and_unsupported_ones_ignored() {
         assert_eq!(
             of("bytes=0-9"),
             Wanted::Part {
@@ -116,7 +116,7 @@ mod tests {
     }
 
     #[test]
-    fn a_part_of_an_older_version_is_answered_with_the_whole_new_one() {
+    fn an_outdated_range_gets_the_whole_new_file() {
         let mut headers = HeaderMap::new();
         headers.insert(header::RANGE, "bytes=0-9".parse().expect("header"));
         headers.insert(header::IF_RANGE, "\"old\"".parse().expect("header"));

@@ -1,4 +1,4 @@
-//! `/v1/jobs/{id}/retry`: jobs that ended go on.
+//! `/v1/jobs/{id}/retry`: continues finished jobs.
 
 use std::sync::Arc;
 
@@ -71,7 +71,7 @@ pub async fn retry(
     Ok((StatusCode::ACCEPTED, axum::Json(job)).into_response())
 }
 
-/// What becomes other; `None` where nothing does.
+/// The changed options; `None` if nothing changes.
 async fn changed(
     app: &App,
     row: &JobRow,

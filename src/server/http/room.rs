@@ -1,4 +1,4 @@
-//! Whether there is room for another job.
+//! Room for another job.
 
 use axum::http::StatusCode;
 
@@ -6,11 +6,11 @@ use super::access::Visitor;
 use super::problem::Problem;
 use crate::app::App;
 
-/// After so many seconds a place in the queue may be free.
+/// Seconds after which a place in the queue may be free.
 const QUEUE_RETRY: u32 = 60;
 
 /// # Errors
-/// 503 when the queue is full, 429 when their quota is.
+/// 503 if the queue is full, 429 if the visitor's quota is used up.
 pub(super) async fn check_room(app: &App, visitor: &Visitor) -> Result<(), Problem> {
     let room = visitor.room(app.limits.queue);
     if app.store.waiting().await? >= room.queue {
@@ -24,7 +24,7 @@ pub(super) async fn check_room(app: &App, visitor: &Visitor) -> Result<(), Probl
     }
 }
 
-/// 429: so many jobs of theirs wait or run already.
+/// 429: the visitor's limit of queued and running jobs is reached.
 pub(super) fn over_quota_jobs(visitor: &Visitor) -> Problem {
     let most = visitor.room(0).of_owner.map_or(0, |(_, most)| most);
     Problem::new(

@@ -1,4 +1,4 @@
-//! `/v1/jobs/{id}/rounds`: metrics as they come.
+//! `/v1/jobs/{id}/rounds`: the metrics of finished rounds.
 
 use std::fmt::Write;
 use std::sync::Arc;
@@ -77,8 +77,8 @@ pub async fn show(
     .into_response())
 }
 
-/// What `metrics.json` says besides the rounds. The file is written after every round; before
-/// the first there is none.
+/// The fields of `metrics.json` other than the rounds. The file is written after every round and
+/// does not exist before the first.
 async fn facts(app: &App, id: &str) -> Map<String, Value> {
     let text = tokio::fs::read(app.data.output(id).metrics())
         .await
@@ -121,8 +121,8 @@ const COLUMNS: [&str; 13] = [
     "shake_px",
 ];
 
-/// One row a record, then one a view: those have its name in `view` and no number of views. Every
-/// value is a number or one of our own words: nothing needs quoting.
+/// One row per record, then one per view, which has its name in `view` and no number of views.
+/// Every value is a number or a fixed word, so nothing needs quoting.
 fn csv(rounds: &[Value]) -> String {
     let mut text = COLUMNS.join(",") + "\n";
     for round in rounds {
@@ -144,7 +144,7 @@ fn csv(rounds: &[Value]) -> String {
     text
 }
 
-/// The row of a view: of its render, at the target brightness.
+/// The row of a view's render at the target brightness.
 fn of_view(view: &Value) -> Value {
     let mut row = view.clone();
     row["view"] = view["name"].clone();
@@ -158,7 +158,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_table_has_a_row_for_every_record_and_view_and_gaps_stay_empty() {
+    fn the_csv_has_one_row_per_record_and_view() {
         let rounds = [json!({ "round": 1, "records": [
             { "split": "train", "image": "render", "reference": "gt", "brightness": "final", "views": 17,
               "psnr_db": 21.5, "psnr_cc_db": 22.0, "ssim": 0.7 },

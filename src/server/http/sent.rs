@@ -1,4 +1,4 @@
-//! A file in an answer: whole, in ranges, or not at all where the client has it.
+//! A file as an answer: whole, as a range, or as 304 if the client has it.
 
 use std::io::SeekFrom;
 use std::path::PathBuf;
@@ -13,26 +13,26 @@ use super::problem::Problem;
 use super::range::{Wanted, wanted};
 use crate::error::ServerError;
 
-/// A file that is sent.
+/// A file to send.
 pub(super) struct Sent {
-    /// Where it lies.
+    /// Its path.
     pub path: PathBuf,
     /// Its size.
     pub bytes: u64,
-    /// With its quotes; another content has another.
+    /// With quotes; differs for different content.
     pub etag: String,
     /// Its media type.
     pub media_type: &'static str,
 }
 
 impl Sent {
-    /// The answer to a request with these headers.
+    /// Answers a request with these headers.
     pub(super) async fn answer(&self, headers: &HeaderMap) -> Result<Response, Problem> {
         let common = [
             (header::ETAG, self.etag.clone()),
             (header::ACCEPT_RANGES, "bytes".to_owned()),
             (header::CONTENT_TYPE, self.media_type.to_owned()),
-            // A file of a job must not become a page of this site.
+            // A file of a job must not act as a page of this site.
             (
                 header::CONTENT_SECURITY_POLICY,
                 "default-src 'none'; sandbox".to_owned(),
@@ -60,7 +60,7 @@ impl Sent {
         self.send(start, length, common).await
     }
 
-    /// The answer with `length` bytes from `start` on.
+    /// Sends `length` bytes starting at `start`.
     async fn send(
         &self,
         start: u64,
@@ -94,7 +94,7 @@ impl Sent {
     }
 }
 
-/// Whether the client has this very content already.
+/// Returns whether the client already has this content.
 pub(super) fn is_known(headers: &HeaderMap, etag: &str) -> bool {
     headers
         .get(header::IF_NONE_MATCH)

@@ -1,4 +1,4 @@
-//! The JSON that outside programs rely on.
+//! The JSON types of the public API.
 
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -37,7 +37,6 @@ pub struct Captures {
 }
 
 impl Capture {
-    /// From its row.
     pub fn from_row(row: CaptureRow) -> Self {
         let report = report(&row);
         Self {
@@ -157,7 +156,6 @@ pub struct Jobs {
 }
 
 impl Job {
-    /// From what the store holds.
     pub fn from_told(told: ToldJob) -> Self {
         let ToldJob {
             row,
@@ -215,7 +213,7 @@ impl Job {
     }
 }
 
-/// What a machine must have that a job waits for.
+/// The resources that a queued job waits for.
 fn waits_for(row: &JobRow) -> Option<String> {
     let queued = row.state == JobState::Queued;
     (queued && row.needs.gpu).then(|| {

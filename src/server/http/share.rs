@@ -1,4 +1,4 @@
-//! `/v1/jobs/{id}/shares`: links that open one job to whoever has them.
+//! `/v1/jobs/{id}/shares`: share links, which open one job to their bearer.
 
 use std::sync::Arc;
 
@@ -17,15 +17,15 @@ use crate::app::App;
 use crate::store::{NewShare, ShareRow, TokenRow};
 use crate::token::{Scope, Secret, new_id};
 
-/// What a link allows: to see, and to look around.
+/// Scopes of a share link: to see the job and render novel views.
 const SCOPES: &str = "jobs:read,renders";
-/// How long a link holds where nothing is said, days.
+/// Default validity of a link, in days.
 const DAYS: u16 = 30;
-/// How long one may hold, days.
+/// Maximum validity of a link, in days.
 const MOST_DAYS: u16 = 365;
-/// Links of a job that hold at a time.
+/// Maximum valid links of a job.
 const MOST: u32 = 100;
-/// Length of a name, characters.
+/// Maximum length of a name, in characters.
 const NAME: usize = 100;
 const DAY_MS: i64 = 24 * 3600 * 1000;
 
@@ -113,7 +113,7 @@ pub async fn create(
         job: job.id.clone(),
         made_by: maker.id.clone(),
         scopes: SCOPES,
-        // What somebody has for a time they give for no longer.
+        // A link expires no later than the token that created it.
         expires_at: maker.expires_at.map_or(ends, |end| ends.min(end)),
     };
     if !app.store.insert_share(&share, MOST).await? {
@@ -173,7 +173,7 @@ pub async fn end(
     }
 }
 
-/// The token that makes a link. It cannot give what it does not have.
+/// The token that creates a link. It must have every scope that it grants.
 fn maker(visitor: &Visitor) -> Result<&TokenRow, Problem> {
     let Some(token) = visitor.token() else {
         let detail = "Nobody needs a token here: the job's own address is a link to it.";

@@ -1,4 +1,4 @@
-//! `/v1/webhooks`: addresses that are told of jobs.
+//! `/v1/webhooks`: notifications of jobs.
 
 use std::fmt::Display;
 use std::sync::Arc;
@@ -20,9 +20,9 @@ use crate::store::{DeliveryRow, TokenRow, WebhookRow};
 use crate::token::{Scope, new_id};
 use crate::webhooks::{Secret, TYPES, USUAL, secret_text};
 
-/// Addresses that one owner may have.
+/// Maximum webhooks of an owner.
 const MOST: u32 = 20;
-/// Deliveries that are listed.
+/// Maximum deliveries in a list.
 const LISTED: u32 = 100;
 
 /// An address to be told.
@@ -119,7 +119,7 @@ pub async fn create(
     Json(wanted): Json<NewWebhook>,
 ) -> Result<impl IntoResponse, Problem> {
     let types = types(&wanted)?;
-    // What it is told is what others read.
+    // Notifications reveal what `jobs:read` protects.
     let reads = |token: &TokenRow| token.scopes.allow(Scope::JobsRead);
     if !visitor.token().is_none_or(reads) {
         let detail = "This token does not allow `jobs:read`.";

@@ -1,4 +1,4 @@
-//! `/v1/workers`: the machines that work, where many do.
+//! `/v1/workers`: the worker machines of a shared deployment.
 
 use std::sync::Arc;
 

@@ -1,4 +1,4 @@
-//! Bodies and answers that have to move.
+//! Bodies and answers with a minimum pace.
 
 use std::future::poll_fn;
 use std::io;
@@ -13,32 +13,32 @@ use tokio::net::TcpStream;
 use tokio::runtime::Handle;
 use tokio::time::{Sleep, sleep, timeout};
 
-/// What has to come of a body in the time of a stall, bytes: below 1 KiB a second in 30 seconds
+/// Bytes of a body that must arrive within the stall time: below 1 KiB a second over 30 seconds,
 /// nobody sends photographs.
 const LEAST: usize = 30 << 10;
 
-/// So much is read of a body that nobody wants, bytes. Many clients read no answer before they have
-/// sent everything; a connection that is closed before takes the answer with it.
+/// Maximum bytes read of an unwanted body. Many clients read no answer before they have sent
+/// everything; closing the connection earlier would lose the answer.
 const DRAINED: usize = 64 << 20;
-/// And for so long.
+/// Maximum time spent reading an unwanted body.
 const DRAINING: Duration = Duration::from_secs(5);
 
-/// The body of a request whose sender must not fall asleep. Dropped before its end, what still
-/// comes is read and thrown away, within bounds.
+/// A request body whose sender must keep a minimum pace. If dropped before its end, the rest is
+/// read and discarded, within bounds.
 pub(super) struct PacedBody {
-    /// None at its end, or when its sender is given up.
+    /// `None` at its end, or after a timeout.
     body: Option<Incoming>,
     stall: Duration,
-    /// The sender waits until somebody asks for the body.
+    /// Whether the sender waits for `100 Continue`.
     is_held_back: bool,
-    /// Runs while the sender is waited for, until it has sent enough.
+    /// Runs while waiting for the sender, until it has sent enough.
     timer: Option<Pin<Box<Sleep>>>,
     since: usize,
 }
 
 impl PacedBody {
-    /// Fails when less than [`LEAST`] comes within `stall`. A body that is held back comes only
-    /// when it is asked for.
+    /// Fails if less than [`LEAST`] arrives within `stall`. A body that is held back is sent only
+    /// when it is polled.
     pub(super) fn new(body: Incoming, stall: Duration, is_held_back: bool) -> Self {
         Self {
             body: Some(body),
@@ -108,7 +108,7 @@ impl Drop for PacedBody {
     }
 }
 
-/// Reads what comes of a body, within [`DRAINED`].
+/// Discards the rest of a body, within [`DRAINED`].
 async fn drain(mut body: Incoming) {
     let mut left = DRAINED;
     while let Some(Ok(frame)) = poll_fn(|context| Pin::new(&mut body).poll_frame(context)).await {
@@ -119,16 +119,16 @@ async fn drain(mut body: Incoming) {
     }
 }
 
-/// A connection whose reader must not fall asleep.
+/// A connection whose reader must keep a minimum pace.
 pub(super) struct PacedStream {
     stream: TcpStream,
     stall: Duration,
-    /// Runs while the reader is waited for.
+    /// Runs while waiting for the reader.
     timer: Option<Pin<Box<Sleep>>>,
 }
 
 impl PacedStream {
-    /// Fails when the reader takes nothing within `stall`.
+    /// Fails if the reader takes nothing within `stall`.
     pub(super) fn new(stream: TcpStream, stall: Duration) -> Self {
         Self {
             stream,
