@@ -1,4 +1,4 @@
-//! What handlers and workers share.
+//! State shared by handlers and workers.
 
 use std::sync::Arc;
 
@@ -23,53 +23,53 @@ use crate::videos::turns::Turns;
 /// The state of a server.
 #[derive(Debug)]
 pub struct App {
-    /// The set-up.
+    /// The configuration.
     pub config: ServeConfig,
-    /// Times and sizes.
+    /// Timeouts and sizes.
     pub limits: Limits,
-    /// The files.
+    /// The data directory.
     pub data: DataDir,
     /// The database.
     pub store: Store,
-    /// Copies of what many machines share.
+    /// The local cache of a shared blob store.
     pub blob_cache: BlobCache,
-    /// What this installation is called among those that share a database.
+    /// The name of this installation among those that share a database.
     pub worker: String,
-    /// The uploads that are under way.
+    /// Uploads in progress.
     pub uploads: Uploads,
-    /// Who writes or reads which upload in pieces.
+    /// Locks of resumable uploads.
     pub holders: Holders,
-    /// The processes that look at uploads.
+    /// The processes that validate uploads.
     pub validators: Validators,
     /// The render process.
     pub renderers: Renderers,
-    /// What each client may ask for.
+    /// Rate limits of clients.
     pub rates: Rates,
-    /// Held while a capture is kept whose owner has a quota.
+    /// Held while a capture is stored whose owner has a quota.
     pub keeping: tokio::sync::Mutex<()>,
-    /// Held while photographs are taken of a video.
+    /// Held while frames are extracted from a video.
     pub filming: tokio::sync::Mutex<()>,
-    /// The videos that wait or are made.
+    /// Queued and running videos.
     pub videos: Turns,
-    /// Turns at making exports.
+    /// Permits to create exports.
     pub exporting: Arc<Semaphore>,
-    /// What it counts about itself.
+    /// Counters for `/metrics`.
     pub telemetry: Telemetry,
-    /// The newest events of jobs that are watched.
+    /// The newest events of watched jobs.
     pub feeds: EventFeeds,
-    /// The jobs that run.
+    /// Running jobs.
     pub running: Running,
-    /// The last judgement of the machine.
+    /// The last result of the readiness checks.
     pub readiness: tokio::sync::Mutex<Option<crate::readiness::Remembered>>,
-    /// Notified when a job may be waiting.
+    /// Notified when a job may be queued.
     pub wake: Notify,
-    /// Raised when the server stops.
+    /// Cancelled when the server stops.
     pub shutdown: CancellationToken,
     versions: watch::Sender<u64>,
 }
 
 impl App {
-    /// Puts a server's parts together.
+    /// Assembles a server.
     pub fn new(
         config: ServeConfig,
         data: DataDir,
@@ -104,13 +104,13 @@ impl App {
         }
     }
 
-    /// Whether less space is left than the server needs to go on. A file system that does not say
-    /// is taken to have enough.
+    /// Returns whether less space is left than the server needs to go on. A file system that does
+    /// not report its free space counts as having enough.
     pub fn is_disk_full(&self) -> bool {
         self.has_no_space_for(0)
     }
 
-    /// Whether so many bytes more would leave less space than the server needs to go on.
+    /// Returns whether `bytes` more would leave less space than the server needs to go on.
     pub fn has_no_space_for(&self, bytes: u64) -> bool {
         self.data
             .free_bytes()
@@ -123,19 +123,19 @@ impl App {
         free.saturating_sub(self.limits.min_free_bytes)
     }
 
-    /// Says what a worker has just done.
+    /// Reports a failpoint to the watcher, if there is one.
     pub fn pass(&self, failpoint: Failpoint) {
         if let Some(watcher) = self.config.watcher {
             watcher(failpoint);
         }
     }
 
-    /// Tells every open event stream to look into the database.
+    /// Notifies every open event stream that the database has changed.
     pub fn changed(&self) {
         self.versions.send_modify(|version| *version += 1);
     }
 
-    /// Sees every [`App::changed`] from now on.
+    /// Returns a receiver of every [`App::changed`] from now on.
     pub fn watch(&self) -> watch::Receiver<u64> {
         self.versions.subscribe()
     }

@@ -1,9 +1,9 @@
-//! A copy of a data directory, made while a server works in it, on which another can be started.
+//! Backup of a data directory in use, from which another server can be started.
 //!
-//! The database is copied first, as it is at one moment, then the files that it names. Captures
-//! never change, and neither do jobs that have ended. One that waits or runs at that moment, or is
-//! tried again meanwhile, has no files in the copy: there it begins anew. Uploads of which no
-//! capture is made yet are not copied.
+//! The database is copied first, as a snapshot, then the files that it names. Captures never
+//! change, and neither do finished jobs. A job that is queued or running in the snapshot, or is
+//! retried during the copy, has no files in the backup: it starts afresh there. Uploads that are
+//! not yet part of a capture are not copied.
 
 use std::collections::{HashMap, HashSet};
 use std::fs::{self, File};
@@ -14,34 +14,34 @@ use crate::data::sync_directories;
 use crate::error::{Result, ServerError};
 use crate::store::{Attempted, Store};
 
-/// What at the top of a job's folder is not copied: novel views and videos are made again when
-/// wanted, and change while the job does not.
+/// Entries of a job's folder that are not copied: novel views and videos can be recreated, and
+/// change while the job does not.
 const MADE_AGAIN: [&str; 2] = ["renders", "videos"];
 
-/// What was copied.
+/// Totals of a backup.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Backup {
     /// Captures.
     pub captures: usize,
     /// Jobs with their results.
     pub jobs: usize,
-    /// Jobs that begin anew in the copy.
+    /// Jobs that start afresh in the backup.
     pub anew: usize,
-    /// Bytes of files, but for the database.
+    /// Bytes of files, without the database.
     pub bytes: u64,
 }
 
-/// Copies the data directory `data` to `to`, which must not be there or hold nothing.
+/// Copies the data directory `data` to `to`, which must not exist or be empty.
 ///
 /// # Errors
-/// [`ServerError::Io`] when something cannot be read or written, [`ServerError::Database`]
-/// likewise; `to` is then incomplete and to be removed.
+/// [`ServerError::Io`] or [`ServerError::Database`] when something cannot be read or written; `to`
+/// is then incomplete and should be removed.
 pub async fn backup(data: &Path, to: &Path) -> Result<Backup> {
     make_empty(to)?;
     let live = Store::as_it_is(&data.join("fled.db")).await?;
     live.copy_to(&to.join("fled.db")).await?;
     let copy = Store::open(&to.join("fled.db")).await?;
-    // Pieces that come meanwhile would not be there.
+    // Pieces that arrive meanwhile would be missing.
     copy.forget_uploads().await?;
     let mut done = Backup::default();
     let captures = copy.ids("captures").await?;
@@ -58,12 +58,12 @@ pub async fn backup(data: &Path, to: &Path) -> Result<Backup> {
         if job.is_over {
             match copied(data, to, &folder)? {
                 Some(bytes) => done.bytes += bytes,
-                // One that was cancelled before it began has no folder.
+                // A job cancelled before it began has no folder.
                 None => job.is_over = !data.join(&folder).exists(),
             }
         }
     }
-    // What was deleted meanwhile may be there in part.
+    // What was deleted meanwhile may have been copied in part.
     let kept = live.ids("captures").await?;
     for id in &captures {
         if incomplete.contains(id) || !kept.contains(id) {
@@ -82,7 +82,7 @@ pub async fn backup(data: &Path, to: &Path) -> Result<Backup> {
     Ok(done)
 }
 
-/// Sees to it that what has changed since the copy was begun is whole or not there.
+/// Ensures that jobs changed since the start of the copy are either complete or absent.
 async fn begin_anew(
     copy: &Store,
     jobs: &HashMap<String, Attempted>,
@@ -94,7 +94,7 @@ async fn begin_anew(
         let folder = to.join("jobs").join(id);
         match now.get(id) {
             Some(now) if now == job && job.is_over => continue,
-            // Not one whose capture was forgotten.
+            // Does not count a job whose capture was removed.
             Some(_) => anew += usize::from(copy.begin_anew(id).await?),
             None => drop(copy.delete_job(id).await?),
         }
@@ -125,7 +125,7 @@ fn make_empty(to: &Path) -> Result<()> {
     make().map_err(ServerError::io(to))
 }
 
-/// Copies one folder and gives its bytes; `None` where it is not there, or no longer.
+/// Copies a folder and returns its bytes; `None` if it does not exist, or no longer.
 fn copied(data: &Path, to: &Path, folder: &Path) -> Result<Option<u64>> {
     let (from, to) = (data.join(folder), to.join(folder));
     match copy_tree(&from, &to, &MADE_AGAIN) {
@@ -135,7 +135,7 @@ fn copied(data: &Path, to: &Path, folder: &Path) -> Result<Option<u64>> {
     }
 }
 
-/// All but what is called `but` at the top.
+/// Copies everything except top-level directories named in `but`.
 fn copy_tree(from: &Path, to: &Path, but: &[&str]) -> io::Result<u64> {
     fs::create_dir_all(to)?;
     let mut bytes = 0;
@@ -197,7 +197,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn what_changes_while_it_is_copied_is_whole_or_not_there() {
+    async fn jobs_changed_during_a_backup_are_complete_or_absent() {
         let dir = tempfile::tempdir().expect("temporary directory");
         let path = dir.path();
         let ids = ["stays", "again", "goes"];

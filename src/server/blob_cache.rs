@@ -1,5 +1,5 @@
-//! This machine's cache of what lies in a shared store of files: which copies there are, and what
-//! is known of them.
+//! This machine's cache of a shared blob store: which folders are cached, and what is known of
+//! their files.
 
 use std::collections::HashMap;
 use std::io;
@@ -10,24 +10,24 @@ use fled_blobs::{Blobs, Kept, Seen, push};
 
 use crate::error::{Result, ServerError};
 
-/// This machine's copies of what lies in the store of files.
+/// This machine's cache of the blob store.
 #[derive(Debug, Default)]
 pub struct BlobCache {
     blobs: Option<Blobs>,
     folders: Mutex<HashMap<String, Arc<tokio::sync::Mutex<Copy>>>>,
 }
 
-/// One folder as far as it is known.
+/// The cached state of one folder.
 #[derive(Debug, Default)]
 pub struct Copy {
-    /// Of the files that it has.
+    /// The version of its files.
     pub version: Option<i64>,
     /// What is known of its files.
     pub seen: Seen,
 }
 
 impl BlobCache {
-    /// Copies of what lies in `blobs`, or no copies.
+    /// A cache of `blobs`, or none.
     pub fn new(blobs: Option<Blobs>) -> Self {
         Self {
             blobs,
@@ -35,27 +35,27 @@ impl BlobCache {
         }
     }
 
-    /// The store of files, where there is one.
+    /// The blob store, if there is one.
     pub fn blobs(&self) -> Option<&Blobs> {
         self.blobs.as_ref()
     }
 
-    /// What is known of a folder, by the id of its job or capture; for one at a time.
+    /// The state of a job's or capture's folder, by id; the mutex admits one user at a time.
     pub fn folder(&self, name: &str) -> Arc<tokio::sync::Mutex<Copy>> {
         let mut folders = self.folders.lock().unwrap_or_else(PoisonError::into_inner);
         folders.entry(name.to_owned()).or_default().clone()
     }
 
-    /// Forgets what is known of a folder that is removed.
+    /// Drops the state of a removed folder.
     pub fn forget(&self, name: &str) {
         let mut folders = self.folders.lock().unwrap_or_else(PoisonError::into_inner);
         folders.remove(name);
     }
 
-    /// Puts the files of a new capture into the store: what its row is to name.
+    /// Puts the files of a new capture into the blob store and returns what its row must name.
     ///
     /// # Errors
-    /// When the store or the disk refuses.
+    /// When the blob store or the disk fails.
     pub async fn keep_capture(&self, folder: &Path) -> Result<Vec<Kept>> {
         let Some(blobs) = &self.blobs else {
             return Ok(Vec::new());

@@ -1,4 +1,4 @@
-//! How a server is set up.
+//! Configuration of a server.
 
 use std::ffi::OsString;
 use std::io;
@@ -12,66 +12,66 @@ use fled_core::pipeline::error::ErrorKind;
 use crate::failpoint::Watcher;
 use crate::store::About;
 
-/// What `fled serve` is told.
+/// Configuration of `fled serve`.
 #[derive(Clone, Debug)]
 pub struct ServeConfig {
-    /// Everything the server keeps: database, captures, jobs.
+    /// The directory of everything the server stores: database, captures, jobs.
     pub data: PathBuf,
-    /// The database that many machines share, `postgres://..`; the one in `data` where absent.
+    /// The shared database, `postgres://..`; if absent, the one in `data`.
     pub database: Option<String>,
-    /// The store of files that they share, a directory or `s3://BUCKET/PREFIX`; `data` is then only
-    /// this machine's copy.
+    /// The shared blob store, a directory or `s3://BUCKET/PREFIX`; `data` is then only this
+    /// machine's cache.
     pub files: Option<String>,
-    /// What this machine says of itself to the others, and by what it is given jobs; where absent
-    /// it takes any.
+    /// What this machine reports about itself, by which it is assigned jobs; if absent, it takes
+    /// any.
     pub about: Option<About>,
-    /// Where it listens; port 0 takes a free one.
+    /// Address to listen on; port 0 takes a free one.
     pub listen: SocketAddr,
-    /// Whether it may listen to other machines although there is no token.
+    /// Whether it may listen to other machines without any token.
     pub open: bool,
-    /// Names by which it may be called, besides `localhost` and addresses.
+    /// Host names it accepts, besides `localhost` and IP addresses.
     pub hosts: Vec<String>,
-    /// Jobs run at once.
+    /// Number of jobs run in parallel.
     pub workers: usize,
     /// Program and first arguments of a job's process; the capture and the options of `fled run`
-    /// follow. It is the same command for every attempt, and goes on from what is done.
+    /// follow. Every attempt runs the same command, which resumes from finished work.
     pub job_command: Vec<OsString>,
     /// Program and arguments of the process that renders novel views.
     pub render_command: Vec<OsString>,
-    /// Program and arguments of the process that looks at one upload.
+    /// Program and arguments of the process that validates one upload.
     pub assess_command: Vec<OsString>,
     /// Program and first arguments of the process that makes a video; the result and the plan of
     /// `fled video` follow.
     pub video_command: Vec<OsString>,
-    /// Program and arguments of a process that judges the machine and prints JSON, see `/readyz`.
+    /// Program and arguments of a process that checks the machine and prints JSON, see `/readyz`.
     pub doctor_command: Vec<OsString>,
-    /// Whether webhooks may be at addresses of inner networks.
+    /// Whether webhooks may point to addresses of inner networks.
     pub inner_webhooks: bool,
-    /// The program that reads and writes videos.
+    /// The FFmpeg program.
     pub ffmpeg: PathBuf,
-    /// Folders of networks that are not built in; the commands are told them too.
+    /// Folders of networks that are not built in; child processes receive them too.
     pub models: Vec<PathBuf>,
-    /// What it deletes of itself.
+    /// Automatic deletion.
     pub retention: Retention,
-    /// Of the workers. Only tests have one.
+    /// Observes the failpoints of workers. Only tests set it.
     pub watcher: Option<Watcher>,
-    /// Times and sizes.
+    /// Timeouts and sizes.
     pub limits: Limits,
 }
 
-/// What the server deletes of itself; by default nothing.
+/// Rules of automatic deletion; off by default.
 #[derive(Clone, Copy, Debug)]
 pub struct Retention {
-    /// Jobs that ended so long ago, and captures so old that have no job.
+    /// Age after which finished jobs, and captures without jobs, are deleted.
     pub age: Option<Duration>,
-    /// Jobs that ended, but the newest so many of each owner.
+    /// Number of newest finished jobs kept per owner.
     pub jobs: Option<u32>,
-    /// So long before something goes it says so.
+    /// How long before its deletion something is marked.
     pub notice: Duration,
 }
 
 impl Retention {
-    /// Whether everything is kept.
+    /// Returns whether everything is kept.
     pub fn is_off(&self) -> bool {
         self.age.is_none() && self.jobs.is_none()
     }
@@ -88,7 +88,7 @@ impl Default for Retention {
 }
 
 impl ServeConfig {
-    /// A server whose jobs are run by the program that runs now.
+    /// A server whose child processes run the current program.
     ///
     /// # Errors
     /// When the path of the running program is unknown.
@@ -123,96 +123,96 @@ impl ServeConfig {
     }
 }
 
-/// Times and sizes of a server. The defaults suit production; tests shorten them.
+/// Timeouts and sizes of a server. The defaults suit production; tests shorten them.
 #[derive(Clone, Copy, Debug)]
 pub struct Limits {
-    /// A worker that has not been heard of for so long has lost its job.
+    /// How long a worker may be silent before it loses its job.
     pub lease: Duration,
     /// How often a worker extends its lease.
     pub heartbeat: Duration,
-    /// A job's process that says nothing for so long is stopped. COLMAP's exhaustive matching of
-    /// large captures is the longest silence known, some minutes.
+    /// How long a job's process may be silent before it is stopped. COLMAP's exhaustive matching of
+    /// large captures is the longest known silence, some minutes.
     pub silence: Duration,
-    /// A job's process is stopped after so long.
+    /// Maximum run time of a job's process.
     pub wall: Duration,
-    /// Between SIGTERM and SIGKILL. Cancelling promises two seconds in all.
+    /// Time between SIGTERM and SIGKILL. Cancellation promises two seconds in all.
     pub grace: Duration,
-    /// The same where the server stops and not the job: a training saves the step that it is in.
+    /// The same when the server stops rather than the job: a training saves its current step.
     pub draining: Duration,
-    /// A worker that could not say for so long that it lives ends its job: before others have it.
+    /// How long a worker's heartbeat may fail before it ends its job, which must precede its
+    /// takeover.
     pub unheard: Duration,
-    /// How often a worker puts what its job has made into a shared store of files, besides after
-    /// every stage.
+    /// How often a worker publishes its job's files to a shared blob store, besides after every
+    /// stage.
     pub publish: Duration,
-    /// How often somebody looks by themselves into a database that others change, too.
+    /// How often to poll a database that other processes change.
     pub look: Duration,
-    /// Least time between two stored progress reports of a job.
+    /// Minimum time between two stored progress reports of a job.
     pub progress_interval: Duration,
     /// Wait before the first retry; each further one is four times as long.
     pub retry_base: Duration,
-    /// The same after a fault of the disk or the database: those last longer.
+    /// The same after a disk or database error: those last longer.
     pub io_retry_base: Duration,
-    /// Attempts in a row without progress before a job fails.
+    /// Consecutive attempts without progress before a job fails.
     pub attempts_without_progress: u32,
-    /// Deaths of the server in a row, while a job ran and without progress, before the job fails.
+    /// Consecutive deaths of the server, while a job ran without progress, before the job fails.
     /// More than attempts: a power cut is not the job's fault, three may be.
     pub deaths_without_progress: u32,
-    /// Jobs that may wait.
+    /// Maximum queued jobs.
     pub queue: u32,
-    /// What comes back of a client's allowance in a second: requests that read cost one, those that
-    /// write ten. 0 limits nobody.
+    /// Allowance that a client regains per second: reading requests cost one, writing ones ten. 0
+    /// disables the limit.
     pub rate: u32,
-    /// The allowance of a client that has not asked for a while.
+    /// The full allowance of a client.
     pub burst: u32,
-    /// Uploads and jobs are refused, and no job begins, when less free space than this is left,
-    /// bytes.
+    /// Free space below which uploads and jobs are refused and no job begins, in bytes.
     pub min_free_bytes: u64,
     /// Largest upload, bytes.
     pub max_upload_bytes: u64,
-    /// Uploads in pieces that one owner may have at a time: as many as a capture may have files.
+    /// Maximum resumable uploads of an owner at a time: as many as a capture may have files.
     pub max_uploads: u32,
-    /// An upload in pieces goes so long after its last byte.
+    /// How long after its last byte a resumable upload expires.
     pub upload_life: Duration,
-    /// Who takes over an upload in pieces waits so long for whom they take it from.
+    /// How long to wait for another writer when taking over a resumable upload.
     pub takeover: Duration,
-    /// Photographs of all uploads that are decoded at a time, bytes.
+    /// Maximum bytes of photographs decoded at a time, over all uploads.
     pub max_decoding_bytes: u64,
-    /// Processes that look at uploads at a time; more uploads wait.
+    /// Maximum validation processes at a time; further uploads wait.
     pub validators: usize,
-    /// Address space of such a process, and of the one that reads a video, bytes. A frame of the
-    /// most pixels takes 120 MB in 10 bits, and decoders keep up to 17 and one for each thread.
+    /// Address space of such a process, and of the one that reads a video, in bytes. A frame of the
+    /// most pixels takes 120 MB in 10 bits, and decoders keep up to 17 frames plus one per thread.
     pub assessing_bytes: u64,
-    /// An upload is looked at for so long at most; a video takes eight minutes of it.
+    /// Maximum time to validate an upload; a video takes up to eight minutes of it.
     pub assessing: Duration,
-    /// A photograph is looked at for so long at most. The largest take seconds.
+    /// Maximum time to validate a photograph. The largest take seconds.
     pub photograph: Duration,
     /// Largest log of a job, bytes.
     pub max_log_bytes: u64,
-    /// Connections at a time; fewer where descriptors are few.
+    /// Maximum connections at a time; fewer if descriptors are scarce.
     pub connections: usize,
-    /// A request's headers have to come within this, after the connection or the last request.
+    /// How long the headers of a request may take, after the connection or the last request.
     pub header: Duration,
-    /// A body has to move within this, and so has an answer.
+    /// How long a body or an answer may stall.
     pub stall: Duration,
     /// Longest wait for one render.
     pub render: Duration,
     /// Renders kept for a job.
     pub kept_renders: usize,
-    /// Exports that are made at a time; more are refused.
+    /// Maximum exports at a time; more are refused.
     pub exports: usize,
-    /// Videos that a job may have.
+    /// Maximum videos of a job.
     pub videos_of_job: usize,
-    /// Videos that may wait, of all jobs.
+    /// Maximum queued videos, of all jobs.
     pub videos: usize,
 }
 
 impl Limits {
-    /// How long a lease holds, as databases count.
+    /// The duration of a lease in milliseconds.
     pub fn lease_ms(&self) -> i64 {
         i64::try_from(self.lease.as_millis()).unwrap_or(i64::MAX)
     }
 
-    /// Milliseconds until the next attempt after so many failures in a row without progress.
+    /// Milliseconds until the next attempt after this many consecutive failures without progress.
     pub fn retry_wait_ms(&self, kind: ErrorKind, failures: u32) -> i64 {
         let base = match kind {
             ErrorKind::Io => self.io_retry_base,
@@ -271,7 +271,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_fault_of_the_disk_is_given_minutes() {
+    fn disk_errors_are_retried_for_minutes() {
         let limits = Limits::default();
         let all = limits.attempts_without_progress;
         let waited: i64 = (1..all)

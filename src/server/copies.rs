@@ -1,9 +1,9 @@
-//! Where many machines share a store of files, each data directory is a copy of what it needs: what
-//! is true stands in the rows that name the files, and in the store under their digests.
+//! Caching of a shared blob store: each data directory holds copies of the files it needs. The
+//! truth is in the rows that name the files, and in the blob store under their digests.
 //!
-//! A worker fetches a capture and what was made of its job before, and puts what its job makes into
-//! the store, before it tells of it. Whoever answers a request fetches what has changed since.
-//! Without such a store all this does nothing: the data directory is what is true.
+//! A worker fetches a capture and the earlier files of its job, and publishes new files before it
+//! reports them. A replica fetches changed files before it answers a request. Without a blob store
+//! all this does nothing: the data directory holds the truth.
 
 use std::collections::BTreeMap;
 use std::os::unix::fs::MetadataExt;
@@ -20,19 +20,20 @@ use crate::failpoint::Failpoint;
 use crate::janitor::remove;
 use crate::store::{Claim, Lease, by_path};
 
-/// Looks at a folder that changes, until one is of one moment.
+/// Scans of a changing folder until one is consistent.
 const LOOKS: u32 = 5;
 
-/// Between two looks.
+/// Pause between two scans.
 const PAUSE: Duration = Duration::from_millis(20);
 
-/// Path, and what changes when a file is written.
+/// Files by path, with metadata that changes when a file is written.
 type Look = BTreeMap<String, (u64, i64, i64, u64)>;
 
-/// Fetches what has changed of a job since it was fetched last; nothing of one that runs here.
+/// Fetches the files of a job that have changed since the last fetch; nothing for a job that runs
+/// here.
 ///
 /// # Errors
-/// When the database, the store or the disk refuses.
+/// When the database, the blob store or the disk fails.
 pub async fn fetch_job(app: &App, id: &str) -> Result<()> {
     let Some(blobs) = app.blob_cache.blobs() else {
         return Ok(());
@@ -54,11 +55,11 @@ pub async fn fetch_job(app: &App, id: &str) -> Result<()> {
     Ok(())
 }
 
-/// Makes a job's folder what the store says, before a worker begins or goes on with it: what an
-/// earlier attempt here has left, and never told of, goes.
+/// Makes a job's folder match the blob store before a worker starts or resumes the job: files that
+/// an earlier attempt left here without reporting them are removed.
 ///
 /// # Errors
-/// When the database, the store or the disk refuses.
+/// When the database, the blob store or the disk fails.
 pub async fn prepare_job(app: &App, claim: &Claim) -> Result<()> {
     let Some(blobs) = app.blob_cache.blobs() else {
         return Ok(());
@@ -96,7 +97,7 @@ async fn bring(
     Ok(())
 }
 
-/// Notes on a folder when it was used last.
+/// Records in a folder's modification time that it was used now.
 fn used_now(folder: &Path) -> io::Result<()> {
     match fs::File::open(folder) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(()),
@@ -104,11 +105,11 @@ fn used_now(folder: &Path) -> io::Result<()> {
     }
 }
 
-/// Puts what a job has made so far into the store and names it, under the job's lease. `at_end`
-/// its process has ended: nothing changes any more.
+/// Publishes the files of a job to the blob store and names them, under the job's lease. `at_end`
+/// means that its process has ended and nothing changes any more.
 ///
 /// # Errors
-/// [`ServerError::LeaseLost`] when another worker has the job; else when the store refuses.
+/// [`ServerError::LeaseLost`] if another worker has the job; otherwise when the blob store fails.
 pub async fn publish(app: &App, lease: &Lease, at_end: bool) -> Result<()> {
     let Some(blobs) = app.blob_cache.blobs() else {
         return Ok(());
@@ -122,7 +123,7 @@ pub async fn publish(app: &App, lease: &Lease, at_end: bool) -> Result<()> {
     let folder = app.data.job(&lease.job);
     let still = folder.join("still");
     for _ in 0..LOOKS {
-        // Of one moment: a file that was written after another must not be named without it.
+        // A consistent snapshot: a file written after another must not be named without it.
         let before = look(&folder).await?;
         hold_still(&folder, &still, &before).await?;
         if look(&folder).await? != before {
@@ -155,10 +156,10 @@ pub async fn publish(app: &App, lease: &Lease, at_end: bool) -> Result<()> {
     Ok(())
 }
 
-/// The same of a video that is made of a result, or is deleted, by whoever did so.
+/// Publishes a video of a result after its creation or deletion.
 ///
 /// # Errors
-/// When the database, the store or the disk refuses.
+/// When the database, the blob store or the disk fails.
 pub async fn publish_video(app: &App, job: &str, video: &str) -> Result<()> {
     let Some(blobs) = app.blob_cache.blobs() else {
         return Ok(());
@@ -169,7 +170,7 @@ pub async fn publish_video(app: &App, job: &str, video: &str) -> Result<()> {
         return Ok(());
     };
     let known = by_path(files);
-    // Of others nothing is said: they may be somebody else's, who has them.
+    // Leaves other videos alone: another machine may have made them.
     let folder = format!("videos/{video}/");
     let is_its = |path: &str| path.starts_with(&folder);
     let pushed = push(blobs, &app.data.job(job), &is_its, &known, &mut copy.seen).await?;
@@ -177,13 +178,13 @@ pub async fn publish_video(app: &App, job: &str, video: &str) -> Result<()> {
     Ok(())
 }
 
-/// Whether a file of a job's folder is for others: what renders and processes leave is not.
+/// Returns whether a file of a job's folder is shared: files of renders and processes are not.
 pub fn is_kept(path: &str) -> bool {
     path == "log.txt" || path.starts_with("output/") || is_video(path)
 }
 
-/// Whether a file is there because the job made it: no other may be there. Videos that are being
-/// made here have no name yet.
+/// Returns whether only the job itself writes this file, so that unknown ones may be removed.
+/// Videos in progress here have no name yet.
 fn is_the_jobs(path: &str) -> bool {
     is_kept(path) && !is_video(path)
 }
@@ -192,8 +193,8 @@ fn is_video(path: &str) -> bool {
     path.starts_with("videos/")
 }
 
-/// Gives what is kept of a folder second names in another: a job that goes on replaces its files,
-/// and leaves these as they were.
+/// Hard-links the shared files of a folder into another: a running job replaces its files and
+/// leaves these unchanged.
 async fn hold_still(folder: &Path, still: &Path, look: &Look) -> Result<()> {
     let names: Vec<String> = look.keys().cloned().collect();
     let (from, to) = (folder.to_owned(), still.to_owned());
@@ -210,7 +211,7 @@ async fn hold_still(folder: &Path, still: &Path, look: &Look) -> Result<()> {
                 linked => linked?,
             }
         }
-        // It grows all the time, and is nobody's ground.
+        // It grows all the time, and no other file depends on it.
         match fs::copy(from.join("log.txt"), to.join("log.txt")) {
             Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
             _ => Ok(()),
@@ -221,8 +222,8 @@ async fn hold_still(folder: &Path, still: &Path, look: &Look) -> Result<()> {
         .map_err(ServerError::io(folder))
 }
 
-/// What makes files of a folder others than they were; not of those that change all the time, and
-/// whose state says nothing about others.
+/// Scans the metadata of a folder's files, except those that change all the time and say nothing
+/// about others.
 async fn look(folder: &Path) -> Result<Look> {
     let root = folder.to_owned();
     let look = tokio::task::spawn_blocking(move || {

@@ -1,4 +1,4 @@
-//! The data directory: who may use it, and where things lie.
+//! The data directory: its lock and its layout.
 //!
 //! ```text
 //! fled.db  server.lock  incoming/<upload>/  captures/<id>/  cache/<fingerprint>.json
@@ -20,13 +20,13 @@ use crate::error::{Result, ServerError};
 #[derive(Debug)]
 pub struct DataDir {
     root: PathBuf,
-    /// Held for the life of the server: the kernel frees it even after kill -9. `None` where
-    /// another one has it.
+    /// Held for the life of the server: the kernel frees it even after kill -9. `None` if another
+    /// server holds it.
     lock: Option<Lock>,
 }
 
-/// The lock on an open file. A process that is being started has the file open, too, for a moment,
-/// so that closing it here would not yet free it.
+/// A lock on an open file, released explicitly: a process being started briefly inherits the file,
+/// so closing it here would not yet free the lock.
 #[derive(Debug)]
 struct Lock(File);
 
@@ -44,10 +44,10 @@ impl Drop for Lock {
 }
 
 impl DataDir {
-    /// Creates what is missing and takes the lock.
+    /// Creates missing folders and takes the lock.
     ///
     /// # Errors
-    /// [`ServerError::DataInUse`] while another server lives on it; [`ServerError::Io`] otherwise.
+    /// [`ServerError::DataInUse`] if another server uses it; [`ServerError::Io`] otherwise.
     pub fn open(root: &Path) -> Result<Self> {
         fs::create_dir_all(root).map_err(ServerError::io(root))?;
         let data = Self::beside(root)?;
@@ -65,11 +65,11 @@ impl DataDir {
         Ok(data)
     }
 
-    /// The directory as it is. Takes the lock where no server has it: until this is dropped none
-    /// starts.
+    /// Opens an existing directory. Takes the lock if no server holds it; until this is dropped no
+    /// server can start.
     ///
     /// # Errors
-    /// [`ServerError::Io`] when it is not there or cannot be used.
+    /// [`ServerError::Io`] when it does not exist or cannot be used.
     pub fn beside(root: &Path) -> Result<Self> {
         let root = root.canonicalize().map_err(ServerError::io(root))?;
         let path = root.join("server.lock");
@@ -83,21 +83,21 @@ impl DataDir {
         Ok(Self { root, lock })
     }
 
-    /// Whether no server but this one, if it is one, works here.
+    /// Returns whether no other server uses it.
     pub fn is_ours(&self) -> bool {
         self.lock.is_some()
     }
 
-    /// All of it.
+    /// The root of the directory.
     pub fn root(&self) -> &Path {
         &self.root
     }
 
-    /// What this installation is called among those that share a database: made up once, so that it
-    /// finds its own jobs again after a restart.
+    /// The name of this installation among those that share a database. It is created once, so that
+    /// the installation recognises its own jobs after a restart.
     ///
     /// # Errors
-    /// [`ServerError::Io`] when it cannot be kept.
+    /// [`ServerError::Io`] when it cannot be stored.
     pub fn worker(&self) -> Result<String> {
         let path = self.root.join("worker");
         match fs::read_to_string(&path) {
@@ -117,17 +117,17 @@ impl DataDir {
         self.root.join("fled.db")
     }
 
-    /// Where uploads grow until they are complete.
+    /// The folder of uploads in progress.
     pub fn incoming(&self) -> PathBuf {
         self.root.join("incoming")
     }
 
-    /// The files of uploads in pieces.
+    /// The files of resumable uploads.
     pub fn uploads(&self) -> PathBuf {
         self.root.join("uploads")
     }
 
-    /// The file of an upload in pieces.
+    /// The file of a resumable upload.
     pub fn upload(&self, id: &str) -> PathBuf {
         self.uploads().join(id)
     }
@@ -142,29 +142,29 @@ impl DataDir {
         self.captures().join(id)
     }
 
-    /// Everything of all jobs.
+    /// The folders of all jobs.
     pub fn jobs(&self) -> PathBuf {
         self.root.join("jobs")
     }
 
-    /// What lay in `kept`, the captures, the jobs or the uploads, and is in no database.
+    /// The folder of orphans of `kept`, which is the captures, the jobs or the uploads.
     pub fn unnamed(&self, kept: &Path) -> PathBuf {
         let unnamed = self.root.join("unnamed");
         kept.file_name()
             .map_or(unnamed.clone(), |kind| unnamed.join(kind))
     }
 
-    /// What jobs of one capture share: its poses.
+    /// What the jobs of a capture share: its poses.
     pub fn cache(&self) -> PathBuf {
         self.root.join("cache")
     }
 
-    /// Everything of a job.
+    /// The folder of a job.
     pub fn job(&self, id: &str) -> PathBuf {
         self.jobs().join(id)
     }
 
-    /// What the job's process writes: the artifacts.
+    /// The output of the job's process: the artifacts.
     pub fn output(&self, id: &str) -> RunFolder {
         RunFolder::new(self.job(id).join("output"))
     }
@@ -187,19 +187,19 @@ impl DataDir {
     /// Free bytes of the file system.
     ///
     /// # Errors
-    /// When the file system does not say.
+    /// When the file system does not report it.
     pub fn free_bytes(&self) -> io::Result<u64> {
         let stat = statvfs(&self.root)?;
         Ok(stat.f_bavail * stat.f_frsize)
     }
 }
 
-/// Whether it is an id as the service makes them, and no path.
+/// Returns whether it is an id in the service's format, and not a path.
 pub fn is_id(text: &str) -> bool {
     uuid::Uuid::try_parse(text).is_ok_and(|parsed| parsed.to_string() == text)
 }
 
-/// Writes a whole file so that after a crash either the old or the new one is there.
+/// Writes a file so that after a crash either the old or the new content exists.
 ///
 /// # Errors
 /// When writing fails.
@@ -212,10 +212,10 @@ pub fn write_atomically(path: &Path, bytes: &[u8]) -> io::Result<()> {
     sync_directory(path.parent().unwrap_or(Path::new(".")))
 }
 
-/// What the files of a folder and those below it take, bytes; nothing where there is none.
+/// Bytes of all files below a folder; 0 if it does not exist.
 ///
 /// # Errors
-/// When something there cannot be looked at.
+/// When something in it cannot be read.
 pub fn bytes_below(dir: &Path) -> io::Result<u64> {
     let entries = match fs::read_dir(dir) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(0),
@@ -224,7 +224,7 @@ pub fn bytes_below(dir: &Path) -> io::Result<u64> {
     let mut sum = 0;
     for entry in entries {
         let entry = entry?;
-        // A job that runs replaces its files meanwhile.
+        // A running job replaces its files meanwhile.
         match entry.metadata() {
             Ok(about) if about.is_dir() => sum += bytes_below(&entry.path())?,
             Ok(about) => sum += about.len(),
@@ -235,7 +235,7 @@ pub fn bytes_below(dir: &Path) -> io::Result<u64> {
     Ok(sum)
 }
 
-/// Makes the names in a directory survive a power cut.
+/// Makes the entries of a directory survive a power cut.
 ///
 /// # Errors
 /// When the directory cannot be opened or synchronised.
@@ -243,7 +243,7 @@ pub fn sync_directory(dir: &Path) -> io::Result<()> {
     File::open(dir)?.sync_all()
 }
 
-/// Makes the names in a directory and in all below it survive a power cut.
+/// Makes the entries of a directory and of all below it survive a power cut.
 ///
 /// # Errors
 /// When one cannot be read or synchronised.
@@ -262,14 +262,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_second_server_on_the_same_directory_is_refused_until_the_first_is_gone() {
+    fn a_data_directory_admits_one_server_at_a_time() {
         let dir = tempfile::tempdir().expect("temporary directory");
         let first = DataDir::open(dir.path()).expect("free");
         assert!(matches!(
             DataDir::open(dir.path()),
             Err(ServerError::DataInUse(_))
         ));
-        // As a process has it that is being started just then.
+        // As a process inherits it that is just being started.
         let lock = first.lock.as_ref().expect("its own");
         let _inherited = lock.0.try_clone().expect("open");
         drop(first);

@@ -1,7 +1,7 @@
-//! Requests that the server makes itself, of addresses that somebody else names.
+//! Outgoing requests to addresses given by users.
 //!
-//! What it reaches others may not: addresses of inner networks are refused after a name is
-//! resolved, and what is connected to is what was looked at.
+//! Users must not reach through the server what they cannot reach themselves: addresses of inner
+//! networks are refused after name resolution, and the connection goes to the checked address.
 
 mod address;
 
@@ -16,15 +16,15 @@ use ureq::{Agent, Error};
 
 use self::address::is_outer;
 
-/// Longest address, characters.
+/// Maximum length of a URL, in characters.
 const LONGEST: usize = 2000;
-/// What an inner address is refused with.
+/// The reason why an inner address is refused.
 pub const INNER: &str = "the name stands for an address of an inner network";
 
-/// Whether an address is one that can be asked, by its looks.
+/// Parses a URL and checks its form.
 ///
 /// # Errors
-/// What is wrong with it.
+/// A description of what is wrong.
 pub fn check_url(url: &str) -> Result<Uri, &'static str> {
     if url.len() > LONGEST {
         return Err("it is longer than 2,000 characters");
@@ -43,8 +43,8 @@ pub fn check_url(url: &str) -> Result<Uri, &'static str> {
     Ok(uri)
 }
 
-/// What asks, each request within `patience`. `inner`: whether addresses of inner networks are
-/// asked, too. Redirects are not followed: another address is another question.
+/// An HTTP agent that allows each request `patience`, and addresses of inner networks if `inner` is
+/// set. It does not follow redirects: a new address would need a new check.
 pub fn agent(patience: Duration, inner: bool) -> Agent {
     let config = Agent::config_builder()
         .http_status_as_error(false)
@@ -56,7 +56,7 @@ pub fn agent(patience: Duration, inner: bool) -> Agent {
     Agent::with_parts(config, DefaultConnector::default(), Outer { inner })
 }
 
-/// Why nothing came, in words.
+/// Why a request failed, in words.
 pub fn reason(error: &Error) -> String {
     match error {
         Error::Other(error) => error.to_string(),
@@ -64,7 +64,7 @@ pub fn reason(error: &Error) -> String {
     }
 }
 
-/// Finds addresses as everybody does, and leaves out those of inner networks.
+/// Resolves names as usual and drops addresses of inner networks.
 #[derive(Debug)]
 struct Outer {
     inner: bool,
@@ -97,7 +97,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn only_plain_addresses_of_the_web_are_taken() {
+    fn only_plain_web_urls_are_accepted() {
         for good in [
             "https://example.org/hook?a=b",
             "http://example.org:8080/",
@@ -122,7 +122,7 @@ mod tests {
     }
 
     #[test]
-    fn names_and_numbers_of_inner_networks_are_refused_however_they_are_written() {
+    fn inner_networks_are_refused_in_every_notation() {
         let inner = [
             "http://localhost:1/",
             "http://127.0.0.1:1/",

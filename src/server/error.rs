@@ -1,63 +1,63 @@
-//! What can go wrong inside the service, before it is worded for HTTP.
+//! Errors inside the service, before they are translated for HTTP.
 
 use std::io;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 
-/// A fault of the service or of what it stands on.
+/// An error of the service or of a resource that it depends on.
 #[derive(Debug, thiserror::Error)]
 pub enum ServerError {
     /// A file or directory could not be used.
     #[error("{path}: {source}")]
     Io {
-        /// Which.
+        /// The file or directory.
         path: PathBuf,
-        /// Why.
+        /// The cause.
         source: io::Error,
     },
-    /// The database refused.
+    /// A database operation failed.
     #[error("database: {0}")]
     Database(#[from] sqlx::Error),
     /// The schema could not be brought up to date.
     #[error("database schema: {0}")]
     Migration(#[from] sqlx::migrate::MigrateError),
-    /// A program of a later version has changed the schema.
+    /// A later version has changed the schema.
     #[error(
         "the database is of schema {version}, and this program knows {known}: a newer fled has \
          used it. Start that version, or restore a backup from before"
     )]
     NewerSchema {
-        /// What the database has.
+        /// The version of the database's schema.
         version: i64,
-        /// What the program knows.
+        /// The latest version that this program knows.
         known: i64,
     },
-    /// What `--db` names is no database.
+    /// The value of `--db` is no usable database.
     #[error(
         "--db is no usable database: {detail}. Give `postgres://USER:PASSWORD@HOST/DATABASE` or \
          `sqlite:FILE`"
     )]
     BadDatabase {
-        /// Why.
+        /// The reason.
         detail: String,
     },
-    /// Machines that share a database share files, too.
+    /// Machines that share a database must share files too.
     #[error(
         "a database that many machines use needs a store of files that they share: give \
          --store DIR or --store s3://BUCKET/PREFIX"
     )]
     NoFiles,
-    /// The store of files refused.
+    /// The blob store failed.
     #[error("store of files: {0}")]
     Blobs(Box<fled_blobs::BlobError>),
-    /// A store of files was given to an installation that has its files elsewhere.
+    /// A blob store was given to an installation that stores its files elsewhere.
     #[error(
         "capture {0} has no files in the store that --store names: this installation keeps them in \
          its data directory. Leave --store out, or move it to PostgreSQL: fled migrate --data \
          DIR --db postgres://.. --store PLACE"
     )]
     NotInStore(String),
-    /// A store of files is another database's.
+    /// A blob store belongs to another database.
     #[error(
         "{0} belongs to another database, and this one would delete there what that one names: \
          give this one a store of its own by --store. Where it takes the other's place, stop all \
@@ -65,19 +65,19 @@ pub enum ServerError {
          start makes it anew"
     )]
     StoreOfAnother(String),
-    /// An installation was not moved.
+    /// The migration of an installation was refused.
     #[error("nothing was moved: {0}")]
     NotMoved(String),
     /// Another server holds the data directory.
     #[error("{0} is in use by another server; stop it or choose another --data")]
     DataInUse(PathBuf),
-    /// Strangers could reach a server that asks nobody for a token.
+    /// Other machines could reach a server that requires no token.
     #[error(
         "{0} can be reached from other machines, and there is no token: make one by \
          `fled token create`, listen on 127.0.0.1, or let everybody in by --open"
     )]
     Unguarded(SocketAddr),
-    /// A stored value is not what the schema promises.
+    /// A stored value does not match the schema.
     #[error("stored {what} is damaged: {detail}")]
     Damaged {
         /// What was read.
@@ -85,7 +85,7 @@ pub enum ServerError {
         /// What is wrong with it.
         detail: String,
     },
-    /// The worker no longer holds the job: what it wanted to write was dropped.
+    /// The worker no longer holds the job, so its write was dropped.
     #[error("the lease of job {0} is lost")]
     LeaseLost(String),
 }
@@ -97,7 +97,7 @@ impl From<fled_blobs::BlobError> for ServerError {
 }
 
 impl ServerError {
-    /// Whether it is a fault of a database that is away, and may be back soon.
+    /// Returns whether a database is away and may soon be back.
     pub fn passes(&self) -> bool {
         let Self::Database(error) = self else {
             return false;
@@ -108,7 +108,7 @@ impl ServerError {
             | sqlx::Error::Protocol(_)
             | sqlx::Error::PoolTimedOut
             | sqlx::Error::WorkerCrashed => true,
-            // Connections, resources, whoever runs it, deadlocks, locks that were waited for.
+            // Connections, resources, operator intervention, serialisation failures, lock timeouts.
             sqlx::Error::Database(error) => error.code().is_some_and(|code| {
                 ["08", "53", "57", "40", "55P03", "25P03"]
                     .iter()
@@ -118,8 +118,8 @@ impl ServerError {
         }
     }
 
-    /// Whether a row was to name another that is gone, or one was to go that others name: somebody
-    /// else was faster.
+    /// Returns whether a foreign key was violated: another transaction deleted the referenced row,
+    /// or added a reference to a row to be deleted.
     pub fn is_of_a_name(&self) -> bool {
         let Self::Database(sqlx::Error::Database(error)) = self else {
             return false;
@@ -127,7 +127,7 @@ impl ServerError {
         error.is_foreign_key_violation()
     }
 
-    /// Whether a shared store of files refused or did not answer.
+    /// Returns whether a shared blob store failed or did not answer.
     pub fn is_of_the_store(&self) -> bool {
         use fled_blobs::BlobError;
         let Self::Blobs(error) = self else {
@@ -139,7 +139,7 @@ impl ServerError {
         )
     }
 
-    /// An [`ServerError::Io`] about `path`, for `map_err`.
+    /// Returns a constructor of [`ServerError::Io`] for `path`, for `map_err`.
     pub fn io(path: &Path) -> impl FnOnce(io::Error) -> Self + '_ {
         move |source| Self::Io {
             path: path.to_owned(),
@@ -148,5 +148,5 @@ impl ServerError {
     }
 }
 
-/// Short for results of this crate.
+/// The result type of this crate.
 pub type Result<T, E = ServerError> = std::result::Result<T, E>;

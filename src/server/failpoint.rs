@@ -1,9 +1,8 @@
-//! Failpoints in the life of an attempt. What happens when a worker dies at one of them is what the
-//! tests of many machines ask.
+//! Failpoints in the life of an attempt. Tests kill a worker at each of them.
 
 use std::fmt;
 
-/// Is told what a worker has just done; it may end the process.
+/// Called with each failpoint; it may end the process.
 pub type Watcher = fn(Failpoint);
 
 /// What a worker has just done for a job.
@@ -11,32 +10,32 @@ pub type Watcher = fn(Failpoint);
 pub enum Failpoint {
     /// It has the lease, and nothing else.
     Claimed,
-    /// The capture and what was made of the job before lie here.
+    /// The capture and the earlier files of the job are here.
     Fetched,
-    /// The job's process runs.
+    /// The job's process is running.
     Started,
-    /// The lease is extended.
+    /// The lease has been extended.
     Extended,
-    /// An event is told.
+    /// An event has been recorded.
     Told,
-    /// Progress is told.
+    /// Progress has been recorded.
     Advanced,
-    /// Files are in the store, and have no name.
+    /// Files are in the blob store, but not yet named.
     Stored,
-    /// Files have names.
+    /// The files have been named.
     Named,
-    /// It was asked to stop, and the job's process runs.
+    /// The worker was asked to stop while the job's process runs.
     Stopping,
     /// The job's process has ended.
     Ended,
-    /// All that the attempt made is published, and the job still runs.
+    /// All files of the attempt are published, but the job is not yet settled.
     Published,
-    /// The job is settled.
+    /// The job has been settled.
     Settled,
 }
 
 impl Failpoint {
-    /// Each of them, in the order in which an attempt comes by.
+    /// All failpoints, in the order in which an attempt passes them.
     pub const ALL: [Self; 12] = [
         Self::Claimed,
         Self::Fetched,

@@ -1,4 +1,4 @@
-//! Folders in which uploads grow.
+//! Folders of uploads in progress.
 
 use std::collections::HashSet;
 use std::fs;
@@ -10,12 +10,12 @@ use uuid::Uuid;
 
 use crate::janitor::delete;
 
-/// The uploads that are under way.
+/// The uploads in progress.
 #[derive(Clone, Debug, Default)]
 pub struct Uploads(Arc<Mutex<HashSet<PathBuf>>>);
 
-/// The folder of one upload. It is removed, unless it was moved away, when the last who uses it
-/// lets go: a client that hangs up does not take it from under those who look at its files.
+/// The folder of an upload in progress. Unless it was moved away, it is removed when its last user
+/// drops it: a client that hangs up does not remove files that are still being validated.
 #[derive(Debug)]
 pub struct Incoming {
     path: PathBuf,
@@ -23,10 +23,10 @@ pub struct Incoming {
 }
 
 impl Uploads {
-    /// A new folder below `parent`.
+    /// Creates a new folder below `parent`.
     ///
     /// # Errors
-    /// When it cannot be made.
+    /// When the folder cannot be created.
     pub fn begin(&self, parent: &Path) -> io::Result<Arc<Incoming>> {
         let path = parent.join(Uuid::now_v7().to_string());
         self.lock().insert(path.clone());
@@ -38,7 +38,7 @@ impl Uploads {
         Ok(incoming)
     }
 
-    /// Whether an upload under way uses this folder.
+    /// Returns whether an upload in progress uses this folder.
     pub fn uses(&self, path: &Path) -> bool {
         self.lock().contains(path)
     }
@@ -49,7 +49,7 @@ impl Uploads {
 }
 
 impl Incoming {
-    /// Where it lies.
+    /// The path of the folder.
     pub fn path(&self) -> &Path {
         &self.path
     }
@@ -57,7 +57,7 @@ impl Incoming {
 
 impl Drop for Incoming {
     fn drop(&mut self) {
-        // It is not there when it was moved into place.
+        // After a move into place it no longer exists.
         if let Err(error) = delete(&self.path) {
             tracing::debug!(%error, "an upload's folder waits for the janitor");
         }
@@ -70,14 +70,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_folder_goes_with_the_last_who_uses_it_and_not_before() {
+    fn a_folder_is_removed_with_its_last_user() {
         let dir = tempfile::tempdir().expect("temporary directory");
         let uploads = Uploads::default();
         let upload = uploads.begin(dir.path()).expect("a folder");
         let path = upload.path().to_owned();
         let looks = upload.clone();
         drop(upload);
-        // The client has hung up; its photographs are still looked at.
+        // The client has hung up; its photographs are still being validated.
         fs::create_dir_all(path.join(".examined/unpacked")).expect("unpacked");
         assert!(path.join(".examined").exists() && uploads.uses(&path));
         drop(looks);

@@ -1,8 +1,7 @@
 //! The service: HTTP API, jobs, their store and the dashboard.
 //!
-//! The API never computes: a job runs in a child process of its own, renders come from another
-//! child, uploads are looked at by children, so that a crash of a driver, of a tool or of a decoder
-//! leaves the API standing.
+//! The API never computes: jobs, renders and the validation of uploads run in child processes, so
+//! that a crash of a driver, a tool or a decoder leaves the API running.
 
 mod app;
 mod backup;

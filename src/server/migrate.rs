@@ -1,5 +1,5 @@
-//! From a data directory with SQLite to PostgreSQL and a store of files: files first, then all rows
-//! in one transaction, so that no row names what is not there.
+//! Migration from a data directory with SQLite to PostgreSQL and a blob store: first the files,
+//! then all rows in one transaction, so that no row names a missing file.
 
 use std::collections::HashMap;
 use std::path::Path;
@@ -15,29 +15,29 @@ use crate::jobs::{after_death, kill_orphans};
 use crate::store::Store;
 use crate::videos::record::videos_of;
 
-/// What was copied.
+/// Totals of a migration.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Migrated {
     /// Rows.
     pub rows: usize,
     /// Files of captures and jobs.
     pub files: usize,
-    /// Bytes of them.
+    /// Their bytes.
     pub bytes: u64,
-    /// Uploads of which no capture is made yet: they stay behind.
+    /// Uploads that are not part of a capture, which are not copied.
     pub uploads: usize,
-    /// Videos that are not finished: likewise.
+    /// Unfinished videos, which are not copied.
     pub videos: usize,
 }
 
 /// Copies all rows of the data directory's database to the PostgreSQL at `database`, and its files
-/// to the store `files`. What ran when its server was killed waits again, as after its next start;
-/// nothing else is changed in the data directory.
+/// to the blob store `files`. Jobs that ran when their server was killed are queued again, as at
+/// its next start; nothing else changes in the data directory.
 ///
 /// # Errors
-/// [`ServerError::DataInUse`] while a server works there, [`ServerError::NotMoved`] where database
-/// or store are not empty or files are missing; when something cannot be read or written. The
-/// database has no rows then.
+/// [`ServerError::DataInUse`] while a server uses the directory, [`ServerError::NotMoved`] if the
+/// database or the blob store is not empty or files are missing; when something cannot be read or
+/// written. The database has no rows then.
 pub async fn migrate(data: &Path, database: &str, files: &str) -> Result<Migrated> {
     if database.starts_with("sqlite:") {
         let words = "--db names a file of SQLite: give postgres://USER:PASSWORD@HOST/NAME";
@@ -75,7 +75,7 @@ pub async fn migrate(data: &Path, database: &str, files: &str) -> Result<Migrate
     Ok(done)
 }
 
-/// Puts the files of all captures into the store.
+/// Puts the files of all captures into the blob store.
 async fn keep_captures(
     source: &Store,
     data: &DataDir,
@@ -101,7 +101,7 @@ async fn keep_captures(
     Ok(kept)
 }
 
-/// Puts what others may see of all jobs into the store.
+/// Puts the shared files of all jobs into the blob store.
 async fn keep_jobs(
     source: &Store,
     data: &DataDir,

@@ -1,7 +1,7 @@
-//! How much one client may ask for.
+//! Rate limits of clients.
 //!
-//! A client has an allowance, which fills up again as time goes by. What reads costs one of it,
-//! what writes costs [`WRITE`], and a piece of an upload [`PIECE`].
+//! A client has an allowance that refills over time. A reading request costs 1, a writing one
+//! [`WRITE`], and a piece of an upload [`PIECE`].
 
 use std::fmt;
 use std::net::IpAddr;
@@ -14,42 +14,42 @@ use governor::middleware::StateInformationMiddleware;
 use governor::state::keyed::DefaultKeyedStateStore;
 use governor::{Quota, RateLimiter};
 
-/// What a request costs that only reads.
+/// Cost of a read-only request.
 pub const READ: NonZeroU32 = NonZeroU32::MIN;
-/// What a request costs that changes something.
+/// Cost of a request that changes something.
 pub const WRITE: NonZeroU32 = NonZeroU32::new(10).expect("not zero");
-/// What a request costs that begins an upload in pieces or adds one: there are many of them, and
-/// the bytes cost their sender more than the server.
+/// Cost of a request that begins a resumable upload or adds a piece: there are many, and their
+/// bytes cost the sender more than the server.
 pub const PIECE: NonZeroU32 = NonZeroU32::new(2).expect("not zero");
-/// After so many requests those clients are forgotten whose allowance is whole.
+/// Number of requests after which clients with a full allowance are forgotten.
 const FORGET_EVERY: u32 = 4096;
 
 type Limiter =
     RateLimiter<Client, DefaultKeyedStateStore<Client>, DefaultClock, StateInformationMiddleware>;
 
-/// Who is counted.
+/// What requests are counted by.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub enum Client {
-    /// Whoever shows tokens of this owner.
+    /// The owner of the presented token.
     Owner(String),
-    /// Whoever has no token that holds.
+    /// The address of a client without a valid token.
     Address(IpAddr),
-    /// The same, where they log in or out: nobody's other requests are in the way.
+    /// The same for logins and logouts, so that other requests cannot block them.
     Login(IpAddr),
 }
 
-/// What a client has left, after what it asked for was taken away or refused.
+/// The remaining allowance of a client after a request was charged or refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Allowance {
-    /// What it has when it has not asked for a while.
+    /// The full allowance.
     pub most: u32,
-    /// What is left.
+    /// The remaining allowance.
     pub left: u32,
-    /// Until all of it is there again.
+    /// Time until it is full again.
     pub whole_in: Duration,
-    /// Time in which `most` comes back.
+    /// Time in which `most` refills.
     pub window: Duration,
-    /// For a request that is refused: until it would not be.
+    /// For a refused request: how long to wait.
     pub wait: Option<Duration>,
 }
 
@@ -57,7 +57,7 @@ pub struct Allowance {
 pub struct Rates {
     limiter: Option<Limiter>,
     most: u32,
-    /// Comes back in a second.
+    /// Refill per second.
     rate: u32,
     asked: AtomicU32,
 }
@@ -72,8 +72,8 @@ impl fmt::Debug for Rates {
 }
 
 impl Rates {
-    /// `rate` comes back in a second, until there are `most`; at least what one write costs. A rate
-    /// of 0 limits nobody.
+    /// Refills `rate` per second up to `most`, which is at least the cost of a write. A rate of 0
+    /// disables the limit.
     pub fn new(rate: u32, most: u32) -> Self {
         let most = most.max(WRITE.get());
         let quota = NonZeroU32::new(rate).map(Quota::per_second);
@@ -89,20 +89,20 @@ impl Rates {
         }
     }
 
-    /// Takes `cost` from a client's allowance, or tells how long it has to wait; `None` where
-    /// nobody is limited.
+    /// Takes `cost` from a client's allowance, or returns how long it has to wait; `None` without a
+    /// limit.
     pub fn take(&self, client: &Client, cost: NonZeroU32) -> Option<Allowance> {
         let limiter = self.limiter.as_ref()?;
         if self.asked.fetch_add(1, Ordering::Relaxed) % FORGET_EVERY == FORGET_EVERY - 1 {
             limiter.retain_recent();
         }
-        // An allowance holds at least one write, so that nothing is too much for ever.
+        // An allowance covers at least one write, so no request is refused forever.
         let taken = limiter.check_key_n(client, cost).ok()?;
         let (left, wait) = match taken {
             Ok(state) => (state.remaining_burst_capacity(), None),
             Err(refusal) => {
                 let wait = refusal.wait_time_from(limiter.clock().now());
-                // What it lacks comes back while it waits.
+                // The missing part refills during the wait.
                 let lacks = (wait.as_secs_f64() * f64::from(self.rate)).ceil() as u32;
                 (cost.get().saturating_sub(lacks), Some(wait))
             }
@@ -127,7 +127,7 @@ mod tests {
     }
 
     #[test]
-    fn an_allowance_is_used_up_and_comes_back() {
+    fn an_allowance_is_used_up_and_refills() {
         let rates = Rates::new(100, 30);
         let anna = owner("anna");
         let first = rates.take(&anna, WRITE).expect("limited");
@@ -147,7 +147,7 @@ mod tests {
     }
 
     #[test]
-    fn clients_do_not_use_up_each_others_and_no_rate_is_no_limit() {
+    fn clients_are_limited_separately_and_a_rate_of_0_is_no_limit() {
         let rates = Rates::new(1, 10);
         let address = Client::Address([192, 0, 2, 1].into());
         for client in [owner("anna"), owner("ben"), address] {
@@ -158,7 +158,7 @@ mod tests {
     }
 
     #[test]
-    fn clients_that_have_all_of_it_again_are_forgotten() {
+    fn clients_with_a_full_allowance_are_forgotten() {
         let rates = Rates::new(1_000_000, 10);
         for number in 0..FORGET_EVERY + 1 {
             rates.take(&owner(&number.to_string()), READ);

@@ -1,5 +1,5 @@
-//! Whether the machine can do the work: database, disk, and what a child process finds out about
-//! the adapter, COLMAP, ONNX Runtime and the models.
+//! Readiness of the machine: database, disk, and the checks of a child process on the adapter,
+//! COLMAP, ONNX Runtime and the models.
 
 mod check;
 
@@ -12,22 +12,22 @@ use crate::jobs::process::{Group, Line};
 use crate::redaction::without_paths;
 pub use check::{Check, Remembered};
 
-/// How long a judgement of the machine is believed.
+/// How long the result of the child process is cached.
 const BELIEVED: Duration = Duration::from_secs(60);
-/// The judging process may take so long.
+/// How long the child process may take.
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// What the judging process prints, as one line of JSON.
+/// The output of the child process, one line of JSON.
 #[derive(Clone, Debug, Deserialize)]
 struct Doctor {
     checks: Vec<Check>,
 }
 
-/// Judges everything.
+/// Runs all checks.
 pub async fn checks(app: &App) -> Vec<Check> {
     let mut checks = vec![database(app).await, disk(app)];
     checks.extend(files(app).await);
-    // Concurrent callers wait for one judgement instead of starting several.
+    // Concurrent callers wait for one child process instead of starting several.
     let mut remembered = app.readiness.lock().await;
     if remembered
         .as_ref()
@@ -68,7 +68,7 @@ async fn database(app: &App) -> Check {
     }
 }
 
-/// The store of files, where machines share one.
+/// Checks the shared blob store, if there is one.
 async fn files(app: &App) -> Option<Check> {
     let outcome = app.blob_cache.blobs()?.check().await;
     Some(Check {
@@ -152,7 +152,7 @@ async fn ask_doctor(app: &App) -> Result<Vec<Check>, String> {
             Line::Error(text) => tracing::info!(text, "doctor"),
         }
     }
-    // Printed over several lines.
+    // The output has several lines.
     serde_json::from_str::<Doctor>(&said)
         .map(|doctor| doctor.checks)
         .map_err(|_| "the doctor's answer cannot be read".to_owned())

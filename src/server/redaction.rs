@@ -1,12 +1,12 @@
-//! What others may read: where the server keeps its files is for its log only.
+//! Redaction of messages to clients: only the server's log may contain its paths.
 
-/// A text whose absolute paths are cut down to their last part.
+/// Shortens the absolute paths in a text to their last component.
 pub fn without_paths(text: &str) -> String {
     let mut told = String::with_capacity(text.len());
     let mut rest = text;
     let mut before = ' ';
     while let Some(c) = rest.chars().next() {
-        // After a letter, a dot or a colon a slash parts words, units or the host of an address.
+        // A slash after a letter, a dot or a colon separates words, units or the host of a URL.
         let begins = c == '/' && (before.is_whitespace() || "\"'`([{<=,".contains(before));
         let end = rest.find(ends_a_path).unwrap_or(rest.len());
         let path = rest[..end].trim_end_matches([':', '.']);
@@ -37,7 +37,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn paths_are_cut_down_to_names_and_nothing_else_is() {
+    fn only_absolute_paths_are_shortened_to_names() {
         for (text, told) in [
             (
                 "/srv/fled/jobs/7/output/scene.ply: No such file",

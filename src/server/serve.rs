@@ -23,26 +23,26 @@ use crate::store::{Engine, Store};
 use crate::videos::maker::{keep_making, take_up};
 use crate::webhooks::keep_telling;
 
-/// Open requests get so long to end once the server stops.
+/// How long open requests may take to end once the server stops.
 const FAREWELL: Duration = Duration::from_secs(5);
-/// Jobs that run here save what they are at and put it into the store before a process goes, within
-/// this: who stops it mostly waits for half a minute.
+/// How long jobs here may take to save and publish their state when the process stops: supervisors
+/// usually wait half a minute.
 const HANDING_IN: Duration = Duration::from_secs(25);
 
 /// A running server.
 #[derive(Debug)]
 pub struct Server {
-    /// `None` of one that only works.
+    /// `None` for a worker without an API.
     address: Option<SocketAddr>,
     app: Arc<App>,
-    /// Those who work on jobs.
+    /// The tasks that run jobs.
     turns: JoinSet<()>,
-    /// All others.
+    /// All other tasks.
     tasks: JoinSet<()>,
 }
 
 impl Server {
-    /// Opens the data directory, takes up what an earlier server has left, listens and works.
+    /// Opens the data directory, recovers the jobs of an earlier server, listens and works.
     ///
     /// # Errors
     /// When the directory is in use or unusable, or the address is taken.
@@ -77,7 +77,7 @@ impl Server {
         })
     }
 
-    /// Opens the data directory and the database and works, without an API of its own.
+    /// Opens the data directory and the database and runs jobs, without an API of its own.
     ///
     /// # Errors
     /// When one of them is in use or unusable.
@@ -93,7 +93,7 @@ impl Server {
         })
     }
 
-    /// Where it listens, if it does.
+    /// The address it listens on, if it does.
     pub fn address(&self) -> Option<SocketAddr> {
         self.address
     }
@@ -105,7 +105,7 @@ impl Server {
         let jobs = end(&mut self.turns, HANDING_IN, "jobs");
         let requests = end(&mut self.tasks, FAREWELL, "requests");
         tokio::join!(jobs, requests);
-        // A picture that is being made is not waited for: its process ends with this one.
+        // Do not wait for a render: its process ends with this one.
         let grace = app.limits.grace;
         if tokio::time::timeout(grace, app.renderers.stop())
             .await
@@ -122,7 +122,7 @@ impl Server {
     }
 }
 
-/// What a process holds before it works.
+/// The resources that a process opens before it works.
 struct Opened {
     data: DataDir,
     store: Store,
@@ -130,7 +130,7 @@ struct Opened {
     worker: String,
 }
 
-/// Opens what a configuration names, and takes up what an earlier process here has left.
+/// Opens what a configuration names, and recovers what an earlier process has left here.
 async fn open(config: &ServeConfig) -> Result<Opened> {
     let data = DataDir::open(&config.data)?;
     let store = match &config.database {
@@ -148,7 +148,7 @@ async fn open(config: &ServeConfig) -> Result<Opened> {
         None => None,
     };
     if let Some(blobs) = &blobs {
-        // What is here would be taken for a copy of nothing, and removed.
+        // The files here would be taken for an outdated cache and removed.
         if let Some(capture) = store.capture_without_files().await? {
             return Err(ServerError::NotInStore(capture));
         }
@@ -158,7 +158,7 @@ async fn open(config: &ServeConfig) -> Result<Opened> {
     let limits = config.limits;
     let settle = |deaths| after_death(&limits, deaths);
     let left = match store.engine() {
-        // Nobody else uses it.
+        // No other process uses it.
         Engine::Sqlite => store.release_all(settle).await?,
         Engine::Postgres => store.release_of(&worker, settle).await?,
     };
@@ -187,7 +187,7 @@ impl Opened {
     }
 }
 
-/// Waits for tasks to end, and ends those that do not.
+/// Waits for tasks to end, and aborts those that do not.
 async fn end(tasks: &mut JoinSet<()>, patience: Duration, what: &str) {
     let ended = async { while tasks.join_next().await.is_some() {} };
     if tokio::time::timeout(patience, ended).await.is_err() {
@@ -196,8 +196,8 @@ async fn end(tasks: &mut JoinSet<()>, patience: Duration, what: &str) {
     tasks.shutdown().await;
 }
 
-/// Begins what every process does: to be seen by the others, and to work on jobs, as many at once
-/// as it is told.
+/// Starts the tasks of every process: clean-up, contact with other processes, and the configured
+/// number of parallel jobs.
 fn spawn_shared(app: &Arc<App>, tasks: &mut JoinSet<()>, serves: bool) -> JoinSet<()> {
     tasks.spawn(janitor::keep_clean(app.clone(), serves));
     if app.store.engine() == Engine::Postgres {
@@ -213,10 +213,10 @@ fn spawn_shared(app: &Arc<App>, tasks: &mut JoinSet<()>, serves: bool) -> JoinSe
     turns
 }
 
-/// Tells who may use the server.
+/// Logs who may use the server.
 ///
 /// # Errors
-/// [`ServerError::Unguarded`] where that would be everybody, unasked.
+/// [`ServerError::Unguarded`] if everyone could, without a token.
 async fn guard(config: &ServeConfig, store: &Store) -> Result<()> {
     if store.has_tokens().await? {
         tracing::info!("everything needs a token");
@@ -242,7 +242,7 @@ pub async fn serve(config: ServeConfig) -> Result<()> {
     until_told(server).await
 }
 
-/// Works until SIGINT or SIGTERM; what runs then goes back to the queue.
+/// Runs jobs until SIGINT or SIGTERM; running jobs then go back to the queue.
 ///
 /// # Errors
 /// When the worker cannot start.
@@ -252,7 +252,7 @@ pub async fn work(config: ServeConfig) -> Result<()> {
     until_told(server).await
 }
 
-/// Waits for a signal, and stops.
+/// Waits for a signal, then stops.
 async fn until_told(server: Server) -> Result<()> {
     let io = |source| ServerError::Io {
         path: "signals".into(),
@@ -276,7 +276,7 @@ mod tests {
     use crate::token::Secret;
 
     #[tokio::test]
-    async fn a_directory_that_has_its_files_itself_is_not_taken_for_a_copy() {
+    async fn a_directory_with_its_own_files_is_not_taken_for_a_cache() {
         let dir = tempfile::tempdir().expect("temporary directory");
         let store = Store::open(&dir.path().join("fled.db"))
             .await
@@ -306,7 +306,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_store_of_files_serves_the_database_that_came_first_and_no_other() {
+    async fn a_blob_store_serves_only_its_first_database() {
         let dir = tempfile::tempdir().expect("temporary directory");
         let store = dir.path().join("store");
         let config = |name: &str| {
@@ -330,7 +330,7 @@ mod tests {
             }
             first.stop().await;
         }
-        // As the words advise where one takes the other's place.
+        // As the message advises if one database replaces the other.
         std::fs::remove_file(store.join("mark")).expect("there was one");
         let second = Server::start(config("second")).await.expect("its own now");
         second.stop().await;
@@ -342,7 +342,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn strangers_are_let_in_by_a_token_or_on_purpose_only() {
+    async fn remote_access_needs_a_token_or_the_open_option() {
         let dir = tempfile::tempdir().expect("temporary directory");
         let start = async |listen: &str, open: bool| {
             let listen = listen.parse().expect("an address");

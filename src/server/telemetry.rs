@@ -1,4 +1,4 @@
-//! What the server counts about itself, for Prometheus.
+//! Metrics of the server, for Prometheus.
 
 use std::fmt;
 use std::sync::atomic::AtomicU64;
@@ -11,16 +11,16 @@ use prometheus_client::metrics::gauge::Gauge;
 use prometheus_client::metrics::histogram::Histogram;
 use prometheus_client::registry::{Registry, Unit};
 
-/// Upper ends of the times that are told apart, seconds: reads take one millisecond, renders some
-/// hundred, uploads minutes.
+/// Upper bounds of the histogram, in seconds: reads take one millisecond, renders some hundred,
+/// uploads minutes.
 const TIMES: [f64; 9] = [0.002, 0.01, 0.05, 0.2, 1.0, 5.0, 30.0, 120.0, 600.0];
 
-/// What requests are told apart by.
+/// The labels of a request.
 #[derive(Clone, Debug, Hash, PartialEq, Eq, EncodeLabelSet)]
 pub struct Answered {
     /// GET, POST and so on.
     pub method: String,
-    /// As routed, without ids: `/v1/jobs/{id}`; `none` where nothing answers.
+    /// The route without ids, such as `/v1/jobs/{id}`; `none` for unknown paths.
     pub route: String,
     /// The HTTP status.
     pub status: u16,
@@ -37,20 +37,20 @@ struct Worker {
     host: String,
 }
 
-/// What is read when somebody asks.
+/// Values that are read on each request for metrics.
 #[derive(Debug, Default)]
 pub struct Now<'a> {
     /// Jobs of each state.
     pub jobs: Vec<(&'a str, i64)>,
-    /// Of the data directory.
+    /// Free bytes of the data directory.
     pub free_bytes: Option<u64>,
-    /// Seconds since the lease that was extended longest ago; 0 where nothing runs.
+    /// Seconds since the least recently extended lease was extended; 0 if no job runs.
     pub lease_age: f64,
-    /// Seconds that the oldest job waits; 0 where none does.
+    /// Seconds that the oldest queued job has waited; 0 if none waits.
     pub waiting: f64,
     /// Workers of each state.
     pub workers: Vec<(&'a str, i64)>,
-    /// A worker, its machine, and steps a second of all that it trains.
+    /// A worker, its machine, and its training speed over all its jobs, in steps per second.
     pub steps: Vec<(String, String, f64)>,
 }
 
@@ -59,7 +59,7 @@ struct State {
     state: String,
 }
 
-/// The counters of a server's life, and the gauges that are read when somebody asks.
+/// The counters of a server, and the gauges that are read on request.
 pub struct Telemetry {
     registry: Registry,
     requests: Family<Answered, Counter>,
@@ -149,7 +149,7 @@ impl Telemetry {
             .observe(took.as_secs_f64());
     }
 
-    /// Everything as OpenMetrics text, with what is as it is now.
+    /// Returns everything as OpenMetrics text, with the current values of the gauges.
     pub fn text(&self, now: &Now<'_>) -> String {
         for (family, counts) in [(&self.jobs, &now.jobs), (&self.workers, &now.workers)] {
             for (state, count) in counts {
@@ -164,7 +164,7 @@ impl Telemetry {
         }
         self.lease_age.set(now.lease_age);
         self.waiting.set(now.waiting);
-        // Those that went are told of no more.
+        // Remove workers that have left.
         self.steps.clear();
         for (worker, host, speed) in &now.steps {
             let worker = Worker {
@@ -176,7 +176,7 @@ impl Telemetry {
         let mut told = String::new();
         match text::encode(&mut told, &self.registry) {
             Ok(()) => told,
-            // Nothing fails to be written into memory.
+            // Writing to a string cannot fail.
             Err(fmt::Error) => String::new(),
         }
     }
@@ -187,7 +187,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_counted_is_told() {
+    fn metrics_report_what_was_counted() {
         let telemetry = Telemetry::default();
         let answered = Answered {
             method: "GET".to_owned(),

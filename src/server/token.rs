@@ -1,4 +1,4 @@
-//! Tokens: what they look like, what they allow, how long they hold.
+//! Tokens: their format, scopes and expiry.
 
 use std::fmt;
 use std::str::FromStr;
@@ -6,33 +6,33 @@ use std::str::FromStr;
 use jiff::{Span, Timestamp, Zoned};
 use sha2::{Digest as _, Sha256};
 
-/// What every token begins with, so that one that leaks is found by those who look for such.
+/// The prefix of every token, by which secret scanners recognise a leaked one.
 const PREFIX: &str = "fled_";
 /// Random bytes of a token.
 const BYTES: usize = 32;
-/// Random bytes of a token's public name.
+/// Random bytes of a token's id.
 const ID_BYTES: usize = 6;
 
-/// The SHA-256 of a token: all that is kept of it. 256 random bits need no slow hash.
+/// The SHA-256 of a token, the only part that is stored. 256 random bits need no slow hash.
 pub type Digest = [u8; 32];
 
-/// Something that a token may allow.
+/// A permission of a token.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Scope {
-    /// To see captures, jobs and results.
+    /// See captures, jobs and results.
     JobsRead,
-    /// To upload, to start, cancel, retry and delete.
+    /// Upload, and start, cancel, retry and delete jobs.
     JobsWrite,
-    /// To have views rendered.
+    /// Render novel views.
     Renders,
-    /// Everything, of everybody.
+    /// Everything, for all owners.
     Admin,
 }
 
 impl Scope {
     const ALL: [Self; 4] = [Self::JobsRead, Self::JobsWrite, Self::Renders, Self::Admin];
 
-    /// As it is written.
+    /// The name in lists of scopes.
     pub fn name(self) -> &'static str {
         match self {
             Self::JobsRead => "jobs:read",
@@ -43,18 +43,18 @@ impl Scope {
     }
 }
 
-/// What a token allows.
+/// The scopes of a token.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Scopes(Vec<Scope>);
 
 impl Scopes {
-    /// Those of a stored token: a scope that this program does not have allows nothing.
+    /// Parses the scopes of a stored token; unknown ones allow nothing.
     pub fn stored(names: &str) -> Self {
         let of_name = |name| Scope::ALL.into_iter().find(|scope| scope.name() == name);
         Self(names.split(',').filter_map(of_name).collect())
     }
 
-    /// Whether this is allowed; `admin` is allowed everything.
+    /// Returns whether `scope` is allowed; `admin` allows everything.
     pub fn allow(&self, scope: Scope) -> bool {
         self.0.contains(&scope) || self.0.contains(&Scope::Admin)
     }
@@ -89,29 +89,29 @@ impl FromStr for Scopes {
     }
 }
 
-/// Why a token cannot be made.
+/// Why a token cannot be created.
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
 pub enum TokenError {
     /// There is no such scope.
     #[error("`{0}` is no scope: jobs:read, jobs:write, renders, admin")]
     UnknownScope(String),
-    /// Not a time from now.
+    /// Not a duration into the future.
     #[error("`{0}` is no time to hold: say 90d, 12h or 1y")]
     BadExpiry(String),
-    /// Not a number of bytes.
+    /// Not a size in bytes.
     #[error("`{0}` is no size: say 20G, 500M or a number of bytes")]
     BadSize(String),
-    /// The system gives no random numbers.
+    /// The operating system provides no randomness.
     #[error("the system gives no random numbers: {0}")]
     NoRandomness(String),
 }
 
-/// A token as its holder has it. It is shown once and kept nowhere.
+/// The plain text of a token. It is shown once and never stored.
 #[derive(Clone)]
 pub struct Secret(String);
 
 impl Secret {
-    /// A new one.
+    /// Generates a new token.
     ///
     /// # Errors
     /// [`TokenError::NoRandomness`].
@@ -119,12 +119,12 @@ impl Secret {
         Ok(Self(format!("{PREFIX}{}", hex(&random::<BYTES>()?))))
     }
 
-    /// What is kept of it.
+    /// The digest to store.
     pub fn digest(&self) -> Digest {
         digest(&self.0)
     }
 
-    /// For its holder.
+    /// The plain text, for its owner.
     pub fn reveal(&self) -> &str {
         &self.0
     }
@@ -136,12 +136,12 @@ impl fmt::Debug for Secret {
     }
 }
 
-/// What is kept of a token that somebody shows.
+/// The digest of a presented token.
 pub fn digest(token: &str) -> Digest {
     Sha256::digest(token.as_bytes()).into()
 }
 
-/// A name for a token, to list and to revoke it by.
+/// Generates a public id by which a token is listed and revoked.
 ///
 /// # Errors
 /// [`TokenError::NoRandomness`].
@@ -149,10 +149,10 @@ pub fn new_id() -> Result<String, TokenError> {
     Ok(hex(&random::<ID_BYTES>()?))
 }
 
-/// Until when a token holds that is made now, milliseconds since 1970.
+/// Expiry of a token created now, in milliseconds since 1970.
 ///
 /// # Errors
-/// [`TokenError::BadExpiry`] for what is no time from now.
+/// [`TokenError::BadExpiry`] if `text` is no duration into the future.
 pub fn expiry(text: &str) -> Result<i64, TokenError> {
     let bad = || TokenError::BadExpiry(text.to_owned());
     let span: Span = text.parse().map_err(|_| bad())?;
@@ -164,7 +164,7 @@ pub fn expiry(text: &str) -> Result<i64, TokenError> {
     Ok(end.timestamp().as_millisecond())
 }
 
-/// A number of bytes, as `20G`, `500M`, `1.5T` (powers of 1,000) or `1000000`.
+/// Parses a number of bytes such as `20G`, `500M`, `1.5T` (powers of 1,000) or `1000000`.
 ///
 /// # Errors
 /// [`TokenError::BadSize`].
@@ -184,7 +184,7 @@ pub fn size(text: &str) -> Result<u64, TokenError> {
     Ok((number * unit) as u64)
 }
 
-/// A time as it is listed, in UTC.
+/// Formats a time for lists, in UTC.
 pub fn shown(milliseconds: i64) -> String {
     let time = Timestamp::from_millisecond(milliseconds).unwrap_or_default();
     time.strftime("%Y-%m-%d %H:%M").to_string()
@@ -205,7 +205,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_token_is_another_and_never_shown_by_accident() {
+    fn every_token_is_unique_and_hidden_from_debug_output() {
         let (one, other) = (
             Secret::new().expect("random"),
             Secret::new().expect("random"),
@@ -246,7 +246,7 @@ mod tests {
     }
 
     #[test]
-    fn a_token_holds_for_a_time_from_now() {
+    fn an_expiry_is_a_duration_from_now() {
         let day = 24 * 3600 * 1000;
         let left = expiry("2d").expect("two days") - Timestamp::now().as_millisecond();
         assert!((left - 2 * day).abs() < day / 10, "{left}");

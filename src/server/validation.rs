@@ -1,4 +1,4 @@
-//! Validates an upload: looks at it with the eyes of the pipeline, and reports.
+//! Validation of an upload with the pipeline's own capture reader.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -55,27 +55,27 @@ pub struct Warning {
     pub message: String,
 }
 
-/// Why an upload is no capture.
+/// Why an upload is no usable capture.
 #[derive(Debug, Serialize, Deserialize)]
 pub struct Refusal {
     /// What is wrong.
     pub detail: String,
     /// What to do about it.
     pub hint: String,
-    /// Whether photographs of a format that is not read are the reason.
+    /// Whether photographs in an unsupported format are the reason.
     pub unsupported_format: bool,
-    /// Whether the machine is at fault and not the upload.
+    /// Whether the machine is at fault, not the upload.
     pub is_ours: bool,
-    /// The assessments, as far as they go.
+    /// The assessments so far.
     pub report: CaptureReport,
 }
 
-/// Looks at what lies in `dir`: an archive alone, or the files of a capture folder. A zip stays a
-/// zip: only inside it do its files have their names. Decodes what strangers have sent: only for a
-/// process that may die of it.
+/// Validates the content of `dir`: a single archive, or the files of a capture folder. A zip stays
+/// packed, because only inside it do its files have their names. It decodes untrusted files, so
+/// call it only in a process that may die.
 ///
 /// # Errors
-/// [`Refusal`] when it is no usable capture.
+/// [`Refusal`] if it is no usable capture.
 pub fn examine(dir: &Path, watch: &Watch<'_>) -> Result<CaptureReport, Box<Refusal>> {
     let archive = dir.join(ARCHIVE);
     let opened = if archive.is_file() {
@@ -105,7 +105,7 @@ pub fn examine(dir: &Path, watch: &Watch<'_>) -> Result<CaptureReport, Box<Refus
     })
 }
 
-/// The capture, and whether the poses that came with it can be read, if there are any.
+/// The capture, and whether its given poses, if any, can be read.
 fn opened(
     path: &Path,
     scratch: &Path,
@@ -138,10 +138,10 @@ fn bad_poses(capture: &Capture, error: &PosesError) -> Box<Refusal> {
     })
 }
 
-/// Bytes that looking at what lies in `dir` takes for a while: those of an unpacked zip.
+/// Bytes that validating `dir` needs temporarily: those of an unpacked zip.
 ///
 /// # Errors
-/// [`Refusal`] when the zip is one that is not unpacked.
+/// [`Refusal`] if the zip cannot be unpacked.
 pub fn unpacked_bytes(dir: &Path) -> Result<u64, Box<Refusal>> {
     let archive = dir.join(ARCHIVE);
     if !archive.is_file() {
@@ -150,7 +150,7 @@ pub fn unpacked_bytes(dir: &Path) -> Result<u64, Box<Refusal>> {
     capture::unpacked_bytes(&archive).map_err(|error| refuse(dir, error))
 }
 
-/// What the pipeline is given of a stored capture: its zip, or its folder.
+/// The pipeline's input of a stored capture: its zip, or its folder.
 pub fn source(dir: PathBuf) -> PathBuf {
     let archive = dir.join(ARCHIVE);
     if archive.is_file() { archive } else { dir }
@@ -167,7 +167,7 @@ fn mixed() -> Box<Refusal> {
 }
 
 fn refuse(dir: &Path, error: CaptureError) -> Box<Refusal> {
-    // Where the server keeps its files is nobody's business.
+    // Clients must not learn the server's paths.
     let archive = dir.join(ARCHIVE).display().to_string();
     let detail = error
         .to_string()

@@ -1,8 +1,7 @@
-//! The processes that validate uploads, one for each.
+//! Upload validation, one process per upload.
 //!
-//! What is decoded comes from strangers, and so may crash a decoder, keep it busy for ever or make
-//! it ask for all memory there is. In a process of its own, with limits, that costs its upload and
-//! not the service.
+//! The decoded files are untrusted and may crash a decoder, keep it busy forever or exhaust its
+//! memory. In a process of its own, with limits, that fails one upload and not the service.
 
 mod words;
 mod work;
@@ -26,61 +25,61 @@ use crate::validation::{CaptureReport, Refusal};
 pub use words::{AssessReply, AssessRequest, Filming, VideoFault, VideoFaultKind};
 pub use work::assess;
 
-/// Memory is lent in pieces of so many bytes.
+/// Unit in which memory is lent, in bytes.
 const PIECE: u64 = 1 << 10;
 
-/// What has closed its outputs ends within this.
+/// How long a process may take to end after it has closed its outputs.
 const LAST: Duration = Duration::from_secs(5);
 
-/// Why nothing is known of an upload.
+/// Why an upload could not be validated.
 #[derive(Debug)]
 pub enum AssessError {
     /// It is no usable capture.
     Refused(Box<Refusal>),
-    /// There is no room for what is in it.
+    /// There is too little space for its content.
     NoRoom,
-    /// No photographs came of its video.
+    /// No frames could be extracted from its video.
     Video(VideoFault),
-    /// The process died of it.
+    /// The process died.
     Died {
-        /// The photographs that were looked at; one of them may be why.
+        /// The photographs in progress, one of which may be the cause.
         names: Vec<String>,
-        /// How.
+        /// The exit status.
         status: ExitStatus,
     },
     /// One photograph took too long.
     Endless {
-        /// Which.
+        /// Its name.
         name: String,
     },
-    /// All of it took too long.
+    /// The whole upload took too long.
     Slow,
-    /// There is no process, or it makes no sense.
+    /// The process could not be started or broke the protocol.
     Process(String),
 }
 
-/// What was seen.
+/// The result of a validation.
 #[derive(Debug, Default)]
 pub struct Seen {
     /// The assessments.
     pub report: CaptureReport,
-    /// Which photographs were taken of the video.
+    /// A description of the frames extracted from the video.
     pub filmed: Option<String>,
 }
 
-/// Who starts the processes and lends them memory.
+/// Starts validation processes and lends them memory.
 #[derive(Debug)]
 pub struct Validators {
     command: Vec<OsString>,
     limits: Limits,
-    /// Processes at a time.
+    /// Permits for concurrent processes.
     processes: Semaphore,
-    /// Memory in which photographs are decoded, by all processes together, pieces.
+    /// Memory for decoding photographs, shared by all processes, in units of [`PIECE`].
     memory: Semaphore,
 }
 
 impl Validators {
-    /// Nothing is started before the first upload.
+    /// Starts no process before the first upload.
     pub fn new(command: Vec<OsString>, limits: Limits) -> Self {
         let pieces = pieces(limits.max_decoding_bytes);
         Self {
@@ -91,9 +90,8 @@ impl Validators {
         }
     }
 
-    /// Looks at the upload in `dir`, for whose video `turn` is held until its photographs are
-    /// taken. Whoever lets go of this before it is done ends the process, and the folder goes
-    /// after it.
+    /// Validates the upload in `dir`. `turn` is held until the frames of its video are extracted.
+    /// Dropping the future kills the process, and then removes the folder.
     ///
     /// # Errors
     /// [`AssessError`].
@@ -122,15 +120,15 @@ impl Validators {
     }
 }
 
-/// One process and what it has said so far.
+/// A process and its replies so far.
 struct Conversation<'a> {
     validators: &'a Validators,
     process: Process,
     turn: Option<MutexGuard<'a, ()>>,
     memory: Option<SemaphorePermit<'a>>,
-    /// When its time is over.
+    /// The deadline.
     until: Instant,
-    /// The photographs that are looked at, and since when.
+    /// The photographs in progress, and since when.
     begun: Vec<(String, Instant)>,
     seen: Seen,
 }
@@ -155,7 +153,7 @@ impl Conversation<'_> {
         }
     }
 
-    /// Takes what the process says; all that was seen, when that was the last.
+    /// Handles a reply; returns the result if it was the last.
     async fn take(&mut self, reply: AssessReply) -> Result<Option<Seen>, AssessError> {
         match reply {
             AssessReply::Filmed(told) => {
@@ -185,14 +183,14 @@ impl Conversation<'_> {
         Ok(None)
     }
 
-    /// Lends memory, who asks first first. What is more than there is, is all of it.
+    /// Lends memory in order of requests. A request for more than the total gets all of it.
     async fn lend(&mut self, bytes: u64) -> Result<(), AssessError> {
         let limits = &self.validators.limits;
         let asked = Instant::now();
         let wanted = pieces(bytes.min(limits.max_decoding_bytes));
         let lent = self.validators.memory.acquire_many(wanted);
         self.memory = Some(lent.await.map_err(closed)?);
-        // Others' time is not its own.
+        // Time spent waiting for others does not count.
         self.until += asked.elapsed();
         self.process
             .send(&(u64::from(wanted) * PIECE).to_string())
@@ -220,7 +218,7 @@ impl Conversation<'_> {
 /// A process, and the folder that it reads and writes.
 struct Process {
     inner: Option<(Group, Arc<Incoming>)>,
-    /// What it said last on standard error.
+    /// Its last line on standard error.
     last_words: String,
 }
 
@@ -242,13 +240,13 @@ impl Process {
         let Some(stdin) = stdin else {
             return Err(process_error("hears nothing"));
         };
-        // What is dead by now is found so when it says nothing.
+        // If the process is dead, reading its output reports it.
         let _ = stdin.write_all(format!("{line}\n").as_bytes()).await;
         let _ = stdin.flush().await;
         Ok(())
     }
 
-    /// The next line of its standard output, `None` once it has ended.
+    /// Returns the next line of its standard output, or `None` once it has ended.
     async fn line(&mut self) -> Option<String> {
         loop {
             let (group, _) = self.inner.as_mut()?;
@@ -280,7 +278,7 @@ impl Drop for Process {
         };
         runtime.spawn(async move {
             group.stop(Duration::ZERO).await;
-            // Only now does nobody write there any more.
+            // Only now does no process write there any more.
             drop(dir);
         });
     }

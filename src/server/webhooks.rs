@@ -1,8 +1,8 @@
-//! Tells other programs of jobs, by Standard Webhooks 1.0.
+//! Webhooks: notifies other programs of jobs, according to Standard Webhooks 1.0.
 //!
-//! What is to be told lies in the database from the moment that it is true; here it is sent, again
-//! and again over a day until somebody says that it came. It may arrive twice, always under the
-//! same name.
+//! The transaction of an event inserts its deliveries into the database. This module sends each of
+//! them, with retries for over a day, until it is acknowledged. A delivery may arrive twice, always
+//! with the same id.
 
 mod post;
 mod sign;
@@ -17,7 +17,7 @@ use crate::store::{DeliveryRow, Then, Tried, WebhookRow, now_ms};
 
 pub use sign::{Secret, secret_text};
 
-/// What may be told.
+/// All event types.
 pub const TYPES: [&str; 6] = [
     "job.queued",
     "job.running",
@@ -26,7 +26,7 @@ pub const TYPES: [&str; 6] = [
     "job.cancelled",
     "round.finished",
 ];
-/// What is told where nobody says what they want.
+/// The default event types.
 pub const USUAL: [&str; 4] = [
     "job.succeeded",
     "job.failed",
@@ -34,18 +34,18 @@ pub const USUAL: [&str; 4] = [
     "round.finished",
 ];
 
-/// Waits after the first attempts, seconds, as Standard Webhooks has them; after them it is given
-/// up, 28 hours after the event.
+/// Waits after failed attempts, in seconds, as in Standard Webhooks; then the delivery is
+/// abandoned, 28 hours after the event.
 const WAITS: [i64; 7] = [5, 300, 1_800, 7_200, 18_000, 36_000, 36_000];
-/// Deliveries that are sent at a time.
+/// Maximum deliveries sent at a time.
 const AT_ONCE: usize = 32;
-/// The longest time until the database is looked at again: a clock may have been set.
+/// Maximum time between two queries of the database: a clock may have been set.
 const LOOK_EVERY: Duration = Duration::from_secs(60);
-/// After a fault of the database.
+/// Pause after a database error.
 const AFTER_FAULT: Duration = Duration::from_secs(5);
 
-/// Sends what is due until the server stops. Of what is on its way one at a time is for each
-/// address: one that is slow holds up itself alone.
+/// Sends due deliveries until the server stops. Only one delivery per webhook is in flight, so a
+/// slow endpoint delays only its own.
 pub async fn keep_telling(app: Arc<App>) {
     let mut changes = app.watch();
     let mut on_their_way = JoinSet::new();
@@ -62,13 +62,13 @@ pub async fn keep_telling(app: Arc<App>) {
             () = tokio::time::sleep(wait) => {}
             _ = changes.changed() => {}
             Some(Ok(webhook)) = on_their_way.join_next() => busy.retain(|one| *one != webhook),
-            // What is on its way is sent again at the next start.
+            // Deliveries in flight are sent again at the next start.
             () = app.shutdown.cancelled() => return,
         }
     }
 }
 
-/// Begins to send what is due, as far as there is room; how long there is nothing more to do.
+/// Starts due deliveries within the limit, and returns how long to wait for the next.
 async fn send_due(
     app: &Arc<App>,
     busy: &mut Vec<String>,
@@ -79,7 +79,7 @@ async fn send_due(
         return Ok(LOOK_EVERY);
     }
     for (mut delivery, webhook) in app.store.due_deliveries(busy, room as u32).await? {
-        // Others that share the database find it due, too.
+        // Other processes that share the database find it due too.
         if !app.store.take_delivery(&mut delivery).await? {
             continue;
         }
@@ -146,7 +146,7 @@ async fn attempt(app: &App, delivery: &DeliveryRow, webhook: &WebhookRow) -> Tri
     }
 }
 
-/// How it goes on after one more attempt that failed.
+/// What follows after another failed attempt.
 fn again(attempts_before: u32) -> Then {
     let wait = WAITS.get(attempts_before as usize);
     wait.map_or(Then::GivenUp, |seconds| Then::After(seconds * 1000))
@@ -157,7 +157,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_fails_is_tried_for_more_than_a_day_and_then_given_up() {
+    fn failed_deliveries_are_retried_for_over_a_day() {
         let mut hours = 0;
         for attempts in 0..WAITS.len() as u32 {
             match again(attempts) {

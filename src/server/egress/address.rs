@@ -1,11 +1,11 @@
-//! Which addresses are out in the world.
+//! Classification of public addresses.
 //!
-//! Whoever may name an address for webhooks has the server knock there. At those of its own network
-//! stand things that trust whoever can reach them, such as the metadata service of a cloud.
+//! Whoever may add a webhook can make the server connect to its URL. Services on inner networks,
+//! such as the metadata service of a cloud, trust everyone who can reach them.
 
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr};
 
-/// Whether an address is one that anybody in the world reaches.
+/// Returns whether an address is publicly reachable.
 pub(super) fn is_outer(address: IpAddr) -> bool {
     match address.to_canonical() {
         IpAddr::V4(address) => is_outer_v4(address),
@@ -20,13 +20,14 @@ fn is_outer_v4(address: Ipv4Addr) -> bool {
         || address.is_link_local()
         || address.is_multicast()
         || address.is_documentation()
-        // This network, shared address space, protocol assignments, benchmarks, the future.
+        // This network, shared address space, protocol assignments, 6to4 relays, benchmarks,
+        // reserved.
         || a == 0
         || (a == 100 && b & 0xc0 == 64)
         || (a == 192 && b == 0 && c == 0)
         || (a == 192 && b == 88 && c == 99)
         || (a == 198 && b & 0xfe == 18)
-        // Where a cloud answers its own machines.
+        // The platform address of a cloud, reachable only by its own machines.
         || address == Ipv4Addr::new(168, 63, 129, 16)
         || a >= 240;
     !inner
@@ -34,13 +35,13 @@ fn is_outer_v4(address: Ipv4Addr) -> bool {
 
 fn is_outer_v6(address: Ipv6Addr) -> bool {
     let [a, b, c, d, e, f, ..] = address.segments();
-    // Where a network without IPv4 reaches it, the address of IPv4 counts.
+    // NAT64: the embedded IPv4 address counts.
     if [a, b, c, d, e, f] == [0x64, 0xff9b, 0, 0, 0, 0] {
         let [.., w, x, y, z] = address.octets();
         return is_outer_v4(Ipv4Addr::new(w, x, y, z));
     }
     let is_global_unicast = a & 0xe000 == 0x2000;
-    // Documentation, and those that carry another address inside: Teredo, 6to4.
+    // Documentation, and addresses that embed another: Teredo, 6to4.
     let is_special = (a == 0x2001 && (b == 0 || b == 0xdb8)) || a == 0x2002 || a == 0x3fff;
     is_global_unicast && !is_special
 }
@@ -50,7 +51,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn only_addresses_out_in_the_world_are() {
+    fn only_public_addresses_are_outer() {
         let parse = |text: &str| text.parse::<IpAddr>().expect(text);
         for outer in [
             "1.1.1.1",

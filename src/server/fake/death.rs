@@ -1,4 +1,4 @@
-//! A worker that is killed at a moment of its choice.
+//! A worker that is killed at a given failpoint.
 
 use std::sync::OnceLock;
 use std::sync::atomic::{AtomicU32, Ordering};
@@ -6,11 +6,11 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use fled_server::{Failpoint, Watcher};
 use rustix::process::{Signal, getpid, kill_process};
 
-/// What it has to have done, and how often.
+/// The failpoint to die at, and which occurrence of it.
 static PLAN: OnceLock<(Failpoint, u32)> = OnceLock::new();
 static PASSED: AtomicU32 = AtomicU32::new(0);
 
-/// What `FLED_FAKE_DIE_AT` asks for: `named`, or `named:3` where it is the third time.
+/// Parses `FLED_FAKE_DIE_AT`: `named`, or `named:3` for the third time.
 pub fn planned() -> Result<Option<Watcher>, String> {
     let Ok(plan) = std::env::var("FLED_FAKE_DIE_AT") else {
         return Ok(None);
@@ -29,7 +29,7 @@ fn pass(failpoint: Failpoint) {
         return;
     };
     if failpoint == planned && PASSED.fetch_add(1, Ordering::Relaxed) + 1 == times {
-        // As the kernel does it when memory runs out: nothing is tidied up.
+        // Like the kernel when memory runs out: no clean-up.
         let _ = kill_process(getpid(), Signal::KILL);
         std::thread::park();
     }

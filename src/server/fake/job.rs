@@ -1,4 +1,4 @@
-//! A played job: the events and the files of `fled run`, and failures as planned.
+//! A fake job: the events and files of `fled run`, and planned failures.
 
 use std::collections::BTreeMap;
 use std::error::Error;
@@ -21,7 +21,7 @@ use glam::DVec3;
 use crate::protocol::{argument, say, tell};
 use crate::saved::Saved;
 
-/// Ticks of a stage, each a `StageAdvanced`.
+/// Ticks per stage, each a `StageAdvanced`.
 const TICKS: u64 = 10;
 
 /// Gaussians of a real scene.
@@ -33,13 +33,13 @@ struct Job {
     capture: PathBuf,
     output: PathBuf,
     options: Options,
-    /// `word` or `word:milliseconds a tick`.
+    /// `word` or `word:milliseconds per tick`.
     plan: String,
     tick: Duration,
-    /// Of the photographs, by name.
+    /// Names of the photographs.
     names: Vec<String>,
     started: Instant,
-    /// What a training goes on from, where the plan is `saves`.
+    /// The checkpoint that training resumes from, if the plan is `saves`.
     saved: Option<Saved>,
 }
 
@@ -65,7 +65,7 @@ pub fn run(arguments: &[OsString]) -> Outcome {
         started: Instant::now(),
     };
     job.play().or_else(|error| {
-        // As the real one tells faults of its disk.
+        // The real program reports disk errors in this way.
         if error.is::<io::Error>() {
             return fail("io", &error.to_string(), "Free some space.");
         }
@@ -127,7 +127,7 @@ impl Job {
         Ok(())
     }
 
-    /// One stage; found done when an earlier attempt had finished it.
+    /// Runs one stage, or skips it if an earlier attempt has finished it.
     fn stage(&self, stage: Stage, round: u32) -> Outcome {
         tell(&Event::StageStarted { stage, round });
         let mark = self.output.join(format!(".done-{}-{round}", stage.name()));
@@ -173,8 +173,8 @@ impl Job {
         Ok(())
     }
 
-    /// What is told of a training to whoever watches it. Views are held out as the options say, and
-    /// compared with ground truth where the capture has it.
+    /// Emits the events for viewers of a training. Views are held out according to the options, and
+    /// compared with ground truth if the capture has it.
     fn show_training(&self, round: u32, done: u64) -> Outcome {
         let (step, steps) = (100 * done as u32, 100 * TICKS as u32);
         let learnt = done as f64 + f64::from(round);
@@ -211,7 +211,7 @@ impl Job {
         Ok(())
     }
 
-    /// A plan that is the name of a stage lingers in it alone; one that saves does in training.
+    /// A plan named after a stage slows only that stage down; `saves` slows training down.
     fn tick_of(&self, stage: Stage) -> Duration {
         let trains = self.saved.as_ref().map(|_| Stage::Reconstruct.name());
         let plan = trains.unwrap_or(&self.plan);
@@ -223,12 +223,12 @@ impl Job {
         }
     }
 
-    /// Whether the capture brings ground truth.
+    /// Returns whether the capture has ground truth.
     fn has_truth(&self) -> bool {
         self.capture.join("gt").exists()
     }
 
-    /// Whether this is the first time, over all attempts.
+    /// Returns whether this is the first time, over all attempts.
     fn first(&self, what: &str) -> Result<bool, Box<dyn Error>> {
         let mark = self.output.join(format!(".{what}"));
         let first = !mark.exists();
@@ -276,7 +276,7 @@ impl Job {
         Ok(())
     }
 
-    /// Sparse points on a sphere around the middle.
+    /// Sparse points on a sphere around the origin.
     fn write_points(&self) -> Outcome {
         let point = |i: u32| {
             let (turn, height) = (2.4 * f64::from(i), f64::from(i) / 200.0 - 1.0);
@@ -332,7 +332,7 @@ impl Job {
         Ok(())
     }
 
-    /// A few words, or a real scene of grey balls, where the plan asks for `splats`.
+    /// Writes `words`, or a real scene of grey balls if the plan is `splats`.
     fn write_scene(&self, name: &str, words: &str) -> Outcome {
         let path = self.output.join(name);
         if self.plan != "splats" {
@@ -350,7 +350,7 @@ impl Job {
         Ok(ply::write(&scene, &path)?)
     }
 
-    /// The photograph with a gain, from where the capture has it.
+    /// Writes a photograph of the capture with a gain.
     fn picture(&self, path: &Path, name: &str, gain: f32) -> Outcome {
         fs::create_dir_all(path.parent().unwrap_or(Path::new(".")))?;
         let source = fs::read_dir(self.capture.join("images"))?
@@ -363,8 +363,7 @@ impl Job {
     }
 }
 
-/// The names of the photographs, in order; those are left out that cannot be read, as the real
-/// program does.
+/// The names of the readable photographs, in order, as the real program lists them.
 fn names(capture: &Path) -> Result<Vec<String>, Box<dyn Error>> {
     let is_read = |path: &Path| -> bool {
         let image: Result<Image, _> = Image::load_at_most(path, 16);

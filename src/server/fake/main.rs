@@ -1,7 +1,7 @@
-//! A server whose children are played, for the tests of the service.
+//! A server with fake child processes, for the tests of the service.
 //!
-//! `serve DATA ADDRESS_FILE` starts it; the other arguments are what it starts itself. What a job
-//! does is planned by its option `adapter`, the only free word that no part of the service reads.
+//! `serve DATA ADDRESS_FILE` starts it; the other verbs are the children that it starts. The option
+//! `adapter`, the only free text that the service does not interpret, plans what a job does.
 
 mod death;
 mod job;
@@ -88,13 +88,13 @@ fn serve(data: &Path, address_file: &Path) -> Result<(), Box<dyn std::error::Err
         limits: limits()?,
     };
     tokio::runtime::Runtime::new()?.block_on(async {
-        // A worker tells that it is there by an empty file.
+        // A worker has no address: its empty file shows that it is ready.
         let server = match std::env::var_os("FLED_FAKE_WORKER") {
             Some(_) => fled_server::Server::start_worker(config).await?,
             None => fled_server::Server::start(config).await?,
         };
         let address = server.address().map(|address| address.to_string());
-        // Whole, once it is there.
+        // Renamed into place, so that the file is complete once it exists.
         let beside = address_file.with_extension("tmp");
         std::fs::write(&beside, address.unwrap_or_default())?;
         std::fs::rename(beside, address_file)?;
@@ -104,7 +104,7 @@ fn serve(data: &Path, address_file: &Path) -> Result<(), Box<dyn std::error::Err
     })
 }
 
-/// As few files may be open at a time as a test says.
+/// Limits open files to the number that a test sets.
 fn limit_descriptors() -> Result<(), Box<dyn std::error::Error>> {
     let descriptors = number("FLED_FAKE_DESCRIPTORS", 0)?;
     if descriptors > 0 {
@@ -117,7 +117,7 @@ fn limit_descriptors() -> Result<(), Box<dyn std::error::Error>> {
     Ok(())
 }
 
-/// Short times, and what a test sets.
+/// Short timeouts, and what a test sets.
 fn limits() -> Result<Limits, std::num::ParseIntError> {
     Ok(Limits {
         lease: Duration::from_secs(5),
@@ -148,7 +148,7 @@ fn limits() -> Result<Limits, std::num::ParseIntError> {
     })
 }
 
-/// A time that a test sets through the environment.
+/// A duration that a test sets through the environment.
 fn milliseconds(name: &str) -> Result<Option<Duration>, std::num::ParseIntError> {
     let text = std::env::var(name).ok().map(|text| text.parse());
     Ok(text.transpose()?.map(Duration::from_millis))
@@ -159,8 +159,8 @@ fn number(name: &str, default: u64) -> Result<u64, std::num::ParseIntError> {
     std::env::var(name).map_or(Ok(default), |text| text.parse())
 }
 
-/// Draws the camera's azimuth as a shade, and depth much brighter. A scene that holds the word
-/// `crash` ends the process, `refuse` is refused, `slow` takes its time.
+/// Draws the camera's azimuth as a shade, and depth much brighter. A scene that contains `crash`
+/// ends the process, `refuse` is refused, and `slow` takes longer.
 fn render_worker() -> Result<(), Box<dyn std::error::Error>> {
     for line in io::stdin().lock().lines() {
         let request: RenderRequest = serde_json::from_str(&line?)?;
@@ -195,8 +195,8 @@ fn render_worker() -> Result<(), Box<dyn std::error::Error>> {
     Ok(())
 }
 
-/// Looks at an upload as the real one does, but dies of a photograph that is called `crash.png` and
-/// looks at `endless.png` for ever.
+/// Validates an upload like the real process, but crashes on a photograph named `crash.png` and
+/// never finishes `endless.png`.
 fn assess_worker() -> Result<(), Box<dyn std::error::Error>> {
     let mut input = io::stdin().lock();
     let mut line = String::new();

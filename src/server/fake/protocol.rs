@@ -1,4 +1,4 @@
-//! What the service tells a child, and what a child tells it, a line each on standard output.
+//! The protocol between the service and its children: one line per message on standard output.
 
 use std::ffi::OsString;
 use std::io::{self, Write};
@@ -6,10 +6,10 @@ use std::path::PathBuf;
 
 use fled_core::event::Event;
 
-/// One line of the protocol, at once.
+/// Prints and flushes one line of the protocol.
 pub fn say(line: &str) {
     let mut out = io::stdout().lock();
-    // Nobody listens any more: the server is gone, and so will be this process.
+    // If the pipe is closed, the server is gone and this process will end too.
     let _ = writeln!(out, "{line}").and_then(|()| out.flush());
 }
 
@@ -17,7 +17,7 @@ pub fn tell(event: &Event) {
     say(&serde_json::to_string(event).expect("events are plain data"));
 }
 
-/// What stands behind an argument.
+/// The value that follows an argument.
 pub fn argument(arguments: &[OsString], name: &str) -> Result<PathBuf, String> {
     let at = arguments.iter().position(|argument| argument == name);
     at.and_then(|at| arguments.get(at + 1))

@@ -1,4 +1,4 @@
-//! Checkpoints of a training that is played: one now and then, and one when it is asked to stop.
+//! Checkpoints of a fake training: one at a fixed step, and one when it is asked to stop.
 
 use std::error::Error;
 use std::fs;
@@ -13,19 +13,19 @@ use tokio::signal::unix::{SignalKind, signal};
 
 use crate::protocol::tell;
 
-/// The step after which the only one is made that nobody asks for.
+/// The step after which the only unrequested checkpoint is made.
 const BY_THE_CLOCK: u64 = 2;
 
-/// What a training goes on from.
+/// The checkpoint of a training.
 pub struct Saved {
     path: PathBuf,
     asked: Arc<AtomicBool>,
-    /// How long it takes to write one that is asked for.
+    /// How long a requested checkpoint takes to write.
     takes: Duration,
 }
 
 impl Saved {
-    /// In this file. From now on the process ends by itself when it is asked to.
+    /// Uses this file. From now on SIGTERM ends the process only after its next step.
     pub fn new(path: PathBuf) -> Result<Self, Box<dyn Error>> {
         let asked = Arc::new(AtomicBool::new(false));
         let raised = asked.clone();
@@ -45,7 +45,7 @@ impl Saved {
         })
     }
 
-    /// Steps that are done before it goes on.
+    /// The number of steps done before it resumes.
     pub fn step(&self) -> Result<u64, Box<dyn Error>> {
         let Ok(saved) = fs::read_to_string(&self.path) else {
             return Ok(0);
@@ -55,7 +55,7 @@ impl Saved {
         Ok(saved.parse()?)
     }
 
-    /// Takes note of a step; ends the process where it is asked to.
+    /// Records a step; if the process was asked to stop, saves a checkpoint and exits.
     pub fn done(&self, step: u64) -> Result<(), Box<dyn Error>> {
         let is_asked = self.asked.load(Ordering::Relaxed);
         if is_asked {
@@ -75,7 +75,7 @@ impl Saved {
         Ok(())
     }
 
-    /// Takes it away: the training is over.
+    /// Removes the checkpoint of a finished training.
     pub fn forget(&self) -> Result<(), Box<dyn Error>> {
         Ok(fs::remove_file(&self.path)?)
     }

@@ -1,4 +1,4 @@
-//! What was found out about the machine, and when.
+//! Results of the readiness checks.
 
 use std::time::Instant;
 
@@ -19,7 +19,7 @@ pub struct Check {
     pub hint: String,
 }
 
-/// A judgement and its time.
+/// Cached results and their time.
 #[derive(Clone, Debug)]
 pub struct Remembered {
     pub(super) at: Instant,

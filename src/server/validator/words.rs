@@ -1,4 +1,4 @@
-//! What the service and the process that looks at an upload say to each other, a JSON line each.
+//! The protocol between the service and a validation process, one JSON line per message.
 
 use std::path::PathBuf;
 
@@ -6,80 +6,80 @@ use serde::{Deserialize, Serialize};
 
 use crate::validation::{Assessment, Refusal, Warning};
 
-/// An upload that is to be looked at: the only line to the process but for the answer to
-/// [`AssessReply::Needs`], the bytes that it may decode at a time.
+/// A request to validate an upload: the only line sent to the process, except answers to
+/// [`AssessReply::Needs`], which are the bytes that it may decode at a time.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct AssessRequest {
     /// Its folder.
     pub dir: PathBuf,
-    /// The video that photographs are taken of first.
+    /// The video to extract frames from first.
     pub video: Option<Filming>,
-    /// What may be written, bytes.
+    /// Maximum bytes to write.
     pub room: u64,
-    /// What the process may take of the machine's memory, as address space, bytes.
+    /// Maximum address space of the process, in bytes.
     pub memory: u64,
 }
 
-/// A video, and what is wanted of it.
+/// A video and the frames to extract from it.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Filming {
     /// Its file.
     pub file: PathBuf,
-    /// The folder for the photographs.
+    /// The folder for the frames.
     pub into: PathBuf,
-    /// How many photographs.
+    /// Number of frames.
     pub frames: usize,
-    /// The program that reads videos.
+    /// The FFmpeg program.
     pub ffmpeg: PathBuf,
 }
 
-/// What the process says. The last is one of `Accepted`, `Refused`, `NotFilmed` and `NoRoom`.
+/// A reply of the process. The last one is `Accepted`, `Refused`, `NotFilmed` or `NoRoom`.
 #[derive(Debug, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum AssessReply {
-    /// Photographs were taken of the video: which.
+    /// Frames were extracted from the video; describes which.
     Filmed(String),
-    /// No photographs came of the video.
+    /// No frames could be extracted from the video.
     NotFilmed(VideoFault),
-    /// What is unpacked would take more than there is room for.
+    /// The unpacked content would exceed the available space.
     NoRoom,
-    /// The photographs that are decoded at a time take so many bytes at most. Waits for an answer.
+    /// Maximum bytes of concurrently decoded photographs. Waits for an answer.
     Needs(u64),
-    /// This photograph is looked at. If the process dies, it may be why.
+    /// Validation of this photograph begins. If the process dies, it may be the cause.
     Begins(String),
-    /// That is over.
+    /// Validation of this photograph has ended.
     Ended(String),
-    /// What became of one file, in order.
+    /// The assessment of one file, in order.
     Image(Assessment),
     /// The upload is a capture.
     Accepted {
         /// Usable photographs.
         accepted: u32,
-        /// What is worth knowing of it as a whole.
+        /// Warnings on the capture as a whole.
         warnings: Vec<Warning>,
     },
-    /// It is none. The assessments were told before.
+    /// The upload is no usable capture. The assessments precede this.
     Refused(Refusal),
 }
 
-/// Why no photographs came of a video.
+/// Why no frames could be extracted from a video.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct VideoFault {
-    /// Who or what is at fault.
+    /// The cause.
     pub kind: VideoFaultKind,
-    /// In one sentence.
+    /// What happened, in one sentence.
     pub detail: String,
     /// What to do about it.
     pub hint: String,
 }
 
-/// Who or what is at fault where no photographs come of a video.
+/// The cause of a failed extraction of frames.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum VideoFaultKind {
-    /// There is no ffmpeg.
+    /// FFmpeg is missing.
     Missing,
-    /// There is no room for the photographs.
+    /// There is too little space for the frames.
     NoRoom,
     /// The machine.
     Ours,

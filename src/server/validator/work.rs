@@ -1,4 +1,4 @@
-//! What the process does that looks at one upload.
+//! The work of a validation process.
 
 use std::cell::RefCell;
 use std::io::{self, BufRead, Write};
@@ -12,10 +12,10 @@ use super::words::{AssessReply, AssessRequest, Filming, VideoFault, VideoFaultKi
 use crate::jobs::parent_death::guarded;
 use crate::validation::{self, CaptureReport};
 
-/// Looks at the upload and says what is seen on standard output; `answers` are the service's.
+/// Validates the upload and prints replies on standard output; `answers` come from the service.
 ///
 /// # Errors
-/// When the service is gone, or the system sets no limits.
+/// When the service is gone, or the system refuses the limits.
 pub fn assess(request: &AssessRequest, answers: &mut dyn BufRead) -> io::Result<()> {
     limit(request.memory)?;
     if let Some(video) = &request.video {
@@ -37,7 +37,7 @@ pub fn assess(request: &AssessRequest, answers: &mut dyn BufRead) -> io::Result<
                 Look::Begins(name) => AssessReply::Begins(name.to_owned()),
                 Look::Ended(name) => AssessReply::Ended(name.to_owned()),
             };
-            // Nobody listens any more: the service is gone, and so will be this process.
+            // If the pipe is closed, the service is gone and this process will end too.
             let _ = say(&reply);
         },
     };
@@ -60,8 +60,7 @@ pub fn assess(request: &AssessRequest, answers: &mut dyn BufRead) -> io::Result<
     say(&last)
 }
 
-/// No more memory than this, for what is started here as well, and no picture of it on the disk
-/// where that ends badly.
+/// Limits the memory of this process and its children, and disables core dumps.
 fn limit(memory: u64) -> io::Result<()> {
     let to = |bytes| Rlimit {
         current: Some(bytes),
@@ -81,7 +80,7 @@ fn film(video: &Filming, room: u64) -> Result<String, VideoError> {
         stem: &stem,
         room,
     };
-    // It must not go on when this process is ended.
+    // It must not outlive this process.
     let command = guarded(&video.ffmpeg).map_err(|source| VideoError::Io {
         path: "the running program".into(),
         source,
@@ -103,13 +102,14 @@ fn fault(error: &VideoError) -> VideoFault {
     }
 }
 
-/// Asks for memory and waits for it. Bytes.
+/// Requests memory and waits for it. Returns bytes.
 fn borrow(bytes: u64, answers: &mut dyn BufRead) -> u64 {
     let mut answer = String::new();
     let asked = say(&AssessReply::Needs(bytes)).and_then(|()| answers.read_line(&mut answer));
     match asked.map(|_| answer.trim().parse()) {
         Ok(Ok(bytes)) => bytes,
-        // The service is gone, and so will be this process; what is least is one at a time.
+        // The service is gone, and this process will end too; with 0, photographs are decoded one
+        // at a time.
         _ => 0,
     }
 }
@@ -119,7 +119,7 @@ fn say_images(report: CaptureReport) -> io::Result<()> {
     images.try_for_each(|image| say(&AssessReply::Image(image)))
 }
 
-/// One line, at once.
+/// Prints and flushes one line.
 fn say(reply: &AssessReply) -> io::Result<()> {
     let line = serde_json::to_string(reply)?;
     let mut out = io::stdout().lock();

@@ -1,4 +1,4 @@
-//! One attempt to tell an address.
+//! One attempt at a delivery.
 
 use std::time::Duration;
 
@@ -7,11 +7,11 @@ use tokio::sync::oneshot;
 use super::sign::Signed;
 use crate::egress::{agent, reason};
 
-/// How long an address may take to answer.
+/// How long an endpoint may take to answer.
 const PATIENCE: Duration = Duration::from_secs(15);
 
-/// Sends a delivery; the status of the answer, or why there is none. `inner`: whether addresses of
-/// inner networks are told, too.
+/// Sends a delivery and returns the status of the answer, or why there is none. `inner` allows
+/// addresses of inner networks.
 pub(super) async fn post(
     url: String,
     signed: Signed,
@@ -19,9 +19,9 @@ pub(super) async fn post(
     inner: bool,
 ) -> Result<u16, String> {
     let (sender, receiver) = oneshot::channel();
-    // A thread of its own: one that waits for a slow address keeps no server from stopping.
+    // A dedicated thread: one that waits for a slow endpoint does not delay the server's stop.
     let send = move || {
-        // Nobody listens any more where the server stops.
+        // When the server stops, no one receives this.
         let _ = sender.send(send(&url, &signed, &body, inner));
     };
     let thread = std::thread::Builder::new().name("webhook".to_owned());

@@ -8,12 +8,12 @@ use sha2::Sha256;
 /// Random bytes of a secret.
 const BYTES: usize = 32;
 
-/// What deliveries of one address are signed with.
+/// The key that signs the deliveries of a webhook.
 #[derive(Debug)]
 pub struct Secret(pub Vec<u8>);
 
 impl Secret {
-    /// A new one.
+    /// Generates a new key.
     ///
     /// # Errors
     /// When the system has no randomness.
@@ -24,12 +24,12 @@ impl Secret {
     }
 }
 
-/// A secret as it is told: `whsec_` and base64.
+/// The text form of a key: `whsec_` and base64.
 pub fn secret_text(secret: &[u8]) -> String {
     format!("whsec_{}", STANDARD.encode(secret))
 }
 
-/// The headers of one attempt.
+/// The signature headers of one attempt.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) struct Signed {
     /// `webhook-id`.
@@ -41,7 +41,7 @@ pub(super) struct Signed {
 }
 
 impl Signed {
-    /// Signs what is sent at a time.
+    /// Signs a body for a given time.
     pub(super) fn new(secret: &[u8], id: &str, timestamp: i64, body: &str) -> Self {
         let mut mac =
             Hmac::<Sha256>::new_from_slice(secret).expect("HMAC takes keys of any length");
@@ -60,7 +60,7 @@ mod tests {
 
     /// The example of the specification, as its own libraries test it.
     #[test]
-    fn the_published_example_has_the_published_signature() {
+    fn the_published_example_matches() {
         let secret = STANDARD
             .decode("MfKQ9r8GKYqrTwjUPD8ILPZIo2LaLaSw")
             .expect("base64");
