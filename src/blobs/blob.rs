@@ -1,4 +1,4 @@
-//! What a blob is called, and how a file gets its name.
+//! Blob names, and hashing of files.
 
 use std::fs::{File, Metadata};
 use std::io::{self, Read};
@@ -7,23 +7,23 @@ use std::path::Path;
 
 use crate::error::{BlobError, Result};
 
-/// Digits of a digest.
+/// Hexadecimal digits of a digest.
 const DIGITS: usize = 64;
 
-/// Bytes that are read at once.
+/// Bytes per read.
 const READ: usize = 1 << 20;
 
-/// The name of some bytes, and how many they are.
+/// The digest and size of some content.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Blob {
-    /// BLAKE3 of the bytes, 64 lower hexadecimal digits.
+    /// BLAKE3 digest of the content, as 64 lowercase hexadecimal digits.
     pub digest: String,
-    /// How many.
+    /// Size of the content.
     pub bytes: u64,
 }
 
 impl Blob {
-    /// The name of `bytes`.
+    /// Hashes `bytes`.
     pub fn of(bytes: &[u8]) -> Self {
         Self::named(blake3::hash(bytes), bytes.len() as u64)
     }
@@ -36,7 +36,7 @@ impl Blob {
     }
 }
 
-/// Refuses whatever could be anything but a digest, a path for example.
+/// Rejects anything but a digest, such as a path.
 pub(crate) fn expect_digest(digest: &str) -> Result<()> {
     if is_digest(digest) {
         return Ok(());
@@ -49,11 +49,11 @@ pub(crate) fn is_digest(text: &str) -> bool {
     text.len() == DIGITS && text.bytes().all(digit)
 }
 
-/// What tells whether a file is the one that was looked at before.
+/// Metadata by which a file is recognised as unchanged.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Stamp {
     pub bytes: u64,
-    /// Since 1970.
+    /// Nanoseconds since 1970.
     pub modified_ns: i128,
     pub inode: u64,
 }
@@ -69,10 +69,10 @@ impl Stamp {
     }
 }
 
-/// The name of what is in a file now. Blocks.
+/// Hashes the current content of a file. Blocks.
 ///
 /// # Errors
-/// [`BlobError::Changed`] when it was written to meanwhile; [`BlobError::Io`].
+/// [`BlobError::Changed`] if it was written to meanwhile; [`BlobError::Io`].
 pub(crate) fn hash_file(path: &Path) -> Result<Blob> {
     let mut file = File::open(path).map_err(BlobError::io(path))?;
     let before = file.metadata().map_err(BlobError::io(path))?;
@@ -97,10 +97,10 @@ pub(crate) fn hash_file(path: &Path) -> Result<Blob> {
     Ok(Blob::named(hasher.finalize(), bytes))
 }
 
-/// Runs what blocks on a thread for such work.
+/// Runs blocking work on a thread meant for it.
 ///
 /// # Errors
-/// What `work` says; [`BlobError::Stopping`] at the end of the process.
+/// Those of `work`; [`BlobError::Stopping`] at the end of the process.
 pub(crate) async fn blocking<T: Send + 'static>(
     work: impl FnOnce() -> Result<T> + Send + 'static,
 ) -> Result<T> {

@@ -1,73 +1,73 @@
-//! What can go wrong with blobs, and what to do about it.
+//! Errors of the blob store, with advice.
 
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// Why a blob could not be kept, fetched or removed.
+/// Why a blob could not be stored, fetched or removed.
 #[derive(Debug, thiserror::Error)]
 pub enum BlobError {
-    /// No store can be opened at that location.
+    /// No store can be opened at this location.
     #[error(
         "the location of the blobs is refused: {0}; give s3://bucket/prefix, with \
          AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY, AWS_REGION and AWS_ENDPOINT in the \
          environment, or a directory"
     )]
     Location(String),
-    /// The store refused or did not answer, after all retries.
+    /// The store failed or did not answer, after all retries.
     #[error(
         "{location}: cannot {doing}: {source}; check that it can be reached from here and that its \
          credentials allow this"
     )]
     Store {
-        /// Where.
+        /// The location of the store.
         location: String,
-        /// What was wanted, for example `list the blobs`.
+        /// The attempted operation, for example `list the blobs`.
         doing: &'static str,
-        /// Why.
+        /// The cause.
         source: object_store::Error,
     },
-    /// A request broke off again and again.
+    /// A transfer broke off repeatedly.
     #[error(
         "{location}: the transfer of blob {digest} broke off {attempts} times: {source}; check the \
          network between here and there, then try again"
     )]
     BrokenOff {
-        /// Where.
+        /// The location of the store.
         location: String,
-        /// Which.
+        /// The digest of the blob.
         digest: String,
-        /// How often it was tried.
+        /// Number of attempts.
         attempts: u32,
-        /// Why it did so the last time.
+        /// The cause of the last failure.
         source: object_store::Error,
     },
-    /// The store did not answer a probe in time, or wrongly.
+    /// The store did not answer a probe in time, or answered wrongly.
     #[error(
         "{location}: {detail}; check that it can be reached from here and does not lose writes"
     )]
     NotReady {
-        /// Where.
+        /// The location of the store.
         location: String,
-        /// What the probe met.
+        /// What went wrong with the probe.
         detail: String,
     },
-    /// There is no such blob.
+    /// The blob does not exist.
     #[error(
         "blob {digest} is not in {location}: look whether this is the store that it was put into, \
          and restore it from a backup where it is"
     )]
     Missing {
-        /// Which.
+        /// The digest of the blob.
         digest: String,
-        /// Where.
+        /// The location of the store.
         location: String,
     },
-    /// A blob or a path is not what it was promised to be.
+    /// A blob or a path does not match its description.
     #[error(
         "{what} is damaged: {detail}; it was refused, restore it from a backup or make it anew"
     )]
     Damaged {
-        /// Which.
+        /// The blob or path.
         what: String,
         /// What is wrong with it.
         detail: String,
@@ -75,24 +75,24 @@ pub enum BlobError {
     /// Not a digest.
     #[error("{0:?} is no digest of a blob, which is 64 of the digits 0-9 and a-f; it was refused")]
     Digest(String),
-    /// A file was written to while it was read; nothing was kept of it.
+    /// A file was written to while it was read; nothing was stored.
     #[error("{0} changed while it was read; try again when nobody writes to it")]
     Changed(PathBuf),
     /// A local file or directory could not be used.
     #[error("{path}: {source}; check that it is there and that this user may use it")]
     Io {
-        /// Which.
+        /// The file or directory.
         path: PathBuf,
-        /// Why.
+        /// The cause.
         source: io::Error,
     },
-    /// The process ends, and its threads take no more work.
+    /// The process is ending and accepts no more blocking work.
     #[error("the process is stopping; try again after its start")]
     Stopping,
 }
 
 impl BlobError {
-    /// A [`BlobError::Io`] about `path`, for `map_err`.
+    /// Returns a constructor of [`BlobError::Io`] for `path`, for `map_err`.
     pub(crate) fn io(path: &Path) -> impl FnOnce(io::Error) -> Self + '_ {
         move |source| Self::Io {
             path: path.to_owned(),
@@ -100,11 +100,11 @@ impl BlobError {
         }
     }
 
-    /// Whether a local file is not there.
+    /// Returns whether a local file does not exist.
     pub(crate) fn is_gone(&self) -> bool {
         matches!(self, Self::Io { source, .. } if source.kind() == io::ErrorKind::NotFound)
     }
 }
 
-/// Short for results of this crate.
+/// The result type of this crate.
 pub type Result<T, E = BlobError> = std::result::Result<T, E>;

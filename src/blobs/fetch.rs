@@ -1,4 +1,4 @@
-//! Getting bytes back.
+//! Fetching blobs.
 
 use std::fs::File;
 use std::io::{self, Read, Write};
@@ -15,24 +15,24 @@ use crate::error::{BlobError, Result};
 use crate::folder::UNFINISHED;
 use crate::store::Blobs;
 
-/// How often a blob is asked for whose transfer breaks off. The requests themselves, and their
-/// rest where that is possible, are made again by `object_store`.
+/// Attempts to fetch a blob whose transfer breaks off. `object_store` itself retries requests, and
+/// resumes them where possible.
 const ATTEMPTS: u32 = 4;
 
-/// Wait before the second attempt; before each other one twice as long as before the last.
+/// Wait before the second attempt; it doubles with each further one.
 const WAIT: Duration = Duration::from_millis(500);
 
-/// How often a blob is asked for that comes, but with other bytes.
+/// Attempts to fetch a blob that arrives damaged.
 const DAMAGED_ATTEMPTS: u32 = 2;
 
-/// Bytes that are written at once.
+/// Bytes per write.
 const WRITE: usize = 1 << 20;
 
 /// Why an attempt failed.
 enum Failed {
     Damaged(String),
     BrokenOff(object_store::Error),
-    /// Another one would fail as well.
+    /// Further attempts would fail too.
     Finally(BlobError),
 }
 
@@ -43,14 +43,14 @@ impl From<BlobError> for Failed {
 }
 
 impl Blobs {
-    /// Fetches a blob into the file `to`, and creates the folders above it. What stood there
-    /// before stands there until all of the blob is on the disk and was compared with its digest.
-    /// The stamp is of the file that was written.
+    /// Fetches a blob into the file `to`, and creates its parent directories. An existing file
+    /// stays in place until the whole blob is on disk and verified against its digest. Returns the
+    /// stamp of the written file.
     ///
     /// # Errors
-    /// [`BlobError::Missing`] when there is no such blob, [`BlobError::Damaged`] when it has other
-    /// bytes than its name says, [`BlobError::BrokenOff`] when it does not come through,
-    /// [`BlobError::Store`], [`BlobError::Digest`], or [`BlobError::Io`] when it cannot be written.
+    /// [`BlobError::Missing`] if the blob does not exist, [`BlobError::Damaged`] if its content
+    /// does not match its digest, [`BlobError::BrokenOff`] if every transfer breaks off,
+    /// [`BlobError::Store`], [`BlobError::Digest`], or [`BlobError::Io`] if it cannot be written.
     pub(crate) async fn fetch(&self, blob: &Blob, to: &Path) -> Result<Stamp> {
         expect_digest(&blob.digest)?;
         let (mut broken, mut damaged) = (0, 0);
@@ -140,14 +140,14 @@ async fn take_stream<B: AsRef<[u8]>>(
     Ok(arriving)
 }
 
-/// A file that is not whole yet. It is removed unless it is renamed.
+/// An incomplete file, removed unless it is renamed.
 struct Arriving {
     file: File,
     path: PathBuf,
     renamed: bool,
     hasher: blake3::Hasher,
     bytes: u64,
-    /// Bytes that it should get.
+    /// Expected bytes.
     limit: u64,
 }
 
@@ -170,7 +170,7 @@ impl Arriving {
         })
     }
 
-    /// Writes, and hands back the emptied buffer.
+    /// Writes the buffer, and returns it emptied.
     fn take(mut self, mut buffer: Vec<u8>) -> Result<(Self, Vec<u8>)> {
         self.write(&buffer)?;
         buffer.clear();

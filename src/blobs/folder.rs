@@ -1,4 +1,4 @@
-//! The files of a folder, as far as blobs are made of them.
+//! The files of a folder that become blobs.
 
 use std::collections::BTreeSet;
 use std::io;
@@ -7,37 +7,37 @@ use std::path::{Path, PathBuf};
 use crate::blob::{Blob, Stamp};
 use crate::error::{BlobError, Result};
 
-/// How the names of files begin that are still being fetched.
+/// Name prefix of files that are still being fetched.
 pub(crate) const UNFINISHED: &str = ".fetch-";
 
-/// How many files are hashed, put or fetched at once.
+/// Number of files hashed, put or fetched concurrently.
 pub(crate) const AT_ONCE: usize = 8;
 
-/// A file of a folder, kept as a blob.
+/// A file of a folder, stored as a blob.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Kept {
-    /// Relative to the folder, with `/` between names; none of them is empty, `.` or `..`.
+    /// Relative to the folder, with `/` between names; no name is empty, `.` or `..`.
     pub path: String,
-    /// What is in it.
+    /// Its content.
     pub blob: Blob,
 }
 
-/// What lies below a folder.
+/// The files below a folder.
 #[derive(Debug, Default)]
 pub(crate) struct Listed {
     /// Relative paths of regular files.
     pub files: BTreeSet<String>,
-    /// Files whose names are not UTF-8: nobody can keep them.
+    /// Files whose names are not UTF-8 and cannot be stored.
     pub nameless: usize,
 }
 
-/// Whether a name is of what is about to be renamed or removed.
+/// Returns whether a name is that of a temporary file, about to be renamed or removed.
 pub(crate) fn is_passing(name: &str) -> bool {
     name.starts_with(UNFINISHED) || name.ends_with(".tmp")
 }
 
-/// The regular files below a folder, those aside that pass; `None` where there is no folder.
-/// Links are not followed. Blocks.
+/// Lists the regular files below a folder, except temporary ones; `None` if the folder does not
+/// exist. Symbolic links are not followed. Blocks.
 pub(crate) fn list(folder: &Path) -> Result<Option<Listed>> {
     let mut listed = Listed::default();
     let mut waiting = vec![(folder.to_owned(), String::new())];
@@ -76,7 +76,7 @@ pub(crate) fn list(folder: &Path) -> Result<Option<Listed>> {
     Ok(Some(listed))
 }
 
-/// The stamp of a regular file; `None` where there is none. Blocks.
+/// Returns the stamp of a regular file; `None` if there is none. Blocks.
 pub(crate) fn stamp(path: &Path) -> Result<Option<Stamp>> {
     use io::ErrorKind::{NotADirectory, NotFound};
     match path.symlink_metadata() {
@@ -87,10 +87,10 @@ pub(crate) fn stamp(path: &Path) -> Result<Option<Stamp>> {
     }
 }
 
-/// Where a kept file belongs.
+/// Returns the path of a stored file in the folder.
 ///
 /// # Errors
-/// [`BlobError::Damaged`] when its path could lead out of the folder.
+/// [`BlobError::Damaged`] if its path could lead out of the folder.
 pub(crate) fn place(folder: &Path, path: &str) -> Result<PathBuf> {
     let bad = |name: &str| matches!(name, "" | "." | "..") || name.contains('\0');
     if path.split('/').any(bad) {
@@ -102,7 +102,7 @@ pub(crate) fn place(folder: &Path, path: &str) -> Result<PathBuf> {
     Ok(folder.join(path))
 }
 
-/// Refuses a place that a link within the folder leads elsewhere. Blocks.
+/// Rejects a file below a symbolic link within the folder. Blocks.
 pub(crate) fn expect_no_links(folder: &Path, file: &Path) -> Result<()> {
     let above = file.ancestors().skip(1);
     for directory in above.take_while(|directory| *directory != folder) {

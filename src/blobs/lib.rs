@@ -1,6 +1,6 @@
-//! Files as blobs: named by what is in them, kept in a directory that all machines share or in an
-//! S3 bucket. What a blob is for, a database says that this crate knows nothing of; the files of a
-//! machine are a cache of both, and [`push`] and [`pull`] keep the two alike.
+//! Content-addressed storage of files, in a directory that all machines share or in an S3 bucket. A
+//! database, of which this crate knows nothing, records what each blob is for. The files of a
+//! machine are a cache of both, which [`push`] and [`pull`] synchronise.
 
 mod blob;
 mod error;

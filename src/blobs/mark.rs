@@ -1,18 +1,18 @@
-//! A few words in a store: whose it is.
+//! The mark of a store, which names its owner.
 
 use object_store::{ObjectStoreExt, PutPayload};
 
 use crate::error::Result;
 use crate::store::Blobs;
 
-/// Longer ones are not ours; no more of them is read.
+/// Maximum bytes read; longer marks are not ours.
 const LONGEST: usize = 200;
 
 impl Blobs {
-    /// What [`Blobs::set_mark`] has written last, if anything was.
+    /// Returns the mark last written by [`Blobs::set_mark`], if any.
     ///
     /// # Errors
-    /// [`BlobError::Store`](crate::BlobError::Store) when that cannot be read.
+    /// [`BlobError::Store`](crate::BlobError::Store) if it cannot be read.
     pub async fn mark(&self) -> Result<Option<String>> {
         let failed = |error| self.failed("read the mark", error);
         let got = match self.store().get(&self.below("mark")).await {
@@ -24,10 +24,10 @@ impl Blobs {
         Ok(Some(String::from_utf8_lossy(words).into_owned()))
     }
 
-    /// Writes a mark of up to 200 bytes in place of the one that is there.
+    /// Writes a mark of up to 200 bytes, replacing an existing one.
     ///
     /// # Errors
-    /// [`BlobError::Store`](crate::BlobError::Store) when it cannot be written.
+    /// [`BlobError::Store`](crate::BlobError::Store) if it cannot be written.
     pub async fn set_mark(&self, mark: &str) -> Result<()> {
         let words = PutPayload::from(mark.to_owned());
         let put = self.store().put(&self.below("mark"), words).await;

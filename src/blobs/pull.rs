@@ -1,4 +1,4 @@
-//! From blobs to a folder.
+//! Synchronisation from blobs to a folder.
 
 use std::collections::BTreeSet;
 use std::io;
@@ -12,40 +12,40 @@ use crate::folder::{AT_ONCE, Kept, expect_no_links, list, place, stamp};
 use crate::seen::Seen;
 use crate::store::Blobs;
 
-/// What [`pull`] did.
+/// Totals of [`pull`].
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Pulled {
-    /// Files that were fetched.
+    /// Files fetched.
     pub files: usize,
-    /// Bytes of them.
+    /// Their bytes.
     pub bytes: u64,
-    /// Files that were removed.
+    /// Files removed.
     pub removed: usize,
 }
 
-/// A kept file that is not known to be there.
+/// A stored file that is not known to be present.
 struct Absent {
     kept: Kept,
     folder: PathBuf,
     file: PathBuf,
-    /// What stands there now.
+    /// The stamp of the existing file.
     stamp: Option<Stamp>,
 }
 
-/// What is there afterwards.
+/// A file that is present after the pull.
 struct Present {
     kept: Kept,
     stamp: Stamp,
     fetched: bool,
 }
 
-/// Makes the files of `folder` what `kept` says: fetches what is missing or different, eight at a
-/// time. Where `exact` is given, removes the other regular files for which it is true, as soon as
-/// all of `kept` is there. A file under its own name is always whole, before and after.
+/// Makes the files of `folder` match `kept`: fetches missing and different ones, eight at a time.
+/// If `exact` is given, removes the other regular files that it accepts, once all of `kept` is
+/// present. A file under its final name is always complete.
 ///
 /// # Errors
-/// [`BlobError::Damaged`] when a path could lead out of the folder, or stands there twice, before
-/// anything is done; whatever a fetch says that failed, with the files fetched until then in place.
+/// [`BlobError::Damaged`], before anything is done, if a path could lead out of the folder or
+/// occurs twice; the error of a failed fetch, with the files fetched so far in place.
 pub async fn pull(
     blobs: &Blobs,
     kept: &[Kept],
@@ -104,7 +104,7 @@ pub async fn pull(
     Ok(pulled)
 }
 
-/// Every kept file, with what stands in its place.
+/// Pairs every file with the stamp of the existing one.
 fn placed(folder: &Path, kept: Vec<Kept>) -> Result<Vec<Absent>> {
     let placed = kept.into_iter().map(|kept| {
         let file = place(folder, &kept.path)?;
@@ -132,7 +132,7 @@ async fn bring(blobs: Blobs, absent: Absent) -> Result<Present> {
     {
         let there = file.clone();
         let blob = match blocking(move || hash_file(&there)).await {
-            // It is replaced anyway.
+            // It will be replaced anyway.
             Err(BlobError::Changed(_)) => None,
             Err(error) if error.is_gone() => None,
             blob => Some(blob?),

@@ -1,4 +1,4 @@
-//! From a folder to blobs.
+//! Synchronisation from a folder to blobs.
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
@@ -11,19 +11,19 @@ use crate::folder::{AT_ONCE, Kept, is_passing, list, stamp};
 use crate::seen::Seen;
 use crate::store::Blobs;
 
-/// What [`push`] found, in order of the paths.
+/// The result of [`push`], in order of the paths.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Pushed {
-    /// Files that are new or changed, and now lie in the store.
+    /// New or changed files, now in the store.
     pub kept: Vec<Kept>,
-    /// Paths that were known and wanted, and have no file any more.
+    /// Known and wanted paths whose files no longer exist.
     pub gone: Vec<String>,
-    /// Files that changed or went while they were looked at, or have a name that is not UTF-8.
-    /// Nothing is said about them this time.
+    /// Files that changed or disappeared during the push, or whose names are not UTF-8. Their state
+    /// is left open this time.
     pub skipped: usize,
 }
 
-/// A file that is to be looked into.
+/// A file to examine.
 struct Candidate {
     path: String,
     file: PathBuf,
@@ -31,22 +31,21 @@ struct Candidate {
     known: Option<Blob>,
 }
 
-/// What is in a candidate, and whether it is now in the store, because it was not known.
+/// The content of a candidate, and whether it was unknown and has been put into the store.
 struct Looked {
     candidate: Candidate,
     blob: Blob,
     put: bool,
 }
 
-/// Puts all regular files below `folder` that are `wanted`, by their relative path, and are not
-/// what `known` says of that path. Eight at a time. Links, and names that end in `.tmp` or begin
-/// with `.fetch-`, are never looked at.
+/// Puts all regular files below `folder` whose relative path is `wanted` and whose content differs
+/// from `known`, eight at a time. Symbolic links, and names that end in `.tmp` or begin with
+/// `.fetch-`, are ignored.
 ///
 /// # Errors
-/// [`BlobError::Io`] when something of the folder cannot be read, or when the whole folder is not
-/// there though files of it are known: an empty disk must not count as everything deleted.
-/// [`BlobError::Store`] when a file cannot be put. Whatever was put until then is found again by
-/// the next call.
+/// [`BlobError::Io`] if the folder cannot be read, or does not exist although it has known files:
+/// an empty disk must not count as a deletion of everything. [`BlobError::Store`] if a file cannot
+/// be put. The next call reuses what was put until then.
 pub async fn push(
     blobs: &Blobs,
     folder: &Path,
@@ -116,7 +115,7 @@ struct LookedAt {
     skipped: usize,
 }
 
-/// The stamps of files that were listed, and what became of those that were missing in the list.
+/// Stamps the listed files, and checks those missing from the list.
 fn look_at(folder: &Path, paths: Vec<String>, missing: Vec<String>) -> Result<LookedAt> {
     let mut looked_at = LookedAt::default();
     for path in paths {
@@ -126,7 +125,7 @@ fn look_at(folder: &Path, paths: Vec<String>, missing: Vec<String>) -> Result<Lo
         }
     }
     for path in missing {
-        // Replaced while the folder was listed: some file systems then list neither.
+        // Replaced while the folder was listed: some file systems then list neither file.
         if stamp(&folder.join(&path))?.is_some() {
             looked_at.skipped += 1;
         } else {
@@ -137,7 +136,7 @@ fn look_at(folder: &Path, paths: Vec<String>, missing: Vec<String>) -> Result<Lo
     Ok(looked_at)
 }
 
-/// `None` when the file changed or went meanwhile.
+/// Returns `None` if the file changed or disappeared meanwhile.
 async fn look(blobs: Blobs, candidate: Candidate) -> Result<Option<Looked>> {
     let looked = match look_into(&blobs, &candidate).await {
         Err(BlobError::Changed(_)) => None,
@@ -168,7 +167,7 @@ async fn look_into(blobs: &Blobs, candidate: &Candidate) -> Result<(Blob, bool)>
         }
     }
     let blob = blobs.put(&candidate.file).await?;
-    // Changed back since it was hashed above.
+    // It may have changed back since it was hashed above.
     let put = candidate.known.as_ref() != Some(&blob);
     Ok((blob, put))
 }

@@ -1,4 +1,4 @@
-//! Keeping bytes.
+//! Storing blobs.
 
 use std::fs::File;
 use std::io::{Cursor, Read};
@@ -13,26 +13,26 @@ use crate::blob::{Blob, Stamp, blocking, hash_file};
 use crate::error::{BlobError, Result};
 use crate::store::{Blobs, UPLOADING_MIB, age_of};
 
-/// Up to here bytes are sent in one request, from memory.
+/// Maximum size of content sent in one request, from memory.
 const SMALL: u64 = 16 << 20;
 
-/// Bytes of a part of what is larger.
+/// Minimum size of a part of larger content.
 const PART: u64 = 8 << 20;
 
-/// Parts that an upload may have; S3 takes 10 000.
+/// Maximum parts of an upload; S3 accepts 10 000.
 const PARTS: u64 = 9_000;
 
-/// How old a blob may be that is not sent again. The janitor deletes what nobody named for 24
-/// hours, and whoever keeps a blob names it only afterwards: half a day is left for that.
+/// Maximum age of a blob that is not sent again. The janitor deletes blobs that have been unnamed
+/// for 24 hours, and a blob is named only after it was put: that leaves half a day.
 const FRESH: Duration = Duration::from_secs(12 * 60 * 60);
 
 impl Blobs {
-    /// Keeps what is in a file now. Nothing is sent when the store has it since less than twelve
-    /// hours. Reads a large file twice, and holds little of it in memory.
+    /// Stores the current content of a file. Sends nothing if the store has had it for less than
+    /// twelve hours. Reads a large file twice, and holds little of it in memory.
     ///
     /// # Errors
-    /// [`BlobError::Changed`] when it was written to meanwhile, then nothing is kept;
-    /// [`BlobError::Io`] when it cannot be read or is no regular file; [`BlobError::Store`].
+    /// [`BlobError::Changed`] if it was written to meanwhile, in which case nothing is stored;
+    /// [`BlobError::Io`] if it cannot be read or is no regular file; [`BlobError::Store`].
     pub async fn put(&self, path: &Path) -> Result<Blob> {
         let file = path.to_owned();
         let bytes = blocking(move || length(&file)).await?;
@@ -54,7 +54,7 @@ impl Blobs {
         Ok(blob)
     }
 
-    /// Keeps `bytes`, as [`Blobs::put`] does.
+    /// Stores `bytes` like [`Blobs::put`].
     ///
     /// # Errors
     /// [`BlobError::Store`].
@@ -74,7 +74,7 @@ impl Blobs {
         Ok(blob)
     }
 
-    /// Waits until that much may be held in memory and sent.
+    /// Waits until this many bytes may be held in memory and sent.
     async fn room(&self, bytes: u64) -> Result<OwnedSemaphorePermit> {
         let mib = u32::try_from(bytes.div_ceil(1 << 20)).unwrap_or(u32::MAX);
         let mib = mib.clamp(1, UPLOADING_MIB);
@@ -82,7 +82,7 @@ impl Blobs {
         room.map_err(|_| BlobError::Stopping)
     }
 
-    /// Whether nothing need be sent.
+    /// Returns whether the store has the blob, and recently enough not to send it again.
     async fn has_fresh(&self, blob: &Blob) -> Result<bool> {
         let found = self.look(&blob.digest).await?;
         Ok(found.is_some_and(|object| object.size == blob.bytes && age_of(&object) < FRESH))
@@ -121,8 +121,8 @@ impl Blobs {
         sent
     }
 
-    /// Sends all parts. Whatever was read in between is not what the first reading saw is
-    /// [`BlobError::Changed`], while nothing of it is visible yet.
+    /// Sends all parts. Fails with [`BlobError::Changed`], before anything is visible, if the
+    /// content differs from the first reading.
     async fn read_and_send<R>(
         &self,
         upload: &mut dyn MultipartUpload,
@@ -142,7 +142,7 @@ impl Blobs {
                 break;
             }
             let sending = upload.put_part(PutPayload::from(part));
-            // Tasks, because they must get on while this one waits for room.
+            // Tasks, because they must progress while this one waits for room.
             parts.spawn(async move {
                 let sent = sending.await;
                 drop(room);
@@ -173,7 +173,7 @@ impl Blobs {
     }
 }
 
-/// Bytes of a regular file. Of anything else, a pipe for example, one could read for ever.
+/// Returns the size of a regular file. Reading anything else, such as a pipe, could go on forever.
 fn length(path: &Path) -> Result<u64> {
     let metadata = std::fs::metadata(path).map_err(BlobError::io(path))?;
     if !metadata.is_file() {
@@ -183,7 +183,7 @@ fn length(path: &Path) -> Result<u64> {
     Ok(metadata.len())
 }
 
-/// What is in a small file.
+/// Reads and hashes a small file.
 fn read_small(path: &Path) -> Result<(Vec<u8>, Blob)> {
     let mut file = File::open(path).map_err(BlobError::io(path))?;
     let before = file.metadata().map_err(BlobError::io(path))?;
@@ -199,7 +199,7 @@ fn read_small(path: &Path) -> Result<(Vec<u8>, Blob)> {
     Ok((bytes, blob))
 }
 
-/// A source that is read part by part, and what was read of it.
+/// A source that is read in parts, with the hash of what was read so far.
 struct Reading<R> {
     source: R,
     path: PathBuf,
@@ -217,7 +217,7 @@ impl<R: Read> Reading<R> {
         }
     }
 
-    /// The next part; it is short only at the end. Blocks.
+    /// Reads the next part, which is short only at the end. Blocks.
     fn next(mut self, size: u64) -> Result<(Self, Vec<u8>)> {
         let mut part = Vec::with_capacity(usize::try_from(size).unwrap_or(0));
         let mut limited = (&mut self.source).take(size);

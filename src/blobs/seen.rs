@@ -1,34 +1,34 @@
-//! What is known of local files.
+//! Cached digests of local files.
 
 use std::collections::{BTreeSet, HashMap};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use crate::blob::Stamp;
 
-/// How long a file must not have been written to before its digest is believed the next time.
+/// How long a file must have been unchanged before its digest is cached.
 const SETTLED: Duration = Duration::from_secs(2);
 
-/// Digests of the files of one folder, so that those that did not change are not read again. One
-/// belongs to each folder; it may be thrown away at any time.
+/// Cached digests of the files of one folder, so that unchanged files are not read again. Each
+/// folder needs its own cache, which may be dropped at any time.
 ///
-/// A file counts as unchanged while size, time of change in nanoseconds, and inode are the same. A
-/// change of the same size within one tick of the file system's clock would go unnoticed: so a
-/// digest that was read within two seconds of a change is not remembered. Of a file that was
-/// fetched it is, and who then overwrites that file in place, at once, and with as many bytes, is
-/// not noticed; jobs replace files by renaming, which changes the inode.
+/// A file counts as unchanged while its size, modification time in nanoseconds, and inode are the
+/// same. A change to the same size within one tick of the file system's clock would go unnoticed,
+/// so a digest read within two seconds of a change is not cached. The digest of a fetched file is:
+/// an immediate overwrite in place with the same size would go unnoticed, but jobs replace files by
+/// renaming, which changes the inode.
 #[derive(Debug, Default)]
 pub struct Seen {
     files: HashMap<String, (Stamp, String)>,
 }
 
 impl Seen {
-    /// The digest of a file that is the same as before.
+    /// Returns the digest of a file if its stamp is unchanged.
     pub(crate) fn digest(&self, path: &str, stamp: Stamp) -> Option<&str> {
         let (before, digest) = self.files.get(path)?;
         (*before == stamp).then_some(digest)
     }
 
-    /// Remembers a file that was read, if it rests.
+    /// Caches the digest of a file that was read, if the file is at rest.
     pub(crate) fn read(&mut self, path: String, stamp: Stamp, digest: String) {
         let now = SystemTime::now().duration_since(UNIX_EPOCH);
         let now_ns = now.map_or(0, |now| now.as_nanos().cast_signed());
@@ -39,12 +39,12 @@ impl Seen {
         }
     }
 
-    /// Remembers a file that was just written by us.
+    /// Caches the digest of a file that this process has just written.
     pub(crate) fn written(&mut self, path: String, stamp: Stamp, digest: String) {
         self.files.insert(path, (stamp, digest));
     }
 
-    /// Forgets whatever is no longer in the folder.
+    /// Drops files that are no longer in the folder.
     pub(crate) fn forget_all_but(&mut self, files: &BTreeSet<String>) {
         self.files.retain(|path, _| files.contains(path));
     }

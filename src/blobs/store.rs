@@ -1,11 +1,11 @@
-//! Where blobs are kept: a directory that all machines share, or a bucket.
+//! The blob store: a directory that all machines share, or a bucket.
 //!
 //! ```text
 //! <prefix>/blobs/ab/<64 digits that begin with ab>   <prefix>/probes/<id>   <prefix>/mark
 //! ```
-//! What breaks off leaves no blob: an object appears whole or not at all. What it may leave goes
-//! from a directory by [`Blobs::delete_unfinished`]. In a bucket it is the parts of an upload,
-//! which nobody lists; a lifecycle rule with `AbortIncompleteMultipartUpload` removes them.
+//! An interrupted upload leaves no blob: an object appears completely or not at all. In a directory
+//! it may leave files, which [`Blobs::delete_unfinished`] removes. In a bucket it may leave
+//! unlisted parts, which a lifecycle rule with `AbortIncompleteMultipartUpload` removes.
 
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -24,20 +24,20 @@ use uuid::Uuid;
 use crate::blob::{Blob, blocking, expect_digest, is_digest};
 use crate::error::{BlobError, Result};
 
-/// How long a request may make no progress.
+/// How long a request may stall.
 const SILENCE: Duration = Duration::from_secs(30);
 
-/// How long a request that fails is made again.
+/// How long a failing request is retried.
 const PATIENCE: Duration = Duration::from_secs(60);
 
 /// How long a probe may take.
 const PROBE: Duration = Duration::from_secs(10);
 
-/// MiB that uploads hold in memory and have on their way at one time. A slow line must carry all
-/// of it within [`SILENCE`].
+/// MiB that uploads hold in memory and have in flight. A slow line must carry all of it within
+/// [`SILENCE`].
 pub(crate) const UPLOADING_MIB: u32 = 32;
 
-/// Where blobs are kept. Cheap to clone; clones share their limits.
+/// A blob store. Cheap to clone; clones share their limits.
 #[derive(Clone)]
 pub struct Blobs {
     shared: Arc<Shared>,
@@ -47,10 +47,11 @@ struct Shared {
     store: Arc<dyn ObjectStore>,
     prefix: Key,
     location: String,
-    /// Where it is a directory.
+    /// Its path, if it is a directory.
     directory: Option<PathBuf>,
     uploading: Arc<Semaphore>,
-    /// The name of this process's probe, so that what breaks off leaves one and not thousands.
+    /// The name of this process's probe, reused so that interrupted probes leave one object, not
+    /// thousands.
     probe: Mutex<Uuid>,
 }
 
@@ -61,12 +62,12 @@ impl fmt::Debug for Blobs {
 }
 
 impl Blobs {
-    /// Opens `s3://bucket/prefix`, the rest of it by `object_store`'s `AWS_*` variables (among them
+    /// Opens `s3://bucket/prefix`, configured by `object_store`'s `AWS_*` variables (among them
     /// `AWS_ENDPOINT`, `AWS_REGION`, `AWS_ALLOW_HTTP`), or a directory, also as `file://` and an
-    /// absolute path; it is created. Asks the bucket nothing: see [`Blobs::check`].
+    /// absolute path, which is created. Does not contact the bucket: see [`Blobs::check`].
     ///
     /// # Errors
-    /// [`BlobError::Location`] or [`BlobError::Io`] when there can be no store.
+    /// [`BlobError::Location`] or [`BlobError::Io`] if no store can be opened there.
     pub fn open(location: &str) -> Result<Self> {
         let location = location.trim();
         if let Some(place) = location.strip_prefix("s3://") {
@@ -80,7 +81,7 @@ impl Blobs {
             return Err(BlobError::Location("it is empty".into()));
         }
         if path.contains("://") || (path.len() < location.len() && !path.starts_with('/')) {
-            // Not repeated: addresses may have passwords in them.
+            // Not repeated: URLs may contain passwords.
             return Err(BlobError::Location("it is neither s3:// nor a path".into()));
         }
         Self::directory(Path::new(path))
@@ -97,8 +98,8 @@ impl Blobs {
         Ok(blobs)
     }
 
-    /// `place` is `bucket/prefix`; `settings` are named as the `AWS_*` variables; requests that
-    /// fail are made again for `patience`.
+    /// Opens `bucket/prefix` with settings named like the `AWS_*` variables; failing requests are
+    /// retried for `patience`.
     pub(crate) fn bucket(
         place: &str,
         settings: impl IntoIterator<Item = (String, String)>,
@@ -116,7 +117,7 @@ impl Blobs {
         let mut builder = AmazonS3Builder::new()
             .with_retry(retries(patience))
             .with_client_options(timeouts())
-            // One blob is deleted at a time, which every server knows.
+            // Blobs are deleted one at a time, which every server supports.
             .with_disable_bulk_delete(true);
         for (name, value) in settings {
             if let Some(key) = setting(&name) {
@@ -151,16 +152,16 @@ impl Blobs {
         }
     }
 
-    /// Where it is, without secrets, for people.
+    /// The location without secrets, for messages.
     pub fn location(&self) -> &str {
         &self.shared.location
     }
 
-    /// Writes, reads back and deletes a small probe: whether blobs can be kept now. Takes ten
+    /// Writes, reads back and deletes a small probe to check that blobs can be stored. Takes ten
     /// seconds at most.
     ///
     /// # Errors
-    /// [`BlobError::NotReady`] or [`BlobError::Store`] when they cannot.
+    /// [`BlobError::NotReady`] or [`BlobError::Store`] if they cannot.
     pub async fn check(&self) -> Result<()> {
         tokio::time::timeout(PROBE, self.probe())
             .await
@@ -171,7 +172,7 @@ impl Blobs {
     }
 
     async fn probe(&self) -> Result<()> {
-        // One at a time, since they share the name.
+        // One at a time, since probes share a name.
         let name = self.shared.probe.lock().await;
         let key = self.below("probes").join(name.to_string());
         let written = Uuid::now_v7().to_string();
@@ -190,12 +191,12 @@ impl Blobs {
         Ok(())
     }
 
-    /// Every blob whose digest begins with this byte and that was last written longer ago than
-    /// `age`, by this machine's clock against the store's. One byte at a time: a store has more
-    /// blobs than a process has memory for.
+    /// Returns every blob whose digest begins with this byte and that was last written more than
+    /// `age` ago, comparing this machine's clock with the store's. One byte at a time, because a
+    /// store may have more blobs than fit into memory.
     ///
     /// # Errors
-    /// [`BlobError::Store`] when they cannot be listed.
+    /// [`BlobError::Store`] if they cannot be listed.
     pub async fn older_than(&self, first: u8, age: Duration) -> Result<Vec<Blob>> {
         let folder = self.below("blobs").join(format!("{first:02x}"));
         let mut listed = self.store().list(Some(&folder));
@@ -214,10 +215,10 @@ impl Blobs {
         Ok(old)
     }
 
-    /// Whether no blob is there.
+    /// Returns whether the store has no blob.
     ///
     /// # Errors
-    /// [`BlobError::Store`] when they cannot be listed.
+    /// [`BlobError::Store`] if they cannot be listed.
     pub async fn is_empty(&self) -> Result<bool> {
         let first = self.store().list(Some(&self.below("blobs"))).next().await;
         let first = first.transpose();
@@ -225,7 +226,7 @@ impl Blobs {
         Ok(first.is_none())
     }
 
-    /// Removes a blob, if it is there.
+    /// Removes a blob, if it exists.
     pub(crate) async fn delete(&self, digest: &str) -> Result<()> {
         expect_digest(digest)?;
         match self.store().delete(&self.key(digest)).await {
@@ -234,9 +235,9 @@ impl Blobs {
         }
     }
 
-    /// Removes a blob if it is still older than `age`, and says whether it did. Who lists first and
-    /// deletes later would otherwise delete what was put again meanwhile. Between the look and the
-    /// removal there is still a moment; who names blobs must exclude that one by itself.
+    /// Removes a blob if it is still older than `age`, and returns whether it did. The check
+    /// protects blobs that were put again since they were listed. A moment remains between check
+    /// and removal, which code that names blobs must exclude itself.
     ///
     /// # Errors
     /// [`BlobError::Digest`] or [`BlobError::Store`].
@@ -248,11 +249,11 @@ impl Blobs {
         }
     }
 
-    /// Removes what uploads that broke off longer ago than `age` left in a directory, and says how
-    /// many files that were. In a bucket there is nothing to delete, see the head of this file.
+    /// Removes the remains of uploads to a directory that broke off more than `age` ago, and
+    /// returns how many files. In a bucket there is nothing to delete, see the head of this file.
     ///
     /// # Errors
-    /// [`BlobError::Io`] when the directory cannot be read.
+    /// [`BlobError::Io`] if the directory cannot be read.
     pub async fn delete_unfinished(&self, age: Duration) -> Result<usize> {
         let Some(directory) = self.shared.directory.clone() else {
             return Ok(0);
@@ -268,7 +269,7 @@ impl Blobs {
         self.shared.uploading.clone()
     }
 
-    /// Where a blob lies; the digest is one.
+    /// The key of a blob; `digest` must be one.
     pub(crate) fn key(&self, digest: &str) -> Key {
         let folder = digest.get(..2).unwrap_or_default().to_owned();
         self.below("blobs").join(folder).join(digest.to_owned())
@@ -278,7 +279,7 @@ impl Blobs {
         self.shared.prefix.clone().join(name)
     }
 
-    /// What the store says of a blob, if it is there.
+    /// Returns the metadata of a blob, if it exists.
     pub(crate) async fn look(&self, digest: &str) -> Result<Option<ObjectMeta>> {
         match self.store().head(&self.key(digest)).await {
             Ok(object) => Ok(Some(object)),
@@ -303,12 +304,12 @@ impl Blobs {
     }
 }
 
-/// Whoever uses TLS must have chosen who computes it; fled's other clients choose the same.
+/// A TLS client needs a chosen cryptography provider; fled's other clients use the same one.
 fn choose_tls() {
     let _already_chosen = rustls::crypto::ring::default_provider().install_default();
 }
 
-/// How long ago an object was written; nothing where the clock of the store is ahead.
+/// The age of an object; zero if the store's clock is ahead.
 pub(crate) fn age_of(object: &ObjectMeta) -> Duration {
     let written = SystemTime::from(object.last_modified);
     written.elapsed().unwrap_or_default()
@@ -328,20 +329,20 @@ fn retries(patience: Duration) -> RetryConfig {
             max_backoff: Duration::from_secs(8),
             base: 3.0,
         },
-        // The waits are random, and may all be short: time ends it, not their number.
+        // The waits are random and may all be short: the time limit ends them, not their number.
         max_retries: 100,
         retry_timeout: patience,
     }
 }
 
 fn timeouts() -> ClientOptions {
-    // No limit for a request as a whole: that is a question of how large a blob is.
+    // No limit for a whole request, which depends on the size of the blob.
     ClientOptions::new()
         .with_timeout_disabled()
         .with_read_timeout(SILENCE)
 }
 
-/// Removes old `<name>#<number>`, as `object_store` calls files that it has not renamed yet.
+/// Removes old `<name>#<number>` files, as `object_store` names files before renaming them.
 fn delete_unfinished(blobs: &Path, age: Duration) -> Result<usize> {
     let mut deleted = 0;
     for folder in entries(blobs)? {
@@ -350,7 +351,8 @@ fn delete_unfinished(blobs: &Path, age: Duration) -> Result<usize> {
             let unfinished = name.split_once('#').is_some_and(|(digest, number)| {
                 is_digest(digest) && number.bytes().all(|byte| byte.is_ascii_digit())
             });
-            // Whoever is just renaming it is not hindered: then it is not there any more.
+            // If the file is just being renamed, it no longer exists and the rename is not
+            // disturbed.
             let old = || {
                 let written = path.metadata().and_then(|metadata| metadata.modified());
                 written.is_ok_and(|time| time.elapsed().is_ok_and(|elapsed| elapsed > age))
@@ -363,7 +365,7 @@ fn delete_unfinished(blobs: &Path, age: Duration) -> Result<usize> {
     Ok(deleted)
 }
 
-/// What is in a directory; nothing where there is none.
+/// Lists a directory; empty if it does not exist.
 fn entries(directory: &Path) -> Result<Vec<PathBuf>> {
     use std::io::ErrorKind::{NotADirectory, NotFound};
     let entries = match std::fs::read_dir(directory) {

@@ -1,4 +1,4 @@
-//! What all tests of this crate share.
+//! Helpers of all tests of this crate.
 
 mod blobs;
 mod damage;
@@ -17,7 +17,7 @@ use crate::{Blob, Blobs};
 
 const HOUR: Duration = Duration::from_secs(60 * 60);
 
-/// Bytes that look like chance and are always the same.
+/// Deterministic pseudo-random bytes.
 fn noise(seed: u64, bytes: usize) -> Vec<u8> {
     let mut noise = vec![0; bytes];
     let mut hasher = blake3::Hasher::new();
@@ -32,7 +32,7 @@ fn directory() -> (TempDir, Blobs) {
     (dir, blobs)
 }
 
-/// Where the object of a blob lies below `root`, a directory of blobs.
+/// The path of a blob's object below `root`, a directory of blobs.
 fn object(root: &Path, blob: &Blob) -> PathBuf {
     root.join("blobs")
         .join(&blob.digest[..2])
@@ -44,7 +44,7 @@ fn set_age(file: &Path, age: Duration) {
     file.set_modified(SystemTime::now() - age).unwrap();
 }
 
-/// All blobs that are older, whatever their digests begin with.
+/// All blobs older than `age`, whatever their digests begin with.
 async fn older_than(blobs: &Blobs, age: Duration) -> Vec<Blob> {
     let mut old = Vec::new();
     for first in 0..=u8::MAX {

@@ -1,4 +1,4 @@
-//! What both kinds of store do alike, and how they are opened.
+//! The common behaviour of both kinds of store, and their locations.
 
 use std::fs;
 use std::path::Path;
@@ -10,7 +10,7 @@ use crate::{Blob, BlobError, Blobs};
 
 const PATIENCE: Duration = Duration::from_secs(5);
 
-/// Puts a file of so many bytes, and fetches it to elsewhere.
+/// Puts a file of this size, and fetches it to another path.
 async fn round_trip(blobs: &Blobs, bytes: usize) {
     let work = tempfile::tempdir().unwrap();
     let written = noise(bytes as u64, bytes);
@@ -24,7 +24,7 @@ async fn round_trip(blobs: &Blobs, bytes: usize) {
     assert_eq!(names(to.parent().unwrap()), ["to"]);
 }
 
-/// The kinds of store, with the folder where their objects lie.
+/// Runs a test on both kinds of store, with the folder of their objects.
 async fn each_kind(test: impl AsyncFn(Blobs, &Path)) {
     let (dir, blobs) = directory();
     test(blobs, dir.path()).await;
@@ -35,7 +35,7 @@ async fn each_kind(test: impl AsyncFn(Blobs, &Path)) {
 #[tokio::test]
 async fn files_come_back_as_they_were() {
     each_kind(async |blobs, _| {
-        // Nothing, little, around one chunk, and around the largest that goes in one request.
+        // Nothing, little, around one chunk, and around the largest that fits into one request.
         for bytes in [0, 1, (1 << 20) - 1, 1 << 20, 16 << 20, (16 << 20) + 1] {
             round_trip(&blobs, bytes).await;
         }
@@ -55,14 +55,14 @@ async fn large_files_go_in_parts() {
 }
 
 #[tokio::test]
-async fn a_mark_is_what_was_written_last() {
+async fn the_last_written_mark_is_read() {
     each_kind(async |blobs, _| {
         assert_eq!(blobs.mark().await.unwrap(), None);
         for mark in ["one", "another"] {
             blobs.set_mark(mark).await.unwrap();
             assert_eq!(blobs.mark().await.unwrap().as_deref(), Some(mark));
         }
-        // It is no blob, and nothing that broke off.
+        // It is neither a blob nor the remains of an upload.
         assert_eq!(older_than(&blobs, Duration::ZERO).await, []);
         assert!(blobs.is_empty().await.unwrap());
         assert_eq!(blobs.delete_unfinished(Duration::ZERO).await.unwrap(), 0);
@@ -74,7 +74,7 @@ async fn a_mark_is_what_was_written_last() {
 }
 
 #[tokio::test]
-async fn bytes_are_kept_like_files() {
+async fn bytes_are_stored_like_files() {
     each_kind(async |blobs, objects| {
         for bytes in [0, 5, 20 << 20] {
             let blob = blobs.put_bytes(noise(1, bytes)).await.unwrap();
@@ -87,14 +87,14 @@ async fn bytes_are_kept_like_files() {
 }
 
 #[tokio::test]
-async fn only_what_is_old_is_listed() {
+async fn only_old_blobs_are_listed() {
     each_kind(async |blobs, objects| {
         assert_eq!(older_than(&blobs, Duration::ZERO).await, []);
         let old = blobs.put_bytes(b"old".to_vec()).await.unwrap();
         let new = blobs.put_bytes(b"new".to_vec()).await.unwrap();
         set_age(&object(objects, &old), 25 * HOUR);
         set_age(&object(objects, &new), 23 * HOUR);
-        // Neither is a blob: a name that is no digest, a digest where it does not belong.
+        // Neither is a blob: a name that is no digest, and a digest in the wrong folder.
         let folder = object(objects, &old);
         let folder = folder.parent().unwrap();
         for stray in [folder.join("notes"), folder.join("0".repeat(64))] {
@@ -115,7 +115,7 @@ async fn only_what_is_old_is_listed() {
 }
 
 #[tokio::test]
-async fn what_is_old_is_found_prefix_by_prefix() {
+async fn old_blobs_are_listed_by_prefix() {
     each_kind(async |blobs, objects| {
         let mut old = Vec::new();
         for seed in 0..200 {
@@ -182,7 +182,7 @@ async fn a_probe_leaves_nothing() {
 }
 
 #[tokio::test]
-async fn what_is_no_digest_is_refused() {
+async fn anything_but_a_digest_is_refused() {
     let (dir, blobs) = directory();
     fs::create_dir_all(dir.path().join("blobs")).unwrap();
     fs::write(dir.path().join("secret"), "secret").unwrap();
@@ -206,7 +206,7 @@ async fn what_is_no_digest_is_refused() {
 }
 
 #[test]
-fn locations_are_read() {
+fn locations_are_parsed() {
     let dir = tempfile::tempdir().unwrap();
     let new = dir.path().join("a/b");
     let blobs = Blobs::open(&format!("file://{}", new.display())).unwrap();
@@ -237,7 +237,7 @@ fn locations_are_read() {
 }
 
 #[tokio::test]
-async fn what_broke_off_in_a_directory_is_deleted() {
+async fn remains_of_uploads_to_a_directory_are_deleted() {
     let (dir, blobs) = directory();
     let blob = blobs.put_bytes(b"whole".to_vec()).await.unwrap();
     let whole = object(dir.path(), &blob);

@@ -1,4 +1,4 @@
-//! Objects that somebody changed behind our back.
+//! Objects that were changed externally.
 
 use std::fs;
 use std::path::Path;
@@ -9,7 +9,7 @@ use crate::{Blob, BlobError, Blobs};
 
 const PATIENCE: std::time::Duration = std::time::Duration::from_secs(5);
 
-/// Expects that a damaged blob is refused, and what stood in its place stays.
+/// Expects that a damaged blob is refused and an existing file stays.
 async fn expect_refused(blobs: &Blobs, blob: &Blob) {
     let work = tempfile::tempdir().unwrap();
     let to = work.path().join("to");
@@ -58,7 +58,7 @@ async fn damaged_blobs_in_a_bucket_are_refused() {
 }
 
 #[tokio::test]
-async fn what_was_damaged_on_the_way_is_asked_for_once_more() {
+async fn a_blob_damaged_in_transit_is_fetched_again_once() {
     let server = Server::start();
     let blobs = server.blobs(PATIENCE);
     let blob = blobs.put_bytes(noise(7, 2 << 20)).await.unwrap();

@@ -1,4 +1,4 @@
-//! Servers that are slow, break off, or are not there.
+//! Servers that are slow, break off, or do not exist.
 
 use std::fs;
 use std::time::{Duration, Instant};
@@ -10,11 +10,11 @@ use crate::{BlobError, Blobs};
 const PATIENCE: Duration = Duration::from_secs(20);
 const MIB: usize = 1 << 20;
 
-/// Of so many bytes every attempt to fetch comes with one fault.
+/// With this size every attempt to fetch meets one fault.
 const SIZE: usize = 3 * MIB;
 
 #[tokio::test]
-async fn refusals_are_waited_out() {
+async fn refused_requests_are_retried() {
     let server = Server::start();
     let blobs = server.blobs(PATIENCE);
     let work = tempfile::tempdir().unwrap();
@@ -31,7 +31,7 @@ async fn refusals_are_waited_out() {
 }
 
 #[tokio::test]
-async fn a_rest_is_asked_for_where_it_was_cut() {
+async fn a_cut_transfer_is_resumed() {
     let server = Server::start();
     let blob = server.blobs(PATIENCE).put_bytes(noise(9, SIZE)).await;
     let (blob, blobs) = (blob.unwrap(), server.hasty_blobs(PATIENCE));
@@ -47,10 +47,10 @@ async fn a_rest_is_asked_for_where_it_was_cut() {
 }
 
 #[tokio::test]
-async fn a_transfer_that_breaks_off_begins_again() {
+async fn a_broken_transfer_is_restarted() {
     let server = Server::start();
     let blob = server.blobs(PATIENCE).put_bytes(noise(10, SIZE)).await;
-    // Without patience object_store does not ask for the rest.
+    // Without patience `object_store` does not resume.
     let (blob, blobs) = (blob.unwrap(), server.hasty_blobs(Duration::ZERO));
     let work = tempfile::tempdir().unwrap();
     let to = work.path().join("to");
@@ -66,7 +66,7 @@ async fn a_transfer_that_breaks_off_begins_again() {
 }
 
 #[tokio::test]
-async fn a_transfer_that_never_comes_through_leaves_no_file() {
+async fn a_failed_transfer_leaves_no_file() {
     let server = Server::start();
     let blobs = server.blobs(Duration::ZERO);
     let blob = blobs.put_bytes(noise(11, SIZE)).await.unwrap();
@@ -85,7 +85,7 @@ async fn a_transfer_that_never_comes_through_leaves_no_file() {
 }
 
 #[tokio::test]
-async fn who_gives_up_waiting_leaves_no_file() {
+async fn a_cancelled_fetch_leaves_no_file() {
     let server = Server::start();
     let blobs = server.blobs(PATIENCE);
     let blob = blobs.put_bytes(noise(12, SIZE)).await.unwrap();
@@ -101,7 +101,7 @@ async fn who_gives_up_waiting_leaves_no_file() {
 }
 
 #[tokio::test]
-async fn a_part_that_is_refused_ends_the_upload() {
+async fn a_refused_part_aborts_the_upload() {
     let server = Server::start();
     let blobs = server.blobs(PATIENCE);
     server.misbehave(|request| {
@@ -114,8 +114,7 @@ async fn a_part_that_is_refused_ends_the_upload() {
     let error = blobs.put_bytes(noise(13, 40 * MIB)).await.unwrap_err();
     assert!(matches!(error, BlobError::Store { .. }), "{error}");
     assert!(error.to_string().contains("403"), "{error}");
-    // A part that was on its way just then may still arrive at the server, and stay: only that it
-    // was told to drop them is for sure.
+    // A part in flight may still arrive and stay: only the request to abort is certain.
     assert_eq!(server.count("DELETE "), 1);
     assert_eq!(older_than(&blobs, Duration::ZERO).await, []);
 }
@@ -126,7 +125,7 @@ async fn slow_answers_are_waited_for() {
     let blobs = server.hasty_blobs(PATIENCE);
     let work = tempfile::tempdir().unwrap();
     let to = work.path().join("to");
-    // Within what may pass without progress, a second here, and beyond it.
+    // Within the allowed stall, a second here, and beyond it.
     for wait in [Duration::from_millis(600), Duration::from_millis(1_500)] {
         server.misbehave_first(1, "PUT ", Fault::Late(wait));
         let blob = blobs.put_bytes(noise(wait.as_millis() as u64, 1000)).await;
@@ -141,7 +140,7 @@ async fn slow_answers_are_waited_for() {
 }
 
 #[tokio::test]
-async fn a_server_that_is_not_there_is_said_so() {
+async fn a_missing_server_is_reported() {
     let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
     let address = format!("http://{}", listener.local_addr().unwrap());
     drop(listener);
@@ -166,7 +165,7 @@ async fn a_server_that_is_not_there_is_said_so() {
 }
 
 #[tokio::test]
-async fn a_server_that_does_not_answer_is_not_ready() {
+async fn a_silent_server_is_not_ready() {
     let server = Server::start();
     let blobs = server.blobs(Duration::from_secs(60));
     server.misbehave(|_| Fault::Late(Duration::from_secs(60)));
@@ -177,11 +176,11 @@ async fn a_server_that_does_not_answer_is_not_ready() {
 }
 
 #[tokio::test]
-async fn wrong_credentials_and_buckets_are_said_so() {
+async fn wrong_credentials_and_buckets_are_reported() {
     let server = Server::start();
     let wrong = [("AWS_SECRET_ACCESS_KEY", "wrong password")];
     let stranger = server.blobs_with("bucket", &wrong, PATIENCE);
-    // This server makes a bucket for whoever writes to it: only a list can tell.
+    // This server creates a bucket on the first write: only listing shows that it did not exist.
     let nowhere = server.blobs_with("nowhere", &[], PATIENCE);
     for (blobs, error) in [
         (&stranger, stranger.check().await.unwrap_err()),

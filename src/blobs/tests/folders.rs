@@ -1,4 +1,4 @@
-//! Folders that are kept as blobs, and made from them again.
+//! Synchronisation of folders with blobs.
 
 use std::collections::HashMap;
 use std::fs;
@@ -19,7 +19,7 @@ const GET: &str = "GET /bucket/some/prefix/blobs/";
 fn write(folder: &Path, path: &str, bytes: &[u8]) {
     let file = folder.join(path);
     fs::create_dir_all(file.parent().unwrap()).unwrap();
-    // As jobs do.
+    // Like jobs do.
     let temporary = file.with_extension("tmp");
     fs::write(&temporary, bytes).unwrap();
     fs::rename(&temporary, &file).unwrap();
@@ -33,7 +33,7 @@ fn kept(path: &str, bytes: &[u8]) -> Kept {
     }
 }
 
-/// A folder with what the database knows of it.
+/// A folder with the database's knowledge of it.
 struct Folder {
     dir: TempDir,
     known: HashMap<String, Blob>,
@@ -49,7 +49,7 @@ impl Folder {
         }
     }
 
-    /// Pushes all but what lies below `cache`, and knows afterwards what it was told.
+    /// Pushes everything except files below `cache`, and remembers the result.
     async fn push(&mut self, blobs: &Blobs) -> Pushed {
         let wanted = |path: &str| !path.starts_with("cache/");
         let pushed = push(blobs, self.dir.path(), &wanted, &self.known, &mut self.seen);
@@ -72,7 +72,7 @@ impl Folder {
 }
 
 #[tokio::test]
-async fn push_finds_what_is_new_changed_and_gone() {
+async fn push_finds_new_changed_and_removed_files() {
     let server = Server::start();
     let blobs = server.blobs(PATIENCE);
     let mut folder = Folder::new();
@@ -87,12 +87,12 @@ async fn push_finds_what_is_new_changed_and_gone() {
     assert_eq!((pushed.gone.len(), pushed.skipped), (0, 0));
     assert_eq!(server.count(PUT), 3);
 
-    // Nothing happened: no request at all.
+    // Nothing has changed: no request at all.
     let before = server.count("");
     assert_eq!(folder.push(&blobs).await, Pushed::default());
     assert_eq!(server.count(""), before);
 
-    // The same size, and the same time.
+    // The same size and the same time.
     let modified = path.join("a").metadata().unwrap().modified().unwrap();
     write(&path, "a", b"A");
     let replaced = fs::File::open(path.join("a")).unwrap();
@@ -107,7 +107,7 @@ async fn push_finds_what_is_new_changed_and_gone() {
 }
 
 #[tokio::test]
-async fn what_a_new_process_has_not_seen_is_hashed_but_not_sent() {
+async fn a_new_process_hashes_known_files_but_sends_nothing() {
     let server = Server::start();
     let blobs = server.blobs(PATIENCE);
     let mut folder = Folder::new();
@@ -120,7 +120,7 @@ async fn what_a_new_process_has_not_seen_is_hashed_but_not_sent() {
 }
 
 #[tokio::test]
-async fn a_file_that_was_just_written_is_hashed_again() {
+async fn a_freshly_written_file_is_hashed_again() {
     let (_store, blobs) = directory();
     let mut folder = Folder::new();
     let file = folder.dir.path().join("a");
@@ -135,7 +135,7 @@ async fn a_file_that_was_just_written_is_hashed_again() {
 }
 
 #[tokio::test]
-async fn what_passes_and_links_are_not_looked_at() {
+async fn temporary_files_and_symbolic_links_are_ignored() {
     let (_store, blobs) = directory();
     let mut folder = Folder::new();
     let path = folder.dir.path().to_owned();
@@ -155,7 +155,7 @@ async fn what_passes_and_links_are_not_looked_at() {
 }
 
 #[tokio::test]
-async fn an_absent_folder_is_not_an_empty_one() {
+async fn a_missing_folder_is_not_an_empty_one() {
     let (_store, blobs) = directory();
     let mut folder = Folder::new();
     let absent = folder.dir.path().join("absent");
@@ -170,9 +170,9 @@ async fn an_absent_folder_is_not_an_empty_one() {
     assert_eq!(gone.unwrap().gone, ["a"]);
 }
 
-/// A file is replaced while its upload is under way, and another one vanishes.
+/// A file is replaced during its upload, and another one disappears.
 #[tokio::test]
-async fn what_changes_meanwhile_waits_for_the_next_time() {
+async fn files_that_change_during_a_push_wait_for_the_next_one() {
     let server = Server::start();
     let blobs = server.blobs(PATIENCE);
     let mut folder = Folder::new();
@@ -197,7 +197,7 @@ async fn what_changes_meanwhile_waits_for_the_next_time() {
 }
 
 #[tokio::test]
-async fn eight_are_under_way_at_once() {
+async fn eight_transfers_run_at_once() {
     let server = Server::start();
     let blobs = server.blobs(PATIENCE);
     server.misbehave(|_| Fault::Late(Duration::from_millis(60)));
@@ -218,7 +218,7 @@ async fn eight_are_under_way_at_once() {
 }
 
 #[tokio::test]
-async fn pull_fetches_what_differs_and_nothing_else() {
+async fn pull_fetches_only_different_files() {
     let server = Server::start();
     let blobs = server.blobs(PATIENCE);
     let mut origin = Folder::new();
@@ -247,7 +247,7 @@ async fn pull_fetches_what_differs_and_nothing_else() {
     assert_eq!(fs::read(path.join("b/c")).unwrap(), b"c");
     assert_eq!(fs::read(path.join("b/d")).unwrap(), b"");
 
-    // What was pulled is what a push finds.
+    // A push finds what was pulled.
     copy.known = all[..3]
         .iter()
         .map(|k| (k.path.clone(), k.blob.clone()))
@@ -320,9 +320,9 @@ async fn pull_replaces_links_without_following_them() {
     assert_eq!(fs::read(&secret).unwrap(), b"old");
 }
 
-/// While transfers break off, whoever looks sees the old file, the new one, or none.
+/// While transfers break off, a reader sees the old file, the new one, or none.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn pull_leaves_no_half_file() {
+async fn pull_leaves_no_partial_file() {
     let server = Server::start();
     let blobs = server.blobs(Duration::ZERO);
     let (old, new) = (noise(1, 2 << 20), noise(2, 3 << 20));
@@ -359,7 +359,7 @@ async fn pull_leaves_no_half_file() {
 }
 
 #[test]
-fn all_of_it_can_move_between_threads() {
+fn every_future_is_send() {
     fn expect_send<T: Send>(_: T) {}
     let (dir, blobs) = directory();
     let (known, blob, mut seen) = (HashMap::new(), Blob::of(b""), Seen::default());

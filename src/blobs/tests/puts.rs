@@ -1,4 +1,4 @@
-//! What is sent, and what is not.
+//! When content is sent, and when not.
 
 use std::fs::{self, File};
 use std::io::{Seek, Write};
@@ -13,7 +13,7 @@ const PATIENCE: Duration = Duration::from_secs(5);
 const MIB: usize = 1 << 20;
 
 #[tokio::test]
-async fn what_is_there_is_not_sent_again() {
+async fn an_existing_blob_is_not_sent_again() {
     let server = Server::start();
     let blobs = server.blobs(PATIENCE);
     for (bytes, requests) in [(100, 1), (17 * MIB, 3)] {
@@ -29,7 +29,7 @@ async fn what_is_there_is_not_sent_again() {
 }
 
 #[tokio::test]
-async fn what_the_janitor_may_soon_take_is_sent_again() {
+async fn a_blob_near_its_deletion_is_sent_again() {
     let (dir, blobs) = directory();
     let file = dir.path().join("file");
     for bytes in [100, 17 * MIB] {
@@ -60,19 +60,19 @@ async fn only_regular_files_are_put() {
     assert!(error.is_gone(), "{error}");
 }
 
-/// A file that is written to between the two readings of it.
+/// A file that is written to between its two readings.
 #[tokio::test]
-async fn a_large_file_that_changes_is_not_kept() {
+async fn a_changing_large_file_is_not_stored() {
     let server = Server::start();
     let blobs = server.blobs(PATIENCE);
     let dir = tempfile::tempdir().unwrap();
-    // Changed within, longer, shorter.
+    // Changed inside, longer, shorter.
     for change in 0..3 {
         let path = dir.path().join("file");
         fs::write(&path, noise(4, 40 * MIB)).unwrap();
         let changed = path.clone();
         server.misbehave(move |request| {
-            // The upload begins: by now the digest is known.
+            // When the upload begins, the digest is already known.
             if request.starts_with("POST ") && request.contains("?uploads") {
                 let mut file = File::options().write(true).open(&changed).unwrap();
                 match change {
@@ -93,9 +93,9 @@ async fn a_large_file_that_changes_is_not_kept() {
     assert_eq!(older_than(&blobs, Duration::ZERO).await, []);
 }
 
-/// Files that are written to all the time: nothing may lie under a name that is not its own.
+/// Files that are written to all the time: no content may have a wrong digest.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn nothing_lies_under_a_wrong_digest() {
+async fn no_content_has_a_wrong_digest() {
     let (dir, blobs) = directory();
     let work = tempfile::tempdir().unwrap();
     let (mut kept, mut changed) = (0, 0);
@@ -124,7 +124,7 @@ async fn nothing_lies_under_a_wrong_digest() {
             }
             stop.store(true, Ordering::Relaxed);
         });
-        // At rest again it is taken.
+        // At rest again, it is accepted.
         blobs.put(&path).await.unwrap();
     }
     assert!(changed > 0, "the files were never caught, but {kept} kept");

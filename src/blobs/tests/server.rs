@@ -1,4 +1,4 @@
-//! An S3 server that misbehaves when it is told to, and stores in it.
+//! An S3 server that misbehaves on request, and stores in it.
 
 use std::ops::Deref;
 use std::path::PathBuf;
@@ -24,12 +24,12 @@ impl Server {
         Self(S3::start())
     }
 
-    /// A store here, whose requests are made again for `patience`.
+    /// A store on this server, whose requests are retried for `patience`.
     pub fn blobs(&self, patience: Duration) -> Blobs {
         self.blobs_with("bucket/some/prefix", &[], patience)
     }
 
-    /// As [`Server::blobs`], but a request may make no progress for a second only.
+    /// Like [`Server::blobs`], but a request may stall for only one second.
     pub fn hasty_blobs(&self, patience: Duration) -> Blobs {
         let hasty = [("AWS_READ_TIMEOUT", "1 second")];
         self.blobs_with("bucket/some/prefix", &hasty, patience)
@@ -42,7 +42,7 @@ impl Server {
         Blobs::bucket(place, settings, patience).unwrap()
     }
 
-    /// Where the objects of [`Server::blobs`] lie.
+    /// The folder of the objects of [`Server::blobs`].
     pub fn objects(&self) -> PathBuf {
         self.root().join("bucket/some/prefix")
     }
