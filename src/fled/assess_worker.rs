@@ -1,5 +1,5 @@
-//! `fled assess-worker`: looks at one upload for the service. What is in it may end this process,
-//! and not the service.
+//! `fled assess-worker`: validates one upload for the service. Its content may crash this process,
+//! but not the service.
 
 use std::io::{self, BufRead};
 
@@ -7,10 +7,10 @@ use fled_core::pipeline::error::ErrorKind;
 
 use crate::failure::Failure;
 
-/// Reads what is asked for on standard input and tells what it sees on standard output.
+/// Reads a request from standard input and prints replies on standard output.
 ///
 /// # Errors
-/// [`Failure`] when the service is gone or asks for something else.
+/// [`Failure`] when the service is gone or the request is malformed.
 pub fn main() -> Result<(), Failure> {
     let mut input = io::stdin().lock();
     let mut line = String::new();

@@ -1,4 +1,4 @@
-//! `fled bench`: what fled's work costs on this machine.
+//! `fled bench`: measures training and rendering on this machine.
 
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -105,7 +105,7 @@ pub fn main(args: &Args) -> Result<(), Failure> {
     let options = args.options()?;
     let cancel = tools::cancel_on_signals()?;
     let gpu = Gpu::new(&args.adapter).map_err(|e| Failure::new(ErrorKind::Environment, e))?;
-    // The job comes first: what is wrong with a capture should not show after minutes.
+    // The job comes first, so that an error in a capture shows at once and not after minutes.
     let job = args
         .capture
         .as_deref()
@@ -138,8 +138,8 @@ fn print(table: &str) -> Result<(), Failure> {
         .map_err(|e| Failure::new(ErrorKind::Io, e))
 }
 
-/// `fled run` in a folder that is removed afterwards: its times, and the scene it left. Poses are
-/// found anew, for they are a stage like any other.
+/// Runs `fled run` in a temporary folder, and returns its times and its scene. Poses are not
+/// cached, as they are a stage like any other.
 fn run_job(
     args: &Args,
     capture: &Path,
@@ -183,7 +183,7 @@ fn run_job(
     Ok((times, Workload::of_run(folder.path())?))
 }
 
-/// Tells each stage as it begins.
+/// Prints each stage as it begins.
 fn tell_stage(event: &Event) {
     if let Event::StageStarted { stage, round } = event {
         eprintln!("  {} (round {round})", stage.name());
@@ -209,7 +209,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_k_stands_for_a_thousand_and_nonsense_is_refused() {
+    fn k_means_thousand_and_invalid_counts_are_refused() {
         assert_eq!((count("10k"), count("2500")), (Ok(10_000), Ok(2_500)));
         for wrong in [
             "",

@@ -16,7 +16,7 @@ use serde::Serialize;
 use crate::failure::Failure;
 use crate::tools;
 
-/// Free space below which a run of 60 photographs may not finish, bytes.
+/// Free space below which a run of 60 photographs may not finish, in bytes.
 const LEAST_SPACE: u64 = 2 << 30;
 
 /// Arguments of `fled doctor`.
@@ -37,14 +37,14 @@ pub struct Args {
     tools: tools::Args,
 }
 
-/// One thing that has to be in order.
+/// A requirement of the machine.
 #[derive(Serialize)]
 struct Check {
     name: &'static str,
     ok: bool,
     /// What was found, or what is wrong.
     detail: String,
-    /// What to do, when it is not in order.
+    /// What to do if it is not met.
     hint: &'static str,
 }
 
@@ -74,7 +74,7 @@ impl Check {
 /// Prints every check.
 ///
 /// # Errors
-/// [`Failure`] of kind `environment` when anything is missing.
+/// [`Failure`] of kind `environment` if anything is missing.
 pub fn main(args: &Args) -> Result<(), Failure> {
     let checks = checks(args);
     let mut out = std::io::stdout().lock();
@@ -136,8 +136,8 @@ fn checks(args: &Args) -> Vec<Check> {
     ]
 }
 
-/// The weights that find and match key points. A machine without them is no faulty one: COLMAP has
-/// key points of its own.
+/// The weights that find and match key points. A machine without them is not faulty: COLMAP has key
+/// points of its own.
 fn matcher(args: &Args) -> String {
     let state = Package::embedded().state(&args.tools.matcher_folders());
     state.unwrap_or_else(|error| {
@@ -145,7 +145,7 @@ fn matcher(args: &Args) -> String {
     })
 }
 
-/// Who reads and writes videos. A machine without it reads photographs.
+/// The version of FFmpeg. A machine without it still reads photographs.
 fn ffmpeg(args: &Args) -> String {
     let said = Command::new(&args.ffmpeg.program).arg("-version").output();
     let first = said.map(|said| {
@@ -157,7 +157,7 @@ fn ffmpeg(args: &Args) -> String {
     })
 }
 
-/// The default network, opened.
+/// Opens and describes the default network.
 fn models(open: &deblur::OpenOptions<'_>) -> Result<String, DeblurError> {
     let opened = deblur::open(&NetworkChoice::Default, open)?;
     let info = opened.deblurrer.describe();

@@ -1,4 +1,4 @@
-//! `fled eval`: what sharp photographs say about a finished run.
+//! `fled eval`: judges a finished run by sharp photographs.
 
 use std::path::{Path, PathBuf};
 
@@ -65,10 +65,10 @@ impl From<EvaluationError> for Failure {
     }
 }
 
-/// Judges the run, writes the verdict, and prints its table; or carries a suite out.
+/// Judges the run, writes the verdict, and prints its table; or runs a suite.
 ///
 /// # Errors
-/// [`Failure`] when the run, the truth, the network or the adapter is not there.
+/// [`Failure`] if the run, the truth, the network or the adapter is missing.
 pub fn main(args: &Args) -> Result<(), Failure> {
     match (&args.command, &args.run, &args.truth) {
         (Some(Command::Suite(args)), ..) => suite::main(args),
@@ -110,7 +110,7 @@ fn open_lpips(args: &Args, path: &Path) -> Result<Lpips, Failure> {
     Ok(Lpips::open(&runtime, path)?)
 }
 
-/// The round that a run delivered.
+/// The delivered round of a run.
 fn delivered_round(run: &RunFolder) -> Result<u32, Failure> {
     let path = run.metrics();
     let bytes = std::fs::read(&path).map_err(io(&path))?;

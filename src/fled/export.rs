@@ -1,4 +1,4 @@
-//! `fled export`: a finished result in the forms in which others go on with it.
+//! `fled export`: a finished result in the formats of other programs.
 
 use std::fs::{self, File};
 use std::path::PathBuf;
@@ -28,7 +28,7 @@ pub struct Args {
 /// Writes one export.
 ///
 /// # Errors
-/// [`Failure`] when the run lacks what it is made of, or the file cannot be written.
+/// [`Failure`] if the run lacks the required files, or the file cannot be written.
 pub fn main(args: &Args) -> Result<(), Failure> {
     let run = RunFolder::new(&args.run);
     let prepared = args.export.prepare(&run, args.round)?;
@@ -37,7 +37,7 @@ pub fn main(args: &Args) -> Result<(), Failure> {
     let temporary = output.with_added_extension("tmp");
     let file = File::create(&temporary).map_err(io(&temporary))?;
     if let Err(error) = prepared.write(&file) {
-        // Half a file is nobody's; that it may stay is the lesser fault.
+        // Remove the incomplete file; failing to do so matters less than the first error.
         let _ = fs::remove_file(&temporary);
         return Err(error.into());
     }

@@ -1,4 +1,4 @@
-//! A failure on its way out of the process: words, advice, exit code.
+//! Errors that end the process: message, hint, exit code.
 
 use std::fmt;
 use std::process::ExitCode;
@@ -6,21 +6,21 @@ use std::process::ExitCode;
 use fled_core::pipeline::config::OptionsError;
 use fled_core::pipeline::error::{ErrorKind, PipelineError};
 
-/// What the user is told, and the exit code.
+/// An error for the user, with its exit code.
 #[derive(Debug)]
 pub struct Failure {
-    /// What sort of failure it is; decides the exit code.
+    /// The kind of failure, which decides the exit code.
     pub kind: ErrorKind,
     /// What happened.
     pub detail: String,
-    /// What to do.
+    /// What to do about it.
     pub hint: String,
     /// Whether the command line itself was wrong.
     pub wrong_use: bool,
 }
 
 impl Failure {
-    /// With the advice that fits the kind.
+    /// A failure with the default hint of its kind.
     pub fn new(kind: ErrorKind, detail: impl fmt::Display) -> Self {
         Self {
             kind,
@@ -30,7 +30,7 @@ impl Failure {
         }
     }
 
-    /// A value on the command line that cannot be.
+    /// An invalid value on the command line.
     pub fn usage(detail: impl fmt::Display) -> Self {
         Self {
             kind: ErrorKind::BadInput,
@@ -40,7 +40,7 @@ impl Failure {
         }
     }
 
-    /// Prints the failure and gives the exit code.
+    /// Prints the failure and returns the exit code.
     pub fn report(&self) -> ExitCode {
         eprintln!("fled: {}", self.detail);
         if !self.hint.is_empty() && !self.detail.contains(&self.hint) {
@@ -71,7 +71,7 @@ impl From<OptionsError> for Failure {
     }
 }
 
-/// Reading or writing `path` failed.
+/// A failure to read or write `path`.
 pub fn io(path: &std::path::Path) -> impl FnOnce(std::io::Error) -> Failure {
     let path = path.to_owned();
     move |error| Failure::new(ErrorKind::Io, format!("{}: {error}", path.display()))

@@ -1,4 +1,4 @@
-//! `fled gc`: frees what nobody wants in the service's data directory, and tells of it.
+//! `fled gc`: removes what is no longer needed from the service's data directory, and lists it.
 
 use std::io::Write;
 use std::path::PathBuf;
@@ -28,10 +28,10 @@ pub struct Args {
     cache_days: u32,
 }
 
-/// Frees what nobody wants.
+/// Removes what is no longer needed.
 ///
 /// # Errors
-/// [`Failure`] where there is no data directory of this version, or something cannot be removed.
+/// [`Failure`] if there is no data directory of this version, or something cannot be removed.
 pub fn main(args: &Args) -> Result<(), Failure> {
     if !args.data.join("fled.db").is_file() {
         let detail = format!(

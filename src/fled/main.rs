@@ -136,7 +136,7 @@ fn main() -> ExitCode {
         Command::Doctor(args) => doctor::main(&args),
         Command::RenderWorker => render_worker::main(),
         Command::AssessWorker => assess_worker::main(),
-        // Done above: what it becomes has another parent.
+        // Handled above: the program that it becomes has another parent.
         Command::Guard { .. } => Ok(()),
     };
     match outcome {
@@ -145,12 +145,12 @@ fn main() -> ExitCode {
     }
 }
 
-/// Without a desktop session, the layer by which Mesa lets desktops choose a device calls that an
-/// error on standard error at every start. fled chooses its device itself.
+/// Without a desktop session, the Mesa layer for device selection prints an error at every start.
+/// fled selects its device itself.
 #[allow(unsafe_code)]
 fn silence_device_select() {
     if std::env::var_os("XDG_RUNTIME_DIR").is_none() {
-        // SAFETY: called first in `main`, while there is no other thread that could read the
+        // SAFETY: called first in `main`, when no other thread exists that could read the
         // environment.
         unsafe { std::env::set_var("NODEVICE_SELECT", "1") };
     }

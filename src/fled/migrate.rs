@@ -1,4 +1,4 @@
-//! `fled migrate`: moves the service to PostgreSQL, and its files to a store that machines share.
+//! `fled migrate`: moves the service to PostgreSQL, and its files to a shared blob store.
 
 use std::path::PathBuf;
 
@@ -31,7 +31,7 @@ pub struct Args {
 /// Copies rows and files.
 ///
 /// # Errors
-/// [`Failure`] when a server uses the data directory, the database or the store is not empty, or
+/// [`Failure`] if a server uses the data directory, the database or the blob store is not empty, or
 /// something cannot be read or written; the database has no rows then.
 pub fn main(args: &Args) -> Result<(), Failure> {
     log();

@@ -1,4 +1,4 @@
-//! `fled models`: which networks there are, and whether they can be used.
+//! `fled models`: lists the networks and checks that they can be used.
 
 use std::io::Write;
 use std::path::PathBuf;
@@ -23,7 +23,7 @@ pub struct Args {
 /// Prints every network: the built-in one and the files of the folder.
 ///
 /// # Errors
-/// [`Failure`] of kind `environment` when one cannot be used.
+/// [`Failure`] of kind `environment` if one cannot be used.
 pub fn main(args: &Args) -> Result<(), Failure> {
     let folders = args.folder.folders();
     let runtime = runtime::load(args.onnxruntime.as_deref(), &tools::Args::library_folders())
@@ -43,7 +43,7 @@ pub fn main(args: &Args) -> Result<(), Failure> {
     Ok(())
 }
 
-/// What the network is, once it has passed its self-test as it would in a run.
+/// Describes a network after it has passed its self-test as in a run.
 fn verdict(runtime: &Runtime, name: &str, folders: &[PathBuf]) -> Result<String, DeblurError> {
     let (network, said) = Onnx::load(runtime, &Model::find(name, folders)?, 0)?;
     let info = network.describe();

@@ -16,7 +16,7 @@ pub struct Reporter {
 }
 
 impl Reporter {
-    /// `log` is appended to: a resumed run's log holds its whole history.
+    /// Appends to `log`, so that a resumed run's log holds its whole history.
     pub fn new(log: File, json: bool) -> Self {
         let bar = (!json).then(overall_bar);
         Self {
@@ -29,7 +29,7 @@ impl Reporter {
 
     fn line(&mut self, text: &str) {
         let seconds = self.started.elapsed().as_secs_f64();
-        // A full disk must not end a run that could still deliver: the log is the least of it.
+        // A full disk must not end a run that could still deliver: the log matters least.
         let _ = writeln!(self.log, "{seconds:9.1} {text}");
         if let Some(bar) = &self.bar {
             if bar.is_hidden() {
@@ -61,7 +61,7 @@ pub fn overall_bar() -> ProgressBar {
     bar
 }
 
-/// What an event changes of the bar itself.
+/// Updates the bar.
 fn advance(bar: &ProgressBar, event: &Event) {
     match event {
         Event::StageStarted { stage, round } => bar.set_message(name(stage.name(), *round)),
@@ -84,7 +84,7 @@ fn advance(bar: &ProgressBar, event: &Event) {
     }
 }
 
-/// What an event adds to the log.
+/// The lines that an event adds to the log.
 fn lines(event: &Event) -> Vec<String> {
     let line = match event {
         Event::StageStarted { .. }
@@ -126,13 +126,13 @@ impl ProgressSink for Reporter {
             && let Ok(line) = serde_json::to_string(event)
         {
             let mut out = std::io::stdout().lock();
-            // Nobody reads any more: the run is worth more than its reader.
+            // If the reader is gone, the run still goes on.
             let _ = writeln!(out, "{line}").and_then(|()| out.flush());
         }
     }
 }
 
-/// A stage as it is told.
+/// The name of a stage in messages.
 pub fn name(stage: &str, round: u32) -> String {
     if round == 0 {
         stage.to_owned()
@@ -163,7 +163,7 @@ pub fn round_lines(metrics: &fled_core::metrics::RoundMetrics) -> Vec<String> {
     lines
 }
 
-/// The word that a value of an enum is in JSON.
+/// The JSON name of an enum's value.
 fn word(value: &impl serde::Serialize) -> String {
     serde_json::to_string(value)
         .unwrap_or_default()

@@ -1,7 +1,7 @@
-//! The service as a client sees it: what `fled submit`, `watch`, `fetch` and `cancel` share.
+//! A client of the service, shared by `fled submit`, `watch`, `fetch`, `retry` and `cancel`.
 //!
-//! Connections break. Whatever is asked is asked again until it is answered; what was done although
-//! its answer was lost is taken as done.
+//! Connections break, so every request is repeated until it is answered. A request that took effect
+//! although its answer was lost counts as done.
 
 pub mod cancel;
 pub mod fetch;
@@ -22,19 +22,19 @@ use ureq::{Agent, AsSendBody, Body};
 
 use crate::failure::{Failure, io};
 
-/// Nothing moves for so long: the connection is lost.
+/// How long a connection may stall before it is lost.
 const STALL: Duration = Duration::from_secs(60);
-/// The service looks at the photographs before it answers, and at the files before it lists them.
+/// How long an answer may take: the service validates photographs and hashes files first.
 const ANSWER: Duration = Duration::from_secs(600);
-/// An attempt that moved so many bytes was worth it.
+/// An attempt that moved more bytes than this made progress.
 const MUCH: u64 = 1 << 20;
-/// Between the first two attempts.
+/// Wait between the first two attempts.
 const FIRST_WAIT: Duration = Duration::from_secs(1);
-/// Waits between attempts: twice as long each time, up to this.
+/// Maximum wait between attempts, which doubles each time.
 const LONGEST_WAIT: Duration = Duration::from_secs(30);
-/// So many photographs that cannot be used are told by name.
+/// Maximum unusable photographs listed by name.
 const TOLD: usize = 20;
-/// The variable that holds a token: an argument could be read by others on this machine.
+/// The variable that holds a token: other users of this machine could read an argument.
 const TOKEN: &str = "FLED_TOKEN";
 
 /// Which service, and as who.
@@ -56,34 +56,34 @@ pub struct Args {
     patience: u64,
 }
 
-/// A service.
+/// A connection to a service.
 pub struct Remote {
-    /// For answers that take thought.
+    /// For requests whose answer takes time.
     patient: Agent,
-    /// For files that only have to be sent.
+    /// For files that are only transferred.
     brisk: Agent,
     base: String,
     bearer: Option<String>,
     patience: Duration,
 }
 
-/// Why something was not done.
+/// Why a request failed.
 enum Fault {
-    /// There was no answer, or only a part: it may go better. Whether much was sent or received.
+    /// No answer, or only a part: a retry may succeed. The flag tells whether much was transferred.
     Lost(String, bool),
-    /// The service asks to come again later.
+    /// The service asks to retry later.
     Later(Option<Duration>, Failure),
-    /// The answer is no.
+    /// The service refused.
     Refused(Failure),
 }
 
-/// What is read of a job.
+/// The fields that are read of a job.
 #[derive(Deserialize)]
 struct State {
     state: String,
 }
 
-/// What is read of a problem document.
+/// The fields that are read of a problem document.
 #[derive(Default, Deserialize)]
 #[serde(default)]
 struct Problem {
@@ -108,7 +108,7 @@ struct Assessment {
 
 impl Remote {
     /// # Errors
-    /// [`Failure`] for a token that cannot be read.
+    /// [`Failure`] if the token cannot be read.
     pub fn new(args: &Args) -> Result<Self, Failure> {
         let token = token(args.token_file.as_deref())?;
         let agent = |silence| -> Agent {
@@ -134,10 +134,10 @@ impl Remote {
         &self.base
     }
 
-    /// The JSON of an address.
+    /// Fetches the JSON at a path.
     ///
     /// # Errors
-    /// [`Failure`] in the service's own words, or when it does not answer for too long.
+    /// [`Failure`] with the service's own message, or if it does not answer for too long.
     pub fn json<T: DeserializeOwned>(&self, path: &str) -> Result<T, Failure> {
         self.persist(|| self.ask(path))
     }
@@ -147,8 +147,9 @@ impl Remote {
         read_json(self.send(&self.patient, request, ())?)
     }
 
-    /// Asks something of a job, with JSON or nothing, and gives the state that it then has. Where
-    /// the first answer was lost and the second is that this cannot be any more, it was done.
+    /// Posts a command to a job, with JSON or no body, and returns the job's new state. If the
+    /// first answer was lost and a retry is refused as no longer possible, the command had taken
+    /// effect.
     ///
     /// # Errors
     /// As [`Remote::json`].
@@ -175,7 +176,7 @@ impl Remote {
         Ok(state.state)
     }
 
-    /// A file, or what is left of it.
+    /// Requests a file, or the rest of it.
     fn download(&self, path: &str, headers: &[(&str, String)]) -> Result<Response<Body>, Fault> {
         let mut request = Request::get(self.url(path));
         for (name, value) in headers {
@@ -188,7 +189,7 @@ impl Remote {
         format!("{}{path}", self.base)
     }
 
-    /// An answer that says yes.
+    /// Sends a request and returns a successful answer.
     fn send(
         &self,
         agent: &Agent,
@@ -216,7 +217,8 @@ impl Remote {
         }
     }
 
-    /// Tries until there is an answer, the service says no, or nothing has come of it for too long.
+    /// Retries until there is an answer, the service refuses, or there was no progress for too
+    /// long.
     fn persist<T>(&self, mut attempt: impl FnMut() -> Result<T, Fault>) -> Result<T, Failure> {
         let (mut silent_since, mut wait) = (Instant::now(), FIRST_WAIT);
         loop {
@@ -251,10 +253,10 @@ impl Remote {
     }
 }
 
-/// The token in this file, or in the variable that holds one.
+/// Returns the token in `file`, or in the environment variable.
 ///
 /// # Errors
-/// [`Failure`] when the file cannot be read.
+/// [`Failure`] if the file cannot be read.
 fn token(file: Option<&Path>) -> Result<Option<String>, Failure> {
     let token = match file {
         Some(path) => Some(std::fs::read_to_string(path).map_err(io(path))?),
@@ -265,7 +267,7 @@ fn token(file: Option<&Path>) -> Result<Option<String>, Failure> {
 }
 
 fn read_json<T: DeserializeOwned>(mut response: Response<Body>) -> Result<T, Fault> {
-    // A list of files of hundreds of rounds' views is some megabytes.
+    // The list of files of hundreds of rounds and views takes some megabytes.
     let body = response.body_mut().with_config().limit(256 << 20);
     let text = body
         .read_to_vec()
@@ -276,7 +278,7 @@ fn read_json<T: DeserializeOwned>(mut response: Response<Body>) -> Result<T, Fau
     })
 }
 
-/// An answer that says no, in its own words.
+/// A refusal, with the service's own message.
 fn refusal(mut response: Response<Body>) -> Fault {
     let status = response.status();
     let seconds = response.headers().get(header::RETRY_AFTER);

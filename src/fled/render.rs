@@ -1,4 +1,4 @@
-//! `fled render`: a picture of a finished run's scene from any side.
+//! `fled render`: an image of a finished run's scene from any viewpoint.
 
 use std::path::{Path, PathBuf};
 
@@ -50,7 +50,7 @@ pub struct Args {
     adapter: String,
 }
 
-/// Most stops that a view is brightened or darkened by.
+/// Maximum stops of brightening or darkening.
 const MOST_STOPS: f64 = 16.0;
 
 /// Where the camera stands.
@@ -68,10 +68,10 @@ struct From {
     pose: Option<PathBuf>,
 }
 
-/// Renders one picture.
+/// Renders one image.
 ///
 /// # Errors
-/// [`Failure`] when the run, the view or the adapter is not there.
+/// [`Failure`] if the run, the view or the adapter is missing.
 pub fn main(args: &Args) -> Result<(), Failure> {
     let run = RunFolder::new(&args.run);
     let cameras = read_cameras(&run.cameras())?;
@@ -97,10 +97,10 @@ pub fn main(args: &Args) -> Result<(), Failure> {
         .map_err(|e| Failure::new(ErrorKind::Io, e))
 }
 
-/// Reads stops of exposure.
+/// Parses stops of exposure.
 ///
 /// # Errors
-/// What is no number or beyond [`MOST_STOPS`].
+/// A message for anything but a number within [`MOST_STOPS`].
 pub fn stops(text: &str) -> Result<f64, String> {
     let ev: f64 = text.parse().map_err(|_| format!("`{text}` is no number"))?;
     if ev.abs() <= MOST_STOPS {
@@ -109,10 +109,10 @@ pub fn stops(text: &str) -> Result<f64, String> {
     Err(format!("stops are within -{MOST_STOPS} and {MOST_STOPS}"))
 }
 
-/// The cameras of a run's views.
+/// Reads the cameras of a run's views.
 ///
 /// # Errors
-/// [`Failure`] when the file is not there or is none.
+/// [`Failure`] if the file is missing or malformed.
 pub fn read_cameras(path: &Path) -> Result<Vec<NamedCamera>, Failure> {
     let bytes = std::fs::read(path).map_err(io(path))?;
     serde_json::from_slice(&bytes)
@@ -133,7 +133,7 @@ fn viewpoint(args: &Args) -> Result<Viewpoint, Failure> {
     })
 }
 
-/// A camera in a file of its own, which need not say a name and a split.
+/// Reads a camera from a file of its own, which need not have a name or a split.
 fn read_pose(path: &Path) -> Result<Camera, Failure> {
     let unreadable = |e: serde_json::Error| Failure::usage(format!("{}: {e}", path.display()));
     let bytes = std::fs::read(path).map_err(io(path))?;

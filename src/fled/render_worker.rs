@@ -1,5 +1,5 @@
-//! `fled render-worker`: renders what the service asks for, one JSON line a picture, until its
-//! standard input ends. A fault of the graphics driver ends this process and not the service.
+//! `fled render-worker`: renders for the service, one JSON line per image, until its standard input
+//! ends. A crash of the graphics driver ends this process and not the service.
 
 use std::fmt::Display;
 use std::fs;
@@ -16,13 +16,13 @@ use fled_server::render::{Format, RenderReply, RenderRequest, Shown};
 
 use crate::failure::Failure;
 
-/// Quality of a JPEG: small enough to turn a view live, good enough to judge it.
+/// JPEG quality: small enough for turning a view live, good enough to judge it.
 const JPEG_QUALITY: u8 = 90;
 
 /// Answers requests.
 ///
 /// # Errors
-/// [`Failure`] when there is no adapter, or the service is gone.
+/// [`Failure`] if there is no adapter, or the service is gone.
 pub fn main() -> Result<(), Failure> {
     let gone = |error: io::Error| Failure::new(ErrorKind::Io, error);
     let mut worker: Option<Worker> = None;
@@ -45,7 +45,7 @@ fn answer(worker: &mut Option<Worker>, line: &str) -> Result<(), String> {
     let request: RenderRequest = serde_json::from_str(line).map_err(words)?;
     let worker = match worker {
         Some(worker) => worker,
-        // Opened by the first request, so that a missing driver is told to whoever asks.
+        // Opened on the first request, so that its answer reports a missing driver.
         None => worker.insert(Worker::open()?),
     };
     worker.render(&request)
@@ -55,7 +55,7 @@ fn words(error: impl Display) -> String {
     error.to_string()
 }
 
-/// Which version of a scene file is on the device.
+/// The version of the scene file on the device.
 #[derive(PartialEq, Eq)]
 struct Stamp {
     path: PathBuf,
@@ -74,7 +74,7 @@ impl Stamp {
     }
 }
 
-/// The device, and the scene rendered last: turning a view asks for the same one again and again.
+/// The device and the last rendered scene, because turning a view requests the same one repeatedly.
 struct Worker {
     renderer: Renderer,
     scene: Option<(Stamp, UploadedGaussians)>,
@@ -102,7 +102,7 @@ impl Worker {
         write_atomic(&request.out, &image.encode(format).map_err(words)?).map_err(words)
     }
 
-    /// Drawn from other colours than those on the device, for each camera others.
+    /// Renders depth, which replaces the colours on the device by ones that depend on the camera.
     fn depth(&self, request: &RenderRequest) -> Result<Image, String> {
         let gaussians = ply::read(&request.scene).map_err(words)?;
         let camera = request.camera.camera();

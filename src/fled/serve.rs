@@ -54,7 +54,7 @@ pub struct Args {
     models: tools::ModelFolder,
 }
 
-/// Serves until SIGINT or SIGTERM; running jobs go on at the next start.
+/// Serves until SIGINT or SIGTERM; running jobs resume at the next start.
 ///
 /// # Errors
 /// [`Failure`] when the data directory or the address cannot be used.

@@ -1,4 +1,4 @@
-//! What machines share that work together: arguments of `fled serve`, `fled worker` and others.
+//! Arguments that `fled serve`, `fled worker` and others share, and their common set-up.
 
 use std::io::IsTerminal;
 
@@ -27,14 +27,14 @@ pub struct Shared {
 }
 
 impl Shared {
-    /// Tells a server.
+    /// Adds these settings to a server's configuration.
     pub fn tell(&self, config: &mut ServeConfig) {
         config.database.clone_from(&self.database);
         config.files.clone_from(&self.files);
     }
 }
 
-/// Logs to standard error, what `RUST_LOG` asks for.
+/// Logs to standard error, filtered by `RUST_LOG`.
 pub fn log() {
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("info"));
     let colours = std::io::stderr().is_terminal();
@@ -45,10 +45,9 @@ pub fn log() {
         .init();
 }
 
-/// What a server and a worker start, and where their networks are.
+/// Sets the commands of child processes and the folders of networks.
 pub fn commands(config: &mut ServeConfig, ffmpeg: &tools::Ffmpeg, models: &tools::ModelFolder) {
-    // Deblurred views in full precision are large; where other options want them they are made
-    // again.
+    // Deblurred views in full precision are large, and recomputed if other options need them.
     config.job_command.push("--discard-work".into());
     config.ffmpeg.clone_from(&ffmpeg.program);
     config.models = models.folders();

@@ -1,4 +1,4 @@
-//! `fled eval suite`: captures x configurations x seeds, judged, and what differs.
+//! `fled eval suite`: runs and judges captures x configurations x seeds, and compares them.
 
 mod child;
 
@@ -19,7 +19,7 @@ use crate::failure::{Failure, io};
 use crate::tools;
 use child::Program;
 
-/// Of the doctor's checks those of what computes. The disk does not.
+/// The doctor's checks of components that affect results. The disk does not.
 const COMPUTING: [&str; 5] = ["adapter", "colmap", "onnxruntime", "models", "matcher"];
 
 /// Arguments of `fled eval suite`.
@@ -55,11 +55,10 @@ pub struct Args {
     tools: tools::Args,
 }
 
-/// Carries the suite out and prints its tables.
+/// Runs the suite and prints its tables.
 ///
 /// # Errors
-/// [`Failure`]: wrong use for a suite that cannot be carried out. A run that fails is none; it is
-/// a row.
+/// [`Failure`]: wrong use for an invalid suite. A failed run is not an error but a row.
 pub fn main(args: &Args) -> Result<(), Failure> {
     let suite = suite(args)?;
     let program = Program::own(&args.tools)?;
@@ -111,7 +110,7 @@ fn write_json(path: &Path, summary: &Summary) -> Result<(), Failure> {
     std::fs::write(path, text + "\n").map_err(io(path))
 }
 
-/// What computes on this machine, as the doctor says.
+/// The components of this machine that affect results, as reported by the doctor.
 fn machine(program: &Program) -> Result<BTreeMap<String, String>, SuiteError> {
     let said = program.asked(&["doctor", "--json"])?;
     let checks = said["checks"].as_array().into_iter().flatten();

@@ -1,4 +1,4 @@
-//! `fled synth`: a capture made here, with ground truth.
+//! `fled synth`: generates a capture with ground truth.
 
 use std::path::PathBuf;
 
@@ -45,7 +45,7 @@ pub struct Args {
 /// Parses `WxH`.
 ///
 /// # Errors
-/// A sentence for clap.
+/// A message for clap.
 pub fn size(text: &str) -> Result<(usize, usize), String> {
     let parse = |side: &str| {
         side.parse::<usize>()

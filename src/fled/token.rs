@@ -1,4 +1,4 @@
-//! `fled token`: who may use the service.
+//! `fled token`: access to the service.
 
 use std::io::Write;
 use std::path::PathBuf;
@@ -71,10 +71,10 @@ struct Data {
     database: Option<String>,
 }
 
-/// Makes, lists or ends tokens.
+/// Creates, lists or revokes tokens.
 ///
 /// # Errors
-/// [`Failure`] for a scope or a time that is none, an unknown token, or a database that cannot be
+/// [`Failure`] for an invalid scope or duration, an unknown token, or a database that cannot be
 /// used.
 pub fn main(args: &Args) -> Result<(), Failure> {
     let runtime =
@@ -167,7 +167,7 @@ async fn revoke(data: &Data, id: &str) -> Result<(), Failure> {
     Ok(())
 }
 
-/// The store of a directory that a server has used or a token was made for.
+/// Opens the store of a directory that a server or `fled token create` has used.
 async fn existing(data: &Data) -> Result<Store, Failure> {
     let dir = &data.dir;
     if data.database.is_none() && !dir.join("fled.db").is_file() {

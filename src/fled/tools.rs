@@ -1,4 +1,4 @@
-//! What a run needs from the machine: device, COLMAP, ONNX Runtime, networks, signals.
+//! The resources of a run: device, COLMAP, ONNX Runtime, networks, signals.
 
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
@@ -59,10 +59,10 @@ pub struct Ffmpeg {
 }
 
 impl Ffmpeg {
-    /// What starts it so that it does not go on without this process.
+    /// The command that starts it in a process that ends with this one.
     ///
     /// # Errors
-    /// [`Failure`] when the path of the running program is unknown.
+    /// [`Failure`] if the path of the running program is unknown.
     pub fn command(&self) -> Result<Vec<OsString>, Failure> {
         fled_server::guarded(&self.program).map_err(|e| Failure::new(ErrorKind::Internal, e))
     }
@@ -86,14 +86,14 @@ impl ModelFolder {
 }
 
 impl Args {
-    /// Places where ONNX Runtime's library is looked for, first hit wins.
+    /// Folders to search for ONNX Runtime's library; the first hit wins.
     pub fn library_folders() -> Vec<PathBuf> {
         let mut folders = Vec::new();
         if let Ok(program) = std::env::current_exe()
             && let Some(folder) = program.parent()
         {
             folders.push(folder.to_owned());
-            // A binary in target/release of a checkout finds what `make onnxruntime` fetched.
+            // A binary in target/release of a checkout finds what `make onnxruntime` downloaded.
             folders.extend(beside_checkout(folder, ".onnxruntime"));
         }
         if let Ok(here) = std::env::current_dir() {
@@ -103,7 +103,7 @@ impl Args {
         folders
     }
 
-    /// Places where the weights of key points and matches are looked for.
+    /// Folders to search for the weights of key points and matches.
     pub fn matcher_folders(&self) -> Vec<PathBuf> {
         if let Some(folder) = &self.matcher {
             return vec![folder.clone()];
@@ -121,7 +121,7 @@ impl Args {
         folders
     }
 
-    /// The environment in which a child finds the same tools.
+    /// Environment variables by which a child finds the same tools.
     pub fn environment(&self) -> Vec<(&'static str, OsString)> {
         let named = [
             ("FLED_COLMAP", Some(&self.colmap)),
@@ -135,7 +135,7 @@ impl Args {
             .collect()
     }
 
-    /// The networks that find and match key points; `None` where the user goes without.
+    /// Opens the networks that find and match key points; `None` if the user disabled them.
     fn matching(&self) -> Result<Option<Arc<dyn Matching>>, FeatureError> {
         if self.matcher.as_deref() == Some(Path::new("none")) {
             return Ok(None);
@@ -156,8 +156,8 @@ impl Args {
     }
 }
 
-/// Folders of this name at the top of the checkout whose target/release or target/debug has the
-/// program.
+/// Folders of this name at the top of the checkout whose target/release or target/debug contains
+/// the program.
 fn beside_checkout(program: &Path, name: &str) -> impl Iterator<Item = PathBuf> {
     program
         .ancestors()
@@ -176,7 +176,7 @@ fn home(below: &str, variable: &str) -> Option<PathBuf> {
         .or_else(|| std::env::var_os("HOME").map(|home| PathBuf::from(home).join(below)))
 }
 
-/// Everything a run uses, owned.
+/// All resources of a run, owned.
 pub struct Kit {
     gpu: Gpu,
     sfm: Box<dyn Sfm>,
@@ -188,11 +188,11 @@ pub struct Kit {
 }
 
 impl Kit {
-    /// Opens the device, the network and the source of poses that `options` ask for.
+    /// Opens the device, the networks and the pose source that `options` request.
     ///
     /// # Errors
-    /// [`Failure`] of kind `environment` with what to do, or `bad_input` when poses are asked
-    /// for that the capture does not bring.
+    /// [`Failure`] of kind `environment` with a hint, or `bad_input` if the options request given
+    /// poses that the capture lacks.
     pub fn new(args: &Args, options: &Options, capture: &Capture) -> Result<Self, Failure> {
         let gpu =
             Gpu::new(&options.adapter).map_err(|e| Failure::new(ErrorKind::Environment, e))?;
@@ -234,7 +234,7 @@ impl Kit {
         &self.gpu
     }
 
-    /// Borrowed for a run.
+    /// Borrows the resources for a run.
     pub fn tools(&mut self) -> pipeline::Tools<'_> {
         pipeline::Tools {
             gpu: &self.gpu,
@@ -303,8 +303,9 @@ fn open_networks(
     ))
 }
 
-/// A token that SIGINT and SIGTERM raise. SIGINT after that ends the process at once. SIGTERM does
-/// not: who stops a service may tell each of its processes, and the service tells its jobs, too.
+/// Returns a token that SIGINT and SIGTERM cancel. A further SIGINT ends the process at once. A
+/// further SIGTERM does not: stopping a service may signal each of its processes, and the service
+/// signals its jobs too.
 ///
 /// # Errors
 /// [`Failure`] when the handlers cannot be installed.

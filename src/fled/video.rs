@@ -19,7 +19,7 @@ use crate::progress::overall_bar;
 use crate::render::read_cameras;
 use crate::tools;
 
-/// The least that the system gives a process beside others.
+/// The lowest scheduling priority.
 const BACKGROUND: i32 = 19;
 
 /// Arguments of `fled video`.
@@ -89,7 +89,7 @@ struct Way {
 /// Makes the video.
 ///
 /// # Errors
-/// [`Failure`] when the run, ffmpeg or the adapter is not there.
+/// [`Failure`] if the run, FFmpeg or the adapter is missing.
 pub fn main(args: &Args) -> Result<(), Failure> {
     if args.background {
         setpriority_process(None, BACKGROUND).map_err(|e| Failure::new(ErrorKind::Internal, e))?;
@@ -157,7 +157,7 @@ fn plan(args: &Args) -> Result<Plan, Failure> {
     })
 }
 
-/// How far it has come: a bar for people, lines for programs.
+/// Progress of the video: a bar for people, JSON lines for programs.
 struct Progress {
     bar: Option<ProgressBar>,
     total: usize,
@@ -189,7 +189,7 @@ impl Progress {
 fn tell(event: &VideoEvent) {
     if let Ok(line) = serde_json::to_string(event) {
         let mut out = std::io::stdout().lock();
-        // Nobody reads any more: whoever asked for it has gone, and ends this process as well.
+        // If the reader is gone, it also ends this process.
         let _ = writeln!(out, "{line}").and_then(|()| out.flush());
     }
 }

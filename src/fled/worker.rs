@@ -1,4 +1,4 @@
-//! `fled worker`: works on the jobs of a service whose database and files many machines share.
+//! `fled worker`: runs jobs of a service with a shared database and blob store.
 
 use std::path::PathBuf;
 
@@ -31,10 +31,10 @@ pub struct Args {
     models: tools::ModelFolder,
 }
 
-/// Works until SIGINT or SIGTERM; what runs then goes back to the queue with what is done of it.
+/// Runs jobs until SIGINT or SIGTERM; running jobs then go back to the queue with their progress.
 ///
 /// # Errors
-/// [`Failure`] when the data directory, the database or the store cannot be used.
+/// [`Failure`] if the data directory, the database or the blob store cannot be used.
 pub fn main(args: &Args) -> Result<(), Failure> {
     log();
     let database = args.shared.database.as_deref();
@@ -56,7 +56,7 @@ pub fn main(args: &Args) -> Result<(), Failure> {
         .map_err(|e| Failure::new(ErrorKind::Io, e))
 }
 
-/// What this machine has.
+/// Describes this machine.
 pub fn about(adapter: &str, jobs: usize) -> About {
     let found = Gpu::new(adapter);
     let found = found.as_ref().map(Gpu::describe).ok();
@@ -74,7 +74,7 @@ pub fn about(adapter: &str, jobs: usize) -> About {
     }
 }
 
-/// Bytes of this machine's memory, where it says so.
+/// This machine's memory in bytes, if it is known.
 fn memory() -> Option<u64> {
     let told = std::fs::read_to_string("/proc/meminfo").ok()?;
     let line = told

@@ -12,10 +12,10 @@ pub struct Args {
     remote: super::Args,
 }
 
-/// Asks for the job to be stopped.
+/// Requests the cancellation of the job.
 ///
 /// # Errors
-/// [`Failure`] in the service's own words, also where the job is over.
+/// [`Failure`] with the service's own message, including for a job that is over.
 pub fn main(args: &Args) -> Result<(), Failure> {
     let remote = Remote::new(&args.remote)?;
     let state = remote.order(&args.job, "cancel", None)?;

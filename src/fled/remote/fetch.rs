@@ -1,4 +1,4 @@
-//! `fled fetch`: brings a job's files here, each whole and proven by its digest.
+//! `fled fetch`: downloads a job's files, each complete and verified against its digest.
 
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Read, Write};
@@ -43,13 +43,13 @@ struct Artifact {
 /// Fetches the files of a job.
 ///
 /// # Errors
-/// [`Failure`] in the service's own words, and when the disk here refuses.
+/// [`Failure`] with the service's own message, or if the local disk fails.
 pub fn main(args: &Args) -> Result<(), Failure> {
     let remote = Remote::new(&args.remote)?;
     fetch(&remote, &args.job, &args.out, &args.only)
 }
 
-/// As [`main`]; all files where `only` is empty.
+/// Like [`main`]; fetches all files if `only` is empty.
 pub fn fetch(remote: &Remote, job: &str, out: &Path, only: &[String]) -> Result<(), Failure> {
     let list: Artifacts = remote.json(&format!("/v1/jobs/{job}/artifacts"))?;
     let is_wanted = |file: &Artifact| {
@@ -85,7 +85,7 @@ pub fn fetch(remote: &Remote, job: &str, out: &Path, only: &[String]) -> Result<
     Ok(())
 }
 
-/// A name of the service as a path below the folder, and nowhere else.
+/// Converts a name from the service into a relative path that stays below the folder.
 fn inside(name: &str) -> Result<PathBuf, Failure> {
     let path = Path::new(name);
     let is_inside = path
@@ -98,7 +98,7 @@ fn inside(name: &str) -> Result<PathBuf, Failure> {
     Err(Failure::new(ErrorKind::Environment, detail))
 }
 
-/// One file, gone on with where an earlier download was cut off.
+/// Fetches one file, resuming an earlier download.
 fn bring(remote: &Remote, job: &str, file: &Artifact, to: &Path) -> Result<(), Failure> {
     let parent = to.parent().unwrap_or(Path::new("."));
     fs::create_dir_all(parent).map_err(at(parent))?;
@@ -106,7 +106,7 @@ fn bring(remote: &Remote, job: &str, file: &Artifact, to: &Path) -> Result<(), F
     part.push(".part");
     let part = PathBuf::from(part);
     let address = format!("/v1/jobs/{job}/artifacts/{}", escaped(&file.name));
-    // What an earlier download left may be of another result: then all of it comes again, once.
+    // The remains of an earlier download may be of another result: then fetch all of it, once.
     for _ in 0..2 {
         remote.persist(|| go_on(remote, &address, file.bytes, &part))?;
         if digest(&part).map_err(at(&part))?.as_deref() == Some(&file.sha256) {
@@ -118,7 +118,7 @@ fn bring(remote: &Remote, job: &str, file: &Artifact, to: &Path) -> Result<(), F
     Err(Failure::new(ErrorKind::Environment, detail))
 }
 
-/// Downloads what is missing of `part`.
+/// Downloads the missing rest of `part`.
 fn go_on(remote: &Remote, address: &str, bytes: u64, part: &Path) -> Result<(), Fault> {
     let here = |error| Fault::Refused(at(part)(error));
     let mut file = OpenOptions::new()
@@ -136,7 +136,7 @@ fn go_on(remote: &Remote, address: &str, bytes: u64, part: &Path) -> Result<(), 
     if have > 0 && response.status() != StatusCode::PARTIAL_CONTENT {
         file.set_len(0).map_err(here)?;
     }
-    // One more than there can be: at its limit reading fails.
+    // One byte more than expected: reading fails at the limit.
     let body = response.into_body().into_with_config();
     let mut body = body.limit(bytes + 1).reader();
     let mut came = file.metadata().map_err(here)?.len();
@@ -156,7 +156,7 @@ fn go_on(remote: &Remote, address: &str, bytes: u64, part: &Path) -> Result<(), 
     Ok(())
 }
 
-/// The SHA-256 of a file, hexadecimal; `None` where there is none.
+/// The SHA-256 of a file in hexadecimal; `None` if it does not exist.
 fn digest(path: &Path) -> io::Result<Option<String>> {
     let mut file = match File::open(path) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
@@ -170,7 +170,7 @@ fn digest(path: &Path) -> io::Result<Option<String>> {
     ))
 }
 
-/// A path as a part of an address.
+/// Percent-encodes a path.
 fn escaped(name: &str) -> String {
     name.bytes()
         .map(|byte| match byte {
@@ -187,7 +187,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_name_leads_below_the_folder_or_nowhere() {
+    fn names_cannot_leave_the_folder() {
         assert!(inside("rounds/2/scene.ply").is_ok());
         for outside in ["", "/etc/passwd", "../x", "a/../../x", "./x"] {
             assert!(inside(outside).is_err(), "{outside:?}");

@@ -6,10 +6,10 @@ use std::path::{Path, PathBuf};
 
 use crate::failure::{Failure, io as at};
 
-/// Between the parts. Long and strange enough to be in no photograph.
+/// The boundary between parts. Long and unusual enough to occur in no photograph.
 const BOUNDARY: &str = "fled-7Qm2w9kX4tR8vB1nL5cZ-of-parts";
 
-/// What is sent: text fields, then files as parts named `images`.
+/// A form of text fields, then files as parts named `images`.
 pub struct Form {
     parts: Vec<(Vec<u8>, Option<PathBuf>)>,
     bytes: u64,
@@ -18,10 +18,10 @@ pub struct Form {
 }
 
 impl Form {
-    /// Of a folder with all that is in it but what is hidden, or of one file, such as a zip.
+    /// A form for a folder, with all files that are not hidden, or for one file, such as a zip.
     ///
     /// # Errors
-    /// [`Failure`] when something there cannot be read.
+    /// [`Failure`] if a file cannot be read.
     pub fn new(fields: &[(&str, String)], capture: &Path) -> Result<Self, Failure> {
         let mut form = Self {
             parts: Vec::new(),
@@ -34,7 +34,7 @@ impl Form {
             form.push(&mut hasher, &format!("{head}\r\n\r\n{value}"), None)?;
         }
         for (name, path) in files(capture)? {
-            // As browsers write names into this header.
+            // Browsers escape names in this header in the same way.
             let name = name
                 .replace('"', "%22")
                 .replace('\r', "%0D")
@@ -74,7 +74,7 @@ impl Form {
         self.bytes
     }
 
-    /// The header that says how to take it apart.
+    /// The header with the boundary.
     pub fn content_type() -> String {
         format!("multipart/form-data; boundary={BOUNDARY}")
     }
@@ -112,7 +112,7 @@ impl Read for FormBody<'_> {
     }
 }
 
-/// Files of a capture with their names, sorted.
+/// The files of a capture with their names, sorted.
 fn files(capture: &Path) -> Result<Vec<(String, PathBuf)>, Failure> {
     if capture.is_file() {
         let name = capture.file_name().unwrap_or_default().to_string_lossy();
@@ -150,7 +150,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_body_has_as_many_bytes_as_it_says_and_every_file_by_its_name() {
+    fn a_body_has_its_announced_length_and_all_files() {
         let folder = tempfile::tempdir().expect("temporary folder");
         let root = folder.path();
         std::fs::create_dir(root.join("gt")).expect("a folder");

@@ -1,4 +1,4 @@
-//! `fled retry`: lets a job of a service that ended go on.
+//! `fled retry`: continues a finished job of a service.
 
 use fled_core::pipeline::config::{Options, Preset};
 use serde_json::{Map, Value, json};
@@ -22,7 +22,7 @@ pub struct Args {
 /// Queues the job again.
 ///
 /// # Errors
-/// [`Failure`] in the service's own words, also where the job has not ended.
+/// [`Failure`] with the service's own message, including for a job that is not over.
 pub fn main(args: &Args) -> Result<(), Failure> {
     let remote = Remote::new(&args.remote)?;
     let options = assigned(Preset::Standard, &args.assignments)?;
@@ -32,8 +32,7 @@ pub fn main(args: &Args) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Options that are assigned, by their keys, with the types that they have. A typo is told before
-/// anything is sent.
+/// The assigned options by key, with their JSON types. A typo is reported before anything is sent.
 pub fn assigned(preset: Preset, assignments: &[String]) -> Result<Map<String, Value>, Failure> {
     let mut options: Options = preset.options();
     let mut given = Map::new();

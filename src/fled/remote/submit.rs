@@ -55,11 +55,11 @@ struct Accepted {
     id: String,
 }
 
-/// Sends the capture, watches the job and fetches its result. The same command goes on where an
-/// earlier one was cut off: the same capture and options are the same job.
+/// Sends the capture, watches the job and fetches its result. The same command resumes one that was
+/// cut off: the same capture and options give the same job.
 ///
 /// # Errors
-/// [`Failure`] in the service's own words.
+/// [`Failure`] with the service's own message.
 pub fn main(args: &Args) -> Result<(), Failure> {
     let remote = Remote::new(&args.remote)?;
     let form = Form::new(&fields(args)?, &args.capture)?;
@@ -68,7 +68,7 @@ pub fn main(args: &Args) -> Result<(), Failure> {
         let now = std::time::SystemTime::UNIX_EPOCH.elapsed();
         key += &format!("-{}", now.unwrap_or_default().as_nanos());
     }
-    // A wrong address or token is told at once.
+    // Check the address and the token first.
     remote.json::<Value>("/v1/options")?;
     let job = remote.persist(|| send(&remote, &form, &key))?;
     writeln!(std::io::stdout(), "{job}").map_err(|e| Failure::new(ErrorKind::Io, e))?;
@@ -110,7 +110,7 @@ fn send(remote: &Remote, form: &Form, key: &str) -> Result<String, Fault> {
     let request = Request::post(remote.url("/v1/jobs"))
         .header(header::CONTENT_TYPE, Form::content_type())
         .header(header::CONTENT_LENGTH, form.bytes())
-        // What is refused is refused before the body is sent.
+        // A refusal then arrives before the body is sent.
         .header(header::EXPECT, "100-continue")
         .header("idempotency-key", key);
     let answer = remote.send(&remote.patient, request, SendBody::from_reader(&mut body));

@@ -1,4 +1,4 @@
-//! `fled watch`: shows what a job does until it is over.
+//! `fled watch`: shows the progress of a job until it is over.
 
 use std::time::Duration;
 
@@ -11,7 +11,7 @@ use super::Remote;
 use crate::failure::Failure;
 use crate::progress::{name, overall_bar, round_lines};
 
-/// Between two looks at a job.
+/// Time between two requests for the job.
 const PERIOD: Duration = Duration::from_secs(1);
 
 /// Arguments of `fled watch`.
@@ -23,7 +23,7 @@ pub struct Args {
     remote: super::Args,
 }
 
-/// What is shown of a job.
+/// The fields that are shown of a job.
 #[derive(Deserialize)]
 struct Job {
     name: String,
@@ -69,12 +69,12 @@ struct Rounds {
 /// Shows a job until it is over.
 ///
 /// # Errors
-/// [`Failure`] of the job's own kind where it fails, and where it is cancelled.
+/// [`Failure`] of the job's own kind if it fails, or if it is cancelled.
 pub fn main(args: &Args) -> Result<(), Failure> {
     watch(&Remote::new(&args.remote)?, &args.job)
 }
 
-/// As [`main`].
+/// Like [`main`].
 pub fn watch(remote: &Remote, id: &str) -> Result<(), Failure> {
     let screen = Screen::new();
     let mut told = Told::default();
@@ -123,7 +123,7 @@ fn end(job: Job) -> Failure {
     }
 }
 
-/// A bar for people; lines where nobody watches.
+/// A bar on a terminal, plain lines otherwise.
 struct Screen {
     bar: ProgressBar,
 }
@@ -142,7 +142,7 @@ impl Screen {
     }
 }
 
-/// What was told already.
+/// What has already been shown.
 #[derive(Default)]
 struct Told {
     state: String,
@@ -152,9 +152,9 @@ struct Told {
 }
 
 impl Told {
-    /// Tells what has changed.
+    /// Shows what has changed.
     fn news(&mut self, job: &Job, screen: &Screen) {
-        // An attempt that begins anew may have fewer of both.
+        // A new attempt may have fewer of both.
         for stage in job.stages.iter().skip(self.stages) {
             let name = name(&stage.stage, stage.round);
             screen.line(&format!("{name} done in {:.1} s", stage.seconds));

@@ -1,4 +1,4 @@
-//! The program itself, started as a child: a crash of a graphics driver ends one run and not the
+//! Runs this program as a child process: a crash of a graphics driver ends one run and not the
 //! suite.
 
 use std::ffi::{OsStr, OsString};
@@ -16,7 +16,7 @@ use rustix::process::{Pid, Signal, kill_process};
 use crate::failure::Failure;
 use crate::tools;
 
-/// How often a child is looked after: runs take minutes.
+/// Time between two checks of a child: runs take minutes.
 const PAUSE: Duration = Duration::from_millis(100);
 
 /// This program, with the tools that its children use.
@@ -26,10 +26,10 @@ pub struct Program {
 }
 
 impl Program {
-    /// The program that runs.
+    /// The running program.
     ///
     /// # Errors
-    /// [`Failure`] when nobody says where it lies.
+    /// [`Failure`] if its path is unknown.
     pub fn own(tools: &tools::Args) -> Result<Self, Failure> {
         let here = std::env::current_exe();
         let here = here.map_err(crate::failure::io(Path::new("fled")))?;
@@ -39,16 +39,16 @@ impl Program {
         })
     }
 
-    /// Its file.
+    /// The path of its file.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// What it answers to these words in JSON. Its exit code says whether all is well, which is
-    /// not asked.
+    /// Runs it with these arguments and parses its JSON output. Its exit code, which reports
+    /// whether all is well, is ignored.
     ///
     /// # Errors
-    /// [`SuiteError`] when it cannot be started or answers something else.
+    /// [`SuiteError`] if it cannot be started or prints anything else.
     pub fn asked(&self, words: &[&str]) -> Result<serde_json::Value, SuiteError> {
         let output = self.command(words).stdout(Stdio::piped()).output();
         let output = output.map_err(SuiteError::io(&self.path))?;
@@ -58,7 +58,7 @@ impl Program {
         })
     }
 
-    /// Starts it with these words and waits for its end; where it fails, its last error line.
+    /// Runs it with these arguments to its end; if it fails, returns its last error line.
     ///
     /// # Errors
     /// [`SuiteError::Cancelled`], with the child gone, or [`SuiteError::Io`].
@@ -82,7 +82,7 @@ impl Program {
         Ok(verdict(status, line))
     }
 
-    /// In a group of its own: a signal of the terminal comes to this process, which passes it on.
+    /// In its own process group: terminal signals reach this process, which forwards them.
     fn command<W: AsRef<OsStr>>(&self, words: &[W]) -> Command {
         let mut command = Command::new(&self.path);
         command
@@ -96,7 +96,7 @@ impl Program {
     }
 }
 
-/// Waits for the end of a child, and asks for it where this process is asked to stop.
+/// Waits for the end of a child, and terminates it on cancellation.
 fn wait(child: &mut Child, cancel: &CancelToken) -> std::io::Result<ExitStatus> {
     let mut asked = false;
     loop {
@@ -106,7 +106,7 @@ fn wait(child: &mut Child, cancel: &CancelToken) -> std::io::Result<ExitStatus> 
         if cancel.check().is_err() && !asked {
             asked = true;
             if let Some(pid) = i32::try_from(child.id()).ok().and_then(Pid::from_raw) {
-                // It has just ended: then there is nobody to ask.
+                // It may have just ended.
                 let _ = kill_process(pid, Signal::TERM);
             }
         }
@@ -125,7 +125,7 @@ fn verdict(status: ExitStatus, line: String) -> Result<(), String> {
     })
 }
 
-/// The last line in which the program says what is wrong, else the last line.
+/// The last line that reports an error, otherwise the last line.
 fn last_error(errors: impl Read) -> String {
     let (mut last, mut named) = (String::new(), None);
     for line in BufReader::new(errors).split(b'\n').map_while(Result::ok) {
@@ -148,7 +148,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_line_that_says_what_is_wrong_is_found_among_others() {
+    fn the_last_error_line_is_found() {
         let said = "   0.1 poses done\nfled: no poses\n      Take more photographs.\n\n";
         assert_eq!(last_error(said.as_bytes()), "no poses");
         let wrong_use = "error: unexpected argument\n\nFor more information, try '--help'.\n";
@@ -169,7 +169,7 @@ mod tests {
     }
 
     #[test]
-    fn a_child_that_fails_is_no_error_and_its_tools_are_those_of_the_suite() {
+    fn a_failed_child_is_no_error_and_uses_the_suites_tools() {
         let cancel = CancelToken::new();
         let fails = words("echo fled: no $FLED_COLMAP >&2; exit 3");
         let outcome = shell().run(&fails, &cancel).expect("started");
@@ -183,7 +183,7 @@ mod tests {
     }
 
     #[test]
-    fn a_child_ends_when_the_suite_is_asked_to_stop() {
+    fn cancelling_the_suite_ends_its_child() {
         let cancel = CancelToken::new();
         cancel.cancel();
         let stopped = shell().run(&words("exec sleep 600"), &cancel);
