@@ -1,5 +1,5 @@
-//! Requests that are wrong in ways of their own, through a real server process: each is answered
-//! with what is wrong, none with 500, none with a path of the server.
+//! Malformed and impossible requests, through a real server process: each answer says what is
+//! wrong, none is a 500, and none contains a path of the server.
 
 use crate::support::{Server, file, photographs, text, zip};
 use serde_json::{Value, json};
@@ -12,7 +12,7 @@ fn camera(focal: f64) -> Value {
 }
 
 #[test]
-fn behind_the_end_of_a_log_there_is_nothing() {
+fn past_the_end_of_a_log_there_is_nothing() {
     let server = Server::start();
     let job = server.job("few_poses");
     server.wait_state(&job, "failed");
@@ -26,7 +26,7 @@ fn behind_the_end_of_a_log_there_is_nothing() {
 }
 
 #[test]
-fn a_broken_multipart_body_is_the_clients_fault() {
+fn a_malformed_multipart_body_is_a_bad_request() {
     let server = Server::start();
     let whole =
         "--XXXX\r\nContent-Disposition: form-data; name=\"images\"; filename=\"a.png\"\r\n\r\nabc";
@@ -52,7 +52,7 @@ fn a_broken_multipart_body_is_the_clients_fault() {
 }
 
 #[test]
-fn the_type_of_a_body_is_read_in_any_case_and_an_array_is_no_order() {
+fn media_types_ignore_case_and_arrays_are_no_orders() {
     let server = Server::start();
     let capture = server.capture(3);
     let array = json!([capture, "preview", {}, "name"]);
@@ -73,7 +73,7 @@ fn the_type_of_a_body_is_read_in_any_case_and_an_array_is_no_order() {
 }
 
 #[test]
-fn what_a_job_would_fail_at_after_its_poses_is_refused_before_it() {
+fn options_that_would_fail_late_are_refused_at_once() {
     let server = Server::start();
     let order = |options: Value| {
         let order = json!({ "capture_id": server.capture(3), "options": options });
@@ -106,7 +106,7 @@ fn what_a_job_would_fail_at_after_its_poses_is_refused_before_it() {
 }
 
 #[test]
-fn poses_that_cannot_be_read_are_refused_with_the_upload() {
+fn unreadable_poses_are_refused_with_the_upload() {
     let server = Server::start();
     let broken = [
         vec![file("transforms.json", b"{")],
@@ -145,7 +145,7 @@ fn poses_that_cannot_be_read_are_refused_with_the_upload() {
 }
 
 #[test]
-fn a_camera_that_sees_nothing_is_none_and_lost_cameras_are_told() {
+fn invalid_and_missing_cameras_are_reported() {
     let server = Server::start();
     let job = server.job("ok");
     server.wait_state(&job, "succeeded");
@@ -175,7 +175,7 @@ fn a_camera_that_sees_nothing_is_none_and_lost_cameras_are_told() {
 }
 
 #[test]
-fn an_event_that_was_never_told_cannot_be_the_last() {
+fn an_unknown_last_event_id_is_refused() {
     let server = Server::start();
     let job = server.job("few_poses");
     server.wait_state(&job, "failed");
@@ -198,7 +198,7 @@ fn an_event_that_was_never_told_cannot_be_the_last() {
 }
 
 #[test]
-fn no_answer_tells_where_the_server_keeps_its_files() {
+fn no_answer_contains_a_path_of_the_server() {
     let server = Server::start();
     let (job, done) = (server.job("leak"), server.job("ok"));
     let failed = server.wait_state(&job, "failed");

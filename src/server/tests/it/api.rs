@@ -1,9 +1,9 @@
-//! The API as a whole through a real server process: whose pages may call it, lists, health.
+//! The API as a whole through a real server process: origins, lists, health.
 
 use crate::support::{Server, photographs, text};
 
 #[test]
-fn another_sites_page_cannot_start_jobs() {
+fn pages_of_other_sites_cannot_start_jobs() {
     let server = Server::start();
     let evil = [
         ("origin", "https://evil.example"),
@@ -20,7 +20,7 @@ fn another_sites_page_cannot_start_jobs() {
 }
 
 #[test]
-fn a_foreign_name_that_points_here_is_refused() {
+fn a_foreign_host_name_is_refused() {
     let server = Server::start();
     let rebound = [("host", "evil:8080"), ("origin", "http://evil:8080")];
     let parts = [text("name", "evil")];
@@ -34,7 +34,7 @@ fn a_foreign_name_that_points_here_is_refused() {
 }
 
 #[test]
-fn lists_are_paged_without_gap_and_filtered_by_state() {
+fn lists_are_paged_without_gaps_and_filtered_by_state() {
     let server = Server::start();
     let mut jobs: Vec<String> = (0..3).map(|_| server.job("ok")).collect();
     let failed = server.job("few_poses");
@@ -66,7 +66,7 @@ fn lists_are_paged_without_gap_and_filtered_by_state() {
 }
 
 #[test]
-fn a_page_of_no_size_is_refused_and_not_another_one_answered() {
+fn a_page_size_out_of_range_is_refused() {
     let server = Server::start();
     for (path, most) in [("/v1/jobs", 200), ("/v1/captures", 200)] {
         for limit in [0, most + 1] {
@@ -81,7 +81,7 @@ fn a_page_of_no_size_is_refused_and_not_another_one_answered() {
 }
 
 #[test]
-fn health_says_what_is_missing_and_what_to_do() {
+fn readiness_reports_what_is_missing_and_what_to_do() {
     let server = Server::start();
     assert_eq!(server.get("/livez", &[]).expect(200).text(), "ok\n");
     let ready = server.get("/readyz", &[]).expect(503).json();

@@ -1,4 +1,4 @@
-//! Uploads that end, hold up or overload whoever looks at them, through a real server process.
+//! Uploads that crash, block or overload their validation, through a real server process.
 
 use std::fs;
 use std::os::unix::fs::PermissionsExt;
@@ -11,7 +11,7 @@ use image::{ExtendedColorType, ImageEncoder};
 
 const MIB: u64 = 1 << 20;
 
-/// Three good photographs and another.
+/// Three good photographs and another file.
 fn with(name: &str, bytes: &[u8]) -> Vec<Part> {
     let mut parts = photographs(3);
     parts.push(file(name, bytes));
@@ -22,7 +22,7 @@ fn is_empty(folder: &Path) -> bool {
     fs::read_dir(folder).expect("folder").next().is_none()
 }
 
-/// Waits for what comes soon.
+/// Waits up to ten seconds for a condition.
 #[track_caller]
 fn soon(what: &str, is: impl Fn() -> bool) {
     let start = Instant::now();
@@ -33,7 +33,7 @@ fn soon(what: &str, is: impl Fn() -> bool) {
 }
 
 #[test]
-fn a_photograph_of_which_its_reader_dies_is_named_and_the_server_lives() {
+fn a_photograph_that_crashes_its_validator_is_named() {
     let server = Server::start();
     for path in ["/v1/captures", "/v1/captures?dry_run", "/v1/jobs"] {
         let parts = with("crash.png", &photograph(9));
@@ -52,7 +52,7 @@ fn a_photograph_of_which_its_reader_dies_is_named_and_the_server_lives() {
 }
 
 #[test]
-fn a_photograph_that_is_read_without_an_end_holds_up_its_upload_alone() {
+fn an_endless_photograph_blocks_only_its_own_upload() {
     let server = Server::start_with(&[("FLED_FAKE_PHOTOGRAPH_MS", "2000")]);
     scope(|scope| {
         let endless = scope.spawn(|| {
@@ -72,7 +72,7 @@ fn a_photograph_that_is_read_without_an_end_holds_up_its_upload_alone() {
     soon("the folder gone", || is_empty(&incoming));
 }
 
-/// 16-bit RGBA of one colour: 8 bytes a pixel, and nearly nothing as a file.
+/// 16-bit RGBA of one colour: 8 bytes per pixel, and nearly nothing as a file.
 fn huge(side: u32) -> Vec<u8> {
     let samples = vec![0; side as usize * side as usize * 8];
     let mut png = Vec::new();
@@ -83,7 +83,7 @@ fn huge(side: u32) -> Vec<u8> {
 }
 
 #[test]
-fn a_photograph_that_wants_more_memory_than_there_is_costs_its_upload_and_nothing_else() {
+fn a_photograph_beyond_the_memory_limit_fails_only_its_upload() {
     let server = Server::start_with(&[("FLED_FAKE_ASSESSING", &(300 * MIB).to_string())]);
     let before = server.peak_memory();
     let parts = with("huge.png", &huge(7000));
@@ -129,7 +129,7 @@ fn uploads_share_one_budget_for_decoding() {
     assert!(own < 150, "{own} MiB in the server itself");
 }
 
-/// What a process holds, bytes; nothing once it is gone.
+/// Resident memory of a process in bytes; 0 once it is gone.
 fn memory(process: &Path) -> u64 {
     let status = fs::read_to_string(process.join("status")).unwrap_or_default();
     let held = status.lines().find_map(|line| line.strip_prefix("VmRSS:"));
@@ -137,7 +137,7 @@ fn memory(process: &Path) -> u64 {
     1024 * held.map_or(0, |held| held.trim().parse().expect("a number"))
 }
 
-/// A program in place of ffmpeg that never ends; how its processes can be told.
+/// A replacement of FFmpeg that never ends and is recognised by its `sleep` argument.
 fn endless_ffmpeg(folder: &Path, seconds: &str) -> PathBuf {
     let path = folder.join("endless-ffmpeg");
     fs::write(&path, format!("#!/bin/sh\nexec sleep {seconds}\n")).expect("written");
@@ -153,8 +153,8 @@ fn sleepers(seconds: &str) -> usize {
 }
 
 #[test]
-fn who_reads_a_video_ends_with_a_client_that_hangs_up_and_with_a_killed_server() {
-    // A number that no other test sleeps for.
+fn a_video_reader_ends_with_its_client_and_its_server() {
+    // A duration that no other test uses.
     let seconds = format!("9{:06}", std::process::id());
     let folder = tempfile::tempdir().expect("folder");
     let program = endless_ffmpeg(folder.path(), &seconds);

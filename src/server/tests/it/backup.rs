@@ -1,4 +1,4 @@
-//! A copy of the data directory while a server works in it, and a server started on the copy.
+//! A backup of a data directory in use, and a server started from it.
 
 use std::fs;
 use std::path::Path;
@@ -15,7 +15,7 @@ fn copy(from: &Path, to: &Path) -> fled_server::Result<Backup> {
 }
 
 #[test]
-fn a_server_on_the_copy_has_what_had_ended_and_begins_the_rest_anew() {
+fn a_backup_has_finished_jobs_and_starts_the_rest_afresh() {
     let server = Server::start();
     let done = server.job("ok");
     server.wait_state(&done, "succeeded");

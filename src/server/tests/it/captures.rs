@@ -1,4 +1,4 @@
-//! Uploads through a real server process: what is taken, what is refused, where it lies.
+//! Uploads through a real server process: what is accepted, what is refused, where it is stored.
 
 use std::thread::sleep;
 use std::time::{Duration, Instant};
@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use crate::support::{Server, file, photograph, photographs, text, zip};
 
 #[test]
-fn bad_files_are_listed_and_the_rest_goes_on_until_too_few_remain() {
+fn bad_files_are_listed_until_too_few_good_ones_remain() {
     let server = Server::start();
     let mut parts = photographs(3);
     parts.push(file("broken.jpg", b"this is text"));
@@ -48,7 +48,7 @@ fn bad_files_are_listed_and_the_rest_goes_on_until_too_few_remain() {
         Some(1),
         "only what was accepted is kept"
     );
-    // They go with the process that has looked at them, which ends a moment after the answer.
+    // Their folders go with the validation process, which ends a moment after the answer.
     let begun = Instant::now();
     let incoming = server.data.path().join("data/incoming");
     while std::fs::read_dir(&incoming).expect("folder").count() > 0 {
@@ -59,7 +59,7 @@ fn bad_files_are_listed_and_the_rest_goes_on_until_too_few_remain() {
 }
 
 #[test]
-fn a_zip_is_judged_by_its_own_names_and_kept_as_it_is() {
+fn a_zip_is_validated_by_its_own_names_and_stored_unchanged() {
     let server = Server::start();
     let names = [
         "walk/images/a.png",
@@ -107,7 +107,7 @@ fn a_zip_is_judged_by_its_own_names_and_kept_as_it_is() {
 }
 
 #[test]
-fn names_cannot_lead_out_of_the_capture() {
+fn names_cannot_escape_the_capture() {
     let server = Server::start();
     let names = [
         "../../../evil.png",

@@ -15,7 +15,7 @@ fn connect(server: &Server) -> TcpStream {
     stream
 }
 
-/// Waits until the server has closed the connection; how long that took.
+/// Waits until the server has closed the connection, and returns how long that took.
 fn closed(mut stream: TcpStream) -> Duration {
     let start = Instant::now();
     let mut rest = Vec::new();
@@ -27,7 +27,7 @@ fn closed(mut stream: TcpStream) -> Duration {
 }
 
 #[test]
-fn a_connection_that_says_nothing_or_half_a_header_is_closed() {
+fn silent_and_half_open_requests_are_closed() {
     let server = Server::start_with(&[("FLED_FAKE_HEADER_MS", "700")]);
     let silent = connect(&server);
     let mut half = connect(&server);
@@ -43,7 +43,7 @@ fn a_connection_that_says_nothing_or_half_a_header_is_closed() {
 }
 
 #[test]
-fn a_body_that_trickles_is_given_up() {
+fn a_trickling_body_times_out() {
     let server = Server::start_with(&[("FLED_FAKE_STALL_MS", "700")]);
     let mut stream = connect(&server);
     stream
@@ -71,7 +71,7 @@ fn a_body_that_trickles_is_given_up() {
 }
 
 #[test]
-fn an_answer_that_nobody_reads_is_given_up() {
+fn an_unread_answer_times_out() {
     let limits = [
         ("FLED_FAKE_STALL_MS", "700"),
         ("FLED_FAKE_CONNECTIONS", "1"),
@@ -79,14 +79,14 @@ fn an_answer_that_nobody_reads_is_given_up() {
     let server = Server::start_with(&limits);
     let job = server.job("ok");
     server.wait_state(&job, "succeeded");
-    // More than any buffer holds.
+    // Larger than any buffer.
     let scene = format!("data/jobs/{job}/output/scene.ply");
     std::fs::write(server.data.path().join(scene), vec![7; 64 << 20]).expect("written");
     let path = format!("/v1/jobs/{job}/artifacts/scene.ply");
     let mut stream = connect(&server);
     write!(stream, "GET {path} HTTP/1.1\r\nHost: localhost\r\n\r\n").expect("request");
     sleep(Duration::from_secs(4));
-    // There is one place, and it is free again.
+    // There is only one place, and it is free again.
     let mut other = connect(&server);
     write!(other, "GET /livez HTTP/1.1\r\nHost: localhost\r\n\r\n").expect("request");
     let mut head = [0; 15];
@@ -96,8 +96,8 @@ fn an_answer_that_nobody_reads_is_given_up() {
 }
 
 #[test]
-fn idle_connections_make_room_for_those_that_ask() {
-    // Fewer descriptors than there are places.
+fn idle_connections_make_room_for_new_ones() {
+    // Fewer descriptors than places.
     let server = Server::start_with(&[("FLED_FAKE_DESCRIPTORS", "200")]);
     let idle: Vec<TcpStream> = (0..300).map(|_| connect(&server)).collect();
     for _ in 0..3 {
@@ -113,7 +113,7 @@ fn idle_connections_make_room_for_those_that_ask() {
 }
 
 #[test]
-fn requests_that_are_answered_keep_their_places_and_others_are_told() {
+fn active_requests_keep_their_places_and_others_get_503() {
     let server = Server::start_with(&[("FLED_FAKE_CONNECTIONS", "3")]);
     let job = server.job("slow:100");
     let path = format!("GET /v1/jobs/{job}/events HTTP/1.1\r\nHost: localhost\r\n\r\n");
@@ -136,13 +136,13 @@ fn requests_that_are_answered_keep_their_places_and_others_are_told() {
 }
 
 #[test]
-fn a_refused_upload_is_told_to_a_client_that_sends_it_all_first() {
+fn a_client_that_sends_everything_first_reads_the_refusal() {
     let full = Server::start_with(&[("FLED_FAKE_MIN_FREE", "1152921504606846976")]);
     let queue = Server::start_with(&[("FLED_FAKE_QUEUE", "0")]);
     for (server, path, status) in [
         (&full, "/v1/captures", "507"),
         (&queue, "/v1/jobs", "503"),
-        // Nobody has such a page; a body of another type.
+        // An unknown job; a body of another type.
         (&queue, "/v1/jobs/none/render", "413"),
     ] {
         let mut stream = connect(server);
@@ -169,7 +169,7 @@ fn a_refused_upload_is_told_to_a_client_that_sends_it_all_first() {
 }
 
 #[test]
-fn a_refused_upload_without_end_is_not_taken_for_ever() {
+fn a_refused_endless_upload_is_cut_off() {
     let server = Server::start_with(&[("FLED_FAKE_QUEUE", "0")]);
     let mut stream = connect(&server);
     let total = 1_u64 << 30;
@@ -182,6 +182,6 @@ fn a_refused_upload_without_end_is_not_taken_for_ever() {
     let body = vec![b'a'; 1 << 20];
     let taken = (0..total >> 20).take_while(|_| stream.write_all(&body).is_ok());
     let taken = taken.count();
-    // What lies in the buffers of both ends comes on top.
+    // The content of the buffers at both ends comes on top.
     assert!(taken < 200, "{taken} MiB");
 }

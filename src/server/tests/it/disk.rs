@@ -1,4 +1,4 @@
-//! A disk without space, through a real server process.
+//! A full disk, through a real server process.
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -15,7 +15,7 @@ use serde_json::json;
 const NO_SPACE: [(&str, &str); 1] = [("FLED_FAKE_MIN_FREE", "1152921504606846976")];
 
 #[test]
-fn below_the_watermark_nothing_is_accepted_and_nothing_begins() {
+fn below_the_watermark_nothing_is_accepted_or_started() {
     let mut server = Server::start();
     let capture = server.capture(3);
     let waiting = server.job("slow:30");
@@ -38,11 +38,11 @@ fn below_the_watermark_nothing_is_accepted_and_nothing_begins() {
 }
 
 #[test]
-fn a_zip_is_unpacked_only_where_there_is_space_for_it() {
+fn a_zip_is_unpacked_only_if_its_content_fits() {
     let server = Server::start();
     let free = free_bytes(server.data.path());
     drop(server);
-    // Space for the zip and not for what is in it, give or take what others write meanwhile.
+    // Space for the zip but not for its content, even if other tests write meanwhile.
     let watermark = (free - (8 << 20)).to_string();
     let server = Server::start_with(&[("FLED_FAKE_MIN_FREE", &watermark)]);
     let names: Vec<String> = (0..60).map(|i| format!("{i}.jpg")).collect();
@@ -55,17 +55,17 @@ fn a_zip_is_unpacked_only_where_there_is_space_for_it() {
     assert_eq!(refused.expect(507).json()["code"], "disk_full");
 }
 
-/// What a disk of its own holds besides what fills it, bytes.
+/// Size of the server's own disk, in bytes.
 const DISK: u64 = 48 << 20;
 
-/// As often as somebody says by `FLED_FILLS`; CI fills it a few times.
+/// Fills the disk `FLED_FILLS` times; CI fills it a few times.
 #[test]
-fn a_disk_that_is_full_for_a_while_loses_nothing() {
+fn a_temporarily_full_disk_loses_nothing() {
     let allowed = Command::new("unshare")
         .args(["--map-root-user", "--mount", "true"])
         .status();
     if !allowed.is_ok_and(|status| status.success()) {
-        // Also where the test passes, whose other words nobody sees.
+        // Written to standard error directly, because the output of passing tests is hidden.
         let said = "left out: `unshare --map-root-user --mount` is not allowed here";
         writeln!(std::io::stderr(), "{said}").expect("said");
         return;
@@ -82,7 +82,7 @@ fn a_disk_that_is_full_for_a_while_loses_nothing() {
     for fill in 0..fills {
         let job = server.post_json("/v1/jobs", &order, &[]).expect(202).json();
         let job = job["id"].as_str().expect("id").to_owned();
-        // Over all stages, and before it begins.
+        // Spread over all stages, and before the job begins.
         sleep(Duration::from_millis(u64::from(fill) * 137 % 1100));
         let stage = server.show(&job)["stage"].to_string();
         let filler = fill_up(&server);
@@ -111,14 +111,14 @@ fn a_disk_that_is_full_for_a_while_loses_nothing() {
             (1..=ids.len() as i64).collect::<Vec<_>>(),
             "a gap or a duplicate"
         );
-        // What the fill refused is taken now.
+        // What was refused while the disk was full is accepted now.
         server.capture(3);
         *met.entry(stage).or_default() += 1;
     }
     eprintln!("filled {fills} times, by stage: {met:?}");
 }
 
-/// Leaves not a byte of the server's disk; the file that takes it.
+/// Fills the server's disk to the last byte, and returns the filler file.
 fn fill_up(server: &Server) -> PathBuf {
     let path = server.seen().join("filler");
     let mut file = File::create(&path).expect("made");

@@ -1,4 +1,4 @@
-//! What others go on from, through a real server process.
+//! Exports through a real server process.
 
 use std::io::Cursor;
 
@@ -21,7 +21,7 @@ fn names(reply: &Reply) -> Vec<String> {
 }
 
 #[test]
-fn a_finished_job_is_had_in_every_form_that_is_listed() {
+fn every_listed_export_of_a_finished_job_can_be_downloaded() {
     let server = Server::start();
     let job = server.job("splats");
     server.wait_state(&job, "succeeded");
@@ -63,7 +63,7 @@ fn a_finished_job_is_had_in_every_form_that_is_listed() {
 }
 
 #[test]
-fn a_job_that_runs_is_refused_but_for_its_finished_rounds() {
+fn a_running_job_exports_only_its_finished_rounds() {
     let server = Server::start();
     let job = server.job("slow:40");
     server.wait(&job, "running", |shown| shown["state"] == "running");
@@ -80,7 +80,7 @@ fn a_job_that_runs_is_refused_but_for_its_finished_rounds() {
 }
 
 #[test]
-fn what_cannot_be_made_says_so_before_it_is_sent() {
+fn an_impossible_export_is_refused_before_it_is_sent() {
     let server = Server::start();
     let job = server.job("ok");
     server.wait_state(&job, "succeeded");
@@ -97,7 +97,7 @@ fn what_cannot_be_made_says_so_before_it_is_sent() {
 }
 
 #[test]
-fn a_link_shows_exports_and_a_stranger_sees_none() {
+fn a_share_link_shows_exports_and_a_stranger_sees_none() {
     let server = Server::start();
     let job = server.job("splats");
     server.wait_state(&job, "succeeded");

@@ -1,5 +1,5 @@
-//! What may happen to one of many machines, each at a moment that is chosen: its death, the cut of
-//! its network, a wrong clock, a bucket that fails. The job ends as if nothing had happened.
+//! Faults of one machine of many, each at a chosen moment: its death, a network cut, a wrong clock,
+//! a failing bucket. The job ends as if nothing had happened.
 
 use std::fs;
 use std::io::{Read, Write};
@@ -19,7 +19,7 @@ use serde_json::json;
 
 #[test]
 #[ignore = "make test-nightly"]
-fn a_worker_that_dies_at_any_point_of_an_attempt_loses_nothing_and_does_nothing_twice() {
+fn a_worker_may_die_at_any_failpoint() {
     let farm = Farm::new();
     let calm = expected();
     let (_api, api) = farm.replica("api");
@@ -39,7 +39,7 @@ fn a_worker_that_dies_at_any_point_of_an_attempt_loses_nothing_and_does_nothing_
         }
         worker.dies();
         assert!(gone(&job), "{failpoint}: its process ends with it");
-        // Itself, back at once, or another, when its lease has ended.
+        // The same worker, back at once, or another one, after its lease has expired.
         let heir = if index % 2 == 0 {
             name
         } else {
@@ -63,7 +63,7 @@ fn a_worker_that_dies_at_any_point_of_an_attempt_loses_nothing_and_does_nothing_
 
 #[test]
 #[ignore = "make test-nightly"]
-fn workers_whose_clocks_are_an_hour_ahead_and_behind_work_and_take_over_as_others_do() {
+fn wrong_clocks_do_not_disturb_workers() {
     let farm = Farm::new();
     let calm = expected();
     let (_api, api) = farm.replica("api");
@@ -78,7 +78,7 @@ fn workers_whose_clocks_are_an_hour_ahead_and_behind_work_and_take_over_as_other
         let took = seconds(&shown["finished_at"]) - seconds(&shown["created_at"]);
         assert!((0..60).contains(&took), "{took} s by the database's clock");
     }
-    // One of them alone, killed: the other waits for the end of its lease as everybody does.
+    // One of them alone, killed: the other waits for the end of its lease, like any worker.
     drop(behind);
     let job = order(&api, SLOW);
     in_the_middle(&api, &job);
@@ -96,7 +96,7 @@ fn workers_whose_clocks_are_an_hour_ahead_and_behind_work_and_take_over_as_other
 
 type Environment = Vec<(String, String)>;
 
-/// What makes a process see another time of day, and the same passing of time.
+/// Environment variables that shift a process's time of day but not its monotonic clock.
 fn wrong_clock(offset: &str) -> Environment {
     let by = ["--exclude-monotonic", "-f", offset];
     let told = Command::new("faketime").args(by).arg("env").output();
@@ -127,24 +127,24 @@ fn with_clock(farm: &Farm, name: &str, clock: &Environment) -> Machine {
     farm.worker_by(&[], name, &clock)
 }
 
-/// Seconds of the day of an RFC 3339 time, plus those of its days of the month.
+/// Seconds since the start of the month of an RFC 3339 time.
 fn seconds(time: &serde_json::Value) -> i64 {
     let time = time.as_str().expect("a time");
     let part = |from: usize, to: usize| time[from..to].parse::<i64>().expect("digits");
     part(8, 10) * 86_400 + part(11, 13) * 3600 + part(14, 16) * 60 + part(17, 19)
 }
 
-/// A network of its own, with one wire to this one.
+/// A network namespace connected to this one by a pair of virtual interfaces.
 struct Wire {
     name: String,
     host: Ipv4Addr,
 }
 
 impl Wire {
-    /// `None` where this user may not make one.
+    /// Creates the namespace; `None` if this user may not.
     fn new() -> Option<Self> {
         let name = format!("fled{}", std::process::id());
-        // Of the block for benchmarks (RFC 2544), which no real network has.
+        // From the block for benchmarks (RFC 2544), which no real network uses.
         let number = (std::process::id() % 0x4000) << 2;
         let host = Ipv4Addr::from_bits(Ipv4Addr::new(198, 18, 0, 0).to_bits() + number + 1);
         let far = Ipv4Addr::from_bits(host.to_bits() + 1);
@@ -174,7 +174,7 @@ impl Wire {
         assert!(ip(&format!("link set {} up", self.end('h'))));
     }
 
-    /// What comes to it on the port from the other side goes to this machine's own.
+    /// Forwards connections from the other side to the same port of this machine.
     fn lead_to(&self, port: u16) {
         let listener = TcpListener::bind((self.host, port)).expect("an address");
         spawn(move || {
@@ -214,7 +214,7 @@ fn ip(words: &str) -> bool {
 
 #[test]
 #[ignore = "make test-nightly"]
-fn a_worker_whose_network_is_cut_ends_its_job_by_itself_and_works_again_afterwards() {
+fn a_worker_without_network_ends_its_job_and_later_returns() {
     let Some(wire) = Wire::new() else {
         eprintln!("left out: this user may make no network of its own (ip netns)");
         return;
@@ -231,7 +231,7 @@ fn a_worker_whose_network_is_cut_ends_its_job_by_itself_and_works_again_afterwar
     in_the_middle(&api, &job);
     wire.cut();
     let cut = Instant::now();
-    // Nobody else has the job yet: it ends because nobody hears of its worker.
+    // No other worker has the job yet: it ends because its worker has lost contact.
     while processes_of(&job) > 0 {
         assert!(
             cut.elapsed() < Duration::from_secs(10),
@@ -258,7 +258,7 @@ fn a_worker_whose_network_is_cut_ends_its_job_by_itself_and_works_again_afterwar
 
 #[test]
 #[ignore = "make test-nightly"]
-fn a_bucket_that_fails_is_slow_or_cuts_blobs_in_their_middle_loses_nothing() {
+fn a_failing_or_slow_bucket_loses_nothing() {
     let farm = Farm::with_bucket();
     let bucket = farm.bucket.as_ref().expect("a bucket");
     let calm = expected();
@@ -277,7 +277,7 @@ fn a_bucket_that_fails_is_slow_or_cuts_blobs_in_their_middle_loses_nothing() {
     assert_eq!(api.show(&job)["attempts"], 1, "slow is not dead");
     bucket.misbehave(|_| Fault::None);
 
-    // What a worker that takes over fetches breaks off again and again.
+    // Downloads of a worker that takes over break off repeatedly.
     let job = order(&api, SLOW);
     in_the_middle(&api, &job);
     worker.kill();
@@ -298,7 +298,7 @@ fn a_bucket_that_fails_is_slow_or_cuts_blobs_in_their_middle_loses_nothing() {
 }
 
 #[test]
-fn a_replica_that_dies_in_the_middle_of_an_upload_leaves_nothing_and_the_next_try_is_whole() {
+fn a_replica_that_dies_during_an_upload_leaves_nothing() {
     let farm = Farm::new();
     let calm = expected();
     let (mut one, at_one) = farm.replica("one");
@@ -329,7 +329,7 @@ fn a_replica_that_dies_in_the_middle_of_an_upload_leaves_nothing_and_the_next_tr
     assert_eq!(captures(&at_two), Some(0));
     let (mut one, at_one) = farm.replica("one");
     assert!(!arrives(), "what was half there is gone");
-    // A job that was posted at a replica which died before it answered is posted again elsewhere.
+    // A job posted to a replica that died before it answered is posted again to another.
     let capture = at_one
         .upload("/v1/captures", &photographs(4), &[])
         .expect(201)

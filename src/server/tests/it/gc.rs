@@ -1,4 +1,4 @@
-//! What is freed by hand, beside a server and without one.
+//! `fled gc` beside a server and without one.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -10,7 +10,7 @@ use fled_server::{Collected, GcOptions, gc};
 
 const DAY: Duration = Duration::from_secs(24 * 3600);
 
-/// What would go now, or goes.
+/// Reports what would be removed now.
 const LOOK: GcOptions = GcOptions {
     dry_run: true,
     unnamed: Duration::ZERO,
@@ -29,7 +29,7 @@ fn wait<T>(future: impl Future<Output = T>) -> T {
     runtime.block_on(future)
 }
 
-/// What was told of each path, and the rest.
+/// The reported removals by path, and the totals.
 fn collect(data: &Path, options: &GcOptions) -> (BTreeMap<String, (u64, &'static str)>, Collected) {
     let mut told = BTreeMap::new();
     let mut tell = |gone: &fled_server::Gone| {
@@ -47,7 +47,7 @@ fn write(path: &Path, bytes: usize) {
 }
 
 #[test]
-fn what_is_freed_is_told_before_and_nothing_else_goes() {
+fn a_dry_run_lists_exactly_what_is_removed() {
     let mut server = Server::start();
     let (kept, expired) = (server.job("ok"), server.job("ok"));
     for job in [&kept, &expired] {
@@ -94,7 +94,7 @@ fn what_is_freed_is_told_before_and_nothing_else_goes() {
 }
 
 #[test]
-fn the_database_gives_its_room_back_where_no_server_runs() {
+fn the_database_is_compacted_if_no_server_runs() {
     let mut server = Server::start();
     for _ in 0..3 {
         let job = server.job("ok");
@@ -120,7 +120,7 @@ fn the_database_gives_its_room_back_where_no_server_runs() {
 }
 
 #[test]
-fn beside_a_server_nothing_goes_that_may_be_in_the_making() {
+fn beside_a_server_recent_files_stay() {
     let server = Server::start();
     let job = server.job("ok");
     server.wait_state(&job, "succeeded");
@@ -128,7 +128,7 @@ fn beside_a_server_nothing_goes_that_may_be_in_the_making() {
         .get(&format!("/v1/jobs/{job}/render?azimuth=3"), &[])
         .expect(200);
     let data = server.data.path().join("data");
-    // An upload that is moved into its place, and one that grows: neither has a row yet.
+    // An upload being moved into place, and one in progress: neither has a row yet.
     for young in [
         "captures/young/a.jpg",
         "incoming/young/a.jpg",
@@ -148,7 +148,7 @@ fn beside_a_server_nothing_goes_that_may_be_in_the_making() {
 }
 
 #[test]
-fn where_there_is_no_database_or_another_one_nothing_is_nameless() {
+fn without_a_valid_database_nothing_is_an_orphan() {
     let mut server = Server::start();
     let capture = server.capture(3);
     server.kill();

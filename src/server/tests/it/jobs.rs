@@ -61,7 +61,7 @@ fn a_job_goes_from_upload_to_results() {
 }
 
 #[test]
-fn a_failure_that_no_retry_can_mend_is_told_at_once_with_advice() {
+fn a_permanent_failure_is_reported_at_once_with_a_hint() {
     let server = Server::start();
     let job = server.job("few_poses");
     let failed = server.wait_state(&job, "failed");
@@ -75,7 +75,7 @@ fn a_failure_that_no_retry_can_mend_is_told_at_once_with_advice() {
 }
 
 #[test]
-fn a_crash_is_retried_and_three_without_progress_are_the_end() {
+fn a_job_fails_after_three_crashes_without_progress() {
     let server = Server::start();
     let once = server.job("crash-once");
     let late = server.job("crash-late");
@@ -95,7 +95,7 @@ fn a_crash_is_retried_and_three_without_progress_are_the_end() {
 }
 
 #[test]
-fn cancelling_ends_the_process_within_two_seconds_and_a_retry_goes_on() {
+fn cancelling_takes_two_seconds_at_most_and_a_retry_resumes() {
     let server = Server::start();
     let job = server.job("slow:100");
     server.wait(&job, "in round 1", |shown| shown["round"] == 1);
@@ -141,7 +141,7 @@ fn cancelling_ends_the_process_within_two_seconds_and_a_retry_goes_on() {
 }
 
 #[test]
-fn a_waiting_job_is_cancelled_without_ever_starting() {
+fn a_queued_job_is_cancelled_without_starting() {
     let server = Server::start();
     let busy = [server.job("slow:200"), server.job("slow:200")];
     let waiting = server.job("ok");
@@ -157,7 +157,7 @@ fn a_waiting_job_is_cancelled_without_ever_starting() {
 }
 
 #[test]
-fn a_job_that_falls_silent_is_stopped_and_says_so() {
+fn a_silent_job_is_stopped_with_a_timeout() {
     let server = Server::start();
     let job = server.job("silent");
     let failed = server.wait_state(&job, "failed");
@@ -169,7 +169,7 @@ fn a_job_that_falls_silent_is_stopped_and_says_so() {
 }
 
 #[test]
-fn a_job_survives_the_death_of_its_server_at_any_moment_with_every_event_told_once() {
+fn a_job_survives_the_death_of_its_server_with_all_events() {
     let mut server = Server::start();
     let job = server.job("slow:15");
     let mut events: Vec<(i64, String, serde_json::Value)> = Vec::new();
@@ -186,7 +186,7 @@ fn a_job_survives_the_death_of_its_server_at_any_moment_with_every_event_told_on
             shown["state"] == "running" || shown["state"] == "queued",
             "{shown:#}"
         );
-        // What there is by now, from where the last reading ended.
+        // The events so far, from the end of the last reading.
         events.extend(server.events(&job, last, 7));
     }
     let done = server.wait_state(&job, "succeeded");
@@ -227,7 +227,7 @@ fn a_job_survives_the_death_of_its_server_at_any_moment_with_every_event_told_on
 }
 
 #[test]
-fn what_was_accepted_is_there_after_the_death_of_the_server() {
+fn accepted_jobs_survive_the_death_of_the_server() {
     let mut server = Server::start();
     let jobs: Vec<String> = (0..5).map(|_| server.job("ok:5")).collect();
     server.restart();
@@ -273,7 +273,7 @@ fn the_same_key_and_request_give_the_same_job() {
 }
 
 #[test]
-fn a_job_that_succeeded_goes_on_with_other_options() {
+fn a_successful_job_can_be_retried_with_other_options() {
     let server = Server::start();
     let job = server.job("ok");
     let before = server.wait_state(&job, "succeeded");
@@ -317,7 +317,7 @@ fn a_job_that_succeeded_goes_on_with_other_options() {
 }
 
 #[test]
-fn a_job_with_options_that_only_an_older_build_knows_is_shown_and_goes_on() {
+fn a_job_with_options_of_an_older_build_can_be_retried() {
     let mut server = Server::start();
     let job = server.job("ok");
     server.wait_state(&job, "succeeded");
@@ -349,7 +349,7 @@ fn a_job_with_options_that_only_an_older_build_knows_is_shown_and_goes_on() {
     server.wait_state(&job, "succeeded");
 }
 
-/// The options that are stored of a job, after they were replaced where there are others.
+/// Returns the stored options of a job, after replacing them if `other` is given.
 fn server_options(
     server: &Server,
     job: &str,
@@ -370,7 +370,7 @@ fn server_options(
     serde_json::from_str(&rows[0]).expect("JSON")
 }
 
-/// The first column of what a statement answers.
+/// The first column of a statement's result.
 fn on_database(url: &str, statement: &str) -> Vec<String> {
     sqlx::any::install_default_drivers();
     let runtime = tokio::runtime::Runtime::new().expect("a runtime");

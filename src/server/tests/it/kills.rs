@@ -1,6 +1,6 @@
-//! Random kills of a server and of whatever it starts, and what is left of the work.
+//! Random kills of a server and its child processes, and what is left of the work.
 //!
-//! `FLED_KILLS=200 cargo test --release -p fled-server --test kills -- --nocapture` kills more
+//! `FLED_KILLS=200 cargo test --release -p fled-server --test it kills -- --nocapture` kills more
 //! often than CI does; both print a table.
 
 use std::collections::BTreeMap;
@@ -16,16 +16,16 @@ use crate::support::{Server, gone, photographs};
 use fled_tests::{Client, pids_of};
 use serde_json::Value;
 
-/// Kills where nobody says how many.
+/// Default number of kills.
 const KILLS: usize = 20;
-/// A stage of a played job takes ten of these.
+/// Milliseconds per tick; a stage of a fake job takes ten of them.
 const PLAN: &str = "slow:15";
-/// Between a job's start and a kill, milliseconds.
+/// Range of times between a job's start and a kill, in milliseconds.
 const AFTER_MS: (u64, u64) = (20, 450);
-/// What comes soon comes within this.
+/// Timeout of everything that should happen soon.
 const SOON: Duration = Duration::from_secs(20);
 
-/// Which of the processes dies.
+/// The process to kill.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Target {
     Server,
@@ -40,16 +40,16 @@ impl Target {
     }
 }
 
-/// What was seen of the kills of one target.
+/// Statistics of the kills of one target.
 #[derive(Debug, Default)]
 struct Tally {
     kills: usize,
-    /// Time that the job had spent in a stage that it began again.
+    /// Time that the job had spent in a stage that it had to repeat.
     repeated: Duration,
     most: Duration,
 }
 
-/// Numbers that are the same in every run (splitmix64).
+/// Pseudo-random numbers that are the same in every run (splitmix64).
 struct Dice(u64);
 
 impl Dice {
@@ -80,18 +80,18 @@ type Events = Vec<(i64, String, Value)>;
 struct Ordeal {
     server: Server,
     dice: Dice,
-    /// What an undisturbed job leaves.
+    /// The files of an undisturbed job.
     expected: BTreeMap<PathBuf, Vec<u8>>,
     /// A finished job whose views take 700 ms.
     slow: String,
-    /// Captures that were answered 201.
+    /// Captures that were answered with 201.
     accepted: Vec<String>,
     tallies: BTreeMap<Target, Tally>,
 }
 
 #[test]
 #[ignore = "make test-nightly"]
-fn after_random_kills_nothing_is_lost_and_every_result_is_that_of_an_undisturbed_job() {
+fn nothing_is_lost_after_random_kills() {
     let number = |name, default| std::env::var(name).map_or(default, |n| n.parse().expect(name));
     let kills = number("FLED_KILLS", KILLS);
     let mut ordeal = Ordeal::new(number("FLED_KILLS_SEED", 7) as u64);
@@ -145,12 +145,12 @@ impl Ordeal {
         self.tallies.values().map(|tally| tally.kills).sum()
     }
 
-    /// One job from its start to its end, through kills, until there were so many.
+    /// Runs one job from its start to its end, with kills up to the given total.
     fn job(&mut self, kills: usize) {
         let job = self.server.job(PLAN);
         let mut events = Events::new();
         let mut listener = self.listen(&job, 0);
-        // Progress at the last kill of the job or its server, and whether it had made any by then.
+        // Progress at the last kill of the job or its server, and whether that was no advance.
         let (mut seen, mut in_vain) = (0.0, false);
         while self.kills() < kills {
             let wait = self.dice.wait(AFTER_MS);
@@ -158,7 +158,7 @@ impl Ordeal {
                 break;
             };
             let target = self.dice.target();
-            // After three in a row without progress a job is given up, as it should be.
+            // After three kills in a row without progress a job fails, as it should.
             if target.stops_the_job() && in_vain && progress(&shown) <= seen {
                 continue;
             }
@@ -200,14 +200,14 @@ impl Ordeal {
         tally.most = tally.most.max(repeated);
     }
 
-    /// Reads the job's events until this server ends or the job does.
+    /// Reads the job's events until this server or the job ends.
     fn listen(&self, job: &str, after: i64) -> JoinHandle<Events> {
         let (client, job) = (Client::new(self.server.base.clone(), SOON), job.to_owned());
         spawn(move || client.events(&job, after, usize::MAX))
     }
 
-    /// Waits until the job runs, and for so long then: how it stands, and for how long it has been
-    /// in its stage. `None` once it is over.
+    /// Waits until the job has run for `wait`. Returns the job and how long it has been in its
+    /// stage; `None` once it is over.
     fn watch(&self, job: &str, wait: Duration) -> Option<(Value, Duration)> {
         let start = Instant::now();
         let mut running: Option<Instant> = None;
@@ -235,7 +235,7 @@ impl Ordeal {
         }
     }
 
-    /// With an upload on its way, which either is answered and kept, or is not there.
+    /// Kills the server during an upload, which is either answered and stored, or absent.
     fn kill_server(&mut self, job: &str) {
         let client = self.server.begin_upload("/v1/captures", &photographs(4));
         sleep(self.dice.wait((0, 120)));
@@ -249,7 +249,7 @@ impl Ordeal {
         );
     }
 
-    /// While it renders.
+    /// Kills the renderer during a render.
     fn kill_renderer(&mut self) -> bool {
         let mut view = || {
             let azimuth = self.dice.below(360_000) as f64 / 1000.0;
@@ -269,7 +269,7 @@ impl Ordeal {
         })
     }
 
-    /// While it looks at an upload.
+    /// Kills the validator during an upload.
     fn kill_validator(&mut self) -> bool {
         let client = self.server.begin_upload("/v1/captures", &photographs(40));
         let start = Instant::now();
@@ -286,12 +286,12 @@ impl Ordeal {
         killed
     }
 
-    /// What comes of an upload; whose capture is kept from now on where it says so.
+    /// Reads the answer to an upload, and records the capture if it was accepted.
     fn take(&mut self, mut client: TcpStream) -> String {
         client.set_read_timeout(Some(SOON)).expect("set");
         let mut answer = Vec::new();
         let mut piece = [0; 4096];
-        // A connection that is kept open does not end: its answer ends with its JSON.
+        // A kept-alive connection does not end: the answer ends with its JSON.
         while !whole(&answer) {
             match client.read(&mut piece) {
                 Ok(0) | Err(_) => break,
@@ -311,7 +311,7 @@ impl Ordeal {
         answer
     }
 
-    /// Captures that were accepted and are not there, whole.
+    /// Counts accepted captures that are missing or incomplete.
     fn lost(&self) -> usize {
         let is_lost = |id: &&String| {
             let told = self.server.get(&format!("/v1/captures/{id}"), &[]);
@@ -333,7 +333,7 @@ fn progress(shown: &Value) -> f64 {
     shown["progress"].as_f64().expect("a number")
 }
 
-/// Whether an answer has all that it says it has.
+/// Returns whether an answer has its announced length.
 fn whole(answer: &[u8]) -> bool {
     let text = String::from_utf8_lossy(answer).to_lowercase();
     let Some((head, body)) = text.split_once("\r\n\r\n") else {
@@ -345,7 +345,7 @@ fn whole(answer: &[u8]) -> bool {
     length.is_some_and(|length| length.parse() == Ok(body.len()))
 }
 
-/// Every event once, and the end at the end.
+/// Checks that every event occurs once, and that the last one is success.
 #[track_caller]
 fn check_events(events: &[(i64, String, Value)]) {
     let ids: Vec<i64> = events.iter().map(|event| event.0).collect();
@@ -366,7 +366,7 @@ fn output(server: &Server, job: &str) -> PathBuf {
         .join("output")
 }
 
-/// All files below a folder but hidden ones, which are the played job's own.
+/// All files below a folder, except hidden ones, which belong to the fake job.
 fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     let mut found = BTreeMap::new();
     let mut folders = vec![folder.to_owned()];
@@ -384,7 +384,7 @@ fn files(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     found
 }
 
-/// The processes that the server has started for this.
+/// The server's child processes with this argument.
 fn children(server: &Server, what: &str) -> Vec<u32> {
     let is_one = |process: &PathBuf| {
         let line = fs::read(process.join("cmdline")).unwrap_or_default();
@@ -396,7 +396,7 @@ fn children(server: &Server, what: &str) -> Vec<u32> {
     children.filter(is_one).filter_map(pid).collect()
 }
 
-/// kill -9; whether there was anything to kill.
+/// Sends SIGKILL; returns whether any process received it.
 fn kill(processes: &[u32]) -> bool {
     let kill = |pid: &u32| {
         let status = Command::new("kill").args(["-9", &pid.to_string()]).status();

@@ -1,4 +1,4 @@
-//! How much one client may have and ask for, through a real server process.
+//! Quotas, rate limits and retention, through a real server process.
 
 use std::thread::sleep;
 use std::time::{Duration, Instant};
@@ -9,7 +9,7 @@ use fled_server::store::Quotas;
 use fled_tests::Reply;
 use serde_json::json;
 
-/// All that a user needs.
+/// The scopes of a user.
 const USER: &str = "jobs:read,jobs:write,renders";
 
 fn id(reply: &Reply) -> String {
@@ -27,7 +27,7 @@ fn order(server: &Server, capture: &str, plan: &str, header: &str) -> Reply {
 }
 
 #[test]
-fn an_owner_has_as_many_jobs_as_their_quota_allows() {
+fn a_quota_limits_the_jobs_of_an_owner() {
     let server = Server::start();
     let quotas = Quotas {
         jobs: Some(1),
@@ -53,7 +53,7 @@ fn an_owner_has_as_many_jobs_as_their_quota_allows() {
 }
 
 #[test]
-fn an_owner_has_as_many_bytes_as_their_quota_allows() {
+fn a_quota_limits_the_bytes_of_an_owner() {
     let server = Server::start();
     let one: usize = photographs(3).iter().map(|part| part.2.len()).sum();
     let quotas = Quotas {
@@ -66,7 +66,7 @@ fn an_owner_has_as_many_bytes_as_their_quota_allows() {
     let refused = upload(&server, &anna).expect(507);
     assert_eq!(refused.json()["code"], "quota_bytes");
     upload(&server, &ben).expect(201);
-    // Tokens of one name have their captures in common, and each its own quota.
+    // Tokens of one name share captures, but each has its own quota.
     let (more, _) = token_of("anna", &server, USER);
     upload(&server, &more).expect(201);
     let refused = order(&server, &first, "ok", &anna).expect(507);
@@ -75,7 +75,7 @@ fn an_owner_has_as_many_bytes_as_their_quota_allows() {
 }
 
 #[test]
-fn a_request_that_is_repeated_has_its_job_whatever_the_quota() {
+fn a_repeated_request_gets_its_job_despite_the_quota() {
     let server = Server::start();
     let one: usize = photographs(3).iter().map(|part| part.2.len()).sum();
     let quotas = Quotas {
@@ -105,10 +105,10 @@ fn a_request_that_is_repeated_has_its_job_whatever_the_quota() {
 }
 
 #[test]
-fn who_asks_too_fast_waits_and_nobody_else() {
+fn the_rate_limit_stops_only_the_client_that_exceeds_it() {
     let server = Server::start_with(&[("FLED_FAKE_RATE", "1"), ("FLED_FAKE_BURST", "20")]);
     for _ in 0..30 {
-        // Without tokens this is one's own machine.
+        // Without tokens, this machine's user is not limited.
         server.get("/v1/jobs", &[]).expect(200);
     }
     let (anna, _) = token_of("anna", &server, USER);
@@ -128,7 +128,7 @@ fn who_asks_too_fast_waits_and_nobody_else() {
     let writes = server.post("/v1/jobs", b"{}", &[("authorization", &anna)]);
     writes.expect(429);
     ask(&ben).expect(200);
-    // Wrong tokens are counted by address, and do not lock the right ones out.
+    // Wrong tokens count by address, and do not lock out valid ones.
     let wrong = (0..40).map(|_| ask("Bearer fled_0"));
     let statuses: Vec<u16> = wrong.map(|reply| reply.status).collect();
     assert!(
@@ -142,7 +142,7 @@ fn who_asks_too_fast_waits_and_nobody_else() {
 }
 
 #[test]
-fn what_the_server_counts_is_for_who_runs_it() {
+fn metrics_are_only_for_the_admin() {
     let server = Server::start();
     let job = server.job("ok");
     server.wait_state(&job, "succeeded");
@@ -196,7 +196,7 @@ fn an_event_stream_ends_with_its_token() {
 }
 
 #[test]
-fn a_job_says_that_it_will_go_and_goes_unless_it_is_pinned() {
+fn a_job_announces_its_expiry_and_goes_unless_pinned() {
     let kept = [("FLED_FAKE_KEEP_MS", "0"), ("FLED_FAKE_NOTICE_MS", "60000")];
     let mut server = Server::start_with(&kept);
     let (goes, stays) = (server.job("ok"), server.job("ok"));
@@ -210,7 +210,7 @@ fn a_job_says_that_it_will_go_and_goes_unless_it_is_pinned() {
     server.restart_with(&kept);
     assert!(!server.show(&goes)["expires_at"].is_null(), "it says so");
     assert!(server.show(&stays)["expires_at"].is_null());
-    // Nobody lives for a week here: the notice of what was told is over at once.
+    // The test cannot wait for the notice period, so the deletion is called with a late time.
     with_store(&server, async |store| {
         let gone = store
             .delete_expired(i64::MAX, false)

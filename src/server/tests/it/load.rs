@@ -1,4 +1,4 @@
-//! More than the server can do at a time, through a real server process.
+//! Overload, through a real server process.
 
 use std::io::{Read, Write};
 use std::net::TcpStream;
@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use crate::support::Server;
 use serde_json::json;
 
-/// A finished job whose scene takes 700 ms a picture.
+/// A finished job whose scene takes 700 ms per image.
 fn slow_scene(server: &Server) -> String {
     let job = server.job("ok");
     server.wait_state(&job, "succeeded");
@@ -18,7 +18,7 @@ fn slow_scene(server: &Server) -> String {
 }
 
 #[test]
-fn renders_of_clients_that_hung_up_are_not_made() {
+fn renders_of_disconnected_clients_are_dropped() {
     let server = Server::start();
     let job = slow_scene(&server);
     let address = server.base.trim_start_matches("http://");
@@ -57,7 +57,7 @@ fn renders_of_clients_that_hung_up_are_not_made() {
 }
 
 #[test]
-fn renders_that_wait_are_made_one_after_the_other() {
+fn concurrent_renders_are_all_answered() {
     let server = Server::start();
     let job = slow_scene(&server);
     scope(|scope| {
@@ -70,7 +70,7 @@ fn renders_that_wait_are_made_one_after_the_other() {
 }
 
 #[test]
-fn a_full_queue_is_told_and_when_to_try_again() {
+fn a_full_queue_answers_503_with_retry_after() {
     let server = Server::start_with(&[("FLED_FAKE_QUEUE", "2")]);
     let capture = server.capture(3);
     let order = json!({ "capture_id": capture, "options": { "adapter": "slow:300" } });
@@ -117,7 +117,7 @@ fn a_retry_needs_a_place_in_the_queue() {
     server.post(&retry, b"", &[]).expect(202);
 }
 
-/// Asks for a view from another of this machine's addresses.
+/// Requests a view from another loopback address.
 fn ask_from(source: &str, server: &Server, path: &str) -> TcpStream {
     let address = server.base.trim_start_matches("http://");
     let runtime = tokio::runtime::Builder::new_current_thread()
@@ -139,7 +139,7 @@ fn ask_from(source: &str, server: &Server, path: &str) -> TcpStream {
 }
 
 #[test]
-fn a_client_that_asks_for_many_renders_does_not_keep_another_waiting() {
+fn one_clients_many_renders_do_not_block_another_client() {
     let server = Server::start();
     let job = slow_scene(&server);
     let path = |i: i32| format!("/v1/jobs/{job}/render?azimuth={i}");
@@ -162,7 +162,7 @@ fn a_client_that_asks_for_many_renders_does_not_keep_another_waiting() {
 }
 
 #[test]
-fn a_job_that_kills_its_server_does_not_start_for_ever() {
+fn a_job_that_brings_down_its_server_finally_fails() {
     let mut server = Server::start();
     let job = server.job("silent");
     for _ in 0..5 {

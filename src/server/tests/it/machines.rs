@@ -1,4 +1,4 @@
-//! What may happen to many machines: replicas and workers are killed, frozen and cut off.
+//! Several machines: replicas and workers are killed, frozen and cut off.
 
 use std::thread::{sleep, spawn};
 use std::time::{Duration, Instant};
@@ -11,14 +11,14 @@ use fled_tests::Client;
 use serde_json::json;
 
 #[test]
-fn a_job_that_is_posted_at_one_replica_is_made_by_a_worker_and_seen_at_another() {
+fn a_job_posted_to_one_replica_is_visible_at_another() {
     let farm = Farm::new();
     let calm = expected();
     let (_one, one) = farm.replica("one");
     let (mut two, at_two) = farm.replica("two");
     let worker = farm.worker("worker");
     let job = order(&one, SLOW);
-    // Events at the second replica, until it is killed, and from there on at the first.
+    // Read events from the second replica until it is killed, and then from the first.
     let listener = {
         let (base, job) = (at_two.base.clone(), job.clone());
         spawn(move || Client::new(base, PATIENCE).events(&job, 0, usize::MAX))
@@ -38,7 +38,7 @@ fn a_job_that_is_posted_at_one_replica_is_made_by_a_worker_and_seen_at_another()
     let log = one.get(&format!("/v1/jobs/{job}/log"), &[]).expect(200);
     assert!(log.text().contains("finished"), "{}", log.text());
     assert!(worker.folder.join("data/jobs").join(&job).is_dir());
-    // A replica that begins later has all of it, too.
+    // A replica that starts later has everything too.
     let (_three, three) = farm.replica("three");
     assert!(scene(&three, &job) == calm);
     let listed = three.get("/v1/jobs", &[]).expect(200).json();
@@ -46,7 +46,7 @@ fn a_job_that_is_posted_at_one_replica_is_made_by_a_worker_and_seen_at_another()
 }
 
 #[test]
-fn a_replica_that_has_nothing_of_a_job_makes_its_views_and_videos() {
+fn a_replica_without_files_of_a_job_makes_views_and_videos() {
     let farm = Farm::new();
     let (mut one, api) = farm.replica("one");
     let _worker = farm.worker("worker");
@@ -57,7 +57,7 @@ fn a_replica_that_has_nothing_of_a_job_makes_its_views_and_videos() {
     let begun = api.post_json(&videos, &film, &[]).expect(202);
     let begun = begun.header("location").to_owned();
     one.kill();
-    // It takes the video up, and its copy of what that shows is lost.
+    // It resumes the video, although its cached files of the result are lost.
     std::fs::remove_dir_all(one.folder.join("data/jobs").join(&job).join("output")).expect("there");
     let (_one, api) = farm.replica("one");
     let (_two, two) = farm.replica("two");
@@ -71,7 +71,7 @@ fn a_replica_that_has_nothing_of_a_job_makes_its_views_and_videos() {
             assert!(since.elapsed() < PATIENCE, "{video} is not made");
             sleep(Duration::from_millis(50));
         }
-        // Each is seen at both.
+        // Each video is visible at both replicas.
         for replica in [&api, &two] {
             let file = replica.get(&format!("{video}/file"), &[]).expect(200);
             assert_eq!(&file.body[4..8], b"ftyp");
@@ -80,7 +80,7 @@ fn a_replica_that_has_nothing_of_a_job_makes_its_views_and_videos() {
 }
 
 #[test]
-fn a_worker_that_is_killed_frozen_or_cut_off_loses_its_job_and_nothing_else() {
+fn a_killed_or_frozen_worker_loses_only_its_job() {
     let farm = Farm::new();
     let calm = expected();
     let (_api, api) = farm.replica("api");
@@ -93,7 +93,7 @@ fn a_worker_that_is_killed_frozen_or_cut_off_loses_its_job_and_nothing_else() {
     succeeds(&api, &job, &calm);
     assert_eq!(api.show(&job)["attempts"], 2);
 
-    // Frozen for longer than a lease: when it thaws, another has the job.
+    // Frozen for longer than a lease: when it thaws, another worker has the job.
     let job = order(&api, SLOW);
     in_the_middle(&api, &job);
     second.signal("-STOP");
@@ -103,7 +103,7 @@ fn a_worker_that_is_killed_frozen_or_cut_off_loses_its_job_and_nothing_else() {
     succeeds(&api, &job, &calm);
     drop(second);
 
-    // Killed by hand, and back at once: it has its own job again without waiting for the lease.
+    // Killed and restarted at once: it has its own job again without waiting for the lease.
     let job = order(&api, SLOW);
     in_the_middle(&api, &job);
     drop(third);
@@ -120,7 +120,7 @@ fn a_worker_that_is_killed_frozen_or_cut_off_loses_its_job_and_nothing_else() {
 
 #[test]
 #[ignore = "make test-nightly"]
-fn a_database_and_a_store_that_are_away_for_a_while_lose_nothing() {
+fn a_temporarily_absent_database_or_store_loses_nothing() {
     let mut farm = Farm::new();
     let calm = expected();
     let (_api, api) = farm.replica("api");
@@ -134,7 +134,7 @@ fn a_database_and_a_store_that_are_away_for_a_while_lose_nothing() {
         assert!(!refused.header("retry-after").is_empty());
         sleep(away);
         farm.postgres.begin();
-        // Connections that were cut are noticed when they are used.
+        // Cut connections are noticed when they are used.
         let back = Instant::now();
         while api.get(&format!("/v1/jobs/{job}"), &[]).status != 200 {
             assert!(back.elapsed() < PATIENCE, "the API does not come back");
@@ -153,7 +153,7 @@ fn a_database_and_a_store_that_are_away_for_a_while_lose_nothing() {
 }
 
 #[test]
-fn an_upload_in_pieces_outlives_the_start_of_other_machines() {
+fn a_resumable_upload_survives_the_start_of_other_processes() {
     let farm = Farm::new();
     let (_one, one) = farm.replica("one");
     let headers = [
@@ -170,7 +170,7 @@ fn an_upload_in_pieces_outlives_the_start_of_other_machines() {
 
 #[test]
 #[ignore = "make test-nightly"]
-fn jobs_on_workers_that_are_killed_at_random_are_all_done_once() {
+fn jobs_on_workers_killed_at_random_are_all_done_once() {
     // FLED_FARM="200 4 120" is the long run: jobs, workers, seconds.
     let asked = std::env::var("FLED_FARM").unwrap_or_else(|_| "40 3 20".to_owned());
     let asked: Vec<u64> = asked
@@ -183,7 +183,7 @@ fn jobs_on_workers_that_are_killed_at_random_are_all_done_once() {
     let farm = Farm::new();
     let calm = expected();
     let (_api, api) = farm.replica("api");
-    // A job may have bad luck: it is not why they die.
+    // A job may be hit repeatedly by chance: it must not fail for that.
     let lucky = [("FLED_FAKE_DEATHS", "1000")];
     let at = |number: u64| farm.worker_by(&[], &format!("w{number}"), &lucky);
     let mut workers: Vec<Machine> = (0..count).map(at).collect();
@@ -220,7 +220,7 @@ fn jobs_on_workers_that_are_killed_at_random_are_all_done_once() {
     eprintln!("{kills} kills, {:.0} s", begun.elapsed().as_secs_f64());
 }
 
-/// Waits until a job that trains has done three steps: one more than it saves by the clock.
+/// Waits until a training job has done three steps: one more than its scheduled checkpoint.
 fn trains(api: &Client, job: &str) {
     let mut seen = 0;
     loop {
@@ -232,7 +232,7 @@ fn trains(api: &Client, job: &str) {
     }
 }
 
-/// The steps that a job's log tells of in these words.
+/// The steps that follow `words` in a job's log.
 fn steps(api: &Client, job: &str, words: &str) -> Vec<u64> {
     let log = api.get(&format!("/v1/jobs/{job}/log"), &[]).expect(200);
     let text = log.text();
@@ -244,11 +244,11 @@ fn steps(api: &Client, job: &str, words: &str) -> Vec<u64> {
 }
 
 #[test]
-fn a_worker_that_is_told_to_stop_lets_its_job_save_the_step_it_is_in() {
+fn a_stopping_worker_lets_its_job_save_the_current_step() {
     let farm = Farm::new();
     let calm = expected();
     let (_api, api) = farm.replica("api");
-    // For longer than a job that is cancelled has.
+    // Longer than the grace period of a cancelled job.
     let mut first = farm.worker_by(&[], "first", &[("FLED_FAKE_SAVING_MS", "2500")]);
     let job = order(&api, "saves:300");
     trains(&api, &job);
@@ -264,9 +264,9 @@ fn a_worker_that_is_told_to_stop_lets_its_job_save_the_step_it_is_in() {
 }
 
 #[test]
-fn a_server_that_works_lets_its_job_save_and_a_cancelled_one_does_not_wait_for_it() {
+fn a_stopping_server_lets_its_job_save_but_a_cancel_does_not() {
     let root = tempfile::tempdir().expect("temporary directory");
-    // For longer than open requests have.
+    // Longer than open requests may take.
     let slow = [("FLED_FAKE_SAVING_MS", "6000")];
     let (mut server, base) = begin(root.path(), "server", &slow);
     let api = Client::new(base, PATIENCE);
@@ -288,7 +288,7 @@ fn a_server_that_works_lets_its_job_save_and_a_cancelled_one_does_not_wait_for_i
     let cancelled = api.post(&format!("/v1/jobs/{job}/cancel"), b"", &[]);
     assert_eq!(cancelled.expect(202).json()["state"], "cancelled");
     assert!(begun.elapsed() < Duration::from_millis(2500));
-    // What it had before is whole.
+    // Its earlier checkpoint is complete.
     api.post(&format!("/v1/jobs/{job}/retry"), b"", &[])
         .expect(202);
     api.wait_state(&job, "succeeded");

@@ -1,4 +1,4 @@
-//! Videos of results, through a real server process and ffmpeg.
+//! Videos of results, through a real server process and FFmpeg.
 
 use std::time::{Duration, Instant};
 
@@ -7,10 +7,10 @@ use crate::support::{Server, gone};
 use fled_tests::Reply;
 use serde_json::{Value, json};
 
-/// A video of a few pictures may take so long beside other tests.
+/// How long a video of a few frames may take beside other tests.
 const PATIENCE: Duration = Duration::from_secs(30);
 
-/// A server with a job that has ended well; the address of its videos.
+/// A server with a finished job, and the path of its videos.
 fn stand() -> (Server, String, String) {
     let server = Server::start();
     let job = server.job("ok");
@@ -19,7 +19,7 @@ fn stand() -> (Server, String, String) {
     (server, job, path)
 }
 
-/// Small ones: what they show is not judged here.
+/// Small ones: their content does not matter here.
 fn order(fps: u32, seconds: f64) -> Value {
     json!({ "kind": "orbit", "fps": fps, "seconds": seconds, "width": 128 })
 }
@@ -46,7 +46,7 @@ fn wait_state(server: &Server, path: &str, state: &str) -> Value {
 }
 
 #[test]
-fn a_video_is_made_and_sent_whole_and_in_ranges() {
+fn a_video_is_made_and_sent_whole_or_in_ranges() {
     let (server, job, videos) = stand();
     let reply = server.post_json(&videos, &order(10, 1.0), &[]).expect(202);
     let path = reply.header("location").to_owned();
@@ -87,7 +87,7 @@ fn a_video_is_made_and_sent_whole_and_in_ranges() {
 }
 
 #[test]
-fn videos_wait_for_each_other_and_are_stopped_where_they_wait_and_where_they_run() {
+fn videos_queue_up_and_can_be_cancelled_at_any_time() {
     let (server, job, videos) = stand();
     let of = |seconds| id(server.post_json(&videos, &order(5, seconds), &[]));
     let (first, second, third) = (of(20.0), of(20.0), of(1.0));
@@ -116,7 +116,7 @@ fn videos_wait_for_each_other_and_are_stopped_where_they_wait_and_where_they_run
 }
 
 #[test]
-fn a_video_begins_anew_after_the_server_was_killed() {
+fn a_video_is_restarted_after_the_death_of_the_server() {
     let (mut server, _, videos) = stand();
     let slow = format!(
         "{videos}/{}",
@@ -138,7 +138,7 @@ fn a_video_begins_anew_after_the_server_was_killed() {
 }
 
 #[test]
-fn a_video_that_fails_says_why_and_the_next_is_made() {
+fn a_failed_video_reports_why_and_the_next_is_made() {
     let (server, _, videos) = stand();
     let of = |fps| {
         format!(
@@ -158,7 +158,7 @@ fn a_video_that_fails_says_why_and_the_next_is_made() {
 }
 
 #[test]
-fn what_makes_no_video_says_why() {
+fn invalid_video_requests_are_refused_with_a_reason() {
     let (server, job, videos) = stand();
     let post = |body: &Value| server.post_json(&videos, body, &[]);
     for (body, pointer) in [
@@ -198,7 +198,7 @@ fn what_makes_no_video_says_why() {
 }
 
 #[test]
-fn a_server_without_ffmpeg_says_what_to_install() {
+fn a_missing_ffmpeg_is_reported_with_a_hint() {
     let server = Server::start_with(&[("FLED_FAKE_FFMPEG", "no-such-ffmpeg")]);
     let job = server.job("ok");
     server.wait_state(&job, "succeeded");
@@ -213,7 +213,7 @@ fn a_server_without_ffmpeg_says_what_to_install() {
 }
 
 #[test]
-fn a_video_goes_with_its_job_while_it_is_made() {
+fn deleting_a_job_stops_its_running_video() {
     let (server, job, videos) = stand();
     let path = format!(
         "{videos}/{}",
@@ -227,7 +227,7 @@ fn a_video_goes_with_its_job_while_it_is_made() {
 }
 
 #[test]
-fn a_link_shows_videos_and_makes_none() {
+fn a_share_link_shows_videos_but_cannot_make_any() {
     let (server, job, videos) = stand();
     let path = format!(
         "{videos}/{}",

@@ -1,4 +1,4 @@
-//! Uploads that want more memory than they get, through a real server process.
+//! Uploads that try to exhaust memory, through a real server process.
 
 use std::io::{ErrorKind, Write};
 use std::net::TcpStream;
@@ -8,7 +8,7 @@ use crate::support::{Server, file, photographs, text};
 const MIB: u64 = 1 << 20;
 
 #[test]
-fn a_text_field_of_300_mb_is_refused_and_never_held() {
+fn a_text_field_of_300_mb_is_refused_without_buffering() {
     let server = Server::start();
     server
         .upload("/v1/captures?dry_run", &photographs(3), &[])
@@ -27,7 +27,7 @@ fn a_text_field_of_300_mb_is_refused_and_never_held() {
     server.get("/livez", &[]).expect(200);
 }
 
-/// Sends the head of a multipart body and then letters, until the server has enough.
+/// Sends the head of a multipart body and then letters, until the server stops reading.
 fn pour(server: &Server, head: &[u8], bytes: u64) {
     let address = server.base.trim_start_matches("http://");
     let mut stream = TcpStream::connect(address).expect("connect");

@@ -1,4 +1,4 @@
-//! A service that moves from SQLite and its data directory to PostgreSQL and a store of files.
+//! Migration of a service from SQLite and its data directory to PostgreSQL and a blob store.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -11,16 +11,16 @@ use fled_server::{Migrated, Result, ServerError, migrate};
 use fled_tests::{Client, Postgres};
 use serde_json::{Value, json};
 
-/// What is there to move, and what was there to see.
+/// The installation to migrate, and its recorded answers.
 struct Old {
     server: Server,
     admin: String,
     done: String,
     running: String,
     waiting: String,
-    /// What was ordered last, with a key.
+    /// The last order, sent with an idempotency key.
     waits: Value,
-    /// Of the job that is done.
+    /// The capture of the finished job.
     capture: String,
     seen: Vec<(String, Vec<u8>)>,
 }
@@ -89,7 +89,7 @@ impl Old {
         self.server.data.path().join("data")
     }
 
-    /// Another server answers as it did.
+    /// Checks that another server gives the recorded answers.
     fn expect_same(&self, api: &Client) {
         let paths = self.seen.iter().map(|(path, _)| path.clone()).collect();
         for (old, new) in self.seen.iter().zip(look(api, paths, &self.admin)) {
@@ -117,7 +117,7 @@ fn look(api: &Client, paths: Vec<String>, admin: &str) -> Vec<(String, Vec<u8>)>
     paths.into_iter().map(answer).collect()
 }
 
-/// Where it moves to.
+/// The target of the migration.
 struct Target {
     postgres: Postgres,
     root: tempfile::TempDir,
@@ -151,7 +151,7 @@ impl Target {
         ])
     }
 
-    /// How many captures, jobs and events the first database has.
+    /// The total of captures, jobs and events in the first database.
     fn rows(&self) -> i64 {
         let count = |table: &str| {
             let count = format!("SELECT COUNT(*) FROM {table}");
@@ -162,7 +162,7 @@ impl Target {
     }
 }
 
-/// With words about it.
+/// Checks for a refusal whose message contains `words`.
 #[track_caller]
 fn refused(outcome: Result<Migrated>, words: &str) {
     let error = outcome.expect_err("refused");
@@ -170,7 +170,7 @@ fn refused(outcome: Result<Migrated>, words: &str) {
     assert!(matches!(error, ServerError::NotMoved(_)), "{error:?}");
 }
 
-/// What must hold of an event stream: its numbers have no gap.
+/// Checks that the numbers of an event stream have no gap.
 fn has_no_gap(events: &str) {
     let numbers = events.lines().filter_map(|line| line.strip_prefix("id:"));
     let numbers: Vec<i64> = numbers
@@ -180,7 +180,7 @@ fn has_no_gap(events: &str) {
     assert!(numbers.iter().copied().eq(1..=numbers.len() as i64));
 }
 
-/// Waits until a job has succeeded; its events.
+/// Waits until a job has succeeded, and returns its events.
 fn succeeds(api: &Client, job: &str, admin: &str) -> String {
     let headers = [("authorization", admin)];
     let start = std::time::Instant::now();
@@ -196,7 +196,7 @@ fn succeeds(api: &Client, job: &str, admin: &str) -> String {
 }
 
 #[test]
-fn a_server_on_postgres_answers_as_the_one_that_moved_and_does_what_waited() {
+fn a_migrated_server_gives_the_same_answers_and_resumes_jobs() {
     let old = Old::new();
     let new = Target::new();
     let url = new.postgres.database();
@@ -226,13 +226,13 @@ fn a_server_on_postgres_answers_as_the_one_that_moved_and_does_what_waited() {
         has_no_gap(&succeeds(&api, job, &old.admin));
         assert!(scene(job) == scene(&old.done));
     }
-    // What had been done of the one that ran was not done again.
+    // The finished work of the interrupted job was not repeated.
     let events = succeeds(&api, &old.running, &old.admin);
     assert!(events.contains("\"skipped\":true"), "{events}");
 }
 
 #[test]
-fn what_cannot_move_leaves_no_row_and_the_old_server_goes_on() {
+fn a_failed_migration_leaves_no_row_and_the_old_server_intact() {
     let mut old = Old::new();
     let new = Target::new();
     let url = new.postgres.database();
@@ -257,7 +257,7 @@ fn what_cannot_move_leaves_no_row_and_the_old_server_goes_on() {
     refused(new.migrate(&data, &url, "another"), "has rows");
     let other = new.postgres.database();
     refused(new.migrate(&data, &other, "store"), "has files already");
-    // A service that has its files in a store.
+    // A service that already has its files in a blob store.
     let mut stored = Server::start_with(&[("FLED_FAKE_STORE", &new.store("own"))]);
     stored.capture(3);
     stored.kill();

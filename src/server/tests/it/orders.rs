@@ -1,11 +1,11 @@
-//! What is asked of a job, and when it is refused, through a real server process.
+//! Orders of jobs and their validation, through a real server process.
 
 use crate::support::tokens::{token, token_of};
 use crate::support::{Server, photographs, text};
 use fled_tests::Reply;
 use serde_json::{Value, json};
 
-/// The problem with an order of these options.
+/// The problem that an order with these options gets.
 fn refused(server: &Server, options: &Value) -> Value {
     let order = json!({ "capture_id": server.capture(3), "options": options });
     let reply = server.post_json("/v1/jobs", &order, &[]);
@@ -54,7 +54,7 @@ fn an_unknown_network_is_refused_with_the_known_ones() {
 }
 
 #[test]
-fn an_order_that_is_none_is_refused() {
+fn a_malformed_order_is_refused() {
     let server = Server::start();
     let capture = server.capture(3);
     let reply = server
@@ -81,7 +81,7 @@ fn an_order_that_is_none_is_refused() {
 }
 
 #[test]
-fn a_file_in_the_folder_of_networks_is_chosen_by_its_name_and_none_outside_it() {
+fn only_networks_of_the_models_folder_can_be_chosen() {
     let server = Server::start();
     let models = server.data.path().join("models");
     std::fs::create_dir_all(&models).expect("folder");
@@ -110,13 +110,13 @@ fn id(reply: &Reply) -> String {
     reply.json()["id"].as_str().expect("id").to_owned()
 }
 
-/// An order of this priority.
+/// An order with this priority.
 fn urgent(capture: &str, priority: &Value) -> Value {
     json!({ "capture_id": capture, "options": { "adapter": "ok" }, "priority": priority })
 }
 
 #[test]
-fn jobs_that_wait_are_taken_by_their_priority() {
+fn queued_jobs_run_in_order_of_priority() {
     let server = Server::start_with(&[("FLED_FAKE_WORKERS", "1")]);
     let capture = server.capture(3);
     let busy = server.job("slow:300");
@@ -149,14 +149,14 @@ fn jobs_that_wait_are_taken_by_their_priority() {
         job(id)["started_at"].as_str().expect("a time").to_owned()
     });
     assert!(began.is_sorted(), "{began:?}");
-    // It keeps what it was given.
+    // A retry keeps the priority.
     let options = json!({ "options": { "rounds": 1 } });
     let again = server.post_json(&format!("/v1/jobs/{}/retry", order[3]), &options, &[]);
     assert_eq!(again.expect(202).json()["priority"], -100);
 }
 
 #[test]
-fn a_job_that_waits_is_given_another_priority() {
+fn the_priority_of_a_queued_job_can_be_changed() {
     let server = Server::start_with(&[("FLED_FAKE_WORKERS", "1")]);
     let busy = server.job("slow:300");
     server.wait_state(&busy, "running");
@@ -186,7 +186,7 @@ fn a_job_that_waits_is_given_another_priority() {
         set(&second, bad).expect(422);
     }
     set("none", json!({ "priority": 1 })).expect(404);
-    // What runs keeps running.
+    // A running job keeps running.
     set(&busy, json!({ "priority": -3 })).expect(200);
     let cancel = format!("/v1/jobs/{busy}/cancel");
     server.post(&cancel, b"", &[]).expect(202);
@@ -200,7 +200,7 @@ fn a_job_that_waits_is_given_another_priority() {
 }
 
 #[test]
-fn what_is_no_priority_is_refused_with_a_pointer_to_it() {
+fn an_invalid_priority_is_refused_with_a_pointer_to_it() {
     let server = Server::start();
     let capture = server.capture(3);
     for bad in [json!(101), json!(-101), json!(1.5), json!(1e30)] {
@@ -229,7 +229,7 @@ fn what_is_no_priority_is_refused_with_a_pointer_to_it() {
 }
 
 #[test]
-fn only_an_admin_goes_before_all_others() {
+fn only_an_admin_sets_a_priority_above_0() {
     let server = Server::start();
     let (anna, _) = token_of("anna", &server, "jobs:read,jobs:write");
     let (admin, _) = token(&server, "admin");
@@ -265,7 +265,7 @@ fn only_an_admin_goes_before_all_others() {
 }
 
 #[test]
-fn another_priority_is_another_request() {
+fn a_different_priority_is_a_different_request() {
     let server = Server::start();
     let capture = server.capture(3);
     let key = [("idempotency-key", "one")];

@@ -1,4 +1,4 @@
-//! What is left on the disk by clients that hang up and servers that die, through a real process.
+//! Remains of disconnected clients and killed servers on disk, through a real server process.
 
 use std::fs;
 use std::io::Write;
@@ -19,7 +19,7 @@ fn names(folder: &Path) -> Vec<String> {
 }
 
 #[test]
-fn uploads_of_clients_that_hang_up_leave_nothing() {
+fn uploads_of_disconnected_clients_leave_nothing() {
     let server = Server::start();
     let data = server.data.path().join("data");
     let files: Vec<(String, Vec<u8>)> = (0..12)
@@ -41,7 +41,7 @@ fn uploads_of_clients_that_hang_up_leave_nothing() {
         );
         stream.write_all(head.as_bytes()).expect("head");
         stream.write_all(&body).expect("body");
-        // Before, while and after the server looks at the photographs.
+        // Disconnect before, during and after the validation.
         sleep(Duration::from_millis(3 * i));
     }
     let start = Instant::now();
@@ -60,7 +60,7 @@ fn uploads_of_clients_that_hang_up_leave_nothing() {
 }
 
 #[test]
-fn what_no_row_names_is_out_of_the_way_after_a_restart_and_the_rest_stays() {
+fn a_restart_moves_orphans_aside_and_keeps_the_rest() {
     let mut server = Server::start();
     let job = server.job("ok");
     server.wait_state(&job, "succeeded");
@@ -87,7 +87,7 @@ fn what_no_row_names_is_out_of_the_way_after_a_restart_and_the_rest_stays() {
 }
 
 #[test]
-fn a_database_restored_from_an_older_copy_loses_no_capture() {
+fn a_database_restored_from_an_older_backup_loses_no_capture() {
     let mut server = Server::start();
     let old = server.job("ok");
     server.wait_state(&old, "succeeded");
@@ -124,7 +124,7 @@ fn a_database_restored_from_an_older_copy_loses_no_capture() {
     );
     assert_eq!(names(&unnamed.join("jobs")), std::slice::from_ref(&job));
     assert!(!data.join("jobs").join(&job).exists());
-    // What the log advises: the right database, and the folders back in their places.
+    // As the log advises: the right database, and the folders moved back.
     server.kill();
     copy(&newer, &data);
     for (kind, id) in [("captures", &capture), ("jobs", &job)] {

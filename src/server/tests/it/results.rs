@@ -4,7 +4,7 @@ use crate::support::Server;
 use serde_json::json;
 
 #[test]
-fn results_come_whole_in_ranges_and_not_at_all_when_known() {
+fn results_are_sent_whole_in_ranges_or_as_not_modified() {
     let server = Server::start();
     let job = server.job("ok");
     server.wait_state(&job, "succeeded");
@@ -66,7 +66,7 @@ fn results_come_whole_in_ranges_and_not_at_all_when_known() {
 }
 
 #[test]
-fn renders_come_while_the_job_trains_from_the_last_finished_round() {
+fn renders_of_a_running_job_show_its_last_finished_round() {
     let server = Server::start();
     let job = server.job("slow:40");
     server.wait(&job, "running", |shown| shown["state"] == "running");
@@ -121,7 +121,7 @@ fn renders_come_while_the_job_trains_from_the_last_finished_round() {
 }
 
 #[test]
-fn a_training_is_seen_in_scores_and_a_picture_that_are_told_once_and_the_picture_goes_with_it() {
+fn a_training_reports_scores_and_a_preview_that_ends_with_it() {
     let server = Server::start();
     let job = server.job("reconstruct:700");
     let live = |tag: &str| {
@@ -129,7 +129,7 @@ fn a_training_is_seen_in_scores_and_a_picture_that_are_told_once_and_the_picture
         server.get(&path, &[("if-none-match", tag)])
     };
     server.wait(&job, "seen", |_| live("").status == 200);
-    // A new one comes in a while: now there is time to ask twice.
+    // Right after a new picture there is time for two requests.
     let first = live("").expect(200);
     let picture = loop {
         let picture = live("").expect(200);
@@ -174,7 +174,7 @@ fn a_training_is_seen_in_scores_and_a_picture_that_are_told_once_and_the_picture
 }
 
 #[test]
-fn a_camera_of_the_clients_own_must_be_rigid() {
+fn a_custom_camera_must_be_rigid() {
     let server = Server::start();
     let job = server.job("ok");
     server.wait_state(&job, "succeeded");
@@ -195,7 +195,7 @@ fn a_camera_of_the_clients_own_must_be_rigid() {
 }
 
 #[test]
-fn a_render_process_that_dies_costs_one_picture_and_not_the_service() {
+fn a_crash_of_the_renderer_fails_only_one_render() {
     let server = Server::start();
     let (good, bad) = (server.job("ok"), server.job("bad_scene"));
     server.wait_state(&good, "succeeded");

@@ -1,4 +1,4 @@
-//! Links to one job, through a real server process.
+//! Share links, through a real server process.
 
 use crate::support::Server;
 use crate::support::tokens::{token_of, token_until, with_store};
@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 
 const MAKES: &str = "jobs:read,jobs:write,renders";
 
-/// A server with a finished job, made before there were tokens: only `admin` sees it.
+/// A server with a finished job, created before any token: only `admin` sees it.
 fn server_with_job() -> (Server, String) {
     let server = Server::start();
     let job = server.job("ok");
@@ -22,7 +22,7 @@ fn make(server: &Server, job: &str, header: &str, wanted: &Value) -> Reply {
     server.post_json(&path, wanted, &[("authorization", header)])
 }
 
-/// A link's header and its id.
+/// Creates a link, and returns its header and its id.
 fn link(server: &Server, job: &str, header: &str) -> (String, String) {
     let made = make(server, job, header, &json!({})).expect(201).json();
     let text = |key: &str| made[key].as_str().expect(key).to_owned();
@@ -31,7 +31,7 @@ fn link(server: &Server, job: &str, header: &str) -> (String, String) {
     (format!("Bearer {token}"), text("id"))
 }
 
-/// The header of a link that is put into the database as it is.
+/// Inserts a link into the database directly, and returns its header.
 fn kept(server: &Server, job: &str, maker: &str, expires_at: i64) -> String {
     let secret = Secret::new().expect("random");
     let share = NewShare {
@@ -50,7 +50,7 @@ fn kept(server: &Server, job: &str, maker: &str, expires_at: i64) -> String {
 }
 
 #[test]
-fn a_link_shows_its_job_and_nothing_else() {
+fn a_share_link_shows_only_its_job() {
     let (server, job) = server_with_job();
     let other = server.job("ok");
     server.wait_state(&other, "succeeded");
@@ -70,7 +70,7 @@ fn a_link_shows_its_job_and_nothing_else() {
         server.get(&of(&job, path), &with).expect(200);
         server.get(&of(&other, path), &with).expect(404);
     }
-    // It trains no more.
+    // Its training is over.
     server.get(&of(&job, "/live"), &with).expect(204);
     server.get(&of(&other, "/live"), &with).expect(404);
     let capture = server.get(&of(&job, ""), &with).json()["capture_id"].clone();
@@ -103,7 +103,7 @@ fn a_link_shows_its_job_and_nothing_else() {
 }
 
 #[test]
-fn a_browser_that_came_by_a_link_is_told_its_job() {
+fn a_browser_with_a_share_link_learns_its_job() {
     let (server, job) = server_with_job();
     let (admin, _) = token_of("root", &server, "admin");
     let (link, _) = link(&server, &job, &admin);
@@ -128,7 +128,7 @@ fn a_browser_that_came_by_a_link_is_told_its_job() {
 }
 
 #[test]
-fn a_link_ends_by_hand_with_its_time_its_maker_and_its_job() {
+fn a_share_link_ends_with_its_expiry_its_creator_or_its_job() {
     let (server, job) = server_with_job();
     let (admin, admin_id) = token_of("root", &server, "admin");
     let (maker, maker_id) = token_of("root", &server, "admin");
@@ -180,7 +180,7 @@ fn a_link_ends_by_hand_with_its_time_its_maker_and_its_job() {
 }
 
 #[test]
-fn what_makes_no_link_says_why() {
+fn invalid_share_requests_are_refused_with_a_reason() {
     let (server, job) = server_with_job();
     let path = format!("/v1/jobs/{job}/shares");
     let open = server.post_json(&path, &json!({}), &[]).expect(409);
@@ -213,7 +213,7 @@ fn what_makes_no_link_says_why() {
 }
 
 #[test]
-fn nobody_gives_by_a_link_what_they_do_not_have() {
+fn a_share_link_needs_the_scopes_that_it_grants() {
     let server = Server::start();
     let (all, _) = token_of("anna", &server, MAKES);
     let with = [("authorization", all.as_str())];

@@ -1,5 +1,5 @@
-//! What the service does in a second, with SQLite and with PostgreSQL. Prints the figures of
-//! docs/results.md, and fails where one is far from them.
+//! Throughput of the service with SQLite and with PostgreSQL. Prints the figures of
+//! docs/results.md, and fails if one is far off.
 
 use std::io::{Read, Write};
 use std::net::TcpStream;
@@ -14,14 +14,14 @@ use sqlx::any::{AnyPoolOptions, install_default_drivers};
 
 /// Jobs of a large installation.
 const MANY: usize = 100_000;
-/// Jobs of a small one.
+/// Jobs of a small installation.
 const FEW: usize = 1000;
-/// Claims that are timed.
+/// Number of timed claims.
 const CLAIMS: usize = 1000;
-/// Who claims at once.
+/// Number of concurrent claimers.
 const CLAIMERS: usize = 8;
 
-/// Numbers from 1 on.
+/// An SQL table of the numbers 1 to `upto`.
 fn numbers(url: &str, upto: usize) -> String {
     if url.starts_with("postgres") {
         return format!("WITH t AS (SELECT n FROM generate_series(1, {upto}) AS n)");
@@ -29,7 +29,7 @@ fn numbers(url: &str, upto: usize) -> String {
     format!("WITH RECURSIVE t(n) AS (SELECT 1 UNION ALL SELECT n + 1 FROM t WHERE n < {upto})")
 }
 
-/// Copies of a job that is there already, in a state.
+/// Copies an existing job `count` times, in the given state.
 async fn copy(url: &str, job: &str, count: usize, state: &str) {
     install_default_drivers();
     let pool = AnyPoolOptions::new().connect(url).await.expect("connect");
@@ -52,7 +52,7 @@ async fn copy(url: &str, job: &str, count: usize, state: &str) {
     pool.close().await;
 }
 
-/// Claims and settlements a second, by eight at once, with many jobs in the table.
+/// Claims and settlements per second, by eight concurrent claimers, with many jobs in the table.
 fn claims(url: &str, job: &str) -> f64 {
     let runtime = tokio::runtime::Runtime::new().expect("a runtime");
     runtime.block_on(async {
@@ -89,7 +89,7 @@ fn claims(url: &str, job: &str) -> f64 {
     })
 }
 
-/// The 50th and the 99th percentile of a page of the list, milliseconds.
+/// The 50th and the 99th percentile of the time for a page of the list, in milliseconds.
 fn list(api: &Client) -> (f64, f64) {
     let mut page = String::new();
     let mut took: Vec<f64> = (0..400)
@@ -103,7 +103,7 @@ fn list(api: &Client) -> (f64, f64) {
                     .as_array()
                     .is_some_and(|jobs| !jobs.is_empty())
             );
-            // From the first again where there are no more.
+            // Start again after the last page.
             let next = listed["next_cursor"].as_str();
             page = next.map_or(String::new(), |next| format!("?cursor={next}"));
             took
@@ -113,7 +113,7 @@ fn list(api: &Client) -> (f64, f64) {
     (took[200], took[396])
 }
 
-/// The list of few jobs, and of many.
+/// The times of the list with few jobs, and with many.
 fn lists(api: &Client, url: &str, job: &str) -> [(f64, f64); 2] {
     let runtime = tokio::runtime::Runtime::new().expect("a runtime");
     runtime.block_on(copy(url, job, FEW, "cancelled"));
@@ -122,7 +122,7 @@ fn lists(api: &Client, url: &str, job: &str) -> [(f64, f64); 2] {
     [few, list(api)]
 }
 
-/// Seconds of a processor that a process has used.
+/// Processor seconds that a process has used.
 fn used(pid: u32) -> f64 {
     let told = std::fs::read_to_string(format!("/proc/{pid}/stat")).expect("it lives");
     let after = told.rsplit_once(')').expect("a name").1;
@@ -134,7 +134,7 @@ fn used(pid: u32) -> f64 {
     ticks / 100.0
 }
 
-/// The share of a core that a replica uses for 200 streams of the events of a job that runs.
+/// The share of a core that a replica uses for 200 event streams of a running job.
 fn streams(api: &Client, pid: u32, job: &str) -> f64 {
     let address = api.base.trim_start_matches("http://");
     let path = format!("/v1/jobs/{job}/events");
@@ -151,7 +151,7 @@ fn streams(api: &Client, pid: u32, job: &str) -> f64 {
             stream
         })
         .collect();
-    // Past what each is told first: all that happened before.
+    // Wait until each stream has received all past events.
     sleep(Duration::from_secs(2));
     let (before, begun) = (used(pid), Instant::now());
     sleep(Duration::from_secs(8));
@@ -170,7 +170,7 @@ fn tell(store: &str, claims: f64, [few, many]: [(f64, f64); 2], share: f64) {
         many.1,
         100.0 * share
     );
-    // What a busy machine does not change.
+    // Limits that hold on a busy machine too.
     assert!(many.0 < 3.0 * few.0 + 2.0, "{many:?} against {few:?}");
     assert!(share < 0.05, "{share}");
     assert!(claims > 20.0, "{claims}");
@@ -190,7 +190,7 @@ fn sqlite_serves_a_hundred_thousand_jobs_and_two_hundred_streams() {
     let running = server.job("slow:600");
     server.wait(&running, "runs", |shown| shown["state"] == "running");
     let share = streams(&server, server.pid(), &running);
-    // Its own workers would claim, too.
+    // Its own workers would claim jobs too.
     server.kill();
     tell("SQLite", claims(&url, &job), lists, share);
 }

@@ -1,4 +1,4 @@
-//! Who may do what, through a real server process.
+//! Access control, through a real server process.
 
 use std::thread::sleep;
 use std::time::{Duration, Instant};
@@ -7,7 +7,7 @@ use crate::support::tokens::{token, token_of, with_store};
 use crate::support::{Server, photographs};
 use serde_json::json;
 
-/// A capture and a finished job of whoever has the token, which sees and starts jobs.
+/// Creates a capture and a finished job with a token that may see and start jobs.
 fn job_of(server: &Server, header: &str) -> (String, String) {
     let headers = [("authorization", header)];
     let id = |reply: fled_tests::Reply| reply.json()["id"].as_str().expect("id").to_owned();
@@ -31,7 +31,7 @@ fn job_of(server: &Server, header: &str) -> (String, String) {
 }
 
 #[test]
-fn from_the_first_token_on_everything_needs_one() {
+fn once_a_token_exists_every_request_needs_one() {
     let server = Server::start();
     let job = server.job("ok");
     server.wait_state(&job, "succeeded");
@@ -65,7 +65,7 @@ fn from_the_first_token_on_everything_needs_one() {
     server
         .upload("/v1/captures", &photographs(3), &[])
         .expect(401);
-    // Only the header counts: addresses are written into logs.
+    // Only the header counts: URLs are written to logs.
     let secret = admin.trim_start_matches("Bearer ");
     for named in ["token", "access_token"] {
         server
@@ -123,7 +123,7 @@ fn a_token_allows_what_its_scopes_say() {
     assert!(detail.is_some_and(|detail| detail.contains("jobs:read")));
 }
 
-/// What a browser keeps of an answer: the cookie without its attributes.
+/// The cookie that a browser keeps, without its attributes.
 fn cookie(reply: &fled_tests::Reply) -> String {
     let set = reply.header("set-cookie");
     for attribute in ["HttpOnly", "SameSite=Strict", "Path=/"] {
@@ -132,13 +132,13 @@ fn cookie(reply: &fled_tests::Reply) -> String {
     set.split(';').next().expect("a cookie").to_owned()
 }
 
-/// What `/login` says of a browser that came by no link.
+/// The answer of `/login` to a browser without a share link.
 fn who(needed: bool, scopes: Option<&str>) -> serde_json::Value {
     json!({ "needed": needed, "scopes": scopes, "job": null })
 }
 
 #[test]
-fn a_browser_logs_in_and_out_by_a_cookie() {
+fn a_browser_logs_in_and_out_with_a_cookie() {
     let server = Server::start();
     let open = server.get("/login", &[]).expect(200).json();
     assert_eq!(open, who(false, None));
@@ -168,18 +168,18 @@ fn a_browser_logs_in_and_out_by_a_cookie() {
     let browser = [("cookie", session.as_str())];
     let told = server.get("/login", &browser).expect(200).json();
     assert_eq!(told, who(true, Some("jobs:read,renders")));
-    // What a page cannot send a header with: the event stream and pictures.
+    // Requests to which a page cannot add a header: the event stream and images.
     for path in ["", "/events", "/render?azimuth=1", "/artifacts/scene.ply"] {
         server
             .get(&format!("/v1/jobs/{job}{path}"), &browser)
             .expect(200);
     }
-    // Its scopes are the token's, and another site's page cannot use it.
+    // It has the token's scopes, and another site's page cannot use it.
     let retry = format!("/v1/jobs/{job}/retry");
     server.post(&retry, b"", &browser).expect(403);
     let forged = [evil[0], evil[1], browser[0]];
     server.post(&retry, b"", &forged).expect(403);
-    // A session is no token, and a header that does not hold is not helped out by the cookie.
+    // A session is no token, and an invalid header is not rescued by the cookie.
     let as_token = session.replace("fled_session=", "Bearer ");
     server
         .get("/v1/jobs", &[("authorization", &as_token)])
@@ -200,7 +200,7 @@ fn a_browser_logs_in_and_out_by_a_cookie() {
 }
 
 #[test]
-fn what_is_somebody_elses_is_not_there() {
+fn data_of_other_owners_is_not_found() {
     let server = Server::start();
     let scopes = "jobs:read,jobs:write,renders";
     let (anna, _) = token_of("anna", &server, scopes);
@@ -234,7 +234,7 @@ fn what_is_somebody_elses_is_not_there() {
         for header in [&bob, &unnamed] {
             let headers = [("authorization", header.as_str())];
             let refused = server.get(path, &headers).expect(404).json();
-            // Not a word tells it from what never was.
+            // The answer does not differ from that for an id that never existed.
             let never = path.replace(&job, "never").replace(&encoded, "never");
             let never = server.get(&never.replace(&capture, "never"), &headers);
             assert_eq!(refused, never.expect(404).json(), "{path}");
@@ -253,7 +253,7 @@ fn what_is_somebody_elses_is_not_there() {
 }
 
 #[test]
-fn lists_hold_what_is_ones_own() {
+fn lists_contain_only_the_owners_data() {
     let server = Server::start();
     let nobodys = server.job("ok");
     server.wait_state(&nobodys, "succeeded");
@@ -264,7 +264,7 @@ fn lists_hold_what_is_ones_own() {
     let (admin, _) = token(&server, "admin");
     job_of(&server, &anna);
     let bobs = [("authorization", bob.as_str())];
-    // What was made before there were tokens is the admin's alone.
+    // Only the admin sees what was created before any token.
     let path = format!("/v1/jobs/{nobodys}");
     server.get(&path, &[("authorization", &anna)]).expect(404);
     server.get(&path, &[("authorization", &admin)]).expect(200);
@@ -282,7 +282,7 @@ fn lists_hold_what_is_ones_own() {
 }
 
 #[test]
-fn a_key_of_one_owner_is_another_of_anothers() {
+fn idempotency_keys_are_separate_for_each_owner() {
     let server = Server::start();
     let scopes = "jobs:read,jobs:write";
     let jobs = ["anna", "bob"].map(|name| {

@@ -1,4 +1,4 @@
-//! Uploads in pieces by the tus protocol, through a real server process.
+//! Resumable uploads by the tus protocol, through a real server process.
 
 use std::fs;
 use std::io::Write;
@@ -9,13 +9,13 @@ use crate::support::Server;
 use crate::support::tokens::token_of;
 use crate::support::tus::{NAMED, PIECE, Tus, base64, status};
 
-/// How many files of uploads there are.
+/// Counts the files of uploads.
 fn files(server: &Server) -> usize {
     let folder = server.data.path().join("data/uploads");
     fs::read_dir(folder).expect("folder").count()
 }
 
-/// Waits until so much of an upload is on the disk, without asking the server.
+/// Waits until this many bytes of an upload are on disk, without asking the server.
 fn wait_for_bytes(server: &Server, path: &str, bytes: u64) {
     let file = path.replace("/v1/uploads/", "data/uploads/");
     let file = server.data.path().join(file);
@@ -27,11 +27,11 @@ fn wait_for_bytes(server: &Server, path: &str, bytes: u64) {
 }
 
 #[test]
-fn options_say_what_is_spoken_and_need_no_token() {
+fn options_describe_the_protocol_and_need_no_token() {
     let server = Server::start();
     let (_, _) = token_of("anna", &server, "jobs:write");
     for path in ["/v1/uploads", "/v1/uploads/any"] {
-        // Also to those who do not say what they speak.
+        // Clients that send no version get an answer too.
         let told = server.ask("OPTIONS", path, &[], b"").expect(204);
         for (name, value) in [
             ("tus-resumable", "1.0.0"),
@@ -54,7 +54,7 @@ fn options_say_what_is_spoken_and_need_no_token() {
 }
 
 #[test]
-fn who_speaks_another_version_is_told_which_and_nothing_is_done() {
+fn an_unsupported_version_is_refused_without_effect() {
     let server = Server::start();
     let tus = Tus::new(&server);
     let path = tus.create("a.png", 3);
@@ -76,7 +76,7 @@ fn who_speaks_another_version_is_told_which_and_nothing_is_done() {
 }
 
 #[test]
-fn an_upload_comes_in_pieces_and_says_how_much_of_it_there_is() {
+fn an_upload_arrives_in_pieces_and_reports_its_offset() {
     let server = Server::start();
     let tus = Tus::new(&server);
     let metadata = format!("filename {},kind ,is_dark", base64("a b.png".as_bytes()));
@@ -104,7 +104,7 @@ fn an_upload_comes_in_pieces_and_says_how_much_of_it_there_is() {
     assert_eq!(empty.header("upload-offset"), "6");
     let last = tus.patch(&path, 6, b"world").expect(204);
     assert_eq!(last.header("upload-offset"), "11");
-    // It is finished: nothing can be added, and asking for it does no harm.
+    // It is finished: nothing can be added, and an empty piece does no harm.
     tus.patch(&path, 11, b"").expect(204);
     tus.patch(&path, 11, b"!").expect(413);
     tus.patch(&path, 0, b"!").expect(409);
@@ -115,7 +115,7 @@ fn an_upload_comes_in_pieces_and_says_how_much_of_it_there_is() {
 }
 
 #[test]
-fn an_upload_that_cannot_be_is_refused_before_it_begins() {
+fn an_invalid_upload_is_refused_before_it_begins() {
     let server = Server::start_with(&[("FLED_FAKE_UPLOAD_BYTES", "1000")]);
     let tus = Tus::new(&server);
     let long = format!("filename d2Fsay5wbmc=,x {}", "A".repeat(8192));
@@ -157,14 +157,14 @@ fn an_upload_that_cannot_be_is_refused_before_it_begins() {
 }
 
 #[test]
-fn a_piece_longer_than_the_rest_changes_nothing() {
+fn a_piece_beyond_the_length_changes_nothing() {
     let server = Server::start();
     let tus = Tus::new(&server);
     let path = tus.create("a.png", 5);
     tus.patch(&path, 0, b"ab").expect(204);
     let refused = tus.patch(&path, 2, b"cdef").expect(413);
     assert_eq!(refused.json()["code"], "too_large");
-    // Without a length it is noticed as it comes.
+    // Without a length the excess is noticed as it arrives.
     let address = server.base.trim_start_matches("http://");
     let mut stream = std::net::TcpStream::connect(address).expect("connect");
     write!(
@@ -181,7 +181,7 @@ fn a_piece_longer_than_the_rest_changes_nothing() {
 }
 
 #[test]
-fn a_file_of_no_bytes_is_finished_at_once() {
+fn an_empty_upload_is_finished_at_once() {
     let server = Server::start();
     let tus = Tus::new(&server);
     let path = tus.create("empty.txt", 0);
@@ -191,7 +191,7 @@ fn a_file_of_no_bytes_is_finished_at_once() {
 }
 
 #[test]
-fn the_first_piece_may_come_with_the_request_that_begins() {
+fn the_creation_request_may_contain_the_first_piece() {
     let server = Server::start();
     let tus = Tus::new(&server);
     let length = ("upload-length", "5");
@@ -210,7 +210,7 @@ fn the_first_piece_may_come_with_the_request_that_begins() {
 }
 
 #[test]
-fn what_came_before_a_connection_broke_stays() {
+fn data_received_before_a_disconnect_is_kept() {
     let server = Server::start();
     let tus = Tus::new(&server);
     let path = tus.create("a.png", 10);
@@ -222,7 +222,7 @@ fn what_came_before_a_connection_broke_stays() {
 }
 
 #[test]
-fn a_sender_that_falls_asleep_is_given_up_and_what_came_stays() {
+fn a_stalled_sender_times_out_and_its_data_is_kept() {
     let server = Server::start_with(&[("FLED_FAKE_STALL_MS", "300")]);
     let tus = Tus::new(&server);
     let path = tus.create("a.png", 10);
@@ -232,7 +232,7 @@ fn a_sender_that_falls_asleep_is_given_up_and_what_came_stays() {
 }
 
 #[test]
-fn who_comes_back_takes_over_and_what_was_told_does_not_grow() {
+fn a_returning_client_takes_over_its_upload() {
     let server = Server::start();
     let tus = Tus::new(&server);
     let path = tus.create("a.png", 12);
@@ -242,7 +242,7 @@ fn who_comes_back_takes_over_and_what_was_told_does_not_grow() {
     assert_eq!(tus.offset(&path), 4);
     assert!(start.elapsed() < Duration::from_secs(5), "it hangs, too");
     assert_eq!(status(&mut hung), "409");
-    // What the old connection still sends is nobody's.
+    // Data that the old connection still sends is discarded.
     let _ = hung.write_all(b"XXXXXXXX");
     sleep(Duration::from_millis(200));
     assert_eq!(tus.offset(&path), 4);
@@ -256,7 +256,7 @@ fn who_comes_back_takes_over_and_what_was_told_does_not_grow() {
 }
 
 #[test]
-fn an_upload_that_is_deleted_is_not_there_for_whoever_waits() {
+fn a_deleted_upload_is_gone_for_waiting_requests() {
     let server = Server::start();
     let tus = Tus::new(&server);
     for _ in 0..10 {
@@ -283,7 +283,7 @@ fn an_upload_that_is_deleted_is_not_there_for_whoever_waits() {
 }
 
 #[test]
-fn an_upload_expires_a_while_after_its_last_byte() {
+fn an_upload_expires_some_time_after_its_last_byte() {
     let short = [("FLED_FAKE_UPLOAD_MS", "2000")];
     let mut server = Server::start_with(&short);
     let tus = Tus::new(&server);
@@ -302,7 +302,7 @@ fn an_upload_expires_a_while_after_its_last_byte() {
 }
 
 #[test]
-fn a_killed_server_knows_what_it_had_of_an_upload() {
+fn a_killed_server_knows_the_offset_of_an_upload() {
     let mut server = Server::start();
     let content: Vec<u8> = (0..3_000_000_u32).map(|i| (i % 251) as u8).collect();
     let tus = Tus::new(&server);
@@ -326,7 +326,7 @@ fn a_killed_server_knows_what_it_had_of_an_upload() {
 }
 
 #[test]
-fn a_client_that_can_only_post_names_its_method() {
+fn a_post_can_override_its_method() {
     let server = Server::start();
     let tus = Tus::new(&server);
     let path = tus.create("a.png", 3);
@@ -342,7 +342,7 @@ fn a_client_that_can_only_post_names_its_method() {
 }
 
 #[test]
-fn there_are_no_more_uploads_than_may_be() {
+fn the_number_of_uploads_of_an_owner_is_limited() {
     let server = Server::start_with(&[("FLED_FAKE_UPLOADS", "2")]);
     let (anna, _) = token_of("anna", &server, "jobs:write");
     let (ben, _) = token_of("ben", &server, "jobs:write");
@@ -358,7 +358,7 @@ fn there_are_no_more_uploads_than_may_be() {
 }
 
 #[test]
-fn many_pieces_do_not_use_up_an_allowance() {
+fn pieces_cost_little_of_the_rate_limit() {
     let server = Server::start_with(&[("FLED_FAKE_RATE", "1"), ("FLED_FAKE_BURST", "100")]);
     let (anna, _) = token_of("anna", &server, "jobs:write");
     let tus = Tus::of(&server, &anna);
@@ -371,7 +371,7 @@ fn many_pieces_do_not_use_up_an_allowance() {
 }
 
 #[test]
-fn below_the_watermark_no_piece_is_taken() {
+fn below_the_watermark_no_piece_is_accepted() {
     let mut server = Server::start();
     let path = Tus::new(&server).create("a.png", 4);
     Tus::new(&server).patch(&path, 0, b"a").expect(204);

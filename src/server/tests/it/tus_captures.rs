@@ -1,4 +1,4 @@
-//! Captures and jobs of uploads in pieces, through a real server process.
+//! Captures and jobs from resumable uploads, through a real server process.
 
 use std::fs;
 use std::io::Write;
@@ -13,10 +13,10 @@ use crate::support::{Server, photograph, photographs, zip};
 use fled_server::store::Quotas;
 use serde_json::{Value, json};
 
-/// All that a user needs.
+/// The scopes of a user.
 const USER: &str = "jobs:read,jobs:write,renders";
 
-/// Uploads of so many photographs.
+/// Uploads `n` photographs.
 fn uploads(tus: &Tus<'_>, n: usize) -> Vec<String> {
     let upload = |i| tus.upload(&format!("{i:03}.png"), &photograph(i));
     (0..n).map(upload).collect()
@@ -41,7 +41,7 @@ fn path(id: &str) -> String {
 }
 
 #[test]
-fn photographs_that_came_in_pieces_become_a_capture() {
+fn resumable_uploads_of_photographs_become_a_capture() {
     let server = Server::start();
     let tus = Tus::new(&server);
     let mut ids = uploads(&tus, 4);
@@ -88,7 +88,7 @@ fn photographs_that_came_in_pieces_become_a_capture() {
 }
 
 #[test]
-fn a_zip_that_came_in_pieces_becomes_a_capture() {
+fn a_resumable_upload_of_a_zip_becomes_a_capture() {
     let server = Server::start();
     let tus = Tus::new(&server);
     let content: Vec<(&str, Vec<u8>)> = (0..)
@@ -108,7 +108,7 @@ fn a_zip_that_came_in_pieces_becomes_a_capture() {
 }
 
 #[test]
-fn uploads_become_a_job_at_most_once_for_a_key() {
+fn uploads_become_at_most_one_job_per_key() {
     let server = Server::start();
     let tus = Tus::new(&server);
     let ids = uploads(&tus, 4);
@@ -137,7 +137,7 @@ fn uploads_become_a_job_at_most_once_for_a_key() {
 }
 
 #[test]
-fn the_same_request_sent_at_a_time_makes_one_job() {
+fn concurrent_identical_requests_create_one_job() {
     let server = Server::start();
     let tus = Tus::new(&server);
     let order = json!({ "uploads": uploads(&tus, 4), "options": { "adapter": "ok" } });
@@ -160,7 +160,7 @@ fn the_same_request_sent_at_a_time_makes_one_job() {
 }
 
 #[test]
-fn uploads_stay_as_long_as_nothing_is_made_of_them() {
+fn uploads_stay_until_they_are_used() {
     let server = Server::start_with(&[("FLED_FAKE_QUEUE", "1")]);
     let tus = Tus::new(&server);
     let ids = uploads(&tus, 4);
@@ -215,7 +215,7 @@ fn uploads_stay_as_long_as_nothing_is_made_of_them() {
 }
 
 #[test]
-fn a_job_for_which_there_is_no_room_takes_no_uploads() {
+fn a_job_without_room_uses_no_uploads() {
     let server = Server::start();
     let quotas = Quotas {
         jobs: Some(1),
@@ -226,7 +226,7 @@ fn a_job_for_which_there_is_no_room_takes_no_uploads() {
     let orders = [0, 1]
         .map(|_| json!({ "uploads": uploads(&tus, 4), "options": { "adapter": "slow:1000" } }));
     let headers = [("authorization", anna.as_str())];
-    // Both are looked at before one of them has its job.
+    // Both pass the first check before one of them has its job.
     let mut statuses = std::thread::scope(|scope| {
         let asked = orders
             .each_ref()
@@ -241,7 +241,7 @@ fn a_job_for_which_there_is_no_room_takes_no_uploads() {
 }
 
 #[test]
-fn an_upload_is_its_owners() {
+fn an_upload_belongs_to_its_owner() {
     let server = Server::start();
     let nobodys = Tus::new(&server).upload("000.png", &photograph(0));
     let (anna, _) = token_of("anna", &server, USER);
@@ -257,7 +257,7 @@ fn an_upload_is_its_owners() {
     let bens = Tus::of(&server, &ben);
     bens.patch(&path(&ids[0]), 0, b"").expect(404);
     bens.ask("DELETE", &path(&ids[0]), &[], b"").expect(404);
-    // Also for those who see it: it would count for them, or for nobody.
+    // Not even those who see the uploads may use them: the capture would count for another owner.
     for header in [&ben, &admin] {
         let headers = [("authorization", header.as_str())];
         for path in ["/v1/captures", "/v1/jobs"] {
@@ -276,7 +276,7 @@ fn an_upload_is_its_owners() {
 }
 
 #[test]
-fn uploads_count_for_their_owners_quota_once() {
+fn uploads_count_once_towards_their_owners_quota() {
     let server = Server::start();
     let bytes: usize = photographs(3).iter().map(|part| part.2.len()).sum();
     let quotas = Quotas {
@@ -288,7 +288,7 @@ fn uploads_count_for_their_owners_quota_once() {
     let headers = [("authorization", anna.as_str())];
     let refused = tus.begin("a.png", bytes + 1).expect(507);
     assert_eq!(refused.json()["code"], "quota_bytes");
-    // What is announced counts before it comes.
+    // The announced length counts before the data arrives.
     let announced = tus.create("a.png", bytes);
     tus.begin("b.png", 1).expect(507);
     let parts = photographs(3);
@@ -297,7 +297,7 @@ fn uploads_count_for_their_owners_quota_once() {
     tus.ask("DELETE", &announced, &[], b"").expect(204);
     let ids = uploads(&tus, 3);
     tus.begin("b.png", 1).expect(507);
-    // They fill the quota, and so does the capture that they become.
+    // They fill the quota, and so does the capture made of them.
     let order = json!({ "uploads": ids });
     server
         .post_json("/v1/captures", &order, &headers)
@@ -306,7 +306,7 @@ fn uploads_count_for_their_owners_quota_once() {
 }
 
 #[test]
-fn uploads_together_are_no_larger_than_one_may_be() {
+fn uploads_together_are_limited_like_a_single_one() {
     let server = Server::start_with(&[("FLED_FAKE_UPLOAD_BYTES", "100000")]);
     let tus = Tus::new(&server);
     let ids = [0, 1].map(|_| tus.upload("a.zip", &[0; 60_000]));
@@ -316,7 +316,7 @@ fn uploads_together_are_no_larger_than_one_may_be() {
 }
 
 #[test]
-fn an_upload_whose_file_is_lost_is_not_there() {
+fn an_upload_without_its_file_is_not_found() {
     let mut server = Server::start();
     let ids = uploads(&Tus::new(&server), 4);
     let folder = server.data.path().join("data/uploads");
@@ -335,12 +335,12 @@ fn an_upload_whose_file_is_lost_is_not_there() {
 }
 
 #[test]
-fn an_upload_without_a_row_is_kept_aside() {
+fn an_upload_without_a_row_is_moved_aside() {
     let mut server = Server::start();
     let tus = Tus::new(&server);
     let (finished, empty) = (tus.upload("a.png", b"abc"), tus.create("b.png", 3));
     let empty = empty.trim_start_matches("/v1/uploads/");
-    // As a database that is an older copy.
+    // Like a database restored from an older backup.
     with_store(&server, async |store| {
         store.forget_uploads().await.expect("forgotten");
     });
@@ -375,7 +375,7 @@ fn a_backup_has_no_uploads() {
 }
 
 #[test]
-fn poses_of_one_name_leave_each_others_uploads_as_they_are() {
+fn poses_with_equal_names_do_not_change_each_others_uploads() {
     let server = Server::start();
     let tus = Tus::new(&server);
     let mut ids = uploads(&tus, 3);
@@ -391,7 +391,7 @@ fn poses_of_one_name_leave_each_others_uploads_as_they_are() {
 }
 
 #[test]
-fn a_piece_that_does_not_end_changes_no_capture() {
+fn an_unfinished_piece_does_not_change_a_capture() {
     let server = Server::start();
     let tus = Tus::new(&server);
     let mut ids = uploads(&tus, 2);
@@ -425,7 +425,7 @@ fn a_piece_that_does_not_end_changes_no_capture() {
     ids.push(last.trim_start_matches("/v1/uploads/").to_owned());
     let made = server.post_json("/v1/captures", &json!({ "uploads": ids }), &[]);
     let capture = made.expect(201).json()["id"].clone();
-    // One byte too many: what had been begun with is cut off.
+    // One byte too many: the request, whose upload is already used, is cut off.
     let _ = stream.write_all(b"1\r\nx\r\n0\r\n\r\n");
     assert_eq!(
         status(&mut stream),

@@ -1,4 +1,4 @@
-//! Videos in place of photographs, through a real server process and ffmpeg.
+//! Videos instead of photographs, through a real server process and FFmpeg.
 
 use std::process::Command;
 
@@ -8,7 +8,7 @@ use crate::support::{Server, file, photographs, text};
 use fled_server::store::Quotas;
 use serde_json::json;
 
-/// A video of 60 frames that differ.
+/// A video of 60 different frames.
 fn video() -> Vec<u8> {
     let folder = tempfile::tempdir().expect("folder");
     let path = folder.path().join("made.mp4");
@@ -24,7 +24,7 @@ fn video() -> Vec<u8> {
 }
 
 #[test]
-fn a_video_becomes_a_capture_of_its_frames_and_says_which() {
+fn a_video_becomes_a_capture_that_reports_its_frames() {
     let server = Server::start();
     let parts = [file("my walk.MP4", &video()), text("frames", "6")];
     let capture = server
@@ -58,7 +58,7 @@ fn a_video_becomes_a_capture_of_its_frames_and_says_which() {
 }
 
 #[test]
-fn a_video_in_pieces_becomes_a_job() {
+fn a_resumable_upload_of_a_video_becomes_a_job() {
     let server = Server::start();
     let tus = Tus::new(&server);
     let id = tus.upload("walk.mov", &video());
@@ -116,7 +116,7 @@ fn a_video_beside_photographs_is_listed_and_not_used() {
 }
 
 #[test]
-fn what_is_no_video_and_a_server_without_ffmpeg_say_what_to_do() {
+fn a_broken_video_or_missing_ffmpeg_is_reported_with_a_hint() {
     let server = Server::start();
     let broken = [file("walk.mp4", b"this is a text")];
     let problem = server

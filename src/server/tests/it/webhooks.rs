@@ -1,6 +1,6 @@
-//! Webhooks through a real server process: told, signed, told again, and not to inner networks.
+//! Webhooks through a real server process: signatures, retries, and refusal of inner networks.
 
-// The receiver that the documents give to others.
+// The example receiver of the documentation.
 #[path = "../../../../docs/webhooks/genuine.rs"]
 mod genuine;
 
@@ -16,10 +16,10 @@ use crate::support::tokens::token_of;
 use crate::support::{Server, photographs};
 use serde_json::{Value, json};
 
-/// Whatever is waited for is there by then.
+/// Timeout of everything that is awaited.
 const PATIENCE: Duration = Duration::from_secs(30);
 
-/// A request as it came.
+/// A received request.
 struct Told {
     headers: BTreeMap<String, String>,
     body: String,
@@ -35,7 +35,7 @@ impl Told {
     }
 }
 
-/// Listens, and answers the n-th request with the n-th status, the last one for ever.
+/// Listens, and answers the n-th request with the n-th status; the last one repeats.
 fn listener(statuses: &'static [u16]) -> (String, Receiver<Told>) {
     let listener = TcpListener::bind("127.0.0.1:0").expect("bound");
     let url = format!("http://{}/hook", listener.local_addr().expect("an address"));
@@ -82,7 +82,7 @@ fn server() -> Server {
     Server::start_with(&[("FLED_FAKE_INNER", "1")])
 }
 
-/// An address that is told everything; its id and secret.
+/// Creates a webhook, and returns its id and secret.
 fn hook(server: &Server, url: &str, types: Option<&[&str]>) -> (String, String) {
     let mut wanted = json!({ "url": url });
     if let Some(types) = types {
@@ -121,7 +121,7 @@ fn until<T>(what: &str, look: impl Fn() -> Option<T>) -> T {
 }
 
 #[test]
-fn a_job_is_told_of_and_signed_by_what_is_wanted() {
+fn subscribed_events_of_a_job_are_delivered_with_a_signature() {
     let server = server();
     let (url, told) = listener(&[204]);
     let (_, secret) = hook(&server, &url, None);
@@ -164,7 +164,7 @@ fn a_job_is_told_of_and_signed_by_what_is_wanted() {
 }
 
 #[test]
-fn what_did_not_arrive_is_told_again_under_the_same_name_also_by_a_server_that_died() {
+fn a_failed_delivery_is_retried_even_after_a_restart() {
     let mut server = server();
     let (url, told) = listener(&[500, 500, 200]);
     let (id, _) = hook(&server, &url, None);
@@ -182,7 +182,7 @@ fn what_did_not_arrive_is_told_again_under_the_same_name_also_by_a_server_that_d
     let second = told.recv_timeout(PATIENCE).expect("told again");
     assert_eq!(first.headers["webhook-id"], second.headers["webhook-id"]);
     assert_eq!(first.body, second.body);
-    // By hand it is told at once, whatever became of it.
+    // A manual redelivery is sent at once, whatever the outcome before.
     let name = first.headers["webhook-id"].clone();
     let path = format!("/v1/webhooks/{id}/deliveries/{name}/redeliver");
     server.post_json(&path, &json!({}), &[]).expect(202);
@@ -194,7 +194,7 @@ fn what_did_not_arrive_is_told_again_under_the_same_name_also_by_a_server_that_d
 }
 
 #[test]
-fn an_address_that_is_gone_is_told_nothing_more() {
+fn a_gone_endpoint_gets_no_more_deliveries() {
     let server = server();
     let (url, told) = listener(&[410]);
     let (id, _) = hook(&server, &url, Some(&["job.queued"]));
@@ -214,7 +214,7 @@ fn an_address_that_is_gone_is_told_nothing_more() {
 }
 
 #[test]
-fn inner_networks_are_not_knocked_at_and_nonsense_is_refused() {
+fn inner_networks_and_invalid_webhooks_are_refused() {
     let server = Server::start();
     let (url, told) = listener(&[200]);
     let (id, _) = hook(&server, &url, None);
@@ -252,7 +252,7 @@ fn inner_networks_are_not_knocked_at_and_nonsense_is_refused() {
 }
 
 #[test]
-fn a_redirect_is_no_arrival_and_nobody_follows_it() {
+fn a_redirect_is_a_failure_and_not_followed() {
     let server = server();
     let (url, told) = listener(&[302]);
     let (id, _) = hook(&server, &url, None);
@@ -267,9 +267,9 @@ fn a_redirect_is_no_arrival_and_nobody_follows_it() {
     assert!(delivery["next_at"].is_string(), "{delivery}");
 }
 
-/// Takes connections and says nothing.
+/// The first endpoint accepts connections but never answers.
 #[test]
-fn an_address_that_does_not_answer_holds_up_nobody_else() {
+fn a_silent_endpoint_does_not_delay_other_webhooks() {
     let server = server();
     let silent = TcpListener::bind("127.0.0.1:0").expect("bound");
     let address = silent.local_addr().expect("an address");
@@ -294,7 +294,7 @@ fn an_address_that_does_not_answer_holds_up_nobody_else() {
 }
 
 #[test]
-fn what_was_made_before_there_were_tokens_is_told_nothing_once_there_are() {
+fn a_webhook_without_a_token_ends_with_the_first_token() {
     let server = server();
     let (url, told) = listener(&[200]);
     let (id, _) = hook(&server, &url, Some(&["job.queued"]));
@@ -319,7 +319,7 @@ fn what_was_made_before_there_were_tokens_is_told_nothing_once_there_are() {
     let path = format!("/v1/webhooks/{id}/deliveries");
     let list = server.get(&path, &shown).expect(200).json();
     assert_eq!(list["deliveries"], json!([]));
-    // Who may not read is told nothing either.
+    // A token that may not read gets no webhook.
     let reads_nothing = token_of("ben", &server, "jobs:write").0;
     let wanted = json!({ "url": url });
     let bens = [("authorization", &*reads_nothing)];
@@ -327,7 +327,7 @@ fn what_was_made_before_there_were_tokens_is_told_nothing_once_there_are() {
 }
 
 #[test]
-fn nobody_is_told_of_the_jobs_of_others() {
+fn a_webhook_is_notified_only_of_its_owners_jobs() {
     let server = server();
     let everything = "jobs:read,jobs:write,renders";
     let (ann, _) = token_of("ann", &server, everything);
@@ -360,7 +360,7 @@ fn nobody_is_told_of_the_jobs_of_others() {
     assert_eq!(deliveries["deliveries"].as_array().map(Vec::len), Some(1));
 }
 
-/// A program that receives; it ends with the test.
+/// A receiver program, which ends with the test.
 struct Program {
     child: Child,
     lines: Receiver<String>,
@@ -398,7 +398,7 @@ impl Drop for Program {
 }
 
 #[test]
-fn the_receivers_of_the_documents_take_what_is_genuine_and_nothing_else() {
+fn the_documented_receivers_accept_only_genuine_deliveries() {
     let server = server();
     for (program, file) in [("python3", "receive.py"), ("node", "receive.mjs")] {
         let free = TcpListener::bind("127.0.0.1:0").expect("bound");

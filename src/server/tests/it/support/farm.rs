@@ -1,5 +1,5 @@
-//! Many machines: replicas of the API and workers as processes of their own, with a PostgreSQL and
-//! a store of files of the test's own.
+//! Several machines: replicas of the API and workers as separate processes, with a PostgreSQL and a
+//! blob store of the test's own.
 
 use std::collections::HashSet;
 use std::path::{Path, PathBuf};
@@ -13,14 +13,14 @@ use serde_json::{Value, json};
 use super::{Server, photographs};
 
 const PROGRAM: &str = env!("CARGO_BIN_EXE_fled-fake");
-/// A job may take so long, through everything that happens to it.
+/// Timeout of a job, through all faults.
 pub const PATIENCE: Duration = Duration::from_secs(60);
 /// Stages of such a job take 0.3 s each.
 pub const SLOW: &str = "slow:30";
 
 pub type Events = Vec<(i64, String, Value)>;
 
-/// One process: a replica or a worker.
+/// A process: a replica or a worker.
 pub struct Machine {
     pub folder: PathBuf,
     child: Child,
@@ -43,7 +43,7 @@ impl Machine {
         self.child.id()
     }
 
-    /// Waits until it has died by itself.
+    /// Waits until it has ended by itself.
     pub fn dies(&mut self) {
         let begun = Instant::now();
         while self.child.try_wait().expect("a child").is_none() {
@@ -60,12 +60,12 @@ impl Machine {
     }
 }
 
-/// All of them, and what they share.
+/// The shared resources of all machines.
 pub struct Farm {
     pub postgres: Postgres,
     pub url: String,
     pub root: tempfile::TempDir,
-    /// Where files are; a folder in `root` where absent.
+    /// The store of files; if absent, a folder in `root`.
     pub bucket: Option<S3>,
 }
 
@@ -93,12 +93,12 @@ impl Farm {
         self.root.path().join("store")
     }
 
-    /// Begins a process, or begins it again.
+    /// Starts or restarts a process.
     pub fn start(&self, name: &str, more: &[(&str, &str)]) -> (Machine, String) {
         self.start_by(&[], name, more)
     }
 
-    /// The same by a program that sets it into a world of its own.
+    /// Like [`Farm::start`], through a program that isolates it.
     pub fn start_by(&self, by: &[&str], name: &str, more: &[(&str, &str)]) -> (Machine, String) {
         let store = self.store();
         let mut shared = vec![("FLED_FAKE_DB", self.url.as_str())];
@@ -112,7 +112,7 @@ impl Farm {
         begin_by(by, self.root.path(), name, &[&shared, more].concat())
     }
 
-    /// A replica of the API, which works on nothing.
+    /// A replica of the API that runs no jobs.
     pub fn replica(&self, name: &str) -> (Machine, Client) {
         let (machine, base) = self.start(name, &[("FLED_FAKE_WORKERS", "0")]);
         (machine, Client::new(base, PATIENCE))
@@ -122,7 +122,7 @@ impl Farm {
         self.worker_by(&[], name, &[])
     }
 
-    /// A worker in a world of its own, told more.
+    /// A worker started through a program that isolates it, with more variables.
     pub fn worker_by(&self, by: &[&str], name: &str, more: &[(&str, &str)]) -> Machine {
         let about = about(name);
         let worker = [
@@ -135,12 +135,12 @@ impl Farm {
     }
 }
 
-/// Begins a process with a folder of its own below `root`, or begins it again; its address.
+/// Starts or restarts a process with its own folder below `root`, and returns its address.
 pub fn begin(root: &Path, name: &str, more: &[(&str, &str)]) -> (Machine, String) {
     begin_by(&[], root, name, more)
 }
 
-/// The same by a program that sets it into a world of its own.
+/// Like [`begin`], through a program that isolates it.
 fn begin_by(by: &[&str], root: &Path, name: &str, more: &[(&str, &str)]) -> (Machine, String) {
     let folder = root.join(name);
     std::fs::create_dir_all(&folder).expect("a folder");
@@ -165,14 +165,14 @@ fn begin_by(by: &[&str], root: &Path, name: &str, more: &[(&str, &str)]) -> (Mac
     (Machine { folder, child }, format!("http://{address}"))
 }
 
-/// What a worker says of itself in the environment of its process.
+/// What a worker reports about itself, for its environment.
 fn about(name: &str) -> String {
     json!({ "host": name, "version": "1", "adapter": null, "has_gpu": false,
             "cores": 2, "memory": 1_000_000_000, "jobs": 1 })
     .to_string()
 }
 
-/// A job of the plan; its id.
+/// Creates a job with this plan, and returns its id.
 pub fn order(api: &Client, plan: &str) -> String {
     let capture = api.upload("/v1/captures", &photographs(4), &[]).expect(201);
     let body = json!({ "capture_id": capture.json()["id"], "preset": "preview",
@@ -181,7 +181,7 @@ pub fn order(api: &Client, plan: &str) -> String {
     made.json()["id"].as_str().expect("id").to_owned()
 }
 
-/// What a job that nothing happens to leaves.
+/// The scene of an undisturbed job.
 pub fn expected() -> Vec<u8> {
     let server = Server::start();
     let job = server.job("ok");
@@ -194,7 +194,7 @@ pub fn scene(api: &Client, job: &str) -> Vec<u8> {
     api.get(&path, &[]).expect(200).body
 }
 
-/// What must hold of the events of a job that succeeded, whatever happened to its workers.
+/// Checks the events of a successful job, whatever happened to its workers.
 pub fn check(events: &Events) {
     let seqs: Vec<i64> = events.iter().map(|(seq, ..)| *seq).collect();
     assert!(seqs.iter().copied().eq(1..=seqs.len() as i64), "{seqs:?}");

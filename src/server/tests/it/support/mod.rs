@@ -1,4 +1,4 @@
-//! A played server in a process of its own.
+//! A fake server in a process of its own.
 
 #![allow(dead_code, unused_imports, reason = "each test file uses its part")]
 
@@ -20,7 +20,7 @@ pub use fled_tests::{Part, file, gone, processes_of, text};
 use serde_json::json;
 
 const PROGRAM: &str = env!("CARGO_BIN_EXE_fled-fake");
-/// A job may take so long.
+/// Timeout of a job.
 const PATIENCE: Duration = Duration::from_secs(30);
 
 pub struct Server {
@@ -55,7 +55,7 @@ impl Server {
         Self::of(data, child)
     }
 
-    /// With a disk of its own of so many bytes, which nobody else sees: what it has lies below
+    /// With a disk of its own of this size, in a private mount namespace: its data is visible below
     /// [`Server::seen`].
     pub fn start_on_disk(bytes: u64, limits: &[(&str, &str)]) -> Self {
         let data = tempfile::tempdir().expect("temporary directory");
@@ -78,16 +78,16 @@ impl Server {
         }
     }
 
-    /// Its data as it sees them.
+    /// The data directory as the server sees it.
     pub fn seen(&self) -> PathBuf {
         let root = format!("/proc/{}/root", self.child.id());
         let path = self.data.path().join("data");
         Path::new(&root).join(path.strip_prefix("/").expect("absolute"))
     }
 
-    /// kill -9, and nothing else.
+    /// Sends SIGKILL.
     pub fn kill(&mut self) {
-        // Gone already is as good.
+        // It may have ended already.
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
@@ -102,7 +102,7 @@ impl Server {
         (self.child, self.client) = (child, Client::new(base, PATIENCE));
     }
 
-    /// The most memory that the server's process has ever held, bytes.
+    /// Peak memory of the server's process, in bytes.
     pub fn peak_memory(&self) -> u64 {
         let status = std::fs::read_to_string(format!("/proc/{}/status", self.child.id()));
         let status = status.expect("the server lives");
@@ -119,7 +119,7 @@ impl Server {
         self.child.id()
     }
 
-    /// What /proc has of the processes that the server has started.
+    /// The /proc folders of the server's child processes.
     pub fn children(&self) -> Vec<PathBuf> {
         let parent = format!("PPid:\t{}\n", self.child.id());
         let is_child = |process: &PathBuf| {
@@ -131,7 +131,7 @@ impl Server {
         processes.filter(is_child).collect()
     }
 
-    /// Sends a whole multipart body and waits for nothing; dropped, the client hangs up.
+    /// Sends a whole multipart body without reading the answer; dropping the stream hangs up.
     pub fn begin_upload(&self, path: &str, parts: &[Part]) -> TcpStream {
         let address = self.base.trim_start_matches("http://");
         let body = fled_tests::multipart(parts);
@@ -146,7 +146,7 @@ impl Server {
         stream
     }
 
-    /// A capture of `n` different photographs; its id.
+    /// Uploads a capture of `n` different photographs, and returns its id.
     pub fn capture(&self, n: usize) -> String {
         let reply = self
             .upload("/v1/captures", &photographs(n), &[])
@@ -154,7 +154,7 @@ impl Server {
         reply.json()["id"].as_str().expect("id").to_owned()
     }
 
-    /// A job of the plan; its id.
+    /// Creates a job with this plan, and returns its id.
     pub fn job(&self, plan: &str) -> String {
         let capture = self.capture(4);
         let body =
@@ -197,7 +197,7 @@ pub fn photographs(n: usize) -> Vec<Part> {
         .collect()
 }
 
-/// Texture that differs from photograph to photograph.
+/// A texture that differs for each seed.
 pub fn photograph(seed: usize) -> Vec<u8> {
     let mut image: Image = Image::new(160, 120);
     for y in 0..120 {
@@ -210,12 +210,12 @@ pub fn photograph(seed: usize) -> Vec<u8> {
     image.encode(EncodeFormat::Png).expect("encode")
 }
 
-/// A zip without compression.
+/// An uncompressed zip.
 pub fn zip(files: &[(&str, Vec<u8>)]) -> Vec<u8> {
     packed(files, zip::CompressionMethod::Stored)
 }
 
-/// A zip that shrinks what can be shrunk.
+/// A compressed zip.
 pub fn deflated(files: &[(&str, Vec<u8>)]) -> Vec<u8> {
     packed(files, zip::CompressionMethod::Deflated)
 }

@@ -1,27 +1,27 @@
-//! Tokens in the database of a server that runs.
+//! Tokens in the database of a running server.
 
 use fled_server::store::{NewToken, Quotas, Store};
 use fled_server::token::{Secret, new_id};
 
 use super::Server;
 
-/// A token of these scopes in the server's database, made as `fled token create` makes it; its
-/// header and its id.
+/// Creates a token with these scopes in the server's database, like `fled token create`, and
+/// returns its header and its id.
 pub fn token(server: &Server, scopes: &str) -> (String, String) {
     token_of("", server, scopes)
 }
 
-/// The same with a name.
+/// Like [`token`], with a name.
 pub fn token_of(name: &str, server: &Server, scopes: &str) -> (String, String) {
     token_with(server, name, scopes, Quotas::default())
 }
 
-/// The same with quotas.
+/// Like [`token`], with a name and quotas.
 pub fn token_with(server: &Server, name: &str, scopes: &str, quotas: Quotas) -> (String, String) {
     kept(server, name, scopes, quotas, None)
 }
 
-/// The same, which ends then, milliseconds since 1970.
+/// Like [`token`], with a name and an expiry in milliseconds since 1970.
 pub fn token_until(server: &Server, name: &str, scopes: &str, ends: i64) -> (String, String) {
     kept(server, name, scopes, Quotas::default(), Some(ends))
 }

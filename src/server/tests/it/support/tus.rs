@@ -1,4 +1,4 @@
-//! A client of uploads in pieces.
+//! A client for resumable uploads.
 
 use std::io::{Read, Write};
 use std::net::TcpStream;
@@ -7,9 +7,9 @@ use fled_tests::Reply;
 
 use super::Server;
 
-/// The type of a piece.
+/// The media type of a piece.
 pub const PIECE: (&str, &str) = ("content-type", "application/offset+octet-stream");
-/// `walk.png` as metadata name it.
+/// `walk.png` in upload metadata.
 pub const NAMED: (&str, &str) = ("upload-metadata", "filename d2Fsay5wbmc=");
 
 pub struct Tus<'a> {
@@ -28,7 +28,7 @@ impl<'a> Tus<'a> {
         Self { server, token }
     }
 
-    /// A request that speaks the protocol.
+    /// Sends a request with the protocol's version.
     pub fn ask(&self, method: &str, path: &str, headers: &[(&str, &str)], body: &[u8]) -> Reply {
         let mut all = vec![("tus-resumable", "1.0.0")];
         all.extend(self.token.map(|token| ("authorization", token)));
@@ -38,7 +38,7 @@ impl<'a> Tus<'a> {
         reply
     }
 
-    /// Asks for an upload of so many bytes.
+    /// Requests a new upload of this length.
     pub fn begin(&self, name: &str, length: usize) -> Reply {
         let metadata = format!("filename {}", base64(name.as_bytes()));
         let length = length.to_string();
@@ -46,7 +46,7 @@ impl<'a> Tus<'a> {
         self.ask("POST", "/v1/uploads", &headers, b"")
     }
 
-    /// Its path.
+    /// Creates an upload, and returns its path.
     pub fn create(&self, name: &str, length: usize) -> String {
         let reply = self.begin(name, length).expect(201);
         reply.header("location").to_owned()
@@ -62,14 +62,14 @@ impl<'a> Tus<'a> {
         self.ask("HEAD", path, &[], b"")
     }
 
-    /// How much of an upload there is.
+    /// The offset of an upload.
     #[track_caller]
     pub fn offset(&self, path: &str) -> usize {
         let told = self.head(path).expect(200);
         told.header("upload-offset").parse().expect("a number")
     }
 
-    /// A finished upload, sent in two pieces; its id.
+    /// Sends a complete upload in two pieces, and returns its id.
     pub fn upload(&self, name: &str, content: &[u8]) -> String {
         let path = self.create(name, content.len());
         let (first, rest) = content.split_at(content.len() / 2);
@@ -78,8 +78,7 @@ impl<'a> Tus<'a> {
         path.trim_start_matches("/v1/uploads/").to_owned()
     }
 
-    /// A connection on which so much of a piece that is `announced` longer is under way, and that
-    /// then says nothing more.
+    /// Opens a connection that sends `body` of a piece of `announced` bytes, and then stalls.
     pub fn hanging(&self, path: &str, further: &str, announced: usize, body: &[u8]) -> TcpStream {
         let address = self.server.base.trim_start_matches("http://");
         let mut stream = TcpStream::connect(address).expect("connect");
@@ -96,7 +95,7 @@ impl<'a> Tus<'a> {
     }
 }
 
-/// The status of what is answered on a connection.
+/// The status of the answer on a connection.
 pub fn status(stream: &mut TcpStream) -> String {
     let mut head = [0; 12];
     stream.read_exact(&mut head).expect("an answer");
