@@ -69,7 +69,7 @@ pub struct Remote {
 
 /// Why a request failed.
 enum Fault {
-    /// No answer, or only a part: a retry may succeed. The flag tells whether much was transferred.
+    /// No answer, or only a part: a retry may succeed. The flag is set if much was transferred.
     Lost(String, bool),
     /// The service asks to retry later.
     Later(Option<Duration>, Failure),

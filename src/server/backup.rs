@@ -63,7 +63,7 @@ pub async fn backup(data: &Path, to: &Path) -> Result<Backup> {
             }
         }
     }
-    // What was deleted meanwhile may have been copied in part.
+    // Entries deleted meanwhile may have been copied in part.
     let kept = live.ids("captures").await?;
     for id in &captures {
         if incomplete.contains(id) || !kept.contains(id) {

@@ -22,7 +22,7 @@ pub struct BlobCache {
 pub struct Copy {
     /// The version of its files.
     pub version: Option<i64>,
-    /// What is known of its files.
+    /// The last known state of its files.
     pub seen: Seen,
 }
 

@@ -154,7 +154,7 @@ impl DataDir {
             .map_or(unnamed.clone(), |kind| unnamed.join(kind))
     }
 
-    /// What the jobs of a capture share: its poses.
+    /// The folder that the jobs of a capture share: its poses.
     pub fn cache(&self) -> PathBuf {
         self.root.join("cache")
     }

@@ -97,7 +97,7 @@ impl From<fled_blobs::BlobError> for ServerError {
 }
 
 impl ServerError {
-    /// Returns whether a database is away and may soon be back.
+    /// Returns whether a database error is transient, such as a lost connection.
     pub fn passes(&self) -> bool {
         let Self::Database(error) = self else {
             return false;
@@ -108,7 +108,8 @@ impl ServerError {
             | sqlx::Error::Protocol(_)
             | sqlx::Error::PoolTimedOut
             | sqlx::Error::WorkerCrashed => true,
-            // Connections, resources, operator intervention, serialisation failures, lock timeouts.
+            // Connections, resources, operator intervention, serialisation failures, deadlocks, lock
+            // timeouts, idle transactions.
             sqlx::Error::Database(error) => error.code().is_some_and(|code| {
                 ["08", "53", "57", "40", "55P03", "25P03"]
                     .iter()

@@ -5,7 +5,7 @@ use std::fmt;
 /// Called with each failpoint; it may end the process.
 pub type Watcher = fn(Failpoint);
 
-/// What a worker has just done for a job.
+/// The last step that a worker completed for a job.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Failpoint {
     /// It has the lease, and nothing else.

@@ -27,7 +27,7 @@ const FORGET_EVERY: u32 = 4096;
 type Limiter =
     RateLimiter<Client, DefaultKeyedStateStore<Client>, DefaultClock, StateInformationMiddleware>;
 
-/// What requests are counted by.
+/// The key that requests are counted by.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub enum Client {
     /// The owner of the presented token.

@@ -146,7 +146,7 @@ async fn attempt(app: &App, delivery: &DeliveryRow, webhook: &WebhookRow) -> Tri
     }
 }
 
-/// What follows after another failed attempt.
+/// Returns the next step after another failed attempt.
 fn again(attempts_before: u32) -> Then {
     let wait = WAITS.get(attempts_before as usize);
     wait.map_or(Then::GivenUp, |seconds| Then::After(seconds * 1000))

@@ -142,7 +142,7 @@ impl Screen {
     }
 }
 
-/// What has already been shown.
+/// The state already shown.
 #[derive(Default)]
 struct Told {
     state: String,

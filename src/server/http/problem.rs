@@ -57,7 +57,7 @@ impl Problem {
         }
     }
 
-    /// What the client may do about it.
+    /// Sets what the client may do about it.
     #[must_use]
     pub fn hint(mut self, hint: impl Into<String>) -> Self {
         self.hint = Some(hint.into().into());

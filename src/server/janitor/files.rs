@@ -24,7 +24,7 @@ impl Janitor<'_> {
             old.map(|old| found.extend(old))
                 .map_err(ServerError::io(dir))
         };
-        // What gets a row after this is younger than `made`, or nothing gets one meanwhile.
+        // Entries that get a row after this are younger than `made`, or none gets one meanwhile.
         let ids = async |kind| self.store.ids(kind).await;
         match rule {
             Name::SpareUploads => {

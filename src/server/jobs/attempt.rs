@@ -43,7 +43,7 @@ enum Due {
     Progress,
 }
 
-/// What a job's process reported about its end.
+/// The outcome that a job's process reported.
 enum LastWords {
     Finished {
         best_round: u32,

@@ -26,7 +26,7 @@ pub struct NewJob {
     pub options: Value,
     /// Rounds that the options request.
     pub rounds: u32,
-    /// What a machine needs to run it.
+    /// Its machine requirements.
     pub needs: Needs,
     /// Higher values go first.
     pub priority: i64,
@@ -88,7 +88,7 @@ pub struct JobRow {
     pub pinned: bool,
     /// When it will be deleted.
     pub expires_at: Option<i64>,
-    /// What a machine needs to run it.
+    /// Its machine requirements.
     pub needs: Needs,
     /// Higher values go first.
     pub priority: i64,
@@ -96,7 +96,7 @@ pub struct JobRow {
     pub worker: Option<String>,
 }
 
-/// What a machine needs to run a job.
+/// The machine requirements of a job.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Needs {
     /// A hardware GPU, not a software renderer.

@@ -61,11 +61,11 @@ pub struct DeliveryRow {
 pub struct Tried {
     /// A description.
     pub answer: String,
-    /// What happens next.
+    /// The next step.
     pub then: Then,
 }
 
-/// What happens after an attempt.
+/// The next step after an attempt.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Then {
     /// It arrived.

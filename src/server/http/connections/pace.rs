@@ -13,8 +13,8 @@ use tokio::net::TcpStream;
 use tokio::runtime::Handle;
 use tokio::time::{Sleep, sleep, timeout};
 
-/// Bytes of a body that must arrive within the stall time: below 1 KiB a second over 30 seconds,
-/// nobody sends photographs.
+/// Bytes of a body that must arrive within the stall time: no client sends photographs at less
+/// than 1 KiB a second over 30 seconds.
 const LEAST: usize = 30 << 10;
 
 /// Maximum bytes read of an unwanted body. Many clients read no answer before they have sent

@@ -45,7 +45,7 @@ async fn a_worker_that_lost_its_lease_writes_nothing() {
 }
 
 #[tokio::test]
-async fn two_workers_never_claim_the_same_job_and_the_oldest_goes_first() {
+async fn two_workers_never_claim_one_job_and_the_oldest_goes_first() {
     let (_dir, store) = store().await;
     let mut expected = Vec::new();
     for i in 0..20 {

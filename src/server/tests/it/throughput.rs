@@ -178,7 +178,7 @@ fn tell(store: &str, claims: f64, [few, many]: [(f64, f64); 2], share: f64) {
 
 #[test]
 #[ignore = "make test-nightly"]
-fn sqlite_serves_a_hundred_thousand_jobs_and_two_hundred_streams() {
+fn sqlite_serves_100_000_jobs_and_200_streams() {
     let mut server = Server::start_with(&[("FLED_FAKE_RATE", "0")]);
     let job = server.job("ok");
     server.wait_state(&job, "succeeded");
@@ -197,7 +197,7 @@ fn sqlite_serves_a_hundred_thousand_jobs_and_two_hundred_streams() {
 
 #[test]
 #[ignore = "make test-nightly"]
-fn postgresql_serves_a_hundred_thousand_jobs_and_two_hundred_streams() {
+fn postgresql_serves_100_000_jobs_and_200_streams() {
     let farm = Farm::new();
     let free = [("FLED_FAKE_WORKERS", "0"), ("FLED_FAKE_RATE", "0")];
     let (machine, base) = farm.start("api", &free);

@@ -65,7 +65,7 @@ pub struct Farm {
     pub postgres: Postgres,
     pub url: String,
     pub root: tempfile::TempDir,
-    /// The store of files; if absent, a folder in `root`.
+    /// The blob store; if absent, a folder in `root`.
     pub bucket: Option<S3>,
 }
 
