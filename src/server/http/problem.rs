@@ -64,21 +64,21 @@ impl Problem {
         self
     }
 
-    /// Where in the request the fault is.
+    /// Sets the JSON pointer to the part of the request at fault.
     #[must_use]
     pub fn pointer(mut self, pointer: impl Into<String>) -> Self {
         self.pointer = Some(pointer.into().into());
         self
     }
 
-    /// After how many seconds it may go better.
+    /// Sets the seconds after which a retry may succeed.
     #[must_use]
     pub fn retry_after(mut self, seconds: u32) -> Self {
         self.retry_after = Some(seconds);
         self
     }
 
-    /// The assessments of an upload.
+    /// Adds the assessments of an upload.
     #[must_use]
     pub fn capture(mut self, capture: Value) -> Self {
         self.capture = Some(Box::new(capture));

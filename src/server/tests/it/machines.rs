@@ -1,4 +1,4 @@
-//! Several machines: replicas and workers are killed, frozen and cut off.
+//! Several machines, whose replicas, workers, database and blob store fail.
 
 use std::thread::{sleep, spawn};
 use std::time::{Duration, Instant};
