@@ -12,8 +12,8 @@ const SETTLED: Duration = Duration::from_secs(2);
 /// folder needs its own cache, which may be dropped at any time.
 ///
 /// A file counts as unchanged while its size, modification time in nanoseconds, and inode are the
-/// same. A same-size change within one tick of the file system's clock would go unnoticed,
-/// so a digest read within two seconds of a change is not cached. The digest of a fetched file is:
+/// same. A same-size change within one tick of the file system's clock would go unnoticed, so a
+/// digest read within two seconds of a change is not cached. The digest of a fetched file is:
 /// an immediate overwrite in place with the same size would go unnoticed, but jobs replace files by
 /// renaming, which changes the inode.
 #[derive(Debug, Default)]

@@ -1,5 +1,5 @@
-//! This machine's cache of a shared blob store: the cached folders and the last known state of their
-//! files.
+//! This machine's cache of a shared blob store: the cached folders, and the last known state of
+//! their files.
 
 use std::collections::HashMap;
 use std::io;
