@@ -108,8 +108,8 @@ impl ServerError {
             | sqlx::Error::Protocol(_)
             | sqlx::Error::PoolTimedOut
             | sqlx::Error::WorkerCrashed => true,
-            // Connections, resources, operator intervention, serialisation failures, deadlocks, lock
-            // timeouts, idle transactions.
+            // Connections, resources, operator intervention, serialisation failures, deadlocks,
+            // lock timeouts, idle transactions.
             sqlx::Error::Database(error) => error.code().is_some_and(|code| {
                 ["08", "53", "57", "40", "55P03", "25P03"]
                     .iter()
