@@ -1,10 +1,10 @@
-//! The job: Algorithm 1, its options, its workspace and its errors.
+//! The pipeline: Algorithm 1, its options, its workspace and its errors.
 //!
-//! [`run`] is a function: what it reads, what it may use, where it may write, whom to tell and
-//! when to stop are its arguments. Each stage of the loop is a file and a function of explicit
-//! inputs that returns a value. What takes long leaves its result in the [`Workspace`] with a
-//! fingerprint of what it was made from, so the same call after a crash goes on from the last
-//! finished stage, and inside a round from the last checkpoint.
+//! [`run`] is a function of its arguments alone: the capture, the options, the tools, the
+//! workspace, the event sink and the cancellation token. Each stage of the loop is a file and a
+//! function of explicit inputs that returns a value. Long stages leave their result in the
+//! [`Workspace`] with a fingerprint of its inputs, so the same call after a crash resumes after the
+//! last finished stage, and inside a round from the last checkpoint.
 //!
 //! [`Workspace`]: workspace::Workspace
 

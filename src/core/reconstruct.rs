@@ -1,7 +1,7 @@
 //! Training the splats of one round: from posed views to a scene.
 //!
-//! A step is one submission: project, sort, blend, noise, loss, and all the way back into Adam. The
-//! host waits for nothing but the count of intersections of the step before last.
+//! A step is one submission: project, sort, blend, noise, loss, and the way back to Adam. The host
+//! waits only for the number of intersections of the step before last.
 
 pub mod checkpoint;
 mod config;
@@ -40,7 +40,7 @@ pub use training_view::TrainingView;
 
 /// Trains one round.
 ///
-/// Same seed, same device: the same bits, with or without interruption.
+/// The result is bit-identical for the same seed and device, with or without interruption.
 ///
 /// # Errors
 /// [`ReconstructError`].

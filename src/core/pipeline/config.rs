@@ -13,73 +13,73 @@ pub use crate::noise::NoiseMode;
 pub use crate::reconstruct::{Background, Densify};
 pub use shake::{ShakeModel, TrainOn};
 
-/// How a run is configured. Defaults are those of the `standard` preset.
+/// Configuration of a run. Defaults are those of the `standard` preset.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Options {
-    /// Rounds of brighten, deblur, reconstruct.
+    /// Number of rounds, each of which brightens, deblurs and reconstructs.
     #[schemars(range(min = 1, max = 8))]
     pub rounds: u32,
-    /// Optimiser steps a round.
+    /// Optimiser steps per round.
     #[schemars(range(min = 1, max = 200_000))]
     pub steps: u32,
     /// Longest side of the working images, px; never above the original.
     #[schemars(range(min = 64, max = 4096))]
     pub size: u32,
-    /// Target brightness: `auto`, stops such as `+3.5EV`, or of the paper's curves `auto-paper`,
-    /// `alpha,gamma` or the name of a LuSh scene.
+    /// Target brightness: `auto`, stops such as `+3.5EV`, or one of the paper's curves:
+    /// `auto-paper`, `alpha,gamma` or the name of a LuSh scene.
     pub target: String,
-    /// One tone table for the scene or one a view.
+    /// One tone table for the scene or one per view.
     pub lut_scope: LutScope,
     /// `default`, `small-u2w16`, `identity`, the name of an ONNX file in the folder of networks,
     /// or, on the command line only, a path to one.
     #[schemars(with = "String")]
     pub deblur: NetworkChoice,
-    /// What brightens: `curve`, step by step; or, as a baseline, a network of 3 channels, chosen as
-    /// `deblur` is, that is given each dark photograph and whose brightness then serves every
-    /// round.
+    /// How views are brightened: `curve`, step by step, or, as a baseline, a network of 3 channels,
+    /// chosen as in `deblur`. The network processes each dark photograph once, and its brightness
+    /// serves every round.
     #[schemars(with = "String")]
     pub enhance: NetworkChoice,
-    /// What guides the deblurring of rounds after the first.
+    /// Guide of the deblurring from the second round on.
     pub guide: Guide,
     /// The noise field.
     pub noise: NoiseMode,
-    /// Whether the shake that deblurring leaves is explained in training.
+    /// Which views train with a kernel for the shake that deblurring leaves.
     pub shake: ShakeModel,
     /// Which views the scene is trained on.
     pub train_on: TrainOn,
-    /// Whether the cameras are corrected by the renders; those of held-out views too, which train
+    /// Whether cameras are corrected by the renders; includes those of held-out views, which train
     /// nothing.
     pub refine_poses: bool,
-    /// Whether a round's scene places photographs that have no pose, and views that fit it far
-    /// worse than the others leave it; both from the next round on.
+    /// Whether a round's scene places photographs that have no pose, and drops views that fit it
+    /// far worse than the others; both take effect in the next round.
     pub late_views: bool,
     /// How rounds after the first start.
     pub start: Start,
-    /// How Gaussians come and go.
+    /// How Gaussians are added and removed.
     pub densify: Densify,
-    /// Most Gaussians.
+    /// Maximum number of Gaussians.
     #[schemars(range(min = 100, max = 5_000_000))]
     pub cap: u32,
     /// Degree of the spherical harmonics.
     #[schemars(range(min = 0, max = 3))]
     pub sh_degree: u32,
-    /// What training renders the splats before; views are delivered before black.
+    /// Background of the renders in training; delivered views have a black one.
     pub background: Background,
     /// `auto` (the capture's `hold=N`, else every 8th of 12 or more), `none`, n, or names by comma.
     #[serde(deserialize_with = "held_out")]
     #[schemars(with = "HeldOut")]
     pub held_out: String,
-    /// `auto` (poses of the capture when it has them, those of a `transforms.json` refined where
-    /// the photographs say otherwise; else COLMAP), `colmap`, or `given` (as they are).
+    /// `auto` (poses of the capture if it has them, those of a `transforms.json` refined where the
+    /// photographs contradict them; else COLMAP), `colmap`, or `given` (unchanged).
     pub pose_source: PoseSource,
-    /// Seed of everything random.
+    /// Random seed.
     pub seed: u64,
     /// Part of an adapter's name, or `auto`.
     pub adapter: String,
 }
 
-/// How `held_out` may be written in JSON.
+/// The JSON forms of `held_out`.
 #[derive(Deserialize, JsonSchema)]
 #[serde(untagged, expecting = "expected a number or a string")]
 enum HeldOut {
@@ -102,7 +102,7 @@ fn held_out<'de, D: serde::Deserializer<'de>>(value: D) -> Result<String, D::Err
 pub enum LutScope {
     /// One histogram pooled over all views: the same tone in every view.
     Scene,
-    /// One table a view: the paper's reading.
+    /// One table per view: the paper's reading.
     Image,
 }
 
@@ -110,7 +110,7 @@ pub enum LutScope {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Guide {
-    /// A guided network is fed the view and, as its guide, the view with detail of the previous
+    /// A guided network receives the view and, as its guide, the view with detail of the previous
     /// round's render.
     Render,
     /// No guide.
@@ -121,7 +121,7 @@ pub enum Guide {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Start {
-    /// From the scene of the round before, its colours mapped to the new brightness.
+    /// From the scene of the previous round, its colours mapped to the new brightness.
     Warm,
     /// From the sparse points.
     Scratch,
@@ -131,9 +131,9 @@ pub enum Start {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum PoseSource {
-    /// Given poses when the capture has them, else COLMAP.
+    /// The capture's poses if it has them, else COLMAP.
     Auto,
-    /// COLMAP, whatever the capture brings.
+    /// COLMAP, even if the capture has poses.
     Colmap,
     /// The capture's own poses; an error without them.
     Given,
@@ -143,19 +143,17 @@ pub enum PoseSource {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Preset {
-    /// A quick look at a quarter of the pixels; hides half of blur and noise.
+    /// A quick look at a quarter of the pixels; hides half of the blur and the noise.
     Preview,
     /// The default.
     Standard,
-    /// The paper to the letter: a GPU's work.
+    /// The paper to the letter; needs a GPU.
     Paper,
 }
 
 impl Preset {
-    /// Every preset.
     pub const ALL: [Self; 3] = [Self::Preview, Self::Standard, Self::Paper];
 
-    /// Its name.
     pub fn name(self) -> &'static str {
         match self {
             Self::Preview => "preview",
@@ -164,7 +162,7 @@ impl Preset {
         }
     }
 
-    /// What it stands for.
+    /// The options that the preset stands for.
     pub fn options(self) -> Options {
         let standard = Options {
             rounds: 2,
@@ -218,9 +216,9 @@ impl Preset {
 }
 
 impl Options {
-    /// Whether a view is trained on as it was enhanced, not deblurred. Differs from the paper where
-    /// a kernel explains its shake: what a network leaves of the blur, and the halos that it adds,
-    /// are no kernel, and to sharpen twice is to overdo it.
+    /// Whether a view trains as enhanced, not as deblurred. Differs from the paper where a kernel
+    /// explains the view's shake: the blur that a network leaves, and the halos that it adds, do
+    /// not form a kernel, and deblurring and a kernel sharpen twice.
     pub fn trains_on_enhanced(&self, explained: bool) -> bool {
         match self.train_on {
             TrainOn::Auto => explained,
@@ -229,8 +227,8 @@ impl Options {
         }
     }
 
-    /// Whether no view needs the network: none is trained on deblurred, and no kernel waits for
-    /// what deblurring tells.
+    /// Whether the run needs no network: no view trains as deblurred, and no kernel depends on the
+    /// result of deblurring.
     pub fn needs_no_network(&self) -> bool {
         self.shake != ShakeModel::Late && self.trains_on_enhanced(self.shake == ShakeModel::Kernel)
     }
@@ -256,7 +254,7 @@ impl FromStr for Preset {
     }
 }
 
-/// An option that does not exist or a value that does not fit.
+/// An option that does not exist or a value that is not valid.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub struct OptionsError {
     /// The flat key at fault.
@@ -278,7 +276,7 @@ pub struct NetworkOption<'a> {
     pub key: &'static str,
     /// Its value.
     pub choice: &'a NetworkChoice,
-    /// What it may say besides a network's name and `default`.
+    /// Values allowed besides `default` and the name of a network.
     pub words: &'static [NetworkChoice],
 }
 
@@ -300,7 +298,7 @@ impl NetworkOption<'_> {
     }
 }
 
-/// Options of earlier builds.
+/// Options of earlier versions.
 const RETIRED: [&str; 7] = [
     "deblur_unguided",
     "dropout",
@@ -312,8 +310,8 @@ const RETIRED: [&str; 7] = [
 ];
 
 impl Options {
-    /// Whether an earlier build had an option of this name, so that scripts written for it can be
-    /// run with a warning.
+    /// Whether an earlier version had an option of this name. Scripts written for it then run with
+    /// a warning.
     pub fn is_retired(key: &str) -> bool {
         RETIRED.contains(&key)
     }
@@ -343,7 +341,7 @@ impl Options {
         Ok(current)
     }
 
-    /// Those of stored options that there are. An older build may have stored others.
+    /// The stored options that still exist: an earlier version may have stored others.
     pub fn known(stored: &serde_json::Value) -> serde_json::Map<String, serde_json::Value> {
         let all = serde_json::to_value(Self::default()).unwrap_or_default();
         let stored = stored.as_object().into_iter().flatten();
@@ -353,8 +351,8 @@ impl Options {
             .collect()
     }
 
-    /// The options with one `key=value` of the command line laid over them. Values are read as
-    /// JSON where they are JSON of the field's type, else as a string.
+    /// The options with one `key=value` of the command line laid over them. A value that does not
+    /// fit as a string is parsed as JSON.
     ///
     /// # Errors
     /// [`OptionsError`] naming the key.

@@ -1,4 +1,4 @@
-//! D_i: every enhanced view through the network, from round 2 on guided by HR.
+//! D_i: every enhanced view, deblurred by the network and guided by HR from round 2 on.
 
 use super::context::Context;
 use super::dependencies::Dependencies;
@@ -11,18 +11,18 @@ use crate::event::Stage;
 use crate::image::Image;
 use crate::run_folder::{KeptImages, RoundPictures};
 
-/// What a round deblurs.
+/// The input of a round's deblurring.
 #[derive(Clone, Copy, Debug)]
 pub struct Blurred<'a> {
     /// The views, for names and sizes.
     pub views: &'a [View],
     /// H_i.
     pub enhanced: &'a [Image],
-    /// HR of the round before, where views are guided.
+    /// HR of the previous round, where views are guided.
     pub guides: Option<&'a [Image]>,
 }
 
-/// The stage: D_i, once, and its pictures.
+/// Runs the stage: D_i, made once, and its pictures.
 ///
 /// # Errors
 /// [`PipelineError::Deblur`], [`PipelineError::Io`], [`PipelineError::Cancelled`].

@@ -1,4 +1,4 @@
-//! What a run leaves at the top of its folder.
+//! The results at the top of the run folder.
 
 use std::fs;
 
@@ -12,8 +12,8 @@ use crate::metrics::Report;
 /// The stamp of the whole run.
 const RUN: &str = "run";
 
-/// The report of an earlier run with equal dependencies, when it had delivered. If it had not, no
-/// earlier delivery stands from here on: its files are about to be written over.
+/// The report of an earlier delivery with equal dependencies. Without one, removes the stamp of any
+/// earlier delivery, because its files are about to be overwritten.
 ///
 /// # Errors
 /// [`PipelineError::Io`].
@@ -60,8 +60,8 @@ pub fn deliver(
     } else {
         best.scene()
     };
-    // The cameras as that round found them, too: a later one has moved them a little, and may have
-    // others.
+    // The cameras are those of that round, too: a later round has moved them a little, and may have
+    // other views.
     for (from, to) in [
         (scene, workspace.folder().scene()),
         (best.cameras(), workspace.folder().cameras()),

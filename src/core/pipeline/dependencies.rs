@@ -1,8 +1,8 @@
-//! What a stage's result depends on: the one place that says which options a stage reads.
+//! The dependencies of each stage's result: the only list of the options that a stage reads.
 //!
-//! A stage is handed [`Dependencies::options`]: the options that it names, and the defaults in
-//! place of all others. So it cannot read an option that its fingerprint does not hold, and an
-//! option that it does not name never makes its result stale.
+//! A stage receives [`Dependencies::options`]: the options that it names, and the defaults of all
+//! others. So it cannot read an option that its fingerprint leaves out, and an option that it does
+//! not name never invalidates its result.
 
 use serde_json::Value;
 
@@ -15,19 +15,19 @@ use crate::poses::Poses;
 
 /// Structure from motion.
 const POSES: &[&str] = &["pose_source", "seed"];
-/// Structure from motion once more, on brightened and deblurred photographs.
+/// Structure from motion repeated on brightened and deblurred photographs.
 const POSES_OF_DEBLURRED: &[&str] = &["target", "lut_scope"];
 /// The registered photographs at working size.
 const VIEWS: &[&str] = &["size"];
-/// The tone curves of all rounds. The seed is that of the search for a network's nearest curve.
+/// The tone curves of all rounds. The seed serves the search for the curve nearest to a network.
 const ENHANCE: &[&str] = &["rounds", "target", "lut_scope", "seed"];
-/// The deblurring of views with a guide.
+/// Deblurring with a guide.
 const DEBLUR_GUIDED: &[&str] = &["guide"];
-/// The deblurring of views without one.
+/// Deblurring without a guide.
 const DEBLUR: &[&str] = &[];
 /// The curves from a round's renders to the next round and to the target.
 const MATCH: &[&str] = &["lut_scope", "seed"];
-/// What joins or leaves the scene after a round.
+/// The views that join or leave the scene after a round.
 const LATE_VIEWS: &[&str] = &["size", "shake", "refine_poses", "lut_scope", "seed"];
 /// Training, and the registration of held-out views.
 const RECONSTRUCT: &[&str] = &[
@@ -46,7 +46,7 @@ const RECONSTRUCT: &[&str] = &[
     "seed",
 ];
 
-/// What one result depends on.
+/// The dependencies of one result.
 #[derive(Clone, Debug)]
 pub struct Dependencies {
     options: Options,
@@ -54,8 +54,8 @@ pub struct Dependencies {
 }
 
 impl Dependencies {
-    /// On the options of these names and on `facts`: fingerprints of what came before, names and
-    /// checksums of tools.
+    /// Depends on the options of these names and on `facts`: fingerprints of earlier results, names
+    /// and checksums of tools.
     pub fn on(options: &Options, names: &[&str], facts: &[&str]) -> Self {
         let options = options.only(names);
         let named = names.join(" ");
@@ -67,28 +67,27 @@ impl Dependencies {
         }
     }
 
-    /// The options that may be read; all others have their defaults.
+    /// The options that the stage may read; all others have their defaults.
     pub fn options(&self) -> &Options {
         &self.options
     }
 
-    /// Equal for equal dependencies.
     pub fn fingerprint(&self) -> &str {
         &self.fingerprint
     }
 }
 
-/// What the poses depend on, before and after a network had a hand in them.
+/// The dependencies of the poses, before and after deblurring.
 #[derive(Clone, Debug)]
 pub struct PosesDependencies {
-    /// What the first look depends on.
+    /// Dependencies of the first attempt.
     pub first: Dependencies,
-    /// What the second look, at deblurred photographs, depends on besides.
+    /// Additional dependencies of the second attempt, on deblurred photographs.
     pub second: Dependencies,
 }
 
 impl PosesDependencies {
-    /// Of the capture with this fingerprint and a source of poses that describes itself so.
+    /// `capture` is the capture's fingerprint, `source` the description of the source of poses.
     pub fn new(options: &Options, capture: &str, source: &str, networks: &Networks) -> Self {
         let first = Dependencies::on(options, POSES, &[capture, source]);
         let network = of_network(&networks.deblur);
@@ -98,16 +97,16 @@ impl PosesDependencies {
     }
 }
 
-/// How bright the rounds are.
+/// The brightness of the rounds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Levels {
-    /// Each brighter than the one before, the last as bright as the target.
+    /// Each brighter than the previous one; the last at the target.
     Rising,
-    /// All as bright as the target.
+    /// All at the target.
     Target,
 }
 
-/// What the stages of the rounds depend on.
+/// The dependencies of the stages of the rounds.
 #[derive(Clone, Debug)]
 pub struct RunDependencies {
     levels: Levels,
@@ -119,14 +118,13 @@ pub struct RunDependencies {
 }
 
 impl RunDependencies {
-    /// Of a run with these poses of a capture, and with these tools.
+    /// Dependencies of a run with these poses and tools.
     pub fn of(options: &Options, capture: &Capture, poses: &Poses, tools: &Tools<'_>) -> Self {
         let adapter = tools.gpu.describe().to_string();
         let networks = tools.networks();
         Self::new(options, &capture.fingerprint, poses, networks, adapter)
     }
 
-    /// Of a run with these poses of the capture with this fingerprint.
     fn new(
         options: &Options,
         capture: &str,
@@ -148,7 +146,7 @@ impl RunDependencies {
         }
     }
 
-    /// Of a run whose rounds are so bright.
+    /// Changes the brightness of the rounds.
     pub fn with_levels(self, levels: Levels) -> Self {
         if levels == Levels::Rising {
             return self;
@@ -161,22 +159,20 @@ impl RunDependencies {
         }
     }
 
-    /// How bright the rounds are.
     pub fn levels(&self) -> Levels {
         self.levels
     }
 
-    /// The networks of the run.
     pub fn networks(&self) -> &Networks {
         &self.networks
     }
 
-    /// Of the enhanced views of every round.
+    /// Dependencies of the enhanced views of every round.
     pub fn enhance(&self) -> &Dependencies {
         &self.enhance
     }
 
-    /// Of the stages of a round; `before` is what those of the round before depend on.
+    /// Dependencies of the stages of a round; `before` are those of the previous round.
     pub fn round(&self, round: u32, before: Option<&RoundDependencies>) -> RoundDependencies {
         let guided_by = before.filter(|_| self.given.guide != Guide::None);
         let number = round.to_string();
@@ -210,7 +206,8 @@ impl RunDependencies {
         }
     }
 
-    /// Of the whole result. Whatever a run does not read by itself acts through its tools.
+    /// Dependencies of the whole result. Options that the run itself does not read act through its
+    /// tools.
     pub fn run(&self) -> Dependencies {
         let every = self.given.names();
         let names: Vec<&str> = every.iter().map(String::as_str).collect();
@@ -225,17 +222,18 @@ impl RunDependencies {
 }
 
 impl RoundDependencies {
-    /// Of the views that join or leave after the round, found by whoever describes itself so.
+    /// Dependencies of the views that join or leave after the round; `matching` describes the
+    /// matcher.
     pub fn late_views(&self, run: &RunDependencies, matching: &str) -> Dependencies {
         let facts = [self.reconstruct.fingerprint(), matching];
         Dependencies::on(&run.given, LATE_VIEWS, &facts)
     }
 }
 
-/// What the stages of one round depend on.
+/// The dependencies of the stages of one round.
 #[derive(Clone, Debug)]
 pub struct RoundDependencies {
-    /// Whether the renders of the round before guide the deblurring.
+    /// Whether the renders of the previous round guide the deblurring.
     pub is_guided: bool,
     /// D_i.
     pub deblur: Dependencies,
@@ -263,7 +261,7 @@ impl Options {
         }
     }
 
-    /// The options of these names, and the defaults in place of all others.
+    /// The options of these names, and the defaults of all others.
     fn only(&self, names: &[&str]) -> Self {
         let fields = |options: &Self| serde_json::to_value(options).expect("plain data");
         let (mut options, given) = (fields(&Self::default()), fields(self));

@@ -16,17 +16,17 @@ use crate::event::Stage;
 use crate::image::Image;
 use crate::run_folder::{KeptImages, RoundPictures};
 
-/// The images of all views at one brightness; shared, because H_N and H_{i+1} are asked for twice.
+/// The images of all views at one brightness; shared, because H_N and H_{i+1} are used twice.
 pub type Brightened = Arc<[Image]>;
 
-/// How every round is brightened.
+/// The brightening of every round.
 #[derive(Clone, Debug)]
 pub struct Brightening {
     /// P_1..P_N with their curves.
     pub rounds: Vec<Round>,
     /// H_N.
     pub target: Brightened,
-    /// Whether a network brightened the views, in every round alike.
+    /// Whether a network brightened the views, for every round alike.
     by_network: bool,
 }
 
@@ -41,7 +41,7 @@ impl Brightening {
         self.rounds.get(round.number as usize)
     }
 
-    /// E(L; P): always from the original dark views, so that errors do not add up.
+    /// E(L; P), always from the original dark views, so that errors do not accumulate.
     pub fn brighten(&self, round: &Round, views: &[View]) -> Brightened {
         if self.by_network || self.after(round).is_none() {
             return Arc::clone(&self.target);
@@ -50,11 +50,11 @@ impl Brightening {
     }
 }
 
-/// P_1..P_N. Where a network brightens, it does so here, and every round has the curve that comes
-/// nearest to it: what needs a curve (light for the shake, colours of the scene) uses that one.
+/// Plans P_1..P_N. A network brightens here, and every round then has the nearest curve, for all
+/// that needs a curve (light for the shake, colours of the scene).
 ///
 /// # Errors
-/// [`PipelineError::Options`] for a target that is none; those of the network.
+/// [`PipelineError::Options`] for an invalid target; those of the network.
 pub fn plan(
     context: &mut Context<'_>,
     views: &[View],
@@ -90,7 +90,7 @@ pub fn plan(
     })
 }
 
-/// P_N as the option `target` means it for these dark views.
+/// P_N: the option `target` resolved for these dark views.
 ///
 /// # Errors
 /// [`OptionsError`] when it names no brightness.
@@ -126,7 +126,7 @@ fn by_network(
         .map(Some)
 }
 
-/// The curve that comes nearest to what a network made of the dark views.
+/// The curve nearest to a network's result for the dark views.
 fn nearest(
     context: &mut Context<'_>,
     options: &Options,
@@ -147,7 +147,7 @@ fn nearest(
     anchor
 }
 
-/// The stage: H_i and its pictures. `brightened` is H_i where the round before made it already.
+/// Runs the stage: H_i and its pictures. `brightened` is H_i if the previous round already made it.
 ///
 /// # Errors
 /// [`PipelineError::Io`], [`PipelineError::Cancelled`].

@@ -15,7 +15,7 @@ use crate::reconstruct::ReconstructError;
 use crate::render::SplatError;
 use fled_gpu::GpuError;
 
-/// The kind of a failure decides exit code, HTTP status and retry in one place.
+/// The kind of a failure; it alone decides exit code, HTTP status and retry.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ErrorKind {
@@ -31,13 +31,13 @@ pub enum ErrorKind {
     DeviceLost,
     /// Reading or writing failed.
     Io,
-    /// A tool did not answer in time.
+    /// A tool exceeded its time limit.
     Timeout,
     /// A tool, library, model or adapter is missing or unusable.
     Environment,
-    /// Asked to stop.
+    /// The caller cancelled the run.
     Cancelled,
-    /// A fault of ours.
+    /// A bug in fled.
     Internal,
 }
 
@@ -58,7 +58,6 @@ impl ErrorKind {
         }
     }
 
-    /// The kind of this name.
     pub fn from_name(name: &str) -> Option<Self> {
         [
             Self::BadInput,
@@ -76,7 +75,7 @@ impl ErrorKind {
         .find(|kind| kind.name() == name)
     }
 
-    /// Exit code of the command line: 2 wrong use is clap's own.
+    /// Exit code of the command line; 2 means wrong usage, from clap.
     pub fn exit_code(self) -> u8 {
         match self {
             Self::BadInput | Self::FewPoses => 3,
@@ -109,7 +108,7 @@ impl ErrorKind {
         }
     }
 
-    /// Whether trying again without a change could help.
+    /// Whether a retry without changes can succeed.
     pub fn retryable(self) -> bool {
         !matches!(
             self,
@@ -118,7 +117,7 @@ impl ErrorKind {
     }
 }
 
-/// Why a run ended without a result.
+/// The reason why a run ended without a result.
 #[derive(Debug, thiserror::Error)]
 pub enum PipelineError {
     /// An option is unknown or does not fit the capture.
@@ -130,12 +129,10 @@ pub enum PipelineError {
     /// A photograph could not be read again.
     #[error("{name}: {source}")]
     Photograph {
-        /// The view.
         name: String,
-        /// What went wrong.
         source: ImageError,
     },
-    /// No poses.
+    /// No poses were found.
     #[error(transparent)]
     Poses(#[from] PosesError),
     /// Fewer views with a pose than a scene needs.
@@ -145,16 +142,16 @@ pub enum PipelineError {
         registered: usize,
         /// Views of the capture.
         views: usize,
-        /// The least.
+        /// The minimum.
         needed: usize,
     },
-    /// The deblurring network.
+    /// The deblurring network failed.
     #[error(transparent)]
     Deblur(#[from] DeblurError),
-    /// Training.
+    /// Training failed.
     #[error(transparent)]
     Reconstruct(#[from] ReconstructError),
-    /// Rendering.
+    /// Rendering failed.
     #[error(transparent)]
     Render(#[from] SplatError),
     /// A scene file that cannot be read or written.
@@ -163,18 +160,15 @@ pub enum PipelineError {
     /// Reading or writing the workspace failed.
     #[error("{}: {source}", path.display())]
     Io {
-        /// Which file.
         path: PathBuf,
-        /// The system's error.
         source: std::io::Error,
     },
-    /// Asked to stop.
+    /// The caller cancelled the run.
     #[error(transparent)]
     Cancelled(#[from] Cancelled),
 }
 
 impl PipelineError {
-    /// A failed read or write of `path`.
     pub fn io(path: &Path, source: std::io::Error) -> Self {
         Self::Io {
             path: path.to_owned(),
@@ -182,7 +176,6 @@ impl PipelineError {
         }
     }
 
-    /// What sort of failure it is.
     pub fn kind(&self) -> ErrorKind {
         match self {
             Self::Options(_) | Self::Photograph { .. } => ErrorKind::BadInput,
@@ -198,7 +191,7 @@ impl PipelineError {
         }
     }
 
-    /// What the user can do about it.
+    /// Advice for the user.
     pub fn hint(&self) -> String {
         match self {
             Self::Options(_) => {

@@ -34,7 +34,6 @@ const WORSE_BY: f64 = 0.05;
 /// A finished round.
 #[derive(Clone, Copy)]
 pub struct Finished<'a> {
-    /// Which.
     pub round: &'a Round,
     /// The views, with their ground truth where the capture has it.
     pub views: &'a [View],
@@ -44,12 +43,12 @@ pub struct Finished<'a> {
     pub images: RoundImages<'a>,
     /// V_i.
     pub scene: &'a TrainedScene,
-    /// What it hands on; `None` for the last round.
+    /// What the round hands to the next; `None` for the last round.
     pub next: Option<&'a Next>,
 }
 
-/// The stage: the round's row of `metrics.json`. The pictures of the best round so far stand in
-/// `restored/`; `previous` is the row before.
+/// Runs the stage: the round's row of `metrics.json`. `restored/` holds the pictures of the best
+/// round so far; `previous` is the previous row.
 ///
 /// # Errors
 /// [`PipelineError::Io`], [`PipelineError::Ply`], [`PipelineError::Cancelled`].
@@ -78,13 +77,14 @@ pub fn evaluate(
         brighten_scene(context.workspace, number, tone, &finished.scene.gaussians)?;
         Ok(metrics)
     })?;
-    // Only now is the time of this stage known.
+    // The stage's time is known only after it ends.
     let seconds = context.clock.round(number);
     Ok(RoundMetrics { seconds, ..metrics })
 }
 
-/// The round's scene at the target brightness: what is delivered should no later round be better.
-/// The last round is at that brightness itself, and leaves no file of an earlier plan behind.
+/// Writes the round's scene at the target brightness, which is delivered if no later round is
+/// better. The last round is at that brightness already; its call removes a file that a run with
+/// more rounds may have left.
 fn brighten_scene(
     workspace: &Workspace,
     round: u32,
@@ -101,7 +101,7 @@ fn brighten_scene(
     Ok(ply::write(&gaussians, &path)?)
 }
 
-/// The scene's renders at the views' cameras and the target brightness: of the best round so far.
+/// Writes the best round's renders at the views' cameras and the target brightness.
 fn restored(workspace: &Workspace, views: &[View], renders: &[Image]) -> Result<(), PipelineError> {
     views.iter().zip(renders).try_for_each(|(view, image)| {
         let path = workspace.folder().restored_view(&view.name);

@@ -1,4 +1,4 @@
-//! Which views of a round have a kernel that explains their shake, and what each is trained on.
+//! Chooses which views of a round train with a kernel, and on which image each trains.
 
 use super::config::{Options, ShakeModel, TrainOn};
 use super::context::Context;
@@ -9,8 +9,8 @@ use crate::camera::Split;
 use crate::image::Image;
 use crate::metrics::report::{CaptureShake, ViewScore};
 
-/// Of every view, in their order, whether a kernel explains its shake in a round. `shaken`: what
-/// was found before the rounds; `before`: what the renders of the round before tell.
+/// For each view in order, whether a kernel explains its shake in a round. `shaken` was found
+/// before the rounds; `before` are the scores of the previous round's renders.
 pub fn explained(
     options: &Options,
     views: &[View],
@@ -31,20 +31,20 @@ pub fn explained(
         .collect()
 }
 
-/// What a view is trained on.
+/// The image on which a view trains.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum TrainedOn {
     /// H.
     Enhanced,
     /// D.
     Deblurred,
-    /// Their mean: half the noise of H, and half of what deblurring makes up in D.
+    /// Their mean: half the noise of H, and half of what deblurring invents in D.
     Mean,
 }
 
-/// Of every view, in their order, what a round trains it on. A view that has no kernel is deblurred
-/// where the network took a shake out of it; else it is the mean of both, which is better than
-/// the enhanced view alone (docs/decisions/shake.md).
+/// The image on which a round trains each view, in order. A view without a kernel trains as
+/// deblurred where the network removed a shake; else on the mean of both, which is better than the
+/// enhanced view alone (docs/decisions/shake.md).
 pub fn trained_on(
     options: &Options,
     round: &Round,
@@ -66,7 +66,7 @@ pub fn trained_on(
     explained.iter().enumerate().map(of).collect()
 }
 
-/// The images that the views are trained on.
+/// The training images of the views.
 pub fn training_images(
     trained_on: &[TrainedOn],
     enhanced: &[Image],
@@ -89,7 +89,7 @@ fn mean(one: &Image, other: &Image) -> Image {
     mean
 }
 
-/// Tells what the views of a round are trained on.
+/// Reports on which images the views train.
 pub fn tell(
     context: &mut Context<'_>,
     round: u32,
@@ -164,7 +164,7 @@ mod tests {
     }
 
     #[test]
-    fn a_kernel_is_for_the_few_that_are_told_shaken_then_for_those_that_renders_tell() {
+    fn a_few_shaken_views_have_kernels_then_those_that_renders_show() {
         let options = Options::default();
         let views = ["a", "b", "c"].map(view);
         let told = |names: &[&str]| {
@@ -196,7 +196,7 @@ mod tests {
     }
 
     #[test]
-    fn views_train_deblurred_where_the_network_took_a_shake_out_of_them_else_as_the_mean() {
+    fn views_train_deblurred_where_shake_was_removed_else_as_mean() {
         use TrainedOn::{Deblurred, Enhanced, Mean};
         let dark = sharp();
         let anchor = Anchor::exposure(0.0);
@@ -216,7 +216,7 @@ mod tests {
     }
 
     #[test]
-    fn the_images_are_the_enhanced_the_deblurred_and_their_mean() {
+    fn training_images_are_enhanced_deblurred_or_their_mean() {
         let [dark, bright] = [0.2, 0.6].map(|value| [sharp().map(|_| value)]);
         let of = |on| training_images(&[on], &dark, &bright);
         let value = |on| of(on)[0].data()[7];

@@ -1,31 +1,30 @@
-//! What of a render guides the deblurring of its view: the render's detail, where the two agree.
+//! The guides of deblurring: each view with its render's detail where the two agree.
 //!
-//! Differs from the paper: it feeds the render as it is. What a render has of its own is detail:
-//! many views have been averaged in it, so it is sharper and less noisy than each. What is coarser
-//! than a shake the view knows better: a scene of few steps or views, and the curve found for it,
-//! are off by more there than the view is. Nor is there any detail to be had where the scene is
-//! wrong (a tree that only one view saw, a floater in front of a held-out camera): where the two
-//! disagree at a scale that neither shake nor noise reaches, the guide is the view itself, which
-//! the network knows as "no guide". Measured in docs/decisions/guide.md.
+//! Differs from the paper, which feeds the render as it is. A render has better detail than a view:
+//! it averages many views, so it is sharper and less noisy than each. Below the frequencies of a
+//! shake the view is more accurate: a scene of few steps or views, and the curve found for it, have
+//! larger errors there. Where the scene is wrong (a tree that only one view saw, a floater in front
+//! of a held-out camera), the render has no useful detail either. So where the two disagree at a
+//! scale that neither shake nor noise reaches, the guide is the view itself, which the network
+//! interprets as "no guide". Measured in docs/decisions/guide.md.
 
 use rayon::prelude::*;
 
 use crate::image::{Image, Srgb};
 
-/// Side of the cells in which view and render are compared, px: above the shake, below the objects.
+/// Side of the cells in which view and render are compared, px; above the shake, below the objects.
 const CELL: usize = 4;
 
-/// Difference of two cells, RMS over the channels, at which a render has lost most of its say.
-/// Shake moves edges over cell borders: well-trained views differ by 0.01 to 0.03.
+/// Difference of two cells, RMS over the channels, at which a render loses most of its weight.
+/// Shake moves edges across cell borders: well-trained views differ by 0.01 to 0.03.
 const DISAGREEMENT: f32 = 0.04;
 
-/// Share of its render's detail that a guide has, the rest is its view's. Networks are trained with
-/// all of it. With seven tenths a guide brings nearly as much where the shake is strong (0.3
-/// instead of 0.4 dB), and where there is little to gain it no longer harms (0.0 to 0.1 dB above
-/// the network alone instead of 0.3 below it; docs/decisions/guide.md).
+/// Share of the render's detail in a guide; the rest comes from the view. Networks are trained with
+/// all of it. At seven tenths, a guide brings nearly as much where the shake is strong (0.3 instead
+/// of 0.4 dB), and does no harm where there is little to gain (0.0 to 0.1 dB above the network
+/// alone instead of 0.3 below it; docs/decisions/guide.md).
 const SHARE: f32 = 0.7;
 
-/// The guides of all views: each view with its render's detail where the two agree.
 pub fn trusted(views: &[Image], renders: &[Image]) -> Vec<Image> {
     views
         .par_iter()
@@ -74,7 +73,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_guide_has_the_detail_of_its_render_where_the_two_agree_and_only_there() {
+    fn a_guide_has_render_detail_only_where_it_agrees() {
         let view = Image::from_planar(64, 32, vec![0.5; 3 * 64 * 32]);
         let mut render = view.map(|v| v + 0.01);
         for y in 0..32 {
@@ -92,7 +91,7 @@ mod tests {
             (wrong - 0.5).abs() < 0.01,
             "the wrong half must be the view: {wrong}"
         );
-        // A stripe is 0.01 above its cell, which is 0.02 above the view's: trusted by exp(-1/4).
+        // A stripe is 0.01 above its cell, which is 0.02 above the view's: its weight is exp(-1/4).
         let detail = SHARE * 0.00779;
         for (y, expected) in [
             (6, 0.5),
@@ -116,9 +115,9 @@ mod tests {
         (36, 25, [0.18939, 0.142, 0.05553]),
     ];
 
-    /// training/test_recipe.py holds the trainer's guide to the same numbers.
+    /// training/test_recipe.py checks the trainer's guide against the same numbers.
     #[test]
-    fn guides_are_those_that_the_network_was_trained_with() {
+    fn guides_match_those_of_the_networks_training() {
         let waves = |height: f32, phase: f32| {
             let mut image: Image = Image::new(37, 26);
             for (x, y) in (0..37 * 26).map(|i| (i % 37, i / 37)) {
@@ -161,7 +160,7 @@ mod tests {
     }
 
     #[test]
-    fn a_faint_edge_that_shake_moved_by_a_pixel_stays_trusted() {
+    fn a_faint_edge_moved_by_a_pixel_keeps_its_weight() {
         let edge = |at: usize| {
             let mut image: Image = Image::new(64, 32);
             for y in 0..32 {

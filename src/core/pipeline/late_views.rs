@@ -1,8 +1,8 @@
-//! Views that join or leave the scene once there is one to compare them with: late views.
+//! Late views: views that join or leave once there is a scene to compare them with.
 //!
-//! Structure from motion needs what two shaken photographs have in common. A scene is sharp and
-//! seen from everywhere: a photograph that could not be placed among the others may be placed by
-//! renders of it. And a view that stands where it does not belong does not look like its render.
+//! Structure from motion needs details that two shaken photographs share. A scene is sharp and can
+//! be rendered from anywhere, so its renders may place a photograph that could not be placed among
+//! the others. Conversely, a view with a wrong pose does not look like its render.
 
 mod finished_round;
 mod place;
@@ -24,15 +24,15 @@ use crate::render::Renderer;
 pub use finished_round::FinishedRound;
 use place::{Placed, Scene, place};
 
-/// A view belongs to the scene from this share of the middle fit on. Of 12 views of castle, shaken
-/// by 4.4 px, 11 have fits of 0.91 to 0.96, and one that stands 8 degrees off has 0.39, though it
-/// was trained on; four that the scene placed have 0.56 to 0.86.
+/// A view belongs to the scene if its fit is at least this share of the median fit. Of 12 views of
+/// castle, shaken by 4.4 px, 11 have fits of 0.91 to 0.96, and one that is 8 degrees off has 0.39,
+/// although it was trained on; four views placed by the scene have 0.56 to 0.86.
 const BELONGS_FROM: f64 = 0.5;
 
-/// A scene whose middle fit is lower shows nothing well enough to judge a view by it.
+/// A scene with a lower median fit is too poor to judge views.
 const LEAST_MIDDLE_FIT: f64 = 0.7;
 
-/// What the round's scene says about poses: those of the next rounds, where they are others.
+/// Runs the stage: the poses of the next rounds; `None` if they do not change.
 ///
 /// # Errors
 /// [`PipelineError::Photograph`], [`PipelineError::Render`], [`PipelineError::Poses`],
@@ -85,18 +85,18 @@ pub fn late_views(
     Ok((!stay_away).then_some(poses))
 }
 
-/// What a round's fits say.
+/// The verdict of a round's fits.
 #[derive(Debug, PartialEq)]
 struct Judgement {
-    /// From this fit on a view belongs to the scene.
+    /// The least fit of a view that belongs to the scene.
     least: f64,
-    /// The names of the views that train and fit less, the worst first. Those held out stay:
-    /// without the worst of them every score would be better.
+    /// Training views with a lower fit, the worst first. Held-out views stay: dropping the worst of
+    /// them would raise every score.
     leaving: Vec<String>,
 }
 
 impl Judgement {
-    /// `None` where the scene shows too little to judge by.
+    /// `None` if the scene is too poor to judge views.
     fn of(views: &[ViewScore]) -> Option<Self> {
         let rows = || views.iter().filter_map(|row| Some((row.fit?, row)));
         let mut fits: Vec<f64> = rows().map(|(fit, _)| fit).collect();
@@ -109,7 +109,7 @@ impl Judgement {
             .map(|(fit, row)| (fit, &row.name))
             .collect();
         training.sort_by(|a, b| a.0.total_cmp(&b.0));
-        // Never so many that there is no scene.
+        // Enough views for a scene must remain.
         let most = training.len().saturating_sub(LEAST_VIEWS);
         let leaving = training.into_iter().take(most);
         Some(Self {
@@ -122,7 +122,7 @@ impl Judgement {
     }
 }
 
-/// Those of the photographs that the scene places, and that fit it there.
+/// The photographs that the scene places and that fit it at that place.
 fn find(
     context: &mut Context<'_>,
     tools: &Tools<'_>,
@@ -171,7 +171,7 @@ fn find(
     Ok(found)
 }
 
-/// The poses with how each view fitted its render.
+/// The poses with the fit of each view to its render.
 pub fn with_fits(poses: &Poses, metrics: &RoundMetrics) -> Poses {
     let mut poses = poses.clone();
     for row in metrics.views.iter().filter(|row| row.fit.is_some()) {
@@ -180,7 +180,7 @@ pub fn with_fits(poses: &Poses, metrics: &RoundMetrics) -> Poses {
     poses
 }
 
-/// The poses after some views left and others joined, in the capture's order.
+/// The poses without the leaving views and with the placed ones, in the capture's order.
 fn changed(
     mut poses: Poses,
     capture: &Capture,
@@ -242,7 +242,7 @@ fn tell(context: &mut Context<'_>, poses: &Poses, before: &Poses, leaving: &[Str
     }
 }
 
-/// The views of the next rounds: those that stay, where they are, and those that join.
+/// The views of the next rounds: unchanged ones at their current cameras, and those that join.
 ///
 /// # Errors
 /// [`PipelineError::Photograph`], [`PipelineError::Io`].
@@ -255,7 +255,7 @@ pub fn changed_views(
     let capture = finished.capture;
     let mut views = Vec::with_capacity(poses.views.len());
     for posed in &poses.views {
-        // A view that left and came back stands elsewhere than before.
+        // A view that left and came back has another pose.
         let stays = finished.poses.views.contains(posed);
         let before = finished.views.iter().find(|view| view.name == posed.name);
         if let Some(view) = before.filter(|_| stays) {
@@ -297,7 +297,7 @@ mod tests {
     }
 
     #[test]
-    fn views_that_train_and_do_not_fit_leave_and_those_held_out_stay() {
+    fn misfit_training_views_leave_and_held_out_views_stay() {
         use Split::{HeldOut, Train};
         let judged = |views: &[(&str, Split, f64)]| Judgement::of(&rows(views));
         let views = [
@@ -314,7 +314,7 @@ mod tests {
             (found.least, &found.leaving[..]),
             (0.45, &["c".to_owned(), "b".to_owned()][..])
         );
-        // A scene that nothing fits well judges nobody, and three views stay whatever they are.
+        // A scene that no view fits well judges none, and three views always stay.
         assert_eq!(
             judged(&views.map(|(name, split, fit)| (name, split, 0.7 * fit))),
             None

@@ -1,4 +1,4 @@
-//! P_R: the curves that bring a round's renders to the next round's brightness and to the target's.
+//! P_R: the curves from a round's brightness to that of the next round and of the target.
 
 use super::context::Context;
 use super::dependencies::Dependencies;
@@ -27,7 +27,7 @@ pub struct Next {
     pub matched: Vec<Anchor>,
 }
 
-/// The stage; `None` after the last round, which hands nothing on.
+/// Runs the stage; `None` after the last round.
 ///
 /// # Errors
 /// [`PipelineError::Cancelled`].

@@ -1,4 +1,4 @@
-//! The pictures that people look at; metrics never read them.
+//! Pictures for people; metrics never read them.
 
 use std::path::Path;
 
@@ -6,10 +6,10 @@ use super::error::PipelineError;
 use super::workspace::Workspace;
 use crate::image::{EncodeFormat, Image};
 
-/// JPEG quality of what is looked at and not measured.
+/// JPEG quality of pictures that are viewed and not measured.
 const PREVIEW_QUALITY: u8 = 90;
 
-/// Writes a picture whole or not at all.
+/// Writes a picture atomically.
 ///
 /// # Errors
 /// [`PipelineError::Photograph`], [`PipelineError::Io`].
@@ -27,7 +27,7 @@ pub fn write(
     workspace.write(path, &bytes)
 }
 
-/// Writes a picture to look at.
+/// Writes a picture for viewing.
 ///
 /// # Errors
 /// As [`write`].

@@ -1,5 +1,5 @@
-//! Progress and the time that is left: weights from costs measured on two cores, corrected by
-//! what the run itself has taken so far.
+//! Progress and remaining time: weights from costs measured on two cores, corrected by the time
+//! that the run has taken so far.
 
 use std::time::Instant;
 
@@ -11,11 +11,11 @@ use crate::event::{Event, ProgressSink, Stage};
 #[derive(Clone, Debug)]
 pub struct Plan {
     poses: f64,
-    /// Of these seconds, until the poses are found.
+    /// The part of `poses` that is still to do; 0 once the poses are found.
     poses_left: f64,
     round: Vec<(Stage, f64)>,
     rounds: u32,
-    /// Whether a network brightens, once before the rounds.
+    /// Whether a network brightens the views once before the rounds.
     brightens: bool,
     done: f64,
     current: f64,
@@ -24,7 +24,7 @@ pub struct Plan {
 }
 
 impl Plan {
-    /// For `views` working images of `pixels` each.
+    /// Plan for `views` working images of `pixels` each.
     pub fn new(options: &Options, views: usize, pixels: usize) -> Self {
         let (views, megapixels) = (views as f64, pixels as f64 / 1e6);
         let noise = match options.noise {
@@ -54,12 +54,12 @@ impl Plan {
         }
     }
 
-    /// Another number of rounds than was planned.
+    /// Changes the planned number of rounds.
     pub fn set_rounds(&mut self, rounds: u32) {
         self.rounds = rounds;
     }
 
-    /// Rounds of so many times as many steps as were planned.
+    /// Multiplies the planned steps of each round.
     pub fn multiply_steps(&mut self, times: f64) {
         let train = self.round.iter_mut();
         for (_, weight) in train.filter(|(stage, _)| *stage == Stage::Reconstruct) {
@@ -88,17 +88,17 @@ impl Plan {
             + f64::from(self.rounds) * self.round.iter().map(|(_, weight)| weight).sum::<f64>()
     }
 
-    /// Notes that `share` (0..=1) of a stage is done, and tells the sink.
+    /// Records that `share` (0..=1) of a stage is done, and reports progress.
     pub fn advance(&mut self, stage: Stage, share: f64, sink: &mut dyn ProgressSink) {
         self.current = self.weight(stage) * share.clamp(0.0, 1.0);
         self.tell(sink);
     }
 
-    /// Notes that a stage is over; `skipped` work says nothing about this run's speed.
+    /// Records that a stage is over. `skipped` work does not count towards the run's speed.
     pub fn finish(&mut self, stage: Stage, skipped: bool, sink: &mut dyn ProgressSink) {
         let weight = self.weight(stage);
         if stage == Stage::Poses {
-            // Late views are looked for after every round, if there are any; nobody planned them.
+            // Late views may be searched for after every round; the plan does not include them.
             self.poses_left = 0.0;
         }
         self.done += weight;
@@ -162,7 +162,7 @@ mod tests {
     }
 
     #[test]
-    fn one_round_with_the_steps_of_two_is_planned_to_train_as_long() {
+    fn one_round_with_the_steps_of_two_trains_as_long() {
         let options = Options::default();
         let two = Plan::new(&options, 20, 45_000);
         let mut one = two.clone();

@@ -1,4 +1,4 @@
-//! V_i: training, from a checkpoint, the scene before, or the points.
+//! V_i: training from a checkpoint, the previous scene, or the sparse points.
 
 mod points;
 mod watch;
@@ -32,12 +32,11 @@ use watch::{Watch, Watched};
 /// The stamp of the checkpoint.
 const CHECKPOINT: &str = "checkpoint";
 
-/// V_i with the facts of its training, as stored beside its `scene.ply`.
+/// V_i with the facts of its training, stored beside its `scene.ply`.
 #[derive(Clone, Debug)]
 pub struct TrainedScene {
     /// The Gaussians.
     pub gaussians: Gaussians,
-    /// How they were trained.
     pub training: Training,
 }
 
@@ -48,34 +47,33 @@ pub struct Training {
     pub steps: u64,
     /// Mean over the round.
     pub steps_per_second: f64,
-    /// Gradients that were dropped because they were not finite.
+    /// Gradients dropped because they were not finite.
     pub non_finite_gradients: u64,
-    /// What the noise field learnt.
+    /// Statistics of the learnt noise field.
     pub noise: Option<NoiseMapStatistics>,
     /// Training views with a kernel.
     #[serde(default)]
     pub kernels: u32,
     /// Their mean shake, px.
     pub shake_px: Option<f64>,
-    /// Of all views, in their order.
+    /// Cameras of all views, in order.
     pub cameras: Vec<Camera>,
-    /// Mean way that the corrections of the cameras moved the middle of the images, px.
+    /// Mean distance by which the camera corrections moved the middle of the images, px.
     pub pose_correction_px: Option<f64>,
 }
 
-/// The scene of the round before, with the curve from its brightness to this round's.
+/// The scene of the previous round, with the curve to this round's brightness.
 #[derive(Clone, Copy, Debug)]
 pub struct Predecessor<'a> {
     /// V_{i-1}.
     pub gaussians: &'a Gaussians,
-    /// From its brightness to this round's.
     pub to_next: &'a Tone,
 }
 
-/// What a round is trained on.
+/// The inputs of a round's training.
 #[derive(Clone, Copy)]
 pub struct Material<'a> {
-    /// The round, with how light became the values of the images.
+    /// The round, with its response from light to values.
     pub round: &'a Round,
     /// All views, with their cameras and splits.
     pub views: &'a [View],
@@ -83,9 +81,9 @@ pub struct Material<'a> {
     pub images: &'a [Image],
     /// Which views have a kernel, in the same order.
     pub explained: &'a [bool],
-    /// H_i, whatever it is trained on, for whoever watches.
+    /// H_i, for the live scores.
     pub enhanced: &'a [Image],
-    /// How light becomes values at the target brightness, for the same.
+    /// The response from light to values at the target brightness, for the live scores.
     pub target: &'a Response,
     /// The sparse points.
     pub poses: &'a Poses,
@@ -93,7 +91,7 @@ pub struct Material<'a> {
     pub before: Option<Predecessor<'a>>,
 }
 
-/// The stage: V_i, noise-aware splats on the training views, once.
+/// Runs the stage: V_i, noise-aware splats of the training views, trained once.
 ///
 /// # Errors
 /// [`PipelineError::Reconstruct`], [`PipelineError::Ply`], [`PipelineError::Io`],
@@ -154,7 +152,7 @@ fn train_config(material: &Material<'_>, options: &Options) -> TrainConfig {
     }
 }
 
-/// From the checkpoint of an interrupted training, the scene of the round before, or the points.
+/// Starts from the checkpoint of an interrupted training, the previous scene, or the points.
 fn train_start(
     context: &mut Context<'_>,
     material: &Material<'_>,
@@ -199,7 +197,7 @@ fn checkpoint(
     Some(checkpoint)
 }
 
-/// Trains with progress, cancellation and checkpoints wired to the run.
+/// Trains with the run's progress, cancellation and checkpoints.
 fn train(
     context: &mut Context<'_>,
     gpu: &Gpu,
@@ -214,7 +212,7 @@ fn train(
     let work = context.workspace.folder().work();
     let (path, picture) = (work.checkpoint(), work.live_picture());
     let mut watch = Watch::new(&watched(material), config.steps);
-    // All hooks tell the same context; the trainer calls one at a time.
+    // All hooks share one context; the trainer calls one at a time.
     let shared = RefCell::new(&mut *context);
     let mut progress = |done: u64, total: u64, rate: f64| {
         let progress = Advance {
@@ -235,7 +233,7 @@ fn train(
                 context.sink.log(message);
             }
             Ok(()) => {}
-            // A checkpoint that cannot be written costs time after a crash, not this run.
+            // A failed checkpoint costs time after a crash, but does not end this run.
             Err(error) => {
                 let message = format!("round {number}: {error}");
                 context.sink.warn("checkpoint", message);
@@ -255,7 +253,7 @@ fn train(
         look: Some(&mut look),
     };
     let trained = reconstruct::train(gpu, &views, start, config, &mut hooks);
-    // It shows a scene that trains, and none does any more.
+    // The live picture shows a scene in training, which has ended.
     let removed = context.workspace.remove(&picture);
     let trained = trained?;
     removed?;
@@ -295,8 +293,8 @@ fn keep_checkpoint(
     workspace.stamp(CHECKPOINT, depends_on.fingerprint(), 0.0)
 }
 
-/// The scene with the cameras of all views: those that trained as the training left them, the
-/// others found in its scene.
+/// The scene with the cameras of all views: those of training views as corrected in training, the
+/// others registered to the scene.
 fn with_cameras(
     context: &Context<'_>,
     gpu: &Gpu,
@@ -340,7 +338,7 @@ fn with_cameras(
     })
 }
 
-/// The views of one split with their images of this round.
+/// The views of one split with their training images.
 fn training_views(material: &Material<'_>, split: Split) -> Vec<TrainingView> {
     material
         .views
@@ -357,7 +355,7 @@ fn training_views(material: &Material<'_>, split: Split) -> Vec<TrainingView> {
         .collect()
 }
 
-/// How far what lies at `depth` in the middle of the views was moved, mean, px.
+/// Mean distance by which a point at `depth` in the middle of each view moved, px.
 fn correction_px(views: &[View], cameras: &[Camera], depth: Option<f64>) -> Option<f64> {
     let depth = depth?;
     let moved = views.iter().zip(cameras).filter_map(|(view, after)| {

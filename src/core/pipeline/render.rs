@@ -12,7 +12,7 @@ use crate::image::Image;
 use crate::render::Renderer;
 use crate::run_folder::RoundPictures;
 
-/// The stage: R_i and its pictures.
+/// Runs the stage: R_i and its pictures.
 ///
 /// # Errors
 /// [`PipelineError::Render`], [`PipelineError::Io`], [`PipelineError::Cancelled`].

@@ -44,7 +44,7 @@ pub fn begin(options: &Options, tools: &Tools<'_>, networks: &Networks, poses: &
     }
 }
 
-/// Notes that the next rounds have other poses.
+/// Records that the next rounds have other poses.
 pub fn place(report: &mut Report, poses: &Poses) {
     report.registered = poses.registered as u32;
     report.poses = facts(poses);
@@ -64,7 +64,7 @@ fn facts(poses: &Poses) -> BTreeMap<String, Value> {
         ("mean_track", json!(poses.mean_track)),
         ("low_confidence", json!(poses.low_confidence)),
     ];
-    // Given poses are taken as they are: nothing is said about them.
+    // Given poses are not judged and have no verdicts.
     let said = (!poses.verdicts.is_empty()).then(|| ("verdicts", json!(poses.verdicts)));
     facts
         .into_iter()
@@ -73,7 +73,7 @@ fn facts(poses: &Poses) -> BTreeMap<String, Value> {
         .collect()
 }
 
-/// Adds a finished round, and tells.
+/// Adds a finished round and reports it.
 ///
 /// # Errors
 /// [`PipelineError::Io`].
@@ -91,7 +91,7 @@ pub fn add_round(
     Ok(())
 }
 
-/// Writes the report with what the stages have taken so far.
+/// Writes the report with the time that each stage has taken so far.
 ///
 /// # Errors
 /// [`PipelineError::Io`].
@@ -105,7 +105,7 @@ pub fn write(context: &Context<'_>, report: &mut Report) -> Result<(), PipelineE
     workspace.write_json(&workspace.folder().metrics(), report)
 }
 
-/// The last round that was not worse than the one before it.
+/// The last round before the first one that is worse than its predecessor.
 fn best_round(rounds: &[RoundMetrics]) -> u32 {
     let not_worse = rounds.iter().take_while(|round| !round.worse_than_previous);
     not_worse.last().map_or(1, |round| round.round)

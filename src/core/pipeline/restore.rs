@@ -1,4 +1,4 @@
-//! A network's stage: every view through it, each result kept, each told.
+//! The stage of a network: restores every view, keeps each result and reports progress.
 
 use std::path::{Path, PathBuf};
 
@@ -11,26 +11,25 @@ use crate::event::Stage;
 use crate::image::Image;
 use crate::run_folder::KeptImages;
 
-/// What goes through a network, and what becomes of it.
+/// The inputs of a network's stage, and the kind of its results.
 #[derive(Clone, Copy, Debug)]
 pub struct Restoration<'a> {
-    /// Which stage it is.
     pub stage: Stage,
-    /// Of which round; 0 before the rounds.
+    /// The round; 0 before the rounds.
     pub round: u32,
-    /// As what the results are kept.
+    /// The folder in which results are kept.
     pub kept: KeptImages,
     /// The views, for names and sizes.
     pub views: &'a [View],
-    /// What the network is fed.
+    /// The input images of the network.
     pub images: &'a [Image],
-    /// With these guides.
+    /// Their guides, if any.
     pub guides: Option<&'a [Image]>,
 }
 
 impl Restoration<'_> {
-    /// Every image through `network`. Each result is kept until the work folder goes, so that a
-    /// stage is done once, and told, so that it is known to be alive.
+    /// Restores every image with `network`. Results are kept until the work folder is removed, so
+    /// that the stage runs once; each is reported as a sign of life.
     ///
     /// # Errors
     /// [`PipelineError::Deblur`], [`PipelineError::Io`], [`PipelineError::Cancelled`].

@@ -1,10 +1,10 @@
-//! What is decided of a round before it begins.
+//! The properties of a round that are known before it begins.
 
 use super::tone::Tone;
 use crate::enhance::Anchor;
 use crate::shake::Response;
 
-/// One round: how bright it is, and how the photographs are brought there.
+/// One round: its brightness, and how the photographs reach it.
 #[derive(Clone, Debug)]
 pub struct Round {
     /// i, 1-based.
@@ -13,12 +13,11 @@ pub struct Round {
     pub anchor: Anchor,
     /// From the dark views to the round's brightness.
     pub tone: Tone,
-    /// How light becomes the values of the round's views: the camera's sRGB, then the curve.
+    /// The response from light to values of the round's views: the camera's sRGB, then the curve.
     pub response: Response,
 }
 
 impl Round {
-    /// The round `number` at `anchor`, whose curve over the dark views is `tone`.
     pub fn new(number: u32, anchor: Anchor, tone: Tone) -> Self {
         let response = Response::through(|v| tone.scene().apply_colour([v; 3])[0]);
         Self {

@@ -31,17 +31,17 @@ use crate::poses::matching::Matching;
 /// A finished run.
 #[derive(Clone, Debug)]
 pub struct Outcome {
-    /// What stands in `metrics.json`.
+    /// The content of `metrics.json`.
     pub report: Report,
 }
 
-/// What a round hands to the next.
+/// The results that a round hands to the next.
 struct Handover {
     /// P_R, H_{i+1} and HR.
     next: Next,
     /// V_i.
     scene: TrainedScene,
-    /// What the round's results depend on.
+    /// The dependencies of the round's results.
     depends_on: RoundDependencies,
 }
 
@@ -66,7 +66,7 @@ impl Handover {
     }
 }
 
-/// What the rounds are made from; late views change it from one to the next.
+/// The inputs of the rounds; late views change them between rounds.
 struct RoundState {
     poses: Poses,
     depends_on: RunDependencies,
@@ -76,12 +76,12 @@ struct RoundState {
     brightening: Brightening,
 }
 
-/// Algorithm 1: brighten one step, deblur, train, render; let the clean renders guide the next
-/// round. Symbols as in the paper: L dark views, P anchors, H enhanced, D deblurred, V scene,
-/// R renders, HR guides.
+/// Runs Algorithm 1: brighten one step, deblur, train, render; the clean renders guide the next
+/// round. Symbols as in the paper: L dark views, P anchors, H enhanced, D deblurred, V scene, R
+/// renders, HR guides.
 ///
 /// # Errors
-/// [`PipelineError`]; what was finished stays in the workspace and is not done again.
+/// [`PipelineError`]; finished stages stay in the workspace and are not repeated.
 pub fn run(
     capture: &Capture,
     options: &Options,
@@ -139,33 +139,33 @@ pub fn run(
     Ok(Outcome { report })
 }
 
-/// What the user wants of what.
+/// The request: a capture, options, and the verdict on its shake.
 #[derive(Clone, Copy)]
 struct Asked<'a> {
     capture: &'a Capture,
     options: &'a Options,
-    /// The views found shaken, where that decides anything.
+    /// The views found shaken, if that decides anything.
     shaken: Option<&'a Shaken>,
 }
 
 impl Asked<'_> {
-    /// Whether the rounds are of plain splatting, at the target brightness. There is another only
-    /// when the one before has found a photograph its place or shown that it stands in a wrong one.
+    /// Whether the rounds are plain splatting at the target brightness. Another such round follows
+    /// only if the previous one placed a photograph or showed that a view has a wrong pose.
     fn is_still(&self) -> bool {
         self.shaken.map(Shaken::verdict) == Some(CaptureShake::Still)
     }
 }
 
-/// Which round of it is made, after which.
+/// One round of a request, and the round before it.
 #[derive(Clone, Copy)]
 struct Turn<'a> {
     asked: Asked<'a>,
-    /// From 0 on.
+    /// 0-based.
     index: usize,
     before: Option<&'a Handover>,
 }
 
-/// One round, after the one before it; what it hands to the next, which may have another state.
+/// Runs one round; returns the handover to the next, which may have another state.
 #[expect(
     clippy::too_many_lines,
     reason = "a round of Algorithm 1, a call a stage: split it shows less"
@@ -247,7 +247,7 @@ fn round(
     state.hand_over(context, tools, turn.index, scene, on)
 }
 
-/// The poses and views of the next rounds, where this one's scene says that they are others.
+/// The poses and views of the next rounds, if the round's scene changes them.
 fn join(
     context: &mut Context<'_>,
     asked: Asked<'_>,
@@ -270,7 +270,7 @@ fn join(
 }
 
 impl RoundState {
-    /// What rounds over these views are made from.
+    /// The inputs of rounds over these views.
     fn new(
         context: &mut Context<'_>,
         asked: Asked<'_>,
@@ -293,7 +293,7 @@ impl RoundState {
         })
     }
 
-    /// What a round hands to the next over these views, in place of those that it was made over.
+    /// The handover to the next round, remade over these views.
     fn hand_over(
         &self,
         context: &mut Context<'_>,
@@ -312,7 +312,7 @@ impl RoundState {
     }
 }
 
-/// The stage of the poses alone; a run with the same workspace goes on from there.
+/// Runs the stage of the poses alone; a run with the same workspace resumes there.
 ///
 /// # Errors
 /// [`PipelineError`].
@@ -330,7 +330,7 @@ pub fn find_poses(
     Ok(poses)
 }
 
-/// Writes the options as run and tells what is about to happen, with what.
+/// Writes the options of the run and reports its start.
 fn begin<'a>(
     capture: &Capture,
     options: &Options,

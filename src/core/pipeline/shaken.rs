@@ -1,8 +1,8 @@
-//! Whether a capture is shaken at all, found out before anything is trained.
+//! Decides before training whether a capture is shaken.
 //!
-//! A deblurring network takes a shake out of a shaken view and nothing but noise out of a still
-//! one: the kernel from its result back to the view is a path there and a dot here. Measured in
-//! docs/decisions/shake.md.
+//! A deblurring network removes the shake of a shaken view, and only noise from a still one: the
+//! kernel from its result back to the view is a path in one case and a dot in the other. Measured
+//! in docs/decisions/shake.md.
 
 use std::collections::BTreeSet;
 
@@ -23,24 +23,24 @@ use crate::metrics::CaptureShake;
 use crate::run_folder::KeptImages;
 use crate::shake::{self, Response};
 
-/// Elongation of the kernel from D to H from which a view is shaken, px, at a longer side of
+/// Least elongation of the kernel from D to H of a shaken view, px, at a longer side of
 /// [`TOLD_SIDE`] (docs/decisions/shake.md).
 const TOLD_FROM: f64 = 1.5;
 const TOLD_SIDE: f64 = 560.0;
-/// The median elongation, as a share of that, from which the network makes up for a shake that is
-/// too small for kernels.
+/// The median elongation, relative to [`TOLD_FROM`], from which the network compensates for a shake
+/// that is too small for kernels.
 const SOFT_FROM: f64 = 0.57;
-/// The share of shaken views from which kernels pay.
+/// The share of shaken views from which kernels pay off.
 const SHAKEN_SHARE: f64 = 0.6;
 
-/// The length in images of any size. A shake grows with the image and noise does not: the root
-/// lies between the two.
+/// Scales a length to the size of the image. A shake grows with the image and noise does not: the
+/// square root lies between the two.
 fn at_size(length: f64, longer_side: usize) -> f64 {
     length * (longer_side as f64 / TOLD_SIDE).sqrt()
 }
 
-/// Of every view, the elongation of the kernel that leads from its deblurred image back to it, as a
-/// multiple of that from which it is shaken.
+/// For each view, the elongation of the kernel from its deblurred image back to it, relative to the
+/// least elongation of a shaken view.
 fn elongations(enhanced: &[Image], deblurred: &[Image], response: &Response) -> Vec<f64> {
     let of = |(view, sharper): (&Image, &Image)| {
         let kernel = shake::estimate(sharper, view, response);
@@ -49,14 +49,14 @@ fn elongations(enhanced: &[Image], deblurred: &[Image], response: &Response) -> 
     enhanced.par_iter().zip(deblurred).map(of).collect()
 }
 
-/// Of every view, whether deblurring took a shake out of it that differs from none.
+/// For each view, whether deblurring removed a significant shake.
 pub fn told(enhanced: &[Image], deblurred: &[Image], response: &Response) -> Vec<bool> {
     let elongations = elongations(enhanced, deblurred, response);
     elongations.into_iter().map(|ratio| ratio >= 1.0).collect()
 }
 
-/// Whether a run with these options asks before the rounds: only where kernels and the network both
-/// have to be earned.
+/// Whether the options require a verdict before the rounds: only where both the kernels and the
+/// network depend on it.
 fn asks(options: &Options) -> bool {
     options.shake == ShakeModel::Late
         && options.train_on == TrainOn::Auto
@@ -66,14 +66,12 @@ fn asks(options: &Options) -> bool {
 /// The views found shaken, of those with a pose.
 #[derive(Clone, Debug)]
 pub struct Shaken {
-    /// Their names.
     told: BTreeSet<String>,
-    /// The verdict on the capture as a whole.
     verdict: CaptureShake,
 }
 
 impl Shaken {
-    /// Of views with these names and elongations, multiples of that from which a view is shaken.
+    /// `views` are names and elongations relative to the least elongation of a shaken view.
     pub fn of<'a>(views: impl Iterator<Item = (&'a str, f64)>) -> Self {
         let views: Vec<_> = views.collect();
         let told = views.iter().filter(|(_, ratio)| *ratio >= 1.0);
@@ -91,24 +89,22 @@ impl Shaken {
         Self { told, verdict }
     }
 
-    /// Whether this view is one of them.
+    /// Whether this view is shaken.
     pub fn tells(&self, view: &View) -> bool {
         self.told.contains(&view.name)
     }
 
-    /// How many they are.
     pub fn count(&self) -> u32 {
         self.told.len() as u32
     }
 
-    /// The verdict on the capture as a whole.
     pub fn verdict(&self) -> CaptureShake {
         self.verdict
     }
 }
 
-/// Finds the shaken views at the target brightness: a stage before the rounds. `None` where
-/// the options leave nothing to decide.
+/// Runs the stage before the rounds: finds the shaken views at the target brightness. `None` if the
+/// options leave nothing to decide.
 ///
 /// # Errors
 /// [`PipelineError::Deblur`], [`PipelineError::Io`], [`PipelineError::Cancelled`].
@@ -146,10 +142,10 @@ pub fn shaken(
     Ok(Some(shaken))
 }
 
-/// The options that the rounds are made with.
+/// The options in effect for the rounds.
 ///
 /// A still capture is splatted plainly in one round with the steps of all. Its cameras stay as
-/// found: correcting them costs one museum capture 0.3 to 0.6 dB and changes the other little
+/// found: correcting them costs one museum capture 0.3 to 0.6 dB and hardly changes the other
 /// (docs/decisions/cameras.md).
 pub fn in_effect(options: &Options, shaken: Option<&Shaken>) -> Options {
     let mut options = options.clone();
@@ -189,7 +185,7 @@ mod tests {
     }
 
     #[test]
-    fn three_in_five_views_make_a_capture_shaken_and_their_middle_makes_it_soft() {
+    fn three_in_five_shaken_views_or_a_soft_median_decide() {
         assert_eq!(of(&[1.0, 1.2, 0.1]).verdict(), CaptureShake::Shaken);
         assert_eq!(of(&[1.0, 1.2, 0.5, 0.7, 0.6]).verdict(), CaptureShake::Soft);
         assert_eq!(of(&[0.7, 0.6, 0.5]).verdict(), CaptureShake::Soft);
@@ -198,7 +194,7 @@ mod tests {
     }
 
     #[test]
-    fn the_rounds_of_a_capture_are_what_its_shake_asks_for() {
+    fn shake_decides_the_rounds_of_a_capture() {
         let options = Options::default();
         let still = in_effect(&options, Some(&of(&[0.1, 0.2, 1.0])));
         assert!(!still.refine_poses);
@@ -210,7 +206,7 @@ mod tests {
     }
 
     #[test]
-    fn shake_is_looked_for_only_where_it_decides_anything() {
+    fn shake_is_estimated_only_where_it_decides_anything() {
         let asked = |change: fn(&mut Options)| {
             let mut options = Options::default();
             change(&mut options);

@@ -6,10 +6,10 @@ use super::config::LutScope;
 use crate::enhance::{self, Anchor, Histogram, ToneCurve};
 use crate::image::Image;
 
-/// Views that share one search for an anchor.
+/// Number of views that share one search for an anchor.
 const SEARCHED_VIEWS: usize = 6;
 
-/// One curve for all views, or one a view.
+/// One curve for all views, or one per view.
 #[derive(Clone, Debug)]
 pub struct Tone {
     curves: Vec<ToneCurve>,
@@ -17,7 +17,7 @@ pub struct Tone {
 }
 
 impl Tone {
-    /// The curves that bring `images` to `anchors`: one anchor for all, or one an image.
+    /// The curves that bring `images` to `anchors`: one anchor for all, or one per image.
     pub fn fit(scope: LutScope, images: &[&Image], anchors: &[Anchor]) -> Self {
         let pooled = Histogram::pooled(images.iter().copied());
         let of_image = |(view, image): (usize, &&Image)| {
@@ -37,13 +37,13 @@ impl Tone {
         &self.curves[view.min(self.curves.len() - 1)]
     }
 
-    /// The one curve for what no view owns: the colours of the scene. In the scope of an image it
-    /// is the curve of the pooled views at the mean of their anchors.
+    /// The one curve for the scene, whose colours belong to no view. In the scope of an image it is
+    /// the curve of the pooled views at the mean of their anchors.
     pub fn scene(&self) -> &ToneCurve {
         &self.scene
     }
 
-    /// Every image through its curve.
+    /// Applies its curve to every image.
     pub fn apply<'a>(&self, images: impl IntoIterator<Item = &'a Image>) -> Vec<Image> {
         let images = images.into_iter().enumerate();
         images
@@ -52,8 +52,8 @@ impl Tone {
     }
 }
 
-/// The anchors for which E(R; P) looks like `wanted`, of the family of `like`: one search over a
-/// few views, or one a view.
+/// The anchors for which E(R; P) is closest to `wanted`, of the same family as `like`: one search
+/// over a few views, or one per view.
 pub fn search(
     scope: LutScope,
     like: Anchor,

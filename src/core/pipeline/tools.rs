@@ -1,4 +1,4 @@
-//! What a run may use.
+//! The tools of a run.
 
 use std::path::PathBuf;
 
@@ -8,22 +8,21 @@ use crate::deblur::{Restorer, RestorerInfo};
 use crate::poses::Sfm;
 use crate::poses::matching::Matching;
 
-/// What a run may use.
 pub struct Tools<'a> {
     /// The device that trains and renders.
     pub gpu: &'a Gpu,
-    /// Who finds the poses.
+    /// Structure from motion.
     pub sfm: &'a dyn Sfm,
-    /// Who finds matches between photographs and renders, for late views; `None`: none are found.
+    /// Matches photographs with renders to find late views; without it, none are found.
     pub matching: Option<&'a dyn Matching>,
     /// The deblurring network.
     pub deblurrer: &'a mut dyn Restorer,
     /// The network that brightens in place of the tone curve: a baseline.
     pub enhancer: Option<&'a mut dyn Restorer>,
-    /// What was already used in place of what was asked for, one sentence each.
+    /// The substitutes already in use for tools that were requested, one sentence each.
     pub fallbacks: Vec<String>,
-    /// Folder in which poses are kept from run to run. COLMAP draws from the system's entropy,
-    /// so its answer differs from run to run; a kept answer makes equal runs equal.
+    /// Folder in which poses are cached between runs. COLMAP draws from the system's entropy, so
+    /// its answer differs from run to run; the cache makes equal runs equal.
     pub pose_cache: Option<PathBuf>,
 }
 

@@ -14,30 +14,29 @@ use crate::image::Image;
 use crate::poses::{PosedView, Poses};
 use crate::run_folder::RoundPictures;
 
-/// Below this many training views a scene is not worth training.
+/// Least number of training views worth a scene.
 pub const LEAST_VIEWS: usize = 3;
 
-/// Views from which every 8th is held out by default; the published split.
+/// Number of views from which every 8th is held out by default; the published split.
 const HELD_OUT_FROM: usize = 12;
 
 /// One registered view at working size, undistorted.
 #[derive(Clone, Debug)]
 pub struct View {
-    /// Its name.
     pub name: String,
     /// The pinhole camera at working size.
     pub camera: Camera,
     /// The photograph as taken, sRGB.
     pub dark: Image,
-    /// Sharp and bright, where the capture brings it.
+    /// The sharp, bright ground truth, if the capture has it.
     pub gt: Option<Image>,
-    /// Whether it trains.
+    /// Whether it trains or is held out.
     pub split: Split,
-    /// Whether it found its place by the scene of an earlier round.
+    /// Whether the scene of an earlier round placed it.
     pub is_late: bool,
 }
 
-/// L, as they were taken.
+/// L, the dark views.
 pub fn dark(views: &[View]) -> Vec<&Image> {
     views.iter().map(|view| &view.dark).collect()
 }
@@ -49,8 +48,8 @@ pub fn unregistered(capture: &Capture, poses: &Poses) -> Vec<String> {
     names.filter(has_no_pose).cloned().collect()
 }
 
-/// L_j: the registered photographs, undistorted, at working size; cameras and pictures of the input
-/// are written for whoever looks at the run.
+/// Loads L_j: the registered photographs, undistorted, at working size. Also writes their cameras
+/// and pictures for observers of the run.
 ///
 /// # Errors
 /// [`PipelineError::Photograph`], [`PipelineError::TooFewViews`], [`PipelineError::Options`]
@@ -82,7 +81,7 @@ pub fn show(workspace: &Workspace, view: &View) -> Result<(), PipelineError> {
     Ok(())
 }
 
-/// Moves the views to where a round's training found them.
+/// Moves the views to the cameras that a round's training found.
 ///
 /// # Errors
 /// [`PipelineError::Io`].
@@ -171,7 +170,7 @@ fn read(
         .collect()
 }
 
-/// A photograph as its pose's pinhole camera sees it, at working size.
+/// A photograph as seen by its pose's pinhole camera, at working size.
 ///
 /// # Errors
 /// [`PipelineError::Photograph`].
@@ -215,7 +214,7 @@ pub fn working_size(width: usize, height: usize, size: usize) -> (usize, usize) 
     (side(width), side(height))
 }
 
-/// Light adds up in linear space, so that is where pixels are averaged.
+/// Resizes by averaging in linear light, where light is additive.
 fn resample(image: &Image, width: usize, height: usize) -> Image {
     if (image.width(), image.height()) == (width, height) {
         return image.clone();
@@ -224,10 +223,10 @@ fn resample(image: &Image, width: usize, height: usize) -> Image {
 }
 
 /// The split of each view by the option `held_out`: `auto`, `none`, every n-th, or names. `hold` is
-/// what the capture itself says for `auto`, at least 2.
+/// the capture's own setting for `auto`, at least 2.
 ///
 /// # Errors
-/// [`OptionsError`] for a number below 2 and for names that are no view's.
+/// [`OptionsError`] for a number below 2 and for names without a view.
 pub fn splits(
     held_out: &str,
     hold: Option<u32>,
@@ -303,7 +302,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_capture_holds_out_itself_stands_where_the_options_leave_it_open() {
+    fn auto_holds_out_what_the_capture_holds_out() {
         let held = |option: &str| {
             let splits = splits(option, Some(3), &["a", "b", "c", "d", "e"]).expect("valid");
             let held_out = splits.iter().map(|split| *split == Split::HeldOut);
@@ -315,7 +314,7 @@ mod tests {
     }
 
     #[test]
-    fn a_held_out_option_that_cannot_be_is_refused() {
+    fn an_impossible_held_out_option_is_refused() {
         assert!(splits("1", None, &["a", "b"]).is_err());
         assert!(splits("c", None, &["a", "b"]).is_err());
     }

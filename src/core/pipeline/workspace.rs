@@ -1,4 +1,4 @@
-//! The output folder of a run: where every artifact lies, written whole or not at all.
+//! The output folder of a run: the place of every artifact, each written atomically.
 
 use std::path::Path;
 use std::{fs, io};
@@ -11,7 +11,7 @@ use crate::image::write_atomic;
 use crate::run_folder::RunFolder;
 
 /// Version of the code that makes artifacts. Raise it when a stage's result changes for equal
-/// inputs: a rerun then redoes the stage instead of trusting what lies on disk.
+/// inputs: a rerun then repeats the stage instead of trusting the artifacts on disk.
 pub const CODE_VERSION: u32 = 4;
 
 /// The output folder of one run. Cheap to clone; holds paths only.
@@ -20,7 +20,7 @@ pub struct Workspace {
     folder: RunFolder,
 }
 
-/// What a finished stage leaves beside its artifacts: they are valid for these inputs only.
+/// The mark that a finished stage leaves: its artifacts are valid for these inputs only.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 struct Stamp {
     fingerprint: String,
@@ -28,10 +28,10 @@ struct Stamp {
 }
 
 impl Workspace {
-    /// Opens a folder, making it when it does not exist.
+    /// Opens a folder, and creates it if it does not exist.
     ///
     /// # Errors
-    /// [`PipelineError::Io`] when it cannot be made.
+    /// [`PipelineError::Io`] when it cannot be created.
     pub fn open(root: &Path) -> Result<Self, PipelineError> {
         fs::create_dir_all(root).map_err(|e| PipelineError::io(root, e))?;
         Ok(Self {
@@ -39,13 +39,13 @@ impl Workspace {
         })
     }
 
-    /// Where everything in it lies.
+    /// The paths in the folder.
     pub fn folder(&self) -> &RunFolder {
         &self.folder
     }
 
-    /// Removes what only serves a later run into the same folder with other options: what networks
-    /// made of every view, and the checkpoint.
+    /// Removes files that only serve a later run into the same folder with other options: the
+    /// networks' results and the checkpoint.
     ///
     /// # Errors
     /// [`PipelineError::Io`].
@@ -66,7 +66,7 @@ impl Workspace {
         Ok(())
     }
 
-    /// Makes a folder and those above it.
+    /// Creates a folder and its parents.
     ///
     /// # Errors
     /// [`PipelineError::Io`].
@@ -74,7 +74,7 @@ impl Workspace {
         fs::create_dir_all(path).map_err(|e| PipelineError::io(path, e))
     }
 
-    /// Removes a file, if it is there.
+    /// Removes a file, if it exists.
     ///
     /// # Errors
     /// [`PipelineError::Io`].
@@ -124,7 +124,7 @@ impl Workspace {
         self.write_json(&self.folder.work().stamp(name), &stamp)
     }
 
-    /// Takes the mark away: what the stage left is about to be written over.
+    /// Removes the mark before the stage's artifacts are overwritten.
     ///
     /// # Errors
     /// [`PipelineError::Io`].
@@ -132,14 +132,14 @@ impl Workspace {
         self.remove(&self.folder.work().stamp(name))
     }
 
-    /// Seconds that the stage took, when it was finished for inputs of this fingerprint.
+    /// Seconds that the stage took, if it finished for inputs of this fingerprint.
     pub fn finished(&self, name: &str, fingerprint: &str) -> Option<f64> {
         let stamp: Stamp = self.read_json(&self.folder.work().stamp(name))?;
         (stamp.fingerprint == fingerprint).then_some(stamp.seconds)
     }
 }
 
-/// Hash of the parts that a stage's result depends on, the code's version among them.
+/// Hash of the parts, prefixed with [`CODE_VERSION`].
 pub fn fingerprint(parts: &[&str]) -> String {
     let mut hasher = blake3::Hasher::new();
     hasher.update(&CODE_VERSION.to_le_bytes());
@@ -155,7 +155,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_stamp_holds_for_its_own_inputs_only() {
+    fn a_stamp_is_valid_for_its_own_inputs_only() {
         let folder = tempfile::tempdir().expect("temporary folder");
         let workspace = Workspace::open(folder.path()).expect("open");
         assert_eq!(workspace.finished("poses", "a"), None);

@@ -1,4 +1,4 @@
-//! A training round, frozen: what is needed to go on as if nothing had happened.
+//! The frozen state of a training round: all that is needed to resume as if uninterrupted.
 
 use bytemuck::{Pod, Zeroable};
 
@@ -10,18 +10,18 @@ const MAGIC: [u8; 8] = *b"fledckpt";
 /// Raised whenever the layout or the meaning changes.
 const VERSION: u32 = 7;
 
-/// Arrays of numbers that a checkpoint holds.
+/// Number of arrays in a checkpoint.
 const ARRAYS: usize = 7;
-/// Bytes of the hash behind them.
+/// Bytes of the hash at the end.
 const HASH: usize = 32;
 
-/// Bytes that are no checkpoint of this version.
+/// The bytes are no checkpoint of this version.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("checkpoint: {0}")]
 pub struct CheckpointError(pub String);
 
-/// The state of a round before the step `step`. Random numbers are functions of seed and step, so
-/// there is no generator to keep.
+/// The state of a round before step `step`. Random numbers are functions of seed and step, so there
+/// is no generator state.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Checkpoint {
     /// Identifies the plan: seed, steps and the options of the round.
@@ -30,13 +30,13 @@ pub struct Checkpoint {
     pub step: u32,
     /// Gaussians at the start of the round.
     pub start_count: u32,
-    /// Degree of the harmonics that is allocated.
+    /// Allocated degree of the harmonics.
     pub sh_degree: u32,
     /// Slots of the intersection buffers.
     pub intersections: u32,
     /// Non-finite gradients dropped so far.
     pub non_finite: u32,
-    /// Wall seconds that it took so far.
+    /// Wall seconds taken so far.
     pub seconds: f64,
     /// Rows of geometry, [count, 12].
     pub geometry: Vec<f32>,
@@ -46,9 +46,9 @@ pub struct Checkpoint {
     pub sh: Vec<f32>,
     /// Adam's moments of the harmonics.
     pub sh_moments: Vec<f32>,
-    /// The noise field's parameters and moments as it serialises them; empty without one.
+    /// The noise field's serialised parameters and moments; empty without one.
     pub noise: Vec<f32>,
-    /// The views' kernels as the shake serialises them; empty without one.
+    /// The views' serialised kernels; empty without shake.
     pub shake: Vec<f32>,
     /// The views' motions, [views, 6].
     pub motions: Vec<f32>,
@@ -176,7 +176,7 @@ fn fault(message: &str) -> CheckpointError {
     CheckpointError(message.to_owned())
 }
 
-/// Header and arrays, if they are of this version and what was written.
+/// Returns header and arrays if version and hash are right.
 fn intact(bytes: &[u8]) -> Result<&[u8], CheckpointError> {
     let (content, hash) = bytes
         .split_last_chunk::<HASH>()
@@ -198,7 +198,7 @@ fn intact(bytes: &[u8]) -> Result<&[u8], CheckpointError> {
     Ok(content)
 }
 
-/// Arrays of so many numbers, one behind the other.
+/// Splits the bytes into arrays of these lengths.
 fn arrays(bytes: &[u8], lengths: &[u64; ARRAYS]) -> Result<[Vec<f32>; ARRAYS], CheckpointError> {
     let mut rest = bytes;
     let mut arrays = [const { Vec::new() }; ARRAYS];

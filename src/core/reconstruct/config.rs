@@ -1,4 +1,4 @@
-//! What a round is trained with.
+//! The configuration of a round's training.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -7,39 +7,39 @@ use super::schedule::Schedule;
 use crate::noise::NoiseMode;
 use crate::shake::Response;
 
-/// What training renders the splats before. Delivered views have a black background.
+/// Background of the renders in training. Delivered views have a black background.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Background {
     /// Black: what is dark in every view may turn transparent.
     Black,
-    /// Another colour at every step, so that only what is opaque looks right. Differs from the
-    /// paper: its views fill their frames too, and what is seen through from elsewhere is a hole.
+    /// A random colour at every step, so that only opaque Gaussians look right. Differs from the
+    /// paper: its views fill their frames too, but a transparent surface is a hole from elsewhere.
     Random,
 }
 
-/// How Gaussians come and go.
+/// How Gaussians are added and removed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Densify {
     /// MCMC: relocation and growth up to the cap.
     Mcmc,
-    /// Clone, split and prune by gradients, as first published; at most the cap.
+    /// Clone, split and prune by gradients, as first published, up to the cap.
     Classic,
 }
 
-/// What a round is trained with.
+/// The configuration of a round's training.
 #[derive(Clone, Debug)]
 pub struct TrainConfig {
     /// Optimiser steps.
     pub steps: u32,
-    /// Explain the shake of the views, whose values come from light like this; `None`: they are not
-    /// shaken.
+    /// Estimates the shake of the views with this response from light to values; `None` leaves them
+    /// without kernels.
     pub shake: Option<Response>,
-    /// Correct the cameras by the renders. The number is about how far away the scene is, world
-    /// units; `None`: they stand where the poses say.
+    /// Corrects the cameras by the renders, given the approximate distance of the scene, world
+    /// units; `None` leaves them at their poses.
     pub refine_poses: Option<f64>,
-    /// Most Gaussians.
+    /// Maximum number of Gaussians.
     pub cap: usize,
     /// Degree of the harmonics.
     pub sh_degree: u32,
@@ -49,18 +49,18 @@ pub struct TrainConfig {
     pub resolution_schedule: bool,
     /// Whether the round starts from a trained scene.
     pub warm: bool,
-    /// What lies behind the splats.
+    /// Background of the splats.
     pub background: Background,
-    /// How Gaussians come and go.
+    /// How Gaussians are added and removed.
     pub densify: Densify,
-    /// Seed of everything random.
+    /// Random seed.
     pub seed: u64,
     /// [`scene_extent`](super::scene_extent), world units.
     pub extent: f64,
 }
 
 impl TrainConfig {
-    /// What changes over the round.
+    /// The schedule of the round.
     pub fn schedule(&self) -> Schedule {
         Schedule {
             steps: self.steps,

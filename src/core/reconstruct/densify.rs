@@ -8,23 +8,23 @@ use rayon::prelude::*;
 
 use crate::splat::rows::GeometryRow;
 
-/// At most this opacity counts as dead.
+/// Greatest opacity of a dead Gaussian.
 pub const MIN_OPACITY: f32 = 0.005;
-/// A Gaussian is split into at most this many.
+/// Most copies into which a Gaussian is split.
 pub const MOST_COPIES: u32 = 51;
-/// A squared quaternion norm below this has no direction.
+/// Squared norm below which a quaternion has no direction.
 const SMALLEST_QUAT: f32 = 1e-8;
-/// Growth at a densification, at least.
+/// Least factor of growth at a densification.
 pub const GROWTH: f64 = 1.05;
 
-/// What a densification changes.
+/// The changes of a densification.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Plan {
-    /// Target and source; a source appears once more as its own target.
+    /// Target and source; a source also appears as its own target.
     pub moves: Vec<[u32; 2]>,
     /// Log-scale x y z and opacity logit of the target, by move.
     pub shapes: Vec<[f32; 4]>,
-    /// Gaussians afterwards.
+    /// Number of Gaussians afterwards.
     pub count: usize,
     /// Dead Gaussians that were moved.
     pub relocated: usize,
@@ -44,7 +44,7 @@ fn opacity(row: &GeometryRow) -> f32 {
     }
 }
 
-/// Decides a densification of `rows`: every dead Gaussian moves, and the scene grows to `target`
+/// Plans a densification of `rows`: every dead Gaussian moves, and the scene grows to `target`
 /// rows. Sources are drawn in proportion to opacity.
 pub fn plan(rows: &[GeometryRow], target: usize, random: &mut impl Rng) -> Plan {
     let opacities: Vec<_> = rows.par_iter().map(opacity).collect();
@@ -91,7 +91,7 @@ pub fn plan(rows: &[GeometryRow], target: usize, random: &mut impl Rng) -> Plan 
     }
 }
 
-/// An index in proportion to opacity that may still be split.
+/// Draws an index in proportion to opacity, among those that may still be split.
 fn draw(cumulative: &[f64], total: f64, copies: &[u32], random: &mut impl Rng) -> usize {
     for _ in 0..64 {
         let at = random.random::<f64>() * total;
@@ -102,7 +102,7 @@ fn draw(cumulative: &[f64], total: f64, copies: &[u32], random: &mut impl Rng) -
             return index;
         }
     }
-    // Nearly everything is dead: take the living one that was split least.
+    // Nearly everything is dead: take the living one with the fewest splits.
     let alive = |i: &usize| cumulative[*i] > if *i == 0 { 0.0 } else { cumulative[*i - 1] };
     (0..copies.len())
         .filter(alive)
@@ -110,7 +110,7 @@ fn draw(cumulative: &[f64], total: f64, copies: &[u32], random: &mut impl Rng) -
         .unwrap_or(0)
 }
 
-/// Log-scales and logit of each of `copies` equal Gaussians that together look like one.
+/// Log-scales and logit of each of `copies` equal Gaussians that together look like `row`.
 fn split(row: &GeometryRow, copies: u32) -> [f32; 4] {
     let old = f64::from(opacity(row));
     let new =
@@ -125,8 +125,8 @@ fn split(row: &GeometryRow, copies: u32) -> [f32; 4] {
         }
     }
     let shift = (old / denominator).ln();
-    // The alternating sum loses all its digits for many opaque copies; a splat never grows by a
-    // split.
+    // The alternating sum loses all its digits for many opaque copies; a split never enlarges a
+    // splat.
     let shift = if shift.is_finite() {
         shift.clamp(-3.0, 0.0)
     } else {
@@ -141,8 +141,8 @@ fn split(row: &GeometryRow, copies: u32) -> [f32; 4] {
     ]
 }
 
-/// Gaussians after the next growth. Long rounds grow by [`GROWTH`] each time; a short one has few
-/// densifications, so the factor is raised until the cap is met after half of them.
+/// Number of Gaussians after the next growth. Long rounds grow by [`GROWTH`] each time; short ones
+/// have few densifications, so a larger factor reaches the cap after half of them.
 pub fn grown(count: usize, start: usize, cap: usize, densifications: u32) -> usize {
     let half = f64::from(densifications.max(2)) / 2.0;
     let needed = (cap as f64 / start.max(1) as f64).powf(1.0 / half);
@@ -168,7 +168,7 @@ mod tests {
     }
 
     #[test]
-    fn the_dead_move_and_the_scene_grows_to_its_target() {
+    fn dead_gaussians_move_and_the_scene_grows_to_its_target() {
         let mut rows: Vec<_> = (0..40).map(|_| row(0.6)).collect();
         rows[3] = row(0.001);
         rows[5].mean[0] = f32::NAN;
@@ -191,7 +191,7 @@ mod tests {
     }
 
     #[test]
-    fn without_a_living_gaussian_nothing_happens() {
+    fn without_living_gaussians_nothing_happens() {
         let plan = plan(&[row(0.001); 5], 9, &mut Pcg64::seed_from_u64(1));
         assert_eq!(
             plan,
@@ -203,7 +203,7 @@ mod tests {
     }
 
     #[test]
-    fn one_survivor_is_not_split_beyond_the_limit_while_others_live() {
+    fn no_gaussian_is_split_beyond_the_limit_while_others_live() {
         let mut rows = vec![row(0.001); 120];
         rows[0] = row(0.9);
         rows[1] = row(0.01);
@@ -216,13 +216,13 @@ mod tests {
     }
 
     #[test]
-    fn copies_together_keep_the_opacity_and_the_projected_mass() {
+    fn copies_together_keep_opacity_and_projected_mass() {
         for (opacity, copies) in [(0.3, 2), (0.6, 2), (0.6, 5), (0.9, 3)] {
             let [x, _, _, logit] = split(&row(opacity), copies);
             let each = 1.0 / (1.0 + (-f64::from(logit)).exp());
             let centre = 1.0 - (1.0 - each).powi(copies as i32);
             assert!((centre - f64::from(opacity)).abs() < 1e-5);
-            // The integral along a line through the centre: what equation 9 keeps.
+            // The integral along a line through the centre, which equation 9 preserves.
             let ratio = (f64::from(x) + 2.0).exp();
             let integral = |width: f64, alpha: &dyn Fn(f64) -> f64| {
                 (-4_000..4_000)
@@ -240,7 +240,7 @@ mod tests {
     }
 
     #[test]
-    fn growth_never_passes_the_cap_and_reaches_it() {
+    fn growth_reaches_the_cap_and_never_passes_it() {
         assert_eq!(grown(100, 100, 100, 15), 100);
         assert_eq!(grown(120, 100, 100, 15), 120);
         let mut count = 1_000;

@@ -1,16 +1,16 @@
-//! Why a round could not be trained.
+//! Errors of training a round.
 
 use fled_gpu::GpuError;
 
 use crate::cancel::Cancelled;
 
-/// A round that could not be trained.
+/// The reason why a round could not be trained.
 #[derive(Debug, thiserror::Error)]
 pub enum ReconstructError {
-    /// The device.
+    /// A device error.
     #[error(transparent)]
     Gpu(#[from] GpuError),
-    /// Asked to stop.
+    /// The caller cancelled training.
     #[error(transparent)]
     Cancelled(#[from] Cancelled),
     /// Nothing to train on or from.
@@ -21,7 +21,7 @@ pub enum ReconstructError {
         /// Gaussians at the start.
         gaussians: usize,
     },
-    /// The checkpoint is another round's.
+    /// The checkpoint belongs to another round.
     #[error("the checkpoint belongs to another round or other options")]
     OtherRound,
     /// The noise field refused its part of the checkpoint.
@@ -30,9 +30,9 @@ pub enum ReconstructError {
     /// The optimisation diverged.
     #[error("{dropped} gradients were not finite by step {step}")]
     NotFinite {
-        /// How many were dropped.
+        /// Number of dropped gradients.
         dropped: u64,
-        /// Up to which step.
+        /// Steps done by then.
         step: u32,
     },
 }

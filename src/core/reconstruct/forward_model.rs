@@ -1,6 +1,5 @@
-//! How the scene becomes the photographs: its Gaussians, drawn from where each view was taken,
-//! shaken as each view is. What is not known of the views is learnt here, from renders
-//! of the scene as it stands.
+//! The forward model: renders the scene's Gaussians from the camera of each view and applies the
+//! view's shake. Cameras and kernels are estimated here, from renders of the current scene.
 
 mod poses;
 mod shakes;
@@ -16,28 +15,28 @@ use crate::shake::{DeviceKernel, Response, Shake};
 use crate::splat::pass::ForwardPass;
 use crate::splat::rows::DeviceGaussians;
 
-/// The scene and its photographs. Renders forward only; a trainer goes the way back through it.
+/// The scene and its views. Renders forward only; the trainer runs the backward pass through it.
 pub(super) struct ForwardModel<'a> {
     pub(super) pass: ForwardPass,
-    /// `None`: the views are not shaken.
+    /// `None` without shake.
     pub(super) shake: Option<Shake>,
-    /// In the order in which they were given.
+    /// In the order given.
     pub(super) views: Vec<Observed<'a>>,
 }
 
-/// What a [`ForwardModel`] is made for.
+/// The requirements on a [`ForwardModel`].
 #[derive(Clone, Copy)]
 pub(super) struct Purpose<'r> {
-    /// The views are shaken, and come from light like this; `None`: they are not.
+    /// The response from light to the views' values, if they are shaken; else `None`.
     pub(super) shake: Option<&'r Response>,
-    /// Room for so many Gaussians, at least as many as there are.
+    /// Minimum number of Gaussians that it has room for.
     pub(super) capacity: usize,
-    /// Whether gradients will be asked for.
+    /// Whether gradients will be computed.
     pub(super) gradients: bool,
 }
 
 impl<'a> ForwardModel<'a> {
-    /// The views at full resolution, still, where they were given.
+    /// The views at full resolution, without shake, at the given cameras.
     pub(super) fn new(
         gpu: &Gpu,
         views: &'a [TrainingView],
@@ -73,19 +72,18 @@ impl<'a> ForwardModel<'a> {
         Ok(model)
     }
 
-    /// Reduces the images by `divisor`, and forgets the kernels: those of another resolution say
-    /// nothing about this one.
+    /// Reduces the images by `divisor` and resets the kernels, which depend on the resolution.
     pub(super) fn reduce(&mut self, divisor: usize) -> Result<(), GpuError> {
         self.views.iter_mut().for_each(|view| view.reduce(divisor));
         self.still_views()
     }
 
-    /// The views' cameras, at the size of their images, as they stand now.
+    /// The views' current cameras, at the full size of their images.
     pub(super) fn cameras(&self) -> Vec<Camera> {
         self.views.iter().map(Observed::full_camera).collect()
     }
 
-    /// The scene through `camera`, no larger than the views, with harmonics up to `degree`.
+    /// Renders the scene through `camera`, no larger than the views, with harmonics up to `degree`.
     fn render(&mut self, camera: &Camera, degree: u32) -> Result<Image, GpuError> {
         self.pass.image(camera, degree, |pass| {
             pass.recorder()?.submit()?;
@@ -93,7 +91,7 @@ impl<'a> ForwardModel<'a> {
         })
     }
 
-    /// The same, as shaken as `view` is.
+    /// Like `render`, with the shake of `view` applied.
     fn render_shaken(
         &mut self,
         view: usize,

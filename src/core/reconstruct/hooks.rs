@@ -1,4 +1,4 @@
-//! Whom a round tells, and who may stop it.
+//! The callbacks of a training round.
 
 use fled_gpu::GpuError;
 
@@ -6,37 +6,36 @@ use super::checkpoint::Checkpoint;
 use super::look::Look;
 use crate::cancel::CancelToken;
 
-/// Takes done steps, all steps and steps per second.
+/// Receives done steps, all steps and steps per second.
 pub type ProgressHook<'a> = &'a mut dyn FnMut(u64, u64, f64);
-/// Takes a checkpoint: at least once a minute, and when the round is asked to stop.
+/// Receives a checkpoint: about every 30 seconds, and when the round is cancelled.
 pub type CheckpointHook<'a> = &'a mut dyn FnMut(&Checkpoint);
-/// Takes how training goes, every 25 steps.
+/// Receives the state of training every 25 steps.
 pub type SeenHook<'a> = &'a mut dyn FnMut(Seen);
-/// May look at the scene as it stands: every 25 steps or so, and after the last.
+/// May render the current scene: about every 25 steps, and after the last.
 pub type LookHook<'a> = &'a mut dyn FnMut(&mut Look<'_>) -> Result<(), GpuError>;
 
-/// How training goes.
+/// The state of training.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Seen {
     /// Steps done.
     pub step: u32,
-    /// The loss of the last step's view: views differ, so it scatters about its course.
+    /// Loss of the last step's view; it scatters, because views differ.
     pub loss: f64,
     /// Gaussians of the scene.
     pub gaussians: usize,
 }
 
-/// Whom a round tells, and who may stop it.
+/// The callbacks of a training round.
 pub struct TrainHooks<'a> {
-    /// Checked between submissions. The step that runs is finished, and where somebody takes
-    /// checkpoints they get one of it.
+    /// Checked between submissions. The running step is finished, and the checkpoint hook, if any,
+    /// receives the state after it.
     pub cancel: &'a CancelToken,
-    /// About four times a second.
+    /// Called about four times a second.
     pub progress: ProgressHook<'a>,
-    /// `None`: no checkpoints are made.
+    /// `None` makes no checkpoints.
     pub checkpoint: Option<CheckpointHook<'a>>,
-    /// `None`: nobody is told.
     pub seen: Option<SeenHook<'a>>,
-    /// `None`: nobody looks at the scene. What trains is the same either way.
+    /// `None` renders nothing. Training is the same either way.
     pub look: Option<LookHook<'a>>,
 }

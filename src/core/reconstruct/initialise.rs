@@ -1,5 +1,5 @@
-//! The scene before the first step: Gaussians from the sparse points, and random ones where there
-//! are few.
+//! The scene before the first step: Gaussians from the sparse points, and random ones if there are
+//! few.
 
 use glam::DVec3;
 use rand::seq::SliceRandom;
@@ -10,7 +10,7 @@ use super::schedule::{Schedule, Stream};
 use crate::camera::Camera;
 use crate::gaussians::Gaussians;
 
-/// A point that a Gaussian begins at.
+/// A point at which a Gaussian starts.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Point {
     /// World units.
@@ -19,23 +19,23 @@ pub struct Point {
     pub colour: [u8; 3],
 }
 
-/// Opacity at the start: a logit of 0.
+/// Initial opacity: a logit of 0.
 const OPACITY_LOGIT: f32 = 0.0;
-/// Scales are at least this share of the extent.
+/// Least scale, as a share of the extent.
 const SCALE_FLOOR: f64 = 1e-7;
-/// And at most this: a point far from all others must not cover the scene.
+/// Largest scale, as a share of the extent: a point far from all others must not cover the scene.
 const SCALE_CEILING: f64 = 0.1;
 /// Constant harmonic.
 const SH0: f32 = 0.282_094_8;
 
-/// With fewer points than this, random ones are added in the cameras' frusta between the 5th and
-/// 95th percentile of depth. Filling up to 20,000 whatever there is costs more than 1 dB against
-/// what grows from sparse points; only where there are hardly any do random ones help.
+/// Number of points below which random ones are added, in the cameras' frusta between the 5th and
+/// 95th percentile of depth. Always filling up to 20,000 costs more than 1 dB compared with growth
+/// from sparse points; random points only help where there are hardly any.
 const FILL_UP: usize = 1_000;
 
-/// Length that rates and noise are measured in, world units: the larger of 1.1 times the radius of
-/// the cameras, as first published, and a quarter of the points' median depth, because cameras that
-/// face forward stand close together. 1 when there is nothing to measure.
+/// The unit of rates and noise, world units: the larger of 1.1 times the radius of the cameras, as
+/// first published, and a quarter of the points' median depth, because forward-facing cameras are
+/// close together. 1 without any points and baseline.
 pub fn scene_extent(cameras: &[Camera], points: &[Point]) -> f64 {
     let depths = visible_depths(cameras, points);
     let depth = depths.get(depths.len() / 2).copied().unwrap_or(0.0);
@@ -43,8 +43,7 @@ pub fn scene_extent(cameras: &[Camera], points: &[Point]) -> f64 {
     if extent > 0.0 { extent } else { 1.0 }
 }
 
-/// Median depth of the points in the images that show them, world units. 1 when there is nothing to
-/// measure.
+/// Median depth of the points in the images that show them, world units. 1 without any points.
 pub fn scene_depth(cameras: &[Camera], points: &[Point]) -> f64 {
     let depths = visible_depths(cameras, points);
     depths.get(depths.len() / 2).copied().unwrap_or(1.0)
@@ -69,8 +68,8 @@ fn visible_depths(cameras: &[Camera], points: &[Point]) -> Vec<f64> {
     depths
 }
 
-/// Gaussians of degree `schedule.sh_degree` at `points`: scale from the three nearest neighbours,
-/// opacity 0.5, the point's colour; at most `cap`. Points that are not finite are left out.
+/// Creates at most `cap` Gaussians of degree `schedule.sh_degree` at `points`: scale from the three
+/// nearest neighbours, opacity 0.5, the point's colour. Drops points that are not finite.
 pub fn initialise(
     points: &[Point],
     cameras: &[Camera],
@@ -83,7 +82,7 @@ pub fn initialise(
     all.shuffle(&mut random);
     all.truncate(cap);
     let extent = scene_extent(cameras, &all);
-    // Without a single point half of the cap lies anywhere, and the rest goes to where the error
+    // Without any points, half of the cap is placed at random, and the rest grows where the error
     // is.
     let wanted = if all.is_empty() {
         cap / 2
@@ -96,7 +95,7 @@ pub fn initialise(
     scene.with_sh_degree(schedule.sh_degree)
 }
 
-/// One Gaussian a point, of degree 0.
+/// One Gaussian of degree 0 per point.
 pub(super) fn gaussians_at(points: &[Point], extent: f64) -> Gaussians {
     let (low, high) = (SCALE_FLOOR * extent, SCALE_CEILING * extent);
     let log_scales = neighbour_distances(points)
@@ -156,8 +155,7 @@ fn random_points(
 fn depth_range(known: &[Point], cameras: &[Camera]) -> (f64, f64) {
     let depths = visible_depths(cameras, known);
     if depths.is_empty() {
-        // Nothing is known but the cameras: they usually stand about as far apart as from the
-        // scene.
+        // Only the cameras are known: they are usually about as far apart as from the scene.
         let radius = camera_radius(cameras).max(1e-3);
         return (0.5 * radius, 5.0 * radius);
     }
@@ -188,7 +186,7 @@ fn neighbour_distances(points: &[Point]) -> Vec<f64> {
     out
 }
 
-/// Walks away from `rank` along x until no nearer point can come.
+/// Walks away from `rank` along x until no nearer point is possible.
 fn nearest_three(points: &[Point], order: &[usize], rank: usize) -> f64 {
     let here = &points[order[rank]].position;
     let mut best = [f32::INFINITY; 3];
@@ -251,7 +249,7 @@ mod tests {
     }
 
     #[test]
-    fn neighbour_distances_equal_brute_force() {
+    fn neighbour_distances_match_brute_force() {
         let points = points(300);
         for (i, found) in neighbour_distances(&points).into_iter().enumerate() {
             let others = points.iter().enumerate().filter(|(j, _)| *j != i);
@@ -264,7 +262,7 @@ mod tests {
     }
 
     #[test]
-    fn few_points_are_filled_up_in_front_of_the_cameras_and_many_are_cut_to_the_cap() {
+    fn few_points_are_filled_up_and_many_cut_to_the_cap() {
         let camera = viewpoint(80, 60).camera;
         let few = initialise(&points(50), &[camera], 4_000, &PLAN);
         let (count, numbers) = (few.len(), few.sh.len());
@@ -281,7 +279,7 @@ mod tests {
     }
 
     #[test]
-    fn cameras_close_together_understate_the_scene() {
+    fn cameras_close_together_do_not_shrink_the_extent() {
         let mut other = viewpoint(80, 60).camera;
         other.intrinsics.cx += 1.0;
         let cameras = [viewpoint(80, 60).camera, other];
@@ -290,7 +288,7 @@ mod tests {
     }
 
     #[test]
-    fn without_points_the_cameras_alone_decide() {
+    fn without_points_the_cameras_decide() {
         let camera = viewpoint(80, 60).camera;
         assert_eq!(initialise(&[], &[camera], 40, &PLAN).len(), 20);
         assert!(initialise(&[], &[], 40, &PLAN).is_empty());
@@ -303,7 +301,7 @@ mod tests {
     }
 
     #[test]
-    fn colours_come_back_from_the_constant_harmonic() {
+    fn colours_round_trip_through_the_constant_harmonic() {
         let scene = initialise(
             &[Point {
                 position: [0.0; 3],

@@ -1,4 +1,4 @@
-//! The resolution at which a part of a round is trained.
+//! The resolution of a part of a round.
 
 use std::collections::BTreeMap;
 use std::collections::btree_map::Entry;
@@ -8,7 +8,7 @@ use fled_gpu::{Gpu, GpuError};
 use super::loss::Loss;
 use super::observed::Observed;
 
-/// One divisor of the images, and a loss for each size that it leaves them.
+/// One divisor of the images, and a loss for each resulting size.
 pub(super) struct Level {
     /// 4, 2 or 1.
     pub(super) divisor: usize,
@@ -16,7 +16,7 @@ pub(super) struct Level {
 }
 
 impl Level {
-    /// The level of `views`, which are reduced by `divisor`.
+    /// The level for `views` already reduced by `divisor`.
     pub(super) fn new(gpu: &Gpu, views: &[Observed<'_>], divisor: usize) -> Result<Self, GpuError> {
         let mut losses = BTreeMap::new();
         for [width, height] in views.iter().map(Observed::size) {
@@ -27,7 +27,7 @@ impl Level {
         Ok(Self { divisor, losses })
     }
 
-    /// The loss that fits a view.
+    /// The loss for a view's size.
     pub(super) fn loss(&self, view: &Observed<'_>) -> &Loss {
         &self.losses[&view.size()]
     }

@@ -1,4 +1,4 @@
-//! The scene as it stands, seen from outside while it trains.
+//! Renders of the scene in training, for observers.
 
 use fled_gpu::{Gpu, GpuError};
 
@@ -7,9 +7,9 @@ use crate::image::Image;
 use crate::splat::pass::ForwardPass;
 use crate::splat::rows::DeviceGaussians;
 
-/// Draws a scene that trains in buffers of its own, made when they are first asked for. Those of
-/// the training stay as they are: room that grew for a look would change which steps are repeated,
-/// and so the scene.
+/// Draws the scene in training into buffers of its own, created on first use. Training's own
+/// buffers stay as they are: growing them for a look would change which steps are repeated, and so
+/// the scene.
 #[derive(Default)]
 pub(super) struct Onlooker {
     drawing: Option<Drawing>,
@@ -21,7 +21,7 @@ struct Drawing {
     size: [usize; 2],
 }
 
-/// A moment of a round at which nothing is in flight.
+/// A moment of a round with nothing in flight.
 pub struct Look<'a> {
     /// Steps done.
     pub step: u32,
@@ -29,14 +29,14 @@ pub struct Look<'a> {
     pub is_last: bool,
     pub(super) gpu: &'a Gpu,
     pub(super) gaussians: &'a DeviceGaussians,
-    /// Of the harmonics that train.
+    /// Active degree of the harmonics.
     pub(super) degree: u32,
     pub(super) onlooker: &'a mut Onlooker,
 }
 
 impl Look<'_> {
-    /// The scene through `camera`, over black, as it would be delivered now; sRGB-encoded, not
-    /// clamped above.
+    /// Renders the scene through `camera`, over black, as it would be delivered now; sRGB-encoded,
+    /// not clamped above.
     ///
     /// # Errors
     /// A device error.
@@ -62,7 +62,7 @@ impl Onlooker {
         let mut drawing = match self.drawing.take() {
             Some(drawing) => drawing,
             None => Drawing {
-                // The clone names the very buffers that train.
+                // The clone shares the buffers in training.
                 pass: ForwardPass::new(gpu, gaussians.clone(), size, false)?,
                 size,
             },

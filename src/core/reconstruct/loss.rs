@@ -1,8 +1,8 @@
 //! The loss of a training step, `0.8 mean|p - t| + 0.2 (1 - mean SSIM(p, t))`, and its gradient.
 //!
-//! SSIM has an 11 x 11 Gaussian window of sigma 1.5 and is zero-padded, as published trainers have
-//! it (the metrics use the valid region only: the two numbers differ). The gradient is written
-//! directly; the value stays on the device until somebody asks.
+//! SSIM has an 11 x 11 Gaussian window of sigma 1.5 and is zero-padded, as in published trainers
+//! (the metrics use the valid region only, so the two numbers differ). The gradient is written
+//! directly; the value stays on the device until it is read.
 //!
 //! ```no_run
 //! # use fled_core::{image::Image, reconstruct::loss::{Loss, upload_target}};
@@ -27,7 +27,7 @@ use fled_gpu::{Buffer, DeviceType, Gpu, GpuError, Kernel, Recorder, read, read_w
 
 use crate::image::Image;
 
-/// Weight of the mean absolute error; the share that is common for splats.
+/// Weight of the mean absolute error; the usual share for splats.
 pub const L1_SHARE: f64 = 0.8;
 
 /// Weight of `1 - SSIM`.
@@ -36,8 +36,8 @@ pub const SSIM_SHARE: f64 = 0.2;
 /// `COLUMNS` of shaders/shared/loss.wgsl.
 const COLUMNS: u32 = 4;
 
-/// Rows an invocation walks down. Ten rows more are read, so a long run wastes less; a GPU needs
-/// the invocations that short runs make.
+/// Rows that an invocation walks down. It reads ten rows more, so a long run wastes less; a GPU
+/// needs the many invocations of short runs.
 const RUN_ON_CPU: u32 = 32;
 const RUN_ON_GPU: u32 = 8;
 
@@ -121,10 +121,10 @@ pub struct Loss {
 }
 
 impl Loss {
-    /// For images of `width` x `height` px.
+    /// The loss for images of `width` x `height` px.
     ///
     /// # Errors
-    /// A device error, out of memory above all.
+    /// A device error, typically out of memory.
     pub fn new(gpu: &Gpu, width: usize, height: usize) -> Result<Self, GpuError> {
         let on_cpu = gpu.describe().device_type == DeviceType::Cpu;
         Self::with_run(
@@ -148,8 +148,8 @@ impl Loss {
     }
 
     /// Records the loss of `prediction` (planar [3, H, W]) against `target` (from
-    /// [`upload_target`]); overwrites `gradient` ([3, H, W]) with the derivative of the loss by the
-    /// prediction. Buffers may be longer than the image.
+    /// [`upload_target`]), and overwrites `gradient` ([3, H, W]) with the derivative of the loss by
+    /// the prediction. Buffers may be longer than the image.
     ///
     /// # Errors
     /// [`GpuError::Validation`] when a buffer is shorter than the image; a device error.
@@ -193,8 +193,8 @@ impl Loss {
         )
     }
 
-    /// The value of the loss that was submitted last. Waits for the device. The partial sums are
-    /// added up in one order, so the same images give the same bits.
+    /// The value of the last submitted loss. Waits for the device. The partial sums are added in a
+    /// fixed order, so the same images give the same bits.
     ///
     /// # Errors
     /// A device error.
@@ -220,8 +220,8 @@ impl Loss {
     }
 }
 
-/// An image as the loss reads it: planar, clipped to 0..=1, 16 bits a value, two values a word, the
-/// first in the lower half. Eight bits would show as bands after a tone curve.
+/// Packs an image for the loss: planar, clipped to 0..=1, 16 bits per value, two values per word,
+/// the first in the lower half. Eight bits would show as bands after a tone curve.
 pub fn pack_target(image: &Image) -> Vec<u32> {
     let quantised = |value: f32| (value.clamp(0.0, 1.0) * 65535.0 + 0.5) as u32;
     let pairs = image.data().chunks(2);

@@ -1,4 +1,4 @@
-//! What is known of one view while its photograph is compared with renders.
+//! The state of one view while its photograph is compared with renders.
 
 use fled_gpu::{Buffer, Gpu, GpuError};
 
@@ -11,23 +11,23 @@ use crate::register::Motion;
 use crate::shake::DeviceKernel;
 use crate::splat::pass::PassRecording;
 
-/// One view: as it was given, and how the scene becomes its photograph.
+/// One view as given, and the model of its camera and shake.
 pub(super) struct Observed<'a> {
     given: &'a TrainingView,
-    /// At the size that is trained, where the view was taken from as far as is known.
+    /// The corrected camera, at the size in training.
     camera: Camera,
-    /// From the camera as it was given to where the view was taken from.
+    /// From the given camera to the corrected one.
     motion: Motion,
-    /// How it is shaken; `None` where nothing is taken for shaken.
+    /// `None` without shake.
     pub(super) kernel: Option<DeviceKernel>,
-    /// The photograph as the loss reads it; made when it is first asked for.
+    /// The packed photograph for the loss, created on first use.
     target: Option<Buffer<u32>>,
-    /// A step without the noise field.
+    /// The recording of a step without the noise field.
     pub(super) recording: Option<PassRecording>,
 }
 
 impl<'a> Observed<'a> {
-    /// As it was given, at its full size.
+    /// The view as given, at its full size.
     pub(super) fn new(given: &'a TrainingView, kernel: Option<DeviceKernel>) -> Self {
         Self {
             camera: given.camera,
@@ -43,7 +43,7 @@ impl<'a> Observed<'a> {
         self.given
     }
 
-    /// Width and height that are trained, px.
+    /// Width and height in training, px.
     pub(super) fn size(&self) -> [usize; 2] {
         let k = &self.camera.intrinsics;
         [k.width, k.height]
@@ -61,12 +61,12 @@ impl<'a> Observed<'a> {
         &self.camera
     }
 
-    /// The camera at the size of the image as it was given.
+    /// The corrected camera, at the full size of the image.
     pub(super) fn full_camera(&self) -> Camera {
         self.motion.moved(&self.given.camera)
     }
 
-    /// The camera at the size that is trained if the view had been taken from elsewhere.
+    /// The camera at the size in training after `motion` of the given camera.
     pub(super) fn camera_after(&self, motion: &Motion) -> Camera {
         let [width, height] = self.size();
         motion.moved(&self.given.camera).resized(width, height)
@@ -81,13 +81,13 @@ impl<'a> Observed<'a> {
         self.motion = motion;
     }
 
-    /// The photograph at the size that is trained.
+    /// The photograph at the size in training.
     pub(super) fn photograph(&self) -> Image {
         let [width, height] = self.size();
         self.given.image.resize_area(width, height)
     }
 
-    /// The image that the loss compares with.
+    /// The packed photograph for the loss.
     pub(super) fn target(&mut self, gpu: &Gpu) -> Result<Buffer<u32>, GpuError> {
         let target = match self.target.take() {
             Some(target) => target,

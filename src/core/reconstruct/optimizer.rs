@@ -30,7 +30,7 @@ pub const PROJECT_BACKWARD_ADAM: Kernel = Kernel::new(
     ],
 );
 
-/// Copies the Gaussians that others are to become.
+/// Copies the sources of a relocation.
 const RELOCATE_TAKE: Kernel = Kernel::new(
     "train/relocate_take",
     &[
@@ -43,7 +43,7 @@ const RELOCATE_TAKE: Kernel = Kernel::new(
     ],
 );
 
-/// Puts the copies in their places.
+/// Writes the copies to their targets.
 const RELOCATE_PUT: Kernel = Kernel::new(
     "train/relocate_put",
     &[
@@ -67,8 +67,8 @@ const RATE_QUAT: f64 = 1e-3;
 const RATE_OPACITY: f64 = 0.05;
 const RATE_SH0: f64 = 2.5e-3;
 const RATE_SH: f64 = 1.25e-4;
-/// Weight of the means of the opacities and of the scales in the loss (MCMC). The 0.01 of its
-/// authors was chosen for rounds of 30,000 steps and millions of Gaussians.
+/// Weight of the means of the opacities and of the scales in the loss (MCMC). The authors' 0.01 was
+/// chosen for rounds of 30,000 steps and millions of Gaussians.
 const REGULARISER: f64 = 0.002;
 /// Exploration noise, in units of the rate of the means (MCMC).
 const NOISE: f64 = 5e5;
@@ -85,7 +85,7 @@ pub struct StepUniform {
     pub rate_sh: f32,
     /// 1 / (1 - beta^t) of the first moments.
     pub bias_m: f32,
-    /// Of the second moments.
+    /// 1 / (1 - beta^t) of the second moments.
     pub bias_v: f32,
     /// Gradient of the opacity regulariser by an opacity.
     pub opacity_weight: f32,
@@ -97,7 +97,7 @@ pub struct StepUniform {
     pub seed: u32,
     /// 0-based.
     pub step: u32,
-    /// Slots; the step is void above it.
+    /// Number of slots; a step with more intersections is void.
     pub capacity: u32,
     /// Index of the number of intersections in its buffer.
     pub total_at: u32,
@@ -106,8 +106,8 @@ pub struct StepUniform {
 }
 
 impl StepUniform {
-    /// The numbers of `step` of a round with `count` Gaussians in a scene of `extent` world units.
-    /// `mcmc`: whether MCMC densifies; without it there is neither regulariser nor noise.
+    /// The parameters of `step` in a round with `count` Gaussians and a scene of `extent` world
+    /// units. `mcmc`: whether MCMC densifies; without it there is neither regulariser nor noise.
     pub fn new(schedule: &Schedule, step: u32, count: usize, extent: f64, mcmc: bool) -> Self {
         let (relative, haste) = (schedule.means_rate(step), schedule.haste());
         let t = step as i32 + 1;
@@ -116,8 +116,7 @@ impl StepUniform {
         } else {
             0.0
         };
-        // Scales have a length: in units of the extent the same scene gets the same step at any
-        // scale.
+        // Scales have a length: in units of the extent, a scene takes the same step at any scale.
         let explores = mcmc && schedule.explores(step);
         let noise = if explores {
             NOISE * relative / extent
@@ -146,22 +145,22 @@ impl StepUniform {
     }
 }
 
-/// What the optimiser reads of the rasteriser's backward.
+/// The output of the rasteriser's backward pass.
 #[derive(Clone, Copy)]
 pub struct SlotGradients<'a> {
     /// First slot of every visible Gaussian, [capacity].
     pub slot_offsets: &'a Buffer<u32>,
-    /// What they hold.
+    /// The gradients in the slots.
     pub rows: &'a SlotRows,
     /// Holds the exact number of intersections at `StepUniform::total_at`.
     pub totals: &'a Buffer<u32>,
 }
 
-/// Numbers of a [`GeometryRow`](crate::splat::rows::GeometryRow) that are trained.
+/// Trained numbers of a [`GeometryRow`](crate::splat::rows::GeometryRow).
 const TRAINED: usize = GEOMETRY_ROW - 1;
 
-/// Adam's moments of the geometry of one Gaussian. Beside the number that only fills the row up
-/// stands what classic densification asks for; without it that is zero.
+/// Adam's moments of the geometry of one Gaussian. The last number of each row, else padding, holds
+/// the statistics of classic densification, or zero without it.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 pub struct GeometryMoments {
@@ -177,9 +176,9 @@ pub struct GeometryMoments {
 
 /// Adam's state on the device.
 pub struct Optimizer {
-    /// [`PROJECT_BACKWARD_ADAM`], accumulating the positions' gradients or not.
+    /// [`PROJECT_BACKWARD_ADAM`], with or without accumulation of the positions' gradients.
     update: Kernel,
-    /// The numbers of the step; written before each use.
+    /// The parameters of the step; written before each use.
     pub step: Buffer<StepUniform>,
     /// [capacity, 2, 12].
     pub geometry_moments: Rows<f32>,
@@ -198,11 +197,11 @@ struct RelocateUniform {
 }
 
 impl Optimizer {
-    /// Moments of zero for `gaussians`. `accumulates`: whether the sum of the
-    /// gradients by position is kept.
+    /// Zero moments for `gaussians`. `accumulates`: whether the gradients by position are summed
+    /// up.
     ///
     /// # Errors
-    /// Out of memory, or above what the adapter binds.
+    /// Out of memory, or more than the adapter can bind.
     pub fn new(
         gpu: &Gpu,
         gaussians: &DeviceGaussians,
@@ -228,7 +227,7 @@ impl Optimizer {
         })
     }
 
-    /// Adds the backward projection and the update of every Gaussian.
+    /// Records the backward projection and the update of every Gaussian.
     ///
     /// # Errors
     /// A shader or binding error.
@@ -284,7 +283,7 @@ impl Optimizer {
         Ok(bytemuck::pod_collect_to_vec(&numbers))
     }
 
-    /// Carries out a densification: copies, shapes, cleared moments.
+    /// Runs a densification: copies, shapes, cleared moments.
     ///
     /// # Errors
     /// A device error.
@@ -297,7 +296,7 @@ impl Optimizer {
         let sh_row = gaussians.sh.length();
         let taken_row = GEOMETRY_ROW + sh_row;
         let most = gpu.rows_per_part(taken_row * size_of::<f32>());
-        // What is taken never changes: a source keeps its place, rotation and colour.
+        // The copied values never change: a source keeps its place, rotation and colour.
         for (moves, shapes) in plan.moves.chunks(most).zip(plan.shapes.chunks(most)) {
             let uniform = RelocateUniform {
                 rows: moves.len() as u32,

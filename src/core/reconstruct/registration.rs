@@ -1,4 +1,4 @@
-//! Where photographs that did not train were taken from.
+//! Registration of photographs that did not train.
 
 use fled_gpu::Gpu;
 
@@ -9,20 +9,20 @@ use crate::cancel::CancelToken;
 use crate::gaussians::Gaussians;
 use crate::shake::Response;
 
-/// Corrections of a view that did not train.
+/// Number of corrections of a view that did not train.
 const CORRECTIONS: u32 = 4;
 
-/// A scene that does not change, beside photographs that were kept out of training, whose poses
-/// would otherwise be less exact than those of the others. It only renders forward: nothing of the
-/// photographs gets into the scene.
+/// A fixed scene with photographs kept out of training, whose poses would otherwise be less
+/// accurate than those of training views. It only renders forward: nothing of the photographs
+/// enters the scene.
 pub struct Registration<'a> {
     model: ForwardModel<'a>,
     sh_degree: u32,
 }
 
 impl<'a> Registration<'a> {
-    /// For `views` of `scene`. With `shake` they are taken for shaken, and for values that come
-    /// from light like this.
+    /// Registers `views` to `scene`. `shake` is the response from light to values, if the views are
+    /// shaken.
     ///
     /// # Errors
     /// [`ReconstructError::Empty`] without views or Gaussians; a device error.
@@ -43,8 +43,8 @@ impl<'a> Registration<'a> {
         })
     }
 
-    /// The views' cameras, corrected by renders of the scene, which lies about `depth` world units
-    /// away.
+    /// Returns the views' cameras, corrected by renders of the scene, which is about `depth` world
+    /// units away.
     ///
     /// # Errors
     /// Cancelled, or a device error.

@@ -1,4 +1,4 @@
-//! What changes over a round: resolution, degree, rates, densification, and the order of the views.
+//! The schedule of a round: resolution, degree, rates, densification, and the order of the views.
 
 use rand::SeedableRng;
 use rand::seq::SliceRandom;
@@ -8,50 +8,51 @@ use super::densify::classic::RESET_EVERY;
 
 /// Share of the steps at a quarter of the resolution.
 const QUARTER_SHARE: f64 = 0.1;
-/// Share of the steps after which the resolution is full.
+/// Share of the steps after which training runs at full resolution.
 const FULL_FROM: f64 = 0.3;
-/// Smaller images are not reduced: SSIM's window of 11 px would see nothing of them.
+/// Least side of a reduced image, px: SSIM's window of 11 px would see nothing of smaller ones.
 const SMALLEST_SIDE: usize = 32;
-/// Steps of the published trainers whose rates these are. A round is much shorter, so its steps are
-/// larger; with the published rates, splats of 1,000 steps hardly leave their points.
+/// Steps of the published trainers that these rates come from. A round is much shorter, so its
+/// steps are larger; with the published rates, splats hardly leave their points in 1,000 steps.
 const PUBLISHED_STEPS: f64 = 30_000.0;
-/// Means may go this many times as far in a step, so that they go as far in a round of 1,500.
+/// Largest factor of the means' rate, so that a round of 1,500 steps moves them as far.
 const MOST_MEANS_HASTE: f64 = 20.0;
-/// All else but opacities changes at most so many times as fast, and by the square root of what is
-/// missing.
+/// Largest factor of all other rates except that of opacities; it grows with the square root of the
+/// missing steps.
 const MOST_HASTE: f64 = 5.0;
 /// Rate of the means at the start and the end of a round of [`PUBLISHED_STEPS`], world units a step
 /// at extent 1.
 const MEANS_RATES: (f64, f64) = (1.6e-4, 1.6e-6);
-/// Warm rounds move the means by this share of the usual rate.
+/// Factor of the means' rate in warm rounds.
 const WARM_MEANS: f64 = 0.3;
 /// Densification runs between these shares of the round.
 const DENSIFY: (f64, f64) = (0.05, 0.8);
-/// The shake is estimated from this share of the round on.
+/// Share of the round after which the shake is estimated.
 const SHAKE_FROM: f64 = 0.3;
-/// The cameras are corrected so many times a round, less those that fall before [`POSES_FROM`].
+/// Corrections of the cameras per round, less those before [`POSES_FROM`].
 const POSE_CORRECTIONS: u32 = 5;
-/// They are corrected from this share of the round on, in a warm round from the second.
+/// Share of the round after which cameras are corrected; the second is that of a warm round.
 const POSES_FROM: f64 = 0.39;
 const WARM_POSES_FROM: f64 = 0.19;
-/// Exploration noise stops at this share of the round.
+/// Share of the round at which exploration noise stops.
 const NOISE_END: f64 = 0.9;
 
-/// What random numbers are drawn for. Each purpose has a stream of its own, so that none repeats
-/// the numbers of another.
+/// The purpose of random numbers. Each has its own stream, so that none repeats the numbers of
+/// another.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stream {
     /// The order of the views in an epoch.
     ViewOrder = 1,
     /// Which Gaussians are copied, and where the parts of split ones lie.
     Densification = 2,
-    /// What a round begins with.
+    /// The initial points of a round.
     FirstPoints = 3,
-    /// The colour behind the splats.
+    /// The background colour.
     Background = 5,
 }
 
-/// The plan of one round: pure functions of the step, so a resumed round goes on as if undisturbed.
+/// The plan of one round: pure functions of the step, so a resumed round continues as if
+/// uninterrupted.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Schedule {
     /// Steps of the round.
@@ -62,18 +63,18 @@ pub struct Schedule {
     pub resolution: bool,
     /// Whether the round starts from a trained scene.
     pub warm: bool,
-    /// Seed of everything random.
+    /// Random seed.
     pub seed: u64,
 }
 
 impl Schedule {
-    /// How much of the round lies before `step`, 0..=1.
+    /// Share of the round before `step`, 0..=1.
     pub fn share(&self, step: u32) -> f64 {
         f64::from(step) / f64::from(self.steps.max(1))
     }
 
-    /// By how much the images are reduced at `step` (0-based): 4, 2 or 1. A warm round has its
-    /// coarse shapes already; reduced images would only blur them.
+    /// Divisor of the images at `step` (0-based): 4, 2 or 1. A warm round already has its coarse
+    /// shapes; reduced images would only blur them.
     pub fn divisor(&self, step: u32) -> usize {
         let share = self.share(step);
         match share {
@@ -84,7 +85,7 @@ impl Schedule {
         }
     }
 
-    /// Active degree at `step`: one more every tenth of the round; all of them in a warm round.
+    /// Active degree at `step`: one more every tenth of the round, and all of them in a warm round.
     pub fn degree(&self, step: u32) -> u32 {
         if self.warm {
             return self.sh_degree;
@@ -92,7 +93,7 @@ impl Schedule {
         self.sh_degree.min((self.share(step) * 10.0) as u32)
     }
 
-    /// Factor of the rates of scales, quaternions and colours in a round as short as this.
+    /// Factor of the rates of scales, quaternions and colours for the length of the round.
     pub fn haste(&self) -> f64 {
         (PUBLISHED_STEPS / f64::from(self.steps.max(1)))
             .sqrt()
@@ -112,27 +113,27 @@ impl Schedule {
         self.share(step) < NOISE_END
     }
 
-    /// Steps between densifications: 100 as published, fewer in a round of few steps, which would
-    /// see too few.
+    /// Steps between densifications: 100 as published, fewer in a short round, which would
+    /// otherwise have too few.
     pub fn densify_interval(&self) -> u32 {
         (self.steps / 20).clamp(10, 100)
     }
 
-    /// Whether Gaussians are relocated before `step`.
+    /// Whether densification runs before `step`.
     pub fn densifies(&self, step: u32) -> bool {
         let share = self.share(step);
         step.is_multiple_of(self.densify_interval()) && share >= DENSIFY.0 && share < DENSIFY.1
     }
 
     /// Whether the shake of the views is estimated before `step`: never on the coarse images of a
-    /// cold round, whose pixels are as large as the shake, and from the first step on of a warm
-    /// one.
+    /// cold round, whose pixels are as large as the shake, and from the first step on in a warm
+    /// round.
     pub fn estimates_shake(&self, step: u32) -> bool {
         step.is_multiple_of(self.densify_interval())
             && (self.warm || self.share(step) >= SHAKE_FROM)
     }
 
-    /// Whether the cameras are corrected before `step`: not before there are edges to judge them
+    /// Whether the cameras are corrected before `step`: only once the scene has edges to judge them
     /// by.
     pub fn refines_poses(&self, step: u32) -> bool {
         let interval = (self.steps / POSE_CORRECTIONS).max(1);
@@ -144,12 +145,13 @@ impl Schedule {
         step.is_multiple_of(interval) && self.share(step) >= from
     }
 
-    /// Whether opacities are reset before `step` in classic densification: never in its last half.
+    /// Whether classic densification resets opacities before `step`: never in the last half of the
+    /// round.
     pub fn resets_opacities(&self, step: u32) -> bool {
         step > 0 && step.is_multiple_of(RESET_EVERY) && self.share(step) <= 0.5
     }
 
-    /// Densifications of the whole round.
+    /// Number of densifications in the round.
     pub fn densifications(&self) -> u32 {
         (0..self.steps)
             .step_by(self.densify_interval() as usize)
@@ -157,8 +159,7 @@ impl Schedule {
             .count() as u32
     }
 
-    /// The view of `step` among `views`: every view once an epoch, in an order drawn for that
-    /// epoch.
+    /// Index of the view of `step`: every view once per epoch, in an order drawn for that epoch.
     pub fn view(&self, step: u32, views: usize) -> usize {
         let (epoch, place) = (step as usize / views, step as usize % views);
         let mut order: Vec<_> = (0..views).collect();
@@ -166,7 +167,7 @@ impl Schedule {
         order[place]
     }
 
-    /// A generator for one purpose and moment, a step or an epoch, independent of all others.
+    /// A generator for one purpose and one step or epoch, independent of all others.
     pub fn generator(&self, stream: Stream, moment: u64) -> Pcg64 {
         let purpose = (stream as u64).wrapping_mul(0x9e37_79b9_7f4a_7c15);
         let mixed = self.seed ^ purpose ^ moment.rotate_left(32);
@@ -174,7 +175,8 @@ impl Schedule {
     }
 }
 
-/// The size of an image of `width` x `height` reduced by `divisor`, rounded up.
+/// The size of an image reduced by `divisor`, or by the largest factor of it that leaves
+/// [`SMALLEST_SIDE`]; rounded up.
 pub fn reduced_size(width: usize, height: usize, divisor: usize) -> (usize, usize) {
     let side = width.min(height);
     let fitting = (1..=divisor)
@@ -215,7 +217,7 @@ mod tests {
     }
 
     #[test]
-    fn the_rate_of_the_means_falls_a_hundredfold_over_the_rounds_own_length() {
+    fn the_rate_of_the_means_falls_a_hundredfold_over_a_round() {
         let long = Schedule {
             steps: 30_000,
             ..PLAN
@@ -252,7 +254,7 @@ mod tests {
     }
 
     #[test]
-    fn no_two_streams_and_no_two_moments_share_their_numbers() {
+    fn streams_and_moments_draw_different_numbers() {
         let streams = [
             Stream::ViewOrder,
             Stream::Densification,
@@ -281,7 +283,7 @@ mod tests {
     }
 
     #[test]
-    fn cameras_are_corrected_once_there_are_edges() {
+    fn cameras_are_corrected_only_in_later_steps() {
         let steps = |plan: Schedule| {
             (0..1_000)
                 .filter(move |&s| plan.refines_poses(s))
@@ -293,7 +295,7 @@ mod tests {
     }
 
     #[test]
-    fn densification_keeps_to_its_window() {
+    fn densification_stays_in_its_window() {
         assert_eq!(PLAN.densify_interval(), 50);
         assert!(
             !PLAN.densifies(0) && PLAN.densifies(50) && !PLAN.densifies(51) && !PLAN.densifies(800)

@@ -1,13 +1,13 @@
-//! Where a round begins.
+//! The start of a round.
 
 use super::checkpoint::Checkpoint;
 use crate::gaussians::Gaussians;
 
-/// Where a round begins.
+/// The start of a round.
 #[derive(Clone, Debug)]
 pub enum TrainStart {
-    /// From these Gaussians: [`initialise`](super::initialise())d, or those of the round before.
+    /// From these Gaussians: [`initialise`](super::initialise())d, or those of the previous round.
     Fresh(Gaussians),
-    /// From the middle of the same round.
+    /// From a checkpoint of the same round.
     Resume(Checkpoint),
 }

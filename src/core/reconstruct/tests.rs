@@ -16,7 +16,7 @@ use crate::splat::rasterize::{Forward, Specialisation, SplatBuffers, SplatSizes}
 use crate::splat::rows::{DeviceGaussians, pack_geometry};
 use crate::splat::uniform::{CameraUniform, NEAR};
 
-/// The image of a scene, by the kernels that train it.
+/// Renders a scene with the kernels that train it.
 fn render(gaussians: &Gaussians, camera: &Camera) -> Image {
     render_before(gaussians, camera, [0.0; 3])
 }
@@ -47,7 +47,7 @@ fn render_before(gaussians: &Gaussians, camera: &Camera, background: [f32; 3]) -
     Image::from_planar(width, height, buffers.image.read().expect("read"))
 }
 
-/// Opaque coloured blobs: a scene that images determine.
+/// Opaque coloured blobs: a scene that its images determine.
 fn truth(count: usize, seed: u64) -> Gaussians {
     let mut random = Random::new(seed);
     let mut scene = fixtures::gaussians(count, 1, seed);
@@ -111,7 +111,7 @@ fn config(steps: u32, cap: usize) -> TrainConfig {
     }
 }
 
-/// What a structure from motion would give: noisy means with the right colours.
+/// The points that structure from motion would find: noisy means with the right colours.
 fn points_of(scene: &Gaussians) -> Vec<Point> {
     let mut random = Random::new(99);
     let colour = |v: f32| ((0.5 + 0.282 * v).clamp(0.0, 1.0) * 255.0) as u8;
@@ -158,7 +158,7 @@ fn bytes(scene: &Gaussians) -> Vec<u8> {
 }
 
 #[test]
-fn who_looks_is_told_every_25_steps_and_changes_nothing() {
+fn the_seen_hook_is_called_every_25_steps_without_effect() {
     let scene = truth(60, 2);
     let views = views_of(&scene, &[-0.1, 0.1], [64, 48]);
     let config = config(60, 400);
@@ -185,12 +185,12 @@ fn who_looks_is_told_every_25_steps_and_changes_nothing() {
 }
 
 #[test]
-fn who_looks_at_the_scene_sees_it_as_it_stands_and_changes_nothing() {
+fn the_look_hook_sees_the_current_scene_without_effect() {
     let scene = truth(60, 2);
     let views = views_of(&scene, &[-0.1, 0.1], [64, 48]);
     let config = config(60, 400);
     let alone = trained(&views, start(&views, &scene, &config), &config);
-    // Larger than what trains: the splats touch more tiles than its buffers hold.
+    // Larger than the views in training: the splats touch more tiles than their buffers hold.
     let camera = camera_at(0.3, 640, 480);
     let mut seen = Vec::new();
     let mut hooks = TrainHooks {
@@ -224,7 +224,7 @@ fn who_looks_at_the_scene_sees_it_as_it_stands_and_changes_nothing() {
 }
 
 #[test]
-fn two_thousand_gaussians_learn_one_image_by_heart() {
+fn two_thousand_gaussians_overfit_one_image() {
     let scene = truth(300, 5);
     let views = views_of(&scene, &[0.2], [96, 64]);
     let config = config(300, 2_000);
@@ -239,7 +239,7 @@ fn two_thousand_gaussians_learn_one_image_by_heart() {
 }
 
 #[test]
-fn eight_views_of_a_synthetic_scene_predict_views_held_out() {
+fn eight_views_of_a_synthetic_scene_predict_held_out_ones() {
     let scene = truth(150, 8);
     let angles: Vec<_> = (0..8).map(|n| -0.6 + 0.17 * f64::from(n)).collect();
     let views = views_of(&scene, &angles, [96, 64]);
@@ -262,7 +262,7 @@ fn eight_views_of_a_synthetic_scene_predict_views_held_out() {
 }
 
 #[test]
-fn the_same_seed_gives_the_same_bytes_and_another_seed_others() {
+fn equal_seeds_give_equal_bytes_and_other_seeds_do_not() {
     let scene = truth(120, 2);
     let views = views_of(&scene, &[-0.3, 0.0, 0.3], [64, 48]);
     let config = TrainConfig {
@@ -285,7 +285,7 @@ fn the_same_seed_gives_the_same_bytes_and_another_seed_others() {
 }
 
 #[test]
-fn a_scene_larger_than_a_binding_trains_in_parts_to_the_same_bytes() {
+fn a_scene_larger_than_a_binding_trains_to_the_same_bytes() {
     let scene = truth(120, 2);
     let views = views_of(&scene, &[-0.3, 0.0, 0.3], [32, 32]);
     let config = TrainConfig {
@@ -293,7 +293,7 @@ fn a_scene_larger_than_a_binding_trains_in_parts_to_the_same_bytes() {
         ..config(120, 500)
     };
     let small = Gpu::binding_at_most("auto", 64 * 1024).expect("an adapter");
-    // Adam's moments of the harmonics: 2 x 48 numbers a Gaussian.
+    // Adam's moments of the harmonics: 2 x 48 numbers per Gaussian.
     assert_eq!(small.rows_per_part(2 * 48 * 4), 170);
     let begin = || start(&views, &scene, &config);
     let (whole, parts) = (
@@ -305,7 +305,7 @@ fn a_scene_larger_than_a_binding_trains_in_parts_to_the_same_bytes() {
 }
 
 #[test]
-fn an_overflow_of_the_intersections_is_repeated_in_larger_buffers() {
+fn a_step_that_overflows_is_repeated_in_larger_buffers() {
     let scene = truth(120, 2);
     let views = views_of(&scene, &[-0.3, 0.3], [64, 48]);
     let config = config(60, 120);
@@ -332,7 +332,7 @@ fn an_overflow_of_the_intersections_is_repeated_in_larger_buffers() {
 }
 
 #[test]
-fn a_poisoned_start_neither_spreads_nor_reaches_the_result() {
+fn a_poisoned_start_neither_spreads_nor_stays_in_the_scene() {
     let scene = truth(120, 2);
     let views = views_of(&scene, &[-0.3, 0.3], [64, 48]);
     let config = config(60, 400);

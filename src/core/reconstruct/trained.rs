@@ -1,4 +1,4 @@
-//! What a round leaves.
+//! The result of a round.
 
 use crate::camera::Camera;
 use crate::gaussians::Gaussians;
@@ -7,24 +7,24 @@ use crate::metrics::report::NoiseMapStatistics;
 /// A trained round.
 #[derive(Clone, Debug)]
 pub struct Trained {
-    /// The scene. Gaussians that are not finite are left out.
+    /// The scene, without Gaussians that are not finite.
     pub gaussians: Gaussians,
     /// Optimiser steps of the round.
     pub steps: u64,
-    /// Wall seconds of all processes that trained it, as far as checkpoints tell.
+    /// Wall seconds of training in all processes, as recorded in checkpoints.
     pub seconds: f64,
-    /// Gradients that were not finite and were dropped.
+    /// Gradients dropped because they were not finite.
     pub non_finite_gradients: u64,
-    /// What the noise field learnt; `None` when it was off.
+    /// Statistics of the learnt noise field; `None` without one.
     pub noise: Option<NoiseMapStatistics>,
     /// Mean [`ShakeKernel::spread`](crate::shake::ShakeKernel::spread) over the views, px; `None`
-    /// when shake was off.
+    /// without shake.
     pub shake_px: Option<f64>,
     /// Views with a kernel.
     pub kernels: u32,
     /// The views' cameras, in their order, corrected or as given.
     pub cameras: Vec<Camera>,
-    /// What the user should know.
+    /// Warnings for the user.
     pub warnings: Vec<String>,
     /// Loss of the last step.
     pub final_loss: f64,

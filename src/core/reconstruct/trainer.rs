@@ -34,12 +34,12 @@ const IN_FLIGHT: usize = 2;
 const CHECKPOINT_EVERY: Duration = Duration::from_secs(30);
 /// Time between reports of progress.
 const PROGRESS_EVERY: Duration = Duration::from_millis(250);
-/// Steps between looks at the noise map.
+/// Steps between inspections of the noise map.
 const INSPECT: u32 = 100;
-/// Steps between two that are told of, at each of which nothing is in flight.
+/// Steps between reports of the state of training, at which nothing is in flight.
 const TOLD: u32 = 25;
 
-/// Everything a round holds.
+/// The state of a round.
 pub(super) struct Trainer<'a> {
     gpu: &'a Gpu,
     config: &'a TrainConfig,
@@ -57,9 +57,9 @@ pub(super) struct Trainer<'a> {
     next: u32,
     start_count: usize,
     last_view: usize,
-    /// Wall seconds that earlier processes trained.
+    /// Wall seconds of training in earlier processes.
     seconds_before: f64,
-    /// When this one began to.
+    /// Start of training in this process.
     begun: Instant,
     checkpoint_every: Duration,
     progress_every: Duration,
@@ -118,16 +118,15 @@ impl<'a> Trainer<'a> {
         Ok(trainer)
     }
 
-    /// Trains to the last step.
     pub(super) fn run(mut self, hooks: &mut TrainHooks<'_>) -> Result<Trained, ReconstructError> {
         self.begun = Instant::now();
         self.train_to(self.config.steps, hooks)?;
         self.finish()
     }
 
-    /// Trains up to the step `last`, at most the round's number, and leaves nothing in flight. Who
-    /// is asked to stop hands over a checkpoint after the step that runs, or where that has to be
-    /// repeated after the next that has not.
+    /// Trains up to step `last`, at most the round's number, and leaves nothing in flight. On
+    /// cancellation, hands over a checkpoint after the running step or, if that step must be
+    /// repeated, after the next step that need not be.
     fn train_to(&mut self, last: u32, hooks: &mut TrainHooks<'_>) -> Result<(), ReconstructError> {
         let begin = Instant::now();
         let first = self.next;
@@ -175,7 +174,7 @@ impl<'a> Trainer<'a> {
         }
     }
 
-    /// Tells how training goes, where somebody looks; nothing may be in flight.
+    /// Reports the state of training to the hook, if any; nothing may be in flight.
     fn show(&self, first: u32, hooks: &mut TrainHooks<'_>) -> Result<(), ReconstructError> {
         let Some(seen) = &mut hooks.seen else {
             return Ok(());
@@ -190,7 +189,7 @@ impl<'a> Trainer<'a> {
         Ok(())
     }
 
-    /// Lets whoever wants to look at the scene; nothing may be in flight.
+    /// Calls the look hook, if any; nothing may be in flight.
     fn look(&mut self, first: u32, hooks: &mut TrainHooks<'_>) -> Result<(), ReconstructError> {
         let Some(look) = &mut hooks.look else {
             return Ok(());
@@ -214,7 +213,7 @@ impl<'a> Trainer<'a> {
         Ok(self.level.loss(last_view).value()?.total)
     }
 
-    /// Wall seconds that the round has taken, in all processes.
+    /// Wall seconds of the round so far, in all processes.
     fn seconds(&self) -> f64 {
         self.seconds_before + self.begun.elapsed().as_secs_f64()
     }
@@ -259,8 +258,8 @@ impl Trainer<'_> {
         frozen.expect("a checkpoint after the step")
     }
 
-    /// Trains until so many steps are done, is asked to stop, by whoever looks between two steps or
-    /// when a step is told of, and returns what is handed over.
+    /// Trains until `step` steps are done, then cancels, from the look hook if `between`, else from
+    /// the progress hook. Returns the checkpoints handed over.
     pub(super) fn stopped_at(mut self, step: u32, between: bool) -> Vec<super::Checkpoint> {
         let mut kept = Vec::new();
         let cancel = crate::cancel::CancelToken::new();
@@ -290,7 +289,7 @@ impl Trainer<'_> {
         kept
     }
 
-    /// The same with room for so many intersections.
+    /// The trainer with room for this number of intersections.
     pub(super) fn with_intersections(mut self, intersections: usize) -> Self {
         self.model.pass.set_room(intersections).expect("made");
         self

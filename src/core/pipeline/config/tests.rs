@@ -1,9 +1,9 @@
-//! Options as users write them.
+//! Tests of options as users write them.
 
 use super::*;
 
 #[test]
-fn what_a_kernel_explains_is_not_deblurred_for_training_unless_asked_for() {
+fn views_with_a_kernel_train_as_enhanced_by_default() {
     let with = |shake, train_on| Options {
         shake,
         train_on,
@@ -20,7 +20,7 @@ fn what_a_kernel_explains_is_not_deblurred_for_training_unless_asked_for() {
 }
 
 #[test]
-fn late_kernels_are_for_views_that_tell() {
+fn late_kernels_are_for_views_found_shaken() {
     assert!(ShakeModel::Late.explains(true) && !ShakeModel::Late.explains(false));
     assert!(ShakeModel::Kernel.explains(false) && !ShakeModel::Off.explains(true));
 }
@@ -77,7 +77,7 @@ fn every_nth_view_may_be_a_number_or_a_string_in_json() {
 }
 
 #[test]
-fn no_option_is_retired() {
+fn no_current_option_is_retired() {
     let all = serde_json::to_value(Options::default()).expect("JSON");
     for key in all.as_object().expect("object").keys() {
         assert!(!Options::is_retired(key), "{key}");
@@ -117,7 +117,7 @@ fn an_unknown_key_or_bad_value_names_the_key() {
 }
 
 #[test]
-fn of_stored_options_those_are_known_that_there_are() {
+fn stored_options_that_no_longer_exist_are_dropped() {
     let stored = serde_json::json!({ "rounds": 3, "dropout": 0.0, "view_colour": false });
     let known = Options::known(&stored);
     assert_eq!(serde_json::json!(known), serde_json::json!({ "rounds": 3 }));

@@ -3,8 +3,8 @@ use serde_json::json;
 use super::*;
 use crate::pipeline::config::{ShakeModel, TrainOn};
 
-/// Which results a change of each option makes stale, in the order of Algorithm 1. Options without
-/// any act through the tools that they choose.
+/// The results that each option invalidates, in the order of Algorithm 1. Options without any act
+/// through the tools that they choose.
 const STALE: [(&str, &[&str]); 22] = [
     ("rounds", &["enhance", "deblur", "reconstruct", "guided"]),
     ("steps", &["reconstruct", "guided"]),
@@ -94,7 +94,7 @@ fn found() -> Poses {
     }
 }
 
-/// The fingerprint of every kind of result.
+/// The fingerprint of each kind of result.
 fn results(options: &Options, networks: &Networks) -> Vec<(&'static str, String)> {
     let poses = PosesDependencies::new(options, "capture", "source", networks);
     let run = RunDependencies::new(
@@ -129,7 +129,7 @@ fn stale(before: &[(&'static str, String)], after: &[(&'static str, String)]) ->
     before.iter().zip(after).filter_map(changed).collect()
 }
 
-/// The results of the three stages that take long, and of what they are made from.
+/// The results of the three long stages, and their inputs.
 const LISTED: [&str; 6] = [
     "poses",
     "views",
@@ -140,7 +140,7 @@ const LISTED: [&str; 6] = [
 ];
 
 #[test]
-fn every_option_makes_stale_what_reads_it_and_what_follows_and_nothing_else() {
+fn an_option_invalidates_only_its_readers_and_what_follows() {
     let options = Options::default();
     let all = networks("one", None);
     let before = results(&options, &all);
@@ -166,7 +166,7 @@ fn every_option_makes_stale_what_reads_it_and_what_follows_and_nothing_else() {
 }
 
 #[test]
-fn another_network_leaves_the_poses_and_what_is_trained_on_enhanced_views() {
+fn another_network_keeps_poses_and_scenes_of_enhanced_views() {
     let options = Options {
         shake: ShakeModel::Kernel,
         ..Options::default()
@@ -180,12 +180,12 @@ fn another_network_leaves_the_poses_and_what_is_trained_on_enhanced_views() {
 }
 
 #[test]
-fn another_network_makes_a_scene_stale_that_is_trained_on_deblurred_views() {
+fn another_network_invalidates_scenes_of_deblurred_views() {
     let deblurred = Options {
         train_on: TrainOn::Deblurred,
         ..Options::default()
     };
-    // By default the first round is.
+    // By default the first round trains on them.
     for options in [deblurred, Options::default()] {
         let before = results(&options, &networks("one", None));
         let after = results(&options, &networks("two", None));
@@ -196,7 +196,7 @@ fn another_network_makes_a_scene_stale_that_is_trained_on_deblurred_views() {
 }
 
 #[test]
-fn a_stage_sees_the_defaults_in_place_of_options_that_it_does_not_name() {
+fn a_stage_sees_defaults_for_options_that_it_does_not_name() {
     let options = Options {
         steps: 7,
         cap: 777,
@@ -223,7 +223,7 @@ fn a_round_depends_on_the_one_before_it() {
 }
 
 #[test]
-fn rounds_at_the_target_depend_on_other_things_than_rising_ones() {
+fn rounds_at_the_target_differ_from_rising_ones() {
     let one = networks("one", None);
     let adapter = "adapter".to_owned();
     let run = RunDependencies::new(&Options::default(), "capture", &found(), one, adapter);

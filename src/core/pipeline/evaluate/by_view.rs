@@ -1,11 +1,12 @@
-//! The row of every photograph.
+//! The row of each photograph in the metrics.
 
 use super::records::Comparison;
 use super::score::Likeness;
 use crate::metrics::{Brightness, ImageKind, Reference, ViewScore};
 use crate::pipeline::views::View;
 
-/// The scores of every view's render at the target brightness, then the photographs without a pose.
+/// Rows of all views, scored by their renders at the target brightness, then of the photographs
+/// without a pose.
 pub fn rows(
     views: &[View],
     unregistered: &[String],
@@ -112,7 +113,7 @@ mod tests {
     }
 
     #[test]
-    fn a_view_is_scored_against_truth_where_it_has_one_and_one_without_a_pose_is_listed() {
+    fn views_score_against_truth_and_unposed_ones_are_listed() {
         let views = [
             view("a", Split::HeldOut, Some(Image::new(SIDE, SIDE))),
             view("b", Split::Train, None),

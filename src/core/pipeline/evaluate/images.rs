@@ -1,8 +1,8 @@
-//! The images that a round is measured by.
+//! The images that the metrics of a round compare.
 
 use crate::image::Image;
 
-/// The images of one round, a view each, in the order of the views.
+/// The images of one round, one per view, in the order of the views.
 #[derive(Clone, Copy, Debug)]
 pub struct RoundImages<'a> {
     /// H_i.
@@ -14,7 +14,6 @@ pub struct RoundImages<'a> {
 }
 
 impl<'a> RoundImages<'a> {
-    /// Of H_i, D_i and R_i.
     pub fn new(enhanced: &'a [Image], deblurred: &'a [Image], renders: &'a [Image]) -> Self {
         Self {
             enhanced,

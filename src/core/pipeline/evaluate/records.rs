@@ -1,4 +1,4 @@
-//! The scores of a round, against everything that it is compared with.
+//! The scores of a round against each of its references.
 
 use rayon::prelude::*;
 
@@ -32,18 +32,15 @@ impl Scores {
 /// One kind of image against one kind of reference, at one brightness.
 #[derive(Clone, Debug)]
 pub struct Comparison {
-    /// What was compared.
     pub image: ImageKind,
-    /// Against what.
     pub reference: Reference,
-    /// At which brightness.
     pub brightness: Brightness,
-    /// Of every view; `None` where it has no such reference.
+    /// Scores by view; `None` where a view has no such reference.
     pub scores: Vec<Option<Scores>>,
 }
 
-/// Every comparison of a round: with ground truth where the capture has it, and of the renders
-/// with what they were made from.
+/// Every comparison of a round: with ground truth where the capture has it, and of the renders with
+/// their training images.
 pub fn comparisons(
     views: &[View],
     images: &RoundImages<'_>,
@@ -89,10 +86,10 @@ pub fn comparisons(
     ]
 }
 
-/// What a view is compared with.
+/// Returns the reference of a view.
 type References<'a> = dyn Fn(usize) -> Option<&'a Image> + Sync + 'a;
 
-/// The means of each comparison over the views of each split.
+/// The means of each comparison by split.
 pub fn records(views: &[View], comparisons: &[Comparison]) -> Vec<Record> {
     let mean = |split: Split| {
         let of = move |comparison| mean_record(views, split, comparison);

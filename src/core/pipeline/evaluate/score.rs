@@ -1,4 +1,4 @@
-//! By what rounds are compared.
+//! The score by which rounds are compared.
 
 use rayon::prelude::*;
 
@@ -9,24 +9,24 @@ use crate::pipeline::views::View;
 use crate::shake::reference::shaken_image;
 use crate::shake::{self, Response};
 
-/// How a render explains its view, both at the target brightness.
+/// How well a render explains its view, both at the target brightness.
 #[derive(Clone, Copy, Debug)]
 pub struct Likeness {
-    /// Root mean square distance that the shake found in the view moves its light, px.
+    /// Root mean square distance by which the view's shake moves light, px.
     pub shake_px: f64,
-    /// Whether that shake is told from none.
+    /// Whether the shake differs significantly from none.
     pub is_shaken: bool,
-    /// Colour-fitted PSNR of the render, shaken as the view is, against the view, dB: a round's
-    /// brightness is matched to the target's by a curve, and what the curve misses is no fault of
-    /// the scene.
+    /// Colour-fitted PSNR of the render, shaken as its view is, against the view, dB. A curve
+    /// matches the round's brightness to the target's; the colour fit removes the error of that
+    /// curve, which is no fault of the scene.
     pub psnr_cc_db: f64,
-    /// Correlation of the two: whether the view stands where its pose says.
+    /// Correlation of the two; low where the view's pose is wrong.
     pub fit: f64,
 }
 
-/// The likeness of every render. Each is first shaken as its view is, else the sharper of two
-/// scenes looks like the worse one; also where the scene was trained without kernels, whose views
-/// are shaken no less.
+/// The likeness of every render. Each is first shaken as its view is, or the sharper of two scenes
+/// would look like the worse one. This also applies to a scene trained without kernels, whose views
+/// are no less shaken.
 pub fn likenesses(renders: &[Image], target: &[Image], response: &Response) -> Vec<Likeness> {
     let of = |(render, view): (&Image, &Image)| {
         let kernel = shake::estimate(render, view, response);
@@ -41,10 +41,11 @@ pub fn likenesses(renders: &[Image], target: &[Image], response: &Response) -> V
     renders.par_iter().zip(target).map(of).collect()
 }
 
-/// Mean PSNR of the likenesses, dB, over held-out views where there are any, and without those that
-/// joined late: a round must not lose by having more views. The noise of the views adds the same to
-/// every round's squared error, so that what differs is the scene; SSIM drowns in it. Never against
-/// ground truth: a capture that brings it must be delivered the same scene as one that does not.
+/// Mean colour-fitted PSNR of the likenesses, dB, over the held-out views if there are any, and
+/// without late views, so that a round does not lose by having more views. The noise of the views
+/// adds the same amount to every round's squared error, so only the scene makes a difference; in
+/// SSIM the noise drowns it. Ground truth is never used: a capture with it must deliver the same
+/// scene as one without.
 pub fn score(views: &[View], likenesses: &[Likeness]) -> f64 {
     let of = |split: Split| -> Vec<f64> {
         let pairs = views.iter().zip(likenesses);
@@ -107,7 +108,7 @@ mod tests {
     }
 
     #[test]
-    fn the_sharper_of_two_scenes_wins_because_its_render_is_shaken_first() {
+    fn the_sharper_scene_wins_because_its_render_is_shaken_first() {
         let side = SIDE as f64;
         let intrinsics = Intrinsics {
             width: SIDE,

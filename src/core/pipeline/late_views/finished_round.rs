@@ -1,4 +1,4 @@
-//! What late views are found by.
+//! The inputs of the search for late views.
 
 use crate::capture::Capture;
 use crate::image::Image;
@@ -8,21 +8,21 @@ use crate::pipeline::round::Round;
 use crate::pipeline::views::View;
 use crate::poses::Poses;
 
-/// A finished round, and what it was made from.
+/// A finished round and its inputs.
 #[derive(Clone, Copy)]
 pub struct FinishedRound<'a> {
     /// All photographs.
     pub capture: &'a Capture,
-    /// Where they were found.
+    /// Their poses.
     pub poses: &'a Poses,
     /// The round.
     pub round: &'a Round,
-    /// Those with a pose, where the round's training left them.
+    /// The views with a pose, with the cameras of the round's training.
     pub views: &'a [View],
     /// R_i.
     pub renders: &'a [Image],
     /// V_i.
     pub scene: &'a TrainedScene,
-    /// How each view fits its render.
+    /// The round's metrics, with the fit of each view.
     pub metrics: &'a RoundMetrics,
 }

@@ -1,4 +1,4 @@
-//! Photographs placed by what renders of a scene have in common with them.
+//! Places photographs by key points that they share with renders of a scene.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -20,54 +20,52 @@ use crate::poses::matching::{Correspondences, Matching, Pairs};
 use crate::poses::pnp::{Sighting, meeting, resect};
 use crate::poses::{Lens, PosedView};
 
-/// How far a sighting may be from where the camera sees its point, px of an image whose longer side
-/// is 560: a key point of a shaken photograph lies anywhere along its path.
+/// Largest distance between a sighting and the projection of its point, px of an image whose longer
+/// side is 560: a key point of a shaken photograph lies anywhere along its path.
 const NEAR_PX: f64 = 6.0;
 
-/// Fewer agreeing sightings place nothing.
+/// Least number of agreeing sightings that place a photograph.
 const LEAST_AGREEING: usize = 20;
 
-/// A photograph is compared with so many renders at most, spread over the capture.
+/// Most renders that a photograph is compared with, spread over the capture.
 const MOST_RENDERS: usize = 60;
 
 /// The scene by which photographs are placed.
 #[derive(Clone, Copy)]
 pub struct Scene<'a> {
-    /// The round that made it.
     pub finished: &'a FinishedRound<'a>,
-    /// The names of views whose poses are not believed: their renders show nothing.
+    /// The names of views with doubtful poses, whose renders are not used.
     pub leaving: &'a [String],
-    /// Options of this stage.
     pub options: &'a Options,
 }
 
 /// A photograph with a place.
 #[derive(Clone, Debug)]
 pub struct Placed {
-    /// With the camera at the original's size.
+    /// The pose, with the camera at the original's size.
     pub posed: PosedView,
     /// The camera at working size.
     pub camera: Camera,
     /// The photograph at the round's brightness and working size.
     pub image: Image,
-    /// Key points that it has in common with renders.
+    /// Key points shared with renders.
     pub matches: usize,
-    /// Those that agree with the place.
+    /// Matches that agree with the place.
     pub agreeing: usize,
-    /// Their root mean square distance, px of the working size.
+    /// Their root mean square error, px of the working size.
     pub error_px: f64,
 }
 
-/// Which renders show a photograph's key points, and where.
+/// By key point of a photograph, the renders that show it, and where.
 type Seen<'a> = BTreeMap<u32, Vec<(&'a Camera, DVec2)>>;
 
-/// A photograph that is looked for, through a lens of another one.
+/// A photograph to place, with the lens of another one.
 struct Query {
     posed: PosedView,
     view: View,
 }
 
-/// Places those of the photographs that it can.
+/// Places as many of the photographs as possible.
 ///
 /// # Errors
 /// As [`super::late_views`].
@@ -126,8 +124,8 @@ pub fn place(
 }
 
 impl Scene<'_> {
-    /// The photograph as it would be seen through the lens of one of the same size that has a pose:
-    /// of the most similar focal length, where EXIF tells.
+    /// The photograph undistorted with the lens of a posed one of the same size, of the most
+    /// similar focal length if EXIF records one.
     fn query(&self, photograph: &CaptureView) -> Result<Option<Query>, PipelineError> {
         let unreadable = |source| PipelineError::Photograph {
             name: photograph.name.clone(),
@@ -159,12 +157,12 @@ impl Scene<'_> {
         Ok(Some(Query { posed, view }))
     }
 
-    /// Indices of the views whose renders are looked at by each of so many photographs.
+    /// Indices of the views whose renders are matched with each of that many photographs.
     fn references(&self, photographs: usize) -> Vec<usize> {
         let all: Vec<usize> = (0..self.finished.views.len())
             .filter(|&index| !self.leaving.contains(&self.finished.views[index].name))
             .collect();
-        // As many pairs as sixty photographs have, and some renders for each at least.
+        // The pairs of sixty photographs at most, but some renders for each photograph.
         let most = (1800 / photographs.max(1))
             .clamp(8, MOST_RENDERS)
             .min(all.len());
@@ -173,7 +171,7 @@ impl Scene<'_> {
             .collect()
     }
 
-    /// Photographs and renders as files, as bright as the networks like them.
+    /// Writes photographs and renders as files, at the brightness that suits the networks.
     fn pictures(
         &self,
         context: &Context<'_>,
@@ -199,8 +197,8 @@ impl Scene<'_> {
         dark.chain(renders).enumerate().map(write).collect()
     }
 
-    /// What each photograph shows of the scene: its key points that two renders or more show, too,
-    /// at the places where these see them.
+    /// For each photograph, its key points that at least two renders show, at the positions where
+    /// these see them.
     fn sightings(
         &self,
         found: &Correspondences,
@@ -231,7 +229,7 @@ impl Scene<'_> {
         seen.iter().enumerate().map(of).collect()
     }
 
-    /// The place that most sightings agree on.
+    /// Resects the photograph at the place on which most sightings agree.
     fn resect(
         &self,
         context: &mut Context<'_>,
@@ -267,7 +265,7 @@ impl Scene<'_> {
     }
 }
 
-/// Where a key point of a picture lies.
+/// Position of a key point in its picture.
 fn pixel(found: &Correspondences, picture: usize, point: u32) -> DVec2 {
     let [x, y] = found.key_points[picture][point as usize];
     DVec2::new(x.into(), y.into())

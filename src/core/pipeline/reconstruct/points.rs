@@ -1,4 +1,4 @@
-//! The sparse points that a first round grows from.
+//! The sparse points that initialise the first round.
 
 use crate::camera::Split;
 use crate::image::Image;
@@ -6,9 +6,9 @@ use crate::pipeline::views::View;
 use crate::poses::{Poses, SparsePoint};
 use crate::reconstruct::Point;
 
-/// The sparse points in the colours that the round trains on: the median over the training views
-/// that a point falls into. COLMAP's own colours are those of its brightened copies; splats that
-/// start much too bright turn transparent before they turn dark, and holes stay.
+/// The sparse points in the colours of the round's images: the median over the training views that
+/// show a point. COLMAP's own colours are those of brightened copies; splats that start much too
+/// bright turn transparent before they turn dark, and leave holes.
 pub fn coloured(poses: &Poses, views: &[View], images: &[Image]) -> Vec<Point> {
     let seen = |position: [f64; 3]| -> Vec<[f32; 3]> {
         views
@@ -42,7 +42,7 @@ pub fn coloured(poses: &Poses, views: &[View], images: &[Image]) -> Vec<Point> {
         .collect()
 }
 
-/// Positions and colours of the sparse points, as the trainer takes them.
+/// Positions and colours of the sparse points, unchanged.
 pub fn as_given(poses: &Poses) -> Vec<Point> {
     poses
         .points

@@ -1,5 +1,5 @@
-//! What one sees of a round while it trains: how well views that were held out are met, and a
-//! picture of one. Nothing of it reaches the scene.
+//! Live feedback of a round in training: scores of held-out views, and a picture of one. None of it
+//! affects the scene.
 
 use std::time::{Duration, Instant};
 
@@ -22,19 +22,19 @@ use crate::shake::{self, Response};
 
 /// Steps between scores.
 const SCORED: u32 = 100;
-/// Views that are scored.
+/// Most views that are scored.
 const MOST_VIEWS: usize = 3;
-/// They are compared at this part of their size: a quarter of the pixels.
+/// Divisor of their sides: they are compared at a quarter of the pixels.
 const PART: usize = 2;
 /// Time between pictures.
 const PICTURED: Duration = Duration::from_secs(10);
-/// Longer side of a picture at most, px.
+/// Longest side of a picture, px.
 const PICTURE_SIDE: usize = 640;
-/// After each look of a kind so many times as long is trained: looking takes a hundredth of the
-/// time for each of the two kinds, however fast the device is.
+/// Pause after a score or a picture, as a multiple of its duration: each of the two takes at most a
+/// hundredth of the time, on any device.
 const REST: u32 = 100;
 
-/// The views of a round as they are looked at.
+/// The inputs of the live feedback.
 #[derive(Clone, Copy)]
 pub struct Watched<'a> {
     /// The round.
@@ -43,19 +43,19 @@ pub struct Watched<'a> {
     pub views: &'a [View],
     /// H_i, in their order.
     pub enhanced: &'a [Image],
-    /// How light becomes the values of the target brightness, which ground truth has.
+    /// The response from light to values at the target brightness, which ground truth has.
     pub target: &'a Response,
 }
 
-/// Watches one round.
+/// The live feedback of one round.
 pub struct Watch<'a> {
     round: &'a Round,
     target: &'a Response,
     steps: u32,
     compared: Vec<Compared>,
-    /// Whether with ground truth.
+    /// Whether the references are ground truth.
     truth: bool,
-    /// Whose picture is made; `None` where one could not be written.
+    /// The view whose picture is made; `None` after a picture could not be written.
     pictured: Option<&'a View>,
     scores: Pace,
     pictures: Pace,
@@ -68,8 +68,8 @@ struct Compared {
 }
 
 impl<'a> Watch<'a> {
-    /// Of a round of so many steps. Where some held-out views have ground truth, those are
-    /// compared, with it; else all of them with their enhanced views.
+    /// Watches a round of `steps` steps. If some held-out views have ground truth, those are scored
+    /// against it; else all are scored against their enhanced views.
     pub fn new(watched: &Watched<'a>, steps: u32) -> Self {
         let views = watched.views;
         let held_out: Vec<usize> = (0..views.len())
@@ -103,7 +103,7 @@ impl<'a> Watch<'a> {
         }
     }
 
-    /// Scores and pictures that are due, told to whoever watches the run.
+    /// Makes the scores and pictures that are due, and reports them to the event sink.
     ///
     /// # Errors
     /// A device error.

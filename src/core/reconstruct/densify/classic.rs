@@ -1,9 +1,9 @@
-//! Densification as first published, to compare with: Gaussians whose position the loss has a large
-//! gradient by are cloned when small and split when large; transparent ones go. Kerbl et al., "3D
-//! Gaussian Splatting for Real-Time Radiance Field Rendering", 2023, section 5.
+//! Densification as first published, for comparison: Gaussians with a large gradient of the loss by
+//! their position are cloned if small and split if large; transparent ones are removed. Kerbl et
+//! al., "3D Gaussian Splatting for Real-Time Radiance Field Rendering", 2023, section 5.
 //!
-//! Opacities are reset every [`RESET_EVERY`] steps, as published: a round of fewer steps never
-//! resets them, because it would end before they recover.
+//! Opacities are reset every [`RESET_EVERY`] steps, as published: a shorter round never resets
+//! them, because it would end before they recover.
 
 use glam::{Quat, Vec3};
 use rand::Rng;
@@ -12,26 +12,26 @@ use super::{MIN_OPACITY, opacity};
 use crate::random::normal;
 use crate::splat::rows::GeometryRow;
 
-/// Mean length of the gradient by the position in normalised device coordinates above which a
+/// Mean length of the gradient by the position, in normalised device coordinates, above which a
 /// Gaussian is too coarse.
 const THRESHOLD: f32 = 2e-4;
-/// Gaussians up to this share of the extent are cloned, larger ones split.
+/// Largest share of the extent at which Gaussians are cloned; larger ones are split.
 const SMALL: f64 = 0.01;
-/// After a reset, Gaussians beyond this share of the extent go.
+/// Share of the extent above which Gaussians are removed after a reset.
 const LARGE: f64 = 0.1;
-/// Into so many.
+/// Parts of a split Gaussian.
 const PARTS: usize = 2;
-/// Scales of the parts are divided by this: 0.8 times [`PARTS`].
+/// Divisor of the scales of the parts: 0.8 times [`PARTS`].
 const SHRINK: f32 = 1.6;
 /// Steps between resets.
 pub const RESET_EVERY: u32 = 3_000;
-/// Opacities after a reset, at most.
+/// Largest opacity after a reset.
 const RESET_TO: f32 = 0.01;
 
-/// What the steps since the last densification saw of a Gaussian.
+/// The gradients of a Gaussian by its position since the last densification.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct PositionGradient {
-    /// Sum of the lengths of its gradients by position, in normalised device coordinates.
+    /// Sum of their lengths, in normalised device coordinates.
     pub lengths: f32,
     /// Number of views that showed it.
     pub views: f32,
@@ -46,17 +46,16 @@ impl PositionGradient {
 /// One Gaussian after a densification.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Descendant {
-    /// Whose harmonics it has.
+    /// Index of the Gaussian whose harmonics it inherits.
     pub source: usize,
-    /// Its geometry.
     pub row: GeometryRow,
-    /// Whether it is new: Adam knows nothing about it.
+    /// Whether it is new, with empty moments in Adam.
     pub new: bool,
 }
 
-/// Decides a densification of `rows`, at most `cap` afterwards: those with the largest gradients
-/// come first. Without a survivor everything stays. `after_reset`: whether opacities were reset
-/// before, so that size means something.
+/// Plans a densification of `rows` into at most `cap`; the largest gradients come first. If none
+/// would survive, everything stays. `after_reset`: whether opacities have been reset, after which
+/// large Gaussians are removed.
 pub fn plan(
     rows: &[GeometryRow],
     gradients: &[PositionGradient],
@@ -118,7 +117,7 @@ fn largest(row: &GeometryRow) -> f64 {
     f64::from(x.max(y).max(z)).exp()
 }
 
-/// A smaller Gaussian at a place drawn from `row`.
+/// A smaller Gaussian at a position drawn from `row`.
 fn part(row: &GeometryRow, random: &mut impl Rng) -> GeometryRow {
     let scale = Vec3::from(row.log_scale).exp();
     let drawn = Vec3::from([0; 3].map(|_| normal(random) as f32));
@@ -154,7 +153,7 @@ mod tests {
         }
     }
 
-    /// Ten times as long in its own x, which points along the world's y.
+    /// A Gaussian ten times as long in its own x, which points along the world's y.
     fn row(opacity: f32, scale: f32) -> GeometryRow {
         let (s, logit) = (scale.ln(), (opacity / (1.0 - opacity)).ln());
         // A quarter turn about z; rows need not be normalised.
@@ -184,7 +183,7 @@ mod tests {
     }
 
     #[test]
-    fn the_small_are_cloned_the_large_split_and_the_transparent_go() {
+    fn small_ones_are_cloned_large_split_and_transparent_removed() {
         let rows = [
             row(0.6, 1e-4),
             row(0.6, 0.05),
@@ -192,7 +191,7 @@ mod tests {
             row(0.6, 1e-4),
             row(0.6, 1e-4),
         ];
-        // The fourth has half the gradient that it takes, the last was never seen.
+        // The fourth has half the required gradient; no view showed the last.
         let found = after(
             &rows,
             &[
@@ -227,7 +226,7 @@ mod tests {
     }
 
     #[test]
-    fn parts_lie_where_their_source_is() {
+    fn parts_are_distributed_like_their_source() {
         let source = row(0.6, 0.01);
         let mut random = Pcg64::seed_from_u64(2);
         let parts: Vec<_> = (0..4_000).map(|_| part(&source, &mut random)).collect();
@@ -246,7 +245,7 @@ mod tests {
     }
 
     #[test]
-    fn the_cap_holds_for_the_largest_gradients_and_size_counts_after_a_reset() {
+    fn the_cap_keeps_large_gradients_and_a_reset_removes_by_size() {
         let rows = [row(0.6, 0.05); 4];
         let gradients = [0.01, 0.04, 0.02, 0.03].map(seen_in_ten_views);
         let found = after(&rows, &gradients, 6, false);

@@ -1,4 +1,4 @@
-//! Where each view was taken from, judged by its render as the scene stands.
+//! Correction of the views' cameras by renders of the current scene.
 
 use fled_gpu::GpuError;
 use rayon::prelude::*;
@@ -11,10 +11,10 @@ use crate::reconstruct::ReconstructError;
 use crate::reconstruct::observed::Observed;
 use crate::register::{self, Motion};
 
-/// Views whose seven renders are held at once.
+/// Number of views whose seven renders are held at once.
 const AT_ONCE: usize = 4;
 
-/// What is known of a view before its camera is corrected.
+/// A view's photograph and renders before its camera is corrected.
 struct Probed {
     photograph: Image,
     render: Image,
@@ -27,7 +27,7 @@ impl Probed {
         register::correction(&self.photograph, &self.render, &self.probed, &self.probes)
     }
 
-    /// Whether another render is nearer to the photograph.
+    /// Whether `render` is nearer to the photograph.
     fn is_worse_than(&self, render: &Image) -> bool {
         register::difference(&self.photograph, render)
             < register::difference(&self.photograph, &self.render)
@@ -35,7 +35,8 @@ impl Probed {
 }
 
 impl ForwardModel<'_> {
-    /// One Gauss-Newton step of every camera; what they have in common is the world's.
+    /// Takes one Gauss-Newton step of every camera; their common motion is that of the world and is
+    /// removed.
     pub(in crate::reconstruct) fn refine_poses(
         &mut self,
         depth: f64,
@@ -50,8 +51,8 @@ impl ForwardModel<'_> {
         Ok(())
     }
 
-    /// One Gauss-Newton step of every camera in a scene that lies about `depth` world units away. A
-    /// camera stays where it is if the images agree less well after its step.
+    /// Takes one Gauss-Newton step of every camera in a scene about `depth` world units away. A
+    /// camera stays in place if the step makes its render fit worse.
     pub(in crate::reconstruct) fn correct_cameras(
         &mut self,
         depth: f64,
@@ -114,7 +115,7 @@ impl ForwardModel<'_> {
         twists.flatten().collect()
     }
 
-    /// Takes up the motions of a checkpoint.
+    /// Restores the motions of a checkpoint.
     pub(in crate::reconstruct) fn restore_motions(
         &mut self,
         state: &[f32],

@@ -1,4 +1,4 @@
-//! How each view is shaken, judged by its render as the scene stands.
+//! Estimation of the views' shake by renders of the current scene.
 
 use fled_gpu::GpuError;
 use rayon::prelude::*;
@@ -9,11 +9,11 @@ use crate::image::Image;
 use crate::reconstruct::ReconstructError;
 use crate::shake::{self, DeviceKernel, ShakeKernel};
 
-/// Renders that are held at once.
+/// Number of renders held at once.
 const AT_ONCE: usize = 8;
 
 impl ForwardModel<'_> {
-    /// Solves anew for the kernels of all views that may have one.
+    /// Solves again for the kernels of all views that may have one.
     pub(in crate::reconstruct) fn estimate_shake(
         &mut self,
         degree: u32,
@@ -57,7 +57,7 @@ impl ForwardModel<'_> {
         }
     }
 
-    /// Takes the views for still.
+    /// Resets all views to no shake.
     pub(super) fn still_views(&mut self) -> Result<(), GpuError> {
         (0..self.views.len()).try_for_each(|view| self.set_kernel(view, ShakeKernel::still()))
     }
@@ -78,18 +78,18 @@ impl ForwardModel<'_> {
         (!spreads.is_empty()).then(|| spreads.iter().sum::<f64>() / spreads.len() as f64)
     }
 
-    /// Views whose shake a kernel explains.
+    /// Number of views whose shake a kernel explains.
     pub(in crate::reconstruct) fn explained(&self) -> u32 {
         let views = self.views.iter().filter(|view| view.given().has_kernel);
         self.shake.as_ref().map_or(0, |_| views.count() as u32)
     }
 
-    /// The kernels as numbers, for a checkpoint; none where nothing is taken for shaken.
+    /// The kernels as numbers, for a checkpoint; empty without shake.
     pub(in crate::reconstruct) fn save_kernels(&self) -> Vec<f32> {
         shake::save(self.kernels())
     }
 
-    /// Takes up the kernels of a checkpoint, at the resolution at which they were saved.
+    /// Restores the kernels of a checkpoint, at the resolution at which they were saved.
     pub(in crate::reconstruct) fn restore_kernels(
         &mut self,
         state: &[f32],

@@ -1,4 +1,4 @@
-//! The training loss in `f64`, as plainly as it can be said: what the kernels mean.
+//! The reference of the training loss, in plain `f64`.
 
 use super::{L1_SHARE, SSIM_SHARE};
 
@@ -98,7 +98,7 @@ fn similarity([mx, my, mxx, myy, mxy]: [f64; 5]) -> (f64, [f64; 3]) {
     (s, [by_mean, -s / b2, 2.0 * a1 / (b1 * b2)])
 }
 
-/// Convolution with the normalised Gaussian of 11 x 11 px; outside of the image everything is 0.
+/// Convolution with the normalised Gaussian of 11 x 11 px; zero outside the image.
 fn blur(plane: &[f64], width: usize) -> Vec<f64> {
     let height = plane.len() / width;
     let weight = |offset: isize| (-(offset * offset) as f64 / (2.0 * SIGMA * SIGMA)).exp();
@@ -138,7 +138,7 @@ mod tests {
     }
 
     #[test]
-    fn the_gradient_equals_central_differences() {
+    fn the_gradient_matches_central_differences() {
         let (mut prediction, target) = (waves(0.71), waves(0.53));
         let gradient = loss(&prediction, &target, WIDTH).gradient;
         for i in (0..prediction.len()).step_by(7) {
@@ -154,7 +154,7 @@ mod tests {
     }
 
     #[test]
-    fn the_target_itself_has_no_loss() {
+    fn the_target_itself_has_zero_loss() {
         let target = waves(0.53);
         let result = loss(&target, &target, WIDTH);
         assert!(result.total().abs() < 1e-12);

@@ -21,7 +21,7 @@ fn pictures(width: usize, height: usize) -> (Image, Image) {
     )
 }
 
-/// Gradient and value of the kernels.
+/// Gradient and value by the kernels.
 fn on_device(prediction: &Image, target: &Image, run: u32) -> (Vec<f32>, LossValue) {
     let gpu = gpu();
     let loss = Loss::with_run(&gpu, target.width(), target.height(), run).expect("buffers");
@@ -37,7 +37,7 @@ fn on_device(prediction: &Image, target: &Image, run: u32) -> (Vec<f32>, LossVal
     (gradient.read().expect("read"), loss.value().expect("read"))
 }
 
-/// The reference on the target as it is packed.
+/// The reference for the packed target.
 fn expected(prediction: &Image, target: &Image) -> reference::ReferenceLoss {
     let p: Vec<f64> = prediction.data().iter().map(|&v| f64::from(v)).collect();
     let words = pack_target(target);
@@ -48,7 +48,7 @@ fn expected(prediction: &Image, target: &Image) -> reference::ReferenceLoss {
 }
 
 #[test]
-fn the_kernels_equal_the_reference_on_sizes_that_fit_no_block() {
+fn the_kernels_match_the_reference_at_odd_sizes() {
     for (width, height, run) in [(281, 161, 32), (281, 161, 8), (13, 7, 32), (3, 50, 8)] {
         let (prediction, target) = pictures(width, height);
         let (gradient, value) = on_device(&prediction, &target, run);
@@ -75,7 +75,7 @@ fn the_kernels_equal_the_reference_on_sizes_that_fit_no_block() {
 }
 
 #[test]
-fn the_comparison_sees_a_loss_with_other_weights() {
+fn the_comparison_detects_other_weights() {
     let (prediction, target) = pictures(33, 21);
     let (gradient, _) = on_device(&prediction, &target, 8);
     let expected = expected(&prediction, &target);
@@ -102,7 +102,7 @@ fn packing_keeps_sixteen_bits_and_an_odd_last_value() {
 }
 
 #[test]
-fn a_buffer_that_is_too_short_is_refused() {
+fn a_short_buffer_is_refused() {
     let gpu = gpu();
     let loss = Loss::new(&gpu, 20, 10).expect("buffers");
     let target = upload_target(&gpu, &Image::new(20, 10)).expect("upload");
@@ -118,7 +118,7 @@ fn a_buffer_that_is_too_short_is_refused() {
 }
 
 #[test]
-fn the_uniform_and_the_columns_equal_the_shaders() {
+fn uniform_and_columns_match_the_shaders() {
     let (_, found) = SIMILARITY
         .reflect()
         .expect("the row agrees with the shader");

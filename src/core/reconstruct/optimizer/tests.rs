@@ -138,7 +138,7 @@ impl Bench {
 }
 
 #[test]
-fn gradients_of_every_parameter_equal_the_reference() {
+fn gradients_of_every_parameter_match_the_reference() {
     for degree in [0, 2, 3] {
         let bench = Bench::new(fixtures::gaussians(300, 3, 4), degree);
         let found = bench.gradients();
@@ -191,7 +191,7 @@ fn gradients_of_every_parameter_equal_the_reference() {
 }
 
 #[test]
-fn the_first_update_and_its_moments_equal_scalar_adam() {
+fn the_first_update_and_its_moments_match_scalar_adam() {
     let bench = Bench::new(fixtures::gaussians(60, 1, 9), 1);
     let gradients = bench.gradients();
     bench.optimizer.geometry_moments.clear().expect("cleared");
@@ -330,14 +330,14 @@ fn exploration_moves_faint_gaussians_and_leaves_opaque_ones() {
         |i: usize, axis: usize| f64::from(after.means[i][axis] - bench.gaussians.means[i][axis]);
     let spread =
         |axis: usize| ((0..200).map(|i| moved(i, axis).powi(2)).sum::<f64>() / 200.0).sqrt();
-    // covariance e^-2 along x and y; the gate at opacity 0.0001 is sigmoid(0.488) = 0.62.
+    // Covariance e^-2 along x and y; the gate at opacity 0.0001 is sigmoid(0.488) = 0.62.
     assert!((spread(0) / 0.0838 - 1.0).abs() < 0.2 && (spread(1) / 0.0838 - 1.0).abs() < 0.2);
     assert!(spread(2) < 0.01);
     assert!((200..400).all(|i| moved(i, 0).abs() < 1e-6));
 }
 
 #[test]
-fn the_step_has_the_layout_of_the_shader() {
+fn the_step_uniform_has_the_shaders_layout() {
     let (_, found) = PROJECT_BACKWARD_ADAM.reflect().expect("valid");
     let step = found.structure("StepUniform").expect("declared");
     assert_eq!(step.size as usize, size_of::<StepUniform>());

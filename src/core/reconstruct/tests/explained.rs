@@ -1,4 +1,4 @@
-//! What is told apart from the scene, and how Gaussians come and go.
+//! Tests of effects kept apart from the scene (background, shake, cameras), and of densification.
 
 use super::*;
 use crate::register::Motion;
@@ -6,10 +6,10 @@ use crate::shake::reference::shaken_image;
 use crate::shake::{ShakeKernel, Tap};
 
 #[test]
-fn a_dark_surface_is_opaque_when_the_background_changes() {
+fn a_random_background_makes_a_dark_surface_opaque() {
     let mut scene = truth(300, 8);
     let angles: Vec<_> = (0..6).map(|n| -0.5 + 0.2 * f64::from(n)).collect();
-    // Black from everywhere.
+    // Black from every direction.
     scene
         .sh
         .iter_mut()
@@ -45,7 +45,7 @@ fn a_dark_surface_is_opaque_when_the_background_changes() {
 }
 
 #[test]
-fn a_scene_learnt_from_shaken_views_is_sharper_when_the_shake_is_explained() {
+fn kernels_make_a_scene_of_shaken_views_sharper() {
     let mut scene = truth(700, 8);
     // Blobs of about 2 px: smaller than the shake.
     scene
@@ -79,7 +79,8 @@ fn a_scene_learnt_from_shaken_views_is_sharper_when_the_shake_is_explained() {
     );
 }
 
-/// Mean way of what stands in the middle of the scene between two cameras of each pair, px.
+/// Mean distance between the projections of the scene's centre through the cameras of each pair,
+/// px.
 fn apart(cameras: &[Camera], others: &[Camera]) -> f64 {
     let seen = |camera: &Camera| camera.project(DVec3::ZERO).expect("before the camera").0;
     let ways = cameras
@@ -90,7 +91,7 @@ fn apart(cameras: &[Camera], others: &[Camera]) -> f64 {
 }
 
 #[test]
-fn cameras_that_stand_wrong_are_corrected_in_training_and_held_out_ones_after_it() {
+fn wrong_cameras_are_corrected_and_held_out_ones_registered() {
     let scene = truth(300, 8);
     let angles: Vec<_> = (0..9).map(|n| -0.6 + 0.15 * f64::from(n)).collect();
     let views = views_of(&scene, &angles, [160, 112]);
@@ -147,7 +148,7 @@ fn cameras_that_stand_wrong_are_corrected_in_training_and_held_out_ones_after_it
     );
 }
 
-/// The image moved to and fro along `angle`, 7 px in all.
+/// The image moved back and forth along `angle`, 7 px in all.
 fn shaken(image: &Image, angle: f64, response: &Response) -> Image {
     let tap = |n: i32| {
         let offset = [angle.cos(), angle.sin()].map(|along| (along * f64::from(n)).round() as i32);
@@ -161,7 +162,7 @@ fn shaken(image: &Image, angle: f64, response: &Response) -> Image {
 }
 
 #[test]
-fn classic_densification_grows_where_gradients_are_large_and_learns_the_scene() {
+fn classic_densification_grows_and_learns_the_scene() {
     let scene = truth(150, 8);
     let angles: Vec<_> = (0..8).map(|n| -0.6 + 0.17 * f64::from(n)).collect();
     let views = views_of(&scene, &angles, [96, 64]);

@@ -1,4 +1,4 @@
-//! Rounds that stop, go on, or do not begin.
+//! Tests of rounds that stop, resume, or do not begin.
 
 use super::*;
 
@@ -31,7 +31,7 @@ fn a_round_with_a_noise_field_resumes_to_the_same_bytes() {
         noise: NoiseMode::Paper,
         ..config(110, 100)
     };
-    // The noise map is looked at after 100 steps.
+    // The noise map is inspected after 100 steps.
     resumes(&views, &scene, &config, &[50, 100]);
 }
 
@@ -54,7 +54,7 @@ fn resumes(views: &[TrainingView], scene: &Gaussians, config: &TrainConfig, stop
 }
 
 #[test]
-fn a_round_that_is_stopped_goes_on_from_the_step_it_was_in_to_the_same_bytes() {
+fn a_stopped_round_resumes_at_its_step_to_the_same_bytes() {
     let scene = truth(120, 2);
     let views = views_of(&scene, &[-0.3, 0.0, 0.3], [64, 48]);
     let config = TrainConfig {
@@ -78,20 +78,20 @@ fn a_round_that_is_stopped_goes_on_from_the_step_it_was_in_to_the_same_bytes() {
         );
         assert_eq!(resumed.cameras, undisturbed.cameras, "stopped at {stop}");
     };
-    // None is due by the clock.
+    // No checkpoint is due by the clock.
     for stop in [1, 37, 74, 75, 76, 100, 149, 150] {
         let kept = begin().stopped_at(stop, false);
         let steps: Vec<u32> = kept.iter().map(|checkpoint| checkpoint.step).collect();
         assert_eq!(steps, [stop]);
         goes_on(&kept[0], stop);
     }
-    // In the midst of what is done between two steps.
+    // During the work between two steps.
     for stop in [50, 60, 90, 100] {
         let kept = begin().stopped_at(stop, true);
         assert_eq!(kept.len(), 1, "stopped at {stop}");
         goes_on(&kept[0], stop);
     }
-    // Nothing is new in what was just begun.
+    // A resumed round that has not trained yet hands over no checkpoint.
     let first = begin().stopped_at(37, false).remove(0);
     let resume = TrainStart::Resume(first);
     let again = trainer::Trainer::new(fixtures::gpu(), &views, resume, &config).expect("made");
@@ -111,7 +111,7 @@ fn a_round_that_is_stopped_goes_on_from_the_step_it_was_in_to_the_same_bytes() {
 }
 
 #[test]
-fn a_round_that_is_stopped_at_a_step_that_has_to_be_repeated_ends_in_the_same_bytes() {
+fn a_round_stopped_at_an_overflow_resumes_to_the_same_bytes() {
     let scene = truth(120, 2);
     let views = views_of(&scene, &[-0.3, 0.3], [64, 48]);
     let config = config(40, 400);
@@ -143,7 +143,7 @@ fn a_round_that_is_stopped_at_a_step_that_has_to_be_repeated_ends_in_the_same_by
 }
 
 #[test]
-fn cancelling_stops_a_round_between_two_steps() {
+fn cancelling_stops_a_round_between_steps() {
     let scene = truth(60, 2);
     let views = views_of(&scene, &[0.0], [64, 48]);
     let config = config(1_000_000, 100);
@@ -205,7 +205,7 @@ fn no_views_no_gaussians_and_a_foreign_checkpoint_are_refused() {
 }
 
 #[test]
-fn a_round_in_parts_is_the_same_round_and_ends_where_it_should() {
+fn a_round_in_parts_equals_the_whole_round() {
     let scene = truth(200, 11);
     let views = views_of(&scene, &[-0.3, 0.0, 0.3], [64, 48]);
     let config = config(60, 300);

@@ -1,4 +1,4 @@
-//! Between steps: what is done there, when, and what is looked after.
+//! The work between steps.
 
 use fled_gpu::GpuError;
 
@@ -10,10 +10,11 @@ use crate::reconstruct::level::Level;
 use crate::reconstruct::{Checkpoint, ReconstructError, TrainHooks};
 use crate::shake::Shake;
 
-/// Every so many steps the device is left to finish. What depends on finished steps (densifying,
-/// checkpoints now and then) happens there alone, so that an interruption changes nothing.
+/// Steps between synchronisations with the device. All that depends on finished steps
+/// (densification, periodic checkpoints) happens only there, so that an interruption changes
+/// nothing.
 const SYNC: u32 = 25;
-/// A round fails when more than this share of all Gaussians' updates was not finite.
+/// Share of non-finite updates of all Gaussians above which a round fails.
 const NON_FINITE_LIMIT: f64 = 1e-3;
 
 impl Trainer<'_> {
@@ -26,8 +27,8 @@ impl Trainer<'_> {
             || divisor != self.level.divisor
     }
 
-    /// [`Self::prepare`]. Who is asked to stop in the midst of what takes long hands over what was
-    /// before it: it is done again, whole.
+    /// Runs [`Self::prepare`]. If it is cancelled during a long operation, hands over the state
+    /// before it, so that the whole operation is repeated.
     pub(super) fn prepare_or_stop(
         &mut self,
         hooks: &mut TrainHooks<'_>,
@@ -45,7 +46,7 @@ impl Trainer<'_> {
         prepared
     }
 
-    /// What happens between steps, in the order in which one builds on the other.
+    /// Runs the work between steps, in the order of its dependencies.
     fn prepare(&mut self, step: u32, cancel: &CancelToken) -> Result<(), ReconstructError> {
         let divisor = self.schedule.divisor(step);
         if divisor != self.level.divisor {
@@ -66,7 +67,7 @@ impl Trainer<'_> {
         Ok(())
     }
 
-    /// Trains at another resolution.
+    /// Changes the resolution.
     pub(super) fn set_level(&mut self, divisor: usize) -> Result<(), GpuError> {
         self.model.reduce(divisor)?;
         self.level = Level::new(self.gpu, &self.model.views, divisor)?;
@@ -93,8 +94,8 @@ impl Trainer<'_> {
         Ok(())
     }
 
-    /// Looks at the noise map of the last step, before the checkpoint: the guard's verdict belongs
-    /// to it.
+    /// Inspects the noise map of the last step. This precedes the checkpoint, which includes the
+    /// guard's verdict.
     pub(super) fn inspect_noise(&mut self) -> Result<(), GpuError> {
         let Some(noise) = &mut self.noise else {
             return Ok(());
@@ -128,8 +129,8 @@ impl Trainer<'_> {
         Ok(())
     }
 
-    /// Hands over the state before the step `next`, where it is newer than what is kept. All steps
-    /// before it are done, and what belongs between the two is not.
+    /// Hands over the state before step `next` if it is newer than the last checkpoint. All earlier
+    /// steps are done; the work between steps is not.
     pub(super) fn stop(
         &self,
         hooks: &mut TrainHooks<'_>,

@@ -1,4 +1,4 @@
-//! Steps that the device has been handed and that the host does not know the outcome of.
+//! Steps submitted to the device whose outcome the host does not know yet.
 
 use std::collections::VecDeque;
 
@@ -6,27 +6,27 @@ use fled_gpu::GpuError;
 
 use crate::splat::rasterize::{PendingCounts, SplatCounts};
 
-/// Steps whose count of intersections was not taken yet, and those that must be repeated.
+/// Steps whose count of intersections is pending, and those that must be repeated.
 #[derive(Default)]
 pub(super) struct Flight {
     pending: VecDeque<(u32, Count)>,
-    /// To be repeated, the next first.
+    /// Steps to repeat, the next one first.
     pub(super) redo: VecDeque<u32>,
 }
 
-/// How many intersections a step had.
+/// The number of intersections of a step.
 enum Count {
     OnItsWay(PendingCounts),
     Known(SplatCounts),
 }
 
 impl Flight {
-    /// Takes note of a step that was submitted.
+    /// Records a submitted step.
     pub(super) fn begin(&mut self, step: u32, counts: PendingCounts) {
         self.pending.push_back((step, Count::OnItsWay(counts)));
     }
 
-    /// Waits for the earliest step and takes it out, where more than `left` are in flight.
+    /// Removes the earliest step, after waiting for it, if more than `left` are in flight.
     pub(super) fn land(&mut self, left: usize) -> Result<Option<(u32, SplatCounts)>, GpuError> {
         if self.pending.len() <= left {
             return Ok(None);
@@ -36,9 +36,9 @@ impl Flight {
         landed.transpose()
     }
 
-    /// Waits for all steps, and says whether each of them has done what it should. Only looks: the
-    /// step after one that has to be repeated comes before its repetition, so whoever would repeat
-    /// it earlier would train another scene.
+    /// Waits for all steps and returns whether none of them must be repeated. Keeps them in flight:
+    /// the step after an overflowed one precedes its repetition, so an earlier repetition would
+    /// train another scene.
     pub(super) fn is_done(&mut self) -> Result<bool, GpuError> {
         let mut done = self.redo.is_empty();
         for (step, count) in std::mem::take(&mut self.pending) {

@@ -1,17 +1,17 @@
-//! What of a training is kept.
+//! The last checkpoint of a training.
 
 use std::time::Instant;
 
-/// The last checkpoint that somebody has.
+/// The last checkpoint handed over.
 pub(super) struct Kept {
-    /// The step before which it was made.
+    /// The step that it precedes.
     pub(super) step: u32,
-    /// When.
+    /// Its time.
     pub(super) at: Instant,
 }
 
 impl Kept {
-    /// One that was made now; where a training begins, what it begins with.
+    /// A checkpoint made now, or the start of training.
     pub(super) fn now(step: u32) -> Self {
         let at = Instant::now();
         Self { step, at }

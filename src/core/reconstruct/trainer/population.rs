@@ -1,4 +1,4 @@
-//! Between steps: Gaussians come and go.
+//! Densification between steps.
 
 use fled_gpu::{GpuError, Rows};
 
@@ -9,7 +9,7 @@ use crate::reconstruct::optimizer::GeometryMoments;
 use crate::reconstruct::schedule::Stream;
 use crate::splat::rows::GeometryRow;
 
-/// A warm round does not grow before this share of its steps.
+/// Share of its steps before which a warm round does not grow.
 const WARM_GROWTH: f64 = 0.05;
 
 impl Trainer<'_> {
@@ -47,7 +47,7 @@ impl Trainer<'_> {
         Ok(())
     }
 
-    /// On the host: it is there for comparison, and moves everything about.
+    /// Runs on the host: it serves comparison, and reorders everything.
     fn clone_and_split(&mut self, rows: &[GeometryRow], step: u32) -> Result<(), GpuError> {
         let moments = self.optimizer.read_geometry_moments(rows.len())?;
         let mut after = self.descendants(rows, &moments, step);
@@ -73,7 +73,7 @@ impl Trainer<'_> {
         Ok(())
     }
 
-    /// Who is there after `step`.
+    /// The Gaussians after the densification before `step`.
     fn descendants(
         &self,
         rows: &[GeometryRow],
@@ -108,7 +108,7 @@ impl Trainer<'_> {
     }
 }
 
-/// Those of its source without the gradients that were summed up until now; zero for a new one.
+/// The source's moments without the accumulated gradients; zero for a new Gaussian.
 fn moments_after(one: &classic::Descendant, moments: &[GeometryMoments]) -> GeometryMoments {
     if one.new {
         return GeometryMoments::default();
@@ -120,7 +120,7 @@ fn moments_after(one: &classic::Descendant, moments: &[GeometryMoments]) -> Geom
     }
 }
 
-/// Gives every descendant the row of its source among the first `count`; zeros to those that do not
+/// Copies to each descendant the row of its source among the first `count`, or zeros if it does not
 /// inherit.
 fn hand_down(
     rows: &Rows<f32>,

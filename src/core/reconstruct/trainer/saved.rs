@@ -1,4 +1,4 @@
-//! The state of a round as numbers, and back.
+//! Saves the state of a round to a checkpoint, and restores it.
 
 use super::Trainer;
 use crate::noise::NoiseField;
@@ -7,7 +7,7 @@ use crate::reconstruct::checkpoint::Checkpoint;
 use crate::reconstruct::observed::Observed;
 
 impl Trainer<'_> {
-    /// The state before the step `next`, with nothing in flight.
+    /// The state before step `next`, with nothing in flight.
     pub(super) fn checkpoint(&self) -> Result<Checkpoint, ReconstructError> {
         let gaussians = &self.model.pass.gaussians;
         let count = gaussians.count;
@@ -49,7 +49,8 @@ impl Trainer<'_> {
         self.start_count = checkpoint.start_count as usize;
         self.seconds_before = checkpoint.seconds;
         self.next = checkpoint.step;
-        // The level in use before this step: `prepare` changes it where the undisturbed round does.
+        // The level before this step: `prepare` changes it at the same point as in an uninterrupted
+        // round.
         let divisor = self.schedule.divisor(self.next.saturating_sub(1));
         self.set_level(divisor)?;
         self.model.restore_kernels(&checkpoint.shake)?;
@@ -60,7 +61,7 @@ impl Trainer<'_> {
         Ok(())
     }
 
-    /// Identifies config and views.
+    /// Hash of config and views.
     fn fingerprint(&self) -> u64 {
         let mut hasher = blake3::Hasher::new();
         hasher.update(format!("{:?}", self.config).as_bytes());

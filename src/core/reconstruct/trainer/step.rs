@@ -1,4 +1,4 @@
-//! One step: the scene, its shake and its noise forward, the loss, and all the way back.
+//! One step: the scene, its shake and its noise forward, the loss, and the backward pass.
 
 use fled_gpu::{GpuError, Recorder};
 use rand::RngExt;
@@ -11,13 +11,13 @@ use crate::reconstruct::schedule::Stream;
 use crate::reconstruct::{Background, Densify};
 
 impl Trainer<'_> {
-    /// Hands one step to the device.
+    /// Submits one step to the device.
     pub(super) fn submit(&mut self, step: u32) -> Result<(), GpuError> {
         let index = self.schedule.view(step, self.model.views.len());
         self.write_numbers(step, index)?;
         self.last_view = index;
         if self.noise.is_some() {
-            // The noise field's numbers change where it is recorded.
+            // The parameters of the noise field change while it is recorded.
             return self.record(index)?.submit().map(|_| ());
         }
         let pass = &self.model.pass;
@@ -34,7 +34,7 @@ impl Trainer<'_> {
         Ok(())
     }
 
-    /// Writes what differs between two steps of one view.
+    /// Writes the parameters that differ between two steps of one view.
     fn write_numbers(&self, step: u32, view: usize) -> Result<(), GpuError> {
         let (schedule, pass) = (&self.schedule, &self.model.pass);
         let camera = pass
@@ -103,8 +103,8 @@ impl Trainer<'_> {
         Ok(recorder)
     }
 
-    /// Waits until at most `left` steps are in flight. A step whose intersections did not fit has
-    /// changed nothing: it is repeated in larger buffers.
+    /// Waits until at most `left` steps are in flight. A step whose intersections did not fit
+    /// changed nothing, and is repeated in larger buffers.
     pub(super) fn settle(&mut self, flight: &mut Flight, left: usize) -> Result<(), GpuError> {
         while let Some((step, counts)) = flight.land(left)? {
             if counts.overflowed() {

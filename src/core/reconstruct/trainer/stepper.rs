@@ -1,4 +1,4 @@
-//! A round a few steps at a time, for whoever measures training.
+//! A round in parts of a few steps, for benchmarks.
 
 use fled_gpu::{Gpu, GpuError};
 
@@ -8,13 +8,13 @@ use crate::gaussians::Gaussians;
 use crate::reconstruct::{ReconstructError, TrainConfig, TrainHooks, TrainStart, TrainingView};
 use crate::splat::rasterize::SplatCounts;
 
-/// The loop of [`train`](crate::reconstruct::train) itself, stopped and gone on with: what is
-/// measured is what runs. Makes no checkpoints.
+/// The loop of [`train`](crate::reconstruct::train) itself, in parts, so that benchmarks measure
+/// the real code. Makes no checkpoints.
 pub struct Stepper<'a>(Trainer<'a>);
 
 impl<'a> Stepper<'a> {
-    /// A round that begins with `gaussians` at the step `first`, as if those before it had been
-    /// trained: what a step does depends on where in the round it lies. Adam's moments are zero.
+    /// Starts a round with `gaussians` at step `first`, as if the earlier steps had been trained:
+    /// the work of a step depends on its place in the round. Adam's moments are zero.
     ///
     /// # Errors
     /// As [`train`](crate::reconstruct::train).
@@ -30,7 +30,7 @@ impl<'a> Stepper<'a> {
         Ok(Self(trainer))
     }
 
-    /// Trains `steps` steps, fewer at the end of the round, and waits for the last of them.
+    /// Trains `steps` steps, or fewer at the end of the round, and waits for the last of them.
     ///
     /// # Errors
     /// As [`train`](crate::reconstruct::train).
@@ -46,13 +46,12 @@ impl<'a> Stepper<'a> {
         self.0.train_to(last, &mut hooks)
     }
 
-    /// The scene as it stands.
     #[cfg(test)]
     pub(in crate::reconstruct) fn gaussians(&self) -> Gaussians {
         self.0.model.pass.gaussians.download().expect("read")
     }
 
-    /// How much the last step had to blend; reads it back from the device.
+    /// The intersections of the last step; reads them back from the device.
     ///
     /// # Errors
     /// A device error.

@@ -1,4 +1,4 @@
-//! What a densification does on the device.
+//! Tests of a densification on the device.
 
 use rand::SeedableRng;
 use rand_pcg::Pcg64;
@@ -10,7 +10,7 @@ use crate::splat::rows::pack_geometry;
 #[test]
 fn relocation_copies_splits_and_clears_on_the_device() {
     relocates(fixtures::gpu(), 1);
-    // Six parts of four, and moves in chunks of six: from part to part.
+    // Six parts of four rows, and moves in chunks of six: copies cross from part to part.
     relocates(&Gpu::binding_at_most("auto", 1_024).expect("an adapter"), 6);
 }
 
