@@ -1,11 +1,11 @@
-//! Runs judged by sharp photographs that they never saw: the measure of every claim about
+//! Evaluation of runs by sharp photographs that they never saw: the measure of every claim about
 //! quality.
 //!
-//! The photographs come with poses of their own. The cameras that trained stand in both worlds, and
-//! the similarity between them brings the others into the run's. From there the scene is rendered
-//! and compared twice: with the camera where the truth has it, and with the camera registered on
-//! the sharp photograph while the scene stays as it is. The second decides about the scene, the
-//! difference of the two about the poses.
+//! The photographs come with poses of their own. The training cameras have poses in both worlds,
+//! and the similarity between these maps the others into the run's world. There the scene is
+//! rendered and compared twice: with the mapped camera, and with the camera registered to the sharp
+//! photograph while the scene stays fixed. The second score judges the scene, and the difference of
+//! the two the poses.
 
 mod elongated;
 mod error;
@@ -39,40 +39,39 @@ use report::{Evaluation, TestView, ViewScores};
 use seen::{Mask, Witnesses};
 use truth::{Placed, TruthView};
 
-/// Registration is repeated until no camera moves further than this, px, ...
+/// Largest movement of a camera at which registration stops, px.
 const SETTLED_PX: f64 = 0.05;
-/// ... and at most so often. Once moves a camera by up to 4 px.
+/// Most repetitions of registration. One moves a camera by up to 4 px.
 const REGISTRATIONS: usize = 3;
 
-/// What is judged, by what, and with what.
+/// The inputs of an evaluation.
 pub struct Request<'a> {
     /// The run.
     pub subject: &'a Subject,
     /// The sharp photographs.
     pub truth: &'a Truth,
-    /// The run whose scene says what two training views see; most often the judged one itself.
+    /// The run whose scene decides which pixels two training views see; usually the judged one
+    /// itself.
     pub seen_from: &'a Subject,
-    /// Folder of pictures named like the test views, white where they are scored; `None`: all over.
+    /// Folder of masks named like the test views, white where they are scored; `None` scores
+    /// everything.
     pub masks: Option<&'a Path>,
-    /// Whether only views between two training views, by the order of their names, are test views.
+    /// Whether test views are restricted to those between two training views in the order of names.
     pub inside: bool,
-    /// The device.
     pub gpu: &'a Gpu,
     /// The network of LPIPS.
     pub lpips: Option<&'a mut Lpips>,
-    /// Whether to stop.
     pub cancel: &'a CancelToken,
 }
 
-/// The verdict, and the pictures that it is about.
+/// The scores, and the pictures that they compare.
 pub struct Judged {
-    /// The figures.
     pub evaluation: Evaluation,
-    /// Of every test view, in the same order.
+    /// Pictures of every test view, in the same order.
     pub pictures: Vec<Pictures>,
 }
 
-/// A test view to look at.
+/// The pictures of a test view.
 pub struct Pictures {
     /// The render from the registered camera.
     pub render: Image,
@@ -83,7 +82,7 @@ pub struct Pictures {
 /// Judges a run.
 ///
 /// # Errors
-/// [`EvaluationError`]: the two share too few views, no view is left to test on, a photograph that
+/// [`EvaluationError`]: run and truth share too few views, no test view is left, a photograph
 /// cannot be read, or a device error.
 pub fn evaluate(request: Request<'_>) -> Result<Judged, EvaluationError> {
     let Request { subject, truth, .. } = request;
@@ -145,7 +144,7 @@ pub fn evaluate(request: Request<'_>) -> Result<Judged, EvaluationError> {
     })
 }
 
-/// Renders and scores.
+/// Renders and scores test views.
 struct Judge<'a> {
     renderer: &'a Renderer,
     scene: &'a UploadedGaussians,
@@ -153,7 +152,7 @@ struct Judge<'a> {
 }
 
 impl Judge<'_> {
-    /// The scores of a view seen by this camera, and its render.
+    /// The scores of a view through this camera, and its render.
     fn scores(
         &mut self,
         view: &TruthView,
@@ -168,7 +167,7 @@ impl Judge<'_> {
             view: view.name.clone(),
         })?;
         if let Some(lpips) = &mut self.lpips {
-            // What is not scored looks right.
+            // Pixels that are not scored are replaced by the truth.
             let image = scored.composite(&render, truth);
             scores.all.lpips_squeeze = Some(lpips.distance(&image, truth)?);
         }
@@ -189,7 +188,7 @@ fn register(
         let mut photographs = Vec::new();
         for (view, camera) in views.iter().zip(&cameras) {
             let render = renderer.render_scene(scene, camera)?;
-            // As bright as the scene: a difference of tone is no motion.
+            // Match the tone of the scene: a difference of tone is no motion.
             let fit = metrics::ColourFit::between(&view.photograph, &render);
             photographs.push(TrainingView {
                 name: view.name.clone(),
@@ -212,7 +211,7 @@ fn register(
     Ok(cameras)
 }
 
-/// Where each test view is scored.
+/// The scored pixels of each test view.
 fn scored_masks(
     request: &Request<'_>,
     placed: &[Placed<'_>],
@@ -228,7 +227,7 @@ fn scored_masks(
     placed.iter().zip(views).map(mask).collect()
 }
 
-/// What at least two training views of `seen_from` see, a mask a test view.
+/// For each test view, the pixels that at least two training views of `seen_from` see.
 fn seen_masks(
     request: &Request<'_>,
     names: &[&str],
@@ -246,8 +245,8 @@ fn seen_masks(
         .collect()
 }
 
-/// How far what lies at `depth` in the middle of a camera's picture moves to another's, px; at most
-/// by the picture's diagonal.
+/// Distance by which a point at `depth` in the middle of a camera's picture moves to that of
+/// another, px; at most the picture's diagonal.
 fn moved_px(before: &Camera, after: &Camera, depth: f64) -> f64 {
     let k = &before.intrinsics;
     let diagonal = (k.width as f64).hypot(k.height as f64);

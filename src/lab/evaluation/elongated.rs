@@ -1,18 +1,18 @@
-//! Long thin Gaussians: spikes in front of sky and ground that no second view holds.
+//! Long thin Gaussians: spikes in front of sky and ground that no second view constrains.
 
 use glam::DVec3;
 
 use super::subject::Subject;
 use fled_core::camera::Camera;
 
-/// The longest axis over the middle one.
+/// Least ratio of the longest axis to the middle one.
 const ELONGATION: f32 = 10.0;
-/// Length in the nearest view that shows it, px, two standard deviations to each side.
+/// Least length in the nearest view that shows it, px, two standard deviations to each side.
 const LEAST_PX: f64 = 5.0;
-/// Fainter ones are not seen.
+/// Least opacity of a visible one.
 const LEAST_OPACITY: f32 = 0.05;
 
-/// Elongated Gaussians of a scene.
+/// Number of elongated Gaussians in a scene.
 pub(super) fn count(subject: &Subject) -> usize {
     let scene = &subject.gaussians;
     let cameras: Vec<Camera> = subject.training().map(|(_, camera)| camera).collect();
@@ -32,7 +32,7 @@ pub(super) fn count(subject: &Subject) -> usize {
     (0..scene.len()).filter(is_elongated).count()
 }
 
-/// World units a pixel at a point that a camera's picture shows.
+/// World units per pixel at a point in a camera's picture.
 fn per_px(camera: &Camera, point: DVec3) -> Option<f64> {
     let (_, depth) = camera.shows(point)?;
     Some(depth / camera.intrinsics.fx)

@@ -1,4 +1,4 @@
-//! What keeps a run from being judged.
+//! Errors of an evaluation.
 
 use std::path::{Path, PathBuf};
 
@@ -7,18 +7,16 @@ use fled_core::pipeline::error::{ErrorKind, PipelineError};
 use fled_core::reconstruct::ReconstructError;
 use fled_core::render::SplatError;
 
-/// Why there is no verdict.
+/// The reason why a run could not be judged.
 #[derive(Debug, thiserror::Error)]
 pub enum EvaluationError {
-    /// A file of the run is missing or is not what a run leaves.
+    /// A file of the run is missing or invalid.
     #[error("{}: {reason}", path.display())]
     Run {
-        /// Which file.
         path: PathBuf,
-        /// What is wrong.
         reason: String,
     },
-    /// The sharp photographs come without poses.
+    /// The sharp photographs have no poses.
     #[error(
         "{} has no poses: it needs a COLMAP model in sparse/, a transforms.json or a \
          poses_bounds.npy",
@@ -34,7 +32,7 @@ pub enum EvaluationError {
          name; three tell where the others stand"
     )]
     NotTied {
-        /// Views in both.
+        /// Views with a pose in both.
         tied: usize,
         /// Training views.
         views: usize,
@@ -48,28 +46,28 @@ pub enum EvaluationError {
     /// A test view has no mask.
     #[error("{} is missing: every test view needs a mask of its name", path.display())]
     NoMask {
-        /// Where it was looked for.
+        /// The expected path.
         path: PathBuf,
     },
-    /// A mask without a white pixel.
+    /// A mask has no white pixel.
     #[error("the mask of `{view}` is black: there is nothing to score")]
     NothingScored {
         /// The view.
         view: String,
     },
-    /// Every sharp photograph trained the scene, or lies outside of those that did.
+    /// Every sharp photograph trained the scene or lies outside the training views.
     #[error("no sharp photograph is left to test on: all of them trained")]
     NoTestViews,
-    /// The network of LPIPS.
+    /// The LPIPS network failed.
     #[error("LPIPS: {0}")]
     Lpips(String),
-    /// Reading photographs or poses, or rendering.
+    /// Reading photographs or poses failed, or rendering did.
     #[error(transparent)]
     Pipeline(#[from] PipelineError),
 }
 
 impl EvaluationError {
-    /// A file of the run that is not as it should be.
+    /// An invalid file of the run.
     pub(super) fn run(path: &Path, reason: impl std::fmt::Display) -> Self {
         Self::Run {
             path: path.to_owned(),
@@ -77,7 +75,6 @@ impl EvaluationError {
         }
     }
 
-    /// What sort of failure it is.
     pub fn kind(&self) -> ErrorKind {
         match self {
             Self::Pipeline(error) => error.kind(),
@@ -86,7 +83,7 @@ impl EvaluationError {
         }
     }
 
-    /// What the user can do about it.
+    /// Advice for the user.
     pub fn hint(&self) -> String {
         let hint = match self {
             Self::Pipeline(error) => return error.hint(),

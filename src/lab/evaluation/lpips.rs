@@ -1,4 +1,4 @@
-//! LPIPS by a network that the user brings.
+//! LPIPS by a network that the user provides.
 
 use std::path::Path;
 
@@ -6,11 +6,11 @@ use super::error::EvaluationError;
 use fled_core::image::Image;
 use fled_core::inference::{Graph, Input, Network, Provider, Runtime, digest, session};
 
-/// How ImageNet's pictures are normalised: mean and deviation, a channel.
+/// ImageNet's normalisation: mean and deviation of each channel.
 const IMAGENET: [(f32, f32); 3] = [(0.485, 0.229), (0.456, 0.224), (0.406, 0.225)];
 
-/// LPIPS as an ONNX network of two pictures `ref` and `dist`, [1, 3, H, W], normalised as ImageNet,
-/// with the output `score`: v0.1 on SqueezeNet.
+/// LPIPS as an ONNX network (v0.1 on SqueezeNet) of two pictures `ref` and `dist`, [1, 3, H, W],
+/// normalised as in ImageNet, with the output `score`.
 pub struct Lpips {
     network: Network,
     checksum: String,
@@ -42,7 +42,7 @@ impl Lpips {
         &self.checksum
     }
 
-    /// How unlike two pictures look, 0 for equal ones.
+    /// Perceptual distance of two pictures, 0 for equal ones.
     ///
     /// # Errors
     /// [`EvaluationError::Lpips`].

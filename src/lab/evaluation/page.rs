@@ -1,4 +1,4 @@
-//! The verdict as files: JSON, CSV, a table, and a page of pictures.
+//! The evaluation as files: JSON, CSV, a table, and a page of pictures.
 
 use std::fmt::Write as _;
 use std::path::Path;
@@ -10,8 +10,8 @@ use fled_core::image::{EncodeFormat, Image, write_atomic};
 use fled_core::pipeline::error::PipelineError;
 use fled_core::run_folder::{RoundPictures, RunFolder};
 
-/// Writes `evaluation.json`, `evaluation.csv`, `index.html` and its pictures into a folder.
-/// `round` is the delivered one, whose brightened views the page shows.
+/// Writes `evaluation.json`, `evaluation.csv`, `index.html` and its pictures into a folder. `round`
+/// is the delivered round, whose brightened views the page shows.
 ///
 /// # Errors
 /// Writing failed.
@@ -39,7 +39,7 @@ pub fn write(
             .picture(RoundPictures::Enhanced, &view.nearest);
         let nearest = [("dark", run.input(&view.nearest)), ("brightened", enhanced)];
         for (what, from) in nearest {
-            // Whoever tidied the run away sees a gap on the page.
+            // A file that the user has removed from the run leaves a gap on the page.
             if let Ok(bytes) = std::fs::read(from) {
                 save(&file(&view.name, what), &bytes)?;
             }
@@ -65,7 +65,7 @@ fn encoded(image: &Image) -> Result<Vec<u8>, PipelineError> {
     image.encode(EncodeFormat::Jpeg(92)).map_err(unencodable)
 }
 
-/// One line a test view, with its scores in every way.
+/// One line per test view, with all of its scores.
 pub fn csv(evaluation: &Evaluation) -> String {
     let columns = ["psnr", "psnr_cc", "psnr_fine", "ssim", "lpips_squeeze"];
     let ways = [
@@ -111,7 +111,7 @@ fn cells(scores: Option<&Scores>) -> String {
     )
 }
 
-/// The verdict to read, Markdown: the worst view first.
+/// The scores as a Markdown table, the worst view first.
 pub fn table(evaluation: &Evaluation) -> String {
     let mut text = format!(
         "{} test views at {} px, {} training views, {} Gaussians, {} of them elongated; cameras {:.2} % \
@@ -161,8 +161,8 @@ fn worst_first(evaluation: &Evaluation) -> Vec<&TestView> {
     views
 }
 
-/// A row a test view: the nearest training view dark and brightened, the render, the truth. Names
-/// are our own: letters, digits, `-` and `_`.
+/// One row per test view: the nearest training view dark and brightened, the render, the truth.
+/// Names come from fled and hold only letters, digits, `-` and `_`.
 fn page(evaluation: &Evaluation) -> String {
     let mut text = "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\">\
                     <title>Evaluation</title><style>body{background:#111;color:#ddd;font:15px \

@@ -1,60 +1,59 @@
-//! The shape of `evaluation.json`: what sharp photographs say about a run.
+//! The schema of `evaluation.json`.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// How one run's scene looks from where sharp photographs were taken that it did not train on.
+/// The quality of a run's scene at the cameras of sharp photographs that it did not train on.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Evaluation {
     /// Views that trained the scene.
     pub training_views: usize,
-    /// Of them those whose cameras the truth knows; they tie the two worlds together.
+    /// Training views with a camera in the truth; they connect the two worlds.
     pub tied_views: usize,
-    /// How far the tied cameras stand from the truth's once the worlds are brought together: root
-    /// mean square, share of the cameras' extent.
+    /// Distance of these cameras from the truth's after the alignment: root mean square, as a share
+    /// of the cameras' extent.
     pub camera_error: f64,
     /// Gaussians of the scene.
     pub gaussians: usize,
-    /// Of them elongated: the longest axis over ten times the middle one, and seen longer than 5 px
-    /// by the nearest training view.
+    /// Elongated Gaussians: longest axis over ten times the middle one, and longer than 5 px in the
+    /// nearest training view.
     pub elongated: usize,
     /// Longest side of the pictures compared, px.
     pub size: usize,
     /// The adapter that rendered.
     pub adapter: String,
-    /// SHA-256 of the LPIPS network; `None` where none was given and no view has that score.
+    /// SHA-256 of the LPIPS network; `None` without one, and no view has that score.
     pub lpips_network: Option<String>,
     /// The test views, in the order of their names.
     pub views: Vec<TestView>,
-    /// Mean over the test views, cameras where the truth has them.
+    /// Mean over the test views with the cameras of the truth.
     pub mapped: ViewScores,
-    /// Mean over the test views, cameras registered on the sharp photographs.
+    /// Mean over the test views with cameras registered to the sharp photographs.
     pub registered: ViewScores,
 }
 
 /// One sharp photograph that did not train.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct TestView {
-    /// Its name.
     pub name: String,
-    /// The training view that looks most alike.
+    /// The most similar training view.
     pub nearest: String,
     /// Share of its pixels that at least two training views see.
     pub seen: f64,
-    /// How far registration moved the middle of the picture, px.
+    /// Distance by which registration moved the middle of the picture, px.
     pub moved_px: f64,
-    /// With the camera where the truth has it, brought into the run's world.
+    /// Scores with the camera of the truth, mapped into the run's world.
     pub mapped: ViewScores,
-    /// With the camera registered on the sharp photograph, the scene as it is.
+    /// Scores with the camera registered to the sharp photograph; the scene is fixed.
     pub registered: ViewScores,
 }
 
-/// The scores of a render, over all of the picture and over what two training views see.
+/// The scores of a render, over the whole picture and over the pixels that two training views see.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ViewScores {
     /// Over every pixel.
     pub all: Scores,
-    /// Over the pixels that at least two training views see; `None` where there are hardly any.
+    /// Over the pixels that at least two training views see; `None` with hardly any.
     pub seen: Option<Scores>,
 }
 
@@ -65,11 +64,11 @@ pub struct Scores {
     pub psnr_db: f64,
     /// PSNR after an affine colour fit of each channel, dB.
     pub psnr_cc_db: f64,
-    /// PSNR of what is finer than 3 px, after the same fit, dB.
+    /// PSNR of detail finer than 3 px, after the same fit, dB.
     pub psnr_fine_db: f64,
     /// SSIM.
     pub ssim: f64,
-    /// LPIPS (SqueezeNet), lower is better; of the whole picture only.
+    /// LPIPS (SqueezeNet), lower is better; only of the whole picture.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub lpips_squeeze: Option<f64>,
 }

@@ -1,4 +1,4 @@
-//! A render against a sharp photograph, over all of the picture and over a part of it.
+//! Scores of a render against a sharp photograph, over the whole picture and over a part of it.
 
 use rayon::prelude::*;
 
@@ -7,13 +7,13 @@ use super::seen::Mask;
 use fled_core::image::Image;
 use fled_core::metrics::{self, ColourFit};
 
-/// Standard deviation of the Gaussian that takes what is finer than 3 px out of a picture, px.
+/// Standard deviation of the Gaussian that removes detail finer than 3 px, px.
 const FINE_SIGMA: f32 = 1.5;
-/// With a smaller share of the pixels there is nothing to score.
+/// Least share of the pixels that is scored.
 const LEAST_SHARE: f64 = 0.05;
 
 /// The scores of a render over the pixels of `scored`, and over those of them that two training
-/// views see, without LPIPS. `None` where nothing is scored.
+/// views see, without LPIPS. `None` if no pixel is scored.
 pub(super) fn scores(
     render: &Image,
     truth: &Image,
@@ -31,7 +31,7 @@ pub(super) fn scores(
     })
 }
 
-/// Over the pixels of a mask; `None` where it has none.
+/// The scores over the pixels of a mask; `None` without any.
 fn within(render: &Image, truth: &Image, mask: &Mask) -> Option<Scores> {
     let ssim = metrics::ssim_where(render, truth, |x, y| mask.holds(x, y))?;
     let (kept, reference) = (mask.pixels_of(render), mask.pixels_of(truth));
@@ -45,7 +45,7 @@ fn within(render: &Image, truth: &Image, mask: &Mask) -> Option<Scores> {
     })
 }
 
-/// PSNR of what is finer than 3 px of the difference of two pictures, dB.
+/// PSNR of the difference of two pictures finer than 3 px, dB.
 fn fine(image: &Image, truth: &Image, mask: &Mask) -> f64 {
     let difference = minus(image, truth);
     let fine = minus(&difference, &blurred(&difference));
@@ -60,7 +60,7 @@ fn minus(a: &Image, b: &Image) -> Image {
     Image::from_planar(a.width(), a.height(), values)
 }
 
-/// By a Gaussian of [`FINE_SIGMA`], its border repeated.
+/// Blurs by a Gaussian of [`FINE_SIGMA`] with a repeated border.
 fn blurred(image: &Image) -> Image {
     const RADIUS: isize = 5;
     let weight = |tap: isize| (-(tap as f32).powi(2) / (2.0 * FINE_SIGMA * FINE_SIGMA)).exp();
@@ -85,7 +85,8 @@ fn blurred(image: &Image) -> Image {
     along(&along(image, 1, 0), 0, 1)
 }
 
-/// Means over views; what two training views see over those views that have enough of it.
+/// Means over views; the part that two training views see is averaged over the views that have
+/// enough of it.
 pub(super) fn mean(all: &[&ViewScores]) -> ViewScores {
     let seen: Vec<Scores> = all.iter().filter_map(|scores| scores.seen).collect();
     let whole: Vec<Scores> = all.iter().map(|scores| scores.all).collect();
@@ -123,7 +124,7 @@ mod tests {
     }
 
     #[test]
-    fn a_coarse_error_is_no_fine_one() {
+    fn a_coarse_error_is_not_a_fine_one() {
         let truth = picture();
         let mut coarse = truth.clone();
         let mut grainy = truth.clone();
@@ -148,7 +149,7 @@ mod tests {
     }
 
     #[test]
-    fn what_lies_outside_of_the_mask_counts_in_one_column_only() {
+    fn pixels_outside_the_mask_count_in_one_column_only() {
         let truth = picture();
         let mut render = truth.clone();
         for y in 0..48 {

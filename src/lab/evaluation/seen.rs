@@ -1,5 +1,5 @@
-//! Which pixels of a picture at least two training views see: nobody can know what lies behind the
-//! others.
+//! The pixels of a picture that at least two training views see: the surface behind all others is
+//! unknown.
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -11,14 +11,14 @@ use fled_core::gaussians::Gaussians;
 use fled_core::image::Image;
 use fled_core::render::Renderer;
 
-/// Training views that must see a pixel.
+/// Number of training views that must see a pixel.
 const LEAST_VIEWS: usize = 2;
-/// A view sees a point that lies at most so much deeper than the surface it sees there.
+/// Most depth at which a view sees a point, relative to the surface that it sees there.
 const DEEPER: f64 = 1.1;
-/// Below this coverage there is no surface.
+/// Least coverage of a surface.
 const LEAST_COVERAGE: f32 = 0.5;
 
-/// Some of the pixels of a picture.
+/// A subset of a picture's pixels.
 pub(super) struct Mask {
     width: usize,
     height: usize,
@@ -26,7 +26,7 @@ pub(super) struct Mask {
 }
 
 impl Mask {
-    /// A picture's pixels, row by row.
+    /// `holds` has the picture's pixels row by row.
     pub(super) fn new(width: usize, height: usize, holds: Vec<bool>) -> Self {
         assert_eq!(holds.len(), width * height, "a mask of another size");
         Self {
@@ -36,18 +36,18 @@ impl Mask {
         }
     }
 
-    /// All of them.
+    /// All pixels.
     pub(super) fn full(width: usize, height: usize) -> Self {
         Self::new(width, height, vec![true; width * height])
     }
 
-    /// The pixels that both hold.
+    /// The intersection of both masks.
     pub(super) fn and(&self, other: &Self) -> Self {
         let both = self.holds.iter().zip(&other.holds).map(|(a, b)| *a && *b);
         Self::new(self.width, self.height, both.collect())
     }
 
-    /// `image`, with the pixels of `other` where the mask holds none.
+    /// `image`, with the pixels of `other` outside the mask.
     pub(super) fn composite(&self, image: &Image, other: &Image) -> Image {
         let holds = self.holds.iter().cycle();
         let values = image.data().iter().zip(other.data()).zip(holds);
@@ -56,17 +56,16 @@ impl Mask {
         Image::from_planar(self.width, self.height, values.collect())
     }
 
-    /// Whether it holds a pixel.
     pub(super) fn holds(&self, x: usize, y: usize) -> bool {
         self.holds[y * self.width + x]
     }
 
-    /// Share of the picture.
+    /// Share of the picture's pixels.
     pub(super) fn share(&self) -> f64 {
         self.count() as f64 / self.holds.len().max(1) as f64
     }
 
-    /// The pixels it holds of a picture, in one row.
+    /// The pixels of a picture within the mask, in one row.
     pub(super) fn pixels_of(&self, image: &Image) -> Image {
         assert_eq!(
             (image.width(), image.height()),
@@ -86,14 +85,14 @@ impl Mask {
     }
 }
 
-/// The training views of a run, with the depth of what they see.
+/// The training views of a run, with the depths that they see.
 pub(super) struct Witnesses<'a> {
     scene: &'a Gaussians,
     views: Vec<(Camera, Vec<Option<f64>>)>,
 }
 
 impl<'a> Witnesses<'a> {
-    /// Renders the depth of a run's scene at its training views.
+    /// Renders the depth of a run's scene in its training views.
     ///
     /// # Errors
     /// A device error.
@@ -109,7 +108,7 @@ impl<'a> Witnesses<'a> {
         })
     }
 
-    /// What at least two of them see of a camera's picture.
+    /// The pixels of a camera's picture that at least two of them see.
     ///
     /// # Errors
     /// A device error.
@@ -137,7 +136,7 @@ impl<'a> Witnesses<'a> {
     }
 }
 
-/// Whether a point lies in a view's picture and not behind what it shows.
+/// Whether a point lies in a view's picture and not behind the surface there.
 fn sees(view: &Camera, surface: &[Option<f64>], point: DVec3) -> bool {
     let Some((pixel, depth)) = view.shows(point) else {
         return false;
@@ -146,8 +145,8 @@ fn sees(view: &Camera, surface: &[Option<f64>], point: DVec3) -> bool {
     surface[at].is_some_and(|surface| depth <= DEEPER * surface)
 }
 
-/// Mean depth of what each pixel of a camera's picture shows, world units, row by row; `None` where
-/// it shows nothing.
+/// Mean depth of each pixel of a camera's picture, world units, row by row; `None` without a
+/// surface.
 fn depths(
     renderer: &Renderer,
     scene: &Gaussians,
@@ -162,7 +161,7 @@ fn depths(
     let all: Vec<f64> = scene.means.iter().map(depth).collect();
     let furthest = all.iter().copied().fold(f64::MIN_POSITIVE, f64::max);
     let mut painted = scene.with_sh_degree(0);
-    // Red: depth as a share of the furthest. Green: how much is covered.
+    // Red: depth as a share of the furthest. Green: coverage.
     for (sh, depth) in painted.sh.chunks_exact_mut(3).zip(&all) {
         let colour = [(depth / furthest) as f32, 1.0, 0.0];
         sh.copy_from_slice(&colour.map(|value| (value - 0.5) / Y00));

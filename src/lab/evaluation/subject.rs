@@ -1,4 +1,4 @@
-//! The run that is judged.
+//! The run to be judged.
 
 use std::path::Path;
 
@@ -12,7 +12,7 @@ use fled_core::run_folder::RunFolder;
 
 use super::error::EvaluationError;
 
-/// A scene and the cameras that it was trained from.
+/// A scene and the cameras that it was trained with.
 pub struct Subject {
     /// The scene, at the target brightness.
     pub gaussians: Gaussians,
@@ -22,7 +22,7 @@ pub struct Subject {
 }
 
 impl Subject {
-    /// What a run delivered.
+    /// Reads the results of a run.
     ///
     /// # Errors
     /// [`EvaluationError::Run`].
@@ -36,7 +36,6 @@ impl Subject {
         ))
     }
 
-    /// From its parts.
     pub(super) fn new(gaussians: Gaussians, cameras: Vec<NamedCamera>, poses: Poses) -> Self {
         let point = |mean: &[f32; 3]| Point {
             position: *mean,
@@ -53,10 +52,10 @@ impl Subject {
         }
     }
 
-    /// The lens that was found for a view, at the size of the photograph as taken.
+    /// The lens found for a view, at the size of the original photograph.
     ///
     /// # Errors
-    /// [`EvaluationError::NoLens`]: its poses are not those of its scene.
+    /// [`EvaluationError::NoLens`] if the poses do not belong to the scene.
     pub fn lens(&self, name: &str) -> Result<Lens, EvaluationError> {
         let view = self.poses.views.iter().find(|view| view.name == name);
         let no_lens = || EvaluationError::NoLens {
@@ -65,7 +64,7 @@ impl Subject {
         view.map(|view| view.lens).ok_or_else(no_lens)
     }
 
-    /// The views that trained it, with their cameras.
+    /// The training views with their cameras.
     pub fn training(&self) -> impl Iterator<Item = (&str, Camera)> + Clone {
         self.cameras
             .iter()
@@ -73,7 +72,7 @@ impl Subject {
             .map(|camera| (camera.name.as_str(), camera.camera()))
     }
 
-    /// Longest side of its views, px.
+    /// Longest side of the views, px.
     pub fn size(&self) -> usize {
         let sides = |camera: &NamedCamera| camera.intrinsics.width.max(camera.intrinsics.height);
         self.cameras.iter().map(sides).max().unwrap_or(1)
@@ -84,8 +83,8 @@ impl Subject {
         self.depth
     }
 
-    /// The training view that sees the most alike: what lies at the scene's depth in the middle of
-    /// this camera's picture and of its own are closest together, in distance and direction.
+    /// The training view most similar to this camera: the distance between the points at the
+    /// scene's depth in the middle of both pictures, plus that between the cameras, is least.
     pub fn nearest(&self, camera: &Camera) -> &str {
         let middle = |camera: &Camera| camera.centre() + self.depth * camera.forward();
         let apart = |other: &Camera| {

@@ -1,9 +1,9 @@
-//! Suites: captures x configurations x seeds, every run judged by sharp photographs, and what can
-//! be said of the differences.
+//! Suites: captures x configurations x seeds. Sharp photographs judge every run, and statistics
+//! compare the configurations.
 //!
-//! `file` is what a suite asks for, `setup` knows all that decides a run, `records` is what
-//! is done already, `runner` does the rest in order; `statistics` and `table` say what came of
-//! it. Nothing here starts a process: whoever carries a suite out hands in who does.
+//! `file` is the suite's file, `setup` collects all that determines a run, `records` keeps finished
+//! runs, `runner` makes the missing ones in order; `statistics` and `table` report the results.
+//! Nothing here starts a process: the caller provides a function that does.
 
 pub mod content;
 pub mod error;

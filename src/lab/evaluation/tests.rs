@@ -17,7 +17,7 @@ use rand_pcg::Pcg64Mcg;
 
 const SIZE: [usize; 2] = [120, 90];
 
-/// Six cameras beside each other; the odd ones are not in the run.
+/// Six cameras side by side; the run lacks the odd ones.
 fn cameras() -> Vec<NamedCamera> {
     let intrinsics = Intrinsics {
         width: SIZE[0],
@@ -35,7 +35,7 @@ fn cameras() -> Vec<NamedCamera> {
     (0..6).map(camera).collect()
 }
 
-/// What the run found: no distortion.
+/// The poses that the run found, without distortion.
 fn poses() -> Poses {
     let view = |named: NamedCamera| PosedView {
         name: named.name.clone(),
@@ -83,7 +83,7 @@ fn subject() -> Subject {
     Subject::new(gaussians(), every_second, poses())
 }
 
-/// Renders of the scene as photographs of another world; `moved` is where they were really taken.
+/// Renders of the scene as photographs of another world; `moved` gives their true cameras.
 fn truth(folder: &Path, moved: impl Fn(usize, &Camera) -> Camera) -> Truth {
     let other_world = Similarity {
         scale: 2.5,
@@ -135,7 +135,7 @@ fn judge(subject: &Subject, truth: &Truth, inside: bool) -> Result<Evaluation, E
 }
 
 #[test]
-fn a_scene_that_is_the_truth_is_found_to_be_it_in_another_world() {
+fn the_true_scene_scores_perfectly_in_another_world() {
     let folder = tempfile::tempdir().expect("a folder");
     let truth = truth(folder.path(), |_, camera| *camera);
     let evaluation = judge(&subject(), &truth, false).expect("judged");
@@ -162,7 +162,7 @@ fn a_scene_that_is_the_truth_is_found_to_be_it_in_another_world() {
 }
 
 #[test]
-fn a_camera_that_is_off_costs_its_column_and_not_the_other() {
+fn a_wrong_camera_lowers_the_mapped_scores_only() {
     let folder = tempfile::tempdir().expect("a folder");
     // About two pixels to the right and one down.
     let off = |index: usize, camera: &Camera| {
@@ -186,7 +186,7 @@ fn a_camera_that_is_off_costs_its_column_and_not_the_other() {
 }
 
 #[test]
-fn a_soft_scene_costs_every_score() {
+fn a_soft_scene_lowers_every_score() {
     let folder = tempfile::tempdir().expect("a folder");
     let truth = truth(folder.path(), |_, camera| *camera);
     let mut soft = subject();
@@ -200,7 +200,7 @@ fn a_soft_scene_costs_every_score() {
 }
 
 #[test]
-fn what_cannot_be_judged_says_why() {
+fn an_error_says_why_a_run_cannot_be_judged() {
     let folder = tempfile::tempdir().expect("a folder");
     let truth = truth(folder.path(), |_, camera| *camera);
     let all = Subject::new(subject().gaussians, cameras(), poses());
@@ -216,7 +216,7 @@ fn what_cannot_be_judged_says_why() {
 }
 
 #[test]
-fn the_lens_is_the_one_that_the_run_found() {
+fn the_lens_is_the_one_found_by_the_run() {
     let folder = tempfile::tempdir().expect("a folder");
     let truth = truth(folder.path(), |_, camera| *camera);
     let mut other = poses();
@@ -236,14 +236,14 @@ fn the_lens_is_the_one_that_the_run_found() {
 }
 
 #[test]
-fn elongated_gaussians_are_counted_where_a_view_sees_their_length() {
+fn elongated_gaussians_count_if_a_view_sees_their_length() {
     let mut subject = subject();
     let before = elongated::count(&subject);
     subject.gaussians.means[0] = [0.0; 3];
     subject.gaussians.opacity_logits[0] = 0.0;
     subject.gaussians.log_scales[0] = [0.2_f32.ln(), 0.01_f32.ln(), 0.01_f32.ln()];
     assert_eq!(elongated::count(&subject), before + 1);
-    // A tenth as long it is 3 px.
+    // A tenth as long, it measures 3 px.
     subject.gaussians.log_scales[0] = [0.02_f32.ln(), 0.001_f32.ln(), 0.001_f32.ln()];
     assert_eq!(elongated::count(&subject), before);
 }

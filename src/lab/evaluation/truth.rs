@@ -20,21 +20,19 @@ use super::error::EvaluationError;
 use super::seen::Mask;
 use super::subject::Subject;
 
-/// Fewer shared cameras do not say how two worlds lie to each other.
+/// Fewest shared cameras that determine the similarity of two worlds.
 const LEAST_TIED: usize = 3;
 
-/// The photographs of a folder that have a pose there, in the natural order of their names.
+/// The photographs of a folder that have a pose there, in natural order of their names.
 pub struct Truth {
     views: Vec<(CaptureView, PosedView)>,
 }
 
 /// A sharp photograph at the run's size, undistorted, with its camera in the run's world.
 pub(super) struct TruthView {
-    /// Its name.
     pub(super) name: String,
     /// The photograph, sRGB.
     pub(super) photograph: Image,
-    /// Where it was taken from.
     pub(super) camera: Camera,
 }
 
@@ -52,8 +50,8 @@ impl Placed<'_> {
         self.posed.camera.resized(width, height)
     }
 
-    /// The white pixels of the picture in `folder` that is named like the photograph, at the
-    /// working size.
+    /// The mask of the photograph: the white pixels of the picture of the same name in `folder`, at
+    /// the working size.
     ///
     /// # Errors
     /// [`EvaluationError::NoMask`]; a picture that cannot be read.
@@ -88,18 +86,18 @@ impl Placed<'_> {
     }
 }
 
-/// How the truth's world lies to a run's.
+/// The alignment of the truth's world to a run's.
 pub(super) struct Tie {
     /// From the truth's world to the run's.
     pub(super) similarity: Similarity,
-    /// Training views that both know.
+    /// Number of training views that both contain.
     pub(super) views: usize,
-    /// Root mean square distance of their cameras, share of their extent.
+    /// Root mean square distance of their cameras, as a share of their extent.
     pub(super) error: f64,
 }
 
 impl Truth {
-    /// Reads the poses of a folder of photographs; these are read when they are needed. Where a
+    /// Reads the poses of a folder of photographs, which are themselves loaded on demand. If a
     /// photograph has a sharp one of the same name in `gt/` or `HL/`, that is the truth.
     ///
     /// # Errors
@@ -132,12 +130,11 @@ impl Truth {
         Self::new(photographs.into_iter().filter_map(posed).collect())
     }
 
-    /// From photographs with their poses.
     pub(super) fn new(views: Vec<(CaptureView, PosedView)>) -> Self {
         Self { views }
     }
 
-    /// The similarity that brings the truth's cameras to those of a run.
+    /// The similarity that maps the truth's cameras to those of a run.
     ///
     /// # Errors
     /// [`EvaluationError::NotTied`].
@@ -169,7 +166,7 @@ impl Truth {
         })
     }
 
-    /// Names of the photographs that did not train; with `inside` those between two that did.
+    /// Names of the photographs that did not train; with `inside`, only those between two that did.
     pub(super) fn test_views(&self, subject: &Subject, inside: bool) -> Vec<&str> {
         let trained: Vec<bool> = self
             .views
@@ -186,9 +183,9 @@ impl Truth {
         .collect()
     }
 
-    /// The photographs of these names as a run would have them: taken with the lens that it found
-    /// for the nearest training view, from where the tie puts them. What a lens bends and how far
-    /// off a scene is are found together, so another lens, be it the true one, shows another scene.
+    /// The photographs of these names as the run would have them: undistorted with the lens that it
+    /// found for the nearest training view, at the aligned pose. A run estimates distortion and
+    /// depth together, so another lens, even the true one, would show another scene.
     ///
     /// # Errors
     /// [`EvaluationError::NoLens`].

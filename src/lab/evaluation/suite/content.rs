@@ -1,4 +1,4 @@
-//! What files hold, as one hash: where they lie and when they were made does not matter.
+//! Hashes of the content of files, independent of place and time.
 
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
@@ -32,13 +32,13 @@ pub fn checksum(path: &Path) -> Result<String, SuiteError> {
     Ok(hashed(&listing))
 }
 
-/// Every file below a folder, by its path from there.
+/// Lists every file below a folder, by its relative path.
 fn walk(folder: &Path, below: &Path, files: &mut Vec<PathBuf>) -> Result<(), SuiteError> {
     let here = folder.join(below);
     for entry in fs::read_dir(&here).map_err(SuiteError::io(&here))? {
         let below = below.join(entry.map_err(SuiteError::io(&here))?.file_name());
         let path = folder.join(&below);
-        // Links are what they lead to.
+        // Links are followed.
         if fs::metadata(&path).map_err(SuiteError::io(&path))?.is_dir() {
             walk(folder, &below, files)?;
         } else {
@@ -69,7 +69,7 @@ mod tests {
     }
 
     #[test]
-    fn a_folder_is_known_by_names_and_contents_wherever_it_lies() {
+    fn a_folders_hash_depends_on_names_and_contents_only() {
         let sum = |files: &[(&str, &str)]| checksum(folder(files).path()).expect("readable");
         let first = sum(&[("images/1.png", "a"), ("2.png", "b")]);
         assert_eq!(first, sum(&[("2.png", "b"), ("images/1.png", "a")]));
@@ -79,7 +79,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_missing_is_named() {
+    fn an_error_names_the_missing_file() {
         let error = checksum(Path::new("/nowhere/at/all")).expect_err("missing");
         assert!(error.to_string().starts_with("/nowhere/at/all: "));
     }

@@ -1,53 +1,51 @@
-//! Why a suite cannot be carried out.
+//! Errors of a suite.
 
 use std::path::{Path, PathBuf};
 
 use fled_core::cancel::Cancelled;
 use fled_core::pipeline::config::OptionsError;
 
-/// Why a suite cannot be carried out. A run that fails is none of these: it is recorded, and the
-/// others go on.
+/// The reason why a suite cannot run. A failed run is not an error: it is recorded, and the others
+/// continue.
 #[derive(Debug, thiserror::Error)]
 pub enum SuiteError {
-    /// The suite's file, or what was asked of it, is wrong.
+    /// The suite's file or the request is invalid.
     #[error("{0}")]
     Wrong(String),
-    /// Options that no run can have.
+    /// Invalid options.
     #[error("{of}: {error}")]
     Options {
-        /// The configuration and capture that have them.
+        /// Their configuration and capture.
         of: String,
-        /// The option and what is wrong with it.
         error: OptionsError,
     },
-    /// Reading or writing.
+    /// Reading or writing failed.
     #[error("{}: {error}", path.display())]
     Io {
         /// The file or folder.
         path: PathBuf,
-        /// What went wrong.
         error: std::io::Error,
     },
-    /// A record that cannot be what its name says.
+    /// A record contradicts its name.
     #[error("{} {detail}; remove it", path.display())]
     Record {
         /// Its file.
         path: PathBuf,
-        /// What it is instead.
+        /// The contradiction.
         detail: String,
     },
-    /// What decides a run was another after it than before.
+    /// An input of a run changed while it was made.
     #[error("{what} changed while a run was made of it; {} is not recorded", run.display())]
     Changed {
-        /// Program, capture or networks.
+        /// The program, the capture or the networks.
         what: String,
         /// The run's folder.
         run: PathBuf,
     },
-    /// A child did not do what the program does.
+    /// The child process misbehaved.
     #[error("{0}")]
     Child(String),
-    /// Asked to stop.
+    /// The caller cancelled the suite.
     #[error(transparent)]
     Cancelled(#[from] Cancelled),
 }

@@ -1,4 +1,4 @@
-//! The file of a suite: what is run, on what, and what is compared.
+//! The file of a suite: captures, configurations and comparisons.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -10,37 +10,37 @@ use serde_json::{Map, Value};
 use super::error::SuiteError;
 use fled_core::pipeline::config::Preset;
 
-/// Options of a run: flat keys, as `fled run --options` takes them.
+/// Options of a run: flat keys, as in `fled run --options`.
 pub type OptionSet = Map<String, Value>;
 
-/// What a suite's file says. Paths are relative to the file.
+/// The content of a suite's file. Paths are relative to the file.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Suite {
-    /// What it answers, a sentence.
+    /// The question that it answers, a sentence.
     pub question: String,
     /// Preset of every run.
     pub preset: Preset,
-    /// How many seeds, from 0.
+    /// Number of seeds, from 0.
     #[serde(default = "one")]
     pub seeds: u64,
     /// Options of every run.
     #[serde(default)]
     pub set: OptionSet,
-    /// The material that configurations take which name none.
+    /// The material of configurations that name none.
     #[serde(default = "dark")]
     pub material: String,
-    /// The LPIPS network; without one no view has that score.
+    /// The LPIPS network; without one, no view has that score.
     pub lpips: Option<PathBuf>,
     /// Whether test views that lie outside the training views' path are left out.
     #[serde(default)]
     pub inside: bool,
-    /// What is photographed. May be left out where a list of captures is given beside the file.
+    /// The captures; may be omitted if a separate list of captures is given.
     #[serde(default)]
     pub captures: Vec<CaptureEntry>,
-    /// What is compared; the first is what the others are compared with.
+    /// The configurations; the first is the baseline of the others.
     pub configurations: Vec<Configuration>,
-    /// What share of a ceiling is reached.
+    /// The share of a ceiling that is to be reported.
     pub gain: Option<Gain>,
 }
 
@@ -50,27 +50,27 @@ pub struct Suite {
 pub struct CaptureEntry {
     /// Its name in the tables.
     pub name: String,
-    /// Captures of the scene by what they are, such as `dark`, `sharp` and `shaken`.
+    /// Captures of the scene by kind, such as `dark`, `sharp` and `shaken`.
     pub materials: BTreeMap<String, PathBuf>,
-    /// Sharp photographs with their cameras, by which its runs are judged.
+    /// Sharp photographs with their cameras, which judge its runs.
     pub truth: PathBuf,
-    /// Options of its runs, over the suite's.
+    /// Options of its runs, which override the suite's.
     #[serde(default)]
     pub set: OptionSet,
 }
 
-/// One way of doing it.
+/// One configuration to compare.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Configuration {
     /// Its name in the tables.
     pub name: String,
-    /// Its options, over the suite's and the capture's.
+    /// Its options, which override the suite's and the capture's.
     #[serde(default)]
     pub set: OptionSet,
-    /// The material that it is given.
+    /// The material that it processes.
     pub material: Option<String>,
-    /// Another configuration: this one makes as many steps as fit into that one's training time.
+    /// Another configuration; this one makes as many steps as fit into that one's training time.
     pub seconds_of: Option<String>,
 }
 
@@ -78,18 +78,18 @@ pub struct Configuration {
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Gain {
-    /// What is to be judged.
+    /// The configuration to be judged.
     pub of: String,
-    /// What one has without it.
+    /// The baseline.
     pub over: String,
-    /// What nothing can be better than.
+    /// The upper bound.
     pub ceiling: String,
 }
 
-/// What of a suite is carried out; by default all of it.
+/// A part of a suite; by default all of it.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Selection {
-    /// Configurations, beside the first and those that they need.
+    /// Configurations, besides the first and those that they need.
     pub only: Vec<String>,
     /// Captures.
     pub captures: Vec<String>,
@@ -106,7 +106,7 @@ fn dark() -> String {
 }
 
 impl Suite {
-    /// Reads a suite's file and holds it against what must be true of one.
+    /// Reads a suite's file and checks it.
     ///
     /// # Errors
     /// [`SuiteError::Io`], or [`SuiteError::Wrong`] naming the key.
@@ -121,8 +121,7 @@ impl Suite {
         Ok(suite)
     }
 
-    /// A list of captures from a file of its own, whose paths are relative to that file, in the
-    /// place of the suite's.
+    /// Replaces the captures by those of a separate file, whose paths are relative to that file.
     ///
     /// # Errors
     /// As [`Suite::read`].
@@ -134,10 +133,10 @@ impl Suite {
         Ok(self)
     }
 
-    /// With options of every run, as `key=value`, over the file's.
+    /// Overrides options of every run by `key=value` assignments.
     ///
     /// # Errors
-    /// [`SuiteError::Options`] for one that no run can have.
+    /// [`SuiteError::Options`] for an invalid one.
     pub fn with_assignments(mut self, assignments: &[String]) -> Result<Self, SuiteError> {
         for assignment in assignments {
             let options = self.preset.options().with_assignment(assignment);
@@ -145,7 +144,7 @@ impl Suite {
                 of: "every run".to_owned(),
                 error,
             })?;
-            // In the type that the option has.
+            // The value in the option's type.
             let value = serde_json::to_value(options).expect("options are JSON");
             if let Some((key, _)) = assignment.split_once('=') {
                 self.set.insert(key.to_owned(), value[key].clone());
@@ -155,11 +154,11 @@ impl Suite {
         Ok(self)
     }
 
-    /// What is selected of it. The first configuration stays, and so does what others need to
-    /// know how many steps they make.
+    /// Reduces the suite to the selection. The first configuration stays, and so do those from
+    /// whose time others derive their steps.
     ///
     /// # Errors
-    /// [`SuiteError::Wrong`] for a name that it does not have, or when no capture is left.
+    /// [`SuiteError::Wrong`] for an unknown name, or when no capture is left.
     pub fn selected(mut self, selection: &Selection) -> Result<Self, SuiteError> {
         let all: Vec<&str> = self.configurations.iter().map(|c| &*c.name).collect();
         expect_known("configuration", &selection.only, &all)?;
@@ -190,13 +189,13 @@ impl Suite {
         Ok(self)
     }
 
-    /// The material that a configuration is given of a capture.
+    /// The material of a capture that a configuration processes.
     pub fn material<'a>(&self, capture: &'a CaptureEntry, of: &Configuration) -> Option<&'a Path> {
         let name = of.material.as_ref().unwrap_or(&self.material);
         capture.materials.get(name).map(PathBuf::as_path)
     }
 
-    /// From which runs the number of steps follows of a configuration that has `seconds_of`.
+    /// The configurations whose runs determine the number of steps of one that has `seconds_of`.
     pub fn timing(&self, of: &Configuration) -> Option<Timing<'_>> {
         let name = of.seconds_of.as_ref()?;
         let time_of = self.configurations.iter().find(|c| c.name == *name)?;
@@ -208,7 +207,7 @@ impl Suite {
         Some(Timing { time_of, rate_of })
     }
 
-    /// What is wrong with it, in words that name the key.
+    /// Checks the suite; an error names the key.
     fn check(&self) -> Result<(), String> {
         if self.seeds == 0 {
             return Err("`seeds` is 0: nothing would be run".to_owned());
@@ -303,12 +302,12 @@ impl Suite {
     }
 }
 
-/// From which runs a number of steps follows.
+/// The configurations whose runs determine a number of steps.
 #[derive(Clone, Copy, Debug)]
 pub struct Timing<'a> {
-    /// Whose training time is filled.
+    /// The one whose training time is filled.
     pub time_of: &'a Configuration,
-    /// Whose steps a second are believed.
+    /// The one whose steps per second are assumed.
     pub rate_of: &'a Configuration,
 }
 

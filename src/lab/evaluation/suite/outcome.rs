@@ -1,17 +1,17 @@
-//! What became of a run.
+//! The outcome of a run.
 
 use serde::{Deserialize, Serialize};
 
 use crate::evaluation::report::Evaluation;
 use fled_core::metrics::Report;
 
-/// What was asked for, or why there is none.
+/// A result, or the reason why there is none.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Outcome<T> {
-    /// It is there.
+    /// The result.
     Finished(T),
-    /// The last error line of whoever should have made it.
+    /// The last error line of the process that should have made it.
     Failed(String),
 }
 
@@ -24,12 +24,11 @@ pub struct SuiteRun {
     pub configuration: String,
     /// Its seed.
     pub seed: u64,
-    /// What became of it.
     pub outcome: Outcome<Judged>,
 }
 
 impl SuiteRun {
-    /// What is known of a run that did not fail.
+    /// The result of a run that did not fail.
     pub fn judged(&self) -> Option<&Judged> {
         match &self.outcome {
             Outcome::Finished(judged) => Some(judged),
@@ -45,16 +44,15 @@ pub struct Judged {
     pub run: String,
     /// Optimiser steps of all rounds together.
     pub steps: u64,
-    /// Seconds that all rounds trained.
+    /// Seconds of training in all rounds.
     pub training_seconds: f64,
-    /// Seconds that all stages took, the poses as long as they took when they were found.
+    /// Seconds of all stages; for the poses, the time that finding them took originally.
     pub total_seconds: f64,
-    /// What sharp photographs say.
+    /// The scores against sharp photographs.
     pub evaluation: Evaluation,
 }
 
 impl Judged {
-    /// Of a run's report and evaluation.
     pub fn new(run: String, report: &Report, evaluation: Evaluation) -> Self {
         Self {
             run,
@@ -71,7 +69,7 @@ pub fn steps(report: &Report) -> u64 {
     report.rounds.iter().map(|round| round.steps).sum()
 }
 
-/// Seconds that all rounds trained.
+/// Seconds of training in all rounds.
 pub fn training_seconds(report: &Report) -> f64 {
     let seconds =
         |round: &fled_core::metrics::RoundMetrics| round.steps as f64 / round.steps_per_second;

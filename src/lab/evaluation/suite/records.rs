@@ -1,5 +1,5 @@
-//! What has been done already: a file a run and a file an evaluation, named by the hash of all
-//! that decides it.
+//! Records of finished work: a file per run and per evaluation, named by the hash of all that
+//! determines it.
 //!
 //! ```text
 //! runs/NAME.json  runs/NAME/  evaluations/NAME.json  evaluations/NAME/  poses/PROGRAM/
@@ -19,12 +19,12 @@ use super::outcome::Outcome;
 /// Characters of a record's name.
 const NAME: usize = 16;
 
-/// Sorts of records, each with a folder of its own.
+/// Kinds of records, each with its own folder.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
-    /// Of a run, with its report.
+    /// A run, with its report.
     Run,
-    /// Of an evaluation.
+    /// An evaluation.
     Evaluation,
 }
 
@@ -37,7 +37,7 @@ impl Kind {
     }
 }
 
-/// The folder of the records. Cheap to clone; holds a path only.
+/// The folder of the records. Cheap to clone; holds only a path.
 #[derive(Clone, Debug)]
 pub struct Records {
     out: PathBuf,
@@ -61,18 +61,18 @@ impl Records {
         hashed(facts)[..NAME].to_owned()
     }
 
-    /// The folder of what is recorded under this name.
+    /// The folder of the work recorded under this name.
     pub fn folder(&self, kind: Kind, name: &str) -> PathBuf {
         self.out.join(kind.folder()).join(name)
     }
 
-    /// The folder in which a build of the program keeps poses: they outlive a run, but not the
-    /// build that found them.
+    /// The pose cache of a build of the program: poses outlive a run, but not the build that found
+    /// them.
     pub fn poses(&self, program: &str) -> PathBuf {
         self.out.join("poses").join(&program[..NAME])
     }
 
-    /// What is recorded of these facts.
+    /// Reads the outcome recorded for these facts.
     ///
     /// # Errors
     /// [`SuiteError::Io`], or [`SuiteError::Record`] when the file holds other facts.
@@ -98,7 +98,7 @@ impl Records {
         Ok(Some(record.outcome))
     }
 
-    /// Records what became of these facts, whole or not at all.
+    /// Records the outcome of these facts atomically.
     ///
     /// # Errors
     /// [`SuiteError::Io`].
@@ -141,7 +141,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_written_is_read_and_other_facts_have_no_record() {
+    fn records_round_trip_and_other_facts_have_none() {
         let folder = tempfile::tempdir().expect("temporary folder");
         let records = Records::new(folder.path());
         for outcome in [
@@ -167,7 +167,7 @@ mod tests {
     }
 
     #[test]
-    fn a_record_of_other_facts_than_its_name_says_is_refused() {
+    fn a_record_of_other_facts_than_its_name_is_refused() {
         let folder = tempfile::tempdir().expect("temporary folder");
         let records = Records::new(folder.path());
         records

@@ -1,4 +1,4 @@
-//! The runs of a suite, in order: what is recorded is not done again, what failed is.
+//! Makes the runs of a suite in order; recorded runs are not repeated, failed ones are.
 
 use std::collections::BTreeMap;
 use std::ffi::OsString;
@@ -18,28 +18,29 @@ use crate::evaluation::report::Evaluation;
 use fled_core::metrics::Report;
 use fled_core::run_folder::RunFolder;
 
-/// Steps that follow from a time are rounded to a multiple of this: the clock is no better.
+/// Steps derived from a time are rounded to a multiple of this: the clock is no more accurate.
 const STEPS_ROUNDED_TO: f64 = 100.0;
 
-/// Starts the program with words and waits for its end: its last error line where it failed.
+/// Starts the program with these arguments and waits for its end; returns its last error line if it
+/// failed.
 pub type Start<'a> = dyn FnMut(&[OsString]) -> Result<Result<(), String>, SuiteError> + 'a;
 
-/// Who does the work.
+/// The means of running a suite.
 pub struct Hands<'a> {
     /// Starts the program.
     pub start: &'a mut Start<'a>,
-    /// Hears what is being done.
+    /// Reports the current work.
     pub tell: &'a mut dyn FnMut(&str),
 }
 
-/// Carries a suite out and gives its runs in the order in which they were due. Without hands
-/// nothing is done: the runs are those that are recorded.
+/// Runs a suite and returns its runs in the order in which they were due. Without hands, only
+/// returns the recorded runs.
 ///
-/// Every configuration has had a seed on all captures before any has its second; those whose steps
-/// follow from a time come after the others.
+/// Every configuration has one seed on all captures before any has its second; configurations whose
+/// steps derive from a time come after the others.
 ///
 /// # Errors
-/// [`SuiteError`], before the first run where anything can be known by then.
+/// [`SuiteError`], before the first run if the fault can be known by then.
 pub fn run(
     suite: &Suite,
     setup: &Setup,
@@ -117,7 +118,7 @@ struct Carrier<'a, 'h> {
     due: usize,
 }
 
-/// What the program is asked for.
+/// A call of the program.
 struct Task<'a> {
     kind: Kind,
     title: String,
@@ -126,12 +127,13 @@ struct Task<'a> {
     folder: PathBuf,
     /// The file in it that is recorded.
     result: PathBuf,
-    /// What no longer is as the facts say, in words.
+    /// Names the inputs that no longer match the facts.
     changed: &'a dyn Fn() -> Result<Vec<&'static str>, SuiteError>,
 }
 
 impl Carrier<'_, '_> {
-    /// Everything that can be wrong before a run is made: options, captures, truth, networks.
+    /// Checks everything that can be wrong before the first run: options, captures, truth,
+    /// networks.
     fn check(&self) -> Result<(), SuiteError> {
         for capture in &self.suite.captures {
             for configuration in &self.suite.configurations {
@@ -149,7 +151,7 @@ impl Carrier<'_, '_> {
         Ok(())
     }
 
-    /// What became of a run; `None` where nothing is recorded and nothing is done.
+    /// The outcome of a run; `None` if it is not recorded and no runs are made.
     fn judged(&mut self, place: Place<'_>) -> Result<Option<Outcome<Judged>>, SuiteError> {
         let first = &self.suite.configurations[0];
         let Some(steps) = self.steps(place)? else {
@@ -182,14 +184,14 @@ impl Carrier<'_, '_> {
         }))
     }
 
-    /// That a run cannot be made because another is not there, unless none are being made.
+    /// The failure of a run that lacks another one, unless no runs are made.
     fn lacking(&self, what: &str) -> Option<Outcome<Judged>> {
         self.hands.as_ref()?;
         Some(Outcome::Failed(what.to_owned()))
     }
 
-    /// The steps of a run where they follow from a time, `Some(None)` where they are the options';
-    /// `None` when the runs are lacking from which they follow.
+    /// The steps of a run if they derive from a time, and `Some(None)` if the options give them;
+    /// `None` if the runs from which they derive are missing.
     fn steps(&self, place: Place<'_>) -> Result<Option<Option<u64>>, SuiteError> {
         let Some(timing) = self.suite.timing(place.configuration) else {
             return Ok(Some(None));
@@ -227,8 +229,8 @@ impl Carrier<'_, '_> {
         };
         let outcome = self.done(&task, facts)?;
         if let (Some(Outcome::Finished(_)), Some(_)) = (&outcome, &self.hands) {
-            // What only a resumed run reads is most of a run's size. It is gone already where the
-            // run was recorded before.
+            // Most of a run's size serves only to resume it. Runs recorded earlier have lost it
+            // already.
             let _ = fs::remove_dir_all(RunFolder::new(&folder).work().root());
         }
         Ok(outcome)
@@ -277,7 +279,7 @@ impl Carrier<'_, '_> {
         self.done(&task, &facts)
     }
 
-    /// What is recorded of the facts, else what becomes of the task now.
+    /// The recorded outcome of the facts, else that of the task run now.
     fn done<T: Serialize + DeserializeOwned>(
         &mut self,
         task: &Task<'_>,
@@ -318,7 +320,7 @@ impl Carrier<'_, '_> {
     }
 }
 
-/// What a task left. A file that is not there or says nothing is a failure of this run alone.
+/// Reads the result of a task. A missing or invalid file fails this run alone.
 fn read<T: DeserializeOwned>(task: &Task<'_>) -> Outcome<T> {
     let read = fs::read(&task.result).map_err(|error| error.to_string());
     let parsed =

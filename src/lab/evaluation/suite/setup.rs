@@ -1,4 +1,4 @@
-//! All that decides a run and an evaluation, and how both are asked for.
+//! All that determines a run and an evaluation, and the arguments that start them.
 
 use std::cell::RefCell;
 use std::collections::BTreeMap;
@@ -14,24 +14,24 @@ use super::file::{CaptureEntry, Configuration, OptionSet, Suite};
 use fled_core::deblur::Model;
 use fled_core::pipeline::config::{Options, Preset};
 
-/// All that decides what a run becomes.
+/// All that determines the result of a run.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct RunFacts {
     /// Hash of the program.
     pub program: String,
-    /// What computes: adapter, COLMAP, ONNX Runtime, networks.
+    /// The components that compute: adapter, COLMAP, ONNX Runtime, networks.
     pub machine: BTreeMap<String, String>,
-    /// The options, complete.
+    /// The complete options.
     pub options: Options,
-    /// Hash of what the capture holds.
+    /// Hash of the capture's content.
     pub capture: String,
-    /// Hashes of the networks that options name.
+    /// Hashes of the networks that the options name.
     pub networks: BTreeMap<String, String>,
-    /// The folder of poses, where another than the records' own is used.
+    /// The pose cache, if not the records' own.
     pub poses: Option<PathBuf>,
 }
 
-/// All that decides what an evaluation says.
+/// All that determines the result of an evaluation.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct EvaluationFacts {
     /// Name of the run's record.
@@ -42,27 +42,27 @@ pub struct EvaluationFacts {
     pub lpips: Option<String>,
     /// Whether views outside the training views' path are left out.
     pub inside: bool,
-    /// Name of the record of the run whose scene says what is seen; `None` is the run itself.
+    /// Name of the record of the run whose scene decides what is seen; `None` is the run itself.
     pub seen_from: Option<String>,
 }
 
-/// A run to be made.
+/// A run to make.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RunOrder {
     /// The capture.
     pub capture: PathBuf,
-    /// The preset that `set` lies over.
+    /// The preset that `set` overrides.
     pub preset: Preset,
-    /// Its options over the preset's.
+    /// Options that override the preset's.
     pub set: OptionSet,
 }
 
-/// An evaluation to be made.
+/// An evaluation to make.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct EvaluationOrder {
     /// The run's folder.
     pub run: PathBuf,
-    /// The folder of the run that says what is seen.
+    /// The folder of the run whose scene decides what is seen.
     pub seen_from: Option<PathBuf>,
     /// Sharp photographs and their cameras.
     pub truth: PathBuf,
@@ -75,7 +75,7 @@ pub struct EvaluationOrder {
 }
 
 impl RunOrder {
-    /// The words of `fled run`.
+    /// The arguments of `fled run`.
     pub fn words(&self, out: &Path, poses: &Path) -> Vec<OsString> {
         let mut words: Vec<OsString> = vec![
             "run".into(),
@@ -99,7 +99,7 @@ impl RunOrder {
 }
 
 impl EvaluationOrder {
-    /// The words of `fled eval`.
+    /// The arguments of `fled eval`.
     pub fn words(&self, out: &Path) -> Vec<OsString> {
         let mut words: Vec<OsString> = vec![
             "eval".into(),
@@ -131,15 +131,15 @@ pub struct Setup {
     pub checksum: String,
     machine: BTreeMap<String, String>,
     models: Vec<PathBuf>,
-    /// The folder of poses, where another than the records' own is used.
+    /// The pose cache, if not the records' own.
     pub poses: Option<PathBuf>,
-    /// Hashes that are known already: captures are large.
+    /// Hashes computed so far: captures are large.
     known: RefCell<BTreeMap<PathBuf, String>>,
 }
 
 impl Setup {
-    /// The build at `program`; `machine` is what it says of what computes, and `models` are the
-    /// folders of its networks.
+    /// The build at `program`. `machine` describes the components that compute, as the program
+    /// reports them, and `models` are the folders of its networks.
     ///
     /// # Errors
     /// [`SuiteError::Io`] when the program cannot be read.
@@ -158,10 +158,10 @@ impl Setup {
         })
     }
 
-    /// The order of a run; `steps` in place of its options' where they follow from a time.
+    /// The order of a run; `steps` override its options if they derive from a time.
     ///
     /// # Errors
-    /// [`SuiteError::Wrong`] for a material that is not there.
+    /// [`SuiteError::Wrong`] for a missing material.
     pub fn order(
         suite: &Suite,
         capture: &CaptureEntry,
@@ -187,8 +187,8 @@ impl Setup {
     /// The facts of a run.
     ///
     /// # Errors
-    /// [`SuiteError::Options`] for options that no run can have, [`SuiteError::Wrong`] for a
-    /// network that is not there, [`SuiteError::Io`].
+    /// [`SuiteError::Options`] for invalid options, [`SuiteError::Wrong`] for a missing network,
+    /// [`SuiteError::Io`].
     pub fn run_facts(&self, order: &RunOrder, of: &str) -> Result<RunFacts, SuiteError> {
         let options = options(order, of)?;
         Ok(RunFacts {
@@ -201,7 +201,7 @@ impl Setup {
         })
     }
 
-    /// The facts of an evaluation, of runs whose records have these names.
+    /// The facts of an evaluation of runs whose records have these names.
     ///
     /// # Errors
     /// [`SuiteError::Io`].
@@ -223,7 +223,7 @@ impl Setup {
         })
     }
 
-    /// What of a run's facts holds no more.
+    /// Names the facts of a run that no longer hold.
     ///
     /// # Errors
     /// [`SuiteError::Io`].
@@ -271,7 +271,7 @@ impl Setup {
     }
 }
 
-/// The complete options of a run; `of` says in an error whose they are.
+/// The complete options of a run; `of` names the run in an error.
 ///
 /// # Errors
 /// [`SuiteError::Options`].

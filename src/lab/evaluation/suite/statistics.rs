@@ -1,8 +1,8 @@
-//! What can be said of the difference between two configurations.
+//! The significance of the difference between two configurations.
 //!
-//! Only what is alike but for the configuration is compared: the same capture, seed and test view.
-//! A capture's difference is the mean over its pairs, and captures, not views, are what is
-//! resampled: views of one capture share its light, its poses and its luck.
+//! Only runs that differ in nothing but the configuration are compared: the same capture, seed and
+//! test view. A capture's difference is the mean over its pairs. The bootstrap resamples captures,
+//! not views, because views of one capture share its light, its poses and its luck.
 
 use std::collections::BTreeSet;
 
@@ -15,35 +15,35 @@ use crate::evaluation::report::{Scores, TestView, ViewScores};
 
 /// Resamples of the bootstrap.
 const RESAMPLES: usize = 10_000;
-/// Seed of the bootstrap: the same runs have the same interval.
+/// Seed of the bootstrap, so that the same runs have the same interval.
 const SEED: u64 = 0x5017e;
 /// Percentiles that bound 95 % of the resamples.
 const BOUNDS: [f64; 2] = [0.025, 0.975];
-/// From fewer captures no claim is made: the interval of so few is far too narrow.
+/// Fewest captures for a claim: the interval of fewer is far too narrow.
 pub const LEAST_CAPTURES: usize = 6;
-/// From fewer seeds no claim is made: what a seed does by itself would not show.
+/// Fewest seeds for a claim: with fewer, the effect of the seed itself would not show.
 pub const LEAST_SEEDS: usize = 2;
-/// Where the ceiling is less than this above the floor a share of it is noise, dB.
+/// Least distance from floor to ceiling, dB; a share of less is noise.
 pub const LEAST_CEILING_DB: f64 = 1.0;
 
-/// What is compared.
+/// A measure of quality.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Measure {
     /// PSNR after a colour fit, dB.
     PsnrCc,
-    /// The same over the pixels that two training views see, dB.
+    /// PSNR after a colour fit over the pixels that two training views see, dB.
     PsnrCcSeen,
     /// SSIM.
     Ssim,
     /// LPIPS, lower is better.
     Lpips,
-    /// PSNR of what is finer than 3 px, dB.
+    /// PSNR of detail finer than 3 px, dB.
     Fine,
 }
 
 impl Measure {
-    /// All of them, in the order of the tables.
+    /// All measures, in the order of the tables.
     pub const ALL: [Self; 5] = [
         Self::PsnrCc,
         Self::PsnrCcSeen,
@@ -52,7 +52,7 @@ impl Measure {
         Self::Fine,
     ];
 
-    /// Its score; `None` where a view has none.
+    /// The value of the measure; `None` if a view has none.
     pub fn of(self, scores: &ViewScores) -> Option<f64> {
         let all = &scores.all;
         match self {
@@ -68,18 +68,18 @@ impl Measure {
     }
 }
 
-/// From which cameras.
+/// The cameras of the renders.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Cameras {
-    /// Registered on the sharp photographs: what the scene looks like.
+    /// Registered to the sharp photographs: the quality of the scene.
     Registered,
-    /// Where the truth has them: what the cameras' errors cost besides.
+    /// Mapped from the truth: adds the effect of camera errors.
     Mapped,
 }
 
 impl Cameras {
-    /// Both, the one that claims are made of first.
+    /// Both; claims use the first.
     pub const ALL: [Self; 2] = [Self::Registered, Self::Mapped];
 
     /// A view's scores.
@@ -91,47 +91,45 @@ impl Cameras {
     }
 }
 
-/// How much higher a configuration scores than another.
+/// The advantage of a configuration over another.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Difference {
     /// Name of the configuration.
     pub of: String,
-    /// Name of the one that it is compared with.
+    /// Name of the baseline.
     pub over: String,
-    /// What is compared.
     pub measure: Measure,
-    /// From which cameras.
     pub cameras: Cameras,
-    /// Capture by capture; those without a pair are not here.
+    /// By capture; captures without a pair are left out.
     pub captures: Vec<CaptureDifference>,
-    /// Mean over the captures, each of which counts the same.
+    /// Mean over the captures, with equal weights.
     pub mean: f64,
-    /// 95 % percentile bootstrap over the captures; `None` of a single one.
+    /// 95 % percentile bootstrap over the captures; `None` for a single one.
     pub interval: Option<[f64; 2]>,
 }
 
-/// How much higher a configuration scores than another on one capture.
+/// The advantage of a configuration over another on one capture.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct CaptureDifference {
     /// Name of the capture.
     pub capture: String,
     /// Mean over the pairs.
     pub mean: f64,
-    /// Test views of all seeds that both have.
+    /// Number of test views of all seeds that both have.
     pub pairs: usize,
-    /// Seeds that both have.
+    /// Number of seeds that both have.
     pub seeds: usize,
 }
 
 impl Difference {
-    /// Whether there are captures and seeds enough to claim anything.
+    /// Whether there are enough captures and seeds for a claim.
     pub fn can_be_claimed(&self) -> bool {
         let seeds = self.captures.iter().map(|capture| capture.seeds).min();
         self.captures.len() >= LEAST_CAPTURES && seeds.is_some_and(|least| least >= LEAST_SEEDS)
     }
 }
 
-/// The difference in one measure; `None` where no capture has a pair.
+/// The difference in one measure; `None` if no capture has a pair.
 pub fn difference(
     runs: &[SuiteRun],
     (of, over): (&str, &str),
@@ -194,15 +192,15 @@ fn of_capture(
     })
 }
 
-/// What share of the way from `over` to the ceiling a configuration goes.
+/// The share of the way from `over` to the ceiling that a configuration reaches.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Reached {
-    /// Capture by capture.
+    /// By capture.
     pub captures: Vec<CaptureReached>,
-    /// Mean share over the captures where the ceiling is [`LEAST_CEILING_DB`] above; `None` where
-    /// it is nowhere.
+    /// Mean share over the captures whose ceiling is more than [`LEAST_CEILING_DB`] above; `None`
+    /// without any.
     pub mean: Option<f64>,
-    /// Its 95 % interval, as of a difference.
+    /// Its 95 % interval, as for a difference.
     pub interval: Option<[f64; 2]>,
 }
 
@@ -215,18 +213,18 @@ pub struct CaptureReached {
     pub gained_db: f64,
     /// ceiling - over, dB.
     pub ceiling_db: f64,
-    /// The first over the second.
+    /// `gained_db` over `ceiling_db`.
     pub share: f64,
 }
 
 impl CaptureReached {
-    /// Whether there is anything to be gained here.
+    /// Whether the ceiling is high enough for a share.
     pub fn counts(&self) -> bool {
         self.ceiling_db > LEAST_CEILING_DB
     }
 }
 
-/// The shares, from the differences of `of` and of the ceiling to the same configuration.
+/// The shares, from the differences of `of` and of the ceiling to the same baseline.
 pub fn reached(of: &Difference, ceiling: &Difference) -> Reached {
     let captures: Vec<CaptureReached> = of
         .captures
@@ -251,12 +249,12 @@ pub fn reached(of: &Difference, ceiling: &Difference) -> Reached {
     }
 }
 
-/// The mean; `None` of nothing.
+/// The mean; `None` without values.
 pub fn mean(values: &[f64]) -> Option<f64> {
     (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
 }
 
-/// 95 % percentile bootstrap of the mean; `None` of fewer than two values.
+/// 95 % percentile bootstrap of the mean; `None` for fewer than two values.
 pub fn interval(values: &[f64]) -> Option<[f64; 2]> {
     if values.len() < 2 {
         return None;
@@ -271,7 +269,7 @@ pub fn interval(values: &[f64]) -> Option<[f64; 2]> {
     Some(BOUNDS.map(|share| percentile(&means, share)))
 }
 
-/// The value below which a share of the sorted values lies, linear between two of them.
+/// The value below which a share of the sorted values lies, linearly interpolated.
 fn percentile(sorted: &[f64], share: f64) -> f64 {
     let at = share * (sorted.len() - 1) as f64;
     let (low, high) = (sorted[at.floor() as usize], sorted[at.ceil() as usize]);

@@ -1,4 +1,4 @@
-//! All that a suite says: rows of scores, differences, what share of the ceiling is reached.
+//! The results of a suite: rows of scores, differences, and the share of the ceiling.
 
 use serde::Serialize;
 
@@ -6,24 +6,24 @@ use super::file::{Gain, OptionSet, Suite};
 use super::outcome::{Judged, Outcome, SuiteRun};
 use super::statistics::{Cameras, Difference, Measure, Reached, difference, mean, reached};
 
-/// All that a suite says, and what it says it of.
+/// The results of a suite, and what they refer to.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Summary {
-    /// What it answers.
+    /// The question that the suite answers.
     pub question: String,
     /// Name of the preset of every run.
     pub preset: String,
     /// Options of every run.
     pub set: OptionSet,
-    /// How many seeds were asked for, from 0.
+    /// The number of seeds requested, from 0.
     pub seeds: u64,
-    /// Capture by capture, configuration by configuration, what of it there is.
+    /// The existing rows by capture and configuration.
     pub rows: Vec<Row>,
-    /// Means over the captures, of configurations that finished on all of them.
+    /// Means over the captures, for configurations that finished on all of them.
     pub means: Vec<Row>,
-    /// Of every configuration to the first.
+    /// Differences of every configuration to the first.
     pub differences: Vec<Difference>,
-    /// What share of the ceiling is reached, where the suite asks and the runs are there.
+    /// The share of the ceiling, if the suite asks for it and the runs exist.
     pub gain: Option<Share>,
     /// Every run, in the order in which they were due.
     pub runs: Vec<SuiteRun>,
@@ -32,60 +32,60 @@ pub struct Summary {
 /// A configuration on a capture.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Row {
-    /// Name of the capture; `None` where the row is about all of them.
+    /// Name of the capture; `None` for a mean over all of them.
     pub capture: Option<String>,
     /// Name of the configuration.
     pub configuration: String,
-    /// Means over the runs; `None` where all have failed.
+    /// Means over the runs; `None` if all failed.
     pub scores: Option<RowScores>,
-    /// Runs that finished; of all captures the fewest.
+    /// Number of runs that finished; for all captures, the fewest.
     pub finished: usize,
-    /// Runs that failed.
+    /// Number of runs that failed.
     pub failed: usize,
 }
 
-/// Mean scores of some runs; cameras are registered where nothing else is said.
+/// Mean scores of some runs, with registered cameras unless stated otherwise.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct RowScores {
     /// PSNR after a colour fit, dB.
     pub psnr_cc_db: f64,
-    /// The same over the pixels that two training views see, dB.
+    /// PSNR after a colour fit over the pixels that two training views see, dB.
     pub psnr_cc_seen_db: Option<f64>,
-    /// PSNR after a colour fit with the cameras where the truth has them, dB.
+    /// PSNR after a colour fit with mapped cameras, dB.
     pub psnr_cc_mapped_db: f64,
     /// SSIM.
     pub ssim: f64,
     /// LPIPS.
     pub lpips_squeeze: Option<f64>,
-    /// PSNR of what is finer than 3 px, dB.
+    /// PSNR of detail finer than 3 px, dB.
     pub psnr_fine_db: f64,
-    /// Gaussians that are elongated.
+    /// Number of elongated Gaussians.
     pub elongated: f64,
-    /// Gaussians.
+    /// Number of Gaussians.
     pub gaussians: f64,
     /// Optimiser steps of all rounds.
     pub steps: f64,
-    /// Seconds that all rounds trained.
+    /// Seconds of training in all rounds.
     pub training_seconds: f64,
-    /// Seconds that all stages took.
+    /// Seconds of all stages.
     pub total_seconds: f64,
 }
 
-/// What share of the way from one configuration to another a third goes.
+/// The share of the way from one configuration to another that a third reaches.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Share {
-    /// What is judged.
+    /// The configuration to be judged.
     pub of: String,
-    /// What one has without it.
+    /// The baseline.
     pub over: String,
-    /// What nothing can be better than.
+    /// The upper bound.
     pub ceiling: String,
-    /// How far it goes, in PSNR after a colour fit with registered cameras.
+    /// The share, in PSNR after a colour fit with registered cameras.
     pub reached: Reached,
 }
 
 impl Summary {
-    /// Of the runs of a suite.
+    /// Summarises the runs of a suite.
     pub fn new(suite: &Suite, runs: Vec<SuiteRun>) -> Self {
         let captures: Vec<&str> = suite.captures.iter().map(|c| c.name.as_str()).collect();
         let names: Vec<&str> = suite
@@ -201,7 +201,7 @@ impl RowScores {
         }
     }
 
-    /// Field by field, of those that have it; `None` of none.
+    /// Means of each field over those that have it; `None` without any.
     fn mean(of: &[Self]) -> Option<Self> {
         let always = |field: fn(&Self) -> f64| mean(&of.iter().map(field).collect::<Vec<_>>());
         let where_there = |field: fn(&Self) -> Option<f64>| {

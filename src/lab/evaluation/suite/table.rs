@@ -1,4 +1,4 @@
-//! What a suite says, as Markdown.
+//! The results of a suite as Markdown.
 
 use super::outcome::Outcome;
 use super::statistics::{
@@ -6,7 +6,7 @@ use super::statistics::{
 };
 use super::summary::{Row, Share, Summary};
 
-/// Where there is nothing to tell.
+/// An empty cell.
 const NOTHING: &str = "-";
 
 /// Columns of the scores.
@@ -27,7 +27,7 @@ const SCORES: [&str; 13] = [
 ];
 
 impl Summary {
-    /// The summary for people.
+    /// The summary as Markdown.
     pub fn markdown(&self) -> String {
         let mut parts = vec![self.question.clone(), self.scores()];
         parts.extend(self.failures());
@@ -187,7 +187,7 @@ fn table(head: &[&str], rows: Vec<Vec<String>>) -> String {
     let head: Vec<String> = head.iter().map(|&cell| cell.to_owned()).collect();
     let line = vec!["---".to_owned(); head.len()];
     let lines = [head, line].into_iter().chain(rows);
-    // A name may hold what separates cells.
+    // A name may contain the separator of cells.
     let cell = |cell: &String| cell.replace('|', "\\|");
     let line = |cells: Vec<String>| {
         let cells: Vec<String> = cells.iter().map(cell).collect();

@@ -1,4 +1,4 @@
-//! Suites on a program that only pretends to be fled.
+//! Tests of suites with a stub in place of fled.
 
 pub mod made_up;
 mod pretended;
@@ -11,9 +11,9 @@ use super::outcome::SuiteRun;
 use pretended::{Mischief, Pretended, runs};
 
 #[test]
-fn every_configuration_has_a_seed_on_all_captures_before_any_has_its_second() {
+fn every_configuration_finishes_a_seed_before_the_next() {
     let (_, said) = Pretended::new().well();
-    // fled's 2 x 1000 steps took 200 s, at 10 steps a second, as plain makes them, 2000 steps.
+    // fled's 2 x 1000 steps took 200 s; at plain's 10 steps per second that makes 2000 steps.
     let seed = |seed: u32| {
         [
             "rounds=1 seed=S steps=100",
@@ -28,7 +28,7 @@ fn every_configuration_has_a_seed_on_all_captures_before_any_has_its_second() {
 }
 
 #[test]
-fn every_run_is_judged_by_the_truth_where_the_first_sees_the_scene() {
+fn every_run_is_judged_where_the_first_sees_the_scene() {
     let (summary, said) = Pretended::new().well();
     let judged: Vec<&String> = said
         .iter()
@@ -54,7 +54,7 @@ fn every_run_is_judged_by_the_truth_where_the_first_sees_the_scene() {
 }
 
 #[test]
-fn what_is_recorded_is_not_done_again_and_says_the_same() {
+fn recorded_runs_are_not_repeated() {
     let pretended = Pretended::new();
     let (first, _) = pretended.well();
     let (again, said) = pretended.well();
@@ -66,7 +66,7 @@ fn what_is_recorded_is_not_done_again_and_says_the_same() {
     assert_eq!(work.count(), 0, "only a resumed run reads it");
 }
 
-/// How often the program is started once the suite was changed.
+/// Number of runs and evaluations that the program is started for after the suite changed.
 fn started_after(change: impl Fn(&mut Pretended)) -> (usize, usize) {
     let mut pretended = Pretended::new();
     pretended.well();
@@ -77,7 +77,7 @@ fn started_after(change: impl Fn(&mut Pretended)) -> (usize, usize) {
 }
 
 #[test]
-fn whatever_decides_a_run_makes_its_record_stale_and_nothing_else_does() {
+fn only_inputs_of_a_run_invalidate_its_record() {
     let write = |pretended: &Pretended, path: &str| {
         fs::write(pretended.top().join(path), "another").expect("file");
     };
@@ -97,7 +97,7 @@ fn whatever_decides_a_run_makes_its_record_stale_and_nothing_else_does() {
         started_after(|p| p.content["question"] = json!("?")),
         (0, 0)
     );
-    // Another name, or an option that says what holds anyway, is the same run.
+    // Another name, or an option set to its default, gives the same run.
     assert_eq!(
         started_after(|p| {
             p.content["captures"][0]["name"] = json!("vixen");
@@ -114,7 +114,7 @@ fn whatever_decides_a_run_makes_its_record_stale_and_nothing_else_does() {
 }
 
 #[test]
-fn another_content_of_a_networks_file_makes_its_runs_stale() {
+fn a_changed_network_file_invalidates_its_runs() {
     let network = |pretended: &mut Pretended, content: &str| {
         let path = pretended.top().join("own.onnx");
         fs::write(&path, content).expect("file");
@@ -129,7 +129,7 @@ fn another_content_of_a_networks_file_makes_its_runs_stale() {
 }
 
 #[test]
-fn a_run_that_fails_is_a_row_stops_nothing_and_is_done_again() {
+fn a_failed_run_is_reported_and_repeated() {
     let pretended = Pretended::new();
     let fails: Mischief<'_> = &|line| {
         let bad = line.starts_with("run fox") && line.contains("seed=1 --set steps=1000");
@@ -160,7 +160,7 @@ fn a_run_that_fails_is_a_row_stops_nothing_and_is_done_again() {
 }
 
 #[test]
-fn a_run_that_leaves_nothing_to_read_has_failed() {
+fn a_run_without_a_readable_result_has_failed() {
     let pretended = Pretended::new();
     let evaluations = pretended.top().join("out/evaluations");
     let in_the_way: Mischief<'_> = &|line| {
@@ -178,7 +178,7 @@ fn a_run_that_leaves_nothing_to_read_has_failed() {
 }
 
 #[test]
-fn without_a_run_of_the_first_nothing_says_what_is_seen() {
+fn without_the_first_configuration_nothing_can_be_judged() {
     let fails: Mischief<'_> = &|line| {
         let first =
             line.starts_with("run fox") && line.contains("rounds=1 --set seed=0 --set steps=100");
@@ -197,7 +197,7 @@ fn without_a_run_of_the_first_nothing_says_what_is_seen() {
 }
 
 #[test]
-fn a_run_whose_program_or_capture_was_replaced_meanwhile_is_no_record() {
+fn a_run_whose_inputs_changed_is_not_recorded() {
     for file in ["program", "fox/dark/1.png"] {
         let pretended = Pretended::new();
         let path = pretended.top().join(file);
@@ -219,7 +219,7 @@ fn a_run_whose_program_or_capture_was_replaced_meanwhile_is_no_record() {
 }
 
 #[test]
-fn what_no_run_can_have_is_told_before_the_first() {
+fn invalid_options_are_reported_before_the_first_run() {
     let wrong = |change: &dyn Fn(&mut Value)| {
         let mut pretended = Pretended::new();
         change(&mut pretended.content);
@@ -242,7 +242,7 @@ fn what_no_run_can_have_is_told_before_the_first() {
 }
 
 #[test]
-fn poses_are_not_shared_by_builds() {
+fn builds_do_not_share_poses() {
     let pretended = Pretended::new();
     let cache = |said: &[String]| {
         let mut words = said[0].split(' ').skip_while(|word| *word != "--cache");
@@ -256,7 +256,7 @@ fn poses_are_not_shared_by_builds() {
 }
 
 #[test]
-fn the_tables_tell_scores_differences_and_the_share_of_the_ceiling() {
+fn tables_show_scores_differences_and_shares_of_the_ceiling() {
     let (summary, _) = Pretended::new().well();
     let text = summary.markdown();
     let lines: Vec<&str> = text.lines().collect();

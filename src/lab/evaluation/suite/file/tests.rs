@@ -2,7 +2,7 @@ use serde_json::{Value, json};
 
 use super::*;
 
-/// A suite of one capture and three configurations, changed as `change` does.
+/// A suite of one capture and several configurations, modified by `change`.
 fn suite(change: impl Fn(&mut Value)) -> Result<Suite, String> {
     let mut content = json!({
         "question": "Does it help?",
@@ -43,7 +43,7 @@ fn relative(path: &Path, folder: &Path) -> PathBuf {
 }
 
 #[test]
-fn paths_are_relative_to_the_file_and_what_is_left_out_has_a_meaning() {
+fn paths_are_relative_and_omitted_keys_have_defaults() {
     let read = suite(|content| {
         content.as_object_mut().expect("object").remove("seeds");
     })
@@ -57,7 +57,7 @@ fn paths_are_relative_to_the_file_and_what_is_left_out_has_a_meaning() {
 }
 
 #[test]
-fn what_is_wrong_is_told_by_its_key() {
+fn an_error_names_the_wrong_key() {
     type Change = fn(&mut Value);
     let faults: [(Change, &str); 13] = [
         (|c| c["seed"] = json!(1), "unknown field `seed`"),
@@ -109,7 +109,7 @@ fn what_is_wrong_is_told_by_its_key() {
 }
 
 #[test]
-fn a_time_needs_a_run_that_takes_it_and_one_of_the_same_steps_a_second() {
+fn a_time_needs_its_run_and_one_of_the_same_speed() {
     let read = suite(|_| ()).expect("a suite");
     let timing = read.timing(&read.configurations[2]).expect("a timing");
     assert_eq!(timing.time_of.name, "fled");
@@ -143,7 +143,7 @@ fn a_time_needs_a_run_that_takes_it_and_one_of_the_same_steps_a_second() {
 }
 
 #[test]
-fn a_selection_keeps_the_first_and_what_the_others_need() {
+fn a_selection_keeps_the_first_and_its_dependencies() {
     let names = |only: &[&str]| {
         let selection = Selection {
             only: only.iter().map(|&name| name.to_owned()).collect(),
@@ -173,7 +173,7 @@ fn a_selection_keeps_the_first_and_what_the_others_need() {
 }
 
 #[test]
-fn captures_may_stand_in_a_list_of_their_own() {
+fn captures_may_come_from_a_separate_list() {
     let folder = tempfile::tempdir().expect("temporary folder");
     let path = folder.path().join("captures.json");
     let list = |materials: Value| json!([{"name": "a", "materials": materials, "truth": "t"}]);
@@ -211,7 +211,7 @@ fn an_assignment_has_the_type_of_its_option() {
 }
 
 #[test]
-fn the_suites_that_are_here_can_be_read_and_their_runs_differ() {
+fn the_bundled_suites_are_valid_and_their_runs_differ() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tools/suites");
     for name in ["networks", "parts", "trainer"] {
         let path = folder.join(name).with_extension("json");

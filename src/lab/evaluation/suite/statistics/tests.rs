@@ -2,7 +2,7 @@ use super::*;
 use crate::evaluation::suite::tests::made_up::{run, view};
 
 #[test]
-fn a_capture_counts_once_however_many_views_and_seeds_it_has() {
+fn captures_count_equally_whatever_their_views_and_seeds() {
     let runs = [
         run("fox", "plain", 0, &[("a", 20.0), ("b", 21.0)]),
         run("fox", "plain", 1, &[("a", 20.0)]),
@@ -30,7 +30,7 @@ fn a_capture_counts_once_however_many_views_and_seeds_it_has() {
 }
 
 #[test]
-fn only_the_same_capture_seed_and_view_are_a_pair() {
+fn only_the_same_capture_seed_and_view_form_a_pair() {
     let runs = [
         run("fox", "plain", 0, &[("a", 20.0), ("b", 1.0)]),
         run("fox", "plain", 1, &[("a", 2.0)]),
@@ -46,7 +46,7 @@ fn only_the_same_capture_seed_and_view_are_a_pair() {
 }
 
 #[test]
-fn every_measure_and_camera_takes_its_own_score() {
+fn every_measure_and_camera_reads_its_own_score() {
     let mut scores = view("a", 20.0).registered;
     scores.all.ssim = 0.5;
     scores.all.psnr_fine_db = 30.0;
@@ -59,14 +59,14 @@ fn every_measure_and_camera_takes_its_own_score() {
     assert_eq!(Measure::PsnrCcSeen.of(&scores), Some(21.0));
     scores.seen = None;
     assert_eq!(Measure::PsnrCcSeen.of(&scores), None);
-    // A made-up view's mapped scores are 5 dB lower.
+    // The mapped scores of a made-up view are 5 dB lower.
     assert_eq!(Cameras::Mapped.of(&view("a", 20.0)).all.psnr_cc_db, 15.0);
 }
 
-/// Of 1 to 10: the resamples' means lie about 5.5 with the standard error of the values as they
-/// are, 2.8723 / sqrt(10), and 95 % of them within 1.96 of it.
+/// The values are 1 to 10: the resamples' means have mean 5.5 and the standard error of the values
+/// themselves, 2.8723 / sqrt(10), and 95 % of them lie within 1.96 of it.
 #[test]
-fn the_interval_is_that_of_the_mean() {
+fn the_interval_is_that_of_the_mean_value() {
     let values: Vec<f64> = (1..=10).map(f64::from).collect();
     let [low, high] = interval(&values).expect("ten values");
     assert!((low - 3.72).abs() < 0.12, "{low}");
@@ -76,7 +76,7 @@ fn the_interval_is_that_of_the_mean() {
 }
 
 #[test]
-fn a_percentile_lies_between_its_neighbours() {
+fn percentiles_interpolate_between_neighbours() {
     assert_eq!(percentile(&[1.0, 2.0, 4.0], 0.5), 2.0);
     assert_eq!(percentile(&[1.0, 2.0, 4.0], 0.75), 3.0);
     assert_eq!(percentile(&[1.0, 2.0, 4.0], 1.0), 4.0);
@@ -87,7 +87,7 @@ fn a_claim_needs_six_captures_and_two_seeds_on_each() {
     let claims = |captures: usize, seeds: u64| {
         let mut runs = Vec::new();
         for capture in 0..captures {
-            // The last capture may have a seed less.
+            // With three seeds, the last capture has only one.
             let less = u64::from(capture + 1 == captures && seeds == 3) * 2;
             for seed in 0..seeds - less {
                 for (name, psnr) in [("plain", 20.0), ("fled", 21.0)] {
@@ -111,7 +111,7 @@ fn a_claim_needs_six_captures_and_two_seeds_on_each() {
 }
 
 #[test]
-fn a_share_counts_where_there_is_more_than_a_decibel_to_go() {
+fn a_share_counts_if_the_ceiling_is_a_decibel_away() {
     let mut runs = Vec::new();
     for (capture, [plain, fled, sharp]) in [
         ("fox", [20.0, 21.0, 24.0]),

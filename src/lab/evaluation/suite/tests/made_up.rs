@@ -1,9 +1,9 @@
-//! Runs that nobody made, with the scores that a test needs.
+//! Made-up runs with the scores that a test needs.
 
 use crate::evaluation::report::{Evaluation, Scores, TestView, ViewScores};
 use crate::evaluation::suite::outcome::{Judged, Outcome, SuiteRun};
 
-/// Scores of a test view: 1 dB more where two views see it, 5 dB less with mapped cameras.
+/// A test view with these scores: 1 dB more where two views see it, 5 dB less with mapped cameras.
 pub fn view(name: &str, psnr_cc_db: f64) -> TestView {
     let scores = |psnr_cc_db| Scores {
         psnr_db: psnr_cc_db - 1.0,
@@ -26,7 +26,7 @@ pub fn view(name: &str, psnr_cc_db: f64) -> TestView {
     }
 }
 
-/// What is said of these views; the means are those of the first.
+/// The evaluation of these views; the means are those of the first.
 pub fn evaluation(views: &[(&str, f64)]) -> Evaluation {
     let views: Vec<TestView> = views.iter().map(|(name, psnr)| view(name, *psnr)).collect();
     Evaluation {

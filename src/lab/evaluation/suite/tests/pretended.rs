@@ -1,4 +1,4 @@
-//! A program that only pretends to be fled: scores follow from steps and seed.
+//! A stub of fled, whose scores are functions of steps and seed.
 
 use std::collections::BTreeMap;
 use std::ffi::OsString;
@@ -15,7 +15,7 @@ use crate::evaluation::suite::runner::{Hands, run};
 use crate::evaluation::suite::setup::Setup;
 use crate::evaluation::suite::summary::Summary;
 
-/// A folder with a program, captures and a suite, and who pretends to run them.
+/// A folder with a program, captures and a suite, and the stub that runs them.
 pub struct Pretended {
     folder: tempfile::TempDir,
     pub content: Value,
@@ -23,7 +23,7 @@ pub struct Pretended {
     pub machine: BTreeMap<String, String>,
 }
 
-/// What the pretender does besides, told the words.
+/// A side effect of the stub, given the arguments; returns an error line if the program is to fail.
 pub type Mischief<'a> = &'a dyn Fn(&str) -> Option<String>;
 
 impl Pretended {
@@ -70,8 +70,8 @@ impl Pretended {
         self.folder.path()
     }
 
-    /// What comes of the suite, and the words that the program was started with since: the paths
-    /// in them without the folder's.
+    /// The result of the suite, and the arguments of all calls of the program, with paths relative
+    /// to the folder.
     pub fn done(
         &self,
         mischief: Option<Mischief<'_>>,
@@ -112,14 +112,14 @@ impl Pretended {
         (outcome, said)
     }
 
-    /// As [`Self::done`], by a program that does its work.
+    /// Like [`Self::done`], with a program that succeeds.
     pub fn well(&self) -> (Summary, Vec<String>) {
         let (outcome, said) = self.done(Some(&|_| None));
         (outcome.expect("a suite"), said)
     }
 }
 
-/// Does as fled would: the scores follow from steps and seed.
+/// Writes the results that fled would write: the scores are functions of steps and seed.
 fn pretend(words: &[&str]) {
     let after = |flag: &str| {
         let at = words.iter().position(|word| *word == flag);
@@ -144,11 +144,11 @@ fn pretend(words: &[&str]) {
     let psnr = fs::read_to_string(Path::new(words[1]).join("psnr")).expect("a run");
     let said = evaluation(&[("a", psnr.parse().expect("dB"))]);
     let text = serde_json::to_string(&said).expect("JSON");
-    // Where a test has put something in the way nothing is left.
+    // Fails where a test has blocked the path.
     let _ = fs::write(out.join("evaluation.json"), text);
 }
 
-/// `metrics.json` of rounds at ten steps a second.
+/// `metrics.json` of rounds at ten steps per second.
 fn report(rounds: u64, steps: u64) -> String {
     let round = |round| {
         json!({
@@ -168,7 +168,7 @@ fn report(rounds: u64, steps: u64) -> String {
     .to_string()
 }
 
-/// Of the program's words, those of runs; each is its capture and its options.
+/// The calls that are runs, each as its capture and its options.
 pub fn runs(said: &[String]) -> Vec<String> {
     let runs = said.iter().filter(|line| line.starts_with("run "));
     runs.map(|line| {
