@@ -1,7 +1,7 @@
 //! Deblurring one view at a time, with or without a clean render as a guide.
 //!
-//! A [`Restorer`] is a network in ONNX Runtime, or [`Identity`] where none is wanted. What they
-//! are given and what they return are sRGB-encoded images in 0..=1 of the same size.
+//! A [`Restorer`] is a network in ONNX Runtime, or [`Identity`] for none. Inputs and outputs are
+//! sRGB-encoded images in 0..=1 of the same size.
 
 mod choice;
 mod error;
@@ -20,44 +20,44 @@ pub use open::{OpenOptions, Opened, open, open_enhancer};
 use crate::image::Image;
 use golden::Golden;
 
-/// Makes one image of another: removes blur and noise from a view, or brightens it.
+/// Restores images: removes blur and noise from a view, or brightens it.
 pub trait Restorer: Send {
     /// The restored view, of the size of `blurry`, every value finite and in 0..=1.
     ///
-    /// `guide` is the view with the detail of its clean render of the same size and brightness;
-    /// without one a guided network is fed `blurry` twice, and a network without channels for a
-    /// guide does without.
+    /// `guide` is the view with the detail of its clean render, of the same size and brightness.
+    /// Without one, a guided network receives `blurry` twice; a network without channels for a
+    /// guide ignores it.
     ///
     /// # Errors
-    /// [`DeblurError::GuideSize`] when the sizes differ, [`DeblurError::Inference`] when it cannot
-    /// be run.
+    /// [`DeblurError::GuideSize`] when the sizes differ, [`DeblurError::Inference`] when running it
+    /// fails.
     fn restore(&mut self, blurry: &Image, guide: Option<&Image>) -> Result<Image, DeblurError>;
 
-    /// What it is, for the report of the run.
+    /// The facts for the report of the run.
     fn describe(&self) -> RestorerInfo;
 
-    /// Sentences about what went wrong without ending the run, since the last call.
+    /// Returns the warnings about non-fatal problems since the last call, a sentence each.
     fn take_warnings(&mut self) -> Vec<String> {
         Vec::new()
     }
 }
 
-/// The facts of a deblurrer.
+/// The facts of a restorer.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RestorerInfo {
     /// [`BUILT_IN`], a file name, or `identity`.
     pub id: String,
-    /// Of the model file, lower-case hexadecimal; empty without a file.
+    /// SHA-256 of the model file, lower-case hexadecimal; empty without a file.
     pub sha256: String,
-    /// The execution provider really in use: `cuda` or `cpu`, or `none` without a network.
+    /// The execution provider in use: `cuda` or `cpu`, or `none` without a network.
     pub provider: String,
     /// Input channels: 6 takes a guide, 3 does not, 0 is no network.
     pub channels: u32,
-    /// How it is fed: what else its output depends on. Empty without a network.
+    /// The preparation of its input, on which the output also depends. Empty without a network.
     pub feeding: String,
 }
 
-/// Returns what it is given. A run without a network: the views are only brightened.
+/// Returns its input, for a run without a network that only brightens the views.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Identity;
 

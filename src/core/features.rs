@@ -1,6 +1,6 @@
-//! Key points that bear noise and shake, and their matches: XFeat (CVPR 2024) finds and describes
-//! them, LighterGlue says which belong together. Both run in ONNX Runtime; their weights are a
-//! package of their own ([`weights`]).
+//! Key points that tolerate noise and shake, and their matches: XFeat (CVPR 2024) finds and
+//! describes them, LighterGlue matches them. Both run in ONNX Runtime; their weights are a separate
+//! package ([`weights`]).
 
 mod detect;
 mod extractor;

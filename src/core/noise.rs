@@ -1,5 +1,5 @@
-//! The paper's noise field: a small network that explains what of an image is no part of the scene,
-//! so that the splats need not.
+//! The paper's noise field: a small network that models the part of an image that is no part of the
+//! scene, so that the splats need not.
 //!
 //! ```no_run
 //! # use fled_core::{camera::Camera, noise::{IntersectionLimit, NoiseField}};
@@ -8,7 +8,7 @@
 //! # ) -> Result<(), fled_gpu::GpuError> {
 //! # let buffer = || gpu.create::<f32>("image", 3 * 280 * 160);
 //! # let (render, prediction, gradient) = (buffer()?, buffer()?, buffer()?);
-//! // Once a round; sizes up to this one.
+//! // Once per round; for sizes up to this one.
 //! let mut field = NoiseField::new(gpu, 0, [280, 160])?;
 //! field.begin_step(camera)?; // at the size that is trained
 //! let mut recorder = gpu.recorder();
@@ -16,18 +16,18 @@
 //! // ... the loss of `prediction` writes `gradient`; the splats' backward takes it too ...
 //! field.record_backward(&mut recorder, &gradient, limit)?;      // and one step of Adam
 //! recorder.submit()?;
-//! // Every hundred steps or so; waits. Warn when it says `halved`.
+//! // About every hundred steps; waits. Warn if it reports `halved`.
 //! let inspection = field.inspect(&render, &prediction)?;
 //! # let _ = inspection; Ok(())
 //! # }
 //! ```
 //!
-//! One step must be submitted before the next `begin_step`, which writes what the kernels read.
-//! Same seed, same device: same bits. The map is never part of a delivered view.
+//! Submit each step before the next `begin_step`, which writes the kernels' inputs. The result is
+//! bit-identical for the same seed and device. The map is never part of a delivered view.
 //!
-//! Differs from the paper: its point of normalised device space is taken in the frame of the camera
-//! itself, where it is the same plane for every view, because the world's frame of LLFF captures
-//! does not exist for cameras that turn around a scene; views differ by the direction's encoding.
+//! Differs from the paper: its point in normalised device space is taken in the frame of the camera
+//! itself, where it is the same plane for every view, because cameras that turn around a scene have
+//! no common frame like LLFF captures; views differ by the direction's encoding.
 
 mod buffers;
 mod inspection;
@@ -51,29 +51,29 @@ pub use mode::NoiseMode;
 use network::{LAYERS, Network};
 pub use state::StateError;
 
-/// The noise is at most this.
+/// Upper bound of the noise.
 const AMPLITUDE: f32 = 0.1;
 /// Adam's rate falls by `DECAY` every `DECAY_STEPS` steps.
 const RATE: f64 = 1e-4;
 const DECAY: f64 = 0.95;
 const DECAY_STEPS: u64 = 100;
-/// Most pixels whose activations are kept at once: 2 x 3.5 KiB a pixel.
+/// Most pixels whose activations are kept at once: 2 x 3.5 KiB per pixel.
 const CHUNK: usize = 4_096;
-/// Parts of the pixels whose weight gradients are summed apart; a GPU needs the invocations.
+/// Parts of the pixels whose weight gradients are summed separately; a GPU needs the invocations.
 const SEGMENTS_ON_CPU: u32 = 1;
 const SEGMENTS_ON_GPU: u32 = 16;
 
-/// Lanes of a subgroup of the kernels that exchange what they load: lavapipe's.
+/// Lanes of a subgroup in the kernels that exchange loaded values: lavapipe's.
 const LANES: usize = 8;
 
 /// The network, its optimiser and its buffers.
 pub struct NoiseField {
     network: Network,
-    /// Product of the halvings of the guard.
+    /// Product of the guard's halvings.
     restraint: f32,
     step: u64,
     segments: u32,
-    /// Whether the layers' kernels exchange what they load over a subgroup.
+    /// Whether the layers' kernels exchange loaded values within a subgroup.
     exchanges: bool,
     chunk_pixels: usize,
     most_pixels: usize,
@@ -85,7 +85,7 @@ impl NoiseField {
     /// A new field for images of at most `size` = [width, height] px.
     ///
     /// # Errors
-    /// A device error, out of memory above all.
+    /// A device error, typically out of memory.
     pub fn new(gpu: &Gpu, seed: u64, size: [usize; 2]) -> Result<Self, GpuError> {
         let network = Network::new();
         let most_pixels = size[0] * size[1];
@@ -113,7 +113,7 @@ impl NoiseField {
         })
     }
 
-    /// Sets the view for what is submitted next, and counts the step.
+    /// Sets the view of the next submission, and counts the step.
     ///
     /// # Errors
     /// [`GpuError::Validation`] when the image is larger than the field was made for; a device
@@ -135,13 +135,13 @@ impl NoiseField {
         Ok(())
     }
 
-    /// Forgets the last [`NoiseField::begin_step`], whose intersections did not fit
-    /// [`IntersectionLimit`]: it will be repeated.
+    /// Undoes the last [`NoiseField::begin_step`], whose intersections exceeded the
+    /// [`IntersectionLimit`] and which will be repeated.
     pub fn take_back_step(&mut self) {
         self.step = self.step.saturating_sub(1);
     }
 
-    /// Records `prediction = render + n`; both planar [3, H, W] of the size of
+    /// Records `prediction = render + n`; both are planar [3, H, W] of the size passed to
     /// [`NoiseField::begin_step`].
     ///
     /// # Errors
@@ -166,7 +166,7 @@ impl NoiseField {
     }
 
     /// Records the derivative of the loss by the network's parameters from that by the prediction,
-    /// and one step of Adam. Needs the forward of the same step before it.
+    /// and one step of Adam. Requires the forward pass of the same step.
     ///
     /// # Errors
     /// As [`NoiseField::record_forward`].
@@ -211,7 +211,7 @@ impl NoiseField {
         let chunks = self.chunks();
         for (chunk, pixels) in chunks.iter().enumerate() {
             if chunks.len() > 1 {
-                // The activations are those of the last chunk of the forward.
+                // The stored activations are those of the last chunk of the forward pass.
                 self.record_network(recorder, chunk)?;
             }
             let delta = &b.deltas[LAYERS - 1];
@@ -225,7 +225,7 @@ impl NoiseField {
         Ok(())
     }
 
-    /// Encoding and network for one chunk of pixels.
+    /// Records encoding and network for one chunk of pixels.
     fn record_network(&self, recorder: &mut Recorder, chunk: usize) -> Result<(), GpuError> {
         let b = &self.buffers;
         let count = self.chunks()[chunk].len();
@@ -295,8 +295,8 @@ impl NoiseField {
         Ok(())
     }
 
-    /// Compares the map of the step that was submitted last with its render; halves the amplitude
-    /// from the next step on when they are too alike. Waits for the device.
+    /// Compares the map of the last submitted step with its render; halves the amplitude from the
+    /// next step on if they are too similar. Waits for the device.
     ///
     /// # Errors
     /// A device error.

@@ -1,12 +1,11 @@
-//! The shake of each training view: a small kernel that the sharp render is blurred with before it
-//! is compared with the photograph, so that the scene need not be as blurred as what it is trained
-//! on.
+//! The shake of each training view: a small kernel that blurs the sharp render before it is
+//! compared with the photograph, so that the scene need not be as blurred as its training views.
 //!
-//! Differs from the paper, which leaves all of the blur to the network: what the network leaves in
-//! D_j is explained here, `I_pred = f(k_j * f^-1(I_r)) + n`, f the [`Response`]. The kernels differ
-//! from view to view and the scene does not, so what is common to all views is the sharp scene.
-//! `k_j` is not learnt by the optimiser but solved for ([`estimate`]) from the renders, every so
-//! many steps.
+//! Differs from the paper, which leaves all of the blur to the network: the blur that the network
+//! leaves in D_j is modelled here, `I_pred = f(k_j * f^-1(I_r)) + n`, f the [`Response`]. The
+//! kernels differ from view to view and the scene does not, so the sharp scene is what all views
+//! share. The optimiser does not learn `k_j`: [`estimate`] solves for it periodically from the
+//! renders.
 
 mod estimate;
 mod kernels;
@@ -21,22 +20,23 @@ use kernels::ShakeUniform;
 pub use response::Response;
 pub use saved::{parse, save};
 
-/// Most taps of a kernel on the device; of more, the smallest are dropped.
+/// Most taps of a kernel on the device; beyond these, the smallest are dropped.
 pub const MOST_TAPS: usize = 96;
 
-/// Weight of the total variation of the sharp render, beside 0.8 of the mean absolute error. What
-/// the shake hides from every view is otherwise free: it grows into elongated Gaussians, and the
-/// kernels with it.
+/// Weight of the total variation of the sharp render, beside 0.8 of the mean absolute error.
+/// Without it, detail that the shake hides from every view is unconstrained: it grows into
+/// elongated Gaussians, and the kernels with it.
 const SMOOTH_WEIGHT: f64 = 0.05;
-/// Differences well below this count by their square: smooth shading is free. `BEND` of the shader.
+/// Difference well below which the penalty is quadratic, so that smooth shading is free. `BEND` of
+/// the shader.
 const SMOOTH_BEND: f64 = 0.02;
 
-/// Elongation from which a kernel tells shake from none, px. Photographs of careful hands and still
-/// ones reach 0.3 to 0.5 in the middle and 0.75 at most, those shaken by 4.4 px at 560 px 2 to 2.8
-/// at 420 px (docs/decisions/shake.md).
+/// Least elongation of a kernel that shows a significant shake, px. Photographs from careful hands
+/// and still ones have a median of 0.3 to 0.5 and at most 0.75; those shaken by 4.4 px at 560 px
+/// have 2 to 2.8 at 420 px (docs/decisions/shake.md).
 const TELLS_FROM: f64 = 1.5;
 
-/// One tap: the light of the pixel `offset` to the upper left arrives here.
+/// One tap: moves a share of the light by `offset`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Tap {
     /// Offset, px.
@@ -45,7 +45,7 @@ pub struct Tap {
     pub weight: f32,
 }
 
-/// How one photograph was shaken: a blur of the light, the same over the whole image.
+/// The shake of one photograph: a blur of its light, the same over the whole image.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ShakeKernel {
     taps: Vec<Tap>,
@@ -62,8 +62,7 @@ impl ShakeKernel {
         }
     }
 
-    /// The largest [`MOST_TAPS`] positive taps, normalised; [`ShakeKernel::still`] when there is
-    /// none.
+    /// The largest [`MOST_TAPS`] positive taps, normalised; [`ShakeKernel::still`] without any.
     pub fn new(mut taps: Vec<Tap>) -> Self {
         taps.retain(|tap| tap.weight.is_finite() && tap.weight > 0.0);
         taps.sort_by(|a, b| b.weight.total_cmp(&a.weight).then(a.offset.cmp(&b.offset)));
@@ -81,7 +80,7 @@ impl ShakeKernel {
         &self.taps
     }
 
-    /// Where the light arrives on average, px.
+    /// Mean offset of the light, px.
     pub fn centroid(&self) -> [f64; 2] {
         [0, 1].map(|axis| {
             self.taps
@@ -106,9 +105,9 @@ impl ShakeKernel {
             .sqrt()
     }
 
-    /// How much further the light is spread along the kernel than across it: the square root of the
-    /// difference of the variances, px. What is wrong in a render, and noise, widen a kernel alike
-    /// in all directions, by 0.7 to 0.9 px; a hand moves along a path.
+    /// The square root of the difference of the light's variances along and across the kernel, px.
+    /// Errors of a render and noise widen a kernel equally in all directions, by 0.7 to 0.9 px; a
+    /// hand moves along a path.
     pub fn elongation(&self) -> f64 {
         let centre = self.centroid();
         let moment = |one: usize, other: usize| -> f64 {
@@ -122,7 +121,7 @@ impl ShakeKernel {
         difference.hypot(2.0 * moment(0, 1)).sqrt()
     }
 
-    /// Whether it tells shake from none, by [`ShakeKernel::elongation`].
+    /// Whether the shake is significant, by [`ShakeKernel::elongation`].
     pub fn tells(&self) -> bool {
         self.elongation() >= TELLS_FROM
     }
@@ -133,8 +132,8 @@ impl ShakeKernel {
     }
 }
 
-/// What shakes renders on the device: the views' common [`Response`], and what lies between forward
-/// and backward of one of them.
+/// Applies shake to renders on the device: the views' common [`Response`], and the state between
+/// the forward and backward pass of one of them.
 pub struct Shake {
     response: Response,
     knots: Buffer<f32>,
@@ -144,7 +143,7 @@ pub struct Shake {
     render_gradient: Buffer<f32>,
 }
 
-/// How one view is shaken, on the device.
+/// The kernel of one view, on the device.
 pub struct DeviceKernel {
     kernel: ShakeKernel,
     uniform: Buffer<ShakeUniform>,
@@ -153,10 +152,10 @@ pub struct DeviceKernel {
 }
 
 impl DeviceKernel {
-    /// Room for the kernel of a view; [`Shake::set`] fills it.
+    /// Allocates the kernel of a view; [`Shake::set`] fills it.
     ///
     /// # Errors
-    /// A device error, out of memory above all.
+    /// A device error, typically out of memory.
     pub fn new(gpu: &Gpu) -> Result<Self, GpuError> {
         Ok(Self {
             kernel: ShakeKernel::still(),
@@ -166,17 +165,16 @@ impl DeviceKernel {
         })
     }
 
-    /// The kernel.
     pub fn kernel(&self) -> &ShakeKernel {
         &self.kernel
     }
 }
 
 impl Shake {
-    /// For views of one `response`, whose images have at most `size` = [width, height] px.
+    /// For views of one `response` with images of at most `size` = [width, height] px.
     ///
     /// # Errors
-    /// A device error, out of memory above all.
+    /// A device error, typically out of memory.
     pub fn new(gpu: &Gpu, size: [usize; 2], response: &Response) -> Result<Self, GpuError> {
         let pixels = size[0] * size[1];
         Ok(Self {
@@ -189,13 +187,13 @@ impl Shake {
         })
     }
 
-    /// How the views' values come from light.
+    /// The response from light to the views' values.
     pub fn response(&self) -> &Response {
         &self.response
     }
 
-    /// Sets how `view` is shaken from the next submission on, at its image's size in px. Recordings
-    /// stay valid as long as the size does.
+    /// Sets the kernel of `view` from the next submission on, at its image's size in px. Recordings
+    /// stay valid as long as the size does not change.
     ///
     /// # Errors
     /// [`GpuError::Validation`] for an image larger than those of [`Shake::new`]; a device error.
@@ -223,7 +221,7 @@ impl Shake {
         Ok(())
     }
 
-    /// The render as shaken, planar [3, H, W], after [`Shake::record_forward`].
+    /// The shaken render, planar [3, H, W], after [`Shake::record_forward`].
     pub fn blurred(&self) -> &Buffer<f32> {
         &self.blurred
     }
@@ -263,8 +261,9 @@ impl Shake {
         )
     }
 
-    /// Records the way back: from `gradient`, the derivative by [`Shake::blurred`], to
-    /// [`Shake::render_gradient`]. Needs the forward of the same view before it, and uses it up.
+    /// Records the backward pass from `gradient`, the derivative by [`Shake::blurred`], to
+    /// [`Shake::render_gradient`]. Requires and consumes the state of the forward pass of the same
+    /// view.
     ///
     /// # Errors
     /// A device error.

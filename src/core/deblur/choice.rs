@@ -1,4 +1,4 @@
-//! What the options that name networks may say.
+//! The values of the options that name networks.
 
 use std::fmt;
 
@@ -6,27 +6,27 @@ use serde::{Deserialize, Serialize};
 
 /// The built-in network.
 pub(super) const DEFAULT: &str = "default";
-/// No network: a view is returned as it is.
+/// No network: a view stays unchanged.
 pub(super) const IDENTITY: &str = "identity";
 const CURVE: &str = "curve";
 
-/// The value of the options `deblur` and `enhance`; which of the words each of them takes is the
-/// options' to say. Written and read as one string.
+/// The value of the options `deblur` and `enhance`, each of which allows only some of the words.
+/// Serialised as one string.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(from = "String", into = "String")]
 pub enum NetworkChoice {
     /// The built-in network.
     Default,
-    /// None: views stay as they are.
+    /// No network: views stay unchanged.
     Identity,
-    /// None: the tone curve brightens.
+    /// No network: the tone curve brightens.
     Curve,
     /// The built-in network's id, or the name or path of an ONNX file.
     Named(String),
 }
 
 impl NetworkChoice {
-    /// As the user writes it.
+    /// The user's spelling.
     pub fn as_str(&self) -> &str {
         match self {
             Self::Default => DEFAULT,
@@ -36,7 +36,7 @@ impl NetworkChoice {
         }
     }
 
-    /// Whether a network is meant, by `default` or by its name.
+    /// Whether the choice is a network, by `default` or by name.
     pub fn is_network(&self) -> bool {
         matches!(self, Self::Default | Self::Named(_))
     }
@@ -73,7 +73,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_choice_is_written_as_it_is_read() {
+    fn every_choice_round_trips() {
         const WORDS: [&str; 3] = [DEFAULT, IDENTITY, CURVE];
         for text in WORDS.into_iter().chain(["small-u2w16", "a/b.onnx", ""]) {
             let choice = NetworkChoice::from(text.to_owned());

@@ -1,19 +1,19 @@
-//! Everything that can go wrong between a choice of network and a restored view.
+//! Errors of choosing, loading and running a network.
 
 use std::path::PathBuf;
 
 use crate::inference::RuntimeError;
 
-/// Why a network could not be loaded or run.
+/// The reason why a network could not be loaded or run.
 #[derive(Debug, thiserror::Error)]
 pub enum DeblurError {
-    /// There is no ONNX Runtime.
+    /// ONNX Runtime is missing.
     #[error(transparent)]
     Runtime(#[from] RuntimeError),
-    /// Neither the built-in network nor a file.
+    /// The choice is neither the built-in network nor a file.
     #[error("`{choice}` is no ONNX file and no known network; known are {known}")]
     UnknownModel {
-        /// What was asked for.
+        /// The value of the option.
         choice: String,
         /// Names of networks, separated by commas.
         known: String,
@@ -23,23 +23,23 @@ pub enum DeblurError {
     ModelUnreadable {
         /// The file.
         path: PathBuf,
-        /// Why.
+        /// The system's error.
         source: std::io::Error,
     },
-    /// ONNX Runtime refuses the file, or its inputs and outputs are not ours.
+    /// ONNX Runtime rejects the file, or its inputs and outputs do not fit.
     #[error("network {id} cannot be used: {detail}")]
     ModelUnusable {
         /// The built-in network's id, or a file name.
         id: String,
-        /// What is wrong with it.
+        /// The reason.
         detail: String,
     },
-    /// The network loads but does not compute what it should on this machine.
+    /// The network loads but computes wrong values on this machine.
     #[error("network {id} failed its self-test: {detail}")]
     SelfTest {
         /// The built-in network's id, or a file name.
         id: String,
-        /// What was seen.
+        /// The deviation.
         detail: String,
     },
     /// View and guide differ in size.
@@ -55,11 +55,11 @@ pub enum DeblurError {
     Inference {
         /// The built-in network's id, or a file name.
         id: String,
-        /// Of the tile, px.
+        /// Width of the tile, px.
         width: usize,
-        /// Of the tile, px.
+        /// Height of the tile, px.
         height: usize,
-        /// ONNX Runtime's words.
+        /// ONNX Runtime's message.
         detail: String,
     },
 }

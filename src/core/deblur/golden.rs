@@ -1,24 +1,24 @@
-//! The self-test's image, and what a network is known to make of it.
+//! The image of the self-test, and a network's known output for it.
 
 use crate::image::Image;
 
 /// Side of the image, px.
 pub const SIDE: usize = 64;
 
-/// Largest difference between what a network returns and what it should, in units of 0..=1.
-/// Providers round differently; a wrong one is off by far more (0.003 and above in the mean).
+/// Largest difference between a network's actual and known output, in units of 0..=1. Providers
+/// round differently; a faulty one differs by far more (0.003 and above in the mean).
 pub const TOLERANCE: f32 = 2e-3;
 
-/// What a network returns for [`view`], guided by [`guide`] where it takes one: [3, [`SIDE`],
+/// The known output of a network for [`view`], guided by [`guide`] if it takes one: [3, [`SIDE`],
 /// [`SIDE`]], sRGB, not clipped.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Golden(Vec<f32>);
 
 impl Golden {
-    /// From values in the order of planes, rows, columns.
+    /// Values in the order of planes, rows, columns.
     ///
     /// # Errors
-    /// A sentence when there are not `3 SIDE SIDE` of them or one is not finite.
+    /// A sentence when there are not `3 SIDE SIDE` values or one is not finite.
     pub fn new(values: Vec<f32>) -> Result<Self, String> {
         if values.len() != 3 * SIDE * SIDE {
             return Err(format!(
@@ -33,7 +33,7 @@ impl Golden {
         Ok(Self(values))
     }
 
-    /// From a file's content: f32, least significant byte first.
+    /// Parses the content of a file: little-endian f32.
     ///
     /// # Errors
     /// As [`Golden::new`].
@@ -53,12 +53,12 @@ impl Golden {
         )
     }
 
-    /// In the order of planes, rows, columns.
+    /// The values in the order of planes, rows, columns.
     pub fn values(&self) -> &[f32] {
         &self.0
     }
 
-    /// The largest difference from `values`; one that is no number counts as infinite.
+    /// The largest difference from `values`; a value that is not finite counts as infinite.
     pub fn difference(&self, values: &[f32]) -> f32 {
         let far = |(a, b): (&f32, &f32)| {
             if b.is_finite() {
@@ -76,12 +76,12 @@ impl Golden {
     }
 }
 
-/// Smooth colours with an edge: what networks are made for.
+/// Smooth colours with an edge, the kind of image that networks are made for.
 pub fn view() -> Image {
     pattern(|x, y| (x, y))
 }
 
-/// The same, lying on its side: a network that mixes up its inputs returns something else.
+/// The same, turned on its side, so that a network with swapped inputs returns other values.
 pub fn guide() -> Image {
     pattern(|x, y| (y, x))
 }
@@ -116,7 +116,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_file_has_every_value_and_nothing_else() {
+    fn a_golden_file_has_exactly_all_values() {
         let bytes = 0.5_f32.to_le_bytes().repeat(3 * SIDE * SIDE);
         let golden = Golden::from_bytes(&bytes).expect("whole");
         assert!(golden.values().iter().all(|value| *value == 0.5));
@@ -124,7 +124,7 @@ mod tests {
     }
 
     #[test]
-    fn every_kind_of_wrong_output_is_seen() {
+    fn every_kind_of_wrong_output_is_detected() {
         let golden = Golden::new(view().data().to_vec()).expect("of the right size");
         assert!(golden.difference(view().data()) <= TOLERANCE);
         assert!(

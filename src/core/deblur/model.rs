@@ -1,4 +1,4 @@
-//! Networks: the one that is part of this program, and ONNX files.
+//! Networks: the built-in one, and ONNX files.
 
 use std::path::{Path, PathBuf};
 
@@ -6,38 +6,38 @@ use super::choice::DEFAULT;
 use super::{DeblurError, Golden};
 use crate::inference::digest;
 
-/// The network of this program, which `default` means.
+/// The built-in network, the meaning of `default`.
 pub const BUILT_IN: &str = "small-u2w16";
 const ONNX: &[u8] = include_bytes!("../../../models/small-u2w16.onnx");
 const GOLDEN: &[u8] = include_bytes!("../../../models/small-u2w16.golden");
 const RANGE: [f32; 2] = [-0.5, 1.5];
 
-/// What any other network may return for values in 0..=1: the bounds of the published NAFNets,
-/// outside which they have failed.
+/// Output range of any other network for values in 0..=1: the bounds of the published NAFNets,
+/// beyond which they have failed.
 const USUAL_RANGE: [f32; 2] = [-1.0, 2.0];
 
-/// A network that is ready to be loaded.
+/// A network ready to be loaded.
 #[derive(Clone, Debug)]
 pub struct Model {
     /// [`BUILT_IN`] or a file name.
     pub(super) id: String,
-    /// Of the ONNX file, in hexadecimal digits.
+    /// SHA-256 of the ONNX file, in hexadecimal digits.
     pub sha256: String,
     /// The ONNX file.
     pub(super) bytes: Vec<u8>,
-    /// Least and greatest sane output for input in 0..=1.
+    /// Least and greatest valid output for input in 0..=1.
     pub(super) range: [f32; 2],
-    /// What the self-test expects, where it is known beforehand.
+    /// The output that the self-test expects, if known beforehand.
     pub(super) golden: Option<Golden>,
 }
 
-/// The networks that may be chosen by name: the built-in one, then the ONNX files in `folders`.
+/// The networks that can be chosen by name: the built-in one, then the ONNX files in `folders`.
 pub fn network_names(folders: &[PathBuf]) -> Vec<String> {
     let own = files(folders).into_iter().map(|(name, _)| name);
     std::iter::once(BUILT_IN.to_owned()).chain(own).collect()
 }
 
-/// The ONNX files in `folders` by name, with their paths. A folder that cannot be read has none.
+/// The ONNX files in `folders` by name, with their paths. Ignores unreadable folders.
 fn files(folders: &[PathBuf]) -> Vec<(String, PathBuf)> {
     let entries = folders.iter().filter_map(|folder| folder.read_dir().ok());
     let paths = entries.flatten().flatten().map(|entry| entry.path());
@@ -50,7 +50,7 @@ fn files(folders: &[PathBuf]) -> Vec<(String, PathBuf)> {
 }
 
 impl Model {
-    /// The network that `choice` means: `default` or [`BUILT_IN`], the name of an ONNX file in
+    /// Resolves `choice` to a network: `default` or [`BUILT_IN`], the name of an ONNX file in
     /// `folders`, or the path of one.
     ///
     /// # Errors
@@ -59,7 +59,7 @@ impl Model {
         if [DEFAULT, BUILT_IN].contains(&choice) {
             return Ok(Self::built_in());
         }
-        // A file of the folder comes first: it is what the service has allowed its job.
+        // A file in the folders comes first: the service restricts its jobs to these.
         let own = files(folders).into_iter().find(|(name, _)| name == choice);
         let path = own.map_or_else(|| PathBuf::from(choice), |(_, path)| path);
         if path.is_file() {
@@ -96,7 +96,7 @@ impl Model {
         })
     }
 
-    /// Everything but the file.
+    /// A copy without the file.
     pub(super) fn without_bytes(&self) -> Self {
         Self {
             id: self.id.clone(),
@@ -113,7 +113,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn default_is_the_built_in_network_under_either_of_its_names() {
+    fn default_and_its_own_name_mean_the_built_in_network() {
         let model = Model::find(DEFAULT, &[]).expect("built in");
         assert_eq!(model.id, BUILT_IN);
         let named = Model::find(BUILT_IN, &[]).expect("built in");
@@ -121,7 +121,7 @@ mod tests {
     }
 
     #[test]
-    fn onnx_files_of_the_folder_are_networks_by_their_names() {
+    fn onnx_files_in_the_folder_are_networks_by_name() {
         let home = tempfile::tempdir().expect("temporary directory");
         let folder = home.path().join("models");
         std::fs::create_dir_all(folder.join("folder.onnx")).expect("made");

@@ -1,4 +1,4 @@
-//! A network in ONNX Runtime, on CUDA where its library lies beside, else on the CPU.
+//! A network in ONNX Runtime, on CUDA if its library is present, else on the CPU.
 
 mod form;
 
@@ -14,28 +14,28 @@ use crate::deblur::{DeblurError, Restorer, RestorerInfo, same_size};
 use crate::image::Image;
 use crate::inference::{Graph, Provider, Runtime, session};
 
-/// Both sides of what a network is fed are a multiple of this, px.
+/// Both sides of a network's input are a multiple of this, px.
 const MULTIPLE: usize = 16;
 
 /// A deblurring network with three or six input channels and images of any size.
 pub struct Onnx {
     session: Session,
     model: Model,
-    /// What the file takes and gives.
+    /// The inputs and outputs of the file.
     form: Form,
     provider: Provider,
     warnings: Vec<String>,
 }
 
 impl Onnx {
-    /// Loads a network on the best provider that passes the self-test: CUDA where the library
-    /// brings it, else the CPU. The second value says why CUDA, being there, is not in use, or not
-    /// for all of the network. `threads` is how many work on one view; 0 leaves it to the library.
+    /// Loads a network on the best provider that passes the self-test: CUDA if the library has it,
+    /// else the CPU. The second value explains why available CUDA is not used, or not for the whole
+    /// network. `threads` is the number that work on one view; 0 leaves it to the library.
     ///
     /// # Errors
-    /// [`DeblurError::ModelUnusable`] when the library or the provider refuses the file or its
+    /// [`DeblurError::ModelUnusable`] when the library or the provider rejects the file or its
     /// input and output are not images of dynamic size, [`DeblurError::SelfTest`] when its values
-    /// are not those that it is known to return or make no sense.
+    /// differ from the known ones or are invalid.
     pub fn load(
         runtime: &Runtime,
         model: &Model,
@@ -53,8 +53,8 @@ impl Onnx {
         })
     }
 
-    /// Loads a network on CUDA, whose library has to be there. The second value says when a part of
-    /// it is left to the CPU.
+    /// Loads a network on CUDA, whose library must be present. The second value reports that the
+    /// CPU runs a part of it.
     fn load_on_cuda(
         runtime: &Runtime,
         model: &Model,
@@ -62,7 +62,7 @@ impl Onnx {
     ) -> Result<(Self, Option<String>), DeblurError> {
         let mut known = None;
         if model.golden.is_none() {
-            // Without a known output the CPU's is what CUDA has to reach.
+            // Without a known output, CUDA must match the CPU's.
             let golden = Self::load_on(runtime, model, Provider::Cpu, threads)?.golden()?;
             known = Some(Model {
                 golden: Some(golden),
@@ -72,8 +72,8 @@ impl Onnx {
         let model = known.as_ref().unwrap_or(model);
         let on_cuda = |alone| Self::load_strictly(runtime, model, Provider::Cuda, alone, threads);
         match on_cuda(true) {
-            // The library's words; it always keeps arithmetic on shapes, and then speed is all that
-            // is lost.
+            // The library's message. It always keeps arithmetic on shapes on the CPU; that only
+            // costs speed.
             Err(DeblurError::ModelUnusable { detail, .. })
                 if detail.contains("explicitly disabled") =>
             {
@@ -84,7 +84,7 @@ impl Onnx {
         }
     }
 
-    /// Loads a network on one provider and tests it on a small image.
+    /// Loads a network on one provider and runs the self-test.
     fn load_on(
         runtime: &Runtime,
         model: &Model,
@@ -94,8 +94,8 @@ impl Onnx {
         Self::load_strictly(runtime, model, provider, false, threads)
     }
 
-    /// As [`Onnx::load_on`]; where `alone`, it is an error when the provider leaves a part of the
-    /// network to the CPU.
+    /// As [`Onnx::load_on`]; if `alone`, fails when the provider leaves a part of the network to
+    /// the CPU.
     fn load_strictly(
         runtime: &Runtime,
         model: &Model,
@@ -125,7 +125,7 @@ impl Onnx {
         Ok(network)
     }
 
-    /// What the network makes of the self-test's image.
+    /// The network's output for the image of the self-test.
     fn golden(&mut self) -> Result<Golden, DeblurError> {
         let (view, guide) = (golden::view(), golden::guide());
         let tile = Tile {
@@ -147,9 +147,9 @@ impl Onnx {
         }
     }
 
-    /// Twice the same image: the values must be those that are known, or at least in range, and the
-    /// same both times. Then other sides: what only some sizes fit has to be found now and not
-    /// after the poses.
+    /// Runs the same image twice: the values must be the known ones, or at least in range, and the
+    /// same both times. Then runs other sizes, so that a network that fits only some fails now and
+    /// not after the poses.
     fn self_test(&mut self) -> Result<(), DeblurError> {
         let (first, second) = (self.golden(), self.golden());
         let (first, second) = (
@@ -201,7 +201,7 @@ impl Onnx {
             .map_err(|e| self.unfit(e))
     }
 
-    /// A network that fails on the self-test's images is no fault of the program.
+    /// A network that fails on the images of the self-test is no fault of the program.
     fn unfit(&self, error: DeblurError) -> DeblurError {
         match error {
             DeblurError::Inference { width, height, detail, .. } => self.failed(format!(
@@ -211,7 +211,7 @@ impl Onnx {
         }
     }
 
-    /// One tile through the network.
+    /// Runs one tile through the network.
     fn run(
         &mut self,
         blurry: &Image,
@@ -222,7 +222,7 @@ impl Onnx {
         self.run_padded(blurry, guide, tile, width, height)
     }
 
-    /// One tile, padded to these sides, through the network.
+    /// Runs one tile, padded to these sides, through the network.
     fn run_padded(
         &mut self,
         blurry: &Image,
@@ -270,7 +270,7 @@ impl Onnx {
         Ok(values.to_vec())
     }
 
-    /// Whether every value of the tile's own part is sane; a sentence if not.
+    /// Checks that every value of the unpadded tile is in range; a sentence if not.
     fn judge(&self, output: &Output, tile: Tile) -> Result<(), String> {
         let [low, high] = self.model.range;
         let rows = (0..3).flat_map(|channel| (0..tile.height).map(move |y| (channel, y)));

@@ -1,38 +1,38 @@
-//! From the option `deblur` to something that deblurs.
+//! Opens the networks of the options `deblur` and `enhance`.
 
 use std::path::{Path, PathBuf};
 
 use crate::deblur::{DeblurError, Identity, Model, NetworkChoice, Onnx, Restorer};
 use crate::inference::runtime;
 
-/// Where to look and how to run.
+/// The paths to search, and how to run.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct OpenOptions<'a> {
-    /// The ONNX Runtime library; the only one tried when given.
+    /// The ONNX Runtime library; if given, no other is tried.
     pub runtime: Option<&'a Path>,
-    /// Files and directories to look for the library in, best first, before the system's loader.
+    /// Files and directories to search for the library, best first, before the system's loader.
     pub search: &'a [PathBuf],
-    /// Folders of networks that may be named by their files' names.
+    /// Folders of networks that can be chosen by file name.
     pub models: &'a [PathBuf],
-    /// Threads that work on one view; 0 leaves it to the library.
+    /// Number of threads that work on one view; 0 leaves it to the library.
     pub threads: usize,
-    /// The run never gives a guide, so there is nothing to say about how it would be taken.
+    /// Whether the run never has a guide; a network that takes none is then no fallback.
     pub unguided: bool,
 }
 
-/// A deblurrer, and what is not as it was asked for.
+/// A restorer, and its deviations from the request.
 pub struct Opened {
-    /// Leaves a guide aside that it has no channels for.
+    /// Ignores a guide that it has no channels for.
     pub deblurrer: Box<dyn Restorer>,
-    /// One sentence for each thing used in place of another; belongs into the report.
+    /// One sentence per substitute, for the report.
     pub fallbacks: Vec<String>,
 }
 
-/// Opens what the option means. A network that takes no guide and is to be given one says so.
+/// Opens the chosen network. Reports a network that takes no guide if it is to be given one.
 ///
 /// # Errors
-/// Any [`DeblurError`] of finding the library, finding the file, or loading it. Never falls back
-/// to [`Identity`] by itself.
+/// Any [`DeblurError`] of finding the library, finding the file, or loading it. Never falls back to
+/// [`Identity`].
 pub fn open(choice: &NetworkChoice, options: &OpenOptions<'_>) -> Result<Opened, DeblurError> {
     if *choice == NetworkChoice::Identity {
         return Ok(Opened {
@@ -40,7 +40,7 @@ pub fn open(choice: &NetworkChoice, options: &OpenOptions<'_>) -> Result<Opened,
             fallbacks: Vec::new(),
         });
     }
-    // An unknown network is told before a library that is missing.
+    // An unknown network is reported before a missing library.
     let model = Model::find(choice.as_str(), options.models)?;
     let runtime = runtime::load(options.runtime, options.search)?;
     let (network, said) = Onnx::load(&runtime, &model, options.threads)?;
@@ -58,10 +58,10 @@ pub fn open(choice: &NetworkChoice, options: &OpenOptions<'_>) -> Result<Opened,
     })
 }
 
-/// Opens the network that the option `enhance` means; `None` for `curve`.
+/// Opens the network of the option `enhance`; `None` for `curve`.
 ///
 /// # Errors
-/// As [`open`]; [`DeblurError::ModelUnusable`] when it wants a guide.
+/// As [`open`]; [`DeblurError::ModelUnusable`] when it requires a guide.
 pub fn open_enhancer(
     enhance: &NetworkChoice,
     options: &OpenOptions<'_>,
@@ -69,7 +69,7 @@ pub fn open_enhancer(
     if *enhance == NetworkChoice::Curve {
         return Ok(None);
     }
-    // Never given a guide, so there is nothing to say about how it would take one.
+    // It never receives a guide, so there is nothing to report about one.
     let unguided = OpenOptions {
         unguided: true,
         ..*options

@@ -1,15 +1,15 @@
-//! Cutting a view into overlapping tiles, padding them, and joining what comes back.
+//! Cuts a view into overlapping tiles, pads them, and joins the results.
 
 use crate::image::Image;
 
-/// Pixels up to which a view is fed whole. A quarter above 1120x640; the default network then
-/// needs about 400 MiB.
+/// Largest number of pixels processed as one tile. A quarter above 1120x640; the default network
+/// then needs about 400 MiB.
 pub const WHOLE: usize = 1_500_000;
 
 /// Side of a tile of larger views, px.
 pub const TILE: usize = 1024;
 
-/// Length over which neighbouring tiles fade into each other, px.
+/// Length over which neighbouring tiles are cross-faded, px.
 pub const FEATHER: usize = 96;
 
 /// A rectangle of a view, px.
@@ -59,8 +59,8 @@ fn spans(length: usize) -> Vec<(usize, usize)> {
         .collect()
 }
 
-/// A tile of some images, channel after channel, [3 * images, height, width], padded at the right
-/// and at the bottom by reflection.
+/// A tile of several images, channel after channel, [3 * images, height, width], padded at the
+/// right and at the bottom by reflection.
 pub fn cut(images: &[&Image], tile: Tile, width: usize, height: usize) -> Vec<f32> {
     let mut out = Vec::with_capacity(3 * images.len() * width * height);
     let columns: Vec<usize> = (0..width)
@@ -78,7 +78,7 @@ pub fn cut(images: &[&Image], tile: Tile, width: usize, height: usize) -> Vec<f3
     out
 }
 
-/// Index into `0..length` of a position beyond it, mirrored without repeating the edge, as often
+/// Index into `0..length` for a position beyond it, reflected without repeating the edge, as often
 /// as needed.
 fn reflect(position: usize, length: usize) -> usize {
     if length == 1 {
@@ -95,7 +95,6 @@ pub struct Join {
 }
 
 impl Join {
-    /// For a view of `width` x `height`.
     pub fn new(width: usize, height: usize) -> Self {
         Self {
             sum: Image::new(width, height),
@@ -103,8 +102,8 @@ impl Join {
         }
     }
 
-    /// Adds a tile's values, [3, rows, stride], of which the tile's own part is used. `stride` and
-    /// `rows` are the padded sides.
+    /// Adds a tile's values, [3, rows, stride], of which only the unpadded part is used. `stride`
+    /// and `rows` are the padded sides.
     pub fn add(&mut self, tile: Tile, values: &[f32], stride: usize, rows: usize) {
         let (width, height) = (self.sum.width(), self.sum.height());
         let across: Vec<f32> = (0..tile.width)
@@ -137,8 +136,8 @@ impl Join {
     }
 }
 
-/// Weight of the pixel `i` of a tile at `start`: rises over [`FEATHER`] from the edges that other
-/// tiles reach across, 1 elsewhere. Never 0, so that every pixel has a weight.
+/// Weight of pixel `i` of a tile at `start`: rises over [`FEATHER`] from edges that other tiles
+/// overlap, 1 elsewhere. Never 0, so that every pixel has a weight.
 fn fade(i: usize, start: usize, length: usize, whole: usize) -> f32 {
     let ramp = |distance: usize| ((distance as f32 + 0.5) / FEATHER as f32).min(1.0);
     let left = if start > 0 { ramp(i) } else { 1.0 };
@@ -160,7 +159,7 @@ mod tests {
     }
 
     #[test]
-    fn small_views_are_one_tile_and_large_ones_are_covered_with_overlap() {
+    fn small_views_are_one_tile_and_large_ones_overlapping_tiles() {
         assert_eq!(plan(1120, 640).len(), 1);
         for (width, height) in [(2400, 1600), (1025, 3000), (1500, 1001)] {
             let tiles = plan(width, height);

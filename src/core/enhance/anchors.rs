@@ -6,7 +6,7 @@ use std::str::FromStr;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// Above this clip limit nothing changes any more; the paper's bound.
+/// Clip limit beyond which nothing changes; the paper's bound.
 pub const MAX_ALPHA: f64 = 15.0;
 
 /// The paper's lower bound of gamma.
@@ -15,7 +15,7 @@ pub const MIN_GAMMA: f64 = 0.3;
 /// Alpha of the paper's P_0, which is nearly the identity (gain 1.12): 0 has no logarithm.
 pub(super) const FIRST_ALPHA: f64 = 0.1;
 
-/// Bounds of an exposure that a user may ask for, stops.
+/// Bounds of an exposure in the options, stops.
 const STOPS: std::ops::RangeInclusive<f64> = -4.0..=16.0;
 
 /// Published (gamma, alpha) of the LuSh-NeRF scenes.
@@ -32,7 +32,7 @@ const PRESETS: [(&str, f64, f64); 10] = [
     ("signboard", 0.5, 10.0),
 ];
 
-/// One brightness P.
+/// A brightness P.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(untagged, from = "Written")]
 pub enum Anchor {
@@ -43,19 +43,19 @@ pub enum Anchor {
     Exposure {
         /// Stops: the gain is `2^ev`.
         ev: f64,
-        /// Light taken off after the gain, white being 1. Fitted for renders; 0 for photographs.
+        /// Light subtracted after the gain, white being 1. Fitted for renders; 0 for photographs.
         black: f64,
     },
     /// The paper's family: clip-limited equalisation of the histogram, then an exponent.
     Equalised {
-        /// Clip limit; 0: no equalisation.
+        /// Clip limit; 0 disables equalisation.
         alpha: f64,
         /// Exponent on all channels; below 1 brightens.
         gamma: f64,
     },
 }
 
-/// The forms in which an anchor is read.
+/// The serialised forms of an anchor.
 #[derive(Deserialize, JsonSchema)]
 #[serde(untagged)]
 enum Written {
@@ -83,15 +83,15 @@ impl From<Written> for Anchor {
 }
 
 impl Anchor {
-    /// A gain of so many stops.
+    /// A gain of `ev` stops.
     pub fn exposure(ev: f64) -> Self {
         Self::Exposure { ev, black: 0.0 }
     }
 
-    /// The anchor in the middle of several of one family.
+    /// The mean of several anchors of one family.
     ///
     /// # Panics
-    /// When there is none, or they are of two families: faults of the caller.
+    /// Without anchors, or with two families: faults of the caller.
     pub fn mean(anchors: &[Self]) -> Self {
         let mean = |number: fn(&Self) -> f64| {
             anchors.iter().map(number).sum::<f64>() / anchors.len() as f64
@@ -129,7 +129,7 @@ impl fmt::Display for Anchor {
     }
 }
 
-/// A target that cannot be read.
+/// An invalid target.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("target `{text}`: {reason}")]
 pub struct TargetError {
@@ -137,9 +137,9 @@ pub struct TargetError {
     reason: String,
 }
 
-/// P_1..P_N. Exposures rise by equal stops. In the paper's family
-/// `alpha_i = 0.1^(1-i/N) alpha_N^(i/N)`, `gamma_i = gamma_N^(i/N)`: geometric, as that gives even
-/// steps of brightness; an alpha_N of 0 stays 0 in every round.
+/// P_1..P_N. Exposures rise by equal stops. In the paper's family `alpha_i = 0.1^(1-i/N)
+/// alpha_N^(i/N)`, `gamma_i = gamma_N^(i/N)`: geometric, which gives even steps of brightness; an
+/// alpha_N of 0 stays 0 in every round.
 ///
 /// # Panics
 /// When `rounds` is 0: a fault of the caller.
@@ -161,7 +161,7 @@ pub fn anchors(rounds: u32, target: Anchor) -> Vec<Anchor> {
 impl FromStr for Anchor {
     type Err = TargetError;
 
-    /// Reads stops (`+3.5EV`), `alpha,gamma`, or a LuSh scene's name.
+    /// Parses stops (`+3.5EV`), `alpha,gamma`, or the name of a LuSh scene.
     fn from_str(text: &str) -> Result<Self, TargetError> {
         let fault = |reason: &str| TargetError {
             text: text.to_owned(),
@@ -214,7 +214,7 @@ mod tests {
     }
 
     #[test]
-    fn two_rounds_to_ten_and_point_eight_pass_one_and_its_root() {
+    fn anchors_of_the_papers_family_are_geometric() {
         let target = Anchor::Equalised {
             alpha: 10.0,
             gamma: 0.8,
@@ -226,7 +226,7 @@ mod tests {
     }
 
     #[test]
-    fn a_target_without_equalisation_has_none_in_any_round() {
+    fn without_equalisation_no_round_has_any() {
         let target = Anchor::Equalised {
             alpha: 0.0,
             gamma: 0.25,
@@ -237,7 +237,7 @@ mod tests {
     }
 
     #[test]
-    fn anchors_are_read_as_written_and_as_pairs_of_earlier_versions() {
+    fn anchors_round_trip_and_pairs_can_still_be_read() {
         for anchor in [
             Anchor::Exposure {
                 ev: 3.5,

@@ -1,22 +1,23 @@
-//! Tone curves: a longer exposure, and the paper's, which the histogram of V gives.
+//! Tone curves: a longer exposure, and the paper's, based on the histogram of V.
 
 use crate::image::{Image, Srgb, linear_to_srgb, srgb_to_linear};
 
 use super::Anchor;
 
-/// Bins of the histogram and entries of the table. alpha's meaning depends on this count: with
+/// Bins of the histogram and entries of the table. The effect of alpha depends on this number: with
 /// 1024 bins, alpha 10 brightens to a mean of 0.29 instead of 0.51.
 pub const BINS: usize = 256;
 
-/// Below this V an image holds no hue worth keeping; keeps the gain finite.
+/// V below which an image has no meaningful hue; keeps the gain finite.
 const SMALLEST_V: f32 = 1e-4;
 
-/// Light above which an exposure bends, white being 1. Up to here it is exactly a gain; what comes
-/// to 1 stays within 0.04 of it, 0.017 encoded, so that what the photographs clip stays white.
+/// Light above which an exposure bends, white being 1. Below it the curve is exactly a gain; light
+/// that reaches 1 stays within 0.04 of it, 0.017 encoded, so that clipped parts of the photographs
+/// stay white.
 const SHOULDER: f32 = 0.85;
 
-/// What an exposure makes of light after the gain: the identity, then a parabola that reaches 1
-/// with slope 0.
+/// The light of an exposure after the gain: the identity, then a parabola that reaches 1 with slope
+/// 0.
 fn shoulder(light: f32) -> f32 {
     let end = 2.0 - SHOULDER;
     if light <= SHOULDER {
@@ -28,8 +29,8 @@ fn shoulder(light: f32) -> f32 {
     }
 }
 
-/// Where a V between 0 and 1 falls: the lower of its two bins and the share of the upper one.
-/// What is not a number counts as black.
+/// The bins of a V between 0 and 1: the index of the lower one and the share of the upper one. NaN
+/// counts as black.
 fn bin(v: f32) -> (usize, f32) {
     let position = if v > 0.0 {
         v.min(1.0) * (BINS - 1) as f32
@@ -45,19 +46,18 @@ pub(super) fn value(rgb: [f32; 3]) -> f32 {
     rgb[0].max(rgb[1]).max(rgb[2])
 }
 
-/// How often each V occurs, each pixel shared linearly between its two bins.
+/// The histogram of V, with each pixel shared linearly between its two bins.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Histogram {
     bins: [f64; BINS],
 }
 
 impl Histogram {
-    /// Of one image.
     pub fn of(image: &Image<Srgb>) -> Self {
         Self::pooled([image])
     }
 
-    /// Of all images together: every pixel weighs the same.
+    /// The histogram of all images together, with equal weight per pixel.
     pub fn pooled<'a>(images: impl IntoIterator<Item = &'a Image<Srgb>>) -> Self {
         let mut histogram = Self { bins: [0.0; BINS] };
         images.into_iter().for_each(|image| histogram.add(image));
@@ -79,17 +79,17 @@ impl Histogram {
         &self.bins
     }
 
-    /// Pixels counted.
+    /// Number of pixels.
     pub fn total(&self) -> f64 {
         self.bins.iter().sum()
     }
 
-    /// The mean of V after a curve; 0 when nothing was counted.
+    /// The mean of V after a curve; 0 for an empty histogram.
     pub fn mean_through(&self, curve: &ToneCurve) -> f64 {
         self.mean_of(|v| f64::from(curve.map_v(v as f32)))
     }
 
-    /// The mean of a function of V; 0 when nothing was counted.
+    /// The mean of a function of V; 0 for an empty histogram.
     pub fn mean_of(&self, function: impl Fn(f64) -> f64) -> f64 {
         let mapped = |(k, count): (usize, &f64)| count * function(k as f64 / (BINS - 1) as f64);
         let total = self.total();
@@ -100,7 +100,7 @@ impl Histogram {
         }
     }
 
-    /// The V that such a share of the pixels below `end` does not exceed; 0 without any.
+    /// The V that this share of the pixels below `end` does not exceed; 0 without any.
     pub fn quantile_below(&self, share: f64, end: f64) -> f64 {
         let below = &self.bins[..=(end.clamp(0.0, 1.0) * (BINS - 1) as f64) as usize];
         let wanted = share * below.iter().sum::<f64>();
@@ -113,7 +113,7 @@ impl Histogram {
     }
 
     /// The table of the equalisation with clip limit `alpha` (method 1): entries in 0..=1,
-    /// ascending. `None` for alpha = 0 and where nothing was counted.
+    /// ascending. `None` for alpha = 0 and for an empty histogram.
     fn equalisation(&self, alpha: f64) -> Option<[f32; BINS]> {
         let total = self.total();
         if alpha <= 0.0 || total <= 0.0 {
@@ -130,7 +130,7 @@ impl Histogram {
     }
 }
 
-/// V' of a table, before the exponent.
+/// V' by a table, before the exponent.
 fn equalised(table: &[f32; BINS], v: f32) -> f32 {
     let (low, share) = bin(v);
     table[low] + share * (table[low + 1] - table[low])
@@ -142,9 +142,9 @@ pub struct ToneCurve(Family);
 
 #[derive(Clone, Debug, PartialEq)]
 enum Family {
-    /// On each channel.
+    /// Applied to each channel.
     Exposure { gain: f32, black: f32 },
-    /// For one histogram: a table on V that keeps hue and saturation, then an exponent.
+    /// Built for one histogram: a table on V that preserves hue and saturation, then an exponent.
     Equalised {
         table: Option<Box<[f32; BINS]>>,
         gamma: f32,
@@ -152,8 +152,8 @@ enum Family {
 }
 
 impl ToneCurve {
-    /// The curve of an anchor. The paper's family needs a histogram: pooled for one tone in the
-    /// whole scene, of one image for the paper's reading.
+    /// The curve of an anchor. The paper's family needs a histogram: a pooled one for the same tone
+    /// in the whole scene, that of one image for the paper's reading.
     pub fn new(histogram: &Histogram, anchor: Anchor) -> Self {
         Self(match anchor {
             Anchor::Exposure { ev, black } => Family::Exposure {
@@ -167,7 +167,7 @@ impl ToneCurve {
         })
     }
 
-    /// What all channels of a colour are multiplied with first.
+    /// The factor applied first to all channels of a colour.
     pub(super) fn gain(&self, v: f32) -> f32 {
         match &self.0 {
             Family::Equalised {
@@ -177,7 +177,7 @@ impl ToneCurve {
         }
     }
 
-    /// What a channel becomes after [`ToneCurve::gain`], clipped to 0..=1.
+    /// The value of a channel after [`ToneCurve::gain`], clipped to 0..=1.
     pub(super) fn channel(&self, value: f32) -> f32 {
         match self.0 {
             Family::Exposure { gain, black } => {
@@ -188,7 +188,7 @@ impl ToneCurve {
         }
     }
 
-    /// What V becomes, in 0..=1: monotone.
+    /// The mapped V, in 0..=1: monotone.
     pub fn map_v(&self, v: f32) -> f32 {
         match &self.0 {
             Family::Equalised {
@@ -198,16 +198,16 @@ impl ToneCurve {
         }
     }
 
-    /// What a colour becomes, each channel in 0..=1. Takes any finite colour: negative channels
-    /// end at 0.
+    /// Maps a colour, with each channel in 0..=1. Accepts any finite colour: negative channels
+    /// become 0.
     pub fn apply_colour(&self, rgb: [f32; 3]) -> [f32; 3] {
         let gain = self.gain(value(rgb));
         rgb.map(|channel| self.channel(channel * gain))
     }
 
-    /// How strongly each channel answers to a small change of that channel alone, at a colour:
-    /// the factor for what varies around it, such as the view-dependent part of a Gaussian's
-    /// colour. Central differences over one 8-bit step; 0 where the curve clips.
+    /// Derivative of each channel by that channel alone, at a colour: the factor for small
+    /// variations around it, such as the view-dependent part of a Gaussian's colour. Central
+    /// differences over one 8-bit step; 0 where the curve clips.
     pub fn slope(&self, rgb: [f32; 3]) -> [f32; 3] {
         const STEP: f32 = 0.5 / 255.0;
         std::array::from_fn(|channel| {
@@ -221,7 +221,7 @@ impl ToneCurve {
         })
     }
 
-    /// The image through the curve.
+    /// Applies the curve to an image.
     pub fn apply(&self, image: &Image<Srgb>) -> Image<Srgb> {
         let mut out = Image::new(image.width(), image.height());
         let n = image.pixels();

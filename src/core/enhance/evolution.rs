@@ -1,4 +1,4 @@
-//! Differential evolution (Storn and Price 1997) in a small box, as the paper uses it.
+//! Differential evolution (Storn and Price 1997) in a small box, as in the paper.
 
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64;
@@ -10,15 +10,15 @@ const DIMENSIONS: usize = 2;
 /// A point of the unit square.
 type Point = [f64; DIMENSIONS];
 
-/// How to search: the values of method 6 are [`Evolution::PAPER`].
+/// Parameters of the search: [`Evolution::PAPER`] has the values of method 6.
 pub(super) struct Evolution {
-    /// Individuals.
+    /// Number of individuals.
     population: usize,
-    /// Most generations after the start.
+    /// Most generations after the initial one.
     generations: u32,
-    /// Ends when the costs' standard deviation is at most this share of their mean.
+    /// The search ends when the costs' standard deviation is at most this share of their mean.
     tolerance: f64,
-    /// Chance of each parameter to come from the mutant.
+    /// Probability that a parameter comes from the mutant.
     crossover: f64,
 }
 
@@ -38,8 +38,8 @@ impl Evolution {
     };
 
     /// Minimises `cost` over the unit square with strategy best1bin, F drawn from 0.5..1 for each
-    /// generation, from a Latin hypercube. A generation's costs are computed in parallel from the
-    /// one before, so the outcome depends on the seed alone. A cost that is no number loses.
+    /// generation, from a Latin hypercube. Each generation's costs are computed in parallel from
+    /// the previous one, so the outcome depends on the seed alone. A NaN cost loses.
     pub(super) fn minimise(&self, seed: u64, cost: impl Fn(Point) -> f64 + Sync) -> Best {
         let mut rng = Pcg64::seed_from_u64(seed);
         let safe = |point: &Point| {
@@ -68,7 +68,7 @@ impl Evolution {
         }
     }
 
-    /// One point in each row and column of a population x population board.
+    /// One point in each row and column of a population x population grid.
     fn latin_hypercube(&self, rng: &mut Pcg64) -> Vec<Point> {
         let n = self.population;
         let axes: [Vec<f64>; DIMENSIONS] = std::array::from_fn(|_| {
@@ -85,7 +85,7 @@ impl Evolution {
             .collect()
     }
 
-    /// One challenger for each individual.
+    /// One challenger per individual.
     fn trials(&self, points: &[Point], best: usize, rng: &mut Pcg64) -> Vec<Point> {
         let factor = rng.random_range(0.5..1.0);
         (0..points.len())
@@ -95,7 +95,8 @@ impl Evolution {
                 std::array::from_fn(|d| {
                     let mutate = d == forced || rng.random::<f64>() < self.crossover;
                     let mutant = points[best][d] + factor * (points[a][d] - points[b][d]);
-                    // Outside the box a fresh value is drawn: clamping would pile up on the edge.
+                    // Outside the box a fresh value is drawn: clamping would accumulate points at
+                    // the edge.
                     let inside = if (0.0..=1.0).contains(&mutant) {
                         mutant
                     } else {
@@ -143,7 +144,7 @@ mod tests {
     }
 
     #[test]
-    fn the_minimum_of_a_bowl_is_found_closely() {
+    fn the_minimum_of_a_bowl_is_found() {
         let best =
             Evolution::PAPER.minimise(1, |p| 1.0 + (p[0] - 0.3).powi(2) + (p[1] - 0.85).powi(2));
         assert!(
@@ -154,7 +155,7 @@ mod tests {
     }
 
     #[test]
-    fn a_curved_valley_is_descended_and_a_seed_repeats_itself() {
+    fn a_curved_valley_is_descended_and_seeds_are_repeatable() {
         let long = Evolution {
             generations: 300,
             tolerance: 0.0,
@@ -177,7 +178,7 @@ mod tests {
     }
 
     #[test]
-    fn costs_that_are_no_number_neither_win_nor_stop_the_search() {
+    fn nan_costs_neither_win_nor_stop_the_search() {
         let best = Evolution::PAPER.minimise(2, |p| if p[0] < 0.5 { f64::NAN } else { 1.0 + p[0] });
         assert!(best.point[0] >= 0.5 && best.cost < 1.6);
     }

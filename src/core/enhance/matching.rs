@@ -1,12 +1,12 @@
-//! Fits the curve that takes a render to the brightness of the next round (method 6).
+//! Fits the curve that maps a render to the brightness of the next round (method 6).
 //!
-//! `f(P) = MSE(e, H) + (1 - SSIM(e, H)) + (1 - correlation(hist(e), hist(H)))` with
-//! `e = E(R; P)`, equal weights, on small images. In float and with soft bins f is smooth, so
-//! small images find the same optimum as large ones.
+//! `f(P) = MSE(e, H) + (1 - SSIM(e, H)) + (1 - correlation(hist(e), hist(H)))` with `e = E(R; P)`,
+//! equal weights, on small images. In float and with soft bins f is smooth, so small images find
+//! the same optimum as large ones.
 //!
-//! SSIM is of the luma, not of each channel. The curve keeps hue and
-//! saturation, so the channels say three times the same, at three times the time. And images
-//! are never compared above 112 px, also where a quarter would be more.
+//! SSIM is that of the luma, not of each channel: the curve preserves hue and saturation, so the
+//! channels would add the same information at three times the cost. Images are never compared above
+//! 112 px, even where a quarter would be more.
 
 use crate::image::{Image, Srgb};
 
@@ -14,12 +14,12 @@ use super::curve::value;
 use super::evolution::Evolution;
 use super::{Anchor, Histogram, MAX_ALPHA, MIN_GAMMA, ToneCurve};
 
-/// Most stops between two rounds, or between dark photographs and a network's brightening.
+/// Range of stops between two rounds, or between dark photographs and a network's brightening.
 const STOPS: (f64, f64) = (-1.0, 12.0);
-/// Light that may be taken off or added, white being 1.
+/// Most light that is subtracted or added, white being 1.
 const BLACK: f64 = 0.05;
 
-/// Images are compared at a quarter of their size, and never above this long side.
+/// Images are compared at a quarter of their size, with a longer side of at most this.
 const MAX_SIDE: usize = 112;
 
 /// Bins of the soft histogram over all three channels.
@@ -32,7 +32,7 @@ const C2: f32 = 9e-4;
 /// SSIM's window: 11 taps of a Gaussian of sigma 1.5.
 const TAPS: usize = 11;
 
-/// What the search found.
+/// The result of the search.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Match {
     /// P_R: the arguments of the curve from the renders to the next brightness.
@@ -43,13 +43,13 @@ pub struct Match {
     pub generations: u32,
 }
 
-/// The anchor whose curve over `histogram` brings the renders closest to the images of the next
-/// round, of the family of `like`. `pairs` are (render, target) of equal size, a few for the scene
-/// (see [`spread_indices`]) or one view; `histogram` is the one that the curve will be built with,
-/// so that the curve tried is the curve used. The same seed gives the same answer.
+/// Finds the anchor, of the family of `like`, whose curve over `histogram` brings the renders
+/// closest to the images of the next round. `pairs` are (render, target) of equal size, a few for
+/// the scene (see [`spread_indices`]) or one view; `histogram` is the one that the final curve will
+/// use. The result depends only on the arguments and the seed.
 ///
 /// # Panics
-/// When there is no pair, or a pair differs in size: faults of the caller.
+/// Without pairs, or when a pair differs in size: faults of the caller.
 pub fn match_anchor(
     pairs: &[(&Image<Srgb>, &Image<Srgb>)],
     histogram: &Histogram,
@@ -91,7 +91,7 @@ pub fn spread_indices(count: usize, most: usize) -> Vec<usize> {
     }
 }
 
-/// One render and its target, small, with what does not depend on the anchor computed once.
+/// One reduced render and its target, with all that does not depend on the anchor precomputed.
 struct Pair {
     width: usize,
     height: usize,
@@ -160,8 +160,8 @@ impl Pair {
     }
 }
 
-/// A quarter of the size, at most [`MAX_SIDE`]; but never too small for SSIM's window, unless
-/// the image itself is.
+/// A quarter of the size, at most [`MAX_SIDE`], but at least twice SSIM's window unless the image
+/// itself is smaller.
 fn small_size((width, height): (usize, usize)) -> (usize, usize) {
     let factor = (width.max(height) as f64 / MAX_SIDE as f64).max(4.0);
     let side = |side: usize| {
@@ -196,8 +196,8 @@ fn cost(pairs: &[Pair], curve: &ToneCurve) -> f64 {
     squares / samples + (1.0 - ssim) + (1.0 - correlation(&histogram, &target_histogram))
 }
 
-/// A tone curve with its channels in a table over the square root of the value, where even gamma
-/// 0.3 bends little: a power a channel would take most of the search's time.
+/// A tone curve with its channels tabulated over the square root of the value, where even gamma 0.3
+/// is nearly straight: a power per channel would take most of the search's time.
 struct FastCurve<'a> {
     curve: &'a ToneCurve,
     channels: Vec<f32>,
@@ -238,7 +238,7 @@ fn count(histogram: &mut [f64; SOFT_BINS], rgb: [f32; 3]) {
     }
 }
 
-/// Pearson's correlation; 0 where one of them is flat.
+/// Pearson's correlation; 0 if either is flat.
 fn correlation(a: &[f64], b: &[f64]) -> f64 {
     let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
     let (mean_a, mean_b) = (mean(a), mean(b));
@@ -261,7 +261,7 @@ fn product(a: &[f32], b: &[f32]) -> Vec<f32> {
     a.iter().zip(b).map(|(a, b)| a * b).collect()
 }
 
-/// SSIM's window over a plane, only where it fits inside; smaller planes are averaged whole.
+/// SSIM's window over a plane, only where it fits inside; smaller planes are averaged.
 struct Blur {
     width: usize,
     height: usize,
@@ -336,7 +336,7 @@ mod tests {
     }
 
     #[test]
-    fn a_known_anchor_is_recovered_and_a_wrong_one_would_be_noticed() {
+    fn a_known_anchor_is_recovered_and_a_wrong_one_noticed() {
         let views: Vec<_> = [0.0, 1.0, 2.5].map(|phase| scene(200, 120, phase)).into();
         let histogram = Histogram::pooled(&views);
         let equalised = [(0.8, 0.9), (3.0, 0.6), (8.0, 0.45), (0.3, 0.35)]
@@ -366,7 +366,7 @@ mod tests {
     }
 
     #[test]
-    fn a_seed_repeats_its_search() {
+    fn equal_seeds_find_equal_anchors() {
         let view = scene(160, 90, 0.0);
         let histogram = Histogram::of(&view);
         let known = Anchor::exposure(1.3);
@@ -377,7 +377,7 @@ mod tests {
     }
 
     #[test]
-    fn black_and_tiny_images_are_matched_without_a_fault() {
+    fn black_and_tiny_images_are_matched() {
         for (width, height) in [(1, 1), (5, 40), (64, 64)] {
             let black = Image::new(width, height);
             let found = match_anchor(
@@ -391,7 +391,7 @@ mod tests {
     }
 
     #[test]
-    fn the_quick_curve_is_the_curve() {
+    fn the_fast_curve_matches_the_curve() {
         let view = scene(64, 64, 0.3);
         for anchor in [
             Anchor::Equalised {

@@ -1,4 +1,4 @@
-//! The brightness that the last round ends at.
+//! The brightness of the last round.
 
 use std::str::FromStr;
 
@@ -6,24 +6,24 @@ use super::anchors::{Anchor, FIRST_ALPHA, MAX_ALPHA, MIN_GAMMA, TargetError};
 use super::curve::{Histogram, ToneCurve};
 use crate::image::{linear_to_srgb, srgb_to_linear};
 
-/// Means of V, pooled over all views, between which the `auto` target stays: those of photographs
-/// of eleven scenes lie in 0.46 to 0.67.
+/// Range of the mean of V, pooled over all views, of the `auto` target: photographs of eleven
+/// scenes have 0.46 to 0.67.
 const MEAN_V: std::ops::RangeInclusive<f64> = 0.42..=0.58;
 
-/// Share of the pixels that the `auto` target leaves below white, those that the photographs clip
-/// themselves apart.
+/// Share of the pixels that the `auto` target leaves below white, apart from those clipped in the
+/// photographs themselves.
 const BELOW_WHITE: f64 = 0.99;
 
-/// V from which on a photograph has clipped itself.
+/// V from which a photograph counts as clipped.
 const CLIPPED: f64 = 0.98;
 
-/// Mean of V that the `auto-paper` target aims at, pooled over all views.
+/// Mean of V, pooled over all views, that the `auto-paper` target aims at.
 const PAPER_MEAN_V: f64 = 0.45;
 
-/// Steps of alpha, on a geometric scale, among which the `auto-paper` target chooses.
+/// Number of alphas, on a geometric scale, among which the `auto-paper` target chooses.
 const PAPER_ALPHAS: u32 = 60;
 
-/// The longest exposure that a target makes up for, stops.
+/// The longest exposure of a target, stops.
 const MOST_STOPS: f64 = 12.0;
 
 /// The paper's P_0, nearly the identity.
@@ -45,14 +45,14 @@ pub fn resolve_target(target: &str, dark: &Histogram) -> Result<Anchor, TargetEr
     }
 }
 
-/// What the option `target` may say.
+/// The values of the option `target`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Target {
     /// The exposure that a photographer would have chosen.
     Automatic,
     /// The anchor of the paper's family that is closest to a longer exposure.
     AutomaticPaper,
-    /// The one that is named.
+    /// A named anchor.
     Fixed(Anchor),
 }
 
@@ -68,9 +68,9 @@ impl FromStr for Target {
     }
 }
 
-/// The exposure at which a hundredth of the pixels reach white, as long as the mean of V stays in
-/// [`MEAN_V`]: lamps in a dark street may clip, and what has no highlights is not made bright by
-/// force. What is brighter already is left alone.
+/// The exposure at which a hundredth of the pixels reaches white, limited so that the mean of V
+/// stays in [`MEAN_V`]: lamps in a dark street may clip, and scenes without highlights are not
+/// over-brightened. Leaves brighter photographs alone.
 fn automatic(dark: &Histogram) -> Anchor {
     let exposed = |ev: f64| {
         let curve = ToneCurve::new(dark, Anchor::exposure(ev));
@@ -85,12 +85,13 @@ fn automatic(dark: &Histogram) -> Anchor {
     Anchor::exposure(to_white.clamp(least, most))
 }
 
-/// The anchor of the paper's family whose curve is closest to a longer exposure. Not at alpha 10
-/// with gamma to fit: of all curves with the wanted mean the steepest crush what is dark and lift
-/// its noise; a longer exposure is what the dark photograph lacks. So: the gain of light that
-/// brings the mean of V to [`PAPER_MEAN_V`], and of the anchors that bring it there too the one
-/// with the least squared difference over the histogram. Where no anchor in range reaches the mean,
-/// as near to it as they come. What is bright enough already is left nearly alone.
+/// The anchor of the paper's family whose curve is closest to a longer exposure. Alpha is not fixed
+/// at 10 with a fitted gamma: of all curves with the wanted mean, the steepest ones crush dark
+/// parts and lift their noise, while a dark photograph lacks exposure. The wanted exposure is the
+/// gain of light that brings the mean of V to [`PAPER_MEAN_V`]; of the anchors with the same mean,
+/// the one with the least squared difference over the histogram is chosen. If no anchor in range
+/// reaches the mean, the nearest mean wins. Photographs that are already bright enough stay nearly
+/// unchanged.
 fn automatic_paper(dark: &Histogram) -> Anchor {
     if dark.mean_of(|v| v) >= PAPER_MEAN_V {
         return FIRST_PAPER;
@@ -116,7 +117,7 @@ fn automatic_paper(dark: &Histogram) -> Anchor {
         let anchor = Anchor::Equalised { alpha, gamma };
         let curve = ToneCurve::new(dark, anchor);
         let difference = dark.mean_of(|v| (f64::from(curve.map_v(v as f32)) - wanted(v)).powi(2));
-        // A thousandth is what bisection leaves; beyond it the mean comes first.
+        // Bisection leaves an error of a thousandth; beyond that the mean comes first.
         let missed = (mean(gamma) - PAPER_MEAN_V).abs();
         (if missed < 1e-3 { 0.0 } else { missed }, difference, anchor)
     });
@@ -125,8 +126,8 @@ fn automatic_paper(dark: &Histogram) -> Anchor {
         .map_or(FIRST_PAPER, |(_, _, anchor)| anchor)
 }
 
-/// The point between `holds` and `fails` where a condition that holds on the side of `holds`
-/// stops to hold; `fails` when it holds everywhere, and `holds` when it holds nowhere.
+/// The point between `holds` and `fails` where a condition that holds on the side of `holds` ceases
+/// to hold; `fails` if it holds everywhere, and `holds` if it holds nowhere.
 fn bisect(mut holds: f64, mut fails: f64, condition: impl Fn(f64) -> bool) -> f64 {
     if condition(fails) {
         return fails;
@@ -158,7 +159,7 @@ mod tests {
         histogram.mean_through(&ToneCurve::new(histogram, target))
     }
 
-    /// A picture of every level, and the same at a fifteenth of the light.
+    /// A picture with every level, and the same at a fifteenth of the light.
     fn bright_and_dark() -> (Image, Image) {
         let levels = (0..3 * 4096).map(|i| ((i * 7919) % 4099) as f32 / 4099.0);
         let bright = Image::from_planar(64, 64, levels.collect());
@@ -177,7 +178,7 @@ mod tests {
         let Anchor::Exposure { ev, .. } = target else {
             panic!("{target:?}");
         };
-        // V of three independent channels has a mean of 0.75: the limit of the mean holds.
+        // V of three independent channels has a mean of 0.75, so the limit of the mean applies.
         assert!(ev < 15.0_f64.log2() && mean(&histogram, target) < 0.581);
         let out = ToneCurve::new(&histogram, Anchor::exposure(15.0_f64.log2())).apply(&dark);
         let apart = out.data().iter().zip(bright.data());
@@ -187,7 +188,7 @@ mod tests {
 
     #[test]
     fn the_automatic_target_reaches_white_with_a_hundredth_of_the_pixels() {
-        // A hundredth at a tenth of the light, the rest at a fortieth: 3.3 stops to white.
+        // A fiftieth at a tenth of the light, the rest at a fortieth: 3.3 stops to white.
         let value = |light: f32| linear_to_srgb(light);
         let plane = |_| (0..1000).map(|i| value(if i % 50 == 0 { 0.1 } else { 0.025 }));
         let data = (0..3).flat_map(plane).collect();
@@ -199,7 +200,7 @@ mod tests {
     }
 
     #[test]
-    fn lamps_that_are_clipped_already_keep_no_street_dark() {
+    fn clipped_lamps_do_not_keep_a_street_dark() {
         let value = |i: usize| if i.is_multiple_of(10) { 1.0 } else { 0.04 };
         let histogram = Histogram::of(&Image::from_planar(
             100,
@@ -211,7 +212,7 @@ mod tests {
     }
 
     #[test]
-    fn the_papers_automatic_target_brings_the_mean_to_its_aim() {
+    fn the_papers_automatic_target_reaches_its_mean() {
         for level in [0.02, 0.05, 0.2, 0.6, 1.0] {
             let histogram = dark(level);
             let target = resolve_target("auto-paper", &histogram).expect("auto-paper");
@@ -225,7 +226,7 @@ mod tests {
     }
 
     #[test]
-    fn the_papers_automatic_target_is_closer_to_a_longer_exposure_than_the_steepest_curve() {
+    fn the_papers_target_beats_the_steepest_curve() {
         let (bright, dark) = bright_and_dark();
         let histogram = Histogram::of(&dark);
         let target = resolve_target("auto-paper", &histogram).expect("auto-paper");
@@ -233,7 +234,7 @@ mod tests {
         let steepest = steep(bisect(1.0, MIN_GAMMA, |gamma| {
             mean(&histogram, steep(gamma)) <= PAPER_MEAN_V
         }));
-        // Best gain against the bright picture, whose mean is not the target's.
+        // With the best gain against the bright picture, whose mean differs from the target's.
         let error = |anchor: Anchor| {
             let curve = ToneCurve::new(&histogram, anchor);
             let out = curve.apply(&dark);
@@ -255,7 +256,7 @@ mod tests {
     }
 
     #[test]
-    fn pictures_that_are_bright_already_are_left_alone() {
+    fn bright_pictures_are_left_alone() {
         let histogram = Histogram::of(&Image::from_planar(8, 8, vec![0.8; 3 * 64]));
         let target = |text| resolve_target(text, &histogram).expect("a target");
         assert_eq!(target("auto"), Anchor::exposure(0.0));
@@ -263,7 +264,7 @@ mod tests {
     }
 
     #[test]
-    fn targets_are_read_as_stops_pairs_and_names_and_refused_with_the_known_ones() {
+    fn targets_are_stops_pairs_or_names() {
         let histogram = dark(0.1);
         for (text, alpha, gamma) in [("10, 0.8", 10.0, 0.8), ("Car", 0.0, 0.25)] {
             let expected = Anchor::Equalised { alpha, gamma };

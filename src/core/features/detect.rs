@@ -1,5 +1,5 @@
 //! From XFeat's dense maps to key points: heat map, non-maximum suppression, refinement, and the
-//! sampling of descriptors. The published steps (`detectAndCompute`), but for two: positions are
+//! sampling of descriptors. Follows the published `detectAndCompute` except that positions are
 //! refined below a pixel, and both sides of a resize keep pixel centres.
 
 /// Channels of a descriptor.
@@ -17,14 +17,14 @@ const LEAST_HEAT: f32 = 0.05;
 /// Half the side of the window in which a key point is the hottest pixel.
 const REACH: usize = 2;
 
-/// What the network makes of one picture.
+/// The network's output for one picture.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Maps<'a> {
     /// Columns of cells.
     pub columns: usize,
     /// Rows of cells.
     pub rows: usize,
-    /// `[64, rows, columns]`, each cell of length 1.
+    /// `[64, rows, columns]`, unit length per cell.
     pub descriptors: &'a [f32],
     /// Logits `[65, rows, columns]`.
     pub keypoints: &'a [f32],
@@ -35,13 +35,13 @@ pub(super) struct Maps<'a> {
 /// A key point in the network's picture.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Found {
-    /// Column of the hottest pixel and what refinement adds to it, px.
+    /// Column of the hottest pixel plus its refinement, px.
     pub x: f32,
-    /// Row likewise.
+    /// Row of the same, px.
     pub y: f32,
     /// Heat times reliability.
     pub score: f32,
-    /// Of length 1.
+    /// Unit length.
     pub descriptor: [f32; DESCRIPTOR],
 }
 
@@ -66,12 +66,12 @@ impl Maps<'_> {
                 }
             }
         }
-        // The published sampling of the heat falls off the last column and row, and (0, 0) is its
-        // word for no point at all.
+        // The published sampling of the heat excludes the last column and row, and uses (0, 0) as
+        // its mark for "no point".
         let is_inside =
             |x: usize, y: usize| x + 1 < self.width() && y + 1 < self.height() && (x, y) != (0, 0);
         found.retain(|&(x, y, score)| score > 0.0 && is_inside(x, y));
-        // By place where scores are equal, so that the order is the same everywhere.
+        // Ties are sorted by position, so that the order is the same everywhere.
         found.sort_by(|a, b| b.2.total_cmp(&a.2).then((a.1, a.0).cmp(&(b.1, b.0))));
         found.truncate(most);
         let finished = |&(x, y, score): &(usize, usize, f32)| {
@@ -86,7 +86,7 @@ impl Maps<'_> {
         found.iter().map(finished).collect()
     }
 
-    /// Softmax over each cell, its pixels put where they are.
+    /// Softmax over each cell, arranged by pixel.
     fn heat(&self) -> Vec<f32> {
         let cells = self.columns * self.rows;
         let mut heat = vec![0.0; cells * CELL * CELL];
@@ -118,8 +118,8 @@ impl Maps<'_> {
             })
     }
 
-    /// Where the parabola through the logarithms of the heat beside a pixel peaks, at most half a
-    /// pixel away.
+    /// Offset to the peak of the parabola through the logarithms of the heat beside a pixel, at
+    /// most half a pixel.
     fn refined(&self, heat: &[f32], x: usize, y: usize) -> (f32, f32) {
         let (width, height) = (self.width(), self.height());
         let log = |x: usize, y: usize| heat[y * width + x].max(1e-6).ln();
@@ -144,8 +144,8 @@ impl Maps<'_> {
         (dx, dy)
     }
 
-    /// Place of a pixel among the cells: the published sampling (`x / (width - 1)` on a grid whose
-    /// corners are those of the outer pixels).
+    /// Position of a pixel among the cells, by the published sampling (`x / (width - 1)` on a grid
+    /// whose corners are those of the outer pixels).
     fn among_cells(&self, x: f32, y: f32) -> (f32, f32) {
         let along =
             |at: f32, side: usize, cells: usize| at / (side - 1) as f32 * cells as f32 - 0.5;
@@ -172,7 +172,7 @@ impl Maps<'_> {
         weighed.sum()
     }
 
-    /// Bicubic, then brought to length 1.
+    /// Bicubic interpolation, normalised to unit length.
     fn descriptor_at(&self, x: f32, y: f32) -> [f32; DESCRIPTOR] {
         let (at_x, at_y) = self.among_cells(x, y);
         let (left, top) = (at_x.floor(), at_y.floor());
@@ -193,7 +193,7 @@ impl Maps<'_> {
         out.map(|value| value / length)
     }
 
-    /// What lies outside counts as 0.
+    /// Index of a cell; `None` outside the map, which counts as 0.
     fn cell(&self, column: isize, row: isize) -> Option<usize> {
         let column = usize::try_from(column)
             .ok()
@@ -203,7 +203,7 @@ impl Maps<'_> {
     }
 }
 
-/// Weights of the four neighbours at -1, 0, 1, 2 for a place `t` beyond 0; Keys's kernel with
+/// Weights of the four neighbours at -1, 0, 1, 2 for a position `t` beyond 0: Keys's kernel with
 /// PyTorch's -0.75.
 fn cubic(t: f32) -> [f32; 4] {
     const A: f32 = -0.75;

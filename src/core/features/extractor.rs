@@ -14,15 +14,14 @@ pub struct Extractor {
 }
 
 impl Extractor {
-    /// Around the graph.
     pub(super) fn new(network: Network) -> Self {
         Self { network }
     }
 
-    /// The `most` best key points of a photograph, whose sides are at least 32 px.
+    /// The `most` best key points of a photograph with sides of at least 32 px.
     ///
     /// # Errors
-    /// ONNX Runtime's words.
+    /// ONNX Runtime's message.
     pub fn key_points(&mut self, image: &Image<Srgb>, most: usize) -> Result<KeyPoints, String> {
         let side = |side: usize| (side / MULTIPLE * MULTIPLE).max(MULTIPLE);
         let (width, height) = (side(image.width()), side(image.height()));

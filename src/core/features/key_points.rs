@@ -11,19 +11,17 @@ pub struct KeyPoints {
     pub height: usize,
     /// x and y in px; the centre of the first pixel is (0.5, 0.5).
     pub positions: Vec<[f32; 2]>,
-    /// How likely each is found again, 0..=1.
+    /// Probability of each to be found again, 0..=1.
     pub scores: Vec<f32>,
-    /// [`DESCRIPTOR`] values a point, of length 1.
+    /// [`DESCRIPTOR`] values per point, of unit length.
     pub descriptors: Vec<f32>,
 }
 
 impl KeyPoints {
-    /// How many there are.
     pub fn len(&self) -> usize {
         self.positions.len()
     }
 
-    /// Whether nothing was found.
     pub fn is_empty(&self) -> bool {
         self.positions.is_empty()
     }
@@ -33,8 +31,8 @@ impl KeyPoints {
         &descriptors[index]
     }
 
-    /// Positions as LighterGlue was trained on: from the middle of the photograph, in halves of its
-    /// longer side, with whole numbers at the centres of pixels.
+    /// Positions as in LighterGlue's training: relative to the middle of the photograph, in halves
+    /// of its longer side, with integers at the centres of pixels.
     pub(super) fn normalised(&self) -> Vec<f32> {
         let (width, height) = (self.width as f32, self.height as f32);
         let half = 0.5 * width.max(height);
@@ -47,7 +45,8 @@ impl KeyPoints {
         self.positions.iter().flat_map(place).collect()
     }
 
-    /// One vector for the whole photograph, of length 1: near for photographs that show the same.
+    /// One vector of unit length for the whole photograph, close for photographs with the same
+    /// content.
     pub(super) fn pooled(&self) -> [f32; DESCRIPTOR] {
         let mut sum = [0.0; DESCRIPTOR];
         for index in 0..self.len() {

@@ -1,4 +1,4 @@
-//! LighterGlue: which key points of two photographs are the same.
+//! LighterGlue: matches the key points of two photographs.
 
 use super::detect::DESCRIPTOR;
 use super::key_points::KeyPoints;
@@ -24,15 +24,14 @@ pub struct Matcher {
 }
 
 impl Matcher {
-    /// Around the graph.
     pub(super) fn new(network: Network) -> Self {
         Self { network }
     }
 
-    /// The matches of two photographs, each key point in one at most.
+    /// The matches of two photographs; each key point has at most one.
     ///
     /// # Errors
-    /// ONNX Runtime's words.
+    /// ONNX Runtime's message.
     pub fn matches(&mut self, a: &KeyPoints, b: &KeyPoints) -> Result<Vec<Match>, String> {
         if a.is_empty() || b.is_empty() {
             return Ok(Vec::new());
@@ -59,7 +58,7 @@ impl Matcher {
     }
 }
 
-/// Entries of a matrix that are the highest of their row and of their column, and high enough.
+/// Entries of a matrix that are the highest of their row and column, and above [`LEAST_SCORE`].
 fn mutual(scores: &[f32], columns: usize) -> Vec<Match> {
     let mut best_row = vec![(f32::MIN, 0); columns];
     for (row, values) in scores.chunks_exact(columns).enumerate() {

@@ -1,12 +1,12 @@
-//! Mutual nearest neighbours: the quick look that tells whether two photographs may overlap.
+//! Mutual nearest neighbours: the fast check whether two photographs may overlap.
 
 use super::KeyPoints;
 use super::detect::DESCRIPTOR;
 
-/// Least cosine of two descriptors that are taken for the same thing; the published value.
+/// Least cosine of two matching descriptors; the published value.
 const LEAST_COSINE: f32 = 0.82;
 
-/// Pairs of key points that are each other's nearest by their descriptors.
+/// Pairs of key points whose descriptors are each other's nearest.
 pub(super) fn mutual(a: &KeyPoints, b: &KeyPoints) -> Vec<[u32; 2]> {
     let (rows, columns) = (a.len(), b.len());
     let mut best_of_a = vec![(f32::MIN, 0); rows];
@@ -30,7 +30,7 @@ pub(super) fn mutual(a: &KeyPoints, b: &KeyPoints) -> Vec<[u32; 2]> {
     both.map(|(i, (_, j))| [i as u32, *j as u32]).collect()
 }
 
-/// In lanes, so that the compiler can use the vector unit without reordering a sum itself.
+/// Sums in lanes, so that the compiler can use the vector unit without reordering a sum itself.
 fn dot(a: &[f32; DESCRIPTOR], b: &[f32; DESCRIPTOR]) -> f32 {
     const LANES: usize = 16;
     let mut sums = [0.0; LANES];

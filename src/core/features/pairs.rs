@@ -1,18 +1,18 @@
-//! Which pairs of photographs are looked at.
+//! Chooses the pairs of photographs to match.
 
 use super::detect::DESCRIPTOR;
 use crate::poses::matching::Pairs;
 
-/// Up to this many photographs every pair is.
+/// Number of photographs up to which every pair is matched.
 const ALL_PAIRS: usize = 60;
 
-/// Above it: so many followers in the capture's order ...
+/// Beyond it, number of followers of each in the capture's order.
 const FOLLOWERS: usize = 8;
 
-/// ... and so many of the most similar of all.
+/// Beyond it, number of the photographs most similar to each.
 const SIMILAR: usize = 12;
 
-/// How many there are at most.
+/// Upper bound of the number of pairs.
 pub(super) fn count(photographs: usize, pairs: Pairs) -> usize {
     if let Pairs::Across(first) = pairs {
         first * photographs.saturating_sub(first)
@@ -23,7 +23,7 @@ pub(super) fn count(photographs: usize, pairs: Pairs) -> usize {
     }
 }
 
-/// Pairs of indices, the lower first, in order. `pooled` is one vector a photograph.
+/// Pairs of indices, the lower first, in order. `pooled` has one vector per photograph.
 pub(super) fn candidates(pooled: &[[f32; DESCRIPTOR]], wanted: Pairs) -> Vec<(usize, usize)> {
     let count = pooled.len();
     if let Pairs::Across(some) = wanted {
@@ -64,7 +64,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn few_photographs_are_all_compared_and_of_many_neighbours_and_the_similar() {
+    fn many_photographs_are_paired_by_order_and_similarity() {
         let vector = |turn: usize| {
             let mut vector = [0.0; DESCRIPTOR];
             let angle = std::f32::consts::TAU * turn as f32 / 200.0;
@@ -80,7 +80,7 @@ mod tests {
             (count(ALL_PAIRS, Pairs::Within), count(0, Pairs::Within)),
             (ALL_PAIRS * (ALL_PAIRS - 1) / 2, 0)
         );
-        // Once around, twice: the second time a photograph is similar to one of the first.
+        // Two full turns: each photograph of the second is similar to one of the first.
         let many: Vec<_> = (0..400).map(|i| vector(i % 200)).collect();
         let pairs = candidates(&many, Pairs::Within);
         assert!(
@@ -92,7 +92,7 @@ mod tests {
     }
 
     #[test]
-    fn two_sets_are_compared_with_each_other_and_not_with_themselves() {
+    fn two_sets_are_paired_across_and_not_within() {
         let pooled = vec![[0.0; DESCRIPTOR]; 5];
         let pairs = candidates(&pooled, Pairs::Across(2));
         assert_eq!(pairs, [(0, 2), (0, 3), (0, 4), (1, 2), (1, 3), (1, 4)]);

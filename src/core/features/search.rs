@@ -18,27 +18,26 @@ use crate::poses::{PosesError, name_of};
 const XFEAT: &[u8] = include_bytes!("../../../models/xfeat.onnx");
 const LIGHTERGLUE: &[u8] = include_bytes!("../../../models/lighterglue.onnx");
 
-/// Each thread's networks take some 100 MiB at 2,048 key points.
+/// Most threads: each thread's networks take some 100 MiB at 2,048 key points.
 const MOST_THREADS: usize = 8;
 
-/// How many key points a photograph may have, and which pairs are worth the matcher.
+/// The number of key points per photograph, and the pairs worth the matcher's time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SearchOptions {
-    /// Most key points of a photograph, where there are few pairs. More place more exactly: of 15
-    /// photographs of a courtyard, shaken by 4.4 px, 13 are good with 1,024 and 15 with 2,048.
+    /// Most key points of a photograph, if there are few pairs. More give more accurate poses: of
+    /// 15 photographs of a courtyard, shaken by 4.4 px, 13 are good with 1,024 and 15 with 2,048.
     pub key_points: usize,
-    /// As many pairs can have so many; with more pairs each has fewer, as the matcher's time grows
-    /// with their square.
+    /// Number of pairs up to which photographs have that many; with more pairs each has fewer,
+    /// because the matcher's time grows with their square.
     pub pairs: usize,
-    /// Least mutual nearest neighbours of a pair that the matcher looks at.
+    /// Least number of mutual nearest neighbours of a pair that the matcher processes.
     pub neighbours: usize,
-    /// Threads, each with networks of its own.
+    /// Number of threads, each with its own networks.
     pub threads: usize,
 }
 
 impl SearchOptions {
-    /// Most key points of each photograph where so many pairs are looked at, at least half of the
-    /// most.
+    /// Most key points of each photograph for this number of pairs; at least half of the maximum.
     pub(super) fn key_points_of(&self, pairs: usize) -> usize {
         let share = (self.pairs as f64 / pairs.max(self.pairs) as f64)
             .sqrt()
@@ -60,21 +59,21 @@ impl Default for SearchOptions {
     }
 }
 
-/// Why the networks cannot be used.
+/// The reason why the networks cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum FeatureError {
-    /// Their weights.
+    /// The weights are missing or invalid.
     #[error(transparent)]
     Weights(#[from] WeightsError),
-    /// ONNX Runtime.
+    /// ONNX Runtime is missing.
     #[error(transparent)]
     Runtime(#[from] RuntimeError),
-    /// ONNX Runtime refuses a graph.
+    /// ONNX Runtime rejects a graph, or it fails the self-test.
     #[error("network {id} cannot be used: {detail}")]
     Unusable {
-        /// Which.
+        /// The network.
         id: &'static str,
-        /// What is wrong with it.
+        /// The reason.
         detail: String,
     },
 }
@@ -88,8 +87,8 @@ pub struct LearnedMatching {
 }
 
 impl LearnedMatching {
-    /// Checks the weights in the first of `folders` that has them, and that ONNX Runtime computes
-    /// with both graphs what it should.
+    /// Checks the weights in the first of `folders` that has them, and both graphs in ONNX Runtime
+    /// by the self-test.
     ///
     /// # Errors
     /// [`FeatureError`].
@@ -115,11 +114,11 @@ impl LearnedMatching {
         Ok(matching)
     }
 
-    /// The same with the matcher's weights in another order: a library that errs.
+    /// A copy with the matcher's weights in another order, as if the library were faulty.
     #[cfg(test)]
     pub(super) fn with_weights_shuffled(&self) -> Self {
         let mut matcher = self.weights[1].to_vec();
-        // Not the file's header and tables: the middle, in numbers of four bytes.
+        // Skips the file's header and tables: only the middle, in numbers of four bytes.
         let quarter = matcher.len() / 16 * 4;
         matcher[quarter..3 * quarter]
             .chunks_exact_mut(8)
@@ -167,7 +166,7 @@ impl LearnedMatching {
             .map_err(|detail| FeatureError::Unusable { id, detail })
     }
 
-    /// One of each, for every thread.
+    /// Creates one session per thread.
     fn sessions<T>(
         &self,
         one: impl Fn(&Self) -> Result<T, FeatureError>,
@@ -191,7 +190,7 @@ impl LearnedMatching {
             })
     }
 
-    /// The matches of a pair, where a quick look says that there may be some.
+    /// The matches of a pair, if the fast check passes.
     fn pair(
         &self,
         matcher: &mut Matcher,
@@ -230,7 +229,8 @@ impl Matching for LearnedMatching {
         cancel: &CancelToken,
     ) -> Result<Correspondences, PosesError> {
         let count = pairs::count(pictures.len(), pairs);
-        // Told from the first picture on, so that what is done is never taken for all.
+        // The total includes all pairs from the first picture on, so that the progress never looks
+        // complete too early.
         let before = pictures.len() as u64;
         let total = before + count as u64;
         let mut extractors = self.sessions(Self::extractor)?;
@@ -265,11 +265,11 @@ impl Matching for LearnedMatching {
     }
 }
 
-/// `work` on every item, by as many threads as there are states, in the items' order. `advance` is
-/// told, on this thread, how many are done.
+/// Applies `work` to every item, on as many threads as there are states, and returns the results in
+/// the items' order. Calls `advance` on this thread with the number of finished items.
 ///
 /// # Errors
-/// The first of the work, or [`PosesError::Cancelled`].
+/// The first error of `work`, or [`PosesError::Cancelled`].
 fn each<I: Sync, S: Send, R: Send>(
     items: &[I],
     states: &mut [S],

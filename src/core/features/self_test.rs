@@ -1,5 +1,5 @@
-//! Whether the networks find in a moved picture what they found in the picture: asked of every
-//! library and machine before a capture is.
+//! The self-test of the networks, run for every library and machine before a capture: they must
+//! find the same key points in a picture and in a shifted one.
 
 use super::extractor::Extractor;
 use super::matcher::Matcher;
@@ -8,22 +8,22 @@ use crate::image::Image;
 /// Size of the pictures, px.
 const SIZE: [u32; 2] = [160, 128];
 
-/// How far the second one is moved, px: by whole cells of the networks, which then see the same.
+/// Shift of the second picture, px: whole cells of the networks, for which the input is the same.
 const MOVED: [u32; 2] = [16, 8];
 
-/// Key points of each.
+/// Number of key points in each.
 const KEY_POINTS: usize = 256;
 
-/// At least so many matches are found, ...
+/// Least number of matches.
 const LEAST_MATCHES: usize = 40;
 
-/// ... and this share of them is where the move puts it, within a pixel and a half.
+/// Least share of matches within 1.5 px of the shift.
 const LEAST_RIGHT: f64 = 0.75;
 
 /// Matches two pictures of a painted plane.
 ///
 /// # Errors
-/// A sentence: what the networks answer is wrong, or they do not run.
+/// A sentence if the networks' results are wrong or they do not run.
 pub(super) fn run(extractor: &mut Extractor, matcher: &mut Matcher) -> Result<(), String> {
     let [first, second] = [[0, 0], MOVED].map(picture);
     let first = extractor.key_points(&first, KEY_POINTS)?;
@@ -49,7 +49,7 @@ pub(super) fn run(extractor: &mut Extractor, matcher: &mut Matcher) -> Result<()
     ))
 }
 
-/// A part of the plane.
+/// A section of the plane.
 fn picture(corner: [u32; 2]) -> Image {
     let [width, height] = SIZE;
     let pixels = (0..height).flat_map(|y| (0..width).map(move |x| (x, y)));
@@ -71,7 +71,7 @@ fn hash(mut n: u32) -> u32 {
     n ^ (n >> 16)
 }
 
-/// The level, 0..256, of a painted plane at a pixel: tiles, spots and grain.
+/// The level, 0..256, of a pixel of a painted plane with tiles, spots and grain.
 pub(super) fn plane(u: u32, v: u32) -> u32 {
     let at = |salt: u32, i: u32, j: u32| hash((salt << 24) + (j << 12) + i);
     let tile = at(1, u / 20, v / 20);

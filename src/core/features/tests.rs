@@ -1,5 +1,5 @@
-//! What the published code makes of two small pictures (`reference.json`; training/'s
-//! matcher_reference.py says how it was made), and whole captures.
+//! Tests of the networks on two small pictures against the published code (`reference.json`, made
+//! by matcher_reference.py in training/), and on whole captures.
 
 use std::path::{Path, PathBuf};
 
@@ -66,14 +66,14 @@ fn matching() -> LearnedMatching {
 }
 
 #[test]
-fn key_points_are_those_of_the_published_code_but_for_the_refinement() {
+fn key_points_match_the_published_code_before_refinement() {
     let mut extractor = matching().extractor().expect("usable");
     for known in &reference().pictures {
         let found = extractor.key_points(&picture(known), 64).expect("runs");
         assert_eq!(found.len(), known.points.len());
         for (index, &(x, y, score)) in known.points.iter().enumerate() {
             let [at_x, at_y] = found.positions[index];
-            // Refined by half a pixel at most, and from the middle of the pixel on.
+            // Refined by half a pixel at most, relative to the middle of the pixel.
             let scale = (known.size.0 as f32 / 160.0, known.size.1 as f32 / 128.0);
             let away = ((at_x - x) / scale.0 - 0.5, (at_y - y) / scale.1 - 0.5);
             assert!(
@@ -92,7 +92,7 @@ fn key_points_are_those_of_the_published_code_but_for_the_refinement() {
 }
 
 #[test]
-fn matches_are_those_of_the_published_code() {
+fn matches_are_those_of_the_published_code_within_two() {
     let matching = matching();
     let (mut extractor, mut matcher) = (
         matching.extractor().expect("usable"),
@@ -106,7 +106,7 @@ fn matches_are_those_of_the_published_code() {
     let found = matcher.matches(&a, &b).expect("runs");
     let known: Vec<(u32, u32)> = reference.matches.iter().map(|m| (m.0, m.1)).collect();
     let ours: Vec<(u32, u32)> = found.iter().map(|m| (m.first, m.second)).collect();
-    // Refined positions may lift a match over the threshold, or below it.
+    // Refined positions may move a match above or below the threshold.
     let shared = ours.iter().filter(|pair| known.contains(pair)).count();
     assert!(
         shared + 2 >= known.len() && shared + 2 >= ours.len(),
@@ -115,7 +115,7 @@ fn matches_are_those_of_the_published_code() {
 }
 
 #[test]
-fn refined_matches_lie_where_the_pictures_do() {
+fn refined_matches_follow_the_offset_of_the_pictures() {
     let matching = matching();
     let (mut extractor, mut matcher) = (
         matching.extractor().expect("usable"),
@@ -142,7 +142,7 @@ fn refined_matches_lie_where_the_pictures_do() {
         away[away.len() / 2]
     };
     let refined = median(&|of, index| of.positions[index as usize]);
-    // The second picture is shrunk by a tenth for the network.
+    // The network shrinks the second picture by a tenth.
     let whole = median(&|of, index| {
         let scale = [of.width as f32 / 160.0, of.height as f32 / 128.0];
         let [x, y] = of.positions[index as usize];
@@ -162,7 +162,7 @@ fn refined_matches_lie_where_the_pictures_do() {
     );
 }
 
-/// Three overlapping pictures and one that shows something else, as files.
+/// Three overlapping pictures and an unrelated one, as files.
 fn capture(folder: &Path) -> Vec<PathBuf> {
     let part = |index: usize, corner: (u32, u32)| {
         let known = Picture {
@@ -192,7 +192,7 @@ fn capture(folder: &Path) -> Vec<PathBuf> {
 }
 
 #[test]
-fn a_capture_has_matches_where_its_pictures_overlap_and_progress_is_told() {
+fn overlapping_pictures_match_and_progress_is_reported() {
     let folder = tempfile::tempdir().expect("temporary directory");
     let pictures = capture(folder.path());
     let mut told = Vec::new();
@@ -232,7 +232,7 @@ fn a_capture_has_matches_where_its_pictures_overlap_and_progress_is_told() {
 }
 
 #[test]
-fn more_photographs_have_fewer_key_points_each_and_never_less_than_half() {
+fn many_photographs_have_half_the_key_points_or_more() {
     let options = SearchOptions::default();
     let of = |photographs| options.key_points_of(pairs::count(photographs, Pairs::Within));
     assert_eq!([of(3), of(16)], [2048, 2048]);
@@ -241,7 +241,7 @@ fn more_photographs_have_fewer_key_points_each_and_never_less_than_half() {
 }
 
 #[test]
-fn a_cancelled_search_ends_and_a_broken_picture_is_named() {
+fn a_cancelled_search_ends_and_errors_name_broken_pictures() {
     let folder = tempfile::tempdir().expect("temporary directory");
     let mut pictures = capture(folder.path());
     let cancel = CancelToken::new();
@@ -277,12 +277,12 @@ fn a_grey_picture_has_no_key_points_and_no_matches() {
 }
 
 #[test]
-fn networks_that_compute_something_else_fail_the_self_test() {
+fn wrong_networks_fail_the_self_test() {
     let matching = matching();
     let mut extractor = matching.extractor().expect("usable");
     let mut matcher = matching.matcher().expect("usable");
     assert_eq!(self_test::run(&mut extractor, &mut matcher), Ok(()));
-    // Weights of the right size and sum that mean nothing.
+    // Weights of the right size and sum without meaning.
     let shuffled = matching.with_weights_shuffled();
     let mut matcher = shuffled.matcher().expect("loads all the same");
     let fault = self_test::run(&mut extractor, &mut matcher).expect_err("nonsense");

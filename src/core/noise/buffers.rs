@@ -1,18 +1,18 @@
-//! What the noise field keeps on the device.
+//! The noise field's buffers on the device.
 
 use fled_gpu::{Buffer, Gpu, GpuError};
 
 use super::kernels::{AdamUniform, ChunkUniform, LayerUniform, NoiseUniform};
 use super::network::{LAYERS, Network};
 
-/// The network, its gradients and moments, and what its layers write.
+/// The network, its gradients and moments, and the outputs of its layers.
 pub(super) struct Buffers {
     pub(super) field: Buffer<NoiseUniform>,
     pub(super) chunks: Vec<Buffer<ChunkUniform>>,
     pub(super) layers: Vec<Buffer<LayerUniform>>,
     pub(super) adam: Buffer<AdamUniform>,
     pub(super) encoded: Buffer<[f32; 4]>,
-    /// Output of each layer for the pixels of a chunk; the last one's, for all pixels.
+    /// Output of each layer for the pixels of a chunk; that of the last layer for all pixels.
     pub(super) outputs: Vec<Buffer<[f32; 4]>>,
     /// Derivative by each layer's output before its ReLU.
     pub(super) deltas: Vec<Buffer<[f32; 4]>>,
@@ -29,7 +29,7 @@ impl Buffers {
         chunk: usize,
         segments: u32,
     ) -> Result<Self, GpuError> {
-        // Layers work on 8 or 16 pixels at once and write rows past the last; a chunk ends at a
+        // Layers process 8 or 16 pixels at once and write rows past the last; a chunk ends at a
         // multiple of 16.
         let (rows, all_rows) = (chunk.next_multiple_of(16), pixels.next_multiple_of(16));
         let last = LAYERS - 1;

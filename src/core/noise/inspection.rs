@@ -1,13 +1,12 @@
-//! Whether the noise field explains noise, or the scene.
+//! Checks whether the noise field models noise, or the scene.
 
-/// Above this |correlation| of map and render the field explains the scene rather than the noise.
+/// |correlation| of map and render above which the field models the scene instead of the noise.
 pub const CORRELATION_LIMIT: f64 = 0.3;
-/// Maps flatter than this, standard deviation 0..=1, are not guarded: half an 8-bit step of
-/// whatever shape cannot take the scene's place, and in real rounds of 8 views such maps correlated
-/// by 0.4.
+/// Standard deviation (0..=1) below which maps are not guarded: half an 8-bit step, of any shape,
+/// cannot replace the scene, and in real rounds of 8 views such maps had correlations of 0.4.
 pub const LEAST_GUARDED_SPREAD: f64 = 0.5 / 255.0;
 
-/// What the field's map of one view looked like.
+/// Statistics of the field's map of one view.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Inspection {
     /// Mean over pixels and channels.
@@ -16,11 +15,11 @@ pub struct Inspection {
     pub spread: f64,
     /// Correlation with the clean render, -1..=1; 0 when either is constant.
     pub correlation: f64,
-    /// Whether the amplitude was halved because |correlation| passed [`CORRELATION_LIMIT`].
+    /// Whether the amplitude was halved because |correlation| exceeded [`CORRELATION_LIMIT`].
     pub halved: bool,
 }
 
-/// Statistics of `prediction - render`, and whether it is too like the render.
+/// Statistics of `prediction - render`, and whether it is too similar to the render.
 pub(super) fn compare(render: &[f32], prediction: &[f32]) -> Inspection {
     let n = render.len() as f64;
     let map = || {
@@ -36,8 +35,7 @@ pub(super) fn compare(render: &[f32], prediction: &[f32]) -> Inspection {
         variance_render += (r - mean_render).powi(2) / n;
         variance += (m - mean).powi(2) / n;
     }
-    // Below a hundredth of an 8-bit step the map is nothing, and its correlation is that of
-    // rounding.
+    // Below a hundredth of an 8-bit step the map is empty, and its correlation is that of rounding.
     let something = variance > 1e-9 && variance_render > 1e-12;
     let correlation = if something {
         covariance / (variance * variance_render).sqrt()

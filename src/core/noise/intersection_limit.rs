@@ -1,14 +1,14 @@
-//! How many intersections a step may have.
+//! The limit on a step's intersections.
 
 use fled_gpu::Buffer;
 
-/// Where the step's count of intersections lies, and how many fit: a step that was blended from a
-/// part of them teaches the field nothing.
+/// The place of the step's count of intersections, and the room for them. A step that was blended
+/// from only a part of them does not update the field.
 pub struct IntersectionLimit<'a> {
     /// Counters of the step.
     pub counters: &'a Buffer<u32>,
-    /// Where among them their number stands.
+    /// Index of the count of intersections among them.
     pub total_at: u32,
-    /// Most that fit.
+    /// Largest count that fits.
     pub capacity: u32,
 }

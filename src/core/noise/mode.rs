@@ -1,4 +1,4 @@
-//! Whether a round has a noise field.
+//! The noise field option of a round.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -7,8 +7,8 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum NoiseMode {
-    /// At every pixel, positive: the paper's.
+    /// Positive noise at every pixel, as in the paper.
     Paper,
-    /// None.
+    /// No noise field.
     Off,
 }

@@ -1,10 +1,10 @@
-//! The shape of the network, where its parameters lie, and how they begin.
+//! The shape of the network, the layout of its parameters, and their initial values.
 
 use rand::{RngExt, SeedableRng};
 
 /// Fully connected layers: four of 128, one to the features, one of 64, one to RGB.
 pub(super) const LAYERS: usize = 7;
-/// The layer whose output is joined by the direction's encoding.
+/// The layer whose output is concatenated with the direction's encoding.
 pub(super) const FEATURE_LAYER: usize = 4;
 /// Width of the hidden layers.
 pub(super) const HIDDEN: usize = 128;
@@ -13,8 +13,8 @@ pub(super) const OCTAVES: usize = 10;
 /// Octaves of the direction's encoding.
 pub(super) const DIRECTION_OCTAVES: usize = 4;
 
-/// One layer. Sizes and offsets that end in 4 count vec4s; weights lie [input][output], both filled
-/// up to a multiple of 4 with zeros that stay zeros.
+/// One layer. Sizes and offsets that end in 4 count vec4s; weights are laid out [input][output],
+/// both padded to a multiple of 4 with zeros that stay zero.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Layer {
     pub(super) inputs: usize,
@@ -27,7 +27,7 @@ pub(super) struct Layer {
     pub(super) biases4: usize,
     pub(super) relu: bool,
     pub(super) input_relu: bool,
-    /// Whether its output is kept for all pixels, not only for a chunk.
+    /// Whether its output is kept for all pixels, not just for a chunk.
     pub(super) whole: bool,
 }
 
@@ -43,13 +43,12 @@ impl Layer {
     }
 }
 
-/// All layers.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Network {
     pub(super) layers: Vec<Layer>,
 }
 
-/// Numbers of an encoded 3-vector.
+/// Numbers in an encoded 3-vector.
 pub(super) fn encoding(octaves: usize) -> usize {
     3 + 6 * octaves
 }
@@ -95,7 +94,7 @@ impl Network {
         }
     }
 
-    /// vec4s of all parameters.
+    /// Number of vec4s of all parameters.
     pub(super) fn parameters(&self) -> usize {
         self.layers
             .last()
@@ -124,7 +123,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_paper_s_network_has_84_419_parameters_and_none_share_a_place() {
+    fn the_papers_network_has_84_419_separate_parameters() {
         let network = Network::new();
         assert_eq!(
             network
@@ -139,7 +138,7 @@ mod tests {
     }
 
     #[test]
-    fn the_same_seed_gives_the_same_start_and_another_seed_another() {
+    fn equal_seeds_give_equal_parameters_and_others_do_not() {
         let network = Network::new();
         assert_eq!(network.initial(1), network.initial(1));
         assert_ne!(network.initial(1), network.initial(2));

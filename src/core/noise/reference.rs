@@ -1,4 +1,4 @@
-//! The noise field in `f64`, pixel by pixel: what the kernels mean.
+//! The reference of the noise field in `f64`, pixel by pixel.
 
 use glam::DVec3;
 
@@ -6,7 +6,7 @@ use super::AMPLITUDE;
 use super::network::{self, FEATURE_LAYER, LAYERS, Network};
 use crate::camera::Camera;
 
-/// The field at fixed parameters for one view.
+/// The field with fixed parameters for one view.
 pub struct ReferenceNoise<'a> {
     network: Network,
     parameters: &'a [f64],
@@ -85,7 +85,7 @@ impl<'a> ReferenceNoise<'a> {
         }
     }
 
-    /// Adds the derivative by every parameter, given that by the raw output of one pixel.
+    /// Adds the derivative by every parameter, given that by one pixel's raw output.
     fn backward(&self, pixel: &Pixel, delta: [f64; 3], result: &mut [f64]) {
         let mut delta = delta.to_vec();
         for i in (0..LAYERS).rev() {
@@ -108,8 +108,8 @@ impl<'a> ReferenceNoise<'a> {
         }
     }
 
-    /// Position on the plane of normalised device space, and viewing direction in the world, of a
-    /// pixel.
+    /// A pixel's position on the plane of normalised device space, and its viewing direction in the
+    /// world.
     fn point(&self, index: usize) -> (DVec3, DVec3) {
         let k = &self.camera.intrinsics;
         let u = (index % k.width) as f64 + 0.5;
@@ -154,7 +154,7 @@ mod tests {
     }
 
     #[test]
-    fn the_gradient_equals_central_differences() {
+    fn the_gradient_matches_central_differences() {
         let camera = camera(4, 3, 0.3);
         let network = Network::new();
         let mut parameters = parameters(&network);

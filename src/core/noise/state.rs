@@ -1,4 +1,4 @@
-//! The field as numbers, for checkpoints.
+//! The state of the field as numbers, for checkpoints.
 
 use fled_gpu::GpuError;
 
@@ -6,10 +6,10 @@ use super::NoiseField;
 
 /// First number of a state: the version of its layout.
 const VERSION: f32 = 2.0;
-/// Numbers before the parameters: version, step, restraint.
+/// Number of values before the parameters: version, step, restraint.
 const HEADER: usize = 3;
 
-/// A state that cannot be taken up.
+/// A state that cannot be restored.
 #[derive(Debug, thiserror::Error)]
 pub enum StateError {
     /// The numbers are no state of this version and network.
@@ -21,13 +21,13 @@ pub enum StateError {
 }
 
 impl NoiseField {
-    /// Step, guard, parameters and moments: what [`NoiseField::restore`] goes on from. Waits for
-    /// the device.
+    /// The state for [`NoiseField::restore`]: step, guard, parameters and moments. Waits for the
+    /// device.
     ///
     /// # Errors
     /// A device error.
     pub fn save(&self) -> Result<Vec<f32>, GpuError> {
-        // Steps are far below 2^24, up to which f32 counts exactly.
+        // Steps are far below 2^24, up to which f32 is exact.
         let mut state = vec![VERSION, self.step as f32, self.restraint];
         for buffer in [&self.buffers.parameters, &self.buffers.moments] {
             state.extend(buffer.read()?.as_flattened());
@@ -35,10 +35,10 @@ impl NoiseField {
         Ok(state)
     }
 
-    /// Takes up a state of [`NoiseField::save`].
+    /// Restores a state of [`NoiseField::save`].
     ///
     /// # Errors
-    /// [`StateError::Format`] for other numbers, of which nothing is taken; a device error.
+    /// [`StateError::Format`] for invalid numbers, which change nothing; a device error.
     pub fn restore(&mut self, state: &[f32]) -> Result<(), StateError> {
         let parameters = 4 * self.network.parameters();
         let (&[version, step, restraint], numbers) = state

@@ -82,7 +82,7 @@ impl Fixture {
         recorder.submit().expect("submitted");
     }
 
-    /// Map and parameter gradients of the device, and the same of the reference.
+    /// Map and parameter gradients, each by the device and by the reference.
     fn compare(&mut self) -> [(Vec<f32>, Vec<f64>); 2] {
         let before: Vec<f64> = wide(
             self.field
@@ -117,14 +117,14 @@ fn wide(values: &[f32]) -> Vec<f64> {
 }
 
 #[test]
-fn map_and_gradients_equal_the_reference() {
+fn map_and_gradients_match_the_reference() {
     let [map, gradients] = Fixture::new(13, 9).compare();
     assert_agrees("map", &map.0, &map.1, 1e-3);
     assert_agrees("gradients", &gradients.0, &gradients.1, 1e-3);
 }
 
 #[test]
-fn the_comparison_sees_a_wrong_amplitude_and_a_missing_layer() {
+fn the_comparison_detects_wrong_amplitudes_and_layers() {
     let [map, gradients] = Fixture::new(13, 9).compare();
     let louder: Vec<f64> = map.1.iter().map(|n| 1.01 * n).collect();
     assert!(!agreement(&map.0, &louder).within(1e-3));
@@ -135,7 +135,7 @@ fn the_comparison_sees_a_wrong_amplitude_and_a_missing_layer() {
 }
 
 #[test]
-fn many_chunks_give_what_one_chunk_gives() {
+fn many_chunks_equal_one_chunk() {
     let mut whole = Fixture::new(13, 9);
     let mut parts = Fixture::new(13, 9);
     parts.field.chunk_pixels = 16;
@@ -160,7 +160,7 @@ fn many_chunks_give_what_one_chunk_gives() {
 }
 
 #[test]
-fn one_step_of_adam_moves_every_parameter_as_the_formula_says() {
+fn one_step_of_adam_follows_its_formula() {
     let mut fixture = Fixture::new(13, 9);
     let before = fixture.field.buffers.parameters.read().expect("read");
     let [_, gradients] = fixture.compare();
@@ -209,7 +209,7 @@ fn a_field_learns_a_smooth_cast() {
 }
 
 #[test]
-fn a_saved_field_goes_on_with_the_same_bits_and_another_state_is_refused() {
+fn a_saved_field_resumes_exactly_and_other_states_are_refused() {
     let mut first = Fixture::new(13, 9);
     first.step();
     let saved = first.field.save().expect("read");
@@ -235,7 +235,7 @@ fn a_saved_field_goes_on_with_the_same_bits_and_another_state_is_refused() {
 }
 
 #[test]
-fn a_map_like_the_render_halves_the_amplitude_and_another_does_not() {
+fn only_a_map_like_the_render_halves_the_amplitude() {
     let mut fixture = Fixture::new(13, 9);
     fixture.step();
     let render = fixture.render.read().expect("read");
@@ -265,7 +265,7 @@ fn a_map_like_the_render_halves_the_amplitude_and_another_does_not() {
 }
 
 #[test]
-fn gradients_that_are_not_finite_change_nothing() {
+fn non_finite_gradients_change_nothing() {
     let mut fixture = Fixture::new(13, 9);
     fixture
         .gradient
@@ -280,7 +280,7 @@ fn gradients_that_are_not_finite_change_nothing() {
 }
 
 #[test]
-fn a_step_whose_intersections_did_not_fit_leaves_no_trace() {
+fn a_step_whose_intersections_overflow_changes_nothing() {
     let mut fixture = Fixture::new(13, 9);
     fixture.step();
     let before = fixture.field.save().expect("read");
@@ -309,7 +309,7 @@ fn wrong_sizes_are_refused() {
 }
 
 #[test]
-fn the_structs_equal_the_shaders() {
+fn the_structs_match_the_shaders() {
     use fled_gpu::Kernel;
     let size = |kernel: &Kernel, name: &str| {
         let (_, found) = kernel.reflect().expect("the row agrees with the shader");

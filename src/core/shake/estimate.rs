@@ -1,46 +1,47 @@
-//! The shake of a photograph from the photograph and a render of the same view: least squares over
-//! the derivatives of the light, non-negative, as blind deconvolution estimates kernels (Cho and
-//! Lee, "Fast Motion Deblurring", 2009), with the render in the place of a guessed sharp image.
+//! Estimates the shake of a photograph from it and a render of the same view: non-negative least
+//! squares over the derivatives of the light, as in the kernel estimation of blind deconvolution
+//! (Cho and Lee, "Fast Motion Deblurring", 2009), with the render in place of a guessed sharp
+//! image.
 
 use crate::image::Image;
 
 use super::{Response, ShakeKernel, Tap};
 
-/// Half of the kernel's side, as a share of the image's longer side: 11 px at 560, beyond which
-/// COLMAP does not follow either.
+/// Half of the kernel's side, as a share of the image's longer side: 11 px at 560. COLMAP does not
+/// match photographs with more shake either.
 const REACH_SHARE: f64 = 0.02;
-/// Bounds of the same, px.
+/// Bounds of the reach, px.
 const REACH_BOUNDS: (usize, usize) = (2, 16);
-/// Pixels that a kernel is judged by, about: of larger images, every n-th row.
+/// Approximate number of pixels in the estimate; larger images contribute every n-th row.
 const PIXELS: usize = 60_000;
-/// Weight of the squared taps, in units of the mean squared derivative: keeps noise from being a
+/// Weight of the squared taps, in units of the mean squared derivative: keeps noise out of the
 /// kernel.
 const RIDGE: f64 = 0.01;
-/// Weight of the squared centroid, in the same units and per px^2. The poses stand where the shake
-/// is on average; a kernel that moves its image would only hide the error of a pose, and all of
-/// them could drift together.
+/// Weight of the squared centroid, in the same units and per px^2. Poses refer to the mean of the
+/// shake; a kernel that moves its image would only hide the error of a pose, and all of them could
+/// drift together.
 const CENTRED: f64 = 0.3;
-/// Cost of a tap, in the same units and per px^2 of its distance, for images up to [`FAR_SIDE`];
-/// larger ones are shaken by more pixels. What is wrong in the render acts as noise of the
-/// regressor and widens every kernel; the render that is then trained through it is sharper than
-/// the scene, with halos, and more wrong. Four times as dear, kernels come out a third too narrow,
-/// and the blur that they leave goes into the scene.
+/// Price of a tap, in the same units and per px^2 of its distance, for images up to [`FAR_SIDE`];
+/// larger images shake by more pixels. Errors of the render act as noise of the regressor and widen
+/// every kernel; a render then trained through that kernel becomes sharper than the scene, with
+/// halos, and less accurate. At four times the price, kernels are a third too narrow, and the blur
+/// that they miss enters the scene.
 const FAR: f64 = 0.002;
 /// Longer side at which [`FAR`] was chosen, px.
 const FAR_SIDE: f64 = 560.0;
-/// Taps below this share of the largest are such widening.
+/// Share of the largest tap below which taps only show such widening.
 const SMALLEST_TAP: f32 = 0.1;
-/// Iterations of the solver; the residual no longer changes in the third digit after half of them.
+/// Iterations of the solver; half of them settle the third digit of the residual.
 const ITERATIONS: usize = 200;
 
-/// How far from its centre a kernel reaches, px, for images of such a longer side.
+/// Reach of a kernel from its centre, px, for images with this longer side.
 pub fn reach(longer_side: usize) -> usize {
     let reach = (REACH_SHARE * longer_side as f64).round() as usize;
     reach.clamp(REACH_BOUNDS.0, REACH_BOUNDS.1)
 }
 
 /// The kernel that turns `render` into `photograph`, both encoded by `response` and of one size,
-/// with taps up to [`reach`]. Still where the images are too small or too flat to tell.
+/// with taps up to [`reach`]. Still if the images are too small or too flat for an estimate.
 pub fn estimate(render: &Image, photograph: &Image, response: &Response) -> ShakeKernel {
     let reach = reach(render.width().max(render.height()));
     if render.width().min(render.height()) <= 4 * reach + 2 {
@@ -129,8 +130,7 @@ impl Derivatives {
     }
 }
 
-/// `mean over p of a(p) b(p - u)` for every |u| <= reach, over the pixels for which all of them
-/// exist.
+/// `mean over p of a(p) b(p - u)` for every |u| <= reach, over the pixels where all terms exist.
 struct Correlation {
     reach: i32,
     values: Vec<f64>,
@@ -138,13 +138,13 @@ struct Correlation {
 
 impl Correlation {
     fn new(a: &Derivatives, b: &Derivatives, reach: usize) -> Self {
-        // The last row and column have no difference of their own.
+        // The last row and column have no differences.
         let (left, right, bottom) = (reach, a.width - 1 - reach, a.height - 1 - reach);
         let square = 2 * reach + 1;
         let mut values = vec![0.0; square * square];
         let stride = (a.width * a.height).div_ceil(PIXELS);
         let pixels = 2 * (right - left) * (bottom - reach).div_ceil(stride);
-        // A correlation with itself is symmetric: half of it is enough.
+        // A correlation with itself is symmetric: half of it suffices.
         let alike = std::ptr::eq(a, b);
         let needed = if alike {
             square * square / 2 + 1
@@ -178,7 +178,7 @@ impl Correlation {
     }
 }
 
-/// Eight sums side by side: the compiler may not reorder a sum of floats itself.
+/// Eight parallel sums: the compiler may not reorder a sum of floats itself.
 fn dot(a: &[f32], b: &[f32]) -> f32 {
     let (a8, a_rest) = a.as_chunks::<8>();
     let (b8, b_rest) = b.as_chunks::<8>();
@@ -226,6 +226,6 @@ fn largest_eigenvalue(product: &impl Fn(&[f32]) -> Vec<f32>, count: usize) -> f3
         length = x.iter().map(|v| v * v).sum::<f32>().sqrt().max(1e-20);
         x.iter_mut().for_each(|v| *v /= length);
     }
-    // Power iteration comes from below.
+    // Power iteration converges from below.
     1.05 * length
 }

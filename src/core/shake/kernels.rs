@@ -1,4 +1,4 @@
-//! The kernel table of the shake and the struct its shaders read.
+//! The kernel table of the shake and the struct that its shaders read.
 
 use bytemuck::{Pod, Zeroable};
 use fled_gpu::{Kernel, read, read_write, uniform};

@@ -1,4 +1,4 @@
-//! The shake in `f64`, tap by tap: what the kernels mean.
+//! The reference of the shake in `f64`, tap by tap.
 
 use super::{Response, SMOOTH_BEND, SMOOTH_WEIGHT, ShakeKernel};
 use crate::image::Image;
@@ -7,13 +7,12 @@ use crate::image::Image;
 pub struct ReferenceShake<'a> {
     /// Width and height, px.
     pub size: [usize; 2],
-    /// How it is shaken.
     pub kernel: &'a ShakeKernel,
-    /// How light becomes values.
+    /// The response from light to values.
     pub response: &'a Response,
 }
 
-/// A render as its photograph is shaken.
+/// Applies a view's shake to its render.
 pub fn shaken_image(render: &Image, kernel: &ShakeKernel, response: &Response) -> Image {
     let size = [render.width(), render.height()];
     let values: Vec<f64> = render.data().iter().map(|&v| f64::from(v)).collect();
@@ -27,8 +26,7 @@ pub fn shaken_image(render: &Image, kernel: &ShakeKernel, response: &Response) -
 }
 
 impl ReferenceShake<'_> {
-    /// Pairs of pixels that a tap joins (where the light comes from, where it arrives), with its
-    /// weight.
+    /// Pairs of pixels that a tap connects (source and target of the light), with its weight.
     fn paths(&self) -> impl Iterator<Item = (usize, usize, f64)> + '_ {
         let [width, height] = self.size;
         self.kernel.taps().iter().flat_map(move |tap| {
@@ -41,7 +39,7 @@ impl ReferenceShake<'_> {
         })
     }
 
-    /// Mean light of every pixel [3, H, W], and the weights that arrived there [H, W].
+    /// Mean light of every pixel [3, H, W], and the sum of weights there [H, W].
     fn arrived(&self, render: &[f64]) -> (Vec<f64>, Vec<f64>) {
         let pixels = self.size[0] * self.size[1];
         let (mut sums, mut weights) = (vec![0.0; 3 * pixels], vec![0.0; pixels]);
@@ -58,7 +56,7 @@ impl ReferenceShake<'_> {
         (sums, weights)
     }
 
-    /// `f(k * f^-1(render))` of a planar render [3, H, W]; taps that leave the image are left out.
+    /// `f(k * f^-1(render))` of a planar render [3, H, W], without the light that leaves the image.
     pub fn shaken(&self, render: &[f64]) -> Vec<f64> {
         self.arrived(render)
             .0

@@ -1,18 +1,18 @@
-//! How light becomes the values that a round is trained on: sRGB, then the round's tone curve.
+//! The response from light to the values of a round's images: sRGB, then the round's tone curve.
 
 use crate::image::srgb_to_linear;
 
-/// Knots of the table.
+/// Number of knots of the table.
 pub(super) const KNOTS: usize = 256;
-/// Samples of the curve from which the table is made.
+/// Number of samples of the curve from which the table is made.
 const SAMPLES: usize = 4_096;
-/// The curve is taken to be at least this steep, as a share of its mean slope below one half.
-/// Equalisation is nearly flat where few pixels are: what little such values differ by would be a
-/// huge difference of light.
+/// Least slope assumed for the curve, as a share of its mean slope below one half. Equalisation is
+/// nearly flat where there are few pixels; small differences of such values would become huge
+/// differences of light.
 const LEAST_SLOPE: f32 = 0.25;
 
-/// The camera's response together with the tone curve of a round: light, in any unit, of each
-/// encoded value. Rises strictly; the same for all channels.
+/// The camera's response together with the tone curve of a round: the light, in any unit, of each
+/// encoded value. Strictly increasing; the same for all channels.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Response {
     light: Vec<f32>,
@@ -48,7 +48,7 @@ impl Response {
         let mut light: Vec<f32> = light.collect();
         let scale = 1.0 / light[KNOTS - 1].max(1e-12);
         light.iter_mut().for_each(|l| *l *= scale);
-        // Knots below the curve's first value share one light; nothing may be flat.
+        // Knots below the curve's first value share one light; the table must not be flat.
         for knot in 1..KNOTS {
             light[knot] = light[knot].max(light[knot - 1] + 1e-6);
         }
@@ -60,7 +60,7 @@ impl Response {
         &self.light
     }
 
-    /// Light of an encoded value. Negative values have that of 0.
+    /// Light of an encoded value; negative values count as 0.
     pub fn light(&self, value: f64) -> f64 {
         let place = value.max(0.0) * (KNOTS - 1) as f64;
         let knot = (place as usize).min(KNOTS - 2);
@@ -79,7 +79,7 @@ impl Response {
         (knot as f64 + (light - low) / (high - low)) / (KNOTS - 1) as f64
     }
 
-    /// Derivative of [`Response::light`], that to the right at a knot.
+    /// Derivative of [`Response::light`]; at a knot, the one to the right.
     pub fn light_slope(&self, value: f64) -> f64 {
         let knot = ((value.max(0.0) * (KNOTS - 1) as f64) as usize).min(KNOTS - 2);
         (KNOTS - 1) as f64 * (f64::from(self.light[knot + 1]) - f64::from(self.light[knot]))

@@ -1,8 +1,8 @@
-//! Kernels as numbers, for checkpoints: for each view its count of taps, then x, y and weight.
+//! Kernels as numbers, for checkpoints: for each view the number of taps, then x, y and weight.
 
 use super::{MOST_TAPS, ShakeKernel, Tap};
 
-/// Numbers of a tap.
+/// Numbers per tap.
 const TAP_NUMBERS: usize = 3;
 
 /// The kernels as numbers.
@@ -17,7 +17,7 @@ pub fn save<'a>(kernels: impl IntoIterator<Item = &'a ShakeKernel>) -> Vec<f32> 
     state
 }
 
-/// The kernels of [`save`], one a view; `None` for other numbers.
+/// The kernels of [`save`], one per view; `None` for invalid numbers.
 pub fn parse(state: &[f32], views: usize) -> Option<Vec<ShakeKernel>> {
     let mut rest = state;
     let mut kernels = Vec::with_capacity(views);
@@ -29,7 +29,7 @@ pub fn parse(state: &[f32], views: usize) -> Option<Vec<ShakeKernel>> {
         }
         let (numbers, tail) = tail.split_at_checked(TAP_NUMBERS * count)?;
         let (taps, _) = numbers.as_chunks::<TAP_NUMBERS>();
-        // As they stood: normalising again would change the last bit.
+        // Unchanged: normalising again would change the last bit.
         let tap = |&[x, y, weight]: &[f32; TAP_NUMBERS]| Tap {
             offset: [x as i32, y as i32],
             weight,

@@ -3,7 +3,7 @@ use super::*;
 use crate::agreement::{agreement, assert_agrees, assert_derivative};
 use crate::image::Image;
 
-/// An S of 15 taps, a tap in a quarter turn of it heavier than the rest.
+/// An S of 15 taps with one heavier tap, so that it has no symmetry.
 fn curve() -> ShakeKernel {
     let tap = |n: i32| {
         let along = f64::from(n) / 7.0;
@@ -63,7 +63,7 @@ fn shaken(image: &Image, kernel: &ShakeKernel, response: &Response) -> Image {
     )
 }
 
-/// The shaken image and the gradient of the device, and the same of the reference.
+/// The shaken image and the gradient, each by the device and by the reference.
 fn compare(kernel: &ShakeKernel, response: &Response) -> [(Vec<f32>, Vec<f64>); 2] {
     let (gpu, size) = (
         Gpu::new("auto").expect("the tests need a Vulkan adapter"),
@@ -103,7 +103,7 @@ fn compare(kernel: &ShakeKernel, response: &Response) -> [(Vec<f32>, Vec<f64>); 
 }
 
 #[test]
-fn image_and_gradient_equal_the_reference() {
+fn image_and_gradient_match_the_reference() {
     for (kernel, response) in [
         (curve(), response()),
         (ShakeKernel::still(), Response::srgb()),
@@ -115,7 +115,7 @@ fn image_and_gradient_equal_the_reference() {
 }
 
 #[test]
-fn the_comparison_sees_a_mirrored_kernel() {
+fn the_comparison_detects_a_mirrored_kernel() {
     let mirrored = |tap: &Tap| Tap {
         offset: tap.offset.map(|o| -o),
         ..*tap
@@ -128,14 +128,14 @@ fn the_comparison_sees_a_mirrored_kernel() {
 }
 
 #[test]
-fn the_reference_gradient_equals_central_differences() {
+fn the_reference_gradient_matches_central_differences() {
     let (kernel, response, size) = (curve(), response(), [17, 9]);
     let reference = ReferenceShake {
         size,
         kernel: &kernel,
         response: &response,
     };
-    // Off the knots of the response, where it bends.
+    // Between the knots of the response, which have no derivative.
     let render: Vec<f64> = wide(picture(17, 9).data())
         .iter()
         .map(|v| (v * 255.0).floor() / 255.0 + 0.002)
@@ -158,7 +158,7 @@ fn the_reference_gradient_equals_central_differences() {
 }
 
 #[test]
-fn a_still_view_is_left_as_it_is_and_light_is_kept() {
+fn a_still_kernel_changes_nothing_and_light_is_preserved() {
     let image = picture(40, 30);
     let same = shaken(&image, &ShakeKernel::still(), &response());
     assert!(
@@ -178,7 +178,7 @@ fn a_still_view_is_left_as_it_is_and_light_is_kept() {
 }
 
 #[test]
-fn the_response_rises_strictly_and_its_inverse_brings_values_back() {
+fn the_response_is_strictly_increasing_and_invertible() {
     for response in [
         Response::srgb(),
         response(),
@@ -200,7 +200,7 @@ fn the_response_rises_strictly_and_its_inverse_brings_values_back() {
 }
 
 #[test]
-fn the_shake_is_found_again_in_a_noisy_photograph() {
+fn the_shake_is_recovered_from_a_noisy_photograph() {
     let (sharp, response) = (picture(280, 160), Response::srgb());
     let noisy = |image: &Image| {
         let noise =
@@ -219,7 +219,7 @@ fn the_shake_is_found_again_in_a_noisy_photograph() {
         &noisy(&shaken(&sharp, &kernel, &response)),
         &response,
     );
-    // Far taps cost a little, so a kernel comes out slightly too small, and never too large.
+    // Far taps have a price, so an estimate is slightly too narrow, and never too wide.
     let wide = found.spread() / kernel.spread();
     assert!((0.85..1.02).contains(&wide), "{wide} of the true spread");
     assert!(
@@ -244,7 +244,7 @@ fn the_shake_is_found_again_in_a_noisy_photograph() {
 }
 
 #[test]
-fn what_tells_nothing_is_still() {
+fn uninformative_images_have_no_shake() {
     let flat = Image::from_planar(100, 80, vec![0.3; 24_000]);
     assert_eq!(
         estimate(&flat, &flat, &Response::srgb()),
@@ -269,7 +269,7 @@ fn what_tells_nothing_is_still() {
 }
 
 #[test]
-fn saved_kernels_come_back_to_the_bit_and_others_are_refused() {
+fn saved_kernels_round_trip_and_invalid_ones_are_refused() {
     let kernels = vec![ShakeKernel::still(), curve()];
     let state = save(&kernels);
     assert_eq!(parse(&state, 2), Some(kernels));
@@ -288,7 +288,7 @@ fn an_image_larger_than_the_buffers_is_refused() {
 }
 
 #[test]
-fn the_struct_and_the_constants_are_those_of_the_shaders() {
+fn struct_and_constants_match_the_shaders() {
     let table = [
         &kernels::LINEARISE,
         &kernels::BLUR,

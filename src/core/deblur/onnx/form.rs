@@ -1,18 +1,18 @@
-//! What a network takes and gives, as its file says.
+//! The inputs and outputs of a network, as declared in its file.
 
 use ort::session::Session;
 use ort::value::{Outlet, TensorElementType, ValueType};
 
-/// What of a file's input and outputs is used.
+/// The relevant input and output of a file.
 pub(super) struct Form {
-    /// Of the input.
+    /// Number of input channels.
     pub(super) channels: u32,
-    /// Which output is the restored view.
+    /// Index of the output that is the restored view.
     pub(super) output: usize,
 }
 
 impl Form {
-    /// By the file, with everything about the input and output that must hold.
+    /// Reads the form of a file and checks all requirements on its input and output.
     pub(super) fn of(session: &Session) -> Result<Self, String> {
         let (inputs, outputs) = (session.inputs(), session.outputs());
         let ([input], [_, ..]) = (inputs, outputs) else {
@@ -27,8 +27,8 @@ impl Form {
     }
 }
 
-/// The only output that can be a picture; of several the first may well be a map of the light, or
-/// halfway.
+/// The only output that can be a picture; the first of several may be a map of the light, or an
+/// intermediate result.
 fn the_picture(outputs: &[Outlet]) -> Result<usize, String> {
     let is_picture =
         |output: &Outlet| image_shape(output.dtype()).is_ok_and(|shape| matches!(shape[1], 3 | -1));
@@ -45,11 +45,11 @@ fn the_picture(outputs: &[Outlet]) -> Result<usize, String> {
             names.join(", ")
         ));
     }
-    // None: what is wrong with the first is told.
+    // Without any, later checks report the fault of the first.
     Ok(pictures.first().copied().unwrap_or(0))
 }
 
-/// Input channels by the file.
+/// Number of input channels.
 fn channels(input: &ValueType, output: &ValueType) -> Result<u32, String> {
     let input_shape = image_shape(input).map_err(|detail| format!("its input {detail}"))?;
     let output_shape = image_shape(output).map_err(|detail| format!("its output {detail}"))?;

@@ -55,7 +55,7 @@ fn the_identity_network_returns_the_view_at_any_size() {
 }
 
 #[test]
-fn the_view_comes_before_the_guide_and_is_its_own_guide_without_one() {
+fn without_a_guide_the_view_is_its_own_guide() {
     let mut network = network(&file("mix6.onnx")).expect("loads");
     let (view, guide) = (waves(48, 32, 0.0), waves(48, 32, 2.0));
     let guided = network.restore(&view, Some(&guide)).expect("runs");
@@ -118,7 +118,7 @@ fn a_tile_that_leaves_the_range_keeps_its_input_and_warns() {
 }
 
 #[test]
-fn networks_that_are_not_ours_are_refused_with_the_reason() {
+fn unfit_networks_are_refused_with_the_reason() {
     for (name, reason) in [
         ("fixed_size.onnx", "48x32"),
         ("four_channels.onnx", "4 channels"),
@@ -141,8 +141,8 @@ fn networks_that_are_not_ours_are_refused_with_the_reason() {
 }
 
 #[test]
-fn the_self_test_finds_sides_that_do_not_fit() {
-    // The golden image's 64 px fit; 80 do not.
+fn the_self_test_finds_sizes_that_do_not_fit() {
+    // The 64 px of the golden image fit; 80 do not.
     let refused = network(&file("blocks32.onnx")).err().expect("refused");
     assert!(matches!(refused, DeblurError::SelfTest { .. }), "{refused}");
     assert!(
@@ -161,7 +161,7 @@ fn the_self_test_catches_infinite_and_random_values() {
 }
 
 #[test]
-fn the_default_network_is_deterministic_and_stays_near_a_clean_view() {
+fn the_default_network_is_deterministic_and_keeps_clean_views() {
     let mut first = network("default").expect("loads");
     let mut second = network("default").expect("loads");
     let view = waves(90, 70, 0.0);
@@ -187,7 +187,7 @@ fn the_default_network_is_deterministic_and_stays_near_a_clean_view() {
 }
 
 #[test]
-fn a_network_without_channels_for_a_guide_does_without_and_says_so() {
+fn a_network_without_guide_channels_reports_it() {
     let search = [PathBuf::from(concat!(
         env!("CARGO_MANIFEST_DIR"),
         "/../../.onnxruntime"
@@ -211,14 +211,14 @@ fn a_network_without_channels_for_a_guide_does_without_and_says_so() {
 }
 
 #[test]
-fn the_built_in_network_returns_here_what_it_returned_where_it_was_trained() {
+fn the_built_in_network_reproduces_its_golden_output() {
     let runtime = runtime::for_tests();
     let model = Model::find("default", &[]).expect("built in");
     let known = model.golden.clone().expect("a golden output");
     let mut network =
         Onnx::load_on(&runtime, &model, Provider::Cpu, 1).expect("passes its self-test");
     assert_eq!(network.describe().channels, 6);
-    // PyTorch and ONNX Runtime on another kind of processor: far inside what the self-test allows.
+    // PyTorch and ONNX Runtime on another processor agree far better than the self-test requires.
     assert!(known.difference(network.golden().expect("runs").values()) < 1e-4);
     let swapped = Golden::new(golden::view().data().to_vec()).expect("of the right size");
     let wrong = Model {
@@ -235,7 +235,7 @@ fn the_built_in_network_returns_here_what_it_returned_where_it_was_trained() {
 }
 
 #[test]
-fn cuda_that_is_there_and_does_not_work_is_said_and_the_processor_used() {
+fn broken_cuda_is_reported_and_the_cpu_is_used() {
     let folder = tempfile::tempdir().expect("temporary directory");
     let runtime = runtime::as_if_in(folder.path());
     let model = Model::find(&file("identity3.onnx"), &[]).expect("present");

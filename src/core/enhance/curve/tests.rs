@@ -6,8 +6,8 @@ const ANCHOR: Anchor = Anchor::Equalised {
     gamma: 0.8,
 };
 
-/// The grey picture of tests/golden/clahe.py: a linear congruence, squared twice to be dark,
-/// then one pixel of every value.
+/// The grey picture of tests/golden/clahe.py: a linear congruence, squared twice to be dark, then
+/// one pixel of each value.
 fn golden_values() -> Vec<u8> {
     let mut state = 1_u32;
     let dark = (0..3072 - 256).map(|_| {
@@ -22,8 +22,8 @@ fn golden_values() -> Vec<u8> {
         .collect()
 }
 
-/// The same table in whole numbers, as OpenCV computes it: the excess is spread in whole
-/// counts, the remainder at even distances.
+/// The same table in integers, as OpenCV computes it: the excess is spread in whole counts, the
+/// remainder at even distances.
 fn integer_table(values: &[u8], alpha: f64) -> [u8; BINS] {
     let mut counts = [0_i64; BINS];
     values.iter().for_each(|&v| counts[v as usize] += 1);
@@ -49,7 +49,7 @@ fn integer_table(values: &[u8], alpha: f64) -> [u8; BINS] {
 }
 
 #[test]
-fn the_integer_table_is_opencvs_bit_for_bit_and_the_float_table_follows_it() {
+fn the_integer_table_is_opencvs_and_the_float_table_close() {
     let golden: serde_json::Value =
         serde_json::from_str(include_str!("../../../../tests/golden/clahe.json")).expect("JSON");
     let values = golden_values();
@@ -70,7 +70,7 @@ fn the_integer_table_is_opencvs_bit_for_bit_and_the_float_table_follows_it() {
             .iter()
             .zip(&expected)
             .map(|(f, &e)| (f * 255.0 - f32::from(e)).abs());
-        // What whole counts cost: half a step, the limit's fraction in each bin, and up to 64
+        // The error of whole counts: half a step, the limit's fraction in each bin, and up to 64
         // counts of the remainder that come early (r - r^2 / 256 at r = 128).
         let limit = (alpha * values.len() as f64 / BINS as f64).max(1.0);
         let counts = 64.0 + BINS as f32 * limit.fract() as f32;
@@ -95,7 +95,7 @@ fn golden_photograph() -> Image<Srgb> {
 }
 
 #[test]
-fn networks_are_trained_on_photographs_through_the_same_curve() {
+fn the_curve_matches_that_of_the_networks_training() {
     let golden: serde_json::Value =
         serde_json::from_str(include_str!("../../../../tests/golden/tone_curve.json"))
             .expect("JSON");
@@ -132,7 +132,7 @@ fn networks_are_trained_on_photographs_through_the_same_curve() {
 }
 
 #[test]
-fn a_single_value_keeps_its_limit_and_spreads_the_rest_evenly() {
+fn a_single_value_is_clipped_and_the_rest_spread_evenly() {
     let grey = 51.0 / 255.0;
     let histogram = Histogram::of(&Image::from_planar(16, 16, vec![grey; 3 * 256]));
     let table = histogram.equalisation(10.0).expect("a table");
@@ -144,7 +144,7 @@ fn a_single_value_keeps_its_limit_and_spreads_the_rest_evenly() {
 }
 
 #[test]
-fn an_exposure_is_a_gain_in_light_that_bends_only_before_white() {
+fn an_exposure_is_a_gain_that_bends_only_before_white() {
     let curve = ToneCurve::new(&Histogram::pooled([]), Anchor::exposure(3.0));
     let exposed = |light: f32| srgb_to_linear(curve.map_v(linear_to_srgb(light / 8.0)));
     for light in [0.0, 0.001, 0.1, 0.5, 0.84] {
@@ -173,7 +173,7 @@ fn hue_and_saturation_survive_the_equalisation() {
 }
 
 #[test]
-fn alpha_zero_is_the_exponent_alone() {
+fn alpha_zero_leaves_the_exponent_alone() {
     let image = Image::from_planar(1, 1, vec![0.25, 0.5, 0.04]);
     let curve = ToneCurve::new(
         &Histogram::of(&image),
@@ -187,7 +187,7 @@ fn alpha_zero_is_the_exponent_alone() {
 }
 
 #[test]
-fn black_images_and_images_without_a_number_stay_finite() {
+fn black_and_nan_images_stay_finite() {
     for data in [vec![0.0; 12], vec![f32::NAN; 12], vec![-1.0; 12]] {
         let image = Image::from_planar(2, 2, data);
         let curve = ToneCurve::new(&Histogram::of(&image), ANCHOR);
@@ -239,7 +239,7 @@ proptest! {
     }
 
     #[test]
-    fn pooling_weighs_every_pixel_the_same(values in prop::collection::vec(0.0_f32..1.0, 24)) {
+    fn pooling_weights_every_pixel_equally(values in prop::collection::vec(0.0_f32..1.0, 24)) {
         let image = Image::from_planar(4, 2, values);
         let histogram = Histogram::pooled([&image, &image]);
         prop_assert!((histogram.total() - 16.0).abs() < 1e-6);
