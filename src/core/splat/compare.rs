@@ -1,7 +1,7 @@
-//! Comparisons of what a kernel made with its reference. Each says why it fails, and is tested to
-//! fail.
+//! Comparisons of a kernel's results with its reference. Each explains its failure, and is tested
+//! to fail.
 
-/// Differences of an image to its reference, which may jump where a splat is cut off.
+/// Compares an image with its reference, from which it may jump where a splat is cut off.
 ///
 /// Fails when more than `share` of the values differ by more than `limit`, or any is not finite.
 pub fn mostly_within(
@@ -34,8 +34,8 @@ pub fn mostly_within(
     Ok(())
 }
 
-/// Gradients against their reference: relative L2 at most 1e-3, cosine at least 0.9999, no signed
-/// bias.
+/// Compares gradients with their reference: relative L2 at most 1e-3, cosine at least 0.9999, no
+/// signed bias.
 pub fn gradients_agree(found: &[f64], expected: &[f64]) -> Result<(), String> {
     if found.len() != expected.len() {
         return Err(format!("{} values for {}", found.len(), expected.len()));
@@ -48,7 +48,7 @@ pub fn gradients_agree(found: &[f64], expected: &[f64]) -> Result<(), String> {
     let difference: Vec<_> = found.iter().zip(expected).map(|(a, b)| a - b).collect();
     let relative = dot(&difference, &difference).sqrt() / norm;
     let cosine = dot(found, expected) / (norm * dot(found, found).sqrt());
-    // The gradient along the reference must not be too long or too short on the whole.
+    // The component along the reference must be neither too long nor too short.
     let bias = dot(&difference, expected) / (norm * norm);
     if relative <= 1e-3 && cosine >= 0.9999 && bias.abs() <= 5e-4 {
         return Ok(());
@@ -62,7 +62,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_wrong_image_is_found() {
+    fn wrong_images_are_detected() {
         let expected: Vec<f64> = (0..1000).map(|i| f64::from(i) / 1000.0).collect();
         let mut found: Vec<f32> = expected.iter().map(|&v| v as f32).collect();
         assert_eq!(mostly_within(&found, &expected, 1e-4, 1e-3), Ok(()));
@@ -77,7 +77,7 @@ mod tests {
     }
 
     #[test]
-    fn wrong_gradients_are_found() {
+    fn wrong_gradients_are_detected() {
         let expected: Vec<f64> = (0..1000).map(|i| f64::from(i % 17) - 8.0).collect();
         let scaled = |by: f64| expected.iter().map(|v| v * by).collect::<Vec<_>>();
         assert_eq!(gradients_agree(&scaled(1.0), &expected), Ok(()));

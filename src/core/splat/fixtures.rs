@@ -1,4 +1,4 @@
-//! What the tests of the splats share: one device, random scenes, comparisons.
+//! Shared fixtures of the splat tests: one device, random scenes, comparisons.
 
 use std::sync::OnceLock;
 
@@ -9,7 +9,7 @@ use super::reference::{Projected, Viewpoint};
 use crate::camera::{Camera, Intrinsics};
 use crate::gaussians::Gaussians;
 
-/// The one device of the test process. A missing adapter fails the test.
+/// The one device of the test process. Panics without an adapter.
 pub fn gpu() -> &'static Gpu {
     static GPU: OnceLock<Gpu> = OnceLock::new();
     GPU.get_or_init(|| Gpu::new("auto").expect("GPU tests need a Vulkan adapter; lavapipe will do"))
@@ -19,7 +19,6 @@ pub fn gpu() -> &'static Gpu {
 pub struct Random(u64);
 
 impl Random {
-    /// A generator.
     pub fn new(seed: u64) -> Self {
         Self(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1)
     }
@@ -81,7 +80,7 @@ pub fn gaussians(count: usize, sh_degree: u32, seed: u64) -> Gaussians {
     out
 }
 
-/// The row of the `index`-th Gaussian in what a projection wrote.
+/// The row of the `index`-th Gaussian in the output of a projection.
 pub fn projected(rows: &[[f32; 4]], index: usize) -> Projected {
     let row = rows[3 * index..3 * index + 3].as_flattened();
     let row: [f32; 12] = row.try_into().expect("twelve numbers");
@@ -109,7 +108,7 @@ pub fn cosine(a: &[f64], b: &[f64]) -> f64 {
 }
 
 #[test]
-fn the_comparisons_tell_right_from_wrong() {
+fn the_comparisons_distinguish_right_from_wrong() {
     let (right, wrong) = ([1.0, -2.0, 3.0], [1.0, 2.0, 3.0]);
     assert!(relative_l2(&right, &right) == 0.0 && relative_l2(&wrong, &right) > 0.5);
     assert!(cosine(&right, &right) > 0.999_999 && cosine(&wrong, &right) < 0.5);

@@ -1,4 +1,4 @@
-//! A scene on the device and what draws it: the one place that repeats a drawing until its
+//! A scene on the device and its renderer: the one place that repeats a drawing until its
 //! intersections fit.
 
 use fled_gpu::{Buffer, Gpu, GpuError, Recorder, Recording, Submission};
@@ -10,34 +10,33 @@ use super::uniform::{CameraUniform, NEAR};
 use crate::camera::Camera;
 use crate::image::Image;
 
-/// Most splats touch a few tiles: the first guess at the intersections of a Gaussian.
+/// Initial guess of the intersections per Gaussian: most splats touch a few tiles.
 const TILES_PER_SPLAT: usize = 4;
-/// And so many more, for small scenes of large splats.
+/// Additional intersections, for small scenes of large splats.
 const SPARE_INTERSECTIONS: usize = 1 << 14;
 
-/// The forward half of splatting. How many intersections an image has is known after it was drawn;
-/// when they did not fit, the buffers grow and the image is drawn again.
+/// The forward half of splatting. The number of an image's intersections is known only after
+/// drawing; if they did not fit, the buffers grow and the image is drawn again.
 pub struct ForwardPass {
     gpu: Gpu,
-    /// The scene.
     pub gaussians: DeviceGaussians,
-    /// The scene as the last camera saw it.
+    /// The projection of the scene by the last camera.
     pub projection: Projection,
     buffers: SplatBuffers,
     forward: Forward,
     gradients: bool,
-    /// Counts how often the buffers were made.
+    /// Number of times the buffers were created.
     generation: u64,
 }
 
-/// Commands that hold as long as the buffers stay that they were recorded for.
+/// Commands that stay valid as long as the buffers for which they were recorded.
 pub struct PassRecording {
     recording: Recording,
     generation: u64,
 }
 
 impl PassRecording {
-    /// Hands the commands to the device.
+    /// Submits the commands to the device.
     ///
     /// # Errors
     /// A device error.
@@ -47,11 +46,11 @@ impl PassRecording {
 }
 
 impl ForwardPass {
-    /// Draws `gaussians` in images of at most `size` = [width, height] px. `gradients`: whether the
-    /// buffers hold what a backward pass writes.
+    /// Draws `gaussians` into images of at most `size` = [width, height] px. `gradients`: whether
+    /// to allocate the buffers of a backward pass.
     ///
     /// # Errors
-    /// Out of memory, or above what the adapter binds.
+    /// Out of memory, or more than the adapter can bind.
     pub fn new(
         gpu: &Gpu,
         gaussians: DeviceGaussians,
@@ -76,19 +75,19 @@ impl ForwardPass {
         })
     }
 
-    /// What the last submission wrote.
+    /// The buffers, with the results of the last submission.
     pub fn buffers(&self) -> &SplatBuffers {
         &self.buffers
     }
 
-    /// The scene from `camera`, with harmonics up to `degree`. The near plane is the same for
-    /// training and rendering: a splat that training culls would be a floater in the views.
+    /// The uniform of `camera`, with harmonics up to `degree`. The near plane is the same for
+    /// training and rendering: a splat culled only in training would be a floater in the views.
     pub fn seen_from(&self, camera: &Camera, degree: u32) -> CameraUniform {
         let allocated = self.gaussians.sh_degree;
         CameraUniform::new(camera, self.gaussians.count, degree, allocated, NEAR)
     }
 
-    /// A recorder that projects and blends the scene first.
+    /// A recorder that first projects and blends the scene.
     ///
     /// # Errors
     /// A shader or binding error.
@@ -100,7 +99,7 @@ impl ForwardPass {
         Ok(recorder)
     }
 
-    /// What was recorded for the buffers as they are, to be submitted more than once.
+    /// Keeps a recording for repeated submission with the current buffers.
     pub fn keep(&self, recorder: Recorder) -> PassRecording {
         PassRecording {
             recording: recorder.finish(),
@@ -113,9 +112,9 @@ impl ForwardPass {
         recording.generation == self.generation
     }
 
-    /// The image of `camera`, with harmonics up to `degree`. `submit` hands the drawing to the
-    /// device and names the buffer that holds the image then, planar [3, height, width]; it is
-    /// called again whenever the intersections did not fit.
+    /// The image of `camera`, with harmonics up to `degree`. `submit` submits the drawing and
+    /// returns the buffer of the resulting image, planar [3, height, width]; it is called again
+    /// whenever the intersections did not fit.
     ///
     /// # Errors
     /// A device error, and those of `submit`.
@@ -140,10 +139,10 @@ impl ForwardPass {
         }
     }
 
-    /// Grows the buffers until so many intersections fit, and some more for the next camera.
+    /// Grows the buffers until these intersections fit, with a margin for the next camera.
     ///
     /// # Errors
-    /// Out of memory, or above what the adapter binds.
+    /// Out of memory, or more than the adapter can bind.
     pub fn make_room(&mut self, counts: &SplatCounts) -> Result<(), GpuError> {
         let (needed, now) = (counts.intersections, self.buffers.sizes().intersections);
         if needed <= now {
@@ -153,7 +152,7 @@ impl ForwardPass {
         self.set_room(bounded(&self.gpu, wanted, self.gradients).max(needed))
     }
 
-    /// Makes the buffers anew for so many intersections.
+    /// Recreates the buffers with room for this number of intersections.
     ///
     /// # Errors
     /// As [`ForwardPass::make_room`].
@@ -165,7 +164,7 @@ impl ForwardPass {
         self.make_buffers(sizes)
     }
 
-    /// Makes the buffers anew for images of another size, unless they have it.
+    /// Recreates the buffers for images of another size, if it differs.
     ///
     /// # Errors
     /// As [`ForwardPass::make_room`].
@@ -188,7 +187,7 @@ impl ForwardPass {
     }
 }
 
-/// The rows of a backward pass are the first to reach what the adapter binds.
+/// The rows of a backward pass are the first to reach the adapter's binding limit.
 fn bounded(gpu: &Gpu, intersections: usize, gradients: bool) -> usize {
     if gradients {
         intersections.min(SlotRows::most(gpu))

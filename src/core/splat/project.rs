@@ -1,4 +1,4 @@
-//! The projection of the Gaussians on the device.
+//! Projection of the Gaussians on the device.
 
 use fled_gpu::{Buffer, Gpu, GpuError, Kernel, Recorder, read, read_write, uniform};
 
@@ -19,7 +19,7 @@ pub const PROJECT_FORWARD: Kernel = Kernel::new(
     ],
 );
 
-/// What the projection writes, by Gaussian.
+/// The output of the projection, by Gaussian.
 #[derive(Clone)]
 pub struct Projection {
     /// The camera; written before each use.
@@ -27,9 +27,9 @@ pub struct Projection {
     /// [capacity, 3]: mean xy, conic ab | conic c, opacity, red, green | blue, depth, extent xy.
     /// Stale where `tile_counts` is 0.
     pub projected: Buffer<[f32; 4]>,
-    /// Tiles touched; 0 is culled, [capacity].
+    /// Number of tiles touched, 0 if culled, [capacity].
     pub tile_counts: Buffer<u32>,
-    /// Bits of the depth; all ones when culled, [capacity].
+    /// Bits of the depth, all ones if culled, [capacity].
     pub depth_keys: Buffer<u32>,
 }
 
@@ -37,7 +37,7 @@ impl Projection {
     /// Buffers for `capacity` Gaussians.
     ///
     /// # Errors
-    /// Out of memory, or above what the adapter binds.
+    /// Out of memory, or more than the adapter can bind.
     pub fn new(gpu: &Gpu, capacity: usize) -> Result<Self, GpuError> {
         Ok(Self {
             camera: gpu.create("camera", 1)?,
@@ -47,7 +47,7 @@ impl Projection {
         })
     }
 
-    /// Adds the projection of every row of `gaussians`; the kernel stops at the camera's count.
+    /// Records the projection of every row of `gaussians`; the kernel stops at the camera's count.
     ///
     /// # Errors
     /// A shader or binding error.
@@ -126,7 +126,7 @@ mod tests {
         ]
     }
 
-    /// Tiles that hold a pixel which blending would touch, by looking at every pixel.
+    /// Number of tiles with a pixel that blending would touch, by testing every pixel.
     fn tiles_by_brute_force(p: &Projected, width: usize, height: usize) -> usize {
         let mut tiles = std::collections::HashSet::new();
         for pixel in 0..width * height {
@@ -142,7 +142,7 @@ mod tests {
     }
 
     #[test]
-    fn the_projection_equals_the_reference_and_loses_no_tile() {
+    fn the_projection_matches_the_reference_and_misses_no_tile() {
         let view = fixtures::viewpoint(144, 96);
         let gaussians = fixtures::gaussians(400, 3, 17);
         let camera = CameraUniform::new(&view.camera, 400, 3, 3, view.near as f32);
@@ -206,14 +206,14 @@ mod tests {
     }
 
     #[test]
-    fn gaussians_survive_the_device_bit_for_bit() {
+    fn gaussians_round_trip_bit_for_bit() {
         let gaussians = fixtures::gaussians(33, 2, 8);
         let device = DeviceGaussians::upload(fixtures::gpu(), &gaussians, 50).expect("uploaded");
         assert_eq!(device.download().expect("read"), gaussians);
     }
 
     #[test]
-    fn the_part_has_the_layout_of_the_shader() {
+    fn the_part_uniform_has_the_shaders_layout() {
         let (_, found) = PROJECT_FORWARD.reflect().expect("valid");
         let part = found.structure("PartUniform").expect("declared");
         let offset = |name: &str| {
@@ -234,7 +234,7 @@ mod tests {
     }
 
     #[test]
-    fn the_camera_has_the_layout_of_the_shader() {
+    fn the_camera_uniform_has_the_shaders_layout() {
         let (_, found) = PROJECT_FORWARD.reflect().expect("valid");
         let camera = found
             .structs

@@ -1,9 +1,9 @@
 //! From projected splats to an image, and from the image's gradient to the splats'.
 //!
-//! Forward: compact the visible splats, sort them by depth, give each its slots, emit an
-//! intersection a touched tile, sort by tile, find each tile's range, blend. Backward: one row of
-//! nine gradients an intersection, which the projection's backward sums. There are no atomics on
-//! floats anywhere: the same input gives the same bits.
+//! Forward: compact the visible splats, sort them by depth, assign slots, emit an intersection per
+//! touched tile, sort by tile, find each tile's range, blend. Backward: one row of nine gradients
+//! per intersection, which the projection's backward pass sums. There are no float atomics: the
+//! same input gives the same bits.
 
 mod blending;
 mod buffers;
@@ -19,27 +19,26 @@ pub use slots::SlotRows;
 #[cfg(test)]
 pub(crate) use slots::gradient;
 
-/// Sums of an intersection.
+/// Numbers in the row of an intersection.
 pub const SLOT_ROW: usize = 9;
 
-/// The forward half: from a projection to `image` and `transmittance`.
+/// The forward pass: from a projection to `image` and `transmittance`.
 pub struct Forward {
     kernel: Kernel,
 }
 
 impl Forward {
-    /// The blending kernel of a specialisation.
     pub fn new(specialisation: Specialisation) -> Self {
         Self {
             kernel: specialisation.forward(),
         }
     }
 
-    /// Adds everything after the projection. `projection.camera` may be rewritten between
+    /// Records all steps after the projection. `projection.camera` may be rewritten between
     /// submissions, as long as its image fits the sizes of the buffers.
     ///
     /// # Errors
-    /// A fault of a kernel or binding.
+    /// A kernel or binding error.
     pub fn record(
         &self,
         recorder: &mut Recorder,
@@ -64,24 +63,23 @@ impl Forward {
     }
 }
 
-/// The backward half: from the gradient of the image to a row of nine an intersection.
+/// The backward pass: from the gradient of the image to a row of nine per intersection.
 pub struct Backward {
     kernel: Kernel,
 }
 
 impl Backward {
-    /// The kernel of a specialisation.
     pub fn new(specialisation: Specialisation) -> Self {
         Self {
             kernel: specialisation.backward(),
         }
     }
 
-    /// Adds the backward of what [`Forward::record`] added before, for `image_gradient`, planar
+    /// Records the backward pass of a previous [`Forward::record`], for `image_gradient`, planar
     /// [3, height, width].
     ///
     /// # Errors
-    /// A fault of a kernel or binding.
+    /// A kernel or binding error.
     pub fn record(
         &self,
         recorder: &mut Recorder,
@@ -104,7 +102,7 @@ impl Backward {
                 &buffers.slots.moments,
                 &buffers.slots.tails,
             ],
-            // One more: the slots that belong to no tile.
+            // The additional group handles slots that belong to no tile.
             buffers.sizes.tiles() + 1,
         )
     }

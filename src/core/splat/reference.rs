@@ -1,4 +1,4 @@
-//! The renderer in scalar f64: specification and oracle of the kernels. Nothing here is fast.
+//! The renderer in scalar f64: specification and oracle of the kernels, not optimised.
 //!
 //! Conventions: OpenCV camera axes, pixel centres at +0.5, quaternions w x y z, opacity through a
 //! sigmoid, scales through an exponential, colour `max(0.5 + sh . Y(direction), 0)`.
@@ -14,7 +14,7 @@ pub use projection::{Projected, ProjectedGradient, project, project_backward};
 pub use splat::{Splat, column};
 pub use viewpoint::Viewpoint;
 
-/// Projects and blends every splat. The projections are in the order of `splats`; `None` is culled.
+/// Projects and blends every splat. The projections are in the order of `splats`; `None` if culled.
 pub fn render(splats: &[Splat], view: &Viewpoint) -> (Vec<Option<Projected>>, Blended) {
     let projected: Vec<_> = splats.iter().map(|s| project(s, view)).collect();
     let k = &view.camera.intrinsics;

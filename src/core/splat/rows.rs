@@ -1,11 +1,11 @@
-//! The Gaussians on the device, a row each.
+//! The Gaussians on the device, one row each.
 
 use bytemuck::{Pod, Zeroable};
 use fled_gpu::{Buffer, Gpu, GpuError, Rows, part_sizes};
 
 use crate::gaussians::Gaussians;
 
-/// The geometry of one Gaussian, as project_forward.wgsl reads it.
+/// The geometry of one Gaussian, in the layout of project_forward.wgsl.
 #[repr(C)]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 pub struct GeometryRow {
@@ -17,7 +17,7 @@ pub struct GeometryRow {
     pub quat: [f32; 4],
     /// Before the sigmoid.
     pub opacity_logit: f32,
-    /// Fills the row up to whole vectors of four.
+    /// Pads the row to whole vectors of four.
     pub spare: f32,
 }
 
@@ -30,18 +30,17 @@ pub const GEOMETRY_ROW: usize = size_of::<GeometryRow>() / size_of::<f32>();
 pub struct PartUniform {
     /// First Gaussian of the part.
     pub first: u32,
-    /// Gaussians of the part.
+    /// Number of Gaussians in the part.
     pub rows: u32,
     /// Unused.
     pub pad: [u32; 2],
 }
 
-/// Some of the Gaussians: as many as the adapter binds at once.
+/// A part of the Gaussians: as many as the adapter can bind at once.
 #[derive(Clone)]
 pub struct Part {
-    /// Which.
     pub uniform: Buffer<PartUniform>,
-    /// How many.
+    /// Number of Gaussians.
     pub rows: usize,
 }
 
@@ -52,11 +51,11 @@ pub struct DeviceGaussians {
     pub geometry: Rows<f32>,
     /// [capacity, [`sh_row`]].
     pub sh: Rows<f32>,
-    /// What a kernel is dispatched for, one after the other.
+    /// The parts, each of which needs its own dispatch.
     pub parts: Vec<Part>,
-    /// Rows that the buffers hold.
+    /// Number of rows that the buffers hold.
     pub capacity: usize,
-    /// Rows in use.
+    /// Number of rows in use.
     pub count: usize,
     /// Allocated degree of the harmonics.
     pub sh_degree: u32,
@@ -66,12 +65,11 @@ impl DeviceGaussians {
     /// Uploads `gaussians` into buffers for `capacity` rows, at least as many as there are.
     ///
     /// # Errors
-    /// Out of memory, or above what the adapter binds.
+    /// Out of memory, or more than the adapter can bind.
     pub fn upload(gpu: &Gpu, gaussians: &Gaussians, capacity: usize) -> Result<Self, GpuError> {
         let capacity = capacity.max(gaussians.len());
         let row = sh_row(gaussians.sh_degree);
-        // The longest rows of a Gaussian are Adam's two moments of its harmonics, or of its
-        // geometry.
+        // The longest rows per Gaussian are Adam's two moments of its harmonics or of its geometry.
         let per_part = gpu.rows_per_part(2 * size_of::<f32>() * row.max(GEOMETRY_ROW));
         let mut parts = Vec::new();
         for rows in part_sizes(capacity, per_part) {
@@ -99,7 +97,7 @@ impl DeviceGaussians {
         Ok(out)
     }
 
-    /// Reads the Gaussians in use back.
+    /// Reads back the Gaussians in use.
     ///
     /// # Errors
     /// A device error.
@@ -112,7 +110,7 @@ impl DeviceGaussians {
         ))
     }
 
-    /// Reads the geometry of the Gaussians in use back.
+    /// Reads back the geometry of the Gaussians in use.
     ///
     /// # Errors
     /// A device error.
@@ -122,7 +120,7 @@ impl DeviceGaussians {
     }
 }
 
-/// Floats of a row of harmonics: all coefficients of three channels, filled up to whole vectors of
+/// Floats in a row of harmonics: all coefficients of three channels, padded to whole vectors of
 /// four.
 pub const fn sh_row(degree: u32) -> usize {
     (3 * (degree + 1) * (degree + 1)).next_multiple_of(4) as usize

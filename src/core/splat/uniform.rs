@@ -1,4 +1,4 @@
-//! The camera as the kernels see it.
+//! The camera uniform of the kernels.
 
 use bytemuck::{Pod, Zeroable};
 
@@ -7,9 +7,8 @@ use crate::camera::Camera;
 /// Side of a tile, px.
 pub const TILE: u32 = 16;
 
-/// Splats nearer to the camera than this are culled, world units; the same when training and
-/// rendering. Not the usual 0.2 scene units: hand-held cameras come close, and a scene does not
-/// carry its unit.
+/// Depth below which splats are culled, world units; the same for training and rendering. Lower
+/// than the usual 0.2 scene units: hand-held cameras come close, and a scene has no known unit.
 pub const NEAR: f32 = 0.01;
 
 /// `CameraUniform` of shaders/shared/camera.wgsl.
@@ -34,7 +33,7 @@ pub struct CameraUniform {
     pub position: [f32; 3],
     /// Active degree of the spherical harmonics.
     pub sh_degree: u32,
-    /// Colour behind the splats, RGB as in the image.
+    /// Background colour, RGB in the image's encoding.
     pub background: [f32; 3],
     /// Number of Gaussians.
     pub count: u32,
@@ -42,12 +41,12 @@ pub struct CameraUniform {
     pub near: f32,
     /// Vectors of four in a row of harmonics.
     pub sh_row: u32,
-    /// The shader's alignment.
+    /// Padding required by the shader's alignment.
     pub padding: [u32; 2],
 }
 
 impl CameraUniform {
-    /// The camera with `count` Gaussians whose arrays hold spherical harmonics of degree
+    /// The uniform of a camera for `count` Gaussians whose arrays hold harmonics of degree
     /// `allocated`, of which those up to `active` are used.
     pub fn new(camera: &Camera, count: usize, active: u32, allocated: u32, near: f32) -> Self {
         let rows = camera.world_to_camera.transpose();
@@ -73,7 +72,7 @@ impl CameraUniform {
         }
     }
 
-    /// The same before another background than black.
+    /// Replaces the black background.
     #[must_use]
     pub fn before(self, background: [f32; 3]) -> Self {
         Self { background, ..self }

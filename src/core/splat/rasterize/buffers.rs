@@ -1,4 +1,4 @@
-//! What the rasteriser works in, and how much of it an image took.
+//! The rasteriser's buffers, and the counts of an image.
 
 use fled_gpu::{Buffer, Gpu, GpuError, ReadBack};
 
@@ -11,16 +11,16 @@ pub(super) const VISIBLE: u32 = 0;
 /// Counter of intersections.
 pub(super) const INTERSECTIONS: u32 = 1;
 
-/// How much the buffers of a rasteriser hold.
+/// The sizes of a rasteriser's buffers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SplatSizes {
-    /// Gaussians.
+    /// Number of Gaussians.
     pub gaussians: usize,
     /// Image width, px.
     pub width: usize,
     /// Image height, px.
     pub height: usize,
-    /// Intersections of splats and tiles.
+    /// Number of intersections of splats and tiles.
     pub intersections: usize,
 }
 
@@ -30,32 +30,32 @@ impl SplatSizes {
     }
 }
 
-/// How many splats were visible and how many intersections there were; exact even on overflow.
+/// The numbers of visible splats and of intersections; exact even on overflow.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SplatCounts {
-    /// Gaussians that touch a tile.
+    /// Number of Gaussians that touch a tile.
     pub visible: usize,
-    /// Pairs of a splat and a tile it touches.
+    /// Number of pairs of a splat and a tile that it touches.
     pub intersections: usize,
     /// Room for intersections; with more, the image and the gradients are incomplete.
     pub capacity: usize,
 }
 
 impl SplatCounts {
-    /// Whether intersections were dropped: grow the buffers and repeat the view.
+    /// Whether intersections were dropped; the caller grows the buffers and repeats the view.
     pub fn overflowed(&self) -> bool {
         self.intersections > self.capacity
     }
 }
 
-/// A count on its way from the device.
+/// Counts that are being read back from the device.
 pub struct PendingCounts {
     values: ReadBack<u32>,
     capacity: usize,
 }
 
 impl PendingCounts {
-    /// Waits for the step that was submitted before the counts were asked for, for none after it.
+    /// Waits for the step submitted before the read-back began, but for none after it.
     ///
     /// # Errors
     /// A device error.
@@ -70,17 +70,17 @@ impl PendingCounts {
     }
 }
 
-/// Buffers of the rasteriser; the image may be smaller than they are.
+/// Buffers of the rasteriser; the image may be smaller.
 pub struct SplatBuffers {
     pub(super) sizes: SplatSizes,
     /// First slot of a Gaussian, [gaussians]; undefined where `tile_counts` is 0.
     pub slot_offsets: Buffer<u32>,
     /// Planar RGB, [3, height, width] of the camera's size.
     pub image: Buffer<f32>,
-    /// What is left of the background, [height, width].
+    /// Remaining share of the background, [height, width].
     pub transmittance: Buffer<f32>,
-    /// A Gaussian's rows are `slot_offsets[g]` and the `tile_counts[g] - 1` that follow, as far as
-    /// they lie below the capacity.
+    /// The rows of a Gaussian are `slot_offsets[g]` and the `tile_counts[g] - 1` that follow, as
+    /// far as they are below the capacity.
     pub slots: SlotRows,
     pub(super) counters: Counters,
     pub(super) block_sums: Buffer<u32>,
@@ -97,10 +97,10 @@ pub struct SplatBuffers {
 }
 
 impl SplatBuffers {
-    /// Buffers of these sizes; without gradients when only images are wanted.
+    /// Buffers of these sizes, with or without room for gradients.
     ///
     /// # Errors
-    /// Out of memory, or above what the adapter binds.
+    /// Out of memory, or more than the adapter can bind.
     pub fn new(gpu: &Gpu, sizes: SplatSizes, gradients: bool) -> Result<Self, GpuError> {
         let counters = Counters::new(gpu, 2)?;
         let (gaussians, slots) = (sizes.gaussians, sizes.intersections);
@@ -139,17 +139,16 @@ impl SplatBuffers {
         })
     }
 
-    /// What the buffers hold.
     pub fn sizes(&self) -> SplatSizes {
         self.sizes
     }
 
-    /// The buffer that holds the exact number of intersections, and where in it.
+    /// The buffer with the exact number of intersections, and its index there.
     pub fn totals(&self) -> (&Buffer<u32>, u32) {
         (&self.counters.values, INTERSECTIONS)
     }
 
-    /// Starts to read the counts of the last submission back.
+    /// Starts reading back the counts of the last submission.
     ///
     /// # Errors
     /// A device error.

@@ -1,4 +1,4 @@
-//! From projected splats to the intersections of every tile, the nearest first.
+//! From projected splats to the intersections of every tile, nearest first.
 
 use fled_gpu::{GpuError, Kernel, Recorder, read, read_write, uniform};
 
@@ -72,10 +72,10 @@ pub(super) const TILE_RANGES: Kernel = Kernel::new(
     ],
 );
 
-/// Adds what lies between projection and blending.
+/// Records all steps between projection and blending.
 ///
 /// # Errors
-/// A fault of a kernel or binding.
+/// A kernel or binding error.
 pub(super) fn record(
     recorder: &mut Recorder,
     projection: &Projection,

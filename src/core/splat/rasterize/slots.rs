@@ -1,4 +1,4 @@
-//! What an intersection passes back to its Gaussian.
+//! The gradients that an intersection passes back to its Gaussian.
 
 use fled_gpu::{Buffer, Gpu, GpuError};
 
@@ -6,12 +6,12 @@ use fled_gpu::{Buffer, Gpu, GpuError};
 use super::SLOT_ROW;
 
 /// Sums over the pixels that an intersection covers, v being the derivative of the loss by the
-/// exponent sigma; what they mean for the projected Gaussian follows from its conic and opacity,
-/// which all of its intersections share. Three buffers, because one would be the first to reach
-/// what an adapter binds.
+/// exponent sigma. The gradients of the projected Gaussian follow from them with its conic and
+/// opacity, which all of its intersections share. There are three buffers, because a single one
+/// would be the first to reach the adapter's binding limit.
 #[derive(Clone)]
 pub struct SlotRows {
-    /// By the colour r g b; sum of v, [intersections].
+    /// Gradients by the colour r g b; sum of v, [intersections].
     pub colours: Buffer<[f32; 4]>,
     /// Sums of v dx, v dy, v dx^2, v dx dy, [intersections].
     pub moments: Buffer<[f32; 4]>,
@@ -23,7 +23,7 @@ impl SlotRows {
     /// Zeroed rows.
     ///
     /// # Errors
-    /// Out of memory, or above what the adapter binds.
+    /// Out of memory, or more than the adapter can bind.
     pub fn new(gpu: &Gpu, slots: usize) -> Result<Self, GpuError> {
         Ok(Self {
             colours: gpu.create("slot colours", slots)?,
@@ -32,7 +32,7 @@ impl SlotRows {
         })
     }
 
-    /// Rows of nine.
+    /// The rows of nine.
     ///
     /// # Errors
     /// A device error.
@@ -67,13 +67,13 @@ impl SlotRows {
         self.tails.write(&tails)
     }
 
-    /// The most that the adapter binds.
+    /// Largest number of slots that the adapter can bind.
     pub fn most(gpu: &Gpu) -> usize {
         gpu.rows_per_part(size_of::<[f32; 4]>())
     }
 }
 
-/// What the summed rows of a Gaussian are to its projection.
+/// The gradient of a projected Gaussian from the sum of its rows.
 #[cfg(test)]
 pub(crate) fn gradient(
     sum: &[f64; SLOT_ROW],

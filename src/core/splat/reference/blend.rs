@@ -2,9 +2,9 @@
 
 use super::projection::{ALPHA_CUT, Projected, ProjectedGradient};
 
-/// Alpha is at most this; no gradient flows through the active clamp.
+/// Upper bound of alpha; no gradient flows through the active clamp.
 pub const ALPHA_MAX: f64 = 0.99;
-/// Blending stops before the splat that would take the transmittance below this.
+/// Blending stops before the splat that would reduce the transmittance below this.
 pub const TRANSMITTANCE_STOP: f64 = 1e-4;
 
 /// A blended image.
@@ -16,7 +16,7 @@ pub struct Blended {
     pub height: usize,
     /// Planar [3, H, W].
     pub image: Vec<f64>,
-    /// What is left of the background, [H, W].
+    /// Remaining share of the background, [H, W].
     pub transmittance: Vec<f64>,
 }
 
@@ -98,7 +98,7 @@ pub fn blend(projected: &[Option<Projected>], width: usize, height: usize) -> Bl
 }
 
 impl Blended {
-    /// The same before another background than black.
+    /// The image over this background instead of black.
     #[must_use]
     pub fn before(mut self, background: [f64; 3]) -> Self {
         let pixels = self.transmittance.len();

@@ -15,7 +15,7 @@ const C3: [f64; 5] = [
     1.445_305_721_320_277,
 ];
 
-/// Coefficients of `degree`: (degree + 1)^2.
+/// Number of coefficients of `degree`: (degree + 1)^2.
 pub fn coefficients(degree: u32) -> usize {
     ((degree + 1) * (degree + 1)) as usize
 }

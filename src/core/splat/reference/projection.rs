@@ -5,17 +5,19 @@ use glam::{DMat2, DMat3, DVec2, DVec3};
 use super::harmonics::{basis, basis_gradient, coefficients};
 use super::{Splat, Viewpoint};
 
-/// Added to the diagonal of every 2-D covariance, px^2: no splat is thinner than about a pixel.
+/// Added to the diagonal of every 2-D covariance, px^2, so that no splat is thinner than about a
+/// pixel.
 pub const LOW_PASS: f64 = 0.3;
-/// A covariance with a smaller determinant, px^4, is culled: the backward divides by its square.
+/// Least determinant of a covariance, px^4; smaller ones are culled, because the backward pass
+/// divides by its square.
 pub const DETERMINANT_GUARD: f64 = 1e-6;
-/// The Jacobian is taken at most this many half fields of view off the axis.
+/// Limit of the Jacobian's position, in half fields of view off the axis.
 pub const FOV_CLAMP: f64 = 1.3;
-/// Alpha below this is not blended.
+/// Least alpha that is blended.
 pub const ALPHA_CUT: f64 = 1.0 / 255.0;
-/// A squared quaternion norm below this has no direction: culled.
+/// Squared norm below which a quaternion has no direction and is culled.
 pub const QUAT_GUARD: f64 = 1e-8;
-/// Range of the log-scale that is exponentiated; outside it the gradient is zero.
+/// Range of the exponentiated log-scale; outside it the gradient is zero.
 pub const LOG_SCALE_RANGE: (f64, f64) = (-30.0, 20.0);
 
 /// A splat on the image plane.
@@ -31,11 +33,11 @@ pub struct Projected {
     pub colour: [f64; 3],
     /// z in the camera, world units.
     pub depth: f64,
-    /// Half size of the box it can touch, px.
+    /// Half size of the largest box that it can touch, px.
     pub extent: [f64; 2],
 }
 
-/// The gradient with respect to what blending reads of a [`Projected`].
+/// The gradient by the values of a [`Projected`] that blending reads.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ProjectedGradient {
     /// By the mean.
@@ -75,11 +77,11 @@ pub fn rotation(q: [f64; 4]) -> DMat3 {
     )
 }
 
-/// What forward and backward share.
+/// The values shared by forward and backward pass.
 struct Intermediate {
     world_to_camera: DMat3,
     point: DVec3,
-    /// x/z and y/z, clamped, and whether they were.
+    /// x/z and y/z, clamped, and whether the clamp was active.
     slope: DVec2,
     clamped: [bool; 2],
     /// First two rows of J W, the third zero.
@@ -177,7 +179,7 @@ fn unclamped_colour(splat: &Splat, view: &Viewpoint, direction: DVec3) -> [f64; 
     colour
 }
 
-/// Projects one splat; `None` when it is culled.
+/// Projects one splat; `None` if culled.
 pub fn project(splat: &Splat, view: &Viewpoint) -> Option<Projected> {
     let i = intermediate(splat, view)?;
     let k = &view.camera.intrinsics;
@@ -210,7 +212,7 @@ pub fn project(splat: &Splat, view: &Viewpoint) -> Option<Projected> {
     })
 }
 
-/// The gradient by every parameter of the splat; zero when it is culled.
+/// The gradient by every parameter of the splat; zero if culled.
 pub fn project_backward(splat: &Splat, view: &Viewpoint, gradient: &ProjectedGradient) -> Splat {
     let mut out = Splat::zero(splat.sh.len());
     let (Some(i), Some(_)) = (intermediate(splat, view), project(splat, view)) else {

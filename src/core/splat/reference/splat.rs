@@ -2,7 +2,7 @@
 
 use crate::gaussians::Gaussians;
 
-/// Where a row of [`Splat::flatten`] has its numbers.
+/// Columns of a row of [`Splat::flatten`].
 pub mod column {
     use std::ops::Range;
 
@@ -14,7 +14,7 @@ pub mod column {
     pub const QUAT: Range<usize> = 6..10;
     /// Before the sigmoid.
     pub const OPACITY_LOGIT: usize = 10;
-    /// From here to the end: the coefficients.
+    /// First column of the coefficients, which extend to the end.
     pub const HARMONICS: usize = 11;
 }
 
@@ -61,7 +61,7 @@ impl Splat {
         }
     }
 
-    /// Every number in a row: mean, log-scale, quaternion, opacity, harmonics.
+    /// All values in a row: mean, log-scale, quaternion, opacity, harmonics.
     pub fn flatten(&self) -> Vec<f64> {
         let head = self
             .mean

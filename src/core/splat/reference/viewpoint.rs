@@ -1,8 +1,8 @@
-//! From where, and how finely, a scene is seen.
+//! The viewpoint of a rendering.
 
 use crate::camera::Camera;
 
-/// What is rendered with: camera, active degree and near plane.
+/// The parameters of a rendering: camera, active degree and near plane.
 #[derive(Clone, Copy, Debug)]
 pub struct Viewpoint {
     /// The camera.
