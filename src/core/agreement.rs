@@ -1,4 +1,4 @@
-//! Test only: how well a kernel's numbers agree with a reference's.
+//! Agreement of a kernel's results with a reference, for tests.
 
 /// Relative L2 error, cosine and signed bias of `found` against `expected`.
 #[derive(Clone, Copy, Debug)]
@@ -34,13 +34,13 @@ pub fn agreement(found: &[f32], expected: &[f64]) -> Agreement {
 
 impl Agreement {
     /// Whether relative error and bias are within the tolerance and the cosine is at least 0.9999.
-    /// Numbers that are not finite are never within.
+    /// Never true with values that are not finite.
     pub fn within(&self, tolerance: f64) -> bool {
         self.relative <= tolerance && self.bias.abs() <= tolerance && self.cosine >= 0.9999
     }
 }
 
-/// Panics with the numbers unless `found` agrees with `expected` to the tolerance.
+/// Panics with the statistics unless `found` agrees with `expected` to the tolerance.
 #[track_caller]
 pub fn assert_agrees(what: &str, found: &[f32], expected: &[f64], tolerance: f64) {
     let agreement = agreement(found, expected);
@@ -66,7 +66,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn equal_numbers_agree_and_each_kind_of_fault_is_seen() {
+    fn equal_values_agree_and_every_kind_of_error_is_detected() {
         let expected: Vec<f64> = (0..1000).map(|i| (f64::from(i) * 0.37).sin()).collect();
         let with = |f: &dyn Fn(usize, f64) -> f64| -> bool {
             let found: Vec<f32> = expected

@@ -3,22 +3,21 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// A flag that anyone may raise and that long work checks between bounded pieces.
+/// A flag for cancellation, which long operations check between bounded pieces of work.
 #[derive(Clone, Debug, Default)]
 pub struct CancelToken(Arc<AtomicBool>);
 
-/// The work was asked to stop. Unwinds with `?`; never a fault of the capture.
+/// The operation was cancelled. Propagates with `?`; never a fault of the capture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("cancelled")]
 pub struct Cancelled;
 
 impl CancelToken {
-    /// A token that nobody has raised.
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// Asks the work to stop at its next check.
+    /// Requests the operation to stop at its next check.
     pub fn cancel(&self) {
         self.0.store(true, Ordering::Relaxed);
     }
@@ -28,7 +27,7 @@ impl CancelToken {
         self.0.load(Ordering::Relaxed)
     }
 
-    /// `Err(Cancelled)` once the token is raised.
+    /// Returns an error once the operation is cancelled.
     ///
     /// # Errors
     /// [`Cancelled`] after [`CancelToken::cancel`].
@@ -45,7 +44,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_raised_token_stops_every_clone() {
+    fn a_cancelled_token_stops_every_clone() {
         let token = CancelToken::new();
         let clone = token.clone();
         assert_eq!(clone.check(), Ok(()));

@@ -1,20 +1,20 @@
-//! What the pipeline tells whoever watches: typed events, pushed into a sink.
+//! Typed events that the pipeline pushes into a sink.
 //!
-//! The same types, one JSON object a line, are the protocol between a job's child process and
-//! the service.
+//! The same types, one JSON object per line, are the protocol between a job's child process and the
+//! service.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::metrics::RoundMetrics;
 
-/// The stages of a job, in the order in which Algorithm 1 meets them.
+/// The stages of a job, in the order of Algorithm 1.
 #[derive(
     Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize, JsonSchema,
 )]
 #[serde(rename_all = "snake_case")]
 pub enum Stage {
-    /// Structure from motion, once a job.
+    /// Structure from motion, once per job.
     Poses,
     /// Tone curves from the dark originals to each round's brightness.
     Enhance,
@@ -56,86 +56,77 @@ impl Stage {
     }
 }
 
-/// One thing worth telling. Serialised with a tag: `{"event":"stage_started",...}`.
+/// An event of a run. Serialised with a tag: `{"event":"stage_started",...}`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "event", rename_all = "snake_case")]
 pub enum Event {
     /// The run has read its capture and knows its plan.
     Planned {
-        /// Rounds that will be run.
+        /// Number of rounds to run.
         rounds: u32,
-        /// Accepted views.
+        /// Number of accepted views.
         views: u32,
     },
-    /// A stage begins. `round` is 1-based; 0 for [`Stage::Poses`].
+    /// A stage begins. `round` is 1-based; 0 before the rounds.
     StageStarted {
-        /// Which stage.
         stage: Stage,
-        /// Which round.
         round: u32,
     },
     /// Progress inside a stage.
     StageAdvanced {
-        /// Which stage.
         stage: Stage,
-        /// Which round.
         round: u32,
         /// Units done (training steps, views, ladder rungs).
         done: u64,
-        /// Units in all.
+        /// Total units.
         total: u64,
-        /// Training steps per second, where the stage counts steps.
+        /// Training steps per second, if the stage counts steps.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         steps_per_second: Option<f64>,
     },
-    /// How the training of a round goes, every 25 steps.
+    /// The state of a round's training, every 25 steps.
     TrainingSeen {
-        /// Which round.
         round: u32,
         /// Steps done.
         step: u32,
-        /// Steps in all.
+        /// Total steps.
         steps: u32,
-        /// The loss of the last step's view: views differ, so it scatters about its course.
+        /// Loss of the last step's view; it scatters, because views differ.
         loss: f64,
-        /// Gaussians of the scene.
+        /// Number of Gaussians in the scene.
         gaussians: u64,
     },
-    /// How well the scene that trains meets views that were held out from it, every 100 steps or
-    /// more rarely, and after the last. Nothing is told where none is held out.
+    /// The fit of the scene in training to held-out views, every 100 steps or less often, and after
+    /// the last. Not sent without held-out views.
     HeldOutSeen {
-        /// Which round.
         round: u32,
         /// Steps done.
         step: u32,
-        /// Steps in all.
+        /// Total steps.
         steps: u32,
         /// Mean PSNR after an affine colour fit, dB, at half the size.
         psnr_cc_db: f64,
         /// Mean SSIM, at half the size.
         ssim: f64,
-        /// Views that were compared.
+        /// Number of compared views.
         views: u32,
-        /// Whether with ground truth. Else each render, shaken as its photograph is, with the view
-        /// that was enhanced from that photograph: self-consistency.
+        /// Whether the references are ground truth. Else each render, shaken as its photograph is,
+        /// is compared with the enhanced view: self-consistency.
         truth: bool,
     },
-    /// There is a new picture of the scene that trains, about every ten seconds.
+    /// A new picture of the scene in training exists, about every ten seconds.
     ViewSeen {
-        /// Which round.
         round: u32,
         /// Steps done.
         step: u32,
-        /// From whose camera it is rendered.
+        /// The view whose camera is rendered.
         view: String,
-        /// Whether that view was held out; else it trains.
+        /// Whether that view is held out; else it trains.
         held_out: bool,
     },
-    /// A stage ended well. `skipped`: an earlier run had finished it.
+    /// A stage succeeded. `skipped`: an earlier run had finished it.
     StageFinished {
-        /// Which stage.
         stage: Stage,
-        /// Which round.
         round: u32,
         /// Wall seconds.
         seconds: f64,
@@ -147,15 +138,15 @@ pub enum Event {
         /// The row of `metrics.json`.
         metrics: Box<RoundMetrics>,
     },
-    /// Progress of the whole run, between 0 and 1, with an estimate of what is left.
+    /// Progress of the whole run, between 0 and 1, with an estimate of the remaining time.
     Progress {
         /// Share of the expected work that is done.
         progress: f64,
-        /// Estimated seconds left; absent before there is anything to base it on.
+        /// Estimated seconds left; absent while there is no basis for an estimate.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         eta_seconds: Option<f64>,
     },
-    /// Something the user should know; the run goes on.
+    /// A warning for the user; the run continues.
     Warning {
         /// Stable snake_case code.
         code: String,
@@ -167,7 +158,7 @@ pub enum Event {
         /// The line.
         message: String,
     },
-    /// The run ended well. Last event of a stream.
+    /// The run succeeded. Last event of a stream.
     Finished {
         /// The delivered round.
         best_round: u32,
@@ -178,15 +169,15 @@ pub enum Event {
     Failed {
         /// One of [`crate::pipeline::error::ErrorKind`]'s names.
         kind: String,
-        /// What happened.
+        /// The error message.
         detail: String,
-        /// What to do about it.
+        /// Advice for the user.
         hint: String,
     },
 }
 
 impl Event {
-    /// `done` of `total` units of a stage before the rounds.
+    /// Progress of a stage before the rounds.
     pub fn advanced(stage: Stage, done: u64, total: u64) -> Self {
         Self::StageAdvanced {
             stage,
@@ -200,10 +191,9 @@ impl Event {
 
 /// Receives events. Implementations must not block for long.
 pub trait ProgressSink {
-    /// Takes one event.
     fn event(&mut self, event: &Event);
 
-    /// Convenience: a [`Event::Warning`].
+    /// Sends an [`Event::Warning`].
     fn warn(&mut self, code: &str, message: String) {
         self.event(&Event::Warning {
             code: code.to_owned(),
@@ -211,7 +201,7 @@ pub trait ProgressSink {
         });
     }
 
-    /// Convenience: a [`Event::Log`].
+    /// Sends an [`Event::Log`].
     fn log(&mut self, message: String) {
         self.event(&Event::Log { message });
     }
@@ -223,7 +213,7 @@ impl<F: FnMut(&Event)> ProgressSink for F {
     }
 }
 
-/// A sink that forgets everything.
+/// A sink that ignores everything.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Silent;
 

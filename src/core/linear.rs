@@ -1,6 +1,7 @@
-//! Linear equations of a few unknowns.
+//! Small systems of linear equations.
 
-/// `A x = b` by Cholesky, A given by its lower half; `None` unless it is positive definite.
+/// Solves `A x = b` by Cholesky, with A given by its lower half; `None` unless it is positive
+/// definite.
 pub(crate) fn solve<const N: usize>(lower: [[f64; N]; N], mut right: [f64; N]) -> Option<[f64; N]> {
     let mut factor = lower;
     for i in 0..N {
@@ -32,7 +33,7 @@ mod tests {
     use super::solve;
 
     #[test]
-    fn a_system_is_solved_and_one_without_an_answer_is_not() {
+    fn a_definite_system_is_solved_and_others_are_not() {
         let solved = solve([[4.0, 0.0], [2.0, 3.0]], [10.0, 8.0]).expect("positive definite");
         assert!((solved[0] - 1.75).abs() < 1e-12 && (solved[1] - 1.5).abs() < 1e-12);
         assert_eq!(solve([[1.0, 0.0], [1.0, 1.0]], [1.0, 1.0]), None);

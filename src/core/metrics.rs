@@ -1,9 +1,9 @@
-//! What is measured, per round.
+//! Quality metrics of each round.
 //!
-//! [`psnr`], [`psnr_colour_corrected`], [`ssim`] and [`correlation`] judge an image (first
-//! argument; the first three clip it to 0..=1) against a reference of the same size (second, taken
-//! as it is). [`noise_sigma`], [`sharpness`], [`mean_v`] and [`clipped_share`] describe one image
-//! by itself.
+//! [`psnr`], [`psnr_colour_corrected`], [`ssim`] and [`correlation`] compare an image (first
+//! argument; the first three clip it to 0..=1) with a reference of the same size (second,
+//! unchanged). [`noise_sigma`], [`sharpness`], [`mean_v`] and [`clipped_share`] describe a single
+//! image.
 
 mod correlation;
 mod noise;

@@ -1,4 +1,4 @@
-//! Random numbers that the generators do not offer.
+//! Random distributions that the generators lack.
 
 use rand::{Rng, RngExt};
 

@@ -1,9 +1,10 @@
-//! Where a photograph was taken from, corrected by renders of the scene: Gauss-Newton over the six
-//! ways a camera can move, its derivatives taken from renders of slightly moved cameras.
+//! Camera registration: the camera of a photograph, corrected by renders of the scene. Gauss-Newton
+//! over the six degrees of freedom of a camera, with derivatives from renders of slightly moved
+//! cameras.
 //!
-//! Differs from the paper, which keeps COLMAP's poses. Features found in dark, shaken photographs
-//! place a camera to a third of a pixel or so; the scene then is the mean of views that do not
-//! quite agree, and no sharper.
+//! Differs from the paper, which keeps COLMAP's poses. Features of dark, shaken photographs locate
+//! a camera to about a third of a pixel; the scene is then the mean of views that do not quite
+//! agree, and no sharper.
 
 use glam::{DMat3, DMat4, DQuat, DVec3};
 
@@ -11,21 +12,19 @@ use crate::camera::Camera;
 use crate::image::Image;
 use crate::linear::solve;
 
-/// How far a probe moves the image, px.
+/// Distance by which a probe moves the image, px.
 const PROBE_PX: f64 = 0.25;
-/// A correction goes at most so far, px: the images are only known to change linearly nearby.
+/// Largest correction, px: the images change linearly only over short distances.
 const LARGEST_PX: f64 = 1.0;
-/// Outer pixels that are not compared: what lies beyond the border is shaken into them.
+/// Width of the excluded border, px: shake moves light from beyond it into the image.
 const BORDER: usize = 4;
-/// Differences beyond so many deviations of their middle count by their size, not by their square
-/// (Huber).
+/// Number of deviations from which differences count linearly instead of by their square (Huber).
 const BEND: f32 = 2.0;
-/// Levenberg's damping as a share of the mean curvature: turning left and moving left look alike
-/// where the scene is flat, and neither should grow to cancel the other.
+/// Levenberg's damping as a share of the mean curvature: rotation and translation to the left look
+/// alike where the scene is flat, and must not grow to cancel each other.
 const DAMPING: f64 = 1e-3;
 
-/// How a camera was moved, in its own axes: turned by a rotation vector (rad), then shifted (world
-/// units).
+/// The motion of a camera in its own axes: a rotation vector (rad), then a shift (world units).
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Motion {
     /// Rotation vector x y z, rad, then the shift x y z, world units.
@@ -44,7 +43,7 @@ impl Motion {
         }
     }
 
-    /// This motion and a further small one. Motions are so small that they add.
+    /// The sum of this motion and a further small one; motions are small enough to add.
     #[must_use]
     pub fn plus(&self, by: &[f64; 6]) -> Self {
         Self {
@@ -54,7 +53,7 @@ impl Motion {
 }
 
 /// Six small motions, each of which moves the image of a scene at the median `depth` (world units)
-/// by about a quarter of a pixel, at the border where it does not move the middle.
+/// by about a quarter of a pixel; at the border if it does not move the middle.
 pub fn probes(camera: &Camera, depth: f64) -> [[f64; 6]; 6] {
     let k = &camera.intrinsics;
     let turn = PROBE_PX / k.fx;
@@ -63,8 +62,9 @@ pub fn probes(camera: &Camera, depth: f64) -> [[f64; 6]; 6] {
     std::array::from_fn(|axis| std::array::from_fn(|i| if i == axis { sizes[axis] } else { 0.0 }))
 }
 
-/// The motion that brings `render` to `photograph` to first order, given `probed`, the renders
-/// after each of the camera's [`probes`]. All of one size. `None` where the images do not tell.
+/// The motion that aligns `render` with `photograph` to first order, given `probed`, the renders
+/// after each of the camera's [`probes`]. All have one size. `None` if the images do not determine
+/// it.
 pub fn correction(
     photograph: &Image,
     render: &Image,
@@ -121,14 +121,14 @@ pub fn correction(
     }))
 }
 
-/// How far apart two images are: the mean absolute difference without the border.
+/// The mean absolute difference of two images without the border.
 pub fn difference(photograph: &Image, render: &Image) -> f64 {
     let all = differences(photograph, render, 1);
     all.iter().map(|d| f64::from(*d)).sum::<f64>() / all.len().max(1) as f64
 }
 
-/// Standard deviation of the differences as their middle tells it; `None` when nothing differs or
-/// nothing is finite.
+/// Standard deviation of the differences, estimated from their median; `None` if it is 0 or not
+/// finite.
 fn middle_difference(photograph: &Image, render: &Image) -> Option<f32> {
     let mut some = differences(photograph, render, 7);
     let middle = some.len() / 2;
@@ -151,9 +151,9 @@ fn differences(photograph: &Image, render: &Image, nth: usize) -> Vec<f32> {
         .collect()
 }
 
-/// Takes out of `motions` what all cameras have in common: a turn, a shift and a growth of the
-/// whole world, which no image tells and along which cameras and scene would drift away from the
-/// poses that were given.
+/// Removes from `motions` the part common to all cameras: a rotation, a translation and a scale of
+/// the whole world. No image determines it, and along it cameras and scene would drift away from
+/// the given poses.
 pub fn hold_gauge(cameras: &[Camera], motions: &mut [Motion]) {
     let centre = cameras.iter().map(Camera::centre).sum::<DVec3>() / cameras.len().max(1) as f64;
     let radius = cameras
@@ -163,8 +163,8 @@ pub fn hold_gauge(cameras: &[Camera], motions: &mut [Motion]) {
     if radius <= 0.0 {
         return;
     }
-    // Unknowns: turn, shift / radius, growth. A camera tells of the turn by its own, and of all by
-    // its centre.
+    // Unknowns: rotation, translation / radius, scale. A camera's rotation constrains the first,
+    // its centre all of them.
     let (mut lower, mut right) = ([[0.0; 7]; 7], [0.0; 7]);
     for (camera, motion) in cameras.iter().zip(motions.iter()) {
         let (turned, displaced) = world_motion(camera, &motion.moved(camera));
@@ -205,9 +205,9 @@ fn add_row(lower: &mut [[f64; 7]; 7], right: &mut [f64; 7], row: [f64; 7], value
     }
 }
 
-/// How a camera moved in the world: its rotation vector and the way of its centre.
+/// A camera's motion in the world: its rotation vector and the displacement of its centre.
 fn world_motion(before: &Camera, after: &Camera) -> (DVec3, DVec3) {
-    // Axes of the camera as columns; what turns the old ones into the new ones.
+    // Axes of the camera as columns; the rotation from the old to the new ones.
     let turn: DMat3 = after.rotation().transpose() * before.rotation();
     (
         DQuat::from_mat3(&turn).to_scaled_axis(),
@@ -215,8 +215,7 @@ fn world_motion(before: &Camera, after: &Camera) -> (DVec3, DVec3) {
     )
 }
 
-/// The twist of a small motion that is given in the world: the inverse of [`world_motion`], to
-/// first order.
+/// The twist of a small motion given in the world: the inverse of [`world_motion`], to first order.
 fn camera_motion(camera: &Camera, turned: DVec3, displaced: DVec3) -> [f64; 6] {
     let rotation = camera.rotation();
     let turn = -(rotation * turned);

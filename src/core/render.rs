@@ -1,4 +1,4 @@
-//! Images of a scene, without training it.
+//! Rendering of a scene without training.
 
 mod depth;
 
@@ -17,20 +17,20 @@ pub use depth::Depth;
 /// Rendering failed.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum SplatError {
-    /// The device.
+    /// A device error.
     #[error(transparent)]
     Gpu(#[from] GpuError),
     /// The camera has no pixels.
     #[error("a camera of {width} x {height} pixels")]
     EmptyImage {
-        /// px.
+        /// Width, px.
         width: usize,
-        /// px.
+        /// Height, px.
         height: usize,
     },
 }
 
-/// Renders scenes over black. Buffers are kept from image to image, and grow when they must.
+/// Renders scenes over black. Buffers are reused between images, and grow on demand.
 pub struct Renderer {
     gpu: Gpu,
 }
@@ -41,14 +41,14 @@ pub struct UploadedGaussians {
     drawing: Mutex<Option<Drawing>>,
 }
 
-/// What drew the last image, and its commands.
+/// The renderer of the last image, and its commands.
 struct Drawing {
     pass: ForwardPass,
     recording: PassRecording,
 }
 
 impl UploadedGaussians {
-    /// How much the last image had to blend; `None` before the first. Waits for the device.
+    /// The counts of the last image; `None` before the first. Waits for the device.
     ///
     /// # Errors
     /// A device error.
@@ -85,15 +85,14 @@ impl Drawing {
 }
 
 impl Renderer {
-    /// A renderer on this device.
     pub fn new(gpu: &Gpu) -> Self {
         Self { gpu: gpu.clone() }
     }
 
-    /// Copies a scene to the device, for [`Renderer::render_scene`].
+    /// Uploads a scene to the device, for [`Renderer::render_scene`].
     ///
     /// # Errors
-    /// Out of memory, or more Gaussians than the adapter binds.
+    /// Out of memory, or more Gaussians than the adapter can bind.
     pub fn upload(&self, gaussians: &Gaussians) -> Result<UploadedGaussians, SplatError> {
         Ok(UploadedGaussians {
             gaussians: DeviceGaussians::upload(&self.gpu, gaussians, gaussians.len())?,
@@ -101,8 +100,8 @@ impl Renderer {
         })
     }
 
-    /// The image a camera sees, with spherical harmonics up to `sh_degree`; sRGB-encoded, over
-    /// black, not clamped above.
+    /// Renders a scene through a camera, with spherical harmonics up to `sh_degree`; sRGB-encoded,
+    /// over black, not clamped above.
     ///
     /// # Errors
     /// As [`Renderer::upload`], and [`SplatError::EmptyImage`].
@@ -115,7 +114,7 @@ impl Renderer {
         self.draw(&self.upload(gaussians)?, camera, sh_degree)
     }
 
-    /// The image a camera sees, with all spherical harmonics of the scene.
+    /// Renders an uploaded scene through a camera, with all of its spherical harmonics.
     ///
     /// # Errors
     /// As [`Renderer::render`].
@@ -127,7 +126,7 @@ impl Renderer {
         self.draw(scene, camera, scene.gaussians.sh_degree)
     }
 
-    /// How far away what a camera sees is.
+    /// Renders the depth of a scene through a camera.
     ///
     /// # Errors
     /// As [`Renderer::render`].
@@ -169,7 +168,7 @@ mod tests {
     use crate::splat::uniform::NEAR;
 
     #[test]
-    fn a_rendered_image_equals_the_reference_from_the_gaussians_on() {
+    fn a_rendered_image_matches_the_reference() {
         let gaussians = fixtures::gaussians(300, 2, 21);
         let mut view = fixtures::viewpoint(70, 45);
         (view.sh_degree, view.near) = (2, f64::from(NEAR));
@@ -187,13 +186,13 @@ mod tests {
     }
 
     #[test]
-    fn a_scene_serves_cameras_of_different_sizes_and_grows_on_overflow() {
+    fn a_scene_serves_cameras_of_any_size_and_grows_on_overflow() {
         let mut gaussians = fixtures::gaussians(200, 0, 2);
         gaussians.log_scales.fill([1.5; 3]);
         gaussians.opacity_logits.fill(-2.0);
         let renderer = Renderer::new(fixtures::gpu());
         let scene = renderer.upload(&gaussians).unwrap();
-        // 200 splats over 1,200 tiles: far more than the first guess holds.
+        // 200 splats over 1,200 tiles: far more than the initial guess.
         let large = fixtures::viewpoint(640, 480).camera;
         let first = renderer.render_scene(&scene, &large).unwrap();
         let small = renderer

@@ -1,9 +1,9 @@
-//! `fled synth`: a capture that nobody photographed, with everything known about it.
+//! `fled synth`: synthetic captures with complete ground truth.
 //!
 //! A room of textured boxes, balls and walls, or a furnished one, is ray-cast in linear light along
-//! the path of a shaking camera; the mean over the exposure is cut to darkness, given the noise of
-//! a sensor and stored in 8 bits, in the layout of a published data set ([`Layout`]): `images/`
-//! (dark, blurred), sharp, bright ones beside them, and the poses.
+//! the path of a shaking camera. The mean over the exposure is darkened, given sensor noise and
+//! stored in 8 bits, in the layout of a published data set ([`Layout`]): `images/` (dark, blurred),
+//! sharp, bright ones beside them, and the poses.
 
 mod error;
 mod layout;
@@ -30,13 +30,13 @@ use room::Room;
 pub use error::SynthError;
 pub use layout::Layout;
 
-/// Sub-frames of an exposure: the blur path of ~10 px is then sampled about every pixel.
+/// Sub-frames per exposure: they sample a blur path of ~10 px about every pixel.
 const SUBFRAMES: usize = 11;
 
-/// Rays a pixel, per axis, of the ground truth.
+/// Rays per pixel and axis for the ground truth.
 const SHARP_RAYS: usize = 3;
 
-/// What to make. Defaults are `fled synth`'s.
+/// Options of a synthetic capture. Defaults are those of `fled synth`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SynthOptions {
     /// Number of views.
@@ -47,19 +47,19 @@ pub struct SynthOptions {
     pub height: usize,
     /// Seed of path, shake and noise.
     pub seed: u64,
-    /// Which room.
+    /// The room.
     pub room: RoomChoice,
-    /// A folder of photographs that hang on all surfaces in place of painted patterns; every file
-    /// in it is read.
+    /// A folder of photographs to hang on all surfaces in place of painted patterns; every file in
+    /// it is read.
     pub wallpapers: Option<PathBuf>,
-    /// Share of the light that the dark exposure catches: linear values are multiplied by it.
+    /// Share of the light in the dark exposure: the factor of linear values.
     pub exposure: f64,
-    /// Longest blur path in the middle of the image, px; a view's is 0.4 to 1 of it.
+    /// Longest blur path in the middle of the image, px; that of a view is 0.4 to 1 times this.
     pub blur: f64,
     /// Standard deviation of the noise at white, as a share of the dark exposure's white: shot
     /// noise falls with the square root of the signal, and a tenth of it remains in the black.
     pub noise: f64,
-    /// How it lies in its folder.
+    /// The layout of the output folder.
     pub layout: Layout,
 }
 
@@ -80,13 +80,12 @@ impl Default for SynthOptions {
     }
 }
 
-/// Which room is photographed.
+/// The room of a capture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum RoomChoice {
-    /// Painted boxes and balls. Everything that is measured is measured in room 0; a network that
-    /// learns from synthetic captures learns from others.
+    /// Painted boxes and balls. All measurements use room 0; networks train on others.
     Numbered(u64),
-    /// A furnished room at dusk, to look at.
+    /// A furnished room at dusk, for demonstrations.
     Study,
 }
 
@@ -113,10 +112,10 @@ impl std::str::FromStr for RoomChoice {
     }
 }
 
-/// What was made.
+/// The result of the generation.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SynthSummary {
-    /// Names and cameras of the views, as at the middle of each exposure.
+    /// Names and cameras of the views, at the middle of each exposure.
     pub cameras: Vec<(String, Camera)>,
 }
 
@@ -147,7 +146,7 @@ impl SynthOptions {
         Ok(())
     }
 
-    /// A lens of 60 degrees across.
+    /// A lens with a horizontal field of view of 60 degrees.
     fn intrinsics(&self) -> Intrinsics {
         let (width, height) = (self.width as f64, self.height as f64);
         let focal = 0.5 * width / 30f64.to_radians().tan();
@@ -162,8 +161,8 @@ impl SynthOptions {
     }
 }
 
-/// Writes a capture into `out`, which is created. Existing files of the same names are replaced.
-/// The same options, and the same photographs on the walls, give the same bytes.
+/// Writes a capture into `out`, which is created. Replaces existing files of the same names. The
+/// same options and photographs on the walls give the same bytes.
 ///
 /// # Errors
 /// [`SynthError`].
@@ -206,11 +205,11 @@ pub fn generate(options: &SynthOptions, out: &Path) -> Result<SynthSummary, Synt
     Ok(SynthSummary { cameras: named })
 }
 
-/// Long side that a photograph on a wall is brought down to, px: more would hardly be seen, and all
-/// are held at once.
+/// Longer side to which photographs on walls are reduced, px: more would hardly be visible, and all
+/// are in memory at once.
 const LARGEST_WALLPAPER: usize = 2048;
 
-/// The photographs of a folder, in the order of their names.
+/// Loads the photographs of a folder, in the order of their names.
 fn load_wallpapers(folder: &Path) -> Result<Vec<Image<Linear>>, SynthError> {
     let failed = |source| SynthError::Io {
         path: folder.to_owned(),
@@ -270,15 +269,15 @@ fn write_view(
     Ok(())
 }
 
-/// Places of `rays` x `rays` rays in a pixel.
+/// Positions of `rays` x `rays` rays in a pixel.
 fn grid_offsets(rays: usize) -> Vec<DVec2> {
     let place =
         |i: usize| DVec2::new((i % rays) as f64 + 0.5, (i / rays) as f64 + 0.5) / rays as f64;
     (0..rays * rays).map(place).collect()
 }
 
-/// One place a sub-frame, spread over the pixel (Roberts' R2 sequence) around its centre: their
-/// mean samples the pixel's area although each frame costs a single ray.
+/// One position per sub-frame, spread over the pixel (Roberts' R2 sequence) around its centre, so
+/// that their mean samples the pixel's area although each frame takes a single ray.
 fn spread_offsets(count: usize) -> Vec<DVec2> {
     let place = |i: usize| (DVec2::new(0.754_877_666, 0.569_840_291) * (i + 1) as f64).fract();
     let places: Vec<DVec2> = (0..count).map(place).collect();

@@ -1,13 +1,12 @@
-//! What fled's work costs on a device: training and rendering of scenes that are the same
-//! everywhere, the two heaviest parts of a step by themselves, and every kernel by the device's own
-//! clock.
+//! Benchmarks of fled on a device: training and rendering of scenes that are the same on every
+//! machine, the two heaviest parts of a step on their own, and every kernel by the device's clock.
 //!
-//! A case is the product's own code, not a copy of it: training is [`Stepper`], the loop of
-//! [`train`](fled_core::reconstruct::train); rendering is [`Renderer`](fled_core::render::Renderer). Steps
-//! a second are measured without timestamps; afterwards some steps more are made with a timestamp
-//! around every dispatch. Two small kernels measure what the device can do at all, in the same
-//! minutes, so that a kernel's time in theirs means the same on a machine that is shared with
-//! others.
+//! A case runs the product's own code, not a copy: training is [`Stepper`], the loop of
+//! [`train`](fled_core::reconstruct::train); rendering is
+//! [`Renderer`](fled_core::render::Renderer). Steps per second are measured without timestamps;
+//! additional steps then have a timestamp around every dispatch. Two small kernels measure the
+//! device's limits during the same minutes, so that a kernel's time relative to theirs is
+//! comparable even on a shared machine.
 
 mod error;
 mod measure;
@@ -30,15 +29,15 @@ use subject::{Rendering, Similarity, Sorting, Subject, Training};
 pub use workload::Workload;
 
 /// Steps of the round that the measured steps belong to, and the first of them. In the middle of a
-/// round all harmonics are active and the noise field acts; relocation, and the estimate of the
-/// shake, come before the first step and every hundredth after it.
+/// round all harmonics are active and the noise field has an effect; relocation and the estimate of
+/// the shake precede the first step and every hundredth after it.
 const ROUND: u32 = 10_000;
 const FIRST: u32 = ROUND / 2;
 
-/// Takes the number of finished cases, of all cases, and the name of the next.
+/// Receives the number of finished cases, of all cases, and the name of the next.
 pub type Progress<'a> = &'a mut dyn FnMut(usize, usize, &str);
 
-/// What a step explains beside the scene.
+/// The models of a step besides the scene.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Extras {
     noise: NoiseMode,
@@ -46,7 +45,7 @@ struct Extras {
 }
 
 impl Extras {
-    /// Nothing, what the presets `preview` and `standard` train with, and what `paper` does.
+    /// None, those of the presets `preview` and `standard`, and those of `paper`.
     const ALL: [Self; 3] = [
         Self {
             noise: NoiseMode::Off,
@@ -74,7 +73,7 @@ impl Extras {
     }
 }
 
-/// One thing to measure.
+/// One case.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Plan {
     Train {
@@ -95,8 +94,8 @@ enum Plan {
 }
 
 impl Plan {
-    /// Every case of the options. Noise field, shake and SSIM cost by the pixel, so all extras run
-    /// with the first number of Gaussians alone.
+    /// Every case of the options. The costs of noise field, shake and SSIM depend on the pixels, so
+    /// the extras run only with the first number of Gaussians.
     fn all(options: &BenchOptions) -> Vec<Self> {
         let mut plans = Vec::new();
         for &size in &options.sizes {
@@ -172,7 +171,7 @@ impl Plan {
     }
 }
 
-/// Whom all cases share.
+/// The context of all cases.
 struct Bench<'a> {
     gpu: &'a Gpu,
     options: &'a BenchOptions,
@@ -199,7 +198,7 @@ impl Bench<'_> {
         self.case(name, "render", || Rendering::new(self.gpu, workload))
     }
 
-    /// Measures what `make` makes; its buffers are the case's memory.
+    /// Measures the subject that `make` creates; its buffers are the case's memory.
     fn case<S: Subject>(
         &self,
         name: String,
@@ -216,7 +215,8 @@ impl Bench<'_> {
     }
 }
 
-/// Training as in the middle of a round of the paper's length, with all Gaussians there may be.
+/// Training as in the middle of a round of the paper's length, with the maximum number of
+/// Gaussians.
 fn config(workload: &Workload, extras: Extras) -> TrainConfig {
     TrainConfig {
         steps: ROUND,
@@ -234,8 +234,8 @@ fn config(workload: &Workload, extras: Extras) -> TrainConfig {
     }
 }
 
-/// Measures everything that `options` ask for on synthetic scenes. A device is profiled and its
-/// memory counted as a whole: nothing else may use it meanwhile.
+/// Measures all cases of `options` on synthetic scenes. Profiling and counting of memory cover the
+/// whole device, so no other work may use it meanwhile.
 ///
 /// # Errors
 /// [`BenchError`].
@@ -272,11 +272,11 @@ pub fn run(
     Ok(report)
 }
 
-/// Adds the cases of a real scene, that of a finished run: training with and without what is
-/// explained beside the scene, and rendering.
+/// Adds the cases of a real scene, that of a finished run: training with and without extras, and
+/// rendering.
 ///
 /// # Errors
-/// [`BenchError`], above all when `workload` has no views.
+/// [`BenchError`], in particular when `workload` has no views.
 pub fn run_scene(
     gpu: &Gpu,
     workload: &Workload,

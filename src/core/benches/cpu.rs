@@ -1,6 +1,6 @@
-//! What the host does between the kernels: `cargo bench -p fled-core`.
+//! Benchmarks of the host's work between the kernels: `cargo bench -p fled-core`.
 //!
-//! Images have the size of the preset `standard`. They are made up, the same each time.
+//! Images are synthetic, reproducible, and of the size of the preset `standard`.
 
 use std::f32::consts::TAU;
 
@@ -38,7 +38,7 @@ fn image(brightest: f32) -> Image {
     image
 }
 
-/// The image moved by two pixels and a little.
+/// The mean of the image and two copies shifted by 1 and 2.3 px.
 fn shaken(sharp: &Image) -> Image {
     let mut shaken = Image::new(WIDTH, HEIGHT);
     for y in 0..HEIGHT {

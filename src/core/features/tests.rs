@@ -92,7 +92,7 @@ fn key_points_match_the_published_code_before_refinement() {
 }
 
 #[test]
-fn matches_are_those_of_the_published_code_within_two() {
+fn matches_are_those_of_the_published_code() {
     let matching = matching();
     let (mut extractor, mut matcher) = (
         matching.extractor().expect("usable"),

@@ -1,14 +1,14 @@
-//! Why there is no ONNX Runtime.
+//! Errors of loading ONNX Runtime.
 
 use std::path::PathBuf;
 
-/// Why ONNX Runtime cannot be used.
+/// The reason why ONNX Runtime cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum RuntimeError {
     /// No usable library was found.
     #[error("the ONNX Runtime library was not found; run `make onnxruntime`. Tried: {}", tried.join("; "))]
     Missing {
-        /// Each place, with what was wrong there.
+        /// Each path tried, with the reason why it failed.
         tried: Vec<String>,
     },
     /// The library was found but did not start.
@@ -16,7 +16,7 @@ pub enum RuntimeError {
     Unusable {
         /// The library.
         path: PathBuf,
-        /// Its own words.
+        /// Its message.
         detail: String,
     },
 }

@@ -1,25 +1,25 @@
-//! A network whose inputs and outputs have names.
+//! A network with named inputs and outputs.
 
 use ort::session::{Session, SessionInputValue};
 use ort::value::TensorRef;
 
-/// What an input is given.
+/// The value of an input.
 #[derive(Clone, Copy, Debug)]
 pub struct Input<'a> {
     /// Its name in the graph.
     pub name: &'a str,
-    /// Length along each axis; their product is the count of the values.
+    /// Length along each axis; their product is the number of values.
     pub shape: &'a [usize],
-    /// The values, the last axis fastest.
+    /// The values, last axis fastest.
     pub values: &'a [f32],
 }
 
-/// What an output is.
+/// The value of an output.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Output {
     /// Length along each axis.
     pub shape: Vec<usize>,
-    /// The values, the last axis fastest.
+    /// The values, last axis fastest.
     pub values: Vec<f32>,
 }
 
@@ -29,15 +29,14 @@ pub struct Network {
 }
 
 impl Network {
-    /// Around a session.
     pub fn new(session: Session) -> Self {
         Self { session }
     }
 
-    /// Runs it and returns the outputs of these names.
+    /// Runs the network and returns the outputs with these names.
     ///
     /// # Errors
-    /// ONNX Runtime's words; a missing output or one that is not `f32`.
+    /// ONNX Runtime's message; a missing output or one that is not `f32`.
     pub fn run<const N: usize>(
         &mut self,
         inputs: &[Input<'_>],

@@ -1,8 +1,8 @@
 //! Finding and starting ONNX Runtime.
 //!
-//! The library is opened at run time, so that the build needs no download and no C++. It is
-//! always looked for explicitly: a library that is missing when `ort` looks for it by itself
-//! panics in the middle of a run.
+//! The library is opened at run time, so that the build needs no download and no C++. fled always
+//! searches for it explicitly, because `ort`'s own search panics in the middle of a run if it is
+//! missing.
 
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
@@ -12,7 +12,7 @@ use ort::logging::LogLevel;
 
 use super::error::RuntimeError;
 
-/// The library's file name on this system; also what the system's loader is asked for.
+/// The library's file name on this system, and the name for the system's loader.
 pub const LIBRARY: &str = if cfg!(windows) {
     "onnxruntime.dll"
 } else if cfg!(target_os = "macos") {
@@ -28,18 +28,18 @@ pub(crate) const CUDA_LIBRARY: &str = if cfg!(windows) {
     "libonnxruntime_providers_cuda.so"
 };
 
-/// ONNX Runtime, started.
+/// A started ONNX Runtime.
 #[derive(Clone, Debug)]
 pub struct Runtime {
     environment: Environment,
     info: RuntimeInfo,
 }
 
-/// Which library is in use.
+/// The library in use.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RuntimeInfo {
-    /// Where it was found; just a file name when the system's loader found it and has not told
-    /// where (outside Linux).
+    /// Its path; only a file name if the system's loader found it and does not report the path
+    /// (outside Linux).
     pub path: PathBuf,
     /// `1.x`.
     pub version: String,
@@ -51,10 +51,10 @@ impl Runtime {
         &self.info
     }
 
-    /// Whether the library's part for CUDA lies beside it. Whether it works, only loading a network
-    /// on it tells.
+    /// Whether the library's CUDA part is beside it. Only loading a network on it shows whether it
+    /// works.
     pub fn has_cuda(&self) -> bool {
-        // A mere file name has the parent ``: the system's loader does not look in the current
+        // The parent of a mere file name is empty: the system's loader does not search the current
         // folder.
         let folder = self
             .info
@@ -69,17 +69,17 @@ impl Runtime {
     }
 }
 
-/// A process can hold only one ONNX Runtime: `ort` keeps the first library for good. So does
-/// this, and never releases it, as the library's own clean-up at exit has crashed before.
+/// A process can hold only one ONNX Runtime, because `ort` keeps the first library for good. This
+/// static does so too, and never releases it, because the library's own clean-up at exit has
+/// crashed before.
 static STARTED: Mutex<Option<Runtime>> = Mutex::new(None);
 
-/// Finds the library and starts it. An `explicit` path is the only one tried; else each entry of
-/// `search` (a file, or a directory that holds [`LIBRARY`]) in order, then the system's loader.
-/// Later calls return the runtime of the first.
+/// Finds the library and starts it. Tries only the `explicit` path if given; else each entry of
+/// `search` (a file, or a directory with [`LIBRARY`]) in order, then the system's loader. Later
+/// calls return the runtime of the first.
 ///
 /// # Errors
-/// [`RuntimeError::Missing`] with what was wrong at every place, or
-/// [`RuntimeError::Unusable`].
+/// [`RuntimeError::Missing`] with the fault of every path, or [`RuntimeError::Unusable`].
 pub fn load(explicit: Option<&Path>, search: &[PathBuf]) -> Result<Runtime, RuntimeError> {
     let found = find(explicit, search)?;
     let mut started = STARTED.lock().unwrap_or_else(PoisonError::into_inner);
@@ -94,7 +94,7 @@ pub fn load(explicit: Option<&Path>, search: &[PathBuf]) -> Result<Runtime, Runt
 /// Finds the library without starting it.
 ///
 /// # Errors
-/// [`RuntimeError::Missing`] with what was wrong at every place.
+/// [`RuntimeError::Missing`] with the fault of every path.
 pub fn find(explicit: Option<&Path>, search: &[PathBuf]) -> Result<RuntimeInfo, RuntimeError> {
     let candidates = match explicit {
         Some(path) => vec![path.to_path_buf()],
@@ -124,7 +124,7 @@ fn probe(candidate: PathBuf) -> Result<RuntimeInfo, String> {
     if !by_loader && !path.is_file() {
         return Err(format!("{}: no such file", path.display()));
     }
-    // An absolute path: `ort` reads a relative one as relative to the executable.
+    // An absolute path: `ort` resolves a relative one against the executable.
     let path = if by_loader {
         path
     } else {
@@ -169,7 +169,7 @@ fn start(mut info: RuntimeInfo) -> Result<Runtime, RuntimeError> {
     Ok(Runtime { environment, info })
 }
 
-/// The library's file by the list of what Linux has mapped into the process.
+/// The library's file in Linux's list of the process's mappings.
 fn mapped(maps: &str) -> Option<PathBuf> {
     let paths = maps
         .lines()
@@ -210,7 +210,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_missing_library_is_an_error_that_says_what_to_run() {
+    fn the_error_of_a_missing_library_says_what_to_run() {
         let error =
             load(Some(Path::new("/nowhere/libonnxruntime.so")), &[]).expect_err("not there");
         let text = error.to_string();
@@ -221,7 +221,7 @@ mod tests {
     }
 
     #[test]
-    fn a_file_that_is_no_library_is_named_with_the_reason() {
+    fn an_error_names_a_file_that_is_no_library_and_the_reason() {
         let directory = tempfile::tempdir().expect("temporary directory");
         std::fs::write(directory.path().join(LIBRARY), "not a library").expect("write");
         let error = find(Some(directory.path()), &[]).expect_err("not a library");
@@ -232,7 +232,7 @@ mod tests {
     }
 
     #[test]
-    fn the_search_goes_on_past_places_without_a_library() {
+    fn the_search_continues_past_folders_without_a_library() {
         let empty = tempfile::tempdir().expect("temporary directory");
         let local = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../.onnxruntime");
         let found = find(None, &[empty.path().to_path_buf(), local.clone()]);
@@ -245,7 +245,7 @@ mod tests {
 
     #[test]
     #[cfg(target_os = "linux")]
-    fn the_folder_of_a_library_that_the_loader_found_is_known() {
+    fn the_path_of_a_library_found_by_the_loader_is_known() {
         let started = for_tests().info().path.clone();
         let maps = std::fs::read_to_string("/proc/self/maps").expect("Linux");
         assert_eq!(mapped(&maps), Some(started));
@@ -260,7 +260,7 @@ mod tests {
     }
 
     #[test]
-    fn the_first_runtime_of_a_process_stays() {
+    fn the_first_runtime_of_a_process_is_kept() {
         let first = for_tests();
         assert_eq!(for_tests().info(), first.info());
     }

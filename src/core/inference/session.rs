@@ -1,4 +1,4 @@
-//! ONNX Runtime's session of a network, on one provider.
+//! Sessions of networks in ONNX Runtime, on one provider.
 
 use std::sync::Arc;
 
@@ -7,17 +7,17 @@ use ort::session::Session;
 
 use super::runtime::Runtime;
 
-/// What computes a network.
+/// The hardware that runs a network.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Provider {
     /// An NVIDIA GPU.
     Cuda,
-    /// The processor: the reference.
+    /// The CPU: the reference.
     Cpu,
 }
 
 impl Provider {
-    /// As in reports.
+    /// The name in reports.
     pub fn name(self) -> &'static str {
         match self {
             Self::Cuda => "cuda",
@@ -26,20 +26,20 @@ impl Provider {
     }
 }
 
-/// A network as a file or two.
+/// A network in one or two files.
 #[derive(Clone, Debug)]
 pub struct Graph<'a> {
     /// The ONNX file.
     pub bytes: &'a [u8],
-    /// The file of weights that it points into, by the name it uses.
+    /// The external file of weights, with the name by which the graph refers to it.
     pub weights: Option<(&'a str, Arc<[u8]>)>,
 }
 
-/// The network, ready to run. With `alone`, a part of it that the provider cannot do is
-/// an error; `threads` work on one run, 0 leaves it to the library.
+/// Loads a network. With `alone`, an operation that the provider cannot run is an error; `threads`
+/// work on one run, 0 leaves the number to the library.
 ///
 /// # Errors
-/// ONNX Runtime's words.
+/// ONNX Runtime's message.
 pub fn session(
     runtime: &Runtime,
     graph: &Graph<'_>,
@@ -55,17 +55,16 @@ pub fn session(
         error.to_string()
     }
     let builder = Session::builder(runtime.environment()).map_err(text)?;
-    // Spinning threads cost 280 instead of 163 ms of CPU a view and starve the GPU's software
+    // Spinning threads take 280 instead of 163 ms of CPU per view and starve the GPU's software
     // driver, which shares the cores.
     let builder = builder.with_intra_op_spinning(false).map_err(text)?;
     let mut builder = builder.with_intra_threads(threads).map_err(text)?;
     if alone {
         builder = builder.with_disable_cpu_fallback().map_err(text)?;
     }
-    // Strictly: ort would otherwise go on with the CPU and say nothing.
+    // Strictly: ort would otherwise fall back to the CPU silently.
     let provider = match provider {
-        // Nor with the 10 bits of mantissa that TF32 keeps: the self-test allows for rounding, not
-        // for that.
+        // Without TF32, whose mantissa has 10 bits: the self-test tolerates rounding, but not that.
         Provider::Cuda => ep::CUDA::default()
             .with_tf32(false)
             .build()

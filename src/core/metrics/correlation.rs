@@ -1,16 +1,17 @@
-//! Whether two images show the same things at the same places.
+//! Correlation of two images' structures.
 
 use crate::image::Image;
 
-/// What is smaller than this, px, is noise or shake.
+/// Scale below which structures are noise or shake, px.
 const CELL: usize = 4;
 
-/// What is larger than about twice as many cells is how light falls, which many places share.
+/// Radius of the local mean, in cells. Structures larger than about twice as many cells are
+/// illumination, which is similar in many places.
 const RADIUS: usize = 4;
 
 /// Correlation, -1..=1, of the structures between 4 and about 40 px of two images of one size: near
-/// 1 where they show the same from the same place, be one noisier, softer or brighter; near 0 where
-/// they do not. 0 where one shows nothing.
+/// 1 if both show the same from the same place, even if one is noisier, softer or brighter; near 0
+/// if not. 0 if either is empty.
 pub fn correlation(image: &Image, reference: &Image) -> f64 {
     super::assert_same_size(image, reference);
     let (a, b) = (structure(image), structure(reference));
@@ -23,7 +24,7 @@ pub fn correlation(image: &Image, reference: &Image) -> f64 {
     }
 }
 
-/// The luma of cells less its mean over the cells around.
+/// The luma of each cell minus its mean over the cells around.
 fn structure(image: &Image) -> Vec<f64> {
     let side = |pixels: usize| pixels.div_ceil(CELL);
     let (width, height) = (side(image.width()), side(image.height()));
@@ -39,7 +40,7 @@ fn structure(image: &Image) -> Vec<f64> {
         .collect()
 }
 
-/// Means over [`RADIUS`] values on each side within a row, fewer at its ends.
+/// Means over up to [`RADIUS`] values on each side within a row.
 fn around(values: &[f64], width: usize, height: usize) -> Vec<f64> {
     let mean = |row: usize, x: usize| {
         let (from, to) = (x.saturating_sub(RADIUS), (x + RADIUS + 1).min(width));
@@ -51,7 +52,7 @@ fn around(values: &[f64], width: usize, height: usize) -> Vec<f64> {
         .collect()
 }
 
-/// Columns as rows.
+/// Transposes the values.
 fn turned(values: &[f64], width: usize, height: usize) -> Vec<f64> {
     (0..width)
         .flat_map(|x| (0..height).map(move |y| values[y * width + x]))
@@ -62,7 +63,7 @@ fn turned(values: &[f64], width: usize, height: usize) -> Vec<f64> {
 mod tests {
     use super::*;
 
-    /// Blocks of many sizes, moved by so many px.
+    /// Blocks of many sizes, shifted by this many px.
     fn blocks(shift: usize) -> Image {
         let mut image = Image::new(160, 120);
         for y in 0..120 {
@@ -76,7 +77,7 @@ mod tests {
     }
 
     #[test]
-    fn the_same_place_correlates_through_noise_and_light_and_another_one_does_not() {
+    fn only_the_same_place_correlates_despite_noise_and_light() {
         let here = blocks(0);
         assert!((correlation(&here, &here) - 1.0).abs() < 1e-12);
         let mut other_light = here.map(|value| 0.3 + 0.4 * value * value);

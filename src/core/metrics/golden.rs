@@ -1,5 +1,5 @@
-//! The metrics against scikit-image and NumPy: `tests/golden/metrics.py` says how the numbers were
-//! made, on images that [`picture`] and [`degraded`] repeat by formula.
+//! Tests of the metrics against scikit-image and NumPy: `tests/golden/metrics.py` documents how it
+//! computes the values, on images that [`picture`] and [`degraded`] generate by formula.
 
 use serde::Deserialize;
 
@@ -57,7 +57,7 @@ fn degraded(image: &Image, [gain, offset, noise]: [f64; 3]) -> Image {
     Image::from_planar(image.width(), image.height(), changed.collect())
 }
 
-/// The first measure that is further from its golden value than the tolerance.
+/// The first measure that deviates from its golden value by more than the tolerance.
 fn disagreement(golden: &Golden, image: &Image, reference: &Image) -> Option<String> {
     let measures = [
         ("psnr", psnr(image, reference), golden.psnr),
@@ -79,7 +79,7 @@ fn disagreement(golden: &Golden, image: &Image, reference: &Image) -> Option<Str
 }
 
 #[test]
-fn every_metric_equals_scikit_image_and_numpy() {
+fn every_metric_matches_scikit_image_and_numpy() {
     let cases = cases();
     assert_eq!(cases.len(), 4);
     for golden in cases {
@@ -95,7 +95,7 @@ fn every_metric_equals_scikit_image_and_numpy() {
 }
 
 #[test]
-fn the_comparison_with_the_golden_values_can_fail() {
+fn the_comparison_with_golden_values_can_fail() {
     let golden = cases().swap_remove(0);
     let reference = picture(golden.size[0], golden.size[1]);
     let mut image = degraded(&reference, golden.change);

@@ -1,16 +1,16 @@
-//! What one image says about itself: noise, sharpness, brightness, clipping.
+//! Metrics of a single image: noise, sharpness, brightness, clipping.
 
 use crate::image::Image;
 
 /// Luma weights of Rec. 601, on sRGB-encoded values.
 const LUMA: [f32; 3] = [0.299, 0.587, 0.114];
 
-/// From here on a value becomes 255 in eight bits.
+/// Value from which a channel becomes 255 in eight bits.
 const WHITE: f32 = 254.5 / 255.0;
 
 /// Standard deviation of the noise on luma, 0..=1, after Immerkaer 1996: the mean absolute response
-/// of a mask that is blind to planes and straight edges. Texture adds to it; clipped and
-/// smoothed noise hides from it.
+/// of a mask that is blind to planes and straight edges. Texture adds to it; clipped and smoothed
+/// noise escapes it.
 ///
 /// # Panics
 /// When the image is smaller than 3 x 3 px: a fault of the caller.
@@ -23,8 +23,8 @@ pub fn noise_sigma(image: &Image) -> f64 {
     (std::f64::consts::PI / 2.0).sqrt() * sum / (6.0 * luma.inner() as f64)
 }
 
-/// `255^2 max(0, var(Laplacian) - 20 sigma^2)` on luma: the variance of the Laplacian, which ranks
-/// noise as sharpness, less what noise of [`noise_sigma`] puts into it (20 is the sum of the
+/// `255^2 max(0, var(Laplacian) - 20 sigma^2)` on luma: the variance of the Laplacian, which counts
+/// noise as sharpness, minus the contribution of noise of [`noise_sigma`] (20 is the sum of the
 /// squared weights of the 4-neighbour mask).
 ///
 /// # Panics
@@ -49,8 +49,7 @@ pub fn mean_v(image: &Image) -> f64 {
         / image.pixels().max(1) as f64
 }
 
-/// Share of the pixels of which a channel is white in eight bits, 0..=1: what brightening has
-/// burnt.
+/// Share of the pixels with a channel that is white in eight bits, 0..=1: clipped by brightening.
 pub fn clipped_share(image: &Image) -> f64 {
     values(image).filter(|&v| v >= WHITE).count() as f64 / image.pixels().max(1) as f64
 }
@@ -87,7 +86,7 @@ impl Luma {
         }
     }
 
-    /// Pixels that have all eight neighbours.
+    /// Number of pixels with all eight neighbours.
     fn inner(&self) -> usize {
         (self.width - 2) * (self.height - 2)
     }
@@ -142,7 +141,7 @@ mod tests {
     }
 
     #[test]
-    fn the_noise_of_a_ramp_is_what_was_added() {
+    fn the_added_noise_of_a_ramp_is_measured() {
         for sigma in [0.01, 0.05] {
             let found = noise_sigma(&noisy(sigma, 1));
             assert!(
@@ -154,7 +153,7 @@ mod tests {
     }
 
     #[test]
-    fn noise_alone_is_not_sharp_and_edges_are() {
+    fn edges_are_sharp_and_noise_is_not() {
         let (edges, noise) = (sharpness(&stripes(0.3)), sharpness(&noisy(0.05, 2)));
         assert!(edges > 1000.0, "{edges}");
         assert!(
@@ -165,7 +164,7 @@ mod tests {
     }
 
     #[test]
-    fn brightness_takes_the_largest_channel_and_clipping_any() {
+    fn brightness_uses_the_largest_channel_and_clipping_any() {
         let mut image = Image::new(4, 1);
         image.set(0, 0, [0.2, 0.4, 0.1]);
         image.set(1, 0, [1.0, 0.0, 0.0]);

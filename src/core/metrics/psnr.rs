@@ -2,7 +2,7 @@
 
 use crate::image::Image;
 
-/// Equal images have no finite PSNR; squared errors are floored here, so the value ends at 100 dB
+/// Floor of the squared error: equal images have no finite PSNR, so the value is limited to 100 dB
 /// and stays a JSON number.
 const LEAST_SQUARED_ERROR: f64 = 1e-10;
 
@@ -19,7 +19,7 @@ pub fn psnr(image: &Image, reference: &Image) -> f64 {
 }
 
 /// [`psnr`] after the least-squares fit `a * clip(image) + b` of each channel to the reference,
-/// clipped again: what remains once a global colour cast and exposure error are forgiven. dB.
+/// clipped again, which forgives a global colour cast and exposure error. dB.
 ///
 /// # Panics
 /// When the sizes differ.
@@ -38,12 +38,12 @@ pub fn psnr_colour_corrected(image: &Image, reference: &Image) -> f64 {
 /// The least-squares affine map of each channel of one image to that of another.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ColourFit {
-    /// Factor and offset, a channel.
+    /// Factor and offset per channel.
     channels: [(f64, f64); 3],
 }
 
 impl ColourFit {
-    /// `a * clip(image) + b` closest to the reference.
+    /// Fits `a * clip(image) + b` to the reference.
     ///
     /// # Panics
     /// When the sizes differ: a fault of the caller.
@@ -54,7 +54,7 @@ impl ColourFit {
         }
     }
 
-    /// An image mapped, clipped before and after.
+    /// Maps an image, with clipping before and after.
     #[must_use]
     pub fn apply(&self, image: &Image) -> Image {
         let mut mapped = image.clone();
@@ -71,8 +71,8 @@ impl ColourFit {
     }
 }
 
-/// The best PSNR that any clean render can reach against a view with noise of this standard
-/// deviation: `-20 log10(sigma)`, dB, at most 100.
+/// The best PSNR of any clean render against a view with noise of this standard deviation: `-20
+/// log10(sigma)`, dB, at most 100.
 pub fn noise_ceiling(sigma: f64) -> f64 {
     decibels(sigma * sigma)
 }
@@ -94,8 +94,8 @@ fn squared_error(image: &[f32], reference: &[f32], map: impl Fn(f64) -> f64) -> 
         .sum()
 }
 
-/// The `a` and `b` that minimise `sum (a x + b - y)^2` over clipped `x`; a constant `x` gives
-/// `a = 0` and the mean of `y`.
+/// The `a` and `b` that minimise `sum (a x + b - y)^2` over clipped `x`; a constant `x` gives `a =
+/// 0` and the mean of `y`.
 fn affine_fit(image: &[f32], reference: &[f32]) -> (f64, f64) {
     let n = image.len() as f64;
     let mean_x = image.iter().map(|&x| clipped(x)).sum::<f64>() / n;
@@ -126,7 +126,7 @@ mod tests {
     }
 
     #[test]
-    fn equal_images_reach_the_cap_and_an_offset_its_own_value() {
+    fn equal_images_reach_the_cap_and_an_offset_its_value() {
         let image = ramp();
         assert!((psnr(&image, &image) - 100.0).abs() < 1e-9);
         let brighter = image.map(|v| v + 0.1);
@@ -144,14 +144,14 @@ mod tests {
     }
 
     #[test]
-    fn a_constant_image_is_fitted_by_the_mean() {
+    fn a_constant_image_is_fitted_to_the_mean() {
         let flat = ramp().map(|_| 0.9);
         let fitted = psnr_colour_corrected(&flat, &ramp());
         assert!(fitted.is_finite() && fitted > psnr(&flat, &ramp()));
     }
 
     #[test]
-    fn what_lies_outside_the_range_is_clipped_in_the_image_only() {
+    fn only_the_image_is_clipped_to_the_range() {
         let white = ramp().map(|_| 1.0);
         assert!((psnr(&white.map(|_| 3.0), &white) - 100.0).abs() < 1e-9);
         assert!(psnr(&white, &white.map(|_| 3.0)) < 0.0);

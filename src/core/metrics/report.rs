@@ -1,4 +1,4 @@
-//! The shape of `metrics.json` and of the service's `/rounds`.
+//! The schema of `metrics.json` and of the service's `/rounds`.
 
 use std::collections::BTreeMap;
 
@@ -8,19 +8,19 @@ use serde::{Deserialize, Serialize};
 use crate::camera::Split;
 use crate::enhance::Anchor;
 
-/// Which image was judged.
+/// The image that was judged.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum ImageKind {
-    /// A render of the scene: our result.
+    /// A render of the scene: fled's result.
     Render,
     /// The deblurred view.
     Deblurred,
-    /// The brightened view: what a user has without fled.
+    /// The brightened view: the alternative without fled.
     Enhanced,
 }
 
-/// Against what it was judged.
+/// The reference of a comparison.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Reference {
@@ -32,13 +32,13 @@ pub enum Reference {
     Enhanced,
 }
 
-/// At which brightness both were compared.
+/// The brightness of a comparison.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Brightness {
-    /// The round's own.
+    /// The round's brightness.
     Native,
-    /// The target's.
+    /// The target's brightness.
     Final,
 }
 
@@ -47,11 +47,8 @@ pub enum Brightness {
 pub struct Record {
     /// Train or held-out.
     pub split: Split,
-    /// Which image.
     pub image: ImageKind,
-    /// Against what.
     pub reference: Reference,
-    /// At which brightness.
     pub brightness: Brightness,
     /// Number of views in the mean.
     pub views: u32,
@@ -61,22 +58,22 @@ pub struct Record {
     pub psnr_cc_db: f64,
     /// Mean SSIM of the valid region.
     pub ssim: f64,
-    /// LPIPS (SqueezeNet) where the user supplies the network.
+    /// LPIPS (SqueezeNet), if the user supplies the network.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub lpips_squeeze: Option<f64>,
 }
 
-/// How one photograph came out: a mean hides a view that failed.
+/// The quality of one photograph; a mean would hide a view that failed.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ViewScore {
-    /// The view.
+    /// Name of the view.
     pub name: String,
-    /// Whether it has a pose. One without is left out: it has no split and no scores.
+    /// Whether it has a pose; a view without one has no split and no scores.
     pub registered: bool,
     /// Train or held-out.
     pub split: Option<Split>,
-    /// What its render at the target brightness was compared with: ground truth where the capture
-    /// brings it, else the brightened view, which is self-consistency and not quality.
+    /// Reference of its render at the target brightness: ground truth if the capture has it, else
+    /// the brightened view, which measures self-consistency and not quality.
     pub reference: Option<Reference>,
     /// PSNR, dB.
     pub psnr_db: Option<f64>,
@@ -84,34 +81,34 @@ pub struct ViewScore {
     pub psnr_cc_db: Option<f64>,
     /// SSIM of the valid region.
     pub ssim: Option<f64>,
-    /// Root mean square distance that the shake between render and brightened view moves its light,
+    /// Root mean square distance by which the shake between render and brightened view moves light,
     /// px of the working size.
     pub shake_px: Option<f64>,
-    /// Whether that shake is told from none: then a kernel may explain it in the next round.
+    /// Whether that shake is significant; a kernel may then explain it in the next round.
     #[serde(default)]
     pub is_shaken: Option<bool>,
-    /// Correlation of its structures with those of its render, shaken as it is: near 1 where the
-    /// view stands where its pose says, near 0 where it does not.
+    /// Correlation of its structures with those of its shaken render: near 1 if its pose is right,
+    /// near 0 if not.
     #[serde(default)]
     pub fit: Option<f64>,
 }
 
-/// One round.
+/// The metrics of one round.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct RoundMetrics {
     /// 1-based.
     pub round: u32,
     /// Wall seconds of the whole round.
     pub seconds: f64,
-    /// Gaussians in the round's scene.
+    /// Number of Gaussians in the round's scene.
     pub gaussians: u64,
-    /// Optimiser steps made.
+    /// Number of optimiser steps.
     pub steps: u64,
     /// Training steps per second.
     pub steps_per_second: f64,
-    /// Scores, means over the views of a split.
+    /// Mean scores over the views of a split.
     pub records: Vec<Record>,
-    /// Scores of every photograph of the capture; none in reports of earlier versions.
+    /// Scores of every photograph of the capture; empty in reports of earlier versions.
     #[serde(default)]
     pub views: Vec<ViewScore>,
     /// Mean noise sigma of the enhanced and the deblurred views and of the renders (Immerkaer,
@@ -119,43 +116,42 @@ pub struct RoundMetrics {
     pub noise_sigma: BTreeMap<String, f64>,
     /// Mean noise-corrected sharpness of the same images.
     pub sharpness: BTreeMap<String, f64>,
-    /// Mean of V of the enhanced views.
+    /// Mean of V over the enhanced views.
     pub mean_brightness: f64,
     /// Share of clipped pixels of the enhanced views.
     pub clipped: f64,
     /// Noise ceiling of self-consistency against the enhanced views: -20 log10(sigma), dB.
     pub noise_ceiling_db: f64,
-    /// Mean over the views of the noise map's mean and of its spread; absent when the noise field
-    /// was off.
+    /// Mean over the views of the noise map's mean and of its spread; absent without a noise field.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub noise_map: Option<NoiseMapStatistics>,
-    /// Training views whose shake a kernel explained; the others were trained on deblurred.
+    /// Number of training views with a kernel; the others trained without one.
     #[serde(default)]
     pub kernels: u32,
-    /// Root mean square distance that the shake found in those views moves their light, mean over
-    /// the views, px of the working size; `None` where no kernel was looked for.
+    /// Root mean square distance by which the shake of those views moves light, mean over the
+    /// views, px of the working size; `None` without kernels.
     pub shake_px: Option<f64>,
-    /// Mean way that the correction of the cameras moved the middle of the images in this round,
-    /// px; `null` when they stand where the poses say.
+    /// Mean distance by which the correction of the cameras moved the middle of the images in this
+    /// round, px; `null` without a correction.
     pub pose_correction_px: Option<f64>,
-    /// Gradients that were not finite and were dropped.
+    /// Gradients dropped because they were not finite.
     pub non_finite_gradients: u64,
     /// The round's brightness.
     pub anchor: Anchor,
-    /// What was fitted to map this round's renders to the next brightness, one a view or one in
+    /// Fitted anchors that map this round's renders to the next brightness, one per view or one for
     /// all.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub matched: Vec<Anchor>,
-    /// What rounds are compared by: PSNR (dB) of the renders at the target brightness, each first
-    /// shaken as its view is, against the views at that brightness; of held-out views where there
-    /// are any. SSIM, below 1, in reports of earlier versions, or `None`.
+    /// Score that compares rounds: colour-fitted PSNR (dB) of the renders at the target brightness,
+    /// each shaken as its view is, against the views at that brightness; over held-out views if
+    /// there are any. SSIM, below 1, in reports of earlier versions, or `None`.
     #[serde(default)]
     pub score: Option<f64>,
-    /// Whether the round was judged worse than the one before it.
+    /// Whether the round was judged worse than the previous one.
     pub worse_than_previous: bool,
 }
 
-/// What the noise field learnt.
+/// Statistics of the learnt noise field.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct NoiseMapStatistics {
     /// Mean value.
@@ -166,51 +162,51 @@ pub struct NoiseMapStatistics {
     pub correlation: f64,
 }
 
-/// The shake of a capture as a whole, found before anything is trained.
+/// The shake of a capture as a whole, found before training.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum CaptureShake {
-    /// The run is plain splatting: one round with the steps of all, cameras as found, and a kernel
-    /// for the few shaken views. Another round follows only where late views change the poses.
+    /// Still: the run is plain splatting with one round of all steps, uncorrected cameras, and a
+    /// kernel for the few shaken views. Another round follows only if late views change the poses.
     Still,
-    /// The views are a little softer than the scene: it is trained as the network deblurs them,
-    /// without kernels.
+    /// The views are slightly softer than the scene, which trains on deblurred views without
+    /// kernels.
     Soft,
-    /// A kernel explains the shake of every view that has one, from the second round on.
+    /// Shaken: from the second round on, a kernel explains the shake of each view with a
+    /// significant one.
     Shaken,
 }
 
-/// The whole of `metrics.json`.
+/// The content of `metrics.json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Report {
     /// Every round, in order.
     pub rounds: Vec<RoundMetrics>,
     /// The delivered round, 1-based.
     pub best_round: u32,
-    /// Views with a pose.
+    /// Number of views with a pose.
     pub registered: u32,
-    /// Views in the capture.
+    /// Number of views in the capture.
     pub views: u32,
-    /// Views found shaken before the rounds: deblurring took a shake out of them. Absent: the
-    /// options left nothing to decide.
+    /// Number of views found shaken before the rounds, from which deblurring removed a shake.
+    /// Absent if the options leave nothing to decide.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub shaken_views: Option<u32>,
-    /// The verdict on the capture as a whole, which decides how the rounds are made.
+    /// The verdict on the capture as a whole, which determines the rounds.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub capture_shake: Option<CaptureShake>,
     /// Wall seconds by stage.
     pub stages: BTreeMap<String, f64>,
     /// The GPU adapter and its driver.
     pub adapter: String,
-    /// Networks used: role to `id sha256 provider`.
+    /// Networks in use: role to `id sha256 provider`.
     pub models: BTreeMap<String, String>,
-    /// What was used in place of what was asked for, and why.
+    /// Substitutes for requested tools, and the reasons.
     pub fallbacks: Vec<String>,
     /// Facts of the poses: source, rung, points, reprojection error, mean track, and the verdict on
-    /// every photograph's place.
+    /// the pose of every photograph.
     pub poses: BTreeMap<String, serde_json::Value>,
-    /// Seed of the run.
     pub seed: u64,
-    /// Options as run.
+    /// Options of the run.
     pub config: serde_json::Value,
 }

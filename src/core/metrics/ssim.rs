@@ -1,10 +1,10 @@
-//! Structural similarity as published tables report it.
+//! Structural similarity as in published tables.
 
 use rayon::prelude::*;
 
 use crate::image::Image;
 
-/// Taps on either side of the window's centre: 11 x 11 px in all.
+/// Taps on each side of the window's centre: 11 x 11 px in total.
 const RADIUS: usize = 5;
 const TAPS: usize = 2 * RADIUS + 1;
 const SIGMA: f64 = 1.5;
@@ -15,7 +15,7 @@ const C2: f64 = 9e-4;
 /// Mean structural similarity over the three channels and the valid region (no padding): Gaussian
 /// window of 11 x 11 px, sigma 1.5, population covariance, data range 1. Equals scikit-image's
 /// `structural_similarity(gaussian_weights=True, sigma=1.5, use_sample_covariance=False,
-/// data_range=1)` on that region. The image is clipped to 0..=1 first, the reference is not.
+/// data_range=1)` on that region. Only the image is clipped to 0..=1, not the reference.
 ///
 /// # Panics
 /// When the sizes differ or an image is smaller than the window: a fault of the caller.
@@ -23,7 +23,7 @@ pub fn ssim(image: &Image, reference: &Image) -> f64 {
     ssim_where(image, reference, |_, _| true).unwrap_or(1.0)
 }
 
-/// [`ssim`] over the windows whose middle pixel, at x and y, counts; `None` where none does.
+/// [`ssim`] over the windows whose middle pixel, at x and y, counts; `None` without any.
 ///
 /// # Panics
 /// As [`ssim`].
@@ -136,13 +136,13 @@ mod tests {
     }
 
     #[test]
-    fn an_image_resembles_itself_fully_and_another_less() {
+    fn an_image_is_most_similar_to_itself() {
         assert!((ssim(&texture(0.0), &texture(0.0)) - 1.0).abs() < 1e-12);
         assert!(ssim(&texture(0.0), &texture(1.5)) < 0.5);
     }
 
     #[test]
-    fn a_change_of_a_border_pixel_counts_little_and_of_a_middle_one_more() {
+    fn a_middle_pixel_counts_more_than_a_border_pixel() {
         let reference = texture(0.0);
         let (mut corner, mut middle) = (reference.clone(), reference.clone());
         corner.set(0, 0, [0.0; 3]);

@@ -17,7 +17,7 @@ fn camera_at(eye: DVec3) -> Camera {
     Camera::look_at(intrinsics, eye, DVec3::ZERO, DVec3::Y)
 }
 
-/// A smooth picture painted on two walls before the camera, at 0.7 and 1.3 of the depth.
+/// A smooth picture painted on two walls in front of the camera, at 0.7 and 1.3 of the depth.
 fn seen(camera: &Camera) -> Image {
     let k = camera.intrinsics;
     let mut image = Image::new(k.width, k.height);
@@ -49,7 +49,7 @@ fn seen(camera: &Camera) -> Image {
     image
 }
 
-/// Largest way of what lies before the camera between the two, px.
+/// Largest distance between the projections of points in front of both cameras, px.
 fn apart(a: &Camera, b: &Camera) -> f64 {
     let points = [
         [0.0, 0.0, 1.0],
@@ -77,7 +77,7 @@ fn corrected(photograph: &Image, given: &Camera, rounds: usize) -> Motion {
 }
 
 #[test]
-fn a_camera_that_stands_wrong_by_a_pixel_is_brought_back() {
+fn a_camera_that_is_a_pixel_off_is_corrected() {
     let truth = camera_at(DVec3::new(0.2, -0.1, -DEPTH));
     let photograph = seen(&truth);
     for twist in [
@@ -96,7 +96,7 @@ fn a_camera_that_stands_wrong_by_a_pixel_is_brought_back() {
 }
 
 #[test]
-fn noise_and_things_that_the_scene_lacks_hardly_move_a_camera() {
+fn noise_and_missing_objects_hardly_move_a_camera() {
     let truth = camera_at(DVec3::new(-0.3, 0.1, -DEPTH));
     let mut photograph = seen(&truth);
     for (i, value) in photograph.data_mut().iter_mut().enumerate() {
@@ -110,14 +110,14 @@ fn noise_and_things_that_the_scene_lacks_hardly_move_a_camera() {
 }
 
 #[test]
-fn a_correction_is_never_longer_than_a_pixel_and_flat_images_give_none() {
+fn corrections_are_bounded_and_flat_images_give_none() {
     let truth = camera_at(DVec3::new(0.0, 0.0, -DEPTH));
     let given = Motion {
         twist: [0.06, 0.0, 0.0, 0.0, 0.0, 0.0],
     }
     .moved(&truth);
     let far = corrected(&seen(&truth), &given, 1).moved(&given);
-    // All six at their longest.
+    // All six degrees of freedom at their limit.
     assert!(apart(&far, &given) < 6.0, "{}", apart(&far, &given));
     let probes = probes(&truth, DEPTH);
     let flat = Image::from_planar(96, 64, vec![0.4; 3 * 96 * 64]);
@@ -137,7 +137,7 @@ fn a_correction_is_never_longer_than_a_pixel_and_flat_images_give_none() {
 }
 
 #[test]
-fn what_all_cameras_have_in_common_is_taken_out_and_nothing_else() {
+fn only_the_motion_common_to_all_cameras_is_removed() {
     let eyes = [
         [0.0, 0.0, -3.0],
         [1.0, 0.3, -2.8],
@@ -171,7 +171,7 @@ fn what_all_cameras_have_in_common_is_taken_out_and_nothing_else() {
 }
 
 #[test]
-fn a_motion_in_the_world_is_the_twist_that_makes_it() {
+fn a_world_motion_round_trips_through_its_twist() {
     let camera = camera_at(DVec3::new(0.7, -0.4, -2.0));
     let (turned, displaced) = (DVec3::new(1e-4, -2e-4, 3e-4), DVec3::new(-2e-4, 1e-4, 4e-4));
     let motion = Motion::default().plus(&camera_motion(&camera, turned, displaced));

@@ -1,6 +1,6 @@
-//! How far away a scene is, by the renderer of its colours: drawn in red as bright as each Gaussian
-//! is far and in green all alike, a pixel's red over its green is the mean depth of what is seen
-//! there, weighted as its colour is.
+//! The depth of a scene, by the renderer of its colours. Each Gaussian is drawn with its depth as
+//! red and a constant green, so a pixel's red over its green is the mean depth there, weighted like
+//! its colour.
 
 use glam::DVec3;
 
@@ -8,19 +8,20 @@ use crate::camera::Camera;
 use crate::gaussians::Gaussians;
 use crate::image::Image;
 
-/// A pixel where less of the light is stopped sees nothing that could be far.
+/// Least share of stopped light in a pixel with a depth.
 const LEAST_STOPPED: f32 = 0.5;
 /// Share of the pixels that may be nearer than white or farther than [`DARKEST`].
 const BEYOND: f64 = 0.02;
-/// What is farthest is this bright, what is not there black.
+/// Brightness of the farthest depth; black means no depth.
 const DARKEST: f32 = 0.1;
 
-/// How far away what a camera sees is.
+/// The depths that a camera sees.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Depth {
     width: usize,
     height: usize,
-    /// [height, width], world units along the camera's axis; `None` where too little is seen.
+    /// [height, width], world units along the camera's axis; `None` where too little light is
+    /// stopped.
     values: Vec<Option<f32>>,
 }
 
@@ -30,7 +31,7 @@ fn depth(mean: [f32; 3], camera: &Camera) -> f64 {
     camera.world_to_camera.transform_point3(mean).z
 }
 
-/// About how far away the scene is, world units: what is drawn should be about 1.
+/// Approximate depth of the scene, world units: the drawn values should be about 1.
 pub(super) fn unit(gaussians: &Gaussians, camera: &Camera) -> f64 {
     let depths = gaussians.means.iter().map(|&mean| depth(mean, camera));
     let mut before: Vec<f64> = depths.filter(|&z| z > 0.0 && z.is_finite()).collect();
@@ -41,7 +42,7 @@ pub(super) fn unit(gaussians: &Gaussians, camera: &Camera) -> f64 {
     *before.select_nth_unstable_by(middle, f64::total_cmp).1
 }
 
-/// The scene as its depth is drawn.
+/// The scene coloured by its depth.
 pub(super) fn as_colours(gaussians: &Gaussians, camera: &Camera, unit: f64) -> Gaussians {
     gaussians.coloured(|i| {
         let far = depth(gaussians.means[i], camera) / unit;
@@ -50,7 +51,7 @@ pub(super) fn as_colours(gaussians: &Gaussians, camera: &Camera, unit: f64) -> G
 }
 
 impl Depth {
-    /// From the render of [`as_colours`].
+    /// Decodes the render of [`as_colours`].
     pub(super) fn of(render: &Image, unit: f64) -> Self {
         let value = |(far, stopped): (&f32, &f32)| {
             let is_seen = *stopped >= LEAST_STOPPED;
@@ -68,17 +69,16 @@ impl Depth {
         }
     }
 
-    /// World units along the camera's axis; `None` where too little is seen.
+    /// World units along the camera's axis; `None` where too little light is stopped.
     ///
     /// # Panics
-    /// Outside of the image: a fault of the caller.
+    /// When the pixel is outside the image: a fault of the caller.
     pub fn at(&self, x: usize, y: usize) -> Option<f32> {
         assert!(x < self.width && y < self.height, "{x}, {y} of a depth");
         self.values[y * self.width + x]
     }
 
-    /// To look at: grey by inverse depth, what is near white, what is far dark, black where
-    /// nothing is seen.
+    /// A picture for people: grey by inverse depth, near white and far dark, black without a depth.
     pub fn picture(&self) -> Image {
         let near = |depth: f32| 1.0 / depth.max(f32::MIN_POSITIVE);
         let mut all: Vec<f32> = self.values.iter().flatten().map(|&z| near(z)).collect();
@@ -105,8 +105,8 @@ mod tests {
 
     const SIDE: usize = 64;
 
-    /// A camera in the origin that looks along z, and two opaque walls of many small Gaussians: one
-    /// 2 away to the left, one 6 away to the right, nothing in a band between them.
+    /// A camera at the origin that looks along z, and two opaque walls of many small Gaussians: one
+    /// at depth 2 on the left, one at 6 on the right, with an empty band between them.
     fn walls() -> (Gaussians, Camera) {
         let side = SIDE as f64;
         let intrinsics = Intrinsics {
@@ -136,7 +136,7 @@ mod tests {
     }
 
     #[test]
-    fn depth_is_that_of_what_is_seen_and_none_where_nothing_is() {
+    fn depth_is_that_of_the_visible_surface_or_none() {
         let (scene, camera) = walls();
         let renderer = Renderer::new(fixtures::gpu());
         let depth = renderer.depth(&scene, &camera).expect("rendered");

@@ -1,10 +1,10 @@
-//! Stable radix sort of u32 pairs on the GPU, 4 bits a pass; the number of pairs stands in a GPU
-//! buffer.
+//! Stable radix sort of u32 pairs on the GPU, 4 bits per pass; a GPU buffer holds the number of
+//! pairs.
 
 use bytemuck::{Pod, Zeroable};
 use fled_gpu::{Buffer, Gpu, GpuError, Kernel, Recorder, read, read_write, uniform};
 
-/// Elements of a block: BLOCK of shaders/shared/sort.wgsl.
+/// Elements per block: BLOCK of shaders/shared/sort.wgsl.
 pub const BLOCK: usize = 1024;
 /// Values of a digit.
 const DIGITS: usize = 16;
@@ -51,32 +51,32 @@ pub const RADIX_SCATTER: Kernel = Kernel::new(
 pub struct SortParameters {
     /// First bit of the digit.
     pub shift: u32,
-    /// Which counter holds the number of elements; [`FIXED`]: `capacity` is the number.
+    /// Index of the counter with the number of elements; [`FIXED`] if `capacity` is the number.
     pub source: u32,
-    /// No more elements than this are touched.
+    /// Upper bound of the number of elements.
     pub capacity: u32,
-    /// Which counter takes the total of a scan.
+    /// Index of the counter for the total of a scan.
     pub result: u32,
-    /// The total is cut to this for the indirect arguments.
+    /// Upper bound of the total in the indirect arguments.
     pub result_capacity: u32,
-    /// Values a block in the array that is scanned.
+    /// Values per block in the scanned array.
     pub per_block: u32,
 }
 
-/// Numbers that only the GPU knows, and the workgroups of the dispatches that depend on them.
+/// Counts that only the GPU knows, and the workgroups of the dispatches that depend on them.
 ///
-/// Counter `i` has six arguments from `6 i` on: workgroups for a block each, then for 64 elements
-/// each.
+/// Counter `i` has six arguments from `6 i` on: workgroups at one per block, then at one per 64
+/// elements.
 #[derive(Clone)]
 pub struct Counters {
-    /// The numbers.
+    /// The counts.
     pub values: Buffer<u32>,
-    /// Indirect arguments, six a counter.
+    /// Indirect arguments, six per counter.
     pub arguments: Buffer<u32>,
 }
 
 impl Counters {
-    /// `count` counters and one more that takes totals nobody asks for.
+    /// `count` counters and a spare one for unused totals.
     ///
     /// # Errors
     /// Out of memory.
@@ -87,12 +87,12 @@ impl Counters {
         })
     }
 
-    /// Where the arguments for a workgroup a block of counter `index` begin.
+    /// Index of the arguments of counter `index` at one workgroup per block.
     pub fn blocks(index: u32) -> usize {
         6 * index as usize
     }
 
-    /// Where the arguments for an invocation an element of counter `index` begin.
+    /// Index of the arguments of counter `index` at one invocation per element.
     pub fn elements(index: u32) -> usize {
         6 * index as usize + 3
     }
@@ -104,7 +104,7 @@ impl Counters {
 
 /// Buffers of a sort of at most `capacity` pairs.
 ///
-/// Pairs are put into [`RadixSort::keys`] and [`RadixSort::payloads`]; the sorted ones stand in
+/// The input is [`RadixSort::keys`] and [`RadixSort::payloads`], the output
 /// [`RadixSort::sorted_keys`] and [`RadixSort::sorted_payloads`].
 pub struct RadixSort {
     keys: [Buffer<u32>; 2],
@@ -160,12 +160,12 @@ impl RadixSort {
         })
     }
 
-    /// Keys to be sorted.
+    /// Keys to sort.
     pub fn keys(&self) -> &Buffer<u32> {
         &self.keys[0]
     }
 
-    /// What travels with the keys.
+    /// Payloads of the keys.
     pub fn payloads(&self) -> &Buffer<u32> {
         &self.payloads[0]
     }
@@ -175,16 +175,15 @@ impl RadixSort {
         &self.keys[self.passes.len() % 2]
     }
 
-    /// Payloads in the order of their keys; equal keys as they came.
+    /// Payloads in the order of their keys; stable for equal keys.
     pub fn sorted_payloads(&self) -> &Buffer<u32> {
         &self.payloads[self.passes.len() % 2]
     }
 
-    /// Adds the sort to a recording. The arguments of the counter must have been written (by
-    /// [`SCAN`]).
+    /// Records the sort. The arguments of the counter must have been written (by [`SCAN`]).
     ///
     /// # Errors
-    /// A fault of a kernel.
+    /// A kernel error.
     pub fn record(&self, recorder: &mut Recorder, counters: &Counters) -> Result<(), GpuError> {
         let blocks = Counters::blocks(self.source);
         for (i, parameters) in self.passes.iter().enumerate() {
@@ -234,7 +233,7 @@ mod tests {
     use super::*;
     use rand::{RngExt, SeedableRng};
 
-    /// Sorts on the GPU. The number of keys is made there, by a scan, as in a training step.
+    /// Sorts on the GPU. A scan computes the number of keys there, as in a training step.
     fn sorted(keys: &[u32], bits: u32) -> (Vec<u32>, Vec<u32>) {
         let gpu = Gpu::new("auto").unwrap();
         let n = keys.len();
@@ -293,7 +292,7 @@ mod tests {
     }
 
     #[test]
-    fn equal_keys_keep_their_order_and_few_bits_suffice_for_small_keys() {
+    fn the_sort_is_stable_and_small_keys_need_few_bits() {
         assert_sorted(&[7; 3000], 32);
         let mut random = rand_pcg::Pcg64::seed_from_u64(2);
         let keys: Vec<u32> = (0..30_000).map(|_| random.random_range(0..180)).collect();
@@ -302,7 +301,7 @@ mod tests {
     }
 
     #[test]
-    fn descending_keys_none_and_one_are_sorted() {
+    fn descending_single_and_no_keys_are_sorted() {
         assert_sorted(
             &(0..2500).rev().map(|i| i * 1_000_003).collect::<Vec<_>>(),
             32,

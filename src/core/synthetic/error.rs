@@ -1,22 +1,20 @@
-//! What keeps a capture from being made.
+//! Errors of generating a synthetic capture.
 
 use std::path::PathBuf;
 
 use crate::image::ImageError;
 use crate::poses::PosesError;
 
-/// Why nothing was made.
+/// The reason why no capture was generated.
 #[derive(Debug, thiserror::Error)]
 pub enum SynthError {
-    /// An option does not fit.
+    /// An invalid option.
     #[error("{0}")]
     Options(String),
     /// A photograph for the walls cannot be read.
     #[error("wallpapers: {}: {source}", path.display())]
     Wallpaper {
-        /// Which.
         path: PathBuf,
-        /// Why.
         source: ImageError,
     },
     /// An image could not be written.
@@ -25,10 +23,9 @@ pub enum SynthError {
     /// The poses could not be written.
     #[error(transparent)]
     Poses(#[from] PosesError),
-    /// A directory could not be made.
+    /// A directory could not be created.
     #[error("{}: {source}", path.display())]
     Io {
-        /// Where.
         path: PathBuf,
         /// The system's error.
         source: std::io::Error,

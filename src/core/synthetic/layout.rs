@@ -1,4 +1,4 @@
-//! The layouts of published data sets, which `capture` and `dataset` read back.
+//! The layouts of published data sets, which `capture` and `dataset` can read.
 
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
@@ -10,7 +10,7 @@ use super::error::SynthError;
 use crate::camera::Camera;
 use crate::poses::bounds::{BoundedCamera, write_poses_bounds};
 
-/// How a made-up capture lies in its folder.
+/// The layout of a synthetic capture's folder.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Layout {
     /// LuSh-NeRF's: `images/`, sharp ones in `HL/`, `poses_bounds.npy`.
@@ -23,10 +23,8 @@ pub enum Layout {
 }
 
 impl Layout {
-    /// Every layout.
     pub const ALL: [Self; 3] = [Self::Lush, Self::Llff, Self::Transforms];
 
-    /// Its name.
     pub fn name(self) -> &'static str {
         match self {
             Self::Lush => "lush",
@@ -43,7 +41,7 @@ impl Layout {
         }
     }
 
-    /// Writes the poses of the views of these names.
+    /// Writes the poses of the views with these names.
     ///
     /// # Errors
     /// [`SynthError::Poses`], [`SynthError::Io`].
@@ -87,7 +85,7 @@ impl FromStr for Layout {
     }
 }
 
-/// Row by row, with OpenGL's axes: x right, y up, z backward.
+/// Row by row, in OpenGL's axes: x right, y up, z backward.
 fn camera_to_world(camera: &Camera) -> [[f64; 4]; 4] {
     let flip = DMat4::from_scale(DVec3::new(1.0, -1.0, -1.0));
     let matrix = camera.world_to_camera.inverse() * flip;

@@ -1,5 +1,5 @@
-//! What surfaces are made of. Colours are albedo in linear light, or light itself where a surface
-//! glows.
+//! The materials of surfaces. Colours are albedo in linear light, or light itself on glowing
+//! surfaces.
 
 use std::f64::consts::TAU;
 
@@ -8,7 +8,7 @@ use glam::{DVec2, DVec3, IVec2};
 use super::shape::Hit;
 use super::texture::{albedo, cell, hash, rough};
 
-/// What a solid is made of, its colour, and a number that tells it from others of its kind.
+/// The material of a solid, its colour, and a number that distinguishes it from others of its kind.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Coat {
     pub paint: Paint,
@@ -16,7 +16,7 @@ pub(super) struct Coat {
     pub salt: u32,
 }
 
-/// What a surface is made of.
+/// The material of a surface.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Paint {
     /// Painted corners and blobs at every scale.
@@ -27,11 +27,11 @@ pub(super) enum Paint {
     Wood(usize),
     /// Plaid cloth.
     Woven,
-    /// A leaf, along its y axis.
+    /// A leaf along its y axis.
     Leaf,
-    /// A book that stands, its spine towards -z.
+    /// A standing book, with its spine towards -z.
     Book,
-    /// A rug that lies, with a border.
+    /// A rug with a border.
     Rug,
     /// A framed landscape on the sides along z.
     Landscape,
@@ -39,19 +39,20 @@ pub(super) enum Paint {
     Fields,
     /// Sides of a room: boards, planks, bricks, paper and plaster.
     Walls,
-    /// Gives light of its own.
+    /// Emits light.
     Glow,
     /// A town at dusk, seen through the sides along z.
     Dusk,
 }
 
 impl Coat {
-    /// Whether it shows its own light, and keeps none away.
+    /// Whether it emits light, and so casts no shadow.
     pub fn glows(&self) -> bool {
         matches!(self.paint, Paint::Glow | Paint::Dusk)
     }
 
-    /// Albedo, or light, at a place of a solid with such `half` sides. `scale` is that of patterns.
+    /// Albedo, or light, at a point of a solid with these `half` sides. `scale` is that of
+    /// patterns.
     pub fn albedo(&self, hit: &Hit, half: DVec3, scale: f64) -> [f64; 3] {
         let (own, salt) = (self.salt, self.salt.wrapping_add(hit.face));
         let base = DVec3::from(self.base);
@@ -76,12 +77,12 @@ impl Coat {
     }
 }
 
-/// 0.8 to 1.
+/// Uneven brightness, 0.8 to 1.
 fn uneven(p: DVec2, salt: u32) -> f64 {
     0.8 + 0.2 * rough(p, salt)
 }
 
-/// A number in 0..1 of a whole number.
+/// A hash of an integer in 0..1.
 fn number(index: i32, salt: u32) -> f64 {
     hash(IVec2::new(index, 77), salt)
 }
@@ -228,7 +229,7 @@ fn fields(at: DVec2, salt: u32) -> DVec3 {
 
 /// Two kinds of wall above boards, bricks on the right, planks below, plaster above.
 fn wall(hit: &Hit, salt: u32) -> DVec3 {
-    /// Where the boards end, below the middle of the room, world units.
+    /// Upper edge of the boards, below the middle of the room, world units.
     const BOARDS: f64 = 0.62;
     let DVec3 { x, y, z } = hit.local;
     match hit.face {
@@ -278,7 +279,7 @@ fn planks(p: DVec2, salt: u32) -> DVec3 {
     DVec3::new(0.40, 0.24, 0.12) * tone * (0.6 + 0.7 * fibre) * (1.0 - knot)
 }
 
-/// Flowers in rows, no two alike, on a ground that has aged unevenly.
+/// Rows of unique flowers on an unevenly aged ground.
 fn paper(p: DVec2, salt: u32) -> DVec3 {
     let ground = DVec3::new(0.13, 0.24, 0.25) * (0.65 + 0.6 * rough(p * 2.2, salt));
     let column = (p.x / 0.34).floor();

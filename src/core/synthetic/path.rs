@@ -1,4 +1,4 @@
-//! Where the photographs are taken from, and how the hand shakes.
+//! The positions of the cameras, and the shake of the hand.
 
 use std::f64::consts::TAU;
 
@@ -11,9 +11,9 @@ use crate::camera::{Camera, Intrinsics};
 /// The world direction that points down in level images.
 const DOWN: DVec3 = DVec3::Y;
 
-/// Views along one closed, wavy loop before the scene, all looking near its middle: neighbours
-/// overlap widely, no two cameras see the same things from one place, and every view has neighbours
-/// on both sides, so that a held-out one asks for what its neighbours have seen.
+/// Views along one closed, wavy loop in front of the scene, all looking near its middle: neighbours
+/// overlap widely, no two cameras share a place, and every view has neighbours on both sides, so
+/// that a held-out one shows what its neighbours have seen.
 pub(super) fn cameras(count: usize, intrinsics: Intrinsics, seed: u64) -> Vec<Camera> {
     let mut rng = Pcg64Mcg::seed_from_u64(seed ^ 0x5eed);
     (0..count)
@@ -34,7 +34,7 @@ pub(super) fn cameras(count: usize, intrinsics: Intrinsics, seed: u64) -> Vec<Ca
         .collect()
 }
 
-/// `count` moments of one exposure: rotation and translation follow a smooth random curve whose
+/// `count` moments of one exposure. Rotation and translation follow a smooth random curve whose
 /// image in the middle of the frame, at `distance`, is a path of 0.4 to 1 times `blur` px, centred
 /// on the camera's pose (so the poses are those of the middle of the blur).
 pub(super) fn shake(
@@ -47,7 +47,7 @@ pub(super) fn shake(
     let length = blur * (0.4 + 0.6 * rng.random::<f64>());
     let curve = curve(count, rng);
     let travelled: f64 = curve.windows(2).map(|pair| pair[0].distance(pair[1])).sum();
-    // A third of a hand's motion is translation: it blurs what is near more than what is far.
+    // A third of a hand's motion is translation, which blurs near objects more than far ones.
     let turning = 0.67;
     let roll = 0.004 * (2.0 * rng.random::<f64>() - 1.0) * blur / 9.0;
     let focal = camera.intrinsics.fx;
@@ -73,7 +73,7 @@ pub(super) fn shake(
         .collect()
 }
 
-/// A smooth plane curve with zero mean: a random direction that drifts, as tremor does.
+/// A smooth plane curve with zero mean: a random direction that drifts, like tremor.
 fn curve(count: usize, rng: &mut impl Rng) -> Vec<DVec2> {
     let mut heading = TAU * rng.random::<f64>();
     let mut bend = 0.0;

@@ -1,4 +1,4 @@
-//! A room: what stands in it, what lights it, and casting rays at it.
+//! A room: its solids, its lamps, and ray casting.
 
 use glam::{DMat3, DVec2, DVec3};
 use rand::{RngExt, SeedableRng};
@@ -10,42 +10,42 @@ use super::texture::wallpaper;
 use crate::camera::Camera;
 use crate::image::{Image, Linear};
 
-/// The one lamp of the numbered rooms, above and before the things. y points down.
+/// The only lamp of the numbered rooms, above and in front of the solids. y points down.
 const LAMP: DVec3 = DVec3::new(0.7, -2.2, -1.6);
 
-/// Distance from it at which a white surface that faces it is white in the ground truth.
+/// Distance from the lamp at which a white surface facing it is white in the ground truth.
 const WHITE_AT: f64 = 2.6;
 
-/// Light that reaches every surface there, lit or not, as a share of the white.
+/// Light on every surface, lit or not, as a share of white.
 const AMBIENT: f64 = 0.1;
 
-/// A solid with what one sees of it.
+/// A solid with its material.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Solid {
     pub shape: Shape,
     pub coat: Coat,
 }
 
-/// A light without a size.
+/// A point light.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Lamp {
     pub place: DVec3,
     pub colour: DVec3,
-    /// Distance at which a white surface that faces it is as bright as `colour`.
+    /// Distance at which a white surface facing it is as bright as `colour`.
     pub white_at: f64,
 }
 
-/// Solids that stand together: a ray that misses the ball around them misses all of them.
+/// A group of solids: a ray that misses its bounding ball misses all of them.
 pub(super) struct Group {
     ball: Bound,
     solids: Vec<(Bound, Solid)>,
 }
 
-/// A ball with all of something in it.
+/// A bounding ball.
 #[derive(Clone, Copy, Debug)]
 struct Bound {
     centre: DVec3,
-    /// Infinite for what surrounds everything.
+    /// Infinite for solids that surround everything.
     radius_squared: f64,
 }
 
@@ -63,7 +63,7 @@ impl Bound {
 }
 
 impl Group {
-    /// With the balls that hold them.
+    /// A group with bounding balls.
     pub fn around(solids: Vec<Solid>) -> Self {
         let (mut low, mut high) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
         let bounded = solids.into_iter().map(|solid| {
@@ -86,13 +86,12 @@ impl Group {
         Self { ball, solids }
     }
 
-    /// What stands together.
     #[cfg(test)]
     pub fn solids(&self) -> impl Iterator<Item = &Solid> {
         self.solids.iter().map(|(_, solid)| solid)
     }
 
-    /// Every ray is held against each of them.
+    /// A group without bounds: every ray is tested against each solid.
     pub fn everywhere(solids: Vec<Solid>) -> Self {
         let unbounded = solids.into_iter().map(|solid| (Bound::EVERYTHING, solid));
         Self {
@@ -102,21 +101,21 @@ impl Group {
     }
 }
 
-/// Groups in the order in which they were put up.
+/// Groups in the order in which they were added.
 pub(super) struct Room {
     pub groups: Vec<Group>,
     pub lamps: Vec<Lamp>,
-    /// Light that reaches every surface.
+    /// Light on every surface.
     pub ambient: DVec3,
-    /// Of the patterns on all surfaces, 1 as a rule.
+    /// Scale of the patterns on all surfaces, usually 1.
     pub scale: f64,
-    /// What the surfaces are papered with; none: they are painted.
+    /// Photographs on the surfaces, which are painted if there are none.
     pub wallpapers: Vec<Image<Linear>>,
 }
 
 impl Room {
-    /// Walls, floor, and things at many depths around the origin. Room 0 is the one that everything
-    /// is measured in; the others have its plan, with other paint, patterns and sizes.
+    /// Walls, floor, and solids at many depths around the origin. All measurements use room 0; the
+    /// others have the same plan with other paint, patterns and sizes.
     pub fn numbered(number: u64) -> Self {
         let mut solids = first();
         let mut scale = 1.0;
@@ -138,13 +137,13 @@ impl Room {
         }
     }
 
-    /// With photographs on all surfaces, where there are any.
+    /// Puts photographs on all surfaces, if there are any.
     pub fn papered(self, wallpapers: Vec<Image<Linear>>) -> Self {
         Self { wallpapers, ..self }
     }
 
-    /// The picture through `camera`, linear light, 1 is white: the mean of rays at `offsets` in
-    /// each pixel.
+    /// Renders through `camera` in linear light, 1 is white: the mean of rays at `offsets` in each
+    /// pixel.
     pub fn render_at(&self, camera: &Camera, offsets: &[DVec2]) -> Image<Linear> {
         let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
         let mut image = Image::new(width, height);
@@ -165,7 +164,7 @@ impl Room {
         image
     }
 
-    /// Distance along the ray through a pixel (in multiples of a ray of depth 1) and colour.
+    /// Distance along the ray through a pixel (in multiples of a ray of depth 1), and colour.
     fn trace(&self, camera: &Camera, pixel: DVec2) -> (f64, DVec3) {
         let k = &camera.intrinsics;
         let to_world: DMat3 = camera.rotation().transpose();
@@ -188,13 +187,13 @@ impl Room {
         (hit.distance, paint * (self.ambient + light))
     }
 
-    /// What a ray meets first.
+    /// The first hit of a ray.
     fn nearest(&self, origin: DVec3, ray: DVec3) -> Option<(&Solid, Hit)> {
         self.met(origin, ray)
             .min_by(|a, b| a.1.distance.total_cmp(&b.1.distance))
     }
 
-    /// All that a ray meets, in no order.
+    /// All hits of a ray, unordered.
     fn met(&self, origin: DVec3, ray: DVec3) -> impl Iterator<Item = (&Solid, Hit)> {
         let length = ray.length_squared();
         let misses = move |bound: &Bound| bound.is_passed_by(origin, ray, length);
@@ -206,8 +205,8 @@ impl Room {
             .filter_map(move |(_, solid)| solid.shape.meet(origin, ray).map(|hit| (solid, hit)))
     }
 
-    /// Light of the lamps on a surface: it falls with the square of the distance, and things throw
-    /// shadows, but for those that glow.
+    /// Light of the lamps on a surface: it falls with the square of the distance, and solids cast
+    /// shadows unless they glow.
     fn lamp_light(&self, point: DVec3, normal: DVec3) -> DVec3 {
         let of = |lamp: &Lamp| {
             let way = lamp.place - point;
@@ -227,7 +226,7 @@ impl Room {
         self.lamps.iter().map(of).sum()
     }
 
-    /// Nearest and farthest depth that a camera sees, on a coarse grid.
+    /// Nearest and farthest depth in a camera's picture, on a coarse grid.
     pub fn depth_range(&self, camera: &Camera) -> (f64, f64) {
         let depths = self.depths(camera);
         (
@@ -236,7 +235,7 @@ impl Room {
         )
     }
 
-    /// Median depth that a camera sees.
+    /// Median depth in a camera's picture.
     pub fn focus_distance(&self, camera: &Camera) -> f64 {
         let mut depths = self.depths(camera);
         depths.sort_by(f64::total_cmp);
@@ -333,7 +332,7 @@ mod tests {
     const BEHIND_A_BLOCK: DVec3 = DVec3::new(-0.01, 1.4, -0.3);
 
     #[test]
-    fn the_lamp_falls_off_with_the_square_of_the_distance_and_the_cosine() {
+    fn light_falls_with_the_squared_distance_and_the_cosine() {
         let room = Room::numbered(0);
         let (below, height) = (room.lamp_light(BELOW_THE_LAMP, UP).x, 3.6);
         assert!(
@@ -347,7 +346,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_block_hides_from_the_lamp_is_in_its_shadow_and_what_glows_hides_nothing() {
+    fn blocks_cast_shadows_and_glowing_solids_do_not() {
         let mut room = Room::numbered(0);
         assert_eq!(room.lamp_light(BEHIND_A_BLOCK, UP), DVec3::ZERO);
         let solids = &mut room.groups[0].solids;
@@ -358,7 +357,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_passed_by_is_not_met() {
+    fn a_ray_that_misses_a_bound_misses_its_solids() {
         let mut rng = Pcg64Mcg::seed_from_u64(4);
         let group = Group::around(first().split_off(1));
         let (mut groups, mut solids) = (0, 0);

@@ -1,16 +1,17 @@
-//! The dark exposure: less light, the noise of photons and electronics, the cut at black and white.
+//! The dark exposure: less light, photon and read noise, clipping at black and white.
 
 use rand::Rng;
 
 use crate::image::{Image, Linear};
 use crate::random::normal;
 
-/// The part of the noise at white that is there in the black too (read noise).
+/// Share of the noise at white that remains in the black (read noise).
 const READ_SHARE: f64 = 0.1;
 
-/// `light` times `exposure`, with Poisson-Gaussian noise: variance `(noise * exposure)^2 *
-/// (signal / white + 0.1^2)`, with white the dark exposure's. Photon counts at these levels are in
-/// the hundreds and more, where the Poisson distribution is the Gaussian of the same variance.
+/// `light` times `exposure`, with Poisson-Gaussian noise of variance `(noise * exposure)^2 *
+/// (signal / white + 0.1^2)`, white being the dark exposure's. Photon counts at these levels are in
+/// the hundreds and more, where the Poisson distribution approaches the Gaussian of the same
+/// variance.
 pub(super) fn expose(
     light: &Image<Linear>,
     exposure: f64,

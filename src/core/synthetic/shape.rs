@@ -1,11 +1,11 @@
-//! Solids, and where rays meet them.
+//! Solids and their intersection with rays.
 
 use glam::{DMat3, DVec2, DVec3};
 
 /// A solid.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Shape {
-    /// An axis-aligned box in its own frame, turned about the vertical; made by [`Shape::block`].
+    /// An axis-aligned box in its own frame, rotated about the vertical; made by [`Shape::block`].
     Block {
         centre: DVec3,
         half: DVec3,
@@ -15,8 +15,7 @@ pub(super) enum Shape {
     },
     /// A ball.
     Ball { centre: DVec3, radius: f64 },
-    /// A ball that is stretched along the axes of its own frame; `frame` leads from there to the
-    /// world.
+    /// A ball stretched along the axes of its own frame; `frame` maps to the world.
     Ellipsoid {
         centre: DVec3,
         half: DVec3,
@@ -26,22 +25,22 @@ pub(super) enum Shape {
     Walls { centre: DVec3, half: DVec3 },
 }
 
-/// Where a ray meets a surface.
+/// The point at which a ray meets a surface.
 pub(super) struct Hit {
-    /// In lengths of the ray.
+    /// Distance in lengths of the ray.
     pub distance: f64,
-    /// Outward, of length 1, world.
+    /// Outward normal of unit length, world.
     pub normal: DVec3,
     /// Surface coordinates, world units.
     pub surface: DVec2,
-    /// The place in the solid's own frame, from its centre, world units.
+    /// The point in the solid's own frame, relative to its centre, world units.
     pub local: DVec3,
-    /// Tells faces of one solid apart: twice the axis, and one more on its positive side.
+    /// Number of the face within the solid: twice the axis, plus one on the positive side.
     pub face: u32,
 }
 
 impl Shape {
-    /// A box of such `half` sides, turned about the vertical.
+    /// A box with these `half` sides, rotated about the vertical.
     pub fn block(centre: DVec3, half: DVec3, turn: f64) -> Self {
         Self::Block {
             centre,
@@ -51,7 +50,7 @@ impl Shape {
         }
     }
 
-    /// The first meeting in front of the origin.
+    /// The first hit in front of the origin.
     pub fn meet(&self, origin: DVec3, ray: DVec3) -> Option<Hit> {
         match *self {
             Self::Ball { centre, radius } => meet_ball(origin - centre, ray, radius),
@@ -96,7 +95,7 @@ impl Shape {
         }
     }
 
-    /// Half its sides, in its own frame.
+    /// Half of its sides, in its own frame.
     pub fn half(&self) -> DVec3 {
         match *self {
             Self::Ball { radius, .. } => DVec3::splat(radius),
@@ -106,7 +105,6 @@ impl Shape {
         }
     }
 
-    /// Its middle.
     pub fn centre(&self) -> DVec3 {
         match *self {
             Self::Ball { centre, .. }
@@ -117,7 +115,7 @@ impl Shape {
     }
 }
 
-/// Entry and exit of a box around the origin: distance and axis; `None` when it lies behind.
+/// Entry and exit of a box around the origin: distance and axis; `None` when it is behind.
 fn slabs(origin: DVec3, ray: DVec3, half: DVec3) -> Option<((f64, usize), (f64, usize))> {
     let (mut near, mut far) = ((f64::NEG_INFINITY, 0), (f64::INFINITY, 0));
     for axis in 0..3 {
@@ -134,7 +132,7 @@ fn slabs(origin: DVec3, ray: DVec3, half: DVec3) -> Option<((f64, usize), (f64, 
     (far.0 > 1e-6).then_some((near, far))
 }
 
-/// The outside of a box's face at a distance along the ray.
+/// The hit on the outside of a box's face at a distance along the ray.
 fn face(origin: DVec3, ray: DVec3, distance: f64, axis: usize) -> Hit {
     let point = origin + ray * distance;
     let mut normal = DVec3::ZERO;
@@ -168,7 +166,7 @@ fn meet_ball(origin: DVec3, ray: DVec3, radius: f64) -> Option<Hit> {
 }
 
 fn meet_ellipsoid(origin: DVec3, ray: DVec3, half: DVec3) -> Option<Hit> {
-    // Where the ellipsoid is the unit ball; distances along the ray are the same there.
+    // In a frame where the ellipsoid is the unit ball; distances along the ray stay the same.
     let hit = meet_ball(origin / half, ray / half, 1.0)?;
     let local = hit.local * half;
     Some(Hit {
@@ -184,7 +182,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_ray_meets_an_ellipsoid_on_its_surface_where_the_gradient_points() {
+    fn an_ellipsoids_hits_and_normals_follow_its_surface() {
         let frame = DMat3::from_rotation_z(0.7) * DMat3::from_rotation_y(-0.4);
         let (centre, half) = (DVec3::new(0.3, -0.2, 2.0), DVec3::new(0.5, 0.2, 0.9));
         let shape = Shape::Ellipsoid {

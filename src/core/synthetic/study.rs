@@ -1,5 +1,5 @@
-//! A furnished room at dusk: what a demonstration shows. Everything in it is built here, piece by
-//! piece; y points down, the floor is at 1.4, a unit is about a metre.
+//! A furnished room at dusk, for demonstrations. All of it is modelled here; y points down, the
+//! floor is at 1.4, a unit is about a metre.
 
 mod builder;
 mod corners;
@@ -14,7 +14,7 @@ use super::room::{Group, Lamp, Room};
 use super::shape::Shape;
 use builder::Builder;
 
-/// The room. It is the same every time: path and shake are what a seed changes.
+/// The room. It is always the same: a seed changes only path and shake.
 pub(super) fn study() -> Room {
     let mut builder = Builder::new();
     let walls = Shape::Walls {
@@ -51,7 +51,7 @@ pub(super) fn study() -> Room {
 }
 
 /// The lamp beside the chair, the one on the cabinet, a ceiling lamp behind the photographer, and
-/// what comes in by the window.
+/// the light from the window.
 fn lamps() -> Vec<Lamp> {
     let lamp = |place: [f64; 3], colour: [f64; 3], white_at: f64| Lamp {
         place: DVec3::from(place),
@@ -72,7 +72,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_study_is_the_same_every_time_and_stands_within_its_walls() {
+    fn the_study_is_always_the_same_and_within_its_walls() {
         let (one, other) = (study(), study());
         let solids = |room: &Room| -> Vec<Solid> {
             room.groups

@@ -23,7 +23,7 @@ fn load(dir: &Path, file: &str) -> Image<Srgb> {
 }
 
 #[test]
-fn the_same_seed_gives_the_same_bytes_and_another_does_not() {
+fn equal_seeds_give_equal_bytes_and_other_seeds_do_not() {
     let dirs: Vec<_> = (0..3).map(|_| tempfile::tempdir().unwrap()).collect();
     for (dir, seed) in dirs.iter().zip([1, 1, 2]) {
         generate(&small(seed), dir.path()).unwrap();
@@ -39,7 +39,7 @@ fn the_same_seed_gives_the_same_bytes_and_another_does_not() {
 }
 
 #[test]
-fn the_layout_is_lush_nerfs_and_the_poses_are_the_cameras() {
+fn the_layout_is_lush_nerfs_and_the_poses_are_exact() {
     let dir = tempfile::tempdir().unwrap();
     let summary = generate(&small(4), dir.path()).unwrap();
     let rows = read_poses_bounds(&dir.path().join("poses_bounds.npy")).unwrap();
@@ -56,10 +56,10 @@ fn the_layout_is_lush_nerfs_and_the_poses_are_the_cameras() {
 }
 
 #[test]
-fn every_layout_is_read_back_with_its_truth_and_its_cameras() {
+fn every_layout_round_trips_with_truth_and_cameras() {
     for layout in Layout::ALL {
         let dir = tempfile::tempdir().unwrap();
-        // A photograph of a capture has 64 px at least.
+        // Photographs of a capture need at least 64 px.
         let options = SynthOptions {
             layout,
             height: 64,
@@ -108,7 +108,7 @@ fn every_view_has_near_neighbours_on_both_sides() {
 }
 
 #[test]
-fn without_blur_and_noise_the_dark_image_is_the_truth_under_the_exposure() {
+fn without_blur_and_noise_the_dark_image_is_the_scaled_truth() {
     let dir = tempfile::tempdir().unwrap();
     let options = SynthOptions {
         blur: 0.0,
@@ -120,7 +120,7 @@ fn without_blur_and_noise_the_dark_image_is_the_truth_under_the_exposure() {
     let truth = load(dir.path(), "HL/001.png");
     let cut = truth.to_linear().map(|v| 0.25 * v).to_srgb();
     let dark = load(dir.path(), "images/001.png");
-    // What is left is the sampling and the dark image's 8 bits.
+    // Only the sampling and the dark image's 8 bits remain.
     let unexposed = psnr(&dark, &truth);
     assert!(
         psnr(&dark, &cut) > unexposed + 8.0,
@@ -130,7 +130,7 @@ fn without_blur_and_noise_the_dark_image_is_the_truth_under_the_exposure() {
 }
 
 #[test]
-fn blur_and_noise_each_take_the_image_away_from_the_truth() {
+fn blur_and_noise_each_degrade_the_image() {
     let dir = tempfile::tempdir().unwrap();
     let distance = |blur, noise| {
         generate(
@@ -170,7 +170,7 @@ fn options_out_of_range_are_refused_by_name() {
 }
 
 #[test]
-fn other_rooms_are_others_and_the_same_every_time() {
+fn numbered_rooms_differ_and_are_reproducible() {
     let dirs: Vec<_> = (0..4).map(|_| tempfile::tempdir().unwrap()).collect();
     for (dir, number) in dirs.iter().zip([0, 5, 5, 6]) {
         let room = RoomChoice::Numbered(number);
@@ -216,7 +216,7 @@ fn a_papered_room_shows_its_photographs() {
 }
 
 #[test]
-fn the_furnished_room_is_lit_and_full_of_things_and_is_asked_for_by_name() {
+fn the_study_is_chosen_by_name_lit_and_full_of_detail() {
     let dir = tempfile::tempdir().unwrap();
     let room: RoomChoice = "study".parse().unwrap();
     assert_eq!(room, RoomChoice::Study);
@@ -242,7 +242,7 @@ fn the_furnished_room_is_lit_and_full_of_things_and_is_asked_for_by_name() {
     let mean = values.iter().sum::<f32>() / values.len() as f32;
     assert!((0.25..0.6).contains(&mean), "{mean}");
     assert!(share(|v| v >= 0.999) < 0.05 && share(|v| v < 0.02) < 0.05);
-    // Edges everywhere: without them nothing finds its place in it.
+    // Edges everywhere: without them no camera can be located.
     let [w, h] = [image.width(), image.height()];
     let green = image.plane(1);
     let blocks = (0..h / 10).flat_map(|y| (0..w / 10).map(move |x| (10 * x, 10 * y)));

@@ -1,11 +1,11 @@
-//! Albedo: painted corners and blobs at every scale, so that features are found near and far, sharp
-//! and blurred; or photographs on the walls.
+//! Albedo: painted corners and blobs at every scale, so that features exist near and far, sharp and
+//! blurred; or photographs on the walls.
 
 use glam::{DVec2, IVec2};
 
 use crate::image::{Image, Linear};
 
-/// A reproducible number in 0..1 of a cell and a salt.
+/// A reproducible number in 0..1 for a cell and a salt.
 pub(super) fn hash(cell: IVec2, salt: u32) -> f64 {
     let mut h = (cell.x as u32).wrapping_mul(0x9e37_79b1)
         ^ (cell.y as u32).wrapping_mul(0x85eb_ca77).rotate_left(13)
@@ -20,14 +20,14 @@ pub(super) fn hash(cell: IVec2, salt: u32) -> f64 {
     f64::from(h) / f64::from(u32::MAX)
 }
 
-/// The cell of `p` in a grid of `size`, and the position in it, 0..1.
+/// The cell of `p` in a grid with cells of `size`, and the position in it, 0..1.
 pub(super) fn cell(p: DVec2, size: f64) -> (IVec2, DVec2) {
     let scaled = p / size;
     let floor = scaled.floor();
     (floor.as_ivec2(), scaled - floor)
 }
 
-/// Values between 0 and 1 that change smoothly, by as much as one over a distance of 1.
+/// Smooth values between 0 and 1, which change by up to one over a distance of 1.
 fn smooth(p: DVec2, salt: u32) -> f64 {
     let (corner, inside) = cell(p, 1.0);
     let share = inside * inside * (3.0 - 2.0 * inside);
@@ -38,13 +38,14 @@ fn smooth(p: DVec2, salt: u32) -> f64 {
     row(0) + share.y * (row(1) - row(0))
 }
 
-/// The same with detail down to an eighth: 0 to 1, rarely near either.
+/// Like `smooth`, with detail down to an eighth: 0 to 1, rarely near either.
 pub(super) fn rough(p: DVec2, salt: u32) -> f64 {
     let octave = |n: i32| smooth(p * 2f64.powi(n), salt.wrapping_add(n as u32)) * 0.5f64.powi(n);
     (0..4).map(octave).sum::<f64>() / 1.875
 }
 
-/// One layer: in each cell a disc or a turned square of random place, size and tone, or nothing.
+/// One layer: each cell has a disc or a rotated square of random position, size and tone, or
+/// nothing.
 fn shapes(p: DVec2, size: f64, salt: u32) -> Option<[f64; 3]> {
     let (cell, inside) = cell(p, size);
     let random = |k: u32| hash(cell, salt.wrapping_mul(31).wrapping_add(k));
@@ -68,10 +69,10 @@ fn shapes(p: DVec2, size: f64, salt: u32) -> Option<[f64; 3]> {
     })
 }
 
-/// Albedo, linear light, at `p` in world units of a surface. The finest layer on top.
+/// Albedo, linear light, at `p` in world units of a surface. The finest layer is on top.
 ///
-/// Cell sizes are factors of about 2.4 apart, from a wall's quarter to the few centimetres that a
-/// close camera resolves; `scale` multiplies them all.
+/// Cell sizes differ by factors of about 2.4, from a quarter of a wall to the few centimetres that
+/// a close camera resolves; `scale` multiplies them all.
 pub(super) fn albedo(p: DVec2, base: [f64; 3], salt: u32, scale: f64) -> [f64; 3] {
     let layers = [1.9, 0.8, 0.34, 0.145];
     let mut colour = base;
@@ -84,9 +85,9 @@ pub(super) fn albedo(p: DVec2, base: [f64; 3], salt: u32, scale: f64) -> [f64; 3
     colour
 }
 
-/// Albedo, linear light, at `p` in world units of a surface with one of `photographs` on it (`salt`
-/// says which), again and again, every second one mirrored so that no seam shows. A photograph's
-/// pixel is `TEXEL * scale` world units wide.
+/// Albedo, linear light, at `p` in world units of a surface tiled with one of `photographs`
+/// (selected by `salt`), every second one mirrored so that no seam shows. A photograph's pixel is
+/// `TEXEL * scale` world units wide.
 pub(super) fn wallpaper(
     p: DVec2,
     photographs: &[Image<Linear>],
@@ -114,7 +115,7 @@ pub(super) fn wallpaper(
 /// Side of a photograph's pixel on a wall, world units.
 const TEXEL: f64 = 0.01;
 
-/// Albedo of a papered surface where its photograph is white.
+/// Albedo of a surface where its photograph is white.
 const WALLPAPER_WHITE: f64 = 0.9;
 
 #[cfg(test)]
@@ -122,7 +123,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn roughness_stays_within_its_bounds_and_has_no_steps() {
+    fn roughness_is_bounded_and_has_no_steps() {
         let at = |i: i32| rough(DVec2::new(0.01 * f64::from(i), 0.3), 5);
         let values: Vec<f64> = (-500..500).map(at).collect();
         assert!(values.iter().all(|v| (0.0..=1.0).contains(v)));
@@ -136,14 +137,14 @@ mod tests {
     }
 
     #[test]
-    fn wallpaper_has_no_seams_and_may_be_of_one_pixel() {
+    fn wallpaper_has_no_seams_and_may_be_one_pixel() {
         let mut photograph = Image::<Linear>::new(5, 3);
         for (x, y) in (0..15).map(|i| (i % 5, i / 5)) {
             photograph.set(x, y, [0.2 * x as f32, 0.4 * y as f32, 0.5]);
         }
         let at = |p: DVec2| wallpaper(p, std::slice::from_ref(&photograph), 7, 1.0);
-        // Neighbours differ by at most what they differ by in the photograph, over three
-        // repetitions of it.
+        // Neighbouring points differ by no more than in the photograph, over three repetitions of
+        // it.
         for step in 0..300 {
             let p = 0.001 * f64::from(step) * DVec2::ONE;
             let (a, b) = (at(p), at(p + 0.001));

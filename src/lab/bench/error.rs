@@ -1,4 +1,4 @@
-//! Why nothing was measured.
+//! Errors of a benchmark.
 
 use fled_gpu::GpuError;
 
@@ -9,19 +9,19 @@ use fled_core::image::ImageError;
 use fled_core::reconstruct::ReconstructError;
 use fled_core::render::SplatError;
 
-/// Why nothing was measured.
+/// The reason why nothing was measured.
 #[derive(Debug, thiserror::Error)]
 pub enum BenchError {
-    /// The device.
+    /// A device error.
     #[error(transparent)]
     Gpu(#[from] GpuError),
-    /// Training.
+    /// Training failed.
     #[error(transparent)]
     Reconstruct(#[from] ReconstructError),
-    /// Rendering.
+    /// Rendering failed.
     #[error(transparent)]
     Render(#[from] SplatError),
-    /// Asked to stop.
+    /// The caller cancelled the benchmark.
     #[error(transparent)]
     Cancelled(#[from] Cancelled),
     /// The scene of a finished run cannot be read.

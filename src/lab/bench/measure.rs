@@ -1,4 +1,4 @@
-//! Steps a second without timestamps, then the time of every kernel with them.
+//! Measures steps per second without timestamps, then the time of every kernel with them.
 
 use std::collections::BTreeMap;
 use std::time::Instant;
@@ -11,22 +11,22 @@ use super::subject::Subject;
 use fled_core::cancel::CancelToken;
 use fled_core::splat::rasterize::SplatCounts;
 
-/// Steps before anything counts: kernels are compiled and buffers grown in them.
+/// Steps before the measurement, which compile kernels and grow buffers.
 const WARM_UP: u32 = 3;
-/// Fewer steps have no median worth the name. A step that alone is longer than the budget is made
-/// once.
+/// Least number of steps, since fewer have no meaningful median. A step that alone exceeds the
+/// budget runs once.
 const LEAST: u32 = 3;
 
-/// What was found out about one case.
+/// The measurements of one case.
 #[derive(Clone, Debug)]
 pub(super) struct Measured {
-    /// Steps without timestamps.
+    /// Number of steps without timestamps.
     pub(super) steps: u32,
-    /// Seconds they took together.
+    /// Seconds of all of them.
     pub(super) seconds: f64,
-    /// `None` where the device has no timestamps.
+    /// `None` if the device has no timestamps.
     pub(super) profiled: Option<Profiled>,
-    /// Of the step whose number of intersections is the middle one: views differ a little.
+    /// Counts of the step with the median number of intersections: views differ a little.
     pub(super) counts: Option<SplatCounts>,
 }
 
@@ -34,11 +34,11 @@ pub(super) struct Measured {
 #[derive(Clone, Debug)]
 pub(super) struct Profiled {
     pub(super) steps: u32,
-    /// Seconds of a step on the host's clock.
+    /// Seconds per step on the host's clock.
     pub(super) wall: f64,
-    /// Seconds of all kernels of a step.
+    /// Seconds of all kernels per step.
     pub(super) kernels: f64,
-    /// Name, seconds and dispatches of a step; the longest first.
+    /// Name, seconds and dispatches per step; the longest first.
     pub(super) rows: Vec<(&'static str, f64, u64)>,
 }
 
@@ -71,8 +71,8 @@ pub(super) fn measure(
     })
 }
 
-/// The first steps, two at least: the first compiles the kernels. Returns the seconds of the last
-/// of them.
+/// Runs the first steps, at least two because the first compiles the kernels. Returns the seconds
+/// of the last one.
 fn warm_up(
     subject: &mut impl Subject,
     budget: Budget,
@@ -130,8 +130,8 @@ fn profile(
     })
 }
 
-/// The medians of every kernel, the longest first. A kernel that does not run in a step took
-/// nothing in it.
+/// The medians of every kernel, the longest first. A kernel that does not run in a step counts as 0
+/// there.
 fn rows(
     kernels: BTreeMap<&'static str, Vec<(f64, u64)>>,
     steps: u32,
@@ -152,7 +152,7 @@ fn rows(
     rows
 }
 
-/// The middle of the values, the upper one of two; 0 of none.
+/// The median, the upper one of two; 0 without values.
 pub(super) fn median(mut values: Vec<f64>) -> f64 {
     values.sort_by(f64::total_cmp);
     values.get(values.len() / 2).copied().unwrap_or_default()
@@ -168,13 +168,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_kernel_that_runs_in_one_step_of_four_has_a_median_of_nothing() {
+    fn a_kernel_in_one_step_of_four_has_a_median_of_zero() {
         let kernels = BTreeMap::from([("always", vec![(1.0, 2); 4]), ("once", vec![(9.0, 1)])]);
         assert_eq!(rows(kernels, 4), [("always", 1.0, 2), ("once", 0.0, 0)]);
     }
 
     #[test]
-    fn the_median_is_not_moved_by_one_long_step() {
+    fn one_long_step_does_not_move_the_median() {
         assert_eq!(median(vec![1.0, 500.0, 2.0]), 2.0);
         assert_eq!(median(Vec::new()), 0.0);
     }

@@ -1,12 +1,12 @@
-//! What to measure, and for how long.
+//! The options of a benchmark.
 
 use serde::Serialize;
 
-/// Most steps of a case, so that warm-up and both halves of a case lie inside the round.
+/// Most steps of a case, so that warm-up and both halves of a case are within the round.
 pub const MOST_STEPS: u32 = 2_000;
 
-/// How long a case takes, twice: once without timestamps, once with them. What comes first ends it,
-/// after three steps, or after one that is longer than the seconds.
+/// The length of each half of a case, without and with timestamps. The first limit to be reached
+/// ends it, after at least three steps, or one if that exceeds the seconds.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Budget {
     /// Seconds.
@@ -15,14 +15,14 @@ pub struct Budget {
     pub steps: u32,
 }
 
-/// What to measure.
+/// The options of a benchmark.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct BenchOptions {
     /// Widths and heights of the images, px.
     pub sizes: Vec<(usize, usize)>,
-    /// Numbers of Gaussians, and of keys to sort.
+    /// Numbers of Gaussians, and of sorted keys.
     pub gaussians: Vec<usize>,
-    /// How long a case takes.
+    /// The length of a case.
     pub budget: Budget,
     /// Seed of the synthetic scenes.
     pub seed: u64,
@@ -44,7 +44,7 @@ impl Default for BenchOptions {
 }
 
 impl BenchOptions {
-    /// One small size and a few steps: shows that everything runs, and measures little.
+    /// One small size and a few steps: a smoke test rather than a measurement.
     pub fn quick() -> Self {
         Self {
             sizes: vec![(280, 160)],

@@ -1,4 +1,4 @@
-//! What a bench leaves: one JSON, and the table of it.
+//! The result of a benchmark as JSON.
 
 use std::collections::BTreeMap;
 
@@ -11,56 +11,56 @@ use super::roofline::Peak;
 use fled_core::metrics;
 use fled_core::noise::NoiseMode;
 
-/// Version of the shape of the JSON.
+/// Version of the JSON schema.
 const FORMAT: u32 = 2;
 
-/// The whole of a bench.
+/// The result of a benchmark.
 #[derive(Clone, Debug, Serialize)]
 pub struct Report {
-    /// Version of this shape.
+    /// Version of the schema.
     pub format: u32,
     /// Version of fled.
     pub fled: &'static str,
-    /// Where it ran.
+    /// The machine.
     pub machine: Machine,
-    /// What was asked for.
+    /// The requested options.
     pub options: BenchOptions,
-    /// What the device can do at all.
+    /// The device's limits.
     pub roofline: Roofline,
-    /// In the order in which they ran.
+    /// Cases in the order of execution.
     pub cases: Vec<Case>,
     /// A whole job on a capture.
     pub job: Option<JobTimes>,
-    /// Most bytes of memory that the process had resident; `None` where the system does not say.
+    /// Peak resident memory of the process; `None` if the system does not report it.
     pub peak_resident_bytes: Option<u64>,
 }
 
-/// Where a bench ran.
+/// The machine of a benchmark.
 #[derive(Clone, Debug, Serialize)]
 pub struct Machine {
     /// Name of the device.
     pub adapter: String,
     /// Driver and its version.
     pub driver: String,
-    /// `vulkan`.
+    /// The graphics API, such as `vulkan`.
     pub backend: String,
     /// Kind of hardware.
     pub device_type: String,
-    /// Least and most invocations of a subgroup; `None` without subgroups.
+    /// Least and greatest number of invocations in a subgroup; `None` without subgroups.
     pub subgroup: Option<(u32, u32)>,
-    /// Whether the device has a clock for kernels.
+    /// Whether the device has timestamps for kernels.
     pub timestamps: bool,
-    /// Threads of the host's processor.
+    /// Number of hardware threads of the host.
     pub threads: usize,
 }
 
-/// What the device can do at all: medians of what was measured before, between and after the cases.
+/// The device's limits: medians of measurements before, between and after the cases.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Roofline {
-    /// Arithmetic of a kernel of fused multiply-adds, 10^9 operations a second (a multiply-add is
+    /// Arithmetic of a kernel of fused multiply-adds, 10^9 operations per second (a multiply-add is
     /// two).
     pub fma_gflops: f64,
-    /// Bytes that a kernel that copies reads and writes, 10^9 a second.
+    /// Bytes read and written by a copy kernel, 10^9 per second.
     pub copy_gb_per_second: f64,
     #[serde(skip)]
     all: Vec<Peak>,
@@ -69,34 +69,34 @@ pub struct Roofline {
 /// One case.
 #[derive(Clone, Debug, Serialize)]
 pub struct Case {
-    /// For people.
+    /// Name for people.
     pub name: String,
     /// `train`, `render`, `ssim` or `sort`.
     pub task: &'static str,
-    /// The noise field, when something is trained.
+    /// The noise field, for training.
     pub noise: Option<NoiseMode>,
-    /// Whether the shake of the views is explained, when something is trained.
+    /// Whether kernels explain the shake of the views, for training.
     pub shake: Option<bool>,
-    /// Gaussians that touch a tile, in the middle one of the measured steps.
+    /// Gaussians that touch a tile, in the median of the measured steps.
     pub visible: Option<usize>,
     /// Pairs of a splat and a tile, in the same step.
     pub intersections: Option<usize>,
-    /// Steps, images or sorts a second, without timestamps.
+    /// Steps, images or sorts per second, without timestamps.
     pub steps_per_second: f64,
-    /// The reciprocal, ms.
+    /// The reciprocal of `steps_per_second`, ms.
     pub milliseconds: f64,
-    /// How many were made for that.
+    /// Number of these steps.
     pub steps: u32,
-    /// How many were made with timestamps.
+    /// Number of steps with timestamps.
     pub profiled_steps: u32,
-    /// Median of such a step on the host's clock, ms: longer, for every kernel waits for the one
-    /// before.
+    /// Median of these steps on the host's clock, ms: longer, because every kernel waits for the
+    /// previous one.
     pub profiled_milliseconds: Option<f64>,
-    /// Median of the sum of a step's kernels, ms.
+    /// Median of the sum of the kernels in a step, ms.
     pub kernel_milliseconds: Option<f64>,
-    /// Most bytes in buffers on the device.
+    /// Peak bytes in buffers on the device.
     pub gpu_peak_bytes: u64,
-    /// The longest first; empty on a device without timestamps.
+    /// Kernels, the longest first; empty on a device without timestamps.
     pub kernels: Vec<KernelRow>,
 }
 
@@ -105,38 +105,39 @@ pub struct Case {
 pub struct KernelRow {
     /// `family/verb`.
     pub kernel: &'static str,
-    /// ms a step, all dispatches together.
+    /// Time per step, ms, of all dispatches together.
     pub milliseconds: f64,
     /// Share of the sum of the rows, 0..=1.
     pub share: f64,
-    /// Dispatches a step.
+    /// Dispatches per step.
     pub dispatches: u64,
-    /// Its time over that in which the roofline kernel that copies reads and writes a megabyte.
+    /// Time as a multiple of that in which the roofline's copy kernel reads and writes a megabyte.
     pub copies: f64,
-    /// Its time over that in which the roofline kernel of arithmetic makes a million operations.
+    /// Time as a multiple of that in which the roofline's arithmetic kernel does a million
+    /// operations.
     pub fmas: f64,
 }
 
 /// A whole job, from the photographs to the result.
 #[derive(Clone, Debug, Serialize)]
 pub struct JobTimes {
-    /// Preset.
+    /// Name of the preset.
     pub preset: String,
-    /// Registered views.
+    /// Number of registered views.
     pub views: u32,
-    /// Rounds.
+    /// Number of rounds.
     pub rounds: usize,
     /// Training steps of all rounds.
     pub steps: u64,
-    /// Gaussians of the last round.
+    /// Number of Gaussians in the last round.
     pub gaussians: u64,
-    /// Training steps a second in the last round.
+    /// Training steps per second in the last round.
     pub steps_per_second: f64,
     /// Wall seconds by stage, as in `metrics.json`.
     pub stages: BTreeMap<String, f64>,
     /// Wall seconds of the job.
     pub seconds: f64,
-    /// Most bytes in buffers on the device.
+    /// Peak bytes in buffers on the device.
     pub gpu_peak_bytes: u64,
 }
 
@@ -154,11 +155,11 @@ impl Report {
         }
     }
 
-    /// Relates every kernel to the roofline, and notes the process's memory.
+    /// Relates every kernel to the roofline, and records the process's memory.
     pub(super) fn relate(&mut self) {
         let roofline = &self.roofline;
         for row in self.cases.iter_mut().flat_map(|case| &mut case.kernels) {
-            // 10^9 a second are a million in a millisecond.
+            // 10^9 per second are a million per millisecond.
             row.copies = row.milliseconds * roofline.copy_gb_per_second;
             row.fmas = row.milliseconds * roofline.fma_gflops;
         }
@@ -232,7 +233,7 @@ fn kernels(profiled: &Profiled) -> Vec<KernelRow> {
 }
 
 impl JobTimes {
-    /// From the report of a finished run that took `seconds`.
+    /// Reads the report of a finished run that took `seconds`.
     pub fn new(preset: &str, report: &metrics::Report, seconds: f64, gpu_peak_bytes: u64) -> Self {
         let last = report.rounds.last();
         Self {
@@ -249,7 +250,7 @@ impl JobTimes {
     }
 }
 
-/// Most bytes that this process had resident, as Linux counts them.
+/// Peak resident bytes of this process, according to Linux.
 fn peak_resident() -> Option<u64> {
     parse_peak(&std::fs::read_to_string("/proc/self/status").ok()?)
 }
@@ -271,7 +272,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_peak_of_the_process_is_read_in_bytes() {
+    fn the_peak_of_the_process_is_parsed_in_bytes() {
         assert_eq!(
             parse_peak("VmPeak:\t 90 kB\nVmHWM:\t   12 kB\n"),
             Some(12_288)

@@ -1,5 +1,4 @@
-//! What the device can do at all: the most arithmetic and the most bandwidth that a plain kernel
-//! gets.
+//! The device's limits: the highest arithmetic and bandwidth of a plain kernel.
 
 use std::time::Instant;
 
@@ -16,22 +15,23 @@ const COPY: Kernel = Kernel::new(
 
 /// `FMAS` of shaders/bench/fma.wgsl.
 const FMAS: u64 = 24;
-/// Invocations of the kernel of arithmetic: they fill the largest devices.
+/// Invocations of the arithmetic kernel, enough to fill the largest devices.
 const INVOCATIONS: usize = 1 << 18;
-/// Rounds are added until the kernel takes so many seconds: far above the cost of a dispatch.
+/// Least seconds of the arithmetic kernel, far above the cost of a dispatch; it runs more rounds
+/// until it takes that long.
 const LONG_ENOUGH: f64 = 4e-3;
 const MOST_ROUNDS: u32 = 1 << 16;
-/// Bytes that are copied: more than the caches of large devices hold.
+/// Number of copied bytes, more than the caches of large devices hold.
 const COPIED: u64 = 128 << 20;
-/// Times of each, of which the median counts.
+/// Number of repetitions, whose median counts.
 const REPEATS: usize = 7;
 
-/// Operations and bytes a second.
+/// Operations and bytes per second.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Peak {
-    /// Operations a second; a fused multiply-add is two.
+    /// Operations per second; a fused multiply-add is two.
     pub(super) operations: f64,
-    /// Bytes read and written a second.
+    /// Bytes read and written per second.
     pub(super) bytes: f64,
 }
 
@@ -47,7 +47,7 @@ struct RooflineUniform {
 
 impl RooflineUniform {
     fn new(count: usize, rounds: u32) -> Self {
-        // Chains run towards 500: neither overflow nor numbers that are slow for being small.
+        // Chains converge to 500: they neither overflow nor become slow subnormal numbers.
         Self {
             count: count as u32,
             rounds,
@@ -102,7 +102,7 @@ fn typical(gpu: &Gpu, recording: &Recording) -> Result<f64, GpuError> {
     Ok(median(times).max(1e-9))
 }
 
-/// Seconds of one submission: of the device's clock, or of the host's where the device has none.
+/// Seconds of one submission by the device's clock, or by the host's if the device has none.
 fn seconds(gpu: &Gpu, recording: &Recording) -> Result<f64, GpuError> {
     gpu.profile(true);
     let begin = Instant::now();
@@ -120,13 +120,13 @@ fn seconds(gpu: &Gpu, recording: &Recording) -> Result<f64, GpuError> {
 mod tests {
     use super::*;
 
-    /// Not the device of other tests: a device is profiled as a whole.
+    /// A separate device: profiling covers the whole device.
     fn gpu() -> Gpu {
         Gpu::new("auto").expect("GPU tests need a Vulkan adapter; lavapipe will do")
     }
 
     #[test]
-    fn the_uniform_has_the_layout_of_the_shaders() {
+    fn the_uniform_has_the_shaders_layout() {
         let (_, fma) = FMA.reflect().expect("valid");
         let (_, copy) = COPY.reflect().expect("valid");
         assert_eq!(fma.constant("FMAS"), Some(FMAS as f64));

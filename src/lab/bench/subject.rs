@@ -1,4 +1,4 @@
-//! What is measured: things that can be done again and again.
+//! The subjects of a benchmark: repeatable work.
 
 use fled_gpu::{Buffer, Gpu, GpuError, Recording};
 use rand::{RngExt, SeedableRng};
@@ -14,15 +14,15 @@ use fled_core::render::{Renderer, UploadedGaussians};
 use fled_core::splat::rasterize::SplatCounts;
 use fled_core::splat::sort::{Counters, FIXED, RadixSort, SCAN, SortParameters};
 
-/// Bits of the keys that are sorted by themselves, as of depths.
+/// Bits of the keys in the benchmark of sorting, as for depths.
 const KEY_BITS: u32 = 32;
 
 /// Work that can be repeated.
 pub(super) trait Subject {
-    /// Does it `times` times and waits for the last.
+    /// Runs it `times` times and waits for the last.
     fn repeat(&mut self, times: u32) -> Result<(), BenchError>;
 
-    /// Counts of the splats that the last run blended, where it blended any.
+    /// Counts of the splats blended by the last run, if it blended any.
     fn counts(&self) -> Result<Option<SplatCounts>, BenchError> {
         Ok(None)
     }
@@ -44,7 +44,7 @@ impl Subject for Training<'_> {
     }
 }
 
-/// Images of a scene, read back.
+/// Images of a scene, including the read-back.
 pub(super) struct Rendering<'a> {
     renderer: Renderer,
     scene: UploadedGaussians,
@@ -127,7 +127,7 @@ impl Sorting {
         let unsorted: Vec<u32> = (0..keys).map(|_| random.random()).collect();
         let unsorted: Buffer<u32> = gpu.upload("unsorted keys", &unsorted)?;
         let mut recorder = gpu.recorder();
-        // Each time the same keys: what is sorted already is read in another pattern.
+        // The same keys each time: sorted ones would have another access pattern.
         recorder.copy(&unsorted, sort.keys(), keys)?;
         sort.record(&mut recorder, &counters)?;
         Ok(Self {
@@ -143,7 +143,7 @@ impl Subject for Sorting {
     }
 }
 
-/// Writes the number of keys where the sort looks for it.
+/// Writes the number of keys to the sort's counter.
 fn count(gpu: &Gpu, counters: &Counters, keys: usize) -> Result<(), GpuError> {
     let total = gpu.upload("total", &[keys as u32])?;
     let (shift, per_block) = (0, 1);

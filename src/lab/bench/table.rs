@@ -1,11 +1,11 @@
-//! The report as one table: a line a case, and below it one a kernel.
+//! The report as one table: a line per case, followed by one per kernel.
 
 use std::fmt::Write;
 
 use super::report::{Case, JobTimes, KernelRow, Report};
 use fled_core::event::Stage;
 
-/// The columns, with their widths in `row`.
+/// The columns; `row` has their widths.
 const HEAD: [&str; 6] = [
     "",
     "ms a step",
@@ -16,7 +16,7 @@ const HEAD: [&str; 6] = [
 ];
 
 impl Report {
-    /// The report for people.
+    /// The report as text.
     pub fn table(&self) -> String {
         let mut out = head(self);
         out += &row(&HEAD.map(str::to_owned));
@@ -157,7 +157,7 @@ fn megabytes(bytes: u64) -> String {
     format!("{:.1}", bytes as f64 / 1e6)
 }
 
-/// Appends a line; a string takes everything.
+/// Appends a line; writing to a string cannot fail.
 fn line(out: &mut String, text: std::fmt::Arguments<'_>) {
     let written = writeln!(out, "{text}");
     debug_assert!(written.is_ok());

@@ -1,5 +1,5 @@
-//! The bench on a tiny scene. A device is profiled as a whole, so these tests do not share that of
-//! the others.
+//! Tests of the benchmark on a tiny scene, on a separate device, because profiling covers the whole
+//! device.
 
 use std::sync::OnceLock;
 
@@ -29,7 +29,7 @@ fn report() -> Report {
 }
 
 #[test]
-fn every_case_has_kernels_whose_sum_lies_within_the_step_and_the_table_shows_them() {
+fn every_case_and_its_kernels_are_in_the_table() {
     let report = report();
     let names: Vec<_> = report.cases.iter().map(|case| case.task).collect();
     assert_eq!(names, ["train", "render", "train", "train", "ssim", "sort"]);
@@ -65,7 +65,7 @@ fn every_case_has_kernels_whose_sum_lies_within_the_step_and_the_table_shows_the
 }
 
 #[test]
-fn a_step_of_training_blends_and_updates_and_what_it_explains_adds_its_kernels() {
+fn the_extras_of_a_training_step_add_their_kernels() {
     let report = report();
     let kernels = |case: usize| {
         report.cases[case]
@@ -101,7 +101,7 @@ fn a_step_of_training_blends_and_updates_and_what_it_explains_adds_its_kernels()
 }
 
 #[test]
-fn a_made_up_scene_is_the_same_again_and_touches_as_many_tiles_as_a_trained_one() {
+fn synthetic_scenes_are_reproducible_and_like_trained_ones() {
     let gpu = &gpu();
     let options = BenchOptions {
         sizes: vec![(280, 160)],
@@ -131,7 +131,7 @@ fn a_made_up_scene_is_the_same_again_and_touches_as_many_tiles_as_a_trained_one(
 }
 
 #[test]
-fn the_json_says_null_where_there_is_nothing() {
+fn the_json_has_null_for_missing_values() {
     let json = serde_json::to_value(report()).expect("JSON");
     assert_eq!(json["format"], 2);
     assert_eq!(json["cases"][0]["noise"], "off");
@@ -139,7 +139,7 @@ fn the_json_says_null_where_there_is_nothing() {
 }
 
 #[test]
-fn nothing_to_measure_and_a_raised_token_are_errors() {
+fn empty_options_and_cancellation_are_errors() {
     let gpu = &gpu();
     let none = BenchOptions {
         sizes: Vec::new(),

@@ -1,4 +1,4 @@
-//! Scenes to measure on: one made up from a seed, the same on every machine, or that of a finished
+//! Scenes to measure: a synthetic one from a seed, the same on every machine, or that of a finished
 //! run.
 
 use std::path::Path;
@@ -17,23 +17,22 @@ use fled_core::render::Renderer;
 
 /// Degree of the harmonics in synthetic scenes: the paper's.
 const SH_DEGREE: u32 = 3;
-/// Views of a made-up scene: more cost memory and change nothing.
+/// Views of a synthetic scene: more would cost memory and change nothing.
 const VIEWS: usize = 3;
-/// Half the sides of the box that the Gaussians lie in, world units; the cameras stand 3 before its
+/// Half the sides of the box around the Gaussians, world units; the cameras are 3 in front of its
 /// middle.
 const BOX: [f64; 3] = [1.6, 0.95, 1.0];
-/// Median scale of a Gaussian when there are 10,000, world units. Chosen so that they touch 3.5
-/// tiles each at 280x160, as in trained scenes (31,000 to 46,000 intersections of 10,000
-/// Gaussians).
+/// Median scale of a Gaussian among 10,000, world units, chosen so that they touch 3.5 tiles each
+/// at 280x160, as in trained scenes (31,000 to 46,000 intersections of 10,000 Gaussians).
 const SCALE: f64 = 0.024;
 /// Length of the shake of a shaken view, as a share of its width: 5 px at 280.
 const SHAKEN: f64 = 0.018;
 
-/// A scene with the views it is trained on.
+/// A scene with its training views.
 pub struct Workload {
-    /// For people.
+    /// Name for people.
     pub name: String,
-    /// Views to train on.
+    /// Training views.
     pub views: Vec<TrainingView>,
     /// The scene.
     pub gaussians: Gaussians,
@@ -42,12 +41,12 @@ pub struct Workload {
 }
 
 impl Workload {
-    /// `gaussians` random Gaussians in a box before three cameras of `size` px. The more there are,
-    /// the smaller they are, as in trained scenes; the views are renders of the scene itself, so it
-    /// stays about what it is while it is trained.
+    /// `gaussians` random Gaussians in a box in front of three cameras of `size` px. The more there
+    /// are, the smaller they are, as in trained scenes. The views are renders of the scene itself,
+    /// so training hardly changes it.
     ///
     /// # Errors
-    /// Rendering; out of memory above all.
+    /// Rendering failed, typically out of memory.
     pub fn synthetic(
         gpu: &Gpu,
         size: (usize, usize),
@@ -109,7 +108,7 @@ impl Workload {
         ))
     }
 
-    /// Shakes every view along a line of its own, so that there is a shake to be found.
+    /// Shakes every view along its own line, so that there is a shake to estimate.
     pub fn shake(&mut self) {
         for (index, view) in self.views.iter_mut().enumerate() {
             let angle = 1.0 + 2.0 * index as f64;
@@ -145,7 +144,7 @@ impl Workload {
     }
 }
 
-/// The mean of the light along a line, as long as [`SHAKEN`] of the width.
+/// The mean of the light along a line with a length of [`SHAKEN`] times the width.
 fn shaken(image: &Image, angle: f64) -> Image {
     let (width, height) = (image.width(), image.height());
     let light = image.to_linear();
@@ -171,7 +170,7 @@ fn shaken(image: &Image, angle: f64) -> Image {
     sum.to_srgb()
 }
 
-/// Cameras on an arc, a sixth of a radian apart, with a lens as wide as the image is far.
+/// Cameras on an arc, a sixth of a radian apart, with a focal length of the image's width.
 fn camera(index: usize, (width, height): (usize, usize)) -> Camera {
     let focal = width as f64;
     let (cx, cy) = (0.5 * width as f64, 0.5 * height as f64);
@@ -199,7 +198,7 @@ fn random_scene(count: usize, seed: u64) -> Gaussians {
     let row = 3 * out.coefficients();
     for _ in 0..count {
         out.means.push(BOX.map(|half| (half * signed()) as f32));
-        // Flat and long ones, as trained scenes are made of.
+        // Flat and long Gaussians, as in trained scenes.
         out.log_scales
             .push([0; 3].map(|_| (log_scale + 0.8 * signed()) as f32));
         out.quats.push([0; 4].map(|_| signed() as f32));

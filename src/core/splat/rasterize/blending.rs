@@ -1,4 +1,4 @@
-//! The kernels that blend, and which of them suits an adapter.
+//! The blending kernels, and the choice among them for an adapter.
 
 use fled_gpu::{AdapterInfo, Binding, DeviceType, Kernel, read, read_write, uniform};
 
@@ -14,8 +14,8 @@ const FORWARD_BINDINGS: &[Binding] = &[
     read_write("transmittance"),
     read_write("last"),
 ];
-// All kernels that blend are unchecked: they index private and workgroup arrays by loop counters
-// and lanes, and storage below its `arrayLength`; their loops run over ranges that are cut to it.
+// All blending kernels are unchecked: they index private and workgroup arrays by loop counters and
+// lanes, and storage below its `arrayLength`; their loops run over ranges clipped to it.
 const RASTERIZE: Kernel = Kernel::new("splat/rasterize", FORWARD_BINDINGS).unchecked();
 const RASTERIZE_WALK: Kernel = Kernel::new("splat/rasterize_walk", FORWARD_BINDINGS).unchecked();
 const BACKWARD_BINDINGS: &[Binding] = &[
@@ -38,33 +38,33 @@ const RASTERIZE_BACKWARD_WALK: Kernel =
 const RASTERIZE_BACKWARD_GENERIC: Kernel =
     Kernel::new("splat/rasterize_backward_generic", BACKWARD_BINDINGS).unchecked();
 
-/// Pixels that a subgroup blends where it walks.
+/// Pixels that a subgroup blends if it walks.
 pub(super) const HALF_TILE: u32 = TILE * TILE / 2;
 
-/// Which specialisation of the blending kernels runs. All give the same image to 1e-5.
+/// The specialisation of the blending kernels. All give the same image to 1e-5.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Specialisation {
-    /// Consecutive pixels an invocation: 4, 8 or 16.
+    /// Consecutive pixels per invocation: 4, 8 or 16.
     pub pixels: u32,
-    /// Lanes of a subgroup when the backward reduces over it: 8, 16, 32 or 64; `None`: workgroup
-    /// memory.
+    /// Lanes of a subgroup if the backward pass reduces over it: 8, 16, 32 or 64; `None` reduces in
+    /// workgroup memory.
     pub subgroup: Option<u32>,
-    /// Whether a subgroup blends half a tile by itself, with the splats in its registers, instead
-    /// of a workgroup a tile with the splats in its memory. Needs a subgroup of 128 / `pixels`.
+    /// Whether each subgroup blends half a tile, with the splats in its registers, instead of each
+    /// workgroup a tile with the splats in its memory. Needs a subgroup of 128 / `pixels`.
     pub walks: bool,
 }
 
 impl Specialisation {
-    /// What suits the adapter. Software Vulkan wants few invocations with much work each (measured:
-    /// the module's benchmark), a GPU many.
+    /// The specialisation for an adapter. Software Vulkan needs few invocations with much work each
+    /// (measured by the module's benchmark), a GPU many.
     pub fn for_adapter(info: &AdapterInfo) -> Self {
         let on_cpu = info.device_type == DeviceType::Cpu;
-        // A subgroup's size must be known when the shader is compiled.
+        // The shader is compiled for a known size of subgroups.
         let known = info
             .subgroup
             .filter(|(least, most)| least == most && *least >= 8)
             .map(|(size, _)| size);
-        // Half a tile a subgroup, of vectors of four pixels.
+        // Each subgroup takes half a tile, in vectors of four pixels.
         let walks = on_cpu && known.is_some_and(|size| matches!(size, 8 | 16 | 32));
         let pixels = match known {
             Some(size) if walks => HALF_TILE / size,
@@ -80,8 +80,8 @@ impl Specialisation {
         }
     }
 
-    /// Splats between two reductions: as many as fit 32 KiB of workgroup memory, and at most one an
-    /// invocation.
+    /// Number of splats between two reductions: as many as fit into 32 KiB of workgroup memory, and
+    /// at most one per invocation.
     fn group(self) -> u32 {
         let width = TILE * TILE / self.pixels;
         if self.subgroup.is_none() && width >= 64 {

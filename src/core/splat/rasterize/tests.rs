@@ -1,4 +1,5 @@
-//! The rasteriser on the device against the f64 reference, from the device's own projection.
+//! Tests of the rasteriser on the device against the f64 reference, from the device's own
+//! projection.
 
 mod edges;
 mod times;
@@ -16,7 +17,7 @@ use crate::splat::reference::{Blended, Projected, ProjectedGradient, blend, blen
 use crate::splat::rows::DeviceGaussians;
 use crate::splat::uniform::{CameraUniform, TILE};
 
-/// What one run left on the device.
+/// The results of one run on the device.
 struct Run {
     projected: Vec<Option<Projected>>,
     image: Vec<f32>,
@@ -80,7 +81,7 @@ impl Case {
             .record(&mut recorder, &projection, &buffers, &image_gradient)
             .unwrap();
         let recording = recorder.finish();
-        // Twice: nothing may depend on what the last step left behind.
+        // Twice: no result may depend on the leftovers of the previous step.
         recording.submit().unwrap();
         recording.submit().unwrap();
         let tile_counts = projection
@@ -111,7 +112,7 @@ fn rows(projected: &[[f32; 4]], tile_counts: &[u32]) -> Vec<Option<Projected>> {
 }
 
 impl Run {
-    /// A Gaussian's rows summed, as the projection's backward does.
+    /// The summed rows of each Gaussian, as in the projection's backward pass.
     fn gradients(&self) -> Vec<[f64; SLOT_ROW]> {
         let sum = |g: usize| {
             let mut sum = [0.0; SLOT_ROW];
@@ -132,7 +133,7 @@ fn flat(g: &ProjectedGradient) -> [f64; SLOT_ROW] {
     [x, y, a, b, c, red, green, blue, g.opacity]
 }
 
-/// All that this adapter can run.
+/// All specialisations that this adapter can run.
 fn specialisations() -> Vec<Specialisation> {
     let subgroup = Specialisation::for_adapter(fixtures::gpu().describe()).subgroup;
     let plain = |subgroup: Option<u32>| {
@@ -160,7 +161,7 @@ fn specialisations() -> Vec<Specialisation> {
 }
 
 #[test]
-fn every_kind_of_adapter_gets_kernels_that_fit_its_subgroups() {
+fn every_adapter_gets_kernels_that_fit_its_subgroups() {
     let chosen = |device_type, subgroup| {
         let info = AdapterInfo {
             device_type,
@@ -182,7 +183,7 @@ fn every_kind_of_adapter_gets_kernels_that_fit_its_subgroups() {
     assert_eq!(chosen(cpu, None), (16, None, false));
     assert_eq!(chosen(card, Some((32, 32))), (4, Some(32), false));
     assert_eq!(chosen(card, Some((64, 64))), (4, Some(64), false));
-    // Sizes that vary from kernel to kernel.
+    // The size varies from kernel to kernel.
     assert_eq!(chosen(card, Some((8, 32))), (4, None, false));
 }
 
@@ -191,7 +192,7 @@ fn chosen() -> Specialisation {
 }
 
 #[test]
-fn image_and_transmittance_equal_the_reference_at_a_size_that_is_no_multiple_of_a_tile() {
+fn image_and_transmittance_match_the_reference_at_odd_sizes() {
     let scene = Case::new(fixtures::gaussians(1500, 1, 3), 141, 93);
     let run = scene.run(chosen());
     assert!(
@@ -209,7 +210,7 @@ fn image_and_transmittance_equal_the_reference_at_a_size_that_is_no_multiple_of_
 }
 
 #[test]
-fn gradients_equal_the_reference_in_every_column() {
+fn gradients_match_the_reference_in_every_column() {
     let scene = Case::new(fixtures::gaussians(1500, 1, 3), 141, 93);
     let run = scene.run(chosen());
     let upstream: Vec<_> = scene.image_gradient.iter().map(|&v| f64::from(v)).collect();
@@ -224,7 +225,7 @@ fn gradients_equal_the_reference_in_every_column() {
 }
 
 #[test]
-fn before_a_background_image_and_gradients_equal_the_reference() {
+fn image_and_gradients_over_a_background_match_the_reference() {
     let black = Case::new(fixtures::gaussians(60, 0, 3), 96, 64);
     let scene = Case {
         background: [0.9, 0.2, 0.6],

@@ -71,9 +71,9 @@ fn objective(splats: &[Splat], view: &Viewpoint, weights: &[f64]) -> f64 {
         .sum()
 }
 
-/// Share of numbers whose analytic gradient differs from the central difference. Cut-offs of alpha
-/// make the image jump by at most 1/255, which a central difference cannot see through: those
-/// outliers are counted.
+/// Share of values whose analytic gradient differs from the central difference. Cut-offs of alpha
+/// make the image jump by at most 1/255, which breaks central differences; such outliers are
+/// tolerated by counting.
 fn outlier_share(analytic: &[f64], numeric: &[f64]) -> f64 {
     let scale = numeric.iter().map(|v| v.abs()).fold(0.0, f64::max);
     let off = analytic
@@ -101,7 +101,7 @@ fn numeric_gradient(splats: &[Splat], index: usize, view: &Viewpoint, weights: &
 }
 
 #[test]
-fn gradients_of_the_whole_render_equal_central_differences() {
+fn gradients_of_the_whole_render_match_central_differences() {
     let view = view();
     let splats = splats(8, 5);
     let mut random = Random(11);
@@ -126,11 +126,11 @@ fn gradients_of_the_whole_render_equal_central_differences() {
 }
 
 #[test]
-fn projection_gradients_equal_central_differences_on_and_off_the_clamp() {
+fn projection_gradients_match_differences_at_any_clamp() {
     let view = view();
     let mut random = Random(3);
     let mut list = splats(12, 21);
-    // Far outside the field of view, where the slope is clamped, and large enough to reach in.
+    // Far outside the field of view, where the slope is clamped, and large enough to reach into it.
     for splat in list.iter_mut().take(4) {
         splat.mean = [5.0, 0.2, 0.1];
         splat.log_scale = [0; 3].map(|_| 1.0 + 0.2 * random.signed());
@@ -199,7 +199,7 @@ fn harmonics_are_orthonormal_over_the_sphere() {
 }
 
 #[test]
-fn a_splat_behind_the_camera_or_poisoned_is_culled() {
+fn splats_behind_the_camera_and_poisoned_ones_are_culled() {
     let view = view();
     let good = &splats(1, 5)[0];
     let mut list = vec![good.clone(); 5];

@@ -1,4 +1,4 @@
-//! How a piece of furniture is put together.
+//! The builder of pieces of furniture.
 
 use glam::{DMat3, DVec3};
 use rand::{RngExt, SeedableRng};
@@ -16,7 +16,7 @@ pub(super) const BRASS: [f64; 3] = [0.48, 0.33, 0.10];
 /// Collects the solids of a piece of furniture.
 pub(super) struct Builder {
     rng: Pcg64Mcg,
-    /// What was built since they were last taken.
+    /// The solids added since they were last taken.
     pub solids: Vec<Solid>,
     salt: u32,
 }
@@ -93,7 +93,7 @@ impl Builder {
     }
 }
 
-/// A place of a piece of furniture that is turned about the vertical.
+/// A point of a piece of furniture that is rotated about the vertical.
 pub(super) fn placed(origin: [f64; 3], turn: f64, offset: [f64; 3]) -> [f64; 3] {
     (DVec3::from(origin) + DMat3::from_rotation_y(turn) * DVec3::from(offset)).to_array()
 }

@@ -1,4 +1,4 @@
-//! What stands along the walls: a cabinet, a lamp, a plant.
+//! Furniture along the walls: a cabinet, a lamp, a plant.
 
 use std::f64::consts::TAU;
 
@@ -21,7 +21,7 @@ pub(super) fn cabinet(b: &mut Builder) {
         let knob = x + if index == 0 { 0.2 } else { -0.2 };
         b.ball([knob, 0.95, 2.25], 0.025, Paint::Plain, BRASS);
     }
-    // A globe, a small lamp, a vase, and books that lie.
+    // A globe, a small lamp, a vase, and lying books.
     b.block([0.8, 0.5, 2.5], [0.09, 0.02, 0.09], Paint::Wood(0), WALNUT);
     b.ball([0.8, 0.28, 2.5], 0.19, Paint::Patterned, [0.10, 0.22, 0.34]);
     b.block([2.35, 0.42, 2.5], [0.02, 0.12, 0.02], Paint::Plain, BRASS);

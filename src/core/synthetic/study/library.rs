@@ -40,7 +40,7 @@ pub(super) fn books(b: &mut Builder) {
         while x < right - 0.12 {
             let middle = 0.5 * (left + right);
             let thick = b.random(0.018, 0.042);
-            // The upright in the middle, and a gap now and then.
+            // Leaves out the upright in the middle, and an occasional gap.
             if (x - 0.03..x + 2.0 * thick + 0.03).contains(&middle) {
                 x = middle + 0.035;
                 continue;
@@ -61,7 +61,7 @@ pub(super) fn books(b: &mut Builder) {
     }
 }
 
-/// Something that is no book.
+/// An ornament between the books.
 fn ornament(b: &mut Builder, [x, y, z]: [f64; 3], row: usize) {
     let colour = b.cloth();
     match row % 3 {

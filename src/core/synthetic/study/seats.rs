@@ -1,4 +1,4 @@
-//! Chair, table, stool, and what lies about.
+//! Chair, table, stool, and small objects.
 
 use glam::{DMat3, DVec3};
 
@@ -82,7 +82,7 @@ pub(super) fn table(b: &mut Builder) {
         let cloth = b.cloth();
         b.turned(place, [0.17, 0.029, 0.12], turn + more, Paint::Book, cloth);
     }
-    // A bowl of fruit, a cup, and the day's paper.
+    // A bowl of fruit, a cup, and a newspaper.
     let bowl = placed(origin, turn, [0.22, 0.79, 0.06]);
     b.ellipsoid(
         bowl,
@@ -156,7 +156,7 @@ pub(super) fn toys(b: &mut Builder) {
         Paint::Woven,
         [0.30, 0.10, 0.12],
     );
-    // Logs before the bricks.
+    // Logs in front of the bricks.
     for (index, (y, z)) in [
         (1.3, 0.1),
         (1.3, 0.32),

@@ -1,4 +1,4 @@
-//! What hangs on the walls, and the window.
+//! Objects on the walls, and the window.
 
 use std::f64::consts::FRAC_PI_2;
 

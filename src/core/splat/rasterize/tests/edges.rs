@@ -1,4 +1,4 @@
-//! Nothing to see, too much to see, and what does not fit.
+//! Tests of edge cases: empty images, covering splats, and overflow.
 
 use super::*;
 
@@ -28,7 +28,7 @@ fn a_splat_over_all_tiles_covers_the_image() {
 }
 
 #[test]
-fn a_camera_inside_a_splat_sees_it_and_those_at_and_behind_its_centre_are_left_out() {
+fn a_camera_sees_the_splat_it_is_in_but_none_behind_it() {
     let mut gaussians = fixtures::gaussians(60, 0, 3);
     let camera = fixtures::viewpoint(90, 70).camera;
     let at = |depth: f64| {
@@ -52,7 +52,7 @@ fn a_camera_inside_a_splat_sees_it_and_those_at_and_behind_its_centre_are_left_o
 }
 
 #[test]
-fn an_overflow_is_counted_exactly_and_enough_room_repairs_it() {
+fn an_overflow_is_counted_exactly_and_more_room_fixes_it() {
     let mut scene = Case::new(fixtures::gaussians(500, 0, 9), 96, 64);
     let enough = scene.run(chosen());
     scene.intersections = 300;
@@ -65,7 +65,7 @@ fn an_overflow_is_counted_exactly_and_enough_room_repairs_it() {
 }
 
 #[test]
-fn a_tile_counted_but_not_emitted_changes_no_pixel_and_has_zero_gradients() {
+fn a_tile_counted_but_not_emitted_has_no_effect() {
     let gpu = fixtures::gpu();
     let gaussians = fixtures::gaussians(400, 0, 3);
     let (n, width, height) = (gaussians.len(), 96, 64);
@@ -83,7 +83,7 @@ fn a_tile_counted_but_not_emitted_changes_no_pixel_and_has_zero_gradients() {
         intersections: 20_000,
     };
     let buffers = SplatBuffers::new(gpu, sizes, true).unwrap();
-    // Rows that nobody writes keep this.
+    // Mark the rows, so that unwritten ones are visible.
     buffers.slots.write(&vec![[7.0; SLOT_ROW]; 20_000]).unwrap();
     let gradient = gpu
         .upload("image gradient", &vec![1.0_f32; 3 * width * height])

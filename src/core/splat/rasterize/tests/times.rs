@@ -1,4 +1,4 @@
-//! How long blending takes.
+//! Benchmark of blending.
 
 use std::time::Instant;
 
@@ -6,7 +6,7 @@ use fled_gpu::{Gpu, Recording};
 
 use super::*;
 
-/// Measured, and then profiled, so many times.
+/// Number of measured, and then of profiled runs.
 const RUNS: f64 = 20.0;
 
 /// Prints times. Run with `cargo test --release -p fled-core blending_times -- --ignored
@@ -68,7 +68,7 @@ fn blending_times() {
     }
 }
 
-/// Seconds of the fastest of some runs; afterwards as many are profiled.
+/// Seconds of the fastest of several runs; then profiles as many.
 fn shortest(gpu: &Gpu, recording: &Recording) -> f64 {
     let runs = 0..RUNS as u32;
     recording.submit().unwrap();
