@@ -1,4 +1,4 @@
-//! Storage on the device, counted in elements.
+//! Buffers on the device, counted in elements.
 
 use std::marker::PhantomData;
 use std::sync::{Arc, mpsc};
@@ -35,7 +35,7 @@ impl<T> Clone for Buffer<T> {
 pub struct RawBuffer {
     pub(crate) raw: wgpu::Buffer,
     pub(crate) label: &'static str,
-    /// Bytes of an element.
+    /// Bytes per element.
     pub(crate) stride: u64,
     /// Bytes in use; the allocation is never smaller than 16.
     pub(crate) bytes: u64,
@@ -43,7 +43,7 @@ pub struct RawBuffer {
     _counted: Arc<Reservation>,
 }
 
-/// Anything that a dispatch can bind: every [`Buffer`].
+/// A buffer that a dispatch can bind: every [`Buffer`].
 pub trait Bind: sealed::Sealed {}
 
 pub(crate) mod sealed {
@@ -66,12 +66,11 @@ impl<T: Pod> Buffer<T> {
         self.len
     }
 
-    /// Whether it has no element.
     pub fn is_empty(&self) -> bool {
         self.len == 0
     }
 
-    /// Writes elements from `offset` on, before all work that is submitted later.
+    /// Writes elements from `offset` on, before all work submitted later.
     ///
     /// # Errors
     /// [`GpuError::Validation`] past the end or when the range is no multiple of 4 bytes; a device
@@ -94,7 +93,7 @@ impl<T: Pod> Buffer<T> {
         self.gpu.check()
     }
 
-    /// Writes elements from the first on, before all work that is submitted later.
+    /// Writes elements from the first on, before all work submitted later.
     ///
     /// # Errors
     /// As [`Buffer::write_at`].
@@ -102,7 +101,7 @@ impl<T: Pod> Buffer<T> {
         self.write_at(0, values)
     }
 
-    /// Sets every byte to zero, before all work that is submitted later.
+    /// Sets every byte to zero, before all work submitted later.
     ///
     /// # Errors
     /// A device error.
@@ -112,7 +111,7 @@ impl<T: Pod> Buffer<T> {
         recorder.submit().map(|_| ())
     }
 
-    /// All elements, after everything that was submitted before.
+    /// Reads all elements, after all work submitted before.
     ///
     /// # Errors
     /// A device error.
@@ -120,7 +119,7 @@ impl<T: Pod> Buffer<T> {
         self.start_read(self.len)?.wait()
     }
 
-    /// Starts to copy the first `count` elements back; the device goes on meanwhile.
+    /// Starts copying back the first `count` elements, without blocking the device.
     ///
     /// # Errors
     /// A device error, or [`GpuError::Validation`] past the end.
@@ -142,7 +141,7 @@ impl<T: Pod> Buffer<T> {
         let submission = Submission(self.gpu.inner.queue.submit([encoder.finish()]));
         let (sender, mapped) = mpsc::channel();
         staging.map_async(wgpu::MapMode::Read, .., move |result| {
-            // The receiver is gone when the read-back was dropped: nobody waits for it.
+            // The receiver is gone if the read-back was dropped.
             let _ = sender.send(result.is_ok());
         });
         self.gpu.check()?;
@@ -158,7 +157,7 @@ impl<T: Pod> Buffer<T> {
     }
 }
 
-/// Elements on their way from the device.
+/// Elements that are being copied from the device.
 pub struct ReadBack<T> {
     gpu: Gpu,
     staging: wgpu::Buffer,
@@ -170,7 +169,7 @@ pub struct ReadBack<T> {
 }
 
 impl<T: Pod> ReadBack<T> {
-    /// The elements; waits for the copy, but for nothing submitted after it.
+    /// Waits for the copy, but for nothing submitted after it, and returns the elements.
     ///
     /// # Errors
     /// A device error.
@@ -186,7 +185,7 @@ impl<T: Pod> ReadBack<T> {
             .staging
             .get_mapped_range(..)
             .map_err(|error| GpuError::Validation(format!("mapped range: {error}")))?;
-        // The mapping need not be aligned for T, so it is copied byte-wise.
+        // The mapping may be unaligned for T, so it is copied byte by byte.
         let mut values = vec![T::zeroed(); self.count];
         let bytes: &mut [u8] = bytemuck::cast_slice_mut(&mut values);
         let count = bytes.len();
@@ -196,10 +195,10 @@ impl<T: Pod> ReadBack<T> {
 }
 
 impl Gpu {
-    /// A buffer of `len` zeroed elements.
+    /// Creates a buffer of `len` zeroed elements.
     ///
     /// # Errors
-    /// [`GpuError::TooLarge`] above what the adapter can bind, [`GpuError::OutOfMemory`].
+    /// [`GpuError::TooLarge`] above the adapter's binding limit, [`GpuError::OutOfMemory`].
     pub fn create<T: Pod>(&self, label: &'static str, len: usize) -> Result<Buffer<T>, GpuError> {
         let stride = size_of::<T>() as u64;
         let bytes = len as u64 * stride;
@@ -233,7 +232,7 @@ impl Gpu {
         })
     }
 
-    /// A buffer with these elements.
+    /// Creates a buffer with these elements.
     ///
     /// # Errors
     /// As [`Gpu::create`].
@@ -250,7 +249,7 @@ impl Gpu {
         usage: wgpu::BufferUsages,
     ) -> Result<(wgpu::Buffer, Reservation), GpuError> {
         self.check()?;
-        // A binding must not be empty; uniform structs are multiples of 16.
+        // A binding must not be empty, and uniform structs are multiples of 16 bytes.
         let size = bytes.next_multiple_of(16).max(16);
         let device = &self.inner.device;
         let memory = device.push_error_scope(wgpu::ErrorFilter::OutOfMemory);

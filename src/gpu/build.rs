@@ -1,4 +1,4 @@
-//! Lists every file under `shaders/` so that the crate embeds them through one table.
+//! Generates a table of every file under `shaders/`, which the crate embeds.
 
 use std::path::{Path, PathBuf};
 use std::{env, fs};
@@ -27,7 +27,7 @@ fn main() {
     fs::write(out, table).expect("OUT_DIR can be written");
 }
 
-/// Appends every `.wgsl` file below `folder` and asks cargo to watch the folders.
+/// Appends every `.wgsl` file below `folder` and makes cargo watch the folders.
 fn collect(folder: &Path, files: &mut Vec<PathBuf>) {
     println!("cargo::rerun-if-changed={}", folder.display());
     for entry in fs::read_dir(folder).expect("shaders/ stands at the top level") {

@@ -1,4 +1,4 @@
-//! From a row of a kernel table to a pipeline, once a kernel.
+//! Compiles a row of a kernel table into a pipeline, once per kernel.
 
 use std::sync::{Arc, PoisonError};
 
@@ -10,12 +10,12 @@ impl Gpu {
     /// Compiles a kernel now instead of at its first dispatch.
     ///
     /// # Errors
-    /// [`GpuError::Shader`] when the shader is invalid or differs from its row.
+    /// [`GpuError::Shader`] when the shader is invalid or contradicts its row.
     pub fn prepare(&self, kernel: &Kernel) -> Result<(), GpuError> {
         self.pipeline(kernel).map(|_| ())
     }
 
-    /// The compiled kernel, from the cache when it was made before.
+    /// The compiled kernel, cached after its first use.
     pub(crate) fn pipeline(&self, kernel: &Kernel) -> Result<Arc<Pipeline>, GpuError> {
         let mut pipelines = self
             .inner
@@ -32,10 +32,10 @@ impl Gpu {
 
     fn compile(&self, kernel: &Kernel) -> Result<Pipeline, GpuError> {
         let (mut text, reflection) = kernel.reflect()?;
-        // Mesa's software driver specialises a kernel for the uniforms it meets, and beyond some
-        // thousand of them compiles at every dispatch. Storage it leaves alone. Measured with 22.3
-        // on fox, `preview`, noise field on: 10.8 steps/s with storage, 3.8 after 265 steps and
-        // falling with uniforms.
+        // Mesa's software driver specialises a kernel for its uniforms, and beyond some thousand
+        // specialisations compiles at every dispatch; storage buffers avoid that. Measured with
+        // 22.3 on fox, `preview`, noise field on: 10.8 steps/s with storage; 3.8 after 265 steps
+        // and falling with uniforms.
         let stored = self.describe().device_type == DeviceType::Cpu;
         if stored {
             text = text.replace("var<uniform>", "var<storage, read>");
@@ -91,10 +91,10 @@ fn create_module(device: &wgpu::Device, kernel: &Kernel, text: String) -> wgpu::
     if !kernel.unchecked {
         return device.create_shader_module(descriptor);
     }
-    // SAFETY: a caller of `Kernel::unchecked` promises that every index is below its array's length
-    // and that every loop ends, whatever the buffers hold; each call says why that is so. What it
-    // buys, measured on lavapipe, blending 280x160 px with 32,000 intersections: 1.6 instead of 2.3
-    // CPU-s for 41 steps.
+    // SAFETY: callers of `Kernel::unchecked` guarantee that every index is below its array's length
+    // and that every loop ends, whatever the buffers hold; each call explains why. Measured gain on
+    // lavapipe, blending 280x160 px with 32,000 intersections: 1.6 instead of 2.3 CPU-s for 41
+    // steps.
     unsafe {
         device.create_shader_module_trusted(descriptor, wgpu::ShaderRuntimeChecks::unchecked())
     }

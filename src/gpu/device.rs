@@ -1,4 +1,4 @@
-//! The one device of a process.
+//! The device of a process.
 
 use std::collections::HashMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -11,11 +11,10 @@ use crate::profile::Profile;
 use crate::tally::Tally;
 use crate::{GpuError, Kernel};
 
-/// Longest wait for the device: far above any step, far below a person's patience with a hung
-/// driver.
+/// Longest wait for the device: far above any step, yet short enough for a hung driver.
 const TIMEOUT: Duration = Duration::from_secs(300);
 
-/// A handle of the device. Cloning is cheap and shares everything.
+/// A handle of the device. Clones are cheap and share everything.
 #[derive(Clone)]
 pub struct Gpu {
     pub(crate) inner: Arc<Inner>,
@@ -25,7 +24,7 @@ pub(crate) struct Inner {
     pub(crate) device: wgpu::Device,
     pub(crate) queue: wgpu::Queue,
     info: AdapterInfo,
-    /// The first fault that no call could return at once.
+    /// The first fault that no call could return immediately.
     fault: Arc<Mutex<Option<GpuError>>>,
     pub(crate) pipelines: Mutex<HashMap<Kernel, Arc<Pipeline>>>,
     pub(crate) groups: Arc<Groups>,
@@ -33,19 +32,19 @@ pub(crate) struct Inner {
     pub(crate) tally: Arc<Tally>,
 }
 
-/// What the device is and what it offers.
+/// The device and its capabilities.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AdapterInfo {
     /// Name of the device.
     pub name: String,
     /// Driver and its version.
     pub driver: String,
-    /// `vulkan`.
+    /// The graphics API, such as `vulkan`.
     pub backend: String,
     /// Kind of hardware.
     pub device_type: DeviceType,
-    /// Smallest and largest number of invocations in a subgroup; `None` when subgroups are not
-    /// offered.
+    /// Smallest and largest number of invocations in a subgroup; `None` without support for
+    /// subgroups.
     pub subgroup: Option<(u32, u32)>,
     /// Largest storage binding, bytes.
     pub max_binding: u64,
@@ -75,8 +74,8 @@ pub enum DeviceType {
 }
 
 impl Gpu {
-    /// Opens an adapter: `"auto"` takes the best kind of hardware, anything else the first adapter
-    /// whose name contains it, letter case aside.
+    /// Opens an adapter: the best kind of hardware for `"auto"`, else the first adapter whose name
+    /// contains the text, ignoring case.
     ///
     /// # Errors
     /// [`GpuError::NoAdapter`] when none fits or the device cannot be opened.
@@ -84,16 +83,16 @@ impl Gpu {
         Self::binding_at_most(adapter, u64::MAX)
     }
 
-    /// The same as if the adapter could bind `most` bytes at most: what happens beyond a binding is
-    /// seen with little memory.
+    /// Like [`Gpu::new`], with the adapter's binding limit reduced to `most` bytes, so that tests
+    /// reach it with little memory.
     ///
     /// # Errors
     /// As [`Gpu::new`].
     pub fn binding_at_most(adapter: &str, most: u64) -> Result<Self, GpuError> {
         let mut descriptor = wgpu::InstanceDescriptor::new_without_display_handle();
         descriptor.backends = wgpu::Backends::VULKAN;
-        // Checking every indirect dispatch costs a dispatch more each; the kernels that write the
-        // arguments fold them below 65,535 a dimension (shared/grid.wgsl).
+        // Validation of indirect dispatches costs an additional dispatch each; the kernels that
+        // write the arguments fold them below 65,535 per dimension (shared/grid.wgsl).
         descriptor
             .flags
             .remove(wgpu::InstanceFlags::VALIDATION_INDIRECT_CALL);
@@ -103,12 +102,12 @@ impl Gpu {
         open(&adapter, most)
     }
 
-    /// What the device is.
+    /// The device and its capabilities.
     pub fn describe(&self) -> &AdapterInfo {
         &self.inner.info
     }
 
-    /// The first fault that the device reported out of band; it stays.
+    /// The first fault that the device reported asynchronously; it persists.
     ///
     /// # Errors
     /// [`GpuError::DeviceLost`], [`GpuError::OutOfMemory`] or [`GpuError::Validation`].
@@ -121,7 +120,7 @@ impl Gpu {
         fault.clone().map_or(Ok(()), Err)
     }
 
-    /// Waits until everything submitted is done.
+    /// Waits until all submitted work is done.
     ///
     /// # Errors
     /// [`GpuError::Timeout`] or a device error.
@@ -129,7 +128,7 @@ impl Gpu {
         self.poll(None)
     }
 
-    /// Waits until one submission is done.
+    /// Waits until a submission is done.
     ///
     /// # Errors
     /// As [`Gpu::wait`].
@@ -143,7 +142,7 @@ impl Gpu {
             submission_index,
             timeout: Some(TIMEOUT),
         };
-        // wgpu panics inside `poll` when the device is lost; that is an error like any other here.
+        // wgpu panics inside `poll` when the device is lost; here that is an ordinary error.
         let polled = catch_unwind(AssertUnwindSafe(|| self.inner.device.poll(wait)));
         self.check()?;
         match polled {
@@ -157,7 +156,7 @@ impl Gpu {
         }
     }
 
-    /// Gives the device up, as a driver crash would: everything afterwards is
+    /// Destroys the device, as if the driver had crashed: all later calls return
     /// [`GpuError::DeviceLost`].
     pub fn lose(&self) {
         self.inner.device.destroy();
@@ -168,7 +167,7 @@ impl Gpu {
     }
 }
 
-/// Work handed to the device.
+/// Work submitted to the device.
 #[derive(Clone, Debug)]
 pub struct Submission(pub(crate) wgpu::SubmissionIndex);
 
@@ -260,7 +259,7 @@ fn open(adapter: &wgpu::Adapter, most: u64) -> Result<Gpu, GpuError> {
     })
 }
 
-/// Keeps the first fault: the later ones follow from it.
+/// Keeps only the first fault, because later ones follow from it.
 fn note(slot: &Mutex<Option<GpuError>>, error: GpuError) {
     tracing::error!(%error, "GPU fault");
     slot.lock()

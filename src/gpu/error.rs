@@ -1,22 +1,22 @@
-//! What can go wrong on a GPU.
+//! Errors of the GPU.
 
-/// Everything this crate reports. No fault of a device or driver is a panic.
+/// All errors of this crate. No fault of a device or driver causes a panic.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum GpuError {
-    /// No adapter offers what is needed, or none has the name asked for.
+    /// No adapter meets the requirements, or none has the requested name.
     #[error("no usable GPU adapter ({reason}); found: {}", list(.found))]
     NoAdapter {
-        /// Why none was taken.
+        /// The reason.
         reason: String,
-        /// Names of the adapters that are there.
+        /// Names of the available adapters.
         found: Vec<String>,
     },
-    /// The device has no memory left for a buffer.
+    /// The device ran out of memory.
     #[error("out of GPU memory at `{label}` ({bytes} bytes)")]
     OutOfMemory {
-        /// What was being made.
+        /// The buffer being created.
         label: String,
-        /// Its size; 0 when the driver did not say.
+        /// Its size; 0 if the driver did not report it.
         bytes: u64,
     },
     /// A buffer is larger than the adapter can bind.
@@ -24,18 +24,18 @@ pub enum GpuError {
     TooLarge {
         /// The buffer.
         label: String,
-        /// Bytes asked for.
+        /// Requested bytes.
         bytes: u64,
-        /// Bytes the adapter allows.
+        /// The adapter's limit in bytes.
         limit: u64,
     },
-    /// The device is gone: driver crash, reset, or unplugged. Nothing made from it works any more.
+    /// The device is gone: driver crash, reset, or unplugged. Its resources no longer work.
     #[error("the GPU device was lost: {0}")]
     DeviceLost(String),
     /// The device did not finish in time.
     #[error("the GPU did not finish within {seconds} s")]
     Timeout {
-        /// How long was waited.
+        /// The time limit.
         seconds: u64,
     },
     /// A shader does not parse, validate or compile, or differs from its row of the kernel table.
@@ -43,18 +43,18 @@ pub enum GpuError {
     Shader {
         /// Name in the table.
         name: String,
-        /// The compiler's words, or the difference.
+        /// The compiler's message, or the contradiction.
         message: String,
     },
-    /// A dispatch was given the wrong buffers.
+    /// A dispatch received wrong buffers.
     #[error("dispatch of `{kernel}`: {message}")]
     Binding {
         /// The kernel.
         kernel: String,
-        /// Which binding and why.
+        /// The binding and the reason.
         message: String,
     },
-    /// A wrong use of the device: a fault of ours.
+    /// Invalid use of the device: a bug in fled.
     #[error("GPU validation: {0}")]
     Validation(String),
 }

@@ -1,7 +1,6 @@
-//! Bind groups, kept as long as all of their buffers are.
+//! Bind groups, cached as long as all of their buffers live.
 //!
-//! Work that is recorded anew mostly binds the same buffers to the same kernels, so there is
-//! nothing to make anew.
+//! New recordings mostly bind the same buffers to the same kernels, and so reuse their groups.
 
 use std::collections::HashMap;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -9,8 +8,8 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 
 use crate::pipeline::Pipeline;
 
-/// A pipeline by its address, for it lives as long as the device, and the numbers of the buffers
-/// that are bound to it.
+/// The address of a pipeline, which lives as long as the device, and the numbers of the buffers
+/// bound to it.
 type Key = (usize, Vec<u64>);
 
 /// The bind groups of one device.
@@ -19,7 +18,7 @@ pub(crate) struct Groups(Mutex<HashMap<Key, wgpu::BindGroup>>);
 
 static NEXT: AtomicU64 = AtomicU64::new(0);
 
-/// What tells an allocation from all others. With its last clone the groups of the allocation go.
+/// The identity of an allocation. Dropping its last clone removes the allocation's groups.
 #[derive(Clone)]
 pub(crate) struct Identity(Arc<Owned>);
 
@@ -29,7 +28,7 @@ struct Owned {
 }
 
 impl Identity {
-    /// Of a new allocation, whose groups will be among these.
+    /// A new identity, whose groups will be cached in `groups`.
     pub(crate) fn new(groups: &Arc<Groups>) -> Self {
         let number = NEXT.fetch_add(1, Ordering::Relaxed);
         Self(Arc::new(Owned {
@@ -77,7 +76,6 @@ impl Groups {
         self.kept().entry(key).or_insert_with(make).clone()
     }
 
-    /// How many are kept.
     #[cfg(test)]
     pub(crate) fn len(&self) -> usize {
         self.kept().len()

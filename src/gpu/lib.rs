@@ -1,9 +1,9 @@
-//! Buffers, shaders and kernels on wgpu. Knows nothing of splats; wgpu types never leave it.
+//! Buffers, shaders and kernels on wgpu. Independent of splats; no wgpu type is public.
 //!
 //! A kernel is one file `shaders/<family>/<verb>.wgsl` with the entry point `main` and its bindings
-//! in group 0, numbered from 0. Every file under `shaders/` is embedded by itself; one test
-//! validates all. `#import shared/grid.wgsl` inserts another file, once. The Rust module that uses
-//! the kernel owns its row:
+//! in group 0, numbered from 0. Every file under `shaders/` is embedded separately, and one test
+//! validates them all. `#import shared/grid.wgsl` inserts another file, once. The Rust module that
+//! uses the kernel owns its row:
 //!
 //! ```
 //! use fled_gpu::{Gpu, Kernel, read, read_write, uniform};
@@ -31,22 +31,22 @@
 //! ```
 //!
 //! - Buffers are bound in the order of the table. A dispatch checks their number, the element size
-//!   against the shader's (one must divide the other), and that nothing written is bound twice. The
-//!   row itself is checked against the shader when the kernel is compiled (names, order, access).
-//! - `kernel.with(&[("PIXELS", 8)])` replaces the value of the line `const PIXELS: u32 = 4;` (no
-//!   `override`); such a constant may size arrays and workgroups.
+//!   against the shader's (one must divide the other), and that no written buffer is bound twice.
+//!   The row itself is checked against the shader when the kernel is compiled (names, order,
+//!   access).
+//! - `kernel.with(&[("PIXELS", 8)])` replaces the value of the line `const PIXELS: u32 = 4;` (not
+//!   an `override`); such a constant may size arrays and workgroups.
 //! - `dispatch_indirect(&kernel, &buffers, &arguments, index)` reads three u32 of a `Buffer<u32>`;
-//!   the kernel that is dispatched must not bind that buffer for writing.
-//! - A command sees what the commands before it wrote. `Buffer::write` comes before everything that
-//!   is submitted later. `Buffer::read` waits; `start_read(n)?` ... `.wait()?` does not hold up the
-//!   device.
-//! - A [`Recording`] is submitted once a step; what changes (camera, step number) is written into
-//!   buffers.
-//! - [`Rows`] are an array that is split into buffers where the adapter binds less than all of it.
+//!   the dispatched kernel must not bind that buffer for writing.
+//! - Commands see the results of earlier commands. `Buffer::write` precedes all work submitted
+//!   later. `Buffer::read` waits; `start_read(n)?` ... `.wait()?` does not block the device.
+//! - A [`Recording`] is submitted once per step; changing values (camera, step number) are written
+//!   into buffers.
+//! - [`Rows`] is an array split into several buffers if it exceeds the adapter's binding limit.
 //! - An empty buffer has room for 16 bytes: take counts from a uniform, not from `arrayLength`.
-//! - [`Kernel::reflect`] gives struct layouts, bindings and constants to compare with Rust in a
-//!   test.
-//! - Subgroup operations are there when [`AdapterInfo::subgroup`] is `Some`; a kernel that uses
+//! - [`Kernel::reflect`] returns struct layouts, bindings and constants for comparisons with Rust
+//!   in tests.
+//! - Subgroup operations are available if [`AdapterInfo::subgroup`] is `Some`; a kernel that uses
 //!   them needs a second file without. `@builtin(subgroup_invocation_id)` needs a one-dimensional
 //!   workgroup.
 //! - `gpu.profile(true)` ... `gpu.profiled()` times each kernel; `gpu.memory()` counts the bytes in

@@ -1,27 +1,26 @@
-//! What the buffers of a device take.
+//! Memory use of a device's buffers.
 
 use crate::Gpu;
 
-/// Bytes in buffers that fled-gpu made: storage and read-backs. What the driver takes beside them
-/// (pipelines, staging of writes, padding) is not seen from here, nor are the timestamps of a
-/// profiled submission.
+/// Bytes in buffers created by fled-gpu: storage and read-backs. Excludes additional memory of the
+/// driver (pipelines, staging of writes, padding) and the timestamps of a profiled submission.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct MemoryUse {
-    /// Bytes in buffers that live.
+    /// Bytes in live buffers.
     pub now: u64,
-    /// The most since the device was opened or [`Gpu::forget_peak`].
+    /// Peak since the device was opened or [`Gpu::forget_peak`] was called.
     pub peak: u64,
 }
 
 impl Gpu {
-    /// What the buffers of this device take, bytes. A buffer counts until its last handle is
-    /// dropped; a recording that still binds it keeps the memory a little longer.
+    /// Memory use of this device's buffers. A buffer counts until its last handle is dropped; a
+    /// recording that still binds it keeps the memory slightly longer.
     pub fn memory(&self) -> MemoryUse {
         let (now, peak) = self.inner.tally.bytes();
         MemoryUse { now, peak }
     }
 
-    /// Makes the peak what is in use now, so that the next thing can be measured by itself.
+    /// Resets the peak to the current use, to start a new measurement.
     pub fn forget_peak(&self) {
         self.inner.tally.forget_peak();
     }

@@ -1,9 +1,9 @@
-//! A kernel as the device runs it.
+//! A compiled kernel.
 
 use crate::Kernel;
 use crate::reflect::Reflection;
 
-/// A compiled kernel. Made once a device and set of constants, kept by the [`Gpu`].
+/// A compiled kernel. Created once per device and set of constants, and cached by the [`Gpu`].
 pub(crate) struct Pipeline {
     pub(crate) kernel: Kernel,
     pub(crate) raw: wgpu::ComputePipeline,

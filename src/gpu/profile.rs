@@ -1,4 +1,4 @@
-//! What kernels took, summed by kernel.
+//! Times of kernels, summed by kernel.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -6,12 +6,12 @@ use std::time::Duration;
 /// Sums by kernel.
 pub(crate) type Profile = BTreeMap<&'static str, KernelTime>;
 
-/// What one kernel took since profiling began.
+/// Times of one kernel since profiling began.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct KernelTime {
-    /// Dispatches.
+    /// Number of dispatches.
     pub dispatches: u64,
-    /// Time on the device.
+    /// Total time on the device.
     pub total: Duration,
     /// The shortest dispatch.
     pub shortest: Duration,

@@ -1,4 +1,4 @@
-//! Many dispatches, one compute pass, one submit.
+//! Recording: many dispatches, one compute pass, one submission.
 
 use std::sync::Arc;
 
@@ -11,18 +11,18 @@ use crate::reflect::Access;
 use crate::timer::Timer;
 use crate::{Gpu, GpuError, Kernel, Submission};
 
-/// Most workgroups in one dimension of a dispatch, in every Vulkan driver.
+/// Most workgroups per dimension of a dispatch, in every Vulkan driver.
 pub const MAX_WORKGROUPS: u32 = 65_535;
 
-/// Collects commands in order. Each sees what those before it wrote.
+/// Collects commands in order. Each sees the results of earlier ones.
 pub struct Recorder {
     gpu: Gpu,
     commands: Vec<Command>,
 }
 
-/// A finished list of commands that can be submitted many times, for example once a step.
+/// A finished list of commands that can be submitted many times, for example once per step.
 ///
-/// Buffers keep their identity: what changes between submissions is written into them.
+/// Buffers keep their identity: values that change between submissions are written into them.
 pub struct Recording {
     gpu: Gpu,
     commands: Vec<Command>,
@@ -44,7 +44,7 @@ enum Command {
 
 enum Workgroups {
     Direct([u32; 3]),
-    /// Three u32 at this byte of the buffer.
+    /// Three u32 at this byte offset of the buffer.
     Indirect(RawBuffer, u64),
 }
 
@@ -59,12 +59,12 @@ impl Gpu {
 }
 
 impl Recorder {
-    /// The device the commands are for.
+    /// The device of the commands.
     pub fn gpu(&self) -> &Gpu {
         &self.gpu
     }
 
-    /// Adds a dispatch of `workgroups`; no dimension may pass [`MAX_WORKGROUPS`].
+    /// Adds a dispatch of `workgroups`; no dimension may exceed [`MAX_WORKGROUPS`].
     ///
     /// # Errors
     /// [`GpuError::Binding`] when the buffers do not fit the kernel, [`GpuError::Shader`].
@@ -80,7 +80,7 @@ impl Recorder {
         self.push(kernel, buffers, Workgroups::Direct(workgroups))
     }
 
-    /// Adds a dispatch of at least one invocation for each of `items`, folded into rows of at most
+    /// Adds a dispatch of at least one invocation per item, folded into rows of at most
     /// [`MAX_WORKGROUPS`] (`flat_workgroup` of `shared/grid.wgsl` unfolds the index).
     ///
     /// # Errors
@@ -114,7 +114,7 @@ impl Recorder {
         self.dispatch(kernel, buffers, fold(groups))
     }
 
-    /// Adds a dispatch whose three workgroup counts stand at element `index` of `arguments` (u32 x
+    /// Adds a dispatch whose three workgroup counts are at element `index` of `arguments` (u32 x
     /// 3). The kernel must not bind `arguments` for writing.
     ///
     /// # Errors
@@ -136,7 +136,7 @@ impl Recorder {
         self.push(kernel, buffers, workgroups)
     }
 
-    /// Adds a fill with zeros. Splits the compute pass: prefer a kernel inside a step.
+    /// Adds a fill with zeros. Splits the compute pass: prefer a kernel within a step.
     pub fn clear<T: Pod>(&mut self, buffer: &Buffer<T>) {
         self.commands.push(Command::Clear(buffer.raw().clone()));
     }
@@ -144,7 +144,7 @@ impl Recorder {
     /// Adds a copy of the first `count` elements. Splits the compute pass.
     ///
     /// # Errors
-    /// [`GpuError::Validation`] past the end of either.
+    /// [`GpuError::Validation`] past the end of either buffer.
     pub fn copy<T: Pod>(
         &mut self,
         from: &Buffer<T>,
@@ -167,7 +167,7 @@ impl Recorder {
         Ok(())
     }
 
-    /// Submits the commands; does not wait.
+    /// Submits the commands without waiting.
     ///
     /// # Errors
     /// A device error.
@@ -175,7 +175,7 @@ impl Recorder {
         self.finish().submit()
     }
 
-    /// Ends the list.
+    /// Finishes the list.
     pub fn finish(self) -> Recording {
         Recording {
             gpu: self.gpu,
@@ -205,7 +205,7 @@ impl Recorder {
 }
 
 impl Recording {
-    /// Submits all commands once; does not wait.
+    /// Submits all commands once, without waiting.
     ///
     /// # Errors
     /// A device error.
@@ -237,7 +237,7 @@ impl Recording {
                 } => {
                     let mut pass = begin(&mut encoder, timer.as_ref(), pipeline);
                     encode(&mut pass, pipeline, group, workgroups);
-                    // Timed kernels have a pass each; otherwise the pass takes all that follow.
+                    // Timed kernels have separate passes; otherwise one pass takes all that follow.
                     while timer.is_none()
                         && let Some(Command::Dispatch {
                             pipeline,
@@ -290,7 +290,7 @@ fn encode(
     }
 }
 
-/// `groups` workgroups as rows that no driver refuses; may be a few more than asked for.
+/// `groups` workgroups in rows that every driver accepts; may be a few more than requested.
 fn fold(groups: usize) -> [u32; 3] {
     let rows = groups.div_ceil(MAX_WORKGROUPS as usize).max(1);
     [groups.div_ceil(rows) as u32, rows as u32, 1]
@@ -303,7 +303,7 @@ fn fault(kernel: &Kernel, message: String) -> GpuError {
     }
 }
 
-/// Number, element size and aliasing of the buffers against what the shader declares.
+/// Checks number, element size and aliasing of the buffers against the shader's declarations.
 fn check(pipeline: &Pipeline, buffers: &[&RawBuffer]) -> Result<(), GpuError> {
     let declared = &pipeline.reflection.bindings;
     let kernel = &pipeline.kernel;
@@ -353,7 +353,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn more_groups_than_a_dimension_holds_are_folded_into_rows() {
+    fn too_many_groups_for_a_dimension_are_folded_into_rows() {
         assert_eq!(fold(0), [0, 1, 1]);
         assert_eq!(fold(65_535), [65_535, 1, 1]);
         assert_eq!(fold(65_536), [32_768, 2, 1]);

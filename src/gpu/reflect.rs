@@ -1,11 +1,11 @@
-//! What a shader declares, read from its text by naga, so that a test can compare it with Rust.
+//! A shader's declarations, parsed by naga, so that tests can compare them with Rust.
 
 use naga::valid::{Capabilities, ValidationFlags, Validator};
 use naga::{AddressSpace, StorageAccess, TypeInner};
 
 use crate::GpuError;
 
-/// How a kernel uses a binding.
+/// The access of a kernel to a binding.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Access {
     /// `var<uniform>`
@@ -21,11 +21,11 @@ pub enum Access {
 pub struct Reflection {
     /// Bindings of group 0, by number.
     pub bindings: Vec<ReflectedBinding>,
-    /// Invocations a workgroup of the entry point `main`; zeros when the file has none.
+    /// Invocations per workgroup of the entry point `main`; zeros without one.
     pub workgroup: [u32; 3],
-    /// Every struct that is declared.
+    /// All declared structs.
     pub structs: Vec<ReflectedStruct>,
-    /// Every scalar module constant, as f64.
+    /// All scalar module constants, as f64.
     pub constants: Vec<(String, f64)>,
 }
 
@@ -36,9 +36,8 @@ pub struct ReflectedBinding {
     pub number: u32,
     /// Name of the variable.
     pub name: String,
-    /// How it is bound.
     pub access: Access,
-    /// Bytes of an element of a run-time sized array, or of the whole type.
+    /// Bytes per element of a run-time sized array, or of the whole type.
     pub stride: u32,
 }
 
@@ -54,12 +53,10 @@ pub struct ReflectedStruct {
 }
 
 impl Reflection {
-    /// The struct of this name.
     pub fn structure(&self, name: &str) -> Option<&ReflectedStruct> {
         self.structs.iter().find(|s| s.name == name)
     }
 
-    /// The value of this constant.
     pub fn constant(&self, name: &str) -> Option<f64> {
         self.constants
             .iter()
@@ -68,10 +65,10 @@ impl Reflection {
     }
 }
 
-/// Parses and validates a shader with every capability this crate may ask of a device.
+/// Parses and validates a shader with all capabilities that this crate may request of a device.
 ///
 /// # Errors
-/// [`GpuError::Shader`] with naga's words.
+/// [`GpuError::Shader`] with naga's message.
 pub fn validate(name: &str, text: &str) -> Result<naga::Module, GpuError> {
     let fault = |message: String| GpuError::Shader {
         name: name.to_owned(),
@@ -86,7 +83,7 @@ pub fn validate(name: &str, text: &str) -> Result<naga::Module, GpuError> {
     Ok(module)
 }
 
-/// The declarations of a shader text whose imports are expanded.
+/// The declarations of a shader text with expanded imports.
 ///
 /// # Errors
 /// [`GpuError::Shader`] when the text is not valid.
@@ -185,7 +182,7 @@ mod tests {
     use crate::shader;
 
     #[test]
-    fn the_layout_bindings_and_constants_of_a_shader_are_read() {
+    fn layouts_bindings_and_constants_of_a_shader_are_parsed() {
         let text = shader::expand("shared/test_axpy", &[("WIDTH", 32)]).expect("expands");
         let found = reflect("shared/test_axpy", &text).expect("valid");
         assert_eq!(found.workgroup, [32, 1, 1]);

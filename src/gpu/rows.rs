@@ -1,17 +1,17 @@
-//! Rows that may be more than an adapter binds at once, in parts.
+//! Arrays of rows, split into parts if they exceed the adapter's binding limit.
 
 use bytemuck::Pod;
 
 use crate::{Buffer, Gpu, GpuError};
 
-/// Rows of equal length. Where all of them would be a larger binding than the adapter has, they lie
-/// in several buffers: a kernel is then dispatched once a part.
+/// Rows of equal length. If all of them exceed the adapter's binding limit, they are split into
+/// several buffers, and a kernel is dispatched once per part.
 #[derive(Clone)]
 pub struct Rows<T> {
     parts: Vec<Buffer<T>>,
-    /// Elements of a row.
+    /// Elements per row.
     length: usize,
-    /// Rows of every part but the last.
+    /// Rows per part, except in the last.
     per_part: usize,
 }
 
@@ -21,7 +21,7 @@ impl<T: Pod> Rows<T> {
         &self.parts
     }
 
-    /// Writes whole rows from the first on, before all work that is submitted later.
+    /// Writes whole rows from the first on, before all work submitted later.
     ///
     /// # Errors
     /// As [`Buffer::write_at`].
@@ -39,7 +39,7 @@ impl<T: Pod> Rows<T> {
         }
     }
 
-    /// The first `rows`, after everything that was submitted before.
+    /// Reads the first `rows`, after all work submitted before.
     ///
     /// # Errors
     /// A device error, or [`GpuError::Validation`] past the end.
@@ -57,7 +57,7 @@ impl<T: Pod> Rows<T> {
         )))
     }
 
-    /// Sets every byte to zero, before all work that is submitted later.
+    /// Sets every byte to zero, before all work submitted later.
     ///
     /// # Errors
     /// A device error.
@@ -65,21 +65,21 @@ impl<T: Pod> Rows<T> {
         self.parts.iter().try_for_each(Buffer::clear)
     }
 
-    /// Elements of a row.
+    /// Elements per row.
     pub fn length(&self) -> usize {
         self.length
     }
 }
 
 impl Gpu {
-    /// How many rows of at most `bytes` each the adapter binds at once; at least one, which may
-    /// then be [`GpuError::TooLarge`].
+    /// Number of rows of at most `bytes` each that the adapter can bind at once; at least one,
+    /// which may then be [`GpuError::TooLarge`].
     pub fn rows_per_part(&self, bytes: usize) -> usize {
         ((self.describe().max_binding / bytes.max(1) as u64) as usize).max(1)
     }
 
-    /// `rows` zeroed rows of `length` elements in parts of `per_part`; at least one part. Arrays
-    /// that a kernel reads side by side take the same `per_part`: [`Gpu::rows_per_part`] of the
+    /// Creates `rows` zeroed rows of `length` elements in parts of `per_part`; at least one part.
+    /// Arrays that a kernel reads together need the same `per_part`: [`Gpu::rows_per_part`] of the
     /// longest row.
     ///
     /// # Errors
@@ -104,13 +104,13 @@ impl Gpu {
 }
 
 impl<T> Rows<T> {
-    /// Rows of every part but the last.
+    /// Rows per part, except in the last.
     pub fn per_part(&self) -> usize {
         self.per_part
     }
 }
 
-/// How many of `rows` lie in each part of `per_part`.
+/// Number of rows in each part, at most `per_part`.
 pub fn part_sizes(rows: usize, per_part: usize) -> impl Iterator<Item = usize> {
     let count = rows.div_ceil(per_part).max(1);
     (0..count).map(move |part| (rows - part * per_part).min(per_part))
@@ -121,7 +121,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn rows_in_parts_are_written_and_read_as_one() {
+    fn split_rows_are_written_and_read_as_one() {
         let gpu = Gpu::new("auto").expect("an adapter");
         let rows = gpu.create_rows::<u32>("rows", 7, 3, 3).expect("created");
         assert_eq!(
@@ -142,7 +142,7 @@ mod tests {
     }
 
     #[test]
-    fn an_adapter_that_binds_little_takes_more_parts() {
+    fn a_lower_binding_limit_takes_more_parts() {
         let gpu = Gpu::binding_at_most("auto", 4_096).expect("an adapter");
         assert_eq!(
             (gpu.describe().max_binding, gpu.rows_per_part(96)),

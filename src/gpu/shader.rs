@@ -11,7 +11,7 @@ pub fn names() -> impl Iterator<Item = &'static str> {
     SOURCES.iter().map(|(name, _)| *name)
 }
 
-/// The text of one shader file as it stands in `shaders/`.
+/// The text of one shader file, unchanged from `shaders/`.
 ///
 /// # Errors
 /// [`GpuError::Shader`] when there is no such file.
@@ -27,8 +27,8 @@ pub fn source(name: &str) -> Result<&'static str, GpuError> {
 
 /// The text of a shader with every `#import` replaced, each file once, and the given constants set.
 ///
-/// A constant `("PIXELS", 8)` replaces the value in the line `const PIXELS: u32 = 4;`. Differs from
-/// the page "architecture" (WGSL `override`): the size of a private array must be textual, and one
+/// A constant `("PIXELS", 8)` replaces the value in the line `const PIXELS: u32 = 4;`. This
+/// replaces WGSL's `override`, because the size of a private array must be textual, and one
 /// mechanism for both is simpler.
 ///
 /// # Errors
@@ -45,7 +45,7 @@ pub fn expand(name: &str, constants: &[(&str, u32)]) -> Result<String, GpuError>
     Ok(text)
 }
 
-/// Appends the file `name` and, before each of its lines that imports, the imported file.
+/// Appends the file `name`, with imported files in place of its import lines.
 fn import<'a>(name: &'a str, seen: &mut HashSet<&'a str>, text: &mut String) -> Result<(), GpuError>
 where
     'static: 'a,
@@ -65,7 +65,7 @@ where
     Ok(())
 }
 
-/// The text with the value of one constant replaced; `None` when it is not declared.
+/// The text with the value of one constant replaced; `None` if it is not declared.
 fn set_constant(text: &str, constant: &str, value: u32) -> Option<String> {
     let mut found = false;
     let lines = text.lines().map(|line| match declaration(line, constant) {
@@ -79,7 +79,7 @@ fn set_constant(text: &str, constant: &str, value: u32) -> Option<String> {
     found.then_some(text)
 }
 
-/// What stands before the `=` when the line declares this constant.
+/// The text before the `=` of a line that declares this constant.
 fn declaration<'a>(line: &'a str, constant: &str) -> Option<&'a str> {
     let rest = line.strip_prefix("const ")?.strip_prefix(constant)?;
     rest.starts_with([':', ' '])
@@ -92,7 +92,7 @@ mod tests {
     use crate::reflect;
 
     #[test]
-    fn every_embedded_shader_parses_and_validates_and_every_shared_file_is_used() {
+    fn every_shader_is_valid_and_every_shared_file_is_used() {
         let mut used = HashSet::new();
         let shared = |name: &&str| name.starts_with("shared/") && !name.starts_with("shared/test_");
         for name in names().filter(|name| !shared(name)) {
@@ -100,7 +100,7 @@ mod tests {
             let text = expand(name, &[]).expect("imports resolve");
             reflect::validate(name, &text).unwrap_or_else(|error| panic!("{error}"));
         }
-        // A shared file is a fragment: it is valid where it is imported.
+        // A shared file is a fragment, which is only valid where it is imported.
         let unused: Vec<_> = names().filter(|name| !used.contains(name)).collect();
         assert!(
             used.len() >= 3 && unused.is_empty(),

@@ -10,7 +10,7 @@ pub(crate) struct Tally {
     peak: AtomicU64,
 }
 
-/// Bytes that are counted as long as this lives.
+/// Bytes that are counted during its lifetime.
 #[derive(Debug)]
 pub(crate) struct Reservation {
     tally: Arc<Tally>,
@@ -27,7 +27,7 @@ impl Tally {
         }
     }
 
-    /// Bytes in use, and the most there were.
+    /// Bytes in use, and the peak.
     pub(crate) fn bytes(&self) -> (u64, u64) {
         let read = |value: &AtomicU64| value.load(Ordering::Relaxed);
         (read(&self.now), read(&self.peak))
@@ -50,7 +50,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_reservation_counts_while_it_lives_and_the_peak_stays() {
+    fn a_reservation_counts_while_it_lives() {
         let tally = Arc::new(Tally::default());
         let first = tally.reserve(100);
         drop(tally.reserve(50));

@@ -1,4 +1,4 @@
-//! The crate on a real device. There is no skipping: without an adapter these tests fail.
+//! Tests of the crate on a real device. They fail without an adapter.
 
 use super::*;
 
@@ -58,7 +58,7 @@ fn a_recording_can_be_submitted_again_and_sees_new_uniforms() {
 }
 
 #[test]
-fn dispatches_of_one_recorder_see_each_other_and_an_indirect_one_takes_its_count_from_a_buffer() {
+fn commands_see_earlier_ones_and_indirect_counts() {
     let gpu = gpu();
     let scale = gpu
         .upload(
@@ -86,7 +86,7 @@ fn dispatches_of_one_recorder_see_each_other_and_an_indirect_one_takes_its_count
 }
 
 #[test]
-fn what_is_recorded_anew_binds_the_same_group_until_a_buffer_of_it_goes() {
+fn bind_groups_are_reused_until_a_buffer_is_dropped() {
     let gpu = gpu();
     let scale = gpu
         .upload(
@@ -111,7 +111,7 @@ fn what_is_recorded_anew_binds_the_same_group_until_a_buffer_of_it_goes() {
         gpu.create::<f32>("out", 2).unwrap(),
     );
     let clone = first.clone();
-    // The kernel adds to what is there.
+    // The kernel adds to the existing values.
     let sums = [&first, &first, &clone, &second, &second].map(record);
     assert_eq!(sums.map(|s| s[1]), [6.0, 12.0, 18.0, 6.0, 12.0]);
     assert_eq!(gpu.inner.groups.len(), 2);
@@ -158,7 +158,7 @@ fn a_dispatch_refuses_missing_wrong_and_aliased_buffers() {
 }
 
 #[test]
-fn an_unknown_adapter_is_refused_with_the_names_that_exist() {
+fn an_unknown_adapter_is_refused_with_the_available_names() {
     match Gpu::new("no such adapter") {
         Err(GpuError::NoAdapter { found, .. }) => assert!(!found.is_empty()),
         Err(other) => panic!("{other}"),
@@ -189,7 +189,7 @@ fn a_buffer_above_the_limit_and_a_write_past_the_end_are_errors() {
 }
 
 #[test]
-fn a_lost_device_is_an_error_everywhere_and_never_a_panic() {
+fn a_lost_device_is_always_an_error_and_never_a_panic() {
     let gpu = gpu();
     let x = gpu.upload("x", &[1.0_f32]).unwrap();
     gpu.lose();
@@ -238,7 +238,7 @@ fn profiled_kernels_have_a_count_and_a_time() {
 }
 
 #[test]
-fn a_submission_of_more_dispatches_than_a_query_set_holds_is_timed_whole() {
+fn a_submission_larger_than_a_query_set_is_timed_completely() {
     let gpu = gpu();
     let scale = gpu
         .upload(
@@ -263,7 +263,7 @@ fn a_submission_of_more_dispatches_than_a_query_set_holds_is_timed_whole() {
 }
 
 #[test]
-fn memory_counts_the_buffers_that_live_and_the_most_there_were() {
+fn memory_counts_live_buffers_and_the_peak() {
     let gpu = gpu();
     let before = gpu.memory().now;
     let kept = gpu.create::<f32>("kept", 1_000).unwrap();

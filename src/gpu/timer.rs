@@ -1,4 +1,4 @@
-//! Time a kernel, from the device's own clock.
+//! Times of kernels by the device's own clock.
 
 use std::cell::RefCell;
 use std::sync::PoisonError;
@@ -8,16 +8,16 @@ use std::time::Duration;
 use crate::profile::Profile;
 use crate::{Gpu, GpuError, KernelTime};
 
-/// The timestamps of one submission, two a dispatch.
+/// The timestamps of one submission, two per dispatch.
 pub(crate) struct Timer {
-    /// Each but the last is full.
+    /// All but the last are full.
     queries: Vec<wgpu::QuerySet>,
     resolved: wgpu::Buffer,
     staging: wgpu::Buffer,
     names: RefCell<Vec<&'static str>>,
 }
 
-/// A query set holds at most this many timestamps.
+/// Most timestamps in a query set.
 const MAX_QUERIES: u32 = 4096;
 
 impl Timer {
@@ -47,9 +47,9 @@ impl Timer {
 }
 
 impl Gpu {
-    /// Starts to time every kernel, or stops and forgets. Timed dispatches have a pass each and
-    /// every submission waits, so a timed step is slower than the sum of its kernels. Without
-    /// timestamps on the adapter ([`crate::AdapterInfo::timestamps`]) nothing is measured.
+    /// Starts timing every kernel, or stops and discards the times. Timed dispatches have separate
+    /// passes and every submission waits, so a timed step is slower than the sum of its kernels.
+    /// Measures nothing without timestamps on the adapter ([`crate::AdapterInfo::timestamps`]).
     pub fn profile(&self, on: bool) {
         let on = on && self.describe().timestamps;
         *self
@@ -59,7 +59,7 @@ impl Gpu {
             .unwrap_or_else(PoisonError::into_inner) = on.then(Profile::new);
     }
 
-    /// What each kernel took since [`Gpu::profile`], the longest first.
+    /// The times of each kernel since [`Gpu::profile`], the longest first.
     pub fn profiled(&self) -> Vec<(&'static str, KernelTime)> {
         let profile = self
             .inner
@@ -75,7 +75,7 @@ impl Gpu {
         times
     }
 
-    /// A timer for a submission of so many dispatches while profiling is on.
+    /// A timer for a submission of this many dispatches, if profiling is on.
     pub(crate) fn timer(&self, dispatches: usize) -> Option<Timer> {
         let on = self
             .inner
@@ -119,7 +119,7 @@ impl Gpu {
         timer
             .staging
             .map_async(wgpu::MapMode::Read, .., move |result| {
-                // Nobody listens when the wait below failed.
+                // The receiver is gone if the wait below failed.
                 let _ = sender.send(result.is_ok());
             });
         self.wait()?;
