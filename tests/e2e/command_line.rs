@@ -1,4 +1,4 @@
-//! Exit codes and words of the command line.
+//! Tests of the command line's exit codes and messages.
 
 use std::fs;
 use std::process::Output;
@@ -27,7 +27,7 @@ fn wrong_use_exits_with_two_and_names_the_option() {
 }
 
 #[test]
-fn a_capture_that_is_none_exits_with_three_and_advice() {
+fn an_invalid_capture_exits_with_three_and_advice() {
     let folder = tempfile::tempdir().expect("temporary folder");
     let out = folder.path().join("out").display().to_string();
     let empty = folder.path().join("empty");
@@ -44,7 +44,7 @@ fn a_capture_that_is_none_exits_with_three_and_advice() {
 }
 
 #[test]
-fn an_adapter_that_is_not_there_exits_with_four_and_the_failure_is_an_event() {
+fn a_missing_adapter_exits_with_four_and_an_event() {
     let folder = tempfile::tempdir().expect("temporary folder");
     let capture = small_capture(folder.path());
     let mut run = small_run(&capture, &folder.path().join("out"), 1);
@@ -93,7 +93,7 @@ fn a_missing_model_exits_with_three_after_a_retired_option_is_ignored() {
 }
 
 #[test]
-fn the_doctor_finds_everything_that_the_tests_need() {
+fn the_doctor_finds_all_that_the_tests_need() {
     let output = fled(&["doctor"]);
     let text = String::from_utf8_lossy(&output.stdout).into_owned();
     assert_eq!(code(&output), 0, "{text}");
@@ -157,7 +157,7 @@ fn a_bench_prints_its_table_and_writes_the_same_cases_as_json() {
 }
 
 #[test]
-fn a_bench_of_nonsense_is_wrong_use_and_one_of_no_capture_fails_before_it_measures() {
+fn invalid_benchmarks_fail_before_they_measure() {
     assert_eq!(code(&fled(&["bench", "--gaussians", "ten"])), 2);
     assert_eq!(code(&fled(&["bench", "--seconds", "0"])), 2);
     assert_eq!(code(&fled(&["bench", "--steps", "0"])), 2);

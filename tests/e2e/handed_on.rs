@@ -1,4 +1,4 @@
-//! What a finished run is handed on as: videos and exports.
+//! Tests of videos and exports of a finished run.
 
 use std::path::Path;
 use std::process::{Command, Output};
@@ -18,7 +18,7 @@ fn made(arguments: &[&str], run: &Path, out: &Path) -> Output {
         .expect("it starts")
 }
 
-/// Codec, width, height, pixel format, pictures.
+/// Codec, width, height, pixel format, number of frames.
 fn probed(video: &Path) -> String {
     let entries = "stream=codec_name,width,height,pix_fmt,nb_read_frames";
     let output = Command::new("ffprobe")
@@ -31,7 +31,7 @@ fn probed(video: &Path) -> String {
 }
 
 #[test]
-fn a_finished_run_becomes_videos_and_what_others_go_on_with() {
+fn a_finished_run_becomes_videos_and_exports() {
     let folder = tempfile::tempdir().expect("temporary folder");
     let run = folder.path().join("out");
     succeed(&mut small_run(&small_capture(folder.path()), &run, 1));
@@ -93,7 +93,7 @@ fn a_finished_run_becomes_videos_and_what_others_go_on_with() {
 }
 
 #[test]
-fn what_cannot_be_handed_on_says_why() {
+fn impossible_videos_and_exports_explain_why() {
     let folder = tempfile::tempdir().expect("temporary folder");
     let out = folder.path().join("a.mp4");
     let nothing = folder.path().join("nothing");

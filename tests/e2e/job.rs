@@ -1,4 +1,4 @@
-//! A job from photographs to scene, and what interrupts it.
+//! Tests of a job from photographs to scene, and of its interruptions.
 
 use std::fs;
 
@@ -28,7 +28,7 @@ fn a_dark_capture_becomes_a_scene_with_metrics_of_every_round() {
             .as_f64()
             .expect("dB")
     };
-    // 120 steps make no good scene, but a render of nothing fits at 13 dB here.
+    // 120 steps make no good scene, but an empty render scores 13 dB here.
     assert!(
         psnr("render", "train", "gt") > 17.0,
         "training views: {report:#}"
@@ -58,7 +58,7 @@ fn a_dark_capture_becomes_a_scene_with_metrics_of_every_round() {
 }
 
 #[test]
-fn a_capture_without_shake_is_splatted_plainly_in_one_round_and_done_once() {
+fn a_still_capture_is_splatted_plainly_in_one_round() {
     let folder = tempfile::tempdir().expect("temporary folder");
     let capture = small_capture_shaken_by(folder.path(), 0.0);
     let out = folder.path().join("out");
@@ -78,7 +78,7 @@ fn a_capture_without_shake_is_splatted_plainly_in_one_round_and_done_once() {
 }
 
 #[test]
-fn the_same_seed_gives_the_same_scene_and_another_seed_another() {
+fn equal_seeds_give_equal_scenes_and_other_seeds_do_not() {
     let folder = tempfile::tempdir().expect("temporary folder");
     let capture = small_capture(folder.path());
     let scene = |name: &str, seed: &str| {
@@ -92,7 +92,7 @@ fn the_same_seed_gives_the_same_scene_and_another_seed_another() {
 }
 
 #[test]
-fn a_run_killed_at_any_stage_goes_on_and_ends_with_the_same_scene() {
+fn a_run_killed_at_any_stage_resumes_to_the_same_scene() {
     let folder = tempfile::tempdir().expect("temporary folder");
     let capture = small_capture(folder.path());
     let whole = folder.path().join("whole");
@@ -124,7 +124,7 @@ fn a_run_killed_at_any_stage_goes_on_and_ends_with_the_same_scene() {
 }
 
 #[test]
-fn a_finished_run_is_not_done_again() {
+fn a_finished_run_is_not_repeated() {
     let folder = tempfile::tempdir().expect("temporary folder");
     let capture = small_capture(folder.path());
     let out = folder.path().join("out");
@@ -142,7 +142,7 @@ fn a_finished_run_is_not_done_again() {
 }
 
 #[test]
-fn a_change_of_the_training_deblurs_nothing_again_unless_the_work_is_discarded() {
+fn only_discarded_work_is_deblurred_again_for_new_training() {
     let folder = tempfile::tempdir().expect("temporary folder");
     let capture = small_capture(folder.path());
     let out = folder.path().join("out");
@@ -170,7 +170,7 @@ fn a_change_of_the_training_deblurs_nothing_again_unless_the_work_is_discarded()
 }
 
 #[test]
-fn a_finished_run_is_rendered_from_a_view_and_from_an_orbit() {
+fn a_finished_run_renders_from_a_view_and_an_orbit() {
     let folder = tempfile::tempdir().expect("temporary folder");
     let capture = small_capture(folder.path());
     let out = folder.path().join("out");

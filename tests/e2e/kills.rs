@@ -1,7 +1,7 @@
-//! Kills of a server and of its jobs' processes while they really train.
+//! Tests that kill a server and its job processes during real training.
 //!
 //! `FLED_KILLS=20 cargo test --release -p fled --test e2e kills -- --nocapture` kills more often
-//! than CI does. Kills of what plays its jobs, by the hundred, are fled-server's.
+//! than CI does. fled-server's tests kill simulated jobs by the hundred.
 
 use std::fs;
 use std::thread::sleep;
@@ -14,14 +14,14 @@ use serde_json::{Value, json};
 use crate::service::Server;
 use crate::support::kill;
 
-/// Kills where nobody says how many.
+/// Default number of kills.
 const KILLS: u32 = 3;
-/// Between a job's start and a kill, milliseconds, by turns: from its first stages to the second
-/// round's training.
+/// Milliseconds between a job's start and a kill, in turn: from its first stages to the training of
+/// the second round.
 const WAITS: [u64; 7] = [300, 2500, 900, 4000, 1500, 200, 6000];
 
 #[test]
-fn a_job_that_is_killed_again_and_again_ends_with_the_scene_of_one_that_is_left_alone() {
+fn a_job_killed_repeatedly_ends_with_the_undisturbed_scene() {
     let kills = std::env::var("FLED_KILLS").map_or(KILLS, |n| n.parse().expect("FLED_KILLS"));
     let mut server = Server::start();
     let calm = server.submit();
@@ -66,9 +66,9 @@ fn a_job_that_is_killed_again_and_again_ends_with_the_scene_of_one_that_is_left_
     eprintln!("{jobs} jobs, {done} kills, {seconds:.1} s of stages begun again");
 }
 
-/// Waits until the job runs and is further than it was, and for so many milliseconds then: its
-/// progress, and how long it has been in its stage. `None` once it is over. A job that dies again
-/// and again in one stage is given up, as it should be.
+/// Waits until the job runs and has made progress, and then for `wait` milliseconds. Returns its
+/// progress, and how long it has been in its stage; `None` once it is over. A job that dies
+/// repeatedly in one stage is given up, as intended.
 fn watch(server: &Server, job: &str, seen: f64, wait: u64) -> Option<(f64, Duration)> {
     let start = Instant::now();
     let mut running: Option<Instant> = None;
@@ -99,7 +99,7 @@ fn watch(server: &Server, job: &str, seen: f64, wait: u64) -> Option<(f64, Durat
     }
 }
 
-/// What each round of a job left.
+/// The scene of each round of a job.
 fn scenes(server: &Server, job: &str) -> Vec<Vec<u8>> {
     let output = server
         .folder

@@ -1,4 +1,4 @@
-//! Views that join or leave the scene after its first round.
+//! Tests of views that join or leave the scene after its first round.
 
 use std::path::Path;
 
@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 
 use crate::support::{fled, json, succeed};
 
-/// The photograph without a pose, and the one that is turned by 12 degrees.
+/// The photograph without a pose, and the one rotated by 12 degrees.
 const LOST: &str = "004";
 const MOVED: &str = "007";
 
@@ -58,7 +58,7 @@ fn centre(file: &Path, name: &str) -> DVec3 {
         .truncate()
 }
 
-/// The capture with its cameras.
+/// Generates the capture; returns its cameras.
 fn capture(folder: &Path) -> Vec<(String, Camera)> {
     let options = SynthOptions {
         views: 12,
@@ -75,7 +75,7 @@ fn capture(folder: &Path) -> Vec<(String, Camera)> {
     made.cameras
 }
 
-/// Two rounds; what the program said.
+/// Runs two rounds; returns the log.
 fn run(capture: &Path, out: &Path, late_views: bool) -> String {
     let mut command = fled();
     command.arg("run").arg(capture).arg("--out").arg(out);
@@ -95,7 +95,7 @@ fn run(capture: &Path, out: &Path, late_views: bool) -> String {
     String::from_utf8_lossy(&output.stderr).into_owned()
 }
 
-/// Largest distance of two cameras.
+/// Largest distance between two cameras.
 fn extent(cameras: &[(String, Camera)]) -> f64 {
     let centres = || cameras.iter().map(|(_, camera)| camera.centre());
     let pairs = centres().flat_map(|a| centres().map(move |b| a.distance(b)));
@@ -103,7 +103,7 @@ fn extent(cameras: &[(String, Camera)]) -> f64 {
 }
 
 #[test]
-fn a_photograph_without_a_pose_joins_and_one_in_the_wrong_place_comes_back() {
+fn lost_and_misplaced_photographs_join_at_the_right_place() {
     let folder = tempfile::tempdir().expect("temporary folder");
     let (place, out) = (folder.path().join("capture"), folder.path().join("out"));
     let cameras = capture(&place);
@@ -131,7 +131,7 @@ fn a_photograph_without_a_pose_joins_and_one_in_the_wrong_place_comes_back() {
         rows.iter().filter(|row| row["registered"] == true).count()
     };
     assert_eq!((registered(0), registered(1)), (11, 12));
-    // What was found is not looked for again.
+    // The search is not repeated.
     let again = run(&place, &out, true);
     assert!(again.contains("its result stands"), "{again}");
     assert_eq!(
@@ -139,7 +139,7 @@ fn a_photograph_without_a_pose_joins_and_one_in_the_wrong_place_comes_back() {
         poses,
         "the scene's say stands, too"
     );
-    // Switched off, nothing joins and nothing leaves, and the first round serves.
+    // When disabled, no view joins or leaves, and the first round is reused.
     let off = run(&place, &out, false);
     assert!(off.contains("round 1 reconstruct already done"), "{off}");
     assert_eq!(json(&out.join("poses.json"))["registered"], 11);

@@ -1,4 +1,5 @@
-//! The whole product through its binary: captures made here, real stages, real processes.
+//! End-to-end tests of the product through its binary: generated captures, real stages, real
+//! processes.
 
 mod command_line;
 mod handed_on;

@@ -1,11 +1,11 @@
-//! `fled models`, and networks of the user's own.
+//! Tests of `fled models`, and of the user's own networks.
 
 use std::path::{Path, PathBuf};
 use std::process::Output;
 
 use crate::support::{self, code, network, said};
 
-/// `fled models`, with the networks in `folder`.
+/// Runs `fled models` with the networks in `folder`.
 fn models(folder: &Path) -> Output {
     support::fled()
         .args(["models", "--models"])
@@ -23,7 +23,7 @@ fn with_mine(home: &Path) -> PathBuf {
 }
 
 #[test]
-fn the_built_in_network_and_those_of_the_folder_are_listed_and_checked() {
+fn all_networks_are_listed_and_checked() {
     let home = tempfile::tempdir().expect("temporary folder");
     let folder = with_mine(home.path());
     let listed = models(&folder);
@@ -61,7 +61,7 @@ fn the_built_in_network_and_those_of_the_folder_are_listed_and_checked() {
 }
 
 #[test]
-fn a_network_of_the_folder_may_be_chosen() {
+fn a_network_in_the_folder_can_be_chosen() {
     let home = tempfile::tempdir().expect("temporary folder");
     let folder = with_mine(home.path());
     let capture = support::small_capture(home.path());

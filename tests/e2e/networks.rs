@@ -1,11 +1,11 @@
-//! Runs with networks of the user's own.
+//! Tests of runs with the user's own networks.
 
 use fled_core::image::Image;
 
 use crate::support::{self, code, network, said};
 
 #[test]
-fn an_enhancer_and_a_restorer_of_the_users_make_the_baseline_of_the_papers() {
+fn user_networks_make_the_papers_baseline() {
     let home = tempfile::tempdir().expect("temporary folder");
     let capture = support::small_capture(home.path());
     let out = home.path().join("out");
@@ -44,7 +44,7 @@ fn an_enhancer_and_a_restorer_of_the_users_make_the_baseline_of_the_papers() {
         image.data().iter().sum::<f32>() / image.data().len() as f32
     };
     let (dark, bright) = (mean("inputs"), mean("rounds/1/enhanced"));
-    // The mean of the roots is at most the root of the mean.
+    // The mean of the square roots is at most the square root of the mean.
     assert!(
         bright > 1.5 * dark && bright < dark.sqrt() + 0.01,
         "{dark} to {bright}"
@@ -59,7 +59,7 @@ fn an_enhancer_and_a_restorer_of_the_users_make_the_baseline_of_the_papers() {
 }
 
 #[test]
-fn a_resumed_run_takes_what_the_enhancer_had_made() {
+fn a_resumed_run_reuses_the_enhancers_results() {
     let home = tempfile::tempdir().expect("temporary folder");
     let capture = support::small_capture(home.path());
     let enhance = format!("enhance={}", network("root3").display());

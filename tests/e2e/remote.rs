@@ -1,4 +1,4 @@
-//! The service from another machine, over connections that break.
+//! Tests of the service from another machine, over unreliable connections.
 
 use std::io::{Read, Write};
 use std::net::{Shutdown, TcpListener, TcpStream};
@@ -11,7 +11,7 @@ use std::thread::spawn;
 use crate::service::Server;
 use crate::support::{code, fled, json, said, small_capture, succeed};
 
-/// Passes connections on and cuts one after so many bytes to the service and one after so many from
+/// A proxy that cuts one connection after `up` bytes to the service and one after `down` bytes from
 /// it.
 struct Proxy {
     address: String,
@@ -43,7 +43,7 @@ impl Proxy {
     }
 }
 
-/// Copies until the end, or until what is left has passed; that happens once.
+/// Forwards data until the end, or until `left` bytes have passed, which happens once.
 fn pass([mut from, mut to]: [TcpStream; 2], left: &AtomicU64, cuts: &AtomicUsize) {
     let mut buffer = [0; 4096];
     while let Ok(read @ 1..) = from.read(&mut buffer) {
@@ -90,7 +90,7 @@ fn submit(capture: &Path, server: &str, token: &str, out: &Path) -> Output {
 }
 
 #[test]
-fn a_capture_comes_through_connections_that_break_and_so_does_its_result() {
+fn capture_and_result_survive_broken_connections() {
     let server = Server::start();
     let data = server.folder.path().join("data");
     let made = succeed(
@@ -125,7 +125,7 @@ fn a_capture_comes_through_connections_that_break_and_so_does_its_result() {
     let path = format!("/v1/jobs/{id}/artifacts/scene.ply");
     assert!(server.get(&path, &headers).body == scene);
 
-    // The same once more is the same job, and nothing is sent twice but the question.
+    // Submitting again finds the same job, and transfers only the request.
     std::fs::remove_file(out.join("scene.ply")).expect("removed");
     let again = submit(&capture, &proxy.address, token, &out);
     assert_eq!(code(&again), 0, "{}", said(&again));
@@ -140,8 +140,8 @@ fn a_capture_comes_through_connections_that_break_and_so_does_its_result() {
     and_with_other_options(&server, &proxy.address, token, id);
 }
 
-/// A job that has succeeded is no longer cancelled, and goes on with other options from what stays
-/// true: the poses are not found again.
+/// A succeeded job cannot be cancelled. A retry with other options reuses all valid results: the
+/// poses are not searched for again.
 fn and_with_other_options(server: &Server, address: &str, token: &str, id: &str) {
     let asked = |verb: &str, more: &[&str]| {
         let mut command = fled();

@@ -1,4 +1,4 @@
-//! A capture by HTTP, with the real binary as server, job and renderer.
+//! Tests of jobs over HTTP, with the real binary as server, job and renderer.
 
 use std::fs;
 use std::io::{BufRead, BufReader};
@@ -13,7 +13,7 @@ use serde_json::{Value, json};
 
 use crate::support::{fled, kill, small_capture, succeed};
 
-/// A small job takes seconds alone, but tests run beside each other.
+/// A small job takes seconds by itself, but tests run in parallel.
 const PATIENCE: Duration = Duration::from_secs(300);
 
 /// `fled serve` on a free port.
@@ -48,9 +48,9 @@ impl Server {
         }
     }
 
-    /// kill -9, and nothing else.
+    /// Kills the server with SIGKILL.
     pub fn kill(&mut self) {
-        // Gone already is as good.
+        // It may have exited already.
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
@@ -60,7 +60,7 @@ impl Server {
         (self.child, self.client) = serve(self.folder.path());
     }
 
-    /// Sends a small capture with its poses and ground truth; the job's id.
+    /// Submits a small capture with its poses and ground truth; returns the job's id.
     pub fn submit(&self) -> String {
         let capture = small_capture(self.folder.path());
         let mut parts = folder_parts(&capture);
@@ -76,7 +76,7 @@ impl Server {
         reply.json()["id"].as_str().expect("id").to_owned()
     }
 
-    /// Waits until the job trains the splats of a round.
+    /// Waits until the job trains a round.
     fn wait_for_training(&self, job: &str, round: u32) {
         self.wait(job, "training", |shown| {
             assert!(
@@ -112,7 +112,7 @@ impl Server {
     }
 }
 
-/// Starts the server and reads from its first words where it listens.
+/// Starts the server and reads its address from the log.
 fn serve(folder: &Path) -> (Child, Client) {
     let mut child = fled()
         .args(["serve", "--listen", "127.0.0.1:0", "--data"])
@@ -129,12 +129,12 @@ fn serve(folder: &Path) -> (Child, Client) {
             line.split_once("listening on ")
                 .map(|(_, address)| address.to_owned())
         });
-    // Read on, or the server blocks once the pipe is full.
+    // Keep reading, or the server blocks once the pipe is full.
     std::thread::spawn(move || lines.for_each(drop));
     (child, Client::new(address.expect("an address"), PATIENCE))
 }
 
-/// Every file of a capture folder under its path.
+/// Every file of a capture folder, named by its path.
 fn folder_parts(capture: &Path) -> Vec<Part> {
     let (mut parts, mut folders) = (Vec::new(), vec![capture.to_owned()]);
     while let Some(folder) = folders.pop() {
@@ -166,7 +166,7 @@ fn events_of<'a>(
 }
 
 #[test]
-fn a_posted_capture_becomes_a_succeeded_job_with_rounds_artifacts_and_a_render() {
+fn a_posted_capture_becomes_a_job_with_results_and_renders() {
     let server = Server::start();
     let job = server.submit();
     server.wait_for_training(&job, 2);
@@ -205,7 +205,7 @@ fn a_posted_capture_becomes_a_succeeded_job_with_rounds_artifacts_and_a_render()
     );
 }
 
-/// The table of rounds is that of `metrics.json`, with every split and every view.
+/// Checks that the table of rounds equals that of `metrics.json`, with every split and every view.
 fn check_rounds(server: &Server, job: &str, done: &Value) {
     let rounds = server
         .get(&format!("/v1/jobs/{job}/rounds"), &[])
@@ -266,8 +266,8 @@ fn check_artifacts(server: &Server, job: &str) {
     );
 }
 
-/// A photograph's view is rendered as the pipeline did, and in other proportions as `fled render`
-/// does: with square pixels.
+/// Checks that a photograph's view renders as in the pipeline, and other aspect ratios as in `fled
+/// render`: with square pixels.
 fn check_views(server: &Server, job: &str) {
     let view = |query: &str| server.get(&format!("/v1/jobs/{job}/render?{query}"), &[]);
     let camera = &server
@@ -304,7 +304,7 @@ fn check_views(server: &Server, job: &str) {
 }
 
 #[test]
-fn a_server_killed_while_a_job_trains_finishes_it_after_its_restart() {
+fn a_restarted_server_finishes_the_job_it_was_training() {
     let mut server = Server::start();
     let job = server.submit();
     for round in [1, 2] {
@@ -342,7 +342,7 @@ fn a_server_killed_while_a_job_trains_finishes_it_after_its_restart() {
 }
 
 #[test]
-fn a_job_whose_process_is_killed_is_taken_up_again_and_finishes() {
+fn a_job_whose_process_is_killed_is_retried_and_finishes() {
     let server = Server::start();
     let job = server.submit();
     server.wait_for_training(&job, 2);
@@ -367,7 +367,7 @@ fn a_job_whose_process_is_killed_is_taken_up_again_and_finishes() {
 }
 
 #[test]
-fn a_capture_of_black_pictures_is_refused_with_a_reason_for_each() {
+fn black_pictures_are_each_refused_with_a_reason() {
     let server = Server::start();
     let black: Image = Image::new(160, 120);
     let png = black.encode(EncodeFormat::Png).expect("encode");
@@ -408,7 +408,7 @@ fn a_capture_of_black_pictures_is_refused_with_a_reason_for_each() {
 }
 
 #[test]
-fn tokens_are_made_listed_and_ended_while_the_service_runs() {
+fn tokens_are_created_listed_and_revoked_at_run_time() {
     let server = Server::start();
     let data = server.folder.path().join("data");
     let token = |arguments: &[&str]| {

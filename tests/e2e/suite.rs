@@ -1,4 +1,4 @@
-//! A suite: configurations of a capture, judged and compared.
+//! Tests of a suite: configurations of a capture, judged and compared.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -8,7 +8,7 @@ use serde_json::json;
 
 use crate::support::{code, fled, json, said, small_capture, succeed};
 
-/// A suite of a made-up capture, which is its own truth: its held-out views are the test.
+/// A suite of a synthetic capture that is its own truth: its held-out views are the test views.
 fn suite(folder: &Path, change: &str) -> PathBuf {
     small_capture(folder);
     let content = json!({
@@ -38,7 +38,7 @@ fn carried_out(file: &Path, arguments: &[&str]) -> Output {
 }
 
 #[test]
-fn a_suite_runs_judges_and_compares_what_is_not_recorded_yet() {
+fn a_suite_makes_judges_and_compares_the_missing_runs() {
     let folder = tempfile::tempdir().expect("temporary folder");
     let file = suite(folder.path(), "\"set\"");
     let as_json = folder.path().join("said.json");
@@ -71,7 +71,7 @@ fn a_suite_runs_judges_and_compares_what_is_not_recorded_yet() {
         "{differences:#?}"
     );
 
-    // Only what failed is tried again, and printing tries nothing.
+    // Only failed runs are repeated, and printing runs nothing.
     let again = carried_out(&file, &[]);
     let tried = String::from_utf8_lossy(&again.stderr).into_owned();
     assert_eq!(tried.matches("fled run").count(), 1, "{tried}");
@@ -85,7 +85,7 @@ fn a_suite_runs_judges_and_compares_what_is_not_recorded_yet() {
 }
 
 #[test]
-fn a_suite_that_cannot_be_is_wrong_use_and_a_run_may_still_be_judged_alone() {
+fn an_invalid_suite_or_evaluation_is_wrong_usage() {
     let folder = tempfile::tempdir().expect("temporary folder");
     let misspelt = carried_out(&suite(folder.path(), "\"sets\""), &[]);
     assert_eq!(code(&misspelt), 2);

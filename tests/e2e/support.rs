@@ -1,4 +1,4 @@
-//! Small captures and the binary.
+//! Shared helpers: small captures and the binary.
 
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
@@ -9,12 +9,12 @@ use fled_core::synthetic::{SynthOptions, generate};
 /// The binary under test.
 const FLED: &str = env!("CARGO_BIN_EXE_fled");
 
-/// A capture of 12 small, shaken views with true poses, made once a test.
+/// A capture of 12 small, shaken views with true poses, made once per test.
 pub fn small_capture(folder: &Path) -> PathBuf {
     small_capture_shaken_by(folder, 3.0)
 }
 
-/// The same, shaken by at most so many px.
+/// A small capture with a blur of at most `blur` px.
 pub fn small_capture_shaken_by(folder: &Path, blur: f64) -> PathBuf {
     let capture = folder.join("capture");
     let options = SynthOptions {
@@ -29,21 +29,20 @@ pub fn small_capture_shaken_by(folder: &Path, blur: f64) -> PathBuf {
     capture
 }
 
-/// The binary, which finds ONNX Runtime where `make onnxruntime` puts it, wherever the build folder
-/// is.
+/// The binary, with ONNX Runtime from `make onnxruntime`, independent of the build folder.
 pub fn fled() -> Command {
     let library =
         Path::new(env!("CARGO_MANIFEST_DIR")).join("../../.onnxruntime/libonnxruntime.so");
     let mut command = Command::new(FLED);
-    // The networks of whoever runs the tests are none of theirs.
+    // Tests must not use the networks of the user who runs them.
     command
         .env("ORT_DYLIB_PATH", library)
         .env("FLED_MODELS", "/nowhere/models");
     command
 }
 
-/// `fled run` at a size that takes seconds. Every round is made, shaken or not. Points are kept
-/// beside the capture: COLMAP draws others each time.
+/// `fled run` at a size that takes seconds, with all rounds whether or not the capture is shaken.
+/// Caches points beside the capture, because COLMAP's answer differs each time.
 pub fn small_run(capture: &Path, out: &Path, rounds: u32) -> Command {
     let mut command = fled();
     command
@@ -66,7 +65,7 @@ pub fn small_run(capture: &Path, out: &Path, rounds: u32) -> Command {
     command
 }
 
-/// Runs to the end and fails the test with the program's own words when it fails.
+/// Runs the command to its end; panics with its output if it fails.
 pub fn succeed(command: &mut Command) -> Output {
     let output = command.output().expect("the binary starts");
     assert!(
@@ -77,7 +76,8 @@ pub fn succeed(command: &mut Command) -> Output {
     output
 }
 
-/// Starts a run and kills it, without a chance to clean up, at the first event that holds `moment`.
+/// Starts a run and kills it, without a chance to clean up, at the first event that contains
+/// `moment`.
 pub fn kill_at(run: &mut Command, moment: &str) {
     let mut child = run
         .arg("--json")
@@ -92,7 +92,7 @@ pub fn kill_at(run: &mut Command, moment: &str) {
     assert!(seen, "the run ended before {moment}");
 }
 
-/// kill -9; who is gone already is as good as killed.
+/// Kills a process with SIGKILL; it may have exited already.
 pub fn kill(process: u32) {
     let status = Command::new("kill")
         .args(["-9", &process.to_string()])
@@ -100,13 +100,13 @@ pub fn kill(process: u32) {
     status.expect("kill starts");
 }
 
-/// A JSON file.
+/// Reads a JSON file.
 pub fn json(path: &Path) -> serde_json::Value {
     let bytes = std::fs::read(path).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
     serde_json::from_slice(&bytes).expect("valid JSON")
 }
 
-/// A network of the golden values.
+/// The path of a test network.
 pub fn network(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR"))
         .join("../../tests/golden/onnx")
@@ -118,7 +118,7 @@ pub fn code(output: &Output) -> i32 {
     output.status.code().expect("not killed")
 }
 
-/// What was written to either output.
+/// The text written to stdout and stderr.
 pub fn said(output: &Output) -> String {
     String::from_utf8_lossy(&output.stdout).into_owned() + &String::from_utf8_lossy(&output.stderr)
 }

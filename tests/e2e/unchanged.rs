@@ -1,10 +1,11 @@
-//! Golden runs: what a fixed capture, seed and poses come to, byte for byte.
+//! Golden runs: the results of a fixed capture, seed and poses, byte for byte.
 //!
-//! Changes of layout must not change a result. `tests/golden/runs.json` holds, for every machine
-//! that was asked, the hash of `scene.ply` and `cameras.json` and the whole of `metrics.json`
-//! without its clock readings. Bytes depend on the adapter, on the processor (the C library and
-//! ONNX Runtime choose their code by it) and on nothing else; on a machine that the file does not
-//! know, the scores must still agree with those of the ones that it does. `FLED_BLESS=1` adds this
+//! Changes of structure must not change a result. `tests/golden/runs.json` holds, for each known
+//! machine, the hashes of `scene.ply` and `cameras.json` and all of `metrics.json` except its
+//! times. The bytes depend only on the adapter and the processor (the C library and ONNX Runtime
+//! choose their code by it); on an unknown machine, the scores must still agree with those of the
+//! known ones. `FLED_BLESS=1` adds this machine or replaces its values: only on a build known to be
+//! good, and in a separate commit.
 //! machine, or replaces its values: on a build that is known to be good, in a commit of its own.
 
 use std::fs;
@@ -15,7 +16,7 @@ use serde_json::{Map, Value, json};
 
 use crate::support::{fled, json, succeed};
 
-/// Options of each run beyond the common ones; together they pass through every branch of a round.
+/// Options of each run besides the common ones; together they cover every branch of a round.
 const RUNS: [(&str, &[&str]); 2] = [
     ("kernels", &["steps=60", "shake=kernel"]),
     (
@@ -33,20 +34,20 @@ const RUNS: [(&str, &[&str]); 2] = [
     ),
 ];
 
-/// Measured, not computed: what may differ between equal runs.
+/// Measured values, which may differ between equal runs.
 const CLOCK: [&str; 3] = ["seconds", "steps_per_second", "stages"];
 
-/// Scores of another machine may differ by this much: other rounding, amplified by training.
+/// Tolerance of the scores on another machine, whose rounding differs and is amplified by training.
 const TOLERANCE_DB: f64 = 0.75;
 
 fn golden_file() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/golden/runs.json")
 }
 
-/// The result of one run, as the golden file keeps it.
+/// The result of one run, in the form of the golden file.
 fn outcome(capture: &Path, out: &Path, options: &[&str]) -> Value {
     let mut command = fled();
-    // Without COLMAP the points are drawn from the seed; COLMAP draws others each time.
+    // Without COLMAP, the points are drawn from the seed; COLMAP's differ each time.
     command
         .env("PATH", "/nowhere")
         .arg("run")
@@ -84,7 +85,7 @@ fn without_clock(value: Value) -> Value {
     }
 }
 
-/// What the bytes depend on: the adapter and the processor.
+/// The machine that determines the bytes: adapter and processor.
 fn machine(outcome: &Value) -> String {
     let adapter = outcome["metrics.json"]["adapter"]
         .as_str()
@@ -107,7 +108,7 @@ fn machine(outcome: &Value) -> String {
     )
 }
 
-/// Where two outcomes of one run differ: paths into the JSON.
+/// The differences between two outcomes of one run, as paths into the JSON.
 fn differences(path: &str, expected: &Value, found: &Value, faults: &mut Vec<String>) {
     match (expected, found) {
         (Value::Object(a), Value::Object(b)) => {
@@ -140,7 +141,7 @@ fn scores(outcome: &Value) -> Vec<f64> {
         .collect()
 }
 
-/// What is wrong with `found`, given what is known of this machine and of others.
+/// The faults of `found`, given the known outcomes of this machine and of others.
 fn faults(known: &Map<String, Value>, run: &str, found: &Value) -> Vec<String> {
     let mut faults = Vec::new();
     if let Some(expected) = known.get(&machine(found)).and_then(|runs| runs.get(run)) {
@@ -208,7 +209,7 @@ fn a_fixed_capture_seed_and_poses_give_the_bytes_they_always_gave() {
 }
 
 #[test]
-fn a_changed_result_is_found_on_a_known_machine_and_on_an_unknown_one() {
+fn a_changed_result_is_detected_on_any_machine() {
     let known: Map<String, Value> = serde_json::from_value(json(&golden_file())).expect("machines");
     let (name, runs) = known.iter().next().expect("a machine");
     let mut found = runs["kernels"].clone();

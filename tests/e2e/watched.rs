@@ -1,4 +1,4 @@
-//! What a run tells of its training to whoever watches.
+//! Tests of the live events of a run in training.
 
 use std::fs;
 use std::path::Path;
@@ -7,7 +7,7 @@ use serde_json::Value;
 
 use crate::support::{json, small_capture, small_run, succeed};
 
-/// The events of these names that a run of one round tells, in order.
+/// The events with these names from a run of one round, in order.
 fn told(capture: &Path, out: &Path, options: &[&str], names: &[&str]) -> Vec<Value> {
     let mut run = small_run(capture, out, 1);
     for set in options {
@@ -23,7 +23,7 @@ fn told(capture: &Path, out: &Path, options: &[&str], names: &[&str]) -> Vec<Val
 }
 
 #[test]
-fn held_out_views_are_scored_with_truth_while_it_trains_and_a_picture_of_one_is_made() {
+fn training_reports_scores_and_a_picture_of_held_out_views() {
     let folder = tempfile::tempdir().expect("temporary folder");
     let capture = small_capture(folder.path());
     let out = folder.path().join("out");
@@ -45,7 +45,7 @@ fn held_out_views_are_scored_with_truth_while_it_trains_and_a_picture_of_one_is_
             "{told}"
         );
     }
-    // The last step's score is near the round's own, whose pictures are twice as large.
+    // The last step's score is close to the round's score, whose pictures are twice as large.
     let report = json(&out.join("metrics.json"));
     let records = report["rounds"][0]["records"].as_array().expect("records");
     let is_asked = |record: &&Value| {
@@ -74,7 +74,7 @@ fn held_out_views_are_scored_with_truth_while_it_trains_and_a_picture_of_one_is_
     );
 }
 
-/// The name of the first view that was held out.
+/// The name of the first held-out view.
 fn first_held_out(out: &Path) -> Value {
     let cameras = json(&out.join("cameras.json"));
     let mut cameras = cameras.as_array().expect("cameras").iter();
@@ -83,7 +83,7 @@ fn first_held_out(out: &Path) -> Value {
 }
 
 #[test]
-fn without_truth_scores_are_of_self_consistency_and_without_held_out_views_there_are_none() {
+fn scores_need_held_out_views_and_may_lack_truth() {
     let folder = tempfile::tempdir().expect("temporary folder");
     let capture = small_capture(folder.path());
     fs::remove_dir_all(capture.join("HL")).expect("ground truth");

@@ -1,4 +1,4 @@
-//! What tests of the service share: an HTTP client with the API's habits.
+//! Shared helpers of the service's tests: a client for its HTTP API.
 
 mod postgres;
 mod s3;
@@ -12,7 +12,7 @@ use serde_json::Value;
 pub use postgres::Postgres;
 pub use s3::{Fault, S3};
 
-/// One answer may take so long.
+/// Time limit of a request.
 const PATIENCE: Duration = Duration::from_secs(30);
 
 /// A client of one server.
@@ -24,7 +24,7 @@ pub struct Client {
     patience: Duration,
 }
 
-/// What a server answers.
+/// A server's response.
 #[derive(Debug)]
 pub struct Reply {
     /// The status code.
@@ -47,14 +47,14 @@ impl Reply {
         String::from_utf8_lossy(&self.body).into_owned()
     }
 
-    /// A header, empty when absent.
+    /// The value of a header, empty when absent.
     pub fn header(&self, name: &str) -> &str {
         self.headers
             .get(name)
             .map_or("", |value| value.to_str().expect("ASCII"))
     }
 
-    /// Fails the test with the body unless the status is this one.
+    /// Panics with the body unless the status is `status`.
     #[track_caller]
     pub fn expect(self, status: u16) -> Self {
         assert_eq!(self.status, status, "{}", self.text());
@@ -63,7 +63,7 @@ impl Reply {
 }
 
 impl Client {
-    /// `patience` is how long [`Self::wait`] waits.
+    /// `patience` is the time limit of [`Self::wait`].
     pub fn new(base: String, patience: Duration) -> Self {
         let agent = ureq::Agent::config_builder()
             .http_status_as_error(false)
@@ -77,7 +77,7 @@ impl Client {
         }
     }
 
-    /// GET with headers.
+    /// Sends a GET request with headers.
     pub fn get(&self, path: &str, headers: &[(&str, &str)]) -> Reply {
         let mut request = self.agent.get(format!("{}{path}", self.base));
         for (name, value) in headers {
@@ -86,12 +86,12 @@ impl Client {
         reply(request.call())
     }
 
-    /// DELETE.
+    /// Sends a DELETE request.
     pub fn delete(&self, path: &str) -> Reply {
         self.delete_as(path, &[])
     }
 
-    /// DELETE with headers.
+    /// Sends a DELETE request with headers.
     pub fn delete_as(&self, path: &str, headers: &[(&str, &str)]) -> Reply {
         let mut request = self.agent.delete(format!("{}{path}", self.base));
         for (name, value) in headers {
@@ -100,12 +100,12 @@ impl Client {
         reply(request.call())
     }
 
-    /// PUT of nothing.
+    /// Sends a PUT request without a body.
     pub fn put(&self, path: &str) -> Reply {
         reply(self.agent.put(format!("{}{path}", self.base)).send_empty())
     }
 
-    /// POST of bytes.
+    /// Sends a POST request with bytes.
     pub fn post(&self, path: &str, body: &[u8], headers: &[(&str, &str)]) -> Reply {
         let mut request = self.agent.post(format!("{}{path}", self.base));
         for (name, value) in headers {
@@ -114,7 +114,7 @@ impl Client {
         reply(request.send(body))
     }
 
-    /// Any method, with headers and a body.
+    /// Sends a request with any method, headers and body.
     pub fn ask(&self, method: &str, path: &str, headers: &[(&str, &str)], body: &[u8]) -> Reply {
         let mut request = ureq::http::Request::builder();
         for (name, value) in headers {
@@ -125,13 +125,13 @@ impl Client {
         reply(self.agent.run(request))
     }
 
-    /// POST of JSON.
+    /// Sends a POST request with JSON.
     pub fn post_json(&self, path: &str, body: &Value, headers: &[(&str, &str)]) -> Reply {
         let headers = [headers, &[("content-type", "application/json")]].concat();
         self.post(path, body.to_string().as_bytes(), &headers)
     }
 
-    /// POST of a multipart form.
+    /// Sends a POST request with a multipart form.
     pub fn upload(&self, path: &str, parts: &[Part], headers: &[(&str, &str)]) -> Reply {
         let headers = [
             headers,
@@ -141,12 +141,12 @@ impl Client {
         self.post(path, &multipart(parts), &headers)
     }
 
-    /// The job as it stands.
+    /// The current state of the job.
     pub fn show(&self, job: &str) -> Value {
         self.get(&format!("/v1/jobs/{job}"), &[]).expect(200).json()
     }
 
-    /// Waits until the job is as asked.
+    /// Waits until the job meets the condition.
     #[track_caller]
     pub fn wait(&self, job: &str, what: &str, is: impl Fn(&Value) -> bool) -> Value {
         let start = Instant::now();
@@ -160,7 +160,7 @@ impl Client {
         }
     }
 
-    /// Waits until the job is in the state; not when it is over in another.
+    /// Waits until the job is in the state; panics if it ends in another.
     #[track_caller]
     pub fn wait_state(&self, job: &str, state: &str) -> Value {
         let is_over = |shown: &Value| shown["finished_at"].is_string();
@@ -171,8 +171,8 @@ impl Client {
         shown
     }
 
-    /// The events after a number until the stream ends or there are `most`: (number, name,
-    /// payload).
+    /// The events after number `after`, as (number, name, payload), until the stream ends or there
+    /// are `most`.
     pub fn events(&self, job: &str, after: i64, most: usize) -> Vec<(i64, String, Value)> {
         let request = self
             .agent
@@ -182,7 +182,7 @@ impl Client {
         let mut events = Vec::new();
         let (mut id, mut name) = (0, String::new());
         for line in BufReader::new(response.into_body().into_reader()).lines() {
-            // A stream of a killed server ends in an error: what came before counts.
+            // The stream of a killed server ends in an error; the events before it count.
             let Ok(line) = line else { break };
             match line.split_once(": ").or_else(|| line.split_once(':')) {
                 Some(("id", text)) => id = text.trim().parse().expect("number"),
@@ -232,7 +232,7 @@ pub fn file(name: &str, content: &[u8]) -> Part {
     ("images".to_owned(), Some(name.to_owned()), content.to_vec())
 }
 
-/// The body of a form, whose parts are parted by `XXXX`.
+/// The body of a form, with the boundary `XXXX`.
 pub fn multipart(parts: &[Part]) -> Vec<u8> {
     let mut body = Vec::new();
     for (name, file, content) in parts {
@@ -250,12 +250,12 @@ pub fn multipart(parts: &[Part]) -> Vec<u8> {
     body
 }
 
-/// How many processes carry the job's mark.
+/// Number of processes with the job's mark.
 pub fn processes_of(job: &str) -> usize {
     pids_of(job).len()
 }
 
-/// The processes that carry the job's mark.
+/// The processes with the job's mark in their environment.
 pub fn pids_of(job: &str) -> Vec<u32> {
     let mark = format!("FLED_JOB_ID={job}");
     let processes = std::fs::read_dir("/proc").expect("Linux");
@@ -270,7 +270,7 @@ pub fn pids_of(job: &str) -> Vec<u32> {
         .collect()
 }
 
-/// Waits up to two seconds for the last process of a job to end.
+/// Waits up to two seconds for all processes of a job to end; returns whether they did.
 pub fn gone(job: &str) -> bool {
     let start = Instant::now();
     while start.elapsed() < Duration::from_secs(2) {

@@ -1,5 +1,5 @@
-//! A PostgreSQL of the tests' own: in a temporary folder, on a free port. The system's is left
-//! alone.
+//! A PostgreSQL server for the tests, in a temporary folder and on a free port, separate from the
+//! system's.
 
 use std::fs;
 use std::net::TcpListener;
@@ -12,13 +12,13 @@ use std::sync::mpsc;
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
-/// A server gets so long to begin or to end.
+/// Time limit for the start or the end of a server.
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// Where Debian keeps the programs of PostgreSQL, which it does not put on the path.
+/// Debian's folder of PostgreSQL programs, which are not in the search path.
 const DEBIAN: &str = "/usr/lib/postgresql";
 
-/// A server of databases.
+/// A PostgreSQL server.
 #[derive(Debug)]
 pub struct Postgres {
     folder: PathBuf,
@@ -28,15 +28,16 @@ pub struct Postgres {
 }
 
 impl Postgres {
-    /// The one that the tests of a process share, for as long as it lives.
+    /// The server shared by the tests of a process, for the life of the process.
     ///
     /// # Panics
-    /// Where PostgreSQL is not installed or does not begin.
+    /// If PostgreSQL is not installed or does not start.
     pub fn shared() -> &'static Self {
         static SHARED: OnceLock<Postgres> = OnceLock::new();
         SHARED.get_or_init(|| {
             let (tell, told) = mpsc::channel();
-            // It ends with the thread that began it: one that lives as long as the tests.
+            // The server ends with the thread that started it, so this one lives as long as the
+            // tests.
             std::thread::spawn(move || {
                 if tell.send(Self::start()).is_ok() {
                     loop {
@@ -48,10 +49,10 @@ impl Postgres {
         })
     }
 
-    /// Makes a server and begins it.
+    /// Creates and starts a server.
     ///
     /// # Panics
-    /// Where PostgreSQL is not installed or does not begin.
+    /// If PostgreSQL is not installed or does not start.
     pub fn start() -> Self {
         let folder = tempfile::tempdir().expect("temporary directory").keep();
         fs::set_permissions(&folder, fs::Permissions::from_mode(0o755)).expect("permissions");
@@ -93,10 +94,10 @@ impl Postgres {
         server
     }
 
-    /// Begins it, after it was killed.
+    /// Starts the server again after it was killed.
     ///
     /// # Panics
-    /// Where it does not begin.
+    /// If it does not start.
     pub fn begin(&mut self) {
         let log = fs::File::create(self.folder.join("log")).expect("log");
         let child = as_user(&program("postgres"))
@@ -110,7 +111,7 @@ impl Postgres {
                 "-k",
             ])
             .arg(&self.folder)
-            // A power cut is not what is tested.
+            // The tests do not cover power cuts.
             .args(["-c", "fsync=off", "-c", "max_connections=200"])
             .stdout(Stdio::null())
             .stderr(log)
@@ -128,15 +129,15 @@ impl Postgres {
         }
     }
 
-    /// Kills it, as when its machine loses power. Its connections are cut.
+    /// Kills the server, as if its machine lost power. Cuts its connections.
     ///
     /// # Panics
-    /// Where it does not end.
+    /// If it does not end.
     pub fn kill(&mut self) {
         let Some(mut child) = self.child.take() else {
             return;
         };
-        // Its children notice that the first process is gone, and end.
+        // Its child processes notice that the parent is gone, and end.
         child.kill().expect("kill");
         child.wait().expect("ended");
         let lock = self.folder.join("data/postmaster.pid");
@@ -144,10 +145,10 @@ impl Postgres {
         sleep(Duration::from_millis(500));
     }
 
-    /// A new, empty database: its address.
+    /// Creates an empty database and returns its URL.
     ///
     /// # Panics
-    /// Where it cannot be made.
+    /// If it cannot be created.
     pub fn database(&self) -> String {
         let number = self.databases.fetch_add(1, Ordering::Relaxed);
         let name = format!("fled_{number}");
@@ -156,18 +157,18 @@ impl Postgres {
         format!("postgres://fled@127.0.0.1:{}/{name}", self.port)
     }
 
-    /// The port on which it listens.
+    /// The port of the server.
     pub fn port(&self) -> u16 {
         self.port
     }
 
-    /// Asks a database; the rows as text.
+    /// Runs a query; returns the rows as text.
     ///
     /// # Errors
-    /// What it says against it.
+    /// The error message.
     ///
     /// # Panics
-    /// Where `psql` is not installed.
+    /// If `psql` is not installed.
     pub fn psql(&self, database: &str, sql: &str) -> Result<String, String> {
         let answer = Command::new(program("psql"))
             .env("PGCONNECT_TIMEOUT", "5")
@@ -193,7 +194,7 @@ impl Drop for Postgres {
     }
 }
 
-/// A program of the newest PostgreSQL there is.
+/// A program of the newest installed PostgreSQL.
 fn program(name: &str) -> PathBuf {
     let versions = fs::read_dir(DEBIAN).map(|entries| {
         let versions = entries.flatten().filter_map(|entry| {
@@ -209,7 +210,7 @@ fn program(name: &str) -> PathBuf {
     }
 }
 
-/// PostgreSQL refuses to run as root: then the user `postgres`, or `nobody`.
+/// The user `postgres` or `nobody` if the tests run as root, which PostgreSQL refuses.
 fn other_user() -> Option<(u32, u32)> {
     let root = fs::metadata("/proc/self").is_ok_and(|about| {
         use std::os::unix::fs::MetadataExt;
@@ -230,7 +231,7 @@ fn other_user() -> Option<(u32, u32)> {
     })
 }
 
-/// A command that ends with the thread that starts it, and is not root's.
+/// A command that ends with the thread that started it, and does not run as root.
 fn as_user(program: &Path) -> Command {
     let mut command = Command::new("setpriv");
     if let Some((user, group)) = other_user() {

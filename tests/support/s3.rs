@@ -1,4 +1,4 @@
-//! An S3 server on a free port, over a temporary folder, that misbehaves when it is told to.
+//! An S3 server on a free port, over a temporary folder, with injected faults.
 
 use std::convert::Infallible;
 use std::path::Path;
@@ -21,26 +21,26 @@ use tempfile::TempDir;
 use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;
 
-/// What becomes of a request.
+/// The treatment of a request.
 #[derive(Clone, Copy, Debug)]
 pub enum Fault {
-    /// It is answered.
+    /// Responds normally.
     None,
-    /// It is refused with this status.
+    /// Refuses with this status.
     Status(u16),
-    /// The connection ends after so many bytes of the answer.
+    /// Closes the connection after this many bytes of the response.
     CutAfter(usize),
-    /// Nothing comes after so many bytes of the answer.
+    /// Stalls after this many bytes of the response.
     StallAfter(usize),
-    /// The answer has the length and the bytes of its beginning alone.
+    /// Truncates the response, and its length, to its first bytes.
     ShortenTo(usize),
-    /// The first byte of the answer is another one.
+    /// Changes the first byte of the response.
     Flip,
-    /// The answer begins later.
+    /// Delays the response.
     Late(Duration),
 }
 
-/// Decides by method and address, for example `PUT /bucket/key`.
+/// Chooses a fault by method and path, for example `PUT /bucket/key`.
 type Rule = Box<dyn Fn(&str) -> Fault + Send>;
 
 struct State {
@@ -67,10 +67,10 @@ impl Drop for S3 {
 }
 
 impl S3 {
-    /// Begins one, in a thread of its own.
+    /// Starts a server in a separate thread.
     ///
     /// # Panics
-    /// Where there is no free port or no temporary folder.
+    /// If there is no free port or no temporary folder.
     pub fn start() -> Self {
         let root = tempfile::tempdir().expect("temporary directory");
         std::fs::create_dir(root.path().join("bucket")).expect("a bucket");
@@ -110,7 +110,7 @@ impl S3 {
         }
     }
 
-    /// What a client has to know, named as the environment does.
+    /// The settings of a client, named like the environment variables.
     pub fn settings(&self) -> [(&'static str, &str); 5] {
         [
             ("AWS_ENDPOINT", &self.address),
@@ -121,20 +121,20 @@ impl S3 {
         ]
     }
 
-    /// The folder in which the bucket lies.
+    /// The parent folder of the bucket.
     pub fn root(&self) -> &Path {
         self.root.path()
     }
 
-    /// Decides from now on what becomes of a request.
+    /// Sets the rule for all further requests.
     ///
     /// # Panics
-    /// Where an earlier rule has panicked.
+    /// If an earlier rule panicked.
     pub fn misbehave(&self, rule: impl Fn(&str) -> Fault + Send + 'static) {
         *self.state.rule.lock().expect("whole") = Box::new(rule);
     }
 
-    /// Does this to the first `count` requests that begin so.
+    /// Applies a fault to the first `count` requests that start with `begin`.
     ///
     /// # Panics
     /// As [`S3::misbehave`].
@@ -150,17 +150,17 @@ impl S3 {
         });
     }
 
-    /// How many requests began so.
+    /// Number of requests that start with `begin`.
     ///
     /// # Panics
-    /// Where a request has panicked.
+    /// If a request panicked.
     pub fn count(&self, begin: &str) -> usize {
         let requests = self.state.requests.lock().expect("whole");
         let meant = requests.iter().filter(|request| request.starts_with(begin));
         meant.count()
     }
 
-    /// The most requests that were under way at one time.
+    /// Largest number of concurrent requests.
     pub fn most_at_once(&self) -> usize {
         self.state.most.load(Ordering::Relaxed)
     }
@@ -206,7 +206,7 @@ async fn answer(state: &State, request: Request<Incoming>) -> Response<Body> {
     }
 }
 
-/// What is left unread resets the connection, and the answer may be lost with it.
+/// Unread data resets the connection, which may lose the response.
 async fn read_all(body: Incoming) {
     let mut body = Body::from(body);
     while let Some(Ok(_)) = body.next().await {}
@@ -233,10 +233,10 @@ fn spoil(mut answer: Response<Body>, fault: Fault) -> Response<Body> {
     })
 }
 
-/// A body with something wrong in it.
+/// A response body with a fault.
 struct Spoiled {
     inner: Body,
-    /// Bytes until then.
+    /// Bytes before the fault.
     left: usize,
     fault: Fault,
 }

@@ -1,16 +1,15 @@
-//! What may be named where: the one-way flow between the crates.
+//! Boundaries between the crates, which keep dependencies one-way.
 
 use crate::sources::{Source, expect_none, files};
 
-/// A word that may not stand in some files.
+/// Words that some files must not use.
 struct Boundary {
-    /// Folders or files that the rule is about.
+    /// Folders or files of the rule.
     within: &'static [&'static str],
-    /// Those inside that are free.
+    /// Exceptions among them.
     except: &'static [&'static str],
-    /// What may not be named, as whole words.
+    /// The forbidden words, as whole words.
     words: &'static [&'static str],
-    /// Why.
     reason: &'static str,
 }
 
@@ -83,7 +82,7 @@ fn faults(sources: &[Source]) -> Vec<String> {
     faults
 }
 
-/// Whether a line of code names a word: not as a part of a longer one, not in a string.
+/// Whether a line of code contains a word, not as a part of a longer one or in a string.
 fn names(line: &str, word: &str) -> bool {
     let code: String = line.split('"').step_by(2).collect::<Vec<_>>().join("\"\"");
     let part = |c: char| c.is_alphanumeric() || c == '_';
@@ -92,7 +91,7 @@ fn names(line: &str, word: &str) -> bool {
 }
 
 #[test]
-fn every_crate_keeps_to_its_own_words() {
+fn no_crate_uses_words_of_another() {
     let mut sources = files("src", "rs");
     sources.extend(files("tests", "rs"));
     sources.extend(files("src", "toml"));
@@ -101,7 +100,7 @@ fn every_crate_keeps_to_its_own_words() {
 }
 
 #[test]
-fn a_word_on_the_wrong_side_is_found() {
+fn a_forbidden_word_is_detected() {
     for (path, line) in [
         ("src/core/splat.rs", "use wgpu::Buffer;"),
         ("src/core/Cargo.toml", "wgpu.workspace = true"),
@@ -120,7 +119,7 @@ fn a_word_on_the_wrong_side_is_found() {
 }
 
 #[test]
-fn comments_strings_and_longer_words_are_free() {
+fn comments_strings_and_longer_words_are_allowed() {
     let text = "// wgpu is elsewhere\nlet sort = export(\"wgpu\");\nlet wgpu_free = 1;\n";
     expect_none(&faults(&[Source::made_up("src/core/splat.rs", text)]));
 }

@@ -1,4 +1,4 @@
-//! Lines that fit into one window.
+//! The limit of line lengths.
 
 use std::collections::BTreeSet;
 
@@ -6,10 +6,10 @@ use proc_macro2::{TokenStream, TokenTree};
 
 use crate::sources::{Source, expect_none, files};
 
-/// Characters of a line.
+/// Most characters per line.
 const COLUMNS: usize = 100;
 
-/// Too long lines of Rust. A string, and what stands beside it, may be longer: rustfmt breaks none.
+/// Overlong lines of Rust. Lines with strings are exempt, because rustfmt does not break strings.
 fn in_rust(source: &Source) -> Vec<String> {
     let tokens: TokenStream = source
         .text
@@ -18,7 +18,7 @@ fn in_rust(source: &Source) -> Vec<String> {
     let mut with_string = BTreeSet::new();
     lines_with_strings(tokens, &mut with_string);
     too_long(source, |number, line| {
-        // To the parser the comment of an item is a string.
+        // The parser treats the doc comment of an item as a string.
         let comment = line.trim_start().starts_with("//");
         with_string.contains(&number) && !comment
     })
@@ -36,12 +36,12 @@ fn lines_with_strings(tokens: TokenStream, lines: &mut BTreeSet<usize>) {
     }
 }
 
-/// Too long lines of WGSL.
+/// Overlong lines of WGSL.
 fn in_wgsl(source: &Source) -> Vec<String> {
     too_long(source, |_, _| false)
 }
 
-/// Too long lines of Markdown, outside of tables, of code and of HTML.
+/// Overlong lines of Markdown, except in tables, code and HTML.
 fn in_markdown(source: &Source) -> Vec<String> {
     let mut in_code = false;
     too_long(source, |_, line| {
@@ -52,7 +52,7 @@ fn in_markdown(source: &Source) -> Vec<String> {
     })
 }
 
-/// Lines that are too long even without their addresses, and not free.
+/// Lines that are too long even without their addresses, and not exempt.
 fn too_long(source: &Source, mut free: impl FnMut(usize, &str) -> bool) -> Vec<String> {
     let fault = |(number, line): (usize, &str)| {
         let columns = without_addresses(line).chars().count();
@@ -67,7 +67,7 @@ fn too_long(source: &Source, mut free: impl FnMut(usize, &str) -> bool) -> Vec<S
     (1..).zip(source.text.lines()).filter_map(fault).collect()
 }
 
-/// A line without what cannot be broken: the targets of links, and words with `://`.
+/// A line without its unbreakable parts: the targets of links, and words with `://`.
 fn without_addresses(line: &str) -> String {
     let mut parts = line.split("](");
     let mut text = parts.next().unwrap_or_default().to_owned();
@@ -98,7 +98,7 @@ fn lines_are_not_too_long() {
 }
 
 #[test]
-fn a_long_line_is_found() {
+fn a_long_line_is_detected() {
     let words = |count: usize| "word ".repeat(count);
     let rust = format!("/// {0}\nconst A: &str = \"{0}\";\n// {0}\n", words(20));
     assert_eq!(

@@ -1,10 +1,10 @@
-//! Comments cite nothing that a reader of this repository cannot open.
+//! Comments must cite only documents of the repository.
 
 use std::path::Path;
 
 use crate::sources::{Source, expect_none, files, top};
 
-/// Where comments are read, and in which languages.
+/// The folders whose comments are checked, and their languages.
 const READ: [(&str, &[&str]); 5] = [
     ("src", &["rs"]),
     ("shaders", &["wgsl"]),
@@ -13,8 +13,7 @@ const READ: [(&str, &[&str]); 5] = [
     ("training", &["py"]),
 ];
 
-/// Number, from 1, and text of every line that is a comment or ends in one. Python's docstrings
-/// are comments too.
+/// Number, from 1, and text of every line with a comment. Python's docstrings are comments too.
 fn comments(source: &Source) -> Vec<(usize, &str)> {
     let slashes = source.path.ends_with(".rs") || source.path.ends_with(".wgsl");
     let sign = if slashes { "//" } else { "#" };
@@ -31,13 +30,13 @@ fn comments(source: &Source) -> Vec<(usize, &str)> {
     found
 }
 
-/// Where a comment begins: not at the `//` of an address.
+/// Start of a comment, except at the `//` of an address.
 fn start_of_comment(line: &str, sign: &str) -> Option<usize> {
     let mut starts = line.match_indices(sign).map(|(at, _)| at);
     starts.find(|at| !line[..*at].ends_with(':'))
 }
 
-/// The documents that a comment names.
+/// The documents cited in a comment.
 fn cited(comment: &str) -> impl Iterator<Item = &str> {
     let words = comment
         .split_whitespace()
@@ -52,7 +51,7 @@ fn cited(comment: &str) -> impl Iterator<Item = &str> {
     })
 }
 
-/// Documents that are named and are neither at this path of the repository nor beside the file.
+/// Cited documents that exist neither at this path of the repository nor beside the file.
 fn faults(source: &Source, exists: impl Fn(&Path) -> bool) -> Vec<String> {
     let folder = Path::new(&source.path).parent().unwrap_or(Path::new(""));
     let mut faults = Vec::new();
@@ -77,7 +76,7 @@ fn comments_cite_only_documents_of_the_repository() {
             .iter()
             .flat_map(|extension| files(folder, extension))
         {
-            // Its tests hold comments in strings.
+            // The tests of this file contain comments in strings.
             if source.path == "tests/tidy/comments.rs" {
                 continue;
             }
@@ -90,7 +89,7 @@ fn comments_cite_only_documents_of_the_repository() {
 }
 
 #[test]
-fn a_document_that_is_not_there_is_found() {
+fn a_missing_document_is_detected() {
     let exists = |path: &Path| path == Path::new("README.md") || path == Path::new("src/a/own.md");
     for (path, text) in [
         ("src/a/b.rs", "//! Differs from service.md: a path.\n"),

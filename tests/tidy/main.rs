@@ -1,5 +1,5 @@
-//! The rules of the house that neither rustc nor clippy knows (ARCHITECTURE.md). Every rule is
-//! a function from sources to faults, with a test that feeds it a fault.
+//! The project's rules that rustc and clippy do not check (ARCHITECTURE.md). Every rule is a
+//! function from sources to faults, with a test that feeds it a fault.
 
 mod boundaries;
 mod columns;

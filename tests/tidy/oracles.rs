@@ -1,9 +1,8 @@
-//! Whoever judges must have been seen to condemn: a helper that compares has a test in which it
-//! fails.
+//! Every comparing helper must have a test in which it fails.
 
 use crate::sources::{Source, expect_none, files};
 
-/// Helpers `fn assert_*` of test code that no `#[should_panic]` test of the same file calls.
+/// Helpers `fn assert_*` in test code that no `#[should_panic]` test of the same file calls.
 fn faults(source: &Source) -> Vec<String> {
     let condemned: Vec<&str> = source
         .text
@@ -48,7 +47,7 @@ fn faults(source: &Source) -> Vec<String> {
 }
 
 #[test]
-fn every_comparison_has_been_seen_to_fail() {
+fn every_comparison_has_a_failing_test() {
     let mut sources = files("src", "rs");
     sources.extend(files("tests", "rs"));
     sources.retain(|source| source.path != "tests/tidy/oracles.rs");
@@ -56,7 +55,7 @@ fn every_comparison_has_been_seen_to_fail() {
 }
 
 #[test]
-fn a_comparison_that_never_failed_is_found() {
+fn a_comparison_without_a_failing_test_is_detected() {
     let helper = "fn assert_close(a: f32, b: f32) {}\n";
     assert_eq!(faults(&Source::made_up("tests/a.rs", helper)).len(), 1);
     let test =

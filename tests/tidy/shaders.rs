@@ -1,10 +1,10 @@
-//! Every shader: embedded, valid, and introduced by a header that says what it reads and writes.
+//! Every shader must be embedded, be valid, and have a header that lists what it reads and writes.
 
 use std::collections::BTreeSet;
 
 use crate::sources::{Source, expect_none, files};
 
-/// What the header of a kernel must name.
+/// Words that the header of a kernel must contain.
 const HEADER: [&str; 3] = ["reads", "writes", "dispatch"];
 
 /// The comment at the top of a shader, in lower case.
@@ -17,8 +17,8 @@ fn header(shader: &Source) -> String {
     lines.collect::<Vec<_>>().join(" ").to_lowercase()
 }
 
-/// What is wrong with a shader. A kernel whose header says `see shared/x.wgsl` speaks with that
-/// file's header too.
+/// The faults of a shader. The header of a kernel that says `see shared/x.wgsl` includes that
+/// file's header.
 fn faults(shader: &Source, all: &[Source]) -> Vec<String> {
     let mut text = header(shader);
     let mut faults = Vec::new();
@@ -61,7 +61,7 @@ fn faults(shader: &Source, all: &[Source]) -> Vec<String> {
 }
 
 #[test]
-fn shaders_say_what_they_read_write_and_how_they_are_dispatched() {
+fn shaders_document_reads_writes_and_dispatch() {
     let shaders = files("shaders", "wgsl");
     assert!(
         shaders.len() > 5,
@@ -77,7 +77,7 @@ fn shaders_say_what_they_read_write_and_how_they_are_dispatched() {
 }
 
 #[test]
-fn a_shader_without_a_header_is_found() {
+fn a_shader_without_a_header_is_detected() {
     let bare = Source::made_up(
         "shaders/a.wgsl",
         "@compute @workgroup_size(1)\nfn main() {}\n",
@@ -112,7 +112,7 @@ fn every_shader_is_embedded_and_every_kernel_is_valid() {
         embedded,
         shaders.iter().map(|shader| name(&shader.path)).collect()
     );
-    // A file without an entry point is a fragment, valid where it is imported.
+    // A file without an entry point is a fragment, valid only where it is imported.
     for kernel in shaders
         .iter()
         .filter(|shader| shader.text.contains("@compute"))
@@ -124,7 +124,7 @@ fn every_shader_is_embedded_and_every_kernel_is_valid() {
 }
 
 #[test]
-fn an_invalid_shader_is_found() {
+fn an_invalid_shader_is_detected() {
     let text = "fn f() -> f32 { return undeclared; }";
     assert!(fled_gpu::reflect::validate("bad", text).is_err());
 }

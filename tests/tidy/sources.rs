@@ -1,18 +1,18 @@
-//! The files of the repository, and what their lines say.
+//! The text files of the repository.
 
 use std::fs;
 use std::path::{Path, PathBuf};
 
 /// A text file.
 pub struct Source {
-    /// Below the top of the repository, with `/`.
+    /// Path relative to the repository root, with `/`.
     pub path: String,
-    /// What it holds.
+    /// Its content.
     pub text: String,
 }
 
 impl Source {
-    /// A file that exists only in a test.
+    /// A fictitious file for a test.
     pub fn made_up(path: &str, text: &str) -> Self {
         Self {
             path: path.to_owned(),
@@ -20,7 +20,7 @@ impl Source {
         }
     }
 
-    /// Number, from 1, and text of every line that is not a comment, up to the unit tests.
+    /// Number, from 1, and text of every line before the unit tests that is not a comment.
     pub fn code(&self) -> impl Iterator<Item = (usize, &str)> {
         let lines = (1..).zip(self.text.lines());
         lines
@@ -29,8 +29,8 @@ impl Source {
     }
 }
 
-/// Every file below `folder` whose name ends in `extension`, sorted by path. An empty folder is
-/// the top. What git ignores and what is hidden is left out.
+/// Every file below `folder` with a name that ends in `extension`, sorted by path. An empty folder
+/// is the repository root. Excludes hidden files and those that git ignores.
 pub fn files(folder: &str, extension: &str) -> Vec<Source> {
     let top = top();
     let ignored = ignored(&top);
@@ -50,7 +50,7 @@ pub fn files(folder: &str, extension: &str) -> Vec<Source> {
     found.into_iter().map(read).collect()
 }
 
-/// The top of the repository.
+/// The root of the repository.
 pub fn top() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR"))
         .ancestors()
@@ -59,7 +59,7 @@ pub fn top() -> PathBuf {
         .to_path_buf()
 }
 
-/// Fails with one line a fault.
+/// Panics with one line per fault.
 pub fn expect_none(faults: &[String]) {
     assert!(
         faults.is_empty(),
@@ -69,7 +69,7 @@ pub fn expect_none(faults: &[String]) {
     );
 }
 
-/// What the `.gitignore` at the top names by its whole path.
+/// The entries of the root's `.gitignore` that are whole paths.
 fn ignored(top: &Path) -> Vec<PathBuf> {
     let text = fs::read_to_string(top.join(".gitignore")).expect("a .gitignore at the top");
     let paths = text.lines().filter_map(|line| line.strip_prefix('/'));
@@ -96,7 +96,7 @@ fn collect(folder: &Path, extension: &str, ignored: &[PathBuf], found: &mut Vec<
 }
 
 #[test]
-fn the_walk_finds_this_file_and_code_leaves_out_comments_and_tests() {
+fn sources_are_found_and_code_excludes_comments_and_tests() {
     assert!(
         files("tests/tidy", "rs")
             .iter()
