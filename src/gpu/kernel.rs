@@ -1,16 +1,15 @@
-//! The kernel table: what Rust knows about a shader, checked against the shader itself.
+//! The kernel table: Rust's description of a shader, checked against the shader itself.
 
 use std::borrow::Cow;
 
 use crate::reflect::{self, Access, Reflection};
 use crate::{GpuError, shader};
 
-/// One binding of a kernel; its place in the table is its number.
+/// One binding of a kernel; its index in the table is its number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Binding {
     /// Name of the variable in the shader.
     pub name: &'static str,
-    /// How it is bound.
     pub access: Access,
 }
 
@@ -22,7 +21,7 @@ pub const fn uniform(name: &'static str) -> Binding {
     }
 }
 
-/// A storage binding that is only read.
+/// A read-only storage binding.
 pub const fn read(name: &'static str) -> Binding {
     Binding {
         name,
@@ -30,7 +29,7 @@ pub const fn read(name: &'static str) -> Binding {
     }
 }
 
-/// A storage binding that is written.
+/// A writable storage binding.
 pub const fn read_write(name: &'static str) -> Binding {
     Binding {
         name,
@@ -43,17 +42,17 @@ pub const fn read_write(name: &'static str) -> Binding {
 pub struct Kernel {
     /// `family/verb`: the file `shaders/family/verb.wgsl`, and the label in traces.
     pub name: &'static str,
-    /// Group 0, binding 0 first.
+    /// Bindings of group 0, from binding 0.
     pub bindings: &'static [Binding],
-    /// Values of `const` lines of the shader that differ from its text.
+    /// Values that replace those of `const` lines in the shader's text.
     pub constants: Cow<'static, [(&'static str, u32)]>,
-    /// Whether the shader is compiled without naga's bounds and loop checks, see
+    /// Whether the shader is compiled without naga's bounds and loop checks; see
     /// [`Kernel::unchecked`].
     pub unchecked: bool,
 }
 
 impl Kernel {
-    /// A row with the constants of the shader's text.
+    /// A row without replaced constants.
     pub const fn new(name: &'static str, bindings: &'static [Binding]) -> Self {
         Self {
             name,
@@ -63,16 +62,15 @@ impl Kernel {
         }
     }
 
-    /// The same kernel without naga's run-time checks. Only for a kernel whose every index is below
-    /// its array's length and whose every loop ends, whatever the buffers hold, and where it is
-    /// measured to matter: a checked index into a private array keeps the driver from unrolling the
-    /// loop around it.
+    /// Disables naga's run-time checks. Only for a kernel in which every index is below its array's
+    /// length and every loop ends, whatever the buffers hold, and where a measurement shows a gain:
+    /// a checked index into a private array keeps the driver from unrolling the loop around it.
     pub const fn unchecked(mut self) -> Self {
         self.unchecked = true;
         self
     }
 
-    /// The same kernel with other constants.
+    /// A copy of the kernel with replaced constants.
     #[must_use]
     pub fn with(&self, constants: &[(&'static str, u32)]) -> Self {
         let mut all = self.constants.to_vec();
@@ -83,10 +81,10 @@ impl Kernel {
         }
     }
 
-    /// The shader's declarations, once they agree with this row.
+    /// The shader's text and declarations, after checking them against this row.
     ///
     /// # Errors
-    /// [`GpuError::Shader`] for an invalid text, no entry point, or bindings that differ.
+    /// [`GpuError::Shader`] for an invalid text, a missing entry point, or different bindings.
     pub fn reflect(&self) -> Result<(String, Reflection), GpuError> {
         let fault = |message| {
             Err(GpuError::Shader {
@@ -120,7 +118,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_row_that_differs_from_its_shader_is_refused() {
+    fn a_row_that_contradicts_its_shader_is_refused() {
         const WRONG: Kernel = Kernel::new(
             "shared/test_axpy",
             &[uniform("scale"), read("x"), read("out")],
