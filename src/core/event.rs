@@ -69,7 +69,9 @@ pub enum Event {
     },
     /// A stage begins. `round` is 1-based; 0 before the rounds.
     StageStarted {
+        /// The stage.
         stage: Stage,
+        /// Its round.
         round: u32,
     },
     /// Progress inside a stage.

@@ -10,7 +10,7 @@
 //! # let (render, prediction, gradient) = (buffer()?, buffer()?, buffer()?);
 //! // Once per round; for sizes up to this one.
 //! let mut field = NoiseField::new(gpu, 0, [280, 160])?;
-//! field.begin_step(camera)?; // at the size that is trained
+//! field.begin_step(camera)?; // at the size in training
 //! let mut recorder = gpu.recorder();
 //! field.record_forward(&mut recorder, &render, &prediction)?;  // prediction = render + n
 //! // ... the loss of `prediction` writes `gradient`; the splats' backward takes it too ...

@@ -22,7 +22,7 @@
 //! let out = gpu.create::<f32>("out", 3)?;               // zeroed
 //!
 //! let mut recorder = gpu.recorder();                     // all dispatches share one compute pass
-//! recorder.dispatch_items(&AXPY, &[&scale, &x, &out], 3)?; // one invocation an item, at least
+//! recorder.dispatch_items(&AXPY, &[&scale, &x, &out], 3)?; // at least one invocation per item
 //! recorder.dispatch(&AXPY.with(&[("ADD", 10)]), &[&scale, &x, &out], [1, 1, 1])?;
 //! recorder.submit()?; // or `finish()` for a `Recording` to repeat
 //! assert_eq!(out.read()?, [22.0, 44.0, 66.0]);

@@ -6,7 +6,6 @@
 //! choose their code by it); on an unknown machine, the scores must still agree with those of the
 //! known ones. `FLED_BLESS=1` adds this machine or replaces its values: only on a build known to be
 //! good, and in a separate commit.
-//! machine, or replaces its values: on a build that is known to be good, in a commit of its own.
 
 use std::fs;
 use std::path::{Path, PathBuf};

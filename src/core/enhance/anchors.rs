@@ -137,9 +137,9 @@ pub struct TargetError {
     reason: String,
 }
 
-/// P_1..P_N. Exposures rise by equal stops. In the paper's family `alpha_i = 0.1^(1-i/N)
-/// alpha_N^(i/N)`, `gamma_i = gamma_N^(i/N)`: geometric, which gives even steps of brightness; an
-/// alpha_N of 0 stays 0 in every round.
+/// P_1..P_N. Exposures rise by equal stops. In the paper's family
+/// `alpha_i = 0.1^(1-i/N) alpha_N^(i/N)`, `gamma_i = gamma_N^(i/N)`: geometric, which gives even
+/// steps of brightness; an alpha_N of 0 stays 0 in every round.
 ///
 /// # Panics
 /// When `rounds` is 0: a fault of the caller.

@@ -71,8 +71,8 @@ impl ColourFit {
     }
 }
 
-/// The best PSNR of any clean render against a view with noise of this standard deviation: `-20
-/// log10(sigma)`, dB, at most 100.
+/// The best PSNR of any clean render against a view with noise of this standard deviation:
+/// `-20 log10(sigma)`, dB, at most 100.
 pub fn noise_ceiling(sigma: f64) -> f64 {
     decibels(sigma * sigma)
 }
@@ -94,8 +94,8 @@ fn squared_error(image: &[f32], reference: &[f32], map: impl Fn(f64) -> f64) -> 
         .sum()
 }
 
-/// The `a` and `b` that minimise `sum (a x + b - y)^2` over clipped `x`; a constant `x` gives `a =
-/// 0` and the mean of `y`.
+/// The `a` and `b` that minimise `sum (a x + b - y)^2` over clipped `x`; a constant `x` gives
+/// `a = 0` and the mean of `y`.
 fn affine_fit(image: &[f32], reference: &[f32]) -> (f64, f64) {
     let n = image.len() as f64;
     let mean_x = image.iter().map(|&x| clipped(x)).sum::<f64>() / n;

@@ -147,7 +147,7 @@ pub enum Preset {
     Preview,
     /// The default.
     Standard,
-    /// The paper to the letter; needs a GPU.
+    /// The paper to the letter, intended for a GPU.
     Paper,
 }
 

@@ -129,7 +129,9 @@ pub enum PipelineError {
     /// A photograph could not be read again.
     #[error("{name}: {source}")]
     Photograph {
+        /// Name of the view.
         name: String,
+        /// The reason.
         source: ImageError,
     },
     /// No poses were found.

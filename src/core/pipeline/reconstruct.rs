@@ -253,7 +253,7 @@ fn train(
         look: Some(&mut look),
     };
     let trained = reconstruct::train(gpu, &views, start, config, &mut hooks);
-    // The live picture shows a scene in training, which has ended.
+    // The live picture is only for a scene in training.
     let removed = context.workspace.remove(&picture);
     let trained = trained?;
     removed?;

@@ -8,8 +8,8 @@
 //! # use fled_core::{image::Image, reconstruct::loss::{Loss, upload_target}};
 //! # fn main() -> Result<(), fled_gpu::GpuError> {
 //! # let (gpu, image) = (fled_gpu::Gpu::new("auto")?, Image::new(280, 160));
-//! let target = upload_target(&gpu, &image)?;                        // once a view and size
-//! let loss = Loss::new(&gpu, 280, 160)?;                            // once a size
+//! let target = upload_target(&gpu, &image)?;                        // once per view and size
+//! let loss = Loss::new(&gpu, 280, 160)?;                            // once per size
 //! let prediction = gpu.create::<f32>("prediction", 3 * 280 * 160)?; // planar [3, H, W]
 //! let gradient = gpu.create::<f32>("gradient", 3 * 280 * 160)?;     // the same; overwritten
 //! let mut recorder = gpu.recorder();

@@ -175,8 +175,8 @@ impl Schedule {
     }
 }
 
-/// The size of an image reduced by `divisor`, or by the largest factor of it that leaves
-/// [`SMALLEST_SIDE`]; rounded up.
+/// The size of an image reduced by `divisor`, or by the largest factor of it that leaves a side of
+/// 32 px; rounded up.
 pub fn reduced_size(width: usize, height: usize, divisor: usize) -> (usize, usize) {
     let side = width.min(height);
     let fitting = (1..=divisor)

@@ -14,7 +14,9 @@ pub enum SynthError {
     /// A photograph for the walls cannot be read.
     #[error("wallpapers: {}: {source}", path.display())]
     Wallpaper {
+        /// The file.
         path: PathBuf,
+        /// The reason.
         source: ImageError,
     },
     /// An image could not be written.

@@ -8,10 +8,10 @@ use crate::random::normal;
 /// Share of the noise at white that remains in the black (read noise).
 const READ_SHARE: f64 = 0.1;
 
-/// `light` times `exposure`, with Poisson-Gaussian noise of variance `(noise * exposure)^2 *
-/// (signal / white + 0.1^2)`, white being the dark exposure's. Photon counts at these levels are in
-/// the hundreds and more, where the Poisson distribution approaches the Gaussian of the same
-/// variance.
+/// `light` times `exposure`, with Poisson-Gaussian noise of variance
+/// `(noise * exposure)^2 * (signal / white + 0.1^2)`, white being the dark exposure's. Photon
+/// counts at these levels are in the hundreds and more, where the Poisson distribution approaches
+/// the Gaussian of the same variance.
 pub(super) fn expose(
     light: &Image<Linear>,
     exposure: f64,

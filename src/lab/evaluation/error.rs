@@ -13,7 +13,9 @@ pub enum EvaluationError {
     /// A file of the run is missing or invalid.
     #[error("{}: {reason}", path.display())]
     Run {
+        /// The file.
         path: PathBuf,
+        /// What is wrong with it.
         reason: String,
     },
     /// The sharp photographs have no poses.

@@ -135,7 +135,7 @@ impl<'a> Watch<'a> {
         let mean =
             |of: fn(&(f64, f64)) -> f64| scores.iter().map(of).sum::<f64>() / scores.len() as f64;
         let (psnr_cc_db, ssim) = (mean(|scores| scores.0), mean(|scores| scores.1));
-        // A scene that has gone to pieces has no score, and JSON no word for that.
+        // A diverged scene has no finite score, and JSON no other numbers.
         if psnr_cc_db.is_finite() && ssim.is_finite() {
             context.sink.event(&Event::HeldOutSeen {
                 round: self.round.number,
@@ -150,9 +150,8 @@ impl<'a> Watch<'a> {
         Ok(())
     }
 
-    /// PSNR after a colour fit and SSIM of what the evaluation of a round compares: the render at
-    /// the target brightness with ground truth, or the render as shaken as its photograph is with
-    /// the enhanced view.
+    /// PSNR after a colour fit and SSIM, as in the evaluation of a round: of the render at the target
+    /// brightness against ground truth, or of the shaken render against the enhanced view.
     fn compare(&self, render: &Image, reference: &Image) -> (f64, f64) {
         let response = &self.round.response;
         let render = render.map(|value| value.clamp(0.0, 1.0));
@@ -183,7 +182,7 @@ impl<'a> Watch<'a> {
                 view: view.name.clone(),
                 held_out: view.split == Split::HeldOut,
             }),
-            // A picture that cannot be written costs a look, not this run.
+            // A failed picture ends the pictures, but not this run.
             Err(error) => {
                 self.pictured = None;
                 let message = format!("round {round}: no more pictures of its training: {error}");
@@ -204,7 +203,7 @@ impl Compared {
     }
 }
 
-/// When to look again.
+/// The interval between looks.
 struct Pace {
     since: Instant,
     rest: Duration,
@@ -223,7 +222,7 @@ impl Pace {
         self.since.elapsed() >= self.rest
     }
 
-    /// A look took so long, and at least `rest` lies before the next.
+    /// Records the duration of a look. The next follows after [`REST`] times as long, at least `rest`.
     fn took(&mut self, long: Duration, rest: Duration) {
         (self.since, self.rest) = (Instant::now(), rest.max(REST * long));
     }
