@@ -58,7 +58,7 @@ fn a_recording_can_be_submitted_again_and_sees_new_uniforms() {
 }
 
 #[test]
-fn commands_see_earlier_ones_and_indirect_counts() {
+fn dispatches_and_indirect_counts_see_earlier_results() {
     let gpu = gpu();
     let scale = gpu
         .upload(

@@ -17,7 +17,7 @@ fn code(output: &Output) -> i32 {
 }
 
 #[test]
-fn wrong_use_exits_with_two_and_names_the_option() {
+fn wrong_usage_exits_with_two_and_names_the_option() {
     let folder = tempfile::tempdir().expect("temporary folder");
     let out = folder.path().join("out").display().to_string();
     assert_eq!(code(&fled(&["run"])), 2);
@@ -75,7 +75,7 @@ fn a_missing_adapter_exits_with_four_and_an_event() {
 }
 
 #[test]
-fn a_missing_model_exits_with_three_after_a_retired_option_is_ignored() {
+fn retired_options_are_ignored_and_missing_models_are_fatal() {
     let folder = tempfile::tempdir().expect("temporary folder");
     let capture = small_capture(folder.path());
     let mut run = small_run(&capture, &folder.path().join("out"), 1);

@@ -83,7 +83,7 @@ fn first_held_out(out: &Path) -> Value {
 }
 
 #[test]
-fn scores_need_held_out_views_and_may_lack_truth() {
+fn live_scores_need_held_out_views_but_not_truth() {
     let folder = tempfile::tempdir().expect("temporary folder");
     let capture = small_capture(folder.path());
     fs::remove_dir_all(capture.join("HL")).expect("ground truth");

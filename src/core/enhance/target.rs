@@ -187,7 +187,7 @@ mod tests {
     }
 
     #[test]
-    fn the_automatic_target_reaches_white_with_a_hundredth_of_the_pixels() {
+    fn the_automatic_target_brightens_a_hundredth_to_white() {
         // A fiftieth at a tenth of the light, the rest at a fortieth: 3.3 stops to white.
         let value = |light: f32| linear_to_srgb(light);
         let plane = |_| (0..1000).map(|i| value(if i % 50 == 0 { 0.1 } else { 0.025 }));

@@ -185,7 +185,7 @@ mod tests {
     }
 
     #[test]
-    fn three_in_five_shaken_views_or_a_soft_median_decide() {
+    fn verdicts_need_three_fifths_shaken_or_a_soft_median() {
         assert_eq!(of(&[1.0, 1.2, 0.1]).verdict(), CaptureShake::Shaken);
         assert_eq!(of(&[1.0, 1.2, 0.5, 0.7, 0.6]).verdict(), CaptureShake::Soft);
         assert_eq!(of(&[0.7, 0.6, 0.5]).verdict(), CaptureShake::Soft);

@@ -165,7 +165,7 @@ mod tests {
     }
 
     #[test]
-    fn parts_cannot_run_together_in_a_fingerprint() {
+    fn a_fingerprint_separates_its_parts() {
         assert_ne!(fingerprint(&["ab", "c"]), fingerprint(&["a", "bc"]));
         assert_eq!(fingerprint(&["ab", "c"]), fingerprint(&["ab", "c"]));
     }

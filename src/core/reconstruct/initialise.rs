@@ -35,7 +35,7 @@ const FILL_UP: usize = 1_000;
 
 /// The unit of rates and noise, world units: the larger of 1.1 times the radius of the cameras, as
 /// first published, and a quarter of the points' median depth, because forward-facing cameras are
-/// close together. 1 without any points and baseline.
+/// close together. 1 if both are 0.
 pub fn scene_extent(cameras: &[Camera], points: &[Point]) -> f64 {
     let depths = visible_depths(cameras, points);
     let depth = depths.get(depths.len() / 2).copied().unwrap_or(0.0);

@@ -17,11 +17,11 @@ const SMALLEST_SIDE: usize = 32;
 const PUBLISHED_STEPS: f64 = 30_000.0;
 /// Largest factor of the means' rate, so that a round of 1,500 steps moves them as far.
 const MOST_MEANS_HASTE: f64 = 20.0;
-/// Largest factor of all other rates except that of opacities; it grows with the square root of the
-/// missing steps.
+/// Largest factor of all other rates except that of opacities, which is the square root of
+/// [`PUBLISHED_STEPS`] over the steps of the round.
 const MOST_HASTE: f64 = 5.0;
-/// Rate of the means at the start and the end of a round of [`PUBLISHED_STEPS`], world units a step
-/// at extent 1.
+/// Rate of the means at the start and the end of a round of [`PUBLISHED_STEPS`], world units per
+/// step at extent 1.
 const MEANS_RATES: (f64, f64) = (1.6e-4, 1.6e-6);
 /// Factor of the means' rate in warm rounds.
 const WARM_MEANS: f64 = 0.3;

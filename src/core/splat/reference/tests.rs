@@ -126,7 +126,7 @@ fn gradients_of_the_whole_render_match_central_differences() {
 }
 
 #[test]
-fn projection_gradients_match_differences_at_any_clamp() {
+fn projection_gradients_match_differences_clamped_or_not() {
     let view = view();
     let mut random = Random(3);
     let mut list = splats(12, 21);
