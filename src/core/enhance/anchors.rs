@@ -38,8 +38,8 @@ const PRESETS: [(&str, f64, f64); 10] = [
 pub enum Anchor {
     /// A longer exposure: a gain in linear light with a soft shoulder for highlights.
     ///
-    /// Differs from the paper: its curves, even the closest one, leave brightened views 27 to 35
-    /// dB from a longer exposure, where this leaves 42 to 48 (docs/decisions/target.md).
+    /// Differs from the paper: its curves, even the closest one, reach 27 to 35 dB against a
+    /// longer exposure, and this one 42 to 48 (docs/decisions/target.md).
     Exposure {
         /// Stops: the gain is `2^ev`.
         ev: f64,

@@ -1,8 +1,8 @@
 //! The guides of deblurring: each view with its render's detail where the two agree.
 //!
-//! Differs from the paper, which feeds the render as it is. A render has better detail than a view:
-//! it averages many views, so it is sharper and less noisy than each. At scales coarser than a
-//! shake the view is more accurate: a scene of few steps or views, and the curve found for it, have
+//! Differs from the paper: it feeds the render as it is. A render has better detail than a view: it
+//! averages many views, so it is sharper and less noisy than each. At scales coarser than a shake
+//! the view is more accurate: a scene of few steps or views, and the curve found for it, have
 //! larger errors there. Where the scene is wrong (a tree that only one view saw, a floater in front
 //! of a held-out camera), the render has no useful detail either. So where the two disagree at a
 //! scale that neither shake nor noise reaches, the guide is the view itself, which the network

@@ -14,7 +14,8 @@ pub enum Background {
     /// Black: what is dark in every view may turn transparent.
     Black,
     /// A random colour at every step, so that only opaque Gaussians look right. Differs from the
-    /// paper: its views fill their frames too, but a transparent surface is a hole from elsewhere.
+    /// paper: its views fill their frames too, but a surface that they see through is a hole from
+    /// elsewhere.
     Random,
 }
 

@@ -162,7 +162,7 @@ impl Scene<'_> {
         let all: Vec<usize> = (0..self.finished.views.len())
             .filter(|&index| !self.leaving.contains(&self.finished.views[index].name))
             .collect();
-        // The pairs of sixty photographs at most, but some renders for each photograph.
+        // As many pairs as among sixty photographs, but at least eight renders per photograph.
         let most = (1800 / photographs.max(1))
             .clamp(8, MOST_RENDERS)
             .min(all.len());
