@@ -1,4 +1,4 @@
-//! Everything that can end a run, sorted by what the caller should do.
+//! Errors that end a run, classified by what the caller should do.
 
 use std::path::{Path, PathBuf};
 

@@ -28,7 +28,7 @@ use images::TargetImages;
 pub use images::RoundImages;
 pub use score::likenesses;
 
-/// How much lower a round's score must be for the round to count as worse than the one before, dB.
+/// Loss of score beyond which a round counts as worse than the previous one, dB.
 const WORSE_BY: f64 = 0.05;
 
 /// A finished round.
@@ -43,7 +43,7 @@ pub struct Finished<'a> {
     pub images: RoundImages<'a>,
     /// V_i.
     pub scene: &'a TrainedScene,
-    /// What the round hands to the next; `None` for the last round.
+    /// The results handed to the next round; `None` for the last round.
     pub next: Option<&'a Next>,
 }
 

@@ -12,7 +12,7 @@ use crate::enhance::Anchor;
 use crate::event::Stage;
 use crate::image::Image;
 
-/// What a round hands to the next.
+/// The results that a round hands to the next.
 #[derive(Clone, Debug)]
 pub struct Next {
     /// H_{i+1}.

@@ -11,7 +11,7 @@ use crate::shake::Response;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Background {
-    /// Black: what is dark in every view may turn transparent.
+    /// Black: parts that are dark in every view may become transparent.
     Black,
     /// A random colour at every step, so that only opaque Gaussians look right. Differs from the
     /// paper: its views fill their frames too, but a surface that they see through is a hole from

@@ -43,7 +43,7 @@ const NOISE_END: f64 = 0.9;
 pub enum Stream {
     /// The order of the views in an epoch.
     ViewOrder = 1,
-    /// Which Gaussians are copied, and where the parts of split ones lie.
+    /// The copied Gaussians, and the positions of the parts of split ones.
     Densification = 2,
     /// The initial points of a round.
     FirstPoints = 3,
