@@ -150,8 +150,8 @@ impl<'a> Watch<'a> {
         Ok(())
     }
 
-    /// PSNR after a colour fit and SSIM, as in the evaluation of a round: of the render at the target
-    /// brightness against ground truth, or of the shaken render against the enhanced view.
+    /// PSNR after a colour fit and SSIM, as in the evaluation of a round: of the render at the
+    /// target brightness against ground truth, or of the shaken render against the enhanced view.
     fn compare(&self, render: &Image, reference: &Image) -> (f64, f64) {
         let response = &self.round.response;
         let render = render.map(|value| value.clamp(0.0, 1.0));
@@ -222,7 +222,8 @@ impl Pace {
         self.since.elapsed() >= self.rest
     }
 
-    /// Records the duration of a look. The next follows after [`REST`] times as long, at least `rest`.
+    /// Records the duration of a look. The next follows after [`REST`] times as long, at least
+    /// `rest`.
     fn took(&mut self, long: Duration, rest: Duration) {
         (self.since, self.rest) = (Instant::now(), rest.max(REST * long));
     }
