@@ -14,7 +14,7 @@ use crate::metrics::RoundMetrics;
 )]
 #[serde(rename_all = "snake_case")]
 pub enum Stage {
-    /// Structure from motion, once per job.
+    /// Structure from motion before the rounds, and the search for late views after each.
     Poses,
     /// Tone curves from the dark originals to each round's brightness.
     Enhance,
