@@ -14,6 +14,7 @@ use std::marker::PhantomData;
 
 pub use decode::{Header, ImageError, MAX_FILE_BYTES, MAX_PIXELS, read_header};
 pub use encode::{EncodeFormat, write_atomic};
+pub use signature::Unread;
 pub(crate) use signature::named_like_a_photograph;
 pub use transfer::{linear_to_srgb, srgb_to_linear};
 

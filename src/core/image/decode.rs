@@ -8,8 +8,10 @@
 
 mod error;
 mod heic;
+mod jpeg;
+mod tiff;
 
-use std::fs::File;
+use std::fs::{self, File};
 use std::io::{BufRead, BufReader, Read, Seek};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
@@ -104,6 +106,7 @@ struct Opened {
     decoder: Box<dyn ImageDecoder>,
     orientation: Orientation,
     header: Header,
+    is_jpeg: bool,
 }
 
 impl Opened {
@@ -141,41 +144,53 @@ impl Opened {
                 file.read_to_end(&mut bytes).map_err(io)?;
                 let heic = Heic::open(bytes)?;
                 let beside = heic.bytes_beside();
-                return Self::with_decoder(Box::new(heic), beside);
+                return Self::with_decoder(Box::new(heic), None, beside);
             }
-            Kind::Avif => return Err(ImageError::Avif),
             Kind::Video => return Err(ImageError::Video),
-            Kind::Raw => return Err(ImageError::Raw),
+            Kind::Unread(format) => return Err(ImageError::Unread(format)),
             Kind::Unknown => return Err(ImageError::UnknownFormat),
         };
         file.rewind().map_err(io)?;
-        if format == ImageFormat::Jpeg {
-            if !jpeg_has_its_end(&mut file).map_err(io)? {
-                return Err(ImageError::Damaged {
-                    message: "the end of the JPEG is missing".to_owned(),
-                });
+        match format {
+            ImageFormat::Tiff => {
+                Self::with_reader(tiff::Paged::open(file.into_inner()).map_err(io)?, format, 0)
             }
-            file.rewind().map_err(io)?;
+            // Its decoder and the check each hold the whole file.
+            ImageFormat::Jpeg => Self::with_reader(file, format, 2 * metadata.len()),
+            _ => Self::with_reader(file, format, 0),
         }
-        Self::with_reader(file, format)
     }
 
-    fn with_reader(file: BufReader<File>, format: ImageFormat) -> Result<Self, ImageError> {
+    fn with_reader(
+        file: impl BufRead + Seek + 'static,
+        format: ImageFormat,
+        beside: u64,
+    ) -> Result<Self, ImageError> {
         let mut reader = ImageReader::with_format(file, format);
         let mut limits = Limits::default();
         limits.max_alloc = Some(MAX_DECODE_BYTES);
         reader.limits(limits);
         let decoder = reader.into_decoder().map_err(|error| told(&error))?;
-        Self::with_decoder(Box::new(decoder), 0)
+        Self::with_decoder(Box::new(decoder), Some(format), beside)
     }
 
-    /// `beside`: bytes that decoding takes beside the samples.
-    fn with_decoder(mut decoder: Box<dyn ImageDecoder>, beside: u64) -> Result<Self, ImageError> {
+    /// `format`: none for HEIC. `beside`: bytes that decoding takes beside the samples.
+    fn with_decoder(
+        mut decoder: Box<dyn ImageDecoder>,
+        format: Option<ImageFormat>,
+        beside: u64,
+    ) -> Result<Self, ImageError> {
         let (width, height) = decoder.dimensions();
         if u64::from(width) * u64::from(height) > MAX_PIXELS {
             return Err(ImageError::TooManyPixels { width, height });
         }
-        let orientation = decoder.orientation().unwrap_or(Orientation::NoTransforms);
+        let exif = decoder.exif_metadata().ok().flatten().and_then(exif::read);
+        // HEIC's own goes before, and a TIFF has it among its own tags.
+        let orientation = match &exif {
+            Some(exif) if format.is_some() => exif::orientation(exif),
+            _ => decoder.orientation().ok(),
+        };
+        let orientation = orientation.unwrap_or(Orientation::NoTransforms);
         // A turned picture is a second one beside the first.
         let copies = if orientation == Orientation::NoTransforms {
             1
@@ -188,10 +203,7 @@ impl Opened {
             5..=8 => (height as usize, width as usize),
             _ => (width as usize, height as usize),
         };
-        let focal_px = match decoder.exif_metadata() {
-            Ok(Some(block)) => exif::focal_px(block, width, height),
-            _ => None,
-        };
+        let focal_px = exif.and_then(|exif| exif::focal_px(&exif, width, height));
         Ok(Self {
             decoder,
             orientation,
@@ -201,61 +213,8 @@ impl Opened {
                 focal_px,
                 decoded_bytes,
             },
+            is_jpeg: format == Some(ImageFormat::Jpeg),
         })
-    }
-}
-
-/// Whether a JPEG's end marker follows its first scan. The decoder fills what is missing with
-/// grey and says nothing. Inside a scan the marker's bytes cannot occur by chance; a thumbnail's
-/// end lies in a segment before, which is skipped whole.
-fn jpeg_has_its_end(file: &mut (impl BufRead + Seek)) -> std::io::Result<bool> {
-    let outcome = skip_to_scan(file).and_then(|()| contains_end_marker(file));
-    match outcome {
-        Err(error) if error.kind() == std::io::ErrorKind::UnexpectedEof => Ok(false),
-        outcome => outcome,
-    }
-}
-
-/// Skips the segments before the first scan's data.
-fn skip_to_scan(file: &mut (impl BufRead + Seek)) -> std::io::Result<()> {
-    let mut byte = [0; 1];
-    let mut length = [0; 2];
-    file.seek_relative(2)?;
-    loop {
-        while byte[0] != 0xff {
-            file.read_exact(&mut byte)?;
-        }
-        while byte[0] == 0xff {
-            file.read_exact(&mut byte)?;
-        }
-        let marker = byte[0];
-        if matches!(marker, 0x01 | 0xd0..=0xd8) {
-            continue;
-        }
-        file.read_exact(&mut length)?;
-        let rest = i64::from(u16::from_be_bytes(length)) - 2;
-        file.seek_relative(rest.max(0))?;
-        if marker == 0xda {
-            return Ok(());
-        }
-    }
-}
-
-fn contains_end_marker(file: &mut impl BufRead) -> std::io::Result<bool> {
-    let mut before = 0;
-    loop {
-        let chunk = file.fill_buf()?;
-        if chunk.is_empty() {
-            return Ok(false);
-        }
-        for &byte in chunk {
-            if before == 0xff && byte == 0xd9 {
-                return Ok(true);
-            }
-            before = byte;
-        }
-        let used = chunk.len();
-        file.consume(used);
     }
 }
 
@@ -277,8 +236,20 @@ impl Samples {
     fn decode(path: &Path) -> Result<Self, ImageError> {
         guarded(|| {
             let opened = Opened::open(path)?;
+            let grid = if opened.is_jpeg {
+                let bytes = fs::read(path).map_err(|source| ImageError::Io {
+                    path: path.to_owned(),
+                    source,
+                })?;
+                jpeg::check(&bytes)?
+            } else {
+                None
+            };
             let mut picture =
                 DynamicImage::from_decoder(opened.decoder).map_err(|error| told(&error))?;
+            if let Some(grid) = grid {
+                grid.check(&picture)?;
+            }
             picture.apply_orientation(opened.orientation);
             let (width, height) = (opened.header.width, opened.header.height);
             let (channels, values) = interleaved(picture)?;
@@ -367,9 +338,12 @@ fn over_black<T: image::Primitive>(mut samples: Vec<T>, stride: usize) -> Vec<T>
 
 /// A decoder's error in our words.
 fn told(error: &image::ImageError) -> ImageError {
-    let message = error.to_string();
+    let message = format!("its decoder says: {error}");
     match error {
         image::ImageError::Unsupported(_) => ImageError::Unsupported { message },
+        image::ImageError::Limits(_) => ImageError::Unsupported {
+            message: "decoding it takes more than 1 GiB".to_owned(),
+        },
         _ => ImageError::Damaged { message },
     }
 }

@@ -1,6 +1,10 @@
-//! What EXIF says about the lens.
+//! What EXIF says about the lens, and which way the camera was held.
 
 use exif::{Exif, In, Reader, Tag, Value};
+use image::metadata::Orientation;
+
+/// What begins a block in a JPEG, and is no part of it.
+const PREFIX: &[u8] = b"Exif\0\0";
 
 /// Diagonal of a 36 x 24 mm frame, mm: what "35 mm equivalent" refers to (CIPA DCG-001).
 const FRAME_DIAGONAL_MM: f64 = 43.266_615;
@@ -9,12 +13,35 @@ const FRAME_DIAGONAL_MM: f64 = 43.266_615;
 /// 12 mm fisheye and a 600 mm telephoto lie inside.
 const PLAUSIBLE: std::ops::RangeInclusive<f64> = 0.2..=20.0;
 
-/// The focal length in px of a `width` x `height` image, from a raw EXIF block. `None` where the
-/// block is absent, broken, or gives millimetres without any measure of the sensor.
-pub(super) fn focal_px(exif: Vec<u8>, width: usize, height: usize) -> Option<f64> {
-    let exif = Reader::new().read_raw(exif).ok()?;
+/// Reads a raw EXIF block, as far as it can be read. WebP and PNG may repeat the name that begins
+/// it in a JPEG.
+pub(super) fn read(mut block: Vec<u8>) -> Option<Exif> {
+    if block.starts_with(PREFIX) {
+        block.drain(..PREFIX.len());
+    }
+    let mut reader = Reader::new();
+    let exif = reader.continue_on_error(true).read_raw(block);
+    exif.or_else(|error| error.distill_partial_result(drop))
+        .ok()
+}
+
+/// How the picture is to be turned; of whichever integer type, as programs write it.
+pub(super) fn orientation(exif: &Exif) -> Option<Orientation> {
+    let value = &exif.get_field(Tag::Orientation, In::PRIMARY)?.value;
+    let number = match value {
+        Value::SByte(values) => u8::try_from(*values.first()?).ok()?,
+        Value::SShort(values) => u8::try_from(*values.first()?).ok()?,
+        Value::SLong(values) => u8::try_from(*values.first()?).ok()?,
+        value => u8::try_from(value.get_uint(0)?).ok()?,
+    };
+    Orientation::from_exif(number)
+}
+
+/// The focal length in px of a `width` x `height` image. `None` where the block gives millimetres
+/// without any measure of the sensor.
+pub(super) fn focal_px(exif: &Exif, width: usize, height: usize) -> Option<f64> {
     let focal =
-        equivalent(&exif, width, height).or_else(|| by_sensor_resolution(&exif, width, height))?;
+        equivalent(exif, width, height).or_else(|| by_sensor_resolution(exif, width, height))?;
     PLAUSIBLE
         .contains(&(focal / width.max(height) as f64))
         .then_some(focal)
@@ -62,6 +89,10 @@ pub(crate) mod tests {
     use exif::{Field, Rational};
 
     pub(crate) fn block(fields: &[(Tag, Value)]) -> Vec<u8> {
+        ordered_block(fields, false)
+    }
+
+    fn ordered_block(fields: &[(Tag, Value)], little_endian: bool) -> Vec<u8> {
         let fields: Vec<Field> = fields
             .iter()
             .map(|(tag, value)| Field {
@@ -73,12 +104,48 @@ pub(crate) mod tests {
         let mut writer = Writer::new();
         fields.iter().for_each(|field| writer.push_field(field));
         let mut bytes = std::io::Cursor::new(Vec::new());
-        writer.write(&mut bytes, false).expect("EXIF written");
+        writer
+            .write(&mut bytes, little_endian)
+            .expect("EXIF written");
         bytes.into_inner()
+    }
+
+    /// From the block itself.
+    fn focal_px(block: Vec<u8>, width: usize, height: usize) -> Option<f64> {
+        super::focal_px(&read(block)?, width, height)
     }
 
     fn rational(num: u32, denom: u32) -> Value {
         Value::Rational(vec![Rational { num, denom }])
+    }
+
+    #[test]
+    fn orientation_of_every_integer_type_and_byte_order_is_read_behind_the_prefix_too() {
+        let values = [
+            Value::Byte(vec![6]),
+            Value::Short(vec![6]),
+            Value::Long(vec![6]),
+            Value::SByte(vec![6]),
+            Value::SShort(vec![6]),
+            Value::SLong(vec![6]),
+        ];
+        for value in values {
+            for little_endian in [false, true] {
+                let block = ordered_block(&[(Tag::Orientation, value.clone())], little_endian);
+                for block in [block.clone(), [PREFIX, &block].concat()] {
+                    let exif = read(block).expect("EXIF");
+                    assert_eq!(orientation(&exif), Some(Orientation::Rotate90), "{value:?}");
+                }
+            }
+        }
+        for wrong in [
+            Value::Short(vec![0]),
+            Value::Long(vec![262]),
+            Value::SLong(vec![-1]),
+        ] {
+            let exif = read(block(&[(Tag::Orientation, wrong)])).expect("EXIF");
+            assert_eq!(orientation(&exif), None);
+        }
     }
 
     #[test]

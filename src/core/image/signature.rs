@@ -1,6 +1,9 @@
 //! Which kind of picture a file is, told by its first bytes; the extension only helps where the
 //! bytes cannot tell.
 
+use std::fmt;
+use std::fs::File;
+use std::io::{self, Read};
 use std::path::Path;
 
 use image::ImageFormat;
@@ -12,51 +15,219 @@ pub(super) enum Kind {
     Readable(ImageFormat),
     /// HEIC: a phone's own format. Whether HEVC is inside, its boxes tell.
     Heic,
-    /// AVIF, or a sequence of pictures.
-    Avif,
     /// MP4 or MOV.
     Video,
-    /// A camera's raw format.
-    Raw,
+    /// One that is known and not read.
+    Unread(Unread),
     /// Nothing known.
     Unknown,
 }
 
-/// Extensions of raw files whose bytes look like TIFF.
+/// A format that is known and not read.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Unread {
+    /// What it is called.
+    name: &'static str,
+    sort: Sort,
+}
+
+/// What is to be done about a format that is not read.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Sort {
+    Picture,
+    Raw,
+    Video,
+    Archive,
+    /// Not what its name says.
+    Other,
+}
+
+impl Unread {
+    const RAW: Self = Self {
+        name: "camera raw",
+        sort: Sort::Raw,
+    };
+    const AVIF: Self = Self {
+        name: "AVIF",
+        sort: Sort::Picture,
+    };
+    const BURST: Self = Self {
+        name: "HEIC burst",
+        sort: Sort::Picture,
+    };
+
+    /// The format that a file's name claims, where that is one that is known and not read.
+    pub(crate) fn named(path: &Path) -> Option<Self> {
+        let extension = extension(path);
+        if RAW_EXTENSIONS.contains(&extension.as_str()) {
+            return Some(Self::RAW);
+        }
+        let known = |unread: &&(Self, &[u8], &[&str])| unread.2.contains(&extension.as_str());
+        UNREAD.iter().find(known).map(|unread| unread.0)
+    }
+
+    /// The format of a file, by its first bytes or else its name, where that is one that is known
+    /// and not read.
+    pub(crate) fn of(path: &Path) -> io::Result<Option<Self>> {
+        let mut head = Vec::new();
+        File::open(path)?.take(32).read_to_end(&mut head)?;
+        Ok(match kind(&head, path) {
+            Kind::Unread(format) => Some(format),
+            _ => None,
+        })
+    }
+
+    fn is_photograph(self) -> bool {
+        matches!(self.sort, Sort::Picture | Sort::Raw)
+    }
+}
+
+impl fmt::Display for Unread {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let name = self.name;
+        match self.sort {
+            Sort::Picture => write!(
+                f,
+                "{name} pictures are not read: save them as JPEG, PNG, TIFF or HEIC"
+            ),
+            Sort::Raw => write!(
+                f,
+                "{name} files are not read: develop them to 16-bit TIFF or PNG, or to JPEG, with \
+                 one setting for all"
+            ),
+            Sort::Video => write!(
+                f,
+                "{name} videos are not read: convert it to MP4, as with ffmpeg -i VIDEO out.mp4"
+            ),
+            Sort::Archive => write!(
+                f,
+                "{name} archives are not read: unpack it, and give the folder or a zip of it"
+            ),
+            Sort::Other => write!(f, "no picture but {name}: get the original file"),
+        }
+    }
+}
+
+const fn unread(name: &'static str, sort: Sort) -> Unread {
+    Unread { name, sort }
+}
+
+/// Formats that are recognised in order to be refused with advice: how they begin (empty where
+/// that tells nothing), and the extensions that they have.
+const UNREAD: [(Unread, &[u8], &[&str]); 31] = [
+    (unread("BMP", Sort::Picture), b"BM", &["bmp", "dib"]),
+    (unread("GIF", Sort::Picture), b"GIF8", &["gif"]),
+    (unread("JPEG XL", Sort::Picture), b"\xff\x0a", &["jxl"]),
+    (unread("JPEG XL", Sort::Picture), b"\0\0\0\x0cJXL ", &[]),
+    (
+        unread("JPEG 2000", Sort::Picture),
+        b"\0\0\0\x0cjP  ",
+        &["jp2", "j2k", "jpf", "jpx"],
+    ),
+    (unread("JPEG 2000", Sort::Picture), b"\xff\x4f\xff\x51", &[]),
+    (unread("JPEG XR", Sort::Picture), b"II\xbc", &["jxr", "wdp"]),
+    (Unread::AVIF, b"", &["avif", "avifs"]),
+    (unread("Photoshop", Sort::Picture), b"8BPS", &["psd", "psb"]),
+    (
+        unread("OpenEXR", Sort::Picture),
+        b"\x76\x2f\x31\x01",
+        &["exr"],
+    ),
+    (unread("Radiance HDR", Sort::Picture), b"#?R", &["hdr"]),
+    (unread("PNM", Sort::Picture), b"P6", &["ppm", "pgm", "pnm"]),
+    (unread("TGA", Sort::Picture), b"", &["tga"]),
+    (
+        unread("Matroska or WebM", Sort::Video),
+        b"\x1a\x45\xdf\xa3",
+        &["mkv", "webm"],
+    ),
+    (
+        unread("WMV", Sort::Video),
+        b"\x30\x26\xb2\x75",
+        &["wmv", "asf"],
+    ),
+    (unread("Flash", Sort::Video), b"FLV", &["flv"]),
+    (
+        unread("MPEG", Sort::Video),
+        b"\0\0\x01\xba",
+        &["mpg", "mpeg", "vob", "ts", "mts", "m2ts"],
+    ),
+    (unread("AVI", Sort::Video), b"", &["avi"]),
+    (unread("3GP", Sort::Video), b"", &["3gp", "3g2"]),
+    (unread("360-degree", Sort::Video), b"", &["insv", "360"]),
+    (unread("RAR", Sort::Archive), b"Rar!", &["rar"]),
+    (unread("7z", Sort::Archive), b"7z\xbc\xaf", &["7z"]),
+    (
+        unread("gzip (tar.gz)", Sort::Archive),
+        b"\x1f\x8b",
+        &["gz", "tgz"],
+    ),
+    (
+        unread("bzip2 (tar.bz2)", Sort::Archive),
+        b"BZh",
+        &["bz2", "tbz", "tbz2"],
+    ),
+    (
+        unread("xz (tar.xz)", Sort::Archive),
+        b"\xfd7zXZ",
+        &["xz", "txz"],
+    ),
+    (
+        unread("Zstandard", Sort::Archive),
+        b"\x28\xb5\x2f\xfd",
+        &["zst", "tzst"],
+    ),
+    (unread("tar", Sort::Archive), b"", &["tar"]),
+    (unread("a PDF", Sort::Other), b"%PDF", &[]),
+    (unread("a web page", Sort::Other), b"<!DOCTYPE", &[]),
+    (unread("a web page", Sort::Other), b"<html", &[]),
+    (
+        unread("the pointer of Git LFS to a file", Sort::Other),
+        b"version https://git-lfs",
+        &[],
+    ),
+];
+
+/// Extensions of raw files, whose bytes may look like TIFF.
 const RAW_EXTENSIONS: [&str; 19] = [
     "3fr", "arw", "cr2", "cr3", "crw", "dcr", "dng", "erf", "kdc", "mef", "mos", "mrw", "nef",
     "nrw", "orf", "pef", "raf", "rw2", "srw",
 ];
+
+fn extension(path: &Path) -> String {
+    let extension = path.extension().and_then(|extension| extension.to_str());
+    extension.unwrap_or_default().to_ascii_lowercase()
+}
 
 /// The kind of a file, from its first 32 bytes (fewer if it is shorter) and its extension.
 pub(super) fn kind(head: &[u8], path: &Path) -> Kind {
     if let Some(kind) = foreign(head) {
         return kind;
     }
-    let extension = path
-        .extension()
-        .and_then(|e| e.to_str())
-        .unwrap_or_default()
-        .to_ascii_lowercase();
+    let is_big_tiff = head.starts_with(b"II\x2b\0") || head.starts_with(b"MM\0\x2b");
     match image::guess_format(head) {
-        Ok(ImageFormat::Tiff) if RAW_EXTENSIONS.contains(&extension.as_str()) => Kind::Raw,
+        Ok(ImageFormat::Tiff) if RAW_EXTENSIONS.contains(&extension(path).as_str()) => {
+            Kind::Unread(Unread::RAW)
+        }
         Ok(
             format @ (ImageFormat::Png | ImageFormat::Jpeg | ImageFormat::WebP | ImageFormat::Tiff),
         ) => Kind::Readable(format),
-        _ => Kind::Unknown,
+        _ if is_big_tiff => Kind::Readable(ImageFormat::Tiff),
+        _ => Unread::named(path).map_or(Kind::Unknown, Kind::Unread),
     }
 }
 
-/// Formats that are recognised in order to be refused with advice.
+/// Formats for which no decoder is asked.
 fn foreign(head: &[u8]) -> Option<Kind> {
     if head.get(4..8) == Some(b"ftyp".as_slice()) {
         return Some(match head.get(8..12)? {
-            b"crx " => Kind::Raw,
+            b"crx " => Kind::Unread(Unread::RAW),
             b"heic" | b"heix" | b"heim" | b"heis" | b"mif1" | b"mif2" | b"heif" => Kind::Heic,
-            b"hevc" | b"hevx" | b"msf1" | b"avif" | b"avis" => Kind::Avif,
+            b"hevc" | b"hevx" | b"msf1" => Kind::Unread(Unread::BURST),
+            b"avif" | b"avis" => Kind::Unread(Unread::AVIF),
             b"qt  " | b"isom" | b"iso2" | b"iso4" | b"iso5" | b"iso6" | b"mp41" | b"mp42"
             | b"avc1" | b"M4V " => Kind::Video,
-            _ => Kind::Unknown,
+            _ => return None,
         });
     }
     let canon = head.starts_with(b"II*\0") && head.get(8..10) == Some(b"CR".as_slice());
@@ -68,35 +239,26 @@ fn foreign(head: &[u8]) -> Option<Kind> {
         b"IIU\0",
         b"\0MRM",
     ];
-    (canon || raw.iter().any(|signature| head.starts_with(signature))).then_some(Kind::Raw)
+    if canon || raw.iter().any(|signature| head.starts_with(signature)) {
+        return Some(Kind::Unread(Unread::RAW));
+    }
+    let begins =
+        |unread: &&(Unread, &[u8], &[&str])| !unread.1.is_empty() && head.starts_with(unread.1);
+    UNREAD
+        .iter()
+        .find(begins)
+        .map(|unread| Kind::Unread(unread.0))
 }
 
 /// Whether a file of this name claims to be a picture: used to tell a broken photograph from a
 /// file that merely lies beside the photographs.
 pub(crate) fn named_like_a_photograph(path: &Path) -> bool {
-    let extension = path
-        .extension()
-        .and_then(|e| e.to_str())
-        .unwrap_or_default()
-        .to_ascii_lowercase();
-    matches!(
-        extension.as_str(),
-        "jpg"
-            | "jpeg"
-            | "jpe"
-            | "png"
-            | "webp"
-            | "tif"
-            | "tiff"
-            | "heic"
-            | "heif"
-            | "hif"
-            | "avif"
-            | "bmp"
-            | "gif"
-            | "jxl"
-            | "jp2"
-    ) || RAW_EXTENSIONS.contains(&extension.as_str())
+    const READ: [&str; 13] = [
+        "jpg", "jpeg", "jpe", "jfif", "mpo", "png", "webp", "tif", "tiff", "heic", "heif", "hif",
+        "btf",
+    ];
+    READ.contains(&extension(path).as_str())
+        || Unread::named(path).is_some_and(Unread::is_photograph)
 }
 
 #[cfg(test)]
@@ -110,13 +272,19 @@ mod tests {
         let video = b"\0\0\0\x14ftypqt  \0\0\0\0qt  ";
         assert_eq!(kind(video, Path::new("a.mov")), Kind::Video);
         let avif = b"\0\0\0\x18ftypavif\0\0\0\0mif1avif";
-        assert_eq!(kind(avif, Path::new("a.heic")), Kind::Avif);
+        assert_eq!(kind(avif, Path::new("a.heic")), Kind::Unread(Unread::AVIF));
         assert_eq!(
             kind(b"\0\0\0\x18ftypcrx \0\0\0\x01", Path::new("a.jpg")),
-            Kind::Raw
+            Kind::Unread(Unread::RAW)
         );
-        assert_eq!(kind(b"II*\0\x10\0\0\0CR\x02\0", Path::new("a")), Kind::Raw);
-        assert_eq!(kind(b"FUJIFILMCCD-RAW 0201", Path::new("a")), Kind::Raw);
+        assert_eq!(
+            kind(b"II*\0\x10\0\0\0CR\x02\0", Path::new("a")),
+            Kind::Unread(Unread::RAW)
+        );
+        assert_eq!(
+            kind(b"FUJIFILMCCD-RAW 0201", Path::new("a")),
+            Kind::Unread(Unread::RAW)
+        );
     }
 
     #[test]
@@ -126,7 +294,52 @@ mod tests {
             kind(tiff, Path::new("a.tif")),
             Kind::Readable(ImageFormat::Tiff)
         );
-        assert_eq!(kind(tiff, Path::new("a.NEF")), Kind::Raw);
+        assert_eq!(kind(tiff, Path::new("a.NEF")), Kind::Unread(Unread::RAW));
+    }
+
+    #[test]
+    fn formats_that_are_not_read_are_called_by_their_names_with_advice() {
+        let told = |head: &[u8], name: &str| match kind(head, Path::new(name)) {
+            Kind::Unread(format) => format.to_string(),
+            other => panic!("{name}: {other:?}"),
+        };
+        let cases: [(&[u8], &str, &str); 9] = [
+            (
+                b"BM\x36\x10",
+                "a.jpg",
+                "BMP pictures are not read: save them",
+            ),
+            (b"8BPS\0\x01", "a.psd", "Photoshop pictures"),
+            (b"\xff\x0a\xfa", "a.jxl", "JPEG XL pictures"),
+            (
+                b"Rar!\x1a\x07",
+                "a.zip",
+                "RAR archives are not read: unpack it",
+            ),
+            (b"7z\xbc\xaf\x27\x1c", "a.7z", "7z archives"),
+            (b"\x1f\x8b\x08", "a.tar.gz", "gzip (tar.gz) archives"),
+            (
+                b"\x1a\x45\xdf\xa3",
+                "a.mkv",
+                "Matroska or WebM videos are not read: convert",
+            ),
+            (b"<!DOCTYPE html>", "a.jpg", "a web page"),
+            (b"\0\0\0\x18ftyp3gp5", "a.3gp", "3GP videos"),
+        ];
+        for (head, name, words) in cases {
+            let told = told(head, name);
+            assert!(told.contains(words), "{name}: {told}");
+        }
+    }
+
+    #[test]
+    fn jpegs_of_phones_and_stereo_cameras_are_photographs_by_their_names() {
+        for name in ["a.jfif", "A.MPO", "a.JPE", "a.bmp", "a.dng"] {
+            assert!(named_like_a_photograph(Path::new(name)), "{name}");
+        }
+        for name in ["a.rar", "a.mkv", "a.txt", "a"] {
+            assert!(!named_like_a_photograph(Path::new(name)), "{name}");
+        }
     }
 
     #[test]

@@ -2,6 +2,8 @@
 
 use std::path::PathBuf;
 
+use crate::image::signature::Unread;
+
 /// Most pixels of a photograph that is decoded. The largest cameras in use give 100 MP; decoding
 /// one takes 300 MB.
 pub const MAX_PIXELS: u64 = 100_000_000;
@@ -23,17 +25,12 @@ pub enum ImageError {
     /// The file has no bytes.
     #[error("the file is empty")]
     Empty,
-    /// An AVIF, or a sequence of pictures.
-    #[error("AVIF photographs and bursts are not read: export them as JPEG, PNG or HEIC")]
-    Avif,
     /// A video among photographs.
     #[error("a video; one that comes alone, in no zip or folder, is taken apart into photographs")]
     Video,
-    /// A camera's raw file.
-    #[error(
-        "camera raw files are not read: develop them to 16-bit TIFF or PNG, or to JPEG, with one setting for all"
-    )]
-    Raw,
+    /// A format that is known and not read.
+    #[error("{0}")]
+    Unread(Unread),
     /// The bytes are no picture that is known.
     #[error("not a JPEG, PNG, WebP, TIFF or HEIC picture")]
     UnknownFormat,
@@ -52,7 +49,9 @@ pub enum ImageError {
         bytes: u64,
     },
     /// A known format in a variant that is not read, such as floating-point TIFF.
-    #[error("a variant that is not read: {message}")]
+    #[error(
+        "a variant that is not read: {message}; save it as JPEG, or as PNG or TIFF of 8 or 16 bits"
+    )]
     Unsupported {
         /// Which.
         message: String,
@@ -76,7 +75,7 @@ impl ImageError {
     pub fn is_unsupported_format(&self) -> bool {
         matches!(
             self,
-            Self::Avif | Self::Video | Self::Raw | Self::Unsupported { .. }
+            Self::Video | Self::Unread(_) | Self::Unsupported { .. }
         )
     }
 }

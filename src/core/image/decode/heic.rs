@@ -187,9 +187,7 @@ fn check_meta(bytes: &[u8]) -> Result<(), ImageError> {
 /// The picture, or the first tile of the grid, that is coded.
 fn coded_picture(file: &HeifFile<'_>) -> Result<u32, Error> {
     coded_below(file, file.primary_id)?.ok_or_else(|| {
-        Error::Unsupported(
-            "neither a picture of HEVC nor a grid of such; export it as JPEG or PNG".to_owned(),
-        )
+        Error::Unsupported("neither a picture of HEVC nor a grid of such".to_owned())
     })
 }
 
@@ -230,8 +228,7 @@ fn check_alpha(file: &HeifFile<'_>) -> Result<(), Error> {
     for aux in file.referencing_items(file.primary_id, b"auxl") {
         if coded_below(file, aux)?.is_none() {
             return Err(Error::Unsupported(
-                "a picture beside it that is not coded by HEVC; export it as JPEG or PNG"
-                    .to_owned(),
+                "a picture beside it that is not coded by HEVC".to_owned(),
             ));
         }
     }

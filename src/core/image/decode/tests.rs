@@ -131,7 +131,7 @@ fn golden_files_of_other_encoders_have_their_defined_pixels() {
 }
 
 /// A 3 x 2 grey picture with an orientation, whose upright form is always the same.
-fn oriented(orientation: u16) -> Vec<u8> {
+fn oriented(orientation: u16, value: Value, prefix: &[u8]) -> Vec<u8> {
     let upright = |x: usize, y: usize| 40 * (y * 3 + x) as u8;
     let (width, height) = if orientation >= 5 { (2, 3) } else { (3, 2) };
     let stored = (0..6).map(|i| {
@@ -151,10 +151,7 @@ fn oriented(orientation: u16) -> Vec<u8> {
     let mut bytes = Vec::new();
     let mut encoder = image::codecs::png::PngEncoder::new(&mut bytes);
     encoder
-        .set_exif_metadata(block(&[(
-            Tag::Orientation,
-            Value::Short(vec![orientation]),
-        )]))
+        .set_exif_metadata([prefix, &block(&[(Tag::Orientation, value)])].concat())
         .expect("EXIF");
     encoder
         .write_image(
@@ -170,12 +167,19 @@ fn oriented(orientation: u16) -> Vec<u8> {
 #[test]
 fn every_orientation_is_turned_upright_once_in_header_and_pixels() {
     let folder = folder();
-    for orientation in 1..=8 {
-        let path = file(
-            &folder,
-            &format!("{orientation}.png"),
-            &oriented(orientation),
-        );
+    let cases = (1..=8).flat_map(|orientation| {
+        [
+            (orientation, Value::Short(vec![orientation]), &b""[..]),
+            (
+                orientation,
+                Value::Long(vec![orientation.into()]),
+                b"Exif\0\0",
+            ),
+        ]
+    });
+    for (orientation, value, prefix) in cases {
+        let bytes = oriented(orientation, value, prefix);
+        let path = file(&folder, "a.png", &bytes);
         let header = read_header(&path).expect("a header");
         assert_eq!(
             (header.width, header.height),
@@ -190,6 +194,53 @@ fn every_orientation_is_turned_upright_once_in_header_and_pixels() {
             .collect();
         let expected: Vec<u8> = (0..6).map(|i| 40 * i).collect();
         assert_eq!(row, expected, "orientation {orientation}");
+    }
+}
+
+/// A page of one grey level.
+fn page<K: tiff::encoder::TiffKind>(
+    file: &mut tiff::encoder::TiffEncoder<std::fs::File, K>,
+    side: u32,
+    level: u8,
+    kind: u32,
+) {
+    use tiff::encoder::colortype::Gray8;
+    let mut page = file.new_image::<Gray8>(side, side).expect("a page");
+    let tags = page.encoder();
+    tags.write_tag(tiff::tags::Tag::NewSubfileType, kind)
+        .expect("a tag");
+    page.write_data(&vec![level; (side * side) as usize])
+        .expect("written");
+}
+
+#[test]
+fn of_a_tiff_the_largest_page_that_is_no_mask_is_read_and_bigtiff_too() {
+    use tiff::encoder::TiffEncoder;
+    let folder = folder();
+    let path = folder.path().join("a.tif");
+    let file = || std::fs::File::create(&path).expect("a file");
+    let check = |what: &str| {
+        let header = read_header(&path).expect(what);
+        assert_eq!((header.width, header.height), (20, 20), "{what}");
+        let image = Image::load(&path).expect(what);
+        assert!(
+            close(image.get(9, 9), [0.8; 3]),
+            "{what}: {:?}",
+            image.get(9, 9)
+        );
+    };
+    // A thumbnail, the photograph, another, and the photograph's mask.
+    let pages = [(8, 50, 1), (20, 204, 0), (20, 90, 0), (40, 255, 4)];
+    for order in [[0, 1, 2, 3], [1, 0, 3, 2], [3, 0, 1, 2]] {
+        let mut small = TiffEncoder::new(file()).expect("a TIFF");
+        let mut big = || TiffEncoder::new_big(file()).expect("a TIFF");
+        order.map(|at: usize| page(&mut small, pages[at].0, pages[at].1, pages[at].2));
+        drop(small);
+        check("TIFF");
+        let mut big = big();
+        order.map(|at: usize| page(&mut big, pages[at].0, pages[at].1, pages[at].2));
+        drop(big);
+        check("BigTIFF");
     }
 }
 
@@ -238,7 +289,7 @@ fn broken_files_are_errors_that_say_what_is_wrong() {
     ));
     assert!(matches!(
         load("phone.jpg", b"\0\0\0\x18ftypavif\0\0\0\0mif1avif...."),
-        ImageError::Avif
+        ImageError::Unread(_)
     ));
     assert!(matches!(
         Image::load(folder.path()),

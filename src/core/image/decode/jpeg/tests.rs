@@ -1,0 +1,134 @@
+//! Whole JPEGs of every kind, and damage inside them.
+
+use std::fs;
+
+use rand::{RngExt, SeedableRng};
+use rand_pcg::Pcg64;
+
+use crate::image::{Image, ImageError, Srgb};
+
+/// Of 160 x 120 px: made by tests/golden/photographs.py (Pillow).
+const SCENES: [&[u8]; 3] = [
+    include_bytes!("../../../../../tests/golden/photographs/scene.jpg"),
+    include_bytes!("../../../../../tests/golden/photographs/scene-restart.jpg"),
+    include_bytes!("../../../../../tests/golden/photographs/scene-progressive.jpg"),
+];
+
+fn load(bytes: &[u8]) -> Result<Image<Srgb>, ImageError> {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let path = folder.path().join("a.jpg");
+    fs::write(&path, bytes).expect("written");
+    Image::load(&path)
+}
+
+/// Where the first scan's data begin.
+fn first_scan(jpeg: &[u8]) -> usize {
+    let marker = |pair: &[u8]| pair == [0xff, 0xda];
+    let at = jpeg.windows(2).position(marker).expect("a scan");
+    at + 2 + super::number(&jpeg[at + 2..])
+}
+
+#[test]
+fn bytes_behind_a_whole_picture_and_a_missing_end_do_no_harm() {
+    for scene in SCENES {
+        let truth = load(scene).expect("read");
+        assert_eq!((truth.width(), truth.height()), (160, 120));
+        let without_end = &scene[..scene.len() - 2];
+        let trailers: [&[u8]; 5] = [
+            b"",
+            b"a trailer of a phone, SEFT",
+            // A second picture, as in an MPO.
+            scene,
+            b"\0\0\0\0\0\0",
+            b"PK\x03\x04\xff\xe1\x12",
+        ];
+        for trailer in trailers {
+            let cut = [without_end, trailer].concat();
+            assert_eq!(load(&cut).expect("read"), truth, "{trailer:?}");
+            let whole = [scene, trailer].concat();
+            assert_eq!(load(&whole).expect("read"), truth, "{trailer:?}");
+        }
+    }
+}
+
+#[test]
+fn a_scan_that_breaks_off_says_how_much_is_whole() {
+    let scene = SCENES[0];
+    let from = first_scan(scene);
+    let half = from + (scene.len() - from) / 2;
+    let false_marker = [&scene[..half], &[0xff, 0x9b], &scene[half + 2..]].concat();
+    let ended = [&scene[..half], &[0xff, 0xd9]].concat();
+    for damaged in [&scene[..half], &false_marker, &ended] {
+        let error = load(damaged).expect_err("damaged").to_string();
+        assert!(error.contains("of its 120 rows are whole"), "{error}");
+    }
+    let lengthened = [&scene[..scene.len() - 2], &[0x55; 9], &[0xff, 0xd9]].concat();
+    let error = load(&lengthened).expect_err("damaged").to_string();
+    assert!(error.contains("out of place"), "{error}");
+    // Of a progressive one the first scan alone is a whole, coarse picture.
+    let coarse = SCENES[2];
+    let marker = |pair: &[u8]| pair == [0xff, 0xc4];
+    let scan = first_scan(coarse);
+    let second = scan + coarse[scan..].windows(2).position(marker).expect("tables");
+    let coarse = [&coarse[..second], &[0xff, 0xd9]].concat();
+    let error = load(&coarse).expect_err("coarse").to_string();
+    assert!(error.contains("before the last"), "{error}");
+}
+
+/// Share of values that are off by more than 12 levels.
+fn off(a: &Image<Srgb>, b: &Image<Srgb>) -> f64 {
+    let pairs = a.data().iter().zip(b.data());
+    let off = pairs.filter(|(a, b)| (**a - **b).abs() > 12.0 / 255.0);
+    off.count() as f64 / a.data().len() as f64
+}
+
+type Damage = (&'static str, f64, fn(&mut Vec<u8>, usize, &mut Pcg64));
+
+/// What disks, cables and programs do to a file, and how many of those that spoil more than 3 % of
+/// the picture must be found. A single bit may stand for another brightness of all that follows,
+/// which shows as a seam or not at all.
+const DAMAGES: [Damage; 6] = [
+    ("cut", 1.0, |bytes, at, _| bytes.truncate(at)),
+    ("ended", 1.0, |bytes, at, _| {
+        bytes.truncate(at);
+        bytes.extend([0xff, 0xd9]);
+    }),
+    ("false marker", 1.0, |bytes, at, _| {
+        bytes[at..at + 2].copy_from_slice(&[0xff, 0x9b]);
+    }),
+    ("zeroed", 0.95, |bytes, at, _| bytes[at..at + 48].fill(0)),
+    ("left out", 0.95, |bytes, at, _| {
+        drop(bytes.drain(at..at + 24))
+    }),
+    ("bits", 0.92, |bytes, at, random| {
+        for _ in 0..8 {
+            bytes[at + random.random_range(0..32_usize)] ^= 1 << random.random_range(0..8_u32);
+        }
+    }),
+];
+
+#[test]
+fn damage_inside_a_scan_is_found_or_spoils_little() {
+    for (number, scene) in SCENES.into_iter().enumerate() {
+        let truth = load(scene).expect("read");
+        let from = first_scan(scene);
+        for (name, least, damage) in DAMAGES {
+            let mut random = Pcg64::seed_from_u64(number as u64);
+            let (mut found, mut missed) = (0, 0);
+            for _ in 0..60 {
+                let mut bytes = scene.to_vec();
+                let at = random.random_range(from..scene.len() - 60);
+                damage(&mut bytes, at, &mut random);
+                match load(&bytes) {
+                    Err(_) => found += 1,
+                    Ok(image) => missed += u32::from(off(&image, &truth) > 0.03),
+                }
+            }
+            let share = f64::from(found) / f64::from(found + missed);
+            assert!(
+                share >= least,
+                "scene {number}, {name}: {found} found, {missed} missed"
+            );
+        }
+    }
+}
