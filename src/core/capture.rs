@@ -18,6 +18,8 @@ mod watch;
 
 use std::path::Path;
 
+use crate::image::Unread;
+
 pub use archive::{MAX_ARCHIVE_BYTES, unpacked_bytes};
 pub use assess::{FEW_VIEWS, view_names};
 pub use budget::DecodeBudget;
@@ -71,8 +73,10 @@ impl Capture {
         } else if archive::is_zip(path).map_err(CaptureError::io(path))? {
             archive::unpack(path, &scratch_dir.join("unpacked"))?
         } else {
-            return Err(CaptureError::NotACapture {
-                path: path.to_owned(),
+            let path = path.to_owned();
+            return Err(match Unread::of(&path).map_err(CaptureError::io(&path))? {
+                Some(format) => CaptureError::Unread { path, format },
+                None => CaptureError::NotACapture { path },
             });
         };
         let layout = layout::Layout::of(entries);

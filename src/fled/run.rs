@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use clap::builder::RangedU64ValueParser;
 use fled_core::cancel::CancelToken;
 use fled_core::capture::video::{self, FRAMES, MOST_FRAMES, VideoError, Wanted};
-use fled_core::capture::{Capture, MIN_VIEWS};
+use fled_core::capture::{Assessment, Capture, CaptureError, MIN_VIEWS};
 use fled_core::event::{Event, ProgressSink};
 use fled_core::pipeline;
 use fled_core::pipeline::config::{Options, Preset};
@@ -101,8 +101,14 @@ fn run(
     } else {
         &args.capture
     };
-    let capture =
-        Capture::open(photographs, &scratch).map_err(pipeline::error::PipelineError::from)?;
+    let opened = Capture::open(photographs, &scratch);
+    match &opened {
+        Ok(Capture { assessments, .. }) | Err(CaptureError::TooFew { assessments, .. }) => {
+            tell(assessments, reporter);
+        }
+        Err(_) => {}
+    }
+    let capture = opened.map_err(pipeline::error::PipelineError::from)?;
     for warning in &capture.warnings {
         reporter.warn(&warning.code, warning.message.clone());
     }
@@ -120,6 +126,24 @@ fn run(
         workspace.discard_intermediates()?;
     }
     Ok(())
+}
+
+/// Names what is not used and what is worth knowing of each photograph.
+fn tell(assessments: &[Assessment], reporter: &mut Reporter) {
+    for Assessment {
+        name,
+        reason,
+        warnings,
+        ..
+    } in assessments
+    {
+        if let Some(reason) = reason {
+            reporter.warn("unused", format!("{name} is not used: {reason}"));
+        }
+        for warning in warnings {
+            reporter.warn(&warning.code, format!("{name}: {}", warning.message));
+        }
+    }
 }
 
 fn options(args: &Args) -> Result<Options, Failure> {
@@ -178,9 +202,10 @@ fn frames(
     };
     let ffmpeg = args.ffmpeg.command()?;
     let taken = video::take_frames(&ffmpeg, video, &wanted, cancel)?;
-    reporter.event(&Event::Log {
-        message: taken.told(&name),
-    });
+    match taken.hdr {
+        Some(_) => reporter.warn("video", taken.told(&name)),
+        None => reporter.log(taken.told(&name)),
+    }
     fs::rename(&unfinished, &folder).map_err(io(&folder))?;
     Ok(folder)
 }

@@ -44,6 +44,34 @@ fn an_invalid_capture_exits_with_three_and_advice() {
 }
 
 #[test]
+fn every_photograph_that_is_not_used_is_named_with_its_reason() {
+    let folder = tempfile::tempdir().expect("temporary folder");
+    let out = folder.path().join("out").display().to_string();
+    let capture = folder.path().join("capture");
+    fs::create_dir(&capture).expect("folder");
+    let files: [(&str, &[u8], &str); 5] = [
+        (
+            "1.bmp",
+            b"BM",
+            "1.bmp is not used: BMP pictures are not read",
+        ),
+        ("2.jpg", b"", "2.jpg is not used: the file is empty"),
+        ("3.jpg", b"\xff\xd8\xff\xe0", "3.jpg is not used: damaged"),
+        ("4.jpg", b"a text", "4.jpg is not used: not a JPEG"),
+        ("5.mkv", b"", "5.mkv is not used: Matroska"),
+    ];
+    for (name, bytes, _) in files {
+        fs::write(capture.join(name), bytes).expect("written");
+    }
+    let output = fled(&["poses", &capture.display().to_string(), "--out", &out]);
+    assert_eq!(code(&output), 3);
+    let said = String::from_utf8_lossy(&output.stderr);
+    for (_, _, words) in files {
+        assert!(said.contains(words), "{words}: {said}");
+    }
+}
+
+#[test]
 fn a_missing_adapter_exits_with_four_and_an_event() {
     let folder = tempfile::tempdir().expect("temporary folder");
     let capture = small_capture(folder.path());

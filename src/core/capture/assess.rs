@@ -1,8 +1,9 @@
 //! What can be used, and what the user should know about it.
 
 use std::collections::{BTreeMap, HashMap, HashSet};
+use std::path::Path;
 
-use crate::image::Header;
+use crate::image::{Header, ImageError, Unread};
 
 use super::entries::{Entry, stem};
 use super::layout::Layout;
@@ -52,10 +53,17 @@ pub(super) fn assess(layout: &Layout, watch: &Watch<'_>) -> Assessed {
             Err(fault) => assessed.assessments.push(fault.assessment(entry)),
         }
     }
-    let unused = |entry| Fault::of(UNUSED_VIDEO.to_owned()).assessment(entry);
+    let unused = |entry: &Entry| {
+        let format = Unread::named(Path::new(&entry.path));
+        let fault = match format {
+            Some(format) => Fault::from(ImageError::Unread(format)),
+            None => Fault::of(UNUSED_VIDEO.to_owned()),
+        };
+        fault.assessment(entry)
+    };
     assessed
         .assessments
-        .extend(layout.videos.iter().map(unused));
+        .extend(layout.unused.iter().map(unused));
     assessed.attach_ground_truth(&layout.ground_truth, &eyes);
     assessed.warn_of_the_whole();
     assessed

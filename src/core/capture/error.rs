@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use super::photograph::Assessment;
+use crate::image::Unread;
 
 /// Most files of a capture that are looked at.
 pub const MAX_FILES: usize = 20_000;
@@ -18,6 +19,14 @@ pub enum CaptureError {
     NotACapture {
         /// The path.
         path: PathBuf,
+    },
+    /// The path is a file of a format that is known and not read.
+    #[error("{}: {format}", path.display())]
+    Unread {
+        /// The path.
+        path: PathBuf,
+        /// Its format.
+        format: Unread,
     },
     /// The zip is refused.
     #[error("the zip is refused: {0}")]
@@ -52,7 +61,7 @@ impl CaptureError {
     /// What to do about it.
     pub fn hint(&self) -> &'static str {
         match self {
-            Self::NotACapture { .. } => {
+            Self::NotACapture { .. } | Self::Unread { .. } => {
                 "give a folder with JPEG, PNG, WebP, TIFF or HEIC photographs, or a zip of one"
             }
             Self::Archive(_) => {

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;
 use std::path::{Path, PathBuf};
 
-use crate::image::named_like_a_photograph;
+use crate::image::{Unread, named_like_a_photograph};
 
 use super::entries::{Entry, natural};
 use super::error::CaptureError;
@@ -38,8 +38,8 @@ impl GivenPosesFile {
 pub(super) struct Layout {
     /// What claims to be a photograph, in natural order.
     pub(super) photographs: Vec<Entry>,
-    /// Videos beside them: listed, not used.
-    pub(super) videos: Vec<Entry>,
+    /// Videos and archives beside them: listed, not used.
+    pub(super) unused: Vec<Entry>,
     /// Ground truth by lower-case stem; empty when there is none.
     pub(super) ground_truth: BTreeMap<String, Entry>,
     /// Poses.
@@ -68,9 +68,17 @@ impl Layout {
         } else {
             with_folder
         };
-        let beside = photographs.first().map_or("", Entry::folder).to_owned();
-        let is_beside = |entry: &&Entry| inside(entry, &beside) && is_video(&entry.file);
-        let videos = entries.iter().filter(is_beside).cloned().collect();
+        let beside = match photographs.first() {
+            Some(first) => vec![first.folder()],
+            None => vec!["", "images"],
+        };
+        let is_unused = |entry: &&Entry| {
+            let path = Path::new(&entry.path);
+            beside.iter().any(|folder| inside(entry, folder))
+                && !named_like_a_photograph(path)
+                && (is_video(path) || Unread::named(path).is_some())
+        };
+        let unused = entries.iter().filter(is_unused).cloned().collect();
         let truth = photographs_in("gt");
         let truth = if truth.is_empty() {
             photographs_in("hl")
@@ -85,7 +93,7 @@ impl Layout {
         let (poses, pose_files) = find_poses(&entries);
         Self {
             photographs,
-            videos,
+            unused,
             ground_truth,
             poses,
             pose_files,

@@ -402,6 +402,46 @@ fn a_phones_videos_beside_its_photographs_are_listed_and_change_nothing() {
 }
 
 #[test]
+fn archives_and_videos_that_are_not_read_are_named_with_what_to_do() {
+    let photographs = [("1.jpg", jpeg(1)), ("2.jpg", jpeg(2)), ("3.jpg", jpeg(3))];
+    let others = [
+        ("4.bmp", b"BM\x36".to_vec()),
+        ("more.tar.gz", b"\x1f\x8b".to_vec()),
+        ("walk.mkv", b"\x1a\x45\xdf\xa3".to_vec()),
+    ];
+    let capture = open_folder(&[&photographs[..], &others].concat()).expect("a capture");
+    let told: Vec<String> = capture.assessments[3..]
+        .iter()
+        .map(|one| {
+            format!(
+                "{}: {}",
+                one.name,
+                one.reason.as_deref().unwrap_or_default()
+            )
+        })
+        .collect();
+    for (told, words) in told
+        .iter()
+        .zip(["4.bmp: BMP", "more.tar.gz: gzip", "walk.mkv: Matroska"])
+    {
+        assert!(told.starts_with(words), "{told}");
+    }
+    assert_eq!(told.len(), 3);
+    // As an upload has them, which puts all in one folder.
+    for (name, bytes) in others {
+        let error = open_folder(&[(&format!("images/{name}"), bytes.clone())]).expect_err(name);
+        assert!(error.to_string().contains("not read: "), "{name}: {error}");
+        let folder = folder(&[(name, bytes)]);
+        let path = folder.path().join("capture").join(name);
+        let error = Capture::open(&path, folder.path()).expect_err(name);
+        assert!(
+            matches!(error, CaptureError::Unread { .. }),
+            "{name}: {error}"
+        );
+    }
+}
+
+#[test]
 fn a_path_that_is_no_capture_is_the_users_fault() {
     let folder = folder(&[("a.txt", b"text".to_vec())]);
     let open =
