@@ -47,6 +47,23 @@ const POSE_FILES: [&str; 8] = [
     "poses_bounds.npy",
 ];
 
+/// How entries may be packed. Windows packs by Deflate64 what is over 2 GB.
+const READ_METHODS: [CompressionMethod; 3] = [
+    CompressionMethod::Stored,
+    CompressionMethod::Deflated,
+    CompressionMethod::Deflate64,
+];
+
+/// Other methods of programs in use.
+const UNREAD_METHODS: [(CompressionMethod, &str); 6] = [
+    (CompressionMethod::BZIP2, "bzip2"),
+    (CompressionMethod::LZMA, "LZMA"),
+    (CompressionMethod::ZSTD, "Zstandard"),
+    (CompressionMethod::XZ, "XZ"),
+    (CompressionMethod::PPMD, "PPMd"),
+    (CompressionMethod::IMPLODE, "Implode"),
+];
+
 /// Whether a file starts as a zip does.
 pub(super) fn is_zip(path: &Path) -> io::Result<bool> {
     let mut head = Vec::new();
@@ -196,11 +213,14 @@ fn check_entry<R: Read>(name: &str, entry: &ZipFile<'_, R>) -> Result<(), Archiv
     if entry.encrypted() {
         return refuse("encrypted");
     }
-    if !matches!(
-        entry.compression(),
-        CompressionMethod::Stored | CompressionMethod::Deflated
-    ) {
-        return refuse("packed by a method that is not read; use plain zip");
+    if !READ_METHODS.contains(&entry.compression()) {
+        let known = |method: &&(CompressionMethod, &str)| method.0 == entry.compression();
+        let name = UNREAD_METHODS.iter().find(known);
+        let name = name.map_or("an unknown method", |method| method.1);
+        return refuse(&format!(
+            "packed by {name}, which is not read; pack it with Deflate, as programs do where \
+             nothing else is chosen"
+        ));
     }
     if entry.size() > MAX_FILE_BYTES {
         return refuse("larger than a photograph can be");
@@ -304,12 +324,13 @@ fn unpack_one(source: &mut impl Read, item: &Wanted, file: &Path) -> Result<(), 
 }
 
 fn damaged(error: &io::Error) -> String {
-    format!("damaged or cut short: {error}")
+    format!("damaged or cut short; its reader says: {error}")
 }
 
 fn told(error: &ZipError) -> String {
     match error {
         ZipError::Io(error) => damaged(error),
-        error => error.to_string(),
+        ZipError::UnsupportedArchive(what) => format!("a kind of zip that is not read: {what}"),
+        error => format!("damaged, or no zip; its reader says: {error}"),
     }
 }

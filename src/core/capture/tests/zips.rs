@@ -103,6 +103,37 @@ fn hostile_zips_are_refused_by_name_and_leave_nothing_behind() {
     }
 }
 
+/// Replaces the method of every entry, in its own head and in the directory's.
+fn with_method(bytes: &[u8], method: u8) -> Vec<u8> {
+    let mut bytes = bytes.to_vec();
+    for at in 0..bytes.len() - 12 {
+        match &bytes[at..at + 4] {
+            b"PK\x03\x04" => bytes[at + 8] = method,
+            b"PK\x01\x02" => bytes[at + 10] = method,
+            _ => {}
+        }
+    }
+    bytes
+}
+
+#[test]
+fn deflate64_is_read_and_other_methods_are_named() {
+    // Noise is stored as it is, in blocks that both kinds of Deflate have in common.
+    let bytes = zipped(&|writer| (0..3).for_each(|i| add(writer, &format!("{i}.jpg"), &jpeg(i))));
+    let plain = open_zip(&bytes).0.expect("a capture");
+    let capture = open_zip(&with_method(&bytes, 9)).0.expect("Deflate64");
+    assert_eq!(capture.fingerprint, plain.fingerprint);
+    for (method, name) in [
+        (12, "bzip2"),
+        (14, "LZMA"),
+        (93, "Zstandard"),
+        (77, "an unknown"),
+    ] {
+        let error = open_zip(&with_method(&bytes, method)).0.expect_err(name);
+        assert!(error.to_string().contains(name), "{error}");
+    }
+}
+
 #[test]
 fn many_small_files_that_shrink_too_much_together_are_a_bomb_too() {
     let zeros = vec![0; 1 << 20];
