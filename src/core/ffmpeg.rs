@@ -45,12 +45,17 @@ impl Words {
         Self(receiver)
     }
 
-    /// The last line of one that has ended, without where the file lies that it is about.
-    pub(crate) fn last_line(&self, file: &Path) -> String {
+    /// All of one that has ended, as far as it is kept, without where the file lies that it is
+    /// about.
+    pub(crate) fn all(&self, file: &Path) -> String {
         let said = self.0.recv_timeout(PATIENCE).unwrap_or_default();
         let path = absolute(file).unwrap_or_else(|_| file.to_owned());
-        let said = said.replace(&path.display().to_string(), "it");
-        let last = said.lines().map(str::trim).rfind(|line| !line.is_empty());
-        last.unwrap_or("ffmpeg said nothing").to_owned()
+        said.replace(&path.display().to_string(), "it")
     }
+}
+
+/// The last line of what it said.
+pub(crate) fn last_line(said: &str) -> &str {
+    let last = said.lines().map(str::trim).rfind(|line| !line.is_empty());
+    last.unwrap_or("nothing")
 }

@@ -6,6 +6,7 @@
 mod choose;
 mod error;
 mod ffmpeg;
+mod range;
 
 use std::ffi::OsString;
 use std::fs;
@@ -17,9 +18,10 @@ use self::choose::{Stretches, sharpness};
 use self::error::{MOST_IN_VIDEO, PATIENCE};
 use self::ffmpeg::{Ffmpeg, Output};
 use crate::cancel::CancelToken;
-use crate::image::read_header;
+use crate::image::{Unread, read_header};
 
 pub use self::error::VideoError;
+pub use self::range::Hdr;
 
 /// Frames that are taken when nobody says how many.
 pub const FRAMES: usize = 40;
@@ -54,13 +56,16 @@ pub struct Taken {
     pub frames: usize,
     /// The files of those taken, in order; each has the number of its frame, from 0, in its name.
     pub files: Vec<PathBuf>,
+    /// What was done about its range of brightness, where that is larger than that of sRGB.
+    pub hdr: Option<Hdr>,
 }
 
 impl Taken {
     /// A sentence for who gave the video, which they call `name`.
     pub fn told(&self, name: &str) -> String {
+        let hdr = self.hdr.map_or(String::new(), |hdr| format!("; {hdr}"));
         format!(
-            "{} of the {} frames of {name} are used, the sharpest of every {:.0}",
+            "{} of the {} frames of {name} are used, the sharpest of every {:.0}{hdr}",
             self.files.len(),
             self.frames,
             (self.frames as f64 / self.files.len() as f64).max(1.0)
@@ -92,6 +97,9 @@ pub fn take_frames(
         cancel,
         until: Instant::now() + PATIENCE,
     };
+    if let Some(format) = Unread::of(video).map_err(VideoError::io(video))? {
+        return Err(VideoError::Unread(format));
+    }
     let sharpness = measure(&ffmpeg)?;
     if sharpness.len() < super::MIN_VIEWS {
         return Err(VideoError::TooShort {
@@ -100,17 +108,24 @@ pub fn take_frames(
     }
     let chosen = Stretches::of(sharpness.len(), wanted.count).sharpest(&sharpness);
     fs::create_dir_all(wanted.into).map_err(VideoError::io(wanted.into))?;
-    // One says how large they all may be.
-    let first = extract(&ffmpeg, &chosen[..1], wanted)?;
+    // One says how large they all may be, and whether this ffmpeg converts their range.
+    let mut hdr = Hdr::of(&ffmpeg)?;
+    let mut first = extract(&ffmpeg, &chosen[..1], wanted, hdr);
+    if let (Some(found), Err(VideoError::Unreadable { .. })) = (hdr, &first) {
+        hdr = Some(found.left());
+        first = extract(&ffmpeg, &chosen[..1], wanted, hdr);
+    }
+    let first = first?;
     let header = first.first().and_then(|file| read_header(file).ok());
     let bytes = header.map_or(0, |header| header.decoded_bytes) * chosen.len() as u64;
     if bytes > wanted.room {
         return Err(VideoError::NoRoom { bytes });
     }
-    let files = extract(&ffmpeg, &chosen, wanted)?;
+    let files = extract(&ffmpeg, &chosen, wanted, hdr)?;
     Ok(Taken {
         frames: sharpness.len(),
         files,
+        hdr,
     })
 }
 
@@ -138,13 +153,15 @@ fn extract(
     ffmpeg: &Ffmpeg<'_>,
     chosen: &[usize],
     wanted: &Wanted<'_>,
+    hdr: Option<Hdr>,
 ) -> Result<Vec<PathBuf>, VideoError> {
     let select = format!("select='{}'", any_of(chosen));
     // Pixels that are not square, then those that are too many.
     let square = "scale='trunc(iw*sar)':ih:flags=area,setsar=1";
     let fit = "force_original_aspect_ratio=decrease:flags=area";
     let most = format!("scale='min(iw,{LONG_SIDE})':'min(ih,{LONG_SIDE})':{fit}");
-    let filter = format!("{select},{square},{most}");
+    let range = hdr.map_or(String::new(), Hdr::filters);
+    let filter = format!("{select},{square},{most}{range}");
     // Numbers of ours until they are known to be all there; `%` means something to ffmpeg.
     let folder = wanted.into.join(".frames");
     match fs::remove_dir_all(&folder) {

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf, absolute};
 use std::process::{Child, ChildStdin, Stdio};
 
 use crate::camera::Camera;
-use crate::ffmpeg::{Words, command};
+use crate::ffmpeg::{Words, command, last_line};
 use crate::image::Image;
 
 /// x264's measure of quality: no loss that one sees.
@@ -20,7 +20,7 @@ const COLOURS: &str = "scale=out_color_matrix=bt709:out_range=tv,format=yuv420p"
 #[derive(Debug, thiserror::Error)]
 pub enum EncodeError {
     /// There is no ffmpeg.
-    #[error("{program}: {reason}; videos are written by ffmpeg")]
+    #[error("videos are written by ffmpeg, which cannot be started: {program}: {reason}")]
     Missing {
         /// What was started.
         program: String,
@@ -164,7 +164,7 @@ impl Encoder {
     fn refused(&mut self) -> EncodeError {
         // One that takes no more has nothing more to do.
         let _ = self.child.kill();
-        let reason = self.words.last_line(&self.file);
+        let reason = last_line(&self.words.all(&self.file)).to_owned();
         EncodeError::Refused { reason }
     }
 }

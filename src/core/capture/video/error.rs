@@ -6,6 +6,8 @@ use std::time::Duration;
 
 use crate::cancel::Cancelled;
 use crate::capture::error::MIN_VIEWS;
+use crate::ffmpeg::last_line;
+use crate::image::Unread;
 
 /// Most frames of a video: ten minutes at 60 a second.
 pub(super) const MOST_IN_VIDEO: usize = 36_000;
@@ -17,17 +19,29 @@ pub(super) const PATIENCE: Duration = Duration::from_secs(8 * 60);
 #[derive(Debug, thiserror::Error)]
 pub enum VideoError {
     /// There is no ffmpeg.
-    #[error("{program}: {reason}; videos are read by ffmpeg")]
+    #[error("videos are read by ffmpeg, which cannot be started: {program}: {reason}")]
     Missing {
         /// What was started.
         program: String,
         /// What the system said.
         reason: String,
     },
+    /// A file of a format that is known and not read.
+    #[error("{0}")]
+    Unread(Unread),
+    /// Only sound, or other data.
+    #[error("there is no picture in the file, only sound or other data")]
+    NoPicture,
+    /// Pictures that are coded in a way that is not read.
+    #[error("the video is coded in a way that is not read; ffmpeg says: {said}")]
+    Codec {
+        /// The last that ffmpeg said.
+        said: String,
+    },
     /// ffmpeg cannot read it.
     #[error("the video cannot be read: {reason}")]
     Unreadable {
-        /// The last that ffmpeg said.
+        /// Why, and what ffmpeg said.
         reason: String,
     },
     /// It is too short.
@@ -62,12 +76,38 @@ pub enum VideoError {
 }
 
 impl VideoError {
+    /// What the last that ffmpeg said means.
+    pub(super) fn of_ffmpeg(said: &str) -> Self {
+        let last = last_line(said);
+        if said.contains("matches no streams") {
+            return Self::NoPicture;
+        }
+        if said.contains("not on whitelist") || said.contains("Decoder not found") {
+            return Self::Codec {
+                said: last.to_owned(),
+            };
+        }
+        let meaning = if said.contains("moov atom not found") {
+            "it is cut short, or no MP4 or MOV: its index is missing"
+        } else if said.contains("exceeds specified max pixel count") {
+            "its frames are larger than 40 megapixels"
+        } else {
+            "it is damaged, or no MP4 or MOV"
+        };
+        Self::Unreadable {
+            reason: format!("{meaning} (ffmpeg says: {last})"),
+        }
+    }
+
     /// What to do about it.
     pub fn hint(&self) -> &'static str {
         match self {
             Self::Missing { .. } => {
                 "install it (apt-get install ffmpeg), or give photographs of the video"
             }
+            Self::Unread(_) => "give an MP4 or MOV, or photographs of the scene",
+            Self::NoPicture => "give the video itself, or photographs of the scene",
+            Self::Codec { .. } => "export it as MP4 with H.264",
             Self::Unreadable { .. } => "give it as MP4 or MOV that other players show, whole",
             Self::TooShort { .. } => "walk around the scene, slowly, for half a minute or more",
             Self::TooLong => "cut it: ten minutes at 60 frames a second are read",

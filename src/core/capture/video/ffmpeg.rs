@@ -14,7 +14,7 @@ use process_wrap::std::{ChildWrapper, CommandWrap, ProcessGroup};
 
 use super::error::VideoError;
 use crate::cancel::CancelToken;
-use crate::ffmpeg::{Words, command};
+use crate::ffmpeg::{Words, command, last_line};
 
 /// Most pixels of a frame that is decoded.
 const MOST_PIXELS: usize = 40_000_000;
@@ -50,11 +50,15 @@ pub(super) enum Output<'a> {
 }
 
 impl Ffmpeg<'_> {
-    /// Reads the video once, every frame as it is stored.
+    /// Reads the video once, every frame as it is stored, and gives what ffmpeg said.
     ///
     /// # Errors
     /// [`VideoError`]; nothing of the process is left then.
-    pub(super) fn run(&self, arguments: &[String], output: Output<'_>) -> Result<(), VideoError> {
+    pub(super) fn run(
+        &self,
+        arguments: &[String],
+        output: Output<'_>,
+    ) -> Result<String, VideoError> {
         let mut child = self.spawn(arguments, &output)?;
         let mut drop_it = |_: &[u8]| true;
         let (length, take): (usize, Take<'_>) = match output {
@@ -69,14 +73,15 @@ impl Ffmpeg<'_> {
             let _ = child.kill();
         }
         drop(chunks);
-        let Some(status) = outcome?.filter(|status| !status.success()) else {
-            return Ok(());
-        };
-        let reason = words.last_line(self.video);
-        if status.code() == Some(NOT_FOUND) {
-            return Err(self.missing(reason));
+        let status = outcome?;
+        let said = words.all(self.video);
+        match status {
+            Some(status) if status.code() == Some(NOT_FOUND) => {
+                Err(self.missing(last_line(&said).to_owned()))
+            }
+            Some(status) if !status.success() => Err(VideoError::of_ffmpeg(&said)),
+            _ => Ok(said),
         }
-        Err(VideoError::Unreadable { reason })
     }
 
     fn missing(&self, reason: String) -> VideoError {

@@ -214,3 +214,84 @@ fn where_its_size_changes_the_frames_are_still_counted_once() {
     let taken = taken(&video, 4, &folder.path().join("images")).expect("frames");
     assert_eq!(taken.files.len(), 4, "of {}", taken.frames);
 }
+
+/// A video of one grey, as HLG or PQ codes it in 10 bits.
+fn grey(folder: &TempDir, name: &str, level: u32, transfer: &str) -> PathBuf {
+    let path = folder.path().join(name);
+    let status = Command::new("ffmpeg")
+        .args(["-nostdin", "-loglevel", "error", "-f", "lavfi", "-i"])
+        .arg("color=gray:size=96x64:rate=10:duration=0.5")
+        .arg("-vf")
+        .arg(format!("format=yuv420p10le,lutyuv=y={level}:u=512:v=512"))
+        .args(["-c:v", "libx264", "-crf", "4", "-color_trc", transfer])
+        .args(["-colorspace", "bt2020nc", "-color_primaries", "bt2020"])
+        .args(["-color_range", "tv"])
+        .arg(&path)
+        .status();
+    assert!(status.expect("ffmpeg").success());
+    path
+}
+
+#[test]
+fn a_larger_range_becomes_srgb_and_the_warning_says_so() {
+    let folder = TempDir::new().expect("folder");
+    // White of 203 nits and a dark grey of 10, as ITU-R BT.2408 and BT.2100 code them; the bend
+    // above three tenths of white takes the first to 0.68 of it.
+    let cases = [
+        ("HLG", 721, "arib-std-b67", 0.843),
+        ("HLG", 287, "arib-std-b67", 0.246),
+        ("PQ", 573, "smpte2084", 0.843),
+        ("PQ", 327, "smpte2084", 0.246),
+    ];
+    for (name, level, transfer, expected) in cases {
+        let video = grey(&folder, &format!("{name}-{level}.mov"), level, transfer);
+        let into = folder.path().join(format!("{name}-{level}"));
+        let taken = taken(&video, 3, &into).expect("frames");
+        let told = taken.told("it");
+        assert!(
+            told.contains(&format!("HDR ({name}) and was tone-mapped")),
+            "{told}"
+        );
+        let image = Image::<Srgb>::load(&taken.files[0]).expect("a photograph");
+        for value in image.get(48, 32) {
+            assert!((value - expected).abs() < 0.006, "{name} {level}: {value}");
+        }
+    }
+    let usual = taken(
+        &made(&folder, "usual.mp4", &[]),
+        3,
+        &folder.path().join("usual"),
+    );
+    assert_eq!(usual.expect("frames").hdr, None);
+}
+
+#[test]
+fn what_is_not_read_is_told_by_what_it_means() {
+    let folder = TempDir::new().expect("folder");
+    let make = |name: &str, input: &str, further: &[&str]| {
+        let path = folder.path().join(name);
+        let status = Command::new("ffmpeg")
+            .args(["-nostdin", "-loglevel", "error", "-f", "lavfi", "-i", input])
+            .args(further)
+            .arg(&path)
+            .status();
+        assert!(status.expect("ffmpeg").success());
+        path
+    };
+    let sound = make("sound.mov", "sine=duration=1", &[]);
+    let other = make("other.mov", "testsrc2=duration=1", &["-c:v", "qtrle"]);
+    let matroska = make("walk.mkv", "testsrc2=duration=1", &["-c:v", "libx264"]);
+    let renamed = folder.path().join("renamed.mov");
+    fs::copy(&matroska, &renamed).expect("copied");
+    let cases = [
+        (sound, "there is no picture in the file, only sound"),
+        (other, "coded in a way that is not read"),
+        (matroska, "Matroska or WebM videos are not read"),
+        (renamed, "Matroska or WebM videos are not read"),
+    ];
+    for (path, words) in cases {
+        let error = taken(&path, 3, &folder.path().join("out")).expect_err(words);
+        assert!(error.to_string().contains(words), "{error}");
+        assert!(!error.to_string().contains("trailing"), "{error}");
+    }
+}
