@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use tokio::sync::{Notify, Semaphore, watch};
+use tokio::sync::Semaphore;
 use tokio_util::sync::CancellationToken;
 
 use crate::blob_cache::BlobCache;
@@ -12,9 +12,9 @@ use crate::event_feed::EventFeeds;
 use crate::failpoint::Failpoint;
 use crate::holders::Holders;
 use crate::incoming::Uploads;
+use crate::jobs::running::Running;
 use crate::rate::Rates;
 use crate::render::Renderers;
-use crate::running::Running;
 use crate::store::Store;
 use crate::telemetry::Telemetry;
 use crate::validator::Validators;
@@ -61,11 +61,8 @@ pub struct App {
     pub running: Running,
     /// The last result of the readiness checks.
     pub readiness: tokio::sync::Mutex<Option<crate::readiness::Remembered>>,
-    /// Notified when a job may be queued.
-    pub wake: Notify,
-    /// Cancelled when the server stops.
+    /// Raised when the server stops.
     pub shutdown: CancellationToken,
-    versions: watch::Sender<u64>,
 }
 
 impl App {
@@ -90,9 +87,7 @@ impl App {
             blob_cache,
             worker,
             readiness: tokio::sync::Mutex::default(),
-            wake: Notify::new(),
             shutdown: CancellationToken::new(),
-            versions: watch::Sender::new(0),
             rates: Rates::new(limits.rate, limits.burst),
             keeping: tokio::sync::Mutex::default(),
             filming: tokio::sync::Mutex::default(),
@@ -128,15 +123,5 @@ impl App {
         if let Some(watcher) = self.config.watcher {
             watcher(failpoint);
         }
-    }
-
-    /// Notifies every open event stream that the database has changed.
-    pub fn changed(&self) {
-        self.versions.send_modify(|version| *version += 1);
-    }
-
-    /// Returns a receiver of every [`App::changed`] from now on.
-    pub fn watch(&self) -> watch::Receiver<u64> {
-        self.versions.subscribe()
     }
 }

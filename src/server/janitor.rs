@@ -228,7 +228,6 @@ impl Janitor<'_> {
         let expired = self.store.delete_expired(now, self.dry_run).await?;
         if let Some(app) = app {
             expired.jobs.iter().for_each(|id| app.videos.stop_all(id));
-            app.changed();
         }
         let jobs = expired.jobs.iter().map(|id| self.data.job(id));
         let captures = expired.captures.iter().map(|id| self.data.capture(id));

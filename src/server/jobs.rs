@@ -7,6 +7,7 @@ pub mod log;
 mod orphans;
 pub mod parent_death;
 pub mod process;
+pub mod running;
 pub mod state;
 mod words;
 pub mod worker;

@@ -18,7 +18,6 @@ use crate::error::{Result, ServerError};
 use crate::http::{router, serve_connections};
 use crate::janitor;
 use crate::jobs::{after_death, kill_orphans, worker};
-use crate::others;
 use crate::store::{Engine, Store};
 use crate::videos::maker::{keep_making, take_up};
 use crate::webhooks::keep_telling;
@@ -200,11 +199,10 @@ async fn end(tasks: &mut JoinSet<()>, patience: Duration, what: &str) {
 /// number of parallel jobs.
 fn spawn_shared(app: &Arc<App>, tasks: &mut JoinSet<()>, serves: bool) -> JoinSet<()> {
     tasks.spawn(janitor::keep_clean(app.clone(), serves));
-    if app.store.engine() == Engine::Postgres {
-        tasks.spawn(others::keep_hearing(app.clone()));
-    }
+    let (look, shutdown) = (app.limits.look, app.shutdown.clone());
+    tasks.spawn(app.store.clone().keep_listening(look, shutdown));
     if app.config.about.is_some() {
-        tasks.spawn(others::keep_being_seen(app.clone()));
+        tasks.spawn(worker::keep_registered(app.clone()));
     }
     let mut turns = JoinSet::new();
     for turn in 0..u32::try_from(app.config.workers).unwrap_or(u32::MAX) {

@@ -17,8 +17,8 @@ mod idempotency;
 mod identity;
 mod jobs;
 mod lease;
-mod listen;
 mod migrations;
+mod notifier;
 mod outbox;
 mod report;
 mod results;
@@ -36,12 +36,14 @@ mod workers;
 
 use std::collections::HashSet;
 use std::path::Path;
+use std::sync::Arc;
 use std::time::Instant;
 
 use sqlx::AnyPool;
 
 use crate::error::{Result, ServerError};
 use engine::Tx;
+use notifier::Notifier;
 
 pub use alone::Alone;
 pub use backup::Attempted;
@@ -54,7 +56,6 @@ pub use files::by_path;
 pub use idempotency::{Creation, Request, UsedUp};
 pub use jobs::{JobError, JobFilter, JobRow, Needs, NewJob, ToldJob};
 pub use lease::{Claim, Lease, Machine};
-pub use listen::{Heard, News};
 pub use results::{StageSeconds, WarningRow};
 pub use retry::{Change, Retry};
 pub use room::Room;
@@ -71,7 +72,8 @@ pub struct Store {
     engine: Engine,
     /// The URL of the PostgreSQL database.
     url: Option<String>,
-    /// The origin of the SQLite lease clock, which is monotonic: see [`Store::lease_clock`].
+    notifier: Arc<Notifier>,
+    /// Leases are counted from here, on a clock that nobody sets: see [`Store::lease_clock`].
     opened: Instant,
 }
 
@@ -110,6 +112,7 @@ impl Store {
             pool,
             engine,
             url,
+            notifier: Arc::default(),
             opened: Instant::now(),
         }
     }
@@ -121,12 +124,12 @@ impl Store {
 
     /// Begins a transaction that reads many rows before it writes. Only one runs at a time.
     async fn write(&self) -> Result<Tx> {
-        engine::begin(&self.pool, self.engine, true).await
+        engine::begin(self, true).await
     }
 
     /// Begins a transaction that locks the rows it touches.
     async fn begin(&self) -> Result<Tx> {
-        engine::begin(&self.pool, self.engine, false).await
+        engine::begin(self, false).await
     }
 
     /// Milliseconds on the lease clock. With SQLite the clock is monotonic: it stops while the

@@ -47,7 +47,7 @@ const AFTER_FAULT: Duration = Duration::from_secs(5);
 /// Sends due deliveries until the server stops. Only one delivery per webhook is in flight, so a
 /// slow endpoint delays only its own.
 pub async fn keep_telling(app: Arc<App>) {
-    let mut changes = app.watch();
+    let mut changes = app.store.changes();
     let mut on_their_way = JoinSet::new();
     let mut busy: Vec<String> = Vec::new();
     loop {

@@ -65,8 +65,8 @@ pub async fn stream(
     Query(query): Query<StreamQuery>,
     headers: HeaderMap,
 ) -> Result<Response, Problem> {
-    // Watch before the first read, or a change between the two would be missed.
-    let versions = app.watch();
+    // Watching begins before the first look, or a change between the two would be missed.
+    let versions = app.store.changes();
     let job = find(&app, &id).await?;
     let last = match headers.get("last-event-id") {
         Some(value) => value

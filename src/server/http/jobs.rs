@@ -150,8 +150,6 @@ pub async fn create(
         Creation::QueueFull => return Err(queue_full()),
         Creation::OverQuota => return Err(over_quota_jobs(&visitor)),
     };
-    app.wake.notify_one();
-    app.changed();
     let location = format!("/v1/jobs/{}", row.id);
     let job = told(&app, &row.id).await?;
     let mut response = (
@@ -365,8 +363,7 @@ pub async fn cancel(
         return Err(over(&row));
     }
     app.running.stop(&id);
-    app.changed();
-    let mut versions = app.watch();
+    let mut versions = app.store.changes();
     let ended = async {
         while !find(&app, &id).await?.state.is_terminal() {
             if versions.changed().await.is_err() {
@@ -400,7 +397,6 @@ pub async fn delete(
     }
     app.videos.stop_all(&id);
     remove(&app.data.job(&id)).await;
-    app.changed();
     Ok(StatusCode::NO_CONTENT)
 }
 

@@ -39,6 +39,5 @@ async fn set(app: &App, id: &str, pinned: bool) -> Result<Json<Job>, Problem> {
     app.store.pin_job(id, pinned).await?;
     let told = app.store.told_job(id).await?;
     let told = told.ok_or_else(|| Problem::not_found("job"))?;
-    app.changed();
     Ok(Json(Job::from_told(told)))
 }

@@ -49,6 +49,5 @@ pub async fn prioritize(
         return Err(Problem::conflict("wrong_state", detail)
             .hint("Only jobs that are queued or run have a place among others."));
     }
-    app.changed();
     Ok(axum::Json(told(&app, &id).await?))
 }

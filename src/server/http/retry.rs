@@ -65,8 +65,6 @@ pub async fn retry(
         Retry::WrongState => return Err(over(&row)),
         Retry::QueueFull => return Err(queue_full()),
     }
-    app.wake.notify_one();
-    app.changed();
     let job = told(&app, &id).await?;
     Ok((StatusCode::ACCEPTED, axum::Json(job)).into_response())
 }

@@ -223,7 +223,6 @@ pub async fn test(
     let id = app.store.test_webhook(&row.id).await?;
     let id =
         id.ok_or_else(|| Problem::conflict("on_its_way", "A test of this webhook is on its way."))?;
-    app.changed();
     Ok((StatusCode::ACCEPTED, axum::Json(OnItsWay { id })))
 }
 
@@ -260,7 +259,6 @@ pub async fn redeliver(
     if !app.store.redeliver(&row.id, &delivery).await? {
         return Err(Problem::not_found("delivery"));
     }
-    app.changed();
     Ok((StatusCode::ACCEPTED, axum::Json(OnItsWay { id: delivery })))
 }
 

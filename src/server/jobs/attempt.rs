@@ -323,7 +323,6 @@ impl Attempt<'_> {
                     self.log.line(&readable(&told));
                 }
                 self.app.store.record(&self.lease, &told).await?;
-                self.app.changed();
                 self.app.pass(Failpoint::Told);
             }
         }
@@ -346,7 +345,6 @@ impl Attempt<'_> {
     async fn write_pending(&mut self) -> Result<()> {
         if let Some(progress) = self.pending.take() {
             self.app.store.advance(&self.lease, &progress).await?;
-            self.app.changed();
             self.app.pass(Failpoint::Advanced);
         }
         Ok(())

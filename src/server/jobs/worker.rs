@@ -14,13 +14,16 @@ use crate::store::{Claim, Engine, JobError, Machine, Settlement};
 
 /// How often an idle worker polls a database file for due retries.
 const IDLE: Duration = Duration::from_millis(500);
-/// Pause after a database or disk error.
+/// A worker that was not seen for so long goes from the list, milliseconds.
+const FORGOTTEN_MS: i64 = 24 * 3600 * 1000;
+/// After a fault of the database or the disk.
 const RECOVERY: Duration = Duration::from_secs(2);
 
 /// Runs jobs until the server stops. Never gives up: database and disk errors are logged and
 /// retried.
 pub async fn work(app: Arc<App>, turn: u32) {
     let mut was_full = false;
+    let mut queue = app.store.queue();
     let idle = match app.store.engine() {
         Engine::Sqlite => IDLE,
         Engine::Postgres => app.limits.look,
@@ -35,10 +38,11 @@ pub async fn work(app: Arc<App>, turn: u32) {
             continue;
         }
         was_full = false;
+        // Before the look: what begins to wait meanwhile is looked for again.
+        queue.mark_unchanged();
         match take(&app, turn).await {
             Ok(Some((claim, cancel))) => {
                 app.pass(Failpoint::Claimed);
-                app.changed();
                 if let Err(error) = run(&app, &claim, cancel).await {
                     tracing::error!(%error, job = claim.job.id, "an attempt was dropped");
                     pause(&app, RECOVERY).await;
@@ -46,7 +50,7 @@ pub async fn work(app: Arc<App>, turn: u32) {
             }
             Ok(None) => {
                 tokio::select! {
-                    () = app.wake.notified() => {}
+                    _ = queue.changed() => {}
                     () = tokio::time::sleep(idle) => {}
                     () = app.shutdown.cancelled() => {}
                 }
@@ -55,6 +59,32 @@ pub async fn work(app: Arc<App>, turn: u32) {
                 tracing::error!(%error, "cannot look for work");
                 pause(&app, RECOVERY).await;
             }
+        }
+    }
+}
+
+/// Keeps this worker in the list of workers, and removes those that stopped long ago.
+pub async fn keep_registered(app: Arc<App>) {
+    let Some(about) = &app.config.about else {
+        return;
+    };
+    let register = async |draining| {
+        app.store.see_worker(&app.worker, about, draining).await?;
+        let before = app.store.now().await? - FORGOTTEN_MS;
+        app.store.forget_workers(None, before).await
+    };
+    let mut every = tokio::time::interval(app.limits.heartbeat.max(Duration::from_millis(1)));
+    loop {
+        let draining = tokio::select! {
+            _ = every.tick() => false,
+            () = app.shutdown.cancelled() => true,
+        };
+        if let Err(error) = register(draining).await {
+            tracing::warn!(%error, "the list of workers is not up to date");
+        }
+        // It stays there until its jobs have ended.
+        if draining {
+            return;
         }
     }
 }
@@ -72,9 +102,6 @@ async fn take(app: &App, turn: u32) -> Result<Option<(Claim, Arc<Notify>)>> {
     let released = release_expired(app).await?;
     for job in &released {
         tracing::warn!(job, "its worker was not heard of any more: it waits again");
-    }
-    if !released.is_empty() {
-        app.changed();
     }
     let machine = app
         .config
@@ -130,7 +157,6 @@ async fn run(app: &App, claim: &Claim, cancel: Arc<Notify>) -> Result<()> {
     let state = app.store.settle(lease, &settlement).await?;
     app.pass(Failpoint::Settled);
     tracing::info!(job = id, state = state.name(), "attempt settled");
-    app.changed();
     Ok(())
 }
 

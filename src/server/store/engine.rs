@@ -5,6 +5,7 @@ use std::fmt;
 use std::ops::{Deref, DerefMut};
 use std::path::Path;
 use std::str::FromStr;
+use std::sync::Arc;
 use std::time::Duration;
 
 use sqlx::any::{AnyConnectOptions, AnyPoolOptions, AnyRow};
@@ -13,8 +14,10 @@ use sqlx::{
     Any, AnyConnection, AnyPool, Connection, Executor, Row, SqlSafeStr, SqlStr, Transaction,
 };
 
+use super::Store;
 use super::clock::now_ms;
 use super::migrations::{POSTGRES, SQLITE};
+use super::notifier::{Change, Notifier};
 use crate::error::{Result, ServerError};
 
 /// Maximum connections to a database file.
@@ -95,11 +98,18 @@ pub(super) struct Tx {
     pub(super) engine: Engine,
     /// When it began, in milliseconds since 1970 on the clock that all writers share.
     pub(super) now: i64,
+    /// What its commit changes for those who wait.
+    pub(super) change: Option<Change>,
+    notifier: Arc<Notifier>,
 }
 
 impl Tx {
     pub(super) async fn commit(self) -> Result<()> {
-        Ok(self.inner.commit().await?)
+        self.inner.commit().await?;
+        if let Some(change) = self.change {
+            self.notifier.notify(change);
+        }
+        Ok(())
     }
 
     pub(super) async fn rollback(self) -> Result<()> {
@@ -121,14 +131,14 @@ impl DerefMut for Tx {
     }
 }
 
-/// Begins a transaction. Only one `exclusive` transaction runs at a time.
-pub(super) async fn begin(pool: &AnyPool, engine: Engine, exclusive: bool) -> Result<Tx> {
-    let (inner, now) = match engine {
-        // An immediate transaction takes the write lock at once and not at its first write: of two
-        // that have already read, only one could write.
-        Engine::Sqlite => (pool.begin_with("BEGIN IMMEDIATE").await?, now_ms()),
+/// Begins a transaction; an `exclusive` one is the only one of its kind until it ends.
+pub(super) async fn begin(store: &Store, exclusive: bool) -> Result<Tx> {
+    let (inner, now) = match store.engine {
+        // An immediate transaction takes the write lock at once, not when it first writes: two that
+        // had read by then could not both write.
+        Engine::Sqlite => (store.pool.begin_with("BEGIN IMMEDIATE").await?, now_ms()),
         Engine::Postgres => {
-            let mut tx = pool.begin().await?;
+            let mut tx = store.pool.begin().await?;
             if exclusive {
                 sqlx::query("SELECT pg_advisory_xact_lock($1)")
                     .bind(WRITERS)
@@ -139,7 +149,13 @@ pub(super) async fn begin(pool: &AnyPool, engine: Engine, exclusive: bool) -> Re
             (tx, now)
         }
     };
-    Ok(Tx { inner, engine, now })
+    Ok(Tx {
+        inner,
+        engine: store.engine,
+        now,
+        change: None,
+        notifier: store.notifier.clone(),
+    })
 }
 
 /// Milliseconds since 1970 on the clock that all users of the database share.

@@ -3,7 +3,8 @@
 use serde_json::Value;
 use sqlx::Row;
 
-use super::{Store, Tx, listen, outbox};
+use super::notifier::Change;
+use super::{Store, Tx, outbox};
 use crate::error::{Result, ServerError};
 use crate::jobs::state::JobState;
 
@@ -63,5 +64,6 @@ pub(super) async fn append(tx: &mut Tx, job: &str, kind: &str, data: &Value) -> 
     .await?;
     outbox::tell(tx, job, kind, data).await?;
     let waits = kind == "state" && data["state"] == JobState::Queued.name();
-    listen::tell(tx, job, waits).await
+    let change = if waits { Change::Queue } else { Change::Job };
+    tx.notify(job, change).await
 }

@@ -6,6 +6,7 @@ use sqlx::Row;
 use sqlx::any::AnyRow;
 
 use super::engine::Cells;
+use super::notifier::Change;
 use super::results::{StageSeconds, WarningRow, stages_of, warnings_of};
 use super::{Store, Tx, events};
 use crate::error::{Result, ServerError};
@@ -278,10 +279,13 @@ impl Store {
     /// # Errors
     /// When a database operation fails.
     pub async fn delete_job(&self, id: &str) -> Result<bool> {
+        let mut tx = self.begin().await?;
         let done = sqlx::query("DELETE FROM jobs WHERE id = $1 AND state <> 'running'")
             .bind(id)
-            .execute(&self.pool)
+            .execute(&mut *tx)
             .await?;
+        tx.notify(id, Change::Job).await?;
+        tx.commit().await?;
         Ok(done.rows_affected() == 1)
     }
 }

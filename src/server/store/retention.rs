@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 use super::Store;
+use super::notifier::Change;
 use crate::config::Retention;
 use crate::error::Result;
 
@@ -73,7 +74,7 @@ impl Store {
     /// When a database operation fails.
     pub async fn delete_expired(&self, now: i64, dry_run: bool) -> Result<Expired> {
         let mut tx = self.write().await?;
-        let jobs = sqlx::query_scalar(
+        let jobs: Vec<String> = sqlx::query_scalar(
             "DELETE FROM jobs WHERE expires_at <= $1 AND pinned = 0
              AND state IN ('succeeded', 'failed', 'cancelled') RETURNING id",
         )
@@ -90,6 +91,9 @@ impl Store {
         if dry_run {
             tx.rollback().await?;
         } else {
+            for id in &jobs {
+                tx.notify(id, Change::Job).await?;
+            }
             tx.commit().await?;
         }
         Ok(Expired { jobs, captures })

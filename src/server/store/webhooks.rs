@@ -5,6 +5,7 @@ use sqlx::Row;
 use sqlx::any::AnyRow;
 
 use super::engine::{Cells, counted};
+use super::notifier::Change;
 use super::outbox::{body, typed};
 use super::{Engine, Store};
 use crate::error::Result;
@@ -181,6 +182,7 @@ impl Store {
         .bind(body(TEST, now, &json!({ "webhook_id": webhook })))
         .execute(&self.pool)
         .await?;
+        self.notifier.notify(Change::Job);
         Ok((done.rows_affected() == 1).then_some(id))
     }
 
@@ -345,6 +347,7 @@ impl Store {
         .bind(webhook)
         .execute(&self.pool)
         .await?;
+        self.notifier.notify(Change::Job);
         Ok(done.rows_affected() == 1)
     }
 
