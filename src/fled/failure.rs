@@ -3,6 +3,7 @@
 use std::fmt;
 use std::process::ExitCode;
 
+use fled_core::event::Event;
 use fled_core::pipeline::config::OptionsError;
 use fled_core::pipeline::error::{ErrorKind, PipelineError};
 
@@ -20,7 +21,16 @@ pub struct Failure {
 }
 
 impl Failure {
-    /// A failure with the default hint of its kind.
+    /// As it is told to programs.
+    pub fn event(&self) -> Event {
+        Event::Failed {
+            kind: self.kind.name().to_owned(),
+            detail: self.detail.clone(),
+            hint: self.hint.clone(),
+        }
+    }
+
+    /// With the advice that fits the kind.
     pub fn new(kind: ErrorKind, detail: impl fmt::Display) -> Self {
         Self {
             kind,

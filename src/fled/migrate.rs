@@ -57,10 +57,8 @@ pub fn main(args: &Args) -> Result<(), Failure> {
         done.files,
         done.bytes as f64 / 1e6
     );
-    for (left, what) in [(done.uploads, "uploads"), (done.videos, "videos")] {
-        if left > 0 {
-            eprintln!("{left} unfinished {what} stay behind");
-        }
+    if done.uploads > 0 {
+        eprintln!("{} unfinished uploads stay behind", done.uploads);
     }
     Ok(())
 }

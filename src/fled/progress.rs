@@ -122,17 +122,22 @@ fn lines(event: &Event) -> Vec<String> {
 impl ProgressSink for Reporter {
     fn event(&mut self, event: &Event) {
         self.show(event);
-        if self.json
-            && let Ok(line) = serde_json::to_string(event)
-        {
-            let mut out = std::io::stdout().lock();
-            // If the reader is gone, the run still goes on.
-            let _ = writeln!(out, "{line}").and_then(|()| out.flush());
+        if self.json {
+            print(event);
         }
     }
 }
 
-/// The name of a stage in messages.
+/// Writes an event as a JSON line to standard output.
+pub fn print(event: &Event) {
+    if let Ok(line) = serde_json::to_string(event) {
+        let mut out = std::io::stdout().lock();
+        // Nobody reads any more: the run is worth more than its reader.
+        let _ = writeln!(out, "{line}").and_then(|()| out.flush());
+    }
+}
+
+/// A stage as it is told.
 pub fn name(stage: &str, round: u32) -> String {
     if round == 0 {
         stage.to_owned()

@@ -78,11 +78,7 @@ pub fn main(args: &Args, extent: Extent) -> Result<(), Failure> {
     let cancel = tools::cancel_on_signals()?;
     let outcome = run(args, extent, &options, &workspace, &mut reporter, &cancel);
     if let Err(failure) = &outcome {
-        reporter.event(&Event::Failed {
-            kind: failure.kind.name().to_owned(),
-            detail: failure.detail.clone(),
-            hint: failure.hint.clone(),
-        });
+        reporter.event(&failure.event());
     }
     outcome
 }

@@ -1,21 +1,21 @@
 //! `fled video`: a video of a finished run's scene.
 
-use std::io::Write;
 use std::path::PathBuf;
+use std::time::Instant;
 
 use fled_core::cancel::{CancelToken, Cancelled};
+use fled_core::event::Event;
 use fled_core::gaussians::ply;
 use fled_core::pipeline::error::{ErrorKind, PipelineError};
 use fled_core::render::Renderer;
 use fled_core::run_folder::RunFolder;
 use fled_core::video::{self, EncodeError, Kind, Plan, PlanError, Target};
 use fled_gpu::Gpu;
-use fled_server::videos::protocol::VideoEvent;
 use indicatif::ProgressBar;
 use rustix::process::setpriority_process;
 
 use crate::failure::{Failure, io};
-use crate::progress::overall_bar;
+use crate::progress::{overall_bar, print};
 use crate::render::read_cameras;
 use crate::tools;
 
@@ -95,19 +95,22 @@ pub fn main(args: &Args) -> Result<(), Failure> {
         setpriority_process(None, BACKGROUND).map_err(|e| Failure::new(ErrorKind::Internal, e))?;
     }
     let cancel = tools::cancel_on_signals()?;
+    let started = Instant::now();
     let outcome = make(args, &cancel);
-    if let Err(failure) = &outcome
-        && args.json
-    {
-        tell(&VideoEvent::Failed {
-            detail: failure.detail.clone(),
-            hint: failure.hint.clone(),
+    if args.json {
+        print(&match &outcome {
+            Ok(round) => Event::Finished {
+                best_round: *round,
+                seconds: started.elapsed().as_secs_f64(),
+            },
+            Err(failure) => failure.event(),
         });
     }
-    outcome
+    outcome.map(drop)
 }
 
-fn make(args: &Args, cancel: &CancelToken) -> Result<(), Failure> {
+/// Returns the round that the video shows; 0 for the delivered scene.
+fn make(args: &Args, cancel: &CancelToken) -> Result<u32, Failure> {
     let run = RunFolder::new(&args.run);
     let plan = plan(args)?;
     let cameras = plan.cameras(&read_cameras(&run.cameras())?)?;
@@ -130,7 +133,7 @@ fn make(args: &Args, cancel: &CancelToken) -> Result<(), Failure> {
         Ok::<_, Failure>(picture.map_err(PipelineError::from)?.exposed(args.ev))
     })?;
     progress.show(cameras.len());
-    Ok(())
+    Ok(plan.round.unwrap_or(0))
 }
 
 fn plan(args: &Args) -> Result<Plan, Failure> {
@@ -178,19 +181,11 @@ impl Progress {
                     bar.finish_and_clear();
                 }
             }
-            None => tell(&VideoEvent::Rendered {
-                done: done as u32,
-                total: self.total as u32,
+            None => print(&Event::Progress {
+                progress: done as f64 / self.total as f64,
+                eta_seconds: None,
             }),
         }
-    }
-}
-
-fn tell(event: &VideoEvent) {
-    if let Ok(line) = serde_json::to_string(event) {
-        let mut out = std::io::stdout().lock();
-        // If the reader is gone, it also ends this process.
-        let _ = writeln!(out, "{line}").and_then(|()| out.flush());
     }
 }
 

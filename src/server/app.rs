@@ -18,7 +18,6 @@ use crate::render::Renderers;
 use crate::store::Store;
 use crate::telemetry::Telemetry;
 use crate::validator::Validators;
-use crate::videos::turns::Turns;
 
 /// The state of a server.
 #[derive(Debug)]
@@ -49,9 +48,7 @@ pub struct App {
     pub keeping: tokio::sync::Mutex<()>,
     /// Held while frames are extracted from a video.
     pub filming: tokio::sync::Mutex<()>,
-    /// Queued and running videos.
-    pub videos: Turns,
-    /// Permits to create exports.
+    /// Turns at making exports.
     pub exporting: Arc<Semaphore>,
     /// Counters for `/metrics`.
     pub telemetry: Telemetry,
@@ -91,7 +88,6 @@ impl App {
             rates: Rates::new(limits.rate, limits.burst),
             keeping: tokio::sync::Mutex::default(),
             filming: tokio::sync::Mutex::default(),
-            videos: Turns::default(),
             exporting: Arc::new(Semaphore::new(limits.exports)),
             telemetry: Telemetry::default(),
             feeds: EventFeeds::default(),

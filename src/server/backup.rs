@@ -14,9 +14,9 @@ use crate::data::sync_directories;
 use crate::error::{Result, ServerError};
 use crate::store::{Attempted, Store};
 
-/// Entries of a job's folder that are not copied: novel views and videos can be recreated, and
+/// What at the top of a job's folder is not copied: novel views are made again when wanted, and
 /// change while the job does not.
-const MADE_AGAIN: [&str; 2] = ["renders", "videos"];
+const MADE_AGAIN: [&str; 1] = ["renders"];
 
 /// Totals of a backup.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -41,8 +41,9 @@ pub async fn backup(data: &Path, to: &Path) -> Result<Backup> {
     let live = Store::as_it_is(&data.join("fled.db")).await?;
     live.copy_to(&to.join("fled.db")).await?;
     let copy = Store::open(&to.join("fled.db")).await?;
-    // Pieces that arrive meanwhile would be missing.
+    // Pieces that come meanwhile would not be there, and videos are made again when wanted.
     copy.forget_uploads().await?;
+    copy.forget_videos().await?;
     let mut done = Backup::default();
     let captures = copy.ids("captures").await?;
     let mut incomplete = HashSet::new();

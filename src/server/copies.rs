@@ -64,7 +64,20 @@ pub async fn prepare_job(app: &App, claim: &Claim) -> Result<()> {
     let Some(blobs) = app.blob_cache.blobs() else {
         return Ok(());
     };
-    let (job, capture) = (&claim.job.id, &claim.job.capture_id);
+    let job = &claim.job.id;
+    match &claim.job.video_of {
+        Some(shown) => fetch_job(app, shown).await?,
+        None => fetch_capture(app, blobs, &claim.job.capture_id).await?,
+    }
+    let copy = app.blob_cache.folder(job);
+    let mut copy = copy.lock().await;
+    if let Some(files) = app.store.job_files(job).await? {
+        bring(blobs, &app.data.job(job), files, &mut copy).await?;
+    }
+    Ok(())
+}
+
+async fn fetch_capture(app: &App, blobs: &Blobs, capture: &str) -> Result<()> {
     let copy = app.blob_cache.folder(capture);
     let mut copy = copy.lock().await;
     let folder = app.data.capture(capture);
@@ -76,14 +89,7 @@ pub async fn prepare_job(app: &App, claim: &Claim) -> Result<()> {
             copy.version = Some(0);
         }
     }
-    used_now(&folder).map_err(ServerError::io(&folder))?;
-    drop(copy);
-    let copy = app.blob_cache.folder(job);
-    let mut copy = copy.lock().await;
-    if let Some(files) = app.store.job_files(job).await? {
-        bring(blobs, &app.data.job(job), files, &mut copy).await?;
-    }
-    Ok(())
+    used_now(&folder).map_err(ServerError::io(&folder))
 }
 
 async fn bring(
@@ -92,7 +98,7 @@ async fn bring(
     (version, files): (i64, Vec<Kept>),
     copy: &mut Copy,
 ) -> Result<()> {
-    pull(blobs, &files, folder, Some(&is_the_jobs), &mut copy.seen).await?;
+    pull(blobs, &files, folder, Some(&is_kept), &mut copy.seen).await?;
     copy.version = Some(version);
     Ok(())
 }
@@ -130,7 +136,7 @@ pub async fn publish(app: &App, lease: &Lease, at_end: bool) -> Result<()> {
             tokio::time::sleep(PAUSE).await;
             continue;
         }
-        let pushed = push(blobs, &still, &is_the_jobs, &known, &mut copy.seen).await;
+        let pushed = push(blobs, &still, &is_kept, &known, &mut copy.seen).await;
         remove(&still).await;
         let pushed = pushed?;
         if pushed.skipped > 0 {
@@ -156,41 +162,9 @@ pub async fn publish(app: &App, lease: &Lease, at_end: bool) -> Result<()> {
     Ok(())
 }
 
-/// Publishes a video of a result after its creation or deletion.
-///
-/// # Errors
-/// When the database, the blob store or the disk fails.
-pub async fn publish_video(app: &App, job: &str, video: &str) -> Result<()> {
-    let Some(blobs) = app.blob_cache.blobs() else {
-        return Ok(());
-    };
-    let copy = app.blob_cache.folder(job);
-    let mut copy = copy.lock().await;
-    let Some((_, files)) = app.store.job_files(job).await? else {
-        return Ok(());
-    };
-    let known = by_path(files);
-    // Leaves other videos alone: another machine may have made them.
-    let folder = format!("videos/{video}/");
-    let is_its = |path: &str| path.starts_with(&folder);
-    let pushed = push(blobs, &app.data.job(job), &is_its, &known, &mut copy.seen).await?;
-    app.store.add_files(job, &pushed.kept, &pushed.gone).await?;
-    Ok(())
-}
-
-/// Returns whether a file of a job's folder is shared: files of renders and processes are not.
+/// Whether a file of a job's folder is for others: what renders and processes leave is not.
 pub fn is_kept(path: &str) -> bool {
-    path == "log.txt" || path.starts_with("output/") || is_video(path)
-}
-
-/// Returns whether only the job itself writes this file, so that unknown ones may be removed.
-/// Videos in progress here have no name yet.
-fn is_the_jobs(path: &str) -> bool {
-    is_kept(path) && !is_video(path)
-}
-
-fn is_video(path: &str) -> bool {
-    path.starts_with("videos/")
+    path == "log.txt" || path.starts_with("output/")
 }
 
 /// Hard-links the shared files of a folder into another: a running job replaces its files and
@@ -252,7 +226,7 @@ fn look_below(root: &Path, dir: &Path, look: &mut Look) -> io::Result<()> {
         };
         if about.is_dir() {
             look_below(root, &path, look)?;
-        } else if is_the_jobs(name) && name != "log.txt" && !name.ends_with("work/training.jpg") {
+        } else if is_kept(name) && name != "log.txt" && !name.ends_with("work/training.jpg") {
             let state = (about.size(), about.mtime(), about.mtime_nsec(), about.ino());
             look.insert(name.to_owned(), state);
         }

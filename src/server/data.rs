@@ -3,9 +3,9 @@
 //! ```text
 //! fled.db  server.lock  incoming/<upload>/  captures/<id>/  cache/<fingerprint>.json
 //! uploads/<id>  unnamed/{captures,jobs,uploads}/<id>
-//! jobs/<id>/{options.json, process, log.txt, output/, renders/, videos/}
+//! jobs/<id>/{options.json, process, log.txt, output/, renders/}
 //! ```
-//! Files are named by capture and job, not by content.
+//! Files are named by capture and job, not by content. A video is a job.
 
 use std::fs::{self, File};
 use std::io::{self, Write};
@@ -179,9 +179,9 @@ impl DataDir {
         self.job(id).join("renders")
     }
 
-    /// Videos of the result.
-    pub fn videos(&self, id: &str) -> PathBuf {
-        self.job(id).join("videos")
+    /// The file of a video, by its own id.
+    pub fn video(&self, id: &str) -> PathBuf {
+        self.output(id).root().join("video.mp4")
     }
 
     /// Free bytes of the file system.

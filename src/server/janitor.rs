@@ -227,7 +227,7 @@ impl Janitor<'_> {
         }
         let expired = self.store.delete_expired(now, self.dry_run).await?;
         if let Some(app) = app {
-            expired.jobs.iter().for_each(|id| app.videos.stop_all(id));
+            expired.jobs.iter().for_each(|id| app.running.stop(id));
         }
         let jobs = expired.jobs.iter().map(|id| self.data.job(id));
         let captures = expired.captures.iter().map(|id| self.data.capture(id));

@@ -3,6 +3,7 @@
 //! The API never computes: jobs, renders and the validation of uploads run in child processes, so
 //! that a crash of a driver, a tool or a decoder leaves the API running.
 
+mod adoption;
 mod app;
 mod backup;
 mod blob_cache;
@@ -29,7 +30,6 @@ mod telemetry;
 pub mod token;
 mod validation;
 pub mod validator;
-pub mod videos;
 mod webhooks;
 
 pub use backup::{Backup, backup};

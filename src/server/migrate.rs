@@ -13,7 +13,6 @@ use crate::error::{Result, ServerError};
 use crate::janitor::claim;
 use crate::jobs::{after_death, kill_orphans};
 use crate::store::Store;
-use crate::videos::record::videos_of;
 
 /// Totals of a migration.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -26,8 +25,6 @@ pub struct Migrated {
     pub bytes: u64,
     /// Uploads that are not part of a capture, which are not copied.
     pub uploads: usize,
-    /// Unfinished videos, which are not copied.
-    pub videos: usize,
 }
 
 /// Copies all rows of the data directory's database to the PostgreSQL at `database`, and its files
@@ -64,7 +61,7 @@ pub async fn migrate(data: &Path, database: &str, files: &str) -> Result<Migrate
         ..Migrated::default()
     };
     let of_captures = keep_captures(&source, &data, &blobs).await?;
-    let of_jobs = keep_jobs(&source, &data, &blobs, &mut done).await?;
+    let of_jobs = keep_jobs(&source, &data, &blobs).await?;
     done.rows = target.copy_from(&source, &of_captures, &of_jobs).await?;
     for (_, file) in of_captures.iter().chain(&of_jobs) {
         done.files += 1;
@@ -101,13 +98,8 @@ async fn keep_captures(
     Ok(kept)
 }
 
-/// Puts the shared files of all jobs into the blob store.
-async fn keep_jobs(
-    source: &Store,
-    data: &DataDir,
-    blobs: &Blobs,
-    done: &mut Migrated,
-) -> Result<Vec<(String, Kept)>> {
+/// Puts what others may see of all jobs into the store.
+async fn keep_jobs(source: &Store, data: &DataDir, blobs: &Blobs) -> Result<Vec<(String, Kept)>> {
     let mut kept = Vec::new();
     let jobs = source.ids("jobs").await?;
     let total = jobs.len();
@@ -115,15 +107,7 @@ async fn keep_jobs(
         if at % 50 == 0 {
             tracing::info!("the files of {at} of {total} jobs are in the store");
         }
-        let videos = videos_of(data, &id)?.into_iter();
-        let unfinished = videos.filter(|video| !video.state.is_over());
-        let unfinished: Vec<String> = unfinished
-            .map(|video| format!("videos/{}/", video.id))
-            .collect();
-        done.videos += unfinished.len();
-        let wanted =
-            |path: &str| is_kept(path) && !unfinished.iter().any(|video| path.starts_with(video));
-        let files = keep(blobs, &data.job(&id), &wanted).await?;
+        let files = keep(blobs, &data.job(&id), &is_kept).await?;
         kept.extend(files.into_iter().map(|file| (id.clone(), file)));
     }
     Ok(kept)

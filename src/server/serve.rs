@@ -10,6 +10,7 @@ use tokio::net::TcpListener;
 use tokio::signal::unix::{SignalKind, signal};
 use tokio::task::JoinSet;
 
+use crate::adoption::adopt_videos;
 use crate::app::App;
 use crate::blob_cache::BlobCache;
 use crate::config::ServeConfig;
@@ -18,8 +19,7 @@ use crate::error::{Result, ServerError};
 use crate::http::{router, serve_connections};
 use crate::janitor;
 use crate::jobs::{after_death, kill_orphans, worker};
-use crate::store::{Engine, Store};
-use crate::videos::maker::{keep_making, take_up};
+use crate::store::{Engine, JobKind, Store};
 use crate::webhooks::keep_telling;
 
 /// How long open requests may take to end once the server stops.
@@ -56,10 +56,9 @@ impl Server {
             .local_addr()
             .map_err(ServerError::io(Path::new(&name)))?;
         let app = opened.app(config, true).await;
-        take_up(&app).await?;
+        adopt_videos(&app).await?;
         let mut tasks = JoinSet::new();
         tasks.spawn(keep_telling(app.clone()));
-        tasks.spawn(keep_making(app.clone()));
         let turns = spawn_shared(&app, &mut tasks, true);
         let (limits, shutdown) = (app.limits, app.shutdown.clone());
         tasks.spawn(serve_connections(
@@ -195,8 +194,8 @@ async fn end(tasks: &mut JoinSet<()>, patience: Duration, what: &str) {
     tasks.shutdown().await;
 }
 
-/// Starts the tasks of every process: clean-up, contact with other processes, and the configured
-/// number of parallel jobs.
+/// Begins what every process does: to be seen by the others, and to work on jobs, as many at once
+/// as it is told, and on one video, which gives way to them.
 fn spawn_shared(app: &Arc<App>, tasks: &mut JoinSet<()>, serves: bool) -> JoinSet<()> {
     tasks.spawn(janitor::keep_clean(app.clone(), serves));
     let (look, shutdown) = (app.limits.look, app.shutdown.clone());
@@ -206,8 +205,13 @@ fn spawn_shared(app: &Arc<App>, tasks: &mut JoinSet<()>, serves: bool) -> JoinSe
     }
     let mut turns = JoinSet::new();
     for turn in 0..u32::try_from(app.config.workers).unwrap_or(u32::MAX) {
-        turns.spawn(worker::work(app.clone(), turn));
+        turns.spawn(worker::work(app.clone(), JobKind::Scene, turn.to_string()));
     }
+    turns.spawn(worker::work(
+        app.clone(),
+        JobKind::Video,
+        "video".to_owned(),
+    ));
     turns
 }
 

@@ -31,6 +31,7 @@ mod shares;
 pub(crate) mod tests;
 mod tokens;
 mod uploads;
+mod videos;
 mod webhooks;
 mod workers;
 
@@ -55,13 +56,14 @@ pub use events::EventRow;
 pub use files::by_path;
 pub use idempotency::{Creation, Request, UsedUp};
 pub use jobs::{JobError, JobFilter, JobRow, Needs, NewJob, ToldJob};
-pub use lease::{Claim, Lease, Machine};
+pub use lease::{Claim, JobKind, Lease, Machine};
 pub use results::{StageSeconds, WarningRow};
 pub use retry::{Change, Retry};
 pub use room::Room;
 pub use shares::{NewShare, ShareRow};
 pub use tokens::{NewToken, Quotas, TokenRow};
 pub use uploads::UploadRow;
+pub use videos::{VideoCreation, VideoRoom, VideoRow};
 pub use webhooks::{DeliveryRow, Then, Tried, WebhookRow};
 pub use workers::{About, WorkerRow};
 

@@ -11,11 +11,11 @@ use std::thread::sleep;
 use std::time::Duration;
 
 use fled_core::camera::{Camera, NamedCamera};
+use fled_core::event::Event;
 use fled_core::image::Image;
 use fled_core::video::{EncodeError, Plan, Target, write};
-use fled_server::videos::protocol::VideoEvent;
 
-use crate::protocol::{argument, say};
+use crate::protocol::{argument, tell};
 
 pub fn make(arguments: &[OsString]) -> Result<(), Box<dyn Error>> {
     let plan: Plan = serde_json::from_slice(&fs::read(argument(arguments, "--plan")?)?)?;
@@ -31,7 +31,7 @@ pub fn make(arguments: &[OsString]) -> Result<(), Box<dyn Error>> {
         file: &file,
         fps: plan.fps(),
     };
-    let total = cameras.len() as u32;
+    let total = cameras.len();
     let picture = |number: usize, camera: &Camera| {
         match plan.fps() {
             5 => sleep(Duration::from_millis(100)),
@@ -43,17 +43,25 @@ pub fn make(arguments: &[OsString]) -> Result<(), Box<dyn Error>> {
             9 => std::process::abort(),
             _ => {}
         }
-        let done = number as u32 + 1;
-        tell(&VideoEvent::Rendered { done, total });
+        let done = (number + 1) as f64;
+        tell(&Event::Progress {
+            progress: done / total as f64,
+            eta_seconds: None,
+        });
         Ok(drawn(camera, number as f32 / total as f32))
     };
     let outcome = write(&target, &cameras, picture);
-    if let Err(error) = &outcome {
-        tell(&VideoEvent::Failed {
+    tell(&match &outcome {
+        Ok(()) => Event::Finished {
+            best_round: 0,
+            seconds: 0.0,
+        },
+        Err(error) => Event::Failed {
+            kind: "io".to_owned(),
             detail: error.to_string(),
             hint: error.hint().to_owned(),
-        });
-    }
+        },
+    });
     Ok(outcome?)
 }
 
@@ -73,8 +81,4 @@ fn drawn(camera: &Camera, share: f32) -> Image {
         }
     }
     picture
-}
-
-fn tell(event: &VideoEvent) {
-    say(&serde_json::to_string(event).expect("events are plain data"));
 }

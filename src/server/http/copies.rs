@@ -4,17 +4,16 @@ use std::sync::Arc;
 
 use axum::RequestExt;
 use axum::extract::{MatchedPath, RawPathParams, Request, State};
-use axum::http::Method;
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 
-use super::paths::{EXPORT, EXPORTS, VIDEO, VIDEO_FILE, VIDEOS};
+use super::paths::{EXPORT, EXPORTS, VIDEO_FILE, VIDEOS};
 use super::problem::Problem;
 use crate::app::App;
-use crate::copies::{fetch_job, publish_video};
+use crate::copies::fetch_job;
 
-/// Routes that read the files of a job.
-const OF_FILES: [&str; 11] = [
+/// What is read from the files of a job.
+const OF_FILES: [&str; 10] = [
     "/v1/jobs/{id}/rounds",
     "/v1/jobs/{id}/live",
     "/v1/jobs/{id}/log",
@@ -24,7 +23,6 @@ const OF_FILES: [&str; 11] = [
     EXPORTS,
     EXPORT,
     VIDEOS,
-    VIDEO,
     VIDEO_FILE,
 ];
 
@@ -42,23 +40,15 @@ pub(super) async fn bring(
     if !OF_FILES.contains(&route.as_str()) {
         return next.run(request).await;
     }
-    let Some(id) = param(&mut request, "id").await else {
+    // A video is a job, too.
+    let name = if route == VIDEO_FILE { "video" } else { "id" };
+    let Some(id) = param(&mut request, name).await else {
         return next.run(request).await;
     };
-    let video = param(&mut request, "video").await;
     if let Err(error) = fetch_job(&app, &id).await {
         return Problem::from(error).into_response();
     }
-    let deletes = request.method() == Method::DELETE;
-    let answer = next.run(request).await;
-    if deletes
-        && route == VIDEO
-        && let Some(video) = video
-        && let Err(error) = publish_video(&app, &id, &video).await
-    {
-        return Problem::from(error).into_response();
-    }
-    answer
+    next.run(request).await
 }
 
 async fn param(request: &mut Request, wanted: &str) -> Option<String> {

@@ -392,11 +392,14 @@ pub async fn delete(
     Path(id): Path<String>,
 ) -> Result<StatusCode, Problem> {
     find(&app, &id).await?;
+    let videos = app.store.videos(&id).await?;
     if !app.store.delete_job(&id).await? {
         return Err(Problem::conflict("running", "The job runs.").hint("Cancel it first."));
     }
-    app.videos.stop_all(&id);
-    remove(&app.data.job(&id)).await;
+    for id in videos.iter().map(|video| &video.job.id).chain([&id]) {
+        app.running.stop(id);
+        remove(&app.data.job(id)).await;
+    }
     Ok(StatusCode::NO_CONTENT)
 }
 

@@ -1,7 +1,5 @@
 //! `/v1/jobs/{id}/videos`: videos of a result, made one at a time in the background.
 
-use std::io::ErrorKind;
-use std::process::Stdio;
 use std::sync::Arc;
 
 use axum::extract::{Extension, Path, State};
@@ -9,7 +7,6 @@ use axum::http::{HeaderMap, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use fled_core::video::{Key, Kind, Plan, PlanError};
 use serde::{Deserialize, Serialize};
-use tokio::process::Command;
 use utoipa::ToSchema;
 use uuid::Uuid;
 
@@ -24,9 +21,10 @@ use super::shapes::time;
 use super::upload;
 use crate::app::App;
 use crate::error::ServerError;
-use crate::store::now_ms;
-use crate::videos::record::{Record, VideoFault, VideoFolder, VideoState, videos_of};
-use crate::videos::turns::Ticket;
+use crate::janitor::remove;
+use crate::jobs::state::JobState;
+use crate::jobs::worker::has_ffmpeg;
+use crate::store::{VideoCreation, VideoRoom, VideoRow};
 
 /// After so many seconds one of those that wait may have been made.
 const RETRY: u32 = 60;
@@ -113,6 +111,41 @@ impl CreateVideo {
     }
 }
 
+/// Where a video stands.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum VideoState {
+    /// It waits for its turn.
+    Queued,
+    /// It is made.
+    Running,
+    /// It is there.
+    Succeeded,
+    /// It will not be.
+    Failed,
+}
+
+impl From<JobState> for VideoState {
+    fn from(state: JobState) -> Self {
+        match state {
+            JobState::Queued => Self::Queued,
+            JobState::Running => Self::Running,
+            JobState::Succeeded => Self::Succeeded,
+            // A video that nobody wants is deleted and not cancelled.
+            JobState::Failed | JobState::Cancelled => Self::Failed,
+        }
+    }
+}
+
+/// Why a video failed.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, ToSchema)]
+pub struct VideoFault {
+    /// What happened.
+    pub detail: String,
+    /// What to do.
+    pub hint: String,
+}
+
 /// A video as answered.
 #[derive(Debug, Serialize, ToSchema)]
 pub struct Video {
@@ -155,32 +188,42 @@ pub struct Videos {
 }
 
 impl Video {
-    fn told(app: &App, job: &str, record: Record) -> Self {
-        let ticket = Ticket {
-            job: job.to_owned(),
-            id: record.id.clone(),
-        };
-        let progress = match record.state {
-            VideoState::Succeeded => 1.0,
-            VideoState::Running => app.videos.progress(&ticket).unwrap_or(0.0),
-            VideoState::Queued | VideoState::Failed => 0.0,
-        };
-        Self {
-            state: record.state,
-            kind: record.plan.kind,
-            round: record.plan.round,
-            seconds: record.plan.seconds(),
-            fps: record.plan.fps(),
-            width: record.width,
-            height: record.height,
-            progress,
-            ahead: app.videos.before(&ticket),
-            created_at: time(record.created_at),
-            finished_at: record.finished_at.map(time),
-            bytes: record.bytes,
-            error: record.error,
-            id: record.id,
-        }
+    fn from_row(row: VideoRow) -> Result<Self, ServerError> {
+        let job = row.job;
+        let plan: Plan = serde_json::from_value(job.options).map_err(damaged)?;
+        let state = VideoState::from(job.state);
+        Ok(Self {
+            id: job.id,
+            state,
+            kind: plan.kind,
+            round: plan.round,
+            seconds: plan.seconds(),
+            fps: plan.fps(),
+            width: plan.width.unwrap_or(0),
+            height: plan.height.unwrap_or(0),
+            progress: match state {
+                VideoState::Succeeded | VideoState::Running => job.progress,
+                VideoState::Queued | VideoState::Failed => 0.0,
+            },
+            ahead: row.ahead.map(|ahead| ahead as usize),
+            created_at: time(job.created_at),
+            finished_at: job.finished_at.map(time),
+            bytes: row.bytes,
+            error: job
+                .error
+                .filter(|_| state == VideoState::Failed)
+                .map(|error| VideoFault {
+                    detail: error.detail,
+                    hint: error.hint,
+                }),
+        })
+    }
+}
+
+fn damaged(error: serde_json::Error) -> ServerError {
+    ServerError::Damaged {
+        what: "video",
+        detail: error.to_string(),
     }
 }
 
@@ -200,45 +243,32 @@ pub async fn create(
     Extension(visitor): Extension<Visitor>,
     Json(body): Json<CreateVideo>,
 ) -> Result<Response, Problem> {
-    let plan = body.plan();
+    let mut plan = body.plan();
     plan.check().map_err(|error| bad_plan(&error))?;
     finished(&app, &job, plan.round).await?;
     let views = cameras_of(&app.data.output(&job)).await?;
     let cameras = plan.cameras(&views).map_err(|error| bad_plan(&error))?;
     let size = cameras.first().map(|camera| camera.intrinsics);
     let size = size.ok_or_else(Problem::internal)?;
+    // As the views are now: it is of this size whenever it is made.
+    (plan.width, plan.height) = (Some(size.width), Some(size.height));
     upload::check_space(&app)?;
     bytes_left(&app, &visitor).await?;
     check_ffmpeg(&app).await?;
-    if app.videos.len() >= app.limits.videos {
-        return Err(busy());
-    }
-    let record = Record {
-        id: Uuid::now_v7().to_string(),
-        state: VideoState::Queued,
-        plan,
-        width: size.width,
-        height: size.height,
-        created_at: now_ms(),
-        finished_at: None,
-        attempts: 0,
-        bytes: None,
-        error: None,
+    let id = Uuid::now_v7().to_string();
+    let plan = serde_json::to_value(plan).map_err(damaged)?;
+    let room = VideoRoom {
+        of_job: app.limits.videos_of_job,
+        unfinished: app.limits.videos,
     };
-    let folder = folder(&app, &job, &record.id)?;
-    let known = videos_of(&app.data, &job)?.len();
-    if known >= app.limits.videos_of_job {
-        return Err(too_many(known));
-    }
-    std::fs::create_dir_all(folder.path()).map_err(ServerError::io(folder.path()))?;
-    folder.save(&record)?;
-    app.videos.add(Ticket {
-        job: job.clone(),
-        id: record.id.clone(),
-    });
-    let location = format!("/v1/jobs/{job}/videos/{}", record.id);
-    let video = Video::told(&app, &job, record);
-    let headers = [(header::LOCATION, location)];
+    let row = match app.store.create_video(&id, &job, &plan, room).await? {
+        VideoCreation::Created(row) => row,
+        VideoCreation::JobFull(count) => return Err(too_many(count)),
+        VideoCreation::QueueFull => return Err(busy()),
+        VideoCreation::Gone => return Err(Problem::not_found("job")),
+    };
+    let headers = [(header::LOCATION, format!("/v1/jobs/{job}/videos/{id}"))];
+    let video = Video::from_row(row)?;
     Ok((StatusCode::ACCEPTED, headers, axum::Json(video)).into_response())
 }
 
@@ -253,9 +283,8 @@ pub async fn list(
     Path(job): Path<String>,
 ) -> Result<axum::Json<Videos>, Problem> {
     find(&app, &job).await?;
-    let records = videos_of(&app.data, &job)?;
-    let told = |record| Video::told(&app, &job, record);
-    let videos = records.into_iter().map(told).collect();
+    let rows = app.store.videos(&job).await?.into_iter();
+    let videos = rows.map(Video::from_row).collect::<Result<_, _>>()?;
     Ok(axum::Json(Videos { videos }))
 }
 
@@ -269,8 +298,8 @@ pub async fn show(
     State(app): State<Arc<App>>,
     Path((job, video)): Path<(String, String)>,
 ) -> Result<axum::Json<Video>, Problem> {
-    let record = known(&app, &job, &video).await?.1;
-    Ok(axum::Json(Video::told(&app, &job, record)))
+    let row = known(&app, &job, &video).await?;
+    Ok(axum::Json(Video::from_row(row)?))
 }
 
 /// Sends a video, H.264 in MP4, whole or the range asked for.
@@ -289,9 +318,9 @@ pub async fn download(
     Path((job, id)): Path<(String, String)>,
     headers: HeaderMap,
 ) -> Result<Response, Problem> {
-    let (folder, record) = known(&app, &job, &id).await?;
-    let Some(bytes) = record.bytes else {
-        let detail = if record.state.is_over() {
+    let row = known(&app, &job, &id).await?;
+    let Some(bytes) = row.bytes else {
+        let detail = if row.job.state.is_terminal() {
             "This video was not made."
         } else {
             "This video is not made yet."
@@ -300,7 +329,7 @@ pub async fn download(
             .hint("The address without `/file` says where it stands."));
     };
     let sent = Sent {
-        path: folder.video(),
+        path: app.data.video(&id),
         bytes,
         // What has an id does not change.
         etag: format!("\"{id}\""),
@@ -319,39 +348,30 @@ pub async fn delete(
     State(app): State<Arc<App>>,
     Path((job, id)): Path<(String, String)>,
 ) -> Result<StatusCode, Problem> {
-    let (folder, _) = known(&app, &job, &id).await?;
-    app.videos.stop(&Ticket { job, id });
-    folder.remove()?;
+    find(&app, &job).await?;
+    if !app.store.delete_video(&job, &id).await? {
+        return Err(Problem::not_found("video"));
+    }
+    app.running.stop(&id);
+    remove(&app.data.job(&id)).await;
     Ok(StatusCode::NO_CONTENT)
 }
 
 /// A video of a job, or 404.
-async fn known(app: &App, job: &str, id: &str) -> Result<(VideoFolder, Record), Problem> {
+async fn known(app: &App, job: &str, id: &str) -> Result<VideoRow, Problem> {
     find(app, job).await?;
-    let folder = folder(app, job, id)?;
-    let record = folder.load()?;
-    let record = record.ok_or_else(|| Problem::not_found("video"))?;
-    Ok((folder, record))
+    let row = app.store.video(job, id).await?;
+    row.ok_or_else(|| Problem::not_found("video"))
 }
 
-fn folder(app: &App, job: &str, id: &str) -> Result<VideoFolder, Problem> {
-    VideoFolder::of(&app.data, job, id).ok_or_else(|| Problem::not_found("video"))
-}
-
-/// Told now and not by a video that fails: whoever runs the server must install it.
+/// Told now and not by a video that waits for ever: whoever runs the server must install it.
 async fn check_ffmpeg(app: &App) -> Result<(), Problem> {
-    let mut command = Command::new(&app.config.ffmpeg);
-    command.arg("-version");
-    command.stdin(Stdio::null()).stdout(Stdio::null());
-    match command.stderr(Stdio::null()).status().await {
-        Err(error) if error.kind() == ErrorKind::NotFound => {
-            let detail = "Videos are not made here: there is no ffmpeg.";
-            let problem = Problem::new(StatusCode::SERVICE_UNAVAILABLE, "no_ffmpeg", detail);
-            Err(problem.hint("Whoever runs the server installs it: apt-get install ffmpeg."))
-        }
-        // Whatever else is wrong with it, it says so itself.
-        _ => Ok(()),
+    if has_ffmpeg(&app.config.ffmpeg).await {
+        return Ok(());
     }
+    let detail = "Videos are not made here: there is no ffmpeg.";
+    let problem = Problem::new(StatusCode::SERVICE_UNAVAILABLE, "no_ffmpeg", detail);
+    Err(problem.hint("Whoever runs the server installs it: apt-get install ffmpeg."))
 }
 
 fn bad_plan(error: &PlanError) -> Problem {

@@ -21,8 +21,9 @@ use crate::copies;
 use crate::data::{sync_directories, write_atomically};
 use crate::error::{Result, ServerError};
 use crate::failpoint::Failpoint;
+use crate::janitor::remove;
 use crate::redaction::without_paths;
-use crate::store::{Claim, JobError, Lease, Progress, Settlement};
+use crate::store::{Claim, JobError, JobRow, Lease, Progress, Settlement};
 use crate::validation;
 
 /// How long to wait, after the process has ended, for output of others in its group.
@@ -58,6 +59,7 @@ enum LastWords {
 pub(super) struct Attempt<'a> {
     app: &'a App,
     lease: Lease,
+    is_video: bool,
     log: LogWriter,
     pending: Option<Progress>,
     last_words: Option<LastWords>,
@@ -75,36 +77,20 @@ pub(super) async fn run(app: &App, claim: &Claim, cancel: Arc<Notify>) -> Result
         return Ok(Settlement::Released);
     }
     app.pass(Failpoint::Fetched);
-    let output = app.data.output(id).root().to_owned();
-    tokio::fs::create_dir_all(&output)
-        .await
-        .map_err(ServerError::io(&output))?;
-    let options = app.data.job(id).join("options.json");
-    // An older build may have stored options that no longer exist.
-    let known = Value::Object(Options::known(&job.options));
-    write_atomically(&options, known.to_string().as_bytes()).map_err(ServerError::io(&options))?;
+    let (command, arguments) = prepare_process(app, job)?;
     let log = app.data.log(id);
     let log = LogWriter::open(&log, app.limits.max_log_bytes).map_err(ServerError::io(&log))?;
     let mut attempt = Attempt {
         app,
         lease: lease.clone(),
+        is_video: job.video_of.is_some(),
         log,
         pending: None,
         last_words: None,
     };
     let begins = format!("attempt {} begins", job.attempts);
     attempt.log.line(&begins);
-    let arguments: Vec<OsString> = vec![
-        validation::source(app.data.capture(&job.capture_id)).into(),
-        "--out".into(),
-        output.into(),
-        "--options".into(),
-        options.into(),
-        "--cache".into(),
-        app.data.cache().into(),
-        "--json".into(),
-    ];
-    let mut group = match Group::spawn(&app.config.job_command, &arguments, &[(JOB_VARIABLE, id)]) {
+    let mut group = match Group::spawn(command, &arguments, &[(JOB_VARIABLE, id)]) {
         Ok(group) => group,
         Err(error) => return attempt.not_started(&error).await,
     };
@@ -125,14 +111,62 @@ pub(super) async fn run(app: &App, claim: &Claim, cancel: Arc<Notify>) -> Result
         End::Stop(settlement) => settlement,
     };
     attempt.log.line(&closing_line(&settlement));
+    if attempt.is_video && !matches!(settlement, Settlement::Filmed { .. }) {
+        // A video that is made again begins anew.
+        remove(app.data.output(id).root()).await;
+    }
     remove_live_picture(app, id).await;
     copies::publish(app, lease, true).await?;
     app.pass(Failpoint::Published);
     Ok(settlement)
 }
 
-/// Fetches the files that a job starts with; `false` if the worker stops meanwhile. Fetched files
-/// are complete, and nothing has been created yet.
+/// Makes the folder of a job's output and the file of its options. Returns the command and the
+/// arguments of its process.
+fn prepare_process<'a>(app: &'a App, job: &JobRow) -> Result<(&'a [OsString], Vec<OsString>)> {
+    let output = app.data.output(&job.id).root().to_owned();
+    std::fs::create_dir_all(&output).map_err(ServerError::io(&output))?;
+    let path = app.data.job(&job.id).join("options.json");
+    let options = match &job.video_of {
+        Some(_) => job.options.clone(),
+        // An older build may have stored options that there are no more.
+        None => Value::Object(Options::known(&job.options)),
+    };
+    write_atomically(&path, options.to_string().as_bytes()).map_err(ServerError::io(&path))?;
+    let (command, arguments): (_, Vec<OsString>) = match &job.video_of {
+        Some(shown) => (
+            &app.config.video_command,
+            vec![
+                app.data.output(shown).root().into(),
+                "--plan".into(),
+                path.into(),
+                "--output".into(),
+                app.data.video(&job.id).into(),
+                "--ffmpeg".into(),
+                app.config.ffmpeg.clone().into(),
+                "--json".into(),
+                "--background".into(),
+            ],
+        ),
+        None => (
+            &app.config.job_command,
+            vec![
+                validation::source(app.data.capture(&job.capture_id)).into(),
+                "--out".into(),
+                output.into(),
+                "--options".into(),
+                path.into(),
+                "--cache".into(),
+                app.data.cache().into(),
+                "--json".into(),
+            ],
+        ),
+    };
+    Ok((command, arguments))
+}
+
+/// Fetches what a job begins with; `false` where the worker stops meanwhile: what it has fetched
+/// is whole, and nothing is made yet.
 async fn is_prepared(app: &App, claim: &Claim) -> Result<bool> {
     tokio::select! {
         prepared = copies::prepare_job(app, claim) => prepared.map(|()| true),
@@ -257,10 +291,11 @@ impl Attempt<'_> {
 
     async fn timed_out(&self, what: &str, limit: Duration) -> Result<End> {
         let detail = format!(
-            "the job's process {what} for {} s and was stopped",
+            "{} {what} for {} s and was stopped",
+            self.process(),
             limit.as_secs()
         );
-        let hint = "The log shows what it did last; a smaller preset needs less time.";
+        let hint = self.hint("The log shows what it did last; a smaller preset needs less time.");
         Ok(End::Stop(
             self.failure(ErrorKind::Timeout, detail, hint.to_owned())
                 .await?,
@@ -332,6 +367,10 @@ impl Attempt<'_> {
     /// Publishes the files so far to a shared blob store. If the store is away for a while, the
     /// attempt goes on; its end, which must be published, waits for the store.
     async fn publish(&self) -> Result<()> {
+        if self.is_video {
+            // Nobody goes on with half a video.
+            return Ok(());
+        }
         match copies::publish(self.app, &self.lease, false).await {
             Err(ServerError::LeaseLost(job)) => Err(ServerError::LeaseLost(job)),
             Err(error) => {
@@ -356,7 +395,13 @@ impl Attempt<'_> {
         match self.last_words.take() {
             Some(LastWords::Finished { best_round }) if status.success() => {
                 self.sync_output().await?;
-                Ok(Settlement::Finished { best_round })
+                if !self.is_video {
+                    return Ok(Settlement::Finished { best_round });
+                }
+                let path = self.app.data.video(&self.lease.job);
+                let about = std::fs::metadata(&path).map_err(ServerError::io(&path))?;
+                let bytes = about.len();
+                Ok(Settlement::Filmed { bytes })
             }
             Some(LastWords::Failed { kind, detail, hint }) => {
                 let kind = ErrorKind::from_name(&kind);
@@ -370,16 +415,34 @@ impl Attempt<'_> {
                     .await
             }
             _ => {
-                let detail = format!("the job's process ended without a result ({status})");
-                let hint = "The log shows what it did last. Signal 9 may mean that memory ran out.";
+                let detail = format!("{} ended without a result ({status})", self.process());
+                let hint = self
+                    .hint("The log shows what it did last. Signal 9 may mean that memory ran out.");
                 self.failure(ErrorKind::Internal, detail, hint.to_owned())
                     .await
             }
         }
     }
 
-    /// Makes the directory entries of the results durable, as the database row that reports them
-    /// will be.
+    /// What its process is called.
+    fn process(&self) -> &'static str {
+        if self.is_video {
+            "the video's process"
+        } else {
+            "the job's process"
+        }
+    }
+
+    /// What to do about it: the log of a video is for whoever runs the server.
+    fn hint(&self, of_scene: &'static str) -> &'static str {
+        if self.is_video {
+            "Ask for a smaller one; the server's log may say more."
+        } else {
+            of_scene
+        }
+    }
+
+    /// Makes the names of the results survive a power cut, as the word that they are there will.
     async fn sync_output(&self) -> Result<()> {
         let output = self.app.data.output(&self.lease.job).root().to_owned();
         let synced = {
@@ -392,7 +455,7 @@ impl Attempt<'_> {
     }
 
     async fn not_started(&self, error: &std::io::Error) -> Result<Settlement> {
-        let detail = format!("the job's process could not be started: {error}");
+        let detail = format!("{} could not be started: {error}", self.process());
         self.failure(
             ErrorKind::Environment,
             detail,

@@ -56,6 +56,7 @@ fn place(stage: Stage, round: u32) -> String {
 pub(super) fn closing_line(settlement: &Settlement) -> String {
     match settlement {
         Settlement::Finished { best_round } => format!("finished; round {best_round} is delivered"),
+        Settlement::Filmed { bytes } => format!("finished; the video has {bytes} bytes"),
         Settlement::Stopped => "cancelled".to_owned(),
         Settlement::Released => {
             "interrupted: the server stops; the job goes on after its restart".to_owned()

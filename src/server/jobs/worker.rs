@@ -1,16 +1,21 @@
 //! Workers, each of which runs one job at a time.
 
+use std::io::ErrorKind::NotFound;
+use std::path::Path;
+use std::process::Stdio;
 use std::sync::Arc;
 use std::time::Duration;
 
 use fled_core::pipeline::error::ErrorKind;
+use tokio::process::Command;
 use tokio::sync::Notify;
 
 use super::{after_death, attempt};
 use crate::app::App;
 use crate::error::{Result, ServerError};
 use crate::failpoint::Failpoint;
-use crate::store::{Claim, Engine, JobError, Machine, Settlement};
+use crate::janitor::remove;
+use crate::store::{Claim, Engine, JobError, JobKind, Machine, Settlement};
 
 /// How often an idle worker polls a database file for due retries.
 const IDLE: Duration = Duration::from_millis(500);
@@ -19,10 +24,11 @@ const FORGOTTEN_MS: i64 = 24 * 3600 * 1000;
 /// After a fault of the database or the disk.
 const RECOVERY: Duration = Duration::from_secs(2);
 
-/// Runs jobs until the server stops. Never gives up: database and disk errors are logged and
-/// retried.
-pub async fn work(app: Arc<App>, turn: u32) {
+/// Runs jobs of one kind until the server stops. Never gives up: a fault of the database or the
+/// disk is logged and tried again.
+pub async fn work(app: Arc<App>, kind: JobKind, turn: String) {
     let mut was_full = false;
+    let mut can_film = false;
     let mut queue = app.store.queue();
     let idle = match app.store.engine() {
         Engine::Sqlite => IDLE,
@@ -38,12 +44,24 @@ pub async fn work(app: Arc<App>, turn: u32) {
             continue;
         }
         was_full = false;
+        if kind == JobKind::Video && !can_film {
+            can_film = has_ffmpeg(&app.config.ffmpeg).await;
+            if !can_film {
+                // Another process may make it, or somebody installs ffmpeg.
+                pause(&app, idle).await;
+                continue;
+            }
+        }
         // Before the look: what begins to wait meanwhile is looked for again.
         queue.mark_unchanged();
-        match take(&app, turn).await {
+        match take(&app, kind, &turn).await {
             Ok(Some((claim, cancel))) => {
                 app.pass(Failpoint::Claimed);
-                if let Err(error) = run(&app, &claim, cancel).await {
+                let outcome = run(&app, &claim, cancel).await;
+                let is_deleted = remove_if_deleted(&app, &claim.job.id).await;
+                if let Err(error) = outcome
+                    && !is_deleted
+                {
                     tracing::error!(%error, job = claim.job.id, "an attempt was dropped");
                     pause(&app, RECOVERY).await;
                 }
@@ -96,8 +114,8 @@ async fn pause(app: &App, time: Duration) {
     }
 }
 
-/// Claims a job, and returns the notifier that cancels it.
-async fn take(app: &App, turn: u32) -> Result<Option<(Claim, Arc<Notify>)>> {
+/// Claims a job, and the notifier that stops it.
+async fn take(app: &App, kind: JobKind, turn: &str) -> Result<Option<(Claim, Arc<Notify>)>> {
     let _alone = app.running.claiming().await;
     let released = release_expired(app).await?;
     for job in &released {
@@ -113,7 +131,7 @@ async fn take(app: &App, turn: u32) -> Result<Option<(Claim, Arc<Notify>)>> {
         });
     let owner = format!("{}/{turn}", app.worker);
     let (lease, running) = (app.limits.lease_ms(), app.running.jobs());
-    let claim = app.store.claim_fit(&owner, lease, &running, machine);
+    let claim = app.store.claim_fit(kind, &owner, lease, &running, machine);
     Ok(claim.await?.map(|claim| {
         let cancel = app.running.begin(&claim.lease);
         (claim, cancel)
@@ -130,6 +148,24 @@ async fn release_expired(app: &App) -> Result<Vec<String>> {
             app.store.release_expired(settle).await
         }
     }
+}
+
+/// A video may be deleted while it is made, alone or with its job: its process may have written
+/// since. Returns whether it was.
+async fn remove_if_deleted(app: &App, id: &str) -> bool {
+    let is_deleted = matches!(app.store.files_version(id).await, Ok(None));
+    if is_deleted {
+        remove(&app.data.job(id)).await;
+    }
+    is_deleted
+}
+
+/// Whether videos can be made with this program: what else is wrong with it, it reports itself.
+pub async fn has_ffmpeg(program: &Path) -> bool {
+    let mut command = Command::new(program);
+    command.arg("-version").stdin(Stdio::null());
+    let status = command.stdout(Stdio::null()).stderr(Stdio::null()).status();
+    !matches!(status.await, Err(error) if error.kind() == NotFound)
 }
 
 async fn run(app: &App, claim: &Claim, cancel: Arc<Notify>) -> Result<()> {

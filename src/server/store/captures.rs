@@ -111,7 +111,7 @@ impl Store {
     /// When a database operation fails.
     pub async fn owns_job(&self, owner: &str, id: &str) -> Result<bool> {
         let owns = "SELECT jobs.id FROM jobs JOIN captures ON captures.id = jobs.capture_id
-                WHERE jobs.id = $1 AND captures.owner = $2";
+                WHERE jobs.id = $1 AND captures.owner = $2 AND jobs.video_of IS NULL";
         let owns = sqlx::query(owns).bind(id).bind(owner);
         Ok(owns.fetch_optional(&self.pool).await?.is_some())
     }

@@ -21,6 +21,11 @@ pub enum Settlement {
         /// The delivered round.
         best_round: u32,
     },
+    /// The video is made.
+    Filmed {
+        /// How large it is.
+        bytes: u64,
+    },
     /// It failed for good, or is queued again after `retry_in_ms`.
     Failed {
         /// Why.
@@ -108,7 +113,7 @@ pub(super) async fn apply(tx: &mut Tx, job: &str, event: &Event) -> Result<()> {
 /// Ends an attempt.
 pub(super) async fn settle(tx: &mut Tx, job: &str, settlement: &Settlement) -> Result<()> {
     let transition = match settlement {
-        Settlement::Finished { .. } => Transition::Finished,
+        Settlement::Finished { .. } | Settlement::Filmed { .. } => Transition::Finished,
         Settlement::Failed { retry_in_ms, .. } => Transition::Failed {
             retry: retry_in_ms.is_some(),
         },
@@ -142,6 +147,13 @@ pub(super) async fn settle(tx: &mut Tx, job: &str, settlement: &Settlement) -> R
             .execute(&mut **tx)
             .await?;
             data["best_round"] = (*best_round).into();
+        }
+        Settlement::Filmed { bytes } => {
+            sqlx::query("UPDATE jobs SET progress = 1, failures = 0, bytes = $1 WHERE id = $2")
+                .bind(i64::try_from(*bytes).unwrap_or(i64::MAX))
+                .bind(job)
+                .execute(&mut **tx)
+                .await?;
         }
         Settlement::Failed {
             error,

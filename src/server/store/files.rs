@@ -62,27 +62,7 @@ impl Store {
         Ok(version.fetch_optional(&self.pool).await?)
     }
 
-    /// Names files that no worker has written, such as videos of a result, and removes the names in
-    /// `gone`. `Ok(false)`, without effect, if the job is gone.
-    ///
-    /// # Errors
-    /// When a database operation fails.
-    pub async fn add_files(&self, job: &str, kept: &[Kept], gone: &[String]) -> Result<bool> {
-        let mut tx = self.begin().await?;
-        let locked = format!("SELECT id FROM jobs WHERE id = $1{}", tx.engine.locking());
-        let there = sqlx::query(sqlx::AssertSqlSafe(locked))
-            .bind(job)
-            .fetch_optional(&mut *tx)
-            .await?;
-        if there.is_none() {
-            return Ok(false);
-        }
-        change(&mut tx, job, kept, gone).await?;
-        tx.commit().await?;
-        Ok(true)
-    }
-
-    /// Total bytes in the blob store of an owner's captures and jobs.
+    /// Bytes that the files of these captures and jobs of an owner have in the store.
     ///
     /// # Errors
     /// When a database operation fails.

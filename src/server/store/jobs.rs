@@ -95,6 +95,8 @@ pub struct JobRow {
     pub priority: i64,
     /// The owner of its lease: a worker and one of its slots.
     pub worker: Option<String>,
+    /// The job whose result it shows, where it is a video.
+    pub video_of: Option<String>,
 }
 
 /// The machine requirements of a job.
@@ -138,7 +140,7 @@ pub struct JobFilter<'a> {
 const TOLD: &str = "SELECT jobs.*,
     CASE state WHEN 'queued' THEN
         (SELECT COUNT(*) FROM jobs AS ahead WHERE ahead.state = 'queued'
-         AND (-ahead.priority, ahead.created_at, ahead.id)
+         AND ahead.video_of IS NULL AND (-ahead.priority, ahead.created_at, ahead.id)
              <= (-jobs.priority, jobs.created_at, jobs.id))
     END AS queue_position,
     CASE state WHEN 'running' THEN
@@ -149,12 +151,12 @@ const TOLD: &str = "SELECT jobs.*,
     FROM jobs";
 
 impl Store {
-    /// Returns the job with this id.
+    /// The job of this id; videos are no jobs here.
     ///
     /// # Errors
     /// When a database operation fails.
     pub async fn job(&self, id: &str) -> Result<Option<JobRow>> {
-        let row = sqlx::query("SELECT * FROM jobs WHERE id = $1")
+        let row = sqlx::query("SELECT * FROM jobs WHERE id = $1 AND video_of IS NULL")
             .bind(id)
             .fetch_optional(&self.pool)
             .await?;
@@ -182,7 +184,7 @@ impl Store {
                 "capture_id IN (SELECT id FROM captures WHERE owner = #)",
             ),
         ];
-        let mut page = format!("{TOLD} WHERE TRUE");
+        let mut page = format!("{TOLD} WHERE video_of IS NULL");
         let mut bound = Vec::new();
         for (value, condition) in conditions.iter().filter_map(|(v, c)| Some(((*v)?, c))) {
             bound.push(value);
@@ -200,7 +202,7 @@ impl Store {
     /// # Errors
     /// When a database operation fails.
     pub async fn told_job(&self, id: &str) -> Result<Option<ToldJob>> {
-        let one = format!("{TOLD} WHERE id = $1");
+        let one = format!("{TOLD} WHERE id = $1 AND video_of IS NULL");
         let row = sqlx::query(sqlx::AssertSqlSafe(one))
             .bind(id)
             .fetch_optional(&self.pool)
@@ -235,9 +237,11 @@ impl Store {
     /// # Errors
     /// When a database operation fails.
     pub async fn jobs_by_state(&self) -> Result<Vec<(JobState, i64)>> {
-        let rows = sqlx::query("SELECT state, COUNT(*) AS jobs FROM jobs GROUP BY state")
-            .fetch_all(&self.pool)
-            .await?;
+        let rows = sqlx::query(
+            "SELECT state, COUNT(*) AS jobs FROM jobs WHERE video_of IS NULL GROUP BY state",
+        )
+        .fetch_all(&self.pool)
+        .await?;
         let mut counts = JobState::ALL.map(|state| (state, 0));
         for row in rows {
             let name: String = row.try_get("state")?;
@@ -273,8 +277,7 @@ impl Store {
         Ok(done.execute(&self.pool).await?.rows_affected() == 1)
     }
 
-    /// Deletes a job that is not running, with all its rows. `Ok(false)` if it runs or does not
-    /// exist.
+    /// Deletes a job that is not running, with all its rows and videos. `Ok(false)` when it runs or is gone.
     ///
     /// # Errors
     /// When a database operation fails.
@@ -420,5 +423,6 @@ pub(super) fn from_row(row: &AnyRow) -> Result<JobRow> {
         },
         priority: row.try_get("priority")?,
         worker: row.try_get("lease_owner")?,
+        video_of: row.try_get("video_of")?,
     })
 }

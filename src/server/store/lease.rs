@@ -30,7 +30,26 @@ pub struct Claim {
     pub job: JobRow,
 }
 
-/// Resources of a machine that claims jobs.
+/// What a worker's turn does.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum JobKind {
+    /// Scenes of captures.
+    Scene,
+    /// Videos of results.
+    Video,
+}
+
+impl JobKind {
+    /// What holds of a row of this kind.
+    fn condition(self) -> &'static str {
+        match self {
+            Self::Scene => "jobs.video_of IS NULL",
+            Self::Video => "jobs.video_of IS NOT NULL",
+        }
+    }
+}
+
+/// What a machine has that looks for work.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Machine {
     /// Whether it has a hardware GPU, not a software renderer.
@@ -48,8 +67,8 @@ impl Machine {
 }
 
 impl Store {
-    /// Claims a queued job, or one whose lease has expired and that is not in `running`, for a
-    /// machine that fits any job.
+    /// Takes a scene that waits or whose lease has run out, but none of `running`, on a machine
+    /// that takes any.
     ///
     /// # Errors
     /// When a database operation fails.
@@ -59,16 +78,18 @@ impl Store {
         lease_ms: i64,
         running: &[String],
     ) -> Result<Option<Claim>> {
-        self.claim_fit(owner, lease_ms, running, Machine::ANY).await
+        self.claim_fit(JobKind::Scene, owner, lease_ms, running, Machine::ANY)
+            .await
     }
 
-    /// Like [`Store::claim`] for a machine with limited resources. Chooses by highest priority,
-    /// then the owner with the fewest running jobs, then age, oldest first.
+    /// The same of any kind, on a machine that has just so much: of the highest priority, of the
+    /// owner of whom the fewest run, the oldest.
     ///
     /// # Errors
     /// When a database operation fails.
     pub async fn claim_fit(
         &self,
+        kind: JobKind,
         owner: &str,
         lease_ms: i64,
         running: &[String],
@@ -77,9 +98,9 @@ impl Store {
         let mut tx = self.begin().await?;
         let now = tx.now;
         let clock = self.lease_clock(&tx);
-        // Two workers cannot take the same job: SQLite has one writer, and PostgreSQL skips rows
-        // that another transaction has locked.
-        let waiting = next_job(self.engine);
+        // No two workers can take the same job: on SQLite there is one writer, on PostgreSQL a row
+        // that somebody else looks at is passed over.
+        let waiting = next_job(self.engine, kind);
         let waiting = sqlx::query_as::<_, (String, String)>(sqlx::AssertSqlSafe(waiting))
             .bind(now)
             .bind(json!(running).to_string())
@@ -238,14 +259,14 @@ impl Store {
     }
 }
 
-/// Query that selects and locks the next job: at time $1, not one of $2, with leases that end
-/// before $3, on a machine with GPU $4 and memory $5.
-fn next_job(engine: Engine) -> String {
+/// Asks for the job that is next, and makes its row this transaction's: of the time $1, none of $2,
+/// with leases that end before $3, on a machine with GPU $4 and memory $5.
+fn next_job(engine: Engine, kind: JobKind) -> String {
     format!(
         "WITH busy AS (
                 SELECT captures.owner AS owner, COUNT(*) AS jobs
                 FROM jobs JOIN captures ON captures.id = jobs.capture_id
-                WHERE jobs.state = 'running' GROUP BY captures.owner
+                WHERE jobs.state = 'running' AND {kind} GROUP BY captures.owner
              )
              SELECT jobs.id, jobs.state FROM jobs
              JOIN captures ON captures.id = jobs.capture_id
@@ -253,9 +274,10 @@ fn next_job(engine: Engine) -> String {
              WHERE ((jobs.state = 'queued' AND jobs.not_before <= $1)
                  OR (jobs.state = 'running' AND jobs.lease_until < $3
                      AND jobs.id NOT IN ({listed})))
-             AND jobs.needs_gpu <= $4 AND jobs.needs_memory <= $5
+             AND {kind} AND jobs.needs_gpu <= $4 AND jobs.needs_memory <= $5
              ORDER BY jobs.priority DESC, COALESCE(busy.jobs, 0), jobs.created_at, jobs.id
              LIMIT 1{skipping}",
+        kind = kind.condition(),
         listed = engine.listed("$2"),
         skipping = engine.skipping(),
     )

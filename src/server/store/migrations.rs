@@ -1,7 +1,7 @@
 //! Migrations of both databases.
 
-/// SQLite migrations, applied in order, each once, and never edited after release.
-pub(super) const SQLITE: [(i64, &str, &str); 18] = [
+/// Applied in order to SQLite, each once, never edited after release.
+pub(super) const SQLITE: [(i64, &str, &str); 19] = [
     (
         1,
         "captures",
@@ -88,11 +88,15 @@ pub(super) const SQLITE: [(i64, &str, &str); 18] = [
         "collections",
         include_str!("../../../migrations/0018_collections.sql"),
     ),
+    (
+        19,
+        "videos",
+        include_str!("../../../migrations/0019_videos.sql"),
+    ),
 ];
 
-/// PostgreSQL migrations. The first one holds everything up to SQLite's migration of the same
-/// number.
-pub(super) const POSTGRES: [(i64, &str, &str); 4] = [
+/// The same to PostgreSQL: its first is all that SQLite came to by then, and bears the same number.
+pub(super) const POSTGRES: [(i64, &str, &str); 5] = [
     (
         15,
         "everything",
@@ -112,5 +116,10 @@ pub(super) const POSTGRES: [(i64, &str, &str); 4] = [
         18,
         "collections",
         include_str!("../../../migrations/postgres/0018_collections.sql"),
+    ),
+    (
+        19,
+        "videos",
+        include_str!("../../../migrations/postgres/0019_videos.sql"),
     ),
 ];

@@ -18,7 +18,7 @@ pub(super) async fn tell(tx: &mut Tx, job: &str, kind: &str, data: &Value) -> Re
         "SELECT w.id AS id, w.types AS types, j.name AS name, c.id AS capture,
                 (SELECT MAX(seq) FROM events WHERE job_id = $1) AS seq
          FROM webhooks w
-         JOIN jobs j ON j.id = $1
+         JOIN jobs j ON j.id = $1 AND j.video_of IS NULL
          JOIN captures c ON c.id = j.capture_id
          WHERE w.gone_at IS NULL AND (w.sees_all = 1 OR w.owner IS NOT DISTINCT FROM c.owner)
              AND (CASE WHEN w.made_by IS NULL

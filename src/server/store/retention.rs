@@ -10,7 +10,7 @@ use crate::error::Result;
 /// Ids of deleted jobs and captures.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Expired {
-    /// Jobs whose folders are to be removed.
+    /// Their folders are to be removed. Videos go with their jobs, and are among them.
     pub jobs: Vec<String>,
     /// Captures whose folders are to be removed.
     pub captures: Vec<String>,
@@ -32,7 +32,7 @@ impl Store {
                     PARTITION BY captures.owner ORDER BY jobs.finished_at DESC, jobs.id DESC
                 ) AS place
                 FROM jobs JOIN captures ON captures.id = jobs.capture_id
-                WHERE jobs.pinned = 0 AND jobs.finished_at IS NOT NULL
+                WHERE jobs.pinned = 0 AND jobs.finished_at IS NOT NULL AND jobs.video_of IS NULL
                 AND jobs.state IN ('succeeded', 'failed', 'cancelled')
             ), due AS (
                 SELECT id FROM ended
@@ -74,7 +74,15 @@ impl Store {
     /// When a database operation fails.
     pub async fn delete_expired(&self, now: i64, dry_run: bool) -> Result<Expired> {
         let mut tx = self.write().await?;
-        let jobs: Vec<String> = sqlx::query_scalar(
+        let videos: Vec<String> = sqlx::query_scalar(
+            "SELECT videos.id FROM jobs AS videos JOIN jobs ON jobs.id = videos.video_of
+             WHERE jobs.expires_at <= $1 AND jobs.pinned = 0
+             AND jobs.state IN ('succeeded', 'failed', 'cancelled')",
+        )
+        .bind(now)
+        .fetch_all(&mut *tx)
+        .await?;
+        let mut jobs: Vec<String> = sqlx::query_scalar(
             "DELETE FROM jobs WHERE expires_at <= $1 AND pinned = 0
              AND state IN ('succeeded', 'failed', 'cancelled') RETURNING id",
         )
@@ -88,6 +96,7 @@ impl Store {
         .bind(now)
         .fetch_all(&mut *tx)
         .await?;
+        jobs.extend(videos);
         if dry_run {
             tx.rollback().await?;
         } else {

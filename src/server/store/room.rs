@@ -24,7 +24,8 @@ pub(super) enum Full {
 
 /// Counts the queued jobs.
 pub(super) async fn waiting(executor: impl AnyExecutor<'_>) -> Result<u32> {
-    let count = sqlx::query_scalar("SELECT COUNT(*) FROM jobs WHERE state = 'queued'");
+    let count =
+        sqlx::query_scalar("SELECT COUNT(*) FROM jobs WHERE state = 'queued' AND video_of IS NULL");
     counted(count.fetch_one(executor).await?)
 }
 
@@ -32,7 +33,8 @@ pub(super) async fn waiting(executor: impl AnyExecutor<'_>) -> Result<u32> {
 pub(super) async fn unfinished(executor: impl AnyExecutor<'_>, owner: &str) -> Result<u32> {
     let count = sqlx::query_scalar(
         "SELECT COUNT(*) FROM jobs JOIN captures ON captures.id = jobs.capture_id
-         WHERE jobs.state IN ('queued', 'running') AND captures.owner = $1",
+         WHERE jobs.state IN ('queued', 'running') AND captures.owner = $1
+         AND jobs.video_of IS NULL",
     );
     counted(count.bind(owner).fetch_one(executor).await?)
 }

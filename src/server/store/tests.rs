@@ -102,6 +102,7 @@ mod sqlite {
 
     include!("tests/suite.rs");
     include!("tests/machines.rs");
+    include!("tests/videos.rs");
 }
 
 mod postgres {
@@ -113,6 +114,7 @@ mod postgres {
 
     include!("tests/suite.rs");
     include!("tests/machines.rs");
+    include!("tests/videos.rs");
 }
 
 #[tokio::test]

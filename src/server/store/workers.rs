@@ -96,7 +96,8 @@ impl Store {
             .await?;
         let mut workers: Vec<WorkerRow> = rows.iter().map(worker).collect::<Result<_>>()?;
         let running = sqlx::query(
-            "SELECT id, lease_owner, steps_per_second FROM jobs WHERE state = 'running' ORDER BY id",
+            "SELECT id, lease_owner, steps_per_second FROM jobs
+             WHERE state = 'running' AND video_of IS NULL ORDER BY id",
         )
         .fetch_all(&self.pool)
         .await?;
@@ -139,7 +140,7 @@ impl Store {
         let (until, since): (Option<i64>, Option<i64>) = sqlx::query_as(
             "SELECT MIN(CASE state WHEN 'running' THEN lease_until END),
                     MIN(CASE state WHEN 'queued' THEN created_at END)
-             FROM jobs WHERE state IN ('queued', 'running')",
+             FROM jobs WHERE state IN ('queued', 'running') AND video_of IS NULL",
         )
         .fetch_one(&self.pool)
         .await?;

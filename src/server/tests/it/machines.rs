@@ -56,11 +56,16 @@ fn a_replica_without_files_of_a_job_makes_views_and_videos() {
     let videos = format!("/v1/jobs/{job}/videos");
     let begun = api.post_json(&videos, &film, &[]).expect(202);
     let begun = begun.header("location").to_owned();
+    // Others make it, and have nothing of what it shows.
     one.kill();
-    // It resumes the video, although its cached files of the result are lost.
+    let (_two, two) = farm.replica("two");
+    let since = Instant::now();
+    while two.get(&begun, &[]).expect(200).json()["state"] != "succeeded" {
+        assert!(since.elapsed() < PATIENCE, "{begun} is not made");
+        sleep(Duration::from_millis(50));
+    }
     std::fs::remove_dir_all(one.folder.join("data/jobs").join(&job).join("output")).expect("there");
     let (_one, api) = farm.replica("one");
-    let (_two, two) = farm.replica("two");
     let asked = two.post_json(&videos, &film, &[]).expect(202);
     let asked = asked.header("location").to_owned();
     let view = format!("/v1/jobs/{job}/render?azimuth=30&format=png");

@@ -46,8 +46,8 @@ fn wait_state(server: &Server, path: &str, state: &str) -> Value {
 }
 
 #[test]
-fn a_video_is_made_and_sent_whole_or_in_ranges() {
-    let (server, job, videos) = stand();
+fn a_video_is_made_and_sent_whole_and_in_ranges() {
+    let (server, _, videos) = stand();
     let reply = server.post_json(&videos, &order(10, 1.0), &[]).expect(202);
     let path = reply.header("location").to_owned();
     let made = id(reply);
@@ -77,13 +77,40 @@ fn a_video_is_made_and_sent_whole_or_in_ranges() {
         server.get(gone, &[]).expect(404);
     }
     server.delete(&path).expect(404);
-    let folder = server
-        .data
-        .path()
-        .join("data/jobs")
-        .join(&job)
-        .join("videos");
-    assert!(!folder.join(&made).exists());
+    assert!(!server.data.path().join("data/jobs").join(&made).exists());
+}
+
+#[test]
+fn a_video_is_no_job_to_those_who_look_for_jobs() {
+    let (server, job, videos) = stand();
+    let video = id(server.post_json(&videos, &order(10, 1.0), &[]));
+    let listed = server.get("/v1/jobs", &[]).expect(200).json();
+    assert_eq!(listed["jobs"].as_array().map(Vec::len), Some(1));
+    let path = format!("/v1/jobs/{video}");
+    server.get(&path, &[]).expect(404);
+    for below in ["events", "log", "artifacts", "rounds", "videos"] {
+        server.get(&format!("{path}/{below}"), &[]).expect(404);
+    }
+    server
+        .post_json(&format!("{path}/cancel"), &json!({}), &[])
+        .expect(404);
+    server
+        .post_json(&format!("{path}/retry"), &json!({}), &[])
+        .expect(404);
+    server.put(&format!("{path}/pin")).expect(404);
+    server.delete(&path).expect(404);
+    wait_state(&server, &format!("{videos}/{video}"), "succeeded");
+    let metrics = server.get("/metrics", &[]).expect(200).text();
+    assert!(
+        metrics.contains("fled_jobs{state=\"succeeded\"} 1"),
+        "{metrics}"
+    );
+    // Nor is it another job's.
+    let other = server.job("ok");
+    let there = format!("/v1/jobs/{other}/videos/{video}");
+    server.get(&there, &[]).expect(404);
+    server.delete(&there).expect(404);
+    assert!(server.show(&job)["id"] == job);
 }
 
 #[test]
@@ -104,15 +131,13 @@ fn videos_queue_up_and_can_be_cancelled_at_any_time() {
     assert_eq!(ahead(&third), json!(1));
     server.delete(&path(&first)).expect(204);
     wait_state(&server, &path(&third), "succeeded");
-    assert!(gone(&job), "nothing of the first goes on");
-    let folder = server
-        .data
-        .path()
-        .join("data/jobs")
-        .join(&job)
-        .join("videos");
-    let left = std::fs::read_dir(folder).expect("read").count();
-    assert_eq!(left, 1);
+    assert!(gone(&first), "nothing of the first goes on");
+    let folder = server.data.path().join("data/jobs");
+    let is_there = |id: &String| folder.join(id).exists();
+    assert_eq!(
+        [&job, &first, &second, &third].map(is_there),
+        [true, false, false, true]
+    );
 }
 
 #[test]
@@ -152,7 +177,7 @@ fn a_failed_video_reports_why_and_the_next_is_made() {
     assert!(detail.ends_with("planned for video.mp4"), "{detail}");
     let shown = wait_state(&server, &dead, "failed");
     let detail = shown["error"]["detail"].as_str().expect("a detail");
-    assert!(detail.contains("died"), "{detail}");
+    assert!(detail.contains("ended without a result"), "{detail}");
     wait_state(&server, &good, "succeeded");
     server.get(&format!("{dead}/file"), &[]).expect(409);
 }
@@ -215,15 +240,17 @@ fn a_missing_ffmpeg_is_reported_with_a_hint() {
 #[test]
 fn deleting_a_job_stops_its_running_video() {
     let (server, job, videos) = stand();
-    let path = format!(
-        "{videos}/{}",
-        id(server.post_json(&videos, &order(5, 20.0), &[]))
-    );
+    let video = id(server.post_json(&videos, &order(5, 20.0), &[]));
     let begun = |shown: &Value| shown["progress"].as_f64().is_some_and(|p| p > 0.01);
-    wait(&server, &path, "under way", begun);
+    wait(&server, &format!("{videos}/{video}"), "under way", begun);
     server.delete(&format!("/v1/jobs/{job}")).expect(204);
-    assert!(gone(&job), "it is made no further");
-    assert!(!server.data.path().join("data/jobs").join(&job).exists());
+    assert!(gone(&video), "it is made no further");
+    let folder = server.data.path().join("data/jobs");
+    let start = Instant::now();
+    while std::fs::read_dir(&folder).expect("read").count() > 0 {
+        assert!(start.elapsed() < PATIENCE, "something is left");
+        std::thread::sleep(Duration::from_millis(20));
+    }
 }
 
 #[test]

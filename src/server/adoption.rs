@@ -1,0 +1,150 @@
+//! Videos of an earlier build, which lay in folders of their jobs with a `video.json` each, become
+//! jobs.
+
+use std::fs;
+use std::io::{self, ErrorKind};
+use std::path::Path;
+
+use serde_json::Value;
+
+use crate::app::App;
+use crate::copies::fetch_job;
+use crate::data::sync_directory;
+use crate::error::{Result, ServerError};
+
+/// Adopts every such video. What it breaks off in it repeats at the next start.
+///
+/// # Errors
+/// When the database, the store of files or the disk refuses.
+pub(crate) async fn adopt_videos(app: &App) -> Result<()> {
+    for job in app.store.jobs_with_video_files().await? {
+        fetch_job(app, &job).await?;
+    }
+    for job in names(&app.data.jobs())? {
+        let folder = app.data.job(&job).join("videos");
+        for id in names(&folder)? {
+            let video = folder.join(&id);
+            let Some(record) = read(&video, &id) else {
+                tracing::warn!(path = %video.display(), "its video.json is damaged: it stays");
+                continue;
+            };
+            app.store.adopt_video(&job, &id, &record).await?;
+            let to = app.data.video(&id);
+            place(&video.join("video.mp4"), &to).map_err(ServerError::io(&to))?;
+            fs::remove_dir_all(&video).map_err(ServerError::io(&video))?;
+        }
+        // It stays with what is damaged.
+        let _ = fs::remove_dir(&folder);
+    }
+    Ok(())
+}
+
+/// The names of what is in a folder, if there is one.
+fn names(folder: &Path) -> Result<Vec<String>> {
+    let entries = match fs::read_dir(folder) {
+        Err(error) if error.kind() == ErrorKind::NotFound => return Ok(Vec::new()),
+        entries => entries.map_err(ServerError::io(folder))?,
+    };
+    let name = |entry: io::Result<fs::DirEntry>| entry.map(|entry| entry.file_name().into_string());
+    let names: io::Result<Vec<_>> = entries.map(name).collect();
+    let names = names.map_err(ServerError::io(folder))?;
+    Ok(names.into_iter().flatten().collect())
+}
+
+/// The record of a video.
+fn read(folder: &Path, id: &str) -> Option<Value> {
+    let record: Value = serde_json::from_slice(&fs::read(folder.join("video.json")).ok()?).ok()?;
+    (record["id"] == id && record["plan"].is_object()).then_some(record)
+}
+
+/// Moves a file, where it is there and was not moved before.
+fn place(from: &Path, to: &Path) -> io::Result<()> {
+    let folder = to.parent().unwrap_or(to);
+    fs::create_dir_all(folder)?;
+    match fs::rename(from, to) {
+        Err(error) if error.kind() == ErrorKind::NotFound => Ok(()),
+        moved => moved.and_then(|()| sync_directory(folder)),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+    use crate::config::ServeConfig;
+    use crate::jobs::state::JobState;
+    use crate::serve::Server;
+    use crate::store::{CaptureRow, Needs, NewJob, Room, Store};
+
+    #[tokio::test]
+    async fn videos_of_an_earlier_build_are_jobs_after_a_start() {
+        let dir = tempfile::tempdir().expect("temporary directory");
+        let store = Store::open(&dir.path().join("fled.db"))
+            .await
+            .expect("open");
+        let capture = CaptureRow {
+            owner: None,
+            expires_at: None,
+            id: "c".to_owned(),
+            name: "a capture".to_owned(),
+            accepted: 3,
+            report: json!({}),
+            created_at: 1,
+        };
+        store.insert_capture(&capture, &[]).await.expect("kept");
+        let job = NewJob {
+            id: "j".to_owned(),
+            name: "a job".to_owned(),
+            capture_id: "c".to_owned(),
+            preset: "preview".to_owned(),
+            options: json!({}),
+            rounds: 1,
+            needs: Needs::default(),
+            priority: 0,
+        };
+        let room = Room {
+            queue: 9,
+            of_owner: None,
+        };
+        store.create_job(&job, None, "", room).await.expect("made");
+        fs::create_dir_all(dir.path().join("captures/c")).expect("made");
+        for (id, state, error) in [
+            ("v1", "succeeded", Value::Null),
+            (
+                "v2",
+                "failed",
+                json!({ "detail": "it broke", "hint": "again" }),
+            ),
+        ] {
+            let folder = dir.path().join("jobs/j/videos").join(id);
+            fs::create_dir_all(&folder).expect("made");
+            let record = json!({ "id": id, "state": state, "plan": { "kind": "orbit", "fps": 5 },
+                "width": 128, "height": 72, "created_at": 5, "finished_at": 7, "attempts": 1,
+                "bytes": (state == "succeeded").then_some(3), "error": error });
+            fs::write(folder.join("video.json"), record.to_string()).expect("written");
+        }
+        fs::write(dir.path().join("jobs/j/videos/v1/video.mp4"), "mp4").expect("written");
+        for _ in 0..2 {
+            let listen = ([127, 0, 0, 1], 0).into();
+            let mut config = ServeConfig::new(dir.path().into(), listen, 0).expect("a program");
+            config.ffmpeg = "no-such-ffmpeg".into();
+            Server::start(config).await.expect("started").stop().await;
+            let videos = store.videos("j").await.expect("read");
+            let (failed, made) = (&videos[0], &videos[1]);
+            assert_eq!(made.job.state, JobState::Succeeded);
+            assert_eq!((made.bytes, made.job.created_at), (Some(3), 5));
+            let plan = json!({ "kind": "orbit", "fps": 5, "width": 128, "height": 72 });
+            assert_eq!(made.job.options, plan);
+            assert_eq!(failed.job.state, JobState::Failed);
+            let error = failed.job.error.as_ref().expect("why");
+            assert_eq!(
+                (error.detail.as_str(), error.hint.as_str()),
+                ("it broke", "again")
+            );
+            let file = dir.path().join("jobs/v1/output/video.mp4");
+            assert_eq!(fs::read(file).expect("there"), b"mp4");
+            assert!(!dir.path().join("jobs/j/videos").exists());
+        }
+    }
+}
