@@ -7,29 +7,25 @@ use std::path::Path;
 
 use serde_json::Value;
 
-use crate::app::App;
-use crate::copies::fetch_job;
-use crate::data::sync_directory;
+use crate::data::{DataDir, sync_directory};
 use crate::error::{Result, ServerError};
+use crate::store::Store;
 
-/// Adopts every such video. What it breaks off in it repeats at the next start.
+/// Adopts every such video of this directory. What an interruption leaves is for the next start.
 ///
 /// # Errors
-/// When the database, the store of files or the disk refuses.
-pub(crate) async fn adopt_videos(app: &App) -> Result<()> {
-    for job in app.store.jobs_with_video_files().await? {
-        fetch_job(app, &job).await?;
-    }
-    for job in names(&app.data.jobs())? {
-        let folder = app.data.job(&job).join("videos");
+/// When the database or the disk refuses.
+pub(crate) async fn adopt_videos(store: &Store, data: &DataDir) -> Result<()> {
+    for job in names(&data.jobs())? {
+        let folder = data.job(&job).join("videos");
         for id in names(&folder)? {
             let video = folder.join(&id);
             let Some(record) = read(&video, &id) else {
                 tracing::warn!(path = %video.display(), "its video.json is damaged: it stays");
                 continue;
             };
-            app.store.adopt_video(&job, &id, &record).await?;
-            let to = app.data.video(&id);
+            store.adopt_video(&job, &id, &record).await?;
+            let to = data.video(&id);
             place(&video.join("video.mp4"), &to).map_err(ServerError::io(&to))?;
             fs::remove_dir_all(&video).map_err(ServerError::io(&video))?;
         }
@@ -75,7 +71,7 @@ mod tests {
     use crate::config::ServeConfig;
     use crate::jobs::state::JobState;
     use crate::serve::Server;
-    use crate::store::{CaptureRow, Needs, NewJob, Room, Store};
+    use crate::store::tests::{create, keep_capture};
 
     #[tokio::test]
     async fn videos_of_an_earlier_build_are_jobs_after_a_start() {
@@ -83,31 +79,8 @@ mod tests {
         let store = Store::open(&dir.path().join("fled.db"))
             .await
             .expect("open");
-        let capture = CaptureRow {
-            owner: None,
-            expires_at: None,
-            id: "c".to_owned(),
-            name: "a capture".to_owned(),
-            accepted: 3,
-            report: json!({}),
-            created_at: 1,
-        };
-        store.insert_capture(&capture, &[]).await.expect("kept");
-        let job = NewJob {
-            id: "j".to_owned(),
-            name: "a job".to_owned(),
-            capture_id: "c".to_owned(),
-            preset: "preview".to_owned(),
-            options: json!({}),
-            rounds: 1,
-            needs: Needs::default(),
-            priority: 0,
-        };
-        let room = Room {
-            queue: 9,
-            of_owner: None,
-        };
-        store.create_job(&job, None, "", room).await.expect("made");
+        keep_capture(&store, "c", None, &[]).await;
+        create(&store, "j").await;
         fs::create_dir_all(dir.path().join("captures/c")).expect("made");
         for (id, state, error) in [
             ("v1", "succeeded", Value::Null),

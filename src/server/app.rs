@@ -8,9 +8,8 @@ use tokio_util::sync::CancellationToken;
 use crate::blob_cache::BlobCache;
 use crate::config::{Limits, ServeConfig};
 use crate::data::DataDir;
-use crate::event_feed::EventFeeds;
 use crate::failpoint::Failpoint;
-use crate::holders::Holders;
+use crate::http::{EventFeeds, UploadLocks};
 use crate::incoming::Uploads;
 use crate::jobs::running::Running;
 use crate::rate::Rates;
@@ -36,9 +35,9 @@ pub struct App {
     pub worker: String,
     /// Uploads in progress.
     pub uploads: Uploads,
-    /// Locks of resumable uploads.
-    pub holders: Holders,
-    /// The processes that validate uploads.
+    /// The resumable uploads that requests use.
+    pub upload_locks: UploadLocks,
+    /// The processes that look at uploads.
     pub validators: Validators,
     /// The render process.
     pub renderers: Renderers,
@@ -75,7 +74,7 @@ impl App {
         Self {
             renderers: Renderers::new(config.render_command.clone(), limits.render, limits.grace),
             uploads: Uploads::default(),
-            holders: Holders::default(),
+            upload_locks: UploadLocks::default(),
             validators: Validators::new(config.assess_command.clone(), limits),
             config,
             limits,

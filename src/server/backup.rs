@@ -158,40 +158,14 @@ fn copy_tree(from: &Path, to: &Path, but: &[&str]) -> io::Result<u64> {
 
 #[cfg(test)]
 mod tests {
-    use serde_json::json;
-
     use super::*;
-    use crate::store::{CaptureRow, Needs, NewJob, Room};
-
-    const ROOM: Room<'static> = Room {
-        queue: 9,
-        of_owner: None,
-    };
+    use crate::store::tests::{create, keep_capture, room};
 
     async fn with_cancelled_jobs(path: &Path, ids: &[&str]) -> Store {
         let store = Store::open(path).await.expect("open");
-        let capture = CaptureRow {
-            id: "c".to_owned(),
-            name: "a capture".to_owned(),
-            accepted: 3,
-            report: json!({}),
-            created_at: 1,
-            owner: None,
-            expires_at: None,
-        };
-        store.insert_capture(&capture, &[]).await.expect("kept");
+        keep_capture(&store, "c", None, &[]).await;
         for id in ids {
-            let job = NewJob {
-                id: (*id).to_owned(),
-                name: (*id).to_owned(),
-                capture_id: "c".to_owned(),
-                preset: "preview".to_owned(),
-                options: json!({}),
-                rounds: 1,
-                needs: Needs::default(),
-                priority: 0,
-            };
-            store.create_job(&job, None, "", ROOM).await.expect("made");
+            create(&store, id).await;
             store.request_cancel(id).await.expect("cancelled");
         }
         store
@@ -209,7 +183,7 @@ mod tests {
         for id in ids {
             fs::create_dir_all(path.join("jobs").join(id).join("output")).expect("made");
         }
-        live.retry("again", ROOM, None).await.expect("queued");
+        live.retry("again", room(9), None).await.expect("queued");
         live.delete_job("goes").await.expect("deleted");
         let now = live.attempted().await.expect("jobs");
         let anew = begin_anew(&copy, &jobs, &now, path).await.expect("done");

@@ -18,7 +18,6 @@ mod events;
 mod exports;
 mod extract;
 mod health;
-mod held;
 mod host;
 mod jobs;
 mod live;
@@ -46,6 +45,7 @@ mod shapes;
 mod share;
 mod tus;
 mod upload;
+mod upload_locks;
 mod uploaded;
 mod videos;
 mod webhooks;
@@ -73,10 +73,12 @@ use paths::{
 };
 
 pub use connections::serve as serve_connections;
+pub use events::feed::EventFeeds;
 pub use openapi::document;
 pub use problem::Problem;
 #[doc(hidden)]
 pub use tus::read_headers as read_tus_headers;
+pub use upload_locks::UploadLocks;
 
 /// Only the server's own content may run or be shown; no other page may frame it.
 const CONTENT_SECURITY_POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; \

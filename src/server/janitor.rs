@@ -237,9 +237,9 @@ impl Janitor<'_> {
     async fn expired_uploads(&self, app: Option<&App>, now: i64) -> Result<Vec<PathBuf>> {
         let mut found = Vec::new();
         for id in self.store.expired_uploads(now).await? {
-            // An upload whose current piece outlasts its expiry is kept.
-            let is_held = app.is_some_and(|app| app.holders.has(&id));
-            if !is_held && (self.dry_run || self.store.forget_upload(&id, Some(now)).await?) {
+            // A piece that has taken longer than that is no reason.
+            let is_in_use = app.is_some_and(|app| app.upload_locks.contains(&id));
+            if !is_in_use && (self.dry_run || self.store.forget_upload(&id, Some(now)).await?) {
                 found.push(self.data.upload(&id));
             }
         }

@@ -6,6 +6,7 @@ use std::path::Path;
 
 use fled_blobs::{Blobs, Kept, Seen, push};
 
+use crate::adoption::adopt_videos;
 use crate::config::Limits;
 use crate::copies::is_kept;
 use crate::data::DataDir;
@@ -56,6 +57,7 @@ pub async fn migrate(data: &Path, database: &str, files: &str) -> Result<Migrate
     claim(&target, &blobs).await?;
     let settle = |deaths| after_death(&Limits::default(), deaths);
     kill_orphans(&source.release_all(settle).await?);
+    adopt_videos(&source, &data).await?;
     let mut done = Migrated {
         uploads: source.ids("uploads").await?.len(),
         ..Migrated::default()

@@ -14,6 +14,7 @@ use crate::adoption::adopt_videos;
 use crate::app::App;
 use crate::blob_cache::BlobCache;
 use crate::config::ServeConfig;
+use crate::copies::fetch_job;
 use crate::data::DataDir;
 use crate::error::{Result, ServerError};
 use crate::http::{router, serve_connections};
@@ -56,7 +57,10 @@ impl Server {
             .local_addr()
             .map_err(ServerError::io(Path::new(&name)))?;
         let app = opened.app(config, true).await;
-        adopt_videos(&app).await?;
+        for job in app.store.jobs_with_video_files().await? {
+            fetch_job(&app, &job).await?;
+        }
+        adopt_videos(&app.store, &app.data).await?;
         let mut tasks = JoinSet::new();
         tasks.spawn(keep_telling(app.clone()));
         let turns = spawn_shared(&app, &mut tasks, true);
@@ -274,7 +278,8 @@ async fn until_told(server: Server) -> Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::store::{CaptureRow, NewToken, Quotas};
+    use crate::store::tests::keep_capture;
+    use crate::store::{NewToken, Quotas};
     use crate::token::Secret;
 
     #[tokio::test]
@@ -283,16 +288,7 @@ mod tests {
         let store = Store::open(&dir.path().join("fled.db"))
             .await
             .expect("open");
-        let capture = CaptureRow {
-            owner: None,
-            expires_at: None,
-            id: "c".to_owned(),
-            name: "a capture".to_owned(),
-            accepted: 3,
-            report: serde_json::json!({}),
-            created_at: 1,
-        };
-        store.insert_capture(&capture, &[]).await.expect("insert");
+        keep_capture(&store, "c", None, &[]).await;
         store.close().await;
         let listen = ([127, 0, 0, 1], 0).into();
         let mut config = ServeConfig::new(dir.path().into(), listen, 0).expect("a program");

@@ -1,8 +1,10 @@
 //! `/v1/jobs/{id}/events`: server-sent events out of the database.
 //!
-//! Streams receive no events directly: a stream is notified of a change and reads the events after
-//! the last number it sent, in one read for all streams of the job (`event_feed.rs`). So nothing is
-//! lost, duplicated or reordered, whether the client reconnects, the server restarts or both.
+//! A change wakes a stream, which asks for the events after the last that it sent; one read of the
+//! database answers all streams of a job (`events/feed.rs`). So no event is lost, doubled or out of
+//! order, whether the client reconnects, the server restarts or both.
+
+pub(super) mod feed;
 
 use std::convert::Infallible;
 use std::sync::Arc;
@@ -22,7 +24,7 @@ use super::extract::Query;
 use super::lookup::find;
 use super::problem::Problem;
 use crate::app::App;
-use crate::event_feed::{EventFeed, FeedEvent};
+use feed::{EventFeed, FeedEvent};
 
 /// How long a stream may outlast the validity of its token.
 const ACCESS_CHECK: Duration = Duration::from_secs(5);

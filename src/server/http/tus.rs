@@ -22,12 +22,11 @@ use self::fields::{
 use self::metadata::Metadata;
 use self::piece::Piece;
 use super::access::Visitor;
-use super::held::hold;
 use super::paths::UPLOADS;
 use super::problem::Problem;
 use super::upload::to_its_end;
+use super::upload_locks::{UploadLock, lock};
 use crate::app::App;
-use crate::holders::Hold;
 use crate::janitor::remove;
 use crate::store::UploadRow;
 
@@ -157,7 +156,7 @@ pub async fn head(
     Path(id): Path<String>,
 ) -> Result<Response, Problem> {
     let (row, offset) = to_its_end(async move {
-        let (_hold, row) = taken(&app, &id).await?;
+        let (_lock, row) = taken(&app, &id).await?;
         let (file, offset) = file::open(&app, &row).await?;
         file::sync(&app, &row, &file).await?;
         Ok((row, offset))
@@ -201,8 +200,8 @@ pub async fn patch(
         body,
     };
     let stands = to_its_end(async move {
-        let (hold, row) = taken(&app, &id).await?;
-        piece::add(&app, &hold, &row, piece).await
+        let (lock, row) = taken(&app, &id).await?;
+        piece::add(&app, &lock, &row, piece).await
     })
     .await?;
     let told = [
@@ -226,7 +225,7 @@ pub async fn delete(
     Path(id): Path<String>,
 ) -> Result<StatusCode, Problem> {
     to_its_end(async move {
-        let (_hold, row) = taken(&app, &id).await?;
+        let (_lock, row) = taken(&app, &id).await?;
         if !app.store.forget_upload(&row.id, None).await? {
             return Err(unknown());
         }
@@ -266,10 +265,10 @@ fn overriding(headers: &HeaderMap) -> Option<Method> {
 }
 
 /// The upload, from whoever had it. It is looked for after that: it may be deleted meanwhile.
-async fn taken(app: &App, id: &str) -> Result<(Hold, UploadRow), Problem> {
-    let hold = hold(app, id).await?;
+async fn taken(app: &App, id: &str) -> Result<(UploadLock, UploadRow), Problem> {
+    let lock = lock(app, id).await?;
     let row = app.store.upload(id).await?.ok_or_else(unknown)?;
-    Ok((hold, row))
+    Ok((lock, row))
 }
 
 fn unknown() -> Problem {

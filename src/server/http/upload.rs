@@ -25,9 +25,9 @@ use self::budget::Budget;
 use self::places::Places;
 use super::problem::{Problem, too_large};
 use super::quota::over_quota;
+use super::upload_locks::UploadLock;
 use crate::app::App;
 use crate::error::ServerError;
-use crate::holders::Hold;
 use crate::incoming::Incoming;
 
 pub use budget::check_space;
@@ -66,7 +66,7 @@ struct Used {
     /// What they count for while they are there.
     bytes: u64,
     /// Nobody writes to them meanwhile.
-    holds: Vec<Hold>,
+    locks: Vec<UploadLock>,
 }
 
 /// Receives every part of a multipart body; `known` are the text fields that mean something, `most`

@@ -364,7 +364,7 @@ async fn known(app: &App, job: &str, id: &str) -> Result<VideoRow, Problem> {
     row.ok_or_else(|| Problem::not_found("video"))
 }
 
-/// Told now and not by a video that waits for ever: whoever runs the server must install it.
+/// Refuses what would wait for ever: whoever runs the server must install ffmpeg.
 async fn check_ffmpeg(app: &App) -> Result<(), Problem> {
     if has_ffmpeg(&app.config.ffmpeg).await {
         return Ok(());

@@ -80,11 +80,9 @@ mod tests {
     use std::time::SystemTime;
 
     use fled_blobs::{Blob, Kept};
-    use serde_json::json;
 
     use super::*;
-    use crate::store::CaptureRow;
-    use crate::store::tests::{of_a_server, of_each};
+    use crate::store::tests::{keep_capture, of_a_server, of_each};
 
     const HOUR: Duration = Duration::from_secs(3600);
 
@@ -129,16 +127,7 @@ mod tests {
                 path: "a.jpg".to_owned(),
                 blob: stay[0].clone(),
             }];
-            let capture = CaptureRow {
-                id: "c".to_owned(),
-                name: "a capture".to_owned(),
-                accepted: 3,
-                report: json!({}),
-                created_at: 1,
-                owner: None,
-                expires_at: None,
-            };
-            store.insert_capture(&capture, &kept).await.expect("kept");
+            keep_capture(&store, "c", None, &kept).await;
             let mut go = Vec::new();
             for number in 0..40 {
                 stay.push(place.put(format!("young {number}"), 23 * HOUR).await);

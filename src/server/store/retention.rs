@@ -128,10 +128,9 @@ fn milliseconds(time: Duration) -> i64 {
 
 #[cfg(test)]
 mod tests {
-    use serde_json::json;
-
     use super::*;
-    use crate::store::{CaptureRow, Needs, NewJob, Room, now_ms};
+    use crate::store::tests::{keep_capture, new_job, of_each, room};
+    use crate::store::{NewJob, now_ms};
 
     const DAY: i64 = 24 * 3600 * 1000;
     const KEPT: Retention = Retention {
@@ -140,45 +139,23 @@ mod tests {
         notice: Duration::from_secs(7 * 24 * 3600),
     };
 
-    async fn capture(store: &Store, id: &str, owner: Option<&str>) {
-        let row = CaptureRow {
-            id: id.to_owned(),
-            name: id.to_owned(),
-            accepted: 3,
-            report: json!({}),
-            created_at: now_ms(),
-            expires_at: None,
-            owner: owner.map(str::to_owned),
-        };
-        store.insert_capture(&row, &[]).await.expect("kept");
-    }
-
-    /// Creates a cancelled job; each call gives a later time than the one before.
+    /// A job that was cancelled, each of the calls a moment later than the one before.
     async fn ended(store: &Store, id: &str, capture: &str) {
         let job = NewJob {
-            id: id.to_owned(),
-            name: id.to_owned(),
             capture_id: capture.to_owned(),
-            preset: "preview".to_owned(),
-            options: json!({}),
-            rounds: 1,
-            needs: Needs::default(),
-            priority: 0,
+            ..new_job(id)
         };
-        let room = Room {
-            queue: 100,
-            of_owner: None,
-        };
-        store.create_job(&job, None, "", room).await.expect("made");
+        let made = store.create_job(&job, None, "", room(100)).await;
+        made.expect("made");
         store.request_cancel(id).await.expect("cancelled");
         tokio::time::sleep(Duration::from_millis(2)).await;
     }
 
     async fn stores() -> [(tempfile::TempDir, Store); 2] {
-        let stores = crate::store::tests::of_each().await;
+        let stores = of_each().await;
         for (_, store) in &stores {
-            capture(store, "anna's", Some("anna")).await;
-            capture(store, "ben's", Some("ben")).await;
+            keep_capture(store, "anna's", Some("anna"), &[]).await;
+            keep_capture(store, "ben's", Some("ben"), &[]).await;
             for id in ["a1", "a2", "a3"] {
                 ended(store, id, "anna's").await;
             }
@@ -227,11 +204,8 @@ mod tests {
             assert_eq!(expires(&store, "b1").await, Some(old + 7 * DAY));
             assert!(store.pin_job("b1", true).await.expect("pinned"));
             assert!(!store.pin_job("none", true).await.expect("asked"));
-            let room = Room {
-                queue: 100,
-                of_owner: None,
-            };
-            store.retry("a1", room, None).await.expect("again");
+            let again = store.retry("a1", room(100), None).await;
+            again.expect("again");
             assert_eq!(expires(&store, "a1").await, None);
             store.mark_expiring(&KEPT, old + DAY).await.expect("marked");
             let gone = store

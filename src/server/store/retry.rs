@@ -91,7 +91,8 @@ mod tests {
     use serde_json::json;
 
     use super::*;
-    use crate::store::{CaptureRow, Needs, NewJob};
+    use crate::store::NewJob;
+    use crate::store::tests::{keep_capture, new_job, room};
 
     #[tokio::test]
     async fn a_finished_job_can_be_retried_with_other_options() {
@@ -101,30 +102,12 @@ mod tests {
     }
 
     async fn goes_on(store: &Store) {
-        let capture = CaptureRow {
-            id: "c".to_owned(),
-            name: "a capture".to_owned(),
-            accepted: 3,
-            report: json!({}),
-            created_at: 1,
-            owner: Some("anna".to_owned()),
-            expires_at: None,
-        };
-        store.insert_capture(&capture, &[]).await.expect("kept");
+        keep_capture(store, "c", Some("anna"), &[]).await;
         let job = NewJob {
-            id: "j".to_owned(),
-            name: "a job".to_owned(),
-            capture_id: "c".to_owned(),
-            preset: "preview".to_owned(),
             options: json!({ "cap": 1 }),
-            rounds: 2,
-            needs: Needs::default(),
-            priority: 0,
+            ..new_job("j")
         };
-        let room = Room {
-            queue: 9,
-            of_owner: None,
-        };
+        let room = room(9);
         store.create_job(&job, None, "", room).await.expect("made");
         let other = Change {
             options: json!({ "cap": 2 }),

@@ -2,6 +2,7 @@ mod clocks;
 
 use std::collections::BTreeMap;
 
+use fled_blobs::Kept;
 use fled_core::event::{Event, Stage};
 use proptest::prelude::*;
 use serde_json::json;
@@ -38,27 +39,33 @@ async fn store() -> (tempfile::TempDir, Store) {
 
 async fn with_capture(fresh: (tempfile::TempDir, Store)) -> (tempfile::TempDir, Store) {
     let (dir, store) = fresh;
-    let capture = CaptureRow {
-        owner: None,
-        expires_at: None,
-        id: "c".to_owned(),
-        name: "a capture".to_owned(),
-        accepted: 3,
-        report: json!({}),
-        created_at: 1,
-    };
-    store.insert_capture(&capture, &[]).await.expect("insert");
+    keep_capture(&store, "c", None, &[]).await;
     (dir, store)
 }
 
-fn room(queue: u32) -> Room<'static> {
+/// Stores a capture of an owner.
+pub(crate) async fn keep_capture(store: &Store, id: &str, owner: Option<&str>, files: &[Kept]) {
+    let capture = CaptureRow {
+        id: id.to_owned(),
+        name: id.to_owned(),
+        accepted: 3,
+        report: json!({}),
+        created_at: now_ms(),
+        owner: owner.map(str::to_owned),
+        expires_at: None,
+    };
+    store.insert_capture(&capture, files).await.expect("kept");
+}
+
+pub(crate) fn room(queue: u32) -> Room<'static> {
     Room {
         queue,
         of_owner: None,
     }
 }
 
-fn new_job(id: &str) -> NewJob {
+/// A job of the capture `c`.
+pub(crate) fn new_job(id: &str) -> NewJob {
     NewJob {
         id: id.to_owned(),
         name: id.to_owned(),
@@ -71,7 +78,7 @@ fn new_job(id: &str) -> NewJob {
     }
 }
 
-async fn create(store: &Store, id: &str) {
+pub(crate) async fn create(store: &Store, id: &str) {
     let outcome = store
         .create_job(&new_job(id), None, "", room(100))
         .await

@@ -129,9 +129,9 @@ async fn keep(app: &App, visitor: &Visitor, row: &UploadRow) -> Result<(), Probl
 
 /// Adds the first piece. Nobody else knows of the upload yet: without it there is none.
 async fn with_first(app: &App, row: &UploadRow, first: Piece) -> Result<Stands, Problem> {
-    let hold = app.holders.take(&row.id, app.limits.takeover).await;
-    let hold = hold.ok_or_else(Problem::internal)?;
-    let added = piece::add(app, &hold, row, first).await;
+    let lock = app.upload_locks.take(&row.id, app.limits.takeover).await;
+    let lock = lock.ok_or_else(Problem::internal)?;
+    let added = piece::add(app, &lock, row, first).await;
     if added.is_err() {
         app.store.forget_upload(&row.id, None).await?;
         remove(&app.data.upload(&row.id)).await;

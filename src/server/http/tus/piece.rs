@@ -9,8 +9,8 @@ use tokio::io::AsyncWriteExt;
 use super::file;
 use crate::app::App;
 use crate::error::ServerError;
-use crate::holders::Hold;
 use crate::http::problem::{Problem, disk_full, too_large};
+use crate::http::upload_locks::UploadLock;
 use crate::store::UploadRow;
 
 /// Between two looks at the free space of the disk, bytes.
@@ -51,7 +51,7 @@ enum Ended {
 /// there is no space for more: what came stays.
 pub(super) async fn add(
     app: &App,
-    hold: &Hold,
+    lock: &UploadLock,
     row: &UploadRow,
     piece: Piece,
 ) -> Result<Stands, Problem> {
@@ -83,7 +83,7 @@ pub(super) async fn add(
         at: begin,
         looked: begin,
     };
-    writer.write(piece.body, hold).await
+    writer.write(piece.body, lock).await
 }
 
 /// A time so far from now as an upload lives after its last byte, milliseconds since 1970.
@@ -102,8 +102,8 @@ struct Writer<'a> {
 }
 
 impl Writer<'_> {
-    async fn write(mut self, body: Body, hold: &Hold) -> Result<Stands, Problem> {
-        let mut ended = self.pour(body, hold).await;
+    async fn write(mut self, body: Body, lock: &UploadLock) -> Result<Stands, Problem> {
+        let mut ended = self.pour(body, lock).await;
         // Writes of this file may still be under way.
         if let Err(error) = self.file.flush().await {
             let path = self.app.data.upload(&self.row.id);
@@ -130,12 +130,12 @@ impl Writer<'_> {
     }
 
     /// Reads until the body ends or somebody else wants the upload.
-    async fn pour(&mut self, body: Body, hold: &Hold) -> Result<Ended, ServerError> {
+    async fn pour(&mut self, body: Body, lock: &UploadLock) -> Result<Ended, ServerError> {
         let mut body = body.into_data_stream();
         loop {
             let chunk = tokio::select! {
                 biased;
-                () = hold.wanted() => return Ok(Ended::Wanted),
+                () = lock.wanted() => return Ok(Ended::Wanted),
                 () = self.app.shutdown.cancelled() => return Ok(Ended::Stopping),
                 chunk = body.next() => chunk,
             };

@@ -12,11 +12,10 @@ use super::places::Places;
 use super::{Upload, Used, check_name};
 use crate::app::App;
 use crate::error::ServerError;
-use crate::holders::Hold;
 use crate::http::access::Visitor;
-use crate::http::held::hold;
 use crate::http::problem::{Problem, disk_full, too_large};
 use crate::http::quota::bytes_left_beside;
+use crate::http::upload_locks::{UploadLock, lock};
 use crate::store::UploadRow;
 
 /// Gathers finished uploads of the visitor's own, each under its file name, for a capture with
@@ -38,7 +37,7 @@ pub async fn gather(
         check_name(name)?;
     }
     own(app, ids, visitor).await?;
-    let holds = hold_all(app, ids).await?;
+    let locks = lock_all(app, ids).await?;
     // What was on its way then has come or gone.
     let rows = own(app, ids, visitor).await?;
     let bytes: u64 = rows.iter().map(|row| row.length).sum();
@@ -57,7 +56,7 @@ pub async fn gather(
         used: Used {
             ids: ids.to_vec(),
             bytes,
-            holds,
+            locks,
         },
     };
     let (app, dir) = (app.clone(), upload.dir.clone());
@@ -100,14 +99,14 @@ async fn own(app: &App, ids: &[String], visitor: &Visitor) -> Result<Vec<UploadR
 
 /// All uploads for oneself, in an order that is the same for everybody: nobody has what another
 /// waits for who has what they wait for.
-async fn hold_all(app: &App, ids: &[String]) -> Result<Vec<Hold>, Problem> {
+async fn lock_all(app: &App, ids: &[String]) -> Result<Vec<UploadLock>, Problem> {
     let mut ordered: Vec<&String> = ids.iter().collect();
     ordered.sort();
-    let mut holds = Vec::with_capacity(ids.len());
+    let mut locks = Vec::with_capacity(ids.len());
     for id in ordered {
-        holds.push(hold(app, id).await?);
+        locks.push(lock(app, id).await?);
     }
-    Ok(holds)
+    Ok(locks)
 }
 
 /// Gives every file a second name in `dir`, as the names of its upload say.

@@ -10,10 +10,10 @@ use super::Upload;
 use crate::app::App;
 use crate::data::{bytes_below, sync_directory};
 use crate::error::ServerError;
-use crate::holders::Hold;
 use crate::http::access::Visitor;
 use crate::http::problem::Problem;
 use crate::http::quota::{bytes_left_beside, over_quota};
+use crate::http::upload_locks::UploadLock;
 use crate::janitor::remove;
 use crate::store::CaptureRow;
 use crate::validation::CaptureReport;
@@ -29,7 +29,7 @@ pub struct Placed<'a> {
     /// Its files in a shared store of files.
     pub kept: Vec<Kept>,
     files: PathBuf,
-    _holds: Vec<Hold>,
+    _locks: Vec<UploadLock>,
     _turn: Option<MutexGuard<'a, ()>>,
 }
 
@@ -131,7 +131,7 @@ impl Upload {
             kept,
             uploads: self.used.ids,
             files: to,
-            _holds: self.used.holds,
+            _locks: self.used.locks,
             _turn: turn,
         })
     }

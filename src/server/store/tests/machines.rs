@@ -29,16 +29,7 @@ async fn a_repeated_report_is_applied_once() {
 async fn jobs_wait_for_a_fitting_machine_and_owners_take_turns() {
     let (_dir, store) = store().await;
     for owner in ["anna", "ben"] {
-        let capture = CaptureRow {
-            owner: Some(owner.to_owned()),
-            expires_at: None,
-            id: owner.to_owned(),
-            name: owner.to_owned(),
-            accepted: 3,
-            report: json!({}),
-            created_at: 1,
-        };
-        store.insert_capture(&capture, &[]).await.expect("insert");
+        keep_capture(&store, owner, Some(owner), &[]).await;
     }
     let job = |id: &str, capture: &str, gpu, priority| NewJob {
         capture_id: capture.to_owned(),
@@ -74,7 +65,7 @@ async fn jobs_wait_for_a_fitting_machine_and_owners_take_turns() {
 async fn only_the_lease_holder_names_files_and_they_go_with_the_job() {
     let (_dir, store) = store().await;
     create(&store, "j").await;
-    let file = |path: &str, digest: &str| fled_blobs::Kept {
+    let file = |path: &str, digest: &str| Kept {
         path: path.to_owned(),
         blob: fled_blobs::Blob {
             digest: digest.repeat(64),

@@ -49,14 +49,20 @@ fn a_job_posted_to_one_replica_is_visible_at_another() {
 fn a_replica_without_files_of_a_job_makes_views_and_videos() {
     let farm = Farm::new();
     let (mut one, api) = farm.replica("one");
-    let _worker = farm.worker("worker");
+    let mut worker = farm.worker("worker");
     let job = order(&api, "ok");
     api.wait_state(&job, "succeeded");
+    worker.kill();
     let film = json!({ "kind": "orbit", "fps": 5, "seconds": 8.0, "width": 128 });
     let videos = format!("/v1/jobs/{job}/videos");
     let begun = api.post_json(&videos, &film, &[]).expect(202);
     let begun = begun.header("location").to_owned();
-    // Others make it, and have nothing of what it shows.
+    let since = Instant::now();
+    while api.get(&begun, &[]).expect(200).json()["progress"].as_f64() < Some(0.1) {
+        assert!(since.elapsed() < PATIENCE, "{begun} is not begun");
+        sleep(Duration::from_millis(20));
+    }
+    // Another makes it, and has nothing of what it shows.
     one.kill();
     let (_two, two) = farm.replica("two");
     let since = Instant::now();

@@ -1,6 +1,5 @@
-//! The event feeds of jobs that are being watched. However many streams there are of a job, what
-//! it reports is read from the database once in this process; each still asks for what follows the
-//! last number that it has sent.
+//! The event feeds of jobs that clients watch. This process reads the events of a job once, however
+//! many streams it sends of them; each stream asks for those after the last that it sent.
 
 use std::collections::{HashMap, VecDeque};
 use std::sync::{Arc, Mutex, PoisonError, Weak};
@@ -146,44 +145,9 @@ impl EventFeed {
 
 #[cfg(test)]
 mod tests {
-    use serde_json::json;
-
     use super::*;
-    use crate::store::{CaptureRow, Creation, Needs, NewJob, Room, Settlement};
-
-    async fn with_a_job() -> (tempfile::TempDir, Store) {
-        let dir = tempfile::tempdir().expect("temporary directory");
-        let store = Store::open(&dir.path().join("fled.db"))
-            .await
-            .expect("open");
-        let capture = CaptureRow {
-            owner: None,
-            expires_at: None,
-            id: "c".to_owned(),
-            name: "a capture".to_owned(),
-            accepted: 3,
-            report: json!({}),
-            created_at: 1,
-        };
-        store.insert_capture(&capture, &[]).await.expect("capture");
-        let job = NewJob {
-            id: "j".into(),
-            name: "j".into(),
-            capture_id: "c".into(),
-            preset: "preview".into(),
-            options: json!({}),
-            rounds: 1,
-            needs: Needs::default(),
-            priority: 0,
-        };
-        let room = Room {
-            queue: 9,
-            of_owner: None,
-        };
-        let made = store.create_job(&job, None, "", room).await.expect("made");
-        assert!(matches!(made, Creation::Created(_)));
-        (dir, store)
-    }
+    use crate::store::Settlement;
+    use crate::store::tests::{create, in_a_file, keep_capture};
 
     fn seqs(next: &Next) -> Vec<i64> {
         next.events.iter().map(|event| event.seq).collect()
@@ -191,7 +155,9 @@ mod tests {
 
     #[tokio::test]
     async fn a_stream_that_is_behind_misses_nothing_and_the_end_comes_last() {
-        let (_dir, store) = with_a_job().await;
+        let (_dir, store) = in_a_file().await;
+        keep_capture(&store, "c", None, &[]).await;
+        create(&store, "j").await;
         let claim = store
             .claim("w", 60_000, &[])
             .await
