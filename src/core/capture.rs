@@ -1,9 +1,9 @@
 //! What was uploaded: a folder or a zip of photographs, assessed file by file.
 //!
-//! Photographs lie directly in the capture or in `images/`; sharp ground truth of the same stems
-//! in `gt/` (or `HL/`, as LuSh-NeRF has it); poses, where given, as a COLMAP model in `sparse/0/`
-//! or `sparse/`, as `transforms.json` or as `poses_bounds.npy`. Poses are found here, not read.
-//! One folder around everything is looked through; hidden files are not seen.
+//! Photographs lie directly in the capture, in `images/` or where `place` says; sharp ground truth
+//! of the same names in `gt/` (or `HL/`, as LuSh-NeRF has it); poses, where given, as a COLMAP model
+//! in `sparse/0/` or `sparse/`, as `transforms.json` or as `poses_bounds.npy`. Poses are found here,
+//! not read. Folders around everything are looked through; hidden files are not seen.
 
 mod archive;
 mod assess;
@@ -13,16 +13,19 @@ mod error;
 mod layout;
 mod look;
 mod photograph;
+mod place;
 pub mod video;
 mod watch;
 
 use std::path::Path;
 
 use crate::image::Unread;
+use crate::photo_path::PhotoPath;
 
 pub use archive::{MAX_ARCHIVE_BYTES, unpacked_bytes};
 pub use assess::{FEW_VIEWS, view_names};
 pub use budget::DecodeBudget;
+pub use entries::NAMES;
 pub use error::{ArchiveFault, CaptureError, MAX_FILES, MIN_VIEWS};
 pub use layout::GivenPosesFile;
 pub use photograph::{Assessment, CaptureView, CaptureWarning};
@@ -33,6 +36,8 @@ pub use watch::{Look, Watch};
 pub struct Capture {
     /// The accepted photographs, in natural order of their names.
     pub views: Vec<CaptureView>,
+    /// All photographs that there are, accepted or not, in natural order.
+    pub photographs: Vec<PhotoPath>,
     /// What became of each file that claims to be a photograph, accepted or not.
     pub assessments: Vec<Assessment>,
     /// What the user should know about the capture as a whole.
@@ -79,7 +84,7 @@ impl Capture {
                 None => CaptureError::NotACapture { path },
             });
         };
-        let layout = layout::Layout::of(entries);
+        let layout = layout::Layout::of(entries)?;
         let fingerprint = layout.fingerprint()?;
         let assessed = assess::assess(&layout, watch);
         if assessed.views.len() < MIN_VIEWS {
@@ -90,6 +95,11 @@ impl Capture {
         }
         Ok(Self {
             views: assessed.views,
+            photographs: layout
+                .photographs
+                .into_iter()
+                .map(|entry| entry.path)
+                .collect(),
             assessments: assessed.assessments,
             warnings: assessed.warnings,
             poses: layout.poses,

@@ -9,12 +9,13 @@ use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use given_view::{GivenView, stem};
+use given_view::GivenView;
 
 use crate::camera::Camera;
 use crate::cancel::CancelToken;
 use crate::event::ProgressSink;
 use crate::image::read_header;
+use crate::photo_path::{PhotoPath, find_each};
 use crate::poses::bounds::read_poses_bounds;
 use crate::poses::model::SparseModel;
 use crate::poses::{
@@ -52,6 +53,7 @@ pub type Refine = Box<
 pub struct GivenPoses {
     path: PathBuf,
     format: Format,
+    photographs: Vec<PhotoPath>,
     triangulate: Option<Triangulate>,
     refine: Option<Refine>,
 }
@@ -73,18 +75,20 @@ struct Given {
 
 /// How poses find their photographs.
 enum Assignment {
-    /// By the stem of the file's name.
-    ByStem(HashMap<String, GivenView>),
-    /// By the order of the photographs.
+    /// By the photograph's path.
+    ByPath(Vec<(PhotoPath, GivenView)>),
+    /// By the order in which Python sorts the paths.
     ByOrder(Vec<GivenView>),
 }
 
 impl GivenPoses {
     /// `path`: a directory with a COLMAP model (text or binary), a `.json` or a `.npy` file.
+    /// `photographs`: all of the capture, those too that are not used: theirs are no one else's
+    /// poses.
     ///
     /// # Errors
     /// [`PosesError::BadFile`] when it is none of them. The content is read by [`Sfm::poses`].
-    pub fn open(path: &Path) -> Result<Self, PosesError> {
+    pub fn open(path: &Path, photographs: &[PhotoPath]) -> Result<Self, PosesError> {
         let format = match path.extension().and_then(|extension| extension.to_str()) {
             _ if SparseModel::stands_in(path) => Format::Model,
             Some("json") => Format::Transforms,
@@ -97,6 +101,7 @@ impl GivenPoses {
         Ok(Self {
             path: path.to_owned(),
             format,
+            photographs: photographs.to_vec(),
             triangulate: None,
             refine: None,
         })
@@ -107,7 +112,7 @@ impl GivenPoses {
     /// # Errors
     /// What is wrong with the file.
     pub fn check(&self) -> Result<(), PosesError> {
-        self.read().map(drop)
+        self.assign(self.read()?.views).map(drop)
     }
 
     /// With somebody who finds points where the poses come without.
@@ -191,7 +196,7 @@ impl GivenPoses {
         match self.format {
             Format::Model => SparseModel::read(&self.path).map(|model| from_model(&model)),
             Format::Transforms => Ok(Given {
-                views: Assignment::ByStem(transforms::read(&self.path)?),
+                views: Assignment::ByPath(transforms::read(&self.path)?),
                 points: Vec::new(),
                 mean_error: None,
                 mean_track: None,
@@ -218,33 +223,74 @@ impl GivenPoses {
         }
     }
 
-    fn assign(
-        &self,
-        views: &[PoseView],
-        given: &Assignment,
-    ) -> Result<Vec<Option<GivenView>>, PosesError> {
+    /// The pose of each photograph of the capture, where it has one.
+    fn assign(&self, given: Assignment) -> Result<Vec<Option<GivenView>>, PosesError> {
         match given {
-            Assignment::ByStem(by_stem) => {
-                let of = |view: &PoseView| {
-                    by_stem
-                        .get(&view.name)
-                        .or_else(|| by_stem.get(&stem(&view.file)))
-                };
-                Ok(views.iter().map(|view| of(view).copied()).collect())
+            Assignment::ByPath(mut views) => {
+                // A frame that is written twice says nothing else.
+                views.sort_by(|a, b| a.0.cmp(&b.0));
+                views.dedup();
+                let (names, views): (Vec<_>, Vec<_>) = views.into_iter().unzip();
+                let found = find_each(&names, &self.photographs);
+                let found =
+                    found.map_err(|tie| PosesError::bad_file(&self.path, tie.to_string()))?;
+                Ok(found.into_iter().map(|at| at.map(|at| views[at])).collect())
             }
-            Assignment::ByOrder(rows) if rows.len() == views.len() => {
-                Ok(rows.iter().copied().map(Some).collect())
-            }
-            Assignment::ByOrder(rows) => {
-                let reason = format!(
-                    "{} poses for {} photographs, and only their order tells which is whose",
-                    rows.len(),
-                    views.len()
-                );
-                Err(PosesError::bad_file(&self.path, reason))
-            }
+            Assignment::ByOrder(rows) => self.assign_by_order(rows),
         }
     }
+
+    /// Rows belong to all photographs that there were, in the order of their paths' bytes.
+    fn assign_by_order(&self, rows: Vec<GivenView>) -> Result<Vec<Option<GivenView>>, PosesError> {
+        let refused = |reason: String| Err(PosesError::bad_file(&self.path, reason));
+        if rows.len() != self.photographs.len() {
+            return refused(format!(
+                "{} poses for {} photographs, and only their order tells which is whose: the rows \
+                 must be those of all photographs, sorted by name",
+                rows.len(),
+                self.photographs.len()
+            ));
+        }
+        let order = by_bytes(&self.photographs);
+        if let Some(twice) = order
+            .windows(2)
+            .find(|pair| self.photographs[pair[0]] == self.photographs[pair[1]])
+        {
+            let name = &self.photographs[twice[0]];
+            return refused(format!(
+                "two photographs are called `{name}`, which have no order"
+            ));
+        }
+        let mut assigned = vec![None; rows.len()];
+        for (at, row) in order.into_iter().zip(rows) {
+            assigned[at] = Some(row);
+        }
+        Ok(assigned)
+    }
+
+    /// Tells where a reader who counts numbers would give rows to other photographs.
+    fn warn_of_order(&self, sink: &mut dyn ProgressSink) {
+        let order = by_bytes(&self.photographs);
+        let differs = order.windows(2).find(|pair| pair[0] > pair[1]);
+        if let (Format::PosesBounds, Some(pair)) = (self.format, differs) {
+            let message = format!(
+                "{}: its rows are taken for the photographs in the order of the letters of their \
+                 names, as LLFF sorts them: {} before {}; number them with equally many digits \
+                 if that is wrong",
+                name_of(&self.path),
+                self.photographs[pair[0]],
+                self.photographs[pair[1]]
+            );
+            sink.warn("poses_order", message);
+        }
+    }
+}
+
+/// Indices of paths in the order in which Python sorts them.
+fn by_bytes(paths: &[PhotoPath]) -> Vec<usize> {
+    let mut order: Vec<usize> = (0..paths.len()).collect();
+    order.sort_by_key(|&at| &paths[at]);
+    order
 }
 
 impl Sfm for GivenPoses {
@@ -257,12 +303,17 @@ impl Sfm for GivenPoses {
         let start = Instant::now();
         let given = self.read()?;
         cancel.check()?;
-        let assigned = self.assign(request.views, &given.views)?;
+        let assigned = self.assign(given.views)?;
+        self.warn_of_order(sink);
+        let all = self.photographs.iter().zip(&assigned);
+        let of_photograph: HashMap<&PhotoPath, &GivenView> = { all }
+            .filter_map(|(path, given)| Some((path, given.as_ref()?)))
+            .collect();
         let total = request.views.len();
         let mut views = Vec::new();
         let mut bounds = Vec::new();
-        for (view, given) in request.views.iter().zip(&assigned) {
-            if let Some(given) = given {
+        for view in request.views {
+            if let Some(&given) = of_photograph.get(&view.path) {
                 views.push(posed(view, given)?);
                 bounds.push(given.bounds);
             }
@@ -355,13 +406,13 @@ fn from_model(model: &SparseModel) -> Given {
         world_to_camera: image.world_to_camera(),
         bounds: None,
     };
-    let by_stem = model
+    let by_path = model
         .images
         .iter()
-        .map(|image| (stem(Path::new(&image.name)), view(image)))
+        .map(|image| (PhotoPath::new(&image.name), view(image)))
         .collect();
     Given {
-        views: Assignment::ByStem(by_stem),
+        views: Assignment::ByPath(by_path),
         points: model.sparse_points(),
         mean_error: model.mean_error(),
         mean_track: model.mean_track(),

@@ -3,8 +3,8 @@
 //!
 //! Data flows one way: [`pipeline`] drives [`colmap`], [`enhance`], [`deblur`], [`reconstruct`]
 //! (which drives [`splat`], [`noise`], [`shake`] and [`register`]), [`metrics`] and [`render`].
-//! Siblings never import each other; all may use [`image`], [`camera`], [`poses`], [`gaussians`],
-//! [`event`] and [`cancel`]. The crate knows no HTTP, no SQL, no async runtime and no environment
+//! Siblings never import each other; all may use [`image`], [`camera`], [`poses`], [`photo_path`],
+//! [`gaussians`], [`event`] and [`cancel`]. The crate knows no HTTP, no SQL, no async runtime and no environment
 //! variables.
 
 #[cfg(test)]
@@ -26,6 +26,7 @@ pub mod inference;
 mod linear;
 pub mod metrics;
 pub mod noise;
+pub mod photo_path;
 pub mod pipeline;
 pub mod poses;
 mod random;

@@ -17,6 +17,7 @@ use crate::camera::Camera;
 use crate::cancel::{CancelToken, Cancelled};
 use crate::event::ProgressSink;
 use crate::image::Image;
+use crate::photo_path::PhotoPath;
 pub use lens::{Distortion, Lens};
 pub use picture::svg;
 
@@ -54,6 +55,8 @@ pub struct PoseRequest<'a> {
 pub struct PoseView {
     /// The view's own safe name (a stem without extension).
     pub name: String,
+    /// What its owner calls the photograph.
+    pub path: PhotoPath,
     /// The original photograph.
     pub file: PathBuf,
     /// Focal length in px of the original photograph, where its metadata tell.

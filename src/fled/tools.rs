@@ -264,7 +264,8 @@ fn sfm(
             None => Box::new(colmap),
         }),
         (PoseSource::Auto | PoseSource::Given, Some(given)) => {
-            let mut sfm = GivenPoses::open(given.path()).map_err(PipelineError::from)?;
+            let mut sfm = GivenPoses::open(given.path(), &capture.photographs)
+                .map_err(PipelineError::from)?;
             if let (PoseSource::Auto, Some(matching)) = (options.pose_source, matching) {
                 let colmap = colmap.clone().with_matching(matching);
                 sfm = sfm.refined_by(Box::new(move |request, given, sink, cancel| {

@@ -28,7 +28,7 @@ pub struct CaptureReport {
 /// What became of one photograph.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Assessment {
-    /// Its file name as stored.
+    /// Its path as sent, below the folder of the photographs.
     pub name: String,
     /// Whether it is used.
     pub accepted: bool,
@@ -114,7 +114,9 @@ fn opened(
     let capture = Capture::open_watched(path, scratch, watch)?;
     let poses = match &capture.poses {
         None => Ok(()),
-        Some(given) => GivenPoses::open(given.path()).and_then(|given| given.check()),
+        Some(given) => {
+            GivenPoses::open(given.path(), &capture.photographs).and_then(|given| given.check())
+        }
     };
     Ok((capture, poses))
 }

@@ -13,10 +13,11 @@ use zip::read::{ZipArchive, ZipFile};
 use zip::result::ZipError;
 
 use crate::image::{MAX_FILE_BYTES, named_like_a_photograph};
+use crate::photo_path::PhotoPath;
 
 use super::entries::{Entry, is_hidden};
 use super::error::{ArchiveFault, CaptureError, MAX_FILES};
-use super::layout::hold;
+use super::layout::{POSE_FILES, hold};
 
 /// Most bytes of all files of an archive together, unpacked.
 pub const MAX_ARCHIVE_BYTES: u64 = 8 << 30;
@@ -34,18 +35,6 @@ const MAX_TOTAL_RATIO: u64 = 25;
 
 /// Archives up to this size, unpacked, may shrink by any factor.
 const TOTAL_RATIO_FREE_BYTES: u64 = 64 << 20;
-
-/// Files other than photographs and `hold=N` that are unpacked, with the ends of their paths.
-const POSE_FILES: [&str; 8] = [
-    "cameras.txt",
-    "images.txt",
-    "points3d.txt",
-    "cameras.bin",
-    "images.bin",
-    "points3d.bin",
-    "transforms.json",
-    "poses_bounds.npy",
-];
 
 /// How entries may be packed. Windows packs by Deflate64 what is over 2 GB.
 const READ_METHODS: [CompressionMethod; 3] = [
@@ -260,7 +249,7 @@ fn unpack_all(
             .map_err(|error| ArchiveFault::of(&item.name, told(&error)))?;
         unpack_one(&mut source, &item, &file)?;
         entries.push(Entry {
-            path: item.name,
+            path: PhotoPath::new(&item.name),
             file,
         });
     }

@@ -4,8 +4,9 @@ use std::collections::{BTreeMap, HashMap, HashSet};
 use std::path::Path;
 
 use crate::image::{Header, ImageError, Unread};
+use crate::photo_path::PhotoPath;
 
-use super::entries::{Entry, stem};
+use super::entries::Entry;
 use super::layout::Layout;
 use super::look::{Eyes, Fault};
 use super::photograph::{Assessment, CaptureView, CaptureWarning};
@@ -36,25 +37,25 @@ pub(super) fn assess(layout: &Layout, watch: &Watch<'_>) -> Assessed {
     let mut assessed = Assessed {
         views: Vec::new(),
         assessments: Vec::new(),
-        warnings: Vec::new(),
+        warnings: layout.warnings.clone(),
     };
     let (mut pictures, mut names) = (HashMap::new(), Names::default());
     for (entry, seen) in layout.photographs.iter().zip(seen) {
-        let seen = seen.and_then(|seen| match pictures.insert(seen.picture, entry.name()) {
+        let seen = seen.and_then(|seen| match pictures.insert(seen.picture, &entry.path) {
             Some(first) => Err(Fault::of(format!("the same picture as {first}"))),
             None => Ok(seen),
         });
         match seen {
             Ok(seen) => {
                 let warnings = seen.warnings(typical);
-                let name = names.own(stem(entry.name()));
+                let name = names.own(entry.path.stem());
                 assessed.accept(entry, &seen.header, name, warnings);
             }
             Err(fault) => assessed.assessments.push(fault.assessment(entry)),
         }
     }
     let unused = |entry: &Entry| {
-        let format = Unread::named(Path::new(&entry.path));
+        let format = Unread::named(Path::new(entry.path.name()));
         let fault = match format {
             Some(format) => Fault::from(ImageError::Unread(format)),
             None => Fault::of(UNUSED_VIDEO.to_owned()),
@@ -89,7 +90,7 @@ impl Assessed {
             ..
         } = header;
         self.assessments.push(Assessment {
-            name: entry.name().to_owned(),
+            name: entry.path.to_string(),
             accepted: true,
             reason: None,
             unsupported_format: false,
@@ -100,7 +101,7 @@ impl Assessed {
         });
         self.views.push(CaptureView {
             name,
-            original_name: entry.name().to_owned(),
+            path: entry.path.clone(),
             file: entry.file.clone(),
             width,
             height,
@@ -109,19 +110,19 @@ impl Assessed {
         });
     }
 
-    /// Gives each view the ground truth of its stem, where that has the view's shape.
-    fn attach_ground_truth(&mut self, ground_truth: &BTreeMap<String, Entry>, eyes: &Eyes<'_>) {
+    /// Gives each view its ground truth, where that has the view's shape.
+    fn attach_ground_truth(&mut self, ground_truth: &HashMap<PhotoPath, Entry>, eyes: &Eyes<'_>) {
         if ground_truth.is_empty() {
             return;
         }
-        let find = |view: &CaptureView| ground_truth.get(&stem(&view.original_name).to_lowercase());
+        let find = |view: &CaptureView| ground_truth.get(&view.path);
         let found = eyes.truths(&self.views, find);
         let (mut missing, mut unusable) = (Vec::new(), Vec::new());
         for (view, found) in self.views.iter_mut().zip(found) {
             match found {
                 Some((entry, true)) => view.gt = Some(entry.file.clone()),
-                Some((_, false)) => unusable.push(&*view.original_name),
-                None => missing.push(&*view.original_name),
+                Some((_, false)) => unusable.push(view.path.as_str()),
+                None => missing.push(view.path.as_str()),
             }
         }
         let mut warn = |code: &str, what: &str, names: &[&str]| {
@@ -172,7 +173,9 @@ impl Assessed {
 /// Our own names for the accepted photographs of these names, in the order of their assessments.
 pub fn view_names<'a>(accepted: impl Iterator<Item = &'a str>) -> Vec<String> {
     let mut names = Names::default();
-    accepted.map(|name| names.own(stem(name))).collect()
+    accepted
+        .map(|name| names.own(PhotoPath::new(name).stem()))
+        .collect()
 }
 
 /// The names given so far, in lower case.
@@ -185,7 +188,7 @@ struct Names {
 }
 
 impl Names {
-    /// Our own name for a view: the stem with everything else than letters, digits, `-` and `_`
+    /// Our own name for a view: the path with everything else than letters, digits, `-` and `_`
     /// replaced, never empty, never starting like an option, unique also where case is ignored.
     fn own(&mut self, stem: &str) -> String {
         let safe = |c: char| {

@@ -1,59 +1,53 @@
 //! The files of a capture, by the path that the user knows them under.
 
 use std::cmp::Ordering;
-use std::fs;
+use std::collections::HashMap;
 use std::path::{Path, PathBuf};
+use std::{fs, io};
+
+use crate::photo_path::PhotoPath;
 
 use super::error::{CaptureError, MAX_FILES};
 
-/// Folders within folders that are looked through: `wrapper/sparse/0` and one to spare.
-const MAX_DEPTH: usize = 4;
+/// Folders within folders that are looked through: more than anybody has, and an end where a link
+/// leads back.
+const MAX_DEPTH: usize = 12;
 
 /// One file.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Entry {
-    /// The path inside the capture as uploaded, `/` between its parts; only shown and compared.
-    pub(super) path: String,
+    /// The path inside the capture as its owner wrote it; only shown and compared.
+    pub(super) path: PhotoPath,
     /// Where it lies.
     pub(super) file: PathBuf,
 }
 
-impl Entry {
-    /// The folder part of the path, without a slash at its end.
-    pub(super) fn folder(&self) -> &str {
-        self.path.rsplit_once('/').map_or("", |(folder, _)| folder)
-    }
-
-    /// The last part of the path.
-    pub(super) fn name(&self) -> &str {
-        self.path
-            .rsplit_once('/')
-            .map_or(self.path.as_str(), |(_, name)| name)
-    }
-
-    /// The name without its extension.
-    pub(super) fn stem(&self) -> &str {
-        stem(self.name())
-    }
-}
-
-/// A file's name without its extension.
-pub(super) fn stem(name: &str) -> &str {
-    name.rsplit_once('.').map_or(name, |(stem, _)| stem)
-}
+/// The file of a folder that tells what its owner calls the files in it, where it does not say so
+/// itself: an object from places to paths.
+pub const NAMES: &str = ".names.json";
 
 /// The files of a folder, hidden ones left out.
 pub(super) fn of_folder(root: &Path) -> Result<Vec<Entry>, CaptureError> {
     let mut entries = Vec::new();
     walk(root, "", 0, &mut entries)?;
-    Ok(entries)
+    let names: HashMap<String, PhotoPath> = match fs::read(root.join(NAMES)) {
+        Ok(bytes) => serde_json::from_slice(&bytes)
+            .map_err(|error| CaptureError::io(&root.join(NAMES))(error.into()))?,
+        Err(error) if error.kind() == io::ErrorKind::NotFound => HashMap::new(),
+        Err(error) => return Err(CaptureError::io(&root.join(NAMES))(error)),
+    };
+    let entry = |(place, file): (String, PathBuf)| Entry {
+        path: { names.get(&place) }.map_or_else(|| PhotoPath::new(&place), Clone::clone),
+        file,
+    };
+    Ok(entries.into_iter().map(entry).collect())
 }
 
 fn walk(
     folder: &Path,
     prefix: &str,
     depth: usize,
-    entries: &mut Vec<Entry>,
+    found: &mut Vec<(String, PathBuf)>,
 ) -> Result<(), CaptureError> {
     for item in fs::read_dir(folder).map_err(CaptureError::io(folder))? {
         let item = item.map_err(CaptureError::io(folder))?;
@@ -67,11 +61,11 @@ fn walk(
             continue;
         };
         if metadata.is_dir() && depth < MAX_DEPTH {
-            walk(&file, &format!("{path}/"), depth + 1, entries)?;
+            walk(&file, &format!("{path}/"), depth + 1, found)?;
         } else if metadata.is_file() {
-            entries.push(Entry { path, file });
+            found.push((path, file));
         }
-        if entries.len() > MAX_FILES {
+        if found.len() > MAX_FILES {
             return Err(CaptureError::TooManyFiles);
         }
     }

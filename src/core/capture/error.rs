@@ -3,6 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use super::photograph::Assessment;
+use super::place::in_words;
 use crate::image::Unread;
 
 /// Most files of a capture that are looked at.
@@ -34,6 +35,20 @@ pub enum CaptureError {
     /// There are more files than are taken.
     #[error("more than {MAX_FILES} files")]
     TooManyFiles,
+    /// There is no photograph where one is looked for.
+    #[error("{}", none(seen, video.as_deref()))]
+    NoPhotographs {
+        /// Folders of pictures that are made of photographs, with how many each has.
+        seen: Vec<(String, usize)>,
+        /// A video.
+        video: Option<String>,
+    },
+    /// Photographs lie in several folders that are not called parts of one scene.
+    #[error("photographs lie in several places: {}", in_words(seen))]
+    Scattered {
+        /// The folders, with how many each has.
+        seen: Vec<(String, usize)>,
+    },
     /// Too few photographs can be used.
     #[error("{}", too_few(*accepted, assessments))]
     TooFew {
@@ -68,7 +83,17 @@ impl CaptureError {
                 "zip the folder of photographs anew, without encryption, links or odd paths"
             }
             Self::TooManyFiles => "leave out what is not a photograph, or every second photograph",
-            Self::TooFew { .. } => {
+            Self::NoPhotographs { seen, .. } if !seen.is_empty() => {
+                "move the photographs into a folder images/; depth maps, masks and the like are none"
+            }
+            Self::NoPhotographs { video: Some(_), .. } => {
+                "give the video itself: it is taken apart into photographs"
+            }
+            Self::Scattered { .. } => {
+                "move the photographs of one scene into a folder images/, with folders of their own \
+                 if names repeat, or give one of the folders"
+            }
+            Self::NoPhotographs { .. } | Self::TooFew { .. } => {
                 "upload 20 to 60 overlapping photographs of one unmoving scene, each from another place"
             }
             Self::Io { .. } => {
@@ -81,6 +106,18 @@ impl CaptureError {
         let path = path.to_owned();
         move |source| Self::Io { path, source }
     }
+}
+
+/// The sentence of [`CaptureError::NoPhotographs`].
+fn none(seen: &[(String, usize)], video: Option<&str>) -> String {
+    let mut text = "there is no photograph, in images/ or elsewhere".to_owned();
+    if !seen.is_empty() {
+        text.push_str(&format!("; pictures lie in {}", in_words(seen)));
+    }
+    if let Some(video) = video {
+        text.push_str(&format!("; there is a video, {video}"));
+    }
+    text
 }
 
 /// The sentence of [`CaptureError::TooFew`], with the first reasons.

@@ -1,17 +1,32 @@
 //! Which file of a capture is what.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::{BTreeSet, HashMap};
 use std::fs::File;
 use std::path::{Path, PathBuf};
 
 use crate::image::{Unread, named_like_a_photograph};
+use crate::photo_path::{PhotoPath, Tie, find_each};
 
 use super::entries::{Entry, natural};
 use super::error::CaptureError;
+use super::photograph::CaptureWarning;
+use super::place::{self, Place};
 use super::video::is_video;
 
 /// Folders that mean something; none of them is a wrapper around the capture.
 const KNOWN_FOLDERS: [&str; 5] = ["images", "gt", "hl", "sparse", "sparse_gt"];
+
+/// Files other than photographs and `hold=N` that mean something.
+pub(super) const POSE_FILES: [&str; 8] = [
+    "cameras.txt",
+    "images.txt",
+    "points3d.txt",
+    "cameras.bin",
+    "images.bin",
+    "points3d.bin",
+    "transforms.json",
+    "poses_bounds.npy",
+];
 
 /// Poses that came with the capture, by the format of their file.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -36,84 +51,121 @@ impl GivenPosesFile {
 /// A capture's files by their role.
 #[derive(Debug)]
 pub(super) struct Layout {
-    /// What claims to be a photograph, in natural order.
+    /// What claims to be a photograph, in natural order; the paths are those below `folder`.
     pub(super) photographs: Vec<Entry>,
-    /// Videos and archives beside them: listed, not used.
+    /// The folder of the photographs; empty where it is the capture's own.
+    folder: String,
+    /// Videos and files of formats that are not read: listed, not used.
     pub(super) unused: Vec<Entry>,
-    /// Ground truth by lower-case stem; empty when there is none.
-    pub(super) ground_truth: BTreeMap<String, Entry>,
+    /// Ground truth by its photograph; empty when there is none.
+    pub(super) ground_truth: HashMap<PhotoPath, Entry>,
     /// Poses.
     pub(super) poses: Option<GivenPosesFile>,
     /// The files that hold the poses, for the fingerprint.
     pose_files: Vec<Entry>,
     /// Every how many-th photograph the capture itself holds out.
     pub(super) hold: Option<u32>,
+    /// Pictures that are not read.
+    pub(super) warnings: Vec<CaptureWarning>,
 }
 
 impl Layout {
-    pub(super) fn of(mut entries: Vec<Entry>) -> Self {
+    /// # Errors
+    /// [`CaptureError::NoPhotographs`], [`CaptureError::Scattered`].
+    pub(super) fn of(entries: Vec<Entry>) -> Result<Self, CaptureError> {
+        let (pictures, others): (Vec<_>, Vec<_>) =
+            entries.into_iter().partition(claims_to_be_a_photograph);
+        let others = { others.into_iter() }.filter(|entry| {
+            let is_poses = POSE_FILES.contains(&&*entry.path.name().to_ascii_lowercase());
+            is_poses || is_unused(entry) || hold(entry.path.as_str()).is_some()
+        });
+        // What plays no role lies wherever it likes.
+        let count = pictures.len();
+        let mut entries: Vec<Entry> = pictures.into_iter().chain(others).collect();
         strip_wrappers(&mut entries);
-        entries.sort_by(|a, b| natural(&a.path, &b.path));
-        let inside = |entry: &Entry, folder: &str| entry.folder().eq_ignore_ascii_case(folder);
-        let photographs_in = |folder: &str| -> Vec<Entry> {
-            entries
-                .iter()
-                .filter(|e| inside(e, folder) && claims_to_be_a_photograph(e))
-                .cloned()
-                .collect()
-        };
-        let with_folder = photographs_in("images");
-        let photographs = if with_folder.is_empty() {
-            photographs_in("")
-        } else {
-            with_folder
-        };
-        let beside = match photographs.first() {
-            Some(first) => vec![first.folder()],
-            None => vec!["", "images"],
-        };
-        let is_unused = |entry: &&Entry| {
-            let path = Path::new(&entry.path);
-            beside.iter().any(|folder| inside(entry, folder))
-                && !named_like_a_photograph(path)
-                && (is_video(path) || Unread::named(path).is_some())
-        };
-        let unused = entries.iter().filter(is_unused).cloned().collect();
-        let truth = photographs_in("gt");
-        let truth = if truth.is_empty() {
-            photographs_in("hl")
-        } else {
-            truth
-        };
-        let ground_truth = truth
-            .into_iter()
-            .map(|e| (e.stem().to_lowercase(), e))
+        let mut others = entries.split_off(count);
+        let mut pictures = entries;
+        for entries in [&mut pictures, &mut others] {
+            entries.sort_by(|a, b| natural(a.path.as_str(), b.path.as_str()));
+        }
+        let hold = others.iter().find_map(|e| hold(e.path.as_str()));
+        let unused: Vec<Entry> = { others.iter() }
+            .filter(|entry| is_unused(entry))
+            .cloned()
             .collect();
-        let hold = entries.iter().find_map(|e| hold(&e.path));
-        let (poses, pose_files) = find_poses(&entries);
-        Self {
+        // Those that name photographs.
+        let has_poses = others.iter().any(|e| {
+            let name = e.path.name().to_ascii_lowercase();
+            POSE_FILES.contains(&&*name) && name != "poses_bounds.npy"
+        });
+        let (truth, pictures): (Vec<_>, Vec<_>) =
+            { pictures.into_iter() }.partition(|e| e.path.lies_in(&place::TRUTH));
+        let Place {
+            folder,
             photographs,
-            unused,
+            warning,
+        } = {
+            let video = unused.iter().find(|entry| is_video(&entry.file));
+            let unread = || {
+                unused.iter().find_map(|entry| {
+                    let path = PathBuf::from(entry.path.as_str());
+                    Unread::named(&path).map(|format| CaptureError::Unread { path, format })
+                })
+            };
+            place::find(pictures, has_poses, video).map_err(|error| match error {
+                CaptureError::NoPhotographs { video: None, .. } => unread().unwrap_or(error),
+                error => error,
+            })?
+        };
+        let (ground_truth, tie) = match of_photographs(truth, &photographs) {
+            Ok(ground_truth) => (ground_truth, None),
+            Err(tie) => {
+                let message = format!("ground truth is not used: {tie}");
+                (
+                    HashMap::new(),
+                    Some(CaptureWarning::new("gt_missing", message)),
+                )
+            }
+        };
+        let beside = PhotoPath::new(&folder);
+        let (poses, pose_files) = ["", beside.folder()]
+            .iter()
+            .map(|base| find_poses(&others, base))
+            .find(|(poses, _)| poses.is_some())
+            .unwrap_or_default();
+        Ok(Self {
             ground_truth,
+            photographs,
+            folder,
+            unused,
             poses,
             pose_files,
             hold,
-        }
+            warnings: warning.into_iter().chain(tie).collect(),
+        })
     }
 
     /// blake3 over the names and contents of everything that plays a role.
     pub(super) fn fingerprint(&self) -> Result<String, CaptureError> {
         let mut hasher = blake3::Hasher::new();
-        let truth = self.ground_truth.values();
-        for entry in self.photographs.iter().chain(truth).chain(&self.pose_files) {
+        let mut truth: Vec<&Entry> = self.ground_truth.values().collect();
+        truth.sort_by_key(|entry| entry.path.stem().to_lowercase());
+        let photographs = self
+            .photographs
+            .iter()
+            .map(|e| (e.path.inside(&self.folder), e));
+        let others = { truth.into_iter() }
+            .chain(&self.pose_files)
+            .map(|e| (e.path.clone(), e));
+        for (path, entry) in photographs.chain(others) {
             let file = File::open(&entry.file).map_err(CaptureError::io(&entry.file))?;
             let mut content = blake3::Hasher::new();
             content
                 .update_reader(file)
                 .map_err(CaptureError::io(&entry.file))?;
             // The length keeps a name and what follows it apart.
-            hasher.update(&(entry.path.len() as u64).to_le_bytes());
-            hasher.update(entry.path.as_bytes());
+            hasher.update(&(path.as_str().len() as u64).to_le_bytes());
+            hasher.update(path.as_str().as_bytes());
             hasher.update(content.finalize().as_bytes());
         }
         if let Some(hold) = self.hold {
@@ -136,9 +188,14 @@ pub(super) fn hold(path: &str) -> Option<u32> {
 /// Whether a file should be listed, accepted or not, among the photographs: by its extension, or
 /// without one where its bytes are a picture's.
 fn claims_to_be_a_photograph(entry: &Entry) -> bool {
-    let path = Path::new(entry.name());
+    let path = Path::new(entry.path.name());
     named_like_a_photograph(path)
         || (path.extension().is_none() && crate::image::read_header(&entry.file).is_ok())
+}
+
+/// Whether a file is a video or of a format that is not read: its owner may take it for a photograph.
+fn is_unused(entry: &Entry) -> bool {
+    is_video(&entry.file) || Unread::named(Path::new(entry.path.name())).is_some()
 }
 
 /// Removes folders that are around everything, such as the one that a zip of a folder has.
@@ -146,32 +203,50 @@ fn strip_wrappers(entries: &mut [Entry]) {
     loop {
         let tops: BTreeSet<Option<&str>> = entries
             .iter()
-            .map(|e| e.path.split_once('/').map(|(top, _)| top))
+            .map(|e| e.path.as_str().split_once('/').map(|(top, _)| top))
             .collect();
         let wrapper = match tops.first() {
-            Some(Some(top)) if tops.len() == 1 => *top,
+            Some(Some(top)) if tops.len() == 1 => (*top).to_owned(),
             _ => return,
         };
-        if KNOWN_FOLDERS
-            .iter()
-            .any(|known| known.eq_ignore_ascii_case(wrapper))
-        {
+        let mut known = KNOWN_FOLDERS.iter().chain(&place::MADE);
+        if known.any(|known| known.eq_ignore_ascii_case(&wrapper)) {
             return;
         }
-        let cut = wrapper.len() + 1;
-        entries
-            .iter_mut()
-            .for_each(|entry| entry.path.drain(..cut).for_each(drop));
+        for entry in &mut *entries {
+            entry.path = entry.path.below(&wrapper).expect("all lie in the wrapper");
+        }
     }
 }
 
-/// Poses and their files. `sparse_gt/` is not looked at: poses are measured against it, it gives
-/// none.
-fn find_poses(entries: &[Entry]) -> (Option<GivenPosesFile>, Vec<Entry>) {
-    let at = |path: &str| {
+/// Sharp pictures by the photographs that they show, whose names they have below their folder.
+fn of_photographs(
+    truth: Vec<Entry>,
+    photographs: &[Entry],
+) -> Result<HashMap<PhotoPath, Entry>, Tie> {
+    let below = |entry: &Entry| {
+        let parts: Vec<&str> = entry.path.as_str().split('/').collect();
+        let is_truth = |part: &&str| place::TRUTH.iter().any(|t| part.eq_ignore_ascii_case(t));
+        let at = parts.iter().position(is_truth).unwrap_or(0);
+        PhotoPath::new(&parts[at + 1..].join("/"))
+    };
+    let names: Vec<PhotoPath> = truth.iter().map(below).collect();
+    let paths: Vec<PhotoPath> = photographs.iter().map(|e| e.path.clone()).collect();
+    let found = find_each(&names, &paths)?;
+    let pairs = paths.into_iter().zip(found);
+    Ok(pairs
+        .filter_map(|(path, at)| Some((path, truth[at?].clone())))
+        .collect())
+}
+
+/// Poses and their files, seen from a folder. `sparse_gt/` is not looked at: poses are measured
+/// against it, it gives none.
+fn find_poses(entries: &[Entry], base: &str) -> (Option<GivenPosesFile>, Vec<Entry>) {
+    let at = |path: String| {
+        let path = PhotoPath::new(&path).inside(base);
         entries
             .iter()
-            .find(|e| e.path.eq_ignore_ascii_case(path))
+            .find(|e| e.path.as_str().eq_ignore_ascii_case(path.as_str()))
             .cloned()
     };
     for folder in ["sparse/0", "sparse"] {
@@ -179,10 +254,14 @@ fn find_poses(entries: &[Entry]) -> (Option<GivenPosesFile>, Vec<Entry>) {
             let parts = ["cameras", "images", "points3D"];
             let found: Vec<Entry> = parts
                 .iter()
-                .filter_map(|part| at(&format!("{folder}/{part}.{extension}")))
+                .filter_map(|part| at(format!("{folder}/{part}.{extension}")))
                 .collect();
             // A model without points is one too: they can be triangulated.
-            if found.len() >= 2 && found[1].stem().eq_ignore_ascii_case("images") {
+            let is_model = |found: &[Entry]| {
+                let name = PhotoPath::new(found[1].path.name());
+                name.stem().eq_ignore_ascii_case("images")
+            };
+            if found.len() >= 2 && is_model(&found) {
                 let model = found[0]
                     .file
                     .parent()
@@ -192,13 +271,13 @@ fn find_poses(entries: &[Entry]) -> (Option<GivenPosesFile>, Vec<Entry>) {
             }
         }
     }
-    if let Some(entry) = at("transforms.json") {
+    if let Some(entry) = at("transforms.json".to_owned()) {
         return (
             Some(GivenPosesFile::Transforms(entry.file.clone())),
             vec![entry],
         );
     }
-    let bounds = at("poses_bounds.npy");
+    let bounds = at("poses_bounds.npy".to_owned());
     (
         bounds
             .clone()

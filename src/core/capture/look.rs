@@ -52,7 +52,7 @@ impl Fault {
 
     pub(super) fn assessment(self, entry: &Entry) -> Assessment {
         Assessment {
-            name: entry.name().to_owned(),
+            name: entry.path.to_string(),
             accepted: false,
             reason: Some(self.reason),
             unsupported_format: self.unsupported_format,
@@ -190,9 +190,9 @@ impl<'a> Eyes<'a> {
 
 /// Does the work on a photograph, and tells when it begins and ends.
 fn watched<T>(tell: &dyn Fn(Look<'_>), entry: &Entry, work: impl FnOnce() -> T) -> T {
-    tell(Look::Begins(entry.name()));
+    tell(Look::Begins(entry.path.as_str()));
     let done = work();
-    tell(Look::Ended(entry.name()));
+    tell(Look::Ended(entry.path.as_str()));
     done
 }
 

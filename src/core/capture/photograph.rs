@@ -4,13 +4,15 @@ use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
 
+use crate::photo_path::PhotoPath;
+
 /// One accepted photograph.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CaptureView {
     /// Our own name: letters, digits, `-`, `_`, at most 40, unique also where case is ignored.
     pub name: String,
-    /// The file's name as uploaded; what given poses call it. Never a path of ours.
-    pub original_name: String,
+    /// What its owner calls it, below the folder of the photographs. Never a path of ours.
+    pub path: PhotoPath,
     /// Where it lies.
     pub file: PathBuf,
     /// Width of the upright photograph, px.
@@ -26,7 +28,7 @@ pub struct CaptureView {
 /// What became of one file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Assessment {
-    /// The name as uploaded.
+    /// The path as uploaded, below the folder of the photographs.
     pub name: String,
     /// Whether it is used.
     pub accepted: bool,

@@ -1,5 +1,6 @@
 //! Captures of every shape, good and bad.
 
+mod places;
 mod watched;
 mod zips;
 
@@ -68,7 +69,7 @@ fn open_zip(bytes: &[u8]) -> (Result<Capture, CaptureError>, Vec<PathBuf>) {
     let left = entries::of_folder(folder.path())
         .expect("listed")
         .into_iter()
-        .map(|e| e.path.into())
+        .map(|e| e.path.as_str().into())
         .collect();
     (outcome, left)
 }
@@ -100,7 +101,7 @@ fn photographs_lie_in_the_folder_itself_or_in_images_also_inside_a_wrapper() {
             .map(|view| view.name.as_str())
             .collect();
         assert_eq!(names, ["img1", "img2", "img10"], "{prefix}");
-        assert_eq!(capture.views[0].original_name, "img1.jpg");
+        assert_eq!(capture.views[0].path, PhotoPath::new("img1.jpg"));
         assert_eq!(capture.assessments.len(), 3);
         assert!(capture.warnings.iter().any(|warning| warning.code == "few"));
     }
@@ -258,7 +259,7 @@ fn captures_without_enough_usable_photographs_are_refused_with_figures() {
         .collect();
     let two = [("a.jpg", jpeg(1)), ("b.jpg", jpeg(2))];
     let cases = [
-        (vec![("notes.txt", b"x".to_vec())], 0),
+        (vec![("a.jpg", b"x".to_vec())], 0),
         (two.to_vec(), 2),
         (identical, 1),
     ];

@@ -11,6 +11,7 @@ use std::path::Path;
 use super::*;
 use crate::event::{Event, Silent};
 use crate::image::{Image, Srgb};
+use crate::photo_path::PhotoPath;
 use crate::poses::PoseView;
 
 /// A stand-in for COLMAP: `help` and `-h` are answered, all else is up to `body`, a shell
@@ -55,6 +56,7 @@ impl Scene {
         image.save(&file).unwrap();
         let view = |i| PoseView {
             name: format!("view{i}"),
+            path: PhotoPath::default(),
             file: file.clone(),
             focal_px: None,
         };

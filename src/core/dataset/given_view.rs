@@ -1,6 +1,4 @@
-//! What every format tells of one view, and the name it goes by.
-
-use std::path::Path;
+//! What every format tells of one view.
 
 use crate::camera::Intrinsics;
 use crate::poses::{Distortion, Lens};
@@ -75,11 +73,4 @@ pub(super) struct GivenView {
     pub(super) world_to_camera: glam::DMat4,
     /// Nearest and farthest depth, where the format tells.
     pub(super) bounds: Option<(f64, f64)>,
-}
-
-/// A file's name without folder and extension.
-pub(super) fn stem(file: &Path) -> String {
-    file.file_stem()
-        .map(|stem| stem.to_string_lossy().into_owned())
-        .unwrap_or_default()
 }

@@ -31,6 +31,7 @@ fn capture() -> Capture {
         image.save(&file).unwrap();
         PoseView {
             name: name(i),
+            path: PhotoPath::new(&format!("{}.png", name(i))),
             file,
             focal_px: None,
         }
@@ -54,11 +55,15 @@ impl Capture {
             work_dir: self.dir.path(),
             seed: 3,
         };
-        GivenPoses::open(&self.dir.path().join(path))?.poses(
+        GivenPoses::open(&self.dir.path().join(path), &self.paths())?.poses(
             &request,
             &mut Silent,
             &CancelToken::new(),
         )
+    }
+
+    fn paths(&self) -> Vec<PhotoPath> {
+        self.views.iter().map(|view| view.path.clone()).collect()
     }
 
     /// The true cameras as `poses_bounds.npy`.
@@ -183,7 +188,7 @@ fn transforms_json_has_opengl_axes() {
 fn refined(capture: &Capture, file: &str, fails: bool) -> (Poses, Vec<Option<f64>>, Vec<String>) {
     let seen = std::sync::Arc::new(std::sync::Mutex::new(Vec::new()));
     let (told, mut warned) = (seen.clone(), Vec::new());
-    let given = GivenPoses::open(&capture.dir.path().join(file)).unwrap();
+    let given = GivenPoses::open(&capture.dir.path().join(file), &capture.paths()).unwrap();
     let sfm = given.refined_by(Box::new(move |request, views, _, _| {
         let focals = request.views.iter().map(|view| view.focal_px);
         told.lock().unwrap().extend(focals);
@@ -317,7 +322,7 @@ fn poses_bounds_go_by_order_and_points_are_guessed_where_two_cameras_look() {
         }
     };
     let request = capture.request();
-    let given = GivenPoses::open(&file).unwrap();
+    let given = GivenPoses::open(&file, &capture.paths()).unwrap();
     let poses = given
         .poses(&request, &mut sink, &CancelToken::new())
         .unwrap();
@@ -364,7 +369,7 @@ fn enough_triangulated_points_take_the_place_of_guessed_ones() {
                 codes.push(code.clone());
             }
         };
-        let given = GivenPoses::open(&file).unwrap();
+        let given = GivenPoses::open(&file, &capture.paths()).unwrap();
         let given = given.triangulated_by(Box::new(move |_, views, _, _| {
             Ok(vec![point; found * views.len().min(1)])
         }));
@@ -415,5 +420,5 @@ fn names_that_fit_no_photograph_are_too_few_poses() {
         capture.poses("transforms.json"),
         Err(PosesError::BadFile { .. })
     ));
-    assert!(GivenPoses::open(capture.dir.path()).is_err());
+    assert!(GivenPoses::open(capture.dir.path(), &[]).is_err());
 }

@@ -1,15 +1,15 @@
 //! NeRF's `transforms.json`: camera-to-world matrices with OpenGL axes (x right, y up, z
 //! backward), intrinsics for all frames or frame by frame.
 
-use std::collections::HashMap;
 use std::f64::consts::PI;
 use std::path::Path;
 
 use glam::{DMat4, DVec3, DVec4};
 use serde::Deserialize;
 
-use super::given_view::{Focal, GivenLens, GivenView, stem};
+use super::given_view::{Focal, GivenLens, GivenView};
 use crate::camera::Intrinsics;
+use crate::photo_path::PhotoPath;
 use crate::poses::{Distortion, Lens, PosesError};
 
 /// Intrinsics as instant-ngp and nerfstudio write them; a frame's own win over the file's.
@@ -48,8 +48,8 @@ struct Frame {
     optics: Optics,
 }
 
-/// The frames by the stem of their file's name.
-pub(super) fn read(file: &Path) -> Result<HashMap<String, GivenView>, PosesError> {
+/// The frames with the paths of their files.
+pub(super) fn read(file: &Path) -> Result<Vec<(PhotoPath, GivenView)>, PosesError> {
     let bytes = std::fs::read(file).map_err(PosesError::io(file))?;
     let transforms: Transforms =
         serde_json::from_slice(&bytes).map_err(|e| PosesError::bad_file(file, e.to_string()))?;
@@ -65,7 +65,7 @@ pub(super) fn read(file: &Path) -> Result<HashMap<String, GivenView>, PosesError
         let world_to_camera =
             world_to_camera(&frame.transform_matrix).ok_or_else(|| bad("no rigid transform"))?;
         Ok((
-            stem(Path::new(&frame.file_path)),
+            PhotoPath::new(&frame.file_path),
             GivenView {
                 lens,
                 world_to_camera,

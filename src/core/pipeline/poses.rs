@@ -67,7 +67,7 @@ pub fn poses(
         },
     )?;
     cache.write(context.workspace, &poses)?;
-    warn(context.sink, &poses, &views::unregistered(capture, &poses));
+    warn(context.sink, &poses, capture);
     Ok(poses)
 }
 
@@ -119,7 +119,7 @@ impl Cache<'_> {
 }
 
 /// What the user should know about the poses, whoever found them and whenever.
-fn warn(sink: &mut dyn ProgressSink, poses: &Poses, missing: &[String]) {
+fn warn(sink: &mut dyn ProgressSink, poses: &Poses, capture: &Capture) {
     let Poses {
         registered, total, ..
     } = poses;
@@ -134,11 +134,15 @@ fn warn(sink: &mut dyn ProgressSink, poses: &Poses, missing: &[String]) {
         );
         sink.warn("poses_low_confidence", message);
     }
-    let doubtful: Vec<&str> = poses
+    let called = |name: &str| {
+        let view = capture.views.iter().find(|view| view.name == name);
+        view.map_or(name, |view| view.path.as_str()).to_owned()
+    };
+    let doubtful: Vec<String> = poses
         .verdicts
         .iter()
         .filter(|verdict| verdict.status == PoseStatus::Doubtful)
-        .map(|verdict| &*verdict.name)
+        .map(|verdict| called(&verdict.name))
         .collect();
     if !doubtful.is_empty() {
         let message = format!(
@@ -158,6 +162,8 @@ fn warn(sink: &mut dyn ProgressSink, poses: &Poses, missing: &[String]) {
         sink.warn("capture_in_parts", message);
     }
     if registered < total {
+        let missing = views::unregistered(capture, poses);
+        let missing: Vec<String> = missing.iter().map(|name| called(name)).collect();
         let message = format!(
             "{registered} of {total} photographs have a pose; left out are {}",
             missing.join(", ")
@@ -205,6 +211,7 @@ fn find(
 pub fn pose_view(view: &CaptureView) -> PoseView {
     PoseView {
         name: view.name.clone(),
+        path: view.path.clone(),
         file: view.file.clone(),
         focal_px: view.focal_px,
     }

@@ -71,7 +71,8 @@ fn every_layout_round_trips_with_truth_and_cameras() {
             capture.views.iter().all(|view| view.gt.is_some()),
             "{layout:?}"
         );
-        let given = GivenPoses::open(capture.poses.as_ref().unwrap().path()).unwrap();
+        let given =
+            GivenPoses::open(capture.poses.as_ref().unwrap().path(), &capture.photographs).unwrap();
         let views: Vec<PoseView> = capture.views.iter().map(pose_view).collect();
         let request = PoseRequest {
             views: &views,

@@ -9,6 +9,7 @@ use super::*;
 use fled_core::camera::{Intrinsics, NamedCamera, Split};
 use fled_core::capture::CaptureView;
 use fled_core::gaussians::Gaussians;
+use fled_core::photo_path::PhotoPath;
 use fled_core::poses::align::Similarity;
 use fled_core::poses::{Distortion, Lens, PosedView, Poses};
 use fled_core::register::{Motion, probes};
@@ -99,7 +100,7 @@ fn truth(folder: &Path, moved: impl Fn(usize, &Camera) -> Camera) -> Truth {
         photograph.expect("renders").save(&file).expect("saves");
         let view = CaptureView {
             name: named.name.clone(),
-            original_name: format!("{}.png", named.name),
+            path: PhotoPath::new(&format!("{}.png", named.name)),
             file,
             width: SIZE[0],
             height: SIZE[1],

@@ -56,9 +56,7 @@ impl Placed<'_> {
     /// # Errors
     /// [`EvaluationError::NoMask`]; a picture that cannot be read.
     pub(super) fn mask(&self, folder: &Path, size: usize) -> Result<Mask, EvaluationError> {
-        let original = Path::new(&self.photograph.original_name);
-        let stem = original.file_stem().unwrap_or(original.as_os_str());
-        let file = folder.join(stem).with_extension("png");
+        let file = folder.join(format!("{}.png", self.photograph.path.stem()));
         if !file.exists() {
             return Err(EvaluationError::NoMask { path: file });
         }
@@ -115,7 +113,7 @@ impl Truth {
             work_dir: scratch,
             seed: 0,
         };
-        let poses = GivenPoses::open(file.path())
+        let poses = GivenPoses::open(file.path(), &capture.photographs)
             .and_then(|given| given.poses(&request, &mut Silent, &CancelToken::default()))
             .map_err(PipelineError::from)?;
         Ok(Self::of(capture.views, &poses))

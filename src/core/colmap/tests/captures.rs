@@ -72,6 +72,7 @@ fn register(name: &str) {
         .iter()
         .map(|file| PoseView {
             name: stem(file),
+            path: PhotoPath::default(),
             file: file.clone(),
             focal_px: None,
         })

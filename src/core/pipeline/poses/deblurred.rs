@@ -89,6 +89,7 @@ fn copy(
     let scale = image.width() as f64 / original_width as f64;
     Ok(PoseView {
         name: view.name.clone(),
+        path: view.path.clone(),
         file,
         focal_px: view.focal_px.map(|focal| focal * scale),
     })

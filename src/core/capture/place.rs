@@ -1,0 +1,237 @@
+//! In which folders the photographs of a capture lie.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use super::entries::Entry;
+use super::error::{CaptureError, MIN_VIEWS};
+use super::photograph::CaptureWarning;
+
+/// Folders of ground truth.
+pub(super) const TRUTH: [&str; 2] = ["gt", "hl"];
+
+/// Folders that are called after photographs: the first of these that there is has them.
+const HOMES: [&str; 11] = [
+    "images",
+    "image",
+    "rgb",
+    "color",
+    "colour",
+    "input",
+    "photos",
+    "photographs",
+    "photo",
+    "frames",
+    "dcim",
+];
+
+/// Folders of pictures that were made of the photographs, as scanners and trainers write them.
+pub(super) const MADE: [&str; 18] = [
+    "depth",
+    "depths",
+    "depth_maps",
+    "depthmaps",
+    "depth_map",
+    "mask",
+    "masks",
+    "normal",
+    "normals",
+    "confidence",
+    "conf",
+    "semantic",
+    "semantics",
+    "segmentation",
+    "corrected_images",
+    "thumbs",
+    "thumbnails",
+    "sparse_gt",
+];
+
+/// Folders that part the photographs of one scene.
+const PARTS: [&[&str]; 2] = [
+    &["train", "test", "val", "valid", "validation", "eval"],
+    &[
+        "left", "right", "front", "back", "rear", "top", "bottom", "up", "down", "middle",
+        "center", "centre",
+    ],
+];
+
+/// Where the photographs lie.
+#[derive(Debug)]
+pub(super) struct Place {
+    /// The folder that all are below.
+    pub(super) folder: String,
+    /// Their paths are those below it.
+    pub(super) photographs: Vec<Entry>,
+    /// What else was seen.
+    pub(super) warning: Option<CaptureWarning>,
+}
+
+/// The photographs among all pictures but ground truth. Poses that came with them tell which are
+/// meant, so that folders of any names may part them. Without photographs, a video may be told of.
+///
+/// # Errors
+/// [`CaptureError::NoPhotographs`], [`CaptureError::Scattered`].
+pub(super) fn find(
+    pictures: Vec<Entry>,
+    has_poses: bool,
+    video: Option<&Entry>,
+) -> Result<Place, CaptureError> {
+    let (made, candidates): (Vec<_>, Vec<_>) =
+        { pictures.into_iter() }.partition(|entry| entry.path.lies_in(&MADE));
+    if candidates.is_empty() {
+        return Err(CaptureError::NoPhotographs {
+            seen: places(&made),
+            video: video.map(|entry| entry.path.to_string()),
+        });
+    }
+    let in_root = { candidates.iter() }
+        .filter(|entry| entry.path.folder().is_empty())
+        .count();
+    let has_images = candidates
+        .iter()
+        .any(|entry| top(entry).is_some_and(is_images));
+    if !has_images && in_root >= MIN_VIEWS && !has_poses {
+        return Ok(chosen("", candidates, |entry| {
+            entry.path.folder().is_empty()
+        }));
+    }
+    for home in HOMES {
+        if let Some(homes) = called(home, &candidates) {
+            let parents: BTreeSet<&str> = { homes.iter() }
+                .map(|home| home.rsplit_once('/').map_or("", |(p, _)| p))
+                .collect();
+            if homes.len() > 1 && !has_poses && !are_parts(&parents) {
+                return Err(scattered(&candidates));
+            }
+            let folder = if homes.len() == 1 {
+                homes[0].clone()
+            } else {
+                String::new()
+            };
+            return Ok(chosen(&folder, candidates, |entry| {
+                homes.iter().any(|home| entry.path.below(home).is_some())
+            }));
+        }
+    }
+    let tops: BTreeSet<&str> = candidates.iter().filter_map(top).collect();
+    let are_copies = tops
+        .iter()
+        .any(|top| top.to_ascii_lowercase().starts_with("images_"));
+    let is_one = tops.len() < 2 || !are_copies && (has_poses || are_parts(&tops));
+    if !is_one {
+        return Err(scattered(&candidates));
+    }
+    // Too few beside a folder are its cover.
+    let all = has_poses || tops.is_empty() || in_root >= MIN_VIEWS;
+    Ok(chosen("", candidates, |entry| all || top(entry).is_some()))
+}
+
+fn is_images(folder: &str) -> bool {
+    folder.eq_ignore_ascii_case(HOMES[0])
+}
+
+/// The first folder.
+fn top(entry: &Entry) -> Option<&str> {
+    entry.path.as_str().split_once('/').map(|(top, _)| top)
+}
+
+/// The folders of this name that lie least deep.
+fn called(name: &str, entries: &[Entry]) -> Option<Vec<String>> {
+    let mut by_depth: BTreeMap<usize, BTreeSet<String>> = BTreeMap::new();
+    for entry in entries {
+        let parts: Vec<&str> = entry.path.folder().split('/').collect();
+        if let Some(at) = parts
+            .iter()
+            .position(|part| part.eq_ignore_ascii_case(name))
+        {
+            by_depth
+                .entry(at)
+                .or_default()
+                .insert(parts[..=at].join("/"));
+        }
+    }
+    let least = by_depth.into_values().next()?;
+    Some(least.into_iter().collect())
+}
+
+/// Whether folders part one scene: by known words, or as `cam0` and `cam1`, `100CANON` and
+/// `101CANON` do.
+fn are_parts(folders: &BTreeSet<&str>) -> bool {
+    let all = |is: &dyn Fn(&str) -> bool| { folders.iter() }.all(|f| is(&f.to_ascii_lowercase()));
+    // As cameras name the folders of a card.
+    let is_numbered = |f: &str| f.len() == 8 && f.bytes().take(3).all(|b| b.is_ascii_digit());
+    let is_camera = |f: &str| {
+        let word = f.trim_matches(|c: char| c.is_ascii_digit() || "_- ".contains(c));
+        ["cam", "camera", "view", "sensor", "lens"].contains(&word)
+    };
+    all(&is_numbered)
+        || all(&is_camera)
+        || PARTS
+            .iter()
+            .any(|words| all(&|folder| words.contains(&folder)))
+}
+
+/// Those that are meant, with their paths below `folder`.
+fn chosen(folder: &str, candidates: Vec<Entry>, is_meant: impl Fn(&Entry) -> bool) -> Place {
+    let (meant, others): (Vec<_>, Vec<_>) = candidates.into_iter().partition(is_meant);
+    let photographs = { meant.into_iter() }.map(|entry| Entry {
+        path: entry.path.below(folder).unwrap_or(entry.path),
+        ..entry
+    });
+    // Small copies of them, as LLFF has them beside.
+    let is_copy = |entry: &&Entry| {
+        top(entry).is_some_and(|top| top.to_ascii_lowercase().starts_with("images_"))
+    };
+    let others: Vec<Entry> = { others.iter() }.filter(|e| !is_copy(e)).cloned().collect();
+    let warning = (!others.is_empty()).then(|| {
+        let from = match folder {
+            "" => "this folder itself".to_owned(),
+            folder => format!("{folder}/"),
+        };
+        let message = format!(
+            "photographs are read from {from}; not from {}: move them there if they belong to it",
+            in_words(&places(&others))
+        );
+        CaptureWarning::new("elsewhere", message)
+    });
+    Place {
+        folder: folder.to_owned(),
+        photographs: photographs.collect(),
+        warning,
+    }
+}
+
+fn scattered(candidates: &[Entry]) -> CaptureError {
+    CaptureError::Scattered {
+        seen: places(candidates),
+    }
+}
+
+/// Folders with how many pictures lie in each.
+fn places(entries: &[Entry]) -> Vec<(String, usize)> {
+    let mut places: BTreeMap<String, usize> = BTreeMap::new();
+    for entry in entries {
+        *places.entry(entry.path.folder().to_owned()).or_default() += 1;
+    }
+    places.into_iter().collect()
+}
+
+/// "garden/ (12 pictures) and kitchen/ (1 picture)".
+pub(super) fn in_words(places: &[(String, usize)]) -> String {
+    const TOLD: usize = 5;
+    let one = |(folder, count): &(String, usize)| {
+        let folder = match folder.as_str() {
+            "" => "the capture's own folder".to_owned(),
+            folder => format!("{folder}/"),
+        };
+        format!(
+            "{folder} ({count} picture{})",
+            if *count == 1 { "" } else { "s" }
+        )
+    };
+    let mut told: Vec<String> = places.iter().take(TOLD).map(one).collect();
+    if places.len() > TOLD {
+        told.push(format!("{} more folders", places.len() - TOLD));
+    }
+    told.join(" and ")
+}

@@ -1,0 +1,306 @@
+//! Where photographs lie, and that each keeps its own path and pose.
+
+use glam::DVec3;
+use proptest::prelude::*;
+
+use super::*;
+use crate::camera::{Camera, Intrinsics};
+use crate::cancel::CancelToken;
+use crate::dataset::GivenPoses;
+use crate::event::Silent;
+use crate::pipeline::poses::pose_view;
+use crate::poses::bounds::{BoundedCamera, write_poses_bounds};
+use crate::poses::model::SparseModel;
+use crate::poses::{PoseRequest, PoseView, Poses, PosesError, Sfm};
+
+/// The camera of the photograph of this number.
+fn camera(number: usize) -> Camera {
+    let k = Intrinsics {
+        width: 96,
+        height: 64,
+        fx: 80.0,
+        fy: 80.0,
+        cx: 48.0,
+        cy: 32.0,
+    };
+    let eye = DVec3::new(number as f64, 0.25, -4.0);
+    Camera::look_at(k, eye, DVec3::new(0.5, 0.0, 0.0), DVec3::Y)
+}
+
+/// The text files of a model of these names, each with the camera of its number.
+fn model(names: impl IntoIterator<Item = (usize, String)>) -> Vec<(String, Vec<u8>)> {
+    let views = names
+        .into_iter()
+        .map(|(number, name)| (name, camera(number)));
+    let model = SparseModel::of_views(views, [([0.0, 0.0, 1.0], [9, 9, 9])]);
+    let files = model.text_files().into_iter();
+    files
+        .map(|(name, text)| (format!("sparse/0/{name}"), text.into_bytes()))
+        .collect()
+}
+
+fn given(capture: &Capture) -> Result<Poses, PosesError> {
+    let views: Vec<PoseView> = capture.views.iter().map(pose_view).collect();
+    let request = PoseRequest {
+        views: &views,
+        work_dir: Path::new("unused"),
+        seed: 0,
+    };
+    let file = capture.poses.as_ref().expect("poses");
+    GivenPoses::open(file.path(), &capture.photographs)?.poses(
+        &request,
+        &mut Silent,
+        &CancelToken::new(),
+    )
+}
+
+/// Opens these files as a folder and as a zip; looks at each.
+fn both(files: &[(String, Vec<u8>)], look: impl Fn(Result<Capture, CaptureError>)) {
+    let files: Vec<(&str, Vec<u8>)> = files
+        .iter()
+        .map(|(name, bytes)| (name.as_str(), bytes.clone()))
+        .collect();
+    let home = folder(&files);
+    look(Capture::open(
+        &home.path().join("capture"),
+        &home.path().join("scratch"),
+    ));
+    let zip = home.path().join("capture.zip");
+    let pack = |writer: &mut ZipWriter<Cursor<Vec<u8>>>| {
+        files
+            .iter()
+            .for_each(|(name, bytes)| add(writer, name, bytes));
+    };
+    fs::write(&zip, zipped(&pack)).expect("written");
+    look(Capture::open(&zip, &home.path().join("scratch")));
+}
+
+/// Photographs of these paths, numbered.
+fn photographs(paths: &[&str]) -> Vec<(String, Vec<u8>)> {
+    paths
+        .iter()
+        .enumerate()
+        .map(|(i, path)| ((*path).to_owned(), jpeg(i)))
+        .collect()
+}
+
+/// The paths below their folder, and what is warned of but that they are few.
+fn read(files: &[(String, Vec<u8>)]) -> (Vec<String>, Vec<String>) {
+    let files: Vec<(&str, Vec<u8>)> = files
+        .iter()
+        .map(|(name, bytes)| (name.as_str(), bytes.clone()))
+        .collect();
+    let capture = open_folder(&files).expect("a capture");
+    let warnings = capture.warnings.into_iter().filter(|w| w.code != "few");
+    (
+        capture
+            .photographs
+            .iter()
+            .map(ToString::to_string)
+            .collect(),
+        warnings.map(|warning| warning.message).collect(),
+    )
+}
+
+#[test]
+fn photographs_are_found_where_programs_and_cameras_put_them() {
+    let flat = ["0.jpg", "1.jpg", "2.jpg"];
+    let nested = ["cam0/0.jpg", "cam0/1.jpg", "cam1/0.jpg"];
+    let split = ["test/r_0.jpg", "train/r_0.jpg", "train/r_1.jpg"];
+    let card = ["100CANON/0.jpg", "100CANON/1.jpg", "101CANON/0.jpg"];
+    let cases: [(&str, [&str; 3], &[&str]); 9] = [
+        ("images", flat, &[]),
+        ("images", nested, &["notes.txt", "transforms.json"]),
+        (
+            "rgb",
+            flat,
+            &["depth/0.png", "depth/1.png", "transforms.json"],
+        ),
+        ("", split, &["transforms.json"]),
+        ("", split, &[]),
+        ("", nested, &["sparse/0/readme.txt"]),
+        ("DCIM", card, &["MISC/list.txt"]),
+        (
+            "keyframes/images",
+            flat,
+            &["keyframes/depth/0.png", "keyframes/cameras/0.json"],
+        ),
+        (
+            "my scene/images",
+            nested,
+            &["notes.txt", "my scene/transforms.json"],
+        ),
+    ];
+    for (folder, paths, others) in cases {
+        let inside = |path: &&str| PhotoPath::new(path).inside(folder).to_string();
+        let paths: Vec<String> = paths.iter().map(inside).collect();
+        let mut files = photographs(&paths.iter().map(String::as_str).collect::<Vec<_>>());
+        files.extend(others.iter().map(|name| ((*name).to_owned(), jpeg(50))));
+        let expected: Vec<String> = paths
+            .iter()
+            .map(|p| p.trim_start_matches(folder).trim_start_matches('/').into())
+            .collect();
+        assert_eq!(read(&files), (expected, Vec::new()), "{folder} {others:?}");
+    }
+}
+
+#[test]
+fn pictures_that_are_not_read_are_told() {
+    let inside = photographs(&["images/0.jpg", "images/1.jpg", "images/2.jpg", "cover.jpg"]);
+    let (paths, told) = read(&inside);
+    assert_eq!(paths, ["0.jpg", "1.jpg", "2.jpg"]);
+    assert!(
+        told[0].contains("images/") && told[0].contains("(1 picture)"),
+        "{told:?}"
+    );
+    let beside = photographs(&["0.jpg", "1.jpg", "2.jpg", "edited/a.jpg", "edited/b.jpg"]);
+    let (paths, told) = read(&beside);
+    assert_eq!(paths.len(), 3);
+    assert!(told[0].contains("edited/ (2 pictures)"), "{told:?}");
+    let cover = photographs(&["a walk/0.jpg", "a walk/1.jpg", "a walk/2.jpg", "cover.jpg"]);
+    let (paths, told) = read(&cover);
+    assert_eq!(paths, ["a walk/0.jpg", "a walk/1.jpg", "a walk/2.jpg"]);
+    assert!(told[0].contains("own folder (1 picture)"), "{told:?}");
+}
+
+#[test]
+fn what_may_be_several_scenes_or_none_is_refused_with_its_folders() {
+    let refused = |files: &[(String, Vec<u8>)]| {
+        let told = std::cell::RefCell::new(Vec::new());
+        both(files, |opened| {
+            let error = opened.expect_err("no capture");
+            told.borrow_mut().push(format!("{error}; {}", error.hint()));
+        });
+        let told = told.into_inner();
+        assert_eq!(told[0], told[1]);
+        assert!(!told[0].contains("0 of 0"), "{}", told[0]);
+        told[0].clone()
+    };
+    let albums = photographs(&["garden/0.jpg", "garden/1.jpg", "kitchen/0.jpg"]);
+    let told = refused(&albums);
+    assert!(
+        told.contains("garden/ (2 pictures) and kitchen/ (1 picture)"),
+        "{told}"
+    );
+    assert!(told.contains("into a folder images/"), "{told}");
+    let scenes = photographs(&["a/images/0.jpg", "a/images/1.jpg", "b/images/0.jpg"]);
+    assert!(refused(&scenes).contains("a/images/ (2"));
+    let made = photographs(&["scan/depth/0.png", "scan/depth/1.png", "scan/notes.txt"]);
+    assert!(
+        refused(&made).contains("depth/ (2 pictures)"),
+        "{}",
+        refused(&made)
+    );
+    assert!(refused(&photographs(&["notes.txt"])).contains("no photograph"));
+    // Poses tell that they are one.
+    let mut posed = albums;
+    posed.push(("transforms.json".to_owned(), b"{}".to_vec()));
+    assert_eq!(read(&posed).0.len(), 3);
+}
+
+#[test]
+fn ground_truth_lies_in_the_same_folders_as_its_photographs() {
+    let mut files = photographs(&[
+        "images/cam0/0.jpg",
+        "images/cam1/0.jpg",
+        "images/cam1/1.jpg",
+    ]);
+    files.extend(photographs(&[
+        "gt/cam0/0.png",
+        "gt/cam1/0.png",
+        "gt/cam1/1.png",
+    ]));
+    both(&files, |opened| {
+        let capture = opened.expect("a capture");
+        for (number, view) in capture.views.iter().enumerate() {
+            let truth = fs::read(view.gt.as_ref().expect("truth")).expect("read");
+            assert!(truth == jpeg(number), "{}", view.path);
+        }
+        let names: Vec<&str> = capture
+            .views
+            .iter()
+            .map(|view| view.name.as_str())
+            .collect();
+        assert_eq!(names, ["cam0_0", "cam1_0", "cam1_1"]);
+    });
+}
+
+#[test]
+fn rows_of_poses_bounds_belong_to_all_photographs_in_the_order_of_bytes() {
+    // In the order of bytes, with the number of each row's camera.
+    let names = [
+        "B.jpg",
+        "a_1.jpg",
+        "a_10.jpg",
+        "a_2.jpg",
+        "broken_3.jpg",
+        "c_é.jpg",
+    ];
+    let mut files: Vec<(String, Vec<u8>)> = photographs(&names);
+    files[4].1.truncate(300);
+    let row = |number| BoundedCamera {
+        camera: camera(number),
+        near: 1.0,
+        far: 9.0,
+    };
+    let home = tempfile::tempdir().expect("a temporary folder");
+    let bounds = home.path().join("poses_bounds.npy");
+    write_poses_bounds(&bounds, &[0, 1, 2, 3, 4, 5].map(row)).expect("written");
+    files.push((
+        "poses_bounds.npy".to_owned(),
+        fs::read(&bounds).expect("read"),
+    ));
+    both(&files, |opened| {
+        let capture = opened.expect("a capture");
+        let poses = given(&capture).expect("poses");
+        assert_eq!(poses.views.len(), 5);
+        for (view, posed) in capture.views.iter().zip(&poses.views) {
+            let number = names
+                .iter()
+                .position(|n| *n == view.path.as_str())
+                .expect("known");
+            let (found, right) = (posed.camera.world_to_camera, camera(number).world_to_camera);
+            assert!(found.abs_diff_eq(right, 1e-9), "{}", view.path);
+        }
+    });
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(24))]
+    /// Whatever photographs are called and wherever they lie, each has its own pose.
+    #[test]
+    fn every_photograph_has_its_own_pose(
+        paths in prop::collection::hash_set(
+            "((cam[01]|A|a|e\u{301}|b c)/){0,2}(DSC[ _])?[0-3aA]{1,2}\\.(jpg|JPG|jpeg)", 4..8),
+        around in prop::sample::select(
+            &["", "images/", "rgb/", "my scene/images/", "my scene/", "keyframes/images/"][..]),
+        left_out in 0..8usize,
+    ) {
+        let paths: Vec<String> = paths.into_iter().collect();
+        let known: Vec<(usize, String)> =
+            paths.iter().cloned().enumerate().filter(|(at, _)| *at != left_out).collect();
+        let mut files: Vec<(String, Vec<u8>)> = paths
+            .iter()
+            .enumerate()
+            .map(|(number, path)| (format!("{around}{path}"), jpeg(number)))
+            .collect();
+        let wrapper = if around.starts_with("my") { "my scene/" } else { "" };
+        files.extend(model(known.clone()).into_iter().map(|(n, b)| (format!("{wrapper}{n}"), b)));
+        both(&files, |opened| {
+            let capture = opened.expect("a capture");
+            assert_eq!(capture.views.len(), paths.len(), "{:?}", capture.warnings);
+            let poses = given(&capture).expect("poses");
+            assert_eq!(poses.views.len(), known.len());
+            for view in &capture.views {
+                let bytes = fs::read(&view.file).expect("read");
+                let number = (0..paths.len()).find(|&n| jpeg(n) == bytes).expect("known");
+                assert_eq!(view.path, PhotoPath::new(&paths[number]));
+                let posed = poses.views.iter().find(|posed| posed.name == view.name);
+                let right = |c: &Camera| c.world_to_camera.abs_diff_eq(
+                    camera(number).world_to_camera, 1e-9);
+                assert_eq!(posed.is_some(), number != left_out, "{}", view.path);
+                assert!(posed.is_none_or(|posed| right(&posed.camera)), "{}", view.path);
+            }
+        });
+    }
+}

@@ -1,0 +1,238 @@
+//! Which of a file's names means which photograph. Nothing is guessed: a name that may mean two
+//! photographs, or two names that may mean one, are an error.
+
+use std::collections::HashMap;
+
+use super::PhotoPath;
+
+/// Names and photographs of which nothing says which belongs to which.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{}", told(names, photographs))]
+pub struct Tie {
+    /// As the file has them.
+    pub names: Vec<PhotoPath>,
+    /// Those that they may mean.
+    pub photographs: Vec<PhotoPath>,
+}
+
+fn told(names: &[PhotoPath], photographs: &[PhotoPath]) -> String {
+    let all = |paths: &[PhotoPath]| {
+        let shown: Vec<_> = paths
+            .iter()
+            .take(3)
+            .map(|path| format!("`{path}`"))
+            .collect();
+        let more = if paths.len() > 3 { " and others" } else { "" };
+        format!("{}{more}", shown.join(" and "))
+    };
+    let is_same = |paths: &[PhotoPath]| paths.windows(2).all(|pair| pair[0] == pair[1]);
+    match (names.len(), photographs.len()) {
+        (count, _) if count > 1 && is_same(names) => {
+            format!("`{}` has {count} different poses", names[0])
+        }
+        (1, count) if is_same(photographs) => format!(
+            "{} may be any of {count} photographs of this name: give each its folder too, as in \
+             `cam0/{}`",
+            all(names),
+            names[0].name()
+        ),
+        (1, _) => format!(
+            "{} may be any of {}: write the names with their folders and extensions",
+            all(names),
+            all(photographs)
+        ),
+        _ => format!(
+            "{} may all be {}: name the photographs as the poses do, folders included",
+            all(names),
+            all(photographs)
+        ),
+    }
+}
+
+/// For each photograph the index of the name that means it. From one step to the next less has to
+/// agree: the whole path; all folders of the shorter of the two, the longest first; where no name
+/// was found so, at least the last part. In each step the extension, then the case may differ.
+///
+/// # Errors
+/// [`Tie`].
+pub fn find_each(
+    names: &[PhotoPath],
+    photographs: &[PhotoPath],
+) -> Result<Vec<Option<usize>>, Tie> {
+    let mut lookup = Lookup {
+        names,
+        photographs,
+        name_is_found: vec![false; names.len()],
+        found: vec![None; photographs.len()],
+    };
+    for loosely in LOOSER {
+        lookup.step(loosely, usize::MAX, Folders::All)?;
+    }
+    let deepest = |paths: &[PhotoPath]| paths.iter().map(depth).max().unwrap_or(0);
+    let longest = deepest(names).min(deepest(photographs)).min(MOST_PARTS);
+    for parts in (1..=longest).rev() {
+        for loosely in LOOSER {
+            lookup.step(loosely, parts, Folders::OfTheShorter)?;
+        }
+    }
+    for parts in (1..=longest).rev() {
+        // A folder of the same photographs that is called otherwise; where folders did agree, one
+        // that does not is another one.
+        if lookup.found.iter().any(Option::is_some) {
+            break;
+        }
+        for loosely in LOOSER {
+            lookup.step(loosely, parts, Folders::Any)?;
+        }
+    }
+    Ok(lookup.found)
+}
+
+/// Deeper folders than these count only as a whole: strangers write them.
+const MOST_PARTS: usize = 16;
+
+fn depth(path: &PhotoPath) -> usize {
+    path.as_str().split('/').count()
+}
+
+/// What may differ between a name and the photograph that it means.
+#[derive(Clone, Copy)]
+struct Loosely {
+    /// Whether the name's extension does not count; the photograph's.
+    extension: [bool; 2],
+    case: bool,
+}
+
+const fn loosely(extension: [bool; 2], case: bool) -> Loosely {
+    Loosely { extension, case }
+}
+
+/// From the strictest on. An extension may be there on one side only, as NeRF's are.
+const LOOSER: [Loosely; 8] = [
+    loosely([false, false], false),
+    loosely([false, true], false),
+    loosely([true, false], false),
+    loosely([true, true], false),
+    loosely([false, false], true),
+    loosely([false, true], true),
+    loosely([true, false], true),
+    loosely([true, true], true),
+];
+
+/// Which of the folders before the last parts must agree.
+#[derive(Clone, Copy, PartialEq)]
+enum Folders {
+    All,
+    OfTheShorter,
+    Any,
+}
+
+struct Lookup<'a> {
+    names: &'a [PhotoPath],
+    photographs: &'a [PhotoPath],
+    name_is_found: Vec<bool>,
+    found: Vec<Option<usize>>,
+}
+
+/// Names and photographs whose last parts are equal.
+#[derive(Default)]
+struct Group {
+    names: Vec<usize>,
+    photographs: Vec<usize>,
+}
+
+impl Lookup<'_> {
+    /// Looks at what is not found yet: so many last parts must be equal.
+    fn step(&mut self, loosely: Loosely, parts: usize, folders: Folders) -> Result<(), Tie> {
+        let [of_name, of_photograph] = loosely.extension;
+        let mut groups: HashMap<String, Group> = HashMap::new();
+        for (index, path) in self.photographs.iter().enumerate() {
+            if self.found[index].is_none()
+                && let Some(key) = key(path, of_photograph, loosely.case, parts)
+            {
+                groups.entry(key).or_default().photographs.push(index);
+            }
+        }
+        for (index, path) in self.names.iter().enumerate() {
+            if !self.name_is_found[index]
+                && let Some(key) = key(path, of_name, loosely.case, parts)
+                && let Some(group) = groups.get_mut(&key)
+            {
+                group.names.push(index);
+            }
+        }
+        for group in groups.into_values() {
+            let group = self.that_may_mean_each_other(group, parts, folders);
+            match (&group.names[..], &group.photographs[..]) {
+                ([], _) | (_, []) => {}
+                ([name], [photograph]) => {
+                    self.name_is_found[*name] = true;
+                    self.found[*photograph] = Some(*name);
+                }
+                _ => return Err(self.tie(&group)),
+            }
+        }
+        Ok(())
+    }
+
+    /// Without those that have other folders than all on the other side.
+    fn that_may_mean_each_other(&self, group: Group, parts: usize, folders: Folders) -> Group {
+        if folders != Folders::OfTheShorter {
+            return group;
+        }
+        let is_short = |path: &PhotoPath| depth(path) == parts;
+        let short_name = group.names.iter().any(|&at| is_short(&self.names[at]));
+        let short_photograph = group.photographs.iter();
+        let short_photograph = { short_photograph }.any(|&at| is_short(&self.photographs[at]));
+        let Group {
+            mut names,
+            mut photographs,
+        } = group;
+        names.retain(|&at| short_photograph || is_short(&self.names[at]));
+        photographs.retain(|&at| short_name || is_short(&self.photographs[at]));
+        Group { names, photographs }
+    }
+
+    fn tie(&self, group: &Group) -> Tie {
+        let of = |all: &[PhotoPath], indices: &[usize]| {
+            indices.iter().map(|&index| all[index].clone()).collect()
+        };
+        Tie {
+            names: of(self.names, &group.names),
+            photographs: of(self.photographs, &group.photographs),
+        }
+    }
+}
+
+/// The last parts of a path, all where `parts` is the greatest number; `None` where it has fewer,
+/// or no extension to leave out.
+fn key(path: &PhotoPath, leave_out_extension: bool, fold: bool, parts: usize) -> Option<String> {
+    let whole = path.as_str();
+    let kept = if leave_out_extension {
+        let extension = whole.rsplit_once('.').filter(|(_, end)| is_extension(end));
+        extension?.0
+    } else {
+        whole
+    };
+    let mut key = kept;
+    if parts != usize::MAX {
+        let start = match kept.rmatch_indices('/').nth(parts - 1) {
+            Some((at, _)) => at + 1,
+            None if depth(path) == parts => 0,
+            None => return None,
+        };
+        key = &kept[start..];
+    }
+    Some(if fold {
+        key.to_lowercase()
+    } else {
+        key.to_owned()
+    })
+}
+
+/// Whether what stands behind a dot is an extension and not a part of a number.
+fn is_extension(end: &str) -> bool {
+    (1..=5).contains(&end.len())
+        && end.starts_with(|c: char| c.is_ascii_alphabetic())
+        && end.bytes().all(|byte| byte.is_ascii_alphanumeric())
+}
