@@ -14,7 +14,6 @@ use super::context::{Context, stamp_name};
 use super::dependencies::{Dependencies, PosesDependencies};
 use super::error::PipelineError;
 use super::tools::Tools;
-use super::views;
 use super::workspace::Workspace;
 use crate::capture::{Capture, CaptureView};
 use crate::event::{ProgressSink, Stage};
@@ -67,7 +66,7 @@ pub fn poses(
         },
     )?;
     cache.write(context.workspace, &poses)?;
-    warn(context.sink, &poses, capture);
+    warn(context.sink, &poses, &capture.views);
     Ok(poses)
 }
 
@@ -119,7 +118,7 @@ impl Cache<'_> {
 }
 
 /// What the user should know about the poses, whoever found them and whenever.
-fn warn(sink: &mut dyn ProgressSink, poses: &Poses, capture: &Capture) {
+fn warn(sink: &mut dyn ProgressSink, poses: &Poses, views: &[CaptureView]) {
     let Poses {
         registered, total, ..
     } = poses;
@@ -135,7 +134,7 @@ fn warn(sink: &mut dyn ProgressSink, poses: &Poses, capture: &Capture) {
         sink.warn("poses_low_confidence", message);
     }
     let called = |name: &str| {
-        let view = capture.views.iter().find(|view| view.name == name);
+        let view = views.iter().find(|view| view.name == name);
         view.map_or(name, |view| view.path.as_str()).to_owned()
     };
     let doubtful: Vec<String> = poses
@@ -162,8 +161,10 @@ fn warn(sink: &mut dyn ProgressSink, poses: &Poses, capture: &Capture) {
         sink.warn("capture_in_parts", message);
     }
     if registered < total {
-        let missing = views::unregistered(capture, poses);
-        let missing: Vec<String> = missing.iter().map(|name| called(name)).collect();
+        let is_missing =
+            |view: &&CaptureView| poses.views.iter().all(|posed| posed.name != view.name);
+        let missing = views.iter().filter(is_missing);
+        let missing: Vec<&str> = missing.map(|view| view.path.as_str()).collect();
         let message = format!(
             "{registered} of {total} photographs have a pose; left out are {}",
             missing.join(", ")

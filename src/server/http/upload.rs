@@ -16,7 +16,7 @@ use axum::body::HttpBody;
 use axum::extract::multipart::{Field, MultipartError};
 use axum::extract::{FromRequest, Multipart, Request};
 use axum::http::{HeaderMap, StatusCode, header};
-use fled_core::capture::MAX_FILES;
+use fled_core::capture::{MAX_FILES, NAMES};
 use tokio::fs::{self, File};
 use tokio::io::AsyncWriteExt;
 
@@ -111,6 +111,7 @@ pub async fn receive(
         receiver.hasher.update(part.as_bytes());
         match field.file_name().map(str::to_owned) {
             Some(name) => {
+                let name = as_written(&name);
                 check_file(&part, &name, upload.files)?;
                 receiver.hasher.update(name.as_bytes());
                 receiver
@@ -129,6 +130,12 @@ pub async fn receive(
                 upload.fields.insert(part, text);
             }
         }
+    }
+    if let Some(names) = receiver.places.names() {
+        let path = upload.dir.path().join(NAMES);
+        fs::write(&path, names)
+            .await
+            .map_err(ServerError::io(&path))?;
     }
     upload.fingerprint = receiver.hasher.finalize().to_hex().to_string();
     Ok(upload)
@@ -182,6 +189,13 @@ pub fn check_name(name: &str) -> Result<(), Problem> {
     Err(Problem::unprocessable("bad_input", "The name is too long.")
         .pointer("/name")
         .hint(format!("A name has at most {LONGEST_NAME} characters.")))
+}
+
+/// A name without the escapes that browsers and curl write into this header.
+fn as_written(name: &str) -> String {
+    name.replace("%22", "\"")
+        .replace("%0D", "\r")
+        .replace("%0A", "\n")
 }
 
 fn check_file(part: &str, name: &str, files: usize) -> Result<(), Problem> {

@@ -6,6 +6,7 @@ use crate::cancel::CancelToken;
 use crate::deblur::{DeblurError, Identity, Restorer, RestorerInfo};
 use crate::event::{Event, Silent};
 use crate::image::Image;
+use crate::photo_path::PhotoPath;
 use crate::pipeline::plan::Plan;
 use crate::pipeline::tools::Networks;
 use crate::pipeline::workspace::Workspace;
@@ -269,13 +270,22 @@ fn photographs_without_a_pose_and_doubtful_poses_are_told_once_with_names_and_fi
         mean_track: Some(2.5),
         ..placed(1, true, 'C')
     };
-    warn(&mut sink, &poses, &["b".to_owned()]);
+    let view = CaptureView {
+        name: "cam0_b".to_owned(),
+        path: PhotoPath::new("cam0/b.jpg"),
+        file: PathBuf::new(),
+        width: 96,
+        height: 64,
+        focal_px: None,
+        gt: None,
+    };
+    warn(&mut sink, &poses, &[view]);
     assert_eq!(
         told,
         [
             "poses_low_confidence: the poses met no acceptance rule (1 of 2 views, 0 points, 0 \
              observations a view, a mean track of 2.50): look at the result before you rely on it",
-            "poses_missing: 1 of 2 photographs have a pose; left out are b",
+            "poses_missing: 1 of 2 photographs have a pose; left out are cam0/b.jpg",
         ]
     );
     told.clear();

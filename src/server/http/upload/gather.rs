@@ -6,7 +6,7 @@ use std::io;
 use std::path::Path;
 use std::sync::Arc;
 
-use fled_core::capture::MAX_FILES;
+use fled_core::capture::{MAX_FILES, NAMES};
 
 use super::places::Places;
 use super::{Upload, Used, check_name};
@@ -131,6 +131,10 @@ fn link_all(app: &App, dir: &Path, rows: &[UploadRow]) -> Result<(), Problem> {
                 .map(drop)
                 .map_err(ServerError::io(&to))?,
         }
+    }
+    if let Some(names) = places.names() {
+        let path = dir.join(NAMES);
+        fs::write(&path, names).map_err(ServerError::io(&path))?;
     }
     Ok(())
 }

@@ -1,9 +1,10 @@
 //! Under which names an upload's files are stored: never where their own names say.
 
-use std::collections::{HashMap, HashSet};
+use std::collections::{BTreeMap, HashMap, HashSet};
 use std::path::{Path, PathBuf};
 
 use fled_core::capture::video::is_video;
+use fled_core::photo_path::PhotoPath;
 
 use crate::validation;
 
@@ -18,68 +19,67 @@ const TRUE_POSES: &str = "sparse_gt";
 /// The names of one upload.
 #[derive(Debug, Default)]
 pub(super) struct Places {
-    /// Names as sent, to names as stored: ground truth follows its photograph.
-    names: HashMap<String, String>,
+    /// What the sender calls the files, by where they are stored.
+    names: BTreeMap<String, PhotoPath>,
+    /// Whether that differs.
+    differs: bool,
     taken: HashSet<PathBuf>,
     /// The last number given to a path that was asked for more than once.
     numbers: HashMap<PathBuf, u32>,
+    /// Where poses are stored, by the folder they should lie in and that they were sent from.
+    poses: HashMap<(&'static str, String), PathBuf>,
 }
 
 impl Places {
-    /// Where a file goes, relative to the capture: never where its name says.
+    /// Where a file goes, relative to the capture: never where its name says. What it is called is
+    /// kept beside.
     pub(super) fn place(&mut self, part: &str, name: &str) -> PathBuf {
-        let components: Vec<&str> = name.split(['/', '\\']).filter(|c| !c.is_empty()).collect();
-        let file = components.last().copied().unwrap_or("unnamed");
-        let folder = components
-            .len()
-            .checked_sub(2)
-            .and_then(|i| components.get(i))
-            .copied()
-            .unwrap_or_default();
-        let lower = file.to_ascii_lowercase();
-        let is_pose = ["transforms.json", "poses_bounds.npy"].contains(&lower.as_str());
-        let is_model = ["cameras", "images", "points3d"]
-            .iter()
-            .any(|stem| lower == format!("{stem}.txt") || lower == format!("{stem}.bin"));
-        if is_pose {
-            return PathBuf::from(lower);
-        }
-        if is_model {
-            // COLMAP's readers know these names only with their capitals.
-            let name = if lower.starts_with("points3d") {
-                lower.replace("points3d", "points3D")
-            } else {
-                lower
-            };
-            // Poses that others are measured with are not those of the capture, wherever a name
-            // says that they lie.
-            let is_truth = components
-                .iter()
-                .any(|component| component.eq_ignore_ascii_case(TRUE_POSES));
-            return Path::new(if is_truth { TRUE_POSES } else { "sparse" }).join(name);
-        }
+        let path = sent_path(part, name);
+        let lower = path.name().to_ascii_lowercase();
         if lower.ends_with(".zip") && part != "gt" {
             return self.unique(Path::new(""), validation::ARCHIVE);
         }
         if is_video(Path::new(&lower)) && part == PHOTOGRAPHS {
-            return self.unique(Path::new(VIDEOS), &safe_name(file));
+            return self.unique(Path::new(VIDEOS), &safe_name(path.name()));
         }
-        let is_truth = part == "gt"
-            || ["gt", "hl"]
-                .iter()
-                .any(|truth| folder.eq_ignore_ascii_case(truth));
-        let stored = match self.names.get(file) {
-            // The second of a pair takes the name of the first.
-            Some(stored) if !self.taken.contains(&folder_of(is_truth).join(stored)) => {
-                stored.clone()
+        let place = match folder_of_poses(&path) {
+            Some(folder) => {
+                let source = path.folder().to_owned();
+                let folder = match self.poses.get(&(folder, source.clone())) {
+                    Some(folder) => folder.clone(),
+                    None => {
+                        let own = match folder {
+                            "" if self.taken.insert(PathBuf::new()) => PathBuf::new(),
+                            "" => self.unique(Path::new(""), "poses"),
+                            folder => self.unique(Path::new(""), folder),
+                        };
+                        self.poses.insert((folder, source), own.clone());
+                        own
+                    }
+                };
+                // COLMAP's readers know these names only with their capitals.
+                folder.join(lower.replace("points3d", "points3D"))
             }
-            _ => safe_name(file),
+            None => {
+                let folder = if path.lies_in(&["gt", "hl"]) {
+                    "gt"
+                } else {
+                    PHOTOGRAPHS
+                };
+                self.unique(Path::new(folder), &safe_name(path.name()))
+            }
         };
-        let path = self.unique(&folder_of(is_truth), &stored);
-        if let Some(stored) = path.file_name().and_then(|name| name.to_str()) {
-            self.names.insert(file.to_owned(), stored.to_owned());
-        }
-        path
+        let stored = place.to_string_lossy().into_owned();
+        let plain = [path.as_str().to_owned(), format!("{PHOTOGRAPHS}/{path}")];
+        self.differs |= !plain.contains(&stored);
+        self.names.insert(stored, path);
+        place
+    }
+
+    /// The content of [`fled_core::capture::NAMES`], where the places do not say it.
+    pub(super) fn names(&self) -> Option<String> {
+        self.differs
+            .then(|| serde_json::json!(self.names).to_string())
     }
 
     /// A path that is not taken. Numbers only grow, so that thousands of equal names cost no more
@@ -89,11 +89,12 @@ impl Places {
         if self.taken.insert(first.clone()) {
             return first;
         }
-        let (stem, extension) = name.rsplit_once('.').unwrap_or((name, ""));
+        let end = name.rfind('.').unwrap_or(name.len());
+        let (stem, extension) = name.split_at(end);
         let number = self.numbers.entry(first).or_insert(1);
         loop {
             *number += 1;
-            let path = folder.join(format!("{stem}-{number}.{extension}"));
+            let path = folder.join(format!("{stem}-{number}{extension}"));
             if self.taken.insert(path.clone()) {
                 return path;
             }
@@ -101,8 +102,38 @@ impl Places {
     }
 }
 
-fn folder_of(is_truth: bool) -> PathBuf {
-    PathBuf::from(if is_truth { "gt" } else { PHOTOGRAPHS })
+/// What a file is called inside the capture. A path from the root of another machine says nothing
+/// but its last part; poses and ground truth that are sent as such lie where they are looked for.
+fn sent_path(part: &str, name: &str) -> PhotoPath {
+    let is_absolute = name.starts_with(['/', '\\']) || name.get(1..2) == Some(":");
+    let path = PhotoPath::new(name);
+    let path = if is_absolute || part == "poses" && !path.lies_in(&[TRUE_POSES]) {
+        PhotoPath::new(path.name())
+    } else {
+        path
+    };
+    let is_flat = path.folder().is_empty();
+    match folder_of_poses(&path) {
+        Some(folder) if is_flat => path.inside(folder),
+        None if part == "gt" && !path.lies_in(&["gt", "hl"]) => path.inside("gt"),
+        _ if path.as_str().is_empty() => PhotoPath::new("unnamed"),
+        _ => path,
+    }
+}
+
+/// The folder of the capture that a file of poses belongs in.
+fn folder_of_poses(path: &PhotoPath) -> Option<&'static str> {
+    let name = path.name().to_ascii_lowercase();
+    if ["transforms.json", "poses_bounds.npy"].contains(&&*name) {
+        return Some("");
+    }
+    let is_model = ["cameras", "images", "points3d"]
+        .iter()
+        .any(|stem| name == format!("{stem}.txt") || name == format!("{stem}.bin"));
+    // Poses that others are measured with are not those of the capture, wherever a name says that
+    // they lie.
+    let is_truth = path.lies_in(&[TRUE_POSES]);
+    is_model.then_some(if is_truth { TRUE_POSES } else { "sparse" })
 }
 
 /// The file name without what harms disks, command lines or logs. Otherwise as it was: poses that
@@ -135,59 +166,4 @@ fn safe_name(name: &str) -> String {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn no_name_leaves_its_folder_or_reaches_a_command_line() {
-        for name in [
-            "../../etc/passwd",
-            "-rf.png",
-            "a\nb.jpg",
-            "日本.png",
-            ".hidden",
-            "",
-            "x".repeat(300).as_str(),
-        ] {
-            let safe = safe_name(name);
-            assert!(
-                !safe.starts_with(['-', '.']) && safe.len() <= 161 && !safe.is_empty(),
-                "{name:?} -> {safe:?}"
-            );
-            assert!(
-                !safe.contains(['/', '\\', '\n', '\0']),
-                "{name:?} -> {safe:?}"
-            );
-        }
-        assert_eq!(safe_name("IMG 0001.JPG"), "IMG 0001.JPG");
-    }
-
-    #[test]
-    fn true_poses_are_not_taken_for_those_of_the_capture() {
-        let mut places = Places::default();
-        for (name, place) in [
-            ("fern/sparse/0/images.txt", "sparse/images.txt"),
-            ("fern/sparse_gt/images.txt", "sparse_gt/images.txt"),
-            ("fern/sparse_gt/0/Points3D.txt", "sparse_gt/points3D.txt"),
-            ("cameras.bin", "sparse/cameras.bin"),
-        ] {
-            assert_eq!(places.place("images", name), Path::new(place), "{name}");
-        }
-    }
-
-    #[test]
-    fn equal_names_by_the_thousand_cost_no_more_than_different_ones() {
-        let mut places = Places::default();
-        let start = std::time::Instant::now();
-        let paths: HashSet<PathBuf> = (0..20_000)
-            .map(|_| places.place("images", "photograph.jpg"))
-            .collect();
-        assert_eq!(paths.len(), 20_000);
-        assert!(paths.contains(Path::new("images/photograph-20000.jpg")));
-        assert!(
-            start.elapsed() < std::time::Duration::from_secs(2),
-            "{:?}",
-            start.elapsed()
-        );
-    }
-}
+mod tests;

@@ -142,3 +142,78 @@ fn names_cannot_escape_the_capture() {
             && !server.data.path().join("data/evil.png").exists()
     );
 }
+
+#[test]
+fn a_photograph_is_known_by_the_path_that_it_was_sent_under() {
+    let server = Server::start();
+    let names = ["cam0/0.png", "cam0/1.png", "cam1\\0.png", "cam1/a%22b.png"];
+    let parts: Vec<_> = names
+        .iter()
+        .enumerate()
+        .map(|(i, name)| file(name, &photograph(i)))
+        .collect();
+    let capture = server
+        .upload("/v1/captures", &parts, &[])
+        .expect(201)
+        .json();
+    let told: Vec<&str> = { capture["images"].as_array().expect("assessments").iter() }
+        .map(|image| image["name"].as_str().expect("a name"))
+        .collect();
+    assert_eq!(
+        told,
+        ["cam0/0.png", "cam0/1.png", "cam1/0.png", "cam1/a\"b.png"]
+    );
+}
+
+#[test]
+fn poses_that_may_be_of_two_photographs_are_refused_and_name_both() {
+    let server = Server::start();
+    let frame = |name: &str| {
+        let matrix = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]];
+        serde_json::json!({ "file_path": name, "transform_matrix": matrix })
+    };
+    let frames = ["0.png", "1.png"].map(frame);
+    let poses = serde_json::json!({ "fl_x": 70, "w": 80, "h": 60, "frames": frames }).to_string();
+    let mut parts: Vec<_> = {
+        ["cam0/0.png", "cam1/0.png", "cam1/1.png"]
+            .iter()
+            .enumerate()
+    }
+    .map(|(i, name)| file(name, &photograph(i)))
+    .collect();
+    let name = Some("transforms.json".to_owned());
+    parts.push(("poses".to_owned(), name, poses.into_bytes()));
+    let problem = server
+        .upload("/v1/captures", &parts, &[])
+        .expect(422)
+        .json();
+    let detail = problem["detail"].as_str().expect("a detail");
+    assert!(detail.contains("`cam0/0.png` and `cam1/0.png`"), "{detail}");
+}
+
+#[test]
+fn several_places_are_told_as_for_a_folder() {
+    let server = Server::start();
+    let parts: Vec<_> = {
+        ["garden/0.png", "garden/1.png", "kitchen/0.png"]
+            .iter()
+            .enumerate()
+    }
+    .map(|(i, name)| file(name, &photograph(i)))
+    .collect();
+    let problem = server
+        .upload("/v1/captures", &parts, &[])
+        .expect(422)
+        .json();
+    let detail = problem["detail"].as_str().expect("a detail");
+    assert!(
+        detail.contains("garden/ (2 pictures) and kitchen/ (1 picture)"),
+        "{detail}"
+    );
+    assert!(
+        problem["hint"]
+            .as_str()
+            .is_some_and(|hint| hint.contains("images/")),
+        "{problem}"
+    );
+}

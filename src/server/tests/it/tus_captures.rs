@@ -66,7 +66,7 @@ fn resumable_uploads_of_photographs_become_a_capture() {
     let kept = data
         .join("captures")
         .join(capture["id"].as_str().expect("id"));
-    assert_eq!(names(&kept), ["gt", "images"]);
+    assert_eq!(names(&kept), [".names.json", "gt", "images"]);
     assert_eq!(
         names(&kept.join("images")),
         [
