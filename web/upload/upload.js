@@ -28,7 +28,7 @@ export function startForm() {
     h("p", { class: "hint" }, "or drop them anywhere on this page"));
   for (const input of [files, folder]) {
     input.addEventListener("change", () => {
-      chosen.add([...input.files].map((file) => [file.webkitRelativePath || file.name, file]));
+      problem.textContent = chosen.add([...input.files].map((file) => [file.webkitRelativePath || file.name, file]));
       // The list below holds them now, and what was taken out can be chosen again.
       input.value = "";
     });
@@ -38,7 +38,7 @@ export function startForm() {
     drop.append(h("p", { class: "hint" }, `Of an upload that broke off the server has ${count(left, "file")}, in whole or in part: choose the same again, and what has come is not sent twice.`));
   }
   let [run, gone] = [null, false];
-  const leaveDrops = takeDrops(drop, (dropped) => { problem.textContent = ""; chosen.add(dropped); });
+  const leaveDrops = takeDrops(drop, (dropped) => { problem.textContent = chosen.add(dropped); });
 
   async function submit(event) {
     event.preventDefault();
@@ -118,10 +118,19 @@ function chosenFiles() {
   return {
     root,
     files: () => [...held],
+    /** Returns what is wrong: of two files of one name the first stays, and nothing tells poses which is which. */
     add(files) {
-      // Hidden files are what systems leave in folders.
-      for (const [path, file] of files) if (!path.split("/").some((part) => part.startsWith("."))) held.set(path, file);
+      const other = (a, b) => a && (a.size !== b.size || a.lastModified !== b.lastModified);
+      const twice = [];
+      for (const [path, file] of files) {
+        // Hidden files are what systems leave in folders.
+        if (path.split("/").some((part) => part.startsWith("."))) continue;
+        if (other(held.get(path), file)) twice.push(path);
+        else held.set(path, file);
+      }
       draw();
+      return twice.length === 0 ? ""
+        : `Another ${twice[0]} was chosen before, and stays. Choose the folder that holds both, or take it out first.`;
     },
   };
 }
