@@ -9,7 +9,7 @@
 mod error;
 mod heic;
 mod jpeg;
-mod tiff;
+mod pages;
 
 use std::fs::{self, File};
 use std::io::{BufRead, BufReader, Read, Seek};
@@ -152,9 +152,11 @@ impl Opened {
         };
         file.rewind().map_err(io)?;
         match format {
-            ImageFormat::Tiff => {
-                Self::with_reader(tiff::Paged::open(file.into_inner()).map_err(io)?, format, 0)
-            }
+            ImageFormat::Tiff => Self::with_reader(
+                pages::Paged::open(file.into_inner()).map_err(io)?,
+                format,
+                0,
+            ),
             // Its decoder and the check each hold the whole file.
             ImageFormat::Jpeg => Self::with_reader(file, format, 2 * metadata.len()),
             _ => Self::with_reader(file, format, 0),

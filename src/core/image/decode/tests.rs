@@ -197,12 +197,10 @@ fn every_orientation_is_turned_upright_once_in_header_and_pixels() {
     }
 }
 
-/// A page of one grey level.
+/// A page of one grey level: its side, px, the level, and its `NewSubfileType`.
 fn page<K: tiff::encoder::TiffKind>(
-    file: &mut tiff::encoder::TiffEncoder<std::fs::File, K>,
-    side: u32,
-    level: u8,
-    kind: u32,
+    file: &mut tiff::encoder::TiffEncoder<File, K>,
+    (side, level, kind): (u32, u8, u32),
 ) {
     use tiff::encoder::colortype::Gray8;
     let mut page = file.new_image::<Gray8>(side, side).expect("a page");
@@ -218,7 +216,7 @@ fn of_a_tiff_the_largest_page_that_is_no_mask_is_read_and_bigtiff_too() {
     use tiff::encoder::TiffEncoder;
     let folder = folder();
     let path = folder.path().join("a.tif");
-    let file = || std::fs::File::create(&path).expect("a file");
+    let file = || File::create(&path).expect("a file");
     let check = |what: &str| {
         let header = read_header(&path).expect(what);
         assert_eq!((header.width, header.height), (20, 20), "{what}");
@@ -233,12 +231,15 @@ fn of_a_tiff_the_largest_page_that_is_no_mask_is_read_and_bigtiff_too() {
     let pages = [(8, 50, 1), (20, 204, 0), (20, 90, 0), (40, 255, 4)];
     for order in [[0, 1, 2, 3], [1, 0, 3, 2], [3, 0, 1, 2]] {
         let mut small = TiffEncoder::new(file()).expect("a TIFF");
-        let mut big = || TiffEncoder::new_big(file()).expect("a TIFF");
-        order.map(|at: usize| page(&mut small, pages[at].0, pages[at].1, pages[at].2));
+        for at in order {
+            page(&mut small, pages[at]);
+        }
         drop(small);
         check("TIFF");
-        let mut big = big();
-        order.map(|at: usize| page(&mut big, pages[at].0, pages[at].1, pages[at].2));
+        let mut big = TiffEncoder::new_big(file()).expect("a TIFF");
+        for at in order {
+            page(&mut big, pages[at]);
+        }
         drop(big);
         check("BigTIFF");
     }
