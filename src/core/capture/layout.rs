@@ -1,6 +1,6 @@
 //! Which file of a capture is what.
 
-use std::collections::{BTreeSet, HashMap};
+use std::collections::{BTreeSet, HashMap, HashSet};
 use std::fs::File;
 use std::path::{Path, PathBuf};
 
@@ -55,7 +55,7 @@ pub(super) struct Layout {
     pub(super) photographs: Vec<Entry>,
     /// The folder of the photographs; empty where it is the capture's own.
     folder: String,
-    /// Videos and files of formats that are not read: listed, not used.
+    /// Videos and files of formats that are not read beside them: listed, not used.
     pub(super) unused: Vec<Entry>,
     /// Ground truth by its photograph; empty when there is none.
     pub(super) ground_truth: HashMap<PhotoPath, Entry>,
@@ -127,17 +127,17 @@ impl Layout {
                 )
             }
         };
-        let beside = PhotoPath::new(&folder);
-        let (poses, pose_files) = ["", beside.folder()]
+        let near = PhotoPath::new(&folder);
+        let (poses, pose_files) = ["", near.folder()]
             .iter()
             .map(|base| find_poses(&others, base))
             .find(|(poses, _)| poses.is_some())
             .unwrap_or_default();
         Ok(Self {
             ground_truth,
+            unused: beside(unused, &photographs, &folder),
             photographs,
             folder,
-            unused,
             poses,
             pose_files,
             hold,
@@ -217,6 +217,18 @@ fn strip_wrappers(entries: &mut [Entry]) {
             entry.path = entry.path.below(&wrapper).expect("all lie in the wrapper");
         }
     }
+}
+
+/// Those of `unused` that lie where photographs do, with their paths below `folder`.
+fn beside(unused: Vec<Entry>, photographs: &[Entry], folder: &str) -> Vec<Entry> {
+    let folders: HashSet<&str> = photographs.iter().map(|e| e.path.folder()).collect();
+    let below = |entry: Entry| {
+        let path = entry.path.below(folder)?;
+        folders
+            .contains(path.folder())
+            .then_some(Entry { path, ..entry })
+    };
+    unused.into_iter().filter_map(below).collect()
 }
 
 /// Sharp pictures by the photographs that they show, whose names they have below their folder.
