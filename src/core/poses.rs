@@ -9,6 +9,7 @@ pub mod model;
 mod picture;
 pub mod pnp;
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
@@ -68,6 +69,9 @@ pub struct PoseView {
 pub struct Poses {
     /// Registered views, in the request's order.
     pub views: Vec<PosedView>,
+    /// What the owner calls the photographs of all views asked for, by the views' names.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub photographs: BTreeMap<String, PhotoPath>,
     /// Sparse points.
     pub points: Vec<SparsePoint>,
     /// Number of registered views.

@@ -399,6 +399,7 @@ impl<'a> Climb<'a> {
             low_confidence: !best.accepted,
             network: None,
             seconds: 0.0,
+            ..Poses::default()
         })
     }
 

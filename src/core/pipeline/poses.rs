@@ -66,6 +66,12 @@ pub fn poses(
         },
     )?;
     cache.write(context.workspace, &poses)?;
+    let called = |view: &CaptureView| (view.name.clone(), view.path.clone());
+    let photographs = capture.views.iter().map(called).collect();
+    let poses = Poses {
+        photographs,
+        ..poses
+    };
     warn(context.sink, &poses, &capture.views);
     Ok(poses)
 }

@@ -230,6 +230,7 @@ mod tests {
             low_confidence: false,
             network: None,
             seconds: 1.0,
+            ..Poses::default()
         }
     }
 

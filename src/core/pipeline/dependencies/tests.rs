@@ -91,6 +91,7 @@ fn found() -> Poses {
         low_confidence: false,
         network: None,
         seconds: 0.0,
+        ..Poses::default()
     }
 }
 

@@ -197,6 +197,7 @@ fn placed(registered: usize, low_confidence: bool, rung: char) -> Poses {
         low_confidence,
         network: None,
         seconds: 0.0,
+        ..Poses::default()
     }
 }
 
