@@ -62,7 +62,7 @@ function route() {
       return;
     }
   }
-  nothing(main, "There is no such page.");
+  nothing(main, "Page not found.");
 }
 
 /** The page that is shown whatever the address, where there is one. */
@@ -127,10 +127,10 @@ async function health() {
     const missing = checks.filter((check) => !check.ok);
     place.classList.toggle("bad", missing.length > 0);
     place.title = missing.map((check) => `${check.name}: ${check.detail} ${check.hint ?? ""}`).join("\n");
-    place.textContent = missing.length === 0 ? "ready" : `not ready: ${missing.map((check) => check.name).join(", ")}`;
+    place.textContent = missing.length === 0 ? "Ready" : `Not ready: ${missing.map((check) => check.name).join(", ")}`;
   } catch {
     place.classList.add("bad");
-    place.textContent = "the server does not answer";
+    place.textContent = "Server not responding";
   }
 }
 

@@ -67,8 +67,8 @@ const PAGES = {
   list: [
     async () => (await stand.finished(), await failed(), await running(), "#/?q=o"),
     async (page) => {
-      await page.getByRole("checkbox", { name: /^Mark/ }).first().check();
-      await page.getByRole("checkbox", { name: /^Mark/ }).nth(1).check();
+      await page.getByRole("checkbox", { name: /^Select/ }).first().check();
+      await page.getByRole("checkbox", { name: /^Select/ }).nth(1).check();
       await page.getByText("Options", { exact: true }).click();
       await page.locator(".option").first().waitFor();
       await page.locator(".pair img").first().waitFor();
@@ -117,7 +117,7 @@ const PAGES = {
     },
     async (page, faults) => {
       await page.getByRole("slider").waitFor();
-      await seen(page.locator("tbody tr"), "There is no such job");
+      await seen(page.locator("tbody tr"), "Job not found");
       provoked(faults, 404);
     },
   ],
@@ -130,7 +130,7 @@ const PAGES = {
       await tellJobs(page, { running: [runs], queued: [waits] });
       await tell(page, () => machines([job.id, NOWHERE]));
       await page.locator(".workers progress").waitFor();
-      await seen(part(page, "Waiting"), "1 job waits for a worker with a GPU");
+      await seen(part(page, "Waiting"), "1 job waiting for a worker with a GPU");
     },
   ],
   api: [() => "#/api", (page) => page.locator("main details, main h2").first().waitFor()],
@@ -170,7 +170,7 @@ test("axe finds nothing serious where a token is asked for", async () => {
       "",
       async (page) => {
         await page.getByLabel("Token").waitFor();
-        await seen(page.locator("#health"), /^ready$/);
+        await seen(page.locator("#health"), /^Ready$/);
         assert.deepEqual(await wrong(page), [], colorScheme);
       },
       { width: 1200, height: 900 },

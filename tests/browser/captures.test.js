@@ -28,7 +28,7 @@ both("the captures are a page, from which each can be opened by keyboard", async
     const link = page.locator("tbody a[href^=\"#/captures/\"]").first();
     await link.focus();
     await page.keyboard.press("Enter");
-    await seen(page.getByText("photographs are used"), "8 of 9");
+    await seen(page.getByText("photographs used"), "8 of 9");
     await part(page, "Photographs").waitFor();
     await seen(part(page, "Photographs").locator("tbody tr").first(), "broken.jpg");
     await seen(part(page, "Photographs").locator("tbody tr").nth(1), "240 × 160");
@@ -105,22 +105,22 @@ both("a capture is deleted after a question, but not while a job uses it", async
     const dialog = page.getByRole("dialog");
     await part(page, "Jobs").locator("tbody tr").first().waitFor();
     await button(page, "Delete").click();
-    await seen(dialog, "1 job of it is here");
+    await seen(dialog, "1 job uses this capture");
     await page.keyboard.press("Escape");
     await dialog.waitFor({ state: "detached" });
     await button(page, "Delete").click();
-    await button(page, "Delete it").click();
+    await button(page, "Delete capture").click();
     await seen(page.getByRole("alert"), "A job uses this capture.");
     await seen(page.getByRole("alert"), "Delete its jobs first.");
     provoked(faults, 409);
 
     await page.getByRole("link", { name }).click();
     await button(page, "Delete").click();
-    await button(page, "Delete it").click();
+    await button(page, "Delete capture").click();
     await part(page, "New job").waitFor();
     await page.goto(`${server.base}/#/captures/${capture}`);
     await button(page, "Delete").click();
-    await button(page, "Delete it").click();
+    await button(page, "Delete capture").click();
     await page.getByRole("heading", { name: "Captures", level: 1 }).waitFor();
     await until("it is gone", async () => (await page.locator(`a[href="#/captures/${capture}"]`).count()) === 0);
   }, width);

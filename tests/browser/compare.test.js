@@ -64,14 +64,14 @@ const compare = (name, ids, judge, width, query = "", further = {}) =>
     name,
     `#/compare/${ids.join(",")}${query}`,
     async (page, faults) => {
-      await page.getByRole("table", { name: "at a glance" }).locator("tbody tr").first().waitFor();
+      await page.getByRole("table", { name: "At a glance" }).locator("tbody tr").first().waitFor();
       await judge(page, faults);
     },
     width,
     further,
   );
 
-const mark = (page, name) => page.getByRole("checkbox", { name: `Mark ${name}`, exact: true });
+const mark = (page, name) => page.getByRole("checkbox", { name: `Select ${name}`, exact: true });
 
 both(
   "jobs that are marked in the list are compared, by an address that holds them",
@@ -81,12 +81,12 @@ both(
       "marked",
       "",
       async (page) => {
-        const bar = page.getByRole("region", { name: "marked jobs" });
+        const bar = page.getByRole("region", { name: "Selected jobs" });
         await mark(page, HOSTILE).waitFor();
         assert.equal(await bar.isVisible(), false);
         await mark(page, HOSTILE).focus();
         await page.keyboard.press("Space");
-        await seen(bar, "1 job is marked; mark another to compare.");
+        await seen(bar, "1 job selected. Select another one to compare.");
         assert.equal(await bar.getByRole("link").isVisible(), false);
         await mark(page, "a finished <b>job</b>").check();
         await picture(page, `page-marked-${width}`);
@@ -119,7 +119,7 @@ both("what differs is told, and what does not is folded away", async (width) => 
       );
       const folded = options.locator("details");
       assert.equal(await folded.locator("dl").isVisible(), false);
-      await folded.getByText(/options that are the same/).click();
+      await folded.getByText(/identical option/).click();
       await seen(folded.locator("dt"), "shake");
     },
     width,
@@ -131,7 +131,7 @@ both("scores stand by round and job, the best of each round is marked", async (w
     "scores",
     await two(),
     async (page) => {
-      const glance = page.getByRole("table", { name: "at a glance" });
+      const glance = page.getByRole("table", { name: "At a glance" });
       assert.match(await glance.locator("tbody tr").nth(0).innerText(), /20\.50(?!\s*best)/);
       assert.match(await glance.locator("tbody tr").nth(1).innerText(), /21\.50\s*best/);
       const metrics = part(page, "Metrics by round");
@@ -146,10 +146,10 @@ both("scores stand by round and job, the best of each round is marked", async (w
           ["3", "21.50"],
         ],
       );
-      await seen(metrics, "one decibel more is an error about a tenth smaller. Higher is better.");
+      await seen(metrics, "One decibel more means an error about a tenth smaller. Higher is better.");
       await metrics.getByText("Self-consistency, noise, time and size").click();
       await seen(metrics, "agreement, not truth");
-      await metrics.getByLabel("views that are scored").selectOption("train");
+      await metrics.getByLabel("Scored views").selectOption("train");
       await seen(rows.first(), "21.00");
       assert.equal(
         await metrics.locator("details.rest").evaluate((one) => one.open),
@@ -167,7 +167,7 @@ both("a chart's values are read by keyboard and by pointer", async (width) => {
     await two(),
     async (page) => {
       const plot = page.getByRole("group", {
-        name: "PSNR after colour fit, dB: arrow keys choose the round",
+        name: "PSNR after colour fit, dB: use the arrow keys to choose a round",
       });
       const legend = page.locator(".chart", { has: plot }).locator(".legend");
       await seen(
@@ -218,7 +218,7 @@ both("the same view of two jobs is side by side, as the address says", async (wi
       await pictures.getByLabel("round", { exact: true }).selectOption("3");
       await seen(
         pictures,
-        /A, a finished <b>job<\/b> has no such picture \(deblurred\) of this view and round/,
+        /A, a finished <b>job<\/b> has no picture “deblurred” for this view and round/,
       );
       assert.equal(await slider.isVisible(), false);
       await pictures.getByLabel("picture", { exact: true }).selectOption("inputs");
@@ -250,24 +250,24 @@ both(
       "partly",
       ids,
       async (page, faults) => {
-        const rows = page.getByRole("table", { name: "at a glance" }).locator("tbody tr");
+        const rows = page.getByRole("table", { name: "At a glance" }).locator("tbody tr");
         await seen(
           rows.nth(1),
-          "It failed, because too few photographs could be placed: it finished no round.",
+          "Failed: too few photographs could be placed. No round has finished.",
         );
         await seen(
           rows.nth(2),
-          "It still runs (round 1 of 2, reconstruct): no round is finished yet.",
+          "Still running (round 1 of 2, reconstruct). No round has finished yet.",
         );
-        await seen(rows.nth(3), "There is no such job: it was deleted");
+        await seen(rows.nth(3), "Job not found. It was deleted");
         await seen(part(page, "The same view side by side"), "has no pictures yet");
         await picture(page, `page-partly-${width}`);
-        await page.getByRole("link", { name: /^Take D, .* out of the comparison$/ }).click();
+        await page.getByRole("link", { name: /^Remove D, .* from the comparison$/ }).click();
         await page.getByRole("heading", { name: "Compare 3 jobs" }).waitFor();
         await seen(rows.nth(2), "one that runs");
         provoked(faults, 404);
         await server.cancel(runs);
-        await seen(rows.nth(2), "It was cancelled");
+        await seen(rows.nth(2), "Cancelled.");
       },
       width,
     );
@@ -277,7 +277,7 @@ both(
 test("a server that does not answer for a while is asked again", async () => {
   const ids = await two();
   await stand.visit("asked-again", `#/compare/${ids.join(",")}`, async (page, faults) => {
-    const rows = page.getByRole("table", { name: "at a glance" }).locator("tbody tr");
+    const rows = page.getByRole("table", { name: "At a glance" }).locator("tbody tr");
     await rows.first().waitFor();
     await until("all is there", () => loaded(page.getByRole("slider").locator("img")));
     let isDown = true;
@@ -297,7 +297,7 @@ test("a server that does not answer for a while is asked again", async () => {
 
 test("an address that cannot be read is a sentence", () =>
   stand.visit("unreadable", "#/compare/%,%E0%A4%A", async (page, faults) => {
-    await seen(page.locator("tbody tr"), "There is no such job");
+    await seen(page.locator("tbody tr"), "Job not found");
     await until("both are asked for", () => faults.length === 4);
     provoked(faults, 404);
   }));
@@ -307,9 +307,9 @@ test("jobs of different captures are said to be so, and none is the best", async
   const other = await server.submit(stand.folder, "of others", { adapter: "ok" });
   await server.reached(other, "succeeded");
   await compare("captures", [other, second], async (page) => {
-    await seen(page.locator(".notices"), "These jobs are of different captures");
+    await seen(page.locator(".notices"), "These jobs use different captures");
     assert.equal(await page.locator(".best").count(), 0);
-    await seen(part(page, "The same view side by side"), "need not show the same place");
+    await seen(part(page, "The same view side by side"), "may show different places");
   });
 });
 
@@ -320,7 +320,7 @@ test("six jobs are compared at most, and one is no comparison", async () => {
   await Promise.all(more.map((id) => server.reached(id, "succeeded")));
   await compare("six", [first, first, second, ...more], async (page) => {
     await page.getByRole("heading", { name: "Compare 6 jobs" }).waitFor();
-    await seen(page.locator(".notices"), "The link names 1 job more");
+    await seen(page.locator(".notices"), "The link names 1 more job");
     const strip = part(page, "The same view side by side").getByRole("group", {
       name: "pictures of the view",
     });
@@ -331,7 +331,7 @@ test("six jobs are compared at most, and one is no comparison", async () => {
     );
   });
   await stand.visit("one", `#/compare/${first},${first}`, async (page) => {
-    await seen(page.getByRole("alert"), "A comparison needs two to six jobs");
+    await seen(page.getByRole("alert"), "Select two to six jobs");
   });
 });
 
@@ -370,21 +370,21 @@ both(
       `#/captures/${capture}`,
       async (page) => {
         for (const name of [...names, `busy ${width}`]) await mark(page, name).check();
-        const bar = page.getByRole("region", { name: "marked jobs" });
+        const bar = page.getByRole("region", { name: "Selected jobs" });
         await button(bar, "Delete 3 jobs").click();
         const dialog = page.getByRole("dialog", { name: "Delete 2 jobs?" });
         for (const name of names) await seen(dialog, `“${name}”`);
-        await seen(dialog, `“busy ${width}” runs and stays: cancel first.`);
+        await seen(dialog, `“busy ${width}” is running and will be kept. Cancel it first.`);
         await picture(page, `page-delete-marked-${width}`);
         await page.keyboard.press("Escape");
         await dialog.waitFor({ state: "detached" });
         await server.job(ids[0]);
         await button(bar, "Delete 3 jobs").click();
-        await button(page, "Delete them").click();
+        await button(dialog, "Delete 2 jobs").click();
         await mark(page, names[0]).waitFor({ state: "detached" });
         for (const id of ids) await assert.rejects(server.job(id), /404/);
         assert.equal(await mark(page, `busy ${width}`).isChecked(), true);
-        await button(bar, "Unmark all").click();
+        await button(bar, "Clear selection").click();
         await bar.waitFor({ state: "hidden" });
       },
       width,

@@ -82,8 +82,8 @@ const valueOf = (bar) => () => bar.evaluate((element) => element.value);
 
 test("without a job the list says how to begin, and the machine is ready", () =>
   browser.visit("list-empty", "", async (page) => {
-    await page.getByText("No job yet.").waitFor();
-    await seen(page.locator("#health"), /^ready$/);
+    await page.getByText("No jobs yet.").waitFor();
+    await seen(page.locator("#health"), /^Ready$/);
     assert.equal(await page.getByRole("table").isVisible(), false);
   }));
 
@@ -97,7 +97,7 @@ test("an upload that is refused says why, and another can be tried", () =>
   browser.visit("upload-refused", "", async (page, faults) => {
     const path = join(server.folder, "notes.jpg");
     writeFileSync(path, "no photograph");
-    await page.getByLabel("Photographs, one zip, or a video").setInputFiles(path);
+    await page.getByLabel("Photographs, a ZIP file or a video").setInputFiles(path);
     await button(page, "Start").click();
     await seen(page.getByRole("alert"), "notes.jpg");
     await until("the button can be pressed", () => button(page, "Start").isEnabled());
@@ -116,10 +116,10 @@ test("a folder that is chosen on the page becomes a job, which is cancelled", ()
     const job = await server.job(page.url().split("/").pop());
     assert.deepEqual([job.name, job.preset], [UPLOADED, "preview"]);
     await seen(state(page), "running");
-    await button(page, "Cancel").click();
-    await button(page, "Cancel it").click();
+    await button(page, "Cancel job").click();
+    await button(page.getByRole("dialog"), "Cancel job").click();
     await seen(state(page), "cancelled");
-    assert.equal(await button(page, "Cancel").count(), 0);
+    assert.equal(await button(page, "Cancel job").count(), 0);
     await button(page, "Try again").waitFor();
   }));
 
@@ -146,7 +146,7 @@ test("a job that finishes is seen to finish, with its scores and its files", asy
     await seen(state(page), "succeeded");
     await seen(page.getByRole("heading", { level: 1 }), FINISHED);
     const metrics = part(page, "Metrics by round");
-    await seen(metrics, "against ground truth");
+    await seen(metrics, "Against ground truth");
     const rows = metrics.getByRole("table").locator("tbody tr");
     await until("both rounds are in the table", async () => (await rows.count()) === 2);
 
@@ -158,9 +158,9 @@ test("a job that finishes is seen to finish, with its scores and its files", asy
     assert.equal(await chart.getByText(label, { exact: true }).count(), 1, label);
 
     await seen(part(page, "Time by stage"), "2 · reconstruct");
-    await seen(part(page, "Facts"), "8 of 8 views");
-    const places = part(page, "Facts").locator("details");
-    await places.getByText("Each photograph's place: 8 found").click();
+    await seen(part(page, "Details"), "8 of 8 views");
+    const places = part(page, "Details").locator("details");
+    await places.getByText("Positions of the photographs: 8 placed").click();
     assert.equal(await places.locator("tbody tr").count(), 8);
     const { fit } = (await server.rounds(id)).rounds[1].views[0];
     await seen(places.locator("tbody tr").first(), fit.toFixed(2));
@@ -206,7 +206,7 @@ test("a view that nobody photographed is rendered and turns", async () =>
     await seen(novel, "azimuth 0°");
     await until("a view is rendered", () => loaded(image));
     const before = await image.getAttribute("src");
-    await novel.getByLabel("novel view, arrow keys turn").press("ArrowRight");
+    await novel.getByLabel("Novel view: use the arrow keys to turn").press("ArrowRight");
     await seen(novel, "azimuth 5°");
     assert.notEqual(await image.getAttribute("src"), before);
     await until("the turned view is there", () => loaded(image));
@@ -254,7 +254,7 @@ test("the list shows every job with its state and leads to it", async () => {
 
 test("an address of no job says so", () =>
   browser.visit("unknown", "#/jobs/00000000-0000-7000-8000-000000000000", async (page, faults) => {
-    await seen(page.getByRole("alert"), "There is no such job.");
+    await seen(page.getByRole("alert"), "Job not found.");
     for (const fault of faults.splice(0)) assert.match(fault, /\b404\b/);
   }));
 
@@ -279,8 +279,8 @@ test("nothing is wider than a phone", async () => {
 
 test("a job that was cancelled runs again", async () =>
   browser.visit("again", `#/jobs/${await running()}`, async (page) => {
-    await button(page, "Cancel").click();
-    await button(page, "Cancel it").click();
+    await button(page, "Cancel job").click();
+    await button(page.getByRole("dialog"), "Cancel job").click();
     await seen(state(page), "cancelled");
     await button(page, "Try again").click();
     await seen(state(page), "running");
@@ -291,7 +291,7 @@ test("a job that is deleted leaves the list", async () => {
   await finished();
   await browser.visit("deleted", await failed(), async (page) => {
     await button(page, "Delete").click();
-    await button(page, "Delete it").click();
+    await button(page, "Delete job").click();
     await row(page, FINISHED).waitFor();
     await until("its row is gone", async () => (await row(page, FAILED).count()) === 0);
   });
@@ -307,22 +307,22 @@ test("from the first token on the page asks for it, and forgets it on logout", a
         await page.getByLabel("Token").fill(text);
         await button(page, "Log in").click();
       };
-      await seen(page.getByRole("heading", { level: 2 }), "This server needs a token");
+      await seen(page.getByRole("heading", { level: 2 }), "This server requires a token");
       await enter("fled_of_somebody_else");
       await seen(page.getByRole("alert"), "unknown, revoked or has expired");
       // The refusal is answered once and reported once more by the browser itself.
       assert.equal(faults.length, 2);
       for (const fault of faults.splice(0)) assert.match(fault, /\b401\b/);
       await enter(token);
-      await page.getByText("No job yet.").waitFor();
+      await page.getByText("No jobs yet.").waitFor();
       // A reload would cut the question off.
-      await seen(page.locator("#health"), /^ready$/);
+      await seen(page.locator("#health"), /^Ready$/);
       await page.reload();
-      await page.getByText("No job yet.").waitFor();
+      await page.getByText("No jobs yet.").waitFor();
       assert.equal(await page.evaluate("document.cookie"), "", "no script sees it");
       await button(page, "Log out").click();
       await page.getByLabel("Token").waitFor();
-      await seen(page.locator("#health"), /^ready$/);
+      await seen(page.locator("#health"), /^Ready$/);
       assert.deepEqual(await overflowing(page), []);
     }, PHONE);
   } finally {
@@ -339,11 +339,11 @@ test("a job that the server will delete says so, and can be kept", async () => {
     const visitor = new Browser(tidy.base, browser.chromium);
     await visitor.visit("kept", `#/jobs/${id}`, async (page) => {
       await page.getByText("This job will be deleted on").waitFor();
-      await button(page, "Keep it").click();
+      await button(page, "Keep job").click();
       await page.getByText("Kept until you delete it").waitFor();
       assert.equal((await tidy.job(id)).pinned, true);
       assert.deepEqual(await overflowing(page), []);
-      await button(page, "Keep no longer than others").click();
+      await button(page, "Allow deletion").click();
       await page.getByText("Kept until you delete it").waitFor({ state: "detached" });
       assert.equal((await tidy.job(id)).pinned, false);
     }, PHONE);

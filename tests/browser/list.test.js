@@ -64,11 +64,11 @@ both("jobs are searched and filtered, and the address keeps how", async (width) 
       await shows(page, [FINISHED, FAILED]);
       await page.getByLabel("Search").fill("FAILED (");
       await shows(page, [FAILED]);
-      await seen(page.getByRole("status"), "1 of all 2 jobs matches.");
+      await seen(page.getByRole("status"), "1 of 2 jobs matches.");
       assert.equal(new URL(page.url()).hash, "#/?q=FAILED+%28");
       await page.getByLabel("State").selectOption("succeeded");
       await shows(page, []);
-      await seen(page.getByRole("status"), "None of all 1 job succeeded matches.");
+      await seen(page.getByRole("status"), "None of 1 succeeded job matches.");
       await picture(page, `page-search-${width}`);
       await button(page, "Show all jobs").click();
       await shows(page, [FINISHED, FAILED]);
@@ -128,30 +128,30 @@ test("older jobs come by the API's pages, and the page says what it searched", (
   stand.visit("older", "#/captures", async (page) => {
     const asked = await many(page, 330);
     await page.getByRole("link", { name: "Jobs" }).click();
-    await seen(page.getByRole("status"), "These are the 50 newest jobs.");
+    await seen(page.getByRole("status"), "Showing the 50 newest jobs.");
     await page.getByLabel("Search").fill("job 77");
     await seen(
       page.getByRole("status"),
-      "None of the 50 newest jobs matches. Older ones were not searched.",
+      "None of the 50 newest jobs matches. Older jobs were not searched.",
     );
     await button(page, "Search 50 older jobs").click();
     await shows(page, ["job 77"]);
     await seen(
       page.getByRole("status"),
-      "1 of the 100 newest jobs matches. Older ones were not searched.",
+      "1 of the 100 newest jobs matches. Older jobs were not searched.",
     );
     await page.getByLabel("Search").fill("");
     for (let known = 150; known <= 250; known += 50) {
-      await button(page, "Older jobs").click();
+      await button(page, "Show older jobs").click();
       await seen(page.getByRole("status"), `the ${known} newest`);
     }
     assert.ok(asked.includes("limit=50&cursor=200"), asked.at(-1));
-    await button(page, "Older jobs").click();
+    await button(page, "Show older jobs").click();
     await seen(page.getByRole("status"), "the 300 newest");
-    await button(page, "Older jobs").click();
+    await button(page, "Show older jobs").click();
     await seen(page.getByRole("status"), "330 jobs.");
     assert.equal(await page.locator("tbody tr").count(), 330);
-    assert.equal(await button(page, "Older jobs").isVisible(), false);
+    assert.equal(await button(page, "Show older jobs").isVisible(), false);
   }));
 
 both(
@@ -173,7 +173,7 @@ both(
           page.locator("tr", { has: page.getByRole("link", { name, exact: true }) });
         await seen(row("next one"), "next in the queue: starts when a running job ends");
         await seen(row("the last <i>one</i>"), "place 2 in the queue, behind “next one”");
-        const mark = page.getByRole("checkbox", { name: "Mark next one" });
+        const mark = page.getByRole("checkbox", { name: "Select next one" });
         await mark.focus();
         await page.keyboard.press("Space");
         const bar = () =>
@@ -186,8 +186,8 @@ both(
         assert.equal(await mark.evaluate((one) => one === document.activeElement), true);
         await page.getByLabel("Search").fill("busy");
         await seen(
-          page.getByRole("region", { name: "marked jobs" }),
-          "None of them is in the list shown.",
+          page.getByRole("region", { name: "Selected jobs" }),
+          "None of them is shown in the list.",
         );
         await page.getByLabel("Search").fill("");
         await row("the last <i>one</i>").getByRole("link").click();

@@ -117,7 +117,7 @@ both("a job that waits tells its place in the queue", async (width) => {
   await stand.visit("queued", `#/jobs/${waiting[1]}`, async (page) => {
     await seen(state(page), "queued");
     const { queue_position: place } = await server.job(waiting[1]);
-    await seen(page.locator(".now"), place === 1 ? "next in the queue" : `place ${place} in the queue`);
+    await seen(page.locator(".now"), place === 1 ? "next in the queue" : `position ${place} in the queue`);
     assert.equal((await server.job(waiting[2])).queue_position, place + 1);
   }, width);
 });
@@ -126,7 +126,7 @@ both("the search for poses tells the time that it took so far, and no share", as
   const { busy } = await queue();
   assert.ok((await server.job(busy[0])).stage_started_at);
   await stand.visit("poses", `#/jobs/${busy[0]}`, async (page) => {
-    await seen(page.locator(".now"), /poses · so far \d:\d\d; usually one to two minutes/);
+    await seen(page.locator(".now"), /poses · \d:\d\d so far; usually one to two minutes/);
     const line = await page.locator(".now").textContent();
     await until("the time goes on", async () => (await page.locator(".now").textContent()) !== line);
     const bar = page.getByRole("progressbar", { name: "progress" });
@@ -137,13 +137,13 @@ both("the search for poses tells the time that it took so far, and no share", as
 both("a job that trains tells its speed, what is left and the time of the stage", async (width) => {
   const { busy } = await queue();
   await stand.visit("training", `#/jobs/${busy[1]}`, async (page) => {
-    await seen(page.locator(".now"), /reconstruct · 25\.0 steps\/s · .* left · this stage \d:\d\d so far/);
+    await seen(page.locator(".now"), /reconstruct · 25\.0 steps\/s · .* left · \d:\d\d in this stage/);
   }, width);
 });
 
 both("photographs that were left out stand on the job's page, with the reason", async (width) =>
   stand.visit("left-out", `#/jobs/${await stand.finished()}`, async (page) => {
-    await seen(part(page, "Photographs"), "8 of 9 photographs are used");
+    await seen(part(page, "Photographs"), "8 of 9 photographs used");
     await seen(part(page, "Photographs").locator("li"), /^broken\.jpg: .+/);
     await part(page, "Photographs").getByRole("link").click();
     await seen(part(page, "Photographs").locator("tbody tr").first(), /broken\.jpg.*not used: /);
@@ -152,10 +152,10 @@ both("photographs that were left out stand on the job's page, with the reason", 
 
 both("what is unknown is a sentence with a way back, and no empty box", async (width) => {
   for (const [hash, words, link] of [
-    [`#/jobs/${NOWHERE}`, "There is no such job.", "All jobs"],
-    ["#/jobs/nonsense", "There is no such job.", "All jobs"],
-    [`#/captures/${NOWHERE}`, "There is no such capture.", "All captures"],
-    ["#/nowhere", "There is no such page.", "All jobs"],
+    [`#/jobs/${NOWHERE}`, "Job not found.", "All jobs"],
+    ["#/jobs/nonsense", "Job not found.", "All jobs"],
+    [`#/captures/${NOWHERE}`, "Capture not found.", "All captures"],
+    ["#/nowhere", "Page not found.", "All jobs"],
   ]) {
     await stand.visit("unknown", hash, async (page, faults) => {
       await seen(page.getByRole("alert"), words);
@@ -171,26 +171,26 @@ both("deleting and cancelling a job ask first, and no is no", async (width) => {
   const id = await server.submit(stand.folder, `to be deleted ${width}`, { adapter: `poses:${SLOWLY}` });
   await stand.visit("dialogs", `#/jobs/${id}`, async (page) => {
     const dialog = page.getByRole("dialog");
-    await button(page, "Cancel").focus();
+    await button(page, "Cancel job").focus();
     await page.keyboard.press("Enter");
     await seen(dialog, "Cancel this job?");
     await page.keyboard.press("Escape");
     await dialog.waitFor({ state: "detached" });
     assert.notEqual((await server.job(id)).state, "cancelled");
-    assert.equal(await button(page, "Cancel").evaluate((one) => one === document.activeElement), true);
-    await button(page, "Cancel").click();
-    await button(page, "Cancel it").click();
+    assert.equal(await button(page, "Cancel job").evaluate((one) => one === document.activeElement), true);
+    await button(page, "Cancel job").click();
+    await button(dialog, "Cancel job").click();
     await seen(state(page), "cancelled");
 
     await button(page, "Delete").click();
-    await seen(dialog, "the photographs stay");
+    await seen(dialog, "The photographs are kept");
     // The harmless answer has the focus.
     await page.keyboard.press("Enter");
     await dialog.waitFor({ state: "detached" });
     assert.equal((await server.job(id)).state, "cancelled");
     await button(page, "Delete").click();
     await picture(page, `page-dialog-${width}`);
-    await button(page, "Delete it").click();
+    await button(page, "Delete job").click();
     await part(page, "Jobs").waitFor();
     await assert.rejects(server.job(id), /404/);
   }, width);
@@ -208,7 +208,7 @@ both("a failed job says once what happened and once what to do", async (width) =
 
 both("a failure is explained in a sentence, on the page and in the list", async (width) => {
   await stand.visit("explained", `#/jobs/${await failed()}`, async (page) => {
-    await seen(page.locator(".advice"), "fled could not tell where enough of the photographs were taken from.");
+    await seen(page.locator(".advice"), "fled could not work out where enough of the photographs were taken.");
     // Newer jobs may have driven it from the first page.
     await page.goto(`${server.base}/#/?state=failed`);
     await seen(page.locator("tr", { hasText: "a failed job" }), "too few photographs could be placed");
@@ -225,8 +225,8 @@ both("what the scores mean is read by keyboard and by touch, where the scores ar
     const [truth, own] = [0, 1].map((i) => metrics.locator("details.meanings").nth(i));
     await truth.locator("summary").focus();
     await page.keyboard.press("Enter");
-    await seen(truth.locator("dd"), /colours agree \(psnr_cc\): .* Higher is better\./);
-    await seen(truth.locator("dd"), "a blur that PSNR forgives");
+    await seen(truth.locator("dd"), /colours match \(psnr_cc\)\. .* Higher is better\./);
+    await seen(truth.locator("dd"), "blur that PSNR forgives");
     await metrics.locator("details.fold").first().evaluate((one) => { one.open = true; });
     await own.locator("summary").tap();
     await seen(own.locator("dd"), "agreement, not truth");
@@ -234,7 +234,7 @@ both("what the scores mean is read by keyboard and by touch, where the scores ar
 
 both("options are a list and can all be read", async (width) =>
   stand.visit("options", `#/jobs/${await stand.finished()}`, async (page) => {
-    const facts = part(page, "Facts");
+    const facts = part(page, "Details");
     await facts.waitFor();
     await facts.locator("details").first().evaluate((one) => { one.open = true; });
     await facts.getByText(/^All \d+ options$/).focus();
@@ -281,14 +281,14 @@ both("dropped files can be taken out again, one by one by keyboard", async (widt
   stand.visit("dropped", "", async (page) => {
     await drop(page, ".drop", [["a.jpg", "a"], ["b.jpg", "b"], ["c.jpg", "c"]]);
     await page.getByText("3 files chosen").waitFor();
-    await button(page, "Take out b.jpg").focus();
+    await button(page, "Remove b.jpg").focus();
     await page.keyboard.press("Enter");
     await page.getByText("2 files chosen").waitFor();
     await page.keyboard.press("Enter");
     await page.getByText("1 file chosen").waitFor();
     assert.deepEqual(await page.locator(".files .path").allTextContents(), ["a.jpg"]);
     await picture(page, `page-dropped-${width}`);
-    await button(page, "Take all out").click();
+    await button(page, "Remove all").click();
     await button(page, "Start").click();
     await seen(page.getByRole("alert"), "Choose photographs");
   }, width));

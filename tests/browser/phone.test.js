@@ -54,7 +54,7 @@ test("a finished job is a few screens of a phone, what matters first", async () 
       // What is folded away is a press away.
       for (const [title, words] of [
         ["Time by stage", "2 · reconstruct"],
-        ["Facts", /All \d+ options/],
+        ["Details", /All \d+ options/],
         ["Log", "round 2 is delivered"],
       ]) {
         const summary = part(page, title).locator("summary").first();

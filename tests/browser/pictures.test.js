@@ -82,10 +82,10 @@ both("the bar goes to its ends, and the picture is enlarged, moved and made whol
     await slider.press("+");
     await slider.press("0");
     assert.equal(await scale(root), "1.0 ×");
-    await button(root, "Enlarge").click();
-    await button(root, "Enlarge").click();
+    await button(root, "Zoom in").click();
+    await button(root, "Zoom in").click();
     await picture(page, `page-enlarged-${width}`);
-    await button(root, "Whole picture").click();
+    await button(root, "Fit picture").click();
     assert.equal(await scale(root), "1.0 ×");
     await slider.dblclick();
     assert.equal(await scale(root), "2.3 ×");
@@ -96,7 +96,7 @@ both("the bar goes to its ends, and the picture is enlarged, moved and made whol
 
 both("what is enlarged is dragged, and the bar only where it is", (width) =>
   views("drag", width, async ({ page, root, slider, at }) => {
-    await button(root, "Enlarge").click();
+    await button(root, "Zoom in").click();
     const before = await at();
     const shift = () => slider.locator("img").first().evaluate((image) => image.style.transform);
     const corner = await shift();
@@ -133,7 +133,7 @@ both("the wheel scrolls the page over the pictures, and enlarges with Ctrl", (wi
 both("the wheel over the novel view is the page's until one clicks into the view", (width) =>
   views("novel-wheel", width, async ({ page }) => {
     const novel = part(page, "Novel view");
-    const frame = novel.getByLabel("novel view, arrow keys turn");
+    const frame = novel.getByLabel("Novel view: use the arrow keys to turn");
     await seen(novel, "distance 1.00");
     await over(page, frame);
     await scrolls(page);
@@ -158,8 +158,8 @@ both("input and render are shown at the same brightness, and the page says how",
   views("equal", width, async ({ page, root, slider }) => {
     const filters = () => slider.locator("img").evaluateAll((images) => images.map((image) => image.style.filter));
     assert.deepEqual(await filters(), ["", ""]);
-    await root.getByLabel("Equal brightness").check();
-    await seen(root.getByRole("status"), /^dark input × \d+\.\d, so that both have the same mean/);
+    await root.getByLabel("Match brightness").check();
+    await seen(root.getByRole("status"), /^dark input is brightened × \d+\.\d to match the other side/);
     const [below, top] = await filters();
     assert.equal(below, "");
     assert.match(top, /^brightness\(\d/);
@@ -167,7 +167,7 @@ both("input and render are shown at the same brightness, and the page says how",
     // What is brightened is what is shown, also after another choice.
     await root.locator("figure", { hasText: "ground truth" }).getByRole("button").click();
     await until("now the render is the darker one", async () => (await filters())[1] === "");
-    await root.getByLabel("Equal brightness").uncheck();
+    await root.getByLabel("Match brightness").uncheck();
     assert.deepEqual(await filters(), ["", ""]);
   }));
 
@@ -232,7 +232,7 @@ test("two fingers enlarge and move all pictures of a view", () =>
       await until(`enlarged by the ${name}`, async () => (await scale(root)) === "2.0 ×");
       assert.equal((await shown(root)).length, 1);
       if (name === "thumbnail") assert.equal(await at(), bar);
-      await button(root, "Whole picture").click();
+      await button(root, "Fit picture").click();
     }
   }, { hasTouch: true, isMobile: true }));
 
@@ -241,7 +241,7 @@ both("equal brightness holds for all pictures of the view", (width) =>
     const images = root.locator(".shot img");
     for (const one of await images.all()) await one.scrollIntoViewIfNeeded();
     await until("all are there", () => loaded(images));
-    await root.getByLabel("Equal brightness").check();
+    await root.getByLabel("Match brightness").check();
     const gains = () => images.evaluateAll((all) => all.map((one) => Number(one.style.filter.match(/[\d.]+/)?.[0] ?? 1)));
     const [dark, ...rest] = await gains();
     assert.ok(dark > 2, `the input × ${dark}`);
@@ -251,7 +251,7 @@ both("equal brightness holds for all pictures of the view", (width) =>
     await root.getByRole("combobox", { name: "view" }).selectOption("003");
     for (const one of await images.all()) await one.scrollIntoViewIfNeeded();
     await until("another view, too", async () => (await loaded(images)) && (await gains())[0] > 2);
-    await root.getByLabel("Equal brightness").uncheck();
+    await root.getByLabel("Match brightness").uncheck();
     assert.equal(Math.max(...await gains()), 1);
   }));
 
@@ -264,8 +264,8 @@ both("depth is a picture that the server renders once the row of pictures is nea
     assert.ok((await brightness(depth.locator("img"))) > 0.85);
     await depth.getByRole("button").click();
     await seen(slider.locator(".left"), "round 2, depth");
-    if (width === "phone") await root.getByText("How to look closer").click();
-    await seen(root, "what is near is bright, what is far dark");
+    if (width === "phone") await root.getByText("Viewing tips").click();
+    await seen(root, "near is bright, far is dark");
     await picture(page, `page-depth-${width}`);
   }));
 
@@ -290,10 +290,10 @@ both("what differs from the truth is a picture of its own, which no brightening 
     await made.getByRole("button").click();
     await seen(slider.locator(".left"), "restored − truth, × 4");
     await until("it is compared", () => loaded(slider.locator("img")));
-    await root.getByLabel("Equal brightness").check();
-    await seen(root.getByRole("status"), "A difference or a depth stays as bright as it is.");
+    await root.getByLabel("Match brightness").check();
+    await seen(root.getByRole("status"), "Difference and depth pictures are not brightened.");
     assert.equal(await made.locator("img").evaluate((one) => one.style.filter), "");
-    if (width === "phone") await root.getByText("How to look closer").click();
+    if (width === "phone") await root.getByText("Viewing tips").click();
     await picture(page, `page-difference-${width}`);
     // It is kept when another view is chosen, and made anew.
     const before = await slider.locator(".top img").getAttribute("src");
@@ -316,8 +316,8 @@ both("without truth renders are compared with the enhanced photographs, and the 
     await until("it is made", () => loaded(made.locator("img")));
     assert.ok((await brightness(made.locator("img"))) > 0.02);
     assert.equal(await root.locator("figure", { hasText: "truth" }).count(), 0);
-    if (width === "phone") await root.getByText("How to look closer").click();
-    await seen(root, "where they disagree and not which of them is wrong");
+    if (width === "phone") await root.getByText("Viewing tips").click();
+    await seen(root, "where they disagree, not which of them is wrong");
     await part(page, "Files").waitFor();
   }, width);
 });

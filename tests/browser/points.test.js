@@ -19,14 +19,14 @@ both("before a scene is trained one sees the cameras and the sparse points", asy
   try {
     await stand.visit("points", `#/jobs/${id}`, async (page) => {
       const root = part(page, "Scene");
-      await root.getByRole("button", { name: /^Look at cameras and points/ }).click();
-      await seen(root.getByRole("status"), "400 sparse points, by which the cameras were placed.");
+      await root.getByRole("button", { name: /^View cameras and points/ }).click();
+      await seen(root.getByRole("status"), "400 sparse points, used to place the cameras.");
       await root.locator(".frame[aria-busy=false]").waitFor();
       const [points, lines] = [root.locator("canvas").first(), root.locator("canvas.lines")];
       await until("points are drawn", async () => (await drawn(points)) > 0.003);
       assert.ok((await drawn(lines)) > 0.002, "the cameras");
       assert.equal(await root.getByLabel("Cameras", { exact: true }).isChecked(), true);
-      assert.equal(await root.getByRole("button", { name: /as PNG/ }).isVisible(), false);
+      assert.equal(await root.getByRole("button", { name: /as a PNG/ }).isVisible(), false);
       assert.equal(await root.getByRole("slider", { name: "round" }).isVisible(), false);
       await picture(page, `page-points-${width}`);
       await root.getByRole("button", { name: "Next photograph" }).click();

@@ -70,7 +70,7 @@ const shown = (page) => page.locator(".frame canvas").first().evaluate((canvas) 
 
 /** The same view as the server renders it, a PNG, by the page's own button. */
 async function rendered(page) {
-  const asks = button(page, /^This view as PNG/).click();
+  const asks = button(page, /^Save this view as a PNG/).click();
   const [download] = await Promise.all([page.waitForEvent("download"), asks]);
   return readFileSync(await download.path()).toString("base64");
 }
@@ -291,7 +291,7 @@ test("a lost context says so, and the scene is opened again", () =>
   opened("scene-lost", async (page) => {
     await page.locator(".frame canvas").first().evaluate((canvas) =>
       canvas.getContext("webgl2").getExtension("WEBGL_lose_context").loseContext());
-    await page.getByText("The graphics adapter has let go").waitFor();
+    await page.getByText("The graphics adapter dropped the picture").waitFor();
     await picture(page, "page-scene-lost");
     await button(page, /Walk through the scene/).click();
     await settled(page);
@@ -306,7 +306,7 @@ test("without WebGL 2 the page says what to do, and nothing of it is loaded befo
     assert.deepEqual(asked, ["/assets/scene/panel.js"]);
     await page.evaluate(() => { HTMLCanvasElement.prototype.getContext = () => null; });
     await button(page, /Walk through the scene/).click();
-    await page.getByText("This browser has no WebGL 2").waitFor();
+    await page.getByText("This browser does not support WebGL 2").waitFor();
     assert.deepEqual(await overflowing(page), []);
   }));
 
@@ -315,7 +315,7 @@ test("a file that is no scene is told in a sentence", async () => {
   try {
     await stand.visit("scene-foreign", `#/jobs/${await stand.finished()}`, async (page) => {
       await button(page, /Walk through the scene/).click();
-      await page.getByText("The scene cannot be shown. This is no PLY file").waitFor();
+      await page.getByText("The scene cannot be shown. This is not a PLY file").waitFor();
     });
   } finally {
     await stand.stop();

@@ -82,17 +82,17 @@ test("what is no scene is refused in a sentence", async () => {
   const header = (...properties) => text(["ply", "format binary_little_endian 1.0",
     "element vertex 3", ...properties.map((one) => `property ${one}`), "end_header\n"].join("\n"));
   for (const [words, wrong] of [
-    ["This is no PLY file.", text("ply of round 2")],
-    ["This is no PLY file.", text("<!doctype html><title>a page</title>")],
+    ["This is not a PLY file.", text("ply of round 2")],
+    ["This is not a PLY file.", text("<!doctype html><title>a page</title>")],
     ["it ends within its header", text("ply\nformat")],
-    ["cut short: 1 of 4 Gaussians lack", bytes.slice(0, -1)],
-    ["not binary little endian", text("ply\nformat ascii 1.0\nend_header\n")],
-    ['no number "opacity"', header("float x", "float y", "float z")],
+    ["truncated: 1 of 4 Gaussians are missing", bytes.slice(0, -1)],
+    ["not binary_little_endian", text("ply\nformat ascii 1.0\nend_header\n")],
+    ['no float "opacity"', header("float x", "float y", "float z")],
     ["2 higher harmonics", header("float f_rest_0", "float f_rest_1")],
-    ['says "property list', header("list uchar int vertex_indices")],
+    ['header line "property list', header("list uchar int vertex_indices")],
     ["is empty", ply(0, 0, plain)],
     ["too many", ply(1, 0, plain, 1e14)],
-    ["has no end", text(`ply\n${"comment x\n".repeat(10_000)}`)],
+    ["does not end", text(`ply\n${"comment x\n".repeat(10_000)}`)],
   ]) {
     await assert.rejects(read(wrong), (error) => {
       assert.ok(error instanceof SceneError, `${words}: ${error.stack}`);

@@ -56,7 +56,7 @@ test("an upload goes on by itself when the connection breaks", () =>
       return route.abort("connectionreset");
     });
     await start(page);
-    await seen(page.locator("[role=status]"), "The connection is lost");
+    await seen(page.locator("[role=status]"), "Connection lost");
     await arrived(page);
     assert.equal(broken, 4);
     const files = of(asked, "POST").length;
@@ -79,13 +79,13 @@ test("after a reload the same files go on where they were", () =>
       return route.abort("connectionreset");
     });
     await start(page);
-    await seen(page.locator("[role=status]"), "The connection is lost");
+    await seen(page.locator("[role=status]"), "Connection lost");
     // Three files are sent at once: when each of three is broken off, no answer is under way that
     // the reload would lose.
     await until("all three are broken off", () => broken.size === 3);
     await page.unroute(PIECES);
     await page.reload();
-    await page.getByText("an upload that broke off").waitFor();
+    await page.getByText("An interrupted upload").waitFor();
     lost(faults);
     const first = asked.splice(0);
     await start(page);
@@ -110,7 +110,7 @@ test("an upload is paused and goes on", () =>
     const before = asked.length;
     await sleep(1500);
     assert.equal(asked.length, before, "nothing is sent while it is paused");
-    await button(page, "Go on").click();
+    await button(page, "Resume").click();
     await arrived(page);
     lost(faults);
   }, "phone"));

@@ -51,7 +51,7 @@ both("held-out views are scored beside it, and one view is shown until the job e
     const psnr = chart(root, "PSNR of 3 held-out views, dB");
     const scores = () => psnr.locator("circle.score").count();
     await until("scores come in", async () => (await scores()) > 2);
-    assert.deepEqual(await drawn(root), ["Loss", "One view", "PSNR of 3 held-out views, dB", "SSIM of 3 held-out views"]);
+    assert.deepEqual(await drawn(root), ["Loss", "Live view", "PSNR of 3 held-out views, dB", "SSIM of 3 held-out views"]);
     await seen(psnr.locator(".legend"), /round 1 \d\d\.\d\d/);
     assert.equal(await root.getByText("agreement, not quality").isVisible(), false);
     const view = root.locator("figure");
@@ -61,7 +61,7 @@ both("held-out views are scored beside it, and one view is shown until the job e
     await until("a new one comes", async () => (await view.locator("img").getAttribute("src")) !== source);
     await until("of a later step", async () => (await view.innerText()) !== step);
     await root.getByText("What these numbers mean").click();
-    await seen(root, "sharp truth");
+    await seen(root, "sharp ground truth");
     await picture(page, `page-held-out-${width}`);
     await stand.server.cancel(id);
     await view.waitFor({ state: "hidden" });
@@ -70,17 +70,17 @@ both("held-out views are scored beside it, and one view is shown until the job e
 
 both("without truth the page says that scores are of self-consistency", (width) =>
   training("self-consistency", width, async (page, root) => {
-    await seen(root, "Self-consistency, PSNR of 3 held-out views, dB");
-    await seen(root, "agreement, not quality, since both can be wrong in the same way");
+    await seen(root, "Self-consistency PSNR of 3 held-out views, dB");
+    await seen(root, "agreement, not quality: both can be wrong in the same way");
     await root.getByText("What these numbers mean").click();
-    await seen(root, "shaken as their photographs are");
+    await seen(root, "shaken like their photographs");
     await picture(page, `page-self-consistency-${width}`);
   }, { folder: stand.untrue() }));
 
 both("where no view is held out there are no scores, and the view that is shown trains", (width) =>
   training("nothing-held-out", width, async (page, root) => {
-    await seen(root.locator("figcaption"), /^000 \(it trains\), round 1, step/);
+    await seen(root.locator("figcaption"), /^000 \(training view\), round 1, step/);
     await seen(root, "Gaussians");
-    assert.deepEqual(await drawn(root), ["Loss", "One view"]);
+    assert.deepEqual(await drawn(root), ["Loss", "Live view"]);
     await picture(page, `page-nothing-held-out-${width}`);
   }, { options: { held_out: "none" } }));

@@ -54,10 +54,10 @@ both("a video is asked for, made, played, fetched and deleted", async (width) =>
     assert.equal(readFileSync(await download.path()).subarray(4, 8).toString(), "ftyp");
     await picture(page, `video-made-${width}`);
     await button(section, "Delete").click();
-    await button(page, "Keep it").click();
+    await button(page, "Cancel").click();
     assert.equal(await player.count(), 1);
     await button(section, "Delete").click();
-    await button(page, "Delete it").click();
+    await button(page, "Delete video").click();
     await player.waitFor({ state: "detached" });
   }, width);
 });
@@ -69,8 +69,8 @@ both("videos that are made, wait and failed say so, and one is cancelled", async
   await ask(id, { fps: 5, seconds: 2, width: 128, kind: "cameras" });
   await stand.visit("videos-waiting", `#/jobs/${id}`, async (page) => {
     const section = await opened(page, "Videos");
-    await seen(section, "It was not made: ffmpeg wrote no video: planned for video.mp4");
-    await seen(section.locator("li"), "waits for 1 other video");
+    await seen(section, "The video could not be made: ffmpeg wrote no video: planned for video.mp4");
+    await seen(section.locator("li"), "waiting for 1 other video");
     const running = section.locator("li", { hasText: "Around the scene, 60 s" });
     await seen(running, /[1-9]\d* %/);
     await picture(page, `videos-running-${width}`);
@@ -89,9 +89,9 @@ test("a server that cannot make one says what to do", async () => {
       ? route.fulfill({ status: 503, contentType: "application/problem+json", json: {
         detail: "Videos are not made here: there is no ffmpeg.", hint: "Whoever runs the server installs it." } })
       : route.continue()));
-    await button(section, "Make a video").click();
+    await button(section, "Create video").click();
     await seen(section.getByRole("alert"), "there is no ffmpeg.\nWhoever runs the server installs it.");
-    assert.ok(await button(section, "Make a video").isEnabled());
+    assert.ok(await button(section, "Create video").isEnabled());
     provoked(faults, 503);
   });
 });
@@ -99,7 +99,7 @@ test("a server that cannot make one says what to do", async () => {
 both("what other programs go on from is fetched from the page", async (width) => {
   const id = await finished(`exported ${width}`);
   await stand.visit("exports", `#/jobs/${id}`, async (page) => {
-    const section = await opened(page, "For other programs");
+    const section = await opened(page, "Export");
     const begins = { "restored.zip": "PK", "colmap.zip": "PK", "scene.compressed.ply": "ply\nformat" };
     for (const [name, begin] of Object.entries(begins)) {
       const link = section.getByRole("link", { name, exact: true });

@@ -67,19 +67,19 @@ async function accepted(page) {
   await seen(page.getByRole("heading", { level: 1 }), FIRST);
   first = idOf(page);
   const root = part(page, "Photographs");
-  await seen(root, "24 of 25 photographs are used; this one is not:");
+  await seen(root, "24 of 25 photographs used. Not used:");
   await seen(root.locator("li"), /^012\.png: damaged or cut short: /);
   assert.equal(await root.locator("li").count(), 1);
   await seen(state(page), "running");
 }
 
 async function posed(page, film) {
-  await seen(page.locator(".now"), /poses · so far \d:\d\d; usually one to two minutes/);
+  await seen(page.locator(".now"), /poses · \d:\d\d so far; usually one to two minutes/);
   const root = part(page, "Scene");
-  const poster = root.getByRole("button", { name: /^Look at cameras and points/ });
+  const poster = root.getByRole("button", { name: /^View cameras and points/ });
   await film.fast(() => poster.waitFor({ timeout: LONG }));
   await poster.click();
-  await seen(root.getByRole("status"), /[\d,]+ sparse points, by which the cameras were placed\./);
+  await seen(root.getByRole("status"), /[\d,]+ sparse points, used to place the cameras\./);
   await settled(page);
   await until("points are drawn", async () => (await drawn(root.locator("canvas").first())) > 0.003);
   assert.ok((await drawn(root.locator("canvas.lines"))) > 0.002, "the cameras");
@@ -88,7 +88,7 @@ async function posed(page, film) {
 
 async function curved(page, film) {
   const root = part(page, "Training");
-  const psnr = chart(root, "Self-consistency, PSNR of 3 held-out views, dB");
+  const psnr = chart(root, "Self-consistency PSNR of 3 held-out views, dB");
   const scores = () => psnr.locator("circle.score").count();
   await film.fast(() => until("scores come in", async () => (await scores()) > 1, LONG));
   await seen(psnr.locator(".legend"), /round 1 \d\d\.\d\d/);
@@ -129,7 +129,7 @@ async function finished(page, film) {
   await film.fast(() => server.reached(first, "succeeded", LONG));
   await seen(state(page), "succeeded");
   const metrics = part(page, "Metrics by round");
-  await seen(metrics, "The capture has no ground truth");
+  await seen(metrics, "This capture has no ground truth");
   await until("both rounds are told", async () => (await metrics.locator("tbody tr").count()) === 2);
   await seen(page.locator(".rounds"), "Round 1");
   await button(page, "Close the 3D view").click();
@@ -172,7 +172,7 @@ async function filmed(page, film) {
   const section = await opened(page, "Videos");
   await section.getByLabel("Length").selectOption("4");
   await section.getByLabel("Long side").selectOption("640");
-  await button(section, "Make a video").click();
+  await button(section, "Create video").click();
   const player = section.locator("video");
   await film.fast(() => player.waitFor({ timeout: LONG }));
   assert.deepEqual(await plays(player), { error: undefined, wide: 640, seconds: 4 });
@@ -185,15 +185,15 @@ async function filmed(page, film) {
 async function deleted(page, film) {
   const folder = join(server.folder, "data", "jobs", first);
   assert.ok(existsSync(folder));
-  const dialog = page.getByRole("dialog", { name: `Delete the job “${FIRST}”?` });
+  const dialog = page.getByRole("dialog", { name: `Delete job “${FIRST}”?` });
   await button(page, "Delete").first().click();
-  await seen(dialog, "the photographs stay");
+  await seen(dialog, "The photographs are kept");
   await film.still("walk-asked");
-  await button(dialog, "Keep it").click();
+  await button(dialog, "Cancel").click();
   await dialog.waitFor({ state: "detached" });
   assert.equal((await server.job(first)).state, "succeeded");
   await button(page, "Delete").first().click();
-  await button(dialog, "Delete it").click();
+  await button(dialog, "Delete job").click();
   await page.getByRole("link", { name: SECOND, exact: true }).waitFor();
   assert.equal(await page.getByRole("link", { name: FIRST, exact: true }).count(), 0);
   await assert.rejects(server.job(first), /404/);

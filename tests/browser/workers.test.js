@@ -103,10 +103,10 @@ both("a worker says what it is and does, and its jobs are a link away", async (w
 
 test("an idle worker waits for a job, and nothing waits for it", () =>
   stand.visit("workers-idle", "#/workers", async (page) => {
-    await seen(row(page, HOST), "waits for a job");
-    await seen(row(page, HOST), "nothing");
-    await seen(part(page, "Waiting"), "No job waits.");
-    assert.equal(await page.title(), "workers · fled");
+    await seen(row(page, HOST), "waiting for a job");
+    await seen(row(page, HOST), "no jobs");
+    await seen(part(page, "Waiting"), "No jobs are waiting.");
+    assert.equal(await page.title(), "Workers · fled");
   }));
 
 both("what stops, what is lost and what differs is said in words", async (width) => {
@@ -124,16 +124,16 @@ both("what stops, what is lost and what differs is said in words", async (width)
         await page.locator(".workers strong").allTextContents(),
         ["gpu-2", "gpu-10", "old.rack-7.basement.example.org", "plain", "soft"],
       );
-      await seen(page.getByText("5 workers:"), "3 work, 1 stops, 1 is lost. 2 jobs run, there is room for 4 more jobs.");
-      await seen(page.getByText("versions differ"), "0.9.0 on 3, 0.10.0 on 1.");
-      assert.match(await text("gpu-10"), /4 s ago there for 2 h/);
+      await seen(page.getByText("5 workers:"), "3 active, 1 stopping, 1 lost. 2 jobs running, room for 4 more.");
+      await seen(page.getByText("different versions"), "0.9.0 on 3, 0.10.0 on 1.");
+      assert.match(await text("gpu-10"), /4 s ago up for 2 h/);
       assert.match(await text("gpu-10"), /job 0199a3c4-0000-7000-8000-00000000aaaa/);
-      assert.match(await text("gpu-2"), /takes no more jobs.* version 0\.10\.0 ?differs/);
+      assert.match(await text("gpu-2"), /accepts no new jobs.* version 0\.10\.0 ?different/);
       assert.match(
         await text("old.rack"),
-        /not heard of since .*; its jobs go to others.* version 0\.8\.1 30 min ago there for 3 days/,
+        /last seen .*; its jobs go to other workers.* version 0\.8\.1 30 min ago up for 3 days/,
       );
-      assert.match(await text("plain"), /no GPU 1 core · memory not known version 0\.9\.0 4 s/);
+      assert.match(await text("plain"), /no GPU 1 core · memory unknown version 0\.9\.0 4 s/);
       assert.match(await text("soft"), /no GPU: llvmpipe .* 16 cores · 8 GiB version 0\.9\.0/);
       await picture(page, `page-workers-states-${width}`);
     },
@@ -163,7 +163,7 @@ test("it keeps up with focus, selection and scroll where they are, and rests whi
       told.workers[0].running[0].steps_per_second = 77.7;
       told.workers[1].state = "works";
       await seen(row(page, "gpu-10"), "77.7 steps/s");
-      await seen(row(page, "gpu-2"), "waits for a job");
+      await seen(row(page, "gpu-2"), "waiting for a job");
       assert.equal(await link.evaluate((one) => one === document.activeElement), true);
       assert.equal(await at.evaluate((one) => one.isConnected), true);
       assert.match(await page.evaluate(() => String(getSelection())), /soft/);
@@ -195,11 +195,11 @@ test("what the server refuses is told, what was there stays, and it goes on by i
     const detail = "The database does not answer.";
     await page.route("**/v1/workers", (route) => route.fulfill({ status: 500, json: { detail } }));
     await seen(alert, detail);
-    await seen(alert, "What is shown is of");
+    await seen(alert, "Last updated");
     assert.equal(await row(page, HOST).count(), 1);
     await page.unroute("**/v1/workers");
     await page.route("**/v1/workers", (route) => route.abort());
-    await seen(alert, "The server does not answer.");
+    await seen(alert, "The server is not responding.");
     await page.unroute("**/v1/workers");
     // What is empty is no alert.
     await until("it is said no more", async () => (await alert.count()) === 0);
@@ -221,16 +221,16 @@ both("jobs that need more than any worker say so on their page, in the list and 
       await change(page, "**/v1/jobs?*", (list) => ({ ...list, jobs: list.jobs.map(needy) }));
       await change(page, `**/v1/jobs/${big}`, needy);
       const waiting = part(page, "Waiting");
-      await seen(waiting.locator("li"), `1 job waits for ${needs}: a <u>big</u> one`);
-      await seen(waiting.locator("li"), "1 job waits for any worker: a small one");
+      await seen(waiting.locator("li"), `1 job waiting for ${needs}: a <u>big</u> one`);
+      await seen(waiting.locator("li"), "1 job waiting for any worker: a small one");
       await waiting.getByRole("link", { name: "a <u>big</u> one" }).click();
-      await seen(page.locator("main"), `It waits for ${needs}. Jobs that need less may start before it.`);
+      await seen(page.locator("main"), `Waiting for ${needs}. Jobs that need less may start first.`);
       await picture(page, `page-needs-${width}`);
-      await page.getByRole("link", { name: "See the workers" }).click();
-      await waiting.getByRole("link", { name: "All that wait" }).click();
+      await page.getByRole("link", { name: "View workers" }).click();
+      await waiting.getByRole("link", { name: "All waiting jobs" }).click();
       const inList = (name) => page.locator(".jobs tbody tr", { hasText: name });
       await seen(inList("big"), `next in the queue: starts when ${needs} is free`);
-      await seen(inList("a small one"), "place 2 in the queue, behind “a <u>big</u> one”");
+      await seen(inList("a small one"), "position 2 in the queue, behind “a <u>big</u> one”");
       assert.equal(await inList("busy").count(), 0, "the list is filtered");
     },
     width,
@@ -248,7 +248,7 @@ test("where a server works alone no link leads there, and the page says why it i
       await seen(page.locator("main"), "it runs every job itself");
       assert.equal(await page.locator("table:visible").count(), 0);
       await tell(page, () => machines());
-      await seen(row(page, "soft"), "waits for a job");
+      await seen(row(page, "soft"), "waiting for a job");
       assert.equal(await page.getByText("it runs every job itself").isVisible(), false);
     });
   } finally {
@@ -265,7 +265,7 @@ test("who may not see everything is not asked, and is told what that needs", asy
       const asked = questions(page, "/v1/workers");
       await page.getByLabel("Token").fill(token);
       await button(page, "Log in").click();
-      await seen(page.locator("main"), "Only a token with the scope “admin” shows the workers.");
+      await seen(page.locator("main"), "Only a token with the scope “admin” can see the workers.");
       assert.equal(await tab(page).count(), 0);
       assert.deepEqual(asked, []);
       await tell(page, () => machines());

@@ -82,7 +82,7 @@ export function beside() {
     refill(
       round,
       [
-        ["", "delivered or last"],
+        ["", "delivered or latest"],
         ...Array.from({ length: most }, (_, i) => [String(i + 1), String(i + 1)]),
       ],
       value,
@@ -178,17 +178,17 @@ function lack([a, b], shown, view, picture) {
   if (!a || !b) return "";
   for (const one of [a, b])
     if (one.cameras.length === 0)
-      return `${called(one)} has no pictures yet: it finished no round.`;
-  if (!view) return "These two share no view: no photograph of both has the same name.";
+      return `${called(one)} has no pictures yet: no round has finished.`;
+  if (!view) return "These jobs share no view: none of their photographs have the same name.";
   const without = [a, b].filter((_, i) => !shown[i]);
   if (without.length > 0) {
     const have = `${without.map(called).join(" and ")} ${without.length === 1 ? "has" : "have"}`;
-    return `${have} no such picture (${picture}) of this view and round.`;
+    return `${have} no picture “${picture}” for this view and round.`;
   }
   if (a.id === b.id) return "Both sides show the same job.";
   return a.job.capture_id === b.job.capture_id
     ? ""
-    : "These are of different captures: pictures of the same name need not show the same place.";
+    : "These jobs use different captures: pictures with the same name may show different places.";
 }
 
 /** New options for a choice; its value stays where it is among them. */

@@ -55,12 +55,12 @@ export async function compareWith(job) {
     const number = chosen().length;
     go.disabled = number === 0 || number >= MOST;
     words.textContent =
-      number >= MOST ? `At most ${MOST} jobs are compared, this one among them.` : "";
+      number >= MOST ? `You can compare up to ${MOST} jobs, including this one.` : "";
   }
   const away = () => dialog.close();
   const groups = [
-    group("Of the same photographs", own),
-    group("Of other photographs, the newest", others),
+    group("Same photographs", own),
+    group("Other photographs, newest first", others),
   ].filter(Boolean);
   dialog.append(
     h("h2", {}, "Compare with"),
@@ -74,7 +74,7 @@ export async function compareWith(job) {
       },
       groups.length > 0
         ? h("div", { class: "choices" }, groups)
-        : h("p", {}, "There is no other job yet: run this one again with other options first."),
+        : h("p", {}, "There are no other jobs yet. Run this one again with other options first."),
       words,
       h(
         "div",

@@ -26,9 +26,9 @@ const OTHER_PICTURES = ["size", "held_out"];
 
 export function comparePage(main, list) {
   const { ids, left } = named(list);
-  document.title = "compare · fled";
+  document.title = "Compare · fled";
   if (ids.length < 2) {
-    nothing(main, "A comparison needs two to six jobs: mark them in the list.");
+    nothing(main, "Select two to six jobs in the list to compare them.");
     return () => {};
   }
   const entries = ids.map(entry);
@@ -53,7 +53,7 @@ export function comparePage(main, list) {
   function draw() {
     const words = cautions(entries);
     if (left > 0)
-      words.unshift(`The link names ${count(left, "job")} more; at most ${MOST} are compared.`);
+      words.unshift(`The link names ${count(left, "more job")}; only ${MOST} can be compared.`);
     notices.replaceChildren(...words.map((text) => h("li", {}, text)));
     notices.hidden = words.length === 0;
     const isFair = isOneCapture(scored(entries));
@@ -94,9 +94,9 @@ function cautions(entries) {
   if (!isOneCapture(entries)) {
     words.push(
       isOneCapture(scored(entries))
-        ? "These jobs are of different captures."
-        : "These jobs are of different captures: their scores are of different photographs, " +
-            "so none is marked as the best.",
+        ? "These jobs use different captures."
+        : "These jobs use different captures: their scores are for different photographs, so none " +
+            "is marked as the best.",
     );
   }
   const there = entries.filter((one) => one.job).map((one) => one.job);
@@ -104,8 +104,8 @@ function cautions(entries) {
     there.length < 2 ? [] : sorted(there).differing.filter((name) => OTHER_PICTURES.includes(name));
   if (other.length > 0) {
     words.push(
-      `They differ in ${other.map(plain).join(" and ")}, so their scores are not of the same ` +
-        "pictures: a small difference says nothing.",
+      `These jobs differ in ${other.map(plain).join(" and ")}, so their scores are not for the ` +
+        "same pictures: small differences mean nothing.",
     );
   }
   return words;
@@ -114,18 +114,18 @@ function cautions(entries) {
 const COLUMNS = [
   { title: "Job" },
   { title: "State" },
-  { title: "Round delivered" },
+  { title: "Delivered round" },
   { title: "PSNR after colour fit, dB", class: "figure" },
   { title: "SSIM", class: "figure" },
   { title: "Self-consistency, dB", class: "figure" },
   { title: "Photographs placed" },
-  { title: "Time taken", class: "figure" },
+  { title: "Time", class: "figure" },
   { title: "Note", class: "note" },
 ];
 
 /** A row a job with what matters most: `{ root, update(isFair) }`. */
 function overview(entries) {
-  const root = table(COLUMNS, [], { "aria-label": "at a glance" });
+  const root = table(COLUMNS, [], { "aria-label": "At a glance" });
   root.classList.add("glance");
   const caption = h("p", { class: "hint" });
   const drop = entries.length > 2;
@@ -167,10 +167,10 @@ function overview(entries) {
         ]),
       ),
     );
-    const views = split === "held_out" ? "held out" : "trained on";
+    const views = split === "held_out" ? "held-out" : "training";
     caption.textContent =
-      "Scores are of renders in the round delivered, or the last, " +
-      `over the views that were ${views}.`;
+      "Scores are for renders of the delivered round, or the latest, " +
+      `over the ${views} views.`;
     caption.hidden = entries.every((one) => one.rounds.length === 0);
   }
   return { root: h("div", {}, root, caption), update };
@@ -186,8 +186,8 @@ function who(one, entries, drop) {
     {
       href: addressOf(others),
       class: "out",
-      title: "Take out of the comparison",
-      "aria-label": `Take ${called(one)} out of the comparison`,
+      title: "Remove from the comparison",
+      "aria-label": `Remove ${called(one)} from the comparison`,
     },
     "×",
   );
@@ -196,7 +196,7 @@ function who(one, entries, drop) {
 
 function stateOf(job) {
   if (job.state !== "running") return pill(job);
-  const bar = h("progress", { max: 1, "aria-label": "progress" });
+  const bar = h("progress", { max: 1, "aria-label": "Progress" });
   setBar(bar, job);
   return h("div", {}, pill(job), bar);
 }
@@ -238,14 +238,14 @@ function timeTable(entries) {
       "tbody",
       {},
       stages.map((name) => line(name, (one) => duration(of(one, name)))),
-      line("all", (one) => duration(total(one.job))),
+      line("Total", (one) => duration(total(one.job))),
     ),
   );
   const gist = there.map((one) => `${one.letter} ${duration(total(one.job))}`).join(", ");
   return Object.assign(
     h(
       "div",
-      { class: "scroll", tabIndex: 0, role: "region", "aria-label": "time by stage" },
+      { class: "scroll", tabIndex: 0, role: "region", "aria-label": "Time by stage" },
       times,
     ),
     { gist },

@@ -5,7 +5,7 @@ import { nameOf, tag } from "./entries.js";
 import { table } from "../lib/table.js";
 
 const written = (value) =>
-  value === undefined ? "not known then" : Array.isArray(value) ? value.join(", ") : String(value);
+  value === undefined ? "not recorded" : Array.isArray(value) ? value.join(", ") : String(value);
 
 /** `{ differing, shared }`: names of options, `preset` before them, by whether all jobs agree. */
 export function sorted(jobs) {
@@ -36,7 +36,7 @@ export function differences(entries) {
   return [
     rows.length > 0
       ? table(columns, rows)
-      : h("p", {}, "They have the same preset and the same options."),
+      : h("p", {}, "These jobs have the same preset and options."),
     shared.length > 0 &&
       h(
         "details",
@@ -44,7 +44,7 @@ export function differences(entries) {
         h(
           "summary",
           {},
-          `${count(shared.length, "option")} that ${shared.length === 1 ? "is" : "are"} the same`,
+          count(shared.length, "identical option"),
         ),
         h(
           "dl",

@@ -58,7 +58,7 @@ export async function look(one) {
     // One that is gone stays gone; any other problem may pass, and what was there is kept.
     one.problem = error.message;
     if (error.status === 404) {
-      one.problem = "There is no such job: it was deleted, or the link is not whole.";
+      one.problem = "Job not found. It was deleted, or the link is incomplete.";
       Object.assign(one, { job: null, rounds: [], report: null, cameras: [], isGone: true });
     }
   }
@@ -76,7 +76,7 @@ async function lookInside(one, base) {
 export const isDone = (one) =>
   one.isGone || (one.job !== null && isOver(one.job) && one.problem === "");
 
-export const nameOf = (one) => one.job?.name || (one.job ? "unnamed" : "a job that is not here");
+export const nameOf = (one) => one.job?.name || (one.job ? "unnamed" : "missing job");
 
 /** Mark and letter, and the name for whoever needs it said. */
 export const tag = (one) =>
@@ -90,19 +90,19 @@ export function note({ job, problem, rounds }) {
   if (!job || problem) return problem;
   const had =
     rounds.length > 0
-      ? `what is here is of ${count(rounds.length, "finished round")}`
-      : "it finished no round";
+      ? `Results are from ${count(rounds.length, "finished round")}.`
+      : "No round has finished.";
   switch (job.state) {
     case "queued":
-      return `It waits, ${doing(job) || "for its turn"}: there is nothing to compare yet.`;
+      return `Waiting (${doing(job) || "for its turn"}). There is nothing to compare yet.`;
     case "running":
       return rounds.length > 0
-        ? `It still runs (${doing(job)}): ${had}.`
-        : `It still runs (${doing(job)}): no round is finished yet.`;
+        ? `Still running (${doing(job)}). ${had}`
+        : `Still running (${doing(job)}). No round has finished yet.`;
     case "failed":
-      return `It failed, because ${failed(job.error)}: ${had}.`;
+      return `Failed: ${failed(job.error)}. ${had}`;
     case "cancelled":
-      return `It was cancelled: ${had}.`;
+      return `Cancelled. ${had}`;
     default:
       return "";
   }

@@ -61,9 +61,9 @@ export function scores() {
       { "aria-label": label, onchange: draw },
       options.map(([value, text]) => h("option", { value }, text)),
     );
-  const image = choice("pictures that are scored", IMAGES);
+  const image = choice("Scored pictures", IMAGES);
   const split = choice(
-    "views that are scored",
+    "Scored views",
     SPLITS.map((name) => [name, name === "train" ? "trained on" : plain(name)]),
   );
   const body = h("div");
@@ -143,9 +143,9 @@ function lack(entries, of) {
     entries.some((one) => points(one, "psnr_cc", { image: of.image, split }).length > 0),
   );
   return others
-    ? "Of these views there are no scores: choose the others above."
-    : "No capture here has ground truth: what is left says how well each scene agrees with its " +
-        "own training images, not which is better.";
+    ? "These views have no scores. Choose the other views above."
+    : "None of these captures has ground truth. The scores show how well each scene agrees with " +
+        "its own training images, not which one is better.";
 }
 
 /** Curve, table and words of one score; `null` where no job has it. */

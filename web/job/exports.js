@@ -11,5 +11,5 @@ export async function exportList(base) {
     // It is made while it is sent.
     h("span", { class: "soft" }, `about ${size(bytes)}`),
     h("span", { class: "about" }, about))));
-  return Object.assign(list, { gist: count(found.exports.length, "form") });
+  return Object.assign(list, { gist: count(found.exports.length, "format") });
 }

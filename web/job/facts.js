@@ -13,7 +13,7 @@ export function stageBars(stages) {
     h("span", {}, row.round > 0 ? `${row.round} · ${row.stage}` : row.stage),
     h("progress", { max: most || 1, value: row.seconds, "aria-label": row.stage }),
     h("span", { class: "number" }, duration(row.seconds))]));
-  return Object.assign(bars, { gist: `${duration(all)} in all` });
+  return Object.assign(bars, { gist: `${duration(all)} in total` });
 }
 
 export function factList(report) {
@@ -29,16 +29,16 @@ export function factList(report) {
     models: report.models,
     fallbacks: report.fallbacks?.length > 0 ? report.fallbacks : null,
   });
-  return Object.assign(list, { gist: placed ? `${placed} placed` : "how it is run" });
+  return Object.assign(list, { gist: placed ? `${placed} placed` : "run details" });
 }
 
 /** What the look at the shake before the rounds came to. */
 function shake({ shaken_views: shaken, capture_shake: capture, registered }) {
   if (shaken === undefined || shaken === null) return null;
   const ways = {
-    still: ", so the run is plain splatting",
-    soft: " and most are a little soft, so the scene is trained as the network deblurs them",
-    shaken: ", so kernels explain their shake",
+    still: ", so the run uses plain splatting",
+    soft: ", and most are slightly soft, so the scene is trained on the views that the network deblurred",
+    shaken: ", so blur kernels model their shake",
   };
   return `${shaken} of ${registered} views are shaken${ways[capture] ?? ""}`;
 }

@@ -22,7 +22,7 @@ export function jobHead(base, refresh, who) {
   const keeping = h("p", { class: "row" });
   const priority = priorityField(base, refresh, who);
   const facts = h("p", { class: "hint" });
-  const bar = h("progress", { max: 1, value: 0, "aria-label": "progress" });
+  const bar = h("progress", { max: 1, value: 0, "aria-label": "Progress" });
   const needs = h("p", { class: "needs", hidden: true });
   const error = h("p", { class: "problem" });
   const meaning = h("p", { class: "hint advice" });
@@ -31,11 +31,11 @@ export function jobHead(base, refresh, who) {
   const compare = action("Compare with…", () => compareWith(job));
   compare.hidden = false;
   const buttons = {
-    cancel: action("Cancel", () => api(`${base}/cancel`, { method: "POST" }), () =>
-      ask("Cancel this job?", "What it has done stays, and it can be tried again.", "Cancel it", "Let it run")),
+    cancel: action("Cancel job", () => api(`${base}/cancel`, { method: "POST" }), () =>
+      ask("Cancel this job?", "Finished work is kept, and you can try again later.", "Cancel job", "Keep running")),
     retry: action("Try again", () => api(`${base}/retry`, { method: "POST" })),
     remove: action("Delete", removed, (job) =>
-      ask(`Delete the job “${job.name || "unnamed"}”?`, "Its scene, pictures and scores are gone then; the photographs stay.", "Delete it"), "danger"),
+      ask(`Delete job “${job.name || "unnamed"}”?`, "This permanently deletes its scene, pictures and scores. The photographs are kept.", "Delete job"), "danger"),
   };
   const root = h("section", { hidden: true },
     h("div", { class: "row" }, title, state, line, !isVisitor &&
@@ -80,8 +80,8 @@ export function jobHead(base, refresh, who) {
       return button;
     };
     keeping.className = `row ${job.pinned ? "hint" : "problem"}`;
-    if (job.pinned) keeping.replaceChildren("Kept until you delete it.", pin("Keep no longer than others", "DELETE"));
-    else if (job.expires_at) keeping.replaceChildren(`This job will be deleted on ${when(job.expires_at)}.`, pin("Keep it", "PUT"));
+    if (job.pinned) keeping.replaceChildren("Kept until you delete it.", pin("Allow deletion", "DELETE"));
+    else if (job.expires_at) keeping.replaceChildren(`This job will be deleted on ${when(job.expires_at)}.`, pin("Keep job", "PUT"));
     else keeping.replaceChildren();
   }
 
@@ -93,8 +93,8 @@ export function jobHead(base, refresh, who) {
     needed = now;
     needs.hidden = !now;
     if (!now) return;
-    needs.replaceChildren(`It waits for ${now}. Jobs that need less may start before it.`);
-    if (seesAll(who)) needs.append(" ", h("a", { href: "#/workers" }, "See the workers"));
+    needs.replaceChildren(`Waiting for ${now}. Jobs that need less may start first.`);
+    if (seesAll(who)) needs.append(" ", h("a", { href: "#/workers" }, "View workers"));
   }
 
   function showLine() {
@@ -108,7 +108,7 @@ export function jobHead(base, refresh, who) {
       const first = job === null;
       job = now;
       title.textContent = job.name || "unnamed";
-      document.title = `${job.name || "job"} · fled`;
+      document.title = `${job.name || "Job"} · fled`;
       state.className = `state ${job.state}`;
       state.textContent = stateWord(job);
       showLine();
@@ -122,7 +122,7 @@ export function jobHead(base, refresh, who) {
       showNeeds();
       if (first) {
         facts.append(`${job.preset} · created ${when(job.created_at)}`);
-        if (!isVisitor) facts.append(" · ", h("a", { href: `#/captures/${job.capture_id}` }, "its photographs"));
+        if (!isVisitor) facts.append(" · ", h("a", { href: `#/captures/${job.capture_id}` }, "View photographs"));
       }
       setBar(bar, job);
       error.textContent = job.error ? failure(job.error) : "";

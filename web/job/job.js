@@ -31,10 +31,10 @@ export function jobPage(main, who, id) {
   const training = trainingView(base);
   const metrics = section("Metrics by round");
   const times = folding("Time by stage");
-  const facts = folding("Facts");
+  const facts = folding("Details");
   const files = section("Files");
   const filmed = videos(id, isVisitor);
-  const exported = folding("For other programs");
+  const exported = folding("Export");
   const views = comparison(id);
   const scene = scenePanel(id);
   const novel = novelView(id);
@@ -73,7 +73,7 @@ export function jobPage(main, who, id) {
       }
     } catch (error) {
       if (gone) return;
-      if (error.status === 404) nothing(main, "There is no such job.");
+      if (error.status === 404) nothing(main, "Job not found.");
       else problem.textContent = error.message;
     }
   }
@@ -115,7 +115,7 @@ export function jobPage(main, who, id) {
     const isScene = (file) => file.name === "scene.ply";
     const rest = top.filter((file) => !isScene(file));
     show(files, fileTable(base, top.filter(isScene)),
-      rest.length > 0 && fold(count(rest.length, "further file"), fileTable(base, rest)), h("p", { class: "hint" }, `${artifacts.length} files in all: `, h("a", { href: `${base}/artifacts` }, "list"), ", ",
+      rest.length > 0 && fold(count(rest.length, "more file"), fileTable(base, rest)), h("p", { class: "hint" }, `${artifacts.length} files in total: `, h("a", { href: `${base}/artifacts` }, "list"), ", ",
       h("a", { href: `${base}/rounds?format=csv`, download: "rounds.csv" }, "metrics as CSV")));
   }
 

@@ -5,7 +5,7 @@ import { api, count, folding, h } from "../lib/dom.js";
 const LOG_MS = 2000;
 
 export function logView(base) {
-  const text = h("pre", { tabIndex: 0, "aria-label": "log" });
+  const text = h("pre", { tabIndex: 0, "aria-label": "Log" });
   const root = folding("Log");
   root.content.append(text);
   let [lines, offset, timer, active, busy, begun] = [0, 0, 0, false, false, false];

@@ -8,8 +8,8 @@ import { meanings } from "../lib/words.js";
 /** Against ground truth it is quality; against our own images it is only self-consistency. */
 export function metricCharts(rounds) {
   const groups = [
-    ["against ground truth", ["gt"], "final"],
-    ["self-consistency: renders against our own deblurred views, not quality", ["deblurred"], "native"],
+    ["Against ground truth", ["gt"], "final"],
+    ["Self-consistency: renders against fled's own deblurred views, not quality", ["deblurred"], "native"],
   ];
   const nodes = [];
   for (const [label, references, brightness] of groups) {
@@ -29,9 +29,9 @@ export function metricCharts(rounds) {
     else nodes.push(h("h3", {}, label), ...part);
   }
   if (!nodes.some((node) => node.textContent.includes("ground truth"))) {
-    nodes.push(h("p", { class: "hint" }, "The capture has no ground truth: what is shown says how well the scene agrees with its own training images."));
+    nodes.push(h("p", { class: "hint" }, "This capture has no ground truth. The scores show how well the scene agrees with its own training images."));
   }
-  nodes.push(fold("round by round", roundTable(rounds),
+  nodes.push(fold("Round by round", roundTable(rounds),
     meanings(["noise", "shake", "moved", "seconds", "gaussians"])));
   return nodes;
 }
@@ -57,12 +57,12 @@ export function recordOf(round, { image, split, references, brightness }) {
   return fits.find((r) => r.brightness === brightness) ?? fits[0];
 }
 
-const COLUMNS = ["Round", "Time", "Gaussians", "Steps", "Steps/s", "Noise of renders", "Shake found, px", "Cameras moved, px", "Note"]
+const COLUMNS = ["Round", "Time", "Gaussians", "Steps", "Steps/s", "Render noise", "Shake, px", "Camera correction, px", "Note"]
   .map((title) => ({ title }));
 
 function roundTable(rounds) {
   const cells = (round) => [round.round, duration(round.seconds), round.gaussians.toLocaleString(), round.steps.toLocaleString(),
     round.steps_per_second?.toFixed(1), round.noise_sigma?.render?.toFixed(4) ?? round.noise_sigma?.renders?.toFixed(4) ?? "",
-    round.shake_px?.toFixed(2), round.pose_correction_px?.toFixed(2), round.worse_than_previous ? "worse than the round before" : ""];
+    round.shake_px?.toFixed(2), round.pose_correction_px?.toFixed(2), round.worse_than_previous ? "worse than the previous round" : ""];
   return told(COLUMNS, rounds.map((round) => cells(round).map((text) => String(text ?? ""))));
 }

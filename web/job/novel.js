@@ -5,21 +5,21 @@ import { h } from "../lib/dom.js";
 const NEAREST = 0.2;
 const FARTHEST = 4;
 const MOVES = [["Turn left", "←", [-10, 0]], ["Turn right", "→", [10, 0]], ["Up", "↑", [0, 10]], ["Down", "↓", [0, -10]],
-  ["Nearer", "+", [0, 0, 1 / 1.2]], ["Farther", "−", [0, 0, 1.2]]];
+  ["Move closer", "+", [0, 0, 1 / 1.2]], ["Move away", "−", [0, 0, 1.2]]];
 const KEYS = { ArrowLeft: [-5, 0], ArrowRight: [5, 0], ArrowUp: [0, 5], ArrowDown: [0, -5], "+": [0, 0, 1 / 1.1], "=": [0, 0, 1 / 1.1], "-": [0, 0, 1.1] };
 
 export function novelView(job) {
-  const image = h("img", { alt: "rendered view", draggable: false });
+  const image = h("img", { alt: "Rendered view", draggable: false });
   const caption = h("p", { class: "hint", role: "status" });
-  const frame = h("div", { class: "view", tabIndex: 0, role: "group", "aria-label": "novel view, arrow keys turn" }, image);
-  const choice = h("select", { "aria-label": "round" });
+  const frame = h("div", { class: "view", tabIndex: 0, role: "group", "aria-label": "Novel view: use the arrow keys to turn" }, image);
+  const choice = h("select", { "aria-label": "Round" });
   const tools = h("div", { class: "row tools" }, MOVES.map(([label, text, move]) =>
     h("button", { type: "button", "aria-label": label, title: label, onclick: () => turn(...move) }, text)),
     h("button", { type: "button", onclick: home }, "Reset"));
   const root = h("section", { hidden: true },
     h("div", { class: "row" }, h("h2", {}, "Novel view"), h("label", { class: "push" }, "Round", choice)),
     frame, tools, caption,
-    h("p", { class: "hint" }, "Pictures from the server, on any machine. Drag to turn, or use the arrow keys. Come nearer with + and −, with Ctrl and the wheel, or with the wheel after a click."));
+    h("p", { class: "hint" }, "The server renders this view, so it works on any machine. Drag or use the arrow keys to turn. Use + and −, Ctrl and the wheel, or the wheel after a click to move closer or away."));
   const pose = { azimuth: 0, elevation: 0, distance: 1 };
   let [busy, again, shown] = [false, false, ""];
   // The wheel is the page's until one clicks into the view, and again when the pointer leaves it.
@@ -90,7 +90,7 @@ export function novelView(job) {
       if (rounds.length === 0 || known === String(rounds)) return;
       known = String(rounds);
       const before = choice.value;
-      choice.replaceChildren(h("option", { value: "" }, "delivered or last"),
+      choice.replaceChildren(h("option", { value: "" }, "delivered or latest"),
         ...rounds.map((round) => h("option", { value: round, selected: String(round) === before }, String(round))));
       root.hidden = false;
       draw();

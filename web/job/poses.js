@@ -4,16 +4,16 @@ import { h } from "../lib/dom.js";
 import { told } from "../lib/table.js";
 
 const WORDS = {
-  registered: "found",
-  given: "as given: its matches place it nowhere",
-  late: "placed by the scene",
-  doubtful: "left out: stronger matches say otherwise",
-  taken_out: "taken out: it does not look like the scene there",
-  not_found: "not found",
+  registered: "placed",
+  given: "given position kept: its matches cannot place it",
+  late: "placed with the scene",
+  doubtful: "excluded: stronger matches contradict it",
+  taken_out: "removed: it does not look like the scene from there",
+  not_found: "not placed",
 };
 
 export function poses(base, report) {
-  const image = h("img", { src: `${base}/artifacts/poses.svg`, alt: "cameras and sparse points from above", loading: "lazy" });
+  const image = h("img", { src: `${base}/artifacts/poses.svg`, alt: "Cameras and sparse points from above", loading: "lazy" });
   const figure = h("figure", { class: "poses" }, image, h("figcaption", {}, "Where the photographs were taken from"));
   // An older run has left no such file.
   image.addEventListener("error", () => image.remove());
@@ -38,13 +38,13 @@ function places(report) {
 function summary(rows) {
   const count = (...states) => rows.filter((row) => states.includes(row.status)).length;
   const late = count("late");
-  const parts = [`${count("registered", "given")} found`, late > 0 && `${late} placed by the scene`,
-    count("doubtful", "taken_out", "not_found") > 0 && `${count("doubtful", "taken_out", "not_found")} without a place`];
-  return `Each photograph's place: ${parts.filter(Boolean).join(", ")}`;
+  const parts = [`${count("registered", "given")} placed`, late > 0 && `${late} placed with the scene`,
+    count("doubtful", "taken_out", "not_found") > 0 && `${count("doubtful", "taken_out", "not_found")} not placed`];
+  return `Positions of the photographs: ${parts.filter(Boolean).join(", ")}`;
 }
 
-const COLUMNS = [{ title: "Photograph" }, { title: "Place" }, { title: "Matches that fit", class: "word" }, { title: "Error, px", class: "word" },
-  { title: "Fits its render", class: "word" }];
+const COLUMNS = [{ title: "Photograph" }, { title: "Position" }, { title: "Consistent matches", class: "word" }, { title: "Error, px", class: "word" },
+  { title: "Similarity to render", class: "word" }];
 
 function table(rows) {
   const number = (value) => (value === null || value === undefined ? "" : value.toFixed(2));

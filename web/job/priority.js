@@ -17,7 +17,7 @@ export function priorityField(base, changed, who) {
   const problem = h("span", { class: "problem", role: "alert" });
   const root = h("p", { class: "row priority", hidden: true },
     h("label", {}, "Priority", field),
-    h("span", { class: "hint" }, "Of the jobs that wait the one of the highest number goes first."),
+    h("span", { class: "hint" }, "Waiting jobs with a higher priority start first."),
     problem);
   /** What the server has. */
   let known = 0;

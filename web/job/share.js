@@ -8,13 +8,13 @@ export function shares(job) {
   const problem = h("p", { class: "problem", role: "alert" });
   const made = h("div");
   const list = h("div");
-  const name = h("input", { type: "text", maxLength: 100, placeholder: "for whom" });
-  const days = h("select", {}, [[1, "a day"], [7, "a week"], [30, "30 days"], [365, "a year"]]
+  const name = h("input", { type: "text", maxLength: 100, placeholder: "Who is it for?" });
+  const days = h("select", {}, [[1, "1 day"], [7, "1 week"], [30, "30 days"], [365, "1 year"]]
     .map(([value, label]) => h("option", { value: String(value), selected: value === 30 }, label)));
-  const button = h("button", { type: "submit" }, "Make a link");
+  const button = h("button", { type: "submit" }, "Create link");
   const root = h("section", { hidden: true }, h("h2", {}, "Share"),
-    h("p", { class: "hint" }, "A link shows this job to whoever has it: pictures, files and novel views, nothing else."),
-    h("form", { class: "row", onsubmit: make }, h("label", {}, "Name ", name), h("label", {}, "Holds for ", days), button),
+    h("p", { class: "hint" }, "Anyone with the link can see this job’s pictures, files and novel views, and nothing else."),
+    h("form", { class: "row", onsubmit: make }, h("label", {}, "Name ", name), h("label", {}, "Expires after ", days), button),
     made, list, problem);
 
   async function make(event) {
@@ -36,7 +36,7 @@ export function shares(job) {
 
   /** The link itself, the one time that the server tells it. */
   function show(share) {
-    const address = h("input", { type: "text", readOnly: true, size: 60, value: location.origin + share.path, "aria-label": "link" });
+    const address = h("input", { type: "text", readOnly: true, size: 60, value: location.origin + share.path, "aria-label": "Link" });
     const copy = h("button", { type: "button", onclick: copied }, "Copy");
     async function copied() {
       address.select();
@@ -48,7 +48,7 @@ export function shares(job) {
         copy.textContent = "Press Ctrl+C";
       }
     }
-    made.replaceChildren(h("p", { class: "row" }, address, copy), h("p", { class: "hint" }, "Copy it now: it is not shown again."));
+    made.replaceChildren(h("p", { class: "row" }, address, copy), h("p", { class: "hint" }, "Copy the link now. It is not shown again."));
     address.select();
   }
 
@@ -68,10 +68,10 @@ export function shares(job) {
   async function refresh() {
     /** @type {import("fled-api").Shares} */
     const { shares } = await api(base);
-    const used = (share) => (share.last_used_at ? `used ${day(share.last_used_at)}` : "not used");
+    const used = (share) => (share.last_used_at ? `last used ${day(share.last_used_at)}` : "not used yet");
     list.replaceChildren(...(shares.length === 0 ? [] : [h("ul", { class: "plain" }, shares.map((share) => h("li", { class: "row" },
-      h("strong", {}, share.name || "a link"), h("span", { class: "soft" }, `until ${day(share.expires_at)} · ${used(share)}`),
-      h("button", { type: "button", "aria-label": `End ${share.name || "the link"}`, onclick: (event) => end(share, event) }, "End"))))]));
+      h("strong", {}, share.name || "Unnamed link"), h("span", { class: "soft" }, `until ${day(share.expires_at)} · ${used(share)}`),
+      h("button", { type: "button", "aria-label": `Revoke ${share.name || "unnamed link"}`, onclick: (event) => end(share, event) }, "Revoke"))))]));
   }
 
   return {

@@ -26,7 +26,7 @@ export function trainingView(base) {
   const picture = livePicture(base);
   const status = h("p", { class: "hint" });
   const agreement = h("p", { class: "hint", hidden: true },
-    "Self-consistency says how well the scene agrees with photographs that fled enhanced itself: agreement, not quality, since both can be wrong in the same way.");
+    "Self-consistency measures how well the scene agrees with fled's own enhanced photographs. This is agreement, not quality: both can be wrong in the same way.");
   const words = h("div");
   const grid = h("div", { class: "live" }, loss.root, picture.root, scores.psnr_cc_db.root, scores.ssim.root);
   let [last, named, frame] = [null, null, 0];
@@ -48,7 +48,7 @@ export function trainingView(base) {
   function name({ truth, views }) {
     named = truth;
     const of = `${views} held-out view${views === 1 ? "" : "s"}`;
-    const what = truth ? "" : "Self-consistency, ";
+    const what = truth ? "" : "Self-consistency ";
     scores.psnr_cc_db.title(`${what}PSNR of ${of}, dB`);
     scores.ssim.title(`${what}SSIM of ${of}`);
     agreement.hidden = truth;
@@ -66,7 +66,7 @@ export function trainingView(base) {
     if (root.hidden) show(root, grid, agreement, status, words);
     for (const chart of [loss, ...Object.values(scores)]) chart.draw(last.steps);
     status.textContent = `Round ${last.round}, step ${last.step.toLocaleString("en")} of ${last.steps.toLocaleString("en")}: ` +
-      `${last.gaussians.toLocaleString("en")} Gaussians. The loss says how far renders are from the views that train; each dot is one view, the line their course.`;
+      `${last.gaussians.toLocaleString("en")} Gaussians. The loss measures how far renders are from the training views. Each dot is one view; the line is the trend.`;
   }
 
   return { root, see, over: picture.over };
@@ -145,7 +145,7 @@ function course(points, x, y, share) {
 function livePicture(base) {
   const image = h("img", { alt: "" });
   const caption = h("figcaption");
-  const root = h("figure", { class: "seen", hidden: true }, h("h3", {}, "One view"), image, caption);
+  const root = h("figure", { class: "seen", hidden: true }, h("h3", {}, "Live view"), image, caption);
   let [wanted, busy, shown, isOver] = [null, false, "", false];
 
   function see(told) {
@@ -169,8 +169,8 @@ function livePicture(base) {
 
   async function put(url, told) {
     image.src = url;
-    image.alt = `render of the view ${told.view}`;
-    caption.textContent = `${told.view} (${told.held_out ? "held out" : "it trains"}), round ${told.round}, step ${told.step.toLocaleString("en")}`;
+    image.alt = `Render of view ${told.view}`;
+    caption.textContent = `${told.view} (${told.held_out ? "held out" : "training view"}), round ${told.round}, step ${told.step.toLocaleString("en")}`;
     root.hidden = false;
     await image.decode().catch(() => {});
     if (shown) URL.revokeObjectURL(shown);

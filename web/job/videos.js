@@ -6,8 +6,8 @@ import { api, count, folding, h, send, show, size, when } from "../lib/dom.js";
 /** While one is made. */
 const LOOK_MS = 1000;
 const WAYS = {
-  orbit: ["Around the scene", "Swings as far to both sides as the photographers stood, or all around where they went around."],
-  cameras: ["Through the photographs", "From camera to camera, in the order of the photographs' names."],
+  orbit: ["Around the scene", "Swings to both sides as far as the photographs reach, or circles the scene if they go all the way around."],
+  cameras: ["Through the photographs", "Moves from camera to camera, in the order of the photographs' names."],
 };
 const SECONDS = [4, 8, 15, 30, 60];
 const SIDES = [640, 960, 1280, 1920];
@@ -23,9 +23,9 @@ export function videos(id, isVisitor) {
   const way = h("select", {}, Object.entries(WAYS).map(([kind, [label]]) => h("option", { value: kind }, label)));
   const seconds = h("select", {}, options(SECONDS, 8, (value) => `${value} s`));
   const side = h("select", {}, options(SIDES, 960, (value) => `${value} px`));
-  const button = h("button", { type: "submit" }, "Make a video");
+  const button = h("button", { type: "submit" }, "Create video");
   const about = h("p", { class: "hint" });
-  const form = h("form", { onsubmit: make }, h("label", {}, "Way", way), h("label", {}, "Length", seconds),
+  const form = h("form", { onsubmit: make }, h("label", {}, "Path", way), h("label", {}, "Length", seconds),
     h("label", {}, "Long side", side), button);
   const content = h("div", {}, !isVisitor && form, !isVisitor && about, problem, list);
   const items = new Map();
@@ -51,7 +51,7 @@ export function videos(id, isVisitor) {
 
   async function remove(video) {
     const isMade = video.state === "succeeded";
-    if (isMade && !(await ask("Delete this video?", "It can be made again.", "Delete it"))) return;
+    if (isMade && !(await ask("Delete this video?", "You can create it again.", "Delete video"))) return;
     problem.textContent = "";
     try {
       await api(`${base}/${video.id}`, { method: "DELETE" });
@@ -113,9 +113,9 @@ export function videos(id, isVisitor) {
 
 /** One video as it stands: `{ state, node, update }`. */
 function entry(base, video, remove) {
-  const words = `${WAYS[video.kind]?.[0] ?? "Along a path"}, ${Math.round(10 * video.seconds) / 10} s, ${video.width} × ${video.height} px`;
+  const words = `${WAYS[video.kind]?.[0] ?? "Custom path"}, ${Math.round(10 * video.seconds) / 10} s, ${video.width} × ${video.height} px`;
   const line = h("span", { class: "soft now", role: "status" });
-  const bar = h("progress", { max: 1, "aria-label": `progress of the video ${words}` });
+  const bar = h("progress", { max: 1, "aria-label": `Progress of the video: ${words}` });
   const file = `${base}/${video.id}/file`;
   const end = (label, style) => remove && h("button", { type: "button", class: style, onclick: remove }, label);
   const head = (...more) => h("div", { class: "row" }, h("span", {}, words), h("span", { class: "soft" }, when(video.created_at)), line, h("span", { class: "row push" }, ...more.filter(Boolean)));
@@ -128,10 +128,10 @@ function entry(base, video, remove) {
   }
   if (video.state === "failed") {
     const { detail, hint } = video.error;
-    return { state: video.state, update() {}, node: h("li", {}, head(end("Remove", "")), h("p", { class: "problem" }, `It was not made: ${detail}\n${hint}`)) };
+    return { state: video.state, update() {}, node: h("li", {}, head(end("Remove", "")), h("p", { class: "problem" }, `The video could not be made: ${detail}\n${hint}`)) };
   }
   function update({ state, progress, ahead }) {
-    const before = ahead > 0 ? `waits for ${count(ahead, "other video")}` : "begins soon";
+    const before = ahead > 0 ? `waiting for ${count(ahead, "other video")}` : "starting soon";
     line.textContent = state === "queued" ? before : `${Math.round(100 * progress)} %`;
     if (progress > 0) bar.value = progress;
     else bar.removeAttribute("value");

@@ -10,15 +10,15 @@ const DEPTH_WIDTH = 560;
 
 /** Keeps the comparison up to date: `update(names, rounds, hasTruth)`. */
 export function comparison(job) {
-  const choice = h("select", { "aria-label": "view" });
+  const choice = h("select", { "aria-label": "View" });
   const slider = split();
   const shots = thumbnails(chosen, slider);
   const about = h("p", { class: "hint" });
   const root = h("section", { hidden: true },
     h("div", { class: "row" }, h("h2", {}, "Views"), h("label", { class: "push" }, "View", choice)),
     slider.root, slider.tools,
-    fold("How to look closer", h("p", { class: "hint" }, "Drag the bar, or use the arrow keys, Home and End. Enlarge all pictures of the view with + and −, two fingers, a double click, " +
-      "or Ctrl and the wheel; move what is enlarged by dragging it, or with Shift and the arrow keys."), about),
+    fold("Viewing tips", h("p", { class: "hint" }, "Drag the bar, or use the arrow keys, Home and End. Zoom all pictures of the view with + and −, two fingers, a double click, " +
+      "or Ctrl and the wheel. Drag a zoomed picture to move it, or use Shift and the arrow keys."), about),
     shots.root);
   let state = "";
   let facts = { names: [], rounds: [], hasTruth: false };
@@ -104,7 +104,7 @@ export function comparison(job) {
     if (now === state || names.length === 0) return;
     state = now;
     facts = { names, rounds, hasTruth };
-    about.textContent = `${hasTruth ? TO_TRUTH : TO_ENHANCED} Of depth, what is near is bright, what is far dark, and black where nothing is.`;
+    about.textContent = `${hasTruth ? TO_TRUTH : TO_ENHANCED} In depth pictures, near is bright, far is dark, and black is empty.`;
     const view = choice.value;
     choice.replaceChildren(...names.map((one) => h("option", { value: one.name, selected: one.name === view },
       one.split === "held_out" ? `${one.name} (held out)` : one.name)));
@@ -114,7 +114,7 @@ export function comparison(job) {
   return { root, update };
 }
 
-const TO_TRUTH = `The difference is that of the best round's render, at its final brightness, to the ground truth: without sign, ${TIMES} times as bright. ` +
-  "What is black agrees; a colour or brightness that is off as a whole shows, too.";
-const TO_ENHANCED = `Without ground truth a difference is that of a round's render to the enhanced photograph: without sign, ${TIMES} times as bright. ` +
-  "The photograph is noisy and shaken and the render is not, so it says where they disagree and not which of them is wrong.";
+const TO_TRUTH = `The difference compares the best round's render, at its final brightness, with the ground truth. It is absolute and ${TIMES} times as bright. ` +
+  "Black means agreement; an overall shift in colour or brightness also shows.";
+const TO_ENHANCED = `Without ground truth, the difference compares a round's render with the enhanced photograph. It is absolute and ${TIMES} times as bright. ` +
+  "The photograph is noisy and shaken and the render is not, so it shows where they disagree, not which of them is wrong.";

@@ -59,7 +59,7 @@ export function chart(title, series, digits, most = Infinity) {
       class: "plot",
       tabIndex: 0,
       role: "group",
-      "aria-label": `${title}: arrow keys choose the round`,
+      "aria-label": `${title}: use the arrow keys to choose a round`,
     },
     svg,
   );

@@ -3,7 +3,7 @@
 import { h } from "./dom.js";
 
 /** Shows a question; whether the answer is `yes`. Escape and another page are no. */
-export function ask(question, detail, yes, no = "Keep it") {
+export function ask(question, detail, yes, no = "Cancel") {
   const dialog = h("dialog", { "aria-label": question });
   const answer = (word) => () => dialog.close(word);
   const away = answer("no");

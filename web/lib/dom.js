@@ -55,7 +55,7 @@ export class Refusal extends Error {
    * @param {import("fled-api").Problem | null} problem Any other body is none.
    */
   constructor(status, problem) {
-    super([problem?.detail ?? `The server answered ${status}.`, problem?.hint].filter(Boolean).join("\n"));
+    super([problem?.detail ?? `The server responded with status ${status}.`, problem?.hint].filter(Boolean).join("\n"));
     Object.assign(this, { status, detail: problem?.detail, pointer: problem?.pointer, capture: problem?.capture });
   }
 }

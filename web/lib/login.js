@@ -34,9 +34,9 @@ export function loginPage(main, done) {
     button.disabled = false;
   }
   main.append(h("section", {},
-    h("h2", {}, "This server needs a token"),
+    h("h2", {}, "This server requires a token"),
     h("form", { onsubmit: submit }, h("label", {}, "Token", token), button),
-    h("p", { class: "hint" }, "Whoever runs the server makes one by ", h("code", {}, "fled token create"), ". This browser is known for a week at most."),
+    h("p", { class: "hint" }, "The server's administrator creates tokens with ", h("code", {}, "fled token create"), ". This browser stays logged in for up to a week."),
     problem));
   token.focus();
   return () => {};

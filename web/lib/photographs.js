@@ -4,7 +4,7 @@ import { count, h } from "./dom.js";
 import { told } from "./table.js";
 
 const COLUMNS = [{ title: "Photograph" }, { title: "Size, px", class: "word" }, { title: "Focal length, px", class: "word" },
-  { title: "Verdict" }, { title: "Warnings" }];
+  { title: "Status" }, { title: "Warnings" }];
 
 /** @typedef {import("fled-api").Capture} Capture */
 
@@ -15,7 +15,7 @@ export const rejected = (capture) => capture.images.filter((image) => !image.acc
  * "23 of 25 photographs are used".
  * @param {Capture} capture
  */
-export const used = (capture) => `${capture.accepted} of ${count(capture.images.length, "photograph")} ${capture.accepted === 1 ? "is" : "are"} used`;
+export const used = (capture) => `${capture.accepted} of ${count(capture.images.length, "photograph")} used`;
 
 /**
  * Every photograph; those that are not used come first, with the reason.
@@ -49,8 +49,8 @@ export function leftOut(capture) {
   const out = rejected(capture);
   if (out.length === 0) return null;
   return [
-    h("p", {}, `${used(capture)}; ${out.length === 1 ? "this one is not" : "these are not"}:`),
+    h("p", {}, `${used(capture)}. Not used:`),
     h("ul", { class: "plain" }, out.map((image) => h("li", {}, h("b", {}, image.name), `: ${image.reason ?? "rejected"}`))),
-    h("p", { class: "hint" }, h("a", { href: `#/captures/${capture.id}` }, "All photographs of this capture")),
+    h("p", { class: "hint" }, h("a", { href: `#/captures/${capture.id}` }, "All photographs in this capture")),
   ];
 }

@@ -48,7 +48,7 @@ export function split() {
   }
 
   const level = h("span", { class: "soft" });
-  const [nearer, farther, whole] = [["+", "Enlarge", () => view.by(IN)], ["−", "Reduce", () => view.by(1 / IN)], ["Whole", "Whole picture", view.reset]]
+  const [nearer, farther, whole] = [["+", "Zoom in", () => view.by(IN)], ["−", "Zoom out", () => view.by(1 / IN)], ["Fit", "Fit picture", view.reset]]
     .map(([text, label, onclick]) => h("button", { type: "button", "aria-label": label, title: label, onclick }, text));
 
   function draw() {
@@ -70,8 +70,8 @@ export function split() {
     top.image.style.filter = brightened(a);
     below.image.style.filter = brightened(b);
     const [name, gain] = a > 1 ? [left.textContent, a] : [right.textContent, b];
-    light.textContent = !equal.checked ? "" : isFixed ? "A difference or a depth stays as bright as it is." : gain > 1.01
-      ? `${name} × ${gain.toFixed(1)}, so that both have the same mean. Its noise grows as much.` : "Both have the same mean as they are.";
+    light.textContent = !equal.checked ? "" : isFixed ? "Difference and depth pictures are not brightened." : gain > 1.01
+      ? `${name} is brightened × ${gain.toFixed(1)} to match the other side; its noise is amplified as much.` : "Both sides already have the same mean brightness.";
   }
   equal.addEventListener("change", () => {
     balance();
@@ -120,7 +120,7 @@ export function split() {
     root,
     view,
     lit(follower) { followers.push(follower); },
-    tools: h("div", { class: "row tools" }, farther, nearer, whole, level, h("label", { class: "check" }, equal, "Equal brightness"), light),
+    tools: h("div", { class: "row tools" }, farther, nearer, whole, level, h("label", { class: "check" }, equal, "Match brightness"), light),
     show(a, b) {
       isFixed = [a, b].some((one) => one.isFixed);
       top.show(a);

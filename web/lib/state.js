@@ -24,10 +24,10 @@ export const pill = (job) => h("span", { class: `state ${job.state}` }, stateWor
  * @param {Job} job
  */
 export function doing(job) {
-  if (job.state === "queued") return [place(job), urgency(job), job.error && "waits for another attempt"].filter(Boolean).join(", ");
+  if (job.state === "queued") return [place(job), urgency(job), job.error && "waiting to retry"].filter(Boolean).join(", ");
   if (job.state !== "running") return "";
   const round = job.round > 0 ? `round ${job.round} of ${job.rounds}` : "";
-  return [round, job.stage].filter(Boolean).join(", ") || "starts";
+  return [round, job.stage].filter(Boolean).join(", ") || "starting";
 }
 
 /** @param {Job} job */
@@ -36,7 +36,7 @@ const urgency = ({ priority }) => (priority ? `priority ${priority}` : "");
 /** @param {Job} job */
 function place({ queue_position: position }) {
   if (!position) return "";
-  return position === 1 ? "next in the queue" : `place ${position} in the queue`;
+  return position === 1 ? "next in the queue" : `position ${position} in the queue`;
 }
 
 /**
@@ -61,9 +61,9 @@ export function progressLine(job) {
 function elapsed(job) {
   if (!job.stage_started_at) return "";
   const time = stopwatch((serverNow() - Date.parse(job.stage_started_at)) / 1000);
-  if (job.stage !== "poses") return `this stage ${time} so far`;
+  if (job.stage !== "poses") return `${time} in this stage`;
   const given = job.options.pose_source === "given";
-  return given ? `so far ${time}` : `so far ${time}; usually one to two minutes`;
+  return given ? `${time} so far` : `${time} so far; usually one to two minutes`;
 }
 
 /**

@@ -34,7 +34,7 @@ export function thumbnails(chosen, slider) {
     h(
       "div",
       { class: "row sides", role: "group", "aria-label": "side" },
-      "Press a picture for the",
+      "Choose a picture for the",
       ...sides,
     ),
     grid,

@@ -9,70 +9,70 @@ export const METRICS = {
     better: "higher",
     digits: 2,
     means:
-      "How close pictures are to the sharp truth once their overall colours agree (psnr_cc): " +
-      "one decibel more is an error about a tenth smaller.",
+      "How close pictures are to the sharp ground truth once their overall colours match " +
+      "(psnr_cc). One decibel more means an error about a tenth smaller.",
   },
   ssim: {
     title: "SSIM",
     better: "higher",
     digits: 3,
     means:
-      "How alike edges and textures are to the truth, 1 being the same picture: " +
-      "it notices a blur that PSNR forgives.",
+      "How closely edges and textures match the ground truth; 1 means identical pictures. " +
+      "SSIM notices blur that PSNR forgives.",
   },
   own_psnr: {
-    title: "Self-consistency, PSNR, dB",
+    title: "Self-consistency PSNR, dB",
     better: "higher",
     digits: 2,
     means:
-      "How well renders agree with the deblurred photographs that fled made itself: " +
-      "agreement, not truth, since both can be wrong in the same way.",
+      "How well renders agree with fled's own deblurred photographs. This measures agreement, " +
+      "not truth: both can be wrong in the same way.",
   },
   own_ssim: {
-    title: "Self-consistency, SSIM",
+    title: "Self-consistency SSIM",
     better: "higher",
     digits: 3,
     means:
-      "The same agreement, of edges and textures: a scene that is blurred like its own " +
-      "deblurred photographs scores well, too.",
+      "The same agreement for edges and textures. A scene that is as blurred as its own " +
+      "deblurred photographs also scores well.",
   },
   noise: {
-    title: "Noise of renders",
+    title: "Render noise",
     better: "lower",
     digits: 4,
-    means: "How much grain is left in the renders; low noise is good only where detail stays.",
+    means: "How much grain is left in the renders. Low noise is good only if detail remains.",
   },
   seconds: {
-    title: "Time of the round, s",
+    title: "Round time, s",
     better: "lower",
     digits: 0,
-    means: "How long the round took on this machine; other jobs beside it make it longer.",
+    means: "How long the round took on this machine. Other jobs running at the time slow it down.",
   },
   gaussians: {
     title: "Gaussians",
     better: null,
     digits: 0,
     means:
-      "How many splats the scene is made of: more hold finer detail in a larger file, " +
-      "so neither way is better.",
+      "How many Gaussians the scene consists of. More can hold finer detail but make a larger " +
+      "file, so neither more nor fewer is better.",
   },
 };
 
 /** Of numbers that are told by round, and compared with nothing. */
 const OTHERS = {
   shake: {
-    title: "Shake found, px",
+    title: "Shake, px",
     better: null,
     means:
-      "How far the camera moved within a photograph, in pixels of the training size: a mean " +
+      "How far the camera moved during an exposure, in pixels at the training size, averaged " +
       "over all views.",
   },
   moved: {
-    title: "Cameras moved, px",
+    title: "Camera correction, px",
     better: null,
     means:
-      "How far the cameras were corrected, as seen in the pictures: much more than a pixel " +
-      "means that their places were rough.",
+      "How far the cameras were corrected, measured in the pictures. Much more than a pixel " +
+      "means that the initial poses were rough.",
   },
 };
 
@@ -82,27 +82,27 @@ const LIVE = {
     title: "PSNR of held-out views",
     better: "higher",
     means:
-      "How close renders of views that train nothing are to the sharp truth once their colours " +
-      "agree, at half the size and before their cameras are corrected: a course to watch. The " +
-      "round's own scores come when it is finished.",
+      "How close renders of held-out views are to the sharp ground truth once their colours " +
+      "match, at half size and before their cameras are corrected. Use it to follow progress; " +
+      "final scores appear when the round finishes.",
   },
   live_ssim: {
     title: "SSIM of held-out views",
     better: "higher",
-    means: "The same, of edges and textures, 1 being the same picture.",
+    means: "The same for edges and textures; 1 means identical pictures.",
   },
   live_own_psnr: {
-    title: "Self-consistency, PSNR",
+    title: "Self-consistency PSNR",
     better: "higher",
     means:
-      "How well renders of views that train nothing, shaken as their photographs are, agree with " +
-      "these photographs as fled brightened them, at half the size: noise that is in them is no " +
-      "fault of the scene, and limits what can be reached.",
+      "How well renders of held-out views, shaken like their photographs, agree with those " +
+      "photographs as brightened by fled, at half size. Noise in the photographs is not the " +
+      "scene's fault and limits the score that can be reached.",
   },
   live_own_ssim: {
-    title: "Self-consistency, SSIM",
+    title: "Self-consistency SSIM",
     better: "higher",
-    means: "The same agreement, of edges and textures.",
+    means: "The same agreement for edges and textures.",
   },
 };
 
@@ -133,44 +133,46 @@ export const direction = ({ better }) =>
 /** What a failure's code means, and what one does about it. */
 const FAILURES = {
   bad_input: [
-    "the photographs or an option cannot be used",
-    "What is named there cannot work; trying the same again will end the same way.",
+    "a photograph or an option cannot be used",
+    "Something named above cannot be used. Trying again without changing it will fail again.",
   ],
   few_poses: [
     "too few photographs could be placed",
-    "fled could not tell where enough of the photographs were taken from. More overlap and a " +
-      "stiller camera help most; the same photographs will hardly do better.",
+    "fled could not work out where enough of the photographs were taken. More overlap and a " +
+      "steadier camera help most; trying the same photographs again rarely helps.",
   ],
   oom_host: [
     "the machine ran out of memory",
-    "The job needed more memory than the machine has; the same again will end the same way.",
+    "The job needed more memory than the machine has. The same job would fail again.",
   ],
   oom_gpu: [
     "the GPU ran out of memory",
-    "The job needed more memory than the GPU has; the same again will end the same way.",
+    "The job needed more memory than the GPU has. The same job would fail again.",
   ],
   device_lost: [
-    "the GPU stopped answering",
-    "The GPU's driver was reset, not by your photographs: try again, it goes on where it was.",
+    "the GPU stopped responding",
+    "The GPU driver was reset; your photographs are not the cause. Try again: the job continues " +
+      "where it stopped.",
   ],
   io: [
     "a file could not be read or written",
-    "The server's disk may be full or not writable: whoever runs it must look, then try again.",
+    "The server's disk may be full or read-only. Ask the server's administrator to check it, " +
+      "then try again.",
   ],
   timeout: [
     "a step took too long",
-    "The machine may have been overloaded: try again when it is less busy, it goes on where " +
-      "it was.",
+    "The machine may have been overloaded. Try again when it is less busy: the job continues " +
+      "where it stopped.",
   ],
   environment: [
-    "the server lacks something",
-    "A program or model is missing on the server, not in your photographs: whoever runs it " +
-      "must mend that, then try again.",
+    "the server is missing a program or model",
+    "Your photographs are not the cause. Ask the server's administrator to install what is " +
+      "missing, then try again.",
   ],
   internal: [
-    "a fault of fled's own",
-    "This is not your photographs' fault: try again, and report it with the log if it comes " +
-      "back.",
+    "an internal error",
+    "Your photographs are not the cause. Try again; if it happens again, report it together " +
+      "with the log.",
   ],
 };
 

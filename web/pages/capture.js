@@ -26,12 +26,12 @@ export function capturePage(main, id, from) {
       if (gone) return;
       const again = againForm(capture);
       main.append(head, jobsPart, again.root, warnings, pictures);
-      document.title = `${capture.name || "capture"} · fled`;
+      document.title = `${capture.name || "Capture"} · fled`;
       const remove = h("button", { type: "button", class: "danger" }, "Delete");
       remove.addEventListener("click", () => removeIt(capture, remove));
       head.append(h("div", { class: "row" }, h("h1", {}, capture.name || "unnamed"),
         h("span", { class: "soft" }, used(capture)), h("span", { class: "row push" }, remove)), problem,
-      h("p", { class: "hint" }, `uploaded ${when(capture.created_at)}${capture.expires_at ? ` · will be deleted on ${when(capture.expires_at)}` : ""}`));
+      h("p", { class: "hint" }, `Uploaded ${when(capture.created_at)}${capture.expires_at ? ` · will be deleted on ${when(capture.expires_at)}` : ""}`));
       head.hidden = false;
       show(warnings, captureWarnings(capture));
       show(pictures, photographs(capture));
@@ -39,7 +39,7 @@ export function capturePage(main, id, from) {
       await refresh();
     } catch (error) {
       if (gone) return;
-      if (error.status === 404) nothing(main, "There is no such capture.", "#/captures", "All captures");
+      if (error.status === 404) nothing(main, "Capture not found.", "#/captures", "All captures");
       else { main.append(head); head.hidden = false; head.append(problem); problem.textContent = error.message; }
     }
   }
@@ -60,9 +60,9 @@ export function capturePage(main, id, from) {
 
   async function removeIt(capture, button) {
     problem.textContent = "";
-    const uses = of.length > 0 ? ` ${count(of.length, "job")} of it ${of.length === 1 ? "is" : "are"} here; the server deletes it only without jobs.` : "";
-    const sure = await ask(`Delete the capture “${capture.name || "unnamed"}”?`,
-      `Its ${count(capture.images.length, "photograph")} cannot be brought back.${uses}`, "Delete it");
+    const uses = of.length > 0 ? ` ${count(of.length, "job")} ${of.length === 1 ? "uses" : "use"} this capture; delete ${of.length === 1 ? "it" : "them"} first.` : "";
+    const sure = await ask(`Delete capture “${capture.name || "unnamed"}”?`,
+      `This permanently deletes ${count(capture.images.length, "photograph")}.${uses}`, "Delete capture");
     if (!sure) return;
     button.disabled = true;
     try {
@@ -84,7 +84,7 @@ export function capturePage(main, id, from) {
  */
 function againForm(capture) {
   const options = optionsForm();
-  const name = h("input", { type: "text", placeholder: capture.name || "optional", maxLength: 200 });
+  const name = h("input", { type: "text", placeholder: capture.name || "Optional", maxLength: 200 });
   const button = h("button", { class: "main", type: "submit" }, "Run");
   const problem = h("p", { class: "problem", role: "alert" });
 

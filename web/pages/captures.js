@@ -11,12 +11,12 @@ const MOST = 200;
 export function capturesPage(main) {
   const list = table(COLUMNS, []);
   list.hidden = true;
-  const empty = h("p", { class: "hint", hidden: true }, "Nothing was uploaded yet. ", h("a", { href: "#/" }, "Start a job"), " with photographs.");
-  const more = h("button", { type: "button", hidden: true }, "Older captures");
+  const empty = h("p", { class: "hint", hidden: true }, "No captures yet. ", h("a", { href: "#/" }, "Start a job"), " to upload photographs.");
+  const more = h("button", { type: "button", hidden: true }, "Show older captures");
   const problem = h("p", { class: "problem", role: "alert" });
-  main.append(h("section", {}, h("h1", {}, "Captures"), h("p", { class: "hint" }, "Photographs that were uploaded; each can be run again with other options."),
+  main.append(h("section", {}, h("h1", {}, "Captures"), h("p", { class: "hint" }, "Sets of photographs that you uploaded. You can run each of them again with other options."),
     list, empty, more, problem));
-  document.title = "captures · fled";
+  document.title = "Captures · fled";
   let [limit, gone] = [50, false];
   more.addEventListener("click", () => { limit = Math.min(limit + 50, MOST); refresh(); });
 

@@ -21,12 +21,12 @@ const STATES = ["queued", "running", "succeeded", "failed", "cancelled"];
 const PRESETS = ["preview", "standard", "paper"];
 
 const COLUMNS = [
-  { title: "Mark", class: "pick", head: h("span", { class: "heard" }, "Mark") },
+  { title: "Select", class: "pick", head: h("span", { class: "heard" }, "Select") },
   { title: "Picture", class: "pictured", head: h("span", { class: "heard" }, "Picture") },
   { title: "Name" },
   { title: "State" },
   { title: "Progress" },
-  { title: "Now" },
+  { title: "Details" },
   { title: "Preset", class: "word" },
   { title: "Created", class: "soft" },
 ];
@@ -64,7 +64,7 @@ export function jobTable(refresh) {
 }
 
 function cells(job, known) {
-  const bar = h("progress", { max: 1, "aria-label": "progress" });
+  const bar = h("progress", { max: 1, "aria-label": "Progress" });
   setBar(bar, job);
   return [
     h("a", { href: `#/jobs/${job.id}` }, job.name || "unnamed"),
@@ -90,7 +90,7 @@ function waits(job, known) {
   if (job.queue_position === 1) {
     if (job.waits_for) return `${place}: starts when ${job.waits_for} is free`;
     const runs = known.some((other) => other.state === "running");
-    return runs ? `${place}: starts when a running job ends` : place;
+    return runs ? `${place}: starts when a running job finishes` : place;
   }
   const before = known.find(
     (other) => job.queue_position > 1 && other.queue_position === job.queue_position - 1,
@@ -104,7 +104,7 @@ function filters(changed) {
   const wanted = asked();
   const search = h("input", {
     type: "search",
-    placeholder: "a part of its name",
+    placeholder: "Part of a name",
     value: wanted.get("q") ?? "",
     maxLength: 200,
   });
@@ -116,8 +116,8 @@ function filters(changed) {
         h("option", { value, selected: value === (wanted.get(name) ?? "") }, text),
       ),
     );
-  const state = choice(STATES, "every state", "state");
-  const preset = choice(PRESETS, "every preset", "preset");
+  const state = choice(STATES, "All states", "state");
+  const preset = choice(PRESETS, "All presets", "preset");
   const values = () => ({ q: search.value.trim(), state: state.value, preset: preset.value });
   const say = (anew) => {
     keep(values());
@@ -162,16 +162,12 @@ async function pages(wanted, state) {
 
 /** How much was searched, in a sentence. */
 function searched(found, { jobs, isAll }, { q, state, preset }) {
-  const of = state
-    ? `${jobs.length === 1 ? "job" : "jobs"} ${state}`
-    : jobs.length === 1
-      ? "job"
-      : "jobs";
+  const of = `${state ? `${state} ` : ""}${jobs.length === 1 ? "job" : "jobs"}`;
   const all = isAll
-    ? `all ${jobs.length.toLocaleString()} ${of}`
+    ? `${jobs.length.toLocaleString()} ${of}`
     : `the ${jobs.length.toLocaleString()} newest ${of}`;
-  if (!q && !preset) return isAll ? `${jobs.length.toLocaleString()} ${of}.` : `These are ${all}.`;
-  const rest = isAll ? "" : " Older ones were not searched.";
+  if (!q && !preset) return isAll ? `${all}.` : `Showing ${all}.`;
+  const rest = isAll ? "" : " Older jobs were not searched.";
   const some = found === 0 ? "None" : found.toLocaleString();
   return `${some} of ${all} ${found > 1 ? "match" : "matches"}.${rest}`;
 }
@@ -181,11 +177,11 @@ export function listPage(main) {
   const empty = h(
     "p",
     { class: "hint", hidden: true },
-    "No job yet. Start with a folder of 20 to 60 overlapping photographs of a place in which " +
+    "No jobs yet. Start with a folder of 20 to 60 overlapping photographs of a place where " +
       "nothing moves.",
   );
   const extent = h("span", { class: "hint", role: "status" });
-  const more = h("button", { type: "button", hidden: true }, "Older jobs");
+  const more = h("button", { type: "button", hidden: true }, "Show older jobs");
   const every = h(
     "button",
     { type: "button", hidden: true, onclick: () => filter.clear() },
@@ -224,7 +220,7 @@ export function listPage(main) {
     filter.root.hidden = isNone;
     extent.textContent = isNone ? "" : searched(shown.length, had, { q, state, preset });
     more.hidden = had.isAll;
-    more.textContent = q || preset ? `Search ${count(PAGE, "older job")}` : "Older jobs";
+    more.textContent = q || preset ? `Search ${count(PAGE, "older job")}` : "Show older jobs";
     every.hidden = !isFiltered;
   }
 

@@ -5,9 +5,9 @@ import { api, h } from "../lib/dom.js";
 const METHODS = ["get", "post", "put", "patch", "delete", "head", "options"];
 
 export function referencePage(main) {
-  const content = h("div", {}, h("p", { class: "hint" }, "Reading the description…"));
+  const content = h("div", {}, h("p", { class: "hint" }, "Loading…"));
   main.append(h("section", {}, h("h1", {}, "API"),
-    h("p", { class: "hint" }, "Every address of this server. For programs: ",
+    h("p", { class: "hint" }, "All endpoints of this server. Machine-readable: ",
       h("a", { href: "/openapi.json" }, "openapi.json"), ", ", h("a", { href: "/openapi.yaml" }, "openapi.yaml"), "."),
     content));
   let gone = false;
@@ -43,7 +43,7 @@ function entry(document, method, path, operation, shared) {
     parameters.length > 0 && table("Parameters", parameters.map((parameter) => [
       parameter.name, parameter.in, kind(document, parameter.schema), parameter.description ?? ""])),
     bodies(document, operation.requestBody),
-    table("Answers", Object.entries(operation.responses).map(([status, answer]) => {
+    table("Responses", Object.entries(operation.responses).map(([status, answer]) => {
       const { description, content } = resolved(document, answer);
       return [status, media(document, content), "", description];
     })));
@@ -54,11 +54,11 @@ function bodies(document, body) {
   const { content, required } = resolved(document, body);
   const rows = Object.entries(content).flatMap(([type, { schema }]) => {
     const fields = properties(document, schema);
-    const whole = [type, required ? "needed" : "", kind(document, schema), resolved(document, schema)?.description ?? ""];
+    const whole = [type, required ? "required" : "", kind(document, schema), resolved(document, schema)?.description ?? ""];
     return [whole, ...fields.map(([name, field, needed]) => [
-      `  ${name}`, needed ? "needed" : "", kind(document, field), resolved(document, field).description ?? field.description ?? ""])];
+      `  ${name}`, needed ? "required" : "", kind(document, field), resolved(document, field).description ?? field.description ?? ""])];
   });
-  return table("Body", rows);
+  return table("Request body", rows);
 }
 
 /** The fields of an object: `[name, schema, whether it is needed]`. */

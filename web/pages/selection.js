@@ -4,7 +4,7 @@ import { ask } from "../lib/dialog.js";
 import { api, count, h } from "../lib/dom.js";
 import { MOST, addressOf } from "../compare/entries.js";
 
-const GONE = "Their scenes, pictures and scores are gone then; the photographs stay.";
+const GONE = "This permanently deletes their scenes, pictures and scores. The photographs are kept.";
 
 const nameOf = (job) => `“${job.name || "unnamed"}”`;
 
@@ -17,11 +17,11 @@ export function selection(refresh) {
   const words = h("span", { role: "status" });
   const compare = h("a", { class: "button main" });
   const remove = h("button", { type: "button", class: "danger", onclick: removeAll });
-  const none = h("button", { type: "button", onclick: clear }, "Unmark all");
+  const none = h("button", { type: "button", onclick: clear }, "Clear selection");
   const problem = h("p", { class: "problem", role: "alert" });
   const root = h(
     "div",
-    { class: "marked", hidden: true, role: "region", "aria-label": "marked jobs" },
+    { class: "marked", hidden: true, role: "region", "aria-label": "Selected jobs" },
     h("div", { class: "row" }, words, compare, remove, none),
     problem,
   );
@@ -53,10 +53,10 @@ export function selection(refresh) {
       jobs.filter((job) => job.state === "running"),
       jobs.filter((job) => job.state !== "running"),
     ];
-    const [run, stay] = running.length === 1 ? ["runs", "stays"] : ["run", "stay"];
+    const [are, them] = running.length === 1 ? ["is", "it"] : ["are", "them"];
     const runs =
       running.length > 0
-        ? `\n${running.map(nameOf).join(", ")} ${run} and ${stay}: cancel first.`
+        ? `\n${running.map(nameOf).join(", ")} ${are} running and will be kept. Cancel ${them} first.`
         : "";
     if (rest.length === 0) {
       problem.textContent = runs.trim();
@@ -65,8 +65,7 @@ export function selection(refresh) {
     const sure = await ask(
       `Delete ${count(rest.length, "job")}?`,
       `${rest.map(nameOf).join("\n")}\n${GONE}${runs}`,
-      rest.length === 1 ? "Delete it" : "Delete them",
-      rest.length === 1 ? "Keep it" : "Keep them",
+      `Delete ${count(rest.length, "job")}`,
     );
     if (!sure) return;
     remove.disabled = true;
@@ -78,7 +77,7 @@ export function selection(refresh) {
       } catch (error) {
         // Somebody else deleted it: that is what was wanted.
         if (error.status === 404) chosen.delete(job.id);
-        else faults.push(`${nameOf(job)} is not deleted: ${error.message}`);
+        else faults.push(`Could not delete ${nameOf(job)}: ${error.message}`);
       }
     }
     problem.textContent = faults.join("\n");
@@ -95,7 +94,7 @@ export function selection(refresh) {
         class: "mark",
         checked: chosen.has(job.id),
         "data-key": `mark ${job.id}`,
-        "aria-label": `Mark ${job.name || "unnamed"}`,
+        "aria-label": `Select ${job.name || "unnamed"}`,
       });
       box.addEventListener("change", () => {
         if (box.checked) chosen.set(job.id, job);
@@ -116,15 +115,15 @@ export function selection(refresh) {
 
 function howMany(number) {
   if (number === 0) return "";
-  if (number === 1) return "1 job is marked; mark another to compare.";
+  if (number === 1) return "1 job selected. Select another one to compare.";
   return number > MOST
-    ? `${number} jobs are marked; at most ${MOST} can be compared.`
-    : `${number} jobs are marked.`;
+    ? `${number} jobs selected. You can compare up to ${MOST}.`
+    : `${number} jobs selected.`;
 }
 
 /** Of marked jobs that a filter hides. */
 function whereAre(unseen, number) {
   if (unseen === 0) return "";
-  if (unseen === number) return " None of them is in the list shown.";
-  return ` ${unseen} of them ${unseen === 1 ? "is" : "are"} not in the list shown.`;
+  if (unseen === number) return " None of them is shown in the list.";
+  return ` ${unseen} of them ${unseen === 1 ? "is" : "are"} not shown in the list.`;
 }

@@ -74,7 +74,7 @@ async function fill(pair, id, round) {
     return image;
   };
   pair.append(
-    picture("inputs", `photograph ${view.name}`),
-    picture(`rounds/${round}/renders`, "restored"),
+    picture("inputs", `Photograph ${view.name}`),
+    picture(`rounds/${round}/renders`, "Restored view"),
   );
 }

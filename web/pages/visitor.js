@@ -19,14 +19,14 @@ export function openLink(main, [job, secret], enter) {
   main.append(h("section", {}, line));
   open().catch((error) => {
     line.className = "problem";
-    line.textContent = `This link does not open: it has ended or is not whole, or the server is busy.\n${error.message}`;
+    line.textContent = `This link does not work. It may be incomplete, expired or revoked, or the server may be busy.\n${error.message}`;
   });
 
   async function open() {
     const { needed, scopes } = await session();
     // Whoever sees the job already keeps the session that they have.
     if (needed && (scopes === null || !(await seen()))) {
-      if (scopes !== null && !(await ask("Open this link?", "You are logged in, and that does not show this job. By the link you see it alone, until you log out.", "Open it", "Stay"))) {
+      if (scopes !== null && !(await ask("Open this link?", "Your current login cannot see this job. If you open the link, you see only this job until you log out.", "Open link", "Stay here"))) {
         location.hash = "#/";
         return;
       }
@@ -40,7 +40,7 @@ export function openLink(main, [job, secret], enter) {
   /** Whether the session that this browser has shows the job. */
   async function seen() {
     const { ok, status } = await fetch(`/v1/jobs/${job}`);
-    if (!ok && ![401, 403, 404].includes(status)) throw new Error(`The server answered ${status}.`);
+    if (!ok && ![401, 403, 404].includes(status)) throw new Error(`The server responded with status ${status}.`);
     return ok;
   }
   return () => {};

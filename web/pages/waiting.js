@@ -25,14 +25,14 @@ export function waitingList() {
 
 /** @param {import("fled-api").Jobs} page */
 function drawn({ jobs, next_cursor: next }) {
-  if (jobs.length === 0) return [h("p", { class: "hint" }, "No job waits.")];
+  if (jobs.length === 0) return [h("p", { class: "hint" }, "No jobs are waiting.")];
   const groups = new Map();
   for (const job of jobs.toSorted((a, b) => a.queue_position - b.queue_position)) {
     const wanted = job.waits_for ?? "any worker";
     groups.set(wanted, [...(groups.get(wanted) ?? []), job]);
   }
   const list = h("ul", { class: "bare" }, [...groups].map(group));
-  const all = next ? `All that wait; told here are the ${jobs.length} newest` : "All that wait";
+  const all = next ? `All waiting jobs (only the ${jobs.length} newest are listed here)` : "All waiting jobs";
   return [list, h("p", {}, h("a", { href: "#/?state=queued" }, all))];
 }
 
@@ -43,6 +43,5 @@ function group([wanted, jobs]) {
     h("a", { href: `#/jobs/${job.id}` }, job.name || "unnamed"),
   ]);
   const rest = jobs.length > NAMED ? ` and ${(jobs.length - NAMED).toLocaleString()} more` : "";
-  const wait = jobs.length === 1 ? "waits" : "wait";
-  return h("li", {}, `${count(jobs.length, "job")} ${wait} for ${wanted}: `, links, rest);
+  return h("li", {}, `${count(jobs.length, "job")} waiting for ${wanted}: `, links, rest);
 }

@@ -16,18 +16,21 @@ const MOST = 200;
 const COLUMNS = [
   { title: "Worker" },
   { title: "State" },
-  { title: "Runs", class: "runs" },
+  { title: "Running", class: "runs" },
   { title: "Machine" },
-  { title: "Heard of", class: "seen" },
+  { title: "Last seen", class: "seen" },
 ];
 
+/** The API's states of a worker, as the page calls them. */
+const LABELS = { works: "active", stops: "stopping", lost: "lost" };
+
 const DENIED =
-  "Only a token with the scope “admin” shows the workers. Whoever runs the server makes one; log " +
-  "out, and log in with it.";
+  "Only a token with the scope “admin” can see the workers. Ask the server's administrator for " +
+  "one, then log out and log in with it.";
 const NONE =
-  "No worker was heard of within a day. Where one server works alone, that is as it should be: it " +
-  "runs every job itself. Where machines share a database and a store of files, no job runs until " +
-  "a worker is started:";
+  "No worker has reported in the last 24 hours. For a single server this is normal: it runs every " +
+  "job itself. If several machines share a database and a file store, no job runs until you start " +
+  "a worker:";
 
 /** @returns {Promise<import("fled-api").Workers>} */
 const ask = () => api("/v1/workers");
@@ -37,7 +40,7 @@ export const areWorkers = async () => (await ask()).workers.length > 0;
 
 /** The page, anew every few seconds while it is seen. */
 export function workersPage(main, who) {
-  document.title = "workers · fled";
+  document.title = "Workers · fled";
   const gist = h("p", { class: "hint" });
   const versions = h("p", { class: "notices" });
   const why = h("div", { class: "hint", hidden: true });
@@ -81,8 +84,8 @@ export function workersPage(main, who) {
       waiting.update(queued, told.workers.length > 0);
     } catch (error) {
       if (isOld()) return;
-      const words = error instanceof Refusal ? error.message : "The server does not answer.";
-      say(problem, asked ? `${words}\nWhat is shown is of ${asked}.` : words);
+      const words = error instanceof Refusal ? error.message : "The server is not responding.";
+      say(problem, asked ? `${words}\nLast updated ${asked}.` : words);
     }
     if (!document.hidden) timer = setTimeout(refresh, REFRESH_MS);
   }
@@ -118,22 +121,19 @@ function summary(workers) {
   const of = (state) => workers.filter((worker) => worker.state === state);
   const [working, stopping, lost] = ["works", "stops", "lost"].map(of);
   const states = [
-    [working.length, "works", "work"],
-    [stopping.length, "stops", "stop"],
-    [lost.length, "is lost", "are lost"],
+    [working.length, LABELS.works],
+    [stopping.length, LABELS.stops],
+    [lost.length, LABELS.lost],
   ].filter(([number]) => Number(number) > 0);
-  const [first] = states;
+  const [[, first]] = states;
   const all = count(workers.length, "worker");
-  const stand = states.map(([number, one, many]) => `${number} ${number === 1 ? one : many}`);
-  const start =
-    states.length > 1
-      ? `${all}: ${stand.join(", ")}`
-      : `${all} ${workers.length === 1 ? first[1] : first[2]}`;
+  const stand = states.map(([number, label]) => `${number} ${label}`);
+  const start = states.length > 1 ? `${all}: ${stand.join(", ")}` : `${all} ${first}`;
   const room = working.reduce((sum, one) => sum + Math.max(0, one.jobs - one.running.length), 0);
-  const rest = room > 0 ? `there is room for ${count(room, "more job")}` : "there is no room for more";
+  const rest = room > 0 ? `room for ${room} more` : "no room for more";
   const runs = [...working, ...stopping].reduce((sum, one) => sum + one.running.length, 0);
-  const run = `${runs === 0 ? "No job" : count(runs, "job")} ${runs > 1 ? "run" : "runs"}`;
-  return `${start}. ${run}, ${rest}.`;
+  const run = runs === 0 ? "No jobs" : count(runs, "job");
+  return `${start}. ${run} running, ${rest}.`;
 }
 
 /** How many workers there are of each version; what a lost one had says nothing of now. */
@@ -146,7 +146,7 @@ function versionsOf(workers) {
 }
 
 const versionWords = (counts) =>
-  `The workers' versions differ: ${[...counts]
+  `Workers run different versions: ${[...counts]
     .sort(([, a], [, b]) => b - a)
     .map(([version, number]) => `${version} on ${number}`)
     .join(", ")}.`;
@@ -210,20 +210,20 @@ const named = ({ host, id }) => [h("strong", {}, host || "unnamed"), small(id)];
 /** @param {Worker} worker */
 function stands({ state, seen_at: seen, running }) {
   const words = {
-    works: running.length > 0 ? "" : "waits for a job",
-    stops: "takes no more jobs",
-    lost: `not heard of since ${when(seen)}; its jobs go to others`,
+    works: running.length > 0 ? "" : "waiting for a job",
+    stops: "accepts no new jobs",
+    lost: `last seen ${when(seen)}; its jobs go to other workers`,
   };
-  const label = h("span", { class: `state ${state}` }, state);
+  const label = h("span", { class: `state ${state}` }, LABELS[state] ?? state);
   return words[state] ? [label, small(words[state])] : [label];
 }
 
 /** @param {Worker} worker */
 function runs({ running, jobs: most, state }, { jobs }) {
   const all = running.map((one) => run(one, jobs.get(one.job_id)));
-  if (all.length === 0) return ["nothing"];
+  if (all.length === 0) return ["no jobs"];
   const list = h("ul", { class: "bare" }, all.map((one) => h("li", {}, one)));
-  return state === "works" && most > 1 ? [list, small(`${running.length} of ${most} at once`)] : [list];
+  return state === "works" && most > 1 ? [list, small(`${running.length} of ${most} at a time`)] : [list];
 }
 
 /**
@@ -235,7 +235,7 @@ function run({ job_id: id, steps_per_second: speed }, job) {
   const link = h("a", { href: `#/jobs/${id}` }, name);
   const words = [job && doing(job), speed && `${speed.toFixed(1)} steps/s`].filter(Boolean);
   if (!job) return [link, small(words.join(" · "))];
-  const bar = h("progress", { max: 1, "aria-label": `progress of ${name}` });
+  const bar = h("progress", { max: 1, "aria-label": `Progress of ${name}` });
   setBar(bar, job);
   return [link, bar, small(words.join(" · "))];
 }
@@ -245,9 +245,9 @@ const GIB = 2 ** 30;
 /** @param {Worker} worker */
 function machine({ adapter, has_gpu: hasGpu, cores, memory, version, state }, { usual }) {
   const drawer = hasGpu ? (adapter ?? "a GPU") : adapter ? `no GPU: ${adapter}` : "no GPU";
-  const size = memory > 0 ? `${Number((memory / GIB).toFixed(1))} GiB` : "memory not known";
+  const size = memory > 0 ? `${Number((memory / GIB).toFixed(1))} GiB` : "memory unknown";
   const differs = usual !== null && version !== usual && state !== "lost";
-  const mark = differs && h("span", { class: "badge differs" }, "differs");
+  const mark = differs && h("span", { class: "badge differs" }, "different");
   return [drawer, small(`${count(cores, "core")} · ${size}`), small(`version ${version}`, mark)];
 }
 
@@ -255,7 +255,7 @@ function machine({ adapter, has_gpu: hasGpu, cores, memory, version, state }, { 
 function heard({ seen_at: seen, started_at: started }, { now }) {
   const passed = (time) => age((now - Date.parse(time)) / 1000);
   const at = (time, words) => h("time", { dateTime: time, title: when(time) }, words);
-  return [at(seen, `${passed(seen)} ago`), small("there for ", at(started, passed(started)))];
+  return [at(seen, `${passed(seen)} ago`), small("up for ", at(started, passed(started)))];
 }
 
 /** 75 -> "75 s", 7,500 -> "2 h": one number, as it is read at a glance. */

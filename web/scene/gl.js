@@ -143,7 +143,7 @@ function texture(gl, format, values, texels, count) {
   const rows = Math.floor(count / inRow);
   const rest = count - rows * inRow;
   if (rows + 1 > gl.getParameter(gl.MAX_TEXTURE_SIZE)) {
-    throw new SceneError(`${count} Gaussians are more than this graphics adapter holds.`);
+    throw new SceneError(`This graphics adapter cannot hold ${count} Gaussians.`);
   }
   const made = gl.createTexture();
   gl.bindTexture(gl.TEXTURE_2D, made);
@@ -205,7 +205,7 @@ class Program {
     gl.linkProgram(this.linked);
     if (!gl.getProgramParameter(this.linked, gl.LINK_STATUS) && !gl.isContextLost()) {
       const words = gl.getAttachedShaders(this.linked).map((one) => gl.getShaderInfoLog(one));
-      throw new SceneError(`The graphics adapter takes not these shaders: ${words.join(" ")}`);
+      throw new SceneError(`The graphics adapter rejected the shaders: ${words.join(" ")}`);
     }
     this.places = new Proxy({}, {
       get: (known, name) => (known[name] ??= gl.getUniformLocation(this.linked, name)),

@@ -19,7 +19,7 @@ export function loading({ url, isPoints }, progress) {
     };
     worker.onerror = (event) => {
       event.preventDefault();
-      reject(new SceneError(`The scene cannot be read here: ${event.message ?? "no worker"}.`));
+      reject(new SceneError(`The scene could not be read: ${event.message ?? "no worker"}.`));
     };
   });
   worker.postMessage({ url: new URL(url, location.href).href, isPoints });

@@ -15,7 +15,7 @@ export function scenePanel(job) {
   const root = h("section", { class: "scene", hidden: true }, h("h2", {}, "Scene"), place, problem);
   let [facts, view, isGone, isOpening] = [null, null, false, false];
   const invite = () => {
-    words.textContent = facts?.first.isPoints ? "Look at cameras and points" : "Walk through the scene";
+    words.textContent = facts?.first.isPoints ? "View cameras and points" : "Walk through the scene";
   };
 
   async function open() {

@@ -28,11 +28,11 @@ export const harmonicsRow = (degree) => 4 * Math.ceil((3 * (degree + 1) ** 2) / 
 export function readHeader(bytes) {
   const text = new TextDecoder("latin1").decode(bytes.subarray(0, LONGEST_HEADER));
   if (!/^ply\r?\n/.test(text.padEnd(4, "\n")) && bytes.length >= 4) {
-    throw new SceneError("This is no PLY file.");
+    throw new SceneError("This is not a PLY file.");
   }
   const end = text.replaceAll("\r\n", " \n").indexOf(END);
   if (end < 0) {
-    if (bytes.length >= LONGEST_HEADER) throw new SceneError("The header of the PLY has no end.");
+    if (bytes.length >= LONGEST_HEADER) throw new SceneError("The PLY header does not end.");
     return null;
   }
   return layout(text.slice(0, end).split("\n").slice(1), end + END.length);
@@ -46,7 +46,7 @@ function layout(lines, start) {
     if (kind === "" || kind === "comment" || kind === "obj_info") continue;
     if (kind === "format" && words[0] === "binary_little_endian") continue;
     if (kind === "format") {
-      throw new SceneError(`The PLY is ${words[0]}, not binary little endian.`);
+      throw new SceneError(`The PLY file has the format ${words[0]}, not binary_little_endian.`);
     }
     if (kind === "element" && words[0] === "vertex" && /^\d+$/.test(words[1]) && count === null) {
       count = Number(words[1]);
@@ -54,16 +54,16 @@ function layout(lines, start) {
       properties.set(words[1], { at: stride, isFloat: /^float/.test(words[0]) });
       stride += SIZES[words[0]];
     } else {
-      throw new SceneError(`The PLY is not one of Gaussians: its header says "${line.trim()}".`);
+      throw new SceneError(`This PLY file does not hold Gaussians: unexpected header line "${line.trim()}".`);
     }
   }
   const rest = [...properties.keys()].filter((name) => name.startsWith("f_rest_")).length;
   const degree = [0, 1, 2, 3].find((one) => 3 * ((one + 1) ** 2 - 1) === rest);
-  if (degree === undefined) throw new SceneError(`${rest} higher harmonics fit no degree.`);
+  if (degree === undefined) throw new SceneError(`The PLY file has ${rest} higher harmonics, which match no degree.`);
   const offsets = names(degree).map((name) => {
     const found = properties.get(name);
     if (found?.isFloat) return found.at;
-    throw new SceneError(`The PLY is not one of Gaussians: it has no number "${name}".`);
+    throw new SceneError(`This PLY file does not hold Gaussians: it has no float "${name}".`);
   });
   if (!count) throw new SceneError("The scene is empty.");
   return { start, count, stride, degree, offsets };
@@ -108,10 +108,10 @@ export async function readScene(body, progress = () => {}) {
     }
     progress(received);
   }
-  if (!header) throw new SceneError("This is no PLY file: it ends within its header.");
+  if (!header) throw new SceneError("This is not a PLY file: it ends within its header.");
   if (filled < rows.length) {
     const missing = header.count - Math.floor(filled / header.stride);
-    throw new SceneError(`The file is cut short: ${missing} of ${header.count} Gaussians lack.`);
+    throw new SceneError(`The file is truncated: ${missing} of ${header.count} Gaussians are missing.`);
   }
   return unpack(rows, header);
 }
@@ -120,7 +120,7 @@ function room({ count, stride }) {
   try {
     return new Uint8Array(count * stride);
   } catch {
-    throw new SceneError(`The scene says that it has ${count} Gaussians: too many for this page.`);
+    throw new SceneError(`The scene claims to have ${count} Gaussians, too many for this page.`);
   }
 }
 

@@ -14,7 +14,7 @@ const Y00 = 0.2820948;
  */
 export function pointsOf({ points }) {
   if (!Array.isArray(points) || points.length === 0) {
-    throw new SceneError("These poses have no points.");
+    throw new SceneError("The poses contain no points.");
   }
   const variance = (SIZE * spread(points.map(({ position }) => position))) ** 2;
   const geometry = new Float32Array(GEOMETRY * points.length);

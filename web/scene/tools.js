@@ -11,8 +11,8 @@ export function sceneTools(cameras, stage, does) {
   const press = (text, onclick, label = text) =>
     h("button", { type: "button", "aria-label": label, title: label, onclick }, text);
   const jump = () => does.jump(Number(choice.value));
-  const choice = h("select", { "aria-label": "photograph", onchange: jump },
-    h("option", { value: "-1" }, "free view"),
+  const choice = h("select", { "aria-label": "Photograph", onchange: jump },
+    h("option", { value: "-1" }, "Free view"),
     cameras.map(({ name, split }, i) => h("option", { value: String(i) },
       split === "held_out" ? `${name} (held out)` : name)));
   let [last, wasShown] = [0, false];
@@ -25,7 +25,7 @@ export function sceneTools(cameras, stage, does) {
     picture.disabled = true;
     await does.picture();
     picture.disabled = false;
-  }, "This view as PNG, rendered by the server");
+  }, "Save this view as a PNG, rendered by the server");
   const full = press("Full screen", () => wide(stage));
   full.hidden = !document.fullscreenEnabled;
   const root = h("div", { class: "controls" },
@@ -68,7 +68,7 @@ function wide(stage) {
 /** How bright the scene is shown, in stops; a double click is 0 again. */
 function exposureSlider(changed) {
   const input = h("input", { type: "range", min: "-3", max: "3", step: "0.25", value: "0",
-    "aria-label": "exposure" });
+    "aria-label": "Exposure" });
   const label = h("span", {});
   const stops = () => (changed ? Number(input.value) : 0);
   const say = () => {
@@ -85,7 +85,7 @@ function exposureSlider(changed) {
 
 /** Which round's scene is shown; hidden where there is one. */
 function roundSlider(chosen) {
-  const input = h("input", { type: "range", min: "0", step: "1", "aria-label": "round" });
+  const input = h("input", { type: "range", min: "0", step: "1", "aria-label": "Round" });
   const label = h("span", {});
   const root = h("label", { class: "check rounds" }, label, input);
   let list = [];

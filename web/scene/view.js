@@ -25,14 +25,14 @@ const PAUSE = 400;
 const LONGEST_STEP = 100;
 /** How far back one begins before points, of the way to the middle. */
 const BACK = 1.7;
-const KEYS = "Drag to turn, with the right button or Shift to shift. After a click the wheel comes "
-  + "nearer, W A S D walk, Q and E sink and rise, the arrow keys look around, Escape lets go.";
-const FINGERS = "Tap the picture to take hold of it: one finger turns, two shift and come nearer. "
+const KEYS = "Drag to turn; hold Shift or use the right button to pan. After a click, the wheel zooms, "
+  + "W A S D walk, Q and E move down and up, and the arrow keys look around. Escape lets go.";
+const FINGERS = "Tap the picture to control it: one finger turns, two pan and zoom. "
   + "Tap beside it to let go.";
-const NO_WEBGL = "This browser has no WebGL 2, which the 3D view needs. Switch on hardware "
-  + "acceleration in its settings, or look at the pictures from the server below.";
-const LOST = "The graphics adapter has let go of the picture, as it does when it is overloaded or "
-  + "the machine has slept. Open the scene again.";
+const NO_WEBGL = "This browser does not support WebGL 2, which the 3D view needs. Turn on hardware "
+  + "acceleration in its settings, or use the pictures rendered by the server below.";
+const LOST = "The graphics adapter dropped the picture, as can happen when it is overloaded or the "
+  + "machine was asleep. Open the scene again.";
 
 /**
  * Opens the scene of a job in `place`. `scenes` are `{ round, url, isDelivered }`, `first` the one
@@ -51,8 +51,8 @@ export async function openScene(place, { job, scenes, first, start, ended }) {
 function told({ isPoints }, content) {
   if (!isPoints) return `The scene has ${count(content.count, "Gaussian")}.`;
   const points = count(content.count, "sparse point");
-  return content.isGuessed ? `${points}, guessed: these poses came without any.`
-    : `${points}, by which the cameras were placed.`;
+  return content.isGuessed ? `${points}, estimated because the poses came without any.`
+    : `${points}, used to place the cameras.`;
 }
 
 class View {
@@ -83,7 +83,7 @@ class View {
     this.veil = h("div", { class: "veil", role: "status" });
     this.frame = h("div", {
       class: "frame", tabIndex: 0, role: "application",
-      "aria-label": "the scene in 3D: arrow keys look around, W A S D walk, Q and E sink and rise",
+      "aria-label": "Scene in 3D: arrow keys look around, W A S D walk, Q and E move down and up",
     }, this.canvas, this.lines, this.veil);
     this.stage = h("div", { class: "stage" }, h("div", { class: "band" }, this.frame));
     this.tools = sceneTools(cameras, this.stage, {
@@ -154,7 +154,7 @@ class View {
     if (!this.#source) this.ended(`The scene cannot be shown. ${words}`);
     else {
       this.tools.scenes(this.scenes, this.scene);
-      this.tools.say(`The other scene cannot be shown. ${words}`);
+      this.tools.say(`The selected scene cannot be shown. ${words}`);
       this.wake();
     }
   }
@@ -288,7 +288,7 @@ class View {
     try {
       await savedPicture(this.job, this.scene, this.pose, this.shown, this.tools.ev());
     } catch (error) {
-      this.tools.say(`There is no picture. ${error.message}`);
+      this.tools.say(`The picture could not be saved. ${error.message}`);
     }
   }
 

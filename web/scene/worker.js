@@ -10,7 +10,7 @@ async function load(url, isPoints) {
   const response = await fetch(url);
   if (!response.ok) {
     const problem = await response.json().catch(() => null);
-    throw new SceneError(problem?.detail ?? `The server answered ${response.status}.`);
+    throw new SceneError(problem?.detail ?? `The server responded with status ${response.status}.`);
   }
   const total = Number(response.headers.get("content-length")) || null;
   const scene = isPoints ? pointsOf(await response.json())
@@ -28,7 +28,7 @@ onmessage = ({ data }) => {
   }
   load(data.url, data.isPoints).catch((error) => {
     const words = error instanceof SceneError ? error.message
-      : `The scene did not come whole: ${error.message}.`;
+      : `The scene could not be loaded completely: ${error.message}.`;
     postMessage({ problem: words });
   });
 };

@@ -4,7 +4,7 @@ import { api, h, plain } from "../lib/dom.js";
 
 /** What most people change; the rest is folded away. */
 const COMMON = ["rounds", "steps", "size", "cap", "target", "held_out"];
-const PRESETS = { preview: "preview: a quick look", standard: "standard", paper: "paper: a GPU's work" };
+const PRESETS = { preview: "preview: a quick look", standard: "standard", paper: "paper: for a GPU" };
 
 let schema = null;
 

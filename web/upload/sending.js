@@ -66,7 +66,7 @@ export function sending(files, tell) {
   /** Waits until it may go better, after it failed so often. */
   async function waitOut(fault, failures) {
     if (paused || stopped) return;
-    const why = fault === null ? "The connection is lost" : "The server is busy";
+    const why = fault === null ? "Connection lost" : "Server busy";
     reasons.add(why);
     told();
     await sleep(1000 * (fault?.wait ?? WAITS[Math.min(failures, WAITS.length - 1)]));

@@ -15,7 +15,7 @@ const RATE_AFTER = 2;
 export function startForm() {
   const files = h("input", { type: "file", multiple: true, accept: "image/*,.zip,.tif,.tiff,.heic,.heif,.hif,.mp4,.mov,.m4v" });
   const folder = h("input", { type: "file", webkitdirectory: true });
-  const name = h("input", { type: "text", placeholder: "optional", maxLength: 200 });
+  const name = h("input", { type: "text", placeholder: "Optional", maxLength: 200 });
   const button = h("button", { class: "main", type: "submit" }, "Start");
   const status = h("span", { class: "hint", role: "status" });
   const pause = h("button", { type: "button", hidden: true, onclick: toggle }, "Pause");
@@ -23,8 +23,8 @@ export function startForm() {
   const options = optionsForm();
   const chosen = chosenFiles();
   const drop = h("div", { class: "drop" },
-    h("label", {}, "Photographs, one zip, or a video (of which the 40 sharpest frames are taken)", files),
-    h("label", {}, "or a folder (ground truth in gt/ is taken along)", folder),
+    h("label", {}, "Photographs, a ZIP file or a video (its 40 sharpest frames are used)", files),
+    h("label", {}, "or a folder (including ground truth in gt/)", folder),
     h("p", { class: "hint" }, "or drop them anywhere on this page"));
   for (const input of [files, folder]) {
     input.addEventListener("change", () => {
@@ -35,7 +35,7 @@ export function startForm() {
   }
   const left = begun.count();
   if (left > 0) {
-    drop.append(h("p", { class: "hint" }, `Of an upload that broke off the server has ${count(left, "file")}, in whole or in part: choose the same again, and what has come is not sent twice.`));
+    drop.append(h("p", { class: "hint" }, `An interrupted upload left ${count(left, "file")} on the server, complete or in part. Choose the same files again to continue where it stopped.`));
   }
   let [run, gone] = [null, false];
   const leaveDrops = takeDrops(drop, (dropped) => { problem.textContent = chosen.add(dropped); });
@@ -43,7 +43,7 @@ export function startForm() {
   async function submit(event) {
     event.preventDefault();
     problem.textContent = "";
-    if (chosen.files().length === 0) { problem.textContent = "Choose photographs, a zip or a folder first."; return; }
+    if (chosen.files().length === 0) { problem.textContent = "Choose photographs, a ZIP file, a video or a folder first."; return; }
     button.disabled = true;
     try {
       const changed = options.chosen();
@@ -67,10 +67,10 @@ export function startForm() {
     button.disabled = false;
   }
 
-  const isPaused = () => pause.textContent === "Go on";
+  const isPaused = () => pause.textContent === "Resume";
   function toggle() {
     const wasPaused = isPaused();
-    pause.textContent = wasPaused ? "Pause" : "Go on";
+    pause.textContent = wasPaused ? "Pause" : "Resume";
     if (wasPaused) run?.goOn();
     else {
       run?.pause();
@@ -93,8 +93,8 @@ export function startForm() {
 function chosenFiles() {
   const held = new Map();
   const words = h("span", { role: "status" });
-  const list = h("ul", { class: "files", tabIndex: 0, "aria-label": "chosen files" });
-  const all = h("button", { type: "button", onclick: () => { held.clear(); draw(); } }, "Take all out");
+  const list = h("ul", { class: "files", tabIndex: 0, "aria-label": "Chosen files" });
+  const all = h("button", { type: "button", onclick: () => { held.clear(); draw(); } }, "Remove all");
   const root = h("div", { class: "picked", hidden: true }, h("div", { class: "row" }, words, all), list);
 
   function draw() {
@@ -103,7 +103,7 @@ function chosenFiles() {
     root.hidden = held.size === 0;
     list.replaceChildren(...[...held].map(([path, file]) => h("li", {},
       h("span", { class: "path" }, path), h("span", { class: "soft" }, size(file.size)),
-      h("button", { type: "button", "aria-label": `Take out ${path}`, onclick: () => takeOut(path) }, "Take out"))));
+      h("button", { type: "button", "aria-label": `Remove ${path}`, onclick: () => takeOut(path) }, "Remove"))));
   }
 
   function takeOut(path) {
@@ -144,14 +144,14 @@ function upload(files, fields, show) {
     const share = total > 0 ? Math.floor((100 * sent) / total) : 100;
     const seconds = (performance.now() - began) / 1000;
     const rate = seconds > RATE_AFTER ? ` · ${size(Math.round((sent - before) / seconds))}/s` : "";
-    show(waits ? `${waits}, at ${share} %: it is tried again.`
-      : `Sending: ${share} %, ${done} of ${count(files.length, "file")}${rate}`, true);
+    show(waits ? `${waits} at ${share} %. Retrying…`
+      : `Uploading: ${share} %, ${done} of ${count(files.length, "file")}${rate}`, true);
   });
   // A double click or a repeated request must not start two jobs.
   const key = crypto.randomUUID?.() ?? `${Date.now()}-${Math.random()}`;
   async function job() {
     const uploads = await run.done;
-    show("Looking at the photographs ...", false);
+    show("Checking the photographs…", false);
     try {
       const made = await again(() => api("/v1/jobs", {
         method: "POST",
@@ -179,7 +179,7 @@ async function again(ask) {
       await new Promise((resolve) => { setTimeout(resolve, 1000 * seconds); });
     }
   }
-  return ask().catch((error) => { throw error instanceof Refusal ? error : new Error("The server does not answer."); });
+  return ask().catch((error) => { throw error instanceof Refusal ? error : new Error("The server is not responding."); });
 }
 
 function withRejected(error) {
