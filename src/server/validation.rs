@@ -14,39 +14,39 @@ use crate::redaction::without_paths;
 /// The name under which an uploaded zip is stored.
 pub const ARCHIVE: &str = "upload.zip";
 
-/// Assessments of an upload.
+/// The assessments of an upload.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct CaptureReport {
     /// Number of usable photographs.
     pub accepted: u32,
-    /// One assessment a file.
+    /// One assessment per file.
     pub images: Vec<Assessment>,
-    /// What is worth knowing of the capture as a whole.
+    /// Warnings about the whole capture.
     pub warnings: Vec<Warning>,
 }
 
-/// What became of one photograph.
+/// The assessment of one photograph.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Assessment {
-    /// Its path as sent, below the folder of the photographs.
+    /// Path as sent, below the folder of the photographs.
     pub name: String,
-    /// Whether it is used.
+    /// Whether the photograph is used.
     pub accepted: bool,
-    /// Why not.
+    /// Why it is not used.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub reason: Option<String>,
-    /// Pixels, upright; 0 where it cannot be read.
+    /// Upright width, px; 0 if unreadable.
     pub width: usize,
-    /// Pixels, upright; 0 where it cannot be read.
+    /// Upright height, px; 0 if unreadable.
     pub height: usize,
     /// Focal length from EXIF, px.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub focal_px: Option<f64>,
-    /// Dark, blurred, a duplicate ...
+    /// Warnings: dark, blurred, a duplicate and so on.
     pub warnings: Vec<Warning>,
 }
 
-/// Something the user should know; the work goes on.
+/// A warning; the work continues.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct Warning {
     /// Stable code.

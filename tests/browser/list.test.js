@@ -171,8 +171,8 @@ both(
       async (page) => {
         const row = (name) =>
           page.locator("tr", { has: page.getByRole("link", { name, exact: true }) });
-        await seen(row("next one"), "next in the queue: starts when a running job ends");
-        await seen(row("the last <i>one</i>"), "place 2 in the queue, behind “next one”");
+        await seen(row("next one"), "next in the queue: starts when a running job finishes");
+        await seen(row("the last <i>one</i>"), "position 2 in the queue, behind “next one”");
         const mark = page.getByRole("checkbox", { name: "Select next one" });
         await mark.focus();
         await page.keyboard.press("Space");

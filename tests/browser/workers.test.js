@@ -80,12 +80,12 @@ both("a worker says what it is and does, and its jobs are a link away", async (w
       const it = row(page, HOST);
       await it.waitFor();
       assert.equal(await tab(page).getAttribute("aria-current"), "page");
-      for (const words of ["works", "no GPU", "8 cores · 16 GiB", "0.9.0", /\d s ago/, "there for"]) {
+      for (const words of ["active", "no GPU", "8 cores · 16 GiB", "0.9.0", /\d s ago/, "up for"]) {
         await seen(it, words);
       }
       await seen(it, /round \d of 2, reconstruct · \d+\.\d steps\/s/);
-      await seen(it, "1 of 2 at once");
-      await seen(page.locator("main"), "1 worker works. 1 job runs, there is room for 1 more job.");
+      await seen(it, "1 of 2 at a time");
+      await seen(page.locator("main"), "1 worker active. 1 job running, room for 1 more.");
       const times = await it.locator("time").evaluateAll((all) =>
         all.map((one) => [new Date(one.dateTime).toLocaleString(), one.title]),
       );

@@ -23,20 +23,20 @@ use crate::error::ServerError;
 /// A file of a job.
 #[derive(Debug, Serialize, ToSchema)]
 pub struct Artifact {
-    /// Its path below the job's output, with `/`.
+    /// Path below the job's output, separated by `/`.
     name: String,
-    /// Its size.
+    /// Size, bytes.
     bytes: u64,
-    /// Hexadecimal.
+    /// SHA-256, hexadecimal.
     sha256: String,
-    /// Its media type.
+    /// Media type.
     media_type: &'static str,
 }
 
-/// Every file of a job.
+/// The files of a job.
 #[derive(Debug, Serialize, ToSchema)]
 pub struct Artifacts {
-    /// By name.
+    /// The files, sorted by name.
     artifacts: Vec<Artifact>,
 }
 
@@ -45,7 +45,7 @@ pub struct Artifacts {
     tag = "results", params(("id" = String, Path)),
     responses(
         (status = 200, description = "The files", body = Artifacts),
-        (status = 404, description = "Unknown", body = Problem, content_type = "application/problem+json")))]
+        (status = 404, description = "Not found", body = Problem, content_type = "application/problem+json")))]
 pub async fn list(
     State(app): State<Arc<App>>,
     Path(id): Path<String>,
@@ -79,17 +79,17 @@ pub async fn list(
     Ok(axum::Json(Artifacts { artifacts }))
 }
 
-/// Sends a file of the job, whole or the range asked for.
+/// Downloads a file of the job, whole or by range.
 #[utoipa::path(get, path = "/v1/jobs/{id}/artifacts/{name}", operation_id = "download_artifact",
     tag = "results",
-    params(("id" = String, Path), ("name" = String, Path, description = "As listed; may contain `/`"),
-        ("Range" = Option<String>, Header, description = "One range of bytes")),
+    params(("id" = String, Path), ("name" = String, Path, description = "Name as listed; may contain `/`"),
+        ("Range" = Option<String>, Header, description = "A single range of bytes")),
     responses(
         (status = 200, description = "The file", body = serde_json::Value, content_type = "*/*"),
-        (status = 206, description = "The range", body = serde_json::Value, content_type = "*/*"),
-        (status = 304, description = "As you have it"),
-        (status = 404, description = "Unknown", body = Problem, content_type = "application/problem+json"),
-        (status = 416, description = "Beyond the end", body = Problem, content_type = "application/problem+json")))]
+        (status = 206, description = "The requested range", body = serde_json::Value, content_type = "*/*"),
+        (status = 304, description = "Not modified"),
+        (status = 404, description = "Not found", body = Problem, content_type = "application/problem+json"),
+        (status = 416, description = "The range begins beyond the end", body = Problem, content_type = "application/problem+json")))]
 pub async fn download(
     State(app): State<Arc<App>>,
     Path((id, name)): Path<(String, String)>,

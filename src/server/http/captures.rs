@@ -25,7 +25,7 @@ use crate::janitor::remove;
 #[into_params(parameter_in = Query)]
 #[serde(deny_unknown_fields)]
 pub struct CreateQuery {
-    /// Judge only; keep nothing. Present and empty, or `true`.
+    /// Assess the upload without keeping it. Present and empty, or `true`.
     dry_run: Option<String>,
 }
 
@@ -34,19 +34,19 @@ pub struct CreateQuery {
 #[serde(deny_unknown_fields)]
 #[expect(dead_code, reason = "it describes what is read part by part")]
 pub struct CaptureForm {
-    /// Photographs, or one zip, or a video (MP4, MOV).
+    /// Photographs, one ZIP file, or one video (MP4, MOV).
     #[schema(value_type = Vec<String>, format = Binary, min_items = 1)]
     images: Vec<Vec<u8>>,
-    /// Ground truth, by the same names.
+    /// Ground truth with the same file names.
     #[schema(value_type = Option<Vec<String>>, format = Binary)]
     gt: Option<Vec<Vec<u8>>>,
-    /// transforms.json, poses_bounds.npy or the files of a COLMAP model.
+    /// `transforms.json`, `poses_bounds.npy`, or the files of a COLMAP model.
     #[schema(value_type = Option<Vec<String>>, format = Binary)]
     poses: Option<Vec<Vec<u8>>>,
-    /// What to call it.
+    /// Name of the capture.
     #[schema(max_length = 200)]
     name: Option<String>,
-    /// Photographs to take of a video, 3 to 500; 40 when absent.
+    /// Number of photographs to take from a video, 3 to 500; 40 by default.
     frames: Option<String>,
 }
 
@@ -55,27 +55,29 @@ pub struct CaptureForm {
 #[into_params(parameter_in = Query)]
 #[serde(deny_unknown_fields)]
 pub struct ListQuery {
-    /// At most so many; default 50.
+    /// Maximum number of results; 50 by default.
     #[param(minimum = 1, maximum = 200)]
     limit: Option<u32>,
-    /// `next_cursor` of the page before.
+    /// `next_cursor` of the previous page.
     cursor: Option<String>,
 }
 
-/// Uploads photographs: parts named `images`, or one zip; optionally `gt`, poses and `name`. Or
-/// makes a capture of uploads in pieces.
+/// Creates a capture from photographs, a ZIP file, a video or finished uploads.
+///
+/// A form has parts named `images` and, if wanted, `gt`, poses and `name`. JSON names finished
+/// uploads.
 #[utoipa::path(post, path = "/v1/captures", operation_id = "create_capture",
     tag = "captures", params(CreateQuery),
     request_body(content(
         (CaptureForm = "multipart/form-data"),
         (CaptureOfUploads = "application/json"))),
     responses(
-        (status = 200, description = "The assessments of a dry run", body = Capture),
-        (status = 201, description = "Stored, on disk", body = Capture),
-        (status = 404, description = "Unknown upload", body = Problem, content_type = "application/problem+json"),
-        (status = 409, description = "Unfinished upload", body = Problem, content_type = "application/problem+json"),
+        (status = 200, description = "The assessments, after a dry run", body = Capture),
+        (status = 201, description = "Stored on disk", body = Capture),
+        (status = 404, description = "Upload not found", body = Problem, content_type = "application/problem+json"),
+        (status = 409, description = "An upload is not finished", body = Problem, content_type = "application/problem+json"),
         (status = 422, description = "Too few usable photographs", body = Problem, content_type = "application/problem+json"),
-        (status = 503, description = "As many videos are read as may be at a time", body = Problem, content_type = "application/problem+json"),
+        (status = 503, description = "Too many videos are being read", body = Problem, content_type = "application/problem+json"),
         (status = 507, description = "The disk is full", body = Problem, content_type = "application/problem+json")))]
 pub async fn create(
     State(app): State<Arc<App>>,
@@ -122,8 +124,8 @@ async fn received(
 #[utoipa::path(get, path = "/v1/captures", operation_id = "list_captures",
     tag = "captures", params(ListQuery),
     responses(
-        (status = 200, description = "A page", body = Captures),
-        (status = 422, description = "Not a page", body = Problem, content_type = "application/problem+json")))]
+        (status = 200, description = "One page of results", body = Captures),
+        (status = 422, description = "Invalid page", body = Problem, content_type = "application/problem+json")))]
 pub async fn list(
     State(app): State<Arc<App>>,
     Query(query): Query<ListQuery>,
@@ -155,7 +157,7 @@ pub async fn list(
     tag = "captures", params(("id" = String, Path)),
     responses(
         (status = 200, description = "The capture", body = Capture),
-        (status = 404, description = "Unknown", body = Problem, content_type = "application/problem+json")))]
+        (status = 404, description = "Not found", body = Problem, content_type = "application/problem+json")))]
 pub async fn show(
     State(app): State<Arc<App>>,
     Path(id): Path<String>,
@@ -173,8 +175,8 @@ pub async fn show(
     tag = "captures", params(("id" = String, Path)),
     responses(
         (status = 204, description = "Deleted"),
-        (status = 404, description = "Unknown", body = Problem, content_type = "application/problem+json"),
-        (status = 409, description = "A job uses it", body = Problem, content_type = "application/problem+json")))]
+        (status = 404, description = "Not found", body = Problem, content_type = "application/problem+json"),
+        (status = 409, description = "A job uses the capture", body = Problem, content_type = "application/problem+json")))]
 pub async fn delete(
     State(app): State<Arc<App>>,
     Path(id): Path<String>,

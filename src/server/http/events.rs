@@ -34,33 +34,35 @@ const ACCESS_CHECK: Duration = Duration::from_secs(5);
 #[into_params(parameter_in = Query)]
 #[serde(deny_unknown_fields)]
 pub struct StreamQuery {
-    /// Like the header `Last-Event-ID`, for clients that cannot set it.
+    /// Same as the header `Last-Event-ID`, for clients that cannot set it.
     #[param(minimum = 0)]
     after: Option<i64>,
 }
 
-/// One event as it is sent.
+/// An event of the stream.
 #[derive(ToSchema)]
 #[expect(dead_code, reason = "it describes what is written field by field")]
 pub struct StreamEvent {
-    /// Its number, from 1.
+    /// Number, from 1.
     id: String,
-    /// `state`, `planned`, `stage_started` and so on.
+    /// Type: `state`, `planned`, `stage_started` and so on.
     event: String,
     /// A JSON object.
     data: String,
 }
 
-/// Streams what happens to a job: `state`, `planned`, `stage_started`, `stage_finished`,
-/// `progress`, `training_seen`, `held_out_seen`, `view_seen`, `round_finished`, `warning`. Ends
-/// with the job; 204 when there is nothing more to come.
+/// Streams the events of a job.
+///
+/// Their types are `state`, `planned`, `stage_started`, `stage_finished`, `progress`,
+/// `training_seen`, `held_out_seen`, `view_seen`, `round_finished` and `warning`. The stream ends
+/// with the job; 204 means that no more events will come.
 #[utoipa::path(get, path = "/v1/jobs/{id}/events", operation_id = "stream_events", tag = "jobs",
     params(("id" = String, Path), StreamQuery,
-        ("Last-Event-ID" = Option<i64>, Header, minimum = 0, description = "Number of the last event received; what follows it is sent")),
+        ("Last-Event-ID" = Option<i64>, Header, minimum = 0, description = "Number of the last event received; the stream continues after it")),
     responses(
         (status = 200, description = "Events, each with its number as `id`", body = StreamEvent, content_type = "text/event-stream"),
-        (status = 204, description = "The job is over and everything was sent"),
-        (status = 404, description = "Unknown", body = Problem, content_type = "application/problem+json")))]
+        (status = 204, description = "The job has ended and every event was sent"),
+        (status = 404, description = "Not found", body = Problem, content_type = "application/problem+json")))]
 pub async fn stream(
     State(app): State<Arc<App>>,
     Path(id): Path<String>,

@@ -34,34 +34,34 @@ const RETRY: u32 = 10;
 #[into_params(parameter_in = Query)]
 #[serde(deny_unknown_fields)]
 pub struct ExportQuery {
-    /// Of which round; default: the delivered one.
+    /// Round to use; by default the delivered one.
     round: Option<u32>,
 }
 
-/// A form in which a result can be had.
+/// A format in which the result can be exported.
 #[derive(Debug, Serialize, ToSchema)]
 pub struct ExportForm {
-    /// The last part of its address.
+    /// Last part of its address.
     name: &'static str,
-    /// What it is, and for whom.
+    /// What the format is, and for whom.
     about: &'static str,
-    /// How large it will be, more or less.
+    /// Approximate size, bytes.
     bytes: u64,
 }
 
-/// The forms in which a result can be had.
+/// The formats in which the result can be exported.
 #[derive(Debug, Serialize, ToSchema)]
 pub struct Exports {
-    /// Those that can be made of what is there.
+    /// The available formats.
     exports: Vec<ExportForm>,
 }
 
-/// Lists the forms in which the result can be had.
+/// Lists the formats in which the result can be exported.
 #[utoipa::path(get, path = "/v1/jobs/{id}/exports", operation_id = "list_exports",
     tag = "results", params(("id" = String, Path), ExportQuery),
     responses(
-        (status = 200, description = "The forms", body = Exports),
-        (status = 404, description = "Unknown job, or no such round yet", body = Problem, content_type = "application/problem+json"),
+        (status = 200, description = "The formats", body = Exports),
+        (status = 404, description = "Job or round not found", body = Problem, content_type = "application/problem+json"),
         (status = 409, description = "The job is not finished", body = Problem, content_type = "application/problem+json")))]
 pub async fn list(
     State(app): State<Arc<App>>,
@@ -88,16 +88,17 @@ pub async fn list(
     Ok(axum::Json(Exports { exports }))
 }
 
-/// Sends the result in one form. It is made while it is sent: its length is not told, and there
-/// are no ranges.
+/// Exports the result in one format.
+///
+/// The file is made while it is sent, so its length is unknown and ranges are not supported.
 #[utoipa::path(get, path = "/v1/jobs/{id}/exports/{name}", operation_id = "download_export",
     tag = "results",
-    params(("id" = String, Path), ("name" = String, Path, description = "As listed"), ExportQuery),
+    params(("id" = String, Path), ("name" = String, Path, description = "Name as listed"), ExportQuery),
     responses(
         (status = 200, description = "The file", body = serde_json::Value, content_type = "*/*"),
-        (status = 404, description = "Unknown job or form, or no such round yet", body = Problem, content_type = "application/problem+json"),
-        (status = 409, description = "The job is not finished, or lacks what it is made of", body = Problem, content_type = "application/problem+json"),
-        (status = 503, description = "Too many are being made", body = Problem, content_type = "application/problem+json")))]
+        (status = 404, description = "Job, format or round not found", body = Problem, content_type = "application/problem+json"),
+        (status = 409, description = "The job is not finished, or lacks files that the export needs", body = Problem, content_type = "application/problem+json"),
+        (status = 503, description = "Too many exports are being made", body = Problem, content_type = "application/problem+json")))]
 pub async fn download(
     State(app): State<Arc<App>>,
     Path((id, name)): Path<(String, String)>,

@@ -14,24 +14,24 @@ use crate::readiness::{Check, checks};
 /// Whether the server can take jobs.
 #[derive(Debug, Serialize, ToSchema)]
 pub struct Readiness {
-    /// Whether every check is in order.
+    /// Whether every check passed.
     ready: bool,
-    /// Database, disk, adapter, COLMAP, ONNX Runtime, models: each with what to do.
+    /// Checks of the database, disk, adapter, COLMAP, ONNX Runtime and models.
     checks: Vec<Check>,
 }
 
-/// Says that the server lives.
+/// Reports that the server is alive.
 #[utoipa::path(get, path = "/livez", operation_id = "live",
-    tag = "health", responses((status = 200, description = "It does", body = String)))]
+    tag = "health", responses((status = 200, description = "The server is alive", body = String)))]
 pub async fn live() -> &'static str {
     "ok\n"
 }
 
-/// Says whether the server can take jobs, and what is missing.
+/// Reports whether the server can take jobs, and what is missing.
 #[utoipa::path(get, path = "/readyz", operation_id = "ready", tag = "health",
     responses(
-        (status = 200, description = "Everything is in order", body = Readiness),
-        (status = 503, description = "Something is missing", body = Readiness)))]
+        (status = 200, description = "Every check passed", body = Readiness),
+        (status = 503, description = "At least one check failed", body = Readiness)))]
 pub async fn ready(State(app): State<Arc<App>>) -> Response {
     let checks = checks(&app).await;
     let ready = checks.iter().all(|check| check.ok);

@@ -32,61 +32,61 @@ use crate::store::{Creation, JobFilter, JobRow};
 /// How long a cancellation waits for the job to be over before it answers.
 const CANCEL_PATIENCE: Duration = Duration::from_millis(2500);
 
-/// A job to be made.
+/// A job to create.
 #[derive(Clone, Debug, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct CreateJob {
-    /// An existing capture.
+    /// ID of an existing capture.
     capture_id: String,
     /// `preview`, `standard` (default) or `paper`.
     preset: Option<String>,
-    /// Options over the preset's; see `/v1/options`.
+    /// Options that override the preset's; see `/v1/options`.
     #[serde(default)]
     #[schema(value_type = Object)]
     options: Map<String, Value>,
-    /// The user's name for it; the capture's when absent.
+    /// Name of the job; the capture's name by default.
     name: Option<String>,
-    /// From -100 to 100: of two jobs that wait the higher one goes first; 0 when absent. Above 0
-    /// needs `admin`, where there are tokens.
+    /// From -100 to 100, 0 by default: waiting jobs with a higher priority start first. Above 0
+    /// requires `admin` if the server has tokens.
     #[schema(value_type = Option<i32>, minimum = -100, maximum = 100)]
     priority: Option<Number>,
 }
 
-/// A job of a capture that there is, or of uploads in pieces.
+/// A job of an existing capture, or of finished uploads.
 #[derive(ToSchema)]
 #[serde(untagged)]
 #[expect(dead_code, reason = "it describes what is told apart by its fields")]
 pub enum JobOrder {
-    /// Of a capture.
+    /// A job of an existing capture.
     OfCapture(CreateJob),
-    /// Of uploads.
+    /// A job of finished uploads.
     OfUploads(JobOfUploads),
 }
 
-/// A capture and a job in one form.
+/// A capture and a job as one form.
 #[derive(ToSchema)]
 #[serde(deny_unknown_fields)]
 #[expect(dead_code, reason = "it describes what is read part by part")]
 pub struct JobForm {
-    /// Photographs, or one zip, or a video (MP4, MOV).
+    /// Photographs, one ZIP file, or one video (MP4, MOV).
     #[schema(value_type = Vec<String>, format = Binary, min_items = 1)]
     images: Vec<Vec<u8>>,
-    /// Ground truth, by the same names.
+    /// Ground truth with the same file names.
     #[schema(value_type = Option<Vec<String>>, format = Binary)]
     gt: Option<Vec<Vec<u8>>>,
-    /// transforms.json, poses_bounds.npy or the files of a COLMAP model.
+    /// `transforms.json`, `poses_bounds.npy`, or the files of a COLMAP model.
     #[schema(value_type = Option<Vec<String>>, format = Binary)]
     poses: Option<Vec<Vec<u8>>>,
-    /// What to call capture and job.
+    /// Name of the capture and the job.
     #[schema(max_length = 200)]
     name: Option<String>,
-    /// Photographs to take of a video, 3 to 500; 40 when absent.
+    /// Number of photographs to take from a video, 3 to 500; 40 by default.
     frames: Option<String>,
     /// `preview`, `standard` (default) or `paper`.
     preset: Option<String>,
-    /// A JSON object: options over the preset's.
+    /// Options that override the preset's, as a JSON object.
     options: Option<String>,
-    /// From -100 to 100; 0 when absent. Above 0 needs `admin`, where there are tokens.
+    /// From -100 to 100, 0 by default. Above 0 requires `admin` if the server has tokens.
     priority: Option<String>,
 }
 
@@ -95,29 +95,31 @@ pub struct JobForm {
 #[into_params(parameter_in = Query)]
 #[serde(deny_unknown_fields)]
 pub struct ListQuery {
-    /// Of this state only.
+    /// Only jobs in this state.
     state: Option<JobState>,
-    /// Of this capture only.
+    /// Only jobs of this capture.
     capture_id: Option<String>,
-    /// At most so many; default 50.
+    /// Maximum number of results; 50 by default.
     #[param(minimum = 1, maximum = 200)]
     limit: Option<u32>,
-    /// `next_cursor` of the page before.
+    /// `next_cursor` of the previous page.
     cursor: Option<String>,
 }
 
-/// Creates a job: JSON for an existing capture or for uploads in pieces, or multipart for capture
-/// and job in one call.
+/// Creates a job.
+///
+/// JSON names an existing capture or finished uploads; a multipart form creates capture and job in
+/// one call.
 #[utoipa::path(post, path = "/v1/jobs", operation_id = "create_job", tag = "jobs",
-    params(("Idempotency-Key" = Option<String>, Header, min_length = 1, max_length = 255, pattern = "^[\\x20-\\x7e]+$", description = "The same key and request give the same job")),
+    params(("Idempotency-Key" = Option<String>, Header, min_length = 1, max_length = 255, pattern = "^[\\x20-\\x7e]+$", description = "Repeating a request with the same key returns the same job")),
     request_body(content(
         (JobOrder = "application/json"),
         (JobForm = "multipart/form-data"))),
     responses(
-        (status = 202, description = "Accepted, on disk", body = Job, headers(("Location" = String))),
-        (status = 404, description = "Unknown capture or upload", body = Problem, content_type = "application/problem+json"),
-        (status = 409, description = "Unfinished upload", body = Problem, content_type = "application/problem+json"),
-        (status = 422, description = "Unknown option, bad value, or too few usable photographs", body = Problem, content_type = "application/problem+json")))]
+        (status = 202, description = "Accepted and stored on disk", body = Job, headers(("Location" = String))),
+        (status = 404, description = "Capture or upload not found", body = Problem, content_type = "application/problem+json"),
+        (status = 409, description = "An upload is not finished", body = Problem, content_type = "application/problem+json"),
+        (status = 422, description = "Unknown option, invalid value, or too few usable photographs", body = Problem, content_type = "application/problem+json")))]
 pub async fn create(
     State(app): State<Arc<App>>,
     Extension(visitor): Extension<Visitor>,
@@ -309,8 +311,8 @@ fn idempotency_key(headers: &HeaderMap, visitor: &Visitor) -> Result<Option<Stri
 /// Lists jobs, newest first.
 #[utoipa::path(get, path = "/v1/jobs", operation_id = "list_jobs", tag = "jobs", params(ListQuery),
     responses(
-        (status = 200, description = "A page", body = Jobs),
-        (status = 422, description = "Not a page", body = Problem, content_type = "application/problem+json")))]
+        (status = 200, description = "One page of results", body = Jobs),
+        (status = 422, description = "Invalid page", body = Problem, content_type = "application/problem+json")))]
 pub async fn list(
     State(app): State<Arc<App>>,
     Query(query): Query<ListQuery>,
@@ -334,12 +336,12 @@ pub async fn list(
     Ok(axum::Json(Jobs { jobs, next_cursor }))
 }
 
-/// Shows a job: state, progress, warnings, error.
+/// Shows a job with its state, progress, warnings and error.
 #[utoipa::path(get, path = "/v1/jobs/{id}", operation_id = "show_job",
     tag = "jobs", params(("id" = String, Path)),
     responses(
         (status = 200, description = "The job", body = Job),
-        (status = 404, description = "Unknown", body = Problem, content_type = "application/problem+json")))]
+        (status = 404, description = "Not found", body = Problem, content_type = "application/problem+json")))]
 pub async fn show(
     State(app): State<Arc<App>>,
     Path(id): Path<String>,
@@ -347,13 +349,13 @@ pub async fn show(
     Ok(axum::Json(told(&app, &id).await?))
 }
 
-/// Stops a job and every process of it, within two seconds.
+/// Cancels a job and stops all of its processes within two seconds.
 #[utoipa::path(post, path = "/v1/jobs/{id}/cancel", operation_id = "cancel_job",
     tag = "jobs", params(("id" = String, Path)),
     responses(
         (status = 202, description = "Cancelled, or about to be", body = Job),
-        (status = 404, description = "Unknown", body = Problem, content_type = "application/problem+json"),
-        (status = 409, description = "It is over already", body = Problem, content_type = "application/problem+json")))]
+        (status = 404, description = "Not found", body = Problem, content_type = "application/problem+json"),
+        (status = 409, description = "The job has already ended", body = Problem, content_type = "application/problem+json")))]
 pub async fn cancel(
     State(app): State<Arc<App>>,
     Path(id): Path<String>,
@@ -380,13 +382,13 @@ pub async fn cancel(
     Ok((StatusCode::ACCEPTED, axum::Json(job)).into_response())
 }
 
-/// Deletes a job that does not run, with its files.
+/// Deletes a job that is not running, with its files.
 #[utoipa::path(delete, path = "/v1/jobs/{id}", operation_id = "delete_job",
     tag = "jobs", params(("id" = String, Path)),
     responses(
         (status = 204, description = "Deleted"),
-        (status = 404, description = "Unknown", body = Problem, content_type = "application/problem+json"),
-        (status = 409, description = "It runs", body = Problem, content_type = "application/problem+json")))]
+        (status = 404, description = "Not found", body = Problem, content_type = "application/problem+json"),
+        (status = 409, description = "The job is running", body = Problem, content_type = "application/problem+json")))]
 pub async fn delete(
     State(app): State<Arc<App>>,
     Path(id): Path<String>,

@@ -14,15 +14,17 @@ use crate::app::App;
 use crate::error::ServerError;
 use crate::jobs::state::JobState;
 
-/// Shows one view of the scene as it stood at the last `view_seen` event, which tells of which
-/// view and step. There is a new one about every ten seconds while the job trains.
+/// Shows one view of the scene while the job trains.
+///
+/// The picture belongs to the last `view_seen` event, which names its view and step. There is a new
+/// one about every ten seconds.
 #[utoipa::path(get, path = "/v1/jobs/{id}/live", operation_id = "show_live_picture",
     tag = "results", params(("id" = String, Path)),
     responses(
         (status = 200, description = "The picture", body = serde_json::Value, content_type = "image/jpeg"),
-        (status = 204, description = "Nothing trains now"),
-        (status = 304, description = "As you have it"),
-        (status = 404, description = "Unknown", body = Problem, content_type = "application/problem+json")))]
+        (status = 204, description = "The job is not training now"),
+        (status = 304, description = "Not modified"),
+        (status = 404, description = "Not found", body = Problem, content_type = "application/problem+json")))]
 pub async fn show(
     State(app): State<Arc<App>>,
     Path(id): Path<String>,

@@ -22,9 +22,9 @@ const LARGEST_PAGE: usize = 5000;
 #[into_params(parameter_in = Query)]
 #[serde(deny_unknown_fields)]
 pub struct LogQuery {
-    /// `next_offset` of the page before.
+    /// `next_offset` of the previous page.
     offset: Option<u64>,
-    /// At most so many lines; default 1000.
+    /// Maximum number of lines; 1000 by default.
     #[param(minimum = 1, maximum = 5000)]
     limit: Option<usize>,
 }
@@ -36,17 +36,19 @@ pub struct LogPage {
     lines: Vec<String>,
     /// `offset` of the next page.
     next_offset: u64,
-    /// Whether there is nothing more for now.
+    /// Whether there are no more lines for now.
     end: bool,
 }
 
-/// Shows a page of the job's log: what its process and its tools have said, over all attempts.
+/// Shows a page of the job's log.
+///
+/// The log holds the output of the job's process and its tools over all attempts.
 #[utoipa::path(get, path = "/v1/jobs/{id}/log", operation_id = "show_log",
     tag = "results", params(("id" = String, Path), LogQuery),
     responses(
-        (status = 200, description = "A page", body = LogPage),
-        (status = 404, description = "Unknown", body = Problem, content_type = "application/problem+json"),
-        (status = 422, description = "Not a page", body = Problem, content_type = "application/problem+json")))]
+        (status = 200, description = "One page of results", body = LogPage),
+        (status = 404, description = "Not found", body = Problem, content_type = "application/problem+json"),
+        (status = 422, description = "Invalid page", body = Problem, content_type = "application/problem+json")))]
 pub async fn show(
     State(app): State<Arc<App>>,
     Path(id): Path<String>,

@@ -20,28 +20,28 @@ use crate::token::{Secret, digest};
 /// How long a session lasts, in seconds.
 const LASTS: i64 = 7 * 24 * 3600;
 
-/// A token that is shown for a session.
+/// A token to start a session with.
 #[derive(Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Login {
-    /// `fled_...`
+    /// Token that begins with `fled_`.
     token: String,
 }
 
-/// Who a browser is.
+/// The session of a browser.
 #[derive(Debug, Serialize, ToSchema)]
 pub struct Session {
-    /// Whether the API needs a token.
+    /// Whether the API requires a token.
     needed: bool,
-    /// What this browser's token allows, with commas; `null` without a session that holds.
+    /// Scopes of this browser's token, separated by commas; `null` without a valid session.
     scopes: Option<String>,
-    /// The only job that it sees, where it came by a link to one.
+    /// The only visible job, if the session comes from a link.
     job: Option<String>,
 }
 
-/// Says whether a token is needed, and whether this browser has shown one.
+/// Reports whether a token is required and whether this browser has a session.
 #[utoipa::path(get, path = "/login", operation_id = "show_session", tag = "login",
-    responses((status = 200, description = "Who one is", body = Session)))]
+    responses((status = 200, description = "The state of the session", body = Session)))]
 pub async fn show(
     State(app): State<Arc<App>>,
     headers: HeaderMap,
@@ -59,12 +59,14 @@ pub async fn show(
     }))
 }
 
-/// Begins a session: the cookie stands for the token, for a week at most.
+/// Starts a session with a token.
+///
+/// The session cookie stands in for the token for up to a week.
 #[utoipa::path(post, path = "/login", operation_id = "login", tag = "login",
     request_body = Login,
     responses(
-        (status = 204, description = "The session is in the cookie", headers(("Set-Cookie" = String))),
-        (status = 401, description = "The token does not hold", body = Problem, content_type = "application/problem+json"),
+        (status = 204, description = "The session cookie is set", headers(("Set-Cookie" = String))),
+        (status = 401, description = "The token is not valid", body = Problem, content_type = "application/problem+json"),
         (status = 422, description = "Not a token", body = Problem, content_type = "application/problem+json")))]
 pub async fn login(
     State(app): State<Arc<App>>,
@@ -91,7 +93,7 @@ pub async fn login(
 
 /// Ends the session.
 #[utoipa::path(post, path = "/logout", operation_id = "logout", tag = "login",
-    responses((status = 204, description = "There is no session any more", headers(("Set-Cookie" = String)))))]
+    responses((status = 204, description = "The session has ended", headers(("Set-Cookie" = String)))))]
 pub async fn logout(State(app): State<Arc<App>>, headers: HeaderMap) -> Result<Response, Problem> {
     end(&app, &headers).await?;
     Ok(answer(&headers, "", 0))

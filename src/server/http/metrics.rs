@@ -18,9 +18,9 @@ const MEDIA_TYPE: &str = "application/openmetrics-text; version=1.0.0; charset=u
 /// Identifies an answer in the log and to the client.
 const REQUEST_ID: &str = "x-request-id";
 
-/// What the server counts about itself: requests and their times, jobs by state, free space.
+/// Returns metrics of the server: requests and their durations, jobs by state, free space.
 #[utoipa::path(get, path = "/metrics", operation_id = "show_metrics", tag = "health",
-    responses((status = 200, description = "OpenMetrics", body = String, content_type = "application/openmetrics-text")))]
+    responses((status = 200, description = "Metrics in the OpenMetrics format", body = String, content_type = "application/openmetrics-text")))]
 pub async fn show(State(app): State<Arc<App>>) -> Result<Response, Problem> {
     let jobs = app.store.jobs_by_state().await?;
     let jobs: Vec<_> = jobs

@@ -16,7 +16,7 @@ use super::{
 #[openapi(
     info(
         title = "fled",
-        description = "From dark, noisy, shaken photographs of a place to a bright, sharp 3D scene.",
+        description = "Turns dark, noisy, shaken photographs of a place into a bright, sharp 3D scene.",
         license(name = "MIT OR Apache-2.0")
     ),
     paths(
@@ -85,7 +85,7 @@ struct Api;
 const TOKEN: &str = "token";
 
 /// A refusal that every request may get.
-const UNKNOWN_HOST: (&str, &str) = ("421", "Called by a name that is not the server's");
+const UNKNOWN_HOST: (&str, &str) = ("421", "The request does not use a name of this server");
 
 /// Adds to every operation the refusals that precede its handler.
 struct Refusals;
@@ -93,7 +93,7 @@ struct Refusals;
 impl Modify for Refusals {
     fn modify(&self, api: &mut OpenApi) {
         let scheme = HttpBuilder::new().scheme(HttpAuthScheme::Bearer);
-        let scheme = scheme.description(Some("`fled token create` makes tokens."));
+        let scheme = scheme.description(Some("Create tokens with `fled token create`."));
         let scheme = SecurityScheme::Http(scheme.build());
         let components = api.components.get_or_insert_default();
         components.add_security_scheme(TOKEN, scheme);
@@ -133,16 +133,19 @@ fn refuse(operation: &mut Operation, path: &str) {
     }
     if has_body {
         refusals.push(("413", "The body is too large"));
-        refusals.push(("415", "The body is of another type"));
+        refusals.push(("415", "The body has an unsupported type"));
     }
     if path.starts_with("/v1/") || path == "/metrics" {
-        refusals.push(("401", "A token is needed, and none that holds was sent"));
+        refusals.push(("401", "A valid token is required"));
         refusals.push(("403", "The token does not allow this"));
-        refusals.push(("429", "Too many requests: `Retry-After` says when again"));
+        refusals.push((
+            "429",
+            "Too many requests; `Retry-After` says when to try again",
+        ));
         let needs = SecurityRequirement::new::<_, [&str; 0], &str>(TOKEN, []);
         // No token is required while none exists.
         operation.security = Some(vec![SecurityRequirement::default(), needs]);
-        refusals.push(("default", "Any other problem"));
+        refusals.push(("default", "Any other error"));
     }
     for (status, description) in refusals {
         let known = operation.responses.responses.entry(status.to_owned());
@@ -168,23 +171,23 @@ pub fn document() -> String {
         .expect("plain data can be written as YAML")
 }
 
-/// This document.
+/// Returns this document as YAML.
 #[utoipa::path(get, path = "/openapi.yaml", operation_id = "show_openapi", tag = "health",
     responses((status = 200, description = "OpenAPI 3.1", body = String, content_type = "application/yaml")))]
 pub async fn show() -> impl IntoResponse {
     ([(header::CONTENT_TYPE, "application/yaml")], document())
 }
 
-/// This document as JSON.
+/// Returns this document as JSON.
 #[utoipa::path(get, path = "/openapi.json", operation_id = "show_openapi_json", tag = "health",
     responses((status = 200, description = "OpenAPI 3.1", body = Object, content_type = "application/json")))]
 pub async fn show_json() -> impl IntoResponse {
     axum::Json(Api::openapi())
 }
 
-/// The same for people: a page of the dashboard.
+/// Redirects to the API reference in the dashboard.
 #[utoipa::path(get, path = "/docs", operation_id = "show_docs", tag = "health",
-    responses((status = 303, description = "Where it is", headers(("Location" = String)))))]
+    responses((status = 303, description = "The address of the reference", headers(("Location" = String)))))]
 pub async fn docs() -> Redirect {
     Redirect::to("/#/api")
 }

@@ -6,9 +6,11 @@ use serde_json::{Map, Value};
 
 use super::problem::Problem;
 
-/// The options of a job as a JSON Schema (2020-12), with every preset under `presets`.
+/// Returns the options of a job as a JSON Schema (2020-12).
+///
+/// The key `presets` holds every preset.
 #[utoipa::path(get, path = "/v1/options", operation_id = "show_options", tag = "jobs",
-    responses((status = 200, description = "A JSON Schema with `presets` besides", body = Object)))]
+    responses((status = 200, description = "A JSON Schema with the additional key `presets`", body = Object)))]
 pub async fn show() -> Result<Json<Value>, Problem> {
     let mut schema =
         serde_json::to_value(schemars::schema_for!(Options)).map_err(|_| Problem::internal())?;

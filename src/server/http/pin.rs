@@ -9,12 +9,12 @@ use super::problem::Problem;
 use super::shapes::Job;
 use crate::app::App;
 
-/// Keeps a job, whatever the server deletes of itself.
+/// Pins a job, so that the server does not delete it automatically.
 #[utoipa::path(put, path = "/v1/jobs/{id}/pin", operation_id = "pin_job",
     tag = "jobs", params(("id" = String, Path)),
     responses(
-        (status = 200, description = "It is pinned", body = Job),
-        (status = 404, description = "Unknown", body = Problem, content_type = "application/problem+json")))]
+        (status = 200, description = "The pinned job", body = Job),
+        (status = 404, description = "Not found", body = Problem, content_type = "application/problem+json")))]
 pub async fn pin(
     State(app): State<Arc<App>>,
     Path(id): Path<String>,
@@ -22,12 +22,12 @@ pub async fn pin(
     set(&app, &id, true).await
 }
 
-/// Keeps a job no longer than others.
+/// Unpins a job.
 #[utoipa::path(delete, path = "/v1/jobs/{id}/pin", operation_id = "unpin_job",
     tag = "jobs", params(("id" = String, Path)),
     responses(
-        (status = 200, description = "It is not pinned", body = Job),
-        (status = 404, description = "Unknown", body = Problem, content_type = "application/problem+json")))]
+        (status = 200, description = "The unpinned job", body = Job),
+        (status = 404, description = "Not found", body = Problem, content_type = "application/problem+json")))]
 pub async fn unpin(
     State(app): State<Arc<App>>,
     Path(id): Path<String>,

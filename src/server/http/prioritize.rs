@@ -16,25 +16,26 @@ use super::problem::Problem;
 use super::shapes::Job;
 use crate::app::App;
 
-/// How urgent a job is to be.
+/// The priority of a job.
 #[derive(Clone, Debug, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SetPriority {
-    /// From -100 to 100: of two jobs that wait the higher one goes first. Above 0 needs `admin`,
-    /// where there are tokens.
+    /// From -100 to 100: waiting jobs with a higher priority start first. Above 0 requires `admin`
+    /// if the server has tokens.
     #[schema(value_type = i32, minimum = -100, maximum = 100)]
     priority: Number,
 }
 
-/// Lets a job that waits go before others, or after them. One that runs goes on; the priority
-/// counts when it has to wait again.
+/// Sets the priority of a job.
+///
+/// A running job continues; its priority counts if it has to wait again.
 #[utoipa::path(put, path = "/v1/jobs/{id}/priority", operation_id = "prioritize_job",
     tag = "jobs", params(("id" = String, Path)), request_body = SetPriority,
     responses(
-        (status = 200, description = "It has this priority", body = Job),
-        (status = 404, description = "Unknown", body = Problem, content_type = "application/problem+json"),
-        (status = 409, description = "It is over", body = Problem, content_type = "application/problem+json"),
-        (status = 422, description = "No priority", body = Problem, content_type = "application/problem+json")))]
+        (status = 200, description = "The job with its priority", body = Job),
+        (status = 404, description = "Not found", body = Problem, content_type = "application/problem+json"),
+        (status = 409, description = "The job has ended", body = Problem, content_type = "application/problem+json"),
+        (status = 422, description = "Invalid priority", body = Problem, content_type = "application/problem+json")))]
 pub async fn prioritize(
     State(app): State<Arc<App>>,
     Path(id): Path<String>,

@@ -9,30 +9,31 @@ use utoipa::ToSchema;
 
 use crate::error::ServerError;
 
-/// Why a request was not done. Boxed where it can be: it is the error of every handler.
+// Boxed where possible, because it is the error of every handler.
+/// Why a request failed.
 #[derive(Clone, Debug, Serialize, ToSchema)]
 pub struct Problem {
-    /// Always `about:blank`: the code says more.
+    /// Always `about:blank`; see `code`.
     #[serde(rename = "type")]
     kind: &'static str,
-    /// The status in words.
+    /// Name of the status.
     title: &'static str,
-    /// The HTTP status.
+    /// HTTP status.
     status: u16,
-    /// Stable snake_case name of what went wrong.
+    /// Stable name of the problem in snake_case.
     code: &'static str,
-    /// What happened, in one sentence.
+    /// What went wrong, in one sentence.
     #[schema(value_type = String)]
     detail: Box<str>,
     /// What to do about it.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(value_type = Option<String>)]
     hint: Option<Box<str>>,
-    /// JSON pointer to the part of the request at fault.
+    /// JSON pointer to the invalid part of the request.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(value_type = Option<String>)]
     pointer: Option<Box<str>>,
-    /// Assessments of the uploaded files, where an upload was refused.
+    /// Assessments of the uploaded files, if an upload was refused.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(value_type = Option<Object>)]
     capture: Option<Box<Value>>,

@@ -43,45 +43,44 @@ const SHORTEST_FOCAL: f64 = 1e-3;
 pub struct RenderQuery {
     /// Name of a photograph's view.
     view: Option<String>,
-    /// Degrees to the right of the middle of the photographers; default 0.
+    /// Degrees to the right of the middle of the photographs; 0 by default.
     azimuth: Option<f64>,
-    /// Degrees above them; default 0.
+    /// Degrees above the photographs; 0 by default.
     elevation: Option<f64>,
-    /// Times their median distance from the centre; default 1.
+    /// Distance from the centre as a multiple of the median distance of the photographs; 1 by
+    /// default.
     distance: Option<f64>,
-    /// px; default: the view's, or in proportion to `height`.
+    /// Width, px; by default the view's, or in proportion to `height`.
     width: Option<usize>,
-    /// px; default: the view's, or in proportion to `width`.
+    /// Height, px; by default the view's, or in proportion to `width`.
     height: Option<usize>,
-    /// Of which round; default: the delivered one, or the last that is finished.
+    /// Round to use; by default the delivered one, or else the last finished one.
     round: Option<u32>,
     /// `jpeg` (default), `png` or `webp` (lossless).
     format: Option<Format>,
-    /// `colour` (default) or `depth`: grey, what is near white, what is far dark, black where
-    /// nothing is.
+    /// `colour` (default) or `depth`: greyscale, near is white, far is dark, empty is black.
     show: Option<Shown>,
-    /// Brighter by so many stops, in light; from -16 to 16, default 0.
+    /// Stops by which to brighten the linear light, from -16 to 16; 0 by default.
     ev: Option<f64>,
 }
 
-/// A camera of the client's own.
+/// A camera to render from.
 #[derive(Debug, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RenderBody {
-    /// Rigid, row-major, 4x4; OpenCV axes: x right, y down, z forward.
+    /// Rigid transform, row-major, 4x4; OpenCV axes: x right, y down, z forward.
     #[schema(value_type = Vec<MatrixRow>, min_items = 4, max_items = 4)]
     world_to_camera: [[f64; 4]; 4],
-    /// Pinhole, pixels.
+    /// Pinhole camera, pixels.
     #[schema(value_type = Pinhole)]
     intrinsics: Object<Pinhole>,
-    /// Of which round; default: the delivered one, or the last that is finished.
+    /// Round to use; by default the delivered one, or else the last finished one.
     round: Option<u32>,
     /// `jpeg` (default), `png` or `webp` (lossless).
     format: Option<Format>,
-    /// `colour` (default) or `depth`: grey, what is near white, what is far dark, black where
-    /// nothing is.
+    /// `colour` (default) or `depth`: greyscale, near is white, far is dark, empty is black.
     show: Option<Shown>,
-    /// Brighter by so many stops, in light; from -16 to 16, default 0.
+    /// Stops by which to brighten the linear light, from -16 to 16; 0 by default.
     ev: Option<f64>,
 }
 
@@ -103,15 +102,15 @@ pub struct Pinhole {
     cy: f64,
 }
 
-/// Renders a photograph's view, or one from an orbit around the scene.
+/// Renders a photograph's view, or a view from an orbit around the scene.
 #[utoipa::path(get, path = "/v1/jobs/{id}/render", operation_id = "render_view",
     tag = "results", params(("id" = String, Path), RenderQuery),
     responses(
         (status = 200, description = "The picture", body = serde_json::Value, content_type = "image/*"),
-        (status = 304, description = "As you have it"),
-        (status = 404, description = "Unknown job, view or round", body = Problem, content_type = "application/problem+json"),
-        (status = 409, description = "No round is finished yet", body = Problem, content_type = "application/problem+json"),
-        (status = 503, description = "Too many renders wait, or the render process failed", body = Problem, content_type = "application/problem+json")))]
+        (status = 304, description = "Not modified"),
+        (status = 404, description = "Job, view or round not found", body = Problem, content_type = "application/problem+json"),
+        (status = 409, description = "No round has finished yet", body = Problem, content_type = "application/problem+json"),
+        (status = 503, description = "Too many renders are waiting, or the render process failed", body = Problem, content_type = "application/problem+json")))]
 pub async fn get(
     State(app): State<Arc<App>>,
     Path(id): Path<String>,
@@ -131,15 +130,15 @@ pub async fn get(
     picture(&app, &id, wanted, client, &headers).await
 }
 
-/// Renders with a camera of the client's own.
+/// Renders a view from a given camera.
 #[utoipa::path(post, path = "/v1/jobs/{id}/render", operation_id = "render_camera",
     tag = "results", params(("id" = String, Path)),
     request_body = RenderBody,
     responses(
         (status = 200, description = "The picture", body = serde_json::Value, content_type = "image/*"),
-        (status = 404, description = "Unknown job or round", body = Problem, content_type = "application/problem+json"),
-        (status = 409, description = "No round is finished yet", body = Problem, content_type = "application/problem+json"),
-        (status = 422, description = "Not a camera", body = Problem, content_type = "application/problem+json")))]
+        (status = 404, description = "Job or round not found", body = Problem, content_type = "application/problem+json"),
+        (status = 409, description = "No round has finished yet", body = Problem, content_type = "application/problem+json"),
+        (status = 422, description = "Invalid camera", body = Problem, content_type = "application/problem+json")))]
 pub async fn post(
     State(app): State<Arc<App>>,
     Path(id): Path<String>,

@@ -23,26 +23,28 @@ use super::upload;
 use crate::app::App;
 use crate::store::{Change, JobRow, Retry};
 
-/// How a job is to go on.
+/// How to continue a job.
 #[derive(Clone, Debug, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RetryJob {
-    /// Options over those that the job has; see `/v1/options`.
+    /// Options that override the job's; see `/v1/options`.
     #[serde(default)]
     #[schema(value_type = Object)]
     options: Map<String, Value>,
 }
 
-/// Queues a failed or cancelled job again; it goes on from what is done. With other options any job
-/// that ended goes on, and does again only what they make stale.
+/// Queues an ended job again.
+///
+/// A failed or cancelled job continues from its finished work. With changed options any ended job
+/// continues, and repeats only what those options affect.
 #[utoipa::path(post, path = "/v1/jobs/{id}/retry", operation_id = "retry_job",
     tag = "jobs", params(("id" = String, Path)),
     request_body = Option<RetryJob>,
     responses(
         (status = 202, description = "Queued", body = Job),
-        (status = 404, description = "Unknown", body = Problem, content_type = "application/problem+json"),
-        (status = 409, description = "It has not ended, or has succeeded and no option changes", body = Problem, content_type = "application/problem+json"),
-        (status = 422, description = "Unknown option or bad value", body = Problem, content_type = "application/problem+json")))]
+        (status = 404, description = "Not found", body = Problem, content_type = "application/problem+json"),
+        (status = 409, description = "The job has not ended, or it has succeeded and no option changes", body = Problem, content_type = "application/problem+json"),
+        (status = 422, description = "Unknown option or invalid value", body = Problem, content_type = "application/problem+json")))]
 pub async fn retry(
     State(app): State<Arc<App>>,
     Path(id): Path<String>,

@@ -24,7 +24,7 @@ pub struct RoundsQuery {
     format: Option<Form>,
 }
 
-/// The forms of a table.
+/// The format of a table.
 #[derive(Clone, Copy, Debug, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Form {
@@ -34,15 +34,15 @@ pub enum Form {
     Csv,
 }
 
-/// The metrics of every round that is done, in the shape of `metrics.json`.
+/// The metrics of every finished round, in the shape of `metrics.json`.
 #[derive(Debug, Serialize, ToSchema)]
 pub struct Rounds {
-    /// One entry a finished round, with `records` by split, image, reference and brightness.
+    /// One entry per finished round, with `records` by split, image, reference and brightness.
     #[schema(value_type = Vec<Object>)]
     rounds: Vec<Value>,
-    /// The delivered round, once the job is done.
+    /// Delivered round of a finished job.
     best_round: Option<u32>,
-    /// The rest of `metrics.json` once it is there: registered, views, adapter, models, fallbacks,
+    /// The rest of `metrics.json` once it exists: registered, views, adapter, models, fallbacks,
     /// poses, seed, config.
     #[serde(flatten)]
     #[schema(value_type = Object)]
@@ -53,8 +53,8 @@ pub struct Rounds {
 #[utoipa::path(get, path = "/v1/jobs/{id}/rounds", operation_id = "show_rounds",
     tag = "results", params(("id" = String, Path), RoundsQuery),
     responses(
-        (status = 200, description = "Finished rounds", content((Rounds = "application/json"), (String = "text/csv"))),
-        (status = 404, description = "Unknown", body = Problem, content_type = "application/problem+json")))]
+        (status = 200, description = "The finished rounds", content((Rounds = "application/json"), (String = "text/csv"))),
+        (status = 404, description = "Not found", body = Problem, content_type = "application/problem+json")))]
 pub async fn show(
     State(app): State<Arc<App>>,
     Path(id): Path<String>,

@@ -8,21 +8,21 @@ use crate::jobs::state::JobState;
 use crate::store::{CaptureRow, JobRow, ToldJob};
 use crate::validation::{CaptureReport, Warning};
 
-/// A capture as answered: its assessments and how many photographs can be used.
+/// A capture with the assessments of its photographs.
 #[derive(Clone, Debug, Serialize, ToSchema)]
 pub struct Capture {
-    /// UUID v7; absent on a dry run.
+    /// UUID v7; absent after a dry run.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub id: Option<String>,
-    /// The user's name for it.
+    /// Name given by the user.
     pub name: String,
-    /// When it was stored.
+    /// Time of the upload, RFC 3339.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub created_at: Option<String>,
-    /// When it will be deleted, unless a job is made of it: RFC 3339.
+    /// Time at which the capture is deleted unless a job uses it, RFC 3339.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub expires_at: Option<String>,
-    /// What became of each file, and what is worth knowing of all.
+    /// The assessments of its files, and warnings about the whole capture.
     #[serde(flatten)]
     pub report: CaptureReport,
 }
@@ -30,9 +30,9 @@ pub struct Capture {
 /// A page of captures.
 #[derive(Debug, Serialize, ToSchema)]
 pub struct Captures {
-    /// Newest first.
+    /// The captures, newest first.
     pub captures: Vec<Capture>,
-    /// `cursor` of the next page, where there is one.
+    /// `cursor` of the next page, if there is one.
     pub next_cursor: Option<String>,
 }
 
@@ -60,67 +60,68 @@ pub fn report(row: &CaptureRow) -> CaptureReport {
     })
 }
 
-/// A job as answered.
+/// A job.
 #[derive(Debug, Serialize, ToSchema)]
 pub struct Job {
     /// UUID v7.
     pub id: String,
-    /// The user's name for it.
+    /// Name given by the user.
     pub name: String,
-    /// Its capture.
+    /// ID of its capture.
     pub capture_id: String,
-    /// Where it stands.
+    /// State.
     pub state: JobState,
-    /// The stage that runs: poses, enhance, deblur, reconstruct, render, match or evaluate.
+    /// Current stage: poses, enhance, deblur, reconstruct, render, match or evaluate.
     pub stage: Option<String>,
-    /// When that stage began: RFC 3339; `null` when the job does not run or has told of none yet.
+    /// Start of the current stage, RFC 3339; `null` if the job is not running or no stage has
+    /// started.
     pub stage_started_at: Option<String>,
-    /// The place of a queued job among all that wait, 1 being the next; `null` for others. One that
-    /// waits for another attempt keeps its place and may be passed.
+    /// Position of a queued job in the queue, 1 being next; `null` for other jobs. A job that waits
+    /// for another attempt keeps its position and may be overtaken.
     pub queue_position: Option<u32>,
-    /// Of two jobs that wait the higher one goes first.
+    /// Waiting jobs with a higher priority start first.
     pub priority: i64,
-    /// What a machine must have that a queued job waits for; `null` where any will do.
+    /// What a worker must have to run this queued job; `null` if any worker can.
     pub waits_for: Option<String>,
-    /// The round that runs or ran last, 1-based; 0 before the first.
+    /// Current or last round, from 1; 0 before the first.
     pub round: u32,
-    /// Rounds planned.
+    /// Number of planned rounds.
     pub rounds: u32,
-    /// Share of the expected work that is done, 0..=1.
+    /// Finished share of the expected work, 0 to 1.
     pub progress: f64,
-    /// Training speed, while it trains.
+    /// Training speed while the job trains, steps per second.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub steps_per_second: Option<f64>,
-    /// Estimated seconds left, while it runs.
+    /// Estimated seconds left while the job runs.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub eta_seconds: Option<f64>,
-    /// Why it failed.
+    /// Why the job failed.
     pub error: Option<JobError>,
-    /// What the user should know.
+    /// Warnings.
     pub warnings: Vec<Warning>,
-    /// The delivered round of a finished job.
+    /// Delivered round of a finished job.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub best_round: Option<u32>,
-    /// Whether somebody asked to stop it.
+    /// Whether cancellation was requested.
     pub cancel_requested: bool,
-    /// Attempts begun.
+    /// Number of attempts started.
     pub attempts: u32,
-    /// Name of its preset.
+    /// Name of the preset.
     pub preset: String,
-    /// Its options, complete.
+    /// All options.
     #[schema(value_type = Object)]
     pub options: Value,
-    /// Wall seconds of every finished stage.
+    /// Duration of every finished stage.
     pub stages: Vec<StageTime>,
-    /// RFC 3339.
+    /// Time of creation, RFC 3339.
     pub created_at: String,
-    /// RFC 3339; first attempt.
+    /// Start of the first attempt, RFC 3339.
     pub started_at: Option<String>,
-    /// RFC 3339.
+    /// Time at which the job ended, RFC 3339.
     pub finished_at: Option<String>,
-    /// Whether it is kept, whatever the server deletes of itself.
+    /// Whether the job is exempt from automatic deletion.
     pub pinned: bool,
-    /// When it will be deleted: RFC 3339.
+    /// Time at which the job is deleted, RFC 3339.
     pub expires_at: Option<String>,
 }
 
@@ -135,23 +136,23 @@ pub struct JobError {
     pub hint: String,
 }
 
-/// The time of a stage.
+/// The duration of a stage.
 #[derive(Debug, Serialize, ToSchema)]
 pub struct StageTime {
-    /// Its name.
+    /// Name of the stage.
     pub stage: String,
-    /// 1-based; 0 for the poses.
+    /// Round, from 1; 0 for the poses.
     pub round: u32,
-    /// Wall seconds.
+    /// Wall-clock seconds.
     pub seconds: f64,
 }
 
 /// A page of jobs.
 #[derive(Debug, Serialize, ToSchema)]
 pub struct Jobs {
-    /// Newest first.
+    /// The jobs, newest first.
     pub jobs: Vec<Job>,
-    /// `cursor` of the next page, where there is one.
+    /// `cursor` of the next page, if there is one.
     pub next_cursor: Option<String>,
 }
 

@@ -29,15 +29,15 @@ const MOST: u32 = 100;
 const NAME: usize = 100;
 const DAY_MS: i64 = 24 * 3600 * 1000;
 
-/// A link to be made.
+/// A link to create.
 #[derive(Debug, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct NewLink {
-    /// Whom or what it is for: to know it again.
+    /// Label that tells the link apart.
     #[serde(default)]
     #[schema(max_length = 100)]
     name: String,
-    /// How long it holds, days.
+    /// Validity, days.
     #[serde(default = "days")]
     #[schema(minimum = 1, maximum = 365, default = 30)]
     days: u16,
@@ -47,49 +47,50 @@ fn days() -> u16 {
     DAYS
 }
 
-/// A link that holds.
+/// A valid link.
 #[derive(Debug, Serialize, ToSchema)]
 pub struct Share {
-    /// Its public name, to end it by.
+    /// Public name, used to revoke it.
     id: String,
-    /// Whom or what it is for.
+    /// Label that tells the link apart.
     name: String,
-    /// When it was made, RFC 3339.
+    /// Time of creation, RFC 3339.
     created_at: String,
-    /// Until when it holds, RFC 3339.
+    /// End of its validity, RFC 3339.
     expires_at: String,
-    /// When it was last used, to a minute, RFC 3339.
+    /// Time of the last use, to the minute, RFC 3339.
     last_used_at: Option<String>,
 }
 
-/// A link, the one time that it is told.
+/// A new link with its token, which is returned only once.
 #[derive(Debug, Serialize, ToSchema)]
 pub struct MadeShare {
     #[serde(flatten)]
     share: Share,
-    /// A token that opens the job alone. The server keeps only its SHA-256.
+    /// Token that opens only this job. The server keeps only its SHA-256.
     token: String,
-    /// The dashboard's page of the job for whoever has it, below the server's address.
+    /// Dashboard page of the job for holders of the link, relative to the server's address.
     path: String,
 }
 
-/// Every link of a job that holds.
+/// The valid links of a job.
 #[derive(Debug, Serialize, ToSchema)]
 pub struct Shares {
-    /// Newest first.
+    /// The links, newest first.
     shares: Vec<Share>,
 }
 
-/// Makes a link that opens this job to whoever has it: its page, its pictures, its files and novel
-/// views, and nothing else.
+/// Creates a link that opens this job to anyone who has it.
+///
+/// The link gives access to the job's page, pictures, files and novel views, and to nothing else.
 #[utoipa::path(post, path = "/v1/jobs/{id}/shares", operation_id = "share_job",
     tag = "jobs", params(("id" = String, Path)),
     request_body = NewLink,
     responses(
-        (status = 201, description = "The link, told this once", body = MadeShare, headers(("Location" = String))),
-        (status = 404, description = "Unknown", body = Problem, content_type = "application/problem+json"),
-        (status = 409, description = "Nobody needs a token, or the job has as many links as one may have", body = Problem, content_type = "application/problem+json"),
-        (status = 422, description = "Not a time to hold, or a name too long", body = Problem, content_type = "application/problem+json")))]
+        (status = 201, description = "The link; its token is returned only this once", body = MadeShare, headers(("Location" = String))),
+        (status = 404, description = "Not found", body = Problem, content_type = "application/problem+json"),
+        (status = 409, description = "The server requires no tokens, or the job's limit of links is reached", body = Problem, content_type = "application/problem+json"),
+        (status = 422, description = "Invalid number of days, or the name is too long", body = Problem, content_type = "application/problem+json")))]
 pub async fn create(
     State(app): State<Arc<App>>,
     Path(id): Path<String>,
@@ -140,12 +141,14 @@ pub async fn create(
     ))
 }
 
-/// The links of a job that hold. What opens the job is not told again.
+/// Lists the valid links of a job.
+///
+/// Their tokens are not returned.
 #[utoipa::path(get, path = "/v1/jobs/{id}/shares", operation_id = "list_shares",
     tag = "jobs", params(("id" = String, Path)),
     responses(
-        (status = 200, description = "Newest first", body = Shares),
-        (status = 404, description = "Unknown", body = Problem, content_type = "application/problem+json")))]
+        (status = 200, description = "The links, newest first", body = Shares),
+        (status = 404, description = "Not found", body = Problem, content_type = "application/problem+json")))]
 pub async fn list(
     State(app): State<Arc<App>>,
     Path(id): Path<String>,
@@ -156,12 +159,14 @@ pub async fn list(
     Ok(axum::Json(Shares { shares }))
 }
 
-/// Ends a link. Pages that are open by it lose the job within seconds.
+/// Revokes a link.
+///
+/// Pages that were opened with it lose access within seconds.
 #[utoipa::path(delete, path = "/v1/jobs/{id}/shares/{share}", operation_id = "end_share",
     tag = "jobs", params(("id" = String, Path), ("share" = String, Path)),
     responses(
-        (status = 204, description = "It opens nothing any more"),
-        (status = 404, description = "Unknown, or ended before", body = Problem, content_type = "application/problem+json")))]
+        (status = 204, description = "Revoked"),
+        (status = 404, description = "Not found, or already revoked", body = Problem, content_type = "application/problem+json")))]
 pub async fn end(
     State(app): State<Arc<App>>,
     Path((id, share)): Path<(String, String)>,

@@ -33,7 +33,7 @@ use crate::store::UploadRow;
 /// What of the protocol there is besides its core.
 const EXTENSIONS: &str = "creation,creation-with-upload,expiration,termination";
 
-/// Bytes of a file.
+/// The bytes of a file.
 #[derive(ToSchema)]
 #[schema(value_type = String, format = Binary)]
 #[expect(dead_code, reason = "it describes what is read as it comes")]
@@ -90,9 +90,9 @@ pub fn read_headers(headers: &HeaderMap) -> Result<(), Problem> {
     numbers.into_iter().try_for_each(|number| number.map(drop))
 }
 
-/// Says what of the protocol there is.
+/// Describes the supported upload protocol.
 #[utoipa::path(options, path = "/v1/uploads", operation_id = "upload_options", tag = "uploads",
-    responses((status = 204, description = "What is spoken here", headers(
+    responses((status = 204, description = "The supported protocol", headers(
         ("Tus-Resumable" = String), ("Tus-Version" = String), ("Tus-Extension" = String),
         ("Tus-Max-Size" = u64)))))]
 pub async fn options(State(app): State<Arc<App>>) -> Response {
@@ -104,28 +104,30 @@ pub async fn options(State(app): State<Arc<App>>) -> Response {
     (StatusCode::NO_CONTENT, told).into_response()
 }
 
-/// Says the same at an upload.
+/// Describes the supported upload protocol, at an upload.
 #[utoipa::path(options, path = "/v1/uploads/{id}", operation_id = "one_upload_options",
     tag = "uploads", params(("id" = String, Path)),
-    responses((status = 204, description = "What is spoken here", headers(
+    responses((status = 204, description = "The supported protocol", headers(
         ("Tus-Resumable" = String), ("Tus-Version" = String), ("Tus-Extension" = String),
         ("Tus-Max-Size" = u64)))))]
 pub async fn options_of_one(app: State<Arc<App>>) -> Response {
     options(app).await
 }
 
-/// Begins an upload of so many bytes; the body may be its first piece.
+/// Starts a resumable upload.
+///
+/// The body may hold the first piece.
 #[utoipa::path(post, path = "/v1/uploads", operation_id = "create_upload", tag = "uploads",
     params(
         ("Tus-Resumable" = String, Header, pattern = "^1\\.0\\.0$", description = "1.0.0"),
-        ("Upload-Length" = u64, Header, description = "Bytes of the file"),
-        ("Upload-Metadata" = String, Header, max_length = 8192, description = "Keys with values in base64, split by commas; `filename` must be there")),
+        ("Upload-Length" = u64, Header, description = "Size of the file, bytes"),
+        ("Upload-Metadata" = String, Header, max_length = 8192, description = "Comma-separated keys with values in base64; `filename` is required")),
     request_body(content = Option<Bytes>, content_type = "application/offset+octet-stream"),
     responses(
-        (status = 201, description = "It has begun", headers(("Location" = String),
+        (status = 201, description = "The upload was started", headers(("Location" = String),
             ("Upload-Offset" = u64), ("Upload-Expires" = String), ("Tus-Resumable" = String))),
-        (status = 412, description = "Another version of tus: `Tus-Version` says which", body = Problem, content_type = "application/problem+json", headers(("Tus-Version" = String))),
-        (status = 507, description = "The disk is full, or there is no room in the quota", body = Problem, content_type = "application/problem+json")))]
+        (status = 412, description = "Unsupported tus version; `Tus-Version` names the supported one", body = Problem, content_type = "application/problem+json", headers(("Tus-Version" = String))),
+        (status = 507, description = "The disk is full, or the quota is used up", body = Problem, content_type = "application/problem+json")))]
 pub async fn create(
     State(app): State<Arc<App>>,
     Extension(visitor): Extension<Visitor>,
@@ -140,17 +142,19 @@ pub async fn create(
     Ok((StatusCode::CREATED, told).into_response())
 }
 
-/// Tells how much of an upload is on the disk. Whoever sends a piece of it meanwhile is stopped.
+/// Reports how much of an upload is stored.
+///
+/// A request that is sending a piece of it is stopped.
 #[utoipa::path(head, path = "/v1/uploads/{id}", operation_id = "show_upload", tag = "uploads",
     params(("id" = String, Path),
         ("Tus-Resumable" = String, Header, pattern = "^1\\.0\\.0$", description = "1.0.0")),
     responses(
-        (status = 200, description = "There is so much", headers(("Upload-Offset" = u64),
+        (status = 200, description = "The number of stored bytes, in `Upload-Offset`", headers(("Upload-Offset" = u64),
             ("Upload-Length" = u64), ("Upload-Metadata" = String), ("Upload-Expires" = String),
             ("Cache-Control" = String), ("Tus-Resumable" = String))),
-        (status = 404, description = "Unknown, used up or expired"),
-        (status = 412, description = "Another version of tus: `Tus-Version` says which", headers(("Tus-Version" = String))),
-        (status = 423, description = "Whoever sends a piece does not let go: try again")))]
+        (status = 404, description = "Not found, already used or expired"),
+        (status = 412, description = "Unsupported tus version; `Tus-Version` names the supported one", headers(("Tus-Version" = String))),
+        (status = 423, description = "Another request still holds the upload; try again")))]
 pub async fn head(
     State(app): State<Arc<App>>,
     Path(id): Path<String>,
@@ -172,19 +176,21 @@ pub async fn head(
     Ok(told.into_response())
 }
 
-/// Adds a piece to an upload. What came of it stays when the connection breaks.
+/// Appends a piece to an upload.
+///
+/// Bytes that arrived before a connection broke are kept.
 #[utoipa::path(patch, path = "/v1/uploads/{id}", operation_id = "continue_upload", tag = "uploads",
     params(("id" = String, Path),
         ("Tus-Resumable" = String, Header, pattern = "^1\\.0\\.0$", description = "1.0.0"),
-        ("Upload-Offset" = u64, Header, description = "Where the piece begins: at the end of what there is")),
+        ("Upload-Offset" = u64, Header, description = "Where the piece begins: the number of bytes already stored")),
     request_body(content = Bytes, content_type = "application/offset+octet-stream"),
     responses(
-        (status = 204, description = "It is on the disk", headers(("Upload-Offset" = u64),
+        (status = 204, description = "Stored on disk", headers(("Upload-Offset" = u64),
             ("Upload-Expires" = String), ("Tus-Resumable" = String))),
-        (status = 404, description = "Unknown, used up or expired", body = Problem, content_type = "application/problem+json"),
-        (status = 409, description = "It does not begin at the end of what there is, or another request has taken over", body = Problem, content_type = "application/problem+json"),
-        (status = 412, description = "Another version of tus: `Tus-Version` says which", body = Problem, content_type = "application/problem+json", headers(("Tus-Version" = String))),
-        (status = 423, description = "Whoever sends a piece does not let go: try again", body = Problem, content_type = "application/problem+json"),
+        (status = 404, description = "Not found, already used or expired", body = Problem, content_type = "application/problem+json"),
+        (status = 409, description = "The piece does not begin where the stored bytes end, or another request has taken over", body = Problem, content_type = "application/problem+json"),
+        (status = 412, description = "Unsupported tus version; `Tus-Version` names the supported one", body = Problem, content_type = "application/problem+json", headers(("Tus-Version" = String))),
+        (status = 423, description = "Another request still holds the upload; try again", body = Problem, content_type = "application/problem+json"),
         (status = 507, description = "The disk is full", body = Problem, content_type = "application/problem+json")))]
 pub async fn patch(
     State(app): State<Arc<App>>,
@@ -217,9 +223,9 @@ pub async fn patch(
         ("Tus-Resumable" = String, Header, pattern = "^1\\.0\\.0$", description = "1.0.0")),
     responses(
         (status = 204, description = "Deleted", headers(("Tus-Resumable" = String))),
-        (status = 404, description = "Unknown, used up or expired", body = Problem, content_type = "application/problem+json"),
-        (status = 412, description = "Another version of tus: `Tus-Version` says which", body = Problem, content_type = "application/problem+json", headers(("Tus-Version" = String))),
-        (status = 423, description = "Whoever sends a piece does not let go: try again", body = Problem, content_type = "application/problem+json")))]
+        (status = 404, description = "Not found, already used or expired", body = Problem, content_type = "application/problem+json"),
+        (status = 412, description = "Unsupported tus version; `Tus-Version` names the supported one", body = Problem, content_type = "application/problem+json", headers(("Tus-Version" = String))),
+        (status = 423, description = "Another request still holds the upload; try again", body = Problem, content_type = "application/problem+json")))]
 pub async fn delete(
     State(app): State<Arc<App>>,
     Path(id): Path<String>,

@@ -16,18 +16,17 @@ use super::upload::{Placed, Upload, check_space, gather, to_its_end};
 use crate::app::App;
 use crate::store::{Creation, Request, UsedUp};
 
-/// A capture of uploads in pieces.
+/// A capture of finished uploads.
 #[derive(Clone, Debug, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct CaptureOfUploads {
-    /// Finished uploads, each the last part of its address: photographs, poses, one zip, or a
-    /// video. They are used up.
+    /// IDs of finished uploads: photographs, poses, one ZIP file, or one video. They are used up.
     #[schema(min_items = 1)]
     uploads: Vec<String>,
-    /// What to call it.
+    /// Name of the capture.
     #[schema(max_length = 200)]
     name: Option<String>,
-    /// Photographs to take of a video; 40 when absent.
+    /// Number of photographs to take from a video; 40 by default.
     #[schema(minimum = 3, maximum = 500)]
     frames: Option<u32>,
 }
@@ -50,28 +49,27 @@ fn fields(name: Option<&String>, frames: Option<u32>) -> BTreeMap<String, String
     name.into_iter().chain(frames).collect()
 }
 
-/// A capture of uploads in pieces, and a job of it.
+/// A capture of finished uploads, and a job of it.
 #[derive(Clone, Debug, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct JobOfUploads {
-    /// Finished uploads, each the last part of its address: photographs, poses, one zip, or a
-    /// video. They are used up.
+    /// IDs of finished uploads: photographs, poses, one ZIP file, or one video. They are used up.
     #[schema(min_items = 1)]
     uploads: Vec<String>,
     /// `preview`, `standard` (default) or `paper`.
     preset: Option<String>,
-    /// Options over the preset's; see `/v1/options`.
+    /// Options that override the preset's; see `/v1/options`.
     #[serde(default)]
     #[schema(value_type = Object)]
     options: Map<String, Value>,
-    /// What to call capture and job.
+    /// Name of the capture and the job.
     #[schema(max_length = 200)]
     name: Option<String>,
-    /// Photographs to take of a video; 40 when absent.
+    /// Number of photographs to take from a video; 40 by default.
     #[schema(minimum = 3, maximum = 500)]
     frames: Option<u32>,
-    /// From -100 to 100: of two jobs that wait the higher one goes first; 0 when absent. Above 0
-    /// needs `admin`, where there are tokens.
+    /// From -100 to 100, 0 by default: waiting jobs with a higher priority start first. Above 0
+    /// requires `admin` if the server has tokens.
     #[schema(value_type = Option<i32>, minimum = -100, maximum = 100)]
     priority: Option<Number>,
 }

@@ -29,7 +29,7 @@ use crate::store::{VideoCreation, VideoRoom, VideoRow};
 /// After so many seconds one of those that wait may have been made.
 const RETRY: u32 = 60;
 
-/// Which way the camera goes.
+/// The path of the camera.
 #[derive(ToSchema)]
 #[serde(rename_all = "snake_case")]
 #[expect(dead_code, reason = "it describes what is read as the core's")]
@@ -46,46 +46,49 @@ pub enum VideoKind {
 #[derive(Debug, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct VideoPose {
-    /// Rigid, row-major, 4x4; OpenCV axes: x right, y down, z forward.
+    /// Rigid transform, row-major, 4x4; OpenCV axes: x right, y down, z forward.
     #[schema(value_type = Vec<MatrixRow>, min_items = 4, max_items = 4)]
     world_to_camera: [[f64; 4]; 4],
-    /// How long the way from the pose before takes, 0.05 or more; of the first it means nothing.
+    /// Time from the previous pose to this one, at least 0.05 s; ignored for the first.
     #[serde(default)]
     seconds: f64,
 }
 
-/// A video to be made.
+/// A video to create.
 #[derive(Debug, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct CreateVideo {
-    /// Which way the camera goes.
+    /// Path of the camera.
     #[schema(value_type = VideoKind)]
     kind: Kind,
-    /// How long it is; default 8. The poses of a path say so themselves.
+    /// Duration, seconds; 8 by default. The poses of a path have durations of their own.
     #[schema(minimum = 1, maximum = 60)]
     seconds: Option<f64>,
-    /// Pictures a second; default 24.
+    /// Frames per second; 24 by default.
     #[schema(minimum = 1, maximum = 30)]
     fps: Option<u32>,
-    /// px, an odd one is one less; default: the views', or in proportion to `height`.
+    /// Width, px, rounded down to an even number; by default that of the views, or in proportion to
+    /// `height`.
     #[schema(minimum = 64, maximum = 1920)]
     width: Option<usize>,
-    /// px, an odd one is one less; default: the views', or in proportion to `width`.
+    /// Height, px, rounded down to an even number; by default that of the views, or in proportion
+    /// to `width`.
     #[schema(minimum = 64, maximum = 1920)]
     height: Option<usize>,
-    /// Of which round; default: the delivered one.
+    /// Round to use; by default the delivered one.
     round: Option<u32>,
-    /// Of an orbit, how far around in all: 360 is once around, less a swing to both sides and back;
-    /// default: as far as the photographers stood.
+    /// For an orbit, the total angle in degrees. 360 goes once around, less swings to both sides
+    /// and back. By default the orbit reaches as far as the photographs.
     #[schema(minimum = 1, maximum = 360)]
     degrees: Option<f64>,
-    /// Of an orbit, degrees above the photographers; default 0.
+    /// For an orbit, degrees above the photographs; 0 by default.
     #[schema(minimum = -60, maximum = 60)]
     elevation: Option<f64>,
-    /// Of an orbit, times the photographers' median distance from the middle; default 1.
+    /// For an orbit, the distance from the centre as a multiple of the median distance of the
+    /// photographs; 1 by default.
     #[schema(minimum = 0.1, maximum = 10)]
     distance: Option<f64>,
-    /// Of a path, 2 to 100 poses.
+    /// For a path, 2 to 100 poses.
     #[schema(value_type = Option<Vec<VideoPose>>, min_items = 2, max_items = 100)]
     poses: Option<Vec<Object<VideoPose>>>,
 }
@@ -111,17 +114,17 @@ impl CreateVideo {
     }
 }
 
-/// Where a video stands.
+/// State of a video.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum VideoState {
-    /// It waits for its turn.
+    /// Waiting for its turn.
     Queued,
-    /// It is made.
+    /// Being rendered.
     Running,
-    /// It is there.
+    /// Ready for download.
     Succeeded,
-    /// It will not be.
+    /// Failed.
     Failed,
 }
 
@@ -140,50 +143,50 @@ impl From<JobState> for VideoState {
 /// Why a video failed.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, ToSchema)]
 pub struct VideoFault {
-    /// What happened.
+    /// What went wrong.
     pub detail: String,
-    /// What to do.
+    /// What to do about it.
     pub hint: String,
 }
 
-/// A video as answered.
+/// A video.
 #[derive(Debug, Serialize, ToSchema)]
 pub struct Video {
-    /// UUID v7. Its file is at this id with `/file` behind it.
+    /// UUID v7. The file is at the address of the video followed by `/file`.
     id: String,
-    /// Where it stands.
+    /// State.
     state: VideoState,
-    /// Which way the camera goes.
+    /// Path of the camera.
     #[schema(value_type = VideoKind)]
     kind: Kind,
-    /// Of which round; `null`: the delivered one.
+    /// Round; `null` is the delivered one.
     round: Option<u32>,
-    /// How long it is.
+    /// Duration, seconds.
     seconds: f64,
-    /// Pictures a second.
+    /// Frames per second.
     fps: u32,
-    /// px
+    /// Width, px.
     width: usize,
-    /// px
+    /// Height, px.
     height: usize,
-    /// How much of it is made, 0 to 1.
+    /// Finished share, 0 to 1.
     progress: f64,
-    /// How many others come before it, while it waits.
+    /// Number of videos ahead of a waiting one.
     ahead: Option<usize>,
-    /// When it was asked for: RFC 3339.
+    /// Time of the request, RFC 3339.
     created_at: String,
-    /// When it was over: RFC 3339.
+    /// Time at which it ended, RFC 3339.
     finished_at: Option<String>,
-    /// How large it is.
+    /// Size, bytes.
     bytes: Option<u64>,
-    /// Why it failed.
+    /// Why the video failed.
     error: Option<VideoFault>,
 }
 
 /// The videos of a job.
 #[derive(Debug, Serialize, ToSchema)]
 pub struct Videos {
-    /// Newest first.
+    /// The videos, newest first.
     videos: Vec<Video>,
 }
 
@@ -227,16 +230,18 @@ fn damaged(error: serde_json::Error) -> ServerError {
     }
 }
 
-/// Makes a video of a finished result, in the background: one at a time, and jobs come first.
+/// Makes a video of a finished result.
+///
+/// Videos are made in the background, one at a time; jobs come first.
 #[utoipa::path(post, path = "/v1/jobs/{id}/videos", operation_id = "create_video",
     tag = "results", params(("id" = String, Path)),
     request_body = CreateVideo,
     responses(
-        (status = 202, description = "Accepted, on disk", body = Video, headers(("Location" = String))),
-        (status = 404, description = "Unknown job, or no such round yet", body = Problem, content_type = "application/problem+json"),
-        (status = 409, description = "The job is not finished, or has as many videos as one may have", body = Problem, content_type = "application/problem+json"),
-        (status = 422, description = "Not a video", body = Problem, content_type = "application/problem+json"),
-        (status = 503, description = "There is no ffmpeg, or too many videos wait", body = Problem, content_type = "application/problem+json")))]
+        (status = 202, description = "Accepted and stored on disk", body = Video, headers(("Location" = String))),
+        (status = 404, description = "Job or round not found", body = Problem, content_type = "application/problem+json"),
+        (status = 409, description = "The job is not finished, or its limit of videos is reached", body = Problem, content_type = "application/problem+json"),
+        (status = 422, description = "Invalid video", body = Problem, content_type = "application/problem+json"),
+        (status = 503, description = "ffmpeg is missing, or too many videos are waiting", body = Problem, content_type = "application/problem+json")))]
 pub async fn create(
     State(app): State<Arc<App>>,
     Path(job): Path<String>,
@@ -277,7 +282,7 @@ pub async fn create(
     tag = "results", params(("id" = String, Path)),
     responses(
         (status = 200, description = "The videos", body = Videos),
-        (status = 404, description = "Unknown", body = Problem, content_type = "application/problem+json")))]
+        (status = 404, description = "Not found", body = Problem, content_type = "application/problem+json")))]
 pub async fn list(
     State(app): State<Arc<App>>,
     Path(job): Path<String>,
@@ -288,12 +293,12 @@ pub async fn list(
     Ok(axum::Json(Videos { videos }))
 }
 
-/// Shows a video: state and progress.
+/// Shows a video with its state and progress.
 #[utoipa::path(get, path = "/v1/jobs/{id}/videos/{video}", operation_id = "show_video",
     tag = "results", params(("id" = String, Path), ("video" = String, Path)),
     responses(
         (status = 200, description = "The video's state", body = Video),
-        (status = 404, description = "Unknown", body = Problem, content_type = "application/problem+json")))]
+        (status = 404, description = "Not found", body = Problem, content_type = "application/problem+json")))]
 pub async fn show(
     State(app): State<Arc<App>>,
     Path((job, video)): Path<(String, String)>,
@@ -302,17 +307,17 @@ pub async fn show(
     Ok(axum::Json(Video::from_row(row)?))
 }
 
-/// Sends a video, H.264 in MP4, whole or the range asked for.
+/// Downloads a video (H.264 in MP4), whole or by range.
 #[utoipa::path(get, path = "/v1/jobs/{id}/videos/{video}/file", operation_id = "download_video",
     tag = "results", params(("id" = String, Path), ("video" = String, Path),
-        ("Range" = Option<String>, Header, description = "One range of bytes")),
+        ("Range" = Option<String>, Header, description = "A single range of bytes")),
     responses(
         (status = 200, description = "The video", body = serde_json::Value, content_type = "video/mp4"),
-        (status = 206, description = "The range", body = serde_json::Value, content_type = "video/mp4"),
-        (status = 304, description = "As you have it"),
-        (status = 404, description = "Unknown", body = Problem, content_type = "application/problem+json"),
-        (status = 409, description = "It is not made, or not yet", body = Problem, content_type = "application/problem+json"),
-        (status = 416, description = "Beyond the end", body = Problem, content_type = "application/problem+json")))]
+        (status = 206, description = "The requested range", body = serde_json::Value, content_type = "video/mp4"),
+        (status = 304, description = "Not modified"),
+        (status = 404, description = "Not found", body = Problem, content_type = "application/problem+json"),
+        (status = 409, description = "The video is not made, or not yet", body = Problem, content_type = "application/problem+json"),
+        (status = 416, description = "The range begins beyond the end", body = Problem, content_type = "application/problem+json")))]
 pub async fn download(
     State(app): State<Arc<App>>,
     Path((job, id)): Path<(String, String)>,
@@ -338,12 +343,12 @@ pub async fn download(
     sent.answer(&headers).await
 }
 
-/// Deletes a video; one that waits or is made is made no further.
+/// Deletes a video, and stops it if it is waiting or being made.
 #[utoipa::path(delete, path = "/v1/jobs/{id}/videos/{video}", operation_id = "delete_video",
     tag = "results", params(("id" = String, Path), ("video" = String, Path)),
     responses(
         (status = 204, description = "Deleted"),
-        (status = 404, description = "Unknown", body = Problem, content_type = "application/problem+json")))]
+        (status = 404, description = "Not found", body = Problem, content_type = "application/problem+json")))]
 pub async fn delete(
     State(app): State<Arc<App>>,
     Path((job, id)): Path<(String, String)>,

@@ -25,94 +25,94 @@ const MOST: u32 = 20;
 /// Maximum deliveries in a list.
 const LISTED: u32 = 100;
 
-/// An address to be told.
+/// A webhook to create.
 #[derive(Debug, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub struct NewWebhook {
-    /// Where: `https://` or `http://`.
+    /// Address to notify: `https://` or `http://`.
     #[schema(max_length = 2000)]
     url: String,
-    /// Of what: `job.queued`, `job.running`, `job.succeeded`, `job.failed`, `job.cancelled`,
-    /// `round.finished`. All but the first two when absent.
+    /// Types of events: `job.queued`, `job.running`, `job.succeeded`, `job.failed`,
+    /// `job.cancelled`, `round.finished`. All but the first two by default.
     types: Option<Vec<String>>,
 }
 
-/// An address that is told of jobs.
+/// An address that is notified of jobs.
 #[derive(Debug, Serialize, ToSchema)]
 pub struct Webhook {
-    /// Its public name.
+    /// Public name.
     id: String,
-    /// Where it is told.
+    /// Address that is notified.
     url: String,
-    /// Of what.
+    /// Types of events.
     types: Vec<String>,
-    /// When it was made, RFC 3339.
+    /// Time of creation, RFC 3339.
     created_at: String,
-    /// Since when it has said that it is gone and is told nothing, RFC 3339.
+    /// Time at which the endpoint answered 410 and deliveries stopped, RFC 3339.
     gone_at: Option<String>,
 }
 
-/// An address, the one time that its secret is told.
+/// A new webhook with its secret, which is returned only once.
 #[derive(Debug, Serialize, ToSchema)]
 pub struct MadeWebhook {
     #[serde(flatten)]
     webhook: Webhook,
-    /// What its deliveries are signed with, by Standard Webhooks: `whsec_` and base64.
+    /// Secret that signs its deliveries, as in Standard Webhooks: `whsec_` and base64.
     secret: String,
 }
 
-/// Every address of the visitor's.
+/// The webhooks of an owner.
 #[derive(Debug, Serialize, ToSchema)]
 pub struct Webhooks {
-    /// Oldest first.
+    /// The webhooks, oldest first.
     webhooks: Vec<Webhook>,
 }
 
-/// Something that an address is told.
+/// A delivery to a webhook.
 #[derive(Debug, Serialize, ToSchema)]
 pub struct Delivery {
-    /// `webhook-id`: the same in every attempt.
+    /// `webhook-id`, the same in every attempt.
     id: String,
-    /// What it tells.
+    /// Type of the event.
     r#type: String,
-    /// What is sent.
+    /// Body that is sent.
     body: Value,
-    /// When it became true, RFC 3339.
+    /// Time of the event, RFC 3339.
     created_at: String,
-    /// Attempts so far.
+    /// Number of attempts so far.
     attempts: u32,
-    /// When it is tried next; absent when it arrived or was given up.
+    /// Time of the next attempt; absent once it has arrived or was given up.
     #[serde(skip_serializing_if = "Option::is_none")]
     next_at: Option<String>,
-    /// When it arrived.
+    /// Time of arrival.
     #[serde(skip_serializing_if = "Option::is_none")]
     delivered_at: Option<String>,
-    /// What the last attempt came to: a status, or why there is none.
+    /// Outcome of the last attempt: a status, or why there is none.
     #[serde(skip_serializing_if = "Option::is_none")]
     answer: Option<String>,
 }
 
-/// What an address was told last.
+/// The latest deliveries of a webhook.
 #[derive(Debug, Serialize, ToSchema)]
 pub struct Deliveries {
-    /// Newest first, 100 at most.
+    /// At most 100 deliveries, newest first.
     deliveries: Vec<Delivery>,
 }
 
-/// The name of a delivery that is on its way.
+/// A queued delivery.
 #[derive(Debug, Serialize, ToSchema)]
 pub struct OnItsWay {
-    /// `webhook-id`.
+    /// `webhook-id` of the delivery.
     id: String,
 }
 
-/// Has an address told of the visitor's jobs, by Standard Webhooks 1.0.
+/// Creates a webhook that is notified of the owner's jobs, as in Standard Webhooks 1.0.
 #[utoipa::path(post, path = "/v1/webhooks", operation_id = "create_webhook",
     tag = "webhooks", request_body = NewWebhook,
     responses(
-        (status = 201, description = "The address, with its secret, told this once", body = MadeWebhook, headers(("Location" = String))),
-        (status = 409, description = "There are as many as one may have", body = Problem, content_type = "application/problem+json"),
-        (status = 422, description = "Not an address, or a type that is not told", body = Problem, content_type = "application/problem+json")))]
+        (status = 201, description = "The webhook; its secret is returned only this once", body = MadeWebhook, headers(("Location" = String))),
+        (status = 409, description = "The limit of webhooks is reached", body = Problem, content_type = "application/problem+json"),
+        (status = 422, description = "Invalid URL or unknown event type", body = Problem, content_type = "application/problem+json")))]
 pub async fn create(
     State(app): State<Arc<App>>,
     Extension(visitor): Extension<Visitor>,
@@ -180,9 +180,11 @@ fn types(wanted: &NewWebhook) -> Result<Vec<String>, Problem> {
     }
 }
 
-/// The addresses that are told. Their secrets are not told again.
+/// Lists webhooks.
+///
+/// Their secrets are not returned.
 #[utoipa::path(get, path = "/v1/webhooks", operation_id = "list_webhooks", tag = "webhooks",
-    responses((status = 200, description = "Oldest first", body = Webhooks)))]
+    responses((status = 200, description = "The webhooks, oldest first", body = Webhooks)))]
 pub async fn list(
     State(app): State<Arc<App>>,
     Extension(visitor): Extension<Visitor>,
@@ -192,12 +194,12 @@ pub async fn list(
     Ok(axum::Json(Webhooks { webhooks }))
 }
 
-/// Tells an address nothing more, and forgets what it was told.
+/// Deletes a webhook and its deliveries.
 #[utoipa::path(delete, path = "/v1/webhooks/{id}", operation_id = "delete_webhook",
     tag = "webhooks", params(("id" = String, Path)),
     responses(
-        (status = 204, description = "It is told nothing more"),
-        (status = 404, description = "Unknown", body = Problem, content_type = "application/problem+json")))]
+        (status = 204, description = "Deleted"),
+        (status = 404, description = "Not found", body = Problem, content_type = "application/problem+json")))]
 pub async fn delete(
     State(app): State<Arc<App>>,
     Path(id): Path<String>,
@@ -207,13 +209,13 @@ pub async fn delete(
     Ok(StatusCode::NO_CONTENT)
 }
 
-/// Sends an address something that means nothing, to see whether it arrives.
+/// Sends a test event to a webhook.
 #[utoipa::path(post, path = "/v1/webhooks/{id}/test", operation_id = "test_webhook",
     tag = "webhooks", params(("id" = String, Path)),
     responses(
-        (status = 202, description = "It is on its way", body = OnItsWay),
-        (status = 404, description = "Unknown", body = Problem, content_type = "application/problem+json"),
-        (status = 409, description = "The address has said that it is gone, or a test is on its way", body = Problem, content_type = "application/problem+json")))]
+        (status = 202, description = "The delivery is queued", body = OnItsWay),
+        (status = 404, description = "Not found", body = Problem, content_type = "application/problem+json"),
+        (status = 409, description = "The endpoint has answered 410, or a test is already queued", body = Problem, content_type = "application/problem+json")))]
 pub async fn test(
     State(app): State<Arc<App>>,
     Path(id): Path<String>,
@@ -226,12 +228,12 @@ pub async fn test(
     Ok((StatusCode::ACCEPTED, axum::Json(OnItsWay { id })))
 }
 
-/// What an address was told last, and what came of it.
+/// Lists the latest deliveries of a webhook and their outcome.
 #[utoipa::path(get, path = "/v1/webhooks/{id}/deliveries", operation_id = "list_deliveries",
     tag = "webhooks", params(("id" = String, Path)),
     responses(
-        (status = 200, description = "Newest first, 100 at most", body = Deliveries),
-        (status = 404, description = "Unknown", body = Problem, content_type = "application/problem+json")))]
+        (status = 200, description = "At most 100 deliveries, newest first", body = Deliveries),
+        (status = 404, description = "Not found", body = Problem, content_type = "application/problem+json")))]
 pub async fn deliveries(
     State(app): State<Arc<App>>,
     Path(id): Path<String>,
@@ -242,14 +244,14 @@ pub async fn deliveries(
     Ok(axum::Json(Deliveries { deliveries }))
 }
 
-/// Sends a delivery once more, whether it arrived or was given up, and as often as at first.
+/// Sends a delivery again, whether or not it arrived, with the full number of attempts.
 #[utoipa::path(post, path = "/v1/webhooks/{id}/deliveries/{delivery}/redeliver",
     operation_id = "redeliver",
     tag = "webhooks", params(("id" = String, Path), ("delivery" = String, Path)),
     responses(
-        (status = 202, description = "It is on its way", body = OnItsWay),
-        (status = 404, description = "Unknown", body = Problem, content_type = "application/problem+json"),
-        (status = 409, description = "The address has said that it is gone", body = Problem, content_type = "application/problem+json")))]
+        (status = 202, description = "The delivery is queued", body = OnItsWay),
+        (status = 404, description = "Not found", body = Problem, content_type = "application/problem+json"),
+        (status = 409, description = "The endpoint has answered 410", body = Problem, content_type = "application/problem+json")))]
 pub async fn redeliver(
     State(app): State<Arc<App>>,
     Path((id, delivery)): Path<(String, String)>,

@@ -11,46 +11,46 @@ use super::shapes::time;
 use crate::app::App;
 use crate::store::{About, WorkerRow};
 
-/// A machine that works.
+/// A machine that runs jobs.
 #[derive(Debug, Serialize, ToSchema)]
 pub struct Worker {
-    /// Its name for itself: the same after a restart.
+    /// Name that stays the same after a restart.
     id: String,
     #[serde(flatten)]
     about: About,
-    /// `works`; `stops` when it takes no more jobs; `lost` when it has not been heard of for longer
-    /// than a lease, and its jobs are given to others.
+    /// `works`; `stops` once it accepts no more jobs; `lost` once it was silent for longer than a
+    /// lease and its jobs go to other workers.
     state: &'static str,
-    /// RFC 3339.
+    /// Time of its start, RFC 3339.
     started_at: String,
-    /// When it was last heard of: RFC 3339.
+    /// Time of its last report, RFC 3339.
     seen_at: String,
-    /// The jobs that it runs.
+    /// Jobs that it runs.
     running: Vec<Running>,
 }
 
 /// A job that a worker runs.
 #[derive(Debug, Serialize, ToSchema)]
 pub struct Running {
-    /// Which.
+    /// ID of the job.
     job_id: String,
-    /// Training speed, while it trains.
+    /// Training speed while the job trains, steps per second.
     #[serde(skip_serializing_if = "Option::is_none")]
     steps_per_second: Option<f64>,
 }
 
-/// All that were heard of within a day.
+/// The workers that reported within the last 24 hours.
 #[derive(Debug, Serialize, ToSchema)]
 pub struct Workers {
-    /// The database's clock, which all these times are by: RFC 3339.
+    /// Time of the database, to which the workers' times refer, RFC 3339.
     now: String,
-    /// By name. Empty where the server works alone.
+    /// The workers, sorted by name; empty if the server works alone.
     workers: Vec<Worker>,
 }
 
-/// The machines that work, and what they do.
+/// Lists the workers and the jobs that they run.
 #[utoipa::path(get, path = "/v1/workers", operation_id = "list_workers", tag = "health",
-    responses((status = 200, description = "All of them", body = Workers)))]
+    responses((status = 200, description = "The workers", body = Workers)))]
 pub async fn list(State(app): State<Arc<App>>) -> Result<axum::Json<Workers>, Problem> {
     let now = app.store.now().await?;
     let workers = app.store.workers().await?;

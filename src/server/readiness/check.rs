@@ -5,16 +5,16 @@ use std::time::Instant;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-/// One thing that has to be in order.
+/// One check of the server.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct Check {
-    /// `database`, `disk`, `adapter`, `colmap`, `onnxruntime`, `models` ...
+    /// Name: `database`, `disk`, `adapter`, `colmap`, `onnxruntime`, `models` and so on.
     pub name: String,
-    /// Whether it is in order.
+    /// Whether the check passed.
     pub ok: bool,
     /// What was found.
     pub detail: String,
-    /// What to do, when it is not in order.
+    /// What to do if it failed.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub hint: String,
 }

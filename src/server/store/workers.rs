@@ -11,22 +11,22 @@ use super::Store;
 use super::engine::Cells;
 use crate::error::{Result, ServerError};
 
-/// What a worker says of itself.
+/// What a worker reports about itself.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct About {
-    /// The machine's name.
+    /// Name of the machine.
     pub host: String,
-    /// Of the program.
+    /// Version of the program.
     pub version: String,
-    /// The graphics adapter that it would train on; `None` where it has none.
+    /// Graphics adapter used for training; `null` if there is none.
     pub adapter: Option<String>,
-    /// Whether that is a GPU, and not a processor that plays one.
+    /// Whether the adapter is a GPU rather than a software renderer.
     pub has_gpu: bool,
-    /// Processor cores.
+    /// Number of processor cores.
     pub cores: u32,
-    /// Bytes of memory.
+    /// Memory, bytes.
     pub memory: u64,
-    /// Jobs that it runs at once.
+    /// Number of jobs that it runs at a time.
     pub jobs: u32,
 }
 
