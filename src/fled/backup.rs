@@ -9,10 +9,10 @@ use crate::failure::Failure;
 /// Arguments of `fled backup`.
 #[derive(clap::Args)]
 pub struct Args {
-    /// The service's data directory. It may be in use.
+    /// Data directory of the service. It may be in use.
     #[arg(long, value_name = "DIR", default_value = "data")]
     data: PathBuf,
-    /// A new folder. `fled serve --data` on it brings back what is in it.
+    /// New folder for the copy. Restore it with `fled serve --data`.
     to: PathBuf,
 }
 

@@ -21,34 +21,34 @@ use crate::{synth, tools};
 /// Arguments of `fled bench`.
 #[derive(clap::Args)]
 pub struct Args {
-    /// Sizes of the images in px, separated by commas.
+    /// Image sizes in px, separated by commas.
     #[arg(long, value_delimiter = ',', value_name = "WxH", value_parser = synth::size)]
     sizes: Vec<(usize, usize)>,
-    /// Numbers of Gaussians, separated by commas; `10k` is 10,000.
+    /// Numbers of Gaussians, separated by commas; `10k` means 10,000.
     #[arg(long, value_delimiter = ',', value_name = "N", value_parser = count)]
     gaussians: Vec<usize>,
-    /// Most steps of a case, once without timestamps and once with them.
+    /// Maximum steps per case, once without timestamps and once with them.
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..=i64::from(MOST_STEPS)))]
     steps: Option<u32>,
-    /// Most seconds of a case, twice; three steps are always made.
+    /// Maximum seconds per case, counted twice; at least three steps always run.
     #[arg(long)]
     seconds: Option<f64>,
-    /// One small size and a few steps: shows that everything runs.
+    /// Uses one small size and a few steps, to check that everything runs.
     #[arg(long)]
     quick: bool,
-    /// Run this capture too, whole, and measure its scene.
+    /// Also runs this whole capture and measures its scene.
     #[arg(long, value_name = "DIR")]
     capture: Option<PathBuf>,
-    /// Preset of the capture's run.
+    /// Preset for the capture's run.
     #[arg(long, default_value = "preview", requires = "capture")]
     preset: Preset,
-    /// One option over the preset's, for the capture's run; may be repeated.
+    /// Overrides one option of the preset for the capture's run; may be repeated.
     #[arg(long = "set", value_name = "KEY=VALUE", requires = "capture")]
     assignments: Vec<String>,
-    /// Where the JSON goes.
+    /// File for the results as JSON.
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
-    /// Part of an adapter's name, or auto.
+    /// Part of the graphics adapter's name, or auto.
     #[arg(long, default_value = "auto")]
     adapter: String,
     #[command(flatten)]

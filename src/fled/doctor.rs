@@ -25,10 +25,10 @@ pub struct Args {
     /// Folder whose disk is checked.
     #[arg(long, value_name = "DIR", default_value = ".")]
     data: PathBuf,
-    /// Part of an adapter's name, or auto.
+    /// Part of the graphics adapter's name, or auto.
     #[arg(long, default_value = "auto")]
     adapter: String,
-    /// One line of JSON instead of a table.
+    /// Prints one line of JSON instead of a table.
     #[arg(long)]
     json: bool,
     #[command(flatten)]

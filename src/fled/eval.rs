@@ -21,38 +21,38 @@ pub struct Args {
     /// Output folder of `fled run`.
     #[arg(required = true)]
     run: Option<PathBuf>,
-    /// Folder of sharp photographs with poses: those of the capture, by the same names, and others,
-    /// which are what is tested.
+    /// Folder of sharp photographs with poses: those of the capture, with the same names, and
+    /// others, on which the run is tested.
     #[arg(long, value_name = "DIR", required = true)]
     truth: Option<PathBuf>,
-    /// Where the verdict goes; default: evaluation/ in the run's folder.
+    /// Folder for the verdict [default: evaluation/ in the run's folder].
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
-    /// Folder of PNG files named like the test views: only where they are white is scored.
+    /// Folder of PNG masks named like the test views; only white areas are scored.
     #[arg(long, value_name = "DIR")]
     masks: Option<PathBuf>,
-    /// Tests only on photographs that lie between two training views in the order of their names.
+    /// Tests only photographs that lie between two training views in name order.
     #[arg(long)]
     inside: bool,
-    /// The run whose scene says which pixels two training views see, so that several runs of a
-    /// capture are compared on the same ones; default: the judged one.
+    /// Run whose scene decides which pixels two training views see, so that several runs of a
+    /// capture are compared on the same pixels [default: the judged run].
     #[arg(long, value_name = "RUN")]
     seen_from: Option<PathBuf>,
-    /// LPIPS as an ONNX network with inputs `ref` and `dist` and output `score`.
+    /// LPIPS as an ONNX network with the inputs `ref` and `dist` and the output `score`.
     #[arg(long, value_name = "FILE")]
     lpips: Option<PathBuf>,
-    /// Path of ONNX Runtime's library, for LPIPS.
+    /// Path of the ONNX Runtime library, for LPIPS.
     #[arg(long, value_name = "FILE", env = "ORT_DYLIB_PATH")]
     onnxruntime: Option<PathBuf>,
-    /// Part of an adapter's name, or auto.
+    /// Part of the graphics adapter's name, or auto.
     #[arg(long, default_value = "auto")]
     adapter: String,
 }
 
 #[derive(clap::Subcommand)]
 enum Command {
-    /// Runs captures in several configurations with several seeds, judges every run, and says what
-    /// differs.
+    /// Runs captures in several configurations with several seeds, judges every run, and reports
+    /// what differs.
     Suite(suite::Args),
 }
 

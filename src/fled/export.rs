@@ -14,13 +14,13 @@ use crate::failure::{Failure, io};
 pub struct Args {
     /// Output folder of `fled run`.
     run: PathBuf,
-    /// restored.zip, colmap.zip or scene.compressed.ply.
+    /// Export to write: restored.zip, colmap.zip or scene.compressed.ply.
     #[arg(value_name = "FORM")]
     export: Export,
-    /// Where it goes; default: a file of that name, here.
+    /// Output file [default: that name in the current folder].
     #[arg(short, long, value_name = "FILE")]
     output: Option<PathBuf>,
-    /// A round's instead of the delivered one's.
+    /// Exports this round instead of the delivered one.
     #[arg(long)]
     round: Option<u32>,
 }

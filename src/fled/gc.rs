@@ -14,16 +14,16 @@ const DAY: Duration = Duration::from_secs(24 * 3600);
 /// Arguments of `fled gc`.
 #[derive(clap::Args)]
 pub struct Args {
-    /// The service's data directory. It may be in use.
+    /// Data directory of the service. It may be in use.
     #[arg(long, value_name = "DIR", default_value = "data")]
     data: PathBuf,
-    /// Only says what would go.
+    /// Only reports what would be removed.
     #[arg(long)]
     dry_run: bool,
-    /// Days for which captures, jobs and uploads are kept in `unnamed/`.
+    /// Days to keep captures, jobs and uploads in `unnamed/`.
     #[arg(long, value_name = "DAYS", default_value_t = 30)]
     unnamed_days: u32,
-    /// Days for which found poses and rendered views are kept, which can be made again.
+    /// Days to keep cached poses and rendered views, which can be made again.
     #[arg(long, value_name = "DAYS", default_value_t = 30)]
     cache_days: u32,
 }

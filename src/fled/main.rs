@@ -32,7 +32,7 @@ use clap::{Parser, Subcommand};
 use failure::Failure;
 use fled_core::pipeline::error::ErrorKind;
 
-/// Dark, noisy, shaken photographs of a place to a bright, sharp 3D scene.
+/// Turns dark, noisy, shaken photographs of a place into a bright, sharp 3D scene.
 #[derive(Parser)]
 #[command(
     version,
@@ -46,47 +46,47 @@ struct Cli {
 
 #[derive(Subcommand)]
 enum Command {
-    /// Reconstructs one capture. The same command goes on where an earlier one was stopped.
+    /// Reconstructs a capture. Repeat the command to continue a stopped run.
     Run(run::Args),
-    /// Finds the poses of a capture and stops; `fled run` with the same folder goes on from them.
+    /// Finds the poses of a capture; `fled run` with the same folder continues from them.
     Poses(run::Args),
     /// Renders a view of a finished run.
     Render(render::Args),
     /// Makes a video of a finished run's scene.
     Video(video::Args),
-    /// Hands a finished run's result on: restored views, a COLMAP model, a compressed scene.
+    /// Exports a finished run: restored views, a COLMAP model or a compressed scene.
     Export(export::Args),
-    /// Makes a dark, shaken capture with ground truth.
+    /// Makes a synthetic dark, shaken capture with ground truth.
     Synth(synth::Args),
-    /// The HTTP service with its dashboard and workers.
+    /// Starts the HTTP service with its dashboard and workers.
     Serve(serve::Args),
-    /// Works on the jobs of a service whose database and files many machines share.
+    /// Runs jobs of a service whose database and files several machines share.
     Worker(worker::Args),
-    /// Sends a capture to a service, watches the job and fetches its result.
+    /// Submits a capture to a service, follows the job and downloads its result.
     Submit(remote::submit::Args),
-    /// Shows what a job of a service does until it is over.
+    /// Follows a job of a service until it ends.
     Watch(remote::watch::Args),
-    /// Fetches the files of a service's job; the same command goes on where one was cut off.
+    /// Downloads the files of a job. Repeat the command to continue a broken download.
     Fetch(remote::fetch::Args),
-    /// Lets a job of a service that ended go on, with other options where they are given.
+    /// Queues an ended job of a service again, with changed options if given.
     Retry(remote::retry::Args),
-    /// Stops a job of a service.
+    /// Cancels a job of a service.
     Cancel(remote::cancel::Args),
     /// Copies the service's data directory while it is in use.
     Backup(backup::Args),
-    /// Moves the service to PostgreSQL, and its files to a store that machines share.
+    /// Moves the service to PostgreSQL and its files to a shared file store.
     Migrate(migrate::Args),
-    /// Frees what nobody wants in the service's data directory, and tells of it.
+    /// Removes what is no longer needed from the service's data directory.
     Gc(gc::Args),
-    /// Makes, lists and ends the tokens by which the service is used.
+    /// Creates, lists and revokes the service's tokens.
     Token(token::Args),
-    /// Measures what training and rendering cost on this machine, kernel by kernel.
+    /// Measures the cost of training and rendering on this machine, kernel by kernel.
     Bench(bench::Args),
-    /// Judges a finished run by sharp photographs that it did not train on.
+    /// Evaluates a finished run against sharp photographs that it was not trained on.
     Eval(Box<eval::Args>),
-    /// Lists the deblurring networks and checks them.
+    /// Lists and checks the deblurring networks.
     Models(models::Args),
-    /// Says what this machine has and lacks, and what to do about it.
+    /// Checks what this machine has, what is missing, and how to fix it.
     Doctor(doctor::Args),
     /// Renders what the service asks for on standard input.
     #[command(hide = true)]

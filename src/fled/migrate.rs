@@ -11,10 +11,10 @@ use crate::shared::log;
 /// Arguments of `fled migrate`.
 #[derive(clap::Args)]
 pub struct Args {
-    /// The service's data directory. No server may use it meanwhile.
+    /// Data directory of the service. No server may be using it.
     #[arg(long, value_name = "DIR", default_value = "data")]
     data: PathBuf,
-    /// The new database, empty: postgres://USER:PASSWORD@HOST/NAME.
+    /// New, empty database: postgres://USER:PASSWORD@HOST/NAME.
     #[arg(
         long = "db",
         value_name = "URL",
@@ -22,8 +22,8 @@ pub struct Args {
         hide_env_values = true
     )]
     database: String,
-    /// Where files are kept that machines share, empty: a directory, or s3://BUCKET/PREFIX with
-    /// credentials by the usual AWS_ variables.
+    /// New, empty file store that machines share: a directory, or s3://BUCKET/PREFIX with
+    /// credentials in the usual AWS_ variables.
     #[arg(long = "store", value_name = "PLACE", env = "FLED_STORE")]
     files: String,
 }

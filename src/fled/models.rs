@@ -13,7 +13,7 @@ use crate::tools;
 /// Arguments of `fled models`.
 #[derive(clap::Args)]
 pub struct Args {
-    /// ONNX Runtime's library, when it is not where `fled doctor` looks.
+    /// Path of the ONNX Runtime library, if `fled doctor` does not find it.
     #[arg(long, value_name = "FILE", env = "ORT_DYLIB_PATH")]
     onnxruntime: Option<PathBuf>,
     #[command(flatten)]

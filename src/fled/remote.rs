@@ -40,7 +40,7 @@ const TOKEN: &str = "FLED_TOKEN";
 /// Which service, and as who.
 #[derive(clap::Args)]
 pub struct Args {
-    /// The service's address.
+    /// Address of the service.
     #[arg(
         long,
         value_name = "URL",
@@ -48,10 +48,10 @@ pub struct Args {
         default_value = "http://127.0.0.1:8080"
     )]
     server: String,
-    /// A file that holds the token; without it the variable FLED_TOKEN does, where one is needed.
+    /// File with the token, if one is required [default: the variable FLED_TOKEN].
     #[arg(long, value_name = "FILE")]
     token_file: Option<PathBuf>,
-    /// How long to try again while the service does not answer, seconds.
+    /// Seconds to keep retrying while the service does not respond.
     #[arg(long, value_name = "SECONDS", default_value_t = 600)]
     patience: u64,
 }
@@ -129,7 +129,7 @@ impl Remote {
         })
     }
 
-    /// The service's address.
+    /// Address of the service.
     pub fn base(&self) -> &str {
         &self.base
     }

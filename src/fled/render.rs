@@ -16,12 +16,12 @@ use crate::failure::{Failure, io};
 pub struct Args {
     /// Output folder of `fled run`.
     run: PathBuf,
-    /// Where the picture goes: .png, .webp (both lossless) or .jpg.
+    /// Output file: .png, .webp (both lossless) or .jpg.
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
     #[command(flatten)]
     from: From,
-    /// Height above the horizon, degrees; with --azimuth.
+    /// Degrees above the horizon; with --azimuth.
     #[arg(
         long,
         default_value_t = 0.0,
@@ -29,23 +29,24 @@ pub struct Args {
         requires = "azimuth"
     )]
     elevation: f64,
-    /// Distance from the scene's centre as a multiple of the cameras' mean; with --azimuth.
+    /// Distance from the scene's centre as a multiple of the cameras' mean distance; with
+    /// --azimuth.
     #[arg(long, default_value_t = 1.0, requires = "azimuth")]
     distance: f64,
-    /// Width and height in px; default: the views' own.
+    /// Width and height in px [default: those of the views].
     #[arg(long, value_parser = crate::synth::size)]
     size: Option<(usize, usize)>,
-    /// How far away it is instead of what it looks like: near is white, far dark.
+    /// Renders depth instead of colour: near is white, far is dark.
     #[arg(long)]
     depth: bool,
-    /// Brighter by so many stops, in light; darker where negative.
+    /// Brightens the linear light by this many stops; negative values darken it.
     #[arg(long, default_value_t = 0.0, allow_negative_numbers = true, value_parser = stops,
         conflicts_with = "depth")]
     ev: f64,
-    /// A round's scene instead of the delivered one.
+    /// Uses this round's scene instead of the delivered one.
     #[arg(long)]
     round: Option<u32>,
-    /// Part of an adapter's name, or auto.
+    /// Part of the graphics adapter's name, or auto.
     #[arg(long, default_value = "auto")]
     adapter: String,
 }
@@ -57,13 +58,14 @@ const MOST_STOPS: f64 = 16.0;
 #[derive(clap::Args)]
 #[group(required = true, multiple = false)]
 struct From {
-    /// At the camera of this view.
+    /// Renders from the camera of this view.
     #[arg(long)]
     view: Option<String>,
-    /// Around the scene's centre, degrees from the cameras' mean direction.
+    /// Renders from an orbit around the scene's centre: degrees from the cameras' mean direction.
     #[arg(long, allow_negative_numbers = true)]
     azimuth: Option<f64>,
-    /// A JSON file with width, height, fx, fy, cx, cy and world_to_camera (4x4, row-major).
+    /// Renders from the camera in a JSON file with width, height, fx, fy, cx, cy and
+    /// world_to_camera (4x4, row-major).
     #[arg(long, value_name = "FILE")]
     pose: Option<PathBuf>,
 }

@@ -15,37 +15,38 @@ use crate::worker::about;
 /// Arguments of `fled serve`.
 #[derive(clap::Args)]
 pub struct Args {
-    /// Where captures, jobs and the database are kept.
+    /// Folder for captures, jobs and the database.
     #[arg(long, value_name = "DIR", default_value = "data")]
     data: PathBuf,
     #[command(flatten)]
     shared: Shared,
-    /// Address to listen on. Others than this machine's own need a token (`fled token create`).
+    /// Address to listen on. Any but this machine's own requires a token (`fled token create`).
     #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:8080")]
     listen: SocketAddr,
-    /// Listens to other machines although there is no token: whoever reaches it may use it.
+    /// Accepts other machines without a token: anyone who can reach the server may use it.
     #[arg(long)]
     open: bool,
-    /// A name by which the server may be called, besides localhost and addresses: what browsers
-    /// and proxies send as Host. May be repeated.
+    /// Host name that requests may use besides localhost and addresses, as browsers and proxies
+    /// send it in Host; may be repeated.
     #[arg(long = "host", value_name = "NAME")]
     hosts: Vec<String>,
-    /// Jobs run at once. With 0 others work, by `fled worker`.
+    /// Number of jobs to run at a time. 0 leaves all jobs to `fled worker`.
     #[arg(long, value_name = "N", default_value_t = 1)]
     workers: usize,
-    /// Deletes jobs that ended so many days ago, and captures so old that have no job. A week
-    /// before it says so; pinned jobs stay. All is kept when absent.
+    /// Deletes jobs this many days after they ended, and captures of that age without jobs. The
+    /// dashboard announces it a week before; pinned jobs are kept. By default everything is kept.
     #[arg(long, value_name = "DAYS", value_parser = clap::value_parser!(u32).range(1..))]
     keep_days: Option<u32>,
-    /// Deletes jobs that ended, but the newest so many of each owner. A week before it says so.
+    /// Keeps only this many of the newest ended jobs of each owner. Deletion is announced a week
+    /// before.
     #[arg(long, value_name = "N")]
     keep_jobs: Option<u32>,
-    /// Requests that read which one client may make a second, in the long run; one that writes
-    /// counts as ten. 0 limits nobody.
+    /// Read requests that one client may make per second on average; a write counts as ten. 0 means
+    /// no limit.
     #[arg(long, value_name = "N", default_value_t = fled_server::Limits::default().rate)]
     rate: u32,
-    /// Tells webhooks of addresses of inner networks, too: whoever may make one can then have the
-    /// server knock at whatever it reaches.
+    /// Also allows webhooks to addresses in internal networks: anyone who may create a webhook can
+    /// then make the server call whatever it can reach.
     #[arg(long)]
     inner_webhooks: bool,
     #[command(flatten)]

@@ -10,8 +10,8 @@ use crate::tools;
 /// The database and the store of files.
 #[derive(clap::Args, Clone, Debug)]
 pub struct Shared {
-    /// The database: sqlite:FILE, or postgres://USER:PASSWORD@HOST/NAME, which any number of
-    /// machines share. A file in --data when absent.
+    /// Database: sqlite:FILE, or postgres://USER:PASSWORD@HOST/NAME, which any number of machines
+    /// can share [default: a file in --data].
     #[arg(
         long = "db",
         value_name = "URL",
@@ -19,9 +19,8 @@ pub struct Shared {
         hide_env_values = true
     )]
     pub database: Option<String>,
-    /// Where files are kept that machines share: a directory, or s3://BUCKET/PREFIX with
-    /// credentials by the usual AWS_ variables. --data is then this machine's copy. With
-    /// PostgreSQL it is needed.
+    /// File store that machines share: a directory, or s3://BUCKET/PREFIX with credentials in the
+    /// usual AWS_ variables. --data is then this machine's copy. Required with PostgreSQL.
     #[arg(long = "store", value_name = "PLACE", env = "FLED_STORE")]
     pub files: Option<String>,
 }

@@ -25,30 +25,31 @@ const COMPUTING: [&str; 5] = ["adapter", "colmap", "onnxruntime", "models", "mat
 /// Arguments of `fled eval suite`.
 #[derive(clap::Args)]
 pub struct Args {
-    /// The suite's file, JSON.
+    /// JSON file of the suite.
     file: PathBuf,
-    /// Folder of the records, runs and evaluations; what lies there is not done again.
+    /// Folder for records, runs and evaluations; what it already holds is not repeated.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// Only this configuration, beside the first and those whose times it needs; may be repeated.
+    /// Runs only this configuration, besides the first and those whose times it needs; may be
+    /// repeated.
     #[arg(long, value_name = "NAME")]
     only: Vec<String>,
-    /// Only these captures.
+    /// Runs only these captures.
     #[arg(long, value_name = "NAME", num_args = 1..)]
     captures: Vec<String>,
-    /// A JSON list of captures in place of the suite's.
+    /// JSON list of captures to use instead of the suite's.
     #[arg(long, value_name = "FILE")]
     capture_list: Option<PathBuf>,
-    /// Seeds in place of the suite's number.
+    /// Number of seeds to use instead of the suite's.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     seeds: Option<u64>,
-    /// One option of every run, over the suite's; may be repeated.
+    /// Overrides one option of every run; may be repeated.
     #[arg(long = "set", value_name = "KEY=VALUE")]
     assignments: Vec<String>,
-    /// Run nothing; print what is recorded.
+    /// Runs nothing and prints what is recorded.
     #[arg(long)]
     finished: bool,
-    /// Where all of it goes as JSON.
+    /// File for all results as JSON.
     #[arg(long, value_name = "FILE")]
     json: Option<PathBuf>,
     #[command(flatten)]

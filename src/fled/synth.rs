@@ -10,7 +10,7 @@ use crate::failure::Failure;
 /// Arguments of `fled synth`.
 #[derive(clap::Args)]
 pub struct Args {
-    /// Folder to make; must not exist or be empty.
+    /// Folder to create; must not exist, or be empty.
     out: PathBuf,
     /// Number of photographs.
     #[arg(long, default_value_t = 24)]
@@ -21,23 +21,23 @@ pub struct Args {
     /// Seed of the path, the shake and the noise.
     #[arg(long, default_value_t = 0)]
     seed: u64,
-    /// Which room: `study`, a furnished one at dusk, or a number; 0 is the one of the benchmarks.
+    /// Room: `study`, a furnished one at dusk, or a number; 0 is the room of the benchmarks.
     #[arg(long, default_value = "0")]
     room: RoomChoice,
-    /// Folder of photographs, and nothing else, that hang on all surfaces in place of painted
-    /// patterns, at 2048 px at most.
+    /// Folder with nothing but photographs, which cover all surfaces instead of painted patterns,
+    /// at up to 2048 px.
     #[arg(long)]
     wallpapers: Option<PathBuf>,
-    /// Share of a well-exposed photograph's light.
+    /// Light as a share of that of a well-exposed photograph.
     #[arg(long, default_value_t = 0.05)]
     exposure: f64,
     /// Length of the camera's shake, px.
     #[arg(long, default_value_t = 9.0)]
     blur: f64,
-    /// Noise of the sensor; see the documentation of `SynthOptions`.
+    /// Sensor noise; see the documentation of `SynthOptions`.
     #[arg(long, default_value_t = 0.02)]
     noise: f64,
-    /// As which data set it lies there: lush, llff or transforms.
+    /// Layout of the data set: lush, llff or transforms.
     #[arg(long, default_value = "lush")]
     layout: Layout,
 }

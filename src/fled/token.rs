@@ -19,18 +19,18 @@ pub struct Args {
 
 #[derive(clap::Subcommand)]
 enum Command {
-    /// Makes a token and prints it, once. From the first on the service asks everybody for one.
+    /// Creates a token and prints it once. From the first token on, the service requires one.
     Create(Create),
-    /// Lists tokens: name, scopes, when they were made and last used, until when they hold.
+    /// Lists tokens with name, scopes, creation, last use and expiry.
     List {
         #[command(flatten)]
         data: Data,
     },
-    /// Ends a token, at once.
+    /// Revokes a token immediately.
     Revoke {
         #[command(flatten)]
         data: Data,
-        /// The first column of `fled token list`.
+        /// ID from the first column of `fled token list`.
         id: String,
     },
 }
@@ -39,29 +39,29 @@ enum Command {
 struct Create {
     #[command(flatten)]
     data: Data,
-    /// Its scopes, separated by commas: jobs:read, jobs:write, renders, admin (everything).
+    /// Scopes, separated by commas: jobs:read, jobs:write, renders, admin (everything).
     #[arg(long, value_name = "SCOPES")]
     scope: String,
-    /// How long it holds, as 90d or 12h. For ever when absent.
+    /// Validity, such as 90d or 12h [default: unlimited].
     #[arg(long, value_name = "TIME")]
     expires: Option<String>,
-    /// Whose it is: tokens of one name see the same captures and jobs.
+    /// Name of the owner: tokens of the same name see the same captures and jobs.
     #[arg(long, default_value = "")]
     name: String,
-    /// What its owner's captures and results may take on the disk, as 20G. No limit when absent.
+    /// Disk space for the owner's captures and results, such as 20G [default: unlimited].
     #[arg(long, value_name = "SIZE")]
     quota_bytes: Option<String>,
-    /// Jobs of its owner that may wait or run at a time. No limit when absent.
+    /// Number of the owner's jobs that may wait or run at a time [default: unlimited].
     #[arg(long, value_name = "N")]
     quota_jobs: Option<u32>,
 }
 
 #[derive(clap::Args)]
 struct Data {
-    /// The service's data directory. It may be in use.
+    /// Data directory of the service. It may be in use.
     #[arg(long = "data", value_name = "DIR", default_value = "data")]
     dir: PathBuf,
-    /// The service's database where it is not in --data: postgres://USER:PASSWORD@HOST/NAME.
+    /// Database of the service if it is not in --data: postgres://USER:PASSWORD@HOST/NAME.
     #[arg(
         long = "db",
         value_name = "URL",

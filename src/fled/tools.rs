@@ -23,7 +23,7 @@ use crate::failure::Failure;
 /// Where tools lie.
 #[derive(clap::Args, Clone, Debug)]
 pub struct Args {
-    /// The COLMAP program.
+    /// Path of the COLMAP program.
     #[arg(
         long,
         value_name = "PROGRAM",
@@ -31,14 +31,14 @@ pub struct Args {
         env = "FLED_COLMAP"
     )]
     pub colmap: PathBuf,
-    /// ONNX Runtime's library, when it is not where `fled doctor` looks.
+    /// Path of the ONNX Runtime library, if `fled doctor` does not find it.
     #[arg(long, value_name = "FILE", env = "ORT_DYLIB_PATH")]
     pub onnxruntime: Option<PathBuf>,
-    /// Folder in which poses are kept from run to run; `none` keeps none.
+    /// Folder that caches poses between runs; `none` caches nothing.
     #[arg(long, value_name = "DIR")]
     pub cache: Option<PathBuf>,
-    /// Folder with the weights that find and match key points, when it is not where `fled doctor`
-    /// looks; `none` goes without.
+    /// Folder with the weights that find and match key points, if `fled doctor` does not find it;
+    /// `none` goes without them.
     #[arg(long, value_name = "DIR", env = "FLED_MATCHER")]
     pub matcher: Option<PathBuf>,
     #[command(flatten)]
@@ -48,7 +48,7 @@ pub struct Args {
 /// Where what reads and writes videos lies.
 #[derive(clap::Args, Clone, Debug)]
 pub struct Ffmpeg {
-    /// The ffmpeg program, which reads and writes videos.
+    /// Path of the ffmpeg program, which reads and writes videos.
     #[arg(
         long = "ffmpeg",
         value_name = "PROGRAM",
@@ -71,8 +71,8 @@ impl Ffmpeg {
 /// Where networks that are not built in lie.
 #[derive(clap::Args, Clone, Debug)]
 pub struct ModelFolder {
-    /// Folder of ONNX files that are networks by their names; default: fled/models in the user's
-    /// data directory.
+    /// Folder of ONNX files, whose names are the names of the networks [default: fled/models in the
+    /// user's data directory].
     #[arg(long = "models", value_name = "DIR", env = "FLED_MODELS")]
     folder: Option<PathBuf>,
 }

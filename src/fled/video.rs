@@ -27,44 +27,45 @@ const BACKGROUND: i32 = 19;
 pub struct Args {
     /// Output folder of `fled run`.
     run: PathBuf,
-    /// Where the video goes: .mp4.
+    /// Output file: .mp4.
     #[arg(short, long, value_name = "FILE")]
     output: PathBuf,
     #[command(flatten)]
     way: Way,
-    /// How far around in all; 360 is once around, less a swing to both sides and back. Default: as
-    /// far as the photographers stood.
+    /// Total angle of the orbit. 360 goes once around, less swings to both sides and back [default:
+    /// as far as the photographs reach].
     #[arg(long, conflicts_with_all = ["cameras", "plan"])]
     degrees: Option<f64>,
-    /// Height above the photographers, degrees; with --orbit.
+    /// Degrees above the photographs; with --orbit.
     #[arg(long, allow_negative_numbers = true, conflicts_with_all = ["cameras", "plan"])]
     elevation: Option<f64>,
-    /// Distance from the scene's middle as a multiple of the cameras' median; with --orbit.
+    /// Distance from the scene's centre as a multiple of the cameras' median distance; with
+    /// --orbit.
     #[arg(long, conflicts_with_all = ["cameras", "plan"])]
     distance: Option<f64>,
-    /// How long it is, up to 60 s [default: 8].
+    /// Duration, up to 60 s [default: 8].
     #[arg(long, value_name = "S", conflicts_with = "plan")]
     seconds: Option<f64>,
-    /// Pictures a second, up to 30 [default: 24].
+    /// Frames per second, up to 30 [default: 24].
     #[arg(long, value_name = "N", conflicts_with = "plan")]
     fps: Option<u32>,
-    /// Width and height in px, up to 1920; default: the views' own.
+    /// Width and height in px, up to 1920 [default: those of the views].
     #[arg(long, value_parser = crate::synth::size, conflicts_with = "plan")]
     size: Option<(usize, usize)>,
-    /// Brighter by so many stops, in light; darker where negative.
+    /// Brightens the linear light by this many stops; negative values darken it.
     #[arg(long, default_value_t = 0.0, allow_negative_numbers = true,
         value_parser = crate::render::stops)]
     ev: f64,
-    /// A round's scene instead of the delivered one.
+    /// Uses this round's scene instead of the delivered one.
     #[arg(long, conflicts_with = "plan")]
     round: Option<u32>,
-    /// Part of an adapter's name, or auto.
+    /// Part of the graphics adapter's name, or auto.
     #[arg(long, default_value = "auto")]
     adapter: String,
-    /// Progress as JSON lines on standard output.
+    /// Prints progress as JSON lines on standard output.
     #[arg(long)]
     json: bool,
-    /// Gives way to whatever else the machine does.
+    /// Runs at the lowest priority.
     #[arg(long)]
     background: bool,
     #[command(flatten)]
@@ -75,13 +76,13 @@ pub struct Args {
 #[derive(clap::Args)]
 #[group(required = true, multiple = false)]
 struct Way {
-    /// Around the middle of the scene.
+    /// Moves around the centre of the scene.
     #[arg(long)]
     orbit: bool,
-    /// Through the cameras of the photographs, in their order.
+    /// Moves through the cameras of the photographs, in their order.
     #[arg(long)]
     cameras: bool,
-    /// As a JSON file says, which is the body of `POST /v1/jobs/ID/videos`: a path of poses, too.
+    /// Follows a JSON file, the body of `POST /v1/jobs/ID/videos`; it may hold a path of poses.
     #[arg(long, value_name = "FILE")]
     plan: Option<PathBuf>,
 }

@@ -14,15 +14,15 @@ use crate::tools;
 /// Arguments of `fled worker`.
 #[derive(clap::Args)]
 pub struct Args {
-    /// This machine's copies of captures and results; they are fetched again where they are gone.
+    /// Folder for this machine's copies of captures and results; missing ones are downloaded again.
     #[arg(long, value_name = "DIR", default_value = "worker")]
     data: PathBuf,
     #[command(flatten)]
     shared: Shared,
-    /// Jobs run at once.
+    /// Number of jobs to run at a time.
     #[arg(long, value_name = "N", default_value_t = 1)]
     jobs: usize,
-    /// Part of an adapter's name, or auto: what this machine says that it trains on.
+    /// Part of the graphics adapter's name, or auto: what this machine reports that it trains on.
     #[arg(long, default_value = "auto")]
     adapter: String,
     #[command(flatten)]

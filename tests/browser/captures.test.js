@@ -116,7 +116,7 @@ both("a capture is deleted after a question, but not while a job uses it", async
 
     await page.getByRole("link", { name }).click();
     await button(page, "Delete").click();
-    await button(page, "Delete capture").click();
+    await button(page, "Delete job").click();
     await part(page, "New job").waitFor();
     await page.goto(`${server.base}/#/captures/${capture}`);
     await button(page, "Delete").click();

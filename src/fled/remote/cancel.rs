@@ -6,7 +6,7 @@ use crate::failure::Failure;
 /// Arguments of `fled cancel`.
 #[derive(clap::Args)]
 pub struct Args {
-    /// The job's id, as `fled submit` printed it.
+    /// ID of the job, as printed by `fled submit`.
     job: String,
     #[command(flatten)]
     remote: super::Args,

@@ -16,14 +16,14 @@ use crate::failure::{Failure, io as at};
 /// Arguments of `fled fetch`.
 #[derive(clap::Args)]
 pub struct Args {
-    /// The job's id, as `fled submit` printed it.
+    /// ID of the job, as printed by `fled submit`.
     job: String,
     #[command(flatten)]
     remote: super::Args,
-    /// Where the files go. What is there already and whole is not fetched again.
+    /// Folder for the files. Complete files are not downloaded again.
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// Only files whose path begins so, as `scene.ply` or `rounds/2/`; may be repeated.
+    /// Only files whose path starts with this, such as `scene.ply` or `rounds/2/`; may be repeated.
     #[arg(long, value_name = "PATH")]
     only: Vec<String>,
 }

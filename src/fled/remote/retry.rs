@@ -9,12 +9,11 @@ use crate::failure::Failure;
 /// Arguments of `fled retry`.
 #[derive(clap::Args)]
 pub struct Args {
-    /// The job's id, as `fled submit` printed it.
+    /// ID of the job, as printed by `fled submit`.
     job: String,
     #[command(flatten)]
     remote: super::Args,
-    /// One option over those that the job has; may be repeated. Only what it makes stale is done
-    /// again.
+    /// Overrides one option of the job; may be repeated. Only the work that it affects is repeated.
     #[arg(long = "set", value_name = "KEY=VALUE")]
     assignments: Vec<String>,
 }

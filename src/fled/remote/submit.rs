@@ -19,33 +19,34 @@ use crate::failure::Failure;
 /// Arguments of `fled submit`.
 #[derive(clap::Args)]
 pub struct Args {
-    /// A folder of photographs, one zip, or a video (MP4, MOV).
+    /// Folder of photographs, ZIP file, or video (MP4, MOV).
     capture: PathBuf,
     #[command(flatten)]
     remote: super::Args,
-    /// preview, standard or paper.
+    /// Preset: preview, standard or paper.
     #[arg(long, default_value = "standard")]
     preset: Preset,
-    /// One option over the preset's; may be repeated.
+    /// Overrides one option of the preset; may be repeated.
     #[arg(long = "set", value_name = "KEY=VALUE")]
     assignments: Vec<String>,
-    /// Photographs to take of a video; 40 when absent.
+    /// Number of photographs to take from a video [default: 40].
     #[arg(long, value_name = "N")]
     frames: Option<u32>,
-    /// Goes before jobs of a lower number that wait, -100 to 100; above 0 needs scope `admin`.
+    /// Priority, -100 to 100: waiting jobs with a higher one start first; above 0 requires scope
+    /// `admin`.
     #[arg(long, value_name = "N", allow_negative_numbers = true,
         value_parser = clap::value_parser!(i64).range(-100..=100))]
     priority: Option<i64>,
-    /// What to call it; the folder's name when absent.
+    /// Name of the job [default: the folder's name].
     #[arg(long)]
     name: Option<String>,
-    /// Makes another job where the same one was submitted before.
+    /// Creates a new job even if the same one was submitted before.
     #[arg(long)]
     again: bool,
-    /// Returns when the job is accepted.
+    /// Returns as soon as the job is accepted.
     #[arg(long, conflicts_with = "out")]
     detach: bool,
-    /// Fetches the result into this folder.
+    /// Downloads the result into this folder.
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
 }

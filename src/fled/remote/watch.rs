@@ -17,7 +17,7 @@ const PERIOD: Duration = Duration::from_secs(1);
 /// Arguments of `fled watch`.
 #[derive(clap::Args)]
 pub struct Args {
-    /// The job's id, as `fled submit` printed it.
+    /// ID of the job, as printed by `fled submit`.
     job: String,
     #[command(flatten)]
     remote: super::Args,
