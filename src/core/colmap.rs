@@ -156,7 +156,7 @@ impl Sfm for ColmapCli {
         let total = request.views.len();
         if total < ladder::MIN_VIEWS {
             let advice = format!(
-                "a scene needs at least {}, better 20 to 60",
+                "a scene needs at least {} photographs, preferably 20 to 60",
                 ladder::MIN_VIEWS
             );
             return Err(PosesError::TooFew {

@@ -23,7 +23,7 @@ pub struct Args {
 pub fn main(args: &Args) -> Result<(), Failure> {
     if !args.data.join("fled.db").is_file() {
         let detail = format!(
-            "{} holds no fled.db: it is no data directory",
+            "{} has no fled.db, so it is not a data directory",
             args.data.display()
         );
         return Err(Failure::usage(detail));
@@ -38,14 +38,14 @@ pub fn main(args: &Args) -> Result<(), Failure> {
             failure
         })?;
     eprintln!(
-        "{} captures and {} jobs, {:.1} MB, are in {}",
+        "{} captures and {} jobs, {:.1} MB, copied to {}",
         done.captures,
         done.jobs,
         done.bytes as f64 / 1e6,
         args.to.display()
     );
     if done.anew > 0 {
-        eprintln!("{} jobs that wait or run begin anew there", done.anew);
+        eprintln!("{} waiting or running jobs start again there", done.anew);
     }
     Ok(())
 }

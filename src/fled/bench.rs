@@ -71,7 +71,7 @@ impl Args {
         let seconds = self.seconds.unwrap_or(options.budget.seconds);
         if !(seconds.is_finite() && seconds > 0.0) {
             return Err(Failure::usage(format!(
-                "--seconds {seconds} is not above 0"
+                "--seconds must be above 0, not {seconds}"
             )));
         }
         options.budget = Budget {
@@ -94,7 +94,7 @@ fn count(text: &str) -> Result<usize, String> {
         .and_then(|n| n.checked_mul(unit));
     parsed
         .filter(|n| (1..=5_000_000).contains(n))
-        .ok_or_else(|| format!("`{text}` is no number of Gaussians up to 5000k"))
+        .ok_or_else(|| format!("`{text}` is not a number of Gaussians up to 5000k"))
 }
 
 /// Measures, prints the table and writes the JSON.

@@ -127,12 +127,12 @@ fn checks(args: &Args) -> Vec<Check> {
         Check::new(
             "onnxruntime",
             runtime,
-            "make onnxruntime, or set ORT_DYLIB_PATH",
+            "Run `make onnxruntime`, or set ORT_DYLIB_PATH",
         ),
         Check::new("models", model, "Set ORT_DYLIB_PATH"),
         Check::new("matcher", Ok::<_, Infallible>(matcher(args)), ""),
         Check::new("ffmpeg", Ok::<_, Infallible>(ffmpeg(args)), ""),
-        Check::new("disk", disk(args), "Free some space: a run may need 2 GiB"),
+        Check::new("disk", disk(args), "Free some space; a run may need 2 GiB"),
     ]
 }
 
@@ -141,7 +141,7 @@ fn checks(args: &Args) -> Vec<Check> {
 fn matcher(args: &Args) -> String {
     let state = Package::embedded().state(&args.tools.matcher_folders());
     state.unwrap_or_else(|error| {
-        format!("none, poses are found by COLMAP's own key points: {error}")
+        format!("none; poses are found with COLMAP's own key points: {error}")
     })
 }
 
@@ -150,10 +150,10 @@ fn ffmpeg(args: &Args) -> String {
     let said = Command::new(&args.ffmpeg.program).arg("-version").output();
     let first = said.map(|said| {
         let said = String::from_utf8_lossy(&said.stdout).into_owned();
-        said.lines().next().unwrap_or("it says nothing").to_owned()
+        said.lines().next().unwrap_or("unknown version").to_owned()
     });
     first.unwrap_or_else(|error| {
-        format!("none, videos are neither read nor made (apt-get install ffmpeg): {error}")
+        format!("none; videos can be neither read nor made (apt-get install ffmpeg): {error}")
     })
 }
 

@@ -73,7 +73,7 @@ pub fn main(args: &Args) -> Result<(), Failure> {
     match (&args.command, &args.run, &args.truth) {
         (Some(Command::Suite(args)), ..) => suite::main(args),
         (None, Some(run), Some(truth)) => judge(args, run, truth),
-        _ => Err(Failure::usage("a run and --truth, or `suite`, is needed")),
+        _ => Err(Failure::usage("give a run and --truth, or `suite`")),
     }
 }
 

@@ -54,7 +54,7 @@ impl From<ExportError> for Failure {
         let failure = Self::new(kind, error);
         if missing {
             return Self {
-                hint: "name the output folder of a `fled run` that has finished, or a round of it"
+                hint: "Give the output folder of a finished `fled run`, or one of its rounds."
                     .to_owned(),
                 ..failure
             };

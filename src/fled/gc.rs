@@ -35,7 +35,7 @@ pub struct Args {
 pub fn main(args: &Args) -> Result<(), Failure> {
     if !args.data.join("fled.db").is_file() {
         let detail = format!(
-            "{} holds no fled.db: it is no data directory",
+            "{} has no fled.db, so it is not a data directory",
             args.data.display()
         );
         return Err(Failure::usage(detail));
@@ -63,14 +63,14 @@ pub fn main(args: &Args) -> Result<(), Failure> {
     told.map_err(|error| Failure::new(ErrorKind::Io, error))?;
     let verb = if args.dry_run { "would free" } else { "freed" };
     eprintln!(
-        "{count} things: {verb} {}, and {} of the database",
+        "{count} items: {verb} {}, and {} in the database",
         megabytes(bytes),
         megabytes(done.database)
     );
     if done.beside_server {
         eprintln!(
-            "A server is running here: what has changed within the hour, unfinished uploads and \
-             the database's own room are left to it."
+            "A server is using this directory: what changed within the last hour, unfinished \
+             uploads and free space in the database are left to it."
         );
     }
     Ok(())

@@ -37,7 +37,7 @@ pub fn main(args: &Args) -> Result<(), Failure> {
     log();
     if !args.data.join("fled.db").is_file() {
         let detail = format!(
-            "{} holds no fled.db: it is no data directory",
+            "{} has no fled.db, so it is not a data directory",
             args.data.display()
         );
         return Err(Failure::usage(detail));
@@ -52,13 +52,13 @@ pub fn main(args: &Args) -> Result<(), Failure> {
         ))
         .map_err(|error| failed(&error))?;
     eprintln!(
-        "{} rows are in the database, {} files, {:.1} MB, in the store",
+        "{} rows copied to the database, and {} files, {:.1} MB, to the store",
         done.rows,
         done.files,
         done.bytes as f64 / 1e6
     );
     if done.uploads > 0 {
-        eprintln!("{} unfinished uploads stay behind", done.uploads);
+        eprintln!("{} unfinished uploads were not moved", done.uploads);
     }
     Ok(())
 }

@@ -237,7 +237,7 @@ impl Remote {
             if silent_since.elapsed() + pause > self.patience {
                 return Err(failure);
             }
-            eprintln!("{}; again in {} s", failure.detail, pause.as_secs());
+            eprintln!("{}; retrying in {} s", failure.detail, pause.as_secs());
             std::thread::sleep(pause);
             wait = (2 * wait).min(LONGEST_WAIT);
         }
@@ -246,8 +246,9 @@ impl Remote {
     fn lost(&self, why: &str) -> Failure {
         Failure {
             kind: ErrorKind::Environment,
-            detail: format!("{} does not answer: {why}", self.base),
-            hint: "Is `fled serve` running there? The same command goes on from here.".to_owned(),
+            detail: format!("{} does not respond: {why}", self.base),
+            hint: "Check that `fled serve` is running there. Repeat the command to continue."
+                .to_owned(),
             wrong_use: false,
         }
     }
@@ -273,7 +274,7 @@ fn read_json<T: DeserializeOwned>(mut response: Response<Body>) -> Result<T, Fau
         .read_to_vec()
         .map_err(|error| Fault::Lost(error.to_string(), false))?;
     serde_json::from_slice(&text).map_err(|error| {
-        let detail = format!("what answers there is no fled service: {error}");
+        let detail = format!("the server there is not a fled service: {error}");
         Fault::Refused(Failure::new(ErrorKind::Environment, detail))
     })
 }
@@ -286,7 +287,7 @@ fn refusal(mut response: Response<Body>) -> Fault {
     let text = response.body_mut().read_to_vec().unwrap_or_default();
     let problem: Problem = serde_json::from_slice(&text).unwrap_or_default();
     let mut detail = match problem.detail.as_str() {
-        "" => format!("the service answered {status}"),
+        "" => format!("the service responded with status {status}"),
         detail => detail.to_owned(),
     };
     let images = problem.capture.map(|capture| capture.images);
@@ -303,7 +304,7 @@ fn refusal(mut response: Response<Body>) -> Fault {
         },
         detail,
         hint: match status {
-            StatusCode::UNAUTHORIZED => format!("Put a token into {TOKEN}, or use --token-file."),
+            StatusCode::UNAUTHORIZED => format!("Put a token in {TOKEN}, or use --token-file."),
             _ => problem.hint,
         },
         wrong_use: false,

@@ -104,11 +104,13 @@ pub fn main(args: &Args) -> Result<(), Failure> {
 /// # Errors
 /// A message for anything but a number within [`MOST_STOPS`].
 pub fn stops(text: &str) -> Result<f64, String> {
-    let ev: f64 = text.parse().map_err(|_| format!("`{text}` is no number"))?;
+    let ev: f64 = text
+        .parse()
+        .map_err(|_| format!("`{text}` is not a number"))?;
     if ev.abs() <= MOST_STOPS {
         return Ok(ev);
     }
-    Err(format!("stops are within -{MOST_STOPS} and {MOST_STOPS}"))
+    Err(format!("must be from -{MOST_STOPS} to {MOST_STOPS} stops"))
 }
 
 /// Reads the cameras of a run's views.

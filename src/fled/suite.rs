@@ -124,7 +124,7 @@ fn machine(program: &Program) -> Result<BTreeMap<String, String>, SuiteError> {
     let found: BTreeMap<String, String> = named.collect();
     if found.len() != COMPUTING.len() {
         return Err(SuiteError::Child(format!(
-            "`fled doctor` does not say what computes here: {said}"
+            "`fled doctor` does not report what this machine computes with: {said}"
         )));
     }
     Ok(found)

@@ -111,7 +111,7 @@ async fn create(args: &Create) -> Result<(), Failure> {
     store.insert_token(&token).await.map_err(failed)?;
     store.close().await;
     eprintln!(
-        "token {} allows {}. It is shown this once:",
+        "Token {} has the scopes {}. It is shown only this once:",
         token.id, token.scopes
     );
     say(secret.reveal())
@@ -122,7 +122,7 @@ async fn list(data: &Data) -> Result<(), Failure> {
     let tokens = store.tokens().await.map_err(failed)?;
     store.close().await;
     if tokens.is_empty() {
-        eprintln!("There is no token: `fled token create` makes one.");
+        eprintln!("There are no tokens. Create one with `fled token create`.");
     }
     let now = now_ms();
     tokens.iter().try_for_each(|token| say(&line(token, now)))
@@ -132,8 +132,8 @@ fn line(token: &TokenRow, now: i64) -> String {
     let end = match (token.revoked_at, token.expires_at) {
         (Some(at), _) => format!("revoked {}", shown(at)),
         (None, Some(at)) if at <= now => format!("expired {}", shown(at)),
-        (None, Some(at)) => format!("until {}", shown(at)),
-        (None, None) => "for ever".to_owned(),
+        (None, Some(at)) => format!("expires {}", shown(at)),
+        (None, None) => "never expires".to_owned(),
     };
     let used = token.last_used_at.map_or("never used".to_owned(), |at| {
         format!("last used {}", shown(at))
@@ -144,7 +144,7 @@ fn line(token: &TokenRow, now: i64) -> String {
         .map(|bytes| format!(", {} MB", bytes / 1_000_000));
     let jobs = token.quotas.jobs.map(|jobs| format!(", {jobs} jobs"));
     format!(
-        "{}  {}  made {}, {used}, {end}{}{}  {}",
+        "{}  {}  created {}, {used}, {end}{}{}  {}",
         token.id,
         token.scopes,
         shown(token.created_at),
@@ -160,10 +160,10 @@ async fn revoke(data: &Data, id: &str) -> Result<(), Failure> {
     store.close().await;
     if !ended {
         return Err(Failure::usage(format!(
-            "no token {id} holds; `fled token list` shows them"
+            "no valid token has the ID {id}; `fled token list` lists the tokens"
         )));
     }
-    eprintln!("token {id} holds no more");
+    eprintln!("token {id} is revoked");
     Ok(())
 }
 
@@ -172,7 +172,7 @@ async fn existing(data: &Data) -> Result<Store, Failure> {
     let dir = &data.dir;
     if data.database.is_none() && !dir.join("fled.db").is_file() {
         let detail = format!(
-            "{} holds no fled.db: it is no data directory",
+            "{} has no fled.db, so it is not a data directory",
             dir.display()
         );
         return Err(Failure::usage(detail));

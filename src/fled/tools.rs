@@ -211,8 +211,8 @@ impl Kit {
             Ok(matching) => matching,
             Err(error) => {
                 fallbacks.push(format!(
-                    "without the networks for key points, poses are found by COLMAP's own alone, \
-                     given ones are not refined, and none are found by the scene: {error}"
+                    "the networks for key points are missing: poses come from COLMAP's own key \
+                     points, given poses are not refined, and the scene places no views: {error}"
                 ));
                 None
             }
@@ -279,7 +279,7 @@ fn sfm(
         }
         (PoseSource::Given, None) => Err(Failure::new(
             ErrorKind::BadInput,
-            "pose_source is `given`, but the capture brings no sparse/, transforms.json or poses_bounds.npy",
+            "pose_source is `given`, but sparse/, transforms.json and poses_bounds.npy are missing",
         )),
     }
 }

@@ -40,7 +40,7 @@ pub fn main(args: &Args) -> Result<(), Failure> {
     let database = args.shared.database.as_deref();
     if database.is_none_or(|url| url.starts_with("sqlite:")) {
         return Err(Failure::usage(
-            "a worker needs the service's database and files: --db postgres://.. and --store",
+            "a worker needs the service's database and files: set --db postgres://.. and --store",
         ));
     }
     let nowhere = std::net::SocketAddr::from(([127, 0, 0, 1], 0));

@@ -119,7 +119,7 @@ fn make_empty(to: &Path) -> Result<()> {
         match fs::read_dir(to)?.next() {
             None => Ok(()),
             Some(_) => Err(io::Error::other(
-                "it is not empty: a backup is made into a new folder",
+                "it is not empty; a backup needs a new folder",
             )),
         }
     };

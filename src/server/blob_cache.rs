@@ -65,7 +65,7 @@ impl BlobCache {
         if pushed.skipped > 0 {
             return Err(ServerError::Io {
                 path: folder.to_owned(),
-                source: io::Error::other("a file of a new capture changed while it was kept"),
+                source: io::Error::other("a file of a new capture changed while it was stored"),
             });
         }
         Ok(pushed.kept)

@@ -19,7 +19,7 @@ use self::address::is_outer;
 /// Maximum length of a URL, in characters.
 const LONGEST: usize = 2000;
 /// The reason why an inner address is refused.
-pub const INNER: &str = "the name stands for an address of an inner network";
+pub const INNER: &str = "the name resolves to an address in an internal network";
 
 /// Parses a URL and checks its form.
 ///
@@ -29,16 +29,16 @@ pub fn check_url(url: &str) -> Result<Uri, &'static str> {
     if url.len() > LONGEST {
         return Err("it is longer than 2,000 characters");
     }
-    let uri: Uri = url.parse().map_err(|_| "it is no URL")?;
+    let uri: Uri = url.parse().map_err(|_| "it is not a URL")?;
     if !matches!(uri.scheme_str(), Some("http" | "https")) {
-        return Err("it begins with neither https:// nor http://");
+        return Err("it does not start with https:// or http://");
     }
-    let authority = uri.authority().ok_or("it names no host")?;
+    let authority = uri.authority().ok_or("it has no host")?;
     if authority.as_str().contains('@') {
-        return Err("it holds a user's name or password");
+        return Err("it contains a user name or password");
     }
     if authority.host().is_empty() {
-        return Err("it names no host");
+        return Err("it has no host");
     }
     Ok(uri)
 }

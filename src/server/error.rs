@@ -23,8 +23,8 @@ pub enum ServerError {
     Migration(#[from] sqlx::migrate::MigrateError),
     /// A later version has changed the schema.
     #[error(
-        "the database is of schema {version}, and this program knows {known}: a newer fled has \
-         used it. Start that version, or restore a backup from before"
+        "the database has schema {version}, but this program knows only {known}: a newer fled has \
+         used it. Start that version, or restore an earlier backup"
     )]
     NewerSchema {
         /// The version of the database's schema.
@@ -34,7 +34,7 @@ pub enum ServerError {
     },
     /// The value of `--db` is no usable database.
     #[error(
-        "--db is no usable database: {detail}. Give `postgres://USER:PASSWORD@HOST/DATABASE` or \
+        "--db is not a usable database: {detail}. Use `postgres://USER:PASSWORD@HOST/DATABASE` or \
          `sqlite:FILE`"
     )]
     BadDatabase {
@@ -43,26 +43,25 @@ pub enum ServerError {
     },
     /// Machines that share a database must share files too.
     #[error(
-        "a database that many machines use needs a store of files that they share: give \
+        "a database that several machines use needs a file store that they share: set \
          --store DIR or --store s3://BUCKET/PREFIX"
     )]
     NoFiles,
     /// The blob store failed.
-    #[error("store of files: {0}")]
+    #[error("file store: {0}")]
     Blobs(Box<fled_blobs::BlobError>),
     /// A blob store was given to an installation that stores its files elsewhere.
     #[error(
-        "capture {0} has no files in the store that --store names: this installation keeps them in \
-         its data directory. Leave --store out, or move it to PostgreSQL: fled migrate --data \
+        "capture {0} has no files in the store given by --store: this installation keeps them in \
+         its data directory. Leave out --store, or move to PostgreSQL: fled migrate --data \
          DIR --db postgres://.. --store PLACE"
     )]
     NotInStore(String),
     /// A blob store belongs to another database.
     #[error(
-        "{0} belongs to another database, and this one would delete there what that one names: \
-         give this one a store of its own by --store. Where it takes the other's place, stop all \
-         servers and workers of the other and delete the object `mark` in the store: the next \
-         start makes it anew"
+        "{0} belongs to another database, whose files this one would delete: give this one its own \
+         store with --store. If it replaces the other database, stop all servers and workers of \
+         the other and delete the object `mark` in the store; the next start creates it again"
     )]
     StoreOfAnother(String),
     /// The migration of an installation was refused.
@@ -73,8 +72,8 @@ pub enum ServerError {
     DataInUse(PathBuf),
     /// Other machines could reach a server that requires no token.
     #[error(
-        "{0} can be reached from other machines, and there is no token: make one by \
-         `fled token create`, listen on 127.0.0.1, or let everybody in by --open"
+        "{0} can be reached from other machines, and there is no token: create one with \
+         `fled token create`, listen on 127.0.0.1, or allow everyone with --open"
     )]
     Unguarded(SocketAddr),
     /// A stored value does not match the schema.
@@ -86,7 +85,7 @@ pub enum ServerError {
         detail: String,
     },
     /// The worker no longer holds the job, so its write was dropped.
-    #[error("the lease of job {0} is lost")]
+    #[error("the lease of job {0} was lost")]
     LeaseLost(String),
 }
 

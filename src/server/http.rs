@@ -116,7 +116,7 @@ pub fn router(app: Arc<App>) -> Router {
             Problem::new(
                 StatusCode::METHOD_NOT_ALLOWED,
                 "method_not_allowed",
-                "This address does not do that.",
+                "This endpoint does not support this method.",
             )
         })
         .layer(middleware::from_fn_with_state(app.clone(), copies::bring))

@@ -57,18 +57,18 @@ struct Rule {
 static RULES: [Rule; 11] = [
     Rule {
         name: Name::Expired,
-        what: "kept as long as the server was told to",
+        what: "past the time that the server keeps it",
         when: |at| at.serves,
     },
     Rule {
         name: Name::ExpiredUploads,
-        what: "an upload of which nothing more came",
+        what: "an upload that did not continue",
         // Only this directory's server knows which uploads are in progress.
         when: |at| at.data.is_ours(),
     },
     Rule {
         name: Name::LostUploads,
-        what: "an upload whose file is not there",
+        what: "an upload whose file is missing",
         // The files of other machines' uploads lie elsewhere; rows of lost ones expire.
         when: |at| at.app.is_some() && at.store.engine() == Engine::Sqlite,
     },
@@ -84,7 +84,7 @@ static RULES: [Rule; 11] = [
     },
     Rule {
         name: Name::Orphans,
-        what: "moved to unnamed/: the database does not name it",
+        what: "moved to unnamed/: the database does not know it",
         when: |_| true,
     },
     Rule {
@@ -94,12 +94,12 @@ static RULES: [Rule; 11] = [
     },
     Rule {
         name: Name::Caches,
-        what: "found or rendered long ago",
+        what: "cached long ago",
         when: |_| true,
     },
     Rule {
         name: Name::Deliveries,
-        what: "told by webhooks long ago",
+        what: "a webhook delivery from long ago",
         when: |at| at.serves && !at.dry_run,
     },
     Rule {
@@ -109,7 +109,7 @@ static RULES: [Rule; 11] = [
     },
     Rule {
         name: Name::Blobs,
-        what: "a blob that no file has",
+        what: "a blob that no file uses",
         // It lists the whole blob store, which would delay a start.
         when: |at| at.serves && !at.made.is_zero(),
     },

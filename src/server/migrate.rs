@@ -38,7 +38,7 @@ pub struct Migrated {
 /// written. The database has no rows then.
 pub async fn migrate(data: &Path, database: &str, files: &str) -> Result<Migrated> {
     if database.starts_with("sqlite:") {
-        let words = "--db names a file of SQLite: give postgres://USER:PASSWORD@HOST/NAME";
+        let words = "--db names an SQLite file; use postgres://USER:PASSWORD@HOST/NAME";
         return Err(ServerError::NotMoved(words.to_owned()));
     }
     let data = DataDir::open(data)?;
@@ -49,8 +49,8 @@ pub async fn migrate(data: &Path, database: &str, files: &str) -> Result<Migrate
     blobs.check().await?;
     if !blobs.is_empty().await? {
         return Err(ServerError::NotMoved(format!(
-            "{} has files already, of another service or of an attempt that broke off: empty it or \
-             give another place",
+            "{} has files already, from another service or an interrupted attempt: empty it or \
+             use another one",
             blobs.location()
         )));
     }
@@ -84,7 +84,7 @@ async fn keep_captures(
     for id in source.ids("captures").await? {
         if !source.capture_files(&id).await?.is_empty() {
             return Err(ServerError::NotMoved(format!(
-                "the files of capture {id} are in a store already: only a service that keeps them \
+                "the files of capture {id} are in a store already: only a service that keeps files \
                  in its data directory can be moved"
             )));
         }
@@ -123,7 +123,7 @@ async fn keep(
     let pushed = push(blobs, folder, wanted, &HashMap::new(), &mut Seen::default()).await?;
     if pushed.skipped > 0 {
         return Err(ServerError::NotMoved(format!(
-            "{} has files that change, or whose names are no UTF-8",
+            "{} has files that change, or whose names are not UTF-8",
             folder.display()
         )));
     }

@@ -56,14 +56,17 @@ async fn database(app: &App) -> Check {
         name: "database".to_owned(),
         ok: outcome.is_ok(),
         detail: match &outcome {
-            Ok(()) => "answers and can be written".to_owned(),
+            Ok(()) => "responds and is writable".to_owned(),
             Err(error) => {
                 tracing::error!(%error, "the database cannot be written");
                 without_paths(&error.to_string())
             }
         },
         hint: outcome
-            .map_or("Check the data directory's permissions and space.", |()| "")
+            .map_or(
+                "Check the permissions and free space of the data directory.",
+                |()| "",
+            )
             .to_owned(),
     }
 }
@@ -75,7 +78,7 @@ async fn files(app: &App) -> Option<Check> {
         name: "store".to_owned(),
         ok: outcome.is_ok(),
         detail: match &outcome {
-            Ok(()) => "answers and can be written".to_owned(),
+            Ok(()) => "responds and is writable".to_owned(),
             Err(error) => {
                 tracing::error!(%error, "the store of files cannot be used");
                 without_paths(&error.to_string())
@@ -83,7 +86,7 @@ async fn files(app: &App) -> Option<Check> {
         },
         hint: outcome
             .map_or(
-                "Check the store that --store names and its credentials.",
+                "Check the store given by --store and its credentials.",
                 |()| "",
             )
             .to_owned(),
@@ -129,7 +132,7 @@ async fn doctor(app: &App) -> Vec<Check> {
 }
 
 fn unknown(detail: String) -> Check {
-    let hint = "Run `fled doctor` by hand.".to_owned();
+    let hint = "Run `fled doctor` on the server.".to_owned();
     Check {
         name: "environment".to_owned(),
         ok: false,
@@ -155,5 +158,5 @@ async fn ask_doctor(app: &App) -> Result<Vec<Check>, String> {
     // The output has several lines.
     serde_json::from_str::<Doctor>(&said)
         .map(|doctor| doctor.checks)
-        .map_err(|_| "the doctor's answer cannot be read".to_owned())
+        .map_err(|_| "the output of `fled doctor` cannot be read".to_owned())
 }

@@ -190,13 +190,13 @@ async fn exchange(
                 group.stop(grace).await;
                 *slot = None;
                 return Err(RenderError::Process(format!(
-                    "did not answer within {} s",
+                    "did not respond within {} s",
                     timeout.as_secs()
                 )));
             }
         }
         if fresh {
-            return Err(RenderError::Process("died over this picture".to_owned()));
+            return Err(RenderError::Process("crashed on this picture".to_owned()));
         }
         fresh = true;
     }

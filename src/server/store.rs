@@ -101,7 +101,7 @@ impl Store {
         }
         if !url.starts_with("postgres://") && !url.starts_with("postgresql://") {
             return Err(ServerError::BadDatabase {
-                detail: "it begins with neither `postgres://` nor `sqlite:`".to_owned(),
+                detail: "it does not start with `postgres://` or `sqlite:`".to_owned(),
             });
         }
         let pool = engine::postgres(url).await?;

@@ -88,11 +88,11 @@ impl Default for Telemetry {
         registry.register("requests", "Requests answered", requests.clone());
         registry.register_with_unit(
             "request",
-            "Time until an answer began",
+            "Time until a response began",
             Unit::Seconds,
             seconds.clone(),
         );
-        registry.register("jobs", "Jobs that there are, by state", jobs.clone());
+        registry.register("jobs", "Jobs, by state", jobs.clone());
         registry.register_with_unit(
             "disk_free",
             "Free space of the data directory",
@@ -103,7 +103,7 @@ impl Default for Telemetry {
         let (workers, steps) = (Family::default(), Family::default());
         registry.register_with_unit(
             "lease_age",
-            "Time since the running job that was heard of longest ago was heard of",
+            "Time since the least recent heartbeat of a running job",
             Unit::Seconds,
             lease_age.clone(),
         );
@@ -113,11 +113,7 @@ impl Default for Telemetry {
             Unit::Seconds,
             waiting.clone(),
         );
-        registry.register(
-            "workers",
-            "Workers that there are, by state",
-            workers.clone(),
-        );
+        registry.register("workers", "Workers, by state", workers.clone());
         registry.register(
             "worker_steps_per_second",
             "Training speed of a worker",

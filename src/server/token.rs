@@ -93,16 +93,16 @@ impl FromStr for Scopes {
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
 pub enum TokenError {
     /// There is no such scope.
-    #[error("`{0}` is no scope: jobs:read, jobs:write, renders, admin")]
+    #[error("`{0}` is not a scope; use jobs:read, jobs:write, renders or admin")]
     UnknownScope(String),
     /// Not a duration into the future.
-    #[error("`{0}` is no time to hold: say 90d, 12h or 1y")]
+    #[error("`{0}` is not a duration; use, for example, 90d, 12h or 1y")]
     BadExpiry(String),
     /// Not a size in bytes.
-    #[error("`{0}` is no size: say 20G, 500M or a number of bytes")]
+    #[error("`{0}` is not a size; use 20G, 500M or a number of bytes")]
     BadSize(String),
     /// The operating system provides no randomness.
-    #[error("the system gives no random numbers: {0}")]
+    #[error("the system provides no random numbers: {0}")]
     NoRandomness(String),
 }
 

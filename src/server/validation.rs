@@ -124,7 +124,7 @@ fn opened(
 fn bad_poses(capture: &Capture, error: &PosesError) -> Box<Refusal> {
     Box::new(Refusal {
         detail: without_paths(&format!("The poses cannot be read: {error}")),
-        hint: "Mend the file, or leave it out: then the poses are found.".to_owned(),
+        hint: "Fix the file, or leave it out: then fled finds the poses.".to_owned(),
         unsupported_format: false,
         is_ours: false,
         report: CaptureReport {
@@ -160,8 +160,8 @@ pub fn source(dir: PathBuf) -> PathBuf {
 
 fn mixed() -> Box<Refusal> {
     Box::new(Refusal {
-        detail: "The upload holds a zip and other files.".to_owned(),
-        hint: "Send either one zip or photographs.".to_owned(),
+        detail: "The upload has a ZIP file and other files.".to_owned(),
+        hint: "Send either one ZIP file or photographs.".to_owned(),
         unsupported_format: false,
         is_ours: false,
         report: CaptureReport::default(),

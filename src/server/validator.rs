@@ -146,7 +146,8 @@ impl Conversation<'_> {
                 return Err(self.died().await);
             };
             let reply = serde_json::from_str(&line);
-            let reply = reply.map_err(|error| process_error(format!("says {line:?}: {error}")))?;
+            let reply =
+                reply.map_err(|error| process_error(format!("replied {line:?}: {error}")))?;
             if let Some(seen) = self.take(reply).await? {
                 return Ok(seen);
             }
@@ -238,7 +239,7 @@ impl Process {
     async fn send(&mut self, line: &str) -> Result<(), AssessError> {
         let stdin = self.group().and_then(|group| group.stdin.as_mut());
         let Some(stdin) = stdin else {
-            return Err(process_error("hears nothing"));
+            return Err(process_error("takes no input"));
         };
         // If the process is dead, reading its output reports it.
         let _ = stdin.write_all(format!("{line}\n").as_bytes()).await;
@@ -264,7 +265,7 @@ impl Process {
         let last_words = std::mem::take(&mut self.last_words);
         let group = self.group().ok_or_else(|| io::Error::other("is gone"))?;
         let status = tokio::time::timeout(LAST, group.wait()).await;
-        let status = status.unwrap_or_else(|_| Err(io::Error::other("says no more")))?;
+        let status = status.unwrap_or_else(|_| Err(io::Error::other("stopped responding")))?;
         tracing::warn!(%status, last_words, "a process died that looked at an upload");
         Ok(status)
     }

@@ -118,11 +118,11 @@ async fn attempt(app: &App, delivery: &DeliveryRow, webhook: &WebhookRow) -> Tri
         then: Then::GivenUp,
     };
     if webhook.gone_at.is_some() {
-        return given_up("the address has said that it is gone");
+        return given_up("the endpoint has answered 410 Gone");
     }
     match app.store.webhook_holds(webhook).await {
         Ok(true) => {}
-        Ok(false) => return given_up("the token that made the webhook holds no more"),
+        Ok(false) => return given_up("the token that created the webhook is no longer valid"),
         Err(error) => return failed(error.to_string()),
     }
     let signed = sign::Signed::new(
@@ -138,7 +138,7 @@ async fn attempt(app: &App, delivery: &DeliveryRow, webhook: &WebhookRow) -> Tri
             then: Then::Arrived,
         },
         Ok(410) => Tried {
-            answer: "410: the address is told nothing more".to_owned(),
+            answer: "410: no more deliveries are sent to this endpoint".to_owned(),
             then: Then::Gone,
         },
         Ok(status) => failed(status.to_string()),

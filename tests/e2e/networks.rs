@@ -55,7 +55,11 @@ fn user_networks_make_the_papers_baseline() {
         .output()
         .expect("the binary starts");
     assert_eq!(code(&wrong), 4, "{}", said(&wrong));
-    assert!(said(&wrong).contains("wants a guide"), "{}", said(&wrong));
+    assert!(
+        said(&wrong).contains("requires a guide"),
+        "{}",
+        said(&wrong)
+    );
 }
 
 #[test]

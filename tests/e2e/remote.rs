@@ -110,7 +110,7 @@ fn capture_and_result_survive_broken_connections() {
     let done = submit(&capture, &proxy.address, token, &out);
     assert_eq!(code(&done), 0, "{}", said(&done));
     assert_eq!(proxy.cuts.load(Ordering::SeqCst), 2, "{}", said(&done));
-    let attempts = said(&done).matches("does not answer").count();
+    let attempts = said(&done).matches("does not respond").count();
     assert_eq!(attempts, 2, "{}", said(&done));
     assert!(said(&done).contains("round 1 is delivered"));
     let bearer = format!("Bearer {token}");
@@ -134,7 +134,11 @@ fn capture_and_result_survive_broken_connections() {
         "{}",
         said(&again)
     );
-    assert!(said(&again).contains("1 files fetched"), "{}", said(&again));
+    assert!(
+        said(&again).contains("1 files downloaded"),
+        "{}",
+        said(&again)
+    );
     assert!(std::fs::read(out.join("scene.ply")).expect("the scene") == scene);
 
     and_with_other_options(&server, &proxy.address, token, id);
@@ -162,5 +166,5 @@ fn and_with_other_options(server: &Server, address: &str, token: &str, id: &str)
     let bearer = format!("Bearer {token}");
     let log = format!("/v1/jobs/{id}/log");
     let log = server.get(&log, &[("authorization", &bearer)]).expect(200);
-    assert!(log.text().contains("poses found done"), "{}", log.text());
+    assert!(log.text().contains("poses already done"), "{}", log.text());
 }

@@ -320,7 +320,9 @@ fn a_restarted_server_finishes_the_job_it_was_training() {
         "{done:#}"
     );
     assert!(
-        server.log(&job).contains("round 1: reconstruct found done"),
+        server
+            .log(&job)
+            .contains("round 1: reconstruct already done"),
         "{}",
         server.log(&job)
     );
@@ -361,7 +363,7 @@ fn a_job_whose_process_is_killed_is_retried_and_finishes() {
         "the log must tell what happened: {log}"
     );
     assert!(
-        log.contains("round 1: reconstruct found done"),
+        log.contains("round 1: reconstruct already done"),
         "round 1 was done again: {log}"
     );
 }

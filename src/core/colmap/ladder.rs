@@ -420,7 +420,7 @@ impl<'a> Climb<'a> {
         let parts = self.parts(evidence);
         let advice = if parts.is_empty() {
             "take 20 to 60 photographs with large overlap, moving the camera sideways between \
-             them; hold it still, add light, and include things with texture"
+             them; hold it still, add light, and include textured objects"
                 .to_owned()
         } else {
             format!(
@@ -440,8 +440,8 @@ fn warn_of_zooms(copies: &Copies, sink: &mut dyn ProgressSink) {
     let zooms = copies.zooms;
     if zooms > 1 {
         let message = format!(
-            "the photographs were taken at {zooms} focal lengths: each is a camera of its own, \
-             which fewer photographs have to tell apart; leave the zoom alone"
+            "the photographs were taken at {zooms} focal lengths. Each counts as a camera of its \
+             own, with fewer photographs to determine it; do not change the zoom"
         );
         sink.warn("zoom_changed", message);
     }

@@ -102,7 +102,7 @@ impl Finished {
             .collect();
         let tail = lines[lines.len().saturating_sub(5)..].join(" | ");
         let tail = if tail.is_empty() {
-            "it said nothing".to_owned()
+            "it gave no message".to_owned()
         } else {
             tail
         };

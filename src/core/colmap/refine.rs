@@ -32,28 +32,28 @@ impl Climb<'_> {
             found: None,
         };
         let unchecked = |why: &str, sink: &mut dyn ProgressSink| {
-            let message = format!("the given poses are taken as they are: {why}");
+            let message = format!("the given poses were not refined: {why}");
             sink.warn("poses_unrefined", message);
             Ok(None)
         };
         let Some(best) = self.search(&mut evidence, sink, cancel)? else {
-            return unchecked("none were found to compare them with", sink);
+            return unchecked("no poses were found to compare them with", sink);
         };
         let poses = self.deliver(&best, &evidence)?;
         let (Some(matches), Some(found), false) =
             (&evidence.found, &best.consistency, poses.low_confidence)
         else {
-            return unchecked("those that were found are not to be trusted", sink);
+            return unchecked("the poses that were found are not reliable", sink);
         };
         let model = model_of(given, self.request.views, &small);
         let fits = Consistency::of(&model, &small, &small, matches).share();
         let stand = fits >= AS_GOOD * found.share();
         sink.log(format!(
-            "poses: {:.0} % of the matches fit the given poses, {:.0} % those that were found: {}",
+            "poses: {:.0} % of the matches fit the given poses, {:.0} % the found ones: {}",
             100.0 * fits,
             100.0 * found.share(),
             if stand {
-                "the given ones stand"
+                "the given ones are kept"
             } else {
                 "they are refined"
             }
@@ -70,7 +70,10 @@ impl Climb<'_> {
             .map(|(view, given)| (view.camera, given.camera))
             .unzip();
         let Some(world) = Similarity::between(&from, &to) else {
-            return unchecked("fewer than three of them were found, too", sink);
+            return unchecked(
+                "fewer than three of the photographs were also placed by the search",
+                sink,
+            );
         };
         Ok(Some(in_world(poses, &world, given, self.request.views)))
     }

@@ -11,7 +11,7 @@ pub enum DeblurError {
     #[error(transparent)]
     Runtime(#[from] RuntimeError),
     /// The choice is neither the built-in network nor a file.
-    #[error("`{choice}` is no ONNX file and no known network; known are {known}")]
+    #[error("`{choice}` is neither an ONNX file nor a known network; known networks are {known}")]
     UnknownModel {
         /// The value of the option.
         choice: String,

@@ -48,7 +48,7 @@ impl Onnx {
             let network = Self::load_on(runtime, model, Provider::Cpu, threads)?;
             Ok((
                 network,
-                Some(format!("CUDA cannot be used, the CPU is: {error}")),
+                Some(format!("CUDA cannot be used, so the CPU is used: {error}")),
             ))
         })
     }
@@ -77,7 +77,8 @@ impl Onnx {
             Err(DeblurError::ModelUnusable { detail, .. })
                 if detail.contains("explicitly disabled") =>
             {
-                let said = "the CPU runs a part of the network, what CUDA did not take".to_owned();
+                let said =
+                    "the CPU runs the parts of the network that CUDA does not support".to_owned();
                 Ok((on_cuda(false)?, Some(said)))
             }
             other => Ok((other?, None)),
@@ -162,7 +163,7 @@ impl Onnx {
             .iter()
             .find(|value| !(low..=high).contains(*value))
         {
-            return Err(self.failed(format!("a value of {wrong} is not in {low}..={high}")));
+            return Err(self.failed(format!("a value of {wrong} is outside {low}..={high}")));
         }
         // The CPU repeats itself exactly; a GPU may add in another order.
         let apart = first.difference(second.values());
@@ -182,7 +183,7 @@ impl Onnx {
             .map_or(0.0, |known| known.difference(first.values()));
         if apart > golden::TOLERANCE {
             return Err(self.failed(format!(
-                "on {} it is off by {apart} from what it is known to return; {} is allowed",
+                "on {} its output is off by {apart} from the known one; {} is allowed",
                 self.provider.name(),
                 golden::TOLERANCE
             )));
@@ -204,8 +205,13 @@ impl Onnx {
     /// A network that fails on the images of the self-test is no fault of the program.
     fn unfit(&self, error: DeblurError) -> DeblurError {
         match error {
-            DeblurError::Inference { width, height, detail, .. } => self.failed(format!(
-                "{width}x{height} px do not fit it, sides of every multiple of {MULTIPLE} px have to: {detail}"
+            DeblurError::Inference {
+                width,
+                height,
+                detail,
+                ..
+            } => self.failed(format!(
+                "{width}x{height} px do not fit it; any multiple of {MULTIPLE} px must: {detail}"
             )),
             other => other,
         }
@@ -279,7 +285,7 @@ impl Onnx {
             if let Some(value) = row.iter().find(|value| !(low..=high).contains(*value)) {
                 return Err(format!(
                     "network {} returned {value} for a tile of {}x{} px at ({}, {}), outside {low}..={high}: \
-                     the tile stays as it was",
+                     the tile is left unchanged",
                     self.model.id, tile.width, tile.height, tile.x, tile.y
                 ));
             }

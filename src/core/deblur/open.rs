@@ -48,7 +48,7 @@ pub fn open(choice: &NetworkChoice, options: &OpenOptions<'_>) -> Result<Opened,
     let info = network.describe();
     if info.channels != 6 && !options.unguided {
         fallbacks.push(format!(
-            "network {} takes no guide: rounds after the first restore their views without one",
+            "network {} takes no guide; rounds after the first restore their views without one",
             info.id
         ));
     }
@@ -77,7 +77,7 @@ pub fn open_enhancer(
     let opened = open(enhance, &unguided)?;
     let info = opened.deblurrer.describe();
     if info.channels == 6 {
-        let detail = "it wants a guide; one that brightens takes 3 channels".to_owned();
+        let detail = "it requires a guide; a network that brightens takes 3 channels".to_owned();
         return Err(DeblurError::ModelUnusable {
             id: info.id,
             detail,

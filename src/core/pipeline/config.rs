@@ -249,7 +249,7 @@ impl FromStr for Preset {
             .find(|preset| preset.name() == name)
             .ok_or_else(|| OptionsError {
                 key: "preset".to_owned(),
-                message: format!("`{name}` is none of preview, standard, paper"),
+                message: format!("`{name}` is not a preset; choose preview, standard or paper"),
             })
     }
 }
@@ -290,7 +290,7 @@ impl NetworkOption<'_> {
         }
         let words: Vec<&str> = self.words.iter().map(NetworkChoice::as_str).collect();
         let message = format!(
-            "`{}` is none of {}, default or the name of a network",
+            "`{}` is unknown; choose one of {}, default or the name of a network",
             self.choice,
             words.join(", ")
         );
@@ -332,7 +332,7 @@ impl Options {
                 .ok_or_else(|| fault(key, &"not an object"))?;
             if !fields.contains_key(key) {
                 let known = fields.keys().cloned().collect::<Vec<_>>().join(", ");
-                return Err(fault(key, &format!("unknown; known are {known}")));
+                return Err(fault(key, &format!("unknown; known options are {known}")));
             }
             fields.insert(key.clone(), value.clone());
             current = serde_json::from_value(object).map_err(|e| fault(key, &e))?;
@@ -386,7 +386,7 @@ impl Options {
         self.networks().iter().try_for_each(NetworkOption::check)?;
         if self.enhance != NetworkChoice::Curve && self.target != "auto" {
             let message =
-                "a network that brightens decides the brightness: leave `target` at `auto`";
+                "a network that brightens decides the brightness; leave `target` at `auto`";
             return Err(fault("target", &message));
         }
         within("cap", self.cap, 100, 5_000_000)?;
@@ -398,7 +398,7 @@ fn within(key: &str, value: u32, low: u32, high: u32) -> Result<(), OptionsError
     if (low..=high).contains(&value) {
         return Ok(());
     }
-    Err(fault(key, &format!("{value} is not in {low}..={high}")))
+    Err(fault(key, &format!("{value} is outside {low}..={high}")))
 }
 
 fn fault(key: &str, message: &dyn fmt::Display) -> OptionsError {

@@ -28,7 +28,7 @@ pub fn delivered(
         workspace.unstamp(RUN)?;
         return Ok(None);
     };
-    let message = "this capture was finished with these options before; its result stands";
+    let message = "this capture was already finished with these options; its result stands";
     context.sink.log(message.to_owned());
     tell_finished(context, &report, seconds);
     Ok(Some(report))
@@ -46,7 +46,7 @@ pub fn deliver(
     report::write(context, report)?;
     if report.best_round as usize != report.rounds.len() {
         let message = format!(
-            "round {} scored worse than round {}, which is delivered",
+            "round {} scored worse than round {}, which is delivered instead",
             report.rounds.len(),
             report.best_round
         );

@@ -87,24 +87,21 @@ impl ErrorKind {
     /// Advice that fits every failure of this kind.
     pub fn hint(self) -> &'static str {
         match self {
-            Self::BadInput => "Correct the capture or the options and send it again.",
+            Self::BadInput => "Correct the capture or the options, then try again.",
             Self::FewPoses => {
-                "Take 20 to 60 photographs that overlap by two thirds, hold the camera stiller, and avoid blank walls."
+                "Take 20 to 60 photographs that overlap by two thirds, hold the camera steadier, \
+                 and avoid blank walls."
             }
             Self::OomHost => "Close other programs or choose a smaller `size`.",
             Self::OomGpu => "Choose a smaller `size` or `cap`, or another `adapter`.",
-            Self::DeviceLost => "The GPU driver reset; run the same command again, it resumes.",
+            Self::DeviceLost => "The GPU driver was reset. Repeat the command to continue.",
             Self::Io => {
-                "Check the disk's space and the folder's permissions, then run the same command again."
+                "Check the free disk space and the folder's permissions, then repeat the command."
             }
-            Self::Timeout => {
-                "The machine may be overloaded; run the same command again, it resumes."
-            }
-            Self::Environment => "Run `fled doctor`: it says what is missing and how to get it.",
-            Self::Cancelled => "Run the same command again: it resumes where it stopped.",
-            Self::Internal => {
-                "Please report this with log.txt; running the same command again resumes."
-            }
+            Self::Timeout => "The machine may be overloaded. Repeat the command to continue.",
+            Self::Environment => "Run `fled doctor` to see what is missing and how to get it.",
+            Self::Cancelled => "Repeat the command to continue where it stopped.",
+            Self::Internal => "Please report this with log.txt. Repeat the command to continue.",
         }
     }
 
@@ -138,7 +135,7 @@ pub enum PipelineError {
     #[error(transparent)]
     Poses(#[from] PosesError),
     /// Fewer views with a pose than a scene needs.
-    #[error("{registered} of {views} photographs have a pose, {needed} are needed")]
+    #[error("only {registered} of {views} photographs have a pose; at least {needed} are needed")]
     TooFewViews {
         /// Views with a pose that can train.
         registered: usize,
@@ -203,8 +200,8 @@ impl PipelineError {
             Self::Poses(PosesError::TooFew { advice, .. }) => advice.clone(),
             Self::Capture(error) => error.hint().to_owned(),
             Self::Io { .. } => {
-                "Check that the disk is not full and that the folder may be written; the same \
-                                command then goes on where it stopped."
+                "Check that the disk is not full and that the folder is writable, then repeat the \
+                                command to continue."
                     .to_owned()
             }
             other => other.kind().hint().to_owned(),

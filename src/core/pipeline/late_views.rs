@@ -161,7 +161,7 @@ fn find(
             if joins {
                 "joins".to_owned()
             } else {
-                format!("below {:.2}: stays away", judgement.least)
+                format!("below {:.2}: does not join", judgement.least)
             }
         ));
         if joins {
@@ -220,8 +220,8 @@ fn tell(context: &mut Context<'_>, poses: &Poses, before: &Poses, leaving: &[Str
         .collect();
     if !out.is_empty() {
         let message = format!(
-            "{} of {} photographs fit the scene far worse than the others and are taken out: {}; \
-             their poses are wrong, or something moved before them",
+            "{} of {} photographs fit the scene far worse than the others and were removed: {}; \
+             their poses are wrong, or something moved in front of the camera",
             out.len(),
             poses.total,
             out.join(", ")
@@ -235,7 +235,7 @@ fn tell(context: &mut Context<'_>, poses: &Poses, before: &Poses, leaving: &[Str
     let late: Vec<&str> = late.map(|view| &*view.name).collect();
     if !late.is_empty() {
         let message = format!(
-            "placed by the scene, for the next round: {}",
+            "placed with the scene, for the next round: {}",
             late.join(", ")
         );
         context.sink.log(message);

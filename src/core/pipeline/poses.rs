@@ -49,7 +49,7 @@ pub fn poses(
     if !(is_here && is_stamped)
         && let Some(poses) = cache.read(context.workspace)
     {
-        let message = format!("poses: those of an earlier run of this capture ({source})");
+        let message = format!("poses: taken from an earlier run of this capture ({source})");
         context.sink.log(message);
         context.workspace.write_json(&path, &poses)?;
         context.workspace.stamp(&name, fingerprint, poses.seconds)?;
@@ -132,7 +132,7 @@ fn warn(sink: &mut dyn ProgressSink, poses: &Poses, views: &[CaptureView]) {
         let observations: u32 = poses.points.iter().map(|point| point.track).sum();
         let message = format!(
             "the poses met no acceptance rule ({registered} of {total} views, {} points, {:.0} \
-             observations a view, a mean track of {:.2}): look at the result before you rely on it",
+             observations per view, a mean track of {:.2}); check the result before you rely on it",
             poses.points.len(),
             f64::from(observations) / *registered as f64,
             poses.mean_track.unwrap_or_default(),
@@ -151,8 +151,8 @@ fn warn(sink: &mut dyn ProgressSink, poses: &Poses, views: &[CaptureView]) {
         .collect();
     if !doubtful.is_empty() {
         let message = format!(
-            "{} of {total} photographs were placed where their strongest matches say otherwise, and \
-             are left out: {}; photographs between them and the others would help",
+            "{} of {total} photographs were placed where their strongest matches contradict it and \
+             were excluded: {}; photographs between them and the others would help",
             doubtful.len(),
             doubtful.join(", ")
         );
@@ -160,7 +160,7 @@ fn warn(sink: &mut dyn ProgressSink, poses: &Poses, views: &[CaptureView]) {
     }
     if !poses.parts.is_empty() {
         let message = format!(
-            "the photographs show {}: only the largest is reconstructed; make a capture of each, \
+            "the photographs show {}: only the largest is reconstructed. Make a capture of each, \
              or add photographs that connect them",
             in_words(&poses.parts)
         );
@@ -172,7 +172,7 @@ fn warn(sink: &mut dyn ProgressSink, poses: &Poses, views: &[CaptureView]) {
         let missing = views.iter().filter(is_missing);
         let missing: Vec<&str> = missing.map(|view| view.path.as_str()).collect();
         let message = format!(
-            "{registered} of {total} photographs have a pose; left out are {}",
+            "{registered} of {total} photographs have a pose; excluded: {}",
             missing.join(", ")
         );
         sink.warn("poses_missing", message);

@@ -186,7 +186,7 @@ fn checkpoint(
     let path = context.workspace.folder().work().checkpoint();
     let read = std::fs::read(path).map(|bytes| Checkpoint::from_bytes(&bytes));
     let Ok(Ok(checkpoint)) = read else {
-        let message = "the checkpoint cannot be read; the round starts again";
+        let message = "the checkpoint cannot be read; the round starts over";
         context.sink.warn("checkpoint", message.to_owned());
         return None;
     };

@@ -135,8 +135,8 @@ pub fn shaken(
     let told = format!("{} of {} views are shaken", shaken.count(), views.len());
     let done = match shaken.verdict() {
         CaptureShake::Still => "one round of plain splatting, cameras as found",
-        CaptureShake::Soft => "trained as the network deblurs them, without kernels",
-        CaptureShake::Shaken => "kernels explain their shake from the second round on",
+        CaptureShake::Soft => "trained on the views that the network deblurred, without kernels",
+        CaptureShake::Shaken => "blur kernels model their shake from the second round on",
     };
     context.sink.log(format!("{told}: {done}"));
     Ok(Some(shaken))

@@ -157,7 +157,7 @@ fn read(
                 .find(|view| view.name == posed.name)
                 .ok_or_else(|| {
                     let message = format!(
-                        "the poses name a view `{}` that the capture lacks",
+                        "the poses name a view `{}` that is not in the capture",
                         posed.name
                     );
                     OptionsError {
@@ -257,7 +257,9 @@ pub fn splits(
         return if n >= 2 {
             Ok(every(n))
         } else {
-            Err(fault(format!("every {n}-th leaves nothing to train on")))
+            Err(fault(format!(
+                "holding out every {n}-th view leaves nothing to train on"
+            )))
         };
     }
     let wanted: Vec<&str> = held_out
@@ -266,7 +268,7 @@ pub fn splits(
         .filter(|name| !name.is_empty())
         .collect();
     if let Some(unknown) = wanted.iter().find(|name| !names.contains(name)) {
-        return Err(fault(format!("`{unknown}` is no registered view")));
+        return Err(fault(format!("`{unknown}` is not a view with a pose")));
     }
     Ok(names
         .iter()

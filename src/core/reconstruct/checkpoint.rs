@@ -153,7 +153,7 @@ impl Checkpoint {
         if out.consistent() {
             Ok(out)
         } else {
-            Err(fault("its arrays do not fit together"))
+            Err(fault("its arrays do not match"))
         }
     }
 
@@ -189,7 +189,7 @@ fn intact(bytes: &[u8]) -> Result<&[u8], CheckpointError> {
     if header.version != VERSION {
         let found = header.version;
         return Err(fault(&format!(
-            "version {found}, this program reads {VERSION}"
+            "version {found}, but this program reads {VERSION}"
         )));
     }
     if blake3::hash(content).as_bytes() != hash {
@@ -265,6 +265,6 @@ mod tests {
             sh_degree: 2,
             ..checkpoint()
         };
-        assert_eq!(refused(&odd.to_bytes()), "its arrays do not fit together");
+        assert_eq!(refused(&odd.to_bytes()), "its arrays do not match");
     }
 }

@@ -14,7 +14,7 @@ pub enum ReconstructError {
     #[error(transparent)]
     Cancelled(#[from] Cancelled),
     /// Nothing to train on or from.
-    #[error("nothing to train: {views} views, {gaussians} Gaussians")]
+    #[error("there is nothing to train: {views} views, {gaussians} Gaussians")]
     Empty {
         /// Training views.
         views: usize,
@@ -22,7 +22,7 @@ pub enum ReconstructError {
         gaussians: usize,
     },
     /// The checkpoint belongs to another round.
-    #[error("the checkpoint belongs to another round or other options")]
+    #[error("the checkpoint belongs to another round or to other options")]
     OtherRound,
     /// The noise field refused its part of the checkpoint.
     #[error("noise field: {0}")]

@@ -79,7 +79,7 @@ pub fn fetch(remote: &Remote, job: &str, out: &Path, only: &[String]) -> Result<
     bar.finish_and_clear();
     let kept = files.len() - fetched;
     eprintln!(
-        "{fetched} files fetched into {}, {kept} were there",
+        "{fetched} files downloaded to {}, {kept} already there",
         out.display()
     );
     Ok(())
@@ -94,7 +94,7 @@ fn inside(name: &str) -> Result<PathBuf, Failure> {
     if is_inside && !name.is_empty() {
         return Ok(path.to_owned());
     }
-    let detail = format!("the service names a file `{name}`, which is no path of a result");
+    let detail = format!("the service lists a file `{name}`, which is not a path of a result");
     Err(Failure::new(ErrorKind::Environment, detail))
 }
 
@@ -114,7 +114,7 @@ fn bring(remote: &Remote, job: &str, file: &Artifact, to: &Path) -> Result<(), F
         }
         fs::remove_file(&part).map_err(at(&part))?;
     }
-    let detail = format!("{} is not what the service says it is", file.name);
+    let detail = format!("{} differs from what the service describes", file.name);
     Err(Failure::new(ErrorKind::Environment, detail))
 }
 
@@ -151,7 +151,7 @@ fn go_on(remote: &Remote, address: &str, bytes: u64, part: &Path) -> Result<(), 
         came = file.metadata().map_err(here)?.len();
     }
     if came < bytes {
-        return Err(lost(format!("{came} of {bytes} bytes came"), came));
+        return Err(lost(format!("only {came} of {bytes} bytes arrived"), came));
     }
     Ok(())
 }

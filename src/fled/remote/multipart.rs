@@ -122,7 +122,7 @@ fn files(capture: &Path) -> Result<Vec<(String, PathBuf)>, Failure> {
     below(capture, "", &mut found)?;
     found.sort();
     if found.is_empty() {
-        let detail = format!("{} holds no file", capture.display());
+        let detail = format!("{} has no files", capture.display());
         return Err(Failure::usage(detail));
     }
     Ok(found)

@@ -27,7 +27,7 @@ pub fn main(args: &Args) -> Result<(), Failure> {
     let options = assigned(Preset::Standard, &args.assignments)?;
     let body = (!options.is_empty()).then(|| json!({ "options": options }));
     let state = remote.order(&args.job, "retry", body.as_ref())?;
-    eprintln!("the job is {state}; `fled watch` shows it");
+    eprintln!("the job is {state}; follow it with `fled watch`");
     Ok(())
 }
 

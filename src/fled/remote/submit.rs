@@ -74,7 +74,10 @@ pub fn main(args: &Args) -> Result<(), Failure> {
     let job = remote.persist(|| send(&remote, &form, &key))?;
     writeln!(std::io::stdout(), "{job}").map_err(|e| Failure::new(ErrorKind::Io, e))?;
     if args.detach {
-        eprintln!("`fled watch {job} --server {}` shows it", remote.base());
+        eprintln!(
+            "Follow it with `fled watch {job} --server {}`",
+            remote.base()
+        );
         return Ok(());
     }
     watch::watch(&remote, &job)?;
@@ -122,7 +125,7 @@ fn send(remote: &Remote, form: &Form, key: &str) -> Result<String, Fault> {
         fault => fault,
     })?;
     if answer.headers().contains_key("idempotent-replayed") {
-        eprintln!("this job was submitted before; --again makes another");
+        eprintln!("this job was submitted before; use --again to create another");
     }
     read_json::<Accepted>(answer).map(|accepted| accepted.id)
 }

@@ -112,7 +112,7 @@ pub fn watch(remote: &Remote, id: &str) -> Result<(), Failure> {
 fn end(job: Job) -> Failure {
     let Some(error) = job.error.filter(|_| job.state == "failed") else {
         let mut failure = Failure::new(ErrorKind::Internal, "the job was cancelled");
-        "`fled retry`, or the dashboard, lets it go on.".clone_into(&mut failure.hint);
+        "Continue it with `fled retry` or in the dashboard.".clone_into(&mut failure.hint);
         return failure;
     };
     Failure {

@@ -119,7 +119,7 @@ fn verdict(status: ExitStatus, line: String) -> Result<(), String> {
         return Ok(());
     }
     Err(if line.is_empty() {
-        format!("ended without a word: {status}")
+        format!("ended without a message: {status}")
     } else {
         line
     })

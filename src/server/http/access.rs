@@ -203,7 +203,7 @@ async fn check_owner(
 /// Checks that a share link accesses only its own job.
 async fn check_shared(request: &mut Request, path: &str, job: &str) -> Result<(), Problem> {
     if !SHARED.contains(&path) {
-        let detail = "A link to a job shows that job and allows nothing else.";
+        let detail = "A share link gives access to its own job only.";
         return Err(Problem::new(StatusCode::FORBIDDEN, "only_one_job", detail));
     }
     let named = named(request).await;
@@ -254,8 +254,8 @@ async fn admit(app: &App, headers: &HeaderMap, needed: Scope) -> Result<Visitor,
         if headers.contains_key(header::AUTHORIZATION) || session(headers).is_some() {
             return bad_token();
         }
-        unauthorized("no_token", "This needs a token.")
-            .hint("Send `Authorization: Bearer fled_...`; `fled token create` makes a token.")
+        unauthorized("no_token", "A token is required.")
+            .hint("Send `Authorization: Bearer fled_...`. Create a token with `fled token create`.")
     })?;
     if token.scopes.allow(needed) {
         return Ok(Visitor {
@@ -265,11 +265,11 @@ async fn admit(app: &App, headers: &HeaderMap, needed: Scope) -> Result<Visitor,
             token: Some(token),
         });
     }
-    let detail = format!("This token does not allow `{}`.", needed.name());
+    let detail = format!("This token lacks the scope `{}`.", needed.name());
     let problem = Problem::new(StatusCode::FORBIDDEN, "missing_scope", detail);
     Err(Refused {
         owner: Some(token.owner().to_owned()),
-        problem: problem.hint(format!("It allows: {}.", token.scopes)),
+        problem: problem.hint(format!("Its scopes are: {}.", token.scopes)),
     })
 }
 
@@ -308,8 +308,8 @@ pub(super) fn session(headers: &HeaderMap) -> Option<&str> {
 
 /// 401: the token or session is not valid.
 pub(super) fn bad_token() -> Problem {
-    let detail = "This token or session is unknown, revoked or has expired.";
-    unauthorized("bad_token", detail).hint("Ask whoever runs the server for a new token.")
+    let detail = "This token or session is unknown, revoked or expired.";
+    unauthorized("bad_token", detail).hint("Ask the server's administrator for a new token.")
 }
 
 /// Returns the bearer token of a request. No other place reads it, and it is never logged.

@@ -49,9 +49,9 @@ pub(super) fn used_up(wait: Duration) -> Response {
     Problem::new(
         StatusCode::TOO_MANY_REQUESTS,
         "too_many_requests",
-        "These are too many requests in too short a time.",
+        "Too many requests in a short time.",
     )
-    .hint("Wait as long as Retry-After says; RateLimit in every answer says what is left.")
+    .hint("Wait as long as `Retry-After` says. `RateLimit` in every response shows what is left.")
     .retry_after(seconds(wait))
     .into_response()
 }

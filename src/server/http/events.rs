@@ -119,9 +119,9 @@ async fn known(app: &App, id: &str, last: Option<i64>) -> Result<i64, Problem> {
     Err(Problem::new(
         StatusCode::BAD_REQUEST,
         "bad_request",
-        "Last-Event-ID is the number of no event of this job.",
+        "`Last-Event-ID` does not name an event of this job.",
     )
-    .hint("Leave it out to have every event."))
+    .hint("Leave it out to receive every event."))
 }
 
 struct Cursor {

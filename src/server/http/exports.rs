@@ -142,7 +142,7 @@ fn make(prepared: &Prepared, pieces: &mpsc::Sender<io::Result<Bytes>>, job: &str
         Err(error) => {
             tracing::error!(%error, job, "an export broke off");
             // If the client has disconnected as well, the error needs no receiver.
-            let _ = pieces.blocking_send(Err(io::Error::other("the export broke off")));
+            let _ = pieces.blocking_send(Err(io::Error::other("the export was interrupted")));
         }
     }
 }
@@ -179,9 +179,9 @@ fn busy() -> Problem {
 
 fn refused(error: &ExportError) -> Problem {
     if error.is_missing() {
-        let detail = "This job lacks what that is made of.";
+        let detail = "This job lacks files that this export needs.";
         return Problem::conflict("no_export", detail)
-            .hint("Run the capture in a new job; `artifacts` lists what there is.");
+            .hint("Run the capture in a new job. `artifacts` lists the available files.");
     }
     tracing::error!(%error, "an export failed");
     let detail = without_paths(&format!("The result cannot be read: {error}."));

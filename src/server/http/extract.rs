@@ -36,8 +36,9 @@ impl<T: DeserializeOwned, S: Send + Sync> FromRequest<S> for Json<T> {
 /// # Errors
 /// 422 if it does not match the type.
 pub fn typed<T: DeserializeOwned>(body: Map<String, Value>) -> Result<T, Problem> {
-    serde_json::from_value(Value::Object(body))
-        .map_err(|error| Problem::unprocessable("bad_input", format!("The JSON body: {error}")))
+    serde_json::from_value(Value::Object(body)).map_err(|error| {
+        Problem::unprocessable("bad_input", format!("The JSON body is invalid: {error}"))
+    })
 }
 
 /// A JSON object. On its own, serde accepts an array for a struct, field by field.

@@ -24,9 +24,9 @@ pub(super) async fn check(State(app): State<Arc<App>>, request: Request, next: N
     Problem::new(
         StatusCode::MISDIRECTED_REQUEST,
         "unknown_host",
-        "This server is not called by this name.",
+        "The request uses a host name that this server does not have.",
     )
-    .hint("Use its address or localhost; whoever runs the server allows a name by --host NAME.")
+    .hint("Use its address or localhost. Its administrator can allow a name with --host NAME.")
     .into_response()
 }
 

@@ -145,7 +145,7 @@ pub async fn create(
         Creation::KeyReused => {
             return Err(Problem::unprocessable(
                 "key_reused",
-                "This Idempotency-Key belongs to another request.",
+                "This `Idempotency-Key` was used for a different request.",
             )
             .hint("Use a new key for a new job."));
         }
@@ -245,8 +245,11 @@ async fn from_upload(
     {
         None => Map::new(),
         Some(text) => serde_json::from_str(text).map_err(|error| {
-            Problem::unprocessable("bad_input", format!("`options` is no JSON object: {error}"))
-                .pointer("/options")
+            Problem::unprocessable(
+                "bad_input",
+                format!("`options` is not a JSON object: {error}"),
+            )
+            .pointer("/options")
         })?,
     };
     let preset = upload
@@ -303,7 +306,7 @@ fn idempotency_key(headers: &HeaderMap, visitor: &Visitor) -> Result<Option<Stri
         _ => Err(Problem::new(
             StatusCode::BAD_REQUEST,
             "bad_request",
-            "Idempotency-Key has 1 to 255 ASCII characters.",
+            "`Idempotency-Key` must have 1 to 255 ASCII characters.",
         )),
     }
 }
@@ -396,7 +399,7 @@ pub async fn delete(
     find(&app, &id).await?;
     let videos = app.store.videos(&id).await?;
     if !app.store.delete_job(&id).await? {
-        return Err(Problem::conflict("running", "The job runs.").hint("Cancel it first."));
+        return Err(Problem::conflict("running", "The job is running.").hint("Cancel it first."));
     }
     for id in videos.iter().map(|video| &video.job.id).chain([&id]) {
         app.running.stop(id);
@@ -407,8 +410,8 @@ pub async fn delete(
 
 pub(super) fn over(row: &JobRow) -> Problem {
     Problem::conflict("wrong_state", format!("The job is {}.", row.state.name())).hint(
-        "Queued and running jobs can be cancelled; failed and cancelled ones retried, and any \
-             that ended with other options.",
+        "Queued and running jobs can be cancelled. Failed and cancelled jobs can be retried, and \
+             any ended job with other options.",
     )
 }
 

@@ -60,7 +60,10 @@ pub async fn show(
     within(limit, LARGEST_PAGE)?;
     if offset > i64::MAX as u64 {
         // No log is that long, and not every client can represent such a number exactly.
-        return Err(Problem::unprocessable("bad_input", "No log is as long.").pointer("/offset"));
+        return Err(
+            Problem::unprocessable("bad_input", "`offset` is too large for any log.")
+                .pointer("/offset"),
+        );
     }
     let read = {
         let path = path.clone();

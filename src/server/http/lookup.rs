@@ -27,7 +27,7 @@ pub(super) async fn finished(
     let is_there = app.data.output(id).scene_of(asked).is_file();
     match asked {
         Some(_) if is_there => Ok(asked),
-        Some(_) => Err(Problem::not_found("round, or it is not finished")),
+        Some(_) => Err(Problem::not_found("finished round")),
         None if job.state == JobState::Succeeded && is_there => Ok(None),
         None => Err(not_finished(job.state)),
     }
@@ -35,9 +35,9 @@ pub(super) async fn finished(
 
 fn not_finished(state: JobState) -> Problem {
     let hint = if state.is_terminal() {
-        "Let it go on with `POST /v1/jobs/ID/retry`, or name a round that it has finished."
+        "Retry it with `POST /v1/jobs/ID/retry`, or name a round that has finished."
     } else {
-        "Ask again when it has succeeded, or name a round that it has finished."
+        "Try again once it has succeeded, or name a round that has finished."
     };
     let detail = format!("The job is {} and has no result yet.", state.name());
     Problem::conflict("not_finished", detail).hint(hint)
@@ -48,7 +48,7 @@ pub(super) async fn cameras_of(output: &RunFolder) -> Result<Vec<NamedCamera>, P
     let path = output.cameras();
     let text = tokio::fs::read(&path).await.map_err(|source| {
         if source.kind() == std::io::ErrorKind::NotFound {
-            return Problem::conflict("no_cameras", "The cameras of this job are not there.")
+            return Problem::conflict("no_cameras", "The cameras of this job are missing.")
                 .hint("Run the capture in a new job.");
         }
         ServerError::io(&path)(source).into()

@@ -114,7 +114,11 @@ impl Order {
         match held_out.parse::<u64>() {
             _ if ["auto", "none"].contains(&held_out) => return Ok(()),
             Ok(2..) => return Ok(()),
-            Ok(n) => return refused(format!("every {n}-th leaves nothing to train on")),
+            Ok(n) => {
+                return refused(format!(
+                    "holding out every {n}-th view leaves nothing to train on"
+                ));
+            }
             Err(_) => {}
         }
         let accepted = report.images.iter().filter(|image| image.accepted);
@@ -122,7 +126,7 @@ impl Order {
         let mut wanted = held_out.split(',').map(str::trim).filter(|w| !w.is_empty());
         match wanted.find(|wanted| !names.iter().any(|name| name == wanted)) {
             None => Ok(()),
-            Some(unknown) => refused(format!("`{unknown}` is no view of this capture")),
+            Some(unknown) => refused(format!("`{unknown}` is not a view of this capture")),
         }
     }
 
@@ -188,7 +192,7 @@ fn check_network(folders: &[PathBuf], option: NetworkOption<'_>) -> Result<(), P
     let built_in = choice == BUILT_IN || *option.choice == NetworkChoice::Default;
     if built_in && option.key == "enhance" {
         return Err(refused(format!(
-            "network `{choice}` wants a guide; one that brightens has 3 channels"
+            "network `{choice}` requires a guide; a network that brightens has 3 channels"
         )));
     }
     if built_in || names.iter().any(|name| name == choice) {
@@ -197,9 +201,9 @@ fn check_network(folders: &[PathBuf], option: NetworkOption<'_>) -> Result<(), P
     let words = option.words.iter().chain([&NetworkChoice::Default]);
     let words = words.map(NetworkChoice::as_str);
     let known: Vec<_> = words.chain(names.iter().map(String::as_str)).collect();
-    let message = format!("`{choice}` is none of {}", known.join(", "));
+    let message = format!("`{choice}` is unknown; choose one of {}", known.join(", "));
     Err(refused(message)
-        .hint("Whoever runs the server can put an ONNX file into its folder of networks."))
+        .hint("The server's administrator can add ONNX files to its folder of networks."))
 }
 
 fn bad_option(error: &OptionsError) -> Problem {

@@ -24,7 +24,7 @@ pub(super) fn within(limit: usize, most: usize) -> Result<(), Problem> {
         return Ok(());
     }
     Err(
-        Problem::unprocessable("bad_input", format!("`limit` is from 1 to {most}."))
+        Problem::unprocessable("bad_input", format!("`limit` must be from 1 to {most}."))
             .pointer("/limit"),
     )
 }

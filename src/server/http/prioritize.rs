@@ -46,9 +46,9 @@ pub async fn prioritize(
     let priority = Priority::asked(Some(&body.priority), &visitor)?;
     if !app.store.prioritize_job(&id, priority.number()).await? {
         let row = find(&app, &id).await?;
-        let detail = format!("The job is {}: it waits for nothing.", row.state.name());
+        let detail = format!("The job is {} and no longer waits.", row.state.name());
         return Err(Problem::conflict("wrong_state", detail)
-            .hint("Only jobs that are queued or run have a place among others."));
+            .hint("Only queued and running jobs have a priority."));
     }
     Ok(axum::Json(told(&app, &id).await?))
 }

@@ -66,18 +66,18 @@ impl Priority {
 
 fn bad(shown: &str) -> Problem {
     let shown: String = shown.chars().take(40).collect();
-    let detail = format!("`{shown}` is no priority.");
+    let detail = format!("`{shown}` is not a priority.");
     Problem::unprocessable("bad_input", detail)
         .pointer("/priority")
         .hint(format!(
-            "A whole number from -{MOST} to {MOST}; 0 when absent."
+            "Send a whole number from -{MOST} to {MOST}; the default is 0."
         ))
 }
 
 fn above_others() -> Problem {
     let admin = Scope::Admin.name();
-    let detail = format!("A priority above 0 needs a token that allows `{admin}`.");
+    let detail = format!("A priority above 0 requires a token with the scope `{admin}`.");
     Problem::new(StatusCode::FORBIDDEN, "missing_scope", detail)
         .pointer("/priority")
-        .hint("Leave it out or say 0 or less, or ask whoever runs the server to start the job.")
+        .hint("Leave it out, send 0 or less, or ask the server's administrator to start the job.")
 }

@@ -91,7 +91,7 @@ impl Problem {
         Self::new(
             StatusCode::NOT_FOUND,
             "not_found",
-            format!("There is no such {what}."),
+            format!("No such {what} exists."),
         )
     }
 
@@ -110,7 +110,7 @@ impl Problem {
         Self::new(
             StatusCode::INTERNAL_SERVER_ERROR,
             "internal",
-            "The server failed; its log says why.",
+            "The server failed. Its log has the details.",
         )
     }
 }
@@ -167,9 +167,9 @@ fn away() -> Problem {
     Problem::new(
         StatusCode::SERVICE_UNAVAILABLE,
         "unavailable",
-        "The server's database or its store of files does not answer.",
+        "The server's database or file store does not respond.",
     )
-    .hint("Try again in a few seconds; /readyz says what is missing.")
+    .hint("Try again in a few seconds. /readyz shows what is missing.")
     .retry_after(5)
 }
 

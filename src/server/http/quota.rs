@@ -69,7 +69,7 @@ pub(super) fn over_quota() -> Problem {
     Problem::new(
         StatusCode::INSUFFICIENT_STORAGE,
         "quota_bytes",
-        "Your captures, results and uploads take as much space as your token allows, or would then.",
+        "Your captures, results and uploads would take more space than your token allows.",
     )
-    .hint("Delete captures, jobs and uploads that you no longer need, or ask whoever runs the server.")
+    .hint("Delete what you no longer need, or ask the server's administrator for more space.")
 }

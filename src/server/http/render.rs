@@ -180,7 +180,7 @@ async fn round(app: &App, id: &str, asked: Option<u32>) -> Result<Option<u32>, P
         if output.scene_of(Some(round)).is_file() {
             return Ok(Some(round));
         }
-        return Err(Problem::not_found("round, or it is not finished"));
+        return Err(Problem::not_found("finished round"));
     }
     if job.state == JobState::Succeeded && output.scene_of(None).is_file() {
         return Ok(None);
@@ -194,8 +194,8 @@ async fn round(app: &App, id: &str, asked: Option<u32>) -> Result<Option<u32>, P
         .map(Some)
         .find(|&round| output.scene_of(round).is_file())
         .ok_or_else(|| {
-            Problem::conflict("no_scene_yet", "No round of this job is finished yet.")
-                .hint("Ask again after the first `round_finished` event.")
+            Problem::conflict("no_scene_yet", "No round of this job has finished yet.")
+                .hint("Try again after the first `round_finished` event.")
         })
 }
 
@@ -206,7 +206,7 @@ async fn camera(output: &RunFolder, query: &RenderQuery) -> Result<NamedCamera, 
         check_size((side, side))?;
     }
     let cameras = cameras_of(output).await.map_err(|problem| {
-        problem.hint("Send a camera of your own by POST, or run the capture in a new job.")
+        problem.hint("Send your own camera with POST, or run the capture in a new job.")
     })?;
     let size = PictureSize {
         width: query.width,
@@ -224,7 +224,7 @@ impl RenderQuery {
         match &self.view {
             Some(_) if orbit.iter().any(Option::is_some) => Err(Problem::unprocessable(
                 "bad_input",
-                "Either a view or a place on the orbit, not both.",
+                "Give either a view or a position on the orbit, not both.",
             )),
             Some(name) => Ok(Viewpoint::View(name.clone())),
             None => Ok(Viewpoint::Orbit {
@@ -240,7 +240,7 @@ fn no_viewpoint(error: &ViewpointError) -> Problem {
     match error {
         ViewpointError::UnknownView { .. } => Problem::not_found("view"),
         ViewpointError::NoOrbit => {
-            Problem::unprocessable("bad_input", "The cameras of this job span no orbit.")
+            Problem::unprocessable("bad_input", "The cameras of this job do not span an orbit.")
         }
         ViewpointError::NotFinite(_) | ViewpointError::Distance => {
             Problem::unprocessable("bad_input", format!("{error}."))
@@ -255,7 +255,9 @@ fn check_size((width, height): (usize, usize)) -> Result<(), Problem> {
     }
     Err(Problem::unprocessable(
         "bad_input",
-        format!("{width}x{height} is not within 16 and {LONGEST_SIDE} px."),
+        format!(
+            "{width}x{height} is out of range: each side must be from 16 to {LONGEST_SIDE} px."
+        ),
     ))
 }
 
@@ -267,7 +269,7 @@ fn check_stops(ev: Option<f64>) -> Result<f64, Problem> {
     }
     Err(Problem::unprocessable(
         "bad_input",
-        format!("{ev} stops are not within -{MOST_STOPS} and {MOST_STOPS}."),
+        format!("{ev} is out of range: `ev` must be from -{MOST_STOPS} to {MOST_STOPS}."),
     ))
 }
 
@@ -291,11 +293,11 @@ fn check_camera(camera: &NamedCamera) -> Result<(), Problem> {
     if finite && sees(k.fx, k.width) && sees(k.fy, k.height) && is_rigid {
         return Ok(());
     }
-    Err(
-        Problem::unprocessable("bad_camera", "This is no pinhole camera with a rigid pose.").hint(
-            "world_to_camera is row-major 4x4: a rotation, a translation, and 0 0 0 1 below.",
-        ),
+    Err(Problem::unprocessable(
+        "bad_camera",
+        "This is not a pinhole camera with a rigid pose.",
     )
+    .hint("`world_to_camera` is 4x4 and row-major: a rotation, a translation, and 0 0 0 1 below."))
 }
 
 /// A picture that is asked for.
@@ -368,7 +370,7 @@ fn failed(error: &RenderError) -> Problem {
         code,
         without_paths(&error.to_string()),
     )
-    .hint("Try again; /readyz says whether the graphics adapter works.")
+    .hint("Try again. /readyz shows whether the graphics adapter works.")
     .retry_after(RENDER_RETRY)
 }
 

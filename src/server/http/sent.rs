@@ -48,7 +48,7 @@ impl Sent {
                 let problem = Problem::new(
                     StatusCode::RANGE_NOT_SATISFIABLE,
                     "bad_range",
-                    "The range is beyond the end.",
+                    "The range begins beyond the end.",
                 );
                 return Ok((
                     [(header::CONTENT_RANGE, format!("bytes */{}", self.bytes))],

@@ -118,9 +118,9 @@ pub async fn create(
         expires_at: maker.expires_at.map_or(ends, |end| ends.min(end)),
     };
     if !app.store.insert_share(&share, MOST).await? {
-        let detail = format!("This job has {MOST} links that hold.");
+        let detail = format!("This job already has {MOST} valid links.");
         return Err(Problem::conflict("too_many_shares", detail)
-            .hint("End those that nobody needs any more."));
+            .hint("Revoke links that are no longer needed."));
     }
     let made = MadeShare {
         path: format!("/#/share/{}/{}", job.id, secret.reveal()),
@@ -181,16 +181,17 @@ pub async fn end(
 /// The token that creates a link. It must have every scope that it grants.
 fn maker(visitor: &Visitor) -> Result<&TokenRow, Problem> {
     let Some(token) = visitor.token() else {
-        let detail = "Nobody needs a token here: the job's own address is a link to it.";
+        let detail =
+            "This server requires no tokens, so the job's address already works as a link.";
         return Err(Problem::conflict("no_tokens", detail)
-            .hint("`fled token create` makes a first token; from then on links mean something."));
+            .hint("Create a first token with `fled token create` to use links."));
     };
     for scope in [Scope::JobsRead, Scope::Renders] {
         if !token.scopes.allow(scope) {
-            let detail = format!("This token does not allow `{}`.", scope.name());
+            let detail = format!("This token lacks the scope `{}`.", scope.name());
             return Err(
                 Problem::new(StatusCode::FORBIDDEN, "missing_scope", detail).hint(format!(
-                    "A link allows {SCOPES}, so its maker must have both."
+                    "A link has the scopes {SCOPES}, so your token needs both."
                 )),
             );
         }
@@ -200,12 +201,12 @@ fn maker(visitor: &Visitor) -> Result<&TokenRow, Problem> {
 
 fn check(wanted: &NewLink) -> Result<(), Problem> {
     if !(1..=MOST_DAYS).contains(&wanted.days) {
-        let detail = format!("A link holds for 1 to {MOST_DAYS} days.");
+        let detail = format!("A link is valid for 1 to {MOST_DAYS} days.");
         return Err(Problem::unprocessable("bad_days", detail).pointer("/days"));
     }
     if wanted.name.chars().count() > NAME || wanted.name.chars().any(char::is_control) {
         let detail =
-            format!("A link's name has {NAME} characters at most, none of them for control.");
+            format!("A link's name has at most {NAME} characters and no control characters.");
         return Err(Problem::unprocessable("bad_name", detail).pointer("/name"));
     }
     Ok(())

@@ -71,7 +71,7 @@ pub(super) async fn check_version(request: Request, next: Next) -> Response {
     let problem = Problem::new(
         StatusCode::PRECONDITION_FAILED,
         "tus_version",
-        "This speaks version 1.0.0 of the tus protocol.",
+        "This server supports version 1.0.0 of the tus protocol.",
     );
     let hint = "Send `Tus-Resumable: 1.0.0`.";
     ([(VERSIONS, VERSION)], problem.hint(hint)).into_response()
@@ -256,9 +256,9 @@ pub async fn by_override(
             let problem = Problem::new(
                 StatusCode::METHOD_NOT_ALLOWED,
                 "method_not_allowed",
-                "This address does not do that.",
+                "This endpoint does not support this method.",
             );
-            let hint = "Send a piece by PATCH, or by POST with `X-HTTP-Method-Override: PATCH`.";
+            let hint = "Send a piece with PATCH, or with POST and `X-HTTP-Method-Override: PATCH`.";
             let allowed = [(header::ALLOW, "HEAD,PATCH,DELETE,OPTIONS")];
             Ok((allowed, problem.hint(hint)).into_response())
         }

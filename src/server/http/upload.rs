@@ -150,7 +150,7 @@ async fn open(request: Request) -> Result<(Arc<Ahead>, Multipart), Problem> {
             "The body is not multipart/form-data.",
         )
         .hint(
-            "Send multipart/form-data with parts named `images`, or JSON that names `uploads`.",
+            "Send multipart/form-data with parts named `images`, or JSON that lists `uploads`.",
         ));
     }
     let ahead = Arc::new(Ahead::default());
@@ -217,10 +217,10 @@ fn unknown_field(part: &str, known: &[&str]) -> Problem {
     let pointer = format!("/{}", shown.replace('~', "~0").replace('/', "~1"));
     Problem::unprocessable(
         "bad_input",
-        format!("The part `{shown}` means nothing here, or is sent twice."),
+        format!("The part `{shown}` is unknown or sent twice."),
     )
     .pointer(pointer)
-    .hint(format!("Known here: {}.", known.join(", ")))
+    .hint(format!("Known parts: {}.", known.join(", ")))
 }
 
 /// Does `work` to its end, also when the client hangs up: what has begun to be kept is kept.
@@ -244,7 +244,7 @@ fn broken(error: &MultipartError) -> Problem {
     Problem::new(
         status,
         "bad_request",
-        format!("The multipart body is broken: {}", error.body_text()),
+        format!("The multipart body is malformed: {}", error.body_text()),
     )
 }
 

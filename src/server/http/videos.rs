@@ -326,12 +326,12 @@ pub async fn download(
     let row = known(&app, &job, &id).await?;
     let Some(bytes) = row.bytes else {
         let detail = if row.job.state.is_terminal() {
-            "This video was not made."
+            "This video could not be made."
         } else {
-            "This video is not made yet."
+            "This video is not ready yet."
         };
         return Err(Problem::conflict("no_video_yet", detail)
-            .hint("The address without `/file` says where it stands."));
+            .hint("The address without `/file` shows its state."));
     };
     let sent = Sent {
         path: app.data.video(&id),
@@ -385,13 +385,13 @@ fn bad_plan(error: &PlanError) -> Problem {
 }
 
 fn busy() -> Problem {
-    let detail = "Too many videos wait to be made.";
+    let detail = "Too many videos are waiting.";
     Problem::new(StatusCode::SERVICE_UNAVAILABLE, "busy", detail)
-        .hint("Try again when some are made.")
+        .hint("Try again when some have been made.")
         .retry_after(RETRY)
 }
 
 fn too_many(count: usize) -> Problem {
-    let detail = format!("This job has {count} videos, as many as one may have.");
+    let detail = format!("This job already has {count} videos, the most that a job may have.");
     Problem::conflict("too_many_videos", detail).hint("Delete some of them first.")
 }

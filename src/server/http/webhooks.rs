@@ -122,11 +122,11 @@ pub async fn create(
     // Notifications reveal what `jobs:read` protects.
     let reads = |token: &TokenRow| token.scopes.allow(Scope::JobsRead);
     if !visitor.token().is_none_or(reads) {
-        let detail = "This token does not allow `jobs:read`.";
+        let detail = "This token lacks the scope `jobs:read`.";
         return Err(Problem::new(StatusCode::FORBIDDEN, "missing_scope", detail));
     }
     check_url(&wanted.url).map_err(|reason| {
-        Problem::unprocessable("bad_url", format!("The address cannot be told: {reason}."))
+        Problem::unprocessable("bad_url", format!("The URL cannot be used: {reason}."))
             .pointer("/url")
     })?;
     let secret = Secret::new().map_err(|error| unmade(&error))?;
@@ -142,9 +142,9 @@ pub async fn create(
         gone_at: None,
     };
     if !app.store.insert_webhook(&row, MOST).await? {
-        let detail = format!("There are {MOST} webhooks already.");
+        let detail = format!("You already have {MOST} webhooks.");
         return Err(Problem::conflict("too_many_webhooks", detail)
-            .hint("Delete those that nobody needs any more."));
+            .hint("Delete webhooks that are no longer needed."));
     }
     let location = format!("/v1/webhooks/{}", row.id);
     let made = MadeWebhook {
@@ -167,13 +167,13 @@ fn types(wanted: &NewWebhook) -> Result<Vec<String>, Problem> {
     let unknown = types.iter().position(|one| !TYPES.contains(&one.as_str()));
     match unknown {
         Some(at) => {
-            let detail = "Nothing of this type is told.";
+            let detail = "There is no event of this type.";
             Err(Problem::unprocessable("bad_type", detail)
                 .pointer(format!("/types/{at}"))
-                .hint(format!("Known are {}.", TYPES.join(", "))))
+                .hint(format!("Known types are {}.", TYPES.join(", "))))
         }
         None if types.is_empty() => {
-            let detail = "Nothing would be told.";
+            let detail = "`types` is empty.";
             Err(Problem::unprocessable("bad_type", detail).pointer("/types"))
         }
         None => Ok(types.clone()),
@@ -223,8 +223,12 @@ pub async fn test(
     let row = find(&app, &id).await?;
     check_not_gone(&row)?;
     let id = app.store.test_webhook(&row.id).await?;
-    let id =
-        id.ok_or_else(|| Problem::conflict("on_its_way", "A test of this webhook is on its way."))?;
+    let id = id.ok_or_else(|| {
+        Problem::conflict(
+            "on_its_way",
+            "A test of this webhook is already on its way.",
+        )
+    })?;
     Ok((StatusCode::ACCEPTED, axum::Json(OnItsWay { id })))
 }
 
@@ -273,8 +277,8 @@ fn check_not_gone(row: &WebhookRow) -> Result<(), Problem> {
     if row.gone_at.is_none() {
         return Ok(());
     }
-    let detail = "The address has answered 410: it is gone.";
-    Err(Problem::conflict("gone", detail).hint("Delete it and make it anew."))
+    let detail = "The endpoint has answered 410 Gone.";
+    Err(Problem::conflict("gone", detail).hint("Delete the webhook and create it again."))
 }
 
 fn told(row: WebhookRow) -> Webhook {

@@ -237,7 +237,7 @@ impl Attempt<'_> {
                 end = stopped(app, &job, cancel, heartbeat) => return end,
                 _ = publish.tick() => Due::Publishing,
                 _ = flush.tick() => Due::Progress,
-                () = sleep_until(silence) => return self.timed_out("said nothing", limits.silence).await,
+                () = sleep_until(silence) => return self.timed_out("was silent", limits.silence).await,
                 () = sleep_until(drained) => match exited {
                     Some((status, _)) => return Ok(End::Exited(status)),
                     None => return self.timed_out("ran", limits.wall).await,
@@ -283,7 +283,7 @@ impl Attempt<'_> {
                 source,
             }),
             Err(_) => {
-                self.timed_out("closed its outputs, but went on", DRAIN)
+                self.timed_out("closed its output but kept running", DRAIN)
                     .await
             }
         }
@@ -295,7 +295,7 @@ impl Attempt<'_> {
             self.process(),
             limit.as_secs()
         );
-        let hint = self.hint("The log shows what it did last; a smaller preset needs less time.");
+        let hint = self.hint("The log shows what it did last. A smaller preset takes less time.");
         Ok(End::Stop(
             self.failure(ErrorKind::Timeout, detail, hint.to_owned())
                 .await?,

@@ -17,8 +17,8 @@ pub fn after_death(limits: &Limits, deaths: u32) -> Settlement {
     Settlement::Failed {
         error: JobError {
             code: ErrorKind::Internal.name().to_owned(),
-            detail: format!("the server died while this job ran, {deaths} times without progress"),
-            hint: "Memory may have run out: try a smaller `size` or `cap`, or another machine."
+            detail: format!("the server died {deaths} times without progress while this job ran"),
+            hint: "Memory may have run out. Try a smaller `size` or `cap`, or another machine."
                 .to_owned(),
         },
         retry_in_ms: again.then_some(wait),

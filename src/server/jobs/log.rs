@@ -30,7 +30,7 @@ impl LogWriter {
         let mut line = format!("{:.0} {text}\n", jiff::Timestamp::now());
         if line.len() as u64 >= self.left {
             self.left = 0;
-            "The log is full; nothing more is kept.\n".clone_into(&mut line);
+            "The log is full; later lines are dropped.\n".clone_into(&mut line);
         } else {
             self.left -= line.len() as u64;
         }

@@ -30,7 +30,7 @@ pub(super) fn readable(event: &Event) -> String {
             seconds,
             skipped,
         } => {
-            let how = if *skipped { "found done" } else { "done" };
+            let how = if *skipped { "already done" } else { "done" };
             format!("{} {how}, {seconds:.1} s", place(*stage, *round))
         }
         Event::RoundFinished { metrics } => {
@@ -59,7 +59,7 @@ pub(super) fn closing_line(settlement: &Settlement) -> String {
         Settlement::Filmed { bytes } => format!("finished; the video has {bytes} bytes"),
         Settlement::Stopped => "cancelled".to_owned(),
         Settlement::Released => {
-            "interrupted: the server stops; the job goes on after its restart".to_owned()
+            "interrupted: the server is stopping; the job continues after its restart".to_owned()
         }
         Settlement::Failed {
             error,
@@ -67,7 +67,7 @@ pub(super) fn closing_line(settlement: &Settlement) -> String {
             ..
         } => {
             format!(
-                "failed ({}): {}; again in {wait} ms",
+                "failed ({}): {}; retrying in {wait} ms",
                 error.code, error.detail
             )
         }

@@ -200,7 +200,7 @@ async fn run(app: &App, claim: &Claim, cancel: Arc<Notify>) -> Result<()> {
 fn told(error: &ServerError) -> String {
     match error {
         ServerError::Io { source, .. } => format!("a file of the job: {source}"),
-        ServerError::Database(_) => "the server's database refused".to_owned(),
+        ServerError::Database(_) => "the server's database failed".to_owned(),
         other => other.to_string(),
     }
 }

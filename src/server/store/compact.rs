@@ -32,7 +32,7 @@ impl Store {
         Err(ServerError::Damaged {
             what: "schema",
             detail: format!(
-                "it is of version {version}, this program knows {known}: start the server of this \
+                "it has version {version}, this program knows {known}: start the server of this \
                  program once, or use the program of that version"
             ),
         })

@@ -95,7 +95,7 @@ async fn expect_no_rows(tx: &mut Tx) -> Result<()> {
             .await?;
         if any > 0 {
             return Err(ServerError::NotMoved(format!(
-                "the database has rows in its table {table} already: give an empty one"
+                "the database already has rows in its table {table}; use an empty one"
             )));
         }
     }

@@ -171,7 +171,7 @@ pub(super) async fn sqlite(path: &Path, create: bool, connections: u32) -> Resul
     let mode = if create { "rwc" } else { "rw" };
     let name = percent_encoding::utf8_percent_encode(
         path.to_str().ok_or_else(|| ServerError::BadDatabase {
-            detail: format!("{} is no UTF-8", path.display()),
+            detail: format!("{} is not UTF-8", path.display()),
         })?,
         percent_encoding::NON_ALPHANUMERIC,
     );

@@ -41,7 +41,7 @@ fn the_picture(outputs: &[Outlet]) -> Result<usize, String> {
             .map(|&at| format!("`{}`", outputs[at].name()))
             .collect();
         return Err(format!(
-            "its outputs {} may each be the restored view: leave one of them in the file",
+            "each of its outputs {} could be the restored view; keep only one of them in the file",
             names.join(", ")
         ));
     }
@@ -69,7 +69,7 @@ fn channels(input: &ValueType, output: &ValueType) -> Result<u32, String> {
         -1 => Err("the file does not say how many channels it takes".to_owned()),
         found @ (3 | 6) => Ok(found as u32),
         found => Err(format!(
-            "it takes {found} channels; 3 (a view) or 6 (view and guide) are usable"
+            "it takes {found} channels; only 3 (a view) or 6 (a view and a guide) can be used"
         )),
     }
 }

@@ -229,7 +229,7 @@ fn the_built_in_network_reproduces_its_golden_output() {
         .err()
         .expect("another output is known");
     assert!(
-        refused.to_string().contains("on cpu it is off by"),
+        refused.to_string().contains("on cpu its output is off by"),
         "{refused}"
     );
 }

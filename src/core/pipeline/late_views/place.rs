@@ -108,7 +108,7 @@ pub fn place(
     let found = match matching.matches(&pictures, pairs, &mut advance, cancel) {
         Ok(found) => found,
         Err(error) if error.is_about_the_tool() => {
-            let message = format!("late views are not looked for: {error}");
+            let message = format!("photographs without a pose cannot be placed: {error}");
             context.sink.warn("matcher_failed", message);
             return Ok(Vec::new());
         }

@@ -285,8 +285,8 @@ fn photographs_without_a_pose_and_doubtful_poses_are_told_once_with_names_and_fi
         told,
         [
             "poses_low_confidence: the poses met no acceptance rule (1 of 2 views, 0 points, 0 \
-             observations a view, a mean track of 2.50): look at the result before you rely on it",
-            "poses_missing: 1 of 2 photographs have a pose; left out are cam0/b.jpg",
+             observations per view, a mean track of 2.50); check the result before you rely on it",
+            "poses_missing: 1 of 2 photographs have a pose; excluded: cam0/b.jpg",
         ]
     );
     told.clear();

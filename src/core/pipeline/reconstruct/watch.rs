@@ -185,7 +185,7 @@ impl<'a> Watch<'a> {
             // A failed picture ends the pictures, but not this run.
             Err(error) => {
                 self.pictured = None;
-                let message = format!("round {round}: no more pictures of its training: {error}");
+                let message = format!("round {round}: no more live pictures: {error}");
                 context.sink.warn("live_picture", message);
             }
         }

@@ -79,7 +79,7 @@ impl Body for PacedBody {
                 let timer = self.timer.get_or_insert_with(|| Box::pin(sleep(stall)));
                 ready!(timer.as_mut().poll(context));
                 self.body = None;
-                let error = io::Error::new(io::ErrorKind::TimedOut, "the body comes too slowly");
+                let error = io::Error::new(io::ErrorKind::TimedOut, "the body arrives too slowly");
                 Poll::Ready(Some(Err(error.into())))
             }
         }

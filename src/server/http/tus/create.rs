@@ -48,7 +48,7 @@ pub(super) async fn begin(
     let first = first(&parts.headers, body)?;
     if length > app.limits.max_upload_bytes {
         return Err(too_large("The upload is too large.")
-            .hint("`Tus-Max-Size`, which OPTIONS tells, is the most."));
+            .hint("OPTIONS returns the largest size as `Tus-Max-Size`."));
     }
     if app.has_no_space_for(length) {
         return Err(disk_full());
@@ -78,11 +78,11 @@ pub(super) async fn begin(
 
 fn length(headers: &HeaderMap) -> Result<u64, Problem> {
     for (name, of) in [
-        (DEFER_LENGTH, "deferred lengths"),
-        (CONCAT, "concatenation"),
+        (DEFER_LENGTH, "Deferred lengths are"),
+        (CONCAT, "Concatenation is"),
     ] {
         if headers.contains_key(&name) {
-            return Err(bad(format!("There are no {of} here: `{name}`.")));
+            return Err(bad(format!("{of} not supported: `{name}`.")));
         }
     }
     number(headers, &LENGTH)
@@ -136,7 +136,7 @@ async fn with_first(app: &App, row: &UploadRow, first: Piece) -> Result<Stands, 
         app.store.forget_upload(&row.id, None).await?;
         remove(&app.data.upload(&row.id)).await;
     }
-    added.map_err(|problem| problem.hint("Nothing was begun: begin the upload again."))
+    added.map_err(|problem| problem.hint("Nothing was stored. Start the upload again."))
 }
 
 fn too_many(app: &App) -> Problem {
@@ -144,8 +144,8 @@ fn too_many(app: &App) -> Problem {
     Problem::new(
         StatusCode::TOO_MANY_REQUESTS,
         "too_many_uploads",
-        format!("There are {most} of your uploads of which no capture is made yet."),
+        format!("You already have {most} uploads that no capture uses yet."),
     )
-    .hint("Make captures of them or delete some; each goes a while after its last byte.")
+    .hint("Make captures of them or delete some. Each expires some time after its last byte.")
     .retry_after(RETRY)
 }

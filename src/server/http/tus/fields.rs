@@ -39,7 +39,7 @@ pub(super) fn text<'a>(
     };
     match value.to_str() {
         Ok(text) if values.next().is_none() => Ok(Some(text)),
-        _ => Err(bad(format!("`{name}` is sent twice, or is not ASCII."))),
+        _ => Err(bad(format!("`{name}` is sent twice or is not ASCII."))),
     }
 }
 
@@ -53,7 +53,7 @@ pub(super) fn number(headers: &HeaderMap, name: &HeaderName) -> Result<u64, Prob
     let number = digits.and_then(|digits| digits.parse().ok());
     number
         .filter(|number| *number <= MOST)
-        .ok_or_else(|| bad(format!("`{name}` is missing, or is no number of bytes.")))
+        .ok_or_else(|| bad(format!("`{name}` is missing or is not a number of bytes.")))
 }
 
 /// Whether the body says that it is a piece.
@@ -67,7 +67,7 @@ pub(super) fn other_type() -> Problem {
     Problem::new(
         StatusCode::UNSUPPORTED_MEDIA_TYPE,
         "unsupported_media_type",
-        "The body is no piece of an upload.",
+        "The body is not a piece of an upload.",
     )
     .hint(format!("Send `Content-Type: {PIECE}`."))
 }

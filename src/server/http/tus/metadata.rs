@@ -31,7 +31,7 @@ impl Metadata {
             )));
         }
         let read = pairs(sent).ok_or_else(|| {
-            bad("`Upload-Metadata` is not made of different keys, each with a value in base64.")
+            bad("`Upload-Metadata` must consist of distinct keys, each with a value in base64.")
         })?;
         let filename = read.get("filename").cloned().unwrap_or_default();
         match String::from_utf8(filename) {
@@ -40,7 +40,7 @@ impl Metadata {
                 filename,
             }),
             _ => Err(bad(format!(
-                "`Upload-Metadata` has no `filename` of 1 to {LONGEST_FILE_NAME} bytes of UTF-8."
+                "`Upload-Metadata` needs a `filename` of 1 to {LONGEST_FILE_NAME} bytes of UTF-8."
             ))),
         }
     }

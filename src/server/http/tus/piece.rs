@@ -57,9 +57,9 @@ pub(super) async fn add(
 ) -> Result<Stands, Problem> {
     let (file, begin) = file::open(app, row).await?;
     if piece.offset != begin {
-        let detail = "The piece does not begin where the upload ends.";
+        let detail = "The piece does not begin where the stored bytes end.";
         return Err(Problem::conflict("wrong_offset", detail)
-            .hint("HEAD tells where the next piece begins."));
+            .hint("HEAD returns where the next piece begins."));
     }
     let announced = piece.body.size_hint();
     if announced.lower() > row.length.saturating_sub(begin) {
@@ -163,24 +163,25 @@ impl Writer<'_> {
 }
 
 fn beyond() -> Problem {
-    too_large("The piece is longer than the rest of the upload.")
-        .hint("`Upload-Length` was the whole; HEAD tells how much of it there is.")
+    too_large("The piece is longer than the rest of the upload.").hint(
+        "`Upload-Length` is the size of the whole file. HEAD returns how much of it is stored.",
+    )
 }
 
 fn broken(error: &str) -> Problem {
-    let detail = format!("The body broke off: {error}");
+    let detail = format!("The body was interrupted: {error}");
     Problem::new(StatusCode::BAD_REQUEST, "bad_request", detail)
-        .hint("HEAD tells how much of it has come.")
+        .hint("HEAD returns how much of it is stored.")
 }
 
 fn taken_over() -> Problem {
-    let detail = "Another request has taken this upload over.";
-    Problem::conflict("taken_over", detail).hint("HEAD tells where to go on.")
+    let detail = "Another request has taken over this upload.";
+    Problem::conflict("taken_over", detail).hint("HEAD returns where to continue.")
 }
 
 fn stopping() -> Problem {
-    let detail = "The server stops.";
+    let detail = "The server is shutting down.";
     Problem::new(StatusCode::SERVICE_UNAVAILABLE, "stopping", detail)
-        .hint("Try again: HEAD tells where to go on.")
+        .hint("Try again. HEAD returns where to continue.")
         .retry_after(5)
 }

@@ -25,7 +25,7 @@ impl Ahead {
             let held = self.0.fetch_add(chunk.len(), Ordering::Relaxed) + chunk.len();
             if held > FARTHEST {
                 return Err(io::Error::other(
-                    "a part's header is too long or has no end",
+                    "a part's header is too long or does not end",
                 ));
             }
             Ok(chunk)

@@ -13,7 +13,7 @@ use crate::validation::{CaptureReport, Refusal, Warning};
 use crate::validator::{AssessError, AssessRequest, VideoFaultKind};
 
 /// What to do about a photograph that a process died of.
-const SAVE_ANEW: &str = "Leave it out, or save it anew: smaller, as JPEG or PNG.";
+const SAVE_ANEW: &str = "Leave it out, or save it again as a smaller JPEG or PNG.";
 
 impl Upload {
     /// Has the files looked at; the photographs that cannot be used stay listed with the reason.
@@ -25,8 +25,8 @@ impl Upload {
     pub async fn examine(&self, app: &App) -> Result<CaptureReport, Problem> {
         if self.files == 0 {
             return Err(
-                Problem::unprocessable("bad_input", "The upload holds no file.")
-                    .hint("Send photographs as parts named `images`, or one zip, or a video."),
+                Problem::unprocessable("bad_input", "The upload has no files.")
+                    .hint("Send photographs as parts named `images`, one ZIP file, or one video."),
             );
         }
         let videos = self.videos(app)?;
@@ -88,26 +88,26 @@ fn unseen(error: AssessError, app: &App) -> Problem {
     let minutes = |time: Duration| time.as_secs().div_ceil(60);
     let (detail, hint) = match error {
         AssessError::Died { names, status } if names.is_empty() => (
-            format!("What looked at the upload died of it ({status})."),
-            "Send photographs as they are, not in a zip, to learn which it is.".to_owned(),
+            format!("The process that checked the upload crashed ({status})."),
+            "Send photographs without a ZIP file to find out which of them causes it.".to_owned(),
         ),
         AssessError::Died { names, status } => (
             format!(
-                "{}: what looked at it died of it ({status}). Memory may not have sufficed.",
+                "{}: the process that checked it crashed ({status}), maybe for lack of memory.",
                 names.join(" or ")
             ),
             SAVE_ANEW.to_owned(),
         ),
         AssessError::Endless { name } => (
             format!(
-                "{name}: it was looked at for {} s without an end.",
+                "{name}: checking it did not finish within {} s.",
                 app.limits.photograph.as_secs()
             ),
             SAVE_ANEW.to_owned(),
         ),
         AssessError::Slow => (
             format!(
-                "The upload could not be looked at within {} minutes.",
+                "The upload could not be checked within {} minutes.",
                 minutes(app.limits.assessing)
             ),
             "Send fewer or smaller photographs.".to_owned(),

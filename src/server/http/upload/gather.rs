@@ -42,7 +42,7 @@ pub async fn gather(
     let rows = own(app, ids, visitor).await?;
     let bytes: u64 = rows.iter().map(|row| row.length).sum();
     if bytes > app.limits.max_upload_bytes {
-        return Err(too_large("The uploads are too large together."));
+        return Err(too_large("The uploads are too large in total."));
     }
     let most = bytes_left_beside(app, visitor, bytes).await?;
     let incoming = app.data.incoming();
@@ -70,17 +70,17 @@ fn check_list(ids: &[String]) -> Result<(), Problem> {
     let refused = |detail: &str, pointer: &str| {
         Err(Problem::unprocessable("bad_input", detail)
             .pointer(pointer)
-            .hint("Name each finished upload once, by the last part of its address."))
+            .hint("List each finished upload once, by the last part of its address."))
     };
     if ids.is_empty() {
-        return refused("There is no upload.", "/uploads");
+        return refused("No upload is listed.", "/uploads");
     }
     if ids.len() > MAX_FILES {
         return Err(too_large(&format!("More than {MAX_FILES} files.")));
     }
     let mut seen = HashSet::new();
     match ids.iter().position(|id| !seen.insert(id)) {
-        Some(at) => refused("An upload is named twice.", &pointer(at)),
+        Some(at) => refused("An upload is listed twice.", &pointer(at)),
         None => Ok(()),
     }
 }
@@ -157,14 +157,17 @@ fn link(from: &Path, to: &Path) -> io::Result<()> {
 fn unknown(at: usize) -> Problem {
     Problem::not_found("upload")
         .pointer(pointer(at))
-        .hint("It may have expired, or be used up by a capture. Upload it again.")
+        .hint("It may have expired or been used by a capture. Upload it again.")
 }
 
 fn unfinished(at: usize, row: &UploadRow, bytes: u64) -> Problem {
-    let detail = format!("Of this upload {bytes} of {} bytes have come.", row.length);
+    let detail = format!(
+        "Only {bytes} of {} bytes of this upload have arrived.",
+        row.length
+    );
     Problem::conflict("unfinished", detail)
         .pointer(pointer(at))
-        .hint("Send the rest first: HEAD tells where to go on.")
+        .hint("Send the rest first. HEAD returns where to continue.")
 }
 
 fn pointer(at: usize) -> String {

@@ -45,9 +45,10 @@ impl Upload {
             return Ok(Videos { used: None, unused });
         }
         let [video] = &videos[..] else {
-            let detail = format!("There are {} videos.", videos.len());
-            return Err(Problem::unprocessable("bad_input", detail)
-                .hint("Send one: a capture is one walk. Each of the others makes its own."));
+            let detail = format!("The upload has {} videos.", videos.len());
+            return Err(
+                Problem::unprocessable("bad_input", detail).hint("Send one video per capture.")
+            );
         };
         let used = Some(Filming {
             file: video.clone(),
@@ -70,10 +71,10 @@ impl Upload {
         count
             .filter(|count| (MIN_VIEWS..=MOST_FRAMES).contains(count))
             .ok_or_else(|| {
-                let detail = "`frames` is no number of photographs to take of a video.";
+                let detail = "`frames` is not a valid number of photographs to take from a video.";
                 Problem::unprocessable("bad_input", detail)
                     .pointer("/frames")
-                    .hint(format!("From {MIN_VIEWS} to {MOST_FRAMES}."))
+                    .hint(format!("Send a number from {MIN_VIEWS} to {MOST_FRAMES}."))
             })
     }
 }
@@ -101,7 +102,9 @@ fn unused(video: &Path) -> Assessment {
     Assessment {
         name: name_of(video),
         accepted: false,
-        reason: Some("photographs came with it; a video is used where it comes alone".to_owned()),
+        reason: Some(
+            "a video is used only on its own, and photographs were sent with it".to_owned(),
+        ),
         width: 0,
         height: 0,
         focal_px: None,
@@ -121,9 +124,9 @@ pub(super) async fn turn(app: &App) -> Result<MutexGuard<'_, ()>, Problem> {
 }
 
 fn busy() -> Problem {
-    let detail = "The videos of others are being read.";
+    let detail = "Other videos are being read.";
     Problem::new(StatusCode::SERVICE_UNAVAILABLE, "busy", detail)
-        .hint("Send it again in a few minutes.")
+        .hint("Try again in a few minutes.")
         .retry_after(TURN_S)
 }
 
@@ -137,7 +140,8 @@ pub(super) fn not_filmed(fault: &VideoFault, name: &str) -> Problem {
         }
         VideoFaultKind::Missing => {
             tracing::warn!(detail, "a video came");
-            let detail = format!("{name}: videos are not read here, there is no ffmpeg.");
+            let detail =
+                format!("{name}: this server cannot read videos, because ffmpeg is missing.");
             Problem::new(
                 StatusCode::UNSUPPORTED_MEDIA_TYPE,
                 "unsupported_format",

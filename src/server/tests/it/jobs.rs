@@ -124,7 +124,7 @@ fn cancelling_takes_two_seconds_at_most_and_a_retry_resumes() {
             .text()
     };
     let again = server.wait(&job, "past its poses again", |_| {
-        log().contains("poses found done")
+        log().contains("poses already done")
     });
     assert_eq!(again["attempts"], 2);
     assert_eq!(

@@ -48,7 +48,7 @@ fn an_unknown_network_is_refused_with_the_known_ones() {
     assert!(
         guided["detail"]
             .as_str()
-            .is_some_and(|text| text.contains("wants a guide")),
+            .is_some_and(|text| text.contains("requires a guide")),
         "{guided:#}"
     );
 }
