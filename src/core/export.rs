@@ -54,13 +54,13 @@ impl Export {
     /// What it is, and for whom.
     pub fn about(self) -> &'static str {
         match self {
-            Self::Restored => "Every view restored: rendered from the scene at the view's camera.",
+            Self::Restored => "Every restored view: the scene rendered from the view's camera.",
             Self::Colmap => {
                 "The restored views with their corrected cameras and points of the scene, as a \
-                 COLMAP model: other trainers go on from it."
+                 COLMAP model for other trainers."
             }
             Self::CompressedScene => {
-                "The scene at a quarter of its size or less, rounded by less than one sees: for \
+                "The scene at a quarter of its size or less, rounded too little to be visible, for \
                  SuperSplat, PlayCanvas and other viewers."
             }
         }

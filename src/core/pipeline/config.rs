@@ -31,8 +31,8 @@ pub struct Options {
     pub target: String,
     /// One tone table for the scene or one per view.
     pub lut_scope: LutScope,
-    /// `default`, `small-u2w16`, `identity`, the name of an ONNX file in the folder of networks,
-    /// or, on the command line only, a path to one.
+    /// Deblurring network: `default`, `small-u2w16`, `identity`, the name of an ONNX file in the
+    /// folder of networks, or, on the command line only, a path to one.
     #[schemars(with = "String")]
     pub deblur: NetworkChoice,
     /// How views are brightened: `curve`, step by step, or, as a baseline, a network of 3 channels,
@@ -48,8 +48,8 @@ pub struct Options {
     pub shake: ShakeModel,
     /// Which views the scene is trained on.
     pub train_on: TrainOn,
-    /// Whether cameras are corrected by the renders; includes those of held-out views, which train
-    /// nothing.
+    /// Whether the renders correct the cameras, including those of held-out views, which are not
+    /// trained on.
     pub refine_poses: bool,
     /// Whether a round's scene places photographs that have no pose, and drops views that fit it
     /// far worse than the others; both take effect in the next round.
@@ -66,16 +66,18 @@ pub struct Options {
     pub sh_degree: u32,
     /// Background of the renders in training; delivered views have a black one.
     pub background: Background,
-    /// `auto` (the capture's `hold=N`, else every 8th of 12 or more), `none`, n, or names by comma.
+    /// Views held out from training: `auto` (the capture's `hold=N`, or else every 8th of 12 or
+    /// more views), `none`, n for every n-th view, or names separated by commas.
     #[serde(deserialize_with = "held_out")]
     #[schemars(with = "HeldOut")]
     pub held_out: String,
-    /// `auto` (poses of the capture if it has them, those of a `transforms.json` refined where the
-    /// photographs contradict them; else COLMAP), `colmap`, or `given` (unchanged).
+    /// Source of the poses: `auto` (those of the capture if it has any, with those of a
+    /// `transforms.json` refined where the photographs contradict them, or else COLMAP), `colmap`,
+    /// or `given` (unchanged).
     pub pose_source: PoseSource,
     /// Random seed.
     pub seed: u64,
-    /// Part of an adapter's name, or `auto`.
+    /// Part of the graphics adapter's name, or `auto`.
     pub adapter: String,
 }
 
