@@ -176,7 +176,7 @@ pub async fn clean(app: Arc<App>, serves: bool, made: Duration) {
     };
     // It blocks on the disk.
     if let Err(error) = tokio::task::spawn_blocking(round).await {
-        tracing::error!(%error, "the janitor broke off");
+        tracing::error!(%error, "the janitor was interrupted");
     }
 }
 
@@ -253,7 +253,7 @@ impl Janitor<'_> {
             let path = self.data.upload(&id);
             let is_there = path.try_exists().map_err(ServerError::io(&path))?;
             if !is_there && self.store.forget_upload(&id, None).await? {
-                tracing::warn!(upload = id, "forgotten: its file is not there");
+                tracing::warn!(upload = id, "upload forgotten: its file is missing");
                 lost += 1;
             }
         }
@@ -261,7 +261,7 @@ impl Janitor<'_> {
     }
 
     fn fail(&mut self, rule: &Rule, error: ServerError) {
-        tracing::warn!(rule = ?rule.name, %error, "cannot remove what nobody wants");
+        tracing::warn!(rule = ?rule.name, %error, "cannot remove what is no longer needed");
         self.failed.get_or_insert(error);
     }
 }

@@ -58,7 +58,7 @@ async fn database(app: &App) -> Check {
         detail: match &outcome {
             Ok(()) => "responds and is writable".to_owned(),
             Err(error) => {
-                tracing::error!(%error, "the database cannot be written");
+                tracing::error!(%error, "cannot write to the database");
                 without_paths(&error.to_string())
             }
         },
@@ -80,7 +80,7 @@ async fn files(app: &App) -> Option<Check> {
         detail: match &outcome {
             Ok(()) => "responds and is writable".to_owned(),
             Err(error) => {
-                tracing::error!(%error, "the store of files cannot be used");
+                tracing::error!(%error, "cannot use the file store");
                 without_paths(&error.to_string())
             }
         },

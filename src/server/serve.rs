@@ -113,12 +113,12 @@ impl Server {
             .await
             .is_err()
         {
-            tracing::info!("a picture was still being made");
+            tracing::info!("a picture was still being rendered");
         }
         if app.config.about.is_some()
             && let Err(error) = app.store.forget_workers(Some(&app.worker), 0).await
         {
-            tracing::warn!(%error, "the others will take this worker for lost for a while");
+            tracing::warn!(%error, "other machines will consider this worker lost for a while");
         }
         app.store.close().await;
     }
@@ -169,7 +169,7 @@ async fn open(config: &ServeConfig) -> Result<Opened> {
         tracing::info!(
             jobs = left.len(),
             orphans,
-            "jobs of an earlier server go on"
+            "continuing jobs of an earlier server"
         );
     }
     Ok(Opened {
@@ -225,11 +225,11 @@ fn spawn_shared(app: &Arc<App>, tasks: &mut JoinSet<()>, serves: bool) -> JoinSe
 /// [`ServerError::Unguarded`] if everyone could, without a token.
 async fn guard(config: &ServeConfig, store: &Store) -> Result<()> {
     if store.has_tokens().await? {
-        tracing::info!("everything needs a token");
+        tracing::info!("every request requires a token");
     } else if config.listen.ip().to_canonical().is_loopback() {
-        tracing::info!("there is no token: whoever uses this machine may do everything");
+        tracing::info!("there is no token: anyone on this machine may do everything");
     } else if config.open {
-        tracing::warn!("there is no token: whoever reaches this server may do everything");
+        tracing::warn!("there is no token: anyone who can reach this server may do everything");
     } else {
         return Err(ServerError::Unguarded(config.listen));
     }

@@ -266,7 +266,7 @@ impl Process {
         let group = self.group().ok_or_else(|| io::Error::other("is gone"))?;
         let status = tokio::time::timeout(LAST, group.wait()).await;
         let status = status.unwrap_or_else(|_| Err(io::Error::other("stopped responding")))?;
-        tracing::warn!(%status, last_words, "a process died that looked at an upload");
+        tracing::warn!(%status, last_words, "a process that checked an upload died");
         Ok(status)
     }
 }

@@ -54,7 +54,7 @@ pub async fn keep_telling(app: Arc<App>) {
         let wait = match send_due(&app, &mut busy, &mut on_their_way).await {
             Ok(wait) => wait,
             Err(error) => {
-                tracing::warn!(%error, "cannot look for what webhooks are to be told");
+                tracing::warn!(%error, "cannot look for webhook deliveries");
                 AFTER_FAULT
             }
         };
@@ -91,10 +91,10 @@ async fn send_due(
                 webhook = webhook.id,
                 delivery = delivery.id,
                 answer = tried.answer,
-                "told a webhook"
+                "sent a webhook delivery"
             );
             if let Err(error) = app.store.note_attempt(&delivery, &tried).await {
-                tracing::warn!(%error, "cannot note what a webhook was told");
+                tracing::warn!(%error, "cannot record a webhook delivery");
                 tokio::time::sleep(AFTER_FAULT).await;
             }
             webhook.id

@@ -58,13 +58,13 @@ pub async fn serve(
         let (stream, address) = match accepted {
             Ok(accepted) => accepted,
             Err(error) => {
-                tracing::warn!(%error, "cannot take a connection");
+                tracing::warn!(%error, "cannot accept a connection");
                 tokio::time::sleep(RECOVERY).await;
                 continue;
             }
         };
         let Some(place) = places.take() else {
-            tracing::warn!(%address, "a connection is refused: all are in use");
+            tracing::warn!(%address, "a connection was refused: all are in use");
             // A few bytes always fit into a socket that has sent nothing yet.
             drop(stream.try_write(FULL));
             continue;

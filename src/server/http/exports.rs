@@ -78,7 +78,7 @@ pub async fn list(
                 bytes: prepared.bytes(),
             }),
             Err(error) => {
-                tracing::info!(%error, export = export.name(), "there is no such export");
+                tracing::info!(%error, export = export.name(), "an export is not available");
                 None
             }
         };
@@ -140,7 +140,7 @@ fn make(prepared: &Prepared, pieces: &mpsc::Sender<io::Result<Bytes>>, job: &str
         // The client has disconnected.
         Err(ExportError::Write(_)) if pieces.is_closed() => {}
         Err(error) => {
-            tracing::error!(%error, job, "an export broke off");
+            tracing::error!(%error, job, "an export was interrupted");
             // If the client has disconnected as well, the error needs no receiver.
             let _ = pieces.blocking_send(Err(io::Error::other("the export was interrupted")));
         }

@@ -79,7 +79,7 @@ pub async fn login(
         .await?;
     let token = token.ok_or_else(bad_token)?;
     let secret = Secret::new().map_err(|error| {
-        tracing::error!(%error, "no session can be begun");
+        tracing::error!(%error, "cannot start a session");
         Problem::internal()
     })?;
     // A new login leaves no old session behind.

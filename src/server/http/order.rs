@@ -58,7 +58,7 @@ impl Order {
         options: &Map<String, Value>,
     ) -> Result<Self, Problem> {
         let preset: Preset = row.preset.parse().map_err(|error: OptionsError| {
-            tracing::error!(%error, job = row.id, "its preset is damaged");
+            tracing::error!(%error, job = row.id, "the job's preset is damaged");
             Problem::internal()
         })?;
         // The request may replace a value that only an older build accepted.

@@ -52,7 +52,7 @@ impl Capture {
 /// The assessments of a stored capture.
 pub fn report(row: &CaptureRow) -> CaptureReport {
     CaptureReport::deserialize(&row.report).unwrap_or_else(|error| {
-        tracing::error!(%error, capture = row.id, "its assessments are damaged");
+        tracing::error!(%error, capture = row.id, "the capture's assessments are damaged");
         CaptureReport {
             accepted: row.accepted,
             ..CaptureReport::default()

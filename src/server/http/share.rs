@@ -101,7 +101,7 @@ pub async fn create(
     check(&wanted)?;
     let job = find(&app, &id).await?;
     let no_randomness = |error| {
-        tracing::error!(%error, "no link can be made");
+        tracing::error!(%error, "cannot create a link");
         Problem::internal()
     };
     let secret = Secret::new().map_err(no_randomness)?;

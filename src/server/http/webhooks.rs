@@ -156,7 +156,7 @@ pub async fn create(
 }
 
 fn unmade(error: &dyn Display) -> Problem {
-    tracing::error!(%error, "no webhook can be made");
+    tracing::error!(%error, "cannot create a webhook");
     Problem::internal()
 }
 

@@ -163,8 +163,8 @@ fn move_aside(path: &Path, aside: &Path) -> io::Result<()> {
     tracing::warn!(
         from = %path.display(),
         to = %to.display(),
-        "moved aside for 30 days: the database does not name it. If the database is an older copy, \
-         stop the server, put the right one in place and move this back; photographs can also be \
+        "moved aside for 30 days: the database does not know it. If the database is an older copy, \
+         stop the server, restore the right one and move this back; photographs can also be \
          uploaded again from here"
     );
     Ok(())

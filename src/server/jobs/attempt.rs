@@ -194,7 +194,7 @@ async fn remove_live_picture(app: &App, id: &str) {
     let path = app.data.output(id).work().live_picture();
     match tokio::fs::remove_file(&path).await {
         Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
-            tracing::warn!(job = id, %error, "a picture of a training stays");
+            tracing::warn!(job = id, %error, "cannot remove a live picture");
         }
         _ => {}
     }
@@ -374,7 +374,7 @@ impl Attempt<'_> {
         match copies::publish(self.app, &self.lease, false).await {
             Err(ServerError::LeaseLost(job)) => Err(ServerError::LeaseLost(job)),
             Err(error) => {
-                tracing::warn!(%error, job = self.lease.job, "its files are published later");
+                tracing::warn!(%error, job = self.lease.job, "the job's files are published later");
                 Ok(())
             }
             Ok(()) => Ok(()),

@@ -82,7 +82,7 @@ async fn heartbeat(
             Ok(Ok(true)) => Pulse::Cancel,
             Ok(Err(ServerError::LeaseLost(_))) => Pulse::Lost,
             Ok(Err(error)) if heard.elapsed() < limits.unheard => {
-                tracing::warn!(%error, job = lease.job, "a lease is not extended");
+                tracing::warn!(%error, job = lease.job, "cannot extend a lease");
                 // Sooner than the next heartbeat, which may be the last.
                 ticks.reset_after(limits.heartbeat / 10);
                 continue;
@@ -90,7 +90,7 @@ async fn heartbeat(
             Ok(Err(_)) | Err(_) => {
                 tracing::error!(
                     job = lease.job,
-                    "nobody hears of this worker: its job ends here"
+                    "this worker has no contact with the database; it stops its job"
                 );
                 Pulse::Lost
             }

@@ -37,7 +37,7 @@ pub async fn work(app: Arc<App>, kind: JobKind, turn: String) {
     while !app.shutdown.is_cancelled() {
         if app.is_disk_full() {
             if !was_full {
-                tracing::warn!("the disk is full: waiting jobs begin when there is space again");
+                tracing::warn!("the disk is full; waiting jobs start once there is space again");
             }
             was_full = true;
             pause(&app, RECOVERY).await;
@@ -119,7 +119,7 @@ async fn take(app: &App, kind: JobKind, turn: &str) -> Result<Option<(Claim, Arc
     let _alone = app.running.claiming().await;
     let released = release_expired(app).await?;
     for job in &released {
-        tracing::warn!(job, "its worker was not heard of any more: it waits again");
+        tracing::warn!(job, "the job's worker was lost; the job is queued again");
     }
     let machine = app
         .config

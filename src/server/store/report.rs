@@ -63,7 +63,7 @@ impl Store {
                 Err(error) if self.may_pass(&error, begun) => error,
                 settled => return settled,
             };
-            tracing::warn!(%error, job = lease.job, "an attempt is settled again");
+            tracing::warn!(%error, job = lease.job, "settling an attempt again");
             tokio::time::sleep(PAUSE).await;
         }
     }
@@ -114,7 +114,7 @@ impl Store {
                 Err(error) if self.may_pass(&error, begun) => error,
                 reported => return reported,
             };
-            tracing::warn!(%error, job = lease.job, "the database is away: reported again");
+            tracing::warn!(%error, job = lease.job, "the database is unavailable; reporting again");
             tokio::time::sleep(PAUSE).await;
         }
     }

@@ -175,7 +175,7 @@ impl Store {
                 .await;
             // A full disk must not lock anyone out.
             if let Err(error) = noted {
-                tracing::warn!(%error, "the use of a token is not noted");
+                tracing::warn!(%error, "cannot record the use of a token");
             }
         }
         Ok(Some(token))

@@ -113,7 +113,7 @@ fn unseen(error: AssessError, app: &App) -> Problem {
             "Send fewer or smaller photographs.".to_owned(),
         ),
         error => {
-            tracing::error!(?error, "cannot look at an upload");
+            tracing::error!(?error, "cannot check an upload");
             return Problem::internal();
         }
     };

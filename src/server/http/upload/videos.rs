@@ -135,11 +135,11 @@ pub(super) fn not_filmed(fault: &VideoFault, name: &str) -> Problem {
     let detail = &fault.detail;
     let problem = match fault.kind {
         VideoFaultKind::Ours => {
-            tracing::error!(detail, "cannot take frames of a video");
+            tracing::error!(detail, "cannot take frames from a video");
             return Problem::internal();
         }
         VideoFaultKind::Missing => {
-            tracing::warn!(detail, "a video came");
+            tracing::warn!(detail, "a video was sent, but ffmpeg is missing");
             let detail =
                 format!("{name}: this server cannot read videos, because ffmpeg is missing.");
             Problem::new(
