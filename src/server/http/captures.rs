@@ -125,7 +125,7 @@ async fn received(
     tag = "captures", params(ListQuery),
     responses(
         (status = 200, description = "One page of results", body = Captures),
-        (status = 422, description = "Invalid page", body = Problem, content_type = "application/problem+json")))]
+        (status = 422, description = "Invalid page parameters", body = Problem, content_type = "application/problem+json")))]
 pub async fn list(
     State(app): State<Arc<App>>,
     Query(query): Query<ListQuery>,

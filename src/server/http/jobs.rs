@@ -315,7 +315,7 @@ fn idempotency_key(headers: &HeaderMap, visitor: &Visitor) -> Result<Option<Stri
 #[utoipa::path(get, path = "/v1/jobs", operation_id = "list_jobs", tag = "jobs", params(ListQuery),
     responses(
         (status = 200, description = "One page of results", body = Jobs),
-        (status = 422, description = "Invalid page", body = Problem, content_type = "application/problem+json")))]
+        (status = 422, description = "Invalid page parameters", body = Problem, content_type = "application/problem+json")))]
 pub async fn list(
     State(app): State<Arc<App>>,
     Query(query): Query<ListQuery>,
@@ -356,7 +356,7 @@ pub async fn show(
 #[utoipa::path(post, path = "/v1/jobs/{id}/cancel", operation_id = "cancel_job",
     tag = "jobs", params(("id" = String, Path)),
     responses(
-        (status = 202, description = "Cancelled, or about to be", body = Job),
+        (status = 202, description = "Cancelled, or being cancelled", body = Job),
         (status = 404, description = "Not found", body = Problem, content_type = "application/problem+json"),
         (status = 409, description = "The job has already ended", body = Problem, content_type = "application/problem+json")))]
 pub async fn cancel(

@@ -48,7 +48,7 @@ pub struct LogPage {
     responses(
         (status = 200, description = "One page of results", body = LogPage),
         (status = 404, description = "Not found", body = Problem, content_type = "application/problem+json"),
-        (status = 422, description = "Invalid page", body = Problem, content_type = "application/problem+json")))]
+        (status = 422, description = "Invalid page parameters", body = Problem, content_type = "application/problem+json")))]
 pub async fn show(
     State(app): State<Arc<App>>,
     Path(id): Path<String>,

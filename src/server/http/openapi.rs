@@ -137,7 +137,7 @@ fn refuse(operation: &mut Operation, path: &str) {
     }
     if path.starts_with("/v1/") || path == "/metrics" {
         refusals.push(("401", "A valid token is required"));
-        refusals.push(("403", "The token does not allow this"));
+        refusals.push(("403", "The token lacks the required scope"));
         refusals.push((
             "429",
             "Too many requests; `Retry-After` says when to try again",

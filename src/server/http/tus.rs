@@ -104,7 +104,7 @@ pub async fn options(State(app): State<Arc<App>>) -> Response {
     (StatusCode::NO_CONTENT, told).into_response()
 }
 
-/// Describes the supported upload protocol, at an upload.
+/// Describes the supported upload protocol, for an existing upload.
 #[utoipa::path(options, path = "/v1/uploads/{id}", operation_id = "one_upload_options",
     tag = "uploads", params(("id" = String, Path)),
     responses((status = 204, description = "The supported protocol", headers(

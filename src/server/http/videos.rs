@@ -316,7 +316,7 @@ pub async fn show(
         (status = 206, description = "The requested range", body = serde_json::Value, content_type = "video/mp4"),
         (status = 304, description = "Not modified"),
         (status = 404, description = "Not found", body = Problem, content_type = "application/problem+json"),
-        (status = 409, description = "The video is not made, or not yet", body = Problem, content_type = "application/problem+json"),
+        (status = 409, description = "The video is not ready, or could not be made", body = Problem, content_type = "application/problem+json"),
         (status = 416, description = "The range begins beyond the end", body = Problem, content_type = "application/problem+json")))]
 pub async fn download(
     State(app): State<Arc<App>>,
