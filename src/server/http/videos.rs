@@ -374,9 +374,9 @@ async fn check_ffmpeg(app: &App) -> Result<(), Problem> {
     if has_ffmpeg(&app.config.ffmpeg).await {
         return Ok(());
     }
-    let detail = "Videos are not made here: there is no ffmpeg.";
+    let detail = "This server cannot make videos, because ffmpeg is missing.";
     let problem = Problem::new(StatusCode::SERVICE_UNAVAILABLE, "no_ffmpeg", detail);
-    Err(problem.hint("Whoever runs the server installs it: apt-get install ffmpeg."))
+    Err(problem.hint("Ask the server's administrator to install it: apt-get install ffmpeg."))
 }
 
 fn bad_plan(error: &PlanError) -> Problem {
