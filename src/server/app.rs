@@ -9,13 +9,13 @@ use crate::blob_cache::BlobCache;
 use crate::config::{Limits, ServeConfig};
 use crate::data::DataDir;
 use crate::failpoint::Failpoint;
-use crate::http::{EventFeeds, UploadLocks};
 use crate::incoming::Uploads;
 use crate::jobs::running::Running;
 use crate::rate::Rates;
 use crate::render::Renderers;
 use crate::store::Store;
 use crate::telemetry::Telemetry;
+use crate::upload_locks::UploadLocks;
 use crate::validator::Validators;
 
 /// The state of a server.
@@ -51,8 +51,6 @@ pub struct App {
     pub exporting: Arc<Semaphore>,
     /// Counters for `/metrics`.
     pub telemetry: Telemetry,
-    /// The newest events of watched jobs.
-    pub feeds: EventFeeds,
     /// Running jobs.
     pub running: Running,
     /// The last result of the readiness checks.
@@ -89,7 +87,6 @@ impl App {
             filming: tokio::sync::Mutex::default(),
             exporting: Arc::new(Semaphore::new(limits.exports)),
             telemetry: Telemetry::default(),
-            feeds: EventFeeds::default(),
             running: Running::default(),
         }
     }

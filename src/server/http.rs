@@ -45,7 +45,6 @@ mod shapes;
 mod share;
 mod tus;
 mod upload;
-mod upload_locks;
 mod uploaded;
 mod videos;
 mod webhooks;
@@ -73,12 +72,10 @@ use paths::{
 };
 
 pub use connections::serve as serve_connections;
-pub use events::feed::EventFeeds;
 pub use openapi::document;
 pub use problem::Problem;
 #[doc(hidden)]
 pub use tus::read_headers as read_tus_headers;
-pub use upload_locks::UploadLocks;
 
 /// Only the server's own content may run or be shown; no other page may frame it.
 const CONTENT_SECURITY_POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; \

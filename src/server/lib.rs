@@ -26,6 +26,7 @@ mod serve;
 pub mod store;
 mod telemetry;
 pub mod token;
+mod upload_locks;
 mod validation;
 pub mod validator;
 mod webhooks;

@@ -12,6 +12,7 @@ mod copy;
 mod effects;
 mod engine;
 mod events;
+mod feed;
 mod files;
 mod idempotency;
 mod identity;
@@ -44,6 +45,7 @@ use sqlx::AnyPool;
 
 use crate::error::{Result, ServerError};
 use engine::Tx;
+use feed::Feeds;
 use notifier::Notifier;
 
 pub use alone::Alone;
@@ -53,6 +55,7 @@ pub use clock::now_ms;
 pub use effects::{Progress, Settlement};
 pub use engine::Engine;
 pub use events::EventRow;
+pub use feed::EventFeed;
 pub use files::by_path;
 pub use idempotency::{Creation, Request, UsedUp};
 pub use jobs::{JobError, JobFilter, JobRow, Needs, NewJob, ToldJob};
@@ -75,6 +78,7 @@ pub struct Store {
     /// The URL of the PostgreSQL database.
     url: Option<String>,
     notifier: Arc<Notifier>,
+    feeds: Arc<Feeds>,
     /// Leases are counted from here, on a clock that nobody sets: see [`Store::lease_clock`].
     opened: Instant,
 }
@@ -115,6 +119,7 @@ impl Store {
             engine,
             url,
             notifier: Arc::default(),
+            feeds: Arc::default(),
             opened: Instant::now(),
         }
     }

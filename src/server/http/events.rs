@@ -1,10 +1,8 @@
 //! `/v1/jobs/{id}/events`: server-sent events out of the database.
 //!
 //! A change wakes a stream, which asks for the events after the last that it sent; one read of the
-//! database answers all streams of a job (`events/feed.rs`). So no event is lost, doubled or out of
+//! database answers all streams of a job (`store/feed.rs`). So no event is lost, doubled or out of
 //! order, whether the client reconnects, the server restarts or both.
-
-pub(super) mod feed;
 
 use std::convert::Infallible;
 use std::sync::Arc;
@@ -24,7 +22,7 @@ use super::extract::Query;
 use super::lookup::find;
 use super::problem::Problem;
 use crate::app::App;
-use feed::{EventFeed, FeedEvent};
+use crate::store::{EventFeed, EventRow};
 
 /// How long a stream may outlast the validity of its token.
 const ACCESS_CHECK: Duration = Duration::from_secs(5);
@@ -87,7 +85,7 @@ pub async fn stream(
         return Ok(StatusCode::NO_CONTENT.into_response());
     }
     let cursor = Cursor {
-        feed: app.feeds.of(&id),
+        feed: app.store.feed(&id),
         app,
         last,
         versions,
@@ -129,7 +127,7 @@ struct Cursor {
     feed: Arc<EventFeed>,
     last: i64,
     versions: watch::Receiver<u64>,
-    batch: std::vec::IntoIter<Arc<FeedEvent>>,
+    batch: std::vec::IntoIter<Arc<EventRow>>,
     /// The headers that authorised the client, and when they were last checked.
     headers: HeaderMap,
     checked: Instant,
@@ -138,22 +136,22 @@ struct Cursor {
 impl Cursor {
     fn into_stream(self) -> impl Stream<Item = Result<Event, Infallible>> {
         futures::stream::unfold(self, async |mut cursor| {
-            let told = cursor.next().await?;
+            let row = cursor.next().await?;
             let event = Event::default()
-                .id(told.seq.to_string())
-                .event(&told.kind)
-                .data(&told.data);
+                .id(row.seq.to_string())
+                .event(&row.kind)
+                .data(row.data.to_string());
             Some((Ok(event), cursor))
         })
     }
 
     /// Returns the next event; `None` when the job is over or gone, the token is no longer valid,
     /// or the server stops.
-    async fn next(&mut self) -> Option<Arc<FeedEvent>> {
+    async fn next(&mut self) -> Option<Arc<EventRow>> {
         loop {
-            if let Some(told) = self.batch.next() {
-                self.last = told.seq;
-                return Some(told);
+            if let Some(row) = self.batch.next() {
+                self.last = row.seq;
+                return Some(row);
             }
             if self.checked.elapsed() >= ACCESS_CHECK {
                 if !access::holds(&self.app, &self.headers).await.ok()? {

@@ -25,10 +25,10 @@ use super::access::Visitor;
 use super::paths::UPLOADS;
 use super::problem::Problem;
 use super::upload::to_its_end;
-use super::upload_locks::{UploadLock, lock};
 use crate::app::App;
 use crate::janitor::remove;
 use crate::store::UploadRow;
+use crate::upload_locks::UploadLock;
 
 /// What of the protocol there is besides its core.
 const EXTENSIONS: &str = "creation,creation-with-upload,expiration,termination";
@@ -268,6 +268,23 @@ pub async fn by_override(
 fn overriding(headers: &HeaderMap) -> Option<Method> {
     let method = headers.get(METHOD_OVERRIDE)?;
     Method::from_bytes(method.as_bytes()).ok()
+}
+
+/// Locks an upload, and stops the request that uses it.
+///
+/// # Errors
+/// 423 when that request does not release it.
+pub(super) async fn lock(app: &App, id: &str) -> Result<UploadLock, Problem> {
+    let lock = app.upload_locks.take(id, app.limits.takeover).await;
+    lock.ok_or_else(|| {
+        Problem::new(
+            StatusCode::LOCKED,
+            "locked",
+            "Another request still uses this upload.",
+        )
+        .hint("Try again in some seconds.")
+        .retry_after(1)
+    })
 }
 
 /// The upload, from whoever had it. It is looked for after that: it may be deleted meanwhile.

@@ -25,10 +25,10 @@ use self::budget::Budget;
 use self::places::Places;
 use super::problem::{Problem, too_large};
 use super::quota::over_quota;
-use super::upload_locks::UploadLock;
 use crate::app::App;
 use crate::error::ServerError;
 use crate::incoming::Incoming;
+use crate::upload_locks::UploadLock;
 
 pub use budget::check_space;
 pub use gather::gather;

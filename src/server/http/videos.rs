@@ -23,7 +23,7 @@ use crate::app::App;
 use crate::error::ServerError;
 use crate::janitor::remove;
 use crate::jobs::state::JobState;
-use crate::jobs::worker::has_ffmpeg;
+use crate::jobs::worker::is_installed;
 use crate::store::{VideoCreation, VideoRoom, VideoRow};
 
 /// After so many seconds one of those that wait may have been made.
@@ -259,7 +259,7 @@ pub async fn create(
     (plan.width, plan.height) = (Some(size.width), Some(size.height));
     upload::check_space(&app)?;
     bytes_left(&app, &visitor).await?;
-    check_ffmpeg(&app).await?;
+    check_ffmpeg(&app)?;
     let id = Uuid::now_v7().to_string();
     let plan = serde_json::to_value(plan).map_err(damaged)?;
     let room = VideoRoom {
@@ -370,8 +370,8 @@ async fn known(app: &App, job: &str, id: &str) -> Result<VideoRow, Problem> {
 }
 
 /// Refuses what would wait for ever: whoever runs the server must install ffmpeg.
-async fn check_ffmpeg(app: &App) -> Result<(), Problem> {
-    if has_ffmpeg(&app.config.ffmpeg).await {
+fn check_ffmpeg(app: &App) -> Result<(), Problem> {
+    if is_installed(&app.config.ffmpeg) {
         return Ok(());
     }
     let detail = "This server cannot make videos, because ffmpeg is missing.";

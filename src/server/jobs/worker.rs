@@ -1,13 +1,10 @@
 //! Workers, each of which runs one job at a time.
 
-use std::io::ErrorKind::NotFound;
 use std::path::Path;
-use std::process::Stdio;
 use std::sync::Arc;
 use std::time::Duration;
 
 use fled_core::pipeline::error::ErrorKind;
-use tokio::process::Command;
 use tokio::sync::Notify;
 
 use super::{after_death, attempt};
@@ -28,7 +25,6 @@ const RECOVERY: Duration = Duration::from_secs(2);
 /// disk is logged and tried again.
 pub async fn work(app: Arc<App>, kind: JobKind, turn: String) {
     let mut was_full = false;
-    let mut can_film = false;
     let mut queue = app.store.queue();
     let idle = match app.store.engine() {
         Engine::Sqlite => IDLE,
@@ -44,13 +40,10 @@ pub async fn work(app: Arc<App>, kind: JobKind, turn: String) {
             continue;
         }
         was_full = false;
-        if kind == JobKind::Video && !can_film {
-            can_film = has_ffmpeg(&app.config.ffmpeg).await;
-            if !can_film {
-                // Another process may make it, or somebody installs ffmpeg.
-                pause(&app, idle).await;
-                continue;
-            }
+        if kind == JobKind::Video && !is_installed(&app.config.ffmpeg) {
+            // Another process may make it, or somebody installs ffmpeg.
+            pause(&app, idle).await;
+            continue;
         }
         // Before the look: what begins to wait meanwhile is looked for again.
         queue.mark_unchanged();
@@ -160,12 +153,13 @@ async fn remove_if_deleted(app: &App, id: &str) -> bool {
     is_deleted
 }
 
-/// Whether videos can be made with this program: what else is wrong with it, it reports itself.
-pub async fn has_ffmpeg(program: &Path) -> bool {
-    let mut command = Command::new(program);
-    command.arg("-version").stdin(Stdio::null());
-    let status = command.stdout(Stdio::null()).stderr(Stdio::null()).status();
-    !matches!(status.await, Err(error) if error.kind() == NotFound)
+/// Whether a program is there, by its path or on `PATH`.
+pub fn is_installed(program: &Path) -> bool {
+    if program.components().nth(1).is_some() {
+        return program.is_file();
+    }
+    let folders = std::env::var_os("PATH").unwrap_or_default();
+    std::env::split_paths(&folders).any(|folder| folder.join(program).is_file())
 }
 
 async fn run(app: &App, claim: &Claim, cancel: Arc<Notify>) -> Result<()> {

@@ -277,7 +277,8 @@ impl Store {
         Ok(done.execute(&self.pool).await?.rows_affected() == 1)
     }
 
-    /// Deletes a job that is not running, with all its rows and videos. `Ok(false)` when it runs or is gone.
+    /// Deletes a job that is not running, with all its rows and videos. `Ok(false)` when it runs
+    /// or is gone.
     ///
     /// # Errors
     /// When a database operation fails.

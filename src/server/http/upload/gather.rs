@@ -15,8 +15,9 @@ use crate::error::ServerError;
 use crate::http::access::Visitor;
 use crate::http::problem::{Problem, disk_full, too_large};
 use crate::http::quota::bytes_left_beside;
-use crate::http::upload_locks::{UploadLock, lock};
+use crate::http::tus::lock;
 use crate::store::UploadRow;
+use crate::upload_locks::UploadLock;
 
 /// Gathers finished uploads of the visitor's own, each under its file name, for a capture with
 /// these text fields. They stay as they are until the capture is kept, and until then nobody else

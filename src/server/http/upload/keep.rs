@@ -13,9 +13,9 @@ use crate::error::ServerError;
 use crate::http::access::Visitor;
 use crate::http::problem::Problem;
 use crate::http::quota::{bytes_left_beside, over_quota};
-use crate::http::upload_locks::UploadLock;
 use crate::janitor::remove;
 use crate::store::CaptureRow;
+use crate::upload_locks::UploadLock;
 use crate::validation::CaptureReport;
 
 /// An upload whose files lie where those of captures lie, and whose row is still to be stored.

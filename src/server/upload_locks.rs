@@ -8,12 +8,8 @@ use std::collections::HashMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-use axum::http::StatusCode;
 use tokio::time::{Instant, timeout_at};
 use tokio_util::sync::CancellationToken;
-
-use super::problem::Problem;
-use crate::app::App;
 
 /// The uploads that are in use.
 #[derive(Clone, Debug, Default)]
@@ -88,23 +84,6 @@ impl Drop for UploadLock {
         self.locks.lock().remove(&self.id);
         self.state.released.cancel();
     }
-}
-
-/// Locks an upload, and stops the request that uses it.
-///
-/// # Errors
-/// 423 when that request does not release it.
-pub(super) async fn lock(app: &App, id: &str) -> Result<UploadLock, Problem> {
-    let lock = app.upload_locks.take(id, app.limits.takeover).await;
-    lock.ok_or_else(|| {
-        Problem::new(
-            StatusCode::LOCKED,
-            "locked",
-            "Another request still uses this upload.",
-        )
-        .hint("Try again in some seconds.")
-        .retry_after(1)
-    })
 }
 
 #[cfg(test)]

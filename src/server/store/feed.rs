@@ -4,61 +4,37 @@
 use std::collections::{HashMap, VecDeque};
 use std::sync::{Arc, Mutex, PoisonError, Weak};
 
+use super::{EventRow, Store};
 use crate::error::Result;
-use crate::store::{EventRow, Store};
 
 /// Events read at once, and kept of a job that is watched.
 const RECENT: usize = 200;
 
-/// An event as it is sent.
-#[derive(Debug, PartialEq, Eq)]
-pub struct FeedEvent {
-    /// 1, 2, 3 ...
-    pub seq: i64,
-    /// Its name.
-    pub kind: String,
-    /// JSON.
-    pub data: String,
-}
-
-impl From<EventRow> for FeedEvent {
-    fn from(row: EventRow) -> Self {
-        Self {
-            seq: row.seq,
-            kind: row.kind,
-            data: row.data.to_string(),
-        }
-    }
-}
-
 /// What follows a number.
-#[derive(Debug, Default, PartialEq, Eq)]
+#[derive(Debug, Default, PartialEq)]
 pub struct Next {
     /// In order; none of them is missing.
-    pub events: Vec<Arc<FeedEvent>>,
+    pub events: Vec<Arc<EventRow>>,
     /// Whether nothing comes after these: the job has ended or is gone.
     pub is_all: bool,
 }
 
-/// The jobs that are watched.
-#[derive(Debug, Default)]
-pub struct EventFeeds {
-    jobs: Mutex<HashMap<String, Weak<EventFeed>>>,
-}
+/// The feeds of the jobs that are watched.
+pub(super) type Feeds = Mutex<HashMap<String, Weak<EventFeed>>>;
 
-impl EventFeeds {
-    /// The feed of a job, shared by all who hold it.
-    pub fn of(&self, job: &str) -> Arc<EventFeed> {
-        let mut jobs = self.jobs.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(feed) = jobs.get(job).and_then(Weak::upgrade) {
+impl Store {
+    /// The feed of a job, one for all of its streams.
+    pub fn feed(&self, job: &str) -> Arc<EventFeed> {
+        let mut feeds = self.feeds.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(feed) = feeds.get(job).and_then(Weak::upgrade) {
             return feed;
         }
-        jobs.retain(|_, feed| feed.strong_count() > 0);
+        feeds.retain(|_, feed| feed.strong_count() > 0);
         let feed = Arc::new(EventFeed {
             job: job.to_owned(),
             recent: tokio::sync::Mutex::default(),
         });
-        jobs.insert(job.to_owned(), Arc::downgrade(&feed));
+        feeds.insert(job.to_owned(), Arc::downgrade(&feed));
         feed
     }
 }
@@ -76,7 +52,7 @@ struct Recent {
     version: Option<u64>,
     /// `events` are all that follow this number.
     start: i64,
-    events: VecDeque<Arc<FeedEvent>>,
+    events: VecDeque<Arc<EventRow>>,
     is_over: bool,
 }
 
@@ -105,7 +81,7 @@ impl EventFeed {
         if seq < recent.start {
             // Far behind: it catches up by itself.
             let rows = store.events_after(&self.job, seq, RECENT as u32).await?;
-            let events = rows.into_iter().map(|row| Arc::new(row.into())).collect();
+            let events = rows.into_iter().map(Arc::new).collect();
             return Ok(Next {
                 events,
                 is_all: false,
@@ -130,9 +106,7 @@ impl EventFeed {
         // There may be more of them, which the next look takes.
         recent.version = (rows.len() < RECENT).then_some(version);
         recent.is_over = is_over;
-        recent
-            .events
-            .extend(rows.into_iter().map(|row| Arc::new(row.into())));
+        recent.events.extend(rows.into_iter().map(Arc::new));
         while recent.events.len() > RECENT {
             recent.start = recent
                 .events
@@ -167,8 +141,7 @@ mod tests {
             stage: fled_core::event::Stage::Deblur,
             round,
         };
-        let feeds = EventFeeds::default();
-        let (ahead, behind) = (feeds.of("j"), feeds.of("j"));
+        let (ahead, behind) = (store.feed("j"), store.feed("j"));
         assert!(Arc::ptr_eq(&ahead, &behind), "one reads for both");
         assert_eq!(seqs(&ahead.after(&store, 1, 1).await.expect("read")), [2]);
         for round in 0..500 {
