@@ -3,11 +3,12 @@
 const FIXED = ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2"];
 const LAST = ["opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"];
 
-/** The bytes of a scene whose n-th number of Gaussian i is `value(i, name, n)`. */
-export function ply(count, degree, value, announced = count) {
+/** The bytes of a scene whose n-th number of Gaussian i is `value(i, name, n)`, with `comments`. */
+export function ply(count, degree, value, announced = count, comments = []) {
   const rest = Array.from({ length: 3 * ((degree + 1) ** 2 - 1) }, (_, n) => `f_rest_${n}`);
   const names = [...FIXED, ...rest, ...LAST];
-  const lines = ["ply", "format binary_little_endian 1.0", `element vertex ${announced}`,
+  const lines = ["ply", "format binary_little_endian 1.0",
+    ...comments.map((words) => `comment ${words}`), `element vertex ${announced}`,
     ...names.map((name) => `property float ${name}`), "end_header", ""];
   const head = new TextEncoder().encode(lines.join("\n"));
   const bytes = new Uint8Array(head.length + 4 * names.length * count);

@@ -9,6 +9,7 @@ import {
 import { request } from "../../web/scene/picture.js";
 import { pointsOf } from "../../web/scene/points.js";
 import { GEOMETRY, SceneError, readHeader, readScene } from "../../web/scene/ply.js";
+import { cameraWithin, matrixInWorld, worldOf } from "../../web/scene/world.js";
 import { sorter } from "../../web/scene/sort.js";
 import { ply } from "./ply.js";
 
@@ -50,6 +51,35 @@ test("scale and rotation become a covariance, the logit an opacity", async () =>
   const { geometry } = await read(ply(1, 0, (_, name) => shape[name] ?? 0));
   // A quarter turn around z: the long axis lies along y.
   same([...geometry.subarray(3, 10)], [0.75, 4, 0, 0, 9, 0, 1], "opacity and covariance", 1e-5);
+});
+
+test("a world of any size and place is drawn as an ordinary one, and asked for as it is", async () => {
+  const eyes = [[0, 0, -3], [1, 0, -2.8], [-1, 0.2, -2.8]];
+  const [scale, offset] = [1e-3, [512345.6, 5412345.9, 310.2]];
+  const far = eyes.map((eye) => camera(eye.map((value, k) => scale * value + offset[k])));
+  const world = worldOf(far);
+  assert.deepEqual(worldOf(eyes.map((eye) => camera(eye))), { offset: [0, 0, 0], scale: 1 });
+  const drawn = far.map((one) => poseOf(cameraWithin(one, world)));
+  const { radius } = surroundingsOf(far.map((one) => cameraWithin(one, world)));
+  assert.ok(radius >= 1.99 && radius < 32, `radius ${radius}`);
+  drawn.forEach(({ eye }, i) => {
+    assert.ok(eye.every((value) => Math.abs(value) < 4 * radius), `about the origin: ${eye}`);
+    same(matrixInWorld(drawn[i], world).flat(), far[i].world_to_camera.flat(), "back", 1e-8);
+  });
+  // The file leaves out an offset of its own, which is no business of what is drawn.
+  const [missing, log] = [[512344, 5412352, 312], Math.log(2 * scale)];
+  const values = { x: 1.6, y: -6.1, z: -1.8, rot_0: 1, scale_0: log, scale_1: log, scale_2: log };
+  const comments = ["fled: add 512344 5412352 312 to x y z for the world of the poses"];
+  const bytes = ply(1, 0, (_, name) => values[name] ?? 0, 1, comments);
+  const { geometry } = await readScene(body(bytes), () => {}, world);
+  const place = [values.x, values.y, values.z].map((value, k) =>
+    (Math.fround(value) + missing[k] - world.offset[k]) * world.scale);
+  same([...geometry.subarray(0, 3)], place, "place", 1e-5);
+  near(geometry[4], (2 * scale * world.scale) ** 2, "variance", 1e-4);
+  const points = [0, 1, 2].map((x) => ({ position: [x * scale + offset[0], ...offset.slice(1)],
+    colour: [0, 0, 0], track: 2 }));
+  const sparse = pointsOf({ points }, world).geometry;
+  near(sparse[GEOMETRY] - sparse[0], scale * world.scale, "points", 1e-5);
 });
 
 test("sparse points are small round Gaussians of their colour, however far a few lie off", () => {
@@ -196,9 +226,9 @@ test("all of a photograph is seen on another shape, and asked for of the server"
   const off = fitted({ ...camera([0, 0, 0]), cx: 110 }, 400, 200);
   assert.equal(off.cx, 220);
   const large = fitted(camera([0, 0, 0]), 4096, 2048);
-  const asked = request({ round: 2, isDelivered: false }, START, large);
+  const asked = request({ round: 2, isDelivered: false }, matrixOf(START), large);
   assert.deepEqual([asked.round, asked.format], [2, "png"]);
   assert.deepEqual(asked.intrinsics,
     { width: 2048, height: 1024, fx: 1536, fy: 1536, cx: 1024, cy: 512 });
-  assert.equal("round" in request({ round: 2, isDelivered: true }, START, k), false);
+  assert.equal("round" in request({ round: 2, isDelivered: true }, matrixOf(START), k), false);
 });

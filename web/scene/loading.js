@@ -4,10 +4,11 @@ import { NEAR } from "./gl.js";
 import { SceneError } from "./ply.js";
 
 /**
- * Fetches the scene at `url`, or where `isPoints` the sparse points of poses. `progress(received, total)` in bytes, `total` may be `null`. Answers
+ * Fetches the scene at `url`, or where `isPoints` the sparse points of poses, to be drawn in `world`.
+ * `progress(received, total)` in bytes, `total` may be `null`. Answers
  * `{ scene, sort, end }`: `sort(row)` promises the order for a third row of world to camera.
  */
-export function loading({ url, isPoints }, progress) {
+export function loading({ url, isPoints }, world, progress) {
   const worker = new Worker(new URL("./worker.js", import.meta.url), { type: "module" });
   let ordered = null;
   const whole = new Promise((resolve, reject) => {
@@ -22,7 +23,7 @@ export function loading({ url, isPoints }, progress) {
       reject(new SceneError(`The scene could not be read: ${event.message ?? "no worker"}.`));
     };
   });
-  worker.postMessage({ url: new URL(url, location.href).href, isPoints });
+  worker.postMessage({ url: new URL(url, location.href).href, isPoints, world });
   return {
     whole,
     sort: (row) => new Promise((resolve) => {

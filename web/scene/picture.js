@@ -1,19 +1,18 @@
 // The view that is shown, as the server renders it.
 
 import { Refusal, h } from "../lib/dom.js";
-import { matrixOf } from "./camera.js";
 
 /** The server renders no larger pictures, px. */
 const LONGEST = 2048;
 
-/** What `POST /v1/jobs/{id}/render` takes for a pose with intrinsics `k`, `ev` stops brighter. */
-export function request(scene, pose, k, ev = 0) {
+/** What `POST /v1/jobs/{id}/render` takes for world to camera with intrinsics `k`, `ev` stops brighter. */
+export function request(scene, matrix, k, ev = 0) {
   const scale = Math.min(1, LONGEST / Math.max(k.width, k.height));
   const side = (length) => Math.max(16, Math.round(length * scale));
   const [width, height] = [side(k.width), side(k.height)];
   const [x, y] = [width / k.width, height / k.height];
   return {
-    world_to_camera: matrixOf(pose),
+    world_to_camera: matrix,
     intrinsics: { width, height, fx: k.fx * x, fy: k.fy * y, cx: k.cx * x, cy: k.cy * y },
     // The delivered scene has no number.
     ...(scene.isDelivered ? {} : { round: scene.round }),
@@ -23,10 +22,10 @@ export function request(scene, pose, k, ev = 0) {
 }
 
 /** Fetches the picture and has the browser save it. */
-export async function savedPicture(job, scene, pose, k, ev) {
+export async function savedPicture(job, scene, matrix, k, ev) {
   const response = await fetch(`/v1/jobs/${job}/render`, {
     method: "POST", headers: { "Content-Type": "application/json" },
-    body: JSON.stringify(request(scene, pose, k, ev)),
+    body: JSON.stringify(request(scene, matrix, k, ev)),
   });
   if (!response.ok) throw new Refusal(response.status, await response.json().catch(() => null));
   const href = URL.createObjectURL(await response.blob());

@@ -1,5 +1,7 @@
 // Reads scenes of Gaussians: PLY files in the layout that 3DGS viewers share, binary little endian.
 
+import { AS_IT_IS, pointWithin } from "./world.js";
+
 /** What is wrong with a scene, as a sentence. */
 export class SceneError extends Error {}
 
@@ -21,8 +23,8 @@ export const GEOMETRY = 12;
 export const harmonicsRow = (degree) => 4 * Math.ceil((3 * (degree + 1) ** 2) / 4);
 
 /**
- * The header at the beginning of `bytes`: `{ start, count, stride, degree, offsets }`; `null` while
- * its end has not come. `offsets` are those of x y z, the logit, log-scales, quaternion and then
+ * The header at the beginning of `bytes`: `{ start, count, stride, degree, offsets, missing }`; `null` while
+ * its end has not come. `missing` is what x y z lack, `offsets` are those of x y z, the logit, log-scales, quaternion and then
  * R, G, B of each coefficient.
  */
 export function readHeader(bytes) {
@@ -40,9 +42,12 @@ export function readHeader(bytes) {
 
 function layout(lines, start) {
   const properties = new Map();
-  let [count, stride] = [null, 0];
+  let [count, stride, missing] = [null, 0, [0, 0, 0]];
   for (const line of lines) {
     const [kind, ...words] = line.trim().split(/\s+/);
+    if (kind === "comment" && words[0] === "fled:" && words[1] === "add") {
+      missing = words.slice(2, 5).map(Number);
+    }
     if (kind === "" || kind === "comment" || kind === "obj_info") continue;
     if (kind === "format" && words[0] === "binary_little_endian") continue;
     if (kind === "format") {
@@ -66,7 +71,7 @@ function layout(lines, start) {
     throw new SceneError(`This PLY file does not hold Gaussians: it has no float "${name}".`);
   });
   if (!count) throw new SceneError("The scene is empty.");
-  return { start, count, stride, degree, offsets };
+  return { start, count, stride, degree, offsets, missing };
 }
 
 /** The harmonics are channel-major in the file; here each coefficient has its colours together. */
@@ -80,11 +85,12 @@ function names(degree) {
 }
 
 /**
- * Reads a scene from a body; `progress(bytes)` is told how much of it has come.
+ * Reads a scene from a body, to be drawn in `world`; `progress(bytes)` is told how much of it has come.
  * @param {ReadableStream<Uint8Array>} body
  * @param {(bytes: number) => void} progress
+ * @param {{ offset: number[], scale: number }} world
  */
-export async function readScene(body, progress = () => {}) {
+export async function readScene(body, progress = () => {}, world = AS_IT_IS) {
   const reader = body.getReader();
   let [head, header, rows, filled, received] = [new Uint8Array(0), null, null, 0, 0];
   const take = (bytes) => {
@@ -113,7 +119,7 @@ export async function readScene(body, progress = () => {}) {
     const missing = header.count - Math.floor(filled / header.stride);
     throw new SceneError(`The file is truncated: ${missing} of ${header.count} Gaussians are missing.`);
   }
-  return unpack(rows, header);
+  return unpack(rows, header, world);
 }
 
 function room({ count, stride }) {
@@ -135,7 +141,7 @@ function joined(a, b) {
  * `{ count, degree, geometry, harmonics }` of the rows of a file, as the renderer's textures have
  * them. A Gaussian with numbers that are none is kept, without opacity.
  */
-export function unpack(rows, { count, stride, degree, offsets }) {
+export function unpack(rows, { count, stride, degree, offsets, missing }, world) {
   const view = new DataView(rows.buffer, rows.byteOffset, rows.byteLength);
   const geometry = new Float32Array(GEOMETRY * count);
   const width = harmonicsRow(degree);
@@ -147,18 +153,20 @@ export function unpack(rows, { count, stride, degree, offsets }) {
     const norm = row[7] ** 2 + row[8] ** 2 + row[9] ** 2 + row[10] ** 2;
     if (!row.every(Number.isFinite) || norm < QUAT_GUARD) continue;
     const at = GEOMETRY * i;
-    geometry.set(row.subarray(0, 3), at);
+    const place = [0, 1, 2].map((k) => row[k] + missing[k]);
+    geometry.set(pointWithin(place, world), at);
     geometry[at + 3] = 1 / (1 + Math.exp(-Math.min(LOGIT, Math.max(-LOGIT, row[3]))));
-    covariance(row, Math.sqrt(norm), geometry, at + 4);
+    covariance(row, Math.sqrt(norm), world.scale, geometry, at + 4);
     harmonics.set(row.subarray(first), width * i);
   }
   return { count, degree, geometry, harmonics };
 }
 
 /** R S S^T R^T of a Gaussian: xx, xy, xz, yy, yz, zz. */
-function covariance(row, norm, out, at) {
+function covariance(row, norm, scale, out, at) {
   const [w, x, y, z] = [row[7] / norm, row[8] / norm, row[9] / norm, row[10] / norm];
-  const variance = (k) => Math.exp(Math.min(LOG_SCALE[1], Math.max(LOG_SCALE[0], row[4 + k]))) ** 2;
+  const variance = (k) =>
+    (scale * Math.exp(Math.min(LOG_SCALE[1], Math.max(LOG_SCALE[0], row[4 + k])))) ** 2;
   const [a, b, c] = [variance(0), variance(1), variance(2)];
   const [xx, xy, xz] = [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)];
   const [yx, yy, yz] = [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)];

@@ -1,6 +1,7 @@
 // The sparse points of poses as a scene: small round Gaussians.
 
 import { GEOMETRY, SceneError, harmonicsRow } from "./ply.js";
+import { AS_IT_IS, pointWithin } from "./world.js";
 
 /** Standard deviation of a point, as a share of how far the points spread. */
 const SIZE = 0.008;
@@ -9,18 +10,19 @@ const OPACITY = 0.95;
 const Y00 = 0.2820948;
 
 /**
- * `{ count, degree, geometry, harmonics, isGuessed }` of the points of poses.json. Where poses came
+ * `{ count, degree, geometry, harmonics, isGuessed }` of the points of poses.json, drawn in `world`. Where poses came
  * without points, those are guessed that a scene begins with.
  */
-export function pointsOf({ points }) {
+export function pointsOf({ points }, world = AS_IT_IS) {
   if (!Array.isArray(points) || points.length === 0) {
     throw new SceneError("The poses contain no points.");
   }
-  const variance = (SIZE * spread(points.map(({ position }) => position))) ** 2;
+  const places = points.map(({ position }) => pointWithin(position, world));
+  const variance = (SIZE * spread(places)) ** 2;
   const geometry = new Float32Array(GEOMETRY * points.length);
   const harmonics = new Float32Array(harmonicsRow(0) * points.length);
-  points.forEach(({ position, colour }, i) => {
-    geometry.set([...position, OPACITY, variance, 0, 0, variance, 0, variance], GEOMETRY * i);
+  points.forEach(({ colour }, i) => {
+    geometry.set([...places[i], OPACITY, variance, 0, 0, variance, 0, variance], GEOMETRY * i);
     harmonics.set(colour.map((value) => (value / 255 - 0.5) / Y00), harmonicsRow(0) * i);
   });
   const isGuessed = points.every(({ track }) => track === 0);

@@ -9,6 +9,7 @@ import { loading } from "./loading.js";
 import { SceneError } from "./ply.js";
 import { sceneTools } from "./tools.js";
 import { savedPicture } from "./picture.js";
+import { cameraWithin, matrixInWorld, worldOf } from "./world.js";
 
 /** Pixels of the canvas a CSS pixel, at most: more cost more than one sees. */
 const FINEST = 2;
@@ -72,6 +73,8 @@ class View {
 
   constructor(job, cameras, scenes, ended) {
     this.job = job;
+    this.world = worldOf(cameras);
+    cameras = cameras.map((camera) => cameraWithin(camera, this.world));
     this.cameras = cameras;
     this.scenes = scenes;
     this.ended = ended;
@@ -125,7 +128,7 @@ class View {
     this.#incoming?.end();
     this.#busy(true);
     this.veil.textContent = this.#source ? "" : "Loading the scene…";
-    const incoming = loading(scene, (received, total) => this.#progress(received, total));
+    const incoming = loading(scene, this.world, (received, total) => this.#progress(received, total));
     this.#incoming = incoming;
     try {
       const content = await incoming.whole;
@@ -286,7 +289,7 @@ class View {
   /** The server renders this very view. */
   async save() {
     try {
-      await savedPicture(this.job, this.scene, this.pose, this.shown, this.tools.ev());
+      await savedPicture(this.job, this.scene, matrixInWorld(this.pose, this.world), this.shown, this.tools.ev());
     } catch (error) {
       this.tools.say(`The picture could not be saved. ${error.message}`);
     }

@@ -6,15 +6,15 @@ import { sorter } from "./sort.js";
 
 let sort = null;
 
-async function load(url, isPoints) {
+async function load(url, isPoints, world) {
   const response = await fetch(url);
   if (!response.ok) {
     const problem = await response.json().catch(() => null);
     throw new SceneError(problem?.detail ?? `The server responded with status ${response.status}.`);
   }
   const total = Number(response.headers.get("content-length")) || null;
-  const scene = isPoints ? pointsOf(await response.json())
-    : await readScene(response.body, (received) => postMessage({ received, total }));
+  const scene = isPoints ? pointsOf(await response.json(), world)
+    : await readScene(response.body, (received) => postMessage({ received, total }), world);
   // The page gets the arrays themselves; what is sorted here needs its own.
   sort = sorter(scene.geometry.slice());
   postMessage({ scene }, { transfer: [scene.geometry.buffer, scene.harmonics.buffer] });
@@ -26,7 +26,7 @@ onmessage = ({ data }) => {
     postMessage({ order }, { transfer: [order.buffer] });
     return;
   }
-  load(data.url, data.isPoints).catch((error) => {
+  load(data.url, data.isPoints, data.world).catch((error) => {
     const words = error instanceof SceneError ? error.message
       : `The scene could not be loaded completely: ${error.message}.`;
     postMessage({ problem: words });
