@@ -1,5 +1,6 @@
 //! Pinhole cameras. Axes as in OpenCV: x right, y down, z forward; pixel centres at +0.5.
 
+pub mod normalisation;
 pub mod orbit;
 
 use glam::{DMat3, DMat4, DQuat, DVec2, DVec3};

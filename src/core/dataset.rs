@@ -192,6 +192,33 @@ impl GivenPoses {
         }
     }
 
+    /// Points for poses that came without, in their normalised world: triangulated ones or, where
+    /// there are none, guessed ones. `bounds` are in the world that was given.
+    fn found_points(
+        &self,
+        request: &PoseRequest<'_>,
+        near: &Poses,
+        bounds: &[Option<(f64, f64)>],
+        sink: &mut dyn ProgressSink,
+        cancel: &CancelToken,
+    ) -> Result<Vec<SparsePoint>, PosesError> {
+        let reason = match self.triangulated(request, &near.views, sink, cancel)? {
+            Ok(points) => return Ok(points),
+            Err(reason) => reason,
+        };
+        let cameras: Vec<Camera> = near.views.iter().map(|view| view.camera).collect();
+        let scale = near.normalisation.scale;
+        let scaled = |both: &Option<(f64, f64)>| both.map(|(a, b)| (scale * a, scale * b));
+        let bounds: Vec<_> = bounds.iter().map(scaled).collect();
+        let points = frusta::guess(&cameras, &bounds, GUESSED_POINTS, request.seed);
+        let count = points.len();
+        let message = format!(
+            "the poses came without points, {reason}: {count} random ones take their place"
+        );
+        sink.warn("points_guessed", message);
+        Ok(points)
+    }
+
     fn read(&self) -> Result<Given, PosesError> {
         match self.format {
             Format::Model => SparseModel::read(&self.path).map(|model| from_model(&model)),
@@ -331,27 +358,33 @@ impl Sfm for GivenPoses {
                 advice,
             });
         }
-        if let Some(poses) = self.refined(request, &views, sink, cancel)? {
-            return Ok(poses);
+        // Far from the origin COLMAP, too, loses its digits.
+        let near = Poses {
+            views: views.clone(),
+            ..Poses::default()
+        };
+        let near = near.normalised();
+        let normalisation = near.normalisation;
+        let in_world = |poses| {
+            Poses {
+                normalisation,
+                ..poses
+            }
+            .in_world()
+        };
+        if let Some(poses) = self.refined(request, &near.views, sink, cancel)? {
+            return Ok(in_world(poses));
         }
-        let mut points = given.points;
-        if points.is_empty() {
-            let cameras: Vec<Camera> = views.iter().map(|view: &PosedView| view.camera).collect();
-            points = match self.triangulated(request, &views, sink, cancel)? {
-                Ok(points) => points,
-                Err(reason) => {
-                    let points = frusta::guess(&cameras, &bounds, GUESSED_POINTS, request.seed);
-                    let count = points.len();
-                    sink.warn(
-                        "points_guessed",
-                        format!(
-                            "the poses came without points, {reason}: {count} random ones take their place"
-                        ),
-                    );
-                    points
-                }
+        let points = if given.points.is_empty() {
+            let points = self.found_points(request, &near, &bounds, sink, cancel)?;
+            let found = Poses {
+                points,
+                ..Poses::default()
             };
-        }
+            in_world(found).points
+        } else {
+            given.points
+        };
         Ok(Poses {
             views,
             points,

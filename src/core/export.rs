@@ -15,7 +15,8 @@ use zip::ZipWriter;
 use zip::write::{SimpleFileOptions, StreamWriter};
 
 use crate::camera::NamedCamera;
-use crate::gaussians::{Gaussians, Y00, compressed, ply};
+use crate::gaussians::ply::{self, Scene};
+use crate::gaussians::{Y00, compressed};
 use crate::poses::model::SparseModel;
 use crate::run_folder::{RoundPictures, RunFolder};
 
@@ -276,14 +277,20 @@ fn with_pictures(
 }
 
 /// The middles of what is rather opaque than not, with its base colour.
-fn points(scene: &Gaussians) -> Vec<([f64; 3], [u8; 3])> {
+fn points(
+    Scene {
+        gaussians: scene,
+        normalisation,
+    }: &Scene,
+) -> Vec<([f64; 3], [u8; 3])> {
     let row = 3 * scene.coefficients();
     let is_solid = |&index: &usize| scene.is_usable(index) && scene.opacity_logits[index] > 0.0;
     let point = |index: usize| {
         let sh = &scene.sh[index * row..][..3];
         let colour = |channel: usize| (0.5 + Y00 * sh[channel]).clamp(0.0, 1.0) * 255.0;
         let colour = std::array::from_fn(|channel| colour(channel).round() as u8);
-        (scene.means[index].map(f64::from), colour)
+        let place = normalisation.point_in_world(scene.means[index].map(f64::from).into());
+        (place.to_array(), colour)
     };
     (0..scene.len()).filter(is_solid).map(point).collect()
 }

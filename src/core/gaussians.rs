@@ -3,6 +3,8 @@
 pub mod compressed;
 pub mod ply;
 
+use glam::DVec3;
+
 /// Y_0^0, the constant harmonic.
 pub(crate) const Y00: f32 = 0.282_094_8;
 
@@ -113,6 +115,26 @@ impl Gaussians {
     pub fn without_unusable(&self) -> Self {
         let kept: Vec<_> = (0..self.len()).filter(|&i| self.is_usable(i)).collect();
         self.select(&kept)
+    }
+
+    /// The same Gaussians in a world that is `scale` times as large and then moved by `shift`.
+    #[must_use]
+    pub fn moved(&self, scale: f64, shift: DVec3) -> Self {
+        let mean = |mean: &[f32; 3]| DVec3::from(mean.map(f64::from)) * scale + shift;
+        let log_scale = |axis: f32| (f64::from(axis) + scale.ln()) as f32;
+        Self {
+            means: self
+                .means
+                .iter()
+                .map(|at| mean(at).as_vec3().to_array())
+                .collect(),
+            log_scales: self
+                .log_scales
+                .iter()
+                .map(|axes| axes.map(log_scale))
+                .collect(),
+            ..self.clone()
+        }
     }
 
     /// The same Gaussians with harmonics of `degree`: cut off, or filled up with zeros.

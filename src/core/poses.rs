@@ -12,9 +12,11 @@ pub mod pnp;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
 use crate::camera::Camera;
+use crate::camera::normalisation::Normalisation;
 use crate::cancel::{CancelToken, Cancelled};
 use crate::event::ProgressSink;
 use crate::image::Image;
@@ -103,9 +105,55 @@ pub struct Poses {
     pub network: Option<String>,
     /// Wall seconds.
     pub seconds: f64,
+    /// What was done to the world of views and points; the identity in what is found, and in what
+    /// users see.
+    #[serde(default, skip_serializing_if = "Normalisation::is_identity")]
+    pub normalisation: Normalisation,
 }
 
 impl Poses {
+    /// In a world of ordinary size about the origin.
+    #[must_use]
+    pub fn normalised(self) -> Self {
+        let cameras: Vec<Camera> = self.views.iter().map(|view| view.camera).collect();
+        self.within(Normalisation::of(&cameras))
+    }
+
+    /// Of the world, normalised so.
+    #[must_use]
+    pub fn within(self, normalisation: Normalisation) -> Self {
+        let camera = |camera: &Camera| normalisation.within(camera);
+        let moved = self.moved(camera, |point| normalisation.point_within(point));
+        Self {
+            normalisation,
+            ..moved
+        }
+    }
+
+    /// In the world that they were found or given in.
+    #[must_use]
+    pub fn in_world(self) -> Self {
+        let by = self.normalisation;
+        let moved = self.moved(
+            |camera| by.in_world(camera),
+            |point| by.point_in_world(point),
+        );
+        Self {
+            normalisation: Normalisation::default(),
+            ..moved
+        }
+    }
+
+    fn moved(mut self, camera: impl Fn(&Camera) -> Camera, point: impl Fn(DVec3) -> DVec3) -> Self {
+        for view in &mut self.views {
+            view.camera = camera(&view.camera);
+        }
+        for sparse in &mut self.points {
+            sparse.position = point(sparse.position.into()).to_array();
+        }
+        self
+    }
+
     /// What is said about the view of this name; of one with a pose where nothing was said before.
     pub(crate) fn verdict_of(&mut self, name: &str) -> &mut PoseVerdict {
         let verdicts = &mut self.verdicts;

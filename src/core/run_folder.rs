@@ -194,7 +194,7 @@ impl RoundFolder {
         self.root.join("cameras.json")
     }
 
-    /// The poses of the rounds after this one, where its scene changed them.
+    /// The poses of the rounds after this one, where its scene changed them; normalised.
     pub fn late_views(&self) -> PathBuf {
         self.root.join("late_views.json")
     }

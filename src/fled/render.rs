@@ -81,7 +81,8 @@ pub fn main(args: &Args) -> Result<(), Failure> {
         .camera(&cameras, PictureSize::from(args.size))
         .map_err(Failure::usage)?;
     let scene = run.scene_of(args.round);
-    let gaussians = ply::read(&scene).map_err(|e| Failure::from(PipelineError::from(e)))?;
+    let scene = ply::read(&scene).map_err(|e| Failure::from(PipelineError::from(e)))?;
+    let (gaussians, camera) = (scene.gaussians, scene.normalisation.within(&camera));
     let gpu = Gpu::new(&args.adapter).map_err(|e| Failure::new(ErrorKind::Environment, e))?;
     let render = |e| Failure::from(PipelineError::from(e));
     let renderer = Renderer::new(&gpu);

@@ -7,6 +7,7 @@ use std::io::{self, BufRead, Write};
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
+use fled_core::camera::normalisation::Normalisation;
 use fled_core::gaussians::ply;
 use fled_core::image::{EncodeFormat, Image, write_atomic};
 use fled_core::pipeline::error::ErrorKind;
@@ -77,7 +78,7 @@ impl Stamp {
 /// The device and the last rendered scene, because turning a view requests the same one repeatedly.
 struct Worker {
     renderer: Renderer,
-    scene: Option<(Stamp, UploadedGaussians)>,
+    scene: Option<(Stamp, UploadedGaussians, Normalisation)>,
 }
 
 impl Worker {
@@ -104,23 +105,27 @@ impl Worker {
 
     /// Renders depth, which replaces the colours on the device by ones that depend on the camera.
     fn depth(&self, request: &RenderRequest) -> Result<Image, String> {
-        let gaussians = ply::read(&request.scene).map_err(words)?;
-        let camera = request.camera.camera();
-        let depth = self.renderer.depth(&gaussians, &camera).map_err(words)?;
+        let scene = ply::read(&request.scene).map_err(words)?;
+        let camera = scene.normalisation.within(&request.camera.camera());
+        let depth = self
+            .renderer
+            .depth(&scene.gaussians, &camera)
+            .map_err(words)?;
         Ok(depth.picture())
     }
 
     fn colour(&mut self, request: &RenderRequest) -> Result<Image, String> {
         let stamp = Stamp::of(&request.scene).map_err(words)?;
-        let known = self.scene.take().filter(|(known, _)| *known == stamp);
-        let (_, scene) = self.scene.insert(match known {
+        let known = self.scene.take().filter(|(known, ..)| *known == stamp);
+        let (_, scene, normalisation) = self.scene.insert(match known {
             Some(known) => known,
             None => {
-                let gaussians = ply::read(&request.scene).map_err(words)?;
-                (stamp, self.renderer.upload(&gaussians).map_err(words)?)
+                let scene = ply::read(&request.scene).map_err(words)?;
+                let uploaded = self.renderer.upload(&scene.gaussians).map_err(words)?;
+                (stamp, uploaded, scene.normalisation)
             }
         });
-        let camera = request.camera.camera();
+        let camera = normalisation.within(&request.camera.camera());
         self.renderer.render_scene(scene, &camera).map_err(words)
     }
 }

@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 use std::time::Instant;
 
+use fled_core::camera::Camera;
 use fled_core::cancel::{CancelToken, Cancelled};
 use fled_core::event::Event;
 use fled_core::gaussians::ply;
@@ -116,11 +117,15 @@ fn make(args: &Args, cancel: &CancelToken) -> Result<u32, Failure> {
     let plan = plan(args)?;
     let cameras = plan.cameras(&read_cameras(&run.cameras())?)?;
     let scene = run.scene_of(plan.round);
-    let gaussians = ply::read(&scene).map_err(|e| Failure::from(PipelineError::from(e)))?;
+    let scene = ply::read(&scene).map_err(|e| Failure::from(PipelineError::from(e)))?;
+    let within = |camera: &Camera| scene.normalisation.within(camera);
+    let cameras: Vec<Camera> = cameras.iter().map(within).collect();
     let gpu = Gpu::new(&args.adapter).map_err(|e| Failure::new(ErrorKind::Environment, e))?;
     let renderer = Renderer::new(&gpu);
-    let scene = renderer.upload(&gaussians).map_err(PipelineError::from)?;
-    drop(gaussians);
+    let uploaded = renderer
+        .upload(&scene.gaussians)
+        .map_err(PipelineError::from)?;
+    drop(scene);
     let target = Target {
         program: &args.ffmpeg.program,
         file: &args.output,
@@ -130,7 +135,7 @@ fn make(args: &Args, cancel: &CancelToken) -> Result<u32, Failure> {
     video::write(&target, &cameras, |number, camera| {
         cancel.check()?;
         progress.show(number);
-        let picture = renderer.render_scene(&scene, camera);
+        let picture = renderer.render_scene(&uploaded, camera);
         Ok::<_, Failure>(picture.map_err(PipelineError::from)?.exposed(args.ev))
     })?;
     progress.show(cameras.len());

@@ -42,7 +42,7 @@ fn a_dark_capture_becomes_a_scene_with_metrics_of_every_round() {
         "the brightened views: {report:#}"
     );
     let scene = ply::read(&out.join("scene.ply")).expect("a scene");
-    assert!(!scene.is_empty());
+    assert!(!scene.gaussians.is_empty());
     assert_eq!(
         json(&out.join("cameras.json"))
             .as_array()

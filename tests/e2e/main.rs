@@ -14,3 +14,4 @@ mod suite;
 mod support;
 mod unchanged;
 mod watched;
+mod worlds;

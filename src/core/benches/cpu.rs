@@ -5,6 +5,7 @@
 use std::f32::consts::TAU;
 
 use divan::{Bencher, black_box, counter::BytesCount, counter::ItemsCount};
+use fled_core::camera::normalisation::Normalisation;
 use fled_core::enhance::{Anchor, Histogram, ToneCurve, match_anchor};
 use fled_core::gaussians::{Gaussians, ply};
 use fled_core::image::Image;
@@ -131,12 +132,13 @@ fn shake_of_one_view(bencher: Bencher<'_, '_>) {
 fn ply_write(bencher: Bencher<'_, '_>, count: usize) {
     let scene = scene(count);
     let mut bytes = Vec::new();
-    ply::write_to(&scene, &mut bytes).expect("memory takes it");
+    ply::write_to(&scene, &Normalisation::default(), &mut bytes).expect("memory takes it");
     bencher
         .counter(BytesCount::new(bytes.len()))
         .bench_local(|| {
             bytes.clear();
-            ply::write_to(black_box(&scene), &mut bytes).expect("memory takes it");
+            ply::write_to(black_box(&scene), &Normalisation::default(), &mut bytes)
+                .expect("memory takes it");
         });
 }
 
@@ -144,7 +146,7 @@ fn ply_write(bencher: Bencher<'_, '_>, count: usize) {
 fn ply_read(bencher: Bencher<'_, '_>, count: usize) {
     let folder = tempfile::tempdir().expect("temporary folder");
     let path = folder.path().join("scene.ply");
-    ply::write(&scene(count), &path).expect("written");
+    ply::write(&scene(count), &Normalisation::default(), &path).expect("written");
     let bytes = std::fs::metadata(&path).expect("there").len();
     bencher
         .counter(BytesCount::new(bytes))

@@ -1,10 +1,11 @@
 //! Random points where the cameras look, for poses that came without points.
 
-use glam::{DMat3, DVec2, DVec3};
+use glam::{DVec2, DVec3};
 use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 
 use crate::camera::Camera;
+use crate::camera::normalisation::viewing_distance;
 use crate::poses::SparsePoint;
 
 /// How often a point is drawn again until two cameras see it.
@@ -68,31 +69,7 @@ fn sees(camera: &Camera, point: DVec3) -> bool {
 /// Depths around the point that all cameras look at, or, where they look in parallel, around
 /// twice the extent of the cameras.
 fn depth_range(cameras: &[Camera]) -> (f64, f64) {
-    let centres: Vec<DVec3> = cameras.iter().map(Camera::centre).collect();
-    let extent = crate::poses::align::extent(&centres).max(1e-6);
-    // Least squares: sum over cameras of (I - f f^T)(x - c) = 0.
-    let mut matrix = DMat3::ZERO;
-    let mut vector = DVec3::ZERO;
-    for (camera, centre) in cameras.iter().zip(&centres) {
-        let f = camera.forward();
-        let across = DMat3::IDENTITY - DMat3::from_cols(f * f.x, f * f.y, f * f.z);
-        matrix += across;
-        vector += across * *centre;
-    }
-    let conditioned = matrix.determinant() > 1e-4 * (cameras.len() as f64).powi(3);
-    let middle = if conditioned {
-        let focus = matrix.inverse() * vector;
-        let mut depths: Vec<f64> = cameras
-            .iter()
-            .zip(&centres)
-            .map(|(a, c)| a.forward().dot(focus - *c))
-            .collect();
-        depths.sort_by(f64::total_cmp);
-        depths[depths.len() / 2]
-    } else {
-        2.0 * extent
-    };
-    // A focus behind the cameras means that they look outwards.
-    let middle = if middle > 0.0 { middle } else { 2.0 * extent };
+    let distance = viewing_distance(cameras);
+    let middle = if distance > 0.0 { distance } else { 1.0 };
     (0.3 * middle, 4.0 * middle)
 }

@@ -7,7 +7,9 @@ use zip::ZipArchive;
 use zip::result::ZipResult;
 
 use super::*;
+use crate::camera::normalisation::Normalisation;
 use crate::camera::{Camera, Intrinsics, Split};
+use crate::gaussians::Gaussians;
 use crate::image::Image;
 
 /// A result of three views, of one round, with two solid Gaussians and a faint one.
@@ -53,7 +55,7 @@ fn result() -> (TempDir, RunFolder) {
         fs::write(path, serde_json::to_vec(&cameras).expect("JSON")).expect("written");
     }
     for path in [run.scene(), run.round(1).scene()] {
-        ply::write(&scene, &path).expect("written");
+        ply::write(&scene, &Normalisation::default(), &path).expect("written");
     }
     (folder, run)
 }

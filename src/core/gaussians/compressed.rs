@@ -8,6 +8,7 @@
 
 use std::io::{self, Write};
 
+use super::ply::{Scene, comments, in_file};
 use super::{Gaussians, Y00};
 
 /// Gaussians that share their ranges.
@@ -37,9 +38,10 @@ pub fn bytes_of(count: usize, sh_degree: u32) -> u64 {
 ///
 /// # Errors
 /// Those of the writer.
-pub fn write_to(gaussians: &Gaussians, out: &mut impl Write) -> io::Result<()> {
+pub fn write_to(scene: &Scene, out: &mut impl Write) -> io::Result<()> {
+    let gaussians = &*in_file(&scene.gaussians, &scene.normalisation);
     let order = along_curve(gaussians);
-    out.write_all(header(order.len(), gaussians.coefficients()).as_bytes())?;
+    out.write_all(header(order.len(), scene).as_bytes())?;
     let chunks: Vec<Chunk> = order
         .chunks(CHUNK)
         .map(|rows| Chunk::of(gaussians, rows))
@@ -65,11 +67,13 @@ pub fn write_to(gaussians: &Gaussians, out: &mut impl Write) -> io::Result<()> {
     out.flush()
 }
 
-fn header(count: usize, coefficients: usize) -> String {
+fn header(count: usize, scene: &Scene) -> String {
+    let coefficients = scene.gaussians.coefficients();
+    let format = "ply\nformat binary_little_endian 1.0\n".to_owned();
     let mut lines = vec![
-        "ply".to_owned(),
-        "format binary_little_endian 1.0".to_owned(),
-        format!("element chunk {}", count.div_ceil(CHUNK)),
+        format
+            + &comments(&scene.normalisation)
+            + &format!("element chunk {}", count.div_ceil(CHUNK)),
     ];
     for names in RANGES {
         for end in ["min", "max"] {

@@ -1,11 +1,18 @@
 //! Scenes as PLY files in the layout that 3DGS viewers read: binary little endian, quaternions w x
 //! y z, opacity as a logit, scales as logarithms, higher harmonics channel-major.
+//!
+//! The files are in the world of the poses, less an offset that `f32` cannot hold. Comments in the
+//! header say which, and how the scene was [normalised](Normalisation).
 
+use std::borrow::Cow;
 use std::fs::File;
 use std::io::{BufRead, BufReader, BufWriter, Read, Write};
 use std::path::{Path, PathBuf};
 
+use glam::DVec3;
+
 use super::Gaussians;
+use crate::camera::normalisation::Normalisation;
 
 /// A PLY file that cannot be read or written.
 #[derive(Debug, thiserror::Error)]
@@ -28,18 +35,53 @@ pub enum PlyError {
     },
 }
 
-/// Writes `gaussians` to `path`: first to a temporary name beside it, then renamed.
+/// A scene as it trained, and what brought its world there.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Scene {
+    /// As they trained.
+    pub gaussians: Gaussians,
+    /// From the world of the poses to where they trained.
+    pub normalisation: Normalisation,
+}
+
+/// Trained Gaussians as files have them.
+pub(super) fn in_file<'a>(gaussians: &'a Gaussians, by: &Normalisation) -> Cow<'a, Gaussians> {
+    if by.is_identity() {
+        return Cow::Borrowed(gaussians);
+    }
+    Cow::Owned(gaussians.moved(1.0 / by.scale, by.offset - by.missing_in_files()))
+}
+
+/// Lines of a header: nothing where the file is as the scene trained.
+pub(super) fn comments(by: &Normalisation) -> String {
+    let DVec3 { x, y, z } = by.offset;
+    let scale = by.scale;
+    let mut lines = String::new();
+    if by.left_out {
+        lines += &format!("comment fled: add {x} {y} {z} to x y z for the world of the poses\n");
+    }
+    if !by.is_identity() {
+        lines += &format!("comment fled: trained as world less {x} {y} {z} times {scale}\n");
+    }
+    lines
+}
+
+/// Writes `gaussians`, which `normalisation` brought to where they trained, to `path`: first to a temporary name beside it, then renamed.
 ///
 /// # Errors
 /// [`PlyError::Io`].
-pub fn write(gaussians: &Gaussians, path: &Path) -> Result<(), PlyError> {
+pub fn write(
+    gaussians: &Gaussians,
+    normalisation: &Normalisation,
+    path: &Path,
+) -> Result<(), PlyError> {
     let fault = |source| PlyError::Io {
         path: path.to_owned(),
         source,
     };
     let temporary = path.with_extension("ply.tmp");
     let mut file = BufWriter::new(File::create(&temporary).map_err(fault)?);
-    write_to(gaussians, &mut file).map_err(fault)?;
+    write_to(gaussians, normalisation, &mut file).map_err(fault)?;
     let file = file
         .into_inner()
         .map_err(|error| fault(error.into_error()))?;
@@ -51,9 +93,15 @@ pub fn write(gaussians: &Gaussians, path: &Path) -> Result<(), PlyError> {
 ///
 /// # Errors
 /// Those of the writer.
-pub fn write_to(gaussians: &Gaussians, out: &mut impl Write) -> std::io::Result<()> {
+pub fn write_to(
+    gaussians: &Gaussians,
+    normalisation: &Normalisation,
+    out: &mut impl Write,
+) -> std::io::Result<()> {
+    let gaussians = in_file(gaussians, normalisation);
     let coefficients = gaussians.coefficients();
     out.write_all(b"ply\nformat binary_little_endian 1.0\n")?;
+    out.write_all(comments(normalisation).as_bytes())?;
     writeln!(out, "element vertex {}", gaussians.len())?;
     for name in property_names(coefficients) {
         writeln!(out, "property float {name}")?;
@@ -94,11 +142,11 @@ fn property_names(coefficients: usize) -> Vec<String> {
     names
 }
 
-/// Reads a scene. Properties may stand in any order; unknown ones are skipped.
+/// Reads a scene, as it trained. Properties may stand in any order; unknown ones are skipped.
 ///
 /// # Errors
 /// [`PlyError`] when the file cannot be read or lacks a property of a Gaussian.
-pub fn read(path: &Path) -> Result<Gaussians, PlyError> {
+pub fn read(path: &Path) -> Result<Scene, PlyError> {
     let fault = |source| PlyError::Io {
         path: path.to_owned(),
         source,
@@ -111,7 +159,17 @@ pub fn read(path: &Path) -> Result<Gaussians, PlyError> {
     let header = read_header(&mut file).map_err(fault)?.map_err(format)?;
     let mut body = Vec::new();
     file.read_to_end(&mut body).map_err(fault)?;
-    header.decode(&body).map_err(format)
+    let in_file = header.decode(&body).map_err(format)?;
+    let by = header.normalisation;
+    let shift = (by.offset - by.missing_in_files()) * by.scale;
+    Ok(Scene {
+        gaussians: if by.is_identity() {
+            in_file
+        } else {
+            in_file.moved(by.scale, -shift)
+        },
+        normalisation: by,
+    })
 }
 
 /// How many Gaussians a scene's file holds, and the degree of their harmonics, by its header.
@@ -139,6 +197,7 @@ struct Header {
     stride: usize,
     /// Name, byte offset, size.
     properties: Vec<(String, usize, usize)>,
+    normalisation: Normalisation,
 }
 
 /// Outer error: reading; inner error: the header's.
@@ -147,6 +206,7 @@ fn read_header(file: &mut impl BufRead) -> std::io::Result<Result<Header, String
         count: 0,
         stride: 0,
         properties: Vec::new(),
+        normalisation: Normalisation::default(),
     };
     for number in 0..1_000 {
         let mut line = String::new();
@@ -155,8 +215,13 @@ fn read_header(file: &mut impl BufRead) -> std::io::Result<Result<Header, String
         }
         let words: Vec<_> = line.split_whitespace().collect();
         match (number, words.as_slice()) {
-            (0, ["ply"])
-            | (_, ["format", "binary_little_endian", _] | ["comment" | "obj_info", ..]) => {}
+            (0, ["ply"]) | (_, ["format", "binary_little_endian", _] | ["obj_info", ..]) => {}
+            (_, ["comment", "fled:", words @ ..]) => {
+                if header.normalise(words).is_none() {
+                    return Ok(Err(format!("cannot read `{}`", line.trim())));
+                }
+            }
+            (_, ["comment", ..]) => {}
             (0, _) => return Ok(Err("not a PLY file".to_owned())),
             (_, ["element", "vertex", count]) => match count.parse() {
                 Ok(count) => header.count = count,
@@ -196,6 +261,20 @@ fn size_of_type(kind: &str) -> Option<usize> {
 }
 
 impl Header {
+    /// Takes in one of [`comments`].
+    fn normalise(&mut self, words: &[&str]) -> Option<()> {
+        let number = |word: &str| word.parse().ok().filter(|number: &f64| number.is_finite());
+        match *words {
+            ["add", _, _, _, ..] => self.normalisation.left_out = true,
+            ["trained", "as", "world", "less", x, y, z, "times", scale] => {
+                self.normalisation.offset = DVec3::new(number(x)?, number(y)?, number(z)?);
+                self.normalisation.scale = number(scale).filter(|scale| *scale > 0.0)?;
+            }
+            _ => return None,
+        }
+        Some(())
+    }
+
     fn decode(&self, body: &[u8]) -> Result<Gaussians, String> {
         let expected = self
             .count
@@ -293,17 +372,74 @@ mod tests {
         let folder = tempfile::tempdir().expect("a temporary folder");
         for degree in 0..=3 {
             let (path, scene) = (folder.path().join("scene.ply"), scene(5, degree));
-            write(&scene, &path).expect("written");
-            assert_eq!(read(&path).expect("read"), scene);
+            write(&scene, &Normalisation::default(), &path).expect("written");
+            assert_eq!(read(&path).expect("read").gaussians, scene);
             assert!(!path.with_extension("ply.tmp").exists());
         }
+    }
+
+    #[test]
+    fn a_file_is_in_the_world_of_the_poses_less_what_f32_cannot_hold() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let (path, scene) = (folder.path().join("scene.ply"), scene(5, 1));
+        let offset = DVec3::new(512_352.0, -5_412_352.0, 64.0);
+        for left_out in [true, false] {
+            let by = Normalisation {
+                offset,
+                scale: 0.0625,
+                left_out,
+            };
+            write(&scene, &by, &path).expect("written");
+            let found = read(&path).expect("read");
+            assert_eq!(found.normalisation, by);
+            assert_eq!(found.gaussians.sh, scene.sh);
+            let bytes = std::fs::read(&path).expect("bytes");
+            let said = String::from_utf8_lossy(&bytes).contains("add 512352 -5412352 64 to x y z");
+            assert_eq!(said, left_out);
+            let at = bytes.windows(11).position(|w| w == b"end_header\n");
+            let at = at.expect("a header") + 11;
+            let number = |n: usize| float(&bytes, at + 4 * n);
+            let moved = if left_out { 0.0 } else { 512_352.0 };
+            assert_eq!(number(0), scene.means[0][0] * 16.0 + moved);
+            let log_scale = number(9 + 9 + 1);
+            assert!((log_scale - scene.log_scales[0][0] - 16_f32.ln()).abs() < 1e-6);
+            // A step of f32 at 5,412,352 is half a metre: 1/32 of this scene.
+            let coarse = if left_out { 1e-6 } else { 0.5 / 16.0 };
+            for (a, b) in found.gaussians.means.iter().zip(&scene.means) {
+                let off = (0..3).map(|axis| (a[axis] - b[axis]).abs());
+                assert!(off.fold(0.0, f32::max) <= coarse, "{a:?} {b:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_comment_of_ours_that_makes_no_sense_is_refused_and_others_are_free() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let path = folder.path().join("scene.ply");
+        let with = |comment: &str| {
+            let mut bytes = Vec::new();
+            write_to(&scene(3, 0), &Normalisation::default(), &mut bytes).expect("written");
+            let (head, rest) = bytes.split_at(b"ply\n".len());
+            let bytes = [head, format!("comment {comment}\n").as_bytes(), rest].concat();
+            std::fs::write(&path, bytes).expect("written");
+            read(&path)
+        };
+        assert!(with("offset of somebody else").is_ok());
+        for bad in [
+            "fled: trained as world less 1 2 x times 1",
+            "fled: add",
+            "fled: what",
+        ] {
+            assert!(matches!(with(bad), Err(PlyError::Format { .. })), "{bad}");
+        }
+        assert!(with("fled: trained as world less 1 2 3 times 0").is_err());
     }
 
     #[test]
     fn higher_harmonics_are_channel_major_and_the_quaternion_starts_with_w() {
         let scene = scene(1, 1);
         let mut bytes = Vec::new();
-        write_to(&scene, &mut bytes).expect("written");
+        write_to(&scene, &Normalisation::default(), &mut bytes).expect("written");
         let at = bytes
             .windows(11)
             .position(|w| w == b"end_header\n")
@@ -329,7 +465,7 @@ mod tests {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let path = folder.path().join("bad.ply");
         let mut bytes = Vec::new();
-        write_to(&scene(3, 2), &mut bytes).expect("written");
+        write_to(&scene(3, 2), &Normalisation::default(), &mut bytes).expect("written");
         std::fs::write(&path, &bytes[..bytes.len() - 1]).expect("written");
         assert!(
             matches!(read(&path), Err(PlyError::Format { message, .. }) if message.contains("announced"))

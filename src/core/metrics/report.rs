@@ -206,6 +206,10 @@ pub struct Report {
     /// Facts of the poses: source, rung, points, reprojection error, mean track, and the verdict on
     /// the pose of every photograph.
     pub poses: BTreeMap<String, serde_json::Value>,
+    /// Added to x, y and z of the PLY files it gives positions in the world of the poses; too large
+    /// for `f32`. Absent where it is zero.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub scene_offset: Option<[f64; 3]>,
     pub seed: u64,
     /// Options of the run.
     pub config: serde_json::Value,

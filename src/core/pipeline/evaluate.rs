@@ -19,8 +19,9 @@ use super::round::Round;
 use super::tone::Tone;
 use super::views::View;
 use super::workspace::Workspace;
+use crate::camera::normalisation::Normalisation;
 use crate::event::Stage;
-use crate::gaussians::{Gaussians, ply};
+use crate::gaussians::ply;
 use crate::image::{EncodeFormat, Image};
 use crate::metrics::{self, RoundMetrics};
 use images::TargetImages;
@@ -45,6 +46,8 @@ pub struct Finished<'a> {
     pub scene: &'a TrainedScene,
     /// The results handed to the next round; `None` for the last round.
     pub next: Option<&'a Next>,
+    /// From the world of the poses to the scene's.
+    pub normalisation: &'a Normalisation,
 }
 
 /// Runs the stage: the round's row of `metrics.json`. `restored/` holds the pictures of the best
@@ -74,7 +77,7 @@ pub fn evaluate(
         if !metrics.worse_than_previous {
             restored(context.workspace, finished.views, &target.renders)?;
         }
-        brighten_scene(context.workspace, number, tone, &finished.scene.gaussians)?;
+        brighten_scene(context.workspace, tone, finished)?;
         Ok(metrics)
     })?;
     // The stage's time is known only after it ends.
@@ -87,18 +90,18 @@ pub fn evaluate(
 /// more rounds may have left.
 fn brighten_scene(
     workspace: &Workspace,
-    round: u32,
     tone: Option<&Tone>,
-    scene: &Gaussians,
+    finished: &Finished<'_>,
 ) -> Result<(), PipelineError> {
-    let path = workspace.folder().round(round).scene_at_target();
+    let round = workspace.folder().round(finished.round.number);
+    let path = round.scene_at_target();
     let Some(tone) = tone else {
         return workspace.remove(&path);
     };
-    let mut gaussians = scene.clone();
+    let mut gaussians = finished.scene.gaussians.clone();
     let curve = tone.scene();
     gaussians.map_colours(|rgb| curve.apply_colour(rgb), |rgb| curve.slope(rgb));
-    Ok(ply::write(&gaussians, &path)?)
+    Ok(ply::write(&gaussians, finished.normalisation, &path)?)
 }
 
 /// Writes the best round's renders at the views' cameras and the target brightness.
@@ -122,6 +125,7 @@ fn measure(
         images,
         scene,
         next,
+        ..
     } = finished;
     let noise_sigma = means(images, metrics::noise_sigma);
     let sigma = noise_sigma.get("enhanced").copied().unwrap_or_default();

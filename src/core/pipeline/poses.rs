@@ -15,6 +15,8 @@ use super::dependencies::{Dependencies, PosesDependencies};
 use super::error::PipelineError;
 use super::tools::Tools;
 use super::workspace::Workspace;
+use crate::camera::Camera;
+use crate::camera::normalisation::Normalisation;
 use crate::capture::{Capture, CaptureView};
 use crate::event::{ProgressSink, Stage};
 use crate::poses::{PoseStatus, PoseView, Poses, PosesError, in_words, svg};
@@ -76,15 +78,15 @@ pub fn poses(
     Ok(poses)
 }
 
-/// Writes the poses for those who look at the run. Not part of the stage: a run that was delivered
+/// Writes the poses, in the world that they were found in, for those who look at the run. Not part of the stage: a run that was delivered
 /// keeps those that its scene changed.
 ///
 /// # Errors
 /// [`PipelineError::Io`].
 pub fn publish(workspace: &Workspace, poses: &Poses) -> Result<(), PipelineError> {
     let folder = workspace.folder();
-    workspace.write_json(&folder.poses(), poses)?;
-    workspace.write(&folder.poses_picture(), svg(poses).as_bytes())
+    workspace.write(&folder.poses_picture(), svg(poses).as_bytes())?;
+    workspace.write_json(&folder.poses(), &poses.clone().in_world())
 }
 
 /// Whether poses serve a run with these dependencies: what a network had a hand in is of no use to
@@ -128,6 +130,18 @@ fn warn(sink: &mut dyn ProgressSink, poses: &Poses, views: &[CaptureView]) {
     let Poses {
         registered, total, ..
     } = poses;
+    let cameras: Vec<Camera> = poses.views.iter().map(|view| view.camera).collect();
+    let normalisation = Normalisation::of(&cameras);
+    if normalisation.left_out {
+        let [x, y, z] = normalisation.offset.to_array();
+        let message = format!(
+            "the poses are given in large coordinates, as UTM and other georeferenced ones are, far \
+             from the origin, where the 32-bit numbers of PLY files are too coarse: these leave out \
+             the offset {x} {y} {z}, which is to be added to their x y z; it stands in their \
+             headers and as `scene_offset` in metrics.json"
+        );
+        sink.warn("coordinates_large", message);
+    }
     if poses.low_confidence {
         let observations: u32 = poses.points.iter().map(|point| point.track).sum();
         let message = format!(

@@ -62,6 +62,14 @@ pub struct Training {
     pub pose_correction_px: Option<f64>,
 }
 
+impl Training {
+    /// With the cameras in another world.
+    fn with_cameras(self, moved: impl Fn(&Camera) -> Camera) -> Self {
+        let cameras = self.cameras.iter().map(moved).collect();
+        Self { cameras, ..self }
+    }
+}
+
 /// The scene of the previous round, with the curve to this round's brightness.
 #[derive(Clone, Copy, Debug)]
 pub struct Predecessor<'a> {
@@ -105,12 +113,13 @@ pub fn reconstruct(
     let number = material.round.number;
     let folder = context.workspace.folder().round(number);
     let (scene_file, facts) = (folder.scene(), folder.training());
+    let normalisation = &material.poses.normalisation;
     let load = |workspace: &Workspace| {
-        let training = workspace.read_json(&facts)?;
-        let gaussians = ply::read(&scene_file).ok()?;
+        let training: Training = workspace.read_json(&facts)?;
+        let gaussians = ply::read(&scene_file).ok()?.gaussians;
         Some(TrainedScene {
             gaussians,
-            training,
+            training: training.with_cameras(|camera| normalisation.within(camera)),
         })
     };
     let make = |context: &mut Context<'_>| {
@@ -119,9 +128,18 @@ pub fn reconstruct(
         let trained = train(context, gpu, material, start, &config, depends_on)?;
         let scene = with_cameras(context, gpu, material, trained, &config)?;
         context.workspace.make_folder(folder.root())?;
-        ply::write(&scene.gaussians, &scene_file)?;
-        context.workspace.write_json(&facts, &scene.training)?;
-        Ok(scene)
+        ply::write(&scene.gaussians, normalisation, &scene_file)?;
+        let in_world = |camera: &Camera| normalisation.in_world(camera);
+        let training = scene.training.clone().with_cameras(in_world);
+        context.workspace.write_json(&facts, &training)?;
+        if normalisation.is_identity() {
+            return Ok(scene);
+        }
+        // The files round it: a run that is resumed and one that is not go on with the same.
+        Ok(TrainedScene {
+            gaussians: ply::read(&scene_file)?.gaussians,
+            training: training.with_cameras(|camera| normalisation.within(camera)),
+        })
     };
     context.once(Stage::Reconstruct, number, depends_on, load, make)
 }

@@ -27,6 +27,7 @@ pub fn begin(options: &Options, tools: &Tools<'_>, networks: &Networks, poses: &
     let models = networks
         .named()
         .map(|(option, info)| (option.to_owned(), model(info)));
+    let by = &poses.normalisation;
     Report {
         rounds: Vec::new(),
         best_round: 1,
@@ -39,6 +40,7 @@ pub fn begin(options: &Options, tools: &Tools<'_>, networks: &Networks, poses: &
         models: models.collect(),
         fallbacks: tools.fallbacks.clone(),
         poses: facts(poses),
+        scene_offset: by.left_out.then(|| by.offset.to_array()),
         seed: options.seed,
         config: json!(options),
     }

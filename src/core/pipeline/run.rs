@@ -91,7 +91,7 @@ pub fn run(
     cancel: &CancelToken,
 ) -> Result<Outcome, PipelineError> {
     let context = &mut begin(capture, options, tools, workspace, sink, cancel)?;
-    let poses = poses(context, capture, options, tools)?;
+    let poses = poses(context, capture, options, tools)?.normalised();
     let depends_on = RunDependencies::of(options, capture, &poses, tools);
     let whole = depends_on.run();
     if let Some(report) = delivered(context, &whole)? {
@@ -207,7 +207,8 @@ fn round(
         before: before.map(Handover::predecessor), // V_{i-1}
     };
     let scene = reconstruct(context, tools.gpu, &material, &on.reconstruct)?; // V_i
-    views::place(context, round.number, views, &scene.training.cameras)?;
+    let (cameras, by) = (&scene.training.cameras, &poses.normalisation);
+    views::place(context, round.number, views, cameras, by)?;
     let renders = render(context, tools.gpu, round, views, &scene.gaussians)?; // R_i
     let next = if asked.is_still() {
         None
@@ -221,6 +222,7 @@ fn round(
         images: RoundImages::new(&enhanced, &deblurred, &renders),
         scene: &scene,
         next: next.as_ref(),
+        normalisation: &poses.normalisation,
     };
     let metrics = evaluate(context, &finished, brightening, report.rounds.last())?;
     publish(context.workspace, &with_fits(poses, &metrics))?;

@@ -7,6 +7,7 @@ use super::context::Context;
 use super::error::PipelineError;
 use super::pictures;
 use super::workspace::Workspace;
+use crate::camera::normalisation::Normalisation;
 use crate::camera::{Camera, NamedCamera, Split};
 use crate::cancel::CancelToken;
 use crate::capture::{Capture, CaptureView};
@@ -62,7 +63,7 @@ pub fn load(
 ) -> Result<Vec<View>, PipelineError> {
     let views = read(capture, poses, options, context.cancel)?;
     let workspace = context.workspace;
-    write_cameras(workspace, &views)?;
+    write_cameras(workspace, &named(&views, &poses.normalisation))?;
     views.iter().try_for_each(|view| show(workspace, view))?;
     Ok(views)
 }
@@ -90,22 +91,26 @@ pub fn place(
     round: u32,
     views: &mut [View],
     cameras: &[Camera],
+    normalisation: &Normalisation,
 ) -> Result<(), PipelineError> {
     for (view, camera) in views.iter_mut().zip(cameras) {
         view.camera = *camera;
     }
     let workspace = context.workspace;
-    workspace.write_json(&workspace.folder().round(round).cameras(), &named(views))?;
-    write_cameras(workspace, views)
+    let cameras = named(views, normalisation);
+    workspace.write_json(&workspace.folder().round(round).cameras(), &cameras)?;
+    write_cameras(workspace, &cameras)
 }
 
 /// Writes `cameras.json`.
-fn write_cameras(workspace: &Workspace, views: &[View]) -> Result<(), PipelineError> {
-    workspace.write_json(&workspace.folder().cameras(), &named(views))
+fn write_cameras(workspace: &Workspace, cameras: &[NamedCamera]) -> Result<(), PipelineError> {
+    workspace.write_json(&workspace.folder().cameras(), &cameras)
 }
 
-fn named(views: &[View]) -> Vec<NamedCamera> {
-    let named = |view: &View| NamedCamera::new(&view.name, &view.camera, view.split);
+/// The cameras of the views in the world of the poses.
+fn named(views: &[View], normalisation: &Normalisation) -> Vec<NamedCamera> {
+    let camera = |view: &View| normalisation.in_world(&view.camera);
+    let named = |view: &View| NamedCamera::new(&view.name, &camera(view), view.split);
     views.iter().map(named).collect()
 }
 

@@ -4,6 +4,7 @@ mod interrupted;
 use glam::DVec3;
 
 use super::*;
+use crate::camera::normalisation::Normalisation;
 use crate::camera::{Camera, Intrinsics};
 use crate::cancel::CancelToken;
 use crate::gaussians::{Gaussians, ply};
@@ -153,7 +154,7 @@ fn trained_on(
 
 fn bytes(scene: &Gaussians) -> Vec<u8> {
     let mut bytes = Vec::new();
-    ply::write_to(scene, &mut bytes).expect("written");
+    ply::write_to(scene, &Normalisation::default(), &mut bytes).expect("written");
     bytes
 }
 

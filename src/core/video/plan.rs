@@ -29,8 +29,8 @@ const SECONDS: f64 = 8.0;
 /// Pictures a second where nobody says.
 const FPS: u32 = 24;
 
-/// Largest number of a pose.
-const LARGEST: f64 = 1e6;
+/// Largest number of a pose: UTM in millimetres has 1e10.
+const LARGEST: f64 = 1e12;
 
 /// Which way the camera goes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]

@@ -112,6 +112,25 @@ fn the_way_through_the_photographs_passes_them_in_order_at_one_speed() {
 }
 
 #[test]
+fn a_path_may_be_in_utm_metres_and_goes_nowhere_near_infinity() {
+    let far = |x: f64| Key {
+        world_to_camera: [
+            [1.0, 0.0, 0.0, -x],
+            [0.0, 1.0, 0.0, -5_412_345.9],
+            [0.0, 0.0, 1.0, 4.0],
+            [0.0, 0.0, 0.0, 1.0],
+        ],
+        seconds: 1.0,
+    };
+    let plan = |x: f64| Plan {
+        poses: Some(vec![far(x), far(x + 1.0)]),
+        ..Plan::new(Kind::Path)
+    };
+    assert_eq!(plan(512_345.6).check(), Ok(()));
+    assert_eq!(plan(1e300).check().expect_err("no place").field, "poses");
+}
+
+#[test]
 fn a_path_is_at_its_poses_at_their_seconds() {
     let views = ring(90.0);
     let key = |view: &NamedCamera, seconds| Key {

@@ -10,7 +10,8 @@ use rand_pcg::Pcg64;
 
 use super::error::BenchError;
 use fled_core::camera::{Camera, Intrinsics, NamedCamera, Split};
-use fled_core::gaussians::{Gaussians, ply};
+use fled_core::gaussians::Gaussians;
+use fled_core::gaussians::ply::{self, Scene};
 use fled_core::image::{Image, Linear};
 use fled_core::reconstruct::{Point, TrainingView, scene_extent};
 use fled_core::render::Renderer;
@@ -84,6 +85,10 @@ impl Workload {
             |error: &dyn std::fmt::Display| BenchError::Run(format!("{}: {error}", path.display()));
         let text = std::fs::read(&path).map_err(|e| fault(&e))?;
         let cameras: Vec<NamedCamera> = serde_json::from_slice(&text).map_err(|e| fault(&e))?;
+        let Scene {
+            gaussians,
+            normalisation,
+        } = ply::read(&folder.join("scene.ply"))?;
         let view = |named: &NamedCamera| -> Result<TrainingView, BenchError> {
             let k = &named.intrinsics;
             let file = folder.join("restored").join(format!("{}.png", named.name));
@@ -91,7 +96,7 @@ impl Workload {
             Ok(TrainingView {
                 has_kernel: true,
                 name: named.name.clone(),
-                camera: named.camera(),
+                camera: normalisation.within(&named.camera()),
                 image,
             })
         };
@@ -100,7 +105,6 @@ impl Workload {
         if views.is_empty() {
             return Err(fault(&"no training view"));
         }
-        let gaussians = ply::read(&folder.join("scene.ply"))?;
         Ok(Self::new(
             format!("the capture's scene, {} Gaussians", gaussians.len()),
             views,

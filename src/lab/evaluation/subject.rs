@@ -12,7 +12,7 @@ use fled_core::run_folder::RunFolder;
 
 use super::error::EvaluationError;
 
-/// A scene and the cameras that it was trained with.
+/// A scene and the cameras that it was trained with, both in the world of the training.
 pub struct Subject {
     /// The scene, at the target brightness.
     pub gaussians: Gaussians,
@@ -28,12 +28,14 @@ impl Subject {
     /// [`EvaluationError::Run`].
     pub fn open(run: &RunFolder) -> Result<Self, EvaluationError> {
         let scene = run.scene();
-        let gaussians = ply::read(&scene).map_err(|error| EvaluationError::run(&scene, error))?;
-        Ok(Self::new(
-            gaussians,
-            read(&run.cameras())?,
-            read(&run.poses())?,
-        ))
+        let scene = ply::read(&scene).map_err(|error| EvaluationError::run(&scene, error))?;
+        let cameras: Vec<NamedCamera> = read(&run.cameras())?;
+        let within = |named: &NamedCamera| {
+            let camera = scene.normalisation.within(&named.camera());
+            NamedCamera::new(&named.name, &camera, named.split)
+        };
+        let cameras = cameras.iter().map(within).collect();
+        Ok(Self::new(scene.gaussians, cameras, read(&run.poses())?))
     }
 
     pub(super) fn new(gaussians: Gaussians, cameras: Vec<NamedCamera>, poses: Poses) -> Self {

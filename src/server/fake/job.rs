@@ -9,6 +9,7 @@ use std::path::{Path, PathBuf};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
+use fled_core::camera::normalisation::Normalisation;
 use fled_core::camera::{Camera, Intrinsics, NamedCamera, Split};
 use fled_core::event::{Event, Stage};
 use fled_core::gaussians::{Gaussians, ply};
@@ -347,7 +348,7 @@ impl Job {
             sh: vec![0.0; 3 * BALLS],
             sh_degree: 0,
         };
-        Ok(ply::write(&scene, &path)?)
+        Ok(ply::write(&scene, &Normalisation::default(), &path)?)
     }
 
     /// Writes a photograph of the capture with a gain.

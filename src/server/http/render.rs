@@ -29,8 +29,8 @@ const LONGEST_SIDE: usize = 2048;
 
 /// After so many seconds a render may go better.
 const RENDER_RETRY: u32 = 5;
-/// Largest number of a camera: px, or units of the world.
-const LARGEST_NUMBER: f64 = 1e6;
+/// Largest number of a camera: px, or units of the world, as UTM's in millimetres.
+const LARGEST_NUMBER: f64 = 1e12;
 /// Most stops that a view is brightened or darkened by.
 const MOST_STOPS: f64 = 16.0;
 /// Shortest focal length, in sides of the picture: almost 180 degrees wide.

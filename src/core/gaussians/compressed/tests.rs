@@ -2,6 +2,7 @@ use rand::{RngExt, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 
 use super::*;
+use crate::camera::normalisation::Normalisation;
 
 /// Gaussians in a cube of this side, of harmonics of this degree.
 fn scene(count: usize, side: f32, sh_degree: u32) -> Gaussians {
@@ -25,7 +26,11 @@ fn scene(count: usize, side: f32, sh_degree: u32) -> Gaussians {
 /// The file that holds the scene: what follows its header, and the header.
 fn written(scene: &Gaussians) -> (String, Vec<u8>) {
     let mut bytes = Vec::new();
-    write_to(scene, &mut bytes).expect("written");
+    let scene = Scene {
+        gaussians: scene.clone(),
+        normalisation: Normalisation::default(),
+    };
+    write_to(&scene, &mut bytes).expect("written");
     let end = b"end_header\n";
     let at = bytes.windows(end.len()).position(|w| w == end);
     let body = bytes.split_off(at.expect("a header") + end.len());

@@ -1,0 +1,183 @@
+//! Where a world lies and how large it is, taken out before anything becomes `f32`: a capture in
+//! UTM metres or in millimetres trains as one of ordinary size about the origin does.
+
+use glam::{DMat3, DQuat, DVec3};
+use serde::{Deserialize, Serialize};
+
+use super::Camera;
+
+/// The scale is a power of this one, so that nothing is rounded by it and worlds of ordinary size,
+/// such as COLMAP's, stay as they are. Of all lengths, only the near plane of 0.01 does not grow
+/// with the scene: it lies within 0.5 % of the scene's distance.
+const SCALE_STEP: f64 = 16.0;
+
+/// Distance from which a scene is seen after scaling, at least; less than [`SCALE_STEP`] times it.
+const LEAST_SIZE: f64 = 2.0;
+
+/// The offset is a multiple of four to eight sizes of the scene: short to write, exact to subtract,
+/// and zero for a scene that lies about the origin.
+const OFFSET_STEP: f64 = 4.0;
+
+/// Steps of `f32` that may be written, as a share of the scene's size.
+const COARSEST: f64 = 1e-4;
+
+/// Cameras that are farther from the middle one than so many median distances do not count.
+const OUTLYING: f64 = 10.0;
+
+/// The similarity from a world, the given or COLMAP's, to the one in which a scene trains:
+/// `trained = (world - offset) * scale`.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Normalisation {
+    /// World units.
+    pub offset: DVec3,
+    /// Trained units in a unit of the world.
+    pub scale: f64,
+    /// Whether PLY files, which hold `f32`, leave the offset out.
+    pub left_out: bool,
+}
+
+impl Default for Normalisation {
+    fn default() -> Self {
+        Self {
+            offset: DVec3::ZERO,
+            scale: 1.0,
+            left_out: false,
+        }
+    }
+}
+
+impl Normalisation {
+    /// Of the world in which these cameras stand; the identity where they do not tell its size.
+    pub fn of(cameras: &[Camera]) -> Self {
+        let Some(first) = cameras.first().map(place) else {
+            return Self::default();
+        };
+        let near_first = Self {
+            offset: first,
+            ..Self::default()
+        };
+        let moved: Vec<Camera> = cameras.iter().map(|c| near_first.within(c)).collect();
+        let (middle, inlying) = inlying(&moved);
+        let size = viewing_distance(&inlying);
+        if !(size.is_finite() && size > 0.0) {
+            return Self::default();
+        }
+        let step = OFFSET_STEP * size.log2().floor().exp2();
+        // Without the sum a zero may be negative.
+        let offset = ((first + middle) / step).round() * step + DVec3::ZERO;
+        let largest = offset.abs().max_element();
+        let of_f32 = (largest.log2().floor() - f64::from(f32::MANTISSA_DIGITS - 1)).exp2();
+        let steps = (size / LEAST_SIZE).log(SCALE_STEP).floor();
+        Self {
+            offset,
+            scale: SCALE_STEP.powi(-(steps as i32)),
+            left_out: of_f32 > COARSEST * size,
+        }
+    }
+
+    /// Whether it changes nothing.
+    pub fn is_identity(&self) -> bool {
+        *self == Self::default()
+    }
+
+    /// A point of the world in the trained one.
+    pub fn point_within(&self, world: DVec3) -> DVec3 {
+        (world - self.offset) * self.scale
+    }
+
+    /// A trained point in the world.
+    pub fn point_in_world(&self, trained: DVec3) -> DVec3 {
+        trained / self.scale + self.offset
+    }
+
+    /// A camera of the world in the trained one. Its rotation becomes exact: far from the origin a
+    /// rotation of six digits moves what is seen by metres.
+    #[must_use]
+    pub fn within(&self, camera: &Camera) -> Camera {
+        if self.is_identity() {
+            return *camera;
+        }
+        let rotation = DQuat::from_mat3(&camera.rotation()).normalize();
+        let centre = self.point_within(place(camera));
+        Camera::from_pose(camera.intrinsics, rotation, -(rotation * centre))
+    }
+
+    /// A trained camera in the world.
+    #[must_use]
+    pub fn in_world(&self, camera: &Camera) -> Camera {
+        if self.is_identity() {
+            return *camera;
+        }
+        let rotation = DQuat::from_mat3(&camera.rotation()).normalize();
+        let centre = self.point_in_world(camera.centre());
+        Camera::from_pose(camera.intrinsics, rotation, -(rotation * centre))
+    }
+
+    /// What the coordinates of PLY files lack.
+    pub fn missing_in_files(&self) -> DVec3 {
+        if self.left_out {
+            self.offset
+        } else {
+            DVec3::ZERO
+        }
+    }
+}
+
+/// Where a camera stands, exactly where its matrix is no exact rotation, too.
+fn place(camera: &Camera) -> DVec3 {
+    -(camera.rotation().inverse() * camera.translation())
+}
+
+/// The middle of the cameras, and those that are not far away by mistake.
+fn inlying(cameras: &[Camera]) -> (DVec3, Vec<Camera>) {
+    let axis = |axis: usize| median(cameras.iter().map(|camera| camera.centre()[axis]));
+    let middle = DVec3::new(axis(0), axis(1), axis(2));
+    let away = |camera: &Camera| camera.centre().distance(middle);
+    let reach = OUTLYING * median(cameras.iter().map(away));
+    let inlying = cameras.iter().filter(|camera| away(camera) <= reach);
+    (middle, inlying.copied().collect())
+}
+
+/// Median distance of cameras from what all of them look at or, where they look in parallel or
+/// outwards, twice their extent; 0 where all stand at one place.
+pub fn viewing_distance(cameras: &[Camera]) -> f64 {
+    let centres: Vec<DVec3> = cameras.iter().map(Camera::centre).collect();
+    let apart = centres
+        .iter()
+        .flat_map(|a| centres.iter().map(|b| a.distance(*b)));
+    let extent = apart.fold(0.0, f64::max);
+    if extent <= 0.0 {
+        return 0.0;
+    }
+    // Least squares: sum over cameras of (I - f f^T)(x - c) = 0.
+    let mut matrix = DMat3::ZERO;
+    let mut vector = DVec3::ZERO;
+    for (camera, centre) in cameras.iter().zip(&centres) {
+        let f = camera.forward();
+        let across = DMat3::IDENTITY - DMat3::from_cols(f * f.x, f * f.y, f * f.z);
+        matrix += across;
+        vector += across * *centre;
+    }
+    let conditioned = matrix.determinant() > 1e-4 * (cameras.len() as f64).powi(3);
+    let focus = matrix.inverse() * vector;
+    let depths = cameras
+        .iter()
+        .zip(&centres)
+        .map(|(camera, centre)| camera.forward().dot(focus - *centre));
+    // A focus behind the cameras means that they look outwards.
+    let depth = if conditioned { median(depths) } else { 0.0 };
+    if depth > 1e-6 * extent {
+        depth
+    } else {
+        2.0 * extent
+    }
+}
+
+fn median(values: impl Iterator<Item = f64>) -> f64 {
+    let mut values: Vec<f64> = values.collect();
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied().unwrap_or_default()
+}
+
+#[cfg(test)]
+mod tests;
