@@ -2,8 +2,8 @@
 //!
 //! Photographs lie directly in the capture, in `images/` or where `place` says; sharp ground truth
 //! of the same names in `gt/` (or `HL/`, as LuSh-NeRF has it); poses, where given, as a COLMAP
-//! model in `sparse/0/` or `sparse/`, as `transforms.json` or as `poses_bounds.npy`. Poses are found
-//! here, not read. Folders around everything are looked through; hidden files are not seen.
+//! model in `sparse/0/` or `sparse/`, as `transforms.json` or as `poses_bounds.npy`. Poses are
+//! found here, not read. Folders around everything are looked through; hidden files are not seen.
 
 mod archive;
 mod assess;

@@ -4,8 +4,8 @@
 //! Data flows one way: [`pipeline`] drives [`colmap`], [`enhance`], [`deblur`], [`reconstruct`]
 //! (which drives [`splat`], [`noise`], [`shake`] and [`register`]), [`metrics`] and [`render`].
 //! Siblings never import each other; all may use [`image`], [`camera`], [`poses`], [`photo_path`],
-//! [`gaussians`], [`event`] and [`cancel`]. The crate knows no HTTP, no SQL, no async runtime and no environment
-//! variables.
+//! [`gaussians`], [`event`] and [`cancel`]. The crate knows no HTTP, no SQL, no async runtime and
+//! no environment variables.
 
 #[cfg(test)]
 mod agreement;
