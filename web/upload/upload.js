@@ -13,7 +13,7 @@ const RATE_AFTER = 2;
 
 /** `{ root, leave }`. */
 export function startForm() {
-  const files = h("input", { type: "file", multiple: true, accept: "image/*,.zip,.tif,.tiff,.heic,.heif,.hif,.mp4,.mov,.m4v" });
+  const files = h("input", { type: "file", multiple: true, accept: "image/*,.zip,.jfif,.mpo,.tif,.tiff,.heic,.heif,.hif,.mp4,.mov,.m4v" });
   const folder = h("input", { type: "file", webkitdirectory: true });
   const name = h("input", { type: "text", placeholder: "Optional", maxLength: 200 });
   const button = h("button", { class: "main", type: "submit" }, "Start");

@@ -77,6 +77,10 @@ impl Grid {
     /// Levels by which a part must be off in order to be found.
     const STEP: i32 = 6;
 
+    /// Units across in which a seam is told from what a scene has: of fewer, some look like one by
+    /// chance.
+    const FEWEST: usize = 7;
+
     /// # Errors
     /// [`ImageError::Damaged`] for a picture with such a seam.
     pub(super) fn check(&self, picture: &DynamicImage) -> Result<(), ImageError> {
@@ -103,7 +107,7 @@ impl Grid {
         let columns = width / across;
         // The last unit may be cut, and a step is looked for two pixels beside it.
         let rows = (height.saturating_sub(2)).div_ceil(down);
-        if columns < 4 || rows < 2 {
+        if columns < Self::FEWEST || rows < 3 {
             return None;
         }
         (0..channels).find_map(|channel| {
@@ -125,7 +129,6 @@ impl Grid {
 
     /// The unit from which on all are shifted, by the steps from the units above.
     fn shifted_from(&self, steps: &[i32], columns: usize) -> Option<usize> {
-        let middle_of = |range: &[i32]| middle(&mut range.to_vec());
         let mut sums = vec![0; steps.len() + 1];
         for (at, step) in steps.iter().enumerate() {
             sums[at + 1] = sums[at] + step;
@@ -135,25 +138,32 @@ impl Grid {
                 0 => usize::MAX,
                 restart => (first / restart + 1) * restart,
             };
-            let last = (first + columns).min(end).min(steps.len());
-            let inside = &steps[first..last];
+            let last = (first + columns).min(end);
+            let Some(inside) = steps.get(first..last) else {
+                return false;
+            };
             // Few have such a mean, and only of those is the middle looked for.
             let is_small = (sums[last] - sums[first]).abs() * 2 < Self::STEP * inside.len() as i32;
-            if is_small || first % columns == 0 || inside.len() < columns.div_ceil(2) {
+            // An edge along a whole row of units is the scene's, or a frame's.
+            let is_whole = [0, 1, columns - 1].contains(&(first % columns));
+            if is_small || is_whole || inside.len() < Self::FEWEST {
                 return false;
             }
-            let shift = middle_of(inside);
-            let near = inside
-                .iter()
-                .filter(|&&step| (step - shift).abs() * 3 <= shift.abs());
-            let before = &steps[first.saturating_sub(columns)..first];
+            let shift = middle(&mut inside.to_vec());
+            // So many of four are within a third of the shift of a value.
+            let are = |most: usize, range: &[i32], value: i32| {
+                let is_near = |step: &&i32| (**step - value).abs() * 3 <= shift.abs();
+                range.iter().filter(is_near).count() * 4 >= range.len() * most
+            };
+            let before = &steps[first - columns..first];
             let behind = &steps[last..(last + columns).min(steps.len())];
-            let quiet =
-                |range: &[i32]| range.is_empty() || middle_of(range).abs() * 3 <= shift.abs();
             shift.abs() >= Self::STEP
-                && near.count() * 4 >= inside.len() * 3
-                && quiet(before)
-                && (self.restart > 0 || quiet(behind))
+                && are(3, inside, shift)
+                && are(2, &inside[..3], shift)
+                && are(2, &inside[inside.len() - 3..], shift)
+                && are(3, before, 0)
+                && are(2, &before[before.len() - 3..], 0)
+                && (self.restart > 0 || are(3, behind, 0))
         })
     }
 }

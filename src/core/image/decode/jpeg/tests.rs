@@ -40,7 +40,7 @@ fn bytes_behind_a_whole_picture_and_a_missing_end_do_no_harm() {
             // A second picture, as in an MPO.
             scene,
             b"\0\0\0\0\0\0",
-            b"PK\x03\x04\xff\xe1\x12",
+            b"PK\x03\x04 a film",
         ];
         for trailer in trailers {
             let cut = [without_end, trailer].concat();
@@ -75,6 +75,30 @@ fn a_scan_that_breaks_off_says_how_much_is_whole() {
     assert!(error.contains("before the last"), "{error}");
 }
 
+#[test]
+fn a_shift_of_all_that_follows_is_a_seam_and_edges_of_a_scene_are_none() {
+    let grid = super::Grid {
+        unit: (8, 8),
+        restart: 0,
+    };
+    let (width, height) = (96, 64);
+    let picture = |value: &dyn Fn(usize, usize) -> usize| -> Vec<u8> {
+        let pixels = (0..width * height).map(|i| value(i % width, i / width) as u8);
+        pixels.collect()
+    };
+    // Units 12 across: the 5th of the 3rd row and all behind it are brighter.
+    let shifted = picture(&|x, y| 40 + (x + y) / 4 + 20 * usize::from(y / 8 * 12 + x / 8 >= 28));
+    assert_eq!(grid.seam(&shifted, 1, width), Some(16));
+    let smooth = picture(&|x, y| 40 + (x + y) / 4);
+    let frame = picture(&|x, y| if y < 16 { 0 } else { 40 + x / 4 });
+    let slanted = picture(&|x, y| 40 + 80 * usize::from(16 * y > 16 * 24 + x * 2));
+    let boxes = picture(&|x, y| 40 + (x / 16 * 37 + y / 16 * 71) % 160);
+    for (name, picture) in [("smooth", smooth), ("frame", frame), ("slanted", slanted)] {
+        assert_eq!(grid.seam(&picture, 1, width), None, "{name}");
+    }
+    assert_eq!(grid.seam(&boxes, 1, width), None);
+}
+
 /// Share of values that are off by more than 12 levels.
 fn off(a: &Image<Srgb>, b: &Image<Srgb>) -> f64 {
     let pairs = a.data().iter().zip(b.data());
@@ -96,11 +120,11 @@ const DAMAGES: [Damage; 6] = [
     ("false marker", 1.0, |bytes, at, _| {
         bytes[at..at + 2].copy_from_slice(&[0xff, 0x9b]);
     }),
-    ("zeroed", 0.95, |bytes, at, _| bytes[at..at + 48].fill(0)),
-    ("left out", 0.95, |bytes, at, _| {
+    ("zeroed", 0.8, |bytes, at, _| bytes[at..at + 48].fill(0)),
+    ("left out", 0.8, |bytes, at, _| {
         drop(bytes.drain(at..at + 24))
     }),
-    ("bits", 0.92, |bytes, at, random| {
+    ("bits", 0.8, |bytes, at, random| {
         for _ in 0..8 {
             bytes[at + random.random_range(0..32_usize)] ^= 1 << random.random_range(0..8_u32);
         }
