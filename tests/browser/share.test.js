@@ -39,7 +39,7 @@ test("a link opens its job alone, until it is ended", async () => {
     await button(page, "Log in").click();
     await page.getByLabel("Name").fill("Anna");
     await button(page, "Create link").click();
-    const link = await page.getByLabel("link", { exact: true }).inputValue();
+    const link = await page.getByLabel("Link", { exact: true }).inputValue();
     assert.match(link, /#\/share\/[0-9a-f-]{36}\/fled_[0-9a-f]{64}$/);
     await page.getByText("not used yet").waitFor();
     assert.deepEqual(await overflowing(page), []);
