@@ -123,7 +123,7 @@ impl Tx {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::store::tests::of_each;
+    use crate::store::tests::{of_a_server, of_each};
 
     #[tokio::test]
     async fn a_commit_wakes_those_who_wait_for_it_and_a_rollback_wakes_nobody() {
@@ -148,5 +148,24 @@ mod tests {
             tx.commit().await.expect("committed");
             assert_eq!(woken(), (true, true));
         }
+    }
+
+    #[tokio::test]
+    async fn a_commit_of_another_process_wakes_those_who_wait_here() {
+        let (_dir, here) = of_a_server().await;
+        let url = here.url.clone().expect("PostgreSQL");
+        let there = Store::at(&url).await.expect("open");
+        let (mut queue, shutdown) = (here.queue(), CancellationToken::new());
+        let rarely = Duration::from_secs(600);
+        let listening = tokio::spawn(here.keep_listening(rarely, shutdown.clone()));
+        // It listens now.
+        queue.changed().await.expect("open");
+        let mut tx = there.begin().await.expect("begun");
+        tx.notify("j", Change::Queue).await.expect("noted");
+        tx.commit().await.expect("committed");
+        let woken = tokio::time::timeout(Duration::from_secs(30), queue.changed());
+        woken.await.expect("in time").expect("open");
+        shutdown.cancel();
+        listening.await.expect("it ends");
     }
 }
