@@ -12,8 +12,11 @@ mod transfer;
 
 use std::marker::PhantomData;
 
+pub use ::image::metadata::Orientation;
 pub use decode::{Header, ImageError, MAX_FILE_BYTES, MAX_PIXELS, read_header};
 pub use encode::{EncodeFormat, write_atomic};
+#[cfg(test)]
+pub(crate) use exif::tests::block as exif_block;
 pub use signature::Unread;
 pub(crate) use signature::named_like_a_photograph;
 pub use transfer::{linear_to_srgb, srgb_to_linear};

@@ -3,11 +3,15 @@
 
 pub mod align;
 pub mod bounds;
+pub mod left_out;
 pub mod lens;
 pub mod matching;
 pub mod model;
 mod picture;
 pub mod pnp;
+mod rigid;
+pub(crate) mod text;
+pub mod turn;
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -21,8 +25,10 @@ use crate::cancel::{CancelToken, Cancelled};
 use crate::event::ProgressSink;
 use crate::image::Image;
 use crate::photo_path::PhotoPath;
+pub use left_out::LeftOut;
 pub use lens::{Distortion, Lens};
 pub use picture::svg;
+pub(crate) use rigid::{Rotation, rotation};
 
 /// Finds where each photograph was taken from. Two implementations: COLMAP by subprocess, and
 /// poses given with the capture.
@@ -93,6 +99,10 @@ pub struct Poses {
     /// more that no matches connect; else empty.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub parts: Vec<Vec<String>>,
+    /// Names of the views that given poses keep from training, as the test split of a published
+    /// set.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub held_out: Vec<String>,
     /// Mean reprojection error, px of the pose copies; `None` where nobody measured one.
     pub mean_reprojection_error: Option<f64>,
     /// Mean number of views a point was seen in; `None` without points.
@@ -326,11 +336,15 @@ pub(crate) fn in_words(parts: &[Vec<String>]) -> String {
 }
 
 /// Whoever gave the file knows where it lies; a client of the service need not learn where it was
-/// put.
+/// put. One of several models is known by its number in a folder.
 pub(crate) fn name_of(file: &Path) -> std::borrow::Cow<'_, str> {
-    file.file_name()
-        .unwrap_or(file.as_os_str())
-        .to_string_lossy()
+    let name = |path: &'_ Path| path.file_name().unwrap_or(path.as_os_str()).to_owned();
+    let own = name(file).to_string_lossy().into_owned();
+    let is_number = own.bytes().all(|byte| byte.is_ascii_digit());
+    match file.parent().filter(|_| is_number) {
+        Some(folder) => format!("{}/{own}", name(folder).to_string_lossy()).into(),
+        None => own.into(),
+    }
 }
 
 impl PosesError {

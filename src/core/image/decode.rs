@@ -37,6 +37,9 @@ pub struct Header {
     pub width: usize,
     /// Height of the upright picture, px.
     pub height: usize,
+    /// What EXIF says is to be done to the stored pixels, and is done here. Nothing for a HEIC,
+    /// which every reader turns as its container says.
+    pub orientation: Orientation,
     /// Focal length in px of the picture as it is, from EXIF.
     pub focal_px: Option<f64>,
     /// Bytes that the decoded samples take while they are read.
@@ -212,6 +215,7 @@ impl Opened {
             header: Header {
                 width,
                 height,
+                orientation,
                 focal_px,
                 decoded_bytes,
             },

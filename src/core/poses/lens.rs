@@ -10,6 +10,9 @@ use serde::{Deserialize, Serialize};
 use crate::camera::Intrinsics;
 use crate::image::Image;
 
+/// Radii at which a fraction is fitted to a polynomial.
+const FRACTION_STEPS: u32 = 64;
+
 /// How the lens bends the normalised image plane (x/z, y/z).
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "model", rename_all = "snake_case")]
@@ -21,6 +24,14 @@ pub enum Distortion {
     Perspective {
         /// k1..k6 in OpenCV's order of meaning: numerator k1, k2, k3, denominator k4, k5, k6.
         radial: [f64; 6],
+        /// p1, p2.
+        tangential: [f64; 2],
+    },
+    /// 1 + k1 r^2 + k2 r^4 + k3 r^6 + k4 r^8, as Metashape and nerfstudio mean k1..k4; p1 and p2
+    /// are OpenCV's.
+    Polynomial {
+        /// k1..k4.
+        radial: [f64; 4],
         /// p1, p2.
         tangential: [f64; 2],
     },
@@ -48,16 +59,18 @@ impl Distortion {
             Self::None => p,
             Self::Perspective {
                 radial: [k1, k2, k3, k4, k5, k6],
-                tangential: [p1, p2],
+                tangential,
             } => {
                 let scale = (1.0 + r2 * (k1 + r2 * (k2 + r2 * k3)))
                     / (1.0 + r2 * (k4 + r2 * (k5 + r2 * k6)));
-                let cross = 2.0 * p.x * p.y;
-                p * scale
-                    + DVec2::new(
-                        p1 * cross + p2 * (r2 + 2.0 * p.x * p.x),
-                        p2 * cross + p1 * (r2 + 2.0 * p.y * p.y),
-                    )
+                p * scale + decentred(p, tangential)
+            }
+            Self::Polynomial {
+                radial: [k1, k2, k3, k4],
+                tangential,
+            } => {
+                let scale = 1.0 + r2 * (k1 + r2 * (k2 + r2 * (k3 + r2 * k4)));
+                p * scale + decentred(p, tangential)
             }
             Self::Fisheye {
                 radial: [k1, k2, k3, k4],
@@ -81,9 +94,21 @@ impl Distortion {
             Self::Perspective { radial, tangential } => {
                 radial.iter().chain(&tangential).all(|&k| k == 0.0)
             }
+            Self::Polynomial { radial, tangential } => {
+                radial.iter().chain(&tangential).all(|&k| k == 0.0)
+            }
             Self::Fisheye { .. } => false,
         }
     }
+}
+
+/// What OpenCV's tangential terms add.
+fn decentred(p: DVec2, [p1, p2]: [f64; 2]) -> DVec2 {
+    let (r2, cross) = (p.length_squared(), 2.0 * p.x * p.y);
+    DVec2::new(
+        p1 * cross + p2 * (r2 + 2.0 * p.x * p.x),
+        p2 * cross + p1 * (r2 + 2.0 * p.y * p.y),
+    )
 }
 
 impl Lens {
@@ -106,6 +131,40 @@ impl Lens {
             }
         }
         straight
+    }
+
+    /// k1..k6 of OpenCV's rational model that scales radii as a polynomial of k1..k4 does, by least
+    /// squares over the picture; `None` where the polynomial is absurd.
+    pub(super) fn fraction(&self, [k1, k2, k3, k4]: [f64; 4]) -> Option<[f64; 6]> {
+        let k = &self.intrinsics;
+        let corners = [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0)]
+            .map(|(x, y)| self.ray(DVec2::new(x * k.width as f64, y * k.height as f64)));
+        let widest = corners
+            .map(DVec2::length_squared)
+            .into_iter()
+            .fold(0.0, f64::max);
+        let (mut lower, mut right) = ([[0.0; 6]; 6], [0.0; 6]);
+        for step in 1..=FRACTION_STEPS {
+            // Powers of the share of the widest square keep the equations well conditioned.
+            let u = f64::from(step) / f64::from(FRACTION_STEPS);
+            let r2 = u * widest;
+            let bent = r2 * (k1 + r2 * (k2 + r2 * (k3 + r2 * k4)));
+            let powers = [u, u * u, u * u * u];
+            let row: [f64; 6] = std::array::from_fn(|i| match i {
+                0..3 => powers[i],
+                _ => -(1.0 + bent) * powers[i - 3],
+            });
+            for i in 0..6 {
+                (0..=i).for_each(|j| lower[i][j] += row[i] * row[j]);
+                right[i] += row[i] * bent;
+            }
+        }
+        // Many fractions are as good where a term is zero: a small one is taken.
+        (0..6).for_each(|i| lower[i][i] += 1e-12);
+        let terms = crate::linear::solve(lower, right)?;
+        Some(std::array::from_fn(|i| {
+            terms[i] / widest.powi(i as i32 % 3 + 1)
+        }))
     }
 
     /// The pinhole of the same size and principal point with the smallest focal length for which
@@ -355,5 +414,33 @@ mod tests {
             -0.2 * s + 0.01 * (r2 + 2.0 * 0.04) + 2.0 * -0.02 * 0.3 * -0.2,
         );
         assert!((got - expected).length() < 1e-15);
+    }
+
+    #[test]
+    fn a_polynomial_of_four_terms_is_a_fraction_for_colmap() {
+        let intrinsics = lens(0.0).intrinsics;
+        for radial in [
+            [0.0, 0.0, 0.0, -0.2],
+            [-0.15, 0.03, 0.01, 0.05],
+            [0.08, 0.0, 0.0, 0.3],
+            [0.1, -0.05, 0.0, 0.0],
+        ] {
+            let polynomial = Lens {
+                intrinsics,
+                distortion: Distortion::Polynomial {
+                    radial,
+                    tangential: [0.01, -0.02],
+                },
+            };
+            let fraction = crate::poses::model::ModelCamera::of_lens(1, &polynomial).lens();
+            let pixels = (0..=8)
+                .flat_map(|x| (0..=6).map(move |y| (20.0 * f64::from(x), 20.0 * f64::from(y))));
+            let off = pixels.map(|(x, y)| {
+                let ray = polynomial.ray(DVec2::new(x, y));
+                polynomial.pixel(ray).distance(fraction.pixel(ray))
+            });
+            let worst = off.fold(0.0, f64::max);
+            assert!(worst < 0.05, "{radial:?}: {worst} px");
+        }
     }
 }

@@ -7,27 +7,40 @@ mod text;
 
 use std::path::Path;
 
-use super::PosesError;
+use super::{LeftOut, PosesError, left_out};
 
 pub use camera::{CameraModel, ModelCamera};
 pub use rows::{ModelImage, ModelPoint, SparseModel};
 
 impl SparseModel {
-    /// Reads `cameras`, `images` and `points3D`, `.bin` or `.txt`; binary wins where both stand.
-    /// Files of newer versions (`rigs`, `frames`) repeat what a single-sensor model says already
-    /// and are not read.
+    /// Reads `cameras`, `images` and, where there is one, `points3D`, `.bin` or `.txt`; binary wins
+    /// where both stand. Files of newer versions (`rigs`, `frames`) repeat what a single-sensor
+    /// model says already and are not read.
     ///
     /// # Errors
     /// [`PosesError::Io`] and [`PosesError::BadFile`]; a file cut short is an error, never a short
-    /// model.
+    /// model, and so is a row that cannot be used.
     pub fn read(dir: &Path) -> Result<Self, PosesError> {
-        let model = if dir.join("cameras.bin").is_file() {
+        let (model, left_out) = Self::read_usable(dir)?;
+        match left_out.is_empty() {
+            true => Ok(model),
+            false => Err(PosesError::bad_file(dir, left_out::in_words(&left_out))),
+        }
+    }
+
+    /// As [`Self::read`], without the rows whose numbers cannot be used, by name.
+    ///
+    /// # Errors
+    /// Those of [`Self::read`] for all else.
+    pub fn read_usable(dir: &Path) -> Result<(Self, Vec<LeftOut>), PosesError> {
+        let is_binary = |name: &str| dir.join(format!("{name}.bin")).is_file();
+        let mut model = if ["cameras", "images"].into_iter().all(is_binary) {
             binary::read(dir)
         } else {
             text::read(dir)
         }?;
-        model.check(dir)?;
-        Ok(model)
+        let left_out = model.keep_usable(dir)?;
+        Ok((model, left_out))
     }
 
     /// Writes the three text files.
@@ -56,6 +69,19 @@ impl SparseModel {
         ["cameras.bin", "cameras.txt"]
             .iter()
             .any(|name| dir.join(name).is_file())
+    }
+}
+
+/// The points of a model; none where the file is not there, as they can be triangulated.
+fn points(
+    dir: &Path,
+    name: &str,
+    read: impl Fn(&Path) -> Result<Vec<ModelPoint>, PosesError>,
+) -> Result<Vec<ModelPoint>, PosesError> {
+    let file = dir.join(name);
+    match file.exists() {
+        true => read(&file),
+        false => Ok(Vec::new()),
     }
 }
 

@@ -13,7 +13,7 @@ pub(super) fn read(dir: &Path) -> Result<SparseModel, PosesError> {
     Ok(SparseModel {
         cameras: rows(&dir.join("cameras.bin"), camera)?,
         images: rows(&dir.join("images.bin"), image)?,
-        points: rows(&dir.join("points3D.bin"), point)?,
+        points: super::points(dir, "points3D.bin", |file| rows(file, point))?,
     })
 }
 
@@ -88,10 +88,8 @@ fn camera(bytes: &mut Bytes<'_>) -> Result<ModelCamera, PosesError> {
     let id = bytes.u32()?;
     let number = i32::from_le_bytes(bytes.take()?);
     let model = CameraModel::from_number(number).ok_or_else(|| {
-        PosesError::bad_file(
-            bytes.file,
-            format!("camera model {number} is not supported"),
-        )
+        let name = CameraModel::unread_name(number);
+        PosesError::bad_file(bytes.file, CameraModel::unread(&name))
     })?;
     let (width, height) = (bytes.u64()? as usize, bytes.u64()? as usize);
     let params = bytes.many(model.parameters() as u64, Bytes::f64)?;

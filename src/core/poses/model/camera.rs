@@ -75,6 +75,26 @@ impl CameraModel {
         self.row().3
     }
 
+    /// What is said of a model that is none of these.
+    pub(super) fn unread(name: &str) -> String {
+        format!(
+            "camera model {name} is not read; undistort the photographs (`colmap \
+             image_undistorter`), or use one of {}",
+            Self::NAMES.map(|row| row.2).join(", ")
+        )
+    }
+
+    /// COLMAP's name of a model that is none of these, or else its number.
+    pub(super) fn unread_name(number: i32) -> String {
+        let known = [
+            (7, "FOV"),
+            (10, "THIN_PRISM_FISHEYE"),
+            (11, "RAD_TAN_THIN_PRISM_FISHEYE"),
+        ];
+        let name = known.iter().find(|(id, _)| *id == number);
+        name.map_or_else(|| number.to_string(), |(_, name)| (*name).to_owned())
+    }
+
     /// The model of this name.
     pub fn from_name(name: &str) -> Option<Self> {
         Self::NAMES
@@ -96,6 +116,13 @@ impl CameraModel {
 }
 
 impl ModelCamera {
+    /// Whether its numbers are finite, and sizes and focal lengths above zero.
+    pub(super) fn is_usable(&self) -> bool {
+        let Intrinsics { fx, fy, .. } = self.lens().intrinsics;
+        let is_sized = self.width > 0 && self.height > 0 && fx > 0.0 && fy > 0.0;
+        is_sized && self.params.iter().all(|p| p.is_finite())
+    }
+
     /// The lens this camera describes.
     pub fn lens(&self) -> Lens {
         let p = &self.params;
@@ -137,18 +164,22 @@ impl ModelCamera {
         }
     }
 
-    /// A camera with the lens: PINHOLE, FULL_OPENCV or OPENCV_FISHEYE.
+    /// A camera with the lens: PINHOLE, FULL_OPENCV or OPENCV_FISHEYE. COLMAP has no polynomial of
+    /// four terms; the fraction in its place differs by far less than a pixel within the picture.
     pub fn of_lens(id: u32, lens: &Lens) -> Self {
         let k = &lens.intrinsics;
+        let full = |[k1, k2, k3, k4, k5, k6]: [f64; 6], [p1, p2]: [f64; 2]| {
+            let terms = vec![k1, k2, p1, p2, k3, k4, k5, k6];
+            (CameraModel::FullOpenCv, terms)
+        };
         let (model, distortion) = match lens.distortion {
             Distortion::None => return Self::pinhole(id, k),
-            Distortion::Perspective {
-                radial: [k1, k2, k3, k4, k5, k6],
-                tangential: [p1, p2],
-            } => (
-                CameraModel::FullOpenCv,
-                vec![k1, k2, p1, p2, k3, k4, k5, k6],
-            ),
+            Distortion::Perspective { radial, tangential } => full(radial, tangential),
+            Distortion::Polynomial { radial, tangential } => {
+                let [k1, k2, k3, _] = radial;
+                let fraction = lens.fraction(radial);
+                full(fraction.unwrap_or([k1, k2, k3, 0.0, 0.0, 0.0]), tangential)
+            }
             Distortion::Fisheye { radial } => (CameraModel::OpenCvFisheye, radial.to_vec()),
         };
         let params = [vec![k.fx, k.fy, k.cx, k.cy], distortion].concat();

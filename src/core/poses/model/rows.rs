@@ -1,12 +1,13 @@
 //! What a sparse model holds.
 
+use std::collections::HashSet;
 use std::path::Path;
 
 use glam::{DMat4, DQuat, DVec3};
 
 use super::camera::ModelCamera;
 use crate::camera::Camera;
-use crate::poses::{PosesError, SparsePoint};
+use crate::poses::{LeftOut, PosesError, SparsePoint};
 
 /// A model as it stands in a directory. Order of the files is kept.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -57,6 +58,11 @@ impl ModelImage {
         let [w, x, y, z] = self.rotation;
         let rotation = DQuat::from_xyzw(x, y, z, w).normalize();
         DMat4::from_rotation_translation(rotation, DVec3::from(self.translation))
+    }
+
+    fn is_usable(&self) -> bool {
+        let norm: f64 = self.rotation.iter().map(|q| q * q).sum();
+        norm.is_finite() && norm >= 1e-12 && self.translation.iter().all(|t| t.is_finite())
     }
 
     /// An image without keypoints.
@@ -150,44 +156,45 @@ impl SparseModel {
         self.points.iter().map(point).collect()
     }
 
-    /// Finite numbers, sizes above zero and no dangling camera: what everything after relies on.
-    pub(super) fn check(&self, dir: &Path) -> Result<(), PosesError> {
-        let fault = |reason: String| Err(PosesError::bad_file(dir, reason));
-        for camera in &self.cameras {
-            let sized = camera.width > 0 && camera.height > 0;
-            let focals = camera.lens().intrinsics;
-            if !sized
-                || focals.fx <= 0.0
-                || focals.fy <= 0.0
-                || !camera.params.iter().all(|p| p.is_finite())
-            {
-                return fault(format!("camera {} has no usable intrinsics", camera.id));
-            }
-        }
+    /// Keeps the rows with finite numbers and sizes above zero, and names the others.
+    pub(super) fn keep_usable(&mut self, dir: &Path) -> Result<Vec<LeftOut>, PosesError> {
+        let mut left_out = Vec::new();
         for image in &self.images {
-            if !self
+            let camera = self
                 .cameras
                 .iter()
-                .any(|camera| camera.id == image.camera_id)
-            {
-                return fault(format!(
-                    "image {} names camera {}, which is not there",
-                    image.name, image.camera_id
+                .find(|camera| camera.id == image.camera_id);
+            let camera = camera.ok_or_else(|| {
+                let (name, id) = (&image.name, image.camera_id);
+                let reason = format!("image {name} names camera {id}, which is not there");
+                PosesError::bad_file(dir, reason)
+            })?;
+            if !camera.is_usable() {
+                let reason = format!("camera {} has no usable intrinsics", camera.id);
+                left_out.push(LeftOut::new(&image.name, reason));
+            } else if !image.is_usable() {
+                left_out.push(LeftOut::new(
+                    &image.name,
+                    "its pose holds no usable numbers",
                 ));
             }
-            let norm: f64 = image.rotation.iter().map(|q| q * q).sum();
-            if !norm.is_finite() || norm < 1e-12 || !image.translation.iter().all(|t| t.is_finite())
-            {
-                return fault(format!("image {} has no usable pose", image.name));
-            }
         }
-        match self
-            .points
+        let is_good: HashSet<u32> = self
+            .cameras
             .iter()
-            .find(|point| !point.position.iter().all(|v| v.is_finite()))
-        {
-            Some(point) => fault(format!("point {} is not finite", point.id)),
-            None => Ok(()),
+            .filter(|camera| camera.is_usable())
+            .map(|camera| camera.id)
+            .collect();
+        self.images
+            .retain(|image| image.is_usable() && is_good.contains(&image.camera_id));
+        self.cameras.retain(|camera| is_good.contains(&camera.id));
+        let is_finite = |point: &ModelPoint| point.position.iter().all(|v| v.is_finite());
+        let bad = self.points.iter().filter(|point| !is_finite(point)).count();
+        if bad > 0 {
+            let name = format!("{bad} points");
+            left_out.push(LeftOut::new(name, "their positions are not finite"));
         }
+        self.points.retain(is_finite);
+        Ok(left_out)
     }
 }

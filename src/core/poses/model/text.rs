@@ -6,13 +6,14 @@ use std::str::{FromStr, SplitAsciiWhitespace};
 
 use super::camera::{CameraModel, ModelCamera};
 use super::rows::{ModelImage, ModelPoint, SparseModel};
-use crate::poses::PosesError;
+use crate::poses::{PosesError, text};
 
 pub(super) fn read(dir: &Path) -> Result<SparseModel, PosesError> {
+    let cameras = rows(&dir.join("cameras.txt"), camera)?;
     Ok(SparseModel {
-        cameras: rows(&dir.join("cameras.txt"), camera)?,
-        images: images(&dir.join("images.txt"))?,
-        points: rows(&dir.join("points3D.txt"), point)?,
+        images: images(&dir.join("images.txt"), &cameras)?,
+        points: super::points(dir, "points3D.txt", |file| rows(file, point))?,
+        cameras,
     })
 }
 
@@ -46,7 +47,11 @@ impl<'a> Fields<'a> {
 
     fn next<T: FromStr>(&mut self) -> Result<T, PosesError> {
         let word = self.word()?;
-        word.parse()
+        // Windows writes -nan(ind) and 1.#QNAN.
+        let is_nan = word.contains("nan") || word.contains("#QNAN") || word.contains("#IND");
+        let number = if is_nan { "nan" } else { word };
+        number
+            .parse()
             .map_err(|_| self.fault(&format!("`{word}` is not a number that fits")))
     }
 
@@ -82,12 +87,6 @@ impl<'a> Fields<'a> {
     }
 }
 
-fn load(file: &Path) -> Result<String, PosesError> {
-    let bytes = std::fs::read(file).map_err(PosesError::io(file))?;
-    // Names of photographs may be in any encoding; the numbers beside them still count.
-    Ok(String::from_utf8_lossy(&bytes).into_owned())
-}
-
 fn is_comment(line: &str) -> bool {
     line.trim_ascii_start().starts_with('#')
 }
@@ -96,7 +95,7 @@ fn rows<T>(
     file: &Path,
     row: impl Fn(&mut Fields<'_>) -> Result<T, PosesError>,
 ) -> Result<Vec<T>, PosesError> {
-    let text = load(file)?;
+    let text = text::read(file)?;
     let lines = text
         .lines()
         .enumerate()
@@ -109,8 +108,8 @@ fn rows<T>(
 fn camera(fields: &mut Fields<'_>) -> Result<ModelCamera, PosesError> {
     let id = fields.next()?;
     let name = fields.word()?;
-    let model = CameraModel::from_name(name)
-        .ok_or_else(|| fields.fault(&format!("camera model {name} is not supported")))?;
+    let model =
+        CameraModel::from_name(name).ok_or_else(|| fields.fault(&CameraModel::unread(name)))?;
     let (width, height) = (fields.next()?, fields.next()?);
     let params = fields.rest(Fields::next)?;
     if params.len() != model.parameters() {
@@ -129,38 +128,65 @@ fn camera(fields: &mut Fields<'_>) -> Result<ModelCamera, PosesError> {
     })
 }
 
-/// Two lines an image; the second, its keypoints, may be empty.
-fn images(file: &Path) -> Result<Vec<ModelImage>, PosesError> {
-    let text = load(file)?;
-    let mut lines = text.lines().enumerate();
+/// Two lines an image; the second, its keypoints, may be empty, and some leave it out.
+fn images(file: &Path, cameras: &[ModelCamera]) -> Result<Vec<ModelImage>, PosesError> {
+    let text = text::read(file)?;
+    let mut lines = text.lines().enumerate().peekable();
     let mut images = Vec::new();
     while let Some((index, line)) = lines.next() {
         if is_comment(line) || line.trim_ascii().is_empty() {
             continue;
         }
-        let mut fields = Fields::new(line, file, index + 1);
-        let id = fields.next()?;
-        let (rotation, translation) = (fields.array()?, fields.array()?);
-        let camera_id = fields.next()?;
-        let name = fields.remainder().to_owned();
-        if name.is_empty() {
-            return Err(fields.fault("an image without a name"));
+        let mut image = image(&mut Fields::new(line, file, index + 1))?;
+        let is_next = |line: &str| begins_an_image(&mut Fields::new(line, file, 0), cameras);
+        if let Some((index, line)) = lines.next_if(|(_, line)| !is_next(line)) {
+            let keypoints = Fields::new(line, file, index + 1).rest(|fields| {
+                let (x, y, point): (f64, f64, i64) =
+                    (fields.next()?, fields.next()?, fields.next()?);
+                Ok((x, y, u64::try_from(point).ok()))
+            });
+            image.keypoints = keypoints.map_err(|error| match error {
+                PosesError::BadFile { file, reason } => {
+                    let name = &image.name;
+                    let line =
+                        format!("the line after {name} holds its key points, or is left out");
+                    PosesError::bad_file(&file, format!("{reason}: {line}"))
+                }
+                error => error,
+            })?;
         }
-        let (index, line) = lines.next().unwrap_or((index + 1, ""));
-        let keypoints = Fields::new(line, file, index + 1).rest(|fields| {
-            let (x, y, point): (f64, f64, i64) = (fields.next()?, fields.next()?, fields.next()?);
-            Ok((x, y, u64::try_from(point).ok()))
-        })?;
-        images.push(ModelImage {
-            id,
-            rotation,
-            translation,
-            camera_id,
-            name,
-            keypoints,
-        });
+        images.push(image);
     }
     Ok(images)
+}
+
+/// The first line of an image.
+fn image(fields: &mut Fields<'_>) -> Result<ModelImage, PosesError> {
+    let id = fields.next()?;
+    let (rotation, translation) = (fields.array()?, fields.array()?);
+    let camera_id = fields.next()?;
+    let name = fields.remainder().to_owned();
+    if name.is_empty() {
+        return Err(fields.fault("an image without a name"));
+    }
+    Ok(ModelImage {
+        id,
+        rotation,
+        translation,
+        camera_id,
+        name,
+        keypoints: Vec::new(),
+    })
+}
+
+/// Whether a line after an image's first is that of the next one: pixels make no unit quaternion
+/// before the number of a camera.
+fn begins_an_image(fields: &mut Fields<'_>, cameras: &[ModelCamera]) -> bool {
+    image(fields).is_ok_and(|image| {
+        let norm: f64 = image.rotation.iter().map(|q| q * q).sum();
+        let is_unit = norm.is_nan() || (norm - 1.0).abs() < 0.1;
+        is_unit && cameras.iter().any(|camera| camera.id == image.camera_id)
+    })
 }
 
 fn point(fields: &mut Fields<'_>) -> Result<ModelPoint, PosesError> {
