@@ -3,24 +3,26 @@
 
 mod frusta;
 mod given_view;
+mod placed;
+mod read;
 mod transforms;
+mod upright;
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use given_view::GivenView;
+use placed::Placed;
 
 use crate::camera::Camera;
 use crate::cancel::CancelToken;
 use crate::event::ProgressSink;
-use crate::image::read_header;
 use crate::photo_path::{PhotoPath, find_each};
-use crate::poses::bounds::read_poses_bounds;
+use crate::poses::left_out::in_words;
 use crate::poses::model::SparseModel;
 use crate::poses::{
-    Distortion, Lens, PoseRequest, PoseView, PosedView, Poses, PosesError, Sfm, SparsePoint,
-    name_of,
+    LeftOut, PoseRequest, PoseView, PosedView, Poses, PosesError, Sfm, SparsePoint, name_of,
 };
 
 /// Points that are guessed where poses came without points: as many as the smallest preset's cap.
@@ -65,20 +67,23 @@ enum Format {
     PosesBounds,
 }
 
-/// What a format holds.
+/// What a format holds beside the views.
+#[derive(Default)]
 struct Given {
-    views: Assignment,
     points: Vec<SparsePoint>,
     mean_error: Option<f64>,
     mean_track: Option<f64>,
+    /// What cannot be used of it, by the names in the file.
+    left_out: Vec<LeftOut>,
+    warnings: Vec<String>,
 }
 
-/// How poses find their photographs.
+/// How poses find their photographs; `None` where the file has one that cannot be used.
 enum Assignment {
     /// By the photograph's path.
-    ByPath(Vec<(PhotoPath, GivenView)>),
+    ByPath(Vec<(PhotoPath, Option<GivenView>)>),
     /// By the order in which Python sorts the paths.
-    ByOrder(Vec<GivenView>),
+    ByOrder(Vec<Option<GivenView>>),
 }
 
 impl GivenPoses {
@@ -112,7 +117,7 @@ impl GivenPoses {
     /// # Errors
     /// What is wrong with the file.
     pub fn check(&self) -> Result<(), PosesError> {
-        self.assign(self.read()?.views).map(drop)
+        self.assign(self.read()?.0).map(drop)
     }
 
     /// With somebody who finds points where the poses come without.
@@ -192,61 +197,97 @@ impl GivenPoses {
         }
     }
 
-    /// Points for poses that came without, in their normalised world: triangulated ones or, where
-    /// there are none, guessed ones. `bounds` are in the world that was given.
+    fn read(&self) -> Result<(Assignment, Given), PosesError> {
+        match self.format {
+            Format::Model => read::model(&self.path),
+            Format::Transforms => read::transforms(&self.path),
+            Format::PosesBounds => read::poses_bounds(&self.path),
+        }
+    }
+
+    /// What the user should know about the poses that are and are not used.
+    fn warn(&self, given: &Given, placed: &Placed, sink: &mut dyn ProgressSink) {
+        let file = self.label();
+        if !given.left_out.is_empty() {
+            let message = format!("{file}: left out are {}", in_words(&given.left_out));
+            sink.warn("poses_left_out", message);
+        }
+        for message in &given.warnings {
+            sink.warn("poses_mended", format!("{file}: {message}"));
+        }
+        if !placed.turned.is_empty() {
+            sink.log(format!(
+                "poses: {} photographs are turned upright by EXIF, and their given poses with them",
+                placed.turned.len()
+            ));
+        }
+        if let Some(first) = placed.assumed.first() {
+            let message = format!(
+                "{file}: the poses of {} photographs, the first is {first}, are taken to be those \
+                 of the pixels as they are stored, and are turned upright with them by EXIF; if \
+                 the program that made them turned the photographs itself, give upright copies \
+                 without EXIF orientation",
+                placed.assumed.len()
+            );
+            sink.warn("poses_turned", message);
+        }
+    }
+
+    /// Triangulated points, or guessed ones in their place. `near` are the poses in their
+    /// normalised world; `bounds` and the points are in the world that was given.
     fn found_points(
         &self,
         request: &PoseRequest<'_>,
-        near: &Poses,
+        near: Poses,
         bounds: &[Option<(f64, f64)>],
         sink: &mut dyn ProgressSink,
         cancel: &CancelToken,
     ) -> Result<Vec<SparsePoint>, PosesError> {
-        let reason = match self.triangulated(request, &near.views, sink, cancel)? {
-            Ok(points) => return Ok(points),
-            Err(reason) => reason,
+        let points = match self.triangulated(request, &near.views, sink, cancel)? {
+            Ok(points) => points,
+            Err(reason) => {
+                let cameras: Vec<Camera> = near.views.iter().map(|view| view.camera).collect();
+                let scale = near.normalisation.scale;
+                let scaled = |both: &Option<(f64, f64)>| both.map(|(a, b)| (scale * a, scale * b));
+                let bounds: Vec<_> = bounds.iter().map(scaled).collect();
+                let points = frusta::guess(&cameras, &bounds, GUESSED_POINTS, request.seed);
+                let message = format!(
+                    "the poses came without points, {reason}: {} random ones take their place",
+                    points.len()
+                );
+                sink.warn("points_guessed", message);
+                points
+            }
         };
-        let cameras: Vec<Camera> = near.views.iter().map(|view| view.camera).collect();
-        let scale = near.normalisation.scale;
-        let scaled = |both: &Option<(f64, f64)>| both.map(|(a, b)| (scale * a, scale * b));
-        let bounds: Vec<_> = bounds.iter().map(scaled).collect();
-        let points = frusta::guess(&cameras, &bounds, GUESSED_POINTS, request.seed);
-        let count = points.len();
-        let message = format!(
-            "the poses came without points, {reason}: {count} random ones take their place"
-        );
-        sink.warn("points_guessed", message);
-        Ok(points)
+        Ok(Poses { points, ..near }.in_world().points)
     }
 
-    fn read(&self) -> Result<Given, PosesError> {
+    /// What the file is called in a sentence. A model of a zip or an upload lies in a folder of
+    /// ours.
+    fn label(&self) -> std::borrow::Cow<'_, str> {
+        let name = name_of(&self.path);
         match self.format {
-            Format::Model => SparseModel::read(&self.path).map(|model| from_model(&model)),
-            Format::Transforms => Ok(Given {
-                views: Assignment::ByPath(transforms::read(&self.path)?),
-                points: Vec::new(),
-                mean_error: None,
-                mean_track: None,
-            }),
-            Format::PosesBounds => {
-                let rows = read_poses_bounds(&self.path)?;
-                let view = |row: &crate::poses::bounds::BoundedCamera| GivenView {
-                    lens: Lens {
-                        intrinsics: row.camera.intrinsics,
-                        distortion: Distortion::None,
-                    }
-                    .into(),
-                    world_to_camera: row.camera.world_to_camera,
-                    bounds: Some((row.near, row.far)),
-                };
-                let views = Assignment::ByOrder(rows.iter().map(view).collect());
-                Ok(Given {
-                    views,
-                    points: Vec::new(),
-                    mean_error: None,
-                    mean_track: None,
-                })
-            }
+            Format::Model if !name.starts_with("sparse") => "the COLMAP model".into(),
+            _ => name,
+        }
+    }
+
+    /// Why so few photographs have a pose.
+    fn too_few(&self, registered: usize, total: usize, given: &Given) -> PosesError {
+        if !given.left_out.is_empty() {
+            let reason = format!(
+                "{registered} of {total} photographs have a pose that can be used: {}",
+                in_words(&given.left_out)
+            );
+            return PosesError::bad_file(Path::new(&*self.label()), reason);
+        }
+        PosesError::TooFew {
+            registered,
+            total,
+            advice: format!(
+                "the names in {} must be those of the photographs",
+                self.label()
+            ),
         }
     }
 
@@ -261,14 +302,17 @@ impl GivenPoses {
                 let found = find_each(&names, &self.photographs);
                 let found =
                     found.map_err(|tie| PosesError::bad_file(&self.path, tie.to_string()))?;
-                Ok(found.into_iter().map(|at| at.map(|at| views[at])).collect())
+                Ok(found.into_iter().map(|at| views[at?]).collect())
             }
             Assignment::ByOrder(rows) => self.assign_by_order(rows),
         }
     }
 
     /// Rows belong to all photographs that there were, in the order of their paths' bytes.
-    fn assign_by_order(&self, rows: Vec<GivenView>) -> Result<Vec<Option<GivenView>>, PosesError> {
+    fn assign_by_order(
+        &self,
+        rows: Vec<Option<GivenView>>,
+    ) -> Result<Vec<Option<GivenView>>, PosesError> {
         let refused = |reason: String| Err(PosesError::bad_file(&self.path, reason));
         if rows.len() != self.photographs.len() {
             return refused(format!(
@@ -290,7 +334,7 @@ impl GivenPoses {
         }
         let mut assigned = vec![None; rows.len()];
         for (at, row) in order.into_iter().zip(rows) {
-            assigned[at] = Some(row);
+            assigned[at] = row;
         }
         Ok(assigned)
     }
@@ -328,35 +372,26 @@ impl Sfm for GivenPoses {
         cancel: &CancelToken,
     ) -> Result<Poses, PosesError> {
         let start = Instant::now();
-        let given = self.read()?;
+        let (assignment, mut given) = self.read()?;
         cancel.check()?;
-        let assigned = self.assign(given.views)?;
+        let assigned = self.assign(assignment)?;
         self.warn_of_order(sink);
         let all = self.photographs.iter().zip(&assigned);
         let of_photograph: HashMap<&PhotoPath, &GivenView> = { all }
             .filter_map(|(path, given)| Some((path, given.as_ref()?)))
             .collect();
         let total = request.views.len();
-        let mut views = Vec::new();
-        let mut bounds = Vec::new();
-        for view in request.views {
-            if let Some(&given) = of_photograph.get(&view.path) {
-                views.push(posed(view, given)?);
-                bounds.push(given.bounds);
-            }
-        }
+        let placed = Placed::of(request.views, &of_photograph, &mut given)?;
+        self.warn(&given, &placed, sink);
+        let Placed {
+            views,
+            bounds,
+            held_out,
+            ..
+        } = placed;
         let registered = views.len();
         if registered < 3 {
-            let file = match self.format {
-                Format::Model => "the COLMAP model".into(),
-                Format::Transforms | Format::PosesBounds => name_of(&self.path),
-            };
-            let advice = format!("the names in {file} must be those of the photographs");
-            return Err(PosesError::TooFew {
-                registered,
-                total,
-                advice,
-            });
+            return Err(self.too_few(registered, total, &given));
         }
         // Far from the origin COLMAP, too, loses its digits.
         let near = Poses {
@@ -364,26 +399,17 @@ impl Sfm for GivenPoses {
             ..Poses::default()
         };
         let near = near.normalised();
-        let normalisation = near.normalisation;
-        let in_world = |poses| {
-            Poses {
-                normalisation,
-                ..poses
-            }
-            .in_world()
-        };
         if let Some(poses) = self.refined(request, &near.views, sink, cancel)? {
-            return Ok(in_world(poses));
-        }
-        let points = if given.points.is_empty() {
-            let points = self.found_points(request, &near, &bounds, sink, cancel)?;
-            let found = Poses {
-                points,
-                ..Poses::default()
+            let poses = Poses {
+                normalisation: near.normalisation,
+                held_out,
+                ..poses
             };
-            in_world(found).points
-        } else {
-            given.points
+            return Ok(poses.in_world());
+        }
+        let points = match given.points.is_empty() {
+            true => self.found_points(request, near, &bounds, sink, cancel)?,
+            false => given.points,
         };
         Ok(Poses {
             views,
@@ -391,6 +417,7 @@ impl Sfm for GivenPoses {
             registered,
             total,
             source: self.describe(),
+            held_out,
             mean_reprojection_error: given.mean_error,
             mean_track: given.mean_track,
             seconds: start.elapsed().as_secs_f64(),
@@ -414,41 +441,6 @@ impl Sfm for GivenPoses {
             None => "",
         };
         format!("given {what}{refined}{points}")
-    }
-}
-
-/// A given pose at the photograph's own size, which may differ from the one it was computed at.
-fn posed(view: &PoseView, given: &GivenView) -> Result<PosedView, PosesError> {
-    let header =
-        read_header(&view.file).map_err(|e| PosesError::bad_file(&view.file, e.to_string()))?;
-    let lens = given.lens.at(header.width, header.height);
-    let camera = Camera {
-        intrinsics: lens.pinhole(),
-        world_to_camera: given.world_to_camera,
-    };
-    Ok(PosedView {
-        name: view.name.clone(),
-        camera,
-        lens,
-    })
-}
-
-fn from_model(model: &SparseModel) -> Given {
-    let view = |image| GivenView {
-        lens: model.camera_of(image).lens().into(),
-        world_to_camera: image.world_to_camera(),
-        bounds: None,
-    };
-    let by_path = model
-        .images
-        .iter()
-        .map(|image| (PhotoPath::new(&image.name), view(image)))
-        .collect();
-    Given {
-        views: Assignment::ByPath(by_path),
-        points: model.sparse_points(),
-        mean_error: model.mean_error(),
-        mean_track: model.mean_track(),
     }
 }
 

@@ -22,11 +22,19 @@ pub(super) enum GivenLens {
 pub(super) enum Focal {
     /// To the right and down.
     Pixels([f64; 2]),
-    /// How wide the picture is, radians.
-    Angle(f64),
+    /// How wide and how high the picture is, radians; pixels are square where one is not told.
+    Angles([Option<f64>; 2]),
 }
 
 impl GivenLens {
+    /// The size of its pictures, px, where it is told.
+    pub(super) fn size(&self) -> Option<(usize, usize)> {
+        match self {
+            Self::Sized(lens) => Some((lens.intrinsics.width, lens.intrinsics.height)),
+            Self::OfPhotograph { .. } => None,
+        }
+    }
+
     /// The lens of a photograph of this size, pixels.
     pub(super) fn at(&self, width: usize, height: usize) -> Lens {
         match *self {
@@ -41,7 +49,13 @@ impl GivenLens {
             } => {
                 let [fx, fy] = match focal {
                     Focal::Pixels(both) => both,
-                    Focal::Angle(angle) => [0.5 * width as f64 / (0.5 * angle).tan(); 2],
+                    Focal::Angles([x, y]) => {
+                        let focal =
+                            |side: usize, angle: f64| 0.5 * side as f64 / (0.5 * angle).tan();
+                        let fx = x.map(|angle| focal(width, angle));
+                        let fy = y.map(|angle| focal(height, angle));
+                        [fx.or(fy).unwrap_or_default(), fy.or(fx).unwrap_or_default()]
+                    }
                 };
                 let intrinsics = Intrinsics {
                     width,
@@ -73,4 +87,6 @@ pub(super) struct GivenView {
     pub(super) world_to_camera: glam::DMat4,
     /// Nearest and farthest depth, where the format tells.
     pub(super) bounds: Option<(f64, f64)>,
+    /// Whether the format keeps it from training.
+    pub(super) held_out: bool,
 }

@@ -1,3 +1,6 @@
+mod formats;
+mod turned;
+
 use glam::{DMat4, DVec3};
 
 use super::*;
@@ -6,6 +9,37 @@ use crate::event::{Event, Silent};
 use crate::image::{Image, Srgb};
 use crate::poses::bounds::{BoundedCamera, write_poses_bounds};
 use crate::poses::model::{ModelCamera, ModelImage};
+
+/// A pose as `transforms.json` has it: rows of OpenGL's camera to world.
+fn flipped(world_to_camera: &DMat4) -> [[f64; 4]; 4] {
+    let flip = DMat4::from_scale(DVec3::new(1.0, -1.0, -1.0));
+    let camera_to_world = world_to_camera.inverse() * flip;
+    camera_to_world.transpose().to_cols_array_2d()
+}
+
+/// The poses of a file, and what is said about them beside guessed points.
+fn told(
+    file: &Path,
+    views: &[PoseView],
+    work_dir: &Path,
+) -> (Result<Poses, PosesError>, Vec<String>) {
+    let mut warnings = Vec::new();
+    let mut sink = |event: &Event| match event {
+        Event::Warning { code, message, .. } if code != "points_guessed" => {
+            warnings.push(message.clone());
+        }
+        _ => (),
+    };
+    let request = PoseRequest {
+        views,
+        work_dir,
+        seed: 3,
+    };
+    let paths: Vec<PhotoPath> = views.iter().map(|view| view.path.clone()).collect();
+    let given = GivenPoses::open(file, &paths).unwrap();
+    let poses = given.poses(&request, &mut sink, &CancelToken::new());
+    (poses, warnings)
+}
 
 struct Capture {
     dir: tempfile::TempDir,
@@ -161,11 +195,8 @@ fn a_pose_that_is_off_by_a_millionth_is_not_right() {
 #[test]
 fn transforms_json_has_opengl_axes() {
     let capture = capture();
-    let flip = DMat4::from_scale(DVec3::new(1.0, -1.0, -1.0));
     let frame = |(i, camera): (usize, &Camera)| {
-        let matrix = (camera.world_to_camera.inverse() * flip)
-            .transpose()
-            .to_cols_array_2d();
+        let matrix = flipped(&camera.world_to_camera);
         serde_json::json!({ "file_path": format!("./images/photo{i}"), "transform_matrix": matrix })
     };
     let frames: Vec<_> = capture.cameras.iter().enumerate().map(frame).collect();

@@ -1,169 +1,194 @@
 //! NeRF's `transforms.json`: camera-to-world matrices with OpenGL axes (x right, y up, z
-//! backward), intrinsics for all frames or frame by frame.
+//! backward), intrinsics for all frames or frame by frame. `transforms_train.json` is read with its
+//! `_test` and `_val`.
 
-use std::f64::consts::PI;
-use std::path::Path;
+mod json;
+mod optics;
 
-use glam::{DMat4, DVec3, DVec4};
-use serde::Deserialize;
+use std::collections::HashSet;
+use std::path::{Path, PathBuf};
 
-use super::given_view::{Focal, GivenLens, GivenView};
-use crate::camera::Intrinsics;
+use glam::{DMat3, DMat4, DVec3};
+use serde_json::Value;
+
+use super::given_view::GivenView;
 use crate::photo_path::PhotoPath;
-use crate::poses::{Distortion, Lens, PosesError};
+use crate::poses::left_out::{LeftOut, in_words};
+use crate::poses::{PosesError, Rotation, rotation};
+use json::{Fields, Object};
 
-/// Intrinsics as instant-ngp and nerfstudio write them; a frame's own win over the file's.
-#[derive(Clone, Copy, Debug, Default, Deserialize)]
-struct Optics {
-    w: Option<f64>,
-    h: Option<f64>,
-    fl_x: Option<f64>,
-    fl_y: Option<f64>,
-    cx: Option<f64>,
-    cy: Option<f64>,
-    camera_angle_x: Option<f64>,
-    k1: Option<f64>,
-    k2: Option<f64>,
-    k3: Option<f64>,
-    k4: Option<f64>,
-    p1: Option<f64>,
-    p2: Option<f64>,
+/// How the names of the files go on where there is one for each split, and whether its views train.
+const SPLITS: [(&str, bool); 3] = [("_train", true), ("_val", false), ("_test", false)];
+
+/// What the files hold.
+#[derive(Default)]
+pub(super) struct Transforms {
+    /// The frames by their `file_path`; `None` for one that is left out.
+    pub(super) views: Vec<(PhotoPath, Option<GivenView>)>,
+    pub(super) left_out: Vec<LeftOut>,
+    pub(super) warnings: Vec<String>,
 }
 
-#[derive(Debug, Deserialize)]
-struct Transforms {
-    #[serde(flatten)]
-    optics: Optics,
-    camera_model: Option<String>,
-    #[serde(default)]
-    is_fisheye: bool,
-    frames: Vec<Frame>,
+/// Reads a file, and those of the other splits beside it.
+///
+/// # Errors
+/// [`PosesError`] where a file cannot be read, or none of the frames can be used.
+pub(super) fn read(file: &Path) -> Result<Transforms, PosesError> {
+    let mut all = Transforms::default();
+    let mut mended = Vec::new();
+    for (file, trains) in files(file)? {
+        all.add(&file, trains, &mut mended)?;
+    }
+    if all.views.iter().all(|(_, view)| view.is_none()) && !all.left_out.is_empty() {
+        return Err(PosesError::bad_file(file, in_words(&all.left_out)));
+    }
+    if let Some((name, rotation)) = mended.first() {
+        let count = mended.len();
+        let Rotation { scale, .. } = rotation;
+        all.warnings.push(format!(
+            "`transform_matrix` of {count} frames holds a rotation that is scaled or rounded, the \
+             first is {name} with a scale of {scale:.4}: the nearest rotation is taken"
+        ));
+    }
+    Ok(all)
 }
 
-#[derive(Debug, Deserialize)]
-struct Frame {
-    file_path: String,
-    transform_matrix: [[f64; 4]; 4],
-    #[serde(flatten)]
-    optics: Optics,
-}
-
-/// The frames with the paths of their files.
-pub(super) fn read(file: &Path) -> Result<Vec<(PhotoPath, GivenView)>, PosesError> {
-    let bytes = std::fs::read(file).map_err(PosesError::io(file))?;
-    let transforms: Transforms =
-        serde_json::from_slice(&bytes).map_err(|e| PosesError::bad_file(file, e.to_string()))?;
-    let fisheye =
-        transforms.is_fisheye || transforms.camera_model.as_deref() == Some("OPENCV_FISHEYE");
-    let view = |frame: &Frame| {
-        let bad = |what| PosesError::bad_file(file, format!("frame {}: {what}", frame.file_path));
-        let lens = frame
-            .optics
-            .or(&transforms.optics)
-            .lens(fisheye)
-            .ok_or_else(|| bad("no usable intrinsics"))?;
-        let world_to_camera =
-            world_to_camera(&frame.transform_matrix).ok_or_else(|| bad("no rigid transform"))?;
-        Ok((
-            PhotoPath::new(&frame.file_path),
-            GivenView {
-                lens,
-                world_to_camera,
-                bounds: None,
-            },
-        ))
+/// The file, or with a split in its name those of all splits, and whether their frames train.
+fn files(file: &Path) -> Result<Vec<(PathBuf, bool)>, PosesError> {
+    let stem = |path: &Path| {
+        let stem = path.file_stem().unwrap_or_default();
+        stem.to_string_lossy().to_lowercase()
     };
-    transforms.frames.iter().map(view).collect()
+    let own = stem(file);
+    let Some((base, _)) = SPLITS
+        .iter()
+        .find_map(|(end, trains)| Some((own.strip_suffix(*end)?, trains)))
+    else {
+        return Ok(vec![(file.to_owned(), true)]);
+    };
+    let folder = file.parent().unwrap_or(Path::new(""));
+    let mut found = Vec::new();
+    for entry in folder.read_dir().map_err(PosesError::io(folder))? {
+        let path = entry.map_err(PosesError::io(folder))?.path();
+        let is_json = path
+            .extension()
+            .is_some_and(|e| e.eq_ignore_ascii_case("json"));
+        let split = SPLITS
+            .iter()
+            .position(|(end, _)| stem(&path) == format!("{base}{end}"));
+        if let (true, Some(split)) = (is_json, split) {
+            found.push((split, path));
+        }
+    }
+    found.sort();
+    Ok(found
+        .into_iter()
+        .map(|(split, path)| (path, SPLITS[split].1))
+        .collect())
 }
 
-/// OpenGL camera-to-world to OpenCV world-to-camera.
-fn world_to_camera(matrix: &[[f64; 4]; 4]) -> Option<DMat4> {
-    let rows = matrix.map(DVec4::from_array);
-    let camera_to_world = DMat4::from_cols(rows[0], rows[1], rows[2], rows[3]).transpose();
-    let rigid = (camera_to_world.determinant() - 1.0).abs() < 1e-3 && camera_to_world.is_finite();
+impl Transforms {
+    fn add(
+        &mut self,
+        file: &Path,
+        trains: bool,
+        mended: &mut Vec<(String, Rotation)>,
+    ) -> Result<(), PosesError> {
+        let content = json::read(file)?;
+        let Some(Value::Array(frames)) = content.get("frames") else {
+            return Err(PosesError::bad_file(file, "it has no list of `frames`"));
+        };
+        let held_out = held_out(&content);
+        for (index, frame) in frames.iter().enumerate() {
+            let name = frame.get("file_path").and_then(Value::as_str);
+            let outcome = name
+                .ok_or_else(|| "it has no `file_path`".to_owned())
+                .and_then(|name| {
+                    let own = frame.as_object().expect("it has a field");
+                    let (view, rotation) = view(&Fields::new(own, &content))?;
+                    Ok((name.to_owned(), view, rotation))
+                });
+            match outcome {
+                Ok((name, view, rotation)) => {
+                    let held_out = !trains || held_out.contains(&*name);
+                    if rotation.is_mended {
+                        mended.push((name.clone(), rotation));
+                    }
+                    let view = GivenView { held_out, ..view };
+                    self.views.push((PhotoPath::new(&name), Some(view)));
+                }
+                Err(reason) => {
+                    self.views
+                        .extend(name.map(|name| (PhotoPath::new(name), None)));
+                    let name = name.map_or_else(|| format!("frame {index}"), ToOwned::to_owned);
+                    self.left_out.push(LeftOut::new(name, reason));
+                }
+            }
+        }
+        self.warn_of_unused(file, &content, frames);
+        Ok(())
+    }
+
+    /// Fisheye lenses have no tangential terms.
+    fn warn_of_unused(&mut self, file: &Path, content: &Object, frames: &[Value]) {
+        let is_unused = |frame: &Value| {
+            let own = frame.as_object();
+            own.is_some_and(|own| optics::has_unused_terms(&Fields::new(own, content)))
+        };
+        if frames.iter().any(is_unused) {
+            self.warnings.push(format!(
+                "{}: `p1` and `p2` of a fisheye lens are not used",
+                crate::poses::name_of(file)
+            ));
+        }
+    }
+}
+
+/// The `file_path`s that nerfstudio's lists keep from training.
+fn held_out(content: &Object) -> HashSet<&str> {
+    let lists = ["test_filenames", "val_filenames"];
+    let names = lists.iter().filter_map(|key| content.get(*key)?.as_array());
+    names.flatten().filter_map(Value::as_str).collect()
+}
+
+fn view(fields: &Fields<'_>) -> Result<(GivenView, Rotation), String> {
+    let lens = optics::lens(fields)?;
+    let (rotation, centre) = pose(fields)?;
+    let camera_to_world = DMat4::from_mat3_translation(rotation.matrix, centre);
+    // OpenGL's axes of the camera are OpenCV's but for up and backward.
     let flip = DMat4::from_scale(DVec3::new(1.0, -1.0, -1.0));
-    rigid.then(|| (camera_to_world * flip).inverse())
+    let view = GivenView {
+        lens,
+        world_to_camera: (camera_to_world * flip).inverse(),
+        bounds: None,
+        held_out: false,
+    };
+    Ok((view, rotation))
 }
 
-impl Optics {
-    fn or(&self, other: &Self) -> Self {
-        Self {
-            w: self.w.or(other.w),
-            h: self.h.or(other.h),
-            fl_x: self.fl_x.or(other.fl_x),
-            fl_y: self.fl_y.or(other.fl_y),
-            cx: self.cx.or(other.cx),
-            cy: self.cy.or(other.cy),
-            camera_angle_x: self.camera_angle_x.or(other.camera_angle_x),
-            k1: self.k1.or(other.k1),
-            k2: self.k2.or(other.k2),
-            k3: self.k3.or(other.k3),
-            k4: self.k4.or(other.k4),
-            p1: self.p1.or(other.p1),
-            p2: self.p2.or(other.p2),
-        }
+/// The camera's axes and its place.
+fn pose(fields: &Fields<'_>) -> Result<(Rotation, DVec3), String> {
+    let of = |what: &str| format!("`transform_matrix` {what}");
+    let rows = fields.own("transform_matrix").and_then(Value::as_array);
+    let rows = rows.ok_or_else(|| of("is missing"))?;
+    let numbers = |row: &Value| -> Option<[f64; 4]> {
+        let row: Option<Vec<f64>> = row.as_array()?.iter().map(json::number).collect();
+        row?.try_into().ok()
+    };
+    let rows: Option<Vec<[f64; 4]>> = rows.iter().map(numbers).collect();
+    let rows = rows.filter(|rows| rows.len() == 3 || rows.len() == 4);
+    let rows = rows.ok_or_else(|| of("is not of 3 or 4 rows of 4 numbers"))?;
+    if rows.iter().flatten().any(|v| !v.is_finite()) {
+        return Err(of("holds NaN or infinity"));
     }
-
-    /// Without a size there is nothing to scale by: the pixels are then the photograph's own.
-    fn lens(&self, fisheye: bool) -> Option<GivenLens> {
-        let distortion = self.distortion(fisheye);
-        match (self.w, self.h) {
-            (Some(width), Some(height)) => self.intrinsics(width, height).map(|intrinsics| {
-                GivenLens::Sized(Lens {
-                    intrinsics,
-                    distortion,
-                })
-            }),
-            (None, None) => self.focal().map(|focal| GivenLens::OfPhotograph {
-                focal,
-                centre: [self.cx, self.cy],
-                distortion,
-            }),
-            _ => None,
-        }
+    if let Some(&[x, y, z, w]) = rows.get(3)
+        && [x, y, z, w - 1.0].iter().any(|v| v.abs() > 1e-3)
+    {
+        return Err(of(&format!(
+            "has {x} {y} {z} {w} as its last row and not 0 0 0 1: is it written by columns?"
+        )));
     }
-
-    fn focal(&self) -> Option<Focal> {
-        let is_angle = |angle: &f64| *angle > 0.0 && *angle < PI;
-        match (self.fl_x, self.camera_angle_x) {
-            (Some(fx), _) => {
-                let fy = self.fl_y.unwrap_or(fx);
-                (fx > 0.0 && fy > 0.0).then_some(Focal::Pixels([fx, fy]))
-            }
-            (None, angle) => angle.filter(is_angle).map(Focal::Angle),
-        }
-    }
-
-    fn intrinsics(&self, width: f64, height: f64) -> Option<Intrinsics> {
-        let from_angle = self
-            .camera_angle_x
-            .map(|angle| 0.5 * width / (0.5 * angle).tan());
-        let fx = self.fl_x.or(from_angle)?;
-        let fy = self.fl_y.unwrap_or(fx);
-        let sized = width >= 1.0 && height >= 1.0 && fx > 0.0 && fy > 0.0;
-        sized.then_some(Intrinsics {
-            width: width.round() as usize,
-            height: height.round() as usize,
-            fx,
-            fy,
-            cx: self.cx.unwrap_or(0.5 * width),
-            cy: self.cy.unwrap_or(0.5 * height),
-        })
-    }
-
-    fn distortion(&self, fisheye: bool) -> Distortion {
-        let [k1, k2, k3, k4] = [self.k1, self.k2, self.k3, self.k4].map(|k| k.unwrap_or(0.0));
-        // k4 of a perspective file is OpenCV's first denominator term.
-        if fisheye {
-            Distortion::Fisheye {
-                radial: [k1, k2, k3, k4],
-            }
-        } else {
-            let tangential = [self.p1.unwrap_or(0.0), self.p2.unwrap_or(0.0)];
-            Distortion::Perspective {
-                radial: [k1, k2, k3, k4, 0.0, 0.0],
-                tangential,
-            }
-        }
-    }
+    let axes = DMat3::from_cols_array_2d(&[0, 1, 2].map(|c| [rows[0][c], rows[1][c], rows[2][c]]));
+    let rotation = rotation(axes).map_err(|what| of(&what))?;
+    Ok((rotation, DVec3::new(rows[0][3], rows[1][3], rows[2][3])))
 }

@@ -138,7 +138,7 @@ fn read(
     cancel: &CancelToken,
 ) -> Result<Vec<View>, PipelineError> {
     let names: Vec<&str> = poses.views.iter().map(|view| view.name.as_str()).collect();
-    let splits = splits(&options.held_out, capture.hold, &names)?;
+    let splits = splits(&options.held_out, capture.hold, &poses.held_out, &names)?;
     let training = splits
         .iter()
         .filter(|split| **split == Split::Train)
@@ -227,14 +227,16 @@ fn resample(image: &Image, width: usize, height: usize) -> Image {
     image.to_linear().resize_area(width, height).to_srgb()
 }
 
-/// The split of each view by the option `held_out`: `auto`, `none`, every n-th, or names. `hold` is
-/// the capture's own setting for `auto`, at least 2.
+/// The split of each view by the option `held_out`: `auto`, `none`, every n-th, or names. For
+/// `auto`, `hold` is the capture's own setting, at least 2, and `given` are the names that its poses
+/// hold out.
 ///
 /// # Errors
 /// [`OptionsError`] for a number below 2 and for names without a view.
 pub fn splits(
     held_out: &str,
     hold: Option<u32>,
+    given: &[String],
     names: &[&str],
 ) -> Result<Vec<Split>, OptionsError> {
     let every = |n: usize| -> Vec<Split> {
@@ -248,12 +250,23 @@ pub fn splits(
             })
             .collect()
     };
+    let these = |wanted: &[&str]| -> Vec<Split> {
+        let split = |name: &&str| match wanted.contains(name) {
+            true => Split::HeldOut,
+            false => Split::Train,
+        };
+        names.iter().map(split).collect()
+    };
     let fault = |message: String| OptionsError {
         key: "held_out".to_owned(),
         message,
     };
     match (held_out, hold) {
         ("auto", Some(n)) => return Ok(every(n as usize)),
+        ("auto", None) if !given.is_empty() => {
+            let given: Vec<&str> = given.iter().map(String::as_str).collect();
+            return Ok(these(&given));
+        }
         ("auto", None) if names.len() >= HELD_OUT_FROM => return Ok(every(8)),
         ("auto" | "none", _) => return Ok(vec![Split::Train; names.len()]),
         _ => {}
@@ -275,16 +288,7 @@ pub fn splits(
     if let Some(unknown) = wanted.iter().find(|name| !names.contains(name)) {
         return Err(fault(format!("`{unknown}` is not a view with a pose")));
     }
-    Ok(names
-        .iter()
-        .map(|name| {
-            if wanted.contains(name) {
-                Split::HeldOut
-            } else {
-                Split::Train
-            }
-        })
-        .collect())
+    Ok(these(&wanted))
 }
 
 #[cfg(test)]
@@ -296,7 +300,7 @@ mod tests {
         let names: Vec<String> = (0..20).map(|i| format!("v{i}")).collect();
         let names: Vec<&str> = names.iter().map(String::as_str).collect();
         let held = |option: &str, names: &[&str]| -> Vec<usize> {
-            let splits = splits(option, None, names).expect("valid");
+            let splits = splits(option, None, &[], names).expect("valid");
             (0..names.len())
                 .filter(|&i| splits[i] == Split::HeldOut)
                 .collect()
@@ -311,7 +315,13 @@ mod tests {
     #[test]
     fn auto_holds_out_what_the_capture_holds_out() {
         let held = |option: &str| {
-            let splits = splits(option, Some(3), &["a", "b", "c", "d", "e"]).expect("valid");
+            let splits = splits(
+                option,
+                Some(3),
+                &["b".to_owned()],
+                &["a", "b", "c", "d", "e"],
+            )
+            .expect("valid");
             let held_out = splits.iter().map(|split| *split == Split::HeldOut);
             held_out.collect::<Vec<_>>()
         };
@@ -321,9 +331,22 @@ mod tests {
     }
 
     #[test]
+    fn views_held_out_by_given_poses_stand_by_default() {
+        let held = |option: &str| {
+            let given = ["b".to_owned(), "lost".to_owned()];
+            let splits = splits(option, None, &given, &["a", "b", "c"]).expect("valid");
+            let held_out = splits.iter().map(|split| *split == Split::HeldOut);
+            held_out.collect::<Vec<_>>()
+        };
+        assert_eq!(held("auto"), [false, true, false]);
+        assert_eq!(held("c"), [false, false, true]);
+        assert_eq!(held("none"), [false; 3]);
+    }
+
+    #[test]
     fn an_impossible_held_out_option_is_refused() {
-        assert!(splits("1", None, &["a", "b"]).is_err());
-        assert!(splits("c", None, &["a", "b"]).is_err());
+        assert!(splits("1", None, &[], &["a", "b"]).is_err());
+        assert!(splits("c", None, &[], &["a", "b"]).is_err());
     }
 
     #[test]

@@ -1,4 +1,4 @@
-//! LLFF's `poses_bounds.npy`: f64 [B, 17]; a row is the 3x5 matrix [R | t | (height, width,
+//! LLFF's `poses_bounds.npy`: f64 or f32 [B, 17]; a row is the 3x5 matrix [R | t | (height, width,
 //! focal)] row-major, then near and far depth. R and t go from camera to world; R's columns are
 //! the camera's down, right and backward axes.
 
@@ -8,9 +8,9 @@ use std::path::Path;
 
 use glam::{DMat3, DMat4, DVec3};
 use ndarray::{Array2, ArrayView2};
-use ndarray_npy::ViewNpyExt;
+use ndarray_npy::{ViewNpyError, ViewNpyExt};
 
-use super::PosesError;
+use super::{PosesError, rotation};
 use crate::camera::{Camera, Intrinsics};
 
 /// Columns of the file.
@@ -29,29 +29,43 @@ pub struct BoundedCamera {
     pub far: f64,
 }
 
-/// Reads the rows, which belong to the photographs in the order of their file names.
+/// Reads the rows, which belong to the photographs in the order of their file names; of a row that
+/// is no camera, why it is none.
 ///
 /// # Errors
-/// [`PosesError::BadFile`] when it is no such array or a row is no camera.
-pub fn read_poses_bounds(file: &Path) -> Result<Vec<BoundedCamera>, PosesError> {
+/// [`PosesError::BadFile`] when it is no such array or no row is a camera.
+pub fn read_poses_bounds(file: &Path) -> Result<Vec<Result<BoundedCamera, String>>, PosesError> {
     let bad_file = |reason: String| PosesError::bad_file(file, reason);
     let bytes = Aligned::read(file)?;
     if !holds_its_header(bytes.as_ref()) {
         return Err(bad_file("it is cut short, or no array".to_owned()));
     }
-    let array = ArrayView2::<f64>::view_npy(bytes.as_ref());
-    let array = array.map_err(|error| bad_file(error.to_string()))?;
+    let array = numbers(bytes.as_ref()).map_err(bad_file)?;
     if array.ncols() != COLUMNS {
-        return Err(PosesError::bad_file(
-            file,
-            format!("rows of {} numbers instead of 17", array.ncols()),
-        ));
+        let reason = format!("rows of {} numbers instead of {COLUMNS}", array.ncols());
+        return Err(bad_file(reason));
     }
-    let bad = |row: usize| PosesError::bad_file(file, format!("row {row} is not a camera"));
-    let rows = array.rows().into_iter().map(|row| row.to_vec());
-    rows.enumerate()
-        .map(|(index, row)| camera(&row).ok_or_else(|| bad(index)))
-        .collect()
+    let rows = array.rows().into_iter().map(|row| camera(&row.to_vec()));
+    let rows: Vec<_> = rows.collect();
+    match rows.iter().position(Result::is_ok) {
+        None if !rows.is_empty() => {
+            let first = rows.into_iter().find_map(Result::err).unwrap_or_default();
+            Err(bad_file(format!("no row is a camera; row 0 {first}")))
+        }
+        _ => Ok(rows),
+    }
+}
+
+/// The array of either width.
+fn numbers(bytes: &[u8]) -> Result<Array2<f64>, String> {
+    match ArrayView2::<f64>::view_npy(bytes) {
+        Ok(array) => Ok(array.to_owned()),
+        Err(ViewNpyError::WrongDescriptor(_)) => match ArrayView2::<f32>::view_npy(bytes) {
+            Ok(array) => Ok(array.mapv(f64::from)),
+            Err(error) => Err(format!("{error}; save it as float64")),
+        },
+        Err(error) => Err(error.to_string()),
+    }
 }
 
 /// Whether the header is as long as it says it is. Who reads it takes memory for that first.
@@ -97,19 +111,33 @@ impl AsRef<[u8]> for Aligned {
     }
 }
 
-fn camera(row: &[f64]) -> Option<BoundedCamera> {
+fn camera(row: &[f64]) -> Result<BoundedCamera, String> {
+    if !row.iter().all(|v| v.is_finite()) {
+        return Err("holds NaN or infinity".to_owned());
+    }
     let column = |c: usize| DVec3::new(row[c], row[5 + c], row[10 + c]);
     let (down, right, backward) = (column(0), column(1), column(2));
     let (height, width, focal) = (row[4], row[9], row[14]);
-    let camera_to_world = DMat3::from_cols(right, down, -backward);
-    let rigid = (camera_to_world.determinant() - 1.0).abs() < 1e-3;
-    let sized = (1.0..1e6).contains(&width) && (1.0..1e6).contains(&height) && focal > 0.0;
-    let (near, far) = (row[15], row[16]);
-    let bounded = near > 0.0 && far > near && far.is_finite();
-    if !(rigid && sized && bounded && row.iter().all(|v| v.is_finite())) {
-        return None;
+    if !((1.0..1e6).contains(&width) && (1.0..1e6).contains(&height) && focal > 0.0) {
+        return Err(format!(
+            "has a picture of {width} x {height} px and a focal length of {focal}"
+        ));
     }
-    let rotation = camera_to_world.transpose();
+    let (near, far) = (row[15], row[16]);
+    if !(near > 0.0 && far > near) {
+        return Err(format!(
+            "has {near} and {far} as its nearest and farthest depth"
+        ));
+    }
+    let axes = rotation(DMat3::from_cols(right, down, -backward));
+    let axes = axes.map_err(|what| format!("has a matrix that {what}"))?;
+    if axes.is_mended {
+        return Err(format!(
+            "has a rotation that is scaled by {:.4} or rounded",
+            axes.scale
+        ));
+    }
+    let rotation = axes.matrix.transpose();
     let mut world_to_camera = DMat4::from_mat3(rotation);
     world_to_camera.w_axis = (-(rotation * column(3))).extend(1.0);
     let intrinsics = Intrinsics {
@@ -120,7 +148,7 @@ fn camera(row: &[f64]) -> Option<BoundedCamera> {
         cx: 0.5 * width,
         cy: 0.5 * height,
     };
-    Some(BoundedCamera {
+    Ok(BoundedCamera {
         camera: Camera {
             intrinsics,
             world_to_camera,
@@ -192,9 +220,10 @@ mod tests {
         write_poses_bounds(&file, &[row(), row()]).unwrap();
         let read = read_poses_bounds(&file).unwrap();
         assert_eq!(read.len(), 2);
-        assert_eq!(read[1].camera.intrinsics, row().camera.intrinsics);
+        let second = read[1].clone().unwrap();
+        assert_eq!(second.camera.intrinsics, row().camera.intrinsics);
         assert!(
-            read[1]
+            second
                 .camera
                 .world_to_camera
                 .abs_diff_eq(row().camera.world_to_camera, 1e-12)

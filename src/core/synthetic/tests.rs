@@ -44,7 +44,8 @@ fn the_layout_is_lush_nerfs_and_the_poses_are_exact() {
     let summary = generate(&small(4), dir.path()).unwrap();
     let rows = read_poses_bounds(&dir.path().join("poses_bounds.npy")).unwrap();
     assert_eq!(rows.len(), 3);
-    for ((name, camera), row) in summary.cameras.iter().zip(&rows) {
+    for ((name, camera), row) in summary.cameras.iter().zip(rows) {
+        let row = row.unwrap();
         assert!(dir.path().join(format!("images/{name}.png")).is_file());
         assert!(
             row.camera

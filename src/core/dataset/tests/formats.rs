@@ -1,0 +1,523 @@
+//! What other programs write into the formats, and what must come of it.
+
+use glam::DVec2;
+use serde_json::{Value, json};
+
+use super::super::*;
+use super::{Capture, capture, flipped, told};
+use crate::poses::Distortion;
+use crate::poses::model::{ModelCamera, ModelImage};
+
+/// A `transforms.json` of the capture's cameras, changed by `edit`.
+fn transforms(capture: &Capture, edit: impl Fn(&mut Value)) -> Value {
+    let frame = |(i, camera): (usize, &Camera)| {
+        json!({
+            "file_path": format!("images/photo{i}.png"),
+            "transform_matrix": flipped(&camera.world_to_camera),
+        })
+    };
+    let frames: Vec<Value> = capture.cameras.iter().enumerate().map(frame).collect();
+    let mut json = json!({ "w": 80, "h": 60, "fl_x": 70.0, "frames": frames });
+    edit(&mut json);
+    json
+}
+
+impl Capture {
+    /// What a file of this content gives.
+    fn of(
+        &self,
+        name: &str,
+        content: impl AsRef<[u8]>,
+    ) -> (Result<Poses, PosesError>, Vec<String>) {
+        let file = self.dir.path().join(name);
+        std::fs::create_dir_all(file.parent().unwrap()).unwrap();
+        std::fs::write(&file, content).unwrap();
+        told(&file, &self.views, self.dir.path())
+    }
+
+    fn of_json(&self, edit: impl Fn(&mut Value)) -> (Result<Poses, PosesError>, Vec<String>) {
+        self.of("transforms.json", transforms(self, edit).to_string())
+    }
+
+    /// The file's poses, which must be the capture's and come without a word.
+    fn assert_plain(&self, told: (Result<Poses, PosesError>, Vec<String>)) {
+        assert_eq!(told.1, [""; 0]);
+        self.assert_right(&told.0.unwrap());
+    }
+}
+
+fn said(warnings: &[String], words: &[&str]) {
+    let has_all = |warning: &String| words.iter().all(|word| warning.contains(word));
+    assert!(warnings.iter().any(has_all), "{words:?} in {warnings:?}");
+}
+
+#[test]
+fn byte_order_marks_and_rows_of_three_change_nothing() {
+    let capture = capture();
+    let text = transforms(&capture, |_| ()).to_string();
+    capture.assert_plain(capture.of("transforms.json", format!("\u{feff}{text}")));
+    let wide = |unit: fn(u16) -> [u8; 2]| -> Vec<u8> {
+        let units = format!("\u{feff}{text}").encode_utf16().collect::<Vec<_>>();
+        units.into_iter().flat_map(unit).collect()
+    };
+    capture.assert_plain(capture.of("transforms.json", wide(u16::to_le_bytes)));
+    capture.assert_plain(capture.of("transforms.json", wide(u16::to_be_bytes)));
+    capture.assert_plain(capture.of_json(|json| {
+        for frame in json["frames"].as_array_mut().unwrap() {
+            frame["transform_matrix"]
+                .as_array_mut()
+                .unwrap()
+                .truncate(3);
+        }
+    }));
+}
+
+#[test]
+fn scaled_and_rounded_rotations_become_rotations_with_a_warning() {
+    let capture = capture();
+    for (scale, digits, limit) in [(1.18, 12, 1e-9), (0.5, 3, 2e-3), (1.0, 2, 2e-2)] {
+        let step = 10f64.powi(-digits);
+        let (poses, warnings) = capture.of_json(|json| {
+            for frame in json["frames"].as_array_mut().unwrap() {
+                for row in frame["transform_matrix"].as_array_mut().unwrap() {
+                    for cell in row.as_array_mut().unwrap().iter_mut().take(3) {
+                        let value = cell.as_f64().unwrap() * scale;
+                        *cell = json!((value / step).round() * step);
+                    }
+                }
+                frame["transform_matrix"][3] = json!([0.0, 0.0, 0.0, 1.0]);
+            }
+        });
+        for (view, camera) in poses.unwrap().views.iter().zip(&capture.cameras) {
+            let rotation = view.camera.rotation();
+            assert!(rotation.abs_diff_eq(camera.rotation(), limit), "{scale}");
+            assert!((rotation.determinant() - 1.0).abs() < 1e-12);
+            assert!(view.camera.centre().distance(camera.centre()) < 1e-9);
+        }
+        said(
+            &warnings,
+            &["transforms.json", "transform_matrix", "images/photo0.png"],
+        );
+    }
+}
+
+#[test]
+fn a_frame_that_cannot_be_used_is_left_out_with_its_name_and_field() {
+    let capture = capture();
+    let cases: [(&str, fn(&mut Value), &str); 7] = [
+        (
+            "transform_matrix",
+            |f| f["transform_matrix"][0][0] = json!("NaN"),
+            "NaN",
+        ),
+        (
+            "transform_matrix",
+            |f| f["transform_matrix"] = json!([[1.0]]),
+            "rows of 4",
+        ),
+        (
+            "transform_matrix",
+            |f| f["transform_matrix"][3] = json!([1.0, 2.0, 3.0, 1.0]),
+            "last row",
+        ),
+        (
+            "transform_matrix",
+            |f| f["transform_matrix"][0] = json!([0.0, 0.0, 0.0, 1.0]),
+            "rotation",
+        ),
+        (
+            "camera_model",
+            |f| f["camera_model"] = json!("EQUIRECTANGULAR"),
+            "EQUIRECTANGULAR",
+        ),
+        ("fl_x", |f| f["fl_x"] = json!("wide"), "not a number"),
+        ("k1", |f| f["k1"] = json!("Infinity"), "not a number"),
+    ];
+    for (field, spoil, words) in cases {
+        let (poses, warnings) = capture.of_json(|json| spoil(&mut json["frames"][2]));
+        assert_eq!(poses.unwrap().views.len(), 3, "{field}");
+        said(
+            &warnings,
+            &["images/photo2.png: ", &format!("`{field}`"), words],
+        );
+    }
+    let (poses, warnings) = capture.of_json(|json| {
+        json["frames"][1]
+            .as_object_mut()
+            .unwrap()
+            .remove("file_path");
+    });
+    assert_eq!(poses.unwrap().views.len(), 3);
+    said(&warnings, &["frame 1", "file_path"]);
+}
+
+#[test]
+fn what_python_writes_for_no_number_costs_its_frame_alone() {
+    let capture = capture();
+    let text = transforms(&capture, |json| {
+        json["frames"][1]["transform_matrix"][1][3] = json!("HERE");
+        json["frames"][0]["note"] = json!("a \\\"NaN\" in a text");
+    });
+    for no_number in ["NaN", "Infinity", "-Infinity"] {
+        let text = text.to_string().replace("\"HERE\"", no_number);
+        let (poses, warnings) = capture.of("transforms.json", text);
+        let names: Vec<String> = poses
+            .unwrap()
+            .views
+            .into_iter()
+            .map(|view| view.name)
+            .collect();
+        assert_eq!(names, ["photo0", "photo2", "photo3"]);
+        said(&warnings, &["images/photo1.png", "transform_matrix", "NaN"]);
+    }
+}
+
+#[test]
+fn what_is_wrong_with_all_frames_is_an_error_that_names_it() {
+    let capture = capture();
+    for (edit, words) in [
+        (
+            json!({ "camera_model": "EQUIRECTANGULAR" }),
+            "`camera_model` is EQUIRECTANGULAR",
+        ),
+        (json!({ "camera_model": "ORTHOPHOTO" }), "ORTHOPHOTO"),
+        (json!({ "ftheta_p0": 1.0 }), "ftheta_p0"),
+        (json!({ "k5": 0.1 }), "`k5`"),
+        (json!({ "h": null }), "`w` without `h`"),
+    ] {
+        let (poses, _) = capture.of_json(|json| {
+            let fields = edit.as_object().unwrap().clone();
+            json.as_object_mut().unwrap().extend(fields);
+        });
+        let message = poses.unwrap_err().to_string();
+        assert!(
+            message.starts_with("transforms.json: images/photo0.png"),
+            "{message}"
+        );
+        assert!(message.contains(words), "{message}");
+    }
+    let mirrored = |json: &mut Value| {
+        for frame in json["frames"].as_array_mut().unwrap() {
+            for row in 0..3 {
+                let cell = &mut frame["transform_matrix"][row][0];
+                *cell = json!(-cell.as_f64().unwrap());
+            }
+        }
+    };
+    let message = capture.of_json(mirrored).0.unwrap_err().to_string();
+    assert!(
+        message.contains("`transform_matrix` is a mirror image"),
+        "{message}"
+    );
+}
+
+#[test]
+fn broken_json_is_placed_by_its_frame() {
+    let capture = capture();
+    let text = transforms(&capture, |_| ()).to_string();
+    let cut = text.rfind("transform_matrix").unwrap();
+    let message = capture
+        .of("transforms.json", &text[..cut])
+        .0
+        .unwrap_err()
+        .to_string();
+    assert!(
+        message.contains("cut short") && message.contains("photo3.png"),
+        "{message}"
+    );
+    let spoiled = text.replacen("[[", "[[,", 2);
+    let message = capture
+        .of("transforms.json", spoiled)
+        .0
+        .unwrap_err()
+        .to_string();
+    assert!(
+        message.contains("not valid JSON") && message.contains("photo0.png"),
+        "{message}"
+    );
+    assert!(!message.contains("column"), "{message}");
+    let message = capture
+        .of("transforms.json", "{}")
+        .0
+        .unwrap_err()
+        .to_string();
+    assert!(message.contains("`frames`"), "{message}");
+}
+
+#[test]
+fn each_frame_has_its_own_camera_model() {
+    let capture = capture();
+    let (poses, warnings) = capture.of_json(|json| {
+        json["camera_model"] = json!("OPENCV");
+        json["k1"] = json!(-0.05);
+        json["frames"][1]["camera_model"] = json!("OPENCV_FISHEYE");
+        json["frames"][2]["camera_model"] = json!("OPENCV_FISHEYE");
+        json["frames"][2]["k1"] = json!(0.03);
+        json["frames"][3]["k2"] = json!(0.01);
+    });
+    assert_eq!(warnings, [""; 0]);
+    let found: Vec<_> = poses
+        .unwrap()
+        .views
+        .iter()
+        .map(|view| view.lens.distortion)
+        .collect();
+    let perspective = |k1, k2| Distortion::Perspective {
+        radial: [k1, k2, 0.0, 0.0, 0.0, 0.0],
+        tangential: [0.0; 2],
+    };
+    let fisheye = |k1| Distortion::Fisheye {
+        radial: [k1, 0.0, 0.0, 0.0],
+    };
+    // A perspective's term is none of a fisheye, and a frame's own terms stand together.
+    let expected = [
+        perspective(-0.05, 0.0),
+        fisheye(0.0),
+        fisheye(0.03),
+        perspective(0.0, 0.01),
+    ];
+    assert_eq!(found, expected);
+}
+
+#[test]
+fn k4_is_the_fourth_term_of_a_polynomial_or_of_the_angle_or_opencvs() {
+    let capture = capture();
+    let at = |model: &str| {
+        let (poses, _) = capture.of_json(|json| {
+            json["camera_model"] = json!(model);
+            json["k4"] = json!(-0.2);
+        });
+        poses.unwrap().views[0]
+            .lens
+            .distortion
+            .distort(DVec2::new(0.6, 0.0))
+            .x
+    };
+    let (r, angle) = (0.6f64, 0.6f64.atan());
+    assert!((at("OPENCV") - r * (1.0 - 0.2 * r.powi(8))).abs() < 1e-12);
+    assert!((at("OPENCV_FISHEYE") - angle * (1.0 - 0.2 * angle.powi(8))).abs() < 1e-12);
+    assert!((at("FULL_OPENCV") - r / (1.0 - 0.2 * r * r)).abs() < 1e-12);
+}
+
+#[test]
+fn angles_are_of_width_and_height() {
+    let capture = capture();
+    let focal = |edit: Value| {
+        let (poses, _) = capture.of_json(|json| {
+            let object = json.as_object_mut().unwrap();
+            object.remove("fl_x");
+            object.extend(edit.as_object().unwrap().clone());
+        });
+        let k = poses.unwrap().views[0].lens.intrinsics;
+        (k.fx, k.fy)
+    };
+    let angle = |side: f64, focal: f64| 2.0 * (0.5 * side / focal).atan();
+    // At 40 x 30 px.
+    let near = |(fx, fy): (f64, f64), expected: (f64, f64)| {
+        assert!(
+            (fx - expected.0).abs() < 1e-9 && (fy - expected.1).abs() < 1e-9,
+            "{fx} {fy}"
+        );
+    };
+    let (x, y) = (angle(80.0, 70.0), angle(60.0, 72.0));
+    near(focal(json!({ "camera_angle_x": x })), (35.0, 35.0));
+    near(
+        focal(json!({ "camera_angle_x": x, "camera_angle_y": y })),
+        (35.0, 36.0),
+    );
+    near(focal(json!({ "camera_angle_y": y })), (36.0, 36.0));
+    near(focal(json!({ "fl_y": 72.0 })), (36.0, 36.0));
+}
+
+#[test]
+fn files_of_splits_are_read_together_and_the_test_is_held_out() {
+    let capture = capture();
+    let all = transforms(&capture, |_| ());
+    let part = |frames: &[usize]| {
+        let mut part = all.clone();
+        part["frames"] = frames.iter().map(|i| all["frames"][*i].clone()).collect();
+        part.to_string()
+    };
+    let folder = capture.dir.path();
+    std::fs::write(folder.join("transforms_test.json"), part(&[3])).unwrap();
+    std::fs::write(folder.join("transforms_val.json"), part(&[0])).unwrap();
+    let (poses, _) = capture.of("transforms_train.json", part(&[1, 2]));
+    let poses = poses.unwrap();
+    capture.assert_right(&poses);
+    assert_eq!(poses.held_out, ["photo0", "photo3"]);
+    let (poses, _) = capture.of_json(|json| json["test_filenames"] = json!(["images/photo1.png"]));
+    assert_eq!(poses.unwrap().held_out, ["photo1"]);
+}
+
+#[test]
+fn names_may_hold_dots_and_lack_an_extension() {
+    let capture = capture();
+    let dotted = capture.views.iter().enumerate().map(|(i, view)| {
+        let file = view.file.with_file_name(format!("scan.{i}.png"));
+        std::fs::rename(&view.file, &file).unwrap();
+        PoseView {
+            name: format!("scan_{i}"),
+            path: PhotoPath::new(&format!("images/scan.{i}.png")),
+            file,
+            focal_px: None,
+        }
+    });
+    let views: Vec<PoseView> = dotted.collect();
+    for name in ["images/scan.{}", "./scan.{}.jpg"] {
+        let json = transforms(&capture, |json| {
+            for (i, frame) in json["frames"]
+                .as_array_mut()
+                .unwrap()
+                .iter_mut()
+                .enumerate()
+            {
+                frame["file_path"] = json!(name.replace("{}", &i.to_string()));
+            }
+        });
+        let file = capture.dir.path().join("transforms.json");
+        std::fs::write(&file, json.to_string()).unwrap();
+        capture.assert_right(&told(&file, &views, capture.dir.path()).0.unwrap());
+    }
+}
+
+/// A text model of the capture, its second image with another quaternion and translation.
+fn images(capture: &Capture, second: Option<&str>, keypoints: &str) -> String {
+    let line = |(i, camera): (usize, &Camera)| {
+        let image = ModelImage::posed(i as u32 + 1, 1, "", camera);
+        let [w, x, y, z] = image.rotation;
+        let [a, b, c] = image.translation;
+        let pose = format!("{w} {x} {y} {z} {a} {b} {c}");
+        let pose = second.filter(|_| i == 1).map_or(pose, ToOwned::to_owned);
+        format!("{} {pose} 1 photo{i}.png\n{keypoints}", i + 1)
+    };
+    capture.cameras.iter().enumerate().map(line).collect()
+}
+
+impl Capture {
+    fn of_model(&self, cameras: &str, images: &str) -> (Result<Poses, PosesError>, Vec<String>) {
+        let folder = self.dir.path().join("sparse/0");
+        std::fs::create_dir_all(&folder).unwrap();
+        std::fs::write(folder.join("cameras.txt"), cameras).unwrap();
+        std::fs::write(folder.join("images.txt"), images).unwrap();
+        told(&folder, &self.views, self.dir.path())
+    }
+}
+
+const CAMERAS: &str = "1 PINHOLE 80 60 70 70 40 30\n";
+
+#[test]
+fn models_without_points_key_points_or_with_byte_order_marks_are_read() {
+    let capture = capture();
+    for keypoints in ["", "\n", "10.5 20.25 -1 11 21 4\n", "1 1 7 0 0 8 0 0 1\n"] {
+        capture.assert_plain(capture.of_model(CAMERAS, &images(&capture, None, keypoints)));
+    }
+    let marked = format!("\u{feff}{}", images(&capture, None, "\n"));
+    capture.assert_plain(capture.of_model(&format!("\u{feff}{CAMERAS}"), &marked));
+}
+
+#[test]
+fn images_with_nan_are_left_out_by_name() {
+    let capture = capture();
+    for (pose, keypoints) in [
+        ("nan nan nan nan 0 0 4", "\n"),
+        ("1 0 0 0 -nan(ind) 0 4", ""),
+        ("0 0 0 0 1 2 3", "\n"),
+    ] {
+        let images = images(&capture, Some(pose), keypoints);
+        let (poses, warnings) = capture.of_model(CAMERAS, &images);
+        let names: Vec<String> = poses
+            .unwrap()
+            .views
+            .into_iter()
+            .map(|view| view.name)
+            .collect();
+        assert_eq!(names, ["photo0", "photo2", "photo3"]);
+        said(&warnings, &["sparse/0", "photo1.png"]);
+    }
+    let (poses, _) = capture.of_model(
+        "1 PINHOLE 80 60 nan 70 40 30\n",
+        &images(&capture, None, ""),
+    );
+    let message = poses.unwrap_err().to_string();
+    assert!(
+        message.starts_with("sparse/0: ") && message.contains("camera 1"),
+        "{message}"
+    );
+}
+
+#[test]
+fn what_stands_where_key_points_are_expected_is_said() {
+    let capture = capture();
+    let images = images(&capture, None, "some words here\n");
+    let message = capture
+        .of_model(CAMERAS, &images)
+        .0
+        .unwrap_err()
+        .to_string();
+    assert!(
+        message.contains("line 2") && message.contains("key points"),
+        "{message}"
+    );
+}
+
+#[test]
+fn models_that_are_not_read_are_named_in_text_and_binary() {
+    let capture = capture();
+    let text = "1 FOV 80 60 70 70 40 30 0.9\n";
+    let message = capture.of_model(text, "").0.unwrap_err().to_string();
+    assert!(
+        message.contains("FOV") && message.contains("image_undistorter"),
+        "{message}"
+    );
+    let folder = capture.dir.path().join("binary");
+    let camera = ModelCamera::pinhole(1, &capture.cameras[0].intrinsics);
+    let model = SparseModel {
+        cameras: vec![camera],
+        ..SparseModel::default()
+    };
+    model.write_binary(&folder).unwrap();
+    let file = folder.join("cameras.bin");
+    let mut bytes = std::fs::read(&file).unwrap();
+    bytes[12] = 10;
+    std::fs::write(&file, bytes).unwrap();
+    let message = told(&folder, &capture.views, capture.dir.path())
+        .0
+        .unwrap_err()
+        .to_string();
+    assert!(message.contains("THIN_PRISM_FISHEYE"), "{message}");
+}
+
+#[test]
+fn poses_bounds_are_read_as_float32_and_without_a_row_that_is_none() {
+    let capture = capture();
+    let file = capture.write_bounds();
+    let rows: ndarray::Array2<f64> = ndarray_npy::read_npy(&file).unwrap();
+    ndarray_npy::write_npy(&file, &rows.mapv(|v| v as f32)).unwrap();
+    let (poses, _) = told(&file, &capture.views, capture.dir.path());
+    for (view, camera) in poses.unwrap().views.iter().zip(&capture.cameras) {
+        assert!(
+            view.camera
+                .world_to_camera
+                .abs_diff_eq(camera.world_to_camera, 1e-5)
+        );
+        assert!((view.lens.intrinsics.fx - 35.0).abs() < 1e-5);
+    }
+    let mut spoiled = rows;
+    spoiled[[1, 3]] = f64::NAN;
+    ndarray_npy::write_npy(&file, &spoiled).unwrap();
+    let (poses, warnings) = told(&file, &capture.views, capture.dir.path());
+    let names: Vec<String> = poses
+        .unwrap()
+        .views
+        .into_iter()
+        .map(|view| view.name)
+        .collect();
+    assert_eq!(names, ["photo0", "photo2", "photo3"]);
+    said(&warnings, &["poses_bounds.npy", "row 1", "NaN"]);
+    ndarray_npy::write_npy(&file, &spoiled.mapv(|_| 1i64)).unwrap();
+    let message = told(&file, &capture.views, capture.dir.path())
+        .0
+        .unwrap_err()
+        .to_string();
+    assert!(message.contains("float64"), "{message}");
+}
