@@ -1,9 +1,9 @@
 //! What was uploaded: a folder or a zip of photographs, assessed file by file.
 //!
 //! Photographs lie directly in the capture, in `images/` or where `place` says; sharp ground truth
-//! of the same names in `gt/` (or `HL/`, as LuSh-NeRF has it); poses, where given, as a COLMAP
-//! model in `sparse/0/` or `sparse/`, as `transforms.json` or as `poses_bounds.npy`. Poses are
-//! found here, not read. Folders around everything are looked through; hidden files are not seen.
+//! of the same names in `gt/` (or `HL/`, as LuSh-NeRF has it); poses, where given, where
+//! `pose_files` says. Poses are found here, and read only to tell which of several models is the
+//! largest. Folders around everything are looked through; hidden files are not seen.
 
 mod archive;
 mod assess;
@@ -14,6 +14,7 @@ mod layout;
 mod look;
 mod photograph;
 mod place;
+mod pose_files;
 pub mod video;
 mod watch;
 

@@ -11,13 +11,14 @@ use super::entries::{Entry, natural};
 use super::error::CaptureError;
 use super::photograph::CaptureWarning;
 use super::place::{self, Place};
+use super::pose_files;
 use super::video::is_video;
 
 /// Folders that mean something; none of them is a wrapper around the capture.
 const KNOWN_FOLDERS: [&str; 5] = ["images", "gt", "hl", "sparse", "sparse_gt"];
 
 /// Files other than photographs and `hold=N` that mean something.
-pub(super) const POSE_FILES: [&str; 8] = [
+pub(super) const POSE_FILES: [&str; 11] = [
     "cameras.txt",
     "images.txt",
     "points3d.txt",
@@ -25,6 +26,9 @@ pub(super) const POSE_FILES: [&str; 8] = [
     "images.bin",
     "points3d.bin",
     "transforms.json",
+    "transforms_train.json",
+    "transforms_val.json",
+    "transforms_test.json",
     "poses_bounds.npy",
 ];
 
@@ -65,7 +69,7 @@ pub(super) struct Layout {
     pose_files: Vec<Entry>,
     /// Every how many-th photograph the capture itself holds out.
     pub(super) hold: Option<u32>,
-    /// Pictures that are not read.
+    /// Pictures that are not read, and which poses are.
     pub(super) warnings: Vec<CaptureWarning>,
 }
 
@@ -98,8 +102,9 @@ impl Layout {
             let name = e.path.name().to_ascii_lowercase();
             POSE_FILES.contains(&&*name) && name != "poses_bounds.npy"
         });
-        let (truth, pictures): (Vec<_>, Vec<_>) =
-            { pictures.into_iter() }.partition(|e| e.path.lies_in(&place::TRUTH));
+        let has_low_and_high = place::part_low_light(&mut pictures);
+        let (truth, pictures): (Vec<_>, Vec<_>) = { pictures.into_iter() }
+            .partition(|e| e.path.lies_in(&place::TRUTH) || has_low_and_high && place::is_high(e));
         let Place {
             folder,
             photographs,
@@ -128,20 +133,20 @@ impl Layout {
             }
         };
         let near = PhotoPath::new(&folder);
+        let mut warnings: Vec<CaptureWarning> = warning.into_iter().chain(tie).collect();
         let (poses, pose_files) = ["", near.folder()]
             .iter()
-            .map(|base| find_poses(&others, base))
-            .find(|(poses, _)| poses.is_some())
-            .unwrap_or_default();
+            .find_map(|base| pose_files::find(&others, base, &photographs, &mut warnings))
+            .unzip();
         Ok(Self {
             ground_truth,
             unused: beside(unused, &photographs, &folder),
             photographs,
             folder,
             poses,
-            pose_files,
+            pose_files: pose_files.unwrap_or_default(),
             hold,
-            warnings: warning.into_iter().chain(tie).collect(),
+            warnings,
         })
     }
 
@@ -249,51 +254,4 @@ fn of_photographs(
     Ok(pairs
         .filter_map(|(path, at)| Some((path, truth[at?].clone())))
         .collect())
-}
-
-/// Poses and their files, seen from a folder. `sparse_gt/` is not looked at: poses are measured
-/// against it, it gives none.
-fn find_poses(entries: &[Entry], base: &str) -> (Option<GivenPosesFile>, Vec<Entry>) {
-    let at = |path: String| {
-        let path = PhotoPath::new(&path).inside(base);
-        entries
-            .iter()
-            .find(|e| e.path.as_str().eq_ignore_ascii_case(path.as_str()))
-            .cloned()
-    };
-    for folder in ["sparse/0", "sparse"] {
-        for extension in ["bin", "txt"] {
-            let parts = ["cameras", "images", "points3D"];
-            let found: Vec<Entry> = parts
-                .iter()
-                .filter_map(|part| at(format!("{folder}/{part}.{extension}")))
-                .collect();
-            // A model without points is one too: they can be triangulated.
-            let is_model = |found: &[Entry]| {
-                let name = PhotoPath::new(found[1].path.name());
-                name.stem().eq_ignore_ascii_case("images")
-            };
-            if found.len() >= 2 && is_model(&found) {
-                let model = found[0]
-                    .file
-                    .parent()
-                    .map(ToOwned::to_owned)
-                    .unwrap_or_default();
-                return (Some(GivenPosesFile::ColmapModel(model)), found);
-            }
-        }
-    }
-    if let Some(entry) = at("transforms.json".to_owned()) {
-        return (
-            Some(GivenPosesFile::Transforms(entry.file.clone())),
-            vec![entry],
-        );
-    }
-    let bounds = at("poses_bounds.npy".to_owned());
-    (
-        bounds
-            .clone()
-            .map(|entry| GivenPosesFile::PosesBounds(entry.file)),
-        bounds.into_iter().collect(),
-    )
 }

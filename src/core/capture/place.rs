@@ -55,6 +55,35 @@ const PARTS: [&[&str]; 2] = [
     ],
 ];
 
+/// Whether the pictures are those of a set of low light: photographs in `low/` and, of some of
+/// them, bright ones of the same names in `high/`. Takes `low/` from their paths, as that is where
+/// they are.
+pub(super) fn part_low_light(pictures: &mut [Entry]) -> bool {
+    let is_low = |entry: &Entry| top(entry).is_some_and(|top| top.eq_ignore_ascii_case("low"));
+    let below = |entry: &Entry| entry.path.below(top(entry)?);
+    let stem = |entry: &Entry| below(entry).map(|path| path.stem().to_lowercase());
+    let low: BTreeSet<_> = { pictures.iter() }
+        .filter(|e| is_low(e))
+        .filter_map(stem)
+        .collect();
+    let mut high = { pictures.iter() }
+        .filter(|e| is_high(e))
+        .filter_map(stem)
+        .peekable();
+    if high.peek().is_none() || !high.all(|stem| low.contains(&stem)) {
+        return false;
+    }
+    for entry in pictures.iter_mut().filter(|entry| is_low(entry)) {
+        entry.path = below(entry).expect("it lies in `low/`");
+    }
+    true
+}
+
+/// Whether a picture lies in `high/`.
+pub(super) fn is_high(entry: &Entry) -> bool {
+    top(entry).is_some_and(|top| top.eq_ignore_ascii_case("high"))
+}
+
 /// Where the photographs lie.
 #[derive(Debug)]
 pub(super) struct Place {

@@ -1,6 +1,7 @@
 //! Captures of every shape, good and bad.
 
 mod places;
+mod poses;
 mod watched;
 mod zips;
 

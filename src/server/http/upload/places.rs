@@ -124,7 +124,14 @@ fn sent_path(part: &str, name: &str) -> PhotoPath {
 /// The folder of the capture that a file of poses belongs in.
 fn folder_of_poses(path: &PhotoPath) -> Option<&'static str> {
     let name = path.name().to_ascii_lowercase();
-    if ["transforms.json", "poses_bounds.npy"].contains(&&*name) {
+    let flat = [
+        "transforms.json",
+        "transforms_train.json",
+        "transforms_val.json",
+        "transforms_test.json",
+        "poses_bounds.npy",
+    ];
+    if flat.contains(&&*name) {
         return Some("");
     }
     let is_model = ["cameras", "images", "points3d"]

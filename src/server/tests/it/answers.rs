@@ -113,7 +113,7 @@ fn unreadable_poses_are_refused_with_the_upload() {
         vec![file("poses_bounds.npy", b"no array")],
         vec![
             file("sparse/0/cameras.txt", b"1 PINHOLE 160 120 100 100 80 60\n"),
-            file("sparse/0/images.txt", b"1 1 0 0 0 0 0 0 1 000.png\n\n"),
+            file("sparse/0/images.txt", b"1 1 0 0 0 0 0 0 2 000.png\n\n"),
         ],
     ];
     for poses in broken {
