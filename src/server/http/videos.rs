@@ -193,7 +193,7 @@ pub struct Videos {
 impl Video {
     fn from_row(row: VideoRow) -> Result<Self, ServerError> {
         let job = row.job;
-        let plan: Plan = serde_json::from_value(job.options).map_err(damaged)?;
+        let plan: Plan = serde_json::from_value(job.options).map_err(|error| damaged(&error))?;
         let state = VideoState::from(job.state);
         Ok(Self {
             id: job.id,
@@ -223,7 +223,7 @@ impl Video {
     }
 }
 
-fn damaged(error: serde_json::Error) -> ServerError {
+fn damaged(error: &serde_json::Error) -> ServerError {
     ServerError::Damaged {
         what: "video",
         detail: error.to_string(),
@@ -261,17 +261,18 @@ pub async fn create(
     bytes_left(&app, &visitor).await?;
     check_ffmpeg(&app)?;
     let id = Uuid::now_v7().to_string();
-    let plan = serde_json::to_value(plan).map_err(damaged)?;
+    let plan = serde_json::to_value(plan).map_err(|error| damaged(&error))?;
     let room = VideoRoom {
         of_job: app.limits.videos_of_job,
         unfinished: app.limits.videos,
     };
-    let row = match app.store.create_video(&id, &job, &plan, room).await? {
-        VideoCreation::Created(row) => row,
+    match app.store.create_video(&id, &job, &plan, room).await? {
+        VideoCreation::Created => {}
         VideoCreation::JobFull(count) => return Err(too_many(count)),
         VideoCreation::QueueFull => return Err(busy()),
         VideoCreation::Gone => return Err(Problem::not_found("job")),
-    };
+    }
+    let row = known(&app, &job, &id).await?;
     let headers = [(header::LOCATION, format!("/v1/jobs/{job}/videos/{id}"))];
     let video = Video::from_row(row)?;
     Ok((StatusCode::ACCEPTED, headers, axum::Json(video)).into_response())

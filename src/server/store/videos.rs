@@ -32,10 +32,10 @@ pub struct VideoRoom {
 }
 
 /// What became of a request for a video.
-#[derive(Clone, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum VideoCreation {
     /// It waits.
-    Created(VideoRow),
+    Created,
     /// Its job has so many already, as many as one may have.
     JobFull(usize),
     /// As many wait as may.
@@ -96,8 +96,7 @@ impl Store {
         let queued = json!({ "state": JobState::Queued.name() });
         events::append(&mut tx, id, "state", &queued).await?;
         tx.commit().await?;
-        let row = self.video(job, id).await?;
-        Ok(row.map_or(VideoCreation::Gone, VideoCreation::Created))
+        Ok(VideoCreation::Created)
     }
 
     /// Every video of a job, newest first.
@@ -157,10 +156,8 @@ impl Store {
         let mut plan = record["plan"].clone();
         plan["width"] = record["width"].clone();
         plan["height"] = record["height"].clone();
-        let state = match record["state"].as_str() {
-            Some(over @ ("succeeded" | "failed")) => over,
-            _ => "queued",
-        };
+        let over = record["state"].as_str();
+        let over = over.filter(|state| ["succeeded", "failed"].contains(state));
         let mut tx = self.write().await?;
         let error = &record["error"];
         sqlx::query(
@@ -172,7 +169,7 @@ impl Store {
         .bind(id)
         .bind(plan.to_string())
         .bind(record["created_at"].as_i64().unwrap_or(tx.now))
-        .bind(state)
+        .bind(over.unwrap_or("queued"))
         .bind(record["finished_at"].as_i64())
         .bind(record["bytes"].as_i64())
         .bind(error.is_object().then_some("internal"))
