@@ -66,7 +66,8 @@ pub(super) fn comments(by: &Normalisation) -> String {
     lines
 }
 
-/// Writes `gaussians`, which `normalisation` brought to where they trained, to `path`: first to a temporary name beside it, then renamed.
+/// Writes `gaussians`, which `normalisation` brought to where they trained, to `path`: first to a
+/// temporary name beside it, then renamed.
 ///
 /// # Errors
 /// [`PlyError::Io`].

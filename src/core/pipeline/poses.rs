@@ -78,8 +78,8 @@ pub fn poses(
     Ok(poses)
 }
 
-/// Writes the poses, in the world that they were found in, for those who look at the run. Not part of the stage: a run that was delivered
-/// keeps those that its scene changed.
+/// Writes the poses, in the world that they were found in, for those who look at the run. Not part
+/// of the stage: a run that was delivered keeps those that its scene changed.
 ///
 /// # Errors
 /// [`PipelineError::Io`].
