@@ -97,13 +97,13 @@ fn notes(poses: &Poses) -> Vec<String> {
     );
     let missing = [
         named(PoseStatus::Doubtful, "doubtful, left out"),
-        named(PoseStatus::NotFound, "not found"),
+        named(PoseStatus::NotFound, "not placed"),
         named(
             PoseStatus::TakenOut,
             "taken out, as they did not fit the scene",
         ),
         named(PoseStatus::Given, "as given, unchecked"),
-        named(PoseStatus::Late, "placed by the scene"),
+        named(PoseStatus::Late, "placed with the scene"),
     ];
     std::iter::once(count)
         .chain(missing.into_iter().flatten())
@@ -240,7 +240,7 @@ mod tests {
         assert_eq!(text.matches("<text").count(), 12 + 3);
         assert!(text.contains(">view11</text>"));
         assert!(text.contains("12 of 14 photographs, 10000 points"));
-        assert!(text.contains("doubtful, left out: odd") && text.contains("not found: lost"));
+        assert!(text.contains("doubtful, left out: odd") && text.contains("not placed: lost"));
         let dots = text.matches("h0").count();
         assert!((2000..=POINTS).contains(&dots), "{dots}");
     }
