@@ -7,7 +7,7 @@ use clap::builder::RangedU64ValueParser;
 use fled_core::cancel::CancelToken;
 use fled_core::capture::video::{self, FRAMES, MOST_FRAMES, VideoError, Wanted};
 use fled_core::capture::{Assessment, Capture, CaptureError, MIN_VIEWS};
-use fled_core::event::{Event, ProgressSink};
+use fled_core::event::ProgressSink;
 use fled_core::pipeline;
 use fled_core::pipeline::config::{Options, Preset};
 use fled_core::pipeline::error::ErrorKind;

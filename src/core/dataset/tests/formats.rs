@@ -104,7 +104,8 @@ fn scaled_and_rounded_rotations_become_rotations_with_a_warning() {
 #[test]
 fn a_frame_that_cannot_be_used_is_left_out_with_its_name_and_field() {
     let capture = capture();
-    let cases: [(&str, fn(&mut Value), &str); 7] = [
+    type Case = (&'static str, fn(&mut Value), &'static str);
+    let cases: [Case; 7] = [
         (
             "transform_matrix",
             |f| f["transform_matrix"][0][0] = json!("NaN"),
