@@ -198,7 +198,8 @@ fn claims_to_be_a_photograph(entry: &Entry) -> bool {
         || (path.extension().is_none() && crate::image::read_header(&entry.file).is_ok())
 }
 
-/// Whether a file is a video or of a format that is not read: its owner may take it for a photograph.
+/// Whether a file is a video or of a format that is not read, which its owner may take for a
+/// photograph.
 fn is_unused(entry: &Entry) -> bool {
     is_video(&entry.file) || Unread::named(Path::new(entry.path.name())).is_some()
 }

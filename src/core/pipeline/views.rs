@@ -228,8 +228,8 @@ fn resample(image: &Image, width: usize, height: usize) -> Image {
 }
 
 /// The split of each view by the option `held_out`: `auto`, `none`, every n-th, or names. For
-/// `auto`, `hold` is the capture's own setting, at least 2, and `given` are the names that its poses
-/// hold out.
+/// `auto`, `hold` is the capture's own setting, at least 2, and `given` are the names that its
+/// poses hold out.
 ///
 /// # Errors
 /// [`OptionsError`] for a number below 2 and for names without a view.
