@@ -109,31 +109,14 @@ impl Layout {
             folder,
             photographs,
             warning,
-        } = {
-            let video = unused.iter().find(|entry| is_video(&entry.file));
-            let unread = || {
-                unused.iter().find_map(|entry| {
-                    let path = PathBuf::from(entry.path.as_str());
-                    Unread::named(&path).map(|format| CaptureError::Unread { path, format })
-                })
-            };
-            place::find(pictures, has_poses, video).map_err(|error| match error {
-                CaptureError::NoPhotographs { video: None, .. } => unread().unwrap_or(error),
-                error => error,
-            })?
-        };
-        let (ground_truth, tie) = match of_photographs(truth, &photographs) {
-            Ok(ground_truth) => (ground_truth, None),
-            Err(tie) => {
-                let message = format!("ground truth is not used: {tie}");
-                (
-                    HashMap::new(),
-                    Some(CaptureWarning::new("gt_missing", message)),
-                )
-            }
-        };
+        } = place_of(pictures, has_poses, &unused)?;
+        let mut warnings = Vec::from_iter(warning);
+        let ground_truth = of_photographs(&truth, &photographs).unwrap_or_else(|tie| {
+            let message = format!("ground truth is not used: {tie}");
+            warnings.push(CaptureWarning::new("gt_missing", message));
+            HashMap::new()
+        });
         let near = PhotoPath::new(&folder);
-        let mut warnings: Vec<CaptureWarning> = warning.into_iter().chain(tie).collect();
         let (poses, pose_files) = ["", near.folder()]
             .iter()
             .find_map(|base| pose_files::find(&others, base, &photographs, &mut warnings))
@@ -204,6 +187,26 @@ fn is_unused(entry: &Entry) -> bool {
     is_video(&entry.file) || Unread::named(Path::new(entry.path.name())).is_some()
 }
 
+/// Where the photographs are. Where there are none but files of a format that is not read, the
+/// error names one of these.
+fn place_of(
+    pictures: Vec<Entry>,
+    has_poses: bool,
+    unused: &[Entry],
+) -> Result<Place, CaptureError> {
+    let video = unused.iter().find(|entry| is_video(&entry.file));
+    let unread = |entry: &Entry| {
+        let path = PathBuf::from(entry.path.as_str());
+        Unread::named(&path).map(|format| CaptureError::Unread { path, format })
+    };
+    place::find(pictures, has_poses, video).map_err(|error| match error {
+        CaptureError::NoPhotographs { video: None, .. } => {
+            unused.iter().find_map(unread).unwrap_or(error)
+        }
+        error => error,
+    })
+}
+
 /// Removes folders that are around everything, such as the one that a zip of a folder has.
 fn strip_wrappers(entries: &mut [Entry]) {
     loop {
@@ -239,7 +242,7 @@ fn beside(unused: Vec<Entry>, photographs: &[Entry], folder: &str) -> Vec<Entry>
 
 /// Sharp pictures by the photographs that they show, whose names they have below their folder.
 fn of_photographs(
-    truth: Vec<Entry>,
+    truth: &[Entry],
     photographs: &[Entry],
 ) -> Result<HashMap<PhotoPath, Entry>, Tie> {
     let below = |entry: &Entry| {

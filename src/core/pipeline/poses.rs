@@ -125,23 +125,27 @@ impl Cache<'_> {
     }
 }
 
-/// What the user should know about the poses, whoever found them and whenever.
-fn warn(sink: &mut dyn ProgressSink, poses: &Poses, views: &[CaptureView]) {
-    let Poses {
-        registered, total, ..
-    } = poses;
+fn warn_of_large_coordinates(sink: &mut dyn ProgressSink, poses: &Poses) {
     let cameras: Vec<Camera> = poses.views.iter().map(|view| view.camera).collect();
     let normalisation = Normalisation::of(&cameras);
     if normalisation.left_out {
         let [x, y, z] = normalisation.offset.to_array();
         let message = format!(
             "the poses are given in large coordinates, as UTM and other georeferenced ones are, far \
-             from the origin, where the 32-bit numbers of PLY files are too coarse: these leave out \
-             the offset {x} {y} {z}, which is to be added to their x y z; it stands in their \
-             headers and as `scene_offset` in metrics.json"
+             from the origin, where the 32-bit numbers of PLY files are too coarse: PLY files leave \
+             out the offset {x} {y} {z}, which is to be added to their x, y and z; it is in their \
+             headers and in `scene_offset` of metrics.json"
         );
         sink.warn("coordinates_large", message);
     }
+}
+
+/// Warns of what the user should know about the poses, from whatever source.
+fn warn(sink: &mut dyn ProgressSink, poses: &Poses, views: &[CaptureView]) {
+    let Poses {
+        registered, total, ..
+    } = poses;
+    warn_of_large_coordinates(sink, poses);
     if poses.low_confidence {
         let observations: u32 = poses.points.iter().map(|point| point.track).sum();
         let message = format!(

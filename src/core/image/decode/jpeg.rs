@@ -402,7 +402,7 @@ impl Frame {
         let odd = |part: &&[u8]| {
             !(1..=4).contains(&factors(part).0) || !(1..=4).contains(&factors(part).1)
         };
-        if head[0] != 8 || height * width == 0 || parts.iter().any(|part| odd(part)) {
+        if head[0] != 8 || height * width == 0 || parts.iter().any(odd) {
             return None;
         }
         let units = (width.div_ceil(8 * across), height.div_ceil(8 * down));

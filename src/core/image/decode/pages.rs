@@ -32,10 +32,10 @@ impl<R: Read + Seek> Paged<R> {
             let half = head.len() / 2;
             match order {
                 ByteOrder::LittleEndian => {
-                    head[half..].copy_from_slice(&page.to_le_bytes()[..half])
+                    head[half..].copy_from_slice(&page.to_le_bytes()[..half]);
                 }
                 ByteOrder::BigEndian => {
-                    head[half..].copy_from_slice(&page.to_be_bytes()[8 - half..])
+                    head[half..].copy_from_slice(&page.to_be_bytes()[8 - half..]);
                 }
             }
         }

@@ -122,7 +122,7 @@ const DAMAGES: [Damage; 6] = [
     }),
     ("zeroed", 0.8, |bytes, at, _| bytes[at..at + 48].fill(0)),
     ("left out", 0.8, |bytes, at, _| {
-        drop(bytes.drain(at..at + 24))
+        drop(bytes.drain(at..at + 24));
     }),
     ("bits", 0.8, |bytes, at, random| {
         for _ in 0..8 {
