@@ -124,7 +124,7 @@ fn unfit_networks_are_refused_with_the_reason() {
         ("four_channels.onnx", "4 channels"),
         ("half_precision.onnx", "32-bit floats"),
         ("unknown_channels.onnx", "how many channels"),
-        ("two_outputs3.onnx", "`coarse`, `restored` may each be"),
+        ("two_outputs3.onnx", "`coarse`, `restored` could be"),
     ] {
         let refused = network(&file(name)).err().expect("refused").to_string();
         assert!(

@@ -234,7 +234,7 @@ fn invalid_options_are_reported_before_the_first_run() {
     );
     let network = wrong(&|c| c["set"] = json!({"deblur": "no-such-network"}));
     assert!(
-        network.contains("`deblur`: `no-such-network` is no ONNX file"),
+        network.contains("`deblur`: `no-such-network` is neither an ONNX file"),
         "{network}"
     );
     let truth = wrong(&|c| c["captures"][1]["truth"] = json!("nowhere"));
