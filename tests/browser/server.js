@@ -130,16 +130,16 @@ export class Server {
   }
 
   /** A folder of small dark photographs with their poses and their ground truth. */
-  capture(size = "96x64", views = 8, room = "0") {
+  capture(size = "96x64", views = 8, room = "0", layout = "lush") {
     const folder = join(this.folder, "capture");
-    const options = ["--views", String(views), "--size", size, "--room", room];
+    const options = ["--views", String(views), "--size", size, "--room", room, "--layout", layout];
     execFileSync(this.program, ["synth", folder, ...options], { stdio: "ignore" });
     return folder;
   }
 
-  /** The capture with a file among its photographs that is none. */
+  /** The capture, its poses by name, with a file among its photographs that is none. */
   spoilt(size) {
-    const folder = this.capture(size);
+    const folder = this.capture(size, 8, "0", "transforms");
     writeFileSync(join(folder, "images", "broken.jpg"), "no photograph");
     return folder;
   }
