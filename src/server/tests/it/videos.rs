@@ -112,7 +112,7 @@ fn a_video_beside_photographs_is_listed_and_not_used() {
     let images = capture["images"].as_array().expect("images");
     let video = images.iter().find(|image| image["name"] == "IMG_0001.MOV");
     let reason = video.expect("listed")["reason"].as_str().unwrap_or("");
-    assert!(reason.contains("comes alone"), "{reason}");
+    assert!(reason.contains("only on its own"), "{reason}");
 }
 
 #[test]

@@ -224,7 +224,7 @@ fn inner_networks_and_invalid_webhooks_are_refused() {
         let delivery = deliveries(&server, &id).pop()?;
         delivery["answer"].as_str().map(str::to_owned)
     });
-    assert!(answer.contains("inner network"), "{answer}");
+    assert!(answer.contains("internal network"), "{answer}");
     assert!(told.try_recv().is_err(), "nothing came");
     for (wanted, at) in [
         (json!({ "url": "file:///etc/passwd" }), "/url"),
