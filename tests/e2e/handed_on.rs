@@ -102,7 +102,11 @@ fn impossible_videos_and_exports_explain_why() {
     assert!(said(&output).contains("cameras.json"), "{}", said(&output));
     let output = made(&["export", "restored.zip"], &nothing, &out);
     assert_eq!(code(&output), 3, "{}", said(&output));
-    assert!(said(&output).contains("a finished `fled run`"), "{}", said(&output));
+    assert!(
+        said(&output).contains("a finished `fled run`"),
+        "{}",
+        said(&output)
+    );
     for wrong in [
         &["video"][..],
         &["video", "--orbit", "--cameras"],

@@ -12,12 +12,13 @@ use zip::CompressionMethod;
 use zip::read::{ZipArchive, ZipFile};
 use zip::result::ZipError;
 
-use crate::image::{MAX_FILE_BYTES, named_like_a_photograph};
+use crate::image::{MAX_FILE_BYTES, Unread, named_like_a_photograph};
 use crate::photo_path::PhotoPath;
 
 use super::entries::{Entry, is_hidden};
 use super::error::{ArchiveFault, CaptureError, MAX_FILES};
 use super::layout::{POSE_FILES, hold};
+use super::video::is_video;
 
 /// Most bytes of all files of an archive together, unpacked.
 pub const MAX_ARCHIVE_BYTES: u64 = 8 << 30;
@@ -87,7 +88,8 @@ pub fn unpacked_bytes(path: &Path) -> Result<u64, CaptureError> {
         return Ok(0);
     }
     let (_, wanted) = open(path)?;
-    Ok(wanted.iter().map(|item| item.size).sum())
+    let unpacked = wanted.iter().filter(|item| !item.is_only_listed);
+    Ok(unpacked.map(|item| item.size).sum())
 }
 
 /// Opens a zip and holds its directory against the rules.
@@ -124,11 +126,12 @@ fn refuse_absurd_counts(file: &mut File) -> Result<(), ArchiveFault> {
     Ok(())
 }
 
-/// An entry that is unpacked.
+/// An entry that is unpacked, or only listed because it is not used.
 struct Wanted {
     index: usize,
     name: String,
     size: u64,
+    is_only_listed: bool,
 }
 
 /// Holds every entry against the rules and gives those that play a role.
@@ -148,8 +151,7 @@ fn check(archive: &mut ZipArchive<File>, length: u64) -> Result<Vec<Wanted>, Arc
     let (mut wanted, mut total) = (Vec::new(), 0_u64);
     for index in 0..archive.len() {
         let entry = archive.by_index_raw(index).map_err(whole)?;
-        // Old Windows packers write backslashes between folders.
-        let name = String::from_utf8_lossy(entry.name_raw()).replace('\\', "/");
+        let name = name_of(&entry).map_err(whole)?;
         check_name(&name)?;
         check_entry(&name, &entry)?;
         total = total.saturating_add(entry.size());
@@ -159,11 +161,13 @@ fn check(archive: &mut ZipArchive<File>, length: u64) -> Result<Vec<Wanted>, Arc
                 "unpacked, the archive is larger than 8 GiB",
             ));
         }
-        if entry.is_file() && plays_a_role(&name) {
+        let is_only_listed = is_unused(&name);
+        if entry.is_file() && (is_only_listed || plays_a_role(&name)) {
             wanted.push(Wanted {
                 index,
                 name,
                 size: entry.size(),
+                is_only_listed,
             });
         }
     }
@@ -173,6 +177,26 @@ fn check(archive: &mut ZipArchive<File>, length: u64) -> Result<Vec<Wanted>, Arc
         ));
     }
     Ok(wanted)
+}
+
+/// The name of an entry, with `/` for the backslashes that old Windows packers write. In a code
+/// page of East Asia a backslash may be the second byte of a character.
+fn name_of<R: Read>(entry: &ZipFile<'_, R>) -> Result<String, ZipError> {
+    if let Ok(name) = str::from_utf8(entry.name_raw()) {
+        return Ok(name.replace('\\', "/"));
+    }
+    let mut last = ' ';
+    let name = entry.name()?;
+    let separated = name.chars().map(|character| {
+        let is_second_byte = !last.is_ascii();
+        last = character;
+        match character {
+            '\\' if is_second_byte => '\u{a5}',
+            '\\' => '/',
+            character => character,
+        }
+    });
+    Ok(separated.collect())
 }
 
 fn check_name(name: &str) -> Result<(), ArchiveFault> {
@@ -226,6 +250,14 @@ fn check_entry<R: Read>(name: &str, entry: &ZipFile<'_, R>) -> Result<(), Archiv
     Ok(())
 }
 
+/// Whether an entry may be taken for a photograph, but is a video or of a format that is not read.
+fn is_unused(name: &str) -> bool {
+    let path = Path::new(name);
+    !name.split('/').any(is_hidden)
+        && !named_like_a_photograph(path)
+        && (is_video(path) || Unread::named(path).is_some())
+}
+
 fn plays_a_role(name: &str) -> bool {
     let last = name.rsplit('/').next().unwrap_or(name);
     !name.split('/').any(is_hidden)
@@ -244,14 +276,16 @@ fn unpack_all(
     let mut entries = Vec::with_capacity(wanted.len());
     for (number, item) in wanted.into_iter().enumerate() {
         let file = own_file(target, &item.name, number, &mut folders)?;
+        let path = PhotoPath::new(&item.name);
+        if item.is_only_listed {
+            entries.push(Entry { path, file });
+            continue;
+        }
         let mut source = archive
             .by_index(item.index)
             .map_err(|error| ArchiveFault::of(&item.name, told(&error)))?;
         unpack_one(&mut source, &item, &file)?;
-        entries.push(Entry {
-            path: PhotoPath::new(&item.name),
-            file,
-        });
+        entries.push(Entry { path, file });
     }
     Ok(entries)
 }

@@ -185,3 +185,36 @@ fn replace(bytes: &[u8], from: &[u8], to: &[u8]) -> Vec<u8> {
     }
     bytes
 }
+
+#[test]
+fn what_a_zip_has_besides_photographs_is_listed_and_not_unpacked() {
+    let bytes = zipped(&|writer| {
+        (0..3).for_each(|i| add(writer, &format!("images/{i}.jpg"), &jpeg(i)));
+        add(writer, "images/walk.mov", b"a video");
+        add(writer, "images/more.rar", b"an archive");
+        add(writer, "images/notes.pdf", b"notes");
+    });
+    let (outcome, left) = open_zip(&bytes);
+    let capture = outcome.expect("a capture");
+    let unused: Vec<&str> = { capture.assessments.iter() }
+        .filter(|assessment| !assessment.accepted)
+        .map(|assessment| assessment.name.as_str())
+        .collect();
+    assert_eq!(unused, ["more.rar", "walk.mov"]);
+    assert_eq!(left.len(), 1 + 3);
+}
+
+#[test]
+fn the_second_byte_of_a_character_divides_no_path() {
+    let bytes = zipped(&|writer| {
+        (0..3).for_each(|i| add(writer, &format!("images/xx{i}.jpg"), &jpeg(i)));
+    });
+    // A katakana of code page 932.
+    let bytes = replace(&bytes, b"images/xx", b"images/\x83\x5c");
+    let capture = open_zip(&bytes).0.expect("a capture");
+    for view in &capture.views {
+        assert_eq!(view.path.folder(), "", "{}", view.path);
+    }
+    let bytes = replace(&bytes, b"images/", b"images\\");
+    assert_eq!(open_zip(&bytes).0.expect("a capture").views.len(), 3);
+}
