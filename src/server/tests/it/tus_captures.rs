@@ -208,6 +208,11 @@ fn uploads_stay_until_they_are_used() {
     assert_eq!((count(&server, "captures"), count(&server, "jobs")), (0, 0));
     let folder = server.data.path().join("data");
     assert_eq!(names(&folder.join("uploads")).len(), 6);
+    // A refusal is answered before its folder is removed.
+    let answered = Instant::now();
+    while !names(&folder.join("incoming")).is_empty() && answered.elapsed().as_secs() < 5 {
+        sleep(Duration::from_millis(10));
+    }
     assert!(names(&folder.join("incoming")).is_empty());
     assert!(names(&folder.join("captures")).is_empty());
     let order = json!({ "uploads": ids, "options": { "adapter": "slow:1000" } });
