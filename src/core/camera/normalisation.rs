@@ -113,7 +113,7 @@ impl Normalisation {
         Camera::from_pose(camera.intrinsics, rotation, -(rotation * centre))
     }
 
-    /// What the coordinates of PLY files lack.
+    /// The offset that the coordinates of PLY files leave out.
     pub fn missing_in_files(&self) -> DVec3 {
         if self.left_out {
             self.offset

@@ -55,7 +55,7 @@ impl GivenPosesFile {
 /// A capture's files by their role.
 #[derive(Debug)]
 pub(super) struct Layout {
-    /// What claims to be a photograph, in natural order; the paths are those below `folder`.
+    /// Files that claim to be photographs, in natural order, with their paths below `folder`.
     pub(super) photographs: Vec<Entry>,
     /// The folder of the photographs; empty where it is the capture's own.
     folder: String,
@@ -83,7 +83,7 @@ impl Layout {
             let is_poses = POSE_FILES.contains(&&*entry.path.name().to_ascii_lowercase());
             is_poses || is_unused(entry) || hold(entry.path.as_str()).is_some()
         });
-        // What plays no role lies wherever it likes.
+        // Files without a role may lie anywhere.
         let count = pictures.len();
         let mut entries: Vec<Entry> = pictures.into_iter().chain(others).collect();
         strip_wrappers(&mut entries);

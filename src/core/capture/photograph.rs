@@ -11,7 +11,7 @@ use crate::photo_path::PhotoPath;
 pub struct CaptureView {
     /// Our own name: letters, digits, `-`, `_`, at most 40, unique also where case is ignored.
     pub name: String,
-    /// What its owner calls it, below the folder of the photographs. Never a path of ours.
+    /// The owner's path below the folder of the photographs, never a path of ours.
     pub path: PhotoPath,
     /// Where it lies.
     pub file: PathBuf,

@@ -45,7 +45,7 @@ proptest! {
         let world = elsewhere(&room(), scale, turn, offset.into());
         let by = Normalisation::of(&world);
         let trained: Vec<Camera> = world.iter().map(|camera| by.within(camera)).collect();
-        // What the numbers of the world hold of it.
+        // The precision of its coordinates in the world.
         let digits = 1e-9 + 1e-14 * DVec3::from(offset).length() / scale;
         let size = viewing_distance(&trained);
         prop_assert!(size >= LEAST_SIZE * (1.0 - digits), "{size}");
@@ -57,7 +57,7 @@ proptest! {
             let largest = given.translation().abs().max_element().max(scale);
             prop_assert!(back.world_to_camera.abs_diff_eq(given.world_to_camera, 1e-12 * largest));
         }
-        // What each camera sees of a point is the same in both.
+        // Each camera sees a point at the same place in both.
         let point = DVec3::new(0.3, -0.2, 0.1);
         let there = scale * (turn * point) + DVec3::from(offset);
         for ((camera, trained), given) in room().iter().zip(&trained).zip(&world) {
