@@ -82,7 +82,8 @@ fn claims(url: &str, job: &str) -> f64 {
         for claimer in claimers {
             all += claimer.await.expect("ends");
         }
-        assert_eq!(all, CLAIMS);
+        // The lease of the job that ran may expire meanwhile.
+        assert!((CLAIMS..=CLAIMS + 1).contains(&all), "{all} claims");
         let rate = CLAIMS as f64 / begun.elapsed().as_secs_f64();
         store.close().await;
         rate
