@@ -48,7 +48,7 @@ pub enum BlobError {
     NotReady {
         /// The location of the store.
         location: String,
-        /// What went wrong with the probe.
+        /// The error of the probe.
         detail: String,
     },
     /// The blob does not exist.

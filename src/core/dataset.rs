@@ -67,13 +67,13 @@ enum Format {
     PosesBounds,
 }
 
-/// What a format holds beside the views.
+/// Contents of a format beside the views.
 #[derive(Default)]
 struct Given {
     points: Vec<SparsePoint>,
     mean_error: Option<f64>,
     mean_track: Option<f64>,
-    /// What cannot be used of it, by the names in the file.
+    /// Frames that cannot be used, by the names in the file.
     left_out: Vec<LeftOut>,
     warnings: Vec<String>,
 }
@@ -205,7 +205,7 @@ impl GivenPoses {
         }
     }
 
-    /// What the user should know about the poses that are and are not used.
+    /// Warns of poses that are not used, or only after a change.
     fn warn(&self, given: &Given, placed: &Placed, sink: &mut dyn ProgressSink) {
         let file = self.label();
         if !given.left_out.is_empty() {

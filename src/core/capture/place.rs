@@ -91,7 +91,7 @@ pub(super) struct Place {
     pub(super) folder: String,
     /// Their paths are those below it.
     pub(super) photographs: Vec<Entry>,
-    /// What else was seen.
+    /// A warning of pictures elsewhere.
     pub(super) warning: Option<CaptureWarning>,
 }
 

@@ -56,7 +56,7 @@ pub struct Taken {
     pub frames: usize,
     /// The files of those taken, in order; each has the number of its frame, from 0, in its name.
     pub files: Vec<PathBuf>,
-    /// What was done about its range of brightness, where that is larger than that of sRGB.
+    /// The treatment of a range of brightness larger than that of sRGB.
     pub hdr: Option<Hdr>,
 }
 

@@ -76,7 +76,7 @@ pub enum VideoError {
 }
 
 impl VideoError {
-    /// What the last that ffmpeg said means.
+    /// The meaning of the last line that ffmpeg wrote.
     pub(super) fn of_ffmpeg(said: &str) -> Self {
         let last = last_line(said);
         if said.contains("matches no streams") {

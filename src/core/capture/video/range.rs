@@ -25,7 +25,7 @@ enum Transfer {
 }
 
 impl Hdr {
-    /// What the first frame says.
+    /// Reads the transfer function of the first frame.
     ///
     /// # Errors
     /// [`VideoError`] where it cannot be read.
