@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Finds the poses of dark, shaken cells by variants of fled's ladder, and prints one Markdown table.
+"""Finds the poses of dark, shaken cells by variants of fled's fallback strategies, and prints one Markdown table.
 
     python3 tools/poses.py --fled target/release/fled --sharp SHARP --out OUT CELL ...
 
@@ -92,7 +92,7 @@ def cell_text(figures):
     text = f"{figures['good']} good{rms}, {figures['wrong']} wrong"
     if figures["unwarned"]:
         text += f" ({figures['unwarned']} without a warning)"
-    return f"{text}, rung {figures.get('rung') or '-'}{doubt}, {figures['seconds']:.0f} s"
+    return f"{text}, strategy {figures.get('rung') or '-'}{doubt}, {figures['seconds']:.0f} s"
 
 
 def table(rows, variants):

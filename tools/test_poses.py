@@ -109,8 +109,8 @@ class Scores(unittest.TestCase):
         found = poses.score(poses_json(moved(ring(8))), ring(8), 8) | {"seconds": 12.0}
         none = poses.score(None, ring(8), 8) | {"seconds": 30.0}
         text = poses.table({"a": {"learned features": found}, "b": {"learned features": none}}, ["learned features"])
-        self.assertIn("| a | 8 | 8 good (0.00 %), 0 wrong, rung L, 12 s |", text)
-        self.assertIn("| b | 8 | 0 good, 0 wrong, rung -, 30 s |", text)
+        self.assertIn("| a | 8 | 8 good (0.00 %), 0 wrong, strategy L, 12 s |", text)
+        self.assertIn("| b | 8 | 0 good, 0 wrong, strategy -, 30 s |", text)
         self.assertIn("| all 2 | 16 | 8 good, 0 wrong (0 without a warning), 42 s |", text)
 
 

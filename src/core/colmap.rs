@@ -1,7 +1,7 @@
 //! Structure from motion by COLMAP, driven as a subprocess: 3.8 of Debian to 4.x.
 //!
 //! COLMAP gets private copies of the dark originals, brightened by one gain a photograph
-//! ([`copies`]), and is led up a [`ladder`] of settings until a model is good enough. It is random
+//! ([`copies`]), and is run by fallback [`strategies`] until a model is good enough. It is random
 //! even with a seed and on one thread, so two runs differ in the last digits and, on hard
 //! captures, in how many photographs register.
 
@@ -10,12 +10,12 @@ mod consistency;
 mod copies;
 mod files;
 mod groups;
-mod ladder;
 mod learned;
 mod options;
 mod process;
 mod refine;
-mod rungs;
+mod search;
+mod strategies;
 mod triangulate;
 
 use std::path::{Path, PathBuf};
@@ -28,7 +28,7 @@ use crate::poses::matching::Matching;
 use crate::poses::{PoseRequest, PosedView, Poses, PosesError, Sfm, SparsePoint};
 pub(crate) use copies::brightened;
 pub use process::Limits;
-pub use rungs::Acceptance;
+pub use strategies::Acceptance;
 
 /// COLMAP's command line as an [`Sfm`].
 #[derive(Clone)]
@@ -103,7 +103,7 @@ impl ColmapCli {
         let log = request.work_dir.join("colmap.log");
         let runner = process::Runner::new(&self.program, self.limits, Some(&log))?;
         let version = version(&runner, cancel)?;
-        let points = ladder::Climb::new(&runner, request, self.acceptance, None)
+        let points = search::Search::new(&runner, request, self.acceptance, None)
             .triangulate(posed, cancel)?;
         let (points_found, views) = (points.len(), posed.len());
         sink.log(format!(
@@ -128,15 +128,16 @@ impl ColmapCli {
         cancel: &CancelToken,
     ) -> Result<Option<Poses>, PosesError> {
         let start = Instant::now();
-        if self.matching.is_none() || request.views.len() < ladder::MIN_VIEWS {
+        if self.matching.is_none() || request.views.len() < search::MIN_VIEWS {
             return Ok(None);
         }
         std::fs::create_dir_all(request.work_dir).map_err(PosesError::io(request.work_dir))?;
         let log = request.work_dir.join("colmap.log");
         let runner = process::Runner::new(&self.program, self.limits, Some(&log))?;
         let version = version(&runner, cancel)?;
-        let climb = ladder::Climb::new(&runner, request, self.acceptance, self.matching.as_deref());
-        let poses = climb.refine(given, sink, cancel)?;
+        let search =
+            search::Search::new(&runner, request, self.acceptance, self.matching.as_deref());
+        let poses = search.refine(given, sink, cancel)?;
         Ok(poses.map(|poses| Poses {
             source: format!("given, refined by colmap {version}"),
             seconds: start.elapsed().as_secs_f64(),
@@ -154,10 +155,10 @@ impl Sfm for ColmapCli {
     ) -> Result<Poses, PosesError> {
         let start = Instant::now();
         let total = request.views.len();
-        if total < ladder::MIN_VIEWS {
+        if total < search::MIN_VIEWS {
             let advice = format!(
                 "a scene needs at least {} photographs, preferably 20 to 60",
-                ladder::MIN_VIEWS
+                search::MIN_VIEWS
             );
             return Err(PosesError::TooFew {
                 registered: 0,
@@ -173,8 +174,9 @@ impl Sfm for ColmapCli {
         )?;
         let version = version(&runner, cancel)?;
         sink.log(format!("poses: COLMAP {version} on {total} photographs"));
-        let climb = ladder::Climb::new(&runner, request, self.acceptance, self.matching.as_deref());
-        let poses = climb.run(sink, cancel)?;
+        let search =
+            search::Search::new(&runner, request, self.acceptance, self.matching.as_deref());
+        let poses = search.run(sink, cancel)?;
         Ok(Poses {
             source: format!("colmap {version}"),
             seconds: start.elapsed().as_secs_f64(),

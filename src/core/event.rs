@@ -78,7 +78,7 @@ pub enum Event {
     StageAdvanced {
         stage: Stage,
         round: u32,
-        /// Units done (training steps, views, ladder rungs).
+        /// Units done (training steps, views, fallback strategies).
         done: u64,
         /// Total units.
         total: u64,

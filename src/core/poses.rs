@@ -88,10 +88,11 @@ pub struct Poses {
     pub total: usize,
     /// Who answered: `colmap 3.8`, or which file.
     pub source: String,
-    /// The rung of the ladder that was taken: learned matches of all pairs (`L`, by a loose mapper
+    /// The fallback strategy that was taken: learned matches of all pairs (`L`, by a loose mapper
     /// `M`), of the strongest (`N`, `O`), of those that agree (`P`, `Q`); COLMAP's own features
     /// (`A`..=`E`); or all of it on deblurred photographs (`F`). `None` for given poses.
-    pub rung: Option<char>,
+    #[serde(rename = "rung")]
+    pub strategy: Option<char>,
     /// What is said about the place of every view asked for; empty where the poses were given.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub verdicts: Vec<PoseVerdict>,
@@ -107,7 +108,7 @@ pub struct Poses {
     pub mean_reprojection_error: Option<f64>,
     /// Mean number of views a point was seen in; `None` without points.
     pub mean_track: Option<f64>,
-    /// Whether no rung met the acceptance rule and the best of them was taken.
+    /// Whether no strategy met the acceptance rule and the best of them was taken.
     pub low_confidence: bool,
     /// Fingerprint of the network that had a hand in them, or would have had: without one they
     /// are what a run with any other network finds, too.

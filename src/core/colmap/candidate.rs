@@ -1,18 +1,18 @@
-//! What a rung found, and what is believed of it.
+//! What a strategy found, and what is believed of it.
 
 use std::collections::HashSet;
 
 use super::consistency::Consistency;
 use super::copies::Copies;
-use super::rungs::FIRST_LEARNED;
+use super::strategies::FIRST_LEARNED;
 use crate::camera::Camera;
 use crate::poses::matching::Correspondences;
 use crate::poses::model::SparseModel;
 use crate::poses::{Lens, PoseStatus, PoseVerdict, PoseView, PosedView, SparsePoint};
 
-/// A rung's result.
+/// A strategy's result.
 pub(super) struct Candidate {
-    pub(super) rung: char,
+    pub(super) strategy: char,
     pub(super) model: SparseModel,
     pub(super) copies: Copies,
     /// What the learned matches say about the model, where there are some.
@@ -32,7 +32,11 @@ impl Candidate {
     fn exactness(&self) -> u64 {
         let observations = self.model.observations() as f64 / self.model.images.len() as f64;
         let error = self.model.mean_error().unwrap_or(f64::MAX).max(1e-3);
-        let share = if self.rung >= FIRST_LEARNED { 0.8 } else { 1.0 };
+        let share = if self.strategy >= FIRST_LEARNED {
+            0.8
+        } else {
+            1.0
+        };
         (1e6 * share * observations / (error * error)) as u64
     }
 

@@ -19,7 +19,7 @@ const MEDIAN_LEVEL: f32 = 0.4;
 /// Copies longer than this are brought down to [`SMALL_SIDE`]: under 250-300 px features run out.
 const LARGEST_SMALL_SIDE: usize = 640;
 
-/// Long side of a small copy, px: where the ladder's thresholds were measured.
+/// Long side of a small copy, px: where the thresholds of the strategies were measured.
 const SMALL_SIDE: usize = 560;
 
 /// Linear light up to which nothing is clipped; above it values approach 1 without reaching it.

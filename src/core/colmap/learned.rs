@@ -8,9 +8,9 @@ use std::time::Instant;
 
 use super::candidate::{Candidate, Evidence};
 use super::copies::Copies;
-use super::ladder::Climb;
 use super::options::{self, set};
-use super::rungs::Mapping;
+use super::search::Search;
+use super::strategies::Mapping;
 use crate::cancel::CancelToken;
 use crate::event::{Event, ProgressSink, Stage};
 use crate::poses::PosesError;
@@ -44,11 +44,11 @@ enum Selection {
     Strongest(usize),
 }
 
-impl Climb<'_> {
+impl Search<'_> {
     /// The best model of the matches that networks find. Where one contradicts stronger matches
     /// than those it is built on, another is built on the strongest alone, and on what agrees with
     /// it.
-    pub(super) fn climb_learned(
+    pub(super) fn best_learned(
         &self,
         matching: &dyn Matching,
         evidence: &mut Evidence<'_>,
@@ -75,7 +75,7 @@ impl Climb<'_> {
         // What agrees with a model built on little places more exactly, and more.
         let strongest = Selection::Strongest(STRONGEST).of(&found);
         for _ in 0..REVISIONS {
-            let Some(now) = best.as_ref().filter(|best| best.rung > 'M') else {
+            let Some(now) = best.as_ref().filter(|best| best.strategy > 'M') else {
                 break;
             };
             let Some(consistency) = &now.consistency else {

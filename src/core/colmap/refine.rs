@@ -6,7 +6,7 @@
 use super::candidate::Evidence;
 use super::consistency::Consistency;
 use super::copies::Copies;
-use super::ladder::Climb;
+use super::search::Search;
 use crate::cancel::CancelToken;
 use crate::event::ProgressSink;
 use crate::poses::align::Similarity;
@@ -17,7 +17,7 @@ use crate::poses::{Lens, PoseStatus, PoseView, PosedView, Poses, PosesError};
 /// ones were made to fit them.
 const AS_GOOD: f64 = 0.9;
 
-impl Climb<'_> {
+impl Search<'_> {
     /// Poses in the world of the `given` ones, of all views that have one or were found; `None`
     /// where the given ones stand.
     pub fn refine(
@@ -36,7 +36,7 @@ impl Climb<'_> {
             sink.warn("poses_unrefined", message);
             Ok(None)
         };
-        let Some(best) = self.search(&mut evidence, sink, cancel)? else {
+        let Some(best) = self.best(&mut evidence, sink, cancel)? else {
             return unchecked("no poses were found to compare them with", sink);
         };
         let poses = self.deliver(&best, &evidence)?;

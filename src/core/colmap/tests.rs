@@ -104,7 +104,7 @@ impl Scene {
 }
 
 #[test]
-fn a_good_model_is_taken_on_rung_a_at_the_originals_size() {
+fn a_good_model_of_strategy_a_is_taken_at_the_originals_size() {
     let scene = Scene::new(
         10,
         r#"[ $command = mapper ] && model "$out/0" 10 10; exit 0"#,
@@ -119,7 +119,7 @@ fn a_good_model_is_taken_on_rung_a_at_the_originals_size() {
         .run(&scene.tool(), &mut sink, &CancelToken::new())
         .unwrap();
     assert_eq!(
-        (poses.registered, poses.total, poses.rung),
+        (poses.registered, poses.total, poses.strategy),
         (10, 10, Some('A'))
     );
     assert_eq!(stages, [(0, 3), (1, 3), (2, 3), (3, 3)]);
@@ -246,7 +246,7 @@ fn the_largest_model_is_taken_and_never_the_first_blindly() {
 }
 
 #[test]
-fn a_poor_first_rung_leads_to_the_next() {
+fn a_poor_first_strategy_leads_to_the_next() {
     let body = r#"
 if [ $command = mapper ]; then
   case "$all" in *init_min_tri_angle*) model "$out/0" 10 10;; *) model "$out/0" 4 4;; esac
@@ -263,7 +263,7 @@ fi; exit 0"#;
     )
     .unwrap();
     let poses = scene.poses().unwrap();
-    assert_eq!((poses.rung, poses.registered), (Some('B'), 10));
+    assert_eq!((poses.strategy, poses.registered), (Some('B'), 10));
 }
 
 #[test]

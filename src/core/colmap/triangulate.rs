@@ -1,15 +1,15 @@
 //! Sparse points for views whose poses are known: COLMAP's features and matches, triangulated.
 
 use super::copies::Copies;
-use super::ladder::Climb;
 use super::options::{self, set};
+use super::search::Search;
 use crate::cancel::CancelToken;
 use crate::poses::model::{ModelCamera, ModelImage, SparseModel};
 use crate::poses::{Lens, PoseView, PosedView, PosesError, SparsePoint};
 
-impl Climb<'_> {
-    /// Points that the features of rung A's copies of `posed` (a part of the request's views, in
-    /// its order) give at their known poses; none where nothing matches.
+impl Search<'_> {
+    /// Points that the features of strategy A's copies of `posed` (a part of the request's views,
+    /// in its order) give at their known poses; none where nothing matches.
     pub fn triangulate(
         &self,
         posed: &[PosedView],

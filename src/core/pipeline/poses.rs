@@ -1,12 +1,12 @@
 //! Poses, once a job: from whoever finds them, or what an earlier run of the same capture found;
-//! and rung F of COLMAP's ladder: once more, on deblurred photographs.
+//! and strategy F: COLMAP's once more, on deblurred photographs.
 
 mod deblurred;
 mod request;
 
 use std::path::PathBuf;
 
-use deblurred::RUNG;
+use deblurred::STRATEGY;
 use request::ask;
 
 use super::config::{Options, PoseSource};
@@ -220,7 +220,7 @@ fn find(
     // 0: nothing would be deblurred.
     let has_network = tools.networks().deblur.channels > 0;
     let best = if has_network {
-        let message = format!("poses: rung {RUNG}, the ladder once more on deblurred photographs");
+        let message = format!("poses: strategy {STRATEGY}, all once more on deblurred photographs");
         context.sink.log(message);
         let second = deblurred::poses(context, tools, &views, depends_on)?;
         better(first, second, context.sink)?
@@ -251,7 +251,7 @@ fn better(
     match (first, second) {
         (_, Err(PosesError::Cancelled(cancelled))) => Err(cancelled.into()),
         (first, Err(error)) => {
-            sink.log(format!("poses: rung {RUNG}: {error}"));
+            sink.log(format!("poses: strategy {STRATEGY}: {error}"));
             first
         }
         (Ok(first), Ok(second)) => {

@@ -55,7 +55,7 @@ pub fn place(report: &mut Report, poses: &Poses) {
 fn facts(poses: &Poses) -> BTreeMap<String, Value> {
     let facts = [
         ("source", json!(poses.source)),
-        ("rung", json!(poses.rung.map(String::from))),
+        ("rung", json!(poses.strategy.map(String::from))),
         ("registered", json!(poses.registered)),
         ("total", json!(poses.total)),
         ("points", json!(poses.points.len())),

@@ -219,7 +219,7 @@ mod tests {
             registered: count,
             total: count + 2,
             source: "made up".to_owned(),
-            rung: Some('L'),
+            strategy: Some('L'),
             verdicts: vec![
                 verdict("odd", PoseStatus::Doubtful),
                 verdict("lost", PoseStatus::NotFound),

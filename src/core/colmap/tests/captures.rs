@@ -12,7 +12,7 @@ fn stem(file: &Path) -> String {
     file.file_stem().unwrap().to_str().unwrap().to_owned()
 }
 
-/// Whether every photograph has a pose of an early rung within 1 % of the sharp set's, or why not.
+/// Whether an early strategy places every photograph within 1 % of the sharp set's, or why not.
 fn attempt(capture: &Path, views: &[PoseView]) -> Result<(), String> {
     let work = tempfile::tempdir().unwrap();
     let request = PoseRequest {
@@ -40,17 +40,17 @@ fn attempt(capture: &Path, views: &[PoseView]) -> Result<(), String> {
     let errors = align::compare(&estimated, &expected).unwrap();
     let focal = poses.views[0].lens.intrinsics.fx / expected[0].intrinsics.fx - 1.0;
     let found = format!(
-        "{} of {}, rung {:?}, {:.1} s, {errors:?}, focal {:+.2} %, points {}, track {:?}",
+        "{} of {}, strategy {:?}, {:.1} s, {errors:?}, focal {:+.2} %, points {}, track {:?}",
         poses.registered,
         poses.total,
-        poses.rung,
+        poses.strategy,
         poses.seconds,
         100.0 * focal,
         poses.points.len(),
         poses.mean_track
     );
     let good = poses.registered == views.len()
-        && matches!(poses.rung, Some('A' | 'B'))
+        && matches!(poses.strategy, Some('A' | 'B'))
         && errors.position_rms < 0.01;
     eprintln!("{}: {found}", capture.display());
     if good { Ok(()) } else { Err(found) }

@@ -109,7 +109,7 @@ fn learned_matches_come_first_and_their_model_is_believed() {
     let tool = scene.tool().with_matching(Arc::new(matching));
     assert!(tool.describe().ends_with(", a stand-in"));
     let poses = scene.run(&tool, &mut Silent, &CancelToken::new()).unwrap();
-    assert_eq!((poses.registered, poses.rung), (10, Some('L')));
+    assert_eq!((poses.registered, poses.strategy), (10, Some('L')));
     assert!(!poses.low_confidence);
     assert_eq!(statuses(&poses), [PoseStatus::Registered; 10]);
     let middle = &poses.verdicts[4];
@@ -120,7 +120,7 @@ fn learned_matches_come_first_and_their_model_is_believed() {
     assert!(at("matches_importer") < at("feature_extractor"));
     assert!(
         !log.contains("sparse-C"),
-        "the first rung alone might do better"
+        "the first strategy alone might do better"
     );
     let folder = scene.work_dir().join("learned");
     let features = std::fs::read_to_string(folder.join("v00003.png.txt")).unwrap();
@@ -185,17 +185,20 @@ fn of_two_models_that_are_as_whole_the_more_exact_one_is_taken() {
         contradicting: Vec::new(),
         last_of_a_place: None,
     };
-    let rung = |scene: &Scene| {
+    let strategy = |scene: &Scene| {
         let tool = scene.tool().with_matching(Arc::new(matching()));
         let poses = scene.run(&tool, &mut Silent, &CancelToken::new()).unwrap();
-        (poses.registered, poses.rung)
+        (poses.registered, poses.strategy)
     };
-    assert_eq!(rung(&scene), (10, Some('A')));
+    assert_eq!(strategy(&scene), (10, Some('A')));
     let fewer_observations = r#"
 if [ "$command" = mapper ]; then
   case "$out" in *sparse-A) model "$out/0" 10 7;; *) model "$out/0" 10 10;; esac
 fi; exit 0"#;
-    assert_eq!(rung(&Scene::new(10, fewer_observations)), (10, Some('L')));
+    assert_eq!(
+        strategy(&Scene::new(10, fewer_observations)),
+        (10, Some('L'))
+    );
 }
 
 #[test]
@@ -209,7 +212,7 @@ fn networks_that_fail_are_told_and_colmaps_own_features_used() {
         }
     };
     let poses = scene.run(&tool, &mut sink, &CancelToken::new()).unwrap();
-    assert_eq!((poses.registered, poses.rung), (10, Some('A')));
+    assert_eq!((poses.registered, poses.strategy), (10, Some('A')));
     assert_eq!(codes.len(), 1);
     assert!(
         codes[0].0 == "matcher_failed" && codes[0].1.contains("no such node"),

@@ -83,7 +83,7 @@ fn found() -> Poses {
         registered: 3,
         total: 3,
         source: "made up".to_owned(),
-        rung: None,
+        strategy: None,
         mean_reprojection_error: None,
         mean_track: None,
         verdicts: Vec::new(),

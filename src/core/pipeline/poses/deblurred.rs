@@ -1,4 +1,4 @@
-//! Rung F: the ladder once more, on brightened and deblurred copies of the photographs.
+//! Strategy F: all of them once more, on brightened and deblurred copies of the photographs.
 
 use std::path::PathBuf;
 
@@ -15,10 +15,10 @@ use crate::pipeline::tone::Tone;
 use crate::pipeline::tools::Tools;
 use crate::poses::{Lens, PoseView, PosedView, Poses, PosesError};
 
-/// Name of this rung in results.
-pub const RUNG: char = 'F';
+/// Name of this strategy in results.
+pub const STRATEGY: char = 'F';
 
-/// Longest side of the copies, px: that of rung A's.
+/// Longest side of the copies, px: that of strategy A's.
 const LONGEST_SIDE: usize = 640;
 
 /// Poses by way of deblurred copies, as of the photographs at their own sizes. What structure from
@@ -53,7 +53,7 @@ pub fn poses(
         .collect::<Result<Vec<_>, _>>()?;
     Ok(Ok(Poses {
         views: placed,
-        rung: Some(RUNG),
+        strategy: Some(STRATEGY),
         ..found
     }))
 }

@@ -137,10 +137,10 @@ fn found_with(
 }
 
 #[test]
-fn what_the_ladder_cannot_place_is_deblurred_once_and_asked_about_again() {
+fn what_no_strategy_can_place_is_deblurred_once_and_asked_about_again() {
     let (found, warnings, asked) = found_with(&mut Grey(0.5, Vec::new()));
     let found = found.expect("placed on bright copies");
-    assert_eq!((found.rung, found.registered), (Some(RUNG), 3));
+    assert_eq!((found.strategy, found.registered), (Some(STRATEGY), 3));
     let asked: Vec<_> = asked
         .0
         .into_inner()
@@ -182,14 +182,14 @@ fn a_run_without_a_network_has_no_second_look() {
     assert_eq!(asked.0.into_inner().len(), 3);
 }
 
-fn placed(registered: usize, low_confidence: bool, rung: char) -> Poses {
+fn placed(registered: usize, low_confidence: bool, strategy: char) -> Poses {
     Poses {
         views: Vec::new(),
         points: Vec::new(),
         registered,
         total: 20,
         source: String::new(),
-        rung: Some(rung),
+        strategy: Some(strategy),
         mean_reprojection_error: None,
         mean_track: None,
         verdicts: Vec::new(),
@@ -211,29 +211,29 @@ fn few(registered: usize) -> PosesError {
 
 #[test]
 fn the_second_look_wins_only_where_it_is_better() {
-    let rung = |first, second| better(first, second, &mut Silent).map(|poses| poses.rung);
+    let strategy = |first, second| better(first, second, &mut Silent).map(|poses| poses.strategy);
     assert_eq!(
-        rung(Ok(placed(12, true, 'C')), Ok(placed(18, true, 'F'))).ok(),
+        strategy(Ok(placed(12, true, 'C')), Ok(placed(18, true, 'F'))).ok(),
         Some(Some('F'))
     );
     assert_eq!(
-        rung(Ok(placed(18, true, 'C')), Ok(placed(17, false, 'F'))).ok(),
+        strategy(Ok(placed(18, true, 'C')), Ok(placed(17, false, 'F'))).ok(),
         Some(Some('F'))
     );
     assert_eq!(
-        rung(Ok(placed(18, true, 'C')), Ok(placed(18, true, 'F'))).ok(),
+        strategy(Ok(placed(18, true, 'C')), Ok(placed(18, true, 'F'))).ok(),
         Some(Some('C'))
     );
     assert_eq!(
-        rung(Ok(placed(12, true, 'C')), Err(few(4))).ok(),
+        strategy(Ok(placed(12, true, 'C')), Err(few(4))).ok(),
         Some(Some('C'))
     );
     assert_eq!(
-        rung(Err(few(4)), Ok(placed(17, false, 'F'))).ok(),
+        strategy(Err(few(4)), Ok(placed(17, false, 'F'))).ok(),
         Some(Some('F'))
     );
     assert!(matches!(
-        rung(Err(few(4)), Err(few(9))),
+        strategy(Err(few(4)), Err(few(9))),
         Err(PosesError::TooFew { registered: 4, .. })
     ));
 }

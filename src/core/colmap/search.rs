@@ -1,4 +1,4 @@
-//! The ladder of settings: each rung is tried only when the ones before gave no good model.
+//! The search: each strategy is tried only when the ones before gave no good model.
 
 use std::path::Path;
 
@@ -9,7 +9,7 @@ use super::files::{largest_model, remove_if_there};
 use super::groups;
 use super::options::{self, Prober, Setting, set};
 use super::process::Runner;
-use super::rungs::{Acceptance, LADDER, Mapping, Rung, advance};
+use super::strategies::{Acceptance, Mapping, STRATEGIES, Strategy, advance};
 use crate::cancel::CancelToken;
 use crate::event::ProgressSink;
 use crate::poses::matching::Matching;
@@ -22,8 +22,8 @@ pub(super) const MIN_VIEWS: usize = 3;
 /// Above this many photographs all pairs are too many: neighbours in the capture's order.
 const MOST_EXHAUSTIVE: usize = 150;
 
-/// One climb up the ladder.
-pub(super) struct Climb<'a> {
+/// One search for a good model.
+pub(super) struct Search<'a> {
     runner: &'a Runner,
     prober: Prober<'a>,
     pub(super) request: &'a PoseRequest<'a>,
@@ -31,7 +31,7 @@ pub(super) struct Climb<'a> {
     matching: Option<&'a dyn Matching>,
 }
 
-impl<'a> Climb<'a> {
+impl<'a> Search<'a> {
     pub fn new(
         runner: &'a Runner,
         request: &'a PoseRequest<'a>,
@@ -47,7 +47,7 @@ impl<'a> Climb<'a> {
         }
     }
 
-    /// Climbs until a model is accepted, and takes the best.
+    /// Tries strategies until a model is accepted, and takes the best.
     pub fn run(
         &self,
         sink: &mut dyn ProgressSink,
@@ -58,13 +58,13 @@ impl<'a> Climb<'a> {
             small: &small,
             found: None,
         };
-        match self.search(&mut evidence, sink, cancel)? {
+        match self.best(&mut evidence, sink, cancel)? {
             Some(best) => self.deliver(&best, &evidence),
             None => Err(self.too_few(0, &evidence)),
         }
     }
 
-    /// The photographs as the learned rungs and most of COLMAP's own see them.
+    /// The photographs as the learned strategies and most of COLMAP's own see them.
     pub(super) fn small_copies(
         &self,
         sink: &mut dyn ProgressSink,
@@ -77,8 +77,8 @@ impl<'a> Climb<'a> {
         Ok(small)
     }
 
-    /// The best of the rungs that were needed; `None` where none gave a model.
-    pub(super) fn search(
+    /// The best of the strategies that were needed; `None` where none gave a model.
+    pub(super) fn best(
         &self,
         evidence: &mut Evidence<'_>,
         sink: &mut dyn ProgressSink,
@@ -88,7 +88,7 @@ impl<'a> Climb<'a> {
         let mut best: Option<Candidate> = None;
         let mut broken = None;
         if let Some(matching) = self.matching {
-            match self.climb_learned(matching, evidence, sink, cancel) {
+            match self.best_learned(matching, evidence, sink, cancel) {
                 Ok(candidate) => best = candidate,
                 Err(error) if error.is_about_the_tool() => {
                     sink.warn("matcher_failed", format!("learned matches: {error}"));
@@ -97,13 +97,13 @@ impl<'a> Climb<'a> {
                 Err(error) => return Err(error),
             }
         }
-        for rung in LADDER
+        for strategy in STRATEGIES
             .iter()
-            .filter(|rung| !(rung.full_size && small.are_full_size()))
-            .filter(|rung| rung.beside_networks || evidence.found.is_none())
+            .filter(|strategy| !(strategy.full_size && small.are_full_size()))
+            .filter(|strategy| strategy.beside_networks || evidence.found.is_none())
         {
             let accepted = best.as_ref().filter(|best| best.accepted);
-            let is_enough = |best: &Candidate| match rung.letter {
+            let is_enough = |best: &Candidate| match strategy.letter {
                 // Where the shake is small COLMAP's own points are finer than learned ones.
                 'A' => false,
                 // Mapping again is cheap, so a good model that lacks a photograph still tries.
@@ -113,10 +113,13 @@ impl<'a> Climb<'a> {
             if accepted.is_some_and(is_enough) {
                 break;
             }
-            let candidate = match self.attempt(rung, evidence, sink, cancel) {
+            let candidate = match self.attempt(strategy, evidence, sink, cancel) {
                 Ok(candidate) => candidate,
                 Err(error) if error.is_about_the_tool() => {
-                    sink.warn("colmap_failed", format!("rung {}: {error}", rung.letter));
+                    sink.warn(
+                        "colmap_failed",
+                        format!("strategy {}: {error}", strategy.letter),
+                    );
                     broken = Some(error);
                     continue;
                 }
@@ -132,40 +135,43 @@ impl<'a> Climb<'a> {
         }
     }
 
-    /// One rung; `None` when nothing registered.
+    /// One strategy; `None` when nothing registered.
     fn attempt(
         &self,
-        rung: &Rung,
+        strategy: &Strategy,
         evidence: &Evidence<'_>,
         sink: &mut dyn ProgressSink,
         cancel: &CancelToken,
     ) -> Result<Option<Candidate>, PosesError> {
         let views = self.request.views;
-        advance(sink, rung.letter, 0);
-        let copies = match rung.full_size {
+        advance(sink, strategy.letter, 0);
+        let copies = match strategy.full_size {
             true => Copies::write(&self.request.work_dir.join("full"), views, false, cancel)?,
             false => evidence.small.clone(),
         };
-        let database = self.request.work_dir.join(format!("{}.db", rung.database));
-        if rung.database == rung.letter {
-            self.extract(rung, &copies, &database, cancel)?;
-            advance(sink, rung.letter, 1);
-            self.match_pairs(rung, &database, cancel)?;
+        let database = self
+            .request
+            .work_dir
+            .join(format!("{}.db", strategy.database));
+        if strategy.database == strategy.letter {
+            self.extract(strategy, &copies, &database, cancel)?;
+            advance(sink, strategy.letter, 1);
+            self.match_pairs(strategy, &database, cancel)?;
         }
-        advance(sink, rung.letter, 2);
+        advance(sink, strategy.letter, 2);
         let mapping = Mapping {
-            letter: rung.letter,
-            loose: rung.loose_mapper,
+            letter: strategy.letter,
+            loose: strategy.loose_mapper,
         };
         let model = self.map(mapping, &copies, &database, cancel)?;
-        advance(sink, rung.letter, 3);
-        Ok(self.weigh(rung.letter, model, copies, evidence, sink))
+        advance(sink, strategy.letter, 3);
+        Ok(self.weigh(strategy.letter, model, copies, evidence, sink))
     }
 
-    /// A rung's model as a candidate, told in the log.
+    /// A strategy's model as a candidate, told in the log.
     pub(super) fn weigh(
         &self,
-        rung: char,
+        strategy: char,
         model: Option<SparseModel>,
         copies: Copies,
         evidence: &Evidence<'_>,
@@ -173,7 +179,9 @@ impl<'a> Climb<'a> {
     ) -> Option<Candidate> {
         let total = self.request.views.len();
         let Some(model) = model else {
-            sink.log(format!("poses: rung {rung} registered none of {total}"));
+            sink.log(format!(
+                "poses: strategy {strategy} registered none of {total}"
+            ));
             return None;
         };
         let found = evidence.found.as_ref();
@@ -184,7 +192,7 @@ impl<'a> Climb<'a> {
             None => self.accepts(&model),
         };
         let candidate = Candidate {
-            rung,
+            strategy,
             model,
             copies,
             consistency,
@@ -192,7 +200,7 @@ impl<'a> Climb<'a> {
         };
         let registered = candidate.model.images.len();
         sink.log(format!(
-            "poses: rung {rung} registered {registered} of {total}, {} of them believed, {:.0} \
+            "poses: strategy {strategy} registered {registered} of {total}, {} of them believed, {:.0} \
              observations a photograph, mean track {:.2}, {}",
             candidate.believed(),
             candidate.model.observations() as f64 / registered as f64,
@@ -244,14 +252,17 @@ impl<'a> Climb<'a> {
 
     fn extract(
         &self,
-        rung: &Rung,
+        strategy: &Strategy,
         copies: &Copies,
         database: &Path,
         cancel: &CancelToken,
     ) -> Result<(), PosesError> {
         let mut settings = self.reading(copies, database)?;
-        settings.extend([set(options::EXTRACT_USE_GPU, &0), self.seed(rung.letter)]);
-        if rung.robust_features {
+        settings.extend([
+            set(options::EXTRACT_USE_GPU, &0),
+            self.seed(strategy.letter),
+        ]);
+        if strategy.robust_features {
             settings.extend([
                 set(&["SiftExtraction.estimate_affine_shape"], &1),
                 set(&["SiftExtraction.domain_size_pooling"], &1),
@@ -261,18 +272,18 @@ impl<'a> Climb<'a> {
         self.succeed("feature_extractor", &settings, cancel)
     }
 
-    /// Matches of rung A.
+    /// Matches of strategy A.
     pub(super) fn match_features(
         &self,
         database: &Path,
         cancel: &CancelToken,
     ) -> Result<(), PosesError> {
-        self.match_pairs(&LADDER[0], database, cancel)
+        self.match_pairs(&STRATEGIES[0], database, cancel)
     }
 
     fn match_pairs(
         &self,
-        rung: &Rung,
+        strategy: &Strategy,
         database: &Path,
         cancel: &CancelToken,
     ) -> Result<(), PosesError> {
@@ -280,9 +291,9 @@ impl<'a> Climb<'a> {
             set(&["database_path"], &database.display()),
             set(options::MATCH_USE_GPU, &0),
             set(options::GUIDED_MATCHING, &1),
-            self.seed(rung.letter),
+            self.seed(strategy.letter),
         ];
-        if rung.robust_features {
+        if strategy.robust_features {
             settings.push(set(&["SiftMatching.max_ratio"], &0.85));
         }
         let exhaustive = self.request.views.len() <= MOST_EXHAUSTIVE;
@@ -384,14 +395,15 @@ impl<'a> Climb<'a> {
         let all = self.request.views.iter().enumerate();
         let verdicts: Vec<_> = all.map(|(index, view)| best.verdict(index, view)).collect();
         let views = best.placed(self.request.views);
-        self.runner.note(&format!("[rung {} taken]", best.rung));
+        self.runner
+            .note(&format!("[strategy {} taken]", best.strategy));
         Ok(Poses {
             registered: views.len(),
             views,
             points: best.points(),
             total,
             source: String::new(),
-            rung: Some(best.rung),
+            strategy: Some(best.strategy),
             verdicts,
             parts: self.parts(evidence),
             mean_reprojection_error: best.model.mean_error(),

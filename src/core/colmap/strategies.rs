@@ -1,4 +1,4 @@
-//! The rungs of the ladder, and when a rung's model is good enough.
+//! The fallback strategies, and when a model of one is good enough.
 
 use crate::event::{Event, ProgressSink, Stage};
 
@@ -12,7 +12,7 @@ pub struct Acceptance {
     pub observations: f64,
     /// Least mean track length.
     pub track: f64,
-    /// Least share that is still delivered, with a warning, when no rung was good enough.
+    /// Least share that is still delivered, with a warning, when no strategy was good enough.
     pub salvage: f64,
 }
 
@@ -27,14 +27,14 @@ impl Default for Acceptance {
     }
 }
 
-/// The rungs of learned matches are this letter and those after it.
+/// The strategies of learned matches are this letter and those after it.
 pub(super) const FIRST_LEARNED: char = 'L';
 
-/// Settings of one rung.
+/// Settings of one strategy.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Rung {
+pub(super) struct Strategy {
     pub(super) letter: char,
-    /// The rung whose features and matches are mapped.
+    /// The strategy whose features and matches are mapped.
     pub(super) database: char,
     pub(super) full_size: bool,
     /// Affine shapes, domain-size pooling, a lower peak threshold: for images with few features.
@@ -45,9 +45,9 @@ pub(super) struct Rung {
     pub(super) beside_networks: bool,
 }
 
-/// COLMAP's own features, in the order in which the rungs are tried.
-pub(super) const LADDER: [Rung; 5] = [
-    Rung {
+/// COLMAP's own features, in the order in which they are tried.
+pub(super) const STRATEGIES: [Strategy; 5] = [
+    Strategy {
         letter: 'A',
         database: 'A',
         full_size: false,
@@ -55,7 +55,7 @@ pub(super) const LADDER: [Rung; 5] = [
         loose_mapper: false,
         beside_networks: true,
     },
-    Rung {
+    Strategy {
         letter: 'B',
         database: 'A',
         full_size: false,
@@ -63,7 +63,7 @@ pub(super) const LADDER: [Rung; 5] = [
         loose_mapper: true,
         beside_networks: true,
     },
-    Rung {
+    Strategy {
         letter: 'C',
         database: 'C',
         full_size: true,
@@ -71,7 +71,7 @@ pub(super) const LADDER: [Rung; 5] = [
         loose_mapper: true,
         beside_networks: false,
     },
-    Rung {
+    Strategy {
         letter: 'D',
         database: 'D',
         full_size: false,
@@ -79,7 +79,7 @@ pub(super) const LADDER: [Rung; 5] = [
         loose_mapper: true,
         beside_networks: false,
     },
-    Rung {
+    Strategy {
         letter: 'E',
         database: 'E',
         full_size: false,
@@ -92,18 +92,18 @@ pub(super) const LADDER: [Rung; 5] = [
 /// How COLMAP's mapper is run.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Mapping {
-    /// The rung.
+    /// The strategy.
     pub letter: char,
     /// With lower bounds on what a place needs.
     pub loose: bool,
 }
 
-/// Progress in thirds of a rung; the total grows with each rung that is needed.
+/// Progress in thirds of a strategy; the total grows with each strategy that is needed.
 pub(super) fn advance(sink: &mut dyn ProgressSink, letter: char, part: u64) {
-    let rungs_before = LADDER
+    let strategies_before = STRATEGIES
         .iter()
-        .take_while(|rung| rung.letter != letter)
+        .take_while(|strategy| strategy.letter != letter)
         .count() as u64;
-    let (done, total) = (3 * rungs_before + part, 3 * (rungs_before + 1));
+    let (done, total) = (3 * strategies_before + part, 3 * (strategies_before + 1));
     sink.event(&Event::advanced(Stage::Poses, done, total));
 }
