@@ -1,21 +1,24 @@
 //! State shared by handlers and workers.
 
+pub mod readiness;
+mod running;
+
 use std::sync::Arc;
 
 use tokio::sync::Semaphore;
 use tokio_util::sync::CancellationToken;
 
-use crate::blob_cache::BlobCache;
+use self::running::Running;
 use crate::config::{Limits, ServeConfig};
-use crate::data::DataDir;
 use crate::failpoint::Failpoint;
-use crate::incoming::Uploads;
-use crate::jobs::running::Running;
+use crate::files::blob_cache::BlobCache;
+use crate::files::data::DataDir;
+use crate::files::incoming::Uploads;
+use crate::files::upload_locks::UploadLocks;
 use crate::rate::Rates;
 use crate::render::Renderers;
 use crate::store::Store;
 use crate::telemetry::Telemetry;
-use crate::upload_locks::UploadLocks;
 use crate::validator::Validators;
 
 /// The state of a server.
@@ -54,7 +57,7 @@ pub struct App {
     /// Running jobs.
     pub running: Running,
     /// The last result of the readiness checks.
-    pub readiness: tokio::sync::Mutex<Option<crate::readiness::Remembered>>,
+    pub readiness: tokio::sync::Mutex<Option<readiness::Remembered>>,
     /// Raised when the server stops.
     pub shutdown: CancellationToken,
 }

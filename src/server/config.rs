@@ -10,7 +10,7 @@ use fled_core::capture::MAX_FILES;
 use fled_core::pipeline::error::ErrorKind;
 
 use crate::failpoint::Watcher;
-use crate::store::About;
+use crate::store::{About, Retention};
 
 /// Configuration of `fled serve`.
 #[derive(Clone, Debug)]
@@ -57,34 +57,6 @@ pub struct ServeConfig {
     pub watcher: Option<Watcher>,
     /// Timeouts and sizes.
     pub limits: Limits,
-}
-
-/// Rules of automatic deletion; off by default.
-#[derive(Clone, Copy, Debug)]
-pub struct Retention {
-    /// Age after which finished jobs, and captures without jobs, are deleted.
-    pub age: Option<Duration>,
-    /// Number of newest finished jobs kept per owner.
-    pub jobs: Option<u32>,
-    /// How long before its deletion something is marked.
-    pub notice: Duration,
-}
-
-impl Retention {
-    /// Returns whether everything is kept.
-    pub fn is_off(&self) -> bool {
-        self.age.is_none() && self.jobs.is_none()
-    }
-}
-
-impl Default for Retention {
-    fn default() -> Self {
-        Self {
-            age: None,
-            jobs: None,
-            notice: Duration::from_secs(7 * 24 * 3600),
-        }
-    }
 }
 
 impl ServeConfig {

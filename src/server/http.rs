@@ -8,15 +8,14 @@
 mod access;
 mod allowance;
 mod artifacts;
-mod body_limit;
 mod captures;
 mod client;
 mod connections;
-mod copies;
 mod dashboard;
 mod events;
 mod exports;
 mod extract;
+mod fetch;
 mod health;
 mod host;
 mod jobs;
@@ -66,7 +65,6 @@ use tower_http::set_header::SetResponseHeaderLayer;
 use tower_http::trace::TraceLayer;
 
 use crate::app::App;
-use body_limit::SMALL;
 use paths::{
     EXPORT, EXPORTS, UPLOAD, UPLOADS, VIDEO, VIDEO_FILE, VIDEOS, WEBHOOK, WEBHOOKS, WORKERS,
 };
@@ -76,6 +74,9 @@ pub use openapi::document;
 pub use problem::Problem;
 #[doc(hidden)]
 pub use tus::read_headers as read_tus_headers;
+
+/// Maximum bytes of a body that is not an upload.
+const SMALL: usize = 1 << 20;
 
 /// Only the server's own content may run or be shown; no other page may frame it.
 const CONTENT_SECURITY_POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; \
@@ -116,7 +117,7 @@ pub fn router(app: Arc<App>) -> Router {
                 "This endpoint does not support this method.",
             )
         })
-        .layer(middleware::from_fn_with_state(app.clone(), copies::bring))
+        .layer(middleware::from_fn_with_state(app.clone(), fetch::bring))
         .layer(middleware::from_fn_with_state(app.clone(), access::check))
         // Another site's page must not start or delete jobs through a visitor's browser.
         .layer(CsrfLayer::new())

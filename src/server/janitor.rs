@@ -7,21 +7,20 @@
 //! a while before they are deleted.
 
 mod blobs;
-mod copies;
+mod cache;
 mod files;
 mod gc;
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
 use crate::app::App;
-use crate::data::DataDir;
 use crate::error::{Result, ServerError};
+use crate::files::data::DataDir;
 use crate::store::{Engine, Store};
 
 pub use blobs::claim;
-pub use files::delete;
 pub use gc::{Collected, GcOptions, Gone, gc};
 
 /// Time between two rounds. Files changed within it stay: what is being created has no row yet.
@@ -204,7 +203,7 @@ impl Janitor<'_> {
                 let before = now - DELIVERIES_KEPT_MS;
                 return self.store.forget_deliveries(before).await.map(|()| 0);
             }
-            (Name::Copies, Some(app)) => return copies::remove_unused(app, 7 * DAY).await,
+            (Name::Copies, Some(app)) => return cache::remove_unused(app, 7 * DAY).await,
             (Name::Blobs, Some(app)) => return blobs::follow(app).await,
             (of_files, _) => self.find(of_files).await?,
         };
@@ -263,15 +262,5 @@ impl Janitor<'_> {
     fn fail(&mut self, rule: &Rule, error: ServerError) {
         tracing::warn!(rule = ?rule.name, %error, "cannot remove what is no longer needed");
         self.failed.get_or_insert(error);
-    }
-}
-
-/// Removes the file or folder of something no longer in the database. An error is only logged:
-/// without a row it is already deleted.
-pub async fn remove(path: &Path) {
-    let from = path.to_owned();
-    let removed = tokio::task::spawn_blocking(move || delete(&from)).await;
-    if let Err(error) = removed.unwrap_or_else(|error| Err(std::io::Error::other(error))) {
-        tracing::warn!(%error, path = %path.display(), "cannot remove");
     }
 }

@@ -17,7 +17,7 @@ use tokio::io::AsyncWriteExt;
 use tokio::sync::{Mutex, oneshot};
 
 use self::turns::Turns;
-use crate::jobs::process::{Group, Line};
+use crate::process::{Group, Line};
 
 /// Requests at a time, with the one that is being done; more are refused.
 const QUEUE: usize = 32;

@@ -10,18 +10,18 @@ use tokio::net::TcpListener;
 use tokio::signal::unix::{SignalKind, signal};
 use tokio::task::JoinSet;
 
-use crate::adoption::adopt_videos;
 use crate::app::App;
-use crate::blob_cache::BlobCache;
 use crate::config::ServeConfig;
-use crate::copies::fetch_job;
-use crate::data::DataDir;
 use crate::error::{Result, ServerError};
+use crate::files::blob_cache::BlobCache;
+use crate::files::data::DataDir;
 use crate::http::{router, serve_connections};
 use crate::janitor;
-use crate::jobs::{after_death, kill_orphans, worker};
+use crate::sharing::fetch_job;
 use crate::store::{Engine, JobKind, Store};
+use crate::transfer::adopt_videos;
 use crate::webhooks::keep_telling;
+use crate::worker::{self, after_death, kill_orphans};
 
 /// How long open requests may take to end once the server stops.
 const FAREWELL: Duration = Duration::from_secs(5);

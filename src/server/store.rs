@@ -28,6 +28,7 @@ mod retry;
 mod room;
 mod sessions;
 mod shares;
+pub mod state;
 #[cfg(test)]
 pub(crate) mod tests;
 mod tokens;
@@ -61,6 +62,7 @@ pub use idempotency::{Creation, Request, UsedUp};
 pub use jobs::{JobError, JobFilter, JobRow, Needs, NewJob, ToldJob};
 pub use lease::{Claim, JobKind, Lease, Machine};
 pub use results::{StageSeconds, WarningRow};
+pub use retention::Retention;
 pub use retry::{Change, Retry};
 pub use room::Room;
 pub use shares::{NewShare, ShareRow};

@@ -18,8 +18,8 @@ use tokio::sync::{MutexGuard, Semaphore, SemaphorePermit};
 use tokio::time::{Instant, timeout_at};
 
 use crate::config::Limits;
-use crate::incoming::Incoming;
-use crate::jobs::process::{Group, Line};
+use crate::files::incoming::Incoming;
+use crate::process::{Group, Line};
 use crate::validation::{CaptureReport, Refusal};
 
 pub use words::{AssessReply, AssessRequest, Filming, VideoFault, VideoFaultKind};

@@ -4,6 +4,7 @@
 //! them, with retries for over a day, until it is acknowledged. A delivery may arrive twice, always
 //! with the same id.
 
+pub mod egress;
 mod post;
 mod sign;
 

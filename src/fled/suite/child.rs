@@ -10,7 +10,7 @@ use std::time::Duration;
 
 use fled_core::cancel::CancelToken;
 use fled_lab::evaluation::suite::error::SuiteError;
-use fled_server::jobs::process::PARENT_VARIABLE;
+use fled_server::PARENT_VARIABLE;
 use rustix::process::{Pid, Signal, kill_process};
 
 use crate::failure::Failure;

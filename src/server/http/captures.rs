@@ -8,8 +8,8 @@ use axum::response::{IntoResponse, Response};
 use serde::Deserialize;
 use utoipa::{IntoParams, ToSchema};
 
+use super::SMALL;
 use super::access::Visitor;
-use super::body_limit::SMALL;
 use super::extract::{Json, Query};
 use super::page::page_size;
 use super::problem::Problem;
@@ -18,7 +18,7 @@ use super::shapes::{Capture, Captures};
 use super::upload::{self, Upload};
 use super::uploaded::CaptureOfUploads;
 use crate::app::App;
-use crate::janitor::remove;
+use crate::files::remove;
 
 /// How to take an upload.
 #[derive(Debug, Deserialize, IntoParams)]

@@ -9,7 +9,7 @@ use serde::Serialize;
 use utoipa::ToSchema;
 
 use crate::app::App;
-use crate::readiness::{Check, checks};
+use crate::app::readiness::{Check, checks};
 
 /// Whether the server can take jobs.
 #[derive(Debug, Serialize, ToSchema)]

@@ -10,8 +10,8 @@ use serde::Deserialize;
 use serde_json::{Map, Number, Value};
 use utoipa::{IntoParams, ToSchema};
 
+use super::SMALL;
 use super::access::Visitor;
-use super::body_limit::SMALL;
 use super::extract::{Json, Query, typed};
 use super::lookup::find;
 use super::order::Order;
@@ -25,8 +25,8 @@ use super::upload;
 use super::uploaded::{self, JobOfUploads};
 use crate::app::App;
 use crate::error::ServerError;
-use crate::janitor::remove;
-use crate::jobs::state::JobState;
+use crate::files::remove;
+use crate::store::state::JobState;
 use crate::store::{Creation, JobFilter, JobRow};
 
 /// How long a cancellation waits for the job to be over before it answers.

@@ -12,7 +12,7 @@ use super::problem::Problem;
 use super::sent::is_known;
 use crate::app::App;
 use crate::error::ServerError;
-use crate::jobs::state::JobState;
+use crate::store::state::JobState;
 
 /// Shows one view of the scene while the job trains.
 ///

@@ -12,7 +12,7 @@ use super::page::within;
 use super::problem::Problem;
 use crate::app::App;
 use crate::error::ServerError;
-use crate::jobs::log::read_page;
+use crate::worker::log::read_page;
 
 /// Maximum lines of a page.
 const LARGEST_PAGE: usize = 5000;

@@ -6,8 +6,8 @@ use fled_core::run_folder::RunFolder;
 use super::problem::Problem;
 use crate::app::App;
 use crate::error::ServerError;
-use crate::jobs::state::JobState;
 use crate::store::JobRow;
+use crate::store::state::JobState;
 
 /// Returns the job, or 404.
 pub(super) async fn find(app: &App, id: &str) -> Result<JobRow, Problem> {

@@ -7,8 +7,8 @@ use axum::http::StatusCode;
 use super::access::Visitor;
 use super::problem::Problem;
 use crate::app::App;
-use crate::data::bytes_below;
 use crate::error::ServerError;
+use crate::files::data::bytes_below;
 
 /// Bytes left in a visitor's quota; `None` if only the disk limits them.
 ///

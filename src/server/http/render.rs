@@ -20,9 +20,9 @@ use super::problem::Problem;
 use super::sent::is_known;
 use crate::app::App;
 use crate::error::ServerError;
-use crate::jobs::state::JobState;
 use crate::redaction::without_paths;
 use crate::render::{Format, RenderError, RenderRequest, Shown};
+use crate::store::state::JobState;
 
 /// Longest side of a render, px.
 const LONGEST_SIDE: usize = 2048;

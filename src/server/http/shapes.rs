@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use utoipa::ToSchema;
 
-use crate::jobs::state::JobState;
+use crate::store::state::JobState;
 use crate::store::{CaptureRow, JobRow, ToldJob};
 use crate::validation::{CaptureReport, Warning};
 

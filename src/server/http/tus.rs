@@ -26,9 +26,9 @@ use super::paths::UPLOADS;
 use super::problem::Problem;
 use super::upload::to_its_end;
 use crate::app::App;
-use crate::janitor::remove;
+use crate::files::remove;
+use crate::files::upload_locks::UploadLock;
 use crate::store::UploadRow;
-use crate::upload_locks::UploadLock;
 
 /// What of the protocol there is besides its core.
 const EXTENSIONS: &str = "creation,creation-with-upload,expiration,termination";

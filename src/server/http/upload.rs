@@ -27,8 +27,8 @@ use super::problem::{Problem, too_large};
 use super::quota::over_quota;
 use crate::app::App;
 use crate::error::ServerError;
-use crate::incoming::Incoming;
-use crate::upload_locks::UploadLock;
+use crate::files::incoming::Incoming;
+use crate::files::upload_locks::UploadLock;
 
 pub use budget::check_space;
 pub use gather::gather;

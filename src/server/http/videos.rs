@@ -21,10 +21,10 @@ use super::shapes::time;
 use super::upload;
 use crate::app::App;
 use crate::error::ServerError;
-use crate::janitor::remove;
-use crate::jobs::state::JobState;
-use crate::jobs::worker::is_installed;
+use crate::files::remove;
+use crate::store::state::JobState;
 use crate::store::{VideoCreation, VideoRoom, VideoRow};
+use crate::worker::is_installed;
 
 /// After so many seconds one of those that wait may have been made.
 const RETRY: u32 = 60;

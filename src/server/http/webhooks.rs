@@ -15,9 +15,9 @@ use super::extract::Json;
 use super::problem::Problem;
 use super::shapes::time;
 use crate::app::App;
-use crate::egress::check_url;
 use crate::store::{DeliveryRow, TokenRow, WebhookRow};
 use crate::token::{Scope, new_id};
+use crate::webhooks::egress::check_url;
 use crate::webhooks::{Secret, TYPES, USUAL, secret_text};
 
 /// Maximum webhooks of an owner.

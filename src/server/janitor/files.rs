@@ -8,12 +8,9 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use super::{Gone, Janitor, Name, Rule};
-use crate::data::bytes_below;
 use crate::error::{Result, ServerError};
-
-/// Attempts to delete a folder that may still be written to: the processes of an earlier server end
-/// with it, but a moment later, as does a write of a client that hangs up.
-const ATTEMPTS: u32 = 5;
+use crate::files::data::bytes_below;
+use crate::files::delete;
 
 impl Janitor<'_> {
     /// Returns the paths that a file rule removes.
@@ -168,26 +165,6 @@ fn move_aside(path: &Path, aside: &Path) -> io::Result<()> {
          uploaded again from here"
     );
     Ok(())
-}
-
-/// Removes a file or a folder, if it is there.
-///
-/// # Errors
-/// When the file system refuses.
-pub fn delete(path: &Path) -> io::Result<()> {
-    let mut attempts = 1..ATTEMPTS;
-    loop {
-        let deleted = fs::symlink_metadata(path).and_then(|about| match about.is_dir() {
-            true => fs::remove_dir_all(path),
-            false => fs::remove_file(path),
-        });
-        match deleted {
-            Err(error) if error.kind() == ErrorKind::NotFound => return Ok(()),
-            Err(error)
-                if error.kind() == ErrorKind::DirectoryNotEmpty && attempts.next().is_some() => {}
-            deleted => return deleted,
-        }
-    }
 }
 
 /// Bytes freed by its removal: none for a file that has another hard link or is gone.

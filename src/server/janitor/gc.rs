@@ -8,8 +8,8 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use super::{Janitor, PERIOD};
-use crate::data::DataDir;
 use crate::error::{Result, ServerError};
+use crate::files::data::DataDir;
 use crate::store::Store;
 
 /// Options of [`gc`].

@@ -8,7 +8,7 @@ use sqlx::Row;
 
 use super::{Engine, Store, engine, events};
 use crate::error::Result;
-use crate::jobs::state::JobState;
+use crate::store::state::JobState;
 
 /// A job's epoch and whether it is over: as long as both are unchanged, so are its files.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -8,7 +8,7 @@ use super::engine::{Cells, Tx};
 use super::events;
 use super::jobs::JobError;
 use crate::error::{Result, ServerError};
-use crate::jobs::state::{JobState, Transition};
+use crate::store::state::{JobState, Transition};
 
 /// Stands for an unknown time, speed or fraction.
 const UNKNOWN: f64 = -1.0;

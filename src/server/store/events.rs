@@ -6,7 +6,7 @@ use sqlx::Row;
 use super::notifier::Change;
 use super::{Store, Tx, outbox};
 use crate::error::{Result, ServerError};
-use crate::jobs::state::JobState;
+use crate::store::state::JobState;
 
 /// One event.
 #[derive(Clone, Debug, PartialEq)]

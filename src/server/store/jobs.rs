@@ -10,7 +10,7 @@ use super::notifier::Change;
 use super::results::{StageSeconds, WarningRow, stages_of, warnings_of};
 use super::{Store, Tx, events};
 use crate::error::{Result, ServerError};
-use crate::jobs::state::{JobState, Transition};
+use crate::store::state::{JobState, Transition};
 
 /// A job to be created.
 #[derive(Clone, Debug)]

@@ -10,7 +10,7 @@ use super::engine::{Cells, Tx};
 use super::jobs::{JobRow, from_row};
 use super::{Engine, Store, events};
 use crate::error::{Result, ServerError};
-use crate::jobs::state::{JobState, Transition};
+use crate::store::state::{JobState, Transition};
 
 /// The right to write to a running job.
 #[derive(Clone, Debug, PartialEq, Eq)]

@@ -13,7 +13,7 @@ use super::jobs::read;
 use super::lease::Lease;
 use super::{Engine, Store, events, files};
 use crate::error::{Result, ServerError};
-use crate::jobs::state::JobState;
+use crate::store::state::JobState;
 
 /// How long to retry while the database is away: no longer than a worker may run without contact.
 const PATIENCE: Duration = Duration::from_secs(20);

@@ -4,8 +4,35 @@ use std::time::Duration;
 
 use super::Store;
 use super::notifier::Change;
-use crate::config::Retention;
 use crate::error::Result;
+
+/// Rules of automatic deletion; off by default.
+#[derive(Clone, Copy, Debug)]
+pub struct Retention {
+    /// Age after which finished jobs, and captures without jobs, are deleted.
+    pub age: Option<Duration>,
+    /// Number of newest finished jobs kept per owner.
+    pub jobs: Option<u32>,
+    /// How long before its deletion something is marked.
+    pub notice: Duration,
+}
+
+impl Retention {
+    /// Returns whether everything is kept.
+    pub fn is_off(&self) -> bool {
+        self.age.is_none() && self.jobs.is_none()
+    }
+}
+
+impl Default for Retention {
+    fn default() -> Self {
+        Self {
+            age: None,
+            jobs: None,
+            notice: Duration::from_secs(7 * 24 * 3600),
+        }
+    }
+}
 
 /// Ids of deleted jobs and captures.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]

@@ -4,7 +4,7 @@ use super::jobs::change;
 use super::room::{Full, Room, full};
 use super::{Store, Tx};
 use crate::error::Result;
-use crate::jobs::state::Transition;
+use crate::store::state::Transition;
 use serde_json::Value;
 
 /// Outcome of a request to queue a job again.

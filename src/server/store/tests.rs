@@ -10,7 +10,7 @@ use serde_json::json;
 use super::engine::CONNECTIONS;
 use super::*;
 use crate::error::ServerError;
-use crate::jobs::state::{JobState, Transition};
+use crate::store::state::{JobState, Transition};
 
 /// A database file, and the guard that removes it.
 pub(crate) async fn in_a_file() -> (tempfile::TempDir, Store) {

@@ -9,7 +9,7 @@ use super::jobs::{JobRow, from_row};
 use super::notifier::Change;
 use super::{Store, events};
 use crate::error::Result;
-use crate::jobs::state::JobState;
+use crate::store::state::JobState;
 
 /// A stored video.
 #[derive(Clone, Debug, PartialEq)]

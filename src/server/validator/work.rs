@@ -9,7 +9,7 @@ use fled_core::capture::{DecodeBudget, Look, Watch};
 use rustix::process::{Resource, Rlimit, setrlimit};
 
 use super::words::{AssessReply, AssessRequest, Filming, VideoFault, VideoFaultKind};
-use crate::jobs::parent_death::guarded;
+use crate::process::parent_death::guarded;
 use crate::validation::{self, CaptureReport};
 
 /// Validates the upload and prints replies on standard output; `answers` come from the service.

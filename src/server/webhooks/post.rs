@@ -5,7 +5,7 @@ use std::time::Duration;
 use tokio::sync::oneshot;
 
 use super::sign::Signed;
-use crate::egress::{agent, reason};
+use crate::webhooks::egress::{agent, reason};
 
 /// How long an endpoint may take to answer.
 const PATIENCE: Duration = Duration::from_secs(15);

@@ -12,13 +12,13 @@ use super::fields::{CONCAT, DEFER_LENGTH, LENGTH, bad, is_piece, number, other_t
 use super::metadata::Metadata;
 use super::piece::{self, Piece, Stands, life};
 use crate::app::App;
-use crate::data::sync_directory;
 use crate::error::ServerError;
+use crate::files::data::sync_directory;
+use crate::files::remove;
 use crate::http::access::Visitor;
 use crate::http::problem::{Problem, disk_full, too_large};
 use crate::http::quota::{bytes_left, over_quota};
 use crate::http::upload::to_its_end;
-use crate::janitor::remove;
 use crate::store::UploadRow;
 
 /// After so many seconds there may be room for one more.

@@ -9,9 +9,9 @@ use tokio::io::AsyncWriteExt;
 use super::file;
 use crate::app::App;
 use crate::error::ServerError;
+use crate::files::upload_locks::UploadLock;
 use crate::http::problem::{Problem, disk_full, too_large};
 use crate::store::UploadRow;
-use crate::upload_locks::UploadLock;
 
 /// Between two looks at the free space of the disk, bytes.
 const LOOK_AT_DISK: u64 = 32 << 20;

@@ -12,12 +12,12 @@ use super::places::Places;
 use super::{Upload, Used, check_name};
 use crate::app::App;
 use crate::error::ServerError;
+use crate::files::upload_locks::UploadLock;
 use crate::http::access::Visitor;
 use crate::http::problem::{Problem, disk_full, too_large};
 use crate::http::quota::bytes_left_beside;
 use crate::http::tus::lock;
 use crate::store::UploadRow;
-use crate::upload_locks::UploadLock;
 
 /// Gathers finished uploads of the visitor's own, each under its file name, for a capture with
 /// these text fields. They stay as they are until the capture is kept, and until then nobody else

@@ -8,14 +8,14 @@ use uuid::Uuid;
 
 use super::Upload;
 use crate::app::App;
-use crate::data::{bytes_below, sync_directory};
 use crate::error::ServerError;
+use crate::files::data::{bytes_below, sync_directory};
+use crate::files::remove;
+use crate::files::upload_locks::UploadLock;
 use crate::http::access::Visitor;
 use crate::http::problem::Problem;
 use crate::http::quota::{bytes_left_beside, over_quota};
-use crate::janitor::remove;
 use crate::store::CaptureRow;
-use crate::upload_locks::UploadLock;
 use crate::validation::CaptureReport;
 
 /// An upload whose files lie where those of captures lie, and whose row is still to be stored.

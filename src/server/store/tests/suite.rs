@@ -241,7 +241,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(24))]
     #[test]
     fn the_database_follows_the_state_machine(
-        transitions in proptest::collection::vec(crate::jobs::state::any_transition(), 1..16),
+        transitions in proptest::collection::vec(state::any_transition(), 1..16),
     ) {
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().expect("runtime");
         runtime.block_on(async {

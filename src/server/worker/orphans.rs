@@ -8,7 +8,7 @@ use std::path::Path;
 
 use rustix::process::{Pid, Signal, kill_process};
 
-use super::process::JOB_VARIABLE;
+use crate::process::JOB_VARIABLE;
 
 /// Kills every process marked with one of `jobs`. Returns how many.
 pub fn kill_orphans(jobs: &[String]) -> usize {

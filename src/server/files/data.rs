@@ -194,11 +194,6 @@ impl DataDir {
     }
 }
 
-/// Returns whether it is an id in the service's format, and not a path.
-pub fn is_id(text: &str) -> bool {
-    uuid::Uuid::try_parse(text).is_ok_and(|parsed| parsed.to_string() == text)
-}
-
 /// Writes a file so that after a crash either the old or the new content exists.
 ///
 /// # Errors

@@ -9,7 +9,7 @@ use std::process::{Command, ExitCode};
 
 use rustix::process::{Signal, getppid, set_parent_process_death_signal};
 
-use super::process::PARENT_VARIABLE;
+use super::PARENT_VARIABLE;
 
 /// The subcommand that makes this program become another one: see [`become_guarded`].
 pub const GUARD: &str = "guard";

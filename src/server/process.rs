@@ -1,5 +1,7 @@
 //! Child processes in groups of their own, read line by line.
 
+pub mod parent_death;
+
 use std::ffi::OsString;
 use std::io;
 use std::process::{ExitStatus, Stdio};

@@ -1,16 +1,35 @@
 //! Readiness of the machine: database, disk, and the checks of a child process on the adapter,
 //! COLMAP, ONNX Runtime and the models.
 
-mod check;
-
 use std::time::{Duration, Instant};
 
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
 
-use crate::app::App;
-use crate::jobs::process::{Group, Line};
+use super::App;
+use crate::process::{Group, Line};
 use crate::redaction::without_paths;
-pub use check::{Check, Remembered};
+
+/// One check of the server.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+pub struct Check {
+    /// Name: `database`, `disk`, `adapter`, `colmap`, `onnxruntime`, `models` and so on.
+    pub name: String,
+    /// Whether the check passed.
+    pub ok: bool,
+    /// What was found.
+    pub detail: String,
+    /// What to do if it failed.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub hint: String,
+}
+
+/// Cached results and their time.
+#[derive(Clone, Debug)]
+pub struct Remembered {
+    at: Instant,
+    checks: Vec<Check>,
+}
 
 /// How long the result of the child process is cached.
 const BELIEVED: Duration = Duration::from_secs(60);

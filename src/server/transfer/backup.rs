@@ -10,8 +10,8 @@ use std::fs::{self, File};
 use std::io;
 use std::path::Path;
 
-use crate::data::sync_directories;
 use crate::error::{Result, ServerError};
+use crate::files::data::sync_directories;
 use crate::store::{Attempted, Store};
 
 /// What at the top of a job's folder is not copied: novel views are made again when wanted, and

@@ -1,4 +1,10 @@
-//! Workers, each of which runs one job at a time.
+//! Workers, each of which runs one job at a time as a child process.
+
+mod attempt;
+mod heartbeat;
+pub mod log;
+mod orphans;
+mod words;
 
 use std::path::Path;
 use std::sync::Arc;
@@ -7,12 +13,14 @@ use std::time::Duration;
 use fled_core::pipeline::error::ErrorKind;
 use tokio::sync::Notify;
 
-use super::{after_death, attempt};
 use crate::app::App;
+use crate::config::Limits;
 use crate::error::{Result, ServerError};
 use crate::failpoint::Failpoint;
-use crate::janitor::remove;
+use crate::files::remove;
 use crate::store::{Claim, Engine, JobError, JobKind, Machine, Settlement};
+
+pub use orphans::kill_orphans;
 
 /// How often an idle worker polls a database file for due retries.
 const IDLE: Duration = Duration::from_millis(500);
@@ -214,4 +222,25 @@ async fn io_failure(app: &App, claim: &Claim, error: &ServerError) -> Result<Set
         retry_in_ms: retry.then_some(wait),
         failures,
     })
+}
+
+/// Settles a job whose server has died this many times in a row without progress. Running out of
+/// memory kills the server along with the job, so such a job must not restart forever.
+pub fn after_death(limits: &Limits, deaths: u32) -> Settlement {
+    let again = deaths < limits.deaths_without_progress;
+    // Immediately after the first death, as after a manual restart.
+    let wait = match deaths {
+        0 | 1 => 0,
+        _ => limits.retry_wait_ms(ErrorKind::Internal, deaths - 1),
+    };
+    Settlement::Failed {
+        error: JobError {
+            code: ErrorKind::Internal.name().to_owned(),
+            detail: format!("the server died {deaths} times without progress while this job ran"),
+            hint: "Memory may have run out. Try a smaller `size` or `cap`, or another machine."
+                .to_owned(),
+        },
+        retry_in_ms: again.then_some(wait),
+        failures: deaths,
+    }
 }

@@ -14,10 +14,10 @@ use std::{fs, io};
 use fled_blobs::{Blobs, Kept, pull, push};
 
 use crate::app::App;
-use crate::blob_cache::Copy;
 use crate::error::{Result, ServerError};
 use crate::failpoint::Failpoint;
-use crate::janitor::remove;
+use crate::files::blob_cache::Copy;
+use crate::files::remove;
 use crate::store::{Claim, Lease, by_path};
 
 /// Scans of a changing folder until one is consistent.

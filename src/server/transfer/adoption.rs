@@ -7,8 +7,8 @@ use std::path::Path;
 
 use serde_json::Value;
 
-use crate::data::{DataDir, sync_directory};
 use crate::error::{Result, ServerError};
+use crate::files::data::{DataDir, sync_directory};
 use crate::store::Store;
 
 /// Adopts every such video of this directory. What an interruption leaves is for the next start.
@@ -69,8 +69,8 @@ mod tests {
 
     use super::*;
     use crate::config::ServeConfig;
-    use crate::jobs::state::JobState;
     use crate::serve::Server;
+    use crate::store::state::JobState;
     use crate::store::tests::{create, keep_capture};
 
     #[tokio::test]

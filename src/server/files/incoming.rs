@@ -8,7 +8,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use uuid::Uuid;
 
-use crate::janitor::delete;
+use crate::files::delete;
 
 /// The uploads in progress.
 #[derive(Clone, Debug, Default)]

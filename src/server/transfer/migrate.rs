@@ -6,14 +6,14 @@ use std::path::Path;
 
 use fled_blobs::{Blobs, Kept, Seen, push};
 
-use crate::adoption::adopt_videos;
 use crate::config::Limits;
-use crate::copies::is_kept;
-use crate::data::DataDir;
 use crate::error::{Result, ServerError};
+use crate::files::data::DataDir;
 use crate::janitor::claim;
-use crate::jobs::{after_death, kill_orphans};
+use crate::sharing::is_kept;
 use crate::store::Store;
+use crate::transfer::adoption::adopt_videos;
+use crate::worker::{after_death, kill_orphans};
 
 /// Totals of a migration.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

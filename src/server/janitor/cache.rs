@@ -3,10 +3,10 @@
 use std::fs;
 use std::time::{Duration, SystemTime};
 
-use super::remove;
 use crate::app::App;
-use crate::blob_cache::Copy;
 use crate::error::{Result, ServerError};
+use crate::files::blob_cache::Copy;
+use crate::files::remove;
 
 /// Removes cached jobs and captures that have been unused for `age`. Returns how many.
 ///
@@ -40,9 +40,9 @@ pub(super) async fn remove_unused(app: &App, age: Duration) -> Result<usize> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::blob_cache::BlobCache;
     use crate::config::ServeConfig;
-    use crate::data::DataDir;
+    use crate::files::blob_cache::BlobCache;
+    use crate::files::data::DataDir;
     use crate::store::{Lease, Store};
 
     #[tokio::test]

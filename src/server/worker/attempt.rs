@@ -14,15 +14,15 @@ use tokio::time::{Instant, Interval, MissedTickBehavior, interval, sleep_until};
 
 use super::heartbeat::{Heartbeat, Pulse};
 use super::log::LogWriter;
-use super::process::{Group, Happening, JOB_VARIABLE, Line};
 use super::words::{closing_line, is_milestone, is_seen, readable};
 use crate::app::App;
-use crate::copies;
-use crate::data::{sync_directories, write_atomically};
 use crate::error::{Result, ServerError};
 use crate::failpoint::Failpoint;
-use crate::janitor::remove;
+use crate::files::data::{sync_directories, write_atomically};
+use crate::files::remove;
+use crate::process::{Group, Happening, JOB_VARIABLE, Line};
 use crate::redaction::without_paths;
+use crate::sharing;
 use crate::store::{Claim, JobError, JobRow, Lease, Progress, Settlement};
 use crate::validation;
 
@@ -116,7 +116,7 @@ pub(super) async fn run(app: &App, claim: &Claim, cancel: Arc<Notify>) -> Result
         remove(app.data.output(id).root()).await;
     }
     remove_live_picture(app, id).await;
-    copies::publish(app, lease, true).await?;
+    sharing::publish(app, lease, true).await?;
     app.pass(Failpoint::Published);
     Ok(settlement)
 }
@@ -169,7 +169,7 @@ fn prepare_process<'a>(app: &'a App, job: &JobRow) -> Result<(&'a [OsString], Ve
 /// is whole, and nothing is made yet.
 async fn is_prepared(app: &App, claim: &Claim) -> Result<bool> {
     tokio::select! {
-        prepared = copies::prepare_job(app, claim) => prepared.map(|()| true),
+        prepared = sharing::prepare_job(app, claim) => prepared.map(|()| true),
         () = app.shutdown.cancelled() => Ok(false),
     }
 }
@@ -371,7 +371,7 @@ impl Attempt<'_> {
             // Nobody goes on with half a video.
             return Ok(());
         }
-        match copies::publish(self.app, &self.lease, false).await {
+        match sharing::publish(self.app, &self.lease, false).await {
             Err(ServerError::LeaseLost(job)) => Err(ServerError::LeaseLost(job)),
             Err(error) => {
                 tracing::warn!(%error, job = self.lease.job, "the job's files are published later");

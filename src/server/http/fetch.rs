@@ -10,7 +10,7 @@ use axum::response::{IntoResponse, Response};
 use super::paths::{EXPORT, EXPORTS, VIDEO_FILE, VIDEOS};
 use super::problem::Problem;
 use crate::app::App;
-use crate::copies::fetch_job;
+use crate::sharing::fetch_job;
 
 /// What is read from the files of a job.
 const OF_FILES: [&str; 10] = [
