@@ -203,8 +203,8 @@ pub struct Report {
     pub models: BTreeMap<String, String>,
     /// Substitutes for requested tools, and the reasons.
     pub fallbacks: Vec<String>,
-    /// Facts of the poses: source, strategy, points, reprojection error, mean track, and the verdict
-    /// on the pose of every photograph.
+    /// Facts of the poses: source, strategy, points, reprojection error, mean track, and
+    /// the verdict on the pose of every photograph.
     pub poses: BTreeMap<String, serde_json::Value>,
     /// Added to x, y and z of the PLY files it gives positions in the world of the poses; too large
     /// for `f32`. Absent where it is zero.
