@@ -95,11 +95,7 @@ impl Finished {
     /// The error that this end amounts to.
     pub fn failure(&self, command: &str) -> PosesError {
         let text = self.text();
-        let lines: Vec<&str> = text
-            .lines()
-            .map(str::trim)
-            .filter(|line| !line.is_empty())
-            .collect();
+        let lines: Vec<&str> = text.lines().filter_map(message).collect();
         let tail = lines[lines.len().saturating_sub(5)..].join(" | ");
         let tail = if tail.is_empty() {
             "it gave no message".to_owned()
@@ -269,6 +265,20 @@ impl Runner {
     }
 }
 
+/// What a line of output says, without what the glog library writes before it; `None` for an empty
+/// line and for those of a stack trace.
+fn message(line: &str) -> Option<&str> {
+    let line = line.trim();
+    let is_trace = line.is_empty() || line.starts_with("@ ") || line.starts_with("***");
+    let is_logged = line.starts_with(['I', 'W', 'E', 'F'])
+        && line[1..].starts_with(|c: char| c.is_ascii_digit());
+    match line.split_once("] ") {
+        _ if is_trace => None,
+        Some((_, said)) if is_logged => Some(said),
+        _ => Some(line),
+    }
+}
+
 fn keep(tail: &mut VecDeque<u8>, bytes: &[u8]) {
     tail.extend(bytes);
     let excess = tail.len().saturating_sub(TAIL_BYTES);
@@ -292,4 +302,18 @@ fn read_output(child: &mut dyn ChildWrapper) -> Receiver<Vec<u8>> {
     forward(child.stdout().take(), sender.clone());
     forward(child.stderr().take(), sender);
     receiver
+}
+
+#[cfg(test)]
+mod tests {
+    use super::message;
+
+    #[test]
+    fn stack_traces_and_log_prefixes_are_left_out_of_errors() {
+        let text = "F0503 12:00:00.000000  77 sift.cc:12] Check failed: size > 0\n\
+                    *** Check failure stack trace: ***\n    @     0x7f00 google::LogMessage::Fail()\n\n\
+                    [mapper] Images: 3";
+        let said: Vec<&str> = text.lines().filter_map(message).collect();
+        assert_eq!(said, ["Check failed: size > 0", "[mapper] Images: 3"]);
+    }
 }

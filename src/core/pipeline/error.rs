@@ -1,5 +1,6 @@
 //! Errors that end a run, classified by what the caller should do.
 
+use std::io;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
@@ -94,14 +95,14 @@ impl ErrorKind {
             }
             Self::OomHost => "Close other programs or choose a smaller `size`.",
             Self::OomGpu => "Choose a smaller `size` or `cap`, or another `adapter`.",
-            Self::DeviceLost => "The GPU driver was reset. Repeat the command to continue.",
-            Self::Io => {
-                "Check the free disk space and the folder's permissions, then repeat the command."
-            }
-            Self::Timeout => "The machine may be overloaded. Repeat the command to continue.",
+            Self::DeviceLost => "The GPU driver was reset. Try again: finished stages are kept.",
+            Self::Io => "Check the free disk space and the folder's permissions, then try again.",
+            Self::Timeout => "The machine may be overloaded. Try again: finished stages are kept.",
             Self::Environment => "Run `fled doctor` to see what is missing and how to get it.",
-            Self::Cancelled => "Repeat the command to continue where it stopped.",
-            Self::Internal => "Please report this with log.txt. Repeat the command to continue.",
+            Self::Cancelled => "Start it again to continue where it stopped.",
+            Self::Internal => {
+                "Please report this with log.txt. Try again: finished stages are kept."
+            }
         }
     }
 
@@ -158,17 +159,14 @@ pub enum PipelineError {
     Ply(#[from] PlyError),
     /// Reading or writing the workspace failed.
     #[error("{}: {source}", path.display())]
-    Io {
-        path: PathBuf,
-        source: std::io::Error,
-    },
+    Io { path: PathBuf, source: io::Error },
     /// The caller cancelled the run.
     #[error(transparent)]
     Cancelled(#[from] Cancelled),
 }
 
 impl PipelineError {
-    pub fn io(path: &Path, source: std::io::Error) -> Self {
+    pub fn io(path: &Path, source: io::Error) -> Self {
         Self::Io {
             path: path.to_owned(),
             source,
@@ -199,13 +197,24 @@ impl PipelineError {
             }
             Self::Poses(PosesError::TooFew { advice, .. }) => advice.clone(),
             Self::Capture(error) => error.hint().to_owned(),
-            Self::Io { .. } => {
-                "Check that the disk is not full and that the folder is writable, then repeat the \
-                                command to continue."
-                    .to_owned()
-            }
+            Self::Io { source, .. } => io_hint(source.kind()).to_owned(),
             other => other.kind().hint().to_owned(),
         }
+    }
+}
+
+fn io_hint(kind: io::ErrorKind) -> &'static str {
+    match kind {
+        io::ErrorKind::NotFound => {
+            "Something removed the file while it was needed. Start again with a new output folder."
+        }
+        io::ErrorKind::PermissionDenied | io::ErrorKind::ReadOnlyFilesystem => {
+            "Make the folder writable for this user, then try again."
+        }
+        io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => {
+            "Free some disk space, then try again."
+        }
+        _ => ErrorKind::Io.hint(),
     }
 }
 
