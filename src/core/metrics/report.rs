@@ -106,6 +106,9 @@ pub struct RoundMetrics {
     pub steps: u64,
     /// Training steps per second.
     pub steps_per_second: f64,
+    /// Seconds of training between the steps, in the process that ended it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub between: Option<BetweenSteps>,
     /// Mean scores over the views of a split.
     pub records: Vec<Record>,
     /// Scores of every photograph of the capture; empty in reports of earlier versions.
@@ -149,6 +152,34 @@ pub struct RoundMetrics {
     pub score: Option<f64>,
     /// Whether the round was judged worse than the previous one.
     pub worse_than_previous: bool,
+}
+
+/// Wall seconds that training spends between its steps.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct BetweenSteps {
+    /// Solving for the kernels of the shake.
+    pub kernels: f64,
+    /// Correcting the cameras.
+    pub cameras: f64,
+    /// Moving and adding Gaussians.
+    pub growth: f64,
+    /// Showing the scene in training and scoring held-out views.
+    pub pictures: f64,
+    /// Saving checkpoints.
+    pub checkpoints: f64,
+}
+
+impl BetweenSteps {
+    /// Every part with its name.
+    pub fn parts(&self) -> [(&'static str, f64); 5] {
+        [
+            ("kernels", self.kernels),
+            ("cameras", self.cameras),
+            ("growth", self.growth),
+            ("pictures", self.pictures),
+            ("checkpoints", self.checkpoints),
+        ]
+    }
 }
 
 /// Statistics of the learnt noise field.

@@ -142,6 +142,7 @@ fn measure(
         gaussians: scene.gaussians.len() as u64,
         steps: training.steps,
         steps_per_second: training.steps_per_second,
+        between: training.between,
         sharpness: means(images, metrics::sharpness),
         mean_brightness: mean(images.enhanced, metrics::mean_v),
         clipped: mean(images.enhanced, metrics::clipped_share),

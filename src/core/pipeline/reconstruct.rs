@@ -21,7 +21,7 @@ use crate::camera::{Camera, Split};
 use crate::event::{Event, Stage};
 use crate::gaussians::{Gaussians, ply};
 use crate::image::Image;
-use crate::metrics::report::NoiseMapStatistics;
+use crate::metrics::report::{BetweenSteps, NoiseMapStatistics};
 use crate::poses::Poses;
 use crate::reconstruct::{
     self, Checkpoint, Look, Registration, Response, Seen, TrainConfig, TrainHooks, TrainStart,
@@ -47,6 +47,9 @@ pub struct Training {
     pub steps: u64,
     /// Mean over the round.
     pub steps_per_second: f64,
+    /// Seconds between the steps.
+    #[serde(default)]
+    pub between: Option<BetweenSteps>,
     /// Gradients dropped because they were not finite.
     pub non_finite_gradients: u64,
     /// Statistics of the learnt noise field.
@@ -343,6 +346,7 @@ fn with_cameras(
     let training = Training {
         steps: trained.steps,
         steps_per_second: trained.steps as f64 / seconds,
+        between: Some(trained.between),
         non_finite_gradients: trained.non_finite_gradients,
         noise: trained.noise,
         kernels: trained.kernels,

@@ -2,7 +2,7 @@
 
 use crate::camera::Camera;
 use crate::gaussians::Gaussians;
-use crate::metrics::report::NoiseMapStatistics;
+use crate::metrics::report::{BetweenSteps, NoiseMapStatistics};
 
 /// A trained round.
 #[derive(Clone, Debug)]
@@ -13,6 +13,8 @@ pub struct Trained {
     pub steps: u64,
     /// Wall seconds of training in all processes, as recorded in checkpoints.
     pub seconds: f64,
+    /// Seconds between the steps, in this process.
+    pub between: BetweenSteps,
     /// Gradients dropped because they were not finite.
     pub non_finite_gradients: u64,
     /// Statistics of the learnt noise field; `None` without one.

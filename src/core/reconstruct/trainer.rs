@@ -21,7 +21,7 @@ use super::{
     TrainingView,
 };
 use crate::cancel::Cancelled;
-use crate::metrics::report::NoiseMapStatistics;
+use crate::metrics::report::{BetweenSteps, NoiseMapStatistics};
 use crate::noise::{NoiseField, NoiseMode};
 use crate::splat::rasterize::{Backward, Specialisation};
 use flight::Flight;
@@ -59,6 +59,8 @@ pub(super) struct Trainer<'a> {
     last_view: usize,
     /// Wall seconds of training in earlier processes.
     seconds_before: f64,
+    /// Wall seconds between the steps, in this process.
+    seconds_between: BetweenSteps,
     /// Start of training in this process.
     begun: Instant,
     checkpoint_every: Duration,
@@ -104,6 +106,7 @@ impl<'a> Trainer<'a> {
             start_count: gaussians.len(),
             last_view: 0,
             seconds_before: 0.0,
+            seconds_between: BetweenSteps::default(),
             begun: Instant::now(),
             checkpoint_every: CHECKPOINT_EVERY,
             progress_every: PROGRESS_EVERY,
@@ -148,12 +151,18 @@ impl<'a> Trainer<'a> {
                     if is_asked {
                         return Err(self.stop(hooks, &kept)?.into());
                     }
-                    if end {
-                        return self.look(first, hooks);
+                    let begun = Instant::now();
+                    if !end {
+                        self.show(first, hooks)?;
                     }
-                    self.show(first, hooks)?;
                     self.look(first, hooks)?;
+                    self.seconds_between.pictures += begun.elapsed().as_secs_f64();
+                    if end {
+                        return Ok(());
+                    }
+                    let begun = Instant::now();
                     self.offer_checkpoint(hooks, &mut kept)?;
+                    self.seconds_between.checkpoints += begun.elapsed().as_secs_f64();
                     self.prepare_or_stop(hooks, &kept)?;
                 }
             } else if is_asked && flight.is_done()? {
@@ -224,6 +233,7 @@ impl<'a> Trainer<'a> {
             gaussians: self.model.pass.gaussians.download()?.without_unusable(),
             steps: u64::from(self.config.steps),
             seconds: self.seconds(),
+            between: self.seconds_between,
             non_finite_gradients: u64::from(self.optimizer.counters.read()?[0]),
             noise: mean_statistics(&self.noise_seen),
             shake_px: self.model.mean_spread(),

@@ -9,6 +9,7 @@ use super::measure::{Measured, Profiled, median};
 use super::options::BenchOptions;
 use super::roofline::Peak;
 use fled_core::metrics;
+use fled_core::metrics::report::BetweenSteps;
 use fled_core::noise::NoiseMode;
 
 /// Version of the JSON schema.
@@ -133,6 +134,8 @@ pub struct JobTimes {
     pub gaussians: u64,
     /// Training steps per second in the last round.
     pub steps_per_second: f64,
+    /// Wall seconds of training between the steps, by round.
+    pub between: Vec<BetweenSteps>,
     /// Wall seconds by stage, as in `metrics.json`.
     pub stages: BTreeMap<String, f64>,
     /// Wall seconds of the job.
@@ -243,6 +246,11 @@ impl JobTimes {
             steps: report.rounds.iter().map(|round| round.steps).sum(),
             gaussians: last.map_or(0, |round| round.gaussians),
             steps_per_second: last.map_or(0.0, |round| round.steps_per_second),
+            between: report
+                .rounds
+                .iter()
+                .filter_map(|round| round.between)
+                .collect(),
             stages: report.stages.clone(),
             seconds,
             gpu_peak_bytes,

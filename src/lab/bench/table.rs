@@ -139,6 +139,18 @@ fn job_lines(job: &JobTimes) -> String {
             ),
         );
     }
+    for (round, between) in (1..).zip(&job.between) {
+        for (part, seconds) in between.parts() {
+            let name = format!("round {round}, {part} between steps");
+            line(
+                &mut out,
+                format_args!(
+                    "  {name:<34}{seconds:>10.2} s{:>8.1} %",
+                    100.0 * seconds / job.seconds
+                ),
+            );
+        }
+    }
     out
 }
 

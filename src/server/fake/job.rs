@@ -430,6 +430,7 @@ fn metrics(round: u32, has_truth: bool) -> RoundMetrics {
         gaussians: 10_000,
         steps: 1_000,
         steps_per_second: 25.0,
+        between: None,
         records,
         views: Vec::new(),
         noise_sigma: BTreeMap::from([("render".to_owned(), 0.01)]),

@@ -1,5 +1,7 @@
 //! The work between steps.
 
+use std::time::Instant;
+
 use fled_gpu::GpuError;
 
 use super::Trainer;
@@ -54,15 +56,21 @@ impl Trainer<'_> {
         }
         let degree = self.schedule.degree(step);
         if self.estimates_shake(step) {
+            let begun = Instant::now();
             self.model.estimate_shake(degree, cancel)?;
+            self.seconds_between.kernels += begun.elapsed().as_secs_f64();
         }
         if self.refines_poses(step)
             && let Some(depth) = self.config.refine_poses
         {
+            let begun = Instant::now();
             self.model.refine_poses(depth, degree, cancel)?;
+            self.seconds_between.cameras += begun.elapsed().as_secs_f64();
         }
         if self.densifies(step) {
+            let begun = Instant::now();
             self.densify(step)?;
+            self.seconds_between.growth += begun.elapsed().as_secs_f64();
         }
         Ok(())
     }
