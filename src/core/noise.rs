@@ -31,9 +31,7 @@
 
 mod buffers;
 mod inspection;
-mod intersection_limit;
 mod kernels;
-mod mode;
 mod network;
 pub mod reference;
 mod state;
@@ -41,15 +39,36 @@ mod state;
 use std::ops::Range;
 
 use fled_gpu::{Buffer, DeviceType, Gpu, GpuError, Recorder};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
 
 use crate::camera::Camera;
 use buffers::Buffers;
 pub use inspection::{CORRELATION_LIMIT, Inspection, LEAST_GUARDED_SPREAD};
-pub use intersection_limit::IntersectionLimit;
 use kernels::{AdamUniform, ChunkUniform, NoiseUniform};
-pub use mode::NoiseMode;
 use network::{LAYERS, Network};
 pub use state::StateError;
+
+/// The noise field of a round.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum NoiseMode {
+    /// Positive noise at every pixel, as in the paper.
+    Paper,
+    /// No noise field.
+    Off,
+}
+
+/// The place of the step's count of intersections, and the room for them. A step that was blended
+/// from only a part of them does not update the field.
+pub struct IntersectionLimit<'a> {
+    /// Counters of the step.
+    pub counters: &'a Buffer<u32>,
+    /// Index of the count of intersections among them.
+    pub total_at: u32,
+    /// Largest count that fits.
+    pub capacity: u32,
+}
 
 /// Upper bound of the noise.
 const AMPLITUDE: f32 = 0.1;

@@ -8,7 +8,6 @@ mod config;
 pub mod densify;
 mod error;
 mod forward_model;
-mod hooks;
 pub mod initialise;
 mod level;
 mod look;
@@ -16,11 +15,9 @@ pub mod loss;
 mod observed;
 pub mod optimizer;
 mod registration;
+mod round;
 pub mod schedule;
-mod start;
-mod trained;
 mod trainer;
-mod training_view;
 
 use fled_gpu::Gpu;
 
@@ -28,15 +25,15 @@ pub use crate::shake::Response;
 pub use checkpoint::{Checkpoint, CheckpointError};
 pub use config::{Background, Densify, TrainConfig};
 pub use error::ReconstructError;
-pub use hooks::{CheckpointHook, LookHook, ProgressHook, Seen, SeenHook, TrainHooks};
 pub use initialise::{Point, initialise, scene_depth, scene_extent};
 pub use look::Look;
 pub use registration::Registration;
+pub use round::{
+    CheckpointHook, LookHook, ProgressHook, Seen, SeenHook, TrainHooks, TrainStart, Trained,
+    TrainingView,
+};
 pub use schedule::Schedule;
-pub use start::TrainStart;
-pub use trained::Trained;
 pub use trainer::Stepper;
-pub use training_view::TrainingView;
 
 /// Trains one round.
 ///

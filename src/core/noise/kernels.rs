@@ -5,7 +5,7 @@ use std::ops::Range;
 use bytemuck::{Pod, Zeroable};
 use fled_gpu::{Binding, Kernel, read, read_write, uniform};
 
-use super::intersection_limit::IntersectionLimit;
+use super::IntersectionLimit;
 use super::network::{Layer, OCTAVES};
 use crate::camera::Camera;
 

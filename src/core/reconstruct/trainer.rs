@@ -2,7 +2,6 @@
 
 mod between;
 mod flight;
-mod kept;
 mod population;
 mod saved;
 mod step;
@@ -24,8 +23,8 @@ use crate::cancel::Cancelled;
 use crate::metrics::report::{BetweenSteps, NoiseMapStatistics};
 use crate::noise::{NoiseField, NoiseMode};
 use crate::splat::rasterize::{Backward, Specialisation};
+use between::Kept;
 use flight::Flight;
-use kept::Kept;
 pub use stepper::Stepper;
 
 /// Steps in flight.

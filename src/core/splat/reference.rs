@@ -7,12 +7,23 @@ pub mod blend;
 pub mod harmonics;
 pub mod projection;
 mod splat;
-mod viewpoint;
 
 pub use blend::{Blended, blend, blend_backward};
 pub use projection::{Projected, ProjectedGradient, project, project_backward};
 pub use splat::{Splat, column};
-pub use viewpoint::Viewpoint;
+
+use crate::camera::Camera;
+
+/// The parameters of a rendering: camera, active degree and near plane.
+#[derive(Clone, Copy, Debug)]
+pub struct Viewpoint {
+    /// The camera.
+    pub camera: Camera,
+    /// Active degree of the harmonics.
+    pub sh_degree: u32,
+    /// Near plane, world units.
+    pub near: f64,
+}
 
 /// Projects and blends every splat. The projections are in the order of `splats`; `None` if culled.
 pub fn render(splats: &[Splat], view: &Viewpoint) -> (Vec<Option<Projected>>, Blended) {

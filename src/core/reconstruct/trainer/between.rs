@@ -5,7 +5,6 @@ use std::time::Instant;
 use fled_gpu::GpuError;
 
 use super::Trainer;
-use super::kept::Kept;
 use crate::cancel::{CancelToken, Cancelled};
 use crate::metrics::report::NoiseMapStatistics;
 use crate::reconstruct::level::Level;
@@ -18,6 +17,22 @@ use crate::shake::Shake;
 const SYNC: u32 = 25;
 /// Share of non-finite updates of all Gaussians above which a round fails.
 const NON_FINITE_LIMIT: f64 = 1e-3;
+
+/// The last checkpoint handed over.
+pub(super) struct Kept {
+    /// The step that it precedes.
+    pub(super) step: u32,
+    /// Its time.
+    pub(super) at: Instant,
+}
+
+impl Kept {
+    /// A checkpoint made now, or the start of training.
+    pub(super) fn now(step: u32) -> Self {
+        let at = Instant::now();
+        Self { step, at }
+    }
+}
 
 impl Trainer<'_> {
     pub(super) fn is_sync(&self, step: u32) -> bool {
