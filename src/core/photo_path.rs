@@ -76,6 +76,31 @@ impl PhotoPath {
     }
 }
 
+/// The letters of IBM's code page 437 from 128 on.
+const CODE_PAGE: &str = "ÇüéâäàåçêëèïîìÄÅÉæÆôöòûùÿÖÜ¢£¥₧ƒáíóúñÑªº¿⌐¬½¼¡«»\
+                         ░▒▓│┤╡╢╖╕╣║╗╝╜╛┐└┴┬├─┼╞╟╚╔╩╦╠═╬╧╨╤╥╙╘╒╓╫╪┘┌█▄▌▐▀\
+                         αßΓπΣσµτΦΘΩδ∞φε∩≡±≥≤⌠⌡÷≈°∙·√ⁿ²■\u{a0}";
+
+/// A name in bytes of any encoding: UTF-8, or else read as code page 437, as zips have it. It is only
+/// shown and compared: equal names stay equal. Where a letter has two bytes, the second one may be
+/// that of a backslash.
+pub fn decoded(name: &[u8]) -> String {
+    if let Ok(name) = str::from_utf8(name) {
+        return name.to_owned();
+    }
+    let letters: Vec<char> = CODE_PAGE.chars().collect();
+    let mut is_second = false;
+    let letter = |&byte: &u8| {
+        let was_second = std::mem::replace(&mut is_second, byte >= 128);
+        match byte {
+            128.. => letters[usize::from(byte) - 128],
+            b'\\' if was_second => '\u{a5}',
+            byte => char::from(byte),
+        }
+    };
+    name.iter().map(letter).collect()
+}
+
 impl fmt::Display for PhotoPath {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(&self.0)

@@ -1,7 +1,7 @@
 //! Which of a file's names means which photograph. Nothing is guessed: a name that may mean two
 //! photographs, or two names that may mean one, are an error.
 
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashSet};
 
 use super::PhotoPath;
 
@@ -51,7 +51,8 @@ fn told(names: &[PhotoPath], photographs: &[PhotoPath]) -> String {
 
 /// For each photograph the index of the name that means it. From one step to the next less has to
 /// agree: the whole path; all folders of the shorter of the two, the longest first; where no name
-/// was found so, at least the last part. In each step the extension, then the case may differ.
+/// was found so, at least the last part. In each step the case, then the extension may differ.
+/// Folders that no other pair left out are left out only where nobody else has this name.
 ///
 /// # Errors
 /// [`Tie`].
@@ -64,6 +65,7 @@ pub fn find_each(
         photographs,
         name_is_found: vec![false; names.len()],
         found: vec![None; photographs.len()],
+        left_out: HashSet::new(),
     };
     for loosely in LOOSER {
         lookup.step(loosely, usize::MAX, Folders::All)?;
@@ -110,10 +112,10 @@ const fn loosely(extension: [bool; 2], case: bool) -> Loosely {
 /// From the strictest on. An extension may be there on one side only, as NeRF's are.
 const LOOSER: [Loosely; 8] = [
     loosely([false, false], false),
+    loosely([false, false], true),
     loosely([false, true], false),
     loosely([true, false], false),
     loosely([true, true], false),
-    loosely([false, false], true),
     loosely([false, true], true),
     loosely([true, false], true),
     loosely([true, true], true),
@@ -132,6 +134,8 @@ struct Lookup<'a> {
     photographs: &'a [PhotoPath],
     name_is_found: Vec<bool>,
     found: Vec<Option<usize>>,
+    /// The folders that were left out of names and photographs that were found.
+    left_out: HashSet<[&'a str; 2]>,
 }
 
 /// Names and photographs whose last parts are equal.
@@ -139,40 +143,62 @@ struct Lookup<'a> {
 struct Group {
     names: Vec<usize>,
     photographs: Vec<usize>,
+    /// Whether there are others, which belong to each other.
+    has_found: bool,
 }
 
-impl Lookup<'_> {
+impl<'a> Lookup<'a> {
     /// Looks at what is not found yet: so many last parts must be equal.
     fn step(&mut self, loosely: Loosely, parts: usize, folders: Folders) -> Result<(), Tie> {
-        let [of_name, of_photograph] = loosely.extension;
-        let mut groups: HashMap<String, Group> = HashMap::new();
-        for (index, path) in self.photographs.iter().enumerate() {
-            if self.found[index].is_none()
-                && let Some(key) = key(path, of_photograph, loosely.case, parts)
-            {
-                groups.entry(key).or_default().photographs.push(index);
-            }
-        }
-        for (index, path) in self.names.iter().enumerate() {
-            if !self.name_is_found[index]
-                && let Some(key) = key(path, of_name, loosely.case, parts)
-                && let Some(group) = groups.get_mut(&key)
-            {
-                group.names.push(index);
-            }
-        }
-        for group in groups.into_values() {
+        let mut left_out = Vec::new();
+        for group in self.groups(loosely, parts) {
             let group = self.that_may_mean_each_other(group, parts, folders);
             match (&group.names[..], &group.photographs[..]) {
                 ([], _) | (_, []) => {}
                 ([name], [photograph]) => {
+                    let pair = [&self.names[*name], &self.photographs[*photograph]];
+                    let without = pair.map(|path| before(path, parts));
+                    if folders != Folders::All
+                        && group.has_found
+                        && !self.left_out.contains(&without)
+                    {
+                        continue;
+                    }
+                    left_out.push(without);
                     self.name_is_found[*name] = true;
                     self.found[*photograph] = Some(*name);
                 }
                 _ => return Err(self.tie(&group)),
             }
         }
+        self.left_out.extend(left_out);
         Ok(())
+    }
+
+    /// Names and photographs by their last parts, where both are left.
+    fn groups(&self, loosely: Loosely, parts: usize) -> Vec<Group> {
+        let [of_name, of_photograph] = loosely.extension;
+        let mut groups: BTreeMap<String, Group> = BTreeMap::new();
+        for (index, path) in self.photographs.iter().enumerate() {
+            if let Some(key) = key(path, of_photograph, loosely.case, parts) {
+                let group = groups.entry(key).or_default();
+                match self.found[index] {
+                    None => group.photographs.push(index),
+                    Some(_) => group.has_found = true,
+                }
+            }
+        }
+        for (index, path) in self.names.iter().enumerate() {
+            if let Some(key) = key(path, of_name, loosely.case, parts)
+                && let Some(group) = groups.get_mut(&key)
+            {
+                match self.name_is_found[index] {
+                    false => group.names.push(index),
+                    true => group.has_found = true,
+                }
+            }
+        }
+        groups.into_values().collect()
     }
 
     /// Without those that have other folders than all on the other side.
@@ -184,13 +210,11 @@ impl Lookup<'_> {
         let short_name = group.names.iter().any(|&at| is_short(&self.names[at]));
         let short_photograph = group.photographs.iter();
         let short_photograph = { short_photograph }.any(|&at| is_short(&self.photographs[at]));
-        let Group {
-            mut names,
-            mut photographs,
-        } = group;
+        let mut group = group;
+        let (names, photographs) = (&mut group.names, &mut group.photographs);
         names.retain(|&at| short_photograph || is_short(&self.names[at]));
         photographs.retain(|&at| short_name || is_short(&self.photographs[at]));
-        Group { names, photographs }
+        group
     }
 
     fn tie(&self, group: &Group) -> Tie {
@@ -202,6 +226,15 @@ impl Lookup<'_> {
             photographs: of(self.photographs, &group.photographs),
         }
     }
+}
+
+/// What stands before so many last parts of a path.
+fn before(path: &PhotoPath, parts: usize) -> &str {
+    let cut = path
+        .as_str()
+        .rmatch_indices('/')
+        .nth(parts.saturating_sub(1));
+    cut.map_or("", |(at, _)| &path.as_str()[..at])
 }
 
 /// The last parts of a path, all where `parts` is the greatest number; `None` where it has fewer,

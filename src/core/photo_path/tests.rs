@@ -80,6 +80,53 @@ fn folders_extensions_and_case_may_differ_where_one_photograph_is_left() {
 }
 
 #[test]
+fn a_folder_is_left_out_as_elsewhere_or_where_a_name_is_alone() {
+    for (names, photographs, right) in [
+        // The second camera's photographs are not there; what is called like one is another.
+        (
+            ["cam0/3.jpg", "cam1/3.jpg"],
+            ["cam0/3.jpg", "3.jpg"],
+            [Some(0), None],
+        ),
+        (
+            ["cam0/3.jpg", "3.jpg"],
+            ["cam0/3.jpg", "cam1/3.jpg"],
+            [Some(0), None],
+        ),
+        (
+            ["images/a/0.jpg", "images/0.jpg"],
+            ["a/0.jpg", "0.jpg"],
+            [Some(0), Some(1)],
+        ),
+        (
+            ["0.jpg", "cam0/6.jpg"],
+            ["0.jpg", "6.jpg"],
+            [Some(0), Some(1)],
+        ),
+        // Case differs more often than the format.
+        (
+            ["IMG_1.jpg", "IMG_2.png"],
+            ["IMG_1.JPG", "IMG_1.PNG"],
+            [Some(0), None],
+        ),
+    ] {
+        assert_eq!(found(&names, &photographs), Ok(right.to_vec()), "{names:?}");
+    }
+}
+
+#[test]
+fn names_in_other_encodings_stay_apart_and_whole() {
+    assert_eq!(decoded("Küche".as_bytes()), "Küche");
+    assert_eq!(decoded(b"K\x81che \x80\xff"), "Küche Ç\u{a0}");
+    // In Japan's code page the second byte of some letters is a backslash.
+    assert_eq!(PhotoPath::new(&decoded(b"\x95\x5c.jpg")).folder(), "");
+    assert_eq!(PhotoPath::new(&decoded(b"\x95\x5c\\a.jpg")).name(), "a.jpg");
+    let of = |first: u8| PhotoPath::new(&decoded(&[first, 0xba, b'.', b'j']));
+    let all: std::collections::HashSet<_> = (128..=254).map(of).collect();
+    assert_eq!(all.len(), 127);
+}
+
+#[test]
 fn a_tie_names_both() {
     for (names, photographs, told) in [
         (
