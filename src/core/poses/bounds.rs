@@ -62,10 +62,20 @@ fn numbers(bytes: &[u8]) -> Result<Array2<f64>, String> {
         Ok(array) => Ok(array.to_owned()),
         Err(ViewNpyError::WrongDescriptor(_)) => match ArrayView2::<f32>::view_npy(bytes) {
             Ok(array) => Ok(array.mapv(f64::from)),
-            Err(error) => Err(format!("{error}; save it as float64")),
+            Err(error) => Err(told(&error)),
         },
-        Err(error) => Err(error.to_string()),
+        Err(error) => Err(told(&error)),
     }
+}
+
+fn told(error: &ViewNpyError) -> String {
+    let what = match error {
+        ViewNpyError::WrongDescriptor(_) => "its numbers are neither float64 nor float32",
+        ViewNpyError::NonNativeEndian => "its numbers are big-endian",
+        ViewNpyError::WrongNdim(..) => "it is no table with a row for each photograph",
+        _ => "it is cut short or damaged",
+    };
+    format!("{what}; save it anew as float64 by numpy.save")
 }
 
 /// Whether the header is as long as it says it is. Who reads it takes memory for that first.

@@ -5,10 +5,11 @@ mod camera;
 mod rows;
 mod text;
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use super::{LeftOut, PosesError, left_out};
 
+use camera::UnreadCamera;
 pub use camera::{CameraModel, ModelCamera};
 pub use rows::{ModelImage, ModelPoint, SparseModel};
 
@@ -33,13 +34,13 @@ impl SparseModel {
     /// # Errors
     /// Those of [`Self::read`] for all else.
     pub fn read_usable(dir: &Path) -> Result<(Self, Vec<LeftOut>), PosesError> {
-        let is_binary = |name: &str| dir.join(format!("{name}.bin")).is_file();
-        let mut model = if ["cameras", "images"].into_iter().all(is_binary) {
+        let is_binary = |name: &str| file(dir, &format!("{name}.bin")).is_file();
+        let (mut model, unread) = if ["cameras", "images"].into_iter().all(is_binary) {
             binary::read(dir)
         } else {
             text::read(dir)
         }?;
-        let left_out = model.keep_usable(dir)?;
+        let left_out = model.keep_usable(dir, &unread)?;
         Ok((model, left_out))
     }
 
@@ -68,7 +69,27 @@ impl SparseModel {
     pub fn stands_in(dir: &Path) -> bool {
         ["cameras.bin", "cameras.txt"]
             .iter()
-            .any(|name| dir.join(name).is_file())
+            .any(|name| file(dir, name).is_file())
+    }
+}
+
+/// A file of a model, whose name may be written in any case where it is not there as COLMAP has it.
+fn file(dir: &Path, name: &str) -> PathBuf {
+    let exact = dir.join(name);
+    let is_it = |path: &PathBuf| {
+        path.file_name()
+            .is_some_and(|own| own.eq_ignore_ascii_case(name))
+    };
+    let others = || {
+        dir.read_dir()
+            .into_iter()
+            .flatten()
+            .flatten()
+            .map(|entry| entry.path())
+    };
+    match exact.exists() {
+        true => exact,
+        false => others().find(is_it).unwrap_or(exact),
     }
 }
 
@@ -78,7 +99,7 @@ fn points(
     name: &str,
     read: impl Fn(&Path) -> Result<Vec<ModelPoint>, PosesError>,
 ) -> Result<Vec<ModelPoint>, PosesError> {
-    let file = dir.join(name);
+    let file = file(dir, name);
     match file.exists() {
         true => read(&file),
         false => Ok(Vec::new()),

@@ -3,12 +3,26 @@
 use std::path::Path;
 
 use super::PosesError;
+use crate::photo_path::decoded;
 
-/// The text of a file, after its byte order mark: UTF-8, or UTF-16 where the mark says so. What is
-/// no UTF-8 is replaced: names of photographs may be in any encoding, and the numbers beside them
-/// still count.
-pub fn read(file: &Path) -> Result<String, PosesError> {
+/// The content of a file of poses.
+pub fn bytes(file: &Path) -> Result<Vec<u8>, PosesError> {
     let bytes = std::fs::read(file).map_err(PosesError::io(file))?;
+    if bytes.starts_with(b"version https://git-lfs") {
+        let reason = "it is the pointer of Git LFS to a file: get the original file";
+        return Err(PosesError::bad_file(file, reason));
+    }
+    Ok(bytes)
+}
+
+/// The text of a file, after its byte order mark: UTF-8, or UTF-16 where the mark says so. A line
+/// that is no UTF-8 has a name in another encoding, and the numbers beside it still count.
+pub fn read(file: &Path) -> Result<String, PosesError> {
+    let bytes = bytes(file)?;
+    let narrow = |bytes: &[u8]| -> String {
+        let lines = bytes.split_inclusive(|&byte| byte == b'\n');
+        lines.map(decoded).collect()
+    };
     let wide = |bytes: &[u8], unit: fn([u8; 2]) -> u16| -> String {
         let units = bytes.chunks_exact(2).map(|pair| unit([pair[0], pair[1]]));
         char::decode_utf16(units)
@@ -16,9 +30,9 @@ pub fn read(file: &Path) -> Result<String, PosesError> {
             .collect()
     };
     Ok(match &bytes[..] {
-        [0xef, 0xbb, 0xbf, rest @ ..] => String::from_utf8_lossy(rest).into_owned(),
+        [0xef, 0xbb, 0xbf, rest @ ..] => narrow(rest),
         [0xff, 0xfe, rest @ ..] => wide(rest, u16::from_le_bytes),
         [0xfe, 0xff, rest @ ..] => wide(rest, u16::from_be_bytes),
-        _ => String::from_utf8_lossy(&bytes).into_owned(),
+        _ => narrow(&bytes),
     })
 }

@@ -489,6 +489,61 @@ fn models_that_are_not_read_are_named_in_text_and_binary() {
 }
 
 #[test]
+fn an_image_with_a_camera_that_is_not_read_is_left_out_by_name() {
+    let capture = capture();
+    let known = ModelCamera::pinhole(1, &capture.cameras[0].intrinsics);
+    let strange = "2 FOV 80 60 70 70 40 30 0.9\n";
+    let mut model = SparseModel::of_views(
+        (0..)
+            .map(|i| format!("photo{i}.png"))
+            .zip(capture.cameras.iter().copied()),
+        [],
+    );
+    model.images[1].camera_id = 2;
+    let [(_, cameras), (_, images), _] = model.text_files();
+    let (poses, warnings) = capture.of_model(&format!("{strange}{cameras}"), &images);
+    assert_eq!(poses.unwrap().views.len(), capture.cameras.len() - 1);
+    said(&warnings, &["photo1.png: camera model FOV is not read"]);
+    // As binary: a row of 4 numbers becomes one of 5.
+    let folder = capture.dir.path().join("binary");
+    model.cameras = vec![known.clone(), ModelCamera { id: 2, ..known }];
+    model.write_binary(&folder).unwrap();
+    let file = folder.join("cameras.bin");
+    let mut bytes = std::fs::read(&file).unwrap();
+    let last = bytes.len() - (4 + 4 + 8 + 8 + 4 * 8);
+    bytes[last + 4] = 7;
+    bytes.extend(0.9_f64.to_le_bytes());
+    std::fs::write(&file, bytes).unwrap();
+    let (poses, warnings) = told(&folder, &capture.views, capture.dir.path());
+    assert_eq!(poses.unwrap().views.len(), capture.cameras.len() - 1);
+    said(&warnings, &["photo1.png: camera model FOV is not read"]);
+}
+
+#[test]
+fn the_pointer_of_git_lfs_is_called_so() {
+    let capture = capture();
+    let pointer = b"version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 9\n";
+    for (name, file) in [
+        ("transforms.json", ""),
+        ("b/cameras.bin", "b"),
+        ("t/cameras.txt", "t"),
+    ] {
+        let path = capture.dir.path().join(name);
+        std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+        std::fs::write(&path, pointer).unwrap();
+        std::fs::write(path.with_file_name("images.bin"), pointer).unwrap();
+        let file = if file.is_empty() {
+            path
+        } else {
+            capture.dir.path().join(file)
+        };
+        let (poses, _) = told(&file, &capture.views, capture.dir.path());
+        let message = poses.unwrap_err().to_string();
+        assert!(message.contains("Git LFS"), "{message}");
+    }
+}
+
+#[test]
 fn poses_bounds_are_read_as_float32_and_without_a_row_that_is_none() {
     let capture = capture();
     let file = capture.write_bounds();

@@ -2,19 +2,24 @@
 
 use std::path::Path;
 
-use super::camera::{CameraModel, ModelCamera};
+use super::camera::{CameraModel, CameraRow, ModelCamera, read_of};
 use super::rows::{ModelImage, ModelPoint, SparseModel};
-use crate::poses::PosesError;
+use super::{UnreadCamera, file};
+use crate::photo_path::decoded;
+use crate::poses::{PosesError, text};
 
 /// What COLMAP writes where a keypoint belongs to no point.
 const NO_POINT: u64 = u64::MAX;
 
-pub(super) fn read(dir: &Path) -> Result<SparseModel, PosesError> {
-    Ok(SparseModel {
-        cameras: rows(&dir.join("cameras.bin"), camera)?,
-        images: rows(&dir.join("images.bin"), image)?,
+pub(super) fn read(dir: &Path) -> Result<(SparseModel, Vec<UnreadCamera>), PosesError> {
+    let cameras = file(dir, "cameras.bin");
+    let (cameras, unread) = read_of(&cameras, rows(&cameras, camera)?)?;
+    let model = SparseModel {
+        cameras,
+        images: rows(&file(dir, "images.bin"), image)?,
         points: super::points(dir, "points3D.bin", |file| rows(file, point))?,
-    })
+    };
+    Ok((model, unread))
 }
 
 /// Bytes that are being taken apart. Counts in the file are never trusted for allocation: the
@@ -65,7 +70,7 @@ impl<'a> Bytes<'a> {
     fn text(&mut self) -> Result<String, PosesError> {
         let end = self.left.iter().position(|&byte| byte == 0);
         let end = end.ok_or_else(|| PosesError::bad_file(self.file, "a name without an end"))?;
-        let name = String::from_utf8_lossy(&self.left[..end]).into_owned();
+        let name = decoded(&self.left[..end]);
         self.left = &self.left[end + 1..];
         Ok(name)
     }
@@ -75,7 +80,7 @@ fn rows<T>(
     file: &Path,
     row: impl Fn(&mut Bytes<'_>) -> Result<T, PosesError>,
 ) -> Result<Vec<T>, PosesError> {
-    let content = std::fs::read(file).map_err(PosesError::io(file))?;
+    let content = text::bytes(file)?;
     let mut bytes = Bytes {
         left: &content,
         file,
@@ -84,22 +89,28 @@ fn rows<T>(
     bytes.many(count, row)
 }
 
-fn camera(bytes: &mut Bytes<'_>) -> Result<ModelCamera, PosesError> {
+fn camera(bytes: &mut Bytes<'_>) -> Result<CameraRow, PosesError> {
     let id = bytes.u32()?;
     let number = i32::from_le_bytes(bytes.take()?);
-    let model = CameraModel::from_number(number).ok_or_else(|| {
-        let name = CameraModel::unread_name(number);
-        PosesError::bad_file(bytes.file, CameraModel::unread(&name))
-    })?;
     let (width, height) = (bytes.u64()? as usize, bytes.u64()? as usize);
+    let Some(model) = CameraModel::from_number(number) else {
+        let (name, parameters) = CameraModel::unread_name(number);
+        let reason = CameraModel::unread(&name);
+        // Where their count is not known, nothing behind it is.
+        let skipped = parameters.and_then(|count| bytes.many(count, Bytes::f64).ok());
+        return match skipped {
+            Some(_) => Ok(Err(UnreadCamera { id, reason })),
+            None => Err(PosesError::bad_file(bytes.file, reason)),
+        };
+    };
     let params = bytes.many(model.parameters() as u64, Bytes::f64)?;
-    Ok(ModelCamera {
+    Ok(Ok(ModelCamera {
         id,
         model,
         width,
         height,
         params,
-    })
+    }))
 }
 
 fn image(bytes: &mut Bytes<'_>) -> Result<ModelImage, PosesError> {

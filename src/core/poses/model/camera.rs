@@ -1,7 +1,9 @@
 //! COLMAP's cameras: lenses with sensors.
 
+use std::path::Path;
+
 use crate::camera::Intrinsics;
-use crate::poses::{Distortion, Lens};
+use crate::poses::{Distortion, Lens, PosesError};
 
 /// A row of `cameras`.
 #[derive(Clone, Debug, PartialEq)]
@@ -84,15 +86,19 @@ impl CameraModel {
         )
     }
 
-    /// COLMAP's name of a model that is none of these, or else its number.
-    pub(super) fn unread_name(number: i32) -> String {
+    /// COLMAP's name of a model that is none of these, or else its number, and its count of
+    /// parameters.
+    pub(super) fn unread_name(number: i32) -> (String, Option<u64>) {
         let known = [
-            (7, "FOV"),
-            (10, "THIN_PRISM_FISHEYE"),
-            (11, "RAD_TAN_THIN_PRISM_FISHEYE"),
+            (7, "FOV", 5),
+            (10, "THIN_PRISM_FISHEYE", 12),
+            (11, "RAD_TAN_THIN_PRISM_FISHEYE", 16),
         ];
-        let name = known.iter().find(|(id, _)| *id == number);
-        name.map_or_else(|| number.to_string(), |(_, name)| (*name).to_owned())
+        let known = known.iter().find(|(id, ..)| *id == number);
+        match known {
+            Some((_, name, count)) => ((*name).to_owned(), Some(*count)),
+            None => (number.to_string(), None),
+        }
     }
 
     /// The model of this name.
@@ -112,6 +118,38 @@ impl CameraModel {
             .into_iter()
             .find(|row| row.1 == number)
             .map(|row| row.0)
+    }
+}
+
+/// A camera of a model that is not read.
+#[derive(Debug)]
+pub(super) struct UnreadCamera {
+    pub(super) id: u32,
+    /// Which model, and what to do about it.
+    pub(super) reason: String,
+}
+
+/// What a row of `cameras` holds.
+pub(super) type CameraRow = Result<ModelCamera, UnreadCamera>;
+
+/// Cameras that are read, and those that are not.
+///
+/// # Errors
+/// [`PosesError::BadFile`] where there are some, and none is read.
+pub(super) fn read_of(
+    file: &Path,
+    rows: Vec<CameraRow>,
+) -> Result<(Vec<ModelCamera>, Vec<UnreadCamera>), PosesError> {
+    let (mut read, mut unread) = (Vec::new(), Vec::new());
+    for row in rows {
+        match row {
+            Ok(camera) => read.push(camera),
+            Err(camera) => unread.push(camera),
+        }
+    }
+    match unread.first() {
+        Some(camera) if read.is_empty() => Err(PosesError::bad_file(file, &*camera.reason)),
+        _ => Ok((read, unread)),
     }
 }
 

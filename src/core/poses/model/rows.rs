@@ -5,7 +5,7 @@ use std::path::Path;
 
 use glam::{DMat4, DQuat, DVec3};
 
-use super::camera::ModelCamera;
+use super::camera::{ModelCamera, UnreadCamera};
 use crate::camera::Camera;
 use crate::poses::{LeftOut, PosesError, SparsePoint};
 
@@ -156,10 +156,19 @@ impl SparseModel {
         self.points.iter().map(point).collect()
     }
 
-    /// Keeps the rows with finite numbers and sizes above zero, and names the others.
-    pub(super) fn keep_usable(&mut self, dir: &Path) -> Result<Vec<LeftOut>, PosesError> {
+    /// Keeps the rows with finite numbers and sizes above zero and with cameras that are read, and
+    /// names the others.
+    pub(super) fn keep_usable(
+        &mut self,
+        dir: &Path,
+        unread: &[UnreadCamera],
+    ) -> Result<Vec<LeftOut>, PosesError> {
         let mut left_out = Vec::new();
         for image in &self.images {
+            if let Some(camera) = unread.iter().find(|camera| camera.id == image.camera_id) {
+                left_out.push(LeftOut::new(&image.name, &*camera.reason));
+                continue;
+            }
             let camera = self
                 .cameras
                 .iter()

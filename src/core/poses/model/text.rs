@@ -4,17 +4,22 @@ use std::fmt::Write as _;
 use std::path::Path;
 use std::str::{FromStr, SplitAsciiWhitespace};
 
-use super::camera::{CameraModel, ModelCamera};
+use super::camera::{CameraModel, CameraRow, ModelCamera, read_of};
 use super::rows::{ModelImage, ModelPoint, SparseModel};
+use super::{UnreadCamera, file};
 use crate::poses::{PosesError, text};
 
-pub(super) fn read(dir: &Path) -> Result<SparseModel, PosesError> {
-    let cameras = rows(&dir.join("cameras.txt"), camera)?;
-    Ok(SparseModel {
-        images: images(&dir.join("images.txt"), &cameras)?,
+pub(super) fn read(dir: &Path) -> Result<(SparseModel, Vec<UnreadCamera>), PosesError> {
+    let cameras = file(dir, "cameras.txt");
+    let (cameras, unread) = read_of(&cameras, rows(&cameras, camera)?)?;
+    let ids = { cameras.iter() }.map(|camera| camera.id);
+    let ids: Vec<u32> = ids.chain(unread.iter().map(|camera| camera.id)).collect();
+    let model = SparseModel {
+        images: images(&file(dir, "images.txt"), &ids)?,
         points: super::points(dir, "points3D.txt", |file| rows(file, point))?,
         cameras,
-    })
+    };
+    Ok((model, unread))
 }
 
 /// A line that is being taken apart, and where it stands for the error's sake.
@@ -105,11 +110,13 @@ fn rows<T>(
         .collect()
 }
 
-fn camera(fields: &mut Fields<'_>) -> Result<ModelCamera, PosesError> {
+fn camera(fields: &mut Fields<'_>) -> Result<CameraRow, PosesError> {
     let id = fields.next()?;
     let name = fields.word()?;
-    let model =
-        CameraModel::from_name(name).ok_or_else(|| fields.fault(&CameraModel::unread(name)))?;
+    let Some(model) = CameraModel::from_name(name) else {
+        let reason = CameraModel::unread(name);
+        return Ok(Err(UnreadCamera { id, reason }));
+    };
     let (width, height) = (fields.next()?, fields.next()?);
     let params = fields.rest(Fields::next)?;
     if params.len() != model.parameters() {
@@ -119,17 +126,17 @@ fn camera(fields: &mut Fields<'_>) -> Result<ModelCamera, PosesError> {
             params.len()
         )));
     }
-    Ok(ModelCamera {
+    Ok(Ok(ModelCamera {
         id,
         model,
         width,
         height,
         params,
-    })
+    }))
 }
 
 /// Two lines an image; the second, its keypoints, may be empty, and some leave it out.
-fn images(file: &Path, cameras: &[ModelCamera]) -> Result<Vec<ModelImage>, PosesError> {
+fn images(file: &Path, cameras: &[u32]) -> Result<Vec<ModelImage>, PosesError> {
     let text = text::read(file)?;
     let mut lines = text.lines().enumerate().peekable();
     let mut images = Vec::new();
@@ -181,11 +188,11 @@ fn image(fields: &mut Fields<'_>) -> Result<ModelImage, PosesError> {
 
 /// Whether a line after an image's first is that of the next one: pixels make no unit quaternion
 /// before the number of a camera.
-fn begins_an_image(fields: &mut Fields<'_>, cameras: &[ModelCamera]) -> bool {
+fn begins_an_image(fields: &mut Fields<'_>, cameras: &[u32]) -> bool {
     image(fields).is_ok_and(|image| {
         let norm: f64 = image.rotation.iter().map(|q| q * q).sum();
         let is_unit = norm.is_nan() || (norm - 1.0).abs() < 0.1;
-        is_unit && cameras.iter().any(|camera| camera.id == image.camera_id)
+        is_unit && cameras.contains(&image.camera_id)
     })
 }
 
