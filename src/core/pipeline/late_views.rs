@@ -213,10 +213,9 @@ fn changed(
 
 fn tell(context: &mut Context<'_>, poses: &Poses, before: &Poses, leaving: &[String]) {
     let stands = |name: &String| poses.views.iter().any(|view| view.name == *name);
-    let out: Vec<&str> = leaving
-        .iter()
-        .filter(|name| !stands(name))
-        .map(|name| &**name)
+    let out = leaving.iter().filter(|name| !stands(name));
+    let out: Vec<&str> = out
+        .map(|name| { poses.photographs.get(name) }.map_or(&**name, |path| path.as_str()))
         .collect();
     if !out.is_empty() {
         let message = format!(

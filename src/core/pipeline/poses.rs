@@ -161,6 +161,7 @@ fn warn(sink: &mut dyn ProgressSink, poses: &Poses, views: &[CaptureView]) {
         let view = views.iter().find(|view| view.name == name);
         view.map_or(name, |view| view.path.as_str()).to_owned()
     };
+    let called_all = |part: &Vec<String>| part.iter().map(|name| called(name)).collect();
     let doubtful: Vec<String> = poses
         .verdicts
         .iter()
@@ -180,7 +181,7 @@ fn warn(sink: &mut dyn ProgressSink, poses: &Poses, views: &[CaptureView]) {
         let message = format!(
             "the photographs show {}: only the largest is reconstructed. Make a capture of each, \
              or add photographs that connect them",
-            in_words(&poses.parts)
+            in_words(&{ poses.parts.iter() }.map(called_all).collect::<Vec<_>>())
         );
         sink.warn("capture_in_parts", message);
     }
