@@ -8,6 +8,7 @@ mod keep;
 mod places;
 mod videos;
 
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
@@ -109,9 +110,8 @@ pub async fn receive(
         ahead.caught_up();
         let part = field.name().unwrap_or_default().to_owned();
         receiver.hasher.update(part.as_bytes());
-        match field.file_name().map(str::to_owned) {
+        match file_name(&field) {
             Some(name) => {
-                let name = as_written(&name);
                 check_file(&part, &name, upload.files)?;
                 receiver.hasher.update(name.as_bytes());
                 receiver
@@ -120,6 +120,9 @@ pub async fn receive(
                 upload.files += 1;
             }
             None => {
+                if FILE_PARTS.contains(&part.as_str()) {
+                    return Err(nameless(&part));
+                }
                 if !known.contains(&part.as_str()) || upload.fields.contains_key(&part) {
                     return Err(unknown_field(&part, known));
                 }
@@ -189,6 +192,30 @@ pub fn check_name(name: &str) -> Result<(), Problem> {
     Err(Problem::unprocessable("bad_input", "The name is too long.")
         .pointer("/name")
         .hint(format!("A name has at most {LONGEST_NAME} characters.")))
+}
+
+/// What the sender of a part calls its file.
+fn file_name(field: &Field<'_>) -> Option<String> {
+    let header = field.headers().get(header::CONTENT_DISPOSITION)?;
+    let extended = extended_name(&String::from_utf8_lossy(header.as_bytes()));
+    extended.or_else(|| field.file_name().map(as_written))
+}
+
+/// The name that some clients write by RFC 5987, and another one for those who do not read that.
+fn extended_name(header: &str) -> Option<String> {
+    let (_, value) = header.rsplit_once("; filename*=")?;
+    let value = value.split(';').next()?.trim().trim_matches('"');
+    let (charset, rest) = value.split_once('\'')?;
+    let (_, name) = rest.split_once('\'')?;
+    let name = percent_encoding::percent_decode_str(name).decode_utf8();
+    let is_read = charset.eq_ignore_ascii_case("utf-8");
+    name.ok().filter(|_| is_read).map(Cow::into_owned)
+}
+
+fn nameless(part: &str) -> Problem {
+    let detail = format!("A part `{part}` has no file name in UTF-8.");
+    Problem::unprocessable("bad_input", detail)
+        .hint("Send each file with its name, as curl -F images=@photograph.jpg does.")
 }
 
 /// A name without the escapes that browsers and curl write into this header.
@@ -278,7 +305,7 @@ impl Receiver<'_> {
         name: &str,
         mut field: Field<'_>,
     ) -> Result<(), Problem> {
-        let path = dir.join(self.places.place(part, name));
+        let path = dir.join(self.places.place(part, name)?);
         let parent = path.parent().unwrap_or(dir);
         fs::create_dir_all(parent)
             .await
@@ -298,5 +325,31 @@ impl Receiver<'_> {
     fn count(&mut self, bytes: usize) -> Result<(), Problem> {
         self.ahead.taken(bytes);
         self.budget.count(bytes)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_that_clients_encode_are_read() {
+        let named = |rest: &str| extended_name(&format!("form-data; name=\"images\"{rest}"));
+        // As aiohttp and .NET write it.
+        for first in [
+            "",
+            "; filename=\"cam0%2FK%C3%BC.jpg\"",
+            "; filename=\"=?utf-8?B?S8O8?=\"",
+        ] {
+            let name = named(&format!("{first}; filename*=utf-8''cam0%2FK%C3%BC%201.jpg"));
+            assert_eq!(name.as_deref(), Some("cam0/K\u{fc} 1.jpg"));
+        }
+        for other in [
+            "; filename=\"a.jpg\"",
+            "; filename*=latin1''%FC",
+            "; filename*=%C3",
+        ] {
+            assert_eq!(named(other), None, "{other}");
+        }
     }
 }

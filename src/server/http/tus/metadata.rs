@@ -33,7 +33,11 @@ impl Metadata {
         let read = pairs(sent).ok_or_else(|| {
             bad("`Upload-Metadata` must consist of distinct keys, each with a value in base64.")
         })?;
-        let filename = read.get("filename").cloned().unwrap_or_default();
+        // Uppy tells the folders of a file so, and `null` where it has none.
+        let path = read
+            .get("relativePath")
+            .filter(|path| !matches!(&path[..], b"" | b"null"));
+        let filename = path.or(read.get("filename")).cloned().unwrap_or_default();
         match String::from_utf8(filename) {
             Ok(filename) if (1..=LONGEST_FILE_NAME).contains(&filename.len()) => Ok(Self {
                 sent: sent.to_owned(),
@@ -75,6 +79,9 @@ mod tests {
         let named = Some("a.png".to_owned());
         assert_eq!(of("filename YS5wbmc="), named);
         assert_eq!(of("is_confidential,filename YS5wbmc=, filetype "), named);
+        let nested = Some("b/a.png".to_owned());
+        assert_eq!(of("filename YS5wbmc=,relativePath Yi9hLnBuZw=="), nested);
+        assert_eq!(of("relativePath bnVsbA==,filename YS5wbmc="), named);
         for wrong in [
             "",
             "filename",

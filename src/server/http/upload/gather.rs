@@ -122,7 +122,7 @@ fn link_all(app: &App, dir: &Path, rows: &[UploadRow]) -> Result<(), Problem> {
         if bytes != row.length {
             return Err(unfinished(at, row, bytes));
         }
-        let to = dir.join(places.place("images", &row.filename));
+        let to = dir.join(places.place("images", &row.filename)?);
         match link(&from, &to) {
             Ok(()) => {}
             Err(error) if error.kind() == io::ErrorKind::NotFound => return Err(unknown(at)),
@@ -140,19 +140,12 @@ fn link_all(app: &App, dir: &Path, rows: &[UploadRow]) -> Result<(), Problem> {
     Ok(())
 }
 
-/// A second name for a file. Of poses that are called the same the last ones count, as in one body;
-/// those before keep what they have, which they would not if `to` were written to.
+/// A second name for a file.
 fn link(from: &Path, to: &Path) -> io::Result<()> {
     if let Some(folder) = to.parent() {
         fs::create_dir_all(folder)?;
     }
-    match fs::hard_link(from, to) {
-        Err(error) if error.kind() == io::ErrorKind::AlreadyExists => {
-            fs::remove_file(to)?;
-            fs::hard_link(from, to)
-        }
-        linked => linked,
-    }
+    fs::hard_link(from, to)
 }
 
 fn unknown(at: usize) -> Problem {

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use fled_core::capture::video::is_video;
 use fled_core::photo_path::PhotoPath;
 
+use crate::http::problem::Problem;
 use crate::validation;
 
 /// Folder of the photographs.
@@ -33,14 +34,17 @@ pub(super) struct Places {
 impl Places {
     /// Where a file goes, relative to the capture: never where its name says. What it is called is
     /// kept beside.
-    pub(super) fn place(&mut self, part: &str, name: &str) -> PathBuf {
+    ///
+    /// # Errors
+    /// 422 for a second file of poses of the same name: two models would become one.
+    pub(super) fn place(&mut self, part: &str, name: &str) -> Result<PathBuf, Problem> {
         let path = sent_path(part, name);
         let lower = path.name().to_ascii_lowercase();
         if lower.ends_with(".zip") && part != "gt" {
-            return self.unique(Path::new(""), validation::ARCHIVE);
+            return Ok(self.unique(Path::new(""), validation::ARCHIVE));
         }
         if is_video(Path::new(&lower)) && part == PHOTOGRAPHS {
-            return self.unique(Path::new(VIDEOS), &safe_name(path.name()));
+            return Ok(self.unique(Path::new(VIDEOS), &safe_name(path.name())));
         }
         let place = match folder_of_poses(&path) {
             Some(folder) => {
@@ -58,7 +62,11 @@ impl Places {
                     }
                 };
                 // COLMAP's readers know these names only with their capitals.
-                folder.join(lower.replace("points3d", "points3D"))
+                let place = folder.join(lower.replace("points3d", "points3D"));
+                if self.names.contains_key(&*place.to_string_lossy()) {
+                    return Err(sent_twice(&path));
+                }
+                place
             }
             None => {
                 let folder = if path.lies_in(&["gt", "hl"]) {
@@ -73,7 +81,7 @@ impl Places {
         let plain = [path.as_str().to_owned(), format!("{PHOTOGRAPHS}/{path}")];
         self.differs |= !plain.contains(&stored);
         self.names.insert(stored, path);
-        place
+        Ok(place)
     }
 
     /// The content of [`fled_core::capture::NAMES`], where the places do not say it.
@@ -102,12 +110,17 @@ impl Places {
     }
 }
 
+fn sent_twice(path: &PhotoPath) -> Problem {
+    Problem::unprocessable("bad_input", format!("`{path}` is sent twice."))
+        .hint("Send one file of this name, or each with its folder, as in `sparse/0/images.txt`.")
+}
+
 /// What a file is called inside the capture. A path from the root of another machine says nothing
-/// but its last part; poses and ground truth that are sent as such lie where they are looked for.
+/// but its last part; poses without a folder and ground truth lie where they are looked for.
 fn sent_path(part: &str, name: &str) -> PhotoPath {
     let is_absolute = name.starts_with(['/', '\\']) || name.get(1..2) == Some(":");
     let path = PhotoPath::new(name);
-    let path = if is_absolute || part == "poses" && !path.lies_in(&[TRUE_POSES]) {
+    let path = if is_absolute {
         PhotoPath::new(path.name())
     } else {
         path

@@ -50,7 +50,8 @@ fn true_poses_are_not_taken_for_those_of_the_capture() {
         ("fern/sparse_gt/0/Points3D.txt", "sparse_gt-2/points3D.txt"),
         ("cameras.bin", "sparse-3/cameras.bin"),
     ] {
-        assert_eq!(places.place("images", name), Path::new(place), "{name}");
+        let placed = places.place("images", name).expect("placed");
+        assert_eq!(placed, Path::new(place), "{name}");
     }
 }
 
@@ -59,7 +60,7 @@ fn equal_names_by_the_thousand_cost_no_more_than_different_ones() {
     let mut places = Places::default();
     let start = std::time::Instant::now();
     let paths: HashSet<PathBuf> = (0..20_000)
-        .map(|_| places.place("images", "photograph.jpg"))
+        .map(|_| places.place("images", "photograph.jpg").expect("placed"))
         .collect();
     assert_eq!(paths.len(), 20_000);
     assert!(paths.contains(Path::new("images/photograph-20000.jpg")));
@@ -95,7 +96,7 @@ fn camera(number: usize) -> Camera {
 fn store(dir: &Path, parts: &[(&str, String, Vec<u8>)]) {
     let mut places = Places::default();
     for (part, name, bytes) in parts {
-        let file = dir.join(places.place(part, name));
+        let file = dir.join(places.place(part, name).expect("placed"));
         fs::create_dir_all(file.parent().expect("a folder")).expect("made");
         fs::write(file, bytes).expect("written");
     }
@@ -157,6 +158,27 @@ fn equal_names_without_folders_are_no_ones_poses() {
         error.contains("`0.png` may be any of 2 photographs"),
         "{error}"
     );
+}
+
+#[test]
+fn models_that_are_sent_as_poses_stay_apart() {
+    let dir = tempfile::tempdir().expect("a temporary folder");
+    let names = ["a.png", "b.png", "c.png", "d.png"].map(str::to_owned);
+    let parts = names
+        .iter()
+        .enumerate()
+        .map(|(i, n)| ("images", n.clone(), photograph(i)));
+    let parts = parts.chain(model("poses", "sparse/0/", &names));
+    let parts: Vec<_> = parts
+        .chain(model("poses", "sparse/1/", &names[..3]))
+        .collect();
+    store(dir.path(), &parts);
+    let capture = Capture::open(dir.path(), dir.path()).expect("a capture");
+    assert_eq!(given(&capture).expect("poses").views.len(), 4);
+    let mut places = Places::default();
+    places.place("poses", "images.bin").expect("placed");
+    let problem = places.place("poses", "images.bin").expect_err("sent twice");
+    assert!(format!("{problem:?}").contains("`sparse/images.bin` is sent twice"));
 }
 
 #[test]
