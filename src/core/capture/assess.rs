@@ -8,7 +8,7 @@ use crate::photo_path::PhotoPath;
 
 use super::entries::Entry;
 use super::layout::Layout;
-use super::look::{Eyes, Fault};
+use super::look::{Eyes, Fault, Seen};
 use super::photograph::{Assessment, CaptureView, CaptureWarning};
 use super::watch::Watch;
 
@@ -39,11 +39,25 @@ pub(super) fn assess(layout: &Layout, watch: &Watch<'_>) -> Assessed {
         assessments: Vec::new(),
         warnings: layout.warnings.clone(),
     };
-    let (mut pictures, mut names) = (HashMap::new(), Names::default());
+    // Of equal pictures the one of the shortest path: copies are called `a (1)` and `a copy`.
+    let mut originals: HashMap<[u8; 32], &Entry> = HashMap::new();
+    let length = |entry: &Entry| entry.path.as_str().len();
+    for (entry, seen) in layout.photographs.iter().zip(&seen) {
+        if let Ok(Seen { picture, .. }) = seen {
+            let original = originals.entry(*picture).or_insert(entry);
+            if length(entry) < length(original) {
+                *original = entry;
+            }
+        }
+    }
+    let mut names = Names::default();
     for (entry, seen) in layout.photographs.iter().zip(seen) {
-        let seen = seen.and_then(|seen| match pictures.insert(seen.picture, &entry.path) {
-            Some(first) => Err(Fault::of(format!("the same picture as {first}"))),
-            None => Ok(seen),
+        let seen = seen.and_then(|seen| {
+            let original = originals[&seen.picture];
+            if original.file != entry.file {
+                return Err(Fault::of(format!("the same picture as {}", original.path)));
+            }
+            Ok(seen)
         });
         match seen {
             Ok(seen) => {

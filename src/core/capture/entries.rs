@@ -5,7 +5,8 @@ use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 use std::{fs, io};
 
-use crate::photo_path::PhotoPath;
+use crate::image::named_like_a_photograph;
+use crate::photo_path::{PhotoPath, decoded};
 
 use super::error::{CaptureError, MAX_FILES};
 
@@ -40,7 +41,8 @@ pub(super) fn of_folder(root: &Path) -> Result<Vec<Entry>, CaptureError> {
         path: { names.get(&place) }.map_or_else(|| PhotoPath::new(&place), Clone::clone),
         file,
     };
-    Ok(entries.into_iter().map(entry).collect())
+    let is_seen = |entry: &Entry| !entry.path.as_str().split('/').any(is_hidden);
+    Ok(entries.into_iter().map(entry).filter(is_seen).collect())
 }
 
 fn walk(
@@ -51,13 +53,17 @@ fn walk(
 ) -> Result<(), CaptureError> {
     for item in fs::read_dir(folder).map_err(CaptureError::io(folder))? {
         let item = item.map_err(CaptureError::io(folder))?;
-        let name = item.file_name().to_string_lossy().into_owned();
+        let name = decoded(item.file_name().as_encoded_bytes());
         if is_hidden(&name) {
             continue;
         }
         let (path, file) = (format!("{prefix}{name}"), item.path());
-        // Links are followed: the folder is the operator's own. What leads nowhere is not there.
+        // Links are followed: the folder is the operator's own. A photograph's that leads nowhere
+        // is one that cannot be read.
         let Ok(metadata) = file.metadata() else {
+            if named_like_a_photograph(Path::new(&name)) {
+                found.push((path, file));
+            }
             continue;
         };
         if metadata.is_dir() && depth < MAX_DEPTH {
@@ -72,9 +78,20 @@ fn walk(
     Ok(())
 }
 
-/// Whether a name is hidden or a trace of the system that packed it.
+/// What systems leave among the files of their users: macOS's packer, Windows and Synology.
+const TRACES: [&str; 5] = [
+    "__macosx",
+    "thumbs.db",
+    "$recycle.bin",
+    "@eadir",
+    "#recycle",
+];
+
+/// Whether a name is hidden or a trace of a system. A file that iCloud has not loaded is neither.
 pub(super) fn is_hidden(name: &str) -> bool {
-    name.starts_with('.') || name == "__MACOSX" || name.eq_ignore_ascii_case("thumbs.db")
+    let lower = name.to_ascii_lowercase();
+    let has_dot = name.starts_with('.') && name != ".";
+    has_dot && !lower.ends_with(".icloud") || TRACES.contains(&&*lower)
 }
 
 /// Names in the order that people expect: `img2` before `img10`, case ignored. Total: names that

@@ -5,6 +5,8 @@ use std::path::{Path, PathBuf};
 use super::photograph::Assessment;
 use super::place::in_words;
 use crate::image::Unread;
+use crate::poses::LeftOut;
+use crate::poses::left_out::in_words as in_words_of;
 
 /// Most files of a capture that are looked at.
 pub const MAX_FILES: usize = 20_000;
@@ -120,17 +122,17 @@ fn none(seen: &[(String, usize)], video: Option<&str>) -> String {
     text
 }
 
-/// The sentence of [`CaptureError::TooFew`], with the first reasons.
+/// The sentence of [`CaptureError::TooFew`], with the reasons.
 fn too_few(accepted: usize, assessments: &[Assessment]) -> String {
     let mut text = format!(
         "{accepted} of {} photographs can be used, at least {MIN_VIEWS} are needed",
         assessments.len()
     );
-    let rejected = assessments
-        .iter()
-        .filter_map(|v| v.reason.as_ref().map(|reason| (&v.name, reason)));
-    for (name, reason) in rejected.take(3) {
-        text.push_str(&format!("; {name}: {reason}"));
+    let refused =
+        { assessments.iter() }.filter_map(|v| Some(LeftOut::new(&v.name, v.reason.as_ref()?)));
+    let refused: Vec<LeftOut> = refused.collect();
+    if !refused.is_empty() {
+        text.push_str(&format!("; {}", in_words_of(&refused)));
     }
     text
 }

@@ -2,6 +2,7 @@
 
 use std::collections::{BTreeSet, HashMap, HashSet};
 use std::fs::File;
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use crate::image::{Unread, named_like_a_photograph};
@@ -146,11 +147,14 @@ impl Layout {
             .chain(&self.pose_files)
             .map(|e| (e.path.clone(), e));
         for (path, entry) in photographs.chain(others) {
-            let file = File::open(&entry.file).map_err(CaptureError::io(&entry.file))?;
             let mut content = blake3::Hasher::new();
-            content
-                .update_reader(file)
-                .map_err(CaptureError::io(&entry.file))?;
+            let file = File::open(&entry.file);
+            // A link that leads nowhere is listed as a photograph that cannot be read.
+            if let Err(error) = file.and_then(|file| content.update_reader(file).map(drop))
+                && error.kind() != ErrorKind::NotFound
+            {
+                return Err(CaptureError::io(&entry.file)(error));
+            }
             // The length keeps a name and what follows it apart.
             hasher.update(&(path.as_str().len() as u64).to_le_bytes());
             hasher.update(path.as_str().as_bytes());

@@ -1,5 +1,7 @@
 //! What is seen in one photograph.
 
+use std::io::ErrorKind;
+
 use rayon::prelude::*;
 
 use crate::image::{Header, Image, ImageError, Srgb, read_header, srgb_to_linear};
@@ -68,6 +70,9 @@ impl From<ImageError> for Fault {
     fn from(error: ImageError) -> Self {
         let reason = match &error {
             // The path would be one of ours.
+            ImageError::Io { source, .. } if source.kind() == ErrorKind::NotFound => {
+                "a link that leads nowhere".to_owned()
+            }
             ImageError::Io { source, .. } => format!("cannot be read: {source}"),
             error => error.to_string(),
         };

@@ -38,6 +38,7 @@ enum Sort {
     Raw,
     Video,
     Archive,
+    Sphere,
     /// Not what its name says.
     Other,
 }
@@ -103,6 +104,11 @@ impl fmt::Display for Unread {
                 f,
                 "{name} archives are not read: unpack it, and give the folder or a zip of it"
             ),
+            Sort::Sphere => write!(
+                f,
+                "{name} are not read, as one picture has all directions: export flat pictures of \
+                 them"
+            ),
             Sort::Other => write!(f, "no picture but {name}: get the original file"),
         }
     }
@@ -114,7 +120,7 @@ const fn unread(name: &'static str, sort: Sort) -> Unread {
 
 /// Formats that are recognised in order to be refused with advice: how they begin (empty where
 /// that tells nothing), and the extensions that they have.
-const UNREAD: [(Unread, &[u8], &[&str]); 31] = [
+const UNREAD: [(Unread, &[u8], &[&str]); 34] = [
     (unread("BMP", Sort::Picture), b"BM", &["bmp", "dib"]),
     (unread("GIF", Sort::Picture), b"GIF8", &["gif"]),
     (unread("JPEG XL", Sort::Picture), b"\xff\x0a", &["jxl"]),
@@ -155,6 +161,8 @@ const UNREAD: [(Unread, &[u8], &[&str]); 31] = [
     (unread("AVI", Sort::Video), b"", &["avi"]),
     (unread("3GP", Sort::Video), b"", &["3gp", "3g2"]),
     (unread("360-degree", Sort::Video), b"", &["insv", "360"]),
+    (unread("INSP photographs", Sort::Sphere), b"", &["insp"]),
+    (unread("damaged or inner ZIP", Sort::Archive), b"", &["zip"]),
     (unread("RAR", Sort::Archive), b"Rar!", &["rar"]),
     (unread("7z", Sort::Archive), b"7z\xbc\xaf", &["7z"]),
     (
@@ -182,6 +190,14 @@ const UNREAD: [(Unread, &[u8], &[&str]); 31] = [
     (unread("a web page", Sort::Other), b"<!DOCTYPE", &[]),
     (unread("a web page", Sort::Other), b"<html", &[]),
     (
+        unread(
+            "iCloud's stand-in for a file that it has not loaded",
+            Sort::Other,
+        ),
+        b"",
+        &["icloud"],
+    ),
+    (
         unread("the pointer of Git LFS to a file", Sort::Other),
         b"version https://git-lfs",
         &[],
@@ -189,9 +205,9 @@ const UNREAD: [(Unread, &[u8], &[&str]); 31] = [
 ];
 
 /// Extensions of raw files, whose bytes may look like TIFF.
-const RAW_EXTENSIONS: [&str; 19] = [
-    "3fr", "arw", "cr2", "cr3", "crw", "dcr", "dng", "erf", "kdc", "mef", "mos", "mrw", "nef",
-    "nrw", "orf", "pef", "raf", "rw2", "srw",
+const RAW_EXTENSIONS: [&str; 26] = [
+    "3fr", "arw", "cr2", "cr3", "crw", "dcr", "dng", "erf", "fff", "gpr", "iiq", "kdc", "mef",
+    "mos", "mrw", "nef", "nrw", "orf", "pef", "raf", "rw2", "rwl", "sr2", "srf", "srw", "x3f",
 ];
 
 fn extension(path: &Path) -> String {

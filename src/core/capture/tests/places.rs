@@ -265,6 +265,111 @@ fn rows_of_poses_bounds_belong_to_all_photographs_in_the_order_of_bytes() {
     });
 }
 
+#[test]
+fn what_systems_leave_is_not_seen_whoever_tells_its_name() {
+    let mut files = photographs(&["images/0.jpg", "images/1.jpg", "images/2.jpg"]);
+    let traces = [
+        "images/@eaDir/0.jpg/SYNOPHOTO_THUMB_XL.jpg",
+        "images/._0.jpg",
+        "__MACOSX/images/._0.jpg",
+        "$RECYCLE.BIN/S-1/$R0.jpg",
+        ".thumbnails/0.jpg",
+    ];
+    files.extend(
+        traces
+            .iter()
+            .zip(9..)
+            .map(|(name, seed)| ((*name).to_owned(), jpeg(seed))),
+    );
+    both(&files, |opened| {
+        let capture = opened.expect("a capture");
+        assert_eq!(capture.assessments.len(), 3);
+        assert!(
+            capture.warnings.iter().all(|w| w.code == "few"),
+            "{:?}",
+            capture.warnings
+        );
+    });
+    // As the service stores them: what they are called lies beside.
+    let names: serde_json::Map<_, _> = { files.iter().enumerate() }
+        .map(|(i, (name, _))| (format!("images/{i}.jpg"), name.as_str().into()))
+        .collect();
+    let mut stored: Vec<(String, Vec<u8>)> = { files.into_iter().enumerate() }
+        .map(|(i, (_, bytes))| (format!("images/{i}.jpg"), bytes))
+        .collect();
+    stored.push((
+        NAMES.to_owned(),
+        serde_json::to_vec(&names).expect("written"),
+    ));
+    assert_eq!(
+        read(&stored),
+        (
+            ["0.jpg", "1.jpg", "2.jpg"].map(str::to_owned).to_vec(),
+            vec![]
+        )
+    );
+}
+
+#[test]
+fn files_that_may_be_taken_for_photographs_are_listed_with_what_to_do() {
+    let home = folder(&[("0.jpg", jpeg(0)), ("1.jpg", jpeg(1)), ("2.jpg", jpeg(2))]);
+    let capture = home.path().join("capture");
+    for (name, told) in [
+        ("a.insp", "INSP photographs are not read"),
+        ("b.gpr", "camera raw files are not read"),
+        ("more.zip", "inner ZIP archives are not read: unpack it"),
+        (".3.jpg.icloud", "iCloud's stand-in"),
+    ] {
+        fs::write(capture.join(name), b"II*\0").expect("written");
+        let opened = Capture::open(&capture, home.path()).expect("a capture");
+        let is_told = |a: &Assessment| {
+            a.name == name
+                && a.reason
+                    .as_ref()
+                    .is_some_and(|reason| reason.contains(told))
+        };
+        assert!(
+            opened.assessments.iter().any(is_told),
+            "{:?}",
+            opened.assessments
+        );
+        assert_eq!(opened.views.len(), 3, "{name}");
+    }
+    #[cfg(unix)]
+    {
+        std::os::unix::fs::symlink("/nowhere/3.jpg", capture.join("3.jpg")).expect("linked");
+        let opened = Capture::open(&capture, home.path()).expect("a capture");
+        let is_told = |a: &Assessment| a.reason.as_deref() == Some("a link that leads nowhere");
+        assert!(
+            opened.assessments.iter().any(is_told),
+            "{:?}",
+            opened.assessments
+        );
+    }
+}
+
+#[test]
+fn of_equal_pictures_the_original_is_kept_and_not_its_copy() {
+    let files = photographs(&["0.jpg", "1.jpg", "2.jpg"]);
+    let copies = [("0 (1).jpg", 0), ("1 copy.jpg", 1), ("2 - Copy.jpg", 2)];
+    let copies = copies.map(|(name, seed)| (name.to_owned(), jpeg(seed)));
+    both(&[files, copies.to_vec()].concat(), |opened| {
+        let capture = opened.expect("a capture");
+        let paths: Vec<&str> = capture
+            .views
+            .iter()
+            .map(|view| view.path.as_str())
+            .collect();
+        assert_eq!(paths, ["0.jpg", "1.jpg", "2.jpg"]);
+        let copy = capture
+            .assessments
+            .iter()
+            .find(|a| a.name == "1 copy.jpg")
+            .expect("listed");
+        assert_eq!(copy.reason.as_deref(), Some("the same picture as 1.jpg"));
+    });
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(24))]
     /// Whatever photographs are called and wherever they lie, each has its own pose.

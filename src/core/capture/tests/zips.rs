@@ -39,6 +39,23 @@ fn a_zip_is_the_capture_that_its_folder_is() {
 }
 
 #[test]
+fn a_zip_of_the_folder_that_it_was_made_in_is_read() {
+    let names = [
+        "./images/1.jpg",
+        "./images/2.jpg",
+        "./images/3.jpg",
+        "./.DS_Store",
+    ];
+    let bytes = zipped(&|writer| {
+        (1..)
+            .zip(names)
+            .for_each(|(i, name)| add(writer, name, &jpeg(i)));
+    });
+    let capture = open_zip(&bytes).0.expect("a capture");
+    assert_eq!(capture.photographs.len(), 3);
+}
+
+#[test]
 fn hostile_zips_are_refused_by_name_and_leave_nothing_behind() {
     let good = |writer: &mut ZipWriter<Cursor<Vec<u8>>>| {
         (0..3).for_each(|i| add(writer, &format!("{i}.jpg"), &jpeg(i)));
